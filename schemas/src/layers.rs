@@ -1,0 +1,232 @@
+//! The map's layers: what operators yield, and what SQL users read.
+
+use crate::{Bytes, ImageRef, LayerRow, Pose, Stamp, Wkb, record};
+
+record! {
+    /// One camera's image within a keyframe.
+    pub struct KeyframeImage {
+        /// Camera that took it.
+        camera: String,
+        /// Exposure instant, which may differ from the keyframe's.
+        stamp: Stamp ["ns"],
+        /// Where the pixels are.
+        image: ImageRef,
+    }
+}
+
+record! {
+    /// One frame set: the images of all cameras at one place of the drive.
+    pub struct Keyframe {
+        /// Site that was driven.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Instant of the keyframe.
+        stamp: Stamp ["ns"],
+        /// Counted from 0 along the session.
+        keyframe: u32,
+        /// Driven path from the session's start.
+        distance_m: f64 ["m"],
+        /// The vehicle in the drifting odometry frame, interpolated to the stamp.
+        odom_from_vehicle: Pose ["", "odom"],
+        /// The frame set, ordered by camera; empty where no image was near in time.
+        images: Vec<KeyframeImage>,
+    }
+}
+impl LayerRow for Keyframe {
+    const NAME: &'static str = "keyframes";
+    const DOC: &'static str = "One frame set: the images of all cameras at one place of the drive.";
+    const KEY: &'static [&'static str] = &["site", "session", "stamp"];
+}
+
+record! {
+    /// The vehicle's pose in the map at one instant.
+    pub struct VehiclePose {
+        /// Site of the map.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Instant of the pose.
+        stamp: Stamp ["ns"],
+        /// The vehicle in the map.
+        map_from_vehicle: Pose ["", "map"],
+    }
+}
+impl LayerRow for VehiclePose {
+    const NAME: &'static str = "poses";
+    const DOC: &'static str = "The vehicle's pose in the map at one instant.";
+    const KEY: &'static [&'static str] = &["site", "session", "stamp"];
+}
+
+record! {
+    /// One image with the vehicle's pose at its exposure: what ground patches are made from.
+    pub struct PosedImage {
+        /// Site of the map.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant.
+        stamp: Stamp ["ns"],
+        /// Camera that took it.
+        camera: String,
+        /// The vehicle in the map at the exposure.
+        map_from_vehicle: Pose ["", "map"],
+        /// Where the pixels are.
+        image: ImageRef,
+    }
+}
+impl LayerRow for PosedImage {
+    const NAME: &'static str = "posed_images";
+    const DOC: &'static str = "One image with the vehicle's pose at its exposure.";
+    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
+}
+
+record! {
+    /// One image seen from above: the cells of the ground plane that it shows.
+    pub struct GroundPatch {
+        /// Site of the map.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant.
+        stamp: Stamp ["ns"],
+        /// Camera that took it.
+        camera: String,
+        /// Side of a cell.
+        cell_m: f64 ["m"],
+        /// Column of the patch's first cell; cell i covers `[i, i + 1) * cell_m` along the map's x axis.
+        column: i32 ["", "map"],
+        /// Row of the patch's first cell; rows grow along the map's y axis.
+        row: i32 ["", "map"],
+        /// Cells along x.
+        width: u32,
+        /// Cells along y.
+        height: u32,
+        /// Grey value of each cell, row by row.
+        values: Bytes,
+        /// Weight of each cell by viewing angle, 1 to 255; 0 where the image does not show it.
+        weights: Bytes,
+    }
+}
+impl LayerRow for GroundPatch {
+    const NAME: &'static str = "ground_patches";
+    const DOC: &'static str =
+        "One image seen from above: the cells of the ground plane that it shows.";
+    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
+}
+
+record! {
+    /// One tile of the overhead image.
+    pub struct OverheadTile {
+        /// Site of the map.
+        site: String,
+        /// Level: 0 is the finest; each next one has cells twice as large.
+        zoom: u32,
+        /// Tile column: tile i covers `[i, i + 1) * size_m` along the map's x axis.
+        tile_x: i32 ["", "map"],
+        /// Tile row: tile j covers `[j, j + 1) * size_m` along the map's y axis.
+        tile_y: i32 ["", "map"],
+        /// Side of a cell at this level.
+        cell_m: f64 ["m"],
+        /// Side of the tile.
+        size_m: f64 ["m"],
+        /// Cells that at least one image showed.
+        covered: u32,
+        /// Mean of the weights of all observations, per covered cell.
+        mean_weight: f64,
+        /// The tile as a grey PNG with alpha (0 where nothing was seen); the first row is the northernmost.
+        png: Bytes,
+        /// Footprint of the tile, in the map.
+        geometry: Wkb ["m", "map"],
+    }
+}
+impl LayerRow for OverheadTile {
+    const NAME: &'static str = "overhead_tiles";
+    const DOC: &'static str =
+        "One tile of the overhead image: the weighted running mean of all images that show it.";
+    const KEY: &'static [&'static str] = &["site", "zoom", "tile_x", "tile_y"];
+    const GEOMETRY: Option<&'static str> = Some("geometry");
+}
+
+record! {
+    /// One lane of the road network, from one intersection or dead end to the next.
+    pub struct Lane {
+        /// Site of the map.
+        site: String,
+        /// Counted from 0 within the site.
+        lane: u32,
+        /// Node that the lane starts at; lanes that share a node meet there.
+        start_node: u32,
+        /// Node that the lane ends at.
+        end_node: u32,
+        /// What is at the start: `intersection`, `dead_end` or `loop`.
+        start_kind: String,
+        /// What is at the end: `intersection`, `dead_end` or `loop`.
+        end_kind: String,
+        /// `forward`, `backward` or `both`: how it was driven, from start to end.
+        direction: String,
+        /// Passes from start to end.
+        forward_passes: u32,
+        /// Passes from end to start.
+        backward_passes: u32,
+        /// Length along the centre line.
+        length_m: f64 ["m"],
+        /// The centre line, from start to end.
+        points: Vec<[f64; 3]> ["m", "map"],
+        /// The centre line as a line string.
+        geometry: Wkb ["m", "map"],
+    }
+}
+impl LayerRow for Lane {
+    const NAME: &'static str = "lanes";
+    const DOC: &'static str =
+        "One lane of the road network, from one intersection or dead end to the next.";
+    const KEY: &'static [&'static str] = &["site", "lane"];
+    const GEOMETRY: Option<&'static str> = Some("geometry");
+}
+
+record! {
+    /// A place where more than two lane ends meet.
+    pub struct Intersection {
+        /// Site of the map.
+        site: String,
+        /// The node's number, as lanes name it.
+        node: u32,
+        /// Lane ends that meet here.
+        degree: u32,
+        /// Where it is.
+        x: f64 ["m", "map"],
+        /// Where it is.
+        y: f64 ["m", "map"],
+        /// Where it is.
+        z: f64 ["m", "map"],
+        /// Where it is, as a point.
+        geometry: Wkb ["m", "map"],
+    }
+}
+impl LayerRow for Intersection {
+    const NAME: &'static str = "intersections";
+    const DOC: &'static str = "A place where more than two lane ends meet.";
+    const KEY: &'static [&'static str] = &["site", "node"];
+    const GEOMETRY: Option<&'static str> = Some("geometry");
+}
+
+/// Every layer that operators yield or read, sorted by name; the reference page lists these.
+pub fn all() -> Vec<crate::Layer> {
+    use crate::roles::{Calibration, Frame, OdometryPose, Transform};
+    let mut layers = vec![
+        Calibration::layer(),
+        Frame::layer(),
+        GroundPatch::layer(),
+        Intersection::layer(),
+        Keyframe::layer(),
+        Lane::layer(),
+        OdometryPose::layer(),
+        OverheadTile::layer(),
+        PosedImage::layer(),
+        Transform::layer(),
+        VehiclePose::layer(),
+    ];
+    layers.sort_by_key(|layer| layer.name);
+    layers
+}

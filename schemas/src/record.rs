@@ -1,0 +1,166 @@
+//! A row with named columns, and the one macro that declares it.
+
+use std::sync::Arc;
+
+use arrow::array::{ArrayRef, AsArray, StructArray};
+use arrow::datatypes::{DataType, Field, Fields};
+
+use crate::cell::expect;
+use crate::{Cell, Fault};
+
+/// A declared column: its Arrow field, and what it means.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Column {
+    /// Column name, as SQL sees it.
+    pub name: &'static str,
+    /// Arrow type.
+    pub data_type: DataType,
+    /// Whether nulls may occur; their meaning is in `doc`.
+    pub nullable: bool,
+    /// SI unit, or empty for a pure number or a name.
+    pub unit: &'static str,
+    /// Frame of reference, or empty where there is none.
+    pub frame: &'static str,
+    /// One or two sentences for the reference page.
+    pub doc: String,
+}
+
+impl Column {
+    /// The Arrow field; unit and frame are its metadata (`unit`, `frame`), so that they stay with a Parquet file.
+    pub fn field(&self) -> Field {
+        let metadata = [("unit", self.unit), ("frame", self.frame)]
+            .into_iter()
+            .filter(|(_, value)| !value.is_empty())
+            .map(|(key, value)| (key.to_owned(), value.to_owned()))
+            .collect();
+        Field::new(self.name, self.data_type.clone(), self.nullable).with_metadata(metadata)
+    }
+}
+
+/// A struct whose fields are columns. Declared with [`record!`](crate::record), never by hand.
+pub trait Record: Sized {
+    /// The columns, in order.
+    fn columns() -> Vec<Column>;
+
+    /// One array per column.
+    ///
+    /// # Errors
+    /// As [`Cell::encode`].
+    fn encode_columns(rows: Vec<Self>) -> Result<Vec<ArrayRef>, Fault>;
+
+    /// Rows from one array per column, in order and of equal length.
+    ///
+    /// # Errors
+    /// As [`Cell::decode`], with the column's name.
+    fn decode_columns(columns: &[ArrayRef]) -> Result<Vec<Self>, Fault>;
+}
+
+fn struct_fields<T: Record>() -> Fields {
+    // Nested fields carry no metadata: Arrow compares struct types with it, and SQL engines drop it.
+    T::columns()
+        .iter()
+        .map(|column| Field::new(column.name, column.data_type.clone(), column.nullable))
+        .collect()
+}
+
+/// A record inside another is a struct column.
+impl<T: Record> Cell for T {
+    fn data_type() -> DataType {
+        DataType::Struct(struct_fields::<T>())
+    }
+
+    fn encode(values: Vec<Self>) -> Result<ArrayRef, Fault> {
+        let columns = T::encode_columns(values)?;
+        Ok(Arc::new(StructArray::try_new(
+            struct_fields::<T>(),
+            columns,
+            None,
+        )?))
+    }
+
+    fn decode(column: &ArrayRef) -> Result<Vec<Self>, Fault> {
+        expect::<Self>(column)?;
+        T::decode_columns(column.as_struct().columns())
+    }
+}
+
+/// Takes the next column of a record; the name goes into the error.
+#[doc(hidden)]
+pub fn decode_column<T: Cell>(
+    columns: &[ArrayRef],
+    index: usize,
+    name: &str,
+) -> Result<std::vec::IntoIter<T>, Fault> {
+    let column = columns
+        .get(index)
+        .ok_or_else(|| Fault::bug(format!("record lacks column {name}")))?;
+    Ok(T::decode(column)
+        .map_err(|fault| fault.at(format!("column {name}")))?
+        .into_iter())
+}
+
+/// Declares a record: a struct, its columns with units and frames, and its way into Arrow and back.
+///
+/// ```
+/// evermap_schemas::record! {
+///     /// A place that was visited.
+///     pub struct Visit {
+///         /// Name of the session.
+///         session: String,
+///         /// Distance from the start.
+///         distance_m: f64 ["m"],
+///         /// Height above the floor; null where it was not measured.
+///         height_m: Option<f64> ["m", "map"],
+///     }
+/// }
+/// ```
+#[macro_export]
+macro_rules! record {
+    (
+        $(#[doc = $doc:literal])+
+        pub struct $name:ident {
+            $(
+                $(#[doc = $column_doc:literal])+
+                $column:ident: $type:ty $([$unit:literal $(, $frame:literal)?])?
+            ),+ $(,)?
+        }
+    ) => {
+        $(#[doc = $doc])+
+        #[derive(Debug, Clone, PartialEq)]
+        pub struct $name {
+            $(
+                $(#[doc = $column_doc])+
+                pub $column: $type
+            ),+
+        }
+
+        impl $crate::Record for $name {
+            fn columns() -> Vec<$crate::Column> {
+                vec![$($crate::Column {
+                    name: stringify!($column),
+                    data_type: <$type as $crate::Cell>::data_type(),
+                    nullable: <$type as $crate::Cell>::NULLABLE,
+                    unit: concat!($($unit)?),
+                    frame: concat!($($($frame)?)?),
+                    doc: [$($column_doc.trim()),+].join(" "),
+                }),+]
+            }
+
+            fn encode_columns(rows: Vec<Self>) -> Result<Vec<$crate::arrow::array::ArrayRef>, $crate::Fault> {
+                $(let mut $column = Vec::with_capacity(rows.len());)+
+                for row in rows {
+                    $($column.push(row.$column);)+
+                }
+                Ok(vec![$(<$type as $crate::Cell>::encode($column)?),+])
+            }
+
+            fn decode_columns(columns: &[$crate::arrow::array::ArrayRef]) -> Result<Vec<Self>, $crate::Fault> {
+                let rows = columns.first().map_or(0, |column| $crate::arrow::array::Array::len(column));
+                let mut index = 0..;
+                $(let mut $column = $crate::decode_column::<$type>(columns, index.next().unwrap_or(0), stringify!($column))?;)+
+                let next = || Some(Self { $($column: $column.next()?),+ });
+                Ok(std::iter::from_fn(next).take(rows).collect())
+            }
+        }
+    };
+}

@@ -1,0 +1,212 @@
+//! Values that several layers share.
+
+use std::sync::Arc;
+
+use arrow::array::{ArrayRef, AsArray, BinaryArray, TimestampNanosecondArray};
+use arrow::datatypes::{DataType, TimeUnit, TimestampNanosecondType};
+
+use crate::cell::expect;
+use crate::{Cell, Fault, record};
+
+/// Nanoseconds since the epoch, UTC.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Stamp(pub i64);
+
+impl Stamp {
+    /// Seconds from another stamp to this one.
+    pub fn seconds_since(self, earlier: Stamp) -> f64 {
+        self.0.wrapping_sub(earlier.0) as f64 * 1e-9
+    }
+}
+
+impl Cell for Stamp {
+    fn data_type() -> DataType {
+        DataType::Timestamp(TimeUnit::Nanosecond, Some("UTC".into()))
+    }
+    fn encode(values: Vec<Self>) -> Result<ArrayRef, Fault> {
+        let stamps =
+            TimestampNanosecondArray::from_iter_values(values.into_iter().map(|stamp| stamp.0));
+        Ok(Arc::new(stamps.with_timezone("UTC")))
+    }
+    fn decode(column: &ArrayRef) -> Result<Vec<Self>, Fault> {
+        expect::<Self>(column)?;
+        Ok(column
+            .as_primitive::<TimestampNanosecondType>()
+            .values()
+            .iter()
+            .copied()
+            .map(Stamp)
+            .collect())
+    }
+}
+
+/// Opaque bytes: an encoded image, a serialised state.
+#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Bytes(pub Vec<u8>);
+
+impl Cell for Bytes {
+    fn data_type() -> DataType {
+        DataType::Binary
+    }
+    fn encode(values: Vec<Self>) -> Result<ArrayRef, Fault> {
+        if values.iter().map(|value| value.0.len()).sum::<usize>() > i32::MAX as usize {
+            return Err(
+                Fault::data("more than 2 GiB in one column of a batch").next("use smaller batches")
+            );
+        }
+        Ok(Arc::new(BinaryArray::from_iter_values(
+            values.iter().map(|value| value.0.as_slice()),
+        )))
+    }
+    fn decode(column: &ArrayRef) -> Result<Vec<Self>, Fault> {
+        expect::<Self>(column)?;
+        Ok(column
+            .as_binary::<i32>()
+            .iter()
+            .map(|bytes| Bytes(bytes.unwrap_or_default().to_vec()))
+            .collect())
+    }
+}
+
+/// A geometry as well-known binary (ISO WKB, little endian), in local metres: GeoParquet with `"crs": null`.
+#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Wkb(pub Vec<u8>);
+
+impl Wkb {
+    /// A point with height.
+    pub fn point([x, y, z]: [f64; 3]) -> Self {
+        let mut wkb = Self::header(1001);
+        wkb.numbers(&[x, y, z]);
+        wkb
+    }
+
+    /// A polyline with heights.
+    pub fn line_string(points: &[[f64; 3]]) -> Self {
+        let mut wkb = Self::header(1002);
+        wkb.0.extend((points.len() as u32).to_le_bytes());
+        points.iter().for_each(|point| wkb.numbers(point));
+        wkb
+    }
+
+    /// A polygon of one ring, flat. The ring is closed here: give each corner once.
+    pub fn polygon(corners: &[[f64; 2]]) -> Self {
+        let mut wkb = Self::header(3);
+        wkb.0.extend(1_u32.to_le_bytes());
+        wkb.0.extend((corners.len() as u32 + 1).to_le_bytes());
+        corners
+            .iter()
+            .chain(corners.first())
+            .for_each(|corner| wkb.numbers(corner));
+        wkb
+    }
+
+    fn header(kind: u32) -> Self {
+        let mut bytes = vec![1];
+        bytes.extend(kind.to_le_bytes());
+        Self(bytes)
+    }
+
+    fn numbers(&mut self, numbers: &[f64]) {
+        numbers
+            .iter()
+            .for_each(|number| self.0.extend(number.to_le_bytes()));
+    }
+}
+
+impl Cell for Wkb {
+    fn data_type() -> DataType {
+        DataType::Binary
+    }
+    fn encode(values: Vec<Self>) -> Result<ArrayRef, Fault> {
+        Bytes::encode(values.into_iter().map(|wkb| Bytes(wkb.0)).collect())
+    }
+    fn decode(column: &ArrayRef) -> Result<Vec<Self>, Fault> {
+        Ok(Bytes::decode(column)?
+            .into_iter()
+            .map(|bytes| Wkb(bytes.0))
+            .collect())
+    }
+}
+
+record! {
+    /// A rigid transform `parent_from_child`: a point in the child frame, multiplied from the left by the
+    /// transform, comes out in the parent frame.
+    pub struct Pose {
+        /// Translation along x.
+        x: f64 ["m"],
+        /// Translation along y.
+        y: f64 ["m"],
+        /// Translation along z.
+        z: f64 ["m"],
+        /// Unit quaternion, x part.
+        qx: f64,
+        /// Unit quaternion, y part.
+        qy: f64,
+        /// Unit quaternion, z part.
+        qz: f64,
+        /// Unit quaternion, scalar part.
+        qw: f64,
+    }
+}
+
+impl Pose {
+    /// The transform that changes nothing.
+    pub const IDENTITY: Pose = Pose {
+        x: 0.0,
+        y: 0.0,
+        z: 0.0,
+        qx: 0.0,
+        qy: 0.0,
+        qz: 0.0,
+        qw: 1.0,
+    };
+
+    /// `[x, y, z, qx, qy, qz, qw]`.
+    pub fn to_array(&self) -> [f64; 7] {
+        [self.x, self.y, self.z, self.qx, self.qy, self.qz, self.qw]
+    }
+
+    /// From `[x, y, z, qx, qy, qz, qw]`.
+    pub fn from_array([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Self {
+        Self {
+            x,
+            y,
+            z,
+            qx,
+            qy,
+            qz,
+            qw,
+        }
+    }
+}
+
+record! {
+    /// Where an image's bytes lie in a log. Rows carry this instead of pixels; the engine fetches the bytes just
+    /// before a kernel that asks for them.
+    pub struct ImageRef {
+        /// Session whose log holds the image.
+        session: String,
+        /// Which of the session's files, counted from 0 in time order.
+        part: u32,
+        /// File offset of the chunk record's compressed bytes; null where the message lies outside any chunk.
+        chunk: Option<u64> ["B"],
+        /// Length of the compressed chunk; 0 outside chunks.
+        chunk_length: u64 ["B"],
+        /// Length of the chunk after decompression; 0 outside chunks.
+        chunk_size: u64 ["B"],
+        /// Compression of the chunk: `zstd`, `lz4` or empty.
+        compression: String,
+        /// Where the image bytes begin, in the uncompressed chunk, or in the file where there is no chunk.
+        offset: u64 ["B"],
+        /// Number of image bytes.
+        length: u64 ["B"],
+        /// How the bytes encode the image: `jpeg`, `png`, or a raw encoding such as `mono8`, `rgb8`, `bgr8`, `16UC1`.
+        format: String,
+        /// Width of a raw image; null where the encoded image says it itself.
+        width: Option<u32> ["px"],
+        /// Height of a raw image; null where the encoded image says it itself.
+        height: Option<u32> ["px"],
+        /// Row stride of a raw image; null where the encoded image says it itself.
+        step: Option<u32> ["B"],
+    }
+}
