@@ -1,0 +1,264 @@
+//! From the numbers in a log to a camera.
+//!
+//! ROS `CameraInfo` names a model and gives a 3×3 K and a list D; other sources have habits of
+//! their own. Everything is checked here, once, and an error says what was expected: a camera
+//! built from half-filled fields would give a map that is wrong without looking wrong.
+
+use super::{
+    BrownConrady, Camera, Equirectangular, KannalaBrandt, Model, Ocam, OcamAffine, OcamCurve,
+    Pinhole,
+};
+
+/// The names [`Camera::from_calibration`] understands.
+pub const MODEL_NAMES: [&str; 10] = [
+    "",
+    "none",
+    "plumb_bob",
+    "rational_polynomial",
+    "equidistant",
+    "kannala_brandt",
+    "fisheye",
+    "equirectangular",
+    "ocam",
+    "ocam_depth",
+];
+
+/// Why a calibration gives no camera.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CameraError {
+    /// The distortion model has no known name.
+    #[error("unknown camera model \"{found}\"; known are {}", MODEL_NAMES[1..].join(", "))]
+    UnknownModel {
+        /// The name given.
+        found: String,
+    },
+    /// K or D has a wrong number of entries.
+    #[error("camera model \"{model}\": expected {what} of {expected} numbers, found {found}")]
+    Count {
+        /// The model asked for.
+        model: String,
+        /// `K` or `D`.
+        what: &'static str,
+        /// The counts that would do.
+        expected: &'static str,
+        /// The count given.
+        found: usize,
+    },
+    /// A value makes no camera.
+    #[error("camera model \"{model}\": {what}, found {found}")]
+    Value {
+        /// The model asked for.
+        model: String,
+        /// What was expected.
+        what: &'static str,
+        /// The value given.
+        found: f64,
+    },
+    /// The image has no pixels.
+    #[error("expected an image size in pixels, found {width} x {height}")]
+    Size {
+        /// Width given.
+        width: u32,
+        /// Height given.
+        height: u32,
+    },
+}
+
+impl Camera {
+    /// A camera from a calibration message.
+    ///
+    /// `k` is either the nine entries of `[fx 0 cx; 0 fy cy; 0 0 1]`, row by row, or only
+    /// `[fx, cx, fy, cy]` (its non-zero entries in that order; nine entries with zeros after the
+    /// fourth count as this too). Pixel (0, 0) is the centre of the top-left pixel.
+    ///
+    /// | `model_name` | meaning | `d` |
+    /// |---|---|---|
+    /// | `""`, `none` | pinhole | empty or zeros |
+    /// | `plumb_bob`, `rational_polynomial` | [`Pinhole`] | 0, 4, 5 or 8: k1 k2 p1 p2 k3 k4 k5 k6 |
+    /// | `equidistant`, `kannala_brandt`, `fisheye` | [`KannalaBrandt`] | 0 or 4: k1 k2 k3 k4 |
+    /// | `equirectangular` | [`Equirectangular`] | empty or zeros |
+    /// | `ocam` | [`Ocam`], `k` = `[c d cx; e 1 cy; 0 0 1]` | [`OcamCurve::RadiusByElevation`] |
+    /// | `ocam_depth` | the same | [`OcamCurve::DepthByRadius`] |
+    ///
+    /// More entries in `d` than a model has are accepted when they are zero.
+    ///
+    /// # Errors
+    /// [`CameraError`] says which number was not as expected.
+    pub fn from_calibration(
+        model_name: &str,
+        width: u32,
+        height: u32,
+        k: &[f64],
+        d: &[f64],
+    ) -> Result<Self, CameraError> {
+        if width == 0 || height == 0 {
+            return Err(CameraError::Size { width, height });
+        }
+        let given = Given {
+            model: model_name,
+            k,
+            d,
+        };
+        given.finite()?;
+        let model = match model_name {
+            "" | "none" => Model::Pinhole(given.pinhole(0, "0")?),
+            "plumb_bob" | "rational_polynomial" => {
+                Model::Pinhole(given.pinhole(8, "0, 4, 5 or 8")?)
+            }
+            "equidistant" | "kannala_brandt" | "fisheye" => {
+                Model::KannalaBrandt(given.kannala_brandt()?)
+            }
+            "equirectangular" => Model::Equirectangular(given.equirectangular()?),
+            "ocam" => given.ocam(width, height, OcamCurve::RadiusByElevation)?,
+            "ocam_depth" => given.ocam(width, height, OcamCurve::DepthByRadius)?,
+            found => {
+                return Err(CameraError::UnknownModel {
+                    found: found.to_owned(),
+                });
+            }
+        };
+        Ok(Camera::new(model, width, height))
+    }
+}
+
+/// The numbers as given, with the name for error messages.
+struct Given<'a> {
+    model: &'a str,
+    k: &'a [f64],
+    d: &'a [f64],
+}
+
+/// Focal lengths and centre, pixels.
+struct Intrinsics {
+    focal: [f64; 2],
+    centre: [f64; 2],
+}
+
+impl Given<'_> {
+    fn count(&self, what: &'static str, expected: &'static str, found: usize) -> CameraError {
+        CameraError::Count {
+            model: self.model.to_owned(),
+            what,
+            expected,
+            found,
+        }
+    }
+
+    fn value(&self, what: &'static str, found: f64) -> CameraError {
+        CameraError::Value {
+            model: self.model.to_owned(),
+            what,
+            found,
+        }
+    }
+
+    fn finite(&self) -> Result<(), CameraError> {
+        match self.k.iter().chain(self.d).find(|value| !value.is_finite()) {
+            Some(&found) => Err(self.value("expected finite numbers in K and D", found)),
+            None => Ok(()),
+        }
+    }
+
+    fn intrinsics(&self) -> Result<Intrinsics, CameraError> {
+        let intrinsics = match *self.k {
+            [fx, cx, fy, cy] | [fx, cx, fy, cy, 0.0, 0.0, 0.0, 0.0, 0.0] => Intrinsics {
+                focal: [fx, fy],
+                centre: [cx, cy],
+            },
+            [fx, skew, cx, lower, fy, cy, ..] if self.k.len() == 9 => {
+                if skew != 0.0 || lower != 0.0 {
+                    return Err(self.value("expected a K without skew", skew + lower));
+                }
+                Intrinsics {
+                    focal: [fx, fy],
+                    centre: [cx, cy],
+                }
+            }
+            _ => return Err(self.count("K", "9 (row by row) or 4 [fx, cx, fy, cy]", self.k.len())),
+        };
+        match intrinsics.focal.into_iter().find(|focal| *focal <= 0.0) {
+            Some(found) => Err(self.value("expected positive focal lengths in K", found)),
+            None => Ok(intrinsics),
+        }
+    }
+
+    /// The first `N` of D, whose given length must be one of `counts` once zeros beyond `N` are
+    /// dropped; missing ones are zero.
+    fn distortion<const N: usize>(
+        &self,
+        counts: &[usize],
+        expected: &'static str,
+    ) -> Result<[f64; N], CameraError> {
+        let (used, beyond) = self.d.split_at(self.d.len().min(N));
+        if !counts.contains(&used.len()) || beyond.iter().any(|value| *value != 0.0) {
+            return Err(self.count("D", expected, self.d.len()));
+        }
+        let mut found = [0.0; N];
+        found[..used.len()].copy_from_slice(used);
+        Ok(found)
+    }
+
+    fn pinhole(&self, most: usize, expected: &'static str) -> Result<Pinhole, CameraError> {
+        let Intrinsics { focal, centre } = self.intrinsics()?;
+        let [k1, k2, p1, p2, k3, k4, k5, k6] = if most == 0 {
+            self.distortion::<0>(&[0], expected)?;
+            [0.0; 8]
+        } else {
+            self.distortion(&[0, 4, 5, 8], expected)?
+        };
+        let radial = [k1, k2, k3, k4, k5, k6];
+        Ok(Pinhole::new(
+            focal,
+            centre,
+            BrownConrady {
+                radial,
+                tangential: [p1, p2],
+            },
+        ))
+    }
+
+    fn kannala_brandt(&self) -> Result<KannalaBrandt, CameraError> {
+        let Intrinsics { focal, centre } = self.intrinsics()?;
+        Ok(KannalaBrandt::new(
+            focal,
+            centre,
+            self.distortion(&[0, 4], "0 or 4")?,
+        ))
+    }
+
+    fn equirectangular(&self) -> Result<Equirectangular, CameraError> {
+        let Intrinsics { focal, centre } = self.intrinsics()?;
+        self.distortion::<0>(&[0], "0")?;
+        Ok(Equirectangular::new(focal, centre))
+    }
+
+    fn ocam(
+        &self,
+        width: u32,
+        height: u32,
+        curve: fn(Vec<f64>) -> OcamCurve,
+    ) -> Result<Model, CameraError> {
+        let [c, d, cx, e, one, cy, ..] = *self.k else {
+            return Err(self.count("K", "9 [c d cx; e 1 cy; 0 0 1]", self.k.len()));
+        };
+        if one != 1.0 {
+            return Err(self.value("expected K = [c d cx; e 1 cy; 0 0 1], with its 1", one));
+        }
+        if (c - d * e).abs() < 1e-9 {
+            return Err(self.value(
+                "expected an affine part [c d; e 1] with an inverse",
+                c - d * e,
+            ));
+        }
+        if self.d.len() < 2 {
+            return Err(self.count("D", "2 or more (polynomial, rising powers)", self.d.len()));
+        }
+        let affine = OcamAffine { c, d, e, cx, cy };
+        let corner = 2.0 * f64::from(width).hypot(f64::from(height));
+        Ok(Model::Ocam(Ocam::new(
+            affine,
+            curve(self.d.to_vec()),
+            corner,
+        )))
+    }
+}

@@ -1,0 +1,212 @@
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stderr
+)]
+
+use super::*;
+use proptest::prelude::*;
+
+/// Every third pixel and the borders must come back within 1e-6 px; gives how many had a ray.
+fn round_trip(camera: &Camera) -> (usize, usize) {
+    let (mut seen, mut all) = (0, 0);
+    for v in (0..camera.height).step_by(7).chain([camera.height - 1]) {
+        for u in (0..camera.width).step_by(7).chain([camera.width - 1]) {
+            let pixel = [f64::from(u), f64::from(v)];
+            all += 1;
+            let Some(ray) = camera.unproject(pixel) else {
+                continue;
+            };
+            assert!(
+                (ray.norm() - 1.0).abs() < 1e-12,
+                "unit bearing at {pixel:?}"
+            );
+            let back = camera
+                .project(&(ray * 3.7))
+                .unwrap_or_else(|| panic!("no pixel {pixel:?}"));
+            let error = (back[0] - pixel[0]).hypot(back[1] - pixel[1]);
+            assert!(error < 1e-6, "{pixel:?} came back as {back:?}");
+            seen += 1;
+        }
+    }
+    (seen, all)
+}
+
+/// A 180° fisheye as a car park rig has it: the image width spans 180°.
+pub(crate) fn wide_fisheye() -> Camera {
+    let k = [127.0, 0.0, 199.7, 0.0, 127.2, 149.2, 0.0, 0.0, 1.0];
+    Camera::from_calibration(
+        "equidistant",
+        400,
+        300,
+        &k,
+        &[0.012, -0.006, 0.002, -0.0004],
+    )
+    .unwrap()
+}
+
+#[test]
+fn every_model_gives_its_pixels_back() {
+    let nine = [500.0, 0.0, 320.5, 0.0, 502.0, 239.0, 0.0, 0.0, 1.0];
+    let cases: [(&str, u32, u32, &[f64], &[f64]); 6] = [
+        ("", 640, 480, &nine, &[]),
+        (
+            "plumb_bob",
+            640,
+            480,
+            &nine,
+            &[-0.28, 0.07, 0.0002, -0.0011, 0.003],
+        ),
+        (
+            "rational_polynomial",
+            640,
+            480,
+            &nine,
+            &[0.9, 0.3, 1e-4, 2e-4, 0.01, 1.2, 0.5, 0.05],
+        ),
+        (
+            "fisheye",
+            640,
+            480,
+            &[180.0, 319.0, 181.0, 240.0],
+            &[0.01, 0.002, -0.0002, 0.0],
+        ),
+        (
+            "equirectangular",
+            1024,
+            333,
+            &[162.97466, 511.5, 162.97466, 166.0],
+            &[],
+        ),
+        (
+            "ocam_depth",
+            640,
+            480,
+            &[1.0, 1e-4, 320.0, -2e-4, 1.0, 240.0, 0.0, 0.0, 1.0],
+            &[-200.0, 0.0, 1.2e-3, -4e-7, 2e-9],
+        ),
+    ];
+    for (name, width, height, k, d) in cases {
+        let camera = Camera::from_calibration(name, width, height, k, d).unwrap();
+        let (seen, all) = round_trip(&camera);
+        assert!(seen as f64 > 0.95 * all as f64, "{name}: {seen} of {all}");
+    }
+    let (seen, all) = round_trip(&wide_fisheye());
+    assert_eq!(seen, all);
+}
+
+#[test]
+fn fisheye_sees_ninety_degrees_to_the_side() {
+    let camera = wide_fisheye();
+    let side = camera.project(&Vector3::x()).unwrap();
+    assert!(
+        (side[0] - 399.0).abs() < 12.0 && (side[1] - 149.2).abs() < 1e-9,
+        "{side:?}"
+    );
+    assert!(camera.project(&Vector3::new(1.0, 0.0, -0.05)).is_some());
+    let limited = camera.with_max_angle(1.0);
+    assert!(limited.project(&Vector3::x()).is_none());
+    assert!(limited.unproject(side).is_none());
+}
+
+#[test]
+fn curves_end_where_they_turn_back() {
+    // θ(1 - 0.2 θ²) peaks at θ = √(1 / 0.6).
+    let k = KannalaBrandt::new([100.0; 2], [0.0; 2], [-0.2, 0.0, 0.0, 0.0]);
+    assert!((k.max_theta() - (1.0f64 / 0.6).sqrt()).abs() < 1e-9);
+    // r(1 - 0.3 r²) peaks at r = √(1 / 0.9): beyond, the image folds.
+    let nine = [100.0, 0.0, 0.0, 0.0, 100.0, 0.0, 0.0, 0.0, 1.0];
+    let camera =
+        Camera::from_calibration("plumb_bob", 9, 9, &nine, &[-0.3, 0.0, 0.0, 0.0]).unwrap();
+    let edge = (1.0f64 / 0.9).sqrt();
+    assert!(
+        camera
+            .project(&Vector3::new(edge - 1e-6, 0.0, 1.0))
+            .is_some()
+    );
+    assert!(
+        camera
+            .project(&Vector3::new(edge + 1e-6, 0.0, 1.0))
+            .is_none()
+    );
+    assert!(camera.unproject([100.0 * edge, 0.0]).is_none());
+    assert!(camera.project(&Vector3::new(0.0, 0.0, -1.0)).is_none());
+}
+
+#[test]
+fn known_values() {
+    // Worked by hand from the equations in the module headers.
+    let nine = [100.0, 0.0, 10.0, 0.0, 200.0, 20.0, 0.0, 0.0, 1.0];
+    let d = [0.1, 0.01, 0.001, 0.002, 0.0];
+    let camera = Camera::from_calibration("plumb_bob", 99, 99, &nine, &d).unwrap();
+    let [u, v] = camera.project(&Vector3::new(1.0, 2.0, 2.0)).unwrap();
+    let (a, b, r2) = (0.5, 1.0, 1.25);
+    let s = 1.0 + 0.1 * r2 + 0.01 * r2 * r2;
+    let x = a * s + 2.0 * 0.001 * a * b + 0.002 * (r2 + 2.0 * a * a);
+    let y = b * s + 0.001 * (r2 + 2.0 * b * b) + 2.0 * 0.002 * a * b;
+    assert!((u - (100.0 * x + 10.0)).abs() < 1e-12 && (v - (200.0 * y + 20.0)).abs() < 1e-12);
+
+    let f = 1024.0 / (2.0 * PI);
+    let camera =
+        Camera::from_calibration("equirectangular", 1024, 333, &[f, 511.5, f, 166.0], &[]).unwrap();
+    let right = camera.project(&Vector3::x()).unwrap();
+    assert!((right[0] - 767.5).abs() < 1e-9 && (right[1] - 166.0).abs() < 1e-9);
+}
+
+#[test]
+fn calibrations_that_are_none() {
+    let nine = [500.0, 0.0, 320.5, 0.0, 502.0, 239.0, 0.0, 0.0, 1.0];
+    let err = |name: &str, k: &[f64], d: &[f64]| {
+        Camera::from_calibration(name, 640, 480, k, d)
+            .unwrap_err()
+            .to_string()
+    };
+    assert!(err("fisheye62", &nine, &[]).contains("kannala_brandt"));
+    assert!(err("plumb_bob", &nine, &[0.1]).contains("found 1"));
+    assert!(err("plumb_bob", &[0.0; 9], &[]).contains("focal"));
+    assert!(err("equidistant", &[1.0; 3], &[]).contains("found 3"));
+    assert!(err("none", &nine, &[0.1]).contains("found 1"));
+    assert!(err("", &[f64::NAN; 9], &[]).contains("finite"));
+    assert!(
+        err("ocam", &nine, &[1.0, 2.0]).contains("affine")
+            || err("ocam", &nine, &[1.0, 2.0]).contains("its 1")
+    );
+    assert!(Camera::from_calibration("none", 0, 480, &nine, &[]).is_err());
+    assert!(Camera::from_calibration("plumb_bob", 640, 480, &nine, &[0.0; 14]).is_ok());
+}
+
+proptest! {
+    #[test]
+    fn rays_in_view_come_back(x in -1.0..1.0f64, y in -1.0..1.0f64, z in -0.05..1.0f64) {
+        let ray = Vector3::new(x, y, z);
+        prop_assume!(ray.norm() > 0.1);
+        let camera = wide_fisheye();
+        let pixel = camera.project(&ray).unwrap();
+        prop_assert!((camera.unproject(pixel).unwrap() - ray.normalize()).norm() < 1e-9);
+    }
+
+    #[test]
+    fn brown_either_inverts_or_refuses(
+        k in prop::array::uniform6(-0.4..0.4f64), p in prop::array::uniform2(-0.01..0.01f64),
+        x in -2.0..2.0f64, y in -2.0..2.0f64
+    ) {
+        let lens = Pinhole::new([1.0; 2], [0.0; 2], BrownConrady { radial: k, tangential: p });
+        let camera = Camera::new(Model::Pinhole(lens), 9, 9);
+        if let Some(ray) = camera.unproject([x, y]) {
+            let back = camera.project(&ray).unwrap();
+            prop_assert!((back[0] - x).hypot(back[1] - y) < 1e-9);
+        }
+    }
+
+    #[test]
+    fn no_numbers_panic(
+        name in prop::sample::select(&MODEL_NAMES[..]), k in prop::collection::vec(any::<f64>(), 0..10),
+        d in prop::collection::vec(any::<f64>(), 0..12), p in prop::array::uniform3(any::<f64>())
+    ) {
+        if let Ok(camera) = Camera::from_calibration(name, 64, 48, &k, &d) {
+            let _ = camera.project(&Vector3::from(p));
+            let _ = camera.unproject([p[0], p[1]]);
+        }
+    }
+}
