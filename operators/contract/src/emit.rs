@@ -1,0 +1,78 @@
+//! Where a kernel puts its rows, and where it says what it had to leave out.
+
+use std::collections::BTreeMap;
+
+use arrow::array::RecordBatch;
+use evermap_schemas::{Fault, LayerRow, batch};
+
+/// What was left out, and why: reason to count. Bad input is counted and skipped, never silently dropped.
+#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Losses(pub BTreeMap<String, u64>);
+
+impl Losses {
+    /// Adds to one reason's count.
+    pub fn add(&mut self, reason: impl Into<String>, count: u64) {
+        if count > 0 {
+            *self.0.entry(reason.into()).or_default() += count;
+        }
+    }
+
+    /// Adds another's counts.
+    pub fn merge(&mut self, other: &Losses) {
+        other
+            .0
+            .iter()
+            .for_each(|(reason, count)| self.add(reason, *count));
+    }
+
+    /// All counts together.
+    pub fn total(&self) -> u64 {
+        self.0.values().sum()
+    }
+
+    /// Whether nothing was lost.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+}
+
+/// A kernel's outlet.
+pub struct Emit<'a> {
+    rows: &'a mut dyn FnMut(RecordBatch) -> Result<(), Fault>,
+    losses: &'a mut Losses,
+}
+
+impl<'a> Emit<'a> {
+    /// An outlet that hands every batch to `rows` and counts into `losses`.
+    pub fn new(
+        rows: &'a mut dyn FnMut(RecordBatch) -> Result<(), Fault>,
+        losses: &'a mut Losses,
+    ) -> Self {
+        Self { rows, losses }
+    }
+
+    /// Emits typed rows of the output layer.
+    ///
+    /// # Errors
+    /// When the rows do not fit Arrow, or the reader has gone.
+    pub fn rows<T: LayerRow>(&mut self, rows: Vec<T>) -> Result<(), Fault> {
+        if rows.is_empty() {
+            Ok(())
+        } else {
+            (self.rows)(batch(rows)?)
+        }
+    }
+
+    /// Emits a batch in the output layer's schema.
+    ///
+    /// # Errors
+    /// When the reader has gone.
+    pub fn batch(&mut self, batch: RecordBatch) -> Result<(), Fault> {
+        (self.rows)(batch)
+    }
+
+    /// Counts `count` inputs as skipped for `reason` (a short phrase, such as `image does not decode`).
+    pub fn skip(&mut self, reason: &str, count: u64) {
+        self.losses.add(reason, count);
+    }
+}

@@ -1,0 +1,362 @@
+//! What every operator must satisfy, whatever it computes. The laws run on every registered operator, on the example
+//! of its page; [`run`], the naive engine, is also what an operator's own tests use.
+//!
+//! | law | says |
+//! |---|---|
+//! | example | the page's input gives the page's output |
+//! | batches | the same rows in batches of 1, 2, 3 … give the same output |
+//! | partitions | so do they in 1, 2, 3 partitions, run in either order (Map, Fold) |
+//! | order of input | shuffled input rows give the same output: order comes from the grain |
+//! | empty | no rows in give no rows out, and no error |
+//! | determinism | twice the same |
+//! | schema | the output has the layer's schema, and no two rows have the same key |
+//! | parameters | defaults survive a round trip, and an unknown parameter is refused |
+
+use std::collections::BTreeMap;
+
+use arrow::array::{RecordBatch, UInt32Array};
+use arrow::compute::{partition, take_record_batch};
+use evermap_schemas::Fault;
+use serde_json::{Value, json};
+
+pub use crate::reference::{Outcome, Split, inputs_of, run, sort};
+pub use crate::table::{JsonRow, difference, json_rows, port_schema, table};
+use crate::{Entry, Example};
+
+/// How close floating-point results on a page must come.
+const PAGE_TOLERANCE: f64 = 1e-6;
+
+/// Holds an operator to every law.
+///
+/// # Errors
+/// A bug fault that names the law and says how it was broken.
+pub fn check(entry: &Entry) -> Result<(), Fault> {
+    let example = entry
+        .page
+        .example()
+        .filter(|example| !example.inputs.is_empty() && !example.output.is_empty())
+        .ok_or_else(|| {
+            broken(
+                entry,
+                "example",
+                "the page has no section `## Example` with input and output tables",
+            )
+        })?;
+    let params = Value::Object(example.params.clone());
+    let inputs = example_inputs(entry, &example)?;
+    let whole = run(entry, &params, &inputs, Split::default())?;
+    if let Some(text) = difference(&whole.rows, &example.output, PAGE_TOLERANCE)? {
+        return Err(broken(entry, "example", &text));
+    }
+    splits(entry, &params, &inputs, &whole)?;
+    shuffled(entry, &params, &inputs, &whole)?;
+    empty(entry, &params)?;
+    schema(entry, &whole.rows)?;
+    parameters(entry)
+}
+
+/// The tables of a page's example, by port.
+///
+/// # Errors
+/// A bug fault where the page names a port or a column that there is not.
+pub fn example_inputs(
+    entry: &Entry,
+    example: &Example,
+) -> Result<BTreeMap<String, RecordBatch>, Fault> {
+    let inputs = example.inputs.iter().map(|(name, rows)| {
+        let port = entry
+            .port(name)
+            .ok_or_else(|| broken(entry, "example", &format!("there is no port {name}")))?;
+        Ok((
+            name.clone(),
+            table(&port_schema(&port.layer, port.pixels), rows)?,
+        ))
+    });
+    inputs.collect()
+}
+
+fn broken(entry: &Entry, law: &str, text: &str) -> Fault {
+    Fault::bug(format!(
+        "operator {} breaks the law of {law}: {text}",
+        entry.name
+    ))
+}
+
+fn same(
+    entry: &Entry,
+    law: &str,
+    how: &str,
+    whole: &Outcome,
+    other: &Outcome,
+) -> Result<(), Fault> {
+    if whole == other {
+        Ok(())
+    } else {
+        Err(broken(
+            entry,
+            law,
+            &format!("{how} gives {other:?}, not {whole:?}"),
+        ))
+    }
+}
+
+fn splits(
+    entry: &Entry,
+    params: &Value,
+    inputs: &BTreeMap<String, RecordBatch>,
+    whole: &Outcome,
+) -> Result<(), Fault> {
+    for batch_rows in [1, 2, 3, usize::MAX] {
+        for partitions in [1, 2, 3] {
+            for reverse in [false, true] {
+                let split = Split {
+                    batch_rows,
+                    partitions,
+                    reverse,
+                };
+                let law = if partitions == 1 {
+                    "batches"
+                } else {
+                    "partitions"
+                };
+                same(
+                    entry,
+                    law,
+                    &format!("{split:?}"),
+                    whole,
+                    &run(entry, params, inputs, split)?,
+                )?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn shuffled(
+    entry: &Entry,
+    params: &Value,
+    inputs: &BTreeMap<String, RecordBatch>,
+    whole: &Outcome,
+) -> Result<(), Fault> {
+    let reversed = inputs.iter().map(|(port, rows)| {
+        let order = UInt32Array::from_iter_values((0..rows.num_rows() as u32).rev());
+        Ok((port.clone(), take_record_batch(rows, &order)?))
+    });
+    let reversed = reversed.collect::<Result<BTreeMap<_, _>, Fault>>()?;
+    same(
+        entry,
+        "order of input",
+        "reversed input",
+        whole,
+        &run(entry, params, &reversed, Split::default())?,
+    )
+}
+
+fn empty(entry: &Entry, params: &Value) -> Result<(), Fault> {
+    let outcome = run(entry, params, &BTreeMap::new(), Split::default())?;
+    if outcome.rows.num_rows() == 0 {
+        Ok(())
+    } else {
+        Err(broken(entry, "empty", "rows came out of nothing"))
+    }
+}
+
+fn schema(entry: &Entry, rows: &RecordBatch) -> Result<(), Fault> {
+    let key: Vec<_> = entry
+        .output
+        .key
+        .iter()
+        .filter_map(|name| rows.column_by_name(name).cloned())
+        .collect();
+    if key.len() != entry.output.key.len() {
+        return Err(broken(entry, "schema", "a key column is missing"));
+    }
+    let distinct = if rows.num_rows() == 0 {
+        0
+    } else {
+        partition(&key)?.len()
+    };
+    if distinct == rows.num_rows() {
+        Ok(())
+    } else {
+        Err(broken(entry, "schema", "two rows have the same key"))
+    }
+}
+
+fn parameters(entry: &Entry) -> Result<(), Fault> {
+    let normal = entry.normalise(&entry.defaults)?;
+    if normal != entry.defaults {
+        return Err(broken(
+            entry,
+            "parameters",
+            &format!("{} became {normal}", entry.defaults),
+        ));
+    }
+    if entry.normalise(&json!({ "no_such_parameter": 1 })).is_ok() {
+        return Err(broken(
+            entry,
+            "parameters",
+            "an unknown one was accepted: add #[serde(deny_unknown_fields)]",
+        ));
+    }
+    entry.kernel(&entry.defaults).map(drop)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::{Emit, Fold, Grain, Kernel, Operator, Port, Sides, fold, group_whole};
+    use evermap_schemas::layers::VehiclePose;
+    use evermap_schemas::{LayerRow, record, rows};
+    use schemars::JsonSchema;
+    use serde::{Deserialize, Serialize};
+
+    record! {
+        /// Poses counted.
+        pub struct Count {
+            /// Site.
+            site: String,
+            /// How many.
+            poses: u64,
+        }
+    }
+    impl LayerRow for Count {
+        const NAME: &'static str = "counts";
+        const DOC: &'static str = "Poses counted.";
+        const KEY: &'static [&'static str] = &["site"];
+    }
+
+    #[derive(Default, Serialize, Deserialize, JsonSchema)]
+    #[serde(default, deny_unknown_fields)]
+    struct Params {
+        /// Added to each count.
+        bias: u64,
+    }
+
+    const PAGE: &str = "# counts\n\nCounts.\n\n## Example\n\nWith `bias = 0`:\n\nInput `poses`:\n\n\
+        | site | session | stamp |\n|---|---|---|\n| s | a | 1 |\n| s | a | 2 |\n| s | b | 1 |\n| t | c | 1 |\n\n\
+        Output:\n\n| site | poses |\n|---|---|\n| s | 3 |\n| t | 1 |\n";
+
+    struct Folded;
+    struct Counter;
+    impl Fold for Counter {
+        type Key = ();
+        type State = u64;
+        type Row = Count;
+        fn lift(
+            &self,
+            batch: &RecordBatch,
+            _: &Sides,
+            states: &mut BTreeMap<(String, ()), u64>,
+            _: &mut Emit<'_>,
+        ) -> Result<(), Fault> {
+            rows::<VehiclePose>(batch)?
+                .into_iter()
+                .for_each(|pose| *states.entry((pose.site, ())).or_default() += 1);
+            Ok(())
+        }
+        fn merge(&self, into: &mut u64, from: u64) -> Result<(), Fault> {
+            *into += from;
+            Ok(())
+        }
+        fn finish(&self, site: &str, _: &(), poses: u64) -> Result<Option<Count>, Fault> {
+            Ok(Some(Count {
+                site: site.to_owned(),
+                poses,
+            }))
+        }
+        fn state_bytes(&self, _: &u64) -> usize {
+            8
+        }
+    }
+    impl Operator for Folded {
+        const NAME: &'static str = "counts";
+        const VERSION: u32 = 1;
+        const PAGE: &'static str = PAGE;
+        type Params = Params;
+        type Output = Count;
+        fn ports() -> Vec<Port> {
+            vec![Port::of::<VehiclePose>("poses", Grain::Row)]
+        }
+        fn kernel(_: Params) -> Result<Kernel, Fault> {
+            Ok(fold(Counter))
+        }
+    }
+
+    struct Grouped;
+    impl Operator for Grouped {
+        const NAME: &'static str = "counts";
+        const VERSION: u32 = 1;
+        const PAGE: &'static str = PAGE;
+        type Params = Params;
+        type Output = Count;
+        fn ports() -> Vec<Port> {
+            vec![Port::of::<VehiclePose>("poses", Grain::Whole)]
+        }
+        fn kernel(_: Params) -> Result<Kernel, Fault> {
+            Ok(group_whole(|poses: Vec<VehiclePose>, _, emit| {
+                let site = poses
+                    .first()
+                    .map(|pose| pose.site.clone())
+                    .unwrap_or_default();
+                emit.rows(vec![Count {
+                    site,
+                    poses: poses.len() as u64,
+                }])
+            }))
+        }
+    }
+
+    /// Depends on batch boundaries: a defect that the laws must find.
+    struct Careless;
+    impl Operator for Careless {
+        const NAME: &'static str = "counts";
+        const VERSION: u32 = 1;
+        const PAGE: &'static str = PAGE;
+        type Params = Params;
+        type Output = Count;
+        fn ports() -> Vec<Port> {
+            vec![Port::of::<VehiclePose>("poses", Grain::Whole)]
+        }
+        fn kernel(_: Params) -> Result<Kernel, Fault> {
+            struct Open;
+            struct Worker(u64, String);
+            impl crate::GroupKernel for Open {
+                fn open(&self, _: &Sides) -> Result<Box<dyn crate::Group>, Fault> {
+                    Ok(Box::new(Worker(0, String::new())))
+                }
+            }
+            impl crate::Group for Worker {
+                fn push(&mut self, batch: &RecordBatch, _: &mut Emit<'_>) -> Result<(), Fault> {
+                    let poses = rows::<VehiclePose>(batch)?;
+                    self.0 = poses.len() as u64;
+                    self.1 = poses
+                        .first()
+                        .map(|pose| pose.site.clone())
+                        .unwrap_or_default();
+                    Ok(())
+                }
+                fn close(&mut self, emit: &mut Emit<'_>) -> Result<(), Fault> {
+                    emit.rows(vec![Count {
+                        site: self.1.clone(),
+                        poses: self.0,
+                    }])
+                }
+            }
+            Ok(Kernel::Group(Box::new(Open)))
+        }
+    }
+
+    #[test]
+    fn sound_operators_pass() {
+        check(&Entry::of::<Folded>()).unwrap();
+        check(&Entry::of::<Grouped>()).unwrap();
+    }
+
+    #[test]
+    fn a_careless_operator_is_caught() {
+        let text = check(&Entry::of::<Careless>()).unwrap_err().to_string();
+        assert!(text.contains("law of batches"), "{text}");
+    }
+}
