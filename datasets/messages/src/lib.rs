@@ -1,1 +1,177 @@
-//! Placeholder.
+//! Payloads to typed Arrow columns, by the schema inside the log.
+//!
+//! A channel's schema is parsed once into a [`MessageType`]; its [`Decoder`]s append
+//! payloads as rows and hand back Arrow arrays.
+//!
+//! ```text
+//! schema text ──parse──▶ MessageType ──decoder──▶ program over flat buffers
+//!                                                   ▲ push(payload)   │ finish
+//!                                                                     ▼ arrays
+//! ```
+//!
+//! # How types map
+//!
+//! | in the log | in Arrow |
+//! |---|---|
+//! | numbers, flags | the same type, not null |
+//! | strings (also wide) | `Utf8`; bytes that are not text become U+FFFD |
+//! | `uint8[]`, `byte[]`, `octet`, protobuf `bytes` | `Binary` |
+//! | `uint8[16]` | `FixedSizeBinary(16)` |
+//! | `float64[]`, `repeated` | `List` |
+//! | `float64[36]` | `FixedSizeList(36)` |
+//! | messages, `Time`, `Duration` | `Struct`, with the members as declared |
+//! | enumerations | `Int32`, the number |
+//!
+//! ROS has no absent values. A protobuf field that can be absent (`optional`, members
+//! of a `oneof`, messages) is null when it is; JSON columns are all nullable.
+//!
+//! Whether a payload is a row never depends on the projection, so counts agree
+//! whichever columns are read.
+
+mod buffers;
+mod cdr;
+mod error;
+mod resolve;
+mod rosmsg;
+mod wire;
+
+pub use error::{DecodeError, SchemaError};
+
+use arrow::array::ArrayRef;
+use arrow::datatypes::Fields;
+use arrow::error::ArrowError;
+use cdr::{CdrDecoder, Serialisation};
+use std::ops::Range;
+use std::sync::Arc;
+use wire::StructType;
+
+/// Where bytes lie inside a payload.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Located {
+    /// Byte range in the payload, header included.
+    pub range: Range<usize>,
+    /// Whether the range holds base64 text (JSON) instead of the bytes themselves.
+    pub base64: bool,
+}
+
+/// Appends messages as rows.
+pub trait Decoder: Send {
+    /// Appends one message as a row. On error nothing is appended, and the decoder can go on.
+    ///
+    /// # Errors
+    /// [`DecodeError`] when the payload does not fit the schema, or the batch is full.
+    fn push(&mut self, payload: &[u8]) -> Result<(), DecodeError>;
+
+    /// Rows so far.
+    fn len(&self) -> usize;
+
+    /// Whether there are no rows.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Bytes held so far, roughly, so that batches can be bounded.
+    fn bytes(&self) -> usize;
+
+    /// The columns so far; the decoder is empty afterwards and can go on.
+    ///
+    /// # Errors
+    /// Arrow's, if the columns break its rules (a fault of this crate).
+    fn finish(&mut self) -> Result<Vec<ArrayRef>, ArrowError>;
+}
+
+/// The type of a channel's messages. Cheap to clone.
+#[derive(Debug, Clone)]
+pub struct MessageType {
+    kind: Kind,
+    fields: Fields,
+}
+
+#[derive(Debug, Clone)]
+enum Kind {
+    Ros(Serialisation, Arc<StructType>),
+}
+
+impl MessageType {
+    /// Parses a channel's schema.
+    ///
+    /// `message_encoding` is the channel's, `schema_encoding`, `schema_name` and `schema`
+    /// those of its schema record; a channel without one has an empty `schema_encoding`.
+    ///
+    /// # Errors
+    /// [`SchemaError`] when no decoder exists for the encodings or the schema is unsound.
+    pub fn parse(
+        message_encoding: &str,
+        schema_encoding: &str,
+        schema_name: &str,
+        schema: &[u8],
+    ) -> Result<MessageType, SchemaError> {
+        let kind = match (message_encoding, schema_encoding) {
+            ("cdr", "ros2msg") => {
+                let text = String::from_utf8_lossy(schema);
+                let message = rosmsg::parse(rosmsg::Generation::Ros2, schema_name, &text)?;
+                Kind::Ros(Serialisation::Cdr, message)
+            }
+            ("ros1", "ros1msg") => {
+                let text = String::from_utf8_lossy(schema);
+                let message = rosmsg::parse(rosmsg::Generation::Ros1, schema_name, &text)?;
+                Kind::Ros(Serialisation::Ros1, message)
+            }
+            _ => {
+                return Err(SchemaError::Unsupported {
+                    message_encoding: message_encoding.to_owned(),
+                    schema_encoding: schema_encoding.to_owned(),
+                });
+            }
+        };
+        let fields = match &kind {
+            Kind::Ros(_, message) => message.fields(),
+        };
+        Ok(MessageType { kind, fields })
+    }
+
+    /// The message's members, in declaration order, under their own names.
+    pub fn fields(&self) -> &Fields {
+        &self.fields
+    }
+
+    /// A decoder of the members named by `projection` (indices into [`Self::fields`], in
+    /// that order; none for all). Indices out of range, and repeats, are left out.
+    pub fn decoder(&self, projection: Option<&[usize]>) -> Box<dyn Decoder> {
+        let projection = self.distinct(projection);
+        match &self.kind {
+            Kind::Ros(serialisation, message) => Box::new(CdrDecoder::new(
+                *serialisation,
+                message.clone(),
+                &self.fields,
+                &projection,
+            )),
+        }
+    }
+
+    /// Where the bytes of the member at `path` (e.g. `["data"]`) lie in `payload`; none
+    /// where the type has no such member of bytes, or they are not in one piece.
+    ///
+    /// # Errors
+    /// [`DecodeError`] when the payload ends, or breaks its format, before that member does.
+    pub fn locate(&self, payload: &[u8], path: &[&str]) -> Result<Option<Located>, DecodeError> {
+        match &self.kind {
+            Kind::Ros(serialisation, message) => {
+                cdr::locate(*serialisation, message, payload, path)
+            }
+        }
+    }
+
+    fn distinct(&self, projection: Option<&[usize]>) -> Vec<usize> {
+        let Some(projection) = projection else {
+            return (0..self.fields.len()).collect();
+        };
+        let mut distinct = Vec::with_capacity(projection.len());
+        for index in projection {
+            if *index < self.fields.len() && !distinct.contains(index) {
+                distinct.push(*index);
+            }
+        }
+        distinct
+    }
+}

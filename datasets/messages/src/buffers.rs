@@ -1,0 +1,245 @@
+//! Growing columns as flat byte buffers, addressed by number.
+//!
+//! Arrow's builders cannot take a row back. These can: every buffer's length
+//! follows from the number of rows, so a failed row costs one truncation and a
+//! good one costs nothing.
+//!
+//! ```text
+//! Node (mirrors the Arrow type) ──numbers──▶ Pool: [bytes] [bytes] [offsets] ...
+//!        └─ finish ──▶ ArrayRef                 ▲ programs append here
+//! ```
+
+use crate::DecodeError;
+use arrow::array::{ArrayData, ArrayRef, make_array};
+use arrow::buffer::{BooleanBuffer, MutableBuffer, NullBuffer};
+use arrow::datatypes::{DataType, Field, FieldRef};
+use arrow::error::ArrowError;
+
+/// Most elements or bytes under one 32-bit offset column.
+pub(crate) const OFFSET_LIMIT: usize = i32::MAX as usize;
+
+/// All buffers of a decoder.
+#[derive(Debug, Default)]
+pub(crate) struct Pool(pub(crate) Vec<MutableBuffer>);
+
+/// Where the values of one Arrow field live.
+#[derive(Debug, Clone)]
+pub(crate) struct Node {
+    pub(crate) field: FieldRef,
+    /// One byte per row, 0 for null; only for nullable fields.
+    pub(crate) validity: Option<usize>,
+    pub(crate) layout: Layout,
+}
+
+/// The buffers behind one Arrow type.
+#[derive(Debug, Clone)]
+pub(crate) enum Layout {
+    /// Native-endian values of `width` bytes; also fixed-size binary.
+    Fixed { data: usize, width: usize },
+    /// One byte per value, non-zero for true.
+    Bool { data: usize },
+    /// Utf8 or Binary.
+    Bytes { offsets: usize, data: usize },
+    /// Lists; offsets count rows of `child`.
+    List { offsets: usize, child: Box<Node> },
+    /// Lists of `size` elements each.
+    FixedList { size: usize, child: Box<Node> },
+    /// Structs; no buffer of their own.
+    Struct { children: Vec<Node> },
+}
+
+impl Pool {
+    /// Appends `bytes` as one value of a Utf8 or Binary column.
+    pub(crate) fn append_bytes(
+        &mut self,
+        offsets: usize,
+        data: usize,
+        bytes: &[u8],
+    ) -> Result<(), DecodeError> {
+        let total = self.0[data].len() + bytes.len();
+        let end = offset(total)?;
+        self.0[data].extend_from_slice(bytes);
+        self.0[offsets].push(end);
+        Ok(())
+    }
+
+    /// The last value of an offsets buffer.
+    pub(crate) fn last_offset(&self, offsets: usize) -> usize {
+        last_offset(&self.0[offsets])
+    }
+
+    /// Bytes in all buffers.
+    pub(crate) fn bytes(&self) -> usize {
+        self.0.iter().map(MutableBuffer::len).sum()
+    }
+}
+
+/// `value` as an Arrow offset.
+pub(crate) fn offset(value: usize) -> Result<i32, DecodeError> {
+    i32::try_from(value).map_err(|_| DecodeError::Full {
+        limit: OFFSET_LIMIT,
+    })
+}
+
+fn last_offset(buffer: &MutableBuffer) -> usize {
+    let tail = buffer.as_slice().last_chunk::<4>();
+    tail.map_or(0, |bytes| i32::from_ne_bytes(*bytes) as usize)
+}
+
+fn offset_at(buffer: &MutableBuffer, row: usize) -> usize {
+    let bytes = buffer.as_slice().get(row * 4..row * 4 + 4);
+    bytes
+        .and_then(|b| b.first_chunk::<4>())
+        .map_or(0, |b| i32::from_ne_bytes(*b) as usize)
+}
+
+impl Node {
+    /// Lays out `field` over buffers appended to `pool`.
+    pub(crate) fn new(field: &FieldRef, pool: &mut Pool) -> Node {
+        let validity = field.is_nullable().then(|| pool.bytes_buffer());
+        let layout = Layout::new(field.data_type(), pool);
+        Node {
+            field: field.clone(),
+            validity,
+            layout,
+        }
+    }
+
+    /// Cuts the column back to `rows` rows.
+    pub(crate) fn truncate(&self, pool: &mut Pool, rows: usize) {
+        if let Some(validity) = self.validity {
+            pool.0[validity].truncate(rows);
+        }
+        match &self.layout {
+            Layout::Fixed { data, width } => pool.0[*data].truncate(rows * width),
+            Layout::Bool { data } => pool.0[*data].truncate(rows),
+            Layout::Bytes { offsets, data } => {
+                let end = cut_offsets(&mut pool.0[*offsets], rows);
+                pool.0[*data].truncate(end);
+            }
+            Layout::List { offsets, child } => {
+                let end = cut_offsets(&mut pool.0[*offsets], rows);
+                child.truncate(pool, end);
+            }
+            Layout::FixedList { size, child } => child.truncate(pool, rows * size),
+            Layout::Struct { children } => {
+                for child in children {
+                    child.truncate(pool, rows);
+                }
+            }
+        }
+    }
+
+    /// Takes the first `rows` rows out of the pool as an Arrow array.
+    pub(crate) fn finish(&self, pool: &mut Pool, rows: usize) -> Result<ArrayRef, ArrowError> {
+        Ok(make_array(self.finish_data(pool, rows)?))
+    }
+
+    fn finish_data(&self, pool: &mut Pool, rows: usize) -> Result<ArrayData, ArrowError> {
+        let nulls = self.validity.map(|validity| {
+            let bytes = std::mem::take(&mut pool.0[validity]);
+            NullBuffer::new(pack_bits(&bytes, rows))
+        });
+        let array = ArrayData::builder(self.field.data_type().clone())
+            .len(rows)
+            .nulls(nulls.filter(|n| n.null_count() > 0));
+        match &self.layout {
+            Layout::Fixed { data, .. } => {
+                array.add_buffer(std::mem::take(&mut pool.0[*data]).into())
+            }
+            Layout::Bool { data } => {
+                let bytes = std::mem::take(&mut pool.0[*data]);
+                array.add_buffer(pack_bits(&bytes, rows).into_inner())
+            }
+            Layout::Bytes { offsets, data } => array
+                .add_buffer(pool.take_offsets(*offsets).into())
+                .add_buffer(std::mem::take(&mut pool.0[*data]).into()),
+            Layout::List { offsets, child } => {
+                let offsets = pool.take_offsets(*offsets);
+                let elements = child.finish_data(pool, last_offset(&offsets))?;
+                array.add_buffer(offsets.into()).add_child_data(elements)
+            }
+            Layout::FixedList { size, child } => {
+                array.add_child_data(child.finish_data(pool, rows * size)?)
+            }
+            Layout::Struct { children } => {
+                let columns: Result<Vec<_>, _> = children
+                    .iter()
+                    .map(|child| child.finish_data(pool, rows))
+                    .collect();
+                array.child_data(columns?)
+            }
+        }
+        .build()
+    }
+}
+
+impl Layout {
+    fn new(data_type: &DataType, pool: &mut Pool) -> Layout {
+        match data_type {
+            DataType::Boolean => Layout::Bool {
+                data: pool.bytes_buffer(),
+            },
+            DataType::Utf8 | DataType::Binary => Layout::Bytes {
+                offsets: pool.offsets_buffer(),
+                data: pool.bytes_buffer(),
+            },
+            DataType::List(item) => Layout::List {
+                offsets: pool.offsets_buffer(),
+                child: Box::new(Node::new(item, pool)),
+            },
+            DataType::FixedSizeList(item, size) => Layout::FixedList {
+                size: *size as usize,
+                child: Box::new(Node::new(item, pool)),
+            },
+            DataType::Struct(fields) => Layout::Struct {
+                children: fields.iter().map(|f| Node::new(f, pool)).collect(),
+            },
+            DataType::FixedSizeBinary(size) => Layout::Fixed {
+                data: pool.bytes_buffer(),
+                width: *size as usize,
+            },
+            other => Layout::Fixed {
+                data: pool.bytes_buffer(),
+                width: other.primitive_width().unwrap_or(1),
+            },
+        }
+    }
+}
+
+impl Pool {
+    fn bytes_buffer(&mut self) -> usize {
+        self.0.push(MutableBuffer::default());
+        self.0.len() - 1
+    }
+
+    fn offsets_buffer(&mut self) -> usize {
+        let id = self.bytes_buffer();
+        self.0[id].push(0_i32);
+        id
+    }
+
+    /// The offsets so far; the buffer starts again at zero.
+    fn take_offsets(&mut self, id: usize) -> MutableBuffer {
+        let offsets = std::mem::take(&mut self.0[id]);
+        self.0[id].push(0_i32);
+        offsets
+    }
+}
+
+/// Keeps `rows` values; returns where the last of them ends.
+fn cut_offsets(offsets: &mut MutableBuffer, rows: usize) -> usize {
+    let end = offset_at(offsets, rows);
+    offsets.truncate((rows + 1) * 4);
+    end
+}
+
+fn pack_bits(bytes: &MutableBuffer, rows: usize) -> BooleanBuffer {
+    let bytes = bytes.as_slice();
+    BooleanBuffer::collect_bool(rows, |row| bytes.get(row).is_some_and(|b| *b != 0))
+}
+
+/// A non-null field; list elements are all named `item`.
+pub(crate) fn required(name: &str, data_type: DataType) -> Field {
+    Field::new(name, data_type, false)
+}

@@ -1,0 +1,214 @@
+//! From declarations that name each other to one finite message type.
+
+use crate::SchemaError;
+use crate::wire::{Extensibility, StructType, Wire};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// Columns one schema may unfold to; beyond it a definition is refused.
+const MAX_COLUMNS: usize = 20_000;
+/// Levels of nesting one schema may have.
+const MAX_DEPTH: usize = 64;
+/// Bytes of one fixed-size member.
+const MAX_FIXED_BYTES: u64 = i32::MAX as u64;
+
+/// A type as written.
+#[derive(Debug, Clone)]
+pub(crate) enum Declared {
+    Wire(Wire),
+    /// Full names to try, best first.
+    Named(Vec<String>),
+    Sequence(Box<Declared>),
+    Array(Box<Declared>, u64),
+}
+
+/// A member as written.
+#[derive(Debug, Clone)]
+pub(crate) struct Member {
+    pub(crate) name: String,
+    pub(crate) declared: Declared,
+}
+
+/// A struct as written.
+#[derive(Debug, Clone)]
+pub(crate) struct Declaration {
+    pub(crate) name: String,
+    pub(crate) members: Vec<Member>,
+    pub(crate) extensibility: Extensibility,
+}
+
+impl Declaration {
+    pub(crate) fn new(name: &str, extensibility: Extensibility) -> Self {
+        Declaration {
+            name: name.to_owned(),
+            members: Vec::new(),
+            extensibility,
+        }
+    }
+}
+
+/// All declarations of a schema.
+pub(crate) struct Library {
+    schema: String,
+    structs: HashMap<String, Declaration>,
+    aliases: HashMap<String, Declared>,
+    done: HashMap<String, Arc<StructType>>,
+    open: Vec<String>,
+}
+
+impl Library {
+    pub(crate) fn new(schema: &str) -> Self {
+        Library {
+            schema: schema.to_owned(),
+            structs: HashMap::new(),
+            aliases: HashMap::new(),
+            done: HashMap::new(),
+            open: Vec::new(),
+        }
+    }
+
+    /// Adds a struct; the first of a name stays, as recorders repeat definitions.
+    pub(crate) fn add(&mut self, declaration: Declaration) {
+        self.structs
+            .entry(declaration.name.clone())
+            .or_insert(declaration);
+    }
+
+    /// Adds another name for a type.
+    pub(crate) fn add_alias(&mut self, name: String, declared: Declared) {
+        self.aliases.entry(name).or_insert(declared);
+    }
+
+    /// The message `root` with all it uses.
+    pub(crate) fn resolve(mut self, root: &str) -> Result<Arc<StructType>, SchemaError> {
+        if !self.structs.contains_key(root) {
+            return Err(self.unknown(root));
+        }
+        let message = self.structure(root)?;
+        if message.columns > MAX_COLUMNS {
+            return Err(self.refused(format!(
+                "expected at most {MAX_COLUMNS} columns, found {}",
+                message.columns
+            )));
+        }
+        Ok(message)
+    }
+
+    fn structure(&mut self, name: &str) -> Result<Arc<StructType>, SchemaError> {
+        if let Some(done) = self.done.get(name) {
+            return Ok(done.clone());
+        }
+        self.enter(name)?;
+        let Some(declaration) = self.structs.remove(name) else {
+            return Err(self.unknown(name));
+        };
+        let mut members: Vec<(String, Wire)> = Vec::with_capacity(declaration.members.len());
+        for member in &declaration.members {
+            if members.iter().any(|(known, _)| *known == member.name) {
+                return Err(self.refused(format!(
+                    "expected distinct member names, found '{}' twice in '{name}'",
+                    member.name
+                )));
+            }
+            members.push((member.name.clone(), self.wire(&member.declared)?));
+        }
+        self.open.pop();
+        let built = StructType::new(members, declaration.extensibility);
+        if built.depth > MAX_DEPTH {
+            return Err(self.too_deep());
+        }
+        let done = Arc::new(built);
+        self.done.insert(name.to_owned(), done.clone());
+        Ok(done)
+    }
+
+    fn enter(&mut self, name: &str) -> Result<(), SchemaError> {
+        if self.open.iter().any(|open| open == name) {
+            return Err(SchemaError::Recursive {
+                schema: self.schema.clone(),
+                recursive: name.to_owned(),
+            });
+        }
+        if self.open.len() >= MAX_DEPTH {
+            return Err(self.too_deep());
+        }
+        self.open.push(name.to_owned());
+        Ok(())
+    }
+
+    fn wire(&mut self, declared: &Declared) -> Result<Wire, SchemaError> {
+        match declared {
+            Declared::Wire(wire) => Ok(wire.clone()),
+            Declared::Sequence(item) => Ok(Wire::Sequence(Arc::new(self.wire(item)?))),
+            Declared::Array(item, size) => {
+                let item = self.wire(item)?;
+                self.check_array(&item, *size)?;
+                Ok(Wire::Array(Arc::new(item), *size as usize))
+            }
+            Declared::Named(names) => self.named(names),
+        }
+    }
+
+    fn named(&mut self, names: &[String]) -> Result<Wire, SchemaError> {
+        for name in names {
+            if let Some(alias) = self.aliases.get(name).cloned() {
+                self.enter(name)?;
+                let wire = self.wire(&alias)?;
+                self.open.pop();
+                return Ok(wire);
+            }
+            let known = self.structs.contains_key(name)
+                || self.done.contains_key(name)
+                || self.open.contains(name);
+            if known {
+                return Ok(Wire::Struct(self.structure(name)?));
+            }
+        }
+        Err(self.unknown(names.first().map_or("", String::as_str)))
+    }
+
+    fn check_array(&self, item: &Wire, size: u64) -> Result<(), SchemaError> {
+        let bytes = size.saturating_mul(item.fixed_bytes());
+        if size == 0 || size > MAX_FIXED_BYTES || bytes > MAX_FIXED_BYTES {
+            return Err(self.refused(format!(
+                "expected arrays of 1 to {MAX_FIXED_BYTES} bytes, found {size} elements ({bytes} bytes)"
+            )));
+        }
+        Ok(())
+    }
+
+    fn unknown(&self, missing: &str) -> SchemaError {
+        SchemaError::UnknownType {
+            schema: self.schema.clone(),
+            missing: missing.to_owned(),
+        }
+    }
+
+    fn too_deep(&self) -> SchemaError {
+        self.refused(format!(
+            "expected at most {MAX_DEPTH} levels of nesting, found more"
+        ))
+    }
+
+    fn refused(&self, reason: String) -> SchemaError {
+        SchemaError::Refused {
+            schema: self.schema.clone(),
+            reason,
+        }
+    }
+}
+
+impl Wire {
+    /// Bytes this type occupies in Arrow per value, not counting what sequences hold.
+    fn fixed_bytes(&self) -> u64 {
+        match self {
+            Wire::Scalar(scalar) => scalar.width() as u64,
+            Wire::Enumeration | Wire::Text | Wire::WideText | Wire::Sequence(_) => 4,
+            Wire::Array(item, size) => item.fixed_bytes().saturating_mul(*size as u64),
+            Wire::Struct(body) => body
+                .members
+                .iter()
+                .fold(1, |sum, (_, w)| sum.saturating_add(w.fixed_bytes())),
+        }
+    }
+}

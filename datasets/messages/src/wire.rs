@@ -1,0 +1,160 @@
+//! The shape of a ROS message, whichever language declared it, and its Arrow type.
+
+use crate::buffers::required;
+use arrow::datatypes::{DataType, Field, FieldRef, Fields};
+use std::sync::Arc;
+
+/// A number or flag of fixed size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Scalar {
+    Bool,
+    Int8,
+    UInt8,
+    Int16,
+    UInt16,
+    Int32,
+    UInt32,
+    Int64,
+    UInt64,
+    Float32,
+    Float64,
+}
+
+/// The type of a member as it lies on the wire.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Wire {
+    Scalar(Scalar),
+    /// An IDL enumeration: a 32-bit number, yet not primitive to CDR2.
+    Enumeration,
+    Text,
+    /// UTF-16 text.
+    WideText,
+    Sequence(Arc<Wire>),
+    Array(Arc<Wire>, usize),
+    Struct(Arc<StructType>),
+}
+
+/// What CDR2 writes around a struct.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Extensibility {
+    /// Not annotated: as the payload's header says.
+    Unstated,
+    Final,
+    Appendable,
+}
+
+/// A message or struct.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct StructType {
+    pub(crate) members: Vec<(String, Wire)>,
+    pub(crate) extensibility: Extensibility,
+    /// Columns below, itself included: bounds what a schema may unfold to.
+    pub(crate) columns: usize,
+    /// Levels of nesting below, itself included.
+    pub(crate) depth: usize,
+}
+
+/// ROS 2 gives an empty message this one member, as IDL knows no empty struct.
+pub(crate) const EMPTY_MEMBER: &str = "structure_needs_at_least_one_member";
+
+impl Scalar {
+    /// Bytes on the wire and in Arrow (a flag is one byte until the batch is finished).
+    pub(crate) fn width(self) -> usize {
+        match self {
+            Scalar::Bool | Scalar::Int8 | Scalar::UInt8 => 1,
+            Scalar::Int16 | Scalar::UInt16 => 2,
+            Scalar::Int32 | Scalar::UInt32 | Scalar::Float32 => 4,
+            Scalar::Int64 | Scalar::UInt64 | Scalar::Float64 => 8,
+        }
+    }
+
+    fn data_type(self) -> DataType {
+        match self {
+            Scalar::Bool => DataType::Boolean,
+            Scalar::Int8 => DataType::Int8,
+            Scalar::UInt8 => DataType::UInt8,
+            Scalar::Int16 => DataType::Int16,
+            Scalar::UInt16 => DataType::UInt16,
+            Scalar::Int32 => DataType::Int32,
+            Scalar::UInt32 => DataType::UInt32,
+            Scalar::Int64 => DataType::Int64,
+            Scalar::UInt64 => DataType::UInt64,
+            Scalar::Float32 => DataType::Float32,
+            Scalar::Float64 => DataType::Float64,
+        }
+    }
+}
+
+impl Wire {
+    /// Whether a run of these is kept as binary.
+    pub(crate) fn is_octet(&self) -> bool {
+        *self == Wire::Scalar(Scalar::UInt8)
+    }
+
+    /// Number, flag or enumeration: its bytes on the wire.
+    pub(crate) fn fixed_width(&self) -> Option<usize> {
+        match self {
+            Wire::Scalar(scalar) => Some(scalar.width()),
+            Wire::Enumeration => Some(4),
+            _ => None,
+        }
+    }
+
+    pub(crate) fn columns(&self) -> usize {
+        match self {
+            Wire::Sequence(item) | Wire::Array(item, _) => item.columns().saturating_add(1),
+            Wire::Struct(body) => body.columns,
+            _ => 1,
+        }
+    }
+
+    pub(crate) fn depth(&self) -> usize {
+        match self {
+            Wire::Sequence(item) | Wire::Array(item, _) => item.depth() + 1,
+            Wire::Struct(body) => body.depth,
+            _ => 1,
+        }
+    }
+
+    pub(crate) fn data_type(&self) -> DataType {
+        match self {
+            Wire::Scalar(scalar) => scalar.data_type(),
+            Wire::Enumeration => DataType::Int32,
+            Wire::Text | Wire::WideText => DataType::Utf8,
+            Wire::Sequence(item) if item.is_octet() => DataType::Binary,
+            Wire::Sequence(item) => DataType::List(element(item)),
+            Wire::Array(item, size) if item.is_octet() => DataType::FixedSizeBinary(*size as i32),
+            Wire::Array(item, size) => DataType::FixedSizeList(element(item), *size as i32),
+            Wire::Struct(body) => DataType::Struct(body.fields()),
+        }
+    }
+}
+
+fn element(item: &Wire) -> FieldRef {
+    Arc::new(required(Field::LIST_FIELD_DEFAULT_NAME, item.data_type()))
+}
+
+impl StructType {
+    pub(crate) fn new(mut members: Vec<(String, Wire)>, extensibility: Extensibility) -> Self {
+        if matches!(members.as_slice(), [(name, _)] if name == EMPTY_MEMBER) {
+            members.clear();
+        }
+        let wires = || members.iter().map(|(_, wire)| wire);
+        let columns = wires().fold(1, |sum: usize, w| sum.saturating_add(w.columns()));
+        let depth = 1 + wires().map(Wire::depth).max().unwrap_or(0);
+        StructType {
+            members,
+            extensibility,
+            columns,
+            depth,
+        }
+    }
+
+    /// The Arrow fields, in declaration order.
+    pub(crate) fn fields(&self) -> Fields {
+        self.members
+            .iter()
+            .map(|(name, wire)| required(name, wire.data_type()))
+            .collect()
+    }
+}
