@@ -4,4 +4,6 @@
 //! every run and any number of threads, and can be tested with numbers alone.
 
 pub mod camera;
+pub mod drive;
 pub mod pose;
+pub mod tiles;

@@ -75,7 +75,7 @@ impl Camera {
     /// rays the lens cannot see, and for a vector of no length or with a NaN.
     pub fn project(&self, point: &Vector3<f64>) -> Option<[f64; 2]> {
         let length = point.norm();
-        if !(length > 0.0 && length.is_finite()) || !self.sees_angle(point) {
+        if !(length > 0.0 && length.is_finite() && self.sees_angle(point)) {
             return None;
         }
         match &self.model {

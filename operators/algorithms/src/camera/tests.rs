@@ -49,7 +49,8 @@ pub(crate) fn wide_fisheye() -> Camera {
 #[test]
 fn every_model_gives_its_pixels_back() {
     let nine = [500.0, 0.0, 320.5, 0.0, 502.0, 239.0, 0.0, 0.0, 1.0];
-    let cases: [(&str, u32, u32, &[f64], &[f64]); 6] = [
+    type Case<'a> = (&'a str, u32, u32, &'a [f64], &'a [f64]);
+    let cases: [Case; 6] = [
         ("", 640, 480, &nine, &[]),
         (
             "plumb_bob",
