@@ -1,0 +1,342 @@
+//! Faults: what is wrong with a text, where, and what was probably meant.
+//!
+//! Every check appends to one [`Faults`] and goes on, so that a person mends a file in one
+//! go instead of once per mistake.
+
+use std::fmt;
+
+use crate::suggest;
+
+/// Faults beyond this many are counted, not kept: a binary file is not worth a longer list.
+const MOST_KEPT: usize = 1000;
+
+/// A place in a text: line and column, both counted from 1, columns in characters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Position {
+    /// Line, from 1.
+    pub line: usize,
+    /// Column in characters, from 1.
+    pub column: usize,
+}
+
+/// Where a value was written: in the text, or in a `--set` option on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Place {
+    /// In the text.
+    Text(Position),
+    /// In the option of this index, in the order given.
+    Setting(usize),
+}
+
+impl Place {
+    /// The first character of the text.
+    pub const START: Self = Self::Text(Position { line: 1, column: 1 });
+
+    /// The position in the text; the start of the text for a value set by an option.
+    #[must_use]
+    pub fn position(self) -> Position {
+        match self {
+            Self::Text(position) => position,
+            Self::Setting(_) => Position { line: 1, column: 1 },
+        }
+    }
+}
+
+/// Whether a fault stops the plan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Severity {
+    /// The plan is refused.
+    Error,
+    /// The plan runs, but probably not as meant.
+    Warning,
+}
+
+/// One thing that is wrong.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Fault {
+    /// Where.
+    pub place: Place,
+    /// Error or warning.
+    pub severity: Severity,
+    /// What was expected and what was found: one line, no full stop.
+    pub message: String,
+    /// What to do about it, as a phrase: "did you mean `lanes`?".
+    pub suggestion: Option<String>,
+}
+
+/// All faults of one text. Displayed as `origin:line:column: message; suggestion`, one a line.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Faults {
+    origin: String,
+    text: String,
+    settings: Vec<String>,
+    kept: Vec<Fault>,
+    omitted: usize,
+}
+
+impl Faults {
+    /// No faults yet, of `text`, which came from `origin` (a file name, for messages).
+    #[must_use]
+    pub fn new(origin: &str, text: &str) -> Self {
+        Self {
+            origin: origin.to_owned(),
+            text: text.to_owned(),
+            settings: Vec::new(),
+            kept: Vec::new(),
+            omitted: 0,
+        }
+    }
+
+    /// Names the `--set` options that [`Place::Setting`] counts.
+    #[must_use]
+    pub fn with_settings(mut self, settings: &[String]) -> Self {
+        self.settings = settings.to_vec();
+        self
+    }
+
+    /// Records an error.
+    pub fn error(&mut self, place: Place, message: impl Into<String>) {
+        self.push(place, Severity::Error, message.into(), None);
+    }
+
+    /// Records an error and what to do about it.
+    pub fn error_with(
+        &mut self,
+        place: Place,
+        message: impl Into<String>,
+        suggestion: impl Into<String>,
+    ) {
+        self.push(
+            place,
+            Severity::Error,
+            message.into(),
+            Some(suggestion.into()),
+        );
+    }
+
+    /// Records a warning.
+    pub fn warning(&mut self, place: Place, message: impl Into<String>) {
+        self.push(place, Severity::Warning, message.into(), None);
+    }
+
+    /// Records that `name` is none of `known`, suggesting the nearest of them if one is near.
+    pub fn unknown<'k>(
+        &mut self,
+        place: Place,
+        message: impl Into<String>,
+        name: &str,
+        known: impl IntoIterator<Item = &'k str>,
+    ) {
+        self.unknown_as(Severity::Error, place, message, name, known);
+    }
+
+    /// As [`Faults::unknown`], with the severity given.
+    pub fn unknown_as<'k>(
+        &mut self,
+        severity: Severity,
+        place: Place,
+        message: impl Into<String>,
+        name: &str,
+        known: impl IntoIterator<Item = &'k str>,
+    ) {
+        let full = self.kept.len() >= MOST_KEPT;
+        let nearest = if full {
+            None
+        } else {
+            suggest::nearest(name, known)
+        };
+        let suggestion = nearest.map(|known| format!("did you mean {}?", suggest::quoted(known)));
+        self.push(place, severity, message.into(), suggestion);
+    }
+
+    fn push(
+        &mut self,
+        place: Place,
+        severity: Severity,
+        message: String,
+        suggestion: Option<String>,
+    ) {
+        if self.kept.len() >= MOST_KEPT {
+            self.omitted += 1;
+            return;
+        }
+        self.kept.push(Fault {
+            place,
+            severity,
+            message,
+            suggestion,
+        });
+    }
+
+    /// Takes over the faults of a trial, such as one alternative of a schema.
+    pub(crate) fn append(&mut self, trial: Self) {
+        self.omitted += trial.omitted;
+        for fault in trial.kept {
+            self.push(fault.place, fault.severity, fault.message, fault.suggestion);
+        }
+    }
+
+    /// An empty list for a trial whose faults may be thrown away.
+    pub(crate) fn trial() -> Self {
+        Self::new("", "")
+    }
+
+    /// The faults, in the order of the text once sorted by [`Faults::settle`].
+    pub fn iter(&self) -> impl Iterator<Item = &Fault> {
+        self.kept.iter()
+    }
+
+    /// The faults that refuse the plan.
+    pub fn errors(&self) -> impl Iterator<Item = &Fault> {
+        self.iter()
+            .filter(|fault| fault.severity == Severity::Error)
+    }
+
+    /// The faults that do not.
+    pub fn warnings(&self) -> impl Iterator<Item = &Fault> {
+        self.iter()
+            .filter(|fault| fault.severity == Severity::Warning)
+    }
+
+    /// True when nothing at all was found.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.kept.is_empty()
+    }
+
+    /// How many errors there are, those not kept included.
+    #[must_use]
+    pub fn error_count(&self) -> usize {
+        self.errors().count() + self.omitted
+    }
+
+    /// Sorts by place and drops repetitions (an alias repeats the faults of its anchor).
+    #[must_use]
+    pub fn settle(mut self) -> Self {
+        self.kept.sort_by_key(|fault| (fault.place, fault.severity));
+        let mut settled: Vec<Fault> = Vec::with_capacity(self.kept.len());
+        for fault in self.kept.drain(..) {
+            let same_place = settled
+                .iter()
+                .rev()
+                .take_while(|earlier| earlier.place == fault.place);
+            if !same_place.into_iter().any(|earlier| *earlier == fault) {
+                settled.push(fault);
+            }
+        }
+        self.kept = settled;
+        self
+    }
+
+    /// `value` and the warnings, or all faults if one of them is an error.
+    ///
+    /// # Errors
+    /// The faults, if one of them is an error.
+    pub fn into_result<T>(self, value: Option<T>) -> Result<(T, Self), Self> {
+        let settled = self.settle();
+        match value {
+            Some(value) if settled.error_count() == 0 => Ok((value, settled)),
+            _ => Err(settled),
+        }
+    }
+
+    fn place_name(&self, place: Place) -> String {
+        match place {
+            Place::Text(Position { line, column }) => format!("{}:{line}:{column}", self.origin),
+            Place::Setting(index) => match self.settings.get(index) {
+                Some(setting) => format!("--set {}", suggest::printable(setting)),
+                None => "--set".to_owned(),
+            },
+        }
+    }
+
+    fn write_omitted(&self, out: &mut impl fmt::Write) -> fmt::Result {
+        match self.omitted {
+            0 => Ok(()),
+            omitted => writeln!(out, "{}: … and {omitted} more", self.origin),
+        }
+    }
+
+    /// The long form for a terminal: each fault with its source line and a mark under it.
+    #[must_use]
+    pub fn pretty(&self) -> String {
+        let lines: Vec<&str> = self.text.lines().collect();
+        let mut out = String::new();
+        for fault in &self.kept {
+            self.pretty_fault(fault, &lines, &mut out);
+        }
+        // Writing to a string cannot fail.
+        let _ = self.write_omitted(&mut out);
+        out
+    }
+
+    fn pretty_fault(&self, fault: &Fault, lines: &[&str], out: &mut String) {
+        let kind = match fault.severity {
+            Severity::Error => "error",
+            Severity::Warning => "warning",
+        };
+        let place = self.place_name(fault.place);
+        out.push_str(&format!("{kind}: {}\n  --> {place}\n", fault.message));
+        let source = match fault.place {
+            Place::Text(position) => lines
+                .get(position.line.wrapping_sub(1))
+                .map(|line| (position, *line)),
+            Place::Setting(_) => None,
+        };
+        let hint = fault.suggestion.as_deref().unwrap_or("");
+        match source {
+            Some((position, line)) => out.push_str(&marked_line(position, line, hint)),
+            None if hint.is_empty() => {}
+            None => out.push_str(&format!("   = {hint}\n")),
+        }
+        out.push('\n');
+    }
+}
+
+/// The source line, cut to a window around the column, with carets under the word there.
+fn marked_line(position: Position, line: &str, hint: &str) -> String {
+    const WINDOW: usize = 100;
+    let column = position.column.saturating_sub(1);
+    let from = column.saturating_sub(WINDOW / 2);
+    let shown: String = line
+        .chars()
+        .skip(from)
+        .take(WINDOW)
+        .map(|c| if c.is_control() { ' ' } else { c })
+        .collect();
+    let word = shown
+        .chars()
+        .skip(column - from)
+        .take_while(|c| c.is_alphanumeric() || "_-./$".contains(*c))
+        .count();
+    let carets = "^".repeat(word.max(1));
+    let number = position.line.to_string();
+    let margin = " ".repeat(number.len());
+    let indent = " ".repeat(column - from);
+    let under = format!("{margin} | {indent}{carets} {hint}");
+    format!(
+        "{margin} |\n{number} | {}\n{}\n",
+        shown.trim_end(),
+        under.trim_end()
+    )
+}
+
+impl fmt::Display for Faults {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for fault in &self.kept {
+            let place = self.place_name(fault.place);
+            let kind = match fault.severity {
+                Severity::Error => "",
+                Severity::Warning => "warning: ",
+            };
+            write!(f, "{place}: {kind}{}", fault.message)?;
+            match &fault.suggestion {
+                Some(suggestion) => writeln!(f, "; {suggestion}")?,
+                None => writeln!(f)?,
+            }
+        }
+        self.write_omitted(f)
+    }
+}
+
+impl std::error::Error for Faults {}

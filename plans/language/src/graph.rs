@@ -1,0 +1,245 @@
+//! From names to a graph: what each input is, in which order steps run, what is not used.
+
+mod order;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::fault::{Faults, Place, Severity};
+use crate::plan::{Body, Input, Plan, PlanTest, Step};
+use crate::suggest::quoted;
+use crate::vocabulary::Vocabulary;
+use crate::written::{Named, Written, WrittenStep, WrittenTest};
+
+/// Names that can be read.
+struct Names<'n> {
+    /// Steps by name, to their index as written.
+    steps: BTreeMap<&'n str, usize>,
+    in_order: Vec<&'n str>,
+    vocabulary: &'n Vocabulary,
+}
+
+/// Resolves every name, records what is wrong, and makes the plan if nothing was.
+pub(crate) fn plan(written: Written, vocabulary: &Vocabulary, faults: &mut Faults) -> Option<Plan> {
+    let in_order: Vec<&str> = written.steps.iter().map(|s| s.name.name.as_str()).collect();
+    let names = Names {
+        steps: in_order
+            .iter()
+            .enumerate()
+            .map(|(i, name)| (*name, i))
+            .collect(),
+        in_order,
+        vocabulary,
+    };
+    let before = faults.error_count();
+    let inputs: Vec<Vec<Option<Input>>> = written
+        .steps
+        .iter()
+        .map(|step| names.inputs(step, faults))
+        .collect();
+    let reads: Vec<Vec<usize>> = inputs.iter().map(|inputs| names.reads(inputs)).collect();
+    let order = order::order(&written.steps, &reads, faults);
+    let write = written
+        .write
+        .as_deref()
+        .map(|write| names.write(write, faults));
+    let tests: Vec<Option<PlanTest>> = written
+        .tests
+        .iter()
+        .map(|test| names.test(test, faults))
+        .collect();
+    if let Some(write) = write.as_deref().filter(|_| faults.error_count() == before) {
+        names.warn_of_unused(&written.steps, &reads, write, faults);
+    }
+    if faults.error_count() > 0 {
+        return None;
+    }
+    let mut steps: Vec<Option<Step>> = written
+        .steps
+        .iter()
+        .zip(inputs)
+        .map(|(step, inputs)| finished(step, inputs))
+        .collect();
+    Some(Plan {
+        steps: order?
+            .into_iter()
+            .map(|index| steps.get_mut(index)?.take())
+            .collect::<Option<_>>()?,
+        write: written.write?.into_iter().map(|named| named.name).collect(),
+        tests: tests.into_iter().collect::<Option<_>>()?,
+        name: written.name,
+        doc: written.doc,
+        sessions: written.sessions,
+        warnings: Faults::new("", ""),
+    })
+}
+
+/// Puts the resolved inputs into the body of a step.
+fn finished(step: &WrittenStep, resolved: Vec<Option<Input>>) -> Option<Step> {
+    let resolved: Vec<Input> = resolved.into_iter().collect::<Option<_>>()?;
+    let body = match step.body.clone()? {
+        Body::Op { op, params, .. } => {
+            let ports = step.inputs.iter().map(|(port, _)| port.clone());
+            let inputs = ports.zip(resolved).collect();
+            Body::Op { op, inputs, params }
+        }
+        Body::Sql { query, .. } => Body::Sql {
+            query,
+            inputs: resolved,
+        },
+    };
+    Some(Step {
+        name: step.name.name.clone(),
+        position: step.name.place.position(),
+        body,
+    })
+}
+
+impl Names<'_> {
+    fn inputs(&self, step: &WrittenStep, faults: &mut Faults) -> Vec<Option<Input>> {
+        let resolve = |(port, named): &(String, Named)| {
+            let what = match port.as_str() {
+                "" => format!("the query of {}", quoted(&step.name.name)),
+                port => format!("port {}", quoted(port)),
+            };
+            self.input(named, &what, faults)
+        };
+        step.inputs.iter().map(resolve).collect()
+    }
+
+    /// What a name that is read stands for.
+    fn input(&self, named: &Named, what: &str, faults: &mut Faults) -> Option<Input> {
+        let name = named.name.as_str();
+        if let Some(layer) = name.strip_prefix(Input::PREVIOUS) {
+            return self.previous(layer, named.place, faults);
+        }
+        if self.steps.contains_key(name) {
+            return Some(Input::Step(name.to_owned()));
+        }
+        if self.vocabulary.is_source(name) {
+            return Some(Input::Source(name.to_owned()));
+        }
+        let message = format!(
+            "{what} reads {}, which is neither a step nor a source",
+            quoted(name)
+        );
+        let known = self.in_order.iter().copied();
+        faults.unknown(
+            named.place,
+            message,
+            name,
+            known.chain(self.vocabulary.source_names()),
+        );
+        None
+    }
+
+    /// Another plan may have published the layer, so that an unknown name is only a warning.
+    fn previous(&self, layer: &str, place: Place, faults: &mut Faults) -> Option<Input> {
+        if layer.is_empty() {
+            faults.error(place, "`previous.` must be followed by the name of a layer");
+            return None;
+        }
+        if !self.steps.contains_key(layer) {
+            let message = format!(
+                "`previous.` is followed by {}, no step of this plan",
+                quoted(layer)
+            );
+            let known = self.in_order.iter().copied();
+            faults.unknown_as(Severity::Warning, place, message, layer, known);
+        }
+        Some(Input::Previous(layer.to_owned()))
+    }
+
+    /// The steps a step reads, by index.
+    fn reads(&self, inputs: &[Option<Input>]) -> Vec<usize> {
+        let step = |input: &Option<Input>| match input {
+            Some(Input::Step(name)) => self.steps.get(name.as_str()).copied(),
+            _ => None,
+        };
+        let indices: BTreeSet<usize> = inputs.iter().filter_map(step).collect();
+        indices.into_iter().collect()
+    }
+
+    /// A name that must be a step; `what` is what names it.
+    fn step(&self, named: &Named, what: &str, faults: &mut Faults) -> Option<usize> {
+        let name = named.name.as_str();
+        if let Some(index) = self.steps.get(name) {
+            return Some(*index);
+        }
+        let is_table = self.vocabulary.is_source(name) || name.starts_with(Input::PREVIOUS);
+        let message = if is_table {
+            format!(
+                "{what} names {}, which is a source, not a step",
+                quoted(name)
+            )
+        } else {
+            format!("{what} names {}, which is no step", quoted(name))
+        };
+        faults.unknown(named.place, message, name, self.in_order.iter().copied());
+        None
+    }
+
+    fn write(&self, write: &[Named], faults: &mut Faults) -> Vec<usize> {
+        let mut seen = BTreeSet::new();
+        let mut indices = Vec::new();
+        for named in write {
+            if !seen.insert(named.name.as_str()) {
+                let name = quoted(&named.name);
+                faults.error(named.place, format!("`write` names {name} twice"));
+                continue;
+            }
+            indices.extend(self.step(named, "`write`", faults));
+        }
+        indices
+    }
+
+    fn test(&self, test: &WrittenTest, faults: &mut Faults) -> Option<PlanTest> {
+        let mut given = Vec::new();
+        let mut sound = true;
+        for (named, rows) in &test.given {
+            match self.input(named, "`given`", faults) {
+                Some(input) => given.push((input, rows.clone())),
+                None => sound = false,
+            }
+        }
+        let mut expect = Vec::new();
+        for (named, rows) in &test.expect {
+            sound &= self.step(named, "`expect`", faults).is_some();
+            if test.given.iter().any(|(given, _)| given.name == named.name) {
+                let name = quoted(&named.name);
+                let message = format!("{name} is given, so that expecting it tests nothing");
+                faults.error(named.place, message);
+            }
+            expect.push((named.name.clone(), rows.clone()));
+        }
+        sound.then(|| PlanTest {
+            name: test.name.name.clone(),
+            position: test.name.place.position(),
+            given,
+            expect,
+            tolerance: test.tolerance,
+        })
+    }
+
+    fn warn_of_unused(
+        &self,
+        steps: &[WrittenStep],
+        reads: &[Vec<usize>],
+        write: &[usize],
+        faults: &mut Faults,
+    ) {
+        let read: BTreeSet<usize> = reads.iter().flatten().copied().collect();
+        let needed = order::reachable(reads, write);
+        for (index, step) in steps.iter().enumerate() {
+            if needed.contains(&index) {
+                continue;
+            }
+            let name = quoted(&step.name.name);
+            let message = if read.contains(&index) {
+                format!("step {name} feeds only steps that are not written")
+            } else {
+                format!("step {name} is neither read nor written")
+            };
+            faults.warning(step.name.place, message);
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! A checked plan.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Map, Value};
+
+use crate::fault::{Faults, Position};
+
+/// How far numbers in a plan's test may be apart when the test does not say.
+pub const DEFAULT_TOLERANCE: f64 = 1e-9;
+
+/// A plan without errors: every name in it exists, and its steps form no cycle.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// Its name.
+    pub name: String,
+    /// What it is for.
+    pub doc: Option<String>,
+    /// Path of a session manifest, as written.
+    pub sessions: Option<String>,
+    /// The steps, each after all it reads; otherwise in written order.
+    pub steps: Vec<Step>,
+    /// The steps whose layers are published, in written order.
+    pub write: Vec<String>,
+    /// Tests of the plan.
+    pub tests: Vec<PlanTest>,
+    /// What is allowed but probably not meant.
+    pub warnings: Faults,
+}
+
+/// One step: it makes the layer of its name.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Step {
+    /// Name of the step and of its layer.
+    pub name: String,
+    /// Where the name is written.
+    pub position: Position,
+    /// What makes the layer.
+    pub body: Body,
+}
+
+/// What a step does.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Body {
+    /// An operator.
+    Op {
+        /// Its name.
+        op: String,
+        /// Port to layer. Optional ports may be absent.
+        inputs: BTreeMap<String, Input>,
+        /// The parameters: an object, what is written over the operator's defaults, each
+        /// parameter as a whole.
+        params: Value,
+    },
+    /// A query.
+    Sql {
+        /// Its text.
+        query: String,
+        /// The tables it names, each once, in the order they were found.
+        inputs: Vec<Input>,
+    },
+}
+
+/// A layer that a step reads.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Input {
+    /// The layer another step makes.
+    Step(String),
+    /// A table that exists before any step.
+    Source(String),
+    /// The layer of this name in the version of the map before, written `previous.NAME`.
+    Previous(String),
+}
+
+/// A test that a plan carries: rows in, rows out.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanTest {
+    /// Its name.
+    pub name: String,
+    /// Where it is written.
+    pub position: Position,
+    /// Rows of sources, and of steps that are then not run. Tables not given are empty.
+    pub given: Vec<(Input, Vec<Row>)>,
+    /// Rows that steps must make; only the columns listed are compared.
+    pub expect: Vec<(String, Vec<Row>)>,
+    /// How far numbers may be apart, absolute, in the unit of the column.
+    pub tolerance: f64,
+}
+
+/// One row of a test: column to value.
+pub type Row = Map<String, Value>;
+
+impl Input {
+    /// The prefix that names a layer of the version before.
+    pub const PREVIOUS: &'static str = "previous.";
+
+    /// The name as written in a plan.
+    #[must_use]
+    pub fn written(&self) -> String {
+        match self {
+            Self::Step(name) | Self::Source(name) => name.clone(),
+            Self::Previous(name) => format!("{}{name}", Self::PREVIOUS),
+        }
+    }
+}
+
+impl Step {
+    /// The layers it reads; of an operator in the order of port names.
+    #[must_use]
+    pub fn inputs(&self) -> Vec<&Input> {
+        match &self.body {
+            Body::Op { inputs, .. } => inputs.values().collect(),
+            Body::Sql { inputs, .. } => inputs.iter().collect(),
+        }
+    }
+}
+
+impl Plan {
+    /// The step of this name.
+    #[must_use]
+    pub fn step(&self, name: &str) -> Option<&Step> {
+        self.steps.iter().find(|step| step.name == name)
+    }
+}

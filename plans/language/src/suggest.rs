@@ -1,0 +1,99 @@
+//! Names in messages: the nearest known one, and quoting that is safe to print.
+
+/// Longer names are not compared: a mistyped name is short, a pasted page is not.
+const LONGEST_COMPARED: usize = 64;
+const LONGEST_SHOWN: usize = 60;
+
+/// The candidate nearest to `name` by edit distance, if it is near enough to be meant:
+/// at most a third of the letters wrong. Upper case and `-` for `_` cost nothing.
+/// The first of equally near candidates wins.
+pub(crate) fn nearest<'k>(
+    name: &str,
+    candidates: impl IntoIterator<Item = &'k str>,
+) -> Option<&'k str> {
+    let length = name.chars().count();
+    if length == 0 || length > LONGEST_COMPARED {
+        return None;
+    }
+    let folded = fold(name);
+    let allowed = (length / 3).max(1);
+    let mut best: Option<(usize, &str)> = None;
+    for candidate in candidates {
+        if candidate.len() > 4 * LONGEST_COMPARED || candidate == name {
+            continue;
+        }
+        let distance = strsim::damerau_levenshtein(&folded, &fold(candidate));
+        let near_enough = distance <= allowed && distance < candidate.chars().count().max(1);
+        if near_enough && best.is_none_or(|(least, _)| distance < least) {
+            best = Some((distance, candidate));
+        }
+    }
+    best.map(|(_, candidate)| candidate)
+}
+
+fn fold(name: &str) -> String {
+    name.to_lowercase().replace('-', "_")
+}
+
+/// `name` in backticks, control characters escaped, cut if very long.
+pub(crate) fn quoted(name: &str) -> String {
+    format!("`{}`", printable(name))
+}
+
+/// `name` with control characters escaped, cut if very long.
+pub(crate) fn printable(name: &str) -> String {
+    let mut out = String::new();
+    for (index, c) in name.chars().enumerate() {
+        if index == LONGEST_SHOWN {
+            out.push('…');
+            break;
+        }
+        if c.is_control() {
+            out.extend(c.escape_debug());
+        } else {
+            out.push(c);
+        }
+    }
+    out
+}
+
+/// The names quoted and listed with commas: "`a`, `b`"; "none" when there are none.
+pub(crate) fn listed<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
+    const MOST_LISTED: usize = 12;
+    let names: Vec<&str> = names.into_iter().collect();
+    let mut shown: Vec<String> = names
+        .iter()
+        .take(MOST_LISTED)
+        .map(|name| quoted(name))
+        .collect();
+    if names.len() > MOST_LISTED {
+        shown.push("…".to_owned());
+    }
+    if shown.is_empty() {
+        return "none".to_owned();
+    }
+    shown.join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_name_is_found_and_far_ones_are_not() {
+        let known = ["keyframes", "road_network", "overhead_tiles"];
+        assert_eq!(nearest("road_netwrok", known), Some("road_network"));
+        assert_eq!(nearest("Road-Network", known), Some("road_network"));
+        assert_eq!(nearest("lanes", known), None);
+        assert_eq!(nearest("", known), None);
+        assert_eq!(nearest("x", ["y"]), None);
+        assert_eq!(nearest(&"x".repeat(1000), known), None);
+    }
+
+    #[test]
+    fn quoting_is_safe_to_print() {
+        assert_eq!(quoted("a\u{1b}[31m"), "`a\\u{1b}[31m`");
+        assert_eq!(quoted(&"x".repeat(70)).chars().count(), 63);
+        assert_eq!(listed([]), "none");
+    }
+}

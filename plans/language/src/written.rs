@@ -1,0 +1,206 @@
+//! The plan as written: decoded from the tree, names not yet resolved.
+
+mod step;
+mod table;
+
+use crate::SqlTables;
+use crate::fault::{Faults, Place};
+use crate::plan::{Body, DEFAULT_TOLERANCE, Row};
+use crate::suggest::quoted;
+use crate::vocabulary::Vocabulary;
+use crate::yaml::{Fields, Kind, Node};
+
+/// The keys of a plan.
+pub(crate) const PLAN_KEYS: [&str; 6] = ["plan", "doc", "sessions", "steps", "write", "tests"];
+/// The keys of a step.
+pub(crate) const STEP_KEYS: [&str; 4] = ["op", "in", "with", "sql"];
+/// The keys of a test.
+pub(crate) const TEST_KEYS: [&str; 4] = ["name", "given", "expect", "tolerance"];
+/// More steps than this are refused; checking the graph takes time by its square at worst.
+pub(crate) const MOST_STEPS: usize = 4096;
+
+/// A name and where it is written.
+#[derive(Debug, Clone)]
+pub(crate) struct Named {
+    pub name: String,
+    pub place: Place,
+}
+
+/// A plan whose names are not yet resolved. What was at fault is absent.
+pub(crate) struct Written {
+    pub name: String,
+    pub doc: Option<String>,
+    pub sessions: Option<String>,
+    pub steps: Vec<WrittenStep>,
+    /// `None` if missing or at fault as a whole.
+    pub write: Option<Vec<Named>>,
+    pub tests: Vec<WrittenTest>,
+}
+
+pub(crate) struct WrittenStep {
+    pub name: Named,
+    /// What is read: under which port (empty for queries), and what.
+    pub inputs: Vec<(String, Named)>,
+    /// The step, its inputs to be filled in; `None` if at fault.
+    pub body: Option<Body>,
+}
+
+pub(crate) struct WrittenTest {
+    pub name: Named,
+    pub given: Vec<(Named, Vec<Row>)>,
+    pub expect: Vec<(Named, Vec<Row>)>,
+    pub tolerance: f64,
+}
+
+/// What decoding needs beside the tree.
+pub(crate) struct Context<'c> {
+    pub vocabulary: &'c Vocabulary,
+    pub sql_tables: SqlTables<'c>,
+}
+
+pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut Faults) -> Option<Written> {
+    let fields = Fields::of(root, "the plan", &PLAN_KEYS, faults)?;
+    let name = fields
+        .require("plan", "the plan", faults)
+        .and_then(|entry| {
+            entry
+                .value
+                .text("the name of the plan", faults)
+                .map(|name| (entry, name))
+        });
+    if let Some((entry, name)) = name {
+        check_name(name, "a plan", entry.value.place, faults);
+    }
+    let mut optional = |key: &str, what: &str| {
+        let entry = fields.get(key)?;
+        entry.value.text(what, faults).map(str::to_owned)
+    };
+    let doc = optional("doc", "`doc`");
+    let sessions = optional("sessions", "`sessions`");
+    let steps = fields.require("steps", "the plan", faults);
+    let steps = steps.map_or_else(Vec::new, |entry| steps_of(&entry.value, context, faults));
+    let write = fields.require("write", "the plan", faults);
+    let write = write.and_then(|entry| write_of(&entry.value, faults));
+    let tests = fields.get("tests");
+    let tests = tests.map_or_else(Vec::new, |entry| table::tests(&entry.value, faults));
+    Some(Written {
+        name: name.map_or_else(String::new, |(_, name)| name.to_owned()),
+        doc,
+        sessions,
+        steps,
+        write,
+        tests,
+    })
+}
+
+/// Names are `[a-z][a-z0-9_]*`: they are names of tables, files and columns.
+fn check_name(name: &str, what: &str, place: Place, faults: &mut Faults) -> bool {
+    const LONGEST: usize = 64;
+    let starts_well = name.starts_with(|c: char| c.is_ascii_lowercase());
+    let continues_well = name
+        .chars()
+        .all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
+    if starts_well && continues_well && name.len() <= LONGEST {
+        return true;
+    }
+    if name.len() > LONGEST {
+        faults.error(
+            place,
+            format!("the name of {what} has more than {LONGEST} letters"),
+        );
+        return false;
+    }
+    let message = format!(
+        "the name of {what} is lower-case letters, digits and `_`, starting with a letter, \
+         found {}",
+        quoted(name)
+    );
+    match mended(name) {
+        Some(mended) => faults.error_with(place, message, format!("did you mean `{mended}`?")),
+        None => faults.error(place, message),
+    }
+    false
+}
+
+/// The nearest name that is allowed.
+fn mended(name: &str) -> Option<String> {
+    let fit = |c: char| {
+        if c.is_ascii_alphanumeric() {
+            c.to_ascii_lowercase()
+        } else {
+            '_'
+        }
+    };
+    let mended: String = name.chars().map(fit).collect();
+    let mended = mended.trim_start_matches(|c: char| !c.is_ascii_lowercase());
+    (!mended.is_empty()).then(|| mended.to_owned())
+}
+
+fn steps_of(node: &Node, context: &Context<'_>, faults: &mut Faults) -> Vec<WrittenStep> {
+    let Some(entries) = node.mapping("`steps`", faults) else {
+        return Vec::new();
+    };
+    if entries.is_empty() {
+        faults.error(node.place, "`steps` must have at least one step");
+    }
+    if entries.len() > MOST_STEPS {
+        let message = format!("more than {MOST_STEPS} steps");
+        faults.error(node.place, message);
+        return Vec::new();
+    }
+    let mut steps = Vec::new();
+    for entry in entries {
+        check_name(&entry.key, "a step", entry.place, faults);
+        if context.vocabulary.is_source(&entry.key) {
+            let name = quoted(&entry.key);
+            faults.error(
+                entry.place,
+                format!("a step cannot be named {name}: that is a source table"),
+            );
+        }
+        steps.push(step::step(entry, context, faults));
+    }
+    steps
+}
+
+fn write_of(node: &Node, faults: &mut Faults) -> Option<Vec<Named>> {
+    let items = node.sequence("`write`", faults)?;
+    if items.is_empty() {
+        faults.error(node.place, "`write` must name at least one step");
+        return None;
+    }
+    let mut write = Vec::new();
+    let mut sound = true;
+    for item in items {
+        match item.text("an item of `write`", faults) {
+            Some(name) => write.push(Named {
+                name: name.to_owned(),
+                place: item.place,
+            }),
+            None => sound = false,
+        }
+    }
+    // A name that is not text might have been any step: no talk of unwritten steps then.
+    sound.then_some(write)
+}
+
+fn tolerance(fields: &Fields<'_>, faults: &mut Faults) -> f64 {
+    let Some(entry) = fields.get("tolerance") else {
+        return DEFAULT_TOLERANCE;
+    };
+    match entry.value.number("`tolerance`", faults) {
+        Some(value) if value >= 0.0 && value.is_finite() => value,
+        Some(_) => {
+            let found = entry.value.described();
+            let message = format!("`tolerance` must be at least 0 and finite, found {found}");
+            faults.error(entry.value.place, message);
+            DEFAULT_TOLERANCE
+        }
+        None => DEFAULT_TOLERANCE,
+    }
+}
+
+/// An entry that may be left empty: `in:` with nothing after it.
+fn is_null(node: &Node) -> bool {
+    node.kind == Kind::Null
+}

@@ -1,0 +1,91 @@
+//! Tests of a plan: tables of rows in, tables of rows out.
+
+use std::collections::BTreeSet;
+
+use super::{Named, TEST_KEYS, WrittenTest, tolerance};
+use crate::fault::Faults;
+use crate::plan::Row;
+use crate::suggest::quoted;
+use crate::yaml::{Entry, Fields, Node};
+
+pub(super) fn tests(node: &Node, faults: &mut Faults) -> Vec<WrittenTest> {
+    let Some(items) = node.sequence("`tests`", faults) else {
+        return Vec::new();
+    };
+    let mut tests: Vec<WrittenTest> = Vec::new();
+    let mut names = BTreeSet::new();
+    for item in items {
+        let Some(test) = test(item, faults) else {
+            continue;
+        };
+        if !names.insert(test.name.name.clone()) {
+            let name = quoted(&test.name.name);
+            faults.error(test.name.place, format!("two tests are named {name}"));
+        }
+        tests.push(test);
+    }
+    tests
+}
+
+fn test(node: &Node, faults: &mut Faults) -> Option<WrittenTest> {
+    let fields = Fields::of(node, "a test", &TEST_KEYS, faults)?;
+    let name = fields.require("name", "the test", faults);
+    let name = name.and_then(|entry| {
+        let name = entry.value.text("the name of a test", faults)?;
+        let (name, place) = (name.to_owned(), entry.value.place);
+        Some(Named { name, place })
+    });
+    let given = fields.get("given");
+    let given = given.map_or_else(Vec::new, |entry| tables("`given`", &entry.value, faults));
+    let expect = fields.require("expect", "the test", faults);
+    let expect = expect.map_or_else(Vec::new, |entry| {
+        let tables = tables("`expect`", &entry.value, faults);
+        if entry
+            .value
+            .mapping("", &mut Faults::trial())
+            .is_some_and(<[Entry]>::is_empty)
+        {
+            faults.error(entry.value.place, "`expect` must have at least one table");
+        }
+        tables
+    });
+    let tolerance = tolerance(&fields, faults);
+    // Without a name the tables are still checked; the missing name is already a fault.
+    let name = name.unwrap_or(Named {
+        name: format!("test at line {}", node.place.position().line),
+        place: node.place,
+    });
+    Some(WrittenTest {
+        name,
+        given,
+        expect,
+        tolerance,
+    })
+}
+
+fn tables(what: &str, node: &Node, faults: &mut Faults) -> Vec<(Named, Vec<Row>)> {
+    let Some(entries) = node.mapping(what, faults) else {
+        return Vec::new();
+    };
+    entries
+        .iter()
+        .map(|entry| {
+            let name = entry.key.clone();
+            let place = entry.place;
+            (Named { name, place }, rows(entry, faults))
+        })
+        .collect()
+}
+
+fn rows(entry: &Entry, faults: &mut Faults) -> Vec<Row> {
+    let what = format!("the rows of {}", quoted(&entry.key));
+    let items = entry.value.sequence(&what, faults).unwrap_or_default();
+    let mut rows = Vec::new();
+    for item in items {
+        let what = format!("a row of {}", quoted(&entry.key));
+        if let Some(columns) = item.mapping(&what, faults) {
+            rows.push(crate::yaml::json_object(columns, faults));
+        }
+    }
+    rows
+}

@@ -1,0 +1,181 @@
+//! Scalars by the core schema of YAML 1.2 (section 10.3).
+
+use saphyr_parser::Tag;
+
+use super::Kind;
+use crate::fault::{Faults, Place};
+use crate::suggest::quoted;
+
+/// The value of a plain (unquoted, untagged) scalar.
+pub(super) fn plain(text: &str, place: Place, faults: &mut Faults) -> Kind {
+    match text {
+        "" | "~" | "null" | "Null" | "NULL" => return Kind::Null,
+        "true" | "True" | "TRUE" => return Kind::Bool(true),
+        "false" | "False" | "FALSE" => return Kind::Bool(false),
+        ".nan" | ".NaN" | ".NAN" => return Kind::Float(f64::NAN),
+        ".inf" | ".Inf" | ".INF" | "+.inf" | "+.Inf" | "+.INF" => {
+            return Kind::Float(f64::INFINITY);
+        }
+        "-.inf" | "-.Inf" | "-.INF" => return Kind::Float(f64::NEG_INFINITY),
+        _ => {}
+    }
+    if is_integer(text) {
+        return integer(text, place, faults);
+    }
+    if is_float(text)
+        && let Ok(value) = text.parse()
+    {
+        return Kind::Float(value);
+    }
+    Kind::Text(text.to_owned())
+}
+
+/// The value of a scalar with an explicit tag.
+pub(super) fn tagged(text: &str, tag: &Tag, place: Place, faults: &mut Faults) -> Kind {
+    let as_text = || Kind::Text(text.to_owned());
+    if tag.handle == "!" && tag.suffix.is_empty() || tag.handle.is_empty() && tag.suffix == "!" {
+        return as_text();
+    }
+    if !tag.is_yaml_core_schema() {
+        faults.error(place, unsupported(tag));
+        return as_text();
+    }
+    let kind = match tag.suffix.as_str() {
+        "str" => return as_text(),
+        "null" | "bool" | "int" | "float" => plain(text, place, faults),
+        _ => {
+            faults.error(place, unsupported(tag));
+            return as_text();
+        }
+    };
+    match (tag.suffix.as_str(), kind) {
+        ("null", Kind::Null) => Kind::Null,
+        ("bool", Kind::Bool(value)) => Kind::Bool(value),
+        ("int", Kind::Integer(value)) => Kind::Integer(value),
+        ("float", Kind::Float(value)) => Kind::Float(value),
+        ("float", Kind::Integer(value)) => Kind::Float(value as f64),
+        (suffix, _) => {
+            faults.error(place, format!("{} is not of `!!{suffix}`", quoted(text)));
+            as_text()
+        }
+    }
+}
+
+/// The message for a tag that means nothing here.
+pub(super) fn unsupported(tag: &Tag) -> String {
+    format!(
+        "the tag {} means nothing here",
+        quoted(&format!("{}{}", tag.handle, tag.suffix))
+    )
+}
+
+fn is_integer(text: &str) -> bool {
+    let radix = |digits: &str, radix| {
+        !digits.is_empty() && digits.chars().all(|digit| digit.is_digit(radix))
+    };
+    if let Some(octal) = text.strip_prefix("0o") {
+        return radix(octal, 8);
+    }
+    if let Some(hexadecimal) = text.strip_prefix("0x") {
+        return radix(hexadecimal, 16);
+    }
+    radix(text.strip_prefix(['-', '+']).unwrap_or(text), 10)
+}
+
+fn integer(text: &str, place: Place, faults: &mut Faults) -> Kind {
+    let value = if let Some(octal) = text.strip_prefix("0o") {
+        i128::from_str_radix(octal, 8)
+    } else if let Some(hexadecimal) = text.strip_prefix("0x") {
+        i128::from_str_radix(hexadecimal, 16)
+    } else {
+        text.parse()
+    };
+    match value {
+        Ok(value) if (i128::from(i64::MIN)..=i128::from(u64::MAX)).contains(&value) => {
+            Kind::Integer(value)
+        }
+        _ => {
+            faults.error_with(
+                place,
+                format!("the integer {} does not fit in 64 bits", quoted(text)),
+                "quote it if it is text",
+            );
+            Kind::Integer(0)
+        }
+    }
+}
+
+/// `[-+]? ( \. [0-9]+ | [0-9]+ ( \. [0-9]* )? ) ( [eE] [-+]? [0-9]+ )?`
+fn is_float(text: &str) -> bool {
+    let unsigned = text.strip_prefix(['-', '+']).unwrap_or(text);
+    let (mantissa, exponent) = match unsigned.split_once(['e', 'E']) {
+        Some((mantissa, exponent)) => (mantissa, Some(exponent)),
+        None => (unsigned, None),
+    };
+    let digits = |part: &str| part.bytes().all(|byte| byte.is_ascii_digit());
+    let (whole, fraction) = mantissa.split_once('.').unwrap_or((mantissa, ""));
+    let sound = digits(whole) && digits(fraction) && !(whole.is_empty() && fraction.is_empty());
+    let sound_exponent = exponent.is_none_or(|exponent| {
+        let exponent = exponent.strip_prefix(['-', '+']).unwrap_or(exponent);
+        !exponent.is_empty() && digits(exponent)
+    });
+    sound && sound_exponent
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+    use super::*;
+
+    fn value(text: &str) -> Kind {
+        let mut faults = Faults::new("", text);
+        let kind = plain(text, Place::START, &mut faults);
+        assert!(faults.is_empty(), "{faults}");
+        kind
+    }
+
+    #[test]
+    fn core_schema() {
+        for text in ["", "~", "null", "Null", "NULL"] {
+            assert_eq!(value(text), Kind::Null);
+        }
+        for (text, number) in [("0", 0), ("-7", -7), ("+7", 7), ("007", 7), ("0o14", 12)] {
+            assert_eq!(value(text), Kind::Integer(number));
+        }
+        assert_eq!(value("0xFf"), Kind::Integer(255));
+        assert_eq!(
+            value("18446744073709551615"),
+            Kind::Integer(u64::MAX.into())
+        );
+        for (text, number) in [
+            ("1e-6", 1e-6),
+            (".5", 0.5),
+            ("5.", 5.0),
+            ("-1.5E+3", -1500.0),
+        ] {
+            assert_eq!(value(text), Kind::Float(number));
+        }
+        assert_eq!(value("-.inf"), Kind::Float(f64::NEG_INFINITY));
+        assert_eq!(value("True"), Kind::Bool(true));
+        for text in [
+            "yes", "on", "nULL", ".", "-", "+", "e5", "1e", "1e+", "0x", "0o8", "1_000", "inf",
+            "nan", "NaN", "1.2.3", "12:30", "-0x1", "١", "..5", "+-1",
+        ] {
+            assert_eq!(value(text), Kind::Text(text.to_owned()), "{text}");
+        }
+    }
+
+    #[test]
+    fn an_integer_beyond_64_bits_is_a_fault() {
+        for text in [
+            "18446744073709551616",
+            "-9223372036854775809",
+            &"9".repeat(99),
+        ] {
+            let mut faults = Faults::new("", text);
+            plain(text, Place::START, &mut faults);
+            assert_eq!(faults.error_count(), 1);
+        }
+    }
+}

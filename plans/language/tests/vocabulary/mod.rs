@@ -1,0 +1,138 @@
+//! The vocabulary the tests write plans with: parameters of every kind schemars derives.
+#![allow(dead_code, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use evermap_language::{OperatorSpec, PortSpec, Vocabulary};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A frame every so many metres.
+#[derive(Debug, Serialize, Deserialize, JsonSchema, PartialEq)]
+#[serde(default, deny_unknown_fields)]
+pub struct Keyframes {
+    /// Driven path between keyframes, m.
+    #[schemars(extend("exclusiveMinimum" = 0.0, "maximum" = 100.0))]
+    pub baseline_m: f64,
+    pub most_frames: Option<u32>,
+    pub cameras: Vec<String>,
+}
+
+impl Default for Keyframes {
+    fn default() -> Self {
+        Self {
+            baseline_m: 0.2,
+            most_frames: None,
+            cameras: Vec::new(),
+        }
+    }
+}
+
+#[derive(Debug, Serialize, Deserialize, JsonSchema, PartialEq, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum Weighting {
+    /// All pixels alike.
+    #[default]
+    Uniform,
+    /// By the angle of view.
+    ViewingAngle,
+}
+
+#[derive(Debug, Serialize, Deserialize, JsonSchema, PartialEq)]
+#[serde(tag = "model", rename_all = "snake_case")]
+pub enum Camera {
+    Pinhole { fx_px: f64, fy_px: f64 },
+    Equirectangular { width_px: u16 },
+}
+
+#[derive(Debug, Serialize, Deserialize, JsonSchema, PartialEq)]
+#[serde(rename_all = "snake_case")]
+pub enum Grid {
+    Square { cell_m: f64 },
+    Hexagonal(f64),
+    None,
+}
+
+#[derive(Debug, Serialize, Deserialize, JsonSchema, PartialEq, Default)]
+#[serde(default, deny_unknown_fields)]
+pub struct Tiles {
+    pub weighting: Weighting,
+    pub camera: Option<Camera>,
+    pub grid: Option<Grid>,
+    pub extent: Extent,
+    pub origin_m: [f64; 3],
+    pub zooms: Vec<u8>,
+}
+
+#[derive(Debug, Serialize, Deserialize, JsonSchema, PartialEq, Default)]
+#[serde(default, deny_unknown_fields)]
+pub struct Extent {
+    pub width_m: f64,
+    pub height_m: f64,
+    pub clip: bool,
+}
+
+/// Lanes from poses.
+#[derive(Debug, Serialize, Deserialize, JsonSchema, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct Roads {
+    #[schemars(range(min = 0.1))]
+    pub connect_m: f64,
+    pub prune_loops: u32,
+}
+
+fn operator<P: JsonSchema>(
+    name: &str,
+    ports: &[(&str, bool)],
+    defaults: serde_json::Value,
+) -> OperatorSpec {
+    let port = |(name, optional): &(&str, bool)| PortSpec {
+        name: (*name).to_owned(),
+        optional: *optional,
+    };
+    OperatorSpec {
+        name: name.to_owned(),
+        ports: ports.iter().map(port).collect(),
+        params: schemars::schema_for!(P).to_value(),
+        defaults,
+    }
+}
+
+pub fn vocabulary() -> Vocabulary {
+    let names = ["frames", "odometry", "calibration", "sessions", "poses"];
+    Vocabulary {
+        operators: vec![
+            operator::<Keyframes>(
+                "keyframes",
+                &[("odometry", false), ("frames", false)],
+                serde_json::to_value(Keyframes::default()).unwrap(),
+            ),
+            operator::<Tiles>(
+                "overhead_tiles",
+                &[("patches", false), ("calibration", true)],
+                serde_json::to_value(Tiles::default()).unwrap(),
+            ),
+            operator::<Roads>(
+                "road_network",
+                &[("poses", false), ("lanes", true)],
+                serde_json::json!({"prune_loops": 3}),
+            ),
+        ],
+        sources: names.map(str::to_owned).to_vec(),
+        open_sources: true,
+    }
+}
+
+/// Stands for a SQL parser: the word after each FROM or JOIN.
+pub fn sql_tables(query: &str) -> Result<Vec<String>, String> {
+    let words: Vec<&str> = query.split_whitespace().collect();
+    if !words
+        .first()
+        .is_some_and(|word| word.eq_ignore_ascii_case("select"))
+    {
+        return Err("expected SELECT\nat the start".to_owned());
+    }
+    Ok(words
+        .windows(2)
+        .filter(|pair| pair[0] == "FROM" || pair[0] == "JOIN")
+        .map(|pair| pair[1].trim_matches(['"', ',', ';']).to_owned())
+        .collect())
+}
