@@ -5,5 +5,6 @@
 
 pub mod camera;
 pub mod drive;
+pub mod ground;
 pub mod pose;
 pub mod tiles;
