@@ -38,17 +38,14 @@ pub(crate) fn plan(written: Written, vocabulary: &Vocabulary, faults: &mut Fault
         .collect();
     let reads: Vec<Vec<usize>> = inputs.iter().map(|inputs| names.reads(inputs)).collect();
     let order = order::order(&written.steps, &reads, faults);
-    let write = written
-        .write
-        .as_deref()
-        .map(|write| names.write(write, faults));
+    let write = names.write(&written.write, faults);
     let tests: Vec<Option<PlanTest>> = written
         .tests
         .iter()
         .map(|test| names.test(test, faults))
         .collect();
-    if let Some(write) = write.as_deref().filter(|_| faults.error_count() == before) {
-        names.warn_of_unused(&written.steps, &reads, write, faults);
+    if written.write_is_whole && faults.error_count() == before {
+        names.warn_of_unused(&written.steps, &reads, &write, faults);
     }
     if faults.error_count() > 0 {
         return None;
@@ -64,7 +61,7 @@ pub(crate) fn plan(written: Written, vocabulary: &Vocabulary, faults: &mut Fault
             .into_iter()
             .map(|index| steps.get_mut(index)?.take())
             .collect::<Option<_>>()?,
-        write: written.write?.into_iter().map(|named| named.name).collect(),
+        write: written.write.into_iter().map(|named| named.name).collect(),
         tests: tests.into_iter().collect::<Option<_>>()?,
         name: written.name,
         doc: written.doc,

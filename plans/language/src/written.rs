@@ -32,8 +32,9 @@ pub(crate) struct Written {
     pub doc: Option<String>,
     pub sessions: Option<String>,
     pub steps: Vec<WrittenStep>,
-    /// `None` if missing or at fault as a whole.
-    pub write: Option<Vec<Named>>,
+    pub write: Vec<Named>,
+    /// Whether all of `write` could be read, so that what it lacks is known to be lacking.
+    pub write_is_whole: bool,
     pub tests: Vec<WrittenTest>,
 }
 
@@ -80,7 +81,9 @@ pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut Faults) -> O
     let steps = fields.require("steps", "the plan", faults);
     let steps = steps.map_or_else(Vec::new, |entry| steps_of(&entry.value, context, faults));
     let write = fields.require("write", "the plan", faults);
-    let write = write.and_then(|entry| write_of(&entry.value, faults));
+    let before = faults.error_count();
+    let named = write.and_then(|entry| write_of(&entry.value, faults));
+    let write_is_whole = named.is_some() && faults.error_count() == before;
     let tests = fields.get("tests");
     let tests = tests.map_or_else(Vec::new, |entry| table::tests(&entry.value, faults));
     Some(Written {
@@ -88,7 +91,8 @@ pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut Faults) -> O
         doc,
         sessions,
         steps,
-        write,
+        write: named.unwrap_or_default(),
+        write_is_whole,
         tests,
     })
 }
@@ -169,19 +173,12 @@ fn write_of(node: &Node, faults: &mut Faults) -> Option<Vec<Named>> {
         faults.error(node.place, "`write` must name at least one step");
         return None;
     }
-    let mut write = Vec::new();
-    let mut sound = true;
-    for item in items {
-        match item.text("an item of `write`", faults) {
-            Some(name) => write.push(Named {
-                name: name.to_owned(),
-                place: item.place,
-            }),
-            None => sound = false,
-        }
-    }
-    // A name that is not text might have been any step: no talk of unwritten steps then.
-    sound.then_some(write)
+    let named = |item: &Node| {
+        let name = item.text("an item of `write`", faults)?.to_owned();
+        let place = item.place;
+        Some(Named { name, place })
+    };
+    Some(items.iter().filter_map(named).collect())
 }
 
 fn tolerance(fields: &Fields<'_>, faults: &mut Faults) -> f64 {

@@ -67,14 +67,14 @@ fn ten_different_faults_are_all_reported_where_they_are() {
     let expected = [
         (2, 1),
         (5, 9),
-        (9, 13),
-        (10, 13),
+        (9, 18),
+        (10, 24),
         (11, 13),
         (12, 3),
-        (13, 3),
+        (13, 29),
         (15, 3),
-        (19, 5),
-        (20, 20),
+        (20, 22),
+        (20, 28),
     ];
     assert_eq!(places, expected, "{faults}");
 }

@@ -213,6 +213,13 @@ fn of_type(node: &Node, schema: &Value, what: &str, faults: &mut Faults) -> bool
         Kind::Bool(_) | Kind::Integer(_) | Kind::Float(_) if types.contains(&"string") => {
             faults.error_with(node.place, message, "quote it");
         }
+        Kind::Text(text) if types.contains(&"boolean") => {
+            match text.to_ascii_lowercase().as_str() {
+                "yes" | "on" => faults.error_with(node.place, message, "write `true`"),
+                "no" | "off" => faults.error_with(node.place, message, "write `false`"),
+                _ => faults.error(node.place, message),
+            }
+        }
         _ => faults.error(node.place, message),
     }
     false

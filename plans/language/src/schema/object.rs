@@ -17,6 +17,16 @@ pub(super) struct Object<'o> {
     pub has_default: &'o dyn Fn(&str) -> bool,
 }
 
+impl Object<'_> {
+    /// " of step x" after a key; nothing after a parameter, which needs no owner.
+    fn of(&self) -> String {
+        match self.noun {
+            "parameter" => String::new(),
+            _ => format!(" of {}", self.owner),
+        }
+    }
+}
+
 /// Whether the schema says anything about keys.
 pub(super) fn describes_object(schema: &Value) -> bool {
     ["properties", "additionalProperties", "required"]
@@ -40,7 +50,8 @@ impl<'s> Checker<'s> {
         let has =
             |key: &str| entries.iter().any(|entry| entry.key == key) || (object.has_default)(key);
         for key in required(schema).filter(|key| !has(key)) {
-            let message = format!("{} {} is missing", object.noun, quoted(key));
+            let of = object.of();
+            let message = format!("{} {}{of} is missing", object.noun, quoted(key));
             faults.error(node.place, message);
         }
         let properties = schema.get("properties").and_then(Value::as_object);
@@ -48,10 +59,7 @@ impl<'s> Checker<'s> {
             .get("additionalProperties")
             .filter(|others| *others != &Value::Bool(false));
         for entry in entries {
-            let of = match object.noun {
-                "parameter" => String::new(),
-                _ => format!(" of {}", object.owner),
-            };
+            let of = object.of();
             let what = format!("{} {}{of}", object.noun, quoted(&entry.key));
             let property = properties.and_then(|properties| properties.get(&entry.key));
             if let Some(schema) = property.or(others) {

@@ -7,7 +7,7 @@ use crate::fault::{Faults, Place};
 use crate::suggest::quoted;
 
 /// The value of a plain (unquoted, untagged) scalar.
-pub(super) fn plain(text: &str, place: Place, faults: &mut Faults) -> Kind {
+pub(super) fn plain(text: &str) -> Kind {
     match text {
         "" | "~" | "null" | "Null" | "NULL" => return Kind::Null,
         "true" | "True" | "TRUE" => return Kind::Bool(true),
@@ -20,7 +20,7 @@ pub(super) fn plain(text: &str, place: Place, faults: &mut Faults) -> Kind {
         _ => {}
     }
     if is_integer(text) {
-        return integer(text, place, faults);
+        return integer(text);
     }
     if is_float(text)
         && let Ok(value) = text.parse()
@@ -42,7 +42,7 @@ pub(super) fn tagged(text: &str, tag: &Tag, place: Place, faults: &mut Faults) -
     }
     let kind = match tag.suffix.as_str() {
         "str" => return as_text(),
-        "null" | "bool" | "int" | "float" => plain(text, place, faults),
+        "null" | "bool" | "int" | "float" => plain(text),
         _ => {
             faults.error(place, unsupported(tag));
             return as_text();
@@ -82,7 +82,7 @@ fn is_integer(text: &str) -> bool {
     radix(text.strip_prefix(['-', '+']).unwrap_or(text), 10)
 }
 
-fn integer(text: &str, place: Place, faults: &mut Faults) -> Kind {
+fn integer(text: &str) -> Kind {
     let value = if let Some(octal) = text.strip_prefix("0o") {
         i128::from_str_radix(octal, 8)
     } else if let Some(hexadecimal) = text.strip_prefix("0x") {
@@ -94,14 +94,10 @@ fn integer(text: &str, place: Place, faults: &mut Faults) -> Kind {
         Ok(value) if (i128::from(i64::MIN)..=i128::from(u64::MAX)).contains(&value) => {
             Kind::Integer(value)
         }
-        _ => {
-            faults.error_with(
-                place,
-                format!("the integer {} does not fit in 64 bits", quoted(text)),
-                "quote it if it is text",
-            );
-            Kind::Integer(0)
-        }
+        // Beyond 64 bits it is a number like any other, but no integer.
+        _ => text
+            .parse()
+            .map_or_else(|_| Kind::Text(text.to_owned()), Kind::Float),
     }
 }
 
@@ -129,10 +125,7 @@ mod tests {
     use super::*;
 
     fn value(text: &str) -> Kind {
-        let mut faults = Faults::new("", text);
-        let kind = plain(text, Place::START, &mut faults);
-        assert!(faults.is_empty(), "{faults}");
-        kind
+        plain(text)
     }
 
     #[test]
@@ -167,15 +160,15 @@ mod tests {
     }
 
     #[test]
-    fn an_integer_beyond_64_bits_is_a_fault() {
-        for text in [
-            "18446744073709551616",
-            "-9223372036854775809",
-            &"9".repeat(99),
-        ] {
-            let mut faults = Faults::new("", text);
-            plain(text, Place::START, &mut faults);
-            assert_eq!(faults.error_count(), 1);
+    fn an_integer_beyond_64_bits_is_a_plain_number() {
+        let cases = [
+            ("18446744073709551616", 18446744073709551616.0),
+            ("-1000000000000000000000", -1e21),
+        ];
+        for (text, number) in cases {
+            assert_eq!(value(text), Kind::Float(number));
         }
+        let hexadecimal = format!("0x{}", "f".repeat(40));
+        assert_eq!(value(&hexadecimal), Kind::Text(hexadecimal.clone()));
     }
 }

@@ -141,7 +141,7 @@ impl<'f> Builder<'f> {
                         if self.wants_key() {
                             Kind::Text(text.to_string())
                         } else {
-                            scalar::plain(&text, place, self.faults)
+                            scalar::plain(&text)
                         }
                     }
                     None => Kind::Text(text.to_string()),
