@@ -1,1 +1,20 @@
-//! Placeholder.
+//! Images, by OpenCV. This is the only crate that links it, and the only one that needs to.
+//!
+//! ```text
+//!   jpeg, png, pgm … ──► Decoder::decode ──┐
+//!                                          ├──► Grey (8 bits, rows without gaps)
+//!   mono8, bgr8 … ─────► from_raw ─────────┘
+//! ```
+//! Bytes come from logs, so they may be torn or hostile. Nothing here panics on them, and nothing is allocated for a
+//! size that a header merely claims: [`MAX_PIXELS`] is checked first. OpenCV's exceptions become [`ImageError`]s, and
+//! its own threads are off, because images are worked on side by side already.
+
+mod decode;
+mod grey;
+mod raw;
+mod resample;
+
+pub use decode::{Decoder, Reduction};
+pub use grey::{Grey, ImageError, MAX_PIXELS};
+pub use raw::{RAW_ENCODINGS, from_raw};
+pub use resample::Remap;

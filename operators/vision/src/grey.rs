@@ -1,0 +1,92 @@
+//! The one image type, and what can be wrong with bytes that claim to be one.
+
+/// Larger images are refused before anything is allocated for them: 2²⁷ pixels, 16384 × 8192.
+pub const MAX_PIXELS: u64 = 1 << 27;
+
+/// A grey image: 8 bits per pixel, row by row from the top, without gaps between rows.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Grey {
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// `width * height` values.
+    pub data: Vec<u8>,
+}
+
+impl Grey {
+    /// Resizes to black pixels. The buffer is kept where it is large enough.
+    pub(crate) fn reset(&mut self, width: u32, height: u32) -> Result<(), ImageError> {
+        let pixels = checked_pixels(width, height)?;
+        self.data.clear();
+        self.data.resize(pixels, 0);
+        (self.width, self.height) = (width, height);
+        Ok(())
+    }
+}
+
+/// The number of pixels of an image of this size.
+pub(crate) fn checked_pixels(width: u32, height: u32) -> Result<usize, ImageError> {
+    let pixels = u64::from(width) * u64::from(height);
+    if pixels == 0 || pixels > MAX_PIXELS {
+        return Err(ImageError::Size { width, height });
+    }
+    usize::try_from(pixels).map_err(|_| ImageError::Size { width, height })
+}
+
+/// Why bytes are not an image.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ImageError {
+    /// The bytes start like no image that is read.
+    #[error("expected a jpeg, png, webp, bmp, tiff or pnm image, found {found}")]
+    Format {
+        /// What was found instead.
+        found: String,
+    },
+    /// The header claims an image of no size, or of too many pixels.
+    #[error("expected 1 to {MAX_PIXELS} pixels, found a header of {width} x {height}")]
+    Size {
+        /// Width in the header.
+        width: u32,
+        /// Height in the header.
+        height: u32,
+    },
+    /// The header is sound, the rest is not: truncated or damaged.
+    #[error("{format} image of {bytes} bytes is truncated or damaged")]
+    Damaged {
+        /// What the header says it is.
+        format: &'static str,
+        /// Length of the data.
+        bytes: usize,
+    },
+    /// A raw encoding that is not read.
+    #[error("unknown raw encoding \"{found}\"; known are {}", crate::RAW_ENCODINGS.join(", "))]
+    Encoding {
+        /// The encoding given.
+        found: String,
+    },
+    /// A raw image's row stride or length does not fit its size.
+    #[error("raw image: expected {what} of at least {expected} bytes, found {found}")]
+    Length {
+        /// `step` or `data`.
+        what: &'static str,
+        /// Bytes that it must have.
+        expected: u64,
+        /// Bytes that it has.
+        found: u64,
+    },
+    /// OpenCV failed in a way that none of the above explains.
+    #[error("OpenCV: {message}")]
+    OpenCv {
+        /// OpenCV's words.
+        message: String,
+    },
+}
+
+impl From<opencv::Error> for ImageError {
+    fn from(error: opencv::Error) -> Self {
+        Self::OpenCv {
+            message: error.message,
+        }
+    }
+}

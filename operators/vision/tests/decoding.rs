@@ -1,0 +1,202 @@
+//! Decoding: exact where the format is, refused where the bytes are not an image, and never a panic.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use evermap_vision::{Decoder, Grey, ImageError, Reduction};
+use png::{BitDepth, ColorType};
+use proptest::prelude::*;
+
+fn sample(width: u32, height: u32) -> Grey {
+    let data = (0..height)
+        .flat_map(|v| (0..width).map(move |u| ((u * 3 + v * 5) % 251) as u8))
+        .collect();
+    Grey {
+        width,
+        height,
+        data,
+    }
+}
+
+fn png_of(width: u32, height: u32, colour: ColorType, depth: BitDepth, data: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    encoder.set_color(colour);
+    encoder.set_depth(depth);
+    let mut writer = encoder.write_header().unwrap();
+    writer.write_image_data(data).unwrap();
+    writer.finish().unwrap();
+    bytes
+}
+
+fn grey_png(grey: &Grey) -> Vec<u8> {
+    png_of(
+        grey.width,
+        grey.height,
+        ColorType::Grayscale,
+        BitDepth::Eight,
+        &grey.data,
+    )
+}
+
+fn pnm(header: &str, data: &[u8]) -> Vec<u8> {
+    [header.as_bytes(), data].concat()
+}
+
+fn jpeg_of(grey: &Grey) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    jpeg_encoder::Encoder::new(&mut bytes, 95)
+        .encode(
+            &grey.data,
+            grey.width as u16,
+            grey.height as u16,
+            jpeg_encoder::ColorType::Luma,
+        )
+        .unwrap();
+    bytes
+}
+
+fn decode(bytes: &[u8]) -> Result<Grey, ImageError> {
+    Decoder::new().decode(bytes)
+}
+
+#[test]
+fn png_and_pgm_round_trip_exactly_and_jpeg_closely() {
+    let truth = sample(61, 37);
+    assert_eq!(decode(&grey_png(&truth)).unwrap(), truth);
+    assert_eq!(
+        decode(&pnm("P5\n61 37\n255\n", &truth.data)).unwrap(),
+        truth
+    );
+    let jpeg = decode(&jpeg_of(&truth)).unwrap();
+    assert_eq!((jpeg.width, jpeg.height), (61, 37));
+    let differences: Vec<u8> = jpeg
+        .data
+        .iter()
+        .zip(&truth.data)
+        .map(|(a, b)| a.abs_diff(*b))
+        .collect();
+    let mean = differences.iter().copied().map(f64::from).sum::<f64>() / differences.len() as f64;
+    assert!(mean < 4.0, "{mean}");
+}
+
+#[test]
+fn colour_becomes_luma_and_sixteen_bits_their_upper_eight() {
+    let primaries = [255, 0, 0, 0, 255, 0, 0, 0, 255];
+    for bytes in [
+        png_of(3, 1, ColorType::Rgb, BitDepth::Eight, &primaries),
+        pnm("P6\n3 1\n255\n", &primaries),
+    ] {
+        let found = decode(&bytes).unwrap().data;
+        let close = found
+            .iter()
+            .zip([76_u8, 150, 29])
+            .all(|(a, b)| a.abs_diff(b) <= 1);
+        assert!(close, "{found:?}");
+    }
+    let deep = [0x12, 0x34, 0xab, 0xcd];
+    for bytes in [
+        png_of(2, 1, ColorType::Grayscale, BitDepth::Sixteen, &deep),
+        pnm("P5\n2 1\n65535\n", &deep),
+    ] {
+        assert_eq!(decode(&bytes).unwrap().data, [0x12, 0xab]);
+    }
+}
+
+#[test]
+fn reduced_images_are_smaller_and_alike() {
+    let flat = Grey {
+        width: 61,
+        height: 37,
+        data: vec![90; 61 * 37],
+    };
+    for (reduction, [width, height]) in
+        [(Reduction::Half, [31, 19]), (Reduction::Quarter, [16, 10])]
+    {
+        for bytes in [jpeg_of(&flat), grey_png(&flat)] {
+            let small = Decoder::new().reduced(reduction).decode(&bytes).unwrap();
+            let size = (small.width, small.height);
+            assert!(
+                size.0.abs_diff(width) <= 1 && size.1.abs_diff(height) <= 1,
+                "{size:?}"
+            );
+            assert_eq!(small.data.len() as u32, small.width * small.height);
+            assert!(small.data.iter().all(|value| value.abs_diff(90) <= 1));
+        }
+    }
+}
+
+#[test]
+fn a_buffer_is_used_again() {
+    let (large, small) = (sample(64, 64), sample(8, 4));
+    let mut grey = Grey::default();
+    for truth in [&large, &small, &large] {
+        Decoder::new()
+            .decode_into(&grey_png(truth), &mut grey)
+            .unwrap();
+        assert_eq!(&grey, truth);
+    }
+}
+
+#[test]
+fn a_truncated_image_is_an_error() {
+    let truth = sample(200, 120);
+    for bytes in [
+        jpeg_of(&truth),
+        grey_png(&truth),
+        pnm("P5\n200 120\n255\n", &truth.data),
+    ] {
+        let length = bytes.len();
+        for cut in [0, 1, 10, length / 4, length / 2, length * 3 / 4] {
+            assert!(decode(&bytes[..cut]).is_err(), "cut at {cut} of {length}");
+        }
+    }
+}
+
+#[test]
+fn padding_after_a_jpeg_is_not_damage() {
+    let jpeg = jpeg_of(&sample(64, 48));
+    let padded = [jpeg.as_slice(), &[0; 7]].concat();
+    assert_eq!(decode(&padded).unwrap(), decode(&jpeg).unwrap());
+}
+
+#[test]
+fn absurd_sizes_are_refused_before_they_are_allocated() {
+    let pgm = pnm("P5\n1000000 1000000\n255\n", &[0; 64]);
+    assert!(matches!(decode(&pgm), Err(ImageError::Size { .. })));
+    let mut png = grey_png(&sample(4, 4));
+    png[16..20].copy_from_slice(&60_000_u32.to_be_bytes());
+    png[20..24].copy_from_slice(&60_000_u32.to_be_bytes());
+    assert!(matches!(decode(&png), Err(ImageError::Size { .. })));
+    let unknown = decode(b"hello, world").unwrap_err().to_string();
+    assert!(unknown.contains("expected a jpeg"), "{unknown}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+    #[test]
+    fn damage_never_panics_and_gives_the_same_answer_twice(
+        kind in 0..3_usize,
+        damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        cut in prop::option::of(any::<prop::sample::Index>()),
+    ) {
+        let truth = sample(40, 30);
+        let whole = [jpeg_of(&truth), grey_png(&truth), pnm("P5\n40 30\n255\n", &truth.data)];
+        let mut bytes = whole[kind].clone();
+        for (at, value) in damage {
+            let at = at.index(bytes.len());
+            bytes[at] = value;
+        }
+        if let Some(cut) = cut {
+            bytes.truncate(cut.index(bytes.len()));
+        }
+        let once = decode(&bytes);
+        if let Ok(grey) = &once {
+            prop_assert_eq!(grey.data.len() as u64, u64::from(grey.width) * u64::from(grey.height));
+        }
+        prop_assert_eq!(once, decode(&bytes));
+    }
+
+    #[test]
+    fn random_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+        let _ = decode(&bytes);
+    }
+}
