@@ -214,7 +214,9 @@ impl GridFromMap {
         }
         let (low, high) = (low.ceil(), high.floor());
         let length = high - low + 1.0;
-        (length >= 1.0 && length < 1e7).then(|| (low as i64, length as usize))
+        (1.0..1e7)
+            .contains(&length)
+            .then_some((low as i64, length as usize))
     }
 
     /// Grid position of the centre of cell `(i, j)`, fixed point.

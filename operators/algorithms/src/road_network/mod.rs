@@ -1,0 +1,334 @@
+//! Road networks from nothing but where vehicles have been.
+//!
+//! Source: paper 1, section V-B, Algorithms 1 and 2. Poses are nodes; poses of different passes
+//! that are near each other are connected; cliques shrink to one node each until a skeleton is
+//! left; the skeleton's chains are lanes and its branch points intersections.
+//!
+//! ```text
+//! drives ─▶ thinning ─▶ graph ─▶ prune ─▶ explore ─▶ direction ─▶ lanes, intersections
+//!           (ours)      Alg. 1   Alg. 1   Alg. 2     (ours)
+//! ```
+//!
+//! With `spacing_m = 0` the first step is skipped and the paper is followed to the letter (a test
+//! compares it with an all-pairs transcription). That is exponential in the number of passes, so
+//! by default drives are thinned first: see `thinning.rs` for what that means, `prune.rs` for the
+//! two clean-ups it makes necessary and `explore.rs` for the one ambiguity resolved.
+//!
+//! The answer depends on the positions and on the drives' keys alone: drives are sorted by key,
+//! every tie is broken by node number, and nodes are numbered in driven order.
+//!
+//! *Defaults.* `connect_m` = 2 m: half of the narrowest pair of opposite lanes (2 × 2.5 m apart
+//! in car parks, more on roads), more than the lateral scatter of repeated passes (paper 1 and our
+//! car park: ± 0.5 m) plus pose errors. `spacing_m` = `connect_m` / 4 follows any bend a vehicle
+//! can drive within centimetres. `min_loop_m` = 6 `connect_m` is half of the tightest circle a car
+//! can drive. `min_link_m` = 2 `connect_m`: lanes that cross at 45° or more share less than that.
+//! Pruning goes on until no clique is left, which takes a few rounds; the paper's P is a
+//! parameter.
+
+mod cells;
+mod cliques;
+mod direction;
+mod explore;
+mod graph;
+mod prune;
+#[cfg(test)]
+mod reference;
+#[cfg(test)]
+mod tests;
+mod thinning;
+
+use explore::Chain;
+use graph::Graph;
+use prune::Rule;
+
+/// Clean-up rounds at most; each removes a node, and a handful suffices.
+const MOST_CLEANUPS: u32 = 64;
+
+/// One drive: a session's poses in the order driven.
+#[derive(Debug, Clone, Copy)]
+pub struct Drive<'a> {
+    /// Orders the drives; the name of the session.
+    pub key: &'a str,
+    /// Positions in the map frame, metres. Those that are not finite are skipped.
+    pub positions: &'a [[f64; 3]],
+}
+
+/// Parameters; lengths in metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RoadNetworkParams {
+    /// d: passes nearer than this are the same lane.
+    pub connect_m: f64,
+    /// P: rounds of pruning; `None` goes on until no clique is left.
+    pub prune_loops: Option<u32>,
+    /// Distance between representative poses; 0 takes every pose, as the paper does.
+    pub spacing_m: f64,
+    /// Loops shorter than this around are artefacts (only when thinning).
+    pub min_loop_m: f64,
+    /// Lanes shorter than this between two intersections, or between one and a dead end, are part
+    /// of the intersection (only when thinning).
+    pub min_link_m: f64,
+}
+
+impl RoadNetworkParams {
+    /// Defaults for a connecting distance.
+    pub fn with_connect_m(connect_m: f64) -> Self {
+        Self {
+            connect_m,
+            prune_loops: None,
+            spacing_m: 0.25 * connect_m,
+            min_loop_m: 6.0 * connect_m,
+            min_link_m: 2.0 * connect_m,
+        }
+    }
+}
+
+impl Default for RoadNetworkParams {
+    fn default() -> Self {
+        Self::with_connect_m(2.0)
+    }
+}
+
+/// Input that gives no road network.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum RoadNetworkError {
+    /// A length is out of range.
+    #[error(
+        "expected connect_m > 0 and the other lengths at least 0, all finite, with spacing_m at \
+         most connect_m; found {found:?}"
+    )]
+    Params {
+        /// The parameters given.
+        found: RoadNetworkParams,
+    },
+    /// More poses than node numbers.
+    #[error("expected at most {} poses in one site, found {found}", u32::MAX)]
+    TooMany {
+        /// Number of poses.
+        found: usize,
+    },
+}
+
+/// What a lane's end is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum EndKind {
+    /// It meets other lanes.
+    Intersection,
+    /// Nobody drove on.
+    DeadEnd,
+    /// The lane is a ring of its own: both ends are the same, arbitrary node.
+    Ring,
+}
+
+/// One end of a lane.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LaneEnd {
+    /// Node number; intersections use the same numbers.
+    pub node: u32,
+    /// What is there.
+    pub kind: EndKind,
+}
+
+/// How a lane was driven, relative to the order of its points.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Travel {
+    /// From start to end only.
+    Forward,
+    /// From end to start only.
+    Reverse,
+    /// Both ways.
+    Both,
+    /// Along no more than half of it: it only joins places that are near each other.
+    Unknown,
+}
+
+/// A lane: a chain of places between two ends.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Lane {
+    /// Positions from start to end, metres, at least two. A ring repeats its first at the end.
+    pub points: Vec<[f64; 3]>,
+    /// Where the points begin; never a larger node number than `end`.
+    pub start: LaneEnd,
+    /// Where they end.
+    pub end: LaneEnd,
+    /// Which way it is driven.
+    pub travel: Travel,
+    /// Metres driven from start to end over the lane's length, rounded: the number of passes.
+    pub forward_passes: u32,
+    /// The same from end to start.
+    pub reverse_passes: u32,
+    /// Length of the points' polyline, metres.
+    pub length_m: f64,
+}
+
+/// A place where more than two lane ends meet.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Intersection {
+    /// Node number.
+    pub node: u32,
+    /// Position, metres.
+    pub position: [f64; 3],
+    /// Number of lane ends that meet.
+    pub degree: u32,
+}
+
+/// Lanes and intersections, in the order of their node numbers.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct RoadNetwork {
+    /// The lanes.
+    pub lanes: Vec<Lane>,
+    /// The intersections.
+    pub intersections: Vec<Intersection>,
+}
+
+/// Finds the road network that the drives of one site have in common.
+///
+/// # Errors
+/// [`RoadNetworkError`] when a parameter makes no sense or there are more than 2³² poses.
+pub fn road_network(
+    drives: &[Drive<'_>],
+    params: &RoadNetworkParams,
+) -> Result<RoadNetwork, RoadNetworkError> {
+    check(drives, params)?;
+    let mut sorted = drives.to_vec();
+    sorted.sort_by(|a, b| a.key.cmp(b.key));
+    let visits = if params.spacing_m > 0.0 {
+        thinning::thinned(&sorted, params.spacing_m, params.connect_m)
+    } else {
+        thinning::literal(&sorted)
+    };
+    let (mut graph, visited) = graph::connect(visits, params.connect_m);
+    prune(&mut graph, params);
+    let chains = explore::chains(&graph);
+    let driven = direction::replay(&graph, &chains, &visited, params.connect_m);
+    let names = Names::new(&graph);
+    let lanes = chains
+        .iter()
+        .zip(driven)
+        .map(|(chain, driven)| lane(&graph, &names, chain, driven));
+    Ok(RoadNetwork {
+        lanes: lanes.collect(),
+        intersections: intersections(&graph, &names),
+    })
+}
+
+fn check(drives: &[Drive<'_>], params: &RoadNetworkParams) -> Result<(), RoadNetworkError> {
+    let RoadNetworkParams {
+        connect_m,
+        spacing_m,
+        min_loop_m,
+        min_link_m,
+        ..
+    } = *params;
+    let sound = connect_m > 0.0
+        && connect_m.is_finite()
+        && (0.0..=connect_m).contains(&spacing_m)
+        && (0.0..f64::INFINITY).contains(&min_loop_m)
+        && (0.0..f64::INFINITY).contains(&min_link_m);
+    if !sound {
+        return Err(RoadNetworkError::Params { found: *params });
+    }
+    let found = drives.iter().map(|drive| drive.positions.len()).sum();
+    // Thinning fills steps with at most 128 samples each, but merges more than it adds.
+    if found > u32::MAX as usize / 128 {
+        return Err(RoadNetworkError::TooMany { found });
+    }
+    Ok(())
+}
+
+fn prune(graph: &mut Graph, params: &RoadNetworkParams) {
+    // Without a limit: each round removes a node at least, so it ends by itself.
+    let rounds = params.prune_loops.unwrap_or(u32::MAX);
+    let rule = Rule {
+        connect_m: params.connect_m,
+        drops_dead_ends: params.spacing_m == 0.0,
+    };
+    prune::prune_cliques(graph, rounds, rule);
+    if params.spacing_m == 0.0 || rounds == 0 {
+        return;
+    }
+    for _ in 0..MOST_CLEANUPS {
+        let ladders = prune::prune_ladders(graph, params.min_loop_m, rule);
+        let links = prune::prune_links(graph, params.min_link_m, rule);
+        let stubs = prune::prune_stubs(graph, params.min_link_m);
+        if !ladders && !links && !stubs {
+            return;
+        }
+    }
+}
+
+/// Nodes that are left, numbered without gaps in driven order.
+struct Names {
+    numbers: Vec<u32>,
+}
+
+impl Names {
+    fn new(graph: &Graph) -> Self {
+        let mut numbers = vec![0; graph.positions.len()];
+        for (number, node) in graph.nodes().enumerate() {
+            numbers[node as usize] = number as u32;
+        }
+        Self { numbers }
+    }
+
+    fn of(&self, node: u32) -> u32 {
+        self.numbers[node as usize]
+    }
+}
+
+fn lane(graph: &Graph, names: &Names, chain: &Chain, driven: direction::Driven) -> Lane {
+    let end = |node: Option<&u32>| {
+        let node = node.copied().unwrap_or_default();
+        let kind = match graph.degree(node) {
+            _ if chain.ring => EndKind::Ring,
+            1 => EndKind::DeadEnd,
+            _ => EndKind::Intersection,
+        };
+        LaneEnd {
+            node: names.of(node),
+            kind,
+        }
+    };
+    let length_m: f64 = chain
+        .nodes
+        .windows(2)
+        .map(|pair| graph.length(pair[0], pair[1]))
+        .sum();
+    let passes = |metres: f64| {
+        if length_m > 0.0 {
+            (metres / length_m).round() as u32
+        } else {
+            0
+        }
+    };
+    let (forward_passes, reverse_passes) = (passes(driven.forward_m), passes(driven.reverse_m));
+    let travel = match (forward_passes > 0, reverse_passes > 0) {
+        (true, false) => Travel::Forward,
+        (false, true) => Travel::Reverse,
+        (true, true) => Travel::Both,
+        (false, false) => Travel::Unknown,
+    };
+    Lane {
+        points: chain
+            .nodes
+            .iter()
+            .map(|&node| *graph.position(node))
+            .collect(),
+        start: end(chain.nodes.first()),
+        end: end(chain.nodes.last()),
+        travel,
+        forward_passes,
+        reverse_passes,
+        length_m,
+    }
+}
+
+fn intersections(graph: &Graph, names: &Names) -> Vec<Intersection> {
+    let meeting = graph.nodes().filter(|&node| graph.degree(node) > 2);
+    meeting
+        .map(|node| Intersection {
+            node: names.of(node),
+            position: *graph.position(node),
+            degree: graph.degree(node) as u32,
+        })
+        .collect()
+}

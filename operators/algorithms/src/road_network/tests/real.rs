@@ -1,0 +1,264 @@
+//! Real and simulated drives, judged by geometry that shares nothing with the algorithm.
+
+use super::*;
+use crate::shared_data;
+
+/// KITTI odometry ground truth: rows of 3×4 camera poses; the ground plane is x and z.
+fn kitti(name: &str) -> Option<Vec<[f64; 3]>> {
+    let path = shared_data::find(&format!("data/kitti_poses/{name}.txt"))?;
+    let text = std::fs::read_to_string(path).unwrap();
+    let row = |line: &str| {
+        let n: Vec<f64> = line
+            .split_whitespace()
+            .map(|word| word.parse().unwrap())
+            .collect();
+        [n[3], n[11], 0.0]
+    };
+    Some(text.lines().map(row).collect())
+}
+
+/// Where a path comes to run along or across an earlier or later part of itself, or stops doing
+/// so: samples every 0.5 m, "alongside" meaning within 2 m of a part more than 30 m of path away.
+/// Ends that are also an end of the path (of either part) are no junctions: it merely goes on.
+struct Meetings {
+    /// Ends of stretches driven more than once.
+    ends: Vec<[f64; 3]>,
+    /// Everything within the stretches and a little around.
+    shared: Vec<[f64; 3]>,
+}
+
+const STEP: f64 = 0.5;
+
+fn meetings(path: &[[f64; 3]]) -> Meetings {
+    let samples = dense(&resampled(path), STEP);
+    let partner: Vec<Option<usize>> = (0..samples.len())
+        .map(|i| {
+            let far = |j: &usize| (j.abs_diff(i) as f64) * STEP > 30.0;
+            let away = |&j: &usize| cells::distance(&samples[i], &samples[j]);
+            (0..samples.len())
+                .filter(far)
+                .filter(|j| away(j) <= 2.0)
+                .min_by(|a, b| away(a).total_cmp(&away(b)))
+        })
+        .collect();
+    let mut found = Meetings {
+        ends: Vec::new(),
+        shared: Vec::new(),
+    };
+    let margin = (4.0 / STEP) as usize;
+    let inside = |i: usize| i > margin && i + margin < samples.len();
+    for i in 0..samples.len() {
+        let Some(j) = partner[i] else { continue };
+        found.shared.push(samples[i]);
+        let borders = [i.checked_sub(1), Some(i + 1)].into_iter().flatten();
+        let ends = borders
+            .filter(|&k| partner.get(k).is_some_and(Option::is_none))
+            .count()
+            > 0;
+        if ends && inside(i) && inside(j) {
+            found.ends.push(samples[i]);
+        }
+    }
+    found
+}
+
+/// The corners of a path at equal distances, so that sample numbers measure path.
+fn resampled(path: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let (mut points, mut due, mut length) = (vec![path[0]], STEP, 0.0);
+    for pair in path.windows(2) {
+        let step = cells::distance(&pair[0], &pair[1]);
+        while due <= length + step {
+            let t = (due - length) / step;
+            points.push([0, 1, 2].map(|k| pair[0][k] + t * (pair[1][k] - pair[0][k])));
+            due += STEP;
+        }
+        length += step;
+    }
+    points
+}
+
+fn nearest(to: &[f64; 3], among: impl Iterator<Item = [f64; 3]>) -> f64 {
+    among
+        .map(|p| (p[0] - to[0]).hypot(p[1] - to[1]))
+        .fold(f64::INFINITY, f64::min)
+}
+
+fn check_kitti(name: &str, intersections: usize) {
+    let Some(path) = kitti(name) else { return };
+    let found = network(std::slice::from_ref(&path), &RoadNetworkParams::default());
+    for lane in &found.lanes {
+        let worst = dense(&lane.points, 0.5)
+            .iter()
+            .map(|p| off_line(p, &path))
+            .fold(0.0, f64::max);
+        assert!(
+            worst < 2.0,
+            "{name}: a lane leaves the driven path by {worst} m"
+        );
+        assert_ne!(lane.travel, Travel::Unknown);
+    }
+    let lanes: Vec<Vec<[f64; 3]>> = found.lanes.iter().map(|lane| lane.points.clone()).collect();
+    for p in dense(&path, 1.0) {
+        let off = lanes
+            .iter()
+            .map(|lane| off_line(&p, lane))
+            .fold(f64::INFINITY, f64::min);
+        assert!(off < 4.0, "{name}: driven at {p:?}, {off} m from any lane");
+    }
+    let truth = meetings(&path);
+    assert!(!truth.ends.is_empty());
+    for end in &truth.ends {
+        let off = nearest(end, found.intersections.iter().map(|i| i.position));
+        assert!(
+            off < 6.0,
+            "{name}: the path meets itself at {end:?}, {off} m from an intersection"
+        );
+    }
+    for intersection in &found.intersections {
+        let off = nearest(&intersection.position, truth.shared.iter().copied());
+        assert!(
+            off < 4.0,
+            "{name}: {intersection:?} is {off} m from where the path meets itself"
+        );
+    }
+    assert_eq!(
+        found.intersections.len(),
+        intersections,
+        "{name}: {:#?}",
+        found.intersections
+    );
+}
+
+#[test]
+fn kitti_07_comes_home_once() {
+    check_kitti("07", 1);
+}
+
+#[test]
+fn kitti_00_meets_itself_where_it_should() {
+    check_kitti("00", 8);
+}
+
+/// A trajectory as TUM lines: stamp, then position.
+fn tum(path: &std::path::Path) -> Vec<[f64; 3]> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let row = |line: &str| {
+        let n: Vec<f64> = line
+            .split_whitespace()
+            .skip(1)
+            .map(|word| word.parse().unwrap())
+            .collect();
+        [n[0], n[1], n[2]]
+    };
+    text.lines()
+        .filter(|line| !line.starts_with('#'))
+        .map(row)
+        .collect()
+}
+
+#[test]
+fn car_park_lanes_follow_the_aisles() {
+    let Some(world) = shared_data::find("worlds/carpark_small") else {
+        return;
+    };
+    let sessions = ["initial", "revisit_1", "revisit_2"];
+    let drives = sessions.map(|name| tum(&world.join(name).join("trajectory.tum")));
+    let found = network(&drives, &RoadNetworkParams::default());
+    let text = std::fs::read_to_string(world.join("truth/lane_graph.json")).unwrap();
+    let truth: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let number = |value: &serde_json::Value| value.as_f64().unwrap();
+    let aisles: Vec<Vec<[f64; 3]>> = truth["segments"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|segment| {
+            let corners = segment["polyline"].as_array().unwrap();
+            corners
+                .iter()
+                .map(|p| [number(&p[0]), number(&p[1]), 0.0])
+                .collect()
+        })
+        .collect();
+    let crossings: Vec<[f64; 3]> = truth["nodes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter(|node| number(&node["degree"]) > 2.0)
+        .map(|node| [number(&node["x"]), number(&node["y"]), 0.0])
+        .collect();
+    assert_eq!(
+        (found.lanes.len(), found.intersections.len()),
+        (3, 2),
+        "{found:#?}"
+    );
+    let mut points: Vec<[f64; 3]> = found
+        .lanes
+        .iter()
+        .flat_map(|lane| dense(&lane.points, 0.5))
+        .collect();
+    for p in &mut points {
+        p[2] = 0.0;
+    }
+    // Bends are driven round, the truth has corners: 2.6 m is half an aisle.
+    for p in &points {
+        let off = aisles
+            .iter()
+            .map(|aisle| off_line(p, aisle))
+            .fold(f64::INFINITY, f64::min);
+        assert!(
+            off < 2.6,
+            "lane point {p:?} is {off} m from an aisle's middle"
+        );
+    }
+    for p in aisles.iter().flat_map(|aisle| dense(aisle, 0.5)) {
+        let off = nearest(&p, points.iter().copied());
+        let driven = nearest(&p, drives.iter().flatten().copied());
+        assert!(
+            off < driven + 2.0,
+            "aisle at {p:?} is {off} m from a lane, {driven} m from a drive"
+        );
+    }
+    for intersection in &found.intersections {
+        let off = nearest(&intersection.position, crossings.iter().copied());
+        assert!(
+            off < 6.0,
+            "{intersection:?} is {off} m from any crossing of aisles"
+        );
+    }
+    for crossing in &crossings {
+        let off = nearest(crossing, found.intersections.iter().map(|i| i.position));
+        assert!(off < 6.0, "no intersection near {crossing:?}");
+    }
+}
+
+/// Prints times; run with `--ignored --nocapture`.
+#[test]
+#[ignore = "measures time"]
+fn time_grows_with_the_poses() {
+    for (sites, poses) in [(1, 100_000), (1, 1_000_000), (1000, 1000)] {
+        // Forty streets of 500 m, driven again and again with some scatter.
+        let drives: Vec<Vec<[f64; 3]>> = (0..poses / 1000)
+            .map(|k| {
+                let street = (k * 7 % 40) as f64 * 25.0;
+                let scatter = 0.4 * ((k * 31 % 17) as f64 / 8.0 - 1.0);
+                let line = if k % 2 == 0 {
+                    [[0.0, street], [500.0, street]]
+                } else {
+                    [[street / 2.0, 0.0], [street / 2.0, 500.0]]
+                };
+                along(&line, 0.5, scatter)
+            })
+            .collect();
+        let start = std::time::Instant::now();
+        let (mut lanes, mut intersections) = (0, 0);
+        for _ in 0..sites {
+            let found = network(&drives, &RoadNetworkParams::default());
+            lanes += found.lanes.len();
+            intersections += found.intersections.len();
+        }
+        eprintln!(
+            "{sites} sites of {poses} poses: {:?}, {lanes} lanes, {intersections} intersections",
+            start.elapsed()
+        );
+    }
+}

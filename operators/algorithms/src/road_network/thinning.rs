@@ -1,0 +1,150 @@
+//! Fewer nodes before the paper's algorithm, so that it stays near-linear.
+//!
+//! With many drives through the same lane the literal graph has about (2d / pose spacing)^drives
+//! maximal cliques in every neighbourhood: four passes at 0.2 m already make 160 000, and they all
+//! say that these passes are one lane. Thinning says it directly. Drives are resampled along
+//! their path and, in the order of their keys, laid onto a net of representative poses:
+//!
+//! * a sample within d of a representative of an *earlier pass* is that representative (the
+//!   nearest one). Algorithm 1 would connect the two and shrink them into one;
+//! * representatives that the drive itself has laid without leaving the radius d since do not
+//!   count, just as Algorithm 1 disconnects temporal neighbours;
+//! * where there is no earlier pass, a new representative is laid every `spacing_m`.
+//!
+//! Representatives are poses of real drives and at least `spacing_m` apart, hence no
+//! neighbourhood holds more than a constant number of them, however many drives there are, and a
+//! lane driven a thousand times has as many nodes as one driven once. Each drive becomes the list
+//! of representatives it visits, and the paper's algorithm runs on those lists as if they were
+//! the poses.
+
+use super::Drive;
+use super::cells::{CellIndex, distance};
+
+/// Steps longer than this many spacings are not filled with samples: nothing is known between.
+const LONGEST_FILLED_STEP: f64 = 64.0;
+
+/// Samples per spacing along the path.
+const SAMPLES_PER_SPACING: f64 = 2.0;
+
+/// Nodes and, for every drive, the nodes it visits in order (no node twice in a row).
+pub(super) struct Visits {
+    pub(super) nodes: Vec<[f64; 3]>,
+    pub(super) drives: Vec<Vec<u32>>,
+}
+
+/// Every pose is a node, as in the paper.
+pub(super) fn literal(drives: &[Drive<'_>]) -> Visits {
+    let mut visits = Visits {
+        nodes: Vec::new(),
+        drives: Vec::new(),
+    };
+    for drive in drives {
+        let first = visits.nodes.len() as u32;
+        visits
+            .nodes
+            .extend(drive.positions.iter().filter(|p| finite(p)));
+        visits
+            .drives
+            .push((first..visits.nodes.len() as u32).collect());
+    }
+    visits
+}
+
+/// The net of representatives: at least `spacing_m` apart, one for all passes within
+/// `connect_m` of each other.
+pub(super) fn thinned(drives: &[Drive<'_>], spacing_m: f64, connect_m: f64) -> Visits {
+    let mut net = Net {
+        nodes: Vec::new(),
+        index: CellIndex::new(connect_m),
+        spacing_m,
+        connect_m,
+        fresh: Vec::new(),
+    };
+    let drives = drives
+        .iter()
+        .map(|drive| {
+            let mut visited: Vec<u32> = Vec::new();
+            net.fresh.clear();
+            resample(drive.positions, spacing_m, |sample| {
+                let id = net.lay(sample);
+                if visited.last() != Some(&id) {
+                    visited.push(id);
+                }
+            });
+            visited
+        })
+        .collect();
+    Visits {
+        nodes: net.nodes,
+        drives,
+    }
+}
+
+struct Net {
+    nodes: Vec<[f64; 3]>,
+    index: CellIndex,
+    spacing_m: f64,
+    connect_m: f64,
+    /// What this drive has laid without leaving the radius since, oldest first.
+    fresh: Vec<u32>,
+}
+
+impl Net {
+    /// The representative of a sample: an earlier pass, else the drive's own trail.
+    fn lay(&mut self, sample: [f64; 3]) -> u32 {
+        let away = |id: &u32| distance(&sample, &self.nodes[*id as usize]);
+        let left = self.fresh.iter().rposition(|id| away(id) > self.connect_m);
+        self.fresh.drain(..left.map_or(0, |last| last + 1));
+        let earlier = self.nearest(&sample, self.connect_m, |id| !self.fresh.contains(&id));
+        let own = || self.nearest(&sample, self.spacing_m, |_| true);
+        if let Some(id) = earlier.or_else(own) {
+            return id;
+        }
+        let id = self.nodes.len() as u32;
+        self.nodes.push(sample);
+        self.index.insert(id, &sample);
+        self.fresh.push(id);
+        id
+    }
+
+    /// The nearest representative closer than `radius_m`; the smaller number on a tie.
+    fn nearest(
+        &self,
+        sample: &[f64; 3],
+        radius_m: f64,
+        counts: impl Fn(u32) -> bool,
+    ) -> Option<u32> {
+        let mut best: Option<(f64, u32)> = None;
+        self.index.near(sample, |id| {
+            let candidate = (distance(sample, &self.nodes[id as usize]), id);
+            let nearer = best.is_none_or(|best| candidate < best);
+            if candidate.0 < radius_m && nearer && counts(id) {
+                best = Some(candidate);
+            }
+        });
+        best.map(|(_, id)| id)
+    }
+}
+
+fn finite(position: &[f64; 3]) -> bool {
+    position.iter().all(|x| x.is_finite())
+}
+
+/// The drive's poses, with samples between those that are far apart.
+fn resample(positions: &[[f64; 3]], spacing_m: f64, mut sample: impl FnMut([f64; 3])) {
+    let mut before: Option<[f64; 3]> = None;
+    for position in positions.iter().filter(|p| finite(p)) {
+        if let Some(from) = before {
+            let spacings = distance(&from, position) / spacing_m;
+            if spacings <= LONGEST_FILLED_STEP {
+                let parts = (spacings * SAMPLES_PER_SPACING).ceil();
+                for part in 1..parts as u32 {
+                    let t = f64::from(part) / parts;
+                    sample([0, 1, 2].map(|k| from[k] + t * (position[k] - from[k])));
+                }
+            }
+        }
+        sample(*position);
+        before = Some(*position);
+    }
+}
