@@ -105,6 +105,38 @@ impl Node {
         }
     }
 
+    /// Appends a row that the payload does not hold: null where allowed, else zero or empty.
+    pub(crate) fn append_absent(&self, pool: &mut Pool) {
+        if let Some(validity) = self.validity {
+            pool.0[validity].push(0_u8);
+        }
+        match &self.layout {
+            Layout::Fixed { data, width } => pool.0[*data].extend_zeros(*width),
+            Layout::Bool { data } => pool.0[*data].push(0_u8),
+            Layout::Bytes { offsets, .. } | Layout::List { offsets, .. } => {
+                let end = pool.last_offset(*offsets) as i32;
+                pool.0[*offsets].push(end);
+            }
+            Layout::FixedList { size, child } => {
+                for _ in 0..*size {
+                    child.append_absent(pool);
+                }
+            }
+            Layout::Struct { children } => {
+                for child in children {
+                    child.append_absent(pool);
+                }
+            }
+        }
+    }
+
+    /// Notes that the value about to be appended is there.
+    pub(crate) fn append_present(&self, pool: &mut Pool) {
+        if let Some(validity) = self.validity {
+            pool.0[validity].push(1_u8);
+        }
+    }
+
     /// Cuts the column back to `rows` rows.
     pub(crate) fn truncate(&self, pool: &mut Pool, rows: usize) {
         if let Some(validity) = self.validity {

@@ -74,6 +74,11 @@ pub enum DecodeError {
         /// Bytes left.
         available: usize,
     },
+    /// The payload is one zstd frame, as rosbag2 writes with `compression_mode: MESSAGE`.
+    #[error(
+        "payload is compressed on its own (zstd, rosbag2 compression_mode MESSAGE): expected a CDR header; decompress it first"
+    )]
+    Compressed,
     /// The CDR header names a representation that is not decoded.
     #[error(
         "CDR header names representation {identifier:#06x}: expected plain CDR (0x0000, 0x0001), plain CDR2 (0x0006, 0x0007) or delimited CDR2 (0x0008, 0x0009); parameter lists are not decoded"

@@ -16,6 +16,10 @@
 //! | numbers, flags | the same type, not null |
 //! | strings (also wide) | `Utf8`; bytes that are not text become U+FFFD |
 //! | `uint8[]`, `byte[]`, `octet`, protobuf `bytes` | `Binary` |
+//! | JSON strings with `contentEncoding: base64` | `Binary` |
+//! | protobuf maps | `List` of `Struct` `{key, value}`, in wire order |
+//! | protobuf messages inside themselves | `Binary`, as on the wire |
+//! | JSON without one declared type | `Utf8`, as JSON text; without any schema one column `json` |
 //! | `uint8[16]` | `FixedSizeBinary(16)` |
 //! | `float64[]`, `repeated` | `List` |
 //! | `float64[36]` | `FixedSizeList(36)` |
@@ -31,6 +35,9 @@
 mod buffers;
 mod cdr;
 mod error;
+mod idl;
+mod json;
+mod protobuf;
 mod resolve;
 mod rosmsg;
 mod wire;
@@ -41,6 +48,8 @@ use arrow::array::ArrayRef;
 use arrow::datatypes::Fields;
 use arrow::error::ArrowError;
 use cdr::{CdrDecoder, Serialisation};
+use json::JsonDecoder;
+use protobuf::ProtobufDecoder;
 use std::ops::Range;
 use std::sync::Arc;
 use wire::StructType;
@@ -90,6 +99,8 @@ pub struct MessageType {
 #[derive(Debug, Clone)]
 enum Kind {
     Ros(Serialisation, Arc<StructType>),
+    Protobuf(Arc<protobuf::Plan>),
+    Json(Arc<json::Plan>),
 }
 
 impl MessageType {
@@ -112,11 +123,18 @@ impl MessageType {
                 let message = rosmsg::parse(rosmsg::Generation::Ros2, schema_name, &text)?;
                 Kind::Ros(Serialisation::Cdr, message)
             }
+            ("cdr", "ros2idl") => {
+                let text = String::from_utf8_lossy(schema);
+                Kind::Ros(Serialisation::Cdr, idl::parse(schema_name, &text)?)
+            }
             ("ros1", "ros1msg") => {
                 let text = String::from_utf8_lossy(schema);
                 let message = rosmsg::parse(rosmsg::Generation::Ros1, schema_name, &text)?;
                 Kind::Ros(Serialisation::Ros1, message)
             }
+            ("protobuf", "protobuf") => Kind::Protobuf(protobuf::Plan::parse(schema_name, schema)?),
+            ("json", "jsonschema") => Kind::Json(json::Plan::parse(schema_name, schema)?),
+            ("json", "") => Kind::Json(json::Plan::untyped()),
             _ => {
                 return Err(SchemaError::Unsupported {
                     message_encoding: message_encoding.to_owned(),
@@ -126,6 +144,8 @@ impl MessageType {
         };
         let fields = match &kind {
             Kind::Ros(_, message) => message.fields(),
+            Kind::Protobuf(plan) => plan.fields().clone(),
+            Kind::Json(plan) => plan.fields().clone(),
         };
         Ok(MessageType { kind, fields })
     }
@@ -146,6 +166,8 @@ impl MessageType {
                 &self.fields,
                 &projection,
             )),
+            Kind::Protobuf(plan) => Box::new(ProtobufDecoder::new(plan.clone(), &projection)),
+            Kind::Json(plan) => Box::new(JsonDecoder::new(plan.clone(), &projection)),
         }
     }
 
@@ -159,6 +181,8 @@ impl MessageType {
             Kind::Ros(serialisation, message) => {
                 cdr::locate(*serialisation, message, payload, path)
             }
+            Kind::Protobuf(plan) => protobuf::locate(plan, payload, path),
+            Kind::Json(plan) => json::locate(plan, payload, path),
         }
     }
 

@@ -79,6 +79,13 @@ impl Library {
         self.aliases.entry(name).or_insert(declared);
     }
 
+    /// The first of `names` that is a struct, with all it uses.
+    pub(crate) fn resolve_first(self, names: &[String]) -> Result<Arc<StructType>, SchemaError> {
+        let known = names.iter().find(|name| self.structs.contains_key(*name));
+        let root = known.or(names.first()).cloned().unwrap_or_default();
+        self.resolve(&root)
+    }
+
     /// The message `root` with all it uses.
     pub(crate) fn resolve(mut self, root: &str) -> Result<Arc<StructType>, SchemaError> {
         if !self.structs.contains_key(root) {

@@ -16,6 +16,9 @@ use program::{Compiler, Dialect, Step};
 use run::Runner;
 use std::sync::Arc;
 
+/// First bytes of a zstd frame (RFC 8878, 3.1.1); no CDR header begins so.
+const ZSTD_MAGIC: [u8; 4] = [0x28, 0xB5, 0x2F, 0xFD];
+
 /// Which of the two serialisations a channel uses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Serialisation {
@@ -49,6 +52,9 @@ impl<'a> Body<'a> {
                 available: payload.len(),
             });
         };
+        if header == &ZSTD_MAGIC {
+            return Err(DecodeError::Compressed);
+        }
         let identifier = u16::from_be_bytes([header[0], header[1]]);
         // DDS-XTypes 1.3 numbers CDR2 from 6; earlier drafts, and some writers, from 16.
         let dialect = match identifier {

@@ -260,7 +260,11 @@ impl Compiler {
 
     /// CDR2 writes a length before collections whose elements are not primitive.
     fn enter_collection(&mut self, item: &Wire) -> Option<usize> {
-        let bare = !self.dialect.cdr2 || matches!(item, Wire::Scalar(_));
+        let mut innermost = item;
+        while let Wire::Array(inner, _) = innermost {
+            innermost = inner;
+        }
+        let bare = !self.dialect.cdr2 || matches!(innermost, Wire::Scalar(_));
         (!bare).then(|| self.enter(Step::Delimited { body: 0 }))
     }
 

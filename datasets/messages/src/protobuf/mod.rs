@@ -1,0 +1,453 @@
+//! Protobuf messages, from wire straight to columns.
+//!
+//! Fields may come in any order, more than once, or not at all, so each appends to its
+//! own column as it is met, and at the end of the message those not met append null or
+//! their zero. As the specification has it: of a number or string the last one counts,
+//! parts of a message are merged, and of a `oneof` the last member stands.
+//!
+//! Maps are lists of `{key, value}`, in wire order. A message inside itself is kept as
+//! its bytes. Source: protobuf.dev, "Encoding".
+
+mod plan;
+mod wire;
+
+use crate::buffers::{Layout, Node, OFFSET_LIMIT, Pool, offset};
+use crate::{DecodeError, Decoder, Located};
+use arrow::array::ArrayRef;
+use arrow::error::ArrowError;
+pub(crate) use plan::Plan;
+use plan::{Shape, Slot};
+use std::sync::Arc;
+use wire::{Reader, Value};
+
+/// Values one message may yield: this many, and [`VALUES_PER_BYTE`] for each of its bytes.
+/// Two bytes can stand for a message of thousands of absent fields; thus they cannot for
+/// gigabytes.
+const MIN_VALUES: usize = 1 << 20;
+const VALUES_PER_BYTE: usize = 64;
+
+/// What was met of a slot in the message at hand.
+#[derive(Debug, Clone, Copy, Default)]
+struct Met {
+    count: usize,
+    /// Where in the message the first was met.
+    first: usize,
+    /// All parts of a split message were taken together.
+    merged: bool,
+}
+
+/// Columns of one message type.
+pub(crate) struct ProtobufDecoder {
+    plan: Arc<Plan>,
+    /// Column of each field, where it is projected.
+    column_of: Vec<Option<usize>>,
+    columns: Vec<Node>,
+    sink: Sink,
+    rows: usize,
+}
+
+/// Where values go, and what is kept while a message is read.
+#[derive(Default)]
+struct Sink {
+    pool: Pool,
+    /// A stack: one stretch for each message that is open.
+    met: Vec<Met>,
+    values_left: usize,
+}
+
+/// The columns of a message: nodes in column order, some left out.
+#[derive(Clone, Copy)]
+enum Columns<'a> {
+    None,
+    All(&'a [Node]),
+    Some(&'a [Node], &'a [Option<usize>]),
+}
+
+impl<'a> Columns<'a> {
+    fn get(self, column: usize) -> Option<&'a Node> {
+        match self {
+            Columns::None => None,
+            Columns::All(nodes) => nodes.get(column),
+            Columns::Some(nodes, map) => nodes.get((*map.get(column)?)?),
+        }
+    }
+
+    fn within(node: Option<&'a Node>) -> Self {
+        match node.map(|node| &node.layout) {
+            Some(Layout::Struct { children }) => Columns::All(children),
+            _ => Columns::None,
+        }
+    }
+}
+
+impl ProtobufDecoder {
+    pub(crate) fn new(plan: Arc<Plan>, projection: &[usize]) -> Self {
+        let mut sink = Sink::default();
+        let mut column_of = vec![None; plan.fields().len()];
+        let mut columns = Vec::new();
+        for index in projection {
+            if let (Some(field), Some(slot)) =
+                (plan.fields().get(*index), column_of.get_mut(*index))
+            {
+                *slot = Some(columns.len());
+                columns.push(Node::new(field, &mut sink.pool));
+            }
+        }
+        ProtobufDecoder {
+            plan,
+            column_of,
+            columns,
+            sink,
+            rows: 0,
+        }
+    }
+}
+
+impl Decoder for ProtobufDecoder {
+    fn push(&mut self, payload: &[u8]) -> Result<(), DecodeError> {
+        self.sink.met.clear();
+        self.sink.values_left = MIN_VALUES + VALUES_PER_BYTE.saturating_mul(payload.len());
+        let columns = Columns::Some(&self.columns, &self.column_of);
+        if let Err(error) = self.sink.message(&self.plan, columns, self.rows, payload) {
+            for column in &self.columns {
+                column.truncate(&mut self.sink.pool, self.rows);
+            }
+            return Err(error);
+        }
+        self.rows += 1;
+        Ok(())
+    }
+
+    fn len(&self) -> usize {
+        self.rows
+    }
+
+    fn bytes(&self) -> usize {
+        self.sink.pool.bytes()
+    }
+
+    fn finish(&mut self) -> Result<Vec<ArrayRef>, ArrowError> {
+        let rows = std::mem::take(&mut self.rows);
+        let pool = &mut self.sink.pool;
+        self.columns.iter().map(|c| c.finish(pool, rows)).collect()
+    }
+}
+
+/// A message being read into row `row` of its columns.
+#[derive(Clone, Copy)]
+struct Open<'a> {
+    plan: &'a Plan,
+    columns: Columns<'a>,
+    row: usize,
+    data: &'a [u8],
+    /// Start of its stretch of `met`.
+    base: usize,
+}
+
+impl Sink {
+    /// Appends row `row` of a message's columns.
+    fn message(
+        &mut self,
+        plan: &Plan,
+        columns: Columns,
+        row: usize,
+        data: &[u8],
+    ) -> Result<(), DecodeError> {
+        let left = self.values_left.checked_sub(plan.slots.len());
+        self.values_left = left.ok_or(DecodeError::Full { limit: MIN_VALUES })?;
+        let base = self.met.len();
+        self.met.resize(base + plan.slots.len(), Met::default());
+        let open = Open {
+            plan,
+            columns,
+            row,
+            data,
+            base,
+        };
+        self.fields(open)?;
+        for (index, slot) in plan.slots.iter().enumerate() {
+            if let Some(node) = columns.get(slot.column) {
+                self.complete(slot, node, base + index)?;
+            }
+        }
+        self.met.truncate(base);
+        Ok(())
+    }
+
+    fn fields(&mut self, open: Open) -> Result<(), DecodeError> {
+        let mut reader = Reader::new(open.data);
+        let mut guess = 0;
+        loop {
+            let at = reader.position();
+            let Some((number, value)) = reader.field()? else {
+                return Ok(());
+            };
+            let Some(index) = open.plan.slot(number, guess) else {
+                continue;
+            };
+            let slot = &open.plan.slots[index];
+            guess = index + usize::from(!slot.repeated);
+            if slot.repeated {
+                let node = open.columns.get(slot.column);
+                let count = self.met[open.base + index].count;
+                self.met[open.base + index].count = self.elements(slot, node, count, value)?;
+            } else if slot.takes(&value) {
+                self.clear_siblings(open, index);
+                self.singular(open, index, value, at)?;
+            }
+        }
+    }
+
+    /// Ends a row of one field: closes a list, or appends what was not met.
+    fn complete(&mut self, slot: &Slot, node: &Node, met: usize) -> Result<(), DecodeError> {
+        let count = self.met[met].count;
+        match &node.layout {
+            Layout::List { offsets, .. } if slot.repeated => {
+                let end = offset(self.pool.last_offset(*offsets) + count)?;
+                self.pool.0[*offsets].push(end);
+            }
+            _ if count == 0 => node.append_absent(&mut self.pool),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// Of a `oneof`, only the last member met stands.
+    fn clear_siblings(&mut self, open: Open, index: usize) {
+        let Some(oneof) = open.plan.slots[index].oneof else {
+            return;
+        };
+        for (other, slot) in open.plan.slots.iter().enumerate() {
+            let met = &mut self.met[open.base + other];
+            if other != index && slot.oneof == Some(oneof) && met.count > 0 {
+                *met = Met::default();
+                if let Some(node) = open.columns.get(slot.column) {
+                    node.truncate(&mut self.pool, open.row);
+                }
+            }
+        }
+    }
+
+    fn singular(
+        &mut self,
+        open: Open,
+        index: usize,
+        value: Value,
+        at: usize,
+    ) -> Result<(), DecodeError> {
+        let slot = &open.plan.slots[index];
+        let node = open.columns.get(slot.column);
+        let met = self.met[open.base + index];
+        if let (Shape::Message(plan), Some(bytes)) = (&slot.shape, value.bytes()) {
+            return self.part(open, index, plan, bytes, at);
+        }
+        if let Some(node) = node {
+            if met.count > 0 {
+                node.truncate(&mut self.pool, open.row);
+            }
+            node.append_present(&mut self.pool);
+            scalar(&slot.shape, node, value, &mut self.pool)?;
+        }
+        self.met[open.base + index].count = 1;
+        Ok(())
+    }
+
+    /// Takes a message in a field; a further one is merged with those before by reading all
+    /// of them as one, which is what merging means.
+    fn part(
+        &mut self,
+        open: Open,
+        index: usize,
+        plan: &Plan,
+        bytes: &[u8],
+        at: usize,
+    ) -> Result<(), DecodeError> {
+        let slot = &open.plan.slots[index];
+        let node = open.columns.get(slot.column);
+        let met = self.met[open.base + index];
+        if met.count == 0 {
+            if let Some(node) = node {
+                node.append_present(&mut self.pool);
+            }
+            self.message(plan, Columns::within(node), open.row, bytes)?;
+            let met = &mut self.met[open.base + index];
+            (met.count, met.first) = (1, at);
+            return Ok(());
+        }
+        self.message(plan, Columns::None, 0, bytes)?;
+        if let (Some(node), false) = (node, met.merged) {
+            let whole = joined(slot, &open.data[met.first..])?;
+            node.truncate(&mut self.pool, open.row);
+            node.append_present(&mut self.pool);
+            self.message(plan, Columns::within(Some(node)), open.row, &whole)?;
+        }
+        self.met[open.base + index].merged = true;
+        Ok(())
+    }
+
+    /// Appends the element or, packed, the elements of a repeated field; returns their count so far.
+    fn elements(
+        &mut self,
+        slot: &Slot,
+        node: Option<&Node>,
+        mut count: usize,
+        value: Value,
+    ) -> Result<usize, DecodeError> {
+        let list = match node.map(|node| &node.layout) {
+            Some(Layout::List { offsets, child }) => {
+                Some((self.pool.last_offset(*offsets), child.as_ref()))
+            }
+            _ => None,
+        };
+        let child = list.map(|(_, child)| child);
+        match (&slot.shape, value) {
+            (Shape::Message(plan), _) if slot.takes(&value) => {
+                let row = list.map_or(0, |(start, _)| start) + count;
+                offset(row)?;
+                let bytes = value.bytes().unwrap_or_default();
+                self.message(plan, Columns::within(child), row, bytes)?;
+                count += 1;
+            }
+            (shape, Value::Bytes { bytes, .. }) if shape.packs() => {
+                let mut packed = Reader::new(bytes);
+                while !packed.is_empty() {
+                    let element = shape.unpack(&mut packed)?;
+                    if let Some(child) = child {
+                        scalar(shape, child, element, &mut self.pool)?;
+                    }
+                    count += 1;
+                }
+            }
+            _ if slot.takes(&value) => {
+                if let Some(child) = child {
+                    scalar(&slot.shape, child, value, &mut self.pool)?;
+                }
+                count += 1;
+            }
+            _ => {}
+        }
+        Ok(count)
+    }
+}
+
+/// The parts of a message field, one after the other.
+fn joined(slot: &Slot, data: &[u8]) -> Result<Vec<u8>, DecodeError> {
+    let mut whole = Vec::new();
+    let mut reader = Reader::new(data);
+    while let Some((number, value)) = reader.field()? {
+        if number == slot.number && slot.takes(&value) {
+            whole.extend_from_slice(value.bytes().unwrap_or_default());
+        }
+    }
+    Ok(whole)
+}
+
+impl Slot {
+    /// Whether `value` has this field's wire type; others are unknown fields, which are skipped.
+    fn takes(&self, value: &Value) -> bool {
+        match (&self.shape, value) {
+            (Shape::Varint32 { .. } | Shape::Varint64 { .. } | Shape::Bool, Value::Varint(_))
+            | (Shape::Fixed32, Value::Fixed32(_))
+            | (Shape::Fixed64, Value::Fixed64(_))
+            | (Shape::Text, Value::Bytes { .. }) => true,
+            (Shape::Bytes | Shape::Message(_), Value::Bytes { .. }) => !self.group,
+            (Shape::Bytes | Shape::Message(_), Value::Group { .. }) => self.group,
+            _ => false,
+        }
+    }
+}
+
+impl Shape {
+    fn packs(&self) -> bool {
+        !matches!(self, Shape::Text | Shape::Bytes | Shape::Message(_))
+    }
+
+    fn unpack<'a>(&self, packed: &mut Reader<'a>) -> Result<Value<'a>, DecodeError> {
+        Ok(match self {
+            Shape::Fixed32 => Value::Fixed32(packed.chunk()?),
+            Shape::Fixed64 => Value::Fixed64(packed.chunk()?),
+            _ => Value::Varint(packed.varint()?),
+        })
+    }
+}
+
+/// Appends a value that is not a message to its column; its presence is noted already.
+fn scalar(shape: &Shape, node: &Node, value: Value, pool: &mut Pool) -> Result<(), DecodeError> {
+    match (&node.layout, shape, value) {
+        (Layout::Fixed { data, .. }, Shape::Varint32 { zigzag }, Value::Varint(v)) => {
+            let v = v as u32;
+            let sign = if *zigzag { (v & 1).wrapping_neg() } else { 0 };
+            pool.0[*data].push(if *zigzag { (v >> 1) ^ sign } else { v });
+        }
+        (Layout::Fixed { data, .. }, Shape::Varint64 { zigzag }, Value::Varint(v)) => {
+            let sign = if *zigzag { (v & 1).wrapping_neg() } else { 0 };
+            pool.0[*data].push(if *zigzag { (v >> 1) ^ sign } else { v });
+        }
+        (Layout::Fixed { data, .. }, _, Value::Fixed32(bytes)) => {
+            pool.0[*data].push(u32::from_le_bytes(bytes));
+        }
+        (Layout::Fixed { data, .. }, _, Value::Fixed64(bytes)) => {
+            pool.0[*data].push(u64::from_le_bytes(bytes));
+        }
+        (Layout::Bool { data }, _, Value::Varint(v)) => pool.0[*data].push(u8::from(v != 0)),
+        (
+            Layout::Bytes { offsets, data },
+            _,
+            Value::Bytes { bytes, .. } | Value::Group { bytes, .. },
+        ) => {
+            if matches!(shape, Shape::Text) {
+                let text = String::from_utf8_lossy(bytes);
+                return pool.append_bytes(*offsets, *data, text.as_bytes());
+            }
+            return pool.append_bytes(*offsets, *data, bytes);
+        }
+        _ => {
+            return Err(DecodeError::Full {
+                limit: OFFSET_LIMIT,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Where the bytes of the field at `path` lie.
+pub(crate) fn locate(
+    plan: &Plan,
+    payload: &[u8],
+    path: &[&str],
+) -> Result<Option<Located>, DecodeError> {
+    let Some((name, rest)) = path.split_first() else {
+        return Ok(None);
+    };
+    let Some(slot) = plan.slots.iter().find(|slot| slot.name == *name) else {
+        return Ok(None);
+    };
+    let mut located = None;
+    let mut reader = Reader::new(payload);
+    while let Some((number, value)) = reader.field()? {
+        if number != slot.number || slot.repeated || !slot.takes(&value) {
+            continue;
+        }
+        let (Value::Bytes { bytes, start } | Value::Group { bytes, start }) = value else {
+            continue;
+        };
+        match &slot.shape {
+            Shape::Bytes if rest.is_empty() => {
+                located = Some(Located {
+                    range: start..start + bytes.len(),
+                    base64: false,
+                });
+            }
+            Shape::Message(plan) => {
+                if let Some(found) = locate(plan, bytes, rest)? {
+                    located = Some(Located {
+                        range: found.range.start + start..found.range.end + start,
+                        base64: false,
+                    });
+                }
+            }
+            _ => {}
+        }
+    }
+    Ok(located)
+}
