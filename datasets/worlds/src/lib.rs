@@ -1,1 +1,47 @@
-//! Placeholder.
+//! Simulated worlds with exact truth, written as MCAP, so that a machine without any recordings
+//! has something to map.
+//!
+//! [`car_park`] draws an underground car park, drives through it several times, and writes what
+//! four fisheye cameras and the wheels report. All of it follows from a seed: the same
+//! parameters give the same bytes on any number of threads.
+//!
+//! ```text
+//! layout ── route ── drive ─┬─ odometry ────────────┐
+//!    │                      ├─ walkers ─┐           ├─ session ── recording (MCAP)
+//!    ├─ floor, walls, cars ─┴─ scene ───┴─ render ──┘
+//!    └─ truth
+//! ```
+//! Nothing here knows how maps are made; it only shares camera models and poses with the rest.
+
+mod canvas;
+mod cars;
+mod cdr;
+mod drive;
+mod error;
+mod floor;
+mod glyphs;
+mod layout;
+mod lighting;
+mod look;
+mod messages;
+mod odometry;
+mod params;
+mod random;
+mod recording;
+mod render;
+mod rig;
+mod route;
+mod scene;
+mod session;
+mod solid;
+#[cfg(test)]
+mod tests;
+mod texture;
+mod truth;
+mod walkers;
+mod walls;
+
+pub use error::WorldError;
+pub use odometry::WheelErrors;
+pub use params::CarPark;
+pub use session::{Progress, SessionSummary, Summary, car_park};

@@ -1,0 +1,171 @@
+//! The true motion of the vehicle: a path driven with bounded acceleration.
+
+use crate::route::PathPoint;
+use evermap_algorithms::pose::Pose;
+use nalgebra::{UnitQuaternion, Vector3};
+
+/// Acceleration and braking, m/s².
+const ACCELERATION: f64 = 1.2;
+/// Sideways acceleration in bends, m/s².
+const LATERAL: f64 = 1.5;
+/// The vehicle stands this long at both ends, seconds.
+const STAND_S: f64 = 0.5;
+/// The springs give this much per acceleration, rad/(m/s²).
+const SWAY: f64 = 0.0025;
+
+/// A drive: position as a function of time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Drive {
+    path: Vec<PathPoint>,
+    speed: Vec<f64>,
+    time: Vec<f64>,
+}
+
+/// The planar state of the vehicle at an instant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Planar {
+    /// Distance driven, metres.
+    pub s: f64,
+    /// Rear axle's middle, metres.
+    pub x: f64,
+    /// Rear axle's middle, metres.
+    pub y: f64,
+    /// Heading, radians, unwrapped.
+    pub yaw: f64,
+    /// Speed, m/s.
+    pub speed: f64,
+    /// Curvature, 1/m.
+    pub curvature: f64,
+}
+
+impl Drive {
+    /// Drives a path of at least two points, at most `top_speed` (m/s) fast.
+    pub fn new(path: Vec<PathPoint>, top_speed: f64) -> Self {
+        let speed = speeds(&path, top_speed);
+        let mut time = Vec::with_capacity(path.len());
+        let mut now = STAND_S;
+        for k in 0..path.len() {
+            if k > 0 {
+                let mean = (0.5 * (speed[k] + speed[k - 1])).max(1e-3);
+                now += (path[k].s - path[k - 1].s) / mean;
+            }
+            time.push(now);
+        }
+        Self { path, speed, time }
+    }
+
+    /// Length of the session, seconds.
+    pub fn duration_s(&self) -> f64 {
+        self.time.last().copied().unwrap_or(0.0) + STAND_S
+    }
+
+    /// Length of the path, metres.
+    pub fn length_m(&self) -> f64 {
+        self.path.last().map_or(0.0, |point| point.s)
+    }
+
+    /// The path itself.
+    pub fn path(&self) -> &[PathPoint] {
+        &self.path
+    }
+
+    /// Where the vehicle is `t` seconds after the session's start.
+    pub fn planar(&self, t: f64) -> Planar {
+        let after = self
+            .time
+            .partition_point(|time| *time <= t)
+            .clamp(1, self.path.len() - 1);
+        let before = after - 1;
+        let (a, b) = (&self.path[before], &self.path[after]);
+        let span = self.time[after] - self.time[before];
+        let tau = (t - self.time[before]).clamp(0.0, span);
+        let gain = (self.speed[after] - self.speed[before]) / span;
+        let speed = self.speed[before] + gain * tau;
+        let step = self.speed[before] * tau + 0.5 * gain * tau * tau;
+        let f = (step / (b.s - a.s)).clamp(0.0, 1.0);
+        let mix = |a: f64, b: f64| a + f * (b - a);
+        let moving = t > STAND_S && t < self.duration_s() - STAND_S;
+        Planar {
+            s: mix(a.s, b.s),
+            x: mix(a.x, b.x),
+            y: mix(a.y, b.y),
+            yaw: mix(a.yaw, b.yaw),
+            speed: if moving { speed } else { 0.0 },
+            curvature: mix(a.curvature, b.curvature),
+        }
+    }
+
+    /// `map_from_vehicle` at `t` seconds: planar motion, and a little roll and pitch from the
+    /// springs.
+    pub fn map_from_vehicle(&self, t: f64) -> Pose {
+        let at = self.planar(t);
+        let (mut forward, mut sideways) = (0.0, 0.0);
+        let window = 0.25;
+        for k in 0..9 {
+            let then = self.planar(t + window * (f64::from(k) / 4.0 - 1.0));
+            sideways += then.speed * then.speed * then.curvature / 9.0;
+        }
+        forward += (self.planar(t + window).speed - self.planar(t - window).speed) / (2.0 * window);
+        let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), at.yaw)
+            * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -SWAY * forward)
+            * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), SWAY * sideways);
+        Pose::new(Vector3::new(at.x, at.y, 0.0), turned)
+    }
+}
+
+/// The fastest speeds within the limits: one pass forwards, one backwards.
+fn speeds(path: &[PathPoint], top_speed: f64) -> Vec<f64> {
+    let mut speed: Vec<f64> = path
+        .iter()
+        .map(|point| top_speed.min((LATERAL / point.curvature.abs().max(1e-9)).sqrt()))
+        .collect();
+    let last = speed.len() - 1;
+    speed[0] = 0.0;
+    speed[last] = 0.0;
+    let reach = |from: f64, a: &PathPoint, b: &PathPoint| {
+        (from * from + 2.0 * ACCELERATION * (b.s - a.s)).sqrt()
+    };
+    for k in 1..=last {
+        speed[k] = speed[k].min(reach(speed[k - 1], &path[k - 1], &path[k]));
+    }
+    for k in (0..last).rev() {
+        speed[k] = speed[k].min(reach(speed[k + 1], &path[k], &path[k + 1]));
+    }
+    speed
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+    use super::*;
+    use crate::layout::Layout;
+    use crate::params::CarPark;
+    use crate::route::Route;
+
+    #[test]
+    fn stands_accelerates_and_never_jumps() {
+        let world = CarPark::default();
+        let path = Route::of_session(&world, 0).path(&Layout::new(&world), 2.0);
+        let drive = Drive::new(path, world.speed_mps);
+        let duration = drive.duration_s();
+        assert!((45.0..90.0).contains(&duration), "{duration}");
+        assert_eq!(
+            drive.map_from_vehicle(0.0).translation,
+            drive.map_from_vehicle(0.2).translation
+        );
+        let mut before = drive.planar(0.0);
+        let mut k = 1;
+        while f64::from(k) * 0.01 < duration {
+            let now = drive.planar(f64::from(k) * 0.01);
+            let moved = (now.x - before.x).hypot(now.y - before.y);
+            assert!(moved <= 0.011 * world.speed_mps);
+            assert!(
+                (now.speed - before.speed).abs() < 0.05,
+                "{before:?} {now:?}"
+            );
+            assert!((now.s - before.s - moved).abs() < 1e-3);
+            before = now;
+            k += 1;
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! What can be asked of the car park.
+
+use crate::WorldError;
+use serde::{Deserialize, Serialize};
+
+/// Parameters of the simulated car park. The same parameters give byte-identical files.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CarPark {
+    /// Everything random is drawn from this number.
+    pub seed: u64,
+    /// Sessions after the initial one, each with other cars parked, other light and a walker or
+    /// two.
+    pub revisits: usize,
+    /// Image width, pixels. The lens spans 180° across it.
+    pub width_px: u32,
+    /// Image height, pixels.
+    pub height_px: u32,
+    /// Rate of each camera, images per second.
+    pub rate_hz: f64,
+    /// Rate of the wheel odometry, messages per second.
+    pub odometry_rate_hz: f64,
+    /// Bays side by side in each row of the western island.
+    pub west_bays: usize,
+    /// Bays side by side in each row of the eastern island.
+    pub east_bays: usize,
+    /// Share of the bays that are taken, 0 to 1.
+    pub occupancy: f64,
+    /// Share of the parked cars that never leave, 0 to 1.
+    pub residents: f64,
+    /// Walkers in each revisit (the initial drive meets nobody).
+    pub walkers: usize,
+    /// Speed on straight lanes, m/s; bends are taken slower.
+    pub speed_mps: f64,
+    /// Loops driven per session. One loop is half of the session's round trip, and two loops
+    /// cover every aisle; a fraction stops on the way.
+    pub loops: f64,
+    /// JPEG quality, 1 to 100.
+    pub jpeg_quality: u8,
+    /// Sharpness of the painted floor, texels per metre. Memory grows with its square: 100 MB
+    /// at 160.
+    pub floor_texels_per_m: f64,
+    /// Nanoseconds since the epoch at which the initial session starts; revisits follow a day
+    /// apart.
+    pub start_ns: u64,
+}
+
+impl Default for CarPark {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            revisits: 2,
+            width_px: 1280,
+            height_px: 960,
+            rate_hz: 12.5,
+            odometry_rate_hz: 50.0,
+            west_bays: 2,
+            east_bays: 4,
+            occupancy: 0.6,
+            residents: 0.25,
+            walkers: 3,
+            speed_mps: 4.2,
+            loops: 2.0,
+            jpeg_quality: 85,
+            floor_texels_per_m: 160.0,
+            start_ns: 1_780_300_800_000_000_000,
+        }
+    }
+}
+
+impl CarPark {
+    /// The names of the sessions in order: `initial`, `revisit_1`, …
+    pub fn session_names(&self) -> Vec<String> {
+        let revisits = (1..=self.revisits).map(|k| format!("revisit_{k}"));
+        std::iter::once("initial".to_owned())
+            .chain(revisits)
+            .collect()
+    }
+
+    /// Refuses values that make no world, all at once.
+    ///
+    /// # Errors
+    /// [`WorldError::Parameters`] with one line for each unusable value.
+    pub fn check(&self) -> Result<(), WorldError> {
+        let mut faults = Vec::new();
+        let mut within = |name: &str, value: f64, low: f64, high: f64| {
+            if !(low..=high).contains(&value) {
+                faults.push(format!(
+                    "{name}: expected {low} to {high}, found {value}; choose a value inside"
+                ));
+            }
+        };
+        within("revisits", self.revisits as f64, 0.0, 1000.0);
+        within("width_px", f64::from(self.width_px), 32.0, 4096.0);
+        within("height_px", f64::from(self.height_px), 32.0, 4096.0);
+        within("rate_hz", self.rate_hz, 0.1, 100.0);
+        within("odometry_rate_hz", self.odometry_rate_hz, 1.0, 1000.0);
+        within("west_bays", self.west_bays as f64, 1.0, 40.0);
+        within("east_bays", self.east_bays as f64, 1.0, 40.0);
+        within("occupancy", self.occupancy, 0.0, 1.0);
+        within("residents", self.residents, 0.0, 1.0);
+        within("walkers", self.walkers as f64, 0.0, 20.0);
+        within("speed_mps", self.speed_mps, 0.5, 10.0);
+        within("loops", self.loops, 0.02, 100.0);
+        within("jpeg_quality", f64::from(self.jpeg_quality), 1.0, 100.0);
+        within("floor_texels_per_m", self.floor_texels_per_m, 10.0, 400.0);
+        within("start_ns", self.start_ns as f64, 0.0, 4e18);
+        if faults.is_empty() {
+            Ok(())
+        } else {
+            Err(WorldError::Parameters { faults })
+        }
+    }
+}
