@@ -211,3 +211,82 @@ proptest! {
         }
     }
 }
+
+/// The four cameras of SensorsCalibration's surround-view sample: K is the affine map, D the
+/// toolbox's inverse polynomial, images are 1280 × 960.
+#[test]
+fn real_omnidirectional_calibrations_give_their_pixels_back() {
+    let Some(folder) = crate::shared_data::find("data/avm_fisheye/pjlab/ocam_samples/intrinsic")
+    else {
+        return;
+    };
+    for name in ["Front", "Left", "Right", "Back"] {
+        let text = std::fs::read_to_string(folder.join(format!("{name}.json"))).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let param = &json[format!("{}_camera-intrinsic", name.to_lowercase())]["param"];
+        let numbers = |field: &str| -> Vec<f64> {
+            let rows = param[field]["data"].as_array().unwrap();
+            rows.iter()
+                .flat_map(|row| row.as_array().unwrap())
+                .map(|x| x.as_f64().unwrap())
+                .collect()
+        };
+        let (k, d) = (numbers("cam_K"), numbers("cam_dist"));
+        let camera = Camera::from_calibration("ocam", 1280, 960, &k, &d).unwrap();
+        // The polynomial misses zero on the axis by less than this many pixels.
+        let centre = [k[2], k[5]];
+        let (mut seen, mut all) = (0, 0);
+        for v in (0..960).step_by(13) {
+            for u in (0..1280).step_by(13) {
+                let pixel = [f64::from(u), f64::from(v)];
+                if (pixel[0] - centre[0]).hypot(pixel[1] - centre[1]) < 2.0 {
+                    continue;
+                }
+                all += 1;
+                let Some(ray) = camera.unproject(pixel) else {
+                    continue;
+                };
+                let back = camera.project(&ray).unwrap();
+                assert!(
+                    (back[0] - pixel[0]).hypot(back[1] - pixel[1]) < 1e-6,
+                    "{name} {pixel:?}"
+                );
+                assert!((ray.norm() - 1.0).abs() < 1e-12);
+                seen += 1;
+            }
+        }
+        assert!(
+            seen * 10 > all * 9,
+            "{name}: {seen} of {all} pixels have a ray"
+        );
+        // 90° to the right is at ρ = D[0] from the centre, straight ahead at the centre.
+        let [u, _] = camera.project(&Vector3::x()).unwrap();
+        assert!((u - (k[0] * d[0] + k[2])).abs() < 1e-6);
+        let [u, v] = camera.project(&Vector3::z()).unwrap();
+        assert!((u - centre[0]).hypot(v - centre[1]) < 2.0);
+    }
+}
+
+/// The toolbox's world2cam, in its own convention: z backwards, elevation over the image plane.
+#[test]
+fn ocam_agrees_with_the_toolbox() {
+    let d = [
+        627.9, 466.0, -2.9, 24.2, 72.7, -33.4, -23.5, 114.2, 139.3, 61.1, 9.7,
+    ];
+    let k = [0.9998, 0.0005, 648.6, 0.0002, 1.0, 481.4, 0.0, 0.0, 1.0];
+    let camera = Camera::from_calibration("ocam", 1280, 960, &k, &d).unwrap();
+    for ray in [[0.3, -0.2, 1.0], [1.0, 0.5, 0.1], [-0.7, 0.9, -0.1]] {
+        let [x, y, z]: [f64; 3] = ray;
+        let norm = x.hypot(y);
+        let theta = (-z / norm).atan();
+        let rho: f64 = d
+            .iter()
+            .enumerate()
+            .map(|(i, c)| c * theta.powi(i as i32))
+            .sum();
+        let (px, py) = (x / norm * rho, y / norm * rho);
+        let expected = [px * k[0] + py * k[1] + k[2], px * k[3] + py + k[5]];
+        let found = camera.project(&Vector3::from(ray)).unwrap();
+        assert!((found[0] - expected[0]).hypot(found[1] - expected[1]) < 1e-9);
+    }
+}

@@ -51,8 +51,8 @@ pub enum GroundParamsError {
         /// Height found, metres.
         z_m: f64,
     },
-    /// The image is too small to interpolate in.
-    #[error("expected an image of at least 2 x 2 pixels, found {width} x {height}")]
+    /// The image is too small to interpolate in, or too large for fixed point.
+    #[error("expected an image of 2 to 32768 pixels a side, found {width} x {height}")]
     Size {
         /// Width found.
         width: u32,
@@ -85,6 +85,8 @@ pub struct GroundLut {
     pub(super) width: u32,
     pub(super) height: u32,
     pub(super) node_m: f64,
+    /// Height of the camera above the plane, metres.
+    pub(super) height_m: f64,
     /// Node (column 0, row 0) is at `first * node_m` in the vehicle frame.
     pub(super) first: [i64; 2],
     pub(super) columns: usize,
@@ -127,6 +129,7 @@ impl GroundLut {
             width: camera.width,
             height: camera.height,
             node_m: params.node_m,
+            height_m: view.eye.z,
             first,
             columns: side,
             rows: side,
@@ -233,7 +236,7 @@ fn check(
         return Err(GroundParamsError::BelowGround { z_m: eye.z });
     }
     let Camera { width, height, .. } = *camera;
-    if width < 2 || height < 2 || width > 1 << 20 || height > 1 << 20 {
+    if width < 2 || height < 2 || width > 1 << 15 || height > 1 << 15 {
         return Err(GroundParamsError::Size { width, height });
     }
     let expected = width as usize * height as usize;

@@ -8,12 +8,14 @@
 //!
 //! ```text
 //! map cell ──affine, one addition per cell──▶ place in the vehicle's grid
-//!          ──bilinear between 4 grid nodes──▶ pixel and weight
+//!          ──bilinear between 4 grid nodes──▶ pixel and weight, at every fourth cell or so
 //!          ──bilinear, fixed point─────────▶ grey value
 //! ```
 //!
 //! The table is bilinear, not nearest: with 5 cm nodes and a 400 px, 180° lens 1 m above ground
-//! the interpolated pixel is within 0.03 px of the lens model, the nearest node would be 3 px off.
+//! the interpolated pixel is within 0.03 px of the lens model, the nearest node would be 3 px off. Between
+//! looks into the table the pixel moves in equal steps, over spans so short that no cell is put
+//! off by more than a tenth of itself. (A mask finer than a span may therefore be stepped over.)
 //!
 //! **Which plane.** The ground is taken to be the vehicle's own z = 0 plane, the one its wheels
 //! stand on, at whatever attitude the pose gives it. A map cell is a vertical line; where it meets

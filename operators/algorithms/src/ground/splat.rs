@@ -8,9 +8,15 @@ use crate::pose::Pose;
 const GRID_BITS: u32 = 32;
 const GRID_ONE: f64 = (1u64 << GRID_BITS) as f64;
 
-/// Fraction bits of a pixel position.
-const PIXEL_BITS: u32 = 8;
-const PIXEL_ONE: i32 = 1 << PIXEL_BITS;
+/// Fraction bits of a pixel position; the upper 8 of them weigh the neighbours.
+const PIXEL_BITS: u32 = 16;
+const PIXEL_ONE: f32 = (1u32 << PIXEL_BITS) as f32;
+
+/// Most cells between two looks into the table, as a power of two.
+const MOST_SPAN_BITS: u32 = 2;
+
+/// How far a chord may put the ground off, in cells.
+const CHORD_ERROR: f64 = 0.1;
 
 /// A vehicle seen edge-on from above has no ground under it; this is 84° of tilt.
 const MIN_UPRIGHT: f64 = 0.1;
@@ -48,6 +54,7 @@ impl GroundLut {
         let Some(grid) = GridFromMap::new(self, map_from_vehicle, cell_m) else {
             return;
         };
+        let span_bits = self.span_bits(cell_m);
         let (mut values, mut weights) = (Vec::new(), Vec::new());
         for j in grid.rows(self) {
             let Some((i, length)) = grid.columns(self, j) else {
@@ -60,7 +67,7 @@ impl GroundLut {
             self.sample_row(
                 image,
                 grid.start(i, j),
-                grid.step,
+                (grid.step, span_bits),
                 &mut values,
                 &mut weights,
             );
@@ -78,34 +85,70 @@ impl GroundLut {
         }
     }
 
-    /// Fills one row. `at` and `step` are positions in the table's grid, fixed point.
+    /// Cells per span, as a power of two. Where a fisheye at height h sees the ground, the place
+    /// bends by at most 0.65 / h per metre squared of the way (at 0.58 h from its foot); a chord
+    /// over n cells of c metres is therefore off by at most 0.65 (n c)² / 8 h metres.
+    fn span_bits(&self, cell_m: f64) -> u32 {
+        let off = |bits: u32| 0.65 * 4f64.powi(bits as i32) * cell_m / (8.0 * self.height_m);
+        (0..=MOST_SPAN_BITS)
+            .rev()
+            .find(|&bits| off(bits) <= CHORD_ERROR)
+            .unwrap_or(0)
+    }
+
+    /// Fills one row. `at` and `step` are positions in the table's grid, fixed point. The table
+    /// is read at the ends of spans, and the pixel moves in equal steps between.
     fn sample_row(
         &self,
         image: &GrayView<'_>,
-        mut at: [i64; 2],
-        step: [i64; 2],
+        at: [i64; 2],
+        (step, span_bits): ([i64; 2], u32),
         values: &mut [u8],
         weights: &mut [u8],
     ) {
-        for (value, weight) in values.iter_mut().zip(weights) {
-            let (column, row) = ((at[0] >> GRID_BITS) as usize, (at[1] >> GRID_BITS) as usize);
-            let node = self.between(
-                row * self.columns + column,
-                fraction(at[0]),
-                fraction(at[1]),
-            );
-            at = [at[0].wrapping_add(step[0]), at[1].wrapping_add(step[1])];
-            let Some([u, v, looked, _]) = node else {
-                continue;
-            };
-            // NaN, where a node is not seen, is not greater than anything.
-            if looked > 0.5
-                && let Some(grey) = bilinear(image, u, v)
-            {
-                *value = grey;
-                *weight = (looked + 0.5) as u8;
+        let position = |cell: usize| {
+            let along = |k: usize| at[k].wrapping_add(step[k].wrapping_mul(cell as i64));
+            [along(0), along(1)]
+        };
+        let size = 1 << span_bits;
+        let spans = values.len().saturating_sub(1) / size;
+        let mut from = self.pixel(position(0));
+        for (span, (values, weights)) in values
+            .chunks_exact_mut(size)
+            .zip(weights.chunks_exact_mut(size))
+            .enumerate()
+            .take(spans)
+        {
+            let to = self.pixel(position((span + 1) * size));
+            if let (Some(from), Some(to)) = (from, to) {
+                sample_span(image, (from, to, span_bits), values, weights);
+            }
+            from = to;
+        }
+        for cell in spans * size..values.len() {
+            if let Some(at) = self.pixel(position(cell)) {
+                sample_span(
+                    image,
+                    (at, at, 0),
+                    &mut values[cell..=cell],
+                    &mut weights[cell..=cell],
+                );
             }
         }
+    }
+
+    /// Column, row and weight in fixed point at a position of the grid, if it is seen.
+    #[inline(always)]
+    fn pixel(&self, at: [i64; 2]) -> Option<[i32; 3]> {
+        let (column, row) = ((at[0] >> GRID_BITS) as usize, (at[1] >> GRID_BITS) as usize);
+        let [u, v, weight, _] = self.between(
+            row * self.columns + column,
+            fraction(at[0]),
+            fraction(at[1]),
+        )?;
+        // NaN, where a node is not seen, is not greater than anything.
+        let fixed = |x: f32| (x * PIXEL_ONE) as i32;
+        (weight > 0.0).then(|| [fixed(u), fixed(v), fixed(weight) + (1 << (PIXEL_BITS - 1))])
     }
 }
 
@@ -115,27 +158,38 @@ fn fraction(at: i64) -> f32 {
     ((at as u32) >> 8) as f32 * (1.0 / (1u32 << 24) as f32)
 }
 
-/// The image at `(u, v)`, which lie inside the outermost pixel centres.
+/// Samples the image at equal steps from one pixel towards (not including) another. All
+/// arithmetic is on integers.
 #[inline(always)]
-fn bilinear(image: &GrayView<'_>, u: f32, v: f32) -> Option<u8> {
+fn sample_span(
+    image: &GrayView<'_>,
+    (from, to, span_bits): ([i32; 3], [i32; 3], u32),
+    values: &mut [u8],
+    weights: &mut [u8],
+) {
     let width = image.width as usize;
-    let (u, v) = (
-        (u * PIXEL_ONE as f32 + 0.5) as i32,
-        (v * PIXEL_ONE as f32 + 0.5) as i32,
-    );
-    let left = (u >> PIXEL_BITS).min(image.width as i32 - 2);
-    let top = (v >> PIXEL_BITS).min(image.height as i32 - 2);
-    let (fu, fv) = ((u - left * PIXEL_ONE) as u32, (v - top * PIXEL_ONE) as u32);
-    let at = top as usize * width + left as usize;
-    let &[nw, ne] = image.pixels.get(at..at + 2)? else {
-        return None;
-    };
-    let &[sw, se] = image.pixels.get(at + width..at + width + 2)? else {
-        return None;
-    };
-    let north = u32::from(nw) * (256 - fu) + u32::from(ne) * fu;
-    let south = u32::from(sw) * (256 - fu) + u32::from(se) * fu;
-    Some(((north * (256 - fv) + south * fv + (1 << 15)) >> 16) as u8)
+    let (right, bottom) = (image.width as i32 - 2, image.height as i32 - 2);
+    let step = [0, 1, 2].map(|k| (to[k] - from[k]) >> span_bits);
+    let [mut u, mut v, mut looked] = from;
+    for (value, weight) in values.iter_mut().zip(weights) {
+        let left = (u >> PIXEL_BITS).clamp(0, right);
+        let top = (v >> PIXEL_BITS).clamp(0, bottom);
+        let part = |x: i32, whole: i32| ((x - (whole << PIXEL_BITS)).max(0) >> 8) as u32;
+        let (fu, fv) = (part(u, left), part(v, top));
+        let at = top as usize * width + left as usize;
+        if let Some(window) = image.pixels.get(at..at + width + 2) {
+            // Two rows in the halves of one integer: 255 × 256 fits in 16 bits.
+            let pair =
+                |offset: usize| u32::from(window[offset]) | u32::from(window[width + offset]) << 16;
+            let mixed = pair(0) * (256 - fu) + pair(1) * fu;
+            let (north, south) = (mixed & 0xffff, mixed >> 16);
+            *value = ((north * (256 - fv) + south * fv + (1 << 15)) >> 16) as u8;
+            *weight = (looked >> PIXEL_BITS) as u8;
+        }
+        u += step[0];
+        v += step[1];
+        looked += step[2];
+    }
 }
 
 /// The affine map from cell numbers to positions in the table's grid.
