@@ -85,9 +85,10 @@ impl GroundLut {
         }
     }
 
-    /// Cells per span, as a power of two. Where a fisheye at height h sees the ground, the place
-    /// bends by at most 0.65 / h per metre squared of the way (at 0.58 h from its foot); a chord
-    /// over n cells of c metres is therefore off by at most 0.65 (n c)² / 8 h metres.
+    /// Cells per span, as a power of two. Along a line on the ground at distance x from the foot
+    /// of an equidistant camera at height h the pixel is f atan(x / h), whose second derivative is
+    /// at most 0.65 f / h² (at x = 0.58 h), while a metre fills f / h pixels at most. A chord over
+    /// n cells of c metres is therefore off by no more than 0.65 (n c)² / 8 h metres at the foot.
     fn span_bits(&self, cell_m: f64) -> u32 {
         let off = |bits: u32| 0.65 * 4f64.powi(bits as i32) * cell_m / (8.0 * self.height_m);
         (0..=MOST_SPAN_BITS)
@@ -148,7 +149,13 @@ impl GroundLut {
         )?;
         // NaN, where a node is not seen, is not greater than anything.
         let fixed = |x: f32| (x * PIXEL_ONE) as i32;
-        (weight > 0.0).then(|| [fixed(u), fixed(v), fixed(weight) + (1 << (PIXEL_BITS - 1))])
+        // Just inside the outermost pixel centres, so that what lies between two such pixels has
+        // four neighbours, whatever the rounding of the steps.
+        let inside = |x: f32, size: u32| fixed(x).clamp(4, ((size as i32 - 1) << PIXEL_BITS) - 1);
+        (weight > 0.0).then(|| {
+            let rounded = fixed(weight) + (1 << (PIXEL_BITS - 1));
+            [inside(u, self.width), inside(v, self.height), rounded]
+        })
     }
 }
 
@@ -168,15 +175,12 @@ fn sample_span(
     weights: &mut [u8],
 ) {
     let width = image.width as usize;
-    let (right, bottom) = (image.width as i32 - 2, image.height as i32 - 2);
     let step = [0, 1, 2].map(|k| (to[k] - from[k]) >> span_bits);
     let [mut u, mut v, mut looked] = from;
     for (value, weight) in values.iter_mut().zip(weights) {
-        let left = (u >> PIXEL_BITS).clamp(0, right);
-        let top = (v >> PIXEL_BITS).clamp(0, bottom);
-        let part = |x: i32, whole: i32| ((x - (whole << PIXEL_BITS)).max(0) >> 8) as u32;
-        let (fu, fv) = (part(u, left), part(v, top));
-        let at = top as usize * width + left as usize;
+        let part = |x: i32| (x >> (PIXEL_BITS - 8)) as u32 & 0xff;
+        let (fu, fv) = (part(u), part(v));
+        let at = (v >> PIXEL_BITS) as usize * width + (u >> PIXEL_BITS) as usize;
         if let Some(window) = image.pixels.get(at..at + width + 2) {
             // Two rows in the halves of one integer: 255 × 256 fits in 16 bits.
             let pair =
