@@ -1,0 +1,511 @@
+//! The arrows between crates that DESIGN and `docs/ARCHITECTURE.md` forbid, and the other walls of the house.
+//!
+//! Each rule is stated once, in [`WALLS`], with its reason. What is a matter of source text (one operator plan node,
+//! no operator's name in the engine) follows below. A wall that no longer stands on any crate fails too.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use cargo_metadata::{DependencyKind, MetadataCommand};
+
+/// How far a wall reaches.
+#[derive(Clone, Copy, PartialEq)]
+enum Reach {
+    /// What the crate's own manifest names, for its tests too.
+    Named,
+    /// Also what other crates of ours bring into it.
+    Through,
+}
+use Reach::{Named, Through};
+
+/// `from` never depends on `to`. Our crates are called by their folders, others by their names; `*` ends a prefix.
+struct Wall {
+    from: &'static [&'static str],
+    to: &'static [&'static str],
+    reach: Reach,
+    why: &'static str,
+}
+
+const ENGINE_LINE: &[&str] = &["datafusion*", "ballista*"];
+const OURS: &[&str] = &["schemas", "operators/*", "datasets*", "plans/*", "tests"];
+
+const WALLS: &[Wall] = &[
+    Wall {
+        from: &["operators/algorithms"],
+        to: &[
+            "arrow*",
+            "parquet",
+            "opencv",
+            "datafusion*",
+            "ballista*",
+            "tokio*",
+            "object_store",
+        ],
+        reach: Through,
+        why: "mathematics is tested with numbers alone and outlives engines",
+    },
+    Wall {
+        from: &[
+            "schemas",
+            "operators/algorithms",
+            "operators/vision",
+            "plans/language",
+            "datasets/messages",
+        ],
+        to: OURS,
+        reach: Named,
+        why: "the foundations stand on nothing of ours, so that everything may stand on them",
+    },
+    Wall {
+        from: &[
+            "schemas",
+            "operators/*",
+            "datasets/messages",
+            "datasets/worlds",
+            "plans/language",
+        ],
+        to: ENGINE_LINE,
+        reach: Through,
+        why: "only scans and the engine know what runs them; most edits then rebuild in seconds",
+    },
+    Wall {
+        from: &["operators/*"],
+        to: &["tokio*", "object_store", "parquet", "mcap"],
+        reach: Named,
+        why: "a kernel is a pure function of batches: no files, no runtime",
+    },
+    Wall {
+        from: &["plans/language"],
+        to: &["arrow*", "parquet", "tokio*"],
+        reach: Through,
+        why: "a plan is checked as text, by editors too, without an engine",
+    },
+    Wall {
+        from: &[
+            "schemas",
+            "operators/algorithms",
+            "operators/contract",
+            "operators/catalog",
+            "datasets*",
+            "plans/*",
+        ],
+        to: &["opencv"],
+        reach: Named,
+        why: "OpenCV is linked, configured and replaced in one crate, operators/vision",
+    },
+    Wall {
+        from: &[
+            "schemas",
+            "operators/algorithms",
+            "operators/vision",
+            "operators/contract",
+            "datasets*",
+            "plans/language",
+        ],
+        to: &["operators/catalog"],
+        reach: Named,
+        why: "operators are handed to what runs them; only cli and tests choose the list",
+    },
+    Wall {
+        from: &["plans/engine"],
+        to: &[
+            "operators/catalog",
+            "operators/vision",
+            "operators/algorithms",
+        ],
+        reach: Named,
+        why: "the engine knows operators through the registry it is given, never by name",
+    },
+    Wall {
+        from: &["operators/*"],
+        to: &["datasets*", "plans/*"],
+        reach: Through,
+        why: "arrows point down: an operator runs the same without logs and without plans",
+    },
+    Wall {
+        from: &["datasets", "datasets/messages"],
+        to: &["operators/*", "plans/*"],
+        reach: Through,
+        why: "logs can be read as tables by those who want no operators",
+    },
+    Wall {
+        from: &["datasets/worlds"],
+        to: &[
+            "operators/vision",
+            "operators/contract",
+            "operators/catalog",
+            "plans/*",
+            "schemas",
+            "datasets",
+        ],
+        reach: Named,
+        why: "simulated worlds share camera models and poses with operators, and nothing that they could get wrong together",
+    },
+    Wall {
+        from: &[
+            "schemas",
+            "operators/*",
+            "datasets*",
+            "plans/language",
+            "plans/cli",
+        ],
+        to: &["ballista*"],
+        reach: Named,
+        why: "a cluster is one feature of the engine",
+    },
+];
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("..")
+        .canonicalize()
+        .unwrap()
+}
+
+fn matches(name: &str, patterns: &[&str]) -> bool {
+    patterns
+        .iter()
+        .any(|pattern| match pattern.strip_suffix('*') {
+            Some(prefix) => name.starts_with(prefix),
+            None => name == *pattern,
+        })
+}
+
+/// What each of our crates depends on: our folders and others' names.
+#[derive(Default)]
+struct House {
+    named: BTreeMap<String, BTreeSet<String>>,
+    /// Without development dependencies: what a crate hands on to those that use it.
+    handed_on: BTreeMap<String, BTreeSet<String>>,
+}
+
+impl House {
+    fn read() -> Self {
+        let metadata = MetadataCommand::new()
+            .manifest_path(root().join("Cargo.toml"))
+            .no_deps()
+            .exec()
+            .unwrap();
+        let root = metadata.workspace_root.canonicalize_utf8().unwrap();
+        let folder = |path: &cargo_metadata::camino::Utf8Path| {
+            path.canonicalize_utf8()
+                .unwrap()
+                .strip_prefix(&root)
+                .unwrap()
+                .to_string()
+        };
+        let mut house = Self::default();
+        for package in &metadata.packages {
+            let own = folder(package.manifest_path.parent().unwrap());
+            house.handed_on.entry(own.clone()).or_default();
+            house.named.entry(own.clone()).or_default();
+            for dependency in &package.dependencies {
+                let name = dependency
+                    .path
+                    .as_ref()
+                    .map_or_else(|| dependency.name.clone(), |path| folder(path));
+                if dependency.kind != DependencyKind::Development {
+                    house
+                        .handed_on
+                        .entry(own.clone())
+                        .or_default()
+                        .insert(name.clone());
+                }
+                house.named.entry(own.clone()).or_default().insert(name);
+            }
+        }
+        house
+    }
+
+    fn reached(&self, from: &str, reach: Reach) -> BTreeSet<String> {
+        let mut found = BTreeSet::new();
+        let mut open = if reach == Through {
+            vec![from.to_owned()]
+        } else {
+            Vec::new()
+        };
+        while let Some(next) = open.pop() {
+            for name in self.handed_on.get(&next).into_iter().flatten() {
+                if found.insert(name.clone()) {
+                    open.push(name.clone());
+                }
+            }
+        }
+        found.extend(self.named[from].iter().cloned());
+        found
+    }
+
+    /// Arrows through walls, as sentences.
+    fn breaches(&self, walls: &[Wall]) -> Vec<String> {
+        let mut breaches = Vec::new();
+        for wall in walls {
+            for from in self.named.keys().filter(|name| matches(name, wall.from)) {
+                for to in self.reached(from, wall.reach) {
+                    if matches(&to, wall.to) {
+                        breaches.push(format!("{from} depends on {to}; it must not: {}", wall.why));
+                    }
+                }
+            }
+        }
+        breaches
+    }
+}
+
+#[test]
+fn no_arrow_goes_through_a_wall() {
+    let breaches = House::read().breaches(WALLS);
+    assert!(breaches.is_empty(), "\n{}\n", breaches.join("\n"));
+}
+
+#[test]
+fn every_wall_stands_somewhere() {
+    let house = House::read();
+    for wall in WALLS {
+        for pattern in wall.from {
+            assert!(
+                house.named.keys().any(|name| matches(name, &[pattern])),
+                "no crate {pattern}: {}",
+                wall.why
+            );
+        }
+        for pattern in wall.to.iter().filter(|pattern| matches(pattern, OURS)) {
+            assert!(
+                house.named.keys().any(|name| matches(name, &[pattern])),
+                "no crate {pattern}: {}",
+                wall.why
+            );
+        }
+    }
+}
+
+#[test]
+fn a_forbidden_arrow_is_found_near_and_far() {
+    let arrows = |list: &[(&str, &[&str])]| -> BTreeMap<String, BTreeSet<String>> {
+        list.iter()
+            .map(|(from, to)| {
+                (
+                    (*from).to_owned(),
+                    to.iter().map(ToString::to_string).collect(),
+                )
+            })
+            .collect()
+    };
+    let handed_on = arrows(&[("a", &["b"]), ("b", &["datafusion-sql"]), ("c", &[])]);
+    let named = arrows(&[("a", &["b"]), ("b", &["datafusion-sql"]), ("c", &["b"])]);
+    let house = House { named, handed_on };
+    let wall = |from, reach| {
+        [Wall {
+            from,
+            to: &["datafusion*"],
+            reach,
+            why: "reason",
+        }]
+    };
+    assert_eq!(
+        house.breaches(&wall(&["b"], Named)),
+        ["b depends on datafusion-sql; it must not: reason"]
+    );
+    assert!(house.breaches(&wall(&["a"], Named)).is_empty());
+    assert_eq!(house.breaches(&wall(&["a"], Through)).len(), 1);
+    // Tests may use more than the crate does.
+    assert!(house.breaches(&wall(&["c"], Through)).is_empty());
+}
+
+/// Files under a folder with an ending, sorted; build output and hidden folders left out.
+fn files(folder: &Path, ending: &str) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut entries: Vec<_> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    entries.sort();
+    for path in entries {
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        if path.is_dir()
+            && name != "target"
+            && name != "sessions"
+            && name != "map"
+            && !name.starts_with('.')
+        {
+            found.extend(files(&path, ending));
+        } else if name.ends_with(ending) {
+            found.push(path);
+        }
+    }
+    found
+}
+
+#[test]
+fn every_crate_is_a_member_and_takes_the_workspace_lints() {
+    let house = House::read();
+    for manifest in files(&root(), "Cargo.toml") {
+        let text = std::fs::read_to_string(&manifest).unwrap();
+        if text.contains("[workspace]") {
+            continue;
+        }
+        let folder = manifest
+            .parent()
+            .unwrap()
+            .strip_prefix(root())
+            .unwrap()
+            .to_string_lossy()
+            .into_owned();
+        assert!(
+            house.named.contains_key(&folder),
+            "{folder} is no member of the workspace"
+        );
+        assert!(
+            text.contains("[lints]\nworkspace = true"),
+            "{folder} does not take the workspace's lints"
+        );
+    }
+}
+
+/// A crate's own code by file: without tests, and without modules that exist for tests only.
+fn code(folder: &str) -> Vec<(PathBuf, String)> {
+    let sources = files(&root().join(folder).join("src"), ".rs");
+    let texts: Vec<_> = sources
+        .into_iter()
+        .map(|path| (std::fs::read_to_string(&path).unwrap(), path))
+        .collect();
+    let mut test_modules = BTreeSet::new();
+    for (text, path) in &texts {
+        for after in text.split("#[cfg(test)]\n").skip(1) {
+            if let Some((name, _)) = after
+                .trim_start()
+                .trim_start_matches("pub(crate) ")
+                .strip_prefix("mod ")
+                .and_then(|rest| rest.split_once(';'))
+            {
+                let stem = path.file_stem().unwrap().to_string_lossy().into_owned();
+                let beside = path.parent().unwrap();
+                let inside = if ["lib", "mod", "main"].contains(&stem.as_str()) {
+                    beside.to_owned()
+                } else {
+                    beside.join(stem)
+                };
+                test_modules.insert(inside.join(name));
+            }
+        }
+    }
+    let is_test = |path: &Path| {
+        path.with_extension("")
+            .ancestors()
+            .any(|part| test_modules.contains(part))
+    };
+    texts
+        .into_iter()
+        .filter(|(_, path)| !is_test(path))
+        .map(|(text, path)| {
+            let own = text
+                .split("#[cfg(test)]\nmod tests {")
+                .next()
+                .unwrap_or_default()
+                .to_owned();
+            let code: Vec<_> = own
+                .lines()
+                .filter(|line| !line.trim_start().starts_with("//"))
+                .collect();
+            (path, code.join("\n"))
+        })
+        .collect()
+}
+
+#[test]
+fn one_plan_node_runs_every_operator() {
+    let mut nodes = Vec::new();
+    for folder in House::read().named.keys().filter(|name| *name != "tests") {
+        for (path, text) in code(folder) {
+            // Shipping whole work units to a cluster is another matter than running an operator.
+            let is_cluster = path
+                .components()
+                .any(|part| part.as_os_str().to_string_lossy().starts_with("cluster"));
+            let found = text.matches("ExecutionPlan for ").count();
+            if found > 0 && !(is_cluster && folder == "plans/engine") {
+                nodes.push((path.strip_prefix(root()).unwrap().to_owned(), found));
+            }
+        }
+    }
+    assert_eq!(
+        nodes,
+        [(PathBuf::from("plans/engine/src/exec.rs"), 1)],
+        "operators run in one plan node, OperatorExec"
+    );
+    let exec = code("plans/engine")
+        .into_iter()
+        .find(|(path, _)| path.ends_with("exec.rs"))
+        .unwrap()
+        .1;
+    assert!(exec.contains("ExecutionPlan for OperatorExec "));
+}
+
+#[test]
+fn the_engine_names_no_operator() {
+    let registry = evermap_catalog::registry();
+    assert!(registry.entries().next().is_some());
+    for (path, text) in code("plans/engine") {
+        for entry in registry.entries() {
+            assert!(
+                !text.contains(&format!("\"{}\"", entry.name)),
+                "{} names the operator {}",
+                path.display(),
+                entry.name
+            );
+        }
+    }
+}
+
+#[test]
+fn no_operator_names_another() {
+    let registry = evermap_catalog::registry();
+    for entry in registry.entries() {
+        for (path, text) in code("operators/catalog")
+            .iter()
+            .filter(|(path, _)| !path.ends_with("lib.rs"))
+        {
+            let own = path
+                .with_extension("")
+                .ancestors()
+                .any(|part| part.ends_with(entry.name));
+            let named = [
+                format!("crate::{}::", entry.name),
+                format!("super::{}::", entry.name),
+            ];
+            assert!(
+                own || !named.iter().any(|name| text.contains(name)),
+                "{} uses the operator {}",
+                path.display(),
+                entry.name
+            );
+        }
+    }
+}
+
+#[test]
+fn kernels_have_no_files_no_clock_and_no_threads_of_their_own() {
+    const OUTSIDE: &[&str] = &[
+        "std::fs",
+        "std::net",
+        "std::env::",
+        "Instant::now",
+        "SystemTime",
+        "thread::spawn",
+        "thread::sleep",
+    ];
+    for folder in [
+        "operators/algorithms",
+        "operators/contract",
+        "operators/catalog",
+    ] {
+        for (path, text) in code(folder) {
+            for name in OUTSIDE {
+                assert!(
+                    !text.contains(name),
+                    "{} uses {name}: its result must depend on nothing but its input",
+                    path.display()
+                );
+            }
+        }
+    }
+}
