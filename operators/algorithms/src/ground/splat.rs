@@ -54,7 +54,12 @@ impl GroundLut {
         let Some(grid) = GridFromMap::new(self, map_from_vehicle, cell_m) else {
             return;
         };
-        let span_bits = self.span_bits(cell_m);
+        // One compiled loop for each length of span.
+        let fill = match self.span_bits(cell_m) {
+            0 => Self::sample_row::<0>,
+            1 => Self::sample_row::<1>,
+            _ => Self::sample_row::<MOST_SPAN_BITS>,
+        };
         let (mut values, mut weights) = (Vec::new(), Vec::new());
         for j in grid.rows(self) {
             let Some((i, length)) = grid.columns(self, j) else {
@@ -64,10 +69,11 @@ impl GroundLut {
             weights.clear();
             values.resize(length, 0);
             weights.resize(length, 0);
-            self.sample_row(
+            fill(
+                self,
                 image,
                 grid.start(i, j),
-                (grid.step, span_bits),
+                grid.step,
                 &mut values,
                 &mut weights,
             );
@@ -99,11 +105,11 @@ impl GroundLut {
 
     /// Fills one row. `at` and `step` are positions in the table's grid, fixed point. The table
     /// is read at the ends of spans, and the pixel moves in equal steps between.
-    fn sample_row(
+    fn sample_row<const SPAN_BITS: u32>(
         &self,
         image: &GrayView<'_>,
         at: [i64; 2],
-        (step, span_bits): ([i64; 2], u32),
+        step: [i64; 2],
         values: &mut [u8],
         weights: &mut [u8],
     ) {
@@ -111,7 +117,7 @@ impl GroundLut {
             let along = |k: usize| at[k].wrapping_add(step[k].wrapping_mul(cell as i64));
             [along(0), along(1)]
         };
-        let size = 1 << span_bits;
+        let size = 1 << SPAN_BITS;
         let spans = values.len().saturating_sub(1) / size;
         let mut from = self.pixel(position(0));
         for (span, (values, weights)) in values
@@ -122,7 +128,7 @@ impl GroundLut {
         {
             let to = self.pixel(position((span + 1) * size));
             if let (Some(from), Some(to)) = (from, to) {
-                sample_span(image, (from, to, span_bits), values, weights);
+                sample_span(image, (from, to, SPAN_BITS), values, weights);
             }
             from = to;
         }

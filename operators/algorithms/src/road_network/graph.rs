@@ -83,10 +83,15 @@ impl Graph {
 }
 
 /// Algorithm 1, lines 1–12: connect all within `connect_m`, but not what followed within the same
-/// drive while it stayed within `connect_m`; then connect in the order driven.
-pub(super) fn connect(visits: Visits, connect_m: f64) -> (Graph, Vec<Vec<u32>>) {
+/// drive while it stayed within `connect_m`; then connect in the order driven. `most_followers`
+/// bounds how far ahead the second step looks, for drives that stand and tremble for hours.
+pub(super) fn connect(
+    visits: Visits,
+    connect_m: f64,
+    most_followers: usize,
+) -> (Graph, Vec<Vec<u32>>) {
     let Visits { nodes, drives } = visits;
-    let followed = followers(&nodes, &drives, connect_m);
+    let followed = followers(&nodes, &drives, connect_m, most_followers);
     let mut graph = Graph::new(nodes);
     let mut index = CellIndex::new(connect_m);
     for id in 0..graph.positions.len() as u32 {
@@ -110,15 +115,20 @@ pub(super) fn connect(visits: Visits, connect_m: f64) -> (Graph, Vec<Vec<u32>>) 
 }
 
 /// Pairs (smaller id, larger id) that some drive visited one after the other without leaving the
-/// radius in between: sorted, without repeats.
-fn followers(nodes: &[[f64; 3]], drives: &[Vec<u32>], connect_m: f64) -> Vec<(u32, u32)> {
+/// radius in between: sorted, without repeats. Looks at `most` visits ahead.
+fn followers(
+    nodes: &[[f64; 3]],
+    drives: &[Vec<u32>],
+    connect_m: f64,
+    most: usize,
+) -> Vec<(u32, u32)> {
     let mut pairs = Vec::new();
     for drive in drives {
         let mut sorted_until = pairs.len();
         for (k, &from) in drive.iter().enumerate() {
             let within =
                 |to: &&u32| distance(&nodes[from as usize], &nodes[**to as usize]) <= connect_m;
-            let after = drive[k + 1..].iter().take_while(within);
+            let after = drive[k + 1..].iter().take_while(within).take(most);
             pairs.extend(after.map(|&to| (from.min(to), from.max(to))));
             // A drive that goes round and round says the same again and again.
             if pairs.len() > 2 * sorted_until.max(1 << 16) {

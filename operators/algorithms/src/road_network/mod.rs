@@ -44,6 +44,10 @@ use prune::Rule;
 /// Clean-up rounds at most; each removes a node, and a handful suffices.
 const MOST_CLEANUPS: u32 = 64;
 
+/// Visits ahead that are looked at for temporal neighbours after thinning: more than
+/// representatives fit along the way through a radius.
+const MOST_FOLLOWERS: usize = 64;
+
 /// One drive: a session's poses in the order driven.
 #[derive(Debug, Clone, Copy)]
 pub struct Drive<'a> {
@@ -191,12 +195,12 @@ pub fn road_network(
     check(drives, params)?;
     let mut sorted = drives.to_vec();
     sorted.sort_by(|a, b| a.key.cmp(b.key));
-    let visits = if params.spacing_m > 0.0 {
-        thinning::thinned(&sorted, params.spacing_m, params.connect_m)
+    let (mut graph, visited) = if params.spacing_m > 0.0 {
+        let visits = thinning::thinned(&sorted, params.spacing_m, params.connect_m);
+        graph::connect(visits, params.connect_m, MOST_FOLLOWERS)
     } else {
-        thinning::literal(&sorted)
+        graph::connect(thinning::literal(&sorted), params.connect_m, usize::MAX)
     };
-    let (mut graph, visited) = graph::connect(visits, params.connect_m);
     prune(&mut graph, params);
     let chains = explore::chains(&graph);
     let driven = direction::replay(&graph, &chains, &visited, params.connect_m);

@@ -113,7 +113,7 @@ fn a_crossing_is_one_intersection_of_four() {
 #[test]
 fn out_and_back_is_both_ways_and_trembling_is_not() {
     let mut drive = along(&[[0.0, 0.0], [30.0, 0.0]], 0.2, 0.0);
-    let tremble = (0..5000).map(|i| {
+    let tremble = (0..100_000).map(|i| {
         [
             30.0 + 0.3 * f64::from(i % 7 - 3),
             0.2 * f64::from(i % 5 - 2),
@@ -203,7 +203,7 @@ proptest! {
         reference.prune(loops, 2.0);
         let borrowed: Vec<Drive<'_>> =
             drives.iter().map(|positions| Drive { key: "", positions }).collect();
-        let (mut graph, _) = graph::connect(thinning::literal(&borrowed), 2.0);
+        let (mut graph, _) = graph::connect(thinning::literal(&borrowed), 2.0, usize::MAX);
         let rule = Rule { connect_m: 2.0, drops_dead_ends: true };
         prune::prune_cliques(&mut graph, loops, rule);
         for i in 0..reference.x.len() {
