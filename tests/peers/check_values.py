@@ -7,6 +7,8 @@
 Lines are in log-time order. Messages are objects with their fields as declared, nested ones too.
 - Byte arrays are lower-case hexadecimal, or with --digest {"length": 3, "sha256": "…"}.
 - JSON has no NaN or infinities: they are the strings "NaN", "Infinity", "-Infinity".
+- Payloads that rosbag2 compressed message by message (compression_mode: MESSAGE) are decompressed first: the readers
+  leave that to their caller.
 - A float32 is printed as the double of the same value: compare it after rounding to float32.
 """
 
@@ -16,8 +18,24 @@ import json
 import math
 import sys
 
+import zstandard
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no CDR encapsulation header begins like this
+
+
+def messages(file, topics):
+    """Channel, record and decoded message of every message, in log-time order."""
+    decoders = DecoderFactory()
+    for schema, channel, record in make_reader(file).iter_messages(topics=topics):
+        payload = record.data
+        if payload.startswith(ZSTD_MAGIC):
+            payload = zstandard.ZstdDecompressor().decompressobj().decompress(payload)
+        decode = decoders.decoder_for(channel.message_encoding, schema)
+        if decode is None:
+            sys.exit(f"{channel.topic} is {channel.message_encoding}, which mcap-ros2-support does not decode")
+        yield channel, record, decode(payload)
 
 
 def plain(value, as_bytes):
@@ -47,8 +65,7 @@ def main():
     given = parser.parse_args()
     as_bytes = digest if given.digest else bytes.hex
     with open(given.file, "rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        for _, channel, record, message in reader.iter_decoded_messages(topics=given.topics):
+        for channel, record, message in messages(file, given.topics):
             line = {
                 "topic": channel.topic,
                 "log_time": record.log_time,
