@@ -77,6 +77,10 @@ pub(crate) fn parse(
                 current.name = short_name(name);
             }
             at_header = false;
+        } else if line == "---" && !at_header {
+            current = begin_response(current, &mut library).ok_or_else(|| {
+                place.fault("one '---', between a service's request and response", line)
+            })?;
         } else if at_header && !line.is_empty() {
             return Err(place.fault("'MSG: package/Type' after the separator", line));
         } else if let Some(member) = member(line, &current.name, place)? {
@@ -98,12 +102,46 @@ fn short_name(name: &str) -> String {
     }
 }
 
+/// At the `---` of a service: files its request, adds its event, and begins its response.
+/// Recorders of services store the text of the whole service under the event's name.
+fn begin_response(mut request: Declaration, library: &mut Library) -> Option<Declaration> {
+    if request.name.ends_with("_Response") {
+        return None;
+    }
+    let stem = request.name.trim_end_matches("_Event");
+    let service = stem.trim_end_matches("_Request").to_owned();
+    let optional = |part: &str| Declared::Sequence(Box::new(named(&format!("{service}_{part}"))));
+    let mut event = Declaration::new(&format!("{service}_Event"), Extensibility::Unstated);
+    event.members = vec![
+        declared_member("info", named("service_msgs/ServiceEventInfo")),
+        declared_member("request", optional("Request")),
+        declared_member("response", optional("Response")),
+    ];
+    library.add(event);
+    request.name = format!("{service}_Request");
+    library.add(request);
+    let response = format!("{service}_Response");
+    Some(Declaration::new(&response, Extensibility::Unstated))
+}
+
+fn named(name: &str) -> Declared {
+    Declared::Named(vec![name.to_owned()])
+}
+
+fn declared_member(name: &str, declared: Declared) -> Member {
+    Member {
+        name: name.to_owned(),
+        declared,
+    }
+}
+
 fn is_separator(line: &str) -> bool {
     line.len() >= 8 && line.bytes().all(|b| b == b'=')
 }
 
 fn header(line: &str) -> Option<&str> {
-    line.strip_prefix("MSG:").map(str::trim)
+    let name = line.strip_prefix("MSG:").or(line.strip_prefix("SRV:"));
+    name.map(str::trim)
 }
 
 /// A member, or none for blank lines and constants.
@@ -125,10 +163,8 @@ fn member(line: &str, scope: &str, place: Place) -> Result<Option<Member>, Schem
     if tail.trim_start().starts_with('=') {
         return Ok(None);
     }
-    Ok(Some(Member {
-        name: name.to_owned(),
-        declared: declared(type_text, scope, place)?,
-    }))
+    let declared = declared(type_text, scope, place)?;
+    Ok(Some(declared_member(name, declared)))
 }
 
 fn declared(text: &str, scope: &str, place: Place) -> Result<Declared, SchemaError> {
@@ -219,11 +255,20 @@ fn add_builtins(generation: Generation, library: &mut Library) {
     ] {
         let mut declaration = Declaration::new(name, Extensibility::Final);
         declaration.members = [("sec", seconds), (fraction, fractions)]
-            .map(|(name, scalar)| Member {
-                name: name.to_owned(),
-                declared: Declared::Wire(Wire::Scalar(scalar)),
-            })
+            .map(|(name, scalar)| declared_member(name, Declared::Wire(Wire::Scalar(scalar))))
             .into();
         library.add(declaration);
     }
+    let number = |scalar| Declared::Wire(Wire::Scalar(scalar));
+    let mut info = Declaration::new("service_msgs/ServiceEventInfo", Extensibility::Final);
+    info.members = vec![
+        declared_member("event_type", number(Scalar::UInt8)),
+        declared_member("stamp", named("builtin_interfaces/Time")),
+        declared_member(
+            "client_gid",
+            Declared::Array(Box::new(number(Scalar::UInt8)), 16),
+        ),
+        declared_member("sequence_number", number(Scalar::Int64)),
+    ];
+    library.add(info);
 }
