@@ -64,7 +64,7 @@ fn payload(index: usize) -> Vec<u8> {
     p.extend(b"odom\0\0\0\0");
     p.extend(10_u32.to_le_bytes());
     p.extend(b"base_link\0");
-    while (p.len() - 4) % 8 != 0 {
+    while !(p.len() - 4).is_multiple_of(8) {
         p.push(0);
     }
     for value in 0..(7 + 36 + 6 + 36) {

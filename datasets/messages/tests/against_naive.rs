@@ -129,7 +129,7 @@ struct Writer {
 
 impl Writer {
     fn number(&mut self, bits: u64, width: usize) {
-        while (self.bytes.len() - 4) % width != 0 {
+        while !(self.bytes.len() - 4).is_multiple_of(width) {
             self.bytes.push(0);
         }
         if self.big {
