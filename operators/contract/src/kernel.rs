@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use arrow::array::RecordBatch;
+use arrow::array::{ArrayRef, RecordBatch};
+use arrow::compute::partition;
 use evermap_schemas::{Fault, Record, rows};
 
-use crate::{Emit, FoldKernel};
+use crate::{Emit, FoldKernel, Port};
 
 /// The tables of the ports other than the driving one, by port name. They hold at least the rows that belong with
 /// the driving rows (a session's, or the whole site's, as the port's grain says), in the order of the layer's key.
@@ -34,6 +35,60 @@ impl Sides {
     pub fn batches(&self, port: &str) -> &[RecordBatch] {
         self.0.get(port).map_or(&[], Vec::as_slice)
     }
+
+    /// What belongs with a group of the driving port: the rows that are equal in the key columns of a `Key` port, of
+    /// the same site for a `Whole` one, everything of a `Row` one. Rows are ordered by those columns already.
+    ///
+    /// # Errors
+    /// When a key column cannot be compared.
+    pub fn belonging(&self, ports: &[Port], group: &RecordBatch) -> Result<Sides, Fault> {
+        let mut tables = BTreeMap::new();
+        for port in ports {
+            let columns = port.grain.group_columns();
+            let mut kept = Vec::new();
+            for batch in self.batches(port.name) {
+                for part in runs_of_equal(batch, columns)? {
+                    if columns.iter().all(|name| same_first(&part, group, name)) {
+                        kept.push(part);
+                    }
+                }
+            }
+            tables.insert(port.name.to_owned(), kept);
+        }
+        Ok(Sides::new(tables))
+    }
+}
+
+fn same_first(a: &RecordBatch, b: &RecordBatch, column: &str) -> bool {
+    match (a.column_by_name(column), b.column_by_name(column)) {
+        (Some(a), Some(b)) if !a.is_empty() && !b.is_empty() => {
+            a.slice(0, 1).to_data() == b.slice(0, 1).to_data()
+        }
+        _ => true,
+    }
+}
+
+/// Runs of rows with equal values in these columns, by which the rows are ordered already; all rows where there are
+/// no such columns.
+///
+/// # Errors
+/// When a column cannot be compared.
+pub fn runs_of_equal(rows: &RecordBatch, columns: &[&str]) -> Result<Vec<RecordBatch>, Fault> {
+    let columns: Vec<ArrayRef> = columns
+        .iter()
+        .filter_map(|name| rows.column_by_name(name).cloned())
+        .collect();
+    if rows.num_rows() == 0 {
+        return Ok(Vec::new());
+    }
+    if columns.is_empty() {
+        return Ok(vec![rows.clone()]);
+    }
+    Ok(partition(&columns)?
+        .ranges()
+        .into_iter()
+        .map(|range| rows.slice(range.start, range.len()))
+        .collect())
 }
 
 /// An operator's work, ready to run.

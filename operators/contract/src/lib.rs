@@ -26,8 +26,10 @@ mod registry;
 mod table;
 
 pub use emit::{Emit, Losses};
-pub use fold::{Fold, FoldKernel, StateRow, fold};
-pub use kernel::{Group, GroupKernel, Kernel, MapKernel, Mapper, Sides, group_whole};
+pub use fold::{Fold, FoldKernel, Lifter, StateRow, fold};
+pub use kernel::{
+    Group, GroupKernel, Kernel, MapKernel, Mapper, Sides, group_whole, runs_of_equal,
+};
 pub use operator::Operator;
 pub use page::{Example, Page};
 pub use port::{Grain, Port};

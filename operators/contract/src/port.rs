@@ -34,6 +34,15 @@ impl Grain {
             Grain::Whole => false,
         }
     }
+
+    /// The columns whose equal values make a group: none for `Row`, the site for `Whole`.
+    pub fn group_columns(&self) -> &'static [&'static str] {
+        match self {
+            Grain::Row => &[],
+            Grain::Key { columns, .. } => columns,
+            Grain::Whole => &["site"],
+        }
+    }
 }
 
 /// A named input.
@@ -69,6 +78,15 @@ impl Port {
     pub fn with_pixels(mut self, column: &'static str) -> Self {
         self.pixels = Some(column);
         self
+    }
+
+    /// The columns that order the port's rows before a kernel sees them.
+    pub fn order(&self) -> Vec<&'static str> {
+        match &self.grain {
+            Grain::Row => Vec::new(),
+            Grain::Key { columns, order } => columns.iter().chain(*order).copied().collect(),
+            Grain::Whole => self.layer.key.to_vec(),
+        }
     }
 
     /// The port may stay unconnected.

@@ -3,14 +3,15 @@
 
 use std::collections::BTreeMap;
 
-use arrow::array::{ArrayRef, RecordBatch, UInt32Array};
+use arrow::array::{RecordBatch, UInt32Array};
 use arrow::compute::{
-    SortColumn, concat_batches, lexsort_to_indices, partition, take_record_batch,
+    SortColumn, concat_batches, lexsort_to_indices, take_record_batch,
 };
-use evermap_schemas::{Bytes, Fault, Layer, LayerRow, rows};
+use evermap_schemas::{Bytes, Fault, LayerRow, rows};
 use serde_json::Value;
 
 use crate::fold::StateRow;
+use crate::kernel::runs_of_equal;
 use crate::{Emit, Entry, FoldKernel, Grain, Kernel, Losses, Port, Sides};
 
 /// How the naive engine cuts its input up; no operator's result may depend on it.
@@ -75,7 +76,7 @@ pub fn run(
         }
         Kernel::Group(kernel) => {
             for group in groups(&input, &driving.grain)? {
-                let mut worker = kernel.open(&sides_of(&sides, &group, others)?)?;
+                let mut worker = kernel.open(&sides.belonging(others, &group)?)?;
                 batches(&group, split)
                     .iter()
                     .try_for_each(|batch| worker.push(batch, &mut emit))?;
@@ -142,83 +143,18 @@ fn sides(ports: &[Port], inputs: &BTreeMap<String, RecordBatch>) -> Result<Sides
     Ok(Sides::new(tables.collect::<Result<_, Fault>>()?))
 }
 
-/// The rows of the sides that belong with a group: equal in the key columns for a `Key` port, of the same site for a
-/// `Whole` one, everything else as it is.
-fn sides_of(sides: &Sides, group: &RecordBatch, ports: &[Port]) -> Result<Sides, Fault> {
-    let mut tables = BTreeMap::new();
-    for port in ports {
-        let columns: &[&str] = match &port.grain {
-            Grain::Row => &[],
-            Grain::Key { columns, .. } => columns,
-            Grain::Whole => &["site"],
-        };
-        let mut kept = Vec::new();
-        for batch in sides.batches(port.name) {
-            for part in by_columns(batch, columns)? {
-                if columns.iter().all(|name| same_first(&part, group, name)) {
-                    kept.push(part);
-                }
-            }
-        }
-        tables.insert(port.name.to_owned(), kept);
-    }
-    Ok(Sides::new(tables))
-}
-
-fn same_first(a: &RecordBatch, b: &RecordBatch, column: &str) -> bool {
-    match (a.column_by_name(column), b.column_by_name(column)) {
-        (Some(a), Some(b)) if !a.is_empty() && !b.is_empty() => {
-            a.slice(0, 1).to_data() == b.slice(0, 1).to_data()
-        }
-        _ => true,
-    }
-}
-
 fn ordered(inputs: &BTreeMap<String, RecordBatch>, port: &Port) -> Result<RecordBatch, Fault> {
     match inputs.get(port.name) {
         None => Ok(RecordBatch::new_empty(crate::table::port_schema(
             &port.layer,
             port.pixels,
         ))),
-        Some(batch) => sort(batch, port_order(&port.grain, &port.layer).as_slice()),
-    }
-}
-
-/// The columns that order a port's rows before a kernel sees them.
-pub(crate) fn port_order(grain: &Grain, layer: &Layer) -> Vec<&'static str> {
-    match grain {
-        Grain::Row => Vec::new(),
-        Grain::Key { columns, order } => columns.iter().chain(*order).copied().collect(),
-        Grain::Whole => layer.key.to_vec(),
+        Some(batch) => sort(batch, &port.order()),
     }
 }
 
 fn groups(input: &RecordBatch, grain: &Grain) -> Result<Vec<RecordBatch>, Fault> {
-    match grain {
-        Grain::Row => by_columns(input, &[]),
-        Grain::Key { columns, .. } => by_columns(input, columns),
-        Grain::Whole => by_columns(input, &["site"]),
-    }
-}
-
-/// Runs of equal values in these columns; the rows are ordered by them already.
-fn by_columns(input: &RecordBatch, columns: &[&str]) -> Result<Vec<RecordBatch>, Fault> {
-    let columns: Vec<ArrayRef> = columns
-        .iter()
-        .filter_map(|name| input.column_by_name(name).cloned())
-        .collect();
-    if columns.is_empty() || input.num_rows() == 0 {
-        return Ok(if input.num_rows() == 0 {
-            Vec::new()
-        } else {
-            vec![input.clone()]
-        });
-    }
-    Ok(partition(&columns)?
-        .ranges()
-        .into_iter()
-        .map(|range| input.slice(range.start, range.len()))
-        .collect())
+    runs_of_equal(input, grain.group_columns())
 }
 
 fn batches(rows: &RecordBatch, split: Split) -> Vec<RecordBatch> {

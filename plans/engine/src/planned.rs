@@ -1,0 +1,56 @@
+//! A plan node that a query reads as a table.
+
+use std::fmt;
+use std::sync::Arc;
+
+use arrow::datatypes::SchemaRef;
+use async_trait::async_trait;
+use datafusion::catalog::{Session, TableProvider};
+use datafusion::error::Result;
+use datafusion::logical_expr::{Expr, TableType};
+use datafusion::physical_expr::expressions::Column;
+use datafusion::physical_plan::projection::ProjectionExec;
+use datafusion::physical_plan::{ExecutionPlan, PhysicalExpr};
+
+/// The rows of a plan node.
+pub struct PlannedTable(Arc<dyn ExecutionPlan>);
+
+impl PlannedTable {
+    /// The rows of `plan`.
+    pub fn new(plan: Arc<dyn ExecutionPlan>) -> Self {
+        Self(plan)
+    }
+}
+
+impl fmt::Debug for PlannedTable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "PlannedTable({:?})", self.0)
+    }
+}
+
+#[async_trait]
+impl TableProvider for PlannedTable {
+    fn schema(&self) -> SchemaRef {
+        self.0.schema()
+    }
+
+    fn table_type(&self) -> TableType {
+        TableType::Temporary
+    }
+
+    async fn scan(
+        &self,
+        _: &dyn Session,
+        projection: Option<&Vec<usize>>,
+        _: &[Expr],
+        _: Option<usize>,
+    ) -> Result<Arc<dyn ExecutionPlan>> {
+        let Some(projection) = projection else { return Ok(Arc::clone(&self.0)) };
+        let schema = self.0.schema();
+        let columns = projection.iter().map(|&index| {
+            let name = schema.field(index).name().clone();
+            (Arc::new(Column::new(&name, index)) as Arc<dyn PhysicalExpr>, name)
+        });
+        Ok(Arc::new(ProjectionExec::try_new(columns.collect::<Vec<_>>(), Arc::clone(&self.0))?))
+    }
+}

@@ -1,0 +1,199 @@
+//! From what a person asks for to a run: plan text, sessions and a map, checked together.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use evermap_contract::Registry;
+use evermap_datasets::{Dataset, Manifest};
+use evermap_language::{Faults, OperatorSpec, Plan, PortSpec, Vocabulary};
+use evermap_schemas::{Fault, Layer};
+
+use crate::program::{Program, compile};
+use crate::run::{Run, RunSession};
+use crate::sql::{Limits, context, tables};
+use crate::store::Store;
+use crate::unit::LogContent;
+use crate::version::Version;
+
+/// What keeps a plan from running: its own faults, or something else.
+#[derive(Debug)]
+pub enum Refusal {
+    /// The plan's faults, all of them, with positions.
+    Plan(Box<Faults>),
+    /// Anything else.
+    Fault(Fault),
+}
+
+impl From<Fault> for Refusal {
+    fn from(fault: Fault) -> Self {
+        Self::Fault(fault)
+    }
+}
+
+impl From<Faults> for Refusal {
+    fn from(faults: Faults) -> Self {
+        Self::Plan(Box::new(faults))
+    }
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Plan(faults) => write!(f, "{}", faults.pretty()),
+            Self::Fault(fault) => write!(f, "{fault}"),
+        }
+    }
+}
+
+impl std::error::Error for Refusal {}
+
+/// A plan's text, where it is from, and what overrides it.
+#[derive(Debug, Clone, Default)]
+pub struct PlanText {
+    /// The YAML.
+    pub text: String,
+    /// Names the text in messages.
+    pub origin: String,
+    /// `step.param=value` options.
+    pub settings: Vec<String>,
+}
+
+/// Everything plans can be written with.
+pub fn vocabulary(registry: &Registry) -> Vocabulary {
+    let operators = registry.entries().map(|entry| OperatorSpec {
+        name: entry.name.to_owned(),
+        ports: entry
+            .ports
+            .iter()
+            .map(|port| PortSpec { name: port.name.to_owned(), optional: port.optional })
+            .collect(),
+        params: entry.params_schema.clone(),
+        defaults: entry.defaults.clone(),
+    });
+    Vocabulary {
+        operators: operators.collect(),
+        sources: evermap_datasets::TABLES.iter().map(ToString::to_string).collect(),
+        open_sources: true,
+    }
+}
+
+/// Parses a plan and checks what its text alone shows.
+///
+/// # Errors
+/// All its faults.
+pub fn parse(plan: &PlanText, registry: &Registry) -> Result<Plan, Faults> {
+    evermap_language::parse(&plan.text, &plan.origin, &vocabulary(registry), &tables, &plan.settings)
+}
+
+/// Parses and compiles a plan, on the tables of these sessions; none are needed unless the plan reads topics.
+///
+/// # Errors
+/// All its faults.
+pub async fn check(plan: &PlanText, registry: &Registry, dataset: &Dataset) -> Result<(Plan, Program), Refusal> {
+    let parsed = parse(plan, registry)?;
+    let context = context(Limits::default())?;
+    dataset.register(&context).await?;
+    let program = compile(&parsed, registry, &context, &plan.origin, &plan.text).await?;
+    Ok((parsed, program))
+}
+
+/// A run, ready to be explained or executed.
+pub struct Prepared {
+    /// The program.
+    pub program: Program,
+    /// All sessions of the coming version, sorted by name: those of the version before, and the new ones.
+    pub sessions: Vec<RunSession>,
+    /// The version before.
+    pub base: Option<Version>,
+    /// The map.
+    pub store: Store,
+}
+
+impl Prepared {
+    /// Checks a plan against the sessions and the map that it is to run on. The sessions given join those that the
+    /// map has; one of the same name takes its place.
+    ///
+    /// # Errors
+    /// All faults of the plan, or what is wrong with a session or the map.
+    pub async fn new(
+        plan: &PlanText,
+        registry: &Registry,
+        map: &str,
+        sessions: &[String],
+        manifest: Option<&Manifest>,
+    ) -> Result<Self, Refusal> {
+        let parsed = parse(plan, registry)?;
+        let read;
+        let manifest = match (manifest, &parsed.sessions) {
+            (None, Some(path)) => {
+                read = Manifest::read(&beside(&plan.origin, path))?;
+                Some(&read)
+            }
+            (manifest, _) => manifest,
+        };
+        let store = Store::open(map, true)?;
+        let base = Version::latest(&store).await?;
+        let given = Dataset::open(sessions, manifest).await?;
+        let mut by_name = mapped_sessions(base.as_ref())?;
+        for session in &given.sessions {
+            let run_session = run_session(&given, &session.name).await?;
+            by_name.insert(run_session.log.session.clone(), run_session);
+        }
+        // Topics are checked on the logs at hand; a map's earlier logs may be gone, their artifacts are not.
+        let context = context(Limits::default())?;
+        given.register(&context).await?;
+        let program = compile(&parsed, registry, &context, &plan.origin, &plan.text).await?;
+        Ok(Self { program, sessions: by_name.into_values().collect(), base, store })
+    }
+
+    /// The run.
+    pub fn run<'a>(&'a self, registry: &'a Registry, limits: Limits) -> Run<'a> {
+        Run {
+            program: &self.program,
+            registry,
+            store: &self.store,
+            sessions: self.sessions.clone(),
+            base: self.base.clone(),
+            limits,
+        }
+    }
+
+    /// The declaration of a stage's layer, where an operator makes it.
+    pub fn layer(&self, stage: &str, registry: &Registry) -> Option<Layer> {
+        self.program.layer(stage, registry)
+    }
+}
+
+/// A path as a plan writes it: relative to the working folder, or, where there is no such file, to the plan.
+fn beside(origin: &str, path: &str) -> String {
+    let here = std::path::Path::new(path);
+    let there = std::path::Path::new(origin).parent().map(|folder| folder.join(path));
+    match there {
+        Some(there) if !here.exists() && there.exists() => there.display().to_string(),
+        _ => path.to_owned(),
+    }
+}
+
+fn mapped_sessions(base: Option<&Version>) -> Result<BTreeMap<String, RunSession>, Fault> {
+    let sessions = base.into_iter().flat_map(|base| &base.sessions).map(|session| {
+        let manifest = serde_json::from_value(session.manifest.clone()).map_err(|error| {
+            Fault::data(format!("a session of the map does not read: {error}")).at(&session.log.session)
+        })?;
+        Ok((session.log.session.clone(), RunSession { log: session.log.clone(), manifest }))
+    });
+    sessions.collect()
+}
+
+async fn run_session(dataset: &Dataset, name: &str) -> Result<RunSession, Fault> {
+    let manifest = dataset.manifest_of(name)?;
+    let content = dataset.fingerprint(name).await?;
+    let site = dataset.sessions.iter().find(|session| *session.name == *name).map(|session| session.site.to_string());
+    let roles = serde_json::to_vec(&manifest.roles).map_err(|error| Fault::bug(error.to_string()))?;
+    let log = LogContent {
+        session: name.to_owned(),
+        site: site.unwrap_or_default(),
+        content,
+        roles: crate::store::digest(&roles),
+    };
+    Ok(RunSession { log, manifest })
+}

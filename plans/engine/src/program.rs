@@ -1,0 +1,389 @@
+//! From a checked plan to stages: what is stored, at which scope, and what runs inside what.
+//!
+//! A step is one stage, a Fold two: its lift, which runs where the rows are, and its merge. A stage's [`Scope`] says
+//! how much of the map one unit of it covers; a stage that is not stored runs inside the units of its reader.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use arrow::datatypes::SchemaRef;
+use datafusion::catalog::{MemorySchemaProvider, SchemaProvider};
+use datafusion::datasource::MemTable;
+use datafusion::prelude::SessionContext;
+use evermap_contract::{Entry, Grain, Kernel, LayerRow, Registry, StateRow};
+use evermap_language::{Body, Faults, Input, Plan, Place, Step};
+use evermap_schemas::{Fault, Layer};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::conform::misfits;
+use crate::error::fault_of;
+use crate::exec::Phase;
+use crate::sql;
+
+/// How much of a map one unit of a stage covers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Scope {
+    /// One session.
+    Session,
+    /// All sessions of one site.
+    Site,
+    /// Everything.
+    Map,
+}
+
+/// What a stage reads.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Table {
+    /// Another stage.
+    Stage(String),
+    /// A table of the logs: a role or a topic.
+    Log(String),
+    /// A layer of the version before.
+    Previous(String),
+}
+
+/// What a stage does.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Task {
+    /// An operator.
+    Op {
+        /// Its name.
+        op: String,
+        /// Its version.
+        version: u32,
+        /// Which part of its work.
+        phase: Phase,
+        /// Its parameters, complete.
+        params: Value,
+        /// Port to table.
+        inputs: BTreeMap<String, Table>,
+    },
+    /// A query.
+    Sql {
+        /// Its text.
+        query: String,
+        /// The tables it names.
+        inputs: Vec<Table>,
+        /// Whether it orders its rows itself.
+        ordered: bool,
+    },
+}
+
+impl Task {
+    /// The tables it reads.
+    pub fn inputs(&self) -> Vec<&Table> {
+        match self {
+            Task::Op { inputs, .. } => inputs.values().collect(),
+            Task::Sql { inputs, .. } => inputs.iter().collect(),
+        }
+    }
+}
+
+/// One stage.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Stage {
+    /// The step's name; a lift has [`LIFT`] behind it.
+    pub name: String,
+    /// What it does.
+    pub task: Task,
+    /// How much one unit of it covers.
+    pub scope: Scope,
+    /// Whether its rows are kept as artifacts.
+    pub stored: bool,
+}
+
+/// What follows a step's name in the name of its lift.
+pub const LIFT: &str = "#lift";
+
+/// A plan, ready to run.
+#[derive(Debug, Clone)]
+pub struct Program {
+    /// The plan's name.
+    pub plan: String,
+    /// Stages, each after all it reads.
+    pub stages: Vec<Stage>,
+    /// The schema of every stage.
+    pub schemas: BTreeMap<String, SchemaRef>,
+    /// The stages that are published as layers, in the plan's order.
+    pub write: Vec<String>,
+    /// What is allowed but probably not meant.
+    pub warnings: Vec<String>,
+}
+
+impl Program {
+    /// A stage by name.
+    ///
+    /// # Errors
+    /// A bug fault: names were checked.
+    pub fn stage(&self, name: &str) -> Result<&Stage, Fault> {
+        self.stages.iter().find(|stage| stage.name == name).ok_or_else(|| Fault::bug(format!("no stage {name}")))
+    }
+
+    /// The layer declaration of a stage that an operator makes.
+    pub fn layer(&self, name: &str, registry: &Registry) -> Option<Layer> {
+        match &self.stage(name).ok()?.task {
+            Task::Op { op, .. } => registry.get(op).ok().map(|entry| entry.output.clone()),
+            Task::Sql { .. } => None,
+        }
+    }
+
+    /// A stage and those that run inside it, in order.
+    ///
+    /// # Errors
+    /// As [`Program::stage`].
+    pub fn fragment(&self, name: &str) -> Result<Vec<Stage>, Fault> {
+        let mut wanted = BTreeSet::from([name.to_owned()]);
+        let mut fragment = Vec::new();
+        for stage in self.stages.iter().rev().filter(|stage| stage.name == name || !stage.stored) {
+            if wanted.contains(&stage.name) {
+                let inside = stage.task.inputs().into_iter().filter_map(|table| match table {
+                    Table::Stage(input) => Some(input.clone()),
+                    _ => None,
+                });
+                wanted.extend(inside);
+                fragment.push(stage.clone());
+            }
+        }
+        fragment.reverse();
+        Ok(fragment)
+    }
+}
+
+/// Compiles a plan. `context` has the log tables registered; their rows are not read.
+///
+/// # Errors
+/// Every fault of the plan that its text alone does not show: queries that do not plan, tables that do not fit ports.
+pub async fn compile(plan: &Plan, registry: &Registry, context: &SessionContext, origin: &str, text: &str) -> Result<Program, Faults> {
+    let mut compiler = Compiler {
+        registry,
+        context,
+        plan,
+        faults: Faults::new(origin, text),
+        stages: Vec::new(),
+        schemas: BTreeMap::new(),
+        previous: Arc::new(MemorySchemaProvider::new()),
+    };
+    compiler.register_previous();
+    for step in &plan.steps {
+        compiler.step(step).await;
+    }
+    if compiler.faults.error_count() > 0 {
+        return Err(compiler.faults.settle());
+    }
+    compiler.decide_stored();
+    Ok(Program {
+        plan: plan.name.clone(),
+        stages: compiler.stages,
+        schemas: compiler.schemas,
+        write: plan.write.clone(),
+        warnings: plan.warnings.iter().map(|fault| fault.message.clone()).collect(),
+    })
+}
+
+struct Compiler<'a> {
+    registry: &'a Registry,
+    context: &'a SessionContext,
+    plan: &'a Plan,
+    faults: Faults,
+    stages: Vec<Stage>,
+    schemas: BTreeMap<String, SchemaRef>,
+    previous: Arc<MemorySchemaProvider>,
+}
+
+impl Compiler<'_> {
+    fn fault(&mut self, step: &Step, message: impl Into<String>) {
+        self.faults.error(Place::Text(step.position), message);
+    }
+
+    /// Layers of the version before have the schema of the operator that makes them in this plan.
+    fn register_previous(&mut self) {
+        if let Some(catalog) = self.context.catalog("datafusion") {
+            let _ = catalog.register_schema("previous", Arc::clone(&self.previous) as _);
+        }
+        for step in &self.plan.steps {
+            if let Body::Op { op, .. } = &step.body
+                && let Ok(entry) = self.registry.get(op)
+            {
+                self.add_previous(&step.name, entry.output.schema());
+            }
+        }
+    }
+
+    fn add_previous(&self, name: &str, schema: SchemaRef) {
+        if let Ok(table) = MemTable::try_new(schema, vec![vec![]]) {
+            let _ = self.previous.register_table(name.to_owned(), Arc::new(table));
+        }
+    }
+
+    async fn step(&mut self, step: &Step) {
+        let schema = match &step.body {
+            Body::Op { op, inputs, params } => self.op(step, op, inputs, params).await,
+            Body::Sql { query, inputs } => self.sql(step, query, inputs).await,
+        };
+        let Some(schema) = schema else { return };
+        if let Ok(table) = MemTable::try_new(Arc::clone(&schema), vec![vec![]]) {
+            let _ = self.context.register_table(datafusion::common::TableReference::bare(step.name.clone()), Arc::new(table));
+        }
+        self.schemas.insert(step.name.clone(), schema);
+    }
+
+    async fn op(
+        &mut self,
+        step: &Step,
+        op: &str,
+        inputs: &BTreeMap<String, Input>,
+        params: &Value,
+    ) -> Option<SchemaRef> {
+        let entry = match self.registry.get(op) {
+            Ok(entry) => entry.clone(),
+            Err(fault) => {
+                self.fault(step, fault.message);
+                return None;
+            }
+        };
+        let params = match entry.normalise(params).and_then(|params| entry.kernel(&params).map(|kernel| (params, kernel))) {
+            Ok(params) => Some(params),
+            Err(fault) => {
+                self.fault(step, format!("step `{}`: {}", step.name, fault.message));
+                None
+            }
+        };
+        for (port, input) in inputs {
+            self.check_port(step, &entry, port, input).await;
+        }
+        let schema = entry.output.schema();
+        if let Some((params, kernel)) = params {
+            self.add_operator(step, &entry, inputs, params, &kernel);
+        }
+        Some(schema)
+    }
+
+    async fn check_port(&mut self, step: &Step, entry: &Entry, port: &str, input: &Input) {
+        let (Some(port), Some(schema)) = (entry.port(port), self.schema_of(input).await) else { return };
+        for misfit in misfits(&schema, &port.layer) {
+            let text = format!("step `{}`: `{}` {misfit}, which port `{}` of {} reads", step.name, input.written(), port.name, entry.name);
+            self.fault(step, text);
+        }
+    }
+
+    async fn schema_of(&self, input: &Input) -> Option<SchemaRef> {
+        match input {
+            Input::Step(name) => self.schemas.get(name).cloned(),
+            Input::Source(name) => {
+                let table = self.context.table_provider(datafusion::common::TableReference::bare(name.clone())).await;
+                table.ok().map(|table| table.schema())
+            }
+            Input::Previous(name) => {
+                self.previous.table(name).await.ok().flatten().map(|table| table.schema())
+            }
+        }
+    }
+
+    fn add_operator(&mut self, step: &Step, entry: &Entry, inputs: &BTreeMap<String, Input>, params: Value, kernel: &Kernel) {
+        let tables: BTreeMap<_, _> = inputs.iter().map(|(port, input)| (port.clone(), table(input))).collect();
+        let own = entry.ports.first().map_or(Scope::Map, |driving| {
+            let grain = if driving.grain.is_per_session() { Scope::Session } else { Scope::Site };
+            tables.get(driving.name).map_or(grain, |table| self.scope_of(table).max(grain))
+        });
+        let scope = entry.ports.iter().skip(1).filter(|port| port.grain.is_per_session()).fold(own, |scope, port| {
+            tables.get(port.name).map_or(scope, |table| scope.max(self.scope_of(table)))
+        });
+        let stage = |name: String, phase, inputs, scope| Stage {
+            name,
+            task: Task::Op { op: entry.name.to_owned(), version: entry.version, phase, params: params.clone(), inputs },
+            scope,
+            stored: false,
+        };
+        if matches!(kernel, Kernel::Fold(_)) {
+            let lift = format!("{}{LIFT}", step.name);
+            let states = BTreeMap::from([("states".to_owned(), Table::Stage(lift.clone()))]);
+            self.schemas.insert(lift.clone(), StateRow::layer().schema());
+            self.stages.push(stage(lift, Phase::Lift, tables, scope));
+            self.stages.push(stage(step.name.clone(), Phase::Merge, states, scope.max(Scope::Site)));
+        } else {
+            self.stages.push(stage(step.name.clone(), Phase::Run, tables, scope));
+        }
+    }
+
+    async fn sql(&mut self, step: &Step, query: &str, inputs: &[Input]) -> Option<SchemaRef> {
+        if inputs.iter().any(|input| matches!(input, Input::Step(name) if !self.schemas.contains_key(name))) {
+            return None;
+        }
+        let frame = match self.context.sql(query).await {
+            Ok(frame) => frame,
+            Err(error) => {
+                self.fault(step, format!("the query of `{}` does not plan: {}", step.name, fault_of(&error).message));
+                return None;
+            }
+        };
+        let plan = frame.logical_plan();
+        let repeated = sql::repeated_columns(plan);
+        if !repeated.is_empty() {
+            self.fault(step, format!("the query of `{}` gives two columns the name {}; name one with AS", step.name, repeated.join(", ")));
+            return None;
+        }
+        let tables: Vec<_> = inputs.iter().map(table).collect();
+        let widest = tables.iter().map(|table| self.scope_of(table)).max().unwrap_or(Scope::Map);
+        let scope = match widest {
+            Scope::Session if sql::is_local(plan, "session") => Scope::Session,
+            Scope::Session | Scope::Site if sql::is_local(plan, "site") => Scope::Site,
+            _ => Scope::Map,
+        };
+        let schema = crate::conform::bare(plan.schema().as_arrow());
+        let task = Task::Sql { query: query.to_owned(), inputs: tables, ordered: sql::is_ordered(plan) };
+        self.stages.push(Stage { name: step.name.clone(), task, scope, stored: false });
+        Some(schema)
+    }
+
+    fn scope_of(&self, table: &Table) -> Scope {
+        match table {
+            Table::Log(_) => Scope::Session,
+            Table::Previous(_) => Scope::Site,
+            Table::Stage(name) => {
+                self.stages.iter().find(|stage| stage.name == *name).map_or(Scope::Map, |stage| stage.scope)
+            }
+        }
+    }
+
+    /// A stage is kept when it is written, is read twice, is read at a wider scope, or is a port other than the
+    /// driving one, whose table every unit needs.
+    fn decide_stored(&mut self) {
+        let mut readers: BTreeMap<String, usize> = BTreeMap::new();
+        let mut stored: BTreeSet<String> = self.plan.write.iter().cloned().collect();
+        for stage in &self.stages {
+            for table in stage.task.inputs() {
+                let Table::Stage(input) = table else { continue };
+                *readers.entry(input.clone()).or_default() += 1;
+                if self.scope_of(table) != stage.scope || self.is_side(stage, input) {
+                    stored.insert(input.clone());
+                }
+            }
+        }
+        stored.extend(readers.into_iter().filter(|(_, count)| *count > 1).map(|(name, _)| name));
+        for stage in &mut self.stages {
+            stage.stored = stored.contains(&stage.name);
+        }
+    }
+
+    fn is_side(&self, stage: &Stage, input: &str) -> bool {
+        let Task::Op { op, inputs, phase, .. } = &stage.task else { return false };
+        let Ok(entry) = self.registry.get(op) else { return false };
+        *phase != Phase::Merge
+            && entry.ports.iter().enumerate().any(|(index, port)| {
+                let here = matches!(inputs.get(port.name), Some(Table::Stage(name)) if name == input);
+                here && (index > 0 || port.grain == Grain::Whole)
+            })
+    }
+}
+
+fn table(input: &Input) -> Table {
+    match input {
+        Input::Step(name) => Table::Stage(name.clone()),
+        Input::Source(name) => Table::Log(name.clone()),
+        Input::Previous(name) => Table::Previous(name.clone()),
+    }
+}

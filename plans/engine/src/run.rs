@@ -1,0 +1,326 @@
+//! A run: the units of a program in dependency order, what exists skipped, a version published at the end.
+//!
+//! A unit's recipe names the *contents* of what it reads, so it is known only when those units are done; then a
+//! receipt under the recipe's digest means that the work was done before, by this run, an earlier one, or one that
+//! was killed. An unchanged result has an unchanged digest and stops everything downstream.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use evermap_contract::Registry;
+use evermap_datasets::Manifest;
+use evermap_schemas::Fault;
+use futures::StreamExt;
+use futures::stream::SelectAll;
+
+use crate::needs::{Instance, Needs, instances, needs};
+use crate::program::{Program, Stage, Table};
+use crate::runner::Runner;
+use crate::sql::Limits;
+use crate::store::Store;
+use crate::unit::{Artifact, LogContent, PreviousLayer, Receipt, Recipe, Unit};
+use crate::version::{MappedSession, StoredLayer, Version};
+
+/// A session as a run sees it.
+#[derive(Debug, Clone)]
+pub struct RunSession {
+    /// The log, by content.
+    pub log: LogContent,
+    /// How to open it: a manifest of this one session.
+    pub manifest: Manifest,
+}
+
+/// What happens during a run.
+#[derive(Debug)]
+pub enum Event<'a> {
+    /// So many units are known.
+    Planned {
+        /// Units in all.
+        units: usize,
+    },
+    /// A unit was begun.
+    Started {
+        /// What a person calls it.
+        label: &'a str,
+    },
+    /// A unit was done.
+    Done {
+        /// What a person calls it.
+        label: &'a str,
+        /// What it did.
+        receipt: &'a Receipt,
+        /// Whether it had been done before.
+        cached: bool,
+    },
+}
+
+/// What is run, on what, and where it goes.
+pub struct Run<'a> {
+    /// The program.
+    pub program: &'a Program,
+    /// The operators.
+    pub registry: &'a Registry,
+    /// The map.
+    pub store: &'a Store,
+    /// All sessions of the coming version, sorted by name.
+    pub sessions: Vec<RunSession>,
+    /// The version before.
+    pub base: Option<Version>,
+    /// What one unit may use.
+    pub limits: Limits,
+}
+
+/// What a run did.
+#[derive(Debug, Clone)]
+pub struct RunResult {
+    /// The version that the map is at now.
+    pub version: Version,
+    /// Whether this run published it; false where nothing had changed.
+    pub published: bool,
+    /// Every unit: its stage, its receipt, whether it had been done before.
+    pub units: Vec<(String, Receipt, bool)>,
+}
+
+/// A unit before its recipe is known.
+struct Pending {
+    stage: usize,
+    instance: Instance,
+    needs: Needs,
+    waiting: usize,
+}
+
+struct Driver<'r, 'a> {
+    run: &'r Run<'a>,
+    units: Vec<Pending>,
+    by_place: BTreeMap<(String, Instance), usize>,
+    dependents: Vec<Vec<usize>>,
+    receipts: Vec<Option<(Receipt, bool)>>,
+    labels: Vec<String>,
+}
+
+impl Run<'_> {
+    /// Runs everything, then publishes.
+    ///
+    /// # Errors
+    /// The first unit's fault, after the units that were under way have ended; what was done stays done.
+    pub async fn execute(
+        &self,
+        runner: &dyn Runner,
+        observe: &mut (dyn FnMut(Event<'_>) + Send),
+    ) -> Result<RunResult, Fault> {
+        if self.sessions.is_empty() {
+            return Err(Fault::user("no sessions to map").next("give some with --sessions FILES"));
+        }
+        let mut driver = Driver::new(self)?;
+        observe(Event::Planned { units: driver.units.len() });
+        driver.drive(runner, observe).await?;
+        self.publish(&driver).await
+    }
+
+    async fn publish(&self, driver: &Driver<'_, '_>) -> Result<RunResult, Fault> {
+        let parent = self.base.as_ref().map_or(0, |base| base.version);
+        let version = Version {
+            version: parent + 1,
+            parent,
+            plan: self.program.plan.clone(),
+            evermap: env!("CARGO_PKG_VERSION").to_owned(),
+            published: chrono::Utc::now().to_rfc3339(),
+            sessions: self.sessions.iter().map(mapped).collect::<Result<_, _>>()?,
+            layers: driver.layers()?,
+            losses: driver.losses(),
+        };
+        let units = driver.done();
+        match &self.base {
+            Some(base) if base.same_content(&version) => {
+                Ok(RunResult { version: base.clone(), published: false, units })
+            }
+            _ => {
+                version.publish(self.store).await?;
+                Ok(RunResult { version, published: true, units })
+            }
+        }
+    }
+}
+
+fn mapped(session: &RunSession) -> Result<MappedSession, Fault> {
+    let manifest = serde_json::to_value(&session.manifest).map_err(|error| Fault::bug(error.to_string()))?;
+    Ok(MappedSession { log: session.log.clone(), manifest })
+}
+
+impl<'r, 'a> Driver<'r, 'a> {
+    fn new(run: &'r Run<'a>) -> Result<Self, Fault> {
+        let mut units = Vec::new();
+        let mut by_place = BTreeMap::new();
+        let mut labels = Vec::new();
+        for (stage_index, stage) in run.program.stages.iter().enumerate().filter(|(_, stage)| stage.stored) {
+            for instance in instances(stage.scope, &run.sessions) {
+                let needs = needs(run.program, run.registry, stage, &instance, &run.sessions)?;
+                labels.push(instance.label(&stage.name));
+                by_place.insert((stage.name.clone(), instance.clone()), units.len());
+                units.push(Pending { stage: stage_index, instance, needs, waiting: 0 });
+            }
+        }
+        let mut dependents = vec![Vec::new(); units.len()];
+        for index in 0..units.len() {
+            let before: BTreeSet<usize> =
+                units[index].needs.places().filter_map(|place| by_place.get(&place).copied()).collect();
+            units[index].waiting = before.len();
+            before.into_iter().for_each(|earlier| dependents[earlier].push(index));
+        }
+        let receipts = vec![None; units.len()];
+        Ok(Self { run, units, by_place, dependents, receipts, labels })
+    }
+
+    async fn drive(
+        &mut self,
+        runner: &dyn Runner,
+        observe: &mut (dyn FnMut(Event<'_>) + Send),
+    ) -> Result<(), Fault> {
+        let mut running = SelectAll::new();
+        let mut ready: Vec<usize> = (0..self.units.len()).filter(|&index| self.units[index].waiting == 0).collect();
+        let mut first_fault: Option<Fault> = None;
+        loop {
+            let mut fresh = Vec::new();
+            while let Some(index) = ready.pop() {
+                let unit = self.unit(index)?;
+                match Receipt::find(self.run.store, &unit.recipe.digest()?).await? {
+                    Some(receipt) => ready.extend(self.finish(index, receipt, true, observe)),
+                    None => fresh.push((index, unit)),
+                }
+            }
+            fresh.sort_by_key(|(index, _)| *index);
+            if !fresh.is_empty() && first_fault.is_none() {
+                fresh.iter().for_each(|(index, _)| observe(Event::Started { label: &self.labels[*index] }));
+                running.push(runner.start(fresh));
+            }
+            match running.next().await {
+                None => break,
+                Some((index, Ok(receipt))) => ready.extend(self.finish(index, receipt, false, observe)),
+                Some((index, Err(fault))) => {
+                    first_fault.get_or_insert_with(|| fault.at(&self.labels[index]));
+                }
+            }
+        }
+        first_fault.map_or(Ok(()), Err)
+    }
+
+    /// Notes a unit's receipt; the units that waited only for it are ready now.
+    fn finish(
+        &mut self,
+        index: usize,
+        receipt: Receipt,
+        cached: bool,
+        observe: &mut (dyn FnMut(Event<'_>) + Send),
+    ) -> Vec<usize> {
+        observe(Event::Done { label: &self.labels[index], receipt: &receipt, cached });
+        self.receipts[index] = Some((receipt, cached));
+        let mut ready = Vec::new();
+        for &later in &self.dependents[index] {
+            self.units[later].waiting -= 1;
+            if self.units[later].waiting == 0 {
+                ready.push(later);
+            }
+        }
+        ready
+    }
+
+    fn artifact(&self, place: &(String, Instance)) -> Result<Artifact, Fault> {
+        self.by_place
+            .get(place)
+            .and_then(|&index| self.receipts[index].as_ref())
+            .map(|(receipt, _)| receipt.artifact.clone())
+            .ok_or_else(|| Fault::bug(format!("a unit began before {}", place.1.label(&place.0))))
+    }
+
+    fn unit(&self, index: usize) -> Result<Unit, Fault> {
+        let (pending, run) = (&self.units[index], self.run);
+        let stage = &run.program.stages[pending.stage];
+        let fragment = run.program.fragment(&stage.name)?;
+        let (session, site) = pending.instance.names(&run.sessions);
+        let mut recipe = Recipe::new(fragment, session, site);
+        let mut tables = BTreeMap::new();
+        for (name, places) in &pending.needs.tables {
+            let artifacts = places.iter().map(|place| self.artifact(&(name.clone(), place.clone())));
+            let artifacts = artifacts.collect::<Result<Vec<_>, _>>()?;
+            recipe.tables.insert(name.clone(), artifacts.iter().map(|artifact| artifact.content.clone()).collect());
+            tables.insert(name.clone(), artifacts);
+        }
+        let previous = previous_layers(run, &recipe.stages, &pending.instance);
+        for (name, layer) in &previous {
+            let contents = layer.artifacts.iter().map(|artifact| artifact.content.clone()).collect();
+            recipe.previous.insert(name.clone(), contents);
+        }
+        let logs: Vec<&RunSession> =
+            run.sessions.iter().filter(|session| pending.needs.logs.contains(&session.log.session)).collect();
+        recipe.logs = logs.iter().map(|session| session.log.clone()).collect();
+        let logs = (!logs.is_empty()).then(|| Manifest::together(logs.iter().map(|session| &session.manifest)));
+        Ok(Unit {
+            store: run.store.url().to_string(),
+            recipe,
+            tables,
+            previous,
+            logs,
+            memory_bytes: run.limits.memory_bytes,
+            partitions: run.limits.partitions,
+        })
+    }
+
+    fn done(&self) -> Vec<(String, Receipt, bool)> {
+        let units = self.units.iter().zip(&self.receipts);
+        let stage = |unit: &Pending| self.run.program.stages[unit.stage].name.clone();
+        units.filter_map(|(unit, receipt)| receipt.clone().map(|(receipt, cached)| (stage(unit), receipt, cached))).collect()
+    }
+
+    fn layers(&self) -> Result<BTreeMap<String, StoredLayer>, Fault> {
+        let mut layers: BTreeMap<String, StoredLayer> = BTreeMap::new();
+        for (unit, receipt) in self.units.iter().zip(&self.receipts) {
+            let stage: &Stage = &self.run.program.stages[unit.stage];
+            let (receipt, _) = receipt.as_ref().ok_or_else(|| Fault::bug(format!("{} was not run", stage.name)))?;
+            let layer = layers.entry(stage.name.clone()).or_insert_with(|| StoredLayer {
+                published: self.run.program.write.contains(&stage.name),
+                op: crate::build::stage_op(stage),
+                ..StoredLayer::default()
+            });
+            layer.artifacts.push(receipt.artifact.clone());
+            layer.recipes.push(receipt.digest.clone());
+        }
+        Ok(layers)
+    }
+
+    /// What was skipped or lost: operators' counts summed, a log's counted once however many units read it.
+    fn losses(&self) -> BTreeMap<String, u64> {
+        let mut losses: BTreeMap<String, u64> = BTreeMap::new();
+        for (receipt, _) in self.receipts.iter().flatten() {
+            for (reason, count) in &receipt.skipped {
+                *losses.entry(reason.clone()).or_default() += count;
+            }
+            for (reason, count) in &receipt.log_losses {
+                let held = losses.entry(reason.clone()).or_default();
+                *held = (*held).max(*count);
+            }
+        }
+        losses
+    }
+}
+
+/// The layers of the version before that these stages read, as far as they concern the instance.
+fn previous_layers(run: &Run<'_>, stages: &[Stage], instance: &Instance) -> BTreeMap<String, PreviousLayer> {
+    let names: BTreeSet<&String> = stages
+        .iter()
+        .flat_map(|stage| stage.task.inputs())
+        .filter_map(|table| if let Table::Previous(name) = table { Some(name) } else { None })
+        .collect();
+    let site = instance.names(&run.sessions).1;
+    let concerns = |artifact: &Artifact| site.is_none() || artifact.site.is_none() || artifact.site == site;
+    names
+        .into_iter()
+        .map(|name| {
+            let held = run.base.as_ref().and_then(|base| base.layers.get(name));
+            let op = run.program.stage(name).ok().and_then(crate::build::stage_op);
+            let artifacts = held.map_or_else(Vec::new, |layer| {
+                layer.artifacts.iter().filter(|artifact| concerns(artifact)).cloned().collect()
+            });
+            (name.clone(), PreviousLayer { op, artifacts })
+        })
+        .collect()
+}
+

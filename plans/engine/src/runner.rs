@@ -1,0 +1,59 @@
+//! Who runs the ready units: this process, or a cluster.
+
+use std::sync::Arc;
+
+use evermap_contract::Registry;
+use evermap_schemas::{Fault, Kind};
+use futures::StreamExt;
+use futures::stream::BoxStream;
+
+use crate::unit::{Receipt, Unit};
+
+/// A unit's number in its run, and what came of it.
+pub type Outcome = (usize, Result<Receipt, Fault>);
+
+/// Runs units that are ready, in any order.
+pub trait Runner: Send + Sync {
+    /// Runs these units; the stream ends when each has an outcome.
+    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Outcome>;
+
+    /// How many units it can run side by side.
+    fn width(&self) -> usize;
+}
+
+/// Runs units in this process, a few at a time.
+pub struct LocalRunner {
+    registry: Registry,
+    width: usize,
+    slots: Arc<tokio::sync::Semaphore>,
+}
+
+impl LocalRunner {
+    /// Runs `width` units side by side.
+    pub fn new(registry: Registry, width: usize) -> Self {
+        let width = width.max(1);
+        Self { registry, width, slots: Arc::new(tokio::sync::Semaphore::new(width)) }
+    }
+}
+
+impl Runner for LocalRunner {
+    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Outcome> {
+        let (registry, slots, width) = (self.registry.clone(), Arc::clone(&self.slots), self.width);
+        let running = units.into_iter().map(move |(index, unit)| {
+            let (registry, slots) = (registry.clone(), Arc::clone(&slots));
+            async move {
+                let _slot = slots.acquire_owned().await;
+                let task = tokio::spawn(async move { unit.run(&registry).await });
+                let receipt = task.await.unwrap_or_else(|error| {
+                    Err(Fault::new(Kind::Bug, format!("a unit panicked: {error}")).next("please report it"))
+                });
+                (index, receipt)
+            }
+        });
+        futures::stream::iter(running).buffer_unordered(width).boxed()
+    }
+
+    fn width(&self) -> usize {
+        self.width
+    }
+}

@@ -1,0 +1,199 @@
+//! The map store: a folder, or an object-store prefix.
+//!
+//! ```text
+//!   artifacts/CONTENT.parquet   rows, named by the digest of the file
+//!   receipts/RECIPE.json        a unit that was done: its recipe's digest → its artifact, rows, losses
+//!   versions/N.json             what version N of the map is made of; created only if absent
+//!   runs/N-ID.parquet           how each unit of a run went
+//!   tmp/                        files on their way; a killed run leaves some, gc removes them
+//! ```
+//! Every name is either the digest of what it holds or never written twice, so a reader sees a version whole or not
+//! at all, and nothing that was once published changes.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use futures::TryStreamExt;
+use object_store::path::Path;
+use object_store::{ObjectStore, ObjectStoreExt, PutMode, PutOptions};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use url::Url;
+
+use crate::error::store_fault;
+use evermap_schemas::Fault;
+
+/// Where a map is kept.
+#[derive(Debug, Clone)]
+pub struct Store {
+    url: Url,
+    root: Path,
+    store: Arc<dyn ObjectStore>,
+}
+
+impl Store {
+    /// Opens a map by path or URL; a local folder is made when `create` is set.
+    ///
+    /// # Errors
+    /// A user fault for an address that no object store reads, or for a folder that is not there.
+    pub fn open(address: &str, create: bool) -> Result<Self, Fault> {
+        let url = address_url(address, create)?;
+        let (store, root) = object_store::parse_url_opts(&url, std::env::vars())
+            .map_err(|error| Fault::user(format!("{address} is no place for a map: {error}")))?;
+        Ok(Self { url, root, store: Arc::from(store) })
+    }
+
+    /// The map's URL, with a slash behind it.
+    pub fn url(&self) -> &Url {
+        &self.url
+    }
+
+    /// The object store beneath.
+    pub fn objects(&self) -> Arc<dyn ObjectStore> {
+        Arc::clone(&self.store)
+    }
+
+    /// The object path of a name within the map.
+    pub fn path(&self, name: &str) -> Path {
+        Path::from_iter(self.root.parts().chain(Path::from(name).parts()))
+    }
+
+    /// The URL of a name within the map.
+    ///
+    /// # Errors
+    /// A bug fault for a name that is no path.
+    pub fn url_of(&self, name: &str) -> Result<Url, Fault> {
+        self.url.join(name).map_err(|error| Fault::bug(format!("{name} is no name in a map: {error}")))
+    }
+
+    /// Whether a name is there.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn exists(&self, name: &str) -> Result<bool, Fault> {
+        match self.store.head(&self.path(name)).await {
+            Ok(_) => Ok(true),
+            Err(object_store::Error::NotFound { .. }) => Ok(false),
+            Err(error) => Err(store_fault(&error, name)),
+        }
+    }
+
+    /// The JSON at a name; `None` where there is none.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer, a data fault for JSON of another shape.
+    pub async fn read_json<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, Fault> {
+        let bytes = match self.store.get(&self.path(name)).await {
+            Ok(found) => found.bytes().await.map_err(|error| store_fault(&error, name))?,
+            Err(object_store::Error::NotFound { .. }) => return Ok(None),
+            Err(error) => return Err(store_fault(&error, name)),
+        };
+        serde_json::from_slice(&bytes).map(Some).map_err(|error| {
+            Fault::data(format!("expected what evermap wrote, found other JSON: {error}")).at(format!("{}{name}", self.url))
+        })
+    }
+
+    /// Writes JSON, whole or not at all; replaces what was there.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not take it.
+    pub async fn write_json<T: Serialize>(&self, name: &str, value: &T) -> Result<(), Fault> {
+        let put = self.store.put(&self.path(name), json_bytes(value)?.into()).await;
+        put.map(drop).map_err(|error| store_fault(&error, name))
+    }
+
+    /// Writes JSON where nothing was; `false` where something was.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not take it.
+    pub async fn create_json<T: Serialize>(&self, name: &str, value: &T) -> Result<bool, Fault> {
+        let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
+        match self.store.put_opts(&self.path(name), json_bytes(value)?.into(), options).await {
+            Ok(_) => Ok(true),
+            Err(object_store::Error::AlreadyExists { .. }) => Ok(false),
+            Err(error) => Err(store_fault(&error, name)),
+        }
+    }
+
+    /// Gives a finished file its lasting name.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not do it.
+    pub async fn settle(&self, from: &str, to: &str) -> Result<(), Fault> {
+        self.store.rename(&self.path(from), &self.path(to)).await.map_err(|error| store_fault(&error, to))
+    }
+
+    /// Removes a name; a name that is not there is fine.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not do it.
+    pub async fn remove(&self, name: &str) -> Result<(), Fault> {
+        match self.store.delete(&self.path(name)).await {
+            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Err(error) => Err(store_fault(&error, name)),
+        }
+    }
+
+    /// The names in a folder with their sizes, sorted.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn list(&self, folder: &str) -> Result<Vec<(String, u64)>, Fault> {
+        let prefix = self.path(folder);
+        let found: Vec<_> =
+            self.store.list(Some(&prefix)).try_collect().await.map_err(|error| store_fault(&error, folder))?;
+        let mut names: Vec<_> = found
+            .into_iter()
+            .filter_map(|object| Some((format!("{folder}/{}", object.location.filename()?), object.size)))
+            .collect();
+        names.sort();
+        Ok(names)
+    }
+}
+
+fn json_bytes<T: Serialize>(value: &T) -> Result<Bytes, Fault> {
+    serde_json::to_vec_pretty(value).map(Bytes::from).map_err(|error| Fault::bug(error.to_string()))
+}
+
+fn address_url(address: &str, create: bool) -> Result<Url, Fault> {
+    if address.contains("://") {
+        let slashed = if address.ends_with('/') { address.to_owned() } else { format!("{address}/") };
+        return Url::parse(&slashed).map_err(|error| Fault::user(format!("{address} is no URL: {error}")));
+    }
+    let folder = std::path::Path::new(address);
+    if create {
+        std::fs::create_dir_all(folder).map_err(|error| Fault::resource(format!("cannot make {address}: {error}")))?;
+    }
+    let full = folder.canonicalize().map_err(|error| {
+        Fault::user(format!("no map at {address}: {error}")).next("make one with `evermap run PLAN --map DIR --sessions FILES`")
+    })?;
+    Url::from_directory_path(full).map_err(|()| Fault::user(format!("{address} is no folder")))
+}
+
+/// The BLAKE3 digest of some bytes, in hexadecimal.
+pub fn digest(bytes: &[u8]) -> String {
+    blake3::hash(bytes).to_hex().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[tokio::test]
+    async fn a_version_is_created_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        assert!(store.create_json("versions/1.json", &1).await.unwrap());
+        assert!(!store.create_json("versions/1.json", &2).await.unwrap());
+        assert_eq!(store.read_json::<u32>("versions/1.json").await.unwrap(), Some(1));
+        assert_eq!(store.read_json::<u32>("versions/2.json").await.unwrap(), None);
+        assert_eq!(store.list("versions").await.unwrap(), [("versions/1.json".to_owned(), 1)]);
+    }
+
+    #[test]
+    fn a_map_that_is_not_there_says_what_to_do() {
+        let text = Store::open("/no/such/map", false).unwrap_err().to_string();
+        assert!(text.contains("evermap run"), "{text}");
+    }
+}

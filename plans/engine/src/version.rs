@@ -1,0 +1,131 @@
+//! What a version of a map is made of, and how one comes to be.
+
+use std::collections::BTreeMap;
+
+use evermap_schemas::Fault;
+use serde::{Deserialize, Serialize};
+
+use crate::store::Store;
+use crate::unit::{Artifact, LogContent};
+
+/// A stored stage in a version: a published layer, or something that later runs build on.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StoredLayer {
+    /// Whether it is a layer that readers see.
+    pub published: bool,
+    /// The operator that made it; null for a query.
+    pub op: Option<String>,
+    /// Its rows, one artifact a unit.
+    pub artifacts: Vec<Artifact>,
+    /// Digests of the units' recipes, in the order of the artifacts.
+    pub recipes: Vec<String>,
+}
+
+impl StoredLayer {
+    /// Rows in all.
+    pub fn rows(&self) -> u64 {
+        self.artifacts.iter().map(|artifact| artifact.rows).sum()
+    }
+
+    /// Bytes in all.
+    pub fn bytes(&self) -> u64 {
+        self.artifacts.iter().map(|artifact| artifact.bytes).sum()
+    }
+
+    /// One digest for all the rows.
+    pub fn digest(&self) -> String {
+        let contents: Vec<_> = self.artifacts.iter().map(|artifact| artifact.content.as_str()).collect();
+        crate::store::digest(contents.join("\n").as_bytes())
+    }
+}
+
+/// A session that is in a map.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MappedSession {
+    /// The log, by content.
+    pub log: LogContent,
+    /// Where the log was when it was mapped, as a manifest of one session.
+    pub manifest: serde_json::Value,
+}
+
+/// One version of a map.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Version {
+    /// Counted from 1.
+    pub version: u64,
+    /// The version that the run began with; 0 for none.
+    pub parent: u64,
+    /// The plan's name.
+    pub plan: String,
+    /// The program that made it.
+    pub evermap: String,
+    /// When it was published, RFC 3339.
+    pub published: String,
+    /// The sessions that it is made from, sorted by name.
+    pub sessions: Vec<MappedSession>,
+    /// Layers by name.
+    pub layers: BTreeMap<String, StoredLayer>,
+    /// Everything that was skipped or lost on the way, by reason.
+    pub losses: BTreeMap<String, u64>,
+}
+
+impl Version {
+    fn name(version: u64) -> String {
+        format!("versions/{version}.json")
+    }
+
+    /// The numbers of the versions that there are, ascending.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn numbers(store: &Store) -> Result<Vec<u64>, Fault> {
+        let names = store.list("versions").await?;
+        let number = |name: &str| name.strip_prefix("versions/")?.strip_suffix(".json")?.parse::<u64>().ok();
+        let mut numbers: Vec<_> = names.iter().filter_map(|(name, _)| number(name)).collect();
+        numbers.sort_unstable();
+        Ok(numbers)
+    }
+
+    /// A version by number.
+    ///
+    /// # Errors
+    /// A user fault that names the versions there are.
+    pub async fn read(store: &Store, version: u64) -> Result<Self, Fault> {
+        match store.read_json(&Self::name(version)).await? {
+            Some(found) => Ok(found),
+            None => {
+                let numbers = Self::numbers(store).await?;
+                let known: Vec<_> = numbers.iter().map(ToString::to_string).collect();
+                Err(Fault::user(format!("no version {version} in this map; there are: {}", known.join(", "))))
+            }
+        }
+    }
+
+    /// The newest version; `None` for a map without any.
+    ///
+    /// # Errors
+    /// As [`Version::read`].
+    pub async fn latest(store: &Store) -> Result<Option<Self>, Fault> {
+        match Self::numbers(store).await?.last() {
+            Some(&version) => Self::read(store, version).await.map(Some),
+            None => Ok(None),
+        }
+    }
+
+    /// Whether another version has the same sessions, plan and rows.
+    pub fn same_content(&self, other: &Self) -> bool {
+        self.plan == other.plan && self.sessions == other.sessions && self.layers == other.layers
+    }
+
+    /// Publishes this version: all its layers change together, or, when another run was faster, not at all.
+    ///
+    /// # Errors
+    /// A user fault when the number is taken.
+    pub async fn publish(&self, store: &Store) -> Result<(), Fault> {
+        if store.create_json(&Self::name(self.version), self).await? {
+            return Ok(());
+        }
+        Err(Fault::user(format!("another run published version {} while this one ran", self.version))
+            .next("run again: what was computed is kept, so it takes seconds"))
+    }
+}
