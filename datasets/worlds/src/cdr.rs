@@ -19,7 +19,7 @@ impl Default for CdrWriter {
 
 impl CdrWriter {
     fn align(&mut self, size: usize) {
-        while (self.bytes.len() - HEADER.len()) % size != 0 {
+        while !(self.bytes.len() - HEADER.len()).is_multiple_of(size) {
             self.bytes.push(0);
         }
     }

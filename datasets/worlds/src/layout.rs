@@ -51,11 +51,6 @@ impl Rect {
     pub fn centre(&self) -> [f64; 2] {
         [0.5 * (self.x0 + self.x1), 0.5 * (self.y0 + self.y1)]
     }
-
-    /// The same rectangle, `by` metres larger on every side.
-    pub fn grown(&self, by: f64) -> Self {
-        Self::new(self.x0 - by, self.y0 - by, self.x1 + by, self.y1 + by)
-    }
 }
 
 /// A parking bay.

@@ -21,6 +21,7 @@ mod error;
 mod floor;
 mod glyphs;
 mod layout;
+mod lens;
 mod lighting;
 mod look;
 mod messages;

@@ -247,9 +247,8 @@ fn bezier(control: &[[f64; 2]; 6], t: f64) -> ([f64; 2], [f64; 2], [f64; 2]) {
         let mut row = points.to_vec();
         for level in (1..row.len()).rev() {
             for i in 0..level {
-                for axis in 0..2 {
-                    row[i][axis] += t * (row[i + 1][axis] - row[i][axis]);
-                }
+                let (a, b) = (row[i], row[i + 1]);
+                row[i] = [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])];
             }
         }
         row[0]
@@ -272,7 +271,7 @@ mod tests {
     use crate::layout::{AISLES, Rect};
 
     fn outside(rect: &Rect, point: &PathPoint, by: f64) -> bool {
-        let r = rect.grown(by);
+        let r = Rect::new(rect.x0 - by, rect.y0 - by, rect.x1 + by, rect.y1 + by);
         point.x < r.x0 || point.x > r.x1 || point.y < r.y0 || point.y > r.y1
     }
 

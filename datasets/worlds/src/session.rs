@@ -5,13 +5,14 @@ use crate::cars::{ParkedCar, parked_cars};
 use crate::drive::Drive;
 use crate::floor::paint_floor;
 use crate::layout::Layout;
+use crate::lens::Lens;
 use crate::look::Look;
 use crate::messages::{camera_info, compressed_image, odometry, static_transforms};
 use crate::odometry::{OdometrySample, nanoseconds, normal, wheel_odometry};
 use crate::params::CarPark;
 use crate::random::{scramble, stream};
 use crate::recording::{Ready, Recording};
-use crate::render::{Lens, Scratch, render};
+use crate::render::{Scratch, render};
 use crate::rig::{RigCamera, rig};
 use crate::route::Route;
 use crate::scene::Scene;
@@ -217,7 +218,7 @@ impl Studio<'_> {
         )
     }
 
-    pub(crate) fn jpeg(
+    fn jpeg(
         &self,
         shot: usize,
         camera: usize,
