@@ -1,0 +1,290 @@
+//! What a log holds and where: read from the file's summary where it has a sound one, else found by reading the file
+//! from its start.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use evermap_schemas::Fault;
+use mcap::records::{ChunkIndex, Statistics, op};
+use object_store::{ObjectMeta, ObjectStore};
+
+use crate::log::record::{MAGIC, nanoseconds};
+use crate::log::{linear, summary};
+use crate::losses::FileLosses;
+
+/// A schema record.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LogSchema {
+    /// Name of the message type.
+    pub name: String,
+    /// Encoding of the schema: `ros2msg`, `protobuf`, …
+    pub encoding: String,
+    /// The schema itself.
+    pub data: Bytes,
+}
+
+/// A channel record, with its schema.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LogChannel {
+    /// The channel's number within the file.
+    pub id: u16,
+    /// Topic.
+    pub topic: String,
+    /// Encoding of the payloads: `cdr`, `json`, …
+    pub message_encoding: String,
+    /// Whatever the recorder noted.
+    pub metadata: BTreeMap<String, String>,
+    /// `None` where the channel has no schema.
+    pub schema: Option<Arc<LogSchema>>,
+}
+
+/// A stretch of the file that is read at once.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Unit {
+    /// What it is.
+    pub kind: UnitKind,
+    /// Offset in the file of its first record.
+    pub offset: u64,
+    /// Bytes in the file.
+    pub length: u64,
+    /// Bytes after decompression.
+    pub size: u64,
+    /// Channels of its messages, ascending; `None` where the index does not say.
+    pub channels: Option<Vec<u16>>,
+    /// Earliest log time, ns.
+    pub start_time: i64,
+    /// Latest log time, ns.
+    pub end_time: i64,
+}
+
+/// What a [`Unit`] is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum UnitKind {
+    /// One chunk record.
+    Chunk,
+    /// Records outside any chunk, messages among them.
+    Loose,
+    /// One attachment record.
+    Attachment,
+    /// One metadata record.
+    Metadata,
+}
+
+impl Unit {
+    /// Whether it may hold messages of this channel.
+    pub fn may_hold(&self, channel: u16) -> bool {
+        self.channels
+            .as_ref()
+            .is_none_or(|channels| channels.binary_search(&channel).is_ok())
+    }
+
+    /// Behind its last byte.
+    pub fn end(&self) -> u64 {
+        self.offset.saturating_add(self.length)
+    }
+
+    pub(crate) fn of_chunk(chunk: &ChunkIndex) -> Self {
+        let channels = (!chunk.message_index_offsets.is_empty())
+            .then(|| chunk.message_index_offsets.keys().copied().collect());
+        Self {
+            kind: UnitKind::Chunk,
+            offset: chunk.chunk_start_offset,
+            length: chunk.chunk_length,
+            size: chunk.uncompressed_size,
+            channels,
+            start_time: nanoseconds(chunk.message_start_time),
+            end_time: nanoseconds(chunk.message_end_time),
+        }
+    }
+
+    pub(crate) fn of_record(kind: UnitKind, offset: u64, length: u64, time: i64) -> Self {
+        Self {
+            kind,
+            offset,
+            length,
+            size: length,
+            channels: Some(Vec::new()),
+            start_time: time,
+            end_time: time,
+        }
+    }
+}
+
+/// The index of one log.
+#[derive(Debug, Clone, Default)]
+pub struct LogIndex {
+    /// Profile of the header: `ros2`, `ros1`, or empty.
+    pub profile: String,
+    /// Library that wrote the file.
+    pub library: String,
+    /// Channels by number.
+    pub channels: BTreeMap<u16, Arc<LogChannel>>,
+    /// Stretches that hold messages, in file order.
+    pub units: Vec<Unit>,
+    /// Attachment records, in file order.
+    pub attachments: Vec<Unit>,
+    /// Metadata records, in file order.
+    pub metadata: Vec<Unit>,
+    /// What the recorder counted, where the file has a summary that says so.
+    pub statistics: Option<Statistics>,
+    /// Messages per channel that were counted while reading the file from its start; `None` where the summary was used.
+    pub counted: Option<BTreeMap<u16, u64>>,
+    /// Whether the file's own summary was used.
+    pub indexed: bool,
+}
+
+impl LogIndex {
+    /// Reads the index of the log at `meta.location`: the summary where there is a sound one, else the whole file,
+    /// one record at a time.
+    ///
+    /// # Errors
+    /// A data fault when the file is empty or no MCAP file at all, a resource fault when the store fails. Damage
+    /// behind the file's first bytes is no error: it is noted in `losses`.
+    pub async fn read(
+        store: &Arc<dyn ObjectStore>,
+        meta: &ObjectMeta,
+        losses: &FileLosses,
+    ) -> Result<Self, Fault> {
+        check_kind(store, meta).await?;
+        match summary::read(store, meta).await? {
+            Some(found) => linear::with_gaps(store, meta, found, losses).await,
+            None => linear::read(store, meta, losses).await,
+        }
+    }
+
+    /// Earliest and latest log time, ns; `None` where there are no messages.
+    pub fn time_range(&self) -> Option<(i64, i64)> {
+        let units = self.units.iter().filter(|unit| match &unit.channels {
+            Some(channels) => !channels.is_empty(),
+            None => unit.end_time != 0,
+        });
+        units
+            .map(|unit| (unit.start_time, unit.end_time))
+            .reduce(|(start, end), (from, to)| (start.min(from), end.max(to)))
+    }
+
+    /// Number of messages, where it is known.
+    pub fn message_count(&self) -> Option<u64> {
+        match (&self.counted, &self.statistics) {
+            (Some(counted), _) => Some(counted.values().sum()),
+            (None, Some(statistics)) => Some(statistics.message_count),
+            (None, None) => None,
+        }
+    }
+
+    /// Number of messages of one channel, where it is known.
+    pub fn channel_messages(&self, channel: u16) -> Option<u64> {
+        match (&self.counted, &self.statistics) {
+            (Some(counted), _) => Some(counted.get(&channel).copied().unwrap_or(0)),
+            (None, Some(statistics)) => statistics
+                .channel_message_counts
+                .get(&channel)
+                .copied()
+                .or((!statistics.channel_message_counts.is_empty()).then_some(0)),
+            (None, None) => None,
+        }
+    }
+
+    /// Channels of a topic.
+    pub fn channels_of<'a>(&'a self, topic: &'a str) -> impl Iterator<Item = &'a Arc<LogChannel>> {
+        self.channels
+            .values()
+            .filter(move |channel| channel.topic == topic)
+    }
+}
+
+/// Refuses what is no MCAP file, and says what to do instead.
+async fn check_kind(store: &Arc<dyn ObjectStore>, meta: &ObjectMeta) -> Result<(), Fault> {
+    let path = &meta.location;
+    if meta.size == 0 {
+        return Err(Fault::data("expected an MCAP log, found an empty file").at(path));
+    }
+    let head = super::window::fetch(store, path, 0..meta.size.min(16)).await?;
+    if head.starts_with(MAGIC) {
+        return Ok(());
+    }
+    let fault = if head.starts_with(b"#ROSBAG V") {
+        Fault::data("expected an MCAP log, found a ROS 1 bag")
+            .next("convert it: mcap convert IN.bag OUT.mcap, or rosbags-convert --src IN.bag --dst OUT --dst-storage mcap")
+    } else if head.starts_with(b"SQLite format 3") {
+        Fault::data("expected an MCAP log, found a SQLite file, as rosbag2 writes (.db3)")
+            .next("convert it: ros2 bag convert -i IN.db3 -o out.yaml with `storage_id: mcap` in out.yaml, or mcap convert IN.db3 OUT.mcap")
+    } else if MAGIC.starts_with(&head) {
+        Fault::data(format!(
+            "expected an MCAP log, found only the first {} B of one",
+            meta.size
+        ))
+    } else {
+        Fault::data("expected an MCAP log, found a file that does not start like one")
+    };
+    Err(fault.at(path))
+}
+
+/// Collects what a file holds while its records go by.
+#[derive(Debug, Default)]
+pub(crate) struct Collector {
+    pub index: LogIndex,
+    schemas: BTreeMap<u16, Arc<LogSchema>>,
+    pending: BTreeMap<u16, mcap::records::Channel>,
+}
+
+impl Collector {
+    pub fn add_schema(&mut self, id: u16, schema: LogSchema) {
+        self.schemas.entry(id).or_insert_with(|| Arc::new(schema));
+    }
+
+    pub fn add_channel(&mut self, channel: mcap::records::Channel) {
+        self.pending.entry(channel.id).or_insert(channel);
+    }
+
+    /// Takes a schema or channel record; other records are ignored.
+    pub fn add_definition(&mut self, opcode: u8, body: &[u8]) {
+        use mcap::records::Record;
+        if !matches!(opcode, op::SCHEMA | op::CHANNEL) {
+            return;
+        }
+        match super::record::parse(opcode, body) {
+            Ok(Record::Schema { header, data }) => self.add_schema(
+                header.id,
+                LogSchema {
+                    name: header.name,
+                    encoding: header.encoding,
+                    data: Bytes::copy_from_slice(&data),
+                },
+            ),
+            Ok(Record::Channel(channel)) => self.add_channel(channel),
+            _ => {}
+        }
+    }
+
+    /// Whether every channel refers to a schema that was seen, and `ids` are all channels that were seen.
+    pub fn describes(&self, mut ids: impl Iterator<Item = u16>) -> bool {
+        let complete = |channel: &mcap::records::Channel| {
+            channel.schema_id == 0 || self.schemas.contains_key(&channel.schema_id)
+        };
+        self.pending.values().all(complete) && ids.all(|id| self.pending.contains_key(&id))
+    }
+
+    /// Number of channels seen.
+    pub fn channel_count(&self) -> usize {
+        self.pending.len()
+    }
+
+    pub fn finish(mut self) -> LogIndex {
+        for (id, channel) in self.pending {
+            let channel = LogChannel {
+                id,
+                topic: channel.topic,
+                message_encoding: channel.message_encoding,
+                metadata: channel.metadata,
+                schema: self.schemas.get(&channel.schema_id).cloned(),
+            };
+            self.index.channels.insert(id, Arc::new(channel));
+        }
+        self.index.units.sort_by_key(|unit| unit.offset);
+        self.index.attachments.sort_by_key(|unit| unit.offset);
+        self.index.metadata.sort_by_key(|unit| unit.offset);
+        self.index
+    }
+}

@@ -1,0 +1,221 @@
+//! What could not be read, counted.
+//!
+//! A robot log is often torn: the battery died, the disk filled, a cable flipped a bit. Such logs are read as far as
+//! they are sound, and what is missing is counted here, by reason. A program that ends with a ledger that is not
+//! empty has *finished with loss*.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Why something was lost.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Reason {
+    /// The log ends without its end record: the recorder did not finish, or the tail was cut off. Counted once per
+    /// file; the bytes are those of the incomplete records at the end.
+    Torn,
+    /// The file goes on with bytes that are no MCAP record; nothing behind them can be found without an index.
+    BadRecord,
+    /// A chunk whose contents do not match their checksum.
+    BadChecksum,
+    /// A chunk that cannot be decompressed.
+    BadCompression,
+    /// The index names a chunk where there is none.
+    BadIndex,
+    /// Messages whose channel is described nowhere in the file.
+    UnknownChannel,
+    /// A message whose payload does not fit its schema.
+    Undecodable,
+    /// An attachment or metadata record that does not match its checksum, or cannot be parsed.
+    BadAttachment,
+}
+
+impl Reason {
+    /// What was lost, in the plural, for a sentence that starts with a number.
+    pub fn text(self) -> &'static str {
+        match self {
+            Reason::Torn => "logs without an end",
+            Reason::BadRecord => "stretches that are no records",
+            Reason::BadChecksum => "chunks with a wrong checksum",
+            Reason::BadCompression => "chunks that do not decompress",
+            Reason::BadIndex => "chunks that are not where the index says",
+            Reason::UnknownChannel => "messages of channels that are described nowhere",
+            Reason::Undecodable => "messages that do not fit their schema",
+            Reason::BadAttachment => "damaged attachments or metadata",
+        }
+    }
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.text())
+    }
+}
+
+/// How much was lost.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Loss {
+    /// Things lost; what kind of thing the [`Reason`] says.
+    pub count: u64,
+    /// Bytes of the file that were not used.
+    pub bytes: u64,
+}
+
+/// One line of the ledger: all losses of one kind at one place of one file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Entry {
+    /// Location of the file.
+    pub file: Arc<str>,
+    /// Why.
+    pub reason: Reason,
+    /// Topic, where the loss concerns only one; else empty.
+    pub topic: String,
+    /// Byte offset in the file of the record that was lost or that held what was lost.
+    pub offset: u64,
+    /// How much.
+    pub loss: Loss,
+    /// One example of what went wrong, in words.
+    pub detail: String,
+}
+
+type Key = (Arc<str>, Reason, String, u64);
+
+/// The losses of a dataset, shared by all that read it.
+///
+/// Entries are keyed by place, so a chunk that is read twice is lost once, and the sums do not depend on how a scan
+/// was partitioned.
+#[derive(Debug, Clone, Default)]
+pub struct LossLedger {
+    entries: Arc<Mutex<BTreeMap<Key, (Loss, String)>>>,
+}
+
+impl LossLedger {
+    /// An empty ledger.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<Key, (Loss, String)>> {
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Notes a loss. A second note about the same place keeps the larger numbers.
+    pub fn note(&self, entry: Entry) {
+        let key = (entry.file, entry.reason, entry.topic, entry.offset);
+        let mut entries = self.lock();
+        let (loss, _) = entries.entry(key).or_insert((Loss::default(), entry.detail));
+        loss.count = loss.count.max(entry.loss.count);
+        loss.bytes = loss.bytes.max(entry.loss.bytes);
+    }
+
+    /// Whether nothing was lost.
+    pub fn is_empty(&self) -> bool {
+        self.lock().is_empty()
+    }
+
+    /// Every entry, ordered by file, reason, topic and offset.
+    pub fn entries(&self) -> Vec<Entry> {
+        self.lock()
+            .iter()
+            .map(|((file, reason, topic, offset), (loss, detail))| Entry {
+                file: file.clone(),
+                reason: *reason,
+                topic: topic.clone(),
+                offset: *offset,
+                loss: *loss,
+                detail: detail.clone(),
+            })
+            .collect()
+    }
+
+    /// Sums by reason.
+    pub fn losses(&self) -> BTreeMap<Reason, Loss> {
+        let mut sums = BTreeMap::<Reason, Loss>::new();
+        for ((_, reason, _, _), (loss, _)) in self.lock().iter() {
+            let sum = sums.entry(*reason).or_default();
+            sum.count += loss.count;
+            sum.bytes += loss.bytes;
+        }
+        sums
+    }
+
+    /// One line per reason, for a report: `3 chunks with a wrong checksum (120 B)`.
+    pub fn lines(&self) -> Vec<String> {
+        self.losses()
+            .iter()
+            .map(|(reason, loss)| match loss.bytes {
+                0 => format!("{} {reason}", loss.count),
+                bytes => format!("{} {reason} ({bytes} B)", loss.count),
+            })
+            .collect()
+    }
+
+    /// The ledger, as seen while reading one file.
+    pub fn of_file(&self, file: impl Into<Arc<str>>) -> FileLosses {
+        FileLosses {
+            ledger: self.clone(),
+            file: file.into(),
+        }
+    }
+}
+
+/// A ledger with the file filled in.
+#[derive(Debug, Clone)]
+pub struct FileLosses {
+    ledger: LossLedger,
+    file: Arc<str>,
+}
+
+impl FileLosses {
+    /// Notes a loss at a byte offset of this file.
+    pub fn note(&self, reason: Reason, offset: u64, loss: Loss, detail: impl Into<String>) {
+        self.note_topic(reason, "", offset, loss, detail);
+    }
+
+    /// Notes a loss that concerns only one topic.
+    pub fn note_topic(
+        &self,
+        reason: Reason,
+        topic: &str,
+        offset: u64,
+        loss: Loss,
+        detail: impl Into<String>,
+    ) {
+        self.ledger.note(Entry {
+            file: self.file.clone(),
+            reason,
+            topic: topic.to_owned(),
+            offset,
+            loss,
+            detail: detail.into(),
+        });
+    }
+
+    /// Location of the file.
+    pub fn file(&self) -> &str {
+        &self.file
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_that_is_read_twice_is_lost_once() {
+        let ledger = LossLedger::new();
+        let file = ledger.of_file("a.mcap");
+        for bytes in [10, 30, 20] {
+            file.note(Reason::BadChecksum, 7, Loss { count: 1, bytes }, "x");
+        }
+        file.note(Reason::BadChecksum, 8, Loss { count: 1, bytes: 1 }, "y");
+        assert_eq!(
+            ledger.losses()[&Reason::BadChecksum],
+            Loss {
+                count: 2,
+                bytes: 31
+            }
+        );
+        assert_eq!(ledger.lines(), ["2 chunks with a wrong checksum (31 B)"]);
+    }
+}

@@ -1,0 +1,74 @@
+//! From messages to record batches: what a table's rows are made of.
+
+use arrow::array::RecordBatch;
+use evermap_schemas::Fault;
+
+use crate::log::chunk::{Block, Message};
+use crate::log::index::{LogChannel, Unit};
+use crate::log::record::MessageHead;
+use crate::session::LogPart;
+
+/// A message, and where it came from.
+pub struct MessageAt<'a> {
+    /// The file.
+    pub part: &'a LogPart,
+    /// The chunk, decompressed.
+    pub block: &'a Block,
+    /// The channel.
+    pub channel: &'a LogChannel,
+    /// Channel number, sequence and times.
+    pub head: MessageHead,
+    /// First byte of the payload in the block.
+    pub start: usize,
+    /// The payload.
+    pub payload: &'a [u8],
+}
+
+impl<'a> MessageAt<'a> {
+    /// The message at a place in a block; `None` where its channel is described nowhere.
+    pub fn new(part: &'a LogPart, block: &'a Block, message: &Message) -> Option<Self> {
+        Some(Self {
+            part,
+            block,
+            channel: part.index.channels.get(&message.head.channel)?,
+            head: message.head,
+            start: message.start,
+            payload: block.bytes.get(message.start..message.end)?,
+        })
+    }
+}
+
+/// Turns the messages (or other records) of one file into the rows of one table.
+///
+/// A builder knows the projection; its batches have exactly the projected columns.
+pub trait RowBuilder: Send {
+    /// Whether messages of this channel become rows.
+    fn wants(&self, channel: u16) -> bool;
+
+    /// Takes a message. On error nothing was added.
+    ///
+    /// # Errors
+    /// In words, when the payload does not fit its schema: the message is then counted as lost.
+    fn push(&mut self, message: &MessageAt<'_>) -> Result<(), String>;
+
+    /// Takes a record that is no message (an attachment, a metadata record).
+    ///
+    /// # Errors
+    /// In words, when the record is damaged.
+    fn push_record(&mut self, part: &LogPart, unit: &Unit, record: &[u8]) -> Result<(), String> {
+        let _ = (part, unit, record);
+        Ok(())
+    }
+
+    /// Rows held.
+    fn rows(&self) -> usize;
+
+    /// Bytes held, about.
+    fn bytes(&self) -> usize;
+
+    /// The rows so far, as batches that are not empty; the builder starts anew.
+    ///
+    /// # Errors
+    /// A fault of ours, or of a value that no layer can hold.
+    fn finish(&mut self) -> Result<Vec<RecordBatch>, Fault>;
+}

@@ -1,0 +1,293 @@
+//! A topic's messages as a table: four columns that every message has, then the message's own fields.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use arrow::array::{
+    ArrayRef, RecordBatch, RecordBatchOptions, StringArray, TimestampNanosecondArray, UInt32Array,
+    new_null_array,
+};
+use arrow::datatypes::{DataType, Field, FieldRef, Fields, Schema, SchemaRef, TimeUnit};
+use evermap_messages::{Decoder, MessageType};
+use evermap_schemas::Fault;
+
+use crate::log::index::LogChannel;
+use crate::log::record::MessageHead;
+use crate::scan::rows::{MessageAt, RowBuilder};
+use crate::session::LogPart;
+
+/// The type of every time column.
+pub(crate) fn timestamp() -> DataType {
+    DataType::Timestamp(TimeUnit::Nanosecond, Some("UTC".into()))
+}
+
+/// The columns that every message has.
+fn head_fields() -> [Field; 4] {
+    [
+        Field::new("session", DataType::Utf8, false),
+        Field::new("log_time", timestamp(), false),
+        Field::new("publish_time", timestamp(), false),
+        Field::new("sequence", DataType::UInt32, false),
+    ]
+}
+const HEAD: usize = 4;
+
+/// Column names of a message's fields: their own, with `_` appended until they differ from the four columns of every
+/// message and from each other.
+fn column_names(fields: &Fields) -> Vec<String> {
+    let mut taken: Vec<String> = head_fields().iter().map(|f| f.name().clone()).collect();
+    for field in fields {
+        let mut name = field.name().clone();
+        while taken.contains(&name) {
+            name.push('_');
+        }
+        taken.push(name);
+    }
+    taken.split_off(HEAD)
+}
+
+/// The schema of a topic over several files: the union of its channels' fields by name. A field that some channels
+/// lack is nullable.
+///
+/// # Errors
+/// A data fault when a channel's messages cannot be decoded, or when two channels give a field different types.
+pub fn topic_schema(topic: &str, parts: &[Arc<LogPart>]) -> Result<SchemaRef, Fault> {
+    let mut columns: Vec<(FieldRef, usize)> = Vec::new();
+    let mut seen: Vec<Fields> = Vec::new();
+    for part in parts {
+        for channel in part.index.channels_of(topic) {
+            let fields = message_type(part, channel.id, topic)?.fields();
+            if !seen.contains(fields) {
+                merge(&mut columns, fields).map_err(|fault| {
+                    fault
+                        .at(format!("topic {topic}"))
+                        .at(&part.url)
+                        .next("scan the sessions apart, or read the payloads from the table messages")
+                })?;
+                seen.push(fields.clone());
+            }
+        }
+    }
+    let own = columns.into_iter().map(|(field, count)| {
+        let nullable = field.is_nullable() || count < seen.len();
+        Arc::new(field.as_ref().clone().with_nullable(nullable))
+    });
+    let head = head_fields().into_iter().map(Arc::new);
+    Ok(Arc::new(Schema::new(head.chain(own).collect::<Fields>())))
+}
+
+fn message_type<'a>(
+    part: &'a LogPart,
+    channel: u16,
+    topic: &str,
+) -> Result<&'a MessageType, Fault> {
+    match part.message_type(channel) {
+        Some(Ok(message_type)) => Ok(message_type),
+        Some(Err(error)) => Err(Fault::data(error.to_string())
+            .at(format!("topic {topic}"))
+            .at(&part.url)
+            .next("its payloads are in the table messages, as bytes")),
+        None => Err(Fault::bug(format!("channel {channel} is not in the index"))),
+    }
+}
+
+fn merge(columns: &mut Vec<(FieldRef, usize)>, fields: &Fields) -> Result<(), Fault> {
+    for (field, name) in fields.iter().zip(column_names(fields)) {
+        let field = Arc::new(field.as_ref().clone().with_name(name));
+        match columns.iter_mut().find(|(f, _)| f.name() == field.name()) {
+            None => columns.push((field, 1)),
+            Some((known, count)) if known.data_type() == field.data_type() => {
+                *count += 1;
+                if field.is_nullable() {
+                    *known = field;
+                }
+            }
+            Some((known, _)) => {
+                return Err(Fault::data(format!(
+                    "expected one type for the field {}, found {} and {}",
+                    field.name(),
+                    known.data_type(),
+                    field.data_type()
+                )));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Builds the rows of one topic from one file.
+pub(crate) struct TopicRows {
+    session: Arc<str>,
+    schema: SchemaRef,
+    projection: Vec<usize>,
+    channels: BTreeMap<u16, usize>,
+    decoders: Vec<Columns>,
+    current: usize,
+    heads: Vec<MessageHead>,
+    done: Vec<RecordBatch>,
+    done_rows: usize,
+    done_bytes: usize,
+}
+
+/// One message type's decoder, and where its columns go.
+struct Columns {
+    decoder: Box<dyn Decoder>,
+    /// For each projected table column: which of the decoder's columns it is; `None` where this type lacks it.
+    places: Vec<Option<usize>>,
+}
+
+impl TopicRows {
+    /// A builder for the projected columns of a topic table.
+    pub fn new(
+        topic: &str,
+        part: &LogPart,
+        schema: &SchemaRef,
+        projection: &[usize],
+    ) -> Result<Self, Fault> {
+        let mut types: Vec<&LogChannel> = Vec::new();
+        let mut decoders = Vec::new();
+        let mut channels = BTreeMap::new();
+        for channel in part.index.channels_of(topic) {
+            let same = |other: &&LogChannel| {
+                other.schema == channel.schema && other.message_encoding == channel.message_encoding
+            };
+            let decoder = types.iter().position(same).unwrap_or(types.len());
+            if decoder == types.len() {
+                types.push(channel);
+                let found = message_type(part, channel.id, topic)?;
+                decoders.push(Columns::new(found, schema, projection));
+            }
+            channels.insert(channel.id, decoder);
+        }
+        Ok(Self {
+            session: part.session.clone(),
+            schema: Arc::new(schema.project(projection)?),
+            projection: projection.to_vec(),
+            channels,
+            decoders,
+            current: 0,
+            heads: Vec::new(),
+            done: Vec::new(),
+            done_rows: 0,
+            done_bytes: 0,
+        })
+    }
+
+    /// Closes the batch of the current decoder: another message type follows.
+    fn close(&mut self) -> Result<(), Fault> {
+        let Some(columns) = self.decoders.get_mut(self.current) else {
+            return Ok(());
+        };
+        let heads = std::mem::take(&mut self.heads);
+        let decoded = columns.decoder.finish()?;
+        if heads.is_empty() {
+            return Ok(());
+        }
+        let mut arrays = Vec::with_capacity(self.projection.len());
+        for ((column, place), field) in self
+            .projection
+            .iter()
+            .zip(&columns.places)
+            .zip(self.schema.fields())
+        {
+            arrays.push(match place {
+                _ if *column < HEAD => head_column(*column, &self.session, &heads),
+                Some(place) => decoded.get(*place).cloned().ok_or_else(|| {
+                    Fault::bug(format!("the decoder gave no column {}", field.name()))
+                })?,
+                None => new_null_array(field.data_type(), heads.len()),
+            });
+        }
+        let options = RecordBatchOptions::new().with_row_count(Some(heads.len()));
+        let batch = RecordBatch::try_new_with_options(self.schema.clone(), arrays, &options)?;
+        self.done_rows += heads.len();
+        self.done_bytes += batch.get_array_memory_size();
+        self.done.push(batch);
+        Ok(())
+    }
+}
+
+/// One of the four columns that every message has.
+pub(crate) fn head_column(column: usize, session: &str, heads: &[MessageHead]) -> ArrayRef {
+    let times = |time: fn(&MessageHead) -> i64| -> ArrayRef {
+        let times = TimestampNanosecondArray::from_iter_values(heads.iter().map(time));
+        Arc::new(times.with_timezone("UTC"))
+    };
+    match column {
+        0 => Arc::new(StringArray::from_iter_values(heads.iter().map(|_| session))),
+        1 => times(|head| head.log_time),
+        2 => times(|head| head.publish_time),
+        _ => Arc::new(UInt32Array::from_iter_values(
+            heads.iter().map(|head| head.sequence),
+        )),
+    }
+}
+
+impl Columns {
+    fn new(message_type: &MessageType, schema: &SchemaRef, projection: &[usize]) -> Self {
+        let names = column_names(message_type.fields());
+        let fields: Vec<Option<usize>> = projection
+            .iter()
+            .map(|column| match *column < HEAD {
+                true => None,
+                false => names
+                    .iter()
+                    .position(|name| name == schema.field(*column).name()),
+            })
+            .collect();
+        let mut wanted: Vec<usize> = fields.iter().flatten().copied().collect();
+        wanted.sort_unstable();
+        wanted.dedup();
+        let places = fields
+            .iter()
+            .map(|field| field.and_then(|field| wanted.binary_search(&field).ok()))
+            .collect();
+        Self {
+            decoder: message_type.decoder(Some(&wanted)),
+            places,
+        }
+    }
+}
+
+impl RowBuilder for TopicRows {
+    fn wants(&self, channel: u16) -> bool {
+        self.channels.contains_key(&channel)
+    }
+
+    fn push(&mut self, message: &MessageAt<'_>) -> Result<(), String> {
+        let Some(decoder) = self.channels.get(&message.head.channel).copied() else {
+            return Ok(());
+        };
+        if decoder != self.current {
+            self.close().map_err(|fault| fault.to_string())?;
+            self.current = decoder;
+        }
+        let Some(columns) = self.decoders.get_mut(decoder) else {
+            return Ok(());
+        };
+        columns
+            .decoder
+            .push(message.payload)
+            .map_err(|error| error.to_string())?;
+        self.heads.push(message.head);
+        Ok(())
+    }
+
+    fn rows(&self) -> usize {
+        self.done_rows + self.heads.len()
+    }
+
+    fn bytes(&self) -> usize {
+        let decoder = self.decoders.get(self.current);
+        let decoded = decoder.map_or(0, |columns| columns.decoder.bytes());
+        let head = size_of::<MessageHead>() + self.session.len();
+        self.done_bytes + decoded + self.heads.len() * head
+    }
+
+    fn finish(&mut self) -> Result<Vec<RecordBatch>, Fault> {
+        self.close()?;
+        self.done_rows = 0;
+        self.done_bytes = 0;
+        Ok(std::mem::take(&mut self.done))
+    }
+}
