@@ -132,7 +132,7 @@ record! {
         size_m: f64 ["m"],
         /// Cells that at least one image showed.
         covered: u32,
-        /// Mean of the weights of all observations, per covered cell.
+        /// Weights of all observations of a cell, added up; the mean over the covered cells.
         mean_weight: f64,
         /// The tile as a grey PNG with alpha (0 where nothing was seen); the first row is the northernmost.
         png: Bytes,
@@ -163,7 +163,8 @@ record! {
         start_kind: String,
         /// What is at the end: `intersection`, `dead_end` or `loop`.
         end_kind: String,
-        /// `forward`, `backward` or `both`: how it was driven, from start to end.
+        /// How it was driven: `forward` (from start to end), `backward`, `both`, or `unknown` where no pass follows
+        /// more than half of it.
         direction: String,
         /// Passes from start to end.
         forward_passes: u32,
