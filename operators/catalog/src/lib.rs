@@ -20,7 +20,11 @@ macro_rules! operators {
 
 // Sorted by file name; a test compares the list with the folder.
 operators! {
+    ground_patches::GroundPatches,
+    intersections::Intersections,
     keyframes::Keyframes,
+    overhead_tiles::OverheadTiles,
+    road_network::RoadNetwork,
 }
 
 #[cfg(test)]

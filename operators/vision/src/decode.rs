@@ -70,6 +70,15 @@ impl Decoder {
         Self { reduction }
     }
 
+    /// Width and height (px) that the header claims; the rest of the bytes is not looked at.
+    ///
+    /// # Errors
+    /// [`ImageError`] for bytes that are no image, or too large a one.
+    pub fn size(&self, bytes: &[u8]) -> Result<[u32; 2], ImageError> {
+        let (header, factor) = (header(bytes)?, self.reduction.factor());
+        Ok([header.width, header.height].map(|side| side.div_ceil(factor)))
+    }
+
     /// The image that `bytes` encode.
     ///
     /// # Errors

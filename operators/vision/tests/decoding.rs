@@ -62,6 +62,7 @@ fn decode(bytes: &[u8]) -> Result<Grey, ImageError> {
 fn png_and_pgm_round_trip_exactly_and_jpeg_closely() {
     let truth = sample(61, 37);
     assert_eq!(decode(&grey_png(&truth)).unwrap(), truth);
+    assert_eq!(Decoder::new().size(&jpeg_of(&truth)).unwrap(), [61, 37]);
     assert_eq!(
         decode(&pnm("P5\n61 37\n255\n", &truth.data)).unwrap(),
         truth
