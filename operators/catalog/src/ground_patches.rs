@@ -84,7 +84,7 @@ impl Operator for GroundPatches {
     }
 
     fn kernel(params: GroundPatchesParams) -> Result<Kernel, Fault> {
-        if !(params.max_angle_rad > 0.0) {
+        if params.max_angle_rad.is_nan() || params.max_angle_rad <= 0.0 {
             return Err(Fault::user(format!(
                 "expected max_angle_rad > 0, found {}",
                 params.max_angle_rad
