@@ -2,18 +2,18 @@
 
 use std::sync::Arc;
 
+use bytes::Bytes;
 use datafusion::physical_plan::{ExecutionPlan, execute_stream};
 use evermap_schemas::{Fault, Layer};
 use futures::StreamExt;
+use futures::future::BoxFuture;
+use object_store::buffered::BufWriter;
 use parquet::arrow::AsyncArrowWriter;
 use parquet::arrow::async_writer::AsyncFileWriter;
 use parquet::basic::{Compression, ZstdLevel};
+use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
-use parquet::errors::ParquetError;
-use object_store::buffered::BufWriter;
-use bytes::Bytes;
-use futures::future::BoxFuture;
 use tokio::io::AsyncWriteExt;
 
 use crate::build::Builder;
@@ -28,7 +28,11 @@ const ROW_GROUP_BYTES: usize = 64 << 20;
 ///
 /// # Errors
 /// Whatever the plan says, or a resource fault when the store does not take the file.
-pub async fn write(store: &Store, plan: Arc<dyn ExecutionPlan>, builder: &Builder<'_>) -> Result<Artifact, Fault> {
+pub async fn write(
+    store: &Store,
+    plan: Arc<dyn ExecutionPlan>,
+    builder: &Builder<'_>,
+) -> Result<Artifact, Fault> {
     let temporary = format!("tmp/{}.parquet", uuid::Uuid::new_v4());
     match write_to(store, &temporary, plan, builder).await {
         Ok(artifact) => {
@@ -49,21 +53,41 @@ async fn write_to(
     builder: &Builder<'_>,
 ) -> Result<Artifact, Fault> {
     let file = Hashing::new(BufWriter::new(store.objects(), store.path(name)));
-    let mut writer = AsyncArrowWriter::try_new(file, plan.schema(), Some(properties(builder.layer().as_ref())))
-        .map_err(|error| parquet_fault(&error))?;
+    let mut writer = AsyncArrowWriter::try_new(
+        file,
+        plan.schema(),
+        Some(properties(builder.layer().as_ref())),
+    )
+    .map_err(|error| parquet_fault(&error))?;
     let mut rows = 0;
-    let mut stream = execute_stream(plan, builder.task_context()).map_err(|error| fault_of(&error))?;
+    let mut stream =
+        execute_stream(plan, builder.task_context()).map_err(|error| fault_of(&error))?;
     while let Some(batch) = stream.next().await {
         let batch = batch.map_err(|error| fault_of(&error))?;
         rows += batch.num_rows() as u64;
-        writer.write(&batch).await.map_err(|error| parquet_fault(&error))?;
+        writer
+            .write(&batch)
+            .await
+            .map_err(|error| parquet_fault(&error))?;
         if writer.in_progress_size() > ROW_GROUP_BYTES {
-            writer.flush().await.map_err(|error| parquet_fault(&error))?;
+            writer
+                .flush()
+                .await
+                .map_err(|error| parquet_fault(&error))?;
         }
     }
-    writer.finish().await.map_err(|error| parquet_fault(&error))?;
+    writer
+        .finish()
+        .await
+        .map_err(|error| parquet_fault(&error))?;
     let (content, bytes) = writer.into_inner().finish();
-    Ok(Artifact { content, rows, bytes, session: None, site: None })
+    Ok(Artifact {
+        content,
+        rows,
+        bytes,
+        session: None,
+        site: None,
+    })
 }
 
 fn parquet_fault(error: &ParquetError) -> Fault {
@@ -74,8 +98,15 @@ fn properties(layer: Option<&Layer>) -> WriterProperties {
     let mut metadata = Vec::new();
     if let Some(layer) = layer {
         metadata.push(KeyValue::new("evermap.layer".into(), layer.name.to_owned()));
-        metadata.push(KeyValue::new("evermap.layer_version".into(), layer.version.to_string()));
-        metadata.extend(layer.geometry.map(|column| KeyValue::new("geo".into(), geo(column))));
+        metadata.push(KeyValue::new(
+            "evermap.layer_version".into(),
+            layer.version.to_string(),
+        ));
+        metadata.extend(
+            layer
+                .geometry
+                .map(|column| KeyValue::new("geo".into(), geo(column))),
+        );
     }
     WriterProperties::builder()
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(1).unwrap_or_default()))
@@ -103,7 +134,11 @@ struct Hashing {
 
 impl Hashing {
     fn new(file: BufWriter) -> Self {
-        Self { file, hasher: blake3::Hasher::new(), bytes: 0 }
+        Self {
+            file,
+            hasher: blake3::Hasher::new(),
+            bytes: 0,
+        }
     }
 
     fn finish(self) -> (String, u64) {
@@ -115,10 +150,20 @@ impl AsyncFileWriter for Hashing {
     fn write(&mut self, bytes: Bytes) -> BoxFuture<'_, parquet::errors::Result<()>> {
         self.hasher.update(&bytes);
         self.bytes += bytes.len() as u64;
-        Box::pin(async move { self.file.put(bytes).await.map_err(|error| ParquetError::External(Box::new(error))) })
+        Box::pin(async move {
+            self.file
+                .put(bytes)
+                .await
+                .map_err(|error| ParquetError::External(Box::new(error)))
+        })
     }
 
     fn complete(&mut self) -> BoxFuture<'_, parquet::errors::Result<()>> {
-        Box::pin(async move { self.file.shutdown().await.map_err(|error| ParquetError::External(Box::new(error))) })
+        Box::pin(async move {
+            self.file
+                .shutdown()
+                .await
+                .map_err(|error| ParquetError::External(Box::new(error)))
+        })
     }
 }

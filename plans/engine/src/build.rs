@@ -53,7 +53,7 @@ pub struct Builder<'a> {
     store: &'a Store,
     registry: &'a Registry,
     context: SessionContext,
-    dataset: Option<Dataset>,
+    opened: Vec<Dataset>,
     reader: Option<Arc<ImageReader>>,
     skipped: Arc<Mutex<Losses>>,
 }
@@ -63,23 +63,53 @@ impl<'a> Builder<'a> {
     ///
     /// # Errors
     /// When a log cannot be opened.
-    pub async fn new(unit: &'a Unit, store: &'a Store, registry: &'a Registry, limits: Limits) -> Result<Self, Fault> {
-        let queries = unit.recipe.stages.iter().any(|stage| matches!(stage.task, Task::Sql { .. }));
+    pub async fn new(
+        unit: &'a Unit,
+        store: &'a Store,
+        registry: &'a Registry,
+        limits: Limits,
+    ) -> Result<Self, Fault> {
+        let queries = unit
+            .recipe
+            .stages
+            .iter()
+            .any(|stage| matches!(stage.task, Task::Sql { .. }));
         // Floating-point sums depend on how rows are dealt out: a query has one partition, the same everywhere.
         let partitions = if queries { 1 } else { limits.partitions };
-        let batch_rows = if is_heavy(&output_schema(unit.stage()?, registry)) { HEAVY_BATCH_ROWS } else { BATCH_ROWS };
-        let context = context_with(Limits { partitions, ..limits }, batch_rows)?;
-        context.register_object_store(store.url(), store.objects());
-        let dataset = match &unit.logs {
-            Some(manifest) => {
-                let dataset = Dataset::open(&[], Some(manifest)).await?;
-                dataset.register(&context).await?;
-                Some(dataset)
-            }
-            None => None,
+        let batch_rows = if is_heavy(&output_schema(unit.stage()?, registry)) {
+            HEAVY_BATCH_ROWS
+        } else {
+            BATCH_ROWS
         };
-        let reader = dataset.as_ref().map(|dataset| Arc::new(ImageReader::new(dataset)));
-        Ok(Self { unit, store, registry, context, dataset, reader, skipped: Arc::default() })
+        let context = context_with(
+            Limits {
+                partitions,
+                ..limits
+            },
+            batch_rows,
+        )?;
+        context.register_object_store(store.url(), store.objects());
+        let mut opened = Vec::new();
+        for manifest in &unit.logs {
+            let runtime = context.runtime_env();
+            opened.push(Dataset::open(&runtime, &[], Some(manifest)).await?);
+        }
+        let dataset = joined(&opened);
+        if let Some(dataset) = &dataset {
+            dataset.register(&context)?;
+        }
+        let reader = dataset
+            .as_ref()
+            .map(|dataset| Arc::new(ImageReader::new(dataset)));
+        Ok(Self {
+            unit,
+            store,
+            registry,
+            context,
+            opened,
+            reader,
+            skipped: Arc::default(),
+        })
     }
 
     /// The layer that the unit makes; `None` for a query's rows.
@@ -95,15 +125,23 @@ impl<'a> Builder<'a> {
 
     /// What operators skipped.
     pub fn skipped(&self) -> BTreeMap<String, u64> {
-        self.skipped.lock().unwrap_or_else(PoisonError::into_inner).0.clone()
+        self.skipped
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .0
+            .clone()
     }
 
     /// What the logs had lost.
     pub fn log_losses(&self) -> BTreeMap<String, u64> {
-        let Some(dataset) = &self.dataset else { return BTreeMap::new() };
         let mut counted = BTreeMap::new();
-        for entry in dataset.losses.entries() {
-            *counted.entry(format!("{}: {}", entry.file, entry.reason.text())).or_insert(0) += entry.loss.count;
+        for entry in self
+            .opened
+            .iter()
+            .flat_map(|dataset| dataset.losses.entries())
+        {
+            let line = format!("{}: {}", entry.file, entry.reason.text());
+            *counted.entry(line).or_insert(0) += entry.loss.count;
         }
         counted
     }
@@ -118,15 +156,27 @@ impl<'a> Builder<'a> {
         let order = match &stage.task {
             Task::Sql { ordered: true, .. } => Vec::new(),
             Task::Sql { .. } => sortable_columns(&plan.schema()),
-            Task::Op { .. } => self.layer().map(|layer| layer.key.iter().map(ToString::to_string).collect()).unwrap_or_default(),
+            Task::Op { .. } => self
+                .layer()
+                .map(|layer| layer.key.iter().map(ToString::to_string).collect())
+                .unwrap_or_default(),
         };
         self.ensure(sorted(plan, &order))
     }
 
-    fn stage<'b>(&'b self, stage: &'b Stage) -> BoxFuture<'b, Result<Arc<dyn ExecutionPlan>, Fault>> {
+    fn stage<'b>(
+        &'b self,
+        stage: &'b Stage,
+    ) -> BoxFuture<'b, Result<Arc<dyn ExecutionPlan>, Fault>> {
         async move {
             let plan = match &stage.task {
-                Task::Op { op, phase, params, inputs, .. } => self.operator(op, *phase, params, inputs).await,
+                Task::Op {
+                    op,
+                    phase,
+                    params,
+                    inputs,
+                    ..
+                } => self.operator(op, *phase, params, inputs).await,
                 Task::Sql { query, inputs, .. } => self.query(query, inputs).await,
             };
             plan.map_err(|fault| fault.at(format!("step {}", stage.name)))
@@ -144,44 +194,83 @@ impl<'a> Builder<'a> {
         let entry = self.registry.get(op)?.clone();
         let work = |sides, pixels| {
             let losses = Arc::clone(&self.skipped);
-            Arc::new(Work { entry: entry.clone(), params: params.clone(), phase, sides, pixels, losses })
+            Arc::new(Work {
+                entry: entry.clone(),
+                params: params.clone(),
+                phase,
+                sides,
+                pixels,
+                losses,
+            })
         };
         if phase == Phase::Merge {
-            let states = self.port(inputs.get("states"), &StateRow::layer(), Want::Site).await?;
-            return Ok(Arc::new(OperatorExec::try_new(work(Sides::default(), None), states)?));
+            let states = self
+                .port(inputs.get("states"), &StateRow::layer(), Want::Site)
+                .await?;
+            return Ok(Arc::new(OperatorExec::try_new(
+                work(Sides::default(), None),
+                states,
+            )?));
         }
         let Some((driving, others)) = entry.ports.split_first() else {
             return Err(Fault::bug(format!("operator {op} has no port")));
         };
-        let input = self.port(inputs.get(driving.name), &driving.layer, want(driving)).await?;
+        let input = self
+            .port(inputs.get(driving.name), &driving.layer, want(driving))
+            .await?;
         let sides = self.sides(others, inputs).await?;
-        let pixels = driving.pixels.map(|column| self.pixels(column)).transpose()?;
+        let pixels = driving
+            .pixels
+            .map(|column| self.pixels(column))
+            .transpose()?;
         let exec = OperatorExec::try_new(work(sides, pixels), input)?;
         self.ensure(Arc::new(exec))
     }
 
     fn pixels(&self, column: &'static str) -> Result<Pixels, Fault> {
-        let reader = self.reader.as_ref().ok_or_else(|| Fault::bug("images are asked for without logs"))?;
+        let reader = self
+            .reader
+            .as_ref()
+            .ok_or_else(|| Fault::bug("images are asked for without logs"))?;
         Ok(Pixels::new(column, Arc::clone(reader)))
     }
 
-    async fn port(&self, table: Option<&Table>, layer: &Layer, want: Want) -> Result<Arc<dyn ExecutionPlan>, Fault> {
+    async fn port(
+        &self,
+        table: Option<&Table>,
+        layer: &Layer,
+        want: Want,
+    ) -> Result<Arc<dyn ExecutionPlan>, Fault> {
         match table {
             None => Ok(empty(layer.schema())),
             Some(table) => self.table(table, want).await,
         }
     }
 
-    async fn sides(&self, ports: &[Port], inputs: &BTreeMap<String, Table>) -> Result<Sides, Fault> {
+    async fn sides(
+        &self,
+        ports: &[Port],
+        inputs: &BTreeMap<String, Table>,
+    ) -> Result<Sides, Fault> {
         let mut tables = BTreeMap::new();
         for port in ports {
-            let Some(table) = inputs.get(port.name) else { continue };
+            let Some(table) = inputs.get(port.name) else {
+                continue;
+            };
             let plan = self.table(table, want(port)).await?;
             let key: Vec<String> = side_order(port);
             let plan = self.ensure(sorted(plan, &key))?;
-            let batches = collect(plan, self.context.task_ctx()).await.map_err(|error| fault_of(&error))?;
-            let batches = batches.iter().map(|batch| conform(batch, &port.layer)).collect::<Result<Vec<_>, _>>();
-            tables.insert(port.name.to_owned(), batches.map_err(|fault| fault.at(format!("port {}", port.name)))?);
+            let batches = collect(plan, self.context.task_ctx())
+                .await
+                .map_err(|error| fault_of(&error))?;
+            let batches = batches
+                .iter()
+                .map(|batch| conform(batch, &port.layer))
+                .collect::<Result<Vec<_>, _>>();
+            tables.insert(
+                port.name.to_owned(),
+                batches.map_err(|fault| fault.at(format!("port {}", port.name)))?,
+            );
         }
         Ok(Sides::new(tables))
     }
@@ -192,12 +281,17 @@ impl<'a> Builder<'a> {
             return self.stage(stage).await;
         }
         let frame = self.frame(table, want).await?;
-        frame.create_physical_plan().await.map_err(|error| fault_of(&error))
+        frame
+            .create_physical_plan()
+            .await
+            .map_err(|error| fault_of(&error))
     }
 
     /// The stage, where the table is made inside this unit.
     fn inside(&self, table: &Table) -> Option<&Stage> {
-        let Table::Stage(name) = table else { return None };
+        let Table::Stage(name) = table else {
+            return None;
+        };
         let (_, inner) = self.unit.recipe.stages.split_last()?;
         inner.iter().find(|stage| stage.name == *name)
     }
@@ -213,20 +307,39 @@ impl<'a> Builder<'a> {
                 (self.artifacts(artifacts, None).await?, artifacts)
             }
             Table::Previous(name) => {
-                let previous = self.unit.previous.get(name).ok_or_else(|| Fault::bug(format!("no previous {name}")))?;
-                let entry = previous.op.as_deref().map(|op| self.registry.get(op)).transpose()?;
-                (self.artifacts(&previous.artifacts, entry).await?, previous.artifacts.as_slice())
+                let previous = self
+                    .unit
+                    .previous
+                    .get(name)
+                    .ok_or_else(|| Fault::bug(format!("no previous {name}")))?;
+                let entry = previous
+                    .op
+                    .as_deref()
+                    .map(|op| self.registry.get(op))
+                    .transpose()?;
+                (
+                    self.artifacts(&previous.artifacts, entry).await?,
+                    previous.artifacts.as_slice(),
+                )
             }
         };
         self.narrowed(frame, artifacts, want)
     }
 
     /// Rows of artifacts that cover more than is wanted are filtered.
-    fn narrowed(&self, frame: DataFrame, artifacts: &[Artifact], want: Want) -> Result<DataFrame, Fault> {
+    fn narrowed(
+        &self,
+        frame: DataFrame,
+        artifacts: &[Artifact],
+        want: Want,
+    ) -> Result<DataFrame, Fault> {
         let recipe = &self.unit.recipe;
-        let wider = |covered: fn(&Artifact) -> bool| artifacts.iter().any(|artifact| !covered(artifact));
+        let wider =
+            |covered: fn(&Artifact) -> bool| artifacts.iter().any(|artifact| !covered(artifact));
         let (column, value) = match (want, &recipe.session, &recipe.site) {
-            (Want::Session, Some(session), _) if wider(|artifact| artifact.session.is_some()) || artifacts.len() > 1 => {
+            (Want::Session, Some(session), _)
+                if wider(|artifact| artifact.session.is_some()) || artifacts.len() > 1 =>
+            {
                 ("session", session)
             }
             (_, _, Some(site)) if wider(|artifact| artifact.site.is_some()) => ("site", site),
@@ -235,22 +348,38 @@ impl<'a> Builder<'a> {
         if frame.schema().field_with_unqualified_name(column).is_err() {
             return Ok(frame);
         }
-        frame.filter(ident(column).eq(lit(value.clone()))).map_err(|error| fault_of(&error))
+        frame
+            .filter(ident(column).eq(lit(value.clone())))
+            .map_err(|error| fault_of(&error))
     }
 
-    async fn artifacts(&self, artifacts: &[Artifact], entry: Option<&Entry>) -> Result<DataFrame, Fault> {
+    async fn artifacts(
+        &self,
+        artifacts: &[Artifact],
+        entry: Option<&Entry>,
+    ) -> Result<DataFrame, Fault> {
         if artifacts.is_empty() {
-            let schema = entry.map_or_else(|| Arc::new(Schema::empty()), |entry| entry.output.schema());
-            return self.context.read_batch(RecordBatch::new_empty(schema)).map_err(|error| fault_of(&error));
+            let schema =
+                entry.map_or_else(|| Arc::new(Schema::empty()), |entry| entry.output.schema());
+            return self
+                .context
+                .read_batch(RecordBatch::new_empty(schema))
+                .map_err(|error| fault_of(&error));
         }
         read_artifacts(&self.context, self.store, artifacts).await
     }
 
     async fn query(&self, query: &str, inputs: &[Table]) -> Result<Arc<dyn ExecutionPlan>, Fault> {
-        let want = if self.unit.recipe.session.is_some() { Want::Session } else { Want::Site };
+        let want = if self.unit.recipe.session.is_some() {
+            Want::Session
+        } else {
+            Want::Site
+        };
         let previous = Arc::new(MemorySchemaProvider::new());
         if let Some(catalog) = self.context.catalog("datafusion") {
-            catalog.register_schema("previous", previous as _).map_err(|error| fault_of(&error))?;
+            catalog
+                .register_schema("previous", previous as _)
+                .map_err(|error| fault_of(&error))?;
         }
         for table in inputs {
             let reference = match table {
@@ -262,40 +391,83 @@ impl<'a> Builder<'a> {
                 Some(stage) => Arc::new(PlannedTable::new(self.stage(stage).await?)) as _,
                 None => self.frame(table, want).await?.into_view(),
             };
-            self.context.deregister_table(reference.clone()).map_err(|error| fault_of(&error))?;
-            self.context.register_table(reference, provider).map_err(|error| fault_of(&error))?;
+            self.context
+                .deregister_table(reference.clone())
+                .map_err(|error| fault_of(&error))?;
+            self.context
+                .register_table(reference, provider)
+                .map_err(|error| fault_of(&error))?;
         }
-        let frame = self.context.sql(query).await.map_err(|error| fault_of(&error))?;
-        frame.create_physical_plan().await.map_err(|error| fault_of(&error))
+        let frame = self
+            .context
+            .sql(query)
+            .await
+            .map_err(|error| fault_of(&error))?;
+        frame
+            .create_physical_plan()
+            .await
+            .map_err(|error| fault_of(&error))
     }
 
     /// Puts in front of operators the repartitioning and order that they need.
     fn ensure(&self, plan: Arc<dyn ExecutionPlan>) -> Result<Arc<dyn ExecutionPlan>, Fault> {
         let state = self.context.state();
         let options: &ConfigOptions = state.config_options();
-        EnsureRequirements::new().optimize(plan, options).map_err(|error| fault_of(&error))
+        EnsureRequirements::new()
+            .optimize(plan, options)
+            .map_err(|error| fault_of(&error))
     }
+}
+
+/// The sessions of some datasets as one; what scans lose goes to the ledger of the first.
+fn joined(opened: &[Dataset]) -> Option<Dataset> {
+    let mut joined = opened.first()?.clone();
+    for dataset in &opened[1..] {
+        joined.sessions.extend(dataset.sessions.iter().cloned());
+    }
+    joined.sessions.sort_by(|a, b| a.name.cmp(&b.name));
+    Some(joined)
 }
 
 /// The rows of artifacts, as one table.
 ///
 /// # Errors
 /// When a file is missing or is no Parquet.
-pub async fn read_artifacts(context: &SessionContext, store: &Store, artifacts: &[Artifact]) -> Result<DataFrame, Fault> {
-    let mut urls = artifacts.iter().map(|artifact| Ok(store.url_of(&artifact.name())?.to_string())).collect::<Result<Vec<_>, Fault>>()?;
+pub async fn read_artifacts(
+    context: &SessionContext,
+    store: &Store,
+    artifacts: &[Artifact],
+) -> Result<DataFrame, Fault> {
+    let mut urls = artifacts
+        .iter()
+        .map(|artifact| Ok(store.url_of(&artifact.name())?.to_string()))
+        .collect::<Result<Vec<_>, Fault>>()?;
     urls.sort();
     urls.dedup();
-    context.read_parquet(urls, ParquetReadOptions::default()).await.map_err(|error| fault_of(&error))
+    context
+        .read_parquet(urls, ParquetReadOptions::default())
+        .await
+        .map_err(|error| fault_of(&error))
 }
 
 fn want(port: &Port) -> Want {
-    if port.grain.is_per_session() { Want::Session } else { Want::Site }
+    if port.grain.is_per_session() {
+        Want::Session
+    } else {
+        Want::Site
+    }
 }
 
 /// Sides are ordered by their groups first, so that a group's rows lie together, then by the layer's key.
 fn side_order(port: &Port) -> Vec<String> {
     let mut order: Vec<String> = port.order().iter().map(ToString::to_string).collect();
-    order.extend(port.layer.key.iter().filter(|key| !port.order().contains(key)).map(ToString::to_string));
+    order.extend(
+        port.layer
+            .key
+            .iter()
+            .filter(|key| !port.order().contains(key))
+            .map(ToString::to_string),
+    );
     order
 }
 
@@ -306,7 +478,9 @@ fn empty(schema: SchemaRef) -> Arc<dyn ExecutionPlan> {
 /// The layer whose rows a stage makes; `None` for a query.
 pub fn stage_layer(stage: &Stage, registry: &Registry) -> Option<Layer> {
     match &stage.task {
-        Task::Op { phase: Phase::Lift, .. } => Some(StateRow::layer()),
+        Task::Op {
+            phase: Phase::Lift, ..
+        } => Some(StateRow::layer()),
         Task::Op { op, .. } => registry.get(op).ok().map(|entry| entry.output.clone()),
         Task::Sql { .. } => None,
     }
@@ -317,14 +491,23 @@ fn output_schema(stage: &Stage, registry: &Registry) -> SchemaRef {
 }
 
 fn is_heavy(schema: &Schema) -> bool {
-    schema.fields().iter().any(|field| *field.data_type() == DataType::Binary)
+    schema
+        .fields()
+        .iter()
+        .any(|field| *field.data_type() == DataType::Binary)
 }
 
 fn sorted(plan: Arc<dyn ExecutionPlan>, columns: &[String]) -> Arc<dyn ExecutionPlan> {
     let schema = plan.schema();
     let order = columns.iter().filter_map(|name| {
         let column = Column::new_with_schema(name, &schema).ok()?;
-        Some(PhysicalSortExpr::new(Arc::new(column), SortOptions { descending: false, nulls_first: true }))
+        Some(PhysicalSortExpr::new(
+            Arc::new(column),
+            SortOptions {
+                descending: false,
+                nulls_first: true,
+            },
+        ))
     });
     let single: Arc<dyn ExecutionPlan> = if plan.output_partitioning().partition_count() > 1 {
         Arc::new(CoalescePartitionsExec::new(Arc::clone(&plan)))
@@ -339,9 +522,13 @@ fn sorted(plan: Arc<dyn ExecutionPlan>, columns: &[String]) -> Arc<dyn Execution
 
 /// The columns that rows of a query are ordered by: all that can be compared.
 fn sortable_columns(schema: &Schema) -> Vec<String> {
-    schema.fields().iter().filter(|field| !field.data_type().is_nested()).map(|field| field.name().clone()).collect()
+    schema
+        .fields()
+        .iter()
+        .filter(|field| !field.data_type().is_nested())
+        .map(|field| field.name().clone())
+        .collect()
 }
-
 
 /// The operator of a stage; `None` for a query.
 pub fn stage_op(stage: &Stage) -> Option<String> {

@@ -31,12 +31,15 @@ use ballista_scheduler::scheduler_process::start_server;
 use datafusion::common::tree_node::TreeNodeRecursion;
 use datafusion::datasource::memory::MemorySourceConfig;
 use datafusion::error::{DataFusionError, Result as DataFusionResult};
-use datafusion::execution::{SendableRecordBatchStream, SessionState, SessionStateBuilder, TaskContext};
+use datafusion::execution::{
+    SendableRecordBatchStream, SessionState, SessionStateBuilder, TaskContext,
+};
 use datafusion::physical_expr::{EquivalenceProperties, PhysicalExpr};
 use datafusion::physical_plan::execution_plan::{Boundedness, EmissionType};
 use datafusion::physical_plan::stream::RecordBatchStreamAdapter;
 use datafusion::physical_plan::{
-    DisplayAs, DisplayFormatType, ExecutionPlan, ExecutionPlanProperties, Partitioning, PlanProperties,
+    DisplayAs, DisplayFormatType, ExecutionPlan, ExecutionPlanProperties, Partitioning,
+    PlanProperties,
 };
 use datafusion::prelude::SessionConfig;
 use datafusion_proto::physical_plan::{PhysicalExtensionCodec, PhysicalProtoConverterExtension};
@@ -74,14 +77,23 @@ impl ClusterRunner {
             Some((_, address)) => format!("http://{address}"),
             None => format!("http://{url}"),
         };
-        Self { scheduler, registry, deadline, width: 16 }
+        Self {
+            scheduler,
+            registry,
+            deadline,
+            width: 16,
+        }
     }
 
     /// Starts a scheduler and an executor inside this process, and runs units on them.
     ///
     /// # Errors
     /// A resource fault when they do not start.
-    pub async fn in_process(registry: Registry, slots: usize, deadline: Duration) -> Result<Self, Fault> {
+    pub async fn in_process(
+        registry: Registry,
+        slots: usize,
+        deadline: Duration,
+    ) -> Result<Self, Fault> {
         let state = session_state(session_config(&registry));
         let address = ballista_scheduler::standalone::new_standalone_scheduler_from_state(&state)
             .await
@@ -93,7 +105,12 @@ impl ClusterRunner {
         ballista_executor::new_standalone_executor_from_state(client, slots.max(1), &state)
             .await
             .map_err(|error| cluster_fault(&error, "the executor does not start"))?;
-        Ok(Self { scheduler: url, registry, deadline, width: slots.max(1) })
+        Ok(Self {
+            scheduler: url,
+            registry,
+            deadline,
+            width: slots.max(1),
+        })
     }
 }
 
@@ -151,9 +168,12 @@ impl Wave {
             }
         }
         for (index, unit) in missing {
-            let fault = Fault::new(reason.kind, format!("{}, after {ATTEMPTS} attempts", reason.message))
-                .at(unit.label())
-                .next("look at the executors' logs, then run again: what was computed is kept");
+            let fault = Fault::new(
+                reason.kind,
+                format!("{}, after {ATTEMPTS} attempts", reason.message),
+            )
+            .at(unit.label())
+            .next("look at the executors' logs, then run again: what was computed is kept");
             let _ = self.outcomes.send((index, Err(fault)));
         }
     }
@@ -177,18 +197,27 @@ impl Wave {
                     }
                     if progress.elapsed() > self.deadline {
                         let waited = self.deadline.as_secs();
-                        return Err(Fault::resource(format!("no unit of a job ended for {waited} s")));
+                        return Err(Fault::resource(format!(
+                            "no unit of a job ended for {waited} s"
+                        )));
                     }
                 }
             }
         };
         self.collect(missing).await?;
         for (row, fault) in ended? {
-            if let Some(unit) = order.get(row).and_then(|index| missing.remove(index).map(|unit| (*index, unit))) {
+            if let Some(unit) = order
+                .get(row)
+                .and_then(|index| missing.remove(index).map(|unit| (*index, unit)))
+            {
                 let _ = self.outcomes.send((unit.0, Err(fault)));
             }
         }
-        if missing.is_empty() { Ok(()) } else { Err(Fault::resource("a job ended without all its receipts")) }
+        if missing.is_empty() {
+            Ok(())
+        } else {
+            Err(Fault::resource("a job ended without all its receipts"))
+        }
     }
 
     /// Takes the receipts that have come in; how many there were.
@@ -215,13 +244,17 @@ fn job<'u>(units: impl Iterator<Item = &'u Unit>) -> Result<Arc<dyn ExecutionPla
     let partitions = units
         .enumerate()
         .map(|(row, unit)| {
-            let text = serde_json::to_string(unit).map_err(|error| Fault::bug(error.to_string()))?;
-            let columns: Vec<ArrayRef> =
-                vec![Arc::new(StringArray::from(vec![row.to_string()])), Arc::new(StringArray::from(vec![text]))];
+            let text =
+                serde_json::to_string(unit).map_err(|error| Fault::bug(error.to_string()))?;
+            let columns: Vec<ArrayRef> = vec![
+                Arc::new(StringArray::from(vec![row.to_string()])),
+                Arc::new(StringArray::from(vec![text])),
+            ];
             Ok(vec![RecordBatch::try_new(Arc::clone(&schema), columns)?])
         })
         .collect::<Result<Vec<_>, Fault>>()?;
-    let manifest = MemorySourceConfig::try_new_exec(&partitions, schema, None).map_err(|error| fault_of(&error))?;
+    let manifest = MemorySourceConfig::try_new_exec(&partitions, schema, None)
+        .map_err(|error| fault_of(&error))?;
     Ok(Arc::new(UnitExec::new(manifest, Registry::default())))
 }
 
@@ -244,10 +277,16 @@ async fn submit(
     )
     .await
     .map_err(|error| fault_of(&error))?;
-    let batches: Vec<RecordBatch> = stream.try_collect().await.map_err(|error| fault_of(&error))?;
+    let batches: Vec<RecordBatch> = stream
+        .try_collect()
+        .await
+        .map_err(|error| fault_of(&error))?;
     let mut faults = Vec::new();
     for batch in &batches {
-        let (rows, texts) = (batch.column(0).as_string::<i32>(), batch.column(1).as_string::<i32>());
+        let (rows, texts) = (
+            batch.column(0).as_string::<i32>(),
+            batch.column(1).as_string::<i32>(),
+        );
         for (row, text) in rows.iter().flatten().zip(texts.iter().flatten()) {
             if let (Ok(row), Ok(fault)) = (row.parse(), serde_json::from_str::<Fault>(text)) {
                 faults.push((row, fault));
@@ -281,7 +320,11 @@ impl UnitExec {
             EmissionType::Incremental,
             Boundedness::Bounded,
         );
-        Self { manifest, registry, properties: Arc::new(properties) }
+        Self {
+            manifest,
+            registry,
+            properties: Arc::new(properties),
+        }
     }
 }
 
@@ -321,41 +364,67 @@ impl ExecutionPlan for UnitExec {
         self: Arc<Self>,
         mut children: Vec<Arc<dyn ExecutionPlan>>,
     ) -> DataFusionResult<Arc<dyn ExecutionPlan>> {
-        let manifest = children.pop().ok_or_else(|| DataFusionError::Internal("UnitExec has one child".into()))?;
+        let manifest = children
+            .pop()
+            .ok_or_else(|| DataFusionError::Internal("UnitExec has one child".into()))?;
         Ok(Arc::new(Self::new(manifest, self.registry.clone())))
     }
 
-    fn execute(&self, partition: usize, context: Arc<TaskContext>) -> DataFusionResult<SendableRecordBatchStream> {
+    fn execute(
+        &self,
+        partition: usize,
+        context: Arc<TaskContext>,
+    ) -> DataFusionResult<SendableRecordBatchStream> {
         let registry = self.registry.clone();
-        let done = self.manifest.execute(partition, context)?.then(move |batch| {
-            let registry = registry.clone();
-            async move { work(&batch?, &registry).await.map_err(external) }
-        });
-        Ok(Box::pin(RecordBatchStreamAdapter::new(manifest_schema(), done)))
+        let done = self
+            .manifest
+            .execute(partition, context)?
+            .then(move |batch| {
+                let registry = registry.clone();
+                async move { work(&batch?, &registry).await.map_err(external) }
+            });
+        Ok(Box::pin(RecordBatchStreamAdapter::new(
+            manifest_schema(),
+            done,
+        )))
     }
 }
 
 async fn work(manifest: &RecordBatch, registry: &Registry) -> Result<RecordBatch, Fault> {
-    let (rows, texts) = (manifest.column(0).as_string::<i32>(), manifest.column(1).as_string::<i32>());
+    let (rows, texts) = (
+        manifest.column(0).as_string::<i32>(),
+        manifest.column(1).as_string::<i32>(),
+    );
     let mut outcomes = Vec::new();
     for text in texts.iter().flatten() {
         let unit: Unit = serde_json::from_str(text).map_err(|error| {
-            Fault::bug(format!("a unit does not read: {error}")).next("run the same evermap everywhere")
+            Fault::bug(format!("a unit does not read: {error}"))
+                .next("run the same evermap everywhere")
         })?;
         outcomes.push(match unit.run(registry).await {
             Ok(_) => String::new(),
             // What the machine was short of may be there on another one: let the task fail and be tried again.
             Err(fault) if fault.kind == Kind::Resource => return Err(coded(&fault)),
-            Err(fault) => serde_json::to_string(&fault).map_err(|error| Fault::bug(error.to_string()))?,
+            Err(fault) => {
+                serde_json::to_string(&fault).map_err(|error| Fault::bug(error.to_string()))?
+            }
         });
     }
-    let columns: Vec<ArrayRef> = vec![Arc::new(rows.clone()), Arc::new(StringArray::from(outcomes))];
+    let columns: Vec<ArrayRef> = vec![
+        Arc::new(rows.clone()),
+        Arc::new(StringArray::from(outcomes)),
+    ];
     Ok(RecordBatch::try_new(manifest_schema(), columns)?)
 }
 
 /// A remote error arrives as a string: the code at its front lets the other side read it back.
 fn coded(fault: &Fault) -> Fault {
-    Fault { message: fault.coded(), place: String::new(), next: String::new(), kind: fault.kind }
+    Fault {
+        message: fault.coded(),
+        place: String::new(),
+        next: String::new(),
+        kind: fault.kind,
+    }
 }
 
 const MAGIC: &[u8] = b"evermap unit 1";
@@ -369,7 +438,10 @@ struct UnitCodec {
 
 impl UnitCodec {
     fn new(registry: Registry) -> Self {
-        Self { registry, inner: Arc::default() }
+        Self {
+            registry,
+            inner: Arc::default(),
+        }
     }
 }
 
@@ -388,7 +460,10 @@ impl PhysicalExtensionCodec for UnitCodec {
         converter: &dyn PhysicalProtoConverterExtension,
     ) -> DataFusionResult<Arc<dyn ExecutionPlan>> {
         match inputs {
-            [manifest] if bytes == MAGIC => Ok(Arc::new(UnitExec::new(Arc::clone(manifest), self.registry.clone()))),
+            [manifest] if bytes == MAGIC => Ok(Arc::new(UnitExec::new(
+                Arc::clone(manifest),
+                self.registry.clone(),
+            ))),
             _ => self.inner.try_decode(bytes, inputs, context, converter),
         }
     }
@@ -415,7 +490,10 @@ fn session_config(registry: &Registry) -> SessionConfig {
 }
 
 fn session_state(config: SessionConfig) -> SessionState {
-    SessionStateBuilder::new().with_default_features().with_config(config).build()
+    SessionStateBuilder::new()
+        .with_default_features()
+        .with_config(config)
+        .build()
 }
 
 /// Serves as a scheduler until stopped.
@@ -423,7 +501,9 @@ fn session_state(config: SessionConfig) -> SessionState {
 /// # Errors
 /// A resource fault when the address is taken, a user fault when it is none.
 pub async fn scheduler(host: &str, port: u16, registry: Registry) -> Result<(), Fault> {
-    let address = format!("{host}:{port}").parse().map_err(|error| Fault::user(format!("{host}:{port}: {error}")))?;
+    let address = format!("{host}:{port}")
+        .parse()
+        .map_err(|error| Fault::user(format!("{host}:{port}: {error}")))?;
     let producer = registry.clone();
     let config = SchedulerConfig {
         bind_host: host.to_owned(),
@@ -433,14 +513,20 @@ pub async fn scheduler(host: &str, port: u16, registry: Registry) -> Result<(), 
         override_logical_codec: Some(Arc::new(BallistaLogicalExtensionCodec::default())),
         override_physical_codec: Some(Arc::new(UnitCodec::new(registry))),
         override_config_producer: Some(Arc::new(move || session_config(&producer))),
-        override_session_builder: Some(Arc::new(|config| Ok(session_state(config.upgrade_for_ballista())))),
+        override_session_builder: Some(Arc::new(|config| {
+            Ok(session_state(config.upgrade_for_ballista()))
+        })),
         executor_timeout_seconds: 12,
         expire_dead_executor_interval_seconds: 2,
         ..SchedulerConfig::default()
     };
     let failed = |error: &dyn fmt::Display| cluster_fault(error, "the scheduler does not start");
-    let cluster = BallistaCluster::new_from_config(&config).await.map_err(|error| failed(&error))?;
-    start_server(cluster, address, Arc::new(config)).await.map_err(|error| failed(&error))
+    let cluster = BallistaCluster::new_from_config(&config)
+        .await
+        .map_err(|error| failed(&error))?;
+    start_server(cluster, address, Arc::new(config))
+        .await
+        .map_err(|error| failed(&error))
 }
 
 /// Where an executor listens, and for whom it works.
@@ -485,5 +571,7 @@ pub async fn executor(options: ExecutorOptions, registry: Registry) -> Result<()
         executor_heartbeat_interval_seconds: 3,
         ..ExecutorProcessConfig::default()
     };
-    start_executor_process(Arc::new(config)).await.map_err(|error| cluster_fault(&error, "the executor stopped"))
+    start_executor_process(Arc::new(config))
+        .await
+        .map_err(|error| cluster_fault(&error, "the executor stopped"))
 }

@@ -16,11 +16,18 @@ pub fn conform(batch: &RecordBatch, layer: &Layer) -> Result<RecordBatch, Fault>
         .columns
         .iter()
         .map(|column| {
-            let found = batch.column_by_name(column.name).ok_or_else(|| missing(column.name, batch.schema_ref()))?;
-            let array = convert(found, &column.data_type).map_err(|fault| fault.at(format!("column {}", column.name)))?;
+            let found = batch
+                .column_by_name(column.name)
+                .ok_or_else(|| missing(column.name, batch.schema_ref()))?;
+            let array = convert(found, &column.data_type)
+                .map_err(|fault| fault.at(format!("column {}", column.name)))?;
             if !column.nullable && array.null_count() > 0 {
-                return Err(Fault::data(format!("column {} has {} nulls and may have none", column.name, array.null_count()))
-                    .next("filter them out in SQL, or give them a value with coalesce()"));
+                return Err(Fault::data(format!(
+                    "column {} has {} nulls and may have none",
+                    column.name,
+                    array.null_count()
+                ))
+                .next("filter them out in SQL, or give them a value with coalesce()"));
             }
             Ok(array)
         })
@@ -29,22 +36,40 @@ pub fn conform(batch: &RecordBatch, layer: &Layer) -> Result<RecordBatch, Fault>
 }
 
 fn convert(array: &ArrayRef, to: &DataType) -> Result<ArrayRef, Fault> {
-    if array.data_type() == to { Ok(Arc::clone(array)) } else { Ok(cast(array, to)?) }
+    if array.data_type() == to {
+        Ok(Arc::clone(array))
+    } else {
+        Ok(cast(array, to)?)
+    }
 }
 
 fn missing(name: &str, schema: &Schema) -> Fault {
-    let found: Vec<_> = schema.fields().iter().map(|field| field.name().as_str()).collect();
-    Fault::data(format!("expected a column {name}, found {}", found.join(", ")))
+    let found: Vec<_> = schema
+        .fields()
+        .iter()
+        .map(|field| field.name().as_str())
+        .collect();
+    Fault::data(format!(
+        "expected a column {name}, found {}",
+        found.join(", ")
+    ))
 }
 
 /// What keeps a table from being given to a port, one sentence a column; none where it fits.
 pub fn misfits(table: &Schema, layer: &Layer) -> Vec<String> {
     let misfit = |column: &evermap_schemas::Column| match table.field_with_name(column.name) {
-        Err(_) => Some(format!("lacks the column {} ({})", column.name, short(&column.data_type))),
+        Err(_) => Some(format!(
+            "lacks the column {} ({})",
+            column.name,
+            short(&column.data_type)
+        )),
         Ok(field) if fits(field.data_type(), &column.data_type) => None,
         Ok(field) => {
             let (found, expected) = (short(field.data_type()), short(&column.data_type));
-            Some(format!("has {found} in the column {}, where {expected} is expected", column.name))
+            Some(format!(
+                "has {found} in the column {}, where {expected} is expected",
+                column.name
+            ))
         }
     };
     layer.columns.iter().filter_map(misfit).collect()
@@ -53,20 +78,28 @@ pub fn misfits(table: &Schema, layer: &Layer) -> Vec<String> {
 /// Whether values convert without a change of meaning: the same shape, and no number from text.
 fn fits(from: &DataType, to: &DataType) -> bool {
     match (from, to) {
-        (DataType::Struct(from), DataType::Struct(to)) => to
-            .iter()
-            .all(|field| from.find(field.name()).is_some_and(|(_, found)| fits(found.data_type(), field.data_type()))),
+        (DataType::Struct(from), DataType::Struct(to)) => to.iter().all(|field| {
+            from.find(field.name())
+                .is_some_and(|(_, found)| fits(found.data_type(), field.data_type()))
+        }),
         (DataType::List(from), DataType::List(to)) => fits(from.data_type(), to.data_type()),
         (DataType::FixedSizeList(from, n), DataType::FixedSizeList(to, m)) => {
             n == m && fits(from.data_type(), to.data_type())
         }
         _ if from.equals_datatype(to) || *from == DataType::Null => true,
-        _ => from.is_numeric() == to.is_numeric() && is_text(from) == is_text(to) && can_cast_types(from, to),
+        _ => {
+            from.is_numeric() == to.is_numeric()
+                && is_text(from) == is_text(to)
+                && can_cast_types(from, to)
+        }
     }
 }
 
 fn is_text(data_type: &DataType) -> bool {
-    matches!(data_type, DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View)
+    matches!(
+        data_type,
+        DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View
+    )
 }
 
 /// A type as a person says it: long structs are cut.
@@ -83,7 +116,10 @@ fn short(data_type: &DataType) -> String {
 
 /// The same columns without metadata, every one nullable: what two tables that may be put together agree on.
 pub fn bare(schema: &Schema) -> SchemaRef {
-    let fields: Vec<_> =
-        schema.fields().iter().map(|field| Field::new(field.name(), field.data_type().clone(), true)).collect();
+    let fields: Vec<_> = schema
+        .fields()
+        .iter()
+        .map(|field| Field::new(field.name(), field.data_type().clone(), true))
+        .collect();
     Arc::new(Schema::new(fields))
 }

@@ -17,10 +17,12 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
         return fault;
     }
     let kind = match root {
-        DataFusionError::SQL(..) | DataFusionError::Plan(_) | DataFusionError::SchemaError(..) => Kind::User,
-        DataFusionError::ResourcesExhausted(_) | DataFusionError::IoError(_) | DataFusionError::ObjectStore(_) => {
-            Kind::Resource
+        DataFusionError::SQL(..) | DataFusionError::Plan(_) | DataFusionError::SchemaError(..) => {
+            Kind::User
         }
+        DataFusionError::ResourcesExhausted(_)
+        | DataFusionError::IoError(_)
+        | DataFusionError::ObjectStore(_) => Kind::Resource,
         DataFusionError::Internal(_) => Kind::Bug,
         _ => Kind::Data,
     };

@@ -15,20 +15,23 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use arrow::array::RecordBatch;
 use arrow::compute::SortOptions;
+use datafusion::common::tree_node::TreeNodeRecursion;
 use datafusion::error::{DataFusionError, Result as DataFusionResult};
 use datafusion::execution::{SendableRecordBatchStream, TaskContext};
 use datafusion::physical_expr::expressions::Column;
 use datafusion::physical_expr::{
-    Distribution, EquivalenceProperties, LexOrdering, OrderingRequirements, PhysicalExpr, PhysicalSortExpr,
+    Distribution, EquivalenceProperties, LexOrdering, OrderingRequirements, PhysicalExpr,
+    PhysicalSortExpr,
 };
 use datafusion::physical_plan::execution_plan::{Boundedness, EmissionType};
 use datafusion::physical_plan::stream::RecordBatchReceiverStreamBuilder;
 use datafusion::physical_plan::{
-    DisplayAs, DisplayFormatType, ExecutionPlan, ExecutionPlanProperties, InputDistributionRequirements, Partitioning,
-    PlanProperties,
+    DisplayAs, DisplayFormatType, ExecutionPlan, ExecutionPlanProperties,
+    InputDistributionRequirements, Partitioning, PlanProperties,
 };
-use datafusion::common::tree_node::TreeNodeRecursion;
-use evermap_contract::{Emit, Entry, Grain, Kernel, LayerRow, Losses, Port, Sides, StateRow, runs_of_equal};
+use evermap_contract::{
+    Emit, Entry, Grain, Kernel, LayerRow, Losses, Port, Sides, StateRow, runs_of_equal,
+};
 use evermap_schemas::{Fault, rows};
 use futures::{StreamExt, TryStreamExt};
 use rayon::ThreadPool;
@@ -77,17 +80,27 @@ pub struct Work {
 impl Work {
     /// The layer whose rows come out.
     fn output(&self) -> evermap_schemas::Layer {
-        if self.phase == Phase::Lift { StateRow::layer() } else { self.entry.output.clone() }
+        if self.phase == Phase::Lift {
+            StateRow::layer()
+        } else {
+            self.entry.output.clone()
+        }
     }
 
     /// What drives this phase: the first port, or the states of a fold.
     fn driving(&self) -> Result<Port, Fault> {
-        const STATES: Grain = Grain::Key { columns: &["site", "key"], order: &[] };
+        const STATES: Grain = Grain::Key {
+            columns: &["site", "key"],
+            order: &[],
+        };
         match self.phase {
             Phase::Merge => Ok(Port::of::<StateRow>("states", STATES)),
-            Phase::Run | Phase::Lift => {
-                self.entry.ports.first().cloned().ok_or_else(|| Fault::bug("an operator has no port"))
-            }
+            Phase::Run | Phase::Lift => self
+                .entry
+                .ports
+                .first()
+                .cloned()
+                .ok_or_else(|| Fault::bug("an operator has no port")),
         }
     }
 }
@@ -113,23 +126,38 @@ impl OperatorExec {
             EmissionType::Incremental,
             Boundedness::Bounded,
         );
-        Ok(Self { work, driving, input, properties: Arc::new(properties) })
+        Ok(Self {
+            work,
+            driving,
+            input,
+            properties: Arc::new(properties),
+        })
     }
 
     fn column(&self, name: &str) -> Option<Arc<dyn PhysicalExpr>> {
-        Column::new_with_schema(name, &self.input.schema()).ok().map(|column| Arc::new(column) as _)
+        Column::new_with_schema(name, &self.input.schema())
+            .ok()
+            .map(|column| Arc::new(column) as _)
     }
 }
 
 impl fmt::Debug for OperatorExec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "OperatorExec({}, {:?})", self.work.entry.name, self.work.phase)
+        write!(
+            f,
+            "OperatorExec({}, {:?})",
+            self.work.entry.name, self.work.phase
+        )
     }
 }
 
 impl DisplayAs for OperatorExec {
     fn fmt_as(&self, _: DisplayFormatType, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "OperatorExec: operator={}, phase={:?}, params={}", self.work.entry.name, self.work.phase, self.work.params)
+        write!(
+            f,
+            "OperatorExec: operator={}, phase={:?}, params={}",
+            self.work.entry.name, self.work.phase, self.work.params
+        )
     }
 }
 
@@ -147,16 +175,31 @@ impl ExecutionPlan for OperatorExec {
     }
 
     fn input_distribution_requirements(&self) -> InputDistributionRequirements {
-        let key: Vec<_> = self.driving.grain.group_columns().iter().filter_map(|name| self.column(name)).collect();
-        let distribution =
-            if key.is_empty() { Distribution::UnspecifiedDistribution } else { Distribution::KeyPartitioned(key) };
+        let key: Vec<_> = self
+            .driving
+            .grain
+            .group_columns()
+            .iter()
+            .filter_map(|name| self.column(name))
+            .collect();
+        let distribution = if key.is_empty() {
+            Distribution::UnspecifiedDistribution
+        } else {
+            Distribution::KeyPartitioned(key)
+        };
         InputDistributionRequirements::new(vec![distribution])
     }
 
     fn required_input_ordering(&self) -> Vec<Option<OrderingRequirements>> {
         let columns = self.driving.order();
         let order = columns.iter().filter_map(|name| {
-            Some(PhysicalSortExpr::new(self.column(name)?, SortOptions { descending: false, nulls_first: true }))
+            Some(PhysicalSortExpr::new(
+                self.column(name)?,
+                SortOptions {
+                    descending: false,
+                    nulls_first: true,
+                },
+            ))
         });
         vec![LexOrdering::new(order).map(OrderingRequirements::from)]
     }
@@ -172,11 +215,19 @@ impl ExecutionPlan for OperatorExec {
         self: Arc<Self>,
         mut children: Vec<Arc<dyn ExecutionPlan>>,
     ) -> DataFusionResult<Arc<dyn ExecutionPlan>> {
-        let input = children.pop().ok_or_else(|| DataFusionError::Internal("OperatorExec has one child".into()))?;
-        Ok(Arc::new(Self::try_new(Arc::clone(&self.work), input).map_err(external)?))
+        let input = children
+            .pop()
+            .ok_or_else(|| DataFusionError::Internal("OperatorExec has one child".into()))?;
+        Ok(Arc::new(
+            Self::try_new(Arc::clone(&self.work), input).map_err(external)?,
+        ))
     }
 
-    fn execute(&self, partition: usize, context: Arc<TaskContext>) -> DataFusionResult<SendableRecordBatchStream> {
+    fn execute(
+        &self,
+        partition: usize,
+        context: Arc<TaskContext>,
+    ) -> DataFusionResult<SendableRecordBatchStream> {
         let input = self.input.execute(partition, context)?;
         let (work, port) = (Arc::clone(&self.work), self.driving.clone());
         let mut output = RecordBatchReceiverStreamBuilder::new(self.schema(), QUEUE);
@@ -214,7 +265,9 @@ fn fed(
     let pixel_work = Arc::clone(&work);
     conformed
         .map_ok(move |batch| match &pixel_work.pixels {
-            Some(pixels) => futures::stream::iter(pixels.slices(&batch).into_iter().map(Ok)).left_stream(),
+            Some(pixels) => {
+                futures::stream::iter(pixels.slices(&batch).into_iter().map(Ok)).left_stream()
+            }
             None => futures::stream::iter([Ok(batch)]).right_stream(),
         })
         .try_flatten()
@@ -268,9 +321,14 @@ impl Outlet {
             let done = piece(&mut Emit::new(&mut collect, &mut losses));
             (done, emitted, losses)
         });
-        work.losses.lock().unwrap_or_else(PoisonError::into_inner).merge(&losses);
+        work.losses
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .merge(&losses);
         done?;
-        emitted.into_iter().try_for_each(|batch| self.sender.blocking_send(Ok(batch)).map_err(|_| gone()))
+        emitted
+            .into_iter()
+            .try_for_each(|batch| self.sender.blocking_send(Ok(batch)).map_err(|_| gone()))
     }
 }
 
@@ -304,17 +362,24 @@ fn drive_groups(
     mut rows: Rows,
     outlet: &Outlet,
 ) -> Result<(), Fault> {
-    let Some((driving, others)) = work.entry.ports.split_first() else { return Ok(()) };
+    let Some((driving, others)) = work.entry.ports.split_first() else {
+        return Ok(());
+    };
     let columns = driving.grain.group_columns();
     let mut open: Option<(RecordBatch, Box<dyn evermap_contract::Group>)> = None;
     while let Some(batch) = rows.blocking_recv().transpose()? {
         for run in runs_of_equal(&batch, columns)? {
-            let same = open.as_ref().is_some_and(|(first, _)| equal_in(first, &run, columns));
+            let same = open
+                .as_ref()
+                .is_some_and(|(first, _)| equal_in(first, &run, columns));
             if !same {
                 if let Some((_, mut finished)) = open.take() {
                     outlet.run(work, |emit| finished.close(emit))?;
                 }
-                open = Some((run.slice(0, 1), kernel.open(&work.sides.belonging(others, &run)?)?));
+                open = Some((
+                    run.slice(0, 1),
+                    kernel.open(&work.sides.belonging(others, &run)?)?,
+                ));
             }
             if let Some((_, group)) = open.as_mut() {
                 outlet.run(work, |emit| group.push(&run, emit))?;
@@ -328,10 +393,12 @@ fn drive_groups(
 }
 
 fn equal_in(a: &RecordBatch, b: &RecordBatch, columns: &[&str]) -> bool {
-    columns.iter().all(|name| match (a.column_by_name(name), b.column_by_name(name)) {
-        (Some(a), Some(b)) => a.slice(0, 1).to_data() == b.slice(0, 1).to_data(),
-        _ => true,
-    })
+    columns.iter().all(
+        |name| match (a.column_by_name(name), b.column_by_name(name)) {
+            (Some(a), Some(b)) => a.slice(0, 1).to_data() == b.slice(0, 1).to_data(),
+            _ => true,
+        },
+    )
 }
 
 /// Merges the states of each key as they come, ordered by key, and finishes a key when the next one begins.
@@ -368,4 +435,3 @@ fn finish(
 ) -> Result<(), Fault> {
     outlet.run(work, |emit| kernel.finish(&site, &key, state, emit))
 }
-

@@ -36,7 +36,8 @@ impl Run<'_> {
         for stage in self.program.stages.iter().filter(|stage| stage.stored) {
             for instance in instances(stage.scope, &self.sessions) {
                 let place = (stage.name.clone(), instance.clone());
-                let reason = self.reason(stage, &instance, before.get(&place), &before, &forecasts)?;
+                let reason =
+                    self.reason(stage, &instance, before.get(&place), &before, &forecasts)?;
                 let forecast = UnitForecast {
                     step: stage.name.clone(),
                     label: instance.label(&stage.name),
@@ -47,7 +48,10 @@ impl Run<'_> {
                 order.push(place);
             }
         }
-        Ok(order.iter().filter_map(|place| forecasts.remove(place)).collect())
+        Ok(order
+            .iter()
+            .filter_map(|place| forecasts.remove(place))
+            .collect())
     }
 
     /// The receipts of the version before, by stage and instance.
@@ -76,20 +80,38 @@ impl Run<'_> {
         before: &BTreeMap<(String, Instance), Receipt>,
         forecasts: &BTreeMap<(String, Instance), UnitForecast>,
     ) -> Result<Option<String>, Fault> {
-        let Some(held) = held else { return Ok(Some(new_reason(instance, before))) };
+        let Some(held) = held else {
+            return Ok(Some(new_reason(instance, before)));
+        };
         if let Some(change) = stage_change(&held.recipe, &self.program.fragment(&stage.name)?) {
             return Ok(Some(change));
         }
         let needs = needs(self.program, self.registry, stage, instance, &self.sessions)?;
-        let logs: BTreeSet<_> = held.recipe.logs.iter().map(|log| (&log.session, &log.content, &log.roles, &log.site)).collect();
-        for session in self.sessions.iter().filter(|session| needs.logs.contains(&session.log.session)) {
+        let logs: BTreeSet<_> = held
+            .recipe
+            .logs
+            .iter()
+            .map(|log| (&log.session, &log.content, &log.roles, &log.site))
+            .collect();
+        for session in self
+            .sessions
+            .iter()
+            .filter(|session| needs.logs.contains(&session.log.session))
+        {
             let log = &session.log;
             if !logs.contains(&(&log.session, &log.content, &log.roles, &log.site)) {
-                return Ok(Some(format!("the log of {} is new or has changed", log.session)));
+                return Ok(Some(format!(
+                    "the log of {} is new or has changed",
+                    log.session
+                )));
             }
         }
         let inputs: Vec<_> = needs.places().collect();
-        let changed = inputs.iter().find(|place| forecasts.get(place).is_some_and(|forecast| forecast.recompute));
+        let changed = inputs.iter().find(|place| {
+            forecasts
+                .get(place)
+                .is_some_and(|forecast| forecast.recompute)
+        });
         if let Some((name, input)) = changed {
             return Ok(Some(format!("{} is recomputed", input.label(name))));
         }
@@ -106,10 +128,15 @@ impl Run<'_> {
         let base = self.base.as_ref()?;
         held.recipe.previous.iter().find_map(|(name, contents)| {
             let now = base.layers.get(name).map(|layer| {
-                layer.artifacts.iter().map(|artifact| artifact.content.clone()).collect::<BTreeSet<_>>()
+                layer
+                    .artifacts
+                    .iter()
+                    .map(|artifact| artifact.content.clone())
+                    .collect::<BTreeSet<_>>()
             });
             let then: BTreeSet<_> = contents.iter().cloned().collect();
-            (!then.is_subset(&now.unwrap_or_default())).then(|| format!("previous.{name} has changed"))
+            (!then.is_subset(&now.unwrap_or_default()))
+                .then(|| format!("previous.{name} has changed"))
         })
     }
 }
@@ -117,8 +144,12 @@ impl Run<'_> {
 fn new_reason(instance: &Instance, before: &BTreeMap<(String, Instance), Receipt>) -> String {
     match instance {
         _ if before.is_empty() => "nothing was computed before".to_owned(),
-        Instance::Session(name) if !before.keys().any(|(_, held)| held == instance) => format!("session {name} is new"),
-        Instance::Site(name) if !before.keys().any(|(_, held)| held == instance) => format!("site {name} is new"),
+        Instance::Session(name) if !before.keys().any(|(_, held)| held == instance) => {
+            format!("session {name} is new")
+        }
+        Instance::Site(name) if !before.keys().any(|(_, held)| held == instance) => {
+            format!("site {name} is new")
+        }
         _ => "the step is new".to_owned(),
     }
 }
@@ -138,17 +169,27 @@ fn stage_change(held: &Recipe, now: &[Stage]) -> Option<String> {
 
 fn task_change(then: &Task, now: &Task, name: &str) -> String {
     match (then, now) {
-        (Task::Sql { query: a, .. }, Task::Sql { query: b, .. }) if a != b => format!("the query of {name} has changed"),
-        (Task::Op { op: a, .. }, Task::Op { op: b, .. }) if a != b => format!("{name} was {a}, is {b}"),
+        (Task::Sql { query: a, .. }, Task::Sql { query: b, .. }) if a != b => {
+            format!("the query of {name} has changed")
+        }
+        (Task::Op { op: a, .. }, Task::Op { op: b, .. }) if a != b => {
+            format!("{name} was {a}, is {b}")
+        }
         (Task::Op { version: a, .. }, Task::Op { version: b, .. }) if a != b => {
             format!("the operator of {name} was version {a}, is {b}")
         }
         (Task::Op { params: a, .. }, Task::Op { params: b, .. }) if a != b => {
-            let changed = b.as_object().into_iter().flatten().find(|(key, value)| a.get(key.as_str()) != Some(value));
+            let changed = b
+                .as_object()
+                .into_iter()
+                .flatten()
+                .find(|(key, value)| a.get(key.as_str()) != Some(value));
             changed.map_or_else(
                 || format!("the parameters of {name} have changed"),
                 |(key, value)| {
-                    let was = a.get(key).map_or_else(|| "unset".to_owned(), ToString::to_string);
+                    let was = a
+                        .get(key)
+                        .map_or_else(|| "unset".to_owned(), ToString::to_string);
                     format!("{name}.{key} was {was}, is {value}")
                 },
             )
@@ -156,4 +197,3 @@ fn task_change(then: &Task, now: &Task, name: &str) -> String {
         _ => format!("{name} reads other tables"),
     }
 }
-

@@ -123,7 +123,8 @@ impl Map {
         let version = match version {
             Some(number) => Version::read(&store, number).await?,
             None => Version::latest(&store).await?.ok_or_else(|| {
-                Fault::user(format!("the map at {address} has no version yet")).next("finish a run of `evermap run`")
+                Fault::user(format!("the map at {address} has no version yet"))
+                    .next("finish a run of `evermap run`")
             })?,
         };
         Ok(Self { store, version })
@@ -131,7 +132,11 @@ impl Map {
 
     /// The published layers.
     pub fn layers(&self) -> Vec<LayerInfo> {
-        let published = self.version.layers.iter().filter(|(_, layer)| layer.published);
+        let published = self
+            .version
+            .layers
+            .iter()
+            .filter(|(_, layer)| layer.published);
         published.map(|(name, layer)| info(name, layer)).collect()
     }
 
@@ -142,7 +147,12 @@ impl Map {
     pub async fn context(&self, limits: Limits) -> Result<SessionContext, Fault> {
         let context = context(limits)?;
         context.register_object_store(self.store.url(), self.store.objects());
-        for (name, layer) in self.version.layers.iter().filter(|(_, layer)| layer.published) {
+        for (name, layer) in self
+            .version
+            .layers
+            .iter()
+            .filter(|(_, layer)| layer.published)
+        {
             let frame = read_artifacts(&context, &self.store, &layer.artifacts).await?;
             register(&context, name, frame.into_view())?;
         }
@@ -157,9 +167,14 @@ impl Map {
         if files.is_empty() {
             return register_rows::<RunRow>(context, "runs", Vec::new());
         }
-        let urls = files.iter().map(|(name, _)| Ok(self.store.url_of(name)?.to_string()));
+        let urls = files
+            .iter()
+            .map(|(name, _)| Ok(self.store.url_of(name)?.to_string()));
         let urls = urls.collect::<Result<Vec<_>, Fault>>()?;
-        let frame = context.read_parquet(urls, ParquetReadOptions::default()).await.map_err(|error| fault_of(&error))?;
+        let frame = context
+            .read_parquet(urls, ParquetReadOptions::default())
+            .await
+            .map_err(|error| fault_of(&error))?;
         register(context, "runs", frame.into_view())
     }
 
@@ -170,7 +185,10 @@ impl Map {
     pub async fn rows<T: LayerRow>(&self, layer: &str) -> Result<Vec<T>, Fault> {
         let mut rows = Vec::new();
         for batch in self.batches(layer).await? {
-            rows.extend(evermap_schemas::rows::<T>(&batch).map_err(|fault| fault.at(format!("layer {layer}")))?);
+            rows.extend(
+                evermap_schemas::rows::<T>(&batch)
+                    .map_err(|fault| fault.at(format!("layer {layer}")))?,
+            );
         }
         Ok(rows)
     }
@@ -180,11 +198,22 @@ impl Map {
     /// # Errors
     /// As [`Map::rows`].
     pub async fn batches(&self, layer: &str) -> Result<Vec<RecordBatch>, Fault> {
-        let stored = self.version.layers.get(layer).filter(|stored| stored.published).ok_or_else(|| {
-            let known: Vec<_> = self.layers().into_iter().map(|info| info.layer).collect();
-            Fault::user(format!("no layer {layer} in this map; there are {}", known.join(", ")))
+        let stored = self
+            .version
+            .layers
+            .get(layer)
+            .filter(|stored| stored.published)
+            .ok_or_else(|| {
+                let known: Vec<_> = self.layers().into_iter().map(|info| info.layer).collect();
+                Fault::user(format!(
+                    "no layer {layer} in this map; there are {}",
+                    known.join(", ")
+                ))
+            })?;
+        let context = context(Limits {
+            partitions: 1,
+            ..Limits::default()
         })?;
-        let context = context(Limits { partitions: 1, ..Limits::default() })?;
         context.register_object_store(self.store.url(), self.store.objects());
         let frame = read_artifacts(&context, &self.store, &stored.artifacts).await?;
         frame.collect().await.map_err(|error| fault_of(&error))
@@ -192,7 +221,10 @@ impl Map {
 
     /// Whether the version has the layer.
     pub fn has(&self, layer: &str) -> bool {
-        self.version.layers.get(layer).is_some_and(|stored| stored.published)
+        self.version
+            .layers
+            .get(layer)
+            .is_some_and(|stored| stored.published)
     }
 }
 
@@ -212,11 +244,21 @@ fn register(
     name: &str,
     table: Arc<dyn datafusion::catalog::TableProvider>,
 ) -> Result<(), Fault> {
-    context.register_table(TableReference::bare(name), table).map(drop).map_err(|error| fault_of(&error))
+    context
+        .register_table(TableReference::bare(name), table)
+        .map(drop)
+        .map_err(|error| fault_of(&error))
 }
 
-fn register_rows<T: LayerRow>(context: &SessionContext, name: &str, rows: Vec<T>) -> Result<(), Fault> {
-    context.register_batch(name, batch(rows)?).map(drop).map_err(|error| fault_of(&error))
+fn register_rows<T: LayerRow>(
+    context: &SessionContext,
+    name: &str,
+    rows: Vec<T>,
+) -> Result<(), Fault> {
+    context
+        .register_batch(name, batch(rows)?)
+        .map(drop)
+        .map_err(|error| fault_of(&error))
 }
 
 /// The versions of a map, ascending.
@@ -231,8 +273,16 @@ pub async fn versions(store: &Store) -> Result<Vec<VersionInfo>, Fault> {
             version: version.version,
             published: version.published,
             plan: version.plan,
-            sessions: version.sessions.iter().map(|session| session.log.session.clone()).collect(),
-            layers: version.layers.values().filter(|layer| layer.published).count() as u32,
+            sessions: version
+                .sessions
+                .iter()
+                .map(|session| session.log.session.clone())
+                .collect(),
+            layers: version
+                .layers
+                .values()
+                .filter(|layer| layer.published)
+                .count() as u32,
             lost: version.losses.values().sum(),
         });
     }
@@ -245,7 +295,10 @@ pub async fn versions(store: &Store) -> Result<Vec<VersionInfo>, Fault> {
 /// A resource fault when the store does not take it.
 pub async fn record_run(store: &Store, result: &RunResult) -> Result<(), Fault> {
     let run = uuid::Uuid::new_v4().to_string();
-    let rows = result.units.iter().map(|(step, receipt, cached)| run_row(result, &run, step, receipt, *cached));
+    let rows = result
+        .units
+        .iter()
+        .map(|(step, receipt, cached)| run_row(result, &run, step, receipt, *cached));
     let table = batch(rows.collect::<Vec<_>>())?;
     let mut file = Vec::new();
     let write = |file: &mut Vec<u8>| -> parquet::errors::Result<()> {
@@ -255,8 +308,10 @@ pub async fn record_run(store: &Store, result: &RunResult) -> Result<(), Fault> 
     };
     write(&mut file).map_err(|error| Fault::bug(error.to_string()))?;
     let name = format!("runs/{:06}-{run}.parquet", result.version.version);
-    let put = object_store::ObjectStoreExt::put(&store.objects(), &store.path(&name), file.into()).await;
-    put.map(drop).map_err(|error| crate::error::store_fault(&error, &name))
+    let put =
+        object_store::ObjectStoreExt::put(&store.objects(), &store.path(&name), file.into()).await;
+    put.map(drop)
+        .map_err(|error| crate::error::store_fault(&error, &name))
 }
 
 fn run_row(result: &RunResult, run: &str, step: &str, receipt: &Receipt, cached: bool) -> RunRow {
@@ -271,7 +326,11 @@ fn run_row(result: &RunResult, run: &str, step: &str, receipt: &Receipt, cached:
         bytes: receipt.artifact.bytes,
         seconds: receipt.seconds,
         started: evermap_schemas::Stamp(receipt.started),
-        lost: receipt.skipped.values().chain(receipt.log_losses.values()).sum(),
+        lost: receipt
+            .skipped
+            .values()
+            .chain(receipt.log_losses.values())
+            .sum(),
         recipe: receipt.digest.clone(),
         content: receipt.artifact.content.clone(),
     }
@@ -297,9 +356,19 @@ pub struct LayerDiff {
 ///
 /// # Errors
 /// When an artifact is missing.
-pub async fn diff(store: &Store, before: &Version, after: &Version, registry: &Registry) -> Result<Vec<LayerDiff>, Fault> {
+pub async fn diff(
+    store: &Store,
+    before: &Version,
+    after: &Version,
+    registry: &Registry,
+) -> Result<Vec<LayerDiff>, Fault> {
     let published = |version: &Version| -> BTreeSet<String> {
-        version.layers.iter().filter(|(_, layer)| layer.published).map(|(name, _)| name.clone()).collect()
+        version
+            .layers
+            .iter()
+            .filter(|(_, layer)| layer.published)
+            .map(|(name, _)| name.clone())
+            .collect()
     };
     let mut diffs = Vec::new();
     for layer in published(before).union(&published(after)) {
@@ -316,16 +385,28 @@ async fn diff_layer(
     new: Option<&StoredLayer>,
     registry: &Registry,
 ) -> Result<LayerDiff, Fault> {
-    let mut diff = LayerDiff { layer: name.to_owned(), added: 0, removed: 0, changed: 0, same: 0 };
+    let mut diff = LayerDiff {
+        layer: name.to_owned(),
+        added: 0,
+        removed: 0,
+        changed: 0,
+        same: 0,
+    };
     if let (Some(old), Some(new)) = (old, new)
         && old.digest() == new.digest()
     {
         diff.same = new.rows();
         return Ok(diff);
     }
-    let key = [new, old].into_iter().flatten().find_map(|layer| registry.get(layer.op.as_deref()?).ok());
+    let key = [new, old]
+        .into_iter()
+        .flatten()
+        .find_map(|layer| registry.get(layer.op.as_deref()?).ok());
     let key: &[&str] = key.map_or(&[], |entry| entry.output.key);
-    let (mut before, after) = (digests(store, old, key).await?, digests(store, new, key).await?);
+    let (mut before, after) = (
+        digests(store, old, key).await?,
+        digests(store, new, key).await?,
+    );
     for (row, content) in after {
         match before.remove(&row) {
             None => diff.added += content.1,
@@ -344,30 +425,59 @@ async fn diff_layer(
 type RowDigests = BTreeMap<Vec<u8>, (blake3::Hash, u64)>;
 
 /// The digest and the number of rows with each key; the whole row is the key where there is none.
-async fn digests(store: &Store, layer: Option<&StoredLayer>, key: &[&str]) -> Result<RowDigests, Fault> {
+async fn digests(
+    store: &Store,
+    layer: Option<&StoredLayer>,
+    key: &[&str],
+) -> Result<RowDigests, Fault> {
     let mut found = RowDigests::new();
     let Some(layer) = layer else { return Ok(found) };
-    let context = context(Limits { partitions: 1, ..Limits::default() })?;
+    let context = context(Limits {
+        partitions: 1,
+        ..Limits::default()
+    })?;
     context.register_object_store(store.url(), store.objects());
     let frame = read_artifacts(&context, store, &layer.artifacts).await?;
-    let mut stream = frame.execute_stream().await.map_err(|error| fault_of(&error))?;
+    let mut stream = frame
+        .execute_stream()
+        .await
+        .map_err(|error| fault_of(&error))?;
     while let Some(batch) = stream.next().await {
         let batch = batch.map_err(|error| fault_of(&error))?;
         let whole = row_bytes(&batch, &batch.schema(), None)?;
-        let keys = if key.is_empty() { whole.clone() } else { row_bytes(&batch, &batch.schema(), Some(key))? };
+        let keys = if key.is_empty() {
+            whole.clone()
+        } else {
+            row_bytes(&batch, &batch.schema(), Some(key))?
+        };
         for (key, whole) in keys.into_iter().zip(whole) {
-            found.entry(key).or_insert_with(|| (blake3::hash(&whole), 0)).1 += 1;
+            found
+                .entry(key)
+                .or_insert_with(|| (blake3::hash(&whole), 0))
+                .1 += 1;
         }
     }
     Ok(found)
 }
 
-fn row_bytes(batch: &RecordBatch, schema: &SchemaRef, only: Option<&[&str]>) -> Result<Vec<Vec<u8>>, Fault> {
+fn row_bytes(
+    batch: &RecordBatch,
+    schema: &SchemaRef,
+    only: Option<&[&str]>,
+) -> Result<Vec<Vec<u8>>, Fault> {
     let kept: Vec<usize> = (0..schema.fields().len())
-        .filter(|&index| only.is_none_or(|only| only.contains(&schema.field(index).name().as_str())))
+        .filter(|&index| {
+            only.is_none_or(|only| only.contains(&schema.field(index).name().as_str()))
+        })
         .collect();
-    let fields = kept.iter().map(|&index| SortField::new(schema.field(index).data_type().clone())).collect();
-    let columns: Vec<_> = kept.iter().map(|&index| Arc::clone(batch.column(index))).collect();
+    let fields = kept
+        .iter()
+        .map(|&index| SortField::new(schema.field(index).data_type().clone()))
+        .collect();
+    let columns: Vec<_> = kept
+        .iter()
+        .map(|&index| Arc::clone(batch.column(index)))
+        .collect();
     let rows = RowConverter::new(fields)?.convert_columns(&columns)?;
     Ok(rows.iter().map(|row| row.as_ref().to_vec()).collect())
 }

@@ -33,7 +33,10 @@ impl Instance {
     pub fn names(&self, sessions: &[RunSession]) -> (Option<String>, Option<String>) {
         match self {
             Instance::Session(name) => {
-                let site = sessions.iter().find(|session| session.log.session == *name).map(|found| found.log.site.clone());
+                let site = sessions
+                    .iter()
+                    .find(|session| session.log.session == *name)
+                    .map(|found| found.log.site.clone());
                 (Some(name.clone()), site)
             }
             Instance::Site(site) => (None, Some(site.clone())),
@@ -53,8 +56,14 @@ impl Instance {
 /// The instances of a scope, sorted by name.
 pub fn instances(scope: Scope, sessions: &[RunSession]) -> Vec<Instance> {
     let names: BTreeSet<Instance> = match scope {
-        Scope::Session => sessions.iter().map(|session| Instance::Session(session.log.session.clone())).collect(),
-        Scope::Site => sessions.iter().map(|session| Instance::Site(session.log.site.clone())).collect(),
+        Scope::Session => sessions
+            .iter()
+            .map(|session| Instance::Session(session.log.session.clone()))
+            .collect(),
+        Scope::Site => sessions
+            .iter()
+            .map(|session| Instance::Site(session.log.site.clone()))
+            .collect(),
         Scope::Map => BTreeSet::from([Instance::Map]),
     };
     names.into_iter().collect()
@@ -72,7 +81,11 @@ pub struct Needs {
 impl Needs {
     /// Every unit that has to be done before.
     pub fn places(&self) -> impl Iterator<Item = (String, Instance)> + '_ {
-        self.tables.iter().flat_map(|(name, instances)| instances.iter().map(|instance| (name.clone(), instance.clone())))
+        self.tables.iter().flat_map(|(name, instances)| {
+            instances
+                .iter()
+                .map(|instance| (name.clone(), instance.clone()))
+        })
     }
 }
 
@@ -94,7 +107,9 @@ pub fn needs(
                 Table::Previous(_) => {}
                 Table::Log(_) => {
                     let covered = sessions.iter().filter(|session| instance.covers(session));
-                    needs.logs.extend(covered.map(|session| session.log.session.clone()));
+                    needs
+                        .logs
+                        .extend(covered.map(|session| session.log.session.clone()));
                 }
                 Table::Stage(name) => {
                     let input = program.stage(&name)?;
@@ -107,7 +122,9 @@ pub fn needs(
         }
         if pixels(&inner, registry) {
             let covered = sessions.iter().filter(|session| instance.covers(session));
-            needs.logs.extend(covered.map(|session| session.log.session.clone()));
+            needs
+                .logs
+                .extend(covered.map(|session| session.log.session.clone()));
         }
     }
     Ok(needs)
@@ -117,11 +134,25 @@ pub fn needs(
 fn reads(stage: &Stage, registry: &Registry) -> Result<Vec<(Table, bool)>, Fault> {
     Ok(match &stage.task {
         Task::Sql { inputs, .. } => inputs.iter().map(|table| (table.clone(), false)).collect(),
-        Task::Op { phase: Phase::Merge, inputs, .. } => inputs.values().map(|table| (table.clone(), false)).collect(),
+        Task::Op {
+            phase: Phase::Merge,
+            inputs,
+            ..
+        } => inputs
+            .values()
+            .map(|table| (table.clone(), false))
+            .collect(),
         Task::Op { op, inputs, .. } => {
             let entry = registry.get(op)?;
-            let whole = |port: &str| entry.port(port).is_some_and(|port| !port.grain.is_per_session());
-            inputs.iter().map(|(port, table)| (table.clone(), whole(port))).collect()
+            let whole = |port: &str| {
+                entry
+                    .port(port)
+                    .is_some_and(|port| !port.grain.is_per_session())
+            };
+            inputs
+                .iter()
+                .map(|(port, table)| (table.clone(), whole(port)))
+                .collect()
         }
     })
 }
@@ -130,17 +161,31 @@ fn reads(stage: &Stage, registry: &Registry) -> Result<Vec<(Table, bool)>, Fault
 fn pixels(stage: &Stage, registry: &Registry) -> bool {
     match &stage.task {
         Task::Op { op, phase, .. } if *phase != Phase::Merge => {
-            registry.get(op).is_ok_and(|entry| entry.ports.first().is_some_and(|port| port.pixels.is_some()))
+            registry.get(op).is_ok_and(|entry| {
+                entry
+                    .ports
+                    .first()
+                    .is_some_and(|port| port.pixels.is_some())
+            })
         }
         _ => false,
     }
 }
 
-fn wanted(scope: Scope, instance: &Instance, whole: bool, sessions: &[RunSession]) -> Vec<Instance> {
+fn wanted(
+    scope: Scope,
+    instance: &Instance,
+    whole: bool,
+    sessions: &[RunSession],
+) -> Vec<Instance> {
     let covering = match (whole, instance.names(sessions).1) {
         (true, Some(site)) => Instance::Site(site),
         _ => instance.clone(),
     };
-    let covered: Vec<RunSession> = sessions.iter().filter(|session| covering.covers(session)).cloned().collect();
+    let covered: Vec<RunSession> = sessions
+        .iter()
+        .filter(|session| covering.covers(session))
+        .cloned()
+        .collect();
     instances(scope, &covered)
 }

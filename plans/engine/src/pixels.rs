@@ -25,7 +25,10 @@ impl Pixels {
 
     /// The batch cut so that no piece carries more than a few megabytes of images.
     pub fn slices(&self, batch: &RecordBatch) -> Vec<RecordBatch> {
-        let lengths: Vec<u64> = self.references(batch).map_or_else(|_| Vec::new(), |images| images.iter().map(|image| image.length).collect());
+        let lengths: Vec<u64> = self.references(batch).map_or_else(
+            |_| Vec::new(),
+            |images| images.iter().map(|image| image.length).collect(),
+        );
         let (mut pieces, mut start, mut held) = (Vec::new(), 0, 0);
         for (row, length) in lengths.iter().enumerate() {
             if held > 0 && held + length > SLICE_BYTES {
@@ -42,14 +45,24 @@ impl Pixels {
     ///
     /// # Errors
     /// When the column holds no references, or the logs cannot be read at all.
-    pub async fn resolve(&self, batch: RecordBatch, losses: &Mutex<Losses>) -> Result<RecordBatch, Fault> {
+    pub async fn resolve(
+        &self,
+        batch: RecordBatch,
+        losses: &Mutex<Losses>,
+    ) -> Result<RecordBatch, Fault> {
         let images = self.references(&batch)?;
-        let mut bytes = BinaryBuilder::with_capacity(images.len(), images.iter().map(|image| image.length as usize).sum());
+        let mut bytes = BinaryBuilder::with_capacity(
+            images.len(),
+            images.iter().map(|image| image.length as usize).sum(),
+        );
         for (image, fetched) in images.iter().zip(self.reader.resolve(&images).await?) {
             match fetched {
                 Ok(fetched) => bytes.append_value(netpbm(image, &fetched)),
                 Err(fault) => {
-                    losses.lock().unwrap_or_else(PoisonError::into_inner).add(format!("image not fetched: {}", fault.message), 1);
+                    losses
+                        .lock()
+                        .unwrap_or_else(PoisonError::into_inner)
+                        .add(format!("image not fetched: {}", fault.message), 1);
                     bytes.append_null();
                 }
             }
@@ -70,7 +83,10 @@ impl Pixels {
         let mut columns = batch.columns().to_vec();
         fields[index] = Arc::new(Field::new(self.column, DataType::Binary, true));
         columns[index] = bytes;
-        Ok(RecordBatch::try_new(Arc::new(Schema::new(fields)), columns)?)
+        Ok(RecordBatch::try_new(
+            Arc::new(Schema::new(fields)),
+            columns,
+        )?)
     }
 }
 
@@ -79,7 +95,9 @@ impl Pixels {
 /// `mono8`, `8UC1`, `rgb8`, `bgr8`, `rgba8`, `bgra8`, `mono16` and `16UC1` are known; colour is made RGB, 16-bit
 /// values big endian, as the format wants. Anything else is passed on untouched, for the decoder to refuse.
 fn netpbm<'a>(image: &ImageRef, bytes: &'a [u8]) -> std::borrow::Cow<'a, [u8]> {
-    let (Some(width), Some(height), Some(step)) = (image.width, image.height, image.step) else { return bytes.into() };
+    let (Some(width), Some(height), Some(step)) = (image.width, image.height, image.step) else {
+        return bytes.into();
+    };
     let (magic, maximum, pixel, order): (&str, u32, usize, &[usize]) = match image.format.as_str() {
         "mono8" | "8UC1" => ("P5", 255, 1, &[0]),
         "rgb8" | "8UC3" => ("P6", 255, 3, &[0, 1, 2]),
@@ -126,9 +144,18 @@ mod tests {
     #[test]
     fn raw_images_become_netpbm_without_padding() {
         let padded = [1, 2, 0, 3, 4, 0];
-        assert_eq!(netpbm(&raw("mono8", 2, 2, 3), &padded).as_ref(), b"P5\n2 2\n255\n\x01\x02\x03\x04");
-        assert_eq!(netpbm(&raw("bgr8", 1, 1, 3), &[1, 2, 3]).as_ref(), b"P6\n1 1\n255\n\x03\x02\x01");
-        assert_eq!(netpbm(&raw("mono16", 1, 1, 2), &[1, 2]).as_ref(), b"P5\n1 1\n65535\n\x02\x01");
+        assert_eq!(
+            netpbm(&raw("mono8", 2, 2, 3), &padded).as_ref(),
+            b"P5\n2 2\n255\n\x01\x02\x03\x04"
+        );
+        assert_eq!(
+            netpbm(&raw("bgr8", 1, 1, 3), &[1, 2, 3]).as_ref(),
+            b"P6\n1 1\n255\n\x03\x02\x01"
+        );
+        assert_eq!(
+            netpbm(&raw("mono16", 1, 1, 2), &[1, 2]).as_ref(),
+            b"P5\n1 1\n65535\n\x02\x01"
+        );
     }
 
     #[test]

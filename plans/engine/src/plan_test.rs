@@ -10,8 +10,8 @@ use datafusion::catalog::{MemorySchemaProvider, SchemaProvider};
 use datafusion::common::TableReference;
 use datafusion::datasource::MemTable;
 use datafusion::prelude::SessionContext;
-use evermap_contract::laws::{Split, difference, run, table};
 use evermap_contract::Registry;
+use evermap_contract::laws::{Split, difference, run, table};
 use evermap_datasets::Dataset;
 use evermap_language::{Body, Input, Plan, PlanTest, Step};
 use evermap_schemas::Fault;
@@ -42,11 +42,19 @@ pub async fn run_tests(
 ) -> Result<Vec<TestOutcome>, Fault> {
     let mut outcomes = Vec::new();
     for test in &plan.tests {
-        let failure = Bench { plan, program, registry, dataset }
-            .run(test)
-            .await
-            .map_err(|fault| fault.at(format!("test {}", test.name)))?;
-        outcomes.push(TestOutcome { name: test.name.clone(), failure });
+        let failure = Bench {
+            plan,
+            program,
+            registry,
+            dataset,
+        }
+        .run(test)
+        .await
+        .map_err(|fault| fault.at(format!("test {}", test.name)))?;
+        outcomes.push(TestOutcome {
+            name: test.name.clone(),
+            failure,
+        });
     }
     Ok(outcomes)
 }
@@ -60,16 +68,24 @@ struct Bench<'a> {
 
 impl Bench<'_> {
     async fn run(&self, test: &PlanTest) -> Result<Option<String>, Fault> {
-        let context = context(Limits { partitions: 1, ..Limits::default() })?;
-        self.dataset.register(&context).await?;
+        let context = context(Limits {
+            partitions: 1,
+            ..Limits::default()
+        })?;
+        self.dataset.register(&context)?;
         let previous = Arc::new(MemorySchemaProvider::new());
         if let Some(catalog) = context.catalog("datafusion") {
-            catalog.register_schema("previous", Arc::clone(&previous) as _).map_err(|error| fault_of(&error))?;
+            catalog
+                .register_schema("previous", Arc::clone(&previous) as _)
+                .map_err(|error| fault_of(&error))?;
         }
         let mut tables: BTreeMap<String, RecordBatch> = BTreeMap::new();
         for (input, rows) in &test.given {
             let schema = self.schema(&context, input).await?;
-            tables.insert(input.written(), table(&schema, rows).map_err(|fault| fault.at(input.written()))?);
+            tables.insert(
+                input.written(),
+                table(&schema, rows).map_err(|fault| fault.at(input.written()))?,
+            );
         }
         for (name, rows) in &tables {
             put(&context, &previous, name, rows)?;
@@ -82,7 +98,9 @@ impl Bench<'_> {
             }
         }
         for (step, expected) in &test.expect {
-            let found = tables.get(step).ok_or_else(|| Fault::bug(format!("no step {step}")))?;
+            let found = tables
+                .get(step)
+                .ok_or_else(|| Fault::bug(format!("no step {step}")))?;
             if let Some(text) = difference(found, expected, test.tolerance)? {
                 return Ok(Some(format!("{step}: {text}")));
             }
@@ -92,14 +110,15 @@ impl Bench<'_> {
 
     async fn schema(&self, context: &SessionContext, input: &Input) -> Result<SchemaRef, Fault> {
         match input {
-            Input::Step(name) | Input::Previous(name) => self
-                .program
-                .schemas
-                .get(name)
-                .cloned()
-                .ok_or_else(|| Fault::user(format!("the columns of {} are not known", input.written()))),
+            Input::Step(name) | Input::Previous(name) => {
+                self.program.schemas.get(name).cloned().ok_or_else(|| {
+                    Fault::user(format!("the columns of {} are not known", input.written()))
+                })
+            }
             Input::Source(name) => {
-                let found = context.table_provider(TableReference::bare(name.clone())).await;
+                let found = context
+                    .table_provider(TableReference::bare(name.clone()))
+                    .await;
                 Ok(found.map_err(|error| fault_of(&error))?.schema())
             }
         }
@@ -116,7 +135,9 @@ impl Bench<'_> {
                 let entry = self.registry.get(op)?;
                 let mut rows = BTreeMap::new();
                 for (name, input) in inputs {
-                    if let (Some(port), Some(found)) = (entry.port(name), tables.get(&input.written())) {
+                    if let (Some(port), Some(found)) =
+                        (entry.port(name), tables.get(&input.written()))
+                    {
                         rows.insert(name.clone(), conform(found, &port.layer)?);
                     }
                 }
@@ -139,12 +160,21 @@ fn put(
     name: &str,
     rows: &RecordBatch,
 ) -> Result<(), Fault> {
-    let provider = MemTable::try_new(rows.schema(), vec![vec![rows.clone()]]).map_err(|error| fault_of(&error))?;
+    let provider = MemTable::try_new(rows.schema(), vec![vec![rows.clone()]])
+        .map_err(|error| fault_of(&error))?;
     if let Some(layer) = name.strip_prefix(Input::PREVIOUS) {
         let _ = previous.deregister_table(layer);
-        return previous.register_table(layer.to_owned(), Arc::new(provider)).map(drop).map_err(|error| fault_of(&error));
+        return previous
+            .register_table(layer.to_owned(), Arc::new(provider))
+            .map(drop)
+            .map_err(|error| fault_of(&error));
     }
     let reference = TableReference::bare(name);
-    context.deregister_table(reference.clone()).map_err(|error| fault_of(&error))?;
-    context.register_table(reference, Arc::new(provider)).map(drop).map_err(|error| fault_of(&error))
+    context
+        .deregister_table(reference.clone())
+        .map_err(|error| fault_of(&error))?;
+    context
+        .register_table(reference, Arc::new(provider))
+        .map(drop)
+        .map_err(|error| fault_of(&error))
 }

@@ -45,12 +45,20 @@ impl TableProvider for PlannedTable {
         _: &[Expr],
         _: Option<usize>,
     ) -> Result<Arc<dyn ExecutionPlan>> {
-        let Some(projection) = projection else { return Ok(Arc::clone(&self.0)) };
+        let Some(projection) = projection else {
+            return Ok(Arc::clone(&self.0));
+        };
         let schema = self.0.schema();
         let columns = projection.iter().map(|&index| {
             let name = schema.field(index).name().clone();
-            (Arc::new(Column::new(&name, index)) as Arc<dyn PhysicalExpr>, name)
+            (
+                Arc::new(Column::new(&name, index)) as Arc<dyn PhysicalExpr>,
+                name,
+            )
         });
-        Ok(Arc::new(ProjectionExec::try_new(columns.collect::<Vec<_>>(), Arc::clone(&self.0))?))
+        Ok(Arc::new(ProjectionExec::try_new(
+            columns.collect::<Vec<_>>(),
+            Arc::clone(&self.0),
+        )?))
     }
 }

@@ -2,9 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::path::{Path, PathBuf};
 
 use evermap_contract::Registry;
-use evermap_datasets::{Dataset, Manifest};
+use evermap_datasets::manifest::{ManifestRoles, ManifestSession};
+use evermap_datasets::{Dataset, Manifest, Session};
 use evermap_language::{Faults, OperatorSpec, Plan, PortSpec, Vocabulary};
 use evermap_schemas::{Fault, Layer};
 
@@ -58,6 +60,19 @@ pub struct PlanText {
     pub settings: Vec<String>,
 }
 
+/// The tables of every log, beside one for each topic.
+const SOURCES: [&str; 9] = [
+    "frames",
+    "odometry",
+    "calibration",
+    "transforms",
+    "sessions",
+    "channels",
+    "messages",
+    "attachments",
+    "metadata",
+];
+
 /// Everything plans can be written with.
 pub fn vocabulary(registry: &Registry) -> Vocabulary {
     let operators = registry.entries().map(|entry| OperatorSpec {
@@ -65,14 +80,17 @@ pub fn vocabulary(registry: &Registry) -> Vocabulary {
         ports: entry
             .ports
             .iter()
-            .map(|port| PortSpec { name: port.name.to_owned(), optional: port.optional })
+            .map(|port| PortSpec {
+                name: port.name.to_owned(),
+                optional: port.optional,
+            })
             .collect(),
         params: entry.params_schema.clone(),
         defaults: entry.defaults.clone(),
     });
     Vocabulary {
         operators: operators.collect(),
-        sources: evermap_datasets::TABLES.iter().map(ToString::to_string).collect(),
+        sources: SOURCES.iter().map(ToString::to_string).collect(),
         open_sources: true,
     }
 }
@@ -82,17 +100,27 @@ pub fn vocabulary(registry: &Registry) -> Vocabulary {
 /// # Errors
 /// All its faults.
 pub fn parse(plan: &PlanText, registry: &Registry) -> Result<Plan, Faults> {
-    evermap_language::parse(&plan.text, &plan.origin, &vocabulary(registry), &tables, &plan.settings)
+    evermap_language::parse(
+        &plan.text,
+        &plan.origin,
+        &vocabulary(registry),
+        &tables,
+        &plan.settings,
+    )
 }
 
 /// Parses and compiles a plan, on the tables of these sessions; none are needed unless the plan reads topics.
 ///
 /// # Errors
 /// All its faults.
-pub async fn check(plan: &PlanText, registry: &Registry, dataset: &Dataset) -> Result<(Plan, Program), Refusal> {
+pub async fn check(
+    plan: &PlanText,
+    registry: &Registry,
+    dataset: &Dataset,
+) -> Result<(Plan, Program), Refusal> {
     let parsed = parse(plan, registry)?;
     let context = context(Limits::default())?;
-    dataset.register(&context).await?;
+    dataset.register(&context)?;
     let program = compile(&parsed, registry, &context, &plan.origin, &plan.text).await?;
     Ok((parsed, program))
 }
@@ -126,24 +154,36 @@ impl Prepared {
         let read;
         let manifest = match (manifest, &parsed.sessions) {
             (None, Some(path)) => {
-                read = Manifest::read(&beside(&plan.origin, path))?;
+                read = Manifest::load(&beside(&plan.origin, path))?;
                 Some(&read)
             }
             (manifest, _) => manifest,
         };
         let store = Store::open(map, true)?;
         let base = Version::latest(&store).await?;
-        let given = Dataset::open(sessions, manifest).await?;
-        let mut by_name = mapped_sessions(base.as_ref())?;
-        for session in &given.sessions {
-            let run_session = run_session(&given, &session.name).await?;
-            by_name.insert(run_session.log.session.clone(), run_session);
-        }
         // Topics are checked on the logs at hand; a map's earlier logs may be gone, their artifacts are not.
         let context = context(Limits::default())?;
-        given.register(&context).await?;
+        let given = Dataset::open(&context.runtime_env(), sessions, manifest).await?;
+        let mut by_name = mapped_sessions(base.as_ref())?;
+        for session in &given.sessions {
+            let sited = manifest.is_some_and(|manifest| {
+                let named = manifest
+                    .sessions
+                    .iter()
+                    .find(|named| named.name == *session.name);
+                manifest.site.is_some() || named.is_some_and(|named| named.site.is_some())
+            });
+            let run_session = run_session(&given, session, sited).await?;
+            by_name.insert(run_session.log.session.clone(), run_session);
+        }
+        given.register(&context)?;
         let program = compile(&parsed, registry, &context, &plan.origin, &plan.text).await?;
-        Ok(Self { program, sessions: by_name.into_values().collect(), base, store })
+        Ok(Self {
+            program,
+            sessions: by_name.into_values().collect(),
+            base,
+            store,
+        })
     }
 
     /// The run.
@@ -165,35 +205,78 @@ impl Prepared {
 }
 
 /// A path as a plan writes it: relative to the working folder, or, where there is no such file, to the plan.
-fn beside(origin: &str, path: &str) -> String {
-    let here = std::path::Path::new(path);
-    let there = std::path::Path::new(origin).parent().map(|folder| folder.join(path));
+fn beside(origin: &str, path: &str) -> PathBuf {
+    let here = PathBuf::from(path);
+    let there = Path::new(origin).parent().map(|folder| folder.join(path));
     match there {
-        Some(there) if !here.exists() && there.exists() => there.display().to_string(),
-        _ => path.to_owned(),
+        Some(there) if !here.exists() && there.exists() => there,
+        _ => here,
     }
 }
 
 fn mapped_sessions(base: Option<&Version>) -> Result<BTreeMap<String, RunSession>, Fault> {
-    let sessions = base.into_iter().flat_map(|base| &base.sessions).map(|session| {
-        let manifest = serde_json::from_value(session.manifest.clone()).map_err(|error| {
-            Fault::data(format!("a session of the map does not read: {error}")).at(&session.log.session)
-        })?;
-        Ok((session.log.session.clone(), RunSession { log: session.log.clone(), manifest }))
-    });
+    let sessions = base
+        .into_iter()
+        .flat_map(|base| &base.sessions)
+        .map(|session| {
+            let manifest = serde_json::from_value(session.manifest.clone()).map_err(|error| {
+                Fault::data(format!("a session of the map does not read: {error}"))
+                    .at(&session.log.session)
+            })?;
+            Ok((
+                session.log.session.clone(),
+                RunSession {
+                    log: session.log.clone(),
+                    manifest,
+                },
+            ))
+        });
     sessions.collect()
 }
 
-async fn run_session(dataset: &Dataset, name: &str) -> Result<RunSession, Fault> {
-    let manifest = dataset.manifest_of(name)?;
-    let content = dataset.fingerprint(name).await?;
-    let site = dataset.sessions.iter().find(|session| *session.name == *name).map(|session| session.site.to_string());
-    let roles = serde_json::to_vec(&manifest.roles).map_err(|error| Fault::bug(error.to_string()))?;
+async fn run_session(
+    dataset: &Dataset,
+    session: &Session,
+    sited: bool,
+) -> Result<RunSession, Fault> {
+    // Where nobody says that sessions are of one place, each is a place of its own: their odometry frames differ.
+    let site = if sited {
+        session.site.to_string()
+    } else {
+        session.name.to_string()
+    };
+    let manifest = manifest_of(session, &site);
+    let roles =
+        serde_json::to_vec(&manifest.roles).map_err(|error| Fault::bug(error.to_string()))?;
+    let content = dataset
+        .fingerprint(&session.name)
+        .await?
+        .to_hex()
+        .to_string();
     let log = LogContent {
-        session: name.to_owned(),
-        site: site.unwrap_or_default(),
+        session: session.name.to_string(),
+        site,
         content,
         roles: crate::store::digest(&roles),
     };
     Ok(RunSession { log, manifest })
+}
+
+/// The manifest that opens just this session, with its topics as they were resolved.
+fn manifest_of(session: &Session, site: &str) -> Manifest {
+    let topics = |topics: &[String]| (!topics.is_empty()).then(|| topics.to_vec());
+    Manifest {
+        site: Some(site.to_owned()),
+        sessions: vec![ManifestSession {
+            name: session.name.to_string(),
+            files: session.parts.iter().map(|part| part.url.clone()).collect(),
+            site: Some(site.to_owned()),
+        }],
+        roles: ManifestRoles {
+            frames: topics(&session.roles.frames),
+            odometry: session.roles.odometry.clone(),
+            calibration: topics(&session.roles.calibration),
+            transforms: topics(&session.roles.transforms),
+        },
+    }
 }

@@ -11,7 +11,7 @@ use datafusion::catalog::{MemorySchemaProvider, SchemaProvider};
 use datafusion::datasource::MemTable;
 use datafusion::prelude::SessionContext;
 use evermap_contract::{Entry, Grain, Kernel, LayerRow, Registry, StateRow};
-use evermap_language::{Body, Faults, Input, Plan, Place, Step};
+use evermap_language::{Body, Faults, Input, Place, Plan, Step};
 use evermap_schemas::{Fault, Layer};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -120,7 +120,10 @@ impl Program {
     /// # Errors
     /// A bug fault: names were checked.
     pub fn stage(&self, name: &str) -> Result<&Stage, Fault> {
-        self.stages.iter().find(|stage| stage.name == name).ok_or_else(|| Fault::bug(format!("no stage {name}")))
+        self.stages
+            .iter()
+            .find(|stage| stage.name == name)
+            .ok_or_else(|| Fault::bug(format!("no stage {name}")))
     }
 
     /// The layer declaration of a stage that an operator makes.
@@ -138,12 +141,21 @@ impl Program {
     pub fn fragment(&self, name: &str) -> Result<Vec<Stage>, Fault> {
         let mut wanted = BTreeSet::from([name.to_owned()]);
         let mut fragment = Vec::new();
-        for stage in self.stages.iter().rev().filter(|stage| stage.name == name || !stage.stored) {
+        for stage in self
+            .stages
+            .iter()
+            .rev()
+            .filter(|stage| stage.name == name || !stage.stored)
+        {
             if wanted.contains(&stage.name) {
-                let inside = stage.task.inputs().into_iter().filter_map(|table| match table {
-                    Table::Stage(input) => Some(input.clone()),
-                    _ => None,
-                });
+                let inside = stage
+                    .task
+                    .inputs()
+                    .into_iter()
+                    .filter_map(|table| match table {
+                        Table::Stage(input) => Some(input.clone()),
+                        _ => None,
+                    });
                 wanted.extend(inside);
                 fragment.push(stage.clone());
             }
@@ -157,7 +169,13 @@ impl Program {
 ///
 /// # Errors
 /// Every fault of the plan that its text alone does not show: queries that do not plan, tables that do not fit ports.
-pub async fn compile(plan: &Plan, registry: &Registry, context: &SessionContext, origin: &str, text: &str) -> Result<Program, Faults> {
+pub async fn compile(
+    plan: &Plan,
+    registry: &Registry,
+    context: &SessionContext,
+    origin: &str,
+    text: &str,
+) -> Result<Program, Faults> {
     let mut compiler = Compiler {
         registry,
         context,
@@ -180,7 +198,11 @@ pub async fn compile(plan: &Plan, registry: &Registry, context: &SessionContext,
         stages: compiler.stages,
         schemas: compiler.schemas,
         write: plan.write.clone(),
-        warnings: plan.warnings.iter().map(|fault| fault.message.clone()).collect(),
+        warnings: plan
+            .warnings
+            .iter()
+            .map(|fault| fault.message.clone())
+            .collect(),
     })
 }
 
@@ -215,7 +237,9 @@ impl Compiler<'_> {
 
     fn add_previous(&self, name: &str, schema: SchemaRef) {
         if let Ok(table) = MemTable::try_new(schema, vec![vec![]]) {
-            let _ = self.previous.register_table(name.to_owned(), Arc::new(table));
+            let _ = self
+                .previous
+                .register_table(name.to_owned(), Arc::new(table));
         }
     }
 
@@ -226,7 +250,10 @@ impl Compiler<'_> {
         };
         let Some(schema) = schema else { return };
         if let Ok(table) = MemTable::try_new(Arc::clone(&schema), vec![vec![]]) {
-            let _ = self.context.register_table(datafusion::common::TableReference::bare(step.name.clone()), Arc::new(table));
+            let _ = self.context.register_table(
+                datafusion::common::TableReference::bare(step.name.clone()),
+                Arc::new(table),
+            );
         }
         self.schemas.insert(step.name.clone(), schema);
     }
@@ -245,7 +272,10 @@ impl Compiler<'_> {
                 return None;
             }
         };
-        let params = match entry.normalise(params).and_then(|params| entry.kernel(&params).map(|kernel| (params, kernel))) {
+        let params = match entry
+            .normalise(params)
+            .and_then(|params| entry.kernel(&params).map(|kernel| (params, kernel)))
+        {
             Ok(params) => Some(params),
             Err(fault) => {
                 self.fault(step, format!("step `{}`: {}", step.name, fault.message));
@@ -263,9 +293,17 @@ impl Compiler<'_> {
     }
 
     async fn check_port(&mut self, step: &Step, entry: &Entry, port: &str, input: &Input) {
-        let (Some(port), Some(schema)) = (entry.port(port), self.schema_of(input).await) else { return };
+        let (Some(port), Some(schema)) = (entry.port(port), self.schema_of(input).await) else {
+            return;
+        };
         for misfit in misfits(&schema, &port.layer) {
-            let text = format!("step `{}`: `{}` {misfit}, which port `{}` of {} reads", step.name, input.written(), port.name, entry.name);
+            let text = format!(
+                "step `{}`: `{}` {misfit}, which port `{}` of {} reads",
+                step.name,
+                input.written(),
+                port.name,
+                entry.name
+            );
             self.fault(step, text);
         }
     }
@@ -274,68 +312,141 @@ impl Compiler<'_> {
         match input {
             Input::Step(name) => self.schemas.get(name).cloned(),
             Input::Source(name) => {
-                let table = self.context.table_provider(datafusion::common::TableReference::bare(name.clone())).await;
+                let table = self
+                    .context
+                    .table_provider(datafusion::common::TableReference::bare(name.clone()))
+                    .await;
                 table.ok().map(|table| table.schema())
             }
-            Input::Previous(name) => {
-                self.previous.table(name).await.ok().flatten().map(|table| table.schema())
-            }
+            Input::Previous(name) => self
+                .previous
+                .table(name)
+                .await
+                .ok()
+                .flatten()
+                .map(|table| table.schema()),
         }
     }
 
-    fn add_operator(&mut self, step: &Step, entry: &Entry, inputs: &BTreeMap<String, Input>, params: Value, kernel: &Kernel) {
-        let tables: BTreeMap<_, _> = inputs.iter().map(|(port, input)| (port.clone(), table(input))).collect();
+    fn add_operator(
+        &mut self,
+        step: &Step,
+        entry: &Entry,
+        inputs: &BTreeMap<String, Input>,
+        params: Value,
+        kernel: &Kernel,
+    ) {
+        let tables: BTreeMap<_, _> = inputs
+            .iter()
+            .map(|(port, input)| (port.clone(), table(input)))
+            .collect();
         let own = entry.ports.first().map_or(Scope::Map, |driving| {
-            let grain = if driving.grain.is_per_session() { Scope::Session } else { Scope::Site };
-            tables.get(driving.name).map_or(grain, |table| self.scope_of(table).max(grain))
+            let grain = if driving.grain.is_per_session() {
+                Scope::Session
+            } else {
+                Scope::Site
+            };
+            tables
+                .get(driving.name)
+                .map_or(grain, |table| self.scope_of(table).max(grain))
         });
-        let scope = entry.ports.iter().skip(1).filter(|port| port.grain.is_per_session()).fold(own, |scope, port| {
-            tables.get(port.name).map_or(scope, |table| scope.max(self.scope_of(table)))
-        });
+        let scope = entry
+            .ports
+            .iter()
+            .skip(1)
+            .filter(|port| port.grain.is_per_session())
+            .fold(own, |scope, port| {
+                tables
+                    .get(port.name)
+                    .map_or(scope, |table| scope.max(self.scope_of(table)))
+            });
         let stage = |name: String, phase, inputs, scope| Stage {
             name,
-            task: Task::Op { op: entry.name.to_owned(), version: entry.version, phase, params: params.clone(), inputs },
+            task: Task::Op {
+                op: entry.name.to_owned(),
+                version: entry.version,
+                phase,
+                params: params.clone(),
+                inputs,
+            },
             scope,
             stored: false,
         };
         if matches!(kernel, Kernel::Fold(_)) {
             let lift = format!("{}{LIFT}", step.name);
             let states = BTreeMap::from([("states".to_owned(), Table::Stage(lift.clone()))]);
-            self.schemas.insert(lift.clone(), StateRow::layer().schema());
+            self.schemas
+                .insert(lift.clone(), StateRow::layer().schema());
             self.stages.push(stage(lift, Phase::Lift, tables, scope));
-            self.stages.push(stage(step.name.clone(), Phase::Merge, states, scope.max(Scope::Site)));
+            self.stages.push(stage(
+                step.name.clone(),
+                Phase::Merge,
+                states,
+                scope.max(Scope::Site),
+            ));
         } else {
-            self.stages.push(stage(step.name.clone(), Phase::Run, tables, scope));
+            self.stages
+                .push(stage(step.name.clone(), Phase::Run, tables, scope));
         }
     }
 
     async fn sql(&mut self, step: &Step, query: &str, inputs: &[Input]) -> Option<SchemaRef> {
-        if inputs.iter().any(|input| matches!(input, Input::Step(name) if !self.schemas.contains_key(name))) {
+        if inputs
+            .iter()
+            .any(|input| matches!(input, Input::Step(name) if !self.schemas.contains_key(name)))
+        {
             return None;
         }
         let frame = match self.context.sql(query).await {
             Ok(frame) => frame,
             Err(error) => {
-                self.fault(step, format!("the query of `{}` does not plan: {}", step.name, fault_of(&error).message));
+                self.fault(
+                    step,
+                    format!(
+                        "the query of `{}` does not plan: {}",
+                        step.name,
+                        fault_of(&error).message
+                    ),
+                );
                 return None;
             }
         };
         let plan = frame.logical_plan();
         let repeated = sql::repeated_columns(plan);
         if !repeated.is_empty() {
-            self.fault(step, format!("the query of `{}` gives two columns the name {}; name one with AS", step.name, repeated.join(", ")));
+            self.fault(
+                step,
+                format!(
+                    "the query of `{}` gives two columns the name {}; name one with AS",
+                    step.name,
+                    repeated.join(", ")
+                ),
+            );
             return None;
         }
         let tables: Vec<_> = inputs.iter().map(table).collect();
-        let widest = tables.iter().map(|table| self.scope_of(table)).max().unwrap_or(Scope::Map);
+        let widest = tables
+            .iter()
+            .map(|table| self.scope_of(table))
+            .max()
+            .unwrap_or(Scope::Map);
         let scope = match widest {
             Scope::Session if sql::is_local(plan, "session") => Scope::Session,
             Scope::Session | Scope::Site if sql::is_local(plan, "site") => Scope::Site,
             _ => Scope::Map,
         };
         let schema = crate::conform::bare(plan.schema().as_arrow());
-        let task = Task::Sql { query: query.to_owned(), inputs: tables, ordered: sql::is_ordered(plan) };
-        self.stages.push(Stage { name: step.name.clone(), task, scope, stored: false });
+        let task = Task::Sql {
+            query: query.to_owned(),
+            inputs: tables,
+            ordered: sql::is_ordered(plan),
+        };
+        self.stages.push(Stage {
+            name: step.name.clone(),
+            task,
+            scope,
+            stored: false,
+        });
         Some(schema)
     }
 
@@ -343,9 +454,11 @@ impl Compiler<'_> {
         match table {
             Table::Log(_) => Scope::Session,
             Table::Previous(_) => Scope::Site,
-            Table::Stage(name) => {
-                self.stages.iter().find(|stage| stage.name == *name).map_or(Scope::Map, |stage| stage.scope)
-            }
+            Table::Stage(name) => self
+                .stages
+                .iter()
+                .find(|stage| stage.name == *name)
+                .map_or(Scope::Map, |stage| stage.scope),
         }
     }
 
@@ -363,18 +476,31 @@ impl Compiler<'_> {
                 }
             }
         }
-        stored.extend(readers.into_iter().filter(|(_, count)| *count > 1).map(|(name, _)| name));
+        stored.extend(
+            readers
+                .into_iter()
+                .filter(|(_, count)| *count > 1)
+                .map(|(name, _)| name),
+        );
         for stage in &mut self.stages {
             stage.stored = stored.contains(&stage.name);
         }
     }
 
     fn is_side(&self, stage: &Stage, input: &str) -> bool {
-        let Task::Op { op, inputs, phase, .. } = &stage.task else { return false };
-        let Ok(entry) = self.registry.get(op) else { return false };
+        let Task::Op {
+            op, inputs, phase, ..
+        } = &stage.task
+        else {
+            return false;
+        };
+        let Ok(entry) = self.registry.get(op) else {
+            return false;
+        };
         *phase != Phase::Merge
             && entry.ports.iter().enumerate().any(|(index, port)| {
-                let here = matches!(inputs.get(port.name), Some(Table::Stage(name)) if name == input);
+                let here =
+                    matches!(inputs.get(port.name), Some(Table::Stage(name)) if name == input);
                 here && (index > 0 || port.grain == Grain::Whole)
             })
     }

@@ -111,7 +111,9 @@ impl Run<'_> {
             return Err(Fault::user("no sessions to map").next("give some with --sessions FILES"));
         }
         let mut driver = Driver::new(self)?;
-        observe(Event::Planned { units: driver.units.len() });
+        observe(Event::Planned {
+            units: driver.units.len(),
+        });
         driver.drive(runner, observe).await?;
         self.publish(&driver).await
     }
@@ -130,20 +132,30 @@ impl Run<'_> {
         };
         let units = driver.done();
         match &self.base {
-            Some(base) if base.same_content(&version) => {
-                Ok(RunResult { version: base.clone(), published: false, units })
-            }
+            Some(base) if base.same_content(&version) => Ok(RunResult {
+                version: base.clone(),
+                published: false,
+                units,
+            }),
             _ => {
                 version.publish(self.store).await?;
-                Ok(RunResult { version, published: true, units })
+                Ok(RunResult {
+                    version,
+                    published: true,
+                    units,
+                })
             }
         }
     }
 }
 
 fn mapped(session: &RunSession) -> Result<MappedSession, Fault> {
-    let manifest = serde_json::to_value(&session.manifest).map_err(|error| Fault::bug(error.to_string()))?;
-    Ok(MappedSession { log: session.log.clone(), manifest })
+    let manifest =
+        serde_json::to_value(&session.manifest).map_err(|error| Fault::bug(error.to_string()))?;
+    Ok(MappedSession {
+        log: session.log.clone(),
+        manifest,
+    })
 }
 
 impl<'r, 'a> Driver<'r, 'a> {
@@ -151,23 +163,46 @@ impl<'r, 'a> Driver<'r, 'a> {
         let mut units = Vec::new();
         let mut by_place = BTreeMap::new();
         let mut labels = Vec::new();
-        for (stage_index, stage) in run.program.stages.iter().enumerate().filter(|(_, stage)| stage.stored) {
+        for (stage_index, stage) in run
+            .program
+            .stages
+            .iter()
+            .enumerate()
+            .filter(|(_, stage)| stage.stored)
+        {
             for instance in instances(stage.scope, &run.sessions) {
                 let needs = needs(run.program, run.registry, stage, &instance, &run.sessions)?;
                 labels.push(instance.label(&stage.name));
                 by_place.insert((stage.name.clone(), instance.clone()), units.len());
-                units.push(Pending { stage: stage_index, instance, needs, waiting: 0 });
+                units.push(Pending {
+                    stage: stage_index,
+                    instance,
+                    needs,
+                    waiting: 0,
+                });
             }
         }
         let mut dependents = vec![Vec::new(); units.len()];
         for index in 0..units.len() {
-            let before: BTreeSet<usize> =
-                units[index].needs.places().filter_map(|place| by_place.get(&place).copied()).collect();
+            let before: BTreeSet<usize> = units[index]
+                .needs
+                .places()
+                .filter_map(|place| by_place.get(&place).copied())
+                .collect();
             units[index].waiting = before.len();
-            before.into_iter().for_each(|earlier| dependents[earlier].push(index));
+            before
+                .into_iter()
+                .for_each(|earlier| dependents[earlier].push(index));
         }
         let receipts = vec![None; units.len()];
-        Ok(Self { run, units, by_place, dependents, receipts, labels })
+        Ok(Self {
+            run,
+            units,
+            by_place,
+            dependents,
+            receipts,
+            labels,
+        })
     }
 
     async fn drive(
@@ -176,7 +211,9 @@ impl<'r, 'a> Driver<'r, 'a> {
         observe: &mut (dyn FnMut(Event<'_>) + Send),
     ) -> Result<(), Fault> {
         let mut running = SelectAll::new();
-        let mut ready: Vec<usize> = (0..self.units.len()).filter(|&index| self.units[index].waiting == 0).collect();
+        let mut ready: Vec<usize> = (0..self.units.len())
+            .filter(|&index| self.units[index].waiting == 0)
+            .collect();
         let mut first_fault: Option<Fault> = None;
         loop {
             let mut fresh = Vec::new();
@@ -189,12 +226,18 @@ impl<'r, 'a> Driver<'r, 'a> {
             }
             fresh.sort_by_key(|(index, _)| *index);
             if !fresh.is_empty() && first_fault.is_none() {
-                fresh.iter().for_each(|(index, _)| observe(Event::Started { label: &self.labels[*index] }));
+                fresh.iter().for_each(|(index, _)| {
+                    observe(Event::Started {
+                        label: &self.labels[*index],
+                    })
+                });
                 running.push(runner.start(fresh));
             }
             match running.next().await {
                 None => break,
-                Some((index, Ok(receipt))) => ready.extend(self.finish(index, receipt, false, observe)),
+                Some((index, Ok(receipt))) => {
+                    ready.extend(self.finish(index, receipt, false, observe))
+                }
                 Some((index, Err(fault))) => {
                     first_fault.get_or_insert_with(|| fault.at(&self.labels[index]));
                 }
@@ -211,7 +254,11 @@ impl<'r, 'a> Driver<'r, 'a> {
         cached: bool,
         observe: &mut (dyn FnMut(Event<'_>) + Send),
     ) -> Vec<usize> {
-        observe(Event::Done { label: &self.labels[index], receipt: &receipt, cached });
+        observe(Event::Done {
+            label: &self.labels[index],
+            receipt: &receipt,
+            cached,
+        });
         self.receipts[index] = Some((receipt, cached));
         let mut ready = Vec::new();
         for &later in &self.dependents[index] {
@@ -239,20 +286,38 @@ impl<'r, 'a> Driver<'r, 'a> {
         let mut recipe = Recipe::new(fragment, session, site);
         let mut tables = BTreeMap::new();
         for (name, places) in &pending.needs.tables {
-            let artifacts = places.iter().map(|place| self.artifact(&(name.clone(), place.clone())));
+            let artifacts = places
+                .iter()
+                .map(|place| self.artifact(&(name.clone(), place.clone())));
             let artifacts = artifacts.collect::<Result<Vec<_>, _>>()?;
-            recipe.tables.insert(name.clone(), artifacts.iter().map(|artifact| artifact.content.clone()).collect());
+            recipe.tables.insert(
+                name.clone(),
+                artifacts
+                    .iter()
+                    .map(|artifact| artifact.content.clone())
+                    .collect(),
+            );
             tables.insert(name.clone(), artifacts);
         }
         let previous = previous_layers(run, &recipe.stages, &pending.instance);
         for (name, layer) in &previous {
-            let contents = layer.artifacts.iter().map(|artifact| artifact.content.clone()).collect();
+            let contents = layer
+                .artifacts
+                .iter()
+                .map(|artifact| artifact.content.clone())
+                .collect();
             recipe.previous.insert(name.clone(), contents);
         }
-        let logs: Vec<&RunSession> =
-            run.sessions.iter().filter(|session| pending.needs.logs.contains(&session.log.session)).collect();
+        let logs: Vec<&RunSession> = run
+            .sessions
+            .iter()
+            .filter(|session| pending.needs.logs.contains(&session.log.session))
+            .collect();
         recipe.logs = logs.iter().map(|session| session.log.clone()).collect();
-        let logs = (!logs.is_empty()).then(|| Manifest::together(logs.iter().map(|session| &session.manifest)));
+        let logs = logs
+            .iter()
+            .map(|session| session.manifest.clone())
+            .collect();
         Ok(Unit {
             store: run.store.url().to_string(),
             recipe,
@@ -267,19 +332,29 @@ impl<'r, 'a> Driver<'r, 'a> {
     fn done(&self) -> Vec<(String, Receipt, bool)> {
         let units = self.units.iter().zip(&self.receipts);
         let stage = |unit: &Pending| self.run.program.stages[unit.stage].name.clone();
-        units.filter_map(|(unit, receipt)| receipt.clone().map(|(receipt, cached)| (stage(unit), receipt, cached))).collect()
+        units
+            .filter_map(|(unit, receipt)| {
+                receipt
+                    .clone()
+                    .map(|(receipt, cached)| (stage(unit), receipt, cached))
+            })
+            .collect()
     }
 
     fn layers(&self) -> Result<BTreeMap<String, StoredLayer>, Fault> {
         let mut layers: BTreeMap<String, StoredLayer> = BTreeMap::new();
         for (unit, receipt) in self.units.iter().zip(&self.receipts) {
             let stage: &Stage = &self.run.program.stages[unit.stage];
-            let (receipt, _) = receipt.as_ref().ok_or_else(|| Fault::bug(format!("{} was not run", stage.name)))?;
-            let layer = layers.entry(stage.name.clone()).or_insert_with(|| StoredLayer {
-                published: self.run.program.write.contains(&stage.name),
-                op: crate::build::stage_op(stage),
-                ..StoredLayer::default()
-            });
+            let (receipt, _) = receipt
+                .as_ref()
+                .ok_or_else(|| Fault::bug(format!("{} was not run", stage.name)))?;
+            let layer = layers
+                .entry(stage.name.clone())
+                .or_insert_with(|| StoredLayer {
+                    published: self.run.program.write.contains(&stage.name),
+                    op: crate::build::stage_op(stage),
+                    ..StoredLayer::default()
+                });
             layer.artifacts.push(receipt.artifact.clone());
             layer.recipes.push(receipt.digest.clone());
         }
@@ -303,24 +378,43 @@ impl<'r, 'a> Driver<'r, 'a> {
 }
 
 /// The layers of the version before that these stages read, as far as they concern the instance.
-fn previous_layers(run: &Run<'_>, stages: &[Stage], instance: &Instance) -> BTreeMap<String, PreviousLayer> {
+fn previous_layers(
+    run: &Run<'_>,
+    stages: &[Stage],
+    instance: &Instance,
+) -> BTreeMap<String, PreviousLayer> {
     let names: BTreeSet<&String> = stages
         .iter()
         .flat_map(|stage| stage.task.inputs())
-        .filter_map(|table| if let Table::Previous(name) = table { Some(name) } else { None })
+        .filter_map(|table| {
+            if let Table::Previous(name) = table {
+                Some(name)
+            } else {
+                None
+            }
+        })
         .collect();
     let site = instance.names(&run.sessions).1;
-    let concerns = |artifact: &Artifact| site.is_none() || artifact.site.is_none() || artifact.site == site;
+    let concerns =
+        |artifact: &Artifact| site.is_none() || artifact.site.is_none() || artifact.site == site;
     names
         .into_iter()
         .map(|name| {
             let held = run.base.as_ref().and_then(|base| base.layers.get(name));
-            let op = run.program.stage(name).ok().and_then(crate::build::stage_op);
+            let op = run
+                .program
+                .stage(name)
+                .ok()
+                .and_then(crate::build::stage_op);
             let artifacts = held.map_or_else(Vec::new, |layer| {
-                layer.artifacts.iter().filter(|artifact| concerns(artifact)).cloned().collect()
+                layer
+                    .artifacts
+                    .iter()
+                    .filter(|artifact| concerns(artifact))
+                    .cloned()
+                    .collect()
             });
             (name.clone(), PreviousLayer { op, artifacts })
         })
         .collect()
 }
-

@@ -32,7 +32,11 @@ impl LocalRunner {
     /// Runs `width` units side by side.
     pub fn new(registry: Registry, width: usize) -> Self {
         let width = width.max(1);
-        Self { registry, width, slots: Arc::new(tokio::sync::Semaphore::new(width)) }
+        Self {
+            registry,
+            width,
+            slots: Arc::new(tokio::sync::Semaphore::new(width)),
+        }
     }
 }
 
@@ -45,12 +49,15 @@ impl Runner for LocalRunner {
                 let _slot = slots.acquire_owned().await;
                 let task = tokio::spawn(async move { unit.run(&registry).await });
                 let receipt = task.await.unwrap_or_else(|error| {
-                    Err(Fault::new(Kind::Bug, format!("a unit panicked: {error}")).next("please report it"))
+                    Err(Fault::new(Kind::Bug, format!("a unit panicked: {error}"))
+                        .next("please report it"))
                 });
                 (index, receipt)
             }
         });
-        futures::stream::iter(running).buffer_unordered(width).boxed()
+        futures::stream::iter(running)
+            .buffer_unordered(width)
+            .boxed()
     }
 
     fn width(&self) -> usize {

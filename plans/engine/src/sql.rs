@@ -27,7 +27,10 @@ pub struct Limits {
 impl Default for Limits {
     fn default() -> Self {
         let partitions = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-        Self { memory_bytes: 1 << 30, partitions }
+        Self {
+            memory_bytes: 1 << 30,
+            partitions,
+        }
     }
 }
 
@@ -69,8 +72,12 @@ pub fn context_with(limits: Limits, batch_rows: usize) -> Result<SessionContext,
 pub fn tables(query: &str) -> Result<Vec<String>, String> {
     let state = SessionContext::new().state();
     let dialect = state.config().options().sql_parser.dialect;
-    let statement = state.sql_to_statement(query, &dialect).map_err(|error| fault_of(&error).message)?;
-    let references = state.resolve_table_references(&statement).map_err(|error| fault_of(&error).message)?;
+    let statement = state
+        .sql_to_statement(query, &dialect)
+        .map_err(|error| fault_of(&error).message)?;
+    let references = state
+        .resolve_table_references(&statement)
+        .map_err(|error| fault_of(&error).message)?;
     let mut names = Vec::new();
     for reference in references {
         let name = match reference.schema() {
@@ -90,28 +97,51 @@ pub fn is_local(plan: &LogicalPlan, column: &str) -> bool {
     let mut local = has(plan, column);
     let walked = plan.apply(|node| {
         local &= node_is_local(node, column) && !has_subquery(node);
-        Ok::<_, DataFusionError>(if local { TreeNodeRecursion::Continue } else { TreeNodeRecursion::Stop })
+        Ok::<_, DataFusionError>(if local {
+            TreeNodeRecursion::Continue
+        } else {
+            TreeNodeRecursion::Stop
+        })
     });
     local && walked.is_ok()
 }
 
 fn node_is_local(node: &LogicalPlan, column: &str) -> bool {
     match node {
-        LogicalPlan::TableScan(_) | LogicalPlan::SubqueryAlias(_) | LogicalPlan::Filter(_) => has(node, column),
-        LogicalPlan::Projection(projection) => projection.expr.iter().any(|expr| passes(expr, column)),
-        LogicalPlan::Unnest(_) | LogicalPlan::Repartition(_) | LogicalPlan::Union(_) => has(node, column),
+        LogicalPlan::TableScan(_) | LogicalPlan::SubqueryAlias(_) | LogicalPlan::Filter(_) => {
+            has(node, column)
+        }
+        LogicalPlan::Projection(projection) => {
+            projection.expr.iter().any(|expr| passes(expr, column))
+        }
+        LogicalPlan::Unnest(_) | LogicalPlan::Repartition(_) | LogicalPlan::Union(_) => {
+            has(node, column)
+        }
         LogicalPlan::Sort(sort) => sort.fetch.is_none(),
-        LogicalPlan::Aggregate(aggregate) => aggregate.group_expr.iter().any(|expr| passes(expr, column)),
-        LogicalPlan::Window(window) => window.window_expr.iter().all(|expr| partitioned_by(expr, column)),
+        LogicalPlan::Aggregate(aggregate) => {
+            aggregate.group_expr.iter().any(|expr| passes(expr, column))
+        }
+        LogicalPlan::Window(window) => window
+            .window_expr
+            .iter()
+            .all(|expr| partitioned_by(expr, column)),
         LogicalPlan::Distinct(Distinct::All(input)) => has(input, column),
-        LogicalPlan::Distinct(Distinct::On(distinct)) => distinct.on_expr.iter().any(|expr| passes(expr, column)),
-        LogicalPlan::Join(join) => join.on.iter().any(|(left, right)| passes(left, column) && passes(right, column)),
+        LogicalPlan::Distinct(Distinct::On(distinct)) => {
+            distinct.on_expr.iter().any(|expr| passes(expr, column))
+        }
+        LogicalPlan::Join(join) => join
+            .on
+            .iter()
+            .any(|(left, right)| passes(left, column) && passes(right, column)),
         _ => false,
     }
 }
 
 fn has(plan: &LogicalPlan, column: &str) -> bool {
-    plan.schema().fields().iter().any(|field| field.name() == column)
+    plan.schema()
+        .fields()
+        .iter()
+        .any(|field| field.name() == column)
 }
 
 /// Whether the expression is the column itself, under its own name.
@@ -126,7 +156,11 @@ fn passes(expr: &Expr, column: &str) -> bool {
 fn partitioned_by(expr: &Expr, column: &str) -> bool {
     match expr {
         Expr::Alias(alias) => partitioned_by(&alias.expr, column),
-        Expr::WindowFunction(window) => window.params.partition_by.iter().any(|expr| passes(expr, column)),
+        Expr::WindowFunction(window) => window
+            .params
+            .partition_by
+            .iter()
+            .any(|expr| passes(expr, column)),
         _ => false,
     }
 }
@@ -135,7 +169,10 @@ fn has_subquery(node: &LogicalPlan) -> bool {
     let mut found = false;
     let _ = node.apply_expressions(|expr| {
         expr.apply(|expr| {
-            found |= matches!(expr, Expr::ScalarSubquery(_) | Expr::InSubquery(_) | Expr::Exists(_));
+            found |= matches!(
+                expr,
+                Expr::ScalarSubquery(_) | Expr::InSubquery(_) | Expr::Exists(_)
+            );
             Ok::<_, DataFusionError>(TreeNodeRecursion::Continue)
         })
     });
@@ -156,7 +193,12 @@ pub fn is_ordered(plan: &LogicalPlan) -> bool {
 /// Names that occur twice, which a stored table cannot have.
 pub fn repeated_columns(plan: &LogicalPlan) -> Vec<String> {
     let mut seen = HashSet::new();
-    plan.schema().fields().iter().filter(|field| !seen.insert(field.name())).map(|field| field.name().clone()).collect()
+    plan.schema()
+        .fields()
+        .iter()
+        .filter(|field| !seen.insert(field.name()))
+        .map(|field| field.name().clone())
+        .collect()
 }
 
 #[cfg(test)]
@@ -170,7 +212,9 @@ mod tests {
     async fn plan(query: &str) -> LogicalPlan {
         let context = context(Limits::default()).unwrap();
         for layer in [VehiclePose::layer(), Keyframe::layer()] {
-            context.register_batch(layer.name, RecordBatch::new_empty(layer.schema())).unwrap();
+            context
+                .register_batch(layer.name, RecordBatch::new_empty(layer.schema()))
+                .unwrap();
         }
         context.sql(query).await.unwrap().into_unoptimized_plan()
     }
@@ -178,21 +222,45 @@ mod tests {
     #[tokio::test]
     async fn locality_is_seen_where_it_is_and_not_where_it_is_not() {
         let cases = [
-            ("SELECT site, session, stamp FROM poses WHERE stamp IS NOT NULL", true),
-            ("SELECT p.session, k.keyframe FROM poses p JOIN keyframes k ON p.session = k.session AND p.stamp = k.stamp", true),
-            ("SELECT session, keyframe FROM poses JOIN keyframes USING (session, stamp)", true),
-            ("SELECT p.session, k.keyframe FROM poses p JOIN keyframes k ON p.stamp = k.stamp", false),
+            (
+                "SELECT site, session, stamp FROM poses WHERE stamp IS NOT NULL",
+                true,
+            ),
+            (
+                "SELECT p.session, k.keyframe FROM poses p JOIN keyframes k ON p.session = k.session AND p.stamp = k.stamp",
+                true,
+            ),
+            (
+                "SELECT session, keyframe FROM poses JOIN keyframes USING (session, stamp)",
+                true,
+            ),
+            (
+                "SELECT p.session, k.keyframe FROM poses p JOIN keyframes k ON p.stamp = k.stamp",
+                false,
+            ),
             ("SELECT session, count(*) FROM poses GROUP BY session", true),
             ("SELECT site, count(*) FROM poses GROUP BY site", false),
             ("SELECT count(*) FROM poses", false),
-            ("SELECT session, row_number() OVER (PARTITION BY session ORDER BY stamp) FROM poses", true),
-            ("SELECT session, row_number() OVER (ORDER BY stamp) FROM poses", false),
+            (
+                "SELECT session, row_number() OVER (PARTITION BY session ORDER BY stamp) FROM poses",
+                true,
+            ),
+            (
+                "SELECT session, row_number() OVER (ORDER BY stamp) FROM poses",
+                false,
+            ),
             ("SELECT DISTINCT session FROM poses", true),
             ("SELECT session FROM poses LIMIT 3", false),
-            ("SELECT session FROM poses WHERE stamp = (SELECT max(stamp) FROM poses)", false),
+            (
+                "SELECT session FROM poses WHERE stamp = (SELECT max(stamp) FROM poses)",
+                false,
+            ),
             ("SELECT 'x' AS session FROM poses", false),
             ("SELECT session, unnest(images) AS i FROM keyframes", true),
-            ("SELECT session FROM (SELECT *, unnest(images) AS i FROM keyframes) k", true),
+            (
+                "SELECT session FROM (SELECT *, unnest(images) AS i FROM keyframes) k",
+                true,
+            ),
         ];
         for (query, expected) in cases {
             assert_eq!(is_local(&plan(query).await, "session"), expected, "{query}");
@@ -201,7 +269,8 @@ mod tests {
 
     #[test]
     fn tables_are_named_as_a_plan_names_them() {
-        let query = r#"WITH a AS (SELECT * FROM poses) SELECT * FROM a, "/odom", previous.lanes, poses"#;
+        let query =
+            r#"WITH a AS (SELECT * FROM poses) SELECT * FROM a, "/odom", previous.lanes, poses"#;
         assert_eq!(tables(query).unwrap(), ["/odom", "poses", "previous.lanes"]);
         assert!(tables("SELEC").is_err());
     }

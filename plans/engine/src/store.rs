@@ -40,7 +40,11 @@ impl Store {
         let url = address_url(address, create)?;
         let (store, root) = object_store::parse_url_opts(&url, std::env::vars())
             .map_err(|error| Fault::user(format!("{address} is no place for a map: {error}")))?;
-        Ok(Self { url, root, store: Arc::from(store) })
+        Ok(Self {
+            url,
+            root,
+            store: Arc::from(store),
+        })
     }
 
     /// The map's URL, with a slash behind it.
@@ -63,7 +67,9 @@ impl Store {
     /// # Errors
     /// A bug fault for a name that is no path.
     pub fn url_of(&self, name: &str) -> Result<Url, Fault> {
-        self.url.join(name).map_err(|error| Fault::bug(format!("{name} is no name in a map: {error}")))
+        self.url
+            .join(name)
+            .map_err(|error| Fault::bug(format!("{name} is no name in a map: {error}")))
     }
 
     /// Whether a name is there.
@@ -84,12 +90,18 @@ impl Store {
     /// A resource fault when the store does not answer, a data fault for JSON of another shape.
     pub async fn read_json<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, Fault> {
         let bytes = match self.store.get(&self.path(name)).await {
-            Ok(found) => found.bytes().await.map_err(|error| store_fault(&error, name))?,
+            Ok(found) => found
+                .bytes()
+                .await
+                .map_err(|error| store_fault(&error, name))?,
             Err(object_store::Error::NotFound { .. }) => return Ok(None),
             Err(error) => return Err(store_fault(&error, name)),
         };
         serde_json::from_slice(&bytes).map(Some).map_err(|error| {
-            Fault::data(format!("expected what evermap wrote, found other JSON: {error}")).at(format!("{}{name}", self.url))
+            Fault::data(format!(
+                "expected what evermap wrote, found other JSON: {error}"
+            ))
+            .at(format!("{}{name}", self.url))
         })
     }
 
@@ -98,7 +110,10 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not take it.
     pub async fn write_json<T: Serialize>(&self, name: &str, value: &T) -> Result<(), Fault> {
-        let put = self.store.put(&self.path(name), json_bytes(value)?.into()).await;
+        let put = self
+            .store
+            .put(&self.path(name), json_bytes(value)?.into())
+            .await;
         put.map(drop).map_err(|error| store_fault(&error, name))
     }
 
@@ -107,8 +122,15 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not take it.
     pub async fn create_json<T: Serialize>(&self, name: &str, value: &T) -> Result<bool, Fault> {
-        let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
-        match self.store.put_opts(&self.path(name), json_bytes(value)?.into(), options).await {
+        let options = PutOptions {
+            mode: PutMode::Create,
+            ..PutOptions::default()
+        };
+        match self
+            .store
+            .put_opts(&self.path(name), json_bytes(value)?.into(), options)
+            .await
+        {
             Ok(_) => Ok(true),
             Err(object_store::Error::AlreadyExists { .. }) => Ok(false),
             Err(error) => Err(store_fault(&error, name)),
@@ -120,7 +142,10 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not do it.
     pub async fn settle(&self, from: &str, to: &str) -> Result<(), Fault> {
-        self.store.rename(&self.path(from), &self.path(to)).await.map_err(|error| store_fault(&error, to))
+        self.store
+            .rename(&self.path(from), &self.path(to))
+            .await
+            .map_err(|error| store_fault(&error, to))
     }
 
     /// Removes a name; a name that is not there is fine.
@@ -140,11 +165,20 @@ impl Store {
     /// A resource fault when the store does not answer.
     pub async fn list(&self, folder: &str) -> Result<Vec<(String, u64)>, Fault> {
         let prefix = self.path(folder);
-        let found: Vec<_> =
-            self.store.list(Some(&prefix)).try_collect().await.map_err(|error| store_fault(&error, folder))?;
+        let found: Vec<_> = self
+            .store
+            .list(Some(&prefix))
+            .try_collect()
+            .await
+            .map_err(|error| store_fault(&error, folder))?;
         let mut names: Vec<_> = found
             .into_iter()
-            .filter_map(|object| Some((format!("{folder}/{}", object.location.filename()?), object.size)))
+            .filter_map(|object| {
+                Some((
+                    format!("{folder}/{}", object.location.filename()?),
+                    object.size,
+                ))
+            })
             .collect();
         names.sort();
         Ok(names)
@@ -152,20 +186,29 @@ impl Store {
 }
 
 fn json_bytes<T: Serialize>(value: &T) -> Result<Bytes, Fault> {
-    serde_json::to_vec_pretty(value).map(Bytes::from).map_err(|error| Fault::bug(error.to_string()))
+    serde_json::to_vec_pretty(value)
+        .map(Bytes::from)
+        .map_err(|error| Fault::bug(error.to_string()))
 }
 
 fn address_url(address: &str, create: bool) -> Result<Url, Fault> {
     if address.contains("://") {
-        let slashed = if address.ends_with('/') { address.to_owned() } else { format!("{address}/") };
-        return Url::parse(&slashed).map_err(|error| Fault::user(format!("{address} is no URL: {error}")));
+        let slashed = if address.ends_with('/') {
+            address.to_owned()
+        } else {
+            format!("{address}/")
+        };
+        return Url::parse(&slashed)
+            .map_err(|error| Fault::user(format!("{address} is no URL: {error}")));
     }
     let folder = std::path::Path::new(address);
     if create {
-        std::fs::create_dir_all(folder).map_err(|error| Fault::resource(format!("cannot make {address}: {error}")))?;
+        std::fs::create_dir_all(folder)
+            .map_err(|error| Fault::resource(format!("cannot make {address}: {error}")))?;
     }
     let full = folder.canonicalize().map_err(|error| {
-        Fault::user(format!("no map at {address}: {error}")).next("make one with `evermap run PLAN --map DIR --sessions FILES`")
+        Fault::user(format!("no map at {address}: {error}"))
+            .next("make one with `evermap run PLAN --map DIR --sessions FILES`")
     })?;
     Url::from_directory_path(full).map_err(|()| Fault::user(format!("{address} is no folder")))
 }
@@ -186,9 +229,18 @@ mod tests {
         let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
         assert!(store.create_json("versions/1.json", &1).await.unwrap());
         assert!(!store.create_json("versions/1.json", &2).await.unwrap());
-        assert_eq!(store.read_json::<u32>("versions/1.json").await.unwrap(), Some(1));
-        assert_eq!(store.read_json::<u32>("versions/2.json").await.unwrap(), None);
-        assert_eq!(store.list("versions").await.unwrap(), [("versions/1.json".to_owned(), 1)]);
+        assert_eq!(
+            store.read_json::<u32>("versions/1.json").await.unwrap(),
+            Some(1)
+        );
+        assert_eq!(
+            store.read_json::<u32>("versions/2.json").await.unwrap(),
+            None
+        );
+        assert_eq!(
+            store.list("versions").await.unwrap(),
+            [("versions/1.json".to_owned(), 1)]
+        );
     }
 
     #[test]

@@ -79,7 +79,15 @@ impl Recipe {
     /// An empty recipe for these stages.
     pub fn new(stages: Vec<Stage>, session: Option<String>, site: Option<String>) -> Self {
         let (tables, previous) = (BTreeMap::new(), BTreeMap::new());
-        Self { format: FORMAT, stages, tables, previous, logs: Vec::new(), session, site }
+        Self {
+            format: FORMAT,
+            stages,
+            tables,
+            previous,
+            logs: Vec::new(),
+            session,
+            site,
+        }
     }
 
     /// The recipe's digest.
@@ -112,8 +120,8 @@ pub struct Unit {
     pub tables: BTreeMap<String, Vec<Artifact>>,
     /// The layers of the version before that are read.
     pub previous: BTreeMap<String, PreviousLayer>,
-    /// The logs that are read; null where none is.
-    pub logs: Option<Manifest>,
+    /// The logs that are read, as manifests of one session each.
+    pub logs: Vec<Manifest>,
     /// Bytes it may hold, partitions it may use.
     pub memory_bytes: usize,
     /// Partitions that its plan is cut into.
@@ -150,8 +158,14 @@ impl Receipt {
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn find(store: &Store, digest: &str) -> Result<Option<Self>, Fault> {
-        let Some(receipt) = store.read_json::<Self>(&Self::name(digest)).await? else { return Ok(None) };
-        Ok(if store.exists(&receipt.artifact.name()).await? { Some(receipt) } else { None })
+        let Some(receipt) = store.read_json::<Self>(&Self::name(digest)).await? else {
+            return Ok(None);
+        };
+        Ok(if store.exists(&receipt.artifact.name()).await? {
+            Some(receipt)
+        } else {
+            None
+        })
     }
 }
 
@@ -161,12 +175,19 @@ impl Unit {
     /// # Errors
     /// A bug fault for a unit without stages.
     pub fn stage(&self) -> Result<&Stage, Fault> {
-        self.recipe.stages.last().ok_or_else(|| Fault::bug("a unit without stages"))
+        self.recipe
+            .stages
+            .last()
+            .ok_or_else(|| Fault::bug("a unit without stages"))
     }
 
     /// What a person calls it: the stage and the session or site.
     pub fn label(&self) -> String {
-        let stage = self.recipe.stages.last().map_or("", |stage| stage.name.as_str());
+        let stage = self
+            .recipe
+            .stages
+            .last()
+            .map_or("", |stage| stage.name.as_str());
         match self.recipe.session.as_ref().or(self.recipe.site.as_ref()) {
             Some(of) => format!("{stage} of {of}"),
             None => stage.to_owned(),
@@ -180,11 +201,15 @@ impl Unit {
     pub async fn run(&self, registry: &Registry) -> Result<Receipt, Fault> {
         let (started, clock) = (chrono::Utc::now(), Instant::now());
         let store = Store::open(&self.store, false)?;
-        let limits = Limits { memory_bytes: self.memory_bytes, partitions: self.partitions };
+        let limits = Limits {
+            memory_bytes: self.memory_bytes,
+            partitions: self.partitions,
+        };
         let builder = Builder::new(self, &store, registry, limits).await?;
         let plan = builder.plan().await?;
         let span = tracing::info_span!("unit", label = %self.label());
-        let written = tracing::Instrument::instrument(artifact::write(&store, plan, &builder), span).await?;
+        let written =
+            tracing::Instrument::instrument(artifact::write(&store, plan, &builder), span).await?;
         let receipt = Receipt {
             digest: self.recipe.digest()?,
             recipe: self.recipe.clone(),
@@ -198,7 +223,9 @@ impl Unit {
             started: started.timestamp_nanos_opt().unwrap_or_default(),
             seconds: clock.elapsed().as_secs_f64(),
         };
-        store.write_json(&Receipt::name(&receipt.digest), &receipt).await?;
+        store
+            .write_json(&Receipt::name(&receipt.digest), &receipt)
+            .await?;
         Ok(receipt)
     }
 }

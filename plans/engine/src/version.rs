@@ -34,7 +34,11 @@ impl StoredLayer {
 
     /// One digest for all the rows.
     pub fn digest(&self) -> String {
-        let contents: Vec<_> = self.artifacts.iter().map(|artifact| artifact.content.as_str()).collect();
+        let contents: Vec<_> = self
+            .artifacts
+            .iter()
+            .map(|artifact| artifact.content.as_str())
+            .collect();
         crate::store::digest(contents.join("\n").as_bytes())
     }
 }
@@ -80,7 +84,12 @@ impl Version {
     /// A resource fault when the store does not answer.
     pub async fn numbers(store: &Store) -> Result<Vec<u64>, Fault> {
         let names = store.list("versions").await?;
-        let number = |name: &str| name.strip_prefix("versions/")?.strip_suffix(".json")?.parse::<u64>().ok();
+        let number = |name: &str| {
+            name.strip_prefix("versions/")?
+                .strip_suffix(".json")?
+                .parse::<u64>()
+                .ok()
+        };
         let mut numbers: Vec<_> = names.iter().filter_map(|(name, _)| number(name)).collect();
         numbers.sort_unstable();
         Ok(numbers)
@@ -96,7 +105,10 @@ impl Version {
             None => {
                 let numbers = Self::numbers(store).await?;
                 let known: Vec<_> = numbers.iter().map(ToString::to_string).collect();
-                Err(Fault::user(format!("no version {version} in this map; there are: {}", known.join(", "))))
+                Err(Fault::user(format!(
+                    "no version {version} in this map; there are: {}",
+                    known.join(", ")
+                )))
             }
         }
     }
@@ -125,7 +137,10 @@ impl Version {
         if store.create_json(&Self::name(self.version), self).await? {
             return Ok(());
         }
-        Err(Fault::user(format!("another run published version {} while this one ran", self.version))
-            .next("run again: what was computed is kept, so it takes seconds"))
+        Err(Fault::user(format!(
+            "another run published version {} while this one ran",
+            self.version
+        ))
+        .next("run again: what was computed is kept, so it takes seconds"))
     }
 }
