@@ -1,2 +1,5 @@
-//! Placeholder.
-fn main(){}
+//! The binary `evermap`.
+
+fn main() -> std::process::ExitCode {
+    evermap::main()
+}

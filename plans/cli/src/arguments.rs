@@ -1,0 +1,498 @@
+//! The command line, as clap reads it.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::export::ExportFormat;
+use crate::output::Format;
+use crate::progress::Show;
+use crate::quantity;
+
+const EXITS: &str = "Exit status: 0 done, 1 failed, 2 wrong usage, 3 done with loss (skipped or lost inputs are counted on \
+                     stderr). Results go to stdout, everything else to stderr. EVERMAP_LOG=info,evermap=debug logs more.";
+
+/// Turns robot logs into maps that get better with every drive.
+#[derive(Debug, Parser)]
+#[command(name = "evermap", version, after_help = EXITS, max_term_width = 100)]
+pub struct Arguments {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Run a plan on sessions; publish a new version of the map.
+    Run(RunArgs),
+    /// Check a plan: all faults at once.
+    Check(PlanArgs),
+    /// Run the tests that a plan carries.
+    Test(PlanArgs),
+    /// Say what a run would recompute, and why.
+    Explain(ExplainArgs),
+    /// Print the JSON Schema of plans, for editors.
+    Schema,
+    /// Query a map or logs with SQL.
+    Sql(SqlArgs),
+    /// Say what an MCAP file holds, and whether it is sound.
+    Inspect(InspectArgs),
+    /// List the operators, or print the page of one.
+    Operators(OperatorsArgs),
+    /// List the layers of a map.
+    Layers(LayersArgs),
+    /// List the versions of a map.
+    Versions(VersionsArgs),
+    /// Compare two versions of a map, layer by layer.
+    Diff(DiffArgs),
+    /// Forget old versions of a map, and every file that only they need.
+    Gc(GcArgs),
+    /// Write a layer in the format of another program.
+    Export(ExportArgs),
+    /// Draw a map.
+    Render(RenderArgs),
+    /// Write one self-contained HTML page about a map.
+    Report(ReportArgs),
+    /// Write a simulated world as MCAP, with its exact truth.
+    Simulate(SimulateArgs),
+    /// Turn other recordings into MCAP.
+    #[command(subcommand)]
+    Import(ImportArgs),
+    /// Serve as the scheduler of a cluster.
+    #[cfg(feature = "cluster")]
+    Scheduler(SchedulerArgs),
+    /// Serve as an executor of a cluster.
+    #[cfg(feature = "cluster")]
+    Executor(ExecutorArgs),
+    /// Print the completion script of a shell.
+    Completions {
+        /// Shell.
+        shell: clap_complete::Shell,
+    },
+}
+
+/// Which sessions.
+#[derive(Debug, Args)]
+pub struct SessionArgs {
+    /// MCAP files, folders, patterns or URLs, one session each.
+    #[arg(long, num_args = 1.., value_name = "GLOB")]
+    pub sessions: Vec<String>,
+    /// Session manifest (YAML): files, sites, and which topic plays which role.
+    #[arg(long, value_name = "FILE")]
+    pub manifest: Option<String>,
+    /// Site of the sessions; those of one site make one map.
+    #[arg(long, value_name = "NAME")]
+    pub site: Option<String>,
+}
+
+/// What the program may use.
+#[derive(Debug, Args)]
+pub struct LimitArgs {
+    /// Units that run side by side [default: one a core].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    pub jobs: Option<u32>,
+    /// Memory for sorts, joins and decoded chunks, all units together.
+    #[arg(long, value_name = "BYTES", default_value = "1GiB", value_parser = quantity::bytes)]
+    pub memory: usize,
+}
+
+/// Arguments of `run`.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// Plan file, `-` for standard input, or the name of a plan that ships (car_park, trajectory).
+    pub plan: String,
+    /// Folder or URL of the map; made where there is none.
+    #[arg(long, value_name = "DIR")]
+    pub map: String,
+    /// Sessions that join those of the map.
+    #[command(flatten)]
+    pub sessions: SessionArgs,
+    /// Parameter of a step, in place of the plan's.
+    #[arg(long, value_name = "STEP.PARAM=VALUE")]
+    pub set: Vec<String>,
+    /// How progress is shown.
+    #[arg(long, default_value = "auto")]
+    pub progress: Show,
+    /// Scheduler of a cluster that runs the units.
+    #[cfg(feature = "cluster")]
+    #[arg(long, value_name = "URL")]
+    pub cluster: Option<String>,
+    /// Seconds without any finished unit after which a job on the cluster counts as hung.
+    #[cfg(feature = "cluster")]
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        default_value_t = 600,
+        requires = "cluster"
+    )]
+    pub deadline_s: u64,
+    /// What the program may use.
+    #[command(flatten)]
+    pub limits: LimitArgs,
+}
+
+/// Arguments of `check` and `test`.
+#[derive(Debug, Args)]
+pub struct PlanArgs {
+    /// Plan file, `-` for standard input, or the name of a plan that ships.
+    pub plan: String,
+    /// Parameter of a step, in place of the plan's.
+    #[arg(long, value_name = "STEP.PARAM=VALUE")]
+    pub set: Vec<String>,
+    /// Sessions whose topics the plan reads.
+    #[command(flatten)]
+    pub sessions: SessionArgs,
+}
+
+/// Arguments of `explain`.
+#[derive(Debug, Args)]
+pub struct ExplainArgs {
+    /// Plan file, `-` for standard input, or the name of a plan that ships.
+    pub plan: String,
+    /// Folder or URL of the map.
+    #[arg(long, value_name = "DIR")]
+    pub map: String,
+    /// Sessions that would join those of the map.
+    #[command(flatten)]
+    pub sessions: SessionArgs,
+    /// Parameter of a step, in place of the plan's.
+    #[arg(long, value_name = "STEP.PARAM=VALUE")]
+    pub set: Vec<String>,
+    /// How it is written.
+    #[arg(long, default_value = "table")]
+    pub format: Format,
+}
+
+/// Arguments of `sql`.
+#[derive(Debug, Args)]
+#[command(group(clap::ArgGroup::new("what").required(true).args(["map", "sessions", "manifest"]).multiple(true)))]
+pub struct SqlArgs {
+    /// Folder or URL of a map: its layers are tables, beside `layers`, `versions` and `runs`.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["sessions", "manifest", "site"])]
+    pub map: Option<String>,
+    /// Version of the map [default: the newest].
+    #[arg(long, value_name = "N", requires = "map")]
+    pub version: Option<u64>,
+    /// Over sessions each topic is a table, beside `messages`, `channels`, `sessions`, `frames` and others.
+    #[command(flatten)]
+    pub sessions: SessionArgs,
+    /// How results are written.
+    #[arg(long, default_value = "table")]
+    pub format: Format,
+    /// File for the result, instead of stdout.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Memory for sorts, joins and decoded chunks.
+    #[arg(long, value_name = "BYTES", default_value = "1GiB", value_parser = quantity::bytes)]
+    pub memory: usize,
+    /// The query, also as `--query`; without one, a prompt, or queries from standard input.
+    pub query: Option<String>,
+    /// The query, where it would be taken for another session.
+    #[arg(
+        long = "query",
+        short = 'q',
+        value_name = "QUERY",
+        conflicts_with = "query"
+    )]
+    pub named_query: Option<String>,
+}
+
+/// Arguments of `inspect`.
+#[derive(Debug, Args)]
+pub struct InspectArgs {
+    /// MCAP file or URL.
+    pub file: String,
+    /// Print JSON.
+    #[arg(long)]
+    pub json: bool,
+    /// Read only the index; damage inside chunks is not found.
+    #[arg(long)]
+    pub quick: bool,
+}
+
+/// Arguments of `operators`.
+#[derive(Debug, Args)]
+pub struct OperatorsArgs {
+    /// Operator whose page is printed.
+    pub name: Option<String>,
+    /// How the list is written.
+    #[arg(long, default_value = "table")]
+    pub format: Format,
+}
+
+/// A map at a version.
+#[derive(Debug, Args)]
+pub struct MapArgs {
+    /// Folder or URL of the map.
+    #[arg(long, value_name = "DIR")]
+    pub map: String,
+    /// Version of the map [default: the newest].
+    #[arg(long, value_name = "N")]
+    pub version: Option<u64>,
+}
+
+/// Arguments of `layers`.
+#[derive(Debug, Args)]
+pub struct LayersArgs {
+    /// The map.
+    #[command(flatten)]
+    pub map: MapArgs,
+    /// How the list is written.
+    #[arg(long, default_value = "table")]
+    pub format: Format,
+}
+
+/// Arguments of `versions`.
+#[derive(Debug, Args)]
+pub struct VersionsArgs {
+    /// Folder or URL of the map.
+    #[arg(long, value_name = "DIR")]
+    pub map: String,
+    /// How the list is written.
+    #[arg(long, default_value = "table")]
+    pub format: Format,
+}
+
+/// Arguments of `diff`.
+#[derive(Debug, Args)]
+pub struct DiffArgs {
+    /// The earlier version.
+    pub before: u64,
+    /// The later version.
+    pub after: u64,
+    /// Folder or URL of the map.
+    #[arg(long, value_name = "DIR")]
+    pub map: String,
+    /// How the list is written.
+    #[arg(long, default_value = "table")]
+    pub format: Format,
+}
+
+/// Arguments of `gc`.
+#[derive(Debug, Args)]
+pub struct GcArgs {
+    /// Folder or URL of the map. No run may be writing to it.
+    #[arg(long, value_name = "DIR")]
+    pub map: String,
+    /// Newest versions to keep.
+    #[arg(long, value_name = "N")]
+    pub keep: usize,
+    /// Only say what would be removed.
+    #[arg(long)]
+    pub dry_run: bool,
+}
+
+/// Arguments of `export`.
+#[derive(Debug, Args)]
+pub struct ExportArgs {
+    /// Layer.
+    pub layer: String,
+    /// The map.
+    #[command(flatten)]
+    pub map: MapArgs,
+    /// What it becomes.
+    #[arg(long)]
+    pub format: ExportFormat,
+    /// File to write.
+    #[arg(long, value_name = "PATH")]
+    pub out: PathBuf,
+    /// Only rows of this session.
+    #[arg(long, value_name = "NAME")]
+    pub session: Option<String>,
+    /// Only rows of this site.
+    #[arg(long, value_name = "NAME")]
+    pub site: Option<String>,
+    /// Zoom level of tiles; 0 is the finest.
+    #[arg(long, value_name = "Z")]
+    pub zoom: Option<u32>,
+}
+
+/// Arguments of `render`.
+#[derive(Debug, Args)]
+pub struct RenderArgs {
+    /// The map.
+    #[command(flatten)]
+    pub map: MapArgs,
+    /// Picture to write: `.png` or `.svg`.
+    #[arg(long, value_name = "FILE", value_parser = picture)]
+    pub out: PathBuf,
+    /// Site to draw [default: the first by name].
+    #[arg(long, value_name = "NAME")]
+    pub site: Option<String>,
+    /// Zoom level of tiles; 0 is the finest [default: by the picture's size].
+    #[arg(long, value_name = "Z")]
+    pub zoom: Option<u32>,
+    /// Width of the picture, pixels.
+    #[arg(long, value_name = "N", default_value_t = 1600, value_parser = clap::value_parser!(u32).range(200..=16_384))]
+    pub width_px: u32,
+}
+
+/// Arguments of `report`.
+#[derive(Debug, Args)]
+pub struct ReportArgs {
+    /// The map.
+    #[command(flatten)]
+    pub map: MapArgs,
+    /// Page to write.
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Site to draw [default: the first by name].
+    #[arg(long, value_name = "NAME")]
+    pub site: Option<String>,
+}
+
+/// Arguments of `simulate`.
+#[derive(Debug, Args)]
+pub struct SimulateArgs {
+    /// World.
+    #[arg(value_parser = ["car_park"])]
+    pub world: String,
+    /// Folder to write sessions and truth to.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Everything random is drawn from this number.
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Sessions after the initial one.
+    #[arg(long, value_name = "N")]
+    pub revisits: Option<usize>,
+    /// Any other parameter of the world: `width_px=640`, `loops=1`, `occupancy=0.8`.
+    #[arg(long, value_name = "PARAM=VALUE")]
+    pub set: Vec<String>,
+    /// How progress is shown.
+    #[arg(long, default_value = "auto")]
+    pub progress: Show,
+}
+
+/// What `import` reads.
+#[derive(Debug, Subcommand)]
+pub enum ImportArgs {
+    /// Bags of ROS 1 or ROS 2: says what to do instead.
+    Rosbag {
+        /// Bags.
+        files: Vec<String>,
+    },
+}
+
+/// Arguments of `scheduler`.
+#[cfg(feature = "cluster")]
+#[derive(Debug, Args)]
+pub struct SchedulerArgs {
+    /// Address to listen on, as the others reach it.
+    #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:50050", value_parser = address)]
+    pub bind: (String, u16),
+}
+
+/// Arguments of `executor`.
+#[cfg(feature = "cluster")]
+#[derive(Debug, Args)]
+pub struct ExecutorArgs {
+    /// The scheduler.
+    #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:50050", value_parser = address)]
+    pub scheduler: (String, u16),
+    /// Address to listen on, as the others reach it; the port after it is used too.
+    #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:50051", value_parser = address)]
+    pub bind: (String, u16),
+    /// Units to run side by side [default: one a core].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    pub jobs: Option<u32>,
+}
+
+#[cfg(feature = "cluster")]
+fn address(text: &str) -> Result<(String, u16), String> {
+    let bare = text
+        .split_once("://")
+        .map_or(text, |(_, rest)| rest)
+        .trim_end_matches('/');
+    let expected = || format!("expected host:port, found {text}");
+    let (host, port) = bare.rsplit_once(':').ok_or_else(expected)?;
+    let port: u16 = port.parse().map_err(|_| expected())?;
+    if host.is_empty() || port == 0 || port == u16::MAX {
+        Err(expected())
+    } else {
+        Ok((host.to_owned(), port))
+    }
+}
+
+fn picture(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    let extension = path
+        .extension()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .to_lowercase();
+    if ["png", "svg"].contains(&extension.as_str()) {
+        Ok(path)
+    } else {
+        Err(format!(
+            "expected a file that ends in .png or .svg, found {text}"
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::panic)]
+    use super::*;
+    use clap::CommandFactory;
+
+    fn read(line: &str) -> Result<Command, clap::Error> {
+        Arguments::try_parse_from(line.split_whitespace()).map(|arguments| arguments.command)
+    }
+
+    #[test]
+    fn the_command_line_is_sound() {
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn sessions_and_settings_are_lists() {
+        let line = "evermap run car_park --map m --sessions a.mcap b.mcap --set x.y=1 --set x.z=2 --jobs 3 --memory 2GiB";
+        let Ok(Command::Run(args)) = read(line) else {
+            panic!("{line}")
+        };
+        assert_eq!(args.sessions.sessions, ["a.mcap", "b.mcap"]);
+        assert_eq!(args.set, ["x.y=1", "x.z=2"]);
+        assert_eq!((args.limits.jobs, args.limits.memory), (Some(3), 2 << 30));
+    }
+
+    #[test]
+    fn a_query_stands_apart_from_sessions() {
+        for line in [
+            "evermap sql --sessions a b --format json -q SELECT",
+            "evermap sql SELECT --sessions a b",
+            "evermap sql --sessions a b -- SELECT",
+        ] {
+            let Ok(Command::Sql(args)) = read(line) else {
+                panic!("{line}: {:?}", read(line))
+            };
+            assert_eq!(args.sessions.sessions, ["a", "b"], "{line}");
+            assert_eq!(
+                args.query.or(args.named_query).as_deref(),
+                Some("SELECT"),
+                "{line}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_makes_no_sense_is_wrong_usage() {
+        let lines = [
+            "evermap",
+            "evermap run p",
+            "evermap sql SELECT",
+            "evermap sql --map m --sessions s",
+            "evermap sql --sessions s --version 3",
+            "evermap render --map m --out m.bmp",
+            "evermap render --map m --out m.png --width-px 5",
+            "evermap run p --map m --memory lots",
+            "evermap run p --map m --jobs 0",
+            "evermap simulate moon --out d",
+            "evermap export lanes --map m --format dxf --out f",
+        ];
+        for line in lines {
+            assert_eq!(read(line).map(|_| ()).unwrap_err().exit_code(), 2, "{line}");
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! `evermap check`, `test` and `schema`.
+
+use std::io::Write;
+
+use datafusion::execution::runtime_env::RuntimeEnv;
+use evermap_engine::plan_test::run_tests;
+use evermap_engine::prepare::{self, vocabulary};
+use evermap_language::json_schema;
+use evermap_schemas::Fault;
+
+use crate::arguments::PlanArgs;
+use crate::ending::{DONE, Ending, Failure};
+use crate::progress::line;
+use crate::quantity::of;
+use crate::sessions::{lost, open};
+use crate::shipped;
+
+/// Checks a plan.
+///
+/// # Errors
+/// All its faults.
+pub async fn check(args: &PlanArgs) -> Ending {
+    let registry = evermap_catalog::registry();
+    let plan = shipped::read(&args.plan, args.set.clone())?;
+    prepare::parse(&plan, &registry).map_err(|faults| Failure::Plan(faults.pretty()))?;
+    let dataset = open(&RuntimeEnv::default(), &args.sessions).await?;
+    let (parsed, _) = prepare::check(&plan, &registry, &dataset).await?;
+    if !parsed.warnings.is_empty() {
+        line(parsed.warnings.pretty().trim_end());
+    }
+    let (steps, layers) = (
+        of(parsed.steps.len() as u64, "step"),
+        of(parsed.write.len() as u64, "layer"),
+    );
+    writeln!(
+        std::io::stdout(),
+        "{}: {steps}, {layers}, no faults",
+        parsed.name
+    )?;
+    Ok(lost(&dataset))
+}
+
+/// Runs the tests of a plan.
+///
+/// # Errors
+/// That one fails, or what keeps them from being run.
+pub async fn test(args: &PlanArgs) -> Ending {
+    let registry = evermap_catalog::registry();
+    let plan = shipped::read(&args.plan, args.set.clone())?;
+    prepare::parse(&plan, &registry).map_err(|faults| Failure::Plan(faults.pretty()))?;
+    let dataset = open(&RuntimeEnv::default(), &args.sessions).await?;
+    let (parsed, program) = prepare::check(&plan, &registry, &dataset).await?;
+    let outcomes = run_tests(&parsed, &program, &registry, &dataset).await?;
+    let mut stdout = std::io::stdout().lock();
+    for outcome in &outcomes {
+        match &outcome.failure {
+            None => writeln!(stdout, "ok      {}", outcome.name)?,
+            Some(difference) => writeln!(stdout, "FAILED  {}: {difference}", outcome.name)?,
+        }
+    }
+    let failed = outcomes
+        .iter()
+        .filter(|outcome| outcome.failure.is_some())
+        .count();
+    if outcomes.is_empty() {
+        line(&format!("{} has no tests", parsed.name));
+    }
+    if failed > 0 {
+        line(&format!(
+            "error: {failed} of {} failed",
+            of(outcomes.len() as u64, "test")
+        ));
+        return Err(Failure::Said);
+    }
+    DONE
+}
+
+/// Prints the JSON Schema of plans.
+///
+/// # Errors
+/// That the output is closed.
+pub fn schema() -> Ending {
+    let schema = json_schema(&vocabulary(&evermap_catalog::registry()));
+    let text =
+        serde_json::to_string_pretty(&schema).map_err(|error| Fault::bug(error.to_string()))?;
+    writeln!(std::io::stdout(), "{text}")?;
+    DONE
+}

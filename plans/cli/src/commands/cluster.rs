@@ -1,0 +1,51 @@
+//! `evermap scheduler` and `evermap executor`.
+
+use evermap_engine::cluster::{self, ExecutorOptions};
+use evermap_engine::sql::Limits;
+use evermap_schemas::Fault;
+
+use crate::arguments::{ExecutorArgs, SchedulerArgs};
+use crate::ending::{DONE, Ending};
+use crate::progress::line;
+
+/// Serves as a scheduler until stopped.
+///
+/// # Errors
+/// A resource fault when the address is taken.
+pub async fn scheduler(args: &SchedulerArgs) -> Ending {
+    let (host, port) = &args.bind;
+    line(&format!("scheduler on {host}:{port}"));
+    cluster::scheduler(host, *port, evermap_catalog::registry()).await?;
+    DONE
+}
+
+/// Serves as an executor until stopped.
+///
+/// # Errors
+/// A resource fault when it cannot start or loses its scheduler for good.
+pub async fn executor(args: &ExecutorArgs) -> Ending {
+    let work = tempfile::Builder::new()
+        .prefix("evermap-executor-")
+        .tempdir()
+        .map_err(|error| {
+            Fault::resource(format!("cannot make a folder for temporary files: {error}"))
+        })?;
+    let slots = args
+        .jobs
+        .map_or_else(|| Limits::default().partitions, |jobs| jobs as usize);
+    let (host, port) = args.bind.clone();
+    line(&format!(
+        "executor on {host}:{port} for {}:{}, {slots} units side by side",
+        args.scheduler.0, args.scheduler.1
+    ));
+    let options = ExecutorOptions {
+        scheduler: args.scheduler.clone(),
+        host,
+        port,
+        grpc_port: port + 1,
+        slots,
+        work_dir: work.path().display().to_string(),
+    };
+    cluster::executor(options, evermap_catalog::registry()).await?;
+    DONE
+}

@@ -1,0 +1,67 @@
+//! `evermap explain`.
+
+use evermap_engine::prepare::Prepared;
+use evermap_engine::sql::Limits;
+use evermap_schemas::{LayerRow, record};
+
+use crate::arguments::ExplainArgs;
+use crate::ending::{DONE, Ending};
+use crate::output::print_rows;
+use crate::progress::line;
+use crate::quantity::of;
+use crate::sessions;
+use crate::shipped;
+
+record! {
+    /// What would become of one unit.
+    pub struct Forecast {
+        /// Step that it belongs to.
+        step: String,
+        /// The unit.
+        unit: String,
+        /// Whether it would be computed.
+        recompute: bool,
+        /// Why, or why not.
+        why: String,
+    }
+}
+impl LayerRow for Forecast {
+    const NAME: &'static str = "forecasts";
+    const DOC: &'static str = "What would become of one unit.";
+    const KEY: &'static [&'static str] = &["step", "unit"];
+}
+
+/// Says what a run would recompute.
+///
+/// # Errors
+/// The plan's faults, or what is wrong with the sessions or the map.
+pub async fn explain(args: &ExplainArgs) -> Ending {
+    let registry = evermap_catalog::registry();
+    let plan = shipped::read(&args.plan, args.set.clone())?;
+    let manifest = sessions::manifest(&args.sessions)?;
+    let prepared = Prepared::new(
+        &plan,
+        &registry,
+        &args.map,
+        &args.sessions.sessions,
+        manifest.as_ref(),
+    )
+    .await?;
+    let forecasts = prepared.run(&registry, Limits::default()).explain().await?;
+    let count = forecasts
+        .iter()
+        .filter(|forecast| forecast.recompute)
+        .count() as u64;
+    line(&format!(
+        "{count} of {} to compute",
+        of(forecasts.len() as u64, "unit")
+    ));
+    let rows = forecasts.into_iter().map(|forecast| Forecast {
+        step: forecast.step,
+        unit: forecast.label,
+        recompute: forecast.recompute,
+        why: forecast.reason,
+    });
+    print_rows(args.format, rows.collect()).await?;
+    DONE
+}

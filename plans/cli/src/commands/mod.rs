@@ -1,0 +1,60 @@
+//! One file a command.
+
+pub mod changes;
+pub mod check;
+#[cfg(feature = "cluster")]
+pub mod cluster;
+pub mod explain;
+pub mod export;
+pub mod import;
+pub mod inspect;
+pub mod layers;
+pub mod operators;
+pub mod render;
+pub mod report;
+pub mod run;
+pub mod simulate;
+pub mod sql;
+
+use clap::CommandFactory;
+
+use crate::arguments::{Arguments, Command};
+use crate::ending::{DONE, Ending};
+
+/// Does what the command line says.
+///
+/// # Errors
+/// Why it failed.
+pub async fn dispatch(command: &Command) -> Ending {
+    match command {
+        Command::Run(args) => run::run(args).await,
+        Command::Check(args) => check::check(args).await,
+        Command::Test(args) => check::test(args).await,
+        Command::Explain(args) => explain::explain(args).await,
+        Command::Schema => check::schema(),
+        Command::Sql(args) => sql::sql(args).await,
+        Command::Inspect(args) => inspect::inspect(args).await,
+        Command::Operators(args) => operators::operators(args).await,
+        Command::Layers(args) => layers::layers(args).await,
+        Command::Versions(args) => layers::versions(args).await,
+        Command::Diff(args) => changes::diff(args).await,
+        Command::Gc(args) => changes::gc(args).await,
+        Command::Export(args) => export::export(args).await,
+        Command::Render(args) => render::render(args).await,
+        Command::Report(args) => report::report(args).await,
+        Command::Simulate(args) => simulate::simulate(args).await,
+        Command::Import(args) => import::import(args).await,
+        #[cfg(feature = "cluster")]
+        Command::Scheduler(args) => cluster::scheduler(args).await,
+        #[cfg(feature = "cluster")]
+        Command::Executor(args) => cluster::executor(args).await,
+        Command::Completions { shell } => completions(*shell),
+    }
+}
+
+fn completions(shell: clap_complete::Shell) -> Ending {
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut Arguments::command(), "evermap", &mut script);
+    std::io::Write::write_all(&mut std::io::stdout(), &script)?;
+    DONE
+}

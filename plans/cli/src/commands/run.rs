@@ -1,0 +1,131 @@
+//! `evermap run`.
+
+use std::time::{Duration, Instant};
+
+use evermap_contract::Registry;
+use evermap_engine::map::{Map, record_run};
+use evermap_engine::prepare::Prepared;
+use evermap_engine::run::RunResult;
+use evermap_engine::runner::{LocalRunner, Runner};
+use evermap_engine::sql::Limits;
+
+use crate::arguments::{LimitArgs, RunArgs};
+use crate::commands::layers::print_layers;
+use crate::ending::{Ending, Lost};
+use crate::output::Format;
+use crate::progress::{Progress, line};
+use crate::quantity::{of, of_seconds};
+use crate::sessions;
+use crate::shipped;
+
+/// Runs a plan.
+///
+/// # Errors
+/// The plan's faults before anything runs; then the first unit's.
+pub async fn run(args: &RunArgs) -> Ending {
+    let begun = Instant::now();
+    let registry = evermap_catalog::registry();
+    let plan = shipped::read(&args.plan, args.set.clone())?;
+    let manifest = sessions::manifest(&args.sessions)?;
+    let prepared = Prepared::new(
+        &plan,
+        &registry,
+        &args.map,
+        &args.sessions.sessions,
+        manifest.as_ref(),
+    )
+    .await?;
+    prepared
+        .program
+        .warnings
+        .iter()
+        .for_each(|warning| line(&format!("warning: {warning}")));
+    let jobs = jobs(&args.limits);
+    let run = prepared.run(&registry, limits(&args.limits, jobs));
+    let runner = runner(args, &registry, jobs);
+    let mut progress = Progress::new(args.progress, 0);
+    let result = run
+        .execute(runner.as_ref(), &mut |event| progress.note(&event))
+        .await;
+    progress.finish();
+    let result = result?;
+    record_run(&prepared.store, &result).await?;
+    line(&summary(&result, begun.elapsed()));
+    let lost = Lost(result.version.losses.clone());
+    let map = Map {
+        store: prepared.store,
+        version: result.version,
+    };
+    print_layers(&map, Format::Table).await?;
+    Ok(lost)
+}
+
+/// Units that run side by side.
+fn jobs(args: &LimitArgs) -> usize {
+    args.jobs
+        .map_or_else(|| Limits::default().partitions, |jobs| jobs as usize)
+}
+
+/// What each of so many units may use.
+fn limits(args: &LimitArgs, jobs: usize) -> Limits {
+    Limits {
+        memory_bytes: (args.memory / jobs.max(1)).max(1 << 20),
+        ..Limits::default()
+    }
+}
+
+#[cfg(feature = "cluster")]
+fn runner(args: &RunArgs, registry: &Registry, jobs: usize) -> Box<dyn Runner> {
+    match &args.cluster {
+        Some(url) => {
+            let deadline = Duration::from_secs(args.deadline_s);
+            Box::new(evermap_engine::cluster::ClusterRunner::new(
+                url,
+                registry.clone(),
+                deadline,
+            ))
+        }
+        None => Box::new(LocalRunner::new(registry.clone(), jobs)),
+    }
+}
+
+#[cfg(not(feature = "cluster"))]
+fn runner(_: &RunArgs, registry: &Registry, jobs: usize) -> Box<dyn Runner> {
+    Box::new(LocalRunner::new(registry.clone(), jobs))
+}
+
+fn summary(result: &RunResult, elapsed: Duration) -> String {
+    let computed = result.units.iter().filter(|(_, _, cached)| !cached).count();
+    let reused = result.units.len() - computed;
+    let end = if result.published {
+        "published"
+    } else {
+        "stays: nothing has changed"
+    };
+    format!(
+        "version {} {end}; {} computed, {reused} reused, in {}",
+        result.version.version,
+        of(computed as u64, "unit"),
+        of_seconds(elapsed.as_secs_f64())
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_is_shared_by_the_units_side_by_side() {
+        let args = LimitArgs {
+            jobs: Some(4),
+            memory: 1 << 30,
+        };
+        assert_eq!(limits(&args, jobs(&args)).memory_bytes, 1 << 28);
+        assert!(
+            jobs(&LimitArgs {
+                jobs: None,
+                memory: 1 << 30
+            }) >= 1
+        );
+    }
+}

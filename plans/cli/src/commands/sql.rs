@@ -1,0 +1,197 @@
+//! `evermap sql`.
+
+use std::io::IsTerminal;
+use std::path::Path;
+
+use arrow::datatypes::SchemaRef;
+use datafusion::prelude::SessionContext;
+use datafusion::sql::parser::{DFParserBuilder, Statement};
+use datafusion::sql::sqlparser::dialect::GenericDialect;
+use evermap_datasets::Dataset;
+use evermap_engine::error::fault_of;
+use evermap_engine::map::Map;
+use evermap_engine::sql::{Limits, context};
+use evermap_schemas::{Fault, Layer};
+use futures::{StreamExt, TryStreamExt};
+
+use crate::arguments::SqlArgs;
+use crate::ending::{Ending, Failure, Lost};
+use crate::export::declaration;
+use crate::output::{Format, Sink, write};
+use crate::prompt;
+use crate::sessions;
+
+/// What queries run on.
+pub struct Tables {
+    /// The tables.
+    pub context: SessionContext,
+    map: Option<Map>,
+    dataset: Option<Dataset>,
+}
+
+impl Tables {
+    async fn open(args: &SqlArgs) -> Result<Self, Failure> {
+        let limits = Limits {
+            memory_bytes: args.memory,
+            ..Limits::default()
+        };
+        if let Some(address) = &args.map {
+            let map = Map::open(address, args.version).await?;
+            return Ok(Self {
+                context: map.context(limits).await?,
+                map: Some(map),
+                dataset: None,
+            });
+        }
+        let context = context(limits)?;
+        let dataset = sessions::open(&context.runtime_env(), &args.sessions).await?;
+        dataset.register(&context)?;
+        Ok(Self {
+            context,
+            map: None,
+            dataset: Some(dataset),
+        })
+    }
+
+    /// The declaration of a table's columns, where there is one.
+    pub fn declaration(&self, table: &str) -> Option<Layer> {
+        match &self.map {
+            Some(map) => declaration(map, &evermap_catalog::registry(), table),
+            None => evermap_schemas::layers::all()
+                .into_iter()
+                .find(|layer| layer.name == table),
+        }
+    }
+
+    /// What reading logs has lost so far.
+    pub fn lost(&self) -> Lost {
+        self.dataset
+            .as_ref()
+            .map(sessions::lost)
+            .unwrap_or_default()
+    }
+
+    /// Runs one statement and writes its rows; how many there were.
+    ///
+    /// # Errors
+    /// A user fault for a statement that makes no sense; what reading says; that the output is closed.
+    pub async fn run(
+        &self,
+        statement: Statement,
+        format: Format,
+        sink: &mut Sink,
+    ) -> Result<u64, Failure> {
+        let plan = self
+            .context
+            .state()
+            .statement_to_plan(statement)
+            .await
+            .map_err(|error| fault_of(&error))?;
+        let frame = self
+            .context
+            .execute_logical_plan(plan)
+            .await
+            .map_err(|error| fault_of(&error))?;
+        let schema: SchemaRef = std::sync::Arc::new(frame.schema().as_arrow().clone());
+        let rows = frame
+            .execute_stream()
+            .await
+            .map_err(|error| fault_of(&error))?;
+        write(
+            format,
+            schema,
+            rows.map_err(|error| fault_of(&error)).boxed(),
+            sink,
+        )
+        .await
+    }
+}
+
+/// The statements of a text; semicolons inside quotes and comments are none.
+///
+/// # Errors
+/// A user fault with what the parser says.
+pub fn statements(text: &str) -> Result<Vec<Statement>, Fault> {
+    let parsed = DFParserBuilder::new(text)
+        .with_dialect(&GenericDialect {})
+        .build()
+        .and_then(|mut parser| parser.parse_statements());
+    Ok(parsed
+        .map_err(|error| fault_of(&error))?
+        .into_iter()
+        .collect())
+}
+
+/// Runs a query, those of standard input, or a prompt.
+///
+/// # Errors
+/// The first statement's fault; at a prompt faults are shown and the prompt goes on.
+pub async fn sql(args: &SqlArgs) -> Ending {
+    let tables = Tables::open(args).await?;
+    let query = args.query.clone().or_else(|| args.named_query.clone());
+    match query {
+        Some(query) => all(&tables, &query, args).await?,
+        None if std::io::stdin().is_terminal() && args.out.is_none() => {
+            prompt::run(&tables, args.format).await?
+        }
+        None => {
+            let text = std::io::read_to_string(std::io::stdin())
+                .map_err(|error| Fault::resource(format!("cannot read queries: {error}")))?;
+            all(&tables, &text, args).await?;
+        }
+    }
+    Ok(tables.lost())
+}
+
+async fn all(tables: &Tables, text: &str, args: &SqlArgs) -> Result<(), Failure> {
+    let statements = statements(text)?;
+    let to_one_file = args.out.is_some() || args.format == Format::Parquet;
+    if statements.is_empty() || (statements.len() > 1 && to_one_file) {
+        let expected = if to_one_file { "one query" } else { "a query" };
+        return Err(Fault::user(format!("expected {expected}, found {}", statements.len())).into());
+    }
+    for statement in statements {
+        let mut sink = Sink::to(args.out.as_deref().map(Path::new))?;
+        tables.run(statement, args.format, &mut sink).await?;
+        sink.finish()?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn semicolons_in_quotes_and_comments_end_nothing() {
+        let text = "SELECT ';' AS a; -- ; no\nSELECT \"b;\" FROM \"/odom\" /* ; */;";
+        assert_eq!(statements(text).unwrap().len(), 2);
+        assert_eq!(statements(" \n-- nothing\n").unwrap().len(), 0);
+        assert!(
+            statements("SELEC 1")
+                .unwrap_err()
+                .to_string()
+                .starts_with("user: ")
+        );
+    }
+
+    #[tokio::test]
+    async fn results_have_a_header_even_without_rows() {
+        let tables = Tables {
+            context: context(Limits::default()).unwrap(),
+            map: None,
+            dataset: None,
+        };
+        for (query, expected) in [
+            ("SELECT 1 AS a, 'x' AS b", "a,b\n1,x\n"),
+            ("SELECT 1 AS a WHERE false", "a\n"),
+        ] {
+            let mut sink = Sink::Memory(Vec::new());
+            let statement = statements(query).unwrap().remove(0);
+            tables.run(statement, Format::Csv, &mut sink).await.unwrap();
+            let Sink::Memory(bytes) = sink else { return };
+            assert_eq!(String::from_utf8(bytes).unwrap(), expected);
+        }
+    }
+}

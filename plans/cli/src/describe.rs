@@ -1,0 +1,137 @@
+//! Tables and columns for people.
+
+use arrow::datatypes::{DataType, Schema};
+use evermap_schemas::{Layer, LayerRow, record};
+
+record! {
+    /// One column of a table.
+    pub struct ColumnLine {
+        /// Column.
+        column: String,
+        /// Type.
+        kind: String,
+        /// Unit.
+        unit: String,
+        /// Frame of reference.
+        frame: String,
+        /// Whether it may be null.
+        nullable: bool,
+        /// Meaning.
+        meaning: String,
+    }
+}
+impl LayerRow for ColumnLine {
+    const NAME: &'static str = "columns";
+    const DOC: &'static str = "One column of a table.";
+    const KEY: &'static [&'static str] = &["column"];
+}
+
+record! {
+    /// One table.
+    pub struct TableLine {
+        /// Table, as a query names it.
+        table: String,
+        /// Columns.
+        columns: u32,
+        /// What one row is.
+        rows_are: String,
+    }
+}
+impl LayerRow for TableLine {
+    const NAME: &'static str = "tables";
+    const DOC: &'static str = "One table.";
+    const KEY: &'static [&'static str] = &["table"];
+}
+
+/// A type for people: `text`, `time`, `struct of x, y`.
+pub fn type_name(data_type: &DataType) -> String {
+    match data_type {
+        DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View => "text".to_owned(),
+        DataType::Binary | DataType::LargeBinary | DataType::BinaryView => "bytes".to_owned(),
+        DataType::Boolean => "bool".to_owned(),
+        DataType::Float64 => "f64".to_owned(),
+        DataType::Float32 => "f32".to_owned(),
+        DataType::Timestamp(..) => "time".to_owned(),
+        DataType::Struct(fields) => {
+            let names: Vec<_> = fields.iter().map(|field| field.name().as_str()).collect();
+            format!("struct of {}", names.join(", "))
+        }
+        DataType::List(item) | DataType::LargeList(item) => {
+            format!("list of {}", type_name(item.data_type()))
+        }
+        DataType::FixedSizeList(item, length) => {
+            format!("{length} {}", type_name(item.data_type()))
+        }
+        DataType::Map(..) => "map".to_owned(),
+        DataType::Dictionary(_, values) => type_name(values),
+        number if number.is_integer() => {
+            let (sign, bits) = if number.is_signed_integer() {
+                ('i', "Int")
+            } else {
+                ('u', "UInt")
+            };
+            format!("{sign}{}", number.to_string().trim_start_matches(bits))
+        }
+        other => other.to_string(),
+    }
+}
+
+/// The columns of a table; units and frames from its fields, or from the layer's declaration where it has one.
+pub fn columns(schema: &Schema, declared: Option<&Layer>) -> Vec<ColumnLine> {
+    let line = |field: &std::sync::Arc<arrow::datatypes::Field>| {
+        let column = declared.and_then(|layer| layer.column(field.name()));
+        let note = |key: &str, declared: Option<&str>| {
+            let found = field.metadata().get(key).map(String::as_str);
+            found.or(declared).unwrap_or_default().to_owned()
+        };
+        ColumnLine {
+            column: field.name().clone(),
+            kind: type_name(field.data_type()),
+            unit: note("unit", column.map(|column| column.unit)),
+            frame: note("frame", column.map(|column| column.frame)),
+            nullable: field.is_nullable(),
+            meaning: column.map(|column| column.doc.clone()).unwrap_or_default(),
+        }
+    };
+    schema.fields().iter().map(line).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use evermap_schemas::layers::Keyframe;
+
+    #[test]
+    fn types_are_short_and_units_are_found() {
+        let layer = Keyframe::layer();
+        let found = columns(&layer.schema(), None);
+        let of = |name: &str| {
+            found
+                .iter()
+                .find(|line| line.column == name)
+                .map(|line| (line.kind.as_str(), line.unit.as_str()))
+        };
+        assert_eq!(of("stamp"), Some(("time", "ns")));
+        assert_eq!(of("keyframe"), Some(("u32", "")));
+        assert_eq!(of("distance_m"), Some(("f64", "m")));
+        assert_eq!(
+            of("images"),
+            Some(("list of struct of camera, stamp, image", ""))
+        );
+        let bare = Schema::new(
+            layer
+                .schema()
+                .fields()
+                .iter()
+                .map(|field| field.as_ref().clone().with_metadata(Default::default()))
+                .collect::<Vec<_>>(),
+        );
+        let declared = columns(&bare, Some(&layer));
+        assert!(
+            declared
+                .iter()
+                .zip(&found)
+                .all(|(a, b)| a.unit == b.unit && a.frame == b.frame && !a.meaning.is_empty())
+        );
+    }
+}

@@ -1,0 +1,30 @@
+//! The palette.
+
+/// Behind everything.
+pub const BACKGROUND: &str = "#14171c";
+/// The grid, and frames around boxes.
+pub const FAINT: &str = "#ffffff";
+/// Scale bar, letters.
+pub const INK: &str = "#e8ebf0";
+/// Lanes.
+pub const LANE: &str = "#38bdf8";
+/// Arrows of lanes.
+pub const ARROW: &str = "#f0f9ff";
+/// Intersections.
+pub const INTERSECTION: &str = "#fde047";
+
+/// Told apart by people with any kind of colour vision (after Okabe and Ito), light enough for a dark ground.
+const SESSIONS: [&str; 8] = [
+    "#ff9f1c", "#2ee6a6", "#ff6fae", "#b7a0ff", "#f4f06a", "#ff5d5d", "#7fd8ff", "#d0a070",
+];
+
+/// The colour of the session with this number: the palette first, then hues a golden angle apart.
+pub fn session(index: usize) -> String {
+    match SESSIONS.get(index) {
+        Some(colour) => (*colour).to_owned(),
+        None => {
+            let hue = (index as f64 * 137.508) % 360.0;
+            format!("hsl({hue:.0}, 80%, 68%)")
+        }
+    }
+}

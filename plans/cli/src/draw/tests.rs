@@ -1,0 +1,198 @@
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+use super::*;
+use crate::mosaic::tests::tile;
+use evermap_schemas::Wkb;
+
+fn lane(number: u32, direction: &str, points: Vec<[f64; 3]>) -> Lane {
+    Lane {
+        site: "lot".into(),
+        lane: number,
+        start_node: 0,
+        end_node: 1,
+        start_kind: "intersection".into(),
+        end_kind: "dead_end".into(),
+        direction: direction.into(),
+        forward_passes: 1,
+        backward_passes: 0,
+        length_m: 10.0,
+        points,
+        geometry: Wkb::default(),
+    }
+}
+
+/// A made-up car park: a floor with bay lines, a loop with a cross aisle, two sessions.
+pub(crate) fn scene() -> Scene {
+    let floor = |x: i32, y: i32| {
+        move |column: usize, row: usize| {
+            let (gx, gy) = (x * 64 + column as i32, y * 64 + 63 - row as i32);
+            let bay = gx.rem_euclid(5) == 0 && (20..34).contains(&gy.rem_euclid(60));
+            let noise = ((gx * 7919 + gy * 104_729).rem_euclid(13)) as u8;
+            let hole = (gx - 20).pow(2) + (gy - 80).pow(2) < 100;
+            [
+                if bay { 190 } else { 96 + noise },
+                if hole { 0 } else { 255 },
+            ]
+        }
+    };
+    let mut tiles = Vec::new();
+    for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1), (2, 0)] {
+        tiles.push(tile(0, x, y, 64, floor(x, y)));
+    }
+    let ring = |r: f64, n: i32| {
+        (0..=n)
+            .map(move |k| std::f64::consts::TAU * f64::from(k) / f64::from(n))
+            .map(move |t| [40.0 + 30.0 * r * t.cos(), 28.0 + 20.0 * r * t.sin()])
+    };
+    let three = |points: Vec<[f64; 2]>| {
+        points
+            .into_iter()
+            .map(|[x, y]| [x, y, 0.0])
+            .collect::<Vec<_>>()
+    };
+    let loop_points: Vec<_> = ring(1.0, 90).collect();
+    Scene {
+        tiles,
+        lanes: vec![
+            lane(0, "forward", three(loop_points[..46].to_vec())),
+            lane(1, "forward", three(loop_points[45..].to_vec())),
+            lane(2, "both", vec![[10.0, 28.0, 0.0], [70.0, 28.0, 0.0]]),
+            lane(3, "backward", vec![[70.0, 28.0, 0.0], [92.0, 20.0, 0.0]]),
+        ],
+        intersections: [[10.0, 28.0], [70.0, 28.0]]
+            .into_iter()
+            .enumerate()
+            .map(|(node, [x, y])| Intersection {
+                site: "lot".into(),
+                node: node as u32,
+                degree: 3,
+                x,
+                y,
+                z: 0.0,
+                geometry: Wkb::default(),
+            })
+            .collect(),
+        drives: vec![
+            Drive {
+                session: "initial".into(),
+                points: ring(1.01, 300).collect(),
+            },
+            Drive {
+                session: "revisit_1 & <co>".into(),
+                points: ring(0.97, 250).collect(),
+            },
+        ],
+    }
+}
+
+fn pixel(png: &[u8], x: usize, y: usize) -> ([u8; 4], (u32, u32)) {
+    let mut reader = png::Decoder::new(std::io::Cursor::new(png))
+        .read_info()
+        .unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut pixels).unwrap();
+    let at = (y * info.width as usize + x) * 4;
+    (
+        [pixels[at], pixels[at + 1], pixels[at + 2], pixels[at + 3]],
+        (info.width, info.height),
+    )
+}
+
+#[test]
+fn the_picture_holds_everything() {
+    let picture = draw(
+        &scene(),
+        Look {
+            width_px: 1200,
+            zoom: None,
+        },
+    )
+    .unwrap();
+    for id in [
+        "grid",
+        "ground",
+        "lanes",
+        "arrows",
+        "trajectories",
+        "intersections",
+        "legend",
+        "scale",
+        "north",
+    ] {
+        assert!(picture.svg.contains(&format!("id=\"{id}\"")), "{id}");
+    }
+    assert_eq!(picture.svg.matches("<title>lane ").count(), 4);
+    assert_eq!(picture.svg.matches("<title>intersection ").count(), 2);
+    assert!(picture.svg.contains("revisit_1 &amp; &lt;co&gt;"));
+    assert!(!picture.svg.contains("NaN") && !picture.svg.contains("inf"));
+    let png = raster::png(&picture).unwrap();
+    if let Ok(folder) = std::env::var("EVERMAP_LOOK") {
+        std::fs::write(format!("{folder}/scene.png"), &png).unwrap();
+    }
+    let view = View::of(
+        union(
+            scene().ground(Look::default()).unwrap().unwrap().seen(),
+            scene().line_bounds(),
+        )
+        .unwrap(),
+        1200,
+    );
+    let [x, y] = view.at([25.0, 28.0]);
+    let ([red, _, blue, alpha], size) = pixel(&png, x as usize, y as usize + 6);
+    assert_eq!(size, (picture.width_px, picture.height_px));
+    assert_eq!(alpha, 255);
+    assert!(
+        i32::from(blue) > i32::from(red) + 40,
+        "the lane is blue: {red} {blue}"
+    );
+    let ([red, green, blue, _], _) = pixel(&png, 3, 3);
+    assert!(
+        red < 40 && green < 40 && blue < 45,
+        "the background is dark"
+    );
+}
+
+#[test]
+fn a_map_without_tiles_or_lanes_is_drawn_too() {
+    let drives = Scene {
+        drives: scene().drives,
+        ..Scene::default()
+    };
+    let picture = draw(&drives, Look::default()).unwrap();
+    assert!(!picture.svg.contains("id=\"ground\"") && picture.svg.contains("id=\"trajectories\""));
+    let png = raster::png(&picture).unwrap();
+    if let Ok(folder) = std::env::var("EVERMAP_LOOK") {
+        std::fs::write(format!("{folder}/drives.png"), &png).unwrap();
+    }
+    let standing = Scene {
+        drives: vec![Drive {
+            session: "s".into(),
+            points: vec![[1.0, 1.0]],
+        }],
+        ..Scene::default()
+    };
+    raster::png(&draw(&standing, Look::default()).unwrap()).unwrap();
+}
+
+#[test]
+fn nothing_to_draw_and_a_zoom_that_is_not_there_are_said() {
+    assert!(
+        draw(&Scene::default(), Look::default())
+            .unwrap_err()
+            .to_string()
+            .contains("nothing to draw")
+    );
+    let fault = draw(
+        &scene(),
+        Look {
+            zoom: Some(7),
+            ..Look::default()
+        },
+    )
+    .unwrap_err();
+    assert!(
+        fault
+            .to_string()
+            .contains("no tiles at zoom 7; there are 0"),
+        "{fault}"
+    );
+}

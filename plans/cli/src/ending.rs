@@ -1,0 +1,142 @@
+//! How a command ends, and what the shell sees of it.
+//!
+//! | exit | when |
+//! |---|---|
+//! | 0 | done |
+//! | 1 | failed; nothing was changed, or what was done is kept for the next try |
+//! | 2 | the command line makes no sense (clap says so) |
+//! | 3 | done, but something was skipped or lost; each reason is counted on stderr |
+
+use std::collections::BTreeMap;
+use std::io::Write;
+
+use arrow::error::ArrowError;
+use evermap_engine::prepare::Refusal;
+use evermap_schemas::Fault;
+
+/// Why a command failed.
+#[derive(Debug)]
+pub enum Failure {
+    /// One fault.
+    Fault(Fault),
+    /// The faults of a plan, with carets, ready to print.
+    Plan(String),
+    /// Results that are not what they should be, already printed: a failed test of a plan.
+    Said,
+    /// Whoever read our output has closed it: `evermap … | head`.
+    Closed,
+}
+
+/// What was skipped or lost, by reason; empty where nothing was.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Lost(pub BTreeMap<String, u64>);
+
+/// How a command ends.
+pub type Ending = Result<Lost, Failure>;
+
+/// An ending without loss.
+pub const DONE: Ending = Ok(Lost(BTreeMap::new()));
+
+impl From<Fault> for Failure {
+    fn from(fault: Fault) -> Self {
+        Self::Fault(fault)
+    }
+}
+
+impl From<Refusal> for Failure {
+    fn from(refusal: Refusal) -> Self {
+        match refusal {
+            Refusal::Plan(faults) => Self::Plan(faults.pretty()),
+            Refusal::Fault(fault) => Self::Fault(fault),
+        }
+    }
+}
+
+impl From<std::io::Error> for Failure {
+    fn from(error: std::io::Error) -> Self {
+        if error.kind() == std::io::ErrorKind::BrokenPipe {
+            return Self::Closed;
+        }
+        Self::Fault(Fault::resource(format!("cannot write the result: {error}")))
+    }
+}
+
+impl From<ArrowError> for Failure {
+    fn from(error: ArrowError) -> Self {
+        match error {
+            ArrowError::IoError(_, error) => error.into(),
+            other => Self::Fault(other.into()),
+        }
+    }
+}
+
+/// Tells the person, on `stderr`, how it ended; the exit code.
+pub fn tell(ending: &Ending, stderr: &mut dyn Write) -> u8 {
+    let (code, text) = match ending {
+        Ok(lost) if lost.0.is_empty() => (0, String::new()),
+        Ok(lost) => (3, lost_text(lost)),
+        Err(Failure::Fault(fault)) => (1, format!("error: {fault}\n")),
+        Err(Failure::Plan(faults)) => (1, format!("{faults}error: the plan is refused\n")),
+        Err(Failure::Said) => (1, String::new()),
+        Err(Failure::Closed) => (0, String::new()),
+    };
+    // Nobody is left to be told when stderr is gone.
+    let _ = stderr.write_all(text.as_bytes());
+    code
+}
+
+fn lost_text(lost: &Lost) -> String {
+    let total: u64 = lost.0.values().sum();
+    let lines = lost
+        .0
+        .iter()
+        .map(|(reason, count)| format!("  {count:>8}  {reason}\n"));
+    format!(
+        "finished with loss: {total} skipped or lost\n{}",
+        lines.collect::<String>()
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn told(ending: Ending) -> (u8, String) {
+        let mut text = Vec::new();
+        let code = tell(&ending, &mut text);
+        (code, String::from_utf8(text).unwrap())
+    }
+
+    #[test]
+    fn endings_have_their_codes() {
+        assert_eq!(told(DONE), (0, String::new()));
+        assert_eq!(told(Err(Failure::Closed)).0, 0);
+        let (code, text) = told(Err(Fault::user("no map").next("make one").into()));
+        assert_eq!(
+            (code, text.as_str()),
+            (1, "error: user: no map; make one\n")
+        );
+        let lost = Lost(BTreeMap::from([
+            ("dark frames".to_owned(), 3),
+            ("torn logs".to_owned(), 1),
+        ]));
+        let (code, text) = told(Ok(lost));
+        assert_eq!(code, 3);
+        assert_eq!(text.lines().count(), 3, "a line for each reason");
+        assert!(
+            text.contains("4 skipped or lost") && text.contains("3  dark frames"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn a_closed_pipe_is_no_failure_however_it_is_reported() {
+        let broken = || std::io::Error::from(std::io::ErrorKind::BrokenPipe);
+        assert!(matches!(Failure::from(broken()), Failure::Closed));
+        assert!(matches!(
+            Failure::from(ArrowError::IoError(String::new(), broken())),
+            Failure::Closed
+        ));
+    }
+}

@@ -1,0 +1,124 @@
+//! GeoJSON. Its standard means longitude and latitude; a map has local metres, which the file says.
+
+use std::io::Write;
+
+use arrow::array::{Array, AsArray, RecordBatch};
+use arrow::datatypes::DataType;
+use arrow::json::writer::{JsonArray, WriterBuilder};
+use evermap_schemas::{Fault, Layer};
+use serde_json::{Map, Value, json};
+
+use crate::ending::Failure;
+use crate::wkb;
+
+const COORDINATES: &str = "local metres in the map frame (x, y, z up), not longitude and latitude";
+
+/// Writes a feature collection: one feature a row, all other columns as its properties.
+pub fn write(
+    batches: &[RecordBatch],
+    layer: Option<&Layer>,
+    title: &str,
+    out: &mut impl Write,
+) -> Result<(), Failure> {
+    let head = json!({ "name": title, "coordinates": COORDINATES }).to_string();
+    let head = head
+        .strip_prefix('{')
+        .and_then(|head| head.strip_suffix('}'))
+        .unwrap_or_default();
+    write!(
+        out,
+        "{{\"type\":\"FeatureCollection\",{head},\"features\":["
+    )?;
+    let mut first = true;
+    for batch in batches {
+        for feature in features(batch, layer)? {
+            out.write_all(if first { b"\n" } else { b",\n" })?;
+            first = false;
+            out.write_all(feature.to_string().as_bytes())?;
+        }
+    }
+    Ok(out.write_all(b"\n]}\n")?)
+}
+
+fn features(batch: &RecordBatch, layer: Option<&Layer>) -> Result<Vec<Value>, Fault> {
+    let name = layer.and_then(|layer| layer.geometry).unwrap_or("geometry");
+    let geometry = batch
+        .column_by_name(name)
+        .filter(|column| *column.data_type() == DataType::Binary);
+    let Some(geometry) = geometry.map(|column| column.as_binary::<i32>()) else {
+        return Err(Fault::user("it has no geometry").next("choose csv or parquet"));
+    };
+    let shapes = geometry
+        .iter()
+        .map(|bytes| bytes.map_or(Ok(Value::Null), wkb::geojson));
+    let rows = properties(batch)?.into_iter();
+    shapes
+        .zip(rows)
+        .map(|(shape, row)| Ok(json!({ "type": "Feature", "geometry": shape?, "properties": row })))
+        .collect()
+}
+
+/// The rows as JSON objects, without columns of bytes.
+fn properties(batch: &RecordBatch) -> Result<Vec<Map<String, Value>>, Fault> {
+    let kept: Vec<usize> = (0..batch.num_columns())
+        .filter(|&index| *batch.schema_ref().field(index).data_type() != DataType::Binary)
+        .collect();
+    let mut bytes = Vec::new();
+    let mut writer = WriterBuilder::new()
+        .with_explicit_nulls(true)
+        .build::<_, JsonArray>(&mut bytes);
+    writer.write(&batch.project(&kept)?)?;
+    writer.finish()?;
+    serde_json::from_slice(&bytes).map_err(|error| Fault::bug(error.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use evermap_schemas::layers::Intersection;
+    use evermap_schemas::{LayerRow, Wkb, batch};
+
+    #[test]
+    fn features_have_shapes_and_properties() {
+        let row = Intersection {
+            site: "lot".into(),
+            node: 4,
+            degree: 3,
+            x: 1.0,
+            y: 2.0,
+            z: 0.5,
+            geometry: Wkb::point([1.0, 2.0, 0.5]),
+        };
+        let rows = batch(vec![row.clone(), row]).unwrap();
+        let mut text = Vec::new();
+        write(
+            &[rows.slice(0, 1), rows.slice(1, 1)],
+            Some(&Intersection::layer()),
+            "places",
+            &mut text,
+        )
+        .unwrap();
+        let value: Value = serde_json::from_slice(&text).unwrap();
+        assert_eq!(value["type"], "FeatureCollection");
+        assert!(
+            value["coordinates"]
+                .as_str()
+                .unwrap()
+                .contains("local metres")
+        );
+        assert_eq!(value["features"].as_array().unwrap().len(), 2);
+        let feature = &value["features"][1];
+        assert_eq!(
+            feature["geometry"],
+            json!({"type": "Point", "coordinates": [1.0, 2.0, 0.5]})
+        );
+        assert_eq!(feature["properties"]["degree"], 3);
+        assert!(feature["properties"].get("geometry").is_none());
+        let plain = rows.project(&[0, 1]).unwrap();
+        assert!(matches!(
+            write(&[plain], None, "", &mut text),
+            Err(Failure::Fault(_))
+        ));
+    }
+}

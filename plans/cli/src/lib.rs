@@ -1,0 +1,91 @@
+//! The command line.
+//!
+//! ```text
+//!   arguments ──► commands ──► engine, datasets, worlds, catalog
+//!                    │
+//!                    ├──► output    rows as table, CSV, JSON, Parquet
+//!                    ├──► draw      the picture of a map
+//!                    ├──► report    the page about a map
+//!                    └──► ending    exit status, losses, faults
+//! ```
+//! Only this crate knows which operators there are; the engine is handed the registry.
+
+pub mod arguments;
+pub mod commands;
+pub mod describe;
+pub mod draw;
+pub mod ending;
+pub mod export;
+pub mod mosaic;
+pub mod output;
+mod progress;
+mod prompt;
+pub mod quantity;
+pub mod report;
+pub mod scene;
+mod sessions;
+pub mod shipped;
+pub mod wkb;
+
+use std::sync::Arc;
+
+use clap::Parser;
+use evermap_schemas::{Fault, Kind};
+
+use crate::arguments::{Arguments, Command};
+use crate::ending::{Ending, Failure, tell};
+
+/// Reads the command line, does what it says, and tells how it ended.
+pub fn main() -> std::process::ExitCode {
+    let arguments = Arguments::parse();
+    log();
+    let runtime = match tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+    {
+        Ok(runtime) => runtime,
+        Err(error) => {
+            let fault = Fault::resource(format!("cannot start threads: {error}"));
+            return tell(&Err(fault.into()), &mut std::io::stderr()).into();
+        }
+    };
+    let ending = runtime.block_on(until_interrupted(arguments.command));
+    let code = tell(&ending, &mut std::io::stderr());
+    // Kernels that still run are left behind: what they would write has no name yet.
+    runtime.shutdown_background();
+    code.into()
+}
+
+/// Runs a command, unless the person stops it. A map changes only by the last step of a run, so stopping leaves it as
+/// it was, and what was computed is found again.
+async fn until_interrupted(command: Command) -> Ending {
+    let command = Arc::new(command);
+    let own_interrupts = matches!(&*command, Command::Sql(_));
+    let work = tokio::spawn({
+        let command = Arc::clone(&command);
+        async move { commands::dispatch(&command).await }
+    });
+    let abort = work.abort_handle();
+    tokio::select! {
+        ending = work => ending.unwrap_or_else(|error| Err(panicked(&error))),
+        _ = tokio::signal::ctrl_c(), if !own_interrupts => {
+            abort.abort();
+            Err(Fault::user("stopped").next("nothing was published; what was computed is kept for the next run").into())
+        }
+    }
+}
+
+fn panicked(error: &tokio::task::JoinError) -> Failure {
+    Fault::new(Kind::Bug, format!("the command panicked: {error}"))
+        .next("please report it")
+        .into()
+}
+
+fn log() {
+    let filter = tracing_subscriber::EnvFilter::try_from_env("EVERMAP_LOG")
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn"));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .init();
+}

@@ -1,0 +1,366 @@
+//! Overhead tiles put together to one picture.
+
+use evermap_schemas::Fault;
+use evermap_schemas::layers::OverheadTile;
+
+/// Cells of the largest picture that is put together: a quarter of a gigabyte of grey and alpha.
+const MOST_CELLS: u64 = 1 << 27;
+
+/// A grey picture of the ground, north up.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mosaic {
+    /// Side of a cell, m.
+    pub cell_m: f64,
+    /// Western edge, m in the map.
+    pub west: f64,
+    /// Northern edge, m in the map.
+    pub north: f64,
+    /// Cells from west to east.
+    pub width: usize,
+    /// Cells from north to south.
+    pub height: usize,
+    /// Grey and alpha of each cell, row by row from the north.
+    pub cells: Vec<[u8; 2]>,
+}
+
+/// The tiles of one zoom level, as a rectangle of tiles.
+struct Extent {
+    first_x: i64,
+    last_y: i64,
+    columns: u64,
+    rows: u64,
+}
+
+impl Extent {
+    fn of(tiles: &[&OverheadTile]) -> Option<Self> {
+        let (xs, ys) = (
+            tiles.iter().map(|t| i64::from(t.tile_x)),
+            tiles.iter().map(|t| i64::from(t.tile_y)),
+        );
+        let (first_x, last_x) = (xs.clone().min()?, xs.max()?);
+        let (first_y, last_y) = (ys.clone().min()?, ys.max()?);
+        let (columns, rows) = ((last_x - first_x + 1) as u64, (last_y - first_y + 1) as u64);
+        Some(Self {
+            first_x,
+            last_y,
+            columns,
+            rows,
+        })
+    }
+
+    fn cells(&self, side: u64) -> u64 {
+        (self.columns * self.rows).saturating_mul(side * side)
+    }
+}
+
+/// Cells along the side of a tile.
+fn side(tile: &OverheadTile) -> u64 {
+    (tile.size_m / tile.cell_m).round().clamp(0.0, 65_536.0) as u64
+}
+
+/// The zoom level to show at this resolution: the coarsest that is at least as fine, or the finest there is; never one
+/// whose picture would be too large. `None` where there are no tiles, or none that can be shown.
+pub fn zoom_for(tiles: &[OverheadTile], m_per_px: f64) -> Option<u32> {
+    let mut levels: Vec<u32> = tiles.iter().map(|tile| tile.zoom).collect();
+    levels.sort_unstable();
+    levels.dedup();
+    let fits = |zoom: u32| {
+        let level = level(tiles, zoom);
+        let cells = Extent::of(&level)?.cells(side(level.first()?));
+        (cells <= MOST_CELLS).then_some(level.first()?.cell_m)
+    };
+    let shown: Vec<(u32, f64)> = levels
+        .into_iter()
+        .filter_map(|zoom| Some((zoom, fits(zoom)?)))
+        .collect();
+    let fine_enough = shown.iter().rfind(|(_, cell_m)| *cell_m <= m_per_px * 1.01);
+    fine_enough.or(shown.first()).map(|(zoom, _)| *zoom)
+}
+
+/// The tiles of one zoom level.
+pub fn level(tiles: &[OverheadTile], zoom: u32) -> Vec<&OverheadTile> {
+    tiles.iter().filter(|tile| tile.zoom == zoom).collect()
+}
+
+impl Mosaic {
+    /// Puts tiles of one zoom level and one site together.
+    ///
+    /// # Errors
+    /// A user fault for no tiles or too many, a data fault for a tile that is no grey PNG with alpha of its size.
+    pub fn of(tiles: &[&OverheadTile]) -> Result<Self, Fault> {
+        let (Some(first), Some(extent)) = (tiles.first(), Extent::of(tiles)) else {
+            return Err(Fault::user("there are no tiles at this zoom level"));
+        };
+        let side = side(first);
+        if extent.cells(side) > MOST_CELLS || side == 0 {
+            return Err(Fault::user(format!(
+                "a picture of {} by {} cells is too large",
+                extent.columns * side,
+                extent.rows * side
+            ))
+            .next("choose a coarser level with --zoom"));
+        }
+        let (width, height) = (
+            (extent.columns * side) as usize,
+            (extent.rows * side) as usize,
+        );
+        let mut mosaic = Self {
+            cell_m: first.cell_m,
+            west: extent.first_x as f64 * first.size_m,
+            north: (extent.last_y + 1) as f64 * first.size_m,
+            width,
+            height,
+            cells: vec![[0, 0]; width * height],
+        };
+        for tile in tiles {
+            let cells = decode(tile, side as usize).map_err(|fault| fault.at(place(tile)))?;
+            let column = (i64::from(tile.tile_x) - extent.first_x) as usize * side as usize;
+            let row = (extent.last_y - i64::from(tile.tile_y)) as usize * side as usize;
+            mosaic.paste(&cells, side as usize, column, row);
+        }
+        Ok(mosaic)
+    }
+
+    fn paste(&mut self, cells: &[[u8; 2]], side: usize, column: usize, row: usize) {
+        for (line, source) in cells.chunks_exact(side).enumerate() {
+            let at = (row + line) * self.width + column;
+            self.cells[at..at + side].copy_from_slice(source);
+        }
+    }
+
+    /// Spreads the grey values of seen cells over the visible range; 1 % at either end may saturate.
+    pub fn stretch(&mut self) {
+        let mut histogram = [0_u64; 256];
+        for [grey, _] in self.cells.iter().filter(|cell| cell[1] > 0) {
+            histogram[usize::from(*grey)] += 1;
+        }
+        let seen: u64 = histogram.iter().sum();
+        if seen == 0 {
+            return;
+        }
+        let (low, high) = (
+            quantile(&histogram, seen / 100),
+            quantile(&histogram, seen - 1 - seen / 100),
+        );
+        let span = f64::from(high.saturating_sub(low)).max(16.0);
+        let table: Vec<u8> = (0..=255_u8)
+            .map(|grey| {
+                let share = ((f64::from(grey) - f64::from(low)) / span).clamp(0.0, 1.0);
+                (30.0 + 205.0 * share.powf(0.8)).round() as u8
+            })
+            .collect();
+        for cell in self.cells.iter_mut().filter(|cell| cell[1] > 0) {
+            cell[0] = table[usize::from(cell[0])];
+        }
+    }
+
+    /// `[west, south, east, north]` of the cells that were seen, m; `None` where none was.
+    pub fn seen(&self) -> Option<[f64; 4]> {
+        let mut found: Option<[usize; 4]> = None;
+        for (row, line) in self.cells.chunks_exact(self.width).enumerate() {
+            let Some(first) = line.iter().position(|cell| cell[1] > 0) else {
+                continue;
+            };
+            let last = line.iter().rposition(|cell| cell[1] > 0).unwrap_or(first);
+            let [left, top, right, _] = found.unwrap_or([first, row, last, row]);
+            found = Some([left.min(first), top, right.max(last), row]);
+        }
+        found.map(|[left, top, right, bottom]| {
+            let (x, y) = (
+                |column| self.west + column as f64 * self.cell_m,
+                |row| self.north - row as f64 * self.cell_m,
+            );
+            [x(left), y(bottom + 1), x(right + 1), y(top)]
+        })
+    }
+
+    /// Grey PNG with alpha.
+    ///
+    /// # Errors
+    /// A resource fault for a picture too large for the format.
+    pub fn png(&self) -> Result<Vec<u8>, Fault> {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, self.width as u32, self.height as u32);
+        encoder.set_color(png::ColorType::GrayscaleAlpha);
+        encoder.set_depth(png::BitDepth::Eight);
+        let fault = |error: png::EncodingError| {
+            Fault::resource(format!("cannot encode the picture: {error}"))
+        };
+        let mut writer = encoder.write_header().map_err(fault)?;
+        writer
+            .write_image_data(self.cells.as_flattened())
+            .map_err(fault)?;
+        writer.finish().map_err(fault)?;
+        Ok(bytes)
+    }
+
+    /// The world file beside the PNG: cell sizes, rotation, the centre of the north-western cell.
+    pub fn world_file(&self) -> String {
+        let half = self.cell_m / 2.0;
+        format!(
+            "{}\n0\n0\n{}\n{}\n{}\n",
+            self.cell_m,
+            -self.cell_m,
+            self.west + half,
+            self.north - half
+        )
+    }
+}
+
+fn quantile(histogram: &[u64; 256], rank: u64) -> u8 {
+    let mut below = 0;
+    for (value, count) in (0..=255_u8).zip(histogram) {
+        below += count;
+        if below > rank {
+            return value;
+        }
+    }
+    255
+}
+
+fn place(tile: &OverheadTile) -> String {
+    format!("tile {}/{}/{}", tile.zoom, tile.tile_x, tile.tile_y)
+}
+
+/// A tile's cells.
+fn decode(tile: &OverheadTile, side: usize) -> Result<Vec<[u8; 2]>, Fault> {
+    let damaged =
+        |error: png::DecodingError| Fault::data(format!("the tile's picture is damaged: {error}"));
+    let mut reader = png::Decoder::new(std::io::Cursor::new(&tile.png.0))
+        .read_info()
+        .map_err(damaged)?;
+    let info = reader.info();
+    let found = (
+        info.width as usize,
+        info.height as usize,
+        info.color_type,
+        info.bit_depth,
+    );
+    let expected = (
+        side,
+        side,
+        png::ColorType::GrayscaleAlpha,
+        png::BitDepth::Eight,
+    );
+    if found != expected {
+        return Err(Fault::data(format!(
+            "expected a picture {expected:?}, found {found:?}"
+        )));
+    }
+    let mut bytes = vec![0; side * side * 2];
+    reader.next_frame(&mut bytes).map_err(damaged)?;
+    Ok(bytes.as_chunks::<2>().0.to_vec())
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use evermap_schemas::{Bytes, Wkb};
+
+    /// A tile of 4 by 4 cells of 0.5 m whose grey values come from a function of column and row.
+    pub(crate) fn tile(
+        zoom: u32,
+        x: i32,
+        y: i32,
+        side: usize,
+        grey: impl Fn(usize, usize) -> [u8; 2],
+    ) -> OverheadTile {
+        let cell_m = 0.5 * f64::from(1_u32 << zoom);
+        let cells = (0..side * side)
+            .map(|index| grey(index % side, index / side))
+            .collect();
+        let mosaic = Mosaic {
+            cell_m,
+            west: 0.0,
+            north: 0.0,
+            width: side,
+            height: side,
+            cells,
+        };
+        OverheadTile {
+            site: "lot".into(),
+            zoom,
+            tile_x: x,
+            tile_y: y,
+            cell_m,
+            size_m: cell_m * side as f64,
+            covered: (side * side) as u32,
+            mean_weight: 1.0,
+            png: Bytes(mosaic.png().unwrap()),
+            geometry: Wkb::default(),
+        }
+    }
+
+    #[test]
+    fn tiles_lie_where_they_belong() {
+        let tiles = [
+            tile(0, -1, 0, 4, |_, _| [10, 255]),
+            tile(0, 0, 1, 4, |c, r| [(c + 4 * r) as u8, 255]),
+        ];
+        let mosaic = Mosaic::of(&level(&tiles, 0)).unwrap();
+        assert_eq!((mosaic.width, mosaic.height), (8, 8));
+        assert_eq!((mosaic.west, mosaic.north), (-2.0, 4.0));
+        assert_eq!(
+            mosaic.cells[4],
+            [0, 255],
+            "the north-western cell of tile 0/0/1"
+        );
+        assert_eq!(mosaic.cells[7 + 3 * 8], [15, 255], "its south-eastern one");
+        assert_eq!(mosaic.cells[4 * 8], [10, 255]);
+        assert_eq!(mosaic.cells[0], [0, 0], "nothing was seen there");
+        assert_eq!(mosaic.seen(), Some([-2.0, 0.0, 2.0, 4.0]));
+        assert_eq!(mosaic.world_file(), "0.5\n0\n0\n-0.5\n-1.75\n3.75\n");
+    }
+
+    #[test]
+    fn the_coarsest_level_that_is_fine_enough_is_chosen() {
+        let tiles: Vec<_> = (0..4)
+            .map(|zoom| tile(zoom, 0, 0, 4, |_, _| [0, 255]))
+            .collect();
+        let chosen = [0.1, 0.5, 0.9, 1.0, 2.0, 100.0].map(|m_per_px| zoom_for(&tiles, m_per_px));
+        assert_eq!(chosen, [0, 0, 0, 1, 2, 3].map(Some));
+        assert_eq!(zoom_for(&[], 1.0), None);
+    }
+
+    #[test]
+    fn stretching_uses_the_range_and_leaves_unseen_cells() {
+        let tiles = [tile(0, 0, 0, 16, |c, r| {
+            if r == 0 { [0, 0] } else { [100 + c as u8, 255] }
+        })];
+        let mut mosaic = Mosaic::of(&level(&tiles, 0)).unwrap();
+        mosaic.stretch();
+        assert_eq!(mosaic.cells[0], [0, 0]);
+        assert_eq!(mosaic.cells[16][0], 30);
+        assert!(mosaic.cells[31][0] > 215);
+    }
+
+    #[test]
+    fn a_damaged_or_wrong_tile_is_named() {
+        let mut broken = tile(2, 3, 4, 4, |_, _| [0, 255]);
+        broken.png.0.truncate(20);
+        let text = Mosaic::of(&[&broken]).unwrap_err().to_string();
+        assert!(
+            text.contains("tile 2/3/4") && text.contains("damaged"),
+            "{text}"
+        );
+        let mut small = tile(0, 0, 0, 4, |_, _| [0, 255]);
+        small.size_m = 4.0;
+        assert!(
+            Mosaic::of(&[&small])
+                .unwrap_err()
+                .to_string()
+                .contains("expected a picture")
+        );
+        let far = [
+            tile(0, i32::MIN, 0, 4, |_, _| [0, 0]),
+            tile(0, i32::MAX, i32::MAX, 4, |_, _| [0, 0]),
+        ];
+        assert!(
+            Mosaic::of(&level(&far, 0))
+                .unwrap_err()
+                .to_string()
+                .contains("--zoom")
+        );
+    }
+}

@@ -1,0 +1,83 @@
+//! Rows on their way out: a table for people, CSV, JSON or Parquet for programs.
+
+mod readable;
+mod sink;
+mod writers;
+
+use arrow::array::RecordBatch;
+use arrow::datatypes::SchemaRef;
+use clap::ValueEnum;
+use evermap_schemas::{Fault, LayerRow, batch};
+use futures::{Stream, StreamExt};
+
+pub use sink::{Sink, write_file};
+
+use crate::ending::Failure;
+use crate::output::writers::RowWriter;
+
+/// How rows are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// For people: long cells are cut, bytes are counted.
+    Table,
+    /// Comma separated, with a header; lists and structs are JSON.
+    Csv,
+    /// One array of objects; bytes are hexadecimal.
+    Json,
+    /// Parquet, as it is kept in the map.
+    Parquet,
+}
+
+/// Writes rows as they come; how many there were.
+///
+/// # Errors
+/// What the stream says, or that the output is closed or full.
+pub async fn write(
+    format: Format,
+    schema: SchemaRef,
+    rows: impl Stream<Item = Result<RecordBatch, Fault>>,
+    sink: &mut Sink,
+) -> Result<u64, Failure> {
+    if format == Format::Parquet && sink.is_terminal() {
+        return Err(Fault::user("Parquet is not for terminals")
+            .next("name a file with --out, or redirect")
+            .into());
+    }
+    let mut writer: Box<dyn RowWriter + '_> = writers::open(format, schema, sink)?;
+    let mut rows = std::pin::pin!(rows);
+    let mut count = 0;
+    while let Some(batch) = rows.next().await {
+        let batch = batch?;
+        count += batch.num_rows() as u64;
+        writer.write(&batch)?;
+    }
+    writer.finish()?;
+    Ok(count)
+}
+
+/// Writes typed rows to standard output.
+///
+/// # Errors
+/// As [`write`].
+pub async fn print_rows<T: LayerRow>(format: Format, rows: Vec<T>) -> Result<(), Failure> {
+    print_batch(format, batch(rows)?).await
+}
+
+/// Writes a batch to standard output.
+///
+/// # Errors
+/// As [`write`].
+pub async fn print_batch(format: Format, rows: RecordBatch) -> Result<(), Failure> {
+    let mut sink = Sink::stdout();
+    write(
+        format,
+        rows.schema(),
+        futures::stream::iter([Ok(rows)]),
+        &mut sink,
+    )
+    .await?;
+    sink.finish()
+}
+
+#[cfg(test)]
+mod tests;

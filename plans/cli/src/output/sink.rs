@@ -1,0 +1,148 @@
+//! Where results go: standard output, or a file that is there whole or not at all.
+
+use std::io::{BufWriter, IsTerminal, Stdout, Write};
+use std::path::{Path, PathBuf};
+
+use evermap_schemas::Fault;
+use tempfile::NamedTempFile;
+
+use crate::ending::Failure;
+
+/// Where bytes go.
+#[derive(Debug)]
+pub enum Sink {
+    /// Standard output.
+    Stdout(BufWriter<Stdout>),
+    /// A file beside the one that is asked for, renamed when it is complete.
+    Temporary(Box<BufWriter<NamedTempFile>>, PathBuf),
+    /// Something that is no regular file: a pipe, a device.
+    Special(BufWriter<std::fs::File>),
+    /// Memory.
+    Memory(Vec<u8>),
+}
+
+impl Sink {
+    /// Standard output.
+    pub fn stdout() -> Self {
+        Self::Stdout(BufWriter::new(std::io::stdout()))
+    }
+
+    /// A file. It appears, or is replaced, when [`Sink::finish`] is called.
+    ///
+    /// # Errors
+    /// A resource fault when the folder cannot be written to.
+    pub fn file(path: &Path) -> Result<Self, Fault> {
+        let fault = |error: std::io::Error| {
+            Fault::resource(format!("cannot write {}: {error}", path.display()))
+        };
+        let special = path
+            .metadata()
+            .is_ok_and(|found| !found.is_file() && !found.is_dir());
+        if special {
+            let file = std::fs::OpenOptions::new()
+                .write(true)
+                .open(path)
+                .map_err(fault)?;
+            return Ok(Self::Special(BufWriter::new(file)));
+        }
+        let folder = match path.parent() {
+            Some(folder) if folder != Path::new("") => folder,
+            _ => Path::new("."),
+        };
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".evermap-");
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let file = builder.tempfile_in(folder).map_err(fault)?;
+        Ok(Self::Temporary(
+            Box::new(BufWriter::new(file)),
+            path.to_owned(),
+        ))
+    }
+
+    /// A file where one is named, else standard output.
+    ///
+    /// # Errors
+    /// As [`Sink::file`].
+    pub fn to(path: Option<&Path>) -> Result<Self, Fault> {
+        path.map_or_else(|| Ok(Self::stdout()), Self::file)
+    }
+
+    /// Whether a person is looking.
+    pub fn is_terminal(&self) -> bool {
+        matches!(self, Self::Stdout(out) if out.get_ref().is_terminal())
+    }
+
+    /// Writes what is still held back, and gives a file its name.
+    ///
+    /// # Errors
+    /// That the output is closed or full.
+    pub fn finish(mut self) -> Result<(), Failure> {
+        self.flush()?;
+        if let Self::Temporary(file, path) = self {
+            let file = file
+                .into_inner()
+                .map_err(|error| Failure::from(error.into_error()))?;
+            file.persist(&path).map_err(|error| {
+                Fault::resource(format!("cannot write {}: {}", path.display(), error.error))
+            })?;
+        }
+        Ok(())
+    }
+}
+
+impl Write for Sink {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        match self {
+            Self::Stdout(out) => out.write(bytes),
+            Self::Temporary(out, _) => out.write(bytes),
+            Self::Special(out) => out.write(bytes),
+            Self::Memory(out) => out.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        match self {
+            Self::Stdout(out) => out.flush(),
+            Self::Temporary(out, _) => out.flush(),
+            Self::Special(out) => out.flush(),
+            Self::Memory(out) => out.flush(),
+        }
+    }
+}
+
+/// Writes a whole file, or none.
+///
+/// # Errors
+/// As [`Sink::file`] and [`Sink::finish`].
+pub fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    let mut sink = Sink::file(path)?;
+    sink.write_all(bytes)?;
+    sink.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_file_is_whole_or_not_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.txt");
+        let mut sink = Sink::file(&path).unwrap();
+        sink.write_all(b"half").unwrap();
+        sink.flush().unwrap();
+        assert!(!path.exists());
+        drop(sink);
+        assert_eq!(
+            std::fs::read_dir(folder.path()).unwrap().count(),
+            0,
+            "nothing is left of it"
+        );
+        write_file(&path, b"one").unwrap();
+        write_file(&path, b"two").unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"two");
+        assert!(Sink::file(Path::new("/no/such/folder/a")).is_err());
+    }
+}

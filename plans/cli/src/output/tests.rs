@@ -1,0 +1,148 @@
+#![allow(clippy::unwrap_used)]
+use super::*;
+use arrow::compute::concat_batches;
+use evermap_schemas::{Bytes, Pose, Stamp, record};
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+
+record! {
+    /// A row of every kind.
+    pub struct Mixed {
+        /// Text.
+        name: String,
+        /// Instant.
+        stamp: Stamp,
+        /// Perhaps a number.
+        height_m: Option<f64>,
+        /// A struct.
+        pose: Pose,
+        /// A list.
+        counts: Vec<u32>,
+        /// Bytes.
+        png: Bytes,
+    }
+}
+impl LayerRow for Mixed {
+    const NAME: &'static str = "mixed";
+    const DOC: &'static str = "A row of every kind.";
+    const KEY: &'static [&'static str] = &["name"];
+}
+
+fn rows() -> RecordBatch {
+    let row = |name: &str, height_m| Mixed {
+        name: name.into(),
+        stamp: Stamp(1_500_000_000_123_456_789),
+        height_m,
+        pose: Pose {
+            x: 1.234_567_89,
+            ..Pose::IDENTITY
+        },
+        counts: vec![1, 2],
+        png: Bytes(vec![0xab; 300]),
+    };
+    batch(vec![
+        row("a, \"b\"", Some(0.5)),
+        row("c", None),
+        row("d", Some(f64::NAN)),
+    ])
+    .unwrap()
+}
+
+async fn written(format: Format, batches: Vec<RecordBatch>) -> Vec<u8> {
+    let mut sink = Sink::Memory(Vec::new());
+    let count = batches
+        .iter()
+        .map(|batch| batch.num_rows() as u64)
+        .sum::<u64>();
+    let stream = futures::stream::iter(batches.into_iter().map(Ok));
+    assert_eq!(
+        write(format, rows().schema(), stream, &mut sink)
+            .await
+            .unwrap(),
+        count
+    );
+    match sink {
+        Sink::Memory(bytes) => bytes,
+        _ => Vec::new(),
+    }
+}
+
+async fn text(format: Format, batches: Vec<RecordBatch>) -> String {
+    String::from_utf8(written(format, batches).await).unwrap()
+}
+
+#[tokio::test]
+async fn json_is_one_array_whatever_the_batches() {
+    let whole = text(Format::Json, vec![rows()]).await;
+    let halves = text(
+        Format::Json,
+        vec![rows().slice(0, 1), rows().slice(1, 0), rows().slice(1, 2)],
+    )
+    .await;
+    assert_eq!(whole, halves);
+    assert!(whole.ends_with("]\n"));
+    let value: serde_json::Value = serde_json::from_str(&whole).unwrap();
+    assert_eq!(value.as_array().unwrap().len(), 3);
+    assert_eq!(value[0]["name"], "a, \"b\"");
+    assert_eq!(value[0]["pose"]["qw"], 1.0);
+    assert_eq!(value[0]["counts"], serde_json::json!([1, 2]));
+    assert_eq!(value[0]["stamp"], "2017-07-14T02:40:00.123456789Z");
+    assert!(
+        value[1].as_object().unwrap()["height_m"].is_null(),
+        "nulls are said"
+    );
+    assert!(value[2]["height_m"].is_null(), "JSON knows no NaN");
+    assert_eq!(text(Format::Json, vec![]).await, "[]\n");
+}
+
+#[tokio::test]
+async fn csv_has_a_header_and_json_for_what_is_nested() {
+    let text_ = text(Format::Csv, vec![rows().slice(0, 1), rows().slice(1, 1)]).await;
+    let lines: Vec<_> = text_.lines().collect();
+    assert_eq!(lines.len(), 3);
+    assert_eq!(lines[0], "name,stamp,height_m,pose,counts,png");
+    assert!(
+        lines[1].starts_with(
+            "\"a, \"\"b\"\"\",2017-07-14T02:40:00.123456789Z,0.5,\"{\"\"x\"\":1.23456789"
+        ),
+        "{}",
+        lines[1]
+    );
+    assert!(lines[2].contains("\"[1,2]\""), "{}", lines[2]);
+    assert_eq!(text(Format::Csv, vec![]).await.lines().count(), 1);
+}
+
+#[tokio::test]
+async fn tables_are_short() {
+    let table = text(Format::Table, vec![rows()]).await;
+    assert!(table.contains("| 300 B "), "{table}");
+    assert!(table.contains('…') && !table.contains("abab"), "{table}");
+    assert!(
+        table.lines().all(|line| line.chars().count() < 300),
+        "{table}"
+    );
+    assert_eq!(
+        text(Format::Table, vec![]).await.lines().count(),
+        4,
+        "a header without rows"
+    );
+}
+
+#[tokio::test]
+async fn parquet_reads_back_the_same() {
+    let bytes = written(
+        Format::Parquet,
+        vec![rows().slice(0, 2), rows().slice(2, 1)],
+    )
+    .await;
+    let reader = ParquetRecordBatchReaderBuilder::try_new(bytes::Bytes::from(bytes))
+        .unwrap()
+        .build()
+        .unwrap();
+    let found: Vec<RecordBatch> = reader.map(Result::unwrap).collect();
+    let found = concat_batches(&found[0].schema(), &found).unwrap();
+    assert_eq!(
+        format!("{:?}", found.columns()),
+        format!("{:?}", rows().columns())
+    );
+    assert_eq!(found.schema().field(0).name(), "name");
+}

@@ -1,0 +1,155 @@
+//! One writer a format.
+
+use std::io::Write;
+
+use arrow::array::RecordBatch;
+use arrow::csv::WriterBuilder as CsvBuilder;
+use arrow::datatypes::SchemaRef;
+use arrow::json::writer::{JsonArray, Writer as JsonWriter, WriterBuilder as JsonBuilder};
+use arrow::util::pretty::pretty_format_batches;
+use evermap_schemas::Fault;
+use parquet::arrow::ArrowWriter;
+use parquet::basic::{Compression, ZstdLevel};
+use parquet::errors::ParquetError;
+use parquet::file::properties::WriterProperties;
+
+use crate::ending::Failure;
+use crate::output::readable::{cells, flat};
+use crate::output::{Format, Sink};
+
+/// Rows of a table that are laid out together; longer results are several tables, so that memory stays flat.
+const TABLE_ROWS: usize = 20_000;
+
+/// Writes batches.
+pub trait RowWriter: Send {
+    /// Takes the next rows.
+    fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure>;
+
+    /// Writes what ends the text.
+    fn finish(self: Box<Self>) -> Result<(), Failure>;
+}
+
+/// The writer of a format.
+pub fn open(
+    format: Format,
+    schema: SchemaRef,
+    sink: &mut Sink,
+) -> Result<Box<dyn RowWriter + '_>, Failure> {
+    Ok(match format {
+        Format::Table => Box::new(Table {
+            sink,
+            held: vec![cells(&RecordBatch::new_empty(schema))?],
+            rows: 0,
+            shown: false,
+        }),
+        Format::Csv => {
+            // The header stands even where there are no rows.
+            let mut csv = CsvBuilder::new().with_header(true).build(sink);
+            csv.write(&flat(&RecordBatch::new_empty(schema))?)?;
+            Box::new(csv)
+        }
+        Format::Json => Box::new(
+            JsonBuilder::new()
+                .with_explicit_nulls(true)
+                .build::<_, JsonArray>(Lines(sink)),
+        ),
+        Format::Parquet => {
+            let level = ZstdLevel::try_new(1).unwrap_or_default();
+            let properties = WriterProperties::builder()
+                .set_compression(Compression::ZSTD(level))
+                .build();
+            Box::new(ArrowWriter::try_new(sink, schema, Some(properties)).map_err(parquet_failure)?)
+        }
+    })
+}
+
+struct Table<'s> {
+    sink: &'s mut Sink,
+    held: Vec<RecordBatch>,
+    rows: usize,
+    shown: bool,
+}
+
+impl Table<'_> {
+    fn show(&mut self) -> Result<(), Failure> {
+        let text = pretty_format_batches(&self.held)?;
+        self.shown = true;
+        self.rows = 0;
+        self.held.truncate(1);
+        Ok(writeln!(self.sink, "{text}")?)
+    }
+}
+
+impl RowWriter for Table<'_> {
+    fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
+        self.held.push(cells(batch)?);
+        self.rows += batch.num_rows();
+        if self.rows >= TABLE_ROWS {
+            self.show()
+        } else {
+            Ok(())
+        }
+    }
+
+    fn finish(mut self: Box<Self>) -> Result<(), Failure> {
+        if self.rows > 0 || !self.shown {
+            self.show()
+        } else {
+            Ok(())
+        }
+    }
+}
+
+impl RowWriter for arrow::csv::Writer<&mut Sink> {
+    fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
+        Ok(arrow::csv::Writer::write(self, &flat(batch)?)?)
+    }
+
+    fn finish(self: Box<Self>) -> Result<(), Failure> {
+        Ok(())
+    }
+}
+
+/// JSON ends with a line break, as text files do.
+struct Lines<'s>(&'s mut Sink);
+
+impl Write for Lines<'_> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.write(bytes)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.0.flush()
+    }
+}
+
+impl RowWriter for JsonWriter<Lines<'_>, JsonArray> {
+    fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
+        Ok(JsonWriter::write(self, batch)?)
+    }
+
+    fn finish(mut self: Box<Self>) -> Result<(), Failure> {
+        JsonWriter::finish(&mut self)?;
+        Ok(self.into_inner().0.write_all(b"\n")?)
+    }
+}
+
+impl RowWriter for ArrowWriter<&mut Sink> {
+    fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
+        ArrowWriter::write(self, batch).map_err(parquet_failure)
+    }
+
+    fn finish(self: Box<Self>) -> Result<(), Failure> {
+        self.close().map(drop).map_err(parquet_failure)
+    }
+}
+
+fn parquet_failure(error: ParquetError) -> Failure {
+    match error {
+        ParquetError::External(inner) => match inner.downcast::<std::io::Error>() {
+            Ok(error) => (*error).into(),
+            Err(other) => Fault::resource(format!("cannot write Parquet: {other}")).into(),
+        },
+        other => Fault::data(format!("cannot write Parquet: {other}")).into(),
+    }
+}

@@ -1,0 +1,267 @@
+//! The SQL prompt: history, several lines until a semicolon, a few commands that start with a backslash.
+
+use std::borrow::Cow;
+use std::io::Write;
+use std::path::PathBuf;
+
+use evermap_engine::error::fault_of;
+use evermap_schemas::Fault;
+use reedline::{
+    FileBackedHistory, Prompt, PromptEditMode, PromptHistorySearch, Reedline, Signal,
+    ValidationResult, Validator,
+};
+
+use crate::commands::sql::{Tables, statements};
+use crate::describe::{TableLine, columns};
+use crate::ending::{Failure, Lost, tell};
+use crate::output::{Format, Sink, print_rows};
+use crate::progress::line;
+use crate::quantity::{of, of_seconds};
+
+const HELP: &str = "\\d          tables\n\\d NAME     columns of a table, with units and frames\n\\q          leave\n\
+                    SELECT … ;  a query; it may take several lines, and ends with a semicolon";
+
+/// Lines that are remembered.
+const REMEMBERED: usize = 10_000;
+
+/// What a person typed.
+#[derive(Debug, PartialEq, Eq)]
+enum Input<'t> {
+    Nothing,
+    Tables,
+    Columns(&'t str),
+    Help,
+    Quit,
+    Query(&'t str),
+}
+
+impl<'t> Input<'t> {
+    fn of(text: &'t str) -> Self {
+        let text = text.trim();
+        let Some(command) = text.strip_prefix('\\') else {
+            return match text.trim_end_matches(';').trim() {
+                "" => Self::Nothing,
+                "exit" | "quit" => Self::Quit,
+                _ => Self::Query(text),
+            };
+        };
+        let mut words = command.trim_end_matches(';').split_whitespace();
+        match (words.next(), words.next()) {
+            (Some("q"), _) => Self::Quit,
+            (Some("d"), None) => Self::Tables,
+            (Some("d"), Some(name)) => Self::Columns(name.trim_matches('"')),
+            _ => Self::Help,
+        }
+    }
+}
+
+/// A line is complete when it is a command or ends with a semicolon outside quotes.
+struct Complete;
+
+impl Validator for Complete {
+    fn validate(&self, text: &str) -> ValidationResult {
+        if is_complete(text) {
+            ValidationResult::Complete
+        } else {
+            ValidationResult::Incomplete
+        }
+    }
+}
+
+fn is_complete(text: &str) -> bool {
+    let text = text.trim();
+    if text.starts_with('\\') || ["", "exit", "quit"].contains(&text) {
+        return true;
+    }
+    let mut quote = None;
+    for letter in text.chars() {
+        match quote {
+            None if letter == '\'' || letter == '"' => quote = Some(letter),
+            Some(open) if open == letter => quote = None,
+            _ => {}
+        }
+    }
+    quote.is_none() && text.ends_with(';')
+}
+
+struct Sign;
+
+impl Prompt for Sign {
+    fn render_prompt_left(&self) -> Cow<'_, str> {
+        "evermap".into()
+    }
+    fn render_prompt_right(&self) -> Cow<'_, str> {
+        "".into()
+    }
+    fn render_prompt_indicator(&self, _: PromptEditMode) -> Cow<'_, str> {
+        "> ".into()
+    }
+    fn render_prompt_multiline_indicator(&self) -> Cow<'_, str> {
+        "      -> ".into()
+    }
+    fn render_prompt_history_search_indicator(&self, search: PromptHistorySearch) -> Cow<'_, str> {
+        format!("(search {}) ", search.term).into()
+    }
+}
+
+/// `$XDG_STATE_HOME/evermap/sql_history`, or below `~/.local/state`.
+fn history_file() -> Option<PathBuf> {
+    let from = |name: &str| {
+        std::env::var_os(name)
+            .filter(|value| !value.is_empty())
+            .map(PathBuf::from)
+    };
+    let state = from("XDG_STATE_HOME").or_else(|| Some(from("HOME")?.join(".local/state")))?;
+    Some(state.join("evermap/sql_history"))
+}
+
+fn editor() -> Reedline {
+    let editor = Reedline::create().with_validator(Box::new(Complete));
+    let history =
+        history_file().and_then(|file| FileBackedHistory::with_file(REMEMBERED, file).ok());
+    match history {
+        Some(history) => editor.with_history(Box::new(history)),
+        None => editor,
+    }
+}
+
+/// Reads and runs queries until the person leaves. A query's fault is shown, and the prompt goes on.
+///
+/// # Errors
+/// When the terminal fails.
+pub async fn run(tables: &Tables, format: Format) -> Result<(), Failure> {
+    let mut editor = editor();
+    line("\\d lists the tables, \\? helps, \\q leaves");
+    loop {
+        let signal = tokio::task::block_in_place(|| editor.read_line(&Sign))
+            .map_err(|error| Fault::resource(format!("the terminal failed: {error}")))?;
+        match signal {
+            Signal::Success(text) => match Input::of(&text) {
+                Input::Quit => return Ok(()),
+                input => answer(tables, input, format).await,
+            },
+            Signal::CtrlD => return Ok(()),
+            _ => {}
+        }
+    }
+}
+
+/// Answers one input; Ctrl-C stops a query and comes back to the prompt.
+async fn answer(tables: &Tables, input: Input<'_>, format: Format) {
+    let ending = tokio::select! {
+        ending = respond(tables, input, format) => ending,
+        _ = tokio::signal::ctrl_c() => {
+            line("stopped");
+            return;
+        }
+    };
+    // The ledger is told when the prompt ends; here only what failed.
+    tell(&ending.map(|()| Lost::default()), &mut std::io::stderr());
+}
+
+async fn respond(tables: &Tables, input: Input<'_>, format: Format) -> Result<(), Failure> {
+    match input {
+        Input::Nothing | Input::Quit => Ok(()),
+        Input::Help => Ok(writeln!(std::io::stdout(), "{HELP}")?),
+        Input::Tables => list(tables).await,
+        Input::Columns(name) => describe(tables, name).await,
+        Input::Query(text) => {
+            for statement in statements(text)? {
+                let begun = std::time::Instant::now();
+                let mut sink = Sink::stdout();
+                let rows = tables.run(statement, format, &mut sink).await?;
+                sink.finish()?;
+                line(&format!(
+                    "{}, {}",
+                    of(rows, "row"),
+                    of_seconds(begun.elapsed().as_secs_f64())
+                ));
+            }
+            Ok(())
+        }
+    }
+}
+
+async fn list(tables: &Tables) -> Result<(), Failure> {
+    let mut names = Vec::new();
+    for catalog in tables.context.catalog_names() {
+        let Some(schema) = tables
+            .context
+            .catalog(&catalog)
+            .and_then(|catalog| catalog.schema("public"))
+        else {
+            continue;
+        };
+        for name in schema.table_names() {
+            let columns = schema
+                .table(&name)
+                .await
+                .map_err(|error| fault_of(&error))?;
+            let columns = columns.map_or(0, |table| table.schema().fields().len() as u32);
+            let rows_are = tables
+                .declaration(&name)
+                .map(|layer| layer.doc.to_owned())
+                .unwrap_or_default();
+            let table = if name
+                .chars()
+                .all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
+            {
+                name
+            } else {
+                format!("\"{name}\"")
+            };
+            names.push(TableLine {
+                table,
+                columns,
+                rows_are,
+            });
+        }
+    }
+    names.sort_by(|a, b| a.table.cmp(&b.table));
+    print_rows(Format::Table, names).await
+}
+
+async fn describe(tables: &Tables, name: &str) -> Result<(), Failure> {
+    let reference = datafusion::common::TableReference::bare(name);
+    let table = tables
+        .context
+        .table_provider(reference)
+        .await
+        .map_err(|error| fault_of(&error))?;
+    let declared = tables.declaration(name);
+    print_rows(Format::Table, columns(&table.schema(), declared.as_ref())).await
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_query_ends_with_a_semicolon_outside_quotes() {
+        for complete in [
+            "SELECT 1;",
+            "SELECT ';' ;",
+            "\\d",
+            "\\d poses",
+            "",
+            "quit",
+            "SELECT\n1\n;",
+        ] {
+            assert!(is_complete(complete), "{complete}");
+        }
+        for open in ["SELECT 1", "SELECT ';", "SELECT \"a;", "SELECT ';'"] {
+            assert!(!is_complete(open), "{open}");
+        }
+    }
+
+    #[test]
+    fn commands_are_told_from_queries() {
+        assert_eq!(Input::of("\\d;"), Input::Tables);
+        assert_eq!(Input::of("\\d \"/odom\""), Input::Columns("/odom"));
+        assert_eq!(Input::of(" \\q "), Input::Quit);
+        assert_eq!(Input::of("quit;"), Input::Quit);
+        assert_eq!(Input::of("\\x"), Input::Help);
+        assert_eq!(Input::of(" ; "), Input::Nothing);
+        assert_eq!(Input::of("SELECT 1;"), Input::Query("SELECT 1;"));
+    }
+}

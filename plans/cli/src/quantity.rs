@@ -1,0 +1,110 @@
+//! Amounts as people write and read them.
+
+/// Bytes from text: `1GiB`, `512 MiB`, `2GB`, `1048576`.
+///
+/// # Errors
+/// A sentence that says what is expected.
+pub fn bytes(text: &str) -> Result<usize, String> {
+    let text = text.trim();
+    let digits = text
+        .find(|letter: char| !letter.is_ascii_digit() && letter != '.')
+        .unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let factor: u64 = match unit.trim().to_ascii_lowercase().as_str() {
+        "" | "b" => 1,
+        "k" | "kib" => 1 << 10,
+        "m" | "mib" => 1 << 20,
+        "g" | "gib" => 1 << 30,
+        "t" | "tib" => 1 << 40,
+        "kb" => 1_000,
+        "mb" => 1_000_000,
+        "gb" => 1_000_000_000,
+        "tb" => 1_000_000_000_000,
+        other => return Err(format!("expected a unit such as MiB or GiB, found {other}")),
+    };
+    let number: f64 = number
+        .parse()
+        .map_err(|_| format!("expected an amount such as 1GiB, found {text}"))?;
+    let amount = number * factor as f64;
+    if amount < (1 << 20) as f64 || amount > (1_u64 << 50) as f64 {
+        return Err(format!("expected 1 MiB or more, found {text}"));
+    }
+    Ok(amount as usize)
+}
+
+/// Bytes for people.
+pub fn of_bytes(bytes: u64) -> String {
+    let units = ["B", "KiB", "MiB", "GiB", "TiB"];
+    let mut amount = bytes as f64;
+    let mut unit = 0;
+    while amount >= 1024.0 && unit + 1 < units.len() {
+        amount /= 1024.0;
+        unit += 1;
+    }
+    if unit == 0 {
+        format!("{bytes} B")
+    } else {
+        format!("{amount:.1} {}", units[unit])
+    }
+}
+
+/// A duration for people.
+pub fn of_seconds(seconds: f64) -> String {
+    match seconds {
+        s if s < 1.0 => format!("{:.0} ms", s * 1e3),
+        s if s < 120.0 => format!("{s:.1} s"),
+        s if s < 7200.0 => format!("{:.1} min", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
+    }
+}
+
+/// A count with its noun: `1 unit`, `3 units`.
+pub fn of(count: u64, noun: &str) -> String {
+    if count == 1 {
+        format!("1 {noun}")
+    } else {
+        format!("{count} {noun}s")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn amounts_of_memory() {
+        assert_eq!(bytes("1GiB"), Ok(1 << 30));
+        assert_eq!(bytes("1.5 gib"), Ok(3 << 29));
+        assert_eq!(bytes("2GB"), Ok(2_000_000_000));
+        assert_eq!(bytes("2097152"), Ok(1 << 21));
+        for wrong in [
+            "",
+            "GiB",
+            "1 parsec",
+            "-1GiB",
+            "0",
+            "12B",
+            "1e30",
+            "9999999TiB",
+            "1..2G",
+        ] {
+            assert!(bytes(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn amounts_for_people() {
+        assert_eq!(
+            [0, 1023, 1536, 3 << 30].map(of_bytes),
+            ["0 B", "1023 B", "1.5 KiB", "3.0 GiB"]
+        );
+        assert_eq!(
+            [0.25, 12.0, 600.0, 9000.0].map(of_seconds),
+            ["250 ms", "12.0 s", "10.0 min", "2.5 h"]
+        );
+        assert_eq!(
+            (of(1, "unit"), of(0, "unit")),
+            ("1 unit".to_owned(), "0 units".to_owned())
+        );
+    }
+}

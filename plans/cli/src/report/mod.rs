@@ -1,0 +1,7 @@
+//! One self-contained page about a version of a map.
+
+mod facts;
+mod page;
+
+pub use facts::{Facts, SessionFact, gather};
+pub use page::page;

@@ -1,0 +1,54 @@
+//! Sessions as the command line names them.
+
+use std::path::Path;
+
+use datafusion::execution::runtime_env::RuntimeEnv;
+use evermap_datasets::{Dataset, Manifest};
+use evermap_schemas::Fault;
+
+use crate::arguments::SessionArgs;
+use crate::ending::Lost;
+use crate::progress::line;
+
+/// The manifest that the command line names, with its site; `None` where it names neither.
+///
+/// # Errors
+/// A user fault with line and column.
+pub fn manifest(args: &SessionArgs) -> Result<Option<Manifest>, Fault> {
+    let read = args
+        .manifest
+        .as_deref()
+        .map(|path| Manifest::load(Path::new(path)))
+        .transpose()?;
+    Ok(match (&args.site, read) {
+        (Some(site), read) => Some(Manifest {
+            site: Some(site.clone()),
+            ..read.unwrap_or_default()
+        }),
+        (None, read) => read,
+    })
+}
+
+/// Opens the sessions, and says on stderr what was chosen for the person.
+///
+/// # Errors
+/// As [`Dataset::open`].
+pub async fn open(runtime: &RuntimeEnv, args: &SessionArgs) -> Result<Dataset, Fault> {
+    let manifest = manifest(args)?;
+    let dataset = Dataset::open(runtime, &args.sessions, manifest.as_ref()).await?;
+    dataset
+        .notes
+        .iter()
+        .for_each(|note| line(&format!("note: {note}")));
+    Ok(dataset)
+}
+
+/// What reading logs has lost so far.
+pub fn lost(dataset: &Dataset) -> Lost {
+    let sums = dataset.losses.losses();
+    Lost(
+        sums.into_iter()
+            .map(|(reason, loss)| (reason.text().to_owned(), loss.count))
+            .collect(),
+    )
+}

@@ -1,0 +1,445 @@
+//! The program as a shell sees it: what goes to which stream, and how it ends.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod made_up;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use serde_json::Value;
+
+struct Ended {
+    code: Option<i32>,
+    out: String,
+    err: String,
+}
+
+fn evermap(arguments: &[&str]) -> Ended {
+    let output = Command::new(env!("CARGO_BIN_EXE_evermap"))
+        .args(arguments)
+        .env_remove("EVERMAP_LOG")
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    Ended {
+        code: output.status.code(),
+        out: String::from_utf8_lossy(&output.stdout).into_owned(),
+        err: String::from_utf8_lossy(&output.stderr).into_owned(),
+    }
+}
+
+/// Runs, and expects it to be done without a word of complaint.
+fn done(arguments: &[&str]) -> String {
+    let ended = evermap(arguments);
+    assert_eq!(ended.code, Some(0), "{arguments:?}: {}", ended.err);
+    ended.out
+}
+
+#[test]
+fn what_needs_no_map_works_anywhere() {
+    assert!(done(&["--version"]).starts_with("evermap "));
+    assert!(done(&["--help"]).contains("Exit status"));
+    assert!(done(&["operators"]).contains("keyframes"));
+    assert!(done(&["operators", "keyframes"]).contains("| `baseline_m` |"));
+    let list: Value = serde_json::from_str(&done(&["operators", "--format", "json"])).unwrap();
+    assert!(
+        list.as_array()
+            .unwrap()
+            .iter()
+            .any(|row| row["operator"] == "keyframes")
+    );
+    let schema: Value = serde_json::from_str(&done(&["schema"])).unwrap();
+    assert_eq!(schema["title"], "evermap plan");
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        assert!(done(&["completions", shell]).contains("render"), "{shell}");
+    }
+}
+
+#[test]
+fn failures_end_with_1_and_wrong_usage_with_2() {
+    for arguments in [
+        &[][..],
+        &["fly"],
+        &["run", "car_park"],
+        &["sql"],
+        &["render", "--map", "m", "--out", "m.gif"],
+    ] {
+        let ended = evermap(arguments);
+        assert_eq!(
+            (ended.code, ended.out.as_str()),
+            (Some(2), ""),
+            "{arguments:?}: {}",
+            ended.err
+        );
+    }
+    for arguments in [
+        &["operators", "nothing"][..],
+        &["layers", "--map", "/no/such/map"],
+        &["inspect", "/no/such/file.mcap"],
+        &["check", "/no/such/plan.yaml"],
+        &["import", "rosbag", "a.bag"],
+    ] {
+        let ended = evermap(arguments);
+        assert_eq!(
+            (ended.code, ended.out.as_str()),
+            (Some(1), ""),
+            "{arguments:?}: {}",
+            ended.err
+        );
+        assert!(ended.err.starts_with("error: "), "{}", ended.err);
+    }
+}
+
+#[test]
+fn a_bad_plan_shows_all_its_faults_with_carets_and_makes_no_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = folder.path().join("bad.yaml");
+    std::fs::write(
+        &plan,
+        "plan: bad\nsteps:\n  a: { op: keyframs }\n  b: { sql: SELECT * FROM c }\nwrite: [d]\n",
+    )
+    .unwrap();
+    let map = folder.path().join("map");
+    let run = evermap(&[
+        "run",
+        plan.to_str().unwrap(),
+        "--map",
+        map.to_str().unwrap(),
+        "--sessions",
+        "none.mcap",
+    ]);
+    let check = evermap(&["check", plan.to_str().unwrap()]);
+    for ended in [run, check] {
+        assert_eq!((ended.code, ended.out.as_str()), (Some(1), ""));
+        for said in [
+            "did you mean `keyframes`?",
+            "bad.yaml:3:",
+            "bad.yaml:4:",
+            "bad.yaml:5:",
+            "^^^",
+            "the plan is refused",
+        ] {
+            assert!(ended.err.contains(said), "{said}: {}", ended.err);
+        }
+    }
+    assert!(!map.exists());
+}
+
+fn made_up_map() -> (tempfile::TempDir, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    tokio::runtime::Runtime::new()
+        .unwrap()
+        .block_on(made_up::map(&map));
+    let address = map.to_str().unwrap().to_owned();
+    (folder, address)
+}
+
+#[test]
+fn a_map_is_listed_queried_and_compared() {
+    let (_folder, map) = made_up_map();
+    let layers = done(&["layers", "--map", &map]);
+    assert!(
+        ["overhead_tiles", "lanes", "poses", "380"]
+            .iter()
+            .all(|said| layers.contains(said)),
+        "{layers}"
+    );
+    assert!(done(&["layers", "--map", &map, "--version", "1"]).contains("200"));
+    let versions: Value =
+        serde_json::from_str(&done(&["versions", "--map", &map, "--format", "json"])).unwrap();
+    assert_eq!(
+        versions[1]["sessions"],
+        serde_json::json!(["initial", "revisit_1"])
+    );
+    let query = "SELECT session, count(*) AS n FROM poses GROUP BY session ORDER BY session";
+    assert_eq!(
+        done(&["sql", "--map", &map, "--format", "csv", query]),
+        "session,n\ninitial,200\nrevisit_1,180\n"
+    );
+    let json: Value = serde_json::from_str(&done(&[
+        "sql",
+        "--map",
+        &map,
+        "--format",
+        "json",
+        "SELECT lane, points FROM lanes",
+    ]))
+    .unwrap();
+    assert_eq!(json[2]["points"][1], serde_json::json!([43.0, 25.0, 0.0]));
+    let wrong = evermap(&["sql", "--map", &map, "SELECT * FROM nowhere"]);
+    assert_eq!(wrong.code, Some(1));
+    assert!(wrong.err.starts_with("error: user: "), "{}", wrong.err);
+    let diff = done(&["diff", "1", "2", "--map", &map, "--format", "csv"]);
+    assert!(diff.contains("poses,180,0,0,200"), "{diff}");
+    assert!(diff.contains("lanes,0,0,0,3"), "{diff}");
+    assert!(
+        evermap(&["layers", "--map", &map, "--version", "9"])
+            .err
+            .contains("no version 9")
+    );
+    assert!(
+        done(&["gc", "--map", &map, "--keep", "1", "--dry-run"])
+            .starts_with("would remove 1 version")
+    );
+    assert!(
+        done(&["versions", "--map", &map]).contains("| 1 "),
+        "a dry run removes nothing"
+    );
+    done(&["gc", "--map", &map, "--keep", "1"]);
+    assert!(!done(&["versions", "--map", &map]).contains("| 1 "));
+}
+
+#[test]
+fn queries_are_read_from_standard_input() {
+    let (_folder, map) = made_up_map();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_evermap"))
+        .args(["sql", "--map", &map, "--format", "csv"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    std::io::Write::write_all(
+        &mut child.stdin.take().unwrap(),
+        b"SELECT 1 AS a;\nSELECT ';' AS b; -- end",
+    )
+    .unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(String::from_utf8_lossy(&output.stdout), "a\n1\nb\n;\n");
+}
+
+#[test]
+fn layers_are_exported() {
+    let (folder, map) = made_up_map();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let export = |layer: &str, format: &str, out: &str, more: &[&str]| {
+        let arguments = [
+            &[
+                "export", layer, "--map", &map, "--format", format, "--out", out,
+            ],
+            more,
+        ]
+        .concat();
+        evermap(&arguments)
+    };
+    assert_eq!(
+        export("lanes", "geojson", &path("lanes.geojson"), &[]).code,
+        Some(0)
+    );
+    let lanes: Value =
+        serde_json::from_slice(&std::fs::read(path("lanes.geojson")).unwrap()).unwrap();
+    assert_eq!(lanes["features"][0]["geometry"]["type"], "LineString");
+    assert_eq!(lanes["features"][2]["properties"]["direction"], "both");
+    let two = export("poses", "tum", &path("poses.tum"), &[]);
+    assert!(
+        two.code == Some(1) && two.err.contains("--session: initial, revisit_1"),
+        "{}",
+        two.err
+    );
+    assert!(!Path::new(&path("poses.tum")).exists());
+    assert_eq!(
+        export(
+            "poses",
+            "tum",
+            &path("poses.tum"),
+            &["--session", "initial"]
+        )
+        .code,
+        Some(0)
+    );
+    let tum = std::fs::read_to_string(path("poses.tum")).unwrap();
+    assert_eq!(tum.lines().count(), 201);
+    assert!(
+        tum.lines()
+            .nth(2)
+            .unwrap()
+            .starts_with("1780000000.100000000 ")
+    );
+    assert_eq!(
+        export("overhead_tiles", "png", &path("floor.png"), &[]).code,
+        Some(0)
+    );
+    let (width, height) = size(&std::fs::read(path("floor.png")).unwrap());
+    assert_eq!((width, height), (256, 256));
+    assert!(
+        std::fs::read_to_string(path("floor.pgw"))
+            .unwrap()
+            .starts_with("0.2\n0\n0\n-0.2\n0.1\n51.1")
+    );
+    assert_eq!(
+        export("lanes", "png", &path("lanes.png"), &[]).code,
+        Some(1)
+    );
+    assert_eq!(
+        export("lanes", "parquet", &path("lanes.parquet"), &[]).code,
+        Some(0)
+    );
+    assert_eq!(
+        export("nothing", "csv", &path("nothing.csv"), &[]).code,
+        Some(1)
+    );
+}
+
+fn size(picture: &[u8]) -> (u32, u32) {
+    let reader = png::Decoder::new(std::io::Cursor::new(picture))
+        .read_info()
+        .unwrap();
+    (reader.info().width, reader.info().height)
+}
+
+#[test]
+fn a_map_is_drawn_and_reported() {
+    let (folder, map) = made_up_map();
+    let look =
+        std::env::var("EVERMAP_LOOK").map_or_else(|_| folder.path().to_owned(), PathBuf::from);
+    let path = |name: &str| look.join(name).to_str().unwrap().to_owned();
+    done(&[
+        "render",
+        "--map",
+        &map,
+        "--out",
+        &path("map.png"),
+        "--width-px",
+        "900",
+    ]);
+    assert_eq!(size(&std::fs::read(path("map.png")).unwrap()).0, 900);
+    done(&["render", "--map", &map, "--out", &path("map.svg")]);
+    let svg = std::fs::read_to_string(path("map.svg")).unwrap();
+    assert!(
+        svg.starts_with("<svg ")
+            && svg.contains("revisit_1")
+            && svg.contains("data:image/png;base64")
+    );
+    done(&["report", "--map", &map, "--out", &path("map.html")]);
+    let page = std::fs::read_to_string(path("map.html")).unwrap();
+    for said in [
+        "car_park, version 2",
+        "images that do not decode",
+        "overhead_tiles",
+        "revisit_1",
+        "<svg ",
+    ] {
+        assert!(page.contains(said), "{said}");
+    }
+    let nowhere = evermap(&[
+        "render",
+        "--map",
+        &map,
+        "--out",
+        &path("x.png"),
+        "--site",
+        "moon",
+    ]);
+    assert!(
+        nowhere.code == Some(1) && nowhere.err.contains("there are lot"),
+        "{}",
+        nowhere.err
+    );
+}
+
+/// A real log, where the data that is not in the repository is at hand.
+fn real_log() -> Option<PathBuf> {
+    let shared = std::env::var_os("EVERMAP_SHARED").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"),
+        PathBuf::from,
+    );
+    let log = shared.join("data/mcap_real/evo/nav2_turtlebot.mcap");
+    if log.exists() {
+        return Some(log);
+    }
+    let said = format!("SKIPPED: no real log at {}\n", log.display());
+    std::io::Write::write_all(&mut std::io::stderr(), said.as_bytes()).unwrap();
+    None
+}
+
+#[test]
+fn a_torn_log_is_inspected_with_loss() {
+    let Some(log) = real_log() else { return };
+    let whole = evermap(&["inspect", log.to_str().unwrap(), "--json"]);
+    assert_eq!(whole.code, Some(0), "{}", whole.err);
+    let contents: Value = serde_json::from_str(&whole.out).unwrap();
+    assert!(contents["messages"].as_u64().unwrap() > 0);
+    assert!(
+        contents["channels"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .any(|channel| channel["topic"] == "/odom")
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let torn = folder.path().join("torn.mcap");
+    let bytes = std::fs::read(&log).unwrap();
+    std::fs::write(&torn, &bytes[..bytes.len() * 2 / 3]).unwrap();
+    let ended = evermap(&["inspect", torn.to_str().unwrap()]);
+    assert_eq!(ended.code, Some(3), "{}", ended.err);
+    assert!(
+        ended.err.contains("finished with loss") && ended.out.contains("/odom"),
+        "{}",
+        ended.err
+    );
+    let query = "SELECT count(*) AS n FROM \"/odom\"";
+    let ended = evermap(&[
+        "sql",
+        "--sessions",
+        torn.to_str().unwrap(),
+        "--format",
+        "csv",
+        "-q",
+        query,
+    ]);
+    assert_eq!(ended.code, Some(3), "{}", ended.err);
+    assert!(ended.out.starts_with("n\n"));
+}
+
+#[test]
+fn a_real_log_becomes_a_road_network() {
+    let Some(log) = real_log() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map").to_str().unwrap().to_owned();
+    let log = log.to_str().unwrap();
+    let explained = done(&[
+        "explain",
+        "trajectory",
+        "--map",
+        &map,
+        "--sessions",
+        log,
+        "--format",
+        "json",
+    ]);
+    let explained: Value = serde_json::from_str(&explained).unwrap();
+    assert!(
+        explained
+            .as_array()
+            .unwrap()
+            .iter()
+            .all(|unit| unit["recompute"] == true)
+    );
+    let first = evermap(&[
+        "run",
+        "trajectory",
+        "--map",
+        &map,
+        "--sessions",
+        log,
+        "--progress",
+        "plain",
+    ]);
+    assert!(matches!(first.code, Some(0 | 3)), "{}", first.err);
+    assert!(
+        first.out.contains("| lanes") && first.err.contains("version 1 published"),
+        "{}{}",
+        first.out,
+        first.err
+    );
+    let again = evermap(&["run", "trajectory", "--map", &map, "--sessions", log]);
+    assert_eq!(again.out, first.out, "the same layers");
+    assert!(
+        again.err.contains("nothing has changed") && again.err.contains("0 units"),
+        "{}",
+        again.err
+    );
+    let out = folder.path().join("map.html");
+    done(&["report", "--map", &map, "--out", out.to_str().unwrap()]);
+    assert!(std::fs::read_to_string(out).unwrap().contains("<svg "));
+}
