@@ -1,5 +1,7 @@
 #![doc = include_str!("ground_patches.md")]
 
+mod rig;
+
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_2;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,6 +18,8 @@ use evermap_vision::{Decoder, Grey};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use rig::{Rig, SessionName, frame};
 
 /// See the module's page.
 pub struct GroundPatches;
@@ -112,23 +116,7 @@ struct Opener {
 
 impl MapKernel for Opener {
     fn open(&self, sides: &Sides) -> Result<Box<dyn Mapper>, Fault> {
-        let mut sessions: BTreeMap<SessionName, Rig> = BTreeMap::new();
-        for row in sides.rows::<Calibration>("calibration")? {
-            let rig = sessions
-                .entry((row.site.clone(), row.session.clone()))
-                .or_default();
-            rig.calibrations
-                .entry(frame(&row.camera).to_owned())
-                .or_default()
-                .push(Arc::new(row));
-        }
-        for row in sides.rows::<Transform>("transforms")? {
-            if row.fixed {
-                let rig = sessions.entry((row.site.clone(), row.session.clone())).or_default();
-                rig.mount(row);
-            }
-        }
-        sessions.values_mut().for_each(Rig::order);
+        let sessions = rig::sessions(sides)?;
         Ok(Box::new(Projector {
             params: self.params.clone(),
             sessions,
@@ -137,76 +125,8 @@ impl MapKernel for Opener {
     }
 }
 
-/// Site and session.
-type SessionName = (String, String);
-
 /// Why an image gives no patch.
 type Reason = &'static str;
-
-/// ROS 1 wrote frames with a slash in front.
-fn frame(name: &str) -> &str {
-    name.trim_start_matches('/')
-}
-
-/// One session's cameras, and how they are mounted.
-#[derive(Default)]
-struct Rig {
-    /// By camera, by stamp.
-    calibrations: BTreeMap<String, Vec<Arc<Calibration>>>,
-    /// Stamp, parent and `parent_from_child` by child; the latest of several.
-    mounts: BTreeMap<String, (Stamp, String, Pose)>,
-}
-
-impl Rig {
-    fn mount(&mut self, row: Transform) {
-        let Ok(parent_from_child) = Pose::from_array(row.parent_from_child.to_array()) else {
-            return;
-        };
-        let (child, parent) = (frame(&row.child), frame(&row.parent).to_owned());
-        let known = self.mounts.get(child);
-        if known.is_none_or(|(stamp, other, _)| (row.stamp, &parent) >= (*stamp, other)) {
-            self.mounts
-                .insert(child.to_owned(), (row.stamp, parent, parent_from_child));
-        }
-    }
-
-    fn order(&mut self) {
-        for of_camera in self.calibrations.values_mut() {
-            of_camera.sort_by_key(|calibration| calibration.stamp);
-        }
-    }
-
-    /// The calibration that holds at an instant: the latest that is not after it, else the first.
-    fn calibration(&self, camera: &str, stamp: Stamp) -> Option<&Arc<Calibration>> {
-        let of_camera = self.calibrations.get(camera)?;
-        let after = of_camera.partition_point(|calibration| calibration.stamp <= stamp);
-        of_camera.get(after.saturating_sub(1))
-    }
-
-    /// A frame and its ancestors, each with its own pose: `(ancestor, ancestor_from_frame)`.
-    fn ancestors<'a>(&'a self, start: &'a str) -> Vec<(&'a str, Pose)> {
-        let mut chain = vec![(start, Pose::identity())];
-        while let Some((child, child_from_start)) = chain.last()
-            && chain.len() <= self.mounts.len()
-            && let Some((_, parent, parent_from_child)) = self.mounts.get(*child)
-        {
-            chain.push((parent, parent_from_child.compose(child_from_start)));
-        }
-        chain
-    }
-
-    /// Through the nearest common ancestor of the two frames.
-    fn vehicle_from_camera(&self, vehicle: &str, camera: &str) -> Option<Pose> {
-        let of_vehicle = self.ancestors(vehicle);
-        self.ancestors(camera)
-            .into_iter()
-            .find_map(|(ancestor, ancestor_from_camera)| {
-                let (_, ancestor_from_vehicle) =
-                    of_vehicle.iter().find(|(name, _)| *name == ancestor)?;
-                Some(ancestor_from_vehicle.inverse().compose(&ancestor_from_camera))
-            })
-    }
-}
 
 /// What a table depends on: the calibration (session, camera, stamp) and the size of the image.
 type TableName = (SessionName, String, Stamp, [u32; 2]);
@@ -300,10 +220,16 @@ impl Projector {
         if tables.len() >= MOST_TABLES {
             tables.clear();
         }
-        tables.entry(name).or_insert(table).clone().map(|table| (bytes, table))
+        tables
+            .entry(name)
+            .or_insert(table)
+            .clone()
+            .map(|table| (bytes, table))
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, BTreeMap<TableName, Result<Arc<GroundLut>, Reason>>> {
+    fn lock(
+        &self,
+    ) -> std::sync::MutexGuard<'_, BTreeMap<TableName, Result<Arc<GroundLut>, Reason>>> {
         self.tables.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -314,7 +240,10 @@ impl Projector {
         size: [u32; 2],
     ) -> Result<Arc<GroundLut>, Reason> {
         let vehicle_from_camera = rig
-            .vehicle_from_camera(frame(&self.params.vehicle_frame), frame(&calibration.camera))
+            .vehicle_from_camera(
+                frame(&self.params.vehicle_frame),
+                frame(&calibration.camera),
+            )
             .ok_or("no fixed transforms from camera to vehicle")?;
         let camera = camera(calibration, size)?;
         let camera = match camera.model {
@@ -339,8 +268,8 @@ impl Projector {
         Decoder::new()
             .decode_into(bytes, grey)
             .map_err(|_| "image does not decode")?;
-        let image = GrayView::new(grey.width, grey.height, &grey.data)
-            .ok_or("image does not decode")?;
+        let image =
+            GrayView::new(grey.width, grey.height, &grey.data).ok_or("image does not decode")?;
         let cells = Cells::seen(table, &image, &pose, self.params.cell_m);
         let [column, row, width, height] = cells.bounds().ok_or("image shows no ground")?;
         let place = |cell: i64| i32::try_from(cell).map_err(|_| "pose is out of the map");
@@ -427,7 +356,11 @@ impl Cells {
     /// Column, row, width and height of what was seen.
     fn bounds(&self) -> Option<[i64; 4]> {
         let column = self.runs.iter().map(|(i, _, _)| *i).min()?;
-        let end = self.runs.iter().map(|(i, _, run)| i + run.len() as i64).max()?;
+        let end = self
+            .runs
+            .iter()
+            .map(|(i, _, run)| i + run.len() as i64)
+            .max()?;
         let row = self.runs.iter().map(|(_, j, _)| *j).min()?;
         let top = self.runs.iter().map(|(_, j, _)| j + 1).max()?;
         Some([column, row, end - column, top - row])

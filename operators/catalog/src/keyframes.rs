@@ -33,8 +33,18 @@ pub struct KeyframesParams {
 
 impl Default for KeyframesParams {
     fn default() -> Self {
-        let KeyframeParams { baseline_m, deadband_m, jump_m } = KeyframeParams::default();
-        Self { baseline_m, deadband_m, jump_m, max_gap_s: 0.04, max_wait_s: 1.0 }
+        let KeyframeParams {
+            baseline_m,
+            deadband_m,
+            jump_m,
+        } = KeyframeParams::default();
+        Self {
+            baseline_m,
+            deadband_m,
+            jump_m,
+            max_gap_s: 0.04,
+            max_wait_s: 1.0,
+        }
     }
 }
 
@@ -53,12 +63,25 @@ impl Operator for Keyframes {
     }
 
     fn kernel(params: KeyframesParams) -> Result<Kernel, Fault> {
-        let KeyframesParams { baseline_m, deadband_m, jump_m, .. } = params;
-        let selector = KeyframeSelector::new(KeyframeParams { baseline_m, deadband_m, jump_m })
-            .map_err(|error| Fault::user(error.to_string()))?;
+        let KeyframesParams {
+            baseline_m,
+            deadband_m,
+            jump_m,
+            ..
+        } = params;
+        let selector = KeyframeSelector::new(KeyframeParams {
+            baseline_m,
+            deadband_m,
+            jump_m,
+        })
+        .map_err(|error| Fault::user(error.to_string()))?;
         let max_gap_ns = nanoseconds("max_gap_s", params.max_gap_s)?;
         let max_wait_ns = nanoseconds("max_wait_s", params.max_wait_s)?;
-        Ok(Kernel::Group(Box::new(Opener { selector, max_gap_ns, max_wait_ns })))
+        Ok(Kernel::Group(Box::new(Opener {
+            selector,
+            max_gap_ns,
+            max_wait_ns,
+        })))
     }
 }
 
@@ -66,7 +89,9 @@ fn nanoseconds(name: &str, seconds: f64) -> Result<i64, Fault> {
     if (0.0..1e9).contains(&seconds) {
         Ok((seconds * 1e9).round() as i64)
     } else {
-        Err(Fault::user(format!("expected {name} of 0 s to 1e9 s, found {seconds}")))
+        Err(Fault::user(format!(
+            "expected {name} of 0 s to 1e9 s, found {seconds}"
+        )))
     }
 }
 
@@ -89,7 +114,11 @@ impl GroupKernel for Opener {
                 last_m: 0.0,
             },
             sets: FrameSets::default(),
-            matcher: Matcher { max_wait_ns: self.max_wait_ns, last: None, given: 0 },
+            matcher: Matcher {
+                max_wait_ns: self.max_wait_ns,
+                last: None,
+                given: 0,
+            },
             previous: None,
             name: None,
             skipped_poses: 0,
@@ -130,7 +159,10 @@ impl Group for Session {
         let mut keyframes = Vec::new();
         self.give(true, &mut keyframes);
         let losses = self.path.selector.losses();
-        emit.skip("odometry pose is no rigid transform", self.skipped_poses + losses.not_finite);
+        emit.skip(
+            "odometry pose is no rigid transform",
+            self.skipped_poses + losses.not_finite,
+        );
         emit.skip("odometry stamp repeats", losses.out_of_order);
         emit.skip("odometry jumped", losses.jumps);
         emit.rows(keyframes)
@@ -144,7 +176,10 @@ impl Session {
             return;
         }
         let own = |frame: &Frame| frame.site == row.site && frame.session == row.session;
-        let frames = std::mem::take(&mut self.frames).into_iter().filter(own).collect();
+        let frames = std::mem::take(&mut self.frames)
+            .into_iter()
+            .filter(own)
+            .collect();
         self.sets = FrameSets::new(frames, self.max_gap_ns, emit);
         self.name = Some((row.site.clone(), row.session.clone()));
     }
@@ -157,7 +192,10 @@ impl Session {
         }
         let jumped = self.path.push(stamp, pose);
         let from = self.previous.filter(|_| !jumped);
-        self.sets.place(from.as_ref().map(|(stamp, pose)| (*stamp, pose)), (stamp, pose));
+        self.sets.place(
+            from.as_ref().map(|(stamp, pose)| (*stamp, pose)),
+            (stamp, pose),
+        );
         self.previous = Some((stamp, *pose));
     }
 
@@ -234,27 +272,49 @@ struct FrameSets {
 impl FrameSets {
     fn new(mut frames: Vec<Frame>, max_gap_ns: i64, emit: &mut Emit<'_>) -> Self {
         frames.sort_by(|a, b| {
-            (a.stamp, &a.camera, &a.topic, a.log_time).cmp(&(b.stamp, &b.camera, &b.topic, b.log_time))
+            (a.stamp, &a.camera, &a.topic, a.log_time)
+                .cmp(&(b.stamp, &b.camera, &b.topic, b.log_time))
         });
         let all = frames.len();
         frames.dedup_by(|b, a| (a.stamp, &a.camera) == (b.stamp, &b.camera));
-        emit.skip("second frame of one camera with one stamp", (all - frames.len()) as u64);
+        emit.skip(
+            "second frame of one camera with one stamp",
+            (all - frames.len()) as u64,
+        );
         let mut ahead: VecDeque<FrameSet> = VecDeque::new();
-        for Frame { stamp, camera, image, .. } in frames {
-            let image = KeyframeImage { camera, stamp, image };
+        for Frame {
+            stamp,
+            camera,
+            image,
+            ..
+        } in frames
+        {
+            let image = KeyframeImage {
+                camera,
+                stamp,
+                image,
+            };
             match ahead.back_mut() {
                 Some(set) if set.takes(&image, max_gap_ns) => set.images.push(image),
-                _ => ahead.push_back(FrameSet { stamp: stamp.0, images: vec![image] }),
+                _ => ahead.push_back(FrameSet {
+                    stamp: stamp.0,
+                    images: vec![image],
+                }),
             }
         }
-        Self { placed: VecDeque::new(), ahead }
+        Self {
+            placed: VecDeque::new(),
+            ahead,
+        }
     }
 
     /// Gives a pose to the frame sets up to `to`; those that lie before `from`, or before `to` where there is no
     /// path between the two, have none and are dropped.
     fn place(&mut self, from: Option<(i64, &Pose)>, to: (i64, &Pose)) {
         while let Some(set) = self.ahead.pop_front_if(|set| set.stamp <= to.0) {
-            let from = from.filter(|from| from.0 < set.stamp).or((set.stamp == to.0).then_some(to));
+            let from = from
+                .filter(|from| from.0 < set.stamp)
+                .or((set.stamp == to.0).then_some(to));
             if let Some(from) = from {
                 let pose = Pose::at_stamp(set.stamp, from, to);
                 self.placed.push_back((set, pose));
@@ -286,14 +346,23 @@ impl Matcher {
                 path.due.pop_front();
                 continue;
             }
-            while sets.placed.pop_front_if(|(set, _)| set.stamp < due.stamp).is_some() {}
+            while sets
+                .placed
+                .pop_front_if(|(set, _)| set.stamp < due.stamp)
+                .is_some()
+            {}
             let in_time = |set: &FrameSet| set.stamp.saturating_sub(due.stamp) <= self.max_wait_ns;
             if sets.placed.is_empty() && !finished && sets.ahead.front().is_some_and(in_time) {
                 return None;
             }
             let served = sets.placed.pop_front_if(|(set, _)| in_time(set));
             let (stamp, pose, distance_m, mut images) = match served {
-                Some((set, pose)) => (set.stamp, pose, path.distance_m(set.stamp, &pose), set.images),
+                Some((set, pose)) => (
+                    set.stamp,
+                    pose,
+                    path.distance_m(set.stamp, &pose),
+                    set.images,
+                ),
                 None => (due.stamp, due.pose, due.distance_m, Vec::new()),
             };
             images.sort_by(|a, b| a.camera.cmp(&b.camera));
@@ -302,7 +371,13 @@ impl Matcher {
         }
     }
 
-    fn keyframe(&mut self, stamp: i64, pose: &Pose, distance_m: f64, images: Vec<KeyframeImage>) -> Keyframe {
+    fn keyframe(
+        &mut self,
+        stamp: i64,
+        pose: &Pose,
+        distance_m: f64,
+        images: Vec<KeyframeImage>,
+    ) -> Keyframe {
         let keyframe = self.given;
         self.given = self.given.saturating_add(1);
         self.last = Some(stamp);

@@ -1,0 +1,105 @@
+//! A session's cameras: their calibrations over time, and where they are mounted.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use evermap_algorithms::pose::Pose;
+use evermap_contract::{Fault, Sides};
+use evermap_schemas::Stamp;
+use evermap_schemas::roles::{Calibration, Transform};
+
+/// Site and session.
+pub(super) type SessionName = (String, String);
+
+/// ROS 1 wrote frames with a slash in front.
+pub(super) fn frame(name: &str) -> &str {
+    name.trim_start_matches('/')
+}
+
+/// The rigs of all sessions that the sides hold.
+pub(super) fn sessions(sides: &Sides) -> Result<BTreeMap<SessionName, Rig>, Fault> {
+    let mut sessions: BTreeMap<SessionName, Rig> = BTreeMap::new();
+    for row in sides.rows::<Calibration>("calibration")? {
+        let rig = sessions
+            .entry((row.site.clone(), row.session.clone()))
+            .or_default();
+        rig.calibrations
+            .entry(frame(&row.camera).to_owned())
+            .or_default()
+            .push(Arc::new(row));
+    }
+    for row in sides.rows::<Transform>("transforms")? {
+        if row.fixed {
+            let rig = sessions
+                .entry((row.site.clone(), row.session.clone()))
+                .or_default();
+            rig.mount(row);
+        }
+    }
+    sessions.values_mut().for_each(Rig::order);
+    Ok(sessions)
+}
+
+/// One session's cameras, and how they are mounted.
+#[derive(Default)]
+pub(super) struct Rig {
+    /// By camera, by stamp.
+    calibrations: BTreeMap<String, Vec<Arc<Calibration>>>,
+    /// Stamp, parent and `parent_from_child` by child; the latest of several.
+    mounts: BTreeMap<String, (Stamp, String, Pose)>,
+}
+
+impl Rig {
+    fn mount(&mut self, row: Transform) {
+        let Ok(parent_from_child) = Pose::from_array(row.parent_from_child.to_array()) else {
+            return;
+        };
+        let (child, parent) = (frame(&row.child), frame(&row.parent).to_owned());
+        let known = self.mounts.get(child);
+        if known.is_none_or(|(stamp, other, _)| (row.stamp, &parent) >= (*stamp, other)) {
+            self.mounts
+                .insert(child.to_owned(), (row.stamp, parent, parent_from_child));
+        }
+    }
+
+    fn order(&mut self) {
+        for of_camera in self.calibrations.values_mut() {
+            of_camera.sort_by_key(|calibration| calibration.stamp);
+        }
+    }
+
+    /// The calibration that holds at an instant: the latest that is not after it, else the first.
+    pub(super) fn calibration(&self, camera: &str, stamp: Stamp) -> Option<&Arc<Calibration>> {
+        let of_camera = self.calibrations.get(camera)?;
+        let after = of_camera.partition_point(|calibration| calibration.stamp <= stamp);
+        of_camera.get(after.saturating_sub(1))
+    }
+
+    /// A frame and its ancestors, each with its own pose: `(ancestor, ancestor_from_frame)`.
+    fn ancestors<'a>(&'a self, start: &'a str) -> Vec<(&'a str, Pose)> {
+        let mut chain = vec![(start, Pose::identity())];
+        while let Some((child, child_from_start)) = chain.last()
+            && chain.len() <= self.mounts.len()
+            && let Some((_, parent, parent_from_child)) = self.mounts.get(*child)
+        {
+            chain.push((parent, parent_from_child.compose(child_from_start)));
+        }
+        chain
+    }
+
+    /// Through the nearest common ancestor of the two frames.
+    pub(super) fn vehicle_from_camera(&self, vehicle: &str, camera: &str) -> Option<Pose> {
+        let of_vehicle = self.ancestors(vehicle);
+        self.ancestors(camera)
+            .into_iter()
+            .find_map(|(ancestor, ancestor_from_camera)| {
+                let (_, ancestor_from_vehicle) =
+                    of_vehicle.iter().find(|(name, _)| *name == ancestor)?;
+                Some(
+                    ancestor_from_vehicle
+                        .inverse()
+                        .compose(&ancestor_from_camera),
+                )
+            })
+    }
+}
