@@ -7,6 +7,7 @@
 
 use super::explore::Chain;
 use super::graph::Graph;
+use super::thinning::Visit;
 use std::collections::HashMap;
 
 /// Metres driven along a lane and against it, over all drives.
@@ -16,19 +17,19 @@ pub(super) struct Driven {
     pub(super) reverse_m: f64,
 }
 
-/// For each chain, how far it was driven each way.
+/// For each of the lanes, how far it was driven each way.
 pub(super) fn replay(
     graph: &Graph,
-    chains: &[Chain],
-    drives: &[Vec<u32>],
+    lanes: usize,
+    steps: &Steps,
+    drives: &[Vec<Visit>],
     turn_m: f64,
 ) -> Vec<Driven> {
-    let steps = steps(graph, chains);
-    let mut driven = vec![Driven::default(); chains.len()];
+    let mut driven = vec![Driven::default(); lanes];
     for drive in drives {
         let mut run: Option<Run> = None;
         let mut before: Option<u32> = None;
-        for node in drive.iter().map(|&node| graph.standing_for(node)) {
+        for node in drive.iter().map(|visit| graph.standing_for(visit.node)) {
             let Some(from) = before.replace(node).filter(|&from| from != node) else {
                 continue;
             };
@@ -54,7 +55,10 @@ pub(super) fn replay(
 }
 
 /// Directed edge to lane and signed length. (Looked up only, never listed.)
-fn steps(graph: &Graph, chains: &[Chain]) -> HashMap<(u32, u32), (usize, f64)> {
+pub(super) type Steps = HashMap<(u32, u32), (usize, f64)>;
+
+/// The steps of all lanes.
+pub(super) fn steps(graph: &Graph, chains: &[Chain]) -> Steps {
     let mut steps = HashMap::new();
     for (lane, chain) in chains.iter().enumerate() {
         for pair in chain.nodes.windows(2) {

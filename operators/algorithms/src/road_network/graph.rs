@@ -1,7 +1,7 @@
 //! The adjacency of Algorithm 1, and its first half: who is connected to whom.
 
 use super::cells::{CellIndex, distance};
-use super::thinning::Visits;
+use super::thinning::{Visit, Visits};
 
 /// Nodes with positions and symmetric, sorted neighbour lists; removed nodes know who took over.
 pub(super) struct Graph {
@@ -89,7 +89,7 @@ pub(super) fn connect(
     visits: Visits,
     connect_m: f64,
     most_followers: usize,
-) -> (Graph, Vec<Vec<u32>>) {
+) -> (Graph, Vec<Vec<Visit>>) {
     let Visits { nodes, drives } = visits;
     let followed = followers(&nodes, &drives, connect_m, most_followers);
     let mut graph = Graph::new(nodes);
@@ -108,7 +108,7 @@ pub(super) fn connect(
     }
     for drive in &drives {
         for pair in drive.windows(2) {
-            graph.connect(pair[0], pair[1]);
+            graph.connect(pair[0].node, pair[1].node);
         }
     }
     (graph, drives)
@@ -118,18 +118,20 @@ pub(super) fn connect(
 /// radius in between: sorted, without repeats. Looks at `most` visits ahead.
 fn followers(
     nodes: &[[f64; 3]],
-    drives: &[Vec<u32>],
+    drives: &[Vec<Visit>],
     connect_m: f64,
     most: usize,
 ) -> Vec<(u32, u32)> {
     let mut pairs = Vec::new();
     for drive in drives {
         let mut sorted_until = pairs.len();
-        for (k, &from) in drive.iter().enumerate() {
-            let within =
-                |to: &&u32| distance(&nodes[from as usize], &nodes[**to as usize]) <= connect_m;
+        for (k, from) in drive.iter().enumerate() {
+            let from = from.node;
+            let within = |to: &&Visit| {
+                distance(&nodes[from as usize], &nodes[to.node as usize]) <= connect_m
+            };
             let after = drive[k + 1..].iter().take_while(within).take(most);
-            pairs.extend(after.map(|&to| (from.min(to), from.max(to))));
+            pairs.extend(after.map(|to| (from.min(to.node), from.max(to.node))));
             // A drive that goes round and round says the same again and again.
             if pairs.len() > 2 * sorted_until.max(1 << 16) {
                 pairs.sort_unstable();

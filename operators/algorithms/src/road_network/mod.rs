@@ -5,7 +5,7 @@
 //! left; the skeleton's chains are lanes and its branch points intersections.
 //!
 //! ```text
-//! drives ─▶ thinning ─▶ graph ─▶ prune ─▶ explore ─▶ direction ─▶ lanes, intersections
+//! drives ─▶ thinning ─▶ graph ─▶ prune ─▶ explore ─▶ direction, attribution ─▶ lanes, intersections
 //!           (ours)      Alg. 1   Alg. 1   Alg. 2     (ours)
 //! ```
 //!
@@ -25,6 +25,7 @@
 //! Pruning goes on until no clique is left, which takes a few rounds; the paper's P is a
 //! parameter.
 
+mod attribution;
 mod cells;
 mod cliques;
 mod direction;
@@ -145,6 +146,17 @@ pub enum Travel {
     Unknown,
 }
 
+/// The part of a drive that passed along a lane. It may have left the lane in between.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Passage {
+    /// The drive's key.
+    pub drive: String,
+    /// First of its positions on the lane, as counted in [`Drive::positions`].
+    pub first: usize,
+    /// Last of its positions on the lane; never before `first`.
+    pub last: usize,
+}
+
 /// A lane: a chain of places between two ends.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lane {
@@ -162,6 +174,9 @@ pub struct Lane {
     pub reverse_passes: u32,
     /// Length of the points' polyline, metres.
     pub length_m: f64,
+    /// The drives that the lane was made from, in the order of their keys; at least one. A lane
+    /// that no drive followed has those that came by its ends.
+    pub passages: Vec<Passage>,
 }
 
 /// A place where more than two lane ends meet.
@@ -203,12 +218,19 @@ pub fn road_network(
     };
     prune(&mut graph, params);
     let chains = explore::chains(&graph);
-    let driven = direction::replay(&graph, &chains, &visited, params.connect_m);
+    let steps = direction::steps(&graph, &chains);
+    let driven = direction::replay(&graph, chains.len(), &steps, &visited, params.connect_m);
+    let keys: Vec<&str> = sorted.iter().map(|drive| drive.key).collect();
+    let passages = attribution::passages(&graph, &chains, &steps, &visited, &keys);
     let names = Names::new(&graph);
     let lanes = chains
         .iter()
         .zip(driven)
-        .map(|(chain, driven)| lane(&graph, &names, chain, driven));
+        .zip(passages)
+        .map(|((chain, driven), passages)| Lane {
+            passages,
+            ..lane(&graph, &names, chain, driven)
+        });
     Ok(RoadNetwork {
         lanes: lanes.collect(),
         intersections: intersections(&graph, &names),
@@ -323,6 +345,7 @@ fn lane(graph: &Graph, names: &Names, chain: &Chain, driven: direction::Driven) 
         forward_passes,
         reverse_passes,
         length_m,
+        passages: Vec::new(),
     }
 }
 

@@ -241,6 +241,7 @@ proptest! {
         let [first, second, third] = drives;
         prop_assert_eq!(&road_network(&[third, first, second], &params).unwrap(), &found);
         let driven: Vec<[f64; 3]> = [&a, &b, &c].into_iter().flat_map(|d| dense(d, 0.1)).collect();
+        attribution::check(&found, &[("a", &a), ("b", &b), ("c", &c)]);
         for point in found.lanes.iter().flat_map(|lane| &lane.points) {
             let off = driven.iter().map(|p| cells::distance(p, point)).fold(f64::INFINITY, f64::min);
             prop_assert!(off < 0.1);
@@ -251,4 +252,5 @@ proptest! {
     }
 }
 
+mod attribution;
 mod real;

@@ -26,10 +26,38 @@ const LONGEST_FILLED_STEP: f64 = 64.0;
 /// Samples per spacing along the path.
 const SAMPLES_PER_SPACING: f64 = 2.0;
 
+/// A drive at one node, and the poses that its samples there are, or lie between; as counted in
+/// [`Drive::positions`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Visit {
+    pub(super) node: u32,
+    /// The first pose of all samples.
+    pub(super) first: u32,
+    /// The last pose of the first sample: it had arrived.
+    pub(super) arrived: u32,
+    /// The first pose of the last sample: it had not left.
+    pub(super) leaving: u32,
+    /// The last pose of all samples.
+    pub(super) last: u32,
+}
+
+impl Visit {
+    /// One sample between two poses, which are the same if it is a pose.
+    fn new(node: u32, first: u32, last: u32) -> Self {
+        Self {
+            node,
+            first,
+            arrived: last,
+            leaving: first,
+            last,
+        }
+    }
+}
+
 /// Nodes and, for every drive, the nodes it visits in order (no node twice in a row).
 pub(super) struct Visits {
     pub(super) nodes: Vec<[f64; 3]>,
-    pub(super) drives: Vec<Vec<u32>>,
+    pub(super) drives: Vec<Vec<Visit>>,
 }
 
 /// Every pose is a node, as in the paper.
@@ -39,13 +67,14 @@ pub(super) fn literal(drives: &[Drive<'_>]) -> Visits {
         drives: Vec::new(),
     };
     for drive in drives {
-        let first = visits.nodes.len() as u32;
-        visits
-            .nodes
-            .extend(drive.positions.iter().filter(|p| finite(p)));
-        visits
-            .drives
-            .push((first..visits.nodes.len() as u32).collect());
+        let poses = (0_u32..).zip(drive.positions);
+        let visited = poses.filter(|(_, position)| finite(position));
+        let visited = visited.map(|(at, position)| {
+            visits.nodes.push(*position);
+            Visit::new(visits.nodes.len() as u32 - 1, at, at)
+        });
+        let visited = visited.collect();
+        visits.drives.push(visited);
     }
     visits
 }
@@ -63,12 +92,15 @@ pub(super) fn thinned(drives: &[Drive<'_>], spacing_m: f64, connect_m: f64) -> V
     let drives = drives
         .iter()
         .map(|drive| {
-            let mut visited: Vec<u32> = Vec::new();
+            let mut visited: Vec<Visit> = Vec::new();
             net.fresh.clear();
-            resample(drive.positions, spacing_m, |sample| {
-                let id = net.lay(sample);
-                if visited.last() != Some(&id) {
-                    visited.push(id);
+            resample(drive.positions, spacing_m, |sample, first, last| {
+                let node = net.lay(sample);
+                match visited.last_mut() {
+                    Some(visit) if visit.node == node => {
+                        (visit.leaving, visit.last) = (first, last)
+                    }
+                    _ => visited.push(Visit::new(node, first, last)),
                 }
             });
             visited
@@ -130,21 +162,23 @@ fn finite(position: &[f64; 3]) -> bool {
     position.iter().all(|x| x.is_finite())
 }
 
-/// The drive's poses, with samples between those that are far apart.
-fn resample(positions: &[[f64; 3]], spacing_m: f64, mut sample: impl FnMut([f64; 3])) {
-    let mut before: Option<[f64; 3]> = None;
-    for position in positions.iter().filter(|p| finite(p)) {
-        if let Some(from) = before {
+/// The drive's poses, with samples between those that are far apart; each sample with the numbers
+/// of the poses that it lies between, which for a pose are its own.
+fn resample(positions: &[[f64; 3]], spacing_m: f64, mut sample: impl FnMut([f64; 3], u32, u32)) {
+    let mut before: Option<(u32, [f64; 3])> = None;
+    for (at, position) in (0_u32..).zip(positions).filter(|(_, p)| finite(p)) {
+        if let Some((left, from)) = before {
             let spacings = distance(&from, position) / spacing_m;
             if spacings <= LONGEST_FILLED_STEP {
                 let parts = (spacings * SAMPLES_PER_SPACING).ceil();
                 for part in 1..parts as u32 {
                     let t = f64::from(part) / parts;
-                    sample([0, 1, 2].map(|k| from[k] + t * (position[k] - from[k])));
+                    let between = [0, 1, 2].map(|k| from[k] + t * (position[k] - from[k]));
+                    sample(between, left, at);
                 }
             }
         }
-        sample(*position);
-        before = Some(*position);
+        sample(*position, at, at);
+        before = Some((at, *position));
     }
 }

@@ -83,6 +83,36 @@ fn nearest(to: &[f64; 3], among: impl Iterator<Item = [f64; 3]>) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
+/// Poses that are clearly on one lane, by geometry alone, lie in its passage.
+fn check_passages(path: &[[f64; 3]], found: &RoadNetwork) {
+    let mut clear = 0;
+    for (at, p) in path.iter().enumerate() {
+        let mut lanes: Vec<(f64, &Lane)> = found
+            .lanes
+            .iter()
+            .map(|lane| (off_line(p, &lane.points), lane))
+            .collect();
+        lanes.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let next = lanes.get(1).map_or(f64::INFINITY, |next| next.0);
+        if lanes[0].0 > 1.0 || next < 10.0 {
+            continue;
+        }
+        let passage = &lanes[0].1.passages[0];
+        assert!(
+            (passage.first..=passage.last).contains(&at),
+            "pose {at} at {p:?}: {passage:?}"
+        );
+        clear += 1;
+    }
+    assert!(2 * clear > path.len(), "{clear} of {}", path.len());
+    for lane in &found.lanes {
+        for at in [lane.passages[0].first, lane.passages[0].last] {
+            let off = off_line(&path[at], &lane.points);
+            assert!(off < 6.0, "pose {at} is {off} m from its lane");
+        }
+    }
+}
+
 fn check_kitti(name: &str, intersections: usize) {
     let Some(path) = kitti(name) else { return };
     let found = network(std::slice::from_ref(&path), &RoadNetworkParams::default());
@@ -105,6 +135,8 @@ fn check_kitti(name: &str, intersections: usize) {
             .fold(f64::INFINITY, f64::min);
         assert!(off < 4.0, "{name}: driven at {p:?}, {off} m from any lane");
     }
+    attribution::check(&found, &[("drive_00000", &path)]);
+    check_passages(&path, &found);
     let truth = meetings(&path);
     assert!(!truth.ends.is_empty());
     for end in &truth.ends {
@@ -191,6 +223,12 @@ fn car_park_lanes_follow_the_aisles() {
         (3, 2),
         "{found:#?}"
     );
+    let named = ["drive_00000", "drive_00001", "drive_00002"];
+    let named: Vec<(&str, &[[f64; 3]])> = named
+        .into_iter()
+        .zip(drives.iter().map(Vec::as_slice))
+        .collect();
+    attribution::check(&found, &named);
     let mut points: Vec<[f64; 3]> = found
         .lanes
         .iter()
