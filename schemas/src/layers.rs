@@ -1,6 +1,54 @@
 //! The map's layers: what operators yield, and what SQL users read.
 
+use std::collections::BTreeMap;
+
 use crate::{Bytes, ImageRef, LayerRow, Pose, Stamp, Wkb, record};
+
+record! {
+    /// The part of a session that a row was made from. It may have gone elsewhere in between.
+    pub struct Source {
+        /// The session.
+        session: String,
+        /// Stamp of the first row of the session that counted.
+        first_stamp: Stamp ["ns"],
+        /// Stamp of the last row of the session that counted; never before the first.
+        last_stamp: Stamp ["ns"],
+    }
+}
+
+/// Sources of one row while they are gathered: what comes out depends neither on order nor on grouping.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Sources(BTreeMap<String, (Stamp, Stamp)>);
+
+impl Sources {
+    /// The part of a session from one stamp to another, in either order, counted in.
+    pub fn add(&mut self, session: &str, one: Stamp, other: Stamp) {
+        let (first, last) = (one.min(other), one.max(other));
+        if let Some(part) = self.0.get_mut(session) {
+            *part = (part.0.min(first), part.1.max(last));
+        } else {
+            self.0.insert(session.to_owned(), (first, last));
+        }
+    }
+
+    /// The parts so far, ordered by session.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = (&str, Stamp, Stamp)> {
+        let parts = self.0.iter();
+        parts.map(|(session, (first, last))| (session.as_str(), *first, *last))
+    }
+
+    /// The column's value, ordered by session.
+    pub fn into_rows(self) -> Vec<Source> {
+        let parts = self.0.into_iter();
+        parts
+            .map(|(session, (first_stamp, last_stamp))| Source {
+                session,
+                first_stamp,
+                last_stamp,
+            })
+            .collect()
+    }
+}
 
 record! {
     /// One camera's image within a keyframe.
@@ -136,6 +184,8 @@ record! {
         mean_weight: f64,
         /// The tile as a grey PNG with alpha (0 where nothing was seen); the first row is the northernmost.
         png: Bytes,
+        /// What it shows: per session, from the first to the last image that added to it; ordered by session.
+        sources: Vec<Source>,
         /// Footprint of the tile, in the map.
         geometry: Wkb ["m", "map"],
     }
@@ -174,6 +224,9 @@ record! {
         length_m: f64 ["m"],
         /// The centre line, from start to end.
         points: Vec<[f64; 3]> ["m", "map"],
+        /// Who drove it: per session, from the first to the last pose on it; ordered by session. For a lane that only
+        /// joins places near each other, who came by its ends.
+        sources: Vec<Source>,
         /// The centre line as a line string.
         geometry: Wkb ["m", "map"],
     }
@@ -201,6 +254,8 @@ record! {
         y: f64 ["m", "map"],
         /// Where it is.
         z: f64 ["m", "map"],
+        /// Sources of the lanes that meet here, joined; ordered by session.
+        sources: Vec<Source>,
         /// Where it is, as a point.
         geometry: Wkb ["m", "map"],
     }
@@ -230,4 +285,42 @@ pub fn all() -> Vec<crate::Layer> {
     ];
     layers.sort_by_key(|layer| layer.name);
     layers
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::{batch, rows};
+
+    #[test]
+    fn sources_are_one_part_per_session_in_any_order() {
+        let parts = [("b", 5, 9), ("a", 7, 7), ("b", 2, 3), ("a", 8, 6)];
+        let gathered = |order: &[usize]| {
+            let mut sources = Sources::default();
+            for (session, one, other) in order.iter().map(|at| parts[*at]) {
+                sources.add(session, Stamp(one), Stamp(other));
+            }
+            sources
+        };
+        let found = gathered(&[0, 1, 2, 3]);
+        assert_eq!(found, gathered(&[3, 2, 0, 1]));
+        let listed: Vec<_> = found.iter().collect();
+        assert_eq!(
+            listed,
+            [("a", Stamp(6), Stamp(8)), ("b", Stamp(2), Stamp(9))]
+        );
+        let place = Intersection {
+            site: "lot".into(),
+            node: 1,
+            degree: 3,
+            x: 0.0,
+            y: 0.0,
+            z: 0.0,
+            sources: found.into_rows(),
+            geometry: Wkb::point([0.0; 3]),
+        };
+        let columns = batch(vec![place.clone()]).unwrap();
+        assert_eq!(rows::<Intersection>(&columns).unwrap(), [place]);
+    }
 }

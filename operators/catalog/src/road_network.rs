@@ -1,11 +1,11 @@
 #![doc = include_str!("road_network.md")]
 
 use evermap_algorithms::road_network::{
-    Drive, EndKind, RoadNetworkParams as Lengths, Travel, road_network,
+    Drive, EndKind, Passage, RoadNetworkParams as Lengths, Travel, road_network,
 };
 use evermap_contract::{Emit, Fault, Grain, Kernel, Operator, Port, group_whole};
-use evermap_schemas::Wkb;
-use evermap_schemas::layers::{Lane, VehiclePose};
+use evermap_schemas::layers::{Lane, Source, Sources, VehiclePose};
+use evermap_schemas::{Stamp, Wkb};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -78,12 +78,8 @@ fn lanes(poses: Vec<VehiclePose>, lengths: &Lengths, emit: &mut Emit<'_>) -> Res
         return Ok(());
     };
     let drives = drives(poses, emit);
-    let drives: Vec<Drive<'_>> = drives
-        .iter()
-        .map(|(key, positions)| Drive { key, positions })
-        .collect();
-    let network =
-        road_network(&drives, lengths).map_err(|error| Fault::data(error.to_string()))?;
+    let driven: Vec<Drive<'_>> = drives.iter().map(Session::drive).collect();
+    let network = road_network(&driven, lengths).map_err(|error| Fault::data(error.to_string()))?;
     let lanes = network.lanes.into_iter().zip(0_u32..);
     emit.rows(
         lanes
@@ -98,6 +94,7 @@ fn lanes(poses: Vec<VehiclePose>, lengths: &Lengths, emit: &mut Emit<'_>) -> Res
                 forward_passes: lane.forward_passes,
                 backward_passes: lane.reverse_passes,
                 length_m: lane.length_m,
+                sources: sources(&lane.passages, &drives),
                 geometry: Wkb::line_string(&lane.points),
                 points: lane.points,
             })
@@ -105,22 +102,64 @@ fn lanes(poses: Vec<VehiclePose>, lengths: &Lengths, emit: &mut Emit<'_>) -> Res
     )
 }
 
-/// Positions by session, in the order driven.
-fn drives(mut poses: Vec<VehiclePose>, emit: &mut Emit<'_>) -> Vec<(String, Vec<[f64; 3]>)> {
+/// A session's positions in the order driven, each with its stamp.
+struct Session {
+    name: String,
+    positions: Vec<[f64; 3]>,
+    stamps: Vec<Stamp>,
+}
+
+impl Session {
+    fn drive(&self) -> Drive<'_> {
+        Drive {
+            key: &self.name,
+            positions: &self.positions,
+        }
+    }
+}
+
+/// The sessions, ordered by name.
+fn drives(mut poses: Vec<VehiclePose>, emit: &mut Emit<'_>) -> Vec<Session> {
     poses.sort_by(|a, b| (&a.session, a.stamp).cmp(&(&b.session, b.stamp)));
-    let mut drives: Vec<(String, Vec<[f64; 3]>)> = Vec::new();
-    for VehiclePose { session, map_from_vehicle: pose, .. } in poses {
+    let mut drives: Vec<Session> = Vec::new();
+    for VehiclePose {
+        session,
+        stamp,
+        map_from_vehicle: pose,
+        ..
+    } in poses
+    {
         let position = [pose.x, pose.y, pose.z];
         if position.iter().any(|coordinate| !coordinate.is_finite()) {
             emit.skip("position is not finite", 1);
             continue;
         }
         match drives.last_mut() {
-            Some((last, positions)) if *last == session => positions.push(position),
-            _ => drives.push((session, vec![position])),
+            Some(last) if last.name == session => {
+                last.positions.push(position);
+                last.stamps.push(stamp);
+            }
+            _ => drives.push(Session {
+                name: session,
+                positions: vec![position],
+                stamps: vec![stamp],
+            }),
         }
     }
     drives
+}
+
+/// Passages by stamp instead of by pose.
+fn sources(passages: &[Passage], drives: &[Session]) -> Vec<Source> {
+    let mut sources = Sources::default();
+    for passage in passages {
+        let at = drives.binary_search_by(|drive| drive.name.cmp(&passage.drive));
+        let stamps = at.map_or(&[][..], |at| &drives[at].stamps);
+        if let (Some(first), Some(last)) = (stamps.get(passage.first), stamps.get(passage.last)) {
+            sources.add(&passage.drive, *first, *last);
+        }
+    }
+    sources.into_rows()
 }
 
 fn kind(kind: EndKind) -> &'static str {

@@ -1,10 +1,12 @@
 //! Images to patches to tiles, compared with the floor that was photographed.
 
+use std::collections::BTreeMap;
+
 use evermap_algorithms::pose::Pose;
 use evermap_contract::Losses;
 use evermap_contract::laws::{Split, inputs_of, run};
 use evermap_schemas::layers::{GroundPatch, OverheadTile};
-use evermap_schemas::{Bytes, batch};
+use evermap_schemas::{Bytes, Stamp, batch};
 use evermap_vision::Decoder;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde_json::json;
@@ -107,6 +109,44 @@ fn the_mosaic_is_the_floor() {
             .iter()
             .any(|tile| tile.zoom == 1 && tile.cell_m == 2.0 * CELL_M)
     );
+}
+
+#[test]
+fn a_tile_names_the_images_that_it_shows() {
+    let mut patches = floor_patches();
+    for (patch, session) in patches.iter_mut().zip(["b", "a"].iter().cycle()) {
+        patch.session = (*session).into();
+    }
+    let inputs = [inputs_of("patches", patches.clone()).unwrap()];
+    let (tiles, _) = yields::<OverheadTile>("overhead_tiles", json!({ "zooms": 1 }), inputs);
+    assert!(tiles.len() > 1);
+    let side = 256;
+    for tile in tiles {
+        let mut expected: BTreeMap<&str, (Stamp, Stamp)> = BTreeMap::new();
+        for patch in &patches {
+            let shows = |at: usize| {
+                let (column, row) = (
+                    at as i32 % patch.width as i32,
+                    at as i32 / patch.width as i32,
+                );
+                (patch.column + column).div_euclid(side) == tile.tile_x
+                    && (patch.row + row).div_euclid(side) == tile.tile_y
+            };
+            let weights = patch.weights.0.iter().enumerate();
+            if weights
+                .filter(|(_, weight)| **weight > 0)
+                .any(|(at, _)| shows(at))
+            {
+                let part = expected
+                    .entry(&patch.session)
+                    .or_insert((patch.stamp, patch.stamp));
+                *part = (part.0.min(patch.stamp), part.1.max(patch.stamp));
+            }
+        }
+        let found = tile.sources.iter();
+        let found = found.map(|part| (&*part.session, (part.first_stamp, part.last_stamp)));
+        assert_eq!(found.collect::<Vec<_>>(), Vec::from_iter(expected));
+    }
 }
 
 #[test]

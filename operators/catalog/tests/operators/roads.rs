@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use evermap_contract::Losses;
 use evermap_contract::laws::inputs_of;
-use evermap_schemas::layers::{Intersection, Lane, VehiclePose};
+use evermap_schemas::layers::{Intersection, Lane, Source, VehiclePose};
 use evermap_schemas::{Pose, Stamp};
 use serde_json::json;
 
@@ -20,6 +20,14 @@ fn pose(session: &str, stamp: i64, x: f64, y: f64) -> VehiclePose {
             y,
             ..Pose::IDENTITY
         },
+    }
+}
+
+fn source(session: &str, first: i64, last: i64) -> Source {
+    Source {
+        session: session.into(),
+        first_stamp: Stamp(first),
+        last_stamp: Stamp(last),
     }
 }
 
@@ -53,10 +61,26 @@ fn two_streets_that_cross_have_four_lanes_and_one_intersection() {
     let (found, losses) = lanes(crossing());
     assert!(losses.is_empty());
     assert_eq!(found.len(), 4, "{found:?}");
+    for lane in &found {
+        let along_x = lane.points[0][0] != lane.points[lane.points.len() - 1][0];
+        let session = if along_x { "east" } else { "north" };
+        let [only] = lane.sources.as_slice() else {
+            panic!("{lane:?}");
+        };
+        // Either arm is half of the drive: stamps 0 to 40, or 40 to 80, but for the junction's width.
+        assert_eq!(only.session, session);
+        let (first, last) = (only.first_stamp.0, only.last_stamp.0);
+        assert!(
+            (first == 0 && (35..46).contains(&last)) || (last == 80 && (35..46).contains(&first)),
+            "{lane:?}"
+        );
+    }
     let places = intersections(found);
     assert_eq!(places.len(), 1, "{places:?}");
     assert_eq!(places[0].degree, 4);
     assert!(places[0].x.hypot(places[0].y) < 1.0);
+    let whole = |session: &str| source(session, 0, 80);
+    assert_eq!(places[0].sources, [whole("east"), whole("north")]);
 }
 
 #[test]
@@ -68,6 +92,14 @@ fn the_order_of_sessions_and_nonsense_do_not_matter() {
     let (found, losses) = lanes(poses);
     assert_eq!(found, expected);
     assert_eq!(losses.0["position is not finite"], 1);
+    let mut straight: Vec<_> = (0..9)
+        .map(|at| pose("a", at * 10, at as f64, 0.0))
+        .collect();
+    straight.insert(0, pose("a", -5, f64::NAN, 0.0));
+    straight.insert(4, pose("a", 25, 0.0, f64::INFINITY));
+    let (found, losses) = lanes(straight);
+    assert_eq!(losses.total(), 2);
+    assert_eq!(found[0].sources, [source("a", 0, 80)]);
     let (found, _) = lanes(vec![pose("a", 0, 1.0, 1.0)]);
     assert!(found.is_empty(), "{found:?}");
     let standing = (0..50).map(|stamp| pose("a", stamp, 1.0, 1.0)).collect();
@@ -127,6 +159,20 @@ fn a_real_drive_stays_on_its_lanes() {
     };
     let (found, losses) = lanes(poses.clone());
     assert!(losses.is_empty() && !found.is_empty());
+    for lane in &found {
+        let [part] = lane.sources.as_slice() else {
+            panic!("{lane:?}");
+        };
+        assert!(part.session == "07" && part.first_stamp < part.last_stamp);
+        for stamp in [part.first_stamp, part.last_stamp] {
+            let at = &poses[stamp.0 as usize].map_from_vehicle;
+            let away = lane.points.iter().map(|p| (p[0] - at.x).hypot(p[1] - at.y));
+            assert!(
+                away.fold(f64::INFINITY, f64::min) < 6.0,
+                "{stamp:?} {lane:?}"
+            );
+        }
+    }
     for point in found.iter().flat_map(|lane| &lane.points) {
         let nearest = poses.iter().map(|pose| {
             (pose.map_from_vehicle.x - point[0]).hypot(pose.map_from_vehicle.y - point[1])
@@ -135,5 +181,6 @@ fn a_real_drive_stays_on_its_lanes() {
     }
     for place in intersections(found) {
         assert!(place.degree > 2, "{place:?}");
+        assert_eq!(place.sources.len(), 1);
     }
 }
