@@ -38,6 +38,9 @@ use crate::unit::{Artifact, Unit};
 /// Rows per batch where rows carry bytes by the hundred kilobytes.
 const HEAVY_BATCH_ROWS: usize = 64;
 
+/// Decompressed chunks that one unit keeps at hand for the images in them.
+const IMAGE_CACHE_BYTES: u64 = 64 << 20;
+
 /// How much of a table a reader wants.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Want {
@@ -100,7 +103,7 @@ impl<'a> Builder<'a> {
         }
         let reader = dataset
             .as_ref()
-            .map(|dataset| Arc::new(ImageReader::new(dataset)));
+            .map(|dataset| Arc::new(ImageReader::new(dataset, IMAGE_CACHE_BYTES)));
         Ok(Self {
             unit,
             store,

@@ -167,12 +167,11 @@ impl Wave {
                 reason = fault;
             }
         }
-        for (index, unit) in missing {
+        for (index, _) in missing {
             let fault = Fault::new(
                 reason.kind,
                 format!("{}, after {ATTEMPTS} attempts", reason.message),
             )
-            .at(unit.label())
             .next("look at the executors' logs, then run again: what was computed is kept");
             let _ = self.outcomes.send((index, Err(fault)));
         }
@@ -267,8 +266,11 @@ async fn submit(
     let codec = UnitCodec::new(registry.clone());
     let session = uuid::Uuid::new_v4().to_string();
     let config = session_config(&registry);
+    let lost = |error: DataFusionError| {
+        cluster_fault(error.find_root(), &format!("the cluster of {scheduler}"))
+    };
     let stream = execute_physical_plan::<PhysicalPlanNode>(
-        scheduler,
+        scheduler.clone(),
         &BallistaConfig::default(),
         plan,
         &codec,
@@ -276,11 +278,8 @@ async fn submit(
         config,
     )
     .await
-    .map_err(|error| fault_of(&error))?;
-    let batches: Vec<RecordBatch> = stream
-        .try_collect()
-        .await
-        .map_err(|error| fault_of(&error))?;
+    .map_err(lost)?;
+    let batches: Vec<RecordBatch> = stream.try_collect().await.map_err(lost)?;
     let mut faults = Vec::new();
     for batch in &batches {
         let (rows, texts) = (
