@@ -26,6 +26,8 @@ pub enum Reason {
     UnknownChannel,
     /// A message whose payload does not fit its schema.
     Undecodable,
+    /// A message that fits its schema but makes no sense: a quaternion of length 0, a pose that is not a number.
+    Senseless,
     /// An attachment or metadata record that does not match its checksum, or cannot be parsed.
     BadAttachment,
 }
@@ -41,6 +43,7 @@ impl Reason {
             Reason::BadIndex => "chunks that are not where the index says",
             Reason::UnknownChannel => "messages of channels that are described nowhere",
             Reason::Undecodable => "messages that do not fit their schema",
+            Reason::Senseless => "messages whose values make no sense",
             Reason::BadAttachment => "damaged attachments or metadata",
         }
     }

@@ -180,6 +180,17 @@ impl Roles {
         (roles, notes)
     }
 
+    /// The topics of a role, by the role's name.
+    pub fn topics(&self, role: &str) -> &[String] {
+        match role {
+            "frames" => &self.frames,
+            "odometry" => self.odometry.as_slice(),
+            "calibration" => &self.calibration,
+            "transforms" => &self.transforms,
+            _ => &[],
+        }
+    }
+
     /// Roles from a manifest; what it leaves out is inferred.
     ///
     /// # Errors

@@ -2,6 +2,7 @@
 
 pub mod chunk;
 pub mod index;
+pub mod inspect;
 mod linear;
 pub mod record;
 mod summary;

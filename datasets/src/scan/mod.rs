@@ -23,9 +23,15 @@ mod whole;
 pub use format::McapFormat;
 pub use rows::{MessageAt, RowBuilder};
 pub use source::McapSource;
-pub use table::{LogTable, McapTable};
+pub use table::{FaultyTable, LogTable, McapTable};
 pub use topic::topic_schema;
 
+
+pub(crate) use plan::Wanted;
+pub(crate) use stream::{Job, stream};
+pub(crate) use table::scan_parts;
+pub(crate) use topic::timestamp;
+pub(crate) use whole::{append_map, text_map_builder, text_map_type};
 
 use datafusion::error::DataFusionError;
 use evermap_schemas::Fault;

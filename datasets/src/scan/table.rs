@@ -20,18 +20,16 @@ use evermap_schemas::Fault;
 
 use crate::log::index::{LogIndex, Unit};
 use crate::losses::LossLedger;
+use crate::roles::RoleScan;
 use crate::scan::external;
 use crate::scan::rows::RowBuilder;
 use crate::scan::source::McapSource;
-use crate::scan::topic::{TopicRows, topic_schema};
+use crate::scan::topic::{TopicRows, head_fields, topic_schema};
 use crate::scan::whole::{
     AttachmentRows, MessageRows, MetadataRows, attachments_schema, messages_schema,
     metadata_schema,
 };
 use crate::session::LogPart;
-
-/// Names of the role tables.
-pub(crate) const ROLE_TABLES: [&str; 4] = ["calibration", "frames", "odometry", "transforms"];
 
 /// Which table a scan of MCAP files yields.
 #[derive(Debug, Clone)]
@@ -44,6 +42,8 @@ pub enum LogTable {
     Attachments,
     /// Metadata records.
     Metadata,
+    /// A role: frames, odometry, calibration or transforms.
+    Role(RoleScan),
 }
 
 impl LogTable {
@@ -54,6 +54,7 @@ impl LogTable {
             LogTable::Messages => "messages",
             LogTable::Attachments => "attachments",
             LogTable::Metadata => "metadata",
+            LogTable::Role(scan) => scan.role.name(),
         }
     }
 
@@ -67,6 +68,7 @@ impl LogTable {
             LogTable::Messages => Ok(messages_schema()),
             LogTable::Attachments => Ok(attachments_schema()),
             LogTable::Metadata => Ok(metadata_schema()),
+            LogTable::Role(scan) => Ok(scan.role.layer().schema()),
         }
     }
 
@@ -99,6 +101,7 @@ impl LogTable {
             LogTable::Messages => Box::new(MessageRows::new(part, projection)),
             LogTable::Attachments => Box::new(AttachmentRows::new(part, projection)),
             LogTable::Metadata => Box::new(MetadataRows::new(part, projection)),
+            LogTable::Role(scan) => scan.rows(part, projection)?,
         })
     }
 }
@@ -163,32 +166,86 @@ impl TableProvider for McapTable {
         _filters: &[Expr],
         limit: Option<usize>,
     ) -> Result<Arc<dyn ExecutionPlan>> {
-        let schema = TableSchema::from(self.schema.clone());
-        let pool = state.runtime_env().memory_pool.clone();
-        let source = McapSource::new(self.table.clone(), schema, self.losses.clone());
-        let source: Arc<dyn FileSource> = Arc::new(source.with_pool(pool));
-        let mut scans: Vec<Arc<dyn ExecutionPlan>> = Vec::new();
-        for (_, (url, group)) in files(&self.parts) {
-            let groups = group.split_files(state.config().target_partitions());
-            let config = FileScanConfigBuilder::new(url, source.clone())
-                .with_file_groups(groups)
-                .with_limit(limit)
-                .with_projection_indices(projection.cloned())?
-                .build();
-            scans.push(DataSourceExec::from_data_source(config));
+        scan_parts(
+            self.table.clone(),
+            &self.schema,
+            &self.parts,
+            self.losses.clone(),
+            state,
+            projection,
+            limit,
+        )
+    }
+}
+
+/// The scan of a table over files: one per object store, all files of a store in one.
+pub(crate) fn scan_parts(
+    table: LogTable,
+    schema: &SchemaRef,
+    parts: &[Arc<LogPart>],
+    losses: LossLedger,
+    state: &dyn Session,
+    projection: Option<&Vec<usize>>,
+    limit: Option<usize>,
+) -> Result<Arc<dyn ExecutionPlan>> {
+    let pool = state.runtime_env().memory_pool.clone();
+    let source = McapSource::new(table, TableSchema::from(schema.clone()), losses);
+    let source: Arc<dyn FileSource> = Arc::new(source.with_pool(pool));
+    let mut scans: Vec<Arc<dyn ExecutionPlan>> = Vec::new();
+    for (_, (url, group)) in files(parts) {
+        let groups = group.split_files(state.config().target_partitions());
+        let config = FileScanConfigBuilder::new(url, source.clone())
+            .with_file_groups(groups)
+            .with_limit(limit)
+            .with_projection_indices(projection.cloned())?
+            .build();
+        scans.push(DataSourceExec::from_data_source(config));
+    }
+    match scans.len() {
+        0 => {
+            let schema = match projection {
+                Some(columns) => Arc::new(schema.project(columns)?),
+                None => schema.clone(),
+            };
+            Ok(Arc::new(EmptyExec::new(schema)))
         }
-        match scans.len() {
-            0 => {
-                let schema = match projection {
-                    Some(columns) => Arc::new(self.schema.project(columns)?),
-                    None => self.schema.clone(),
-                };
-                Ok(Arc::new(EmptyExec::new(schema)))
-            }
-            1 => scans
-                .pop()
-                .ok_or_else(|| external(Fault::bug("no scan left"))),
-            _ => UnionExec::try_new(scans),
-        }
+        1 => scans
+            .pop()
+            .ok_or_else(|| external(Fault::bug("no scan left"))),
+        _ => UnionExec::try_new(scans),
+    }
+}
+
+/// A table that cannot be read: scanning it yields the fault.
+#[derive(Debug)]
+pub struct FaultyTable {
+    fault: Fault,
+}
+
+impl FaultyTable {
+    /// A table that yields this fault.
+    pub fn new(fault: Fault) -> Self {
+        Self { fault }
+    }
+}
+
+#[async_trait]
+impl TableProvider for FaultyTable {
+    fn schema(&self) -> SchemaRef {
+        Arc::new(arrow::datatypes::Schema::new(head_fields().to_vec()))
+    }
+
+    fn table_type(&self) -> TableType {
+        TableType::Base
+    }
+
+    async fn scan(
+        &self,
+        _state: &dyn Session,
+        _projection: Option<&Vec<usize>>,
+        _filters: &[Expr],
+        _limit: Option<usize>,
+    ) -> Result<Arc<dyn ExecutionPlan>> {
+        Err(external(self.fault.clone()))
     }
 }

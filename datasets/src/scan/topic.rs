@@ -22,7 +22,7 @@ pub(crate) fn timestamp() -> DataType {
 }
 
 /// The columns that every message has.
-fn head_fields() -> [Field; 4] {
+pub(crate) fn head_fields() -> [Field; 4] {
     [
         Field::new("session", DataType::Utf8, false),
         Field::new("log_time", timestamp(), false),

@@ -1,0 +1,221 @@
+//! From the references of frames to image bytes.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use bytes::Bytes;
+use evermap_schemas::{Fault, ImageRef};
+use futures::{StreamExt, TryStreamExt};
+use tokio::sync::OnceCell;
+
+use crate::dataset::Dataset;
+use crate::log::chunk::{LARGEST_CHUNK, decompress};
+use crate::log::window::fetch;
+use crate::session::LogPart;
+
+/// Chunks that one call opens at the same time.
+const OPEN_AT_ONCE: usize = 2;
+
+/// Fetches images by reference, chunk by chunk: a chunk that several images lie in is fetched and decompressed once,
+/// also when several threads ask for it at the same time, and kept for a while.
+///
+/// The bytes of an image from a chunk share the chunk's memory. So a call holds the chunks of the references that it
+/// is given: give references in portions.
+#[derive(Debug)]
+pub struct ImageReader {
+    parts: BTreeMap<(Arc<str>, u32), Arc<LogPart>>,
+    cache: Mutex<Cache>,
+}
+
+/// A chunk, or what stands in for one: the bytes of an image outside any chunk.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+struct Place {
+    session: String,
+    part: u32,
+    offset: u64,
+    length: u64,
+    size: u64,
+    compression: Option<String>,
+}
+
+type Slot = Arc<OnceCell<Result<Bytes, Fault>>>;
+
+#[derive(Debug)]
+struct Cache {
+    slots: BTreeMap<Place, Slot>,
+    /// Least recently used first.
+    order: VecDeque<Place>,
+    bytes: u64,
+    limit: u64,
+}
+
+impl Cache {
+    fn slot(&mut self, place: &Place) -> Slot {
+        if let Some(slot) = self.slots.get(place) {
+            let slot = slot.clone();
+            self.order.retain(|other| other != place);
+            self.order.push_back(place.clone());
+            return slot;
+        }
+        let slot = Slot::default();
+        self.bytes += place.size;
+        self.slots.insert(place.clone(), slot.clone());
+        self.order.push_back(place.clone());
+        while self.bytes > self.limit {
+            let Some(oldest) = self.order.pop_front() else {
+                break;
+            };
+            self.slots.remove(&oldest);
+            self.bytes -= oldest.size;
+        }
+        slot
+    }
+}
+
+impl Place {
+    fn of(image: &ImageRef) -> Self {
+        match image.chunk {
+            Some(offset) => Self {
+                session: image.session.clone(),
+                part: image.part,
+                offset,
+                length: image.chunk_length,
+                size: image.chunk_size,
+                compression: Some(image.compression.clone()),
+            },
+            None => Self {
+                session: image.session.clone(),
+                part: image.part,
+                offset: image.offset,
+                length: image.length,
+                size: image.length,
+                compression: None,
+            },
+        }
+    }
+}
+
+impl ImageReader {
+    /// A reader of the images of a dataset that keeps up to `cache_bytes` of opened chunks.
+    pub fn new(dataset: &Dataset, cache_bytes: u64) -> Self {
+        let parts = dataset.parts().into_iter();
+        Self {
+            parts: parts
+                .map(|part| ((part.session.clone(), part.part), part))
+                .collect(),
+            cache: Mutex::new(Cache {
+                slots: BTreeMap::new(),
+                order: VecDeque::new(),
+                bytes: 0,
+                limit: cache_bytes,
+            }),
+        }
+    }
+
+    /// The bytes of each image, in order: encoded as [`ImageRef::format`] says, with base64 already undone.
+    ///
+    /// # Errors
+    /// A user fault when a reference names a session that the dataset does not have. What is wrong with one image, or
+    /// with its chunk, is that image's own fault.
+    pub async fn resolve(&self, images: &[ImageRef]) -> Result<Vec<Result<Bytes, Fault>>, Fault> {
+        let mut places = BTreeMap::<Place, Vec<usize>>::new();
+        for (index, image) in images.iter().enumerate() {
+            places.entry(Place::of(image)).or_default().push(index);
+        }
+        let missing = || Err(Fault::bug("an image was not resolved"));
+        let mut resolved: Vec<Result<Bytes, Fault>> = images.iter().map(|_| missing()).collect();
+        let mut opened = futures::stream::iter(places)
+            .map(|(place, indexes)| async move {
+                let chunk = self.open(&place).await?;
+                Ok::<_, Fault>((chunk, indexes))
+            })
+            .buffered(OPEN_AT_ONCE);
+        while let Some((chunk, indexes)) = opened.try_next().await? {
+            for index in indexes {
+                resolved[index] = match &chunk {
+                    Ok(bytes) => image_bytes(bytes, &images[index]),
+                    Err(fault) => Err(fault.clone()),
+                };
+            }
+        }
+        Ok(resolved)
+    }
+
+    /// As [`ImageReader::resolve`], from a thread that is not asynchronous.
+    ///
+    /// # Errors
+    /// As [`ImageReader::resolve`].
+    pub fn resolve_blocking(
+        &self,
+        runtime: &tokio::runtime::Handle,
+        images: &[ImageRef],
+    ) -> Result<Vec<Result<Bytes, Fault>>, Fault> {
+        runtime.block_on(self.resolve(images))
+    }
+
+    async fn open(&self, place: &Place) -> Result<Result<Bytes, Fault>, Fault> {
+        let key = (place.session.as_str().into(), place.part);
+        let part = self.parts.get(&key).ok_or_else(|| {
+            Fault::user(format!(
+                "expected the log of session {}, part {}, found no such file",
+                place.session, place.part
+            ))
+            .next("give the sessions that the frames come from")
+        })?;
+        let slot = self
+            .cache
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .slot(place);
+        let bytes = slot.get_or_init(|| read(part, place)).await;
+        Ok(bytes.clone())
+    }
+}
+
+/// Fetches and decompresses.
+async fn read(part: &LogPart, place: &Place) -> Result<Bytes, Fault> {
+    let at = |fault: Fault| fault.at(format!("{} at {}", part.url, place.offset));
+    let end = place.offset.saturating_add(place.length);
+    if end > part.meta.size || place.size > LARGEST_CHUNK {
+        return Err(at(Fault::data("expected an image inside the file, found none there")));
+    }
+    let bytes = fetch(&part.store, &part.meta.location, place.offset..end).await?;
+    let Some(compression) = place.compression.clone() else {
+        return Ok(bytes);
+    };
+    let size = place.size;
+    let opened = tokio::task::spawn_blocking(move || decompress(&compression, bytes, size)).await;
+    let opened = opened.map_err(|error| Fault::bug(error.to_string()))?;
+    opened.map_err(|(reason, detail)| at(Fault::data(format!("{reason}: {detail}"))))
+}
+
+fn image_bytes(chunk: &Bytes, image: &ImageRef) -> Result<Bytes, Fault> {
+    let start = if image.chunk.is_some() { image.offset } else { 0 };
+    let end = start.checked_add(image.length);
+    let Some(end) = end.filter(|end| *end <= chunk.len() as u64) else {
+        return Err(Fault::data("expected an image inside its chunk, found none there"));
+    };
+    let bytes = chunk.slice(start as usize..end as usize);
+    if !is_base64(&bytes, image) {
+        return Ok(bytes);
+    }
+    let decoded = BASE64_STANDARD.decode(&bytes);
+    decoded
+        .map(Bytes::from)
+        .map_err(|error| Fault::data(format!("expected base64, found {error}")))
+}
+
+/// JSON logs carry images as base64. A reference does not say so, but the bytes do: an encoded image never consists
+/// of letters only, and a raw one has the size that its rows need.
+fn is_base64(bytes: &Bytes, image: &ImageRef) -> bool {
+    let letter = |byte: &u8| byte.is_ascii_alphanumeric() || matches!(byte, b'+' | b'/' | b'=');
+    if bytes.len() % 4 != 0 || !bytes.iter().take(64).all(letter) {
+        return false;
+    }
+    match (image.height, image.step) {
+        (Some(height), Some(step)) => u64::from(height) * u64::from(step) != image.length,
+        _ => true,
+    }
+}

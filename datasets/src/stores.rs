@@ -1,0 +1,212 @@
+//! Where logs are: local paths, globs, and any URL that `object_store` reads.
+
+use std::path::{Path as FilePath, PathBuf};
+use std::sync::Arc;
+
+use datafusion::execution::object_store::ObjectStoreUrl;
+use datafusion::execution::runtime_env::RuntimeEnv;
+use evermap_schemas::Fault;
+use futures::TryStreamExt;
+use object_store::path::Path;
+use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
+use url::{Position, Url};
+
+use crate::log::window::store_fault;
+
+/// A file that was named, or found.
+#[derive(Debug, Clone)]
+pub(crate) struct Found {
+    pub store: Arc<dyn ObjectStore>,
+    pub url: ObjectStoreUrl,
+    pub meta: ObjectMeta,
+}
+
+impl Found {
+    pub fn name(&self) -> &str {
+        self.meta.location.filename().unwrap_or_default()
+    }
+
+    /// Store and folder, to tell which files lie side by side.
+    pub fn folder(&self) -> (String, String) {
+        let path = self.meta.location.as_ref();
+        let folder = path.rsplit_once('/').map_or("", |(folder, _)| folder);
+        (self.url.as_str().to_owned(), folder.to_owned())
+    }
+}
+
+/// The files that a path, glob or URL names, in natural order (`x_2` before `x_10`). A folder stands for the MCAP
+/// files in it.
+pub(crate) async fn resolve(runtime: &RuntimeEnv, name: &str) -> Result<Vec<Found>, Fault> {
+    let mut found = match Url::parse(name) {
+        Ok(url) if name.contains("://") && url.scheme() != "file" => remote(runtime, &url).await?,
+        Ok(url) if url.scheme() == "file" && name.contains("://") => {
+            let path = url
+                .to_file_path()
+                .map_err(|()| Fault::user(format!("expected the URL of a local file, found {name}")))?;
+            local(runtime, &path.to_string_lossy()).await?
+        }
+        _ => local(runtime, name).await?,
+    };
+    if found.is_empty() {
+        return Err(Fault::user(format!("expected MCAP files, found none at {name}"))
+            .next("give a file, a folder, a glob in quotes, or a URL"));
+    }
+    found.sort_by_key(|file| natural_key(file.meta.location.as_ref()));
+    Ok(found)
+}
+
+/// Text with its numbers as numbers.
+pub(crate) fn natural_key(text: &str) -> Vec<(String, u64)> {
+    let mut key = Vec::new();
+    let mut rest = text;
+    while !rest.is_empty() {
+        let digits = rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len());
+        let (word, tail) = rest.split_at(digits);
+        let end = tail.find(|c: char| !c.is_ascii_digit()).unwrap_or(tail.len());
+        let (number, tail) = tail.split_at(end);
+        key.push((word.to_owned(), number.parse().unwrap_or(u64::MAX)));
+        rest = tail;
+    }
+    key.push((text.to_owned(), 0));
+    key
+}
+
+fn is_mcap(path: &FilePath) -> bool {
+    path.extension().is_some_and(|extension| extension == "mcap")
+}
+
+async fn local(runtime: &RuntimeEnv, name: &str) -> Result<Vec<Found>, Fault> {
+    let url = ObjectStoreUrl::local_filesystem();
+    let store = runtime
+        .object_store(&url)
+        .map_err(|error| Fault::resource(error.to_string()))?;
+    let mut files = Vec::new();
+    for path in local_paths(name)? {
+        let path = std::path::absolute(&path)
+            .map_err(|error| Fault::user(error.to_string()).at(path.display()))?;
+        let location = Path::from_absolute_path(&path)
+            .map_err(|error| Fault::user(error.to_string()).at(path.display()))?;
+        let meta = store
+            .head(&location)
+            .await
+            .map_err(|error| store_fault(&error).at(path.display()))?;
+        files.push(Found {
+            store: store.clone(),
+            url: url.clone(),
+            meta,
+        });
+    }
+    Ok(files)
+}
+
+fn local_paths(name: &str) -> Result<Vec<PathBuf>, Fault> {
+    let path = FilePath::new(name);
+    if path.is_dir() {
+        return folder_paths(path);
+    }
+    if path.exists() || !name.contains(['*', '?', '[']) {
+        return Ok(vec![path.to_owned()]);
+    }
+    let matches = glob::glob(name)
+        .map_err(|error| Fault::user(format!("the pattern {name}: {error}")))?
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(|error| Fault::resource(error.to_string()))?;
+    let mut files = Vec::new();
+    for path in matches {
+        match path.is_dir() {
+            true => files.extend(folder_paths(&path)?.into_iter().filter(|p| is_mcap(p))),
+            false => files.push(path),
+        }
+    }
+    if files.iter().any(|path| is_mcap(path)) {
+        files.retain(|path| is_mcap(path));
+    }
+    Ok(files)
+}
+
+/// The MCAP files of a folder; where there are none, its bags, so that they are refused with what to do.
+fn folder_paths(folder: &FilePath) -> Result<Vec<PathBuf>, Fault> {
+    let entries = std::fs::read_dir(folder)
+        .and_then(|entries| entries.map(|e| Ok(e?.path())).collect::<Result<Vec<_>, _>>())
+        .map_err(|error| Fault::resource(error.to_string()).at(folder.display()))?;
+    let with = |extensions: &[&str]| -> Vec<PathBuf> {
+        let fits = |path: &&PathBuf| {
+            let extension = path.extension().and_then(|e| e.to_str());
+            path.is_file() && extension.is_some_and(|found| extensions.contains(&found))
+        };
+        entries.iter().filter(fits).cloned().collect()
+    };
+    let logs = with(&["mcap"]);
+    Ok(if logs.is_empty() { with(&["bag", "db3"]) } else { logs })
+}
+
+async fn remote(runtime: &RuntimeEnv, url: &Url) -> Result<Vec<Found>, Fault> {
+    let store_url = ObjectStoreUrl::parse(&url[..Position::BeforePath])
+        .map_err(|error| Fault::user(error.to_string()).at(url))?;
+    let (store, path) = open_store(runtime, url, &store_url)?;
+    let found = |meta| Found {
+        store: store.clone(),
+        url: store_url.clone(),
+        meta,
+    };
+    let text = path.as_ref().to_owned();
+    if !text.contains(['*', '?', '[']) {
+        if let Ok(meta) = store.head(&path).await {
+            return Ok(vec![found(meta)]);
+        }
+        let listed: Vec<ObjectMeta> = store
+            .list_with_delimiter(Some(&path))
+            .await
+            .map_err(|error| store_fault(&error).at(url))?
+            .objects;
+        let logs = listed.into_iter().filter(|meta| meta.location.as_ref().ends_with(".mcap"));
+        return Ok(logs.map(found).collect());
+    }
+    let pattern = glob::Pattern::new(&text)
+        .map_err(|error| Fault::user(format!("the pattern {text}: {error}")))?;
+    let fixed = text.split(['*', '?', '[']).next().unwrap_or_default();
+    let prefix = fixed.rsplit_once('/').map_or("", |(folder, _)| folder);
+    let prefix = Path::parse(prefix).map_err(|error| Fault::user(error.to_string()).at(url))?;
+    let listed: Vec<ObjectMeta> = store
+        .list(Some(&prefix))
+        .try_collect()
+        .await
+        .map_err(|error| store_fault(&error).at(url))?;
+    let options = glob::MatchOptions {
+        require_literal_separator: true,
+        ..glob::MatchOptions::new()
+    };
+    let fits = |meta: &ObjectMeta| pattern.matches_with(meta.location.as_ref(), options);
+    Ok(listed.into_iter().filter(fits).map(found).collect())
+}
+
+/// The store of a URL: one that is registered already, else a new one with the environment's credentials, which is
+/// then registered.
+fn open_store(
+    runtime: &RuntimeEnv,
+    url: &Url,
+    store_url: &ObjectStoreUrl,
+) -> Result<(Arc<dyn ObjectStore>, Path), Fault> {
+    let wrong = |error: object_store::Error| Fault::user(error.to_string()).at(url);
+    if let Ok(store) = runtime.object_store(store_url) {
+        let path = Path::from_url_path(url.path()).map_err(|e| wrong(e.into()))?;
+        return Ok((store, path));
+    }
+    let options = std::env::vars().map(|(key, value)| (key.to_lowercase(), value));
+    let (store, path) = object_store::parse_url_opts(url, options).map_err(wrong)?;
+    let store: Arc<dyn ObjectStore> = Arc::from(store);
+    runtime.register_object_store(store_url.as_ref(), store.clone());
+    Ok((store, path))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_sort_as_numbers() {
+        let mut names = ["x_10.mcap", "x_2.mcap", "x_1.mcap", "a.mcap"];
+        names.sort_by_key(|name| natural_key(name));
+        assert_eq!(names, ["a.mcap", "x_1.mcap", "x_2.mcap", "x_10.mcap"]);
+    }
+}

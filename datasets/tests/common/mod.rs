@@ -1,0 +1,178 @@
+//! What the tests of this crate share: where the real logs are, how to open them, how to write small ones.
+#![allow(dead_code, clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use arrow::array::RecordBatch;
+use datafusion::prelude::{SessionConfig, SessionContext};
+use evermap_datasets::Dataset;
+use object_store::memory::InMemory;
+use object_store::path::Path;
+use object_store::{ObjectStore, ObjectStoreExt};
+use url::Url;
+
+/// The folder of real data, if this machine has it.
+pub fn shared(folder: &str) -> Option<PathBuf> {
+    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared");
+    let shared = std::env::var("EVERMAP_SHARED").unwrap_or_else(|_| beside.to_owned());
+    let path = PathBuf::from(shared).join(folder);
+    if !path.exists() {
+        eprintln!("SKIPPED: no {}", path.display());
+        return None;
+    }
+    Some(path)
+}
+
+/// All files below a folder with this extension, in order.
+pub fn files(folder: &std::path::Path, extension: &str) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(files(&path, extension));
+        } else if path.extension().is_some_and(|e| e == extension) {
+            found.push(path);
+        }
+    }
+    found.sort();
+    found
+}
+
+pub fn context(partitions: usize) -> SessionContext {
+    let mut config = SessionConfig::new().with_target_partitions(partitions);
+    config.options_mut().optimizer.repartition_file_min_size = 0;
+    SessionContext::new_with_config(config)
+}
+
+pub async fn rows(context: &SessionContext, sql: &str) -> Vec<RecordBatch> {
+    let frame = context.sql(sql).await.unwrap_or_else(|e| panic!("{sql}: {e}"));
+    frame.collect().await.unwrap_or_else(|e| panic!("{sql}: {e}"))
+}
+
+pub async fn count(context: &SessionContext, sql: &str) -> usize {
+    rows(context, sql).await.iter().map(RecordBatch::num_rows).sum()
+}
+
+pub fn text(batches: &[RecordBatch]) -> String {
+    arrow::util::pretty::pretty_format_batches(batches)
+        .unwrap()
+        .to_string()
+}
+
+/// A context and the dataset of some local files, registered.
+pub async fn open(paths: &[String], partitions: usize) -> (SessionContext, Dataset) {
+    let context = context(partitions);
+    let dataset = Dataset::open(&context.runtime_env(), paths, None)
+        .await
+        .unwrap();
+    dataset.register(&context).unwrap();
+    (context, dataset)
+}
+
+/// A store in memory that holds `log.mcap`, under `memory://logs`.
+pub async fn in_memory(bytes: &[u8]) -> Arc<dyn ObjectStore> {
+    let store = InMemory::new();
+    store
+        .put(&Path::from("log.mcap"), bytes.to_vec().into())
+        .await
+        .unwrap();
+    Arc::new(store)
+}
+
+/// Opens `memory://logs/log.mcap` in the given store.
+pub async fn open_in(
+    store: Arc<dyn ObjectStore>,
+    partitions: usize,
+) -> Result<(SessionContext, Dataset), evermap_schemas::Fault> {
+    let context = context(partitions);
+    let runtime = context.runtime_env();
+    runtime.register_object_store(&Url::parse("memory://logs").unwrap(), store);
+    let paths = ["memory://logs/log.mcap".to_owned()];
+    let dataset = Dataset::open(&runtime, &paths, None).await?;
+    dataset.register(&context)?;
+    Ok((context, dataset))
+}
+
+/// How a small log is written.
+pub struct Log {
+    pub messages: u32,
+    pub payload: usize,
+    pub chunk: Option<u64>,
+    pub compression: Option<mcap::Compression>,
+    pub indexed: bool,
+}
+
+impl Default for Log {
+    fn default() -> Self {
+        Self {
+            messages: 60,
+            payload: 40,
+            chunk: Some(512),
+            compression: Some(mcap::Compression::Zstd),
+            indexed: true,
+        }
+    }
+}
+
+impl Log {
+    /// Messages of two topics in turn: `/text` (CDR strings) and `/blob` (CDR bytes), message `i` at `i` seconds.
+    pub fn write(&self) -> Vec<u8> {
+        let mut options = mcap::WriteOptions::new()
+            .compression(self.compression)
+            .use_chunks(self.chunk.is_some())
+            .chunk_size(self.chunk);
+        if !self.indexed {
+            options = options
+                .emit_summary_records(false)
+                .emit_summary_offsets(false)
+                .emit_message_indexes(false);
+        }
+        let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
+        let text = writer
+            .add_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+            .unwrap();
+        let blob = writer
+            .add_schema("test_msgs/msg/Blob", "ros2msg", b"uint8[] data\n")
+            .unwrap();
+        let none = BTreeMap::new();
+        let text = writer.add_channel(text, "/text", "cdr", &none).unwrap();
+        let blob = writer.add_channel(blob, "/blob", "cdr", &none).unwrap();
+        for i in 0..self.messages {
+            let (channel, data) = match i % 2 {
+                0 => (text, cdr(format!("message {i:06}\0").as_bytes())),
+                _ => (blob, cdr(&noise(i, self.payload))),
+            };
+            let time = u64::from(i) * 1_000_000_000;
+            let header = mcap::records::MessageHeader {
+                channel_id: channel,
+                sequence: i,
+                log_time: time,
+                publish_time: time,
+            };
+            writer.write_to_known_channel(&header, &data).unwrap();
+        }
+        writer.finish().unwrap();
+        writer.into_inner().into_inner()
+    }
+}
+
+/// A CDR payload of one string or byte sequence.
+pub fn cdr(bytes: &[u8]) -> Vec<u8> {
+    let mut payload = vec![0, 1, 0, 0];
+    payload.extend((bytes.len() as u32).to_le_bytes());
+    payload.extend(bytes);
+    payload
+}
+
+/// Bytes that do not compress.
+fn noise(seed: u32, length: usize) -> Vec<u8> {
+    let mut state = u64::from(seed) * 2 + 1;
+    let mut next = || {
+        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (state >> 56) as u8
+    };
+    (0..length).map(|_| next()).collect()
+}

@@ -1,0 +1,174 @@
+//! Torn and corrupt logs are read as far as they are sound, and never panic.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod common;
+
+use arrow::array::AsArray;
+use arrow::datatypes::UInt32Type;
+use common::{Log, count, files, in_memory, open_in, rows, shared};
+use evermap_datasets::log::record::{FRAME, MAGIC, split};
+use evermap_datasets::{LossLedger, Reason};
+use mcap::records::op;
+use proptest::prelude::*;
+
+/// Sequence numbers of all messages that a damaged log gives, and its losses; none where it is refused whole.
+async fn read(bytes: &[u8]) -> Option<(Vec<u32>, LossLedger)> {
+    let (context, dataset) = open_in(in_memory(bytes).await, 1).await.ok()?;
+    let batches = rows(&context, "SELECT sequence FROM messages").await;
+    let columns = batches.iter().map(|batch| batch.column(0).as_primitive::<UInt32Type>());
+    let mut sequences: Vec<u32> = columns.flat_map(|column| column.values().to_vec()).collect();
+    sequences.sort_unstable();
+    for topic in dataset.topics() {
+        count(&context, &format!("SELECT * FROM \"{topic}\"")).await;
+    }
+    for table in ["attachments", "metadata", "frames", "odometry", "calibration"] {
+        count(&context, &format!("SELECT * FROM {table}")).await;
+    }
+    Some((sequences, dataset.losses))
+}
+
+/// Ends of the top-level records of a whole log, with the number of messages up to there.
+fn record_ends(log: &[u8]) -> Vec<(usize, usize)> {
+    let mut ends = Vec::new();
+    let mut offset = MAGIC.len();
+    let mut messages = 0;
+    while let Some((opcode, body, used)) = split(&log[offset..]) {
+        let record = mcap::parse_record(opcode, body).unwrap();
+        messages += match record {
+            mcap::records::Record::Message { .. } => 1,
+            mcap::records::Record::Chunk { header, data } => {
+                mcap::read::ChunkReader::new(header, &data)
+                    .unwrap()
+                    .filter(|r| r.as_ref().unwrap().opcode() == op::MESSAGE)
+                    .count()
+            }
+            _ => 0,
+        };
+        offset += used;
+        ends.push((offset, messages));
+    }
+    ends
+}
+
+/// What a log cut at `length` must still give.
+fn expected(ends: &[(usize, usize)], length: usize) -> usize {
+    let whole = ends.iter().take_while(|(end, _)| *end <= length);
+    whole.last().map_or(0, |(_, messages)| *messages)
+}
+
+#[tokio::test]
+async fn a_log_cut_at_any_byte_gives_every_message_of_every_complete_chunk() {
+    for chunk in [Some(300), None] {
+        let log = Log { messages: 24, chunk, ..Log::default() }.write();
+        let ends = record_ends(&log);
+        let data_end = ends.iter().rfind(|(_, n)| *n < 24).unwrap().0;
+        assert!(ends.len() > 8);
+        for length in 0..log.len() {
+            let found = read(&log[..length]).await;
+            let Some((sequences, losses)) = found else {
+                assert!(length < MAGIC.len(), "refused at {length}");
+                continue;
+            };
+            let expected: Vec<u32> = (0..expected(&ends, length) as u32).collect();
+            assert_eq!(sequences, expected, "cut at {length}");
+            if length <= data_end {
+                assert!(!losses.is_empty(), "no loss told at {length}");
+            }
+        }
+        let (sequences, losses) = read(&log).await.unwrap();
+        assert_eq!(sequences.len(), 24);
+        assert!(losses.is_empty(), "{:?}", losses.entries());
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn real_logs_are_cut_at_random_bytes() {
+    let Some(folder) = shared("data/mcap_real") else {
+        return;
+    };
+    let mut state = 7u64;
+    for path in files(&folder, "mcap") {
+        let log = std::fs::read(&path).unwrap();
+        if log.len() > 800_000 {
+            continue;
+        }
+        let ends = record_ends(&log);
+        for _ in 0..8 {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            let length = MAGIC.len() + (state >> 33) as usize % (log.len() - MAGIC.len());
+            let (sequences, _) = read(&log[..length]).await.unwrap();
+            let expected = expected(&ends, length);
+            assert_eq!(sequences.len(), expected, "{} cut at {length}", path.display());
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_chunk_with_a_flipped_bit_is_lost_alone() {
+    let log = Log { messages: 24, chunk: Some(300), compression: None, ..Log::default() }.write();
+    let (whole, _) = read(&log).await.unwrap();
+    let (first, body, _) = split(&log[record_ends(&log)[0].0..]).unwrap();
+    assert_eq!(first, op::CHUNK);
+    let middle = record_ends(&log)[0].0 + FRAME as usize + body.len() - 10;
+    let mut flipped = log.clone();
+    flipped[middle] ^= 1;
+    for bytes in [flipped.clone(), flipped[..log.len() - 1].to_vec()] {
+        let (sequences, losses) = read(&bytes).await.unwrap();
+        assert!(sequences.len() < whole.len() && sequences.len() > whole.len() / 2);
+        assert_eq!(losses.losses()[&Reason::BadChecksum].count, 1);
+    }
+}
+
+#[tokio::test]
+async fn a_summary_that_lies_is_not_believed() {
+    let log = Log { messages: 24, chunk: Some(300), ..Log::default() }.write();
+    // A tail that belongs to a longer file: all of its offsets point elsewhere.
+    let longer = Log { messages: 60, chunk: Some(300), ..Log::default() }.write();
+    let data = record_ends(&log).iter().rfind(|(_, n)| *n < 24).unwrap().0;
+    let tail = longer.len() - 400;
+    let lying = [&log[..data], &longer[tail..]].concat();
+    let (sequences, _) = read(&lying).await.unwrap();
+    assert!(sequences.len() >= expected(&record_ends(&log), data));
+}
+
+#[tokio::test]
+async fn undecodable_messages_are_skipped_and_counted() {
+    let log = Log { messages: 4, compression: None, ..Log::default() }.write();
+    // The length of the first string becomes larger than its payload; checksums are taken away with the summary.
+    let at = log.windows(4).position(|w| w == b"mess").unwrap() - 4;
+    let mut bad = Log { messages: 4, compression: None, chunk: None, indexed: false, ..Log::default() }.write();
+    let bare = bad.windows(4).position(|w| w == b"mess").unwrap() - 4;
+    assert!(at > 0);
+    bad[bare..bare + 4].copy_from_slice(&1000u32.to_le_bytes());
+    let (context, dataset) = open_in(in_memory(&bad).await, 1).await.unwrap();
+    assert_eq!(count(&context, "SELECT * FROM \"/text\"").await, 1);
+    assert_eq!(count(&context, "SELECT sequence FROM \"/text\"").await, 1);
+    assert_eq!(dataset.losses.losses()[&Reason::Undecodable].count, 1);
+    assert_eq!(dataset.losses.entries()[0].topic, "/text");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
+
+    #[test]
+    fn random_damage_never_panics(
+        hits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12),
+        cut in any::<prop::sample::Index>(),
+        whole in any::<bool>(),
+        chunked in any::<bool>(),
+    ) {
+        let chunk = chunked.then_some(300);
+        let mut log = Log { messages: 12, chunk, compression: None, ..Log::default() }.write();
+        for (index, byte) in hits {
+            let at = index.index(log.len());
+            log[at] = byte;
+        }
+        if !whole {
+            log.truncate(cut.index(log.len()));
+        }
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        if let Some((sequences, _)) = runtime.block_on(read(&log)) {
+            prop_assert!(sequences.len() <= 12 * 2);
+        }
+    }
+}
