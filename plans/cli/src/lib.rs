@@ -12,6 +12,7 @@
 
 pub mod arguments;
 pub mod commands;
+pub mod contents;
 pub mod describe;
 pub mod draw;
 pub mod ending;
@@ -25,14 +26,18 @@ pub mod report;
 pub mod scene;
 mod sessions;
 pub mod shipped;
+pub mod shown;
 pub mod wkb;
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use clap::Parser;
 use evermap_schemas::{Fault, Kind};
 
 use crate::arguments::{Arguments, Command};
+#[cfg(feature = "cluster")]
+use crate::ending::DONE;
 use crate::ending::{Ending, Failure, tell};
 
 /// Reads the command line, does what it says, and tells how it ended.
@@ -61,17 +66,47 @@ pub fn main() -> std::process::ExitCode {
 async fn until_interrupted(command: Command) -> Ending {
     let command = Arc::new(command);
     let own_interrupts = matches!(&*command, Command::Sql(_));
-    let work = tokio::spawn({
+    let mut work = tokio::spawn({
         let command = Arc::clone(&command);
         async move { commands::dispatch(&command).await }
     });
-    let abort = work.abort_handle();
     tokio::select! {
-        ending = work => ending.unwrap_or_else(|error| Err(panicked(&error))),
-        _ = tokio::signal::ctrl_c(), if !own_interrupts => {
-            abort.abort();
-            Err(Fault::user("stopped").next("nothing was published; what was computed is kept for the next run").into())
+        ending = &mut work => ending.unwrap_or_else(|error| Err(panicked(&error))),
+        () = stopped(), if !own_interrupts => {
+            work.abort();
+            // Temporary files go when the work is dropped; a kernel that is busy is not waited for.
+            let _ = tokio::time::timeout(Duration::from_secs(1), work).await;
+            stopping(&command)
         }
+    }
+}
+
+/// Ends when the person, or the system, asks the program to stop.
+async fn stopped() {
+    #[cfg(unix)]
+    {
+        let terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate());
+        if let Ok(mut terminate) = terminate {
+            tokio::select! {
+                _ = tokio::signal::ctrl_c() => {}
+                _ = terminate.recv() => {}
+            }
+            return;
+        }
+    }
+    let _ = tokio::signal::ctrl_c().await;
+}
+
+/// How a command ends that was stopped: servers are done, a run says what becomes of its work.
+fn stopping(command: &Command) -> Ending {
+    let fault = Fault::user("stopped");
+    match command {
+        #[cfg(feature = "cluster")]
+        Command::Scheduler(_) | Command::Executor(_) => DONE,
+        Command::Run(_) => Err(fault
+            .next("the map is as it was; the same command goes on where this one stopped")
+            .into()),
+        _ => Err(fault.into()),
     }
 }
 

@@ -1,7 +1,8 @@
 //! Overhead tiles put together to one picture.
 
 use evermap_schemas::Fault;
-use evermap_schemas::layers::OverheadTile;
+
+use crate::shown::Tile;
 
 /// Cells of the largest picture that is put together: a quarter of a gigabyte of grey and alpha.
 const MOST_CELLS: u64 = 1 << 27;
@@ -32,7 +33,7 @@ struct Extent {
 }
 
 impl Extent {
-    fn of(tiles: &[&OverheadTile]) -> Option<Self> {
+    fn of(tiles: &[&Tile]) -> Option<Self> {
         let (xs, ys) = (
             tiles.iter().map(|t| i64::from(t.tile_x)),
             tiles.iter().map(|t| i64::from(t.tile_y)),
@@ -54,13 +55,13 @@ impl Extent {
 }
 
 /// Cells along the side of a tile.
-fn side(tile: &OverheadTile) -> u64 {
+fn side(tile: &Tile) -> u64 {
     (tile.size_m / tile.cell_m).round().clamp(0.0, 65_536.0) as u64
 }
 
 /// The zoom level to show at this resolution: the coarsest that is at least as fine, or the finest there is; never one
 /// whose picture would be too large. `None` where there are no tiles, or none that can be shown.
-pub fn zoom_for(tiles: &[OverheadTile], m_per_px: f64) -> Option<u32> {
+pub fn zoom_for(tiles: &[Tile], m_per_px: f64) -> Option<u32> {
     let mut levels: Vec<u32> = tiles.iter().map(|tile| tile.zoom).collect();
     levels.sort_unstable();
     levels.dedup();
@@ -78,7 +79,7 @@ pub fn zoom_for(tiles: &[OverheadTile], m_per_px: f64) -> Option<u32> {
 }
 
 /// The tiles of one zoom level.
-pub fn level(tiles: &[OverheadTile], zoom: u32) -> Vec<&OverheadTile> {
+pub fn level(tiles: &[Tile], zoom: u32) -> Vec<&Tile> {
     tiles.iter().filter(|tile| tile.zoom == zoom).collect()
 }
 
@@ -87,7 +88,7 @@ impl Mosaic {
     ///
     /// # Errors
     /// A user fault for no tiles or too many, a data fault for a tile that is no grey PNG with alpha of its size.
-    pub fn of(tiles: &[&OverheadTile]) -> Result<Self, Fault> {
+    pub fn of(tiles: &[&Tile]) -> Result<Self, Fault> {
         let (Some(first), Some(extent)) = (tiles.first(), Extent::of(tiles)) else {
             return Err(Fault::user("there are no tiles at this zoom level"));
         };
@@ -218,12 +219,12 @@ fn quantile(histogram: &[u64; 256], rank: u64) -> u8 {
     255
 }
 
-fn place(tile: &OverheadTile) -> String {
+fn place(tile: &Tile) -> String {
     format!("tile {}/{}/{}", tile.zoom, tile.tile_x, tile.tile_y)
 }
 
 /// A tile's cells.
-fn decode(tile: &OverheadTile, side: usize) -> Result<Vec<[u8; 2]>, Fault> {
+fn decode(tile: &Tile, side: usize) -> Result<Vec<[u8; 2]>, Fault> {
     let damaged =
         |error: png::DecodingError| Fault::data(format!("the tile's picture is damaged: {error}"));
     let mut reader = png::Decoder::new(std::io::Cursor::new(&tile.png.0))
@@ -256,7 +257,7 @@ fn decode(tile: &OverheadTile, side: usize) -> Result<Vec<[u8; 2]>, Fault> {
 pub(crate) mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use evermap_schemas::{Bytes, Wkb};
+    use evermap_schemas::Bytes;
 
     /// A tile of 4 by 4 cells of 0.5 m whose grey values come from a function of column and row.
     pub(crate) fn tile(
@@ -265,7 +266,7 @@ pub(crate) mod tests {
         y: i32,
         side: usize,
         grey: impl Fn(usize, usize) -> [u8; 2],
-    ) -> OverheadTile {
+    ) -> Tile {
         let cell_m = 0.5 * f64::from(1_u32 << zoom);
         let cells = (0..side * side)
             .map(|index| grey(index % side, index / side))
@@ -278,17 +279,14 @@ pub(crate) mod tests {
             height: side,
             cells,
         };
-        OverheadTile {
+        Tile {
             site: "lot".into(),
             zoom,
             tile_x: x,
             tile_y: y,
             cell_m,
             size_m: cell_m * side as f64,
-            covered: (side * side) as u32,
-            mean_weight: 1.0,
             png: Bytes(mosaic.png().unwrap()),
-            geometry: Wkb::default(),
         }
     }
 

@@ -5,10 +5,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use evermap_contract::Registry;
 use evermap_engine::conform::conform;
 use evermap_engine::map::Map;
-use evermap_schemas::layers::{Intersection, Keyframe, Lane, OverheadTile, VehiclePose};
+use evermap_schemas::layers::{Keyframe, VehiclePose};
 use evermap_schemas::{Fault, LayerRow, Stamp, rows};
 
 use crate::draw::{Drive, Scene};
+use crate::shown::{Crossing, Lane, Tile};
 
 /// The published layer that holds rows of this kind: the one of its name, else one that such an operator made.
 pub fn layer_of<T: LayerRow>(map: &Map, registry: &Registry) -> Option<String> {
@@ -108,9 +109,9 @@ pub async fn scene(
     registry: &Registry,
     site: Option<&str>,
 ) -> Result<(Scene, Vec<String>), Fault> {
-    let tiles: Vec<OverheadTile> = rows_of(map, registry).await?;
+    let tiles: Vec<Tile> = rows_of(map, registry).await?;
     let lanes: Vec<Lane> = rows_of(map, registry).await?;
-    let intersections: Vec<Intersection> = rows_of(map, registry).await?;
+    let intersections: Vec<Crossing> = rows_of(map, registry).await?;
     let drives = drives(map, registry).await?;
     let mut sites: BTreeSet<String> = drives.iter().map(|(site, _)| site.clone()).collect();
     sites.extend(tiles.iter().map(|row| row.site.clone()));

@@ -367,9 +367,10 @@ fn a_torn_log_is_inspected_with_loss() {
             .any(|channel| channel["topic"] == "/odom")
     );
     let folder = tempfile::tempdir().unwrap();
+    // Behind its only chunk, before the end of its data.
     let torn = folder.path().join("torn.mcap");
     let bytes = std::fs::read(&log).unwrap();
-    std::fs::write(&torn, &bytes[..bytes.len() * 2 / 3]).unwrap();
+    std::fs::write(&torn, &bytes[..380_000]).unwrap();
     let ended = evermap(&["inspect", torn.to_str().unwrap()]);
     assert_eq!(ended.code, Some(3), "{}", ended.err);
     assert!(
@@ -442,4 +443,41 @@ fn a_real_log_becomes_a_road_network() {
     let out = folder.path().join("map.html");
     done(&["report", "--map", &map, "--out", out.to_str().unwrap()]);
     assert!(std::fs::read_to_string(out).unwrap().contains("<svg "));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_stopped_simulation_leaves_no_half_session() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("world");
+    let mut child = Command::new(env!("CARGO_BIN_EXE_evermap"))
+        .args([
+            "simulate",
+            "car_park",
+            "--out",
+            out.to_str().unwrap(),
+            "--progress",
+            "none",
+        ])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    std::thread::sleep(std::time::Duration::from_secs(2));
+    let stop = Command::new("kill")
+        .args(["-INT", &child.id().to_string()])
+        .status()
+        .unwrap();
+    assert!(stop.success());
+    let begun = std::time::Instant::now();
+    let status = child.wait().unwrap();
+    assert!(begun.elapsed().as_secs() < 10, "it stops at once");
+    assert_eq!(status.code(), Some(1));
+    let mcaps = std::fs::read_dir(&out).into_iter().flatten().flatten();
+    assert_eq!(
+        mcaps
+            .filter(|file| file.path().extension().is_some_and(|ext| ext == "mcap"))
+            .count(),
+        0
+    );
 }

@@ -13,72 +13,11 @@ use evermap_engine::sql::{Limits, context};
 use evermap_schemas::Fault;
 use futures::StreamExt;
 use object_store::ObjectStoreExt;
-use serde::Serialize;
 
 use crate::arguments::InspectArgs;
+use crate::contents::{Attachment, Channel, Chunks, Contents, LossLine, text};
 use crate::ending::{Ending, Failure};
-use crate::quantity::{of_bytes, of_seconds};
 use crate::sessions::lost;
-
-/// What a file holds.
-#[derive(Debug, Serialize)]
-struct Contents {
-    file: String,
-    bytes: u64,
-    profile: String,
-    library: String,
-    /// Whether the file's own summary was used; else it was read from its start.
-    indexed: bool,
-    messages: Option<u64>,
-    /// Nanoseconds since the epoch, of the first and the last message.
-    start_ns: Option<i64>,
-    end_ns: Option<i64>,
-    start: Option<String>,
-    end: Option<String>,
-    chunks: Chunks,
-    channels: Vec<Channel>,
-    attachments: Vec<Attachment>,
-    metadata: Vec<String>,
-    losses: Vec<LossLine>,
-}
-
-#[derive(Debug, Serialize)]
-struct Chunks {
-    count: usize,
-    bytes: u64,
-    uncompressed_bytes: u64,
-    compression: BTreeSet<String>,
-}
-
-#[derive(Debug, Serialize)]
-struct Channel {
-    id: u16,
-    topic: String,
-    schema: String,
-    schema_encoding: String,
-    message_encoding: String,
-    messages: Option<u64>,
-    /// Why its messages are not decoded; null where they are.
-    undecodable: Option<String>,
-}
-
-#[derive(Debug, Serialize)]
-struct Attachment {
-    name: String,
-    media_type: String,
-    bytes: u64,
-    log_time_ns: i64,
-}
-
-#[derive(Debug, Serialize)]
-struct LossLine {
-    reason: String,
-    topic: String,
-    offset: u64,
-    count: u64,
-    bytes: u64,
-    detail: String,
-}
 
 /// Says what a file holds. Every chunk is read, so that damage is found, unless only the index is asked for.
 ///
@@ -296,101 +235,6 @@ fn compression_of(head: &[u8]) -> Option<String> {
     } else {
         name.to_owned()
     })
-}
-
-fn text(contents: &Contents) -> String {
-    let mut text = String::new();
-    let mut fact = |name: &str, value: String| text.push_str(&format!("{name:<12} {value}\n"));
-    fact("file", contents.file.clone());
-    fact("size", of_bytes(contents.bytes));
-    fact("profile", contents.profile.clone());
-    fact("library", contents.library.clone());
-    fact(
-        "index",
-        if contents.indexed {
-            "summary"
-        } else {
-            "none; read from the start"
-        }
-        .to_owned(),
-    );
-    let count = contents
-        .messages
-        .map_or_else(|| "not counted".to_owned(), |count| count.to_string());
-    fact("messages", count);
-    if let (Some(start), Some(end), Some(from), Some(to)) = (
-        &contents.start,
-        &contents.end,
-        contents.start_ns,
-        contents.end_ns,
-    ) {
-        fact("start", start.clone());
-        fact(
-            "end",
-            format!("{end}  ({})", of_seconds((to - from) as f64 * 1e-9)),
-        );
-    }
-    let chunks = &contents.chunks;
-    let kinds: Vec<_> = chunks.compression.iter().map(String::as_str).collect();
-    let (packed, size) = (of_bytes(chunks.bytes), of_bytes(chunks.uncompressed_bytes));
-    fact(
-        "chunks",
-        format!(
-            "{} ({}), {packed} of {size}",
-            chunks.count,
-            kinds.join(", ")
-        ),
-    );
-    text.push_str("\nchannels\n");
-    let widest = contents
-        .channels
-        .iter()
-        .map(|channel| channel.topic.chars().count())
-        .max()
-        .unwrap_or(0);
-    for channel in &contents.channels {
-        let count = channel
-            .messages
-            .map_or_else(|| "?".to_owned(), |count| count.to_string());
-        let how = format!(
-            "{} [{}, {}]",
-            channel.schema, channel.message_encoding, channel.schema_encoding
-        );
-        let why = channel
-            .undecodable
-            .as_ref()
-            .map(|why| format!("  not decoded: {why}"))
-            .unwrap_or_default();
-        text.push_str(&format!(
-            "{count:>10}  {:<widest$}  {how}{why}\n",
-            channel.topic
-        ));
-    }
-    for attachment in &contents.attachments {
-        let size = of_bytes(attachment.bytes);
-        text.push_str(&format!(
-            "attachment   {} ({}, {size})\n",
-            attachment.name, attachment.media_type
-        ));
-    }
-    contents
-        .metadata
-        .iter()
-        .for_each(|name| text.push_str(&format!("metadata     {name}\n")));
-    for loss in &contents.losses {
-        let LossLine {
-            reason,
-            offset,
-            count,
-            bytes,
-            detail,
-            ..
-        } = loss;
-        text.push_str(&format!(
-            "loss         at byte {offset}: {count} {reason} ({bytes} B): {detail}\n"
-        ));
-    }
-    text
 }
 
 #[cfg(test)]

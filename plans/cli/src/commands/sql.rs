@@ -4,17 +4,18 @@ use std::io::IsTerminal;
 use std::path::Path;
 
 use arrow::datatypes::SchemaRef;
+use datafusion::error::DataFusionError;
 use datafusion::prelude::SessionContext;
 use datafusion::sql::parser::{DFParserBuilder, Statement};
 use datafusion::sql::sqlparser::dialect::GenericDialect;
 use evermap_datasets::Dataset;
 use evermap_engine::error::fault_of;
-use evermap_engine::map::Map;
+use evermap_engine::map::{LayerInfo, Map, RunRow, VersionInfo};
 use evermap_engine::sql::{Limits, context};
-use evermap_schemas::{Fault, Layer};
+use evermap_schemas::{Fault, Layer, LayerRow};
 use futures::{StreamExt, TryStreamExt};
 
-use crate::arguments::SqlArgs;
+use crate::arguments::{SessionArgs, SqlArgs};
 use crate::ending::{Ending, Failure, Lost};
 use crate::export::declaration;
 use crate::output::{Format, Sink, write};
@@ -30,7 +31,7 @@ pub struct Tables {
 }
 
 impl Tables {
-    async fn open(args: &SqlArgs) -> Result<Self, Failure> {
+    async fn open(args: &SqlArgs, sessions: &SessionArgs) -> Result<Self, Failure> {
         let limits = Limits {
             memory_bytes: args.memory,
             ..Limits::default()
@@ -44,7 +45,7 @@ impl Tables {
             });
         }
         let context = context(limits)?;
-        let dataset = sessions::open(&context.runtime_env(), &args.sessions).await?;
+        let dataset = sessions::open(&context.runtime_env(), sessions).await?;
         dataset.register(&context)?;
         Ok(Self {
             context,
@@ -53,14 +54,15 @@ impl Tables {
         })
     }
 
-    /// The declaration of a table's columns, where there is one.
+    /// The declaration of a table's columns, where there is one: of the operator that made it, else by name.
     pub fn declaration(&self, table: &str) -> Option<Layer> {
-        match &self.map {
-            Some(map) => declaration(map, &evermap_catalog::registry(), table),
-            None => evermap_schemas::layers::all()
-                .into_iter()
-                .find(|layer| layer.name == table),
-        }
+        let made = self
+            .map
+            .as_ref()
+            .and_then(|map| declaration(map, &evermap_catalog::registry(), table));
+        let listed = [LayerInfo::layer(), VersionInfo::layer(), RunRow::layer()];
+        let known = || evermap_schemas::layers::all().into_iter().chain(listed);
+        made.or_else(|| known().find(|layer| layer.name == table))
     }
 
     /// What reading logs has lost so far.
@@ -116,10 +118,14 @@ pub fn statements(text: &str) -> Result<Vec<Statement>, Fault> {
         .with_dialect(&GenericDialect {})
         .build()
         .and_then(|mut parser| parser.parse_statements());
-    Ok(parsed
-        .map_err(|error| fault_of(&error))?
-        .into_iter()
-        .collect())
+    let parsed = parsed.map_err(|error| match error.find_root() {
+        DataFusionError::SQL(error, _) => {
+            let text = error.to_string();
+            Fault::user(text.trim_start_matches("sql parser error: "))
+        }
+        _ => fault_of(&error),
+    });
+    Ok(parsed?.into_iter().collect())
 }
 
 /// Runs a query, those of standard input, or a prompt.
@@ -127,8 +133,8 @@ pub fn statements(text: &str) -> Result<Vec<Statement>, Fault> {
 /// # Errors
 /// The first statement's fault; at a prompt faults are shown and the prompt goes on.
 pub async fn sql(args: &SqlArgs) -> Ending {
-    let tables = Tables::open(args).await?;
-    let query = args.query.clone().or_else(|| args.named_query.clone());
+    let (sessions, query) = args.split();
+    let tables = Tables::open(args, &sessions).await?;
     match query {
         Some(query) => all(&tables, &query, args).await?,
         None if std::io::stdin().is_terminal() && args.out.is_none() => {

@@ -19,7 +19,6 @@ mod strokes;
 mod view;
 
 use evermap_schemas::Fault;
-use evermap_schemas::layers::{Intersection, Lane, OverheadTile};
 
 pub use colours::session as session_colour;
 pub use drives::{Drive, escaped};
@@ -27,16 +26,17 @@ pub use raster::png;
 use view::{Bounds, View, bounds_of, union};
 
 use crate::mosaic::{Mosaic, level, zoom_for};
+use crate::shown::{Crossing, Lane, Tile};
 
 /// What there is to draw of one site.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Scene {
     /// Tiles of any zoom levels; may be empty.
-    pub tiles: Vec<OverheadTile>,
+    pub tiles: Vec<Tile>,
     /// Lanes; may be empty.
     pub lanes: Vec<Lane>,
     /// Intersections; may be empty.
-    pub intersections: Vec<Intersection>,
+    pub intersections: Vec<Crossing>,
     /// Trajectories; may be empty.
     pub drives: Vec<Drive>,
 }
@@ -85,8 +85,10 @@ impl Scene {
         bounds_of(lanes.chain(places).chain(drives))
     }
 
+    /// What the finest tiles cover; coarser ones reach far beyond what was seen.
     fn tile_bounds(&self) -> Option<Bounds> {
-        let corners = self.tiles.iter().flat_map(|tile| {
+        let finest = self.tiles.iter().map(|tile| tile.zoom).min()?;
+        let corners = level(&self.tiles, finest).into_iter().flat_map(|tile| {
             let (x, y) = (
                 f64::from(tile.tile_x) * tile.size_m,
                 f64::from(tile.tile_y) * tile.size_m,

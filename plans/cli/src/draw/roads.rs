@@ -1,10 +1,9 @@
 //! Lanes with their direction of travel, and intersections.
 
-use evermap_schemas::layers::{Intersection, Lane};
-
 use crate::draw::colours::{ARROW, BACKGROUND, INTERSECTION, LANE};
 use crate::draw::line::{along, length, path, simplified};
 use crate::draw::view::View;
+use crate::shown::{Crossing, Lane};
 
 /// Width of a driving lane, m.
 const LANE_WIDTH_M: f64 = 2.4;
@@ -33,7 +32,7 @@ pub fn lanes(view: &View, lanes: &[Lane]) -> String {
     )
 }
 
-/// Chevrons that point the way the lane was driven; where both ways were, in turn.
+/// Chevrons that point the way the lane was driven, both where it was driven both ways, none where nobody knows.
 fn lane_arrows(points: &[[f64; 2]], direction: &str, width: f64) -> String {
     let size = (width * 0.3).clamp(3.0, 6.0);
     let length = length(points);
@@ -61,17 +60,18 @@ fn lane_arrows(points: &[[f64; 2]], direction: &str, width: f64) -> String {
         match direction {
             "forward" => chevron(place, 1.0),
             "backward" => chevron(place, -1.0),
-            _ => {
+            "both" => {
                 chevron(place + size, 1.0);
                 chevron(place - size, -1.0);
             }
+            _ => {}
         }
     }
     arrows
 }
 
 /// Intersections as round markers.
-pub fn intersections(view: &View, intersections: &[Intersection]) -> String {
+pub fn intersections(view: &View, intersections: &[Crossing]) -> String {
     let radius = (1.1 * view.scale).clamp(4.0, 9.0);
     let mut marks = String::new();
     for place in intersections

@@ -1,22 +1,16 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 use super::*;
 use crate::mosaic::tests::tile;
-use evermap_schemas::Wkb;
 
 fn lane(number: u32, direction: &str, points: Vec<[f64; 3]>) -> Lane {
     Lane {
         site: "lot".into(),
         lane: number,
-        start_node: 0,
-        end_node: 1,
         start_kind: "intersection".into(),
         end_kind: "dead_end".into(),
         direction: direction.into(),
-        forward_passes: 1,
-        backward_passes: 0,
         length_m: 10.0,
         points,
-        geometry: Wkb::default(),
     }
 }
 
@@ -61,14 +55,12 @@ pub(crate) fn scene() -> Scene {
         intersections: [[10.0, 28.0], [70.0, 28.0]]
             .into_iter()
             .enumerate()
-            .map(|(node, [x, y])| Intersection {
+            .map(|(node, [x, y])| Crossing {
                 site: "lot".into(),
                 node: node as u32,
                 degree: 3,
                 x,
                 y,
-                z: 0.0,
-                geometry: Wkb::default(),
             })
             .collect(),
         drives: vec![
@@ -194,5 +186,35 @@ fn nothing_to_draw_and_a_zoom_that_is_not_there_are_said() {
             .to_string()
             .contains("no tiles at zoom 7; there are 0"),
         "{fault}"
+    );
+}
+
+#[test]
+fn coarse_tiles_do_not_blur_a_small_map() {
+    let mut scene = scene();
+    for zoom in 1..6 {
+        scene.tiles.push(tile(zoom, 0, 0, 64, |_, _| [9, 255]));
+    }
+    let ground = scene
+        .ground(Look {
+            width_px: 400,
+            zoom: None,
+        })
+        .unwrap()
+        .unwrap();
+    assert_eq!(
+        ground.cell_m, 0.5,
+        "0.24 m a pixel asks for the finest level"
+    );
+    let ground = scene
+        .ground(Look {
+            width_px: 80,
+            zoom: None,
+        })
+        .unwrap()
+        .unwrap();
+    assert!(
+        ground.cell_m > 0.5,
+        "a small picture is made of coarse tiles"
     );
 }

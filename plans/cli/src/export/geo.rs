@@ -88,6 +88,7 @@ mod tests {
             x: 1.0,
             y: 2.0,
             z: 0.5,
+            sources: vec![],
             geometry: Wkb::point([1.0, 2.0, 0.5]),
         };
         let rows = batch(vec![row.clone(), row]).unwrap();

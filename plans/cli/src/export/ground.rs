@@ -2,19 +2,19 @@
 
 use arrow::array::RecordBatch;
 use evermap_engine::conform::conform;
-use evermap_schemas::layers::OverheadTile;
 use evermap_schemas::{Fault, LayerRow, rows};
 
 use crate::mosaic::{Mosaic, level, zoom_for};
+use crate::shown::Tile;
 
 /// The tiles of a zoom level, the finest that fits where none is given, of one site.
 ///
 /// # Errors
 /// A user fault for a layer that is no tiles, or of several sites.
 pub fn picture(batches: &[RecordBatch], zoom: Option<u32>) -> Result<Mosaic, Fault> {
-    let mut tiles: Vec<OverheadTile> = Vec::new();
+    let mut tiles: Vec<Tile> = Vec::new();
     for batch in batches {
-        let tile = conform(batch, &OverheadTile::layer()).map_err(|fault| {
+        let tile = conform(batch, &Tile::layer()).map_err(|fault| {
             Fault::user(format!(
                 "a picture is made of overhead tiles: {}",
                 fault.message

@@ -41,6 +41,7 @@ fn tiles() -> Vec<OverheadTile> {
         covered: (SIDE * SIDE) as u32,
         mean_weight: 1.0,
         png: Bytes(floor(x, y)),
+        sources: vec![],
         geometry: Wkb::polygon(&[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]),
     };
     [(0, 0), (0, 1), (1, 0), (1, 1)].map(tile).to_vec()
@@ -58,6 +59,7 @@ fn lane(lane: u32, points: Vec<[f64; 3]>, direction: &str) -> Lane {
         forward_passes: 2,
         backward_passes: 0,
         length_m: 30.0,
+        sources: vec![],
         geometry: Wkb::line_string(&points),
         points,
     }
@@ -85,6 +87,7 @@ fn intersections() -> Vec<Intersection> {
         x,
         y: 25.0,
         z: 0.0,
+        sources: vec![],
         geometry: Wkb::point([x, 25.0, 0.0]),
     };
     [(0, 7.0), (1, 43.0)].map(place).to_vec()

@@ -1,5 +1,7 @@
 //! The command line, as clap reads it.
 
+mod sql;
+
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
@@ -8,6 +10,8 @@ use crate::export::ExportFormat;
 use crate::output::Format;
 use crate::progress::Show;
 use crate::quantity;
+
+pub use sql::SqlArgs;
 
 const EXITS: &str = "Exit status: 0 done, 1 failed, 2 wrong usage, 3 done with loss (skipped or lost inputs are counted on \
                      stderr). Results go to stdout, everything else to stderr. EVERMAP_LOG=info,evermap=debug logs more.";
@@ -73,7 +77,7 @@ pub enum Command {
 }
 
 /// Which sessions.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Default, Args)]
 pub struct SessionArgs {
     /// MCAP files, folders, patterns or URLs, one session each.
     #[arg(long, num_args = 1.., value_name = "GLOB")]
@@ -162,40 +166,6 @@ pub struct ExplainArgs {
     /// How it is written.
     #[arg(long, default_value = "table")]
     pub format: Format,
-}
-
-/// Arguments of `sql`.
-#[derive(Debug, Args)]
-#[command(group(clap::ArgGroup::new("what").required(true).args(["map", "sessions", "manifest"]).multiple(true)))]
-pub struct SqlArgs {
-    /// Folder or URL of a map: its layers are tables, beside `layers`, `versions` and `runs`.
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["sessions", "manifest", "site"])]
-    pub map: Option<String>,
-    /// Version of the map [default: the newest].
-    #[arg(long, value_name = "N", requires = "map")]
-    pub version: Option<u64>,
-    /// Over sessions each topic is a table, beside `messages`, `channels`, `sessions`, `frames` and others.
-    #[command(flatten)]
-    pub sessions: SessionArgs,
-    /// How results are written.
-    #[arg(long, default_value = "table")]
-    pub format: Format,
-    /// File for the result, instead of stdout.
-    #[arg(long, value_name = "FILE")]
-    pub out: Option<PathBuf>,
-    /// Memory for sorts, joins and decoded chunks.
-    #[arg(long, value_name = "BYTES", default_value = "1GiB", value_parser = quantity::bytes)]
-    pub memory: usize,
-    /// The query, also as `--query`; without one, a prompt, or queries from standard input.
-    pub query: Option<String>,
-    /// The query, where it would be taken for another session.
-    #[arg(
-        long = "query",
-        short = 'q',
-        value_name = "QUERY",
-        conflicts_with = "query"
-    )]
-    pub named_query: Option<String>,
 }
 
 /// Arguments of `inspect`.
@@ -432,67 +402,4 @@ fn picture(text: &str) -> Result<PathBuf, String> {
 }
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used, clippy::panic)]
-    use super::*;
-    use clap::CommandFactory;
-
-    fn read(line: &str) -> Result<Command, clap::Error> {
-        Arguments::try_parse_from(line.split_whitespace()).map(|arguments| arguments.command)
-    }
-
-    #[test]
-    fn the_command_line_is_sound() {
-        Arguments::command().debug_assert();
-    }
-
-    #[test]
-    fn sessions_and_settings_are_lists() {
-        let line = "evermap run car_park --map m --sessions a.mcap b.mcap --set x.y=1 --set x.z=2 --jobs 3 --memory 2GiB";
-        let Ok(Command::Run(args)) = read(line) else {
-            panic!("{line}")
-        };
-        assert_eq!(args.sessions.sessions, ["a.mcap", "b.mcap"]);
-        assert_eq!(args.set, ["x.y=1", "x.z=2"]);
-        assert_eq!((args.limits.jobs, args.limits.memory), (Some(3), 2 << 30));
-    }
-
-    #[test]
-    fn a_query_stands_apart_from_sessions() {
-        for line in [
-            "evermap sql --sessions a b --format json -q SELECT",
-            "evermap sql SELECT --sessions a b",
-            "evermap sql --sessions a b -- SELECT",
-        ] {
-            let Ok(Command::Sql(args)) = read(line) else {
-                panic!("{line}: {:?}", read(line))
-            };
-            assert_eq!(args.sessions.sessions, ["a", "b"], "{line}");
-            assert_eq!(
-                args.query.or(args.named_query).as_deref(),
-                Some("SELECT"),
-                "{line}"
-            );
-        }
-    }
-
-    #[test]
-    fn what_makes_no_sense_is_wrong_usage() {
-        let lines = [
-            "evermap",
-            "evermap run p",
-            "evermap sql SELECT",
-            "evermap sql --map m --sessions s",
-            "evermap sql --sessions s --version 3",
-            "evermap render --map m --out m.bmp",
-            "evermap render --map m --out m.png --width-px 5",
-            "evermap run p --map m --memory lots",
-            "evermap run p --map m --jobs 0",
-            "evermap simulate moon --out d",
-            "evermap export lanes --map m --format dxf --out f",
-        ];
-        for line in lines {
-            assert_eq!(read(line).map(|_| ()).unwrap_err().exit_code(), 2, "{line}");
-        }
-    }
-}
+mod tests;

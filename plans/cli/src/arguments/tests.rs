@@ -1,0 +1,68 @@
+#![allow(clippy::unwrap_used, clippy::panic)]
+use super::*;
+use clap::CommandFactory;
+
+fn read(line: &str) -> Result<Command, clap::Error> {
+    Arguments::try_parse_from(line.split_whitespace()).map(|arguments| arguments.command)
+}
+
+#[test]
+fn the_command_line_is_sound() {
+    Arguments::command().debug_assert();
+}
+
+#[test]
+fn sessions_and_settings_are_lists() {
+    let line = "evermap run car_park --map m --sessions a.mcap b.mcap --set x.y=1 --set x.z=2 --jobs 3 --memory 2GiB";
+    let Ok(Command::Run(args)) = read(line) else {
+        panic!("{line}")
+    };
+    assert_eq!(args.sessions.sessions, ["a.mcap", "b.mcap"]);
+    assert_eq!(args.set, ["x.y=1", "x.z=2"]);
+    assert_eq!((args.limits.jobs, args.limits.memory), (Some(3), 2 << 30));
+}
+
+#[test]
+fn a_query_stands_apart_from_sessions() {
+    let query = "SELECT 1";
+    let lines: [&[&str]; 5] = [
+        &["--sessions", "a", "b", "--format", "json", "-q", query],
+        &[query, "--sessions", "a", "b"],
+        &["--sessions", "a", "b", "--", query],
+        &["--sessions", "a", "b", query],
+        &["--sessions", "a", "b", query, "--format", "json"],
+    ];
+    for line in lines {
+        let arguments = ["evermap", "sql"].iter().chain(line);
+        let Command::Sql(args) = Arguments::try_parse_from(arguments).unwrap().command else {
+            panic!("{line:?}")
+        };
+        let (sessions, found) = args.split();
+        assert_eq!(sessions.sessions, ["a", "b"], "{line:?}");
+        assert_eq!(found.as_deref(), Some(query), "{line:?}");
+    }
+    let Ok(Command::Sql(args)) = read("evermap sql --sessions a.mcap select.mcap") else {
+        panic!()
+    };
+    assert_eq!(args.split().1, None);
+}
+
+#[test]
+fn what_makes_no_sense_is_wrong_usage() {
+    let lines = [
+        "evermap",
+        "evermap run p",
+        "evermap sql SELECT",
+        "evermap sql --map m --sessions s",
+        "evermap sql --sessions s --version 3",
+        "evermap render --map m --out m.bmp",
+        "evermap render --map m --out m.png --width-px 5",
+        "evermap run p --map m --memory lots",
+        "evermap run p --map m --jobs 0",
+        "evermap simulate moon --out d",
+        "evermap export lanes --map m --format dxf --out f",
+    ];
+    for line in lines {
+        assert_eq!(read(line).map(|_| ()).unwrap_err().exit_code(), 2, "{line}");
+    }
+}

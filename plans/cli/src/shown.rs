@@ -1,0 +1,101 @@
+//! The columns of layers that a picture shows. A layer that a query made, or an older version, needs only these.
+
+use evermap_schemas::{Bytes, LayerRow, layers, record};
+
+record! {
+    /// A tile, as far as it is shown.
+    pub struct Tile {
+        /// Site of the map.
+        site: String,
+        /// Level: 0 is the finest.
+        zoom: u32,
+        /// Tile column.
+        tile_x: i32,
+        /// Tile row.
+        tile_y: i32,
+        /// Side of a cell.
+        cell_m: f64 ["m"],
+        /// Side of the tile.
+        size_m: f64 ["m"],
+        /// Grey PNG with alpha; the first row is the northernmost.
+        png: Bytes,
+    }
+}
+impl LayerRow for Tile {
+    const NAME: &'static str = layers::OverheadTile::NAME;
+    const DOC: &'static str = layers::OverheadTile::DOC;
+    const KEY: &'static [&'static str] = layers::OverheadTile::KEY;
+}
+
+record! {
+    /// A lane, as far as it is shown.
+    pub struct Lane {
+        /// Site of the map.
+        site: String,
+        /// Number within the site.
+        lane: u32,
+        /// What is at the start.
+        start_kind: String,
+        /// What is at the end.
+        end_kind: String,
+        /// `forward`, `backward` or `both`; anything else has no arrows.
+        direction: String,
+        /// Length.
+        length_m: f64 ["m"],
+        /// The centre line.
+        points: Vec<[f64; 3]> ["m", "map"],
+    }
+}
+impl LayerRow for Lane {
+    const NAME: &'static str = layers::Lane::NAME;
+    const DOC: &'static str = layers::Lane::DOC;
+    const KEY: &'static [&'static str] = layers::Lane::KEY;
+}
+
+record! {
+    /// An intersection, as far as it is shown.
+    pub struct Crossing {
+        /// Site of the map.
+        site: String,
+        /// Number within the site.
+        node: u32,
+        /// Lane ends that meet here.
+        degree: u32,
+        /// Where it is.
+        x: f64 ["m", "map"],
+        /// Where it is.
+        y: f64 ["m", "map"],
+    }
+}
+impl LayerRow for Crossing {
+    const NAME: &'static str = layers::Intersection::NAME;
+    const DOC: &'static str = layers::Intersection::DOC;
+    const KEY: &'static [&'static str] = layers::Intersection::KEY;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use evermap_schemas::Layer;
+
+    #[test]
+    fn what_is_shown_is_in_the_layers() {
+        let pairs: [(Layer, Layer); 3] = [
+            (Tile::layer(), layers::OverheadTile::layer()),
+            (Lane::layer(), layers::Lane::layer()),
+            (Crossing::layer(), layers::Intersection::layer()),
+        ];
+        for (shown, layer) in pairs {
+            for column in shown.columns {
+                let declared = layer.column(column.name).map(|found| &found.data_type);
+                assert_eq!(
+                    declared,
+                    Some(&column.data_type),
+                    "{}.{}",
+                    layer.name,
+                    column.name
+                );
+            }
+        }
+    }
+}
