@@ -10,7 +10,9 @@ use std::process::{Command, Output};
 
 /// The repository.
 pub fn repository() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests/ lies in the repository")
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("tests/ lies in the repository")
 }
 
 /// A path in the shared data; `None`, loudly, where it is not there.
@@ -50,9 +52,12 @@ impl Finished {
     ///
     /// # Panics
     /// With everything it said, if not.
-    #[must_use]
     pub fn expect(self, code: i32) -> Self {
-        assert_eq!(self.code, code, "stdout: {}\nstderr: {}", self.stdout, self.stderr);
+        assert_eq!(
+            self.code, code,
+            "stdout: {}\nstderr: {}",
+            self.stdout, self.stderr
+        );
         self
     }
 
@@ -61,7 +66,8 @@ impl Finished {
     /// # Panics
     /// Where it is none.
     pub fn json(&self) -> serde_json::Value {
-        serde_json::from_str(&self.stdout).unwrap_or_else(|error| panic!("{error}: {}", self.stdout))
+        serde_json::from_str(&self.stdout)
+            .unwrap_or_else(|error| panic!("{error}: {}", self.stdout))
     }
 }
 
@@ -71,9 +77,16 @@ impl Finished {
 /// Where it was not built.
 pub fn program() -> PathBuf {
     let test = std::env::current_exe().expect("a test has a path");
-    let folder = test.parent().and_then(Path::parent).expect("tests lie in target/PROFILE/deps");
+    let folder = test
+        .parent()
+        .and_then(Path::parent)
+        .expect("tests lie in target/PROFILE/deps");
     let program = folder.join("evermap");
-    assert!(program.exists(), "{} is not built: run `cargo test --workspace`", program.display());
+    assert!(
+        program.exists(),
+        "{} is not built: run `cargo test --workspace`",
+        program.display()
+    );
     program
 }
 
@@ -98,4 +111,91 @@ pub fn evermap(arguments: &[&str]) -> Finished {
 /// For a path that is no UTF-8.
 pub fn text(path: &Path) -> &str {
     path.to_str().expect("test paths are UTF-8")
+}
+
+/// One pose of a made-up drive: seconds from the start, x and y in metres, yaw in radians.
+pub type DrivePose = (f64, f64, f64, f64);
+
+/// Writes a session with nothing but odometry (`/odom`, foxglove.PoseInFrame as JSON).
+///
+/// # Panics
+/// When the file cannot be written.
+pub fn write_drive(path: &Path, poses: impl IntoIterator<Item = DrivePose>) {
+    let file = std::io::BufWriter::new(std::fs::File::create(path).expect("a session can be made"));
+    let mut writer = mcap::Writer::new(file).expect("an MCAP file begins");
+    let schema = writer
+        .add_schema("foxglove.PoseInFrame", "jsonschema", POSE_SCHEMA.as_bytes())
+        .expect("a schema fits");
+    let channel = writer
+        .add_channel(schema, "/odom", "json", &Default::default())
+        .expect("a channel fits");
+    for (sequence, (seconds, x, y, yaw)) in poses.into_iter().enumerate() {
+        let nanoseconds = 1_700_000_000_000_000_000 + (seconds * 1e9) as u64;
+        let message = serde_json::json!({
+            "timestamp": { "sec": nanoseconds / 1_000_000_000, "nsec": nanoseconds % 1_000_000_000 },
+            "frame_id": "odom",
+            "pose": {
+                "position": { "x": x, "y": y, "z": 0.0 },
+                "orientation": { "x": 0.0, "y": 0.0, "z": (yaw / 2.0).sin(), "w": (yaw / 2.0).cos() },
+            },
+        });
+        let header = mcap::records::MessageHeader {
+            channel_id: channel,
+            sequence: sequence as u32,
+            log_time: nanoseconds,
+            publish_time: nanoseconds,
+        };
+        writer
+            .write_to_known_channel(&header, message.to_string().as_bytes())
+            .expect("a message fits");
+    }
+    writer.finish().expect("an MCAP file ends");
+}
+
+const POSE_SCHEMA: &str = r#"{
+  "type": "object",
+  "properties": {
+    "timestamp": { "type": "object", "properties": { "sec": { "type": "integer" }, "nsec": { "type": "integer" } } },
+    "frame_id": { "type": "string" },
+    "pose": {
+      "type": "object",
+      "properties": {
+        "position": {
+          "type": "object",
+          "properties": { "x": { "type": "number" }, "y": { "type": "number" }, "z": { "type": "number" } }
+        },
+        "orientation": {
+          "type": "object",
+          "properties": {
+            "x": { "type": "number" }, "y": { "type": "number" }, "z": { "type": "number" }, "w": { "type": "number" }
+          }
+        }
+      }
+    }
+  }
+}"#;
+
+/// A drive around a rectangle, `loops` times, at 2 m/s and 10 Hz.
+pub fn rectangle(width_m: f64, height_m: f64, loops: f64) -> Vec<DrivePose> {
+    let around = 2.0 * (width_m + height_m);
+    let steps = (around * loops / 0.2) as usize;
+    (0..=steps)
+        .map(|step| {
+            let along = (step as f64 * 0.2) % around;
+            let (x, y, yaw) = if along < width_m {
+                (along, 0.0, 0.0)
+            } else if along < width_m + height_m {
+                (width_m, along - width_m, std::f64::consts::FRAC_PI_2)
+            } else if along < 2.0 * width_m + height_m {
+                (
+                    2.0 * width_m + height_m - along,
+                    height_m,
+                    std::f64::consts::PI,
+                )
+            } else {
+                (0.0, around - along, -std::f64::consts::FRAC_PI_2)
+            };
+            (step as f64 * 0.1, x, y, yaw)
+        })
+        .collect()
 }

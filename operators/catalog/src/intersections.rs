@@ -78,17 +78,15 @@ fn intersections(lanes: &[Lane], emit: &mut Emit<'_>) -> Result<(), Fault> {
         .first()
         .map(|lane| lane.site.clone())
         .unwrap_or_default();
-    let found = nodes
-        .into_iter()
-        .map(|(node, meeting)| Intersection {
-            site: site.clone(),
-            node,
-            degree: meeting.degree,
-            x: meeting.point[0],
-            y: meeting.point[1],
-            z: meeting.point[2],
-            sources: meeting.sources.into_rows(),
-            geometry: Wkb::point(meeting.point),
-        });
+    let found = nodes.into_iter().map(|(node, meeting)| Intersection {
+        site: site.clone(),
+        node,
+        degree: meeting.degree,
+        x: meeting.point[0],
+        y: meeting.point[1],
+        z: meeting.point[2],
+        sources: meeting.sources.into_rows(),
+        geometry: Wkb::point(meeting.point),
+    });
     emit.rows(found.collect())
 }

@@ -299,9 +299,7 @@ impl Look {
                         sources: Sources::default(),
                     });
                 same_cells(state.cell_m, patch.cell_m)?;
-                state
-                    .sources
-                    .add(&patch.session, patch.stamp, patch.stamp);
+                state.sources.add(&patch.session, patch.stamp, patch.stamp);
                 self.add_piece(columns, rows.clone(), &mut state.sums)?;
             }
         }

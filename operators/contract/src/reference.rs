@@ -4,9 +4,7 @@
 use std::collections::BTreeMap;
 
 use arrow::array::{RecordBatch, UInt32Array};
-use arrow::compute::{
-    SortColumn, concat_batches, lexsort_to_indices, take_record_batch,
-};
+use arrow::compute::{SortColumn, concat_batches, lexsort_to_indices, take_record_batch};
 use evermap_schemas::{Bytes, Fault, LayerRow, rows};
 use serde_json::Value;
 

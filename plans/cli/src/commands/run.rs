@@ -3,11 +3,15 @@
 use std::time::{Duration, Instant};
 
 use evermap_contract::Registry;
+#[cfg(feature = "cluster")]
+use evermap_engine::cluster::ClusterRunner;
 use evermap_engine::map::{Map, record_run};
 use evermap_engine::prepare::Prepared;
 use evermap_engine::run::RunResult;
 use evermap_engine::runner::{LocalRunner, Runner};
 use evermap_engine::sql::Limits;
+
+use evermap_schemas::Fault;
 
 use crate::arguments::{LimitArgs, RunArgs};
 use crate::commands::layers::print_layers;
@@ -42,7 +46,7 @@ pub async fn run(args: &RunArgs) -> Ending {
         .for_each(|warning| line(&format!("warning: {warning}")));
     let jobs = jobs(&args.limits);
     let run = prepared.run(&registry, limits(&args.limits, jobs));
-    let runner = runner(args, &registry, jobs);
+    let runner = runner(args, &registry, jobs).await?;
     let mut progress = Progress::new(args.progress, 0);
     let result = run
         .execute(runner.as_ref(), &mut |event| progress.note(&event))
@@ -74,24 +78,28 @@ fn limits(args: &LimitArgs, jobs: usize) -> Limits {
     }
 }
 
+/// Runs units on a cluster inside this process, for trying one out.
 #[cfg(feature = "cluster")]
-fn runner(args: &RunArgs, registry: &Registry, jobs: usize) -> Box<dyn Runner> {
-    match &args.cluster {
-        Some(url) => {
-            let deadline = Duration::from_secs(args.deadline_s);
-            Box::new(evermap_engine::cluster::ClusterRunner::new(
-                url,
-                registry.clone(),
-                deadline,
-            ))
-        }
-        None => Box::new(LocalRunner::new(registry.clone(), jobs)),
-    }
+const IN_PROCESS: &str = "in-process";
+
+#[cfg(feature = "cluster")]
+async fn runner(
+    args: &RunArgs,
+    registry: &Registry,
+    jobs: usize,
+) -> Result<Box<dyn Runner>, Fault> {
+    let deadline = Duration::from_secs(args.deadline_s);
+    let registry = registry.clone();
+    Ok(match args.cluster.as_deref() {
+        Some(IN_PROCESS) => Box::new(ClusterRunner::in_process(registry, jobs, deadline).await?),
+        Some(url) => Box::new(ClusterRunner::new(url, registry, deadline)),
+        None => Box::new(LocalRunner::new(registry, jobs)),
+    })
 }
 
 #[cfg(not(feature = "cluster"))]
-fn runner(_: &RunArgs, registry: &Registry, jobs: usize) -> Box<dyn Runner> {
-    Box::new(LocalRunner::new(registry.clone(), jobs))
+async fn runner(_: &RunArgs, registry: &Registry, jobs: usize) -> Result<Box<dyn Runner>, Fault> {
+    Ok(Box::new(LocalRunner::new(registry.clone(), jobs)))
 }
 
 fn summary(result: &RunResult, elapsed: Duration) -> String {

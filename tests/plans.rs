@@ -1,0 +1,84 @@
+//! The plans that ship: they check, their tests pass, and a bad plan is refused with all its faults.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use evermap_tests::{evermap, repository, text};
+
+#[test]
+fn every_shipped_plan_checks_and_its_tests_pass() {
+    let mut plans: Vec<_> = std::fs::read_dir(repository().join("plans/library"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| {
+            path.extension()
+                .is_some_and(|extension| extension == "yaml")
+        })
+        .collect();
+    plans.sort();
+    assert!(plans.len() >= 2);
+    for plan in plans {
+        evermap(&["check", text(&plan)]).expect(0);
+        evermap(&["test", text(&plan)]).expect(0);
+    }
+}
+
+#[test]
+fn a_bad_plan_is_refused_with_all_its_faults_before_anything_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let (plan, map) = (folder.path().join("bad.yaml"), folder.path().join("map"));
+    let lines = [
+        "plan: bad",
+        "steps:",
+        "  keyframes:",
+        "    op: keyframe",
+        "    in: { odometry: odometry }",
+        "  poses:",
+        "    sql: SELECT site, session, stamp FROM odometry",
+        "  lanes:",
+        "    op: road_network",
+        "    in: { poses: poses }",
+        "    with: { conect_m: 2.0 }",
+        "write: [lanes, keyframes]",
+    ];
+    std::fs::write(&plan, lines.join("\n")).unwrap();
+    let told = evermap(&[
+        "run",
+        text(&plan),
+        "--map",
+        text(&map),
+        "--sessions",
+        "no_such.mcap",
+    ])
+    .expect(1);
+    for needle in ["keyframes", "connect_m", ":4:", ":11:"] {
+        assert!(
+            told.stderr.contains(needle),
+            "{needle} is not in {}",
+            told.stderr
+        );
+    }
+    assert!(!map.exists(), "a map was begun");
+}
+
+#[test]
+fn a_table_that_does_not_fit_its_port_is_a_fault_of_the_plan() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = folder.path().join("misfit.yaml");
+    let lines = [
+        "plan: misfit",
+        "steps:",
+        "  poses:",
+        "    sql: SELECT site, session, stamp, 1.0 AS map_from_vehicle FROM odometry",
+        "  lanes:",
+        "    op: road_network",
+        "    in: { poses: poses }",
+        "write: [lanes]",
+    ];
+    std::fs::write(&plan, lines.join("\n")).unwrap();
+    let told = evermap(&["check", text(&plan)]).expect(1);
+    assert!(
+        told.stderr.contains("map_from_vehicle") && told.stderr.contains(":5:"),
+        "{}",
+        told.stderr
+    );
+}

@@ -1,0 +1,219 @@
+//! Recordings that others made: every one decodes or says why not, and values equal those of the official readers.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stderr
+)]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use evermap_tests::{evermap, repository, shared, text};
+use serde_json::Value;
+
+/// Every file below a folder, sorted.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(files(&path))
+        } else {
+            found.push(path)
+        }
+    }
+    found.sort();
+    found
+}
+
+#[test]
+fn every_recording_is_read_or_refused_with_what_to_do() {
+    let Some(folder) = shared("data/mcap_real") else {
+        return;
+    };
+    for file in files(&folder) {
+        let told = evermap(&["inspect", text(&file), "--json"]);
+        match file.extension().and_then(|extension| extension.to_str()) {
+            Some("mcap") => {
+                assert!(
+                    told.code == 0 || told.code == 3,
+                    "{}: {}",
+                    file.display(),
+                    told.stderr
+                );
+            }
+            Some("bag" | "db3") => {
+                assert_eq!(told.code, 1, "{}", file.display());
+                let empty = std::fs::metadata(&file).unwrap().len() == 0;
+                let next = if empty { "empty file" } else { "convert" };
+                assert!(
+                    told.stderr.contains(next),
+                    "{}: {}",
+                    file.display(),
+                    told.stderr
+                );
+            }
+            _ => {}
+        }
+    }
+}
+
+/// The messages of topics as the official Python readers decode them; `None`, loudly, without those readers.
+fn python(file: &Path, topics: &[&str]) -> Option<Vec<Value>> {
+    let interpreter = repository().join(".venv/bin/python");
+    if !interpreter.exists() {
+        eprintln!(
+            "SKIPPED: {} is not there: `make test` sets it up",
+            interpreter.display()
+        );
+        return None;
+    }
+    let script = repository().join("tests/peers/check_values.py");
+    let output = Command::new(interpreter)
+        .arg(script)
+        .arg(file)
+        .args(topics)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let lines = String::from_utf8(output.stdout).unwrap();
+    Some(
+        lines
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect(),
+    )
+}
+
+/// Whether ours says the same as theirs; numbers as close as a float32's text allows.
+fn same(ours: &Value, theirs: &Value) -> bool {
+    match (ours, theirs) {
+        (Value::Object(ours), Value::Object(theirs)) => theirs
+            .iter()
+            .all(|(name, theirs)| ours.get(name).is_some_and(|ours| same(ours, theirs))),
+        (Value::Array(ours), Value::Array(theirs)) => {
+            ours.len() == theirs.len() && ours.iter().zip(theirs).all(|(a, b)| same(a, b))
+        }
+        (Value::Number(ours), Value::Number(theirs)) => match (ours.as_f64(), theirs.as_f64()) {
+            (Some(a), Some(b)) => a == b || (a as f32) == (b as f32),
+            _ => false,
+        },
+        // JSON has no NaN: Arrow writes null.
+        (Value::Null, Value::String(theirs)) => {
+            ["NaN", "Infinity", "-Infinity"].contains(&theirs.as_str())
+        }
+        _ => ours == theirs,
+    }
+}
+
+fn compare(file: &str, topics: &[&str]) {
+    let Some(file) = shared(file) else { return };
+    for topic in topics {
+        let Some(theirs) = python(&file, &[topic]) else {
+            return;
+        };
+        let query = format!("SELECT * FROM \"{topic}\" ORDER BY log_time, sequence");
+        let ours = evermap(&["sql", "--sessions", text(&file), "--format", "json", &query])
+            .expect(0)
+            .json();
+        let ours = ours.as_array().unwrap();
+        assert_eq!(ours.len(), theirs.len(), "{topic}");
+        assert!(!ours.is_empty(), "{topic} is empty");
+        for (row, (ours, theirs)) in ours.iter().zip(&theirs).enumerate() {
+            assert!(
+                same(ours, &theirs["message"]),
+                "{topic} message {row}: {ours} is not {theirs}"
+            );
+        }
+    }
+}
+
+#[test]
+fn turtlebot_values_equal_the_official_readers() {
+    compare("data/mcap_real/evo/nav2_turtlebot.mcap", &["/odom", "/tf"]);
+}
+
+#[test]
+fn soccer_values_equal_the_official_readers() {
+    let Some(file) = shared("data/mcap_real/amber/soccer_goal_12.mcap") else {
+        return;
+    };
+    let query = "SELECT DISTINCT topic FROM messages";
+    let topics = evermap(&["sql", "--sessions", text(&file), "--format", "json", query])
+        .expect(0)
+        .json();
+    let topics: Vec<&str> = topics
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|row| row["topic"].as_str().unwrap())
+        .collect();
+    assert!(!topics.is_empty());
+    compare("data/mcap_real/amber/soccer_goal_12.mcap", &topics);
+}
+
+#[test]
+fn turtlebot_gives_its_road_network() {
+    let Some(file) = shared("data/mcap_real/evo/nav2_turtlebot.mcap") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    let plan = repository().join("plans/library/trajectory.yaml");
+    evermap(&[
+        "run",
+        text(&plan),
+        "--map",
+        text(&map),
+        "--sessions",
+        text(&file),
+    ])
+    .expect(0);
+    let query = "SELECT count(*) AS lanes, sum(length_m) AS length_m FROM lanes";
+    let lanes = evermap(&["sql", "--map", text(&map), "--format", "json", query])
+        .expect(0)
+        .json();
+    assert!(lanes[0]["lanes"].as_u64().unwrap() >= 1, "{lanes}");
+    let driven = "SELECT count(*) AS n FROM poses";
+    let poses = evermap(&["sql", "--map", text(&map), "--format", "json", driven])
+        .expect(0)
+        .json();
+    let path_m = poses[0]["n"].as_f64().unwrap() * 0.2;
+    let length_m = lanes[0]["length_m"].as_f64().unwrap();
+    assert!(
+        length_m > 0.2 * path_m && length_m < 1.2 * path_m,
+        "{length_m} m of lanes for {path_m} m driven"
+    );
+}
+
+#[test]
+fn a_recording_cut_anywhere_gives_what_is_before_the_cut_and_says_so() {
+    let Some(file) = shared("data/mcap_real/evo/nav2_turtlebot.mcap") else {
+        return;
+    };
+    let bytes = std::fs::read(&file).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let mut before = 0;
+    for part in 1..8 {
+        let cut = folder.path().join(format!("cut_{part}.mcap"));
+        std::fs::write(&cut, &bytes[..bytes.len() * part / 8 + 7]).unwrap();
+        let told = evermap(&[
+            "sql",
+            "--sessions",
+            text(&cut),
+            "--format",
+            "json",
+            "SELECT count(*) AS n FROM messages",
+        ]);
+        let rows = told.expect(3).json()[0]["n"].as_u64().unwrap();
+        assert!(rows >= before, "a longer file gave fewer messages");
+        before = rows;
+    }
+    assert!(before > 0);
+}
