@@ -10,8 +10,8 @@ use datafusion::execution::runtime_env::RuntimeEnv;
 use datafusion::prelude::SessionContext;
 use evermap_schemas::Fault;
 use futures::{StreamExt, TryStreamExt};
-use object_store::path::Path;
 use object_store::ObjectStoreExt;
+use object_store::path::Path;
 
 use crate::listing;
 use crate::log::window::store_fault;
@@ -88,7 +88,10 @@ impl Dataset {
         let mut sessions = Vec::new();
         let mut notes = Vec::new();
         for (session, said) in opened {
-            notes.extend(said.iter().map(|note| format!("session {}: {note}", session.name)));
+            notes.extend(
+                said.iter()
+                    .map(|note| format!("session {}: {note}", session.name)),
+            );
             sessions.push(session);
         }
         sessions.sort_by(|a, b| a.name.cmp(&b.name));
@@ -158,7 +161,11 @@ impl Dataset {
                 };
             tables.insert(topic, provider);
         }
-        for table in [LogTable::Messages, LogTable::Attachments, LogTable::Metadata] {
+        for table in [
+            LogTable::Messages,
+            LogTable::Attachments,
+            LogTable::Metadata,
+        ] {
             let name = table.name().to_owned();
             let provider = McapTable::new(table, &parts, self.losses.clone())?;
             tables.insert(name, Arc::new(provider));
@@ -260,7 +267,10 @@ async fn recordings(files: Vec<Found>) -> Result<Vec<Group>, Fault> {
     let mut folders = BTreeMap::<(String, String), Vec<Found>>::new();
     for file in files {
         let siblings = folders.entry(file.folder()).or_default();
-        if siblings.iter().all(|other| other.meta.location != file.meta.location) {
+        if siblings
+            .iter()
+            .all(|other| other.meta.location != file.meta.location)
+        {
             siblings.push(file);
         }
     }
@@ -347,7 +357,9 @@ fn check_roles(manifest: &ManifestRoles, sessions: &[Session]) -> Result<(), Fau
         ("transforms", manifest.transforms.is_some()),
     ];
     for (role, given) in given {
-        let found = sessions.iter().any(|session| !session.roles.topics(role).is_empty());
+        let found = sessions
+            .iter()
+            .any(|session| !session.roles.topics(role).is_empty());
         if given && !found {
             let topics: BTreeSet<String> = sessions.iter().flat_map(Session::topics).collect();
             let topics: Vec<String> = topics.into_iter().collect();

@@ -179,7 +179,9 @@ async fn read(part: &LogPart, place: &Place) -> Result<Bytes, Fault> {
     let at = |fault: Fault| fault.at(format!("{} at {}", part.url, place.offset));
     let end = place.offset.saturating_add(place.length);
     if end > part.meta.size || place.size > LARGEST_CHUNK {
-        return Err(at(Fault::data("expected an image inside the file, found none there")));
+        return Err(at(Fault::data(
+            "expected an image inside the file, found none there",
+        )));
     }
     let bytes = fetch(&part.store, &part.meta.location, place.offset..end).await?;
     let Some(compression) = place.compression.clone() else {
@@ -192,10 +194,16 @@ async fn read(part: &LogPart, place: &Place) -> Result<Bytes, Fault> {
 }
 
 fn image_bytes(chunk: &Bytes, image: &ImageRef) -> Result<Bytes, Fault> {
-    let start = if image.chunk.is_some() { image.offset } else { 0 };
+    let start = if image.chunk.is_some() {
+        image.offset
+    } else {
+        0
+    };
     let end = start.checked_add(image.length);
     let Some(end) = end.filter(|end| *end <= chunk.len() as u64) else {
-        return Err(Fault::data("expected an image inside its chunk, found none there"));
+        return Err(Fault::data(
+            "expected an image inside its chunk, found none there",
+        ));
     };
     let bytes = chunk.slice(start as usize..end as usize);
     if !is_base64(&bytes, image) {
@@ -211,7 +219,7 @@ fn image_bytes(chunk: &Bytes, image: &ImageRef) -> Result<Bytes, Fault> {
 /// of letters only, and a raw one has the size that its rows need.
 fn is_base64(bytes: &Bytes, image: &ImageRef) -> bool {
     let letter = |byte: &u8| byte.is_ascii_alphanumeric() || matches!(byte, b'+' | b'/' | b'=');
-    if bytes.len() % 4 != 0 || !bytes.iter().take(64).all(letter) {
+    if !bytes.len().is_multiple_of(4) || !bytes.iter().take(64).all(letter) {
         return false;
     }
     match (image.height, image.step) {

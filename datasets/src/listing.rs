@@ -35,7 +35,9 @@ pub(crate) fn sessions(sessions: &[Session]) -> Result<Arc<dyn TableProvider>, F
         let parts = &session.parts;
         names.append_value(&session.name);
         sites.append_value(&session.site);
-        parts.iter().for_each(|part| files.values().append_value(&part.url));
+        parts
+            .iter()
+            .for_each(|part| files.values().append_value(&part.url));
         files.append(true);
         bytes.append_value(parts.iter().map(|part| part.meta.size).sum());
         let ranges = || parts.iter().filter_map(|part| part.index.time_range());

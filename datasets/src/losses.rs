@@ -106,7 +106,9 @@ impl LossLedger {
     pub fn note(&self, entry: Entry) {
         let key = (entry.file, entry.reason, entry.topic, entry.offset);
         let mut entries = self.lock();
-        let (loss, _) = entries.entry(key).or_insert((Loss::default(), entry.detail));
+        let (loss, _) = entries
+            .entry(key)
+            .or_insert((Loss::default(), entry.detail));
         loss.count = loss.count.max(entry.loss.count);
         loss.bytes = loss.bytes.max(entry.loss.bytes);
     }

@@ -118,7 +118,9 @@ pub struct TopicInfo {
 /// The part that a message type plays, whatever it is called: `sensor_msgs/msg/Image` (ROS 2), `sensor_msgs/Image`
 /// (ROS 1) and `foxglove.RawImage` (protobuf, JSON) are the same.
 pub(crate) fn plain_type(schema: &str) -> String {
-    schema.replace("/msg/", "/").replace("foxglove_msgs/", "foxglove.")
+    schema
+        .replace("/msg/", "/")
+        .replace("foxglove_msgs/", "foxglove.")
 }
 
 const FRAMES: [&str; 4] = [
@@ -234,10 +236,7 @@ fn others(candidates: &[String], chosen: &str) -> String {
     others.join(", ")
 }
 
-fn choose_odometry(
-    candidates: &[String],
-    topics: &BTreeMap<String, TopicInfo>,
-) -> Option<String> {
+fn choose_odometry(candidates: &[String], topics: &BTreeMap<String, TopicInfo>) -> Option<String> {
     let messages = |topic: &String| topics.get(topic).map_or(0, |info| info.messages);
     let rank = |topic: &&String| {
         let plain = topic.trim_start_matches('/') == "odom";
@@ -280,9 +279,21 @@ mod tests {
     #[test]
     fn roles_follow_from_types_in_every_spelling() {
         for (odometry, image, tf) in [
-            ("nav_msgs/msg/Odometry", "sensor_msgs/msg/Image", "tf2_msgs/msg/TFMessage"),
-            ("nav_msgs/Odometry", "sensor_msgs/CompressedImage", "tf/tfMessage"),
-            ("foxglove.PoseInFrame", "foxglove.RawImage", "foxglove.FrameTransforms"),
+            (
+                "nav_msgs/msg/Odometry",
+                "sensor_msgs/msg/Image",
+                "tf2_msgs/msg/TFMessage",
+            ),
+            (
+                "nav_msgs/Odometry",
+                "sensor_msgs/CompressedImage",
+                "tf/tfMessage",
+            ),
+            (
+                "foxglove.PoseInFrame",
+                "foxglove.RawImage",
+                "foxglove.FrameTransforms",
+            ),
         ] {
             let (roles, notes) = Roles::infer(&topics(&[
                 ("/my_odometry", odometry, 1),
@@ -312,7 +323,11 @@ mod tests {
         let (roles, _) = Roles::infer(&topics(&[
             ("/c/image", "sensor_msgs/msg/Image", 1),
             ("/c/image/compressed", "sensor_msgs/msg/CompressedImage", 1),
-            ("/c/image/compressedDepth", "sensor_msgs/msg/CompressedImage", 1),
+            (
+                "/c/image/compressedDepth",
+                "sensor_msgs/msg/CompressedImage",
+                1,
+            ),
         ]));
         assert_eq!(roles.frames, ["/c/image/compressed"]);
     }

@@ -40,16 +40,18 @@ pub(crate) async fn resolve(runtime: &RuntimeEnv, name: &str) -> Result<Vec<Foun
     let mut found = match Url::parse(name) {
         Ok(url) if name.contains("://") && url.scheme() != "file" => remote(runtime, &url).await?,
         Ok(url) if url.scheme() == "file" && name.contains("://") => {
-            let path = url
-                .to_file_path()
-                .map_err(|()| Fault::user(format!("expected the URL of a local file, found {name}")))?;
+            let path = url.to_file_path().map_err(|()| {
+                Fault::user(format!("expected the URL of a local file, found {name}"))
+            })?;
             local(runtime, &path.to_string_lossy()).await?
         }
         _ => local(runtime, name).await?,
     };
     if found.is_empty() {
-        return Err(Fault::user(format!("expected MCAP files, found none at {name}"))
-            .next("give a file, a folder, a glob in quotes, or a URL"));
+        return Err(
+            Fault::user(format!("expected MCAP files, found none at {name}"))
+                .next("give a file, a folder, a glob in quotes, or a URL"),
+        );
     }
     found.sort_by_key(|file| natural_key(file.meta.location.as_ref()));
     Ok(found)
@@ -60,9 +62,13 @@ pub(crate) fn natural_key(text: &str) -> Vec<(String, u64)> {
     let mut key = Vec::new();
     let mut rest = text;
     while !rest.is_empty() {
-        let digits = rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len());
+        let digits = rest
+            .find(|c: char| c.is_ascii_digit())
+            .unwrap_or(rest.len());
         let (word, tail) = rest.split_at(digits);
-        let end = tail.find(|c: char| !c.is_ascii_digit()).unwrap_or(tail.len());
+        let end = tail
+            .find(|c: char| !c.is_ascii_digit())
+            .unwrap_or(tail.len());
         let (number, tail) = tail.split_at(end);
         key.push((word.to_owned(), number.parse().unwrap_or(u64::MAX)));
         rest = tail;
@@ -72,7 +78,8 @@ pub(crate) fn natural_key(text: &str) -> Vec<(String, u64)> {
 }
 
 fn is_mcap(path: &FilePath) -> bool {
-    path.extension().is_some_and(|extension| extension == "mcap")
+    path.extension()
+        .is_some_and(|extension| extension == "mcap")
 }
 
 async fn local(runtime: &RuntimeEnv, name: &str) -> Result<Vec<Found>, Fault> {
@@ -82,8 +89,8 @@ async fn local(runtime: &RuntimeEnv, name: &str) -> Result<Vec<Found>, Fault> {
         .map_err(|error| Fault::resource(error.to_string()))?;
     let mut files = Vec::new();
     for path in local_paths(name)? {
-        let path = std::path::absolute(&path)
-            .map_err(|error| Fault::user(error.to_string()).at(path.display()))?;
+        let path =
+            plain_path(&path).map_err(|error| Fault::user(error.to_string()).at(path.display()))?;
         let location = Path::from_absolute_path(&path)
             .map_err(|error| Fault::user(error.to_string()).at(path.display()))?;
         let meta = store
@@ -97,6 +104,15 @@ async fn local(runtime: &RuntimeEnv, name: &str) -> Result<Vec<Found>, Fault> {
         });
     }
     Ok(files)
+}
+
+/// The absolute path without `..`; a link to a file keeps its own name.
+fn plain_path(path: &FilePath) -> std::io::Result<PathBuf> {
+    let path = std::path::absolute(path)?;
+    match (path.parent(), path.file_name()) {
+        (Some(folder), Some(name)) if folder.exists() => Ok(folder.canonicalize()?.join(name)),
+        _ => path.canonicalize(),
+    }
 }
 
 fn local_paths(name: &str) -> Result<Vec<PathBuf>, Fault> {
@@ -127,7 +143,11 @@ fn local_paths(name: &str) -> Result<Vec<PathBuf>, Fault> {
 /// The MCAP files of a folder; where there are none, its bags, so that they are refused with what to do.
 fn folder_paths(folder: &FilePath) -> Result<Vec<PathBuf>, Fault> {
     let entries = std::fs::read_dir(folder)
-        .and_then(|entries| entries.map(|e| Ok(e?.path())).collect::<Result<Vec<_>, _>>())
+        .and_then(|entries| {
+            entries
+                .map(|e| Ok(e?.path()))
+                .collect::<Result<Vec<_>, _>>()
+        })
         .map_err(|error| Fault::resource(error.to_string()).at(folder.display()))?;
     let with = |extensions: &[&str]| -> Vec<PathBuf> {
         let fits = |path: &&PathBuf| {
@@ -137,7 +157,11 @@ fn folder_paths(folder: &FilePath) -> Result<Vec<PathBuf>, Fault> {
         entries.iter().filter(fits).cloned().collect()
     };
     let logs = with(&["mcap"]);
-    Ok(if logs.is_empty() { with(&["bag", "db3"]) } else { logs })
+    Ok(if logs.is_empty() {
+        with(&["bag", "db3"])
+    } else {
+        logs
+    })
 }
 
 async fn remote(runtime: &RuntimeEnv, url: &Url) -> Result<Vec<Found>, Fault> {
@@ -159,7 +183,9 @@ async fn remote(runtime: &RuntimeEnv, url: &Url) -> Result<Vec<Found>, Fault> {
             .await
             .map_err(|error| store_fault(&error).at(url))?
             .objects;
-        let logs = listed.into_iter().filter(|meta| meta.location.as_ref().ends_with(".mcap"));
+        let logs = listed
+            .into_iter()
+            .filter(|meta| meta.location.as_ref().ends_with(".mcap"));
         return Ok(logs.map(found).collect());
     }
     let pattern = glob::Pattern::new(&text)

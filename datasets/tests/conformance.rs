@@ -19,7 +19,9 @@ fn bytes(data: &[u8]) -> Value {
 }
 
 fn map<K: ToString, V: ToString>(map: &BTreeMap<K, V>) -> Value {
-    let entries = map.iter().map(|(k, v)| (k.to_string(), Value::from(v.to_string())));
+    let entries = map
+        .iter()
+        .map(|(k, v)| (k.to_string(), Value::from(v.to_string())));
     Value::Object(entries.collect())
 }
 
@@ -27,7 +29,10 @@ fn map<K: ToString, V: ToString>(map: &BTreeMap<K, V>) -> Value {
 fn fields(record: &Record<'_>) -> Option<(&'static str, Vec<(&'static str, Value)>)> {
     let text = |value: &dyn ToString| Value::from(value.to_string());
     Some(match record {
-        Record::Header(r) => ("Header", vec![("library", text(&r.library)), ("profile", text(&r.profile))]),
+        Record::Header(r) => (
+            "Header",
+            vec![("library", text(&r.library)), ("profile", text(&r.profile))],
+        ),
         Record::Footer(r) => (
             "Footer",
             vec![
@@ -87,7 +92,10 @@ fn fields(record: &Record<'_>) -> Option<(&'static str, Vec<(&'static str, Value
                 ("offset", text(&r.offset)),
             ],
         ),
-        Record::Metadata(r) => ("Metadata", vec![("metadata", map(&r.metadata)), ("name", text(&r.name))]),
+        Record::Metadata(r) => (
+            "Metadata",
+            vec![("metadata", map(&r.metadata)), ("name", text(&r.name))],
+        ),
         Record::MetadataIndex(r) => (
             "MetadataIndex",
             vec![
@@ -139,7 +147,10 @@ fn summary_fields(record: &Record<'_>) -> Option<(&'static str, Vec<(&'static st
                 ("group_start", text(&r.group_start)),
             ],
         ),
-        Record::DataEnd(r) => ("DataEnd", vec![("data_section_crc", text(&r.data_section_crc))]),
+        Record::DataEnd(r) => (
+            "DataEnd",
+            vec![("data_section_crc", text(&r.data_section_crc))],
+        ),
         // The suite lists the contents of chunks instead of chunks.
         _ => return None,
     })
@@ -160,7 +171,9 @@ async fn all_files_read_to_the_records_that_their_json_expects() {
         let meta = store.head(&path).await.unwrap();
         let mut found = Vec::new();
         let rest = each_record(&store, &meta, |at| {
-            let record = at.record.unwrap_or_else(|e| panic!("{}: {e}", log.display()));
+            let record = at
+                .record
+                .unwrap_or_else(|e| panic!("{}: {e}", log.display()));
             if let Some((name, fields)) = fields(&record) {
                 found.push(json!({ "type": name, "fields": fields }));
             }

@@ -63,7 +63,10 @@ impl ObjectStore for Counting {
         self.inner.put_multipart_opts(l, o).await
     }
 
-    fn delete_stream(&self, l: BoxStream<'static, Result<Path>>) -> BoxStream<'static, Result<Path>> {
+    fn delete_stream(
+        &self,
+        l: BoxStream<'static, Result<Path>>,
+    ) -> BoxStream<'static, Result<Path>> {
         self.inner.delete_stream(l)
     }
 
@@ -93,7 +96,13 @@ async fn cost(log: &[u8], sql: &str) -> (usize, u64) {
 }
 
 fn log() -> Vec<u8> {
-    let log = Log { messages: 2000, payload: 4000, chunk: Some(50_000), compression: None, ..Log::default() };
+    let log = Log {
+        messages: 2000,
+        payload: 4000,
+        chunk: Some(50_000),
+        compression: None,
+        ..Log::default()
+    };
     log.write()
 }
 
@@ -120,8 +129,18 @@ async fn limits_stop_reading() {
 #[tokio::test]
 async fn sessions_and_topics_that_are_not_there_cost_nothing() {
     let log = log();
-    assert_eq!(cost(&log, "SELECT * FROM messages WHERE topic = '/nothing'").await, (0, 0));
-    assert_eq!(cost(&log, "SELECT * FROM messages WHERE session = 'other'").await, (0, 0));
-    let (rows, _) = cost(&log, "SELECT * FROM messages WHERE topic IN ('/blob', '/x')").await;
+    assert_eq!(
+        cost(&log, "SELECT * FROM messages WHERE topic = '/nothing'").await,
+        (0, 0)
+    );
+    assert_eq!(
+        cost(&log, "SELECT * FROM messages WHERE session = 'other'").await,
+        (0, 0)
+    );
+    let (rows, _) = cost(
+        &log,
+        "SELECT * FROM messages WHERE topic IN ('/blob', '/x')",
+    )
+    .await;
     assert_eq!(rows, 1000);
 }

@@ -9,6 +9,9 @@ use crate::losses::Reason;
 /// Chunks that claim to be larger than this after decompression are not believed.
 pub const LARGEST_CHUNK: u64 = 2 << 30;
 
+/// First bytes of a zstd frame.
+const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
 /// A decompressed chunk, or a run of records that lie outside any chunk.
 #[derive(Debug, Clone)]
 pub struct Block {
@@ -18,6 +21,8 @@ pub struct Block {
     pub file_offset: u64,
     /// What the block was before it was decompressed; `None` for records outside chunks.
     pub packing: Option<Packing>,
+    /// Whether a place in the block can be told by a file offset and one decompression.
+    pub addressable: bool,
 }
 
 /// How a chunk lies in its file.
@@ -57,6 +62,7 @@ impl Block {
                 compression: header.compression,
                 compressed_size: header.compressed_size,
             }),
+            addressable: true,
         })
     }
 
@@ -66,7 +72,38 @@ impl Block {
             bytes,
             file_offset: offset,
             packing: None,
+            addressable: true,
         }
+    }
+
+    /// The payload of a message that was compressed on its own (rosbag2's `compression_mode: MESSAGE`), as a block.
+    /// `None` where it is not: no CDR payload starts like a zstd frame.
+    ///
+    /// # Errors
+    /// When it does not decompress.
+    pub fn unpack(&self, message: &Message) -> Result<Option<Self>, String> {
+        use std::io::Read;
+        let payload = &self.bytes[message.start..message.end];
+        if !payload.starts_with(&ZSTD_MAGIC) {
+            return Ok(None);
+        }
+        let mut bytes = Vec::new();
+        zstd::Decoder::new(payload)
+            .and_then(|zstd| zstd.take(LARGEST_CHUNK).read_to_end(&mut bytes))
+            .map_err(|error| format!("a payload that does not decompress: {error}"))?;
+        let plain = self
+            .packing
+            .as_ref()
+            .is_none_or(|p| p.compression.is_empty());
+        Ok(Some(Self {
+            bytes: bytes.into(),
+            file_offset: self.file_offset + message.start as u64,
+            packing: Some(Packing {
+                compression: "zstd".to_owned(),
+                compressed_size: payload.len() as u64,
+            }),
+            addressable: plain,
+        }))
     }
 
     /// The records, as far as they are complete.

@@ -115,30 +115,42 @@ impl<'a> Scan<'a> {
         }
     }
 
+    /// Reads the records between two offsets. Behind the end of the data section only definitions are of use: a
+    /// damaged chunk may have been the only other place of them.
     async fn run(&mut self, start: u64, end: u64) -> Result<Ended, Fault> {
         let mut position = start;
-        let ended = loop {
-            let Some(head) = self.window.get(position, FRAME).await? else {
-                break Ended::Early(position);
-            };
-            let Some((opcode, length)) = frame(&head) else {
-                break Ended::Early(position);
-            };
-            let next = position
-                .checked_add(FRAME)
-                .and_then(|body| body.checked_add(length))
-                .filter(|next| *next <= end);
-            let Some(next) = next.filter(|_| opcode != 0) else {
-                break Ended::Early(position);
-            };
-            if matches!(opcode, op::DATA_END | op::FOOTER) {
-                break Ended::AtEnd;
+        let mut data_ended = false;
+        while let Some((opcode, length, next)) = self.next_frame(position, end).await? {
+            match opcode {
+                op::DATA_END => data_ended = true,
+                op::FOOTER => break,
+                op::SCHEMA | op::CHANNEL => self.record(opcode, position, length).await?,
+                _ if data_ended => {}
+                _ => self.record(opcode, position, length).await?,
             }
-            self.record(opcode, position, length).await?;
             position = next;
-        };
+        }
         self.close_run();
-        Ok(ended)
+        Ok(match data_ended {
+            true => Ended::AtEnd,
+            false => Ended::Early(position),
+        })
+    }
+
+    /// Opcode, body length and end of the record at `position`; `None` where there is no complete one.
+    async fn next_frame(
+        &mut self,
+        position: u64,
+        end: u64,
+    ) -> Result<Option<(u8, u64, u64)>, Fault> {
+        let Some(head) = self.window.get(position, FRAME).await? else {
+            return Ok(None);
+        };
+        let complete = frame(&head).and_then(|(opcode, length)| {
+            let next = position.checked_add(FRAME)?.checked_add(length)?;
+            (opcode != 0 && next <= end).then_some((opcode, length, next))
+        });
+        Ok(complete)
     }
 
     async fn record(&mut self, opcode: u8, offset: u64, length: u64) -> Result<(), Fault> {
@@ -202,8 +214,12 @@ impl<'a> Scan<'a> {
                 count: 1,
                 bytes: FRAME + length,
             };
-            self.losses
-                .note(Reason::BadRecord, offset, loss, "a message that is too short");
+            self.losses.note(
+                Reason::BadRecord,
+                offset,
+                loss,
+                "a message that is too short",
+            );
             return Ok(());
         };
         *self.counts.entry(head.channel).or_default() += 1;

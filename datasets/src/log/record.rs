@@ -40,26 +40,19 @@ pub fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
 
 /// The `mcap` crate slices attachment bodies by lengths that it has not compared with the body.
 fn check_attachment(body: &[u8]) -> Result<(), String> {
-    let (_, _, data) = attachment_head(body).ok_or("an attachment that ends early")?;
-    let end = data.1.checked_add(data.0).and_then(|end| end.checked_add(4));
-    match end {
-        Some(end) if end <= body.len() as u64 => Ok(()),
-        _ => Err("an attachment whose length is wrong".to_owned()),
-    }
+    let sound = || {
+        // Two times, name, media type, data with its length, checksum.
+        let rest = skip_text(skip_text(body.get(16..)?)?)?;
+        let length = u64::from_le_bytes(*rest.first_chunk()?);
+        let end = length.checked_add(8 + 4)?;
+        (end <= rest.len() as u64).then_some(())
+    };
+    sound().ok_or_else(|| "an attachment whose length is wrong".to_owned())
 }
 
-/// Name and media type of an attachment, and (start, length) of its data within the body.
-fn attachment_head(body: &[u8]) -> Option<(&[u8], &[u8], (u64, u64))> {
-    let (name, rest) = text(body.get(16..)?)?;
-    let (media_type, rest) = text(rest)?;
-    let length = u64::from_le_bytes(*rest.first_chunk()?);
-    let start = body.len() - rest.len() + 8;
-    Some((name, media_type, (start as u64, length)))
-}
-
-fn text(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+fn skip_text(bytes: &[u8]) -> Option<&[u8]> {
     let length = u32::from_le_bytes(*bytes.first_chunk()?) as usize;
-    bytes.get(4..)?.split_at_checked(length)
+    bytes.get(4..)?.get(length..)
 }
 
 /// A message record, without its payload.

@@ -28,7 +28,9 @@ const WITHOUT_REPEATS: &str = "
     WHERE previous IS NULL OR previous <> content";
 
 /// The table without repeats of an unchanged calibration.
-pub(crate) fn without_repeats(messages: Arc<dyn TableProvider>) -> Result<Arc<dyn TableProvider>, Fault> {
+pub(crate) fn without_repeats(
+    messages: Arc<dyn TableProvider>,
+) -> Result<Arc<dyn TableProvider>, Fault> {
     let bug = |error| fault_of(&error).at("the view of calibrations");
     let context = SessionContext::new();
     context

@@ -118,8 +118,14 @@ mod tests {
         let names = CameraNames {
             by_prefix: BTreeMap::from([("front".to_owned(), "front_optical".to_owned())]),
         };
-        assert_eq!(names.name("/front/image_raw", "front_optical"), "front_optical");
-        assert_eq!(names.name("/front/image_raw/compressed", ""), "front_optical");
+        assert_eq!(
+            names.name("/front/image_raw", "front_optical"),
+            "front_optical"
+        );
+        assert_eq!(
+            names.name("/front/image_raw/compressed", ""),
+            "front_optical"
+        );
         assert_eq!(names.name("/left/image_raw", "left_optical"), "left");
         assert_eq!(names.name("/image", ""), "image");
     }

@@ -88,7 +88,9 @@ impl Columns {
         let (qx, qy, qz, qw) = (qx?, qy?, qz?, qw?);
         let norm = (qx * qx + qy * qy + qz * qz + qw * qw).sqrt();
         if !(norm > 1e-6 && norm.is_finite()) {
-            return Err(format!("expected a rotation, found a quaternion of length {norm}"));
+            return Err(format!(
+                "expected a rotation, found a quaternion of length {norm}"
+            ));
         }
         Ok(Pose {
             x: x?,

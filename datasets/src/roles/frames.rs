@@ -34,6 +34,13 @@ impl FromMessages for Frame {
     type Note = Place;
 
     fn note(message_type: &MessageType, message: &MessageAt<'_>) -> Result<Place, String> {
+        if !message.block.addressable {
+            return Err(
+                "an image that is compressed inside a compressed chunk cannot be referred to: \
+                        record with either chunk or message compression"
+                    .to_owned(),
+            );
+        }
         let located = message_type
             .locate(message.payload, &["data"])
             .map_err(|error| error.to_string())?
@@ -115,7 +122,8 @@ impl FromMessages for Frame {
 /// do; else what the message says.
 fn plain_format(format: &str, magic: &[u8; 8]) -> String {
     let text = format.to_lowercase();
-    let starts = |plain: &[u8], base64: &[u8]| magic.starts_with(plain) || magic.starts_with(base64);
+    let starts =
+        |plain: &[u8], base64: &[u8]| magic.starts_with(plain) || magic.starts_with(base64);
     if starts(b"\xff\xd8\xff", b"/9j/") {
         "jpeg".to_owned()
     } else if starts(b"\x89PNG", b"iVBOR") {

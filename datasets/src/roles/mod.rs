@@ -106,8 +106,10 @@ impl RoleScan {
     }
 }
 
+type Provider = Arc<dyn TableProvider>;
+
 /// The role tables of a dataset.
-pub(crate) fn tables(dataset: &Dataset) -> Result<Vec<(&'static str, Arc<dyn TableProvider>)>, Fault> {
+pub(crate) fn tables(dataset: &Dataset) -> Result<Vec<(&'static str, Provider)>, Fault> {
     let mut tables = Vec::new();
     for role in Role::ALL {
         let table: Arc<dyn TableProvider> = Arc::new(RoleTable::new(role, dataset));
@@ -196,6 +198,14 @@ impl TableProvider for RoleTable {
         }
         let table = LogTable::Role(scan);
         let losses = self.losses.clone();
-        scan_parts(table, &self.schema, &self.parts, losses, state, projection, limit)
+        scan_parts(
+            table,
+            &self.schema,
+            &self.parts,
+            losses,
+            state,
+            projection,
+            limit,
+        )
     }
 }

@@ -19,7 +19,9 @@ impl FromMessages for OdometryPose {
     fn rows(message: Decoded<'_>, (): ()) -> Result<Vec<Self>, String> {
         let (columns, row) = (message.columns, message.row);
         // nav_msgs/Odometry has a pose with covariance, PoseStamped and PoseInFrame a plain one.
-        let nested = columns.number(&["pose", "pose", "position", "x"], row).is_some();
+        let nested = columns
+            .number(&["pose", "pose", "position", "x"], row)
+            .is_some();
         let pose = match nested {
             true => columns.pose(
                 &["pose", "pose", "position"],
@@ -28,9 +30,10 @@ impl FromMessages for OdometryPose {
             ),
             false => columns.pose(&["pose", "position"], &["pose", "orientation"], row),
         };
-        let twist = |path: [&str; 2]| {
-            let path = [&["twist", "twist"], &path[..]].concat();
-            columns.number(&path, row).filter(|number| number.is_finite())
+        let twist = |[kind, axis]: [&str; 2]| {
+            let covariant = columns.number(&["twist", "twist", kind, axis], row);
+            let found = covariant.or_else(|| columns.number(&["twist", kind, axis], row));
+            found.filter(|number| number.is_finite())
         };
         Ok(vec![Self {
             site: message.site.to_owned(),
@@ -75,7 +78,11 @@ fn transform(message: &Decoded<'_>, columns: &Columns, row: usize) -> Result<Tra
     let (parent, pose): (Option<String>, Result<Pose, String>) = match tf {
         Some(parent) => (
             Some(parent),
-            columns.pose(&["transform", "translation"], &["transform", "rotation"], row),
+            columns.pose(
+                &["transform", "translation"],
+                &["transform", "rotation"],
+                row,
+            ),
         ),
         None => (
             columns.text(&["parent_frame_id"], row),

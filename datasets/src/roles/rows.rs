@@ -219,7 +219,13 @@ impl<T: FromMessages> RowBuilder for RoleRows<T> {
                             bytes: taken.length,
                         };
                         let losses = &self.part.losses;
-                        losses.note_topic(Reason::Senseless, &source.topic, taken.place, loss, detail);
+                        losses.note_topic(
+                            Reason::Senseless,
+                            &source.topic,
+                            taken.place,
+                            loss,
+                            detail,
+                        );
                     }
                 }
             }

@@ -26,7 +26,6 @@ pub use source::McapSource;
 pub use table::{FaultyTable, LogTable, McapTable};
 pub use topic::topic_schema;
 
-
 pub(crate) use plan::Wanted;
 pub(crate) use stream::{Job, stream};
 pub(crate) use table::scan_parts;

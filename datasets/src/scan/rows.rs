@@ -25,16 +25,38 @@ pub struct MessageAt<'a> {
 }
 
 impl<'a> MessageAt<'a> {
-    /// The message at a place in a block; `None` where its channel is described nowhere.
-    pub fn new(part: &'a LogPart, block: &'a Block, message: &Message) -> Option<Self> {
-        Some(Self {
+    /// The message at a place in a block.
+    pub fn new(
+        part: &'a LogPart,
+        channel: &'a LogChannel,
+        block: &'a Block,
+        message: &Message,
+    ) -> Self {
+        Self {
             part,
             block,
-            channel: part.index.channels.get(&message.head.channel)?,
+            channel,
             head: message.head,
             start: message.start,
-            payload: block.bytes.get(message.start..message.end)?,
-        })
+            payload: &block.bytes[message.start..message.end],
+        }
+    }
+
+    /// The message whose payload, compressed on its own, became a block of its own.
+    pub fn unpacked(
+        part: &'a LogPart,
+        channel: &'a LogChannel,
+        block: &'a Block,
+        message: &Message,
+    ) -> Self {
+        Self {
+            start: 0,
+            payload: &block.bytes,
+            part,
+            block,
+            channel,
+            head: message.head,
+        }
     }
 }
 
@@ -42,6 +64,11 @@ impl<'a> MessageAt<'a> {
 ///
 /// A builder knows the projection; its batches have exactly the projected columns.
 pub trait RowBuilder: Send {
+    /// Whether payloads are decoded; else they are taken as they lie in the file.
+    fn decodes(&self) -> bool {
+        true
+    }
+
     /// Whether messages of this channel become rows.
     fn wants(&self, channel: u16) -> bool;
 

@@ -126,9 +126,7 @@ impl Scan {
         let part = self.worker.part.clone();
         let range = unit.unit.offset..unit.unit.end();
         let task =
-            SpawnedTask::spawn(
-                async move { fetch(&part.store, &part.meta.location, range).await },
-            );
+            SpawnedTask::spawn(async move { fetch(&part.store, &part.meta.location, range).await });
         self.fetched = Some((unit, task));
     }
 
@@ -139,11 +137,18 @@ impl Scan {
             .as_ref()
             .map_or(0, |(planned, _)| planned.unit.length);
         let batch = unit.size.min(BATCH_BYTES as u64);
-        let bytes = [unit.length, unit.size.min(crate::log::chunk::LARGEST_CHUNK), ahead, batch]
-            .into_iter()
-            .fold(0u64, u64::saturating_add);
+        let bytes = [
+            unit.length,
+            unit.size.min(crate::log::chunk::LARGEST_CHUNK),
+            ahead,
+            batch,
+        ]
+        .into_iter()
+        .fold(0u64, u64::saturating_add);
         match &mut self.reservation {
-            Some(reservation) => reservation.try_resize(usize::try_from(bytes).unwrap_or(usize::MAX)),
+            Some(reservation) => {
+                reservation.try_resize(usize::try_from(bytes).unwrap_or(usize::MAX))
+            }
             None => Ok(()),
         }
     }
@@ -156,6 +161,25 @@ struct Worker {
     batch_rows: usize,
     topic: String,
     current: Option<Open>,
+}
+
+/// Gives a message to the builder; a payload that is compressed on its own is decompressed first.
+fn push(
+    rows: &mut dyn RowBuilder,
+    part: &LogPart,
+    block: &Block,
+    message: &Message,
+) -> Result<(), String> {
+    let Some(channel) = part.index.channels.get(&message.head.channel) else {
+        return Ok(());
+    };
+    if rows.decodes()
+        && channel.message_encoding == "cdr"
+        && let Some(own) = block.unpack(message)?
+    {
+        return rows.push(&MessageAt::unpacked(part, channel, &own, message));
+    }
+    rows.push(&MessageAt::new(part, channel, block, message))
 }
 
 /// A unit that is being read.
@@ -244,11 +268,7 @@ impl Worker {
                 return;
             }
             open.next += 1;
-            let pushed = match MessageAt::new(&self.part, &open.block, message) {
-                Some(at) => self.rows.push(&at),
-                None => continue,
-            };
-            if let Err(detail) = pushed {
+            if let Err(detail) = push(self.rows.as_mut(), &self.part, &open.block, message) {
                 open.lost.count += 1;
                 open.lost.bytes += (message.end - message.start) as u64;
                 if open.example.is_empty() {

@@ -26,8 +26,7 @@ use crate::scan::rows::RowBuilder;
 use crate::scan::source::McapSource;
 use crate::scan::topic::{TopicRows, head_fields, topic_schema};
 use crate::scan::whole::{
-    AttachmentRows, MessageRows, MetadataRows, attachments_schema, messages_schema,
-    metadata_schema,
+    AttachmentRows, MessageRows, MetadataRows, attachments_schema, messages_schema, metadata_schema,
 };
 use crate::session::LogPart;
 

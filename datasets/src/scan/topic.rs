@@ -59,10 +59,9 @@ pub fn topic_schema(topic: &str, parts: &[Arc<LogPart>]) -> Result<SchemaRef, Fa
             let fields = message_type(part, channel.id, topic)?.fields();
             if !seen.contains(fields) {
                 merge(&mut columns, fields).map_err(|fault| {
-                    fault
-                        .at(format!("topic {topic}"))
-                        .at(&part.url)
-                        .next("scan the sessions apart, or read the payloads from the table messages")
+                    fault.at(format!("topic {topic}")).at(&part.url).next(
+                        "scan the sessions apart, or read the payloads from the table messages",
+                    )
                 })?;
                 seen.push(fields.clone());
             }

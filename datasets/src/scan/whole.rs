@@ -129,6 +129,10 @@ fn texts<'a>(texts: impl Iterator<Item = Option<&'a str>>) -> ArrayRef {
 }
 
 impl RowBuilder for MessageRows {
+    fn decodes(&self) -> bool {
+        false
+    }
+
     fn wants(&self, channel: u16) -> bool {
         self.part.index.channels.contains_key(&channel)
     }
@@ -160,8 +164,11 @@ impl RowBuilder for MessageRows {
         self.bytes = 0;
         let channels = &self.part.index.channels;
         let channel = |head: &MessageHead| channels.get(&head.channel);
-        project(&messages_schema(), &self.projection, heads.len(), |column| {
-            match column {
+        project(
+            &messages_schema(),
+            &self.projection,
+            heads.len(),
+            |column| match column {
                 0 => head_column(0, &self.part.session, &heads),
                 1 => texts(
                     heads
@@ -177,8 +184,8 @@ impl RowBuilder for MessageRows {
                     schema.map(|schema| schema.name.as_str())
                 })),
                 _ => data.clone(),
-            }
-        })
+            },
+        )
     }
 }
 
@@ -247,15 +254,20 @@ impl RowBuilder for AttachmentRows {
             Arc::new(TimestampNanosecondArray::from_iter_values(times).with_timezone("UTC"))
         };
         let schema = attachments_schema();
-        project(&schema, &self.projection, heads.len(), |column| match column {
-            0 => texts(heads.iter().map(|_| Some(&*self.session))),
-            1 => texts(heads.iter().map(|head| Some(head.name.as_str()))),
-            2 => texts(heads.iter().map(|head| Some(head.media_type.as_str()))),
-            3 => times(|head| head.log_time),
-            4 => times(|head| head.create_time),
-            5 => Arc::new(UInt64Array::from(sizes.clone())),
-            _ => data.clone(),
-        })
+        project(
+            &schema,
+            &self.projection,
+            heads.len(),
+            |column| match column {
+                0 => texts(heads.iter().map(|_| Some(&*self.session))),
+                1 => texts(heads.iter().map(|head| Some(head.name.as_str()))),
+                2 => texts(heads.iter().map(|head| Some(head.media_type.as_str()))),
+                3 => times(|head| head.log_time),
+                4 => times(|head| head.create_time),
+                5 => Arc::new(UInt64Array::from(sizes.clone())),
+                _ => data.clone(),
+            },
+        )
     }
 }
 
@@ -315,10 +327,15 @@ impl RowBuilder for MetadataRows {
         }
         let maps: ArrayRef = Arc::new(maps.finish());
         let schema = metadata_schema();
-        project(&schema, &self.projection, records.len(), |column| match column {
-            0 => texts(records.iter().map(|_| Some(&*self.session))),
-            1 => texts(records.iter().map(|record| Some(record.name.as_str()))),
-            _ => maps.clone(),
-        })
+        project(
+            &schema,
+            &self.projection,
+            records.len(),
+            |column| match column {
+                0 => texts(records.iter().map(|_| Some(&*self.session))),
+                1 => texts(records.iter().map(|record| Some(record.name.as_str()))),
+                _ => maps.clone(),
+            },
+        )
     }
 }

@@ -48,12 +48,22 @@ pub fn context(partitions: usize) -> SessionContext {
 }
 
 pub async fn rows(context: &SessionContext, sql: &str) -> Vec<RecordBatch> {
-    let frame = context.sql(sql).await.unwrap_or_else(|e| panic!("{sql}: {e}"));
-    frame.collect().await.unwrap_or_else(|e| panic!("{sql}: {e}"))
+    let frame = context
+        .sql(sql)
+        .await
+        .unwrap_or_else(|e| panic!("{sql}: {e}"));
+    frame
+        .collect()
+        .await
+        .unwrap_or_else(|e| panic!("{sql}: {e}"))
 }
 
 pub async fn count(context: &SessionContext, sql: &str) -> usize {
-    rows(context, sql).await.iter().map(RecordBatch::num_rows).sum()
+    rows(context, sql)
+        .await
+        .iter()
+        .map(RecordBatch::num_rows)
+        .sum()
 }
 
 pub fn text(batches: &[RecordBatch]) -> String {
@@ -171,7 +181,9 @@ pub fn cdr(bytes: &[u8]) -> Vec<u8> {
 fn noise(seed: u32, length: usize) -> Vec<u8> {
     let mut state = u64::from(seed) * 2 + 1;
     let mut next = || {
-        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        state = state
+            .wrapping_mul(6364136223846793005)
+            .wrapping_add(1442695040888963407);
         (state >> 56) as u8
     };
     (0..length).map(|_| next()).collect()
