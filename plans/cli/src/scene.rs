@@ -55,6 +55,9 @@ async fn rows_of<T: LayerRow>(map: &Map, registry: &Registry) -> Result<Vec<T>, 
 /// The trajectories of a map by session; from keyframes where it has no poses.
 ///
 /// # Errors
+/// When the vehicle was where (m).
+type StampedPlace = (Stamp, [f64; 2]);
+
 /// As [`Map::batches`].
 pub async fn drives(map: &Map, registry: &Registry) -> Result<Vec<(String, Drive)>, Fault> {
     let poses = rows_of::<VehiclePose>(map, registry).await?;
@@ -80,7 +83,7 @@ pub async fn drives(map: &Map, registry: &Registry) -> Result<Vec<(String, Drive
             )
         }));
     }
-    let mut sessions: BTreeMap<(String, String), Vec<(Stamp, [f64; 2])>> = BTreeMap::new();
+    let mut sessions: BTreeMap<(String, String), Vec<StampedPlace>> = BTreeMap::new();
     for (site, session, stamp, place) in places {
         sessions
             .entry((site, session))

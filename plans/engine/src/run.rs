@@ -183,16 +183,16 @@ impl<'r, 'a> Driver<'r, 'a> {
             }
         }
         let mut dependents = vec![Vec::new(); units.len()];
-        for index in 0..units.len() {
-            let before: BTreeSet<usize> = units[index]
-                .needs
-                .places()
+        for (index, unit) in units.iter_mut().enumerate() {
+            let unit: &mut Pending = unit;
+            let places = unit.needs.places();
+            let before: BTreeSet<usize> = places
                 .filter_map(|place| by_place.get(&place).copied())
                 .collect();
-            units[index].waiting = before.len();
+            unit.waiting = before.len();
             before
                 .into_iter()
-                .for_each(|earlier| dependents[earlier].push(index));
+                .for_each(|earlier: usize| dependents[earlier].push(index));
         }
         let receipts = vec![None; units.len()];
         Ok(Self {

@@ -213,9 +213,9 @@ fn units(units: &[RunRow]) -> String {
     let mut text = format!("<h2>Units</h2>\n{}", table(&headings, first));
     if !rest.is_empty() {
         let more = of(rest.len() as u64, "more unit");
-        let _ = write!(
+        let _ = writeln!(
             text,
-            "<details><summary>{more}</summary>{}</details>\n",
+            "<details><summary>{more}</summary>{}</details>",
             table(&headings, rest)
         );
     }
