@@ -13,6 +13,7 @@
 
 mod dataset;
 mod images;
+pub mod import;
 mod listing;
 pub mod log;
 pub mod losses;

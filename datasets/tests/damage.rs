@@ -6,47 +6,65 @@ mod common;
 use arrow::array::AsArray;
 use arrow::datatypes::UInt32Type;
 use common::{Log, context, count, files, in_memory, open_in, shared};
+use datafusion::catalog::TableProvider;
 use datafusion::physical_plan::collect;
+use datafusion::prelude::SessionContext;
 use evermap_datasets::log::record::{FRAME, MAGIC, split};
-use evermap_datasets::scan::fault_of;
+use evermap_datasets::scan::{LogTable, McapTable, fault_of};
 use evermap_datasets::{Dataset, LossLedger, Reason};
 use evermap_schemas::Kind;
 use mcap::records::op;
 use proptest::prelude::*;
 use url::Url;
 
-/// Sequence numbers of all messages that a damaged log gives, and its losses; none where it is refused whole. Every
-/// other table is read too: it may be refused, but not panic. (Scans are collected without a planner: thousands of
-/// logs are read here.)
-async fn read(bytes: &[u8]) -> Option<(Vec<u32>, LossLedger)> {
-    let context = context(1);
+/// The dataset of a damaged log; none where it is refused whole.
+async fn opened(context: &SessionContext, bytes: &[u8]) -> Option<Dataset> {
     let runtime = context.runtime_env();
     let url = Url::parse("memory://logs").unwrap();
     runtime.register_object_store(&url, in_memory(bytes).await);
     let paths = ["memory://logs/log.mcap".to_owned()];
-    let dataset = Dataset::open(&runtime, &paths, None).await.ok()?;
+    Dataset::open(&runtime, &paths, None).await.ok()
+}
+
+/// Sequence numbers of all messages that a damaged log gives, and its losses; none where it is refused whole. (Scans
+/// are collected without a planner: thousands of logs are read here.)
+async fn messages(bytes: &[u8]) -> Option<(Vec<u32>, LossLedger)> {
+    let context = context(1);
+    let dataset = opened(&context, bytes).await?;
+    let losses = dataset.losses.clone();
+    let table = McapTable::new(LogTable::Messages, &dataset.parts(), losses.clone()).unwrap();
+    let plan = table.scan(&context.state(), None, &[], None).await.unwrap();
     let mut sequences = Vec::new();
+    for batch in collect(plan, context.task_ctx()).await.unwrap() {
+        let column = batch.column_by_name("sequence").unwrap();
+        sequences.extend(column.as_primitive::<UInt32Type>().values());
+    }
+    sequences.sort_unstable();
+    Some((sequences, losses))
+}
+
+/// As [`messages`], but every other table is read too: it may be refused, but not panic.
+async fn read(bytes: &[u8]) -> Option<(Vec<u32>, LossLedger)> {
+    let context = context(1);
+    let dataset = opened(&context, bytes).await?;
     for (name, table) in dataset.tables().unwrap() {
-        if name == "calibration" {
-            continue;
-        }
         let batches = match table.scan(&context.state(), None, &[], None).await {
             Ok(plan) => collect(plan, context.task_ctx()).await,
             Err(error) => Err(error),
         };
-        match batches {
-            Ok(batches) if name == "messages" => {
-                for batch in batches {
-                    let column = batch.column_by_name("sequence").unwrap();
-                    sequences.extend(column.as_primitive::<UInt32Type>().values());
-                }
-            }
-            Ok(_) => {}
-            Err(error) => assert_ne!(fault_of(&error).kind, Kind::Bug, "{name}: {error}"),
+        if let Err(error) = batches {
+            assert_ne!(fault_of(&error).kind, Kind::Bug, "{name}: {error}");
         }
     }
-    sequences.sort_unstable();
-    Some((sequences, dataset.losses))
+    let (sequences, losses) = messages(bytes).await?;
+    let all = dataset.losses;
+    assert!(
+        losses
+            .entries()
+            .iter()
+            .all(|loss| all.entries().contains(loss))
+    );
+    Some((sequences, all))
 }
 
 /// Ends of the top-level records of a whole log, with the number of messages up to there.
@@ -91,7 +109,7 @@ async fn a_log_cut_at_any_byte_gives_every_message_of_every_complete_chunk() {
         let data_end = ends.iter().rfind(|(_, n)| *n < 24).unwrap().0;
         assert!(ends.len() > 8);
         for length in 0..log.len() {
-            let found = read(&log[..length]).await;
+            let found = messages(&log[..length]).await;
             let Some((sequences, losses)) = found else {
                 assert!(length < MAGIC.len(), "refused at {length}");
                 continue;

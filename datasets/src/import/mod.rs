@@ -1,0 +1,318 @@
+//! Converters: images, calibrations and trajectories in files of their own become a ROS 2 MCAP log.
+//!
+//! An import is described by a small YAML file:
+//!
+//! ```yaml
+//! cameras:
+//!   - name: front                        # becomes the optical frame, and the topic /front/image/compressed
+//!     images: [imgs/Front.png]           # PNG or JPEG files or globs, relative to this file, in natural order
+//!     calibration: intrinsic/Front.json  # SensorsCalibration JSON; or `model`, `intrinsics`, `distortion` in place
+//!     camera_from_reference:
+//!       file: extrinsic/Front.json       # SensorsCalibration JSON; or `matrix` or `pose` in place
+//!       scale: 1.028                     # of the translation; 1 if not given
+//! vehicle_from_reference:                # identity if not given
+//!   matrix: [[0, -1, 0, 0], [-1, 0, 0, 0], [0, 0, -1, 6.25], [0, 0, 0, 1]]
+//! poses: { file: poses.txt, format: tum } # odom_from_vehicle; the vehicle stands still if not given
+//! times: times.txt                       # one stamp per image, s; else `rate_hz`
+//! rate_hz: 10
+//! ```
+//!
+//! Written are, per camera, `/NAME/image/compressed` and `/NAME/camera_info`, and for the vehicle `/tf_static` and
+//! `/odom`. Frames are those of REP-103: the vehicle's x forward, y left, z up; the camera's x right, y down, z forward.
+
+mod calibration;
+mod kitti;
+mod log;
+mod poses;
+mod ros2;
+
+use std::path::{Path, PathBuf};
+
+use evermap_schemas::Fault;
+use nalgebra::{Isometry3, Matrix4, Quaternion, Translation3, UnitQuaternion};
+use schemars::JsonSchema;
+use serde::Deserialize;
+
+pub use kitti::Kitti;
+pub use poses::PoseFormat;
+
+use calibration::Intrinsics;
+
+/// What an import wrote.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Imported {
+    /// Images.
+    pub images: usize,
+    /// Poses.
+    pub poses: usize,
+}
+
+/// The description of an import.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ImageImport {
+    /// Cameras.
+    pub cameras: Vec<CameraImport>,
+    /// The vehicle's frame and that of the extrinsic calibration; identity if not given.
+    #[serde(default)]
+    pub vehicle_from_reference: Option<Placement>,
+    /// Trajectory of the vehicle in the odometry frame.
+    #[serde(default)]
+    pub poses: Option<PoseFile>,
+    /// File with one stamp per line, s, for the images of every camera.
+    #[serde(default)]
+    pub times: Option<PathBuf>,
+    /// Images per second where there are no stamps.
+    #[serde(default = "default_rate_hz")]
+    pub rate_hz: f64,
+    /// Stamp of the first image where there are no stamps, s.
+    #[serde(default)]
+    pub start_s: f64,
+    #[serde(skip)]
+    folder: PathBuf,
+}
+
+fn default_rate_hz() -> f64 {
+    10.0
+}
+
+/// One camera of an import.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CameraImport {
+    /// Name; also that of the optical frame.
+    pub name: String,
+    /// PNG or JPEG files, or globs.
+    pub images: Vec<String>,
+    /// Intrinsic calibration in a SensorsCalibration JSON file (`cam_K`, `cam_dist`).
+    #[serde(default)]
+    pub calibration: Option<PathBuf>,
+    /// Camera model, where it is not `plumb_bob` or, for a calibration file with 11 distortion coefficients, `ocam`.
+    #[serde(default)]
+    pub model: Option<String>,
+    /// Camera matrix, row-major.
+    #[serde(default)]
+    pub intrinsics: Option<Vec<f64>>,
+    /// Distortion coefficients.
+    #[serde(default)]
+    pub distortion: Vec<f64>,
+    /// From the frame of the extrinsic calibration into the camera's. Give this or `vehicle_from_camera`.
+    #[serde(default)]
+    pub camera_from_reference: Option<Placement>,
+    /// From the camera's frame into the vehicle's.
+    #[serde(default)]
+    pub vehicle_from_camera: Option<Placement>,
+}
+
+/// A rigid transform, in one of three spellings.
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Placement {
+    /// A SensorsCalibration JSON file (`sensor_calib.data`, 4 by 4).
+    pub file: Option<PathBuf>,
+    /// 4 by 4, rows.
+    pub matrix: Option<Vec<Vec<f64>>>,
+    /// `[x, y, z, qx, qy, qz, qw]`, m.
+    pub pose: Option<[f64; 7]>,
+    /// Factor of the translation, for calibrations in units of their own.
+    pub scale: Option<f64>,
+}
+
+/// A file of poses.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PoseFile {
+    /// The file.
+    pub file: PathBuf,
+    /// Its format.
+    pub format: PoseFormat,
+}
+
+impl ImageImport {
+    /// Reads a description; its paths become relative to its folder.
+    ///
+    /// # Errors
+    /// A user fault when the file cannot be read or is no such description.
+    pub fn load(path: &Path) -> Result<Self, Fault> {
+        let mut import: Self = serde_yaml_ng::from_str(&read(path)?).map_err(|error| {
+            Fault::user(format!(
+                "expected the description of an import, found {error}"
+            ))
+            .at(path.display())
+        })?;
+        import.folder = path.parent().unwrap_or(Path::new("")).to_owned();
+        Ok(import)
+    }
+
+    /// Writes the log.
+    ///
+    /// # Errors
+    /// A user fault when something is missing or contradicts itself, a resource fault when `out` cannot be written.
+    pub fn write(&self, out: &Path) -> Result<Imported, Fault> {
+        let vehicle_from_reference = match &self.vehicle_from_reference {
+            Some(placement) => placement.read(&self.folder)?,
+            None => Isometry3::identity(),
+        };
+        let mut cameras = Vec::new();
+        for camera in &self.cameras {
+            let loaded = self.camera(camera, &vehicle_from_reference);
+            cameras.push(loaded.map_err(|fault| fault.at(format!("camera {}", camera.name)))?);
+        }
+        let mut poses = match &self.poses {
+            Some(file) => poses::read_file(&self.folder.join(&file.file), file.format)?,
+            None => Vec::new(),
+        };
+        let mut stamps: Vec<u64> = cameras
+            .iter()
+            .flat_map(|camera| camera.images.iter().map(|(stamp, _)| *stamp))
+            .collect();
+        stamps.sort_unstable();
+        stamps.dedup();
+        if self.poses.is_none() {
+            poses = stamps
+                .iter()
+                .map(|stamp| (Some(*stamp), Isometry3::identity()))
+                .collect();
+        }
+        let poses = poses::stamped(poses, &stamps)?;
+        log::write(out, &cameras, &poses)
+    }
+
+    fn camera(
+        &self,
+        camera: &CameraImport,
+        vehicle_from_reference: &Isometry3<f64>,
+    ) -> Result<log::Camera, Fault> {
+        let files = self.files(&camera.images)?;
+        let first = files
+            .first()
+            .ok_or_else(|| Fault::user("expected at least one image, found none"))?;
+        let stamps = self.stamps(files.len())?;
+        let (width, height) = log::image_size(first)?;
+        let intrinsics = match (&camera.calibration, &camera.intrinsics) {
+            (Some(file), None) => {
+                Intrinsics::read(&self.folder.join(file), camera.model.as_deref())?
+            }
+            (None, Some(k)) => Intrinsics::given(camera.model.as_deref(), k, &camera.distortion)?,
+            _ => return Err(Fault::user("expected either calibration or intrinsics")),
+        };
+        let vehicle_from_camera = match (&camera.vehicle_from_camera, &camera.camera_from_reference)
+        {
+            (Some(placement), None) => placement.read(&self.folder)?,
+            (None, Some(placement)) => {
+                vehicle_from_reference * placement.read(&self.folder)?.inverse()
+            }
+            _ => {
+                return Err(Fault::user(
+                    "expected either vehicle_from_camera or camera_from_reference",
+                ));
+            }
+        };
+        Ok(log::Camera {
+            name: camera.name.clone(),
+            width,
+            height,
+            intrinsics,
+            vehicle_from_camera,
+            images: stamps.into_iter().zip(files).collect(),
+        })
+    }
+
+    fn files(&self, names: &[String]) -> Result<Vec<PathBuf>, Fault> {
+        let mut files = Vec::new();
+        for name in names {
+            let path = self.folder.join(name);
+            let pattern = path.to_string_lossy();
+            let found = glob::glob(&pattern)
+                .map_err(|error| Fault::user(format!("the pattern {pattern}: {error}")))?;
+            let mut found: Vec<PathBuf> = found.filter_map(Result::ok).collect();
+            if found.is_empty() {
+                return Err(Fault::user(format!(
+                    "expected images, found none at {pattern}"
+                )));
+            }
+            found.sort_by_key(|path| crate::stores::natural_key(&path.to_string_lossy()));
+            files.extend(found);
+        }
+        Ok(files)
+    }
+
+    fn stamps(&self, count: usize) -> Result<Vec<u64>, Fault> {
+        let Some(times) = &self.times else {
+            if !(self.rate_hz > 0.0 && self.rate_hz.is_finite()) {
+                return Err(Fault::user(format!(
+                    "expected a rate above 0, found {}",
+                    self.rate_hz
+                )));
+            }
+            let stamp = |i: usize| poses::nanoseconds(self.start_s + i as f64 / self.rate_hz);
+            return (0..count).map(stamp).collect();
+        };
+        let stamps = poses::times(&self.folder.join(times))?;
+        if stamps.len() != count {
+            return Err(Fault::user(format!(
+                "expected a stamp for each of {count} images, found {}",
+                stamps.len()
+            ))
+            .at(times.display()));
+        }
+        Ok(stamps)
+    }
+}
+
+impl Placement {
+    fn read(&self, folder: &Path) -> Result<Isometry3<f64>, Fault> {
+        let mut transform = match (&self.file, &self.matrix, &self.pose) {
+            (Some(file), None, None) => rigid(&calibration::extrinsic(&folder.join(file))?)?,
+            (None, Some(rows), None) => rigid(&matrix(rows)?)?,
+            (None, None, Some([x, y, z, qx, qy, qz, qw])) => {
+                let rotation = Quaternion::new(*qw, *qx, *qy, *qz);
+                if rotation.norm() < 1e-6 {
+                    return Err(Fault::user(
+                        "expected a rotation, found a quaternion of length 0",
+                    ));
+                }
+                let rotation = UnitQuaternion::from_quaternion(rotation);
+                Isometry3::from_parts(Translation3::new(*x, *y, *z), rotation)
+            }
+            _ => return Err(Fault::user("expected one of file, matrix and pose")),
+        };
+        transform.translation.vector *= self.scale.unwrap_or(1.0);
+        Ok(transform)
+    }
+}
+
+/// A 4 by 4 matrix from its rows.
+fn matrix(rows: &[Vec<f64>]) -> Result<Matrix4<f64>, Fault> {
+    let numbers: Vec<f64> = rows.iter().flatten().copied().collect();
+    if rows.len() != 4 || numbers.len() != 16 || rows.iter().any(|row| row.len() != 4) {
+        return Err(Fault::user("expected a matrix of 4 rows of 4 numbers"));
+    }
+    Ok(Matrix4::from_row_slice(&numbers))
+}
+
+/// The rigid transform of a matrix whose rotation was written with a few digits: the nearest rotation is taken.
+fn rigid(matrix: &Matrix4<f64>) -> Result<Isometry3<f64>, Fault> {
+    let given = matrix.fixed_view::<3, 3>(0, 0).into_owned();
+    let error = (given * given.transpose() - nalgebra::Matrix3::identity()).amax();
+    if !(error < 1e-2 && given.determinant() > 0.0) {
+        return Err(Fault::user(
+            "expected a rotation in the upper left of the matrix",
+        ));
+    }
+    let svd = given.svd(true, true);
+    let (Some(u), Some(v)) = (svd.u, svd.v_t) else {
+        return Err(Fault::bug("a decomposition without factors"));
+    };
+    let rotation = nalgebra::Rotation3::from_matrix_unchecked(u * v);
+    let translation = matrix.fixed_view::<3, 1>(0, 3).into_owned();
+    Ok(Isometry3::from_parts(
+        translation.into(),
+        UnitQuaternion::from_rotation_matrix(&rotation),
+    ))
+}
+
+fn read(path: &Path) -> Result<String, Fault> {
+    std::fs::read_to_string(path)
+        .map_err(|error| Fault::user(format!("expected a file, found {error}")).at(path.display()))
+}
