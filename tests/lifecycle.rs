@@ -259,3 +259,58 @@ fn a_torn_log_is_mapped_as_far_as_it_is_sound_and_the_loss_is_told() {
     let poses = query(&map, "SELECT count(*) AS n FROM poses");
     assert!(poses[0]["n"].as_u64().unwrap() > 100, "{poses}");
 }
+
+#[test]
+fn a_plan_reads_the_version_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let (a, b) = (folder.path().join("a.mcap"), folder.path().join("b.mcap"));
+    let (plan, map) = (folder.path().join("growth.yaml"), folder.path().join("map"));
+    write_drive(&a, rectangle(20.0, 10.0, 1.0));
+    write_drive(&b, rectangle(30.0, 15.0, 1.0));
+    let lines = [
+        "plan: growth",
+        "steps:",
+        "  keyframes: { op: keyframes, in: { odometry: odometry } }",
+        "  growth:",
+        "    sql: >",
+        "      SELECT (SELECT count(*) FROM keyframes) AS now, (SELECT count(*) FROM previous.keyframes) AS before",
+        "write: [keyframes, growth]",
+    ];
+    std::fs::write(&plan, lines.join("\n")).unwrap();
+    let run = |session: &Path| {
+        evermap(&[
+            "run",
+            text(&plan),
+            "--map",
+            text(&map),
+            "--progress",
+            "none",
+            "--sessions",
+            text(session),
+        ])
+    };
+    run(&a).expect(0);
+    let first = query(&map, "SELECT now, before FROM growth");
+    assert_eq!(first[0]["before"], 0);
+    run(&b).expect(0);
+    let second = query(&map, "SELECT now, before FROM growth");
+    assert_eq!(second[0]["before"], first[0]["now"]);
+    assert!(
+        second[0]["now"].as_u64() > second[0]["before"].as_u64(),
+        "{second}"
+    );
+}
+
+#[test]
+fn a_query_that_is_none_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = folder.path().join("write.yaml");
+    let lines = [
+        "plan: write",
+        "steps:",
+        "  t: { sql: CREATE TABLE x AS SELECT 1 }",
+        "write: [t]",
+    ];
+    std::fs::write(&plan, lines.join("\n")).unwrap();
+    evermap(&["check", text(&plan)]).expect(1);
+}

@@ -217,3 +217,98 @@ fn a_recording_cut_anywhere_gives_what_is_before_the_cut_and_says_so() {
     }
     assert!(before > 0);
 }
+
+#[test]
+fn four_real_fisheyes_become_a_view_from_above() {
+    let Some(samples) = shared("data/avm_fisheye/pjlab") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let (log, map) = (folder.path().join("pjlab.mcap"), folder.path().join("map"));
+    let description = repository().join("datasets/imports/pjlab.yaml");
+    let import = [
+        "import",
+        "images",
+        text(&description),
+        "--folder",
+        text(&samples),
+        "--out",
+        text(&log),
+    ];
+    evermap(&import).expect(0);
+    evermap(&[
+        "run",
+        "car_park",
+        "--map",
+        text(&map),
+        "--sessions",
+        text(&log),
+    ])
+    .expect(0);
+    let query = "SELECT sum(covered) AS cells FROM overhead_tiles WHERE zoom = 0";
+    let seen = evermap(&["sql", "--map", text(&map), "--format", "json", query])
+        .expect(0)
+        .json();
+    let seen_m2 = seen[0]["cells"].as_f64().unwrap() * 0.05 * 0.05;
+    // Four half discs of 8 m, overlapping.
+    assert!(
+        seen_m2 > 200.0 && seen_m2 < 403.0,
+        "{seen_m2} m² of floor were seen"
+    );
+}
+
+#[test]
+fn kitti_drives_give_lanes_on_the_driven_path() {
+    for sequence in ["00", "07"] {
+        let Some(poses) = shared(&format!("data/kitti_poses/{sequence}.txt")) else {
+            return;
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let (log, map) = (folder.path().join("kitti.mcap"), folder.path().join("map"));
+        evermap(&[
+            "import",
+            "kitti",
+            "--poses",
+            text(&poses),
+            "--out",
+            text(&log),
+        ])
+        .expect(0);
+        evermap(&[
+            "run",
+            "trajectory",
+            "--map",
+            text(&map),
+            "--sessions",
+            text(&log),
+        ])
+        .expect(0);
+        let points = "SELECT unnest(points) AS point FROM lanes";
+        let driven = "SELECT map_from_vehicle['x'] AS x, map_from_vehicle['y'] AS y FROM poses";
+        let rows = |sql: &str| {
+            evermap(&["sql", "--map", text(&map), "--format", "json", sql])
+                .expect(0)
+                .json()
+        };
+        let driven: Vec<[f64; 2]> = rows(driven)
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|row| [row["x"].as_f64().unwrap(), row["y"].as_f64().unwrap()])
+            .collect();
+        assert!(driven.len() > 3000, "{} poses", driven.len());
+        for row in rows(points).as_array().unwrap() {
+            let [x, y] = [0, 1].map(|axis| row["point"][axis].as_f64().unwrap());
+            let near = driven.iter().any(|[a, b]| (a - x).hypot(b - y) < 2.0);
+            assert!(
+                near,
+                "lane point {x}, {y} of {sequence} is more than 2 m from the driven path"
+            );
+        }
+        let crossings = rows("SELECT count(*) AS n FROM intersections");
+        assert!(
+            crossings[0]["n"].as_u64().unwrap() >= 1,
+            "{sequence}: {crossings}"
+        );
+    }
+}

@@ -144,6 +144,13 @@ impl ImageImport {
         Ok(import)
     }
 
+    /// The same description, with its paths relative to another folder.
+    #[must_use]
+    pub fn within(mut self, folder: &Path) -> Self {
+        folder.clone_into(&mut self.folder);
+        self
+    }
+
     /// Writes the log.
     ///
     /// # Errors

@@ -31,7 +31,7 @@ use crate::exec::{OperatorExec, Phase, Work};
 use crate::pixels::Pixels;
 use crate::planned::PlannedTable;
 use crate::program::{Stage, Table, Task};
-use crate::sql::{BATCH_ROWS, Limits, context_with};
+use crate::sql::{BATCH_ROWS, Limits, context_with, read_only};
 use crate::store::Store;
 use crate::unit::{Artifact, Unit};
 
@@ -401,11 +401,7 @@ impl<'a> Builder<'a> {
                 .register_table(reference, provider)
                 .map_err(|error| fault_of(&error))?;
         }
-        let frame = self
-            .context
-            .sql(query)
-            .await
-            .map_err(|error| fault_of(&error))?;
+        let frame = read_only(&self.context, query).await?;
         frame
             .create_physical_plan()
             .await

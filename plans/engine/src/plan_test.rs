@@ -19,7 +19,7 @@ use evermap_schemas::Fault;
 use crate::conform::conform;
 use crate::error::fault_of;
 use crate::program::Program;
-use crate::sql::{Limits, context};
+use crate::sql::{Limits, context, read_only};
 
 /// What became of one test: `None` where it passed.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -144,7 +144,7 @@ impl Bench<'_> {
                 Ok(run(entry, params, &rows, Split::default())?.rows)
             }
             Body::Sql { query, .. } => {
-                let frame = context.sql(query).await.map_err(|error| fault_of(&error))?;
+                let frame = read_only(context, query).await?;
                 let schema = Arc::new(frame.schema().as_arrow().clone());
                 let batches = frame.collect().await.map_err(|error| fault_of(&error))?;
                 let schema = batches.first().map_or(schema, RecordBatch::schema);

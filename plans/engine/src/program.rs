@@ -17,7 +17,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::conform::misfits;
-use crate::error::fault_of;
 use crate::exec::Phase;
 use crate::sql;
 
@@ -397,15 +396,14 @@ impl Compiler<'_> {
         {
             return None;
         }
-        let frame = match self.context.sql(query).await {
+        let frame = match sql::read_only(self.context, query).await {
             Ok(frame) => frame,
-            Err(error) => {
+            Err(fault) => {
                 self.fault(
                     step,
                     format!(
                         "the query of `{}` does not plan: {}",
-                        step.name,
-                        fault_of(&error).message
+                        step.name, fault.message
                     ),
                 );
                 return None;

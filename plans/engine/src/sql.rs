@@ -10,7 +10,7 @@ use datafusion::error::DataFusionError;
 use datafusion::execution::memory_pool::FairSpillPool;
 use datafusion::execution::runtime_env::RuntimeEnvBuilder;
 use datafusion::logical_expr::{Distinct, Expr, LogicalPlan};
-use datafusion::prelude::{SessionConfig, SessionContext};
+use datafusion::prelude::{DataFrame, SQLOptions, SessionConfig, SessionContext};
 use evermap_schemas::Fault;
 
 use crate::error::fault_of;
@@ -63,6 +63,19 @@ pub fn context_with(limits: Limits, batch_rows: usize) -> Result<SessionContext,
         .build_arc()
         .map_err(|error| fault_of(&error))?;
     Ok(SessionContext::new_with_config_rt(config, runtime))
+}
+
+/// Plans a query. Only queries: nothing that would change a table, a file or a setting.
+///
+/// # Errors
+/// A user fault for what is no query or does not plan.
+pub async fn read_only(context: &SessionContext, query: &str) -> Result<DataFrame, Fault> {
+    let options = SQLOptions::new()
+        .with_allow_ddl(false)
+        .with_allow_dml(false)
+        .with_allow_statements(false);
+    let frame = context.sql_with_options(query, options).await;
+    frame.map_err(|error| fault_of(&error))
 }
 
 /// The tables that a query reads, as a plan names its inputs: `poses`, `/odom`, `previous.lanes`.

@@ -10,11 +10,12 @@
 //! Every name is either the digest of what it holds or never written twice, so a reader sees a version whole or not
 //! at all, and nothing that was once published changes.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use bytes::Bytes;
 use futures::TryStreamExt;
-use object_store::path::Path;
+use object_store::path::Path as ObjectPath;
 use object_store::{ObjectStore, ObjectStoreExt, PutMode, PutOptions};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -27,12 +28,12 @@ use evermap_schemas::Fault;
 #[derive(Debug, Clone)]
 pub struct Store {
     url: Url,
-    root: Path,
+    root: ObjectPath,
     store: Arc<dyn ObjectStore>,
 }
 
 impl Store {
-    /// Opens a map by path or URL; a local folder is made when `create` is set.
+    /// Opens a map by path or URL. With `create`, a local folder need not be there: the first file makes it.
     ///
     /// # Errors
     /// A user fault for an address that no object store reads, or for a folder that is not there.
@@ -58,8 +59,8 @@ impl Store {
     }
 
     /// The object path of a name within the map.
-    pub fn path(&self, name: &str) -> Path {
-        Path::from_iter(self.root.parts().chain(Path::from(name).parts()))
+    pub fn path(&self, name: &str) -> ObjectPath {
+        ObjectPath::from_iter(self.root.parts().chain(ObjectPath::from(name).parts()))
     }
 
     /// The URL of a name within the map.
@@ -201,15 +202,13 @@ fn address_url(address: &str, create: bool) -> Result<Url, Fault> {
         return Url::parse(&slashed)
             .map_err(|error| Fault::user(format!("{address} is no URL: {error}")));
     }
-    let folder = std::path::Path::new(address);
-    if create {
-        std::fs::create_dir_all(folder)
-            .map_err(|error| Fault::resource(format!("cannot make {address}: {error}")))?;
+    let folder = Path::new(address);
+    if !create && !folder.is_dir() {
+        return Err(Fault::user(format!("no map at {address}"))
+            .next("make one with `evermap run PLAN --map DIR --sessions FILES`"));
     }
-    let full = folder.canonicalize().map_err(|error| {
-        Fault::user(format!("no map at {address}: {error}"))
-            .next("make one with `evermap run PLAN --map DIR --sessions FILES`")
-    })?;
+    let full = std::path::absolute(folder)
+        .map_err(|error| Fault::user(format!("{address} is no folder: {error}")))?;
     Url::from_directory_path(full).map_err(|()| Fault::user(format!("{address} is no folder")))
 }
 

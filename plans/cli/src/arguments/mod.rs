@@ -338,6 +338,35 @@ pub struct SimulateArgs {
 /// What `import` reads.
 #[derive(Debug, Subcommand)]
 pub enum ImportArgs {
+    /// Images of any rig, by a description (YAML) of cameras, calibrations and poses.
+    Images {
+        /// The description; `datasets/imports` has one to learn from.
+        description: PathBuf,
+        /// Folder that the description's paths are relative to [default: its own].
+        #[arg(long, value_name = "DIR")]
+        folder: Option<PathBuf>,
+        /// MCAP file to write.
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+    },
+    /// A KITTI odometry sequence: poses, images of the left grey camera, or both.
+    Kitti {
+        /// Poses, twelve numbers a line.
+        #[arg(long, value_name = "FILE")]
+        poses: Option<PathBuf>,
+        /// Stamps, seconds, one a line [default: ten a second].
+        #[arg(long, value_name = "FILE")]
+        times: Option<PathBuf>,
+        /// Folder of images.
+        #[arg(long, value_name = "DIR", requires = "calibration")]
+        images: Option<PathBuf>,
+        /// `calib.txt`, or a file with the nine numbers of K.
+        #[arg(long, value_name = "FILE")]
+        calibration: Option<PathBuf>,
+        /// MCAP file to write.
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+    },
     /// Bags of ROS 1 or ROS 2: says what to do instead.
     Rosbag {
         /// Bags.

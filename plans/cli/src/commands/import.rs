@@ -1,9 +1,14 @@
 //! `evermap import`.
 
+use std::path::Path;
+
+use evermap_datasets::import::{ImageImport, Imported, Kitti};
 use evermap_schemas::Fault;
 
 use crate::arguments::ImportArgs;
-use crate::ending::Ending;
+use crate::ending::{Ending, Lost};
+use crate::progress::line;
+use crate::quantity::of;
 
 /// Turns other recordings into MCAP.
 ///
@@ -11,6 +16,35 @@ use crate::ending::Ending;
 /// A user fault that says what to do instead, where another program converts better.
 pub async fn import(args: &ImportArgs) -> Ending {
     match args {
+        ImportArgs::Images {
+            description,
+            folder,
+            out,
+        } => {
+            let import = ImageImport::load(description)?;
+            let import = match folder {
+                Some(folder) => import.within(folder),
+                None => import,
+            };
+            tell(out, &import.write(out)?)
+        }
+        ImportArgs::Kitti {
+            poses,
+            times,
+            images,
+            calibration,
+            out,
+        } => {
+            let (poses, times) = (poses.clone(), times.clone());
+            let (images, calibration) = (images.clone(), calibration.clone());
+            let kitti = Kitti {
+                poses,
+                times,
+                images,
+                calibration,
+            };
+            tell(out, &kitti.write(out)?)
+        }
         ImportArgs::Rosbag { files } => {
             let what = files.first().map_or("the bag", String::as_str);
             Err(Fault::user(format!("{what}: bags are converted by their own tools"))
@@ -21,4 +55,13 @@ pub async fn import(args: &ImportArgs) -> Ending {
                 .into())
         }
     }
+}
+
+fn tell(out: &Path, imported: &Imported) -> Ending {
+    let (images, poses) = (
+        of(imported.images as u64, "image"),
+        of(imported.poses as u64, "pose"),
+    );
+    line(&format!("{}: {images}, {poses}", out.display()));
+    Ok(Lost::default())
 }
