@@ -8,7 +8,7 @@
 //! |---|---|
 //! | [`program`] | a checked plan as stages with scopes |
 //! | [`run`] | the units of a run in dependency order; publishing |
-//! | [`unit`] | a self-contained piece of work and its receipt |
+//! | [`mod@unit`] | a self-contained piece of work and its receipt |
 //! | [`build`] | a unit as one DataFusion plan |
 //! | [`exec`] | the one `ExecutionPlan` that runs every operator |
 //! | [`store`], [`version`], [`artifact`] | the map store |

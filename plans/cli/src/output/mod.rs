@@ -58,7 +58,7 @@ pub async fn write(
 /// Writes typed rows to standard output.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub async fn print_rows<T: LayerRow>(format: Format, rows: Vec<T>) -> Result<(), Failure> {
     print_batch(format, batch(rows)?).await
 }
@@ -66,7 +66,7 @@ pub async fn print_rows<T: LayerRow>(format: Format, rows: Vec<T>) -> Result<(),
 /// Writes a batch to standard output.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub async fn print_batch(format: Format, rows: RecordBatch) -> Result<(), Failure> {
     let mut sink = Sink::stdout();
     write(
