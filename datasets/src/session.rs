@@ -87,7 +87,14 @@ impl LogPart {
     ) -> Result<Self, Fault> {
         let url = display_url(&store_url, &meta);
         let losses = ledger.of_file(url.as_str());
-        let index = LogIndex::read(&store, &meta, &losses).await?;
+        let index = LogIndex::read(&store, &meta, &losses)
+            .await
+            .map_err(|mut fault| {
+                if fault.place == meta.location.as_ref() {
+                    fault.place.clone_from(&url);
+                }
+                fault
+            })?;
         let stem = stem(meta.location.filename().unwrap_or_default());
         Ok(Self {
             session: stem.into(),
