@@ -86,7 +86,13 @@ fn a_table_that_does_not_fit_its_port_is_a_fault_of_the_plan() {
 #[test]
 fn the_plan_in_the_readme_checks() {
     let readme = std::fs::read_to_string(repository().join("README.md")).unwrap();
-    let plan = readme.split("```yaml\n").nth(1).unwrap().split("```").next().unwrap();
+    let plan = readme
+        .split("```yaml\n")
+        .nth(1)
+        .unwrap()
+        .split("```")
+        .next()
+        .unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("readme.yaml");
     std::fs::write(&path, plan).unwrap();

@@ -169,23 +169,21 @@ impl Node {
 
     fn finish_data(&self, pool: &mut Pool, rows: usize) -> Result<ArrayData, ArrowError> {
         let nulls = self.validity.map(|validity| {
-            let bytes = std::mem::take(&mut pool.0[validity]);
+            let bytes = pool.take(validity);
             NullBuffer::new(pack_bits(&bytes, rows))
         });
         let array = ArrayData::builder(self.field.data_type().clone())
             .len(rows)
             .nulls(nulls.filter(|n| n.null_count() > 0));
         match &self.layout {
-            Layout::Fixed { data, .. } => {
-                array.add_buffer(std::mem::take(&mut pool.0[*data]).into())
-            }
+            Layout::Fixed { data, .. } => array.add_buffer(pool.take(*data).into()),
             Layout::Bool { data } => {
-                let bytes = std::mem::take(&mut pool.0[*data]);
+                let bytes = pool.take(*data);
                 array.add_buffer(pack_bits(&bytes, rows).into_inner())
             }
             Layout::Bytes { offsets, data } => array
                 .add_buffer(pool.take_offsets(*offsets).into())
-                .add_buffer(std::mem::take(&mut pool.0[*data]).into()),
+                .add_buffer(pool.take(*data).into()),
             Layout::List { offsets, child } => {
                 let offsets = pool.take_offsets(*offsets);
                 let elements = child.finish_data(pool, last_offset(&offsets))?;
@@ -253,9 +251,16 @@ impl Pool {
 
     /// The offsets so far; the buffer starts again at zero.
     fn take_offsets(&mut self, id: usize) -> MutableBuffer {
-        let offsets = std::mem::take(&mut self.0[id]);
+        let offsets = self.take(id);
         self.0[id].push(0_i32);
         offsets
+    }
+
+    /// What a buffer holds so far. The next batch will be about as large: its memory is asked for at once, rather
+    /// than grown by copying.
+    fn take(&mut self, id: usize) -> MutableBuffer {
+        let next = MutableBuffer::with_capacity(self.0[id].len());
+        std::mem::replace(&mut self.0[id], next)
     }
 }
 

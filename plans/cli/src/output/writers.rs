@@ -11,7 +11,7 @@ use evermap_schemas::Fault;
 use parquet::arrow::ArrowWriter;
 use parquet::basic::{Compression, ZstdLevel};
 use parquet::errors::ParquetError;
-use parquet::file::properties::WriterProperties;
+use parquet::file::properties::{EnabledStatistics, WriterProperties};
 
 use crate::ending::Failure;
 use crate::output::readable::{cells, flat};
@@ -57,6 +57,9 @@ pub fn open(
             let level = ZstdLevel::try_new(1).unwrap_or_default();
             let properties = WriterProperties::builder()
                 .set_compression(Compression::ZSTD(level))
+                // Messages are mostly numbers that do not repeat: looking for repeats costs more than it saves.
+                .set_dictionary_enabled(false)
+                .set_statistics_enabled(EnabledStatistics::Chunk)
                 .build();
             Box::new(ArrowWriter::try_new(sink, schema, Some(properties)).map_err(parquet_failure)?)
         }
