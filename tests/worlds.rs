@@ -160,4 +160,22 @@ fn the_car_park_is_mapped_from_its_own_odometry() {
     ])
     .expect(0);
     assert!(std::fs::metadata(&picture).unwrap().len() > 20_000);
+
+    // A revisit leaves the first drive's images alone.
+    let revisit = world.join("revisit_1/revisit_1.mcap");
+    evermap(&[
+        "run",
+        "car_park",
+        "--map",
+        text(&map),
+        "--sessions",
+        text(&revisit),
+    ])
+    .expect(0);
+    let query =
+        "SELECT DISTINCT coalesce(session, site) AS of FROM runs WHERE version = 2 AND NOT cached";
+    let computed = evermap(&["sql", "--map", text(&map), "--format", "json", query])
+        .expect(0)
+        .json();
+    assert_eq!(computed, serde_json::json!([{ "of": "revisit_1" }]));
 }

@@ -9,7 +9,8 @@ use datafusion::common::tree_node::{TreeNode, TreeNodeRecursion};
 use datafusion::error::DataFusionError;
 use datafusion::execution::memory_pool::FairSpillPool;
 use datafusion::execution::runtime_env::RuntimeEnvBuilder;
-use datafusion::logical_expr::{Distinct, Expr, LogicalPlan};
+use datafusion::logical_expr::utils::split_conjunction;
+use datafusion::logical_expr::{BinaryExpr, Distinct, Expr, Join, LogicalPlan, Operator};
 use datafusion::prelude::{DataFrame, SQLOptions, SessionConfig, SessionContext};
 use evermap_schemas::Fault;
 
@@ -142,12 +143,28 @@ fn node_is_local(node: &LogicalPlan, column: &str) -> bool {
         LogicalPlan::Distinct(Distinct::On(distinct)) => {
             distinct.on_expr.iter().any(|expr| passes(expr, column))
         }
-        LogicalPlan::Join(join) => join
-            .on
-            .iter()
-            .any(|(left, right)| passes(left, column) && passes(right, column)),
+        LogicalPlan::Join(join) => joins_on(join, column),
         _ => false,
     }
+}
+
+/// Whether only rows of the same value are joined. Before it is optimised, a plan has the condition as a filter.
+fn joins_on(join: &Join, column: &str) -> bool {
+    let both =
+        |left: &Expr, right: &Expr| passes(left, column) && passes(right, column) && left != right;
+    let in_filter = join
+        .filter
+        .iter()
+        .flat_map(split_conjunction)
+        .any(|term| match term {
+            Expr::BinaryExpr(BinaryExpr {
+                left,
+                op: Operator::Eq,
+                right,
+            }) => both(left, right),
+            _ => false,
+        });
+    in_filter || join.on.iter().any(|(left, right)| both(left, right))
 }
 
 fn has(plan: &LogicalPlan, column: &str) -> bool {
