@@ -48,7 +48,7 @@ impl Sides {
             let mut kept = Vec::new();
             for batch in self.batches(port.name) {
                 for part in runs_of_equal(batch, columns)? {
-                    if columns.iter().all(|name| same_first(&part, group, name)) {
+                    if same_group(&part, group, columns) {
                         kept.push(part);
                     }
                 }
@@ -59,13 +59,16 @@ impl Sides {
     }
 }
 
-fn same_first(a: &RecordBatch, b: &RecordBatch, column: &str) -> bool {
-    match (a.column_by_name(column), b.column_by_name(column)) {
-        (Some(a), Some(b)) if !a.is_empty() && !b.is_empty() => {
-            a.slice(0, 1).to_data() == b.slice(0, 1).to_data()
-        }
-        _ => true,
-    }
+/// Whether the first rows of two batches are of one group: equal in these columns, as far as both have them.
+pub fn same_group(a: &RecordBatch, b: &RecordBatch, columns: &[&str]) -> bool {
+    columns.iter().all(
+        |name| match (a.column_by_name(name), b.column_by_name(name)) {
+            (Some(a), Some(b)) if !a.is_empty() && !b.is_empty() => {
+                a.slice(0, 1).to_data() == b.slice(0, 1).to_data()
+            }
+            _ => true,
+        },
+    )
 }
 
 /// Runs of rows with equal values in these columns, by which the rows are ordered already; all rows where there are

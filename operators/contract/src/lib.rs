@@ -28,7 +28,7 @@ mod table;
 pub use emit::{Emit, Losses};
 pub use fold::{Fold, FoldKernel, Lifter, StateRow, fold};
 pub use kernel::{
-    Group, GroupKernel, Kernel, MapKernel, Mapper, Sides, group_whole, runs_of_equal,
+    Group, GroupKernel, Kernel, MapKernel, Mapper, Sides, group_whole, runs_of_equal, same_group,
 };
 pub use operator::Operator;
 pub use page::{Example, Page};

@@ -30,7 +30,7 @@ use datafusion::physical_plan::{
     InputDistributionRequirements, Partitioning, PlanProperties,
 };
 use evermap_contract::{
-    Emit, Entry, Grain, Kernel, LayerRow, Losses, Port, Sides, StateRow, runs_of_equal,
+    Emit, Entry, Grain, Kernel, LayerRow, Losses, Port, Sides, StateRow, runs_of_equal, same_group,
 };
 use evermap_schemas::{Fault, rows};
 use futures::{StreamExt, TryStreamExt};
@@ -371,7 +371,7 @@ fn drive_groups(
         for run in runs_of_equal(&batch, columns)? {
             let same = open
                 .as_ref()
-                .is_some_and(|(first, _)| equal_in(first, &run, columns));
+                .is_some_and(|(first, _)| same_group(first, &run, columns));
             if !same {
                 if let Some((_, mut finished)) = open.take() {
                     outlet.run(work, |emit| finished.close(emit))?;
@@ -390,15 +390,6 @@ fn drive_groups(
         Some((_, mut last)) => outlet.run(work, |emit| last.close(emit)),
         None => Ok(()),
     }
-}
-
-fn equal_in(a: &RecordBatch, b: &RecordBatch, columns: &[&str]) -> bool {
-    columns.iter().all(
-        |name| match (a.column_by_name(name), b.column_by_name(name)) {
-            (Some(a), Some(b)) => a.slice(0, 1).to_data() == b.slice(0, 1).to_data(),
-            _ => true,
-        },
-    )
 }
 
 /// Merges the states of each key as they come, ordered by key, and finishes a key when the next one begins.

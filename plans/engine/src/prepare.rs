@@ -8,7 +8,7 @@ use evermap_contract::Registry;
 use evermap_datasets::manifest::{ManifestRoles, ManifestSession};
 use evermap_datasets::{Dataset, Manifest, Session};
 use evermap_language::{Faults, OperatorSpec, Plan, PortSpec, Vocabulary};
-use evermap_schemas::{Fault, Layer};
+use evermap_schemas::Fault;
 
 use crate::program::{Program, compile};
 use crate::run::{Run, RunSession};
@@ -196,11 +196,6 @@ impl Prepared {
             base: self.base.clone(),
             limits,
         }
-    }
-
-    /// The declaration of a stage's layer, where an operator makes it.
-    pub fn layer(&self, stage: &str, registry: &Registry) -> Option<Layer> {
-        self.program.layer(stage, registry)
     }
 }
 

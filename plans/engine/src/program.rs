@@ -12,7 +12,7 @@ use datafusion::datasource::MemTable;
 use datafusion::prelude::SessionContext;
 use evermap_contract::{Entry, Grain, Kernel, LayerRow, Registry, StateRow};
 use evermap_language::{Body, Faults, Input, Place, Plan, Step};
-use evermap_schemas::{Fault, Layer};
+use evermap_schemas::Fault;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -123,14 +123,6 @@ impl Program {
             .iter()
             .find(|stage| stage.name == name)
             .ok_or_else(|| Fault::bug(format!("no stage {name}")))
-    }
-
-    /// The layer declaration of a stage that an operator makes.
-    pub fn layer(&self, name: &str, registry: &Registry) -> Option<Layer> {
-        match &self.stage(name).ok()?.task {
-            Task::Op { op, .. } => registry.get(op).ok().map(|entry| entry.output.clone()),
-            Task::Sql { .. } => None,
-        }
     }
 
     /// A stage and those that run inside it, in order.
