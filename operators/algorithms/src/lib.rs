@@ -7,17 +7,45 @@
 //! |---|---|
 //! | [`pose`] | rigid transforms, checked at the door |
 //! | [`camera`] | lens models: rays from pixels and pixels from rays |
+//! | [`rig`] | cameras fixed to one vehicle |
+//! | [`features`] | key points with binary descriptors |
+//! | [`association`] | which features of which keyframes show the same landmark |
+//! | [`bundle_adjustment`] | poses and landmarks from all observations at once |
+//! | [`least_squares`] | factors, robust losses, trust regions, sparse Cholesky |
+//! | [`lie`] | rotations and rigid motions with their Jacobians |
+//! | [`localisation`] | a drive's poses in a map it did not make |
+//! | [`matching`] | descriptors to descriptors |
+//! | [`places`] | a binary vocabulary, and keyframes that look alike |
+//! | [`pose_graph`] | odometry and loops relaxed into consistent poses |
+//! | [`resection`] | a rig's pose from points and rays, with outliers |
+//! | [`tracking`] | features followed through a camera's keyframes |
+//! | [`trajectory`] | alignment and errors of trajectories |
+//! | [`triangulation`] | points from rays |
 //! | [`drive`] | keyframes at equal steps of driven path |
 //! | [`road_network`] | lanes and intersections from driven positions |
 //! | [`ground`] | images projected to cells of the ground plane |
 //! | [`tiles`] | tile addressing and exact integer sums |
 
+pub mod association;
+pub mod bundle_adjustment;
 pub mod camera;
 pub mod drive;
+pub mod features;
 pub mod ground;
+pub mod least_squares;
+pub mod lie;
+pub mod localisation;
+pub mod matching;
+pub mod places;
 pub mod pose;
+pub mod pose_graph;
+pub mod resection;
+pub mod rig;
 pub mod road_network;
 pub mod tiles;
+pub mod tracking;
+pub mod trajectory;
+pub mod triangulation;
 
 #[cfg(test)]
 mod shared_data;

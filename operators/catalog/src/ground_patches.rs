@@ -1,7 +1,5 @@
 #![doc = include_str!("ground_patches.md")]
 
-mod rig;
-
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_2;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -19,7 +17,7 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use rig::{Rig, SessionName, frame};
+use crate::inputs::rig::{self, Reason, Rig, SessionName, camera, frame};
 
 /// See the module's page.
 pub struct GroundPatches;
@@ -124,9 +122,6 @@ impl MapKernel for Opener {
         }))
     }
 }
-
-/// Why an image gives no patch.
-type Reason = &'static str;
 
 /// What a table depends on: the calibration (session, camera, stamp) and the size of the image.
 type TableName = (SessionName, String, Stamp, [u32; 2]);
@@ -288,48 +283,6 @@ impl Projector {
             values: Bytes(values),
             weights: Bytes(weights),
         })
-    }
-}
-
-/// The camera of a calibration, for images of this size: a driver that halves its images often leaves the
-/// calibration as it was.
-fn camera(calibration: &Calibration, [width, height]: [u32; 2]) -> Result<Camera, Reason> {
-    let Calibration {
-        model,
-        intrinsics,
-        distortion,
-        ..
-    } = calibration;
-    let mut k = intrinsics.clone();
-    let (full_width, full_height) = (calibration.width, calibration.height);
-    let given = full_width > 0 && full_height > 0;
-    if given && (full_width, full_height) != (width, height) {
-        let x = f64::from(width) / f64::from(full_width);
-        let y = f64::from(height) / f64::from(full_height);
-        if model.starts_with("ocam") || (x / y - 1.0).abs() > 0.01 {
-            return Err("image has another shape than its calibration");
-        }
-        scale(&mut k, x, y);
-    }
-    Camera::from_calibration(model, width, height, &k, distortion)
-        .map_err(|_| "calibration gives no camera")
-}
-
-/// Intrinsics of an image scaled by `x` and `y`; the corners of the image stay corners.
-fn scale(k: &mut [f64], x: f64, y: f64) {
-    let full = k.len() == 9 && k[4..].iter().any(|entry| *entry != 0.0);
-    let ([fx, cx], [fy, cy]) = if full {
-        ([0, 2], [4, 5])
-    } else {
-        ([0, 1], [2, 3])
-    };
-    for (focal, centre, factor) in [(fx, cx, x), (fy, cy, y)] {
-        if let Some(focal) = k.get_mut(focal) {
-            *focal *= factor;
-        }
-        if let Some(centre) = k.get_mut(centre) {
-            *centre = (*centre + 0.5) * factor - 0.5;
-        }
     }
 }
 

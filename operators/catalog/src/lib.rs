@@ -7,6 +7,8 @@
 
 use evermap_contract::{Entry, Registry};
 
+mod inputs;
+
 macro_rules! operators {
     ($($file:ident::$operator:ident),+ $(,)?) => {
         $(pub mod $file;)+

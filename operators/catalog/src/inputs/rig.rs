@@ -3,21 +3,25 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use evermap_algorithms::camera::Camera;
 use evermap_algorithms::pose::Pose;
 use evermap_contract::{Fault, Sides};
 use evermap_schemas::Stamp;
 use evermap_schemas::roles::{Calibration, Transform};
 
+/// Why a camera cannot be used.
+pub(crate) type Reason = &'static str;
+
 /// Site and session.
-pub(super) type SessionName = (String, String);
+pub(crate) type SessionName = (String, String);
 
 /// ROS 1 wrote frames with a slash in front.
-pub(super) fn frame(name: &str) -> &str {
+pub(crate) fn frame(name: &str) -> &str {
     name.trim_start_matches('/')
 }
 
 /// The rigs of all sessions that the sides hold.
-pub(super) fn sessions(sides: &Sides) -> Result<BTreeMap<SessionName, Rig>, Fault> {
+pub(crate) fn sessions(sides: &Sides) -> Result<BTreeMap<SessionName, Rig>, Fault> {
     let mut sessions: BTreeMap<SessionName, Rig> = BTreeMap::new();
     for row in sides.rows::<Calibration>("calibration")? {
         let rig = sessions
@@ -42,7 +46,7 @@ pub(super) fn sessions(sides: &Sides) -> Result<BTreeMap<SessionName, Rig>, Faul
 
 /// One session's cameras, and how they are mounted.
 #[derive(Default)]
-pub(super) struct Rig {
+pub(crate) struct Rig {
     /// By camera, by stamp.
     calibrations: BTreeMap<String, Vec<Arc<Calibration>>>,
     /// Stamp, parent and `parent_from_child` by child; the latest of several.
@@ -69,7 +73,7 @@ impl Rig {
     }
 
     /// The calibration that holds at an instant: the latest that is not after it, else the first.
-    pub(super) fn calibration(&self, camera: &str, stamp: Stamp) -> Option<&Arc<Calibration>> {
+    pub(crate) fn calibration(&self, camera: &str, stamp: Stamp) -> Option<&Arc<Calibration>> {
         let of_camera = self.calibrations.get(camera)?;
         let after = of_camera.partition_point(|calibration| calibration.stamp <= stamp);
         of_camera.get(after.saturating_sub(1))
@@ -88,7 +92,7 @@ impl Rig {
     }
 
     /// Through the nearest common ancestor of the two frames.
-    pub(super) fn vehicle_from_camera(&self, vehicle: &str, camera: &str) -> Option<Pose> {
+    pub(crate) fn vehicle_from_camera(&self, vehicle: &str, camera: &str) -> Option<Pose> {
         let of_vehicle = self.ancestors(vehicle);
         self.ancestors(camera)
             .into_iter()
@@ -101,5 +105,50 @@ impl Rig {
                         .compose(&ancestor_from_camera),
                 )
             })
+    }
+}
+
+/// The camera of a calibration, for images of this size: a driver that halves its images often leaves the
+/// calibration as it was.
+pub(crate) fn camera(
+    calibration: &Calibration,
+    [width, height]: [u32; 2],
+) -> Result<Camera, Reason> {
+    let Calibration {
+        model,
+        intrinsics,
+        distortion,
+        ..
+    } = calibration;
+    let mut k = intrinsics.clone();
+    let (full_width, full_height) = (calibration.width, calibration.height);
+    let given = full_width > 0 && full_height > 0;
+    if given && (full_width, full_height) != (width, height) {
+        let x = f64::from(width) / f64::from(full_width);
+        let y = f64::from(height) / f64::from(full_height);
+        if model.starts_with("ocam") || (x / y - 1.0).abs() > 0.01 {
+            return Err("image has another shape than its calibration");
+        }
+        scale(&mut k, x, y);
+    }
+    Camera::from_calibration(model, width, height, &k, distortion)
+        .map_err(|_| "calibration gives no camera")
+}
+
+/// Intrinsics of an image scaled by `x` and `y`; the corners of the image stay corners.
+fn scale(k: &mut [f64], x: f64, y: f64) {
+    let full = k.len() == 9 && k[4..].iter().any(|entry| *entry != 0.0);
+    let ([fx, cx], [fy, cy]) = if full {
+        ([0, 2], [4, 5])
+    } else {
+        ([0, 1], [2, 3])
+    };
+    for (focal, centre, factor) in [(fx, cx, x), (fy, cy, y)] {
+        if let Some(focal) = k.get_mut(focal) {
+            *focal *= factor;
+        }
+        if let Some(centre) = k.get_mut(centre) {
+            *centre = (*centre + 0.5) * factor - 0.5;
+        }
     }
 }

@@ -1,8 +1,15 @@
 //! The map's layers: what operators yield, and what SQL users read.
 
+mod metric_map;
+
 use std::collections::BTreeMap;
 
 use crate::{Bytes, ImageRef, LayerRow, Pose, Stamp, Wkb, record};
+
+pub use metric_map::{
+    AdjustedPose, Features, FrameImage, FramePose, GraphPose, Landmark, Localisation, LoopClosure,
+    LoopEdge, MapFrame, Observation, Sighting, Track, TrackPoint,
+};
 
 record! {
     /// The part of a session that a row was made from. It may have gone elsewhere in between.
@@ -271,6 +278,16 @@ impl LayerRow for Intersection {
 pub fn all() -> Vec<crate::Layer> {
     use crate::roles::{Calibration, Frame, OdometryPose, Transform};
     let mut layers = vec![
+        AdjustedPose::layer(),
+        Features::layer(),
+        FrameImage::layer(),
+        FramePose::layer(),
+        GraphPose::layer(),
+        Landmark::layer(),
+        Localisation::layer(),
+        LoopClosure::layer(),
+        MapFrame::layer(),
+        Track::layer(),
         Calibration::layer(),
         Frame::layer(),
         GroundPatch::layer(),

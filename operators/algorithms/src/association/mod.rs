@@ -1,0 +1,1 @@
+//! Which features of which keyframes show the same landmark.

@@ -1,0 +1,1 @@
+//! Poses and landmarks from all observations at once.

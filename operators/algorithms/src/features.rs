@@ -1,0 +1,63 @@
+//! Key points with binary descriptors, as BRISK yields them.
+
+/// Bytes of a descriptor.
+pub const DESCRIPTOR_BYTES: usize = 64;
+
+/// A binary descriptor of 512 bits (BRISK).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Descriptor(pub [u8; DESCRIPTOR_BYTES]);
+
+impl Descriptor {
+    /// Bits that differ, 0 to 512.
+    pub fn distance(&self, other: &Self) -> u32 {
+        let words = self.0.chunks_exact(8).zip(other.0.chunks_exact(8));
+        words.map(|(a, b)| (word(a) ^ word(b)).count_ones()).sum()
+    }
+}
+
+fn word(bytes: &[u8]) -> u64 {
+    let mut word = [0; 8];
+    word.copy_from_slice(bytes);
+    u64::from_le_bytes(word)
+}
+
+/// One key point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Feature {
+    /// Where: `[u, v]`, pixels of the full image; the centre of the first pixel is (0, 0).
+    pub pixel: [f64; 2],
+    /// Diameter of the key point's neighbourhood, pixels of the full image. Localisation noise grows with it.
+    pub size_px: f64,
+    /// What it looks like.
+    pub descriptor: Descriptor,
+}
+
+/// The features of one image.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ImageFeatures {
+    /// The features; elsewhere a feature is named by its index in here.
+    pub features: Vec<Feature>,
+}
+
+/// The features of one keyframe: an image per camera of the rig, in the rig's order; empty where a camera gave none.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct KeyframeFeatures {
+    /// The images.
+    pub images: Vec<ImageFeatures>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn distance_counts_the_bits_that_differ() {
+        let zeros = Descriptor([0; DESCRIPTOR_BYTES]);
+        let mut some = zeros;
+        some.0[0] = 0b101;
+        some.0[63] = 0xff;
+        assert_eq!(zeros.distance(&some), 10);
+        assert_eq!(some.distance(&some), 0);
+        assert_eq!(zeros.distance(&Descriptor([0xff; DESCRIPTOR_BYTES])), 512);
+    }
+}

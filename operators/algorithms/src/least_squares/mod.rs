@@ -1,0 +1,1 @@
+//! Factors, robust losses, trust regions, sparse Cholesky.

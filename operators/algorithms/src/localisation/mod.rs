@@ -1,0 +1,1 @@
+//! A drive's poses in a map it did not make.

@@ -1,0 +1,1 @@
+//! A binary vocabulary, and keyframes that look alike.

@@ -1,0 +1,1 @@
+//! Odometry and loops relaxed into consistent poses.

@@ -1,0 +1,1 @@
+//! A rig's pose from points and rays, with outliers.

@@ -1,0 +1,1 @@
+//! Features followed through a camera's keyframes.
