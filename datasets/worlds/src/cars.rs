@@ -150,9 +150,8 @@ pub struct CarFaces {
     pub dark: u16,
 }
 
-/// The solids of a car: body, cabin, four wheels.
-pub fn car_solids(car: &ParkedCar, faces: &CarFaces) -> Vec<Solid> {
-    let stand = Stand::upright(car.x, car.y, car.yaw);
+/// The solids of a car that stands at `stand`: body, cabin, four wheels.
+pub fn car_solids(car: &ParkedCar, stand: &Stand, faces: &CarFaces) -> Vec<Solid> {
     let s = &car.shape;
     let (hx, hy) = (0.5 * s.length, 0.5 * s.width);
     let v = Vector3::new;
@@ -172,7 +171,7 @@ pub fn car_solids(car: &ParkedCar, faces: &CarFaces) -> Vec<Solid> {
         slope(-hx, 0.8, 0.3, s.belt - 0.8, faces.top),
     ];
     let mut solids = vec![Solid::new(
-        &stand,
+        stand,
         &body,
         v(-hx, -hy, 0.2),
         v(hx, hy, s.belt),
@@ -192,15 +191,10 @@ pub fn car_solids(car: &ParkedCar, faces: &CarFaces) -> Vec<Solid> {
         slope(back.min(-0.1), s.belt, s.rear_slope, rise, faces.top),
     ];
     let low = v(back, -hy, s.belt - 0.05);
-    solids.push(Solid::new(
-        &stand,
-        &cabin,
-        low,
-        v(front + 0.1, hy, s.height),
-    ));
+    solids.push(Solid::new(stand, &cabin, low, v(front + 0.1, hy, s.height)));
     for x in [0.3 * s.length, -0.3 * s.length] {
         for y in [hy - 0.19, -hy - 0.012] {
-            solids.push(wheel(&stand, x, y, faces));
+            solids.push(wheel(stand, x, y, faces));
         }
     }
     solids

@@ -1,5 +1,6 @@
 //! The true motion of the vehicle: a path driven with bounded acceleration.
 
+use crate::ground::Ground;
 use crate::route::PathPoint;
 use evermap_algorithms::pose::Pose;
 use nalgebra::{UnitQuaternion, Vector3};
@@ -16,6 +17,7 @@ const SWAY: f64 = 0.0025;
 /// A drive: position as a function of time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Drive {
+    ground: Ground,
     path: Vec<PathPoint>,
     speed: Vec<f64>,
     time: Vec<f64>,
@@ -39,8 +41,8 @@ pub struct Planar {
 }
 
 impl Drive {
-    /// Drives a path of at least two points, at most `top_speed` (m/s) fast.
-    pub fn new(path: Vec<PathPoint>, top_speed: f64) -> Self {
+    /// Drives a path of at least two points on `ground`, at most `top_speed` (m/s) fast.
+    pub fn new(path: Vec<PathPoint>, top_speed: f64, ground: Ground) -> Self {
         let speed = speeds(&path, top_speed);
         let mut time = Vec::with_capacity(path.len());
         let mut now = STAND_S;
@@ -51,7 +53,12 @@ impl Drive {
             }
             time.push(now);
         }
-        Self { path, speed, time }
+        Self {
+            ground,
+            path,
+            speed,
+            time,
+        }
     }
 
     /// Length of the session, seconds.
@@ -62,11 +69,6 @@ impl Drive {
     /// Length of the path, metres.
     pub fn length_m(&self) -> f64 {
         self.path.last().map_or(0.0, |point| point.s)
-    }
-
-    /// The path itself.
-    pub fn path(&self) -> &[PathPoint] {
-        &self.path
     }
 
     /// Where the vehicle is `t` seconds after the session's start.
@@ -95,7 +97,7 @@ impl Drive {
         }
     }
 
-    /// `map_from_vehicle` at `t` seconds: planar motion, and a little roll and pitch from the
+    /// `map_from_vehicle` at `t` seconds: on its wheels, with a little roll and pitch from the
     /// springs.
     pub fn map_from_vehicle(&self, t: f64) -> Pose {
         let at = self.planar(t);
@@ -106,10 +108,10 @@ impl Drive {
             sideways += then.speed * then.speed * then.curvature / 9.0;
         }
         forward += (self.planar(t + window).speed - self.planar(t - window).speed) / (2.0 * window);
-        let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), at.yaw)
-            * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -SWAY * forward)
+        let sway = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -SWAY * forward)
             * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), SWAY * sideways);
-        Pose::new(Vector3::new(at.x, at.y, 0.0), turned)
+        let sway = Pose::new(Vector3::zeros(), sway);
+        self.ground.stand(at.x, at.y, at.yaw).compose(&sway)
     }
 }
 
@@ -145,8 +147,9 @@ mod tests {
     #[test]
     fn stands_accelerates_and_never_jumps() {
         let world = CarPark::default();
-        let path = Route::of_session(&world, 0).path(&Layout::new(&world), 2.0);
-        let drive = Drive::new(path, world.speed_mps);
+        let layout = Layout::new(&world);
+        let path = Route::of_session(&world, 0).path(&layout, 2.0);
+        let drive = Drive::new(path, world.speed_mps, layout.ground);
         let duration = drive.duration_s();
         assert!((45.0..90.0).contains(&duration), "{duration}");
         assert_eq!(

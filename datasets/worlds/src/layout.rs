@@ -9,9 +9,10 @@
 //!   |     south row     |gate|   south row           [utility]
 //!   +--------------------------------------------------> x
 //! ```
-//! Map frame: x east, y north, z up, metres; the origin is the hall's south-west corner on the
-//! floor. At SC four ways meet: the gate's drive crosses the south aisle.
+//! Map frame: x east, y north, z up, metres; the origin is the hall's south-west corner, at the
+//! height of the drain that runs along x through the middle. At SC four ways meet: the gate's drive crosses the south aisle.
 
+use crate::ground::Ground;
 use crate::params::CarPark;
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -124,6 +125,8 @@ pub struct Layout {
     pub width_m: f64,
     /// Inner depth (y), metres.
     pub depth_m: f64,
+    /// The shape of the floor.
+    pub ground: Ground,
     /// Ground of the western and the eastern island.
     pub islands: [Rect; 2],
     /// Closed rooms in the eastern corners.
@@ -155,6 +158,10 @@ impl Layout {
         let mut layout = Self {
             width_m,
             depth_m,
+            ground: Ground {
+                drain_y: 0.5 * depth_m,
+                slope: world.floor_slope,
+            },
             islands: [west, east],
             rooms: [
                 Rect::new(width_m - BAY_DEPTH_M, 0.0, width_m, BAY_DEPTH_M),

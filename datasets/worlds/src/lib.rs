@@ -20,6 +20,7 @@ mod drive;
 mod error;
 mod floor;
 mod glyphs;
+mod ground;
 mod layout;
 mod lens;
 mod lighting;

@@ -57,7 +57,7 @@ pub fn compressed_image(stamp_ns: u64, frame_id: &str, jpeg: &[u8]) -> Vec<u8> {
 
 /// The `CameraInfo` of a camera: `equidistant`, D = [k1, k2, k3, k4].
 pub fn camera_info(stamp_ns: u64, camera: &RigCamera) -> Vec<u8> {
-    let ([fx, fy], [cx, cy]) = (camera.focal, camera.centre);
+    let ([fx, fy], [cx, cy]) = (camera.focal, camera.published_centre);
     let mut cdr = CdrWriter::default();
     header(&mut cdr, stamp_ns, &camera.frame_id);
     cdr.u32(camera.camera.height);
@@ -83,7 +83,7 @@ pub fn odometry(sample: &OdometrySample) -> Vec<u8> {
     cdr.f64_array(&pose.to_array());
     let place = 1e-4 + (0.01 * sample.driven).powi(2);
     let turn = 1e-5 + (0.001 * sample.driven).powi(2);
-    cdr.f64_array(&diagonal([place, place, 1e-6, 1e-5, 1e-5, turn]));
+    cdr.f64_array(&diagonal([place, place, 0.01, 1e-4, 1e-4, turn]));
     cdr.f64_array(&[sample.speed, 0.0, 0.0, 0.0, 0.0, sample.yaw_rate]);
     cdr.f64_array(&diagonal([0.01, 1e-4, 1e-6, 1e-6, 1e-6, 0.01]));
     cdr.finish()

@@ -18,9 +18,9 @@ const TICK_M: f64 = 0.004;
 /// standard deviation given here, cut at two of them.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct WheelErrors {
-    /// Relative error of distance (0.006).
+    /// Relative error of distance (0.008), beside the one that was asked for.
     pub scale: f64,
-    /// Relative error of the distance between the wheels (0.006).
+    /// Relative error of the distance between the wheels (0.008).
     pub track: f64,
     /// Relative difference between the right and the left wheel's size (0.0004).
     pub difference: f64,
@@ -34,8 +34,8 @@ impl WheelErrors {
         let mut rng = stream(world.seed, "wheels", session as u64);
         let mut draw = |sigma: f64| sigma * normal(&mut rng).clamp(-2.0, 2.0);
         Self {
-            scale: draw(0.006),
-            track: draw(0.006),
+            scale: draw(0.008) + world.odometry_scale_error,
+            track: draw(0.008),
             difference: draw(0.0004),
             yaw_bias: draw(0.0003),
         }
@@ -156,8 +156,9 @@ mod tests {
                 seed,
                 ..CarPark::default()
             };
-            let path = Route::of_session(&world, 0).path(&Layout::new(&world), 2.0);
-            let drive = Drive::new(path, world.speed_mps);
+            let layout = Layout::new(&world);
+            let path = Route::of_session(&world, 0).path(&layout, 2.0);
+            let drive = Drive::new(path, world.speed_mps, layout.ground);
             let samples = wheel_odometry(&world, 0, &drive, 0);
             let map_from_odom = {
                 let first = drive.planar(0.0);

@@ -1,6 +1,7 @@
 //! What can be asked of the car park.
 
 use crate::WorldError;
+use crate::rig::CAMERAS;
 use serde::{Deserialize, Serialize};
 
 /// Parameters of the simulated car park. The same parameters give byte-identical files.
@@ -30,11 +31,26 @@ pub struct CarPark {
     pub residents: f64,
     /// Walkers in each revisit (the initial drive meets nobody).
     pub walkers: usize,
+    /// Rise of the floor per metre away from the drain in its middle.
+    pub floor_slope: f64,
     /// Speed on straight lanes, m/s; bends are taken slower.
     pub speed_mps: f64,
     /// Loops driven per session. One loop is half of the session's round trip, and two loops
     /// cover every aisle; a fraction stops on the way.
     pub loops: f64,
+    /// Distance ahead on the round trip at which sessions start, metres.
+    pub start_m: f64,
+    /// Relative error of the odometry's distances in every session, beside the small ones that
+    /// each session draws.
+    pub odometry_scale_error: f64,
+    /// Distance of the published principal points from the true ones, pixels, in a direction that
+    /// each camera draws.
+    pub calibration_error_px: f64,
+    /// A camera (`front`, `left`, `rear`, `right`) that sees nothing but the noise of its sensor.
+    pub dark_camera: Option<String>,
+    /// Sessions at the beginning that are not written, because they were before. The others stay
+    /// what they are.
+    pub skip: usize,
     /// JPEG quality, 1 to 100.
     pub jpeg_quality: u8,
     /// Sharpness of the painted floor, texels per metre. Memory grows with its square: 100 MB
@@ -59,8 +75,14 @@ impl Default for CarPark {
             occupancy: 0.6,
             residents: 0.25,
             walkers: 3,
+            floor_slope: 0.015,
             speed_mps: 4.2,
             loops: 2.0,
+            start_m: 0.0,
+            odometry_scale_error: 0.0,
+            calibration_error_px: 0.0,
+            dark_camera: None,
+            skip: 0,
             jpeg_quality: 85,
             floor_texels_per_m: 160.0,
             start_ns: 1_780_300_800_000_000_000,
@@ -102,9 +124,22 @@ impl CarPark {
         within("walkers", self.walkers as f64, 0.0, 20.0);
         within("speed_mps", self.speed_mps, 0.5, 10.0);
         within("loops", self.loops, 0.02, 100.0);
+        within("floor_slope", self.floor_slope, 0.0, 0.1);
+        within("start_m", self.start_m, 0.0, 10_000.0);
+        within("odometry_scale_error", self.odometry_scale_error, -0.5, 0.5);
+        within("calibration_error_px", self.calibration_error_px, 0.0, 20.0);
+        within("skip", self.skip as f64, 0.0, self.revisits as f64);
         within("jpeg_quality", f64::from(self.jpeg_quality), 1.0, 100.0);
         within("floor_texels_per_m", self.floor_texels_per_m, 10.0, 400.0);
         within("start_ns", self.start_ns as f64, 0.0, 4e18);
+        if let Some(name) = &self.dark_camera
+            && !CAMERAS.contains(&name.as_str())
+        {
+            let known = CAMERAS.join(", ");
+            faults.push(format!(
+                "dark_camera: expected one of {known}, found {name}; choose one of them"
+            ));
+        }
         if faults.is_empty() {
             Ok(())
         } else {

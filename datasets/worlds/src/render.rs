@@ -197,7 +197,7 @@ impl View<'_> {
             let tile = &lens.tiles[*index];
             let Some(cone) = &tile.cone else { continue };
             turn_rays(&tile.rays, &self.turn, &mut scratch.rays);
-            meet_room(self.scene.room, self.eye, scratch);
+            meet_room(self.scene, self.eye, scratch);
             meet_solids(&nearby, &Window::of(cone, &self.turn), scratch);
             let noise = scramble(self.shot ^ (*index as u64) << 20);
             shade(self.scene, &self.painted, look.blend(noise), scratch);
@@ -215,19 +215,34 @@ fn turn_rays(own: &[Lanes; 3], turn: &[[f32; 3]; 3], rays: &mut [Lanes; 3]) {
     }
 }
 
-/// Every ray leaves the hall through the nearest of the three planes it heads for.
-fn meet_room(room: [f32; 3], eye: [f32; 3], scratch: &mut Scratch) {
+/// Every ray leaves the hall through the nearest of the planes it heads for: a wall of each pair,
+/// the ceiling, and the floor's two halves.
+fn meet_room(scene: &Scene, eye: [f32; 3], scratch: &mut Scratch) {
     let Scratch { rays, t, face, .. } = scratch;
+    let (room, slope) = (scene.room, scene.ground.slope as f32);
+    // Height of the eye above both halves, each continued beyond the drain.
+    let beside = slope * (eye[1] - scene.ground.drain_y as f32);
+    let above = [eye[2] - beside, eye[2] + beside];
     for i in 0..PIXELS {
         let way = |axis: usize| {
             let d = rays[axis][i];
             let goal = if d > 0.0 { room[axis] } else { 0.0 };
             (goal - eye[axis]) / d
         };
-        let (x, y, z) = (way(0), way(1), way(2));
+        let floor = |above: f32, slope: f32| {
+            let sinking = slope * rays[1][i] - rays[2][i];
+            let t = above / sinking;
+            if sinking > 0.0 { t } else { FAR }
+        };
+        let (x, y) = (way(0), way(1));
+        let (south, north) = (floor(above[1], -slope), floor(above[0], slope));
+        let floor = if south < north { south } else { north };
+        let rising = (room[2] - eye[2]) / rays[2][i];
+        let ceiling = if rays[2][i] > 0.0 { rising } else { FAR };
+        let z = if floor < ceiling { floor } else { ceiling };
         let face_x = if rays[0][i] > 0.0 { 5.0 } else { 4.0 };
         let face_y = if rays[1][i] > 0.0 { 3.0 } else { 2.0 };
-        let face_z = if rays[2][i] > 0.0 { 1.0 } else { 0.0 };
+        let face_z = if floor < ceiling { 0.0 } else { 1.0 };
         let (side, side_face) = if x < y { (x, face_x) } else { (y, face_y) };
         t[i] = if z < side { z } else { side };
         face[i] = if z < side { face_z } else { side_face };
@@ -415,7 +430,7 @@ mod tests {
             for tile in lens.tiles.iter().filter(|tile| tile.cone.is_some()) {
                 for scratch in [&mut fast, &mut slow] {
                     turn_rays(&tile.rays, &turn, &mut scratch.rays);
-                    meet_room(scene.room, eye, scratch);
+                    meet_room(&scene, eye, scratch);
                 }
                 let window = Window::of(tile.cone.as_ref().unwrap(), &turn);
                 meet_solids(&all, &window, &mut fast);

@@ -6,6 +6,7 @@ use crate::random::stream;
 use evermap_algorithms::camera::{Camera, KannalaBrandt, Model};
 use evermap_algorithms::pose::Pose;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use rand::Rng;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// The image circle ends this far from the axis, radians.
@@ -22,6 +23,8 @@ pub struct RigCamera {
     pub focal: [f64; 2],
     /// Principal point, pixels; (0, 0) is the centre of the top-left pixel.
     pub centre: [f64; 2],
+    /// Principal point as published, pixels.
+    pub published_centre: [f64; 2],
     /// Kannala–Brandt coefficients k1 to k4.
     pub k: [f64; 4],
     /// Lens and image size.
@@ -30,12 +33,15 @@ pub struct RigCamera {
     pub vehicle_from_camera: Pose,
 }
 
+/// The cameras' names.
+pub const CAMERAS: [&str; 4] = ["front", "left", "rear", "right"];
+
 /// Name, position (m), direction of view (rad, anticlockwise), tilt below the horizon (rad).
 const MOUNTS: [(&str, [f64; 3], f64, f64); 4] = [
-    ("front", [3.62, 0.0, 0.68], 0.0, 0.30),
-    ("left", [1.95, 0.98, 1.05], FRAC_PI_2, 0.55),
-    ("rear", [-0.98, 0.04, 0.92], PI, 0.38),
-    ("right", [1.95, -0.98, 1.05], -FRAC_PI_2, 0.55),
+    (CAMERAS[0], [3.62, 0.0, 0.68], 0.0, 0.30),
+    (CAMERAS[1], [1.95, 0.98, 1.05], FRAC_PI_2, 0.55),
+    (CAMERAS[2], [-0.98, 0.04, 0.92], PI, 0.38),
+    (CAMERAS[3], [1.95, -0.98, 1.05], -FRAC_PI_2, 0.55),
 ];
 
 /// The rig of a world. Sessions share it.
@@ -68,12 +74,21 @@ pub fn rig(world: &CarPark) -> Vec<RigCamera> {
             frame_id: format!("{name}_optical_frame"),
             focal,
             centre,
+            published_centre: off(world, index, centre),
             k,
             camera: camera.with_max_angle(CIRCLE_RAD),
             vehicle_from_camera: Pose::new(Vector3::from(place) + shift, rotation),
         });
     }
     cameras
+}
+
+/// A principal point as a calibration that is off gives it.
+fn off(world: &CarPark, index: usize, [cx, cy]: [f64; 2]) -> [f64; 2] {
+    let mut rng = stream(world.seed, "calibration", index as u64);
+    let (sin, cos) = rng.random_range(0.0..2.0 * PI).sin_cos();
+    let error = world.calibration_error_px;
+    [cx + error * cos, cy + error * sin]
 }
 
 /// θd / θ of the lens.

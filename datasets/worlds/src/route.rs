@@ -84,14 +84,31 @@ impl Route {
         }
     }
 
-    /// The path of `loops` loops (two are the whole cycle and a little more).
+    /// The path of `loops` loops (two are the whole cycle and a little more) that starts `start_m`
+    /// metres ahead on the round trip.
+    pub fn path_from(&self, layout: &Layout, start_m: f64, loops: f64) -> Vec<PathPoint> {
+        let mut path = self.path_of(layout, start_m, loops);
+        path.retain(|point| point.s >= start_m);
+        let skipped = path.first().map_or(0.0, |point| point.s);
+        for point in &mut path {
+            point.s -= skipped;
+        }
+        path
+    }
+
+    /// The path of `loops` loops from the usual start.
     pub fn path(&self, layout: &Layout, loops: f64) -> Vec<PathPoint> {
+        self.path_of(layout, 0.0, loops)
+    }
+
+    /// The path of `loops` loops and `more_m` metres.
+    fn path_of(&self, layout: &Layout, more_m: f64, loops: f64) -> Vec<PathPoint> {
         let one = self.corners(layout, 1);
         let cycle_m: f64 = one.windows(2).map(|pair| distance(pair[0], pair[1])).sum();
-        let repeats = (loops / 2.0).ceil() as usize + 1;
+        let repeats = (loops / 2.0 + more_m / cycle_m).ceil() as usize + 1;
         let mut trace = Trace::default();
         let corners = self.corners(layout, repeats);
-        let wanted_m = (0.5 * loops * cycle_m).max(2.0);
+        let wanted_m = more_m + (0.5 * loops * cycle_m).max(2.0);
         follow(&corners, wanted_m, &mut trace);
         trace.points
     }
@@ -296,6 +313,23 @@ mod tests {
                     assert!(outside(&bay.rect, point, 0.4), "{point:?} {bay:?}");
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_drive_that_starts_ahead_is_the_rest_of_the_usual_one() {
+        let world = CarPark::default();
+        let layout = Layout::new(&world);
+        for session in 0..5 {
+            let route = Route::of_session(&world, session);
+            let (whole, rest) = (
+                route.path(&layout, 2.0),
+                route.path_from(&layout, 70.0, 1.0),
+            );
+            let first = whole.iter().find(|point| point.s >= 70.0).unwrap();
+            assert_eq!((rest[0].s, rest[0].x, rest[0].y), (0.0, first.x, first.y));
+            let half = 0.5 * whole.last().unwrap().s;
+            assert!((rest.last().unwrap().s - half).abs() < 0.2);
         }
     }
 

@@ -3,6 +3,7 @@
 use crate::canvas::Canvas;
 use crate::cars::{CAR_SCALE, CarFaces, ParkedCar, car_solids, paint_car};
 use crate::floor;
+use crate::ground::Ground;
 use crate::layout::{AISLE_M, CEILING_M, Layout};
 use crate::lighting::Lighting;
 use crate::params::CarPark;
@@ -41,6 +42,8 @@ pub struct Scene {
     pub solids: Vec<Solid>,
     /// Inner size of the hall, metres.
     pub room: [f32; 3],
+    /// The shape of its floor.
+    pub ground: Ground,
     /// For each walker: the faces of coat, trousers and head.
     pub walker_faces: Vec<[u16; 3]>,
 }
@@ -81,6 +84,7 @@ impl Scene {
                 layout.depth_m as f32,
                 CEILING_M as f32,
             ],
+            ground: layout.ground,
             walker_faces: Vec::new(),
         };
         let mut spots = stream(world.seed, "spots", session as u64);
@@ -106,7 +110,7 @@ impl Scene {
     pub fn walkers_at(&self, people: &[Walker], t: f64) -> Vec<Solid> {
         let pairs = people.iter().zip(&self.walker_faces);
         pairs
-            .flat_map(|(person, faces)| person.solids(t, *faces))
+            .flat_map(|(person, faces)| person.solids(t, &self.ground, *faces))
             .collect()
     }
 
@@ -225,7 +229,7 @@ impl Scene {
             });
             let low = Vector3::new(room.x0, room.y0, 0.0);
             let high = Vector3::new(room.x1 + 0.1, room.y1, CEILING_M + 0.1);
-            let stand = Stand::upright(0.0, 0.0, 0.0);
+            let stand = Stand::upright(0.0, 0.0, 0.0, 0.0);
             let faces = [west, west, inner, inner, west, west];
             self.solids.push(Solid::cuboid(&stand, low, high, faces));
         }
@@ -253,7 +257,7 @@ impl Scene {
             let faces = [faces[0], faces[1], faces[2], faces[3], faces[0], faces[0]];
             let low = Vector3::new(pillar.x0, pillar.y0, 0.0);
             let high = Vector3::new(pillar.x1, pillar.y1, CEILING_M + 0.1);
-            let stand = Stand::upright(0.0, 0.0, 0.0);
+            let stand = Stand::upright(0.0, 0.0, 0.0, 0.0);
             self.solids.push(Solid::cuboid(&stand, low, high, faces));
         }
     }
@@ -271,7 +275,7 @@ impl Scene {
             let below = self.face(texture, 0.55, along, across);
             let low = Vector3::new(low_x, -0.1, low_z);
             let high = Vector3::new(high_x, layout.depth_m + 0.1, CEILING_M + 0.1);
-            let stand = Stand::upright(0.0, 0.0, 0.0);
+            let stand = Stand::upright(0.0, 0.0, 0.0, 0.0);
             let faces = [side, side, side, side, below, below];
             self.solids.push(Solid::cuboid(&stand, low, high, faces));
         }
@@ -280,13 +284,16 @@ impl Scene {
     fn add_car(&mut self, car: &ParkedCar, lighting: &Lighting) {
         let paint = paint_car(&car.shape);
         let (sin, cos) = car.yaw.sin_cos();
-        let (forward, left) = ([cos, sin, 0.0], [-sin, cos, 0.0]);
+        let stand = Stand::on(&self.ground, car.x, car.y, car.yaw);
         let (hx, hy) = (0.5 * car.shape.length, 0.5 * car.shape.width);
-        let rear = [car.x - hx * cos, car.y - hx * sin, 0.0];
-        let right = [car.x + hy * sin, car.y - hy * cos, 0.0];
-        let along = axis(forward, CAR_SCALE, rear);
-        let across = axis(left, CAR_SCALE, right);
-        let up = axis([0.0, 0.0, 1.0], CAR_SCALE, [0.0; 3]);
+        // A texture axis along one of the car's own, from a place in its frame.
+        let own = |way: Vector3<f64>, from: Vector3<f64>| {
+            let origin = stand.origin + stand.rotation * from;
+            axis((stand.rotation * way).into(), CAR_SCALE, origin.into())
+        };
+        let along = own(Vector3::x(), Vector3::new(-hx, 0.0, 0.0));
+        let across = own(Vector3::y(), Vector3::new(0.0, -hy, 0.0));
+        let up = own(Vector3::z(), Vector3::zeros());
         let light =
             |ahead: f64| 0.15 + 0.75 * lighting.at(car.x + ahead * cos, car.y + ahead * sin, 0.8);
         let mut add = |canvas: Canvas, light: f64, u: [f32; 4], v: [f32; 4]| {
@@ -300,7 +307,7 @@ impl Scene {
             top: add(paint.top, 1.05 * light(0.0), along, across),
             dark: self.plain(16, 1.0),
         };
-        self.solids.extend(car_solids(car, &faces));
+        self.solids.extend(car_solids(car, &stand, &faces));
     }
 
     fn add_walker(&mut self, person: &Walker) {

@@ -19,7 +19,8 @@ use crate::scene::Scene;
 use crate::truth::Truth;
 use crate::walkers::{Walker, walkers};
 use jpeg_encoder::{ColorType, Encoder};
-use rand::Rng;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -86,7 +87,8 @@ pub(crate) struct Plan {
 impl Plan {
     pub(crate) fn new(world: &CarPark, layout: &Layout, index: usize, name: &str) -> Self {
         let route = Route::of_session(world, index);
-        let drive = Drive::new(route.path(layout, world.loops), world.speed_mps);
+        let path = route.path_from(layout, world.start_m, world.loops);
+        let drive = Drive::new(path, world.speed_mps, layout.ground);
         let mut jitter = stream(world.seed, "shutter", index as u64);
         let count = (drive.duration_s() * world.rate_hz).floor() as usize;
         let start_ns = world.start_ns + index as u64 * DAY_NS;
@@ -134,8 +136,9 @@ pub fn car_park(
         .enumerate()
         .map(|(index, name)| Plan::new(world, &layout, index, name))
         .collect();
-    let paths: Vec<_> = plans.iter().take(1).map(|plan| plan.drive.path()).collect();
-    let floor = paint_floor(world, &layout, &paths);
+    // Tyres have left their marks on the whole round trip, however little of it is driven today.
+    let worn = Route::of_session(world, 0).path(&layout, 2.0);
+    let floor = paint_floor(world, &layout, &[&worn]);
     let truth = Truth {
         world,
         layout: &layout,
@@ -145,10 +148,11 @@ pub fn car_park(
     };
     let truth = truth.write(out)?;
     let lenses: Vec<Lens> = rig.par_iter().map(Lens::new).collect();
+    let plans = plans.get(world.skip..).unwrap_or_default();
     let total = plans.iter().map(|plan| plan.stamps.len() * rig.len()).sum();
     let mut sessions = Vec::with_capacity(plans.len());
     let mut before = 0;
-    for plan in &plans {
+    for plan in plans {
         let studio = Studio {
             world,
             rig: &rig,
@@ -204,8 +208,7 @@ impl Studio<'_> {
         let t = self.plan.seconds(self.plan.stamps[shot]);
         let moving = self.scene.walkers_at(&self.plan.people, t);
         let pose = self.plan.drive.map_from_vehicle(t);
-        let place = (self.plan.index as u64) << 40 | (shot as u64) << 8 | camera as u64;
-        let noise = scramble(scramble(self.world.seed) ^ place);
+        let noise = self.noise_seed(shot, camera);
         let lens = &self.lenses[camera];
         render(
             &self.scene,
@@ -218,13 +221,33 @@ impl Studio<'_> {
         )
     }
 
+    /// What a camera without light sees: the noise of its sensor.
+    fn darkness(&self, shot: usize, camera: usize) -> Vec<u8> {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.noise_seed(shot, camera));
+        let pixels = self.world.width_px as usize * self.world.height_px as usize;
+        let deviation = f64::from(self.look.noise_at(0.0));
+        let black = f64::from(self.look.black);
+        (0..pixels)
+            .map(|_| (black + deviation * normal(&mut rng)).clamp(0.0, 255.0) as u8)
+            .collect()
+    }
+
+    fn noise_seed(&self, shot: usize, camera: usize) -> u64 {
+        let place = (self.plan.index as u64) << 40 | (shot as u64) << 8 | camera as u64;
+        scramble(scramble(self.world.seed) ^ place)
+    }
+
     fn jpeg(
         &self,
         shot: usize,
         camera: usize,
         scratch: &mut Scratch,
     ) -> Result<Vec<u8>, WorldError> {
-        let grey = self.image(shot, camera, scratch);
+        let grey = if self.world.dark_camera.as_deref() == Some(self.rig[camera].name) {
+            self.darkness(shot, camera)
+        } else {
+            self.image(shot, camera, scratch)
+        };
         let mut jpeg = Vec::with_capacity(grey.len() / 4);
         let (width, height) = (self.world.width_px as u16, self.world.height_px as u16);
         Encoder::new(&mut jpeg, self.world.jpeg_quality).encode(

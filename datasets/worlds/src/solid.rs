@@ -1,5 +1,6 @@
 //! Convex solids: what stands in the hall is made of them.
 
+use crate::ground::Ground;
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// One side of a solid: the points `p` with `normal · p <= offset` are inside.
@@ -34,11 +35,20 @@ pub struct Stand {
 }
 
 impl Stand {
-    /// Upright at a place on the floor.
-    pub fn upright(x: f64, y: f64, yaw: f64) -> Self {
+    /// Upright at a place, metres.
+    pub fn upright(x: f64, y: f64, z: f64, yaw: f64) -> Self {
         Self {
-            origin: Vector3::new(x, y, 0.0),
+            origin: Vector3::new(x, y, z),
             rotation: UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw),
+        }
+    }
+
+    /// On the floor at a place, metres, tilted as the floor is.
+    pub fn on(ground: &Ground, x: f64, y: f64, yaw: f64) -> Self {
+        let upright = Self::upright(x, y, ground.height(y), yaw);
+        Self {
+            rotation: ground.tilt(y) * upright.rotation,
+            ..upright
         }
     }
 }

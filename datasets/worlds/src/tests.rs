@@ -11,7 +11,7 @@ use crate::render::Scratch;
 use crate::rig::rig;
 use crate::scene::Scene;
 use crate::session::{Plan, Studio};
-use crate::{CarPark, WorldError, car_park};
+use crate::{CarPark, WheelErrors, WorldError, car_park};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::fs;
@@ -226,7 +226,7 @@ fn floor_marks_appear_where_the_truth_projects_them() {
             let image = studio.image(shot, camera, &mut scratch);
             let camera_from_map = pose.compose(&lens.vehicle_from_camera).inverse();
             for [x, y] in &marks {
-                let point = Vector3::new(*x, *y, 0.0);
+                let point = Vector3::new(*x, *y, layout.ground.height(*y));
                 let own = camera_from_map.transform(&point);
                 let Some(pixel) = lens.camera.project(&own) else {
                     continue;
@@ -305,6 +305,7 @@ fn unusable_parameters_are_all_named() {
         width_px: 0,
         rate_hz: f64::NAN,
         loops: -1.0,
+        dark_camera: Some("top".to_owned()),
         ..CarPark::default()
     };
     let folder = tempfile::tempdir().unwrap();
@@ -312,8 +313,93 @@ fn unusable_parameters_are_all_named() {
     let WorldError::Parameters { faults } = error else {
         panic!("{error}")
     };
-    assert_eq!(faults.len(), 3, "{faults:?}");
+    assert_eq!(faults.len(), 4, "{faults:?}");
     assert!(contents(folder.path()).is_empty());
+}
+
+/// The messages of a topic.
+fn messages(file: &[u8], topic: &str) -> Vec<Vec<u8>> {
+    mcap::MessageStream::new(file)
+        .unwrap()
+        .map(Result::unwrap)
+        .filter(|message| message.channel.topic == topic)
+        .map(|message| message.data.into_owned())
+        .collect()
+}
+
+#[test]
+fn a_session_left_out_leaves_the_others_as_they_are() {
+    let world = small();
+    let all = simulated(&world, 2);
+    let later = simulated(&CarPark { skip: 1, ..world }, 2);
+    assert!(!later.contains_key("initial.mcap"));
+    for name in ["revisit_1.mcap", "truth/initial.tum", "truth/overhead.png"] {
+        assert!(all[name] == later[name], "{name}");
+    }
+}
+
+#[test]
+fn a_dark_camera_sees_noise_and_the_others_what_they_saw() {
+    let world = small();
+    let light = simulated(&world, 2);
+    let camera = Some("rear".to_owned());
+    let dark = simulated(
+        &CarPark {
+            dark_camera: camera,
+            ..world
+        },
+        2,
+    );
+    let of = |files: &BTreeMap<String, Vec<u8>>, name: &str| {
+        let topic = format!("/camera/{name}/image/compressed");
+        messages(&files["initial.mcap"], &topic)
+    };
+    assert_eq!(of(&light, "left"), of(&dark, "left"));
+    for message in of(&dark, "rear") {
+        let start = message.windows(3).position(|w| w == [0xff, 0xd8, 0xff]);
+        let jpeg = zune_jpeg::zune_core::bytestream::ZCursor::new(&message[start.unwrap()..]);
+        let pixels = zune_jpeg::JpegDecoder::new(jpeg).decode().unwrap();
+        assert!(pixels.iter().all(|pixel| *pixel < 24));
+    }
+}
+
+#[test]
+fn a_calibration_that_is_off_changes_what_is_published_and_no_image() {
+    let world = small();
+    let off = CarPark {
+        calibration_error_px: 0.5,
+        ..world.clone()
+    };
+    for (right, wrong) in rig(&world).iter().zip(rig(&off)) {
+        assert_eq!(right.published_centre, right.centre);
+        assert_eq!((right.centre, &right.camera), (wrong.centre, &wrong.camera));
+        let [u, v] = wrong.published_centre;
+        let apart = (u - wrong.centre[0]).hypot(v - wrong.centre[1]);
+        assert!((apart - 0.5).abs() < 1e-9);
+    }
+    let (right, wrong) = (simulated(&world, 2), simulated(&off, 2));
+    let of = |files: &BTreeMap<String, Vec<u8>>, leaf: &str| {
+        messages(&files["initial.mcap"], &format!("/camera/front/{leaf}"))
+    };
+    assert!(of(&right, "image/compressed") == of(&wrong, "image/compressed"));
+    assert!(of(&right, "camera_info") != of(&wrong, "camera_info"));
+}
+
+#[test]
+fn odometry_is_as_wrong_as_it_was_asked_to_be() {
+    let world = small();
+    let wrong = CarPark {
+        odometry_scale_error: 0.05,
+        ..world.clone()
+    };
+    for session in 0..3 {
+        let (a, b) = (
+            WheelErrors::of_session(&world, session),
+            WheelErrors::of_session(&wrong, session),
+        );
+        assert!((b.scale - a.scale - 0.05).abs() < 1e-12);
+        assert_eq!((a.track, a.yaw_bias), (b.track, b.yaw_bias));
+    }
 }
 
 /// Writes pictures of all cameras to the folder named by `EVERMAP_PICTURES`, for looking at.

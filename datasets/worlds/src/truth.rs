@@ -132,7 +132,7 @@ impl Truth<'_> {
             .map(|camera| {
                 json!({
                     "name": camera.name, "frame_id": camera.frame_id, "model": "equidistant",
-                    "fx_fy": camera.focal, "cx_cy": camera.centre, "k1_k4": camera.k,
+                    "fx_fy": camera.focal, "cx_cy": camera.centre, "published_cx_cy": camera.published_centre, "k1_k4": camera.k,
                     "vehicle_from_camera": camera.vehicle_from_camera.to_array(),
                 })
             })

@@ -2,6 +2,7 @@
 //! they cross only while the vehicle stays away.
 
 use crate::drive::Drive;
+use crate::ground::Ground;
 use crate::layout::{Crossing, Layout};
 use crate::params::CarPark;
 use crate::random::stream;
@@ -167,7 +168,7 @@ impl Walker {
     }
 
     /// The walker's body at an instant; `faces` are those of coat, trousers and head.
-    pub fn solids(&self, t: f64, faces: [u16; 3]) -> Vec<Solid> {
+    pub fn solids(&self, t: f64, ground: &Ground, faces: [u16; 3]) -> Vec<Solid> {
         let state = self.state(t);
         let swing = if state.walking {
             0.45 * (2.0 * PI * state.walked_m / STRIDE_M).sin()
@@ -176,7 +177,7 @@ impl Walker {
         };
         let h = self.height_m;
         let limb = |pivot: [f64; 3], pitch: f64, low: [f64; 3], high: [f64; 3], face: u16| {
-            let body = Stand::upright(state.x, state.y, state.yaw);
+            let body = Stand::upright(state.x, state.y, ground.height(state.y), state.yaw);
             let stand = Stand {
                 origin: body.origin + body.rotation * Vector3::from(pivot),
                 rotation: body.rotation
@@ -234,7 +235,7 @@ mod tests {
         let layout = Layout::new(&world);
         for session in 1..4 {
             let path = Route::of_session(&world, session).path(&layout, 2.0);
-            let drive = Drive::new(path, world.speed_mps);
+            let drive = Drive::new(path, world.speed_mps, layout.ground);
             let people = walkers(&world, &layout, session, &drive);
             assert_eq!(people.len(), world.walkers);
             let mut walked = 0;
