@@ -16,7 +16,7 @@
 //! |---|---|---|
 //! | [`so3`] | rotations, [`nalgebra::UnitQuaternion`] | φ, 3 |
 //! | [`se3`] | rigid motions, [`crate::pose::Pose`] | (ρ, φ), 6 |
-//! | [`se2`] | planar rigid motions, [`se2::PlanarPose`] | (x, y, yaw), 3 |
+//! | [`se2`] | planar rigid motions, [`se2::PlanarPose`] | (ρ, φ), 3 |
 //!
 //! Every coefficient that is `0/0` at the identity is taken from its Taylor series below half a
 //! radian; logarithms go through `atan2` of half the angle, which keeps all digits at half a

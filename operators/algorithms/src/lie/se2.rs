@@ -1,13 +1,13 @@
 //! Planar rigid motions.
 //!
-//! Moved as poses in space are: along their own axes, `(x, y) + R(yaw) (ξx, ξy)`, `yaw + ξyaw`.
-//! This is the retraction of g2o and GTSAM for planar graphs, not the exponential, from which it
-//! differs by a term of second order; its residual is then exactly "difference in position along
-//! the axes, difference in yaw".
+//! Moved as poses in space are, `pose · Exp(ξ)` with `ξ = (ρ, φ)` along the pose's own axes: the
+//! same numbers as for the pose lifted into space, with half the unknowns.
 
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+
+use super::coefficients::{angle_minus_sin, one_minus_cos};
 
 /// Where a vehicle stands on a plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,16 +68,50 @@ impl PlanarPose {
         }
     }
 
-    /// Moved along its own axes by `(x, y, yaw)` (m, m, rad).
+    /// `self ⊞ ξ = self · Exp(ξ)`: moved along its own axes.
     pub fn plus(&self, xi: &Vector3<f64>) -> Self {
-        self.compose(&Self::new(xi.x, xi.y, xi.z))
+        self.compose(&exp(xi))
     }
 
-    /// What [`PlanarPose::plus`] needs to move `from` to `self`.
+    /// `self ⊟ from = Log(from⁻¹ · self)`: what moves `from` to `self`.
     pub fn minus(&self, from: &Self) -> Vector3<f64> {
-        let motion = from.inverse().compose(self);
-        Vector3::new(motion.translation.x, motion.translation.y, motion.yaw)
+        log(&from.inverse().compose(self))
     }
+}
+
+/// `sin θ / θ` and `(1 - cos θ) / θ`.
+fn arc(theta: f64) -> (f64, f64) {
+    let theta2 = theta * theta;
+    (
+        1.0 - theta2 * angle_minus_sin(theta2),
+        theta * one_minus_cos(theta2),
+    )
+}
+
+/// The motion that a constant twist `(ρ, φ)` makes in one unit of time: along an arc.
+pub fn exp(xi: &Vector3<f64>) -> PlanarPose {
+    let (a, b) = arc(xi.z);
+    PlanarPose::new(a * xi.x - b * xi.y, b * xi.x + a * xi.y, xi.z)
+}
+
+/// The twist of a motion, with `|φ| ≤ π`.
+pub fn log(motion: &PlanarPose) -> Vector3<f64> {
+    let (a, b) = arc(motion.yaw);
+    let (x, y) = (motion.translation.x, motion.translation.y);
+    let norm = 1.0 / (a * a + b * b);
+    Vector3::new((a * x + b * y) * norm, (a * y - b * x) * norm, motion.yaw)
+}
+
+/// `J⁻¹` with `Log(Exp(ξ) Exp(δ)) ≈ ξ + J⁻¹ δ`. Source: Solà et al., equation 163.
+pub fn right_jacobian_inverse(xi: &Vector3<f64>) -> Matrix3<f64> {
+    let theta2 = xi.z * xi.z;
+    let (a, b) = arc(xi.z);
+    let (c, d) = (xi.z * angle_minus_sin(theta2), one_minus_cos(theta2));
+    // J = [[a, b, p], [-b, a, q], [0, 0, 1]].
+    let (p, q) = (xi.x * c - xi.y * d, xi.x * d + xi.y * c);
+    let norm = 1.0 / (a * a + b * b);
+    let (a, b) = (a * norm, b * norm);
+    Matrix3::new(a, -b, b * q - a * p, b, a, -b * p - a * q, 0.0, 0.0, 1.0)
 }
 
 /// `Ad` with `T⁻¹ ∘ (small ξ) ∘ T ≈ Ad ξ` for the motion `T`: the twist `ξ` of the frame before a

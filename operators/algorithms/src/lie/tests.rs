@@ -147,9 +147,15 @@ proptest! {
         prop_assert!((a.plus(&xi).minus(&a) - xi).norm() < 1e-12);
         let motion = se2::PlanarPose::new(b[0], b[1], b[2]);
         let derivative = numeric(1e-6, |d: Vector3<f64>| {
-            se2::PlanarPose::identity().plus(&d).compose(&motion).minus(&motion)
+            motion.inverse().compose(&se2::exp(&d)).compose(&motion).minus(&se2::PlanarPose::identity())
         });
         prop_assert!((derivative - se2::inverse_adjoint(&motion)).norm() < 1e-8);
+        let right = numeric(1e-6, |d: Vector3<f64>| se2::exp(&xi).plus(&d).minus(&se2::PlanarPose::identity()));
+        prop_assert!((right - se2::right_jacobian_inverse(&xi)).norm() < 1e-7);
+        let lifted = se3::exp(&Vector6::new(xi.x, xi.y, 0.0, 0.0, 0.0, xi.z));
+        let flat = se2::exp(&xi);
+        prop_assert!((lifted.translation.xy() - flat.translation).norm() < 1e-12);
+        prop_assert!((lifted.yaw() - flat.yaw).abs() < 1e-12);
     }
 }
 
