@@ -4,6 +4,7 @@ use super::view::Sighted;
 use super::{LandmarkMap, LocalisationParams};
 use crate::features::{Feature, ImageFeatures, KeyframeFeatures};
 use nalgebra::Vector2;
+use rayon::prelude::*;
 
 /// Squared Mahalanobis distance that 99.9 % of true features in a plane stay below.
 const GATE: f64 = 13.8;
@@ -109,29 +110,25 @@ pub(super) fn claims(
     search: Search,
     params: &LocalisationParams,
 ) -> Vec<Claim> {
-    let mut held = Vec::new();
+    let mut parts: Vec<(usize, &[Sighted])> = Vec::new();
     let mut start = 0;
-    while let Some(first) = sighted.get(start) {
-        let camera = first.camera;
-        let end = start + sighted[start..].partition_point(|other| other.camera == camera);
-        if let Some(image) = features
-            .images
-            .get(camera)
-            .filter(|image| !image.features.is_empty())
-        {
-            let all = candidates(
-                map,
-                &sighted[start..end],
-                start,
-                &Cells::new(image),
-                search,
-                params,
-            );
-            held.extend(mutual(all, sighted, image, params.match_ratio));
-        }
-        start = end;
+    for of_camera in sighted.chunk_by(|a, b| a.camera == b.camera) {
+        parts.push((start, of_camera));
+        start += of_camera.len();
     }
-    held
+    let held: Vec<Vec<Claim>> = parts
+        .into_par_iter()
+        .map(|(start, of_camera)| {
+            let camera = of_camera.first().map_or(usize::MAX, |first| first.camera);
+            let Some(image) = features.images.get(camera) else {
+                return Vec::new();
+            };
+            let cells = Cells::new(image);
+            let all = candidates(map, of_camera, start, &cells, search, params);
+            mutual(all, sighted, image, params.match_ratio)
+        })
+        .collect();
+    held.into_iter().flatten().collect()
 }
 
 fn candidates(

@@ -50,8 +50,13 @@ impl MapLandmark {
         if !(range * range_slack >= self.near_m && range <= self.far_m * range_slack) {
             return false;
         }
-        let opening = self.view_cos.clamp(-1.0, 1.0).acos() + slack_rad;
-        opening >= std::f64::consts::PI || away.dot(&self.view) >= range * opening.cos()
+        // cos(opening + slack); the cone may reach all around.
+        let (cos, slack) = (
+            self.view_cos.clamp(-1.0, 1.0),
+            slack_rad.min(std::f64::consts::PI),
+        );
+        let edge = cos * slack.cos() - (1.0 - cos * cos).sqrt() * slack.sin();
+        cos <= -slack.cos() || away.dot(&self.view) >= range * edge
     }
 }
 

@@ -6,6 +6,7 @@ use crate::camera::Camera;
 use crate::pose::Pose;
 use crate::rig::Rig;
 use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Vector2, Vector3};
+use rayon::prelude::*;
 
 /// Of the depth's standard deviation this much is always taken to lie across the line of sight: landmarks are less
 /// certain across too, by about the tangent of their parallax.
@@ -17,9 +18,7 @@ pub(super) struct Sighted {
     pub(super) landmark: usize,
     pub(super) camera: usize,
     pub(super) pixel: Vector2<f64>,
-    /// Variance of the pixel in each axis by feature and landmark noise alone, px².
-    pub(super) noise_px2: f64,
-    /// Covariance of the pixel, the guess's included, px².
+    /// Covariance of the pixel by feature, landmark and guess, px².
     pub(super) covariance: Matrix2<f64>,
 }
 
@@ -61,6 +60,14 @@ impl Eye<'_> {
             .camera
             .project(&self.camera_from_map.transform(point))?;
         self.camera.contains(pixel).then_some(pixel)
+    }
+
+    /// The pixel of a point, in or out of the image; `None` where the lens does not see it.
+    pub(super) fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+        let pixel = self
+            .camera
+            .project(&self.camera_from_map.transform(point))?;
+        Some(pixel.into())
     }
 
     /// The pixel of a point, in or out of the image, with its derivatives; `None` where the lens does not see it.
@@ -117,29 +124,30 @@ pub(super) fn sighted(
     params: &LocalisationParams,
 ) -> Vec<Sighted> {
     let near = map.near(&guess.pose.translation, params.reach_m);
-    let slack = params.view_slack_rad;
-    let mut found = Vec::new();
-    for (camera, eye) in eyes(rig, &guess.pose).iter().enumerate() {
-        for &landmark in &near {
-            let known = &map.landmarks()[landmark];
-            if known.visible_from(&eye.centre, slack, params.range_slack)
-                && eye.pixel(&known.position).is_some()
-                && let Some(projection) = eye.projection(&known.position)
-            {
+    let by_camera: Vec<Vec<Sighted>> = eyes(rig, &guess.pose)
+        .par_iter()
+        .enumerate()
+        .map(|(camera, eye)| {
+            let seen = near.iter().filter_map(|&landmark| {
+                let known = &map.landmarks()[landmark];
+                let visible =
+                    known.visible_from(&eye.centre, params.view_slack_rad, params.range_slack);
+                let inside = visible && eye.pixel(&known.position).is_some();
+                let projection = inside.then(|| eye.projection(&known.position)).flatten()?;
                 let noise_px2 = eye.noise_px2(known, projection.px_per_m, params.feature_px);
                 let by_pose = projection.by_pose;
-                found.push(Sighted {
+                Some(Sighted {
                     landmark,
                     camera,
                     pixel: projection.pixel,
-                    noise_px2,
                     covariance: by_pose * guess.covariance * by_pose.transpose()
                         + Matrix2::identity() * noise_px2,
-                });
-            }
-        }
-    }
-    found
+                })
+            });
+            seen.collect()
+        })
+        .collect();
+    by_camera.into_iter().flatten().collect()
 }
 
 #[cfg(test)]

@@ -160,3 +160,140 @@ fn a_revisit_is_localised_from_end_to_end() {
         assert_eq!(told.asked.get(), 1);
     }
 }
+
+/// Localises, prints the score, and checks the promises that hold in every case.
+fn run(name: &str, case: &Case, places: &dyn Recognise) -> (Vec<KeyframeLocalisation>, Score) {
+    let found = case.localise(places);
+    let score = score(&found, &case.truth);
+    eprintln!("{name}: {score:?}");
+    assert_eq!(found.len(), case.truth.len());
+    (found, score)
+}
+
+#[test]
+fn much_has_changed_and_a_camera_is_dark_and_odometry_is_wrong() {
+    for seed in 1..=3 {
+        let dark = Imaging {
+            dark: Some(seed as usize % 4),
+            ..Imaging::default()
+        };
+        let case = Case::new(seed, World::new(seed, 4000), dark, 1.05, 0.4);
+        let (_, score) = run("changed, dark, 5 %", &case, &case.told(&mut Random(seed)));
+        good(&score);
+        assert!(score.lost <= 3, "{score:?}");
+    }
+}
+
+#[test]
+fn few_landmarks_are_either_enough_or_not_used() {
+    for count in [100, 300, 600] {
+        let case = Case::new(5, World::new(5, count), Imaging::default(), 1.02, 0.0);
+        let (_, score) = run(
+            &format!("{count} points"),
+            &case,
+            &case.told(&mut Random(5)),
+        );
+        assert!(score.max_m <= 0.5, "{score:?}");
+        assert!(score.localised == 0 || score.nees < 2.5, "{score:?}");
+    }
+}
+
+#[test]
+fn a_kidnapped_vehicle_is_found_again() {
+    let mut case = Case::new(7, World::new(7, 5000), Imaging::default(), 0.99, 0.1);
+    // Keyframes 40 to 69 are cut out, and odometry does not know: it goes on where it was.
+    let steps: Vec<Pose> = case
+        .odometry
+        .windows(2)
+        .map(|pair| pair[0].inverse().compose(&pair[1]))
+        .collect();
+    case.truth.drain(40..70);
+    case.features.drain(40..70);
+    case.odometry.truncate(40);
+    for index in 40..case.truth.len() {
+        let on =
+            case.odometry[index - 1].compose(&steps[if index == 40 { 38 } else { index + 29 }]);
+        case.odometry.push(on);
+    }
+    let (found, score) = run("kidnapped", &case, &case.told(&mut Random(7)));
+    good(&score);
+    assert!(score.lost <= 2, "{score:?}");
+    let recovered = found
+        .iter()
+        .filter(|found| found.state == State::Recovered)
+        .count();
+    assert_eq!(recovered, 2);
+}
+
+#[test]
+fn places_that_look_alike_are_not_confused() {
+    for seed in 1..=3 {
+        for share in [0.5, 0.8] {
+            let world = World::new(seed, 5000).repeated(5.0, share);
+            let case = Case::new(seed, world, Imaging::default(), 1.0, 0.3);
+            let mut told = case.told(&mut Random(seed));
+            // The place itself is proposed last, after those that look like it.
+            for poses in &mut told.poses {
+                let aliases = [5.0, -5.0, 10.0].map(|off| {
+                    let mut alias = poses[0];
+                    alias.translation.x += off;
+                    alias
+                });
+                poses.splice(0..0, aliases);
+            }
+            let (_, score) = run(&format!("repeated {share}"), &case, &told);
+            assert!(score.max_m <= 0.5, "{score:?}");
+            assert!(score.localised == 0 || score.median_m <= 0.03, "{score:?}");
+        }
+    }
+}
+
+#[test]
+fn a_session_of_another_place_stays_lost() {
+    let mut case = Case::new(11, World::new(11, 5000), Imaging::default(), 1.0, 0.0);
+    let other = World::new(12, 5000);
+    let mut random = Random(3);
+    case.features = case
+        .truth
+        .iter()
+        .map(|pose| other.features(pose, &Imaging::default(), &mut random))
+        .collect();
+    let told = case.told(&mut Random(2));
+    let (_, score) = run("another place", &case, &told);
+    assert_eq!(score.localised, 0, "{score:?}");
+}
+
+#[test]
+fn nothing_breaks_it() {
+    let case = Case::new(13, World::new(13, 500), Imaging::default(), 1.0, 0.0);
+    let told = case.told(&mut Random(1));
+    let empty = LandmarkMap::new(Vec::new());
+    let localiser = Localiser::new(&case.world.rig, &empty, LocalisationParams::default()).unwrap();
+    let drive = world::drive(&case.odometry, &case.features);
+    assert!(
+        localiser
+            .localise(&drive, &told)
+            .iter()
+            .all(|found| found.state == State::Lost)
+    );
+    let localiser =
+        Localiser::new(&case.world.rig, &case.map, LocalisationParams::default()).unwrap();
+    assert!(localiser.localise(&[], &told).is_empty());
+    let mut broken = case.features.clone();
+    broken[3].images.clear();
+    broken[4].images[1].features[0].pixel = [f64::NAN, f64::INFINITY];
+    broken[5] = KeyframeFeatures::default();
+    let mut odometry = case.odometry.clone();
+    odometry[8].translation.x = f64::NAN;
+    assert_eq!(
+        localiser
+            .localise(&world::drive(&odometry, &broken), &told)
+            .len(),
+        odometry.len()
+    );
+    let senseless = LocalisationParams {
+        feature_px: 0.0,
+        ..LocalisationParams::default()
+    };
+    assert!(Localiser::new(&case.world.rig, &case.map, senseless).is_err());
+}
