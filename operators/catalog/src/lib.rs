@@ -22,6 +22,7 @@ macro_rules! operators {
 
 // Sorted by file name; a test compares the list with the folder.
 operators! {
+    features::Features,
     ground_patches::GroundPatches,
     intersections::Intersections,
     keyframes::Keyframes,

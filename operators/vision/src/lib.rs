@@ -10,11 +10,13 @@
 //! its own threads are off, because images are worked on side by side already.
 
 mod decode;
+mod features;
 mod grey;
 mod raw;
 mod resample;
 
 pub use decode::{Decoder, Reduction};
+pub use features::{Blind, DESCRIPTOR_BYTES, FeatureParams, KeyPoints, Vignette, features};
 pub use grey::{Grey, ImageError, MAX_PIXELS};
 pub use raw::{RAW_ENCODINGS, from_raw};
 pub use resample::Remap;

@@ -1,0 +1,121 @@
+//! Key points and what they look like: BRISK, spread over the image.
+//!
+//! ```text
+//!   Grey ─► resize ─► detect, threshold by the image's own contrast ─► blind areas out
+//!                                                                            │
+//!   KeyPoints ◄─ full image's pixels ◄─ describe ◄─ refine ◄─ spread evenly ◄┘
+//! ```
+//! Stefan Leutenegger, Margarita Chli, Roland Siegwart: *BRISK: Binary Robust Invariant Scalable Keypoints*, ICCV
+//! 2011; OpenCV's implementation.
+
+mod brisk;
+mod spread;
+mod vignette;
+
+pub use vignette::Vignette;
+
+use crate::{Grey, ImageError};
+
+/// Bytes of a BRISK descriptor.
+pub const DESCRIPTOR_BYTES: usize = 64;
+
+/// Images are halved while they stay at least this wide (px): 1280 becomes 640, as in paper 1; a small image is kept.
+const WIDE_ENOUGH_PX: u32 = 600;
+
+/// How features are found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FeatureParams {
+    /// Features are found in the image shrunk (or, above 1, enlarged) by this factor; `None` halves the image while
+    /// it stays wide enough. Coordinates are always those of the full image.
+    pub scale: Option<f64>,
+    /// The most features of one image.
+    pub count: u32,
+    /// Octaves of BRISK's scale space; 0 finds features of one size only.
+    pub octaves: u32,
+    /// Corners with less contrast than this (grey values, 1 to 255) are noise.
+    pub min_contrast: u32,
+}
+
+impl Default for FeatureParams {
+    fn default() -> Self {
+        Self {
+            scale: None,
+            count: 500,
+            octaves: 2,
+            min_contrast: 5,
+        }
+    }
+}
+
+impl FeatureParams {
+    /// The scale for an image of this width.
+    pub fn scale_for(&self, width: u32) -> f64 {
+        self.scale.unwrap_or_else(|| {
+            let halvings = (0..16).take_while(|n| (width >> (n + 1)) >= WIDE_ENOUGH_PX);
+            0.5_f64.powi(halvings.count() as i32)
+        })
+    }
+}
+
+/// The features of one image: lists of equal length.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct KeyPoints {
+    /// Columns in the full image (px); 0 is the centre of the first pixel.
+    pub u: Vec<f32>,
+    /// Rows in the full image (px); 0 is the centre of the first pixel.
+    pub v: Vec<f32>,
+    /// Diameters of the neighbourhoods (px of the full image).
+    pub size_px: Vec<f32>,
+    /// [`DESCRIPTOR_BYTES`] for each.
+    pub descriptors: Vec<u8>,
+}
+
+impl KeyPoints {
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.u.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.u.is_empty()
+    }
+}
+
+/// Where a feature must not lie: polygons in the full image's pixels, such as the outline of the vehicle's own body.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Blind {
+    /// Each a ring of `[u, v]`; fewer than three corners cover nothing.
+    pub polygons: Vec<Vec<[f64; 2]>>,
+}
+
+impl Blind {
+    /// Whether a pixel lies in one of the polygons (even-odd rule).
+    pub fn covers(&self, pixel: [f64; 2]) -> bool {
+        self.polygons.iter().any(|ring| inside(ring, pixel))
+    }
+}
+
+fn inside(ring: &[[f64; 2]], [u, v]: [f64; 2]) -> bool {
+    let before = ring.iter().cycle().skip(ring.len().saturating_sub(1));
+    let crossed = ring.iter().zip(before).filter(|(a, b)| {
+        (a[1] > v) != (b[1] > v) && u < a[0] + (v - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
+    });
+    crossed.count() % 2 == 1
+}
+
+/// The features of an image, spread over what it shows. The same pixels give the same features. An image without
+/// contrast gives none.
+///
+/// # Errors
+/// [`ImageError`] for an image of no size, or a scale that leaves none of it.
+pub fn features(
+    image: &Grey,
+    params: &FeatureParams,
+    blind: &Blind,
+) -> Result<KeyPoints, ImageError> {
+    brisk::extract(image, params, blind)
+}
+
+#[cfg(test)]
+mod tests;
