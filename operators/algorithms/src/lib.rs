@@ -14,6 +14,7 @@
 //! | [`least_squares`] | factors, robust losses, trust regions, sparse Cholesky |
 //! | [`lie`] | rotations and rigid motions with their Jacobians |
 //! | [`localisation`] | a drive's poses in a map it did not make |
+//! | [`mapping`] | association, triangulation and adjustment in turns, until a map is accurate |
 //! | [`matching`] | descriptors to descriptors |
 //! | [`places`] | a binary vocabulary, and keyframes that look alike |
 //! | [`pose_graph`] | odometry and loops relaxed into consistent poses |
@@ -35,6 +36,7 @@ pub mod ground;
 pub mod least_squares;
 pub mod lie;
 pub mod localisation;
+pub mod mapping;
 pub mod matching;
 pub mod places;
 pub mod pose;

@@ -1,0 +1,74 @@
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::collections::BTreeMap;
+
+use super::simulated::{Hall, Simulated, simulate};
+use crate::association::{
+    Association, AssociationParams, FeatureRef, Landmark, Scene, Sight, associate, triangulate,
+};
+use crate::pose::Pose;
+
+fn landmarks(scene: &Scene, poses: &[Pose], tracks: Vec<Vec<FeatureRef>>) -> Vec<Landmark> {
+    let cameras = scene.map_from_cameras(poses);
+    let landmark = |features: Vec<FeatureRef>| {
+        let sights: Vec<Sight> = features
+            .iter()
+            .filter_map(|feature| scene.sight(&cameras, *feature))
+            .collect();
+        let found = triangulate(&sights)?;
+        (found.parallax_rad > 0.03).then_some(Landmark {
+            point: found.point,
+            features,
+        })
+    };
+    tracks.into_iter().filter_map(landmark).collect()
+}
+
+/// Part of the landmarks' features that show what most of the landmark's features show, and the number of landmarks
+/// for each mark.
+fn purity(session: &Simulated, landmarks: &[Landmark]) -> (f64, f64) {
+    let (mut pure, mut all) = (0, 0);
+    let mut landmarks_of: BTreeMap<usize, usize> = BTreeMap::new();
+    for landmark in landmarks {
+        let mut counts: BTreeMap<usize, usize> = BTreeMap::new();
+        for feature in &landmark.features {
+            let (keyframe, camera) = (feature.image as usize / 4, feature.image as usize % 4);
+            let mark = session.shown[keyframe][camera][feature.feature as usize];
+            *counts.entry(mark).or_default() += 1;
+        }
+        let (mark, most) = counts.iter().max_by_key(|(_, count)| **count).unwrap();
+        pure += most;
+        all += landmark.features.len();
+        *landmarks_of.entry(*mark).or_default() += 1;
+    }
+    (
+        pure as f64 / all as f64,
+        landmarks.len() as f64 / landmarks_of.len() as f64,
+    )
+}
+
+#[test]
+fn tracks_of_one_mark_become_one_landmark() {
+    let session = simulate(&Hall::default());
+    let mut scene = Scene::default();
+    let tracks = session.add_to(&mut scene);
+    let poses = session.guess(0.15, 0.02);
+    let mut landmarks = landmarks(&scene, &poses, tracks);
+    let (before, parts_before) = purity(&session, &landmarks);
+    eprintln!("{} landmarks, {before:.3} {parts_before:.2}", landmarks.len());
+    for radius_px in [12.0, 6.0] {
+        let params = AssociationParams {
+            radius_px,
+            ..AssociationParams::default()
+        };
+        let start = std::time::Instant::now();
+        let found = associate(&scene, &poses, &landmarks, &params);
+        let Association { merged, added, .. } = found;
+        landmarks = found.landmarks;
+        let (pure, parts) = purity(&session, &landmarks);
+        eprintln!(
+            "{} landmarks, {merged} merged, {added} added, {pure:.3} {parts:.2} {:?}",
+            landmarks.len(), start.elapsed()
+        );
+    }
+}
