@@ -116,13 +116,7 @@ fn marks(hall: &Hall) -> Vec<Mark> {
 }
 
 pub(crate) fn rig() -> Rig {
-    let lens = KannalaBrandt {
-        fx: 127.0,
-        fy: 127.0,
-        cx: 199.5,
-        cy: 149.5,
-        k: [0.0; 4],
-    };
+    let lens = KannalaBrandt::new([127.0; 2], [199.5, 149.5], [0.0; 4]);
     let looking = |yaw: f64| {
         let axes = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
         let down = UnitQuaternion::from_euler_angles(0.0, 0.3, yaw);
@@ -137,7 +131,7 @@ pub(crate) fn rig() -> Rig {
     ];
     let camera = |(name, at, yaw): (&str, [f64; 3], f64)| RigCamera {
         name: name.to_owned(),
-        camera: Camera::new(Model::KannalaBrandt(lens.clone()), 400, 300).with_max_angle(1.6),
+        camera: Camera::new(Model::KannalaBrandt(lens), 400, 300).with_max_angle(1.6),
         vehicle_from_camera: Pose::new(Vector3::from(at), looking(yaw)),
     };
     Rig {
@@ -171,7 +165,11 @@ fn odometry(hall: &Hall, truth: &[Pose], chance: &mut Chance) -> Vec<Pose> {
         let yaw = step.yaw() + hall.yaw_bias_rad_per_m * length + 0.0005 * chance.normal();
         let (x, y) = (step.translation.x, step.translation.y);
         let noise = 0.002 * chance.normal();
-        let drifting = Pose::from_yaw(hall.odometry_scale * x + noise, hall.odometry_scale * y, yaw);
+        let drifting = Pose::from_yaw(
+            hall.odometry_scale * x + noise,
+            hall.odometry_scale * y,
+            yaw,
+        );
         let last = poses[poses.len() - 1];
         poses.push(last.compose(&drifting));
     }
@@ -179,7 +177,13 @@ fn odometry(hall: &Hall, truth: &[Pose], chance: &mut Chance) -> Vec<Pose> {
 }
 
 /// What a camera sees: features in the marks' order, and the marks.
-fn image(hall: &Hall, marks: &[Mark], camera: &RigCamera, pose: &Pose, chance: &mut Chance) -> (ImageFeatures, Vec<usize>) {
+fn image(
+    hall: &Hall,
+    marks: &[Mark],
+    camera: &RigCamera,
+    pose: &Pose,
+    chance: &mut Chance,
+) -> (ImageFeatures, Vec<usize>) {
     let map_from_camera = pose.compose(&camera.vehicle_from_camera);
     let camera_from_map = map_from_camera.inverse();
     let (mut features, mut shown) = (Vec::new(), Vec::new());
@@ -211,7 +215,11 @@ fn image(hall: &Hall, marks: &[Mark], camera: &RigCamera, pose: &Pose, chance: &
 }
 
 /// Follows marks through each camera's keyframes, sometimes onto a wrong feature.
-fn tracks(hall: &Hall, shown: &[Vec<Vec<usize>>], chance: &mut Chance) -> Vec<(usize, Vec<(usize, usize)>)> {
+fn tracks(
+    hall: &Hall,
+    shown: &[Vec<Vec<usize>>],
+    chance: &mut Chance,
+) -> Vec<(usize, Vec<(usize, usize)>)> {
     let mut tracks = Vec::new();
     for camera in 0..4 {
         let mut open: std::collections::BTreeMap<usize, Vec<(usize, usize)>> = Default::default();
@@ -219,7 +227,11 @@ fn tracks(hall: &Hall, shown: &[Vec<Vec<usize>>], chance: &mut Chance) -> Vec<(u
             let mut next = std::collections::BTreeMap::new();
             for (feature, mark) in images[camera].iter().enumerate() {
                 let wrong = chance.uniform() < hall.wrong;
-                let mark = if wrong { images[camera][chance.below(images[camera].len())] } else { *mark };
+                let mark = if wrong {
+                    images[camera][chance.below(images[camera].len())]
+                } else {
+                    *mark
+                };
                 if next.contains_key(&mark) {
                     continue;
                 }
@@ -273,7 +285,11 @@ impl Simulated {
     /// Adds itself to a scene; gives its tracks as features of the scene, and the mark of each feature of an image.
     pub(crate) fn add_to(&self, scene: &mut Scene) -> Vec<Vec<FeatureRef>> {
         let first = scene.images.len();
-        let keyframes = self.odometry.iter().copied().zip(self.features.iter().cloned());
+        let keyframes = self
+            .odometry
+            .iter()
+            .copied()
+            .zip(self.features.iter().cloned());
         scene.add_session(&self.rig, keyframes);
         let of = |camera: usize, (keyframe, feature): (usize, usize)| FeatureRef {
             image: (first + keyframe * 4 + camera) as u32,
@@ -292,7 +308,9 @@ impl Simulated {
             let phase = at as f64 * 0.06;
             let off = Pose::new(
                 Vector3::new(phase.sin(), (1.3 * phase).sin(), 0.3 * (0.7 * phase).sin()) * off_m,
-                UnitQuaternion::from_scaled_axis(Vector3::new(0.2, 0.2, 1.0) * (off_rad * phase.sin())),
+                UnitQuaternion::from_scaled_axis(
+                    Vector3::new(0.2, 0.2, 1.0) * (off_rad * phase.sin()),
+                ),
             );
             first.compose(pose).compose(&off)
         });

@@ -55,7 +55,10 @@ fn tracks_of_one_mark_become_one_landmark() {
     let poses = session.guess(0.15, 0.02);
     let mut landmarks = landmarks(&scene, &poses, tracks);
     let (before, parts_before) = purity(&session, &landmarks);
-    eprintln!("{} landmarks, {before:.3} {parts_before:.2}", landmarks.len());
+    eprintln!(
+        "{} landmarks, {before:.3} {parts_before:.2}",
+        landmarks.len()
+    );
     for radius_px in [12.0, 6.0] {
         let params = AssociationParams {
             radius_px,
@@ -68,7 +71,8 @@ fn tracks_of_one_mark_become_one_landmark() {
         let (pure, parts) = purity(&session, &landmarks);
         eprintln!(
             "{} landmarks, {merged} merged, {added} added, {pure:.3} {parts:.2} {:?}",
-            landmarks.len(), start.elapsed()
+            landmarks.len(),
+            start.elapsed()
         );
     }
 }
