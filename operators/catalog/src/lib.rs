@@ -22,10 +22,14 @@ macro_rules! operators {
 
 // Sorted by file name; a test compares the list with the folder.
 operators! {
+    bundle_adjustment::BundleAdjustment,
     features::Features,
+    frame_poses::FramePoses,
     ground_patches::GroundPatches,
     intersections::Intersections,
     keyframes::Keyframes,
+    landmarks::Landmarks,
+    map_frames::MapFrames,
     overhead_tiles::OverheadTiles,
     road_network::RoadNetwork,
 }

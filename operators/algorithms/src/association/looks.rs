@@ -50,6 +50,12 @@ pub fn looks(sightings: &[Look]) -> Vec<Look> {
     found
 }
 
+/// Mean direction to the cameras, a unit vector; up where directions cancel.
+pub fn mean_direction(sightings: &[Look]) -> Vector3<f64> {
+    let sum: Vector3<f64> = sightings.iter().map(|look| look.direction).sum();
+    sum.try_normalize(1e-6).unwrap_or_else(Vector3::z)
+}
+
 fn medoid(group: &[&Look]) -> Look {
     let step = group.len().div_ceil(MOST_MEMBERS);
     let members: Vec<&&Look> = group.iter().step_by(step).collect();

@@ -135,7 +135,7 @@ impl<'a> Groups<'a> {
         let Some(features) = united(&kept.features, &gone.features) else {
             return;
         };
-        let Some(merged) = self.explained(features) else {
+        let Some(merged) = self.explained(kept.id, features) else {
             return;
         };
         self.landmarks[into as usize] = Some(merged);
@@ -145,7 +145,7 @@ impl<'a> Groups<'a> {
     }
 
     /// The landmark that shows as these features, if there is one.
-    fn explained(&self, features: Vec<FeatureRef>) -> Option<Landmark> {
+    fn explained(&self, id: u32, features: Vec<FeatureRef>) -> Option<Landmark> {
         let sights: Vec<Sight> = features
             .iter()
             .filter_map(|feature| self.scene.sight(&self.cameras, *feature))
@@ -158,6 +158,7 @@ impl<'a> Groups<'a> {
         };
         let explained = sights.iter().filter(near).count();
         (explained as f64 >= LEAST_EXPLAINED * features.len() as f64).then_some(Landmark {
+            id,
             point: found.point,
             features,
         })

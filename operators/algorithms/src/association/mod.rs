@@ -35,7 +35,7 @@ mod scene;
 mod search;
 
 pub use grid::FeatureGrid;
-pub use looks::{Look, looks};
+pub use looks::{Look, looks, mean_direction};
 pub use merge::{Association, associate};
 pub use point::{LandmarkPoint, Sight, ray_residual_rad, triangulate};
 pub use scene::{FeatureRef, Scene, SceneFeature, SceneImage, SceneKeyframe};
@@ -46,6 +46,8 @@ use nalgebra::Vector3;
 /// A point of the world and the features that show it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Landmark {
+    /// Its name. Where two become one, the name of the earlier one in the list stays.
+    pub id: u32,
     /// Where it is, metres in the map.
     pub point: Vector3<f64>,
     /// The features, at most one of each image, sorted.

@@ -115,6 +115,12 @@ impl Scene {
         self.sessions
     }
 
+    /// Whether there is such a feature.
+    pub fn has(&self, at: FeatureRef) -> bool {
+        let image = self.images.get(at.image as usize);
+        image.is_some_and(|image| (at.feature as usize) < image.features.len())
+    }
+
     /// A feature.
     pub fn feature(&self, at: FeatureRef) -> &SceneFeature {
         &self.images[at.image as usize].features[at.feature as usize]

@@ -6,7 +6,9 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::resight::{Resighting, agreed_pose};
-use super::{AssociationParams, FeatureGrid, FeatureRef, Landmark, Look, Scene, looks};
+use super::{
+    AssociationParams, FeatureGrid, FeatureRef, Landmark, Look, Scene, looks, mean_direction,
+};
 use crate::pose::Pose;
 
 /// Side of the squares that landmarks are sorted into, metres.
@@ -359,8 +361,7 @@ fn target(
         })
         .collect();
     sizes.sort_by(f64::total_cmp);
-    let sum: Vector3<f64> = sightings.iter().map(|look| look.direction).sum();
-    let view = sum.try_normalize(1e-6).unwrap_or_else(Vector3::z);
+    let view = mean_direction(&sightings);
     let ranges = || sightings.iter().map(|look| look.range_m);
     let widest = sightings
         .iter()

@@ -17,6 +17,7 @@ fn landmarks(scene: &Scene, poses: &[Pose], tracks: Vec<Vec<FeatureRef>>) -> Vec
             .collect();
         let found = triangulate(&sights)?;
         (found.parallax_rad > 0.03).then_some(Landmark {
+            id: 0,
             point: found.point,
             features,
         })

@@ -2,4 +2,6 @@
 
 #[allow(dead_code, reason = "read by the operators of the metric map")]
 pub(crate) mod drive;
+pub(crate) mod frames;
 pub(crate) mod rig;
+pub(crate) mod survey;
