@@ -29,6 +29,7 @@ operators! {
     intersections::Intersections,
     keyframes::Keyframes,
     landmarks::Landmarks,
+    loop_closures::LoopClosures,
     map_frames::MapFrames,
     overhead_tiles::OverheadTiles,
     road_network::RoadNetwork,

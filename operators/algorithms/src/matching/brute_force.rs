@@ -8,10 +8,10 @@ use crate::features::{DESCRIPTOR_BYTES, Descriptor};
 const WORDS: usize = DESCRIPTOR_BYTES / 8;
 
 /// A descriptor as the processor counts it.
-pub(super) type Words = [u64; WORDS];
+pub(crate) type Words = [u64; WORDS];
 
 /// The words of a descriptor.
-pub(super) fn words(descriptor: &Descriptor) -> Words {
+pub(crate) fn words(descriptor: &Descriptor) -> Words {
     let mut words = [0; WORDS];
     for (word, bytes) in words.iter_mut().zip(descriptor.0.chunks_exact(8)) {
         let mut eight = [0; 8];
@@ -23,7 +23,7 @@ pub(super) fn words(descriptor: &Descriptor) -> Words {
 
 /// Bits that differ. Always inlined, so that it is compiled for the instructions of whoever calls.
 #[inline(always)]
-pub(super) fn distance(a: &Words, b: &Words) -> u32 {
+pub(crate) fn distance(a: &Words, b: &Words) -> u32 {
     let mut bits = 0;
     for word in 0..WORDS {
         bits += (a[word] ^ b[word]).count_ones();

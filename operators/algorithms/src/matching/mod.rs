@@ -11,6 +11,7 @@ mod index;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use brute_force::{Words, distance, words};
 pub use brute_force::{Descriptors, Match};
 pub use index::{ImageIndex, Nearest};
 

@@ -1,0 +1,244 @@
+//! Words for binary descriptors: a tree of majorities.
+
+use pulp::Arch;
+use rayon::prelude::*;
+
+use crate::features::Descriptor;
+use crate::matching::{Words, distance, words};
+
+/// Descriptors that one task of the assignment takes.
+const CHUNK: usize = 2048;
+
+/// How a vocabulary is made.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VocabularyOptions {
+    /// Branches at each node: looking a word up costs as many distances on each level.
+    pub branching: usize,
+    /// A node with this many training descriptors or fewer is a word.
+    pub leaf: usize,
+    /// Levels at most.
+    pub max_depth: usize,
+    /// Descriptors to train with at most, taken evenly from all.
+    pub max_training: usize,
+    /// Rounds of assignment and majority at each node.
+    pub rounds: usize,
+}
+
+impl Default for VocabularyOptions {
+    /// A word for about every twenty descriptors of the sample: one landmark is seen ten to a hundred times in a drive
+    /// or two, so that words are about as fine as landmarks, and coarser in maps whose sample is thinner.
+    fn default() -> Self {
+        Self {
+            branching: 10,
+            leaf: 40,
+            max_depth: 7,
+            max_training: 200_000,
+            rounds: 5,
+        }
+    }
+}
+
+/// Descriptors that look alike share a word. A tree of k-majority clusters (Grana et al.: A Fast Approach for
+/// Integrating ORB Descriptors in the Bag of Words Model, 2013; Nistér, Stewénius: Scalable Recognition with a
+/// Vocabulary Tree, 2006).
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Vocabulary {
+    /// The first is the root; the children of a node lie together.
+    nodes: Vec<Node>,
+    words: usize,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct Node {
+    centre: Words,
+    /// Its children, or none.
+    children: std::ops::Range<u32>,
+    /// The word, at a leaf.
+    word: u32,
+}
+
+/// How often each word occurs: ascending by word, counts above zero.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Bag {
+    /// Word and count.
+    pub counts: Vec<(u32, u32)>,
+}
+
+impl Vocabulary {
+    /// Trains on a set of descriptors; the order counts, chance does not.
+    pub fn train<'a>(
+        descriptors: impl ExactSizeIterator<Item = &'a Descriptor>,
+        options: &VocabularyOptions,
+    ) -> Self {
+        let step = descriptors
+            .len()
+            .div_ceil(options.max_training.max(1))
+            .max(1);
+        let sample: Vec<Words> = descriptors.step_by(step).map(words).collect();
+        let all: Vec<u32> = (0..sample.len() as u32).collect();
+        let mut vocabulary = Self::default();
+        vocabulary.nodes.push(Node {
+            centre: [0; 8],
+            children: 0..0,
+            word: 0,
+        });
+        vocabulary.grow(0, all, &sample, options, options.max_depth);
+        vocabulary
+    }
+
+    /// How many words there are.
+    pub fn words(&self) -> usize {
+        self.words
+    }
+
+    /// The words of descriptors, in their order.
+    pub fn look_up<'a>(&self, descriptors: impl IntoIterator<Item = &'a Descriptor>) -> Vec<u32> {
+        let arch = Arch::new();
+        let wanted: Vec<Words> = descriptors.into_iter().map(words).collect();
+        arch.dispatch(|| wanted.iter().map(|wanted| self.word(wanted)).collect())
+    }
+
+    /// Words with their counts.
+    pub fn bag<'a>(&self, descriptors: impl IntoIterator<Item = &'a Descriptor>) -> Bag {
+        let mut found = self.look_up(descriptors);
+        found.sort_unstable();
+        let runs = found.chunk_by(|a, b| a == b);
+        Bag {
+            counts: runs.map(|run| (run[0], run.len() as u32)).collect(),
+        }
+    }
+
+    #[inline(always)]
+    fn word(&self, wanted: &Words) -> u32 {
+        let Some(mut node) = self.nodes.first() else {
+            return 0;
+        };
+        while !node.children.is_empty() {
+            let children = &self.nodes[node.children.start as usize..node.children.end as usize];
+            let mut best = (u32::MAX, node);
+            for child in children {
+                let apart = distance(&child.centre, wanted);
+                if apart < best.0 {
+                    best = (apart, child);
+                }
+            }
+            node = best.1;
+        }
+        node.word
+    }
+
+    fn grow(
+        &mut self,
+        node: usize,
+        members: Vec<u32>,
+        sample: &[Words],
+        options: &VocabularyOptions,
+        levels: usize,
+    ) {
+        let clusters = if members.len() <= options.leaf || levels == 0 {
+            Vec::new()
+        } else {
+            clusters(&members, sample, options)
+        };
+        if clusters.len() < 2 {
+            self.nodes[node].word = self.words as u32;
+            self.words += 1;
+            return;
+        }
+        let first = self.nodes.len();
+        self.nodes[node].children = first as u32..(first + clusters.len()) as u32;
+        let leaves = clusters.iter().map(|(centre, _)| Node {
+            centre: *centre,
+            children: 0..0,
+            word: 0,
+        });
+        self.nodes.extend(leaves);
+        for (i, (_, members)) in clusters.into_iter().enumerate() {
+            self.grow(first + i, members, sample, options, levels - 1);
+        }
+    }
+}
+
+/// k-majority: assign to the nearest centre, take of each bit what most members have.
+fn clusters(
+    members: &[u32],
+    sample: &[Words],
+    options: &VocabularyOptions,
+) -> Vec<(Words, Vec<u32>)> {
+    let count = options.branching.clamp(2, members.len().max(2));
+    // Evenly from the members, which lie in the order of their recording: neighbours look alike.
+    let seed = |i: usize| sample[members[i * members.len() / count] as usize];
+    let mut centres: Vec<Words> = (0..count).map(seed).collect();
+    let mut clusters = Vec::new();
+    for _ in 0..options.rounds.max(1) {
+        centres.sort_unstable();
+        centres.dedup();
+        clusters = assigned(members, sample, &centres);
+        let next: Vec<Words> = clusters
+            .iter()
+            .filter(|cluster: &&Vec<u32>| !cluster.is_empty())
+            .map(|cluster| majority(cluster, sample))
+            .collect();
+        if next == centres {
+            break;
+        }
+        centres = next;
+    }
+    // The last majorities and the members they were taken from.
+    clusters.retain(|cluster| !cluster.is_empty());
+    let of = |members: Vec<u32>| (majority(&members, sample), members);
+    clusters.into_iter().map(of).collect()
+}
+
+fn assigned(members: &[u32], sample: &[Words], centres: &[Words]) -> Vec<Vec<u32>> {
+    let arch = Arch::new();
+    let nearest: Vec<Vec<u32>> = members
+        .par_chunks(CHUNK)
+        .map(|chunk| {
+            arch.dispatch(|| {
+                let each = chunk
+                    .iter()
+                    .map(|member| nearest(&sample[*member as usize], centres));
+                each.collect()
+            })
+        })
+        .collect();
+    let mut clusters = vec![Vec::new(); centres.len()];
+    for (member, cluster) in members.iter().zip(nearest.into_iter().flatten()) {
+        clusters[cluster as usize].push(*member);
+    }
+    clusters
+}
+
+#[inline(always)]
+fn nearest(wanted: &Words, centres: &[Words]) -> u32 {
+    let mut best = (u32::MAX, 0);
+    for (i, centre) in centres.iter().enumerate() {
+        let apart = distance(centre, wanted);
+        if apart < best.0 {
+            best = (apart, i as u32);
+        }
+    }
+    best.1
+}
+
+fn majority(members: &[u32], sample: &[Words]) -> Words {
+    let mut ones = [0_u32; 512];
+    for member in members {
+        for (word, counts) in sample[*member as usize]
+            .iter()
+            .zip(ones.chunks_exact_mut(64))
+        {
+            for (bit, count) in counts.iter_mut().enumerate() {
+                *count += (word >> bit & 1) as u32;
+            }
+        }
+    }
+    let mut centre = [0; 8];
+    for (word, counts) in centre.iter_mut().zip(ones.chunks_exact(64)) {
+        for (bit, count) in counts.iter().enumerate() {
+            *word |= u64::from(2 * *count as usize > members.len()) << bit;
+        }
+    }
+    centre
+}
