@@ -18,7 +18,6 @@ pub struct Look {
     read_noise: f32,
     shot_noise: f32,
     noise: Vec<f32>,
-    blend: Vec<f32>,
 }
 
 impl Look {
@@ -33,9 +32,6 @@ impl Look {
             shot_noise: rng.random_range(0.006..0.011),
             noise: (0..TABLE + MARGIN)
                 .map(|_| normal(&mut rng).clamp(-4.0, 4.0) as f32)
-                .collect(),
-            blend: (0..TABLE + MARGIN)
-                .map(|_| 4.0_f32.powf(rng.random_range(0.0..1.0)))
                 .collect(),
         }
     }
@@ -56,10 +52,5 @@ impl Look {
     /// Standard normal numbers, at least 256 of them, chosen by `seed`.
     pub fn noise(&self, seed: u64) -> &[f32] {
         &self.noise[(seed as usize) % TABLE..]
-    }
-
-    /// Factors of 4^[0, 1), at least 256 of them, chosen by `seed`.
-    pub fn blend(&self, seed: u64) -> &[f32] {
-        &self.blend[((seed >> 16) as usize) % TABLE..]
     }
 }

@@ -5,8 +5,7 @@
 //! solids that can show in its tile, and one look into a texture. Tiles of 16 × 16 pixels keep
 //! all of that in the first-level cache and let the compiler use vector instructions.
 //!
-//! Mip levels are chosen per pixel from the area it covers, with a random fraction, so that
-//! levels blend instead of showing edges.
+//! Mip levels are chosen per pixel from the area it covers, and blend instead of showing edges.
 
 use crate::lens::{Block, Lanes, Lens, PIXELS, TILE, Window};
 use crate::look::Look;
@@ -85,15 +84,16 @@ impl Painted {
 
     /// Texel column and row (1/256 texels) and mip level where a ray meets the face at `t`.
     #[inline(always)]
-    fn texel(&self, t: f32, d: [f32; 3], blend: f32) -> (i32, i32, i32) {
+    fn texel(&self, t: f32, d: [f32; 3]) -> (i32, i32, f32) {
         let along = |a: &[f32; 4]| a[3] + t * (a[0] * d[0] + a[1] * d[1] + a[2] * d[2]);
         let n = self.normal;
         let slant = (n[0] * d[0] + n[1] * d[1] + n[2] * d[2]).abs();
         let cosine = slant / self.density;
         // A slanted pixel covers a long strip: lean towards its longer side.
-        let texels = t * t * self.area / slant / cosine.sqrt() * blend;
-        let exponent = ((texels.to_bits() >> 23) as i32 - 127) >> 1;
-        (along(&self.u) as i32, along(&self.v) as i32, exponent)
+        let texels = t * t * self.area / slant / cosine.sqrt();
+        // Half the binary logarithm, a straight line between powers of two.
+        let level = 0.5 * (texels.to_bits() as f32 * (1.0 / 8_388_608.0) - 127.0);
+        (along(&self.u) as i32, along(&self.v) as i32, level)
     }
 }
 
@@ -200,7 +200,7 @@ impl View<'_> {
             meet_room(self.scene, self.eye, scratch);
             meet_solids(&nearby, &Window::of(cone, &self.turn), scratch);
             let noise = scramble(self.shot ^ (*index as u64) << 20);
-            shade(self.scene, &self.painted, look.blend(noise), scratch);
+            shade(self.scene, &self.painted, scratch);
             let target = (index % lens.columns * TILE, index / lens.columns * TILE);
             develop(look, &tile.theta, noise, &scratch.grey, target, lens, image);
         }
@@ -310,7 +310,7 @@ fn meet_solid(seen: &Seen, scratch: &mut Scratch) {
     }
 }
 
-fn shade(scene: &Scene, painted: &[Painted], blend: &[f32], scratch: &mut Scratch) {
+fn shade(scene: &Scene, painted: &[Painted], scratch: &mut Scratch) {
     let Scratch {
         rays,
         t,
@@ -321,45 +321,36 @@ fn shade(scene: &Scene, painted: &[Painted], blend: &[f32], scratch: &mut Scratc
     let first = face[0];
     if face.iter().all(|face| *face == first) {
         if let Some(face) = painted.get(first as usize) {
-            shade_one_face(scene, face, blend, rays, t, grey);
+            shade_one_face(scene, face, rays, t, grey);
         }
         return;
     }
-    for (i, blend) in blend.iter().enumerate().take(PIXELS) {
+    for i in 0..PIXELS {
         let Some(face) = painted.get(face[i] as usize) else {
             continue;
         };
         let Some(texture) = scene.textures.get(face.texture) else {
             continue;
         };
-        let (u, v, level) = face.texel(t[i], [rays[0][i], rays[1][i], rays[2][i]], *blend);
-        grey[i] = face.light * texture.sample(u, v, level);
+        let (u, v, level) = face.texel(t[i], [rays[0][i], rays[1][i], rays[2][i]]);
+        grey[i] = face.light * texture.blend(u, v, level);
     }
 }
 
-fn shade_one_face(
-    scene: &Scene,
-    face: &Painted,
-    blend: &[f32],
-    rays: &[Lanes; 3],
-    t: &Lanes,
-    grey: &mut Lanes,
-) {
+fn shade_one_face(scene: &Scene, face: &Painted, rays: &[Lanes; 3], t: &Lanes, grey: &mut Lanes) {
     let Some(texture) = scene.textures.get(face.texture) else {
         return;
     };
-    let Some(blend) = blend.first_chunk::<PIXELS>() else {
-        return;
-    };
-    let mut texels = [[0_i32; PIXELS]; 3];
+    let mut texels = [[0_i32; PIXELS]; 2];
+    let mut levels = [0.0_f32; PIXELS];
     for i in 0..PIXELS {
-        let (u, v, level) = face.texel(t[i], [rays[0][i], rays[1][i], rays[2][i]], blend[i]);
+        let (u, v, level) = face.texel(t[i], [rays[0][i], rays[1][i], rays[2][i]]);
         texels[0][i] = u;
         texels[1][i] = v;
-        texels[2][i] = level;
+        levels[i] = level;
     }
     for i in 0..PIXELS {
-        grey[i] = face.light * texture.sample(texels[0][i], texels[1][i], texels[2][i]);
+        grey[i] = face.light * texture.blend(texels[0][i], texels[1][i], levels[i]);
     }
 }
 

@@ -30,6 +30,18 @@ impl Texture {
         Self::new(2, 2, vec![grey; 4])
     }
 
+    /// The grey value at `(u, v)`, given in 1/256 texels of level 0, between the two levels around
+    /// `level`.
+    #[inline(always)]
+    pub fn blend(&self, u: i32, v: i32, level: f32) -> f32 {
+        if level <= 0.0 {
+            return self.sample(u, v, 0);
+        }
+        let below = level as i32;
+        let (fine, coarse) = (self.sample(u, v, below), self.sample(u, v, below + 1));
+        fine + (level - below as f32) * (coarse - fine)
+    }
+
     /// The grey value at `(u, v)`, given in 1/256 texels of level 0, looked up in `level` with
     /// bilinear interpolation. Outside, the edge continues.
     #[inline(always)]
