@@ -33,6 +33,7 @@ operators! {
     map_frames::MapFrames,
     overhead_tiles::OverheadTiles,
     road_network::RoadNetwork,
+    tracks::Tracks,
 }
 
 #[cfg(test)]
