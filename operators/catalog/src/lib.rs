@@ -29,6 +29,7 @@ operators! {
     intersections::Intersections,
     keyframes::Keyframes,
     landmarks::Landmarks,
+    localisation::Localisation,
     loop_closures::LoopClosures,
     map_frames::MapFrames,
     overhead_tiles::OverheadTiles,

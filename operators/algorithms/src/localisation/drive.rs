@@ -50,8 +50,13 @@ pub trait Recognise {
     fn propose(&self, features: &KeyframeFeatures) -> Vec<Pose>;
 }
 
-/// Fixes in order of driving, or against it.
-type Chain = Vec<(usize, Fix)>;
+/// Fixes that hang off each other by odometry.
+struct Walk {
+    odometer: Odometer,
+    /// In order of driving, or against it.
+    fixes: Vec<(usize, Fix)>,
+    misses: Vec<(usize, Fix)>,
+}
 
 struct Drive<'a> {
     localiser: &'a Localiser<'a>,
@@ -92,10 +97,10 @@ impl Drive<'_> {
                 next = self.further(next);
                 continue;
             };
-            let start = Guess { ..fix.pose };
+            let start = fix.pose;
             self.set(next, State::Recovered, fix);
             let ahead = self.walk(next, start, false, usize::MAX);
-            let last = ahead.last().map_or(next, |(index, _)| *index);
+            let last = ahead.fixes.last().map_or(next, |(index, _)| *index);
             self.publish(ahead);
             let behind = self.walk(next, start, true, usize::MAX);
             self.publish(behind);
@@ -121,8 +126,12 @@ impl Drive<'_> {
         };
     }
 
-    fn publish(&mut self, chain: Chain) {
-        for (index, fix) in chain {
+    fn publish(&mut self, walk: Walk) {
+        self.odometer = walk.odometer;
+        for (index, fix) in walk.misses {
+            self.found[index].fix = Some(fix);
+        }
+        for (index, fix) in walk.fixes {
             self.set(index, State::Localised, fix);
         }
     }
@@ -156,49 +165,46 @@ impl Drive<'_> {
         let need = self.localiser.params.confirmations;
         let within = need + need.div_ceil(2);
         [false, true].into_iter().any(|backwards| {
-            let mut other = Self {
-                localiser: self.localiser,
-                keyframes: self.keyframes,
-                odometer: self.odometer,
-                found: self.found.clone(),
-            };
-            other.walk(index, fix.pose, backwards, within).len() >= need
+            let walk = self.walk(index, fix.pose, backwards, within);
+            walk.fixes.len() >= need
         })
     }
 
-    /// From a fix on, keyframe by keyframe, until the guess is too uncertain, too many have no fix, another chain's
-    /// keyframe is reached, or `most` were visited. A fix after misses counts when the next one agrees.
-    fn walk(&mut self, start: usize, at: Guess, backwards: bool, most: usize) -> Chain {
-        let mut chain: Chain = Vec::new();
-        let (mut last, mut at, mut misses) = (start, at, 0);
-        let mut index = start;
+    /// From a fix on, keyframe by keyframe, until the guess is too uncertain, too many have no fix, another walk's
+    /// keyframe is reached, or `most` were visited.
+    fn walk(&self, start: usize, at: Guess, backwards: bool, most: usize) -> Walk {
+        let params = &self.localiser.params;
+        let mut walk = Walk {
+            odometer: self.odometer,
+            fixes: Vec::new(),
+            misses: Vec::new(),
+        };
+        let (mut last, mut at, mut missed, mut index) = (start, at, 0, start);
         for _ in 0..most {
             let Some(next) = self.next(index, backwards) else {
                 break;
             };
             index = next;
             let odometry = [last, index].map(|at| &self.keyframes[at].odom_from_vehicle);
-            let guess = self
-                .odometer
-                .guess(&at, odometry, backwards, &self.localiser.params);
-            let too_far = !(guess.sigma_m() <= self.localiser.params.give_up_m);
-            if self.found[index].state != State::Lost || too_far {
+            let guess = walk.odometer.guess(&at, odometry, backwards, params);
+            // Also where it is no number.
+            let near = guess.sigma_m() <= params.give_up_m;
+            if self.found[index].state != State::Lost || !near || missed > MOST_MISSES {
                 break;
             }
             let fix = self.localiser.fix(&guess, self.keyframes[index].features);
             if fix.is_sound() {
-                self.learn([last, index], [&at.pose, &fix.pose.pose]);
-                (last, at, misses) = (index, fix.pose, 0);
-                chain.push((index, fix));
+                let poses = [&at.pose, &fix.pose.pose];
+                walk.odometer.learn_either_way(odometry, poses, backwards);
+                (last, at, missed) = (index, fix.pose, 0);
+                walk.fixes.push((index, fix));
             } else {
-                misses += 1;
-                self.found[index].fix = Some(fix);
-                if misses > MOST_MISSES {
-                    break;
-                }
+                missed += 1;
+                walk.misses.push((index, fix));
             }
         }
-        chain
+        walk.drop_lone(start);
+        walk
     }
 
     fn next(&self, index: usize, backwards: bool) -> Option<usize> {
@@ -209,14 +215,23 @@ impl Drive<'_> {
         };
         (next < self.keyframes.len()).then_some(next)
     }
+}
 
-    fn learn(&mut self, [last, index]: [usize; 2], [from, to]: [&Pose; 2]) {
-        let odometry = [last, index].map(|at| &self.keyframes[at].odom_from_vehicle);
-        if last < index {
-            self.odometer.learn(odometry, [from, to]);
-        } else {
-            self.odometer.learn([odometry[1], odometry[0]], [to, from]);
-        }
+impl Walk {
+    /// A fix without another among the two keyframes before and the two after it does not count.
+    fn drop_lone(&mut self, start: usize) {
+        let mut sound: Vec<usize> = self.fixes.iter().map(|(index, _)| *index).collect();
+        sound.push(start);
+        let near = |index: usize| {
+            sound
+                .iter()
+                .any(|other| (1..=2).contains(&other.abs_diff(index)))
+        };
+        let (kept, lone) = std::mem::take(&mut self.fixes)
+            .into_iter()
+            .partition(|(index, _)| near(*index));
+        self.fixes = kept;
+        self.misses.extend(lone);
     }
 }
 

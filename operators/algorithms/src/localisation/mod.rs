@@ -27,6 +27,7 @@ mod fix;
 mod map;
 mod motion;
 mod params;
+mod recovery;
 mod refinement;
 mod view;
 
@@ -38,3 +39,4 @@ pub use fix::{Doubt, Fix, Localiser, Match};
 pub use map::{LandmarkMap, MapLandmark};
 pub use motion::Guess;
 pub use params::{LocalisationParams, LocalisationParamsError};
+pub use recovery::Places;

@@ -118,8 +118,22 @@ impl Odometer {
         }
     }
 
+    /// Learns from two localised keyframes, of which the first was driven last if `backwards`.
+    pub(super) fn learn_either_way(
+        &mut self,
+        [from, to]: [&Pose; 2],
+        [localised_from, localised_to]: [&Pose; 2],
+        backwards: bool,
+    ) {
+        if backwards {
+            self.learn([to, from], [localised_to, localised_from]);
+        } else {
+            self.learn([from, to], [localised_from, localised_to]);
+        }
+    }
+
     /// Learns from two localised keyframes, the later one second.
-    pub(super) fn learn(&mut self, odometry: [&Pose; 2], localised: [&Pose; 2]) {
+    fn learn(&mut self, odometry: [&Pose; 2], localised: [&Pose; 2]) {
         let odometer = odometry[0].inverse().compose(odometry[1]);
         let map = localised[0].inverse().compose(localised[1]);
         let path = odometer.translation.norm();

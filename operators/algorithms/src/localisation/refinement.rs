@@ -15,7 +15,7 @@ pub(super) const INLIER: f64 = 9.21;
 /// Most steps of one solution; from a guess by odometry it takes four or five.
 const MOST_STEPS: usize = 15;
 /// A step shorter than this (m, rad) ends the iteration: far below any noise.
-const SMALL: f64 = 1e-6;
+const SMALL: f64 = 1e-5;
 /// Matches within a cell of this angle, seen from the vehicle, share their errors: a corner found at two scales or by
 /// two cameras, a landmark triangulated twice, one leaf of a poster. Radians; a dozen pixels of a 127 px/rad fisheye.
 const SHARED_RAD: f64 = 0.1;
@@ -171,8 +171,9 @@ impl Refinement<'_> {
         let is_inlier = |residual: &Residual| residual.units() <= INLIER;
         let mut information = Matrix6::zeros();
         for residual in residuals.iter().flatten().filter(|found| is_inlier(found)) {
-            let weight = residual.weight() / residual.variance;
-            information += residual.by_pose.transpose() * residual.by_pose * weight;
+            // The loss's own curvature, in the mean of directions: w + w' r² = w².
+            let curvature = residual.weight().powi(2) / residual.variance;
+            information += residual.by_pose.transpose() * residual.by_pose * curvature;
         }
         let scale = self.spread(&pose, &residuals, &information, prior);
         let covariance = (information / scale + prior).cholesky()?.inverse();

@@ -297,3 +297,47 @@ fn nothing_breaks_it() {
     };
     assert!(Localiser::new(&case.world.rig, &case.map, senseless).is_err());
 }
+
+#[test]
+fn places_are_recognised() {
+    let case = Case::new(21, World::new(21, 5000), Imaging::default(), 1.02, 0.3);
+    let params = LocalisationParams::default();
+    let start = std::time::Instant::now();
+    let places = Places::new(&case.world.rig, &case.map, &params);
+    eprintln!("vocabulary: {:?}", start.elapsed());
+    let start = std::time::Instant::now();
+    let mut right = 0;
+    for (features, truth) in case.features.iter().zip(&case.truth).step_by(5) {
+        let near = |pose: &Pose| motion::difference(pose, truth).norm() < 0.1;
+        right += usize::from(places.propose(features).first().is_some_and(near));
+    }
+    eprintln!("{right} of 22 recognised in {:?}", start.elapsed());
+    assert!(right >= 20, "{right}");
+    let (_, score) = run("recognised", &case, &places);
+    good(&score);
+    assert!(score.lost == 0, "{score:?}");
+}
+
+#[test]
+fn among_repetitions_and_in_another_place_it_is_never_wrong() {
+    for (seed, share) in [(22, 0.5), (23, 0.8), (24, 0.95)] {
+        let world = World::new(seed, 5000).repeated(5.0, share);
+        let case = Case::new(seed, world, Imaging::default(), 1.0, 0.3);
+        let places = Places::new(&case.world.rig, &case.map, &LocalisationParams::default());
+        let (_, score) = run(&format!("repeated {share}"), &case, &places);
+        assert!(score.max_m <= 0.5, "{score:?}");
+    }
+    let mut case = Case::new(25, World::new(25, 5000), Imaging::default(), 1.0, 0.0);
+    let other = World::new(26, 5000);
+    let mut random = Random(3);
+    case.features = case
+        .truth
+        .iter()
+        .map(|pose| other.features(pose, &Imaging::default(), &mut random))
+        .collect();
+    let places = Places::new(&case.world.rig, &case.map, &LocalisationParams::default());
+    let start = std::time::Instant::now();
+    let (_, score) = run("another place", &case, &places);
+    eprintln!("{:?}", start.elapsed());
+    assert_eq!(score.localised, 0, "{score:?}");
+}
