@@ -10,7 +10,7 @@
 //! ```
 
 use super::radial::{invert, rising_limit};
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
 
 /// Rays flatter than this (radians from the axis) are beyond any pinhole: tan is 573.
 const STEEPEST: f64 = 1.569;
@@ -48,21 +48,31 @@ impl Pinhole {
     }
 
     pub(super) fn project(&self, point: &Vector3<f64>) -> Option<[f64; 2]> {
+        self.project_with_jacobian(point).map(|(pixel, _)| pixel)
+    }
+
+    pub(super) fn project_with_jacobian(
+        &self,
+        point: &Vector3<f64>,
+    ) -> Option<([f64; 2], Matrix2x3<f64>)> {
         if point.z <= 0.0 {
             return None;
         }
-        let plane = Vector2::new(point.x / point.z, point.y / point.z);
-        if plane.norm() > self.max_radius {
+        let (a, b) = (point.x / point.z, point.y / point.z);
+        if a * a + b * b > self.max_radius * self.max_radius {
             return None;
         }
-        let (bent, jacobian) = self.distortion.bend(plane);
+        let (bent, bend) = self.distortion.bend(Vector2::new(a, b));
         // Tangential terms can fold the plane before the radial curve does.
-        (jacobian.determinant() > 0.0).then(|| {
-            [
-                self.focal[0] * bent.x + self.centre[0],
-                self.focal[1] * bent.y + self.centre[1],
-            ]
-        })
+        if bend.determinant() <= 0.0 {
+            return None;
+        }
+        let ([fx, fy], near) = (self.focal, 1.0 / point.z);
+        let (uu, uv) = (fx * near * bend.m11, fx * near * bend.m12);
+        let (vu, vv) = (fy * near * bend.m21, fy * near * bend.m22);
+        let jacobian = Matrix2x3::new(uu, uv, -(a * uu + b * uv), vu, vv, -(a * vu + b * vv));
+        let pixel = [fx * bent.x + self.centre[0], fy * bent.y + self.centre[1]];
+        Some((pixel, jacobian))
     }
 
     pub(super) fn unproject(&self, pixel: [f64; 2]) -> Option<Vector3<f64>> {

@@ -7,7 +7,7 @@
 //! The centre column looks forward, columns grow to the right, rows downwards; fx and fy are in
 //! pixels per radian. A panorama of width W that covers 360° has fx = W / 2π.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix2x3, Vector3};
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Angles this much (radians) past the seam or the pole are rounding, not another place.
@@ -33,6 +33,30 @@ impl Equirectangular {
             self.centre[0] + self.focal[0] * longitude,
             self.centre[1] + self.focal[1] * latitude,
         ])
+    }
+
+    pub(super) fn project_with_jacobian(
+        &self,
+        point: &Vector3<f64>,
+    ) -> Option<([f64; 2], Matrix2x3<f64>)> {
+        let level2 = point.x * point.x + point.z * point.z;
+        let level = level2.sqrt();
+        if level <= f64::EPSILON * point.y.abs() {
+            return None;
+        }
+        let pixel = self.project(point)?;
+        let [fx, fy] = self.focal;
+        let around = fx / level2;
+        let up = fy / (level2 + point.y * point.y);
+        let jacobian = Matrix2x3::new(
+            around * point.z,
+            0.0,
+            -around * point.x,
+            -up * point.y * point.x / level,
+            up * level,
+            -up * point.y * point.z / level,
+        );
+        Some((pixel, jacobian))
     }
 
     pub(super) fn unproject(&self, pixel: [f64; 2]) -> Option<Vector3<f64>> {

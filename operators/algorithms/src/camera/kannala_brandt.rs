@@ -9,8 +9,8 @@
 //!
 //! θ comes from `atan2`, so rays at and behind 90° are fine: a lens of 190° is one model like any.
 
-use super::radial::{invert, rising_limit};
-use nalgebra::Vector3;
+use super::radial::{invert, on_plane, rising_limit};
+use nalgebra::{Matrix2x3, Vector3};
 use std::f64::consts::PI;
 
 /// An equidistant fisheye camera.
@@ -55,6 +55,23 @@ impl KannalaBrandt {
             self.focal[0] * scale * point.x + self.centre[0],
             self.focal[1] * scale * point.y + self.centre[1],
         ])
+    }
+
+    pub(super) fn project_with_jacobian(
+        &self,
+        point: &Vector3<f64>,
+    ) -> Option<([f64; 2], Matrix2x3<f64>)> {
+        let across = (point.x * point.x + point.y * point.y).sqrt();
+        let theta = across.atan2(point.z);
+        if theta > self.max_theta {
+            return None;
+        }
+        let (plane, mut jacobian) = on_plane(point, across, curve(&self.k, theta))?;
+        let [fx, fy] = self.focal;
+        jacobian.row_mut(0).scale_mut(fx);
+        jacobian.row_mut(1).scale_mut(fy);
+        let pixel = [fx * plane.x + self.centre[0], fy * plane.y + self.centre[1]];
+        Some((pixel, jacobian))
     }
 
     pub(super) fn unproject(&self, pixel: [f64; 2]) -> Option<Vector3<f64>> {

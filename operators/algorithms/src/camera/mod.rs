@@ -15,7 +15,7 @@ mod kannala_brandt;
 mod ocam;
 mod radial;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use brown::{BrownConrady, Pinhole};
 pub use calibration::{CameraError, MODEL_NAMES};
@@ -23,7 +23,7 @@ pub use equirectangular::Equirectangular;
 pub use kannala_brandt::KannalaBrandt;
 pub use ocam::{Ocam, OcamAffine, OcamCurve};
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix2x3, Vector3};
 use std::f64::consts::PI;
 
 /// A calibrated camera.
@@ -83,6 +83,25 @@ impl Camera {
             Model::KannalaBrandt(lens) => lens.project(point),
             Model::Equirectangular(lens) => lens.project(point),
             Model::Ocam(lens) => lens.project(point),
+        }
+    }
+
+    /// [`Camera::project`] and how the pixel changes with the point: pixels per unit of the
+    /// point. `None` where there is no pixel, and on the few rays where the lens model has no
+    /// derivative (straight back, or straight up in a panorama).
+    pub fn project_with_jacobian(
+        &self,
+        point: &Vector3<f64>,
+    ) -> Option<([f64; 2], Matrix2x3<f64>)> {
+        let squared = point.norm_squared();
+        if !(squared > 0.0 && squared.is_finite() && self.sees_angle(point)) {
+            return None;
+        }
+        match &self.model {
+            Model::Pinhole(lens) => lens.project_with_jacobian(point),
+            Model::KannalaBrandt(lens) => lens.project_with_jacobian(point),
+            Model::Equirectangular(lens) => lens.project_with_jacobian(point),
+            Model::Ocam(lens) => lens.project_with_jacobian(point),
         }
     }
 

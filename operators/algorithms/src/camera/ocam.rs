@@ -19,8 +19,8 @@
 //! one of them is taken as the truth and inverted numerically, and projecting what was unprojected
 //! gives the pixel back exactly.
 
-use super::radial::{invert, polynomial, rising_limit};
-use nalgebra::Vector3;
+use super::radial::{invert, on_plane, polynomial, rising_limit};
+use nalgebra::{Matrix2, Matrix2x3, Vector3};
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// The affine map from the lens plane to pixels: `[c d; e 1]` and the centre.
@@ -81,6 +81,26 @@ impl Ocam {
         let (x, y) = (scale * point.x, scale * point.y);
         let OcamAffine { c, d, e, cx, cy } = self.affine;
         Some([c * x + d * y + cx, e * x + y + cy])
+    }
+
+    pub(super) fn project_with_jacobian(
+        &self,
+        point: &Vector3<f64>,
+    ) -> Option<([f64; 2], Matrix2x3<f64>)> {
+        let across = point.x.hypot(point.y);
+        let alpha = across.atan2(point.z);
+        let rho = self.radius(alpha)?;
+        let slope = match &self.curve {
+            // Clamped at the axis, the radius does not change.
+            OcamCurve::RadiusByElevation(_) if rho <= 0.0 => 0.0,
+            OcamCurve::RadiusByElevation(c) => polynomial(c, alpha - FRAC_PI_2).1,
+            OcamCurve::DepthByRadius(c) => 1.0 / angle_by_radius(c, rho).1,
+        };
+        let (plane, jacobian) = on_plane(point, across, (rho, slope))?;
+        let OcamAffine { c, d, e, cx, cy } = self.affine;
+        let affine = Matrix2::new(c, d, e, 1.0);
+        let pixel = affine * plane;
+        Some(([pixel.x + cx, pixel.y + cy], affine * jacobian))
     }
 
     pub(super) fn unproject(&self, pixel: [f64; 2]) -> Option<Vector3<f64>> {

@@ -5,6 +5,8 @@
 //! there; the curve therefore ends at that point ([`rising_limit`]). Up to it an inverse exists
 //! and safeguarded Newton finds it to the last bits ([`invert`]).
 
+use nalgebra::{Matrix2x3, Vector2, Vector3};
+
 /// Number of places where a slope is looked at before bisection sharpens the answer.
 const SCAN_STEPS: u32 = 2_000;
 
@@ -63,6 +65,41 @@ pub(super) fn invert(
         x = next;
     }
     Some(x)
+}
+
+/// Where a lens with radial symmetry puts a point on its plane, `r(θ) (cos φ, sin φ)`, and how
+/// that changes with the point. `across` is √(x² + y²); `curve` is r and dr/dθ. `None` where
+/// there is no derivative: on the axis behind the lens.
+///
+/// With n² = x² + y² + z², dθ = (z d(across) - across dz) / n². Along the axis everything is
+/// written by the cosine and sine of φ, so nothing cancels near it.
+pub(super) fn on_plane(
+    point: &Vector3<f64>,
+    across: f64,
+    (radius, slope): (f64, f64),
+) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+    if across <= f64::EPSILON * point.z.abs() {
+        if point.z <= 0.0 {
+            return None;
+        }
+        let scale = slope / point.z;
+        let jacobian = Matrix2x3::new(scale, 0.0, 0.0, 0.0, scale, 0.0);
+        return Some((Vector2::new(point.x, point.y) * scale, jacobian));
+    }
+    let (cos, sin) = (point.x / across, point.y / across);
+    let by_angle = slope / (across * across + point.z * point.z);
+    // Outwards the radius grows, sideways the direction turns.
+    let (outwards, sideways) = (by_angle * point.z, radius / across);
+    let cross = cos * sin * (outwards - sideways);
+    let jacobian = Matrix2x3::new(
+        cos * cos * outwards + sin * sin * sideways,
+        cross,
+        -by_angle * across * cos,
+        cross,
+        sin * sin * outwards + cos * cos * sideways,
+        -by_angle * across * sin,
+    );
+    Some((Vector2::new(cos, sin) * radius, jacobian))
 }
 
 /// Value and slope of `c[0] + c[1] x + c[2] x² + …` (Horner).

@@ -177,7 +177,81 @@ fn calibrations_that_are_none() {
     assert!(Camera::from_calibration("plumb_bob", 640, 480, &nine, &[0.0; 14]).is_ok());
 }
 
+/// One camera of every model, with all its coefficients.
+pub(crate) fn one_of_each() -> Vec<Camera> {
+    let nine = [500.0, 0.0, 320.5, 0.0, 502.0, 239.0, 0.0, 0.0, 1.0];
+    let rational = [0.9, 0.3, 1e-4, 2e-4, 0.01, 1.2, 0.5, 0.05];
+    let panorama = [162.97466, 511.5, 162.97466, 166.0];
+    let affine = [1.0, 1e-3, 320.0, -2e-3, 1.0, 240.0, 0.0, 0.0, 1.0];
+    let depth = [-200.0, 0.0, 1.2e-3, -4e-7, 2e-9];
+    let radius = [
+        627.9, 466.0, -2.9, 24.2, 72.7, -33.4, -23.5, 114.2, 139.3, 61.1, 9.7,
+    ];
+    let made =
+        |name: &str, k: &[f64], d: &[f64]| Camera::from_calibration(name, 640, 480, k, d).unwrap();
+    vec![
+        made("none", &nine, &[]),
+        made("plumb_bob", &nine, &[-0.28, 0.07, 2e-4, -1.1e-3, 3e-3]),
+        made("rational_polynomial", &nine, &rational),
+        wide_fisheye(),
+        wide_fisheye().with_max_angle(1.6),
+        made("equirectangular", &panorama, &[]),
+        made("ocam_depth", &affine, &depth),
+        made("ocam", &affine, &radius),
+    ]
+}
+
+#[test]
+fn derivatives_exist_on_the_axis_and_not_behind_it() {
+    for camera in one_of_each() {
+        let (pixel, jacobian) = camera.project_with_jacobian(&Vector3::z()).unwrap();
+        assert_eq!(Some(pixel), camera.project(&Vector3::z()));
+        assert!(jacobian.iter().all(|slope| slope.is_finite()));
+        assert!(jacobian.m11 > 1.0 && jacobian.m22 > 1.0, "{camera:?}");
+        for nowhere in [Vector3::zeros(), -Vector3::z(), Vector3::repeat(f64::NAN)] {
+            if let Some((_, jacobian)) = camera.project_with_jacobian(&nowhere) {
+                assert!(jacobian.iter().all(|slope| slope.is_finite()));
+            }
+        }
+    }
+}
+
 proptest! {
+    #[test]
+    fn jacobians_are_derivatives(
+        direction in prop::array::uniform3(-1.0..1.0f64), near_axis in -8.0..0.0f64,
+        depth in 0.3..30.0f64
+    ) {
+        let mut point = Vector3::from(direction);
+        point.x *= 10f64.powf(near_axis);
+        point.y *= 10f64.powf(near_axis);
+        // Behind, panoramas have a seam and lenses their other pole.
+        prop_assume!(point.norm() > 0.05 && (point.z > 0.0 || point.x.abs() > 0.05));
+        let point = point.normalize() * depth;
+        for camera in one_of_each() {
+            let found = camera.project_with_jacobian(&point);
+            let Some(((pixel, jacobian), expected)) = found.zip(camera.project(&point)) else {
+                prop_assert_eq!(found.is_some(), camera.project(&point).is_some());
+                continue;
+            };
+            prop_assert!((pixel[0] - expected[0]).hypot(pixel[1] - expected[1]) < 1e-9);
+            for axis in 0..3 {
+                let mut step = Vector3::zeros();
+                step[axis] = 1e-6 * depth;
+                let ends = (camera.project(&(point + step)), camera.project(&(point - step)));
+                let (Some(after), Some(before)) = ends else { continue };
+                for row in 0..2 {
+                    let numeric = (after[row] - before[row]) / (2e-6 * depth);
+                    let error = (numeric - jacobian[(row, axis)]).abs() * depth;
+                    // The fitted polynomial of the toolbox has a kink on the axis.
+                    let kinked = matches!(&camera.model, Model::Ocam(_)) && near_axis < -2.0;
+                    prop_assert!(kinked || error < 2e-3 * (1.0 + jacobian.norm() * depth * 1e-2),
+                        "{:?} {point} {numeric} {}", camera.model, jacobian);
+                }
+            }
+        }
+    }
+
     #[test]
     fn rays_in_view_come_back(x in -1.0..1.0f64, y in -1.0..1.0f64, z in -0.05..1.0f64) {
         let ray = Vector3::new(x, y, z);
