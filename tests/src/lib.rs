@@ -5,6 +5,9 @@
 
 #![allow(clippy::expect_used, clippy::panic, clippy::print_stderr)]
 
+pub mod kitti;
+pub mod trajectories;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
