@@ -300,14 +300,14 @@ impl<'a> Builder<'a> {
     }
 
     async fn frame(&self, table: &Table, want: Want) -> Result<DataFrame, Fault> {
-        let (frame, artifacts): (_, &[Artifact]) = match table {
+        let (frame, artifacts, without): (_, &[Artifact], &[String]) = match table {
             Table::Log(name) => {
                 let found = self.context.table(TableReference::bare(name.clone())).await;
-                (found.map_err(|error| fault_of(&error))?, &[])
+                (found.map_err(|error| fault_of(&error))?, &[], &[])
             }
             Table::Stage(name) => {
                 let artifacts = self.unit.tables.get(name).map_or(&[][..], Vec::as_slice);
-                (self.artifacts(artifacts, None).await?, artifacts)
+                (self.artifacts(artifacts, None).await?, artifacts, &[])
             }
             Table::Previous(name) => {
                 let previous = self
@@ -323,10 +323,23 @@ impl<'a> Builder<'a> {
                 (
                     self.artifacts(&previous.artifacts, entry).await?,
                     previous.artifacts.as_slice(),
+                    previous.without.as_slice(),
                 )
             }
         };
-        self.narrowed(frame, artifacts, want)
+        let frame = self.narrowed(frame, artifacts, want)?;
+        if without.is_empty()
+            || frame
+                .schema()
+                .field_with_unqualified_name("session")
+                .is_err()
+        {
+            return Ok(frame);
+        }
+        let without = without.iter().map(|session| lit(session.clone())).collect();
+        frame
+            .filter(ident("session").in_list(without, true))
+            .map_err(|error| fault_of(&error))
     }
 
     /// Rows of artifacts that cover more than is wanted are filtered.

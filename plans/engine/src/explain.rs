@@ -1,14 +1,16 @@
 //! What a run would do, and why, before it is run.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use evermap_schemas::Fault;
 use serde::Serialize;
 
+use crate::assembly::assemble;
 use crate::needs::{Instance, instances, needs};
+use crate::previous::Previous;
 use crate::program::{Stage, Task};
 use crate::run::Run;
-use crate::unit::{Receipt, Recipe};
+use crate::unit::{Artifact, LogContent, Receipt, Recipe};
 
 /// What would become of one unit.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -30,32 +32,29 @@ impl Run<'_> {
     /// # Errors
     /// As [`Run::execute`], as far as it is not about running.
     pub async fn explain(&self) -> Result<Vec<UnitForecast>, Fault> {
-        let before = self.receipts_before().await?;
-        let mut forecasts: BTreeMap<(String, Instance), UnitForecast> = BTreeMap::new();
-        let mut order = Vec::new();
+        let held = self.receipts_before().await?;
+        let mut known = Known {
+            run: self,
+            previous: self.previous()?,
+            artifacts: BTreeMap::new(),
+        };
+        let mut forecasts = Vec::new();
         for stage in self.program.stages.iter().filter(|stage| stage.stored) {
             for instance in instances(stage.scope, &self.sessions) {
-                let place = (stage.name.clone(), instance.clone());
-                let reason =
-                    self.reason(stage, &instance, before.get(&place), &before, &forecasts)?;
-                let forecast = UnitForecast {
+                let reason = known.reason(stage, &instance, &held).await?;
+                forecasts.push(UnitForecast {
                     step: stage.name.clone(),
                     label: instance.label(&stage.name),
-                    recompute: reason.is_some(),
-                    reason: reason.unwrap_or_else(|| "unchanged".to_owned()),
-                };
-                forecasts.insert(place.clone(), forecast);
-                order.push(place);
+                    recompute: reason.is_err(),
+                    reason: reason.unwrap_or_else(|why| why),
+                });
             }
         }
-        Ok(order
-            .iter()
-            .filter_map(|place| forecasts.remove(place))
-            .collect())
+        Ok(forecasts)
     }
 
     /// The receipts of the version before, by stage and instance.
-    async fn receipts_before(&self) -> Result<BTreeMap<(String, Instance), Receipt>, Fault> {
+    async fn receipts_before(&self) -> Result<Held, Fault> {
         let mut receipts = BTreeMap::new();
         for (name, layer) in self.base.iter().flat_map(|base| &base.layers) {
             for digest in &layer.recipes {
@@ -71,77 +70,100 @@ impl Run<'_> {
         }
         Ok(receipts)
     }
+}
 
-    fn reason(
-        &self,
+/// Receipts by stage and instance.
+type Held = BTreeMap<(String, Instance), Receipt>;
+
+/// What is known without running anything: the artifacts of the units that were done before.
+struct Known<'r, 'a> {
+    run: &'r Run<'a>,
+    previous: Previous,
+    artifacts: BTreeMap<(String, Instance), Artifact>,
+}
+
+impl Known<'_, '_> {
+    /// Why a unit would not be computed, or, as the error, why it would.
+    async fn reason(
+        &mut self,
         stage: &Stage,
         instance: &Instance,
-        held: Option<&Receipt>,
-        before: &BTreeMap<(String, Instance), Receipt>,
-        forecasts: &BTreeMap<(String, Instance), UnitForecast>,
-    ) -> Result<Option<String>, Fault> {
-        let Some(held) = held else {
-            return Ok(Some(new_reason(instance, before)));
+        held: &Held,
+    ) -> Result<Result<String, String>, Fault> {
+        let run = self.run;
+        let place = (stage.name.clone(), instance.clone());
+        let needs = needs(run.program, run.registry, stage, instance, &run.sessions)?;
+        let open = needs
+            .places()
+            .find(|place| !self.artifacts.contains_key(place));
+        let before = held.get(&place);
+        if let Some((name, input)) = open {
+            let change = match before {
+                None => Some(new_reason(instance, held)),
+                Some(before) => stage_change(&before.recipe, &run.program.fragment(&stage.name)?),
+            };
+            return Ok(Err(change.unwrap_or_else(|| {
+                format!("{} is recomputed", input.label(&name))
+            })));
+        }
+        let artifact = |place: &(String, Instance)| {
+            let found = self.artifacts.get(place).cloned();
+            found.ok_or_else(|| Fault::bug(format!("{} is not known", place.0)))
         };
-        if let Some(change) = stage_change(&held.recipe, &self.program.fragment(&stage.name)?) {
-            return Ok(Some(change));
+        let unit = assemble(run, &self.previous, stage, instance, &needs, artifact)?;
+        let digest = unit.recipe.digest()?;
+        if let Some(receipt) = Receipt::find(run.store, &digest).await? {
+            self.artifacts.insert(place, receipt.artifact);
+            let same = before.is_some_and(|before| before.digest == digest);
+            return Ok(Ok(if same { "unchanged" } else { "done before" }.to_owned()));
         }
-        let needs = needs(self.program, self.registry, stage, instance, &self.sessions)?;
-        let logs: BTreeSet<_> = held
-            .recipe
-            .logs
-            .iter()
-            .map(|log| (&log.session, &log.content, &log.roles, &log.site))
-            .collect();
-        for session in self
-            .sessions
-            .iter()
-            .filter(|session| needs.logs.contains(&session.log.session))
-        {
-            let log = &session.log;
-            if !logs.contains(&(&log.session, &log.content, &log.roles, &log.site)) {
-                return Ok(Some(format!(
-                    "the log of {} is new or has changed",
-                    log.session
-                )));
-            }
-        }
-        let inputs: Vec<_> = needs.places().collect();
-        let changed = inputs.iter().find(|place| {
-            forecasts
-                .get(place)
-                .is_some_and(|forecast| forecast.recompute)
-        });
-        if let Some((name, input)) = changed {
-            return Ok(Some(format!("{} is recomputed", input.label(name))));
-        }
-        for name in needs.tables.keys() {
-            let count = inputs.iter().filter(|(input, _)| input == name).count();
-            if held.recipe.tables.get(name).map_or(0, Vec::len) != count {
-                return Ok(Some(format!("{name} is made of other units")));
-            }
-        }
-        Ok(self.previous_change(held))
-    }
-
-    fn previous_change(&self, held: &Receipt) -> Option<String> {
-        let base = self.base.as_ref()?;
-        held.recipe.previous.iter().find_map(|(name, contents)| {
-            let now = base.layers.get(name).map(|layer| {
-                layer
-                    .artifacts
-                    .iter()
-                    .map(|artifact| artifact.content.clone())
-                    .collect::<BTreeSet<_>>()
-            });
-            let then: BTreeSet<_> = contents.iter().cloned().collect();
-            (!then.is_subset(&now.unwrap_or_default()))
-                .then(|| format!("previous.{name} has changed"))
-        })
+        Ok(Err(match before {
+            None => new_reason(instance, held),
+            Some(before) => recipe_change(&before.recipe, &unit.recipe),
+        }))
     }
 }
 
-fn new_reason(instance: &Instance, before: &BTreeMap<(String, Instance), Receipt>) -> String {
+/// How what a unit reads differs from what it read.
+fn recipe_change(then: &Recipe, now: &Recipe) -> String {
+    if let Some(change) = stage_change(then, &now.stages) {
+        return change;
+    }
+    if let Some(log) = now.logs.iter().find(|log| !then.logs.contains(log)) {
+        let same = |other: &&LogContent| other.session == log.session;
+        return match then.logs.iter().find(same) {
+            None => format!("session {} is new", log.session),
+            Some(other) if other.content != log.content => {
+                format!("the log of {} has changed", log.session)
+            }
+            Some(other) if other.site != log.site => {
+                format!(
+                    "{} was of site {}, is of {}",
+                    log.session, other.site, log.site
+                )
+            }
+            Some(_) => format!("other topics of {} play the roles", log.session),
+        };
+    }
+    for (name, contents) in &now.tables {
+        match then.tables.get(name) {
+            Some(then) if then == contents => {}
+            Some(then) if then.len() == contents.len() => return format!("{name} has changed"),
+            _ => return format!("{name} is made of other units"),
+        }
+    }
+    for (name, contents) in &now.previous {
+        if then.previous.get(name) != Some(contents) {
+            return format!("previous.{name} has changed");
+        }
+    }
+    if then.replaced != now.replaced {
+        return "the log of a session of the version before was replaced".to_owned();
+    }
+    "its rows are gone from the map".to_owned()
+}
+
+fn new_reason(instance: &Instance, before: &Held) -> String {
     match instance {
         _ if before.is_empty() => "nothing was computed before".to_owned(),
         Instance::Session(name) if !before.keys().any(|(_, held)| held == instance) => {

@@ -16,6 +16,7 @@
 //! The engine knows operators only through the registry, never by name.
 
 pub mod artifact;
+mod assembly;
 pub mod build;
 #[cfg(feature = "cluster")]
 pub mod cluster;
@@ -23,12 +24,15 @@ pub mod conform;
 pub mod error;
 pub mod exec;
 pub mod explain;
+mod fingerprint;
+pub mod locality;
 pub mod map;
 pub mod needs;
 mod pixels;
 pub mod plan_test;
 mod planned;
 pub mod prepare;
+pub mod previous;
 pub mod program;
 pub mod run;
 pub mod runner;

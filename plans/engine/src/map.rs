@@ -503,13 +503,24 @@ pub async fn gc(store: &Store, keep: usize, dry: bool) -> Result<Collected, Faul
     }
     let numbers = Version::numbers(store).await?;
     let (forgotten, kept) = numbers.split_at(numbers.len().saturating_sub(keep));
-    let mut needed = BTreeSet::new();
+    let (mut needed, mut logs) = (BTreeSet::new(), BTreeSet::new());
     for &number in kept {
-        for layer in Version::read(store, number).await?.layers.values() {
+        let version = Version::read(store, number).await?;
+        // What `previous` meant is kept too: the version can then be made again.
+        let previous = version.previous.layers.values().flatten();
+        needed.extend(previous.map(crate::unit::Artifact::name));
+        logs.extend(
+            version
+                .sessions
+                .into_iter()
+                .map(|session| session.log.content),
+        );
+        for layer in version.layers.values() {
             needed.extend(layer.artifacts.iter().map(crate::unit::Artifact::name));
             needed.extend(layer.recipes.iter().map(|digest| Receipt::name(digest)));
         }
     }
+    needed.extend(crate::fingerprint::names_of(store, &logs).await?);
     let mut collected = Collected::default();
     for number in forgotten {
         collected.versions += 1;
@@ -517,7 +528,7 @@ pub async fn gc(store: &Store, keep: usize, dry: bool) -> Result<Collected, Faul
             store.remove(&format!("versions/{number}.json")).await?;
         }
     }
-    for folder in ["receipts", "artifacts", "tmp"] {
+    for folder in ["receipts", "artifacts", crate::fingerprint::FOLDER, "tmp"] {
         for (name, bytes) in store.list(folder).await? {
             if !needed.contains(&name) {
                 collected.files += 1;

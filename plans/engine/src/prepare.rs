@@ -10,6 +10,8 @@ use evermap_datasets::{Dataset, Manifest, Session};
 use evermap_language::{Faults, OperatorSpec, Plan, PortSpec, Vocabulary};
 use evermap_schemas::Fault;
 
+use crate::fingerprint::{Fingerprint, fingerprint};
+use crate::previous::Previous;
 use crate::program::{Program, compile};
 use crate::run::{Run, RunSession};
 use crate::sql::{Limits, context, tables};
@@ -135,6 +137,10 @@ pub struct Prepared {
     pub base: Option<Version>,
     /// The map.
     pub store: Store,
+    /// What the plan reads of the version before, though that version does not have it.
+    pub missing: Vec<String>,
+    /// Digests of logs that were read, to be remembered.
+    fresh: Vec<Fingerprint>,
 }
 
 impl Prepared {
@@ -164,7 +170,10 @@ impl Prepared {
         // Topics are checked on the logs at hand; a map's earlier logs may be gone, their artifacts are not.
         let context = context(Limits::default())?;
         let given = Dataset::open(&context.runtime_env(), sessions, manifest).await?;
+        given.register(&context)?;
+        let program = compile(&parsed, registry, &context, &plan.origin, &plan.text).await?;
         let mut by_name = mapped_sessions(base.as_ref())?;
+        let mut fresh = Vec::new();
         for session in &given.sessions {
             let sited = manifest.is_some_and(|manifest| {
                 let named = manifest
@@ -173,17 +182,42 @@ impl Prepared {
                     .find(|named| named.name == *session.name);
                 manifest.site.is_some() || named.is_some_and(|named| named.site.is_some())
             });
-            let run_session = run_session(&given, session, sited).await?;
-            by_name.insert(run_session.log.session.clone(), run_session);
+            let site = site_of(session, sited, &by_name);
+            let (content, read) = fingerprint(&store, &given, session).await?;
+            fresh.extend(read);
+            by_name.insert(
+                session.name.to_string(),
+                run_session(session, site, content)?,
+            );
         }
-        given.register(&context)?;
-        let program = compile(&parsed, registry, &context, &plan.origin, &plan.text).await?;
+        let sessions: Vec<_> = by_name.into_values().collect();
+        let missing = match &base {
+            Some(base) => Previous::of(&program, &sessions, Some(base))?
+                .missing(&program)
+                .into_iter()
+                .cloned()
+                .collect(),
+            None => Vec::new(),
+        };
         Ok(Self {
             program,
-            sessions: by_name.into_values().collect(),
+            sessions,
             base,
             store,
+            missing,
+            fresh,
         })
+    }
+
+    /// Remembers the digests of logs that were read, so that the next run need not read them.
+    ///
+    /// # Errors
+    /// A resource fault when the map's store does not take it.
+    pub async fn remember(&self) -> Result<(), Fault> {
+        for fingerprint in &self.fresh {
+            fingerprint.remember(&self.store).await?;
+        }
+        Ok(())
     }
 
     /// The run.
@@ -229,25 +263,20 @@ fn mapped_sessions(base: Option<&Version>) -> Result<BTreeMap<String, RunSession
     sessions.collect()
 }
 
-async fn run_session(
-    dataset: &Dataset,
-    session: &Session,
-    sited: bool,
-) -> Result<RunSession, Fault> {
-    // Where nobody says that sessions are of one place, each is a place of its own: their odometry frames differ.
-    let site = if sited {
-        session.site.to_string()
-    } else {
-        session.name.to_string()
-    };
+/// The site of a session: what is said now, else what was said when it was mapped, else its own. Where nobody says
+/// that sessions are of one place, each is a place of its own: their odometry frames differ.
+fn site_of(session: &Session, sited: bool, mapped: &BTreeMap<String, RunSession>) -> String {
+    match mapped.get(&*session.name) {
+        _ if sited => session.site.to_string(),
+        Some(mapped) => mapped.log.site.clone(),
+        None => session.name.to_string(),
+    }
+}
+
+fn run_session(session: &Session, site: String, content: String) -> Result<RunSession, Fault> {
     let manifest = manifest_of(session, &site);
     let roles =
         serde_json::to_vec(&manifest.roles).map_err(|error| Fault::bug(error.to_string()))?;
-    let content = dataset
-        .fingerprint(&session.name)
-        .await?
-        .to_hex()
-        .to_string();
     let log = LogContent {
         session: session.name.to_string(),
         site,

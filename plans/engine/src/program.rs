@@ -18,6 +18,7 @@ use serde_json::Value;
 
 use crate::conform::misfits;
 use crate::exec::Phase;
+use crate::locality::is_local;
 use crate::sql;
 
 /// How much of a map one unit of a stage covers.
@@ -114,6 +115,16 @@ pub struct Program {
 }
 
 impl Program {
+    /// Digest of all that the program does: operators with versions and parameters, queries, what is written.
+    ///
+    /// # Errors
+    /// A bug fault when it does not serialise.
+    pub fn digest(&self) -> Result<String, Fault> {
+        let text = serde_json::to_vec(&(&self.stages, &self.write))
+            .map_err(|error| Fault::bug(error.to_string()))?;
+        Ok(crate::store::digest(&text))
+    }
+
     /// A stage by name.
     ///
     /// # Errors
@@ -420,9 +431,11 @@ impl Compiler<'_> {
             .map(|table| self.scope_of(table))
             .max()
             .unwrap_or(Scope::Map);
+        // Rows of a table that covers a site are narrowed to those of a session where they are read.
         let scope = match widest {
-            Scope::Session if sql::is_local(plan, "session") => Scope::Session,
-            Scope::Session | Scope::Site if sql::is_local(plan, "site") => Scope::Site,
+            Scope::Map => Scope::Map,
+            _ if is_local(plan, "session") => Scope::Session,
+            _ if is_local(plan, "site") => Scope::Site,
             _ => Scope::Map,
         };
         let schema = crate::conform::bare(plan.schema().as_arrow());

@@ -12,12 +12,14 @@ use evermap_schemas::Fault;
 use futures::StreamExt;
 use futures::stream::SelectAll;
 
+use crate::assembly::assemble;
 use crate::needs::{Instance, Needs, instances, needs};
-use crate::program::{Program, Stage, Table};
+use crate::previous::Previous;
+use crate::program::{Program, Stage};
 use crate::runner::Runner;
 use crate::sql::Limits;
 use crate::store::Store;
-use crate::unit::{Artifact, LogContent, PreviousLayer, Receipt, Recipe, Unit};
+use crate::unit::{Artifact, LogContent, Receipt, Unit};
 use crate::version::{MappedSession, StoredLayer, Version};
 
 /// A session as a run sees it.
@@ -90,6 +92,7 @@ struct Pending {
 
 struct Driver<'r, 'a> {
     run: &'r Run<'a>,
+    previous: Previous,
     units: Vec<Pending>,
     by_place: BTreeMap<(String, Instance), usize>,
     dependents: Vec<Vec<usize>>,
@@ -118,11 +121,21 @@ impl Run<'_> {
         self.publish(&driver).await
     }
 
+    /// What `previous` means in this run.
+    ///
+    /// # Errors
+    /// As [`Previous::of`].
+    pub fn previous(&self) -> Result<Previous, Fault> {
+        Previous::of(self.program, &self.sessions, self.base.as_ref())
+    }
+
     async fn publish(&self, driver: &Driver<'_, '_>) -> Result<RunResult, Fault> {
         let parent = self.base.as_ref().map_or(0, |base| base.version);
         let version = Version {
             version: parent + 1,
             parent,
+            program: self.program.digest()?,
+            previous: driver.previous.clone(),
             plan: self.program.plan.clone(),
             evermap: env!("CARGO_PKG_VERSION").to_owned(),
             published: chrono::Utc::now().to_rfc3339(),
@@ -197,6 +210,7 @@ impl<'r, 'a> Driver<'r, 'a> {
         let receipts = vec![None; units.len()];
         Ok(Self {
             run,
+            previous: run.previous()?,
             units,
             by_place,
             dependents,
@@ -279,54 +293,11 @@ impl<'r, 'a> Driver<'r, 'a> {
     }
 
     fn unit(&self, index: usize) -> Result<Unit, Fault> {
-        let (pending, run) = (&self.units[index], self.run);
-        let stage = &run.program.stages[pending.stage];
-        let fragment = run.program.fragment(&stage.name)?;
-        let (session, site) = pending.instance.names(&run.sessions);
-        let mut recipe = Recipe::new(fragment, session, site);
-        let mut tables = BTreeMap::new();
-        for (name, places) in &pending.needs.tables {
-            let artifacts = places
-                .iter()
-                .map(|place| self.artifact(&(name.clone(), place.clone())));
-            let artifacts = artifacts.collect::<Result<Vec<_>, _>>()?;
-            recipe.tables.insert(
-                name.clone(),
-                artifacts
-                    .iter()
-                    .map(|artifact| artifact.content.clone())
-                    .collect(),
-            );
-            tables.insert(name.clone(), artifacts);
-        }
-        let previous = previous_layers(run, &recipe.stages, &pending.instance);
-        for (name, layer) in &previous {
-            let contents = layer
-                .artifacts
-                .iter()
-                .map(|artifact| artifact.content.clone())
-                .collect();
-            recipe.previous.insert(name.clone(), contents);
-        }
-        let logs: Vec<&RunSession> = run
-            .sessions
-            .iter()
-            .filter(|session| pending.needs.logs.contains(&session.log.session))
-            .collect();
-        recipe.logs = logs.iter().map(|session| session.log.clone()).collect();
-        let logs = logs
-            .iter()
-            .map(|session| session.manifest.clone())
-            .collect();
-        Ok(Unit {
-            store: run.store.url().to_string(),
-            recipe,
-            tables,
-            previous,
-            logs,
-            memory_bytes: run.limits.memory_bytes,
-            partitions: run.limits.partitions,
-        })
+        let pending = &self.units[index];
+        let stage = &self.run.program.stages[pending.stage];
+        let artifact = |place: &(String, Instance)| self.artifact(place);
+        let (instance, needs) = (&pending.instance, &pending.needs);
+        assemble(self.run, &self.previous, stage, instance, needs, artifact)
     }
 
     fn done(&self) -> Vec<(String, Receipt, bool)> {
@@ -375,46 +346,4 @@ impl<'r, 'a> Driver<'r, 'a> {
         }
         losses
     }
-}
-
-/// The layers of the version before that these stages read, as far as they concern the instance.
-fn previous_layers(
-    run: &Run<'_>,
-    stages: &[Stage],
-    instance: &Instance,
-) -> BTreeMap<String, PreviousLayer> {
-    let names: BTreeSet<&String> = stages
-        .iter()
-        .flat_map(|stage| stage.task.inputs())
-        .filter_map(|table| {
-            if let Table::Previous(name) = table {
-                Some(name)
-            } else {
-                None
-            }
-        })
-        .collect();
-    let site = instance.names(&run.sessions).1;
-    let concerns =
-        |artifact: &Artifact| site.is_none() || artifact.site.is_none() || artifact.site == site;
-    names
-        .into_iter()
-        .map(|name| {
-            let held = run.base.as_ref().and_then(|base| base.layers.get(name));
-            let op = run
-                .program
-                .stage(name)
-                .ok()
-                .and_then(crate::build::stage_op);
-            let artifacts = held.map_or_else(Vec::new, |layer| {
-                layer
-                    .artifacts
-                    .iter()
-                    .filter(|artifact| concerns(artifact))
-                    .cloned()
-                    .collect()
-            });
-            (name.clone(), PreviousLayer { op, artifacts })
-        })
-        .collect()
 }

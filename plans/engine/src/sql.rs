@@ -1,16 +1,11 @@
-//! What the engine must know of a query before running it: which tables it reads, and how little of the map each
-//! piece of its result depends on.
+//! Contexts that queries run in, and what the engine must know of a query before running it.
 
 use std::collections::HashSet;
 use std::sync::Arc;
 
-use datafusion::common::Column;
-use datafusion::common::tree_node::{TreeNode, TreeNodeRecursion};
-use datafusion::error::DataFusionError;
 use datafusion::execution::memory_pool::FairSpillPool;
 use datafusion::execution::runtime_env::RuntimeEnvBuilder;
-use datafusion::logical_expr::utils::split_conjunction;
-use datafusion::logical_expr::{BinaryExpr, Distinct, Expr, Join, LogicalPlan, Operator};
+use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SQLOptions, SessionConfig, SessionContext};
 use evermap_schemas::Fault;
 
@@ -105,110 +100,6 @@ pub fn tables(query: &str) -> Result<Vec<String>, String> {
     Ok(names)
 }
 
-/// Whether every row of the result depends only on rows with the same value of `column` (`session`, `site`), so that
-/// the query may run on each value's rows apart and the results be put together. Errs on the side of no.
-pub fn is_local(plan: &LogicalPlan, column: &str) -> bool {
-    let mut local = has(plan, column);
-    let walked = plan.apply(|node| {
-        local &= node_is_local(node, column) && !has_subquery(node);
-        Ok::<_, DataFusionError>(if local {
-            TreeNodeRecursion::Continue
-        } else {
-            TreeNodeRecursion::Stop
-        })
-    });
-    local && walked.is_ok()
-}
-
-fn node_is_local(node: &LogicalPlan, column: &str) -> bool {
-    match node {
-        LogicalPlan::TableScan(_) | LogicalPlan::SubqueryAlias(_) | LogicalPlan::Filter(_) => {
-            has(node, column)
-        }
-        LogicalPlan::Projection(projection) => {
-            projection.expr.iter().any(|expr| passes(expr, column))
-        }
-        LogicalPlan::Unnest(_) | LogicalPlan::Repartition(_) | LogicalPlan::Union(_) => {
-            has(node, column)
-        }
-        LogicalPlan::Sort(sort) => sort.fetch.is_none(),
-        LogicalPlan::Aggregate(aggregate) => {
-            aggregate.group_expr.iter().any(|expr| passes(expr, column))
-        }
-        LogicalPlan::Window(window) => window
-            .window_expr
-            .iter()
-            .all(|expr| partitioned_by(expr, column)),
-        LogicalPlan::Distinct(Distinct::All(input)) => has(input, column),
-        LogicalPlan::Distinct(Distinct::On(distinct)) => {
-            distinct.on_expr.iter().any(|expr| passes(expr, column))
-        }
-        LogicalPlan::Join(join) => joins_on(join, column),
-        _ => false,
-    }
-}
-
-/// Whether only rows of the same value are joined. Before it is optimised, a plan has the condition as a filter.
-fn joins_on(join: &Join, column: &str) -> bool {
-    let both =
-        |left: &Expr, right: &Expr| passes(left, column) && passes(right, column) && left != right;
-    let in_filter = join
-        .filter
-        .iter()
-        .flat_map(split_conjunction)
-        .any(|term| match term {
-            Expr::BinaryExpr(BinaryExpr {
-                left,
-                op: Operator::Eq,
-                right,
-            }) => both(left, right),
-            _ => false,
-        });
-    in_filter || join.on.iter().any(|(left, right)| both(left, right))
-}
-
-fn has(plan: &LogicalPlan, column: &str) -> bool {
-    plan.schema()
-        .fields()
-        .iter()
-        .any(|field| field.name() == column)
-}
-
-/// Whether the expression is the column itself, under its own name.
-fn passes(expr: &Expr, column: &str) -> bool {
-    match expr {
-        Expr::Column(Column { name, .. }) => name == column,
-        Expr::Alias(alias) => alias.name == column && passes(&alias.expr, column),
-        _ => false,
-    }
-}
-
-fn partitioned_by(expr: &Expr, column: &str) -> bool {
-    match expr {
-        Expr::Alias(alias) => partitioned_by(&alias.expr, column),
-        Expr::WindowFunction(window) => window
-            .params
-            .partition_by
-            .iter()
-            .any(|expr| passes(expr, column)),
-        _ => false,
-    }
-}
-
-fn has_subquery(node: &LogicalPlan) -> bool {
-    let mut found = false;
-    let _ = node.apply_expressions(|expr| {
-        expr.apply(|expr| {
-            found |= matches!(
-                expr,
-                Expr::ScalarSubquery(_) | Expr::InSubquery(_) | Expr::Exists(_)
-            );
-            Ok::<_, DataFusionError>(TreeNodeRecursion::Continue)
-        })
-    });
-    found
-}
-
 /// Whether the query itself orders its rows.
 pub fn is_ordered(plan: &LogicalPlan) -> bool {
     match plan {
@@ -235,67 +126,6 @@ pub fn repeated_columns(plan: &LogicalPlan) -> Vec<String> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use datafusion::arrow::array::RecordBatch;
-    use evermap_schemas::LayerRow;
-    use evermap_schemas::layers::{Keyframe, VehiclePose};
-
-    async fn plan(query: &str) -> LogicalPlan {
-        let context = context(Limits::default()).unwrap();
-        for layer in [VehiclePose::layer(), Keyframe::layer()] {
-            context
-                .register_batch(layer.name, RecordBatch::new_empty(layer.schema()))
-                .unwrap();
-        }
-        context.sql(query).await.unwrap().into_unoptimized_plan()
-    }
-
-    #[tokio::test]
-    async fn locality_is_seen_where_it_is_and_not_where_it_is_not() {
-        let cases = [
-            (
-                "SELECT site, session, stamp FROM poses WHERE stamp IS NOT NULL",
-                true,
-            ),
-            (
-                "SELECT p.session, k.keyframe FROM poses p JOIN keyframes k ON p.session = k.session AND p.stamp = k.stamp",
-                true,
-            ),
-            (
-                "SELECT session, keyframe FROM poses JOIN keyframes USING (session, stamp)",
-                true,
-            ),
-            (
-                "SELECT p.session, k.keyframe FROM poses p JOIN keyframes k ON p.stamp = k.stamp",
-                false,
-            ),
-            ("SELECT session, count(*) FROM poses GROUP BY session", true),
-            ("SELECT site, count(*) FROM poses GROUP BY site", false),
-            ("SELECT count(*) FROM poses", false),
-            (
-                "SELECT session, row_number() OVER (PARTITION BY session ORDER BY stamp) FROM poses",
-                true,
-            ),
-            (
-                "SELECT session, row_number() OVER (ORDER BY stamp) FROM poses",
-                false,
-            ),
-            ("SELECT DISTINCT session FROM poses", true),
-            ("SELECT session FROM poses LIMIT 3", false),
-            (
-                "SELECT session FROM poses WHERE stamp = (SELECT max(stamp) FROM poses)",
-                false,
-            ),
-            ("SELECT 'x' AS session FROM poses", false),
-            ("SELECT session, unnest(images) AS i FROM keyframes", true),
-            (
-                "SELECT session FROM (SELECT *, unnest(images) AS i FROM keyframes) k",
-                true,
-            ),
-        ];
-        for (query, expected) in cases {
-            assert_eq!(is_local(&plan(query).await, "session"), expected, "{query}");
-        }
-    }
 
     #[test]
     fn tables_are_named_as_a_plan_names_them() {

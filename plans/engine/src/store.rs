@@ -4,6 +4,7 @@
 //!   artifacts/CONTENT.parquet   rows, named by the digest of the file
 //!   receipts/RECIPE.json        a unit that was done: its recipe's digest → its artifact, rows, losses
 //!   versions/N.json             what version N of the map is made of; created only if absent
+//!   logs/STATE.json             the digest of a log, by what its files were like: saves reading it again
 //!   runs/N-ID.parquet           how each unit of a run went
 //!   tmp/                        files on their way; a killed run leaves some, gc removes them
 //! ```

@@ -67,6 +67,9 @@ pub struct Recipe {
     pub tables: BTreeMap<String, Vec<String>>,
     /// Contents of the layers of the version before that are read.
     pub previous: BTreeMap<String, Vec<String>>,
+    /// Sessions whose rows of the version before are not read, as their logs have been replaced.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub replaced: Vec<String>,
     /// Logs that are read.
     pub logs: Vec<LogContent>,
     /// The session that is covered.
@@ -84,6 +87,7 @@ impl Recipe {
             stages,
             tables,
             previous,
+            replaced: Vec::new(),
             logs: Vec::new(),
             session,
             site,
@@ -107,6 +111,9 @@ pub struct PreviousLayer {
     pub op: Option<String>,
     /// The rows; none where there is no version before.
     pub artifacts: Vec<Artifact>,
+    /// Sessions whose rows are left out: their logs have been replaced.
+    #[serde(default)]
+    pub without: Vec<String>,
 }
 
 /// A unit of work.

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use evermap_schemas::Fault;
 use serde::{Deserialize, Serialize};
 
+use crate::previous::Previous;
 use crate::store::Store;
 use crate::unit::{Artifact, LogContent};
 
@@ -59,6 +60,12 @@ pub struct Version {
     pub version: u64,
     /// The version that the run began with; 0 for none.
     pub parent: u64,
+    /// Digest of the program that made it: equal where a run would do the same.
+    #[serde(default)]
+    pub program: String,
+    /// What `previous` meant in the run that made it.
+    #[serde(default)]
+    pub previous: Previous,
     /// The plan's name.
     pub plan: String,
     /// The program that made it.

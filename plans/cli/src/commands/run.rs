@@ -44,6 +44,8 @@ pub async fn run(args: &RunArgs) -> Ending {
         .warnings
         .iter()
         .for_each(|warning| line(&format!("warning: {warning}")));
+    warn_of_missing(&prepared);
+    prepared.remember().await?;
     let jobs = jobs(&args.limits);
     let run = prepared.run(&registry, limits(&args.limits, jobs));
     let runner = runner(args, &registry, jobs).await?;
@@ -62,6 +64,16 @@ pub async fn run(args: &RunArgs) -> Ending {
     };
     print_layers(&map, Format::Table).await?;
     Ok(lost)
+}
+
+/// A layer of the version before that is not there reads as empty: right for a new step, a surprise after another plan.
+fn warn_of_missing(prepared: &Prepared) {
+    let version = prepared.base.as_ref().map_or(0, |base| base.version);
+    for layer in &prepared.missing {
+        line(&format!(
+            "warning: version {version} has no layer {layer}, which the plan reads as previous.{layer}; it reads as empty"
+        ));
+    }
 }
 
 /// Units that run side by side.

@@ -1,0 +1,296 @@
+//! What `previous` means as a map lives: before the first version, when a session joins, when nothing is new, when a
+//! session's log is replaced.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::{Path, PathBuf};
+
+use evermap_tests::{Finished, evermap, rectangle, text, write_drive};
+use serde_json::{Value, json};
+
+/// A lifelong plan that needs no camera: sessions that are not in the version before are new.
+const PLAN: &str = "
+plan: growth
+steps:
+  keyframes: { op: keyframes, in: { odometry: odometry } }
+  poses:
+    sql: SELECT site, session, stamp, odom_from_vehicle AS map_from_vehicle FROM keyframes
+  new_by_in:
+    sql: >
+      SELECT site, session, stamp, keyframe FROM keyframes
+      WHERE session NOT IN (SELECT session FROM previous.keyframes)
+  new_by_exists:
+    sql: >
+      SELECT k.site, k.session, k.stamp, k.keyframe FROM keyframes k
+      WHERE NOT EXISTS (SELECT 1 FROM previous.keyframes p WHERE p.session = k.session)
+  known:
+    sql: SELECT site, count(*) AS keyframes FROM previous.keyframes GROUP BY site
+  lanes: { op: road_network, in: { poses: poses } }
+  # A layer of the version before drives an operator.
+  old_crossings: { op: intersections, in: { lanes: previous.lanes } }
+write: [keyframes, new_by_in, new_by_exists, known, lanes, old_crossings]
+";
+
+struct World {
+    folder: tempfile::TempDir,
+}
+
+impl World {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("growth.yaml"), PLAN).unwrap();
+        Self { folder }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn drive(&self, name: &str, width_m: f64) -> PathBuf {
+        let path = self.path(&format!("{name}.mcap"));
+        write_drive(&path, rectangle(width_m, 10.0, 1.0));
+        path
+    }
+
+    fn call(&self, command: &str, sessions: &[&Path], more: &[&str]) -> Finished {
+        let (plan, map) = (self.path("growth.yaml"), self.path("map"));
+        let mut arguments = vec![command, text(&plan), "--map", text(&map)];
+        arguments.extend(more);
+        arguments.push("--sessions");
+        arguments.extend(sessions.iter().map(|path| text(path)));
+        evermap(&arguments)
+    }
+
+    fn run(&self, sessions: &[&Path]) -> Finished {
+        self.call("run", sessions, &["--site", "lot", "--progress", "none"])
+            .expect(0)
+    }
+
+    fn explain(&self, sessions: &[&Path]) -> Vec<Value> {
+        let told = self.call("explain", sessions, &["--site", "lot", "--format", "json"]);
+        told.expect(0).json().as_array().unwrap().clone()
+    }
+
+    fn query(&self, sql: &str) -> Value {
+        evermap(&[
+            "sql",
+            "--map",
+            text(&self.path("map")),
+            "--format",
+            "json",
+            sql,
+        ])
+        .expect(0)
+        .json()
+    }
+
+    /// Sessions that both ways of asking found to be new.
+    fn new_sessions(&self) -> Value {
+        let [a, b] = ["new_by_in", "new_by_exists"].map(|layer| {
+            self.query(&format!(
+                "SELECT session, count(*) AS n FROM {layer} GROUP BY session ORDER BY session"
+            ))
+        });
+        assert_eq!(a, b);
+        a
+    }
+
+    fn versions(&self) -> usize {
+        let versions = self.query("SELECT version FROM versions");
+        versions.as_array().unwrap().len()
+    }
+
+    /// The labels of the units that the runs of a version computed.
+    fn computed(&self, version: usize, step: &str) -> Value {
+        self.query(&format!(
+            "SELECT coalesce(session, site) AS of FROM runs \
+             WHERE version = {version} AND step = '{step}' AND NOT cached ORDER BY 1"
+        ))
+    }
+}
+
+#[test]
+fn before_the_first_version_all_is_new_and_previous_is_empty() {
+    let world = World::new();
+    let a = world.drive("a", 20.0);
+    world.run(&[&a]);
+    assert_eq!(world.new_sessions(), json!([{ "session": "a", "n": 300 }]));
+    assert_eq!(world.query("SELECT * FROM known"), json!([]));
+    assert_eq!(world.query("SELECT * FROM old_crossings"), json!([]));
+}
+
+#[test]
+fn a_session_that_joins_is_new_and_the_others_are_known() {
+    let world = World::new();
+    let (a, b) = (world.drive("a", 20.0), world.drive("b", 30.0));
+    world.run(&[&a]);
+    let forecast = world.explain(&[&b]);
+    world.run(&[&b]);
+    assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 400 }]));
+    assert_eq!(
+        world.query("SELECT * FROM known"),
+        json!([{ "site": "lot", "keyframes": 300 }])
+    );
+    // What only the new session concerns is done for it alone.
+    assert_eq!(world.computed(2, "keyframes"), json!([{ "of": "b" }]));
+    assert_eq!(world.computed(2, "lanes"), json!([{ "of": "lot" }]));
+    for unit in forecast {
+        let (step, of, why) = (&unit["step"], unit["unit"].as_str().unwrap(), &unit["why"]);
+        let expected = match step.as_str().unwrap() {
+            "keyframes" | "poses" => of.ends_with(" of b"),
+            _ => true,
+        };
+        assert_eq!(unit["recompute"], expected, "{unit}");
+        if of == "new_by_in of a" || of == "known of lot" {
+            assert_eq!(why, "previous.keyframes has changed", "{unit}");
+        }
+    }
+}
+
+#[test]
+fn a_run_without_news_means_the_same_previous_and_changes_nothing() {
+    let world = World::new();
+    let (a, b) = (world.drive("a", 20.0), world.drive("b", 30.0));
+    world.run(&[&a]);
+    world.run(&[&b]);
+    for sessions in [&[b.as_path()][..], &[&a, &b], &[&a]] {
+        for unit in world.explain(sessions) {
+            assert_eq!(
+                (&unit["recompute"], &unit["why"]),
+                (&json!(false), &json!("unchanged")),
+                "{unit}"
+            );
+        }
+        let told = world.run(sessions);
+        assert!(
+            told.stderr.contains("nothing has changed"),
+            "{}",
+            told.stderr
+        );
+        assert_eq!(world.versions(), 2);
+        assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 400 }]));
+    }
+    // Not even when the version before has been forgotten.
+    evermap(&["gc", "--map", text(&world.path("map")), "--keep", "1"]).expect(0);
+    let told = world.run(&[&a]);
+    assert!(
+        told.stderr.contains("nothing has changed"),
+        "{}",
+        told.stderr
+    );
+    // A plan that does something else is something new: now both sessions are known.
+    let other = PLAN.replace(
+        "keyframe FROM keyframes\n",
+        "keyframe + 0 AS keyframe FROM keyframes\n",
+    );
+    assert_ne!(other, PLAN);
+    std::fs::write(world.path("growth.yaml"), other).unwrap();
+    world.run(&[&a]);
+    assert_eq!(world.new_sessions(), json!([]));
+}
+
+#[test]
+fn a_log_that_lies_elsewhere_now_is_the_same_log() {
+    let world = World::new();
+    let (a, b) = (world.drive("a", 20.0), world.drive("b", 30.0));
+    world.run(&[&a]);
+    world.run(&[&b]);
+    std::fs::create_dir(world.path("archive")).unwrap();
+    let moved = world.path("archive/b.mcap");
+    std::fs::rename(&b, &moved).unwrap();
+    for _ in 0..2 {
+        let told = world.run(&[&moved]);
+        assert!(told.stderr.contains("0 units computed"), "{}", told.stderr);
+        assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 400 }]));
+    }
+    assert_eq!(world.versions(), 3, "the place of the log is noted, once");
+}
+
+#[test]
+fn a_replaced_log_is_a_new_session_and_its_old_rows_are_not_read() {
+    let world = World::new();
+    let (a, b) = (world.drive("a", 20.0), world.drive("b", 30.0));
+    world.run(&[&a, &b]);
+    let b = world.drive("b", 40.0);
+    let forecast = world.explain(&[&b]);
+    let of = |label: &str| {
+        let found = forecast.iter().find(|unit| unit["unit"] == label);
+        found.unwrap_or_else(|| panic!("no {label}")).clone()
+    };
+    assert_eq!(of("keyframes of a")["recompute"], false);
+    assert_eq!(of("keyframes of b")["why"], "the log of b has changed");
+    world.run(&[&b]);
+    assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 500 }]));
+    assert_eq!(
+        world.query("SELECT * FROM known"),
+        json!([{ "site": "lot", "keyframes": 300 }])
+    );
+    let told = world.run(&[&b]);
+    assert!(
+        told.stderr.contains("nothing has changed"),
+        "{}",
+        told.stderr
+    );
+}
+
+#[test]
+fn a_session_given_again_stays_at_its_site() {
+    let world = World::new();
+    let a = world.drive("a", 20.0);
+    world.run(&[&a]);
+    let told = world.call("run", &[&a], &["--progress", "none"]).expect(0);
+    assert!(
+        told.stderr.contains("nothing has changed"),
+        "{}",
+        told.stderr
+    );
+}
+
+#[test]
+fn another_plan_between_is_told() {
+    let world = World::new();
+    let a = world.drive("a", 20.0);
+    let map = world.path("map");
+    evermap(&[
+        "run",
+        "trajectory",
+        "--map",
+        text(&map),
+        "--sessions",
+        text(&a),
+    ])
+    .expect(0);
+    let told = world.call("run", &[&a], &["--progress", "none"]).expect(0);
+    assert!(
+        told.stderr.contains("version 1 has no layer keyframes"),
+        "{}",
+        told.stderr
+    );
+}
+
+#[test]
+fn a_log_is_read_again_only_when_its_file_has_changed() {
+    let world = World::new();
+    let a = world.drive("a", 20.0);
+    world.run(&[&a]);
+    let remembered = || std::fs::read_dir(world.path("map/logs")).map_or(0, Iterator::count);
+    assert_eq!(remembered(), 0, "the file is of just now");
+    std::thread::sleep(std::time::Duration::from_millis(2500));
+    world.run(&[&a]);
+    assert_eq!(remembered(), 1);
+    // Forge what is remembered: it is believed as long as the file is the same, and no longer.
+    let entry = std::fs::read_dir(world.path("map/logs"))
+        .unwrap()
+        .next()
+        .unwrap()
+        .unwrap();
+    let mut forged: Value = serde_json::from_slice(&std::fs::read(entry.path()).unwrap()).unwrap();
+    forged["content"] = json!("forged");
+    std::fs::write(entry.path(), forged.to_string()).unwrap();
+    let unit = &world.explain(&[&a])[0];
+    assert_eq!(unit["why"], "the log of a has changed", "{unit}");
+    let bytes = std::fs::read(&a).unwrap();
+    std::fs::write(&a, bytes).unwrap();
+    let unit = &world.explain(&[&a])[0];
+    assert_eq!(unit["why"], "unchanged", "{unit}");
+}
