@@ -9,6 +9,8 @@ use evermap_contract::{Entry, Registry};
 
 mod inputs;
 
+pub use inputs::drive::rigs;
+
 macro_rules! operators {
     ($($file:ident::$operator:ident),+ $(,)?) => {
         $(pub mod $file;)+

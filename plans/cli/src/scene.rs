@@ -33,7 +33,7 @@ pub fn layer_of<T: LayerRow>(map: &Map, registry: &Registry) -> Option<String> {
 }
 
 /// All rows of this kind; none where no layer holds them, or where it has other columns.
-async fn rows_of<T: LayerRow>(map: &Map, registry: &Registry) -> Result<Vec<T>, Fault> {
+pub async fn rows_of<T: LayerRow>(map: &Map, registry: &Registry) -> Result<Vec<T>, Fault> {
     let Some(layer) = layer_of::<T>(map, registry) else {
         return Ok(Vec::new());
     };
@@ -143,6 +143,7 @@ pub async fn scene(
             .filter(|(site, _)| *site == chosen)
             .map(|(_, drive)| drive)
             .collect(),
+        ..Scene::default()
     };
     Ok((scene, sites))
 }

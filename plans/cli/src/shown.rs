@@ -73,6 +73,23 @@ impl LayerRow for Crossing {
     const KEY: &'static [&'static str] = layers::Intersection::KEY;
 }
 
+record! {
+    /// A landmark, as far as it is shown.
+    pub struct LandmarkPoint {
+        /// Site of the map.
+        site: String,
+        /// Where it is.
+        x: f64 ["m", "map"],
+        /// Where it is.
+        y: f64 ["m", "map"],
+    }
+}
+impl LayerRow for LandmarkPoint {
+    const NAME: &'static str = layers::Landmark::NAME;
+    const DOC: &'static str = layers::Landmark::DOC;
+    const KEY: &'static [&'static str] = &["site"];
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -80,10 +97,11 @@ mod tests {
 
     #[test]
     fn what_is_shown_is_in_the_layers() {
-        let pairs: [(Layer, Layer); 3] = [
+        let pairs: [(Layer, Layer); 4] = [
             (Tile::layer(), layers::OverheadTile::layer()),
             (Lane::layer(), layers::Lane::layer()),
             (Crossing::layer(), layers::Intersection::layer()),
+            (LandmarkPoint::layer(), layers::Landmark::layer()),
         ];
         for (shown, layer) in pairs {
             for column in shown.columns {

@@ -280,6 +280,90 @@ fn layers_are_exported() {
     );
 }
 
+fn made_up_metric_map() -> (tempfile::TempDir, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    runtime.block_on(made_up::metric_map(folder.path()));
+    let map = folder.path().to_str().unwrap().to_owned();
+    (folder, map)
+}
+
+/// Lines that are no comments.
+fn lines(path: &Path) -> Vec<String> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let lines = text.lines().filter(|line| !line.starts_with('#'));
+    lines.map(str::to_owned).collect()
+}
+
+#[test]
+fn a_metric_map_is_exported_as_the_field_reads_it() {
+    let (folder, map) = made_up_metric_map();
+    let out = |name: &str| folder.path().join(name);
+    let export = |layer: &str, format: &str, path: &Path| {
+        let path = path.to_str().unwrap();
+        done(&[
+            "export", layer, "--map", &map, "--format", format, "--out", path,
+        ])
+    };
+    export("adjusted_poses", "g2o", &out("graph.g2o"));
+    let graph = lines(&out("graph.g2o"));
+    let count = |tag: &str| graph.iter().filter(|line| line.starts_with(tag)).count();
+    assert_eq!((count("VERTEX_SE3:QUAT "), count("FIX ")), (200, 1));
+    assert_eq!(
+        count("EDGE_SE3:QUAT "),
+        199 + 1,
+        "odometry and the loop closure"
+    );
+
+    export("adjusted_poses", "colmap", &out("model"));
+    assert_eq!(
+        lines(&out("model/cameras.txt")),
+        ["1 OPENCV_FISHEYE 400 300 120 120 200 150 0.1 0 0 0"]
+    );
+    assert_eq!(lines(&out("model/images.txt")).len(), 2 * 200);
+    let points = lines(&out("model/points3D.txt"));
+    assert_eq!(points.len(), 201);
+    assert_eq!(points[0].split(' ').count(), 8 + 2 * 3, "{}", points[0]);
+
+    export("adjusted_poses", "tum", &out("adjusted.tum"));
+    assert_eq!(lines(&out("adjusted.tum")).len(), 200);
+    export("localisations", "tum", &out("localised.tum"));
+    assert_eq!(lines(&out("localised.tum")).len(), 190, "ten are lost");
+}
+
+#[test]
+fn a_doubted_metric_map_shows_itself() {
+    let (folder, map) = made_up_metric_map();
+    let look = std::env::var("EVERMAP_LOOK").ok();
+    let place = look.map_or_else(|| folder.path().to_owned(), PathBuf::from);
+    let (picture, page) = (place.join("metric.png"), place.join("metric.html"));
+    let (picture, page) = (picture.to_str().unwrap(), page.to_str().unwrap());
+    done(&[
+        "render", "--map", &map, "--view", "metric", "--out", picture,
+    ]);
+    assert_eq!(size(&std::fs::read(picture).unwrap()).0, 1600);
+    done(&["report", "--map", &map, "--out", page]);
+    let page = std::fs::read_to_string(page).unwrap();
+    for said in [
+        "Drift removed",
+        "Residuals",
+        "Loop closures",
+        "Localisation",
+        "unnest(observations)",
+        "1 loops rejected",
+        "201 landmarks",
+        "<td>lost</td>",
+    ] {
+        assert!(page.contains(said), "{said}");
+    }
+    let (_folder, other) = made_up_map();
+    let told = evermap(&[
+        "render", "--map", &other, "--view", "metric", "--out", picture,
+    ]);
+    assert_eq!(told.code, Some(1));
+    assert!(told.err.contains("no adjusted poses"), "{}", told.err);
+}
+
 fn size(picture: &[u8]) -> (u32, u32) {
     let reader = png::Decoder::new(std::io::Cursor::new(picture))
         .read_info()

@@ -35,6 +35,21 @@ pub struct Pinhole {
 }
 
 impl Pinhole {
+    /// `[fx, fy]`, pixels.
+    pub fn focal(&self) -> [f64; 2] {
+        self.focal
+    }
+
+    /// `[cx, cy]`, pixels.
+    pub fn centre(&self) -> [f64; 2] {
+        self.centre
+    }
+
+    /// The distortion.
+    pub fn distortion(&self) -> &BrownConrady {
+        &self.distortion
+    }
+
     /// `[fx, fy]` and `[cx, cy]` in pixels.
     pub fn new(focal: [f64; 2], centre: [f64; 2], distortion: BrownConrady) -> Self {
         let slope = |angle: f64| distortion.radial_curve(angle.tan()).1;

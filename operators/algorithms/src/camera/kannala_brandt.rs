@@ -24,6 +24,21 @@ pub struct KannalaBrandt {
 }
 
 impl KannalaBrandt {
+    /// `[fx, fy]`, pixels.
+    pub fn focal(&self) -> [f64; 2] {
+        self.focal
+    }
+
+    /// `[cx, cy]`, pixels.
+    pub fn centre(&self) -> [f64; 2] {
+        self.centre
+    }
+
+    /// `[k1, k2, k3, k4]`.
+    pub fn distortion(&self) -> [f64; 4] {
+        self.k
+    }
+
     /// `[fx, fy]` and `[cx, cy]` in pixels, `[k1, k2, k3, k4]`.
     pub fn new(focal: [f64; 2], centre: [f64; 2], k: [f64; 4]) -> Self {
         let max_theta = rising_limit(|theta| curve(&k, theta).1, PI);

@@ -11,8 +11,8 @@ mod index;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use brute_force::{Words, distance, words};
 pub use brute_force::{Descriptors, Match};
+pub(crate) use brute_force::{Words, distance, words};
 pub use index::{ImageIndex, Nearest};
 
 /// When the nearest descriptor counts as a match.

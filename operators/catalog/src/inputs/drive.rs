@@ -78,6 +78,31 @@ pub(crate) fn drives(
     Ok(drives)
 }
 
+/// The rig of every session whose images these are, from the ports `calibration` and `transforms`: for programs that
+/// hand a map's cameras to others. Of the features only camera, stamp and size of the image are looked at. Cameras that
+/// cannot be used are left out.
+///
+/// # Errors
+/// As [`Sides::rows`].
+pub fn rigs(
+    features: Vec<Features>,
+    sides: &Sides,
+    vehicle_frame: &str,
+) -> Result<BTreeMap<(String, String), Rig>, Fault> {
+    let mounted = rig::sessions(sides)?;
+    let mut by_session: BTreeMap<SessionName, Vec<Features>> = BTreeMap::new();
+    for row in features {
+        let name = (row.site.clone(), row.session.clone());
+        by_session.entry(name).or_default().push(row);
+    }
+    let rigs = by_session.into_iter().map(|(name, rows)| {
+        let mut drive = Drive::empty();
+        drive.mount(mounted.get(&name), &rows, vehicle_frame);
+        (name, drive.rig)
+    });
+    Ok(rigs.collect())
+}
+
 impl Drive {
     fn empty() -> Self {
         Self {

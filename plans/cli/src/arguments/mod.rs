@@ -4,7 +4,7 @@ mod sql;
 
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::export::ExportFormat;
 use crate::output::Format;
@@ -278,6 +278,15 @@ pub struct ExportArgs {
     pub zoom: Option<u32>,
 }
 
+/// What a picture shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Shown {
+    /// The ground from above, lanes, intersections, trajectories.
+    Map,
+    /// The metric map: trajectories before and after, landmarks, loop closures.
+    Metric,
+}
+
 /// Arguments of `render`.
 #[derive(Debug, Args)]
 pub struct RenderArgs {
@@ -287,6 +296,9 @@ pub struct RenderArgs {
     /// Picture to write: `.png` or `.svg`.
     #[arg(long, value_name = "FILE", value_parser = picture)]
     pub out: PathBuf,
+    /// What is drawn.
+    #[arg(long, default_value = "map")]
+    pub view: Shown,
     /// Site to draw [default: the first by name].
     #[arg(long, value_name = "NAME")]
     pub site: Option<String>,

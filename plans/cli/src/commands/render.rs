@@ -1,11 +1,15 @@
 //! `evermap render`.
 
-use crate::arguments::RenderArgs;
+use evermap_schemas::Fault;
+
+use crate::arguments::{RenderArgs, Shown};
 use crate::commands::layers::open;
 use crate::draw::{Look, draw, png};
 use crate::ending::{DONE, Ending};
+use crate::metric::metric;
 use crate::output::write_file;
 use crate::progress::line;
+use crate::report;
 use crate::scene::scene;
 
 /// Draws a map.
@@ -21,6 +25,18 @@ pub async fn render(args: &RenderArgs) -> Ending {
             sites.join(", ")
         ));
     }
+    let scene = match args.view {
+        Shown::Map => scene,
+        Shown::Metric => {
+            let site = args.site.as_ref().or(sites.first());
+            let site = site.map(String::as_str).unwrap_or_default();
+            let found = metric(&map, &evermap_catalog::registry(), site).await?;
+            report::metric::scene(found.ok_or_else(|| {
+                Fault::user(format!("the map has no adjusted poses of {site}"))
+                    .next("map it with the plan lifelong, metric_map or car_park")
+            })?)
+        }
+    };
     let picture = draw(
         &scene,
         Look {

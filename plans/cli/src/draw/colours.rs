@@ -13,6 +13,13 @@ pub const ARROW: &str = "#f0f9ff";
 /// Intersections.
 pub const INTERSECTION: &str = "#fde047";
 
+/// Landmarks.
+pub const LANDMARK: &str = "#c7d2e0";
+/// Loop closures that the map agrees with.
+pub const ACCEPTED: &str = "#4ade80";
+/// Loop closures that it does not agree with.
+pub const REJECTED: &str = "#ff3b30";
+
 /// Told apart by people with any kind of colour vision (after Okabe and Ito), light enough for a dark ground.
 const SESSIONS: [&str; 8] = [
     "#ff9f1c", "#2ee6a6", "#ff6fae", "#b7a0ff", "#f4f06a", "#ff5d5d", "#7fd8ff", "#d0a070",

@@ -3,6 +3,7 @@
 //! ```text
 //!   tiles ─► mosaic ─┐
 //!   lanes, arrows ───┤
+//!   landmarks, loops ┤
 //!   trajectories ────┼──► SVG ──► PNG (resvg)
 //!   intersections ───┤
 //!   scale, names ────┘
@@ -13,6 +14,7 @@ mod drives;
 mod furniture;
 mod ground;
 mod line;
+mod metric;
 mod raster;
 mod roads;
 mod strokes;
@@ -22,6 +24,7 @@ use evermap_schemas::Fault;
 
 pub use colours::session as session_colour;
 pub use drives::{Drive, escaped};
+pub use metric::LoopLine;
 pub use raster::png;
 use view::{Bounds, View, bounds_of, union};
 
@@ -39,6 +42,12 @@ pub struct Scene {
     pub intersections: Vec<Crossing>,
     /// Trajectories; may be empty.
     pub drives: Vec<Drive>,
+    /// The trajectories as odometry had them, in the order of `drives`; may be empty.
+    pub before: Vec<Drive>,
+    /// Landmarks from above, m; may be empty.
+    pub landmarks: Vec<[f64; 2]>,
+    /// Loop closures; may be empty.
+    pub loops: Vec<LoopLine>,
 }
 
 /// How it is drawn.
@@ -78,9 +87,11 @@ impl Scene {
             .iter()
             .flat_map(|lane| lane.points.iter().map(|[x, y, _]| [*x, *y]));
         let places = self.intersections.iter().map(|place| [place.x, place.y]);
+        // Landmarks reach as far as cameras see, and a bad one farther: the drives say what is shown.
         let drives = self
             .drives
             .iter()
+            .chain(&self.before)
             .flat_map(|drive| drive.points.iter().copied());
         bounds_of(lanes.chain(places).chain(drives))
     }
@@ -144,6 +155,15 @@ pub fn draw(scene: &Scene, look: Look) -> Result<Picture, Fault> {
         body.push_str(&ground::image(&view, mosaic)?);
     }
     body.push_str(&roads::lanes(&view, &scene.lanes));
+    if !scene.landmarks.is_empty() {
+        body.push_str(&metric::landmarks(&view, &scene.landmarks));
+    }
+    if !scene.loops.is_empty() {
+        body.push_str(&metric::loops(&view, &scene.loops));
+    }
+    if !scene.before.is_empty() {
+        body.push_str(&metric::before(&view, &scene.before));
+    }
     body.push_str(&drives::drives(&view, &scene.drives));
     body.push_str(&roads::intersections(&view, &scene.intersections));
     let names: Vec<String> = scene

@@ -73,6 +73,7 @@ pub(crate) fn scene() -> Scene {
                 points: ring(0.97, 250).collect(),
             },
         ],
+        ..Scene::default()
     }
 }
 

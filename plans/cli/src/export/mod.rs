@@ -1,7 +1,10 @@
 //! Layers in the formats of other programs.
 
+mod colmap;
+mod g2o;
 mod geo;
 mod ground;
+mod metric;
 mod tum;
 
 use std::path::Path;
@@ -24,6 +27,10 @@ pub enum ExportFormat {
     Geojson,
     /// A trajectory: `seconds x y z qx qy qz qw`, one pose a line.
     Tum,
+    /// A pose graph: keyframe poses, odometry and loop closures between them.
+    G2o,
+    /// COLMAP's text model, a folder: cameras, adjusted poses with their features, landmarks.
+    Colmap,
     /// Overhead tiles as one picture with a world file beside it.
     Png,
     /// Comma separated; lists and structs are JSON.
@@ -55,6 +62,11 @@ pub async fn export(
     format: ExportFormat,
     out: &Path,
 ) -> Result<(), Failure> {
+    if format == ExportFormat::Colmap {
+        return colmap::export(map, registry, layer, selection, out)
+            .await
+            .map_err(|failure| at(failure, layer));
+    }
     let batches = selected(map.batches(layer).await?, layer, selection)?;
     let declared = declaration(map, registry, layer);
     let place = |fault: Fault| fault.at(format!("layer {layer}"));
@@ -67,6 +79,11 @@ pub async fn export(
             sink.finish()
         }
         ExportFormat::Tum => write_file(out, tum::text(&batches).map_err(place)?.as_bytes()),
+        ExportFormat::G2o => {
+            let graph = g2o::text(map, registry, &batches, selection.site.as_deref()).await;
+            write_file(out, graph.map_err(place)?.as_bytes())
+        }
+        ExportFormat::Colmap => Ok(()),
         ExportFormat::Png => {
             let picture = ground::picture(&batches, selection.zoom).map_err(place)?;
             write_file(out, &picture.png()?)?;

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use arrow::array::{Array, AsArray, RecordBatch};
-use arrow::compute::cast;
+use arrow::compute::{cast, filter, is_not_null};
 use arrow::datatypes::DataType;
 use evermap_schemas::{Cell, Fault, Pose, Stamp};
 
@@ -34,8 +34,11 @@ pub fn text(batches: &[RecordBatch]) -> Result<String, Fault> {
             .iter()
             .find(is_pose)
             .ok_or_else(|| no_poses("pose"))?;
-        let stamps = Stamp::decode(&cast(stamps, &Stamp::data_type())?)?;
-        let found = Pose::decode(&cast(column, &Pose::data_type())?)?;
+        // Where a vehicle was lost there is no pose.
+        let known = is_not_null(column)?;
+        let (stamps, column) = (filter(stamps, &known)?, filter(column, &known)?);
+        let stamps = Stamp::decode(&cast(&stamps, &Stamp::data_type())?)?;
+        let found = Pose::decode(&cast(&column, &Pose::data_type())?)?;
         poses.extend(stamps.into_iter().zip(found));
     }
     poses.sort_by_key(|(stamp, _)| *stamp);
@@ -87,7 +90,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use evermap_schemas::batch;
-    use evermap_schemas::layers::VehiclePose;
+    use evermap_schemas::layers::{Localisation, VehiclePose};
 
     fn pose(session: &str, stamp: i64, x: f64) -> VehiclePose {
         let map_from_vehicle = Pose {
@@ -117,6 +120,32 @@ mod tests {
                 "1.500000000 -1 0 0 0 0 0 1",
                 "1780300800.000000001 2.5 0 0 0 0 0 1"
             ]
+        );
+    }
+
+    #[test]
+    fn where_a_vehicle_was_lost_there_is_no_pose() {
+        let row = |stamp, map_from_vehicle: Option<Pose>| Localisation {
+            site: "s".into(),
+            session: "a".into(),
+            stamp: Stamp(stamp),
+            keyframe: 0,
+            state: "localised".into(),
+            map_from_vehicle,
+            covariance: vec![],
+            sigma_m: None,
+            sigma_rad: None,
+            candidates: 0,
+            matches: 0,
+            inliers: 0,
+            rms_px: None,
+            observations: vec![],
+        };
+        let rows = batch(vec![row(1, None), row(2, Some(Pose::IDENTITY))]).unwrap();
+        let text = text(&[rows]).unwrap();
+        assert_eq!(
+            text.lines().skip(1).collect::<Vec<_>>(),
+            ["0.000000002 0 0 0 0 0 0 1"]
         );
     }
 

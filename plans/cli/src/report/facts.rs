@@ -9,6 +9,7 @@ use evermap_engine::{conform::conform, error::fault_of};
 use evermap_schemas::{Fault, LayerRow, rows};
 
 use crate::draw::{Look, Picture, draw};
+use crate::report::metric::{self, MetricFacts};
 use crate::scene::{drives, scene};
 
 /// Width of the picture in a report, pixels.
@@ -40,6 +41,8 @@ pub struct Facts {
     pub evermap: String,
     /// The map, drawn; `None` where there is nothing to draw.
     pub picture: Option<Picture>,
+    /// The metric map of the site that is drawn; `None` where there is none.
+    pub metric: Option<MetricFacts>,
     /// Sites of the map.
     pub sites: Vec<String>,
     /// Layers.
@@ -60,13 +63,15 @@ pub struct Facts {
 /// As [`Map::batches`], or a user fault for a site that is not in the map.
 pub async fn gather(map: &Map, registry: &Registry, site: Option<&str>) -> Result<Facts, Fault> {
     let (scene, sites) = scene(map, registry, site).await?;
-    let picture = match draw(
-        &scene,
-        Look {
-            width_px: WIDTH_PX,
-            zoom: None,
-        },
-    ) {
+    let look = Look {
+        width_px: WIDTH_PX,
+        zoom: None,
+    };
+    let drawn = site
+        .or(sites.first().map(String::as_str))
+        .unwrap_or_default();
+    let metric = metric::gather(map, registry, drawn, look).await?;
+    let picture = match draw(&scene, look) {
         Ok(picture) => Some(picture),
         Err(fault) => {
             tracing::info!(%fault, "no picture");
@@ -91,6 +96,7 @@ pub async fn gather(map: &Map, registry: &Registry, site: Option<&str>) -> Resul
         published: version.published.clone(),
         evermap: version.evermap.clone(),
         picture,
+        metric,
         sites,
         layers: map.layers(),
         sessions: sessions.collect(),

@@ -6,8 +6,10 @@ use evermap_engine::map::RunRow;
 
 use crate::commands::layers::SHORT_DIGEST;
 use crate::draw::escaped;
+use crate::metric::Drift;
 use crate::quantity::{of, of_bytes, of_seconds};
 use crate::report::Facts;
+use crate::report::metric::MetricFacts;
 
 /// Units that are shown before the rest is folded away.
 const SHOWN_UNITS: usize = 15;
@@ -70,6 +72,9 @@ pub fn page(facts: &Facts) -> String {
     }
     body.push_str(&numbers(facts));
     body.push_str(&losses(facts));
+    if let Some(metric) = &facts.metric {
+        body.push_str(&metric_map(metric));
+    }
     let _ = write!(body, "<h2>Layers</h2>\n{}", layers(facts));
     let _ = write!(body, "<h2>Sessions</h2>\n{}", sessions(facts));
     body.push_str(&units(&facts.units));
@@ -130,6 +135,66 @@ fn losses(facts: &Facts) -> String {
         "<h2 class=\"lost\">Losses</h2>\n{}",
         table(&["#count", "reason"], &rows)
     )
+}
+
+/// What a person who doubts the poses wants to see.
+fn metric_map(metric: &MetricFacts) -> String {
+    let mut text = String::from("<h2>Metric map</h2>\n");
+    if let Some(picture) = &metric.picture {
+        let _ = writeln!(
+            text,
+            "<div class=\"picture\">{}</div>\n<p class=\"sub\">Solid: the map's poses. Dashed: the odometry's, laid on \
+             the first of them. Dots: landmarks. Green: loop closures that the map agrees with; red: those it rejects.</p>",
+            picture.svg
+        );
+    }
+    let row = |drift: &Drift| {
+        vec![
+            word(&drift.session),
+            number(drift.keyframes),
+            number(drift.mapped),
+            number(length(drift.driven_m)),
+            number(format!("{:.3} m", drift.end_m)),
+            number(format!("{:.3} m", drift.most_m)),
+        ]
+    };
+    let rows: Vec<_> = metric.drifts.iter().map(row).collect();
+    let headings = [
+        "session",
+        "#keyframes",
+        "#mapped",
+        "#driven",
+        "#drift at the end",
+        "#most",
+    ];
+    let _ = write!(text, "<h3>Drift removed</h3>\n{}", table(&headings, &rows));
+    for answer in &metric.answers {
+        let headings: Vec<String> = answer
+            .columns
+            .iter()
+            .map(|(name, numeric)| format!("{}{name}", if *numeric { "#" } else { "" }))
+            .collect();
+        let headings: Vec<&str> = headings.iter().map(String::as_str).collect();
+        let cells = |row: &Vec<String>| {
+            let numeric = answer.columns.iter().map(|(_, numeric)| *numeric);
+            row.iter().map(|cell| escaped(cell)).zip(numeric).collect()
+        };
+        let rows: Vec<Vec<Cell>> = answer.rows.iter().map(cells).collect();
+        let _ = write!(
+            text,
+            "<h3>{}</h3>\n{}<details><summary>the query</summary><pre>{}</pre></details>\n",
+            escaped(&answer.title),
+            table(&headings, &rows),
+            escaped_lines(&answer.query)
+        );
+    }
+    text
+}
+
+/// As [`escaped`], with its lines kept.
+fn escaped_lines(text: &str) -> String {
+    let lines: Vec<_> = text.lines().map(escaped).collect();
+    lines.join("\n")
 }
 
 fn layers(facts: &Facts) -> String {
@@ -252,6 +317,7 @@ mod tests {
     use super::*;
     use crate::draw::{Drive, Look, Scene, draw};
     use crate::report::SessionFact;
+    use crate::report::metric::Answer;
     use evermap_engine::map::{LayerInfo, VersionInfo};
     use evermap_schemas::Stamp;
     use std::collections::BTreeMap;
@@ -291,6 +357,25 @@ mod tests {
             operator: None,
             digest: "0123456789abcdef".into(),
         };
+        let drift = Drift {
+            session: "initial".into(),
+            keyframes: 5,
+            mapped: 4,
+            driven_m: 31.6,
+            end_m: 1.25,
+            most_m: 1.5,
+        };
+        let answer = Answer {
+            title: "Residuals".into(),
+            query: "SELECT 1\nWHERE 1 < 2".into(),
+            columns: vec![("camera".into(), false), ("rms_px".into(), true)],
+            rows: vec![vec!["front".into(), "0.61".into()]],
+        };
+        let metric = MetricFacts {
+            picture: None,
+            drifts: vec![drift],
+            answers: vec![answer],
+        };
         let version = VersionInfo {
             version: 2,
             published: "now".into(),
@@ -305,6 +390,7 @@ mod tests {
             published: "2026-01-01T00:00:00Z".into(),
             evermap: "0.1.0".into(),
             picture: draw(&scene, Look::default()).ok(),
+            metric: Some(metric),
             sites: vec!["lot".into()],
             layers: vec![layer],
             sessions: vec![SessionFact {
@@ -336,6 +422,9 @@ mod tests {
             "5 more units",
             "11 / 20",
             "reused",
+            "1.250 m",
+            "0.61",
+            "WHERE 1 &lt; 2",
             "prefers-color-scheme: dark",
             "viewport",
         ] {

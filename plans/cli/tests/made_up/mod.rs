@@ -1,5 +1,7 @@
 //! A map without any drive: rows made up, written as a run would leave them.
 
+mod metric;
+
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -158,6 +160,84 @@ fn session(name: &str) -> MappedSession {
     }
 }
 
+/// The layers of a metric map of one session, as the plan lifelong leaves them.
+fn metric_layers(folder: &Path) -> BTreeMap<String, StoredLayer> {
+    let (name, path) = ("initial", poses("initial", 18.3, 200));
+    let session = Some(name);
+    let keep = |op: &str, layer: StoredLayer| (op.to_owned(), layer);
+    BTreeMap::from([
+        keep(
+            "keyframes",
+            stored(folder, Some("keyframes"), session, metric::keyframes(&path)),
+        ),
+        keep(
+            "graph_poses",
+            stored(folder, Some("pose_graph"), None, metric::graph_poses(&path)),
+        ),
+        keep(
+            "loop_closures",
+            stored(
+                folder,
+                Some("loop_closures"),
+                None,
+                metric::loop_closures(&path),
+            ),
+        ),
+        keep(
+            "adjusted_poses",
+            stored(
+                folder,
+                Some("bundle_adjustment"),
+                None,
+                metric::adjusted_poses(&path),
+            ),
+        ),
+        keep(
+            "features",
+            stored(folder, Some("features"), session, metric::features(&path)),
+        ),
+        keep(
+            "landmarks",
+            stored(folder, Some("landmarks"), None, metric::landmarks(&path)),
+        ),
+        keep(
+            "localisations",
+            stored(
+                folder,
+                Some("localisation"),
+                session,
+                metric::localisations(&path),
+            ),
+        ),
+        keep(
+            "cameras",
+            stored(folder, None, session, metric::cameras(name)),
+        ),
+        keep(
+            "mounts",
+            stored(folder, None, session, metric::mounts(name)),
+        ),
+    ])
+}
+
+/// Writes a map of one version with a metric map in it.
+pub async fn metric_map(folder: &Path) {
+    let store = Store::open(folder.to_str().unwrap(), true).unwrap();
+    let version = Version {
+        version: 1,
+        parent: 0,
+        program: String::new(),
+        previous: Default::default(),
+        plan: "lifelong".into(),
+        evermap: "0.1.0".into(),
+        published: "2026-06-01T08:00:00+00:00".into(),
+        sessions: vec![session("initial")],
+        layers: metric_layers(folder),
+        losses: BTreeMap::new(),
+    };
+    version.publish(&store).await.unwrap();
+}
+
 /// Writes a map of two versions: the second has one more session, and something was lost on its way.
 pub async fn map(folder: &Path) {
     let store = Store::open(folder.to_str().unwrap(), true).unwrap();
@@ -182,6 +262,8 @@ pub async fn map(folder: &Path) {
     let first = Version {
         version: 1,
         parent: 0,
+        program: String::new(),
+        previous: Default::default(),
         plan: "car_park".into(),
         evermap: "0.1.0".into(),
         published: "2026-06-01T08:00:00+00:00".into(),
@@ -204,6 +286,8 @@ pub async fn map(folder: &Path) {
     let second = Version {
         version: 2,
         parent: 1,
+        program: String::new(),
+        previous: Default::default(),
         sessions: vec![session("initial"), session("revisit_1")],
         layers,
         losses: BTreeMap::from([("images that do not decode".to_owned(), 4)]),

@@ -1,0 +1,198 @@
+//! The pose graph as g2o's text: a layer of keyframe poses, with odometry and loops between them.
+//!
+//! Vertices are numbered by session, then stamp, from 0; the first is fixed. `EDGE_SE3:QUAT` lines are first those
+//! between keyframes that follow each other in the odometry, then the loop closures.
+
+use std::collections::BTreeMap;
+
+use arrow::array::RecordBatch;
+use evermap_algorithms::least_squares::Loss;
+use evermap_algorithms::pose::Pose;
+use evermap_algorithms::pose_graph::{Edge, SpatialGraph, g2o};
+use evermap_contract::Registry;
+use evermap_engine::conform::conform;
+use evermap_engine::map::Map;
+use evermap_schemas::layers::{Keyframe, LoopClosure, VehiclePose};
+use evermap_schemas::{Fault, LayerRow, Stamp, rows};
+use nalgebra::{SMatrix, SVector};
+
+use crate::export::metric::{found, one_site};
+
+/// What wheels and gyroscopes of cars are good for: 1 % of the way, and 5 mm of ticks and timing.
+const ODOMETRY_SHARE: f64 = 0.01;
+/// As [`ODOMETRY_SHARE`], m.
+const ODOMETRY_FLOOR_M: f64 = 0.005;
+/// Standard deviation of a turn between two keyframes, rad.
+const ODOMETRY_YAW_RAD: f64 = 0.005;
+/// Planar odometry does not see what the ground does: height (m) and tilt (rad) between two keyframes.
+const UNSEEN: [f64; 2] = [0.05, 0.03];
+
+/// Session and stamp.
+type Place = (String, Stamp);
+
+/// The graph of a layer of poses.
+///
+/// # Errors
+/// A user fault for poses of several sites, or a map without keyframes.
+pub async fn text(
+    map: &Map,
+    registry: &Registry,
+    batches: &[RecordBatch],
+    site: Option<&str>,
+) -> Result<String, Fault> {
+    let mut poses: Vec<VehiclePose> = Vec::new();
+    for batch in batches {
+        let batch = conform(batch, &VehiclePose::layer())
+            .map_err(|fault| fault.next("export adjusted_poses, graph_poses or poses"))?;
+        poses.extend(rows::<VehiclePose>(&batch)?);
+    }
+    let site = one_site(poses.iter().map(|row| row.site.as_str()), site)?;
+    poses.retain(|row| row.site == site);
+    let keyframes: Vec<Keyframe> = found(map, registry).await?;
+    // A drive without loops is a graph too.
+    let loops: Vec<LoopClosure> = found(map, registry).await.unwrap_or_default();
+    let (graph, ids) = graph(poses, keyframes, &loops)?;
+    Ok(g2o::write_spatial(&graph, &ids))
+}
+
+fn graph(
+    mut poses: Vec<VehiclePose>,
+    mut keyframes: Vec<Keyframe>,
+    loops: &[LoopClosure],
+) -> Result<(SpatialGraph, Vec<u64>), Fault> {
+    poses.sort_by(|a, b| (&a.session, a.stamp).cmp(&(&b.session, b.stamp)));
+    let index: BTreeMap<Place, usize> = (0..)
+        .zip(&poses)
+        .map(|(index, row)| ((row.session.clone(), row.stamp), index))
+        .collect();
+    keyframes.sort_by(|a, b| (&a.session, a.stamp).cmp(&(&b.session, b.stamp)));
+    keyframes.retain(|row| index.contains_key(&(row.session.clone(), row.stamp)));
+    let mut edges = Vec::new();
+    for pair in keyframes.windows(2) {
+        let [from, to] = [&pair[0], &pair[1]];
+        if from.session == to.session {
+            let ends = [from, to].map(|row| index[&(row.session.clone(), row.stamp)]);
+            edges.push(odometry(ends, [from, to])?);
+        }
+    }
+    for row in loops {
+        let from = index.get(&(row.other_session.clone(), row.other_stamp));
+        let to = index.get(&(row.session.clone(), row.stamp));
+        if let (Some(&from), Some(&to)) = (from, to) {
+            edges.push(closure([from, to], row)?);
+        }
+    }
+    let count = poses.len();
+    let poses = poses
+        .iter()
+        .map(|row| pose(&row.map_from_vehicle))
+        .collect::<Result<_, _>>()?;
+    let graph = SpatialGraph {
+        poses,
+        fixed: (0..count).map(|index| index == 0).collect(),
+        edges,
+    };
+    Ok((graph, (0..count as u64).collect()))
+}
+
+fn pose(found: &evermap_schemas::Pose) -> Result<Pose, Fault> {
+    Pose::from_array(found.to_array()).map_err(|error| Fault::data(error.to_string()))
+}
+
+fn odometry([from, to]: [usize; 2], rows: [&Keyframe; 2]) -> Result<Edge<Pose, 6>, Fault> {
+    let [a, b] = rows.map(|row| pose(&row.odom_from_vehicle));
+    let measured = a?.inverse().compose(&b?);
+    let way = ODOMETRY_FLOOR_M + ODOMETRY_SHARE * measured.translation.norm();
+    let [height, tilt] = UNSEEN;
+    let sigmas = [way, way, height, tilt, tilt, ODOMETRY_YAW_RAD];
+    Ok(edge([from, to], measured, sigmas))
+}
+
+fn closure(ends: [usize; 2], row: &LoopClosure) -> Result<Edge<Pose, 6>, Fault> {
+    let (m, rad) = (row.sigma_m.max(1e-4), row.sigma_rad.max(1e-4));
+    let measured = pose(&row.other_from_vehicle)?;
+    Ok(edge(ends, measured, [m, m, m, rad, rad, rad]))
+}
+
+fn edge([from, to]: [usize; 2], measured: Pose, sigmas: [f64; 6]) -> Edge<Pose, 6> {
+    let weights = SVector::<f64, 6>::from_iterator(sigmas.iter().map(|sigma| sigma.powi(-2)));
+    Edge {
+        from,
+        to,
+        measured,
+        information: SMatrix::from_diagonal(&weights),
+        loss: Loss::Quadratic,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::panic)]
+    use super::*;
+
+    fn at(x: f64) -> evermap_schemas::Pose {
+        evermap_schemas::Pose {
+            x,
+            ..evermap_schemas::Pose::IDENTITY
+        }
+    }
+
+    fn keyframe(session: &str, number: u32, x: f64) -> Keyframe {
+        Keyframe {
+            site: "lot".into(),
+            session: session.into(),
+            stamp: Stamp(i64::from(number)),
+            keyframe: number,
+            distance_m: x,
+            odom_from_vehicle: at(x),
+            images: vec![],
+        }
+    }
+
+    #[test]
+    fn odometry_and_loops_join_the_poses() {
+        let keyframes: Vec<_> = [("a", 0), ("a", 1), ("b", 0), ("b", 1), ("b", 2)]
+            .map(|(session, number)| keyframe(session, number, f64::from(number)))
+            .into();
+        // The last keyframe of b has no pose: it was not connected.
+        let poses = keyframes[..4].iter().map(|row| VehiclePose {
+            site: "lot".into(),
+            session: row.session.clone(),
+            stamp: row.stamp,
+            map_from_vehicle: at(10.0 + row.distance_m),
+        });
+        let closed = |number: i64| LoopClosure {
+            site: "lot".into(),
+            session: "b".into(),
+            stamp: Stamp(number),
+            keyframe: number as u32,
+            other_session: "a".into(),
+            other_stamp: Stamp(0),
+            other_keyframe: 0,
+            other_from_vehicle: at(0.25),
+            matches: 9,
+            inliers: 8,
+            sigma_m: 0.1,
+            sigma_rad: 0.01,
+        };
+        let (graph, ids) = graph(
+            poses.rev().collect(),
+            keyframes.clone(),
+            &[closed(1), closed(2)],
+        )
+        .unwrap();
+        let text = g2o::write_spatial(&graph, &ids);
+        let g2o::File::Spatial(read) = g2o::read(&text).unwrap() else {
+            panic!("{text}")
+        };
+        assert_eq!(read.graph, graph);
+        let ends: Vec<_> = graph
+            .edges
+            .iter()
+            .map(|edge| (edge.from, edge.to))
+            .collect();
+        assert_eq!(ends, [(0, 1), (2, 3), (0, 3)]);
+        assert_eq!(graph.edges[2].information[(0, 0)].round(), 100.0);
+        assert_eq!(graph.poses[3].translation.x, 11.0);
+    }
+}
