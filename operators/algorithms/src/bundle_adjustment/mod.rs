@@ -19,12 +19,13 @@
 //! The metric scale thus comes from the rig, whose cameras stand a known distance apart, as much
 //! as from odometry. Without a fixed pose or a prior the whole may drift; fix one.
 //!
-//! The landmarks are eliminated first ([`schur`]), the rest is one sparse or dense Cholesky
-//! factorisation ([`reduced`]); the loop is [`crate::least_squares::minimise`].
-//! Cost per iteration: linear in the observations, times the mean number
+//! The landmarks are eliminated first (`schur`), the rest is one sparse or dense Cholesky
+//! factorisation (`reduced`); the loop is [`crate::least_squares::minimise`]. The same core
+//! solves [`bal`] problems. Cost per iteration: linear in the observations, times the mean number
 //! of sightings of a landmark, plus the factorisation. Results are the same to the bit on any
 //! number of threads.
 
+pub mod bal;
 mod elimination;
 mod odometry;
 mod reduced;
@@ -32,7 +33,7 @@ mod schur;
 mod vehicle;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use nalgebra::{Vector2, Vector3};
 

@@ -11,10 +11,10 @@ use crate::lie::se3;
 use crate::rig::RigCamera;
 
 /// A small fixed-increment generator: the tests need numbers, not a library.
-pub(super) struct Noise(u64);
+pub(crate) struct Noise(u64);
 
 impl Noise {
-    pub(super) fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
     }
 
@@ -28,7 +28,7 @@ impl Noise {
     }
 
     /// Gaussian, standard deviation 1.
-    pub(super) fn normal(&mut self) -> f64 {
+    pub(crate) fn normal(&mut self) -> f64 {
         let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
         radius * (2.0 * PI * self.uniform()).cos()
     }
