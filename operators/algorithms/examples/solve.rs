@@ -13,9 +13,9 @@
 use std::path::Path;
 use std::time::Instant;
 
-use evermap_algorithms::least_squares::{Options, Summary, minimise};
+use evermap_algorithms::least_squares::{Summary, minimise};
 use evermap_algorithms::pose_graph::relaxation::Relaxation;
-use evermap_algorithms::pose_graph::{Graph, Motion, g2o};
+use evermap_algorithms::pose_graph::{Graph, Motion, g2o, options};
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
@@ -99,7 +99,7 @@ fn relax<M: Motion<D>, const D: usize>(
 ) -> Result<Graph<M, D>, Failure> {
     let (seconds, result) = shortest(arguments.repeat, || {
         let mut relaxation = Relaxation::new(&graph)?;
-        let summary = minimise(&mut relaxation, &Options::default());
+        let summary = minimise(&mut relaxation, &options());
         Ok::<_, Failure>((summary, relaxation.into_poses()))
     });
     let (summary, poses) = result?;

@@ -63,6 +63,11 @@ impl<const D: usize> BlockSystem<D> {
         self.gradient.fill(0.0);
     }
 
+    /// All entries of `g` become zero.
+    pub fn clear_gradient(&mut self) {
+        self.gradient.fill(0.0);
+    }
+
     /// `H[row, column] += block`, and its transpose across the diagonal. The slot is of
     /// [`Structure::slot`] for (row, column); on the diagonal use [`BlockSystem::add_diagonal`].
     pub fn add(&mut self, slot: Slot, block: &SMatrix<f64, D, D>) {
@@ -143,8 +148,8 @@ impl<const D: usize> BlockSystem<D> {
                 step_max: 0.0,
             });
         }
-        let diagonal = self.damp(damping);
-        self.factorise_and_solve()?;
+        let diagonal = self.factorise(damping)?;
+        self.back_substitute()?;
         let mut predicted = 0.0;
         for ((step, gradient), diagonal) in self.step.iter().zip(&self.gradient).zip(&diagonal) {
             predicted += 0.5 * step * (damping * diagonal * step - gradient);
@@ -171,7 +176,10 @@ impl<const D: usize> BlockSystem<D> {
         .collect()
     }
 
-    fn factorise_and_solve(&mut self) -> Option<()> {
+    /// Factorises `H + damping · D` and returns `D` in elimination order; `None` when the matrix
+    /// is not positive definite. [`BlockSystem::back_substitute`] then serves any number of `g`.
+    pub fn factorise(&mut self, damping: f64) -> Option<Vec<f64>> {
+        let diagonal = self.damp(damping);
         let structure = &self.structure;
         let n = self.step.len();
         let pattern = SymbolicSparseColMatRef::new_unsorted_checked(
@@ -181,7 +189,7 @@ impl<const D: usize> BlockSystem<D> {
             None,
             &structure.row_idx,
         );
-        let llt: LltRef<'_, u32, f64> = structure
+        structure
             .symbolic
             .factorize_numeric_llt(
                 &mut self.factor,
@@ -193,15 +201,22 @@ impl<const D: usize> BlockSystem<D> {
                 Default::default(),
             )
             .ok()?;
+        Some(diagonal)
+    }
+
+    /// Solves for `δ` with the last factor and the present `g`; `None` when `δ` is not finite.
+    pub fn back_substitute(&mut self) -> Option<()> {
+        let n = self.step.len();
         for (step, gradient) in self.step.iter_mut().zip(&self.gradient) {
             *step = -gradient;
         }
-        llt.solve_in_place_with_conj(
-            Conj::No,
-            MatMut::from_column_major_slice_mut(&mut self.step, n, 1),
-            Par::Seq,
-            MemStack::new(&mut self.memory),
-        );
+        LltRef::<'_, u32, f64>::new(&self.structure.symbolic, &self.factor)
+            .solve_in_place_with_conj(
+                Conj::No,
+                MatMut::from_column_major_slice_mut(&mut self.step, n, 1),
+                Par::Seq,
+                MemStack::new(&mut self.memory),
+            );
         self.step
             .iter()
             .all(|value| value.is_finite())

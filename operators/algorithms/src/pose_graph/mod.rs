@@ -18,25 +18,27 @@
 //! | [`chordal`] | a first guess from all edges at once |
 //! | [`robust`] | false loops, by graduated non-convexity |
 //! | [`consensus`] | where a drive lies in a map, from loops of which many may be false |
+//! | [`drives`] | odometry, loops and fixes of many drives joined into one map |
 //! | [`g2o`] | the text format of the field |
 
-// pub mod chordal;
-// pub mod consensus;
+pub mod chordal;
+pub mod consensus;
+pub mod drives;
 pub mod g2o;
-// pub mod initial;
+pub mod initial;
 pub mod motion;
 pub mod relaxation;
-// pub mod robust;
+pub mod robust;
 
-// cfgtest
-// mod tests;
+#[cfg(test)]
+mod tests;
 
 use nalgebra::SMatrix;
 
 use crate::lie::se2::PlanarPose;
 use crate::pose::Pose;
 pub use motion::Motion;
-pub use relaxation::relax;
+pub use relaxation::{options, relax};
 
 /// How one pose was measured from another.
 #[derive(Debug, Clone, Copy, PartialEq)]

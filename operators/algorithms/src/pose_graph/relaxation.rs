@@ -9,6 +9,15 @@ use crate::least_squares::{
     minimise,
 };
 
+/// Trust a first guess: Gauss–Newton steps, unless they fail. Odometry and loops leave a graph
+/// that bends softly, and damping by curvature forbids just those motions.
+pub fn options() -> Options {
+    Options {
+        initial_damping: 1e-8,
+        ..Options::default()
+    }
+}
+
 /// Edges that one task linearises.
 const CHUNK: usize = 128;
 
@@ -47,6 +56,9 @@ struct Place {
 /// A graph with its normal equations; their structure is analysed once.
 pub struct Relaxation<'g, M, const D: usize> {
     edges: Vec<&'g Edge<M, D>>,
+    /// By edge: its index in the graph.
+    numbers: Vec<usize>,
+    graph_edges: usize,
     places: Vec<Place>,
     /// By edge: multiplies the information, 1 unless set.
     weights: Vec<f64>,
@@ -75,8 +87,10 @@ impl<'g, M: Motion<D>, const D: usize> Relaxation<'g, M, D> {
                 })
             })
             .collect();
-        let named = |edge: &&Edge<M, D>| edge.from < n && edge.to < n && edge.from != edge.to;
-        let edges: Vec<_> = graph.edges.iter().filter(named).collect();
+        let named = |edge: &Edge<M, D>| edge.from < n && edge.to < n && edge.from != edge.to;
+        let numbered = graph.edges.iter().enumerate();
+        let (numbers, edges): (Vec<usize>, Vec<&Edge<M, D>>) =
+            numbered.filter(|(_, edge)| named(edge)).unzip();
         let pairs = edges
             .iter()
             .filter_map(|edge| Some((unknown[edge.from]?, unknown[edge.to]?)));
@@ -90,6 +104,8 @@ impl<'g, M: Motion<D>, const D: usize> Relaxation<'g, M, D> {
             places: places.collect(),
             weights: vec![1.0; edges.len()],
             edges,
+            numbers,
+            graph_edges: graph.edges.len(),
             unknown,
             poses: graph.poses.clone(),
             trial: graph.poses.clone(),
@@ -108,24 +124,20 @@ impl<'g, M: Motion<D>, const D: usize> Relaxation<'g, M, D> {
         self.poses
     }
 
-    /// Squared weighted residuals `rᵀ Ω r` of the edges that connect two poses, at the estimate
-    /// and without [`Relaxation::set_weight`]'s weights.
+    /// Squared weighted residuals `rᵀ Ω r` at the estimate, by edge of the graph and without
+    /// [`Relaxation::set_weights`]; 0 for edges that do not connect two poses.
     pub fn squared_residuals(&self) -> Vec<f64> {
-        self.edges
-            .iter()
-            .map(|edge| squared_residual(edge, &self.poses))
-            .collect()
+        let mut all = vec![0.0; self.graph_edges];
+        for (number, edge) in self.numbers.iter().zip(&self.edges) {
+            all[*number] = squared_residual(edge, &self.poses);
+        }
+        all
     }
 
-    /// The edges that connect two poses, in the order of the graph.
-    pub fn edges(&self) -> &[&'g Edge<M, D>] {
-        &self.edges
-    }
-
-    /// Multiplies the information of one of [`Relaxation::edges`] from now on.
-    pub fn set_weight(&mut self, edge: usize, weight: f64) {
-        if let Some(of_edge) = self.weights.get_mut(edge) {
-            *of_edge = weight;
+    /// Multiplies the information of each edge of the graph from now on.
+    pub fn set_weights(&mut self, weights: &[f64]) {
+        for (number, of_edge) in self.numbers.iter().zip(&mut self.weights) {
+            *of_edge = weights.get(*number).copied().unwrap_or(1.0);
         }
     }
 
