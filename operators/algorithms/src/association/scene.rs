@@ -56,6 +56,8 @@ pub struct SceneKeyframe {
 /// All that was seen, without the poses.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Scene {
+    /// The rigs, by session.
+    pub rigs: Vec<Rig>,
     /// The cameras of all sessions: a session's rig after another.
     pub cameras: Vec<RigCamera>,
     /// Pixels per radian at the middle of each camera's image.
@@ -64,7 +66,6 @@ pub struct Scene {
     pub keyframes: Vec<SceneKeyframe>,
     /// Keyframe after keyframe.
     pub images: Vec<SceneImage>,
-    sessions: u32,
 }
 
 impl Scene {
@@ -74,8 +75,8 @@ impl Scene {
         rig: &Rig,
         keyframes: impl IntoIterator<Item = (Pose, KeyframeFeatures)>,
     ) -> u32 {
-        let session = self.sessions;
-        self.sessions += 1;
+        let session = self.rigs.len() as u32;
+        self.rigs.push(rig.clone());
         let first_camera = self.cameras.len();
         for camera in &rig.cameras {
             self.px_per_rad.push(px_per_rad(camera));
@@ -108,11 +109,6 @@ impl Scene {
             });
         }
         session
-    }
-
-    /// Number of sessions.
-    pub fn sessions(&self) -> u32 {
-        self.sessions
     }
 
     /// Whether there is such a feature.

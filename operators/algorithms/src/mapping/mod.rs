@@ -142,7 +142,13 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
         let found = associate(scene, &poses, &landmarks, &association);
         let gate_px = association.agree_px.max(0.75 * radius_px);
         landmarks = prune::prune(scene, &poses, found.landmarks, gate_px, params);
-        let adjusted = adjust::adjust(input, &poses, &landmarks, &params.adjust);
+        let adjusted = adjust::adjust(
+            input,
+            &poses,
+            &landmarks,
+            &params.adjust,
+            params.adjust.iterations,
+        );
         rounds.push(Round {
             radius_px,
             merged: found.merged,
@@ -160,7 +166,13 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
         landmarks = prune::prune(scene, &poses, landmarks, drop_px, params);
     }
     prune::name(&mut landmarks, first_new);
-    let last = adjust::adjust(input, &poses, &landmarks, &params.adjust);
+    let last = adjust::adjust(
+        input,
+        &poses,
+        &landmarks,
+        &params.adjust,
+        params.adjust.last_iterations,
+    );
     for (landmark, point) in landmarks.iter_mut().zip(last.points) {
         landmark.point = point;
     }

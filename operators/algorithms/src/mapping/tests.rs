@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::simulated::{Hall, Simulated, simulate};
+use super::{MapInput, MappingParams, map};
 use crate::association::{
     Association, AssociationParams, FeatureRef, Landmark, Scene, Sight, associate, triangulate,
 };
@@ -76,4 +77,49 @@ fn tracks_of_one_mark_become_one_landmark() {
             start.elapsed()
         );
     }
+}
+
+/// Root mean square distance after the best rigid alignment.
+fn error_m(found: &[Pose], truth: &[Pose]) -> f64 {
+    let points = |poses: &[Pose]| {
+        poses
+            .iter()
+            .map(|pose| pose.translation)
+            .collect::<Vec<_>>()
+    };
+    let (found, truth) = (points(found), points(truth));
+    let truth_from_found = crate::trajectory::align_points(&found, &truth).unwrap();
+    let squares = found
+        .iter()
+        .zip(&truth)
+        .map(|(found, truth)| (truth_from_found.transform(found) - truth).norm_squared());
+    (squares.sum::<f64>() / truth.len() as f64).sqrt()
+}
+
+#[test]
+fn a_rough_graph_becomes_an_accurate_map() {
+    let session = simulate(&Hall::default());
+    let mut scene = Scene::default();
+    let tracks = session.add_to(&mut scene);
+    let guess = session.guess(0.25, 0.03);
+    let input = MapInput {
+        scene: &scene,
+        poses: &guess,
+        landmarks: &[],
+        tracks: &tracks,
+        fixed: 0,
+    };
+    let before = error_m(&guess, &session.truth);
+    let start = std::time::Instant::now();
+    let found = map(&input, &MappingParams::default());
+    for round in &found.rounds {
+        eprintln!("{round:?}");
+    }
+    eprintln!("{:?} scale {:?}", start.elapsed(), found.odometry_scales);
+    let after = error_m(&found.poses, &session.truth);
+    eprintln!("{before} -> {after}");
+    assert_eq!(found.poses[0], guess[0]);
+    assert!(after < 0.01, "{after} m");
+    let (pure, parts) = purity(&session, &found.landmarks);
+    assert!(pure > 0.999 && parts < 1.1, "{pure} {parts}");
 }
