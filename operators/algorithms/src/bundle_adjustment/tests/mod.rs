@@ -1,6 +1,9 @@
 //! Simulated drives with exact truth.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod jacobians;
+mod solving;
+
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
@@ -179,60 +182,4 @@ fn options() -> Options {
     let mut options = Options::default();
     options.least_squares.cost_tolerance = 1e-12;
     options
-}
-
-#[test]
-fn exact_data_converge_to_the_truth() {
-    let mut drive = Drive::new(24, 150, 1);
-    let mut problem = drive.disturbed(0.0, 0.1);
-    let before = drive.error_m(&problem);
-    let report = solve(&mut problem, &options()).unwrap();
-    assert!(before > 0.1 && drive.error_m(&problem) < 1e-6, "{report:?}");
-    assert!(report.summary.final_cost < 1e-9 && report.summary.converged());
-    assert!(report.observations.iter().all(|o| o.weight == 1.0));
-    for (landmark, truth) in problem.landmarks.iter().zip(&drive.truth.landmarks) {
-        assert!((landmark - truth).norm() < 1e-4);
-    }
-}
-
-#[test]
-fn a_wrong_odometry_scale_and_drift_are_found_through_the_rig() {
-    let mut drive = Drive::new(40, 250, 2);
-    let mut problem = drive.disturbed(0.3, 0.05);
-    for step in &mut problem.odometry {
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -0.004 * step.length_m);
-        step.from_from_to.translation /= 1.05;
-        step.from_from_to.rotation *= turn;
-        step.length_m /= 1.05;
-    }
-    let report = solve(&mut problem, &Options::default()).unwrap();
-    let session = problem.sessions[0];
-    assert!((session.odometry_scale - 1.05).abs() < 0.004, "{session:?}");
-    assert!(
-        (session.odometry_yaw_rad_per_m - 0.0042).abs() < 0.0008,
-        "{session:?}"
-    );
-    assert!(
-        drive.error_m(&problem) < 0.02,
-        "{} {:?}",
-        drive.error_m(&problem),
-        report.summary
-    );
-}
-
-#[test]
-fn results_are_the_same_on_any_number_of_threads() {
-    let run = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .unwrap();
-        let mut drive = Drive::new(60, 300, 3);
-        let mut problem = drive.disturbed(0.5, 0.05);
-        pool.install(|| solve(&mut problem, &Options::default()).unwrap());
-        problem
-    };
-    let one = run(1);
-    assert_eq!(one, run(2));
-    assert_eq!(one, run(5));
 }
