@@ -20,7 +20,7 @@ pub struct Features;
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FeaturesParams {
-    /// Features are found in the image resized by this factor; 0 halves the image while it stays 600 px wide.
+    /// Features are found in the image resized by this factor; 0 brings it to a width of 600 to 1200 px.
     pub scale: f64,
     /// The most features of one image.
     pub count: u32,

@@ -49,7 +49,7 @@ fn features_cover_the_image_in_light_and_in_the_dark() {
         for (u, v) in points.u.iter().zip(&points.v) {
             cells[(*u as usize / 100).min(3) + 4 * (*v as usize / 100).min(2)] += 1;
         }
-        assert!(cells.iter().all(|cell| *cell >= 8), "{gain}: {cells:?}");
+        assert!(cells.iter().all(|cell| *cell >= 5), "{gain}: {cells:?}");
         assert_eq!(points, found(&image, &FeatureParams::default()));
     }
 }
@@ -104,7 +104,7 @@ fn blind_polygons_and_the_outside_of_the_image_circle_stay_empty() {
     for (u, v) in points.u.iter().zip(&points.v) {
         let (u, v) = (f64::from(*u), f64::from(*v));
         assert!(!(v > 200.0 && u > 100.0 && u < 300.0), "{u} {v}");
-        assert!((u - 199.5).hypot(v - 149.5) < 193.0, "{u} {v}");
+        assert!((u - 199.5).hypot(v - 149.5) < 195.0, "{u} {v}");
     }
 }
 
@@ -113,7 +113,9 @@ fn blind_polygons_and_the_outside_of_the_image_circle_stay_empty() {
 fn coordinates_are_those_of_the_full_image() {
     let full = scene(1280, 960, 1.0);
     assert_eq!(FeatureParams::default().scale_for(1280), 0.5);
-    assert_eq!(FeatureParams::default().scale_for(400), 1.0);
+    assert_eq!(FeatureParams::default().scale_for(400), 1.5);
+    assert_eq!(FeatureParams::default().scale_for(100), 2.0);
+    assert_eq!(FeatureParams::default().scale_for(700), 1.0);
     assert_eq!(FeatureParams::default().scale_for(2600), 0.25);
     let [half, whole] = [None, Some(1.0)].map(|scale| {
         let params = FeatureParams {
