@@ -35,6 +35,7 @@ operators! {
     loop_closures::LoopClosures,
     map_frames::MapFrames,
     overhead_tiles::OverheadTiles,
+    pose_graph::PoseGraph,
     road_network::RoadNetwork,
     tracks::Tracks,
 }

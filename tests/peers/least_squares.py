@@ -1,0 +1,141 @@
+"""Pose graphs against GTSAM and Ceres: final costs and times from the same first guess, as a table.
+
+    pip install -r tests/peers/requirements-bench.txt; apt-get install libceres-dev
+    python tests/peers/least_squares.py FOLDER_OF_G2O [--repeat 5] [--threads 1,2]
+
+All minimise ½ Σ rᵀΩr with r the logarithm of SE(2) or SE(3); the table says whose costs differ. A time is that of the
+solver alone, ordering and symbolic analysis included and reading the file not; the shortest of several runs, in turns.
+"""
+
+import argparse
+import json
+import os
+import pathlib
+import subprocess
+import sys
+import tempfile
+import time
+
+HERE = pathlib.Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+
+# Beyond the defaults: what made each peer fastest on these graphs. The default is always run, too.
+CERES = {"Ceres LM": ["1e4", "lm"], "Ceres LM, trusting": ["1e10", "lm"], "Ceres dogleg": ["1e10", "dogleg"]}
+GTSAM = ["GTSAM LM", "GTSAM GN"]
+OURS = "evermap"
+
+
+def example():
+    """evermap's program, compiled if need be."""
+    cargo = ["cargo", "build", "--release", "--example", "solve", "-p", "evermap-algorithms", "--message-format=json"]
+    lines = subprocess.run(cargo, cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout.splitlines()
+    return next(message["executable"] for message in map(json.loads, lines) if message.get("executable"))
+
+
+def ceres_program():
+    """Ceres with our residual, compiled if need be."""
+    ceres = pathlib.Path(tempfile.gettempdir()) / f"ceres_pose_graph.{os.getuid()}"
+    source = HERE / "ceres_pose_graph.cpp"
+    if not ceres.exists() or ceres.stat().st_mtime < source.stat().st_mtime:
+        flags = ["-O3", "-march=native", "-DNDEBUG", "-I/usr/include/eigen3"]
+        subprocess.run(["c++", *flags, str(source), "-o", str(ceres), "-lceres", "-lglog"], check=True)
+    return str(ceres)
+
+
+def gtsam_once(path, method):
+    """One run of GTSAM in this process, which `--gtsam` makes a process of its own."""
+    import gtsam  # pylint: disable=import-outside-toplevel
+
+    spatial = "SE3:QUAT" in pathlib.Path(path).read_text(encoding="ascii")
+    graph, initial = gtsam.readG2o(path, spatial)
+    anchored = gtsam.NonlinearFactorGraph(graph)
+    first = min(initial.keys())
+    if spatial:
+        anchored.add(gtsam.NonlinearEqualityPose3(first, initial.atPose3(first)))
+    else:
+        anchored.add(gtsam.NonlinearEqualityPose2(first, initial.atPose2(first)))
+    lm = method.endswith("LM")
+    params = gtsam.LevenbergMarquardtParams() if lm else gtsam.GaussNewtonParams()
+    optimizer = gtsam.LevenbergMarquardtOptimizer if lm else gtsam.GaussNewtonOptimizer
+    start = time.perf_counter()
+    try:
+        solver = optimizer(anchored, initial, params)
+        final = solver.optimize()
+    except RuntimeError:
+        return {"initial_cost": graph.error(initial), "failed": True}
+    seconds = time.perf_counter() - start
+    costs = {"initial_cost": graph.error(initial), "final_cost": graph.error(final)}
+    return {**costs, "iterations": solver.iterations(), "seconds": seconds}
+
+
+def run(command, threads):
+    """A program's JSON, on as many cores as it has threads."""
+    cores = sorted(os.sched_getaffinity(0))[-threads:]
+    environment = {**os.environ, "OMP_NUM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads)}
+    pin = lambda: os.sched_setaffinity(0, cores)  # noqa: E731
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, preexec_fn=pin, env=environment)
+    return json.loads(done.stdout)
+
+
+def measure(path, programs, threads, repeat):
+    """Every solver on one graph, in turns; the fastest run of each."""
+    ours, ceres = programs
+    commands = {OURS: [ours, path, "--threads", str(threads)]}
+    for name, how in CERES.items():
+        commands[name] = [ceres, path, str(threads), "1", *how]
+    for name in GTSAM:
+        commands[name] = [sys.executable, __file__, "--gtsam", name, path]
+    best = {}
+    for _ in range(repeat):
+        for name, command in commands.items():
+            result = run(command, threads)
+            if name not in best or result.get("seconds", 0) < best[name].get("seconds", 0):
+                best[name] = result
+    return best
+
+
+def row(graph, threads, best):
+    """A line of the table, and whether both goals are met."""
+    ours = best[OURS]
+    peers = {name: result for name, result in best.items() if name != OURS and "failed" not in result}
+    cost = min(result["final_cost"] for result in peers.values())
+    # A peer that ends in a worse minimum has not done the same work.
+    same = {name: result for name, result in peers.items() if result["final_cost"] <= 1.001 * cost}
+    fastest = min(same, key=lambda name: same[name]["seconds"])
+    ratios = ours["final_cost"] / cost, ours["seconds"] / same[fastest]["seconds"]
+    cells = [graph, threads, f"{ours['initial_cost']:.6g}", f"{ours['final_cost']:.7g}", f"{cost:.7g}", f"{ratios[0]:.6f}"]
+    cells += [ours["iterations"], f"{1e3 * ours['seconds']:.2f}"]
+    cells += [f"{1e3 * same[fastest]['seconds']:.2f} ({fastest}, {same[fastest]['iterations']})", f"{ratios[1]:.2f}"]
+    return "| " + " | ".join(map(str, cells)) + " |", ratios[0] <= 1.001 and ratios[1] <= 1.0
+
+
+def main():
+    """The table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("path")
+    parser.add_argument("--repeat", type=int, default=5)
+    parser.add_argument("--threads", default="1,2")
+    parser.add_argument("--verbose", action="store_true")
+    parser.add_argument("--program", help="evermap's example `solve`, already built")
+    parser.add_argument("--gtsam", help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.gtsam:
+        print(json.dumps(gtsam_once(given.path, given.gtsam)))
+        return
+    programs = given.program or example(), ceres_program()
+    print("| graph | threads | cost before | after | best peer | ratio | iterations | ms | fastest peer, ms | ratio |")
+    print("|---|--:|--:|--:|--:|--:|--:|--:|---|--:|")
+    met = True
+    for path in sorted(pathlib.Path(given.path).glob("*.g2o"), key=lambda path: path.stat().st_size):
+        for threads in map(int, given.threads.split(",")):
+            best = measure(str(path), programs, threads, given.repeat)
+            line, good = row(path.stem, threads, best)
+            print(line, flush=True)
+            met &= good
+            if given.verbose:
+                print(json.dumps(best, indent=1), file=sys.stderr)
+    print(f"goals (cost ≤ 1.001×, time ≤ 1×) {'met' if met else 'NOT met'}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
