@@ -5,7 +5,7 @@ use super::{LandmarkMap, LocalisationParams, MapLandmark};
 use crate::camera::Camera;
 use crate::pose::Pose;
 use crate::rig::Rig;
-use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x6, Vector2, Vector3};
 use rayon::prelude::*;
 
 /// Of the depth's standard deviation this much is always taken to lie across the line of sight: landmarks are less
@@ -72,7 +72,8 @@ impl Eye<'_> {
 
     /// The pixel of a point, in or out of the image, with its derivatives; `None` where the lens does not see it.
     pub(super) fn projection(&self, point: &Vector3<f64>) -> Option<Projection> {
-        let (pixel, by_point) = with_jacobian(self.camera, &self.camera_from_map.transform(point))?;
+        let seen = self.camera_from_map.transform(point);
+        let (pixel, by_point) = self.camera.project_with_jacobian(&seen)?;
         let by_map = by_point * self.camera_from_map.rotation.to_rotation_matrix().matrix();
         let mut by_pose = Matrix2x6::zeros();
         by_pose.fixed_view_mut::<2, 3>(0, 0).copy_from(&-by_map);
@@ -96,24 +97,6 @@ impl Eye<'_> {
         let landmark_px = px_per_m * landmark.sigma_m;
         feature_px * feature_px + across * landmark_px * landmark_px
     }
-}
-
-/// The pixel and its derivatives by the point, by central differences a millionth of the range wide.
-fn with_jacobian(camera: &Camera, point: &Vector3<f64>) -> Option<([f64; 2], Matrix2x3<f64>)> {
-    let pixel = camera.project(point)?;
-    let step = 1e-6 * point.norm();
-    let mut jacobian = Matrix2x3::zeros();
-    for axis in 0..3 {
-        let mut offset = Vector3::zeros();
-        offset[axis] = step;
-        let (ahead, behind) = (
-            camera.project(&(point + offset))?,
-            camera.project(&(point - offset))?,
-        );
-        jacobian[(0, axis)] = (ahead[0] - behind[0]) / (2.0 * step);
-        jacobian[(1, axis)] = (ahead[1] - behind[1]) / (2.0 * step);
-    }
-    Some((pixel, jacobian))
 }
 
 /// All landmarks that cameras should see from a guess: each once per camera, ordered by camera and landmark.
