@@ -45,6 +45,10 @@ pub struct LocalisationParams {
     pub max_sigma_m: f64,
     /// Largest standard deviation of a localised orientation (rad).
     pub max_sigma_rad: f64,
+    /// What the map's landmarks around a keyframe are off by together (m).
+    pub map_m: f64,
+    /// What they are turned by together (rad).
+    pub map_rad: f64,
     /// Standard deviation of odometry's distance over distance.
     pub odometry_scale: f64,
     /// Standard deviation of odometry's heading by distance (rad/m).
@@ -79,6 +83,8 @@ impl Default for LocalisationParams {
             min_directions: options.min_directions,
             max_sigma_m: options.max_sigma_m,
             max_sigma_rad: options.max_sigma_rad,
+            map_m: options.map_m,
+            map_rad: options.map_rad,
             odometry_scale: options.odometry_scale,
             odometry_yaw_rad_per_m: options.odometry_yaw_rad_per_m,
             tilt_rad_per_m: options.tilt_rad_per_m,
@@ -105,6 +111,8 @@ impl LocalisationParams {
             min_directions: self.min_directions,
             max_sigma_m: self.max_sigma_m,
             max_sigma_rad: self.max_sigma_rad,
+            map_m: self.map_m,
+            map_rad: self.map_rad,
             odometry_scale: self.odometry_scale,
             odometry_yaw_rad_per_m: self.odometry_yaw_rad_per_m,
             tilt_rad_per_m: self.tilt_rad_per_m,

@@ -174,6 +174,14 @@ impl<'a> Localiser<'a> {
             fix.doubt = Some(Doubt::NothingInView);
         } else if let Some(refined) = self.refine(guess, best, &seen, &found, features) {
             fix.pose = refined.guess;
+            for axis in 0..6 {
+                let sigma = if axis < 3 {
+                    self.params.map_m
+                } else {
+                    self.params.map_rad
+                };
+                fix.pose.covariance[(axis, axis)] += sigma * sigma;
+            }
             let kept = found
                 .iter()
                 .zip(&refined.inliers)

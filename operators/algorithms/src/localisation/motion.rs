@@ -137,7 +137,7 @@ impl Odometer {
         let odometer = odometry[0].inverse().compose(odometry[1]);
         let map = localised[0].inverse().compose(localised[1]);
         let path = odometer.translation.norm();
-        if path < FLOOR_M || path > MEMORY_M {
+        if !(FLOOR_M..=MEMORY_M).contains(&path) {
             return;
         }
         let scale = map.translation.dot(&odometer.translation) / (path * path);

@@ -25,6 +25,11 @@ pub struct LocalisationParams {
     pub max_sigma_m: f64,
     /// Largest standard deviation of a localised orientation about any axis, radians.
     pub max_sigma_rad: f64,
+    /// What the map's landmarks around a keyframe are off by together, along each axis, metres: no number of them
+    /// averages it out. Added to every pose's uncertainty.
+    pub map_m: f64,
+    /// What they are turned by together, about each axis, radians.
+    pub map_rad: f64,
     /// Odometry: standard deviation of driven distance over distance.
     pub odometry_scale: f64,
     /// Odometry: standard deviation of heading per distance, radians per metre.
@@ -56,6 +61,8 @@ impl Default for LocalisationParams {
             min_directions: 4,
             max_sigma_m: 0.1,
             max_sigma_rad: 0.02,
+            map_m: 0.015,
+            map_rad: 0.001,
             odometry_scale: 0.05,
             odometry_yaw_rad_per_m: 0.02,
             tilt_rad_per_m: 0.03,
@@ -114,6 +121,9 @@ impl LocalisationParams {
             ratio,
             ratio > 0.0 && ratio <= 1.0,
         )?;
+        for (name, found) in [("map_m", self.map_m), ("map_rad", self.map_rad)] {
+            need(name, ">= 0", found, found >= 0.0 && found.is_finite())?;
+        }
         let wide = self.verify_px >= 4.0 * self.feature_px && self.verify_px.is_finite();
         need("verify_px", ">= 4 feature_px", self.verify_px, wide)?;
         let slack = self.view_slack_rad;
