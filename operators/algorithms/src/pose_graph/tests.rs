@@ -233,7 +233,7 @@ proptest! {
 
     #[test]
     fn first_guesses_need_no_poses(seed in any::<u64>()) {
-        let (mut graph, truth, _) = rounds(block, 0.0, seed);
+        let (mut graph, _, _) = rounds(block, 0.0, seed);
         relax(&mut graph, &options()).unwrap();
         let relaxed = graph.cost();
         for pose in &mut graph.poses[1..] {
