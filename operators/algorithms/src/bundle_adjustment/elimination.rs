@@ -72,7 +72,7 @@ impl Layout {
     }
 
     /// Places of the sights of a sight's landmark, from the first of the same block on.
-    fn from_block(&self, place: usize) -> std::ops::Range<usize> {
+    fn onward_of_block(&self, place: usize) -> std::ops::Range<usize> {
         let sight = self.sights[place];
         let all = self.of_landmark(sight.landmark);
         let own = self.sights[all.start..place].iter().rev();
@@ -90,7 +90,7 @@ impl Layout {
                 |seen, block| {
                     let mut row = Vec::new();
                     for place in &self.by_block[block as usize] {
-                        for other in &self.sights[self.from_block(*place as usize)] {
+                        for other in &self.sights[self.onward_of_block(*place as usize)] {
                             if other.block > block
                                 && let Some(mark) = seen.get_mut(other.block as usize)
                                 && *mark != block
@@ -283,7 +283,7 @@ pub(super) fn fill_row<const C: usize>(
                 let own = &sighted[place];
                 let point = &points[layout.sights[place].landmark as usize];
                 subtract_right(own, point, row.right);
-                for other in layout.from_block(place) {
+                for other in layout.onward_of_block(place) {
                     let Some(slot) = places.get(layout.sights[other].block as usize) else {
                         // Fixed ones come last.
                         break;
