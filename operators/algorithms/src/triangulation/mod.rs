@@ -329,8 +329,7 @@ fn judge(
     let (information, ..) = normal_equations(views, &chosen, &position, Loss::Quadratic);
     let covariance = information.try_inverse().ok_or(Refusal::Uncertain)?;
     let sigma_m = SymmetricEigen::new(covariance).eigenvalues.max().sqrt();
-    // Not `>`: NaN is uncertain, too.
-    if !(sigma_m <= options.max_relative_sigma * range_m[0]) {
+    if sigma_m.is_nan() || sigma_m > options.max_relative_sigma * range_m[0] {
         return Err(Refusal::Uncertain);
     }
     let squared_px = chosen.iter().map(|at| {

@@ -68,7 +68,7 @@ proptest! {
         prop_assert!((found.position - point).norm() < 0.15, "{found:?}");
         for (inlier, honest) in found.inliers.iter().zip(&honest) {
             // Two lies about one view may cancel.
-            prop_assert!(!(*honest && !inlier), "{found:?}");
+            prop_assert!(!*honest || *inlier, "{found:?}");
         }
     }
 
@@ -99,14 +99,7 @@ fn beside_and_behind_the_camera_is_along_the_ray() {
             ..Options::default()
         },
     );
-    assert!(
-        found
-            .map(|p| (p.position - point).norm() < 1e-6)
-            .is_ok_and(|near| near)
-            || views
-                .iter()
-                .all(|v| v.map_from_camera.translation.norm() < 0.0)
-    );
+    assert!(found.is_ok_and(|found| (found.position - point).norm() < 1e-6));
     // The same rays turned round meet behind all cameras.
     let mut turned = path(&wide_fisheye(), 4, 0.5, &Vector3::new(0.5, 0.2, 6.0));
     turned.reverse();
