@@ -9,6 +9,11 @@ use crate::features::{Descriptor, KeyframeFeatures};
 use crate::pose::Pose;
 use crate::rig::{Rig, RigCamera};
 
+/// Growth of a feature's standard deviation with its size.
+const BLUR_POWER: f64 = 0.75;
+/// Features larger than this many times the smallest ones are placed no worse.
+const MOST_BLUR: f64 = 8.0;
+
 /// A feature of an image of a [`Scene`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct FeatureRef {
@@ -62,6 +67,8 @@ pub struct Scene {
     pub cameras: Vec<RigCamera>,
     /// Pixels per radian at the middle of each camera's image.
     pub px_per_rad: Vec<f64>,
+    /// Size of each camera's small features, pixels: the first decile.
+    pub smallest_px: Vec<f64>,
     /// Session after session, in driven order.
     pub keyframes: Vec<SceneKeyframe>,
     /// Keyframe after keyframe.
@@ -82,12 +89,14 @@ impl Scene {
             self.px_per_rad.push(px_per_rad(camera));
             self.cameras.push(camera.clone());
         }
+        let mut sizes: Vec<Vec<f64>> = vec![Vec::new(); rig.cameras.len()];
         for (odom_from_vehicle, features) in keyframes {
             let first = self.images.len() as u32;
             let keyframe = self.keyframes.len() as u32;
             let mut images = features.images.into_iter();
             for (at, camera) in rig.cameras.iter().enumerate() {
                 let features = images.next().unwrap_or_default().features;
+                sizes[at].extend(features.iter().map(|feature| feature.size_px));
                 self.images.push(SceneImage {
                     keyframe,
                     camera: (first_camera + at) as u32,
@@ -108,6 +117,7 @@ impl Scene {
                 images: first..self.images.len() as u32,
             });
         }
+        self.smallest_px.extend(sizes.into_iter().map(first_decile));
         session
     }
 
@@ -144,9 +154,19 @@ impl Scene {
         Some(Sight {
             map_from_camera: &map_from_cameras[at.image as usize],
             ray: self.feature(at).ray?,
-            sigma_rad: 1.0 / px_per_rad,
+            sigma_rad: self.blur(at) / px_per_rad,
             px_per_rad,
         })
+    }
+
+    /// How inexactly a feature is placed, in units of the smallest ones' standard deviation. A corner found at a
+    /// coarse scale is placed to a part of that scale's pixels, so in proportion to its size; measured on renderings
+    /// with truth: 1.6 at twice the smallest size, 2.3 at three times.
+    pub fn blur(&self, at: FeatureRef) -> f64 {
+        let smallest = self.smallest_px[self.images[at.image as usize].camera as usize];
+        (self.feature(at).size_px / smallest)
+            .clamp(1.0, MOST_BLUR)
+            .powf(BLUR_POWER)
     }
 
     /// `map_from_camera` of every image.
@@ -155,6 +175,13 @@ impl Scene {
             .map(|image| self.map_from_camera(poses, image))
             .collect()
     }
+}
+
+/// 1 where there is nothing.
+fn first_decile(mut sizes: Vec<f64>) -> f64 {
+    sizes.retain(|size| *size > 0.0 && size.is_finite());
+    sizes.sort_by(f64::total_cmp);
+    sizes.get(sizes.len() / 10).copied().unwrap_or(1.0)
 }
 
 /// From the rays a pixel left and right, and above and below, of the image's middle.

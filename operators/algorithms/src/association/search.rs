@@ -40,6 +40,9 @@ struct Target {
     size_px_m: f64,
 }
 
+/// An image and a landmark that it may show.
+type Candidate = (u32, u32);
+
 /// Prepared for searching any keyframe.
 pub(super) struct Search<'a> {
     scene: &'a Scene,
@@ -100,10 +103,11 @@ impl<'a> Search<'a> {
     fn keyframe(&self, keyframe: u32) -> Vec<Hit> {
         let images = self.scene.keyframes[keyframe as usize].images.clone();
         let grids: Vec<FeatureGrid> = images.map(|image| self.grid(image)).collect();
-        let (own, others): (Vec<u32>, Vec<u32>) = self
-            .around(&self.poses[keyframe as usize])
+        let around = self.around(&self.poses[keyframe as usize]);
+        let candidates = self.candidates(keyframe, &around);
+        let (own, others): (Vec<Candidate>, Vec<Candidate>) = candidates
             .into_iter()
-            .partition(|landmark| self.same_visit(*landmark, keyframe));
+            .partition(|(_, landmark)| self.same_visit(*landmark, keyframe));
         let mut hits = self.agreeing(keyframe, &grids, &own, 0);
         hits.extend(self.agreeing(keyframe, &grids, &others, self.params.min_agreeing));
         hits.sort_unstable();
@@ -115,7 +119,7 @@ impl<'a> Search<'a> {
         &self,
         keyframe: u32,
         grids: &[FeatureGrid],
-        landmarks: &[u32],
+        candidates: &[Candidate],
         least: usize,
     ) -> Vec<Hit> {
         let AssociationParams {
@@ -126,7 +130,7 @@ impl<'a> Search<'a> {
         let mut pose = self.poses[keyframe as usize];
         let mut hits = Vec::new();
         for (radius, from_px) in [(radius_px, radius_px), (radius_px.min(agree_px), agree_px)] {
-            hits = self.seek(keyframe, &pose, grids, landmarks, radius);
+            hits = self.seek(keyframe, &pose, grids, candidates, radius);
             if hits.len() < least {
                 return Vec::new();
             }
@@ -164,7 +168,7 @@ impl<'a> Search<'a> {
 
     /// Landmarks within reach.
     fn around(&self, map_from_vehicle: &Pose) -> Vec<u32> {
-        let reach = self.reach_m * self.params.scale_factor;
+        let reach = self.reach_m;
         let away = Vector3::new(reach, reach, 0.0);
         let (low, high) = (
             square(&(map_from_vehicle.translation - away)),
@@ -177,36 +181,61 @@ impl<'a> Search<'a> {
             .collect()
     }
 
-    /// Whether a keyframe shortly before or after saw it.
+    /// Whether a keyframe shortly before or after saw it. Features are sorted by image, and so by keyframe.
     fn same_visit(&self, landmark: u32, keyframe: u32) -> bool {
         let keyframes = &self.scene.keyframes;
+        let of = |feature: &FeatureRef| self.scene.images[feature.image as usize].keyframe;
+        let first = keyframe.saturating_sub(self.params.visit_keyframes);
+        let last = keyframe.saturating_add(self.params.visit_keyframes);
         let features = &self.landmarks[landmark as usize].features;
-        features.iter().any(|feature| {
-            let other = self.scene.images[feature.image as usize].keyframe;
-            other.abs_diff(keyframe) <= self.params.visit_keyframes
-                && keyframes[other as usize].session == keyframes[keyframe as usize].session
-        })
+        let from = features.partition_point(|feature| of(feature) < first);
+        let mut around = features[from..].iter().map(of).take_while(|at| *at <= last);
+        around.any(|at| keyframes[at as usize].session == keyframes[keyframe as usize].session)
     }
 
-    /// The unrivalled feature of each landmark, in all images of a keyframe that stands at `pose`.
+    /// Landmarks that an image may show and that are not known there, by image.
+    fn candidates(&self, keyframe: u32, landmarks: &[u32]) -> Vec<Candidate> {
+        let images = self.scene.keyframes[keyframe as usize].images.clone();
+        let mut candidates = Vec::new();
+        for image in images {
+            let camera = self.scene.map_from_camera(self.poses, image);
+            let visible = landmarks.iter().filter(|landmark| {
+                self.targets[**landmark as usize].faces(&camera.translation)
+                    && self.pixel(**landmark, image, &camera).is_some()
+                    && !self.sees_already(**landmark, image)
+            });
+            candidates.extend(visible.map(|landmark| (image, *landmark)));
+        }
+        candidates
+    }
+
+    /// Where an image shows a landmark.
+    fn pixel(&self, landmark: u32, image: u32, map_from_camera: &Pose) -> Option<[f64; 2]> {
+        let ahead = self.targets[landmark as usize].point - map_from_camera.translation;
+        let lens = &self.scene.camera(image).camera;
+        let pixel = lens.project(&map_from_camera.rotation.inverse_transform_vector(&ahead))?;
+        lens.contains(pixel).then_some(pixel)
+    }
+
+    /// The unrivalled feature of each candidate, in the images of a keyframe that stands at `pose`.
     fn seek(
         &self,
         keyframe: u32,
         pose: &Pose,
         grids: &[FeatureGrid],
-        landmarks: &[u32],
+        candidates: &[Candidate],
         radius_px: f64,
     ) -> Vec<Hit> {
-        let images = self.scene.keyframes[keyframe as usize].images.clone();
-        let mut hits = Vec::new();
-        for (image, grid) in images.zip(grids) {
-            let camera = pose.compose(&self.scene.camera(image).vehicle_from_camera);
-            let found = landmarks
-                .iter()
-                .filter_map(|landmark| self.look_for(*landmark, image, &camera, grid, radius_px));
-            hits.extend(found);
-        }
-        hits
+        let first = self.scene.keyframes[keyframe as usize].images.start;
+        let cameras = self.scene.keyframes[keyframe as usize].images.clone();
+        let cameras: Vec<Pose> = cameras
+            .map(|image| pose.compose(&self.scene.camera(image).vehicle_from_camera))
+            .collect();
+        let look = |(image, landmark): &Candidate| {
+            let at = (image - first) as usize;
+            self.look_for(*landmark, *image, &cameras[at], &grids[at], radius_px)
+        };
+        candidates.iter().filter_map(look).collect()
     }
 
     fn look_for(
@@ -220,20 +249,8 @@ impl<'a> Search<'a> {
         let target = &self.targets[landmark as usize];
         let away = map_from_camera.translation - target.point;
         let range = away.norm();
-        if range < target.near_m
-            || range > target.far_m
-            || away.dot(&target.view) < target.view_cos * range
-        {
-            return None;
-        }
-        let lens = &self.scene.camera(image).camera;
-        let in_camera = map_from_camera.rotation.inverse() * -away;
-        let pixel = lens.project(&in_camera)?;
-        if !lens.contains(pixel) || self.sees_already(landmark, image) {
-            return None;
-        }
         let sought = Sought {
-            pixel,
+            pixel: self.pixel(landmark, image, map_from_camera)?,
             radius_px,
             looks: nearest_looks(&target.looks, &(away / range), range),
             size_px: target.size_px_m / range,
@@ -253,6 +270,16 @@ impl<'a> Search<'a> {
         features
             .binary_search_by_key(&image, |feature| feature.image)
             .is_ok()
+    }
+}
+
+impl Target {
+    /// Whether it may be seen from a place, by range and direction.
+    fn faces(&self, place: &Vector3<f64>) -> bool {
+        let away = place - self.point;
+        let squared = away.norm_squared();
+        (self.near_m * self.near_m..=self.far_m * self.far_m).contains(&squared)
+            && away.dot(&self.view) >= self.view_cos * squared.sqrt()
     }
 }
 
@@ -281,14 +308,15 @@ impl Sought<'_> {
         grid: &FeatureGrid,
         params: &AssociationParams,
     ) -> Option<(u32, u32)> {
+        let fits = |at: &u32| {
+            let feature = &features[*at as usize];
+            let ratio = feature.size_px / self.size_px;
+            distance_px(feature.pixel, self.pixel) <= self.radius_px
+                && (1.0 / params.scale_factor..=params.scale_factor).contains(&ratio)
+        };
         let near: Vec<(u32, u32)> = grid
             .near(self.pixel, self.radius_px)
-            .filter(|at| {
-                let feature = &features[*at as usize];
-                let ratio = feature.size_px / self.size_px;
-                distance_px(feature.pixel, self.pixel) <= self.radius_px
-                    && (1.0 / params.scale_factor..=params.scale_factor).contains(&ratio)
-            })
+            .filter(fits)
             .map(|at| (self.bits(&features[at as usize]), at))
             .collect();
         let (bits, best) = *near.iter().min()?;

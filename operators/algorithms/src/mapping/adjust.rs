@@ -149,7 +149,7 @@ fn observations(scene: &Scene, landmarks: &[Landmark], params: &AdjustParams) ->
                 camera: (feature.image - scene.keyframes[pose].images.start) as usize,
                 landmark: at,
                 pixel: scene.feature(*feature).pixel,
-                sigma_px: params.sigma_px,
+                sigma_px: params.sigma_px * scene.blur(*feature),
             });
         }
     }

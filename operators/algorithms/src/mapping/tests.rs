@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use super::simulated::{Hall, Simulated, simulate};
-use super::{MapInput, MappingParams, map};
+use super::{Map, MapInput, MappingParams, map};
 use crate::association::{
-    Association, AssociationParams, FeatureRef, Landmark, Scene, Sight, associate, triangulate,
+    AssociationParams, FeatureRef, Landmark, Scene, Sight, associate, triangulate,
 };
 use crate::pose::Pose;
 
@@ -51,32 +51,36 @@ fn purity(session: &Simulated, landmarks: &[Landmark]) -> (f64, f64) {
 
 #[test]
 fn tracks_of_one_mark_become_one_landmark() {
-    let session = simulate(&Hall::default());
+    let session = simulate(&Hall {
+        points: 1500,
+        keyframes: 80,
+        ..Hall::default()
+    });
     let mut scene = Scene::default();
     let tracks = session.add_to(&mut scene);
     let poses = session.guess(0.15, 0.02);
-    let mut landmarks = landmarks(&scene, &poses, tracks);
-    let (before, parts_before) = purity(&session, &landmarks);
-    eprintln!(
-        "{} landmarks, {before:.3} {parts_before:.2}",
-        landmarks.len()
-    );
-    for radius_px in [12.0, 6.0] {
-        let params = AssociationParams {
-            radius_px,
-            ..AssociationParams::default()
-        };
-        let start = std::time::Instant::now();
-        let found = associate(&scene, &poses, &landmarks, &params);
-        let Association { merged, added, .. } = found;
-        landmarks = found.landmarks;
-        let (pure, parts) = purity(&session, &landmarks);
-        eprintln!(
-            "{} landmarks, {merged} merged, {added} added, {pure:.3} {parts:.2} {:?}",
-            landmarks.len(),
-            start.elapsed()
-        );
+    let landmarks = landmarks(&scene, &poses, tracks);
+    let (pure_before, parts_before) = purity(&session, &landmarks);
+    let params = AssociationParams {
+        radius_px: 12.0,
+        ..AssociationParams::default()
+    };
+    let found = associate(&scene, &poses, &landmarks, &params);
+    assert_eq!(found.landmarks.len() + found.merged, landmarks.len());
+    let mut features: Vec<FeatureRef> = Vec::new();
+    for landmark in &found.landmarks {
+        features.extend(&landmark.features);
     }
+    let all = features.len();
+    features.sort_unstable();
+    features.dedup();
+    assert_eq!(features.len(), all, "a feature is in two landmarks");
+    let (pure, parts) = purity(&session, &found.landmarks);
+    assert!(pure >= pure_before && pure > 0.98, "{pure_before} {pure}");
+    assert!(
+        parts < 2.0 && parts < 0.4 * parts_before,
+        "{parts_before} {parts}"
+    );
 }
 
 /// Root mean square distance after the best rigid alignment.
@@ -96,12 +100,13 @@ fn error_m(found: &[Pose], truth: &[Pose]) -> f64 {
     (squares.sum::<f64>() / truth.len() as f64).sqrt()
 }
 
-#[test]
-fn a_rough_graph_becomes_an_accurate_map() {
-    let session = simulate(&Hall::default());
+/// How well a hall is mapped from poses that are off: error in metres, and the map.
+fn mapped(hall: &Hall) -> (f64, Map, Simulated) {
+    let session = simulate(hall);
     let mut scene = Scene::default();
     let tracks = session.add_to(&mut scene);
     let guess = session.guess(0.25, 0.03);
+    assert!(error_m(&guess, &session.truth) > 0.2);
     let input = MapInput {
         scene: &scene,
         poses: &guess,
@@ -109,17 +114,52 @@ fn a_rough_graph_becomes_an_accurate_map() {
         tracks: &tracks,
         fixed: 0,
     };
-    let before = error_m(&guess, &session.truth);
-    let start = std::time::Instant::now();
     let found = map(&input, &MappingParams::default());
-    for round in &found.rounds {
-        eprintln!("{round:?}");
-    }
-    eprintln!("{:?} scale {:?}", start.elapsed(), found.odometry_scales);
-    let after = error_m(&found.poses, &session.truth);
-    eprintln!("{before} -> {after}");
     assert_eq!(found.poses[0], guess[0]);
-    assert!(after < 0.01, "{after} m");
+    (error_m(&found.poses, &session.truth), found, session)
+}
+
+fn small() -> Hall {
+    Hall {
+        points: 1500,
+        keyframes: 80,
+        ..Hall::default()
+    }
+}
+
+#[test]
+fn a_rough_graph_becomes_an_accurate_map() {
+    let (error, found, session) = mapped(&small());
+    assert!(error < 0.01, "{error} m");
     let (pure, parts) = purity(&session, &found.landmarks);
-    assert!(pure > 0.999 && parts < 1.1, "{pure} {parts}");
+    assert!(pure > 0.995 && parts < 1.2, "{pure} {parts}");
+    assert!((found.odometry_scales[0] - 1.0 / 1.01).abs() < 0.002);
+}
+
+#[test]
+fn a_dark_camera_and_odometry_that_is_far_off_do_little_harm() {
+    let (error, found, _) = mapped(&Hall {
+        dark: Some(1),
+        odometry_scale: 1.05,
+        ..small()
+    });
+    assert!(error < 0.02, "{error} m");
+    assert!((found.odometry_scales[0] - 1.0 / 1.05).abs() < 0.004);
+}
+
+#[test]
+fn nothing_seen_leaves_poses_where_they_are() {
+    let session = simulate(&small());
+    let mut scene = Scene::default();
+    session.add_to(&mut scene);
+    let guess = session.guess(0.25, 0.03);
+    let input = MapInput {
+        scene: &scene,
+        poses: &guess,
+        landmarks: &[],
+        tracks: &[],
+        fixed: 0,
+    };
+    let found = map(&input, &MappingParams::default());
+    assert!(found.landmarks.is_empty() && found.poses[0] == guess[0]);
 }

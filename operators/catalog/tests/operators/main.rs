@@ -8,6 +8,7 @@
 
 mod floor;
 mod keyframes;
+mod metric_map;
 mod mosaic;
 mod roads;
 
