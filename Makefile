@@ -1,5 +1,6 @@
 # Two commands do everything on a bare Debian or Ubuntu with Rust, their own set-up included:
-#   make map     simulates a car park, maps it into ./map, and says where picture and report are
+#   make map     simulates a car park, maps one drive into ./map and then one revisit after the other, a version each,
+#                and says where pictures and report are
 #   make test    runs every test
 # The rest is for work on evermap: lint, docs, bench, peers.
 
@@ -13,20 +14,26 @@ export OPENCV_LINK_PATHS ?= /usr/lib/$(MULTIARCH)
 export OPENCV_INCLUDE_PATHS ?= /usr/include/opencv4,/usr/include/$(MULTIARCH)/opencv4
 endif
 
-.PHONY: map test lint docs bench bench-mosaic peers packages release
+.PHONY: map test lint docs bench bench-mosaic peers exports packages release
 .DEFAULT_GOAL := map
 
+# The life of a map: the first drive, then each revisit by a run of its own. Run again, it changes nothing.
 map: sessions/.complete
-	$(EVERMAP) run car_park --map map --sessions 'sessions/*.mcap'
-	$(EVERMAP) layers --map map
+	@for session in initial revisit_1 revisit_2; do \
+	  echo "== $$session"; \
+	  $(EVERMAP) run car_park --map map --site car_park --sessions sessions/$$session.mcap || exit; \
+	done
+	$(EVERMAP) versions --map map
 	$(EVERMAP) render --map map --out map/map.png
+	$(EVERMAP) render --map map --view metric --out map/metric.png
 	$(EVERMAP) report --map map --out map/report.html
-	@echo "picture: $(CURDIR)/map/map.png"
-	@echo "report:  $(CURDIR)/map/report.html"
+	@echo "pictures: $(CURDIR)/map/map.png $(CURDIR)/map/metric.png"
+	@echo "report:   $(CURDIR)/map/report.html"
 
-# Made once. A simulation that was interrupted is begun anew.
+# Made once, at a quarter of the pixels that a session has by default, for time. A simulation that was interrupted is
+# begun anew.
 sessions/.complete: | release
-	$(EVERMAP) simulate car_park --out sessions
+	$(EVERMAP) simulate car_park --out sessions --set width_px=640 --set height_px=480
 	@touch $@
 
 release: packages
@@ -57,6 +64,10 @@ peers: packages .venv/bench
 	.venv/bin/python tests/peers/images.py
 	.venv/bin/python tests/peers/rerun_convert.py
 
+# COLMAP and evo open the exports of the map that `make map` made.
+exports: .venv/exports
+	.venv/bin/python tests/peers/exports.py map
+
 packages:
 	@.ci/packages
 
@@ -67,5 +78,9 @@ packages:
 	@touch $@
 
 .venv/bench: tests/peers/requirements-bench.txt .venv/complete
+	.venv/bin/pip install --quiet --disable-pip-version-check --requirement $<
+	@touch $@
+
+.venv/exports: tests/peers/requirements-exports.txt .venv/complete
 	.venv/bin/pip install --quiet --disable-pip-version-check --requirement $<
 	@touch $@

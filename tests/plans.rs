@@ -22,6 +22,52 @@ fn every_shipped_plan_checks_and_its_tests_pass() {
     }
 }
 
+/// The steps of a plan as text, by name.
+fn steps(plan: &str) -> std::collections::BTreeMap<String, String> {
+    let path = repository().join(format!("plans/library/{plan}.yaml"));
+    let text = std::fs::read_to_string(path).unwrap();
+    let text = text.split("\nsteps:\n").nth(1).unwrap();
+    let text = text.split("\nwrite:").next().unwrap();
+    let mut steps = std::collections::BTreeMap::<String, String>::new();
+    let mut name = String::new();
+    for line in text
+        .lines()
+        .filter(|line| !line.trim_start().starts_with('#'))
+    {
+        if line.starts_with("  ") && !line.starts_with("   ") {
+            name = line.trim().trim_end_matches(':').to_owned();
+        } else {
+            let step = steps.entry(name.clone()).or_default();
+            step.push_str(line.trim());
+            step.push('\n');
+        }
+    }
+    steps
+}
+
+/// A map that one of them made can be gone on with by the other.
+#[test]
+fn plans_share_the_steps_of_the_metric_map() {
+    let (lifelong, car_park) = (steps("lifelong"), steps("car_park"));
+    assert!(lifelong.len() > 10);
+    for (name, step) in &lifelong {
+        assert_eq!(car_park.get(name), Some(step), "{name}");
+    }
+    // The first drive is a lifelong map without a version before.
+    for (name, step) in steps("metric_map") {
+        let mut other = lifelong[&name].clone();
+        for port in [
+            "localisations: localisations\n",
+            "previous: previous.adjusted_poses\n",
+            ", previous: previous.map_frames",
+        ] {
+            other = other.replace(port, "");
+        }
+        let flat = |text: &str| text.replace(['\n', ' ', ',', '{', '}'], "");
+        assert_eq!(flat(&other), flat(&step), "{name}");
+    }
+}
+
 #[test]
 fn a_bad_plan_is_refused_with_all_its_faults_before_anything_runs() {
     let folder = tempfile::tempdir().unwrap();
@@ -81,6 +127,25 @@ fn a_table_that_does_not_fit_its_port_is_a_fault_of_the_plan() {
         "{}",
         told.stderr
     );
+}
+
+#[test]
+fn a_query_of_the_version_before_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = folder.path().join("query.yaml");
+    let lines = [
+        "plan: query",
+        "steps:",
+        "  poses:",
+        "    sql: SELECT site, session, stamp, odom_from_vehicle AS map_from_vehicle FROM odometry",
+        "  lanes: { op: road_network, in: { poses: previous.poses } }",
+        "  more: { sql: SELECT * FROM previous.poses }",
+        "write: [poses, lanes, more]",
+    ];
+    std::fs::write(&plan, lines.join("\n")).unwrap();
+    let told = evermap(&["check", text(&plan)]).expect(1);
+    let count = told.stderr.matches("is made by a query").count();
+    assert_eq!(count, 2, "{}", told.stderr);
 }
 
 #[test]

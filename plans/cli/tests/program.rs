@@ -332,6 +332,24 @@ fn a_metric_map_is_exported_as_the_field_reads_it() {
 }
 
 #[test]
+fn the_questions_in_the_readme_have_answers() {
+    let (_folder, map) = made_up_metric_map();
+    let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../README.md");
+    let readme = std::fs::read_to_string(readme).unwrap();
+    let queries: Vec<_> = readme
+        .split("evermap sql --map lot \"")
+        .skip(1)
+        .map(|rest| rest.split('"').next().unwrap())
+        .collect();
+    assert_eq!(queries.len(), 3);
+    for query in queries {
+        let answer = done(&["sql", "--map", &map, "--format", "json", query]);
+        let rows: Value = serde_json::from_str(&answer).unwrap();
+        assert!(!rows.as_array().unwrap().is_empty(), "{query}");
+    }
+}
+
+#[test]
 fn a_doubted_metric_map_shows_itself() {
     let (folder, map) = made_up_metric_map();
     let look = std::env::var("EVERMAP_LOOK").ok();

@@ -80,6 +80,20 @@ impl Bench<'_> {
                 .map_err(|error| fault_of(&error))?;
         }
         let mut tables: BTreeMap<String, RecordBatch> = BTreeMap::new();
+        // What a test does not say of the version before is empty, as before the first version.
+        for step in &self.plan.steps {
+            if let (Body::Op { .. }, Some(schema)) =
+                (&step.body, self.program.schemas.get(&step.name))
+            {
+                let name = format!("{}{}", Input::PREVIOUS, step.name);
+                put(
+                    &context,
+                    &previous,
+                    &name,
+                    &RecordBatch::new_empty(Arc::clone(schema)),
+                )?;
+            }
+        }
         for (input, rows) in &test.given {
             let schema = self.schema(&context, input).await?;
             tables.insert(

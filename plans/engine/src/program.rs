@@ -246,6 +246,7 @@ impl Compiler<'_> {
     }
 
     async fn step(&mut self, step: &Step) {
+        self.check_previous(step);
         let schema = match &step.body {
             Body::Op { op, inputs, params } => self.op(step, op, inputs, params).await,
             Body::Sql { query, inputs } => self.sql(step, query, inputs).await,
@@ -258,6 +259,28 @@ impl Compiler<'_> {
             );
         }
         self.schemas.insert(step.name.clone(), schema);
+    }
+
+    /// The columns of a query are known once it is planned, which may need those of the version before: only layers
+    /// of operators can be read from there.
+    fn check_previous(&mut self, step: &Step) {
+        let inputs: Vec<&Input> = match &step.body {
+            Body::Op { inputs, .. } => inputs.values().collect(),
+            Body::Sql { inputs, .. } => inputs.iter().collect(),
+        };
+        let is_query = |name: &str| {
+            let mut steps = self.plan.steps.iter();
+            steps.any(|step| step.name == name && matches!(step.body, Body::Sql { .. }))
+        };
+        let faults: Vec<_> = inputs
+            .into_iter()
+            .filter(|input| matches!(input, Input::Previous(name) if is_query(name)))
+            .map(|input| {
+                let (name, read) = (&step.name, input.written());
+                format!("step `{name}`: `{read}` is made by a query; of the version before, only layers of operators can be read")
+            })
+            .collect();
+        faults.into_iter().for_each(|fault| self.fault(step, fault));
     }
 
     async fn op(

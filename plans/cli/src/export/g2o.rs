@@ -18,14 +18,15 @@ use nalgebra::{SMatrix, SVector};
 
 use crate::export::metric::{found, one_site};
 
-/// What wheels and gyroscopes of cars are good for: 1 % of the way, and 5 mm of ticks and timing.
-const ODOMETRY_SHARE: f64 = 0.01;
-/// As [`ODOMETRY_SHARE`], m.
-const ODOMETRY_FLOOR_M: f64 = 0.005;
-/// Standard deviation of a turn between two keyframes, rad.
-const ODOMETRY_YAW_RAD: f64 = 0.005;
-/// Planar odometry does not see what the ground does: height (m) and tilt (rad) between two keyframes.
-const UNSEEN: [f64; 2] = [0.05, 0.03];
+/// Standard deviations of odometry after one metre, growing with the root of the path, as the defaults of the operator
+/// `pose_graph`: position (m) and heading (rad).
+const WALK: [f64; 2] = [0.1, 0.01];
+/// The same for what wheels do not measure: height (m), roll and pitch (rad).
+const SLOPE: f64 = 0.02;
+/// The shortest path that counts, m: a vehicle that stands is not known exactly.
+const SHORTEST_M: f64 = 0.01;
+/// What loop closures are uncertain by beyond what they say: position (m), orientation (rad).
+const LOOP: [f64; 2] = [0.05, 0.01];
 
 /// Session and stamp.
 type Place = (String, Stamp);
@@ -102,14 +103,14 @@ fn pose(found: &evermap_schemas::Pose) -> Result<Pose, Fault> {
 fn odometry([from, to]: [usize; 2], rows: [&Keyframe; 2]) -> Result<Edge<Pose, 6>, Fault> {
     let [a, b] = rows.map(|row| pose(&row.odom_from_vehicle));
     let measured = a?.inverse().compose(&b?);
-    let way = ODOMETRY_FLOOR_M + ODOMETRY_SHARE * measured.translation.norm();
-    let [height, tilt] = UNSEEN;
-    let sigmas = [way, way, height, tilt, tilt, ODOMETRY_YAW_RAD];
+    let root = measured.translation.norm().max(SHORTEST_M).sqrt();
+    let ([way, turn], slope) = (WALK.map(|walk| walk * root), SLOPE * root);
+    let sigmas = [way, way, slope, slope, slope, turn];
     Ok(edge([from, to], measured, sigmas))
 }
 
 fn closure(ends: [usize; 2], row: &LoopClosure) -> Result<Edge<Pose, 6>, Fault> {
-    let (m, rad) = (row.sigma_m.max(1e-4), row.sigma_rad.max(1e-4));
+    let (m, rad) = (row.sigma_m.hypot(LOOP[0]), row.sigma_rad.hypot(LOOP[1]));
     let measured = pose(&row.other_from_vehicle)?;
     Ok(edge(ends, measured, [m, m, m, rad, rad, rad]))
 }
@@ -192,7 +193,8 @@ mod tests {
             .map(|edge| (edge.from, edge.to))
             .collect();
         assert_eq!(ends, [(0, 1), (2, 3), (0, 3)]);
-        assert_eq!(graph.edges[2].information[(0, 0)].round(), 100.0);
+        let sigma_m = graph.edges[2].information[(0, 0)].powf(-0.5);
+        assert!((sigma_m - 0.1_f64.hypot(0.05)).abs() < 1e-12);
         assert_eq!(graph.poses[3].translation.x, 11.0);
     }
 }

@@ -101,7 +101,9 @@ async fn answers(map: &Map) -> Result<Vec<Answer>, Fault> {
     let context = map.context(Limits::default()).await?;
     let mut answers = Vec::new();
     for (layer, title, query) in QUESTIONS {
-        if !map.has(layer) {
+        // Nothing comes before the first version: there, everything is lost.
+        let first = layer == "localisations" && map.version.previous.version == 0;
+        if first || !map.has(layer) {
             continue;
         }
         let found = async { context.sql(query).await?.collect().await }.await;

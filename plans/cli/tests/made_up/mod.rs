@@ -5,6 +5,7 @@ mod metric;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use evermap_engine::previous::Previous;
 use evermap_engine::store::{Store, digest};
 use evermap_engine::unit::{Artifact, LogContent};
 use evermap_engine::version::{MappedSession, StoredLayer, Version};
@@ -220,14 +221,17 @@ fn metric_layers(folder: &Path) -> BTreeMap<String, StoredLayer> {
     ])
 }
 
-/// Writes a map of one version with a metric map in it.
+/// Writes a map whose second version, the only one that is left, has a metric map in it.
 pub async fn metric_map(folder: &Path) {
     let store = Store::open(folder.to_str().unwrap(), true).unwrap();
     let version = Version {
-        version: 1,
-        parent: 0,
+        version: 2,
+        parent: 1,
         program: String::new(),
-        previous: Default::default(),
+        previous: Previous {
+            version: 1,
+            ..Previous::default()
+        },
         plan: "lifelong".into(),
         evermap: "0.1.0".into(),
         published: "2026-06-01T08:00:00+00:00".into(),
