@@ -1,6 +1,6 @@
 """Opens what `evermap export` writes with the programs that it is for: COLMAP and evo.
 
-    exports.py MAP [SESSION]     a map that the plan lifelong or car_park made
+    exports.py MAP [SESSION [EVERMAP]]     a map that the plan lifelong or car_park made
 
 Checks that every 3D point projects, by COLMAP's own camera model, to where evermap's residuals say, and that evo reads
 the trajectories. Prints what it found; fails where they disagree.
@@ -26,6 +26,7 @@ def export(evermap, map_folder, layer, form, out, *more):
 
 def colmap(folder):
     model = pycolmap.Reconstruction(str(folder))
+    assert model.points3D, "the map has no landmarks"
     errors = []
     for image in model.images.values():
         camera = model.cameras[image.camera_id]
@@ -41,7 +42,7 @@ def colmap(folder):
         f"{len(errors)} observations, median {np.median(errors):.3f} px (landmarks say {np.median(said):.3f} px)"
     )
     # Outliers are observations too; the median must be what evermap says it is.
-    assert len(errors) > 0 and np.median(errors) < 1.5 * np.median(said) + 0.05, "COLMAP sees other points"
+    assert np.median(errors) < 1.5 * np.median(said) + 0.05, "COLMAP sees other points"
     return model
 
 
@@ -53,7 +54,8 @@ def evo(reference, other):
     second.align(first, correct_scale=False)
     error = metrics.APE(metrics.PoseRelation.translation_part)
     error.process_data((first, second))
-    print(f"evo: {paths[0].num_poses} poses, {paths[1].num_poses} keyframes; moved by {error.get_statistic(metrics.StatisticsType.rmse):.3f} m RMSE")
+    moved = error.get_statistic(metrics.StatisticsType.rmse)
+    print(f"evo: {paths[0].num_poses} poses, {paths[1].num_poses} keyframes; moved by {moved:.3f} m RMSE")
 
 
 def main():
