@@ -69,7 +69,7 @@ impl Noise {
 }
 
 /// A drive round and round a block, with odometry, and loops where a round meets the one before.
-/// The last `false_part` of all loops lead to anywhere.
+/// A part of the loops is false.
 fn rounds<M: Motion<D>, const D: usize>(
     truth: impl Fn(f64) -> M,
     false_part: f64,
@@ -96,12 +96,19 @@ fn rounds<M: Motion<D>, const D: usize>(
     let mut is_false = vec![false; edges.len()];
     for step in (ROUND..truth.len()).step_by(2) {
         let lie = noise.uniform() < false_part;
-        let (other, size) = if lie {
-            ((noise.uniform() * step as f64) as usize, 2.0)
+        let other = if lie {
+            (noise.uniform() * step as f64) as usize
         } else {
-            (step - ROUND, 0.01)
+            step - ROUND
         };
-        let measured = between(other, step).moved(&noise.twist(size));
+        let mut measured = between(other, step).moved(&noise.twist(0.01));
+        if lie {
+            // Farther off than odometry can be after a round: nobody can tell smaller lies.
+            let mut off = SVector::<f64, D>::zeros();
+            off[0] =
+                (10.0 + 10.0 * noise.uniform()) * if noise.uniform() < 0.5 { -1.0 } else { 1.0 };
+            measured = measured.moved(&off).moved(&noise.twist(0.3));
+        }
         edges.push(edge(other, step, measured, 0.01));
         is_false.push(lie);
     }
@@ -244,7 +251,7 @@ proptest! {
         let fits = exact.edges.iter().filter(|edge| exact.squared_residual(edge) < 1e-12).count();
         prop_assert!(fits >= graph.poses.len() - 1, "{fits}");
         graph.poses = chordal::chordal(&graph).unwrap();
-        prop_assert!(graph.cost() < 4.0 * relaxed, "{} {relaxed}", graph.cost());
+        prop_assert!(graph.cost() < exact.cost(), "{} {}", graph.cost(), exact.cost());
         relax(&mut graph, &options()).unwrap();
         prop_assert!((graph.cost() - relaxed).abs() < 1e-3 * relaxed);
     }
@@ -469,7 +476,11 @@ fn neighbours(
             if other == later && (step < 160 || keyframe >= step) {
                 continue;
             }
-            let size = if lie { 3.0 } else { 0.01 };
+            let mut error = noise.twist(0.01);
+            if lie {
+                error = noise.twist(0.1);
+                error[0] = 10.0 + 10.0 * noise.uniform();
+            }
             let between = truths[other][keyframe]
                 .inverse()
                 .compose(&truths[later][step]);
@@ -482,7 +493,7 @@ fn neighbours(
                     drive: other,
                     keyframe,
                 },
-                earlier_from_later: se3::plus(&between, &noise.twist(size)),
+                earlier_from_later: se3::plus(&between, &error),
                 sigma_m: 0.02,
                 sigma_rad: 0.01,
             });
@@ -498,12 +509,23 @@ proptest! {
     fn drives_are_joined_in_spite_of_false_loops(seed in any::<u64>()) {
         let (drives, loops, truths) = neighbours(seed, 0.2);
         let joined = drives::join(&drives, &loops, &[], Some(0), &Default::default()).unwrap();
+        // As somebody joins them who knows which are false.
+        let honest: Vec<_> = loops.iter().filter(|given| {
+            let at = |place: drives::Place| truths[place.drive][place.keyframe];
+            let between = at(given.earlier).inverse().compose(&at(given.later));
+            se3::minus(&given.earlier_from_later, &between).norm() < 1.0
+        }).copied().collect();
+        let best = drives::join(&drives, &honest, &[], Some(0), &Default::default()).unwrap();
+        for (poses, best) in joined.poses.iter().zip(&best.poses) {
+            let off = error(poses.as_ref().unwrap(), best.as_ref().unwrap());
+            prop_assert!(off < 0.5, "{off}");
+        }
         let map_from_truth = truths[0][0].inverse();
         for (poses, truth) in joined.poses.iter().zip(&truths) {
             let truth: Vec<_> = truth.iter().map(|pose| map_from_truth.compose(pose)).collect();
             let error = error(poses.as_ref().unwrap(), &truth);
-            // Half a round is driven before the first loop.
-            prop_assert!(error < 1.0, "{error}");
+            // Half a round of 63 m is driven before the first loop.
+            prop_assert!(error < 2.0, "{error}");
         }
         prop_assert_eq!(joined.poses[0].as_ref().unwrap()[0], Pose::identity());
     }
@@ -546,6 +568,6 @@ proptest! {
         }).collect();
         let joined = drives::join(&drives[..2], &[], &fixes, None, &Default::default()).unwrap();
         prop_assert!(joined.poses[0].is_none());
-        prop_assert!(error(joined.poses[1].as_ref().unwrap(), &truths[1]) < 0.3);
+        prop_assert!(error(joined.poses[1].as_ref().unwrap(), &truths[1]) < 0.6);
     }
 }
