@@ -38,6 +38,9 @@ use crate::unit::{Artifact, Unit};
 /// Rows per batch where rows carry bytes by the hundred kilobytes.
 const HEAVY_BATCH_ROWS: usize = 64;
 
+/// Stored bytes that a batch should hold at most.
+const BATCH_BYTES: u64 = 4 << 20;
+
 /// Decompressed chunks that one unit keeps at hand for the images in them.
 const IMAGE_CACHE_BYTES: u64 = 64 << 20;
 
@@ -79,11 +82,7 @@ impl<'a> Builder<'a> {
             .any(|stage| matches!(stage.task, Task::Sql { .. }));
         // Floating-point sums depend on how rows are dealt out: a query has one partition, the same everywhere.
         let partitions = if queries { 1 } else { limits.partitions };
-        let batch_rows = if is_heavy(&output_schema(unit.stage()?, registry)) {
-            HEAVY_BATCH_ROWS
-        } else {
-            BATCH_ROWS
-        };
+        let batch_rows = batch_rows(unit, &output_schema(unit.stage()?, registry));
         let context = context_with(
             Limits {
                 partitions,
@@ -500,6 +499,23 @@ pub fn stage_layer(stage: &Stage, registry: &Registry) -> Option<Layer> {
 
 fn output_schema(stage: &Stage, registry: &Registry) -> SchemaRef {
     stage_layer(stage, registry).map_or_else(|| Arc::new(Schema::empty()), |layer| layer.schema())
+}
+
+/// Rows per batch: few of heavy rows, whether they are made or read, so that a batch has megabytes and no more.
+fn batch_rows(unit: &Unit, output: &Schema) -> usize {
+    if is_heavy(output) {
+        return HEAVY_BATCH_ROWS;
+    }
+    let previous = unit.previous.values().flat_map(|layer| &layer.artifacts);
+    let row_bytes = unit
+        .tables
+        .values()
+        .flatten()
+        .chain(previous)
+        .map(|artifact| artifact.bytes / artifact.rows.max(1))
+        .max();
+    let rows = BATCH_BYTES / row_bytes.unwrap_or_default().max(1);
+    usize::try_from(rows).map_or(BATCH_ROWS, |rows| rows.clamp(HEAVY_BATCH_ROWS, BATCH_ROWS))
 }
 
 fn is_heavy(schema: &Schema) -> bool {

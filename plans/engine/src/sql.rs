@@ -24,7 +24,7 @@ impl Default for Limits {
     fn default() -> Self {
         let partitions = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
         Self {
-            memory_bytes: 1 << 30,
+            memory_bytes: 4 << 30,
             partitions,
         }
     }

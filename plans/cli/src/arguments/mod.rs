@@ -97,7 +97,7 @@ pub struct LimitArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub jobs: Option<u32>,
     /// Memory for sorts, joins and decoded chunks, all units together.
-    #[arg(long, value_name = "BYTES", default_value = "1GiB", value_parser = quantity::bytes)]
+    #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = quantity::bytes)]
     pub memory: usize,
 }
 
