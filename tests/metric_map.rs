@@ -1,0 +1,506 @@
+//! The metric map on worlds with exact truth: how far poses are off, what revisits make of them, and what the map does
+//! when something is wrong.
+//!
+//! Figures are printed with `-- --nocapture`. `error` is the absolute trajectory error after one rigid alignment, without
+//! scale, of the whole map; the odometry's error beside it is after an alignment of each drive for itself.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stderr
+)]
+
+use std::path::{Path, PathBuf};
+
+use evermap_algorithms::trajectory::{AbsoluteError, Statistics, relative_error};
+use evermap_tests::kitti::Stretch;
+use evermap_tests::trajectories::{
+    Trajectories, error_by_session, error_in, map_error, pairs, poses, rows, truth, truth_from_map,
+};
+use evermap_tests::{evermap, repository, shared, text};
+
+/// Runs a plan on sessions of one site.
+fn run(plan: &str, map: &Path, sessions: &[&Path]) {
+    let mut arguments = vec![
+        "run",
+        plan,
+        "--map",
+        text(map),
+        "--progress",
+        "none",
+        "--site",
+        "park",
+        "--sessions",
+    ];
+    arguments.extend(sessions.iter().map(|path| text(path)));
+    evermap(&arguments).expect(0);
+}
+
+/// A copy of a map, to try something on.
+fn copy(map: &Path, name: &str) -> PathBuf {
+    let target = map.with_file_name(name);
+    copy_folder(map, &target);
+    target
+}
+
+fn copy_folder(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        let target = to.join(path.file_name().unwrap());
+        if path.is_dir() {
+            copy_folder(&path, &target);
+        } else {
+            std::fs::copy(&path, &target).unwrap();
+        }
+    }
+}
+
+/// The error of a version's adjusted poses, with the odometry's beside it on standard error.
+fn adjusted_error(
+    what: &str,
+    map: &Path,
+    version: Option<u32>,
+    truths: &Trajectories,
+) -> AbsoluteError {
+    let error = map_error(
+        &poses(map, version, "adjusted_poses", "map_from_vehicle"),
+        truths,
+    );
+    let odometry = error_by_session(
+        &poses(map, version, "keyframes", "odom_from_vehicle"),
+        truths,
+    );
+    let Statistics {
+        rmse,
+        median,
+        p99,
+        max,
+        ..
+    } = error.position_m;
+    eprintln!(
+        "{what}: rmse {:.1} cm, median {:.1}, p99 {:.1}, max {:.1}; {:.3} deg; odometry {:.1} cm",
+        100.0 * rmse,
+        100.0 * median,
+        100.0 * p99,
+        100.0 * max,
+        error.rotation_rad.median.to_degrees(),
+        100.0 * odometry.rmse
+    );
+    error
+}
+
+/// How a session was localised in the version before.
+struct Localised {
+    error: Option<AbsoluteError>,
+    keyframes: u64,
+    lost: u64,
+}
+
+impl Localised {
+    /// Of the newest version of a map, against the version before.
+    fn of(map: &Path, version: u32, session: &str, truths: &Trajectories) -> Self {
+        let before = poses(map, Some(version - 1), "adjusted_poses", "map_from_vehicle");
+        let mut found = poses(map, Some(version), "localisations", "map_from_vehicle");
+        found.retain(|name, _| name == session);
+        let error = error_in(&found, truths, &truth_from_map(&before, truths));
+        let count = format!(
+            "SELECT count(*) AS n, count(*) FILTER (WHERE state = 'lost') AS lost FROM localisations \
+             WHERE session = '{session}'"
+        );
+        let counted = rows(map, Some(version), &count);
+        let localised = Self {
+            error,
+            keyframes: counted[0]["n"].as_u64().unwrap(),
+            lost: counted[0]["lost"].as_u64().unwrap(),
+        };
+        eprintln!("{session}: {localised}");
+        localised
+    }
+
+    /// Nothing is off by more than half a metre without being called lost.
+    fn is_never_silently_wrong(&self) -> bool {
+        self.error.is_none_or(|error| error.position_m.max <= 0.5)
+    }
+
+    fn lost_share(&self) -> f64 {
+        self.lost as f64 / self.keyframes as f64
+    }
+}
+
+impl std::fmt::Display for Localised {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} of {} keyframes lost", self.lost, self.keyframes)?;
+        let Some(error) = self.error else {
+            return Ok(());
+        };
+        let (position, rotation) = (error.position_m, error.rotation_rad);
+        write!(
+            f,
+            "; median {:.1} cm, p99 {:.1}, max {:.1}; median {:.3} deg",
+            100.0 * position.median,
+            100.0 * position.p99,
+            100.0 * position.max,
+            rotation.median.to_degrees()
+        )
+    }
+}
+
+#[test]
+fn a_strangers_car_park_gets_sharper_with_every_drive() {
+    let Some(world) = shared("worlds/carpark_small") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    let names = ["initial", "revisit_1", "revisit_2"];
+    let truths: Trajectories = names
+        .map(|name| {
+            (
+                name.to_owned(),
+                truth(&world.join(name).join("trajectory.tum")),
+            )
+        })
+        .into();
+    let session = |name: &str| world.join(name).join(format!("{name}.mcap"));
+    run("metric_map", &map, &[&session("initial")]);
+    let first = adjusted_error("initial", &map, None, &truths);
+    assert!(first.position_m.rmse <= 0.05);
+
+    let aside = copy(&map, "aside");
+    run("lifelong", &aside, &[&session("revisit_2")]);
+    run("lifelong", &map, &[&session("revisit_1")]);
+    for (map, name) in [(&map, "revisit_1"), (&aside, "revisit_2")] {
+        let localised = Localised::of(map, 2, name, &truths);
+        let error = localised.error.unwrap();
+        assert!(localised.is_never_silently_wrong() && localised.lost_share() < 0.02);
+        assert!(error.position_m.median <= 0.03 && error.position_m.p99 <= 0.13);
+        assert!(error.rotation_rad.median <= 0.3_f64.to_radians());
+    }
+    run("lifelong", &map, &[&session("revisit_2")]);
+    let last = adjusted_error("all three", &map, None, &truths);
+    assert!(last.position_m.rmse <= 0.03);
+}
+
+/// A simulated car park: a drive around the western island, small images.
+struct Park {
+    folder: PathBuf,
+    seed: u64,
+}
+
+impl Park {
+    fn new(folder: &Path, seed: u64) -> Self {
+        Self {
+            folder: folder.to_owned(),
+            seed,
+        }
+    }
+
+    /// Simulates session number `index` with parameters beside the usual ones; gives its file, named `name`, and its
+    /// truth.
+    fn drive(&self, index: usize, name: &str, more: &[&str]) -> (PathBuf, Trajectories) {
+        let out = self.folder.join(format!("world_{name}"));
+        let own = [
+            format!("seed={}", self.seed),
+            format!("skip={index}"),
+            format!("revisits={index}"),
+        ];
+        let usual = [
+            "width_px=400",
+            "height_px=300",
+            "rate_hz=6.25",
+            "speed_mps=3",
+            "loops=0.8",
+            "floor_texels_per_m=100",
+        ];
+        let mut arguments = vec![
+            "simulate",
+            "car_park",
+            "--progress",
+            "none",
+            "--out",
+            text(&out),
+        ];
+        for setting in own
+            .iter()
+            .map(String::as_str)
+            .chain(usual)
+            .chain(more.iter().copied())
+        {
+            arguments.extend(["--set", setting]);
+        }
+        evermap(&arguments).expect(0);
+        let usual = if index == 0 {
+            "initial".to_owned()
+        } else {
+            format!("revisit_{index}")
+        };
+        let session = out.join(format!("{name}.mcap"));
+        std::fs::rename(out.join(format!("{usual}.mcap")), &session).unwrap();
+        let truth = truth(&out.join("truth").join(format!("{usual}.tum")));
+        (session, [(name.to_owned(), truth)].into())
+    }
+}
+
+#[test]
+fn a_simulated_car_park_is_mapped_and_found_again_from_the_other_direction() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    let park = Park::new(folder.path(), 11);
+    let (initial, mut truths) = park.drive(0, "initial", &["loops=1"]);
+    run("metric_map", &map, &[&initial]);
+    let first = adjusted_error("simulated, initial", &map, None, &truths);
+    assert!(first.position_m.rmse <= 0.05);
+    for (version, index, name) in [(2, 4, "same_way"), (3, 1, "other_way")] {
+        let (session, truth) = park.drive(index, name, &["loops=0.5"]);
+        truths.extend(truth);
+        run("lifelong", &map, &[&session]);
+        assert!(Localised::of(&map, version, name, &truths).is_never_silently_wrong());
+    }
+    let last = adjusted_error("simulated, three drives", &map, None, &truths);
+    assert!(last.position_m.rmse <= 0.03);
+}
+
+#[test]
+fn odometry_that_is_wrong_by_5_percent_does_not_set_the_maps_scale() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    let (session, truths) =
+        Park::new(folder.path(), 12).drive(0, "initial", &["odometry_scale_error=0.05"]);
+    run("metric_map", &map, &[&session]);
+    let error = adjusted_error("odometry 5 % long", &map, None, &truths);
+    assert!(error.position_m.rmse <= 0.10);
+}
+
+#[test]
+fn a_calibration_that_is_off_by_half_a_pixel_costs_centimetres() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    let (session, truths) =
+        Park::new(folder.path(), 13).drive(0, "initial", &["calibration_error_px=0.5"]);
+    run("metric_map", &map, &[&session]);
+    let error = adjusted_error("calibration off by half a pixel", &map, None, &truths);
+    assert!(error.position_m.rmse <= 0.10);
+}
+
+/// One loop closure in five says that a keyframe stands where another one stood.
+const FALSE_LOOPS: &str = "
+  numbered_loops:
+    sql: >
+      SELECT *, row_number() OVER (ORDER BY session, stamp, other_session, other_stamp) AS n,
+             count(*) OVER () AS total
+      FROM loop_closures
+  disturbed_loops:
+    sql: >
+      SELECT * EXCLUDE (n, total) FROM numbered_loops
+      UNION ALL
+      SELECT a.site, a.session, a.stamp, a.keyframe, b.other_session, b.other_stamp, b.other_keyframe,
+             b.other_from_vehicle, a.matches, a.inliers, a.sigma_m, a.sigma_rad
+      FROM numbered_loops a
+      JOIN numbered_loops b ON b.site = a.site AND b.n = (5 * a.n + a.total / 2) % a.total
+      WHERE a.n % 4 = 0 AND b.other_stamp < a.stamp AND b.other_keyframe + 20 < a.keyframe
+";
+
+#[test]
+fn false_loop_closures_are_found_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let (plan, map) = (
+        folder.path().join("disturbed.yaml"),
+        folder.path().join("map"),
+    );
+    let shipped =
+        std::fs::read_to_string(repository().join("plans/library/metric_map.yaml")).unwrap();
+    let (steps, write) = shipped.split_once("\nwrite:").unwrap();
+    let steps = steps.replace("loops: loop_closures", "loops: disturbed_loops");
+    std::fs::write(
+        &plan,
+        format!(
+            "{steps}{FALSE_LOOPS}write: [disturbed_loops, {}",
+            write.trim_start().trim_start_matches('[')
+        ),
+    )
+    .unwrap();
+    let (session, truths) = Park::new(folder.path(), 16).drive(0, "initial", &["loops=1"]);
+    run(text(&plan), &map, &[&session]);
+    let counted = rows(
+        &map,
+        None,
+        "SELECT (SELECT count(*) FROM loop_closures) AS of, (SELECT count(*) FROM disturbed_loops) AS n",
+    );
+    let [of, n] = ["of", "n"].map(|name| counted[0][name].as_f64().unwrap());
+    eprintln!("{} of {n} loop closures are false", n - of);
+    assert!(n - of >= 0.15 * n, "{counted:?}");
+    let error = adjusted_error("with false loop closures", &map, None, &truths);
+    assert!(error.position_m.rmse <= 0.05);
+}
+
+#[test]
+fn a_dark_camera_a_strange_start_and_another_place_do_no_harm() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    let park = Park::new(folder.path(), 14);
+    let (initial, mut truths) = park.drive(0, "initial", &[]);
+    run("metric_map", &map, &[&initial]);
+    let first = adjusted_error("before the trials", &map, None, &truths);
+
+    let (dark, truth) = park.drive(4, "dark", &["loops=0.5", "dark_camera=left"]);
+    truths.extend(truth);
+    let of_dark = copy(&map, "of_dark");
+    run("lifelong", &of_dark, &[&dark]);
+    let localised = Localised::of(&of_dark, 2, "dark", &truths);
+    assert!(localised.is_never_silently_wrong() && localised.lost_share() < 0.1);
+    let error = adjusted_error("with one camera dark", &of_dark, None, &truths);
+    assert!(error.position_m.rmse <= 0.05);
+
+    // The eastern loop was never mapped; the drive comes from there.
+    let (strange, truth) = park.drive(4, "strange", &["start_m=90", "loops=1"]);
+    truths.extend(truth);
+    let of_strange = copy(&map, "of_strange");
+    run("lifelong", &of_strange, &[&strange]);
+    let localised = Localised::of(&of_strange, 2, "strange", &truths);
+    assert!(localised.is_never_silently_wrong());
+    assert!(localised.lost > 0 && localised.lost_share() < 0.9);
+    adjusted_error("with a strange start", &of_strange, None, &truths);
+
+    let (other, _) = Park::new(folder.path(), 99).drive(0, "other_place", &["loops=0.4"]);
+    run("lifelong", &map, &[&other]);
+    let merged = rows(
+        &map,
+        None,
+        "SELECT count(*) AS n FROM adjusted_poses WHERE session = 'other_place'",
+    );
+    assert_eq!(merged[0]["n"], 0);
+    let found = rows(
+        &map,
+        None,
+        "SELECT count(*) AS n FROM localisations WHERE session = 'other_place' AND state != 'lost'",
+    );
+    assert_eq!(found[0]["n"], 0);
+    let error = adjusted_error("beside another place", &map, None, &truths);
+    assert!(error.position_m.rmse <= first.position_m.rmse + 0.01);
+}
+
+#[test]
+fn one_camera_on_the_road_halves_the_odometrys_drift_and_finds_its_way_again() {
+    let Some(stretch) = Stretch::find() else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("whole");
+    let all = stretch.write(folder.path(), "all", 0, 1);
+    run("metric_map", &map, &[&all.session]);
+    let truths: Trajectories = [("all".to_owned(), all.truth)].into();
+    let estimates = poses(&map, None, "adjusted_poses", "map_from_vehicle");
+    let odometry: Trajectories = [("all".to_owned(), all.odometry)].into();
+    let drift =
+        |estimates: &Trajectories| relative_error(&pairs(estimates, &truths)["all"], 10.0).unwrap();
+    let (found, drifted) = (drift(&estimates), drift(&odometry));
+    eprintln!(
+        "KITTI: {:.2} % and {:.4} deg/m; odometry {:.2} % and {:.4} deg/m",
+        100.0 * found.translation.rmse,
+        found.rotation_rad_per_m.rmse.to_degrees(),
+        100.0 * drifted.translation.rmse,
+        drifted.rotation_rad_per_m.rmse.to_degrees()
+    );
+    assert!(found.translation.rmse <= 0.5 * drifted.translation.rmse);
+    assert!(found.rotation_rad_per_m.rmse <= 0.5 * drifted.rotation_rad_per_m.rmse);
+
+    let map = folder.path().join("map");
+    let (even, odd) = (
+        stretch.write(folder.path(), "even", 0, 2),
+        stretch.write(folder.path(), "odd", 1, 2),
+    );
+    run("metric_map", &map, &[&even.session]);
+    run("lifelong", &map, &[&odd.session]);
+    let truths: Trajectories = [
+        ("even".to_owned(), even.truth),
+        ("odd".to_owned(), odd.truth),
+    ]
+    .into();
+    let localised = Localised::of(&map, 2, "odd", &truths);
+    assert!(localised.lost_share() < 0.1);
+    assert!(localised.error.unwrap().position_m.median <= 0.10);
+}
+
+#[test]
+#[ignore = "an hour: five car parks of full size, three drives each"]
+fn five_seeds_reach_what_one_does() {
+    let folder = tempfile::tempdir().unwrap();
+    for seed in 1..=5 {
+        let map = folder.path().join(format!("map_{seed}"));
+        let park = Park::new(folder.path(), seed);
+        let mut truths = Trajectories::new();
+        for index in 0..3 {
+            let (session, truth) = park.drive(index, &format!("drive_{index}"), &["loops=2"]);
+            truths.extend(truth);
+            run(
+                if index == 0 { "metric_map" } else { "lifelong" },
+                &map,
+                &[&session],
+            );
+            let error = adjusted_error(
+                &format!("seed {seed}, {} drives", index + 1),
+                &map,
+                None,
+                &truths,
+            );
+            let most = if index == 2 { 0.03 } else { 0.05 };
+            assert!(error.position_m.rmse <= most);
+            if index > 0 {
+                let localised =
+                    Localised::of(&map, index as u32 + 1, &format!("drive_{index}"), &truths);
+                assert!(localised.is_never_silently_wrong());
+            }
+        }
+    }
+}
+
+#[test]
+fn threads_and_partitions_do_not_change_the_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let park = Park::new(folder.path(), 15);
+    let (initial, _) = park.drive(
+        0,
+        "initial",
+        &["loops=0.2", "width_px=320", "height_px=240"],
+    );
+    let (revisit, _) = park.drive(
+        4,
+        "revisit",
+        &["loops=0.2", "width_px=320", "height_px=240"],
+    );
+    let digests = |jobs: &str| {
+        let map = folder.path().join(format!("map_{jobs}"));
+        for (plan, session) in [("metric_map", &initial), ("lifelong", &revisit)] {
+            let arguments = [
+                "run",
+                plan,
+                "--map",
+                text(&map),
+                "--progress",
+                "none",
+                "--site",
+                "park",
+                "--jobs",
+                jobs,
+                "--sessions",
+                text(session),
+            ];
+            let mut command = evermap_tests::command(&arguments);
+            let done = command.env("RAYON_NUM_THREADS", jobs).output().unwrap();
+            evermap_tests::Finished::from(done).expect(0);
+        }
+        let layers = evermap(&["layers", "--map", text(&map), "--format", "json"])
+            .expect(0)
+            .json();
+        let digest = |layer: &serde_json::Value| (layer["layer"].clone(), layer["digest"].clone());
+        layers
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(digest)
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(digests("1"), digests("3"));
+}
