@@ -37,6 +37,8 @@ pub struct BundleAdjustmentParams {
     pub drop_sigmas: f64,
     /// Rays to a landmark differ by at least this angle (rad).
     pub min_parallax_rad: f64,
+    /// Standard deviation of a session's odometry scale about 1.
+    pub odometry_scale_sigma: f64,
     /// The frame whose poses are adjusted.
     pub vehicle_frame: String,
 }
@@ -62,6 +64,7 @@ impl Default for BundleAdjustmentParams {
             sigma_px: adjust.sigma_px,
             drop_sigmas,
             min_parallax_rad,
+            odometry_scale_sigma: adjust.odometry_scale_sigma,
             vehicle_frame: "base_link".into(),
         }
     }
@@ -76,6 +79,7 @@ impl BundleAdjustmentParams {
             ("sigma_px", self.sigma_px),
             ("drop_sigmas", self.drop_sigmas),
             ("min_parallax_rad", self.min_parallax_rad),
+            ("odometry_scale_sigma", self.odometry_scale_sigma),
         ];
         for (name, value) in positive {
             if !(value > 0.0 && value.is_finite()) {
@@ -98,6 +102,7 @@ impl BundleAdjustmentParams {
             min_parallax_rad: self.min_parallax_rad,
             adjust: AdjustParams {
                 sigma_px: self.sigma_px,
+                odometry_scale_sigma: self.odometry_scale_sigma,
                 ..defaults.adjust
             },
             ..defaults

@@ -4,11 +4,13 @@
 //! its yaw drift and `ℓ` the driven length, the residual of a step from pose `i` to pose `j` is
 //!
 //! ```text
-//! r_t = Rᵢᵀ (tⱼ - tᵢ) - s Rz(b ℓ / 2) d          translation, along the axes of i
+//! r_t = Rᵢᵀ (tⱼ - tᵢ) / s - Rz(b ℓ / 2) d        translation, along the axes of i
 //! r_R = Log( (M Rz(b ℓ))ᵀ Rᵢᵀ Rⱼ )               rotation
 //! ```
 //!
-//! divided by the standard deviations axis by axis. A drift that builds up evenly turns the chord
+//! divided by the standard deviations axis by axis. The motion is divided by the scale, and not the measurement
+//! multiplied: where one camera leaves the scale open, a smaller world would otherwise have smaller residuals, and
+//! shrink. A drift that builds up evenly turns the chord
 //! by half of what it turns the end, hence `b ℓ / 2`.
 
 use nalgebra::{Matrix6, SMatrix, UnitQuaternion, Vector3, Vector6};
@@ -34,9 +36,10 @@ pub(super) fn residual(step: &Odometry, from: &Pose, to: &Pose, session: &Sessio
     let motion = from.inverse().compose(to);
     let turn = session.odometry_yaw_rad_per_m * step.length_m;
     let measured = &step.from_from_to;
-    let chord = about_z(0.5 * turn) * measured.translation * session.odometry_scale;
+    let chord = about_z(0.5 * turn) * measured.translation;
     let rotation = (measured.rotation * about_z(turn)).inverse() * motion.rotation;
-    let residual = se3::join(&(motion.translation - chord), &so3::log(&rotation));
+    let moved = motion.translation / session.odometry_scale;
+    let residual = se3::join(&(moved - chord), &so3::log(&rotation));
     residual.component_div(&Vector6::from(step.sigma))
 }
 
@@ -50,23 +53,25 @@ pub(super) fn linearise(step: &Odometry, from: &Pose, to: &Pose, session: &Sessi
     let (_, angle) = se3::split(&whitened.component_mul(&sigma));
     let r = motion.rotation.to_rotation_matrix().into_inner();
     let inverse = so3::right_jacobian_inverse(&angle);
+    let shrink = 1.0 / session.odometry_scale;
 
     let mut from = Matrix6::zeros();
     from.fixed_view_mut::<3, 3>(0, 0)
-        .copy_from(&-nalgebra::Matrix3::identity());
+        .copy_from(&-nalgebra::Matrix3::from_diagonal_element(shrink));
     from.fixed_view_mut::<3, 3>(0, 3)
-        .copy_from(&hat(&motion.translation));
+        .copy_from(&(hat(&motion.translation) * shrink));
     from.fixed_view_mut::<3, 3>(3, 3)
         .copy_from(&-(inverse * r.transpose()));
     let mut to = Matrix6::zeros();
-    to.fixed_view_mut::<3, 3>(0, 0).copy_from(&r);
+    to.fixed_view_mut::<3, 3>(0, 0).copy_from(&(r * shrink));
     to.fixed_view_mut::<3, 3>(3, 3).copy_from(&inverse);
     let mut of_session = SMatrix::<f64, 6, 2>::zeros();
-    let half = 0.5 * step.length_m * session.odometry_scale;
+    let by_scale = -motion.translation * (shrink * shrink);
+    let half = 0.5 * step.length_m;
     let by_yaw = -Vector3::z().cross(&chord) * half;
     let by_turn = -(so3::left_jacobian_inverse(&angle) * Vector3::z() * step.length_m);
     for axis in 0..3 {
-        of_session[(axis, 0)] = -chord[axis];
+        of_session[(axis, 0)] = by_scale[axis];
         of_session[(axis, 1)] = by_yaw[axis];
         of_session[(axis + 3, 1)] = by_turn[axis];
     }

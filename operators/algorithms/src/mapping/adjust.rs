@@ -42,7 +42,7 @@ impl Default for AdjustParams {
             robust_sigmas: 2.0,
             odometry_sigma: [0.005, 0.005, 0.01, 0.01, 0.01, 0.003],
             odometry_sigma_per_m: [0.01, 0.01, 0.03, 0.02, 0.02, 0.006],
-            odometry_scale_sigma: 0.03,
+            odometry_scale_sigma: 0.01,
             longest_step_m: 5.0,
             iterations: 8,
             last_iterations: 30,
