@@ -168,7 +168,7 @@ fn odometry(scene: &Scene, params: &AdjustParams) -> Vec<Odometry> {
             .inverse()
             .compose(&pair[1].odom_from_vehicle);
         let length_m = from_from_to.translation.norm();
-        if !(length_m <= params.longest_step_m) {
+        if length_m.is_nan() || length_m > params.longest_step_m {
             continue;
         }
         steps.push(Odometry {
