@@ -258,7 +258,7 @@ impl<'a> Site<'a> {
     fn beside(&self, earlier: usize, found: &Loop) -> Option<(usize, Pose)> {
         let (drive, keyframe) = found.earlier;
         let surveyed = &self.drives[drive];
-        let later = (found.later.0 == drive).then_some(surveyed.path_m[found.later.1]);
+        let later = (found.later.0 == drive).then(|| surveyed.path_m[found.later.1]);
         let first = self.first[drive];
         let near = (0..surveyed.path_m.len()).filter(|other| {
             let apart = self.apart_m(first + other, earlier);
