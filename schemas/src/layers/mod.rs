@@ -1,6 +1,7 @@
 //! The map's layers: what operators yield, and what SQL users read.
 
 mod metric_map;
+mod semantic_map;
 
 use std::collections::BTreeMap;
 
@@ -9,6 +10,11 @@ use crate::{Bytes, ImageRef, LayerRow, Pose, Stamp, Wkb, record};
 pub use metric_map::{
     AdjustedPose, Features, FrameImage, FramePose, GraphPose, Landmark, Localisation, LoopClosure,
     LoopEdge, MapFrame, Observation, Sighting, Track, TrackPoint,
+};
+pub use semantic_map::{
+    ClassCount, ClassLeaf, ClassScores, CrfSetting, DecisionTree, LabelImage, LabelledFrame,
+    PixelSamples, Relocation, ScoredFrame, SemanticArea, SemanticEdge, SemanticGraph, TreeNode,
+    View,
 };
 
 record! {
@@ -288,6 +294,16 @@ pub fn all() -> Vec<crate::Layer> {
         LoopClosure::layer(),
         MapFrame::layer(),
         Track::layer(),
+        ClassLeaf::layer(),
+        ClassScores::layer(),
+        CrfSetting::layer(),
+        DecisionTree::layer(),
+        LabelImage::layer(),
+        LabelledFrame::layer(),
+        PixelSamples::layer(),
+        Relocation::layer(),
+        ScoredFrame::layer(),
+        View::layer(),
         Calibration::layer(),
         Frame::layer(),
         GroundPatch::layer(),

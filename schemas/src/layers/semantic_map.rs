@@ -1,0 +1,353 @@
+//! Layers of the semantic map: labels of pixels, what labels them, graphs of views, and where views were found.
+
+use crate::{Bytes, ImageRef, LayerRow, Stamp, record};
+
+record! {
+    /// The classes of one image's pixels.
+    pub struct LabelImage {
+        /// Site that was driven.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant.
+        stamp: Stamp ["ns"],
+        /// Camera that took the image.
+        camera: String,
+        /// Width of the image.
+        width: u32 ["px"],
+        /// Height of the image.
+        height: u32 ["px"],
+        /// Names of the classes; a pixel's value is an index into this list.
+        classes: Vec<String>,
+        /// The labels as an 8-bit grey PNG; 255 where a pixel has no class.
+        png: Bytes,
+    }
+}
+impl LayerRow for LabelImage {
+    const NAME: &'static str = "label_images";
+    const DOC: &'static str = "The classes of one image's pixels.";
+    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
+}
+
+record! {
+    /// An image with the classes of its pixels: what classifiers learn from.
+    pub struct LabelledFrame {
+        /// Site that was driven.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant.
+        stamp: Stamp ["ns"],
+        /// Camera that took the image.
+        camera: String,
+        /// Where the pixels are.
+        image: ImageRef,
+        /// Names of the classes; a pixel's value is an index into this list.
+        classes: Vec<String>,
+        /// The labels as an 8-bit grey PNG; 255 where a pixel has no class.
+        png: Bytes,
+    }
+}
+impl LayerRow for LabelledFrame {
+    const NAME: &'static str = "labelled_frames";
+    const DOC: &'static str =
+        "An image with the classes of its pixels: what classifiers learn from.";
+    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
+}
+
+record! {
+    /// Pixels of one image that a classifier learns from.
+    pub struct PixelSamples {
+        /// Site that was driven.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant.
+        stamp: Stamp ["ns"],
+        /// Camera that took the image.
+        camera: String,
+        /// Names of the classes.
+        classes: Vec<String>,
+        /// What the features are, as JSON: predictions must compute the same ones.
+        features: String,
+        /// Number of features of each sample.
+        dimensions: u32,
+        /// Class of each sample, an index into `classes`.
+        labels: Vec<u8>,
+        /// Features of the samples, one sample after the other, each value quantised to a byte.
+        values: Bytes,
+    }
+}
+impl LayerRow for PixelSamples {
+    const NAME: &'static str = "pixel_samples";
+    const DOC: &'static str = "Pixels of one image that a classifier learns from.";
+    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
+}
+
+record! {
+    /// One node of a decision tree.
+    pub struct TreeNode {
+        /// Feature that is compared.
+        feature: u16,
+        /// A sample goes left where its feature is at most this.
+        threshold: u8,
+        /// Index of the left child; the right one follows it. 0 for a leaf.
+        left: u32,
+        /// Index of a leaf's distribution; 0 for inner nodes.
+        leaf: u32,
+    }
+}
+
+record! {
+    /// One tree of a random forest.
+    pub struct DecisionTree {
+        /// Site that it was learnt on.
+        site: String,
+        /// Counted from 0 within the forest.
+        tree: u32,
+        /// Names of the classes.
+        classes: Vec<String>,
+        /// What the features are, as JSON.
+        features: String,
+        /// The nodes, the root first.
+        nodes: Vec<TreeNode>,
+        /// Probability of each class at each leaf, one leaf after the other.
+        distributions: Vec<f32>,
+        /// Share of each class in the samples, before weights.
+        priors: Vec<f32>,
+    }
+}
+impl LayerRow for DecisionTree {
+    const NAME: &'static str = "pixel_forest";
+    const DOC: &'static str = "One tree of a random forest that classifies pixels.";
+    const KEY: &'static [&'static str] = &["site", "tree"];
+}
+
+record! {
+    /// Probabilities of the classes over one image.
+    pub struct ClassScores {
+        /// Site that was driven.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant.
+        stamp: Stamp ["ns"],
+        /// Camera that took the image.
+        camera: String,
+        /// Width of the image.
+        width: u32 ["px"],
+        /// Height of the image.
+        height: u32 ["px"],
+        /// Side of a cell: cell (i, j) is of the pixels `[i, i + 1) * stride` by `[j, j + 1) * stride`.
+        stride_px: u32 ["px"],
+        /// Names of the classes.
+        classes: Vec<String>,
+        /// Probability of each class in each cell, `1/255` per unit: cell after cell, row by row, classes innermost.
+        probabilities: Bytes,
+    }
+}
+impl LayerRow for ClassScores {
+    const NAME: &'static str = "class_scores";
+    const DOC: &'static str = "Probabilities of the classes over one image.";
+    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
+}
+
+record! {
+    /// An image with the probabilities of the classes over it.
+    pub struct ScoredFrame {
+        /// Site that was driven.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant.
+        stamp: Stamp ["ns"],
+        /// Camera that took the image.
+        camera: String,
+        /// Width of the image.
+        width: u32 ["px"],
+        /// Height of the image.
+        height: u32 ["px"],
+        /// Side of a cell.
+        stride_px: u32 ["px"],
+        /// Names of the classes.
+        classes: Vec<String>,
+        /// As in `class_scores`.
+        probabilities: Bytes,
+        /// Where the pixels are: colour for the random field, range for the neighbours' votes.
+        image: ImageRef,
+    }
+}
+impl LayerRow for ScoredFrame {
+    const NAME: &'static str = "scored_frames";
+    const DOC: &'static str = "An image with the probabilities of the classes over it.";
+    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
+}
+
+record! {
+    /// Parameters of the dense random field and how well they did.
+    pub struct CrfSetting {
+        /// Site that they were learnt on.
+        site: String,
+        /// Counted from 0, the best first.
+        rank: u32,
+        /// Standard deviation of the appearance kernel in the image.
+        appearance_px: f64 ["px"],
+        /// Standard deviation of the appearance kernel in colour (8-bit values).
+        appearance_colour: f64,
+        /// Weight of the appearance kernel.
+        appearance_weight: f64,
+        /// Standard deviation of the smoothness kernel.
+        smoothness_px: f64 ["px"],
+        /// Weight of the smoothness kernel.
+        smoothness_weight: f64,
+        /// Pixels right, of those with a class.
+        pixel_accuracy: f64,
+        /// Mean over the classes of the share of their pixels that are right.
+        class_accuracy: f64,
+    }
+}
+impl LayerRow for CrfSetting {
+    const NAME: &'static str = "crf_settings";
+    const DOC: &'static str =
+        "Parameters of the dense random field and how well they did on held-out images.";
+    const KEY: &'static [&'static str] = &["site", "rank"];
+}
+
+record! {
+    /// One connected area of equal class in a view.
+    pub struct SemanticArea {
+        /// The class.
+        class: String,
+        /// Number of pixels.
+        pixels: u32 ["px"],
+        /// Column of the centre; in a full panorama from 0 to the width, as it may lie across the seam.
+        u: f32 ["px"],
+        /// Row of the centre.
+        v: f32 ["px"],
+        /// Half the longer axis of the ellipse with the area's second moments.
+        major_px: f32 ["px"],
+        /// Half the shorter axis.
+        minor_px: f32 ["px"],
+        /// Direction of the longer axis, from the image's x axis toward y, `(-π/2, π/2]`.
+        orientation_rad: f32 ["rad"],
+        /// `sqrt(1 - minor²/major²)`: 0 for a circle, near 1 for a line.
+        eccentricity: f32,
+    }
+}
+
+record! {
+    /// Two areas that touch.
+    pub struct SemanticEdge {
+        /// Index of one area; the smaller one.
+        a: u16,
+        /// Index of the other area.
+        b: u16,
+        /// Pairs of neighbouring pixels (four neighbours) across their common boundary.
+        boundary_px: u32 ["px"],
+    }
+}
+
+record! {
+    /// Areas and which of them touch.
+    pub struct SemanticGraph {
+        /// Width of the view.
+        width: u32 ["px"],
+        /// Height of the view.
+        height: u32 ["px"],
+        /// True where the last column is next to the first.
+        wraps: bool,
+        /// The areas, by class in the order of the class list, the largest first.
+        areas: Vec<SemanticArea>,
+        /// The edges, ordered by a and b.
+        edges: Vec<SemanticEdge>,
+    }
+}
+
+record! {
+    /// One view of a place, described by the graph of what is seen.
+    pub struct View {
+        /// Site that was driven.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant.
+        stamp: Stamp ["ns"],
+        /// Camera that took it.
+        camera: String,
+        /// The view's name: `session/camera/stamp`, the stamp in ns.
+        view: String,
+        /// What is seen.
+        graph: SemanticGraph,
+    }
+}
+impl LayerRow for View {
+    const NAME: &'static str = "views";
+    const DOC: &'static str = "One view of a place, described by the graph of what is seen.";
+    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
+}
+
+record! {
+    /// How many areas of a class a view has.
+    pub struct ClassCount {
+        /// The class.
+        class: String,
+        /// Areas; at least 1.
+        areas: u16,
+    }
+}
+
+record! {
+    /// One leaf of the class index: views with equal content.
+    pub struct ClassLeaf {
+        /// Site of the views.
+        site: String,
+        /// Leaves are in the order of the index: by which classes are present, then by how many areas of each.
+        leaf: u32,
+        /// The classes present, by name; those that are not listed are absent.
+        counts: Vec<ClassCount>,
+        /// The views, by name.
+        views: Vec<String>,
+    }
+}
+impl LayerRow for ClassLeaf {
+    const NAME: &'static str = "class_index";
+    const DOC: &'static str = "One leaf of the class index: views with equal content.";
+    const KEY: &'static [&'static str] = &["site", "leaf"];
+}
+
+record! {
+    /// A view of the map that a query view may show.
+    pub struct Relocation {
+        /// Site of the map.
+        site: String,
+        /// Session of the query.
+        session: String,
+        /// Exposure instant of the query.
+        stamp: Stamp ["ns"],
+        /// Camera of the query.
+        camera: String,
+        /// The query's view.
+        view: String,
+        /// Counted from 0, the best first.
+        rank: u32,
+        /// Session of the map's view.
+        map_session: String,
+        /// Exposure instant of the map's view.
+        map_stamp: Stamp ["ns"],
+        /// Camera of the map's view.
+        map_camera: String,
+        /// The map's view.
+        map_view: String,
+        /// From 0 (nothing in common) to 1 (the same): of graphs, matched areas over the query's areas; of words, the
+        /// L1 score.
+        score: f64,
+        /// Of graphs, σ = exp(1 - N/Nm) with N areas in the query and Nm matched, 1 at best and 0 without a match
+        /// (paper 3); of words, the score again.
+        similarity: f64,
+    }
+}
+impl LayerRow for Relocation {
+    const NAME: &'static str = "relocations";
+    const DOC: &'static str = "A view of the map that a query view may show, the best first.";
+    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera", "rank"];
+}
