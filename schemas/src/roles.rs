@@ -109,3 +109,23 @@ impl LayerRow for Transform {
         "One transform between two frames, as `/tf` and `/tf_static` publish them.";
     const KEY: &'static [&'static str] = &["site", "session", "parent", "child", "stamp"];
 }
+
+record! {
+    /// What a value in the label images of a session means.
+    pub struct LabelClass {
+        /// Site that the session belongs to.
+        site: String,
+        /// Session that it holds for.
+        session: String,
+        /// Pixel value.
+        value: u8,
+        /// Name of the class.
+        class: String,
+    }
+}
+impl LayerRow for LabelClass {
+    const NAME: &'static str = "label_classes";
+    const DOC: &'static str =
+        "What a value in the label images of a session means: the log's metadata `label_classes`.";
+    const KEY: &'static [&'static str] = &["site", "session", "value"];
+}

@@ -282,7 +282,7 @@ impl LayerRow for Intersection {
 
 /// Every layer that operators yield or read, sorted by name; the reference page lists these.
 pub fn all() -> Vec<crate::Layer> {
-    use crate::roles::{Calibration, Frame, OdometryPose, Transform};
+    use crate::roles::{Calibration, Frame, LabelClass, OdometryPose, Transform};
     let mut layers = vec![
         AdjustedPose::layer(),
         Features::layer(),
@@ -309,6 +309,7 @@ pub fn all() -> Vec<crate::Layer> {
         GroundPatch::layer(),
         Intersection::layer(),
         Keyframe::layer(),
+        LabelClass::layer(),
         Lane::layer(),
         OdometryPose::layer(),
         OverheadTile::layer(),
