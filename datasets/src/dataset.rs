@@ -143,7 +143,8 @@ impl Dataset {
     }
 
     /// Every table of the dataset, by name: each topic, `messages`, `channels`, `sessions`, `attachments`,
-    /// `metadata`, and the roles `frames`, `odometry`, `calibration`, `transforms`.
+    /// `metadata`, and the roles `frames`, `depth_frames`, `label_frames`, `odometry`, `calibration`, `transforms`,
+    /// `label_classes`.
     ///
     /// A topic that cannot be decoded is a table that says so when it is scanned.
     ///
@@ -352,6 +353,8 @@ fn check_names(groups: &[Group]) -> Result<(), Fault> {
 fn check_roles(manifest: &ManifestRoles, sessions: &[Session]) -> Result<(), Fault> {
     let given = [
         ("frames", manifest.frames.is_some()),
+        ("depth_frames", manifest.depth_frames.is_some()),
+        ("label_frames", manifest.label_frames.is_some()),
         ("odometry", manifest.odometry.is_some()),
         ("calibration", manifest.calibration.is_some()),
         ("transforms", manifest.transforms.is_some()),

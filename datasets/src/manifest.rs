@@ -7,6 +7,8 @@
 //!     files: [logs/monday_*.mcap]      # parts of one recording; relative to the manifest
 //! roles:
 //!   frames: ["/camera/*/image_raw/compressed"]
+//!   depth_frames: ["/camera/*/depth"]
+//!   label_frames: ["/camera/*/labels"]
 //!   odometry: /odom
 //!   calibration: ["/camera/*/camera_info"]
 //!   transforms: [/tf, /tf_static]
@@ -52,6 +54,10 @@ pub struct ManifestSession {
 pub struct ManifestRoles {
     /// Topics with images.
     pub frames: Option<Vec<String>>,
+    /// Topics with range images.
+    pub depth_frames: Option<Vec<String>>,
+    /// Topics with images of class labels.
+    pub label_frames: Option<Vec<String>>,
     /// The one topic with wheel or visual odometry.
     pub odometry: Option<String>,
     /// Topics with intrinsic calibrations.
@@ -98,6 +104,10 @@ impl Manifest {
 pub struct Roles {
     /// Topics with images, ascending.
     pub frames: Vec<String>,
+    /// Topics with range images, ascending.
+    pub depth_frames: Vec<String>,
+    /// Topics with images of class labels, ascending.
+    pub label_frames: Vec<String>,
     /// The topic with odometry.
     pub odometry: Option<String>,
     /// Topics with intrinsic calibrations, ascending.
@@ -129,6 +139,9 @@ const FRAMES: [&str; 4] = [
     "foxglove.CompressedImage",
     "foxglove.RawImage",
 ];
+/// Parts of a topic's name that tell range images and label images from pictures.
+const DEPTH: [&str; 1] = ["depth"];
+const LABELS: [&str; 3] = ["label", "segmentation", "semantic"];
 const CALIBRATION: [&str; 2] = ["sensor_msgs/CameraInfo", "foxglove.CameraCalibration"];
 const ODOMETRY: [&str; 1] = ["nav_msgs/Odometry"];
 const POSES: [&str; 2] = ["foxglove.PoseInFrame", "geometry_msgs/PoseStamped"];
@@ -144,6 +157,8 @@ impl Roles {
     ///
     /// - `frames`: `CompressedImage` and `Image` of sensor_msgs, `CompressedImage` and `RawImage` of foxglove. Where a
     ///   topic and its `/compressed` twin are both there, the compressed one counts; `/compressedDepth` never does.
+    /// - `depth_frames` and `label_frames`: those of them with a part of the name that speaks of depth, or of labels,
+    ///   segmentation or semantics. Of several label topics beside each other the first by name.
     /// - `calibration`: `CameraInfo`, `CameraCalibration`. `transforms`: `TFMessage`, `FrameTransform(s)`.
     /// - `odometry`: one `nav_msgs/Odometry` topic: `/odom` if there is one, else that with most messages, else the
     ///   first by name. Where there is none, a `PoseInFrame` or `PoseStamped` topic whose name speaks of odometry.
@@ -158,9 +173,16 @@ impl Roles {
         };
         let all = of(&FRAMES);
         let twin = |topic: &String| all.contains(&format!("{topic}/compressed"));
-        let frames = all
+        let images = all
             .iter()
             .filter(|topic| !twin(topic) && !topic.ends_with("/compressedDepth"));
+        let (special, frames): (Vec<String>, Vec<String>) = images
+            .cloned()
+            .partition(|topic| speaks_of(topic, &DEPTH) || speaks_of(topic, &LABELS));
+        let (labels, depth_frames) = special
+            .into_iter()
+            .partition(|topic| speaks_of(topic, &LABELS));
+        let label_frames = choose_labels(labels, &mut notes);
         let mut candidates = of(&ODOMETRY);
         if candidates.is_empty() {
             candidates = of(&POSES);
@@ -174,7 +196,9 @@ impl Roles {
             ));
         }
         let roles = Self {
-            frames: frames.cloned().collect(),
+            frames,
+            depth_frames,
+            label_frames,
             odometry,
             calibration: of(&CALIBRATION),
             transforms: of(&TRANSFORMS),
@@ -186,6 +210,8 @@ impl Roles {
     pub fn topics(&self, role: &str) -> &[String] {
         match role {
             "frames" => &self.frames,
+            "depth_frames" => &self.depth_frames,
+            "label_frames" => &self.label_frames,
             "odometry" => self.odometry.as_slice(),
             "calibration" => &self.calibration,
             "transforms" => &self.transforms,
@@ -205,6 +231,13 @@ impl Roles {
         if let Some(patterns) = &manifest.frames {
             roles.frames = matching(patterns, topics)?;
         }
+        if let Some(patterns) = &manifest.depth_frames {
+            roles.depth_frames = matching(patterns, topics)?;
+        }
+        if let Some(patterns) = &manifest.label_frames {
+            roles.label_frames = matching(patterns, topics)?;
+            notes.retain(|note| !note.starts_with("label_frames"));
+        }
         if let Some(patterns) = &manifest.calibration {
             roles.calibration = matching(patterns, topics)?;
         }
@@ -220,7 +253,7 @@ impl Roles {
                 ))
                 .at("roles.odometry"));
             }
-            notes.clear();
+            notes.retain(|note| !note.starts_with("odometry"));
             roles.odometry = found.pop();
         }
         Ok((roles, notes))
@@ -234,6 +267,39 @@ fn others(candidates: &[String], chosen: &str) -> String {
         .filter(|topic| *topic != chosen)
         .collect();
     others.join(", ")
+}
+
+fn speaks_of(topic: &str, words: &[&str]) -> bool {
+    let topic = topic.to_lowercase();
+    words.iter().any(|word| topic.contains(word))
+}
+
+/// Of label topics that differ only from the part that speaks of labels on, the first by name.
+fn choose_labels(candidates: Vec<String>, notes: &mut Vec<String>) -> Vec<String> {
+    let owner = |topic: &str| {
+        let parts = topic.split('/');
+        let parts: Vec<_> = parts.take_while(|part| !speaks_of(part, &LABELS)).collect();
+        parts.join("/")
+    };
+    let mut owners = BTreeMap::<String, Vec<String>>::new();
+    for topic in candidates {
+        owners.entry(owner(&topic)).or_default().push(topic);
+    }
+    let mut chosen = Vec::new();
+    for topics in owners.into_values() {
+        let Some(first) = topics.first() else {
+            continue;
+        };
+        if topics.len() > 1 {
+            notes.push(format!(
+                "label_frames are read from {first}; {} would do too: say roles.label_frames in a session manifest to choose",
+                others(&topics, first)
+            ));
+        }
+        chosen.push(first.clone());
+    }
+    chosen.sort();
+    chosen
 }
 
 fn choose_odometry(candidates: &[String], topics: &BTreeMap<String, TopicInfo>) -> Option<String> {
@@ -306,6 +372,25 @@ mod tests {
             assert_eq!(roles.transforms, ["/tf"]);
             assert!(notes.is_empty());
         }
+    }
+
+    #[test]
+    fn range_and_label_images_are_no_pictures() {
+        let image = "sensor_msgs/msg/CompressedImage";
+        let (roles, notes) = Roles::infer(&topics(&[
+            ("/pano/image/compressed", image, 1),
+            ("/pano/depth", image, 1),
+            ("/pano/labels", image, 1),
+            ("/pano/labels_noisy", image, 1),
+            ("/front/semantic_segmentation/image", image, 1),
+        ]));
+        assert_eq!(roles.frames, ["/pano/image/compressed"]);
+        assert_eq!(roles.depth_frames, ["/pano/depth"]);
+        assert_eq!(
+            roles.label_frames,
+            ["/front/semantic_segmentation/image", "/pano/labels"]
+        );
+        assert!(notes[0].contains("/pano/labels_noisy"), "{notes:?}");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! These are the *sources* of every plan. `datasets` fills them; operators read them.
 
-use crate::{ImageRef, LayerRow, Pose, Stamp, record};
+use crate::{ImageRef, Layer, LayerRow, Pose, Stamp, record};
 
 record! {
     /// One image of one camera, by reference.
@@ -27,6 +27,25 @@ impl LayerRow for Frame {
     const NAME: &'static str = "frames";
     const DOC: &'static str = "One image of one camera, by reference.";
     const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
+}
+impl Frame {
+    /// Range images: 16-bit, in units that the log's maker chose (mostly mm), 0 where there is none.
+    pub fn depth_layer() -> Layer {
+        Layer {
+            name: "depth_frames",
+            doc: "One range image of one camera, by reference.",
+            ..Self::layer()
+        }
+    }
+
+    /// Label images: 8-bit, each value a class; `label_classes` says which.
+    pub fn label_layer() -> Layer {
+        Layer {
+            name: "label_frames",
+            doc: "One image of class labels, by reference.",
+            ..Self::layer()
+        }
+    }
 }
 
 record! {

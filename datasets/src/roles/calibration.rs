@@ -1,18 +1,13 @@
 //! Intrinsic calibrations; logs repeat them with every image, the table does not.
 
-use std::sync::Arc;
-
-use datafusion::catalog::TableProvider;
-use datafusion::datasource::ViewTable;
-use datafusion::prelude::SessionContext;
 use evermap_messages::MessageType;
 use evermap_schemas::Fault;
 use evermap_schemas::roles::Calibration;
-use futures::FutureExt;
 
 use crate::roles::cameras::topic_camera;
 use crate::roles::rows::{Decoded, FromMessages};
-use crate::scan::{MessageAt, fault_of};
+use crate::roles::{Provider, view};
+use crate::scan::MessageAt;
 
 /// A row stays where it is the first of its camera, or differs from the one before it in time.
 const WITHOUT_REPEATS: &str = "
@@ -28,19 +23,8 @@ const WITHOUT_REPEATS: &str = "
     WHERE previous IS NULL OR previous <> content";
 
 /// The table without repeats of an unchanged calibration.
-pub(crate) fn without_repeats(
-    messages: Arc<dyn TableProvider>,
-) -> Result<Arc<dyn TableProvider>, Fault> {
-    let bug = |error| fault_of(&error).at("the view of calibrations");
-    let context = SessionContext::new();
-    context
-        .register_table("calibration_messages", messages)
-        .map_err(bug)?;
-    // Nothing in the making of this plan waits: the only table is at hand.
-    let frame = context.sql(WITHOUT_REPEATS).now_or_never();
-    let frame = frame.ok_or_else(|| Fault::bug("planning a view had to wait"))?;
-    let plan = frame.map_err(bug)?.into_unoptimized_plan();
-    Ok(Arc::new(ViewTable::new(plan, None)))
+pub(crate) fn without_repeats(messages: Provider) -> Result<Provider, Fault> {
+    view(WITHOUT_REPEATS, [("calibration_messages", messages)])
 }
 
 impl FromMessages for Calibration {

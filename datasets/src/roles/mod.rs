@@ -1,5 +1,5 @@
-//! The role tables `frames`, `odometry`, `calibration`, `transforms`: whatever a log's messages are called, these have
-//! the schemas of [`evermap_schemas::roles`].
+//! The role tables `frames`, `depth_frames`, `label_frames`, `odometry`, `calibration`, `transforms`, `label_classes`:
+//! whatever a log's messages are called, these have the schemas of [`evermap_schemas::roles`].
 //!
 //! They are scans like any other (splits, pruning by session and log time, projection), only with a builder that turns
 //! decoded messages into typed rows. Their order is that of the log; sort by stamp where order matters.
@@ -8,6 +8,7 @@ mod calibration;
 mod cameras;
 mod columns;
 mod frames;
+mod labels;
 mod motion;
 mod rows;
 
@@ -17,25 +18,32 @@ use std::sync::Arc;
 use arrow::datatypes::SchemaRef;
 use async_trait::async_trait;
 use datafusion::catalog::{Session, TableProvider};
+use datafusion::datasource::ViewTable;
 use datafusion::error::Result;
 use datafusion::logical_expr::{Expr, TableType};
 use datafusion::physical_plan::ExecutionPlan;
-use evermap_schemas::roles::{Calibration, Frame, OdometryPose, Transform};
+use datafusion::prelude::SessionContext;
+use evermap_schemas::roles::{Calibration, Frame, LabelClass, OdometryPose, Transform};
 use evermap_schemas::{Fault, Layer, LayerRow};
+use futures::FutureExt;
 
 pub(crate) use cameras::{CameraNames, Cameras};
 
 use crate::dataset::Dataset;
 use crate::losses::LossLedger;
-use crate::scan::{LogTable, RowBuilder, external, scan_parts};
+use crate::scan::{LogTable, RowBuilder, external, fault_of, scan_parts};
 use crate::session::LogPart;
 use rows::RoleRows;
 
-/// One of the four roles.
+/// A role that topics play.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
     /// Images, by reference.
     Frames,
+    /// Range images, by reference.
+    Depth,
+    /// Images of class labels, by reference.
+    Labels,
     /// The vehicle in the odometry frame.
     Odometry,
     /// Intrinsic calibrations.
@@ -46,8 +54,10 @@ pub enum Role {
 
 impl Role {
     /// All of them.
-    pub const ALL: [Role; 4] = [
+    pub const ALL: [Role; 6] = [
         Role::Frames,
+        Role::Depth,
+        Role::Labels,
         Role::Odometry,
         Role::Calibration,
         Role::Transforms,
@@ -57,6 +67,8 @@ impl Role {
     pub fn layer(self) -> Layer {
         match self {
             Role::Frames => Frame::layer(),
+            Role::Depth => Frame::depth_layer(),
+            Role::Labels => Frame::label_layer(),
             Role::Odometry => OdometryPose::layer(),
             Role::Calibration => Calibration::layer(),
             Role::Transforms => Transform::layer(),
@@ -65,12 +77,12 @@ impl Role {
 
     /// The table's name.
     pub fn name(self) -> &'static str {
-        match self {
-            Role::Frames => Frame::NAME,
-            Role::Odometry => OdometryPose::NAME,
-            Role::Calibration => Calibration::NAME,
-            Role::Transforms => Transform::NAME,
-        }
+        self.layer().name
+    }
+
+    /// Whether its rows refer to images.
+    fn is_images(self) -> bool {
+        matches!(self, Role::Frames | Role::Depth | Role::Labels)
     }
 }
 
@@ -81,7 +93,7 @@ pub struct RoleScan {
     pub(crate) role: Role,
     /// Topics by session.
     pub(crate) topics: Arc<BTreeMap<Arc<str>, Vec<String>>>,
-    /// Names of cameras by session; only frames need them.
+    /// Names of cameras by session; only images need them.
     pub(crate) cameras: Arc<Cameras>,
 }
 
@@ -98,7 +110,9 @@ impl RoleScan {
         projection: &[usize],
     ) -> Result<Box<dyn RowBuilder>, Fault> {
         Ok(match self.role {
-            Role::Frames => Box::new(RoleRows::<Frame>::new(self, part, projection)?),
+            Role::Frames | Role::Depth | Role::Labels => {
+                Box::new(RoleRows::<Frame>::new(self, part, projection)?)
+            }
             Role::Odometry => Box::new(RoleRows::<OdometryPose>::new(self, part, projection)?),
             Role::Calibration => Box::new(RoleRows::<Calibration>::new(self, part, projection)?),
             Role::Transforms => Box::new(RoleRows::<Transform>::new(self, part, projection)?),
@@ -107,6 +121,20 @@ impl RoleScan {
 }
 
 type Provider = Arc<dyn TableProvider>;
+
+/// A query over tables at hand, as a table.
+fn view<const N: usize>(query: &str, tables: [(&str, Provider); N]) -> Result<Provider, Fault> {
+    let bug = |error| fault_of(&error).at("a view of the log's tables");
+    let context = SessionContext::new();
+    for (name, table) in tables {
+        context.register_table(name, table).map_err(bug)?;
+    }
+    // Nothing in the making of this plan waits: the tables are at hand.
+    let frame = context.sql(query).now_or_never();
+    let frame = frame.ok_or_else(|| Fault::bug("planning a view had to wait"))?;
+    let plan = frame.map_err(bug)?.into_unoptimized_plan();
+    Ok(Arc::new(ViewTable::new(plan, None)))
+}
 
 /// The role tables of a dataset.
 pub(crate) fn tables(dataset: &Dataset) -> Result<Vec<(&'static str, Provider)>, Fault> {
@@ -119,6 +147,7 @@ pub(crate) fn tables(dataset: &Dataset) -> Result<Vec<(&'static str, Provider)>,
         };
         tables.push((role.name(), table));
     }
+    tables.push((LabelClass::NAME, labels::classes(dataset)?));
     Ok(tables)
 }
 
@@ -153,7 +182,7 @@ impl RoleTable {
         };
         let parts = match role {
             // Calibrations may lie in other parts than the frames they name.
-            Role::Frames => dataset.parts(),
+            role if role.is_images() => dataset.parts(),
             _ => dataset.parts().into_iter().filter(plays).collect(),
         };
         Self {
@@ -193,7 +222,7 @@ impl TableProvider for RoleTable {
         limit: Option<usize>,
     ) -> Result<Arc<dyn ExecutionPlan>> {
         let mut scan = self.scan.clone();
-        if scan.role == Role::Frames {
+        if scan.role.is_images() {
             scan.cameras = self.cameras().await.map_err(external)?;
         }
         let table = LogTable::Role(scan);

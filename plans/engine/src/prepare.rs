@@ -63,8 +63,11 @@ pub struct PlanText {
 }
 
 /// The tables of every log, beside one for each topic.
-const SOURCES: [&str; 9] = [
+const SOURCES: [&str; 12] = [
     "frames",
+    "depth_frames",
+    "label_frames",
+    "label_classes",
     "odometry",
     "calibration",
     "transforms",
@@ -298,6 +301,8 @@ fn manifest_of(session: &Session, site: &str) -> Manifest {
         }],
         roles: ManifestRoles {
             frames: topics(&session.roles.frames),
+            depth_frames: topics(&session.roles.depth_frames),
+            label_frames: topics(&session.roles.label_frames),
             odometry: session.roles.odometry.clone(),
             calibration: topics(&session.roles.calibration),
             transforms: topics(&session.roles.transforms),

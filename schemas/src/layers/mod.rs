@@ -306,6 +306,8 @@ pub fn all() -> Vec<crate::Layer> {
         View::layer(),
         Calibration::layer(),
         Frame::layer(),
+        Frame::depth_layer(),
+        Frame::label_layer(),
         GroundPatch::layer(),
         Intersection::layer(),
         Keyframe::layer(),
