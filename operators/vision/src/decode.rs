@@ -1,4 +1,4 @@
-//! Encoded images to grey.
+//! Encoded images to grey and to colour.
 //!
 //! OpenCV decodes straight into our own zeroed buffer. That saves a copy, and it keeps the result a function of the
 //! bytes alone: OpenCV's own buffers are not initialised, so a decoder that leaves pixels out would show what the
@@ -7,13 +7,13 @@
 use std::sync::OnceLock;
 
 use imagesize::ImageType;
-use opencv::core::{Mat, MatTraitConst, MatTraitConstManual, set_num_threads};
+use opencv::core::{DataType, Mat, MatTraitConst, MatTraitConstManual, Vec3b, set_num_threads};
 use opencv::imgcodecs::{
-    IMREAD_GRAYSCALE, IMREAD_IGNORE_ORIENTATION, IMREAD_REDUCED_GRAYSCALE_2,
-    IMREAD_REDUCED_GRAYSCALE_4, imdecode_to,
+    IMREAD_COLOR, IMREAD_GRAYSCALE, IMREAD_IGNORE_ORIENTATION, IMREAD_REDUCED_COLOR_2,
+    IMREAD_REDUCED_COLOR_4, IMREAD_REDUCED_GRAYSCALE_2, IMREAD_REDUCED_GRAYSCALE_4, imdecode_to,
 };
 
-use crate::{Grey, ImageError};
+use crate::{Grey, ImageError, Rgb};
 
 /// How much smaller an image is decoded. JPEGs are then also decoded faster: the transform itself is done at the
 /// smaller size.
@@ -38,20 +38,27 @@ impl Reduction {
         }
     }
 
-    fn flags(self) -> i32 {
-        // The pixels must stay where the calibration says they are, whatever the camera's idea of "up" was.
-        IMREAD_IGNORE_ORIENTATION
-            | match self {
-                Self::Full => IMREAD_GRAYSCALE,
-                Self::Half => IMREAD_REDUCED_GRAYSCALE_2,
-                Self::Quarter => IMREAD_REDUCED_GRAYSCALE_4,
-            }
+    fn grey(self) -> i32 {
+        match self {
+            Self::Full => IMREAD_GRAYSCALE,
+            Self::Half => IMREAD_REDUCED_GRAYSCALE_2,
+            Self::Quarter => IMREAD_REDUCED_GRAYSCALE_4,
+        }
+    }
+
+    fn colour(self) -> i32 {
+        match self {
+            Self::Full => IMREAD_COLOR,
+            Self::Half => IMREAD_REDUCED_COLOR_2,
+            Self::Quarter => IMREAD_REDUCED_COLOR_4,
+        }
     }
 }
 
-/// Decodes encoded images (JPEG, PNG, WebP, BMP, TIFF, PGM and PPM, by their first bytes) to 8-bit grey.
+/// Decodes encoded images (JPEG, PNG, WebP, BMP, TIFF, PGM and PPM, by their first bytes) to 8-bit grey or
+/// colour.
 ///
-/// Colour becomes luma (Rec. 601, which in a JPEG is stored as such); 16 bits become the upper 8; transparency and
+/// Grey from colour is luma (Rec. 601, which in a JPEG is stored as such); colour from grey has three equal values; 16 bits become the upper 8; transparency and
 /// EXIF orientation are ignored.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Decoder {
@@ -75,8 +82,7 @@ impl Decoder {
     /// # Errors
     /// [`ImageError`] for bytes that are no image, or too large a one.
     pub fn size(&self, bytes: &[u8]) -> Result<[u32; 2], ImageError> {
-        let (header, factor) = (header(bytes)?, self.reduction.factor());
-        Ok([header.width, header.height].map(|side| side.div_ceil(factor)))
+        Ok(self.header(bytes)?.1)
     }
 
     /// The image that `bytes` encode.
@@ -95,52 +101,99 @@ impl Decoder {
     /// [`ImageError`] for bytes that are no image, too large an image, or one that is cut off or damaged so that not
     /// every row can be read. (A JPEG damaged in the middle may still decode, with some blocks wrong.)
     pub fn decode_into(&self, bytes: &[u8], grey: &mut Grey) -> Result<(), ImageError> {
-        one_thread()?;
+        let (header, [width, height]) = self.header(bytes)?;
+        grey.reset(width, height)?;
+        let target = (&mut grey.data, [width, height]);
+        [grey.width, grey.height] =
+            decode_onto::<u8>(bytes, &header, self.reduction.grey(), target)?;
+        Ok(())
+    }
+
+    /// The image that `bytes` encode, in colour.
+    ///
+    /// # Errors
+    /// As [`Decoder::decode_into`].
+    pub fn decode_colour(&self, bytes: &[u8]) -> Result<Rgb, ImageError> {
+        let mut rgb = Rgb::default();
+        self.decode_colour_into(bytes, &mut rgb)?;
+        Ok(rgb)
+    }
+
+    /// Decodes into a colour image whose buffer is used again. After an error the image's contents mean nothing.
+    ///
+    /// # Errors
+    /// As [`Decoder::decode_into`].
+    pub fn decode_colour_into(&self, bytes: &[u8], rgb: &mut Rgb) -> Result<(), ImageError> {
+        let (header, [width, height]) = self.header(bytes)?;
+        rgb.reset(width, height)?;
+        let target = (&mut rgb.data, [width, height]);
+        [rgb.width, rgb.height] =
+            decode_onto::<Vec3b>(bytes, &header, self.reduction.colour(), target)?;
+        // OpenCV's order is blue, green, red.
+        for pixel in rgb.data.chunks_exact_mut(3) {
+            pixel.swap(0, 2);
+        }
+        Ok(())
+    }
+
+    fn header(&self, bytes: &[u8]) -> Result<(Header, [u32; 2]), ImageError> {
         let header = header(bytes)?;
         let factor = self.reduction.factor();
-        grey.reset(
-            header.width.div_ceil(factor),
-            header.height.div_ceil(factor),
-        )?;
-        let damaged = || ImageError::Damaged {
-            format: header.format,
-            bytes: bytes.len(),
-        };
-        let (rows, columns) = (grey.height as i32, grey.width as i32);
-        if header.format == "jpeg" && !ends_like_a_jpeg(bytes) {
-            return Err(damaged());
-        }
-        let source = Mat::from_slice(bytes)?;
-        let mut target = Mat::new_rows_cols_with_data_mut(rows, columns, grey.data.as_mut_slice())?;
-        let own = target.data();
-        imdecode_to(&source, self.reduction.flags(), &mut target).map_err(|_| damaged())?;
-        if target.empty() {
-            return Err(damaged());
-        }
-        if target.data() == own {
-            return Ok(());
-        }
-        // The decoder saw another size than the header's first look: take what it made.
-        let (width, height) = (target.cols() as u32, target.rows() as u32);
-        let data = target.data_typed::<u8>()?.to_vec();
-        drop(target);
-        *grey = Grey {
-            width,
-            height,
-            data,
-        };
-        Ok(())
+        let size = [header.width, header.height].map(|side| side.div_ceil(factor));
+        Ok((header, size))
     }
 }
 
-struct Header {
-    format: &'static str,
-    width: u32,
-    height: u32,
+/// Decodes pixels of type `P` into a buffer of that size; the width and height of what was decoded.
+fn decode_onto<P: DataType>(
+    bytes: &[u8],
+    header: &Header,
+    flags: i32,
+    (buffer, [width, height]): (&mut Vec<u8>, [u32; 2]),
+) -> Result<[u32; 2], ImageError> {
+    one_thread()?;
+    let damaged = || header.damaged(bytes);
+    if header.format == "jpeg" && !ends_like_a_jpeg(bytes) {
+        return Err(damaged());
+    }
+    let source = Mat::from_slice(bytes)?;
+    let mut target =
+        Mat::new_rows_cols_with_bytes_mut::<P>(height as i32, width as i32, buffer.as_mut_slice())?;
+    let own = target.data();
+    // The pixels must stay where the calibration says they are, whatever the camera's idea of "up" was.
+    let flags = flags | IMREAD_IGNORE_ORIENTATION;
+    imdecode_to(&source, flags, &mut target).map_err(|_| damaged())?;
+    if target.empty() {
+        return Err(damaged());
+    }
+    if target.data() == own {
+        return Ok([width, height]);
+    }
+    // The decoder saw another size than the header's first look: take what it made.
+    let size = [target.cols() as u32, target.rows() as u32];
+    let made = target.data_bytes()?.to_vec();
+    drop(target);
+    *buffer = made;
+    Ok(size)
+}
+
+pub(crate) struct Header {
+    pub(crate) format: &'static str,
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+}
+
+impl Header {
+    pub(crate) fn damaged(&self, bytes: &[u8]) -> ImageError {
+        ImageError::Damaged {
+            format: self.format,
+            bytes: bytes.len(),
+        }
+    }
 }
 
 /// What the first bytes say, checked against [`crate::MAX_PIXELS`] before OpenCV sees them.
-fn header(bytes: &[u8]) -> Result<Header, ImageError> {
+pub(crate) fn header(bytes: &[u8]) -> Result<Header, ImageError> {
     let unknown = |found: String| ImageError::Format { found };
     let kind = imagesize::image_type(bytes).map_err(|_| unknown(first_bytes(bytes)))?;
     let format = match kind {

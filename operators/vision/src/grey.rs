@@ -1,4 +1,4 @@
-//! The one image type, and what can be wrong with bytes that claim to be one.
+//! The image types, and what can be wrong with bytes that claim to be one.
 
 /// Larger images are refused before anything is allocated for them: 2²⁷ pixels, 16384 × 8192.
 pub const MAX_PIXELS: u64 = 1 << 27;
@@ -23,6 +23,39 @@ impl Grey {
         (self.width, self.height) = (width, height);
         Ok(())
     }
+}
+
+/// A colour image: red, green, blue of 8 bits each per pixel, row by row from the top, without gaps between rows.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Rgb {
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// `3 * width * height` values.
+    pub data: Vec<u8>,
+}
+
+impl Rgb {
+    /// Resizes to black pixels. The buffer is kept where it is large enough.
+    pub(crate) fn reset(&mut self, width: u32, height: u32) -> Result<(), ImageError> {
+        let pixels = checked_pixels(width, height)?;
+        self.data.clear();
+        self.data.resize(3 * pixels, 0);
+        (self.width, self.height) = (width, height);
+        Ok(())
+    }
+}
+
+/// An image of 16-bit values, such as a depth image: row by row from the top, without gaps between rows.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Grey16 {
+    /// Pixels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// `width * height` values.
+    pub data: Vec<u16>,
 }
 
 /// The number of pixels of an image of this size.
@@ -58,6 +91,12 @@ pub enum ImageError {
         format: &'static str,
         /// Length of the data.
         bytes: usize,
+    },
+    /// An image of which the stored values are wanted does not store one value per pixel.
+    #[error("expected a png or pgm with one value per pixel, found {found}")]
+    Values {
+        /// What was found instead.
+        found: String,
     },
     /// A raw encoding that is not read.
     #[error("unknown raw encoding \"{found}\"; known are {}", crate::RAW_ENCODINGS.join(", "))]

@@ -4,6 +4,9 @@
 //!   jpeg, png, pgm … ──► Decoder::decode ──┐
 //!                                          ├──► Grey (8 bits, rows without gaps)
 //!   mono8, bgr8 … ─────► from_raw ─────────┘
+//!   jpeg, png, ppm … ──► Decoder::decode_colour ──► Rgb
+//!   depth: png, pgm ───► decode_depth ────────────► Grey16, the values as stored
+//!   labels: png, pgm ──► decode_labels ───────────► Grey, the values as stored ──► encode_png
 //! ```
 //! Bytes come from logs, so they may be torn or hostile. Nothing here panics on them, and nothing is allocated for a
 //! size that a header merely claims: [`MAX_PIXELS`] is checked first. OpenCV's exceptions become [`ImageError`]s, and
@@ -14,9 +17,11 @@ mod features;
 mod grey;
 mod raw;
 mod resample;
+mod stored;
 
 pub use decode::{Decoder, Reduction};
 pub use features::{Blind, DESCRIPTOR_BYTES, FeatureParams, KeyPoints, Vignette, features};
-pub use grey::{Grey, ImageError, MAX_PIXELS};
+pub use grey::{Grey, Grey16, ImageError, MAX_PIXELS, Rgb};
 pub use raw::{RAW_ENCODINGS, from_raw};
 pub use resample::Remap;
+pub use stored::{decode_depth, decode_labels, encode_png};

@@ -1,0 +1,203 @@
+//! Images whose values are data, not light: labels and depth. They are read exactly as they are stored, where a
+//! picture's decoder would scale 16 bits to 8 or look a palette's colours up.
+//!
+//! PNG is what maps and data sets hold them in; PGM (`P5`) is what raw images of a log arrive as.
+
+use std::io::Cursor;
+
+use png::{BitDepth, ColorType, Limits, Transformations};
+
+use crate::decode::{Header, header};
+use crate::grey::checked_pixels;
+use crate::{Grey, Grey16, ImageError};
+
+/// The values of a depth image: of 16 or fewer bits per pixel, as stored, not scaled. A palette's indices are its
+/// values.
+///
+/// # Errors
+/// [`ImageError`] for bytes that are no PNG or PGM, an image in colour or with transparency, one that is too large,
+/// cut off or damaged.
+pub fn decode_depth(bytes: &[u8]) -> Result<Grey16, ImageError> {
+    let header = header(bytes)?;
+    let stored = stored(bytes, &header)?;
+    Ok(Grey16 {
+        width: header.width,
+        height: header.height,
+        data: stored.into_sixteen(),
+    })
+}
+
+/// The values of a label image, as stored: of a palette PNG the indices, of fewer than 8 bits the values themselves.
+/// 16-bit values above 255 become 255, which stands for "no class".
+///
+/// # Errors
+/// As [`decode_depth`].
+pub fn decode_labels(bytes: &[u8]) -> Result<Grey, ImageError> {
+    let header = header(bytes)?;
+    let stored = stored(bytes, &header)?;
+    Ok(Grey {
+        width: header.width,
+        height: header.height,
+        data: stored.into_eight(),
+    })
+}
+
+/// An 8-bit grey PNG. Equal images give equal bytes.
+///
+/// # Errors
+/// [`ImageError::Size`] when the image has no pixels, too many, or not as many as its size says.
+pub fn encode_png(grey: &Grey) -> Result<Vec<u8>, ImageError> {
+    let (width, height) = (grey.width, grey.height);
+    let refused = ImageError::Size { width, height };
+    if checked_pixels(width, height)? != grey.data.len() {
+        return Err(refused);
+    }
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    encoder.set_color(ColorType::Grayscale);
+    encoder.set_depth(BitDepth::Eight);
+    encoder.set_compression(png::Compression::Balanced);
+    encoder
+        .write_header()
+        .and_then(|mut writer| {
+            writer.write_image_data(&grey.data)?;
+            writer.finish()
+        })
+        .map_err(|_| refused)?;
+    Ok(bytes)
+}
+
+/// Values in as many bytes as they are stored in.
+enum Stored {
+    Eight(Vec<u8>),
+    Sixteen(Vec<u16>),
+}
+
+impl Stored {
+    fn of(deep: bool, bytes: Vec<u8>) -> Self {
+        if !deep {
+            return Self::Eight(bytes);
+        }
+        let (values, _) = bytes.as_chunks::<2>();
+        Self::Sixteen(
+            values
+                .iter()
+                .map(|value| u16::from_be_bytes(*value))
+                .collect(),
+        )
+    }
+
+    fn into_sixteen(self) -> Vec<u16> {
+        match self {
+            Self::Eight(values) => values.into_iter().map(u16::from).collect(),
+            Self::Sixteen(values) => values,
+        }
+    }
+
+    fn into_eight(self) -> Vec<u8> {
+        match self {
+            Self::Eight(values) => values,
+            Self::Sixteen(values) => values
+                .into_iter()
+                .map(|value| u8::try_from(value).unwrap_or(u8::MAX))
+                .collect(),
+        }
+    }
+}
+
+/// As many values as the header's size has pixels.
+fn stored(bytes: &[u8], header: &Header) -> Result<Stored, ImageError> {
+    match header.format {
+        "png" => png_values(bytes, header),
+        "pnm" => pgm_values(bytes, header),
+        found => Err(ImageError::Values {
+            found: format!("a {found} image"),
+        }),
+    }
+}
+
+fn png_values(bytes: &[u8], header: &Header) -> Result<Stored, ImageError> {
+    let damaged = || header.damaged(bytes);
+    let pixels = checked_pixels(header.width, header.height)?;
+    // What a decoder may need: the filtered rows of the largest image, and as much again for tables.
+    let limits = Limits {
+        bytes: 4 * pixels + (1 << 20),
+    };
+    let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), limits);
+    decoder.set_transformations(Transformations::IDENTITY);
+    decoder.ignore_checksums(false);
+    let mut reader = decoder.read_info().map_err(|_| damaged())?;
+    let info = reader.info();
+    if (info.width, info.height) != (header.width, header.height) {
+        return Err(damaged());
+    }
+    let (colour, depth) = reader.output_color_type();
+    if !matches!(colour, ColorType::Grayscale | ColorType::Indexed) {
+        return Err(ImageError::Values {
+            found: format!("a png of {colour:?}"),
+        });
+    }
+    let mut data = vec![0; reader.output_buffer_size().ok_or_else(damaged)?];
+    reader.next_frame(&mut data).map_err(|_| damaged())?;
+    let bits = depth as usize;
+    Ok(match bits {
+        8 | 16 => Stored::of(bits == 16, data),
+        _ => Stored::Eight(unpacked(&data, header.width as usize, bits)),
+    })
+}
+
+/// Rows of values of 1, 2 or 4 bits, the first in the highest bits; each row begins at a byte.
+fn unpacked(data: &[u8], width: usize, bits: usize) -> Vec<u8> {
+    let (per_byte, mask) = (8 / bits, (1_u8 << bits) - 1);
+    data.chunks(width.div_ceil(per_byte))
+        .flat_map(|row| {
+            (0..width).map(move |u| {
+                let shift = 8 - bits * (u % per_byte + 1);
+                (row.get(u / per_byte).copied().unwrap_or(0) >> shift) & mask
+            })
+        })
+        .collect()
+}
+
+/// `P5`: width, height and largest value in decimals, one white space, then the values, big endian.
+fn pgm_values(bytes: &[u8], header: &Header) -> Result<Stored, ImageError> {
+    let damaged = || header.damaged(bytes);
+    let Some(rest) = bytes.strip_prefix(b"P5") else {
+        return Err(ImageError::Values {
+            found: "a pnm image that is no P5".to_owned(),
+        });
+    };
+    let mut rest = rest;
+    let mut numbers = [0_u32; 3];
+    for number in &mut numbers {
+        (*number, rest) = pgm_number(rest).ok_or_else(damaged)?;
+    }
+    let [width, height, most] = numbers;
+    if (width, height) != (header.width, header.height) || !(1..=65_535).contains(&most) {
+        return Err(damaged());
+    }
+    let deep = most > 255;
+    let length = checked_pixels(width, height)? * if deep { 2 } else { 1 };
+    let data = rest.get(1..=length).ok_or_else(damaged)?;
+    Ok(Stored::of(deep, data.to_vec()))
+}
+
+/// The next number after white space and comments, and what follows it.
+fn pgm_number(mut bytes: &[u8]) -> Option<(u32, &[u8])> {
+    loop {
+        match bytes.first()? {
+            b'#' => {
+                let end = bytes.iter().position(|byte| *byte == b'\n')?;
+                bytes = &bytes[end..];
+            }
+            byte if byte.is_ascii_whitespace() => bytes = &bytes[1..],
+            _ => break,
+        }
+    }
+    let digits = bytes
+        .iter()
+        .take_while(|byte| byte.is_ascii_digit())
+        .count();
+    let (number, rest) = bytes.split_at(digits);
+    Some((std::str::from_utf8(number).ok()?.parse().ok()?, rest))
+}
