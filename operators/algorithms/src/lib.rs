@@ -21,7 +21,6 @@
 //! | [`resection`] | a rig's pose from points and rays, with outliers |
 //! | [`tracking`] | features followed through a camera's keyframes |
 //! | [`trajectory`] | alignment and errors of trajectories |
-//! | [`triangulation`] | points from rays |
 //! | [`drive`] | keyframes at equal steps of driven path |
 //! | [`road_network`] | lanes and intersections from driven positions |
 //! | [`ground`] | images projected to cells of the ground plane |
@@ -47,7 +46,6 @@ pub mod road_network;
 pub mod tiles;
 pub mod tracking;
 pub mod trajectory;
-pub mod triangulation;
 
 #[cfg(test)]
 mod shared_data;

@@ -1,6 +1,5 @@
 //! Typed rows as the algorithms want them: what several operators read in the same way.
 
-#[allow(dead_code, reason = "read by the operators of the metric map")]
 pub(crate) mod drive;
 pub(crate) mod frames;
 pub(crate) mod rig;

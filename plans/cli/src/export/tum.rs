@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use arrow::array::{Array, AsArray, RecordBatch};
 use arrow::compute::{cast, filter, is_not_null};
 use arrow::datatypes::DataType;
+use evermap_algorithms::trajectory::{StampedPose, tum};
 use evermap_schemas::{Cell, Fault, Pose, Stamp};
 
 /// `seconds x y z qx qy qz qw`, ordered by stamp, with all nine digits of the nanoseconds.
@@ -42,19 +43,17 @@ pub fn text(batches: &[RecordBatch]) -> Result<String, Fault> {
         poses.extend(stamps.into_iter().zip(found));
     }
     poses.sort_by_key(|(stamp, _)| *stamp);
-    let mut text = String::from("# timestamp x y z qx qy qz qw\n");
-    for (stamp, pose) in &poses {
-        let (seconds, nanoseconds) = (
-            stamp.0.div_euclid(1_000_000_000),
-            stamp.0.rem_euclid(1_000_000_000),
-        );
-        text.push_str(&format!("{seconds}.{nanoseconds:09}"));
-        pose.to_array()
-            .iter()
-            .for_each(|value| text.push_str(&format!(" {}", value + 0.0)));
-        text.push('\n');
-    }
-    Ok(text)
+    let stamped = |(stamp, pose): &(Stamp, Pose)| match evermap_algorithms::pose::Pose::from_array(
+        pose.to_array(),
+    ) {
+        Ok(pose) => Ok(StampedPose {
+            stamp_ns: stamp.0,
+            pose,
+        }),
+        Err(error) => Err(Fault::data(format!("the pose at {} ns: {error}", stamp.0))),
+    };
+    let poses = poses.iter().map(stamped).collect::<Result<Vec<_>, _>>()?;
+    Ok(tum::write(&poses))
 }
 
 fn no_poses(column: &str) -> Fault {
