@@ -22,6 +22,7 @@
 //! | [`tracking`] | features followed through a camera's keyframes |
 //! | [`trajectory`] | alignment and errors of trajectories |
 //! | [`drive`] | keyframes at equal steps of driven path |
+//! | [`semantic_graph`] | label images as areas that touch, and where they lie of one another |
 //! | [`road_network`] | lanes and intersections from driven positions |
 //! | [`ground`] | images projected to cells of the ground plane |
 //! | [`tiles`] | tile addressing and exact integer sums |
@@ -43,6 +44,7 @@ pub mod pose_graph;
 pub mod resection;
 pub mod rig;
 pub mod road_network;
+pub mod semantic_graph;
 pub mod tiles;
 pub mod tracking;
 pub mod trajectory;
