@@ -8,6 +8,7 @@
 //! | [`pose`] | rigid transforms, checked at the door |
 //! | [`camera`] | lens models: rays from pixels and pixels from rays |
 //! | [`rig`] | cameras fixed to one vehicle |
+//! | [`dense_crf`] | labels that follow an image's edges: the fully connected random field |
 //! | [`features`] | key points with binary descriptors |
 //! | [`association`] | which features of which keyframes show the same landmark |
 //! | [`bundle_adjustment`] | poses and landmarks from all observations at once |
@@ -16,6 +17,7 @@
 //! | [`localisation`] | a drive's poses in a map it did not make |
 //! | [`mapping`] | association, triangulation and adjustment in turns, until a map is accurate |
 //! | [`matching`] | descriptors to descriptors |
+//! | [`permutohedral`] | Gaussian filters in many dimensions |
 //! | [`places`] | a binary vocabulary, and keyframes that look alike |
 //! | [`pose_graph`] | odometry and loops relaxed into consistent poses |
 //! | [`resection`] | a rig's pose from points and rays, with outliers |
@@ -30,6 +32,7 @@
 pub mod association;
 pub mod bundle_adjustment;
 pub mod camera;
+pub mod dense_crf;
 pub mod drive;
 pub mod features;
 pub mod ground;
@@ -38,6 +41,7 @@ pub mod lie;
 pub mod localisation;
 pub mod mapping;
 pub mod matching;
+pub mod permutohedral;
 pub mod places;
 pub mod pose;
 pub mod pose_graph;

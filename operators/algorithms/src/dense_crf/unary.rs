@@ -1,0 +1,90 @@
+//! What each pixel is by itself.
+
+use super::{CrfError, MOST_CLASSES};
+
+/// Probabilities below this are taken for it, so that a classifier that is sure can still be overruled: the reference
+/// implementation's choice.
+const LEAST_PROBABILITY: f32 = 1e-5;
+
+/// The cost of each class at each pixel: the negative logarithm of its probability.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Unary {
+    pub(super) classes: usize,
+    /// Pixel after pixel, row by row, classes innermost.
+    pub(super) costs: Vec<f32>,
+}
+
+impl Unary {
+    /// From costs, pixel after pixel, row by row, classes innermost.
+    ///
+    /// # Errors
+    /// [`CrfError`] for no or too many classes, a number of costs that these do not divide, or one that is not finite.
+    pub fn new(classes: usize, costs: Vec<f32>) -> Result<Self, CrfError> {
+        if classes == 0 || classes > MOST_CLASSES {
+            return Err(CrfError::Classes { found: classes });
+        }
+        let pixels = costs.len() / classes;
+        if pixels * classes != costs.len() {
+            return Err(CrfError::Size {
+                expected: pixels * classes,
+                found: costs.len(),
+            });
+        }
+        match costs.iter().find(|cost| !cost.is_finite()) {
+            Some(&found) => Err(CrfError::Kernel {
+                parameter: "unary",
+                expected: "finite costs",
+                found: f64::from(found),
+            }),
+            None => Ok(Self { classes, costs }),
+        }
+    }
+
+    /// From probabilities, pixel after pixel, row by row, classes innermost; such below 1e-5 or NaN count as 1e-5.
+    ///
+    /// # Errors
+    /// As [`Unary::new`].
+    pub fn from_probabilities(classes: usize, probabilities: &[f32]) -> Result<Self, CrfError> {
+        let cost = |probability: &f32| -probability.max(LEAST_PROBABILITY).min(1.0).ln();
+        Self::new(classes, probabilities.iter().map(cost).collect())
+    }
+
+    /// From labels that are right with probability `confidence` (within 0 and 1, both excluded), and else any other
+    /// class. A label that is no class says nothing.
+    ///
+    /// # Errors
+    /// [`CrfError`] for no or too many classes, or another confidence.
+    pub fn from_labels(classes: usize, labels: &[u8], confidence: f64) -> Result<Self, CrfError> {
+        if !(confidence > 0.0 && confidence < 1.0) {
+            return Err(CrfError::Kernel {
+                parameter: "confidence",
+                expected: "a probability between 0 and 1",
+                found: confidence,
+            });
+        }
+        let others = (classes.max(2) - 1) as f64;
+        let (right, wrong) = (-confidence.ln(), -((1.0 - confidence) / others).ln());
+        let unknown = (classes as f64).ln();
+        let mut costs = Vec::with_capacity(labels.len() * classes);
+        for label in labels {
+            let known = usize::from(*label) < classes;
+            let cost = |class| match class == usize::from(*label) {
+                _ if !known => unknown as f32,
+                true => right as f32,
+                false => wrong as f32,
+            };
+            costs.extend((0..classes).map(cost));
+        }
+        Self::new(classes, costs)
+    }
+
+    /// Number of classes.
+    pub fn classes(&self) -> usize {
+        self.classes
+    }
+
+    /// Number of pixels.
+    pub fn pixels(&self) -> usize {
+        self.costs.len() / self.classes
+    }
+}

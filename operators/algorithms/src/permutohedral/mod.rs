@@ -1,0 +1,261 @@
+//! Gaussian filters in many dimensions, in time linear in the number of values: the permutohedral lattice.
+//!
+//! Andrew Adams, Jongmin Baek, Myers Abraham Davis: *Fast High-Dimensional Filtering Using the Permutohedral
+//! Lattice*, Eurographics 2010. Values at scattered positions are *splatted* onto the corners of the simplex that they
+//! lie in, the lattice is *blurred* along each of its axes, and the result is *sliced* out at the positions again:
+//!
+//! ```text
+//! out(i) ≈ Σ_j exp(-|p_i - p_j|² / 2) in(j)        positions p in units of the filter's standard deviation
+//! ```
+//! The approximation is that of the reference implementation of dense random fields (Krähenbühl and Koltun 2011): the
+//! same simplices, the same weights, the same order of axes, the same constant. Values differ by rounding alone.
+//!
+//! What depends on the positions alone is computed once ([`Lattice::new`]); any number of values can then be filtered.
+//! All channels of a value are worked on at once, eight to a vector. Positions in one simplex share the entry that
+//! says where its corners are, so that a lattice is small where positions lie densely.
+
+mod blur;
+mod embedding;
+mod table;
+#[cfg(test)]
+mod tests;
+mod value;
+
+pub(crate) use blur::Buffer;
+pub use value::{Eight, Value};
+
+use embedding::{Embedding, LANES};
+use table::{Key, Keys};
+
+/// Lattice coordinates beyond this are refused: single precision would no longer tell neighbours apart.
+const MOST_CELLS: f32 = 1e5;
+
+/// Why positions make no lattice.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum LatticeError {
+    /// The coordinates do not go together.
+    #[error(
+        "expected {expected} coordinates of {positions} positions each, found {found} coordinates"
+    )]
+    Shape {
+        /// Dimensions of the lattice.
+        expected: usize,
+        /// Positions that the first coordinate has.
+        positions: usize,
+        /// Coordinates given.
+        found: usize,
+    },
+    /// A position is not finite, or farther away than the lattice can count.
+    #[error("expected positions within ±{MOST_CELLS} standard deviations, found {found}")]
+    Position {
+        /// The coordinate.
+        found: f32,
+    },
+    /// There are more positions than indices.
+    #[error("expected fewer than 2³¹ positions, found {found}")]
+    Count {
+        /// Positions given.
+        found: usize,
+    },
+}
+
+/// The lattice around a set of positions. `V` is the number of a simplex's corners: the positions' dimensions and one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Lattice<const V: usize> {
+    /// Of each position: its simplex.
+    simplices: Vec<u32>,
+    /// Of each position: its barycentric coordinates, which sum to one.
+    weights: Vec<[f32; V]>,
+    /// Of each simplex: its corners. Corner 0 stands for "not in the lattice".
+    corners: Vec<[u32; V]>,
+    /// Along each axis, of each corner: the corners before and after it.
+    neighbours: Vec<Vec<[u32; 2]>>,
+}
+
+impl<const V: usize> Lattice<V> {
+    /// The lattice around positions, given as one list per coordinate, in units of the standard deviation.
+    ///
+    /// # Errors
+    /// [`LatticeError`] for lists of other lengths or another number, and for positions that are not finite.
+    pub fn new(coordinates: &[&[f32]]) -> Result<Self, LatticeError> {
+        Self::build(coordinates, None)
+    }
+
+    /// The same, where the first coordinate runs around a circle of [`periods`](Self::period) cells. There must be two
+    /// coordinates at least, and one cell.
+    ///
+    /// # Errors
+    /// As [`Lattice::new`].
+    pub fn periodic(coordinates: &[&[f32]], cells: u32) -> Result<Self, LatticeError> {
+        Self::build(coordinates, (V > 2 && cells > 0).then_some(cells))
+    }
+
+    /// Length of a circle of `cells` cells, in units of the standard deviation: a translation of the first coordinate
+    /// by it maps the lattice onto itself, so that the filter goes around without a seam.
+    pub fn period(cells: u32) -> f64 {
+        f64::from(cells) * 3f64.sqrt()
+    }
+
+    fn build(coordinates: &[&[f32]], cells: Option<u32>) -> Result<Self, LatticeError> {
+        let positions = checked::<V>(coordinates)?;
+        let period = cells.map(|cells| (cells.min(1 << 20) * V as u32) as i32);
+        let mut lattice = Self {
+            simplices: Vec::with_capacity(positions),
+            weights: Vec::with_capacity(positions),
+            corners: Vec::new(),
+            neighbours: Vec::new(),
+        };
+        let simplices = lattice.embed(coordinates, positions, period);
+        let points = lattice.number(&simplices, period);
+        lattice.neighbours = blur::neighbours(&points, period);
+        Ok(lattice)
+    }
+
+    /// Finds the simplex of every position; the distinct ones, in the order of their first position.
+    fn embed(&mut self, coordinates: &[&[f32]], positions: usize, period: Option<i32>) -> Keys<V> {
+        let mut simplices = Keys::with_room(positions / 4);
+        let mut embedding = Embedding::<V>::default();
+        for first in (0..positions).step_by(LANES) {
+            embedding.embed(coordinates, first);
+            for lane in 0..LANES.min(positions - first) {
+                let mut key = embedding.simplex(lane);
+                wrap(&mut key, period);
+                self.simplices.push(simplices.insert(&key));
+                self.weights.push(embedding.weights(lane));
+            }
+        }
+        simplices
+    }
+
+    /// Numbers the corners of all simplices from 1.
+    fn number(&mut self, simplices: &Keys<V>, period: Option<i32>) -> Keys<V> {
+        let mut points = Keys::with_room(simplices.len());
+        // Corner 0 is nobody: no corner of the lattice has coordinates that do not sum to zero.
+        points.insert(&[1; V]);
+        self.corners = (0..simplices.len())
+            .map(|simplex| {
+                let key = simplices.key(simplex);
+                std::array::from_fn(|remainder| {
+                    let mut corner = embedding::corner(key, remainder);
+                    wrap(&mut corner, period);
+                    points.insert(&corner)
+                })
+            })
+            .collect();
+        points
+    }
+
+    /// Number of positions.
+    pub fn len(&self) -> usize {
+        self.simplices.len()
+    }
+
+    /// Whether there are no positions.
+    pub fn is_empty(&self) -> bool {
+        self.simplices.is_empty()
+    }
+
+    /// Number of the lattice's corners, with the one that stands for none.
+    pub fn corners(&self) -> usize {
+        self.neighbours.first().map_or(1, Vec::len)
+    }
+
+    /// Number of simplices that hold a position.
+    pub fn simplices(&self) -> usize {
+        self.corners.len()
+    }
+
+    /// Multiplies the weights of each position by a factor of its own: values then count that much when they are
+    /// splatted, and again when they are sliced.
+    pub fn scale(&mut self, factors: &[f32]) {
+        for (weights, factor) in self.weights.iter_mut().zip(factors) {
+            weights.iter_mut().for_each(|weight| *weight *= factor);
+        }
+    }
+
+    /// Filters one number per position.
+    pub fn filter(&self, values: &[f32]) -> Vec<f32> {
+        let mut lattice = Buffer::new(self.corners());
+        pulp::Arch::new().dispatch(
+            #[inline(always)]
+            || {
+                self.splat(0, values, lattice.values_mut());
+                lattice.blur(&self.neighbours, self.constant());
+                let mut out = vec![0.0; values.len().min(self.len())];
+                self.slice(0, lattice.values(), &mut out);
+                out
+            },
+        )
+    }
+
+    /// The constant that makes the filter's height that of the Gaussian (Adams et al. 2010, in their code).
+    pub(crate) fn constant(&self) -> f32 {
+        1.0 / (1.0 + 0.5f32.powi(V as i32 - 1))
+    }
+
+    /// A buffer for values on the lattice.
+    pub(crate) fn buffer<T: Value>(&self) -> Buffer<T> {
+        Buffer::new(self.corners())
+    }
+
+    /// Blurs a buffer along all axes and multiplies it by a factor.
+    #[inline(always)]
+    pub(crate) fn blur<T: Value>(&self, buffer: &mut Buffer<T>, factor: f32) {
+        buffer.blur(&self.neighbours, factor);
+    }
+
+    /// Adds the values of the positions from `first` on to the lattice's.
+    #[inline(always)]
+    pub(crate) fn splat<T: Value>(&self, first: usize, values: &[T], lattice: &mut [T]) {
+        let simplices = self.simplices.iter().skip(first);
+        let weights = self.weights.iter().skip(first);
+        for ((simplex, weights), value) in simplices.zip(weights).zip(values) {
+            for (corner, weight) in self.corners[*simplex as usize].iter().zip(weights) {
+                lattice[*corner as usize].add_scaled(*weight, value);
+            }
+        }
+    }
+
+    /// Adds the lattice's values at the positions from `first` on to `values`.
+    #[inline(always)]
+    pub(crate) fn slice<T: Value>(&self, first: usize, lattice: &[T], values: &mut [T]) {
+        let simplices = self.simplices.iter().skip(first);
+        let weights = self.weights.iter().skip(first);
+        for ((simplex, weights), value) in simplices.zip(weights).zip(values) {
+            for (corner, weight) in self.corners[*simplex as usize].iter().zip(weights) {
+                value.add_scaled(*weight, &lattice[*corner as usize]);
+            }
+        }
+    }
+}
+
+/// The number of positions, all of which can be embedded.
+fn checked<const V: usize>(coordinates: &[&[f32]]) -> Result<usize, LatticeError> {
+    let positions = coordinates.first().map_or(0, |first| first.len());
+    let equal = coordinates.iter().all(|list| list.len() == positions);
+    if coordinates.len() + 1 != V || !equal {
+        return Err(LatticeError::Shape {
+            expected: V - 1,
+            positions,
+            found: coordinates.len(),
+        });
+    }
+    if positions >= 1 << 31 {
+        return Err(LatticeError::Count { found: positions });
+    }
+    let wild = |value: &&f32| !(value.abs() <= MOST_CELLS);
+    match coordinates.iter().copied().flatten().find(wild) {
+        Some(&found) => Err(LatticeError::Position { found }),
+        None => Ok(positions),
+    }
+}
+
+/// Brings a key's first coordinate into the first period.
+#[inline(always)]
+fn wrap<const V: usize>(key: &mut Key<V>, period: Option<i32>) {
+    if let Some(period) = period {
+        let around = key[0].div_euclid(period) * period;
+        key[0] -= around;
+        key[1] += around;
+    }
+}
