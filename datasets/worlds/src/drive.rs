@@ -71,6 +71,27 @@ impl Drive {
         self.path.last().map_or(0.0, |point| point.s)
     }
 
+    /// When the vehicle has driven `s` metres, seconds after the session's start.
+    pub fn time_at(&self, s: f64) -> f64 {
+        let after = self
+            .path
+            .partition_point(|point| point.s <= s)
+            .clamp(1, self.path.len() - 1);
+        let (a, b) = (after - 1, after);
+        let way = (s - self.path[a].s).clamp(0.0, self.path[b].s - self.path[a].s);
+        let span = self.time[b] - self.time[a];
+        let gain = (self.speed[b] - self.speed[a]) / span;
+        // way = v t + gain t² / 2, written so that no difference of nearly equal numbers is taken.
+        let v = self.speed[a];
+        let end = (v * v + 2.0 * gain * way).max(0.0).sqrt();
+        let tau = if v + end > 1e-9 {
+            2.0 * way / (v + end)
+        } else {
+            0.0
+        };
+        self.time[a] + tau.min(span)
+    }
+
     /// Where the vehicle is `t` seconds after the session's start.
     pub fn planar(&self, t: f64) -> Planar {
         let after = self

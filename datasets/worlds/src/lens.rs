@@ -1,7 +1,7 @@
 //! Rays of a camera, tile by tile, and which part of the surroundings a tile can see.
 
-use crate::rig::{CIRCLE_RAD, RigCamera};
 use crate::solid::Extent;
+use evermap_algorithms::camera::Camera;
 use evermap_algorithms::pose::Pose;
 use nalgebra::Vector3;
 use std::f32::consts::{FRAC_PI_2, PI};
@@ -38,7 +38,7 @@ pub struct Lens {
 pub struct LensTile {
     /// Unit rays in the vehicle's frame.
     pub rays: Box<[Lanes; 3]>,
-    /// Angle from the lens axis, radians; beyond the circle the pixel stays black.
+    /// Angle from the lens axis, radians; infinite where the image has no pixel or the pixel no ray.
     pub theta: Box<Lanes>,
     /// Around the rays; `None` when no pixel sees anything.
     pub cone: Option<Cone>,
@@ -116,16 +116,23 @@ fn rotate(turn: &[[f32; 3]; 3], v: [f32; 3]) -> [f32; 3] {
 }
 
 impl Lens {
-    /// Prepares a camera.
-    pub fn new(camera: &RigCamera) -> Self {
-        let (width, height) = (camera.camera.width as usize, camera.camera.height as usize);
+    /// Prepares a camera that sees what is at most `reach_rad` from its axis; `focal` is in pixels per radian in
+    /// the middle of the image.
+    pub fn new(
+        camera: &Camera,
+        vehicle_from_camera: &Pose,
+        focal: [f64; 2],
+        reach_rad: f64,
+    ) -> Self {
+        let (width, height) = (camera.width as usize, camera.height as usize);
         let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
         let mut tiles = Vec::with_capacity(columns * rows);
         for index in 0..columns * rows {
             tiles.push(LensTile::new(
                 camera,
-                index % columns * TILE,
-                index / columns * TILE,
+                vehicle_from_camera,
+                reach_rad as f32,
+                (index % columns * TILE, index / columns * TILE),
             ));
         }
         let mut blocks = Vec::new();
@@ -139,7 +146,7 @@ impl Lens {
                     .collect();
                 let rays: Vec<Vector3<f32>> = inside
                     .iter()
-                    .flat_map(|index| tiles[*index].seeing_rays())
+                    .flat_map(|index| tiles[*index].seeing_rays(reach_rad as f32))
                     .collect();
                 blocks.push(Block {
                     cone: Cone::around(&rays),
@@ -151,19 +158,24 @@ impl Lens {
             width,
             height,
             columns,
-            vehicle_from_camera: camera.vehicle_from_camera,
+            vehicle_from_camera: *vehicle_from_camera,
             tiles,
             blocks,
-            omega: (1.0 / (camera.focal[0] * camera.focal[1])) as f32,
+            omega: (1.0 / (focal[0] * focal[1])) as f32,
         }
     }
 }
 
 impl LensTile {
-    fn new(camera: &RigCamera, left: usize, top: usize) -> Self {
+    fn new(
+        camera: &Camera,
+        vehicle_from_camera: &Pose,
+        reach_rad: f32,
+        (left, top): (usize, usize),
+    ) -> Self {
         let mut rays = Box::new([[0.0; PIXELS]; 3]);
-        let mut theta = Box::new([PI; PIXELS]);
-        let (width, height) = (camera.camera.width as usize, camera.camera.height as usize);
+        let mut theta = Box::new([f32::INFINITY; PIXELS]);
+        let (width, height) = (camera.width as usize, camera.height as usize);
         for i in 0..PIXELS {
             let (column, row) = (left + i % TILE, top + i / TILE);
             // Pixels that see nothing get some ray, so that no arithmetic goes astray.
@@ -173,8 +185,8 @@ impl LensTile {
             if column >= width || row >= height {
                 continue;
             }
-            if let Some(ray) = camera.camera.unproject([column as f64, row as f64]) {
-                let own = camera.vehicle_from_camera.rotate(&ray);
+            if let Some(ray) = camera.unproject([column as f64, row as f64]) {
+                let own = vehicle_from_camera.rotate(&ray);
                 rays[0][i] = own.x as f32;
                 rays[1][i] = own.y as f32;
                 rays[2][i] = own.z as f32;
@@ -186,13 +198,13 @@ impl LensTile {
             theta,
             cone: None,
         };
-        tile.cone = Cone::around(&tile.seeing_rays());
+        tile.cone = Cone::around(&tile.seeing_rays(reach_rad));
         tile
     }
 
-    fn seeing_rays(&self) -> Vec<Vector3<f32>> {
+    fn seeing_rays(&self, reach_rad: f32) -> Vec<Vector3<f32>> {
         (0..PIXELS)
-            .filter(|i| self.theta[*i] < CIRCLE_RAD as f32)
+            .filter(|i| self.theta[*i] < reach_rad)
             .map(|i| Vector3::new(self.rays[0][i], self.rays[1][i], self.rays[2][i]))
             .collect()
     }

@@ -2,8 +2,10 @@
 //! has something to map.
 //!
 //! [`car_park`] draws an underground car park, drives through it several times, and writes what
-//! four fisheye cameras and the wheels report. All of it follows from a seed: the same
-//! parameters give the same bytes on any number of threads.
+//! four fisheye cameras and the wheels report. [`street`] builds a street with houses, trees, signs
+//! and cars, and visits it with a panorama camera; [`street_labels`] gives only the label panoramas,
+//! without files. All of it follows from a seed: the same parameters give the same bytes on any
+//! number of threads.
 //!
 //! ```text
 //! layout ── route ── drive ─┬─ odometry ────────────┐
@@ -15,10 +17,12 @@
 
 mod canvas;
 mod cars;
+mod cast;
 mod cdr;
 mod drive;
 mod error;
 mod floor;
+mod folder;
 mod glyphs;
 mod ground;
 mod layout;
@@ -28,6 +32,7 @@ mod look;
 mod messages;
 mod odometry;
 mod params;
+mod picture;
 mod random;
 mod recording;
 mod render;
@@ -36,6 +41,7 @@ mod route;
 mod scene;
 mod session;
 mod solid;
+mod street;
 #[cfg(test)]
 mod tests;
 mod texture;
@@ -47,3 +53,7 @@ pub use error::WorldError;
 pub use odometry::WheelErrors;
 pub use params::CarPark;
 pub use session::{Progress, SessionSummary, Summary, car_park};
+pub use street::{
+    LabelKind, LabelView, STREET_CLASSES, STREET_COLOURS, Street, StreetLabels, street,
+    street_labels,
+};

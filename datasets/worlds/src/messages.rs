@@ -2,7 +2,6 @@
 
 use crate::cdr::CdrWriter;
 use crate::odometry::OdometrySample;
-use crate::rig::RigCamera;
 use evermap_algorithms::pose::Pose;
 
 /// A message type: its name and full definition.
@@ -46,24 +45,44 @@ fn header(cdr: &mut CdrWriter, stamp_ns: u64, frame_id: &str) {
     cdr.string(frame_id);
 }
 
-/// A `CompressedImage` around a JPEG.
-pub fn compressed_image(stamp_ns: u64, frame_id: &str, jpeg: &[u8]) -> Vec<u8> {
+/// The `format` of a grey JPEG, as some drivers write it.
+pub const GREY_JPEG: &str = "mono8; jpeg compressed ";
+
+/// A `CompressedImage` around an encoded image.
+pub fn compressed_image(stamp_ns: u64, frame_id: &str, format: &str, image: &[u8]) -> Vec<u8> {
     let mut cdr = CdrWriter::default();
     header(&mut cdr, stamp_ns, frame_id);
-    cdr.string("mono8; jpeg compressed ");
-    cdr.u8_sequence(jpeg);
+    cdr.string(format);
+    cdr.u8_sequence(image);
     cdr.finish()
 }
 
-/// The `CameraInfo` of a camera: `equidistant`, D = [k1, k2, k3, k4].
-pub fn camera_info(stamp_ns: u64, camera: &RigCamera) -> Vec<u8> {
-    let ([fx, fy], [cx, cy]) = (camera.focal, camera.published_centre);
+/// What a `CameraInfo` says.
+#[derive(Debug, Clone, Copy)]
+pub struct Calibration<'a> {
+    /// The optical frame.
+    pub frame_id: &'a str,
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// `distortion_model`.
+    pub model: &'a str,
+    /// Focal lengths, pixels; of a panorama, pixels per radian.
+    pub focal: [f64; 2],
+    /// Principal point, pixels.
+    pub centre: [f64; 2],
+    /// D.
+    pub distortion: &'a [f64],
+}
+
+/// A `CameraInfo`.
+pub fn camera_info(stamp_ns: u64, camera: &Calibration<'_>) -> Vec<u8> {
+    let ([fx, fy], [cx, cy]) = (camera.focal, camera.centre);
     let mut cdr = CdrWriter::default();
-    header(&mut cdr, stamp_ns, &camera.frame_id);
-    cdr.u32(camera.camera.height);
-    cdr.u32(camera.camera.width);
-    cdr.string("equidistant");
-    cdr.f64_sequence(&camera.k);
+    header(&mut cdr, stamp_ns, camera.frame_id);
+    cdr.u32(camera.size[1]);
+    cdr.u32(camera.size[0]);
+    cdr.string(camera.model);
+    cdr.f64_sequence(camera.distortion);
     cdr.f64_array(&[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]);
     cdr.f64_array(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
     cdr.f64_array(&[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]);
@@ -97,14 +116,14 @@ fn diagonal(values: [f64; 6]) -> [f64; 36] {
     matrix
 }
 
-/// The static transforms of the rig.
-pub fn static_transforms(stamp_ns: u64, rig: &[RigCamera]) -> Vec<u8> {
+/// The static transforms of a rig: each camera's frame and `vehicle_from_camera`.
+pub fn static_transforms(stamp_ns: u64, rig: &[(&str, &Pose)]) -> Vec<u8> {
     let mut cdr = CdrWriter::default();
     cdr.u32(rig.len() as u32);
-    for camera in rig {
+    for (frame_id, vehicle_from_camera) in rig {
         header(&mut cdr, stamp_ns, VEHICLE_FRAME);
-        cdr.string(&camera.frame_id);
-        cdr.f64_array(&camera.vehicle_from_camera.to_array());
+        cdr.string(frame_id);
+        cdr.f64_array(&vehicle_from_camera.to_array());
     }
     cdr.finish()
 }

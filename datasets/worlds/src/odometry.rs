@@ -2,7 +2,6 @@
 //! the software believes, and a heading that slowly leans.
 
 use crate::drive::Drive;
-use crate::params::CarPark;
 use crate::random::stream;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -29,12 +28,12 @@ pub struct WheelErrors {
 }
 
 impl WheelErrors {
-    /// The errors of a session.
-    pub fn of_session(world: &CarPark, session: usize) -> Self {
-        let mut rng = stream(world.seed, "wheels", session as u64);
+    /// The errors of a session, whose distances are besides too long by `scale_error` (relative).
+    pub fn of_session(seed: u64, session: u64, scale_error: f64) -> Self {
+        let mut rng = stream(seed, "wheels", session);
         let mut draw = |sigma: f64| sigma * normal(&mut rng).clamp(-2.0, 2.0);
         Self {
-            scale: draw(0.008) + world.odometry_scale_error,
+            scale: draw(0.008) + scale_error,
             track: draw(0.008),
             difference: draw(0.0004),
             yaw_bias: draw(0.0003),
@@ -68,16 +67,30 @@ pub fn normal(rng: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-/// What the wheels report during a drive. The odom frame starts at the first pose, (0, 0, 0).
-pub fn wheel_odometry(
-    world: &CarPark,
-    session: usize,
-    drive: &Drive,
-    start_ns: u64,
-) -> Vec<OdometrySample> {
-    let errors = WheelErrors::of_session(world, session);
-    let mut rng = stream(world.seed, "ticks", session as u64);
-    let count = (drive.duration_s() * world.odometry_rate_hz).floor() as usize;
+/// The wheels of one session and who counts their ticks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Wheels {
+    /// Everything random is drawn from this number.
+    pub seed: u64,
+    /// Number of the session.
+    pub session: u64,
+    /// Messages per second.
+    pub rate_hz: f64,
+    /// What is wrong with them.
+    pub errors: WheelErrors,
+}
+
+impl Wheels {
+    /// What they report during a drive. The odom frame starts at the first pose, (0, 0, 0).
+    pub fn odometry(&self, drive: &Drive, start_ns: u64) -> Vec<OdometrySample> {
+        wheel_odometry(self, drive, start_ns)
+    }
+}
+
+fn wheel_odometry(wheels: &Wheels, drive: &Drive, start_ns: u64) -> Vec<OdometrySample> {
+    let errors = wheels.errors;
+    let mut rng = stream(wheels.seed, "ticks", wheels.session);
+    let count = (drive.duration_s() * wheels.rate_hz).floor() as usize;
     let mut samples: Vec<OdometrySample> = Vec::with_capacity(count + 1);
     let mut counters = [0.0_f64; 2];
     let mut rolled = [0.0_f64; 2];
@@ -89,7 +102,7 @@ pub fn wheel_odometry(
         } else {
             1e-4 * normal(&mut rng).clamp(-3.0, 3.0)
         };
-        let stamp = nanoseconds(k as f64 / world.odometry_rate_hz + jitter);
+        let stamp = nanoseconds(k as f64 / wheels.rate_hz + jitter);
         let t = stamp as f64 * 1e-9;
         let at = drive.planar(t);
         let span = t - before.0;
@@ -146,6 +159,7 @@ mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
     use super::*;
     use crate::layout::Layout;
+    use crate::params::CarPark;
     use crate::route::Route;
     use evermap_algorithms::pose::Pose;
 
@@ -159,7 +173,13 @@ mod tests {
             let layout = Layout::new(&world);
             let path = Route::of_session(&world, 0).path(&layout, 2.0);
             let drive = Drive::new(path, world.speed_mps, layout.ground);
-            let samples = wheel_odometry(&world, 0, &drive, 0);
+            let wheels = Wheels {
+                seed,
+                session: 0,
+                rate_hz: world.odometry_rate_hz,
+                errors: WheelErrors::of_session(seed, 0, 0.0),
+            };
+            let samples = wheels.odometry(&drive, 0);
             let map_from_odom = {
                 let first = drive.planar(0.0);
                 Pose::from_yaw(first.x, first.y, first.yaw)

@@ -104,14 +104,8 @@ impl CarPark {
     /// # Errors
     /// [`WorldError::Parameters`] with one line for each unusable value.
     pub fn check(&self) -> Result<(), WorldError> {
-        let mut faults = Vec::new();
-        let mut within = |name: &str, value: f64, low: f64, high: f64| {
-            if !(low..=high).contains(&value) {
-                faults.push(format!(
-                    "{name}: expected {low} to {high}, found {value}; choose a value inside"
-                ));
-            }
-        };
+        let mut faults = Faults::default();
+        let mut within = |name, value, low, high| faults.within(name, value, low, high);
         within("revisits", self.revisits as f64, 0.0, 1000.0);
         within("width_px", f64::from(self.width_px), 32.0, 4096.0);
         within("height_px", f64::from(self.height_px), 32.0, 4096.0);
@@ -136,10 +130,36 @@ impl CarPark {
             && !CAMERAS.contains(&name.as_str())
         {
             let known = CAMERAS.join(", ");
-            faults.push(format!(
+            faults.add(format!(
                 "dark_camera: expected one of {known}, found {name}; choose one of them"
             ));
         }
+        faults.into_result()
+    }
+}
+
+/// Unusable parameters, gathered.
+#[derive(Debug, Default)]
+pub(crate) struct Faults(Vec<String>);
+
+impl Faults {
+    /// Notes a value that is not from `low` to `high`.
+    pub(crate) fn within(&mut self, name: &str, value: f64, low: f64, high: f64) {
+        if !(low..=high).contains(&value) {
+            self.add(format!(
+                "{name}: expected {low} to {high}, found {value}; choose a value inside"
+            ));
+        }
+    }
+
+    /// Notes a fault.
+    pub(crate) fn add(&mut self, fault: String) {
+        self.0.push(fault);
+    }
+
+    /// Whether there were none.
+    pub(crate) fn into_result(self) -> Result<(), WorldError> {
+        let Self(faults) = self;
         if faults.is_empty() {
             Ok(())
         } else {

@@ -1,9 +1,8 @@
 //! One session's MCAP file, written under a temporary name and renamed when complete.
 
 use crate::WorldError;
-use crate::messages::{CAMERA_INFO, COMPRESSED_IMAGE, MessageType, ODOMETRY, TF_MESSAGE};
-use crate::rig::RigCamera;
-use mcap::records::MessageHeader;
+use crate::messages::MessageType;
+use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, WriteOptions, Writer};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -13,22 +12,10 @@ use std::path::{Path, PathBuf};
 /// A session being written.
 pub struct Recording {
     writer: Writer<Sink>,
-    channels: Channels,
     sequence: BTreeMap<u16, u32>,
     temporary: PathBuf,
     target: PathBuf,
     messages: u64,
-}
-
-/// Channel numbers of a session.
-#[derive(Debug, Clone)]
-pub struct Channels {
-    /// `/tf_static`.
-    pub transforms: u16,
-    /// `/odom`.
-    pub odometry: u16,
-    /// For each camera: its image and its calibration topic.
-    pub cameras: Vec<(u16, u16)>,
 }
 
 /// A message ready to be written.
@@ -49,7 +36,7 @@ impl Recording {
     ///
     /// # Errors
     /// When the file cannot be created or written.
-    pub fn create(target: &Path, rig: &[RigCamera]) -> Result<Self, WorldError> {
+    pub fn create(target: &Path) -> Result<Self, WorldError> {
         let temporary = target.with_extension("mcap.part");
         let file = File::create(&temporary).map_err(|error| WorldError::io(&temporary, error))?;
         let options = WriteOptions::new()
@@ -59,11 +46,9 @@ impl Recording {
             .compression_level(1)
             .compression_threads(0)
             .chunk_size(Some(1 << 20));
-        let mut writer = options.create(Sink::new(file))?;
-        let channels = Channels::declare(&mut writer, rig)?;
+        let writer = options.create(Sink::new(file))?;
         Ok(Self {
             writer,
-            channels,
             sequence: BTreeMap::new(),
             temporary,
             target: target.to_owned(),
@@ -71,9 +56,48 @@ impl Recording {
         })
     }
 
-    /// The channels of this file.
-    pub fn channels(&self) -> &Channels {
-        &self.channels
+    /// Declares a topic and gives its channel.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn topic(&mut self, topic: &str, kind: MessageType) -> Result<u16, WorldError> {
+        self.declare(topic, kind, &BTreeMap::new())
+    }
+
+    /// Declares a topic whose only message is for all who come later too.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn latched_topic(&mut self, topic: &str, kind: MessageType) -> Result<u16, WorldError> {
+        let latched = BTreeMap::from([(
+            "offered_qos_profiles".to_owned(),
+            "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n".to_owned(),
+        )]);
+        self.declare(topic, kind, &latched)
+    }
+
+    fn declare(
+        &mut self,
+        topic: &str,
+        kind: MessageType,
+        metadata: &BTreeMap<String, String>,
+    ) -> Result<u16, WorldError> {
+        let definition = kind.definition.as_bytes();
+        let schema = self.writer.add_schema(kind.name, "ros2msg", definition)?;
+        Ok(self.writer.add_channel(schema, topic, "cdr", metadata)?)
+    }
+
+    /// Writes a metadata record.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn metadata(
+        &mut self,
+        name: &str,
+        metadata: BTreeMap<String, String>,
+    ) -> Result<(), WorldError> {
+        let name = name.to_owned();
+        Ok(self.writer.write_metadata(&Metadata { name, metadata })?)
     }
 
     /// Writes one message; the caller keeps log times in order.
@@ -112,35 +136,6 @@ impl Recording {
         std::fs::rename(&self.temporary, &self.target)
             .map_err(|error| WorldError::io(&self.target, error))?;
         Ok((self.messages, bytes))
-    }
-}
-
-impl Channels {
-    fn declare(writer: &mut Writer<Sink>, rig: &[RigCamera]) -> Result<Self, WorldError> {
-        let none = BTreeMap::new();
-        let latched = BTreeMap::from([(
-            "offered_qos_profiles".to_owned(),
-            "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n".to_owned(),
-        )]);
-        let mut channel = |topic: &str, kind: MessageType, metadata: &BTreeMap<String, String>| {
-            let schema = writer.add_schema(kind.name, "ros2msg", kind.definition.as_bytes())?;
-            writer.add_channel(schema, topic, "cdr", metadata)
-        };
-        let transforms = channel("/tf_static", TF_MESSAGE, &latched)?;
-        let odometry = channel("/odom", ODOMETRY, &none)?;
-        let mut cameras = Vec::with_capacity(rig.len());
-        for camera in rig {
-            let topic = |leaf: &str| format!("/camera/{}/{leaf}", camera.name);
-            cameras.push((
-                channel(&topic("image/compressed"), COMPRESSED_IMAGE, &none)?,
-                channel(&topic("camera_info"), CAMERA_INFO, &none)?,
-            ));
-        }
-        Ok(Self {
-            transforms,
-            odometry,
-            cameras,
-        })
     }
 }
 

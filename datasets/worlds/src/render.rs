@@ -7,45 +7,15 @@
 //!
 //! Mip levels are chosen per pixel from the area it covers, and blend instead of showing edges.
 
+use crate::cast::{FAR, Scratch, Seen, meet_solids, seen_from, turn_rays};
 use crate::lens::{Block, Lanes, Lens, PIXELS, TILE, Window};
 use crate::look::Look;
 use crate::random::scramble;
 use crate::rig::CIRCLE_RAD;
 use crate::scene::{Face, Scene};
-use crate::solid::{Extent, Solid};
+use crate::solid::Solid;
 use evermap_algorithms::pose::Pose;
 use nalgebra::Vector3;
-
-const FAR: f32 = 1e9;
-
-/// A solid as seen from one eye: planes it lies behind, and planes it lies in front of.
-struct Seen {
-    extent: Extent,
-    /// Normal and distance (negative: the eye is outside), and the face.
-    towards: Vec<([f32; 3], f32, f32)>,
-    /// Normal and distance (not negative: the eye is inside).
-    away: Vec<([f32; 3], f32)>,
-}
-
-impl Seen {
-    fn new(solid: &Solid, eye: [f32; 3]) -> Self {
-        let mut seen = Self {
-            extent: solid.extent(eye),
-            towards: Vec::new(),
-            away: Vec::new(),
-        };
-        for plane in &solid.planes {
-            let n = plane.normal;
-            let gap = plane.offset - (n[0] * eye[0] + n[1] * eye[1] + n[2] * eye[2]);
-            if gap < 0.0 {
-                seen.towards.push((n, gap, f32::from(plane.face)));
-            } else {
-                seen.away.push((n, gap));
-            }
-        }
-        seen
-    }
-}
 
 /// A face with the eye's position worked in.
 #[derive(Clone, Copy)]
@@ -97,30 +67,6 @@ impl Painted {
     }
 }
 
-/// Working memory of one thread.
-pub struct Scratch {
-    rays: [Lanes; 3],
-    t: Lanes,
-    face: Lanes,
-    enter: Lanes,
-    entered: Lanes,
-    grey: Lanes,
-}
-
-impl Default for Scratch {
-    fn default() -> Self {
-        let zero = [0.0; PIXELS];
-        Self {
-            rays: [zero; 3],
-            t: zero,
-            face: zero,
-            enter: zero,
-            entered: zero,
-            grey: zero,
-        }
-    }
-}
-
 /// Renders one image, row by row, grey. `shot` seeds the sensor noise.
 pub fn render(
     scene: &Scene,
@@ -154,16 +100,6 @@ pub fn render(
         view.expose(block, lens, look, scratch, &mut image);
     }
     image
-}
-
-/// The solids as seen from `eye`, nearest first; without those that surround it.
-fn seen_from<'a>(eye: [f32; 3], solids: impl Iterator<Item = &'a Solid>) -> Vec<Seen> {
-    let mut seen: Vec<Seen> = solids
-        .map(|solid| Seen::new(solid, eye))
-        .filter(|seen| !seen.towards.is_empty())
-        .collect();
-    seen.sort_by(|a, b| a.extent.near.total_cmp(&b.extent.near));
-    seen
 }
 
 /// One image being taken.
@@ -207,14 +143,6 @@ impl View<'_> {
     }
 }
 
-fn turn_rays(own: &[Lanes; 3], turn: &[[f32; 3]; 3], rays: &mut [Lanes; 3]) {
-    for (row, out) in turn.iter().zip(rays) {
-        for i in 0..PIXELS {
-            out[i] = row[0] * own[0][i] + row[1] * own[1][i] + row[2] * own[2][i];
-        }
-    }
-}
-
 /// Every ray leaves the hall through the nearest of the planes it heads for: a wall of each pair,
 /// the ceiling, and the floor's two halves.
 fn meet_room(scene: &Scene, eye: [f32; 3], scratch: &mut Scratch) {
@@ -246,67 +174,6 @@ fn meet_room(scene: &Scene, eye: [f32; 3], scratch: &mut Scratch) {
         let (side, side_face) = if x < y { (x, face_x) } else { (y, face_y) };
         t[i] = if z < side { z } else { side };
         face[i] = if z < side { face_z } else { side_face };
-    }
-}
-
-fn meet_solids(nearby: &[&Seen], window: &Window, scratch: &mut Scratch) {
-    let mut farthest = highest(&scratch.t);
-    for seen in nearby {
-        if seen.extent.near > farthest {
-            break;
-        }
-        if window.meets(&seen.extent) {
-            meet_solid(seen, scratch);
-            farthest = highest(&scratch.t);
-        }
-    }
-}
-
-fn highest(values: &Lanes) -> f32 {
-    let mut lanes = [0.0_f32; 8];
-    for chunk in values.chunks_exact(8) {
-        for (lane, value) in lanes.iter_mut().zip(chunk) {
-            *lane = if *value > *lane { *value } else { *lane };
-        }
-    }
-    lanes.into_iter().fold(0.0, f32::max)
-}
-
-/// A ray enters a convex solid where it crosses the last of the planes that face the eye, if it
-/// is then still inside all the others.
-fn meet_solid(seen: &Seen, scratch: &mut Scratch) {
-    let Scratch {
-        rays: [dx, dy, dz],
-        t,
-        face,
-        enter,
-        entered,
-        ..
-    } = scratch;
-    for (index, (n, gap, id)) in seen.towards.iter().enumerate() {
-        let first = index == 0;
-        for i in 0..PIXELS {
-            let slope = n[0] * dx[i] + n[1] * dy[i] + n[2] * dz[i];
-            let here = if slope < -1e-7 { *gap / slope } else { FAR };
-            let later = first | (here > enter[i]);
-            enter[i] = if later { here } else { enter[i] };
-            entered[i] = if later { *id } else { entered[i] };
-        }
-    }
-    for (n, gap) in &seen.away {
-        for i in 0..PIXELS {
-            let slope = n[0] * dx[i] + n[1] * dy[i] + n[2] * dz[i];
-            enter[i] = if enter[i] * slope > *gap {
-                FAR
-            } else {
-                enter[i]
-            };
-        }
-    }
-    for i in 0..PIXELS {
-        let nearer = enter[i] < t[i];
-        t[i] = if nearer { enter[i] } else { t[i] };
-        face[i] = if nearer { entered[i] } else { face[i] };
     }
 }
 
@@ -389,6 +256,7 @@ fn develop(
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
     use super::*;
+    use crate::cast::meet_solid;
     use crate::layout::Layout;
     use crate::params::CarPark;
     use crate::session::Plan;
@@ -408,7 +276,7 @@ mod tests {
         let scene = Scene::build(&world, &layout, 1, &floor, &plan.parked, &plan.people);
         let mut met = 0;
         for (camera, t) in crate::rig::rig(&world).iter().zip([0.0, 9.0, 20.0, 31.0]) {
-            let lens = Lens::new(camera);
+            let lens = camera.lens();
             let pose = plan.drive.map_from_vehicle(t);
             let place = pose.transform(&camera.vehicle_from_camera.translation);
             let eye = [place.x as f32, place.y as f32, place.z as f32];

@@ -1,5 +1,7 @@
 //! The four cameras: Kannala–Brandt fisheyes, each a little different, fixed to the vehicle.
 
+use crate::lens::Lens;
+use crate::messages::Calibration;
 use crate::odometry::normal;
 use crate::params::CarPark;
 use crate::random::stream;
@@ -31,6 +33,35 @@ pub struct RigCamera {
     pub camera: Camera,
     /// Where it sits; optical frame: z forward, x right, y down.
     pub vehicle_from_camera: Pose,
+}
+
+impl RigCamera {
+    /// Its rays, tile by tile.
+    pub fn lens(&self) -> Lens {
+        Lens::new(
+            &self.camera,
+            &self.vehicle_from_camera,
+            self.focal,
+            CIRCLE_RAD,
+        )
+    }
+
+    /// Its frame and where it sits.
+    pub fn placed(&self) -> (&str, &Pose) {
+        (&self.frame_id, &self.vehicle_from_camera)
+    }
+
+    /// What is published of it: `equidistant`, D = [k1, k2, k3, k4].
+    pub fn published(&self) -> Calibration<'_> {
+        Calibration {
+            frame_id: &self.frame_id,
+            size: [self.camera.width, self.camera.height],
+            model: "equidistant",
+            focal: self.focal,
+            centre: self.published_centre,
+            distortion: &self.k,
+        }
+    }
 }
 
 /// The cameras' names.
@@ -98,7 +129,7 @@ fn lens_factor(k: &[f64; 4], theta: f64) -> f64 {
 }
 
 /// `vehicle_from_camera` of a camera looking along `yaw`, `tilt` below the horizon.
-fn looking(yaw: f64, tilt: f64) -> UnitQuaternion<f64> {
+pub fn looking(yaw: f64, tilt: f64) -> UnitQuaternion<f64> {
     let forward = Vector3::new(yaw.cos() * tilt.cos(), yaw.sin() * tilt.cos(), -tilt.sin());
     let right = Vector3::new(yaw.sin(), -yaw.cos(), 0.0);
     let down = forward.cross(&right);

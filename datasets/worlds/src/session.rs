@@ -2,17 +2,21 @@
 
 use crate::WorldError;
 use crate::cars::{ParkedCar, parked_cars};
+use crate::cast::Scratch;
 use crate::drive::Drive;
 use crate::floor::paint_floor;
 use crate::layout::Layout;
 use crate::lens::Lens;
 use crate::look::Look;
-use crate::messages::{camera_info, compressed_image, odometry, static_transforms};
-use crate::odometry::{OdometrySample, nanoseconds, normal, wheel_odometry};
+use crate::messages::{
+    CAMERA_INFO, COMPRESSED_IMAGE, GREY_JPEG, ODOMETRY, TF_MESSAGE, camera_info, compressed_image,
+    odometry, static_transforms,
+};
+use crate::odometry::{OdometrySample, WheelErrors, Wheels, nanoseconds, normal};
 use crate::params::CarPark;
 use crate::random::{scramble, stream};
 use crate::recording::{Ready, Recording};
-use crate::render::{Scratch, render};
+use crate::render::render;
 use crate::rig::{RigCamera, rig};
 use crate::route::Route;
 use crate::scene::Scene;
@@ -63,7 +67,7 @@ pub struct SessionSummary {
     pub duration_s: f64,
 }
 
-/// What [`car_park`] wrote.
+/// What a simulation wrote.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Summary {
     /// The sessions, in order.
@@ -82,6 +86,7 @@ pub(crate) struct Plan {
     pub(crate) stamps: Vec<u64>,
     pub(crate) parked: Vec<ParkedCar>,
     pub(crate) people: Vec<Walker>,
+    pub(crate) wheels: Wheels,
 }
 
 impl Plan {
@@ -107,6 +112,16 @@ impl Plan {
             parked: parked_cars(world, layout, index),
             people: walkers(world, layout, index, &drive),
             drive,
+            wheels: Wheels {
+                seed: world.seed,
+                session: index as u64,
+                rate_hz: world.odometry_rate_hz,
+                errors: WheelErrors::of_session(
+                    world.seed,
+                    index as u64,
+                    world.odometry_scale_error,
+                ),
+            },
         }
     }
 
@@ -147,7 +162,7 @@ pub fn car_park(
         plans: &plans,
     };
     let truth = truth.write(out)?;
-    let lenses: Vec<Lens> = rig.par_iter().map(Lens::new).collect();
+    let lenses: Vec<Lens> = rig.par_iter().map(RigCamera::lens).collect();
     let plans = plans.get(world.skip..).unwrap_or_default();
     let total = plans.iter().map(|plan| plan.stamps.len() * rig.len()).sum();
     let mut sessions = Vec::with_capacity(plans.len());
@@ -191,6 +206,34 @@ pub(crate) struct Studio<'a> {
     pub(crate) plan: &'a Plan,
     pub(crate) scene: Scene,
     pub(crate) look: Look,
+}
+
+/// Channels of a session.
+struct Channels {
+    transforms: u16,
+    odometry: u16,
+    /// For each camera: its image and its calibration topic.
+    cameras: Vec<(u16, u16)>,
+}
+
+impl Channels {
+    fn declare(recording: &mut Recording, rig: &[RigCamera]) -> Result<Self, WorldError> {
+        let transforms = recording.latched_topic("/tf_static", TF_MESSAGE)?;
+        let odometry = recording.topic("/odom", ODOMETRY)?;
+        let mut cameras = Vec::with_capacity(rig.len());
+        for camera in rig {
+            let topic = |leaf: &str| format!("/camera/{}/{leaf}", camera.name);
+            cameras.push((
+                recording.topic(&topic("image/compressed"), COMPRESSED_IMAGE)?,
+                recording.topic(&topic("camera_info"), CAMERA_INFO)?,
+            ));
+        }
+        Ok(Self {
+            transforms,
+            odometry,
+            cameras,
+        })
+    }
 }
 
 /// What happens at one log time.
@@ -283,20 +326,19 @@ impl Studio<'_> {
         progress: &mut dyn FnMut(usize),
     ) -> Result<SessionSummary, WorldError> {
         let path = out.join(format!("{}.mcap", self.plan.name));
-        let samples = wheel_odometry(
-            self.world,
-            self.plan.index,
-            &self.plan.drive,
-            self.plan.start_ns,
-        );
-        let mut recording = Recording::create(&path, self.rig)?;
-        let channels = recording.channels().clone();
+        let samples = self
+            .plan
+            .wheels
+            .odometry(&self.plan.drive, self.plan.start_ns);
+        let mut recording = Recording::create(&path)?;
+        let channels = Channels::declare(&mut recording, self.rig)?;
         let mut jpegs: BTreeMap<(usize, usize), Vec<u8>> = BTreeMap::new();
         let (mut rendered, mut images) = (0, 0);
         for (log_ns, event) in self.schedule(&samples) {
             let (channel, stamp_ns, payload) = match event {
                 Event::Transforms => {
-                    let payload = static_transforms(self.plan.start_ns, self.rig);
+                    let placed: Vec<_> = self.rig.iter().map(RigCamera::placed).collect();
+                    let payload = static_transforms(self.plan.start_ns, &placed);
                     (channels.transforms, self.plan.start_ns, payload)
                 }
                 Event::Odometry(index) => {
@@ -305,7 +347,7 @@ impl Studio<'_> {
                 }
                 Event::CameraInfo { shot, camera } => {
                     let stamp = self.plan.stamps[shot];
-                    let payload = camera_info(stamp, &self.rig[camera]);
+                    let payload = camera_info(stamp, &self.rig[camera].published());
                     (channels.cameras[camera].1, stamp, payload)
                 }
                 Event::Image { shot, camera } => {
@@ -315,7 +357,8 @@ impl Studio<'_> {
                     let jpeg = jpegs.remove(&(shot, camera)).unwrap_or_default();
                     let stamp = self.plan.stamps[shot];
                     images += 1;
-                    let payload = compressed_image(stamp, &self.rig[camera].frame_id, &jpeg);
+                    let frame = &self.rig[camera].frame_id;
+                    let payload = compressed_image(stamp, frame, GREY_JPEG, &jpeg);
                     (channels.cameras[camera].0, stamp, payload)
                 }
             };

@@ -3,12 +3,12 @@
 
 use crate::canvas::Canvas;
 use crate::cars::parked_cars;
+use crate::cast::Scratch;
 use crate::floor::paint_floor;
 use crate::layout::Layout;
 use crate::lens::Lens;
 use crate::look::Look;
-use crate::render::Scratch;
-use crate::rig::rig;
+use crate::rig::{RigCamera, rig};
 use crate::scene::Scene;
 use crate::session::{Plan, Studio};
 use crate::{CarPark, WheelErrors, WorldError, car_park};
@@ -29,7 +29,7 @@ fn small() -> CarPark {
 }
 
 /// All files below a folder and their bytes.
-fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+pub(crate) fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut files = BTreeMap::new();
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -84,7 +84,8 @@ fn bytes_do_not_depend_on_threads_but_on_the_seed() {
     }
 }
 
-fn stamp_of(payload: &[u8]) -> u64 {
+/// The stamp at the beginning of a message.
+pub(crate) fn stamp_of(payload: &[u8]) -> u64 {
     let word = |at: usize| u64::from(u32::from_le_bytes(payload[at..at + 4].try_into().unwrap()));
     word(4) * 1_000_000_000 + word(8)
 }
@@ -182,7 +183,7 @@ fn check_session(bytes: &[u8], stamps: &[u64], world: &CarPark) -> BTreeMap<Stri
 fn studio_parts(world: &CarPark, session: usize) -> (Layout, Plan, Vec<Lens>) {
     let layout = Layout::new(world);
     let plan = Plan::new(world, &layout, session, "any");
-    let lenses = rig(world).iter().map(Lens::new).collect();
+    let lenses = rig(world).iter().map(RigCamera::lens).collect();
     (layout, plan, lenses)
 }
 
@@ -318,7 +319,7 @@ fn unusable_parameters_are_all_named() {
 }
 
 /// The messages of a topic.
-fn messages(file: &[u8], topic: &str) -> Vec<Vec<u8>> {
+pub(crate) fn messages(file: &[u8], topic: &str) -> Vec<Vec<u8>> {
     mcap::MessageStream::new(file)
         .unwrap()
         .map(Result::unwrap)
@@ -394,8 +395,8 @@ fn odometry_is_as_wrong_as_it_was_asked_to_be() {
     };
     for session in 0..3 {
         let (a, b) = (
-            WheelErrors::of_session(&world, session),
-            WheelErrors::of_session(&wrong, session),
+            WheelErrors::of_session(world.seed, session, world.odometry_scale_error),
+            WheelErrors::of_session(wrong.seed, session, wrong.odometry_scale_error),
         );
         assert!((b.scale - a.scale - 0.05).abs() < 1e-12);
         assert_eq!((a.track, a.yaw_bias), (b.track, b.yaw_bias));

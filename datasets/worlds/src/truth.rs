@@ -5,14 +5,15 @@
 
 use crate::WorldError;
 use crate::canvas::Canvas;
+use crate::folder::Folder;
 use crate::layout::{AISLES, Layout, NODES, Node, Rect};
-use crate::odometry::WheelErrors;
 use crate::params::CarPark;
+use crate::picture::grey_png;
 use crate::rig::RigCamera;
 use crate::session::Plan;
+use evermap_algorithms::pose::Pose;
 use serde_json::{Value, json};
 use std::fmt::Write as _;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Wanted scale of the overhead picture, pixels per metre.
@@ -30,24 +31,17 @@ pub(crate) struct Truth<'a> {
 impl Truth<'_> {
     /// Writes the folder `truth` in `out`, replacing an older one, and gives its path.
     pub(crate) fn write(&self, out: &Path) -> Result<PathBuf, WorldError> {
-        let (part, done) = (out.join("truth.part"), out.join("truth"));
-        for old in [&part, &done] {
-            if old.exists() {
-                fs::remove_dir_all(old).map_err(|error| WorldError::io(old, error))?;
-            }
-        }
-        fs::create_dir_all(&part).map_err(|error| WorldError::io(&part, error))?;
-        let save = |name: &str, bytes: &[u8]| {
-            let path = part.join(name);
-            fs::write(&path, bytes).map_err(|error| WorldError::io(&path, error))
-        };
+        let folder = Folder::create(out, "truth")?;
         for plan in self.plans {
-            save(&format!("{}.tum", plan.name), trajectory(plan).as_bytes())?;
+            let stamps = plan.stamps.iter();
+            let poses =
+                stamps.map(|stamp| (*stamp, plan.drive.map_from_vehicle(plan.seconds(*stamp))));
+            folder.save(&format!("{}.tum", plan.name), tum(poses).as_bytes())?;
             let people = walkers_csv(plan);
-            save(&format!("{}_walkers.csv", plan.name), people.as_bytes())?;
+            folder.save(&format!("{}_walkers.csv", plan.name), people.as_bytes())?;
         }
         let (picture, scale) = overhead(self.floor)?;
-        save("overhead.png", &picture)?;
+        folder.save("overhead.png", &picture)?;
         for (name, value) in [
             ("bays.geojson", self.bays()),
             ("crossings.geojson", self.crossings()),
@@ -55,10 +49,9 @@ impl Truth<'_> {
             ("cars.json", self.cars()),
             ("world.json", self.world(scale)),
         ] {
-            save(name, format!("{value:#}\n").as_bytes())?;
+            folder.save(name, format!("{value:#}\n").as_bytes())?;
         }
-        fs::rename(&part, &done).map_err(|error| WorldError::io(&done, error))?;
-        Ok(done)
+        folder.finish()
     }
 
     fn bays(&self) -> Value {
@@ -163,7 +156,7 @@ impl Truth<'_> {
             "shots": plan.stamps.len(),
             "round_trip": nodes,
             "lane_offset_m": plan.route.offset_m,
-            "wheel_errors": WheelErrors::of_session(self.world, plan.index),
+            "wheel_errors": plan.wheels.errors,
         })
     }
 }
@@ -186,11 +179,10 @@ fn feature(properties: Value, rect: &Rect) -> Value {
     })
 }
 
-/// One line per image stamp: `stamp_s x y z qx qy qz qw`.
-fn trajectory(plan: &Plan) -> String {
+/// One line per stamp (ns): `stamp_s x y z qx qy qz qw`.
+pub(crate) fn tum(poses: impl Iterator<Item = (u64, Pose)>) -> String {
     let mut text = String::from("# stamp_s x y z qx qy qz qw (map_from_vehicle)\n");
-    for stamp in &plan.stamps {
-        let pose = plan.drive.map_from_vehicle(plan.seconds(*stamp));
+    for (stamp, pose) in poses {
         let (s, ns) = (stamp / 1_000_000_000, stamp % 1_000_000_000);
         let _ = write!(text, "{s}.{ns:09}");
         for value in pose.to_array() {
@@ -235,12 +227,6 @@ fn overhead(floor: &Canvas) -> Result<(Vec<u8>, f64), WorldError> {
             pixels.push((sum / (shrink * shrink)) as u8);
         }
     }
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
-    encoder.set_color(png::ColorType::Grayscale);
-    encoder.set_depth(png::BitDepth::Eight);
-    let mut writer = encoder.write_header()?;
-    writer.write_image_data(&pixels)?;
-    writer.finish()?;
+    let bytes = grey_png([width as u32, height as u32], &pixels)?;
     Ok((bytes, floor.scale / shrink as f64))
 }

@@ -1,0 +1,249 @@
+//! A labeller who errs as real ones do.
+//!
+//! Most of its mistakes hang together and many of them come back in the next shot, because what
+//! misleads it is out there: things that look like something else, patches of wall or ground that
+//! do. Others are the shot's own: boundaries a few pixels off, blobs, single pixels. How much of
+//! each there is follows from one number, the severity, which is found so that the wanted share of
+//! pixels is wrong on average over views along the street; single views are better or worse.
+
+use crate::cast::{FAR, Scratch};
+use crate::lens::{Lens, TILE};
+use crate::random::{lattice, scramble, stream};
+use crate::street::classes::Class;
+use crate::street::course::Place;
+use crate::street::labels::classes;
+use crate::street::params::Street;
+use crate::street::sight::{PanoramaCamera, Scenery, Sight};
+use crate::street::things::FACES;
+use evermap_algorithms::pose::Pose;
+use rand::Rng;
+
+/// At severity 1: share of the world's surface that is taken for something else in patches.
+const PATCHES: f32 = 0.07;
+/// Size of these patches, metres.
+const PATCH_M: f32 = 2.2;
+/// Share of the things that are taken for something else as a whole.
+const THINGS: f32 = 0.05;
+/// Share of an image in blobs of its own.
+const BLOBS: f32 = 0.035;
+/// Size of these blobs at a width of 1024, pixels.
+const BLOB_PX: f32 = 20.0;
+/// Share of single pixels.
+const PIXELS: f32 = 0.012;
+/// How far boundaries are shifted at a width of 1024, pixels, at most.
+const SHIFT_PX: f32 = 9.0;
+/// Distance over which that shift changes, pixels.
+const SHIFT_WAVE_PX: f32 = 26.0;
+/// Views that severity is found on, and their width, pixels.
+const TRIALS: usize = 8;
+const TRIAL_PX: u32 = 192;
+
+/// A labeller of one world.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Labeller {
+    seed: u64,
+    severity: f32,
+    /// Sorted values of the noise in space and in the image: quantiles.
+    space: Vec<f32>,
+    image: Vec<f32>,
+}
+
+impl Labeller {
+    /// A labeller who errs on `world.label_noise` of the pixels.
+    pub fn new(world: &Street, scenery: &Scenery) -> Self {
+        let mut rng = stream(world.seed, "labeller", 0);
+        let mut sample = |noise: &dyn Fn([f32; 3]) -> f32| {
+            let mut values: Vec<f32> = (0..4096)
+                .map(|_| noise([0.0; 3].map(|_: f32| rng.random_range(-500.0..500.0))))
+                .collect();
+            values.sort_by(f32::total_cmp);
+            values
+        };
+        let mut labeller = Self {
+            seed: scramble(world.seed ^ 0x1abe1),
+            severity: 0.0,
+            space: sample(&|p| noise3(7, p)),
+            image: sample(&|p| noise2(7, [p[0], p[1]])),
+        };
+        labeller.find_severity(world, scenery);
+        labeller
+    }
+
+    fn find_severity(&mut self, world: &Street, scenery: &Scenery) {
+        let small = Street {
+            width_px: TRIAL_PX,
+            height_px: (TRIAL_PX * world.height_px / world.width_px).max(16),
+            ..world.clone()
+        };
+        let camera = PanoramaCamera::new(&small);
+        let course = &scenery.land.course;
+        let trials: Vec<(Sight, Vec<Class>)> = (0..TRIALS)
+            .map(|k| {
+                let s = (k as f64 + 0.5) / TRIALS as f64 * course.length_m;
+                let [x, y] = course.point(Place { s, d: -1.5 });
+                let pose = Pose::from_yaw(x, y, course.yaw(s));
+                let sight = scenery.look(&camera, &pose, &[], false, &mut Scratch::default());
+                let exact = classes(scenery, &camera.lens, &sight, false);
+                (sight, exact)
+            })
+            .collect();
+        let (mut low, mut high) = (0.0, 8.0);
+        for _ in 0..10 {
+            self.severity = 0.5 * (low + high);
+            let wrong: usize = trials
+                .iter()
+                .enumerate()
+                .map(|(k, (sight, exact))| {
+                    let noisy = self.noisy(&camera.lens, sight, exact, k as u64);
+                    noisy.iter().zip(exact).filter(|(a, b)| a != b).count()
+                })
+                .sum();
+            let pixels: usize = trials.iter().map(|(_, exact)| exact.len()).sum();
+            if (wrong as f64) < world.label_noise * pixels as f64 {
+                low = self.severity;
+            } else {
+                high = self.severity;
+            }
+        }
+        if world.label_noise == 0.0 {
+            self.severity = 0.0;
+        }
+    }
+
+    /// The labels of one shot.
+    pub fn noisy(&self, lens: &Lens, sight: &Sight, exact: &[Class], shot: u64) -> Vec<Class> {
+        if self.severity == 0.0 {
+            return exact.to_vec();
+        }
+        let scale = lens.width as f32 / 1024.0;
+        let shot = scramble(self.seed ^ scramble(shot.wrapping_add(1)));
+        let limits = Limits {
+            patch: quantile(&self.space, PATCHES * self.severity),
+            blob: quantile(&self.image, BLOBS * self.severity),
+            thing: THINGS * self.severity,
+            pixel: PIXELS * self.severity,
+            shift: SHIFT_PX * self.severity.min(2.0) * scale,
+        };
+        let mut noisy = Vec::with_capacity(exact.len());
+        for row in 0..lens.height {
+            for column in 0..lens.width {
+                let at = [column as f32 / scale, row as f32 / scale];
+                let from = shifted(lens, [column, row], at, shot, limits.shift);
+                let class = exact.get(from).copied().unwrap_or(Class::Other);
+                let class = self.misled(lens, sight, from, class, &limits);
+                noisy.push(slip(class, [column, row], at, shot, &limits));
+            }
+        }
+        noisy
+    }
+
+    /// What is out there misleads, from wherever it is seen.
+    fn misled(
+        &self,
+        lens: &Lens,
+        sight: &Sight,
+        pixel: usize,
+        class: Class,
+        limits: &Limits,
+    ) -> Class {
+        let (range, face) = (sight.range_m[pixel], sight.face[pixel]);
+        let ray = sight.turned(own_ray(lens, pixel));
+        if face >= 0.0
+            && let Some(surface) = sight.surfaces.get(face as usize / FACES as usize)
+            && lattice(self.seed, i64::from(surface.seed), 1) < limits.thing
+        {
+            return class.mistaken(lattice(self.seed, i64::from(surface.seed), 2));
+        }
+        let point = if range < FAR {
+            [0, 1, 2].map(|axis| sight.eye[axis] as f32 + range * ray[axis])
+        } else {
+            ray.map(|part| 14.0 * part)
+        };
+        if noise3(self.seed, point.map(|part| part / PATCH_M)) <= limits.patch {
+            return class;
+        }
+        let coarse = point.map(|part| (part / (3.0 * PATCH_M)).floor() as i64);
+        class.mistaken(lattice(
+            self.seed ^ 3,
+            coarse[0] ^ coarse[2] << 40,
+            coarse[1],
+        ))
+    }
+}
+
+/// From which values of the noises on there are mistakes.
+struct Limits {
+    patch: f32,
+    blob: f32,
+    thing: f32,
+    pixel: f32,
+    shift: f32,
+}
+
+/// The pixel whose label is written here.
+fn shifted(lens: &Lens, [column, row]: [usize; 2], at: [f32; 2], shot: u64, most: f32) -> usize {
+    let wave = at.map(|part| part / SHIFT_WAVE_PX);
+    let shift = [1, 2].map(|axis| most * 2.0 * (noise2(shot ^ axis, wave) - 0.5));
+    let column = (column as f32 + shift[0]).round() as i64;
+    let row = (row as f32 + shift[1]).round() as i64;
+    let column = column.rem_euclid(lens.width as i64) as usize;
+    let row = row.clamp(0, lens.height as i64 - 1) as usize;
+    row * lens.width + column
+}
+
+/// Mistakes of this shot alone.
+fn slip(
+    class: Class,
+    [column, row]: [usize; 2],
+    at: [f32; 2],
+    shot: u64,
+    limits: &Limits,
+) -> Class {
+    if noise2(shot ^ 5, at.map(|part| part / BLOB_PX)) > limits.blob {
+        let coarse = at.map(|part| (part / (2.5 * BLOB_PX)) as i64);
+        return class.mistaken(lattice(shot ^ 6, coarse[0], coarse[1]));
+    }
+    let chance = lattice(shot ^ 8, column as i64, row as i64);
+    if chance < limits.pixel {
+        return class.mistaken(chance / limits.pixel);
+    }
+    class
+}
+
+fn own_ray(lens: &Lens, pixel: usize) -> [f32; 3] {
+    let (column, row) = (pixel % lens.width, pixel / lens.width);
+    let tile = &lens.tiles[row / TILE * lens.columns + column / TILE];
+    let i = row % TILE * TILE + column % TILE;
+    [tile.rays[0][i], tile.rays[1][i], tile.rays[2][i]]
+}
+
+/// The value that a share of the values is above.
+fn quantile(sorted: &[f32], above: f32) -> f32 {
+    let rank = ((1.0 - above.clamp(0.0, 1.0)) * sorted.len() as f32) as usize;
+    sorted.get(rank).copied().unwrap_or(f32::MAX)
+}
+
+fn ease(f: f32) -> f32 {
+    f * f * (3.0 - 2.0 * f)
+}
+
+/// Smooth noise in the plane, 0 to 1, that changes over a distance of 1.
+pub fn noise2(seed: u64, p: [f32; 2]) -> f32 {
+    let (low, f) = (p.map(f32::floor), p.map(|part| ease(part - part.floor())));
+    let [x, y] = low.map(|part| part as i64);
+    let at = |dx: i64, dy: i64| lattice(seed, x + dx, y + dy);
+    let mix = |a: f32, b: f32, f: f32| a + f * (b - a);
+    mix(
+        mix(at(0, 0), at(1, 0), f[0]),
+        mix(at(0, 1), at(1, 1), f[0]),
+        f[1],
+    )
+}
+
+/// Smooth noise in space.
+pub fn noise3(seed: u64, [x, y, z]: [f32; 3]) -> f32 {
+    let (low, f) = (z.floor(), ease(z - z.floor()));
+    let layer = |k: i64| noise2(scramble(seed ^ (low as i64 + k) as u64), [x, y]);
+    let (a, b) = (layer(0), layer(1));
+    a + f * (b - a)
+}

@@ -1,0 +1,166 @@
+//! The cars of one visit.
+
+use crate::random::stream;
+use crate::street::classes::Class;
+use crate::street::course::Place;
+use crate::street::ground::Land;
+use crate::street::params::Street;
+use crate::street::things::{Shape, Thing};
+use crate::street::town::Town;
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
+
+/// Share of the cars that drive.
+const DRIVING: f64 = 0.06;
+/// Share of the parked cars that stand in the same bay in every visit.
+const RESIDENTS: f64 = 0.15;
+
+/// Length, width, height (m), share of the length that the cabin takes.
+const MODELS: [[f64; 4]; 6] = [
+    [4.1, 1.75, 1.48, 0.62],
+    [4.6, 1.82, 1.45, 0.55],
+    [3.6, 1.65, 1.5, 0.66],
+    [4.7, 1.88, 1.7, 0.7],
+    [5.2, 1.98, 2.1, 0.78],
+    [4.3, 1.8, 1.6, 0.66],
+];
+
+/// A car that drives towards the robot on the other lane.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Driver {
+    s: f64,
+    speed: f64,
+    model: usize,
+    seed: u32,
+}
+
+/// The cars of one visit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Traffic {
+    /// Those that stand.
+    pub parked: Vec<Thing>,
+    /// Those that drive.
+    pub drivers: Vec<Driver>,
+}
+
+/// A car as the truth tells it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct CarTruth {
+    /// Middle, metres; of a driving car where the visit starts.
+    pub x: f64,
+    /// Middle, metres.
+    pub y: f64,
+    /// Heading, radians.
+    pub yaw: f64,
+    /// Speed along the street, m/s.
+    pub speed: f64,
+    /// Length, width and height, metres.
+    pub size: [f64; 3],
+}
+
+impl Traffic {
+    /// The cars of a visit.
+    pub fn new(world: &Street, land: &Land, town: &Town, visit: usize) -> Self {
+        let wanted = world.cars * 0.01 * land.course.length_m;
+        let share = ((1.0 - DRIVING) * wanted / town.bays.len().max(1) as f64).clamp(0.0, 0.97);
+        let mut residents = stream(world.seed, "residents", 0);
+        let mut rng = stream(world.seed, "traffic", visit as u64);
+        let mut parked = Vec::new();
+        for bay in &town.bays {
+            // Both are asked for every bay, so that one bay's fate changes no other's.
+            let own = car(&mut residents);
+            let stays = residents.random_bool(RESIDENTS * share);
+            let other = car(&mut rng);
+            let visitor = rng.random_bool(share);
+            let chosen = if stays {
+                own
+            } else if visitor {
+                other
+            } else {
+                continue;
+            };
+            let [ahead, aside, turn] = chosen.shift;
+            let (sin, cos) = bay.yaw.sin_cos();
+            parked.push(Thing {
+                at: [
+                    bay.at[0] + cos * ahead - sin * aside,
+                    bay.at[1] + sin * ahead + cos * aside,
+                ],
+                yaw: bay.yaw + turn,
+                shape: Shape::Car(MODELS[chosen.model]),
+                class: Class::Car,
+                seed: chosen.seed,
+            });
+        }
+        let drivers = (0..(DRIVING * wanted).round() as usize)
+            .map(|_| Driver {
+                s: rng.random_range(0.0..land.course.length_m),
+                speed: -rng.random_range(4.0..8.5),
+                model: rng.random_range(0..MODELS.len()),
+                seed: rng.random(),
+            })
+            .collect();
+        Self { parked, drivers }
+    }
+
+    /// The driving cars, `t` seconds after the visit's start.
+    pub fn driving<'a>(&'a self, land: &'a Land, t: f64) -> impl Iterator<Item = Thing> + 'a {
+        self.drivers.iter().map(move |driver| {
+            let s = (driver.s + driver.speed * t).rem_euclid(land.course.length_m);
+            let d = 0.5 * land.stretch(s).half_m;
+            Thing {
+                at: land.course.point(Place { s, d }),
+                yaw: land.course.yaw(s) + std::f64::consts::PI,
+                shape: Shape::Car(MODELS[driver.model]),
+                class: Class::Car,
+                seed: driver.seed,
+            }
+        })
+    }
+
+    /// All cars at the visit's start, the parked ones first.
+    pub fn truth(&self, land: &Land) -> Vec<CarTruth> {
+        let speeds = self.drivers.iter().map(|driver| driver.speed.abs());
+        let driving = self.driving(land, 0.0).zip(speeds);
+        let parked = self.parked.iter().map(|car| (*car, 0.0));
+        parked
+            .chain(driving)
+            .map(|(car, speed)| {
+                let size = match car.shape {
+                    Shape::Car([length, width, height, _]) => [length, width, height],
+                    _ => [0.0; 3],
+                };
+                let [x, y] = car.at;
+                let yaw = car.yaw;
+                CarTruth {
+                    x,
+                    y,
+                    yaw,
+                    speed,
+                    size,
+                }
+            })
+            .collect()
+    }
+}
+
+/// A car that might stand in a bay.
+struct Candidate {
+    model: usize,
+    seed: u32,
+    /// Ahead, to the left (m), and turned (rad), from the bay's middle.
+    shift: [f64; 3],
+}
+
+fn car(rng: &mut ChaCha8Rng) -> Candidate {
+    Candidate {
+        model: rng.random_range(0..MODELS.len()),
+        seed: rng.random(),
+        shift: [
+            rng.random_range(-0.35..0.35),
+            rng.random_range(-0.12..0.12),
+            rng.random_range(-0.03..0.03),
+        ],
+    }
+}

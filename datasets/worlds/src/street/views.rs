@@ -1,0 +1,168 @@
+//! Label panoramas without files.
+
+use crate::WorldError;
+use crate::cast::Scratch;
+use crate::street::classes::Class;
+use crate::street::labeller::Labeller;
+use crate::street::labels::classes;
+use crate::street::params::Street;
+use crate::street::sight::{PanoramaCamera, Scenery, Sight};
+use crate::street::visit::Visit;
+use evermap_algorithms::pose::Pose;
+use rayon::prelude::*;
+
+/// Views made before any of them is handed out.
+const BATCH: usize = 32;
+
+/// A label panorama.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LabelView {
+    /// Number of the view in its visit.
+    pub index: usize,
+    /// When it was taken, ns since the epoch.
+    pub stamp_ns: u64,
+    /// Where the robot was.
+    pub map_from_vehicle: Pose,
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// Values of the classes, row by row: indices into [`crate::STREET_CLASSES`].
+    pub labels: Vec<u8>,
+}
+
+/// Which labels are wanted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum LabelKind {
+    /// Exact ones.
+    #[default]
+    Exact,
+    /// Exact ones of the same view without any car.
+    WithoutCars,
+    /// As a labeller makes them who errs on `label_noise` of the pixels.
+    Noisy,
+}
+
+/// The label panoramas of one visit, to be asked in any order and on any thread.
+pub struct StreetLabels {
+    pub(crate) scenery: Scenery,
+    pub(crate) camera: PanoramaCamera,
+    pub(crate) visits: Vec<Visit>,
+    labeller: Labeller,
+}
+
+/// The label panoramas of a street.
+///
+/// # Errors
+/// [`WorldError::Parameters`] for values that make no world.
+pub fn street_labels(world: &Street) -> Result<StreetLabels, WorldError> {
+    world.check()?;
+    let scenery = Scenery::new(world);
+    let visits = (0..world.visits)
+        .map(|index| Visit::new(world, &scenery, index))
+        .collect();
+    Ok(StreetLabels {
+        camera: PanoramaCamera::new(world),
+        labeller: Labeller::new(world, &scenery),
+        scenery,
+        visits,
+    })
+}
+
+impl StreetLabels {
+    /// Number of views of each visit.
+    pub fn len(&self) -> usize {
+        self.visits.first().map_or(0, |visit| visit.stamps.len())
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// When a view is taken (ns since the epoch) and where the robot is then (`map_from_vehicle`).
+    /// `None` when there is no such visit or view.
+    pub fn pose(&self, visit: usize, index: usize) -> Option<(u64, Pose)> {
+        let visit = self.visits.get(visit)?;
+        let stamp = visit.stamps.get(index)?;
+        Some((*stamp, visit.pose(index)))
+    }
+
+    /// One view; `None` when there is no such visit or view.
+    pub fn view(&self, visit: usize, index: usize, kind: LabelKind) -> Option<LabelView> {
+        self.view_with(visit, index, kind, &mut Scratch::default())
+    }
+
+    fn view_with(
+        &self,
+        visit: usize,
+        index: usize,
+        kind: LabelKind,
+        scratch: &mut Scratch,
+    ) -> Option<LabelView> {
+        let (stamp_ns, map_from_vehicle) = self.pose(visit, index)?;
+        let sight = self.sight(visit, index, kind == LabelKind::WithoutCars, scratch);
+        let lens = &self.camera.lens;
+        let exact = classes(&self.scenery, lens, &sight, kind == LabelKind::WithoutCars);
+        let labels = match kind {
+            LabelKind::Noisy => self.noisy(&sight, &exact, visit, index),
+            _ => exact,
+        };
+        Some(LabelView {
+            index,
+            stamp_ns,
+            map_from_vehicle,
+            width: lens.width as u32,
+            height: lens.height as u32,
+            labels: values(&labels),
+        })
+    }
+
+    /// The views of a visit in order, made in batches on all cores.
+    pub fn views(&self, visit: usize, kind: LabelKind) -> impl Iterator<Item = LabelView> + '_ {
+        let count = if visit < self.visits.len() {
+            self.len()
+        } else {
+            0
+        };
+        (0..count).step_by(BATCH).flat_map(move |from| {
+            let batch: Vec<LabelView> = (from..(from + BATCH).min(count))
+                .into_par_iter()
+                .map_init(Scratch::default, |scratch, index| {
+                    self.view_with(visit, index, kind, scratch)
+                })
+                .flatten()
+                .collect();
+            batch
+        })
+    }
+
+    pub(crate) fn sight(
+        &self,
+        visit: usize,
+        index: usize,
+        bare: bool,
+        scratch: &mut Scratch,
+    ) -> Sight {
+        let visit = &self.visits[visit];
+        let cars = visit.cars(&self.scenery, index);
+        self.scenery
+            .look(&self.camera, &visit.pose(index), &cars, bare, scratch)
+    }
+
+    pub(crate) fn noisy(
+        &self,
+        sight: &Sight,
+        exact: &[Class],
+        visit: usize,
+        index: usize,
+    ) -> Vec<Class> {
+        let shot = (visit as u64) << 40 | index as u64;
+        self.labeller.noisy(&self.camera.lens, sight, exact, shot)
+    }
+}
+
+/// The values of classes in label images.
+pub(crate) fn values(classes: &[Class]) -> Vec<u8> {
+    classes.iter().map(|class| *class as u8).collect()
+}
