@@ -82,12 +82,15 @@ impl PlaceIndex {
             .filter(|(document, score)| *score > 0.0 && accept(*document))
             .map(|(document, score)| Hit { document, score })
             .collect();
-        hits.sort_by(|a, b| {
-            b.score
-                .total_cmp(&a.score)
-                .then(a.document.cmp(&b.document))
-        });
-        hits.truncate(count);
+        let better = |a: &Hit, b: &Hit| {
+            let by_score = b.score.total_cmp(&a.score);
+            by_score.then(a.document.cmp(&b.document))
+        };
+        if count < hits.len() {
+            hits.select_nth_unstable_by(count, better);
+            hits.truncate(count);
+        }
+        hits.sort_unstable_by(better);
         hits
     }
 
