@@ -328,7 +328,7 @@ pub struct ReportArgs {
 #[derive(Debug, Args)]
 pub struct SimulateArgs {
     /// World.
-    #[arg(value_parser = ["car_park"])]
+    #[arg(value_parser = ["car_park", "street"])]
     pub world: String,
     /// Folder to write sessions and truth to.
     #[arg(long, value_name = "DIR")]
@@ -336,10 +336,13 @@ pub struct SimulateArgs {
     /// Everything random is drawn from this number.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Sessions after the initial one.
+    /// Sessions after the initial one, of `car_park`.
     #[arg(long, value_name = "N")]
     pub revisits: Option<usize>,
-    /// Any other parameter of the world: `width_px=640`, `loops=1`, `occupancy=0.8`.
+    /// Sessions, of `street`.
+    #[arg(long, value_name = "N", conflicts_with = "revisits")]
+    pub visits: Option<usize>,
+    /// Any other parameter of the world: `width_px=640`, `loops=1`, `length_m=500`.
     #[arg(long, value_name = "PARAM=VALUE")]
     pub set: Vec<String>,
     /// How progress is shown.

@@ -60,6 +60,7 @@ fn what_makes_no_sense_is_wrong_usage() {
         "evermap run p --map m --memory lots",
         "evermap run p --map m --jobs 0",
         "evermap simulate moon --out d",
+        "evermap simulate street --out d --visits 2 --revisits 1",
         "evermap export lanes --map m --format dxf --out f",
     ];
     for line in lines {

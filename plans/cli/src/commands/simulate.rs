@@ -1,8 +1,11 @@
 //! `evermap simulate`.
 
 use evermap_schemas::{Fault, LayerRow, batch, record};
-use evermap_worlds::{CarPark, WorldError, car_park};
+use evermap_worlds::{CarPark, Progress as Images, Street, Summary, WorldError, car_park, street};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use serde_json::Value;
+use std::path::Path;
 
 use crate::arguments::SimulateArgs;
 use crate::ending::{DONE, Ending, Failure};
@@ -44,7 +47,7 @@ pub async fn simulate(args: &SimulateArgs) -> Ending {
     let mut total = None;
     // Rendering keeps every core busy for minutes: the runtime must know that this thread is taken.
     let summary = tokio::task::block_in_place(|| {
-        car_park(&world, &args.out, &mut |now| {
+        world.write(&args.out, &mut |now| {
             if total.replace(now.all_images_total) != Some(now.all_images_total) {
                 progress.expect(now.all_images_total as u64);
             }
@@ -68,40 +71,70 @@ pub async fn simulate(args: &SimulateArgs) -> Ending {
     DONE
 }
 
-/// The world's parameters: the defaults, with what the command line says in their place.
-fn world(args: &SimulateArgs) -> Result<CarPark, Failure> {
+/// A world that can be simulated.
+#[derive(Debug, PartialEq)]
+enum World {
+    CarPark(CarPark),
+    Street(Street),
+}
+
+impl World {
+    fn write(&self, out: &Path, progress: &mut dyn FnMut(Images)) -> Result<Summary, WorldError> {
+        match self {
+            Self::CarPark(world) => car_park(world, out, progress),
+            Self::Street(world) => street(world, out, progress),
+        }
+    }
+}
+
+/// The world of this name with its parameters.
+fn world(args: &SimulateArgs) -> Result<World, Failure> {
+    let world = if args.world == "street" {
+        World::Street(parameters(args)?)
+    } else {
+        World::CarPark(parameters(args)?)
+    };
+    let checked = match &world {
+        World::CarPark(world) => world.check(),
+        World::Street(world) => world.check(),
+    };
+    checked.map_err(fault)?;
+    Ok(world)
+}
+
+/// A world's parameters: the defaults, with what the command line says in their place.
+fn parameters<W: Default + Serialize + DeserializeOwned>(
+    args: &SimulateArgs,
+) -> Result<W, Failure> {
     let bug = |error: serde_json::Error| Fault::bug(error.to_string());
-    let mut parameters = serde_json::to_value(CarPark::default()).map_err(bug)?;
+    let mut parameters = serde_json::to_value(W::default()).map_err(bug)?;
     let Some(fields) = parameters.as_object_mut() else {
         return Err(Fault::bug("a world without parameters").into());
     };
+    let mut given = Vec::new();
     for setting in &args.set {
         let (name, value) = setting.split_once('=').ok_or_else(|| {
             Fault::user(format!("--set {setting} sets nothing")).next("write --set parameter=value")
         })?;
-        if !fields.contains_key(name) {
+        let value = serde_json::from_str(value).unwrap_or_else(|_| Value::String(value.to_owned()));
+        given.push((name, value));
+    }
+    given.extend(args.seed.map(|seed| ("seed", seed.into())));
+    given.extend(args.revisits.map(|revisits| ("revisits", revisits.into())));
+    given.extend(args.visits.map(|visits| ("visits", visits.into())));
+    for (name, value) in given {
+        let Some(field) = fields.get_mut(name) else {
             let known: Vec<_> = fields.keys().map(String::as_str).collect();
             return Err(
                 Fault::user(format!("{} has no parameter {name}", args.world))
                     .next(format!("it has {}", known.join(", ")))
                     .into(),
             );
-        }
-        let value = serde_json::from_str(value).unwrap_or_else(|_| Value::String(value.to_owned()));
-        fields.insert(name.to_owned(), value);
+        };
+        *field = value;
     }
-    let given = [
-        ("seed", args.seed.map(Value::from)),
-        ("revisits", args.revisits.map(Value::from)),
-    ];
-    fields.extend(
-        given
-            .into_iter()
-            .filter_map(|(name, value)| Some((name.to_owned(), value?))),
-    );
-    let world: CarPark = serde_json::from_value(parameters)
+    let world = serde_json::from_value(parameters)
         .map_err(|error| Fault::user(format!("parameters of {}: {error}", args.world)))?;
-    world.check().map_err(fault)?;
     Ok(world)
 }
 
@@ -125,6 +158,7 @@ mod tests {
             out: "nowhere".into(),
             seed: Some(7),
             revisits: None,
+            visits: None,
             set: set.iter().map(ToString::to_string).collect(),
             progress: Show::None,
         }
@@ -135,12 +169,43 @@ mod tests {
         let found = world(&args(&["loops=0.5", "width_px=320"])).unwrap();
         assert_eq!(
             found,
-            CarPark {
+            World::CarPark(CarPark {
                 seed: 7,
                 loops: 0.5,
                 width_px: 320,
                 ..CarPark::default()
-            }
+            })
+        );
+    }
+
+    #[test]
+    fn each_world_has_parameters_of_its_own() {
+        let street = SimulateArgs {
+            world: "street".into(),
+            visits: Some(3),
+            ..args(&["length_m=120", "colour=false"])
+        };
+        assert_eq!(
+            world(&street).unwrap(),
+            World::Street(Street {
+                seed: 7,
+                visits: 3,
+                length_m: 120.0,
+                colour: false,
+                ..Street::default()
+            })
+        );
+        let revisited = SimulateArgs {
+            revisits: Some(1),
+            ..street
+        };
+        let Err(Failure::Fault(fault)) = world(&revisited) else {
+            panic!()
+        };
+        assert!(
+            fault
+                .to_string()
+                .contains("street has no parameter revisits")
         );
     }
 
