@@ -20,7 +20,7 @@
 //! | [`permutohedral`] | Gaussian filters in many dimensions |
 //! | [`places`] | a binary vocabulary, and keyframes that look alike |
 //! | [`pose_graph`] | odometry and loops relaxed into consistent poses |
-//! | [`relocation`] | where in a map a view was taken: how well a method tells |
+//! | [`relocation`] | where in a map a view was taken, by the graph of what it shows, and how well a method tells |
 //! | [`resection`] | a rig's pose from points and rays, with outliers |
 //! | [`tracking`] | features followed through a camera's keyframes |
 //! | [`trajectory`] | alignment and errors of trajectories |

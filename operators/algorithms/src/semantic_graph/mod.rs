@@ -186,7 +186,7 @@ impl Graph {
             return Err(GraphError::TooManyAreas(kept.len()));
         }
         let mut area_of = vec![None; boundaries.len()];
-        for (area, region) in (0_u16..).zip(&kept) {
+        for (region, area) in kept.iter().zip(0_u16..) {
             area_of[region.id as usize] = Some(area);
         }
         let area_of_run: Vec<Option<u16>> = runs

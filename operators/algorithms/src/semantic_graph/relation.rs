@@ -1,6 +1,5 @@
 //! Where one area lies with respect to another.
 
-use std::f32::consts::FRAC_PI_8;
 use std::fmt;
 
 use thiserror::Error;
@@ -107,9 +106,20 @@ impl Relation {
         if !(right.is_finite() && down.is_finite()) || (right == 0.0 && down == 0.0) {
             return None;
         }
-        // The angle from the left, growing toward the top, in eighths of a turn.
-        let eighths = (-down).atan2(-right) / (2.0 * FRAC_PI_8);
-        Some(Self::ALL[eighths.round().rem_euclid(8.0) as usize % 8])
+        /// The tangent of 22.5°.
+        const STEEP: f32 = std::f32::consts::SQRT_2 - 1.0;
+        let level = down.abs() < STEEP * right.abs();
+        let upright = right.abs() < STEEP * down.abs();
+        Some(match (level, upright, right < 0.0, down < 0.0) {
+            (true, _, true, _) => Self::LeftOf,
+            (true, _, false, _) => Self::RightOf,
+            (_, true, _, true) => Self::Above,
+            (_, true, _, false) => Self::Below,
+            (_, _, true, true) => Self::AboveLeftOf,
+            (_, _, false, true) => Self::AboveRightOf,
+            (_, _, false, false) => Self::BelowRightOf,
+            (_, _, true, false) => Self::BelowLeftOf,
+        })
     }
 
     /// Whether only areas that touch can be so related.

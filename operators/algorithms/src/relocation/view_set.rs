@@ -1,0 +1,78 @@
+//! Sets of views.
+
+/// Views of a map, one bit for each.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ViewSet {
+    words: Vec<u64>,
+    /// Views there are.
+    views: usize,
+}
+
+impl ViewSet {
+    /// None of `views` views.
+    pub fn none(views: usize) -> Self {
+        Self {
+            words: vec![0; views.div_ceil(64)],
+            views,
+        }
+    }
+
+    /// Adds a view; one that there is not is passed over.
+    pub fn insert(&mut self, view: u32) {
+        if (view as usize) < self.views {
+            self.words[view as usize / 64] |= 1 << (view % 64);
+        }
+    }
+
+    /// Whether a view is among these.
+    pub fn contains(&self, view: u32) -> bool {
+        let word = self.words.get(view as usize / 64);
+        word.is_some_and(|word| word >> (view % 64) & 1 == 1)
+    }
+
+    /// How many they are.
+    pub fn count(&self) -> usize {
+        self.words
+            .iter()
+            .map(|word| word.count_ones() as usize)
+            .sum()
+    }
+
+    /// Those that are in another set, too.
+    #[must_use]
+    pub fn and(mut self, other: &Self) -> Self {
+        let others = other.words.iter().copied().chain(std::iter::repeat(0));
+        for (word, other) in self.words.iter_mut().zip(others) {
+            *word &= other;
+        }
+        self
+    }
+
+    /// Those that are not in another set.
+    #[must_use]
+    pub fn without(mut self, other: &Self) -> Self {
+        for (word, other) in self.words.iter_mut().zip(&other.words) {
+            *word &= !other;
+        }
+        self
+    }
+
+    /// The views, ascending.
+    pub fn iter(&self) -> impl Iterator<Item = u32> + '_ {
+        (0_u32..).zip(&self.words).flat_map(|(at, word)| {
+            let mut rest = *word;
+            std::iter::from_fn(move || {
+                let bit = (rest != 0).then(|| rest.trailing_zeros())?;
+                rest &= rest - 1;
+                Some(at * 64 + bit)
+            })
+        })
+    }
+
+    /// The views, ascending.
+    pub fn to_vec(&self) -> Vec<u32> {
+        let mut views = Vec::with_capacity(self.count());
+        views.extend(self.iter());
+        views
+    }
+}
