@@ -25,6 +25,7 @@ mod prompt;
 pub mod quantity;
 pub mod report;
 pub mod scene;
+pub mod semantic;
 mod sessions;
 pub mod shipped;
 pub mod shown;

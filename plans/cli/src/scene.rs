@@ -117,6 +117,12 @@ pub async fn scene(
     let intersections: Vec<Crossing> = rows_of(map, registry).await?;
     let drives = drives(map, registry).await?;
     let mut sites: BTreeSet<String> = drives.iter().map(|(site, _)| site.clone()).collect();
+    sites.extend(
+        map.version
+            .sessions
+            .iter()
+            .map(|session| session.log.site.clone()),
+    );
     sites.extend(tiles.iter().map(|row| row.site.clone()));
     sites.extend(lanes.iter().map(|row| row.site.clone()));
     sites.extend(intersections.iter().map(|row| row.site.clone()));

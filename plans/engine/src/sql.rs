@@ -33,7 +33,8 @@ impl Default for Limits {
 /// Rows per batch, unless rows are heavy.
 pub const BATCH_ROWS: usize = 8192;
 
-/// A DataFusion context as all of evermap uses it: plain string types, a bounded memory pool.
+/// A DataFusion context as all of evermap uses it: plain string types, a bounded memory pool, the functions on
+/// map layers.
 ///
 /// # Errors
 /// A resource fault when the runtime cannot be set up.
@@ -58,7 +59,9 @@ pub fn context_with(limits: Limits, batch_rows: usize) -> Result<SessionContext,
         .with_memory_pool(Arc::new(FairSpillPool::new(limits.memory_bytes)))
         .build_arc()
         .map_err(|error| fault_of(&error))?;
-    Ok(SessionContext::new_with_config_rt(config, runtime))
+    let context = SessionContext::new_with_config_rt(config, runtime);
+    evermap_functions::register(&context);
+    Ok(context)
 }
 
 /// Plans a query. Only queries: nothing that would change a table, a file or a setting.

@@ -215,16 +215,8 @@ impl Graph {
     /// How far right (px) and how far down (px) one area's centre lies of another's; where the image wraps, the shorter
     /// way around, `(-width/2, width/2]`.
     pub fn offset(&self, from: &Area, to: &Area) -> [f32; 2] {
-        let mut right = to.u - from.u;
-        if self.wraps {
-            let width = self.width as f32;
-            if right > width / 2.0 {
-                right -= width;
-            } else if right <= -width / 2.0 {
-                right += width;
-            }
-        }
-        [right, to.v - from.v]
+        let circle_px = self.wraps.then_some(self.width as f32);
+        offset([from.u, from.v], [to.u, to.v], circle_px)
     }
 
     /// Whether some area of class `a` is in `relation` to some other area of class `b`.
@@ -257,4 +249,18 @@ impl Graph {
             relation.fits(self.offset(second, first))
         })
     }
+}
+
+/// How far right and how far down a place lies of another (px); the shorter way around where the image is a full circle
+/// of so many columns.
+pub fn offset(from: [f32; 2], to: [f32; 2], circle_px: Option<f32>) -> [f32; 2] {
+    let mut right = to[0] - from[0];
+    if let Some(width) = circle_px {
+        if right > width / 2.0 {
+            right -= width;
+        } else if right <= -width / 2.0 {
+            right += width;
+        }
+    }
+    [right, to[1] - from[1]]
 }

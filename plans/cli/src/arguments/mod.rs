@@ -285,6 +285,10 @@ pub enum Shown {
     Map,
     /// The metric map: trajectories before and after, landmarks, loop closures.
     Metric,
+    /// The semantic map: labels over images, and the graphs of views.
+    Views,
+    /// How much each query of a relocation run looks like each view of the map.
+    Similarities,
 }
 
 /// Arguments of `render`.

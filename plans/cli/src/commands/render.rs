@@ -1,16 +1,21 @@
 //! `evermap render`.
 
+use evermap_engine::map::Map;
 use evermap_schemas::Fault;
 
 use crate::arguments::{RenderArgs, Shown};
 use crate::commands::layers::open;
-use crate::draw::{Look, draw, png};
+use crate::draw::{Look, Picture, Scene, draw, matrix, png, views};
 use crate::ending::{DONE, Ending};
 use crate::metric::metric;
 use crate::output::write_file;
 use crate::progress::line;
 use crate::report;
 use crate::scene::scene;
+use crate::semantic::semantic;
+
+/// Views that a picture shows.
+const VIEWS: usize = 3;
 
 /// Draws a map.
 ///
@@ -25,25 +30,9 @@ pub async fn render(args: &RenderArgs) -> Ending {
             sites.join(", ")
         ));
     }
-    let scene = match args.view {
-        Shown::Map => scene,
-        Shown::Metric => {
-            let site = args.site.as_ref().or(sites.first());
-            let site = site.map(String::as_str).unwrap_or_default();
-            let found = metric(&map, &evermap_catalog::registry(), site).await?;
-            report::metric::scene(found.ok_or_else(|| {
-                Fault::user(format!("the map has no adjusted poses of {site}"))
-                    .next("map it with the plan lifelong, metric_map or car_park")
-            })?)
-        }
-    };
-    let picture = draw(
-        &scene,
-        Look {
-            width_px: args.width_px,
-            zoom: args.zoom,
-        },
-    )?;
+    let site = args.site.as_ref().or(sites.first());
+    let site = site.map(String::as_str).unwrap_or_default();
+    let picture = picture(args, &map, scene, site).await?;
     let is_svg = args
         .out
         .extension()
@@ -54,4 +43,35 @@ pub async fn render(args: &RenderArgs) -> Ending {
         write_file(&args.out, &png(&picture)?)?;
     }
     DONE
+}
+
+async fn picture(args: &RenderArgs, map: &Map, scene: Scene, site: &str) -> Result<Picture, Fault> {
+    let registry = evermap_catalog::registry();
+    let look = Look {
+        width_px: args.width_px,
+        zoom: args.zoom,
+    };
+    let nothing = |what: &str, plans: &str| {
+        Fault::user(format!("the map has no {what} of {site}"))
+            .next(format!("map it with the plan {plans}"))
+    };
+    match args.view {
+        Shown::Map => draw(&scene, look),
+        Shown::Metric => {
+            let found = metric(map, &registry, site).await?;
+            let found = found
+                .ok_or_else(|| nothing("adjusted poses", "lifelong, metric_map or car_park"))?;
+            draw(&report::metric::scene(found), look)
+        }
+        Shown::Views => {
+            let found = semantic(map, &registry, site, VIEWS).await?;
+            views(&found.ok_or_else(|| nothing("views", "semantic_map"))?)
+        }
+        Shown::Similarities => {
+            let found = semantic(map, &registry, site, 1).await?;
+            let found = found.and_then(|found| found.similarities);
+            let found = found.ok_or_else(|| nothing("relocations", "relocate"))?;
+            matrix(&found, args.width_px)
+        }
+    }
 }

@@ -12,6 +12,7 @@ use evermap_datasets::Dataset;
 use evermap_engine::error::fault_of;
 use evermap_engine::map::{LayerInfo, Map, RunRow, VersionInfo};
 use evermap_engine::sql::{Limits, context};
+use evermap_functions::use_class_index;
 use evermap_schemas::{Fault, Layer, LayerRow};
 use futures::{StreamExt, TryStreamExt};
 
@@ -38,8 +39,11 @@ impl Tables {
         };
         if let Some(address) = &args.map {
             let map = Map::open(address, args.version).await?;
+            let context = map.context(limits).await?;
+            let indexed = use_class_index(&context).await;
+            indexed.map_err(|error| fault_of(&error))?;
             return Ok(Self {
-                context: map.context(limits).await?,
+                context,
                 map: Some(map),
                 dataset: None,
             });

@@ -35,3 +35,14 @@ pub fn session(index: usize) -> String {
         }
     }
 }
+
+/// As [`SESSIONS`], for classes: trees green, sky blue, roads grey, buildings brown, cars red in the usual order.
+const CLASSES: [&str; 12] = [
+    "#3ca03c", "#6eaae6", "#8a8a8a", "#ffd400", "#b45fc8", "#fa9614", "#a5673f", "#e63232",
+    "#c8c8a0", "#00c8b4", "#ff78b4", "#7850ff",
+];
+
+/// The colour of the class with this number, as `#rrggbb`; classes beyond the palette begin it anew.
+pub fn class(index: usize) -> String {
+    CLASSES[index % CLASSES.len()].to_owned()
+}

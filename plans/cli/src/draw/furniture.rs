@@ -1,5 +1,7 @@
 //! What helps to read a map: a scale bar, a north arrow, the names of sessions.
 
+use std::fmt::Write;
+
 use crate::draw::colours::{BACKGROUND, FAINT, INK, session};
 use crate::draw::strokes;
 use crate::draw::view::{View, round_length};
@@ -97,6 +99,24 @@ pub fn legend(names: &[String]) -> String {
         text.push_str(&letters([MARGIN + 30.0, y], name));
     }
     format!("<g id=\"legend\">\n{text}</g>\n")
+}
+
+/// Names with their colours, side by side in a strip of this height.
+pub fn row_of_names(names: &[(String, String)], height: u32) -> String {
+    let top = (f64::from(height) - LETTER) / 2.0;
+    let mut x = MARGIN / 2.0;
+    let mut text = String::new();
+    for (name, colour) in names {
+        let name = strokes::name(name, 20);
+        let _ = writeln!(
+            text,
+            "<rect x=\"{x:.1}\" y=\"{top:.1}\" width=\"{LETTER}\" height=\"{LETTER}\" fill=\"{colour}\"/>\n\
+             <path d=\"{}\" fill=\"none\" stroke=\"{INK}\" stroke-width=\"1.3\"/>",
+            strokes::path([x + LETTER * 1.6, top], LETTER, &name)
+        );
+        x += LETTER * 3.6 + strokes::width(&name, LETTER);
+    }
+    text
 }
 
 /// All of it, in one group with the ink of letters.

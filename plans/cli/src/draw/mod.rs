@@ -17,6 +17,7 @@ mod line;
 mod metric;
 mod raster;
 mod roads;
+mod semantic;
 mod strokes;
 mod view;
 
@@ -26,6 +27,7 @@ pub use colours::session as session_colour;
 pub use drives::{Drive, escaped};
 pub use metric::LoopLine;
 pub use raster::png;
+pub use semantic::{matrix, views};
 use view::{Bounds, View, bounds_of, union};
 
 use crate::mosaic::{Mosaic, level, zoom_for};

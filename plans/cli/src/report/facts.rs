@@ -10,6 +10,7 @@ use evermap_schemas::{Fault, LayerRow, rows};
 
 use crate::draw::{Look, Picture, draw};
 use crate::report::metric::{self, MetricFacts};
+use crate::report::semantic::{self, SemanticFacts};
 use crate::scene::{drives, scene};
 
 /// Width of the picture in a report, pixels.
@@ -43,6 +44,8 @@ pub struct Facts {
     pub picture: Option<Picture>,
     /// The metric map of the site that is drawn; `None` where there is none.
     pub metric: Option<MetricFacts>,
+    /// The semantic map of that site; `None` where there is none.
+    pub semantic: Option<SemanticFacts>,
     /// Sites of the map.
     pub sites: Vec<String>,
     /// Layers.
@@ -71,6 +74,7 @@ pub async fn gather(map: &Map, registry: &Registry, site: Option<&str>) -> Resul
         .or(sites.first().map(String::as_str))
         .unwrap_or_default();
     let metric = metric::gather(map, registry, drawn, look).await?;
+    let semantic = semantic::gather(map, registry, drawn).await?;
     let picture = match draw(&scene, look) {
         Ok(picture) => Some(picture),
         Err(fault) => {
@@ -97,6 +101,7 @@ pub async fn gather(map: &Map, registry: &Registry, site: Option<&str>) -> Resul
         evermap: version.evermap.clone(),
         picture,
         metric,
+        semantic,
         sites,
         layers: map.layers(),
         sessions: sessions.collect(),

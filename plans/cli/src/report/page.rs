@@ -9,7 +9,9 @@ use crate::draw::escaped;
 use crate::metric::Drift;
 use crate::quantity::{of, of_bytes, of_seconds};
 use crate::report::Facts;
+use crate::report::answers::Answer;
 use crate::report::metric::MetricFacts;
+use crate::report::semantic::SemanticFacts;
 
 /// Units that are shown before the rest is folded away.
 const SHOWN_UNITS: usize = 15;
@@ -74,6 +76,9 @@ pub fn page(facts: &Facts) -> String {
     body.push_str(&losses(facts));
     if let Some(metric) = &facts.metric {
         body.push_str(&metric_map(metric));
+    }
+    if let Some(semantic) = &facts.semantic {
+        body.push_str(&semantic_map(semantic));
     }
     let _ = write!(body, "<h2>Layers</h2>\n{}", layers(facts));
     let _ = write!(body, "<h2>Sessions</h2>\n{}", sessions(facts));
@@ -168,7 +173,13 @@ fn metric_map(metric: &MetricFacts) -> String {
         "#most",
     ];
     let _ = write!(text, "<h3>Drift removed</h3>\n{}", table(&headings, &rows));
-    for answer in &metric.answers {
+    text.push_str(&answers(&metric.answers));
+    text
+}
+
+fn answers(answers: &[Answer]) -> String {
+    let mut text = String::new();
+    for answer in answers {
         let headings: Vec<String> = answer
             .columns
             .iter()
@@ -188,6 +199,29 @@ fn metric_map(metric: &MetricFacts) -> String {
             escaped_lines(&answer.query)
         );
     }
+    text
+}
+
+/// What a person who doubts the places wants to see.
+fn semantic_map(semantic: &SemanticFacts) -> String {
+    let mut text = String::from("<h2>Semantic map</h2>\n");
+    if let Some(picture) = &semantic.views {
+        let _ = writeln!(
+            text,
+            "<div class=\"picture\">{}</div>\n<p class=\"sub\">For each view: the labels over its image, then its graph. \
+             A dot and an ellipse are an area; the thicker a line, the longer the boundary.</p>",
+            picture.svg
+        );
+    }
+    if let Some(picture) = &semantic.matrix {
+        let _ = writeln!(
+            text,
+            "<h3>Similarities</h3>\n<div class=\"picture\">{}</div>\n<p class=\"sub\">Queries from left to right, views of \
+             the map from top to bottom, each by session and time. Bright: alike. Black: not kept.</p>",
+            picture.svg
+        );
+    }
+    text.push_str(&answers(&semantic.answers));
     text
 }
 
@@ -317,7 +351,6 @@ mod tests {
     use super::*;
     use crate::draw::{Drive, Look, Scene, draw};
     use crate::report::SessionFact;
-    use crate::report::metric::Answer;
     use evermap_engine::map::{LayerInfo, VersionInfo};
     use evermap_schemas::Stamp;
     use std::collections::BTreeMap;
@@ -391,6 +424,7 @@ mod tests {
             evermap: "0.1.0".into(),
             picture: draw(&scene, Look::default()).ok(),
             metric: Some(metric),
+            semantic: None,
             sites: vec!["lot".into()],
             layers: vec![layer],
             sessions: vec![SessionFact {

@@ -1,0 +1,217 @@
+//! What there is to show of a semantic map: views with their labels and graphs, and how much queries look like them.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use evermap_contract::Registry;
+use evermap_datasets::{Dataset, ImageReader, Manifest};
+use evermap_engine::map::Map;
+use evermap_engine::sql::{Limits, context};
+use evermap_schemas::layers::{LabelImage, Relocation, SemanticGraph, View};
+use evermap_schemas::{Cell, Fault, ImageRef, Stamp};
+
+use crate::scene::rows_of;
+
+/// Opened chunks that are kept while a report's few images are fetched.
+const CACHE_BYTES: u64 = 64 << 20;
+
+/// One view.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PicturedView {
+    /// The view's name.
+    pub view: String,
+    /// The encoded image; `None` where its log is gone.
+    pub image: Option<Vec<u8>>,
+    /// Its labels; `None` where the map has none.
+    pub labels: Option<LabelImage>,
+    /// Its graph.
+    pub graph: SemanticGraph,
+}
+
+/// How much each query looks like each view of the map.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Similarities {
+    /// Queries, along x, by session, stamp and camera.
+    pub queries: usize,
+    /// Views of the map, along y, in the same order.
+    pub views: usize,
+    /// From 0 to 1, view after view; 0 where no relocation was kept.
+    pub values: Vec<f64>,
+}
+
+/// The semantic map of one site.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Semantic {
+    /// Some views, spread over the map.
+    pub views: Vec<PicturedView>,
+    /// All classes of those views' graphs, and what colours count by.
+    pub classes: Vec<String>,
+    /// The relocations; `None` where there are none.
+    pub similarities: Option<Similarities>,
+}
+
+/// Some views of a site and its relocations; `None` where the map has no views of it.
+///
+/// # Errors
+/// As [`Map::batches`].
+pub async fn semantic(
+    map: &Map,
+    registry: &Registry,
+    site: &str,
+    most: usize,
+) -> Result<Option<Semantic>, Fault> {
+    let mut views: Vec<View> = rows_of(map, registry).await?;
+    views.retain(|row| row.site == site);
+    if views.is_empty() {
+        return Ok(None);
+    }
+    views.sort_by(|a, b| (&a.session, a.stamp, &a.camera).cmp(&(&b.session, b.stamp, &b.camera)));
+    let labels: Vec<LabelImage> = rows_of(map, registry).await?;
+    let relocations: Vec<Relocation> = rows_of(map, registry).await?;
+    let mut found = Semantic {
+        similarities: similarities(&relocations, site),
+        ..Semantic::default()
+    };
+    for view in spread(views, most) {
+        let same = |row: &&LabelImage| {
+            row.session == view.session && row.stamp == view.stamp && row.camera == view.camera
+        };
+        found.views.push(PicturedView {
+            image: image(map, &view).await,
+            labels: labels.iter().find(same).cloned(),
+            view: view.view,
+            graph: view.graph,
+        });
+    }
+    found.classes = classes(&found.views);
+    Ok(Some(found))
+}
+
+/// At most so many of a list, the same distance apart.
+fn spread<T>(list: Vec<T>, most: usize) -> impl Iterator<Item = T> {
+    let step = list.len().div_ceil(most.max(1)).max(1);
+    list.into_iter().skip(step / 2).step_by(step)
+}
+
+/// Classes in the order of the label images, then those that only graphs name.
+fn classes(views: &[PicturedView]) -> Vec<String> {
+    let listed = views.iter().filter_map(|view| view.labels.as_ref());
+    let mut classes: Vec<String> = listed
+        .max_by_key(|labels| labels.classes.len())
+        .map(|labels| labels.classes.clone())
+        .unwrap_or_default();
+    let areas = views.iter().flat_map(|view| &view.graph.areas);
+    let named: BTreeSet<&String> = areas.map(|area| &area.class).collect();
+    for class in named {
+        if !classes.contains(class) {
+            classes.push(class.clone());
+        }
+    }
+    classes
+}
+
+fn similarities(relocations: &[Relocation], site: &str) -> Option<Similarities> {
+    let rows: Vec<_> = relocations.iter().filter(|row| row.site == site).collect();
+    let query = |row: &&Relocation| (row.session.clone(), row.stamp, row.camera.clone());
+    let view = |row: &&Relocation| {
+        (
+            row.map_session.clone(),
+            row.map_stamp,
+            row.map_camera.clone(),
+        )
+    };
+    let queries = numbered(rows.iter().map(query));
+    let views = numbered(rows.iter().map(view));
+    if rows.is_empty() {
+        return None;
+    }
+    let mut values = vec![0.0; queries.len() * views.len()];
+    for row in &rows {
+        values[views[&view(row)] * queries.len() + queries[&query(row)]] = row.similarity;
+    }
+    Some(Similarities {
+        queries: queries.len(),
+        views: views.len(),
+        values,
+    })
+}
+
+type Name = (String, Stamp, String);
+
+fn numbered(names: impl Iterator<Item = Name>) -> BTreeMap<Name, usize> {
+    let names: BTreeSet<Name> = names.collect();
+    names.into_iter().zip(0..).collect()
+}
+
+/// The view's image from its log, if that is still where it was.
+async fn image(map: &Map, view: &View) -> Option<Vec<u8>> {
+    match fetched(map, view).await {
+        Ok(image) => image,
+        Err(fault) => {
+            tracing::info!(%fault, view = view.view, "drawn without its image");
+            None
+        }
+    }
+}
+
+async fn fetched(map: &Map, view: &View) -> Result<Option<Vec<u8>>, Fault> {
+    let mut sessions = map.version.sessions.iter();
+    let Some(session) = sessions.find(|session| session.log.session == view.session) else {
+        return Ok(None);
+    };
+    let manifest: Manifest = serde_json::from_value(session.manifest.clone())
+        .map_err(|error| Fault::data(format!("the session's manifest: {error}")))?;
+    let context = context(Limits::default())?;
+    let dataset = Dataset::open(&context.runtime_env(), &[], Some(&manifest)).await?;
+    dataset.register(&context)?;
+    let query = format!(
+        "SELECT image FROM frames WHERE camera = '{}' AND CAST(stamp AS BIGINT) = {}",
+        view.camera.replace('\'', "''"),
+        view.stamp.0
+    );
+    let found = async { context.sql(&query).await?.collect().await }.await;
+    let batches = found.map_err(|error| evermap_engine::error::fault_of(&error))?;
+    let Some(batch) = batches.iter().find(|batch| batch.num_rows() > 0) else {
+        return Ok(None);
+    };
+    let images = ImageRef::decode(batch.column(0))?;
+    let reader = ImageReader::new(&dataset, CACHE_BYTES);
+    let mut bytes = reader.resolve(&images[..1]).await?;
+    Ok(bytes.pop().transpose()?.map(|bytes| bytes.to_vec()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn relocation(stamp: i64, map_stamp: i64, similarity: f64) -> Relocation {
+        Relocation {
+            site: "s".into(),
+            session: "b".into(),
+            stamp: Stamp(stamp),
+            camera: "c".into(),
+            view: format!("b/c/{stamp}"),
+            rank: 0,
+            map_session: "a".into(),
+            map_stamp: Stamp(map_stamp),
+            map_camera: "c".into(),
+            map_view: format!("a/c/{map_stamp}"),
+            score: similarity,
+            similarity,
+        }
+    }
+
+    #[test]
+    fn similarities_lie_by_view_and_query() {
+        let rows = [relocation(2, 7, 0.5), relocation(1, 9, 0.25)];
+        let found = similarities(&rows, "s").unwrap_or_default();
+        assert_eq!((found.queries, found.views), (2, 2));
+        assert_eq!(found.values, [0.0, 0.5, 0.25, 0.0]);
+        assert_eq!(similarities(&rows, "elsewhere"), None);
+    }
+
+    #[test]
+    fn a_few_are_spread_over_all() {
+        assert_eq!(spread((0..9).collect(), 3).collect::<Vec<_>>(), [1, 4, 7]);
+        assert_eq!(spread(vec![5], 3).collect::<Vec<_>>(), [5]);
+    }
+}

@@ -1,0 +1,221 @@
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use arrow::util::pretty::pretty_format_batches;
+use datafusion::prelude::SessionContext;
+use evermap_schemas::layers::{
+    ClassCount, ClassLeaf, SemanticArea, SemanticEdge, SemanticGraph, View,
+};
+use evermap_schemas::{LayerRow, Stamp, batch};
+
+use crate::{register, use_class_index};
+
+/// A view 100 px wide all around, with areas of these classes at these centres and these contacts.
+fn view(name: &str, areas: &[(&str, f32, f32)], edges: &[(u16, u16)]) -> View {
+    let area = |(class, u, v): &(&str, f32, f32)| SemanticArea {
+        class: (*class).to_owned(),
+        pixels: 50,
+        u: *u,
+        v: *v,
+        major_px: 5.0,
+        minor_px: 4.0,
+        orientation_rad: 0.0,
+        eccentricity: 0.6,
+    };
+    let edge = |(a, b): &(u16, u16)| SemanticEdge {
+        a: *a,
+        b: *b,
+        boundary_px: 7,
+    };
+    View {
+        site: "street".into(),
+        session: "monday".into(),
+        stamp: Stamp(0),
+        camera: "roof".into(),
+        view: name.into(),
+        graph: SemanticGraph {
+            width: 100,
+            height: 30,
+            wraps: true,
+            areas: areas.iter().map(area).collect(),
+            edges: edges.iter().map(edge).collect(),
+        },
+    }
+}
+
+fn views() -> Vec<View> {
+    vec![
+        view(
+            "car",
+            &[("road", 50.0, 25.0), ("car", 52.0, 20.0)],
+            &[(0, 1)],
+        ),
+        view(
+            "sign above",
+            &[("road", 50.0, 25.0), ("sign", 50.0, 5.0)],
+            &[],
+        ),
+        view(
+            "houses",
+            &[
+                ("building", 95.0, 10.0),
+                ("building", 40.0, 10.0),
+                ("tree", 3.0, 10.0),
+            ],
+            &[(0, 2)],
+        ),
+        view("nothing", &[], &[]),
+    ]
+}
+
+/// Leaves of the views above: one for each, as their contents differ.
+fn leaves() -> Vec<ClassLeaf> {
+    let contents: [&[(&str, u16)]; 4] = [
+        &[("car", 1), ("road", 1)],
+        &[("road", 1), ("sign", 1)],
+        &[("building", 2), ("tree", 1)],
+        &[],
+    ];
+    let leaf = |((leaf, view), counts): ((u32, View), &[(&str, u16)])| ClassLeaf {
+        site: view.site,
+        leaf,
+        counts: counts
+            .iter()
+            .map(|(class, areas)| ClassCount {
+                class: (*class).to_owned(),
+                areas: *areas,
+            })
+            .collect(),
+        views: vec![view.view],
+    };
+    (0..).zip(views()).zip(contents).map(leaf).collect()
+}
+
+fn context() -> SessionContext {
+    let context = SessionContext::new();
+    register(&context);
+    context
+        .register_batch(View::NAME, batch(views()).unwrap())
+        .unwrap();
+    context
+}
+
+async fn rows(context: &SessionContext, query: &str) -> Result<Vec<String>, String> {
+    let frame = context
+        .sql(query)
+        .await
+        .map_err(|error| error.to_string())?;
+    let batches = frame.collect().await.map_err(|error| error.to_string())?;
+    let mut rows = Vec::new();
+    for batch in &batches {
+        let names = batch.column(0);
+        for row in 0..batch.num_rows() {
+            rows.push(arrow::util::display::array_value_to_string(names, row).unwrap());
+        }
+    }
+    rows.sort();
+    Ok(rows)
+}
+
+async fn found(condition: &str) -> Vec<String> {
+    let query = format!("SELECT view FROM views WHERE {condition}");
+    rows(&context(), &query).await.unwrap()
+}
+
+#[tokio::test]
+async fn views_are_found_by_what_they_show() {
+    assert_eq!(found("contains(graph, 'building', 2)").await, ["houses"]);
+    assert!(found("contains(graph, 'building', 3)").await.is_empty());
+    let without = found("NOT contains(graph, 'car')").await;
+    assert_eq!(without, ["houses", "nothing", "sign above"]);
+    assert_eq!(found("contains(graph, 'tree', 0)").await.len(), 4);
+    assert_eq!(found("contains(view, 'ou')").await, ["houses"]);
+}
+
+#[tokio::test]
+async fn views_are_found_by_how_areas_lie() {
+    assert_eq!(found("related(graph, 'car', 'on', 'road')").await, ["car"]);
+    assert!(
+        found("related(graph, 'sign', 'on', 'road')")
+            .await
+            .is_empty()
+    );
+    assert_eq!(
+        found("related(graph, 'sign', 'above', 'road')").await,
+        ["sign above"]
+    );
+    // Around the seam: 3 is eight columns right of 95.
+    assert_eq!(
+        found("related(graph, 'tree', 'right of', 'building')").await,
+        ["houses"]
+    );
+    assert_eq!(
+        found("related(graph, 'building', 'touches', 'tree')").await,
+        ["houses"]
+    );
+    assert!(
+        found("related(graph, 'road', 'left of', 'road')")
+            .await
+            .is_empty()
+    );
+}
+
+#[tokio::test]
+async fn what_makes_no_sense_is_said() {
+    let context = context();
+    for (condition, says) in [
+        ("related(graph, 'car', 'upon', 'road')", "right of"),
+        (
+            "related(view, 'car', 'on', 'road')",
+            "expects a graph first",
+        ),
+        ("contains(graph)", "contains expects"),
+        ("contains(graph, 'car', 'many')", "whole number"),
+    ] {
+        let query = format!("SELECT view FROM views WHERE {condition}");
+        let said = rows(&context, &query).await.unwrap_err();
+        assert!(said.contains(says), "{condition}: {said}");
+    }
+}
+
+#[tokio::test]
+async fn the_index_answers_as_the_graphs_do_and_they_are_not_read() {
+    let plain = context();
+    let indexed = context();
+    indexed
+        .register_batch(ClassLeaf::NAME, batch(leaves()).unwrap())
+        .unwrap();
+    use_class_index(&indexed).await.unwrap();
+    for query in [
+        "SELECT view FROM views WHERE contains(graph, 'building', 2)",
+        "SELECT view FROM views WHERE NOT contains(graph, 'car')",
+        "SELECT v.view FROM views AS v WHERE contains(v.graph, 'road') AND NOT contains(v.graph, 'car')",
+        "SELECT view FROM views WHERE contains(graph, 'road') OR contains(graph, 'tree') OR view = 'nothing'",
+        "SELECT a.view FROM views a JOIN views b ON a.site = b.site WHERE contains(a.graph, 'car') AND b.view = 'houses'",
+        "SELECT view FROM (SELECT * FROM views) WHERE contains(graph, 'sign')",
+        "SELECT contains(graph, 'sign') AS shown FROM views",
+    ] {
+        let answers = [rows(&plain, query).await, rows(&indexed, query).await];
+        assert_eq!(answers[0], answers[1], "{query}");
+        assert!(!answers[0].as_ref().unwrap().is_empty(), "{query}");
+    }
+    let explain = "EXPLAIN SELECT view FROM views WHERE NOT contains(graph, 'car')";
+    let plan = indexed.sql(explain).await.unwrap().collect().await.unwrap();
+    let plan = pretty_format_batches(&plan).unwrap().to_string();
+    assert!(
+        plan.contains("class_index") && !plan.contains("graph"),
+        "{plan}"
+    );
+}
+
+#[tokio::test]
+async fn an_index_of_other_views_is_not_used() {
+    let context = context();
+    let mut few = leaves();
+    few.pop();
+    context
+        .register_batch(ClassLeaf::NAME, batch(few).unwrap())
+        .unwrap();
+    use_class_index(&context).await.unwrap();
+    let query = "SELECT view FROM views WHERE NOT contains(graph, 'car')";
+    assert_eq!(rows(&context, query).await.unwrap().len(), 3);
+}
