@@ -38,6 +38,7 @@ operators! {
     pose_graph::PoseGraph,
     road_network::RoadNetwork,
     tracks::Tracks,
+    word_relocations::WordRelocations,
 }
 
 #[cfg(test)]
