@@ -42,16 +42,17 @@ impl Land {
     /// The land of a course and a plan.
     pub fn new(course: Course, plan: Plan) -> Self {
         let ways = (0..course.stations.len()).map(|index| index as f64 * course.step_m());
-        let stretches = ways.clone().map(|s| {
+        let stretches = ways.map(|s| {
             let after = plan.stretches.partition_point(|stretch| stretch.to <= s);
             after.min(plan.stretches.len() - 1) as u32
         });
-        let mut junctions = vec![u32::MAX; course.stations.len()];
+        let count = course.stations.len();
+        let reach = (JUNCTION_M / course.step_m()).ceil() as usize;
+        let mut junctions = vec![u32::MAX; count];
         for (index, junction) in plan.junctions.iter().enumerate() {
-            for (near, s) in junctions.iter_mut().zip(ways.clone()) {
-                if course.apart(s, junction.s) < JUNCTION_M {
-                    *near = index as u32;
-                }
+            let middle = (junction.s / course.step_m()) as usize + count;
+            for station in middle - reach.min(count)..=middle + reach {
+                junctions[station % count] = index as u32;
             }
         }
         Self {

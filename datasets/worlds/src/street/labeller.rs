@@ -124,14 +124,23 @@ impl Labeller {
             pixel: PIXELS * self.severity,
             shift: SHIFT_PX * self.severity.min(2.0) * scale,
         };
+        let shifts = [1, 2].map(|axis| Field::new(lens, shot ^ axis, SHIFT_WAVE_PX * scale));
+        let blobs = Field::new(lens, shot ^ 5, BLOB_PX * scale);
         let mut noisy = Vec::with_capacity(exact.len());
         for row in 0..lens.height {
             for column in 0..lens.width {
-                let at = [column as f32 / scale, row as f32 / scale];
-                let from = shifted(lens, [column, row], at, shot, limits.shift);
+                let at = [column, row];
+                let shift = shifts.each_ref().map(|field| field.at(at) - 0.5);
+                let from = shifted(lens, at, shift.map(|part| 2.0 * limits.shift * part));
                 let class = exact.get(from).copied().unwrap_or(Class::Other);
                 let class = self.misled(lens, sight, from, class, &limits);
-                noisy.push(slip(class, [column, row], at, shot, &limits));
+                let blob = blobs.at(at) > limits.blob;
+                let coarse = at.map(|part| (part as f32 / (2.5 * BLOB_PX * scale)) as i64);
+                noisy.push(if blob {
+                    class.mistaken(lattice(shot ^ 6, coarse[0], coarse[1]))
+                } else {
+                    slip(class, at, shot, &limits)
+                });
             }
         }
         noisy
@@ -180,10 +189,40 @@ struct Limits {
     shift: f32,
 }
 
+/// Smooth noise over an image, as [`noise2`] makes it, with the lattice's values at hand.
+struct Field {
+    wave_px: f32,
+    columns: usize,
+    values: Vec<f32>,
+}
+
+impl Field {
+    fn new(lens: &Lens, seed: u64, wave_px: f32) -> Self {
+        let columns = (lens.width as f32 / wave_px) as usize + 2;
+        let rows = (lens.height as f32 / wave_px) as usize + 2;
+        let value = |k: usize| lattice(seed, (k % columns) as i64, (k / columns) as i64);
+        Self {
+            wave_px,
+            columns,
+            values: (0..columns * rows).map(value).collect(),
+        }
+    }
+
+    fn at(&self, pixel: [usize; 2]) -> f32 {
+        let place = pixel.map(|part| part as f32 / self.wave_px);
+        let [column, row] = place.map(|part| part as usize);
+        let f = place.map(|part| ease(part.fract()));
+        let value = |k: usize| self.values.get(k).copied().unwrap_or(0.5);
+        let first = row * self.columns + column;
+        let mix = |a: f32, b: f32, f: f32| a + f * (b - a);
+        let upper = mix(value(first), value(first + 1), f[0]);
+        let next = first + self.columns;
+        mix(upper, mix(value(next), value(next + 1), f[0]), f[1])
+    }
+}
+
 /// The pixel whose label is written here.
-fn shifted(lens: &Lens, [column, row]: [usize; 2], at: [f32; 2], shot: u64, most: f32) -> usize {
-    let wave = at.map(|part| part / SHIFT_WAVE_PX);
-    let shift = [1, 2].map(|axis| most * 2.0 * (noise2(shot ^ axis, wave) - 0.5));
+fn shifted(lens: &Lens, [column, row]: [usize; 2], shift: [f32; 2]) -> usize {
     let column = (column as f32 + shift[0]).round() as i64;
     let row = (row as f32 + shift[1]).round() as i64;
     let column = column.rem_euclid(lens.width as i64) as usize;
@@ -191,18 +230,8 @@ fn shifted(lens: &Lens, [column, row]: [usize; 2], at: [f32; 2], shot: u64, most
     row * lens.width + column
 }
 
-/// Mistakes of this shot alone.
-fn slip(
-    class: Class,
-    [column, row]: [usize; 2],
-    at: [f32; 2],
-    shot: u64,
-    limits: &Limits,
-) -> Class {
-    if noise2(shot ^ 5, at.map(|part| part / BLOB_PX)) > limits.blob {
-        let coarse = at.map(|part| (part / (2.5 * BLOB_PX)) as i64);
-        return class.mistaken(lattice(shot ^ 6, coarse[0], coarse[1]));
-    }
+/// Single pixels that are wrong.
+fn slip(class: Class, [column, row]: [usize; 2], shot: u64, limits: &Limits) -> Class {
     let chance = lattice(shot ^ 8, column as i64, row as i64);
     if chance < limits.pixel {
         return class.mistaken(chance / limits.pixel);

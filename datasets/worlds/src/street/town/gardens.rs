@@ -1,0 +1,92 @@
+//! What grows where nothing is built.
+
+use super::{Builder, Lot};
+use crate::street::classes::Class;
+use crate::street::course::Place;
+use crate::street::stretch::Quarter;
+use crate::street::things::Shape;
+use rand::Rng;
+
+impl Builder<'_> {
+    /// Trees and bushes where nothing is built.
+    pub(super) fn gardens(&mut self, lot: &Lot<'_>) {
+        let long = lot.stretch.to - lot.stretch.from;
+        let per_metre = match lot.side.quarter {
+            Quarter::Terraces => 0.03,
+            Quarter::Villas => 0.16,
+            Quarter::Slabs => 0.13,
+            Quarter::Shops => 0.05,
+            Quarter::Park => 0.55,
+            Quarter::Meadow => 0.05,
+        };
+        let density = per_metre * self.between(0.5, 1.5);
+        let mixed = self.rng.random_range(0..5);
+        for _ in 0..(density * long).round() as usize {
+            let s = lot.stretch.from + self.between(0.0, long);
+            let out = self.between(1.2, 30.0);
+            let place = Place {
+                s,
+                d: lot.sign * (lot.front() + lot.side.yard_m + out),
+            };
+            let at = self.land.course.point(place);
+            let inside = self
+                .land
+                .course
+                .place(at)
+                .is_some_and(|found| self.land.course.apart(found.s, s) < 8.0);
+            if !inside || !self.free(at, 0.8) {
+                continue;
+            }
+            self.take(at);
+            let species = if self.often(0.7) {
+                mixed
+            } else {
+                self.rng.random_range(0..5)
+            };
+            let shape = if out < 12.0 && self.often(0.35) {
+                Shape::Bush([self.between(0.8, 2.4), self.between(0.6, 1.8)])
+            } else {
+                self.tree(species, 1.0)
+            };
+            self.add(at, 0.0, shape, Class::Tree);
+        }
+        let fence = lot.side.quarter == Quarter::Meadow || lot.side.quarter == Quarter::Park;
+        if fence && self.often(0.5) {
+            self.long_edge(lot);
+        }
+    }
+
+    /// A hedge or fence along a park or meadow.
+    fn long_edge(&mut self, lot: &Lot<'_>) {
+        let hedge = self.often(0.5);
+        let tall = self.between(0.8, 1.8);
+        let mut s = lot.stretch.from + 3.0;
+        while s + 3.0 < lot.stretch.to {
+            let place = Place {
+                s,
+                d: lot.sign * (lot.front() + 0.5),
+            };
+            let at = self.land.course.point(place);
+            if self.free(at, 0.1) && self.often(0.93) {
+                let yaw = self.land.course.yaw(s);
+                if hedge {
+                    self.add(at, yaw, Shape::Hedge([3.05, 0.4, tall]), Class::Tree);
+                } else {
+                    self.add(at, yaw, Shape::Block([3.0, 0.05, 0.0, tall]), Class::Other);
+                }
+            }
+            s += 6.0;
+        }
+    }
+
+    pub(super) fn tree(&mut self, species: u8, scale: f64) -> Shape {
+        let size = scale * self.between(0.75, 1.25);
+        match species {
+            0 => Shape::Broadleaf([9.0 * size, 3.2 * size, 2.4]),
+            1 => Shape::Broadleaf([12.5 * size, 4.0 * size, 3.0]),
+            2 => Shape::Broadleaf([6.0 * size, 2.0 * size, 2.0]),
+            3 => Shape::Poplar([14.0 * size, 1.5 * size]),
+            _ => Shape::Conifer([11.0 * size, 2.7 * size]),
+        }
+    }
+}
