@@ -36,6 +36,7 @@ operators! {
     map_frames::MapFrames,
     overhead_tiles::OverheadTiles,
     pose_graph::PoseGraph,
+    recorded_labels::RecordedLabels,
     road_network::RoadNetwork,
     tracks::Tracks,
     word_relocations::WordRelocations,

@@ -1,0 +1,310 @@
+#![doc = include_str!("recorded_labels.md")]
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use arrow::array::{Array, AsArray, RecordBatch};
+use evermap_contract::{Emit, Fault, Grain, Kernel, MapKernel, Mapper, Operator, Port, Sides};
+use evermap_schemas::layers::LabelImage;
+use evermap_schemas::roles::{Frame, LabelClass};
+use evermap_schemas::{Bytes, Stamp, record, rows};
+use evermap_vision::{Grey, ImageError, decode_labels, encode_png};
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// See the module's page.
+pub struct RecordedLabels;
+
+/// What labels mean.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecordedLabelsParams {
+    /// Names of the classes by pixel value, for sessions whose log does not say.
+    pub classes: Vec<String>,
+    /// Classes that count as another one, by name.
+    pub merge: BTreeMap<String, String>,
+}
+
+impl Default for RecordedLabelsParams {
+    fn default() -> Self {
+        let classes = [
+            "tree",
+            "sky",
+            "road",
+            "sign",
+            "sidewalk",
+            "ground sign",
+            "building",
+            "car",
+            "other",
+        ];
+        Self {
+            classes: classes.map(str::to_owned).to_vec(),
+            merge: BTreeMap::new(),
+        }
+    }
+}
+
+impl Operator for RecordedLabels {
+    const NAME: &'static str = "recorded_labels";
+    const VERSION: u32 = 1;
+    const PAGE: &'static str = include_str!("recorded_labels.md");
+    type Params = RecordedLabelsParams;
+    type Output = LabelImage;
+
+    fn ports() -> Vec<Port> {
+        vec![
+            Port::of::<Frame>("labels", Grain::Row).with_pixels("image"),
+            Port::of::<LabelClass>("classes", Grain::Whole).optional(),
+        ]
+    }
+
+    fn kernel(params: RecordedLabelsParams) -> Result<Kernel, Fault> {
+        let distinct: BTreeSet<_> = params.classes.iter().collect();
+        if distinct.len() != params.classes.len() || !(1..=MOST_CLASSES).contains(&distinct.len()) {
+            return Err(Fault::user(format!(
+                "expected from 1 to {MOST_CLASSES} classes, each named once, found {:?}",
+                params.classes
+            )));
+        }
+        let names = params.classes.iter().chain(params.merge.values());
+        if names.clone().any(String::is_empty) {
+            return Err(Fault::user("expected names of classes, found an empty one"));
+        }
+        Ok(Kernel::Map(Box::new(Opener { params })))
+    }
+}
+
+/// Values 0 to 254; 255 stands for no class.
+const MOST_CLASSES: usize = 255;
+const NO_CLASS: u8 = 255;
+
+record! {
+    /// The columns of an image row beside its pixels.
+    pub struct Look {
+        /// Site.
+        site: String,
+        /// Session.
+        session: String,
+        /// Exposure.
+        stamp: Stamp,
+        /// Camera.
+        camera: String,
+    }
+}
+
+struct Opener {
+    params: RecordedLabelsParams,
+}
+
+impl MapKernel for Opener {
+    fn open(&self, sides: &Sides) -> Result<Box<dyn Mapper>, Fault> {
+        let mut sites: BTreeMap<String, Vec<LabelClass>> = BTreeMap::new();
+        for row in sides.rows::<LabelClass>("classes")? {
+            sites.entry(row.site.clone()).or_default().push(row);
+        }
+        let merge = &self.params.merge;
+        let sites = sites
+            .into_iter()
+            .map(|(site, said)| (site, Site::of(said, &self.params.classes, merge)));
+        Ok(Box::new(Reader {
+            sites: sites.collect(),
+            elsewhere: Site::of(Vec::new(), &self.params.classes, merge),
+        }))
+    }
+}
+
+/// What label values become: an index into the site's classes.
+type Table = [u8; 256];
+
+/// The classes of a site, in one order for all its sessions.
+struct Site {
+    classes: Vec<String>,
+    /// By session, of those whose log says.
+    sessions: BTreeMap<String, Table>,
+    /// Of the others.
+    unsaid: Table,
+}
+
+impl Site {
+    /// The classes that the logs name, by session and value; where none does, the given ones.
+    fn of(mut said: Vec<LabelClass>, given: &[String], merge: &BTreeMap<String, String>) -> Self {
+        let merged = |name: &str| merge.get(name).map_or(name, String::as_str).to_owned();
+        said.sort_by(|a, b| (&a.session, a.value, &a.class).cmp(&(&b.session, b.value, &b.class)));
+        said.dedup_by(|later, first| {
+            (&later.session, later.value) == (&first.session, first.value)
+        });
+        let mut classes: Vec<String> = Vec::new();
+        let names: Vec<&String> = match said.as_slice() {
+            [] => given.iter().collect(),
+            said => said.iter().map(|row| &row.class).collect(),
+        };
+        for name in names.into_iter().map(|name| merged(name)) {
+            if !classes.contains(&name) && classes.len() < MOST_CLASSES {
+                classes.push(name);
+            }
+        }
+        let index = |name: &str| {
+            let name = merged(name);
+            let found = classes.iter().position(|class| *class == name);
+            found.map_or(NO_CLASS, |index| index as u8)
+        };
+        let mut sessions: BTreeMap<String, Table> = BTreeMap::new();
+        for row in &said {
+            let table = sessions
+                .entry(row.session.clone())
+                .or_insert([NO_CLASS; 256]);
+            table[usize::from(row.value)] = index(&row.class);
+        }
+        let mut unsaid = [NO_CLASS; 256];
+        for (entry, name) in unsaid.iter_mut().zip(given) {
+            *entry = index(name);
+        }
+        Self {
+            classes,
+            sessions,
+            unsaid,
+        }
+    }
+}
+
+struct Reader {
+    sites: BTreeMap<String, Site>,
+    /// For sites that no log says anything of.
+    elsewhere: Site,
+}
+
+/// A row, and whether all its pixels have a class or say that they have none.
+type Found = Result<(LabelImage, bool), &'static str>;
+
+impl Mapper for Reader {
+    fn map(&self, batch: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
+        let images = batch
+            .column_by_name("image")
+            .and_then(|column| column.as_binary_opt::<i32>())
+            .ok_or_else(|| Fault::bug("port labels comes without its pixels"))?;
+        let looks: Vec<_> = rows::<Look>(batch)?.into_iter().enumerate().collect();
+        let found: Vec<Found> = looks
+            .into_par_iter()
+            .map(|(index, look)| {
+                if images.is_null(index) {
+                    return Err("label image is missing");
+                }
+                self.row(look, images.value(index))
+            })
+            .collect();
+        let mut kept = Vec::with_capacity(found.len());
+        for row in found {
+            match row {
+                Ok((row, complete)) => {
+                    if !complete {
+                        emit.skip("label image has values without a class", 1);
+                    }
+                    kept.push(row);
+                }
+                Err(reason) => emit.skip(reason, 1),
+            }
+        }
+        emit.rows(kept)
+    }
+}
+
+impl Reader {
+    fn row(&self, look: Look, bytes: &[u8]) -> Found {
+        let mut labels = decode_labels(bytes).map_err(|error| match error {
+            ImageError::Values { .. } => "label image holds colours instead of values",
+            _ => "label image does not decode",
+        })?;
+        let site = self.sites.get(&look.site).unwrap_or(&self.elsewhere);
+        let table = site.sessions.get(&look.session).unwrap_or(&site.unsaid);
+        let complete = classify(&mut labels, table);
+        let png = encode_png(&labels).map_err(|_| "label image does not encode")?;
+        let row = LabelImage {
+            site: look.site,
+            session: look.session,
+            stamp: look.stamp,
+            camera: look.camera,
+            width: labels.width,
+            height: labels.height,
+            classes: site.classes.clone(),
+            png: Bytes(png),
+        };
+        Ok((row, complete))
+    }
+}
+
+/// Looks every pixel up; false where one that has a value has no class.
+fn classify(labels: &mut Grey, table: &Table) -> bool {
+    let mut met = [false; 256];
+    for pixel in &mut labels.data {
+        met[usize::from(*pixel)] = true;
+        *pixel = table[usize::from(*pixel)];
+    }
+    let unknown = |(value, met): (usize, &bool)| {
+        *met && value != usize::from(NO_CLASS) && table[value] == NO_CLASS
+    };
+    !met.iter().enumerate().any(unknown)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn said(session: &str, value: u8, class: &str) -> LabelClass {
+        LabelClass {
+            site: "town".into(),
+            session: session.into(),
+            value,
+            class: class.into(),
+        }
+    }
+
+    #[test]
+    fn sessions_that_number_classes_differently_share_one_list() {
+        let given = RecordedLabelsParams::default().classes;
+        let merge = BTreeMap::from([("bicyclist".to_owned(), "pedestrian".to_owned())]);
+        let rows = vec![
+            said("b", 0, "road"),
+            said("b", 9, "bicyclist"),
+            said("a", 4, "road"),
+            said("a", 2, "sky"),
+            said("a", 2, "zebra"),
+        ];
+        let site = Site::of(rows, &given, &merge);
+        assert_eq!(site.classes, ["sky", "road", "pedestrian"]);
+        assert_eq!((site.sessions["a"][2], site.sessions["a"][4]), (0, 1));
+        assert_eq!((site.sessions["b"][0], site.sessions["b"][9]), (1, 2));
+        assert_eq!(site.sessions["a"][0], NO_CLASS);
+        // A session that says nothing: what the parameter names, as far as the site knows it.
+        assert_eq!(
+            (site.unsaid[1], site.unsaid[2], site.unsaid[0]),
+            (0, 1, NO_CLASS)
+        );
+    }
+
+    #[test]
+    fn where_no_log_says_the_given_classes_hold() {
+        let given = ["a".to_owned(), "b".to_owned(), "c".to_owned()];
+        let merge = BTreeMap::from([("a".to_owned(), "c".to_owned())]);
+        let site = Site::of(Vec::new(), &given, &merge);
+        assert_eq!(site.classes, ["c", "b"]);
+        assert_eq!(site.unsaid[..4], [0, 1, 0, NO_CLASS]);
+    }
+
+    #[test]
+    fn only_values_that_mean_nothing_are_missed() {
+        let mut table = [NO_CLASS; 256];
+        table[7] = 3;
+        let image = |data: &[u8]| Grey {
+            width: data.len() as u32,
+            height: 1,
+            data: data.to_vec(),
+        };
+        let mut labels = image(&[7, 255, 7]);
+        assert!(classify(&mut labels, &table));
+        assert_eq!(labels.data, [3, 255, 3]);
+        let mut labels = image(&[7, 11]);
+        assert!(!classify(&mut labels, &table));
+        assert_eq!(labels.data, [3, 255]);
+    }
+}
