@@ -106,39 +106,45 @@ impl ClassIndex {
         if found == counts { views } else { &[] }
     }
 
-    /// At least `wanted` views, where there are as many, of the leaves whose counts differ least in sum, the nearest first;
-    /// of equally near ones the first. Only the 1024 leaves nearest in the number of all areas are looked at.
-    pub fn near(&self, counts: &[u16], wanted: usize) -> Vec<u32> {
+    /// At least `wanted` of the views that `allowed` lets pass, where there are as many, of the leaves whose counts differ
+    /// least in sum, the nearest first; of equally near ones the first. Only the 1024 leaves nearest in the number of all
+    /// areas are looked at.
+    pub fn near(&self, counts: &[u16], wanted: usize, allowed: impl Fn(u32) -> bool) -> Vec<u32> {
         let blocks = blocks(counts, self.classes);
         let total = counts.iter().map(|count| u32::from(*count)).sum();
-        let mut nearest: BinaryHeap<(u32, u32)> = BinaryHeap::new();
+        // Distance, leaf, and its views.
+        let mut nearest: BinaryHeap<(u32, u32, usize)> = BinaryHeap::new();
         let mut views = 0;
         for (apart, place) in self.by_total.around(total).take(NEAR_LEAVES) {
-            if views >= wanted && nearest.peek().is_some_and(|(most, _)| apart > *most) {
+            let farthest = nearest.peek().filter(|_| views >= wanted);
+            if farthest.is_some_and(|(most, _, _)| apart > *most) {
                 break;
             }
-            let distance = self.by_total.distance(place, &blocks);
-            let leaf = self.by_total.leaves[place].1;
-            if views >= wanted && nearest.peek().is_some_and(|most| (distance, leaf) >= *most) {
+            let (distance, leaf) = (
+                self.by_total.distance(place, &blocks),
+                self.by_total.leaves[place].1,
+            );
+            if farthest.is_some_and(|(most, last, _)| (distance, leaf) >= (*most, *last)) {
                 continue;
             }
-            nearest.push((distance, leaf));
-            views += self.leaf(leaf as usize).1.len();
-            // The farthest leaf goes when the others suffice.
-            while let Some((_, farthest)) = nearest.peek() {
-                let left = views - self.leaf(*farthest as usize).1.len();
-                if left < wanted {
-                    break;
-                }
+            let of_leaf = self.leaf(leaf as usize).1.iter();
+            let number = of_leaf.filter(|view| allowed(**view)).count();
+            if number > 0 {
+                nearest.push((distance, leaf, number));
+                views += number;
+            }
+            while let Some((_, _, number)) = nearest.peek()
+                && views - number >= wanted
+            {
+                views -= number;
                 nearest.pop();
-                views = left;
             }
         }
         let leaves = nearest.into_sorted_vec();
         let views = leaves
             .iter()
-            .flat_map(|(_, leaf)| self.leaf(*leaf as usize).1);
-        views.copied().collect()
+            .flat_map(|(_, leaf, _)| self.leaf(*leaf as usize).1);
+        views.copied().filter(|view| allowed(*view)).collect()
     }
 
     /// The views with exactly `areas` areas of a class; ascending.

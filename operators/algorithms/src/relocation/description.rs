@@ -106,6 +106,11 @@ impl Areas {
     }
 }
 
+/// A value in units of a scale.
+fn in_units(value: f32, scale: f64) -> f32 {
+    (f64::from(value) / scale.max(1e-6) * f64::from(UNIT)) as f32
+}
+
 /// Options as integers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Measure {
@@ -121,12 +126,13 @@ pub(super) struct Measure {
 
 impl Measure {
     pub(super) fn new(options: &Options) -> Self {
-        let units = |range: f32, scale: f32| (range / scale.max(1e-6) * UNIT).min(FAR) as u16;
+        let units = |range: f32, scale: f64| in_units(range, scale).min(FAR) as u16;
+        let max_bearing = options.max_bearing_rad / f64::from(TAU) * 65536.0;
         Self {
             bearing: units(TAU, options.scales.bearing_rad),
             orientation: units(PI, options.scales.orientation_rad),
-            limit: (options.limit.max(0.0) * UNIT).min(FAR) as u16,
-            max_bearing: (options.max_bearing_rad / TAU * 65536.0).clamp(0.0, 32768.0) as u16,
+            limit: units(options.limit.max(0.0) as f32, 1.0),
+            max_bearing: max_bearing.clamp(0.0, 32768.0) as u16,
         }
     }
 
@@ -170,7 +176,7 @@ pub(super) fn rad_per_px(graph: &Graph, options: &Options) -> f32 {
     let range = if graph.wraps {
         TAU
     } else {
-        options.field_of_view_rad
+        options.field_of_view_rad as f32
     };
     range / graph.width.max(1) as f32
 }
@@ -178,12 +184,12 @@ pub(super) fn rad_per_px(graph: &Graph, options: &Options) -> f32 {
 /// The areas that take part, the largest first: not small ones, nor those of ignored classes, nor those whose numbers are
 /// not finite.
 pub(super) fn order(graph: &Graph, options: &Options) -> Vec<usize> {
-    let image = graph.width as f32 * graph.height as f32;
+    let image = f64::from(graph.width) * f64::from(graph.height);
     let least = (options.min_area_share * image).ceil();
     let takes_part = |area: &Area| {
         let numbers = [area.u, area.v, area.eccentricity, area.orientation_rad];
         numbers.iter().all(|number| number.is_finite())
-            && area.pixels as f32 >= least
+            && f64::from(area.pixels) >= least
             && !options.ignored.contains(&area.class)
     };
     let mut order: Vec<usize> = (0..graph.areas.len())
@@ -214,11 +220,10 @@ impl Description {
         for area in &order {
             let area = &graph.areas[*area];
             let pixels = area.pixels.max(1) as f32;
-            weights.push(pixels.powf(options.size_power));
+            weights.push(pixels.powf(options.size_power as f32));
             let scales = &options.scales;
-            let units = |value: f32, scale: f32| {
-                (value / scale.max(1e-6) * UNIT).clamp(-FAR, FAR).round() as i32
-            };
+            let units =
+                |value: f32, scale: f64| in_units(value, scale).clamp(-FAR, FAR).round() as i32;
             let middle = [
                 (graph.width as f32 - 1.0) / 2.0,
                 (graph.height as f32 - 1.0) / 2.0,

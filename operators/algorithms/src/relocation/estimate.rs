@@ -8,7 +8,7 @@ use super::view_map::ViewMap;
 use crate::semantic_graph::{Area, Graph};
 
 /// Areas are matched with scales as many times wider than those that are asked for, so that these hardly decide.
-const WIDER: f32 = 2.0;
+const WIDER: f64 = 2.0;
 /// Fewer matched areas say nothing.
 const LEAST: usize = 20;
 /// No scale is smaller.
@@ -40,7 +40,7 @@ pub fn estimate_scales(pairs: &[[&Graph; 2]], options: &Options) -> Option<Scale
             number += 1;
         }
     }
-    let mean = |sum: f64| (sum / number as f64).max(SMALLEST) as f32;
+    let mean = |sum: f64| (sum / number as f64).max(SMALLEST);
     (number >= LEAST).then(|| Scales {
         bearing_rad: mean(sums[0]),
         elevation_rad: mean(sums[1]),
@@ -78,7 +78,7 @@ fn matched<'a>(
 ) -> Vec<[&'a Area; 2]> {
     let asked = map.query(query);
     let interpretation = map.interpretation(&asked, 0).unwrap_or_default();
-    let orders = [query, view].map(|graph| order(graph, options));
+    let orders = [order(query, options), order(view, &options.of_map())];
     let area = |[a, b]: &[u16; 2]| {
         let a = &query.areas[orders[0][usize::from(*a)]];
         [a, &view.areas[orders[1][usize::from(*b)]]]

@@ -51,9 +51,9 @@ impl Constraints {
     pub(super) fn new(options: &Options) -> Self {
         Self {
             measure: Measure::new(options),
-            boundary: options.boundary_factor.max(1.0).ln(),
+            boundary: options.boundary_factor.max(1.0).ln() as f32,
             direction_steps: options.direction_steps,
-            elevation_rad: options.scales.elevation_rad / UNIT,
+            elevation_rad: options.scales.elevation_rad as f32 / UNIT,
         }
     }
 }

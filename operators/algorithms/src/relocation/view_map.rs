@@ -1,7 +1,7 @@
 //! All views of a map, and the search for those like a query.
 
 use std::cmp::Reverse;
-use std::f32::consts::TAU;
+use std::f64::consts::TAU;
 use std::ops::Range;
 
 use pulp::{Arch, Simd, WithSimd};
@@ -51,7 +51,7 @@ pub struct Hit {
     /// Its number in the map.
     pub view: u32,
     /// Heading of the query relative to the view that fits best, one of [`Options::turns_rad`] (rad).
-    pub turn_rad: f32,
+    pub turn_rad: f64,
     /// Areas of the query that were matched.
     pub matched: u32,
     /// What speaks for the match, from 0 (nothing matched) to 1 (every area without any difference): each area of the
@@ -84,11 +84,12 @@ impl ViewMap {
     pub fn new<'a>(graphs: impl Iterator<Item = &'a Graph>, options: Options) -> Self {
         let mut described = Description::default();
         let mut offsets = vec![0];
+        let of_map = options.of_map();
         for graph in graphs {
-            described.append(Description::new(graph, &options));
+            described.append(Description::new(graph, &of_map));
             offsets.push(described.areas.blocks.len() as u32);
         }
-        let code = |turn: &f32| ((turn / TAU * 65536.0).round() as i64).rem_euclid(65536) as u16;
+        let code = |turn: &f64| ((turn / TAU * 65536.0).round() as i64).rem_euclid(65536) as u16;
         Self {
             measure: Measure::new(&options),
             rules: Constraints::new(&options),
