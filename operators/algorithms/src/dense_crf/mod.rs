@@ -20,6 +20,8 @@
 //! deviation along x is then rounded, so that the panorama is a whole number of lattice cells wide; no dimension is added.
 
 mod energy;
+#[cfg(test)]
+mod examples;
 mod image;
 mod mean_field;
 mod softmax;
