@@ -14,7 +14,6 @@
 )]
 
 use std::collections::BTreeMap;
-use std::time::Instant;
 
 use evermap_algorithms::dense_crf::{ColourView, Kernels, RandomField, Unary};
 
@@ -43,6 +42,16 @@ fn arguments() -> Result<Arguments, Failure> {
     Ok(Arguments(found))
 }
 
+/// What this process has used of the processors: on a busy machine, a clock would measure the neighbours.
+fn processor_seconds() -> Result<f64, Failure> {
+    let mut nanoseconds = 0.0;
+    for task in std::fs::read_dir("/proc/self/task")? {
+        let text = std::fs::read_to_string(task?.path().join("schedstat"))?;
+        nanoseconds += text.split(' ').next().unwrap_or_default().parse::<f64>()?;
+    }
+    Ok(1e-9 * nanoseconds)
+}
+
 fn main() -> Result<(), Failure> {
     let given = arguments()?;
     let bytes = std::fs::read(given.text("image")?)?;
@@ -59,11 +68,11 @@ fn main() -> Result<(), Failure> {
     let iterations = given.number("iterations")?;
     let mut best = (f64::INFINITY, 0.0);
     for _ in 0..given.number("repeat")? {
-        let start = Instant::now();
+        let start = processor_seconds()?;
         let field = RandomField::new(&image, &Kernels::default(), false)?;
-        let prepared = start.elapsed().as_secs_f64();
+        let prepared = processor_seconds()? - start;
         let found = field.infer(&unary, iterations)?;
-        let seconds = start.elapsed().as_secs_f64();
+        let seconds = processor_seconds()? - start;
         if seconds < best.0 {
             best = (seconds, prepared);
         }

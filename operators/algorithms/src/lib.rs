@@ -8,6 +8,7 @@
 //! | [`pose`] | rigid transforms, checked at the door |
 //! | [`camera`] | lens models: rays from pixels and pixels from rays |
 //! | [`rig`] | cameras fixed to one vehicle |
+//! | [`class_scores`] | probabilities of classes over an image |
 //! | [`dense_crf`] | labels that follow an image's edges: the fully connected random field |
 //! | [`features`] | key points with binary descriptors |
 //! | [`association`] | which features of which keyframes show the same landmark |
@@ -33,6 +34,7 @@
 pub mod association;
 pub mod bundle_adjustment;
 pub mod camera;
+pub mod class_scores;
 pub mod dense_crf;
 pub mod drive;
 pub mod features;

@@ -2,7 +2,7 @@
 
 use super::mean_field::{Kernel, RandomField};
 use super::{CrfError, Marginals, Unary};
-use crate::permutohedral::{Eight, Value};
+use crate::permutohedral::{BLOCK, Eight, Value};
 
 impl RandomField {
     /// The Gibbs energy of a labelling, up to what is equal for all labellings:
@@ -49,44 +49,46 @@ impl RandomField {
         let joint = self
             .appearance
             .as_ref()
-            .map_or(0.0, |kernel| joint(kernel, marginals))
+            .map_or(0.0, |kernel| joint(kernel, &self.order, marginals))
             + self
                 .smoothness
                 .as_ref()
-                .map_or(0.0, |kernel| joint(kernel, marginals));
+                .map_or(0.0, |kernel| joint(kernel, &self.order, marginals));
         Ok((own, joint))
     }
 }
 
 /// `w Σ Q k Q`, eight classes after the other.
-fn joint<const V: usize>(kernel: &Kernel<V>, marginals: &Marginals) -> f64 {
+fn joint<const V: usize>(kernel: &Kernel<V>, order: &[u32], marginals: &Marginals) -> f64 {
     let classes = marginals.classes;
     let mut sum = 0.0;
     for first in (0..classes).step_by(8) {
-        let eight = |of_pixel: &[f32]| {
+        let eight = |pixel: &u32| {
+            let of_pixel = *pixel as usize * classes;
             let mut eight = Eight([0.0; 8]);
-            for (lane, q) in eight.0.iter_mut().zip(&of_pixel[first..]) {
+            let given = &marginals.probabilities[of_pixel + first..of_pixel + classes];
+            for (lane, q) in eight.0.iter_mut().zip(given) {
                 *lane = *q;
             }
             [eight]
         };
-        let given: Vec<[Eight; 1]> = marginals
-            .probabilities
-            .chunks_exact(classes)
-            .map(eight)
-            .collect();
-        let mut filtered = vec![<[Eight; 1]>::ZERO; given.len()];
+        let given: Vec<[Eight; 1]> = order.iter().map(eight).collect();
         let mut buffer = kernel.lattice.buffer();
-        kernel.lattice.splat(0, &given, buffer.values_mut());
-        kernel
-            .lattice
-            .blur(&mut buffer, kernel.lattice.constant() * kernel.weight);
-        kernel.lattice.slice(0, buffer.values(), &mut filtered);
-        for ([given], [filtered]) in given.iter().zip(&filtered) {
-            let lanes = given.0.iter().zip(&filtered.0);
-            sum += lanes
-                .map(|(a, b)| f64::from(*a) * f64::from(*b))
-                .sum::<f64>();
+        for (block, given) in given.chunks(BLOCK).enumerate() {
+            kernel.lattice.splat(block, given, buffer.values_mut());
+        }
+        let factor = kernel.lattice.constant() * kernel.weight;
+        kernel.lattice.blur(&mut buffer, factor);
+        for (block, given) in given.chunks(BLOCK).enumerate() {
+            let mut filtered = [<[Eight; 1]>::ZERO; BLOCK];
+            let filtered = &mut filtered[..given.len()];
+            kernel.lattice.slice(block, buffer.values(), filtered);
+            for ([given], [filtered]) in given.iter().zip(filtered.iter()) {
+                let lanes = given.0.iter().zip(&filtered.0);
+                sum += lanes
+                    .map(|(a, b)| f64::from(*a) * f64::from(*b))
+                    .sum::<f64>();
+            }
         }
     }
     sum

@@ -1,11 +1,14 @@
 //! The field of an image, and mean-field inference in it.
 
+use std::ops::Range;
+
 use super::softmax::softmax;
 use super::{ColourView, CrfError, Kernels, Marginals, Unary};
-use crate::permutohedral::{Buffer, Eight, Lattice, Value};
+use crate::permutohedral::{BLOCK, Buffer, Eight, Lattice, Value};
 
-/// Pixels that are worked on at once: their distributions stay in the first cache.
-const BLOCK: usize = 64;
+/// Side of the tiles in which pixels are worked on: a block of the lattices, whose distributions stay in the first
+/// cache.
+const TILE_PX: usize = 16;
 
 /// What classes that do not exist weigh.
 const NEVER: f32 = -1e30;
@@ -20,7 +23,8 @@ pub(super) struct Kernel<const V: usize> {
 /// How the pixels of an image are joined. Everything that depends on the image alone is computed once.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RandomField {
-    pixels: usize,
+    /// The pixels in the order of the lattices' positions: tile by tile.
+    pub(super) order: Vec<u32>,
     /// By place and colour.
     pub(super) appearance: Option<Kernel<6>>,
     /// By place.
@@ -34,7 +38,12 @@ impl RandomField {
     /// [`CrfError`] for kernels that cannot be used, or that are too small for so large an image.
     pub fn new(image: &ColourView<'_>, kernels: &Kernels, wraps: bool) -> Result<Self, CrfError> {
         kernels.check()?;
-        let appearance = || appearance(image, kernels, wraps);
+        let (width, height) = (image.width(), image.height());
+        let mut order = Vec::with_capacity(width * height);
+        tiled(width, height, |row, columns| {
+            order.extend(columns.map(|column| (row * width + column) as u32));
+        });
+        let appearance = || appearance(image, &order, kernels, wraps);
         let smoothness = || smoothness(image, kernels, wraps);
         let (appearance, smoothness) = rayon::join(
             || {
@@ -48,16 +57,17 @@ impl RandomField {
                     .transpose()
             },
         );
+        let (appearance, smoothness) = (appearance?, smoothness?);
         Ok(Self {
-            pixels: image.pixels().len(),
-            appearance: appearance?,
-            smoothness: smoothness?,
+            order,
+            appearance,
+            smoothness,
         })
     }
 
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
-        self.pixels
+        self.order.len()
     }
 
     /// The distributions after a number of rounds of mean field; after none, those of the pixels by themselves.
@@ -65,7 +75,7 @@ impl RandomField {
     /// # Errors
     /// [`CrfError::Size`] for costs of another number of pixels.
     pub fn infer(&self, unary: &Unary, iterations: u32) -> Result<Marginals, CrfError> {
-        self.fits(unary.classes * self.pixels, unary.costs.len())?;
+        self.fits(unary.classes * self.pixels(), unary.costs.len())?;
         let probabilities = match unary.classes {
             ..=8 => self.run::<1>(unary, iterations),
             ..=16 => self.run::<2>(unary, iterations),
@@ -90,6 +100,7 @@ impl RandomField {
     /// With the classes padded to `K` times eight.
     fn run<const K: usize>(&self, unary: &Unary, iterations: u32) -> Vec<f32> {
         let mut probabilities = vec![0.0; unary.costs.len()];
+        let mut block = vec![<[Eight; K]>::ZERO; BLOCK];
         let mut beliefs = (
             Belief::<K, 6>::of(self.appearance.as_ref()),
             Belief::<K, 3>::of(self.smoothness.as_ref()),
@@ -98,10 +109,67 @@ impl RandomField {
             let last = (round == iterations).then_some(&mut probabilities[..]);
             pulp::Arch::new().dispatch(
                 #[inline(always)]
-                || pass(unary, &mut beliefs, round > 0, last),
+                || self.pass(unary, &mut beliefs, &mut block, round > 0, last),
             );
         }
         probabilities
+    }
+
+    /// One round: what the lattices hold is blurred and sliced into every pixel's logarithms, which become
+    /// distributions, which are splatted for the next round, or, in the last one, written out.
+    #[inline(always)]
+    fn pass<const K: usize>(
+        &self,
+        unary: &Unary,
+        (appearance, smoothness): &mut (Belief<'_, K, 6>, Belief<'_, K, 3>),
+        block: &mut [[Eight; K]],
+        informed: bool,
+        mut last: Option<&mut [f32]>,
+    ) {
+        let padding = padding(unary.classes);
+        if informed {
+            appearance.blur();
+            smoothness.blur();
+        }
+        for (index, pixels) in self.order.chunks(BLOCK).enumerate() {
+            let block = &mut block[..pixels.len()];
+            for (lanes, pixel) in block.iter_mut().zip(pixels) {
+                let first = *pixel as usize * unary.classes;
+                *lanes = logarithms(&unary.costs[first..], &padding, unary.classes);
+            }
+            if informed {
+                appearance.add_to(index, block);
+                smoothness.add_to(index, block);
+            }
+            for lanes in block.iter_mut() {
+                softmax(lanes);
+            }
+            match &mut last {
+                None => {
+                    appearance.take(index, block);
+                    smoothness.take(index, block);
+                }
+                Some(out) => {
+                    for (lanes, pixel) in block.iter().zip(pixels) {
+                        let first = *pixel as usize * unary.classes;
+                        write(lanes, &mut out[first..first + unary.classes]);
+                    }
+                }
+            }
+        }
+        appearance.advance();
+        smoothness.advance();
+    }
+}
+
+/// Visits the pixels of an image tile by tile: a row, and the columns that a tile has there.
+fn tiled(width: usize, height: usize, mut visit: impl FnMut(usize, Range<usize>)) {
+    for top in (0..height).step_by(TILE_PX) {
+        for left in (0..width).step_by(TILE_PX) {
+            for row in top..(top + TILE_PX).min(height) {
+                visit(row, left..(left + TILE_PX).min(width));
+            }
+        }
     }
 }
 
@@ -120,23 +188,24 @@ impl<'a, const K: usize, const V: usize> Belief<'a, K, V> {
     #[inline(always)]
     fn blur(&mut self) {
         if let Some((kernel, buffer)) = &mut self.on {
+            let factor = kernel.weight * kernel.lattice.constant();
+            kernel.lattice.blur(buffer, factor);
+        }
+    }
+
+    #[inline(always)]
+    fn add_to(&self, block: usize, logarithms: &mut [[Eight; K]]) {
+        if let Some((kernel, buffer)) = &self.on {
+            kernel.lattice.slice(block, buffer.values(), logarithms);
+        }
+    }
+
+    #[inline(always)]
+    fn take(&mut self, block: usize, probabilities: &[[Eight; K]]) {
+        if let Some((kernel, buffer)) = &mut self.on {
             kernel
                 .lattice
-                .blur(buffer, kernel.weight * kernel.lattice.constant());
-        }
-    }
-
-    #[inline(always)]
-    fn add_to(&self, first: usize, block: &mut [[Eight; K]]) {
-        if let Some((kernel, buffer)) = &self.on {
-            kernel.lattice.slice(first, buffer.values(), block);
-        }
-    }
-
-    #[inline(always)]
-    fn take(&mut self, first: usize, block: &[[Eight; K]]) {
-        if let Some((kernel, buffer)) = &mut self.on {
-            kernel.lattice.splat(first, block, buffer.next_mut());
+                .splat(block, probabilities, buffer.next_mut());
         }
     }
 
@@ -148,82 +217,59 @@ impl<'a, const K: usize, const V: usize> Belief<'a, K, V> {
     }
 }
 
-/// One round: what the lattices hold is blurred and sliced into every pixel's logarithms, which become distributions,
-/// which are splatted for the next round, or, in the last one, written out.
+/// Zero for the lanes of classes, and next to no chance for the others.
 #[inline(always)]
-fn pass<const K: usize>(
-    unary: &Unary,
-    (appearance, smoothness): &mut (Belief<'_, K, 6>, Belief<'_, K, 3>),
-    informed: bool,
-    mut last: Option<&mut [f32]>,
-) {
-    if informed {
-        appearance.blur();
-        smoothness.blur();
+fn padding<const K: usize>(classes: usize) -> [Eight; K] {
+    let mut lanes = [Eight([NEVER; 8]); K];
+    for class in 0..classes {
+        lanes[class / 8].0[class % 8] = 0.0;
     }
-    let mut block = [<[Eight; K]>::ZERO; BLOCK];
-    for (index, costs) in unary.costs.chunks(BLOCK * unary.classes).enumerate() {
-        let first = index * BLOCK;
-        let block = &mut block[..costs.len() / unary.classes];
-        for (lanes, costs) in block.iter_mut().zip(costs.chunks_exact(unary.classes)) {
-            *lanes = logarithms(costs);
-        }
-        if informed {
-            appearance.add_to(first, block);
-            smoothness.add_to(first, block);
-        }
-        block.iter_mut().for_each(softmax);
-        match &mut last {
-            None => {
-                appearance.take(first, block);
-                smoothness.take(first, block);
-            }
-            Some(out) => write(block, unary.classes, &mut out[first * unary.classes..]),
-        }
-    }
-    appearance.advance();
-    smoothness.advance();
+    lanes
 }
 
+/// Of the costs that begin here; whole vectors are loaded, with those of the next pixel, which the padding outweighs.
 #[inline(always)]
-fn logarithms<const K: usize>(costs: &[f32]) -> [Eight; K] {
-    let mut lanes = [Eight([NEVER; 8]); K];
-    for (eight, costs) in lanes.iter_mut().zip(costs.chunks(8)) {
-        for (lane, cost) in eight.0.iter_mut().zip(costs) {
-            *lane = -cost;
+fn logarithms<const K: usize>(costs: &[f32], padding: &[Eight; K], classes: usize) -> [Eight; K] {
+    let mut lanes = *padding;
+    match costs.as_chunks::<8>().0.get(..K) {
+        Some(whole) => {
+            for (eight, costs) in lanes.iter_mut().zip(whole) {
+                for (lane, cost) in eight.0.iter_mut().zip(costs) {
+                    *lane -= cost;
+                }
+            }
+        }
+        None => {
+            for (class, cost) in costs.iter().take(classes).enumerate() {
+                lanes[class / 8].0[class % 8] = -cost;
+            }
         }
     }
     lanes
 }
 
 #[inline(always)]
-fn write<const K: usize>(block: &[[Eight; K]], classes: usize, out: &mut [f32]) {
-    for (lanes, out) in block.iter().zip(out.chunks_exact_mut(classes)) {
-        for (eight, out) in lanes.iter().zip(out.chunks_mut(8)) {
-            out.copy_from_slice(&eight.0[..out.len()]);
-        }
+fn write<const K: usize>(lanes: &[Eight; K], out: &mut [f32]) {
+    for (eight, out) in lanes.iter().zip(out.chunks_mut(8)) {
+        out.copy_from_slice(&eight.0[..out.len()]);
     }
 }
 
 fn appearance(
     image: &ColourView<'_>,
+    order: &[u32],
     kernels: &Kernels,
     wraps: bool,
 ) -> Result<Kernel<6>, CrfError> {
     let (x, y, cells) = places(image, kernels.appearance_px, wraps);
     let colour = |channel: usize| -> Vec<f32> {
         let deviation = kernels.appearance_colour as f32;
-        let values = image.pixels().iter();
-        values
-            .map(|pixel| f32::from(pixel[channel]) / deviation)
-            .collect()
+        let value = |pixel: &u32| f32::from(image.pixels()[*pixel as usize][channel]) / deviation;
+        order.iter().map(value).collect()
     };
     let [red, green, blue] = [colour(0), colour(1), colour(2)];
-    kernel(
-        &[&x, &y, &red, &green, &blue],
-        cells,
-        kernels.appearance_weight,
-    )
+    let coordinates: [&[f32]; 5] = [&x, &y, &red, &green, &blue];
+    kernel(&coordinates, cells, kernels.appearance_weight)
 }
 
 fn smoothness(
@@ -241,19 +287,23 @@ fn places(
     deviation_px: f64,
     wraps: bool,
 ) -> (Vec<f32>, Vec<f32>, Option<u32>) {
-    let width = image.width() as f64;
-    let cells = wraps.then(|| {
-        (width / deviation_px / Lattice::<3>::period(1))
-            .round()
-            .max(1.0) as u32
+    let width = image.width();
+    let around = width as f64 / deviation_px / Lattice::<3>::period(1);
+    let cells = wraps.then(|| around.round().max(1.0) as u32);
+    let along_x = cells.map_or(deviation_px, |cells| {
+        width as f64 / Lattice::<3>::period(cells)
     });
-    let along_x = cells.map_or(deviation_px, |cells| width / Lattice::<3>::period(cells)) as f32;
-    let along_y = deviation_px as f32;
+    let scaled = |size: usize, deviation: f64| -> Vec<f32> {
+        (0..size)
+            .map(|index| index as f32 / deviation as f32)
+            .collect()
+    };
+    let (of_column, of_row) = (scaled(width, along_x), scaled(image.height(), deviation_px));
     let (mut x, mut y) = (Vec::new(), Vec::new());
-    for row in 0..image.height() {
-        x.extend((0..image.width()).map(|column| column as f32 / along_x));
-        y.extend((0..image.width()).map(|_| row as f32 / along_y));
-    }
+    tiled(width, image.height(), |row, columns| {
+        y.resize(y.len() + columns.len(), of_row[row]);
+        x.extend_from_slice(&of_column[columns]);
+    });
     (x, y, cells)
 }
 

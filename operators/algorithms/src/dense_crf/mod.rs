@@ -24,13 +24,16 @@ mod energy;
 mod examples;
 mod image;
 mod mean_field;
+mod search;
 mod softmax;
 #[cfg(test)]
 mod tests;
 mod unary;
+mod upsample;
 
 pub use image::ColourView;
 pub use mean_field::RandomField;
+pub use search::{Confusion, Example, SearchOptions, Trial, search};
 pub use unary::Unary;
 
 use crate::permutohedral::LatticeError;

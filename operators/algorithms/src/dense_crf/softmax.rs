@@ -13,9 +13,9 @@ fn exp(x: f32) -> f32 {
     const ROOM: f32 = 12_582_912.0;
     const LN2_HIGH: f32 = 0.693_359_4;
     const LN2_LOW: f32 = -2.121_944_4e-4;
-    let shifted = x * std::f32::consts::LOG2_E + ROOM;
+    let shifted = x.mul_add(std::f32::consts::LOG2_E, ROOM);
     let whole = shifted - ROOM;
-    let rest = (x - whole * LN2_HIGH) - whole * LN2_LOW;
+    let rest = whole.mul_add(-LN2_LOW, whole.mul_add(-LN2_HIGH, x));
     let mut polynomial = 1.987_569_1e-4;
     for coefficient in [
         1.398_2e-3,
@@ -24,9 +24,9 @@ fn exp(x: f32) -> f32 {
         1.666_666_5e-1,
         0.5,
     ] {
-        polynomial = polynomial * rest + coefficient;
+        polynomial = rest.mul_add(polynomial, coefficient);
     }
-    let small = polynomial * (rest * rest) + rest + 1.0;
+    let small = polynomial.mul_add(rest * rest, rest) + 1.0;
     f32::from_bits(small.to_bits().wrapping_add(shifted.to_bits() << 23))
 }
 
@@ -63,7 +63,9 @@ pub(super) fn softmax<const K: usize>(lanes: &mut [Eight; K]) {
     }
     let scale = 1.0 / fold(&sums, |a, b| a + b);
     for eight in lanes {
-        eight.0.iter_mut().for_each(|value| *value *= scale);
+        for value in &mut eight.0 {
+            *value *= scale;
+        }
     }
 }
 

@@ -2,8 +2,9 @@
 use super::*;
 use proptest::prelude::*;
 
-const WIDTH: usize = 5;
-const HEIGHT: usize = 4;
+// Wider than a tile.
+const WIDTH: usize = 19;
+const HEIGHT: usize = 3;
 const PIXELS: usize = WIDTH * HEIGHT;
 
 fn kernels() -> Kernels {
@@ -18,10 +19,17 @@ fn kernels() -> Kernels {
 
 /// Σ_m w_m k_m between all pairs, column by column: what the filters make of a single pixel.
 fn pairs(field: &RandomField) -> Vec<Vec<f64>> {
+    let at = |pixel: usize| {
+        field
+            .order
+            .iter()
+            .position(|of| *of as usize == pixel)
+            .unwrap()
+    };
     (0..PIXELS)
         .map(|pixel| {
             let mut one = vec![0.0; PIXELS];
-            one[pixel] = 1.0;
+            one[at(pixel)] = 1.0;
             let of_appearance = field
                 .appearance
                 .as_ref()
@@ -32,8 +40,8 @@ fn pairs(field: &RandomField) -> Vec<Vec<f64>> {
                 .map(|kernel| (f64::from(kernel.weight), kernel.lattice.filter(&one)));
             let mut column = vec![0.0; PIXELS];
             for (weight, filtered) in of_appearance.into_iter().chain(of_smoothness) {
-                for (sum, value) in column.iter_mut().zip(filtered) {
-                    *sum += weight * f64::from(value);
+                for (pixel, sum) in column.iter_mut().enumerate() {
+                    *sum += weight * f64::from(filtered[at(pixel)]);
                 }
             }
             column

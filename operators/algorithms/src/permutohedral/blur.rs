@@ -27,7 +27,7 @@ pub(super) fn neighbours<const V: usize>(
 }
 
 /// Values on a lattice, and as much room again.
-pub(crate) struct Buffer<T> {
+pub struct Buffer<T> {
     values: Vec<T>,
     other: Vec<T>,
 }
@@ -42,25 +42,25 @@ impl<T: Value> Buffer<T> {
 
     /// The values, corner 0 being zero.
     #[inline(always)]
-    pub(crate) fn values(&self) -> &[T] {
+    pub fn values(&self) -> &[T] {
         &self.values
     }
 
     /// The values. Corner 0 must stay zero.
     #[inline(always)]
-    pub(crate) fn values_mut(&mut self) -> &mut [T] {
+    pub fn values_mut(&mut self) -> &mut [T] {
         &mut self.values
     }
 
     /// Where the next values are gathered, while the present ones are still read. Corner 0 must stay zero.
     #[inline(always)]
-    pub(crate) fn next_mut(&mut self) -> &mut [T] {
+    pub fn next_mut(&mut self) -> &mut [T] {
         &mut self.other
     }
 
     /// Makes the next values the present ones.
     #[inline(always)]
-    pub(crate) fn advance(&mut self) {
+    pub fn advance(&mut self) {
         std::mem::swap(&mut self.values, &mut self.other);
     }
 

@@ -16,16 +16,23 @@
 
 mod blur;
 mod embedding;
+mod grouping;
 mod table;
 #[cfg(test)]
 mod tests;
 mod value;
 
-pub(crate) use blur::Buffer;
+pub use blur::Buffer;
 pub use value::{Eight, Value};
 
 use embedding::{Embedding, LANES};
+use grouping::Grouping;
 use table::{Key, Keys};
+
+/// Positions that are splatted and sliced together: the n-th block is of the positions from `n · BLOCK` on. Positions of
+/// one block that share a simplex are worked on one after the other, while its corners are at hand; it pays to give
+/// positions in such an order that neighbours are in one block.
+pub const BLOCK: usize = 256;
 
 /// Lattice coordinates beyond this are refused: single precision would no longer tell neighbours apart.
 const MOST_CELLS: f32 = 1e5;
@@ -62,10 +69,8 @@ pub enum LatticeError {
 /// The lattice around a set of positions. `V` is the number of a simplex's corners: the positions' dimensions and one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lattice<const V: usize> {
-    /// Of each position: its simplex.
-    simplices: Vec<u32>,
-    /// Of each position: its barycentric coordinates, which sum to one.
-    weights: Vec<[f32; V]>,
+    /// Which positions of each block are in which simplex, and where in it.
+    grouping: Grouping<V>,
     /// Of each simplex: its corners. Corner 0 stands for "not in the lattice".
     corners: Vec<[u32; V]>,
     /// Along each axis, of each corner: the corners before and after it.
@@ -99,32 +104,15 @@ impl<const V: usize> Lattice<V> {
     fn build(coordinates: &[&[f32]], cells: Option<u32>) -> Result<Self, LatticeError> {
         let positions = checked::<V>(coordinates)?;
         let period = cells.map(|cells| (cells.min(1 << 20) * V as u32) as i32);
+        let (grouping, simplices) = embed(coordinates, positions, period);
         let mut lattice = Self {
-            simplices: Vec::with_capacity(positions),
-            weights: Vec::with_capacity(positions),
+            grouping,
             corners: Vec::new(),
             neighbours: Vec::new(),
         };
-        let simplices = lattice.embed(coordinates, positions, period);
         let points = lattice.number(&simplices, period);
         lattice.neighbours = blur::neighbours(&points, period);
         Ok(lattice)
-    }
-
-    /// Finds the simplex of every position; the distinct ones, in the order of their first position.
-    fn embed(&mut self, coordinates: &[&[f32]], positions: usize, period: Option<i32>) -> Keys<V> {
-        let mut simplices = Keys::with_room(positions / 4);
-        let mut embedding = Embedding::<V>::default();
-        for first in (0..positions).step_by(LANES) {
-            embedding.embed(coordinates, first);
-            for lane in 0..LANES.min(positions - first) {
-                let mut key = embedding.simplex(lane);
-                wrap(&mut key, period);
-                self.simplices.push(simplices.insert(&key));
-                self.weights.push(embedding.weights(lane));
-            }
-        }
-        simplices
     }
 
     /// Numbers the corners of all simplices from 1.
@@ -147,12 +135,12 @@ impl<const V: usize> Lattice<V> {
 
     /// Number of positions.
     pub fn len(&self) -> usize {
-        self.simplices.len()
+        self.grouping.len()
     }
 
     /// Whether there are no positions.
     pub fn is_empty(&self) -> bool {
-        self.simplices.is_empty()
+        self.grouping.len() == 0
     }
 
     /// Number of the lattice's corners, with the one that stands for none.
@@ -168,65 +156,126 @@ impl<const V: usize> Lattice<V> {
     /// Multiplies the weights of each position by a factor of its own: values then count that much when they are
     /// splatted, and again when they are sliced.
     pub fn scale(&mut self, factors: &[f32]) {
-        for (weights, factor) in self.weights.iter_mut().zip(factors) {
-            weights.iter_mut().for_each(|weight| *weight *= factor);
-        }
+        self.grouping.scale(factors);
     }
 
-    /// Filters one number per position.
+    /// Filters one number per position; such that are missing are zero.
     pub fn filter(&self, values: &[f32]) -> Vec<f32> {
-        let mut lattice = Buffer::new(self.corners());
+        let buffer = self.buffer();
+        // A closure that gives away what it holds is inlined, and so compiled for the processor's instructions.
         pulp::Arch::new().dispatch(
             #[inline(always)]
-            || {
-                self.splat(0, values, lattice.values_mut());
-                lattice.blur(&self.neighbours, self.constant());
-                let mut out = vec![0.0; values.len().min(self.len())];
-                self.slice(0, lattice.values(), &mut out);
-                out
-            },
+            move || self.filter_in(buffer, values),
         )
     }
 
+    #[inline(always)]
+    fn filter_in<T: Value>(&self, mut buffer: Buffer<T>, values: &[T]) -> Vec<T> {
+        for (block, values) in values.chunks(BLOCK).enumerate() {
+            self.splat(block, values, buffer.values_mut());
+        }
+        self.blur(&mut buffer, self.constant());
+        let mut out = vec![T::ZERO; self.len()];
+        for (block, out) in out.chunks_mut(BLOCK).enumerate() {
+            self.slice(block, buffer.values(), out);
+        }
+        out
+    }
+
     /// The constant that makes the filter's height that of the Gaussian (Adams et al. 2010, in their code).
-    pub(crate) fn constant(&self) -> f32 {
+    pub fn constant(&self) -> f32 {
         1.0 / (1.0 + 0.5f32.powi(V as i32 - 1))
     }
 
     /// A buffer for values on the lattice.
-    pub(crate) fn buffer<T: Value>(&self) -> Buffer<T> {
+    pub fn buffer<T: Value>(&self) -> Buffer<T> {
         Buffer::new(self.corners())
     }
 
     /// Blurs a buffer along all axes and multiplies it by a factor.
     #[inline(always)]
-    pub(crate) fn blur<T: Value>(&self, buffer: &mut Buffer<T>, factor: f32) {
+    pub fn blur<T: Value>(&self, buffer: &mut Buffer<T>, factor: f32) {
         buffer.blur(&self.neighbours, factor);
     }
 
-    /// Adds the values of the positions from `first` on to the lattice's.
+    /// Adds the values of a block's positions to the lattice's.
     #[inline(always)]
-    pub(crate) fn splat<T: Value>(&self, first: usize, values: &[T], lattice: &mut [T]) {
-        let simplices = self.simplices.iter().skip(first);
-        let weights = self.weights.iter().skip(first);
-        for ((simplex, weights), value) in simplices.zip(weights).zip(values) {
-            for (corner, weight) in self.corners[*simplex as usize].iter().zip(weights) {
-                lattice[*corner as usize].add_scaled(*weight, value);
+    pub fn splat<T: Value>(&self, block: usize, values: &[T], lattice: &mut [T]) {
+        for (simplex, members) in self.grouping.block(block) {
+            let mut sums = [T::ZERO; V];
+            for (lane, weights) in members {
+                let Some(value) = values.get(usize::from(*lane)) else {
+                    continue;
+                };
+                for corner in 0..V {
+                    sums[corner].add_scaled(weights[corner], value);
+                }
+            }
+            for (corner, sum) in self.corners[simplex].iter().zip(&sums) {
+                lattice[*corner as usize].add_scaled(1.0, sum);
             }
         }
     }
 
-    /// Adds the lattice's values at the positions from `first` on to `values`.
+    /// Adds the lattice's values at a block's positions to `values`.
     #[inline(always)]
-    pub(crate) fn slice<T: Value>(&self, first: usize, lattice: &[T], values: &mut [T]) {
-        let simplices = self.simplices.iter().skip(first);
-        let weights = self.weights.iter().skip(first);
-        for ((simplex, weights), value) in simplices.zip(weights).zip(values) {
-            for (corner, weight) in self.corners[*simplex as usize].iter().zip(weights) {
-                value.add_scaled(*weight, &lattice[*corner as usize]);
+    pub fn slice<T: Value>(&self, block: usize, lattice: &[T], values: &mut [T]) {
+        for (simplex, members) in self.grouping.block(block) {
+            let mut corners = [T::ZERO; V];
+            for (value, corner) in corners.iter_mut().zip(&self.corners[simplex]) {
+                *value = lattice[*corner as usize];
+            }
+            for (lane, weights) in members {
+                let Some(value) = values.get_mut(usize::from(*lane)) else {
+                    continue;
+                };
+                let mut sum = *value;
+                for corner in 0..V {
+                    sum.add_scaled(weights[corner], &corners[corner]);
+                }
+                *value = sum;
             }
         }
     }
+}
+
+/// Finds the simplex of every position; and the distinct ones, in the order of their first position.
+fn embed<const V: usize>(
+    coordinates: &[&[f32]],
+    positions: usize,
+    period: Option<i32>,
+) -> (Grouping<V>, Keys<V>) {
+    let grouping = Grouping::with_room(positions);
+    let simplices = Keys::with_room(positions / 8);
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        move || embed_into(grouping, simplices, coordinates, positions, period),
+    )
+}
+
+#[inline(always)]
+fn embed_into<const V: usize>(
+    mut grouping: Grouping<V>,
+    mut simplices: Keys<V>,
+    coordinates: &[&[f32]],
+    positions: usize,
+    period: Option<i32>,
+) -> (Grouping<V>, Keys<V>) {
+    let mut embedding = Embedding::<V>::default();
+    let mut last = ([i32::MIN; V], 0);
+    for first in (0..positions).step_by(LANES) {
+        embedding.embed(coordinates, first);
+        for lane in 0..LANES.min(positions - first) {
+            let mut key = embedding.simplex(lane);
+            wrap(&mut key, period);
+            if key != last.0 {
+                last = (key, simplices.insert(&key));
+            }
+            grouping.push(last.1, embedding.weights(lane));
+        }
+    }
+    grouping.close();
+    (grouping, simplices)
 }
 
 /// The number of positions, all of which can be embedded.

@@ -98,7 +98,7 @@ proptest! {
         coordinates in prop::collection::vec(prop::collection::vec(-50.0..50.0f32, 33), 5),
     ) {
         let lattice = Lattice::<6>::new(&lists(&coordinates)).unwrap();
-        for weights in &lattice.weights {
+        for weights in lattice.grouping.weights() {
             prop_assert!(weights.iter().all(|weight| (-1e-4..1.0001).contains(weight)));
             prop_assert!((weights.iter().sum::<f32>() - 1.0).abs() < 1e-4);
         }
@@ -130,10 +130,14 @@ proptest! {
             .map(|value| [Eight(std::array::from_fn(|channel| channel as f32 * value))])
             .collect();
         let mut buffer = lattice.buffer();
-        lattice.splat(0, &eights, buffer.values_mut());
+        for (block, eights) in eights.chunks(BLOCK).enumerate() {
+            lattice.splat(block, eights, buffer.values_mut());
+        }
         lattice.blur(&mut buffer, lattice.constant());
         let mut found = vec![<[Eight; 1]>::ZERO; values.len()];
-        lattice.slice(0, buffer.values(), &mut found);
+        for (block, found) in found.chunks_mut(BLOCK).enumerate() {
+            lattice.slice(block, buffer.values(), found);
+        }
         for ([eight], one) in found.iter().zip(lattice.filter(&values)) {
             for (channel, value) in eight.0.iter().enumerate() {
                 prop_assert!((value - channel as f32 * one).abs() < 1e-4);

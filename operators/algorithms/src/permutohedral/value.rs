@@ -18,7 +18,7 @@ impl Value for f32 {
 
     #[inline(always)]
     fn add_scaled(&mut self, weight: f32, other: &Self) {
-        *self += weight * other;
+        *self = weight.mul_add(*other, *self);
     }
 
     #[inline(always)]
@@ -35,23 +35,29 @@ pub struct Eight(pub [f32; 8]);
 impl<const K: usize> Value for [Eight; K] {
     const ZERO: Self = [Eight([0.0; 8]); K];
 
+    // By value, so that the compiler knows that nothing overlaps.
     #[inline(always)]
     fn add_scaled(&mut self, weight: f32, other: &Self) {
-        for (own, other) in self.iter_mut().zip(other) {
-            for (own, other) in own.0.iter_mut().zip(&other.0) {
-                *own += weight * other;
-            }
-        }
+        let (own, other) = (*self, *other);
+        *self = from_lanes(|i, lane| weight.mul_add(other[i].0[lane], own[i].0[lane]));
     }
 
     #[inline(always)]
     fn blurred(&self, before: &Self, after: &Self, factor: f32) -> Self {
-        let mut out = *self;
-        for ((out, before), after) in out.iter_mut().zip(before).zip(after) {
-            for ((out, before), after) in out.0.iter_mut().zip(&before.0).zip(&after.0) {
-                *out = (*out + 0.5 * (before + after)) * factor;
-            }
-        }
-        out
+        let (own, before, after) = (*self, *before, *after);
+        from_lanes(|i, lane| {
+            (own[i].0[lane] + 0.5 * (before[i].0[lane] + after[i].0[lane])) * factor
+        })
     }
+}
+
+#[inline(always)]
+fn from_lanes<const K: usize>(lane: impl Fn(usize, usize) -> f32) -> [Eight; K] {
+    let mut eights = [Eight([0.0; 8]); K];
+    for (i, eight) in eights.iter_mut().enumerate() {
+        for (at, value) in eight.0.iter_mut().enumerate() {
+            *value = lane(i, at);
+        }
+    }
+    eights
 }
