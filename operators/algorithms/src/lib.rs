@@ -23,6 +23,7 @@
 //! | [`pose_graph`] | odometry and loops relaxed into consistent poses |
 //! | [`relocation`] | where in a map a view was taken, by the graph of what it shows, and how well a method tells |
 //! | [`resection`] | a rig's pose from points and rays, with outliers |
+//! | [`temporal_votes`] | what neighbouring views say about a view's pixels |
 //! | [`tracking`] | features followed through a camera's keyframes |
 //! | [`trajectory`] | alignment and errors of trajectories |
 //! | [`drive`] | keyframes at equal steps of driven path |
@@ -53,6 +54,7 @@ pub mod resection;
 pub mod rig;
 pub mod road_network;
 pub mod semantic_graph;
+pub mod temporal_votes;
 pub mod tiles;
 pub mod tracking;
 pub mod trajectory;

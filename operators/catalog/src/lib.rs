@@ -25,11 +25,14 @@ macro_rules! operators {
 // Sorted by file name; a test compares the list with the folder.
 operators! {
     bundle_adjustment::BundleAdjustment,
+    crf_settings::CrfSettings,
     features::Features,
     frame_poses::FramePoses,
     ground_patches::GroundPatches,
     intersections::Intersections,
     keyframes::Keyframes,
+    label_images::LabelImages,
+    label_scores::LabelScores,
     landmarks::Landmarks,
     localisation::Localisation,
     loop_closures::LoopClosures,
@@ -38,6 +41,7 @@ operators! {
     pose_graph::PoseGraph,
     recorded_labels::RecordedLabels,
     road_network::RoadNetwork,
+    temporal_scores::TemporalScores,
     tracks::Tracks,
     word_relocations::WordRelocations,
 }

@@ -13,8 +13,8 @@ pub use metric_map::{
 };
 pub use semantic_map::{
     ClassCount, ClassLeaf, ClassScores, CrfSetting, DecisionTree, LabelImage, LabelledFrame,
-    PixelSamples, Relocation, ScoredFrame, SemanticArea, SemanticEdge, SemanticGraph, TreeNode,
-    View,
+    LabelledScores, PixelSamples, Relocation, ScoredFrame, SemanticArea, SemanticEdge,
+    SemanticGraph, TreeNode, View,
 };
 
 record! {
@@ -303,6 +303,7 @@ pub fn all() -> Vec<crate::Layer> {
         PixelSamples::layer(),
         Relocation::layer(),
         ScoredFrame::layer(),
+        LabelledScores::layer(),
         View::layer(),
         Calibration::layer(),
         Frame::layer(),

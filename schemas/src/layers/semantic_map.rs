@@ -184,6 +184,39 @@ impl LayerRow for ScoredFrame {
 }
 
 record! {
+    /// An image with the probabilities of the classes over it, and with the classes that are true.
+    pub struct LabelledScores {
+        /// Site that was driven.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant.
+        stamp: Stamp ["ns"],
+        /// Camera that took the image.
+        camera: String,
+        /// Width of the image.
+        width: u32 ["px"],
+        /// Height of the image.
+        height: u32 ["px"],
+        /// Side of a cell.
+        stride_px: u32 ["px"],
+        /// Names of the classes.
+        classes: Vec<String>,
+        /// As in `class_scores`, by a classifier that has not learnt from this image.
+        probabilities: Bytes,
+        /// Where the pixels are, in colour.
+        image: ImageRef,
+        /// The true labels as an 8-bit grey PNG, indices into the same classes; 255 where a pixel has no class.
+        png: Bytes,
+    }
+}
+impl LayerRow for LabelledScores {
+    const NAME: &'static str = "labelled_scores";
+    const DOC: &'static str = "An image with the probabilities of the classes over it, and with the classes that are true.";
+    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
+}
+
+record! {
     /// Parameters of the dense random field and how well they did.
     pub struct CrfSetting {
         /// Site that they were learnt on.

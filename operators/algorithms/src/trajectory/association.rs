@@ -42,7 +42,9 @@ pub fn associate(
         .collect()
 }
 
-fn pose_at(truth: &[StampedPose], stamp_ns: i64, max_gap_ns: i64) -> Option<Pose> {
+/// The pose at an instant, between those around it; `None` before the first and after the last one, and between poses more
+/// than `max_gap_ns` apart. They must be ordered by stamp.
+pub fn pose_at(truth: &[StampedPose], stamp_ns: i64, max_gap_ns: i64) -> Option<Pose> {
     let after = truth.partition_point(|true_pose| true_pose.stamp_ns < stamp_ns);
     let next = truth.get(after)?;
     if next.stamp_ns == stamp_ns {

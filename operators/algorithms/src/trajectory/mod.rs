@@ -16,5 +16,5 @@ mod error;
 pub mod tum;
 
 pub use alignment::{Similarity, align, align_points, align_points_scaled};
-pub use association::{PosePair, StampedPose, associate};
+pub use association::{PosePair, StampedPose, associate, pose_at};
 pub use error::{AbsoluteError, RelativeError, Statistics, absolute_error, relative_error};
