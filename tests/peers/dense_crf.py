@@ -1,7 +1,9 @@
 """Dense random fields: evermap against pydensecrf (the reference C++ of Krähenbühl and Koltun), in one run.
 
-    python -m venv /tmp/peers && /tmp/peers/bin/pip install numpy pillow mcap pydensecrf2
-    /tmp/peers/bin/python tests/peers/dense_crf.py ../shared
+    pip install -r tests/peers/requirements.txt -r tests/peers/requirements-bench.txt
+    python tests/peers/dense_crf.py ../shared [--repeat 5]
+
+The first argument is a folder with `worlds/street_small` and `data/camvid`.
 
 Both are given the same image, the same costs and the same kernels, and each one core; the least processor time of
 several runs in turns counts, lattices included. Energies are the reference's own: its divergence of both results, and of both labellings.

@@ -1,5 +1,10 @@
 //! The field of an image, and mean-field inference in it.
 
+#![allow(
+    clippy::needless_range_loop,
+    reason = "an index over lanes is what becomes one vector instruction"
+)]
+
 use std::ops::Range;
 
 use super::softmax::softmax;
@@ -233,9 +238,11 @@ fn logarithms<const K: usize>(costs: &[f32], padding: &[Eight; K], classes: usiz
     let mut lanes = *padding;
     match costs.as_chunks::<8>().0.get(..K) {
         Some(whole) => {
-            for (eight, costs) in lanes.iter_mut().zip(whole) {
-                for (lane, cost) in eight.0.iter_mut().zip(costs) {
-                    *lane -= cost;
+            for i in 0..K {
+                // By value, so that the compiler knows that nothing overlaps.
+                let (own, costs) = (padding[i], whole[i]);
+                for lane in 0..8 {
+                    lanes[i].0[lane] = own.0[lane] - costs[lane];
                 }
             }
         }

@@ -1,5 +1,10 @@
 //! Which simplex a position lies in, and where in it.
 
+#![allow(
+    clippy::needless_range_loop,
+    reason = "an index over lanes is what becomes one vector instruction"
+)]
+
 use super::table::Key;
 
 /// Positions that are embedded at once.

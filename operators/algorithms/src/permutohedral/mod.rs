@@ -14,6 +14,11 @@
 //! All channels of a value are worked on at once, eight to a vector. Positions in one simplex share the entry that
 //! says where its corners are, so that a lattice is small where positions lie densely.
 
+#![allow(
+    clippy::needless_range_loop,
+    reason = "an index over lanes is what becomes one vector instruction"
+)]
+
 mod blur;
 mod embedding;
 mod grouping;
