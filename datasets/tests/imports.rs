@@ -3,10 +3,12 @@
 
 mod common;
 
+use std::path::Path;
+
 use common::{open, rows, shared};
 use evermap_datasets::ImageReader;
 use evermap_datasets::import::{ImageImport, Kitti};
-use evermap_schemas::roles::{Calibration, Frame, OdometryPose, Transform};
+use evermap_schemas::roles::{Calibration, Frame, LabelClass, OdometryPose, Transform};
 use evermap_schemas::{LayerRow, rows as typed};
 
 async fn read<T: LayerRow>(context: &datafusion::prelude::SessionContext, sql: &str) -> Vec<T> {
@@ -106,6 +108,41 @@ async fn kitti_drives_forward() {
     assert_eq!(lens.len(), 1);
     assert_eq!(lens[0].camera, frames[0].camera);
     assert!((lens[0].intrinsics[0] - 718.856).abs() < 1e-9);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn labelled_images_come_with_their_labels_and_classes() {
+    let Some(folder) = shared("data/camvid") else {
+        return;
+    };
+    let description = concat!(env!("CARGO_MANIFEST_DIR"), "/imports/camvid_0006R0.yaml");
+    let scratch = tempfile::tempdir().unwrap();
+    let out = scratch.path().join("camvid.mcap");
+    let import = ImageImport::load(Path::new(description))
+        .unwrap()
+        .within(&folder);
+    let imported = import.write(&out).unwrap();
+    assert_eq!((imported.images, imported.labels), (50, 50));
+
+    let (context, dataset) = open(&[out.display().to_string()], 2).await;
+    let both: Vec<Frame> = read(
+        &context,
+        "SELECT l.* FROM label_frames l JOIN frames f ON f.camera = l.camera AND f.stamp = l.stamp",
+    )
+    .await;
+    assert_eq!(both.len(), 50);
+    assert!(both.iter().all(|frame| frame.camera == "camera"));
+    let classes: Vec<LabelClass> =
+        read(&context, "SELECT * FROM label_classes ORDER BY value").await;
+    let names: Vec<_> = classes
+        .iter()
+        .map(|row| (row.value, row.class.as_str()))
+        .collect();
+    assert_eq!(
+        (names.len(), names[0], names[10]),
+        (11, (0, "sky"), (10, "bicyclist"))
+    );
+    assert!(dataset.losses.is_empty());
 }
 
 #[test]

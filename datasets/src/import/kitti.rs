@@ -66,7 +66,7 @@ impl Kitti {
             }
             cameras.push(self.camera(images)?);
         }
-        log::write(out, &cameras, &trajectory)
+        log::write(out, &cameras, &trajectory, &[])
     }
 
     fn camera(&self, images: Vec<(u64, PathBuf)>) -> Result<Camera, Fault> {
@@ -81,9 +81,10 @@ impl Kitti {
             name: "image_0".to_owned(),
             width,
             height,
-            intrinsics: Intrinsics::given(None, &k, &[0.0; 5])?,
-            vehicle_from_camera: vehicle_from_camera(),
+            intrinsics: Some(Intrinsics::given(None, &k, &[0.0; 5])?),
+            vehicle_from_camera: Some(vehicle_from_camera()),
             images,
+            labels: Vec::new(),
         })
     }
 }

@@ -18,10 +18,14 @@ pub(super) struct Camera {
     pub name: String,
     pub width: u32,
     pub height: u32,
-    pub intrinsics: Intrinsics,
-    pub vehicle_from_camera: Isometry3<f64>,
+    /// `None` where nobody knows.
+    pub intrinsics: Option<Intrinsics>,
+    /// `None` where nobody knows.
+    pub vehicle_from_camera: Option<Isometry3<f64>>,
     /// Stamps, ns, and files.
     pub images: Vec<(u64, PathBuf)>,
+    /// Stamps of their images, ns, and files.
+    pub labels: Vec<(u64, PathBuf)>,
 }
 
 /// What is written at an instant, in this order.
@@ -29,13 +33,16 @@ pub(super) struct Camera {
 enum Event {
     Pose(usize),
     Image(usize, usize),
+    Labels(usize, usize),
 }
 
-/// Writes cameras and poses (ns, `odom_from_vehicle`) in time order. The file appears only once it is complete.
+/// Writes cameras, poses (ns, `odom_from_vehicle`) and the classes of label images (by value) in time order. The file
+/// appears only once it is complete.
 pub(super) fn write(
     out: &Path,
     cameras: &[Camera],
     poses: &[(u64, Isometry3<f64>)],
+    classes: &[String],
 ) -> Result<Imported, Fault> {
     let mut events: Vec<(u64, Event)> = Vec::new();
     let stamps = poses.iter().enumerate();
@@ -43,21 +50,25 @@ pub(super) fn write(
     for (c, camera) in cameras.iter().enumerate() {
         let stamps = camera.images.iter().enumerate();
         events.extend(stamps.map(|(i, (stamp, _))| (*stamp, Event::Image(c, i))));
+        let stamps = camera.labels.iter().enumerate();
+        events.extend(stamps.map(|(i, (stamp, _))| (*stamp, Event::Labels(c, i))));
     }
     events.sort();
     let partial = out.with_extension("mcap.partial");
     let mut log = Log::create(&partial, cameras)?;
     let start = events.first().map_or(0, |(stamp, _)| *stamp);
     log.start(start, cameras)?;
+    log.classes(classes)?;
     for (stamp, event) in &events {
         match event {
             Event::Pose(i) => log.send(ODOM, *stamp, &ros2::odometry(*stamp, &poses[*i].1))?,
             Event::Image(c, i) => {
                 let camera = &cameras[*c];
-                let path = &camera.images[*i].1;
-                let (format, bytes) = encoded(path)?;
-                let message = ros2::compressed_image(*stamp, &camera.name, format, &bytes);
-                log.send(FIRST_CAMERA + 2 * c, *stamp, &message)?;
+                log.image(IMAGE + CHANNELS * c, *stamp, camera, &camera.images[*i].1)?;
+            }
+            Event::Labels(c, i) => {
+                let camera = &cameras[*c];
+                log.image(LABELS + CHANNELS * c, *stamp, camera, &camera.labels[*i].1)?;
             }
         }
     }
@@ -67,16 +78,22 @@ pub(super) fn write(
     Ok(Imported {
         images: cameras.iter().map(|camera| camera.images.len()).sum(),
         poses: poses.len(),
+        labels: cameras.iter().map(|camera| camera.labels.len()).sum(),
     })
 }
 
 const TF_STATIC: usize = 0;
 const ODOM: usize = 1;
-const FIRST_CAMERA: usize = 2;
+/// The first camera's channels; the next one's are so many further.
+const IMAGE: usize = 2;
+const CAMERA_INFO: usize = 3;
+const LABELS: usize = 4;
+const CHANNELS: usize = 3;
 
 struct Log {
     writer: mcap::Writer<BufWriter<File>>,
-    channels: Vec<(u16, u32)>,
+    /// Number, and messages so far; `None` where nothing will be sent.
+    channels: Vec<Option<(u16, u32)>>,
     path: PathBuf,
 }
 
@@ -95,14 +112,14 @@ impl Log {
             channels: Vec::new(),
             path: path.to_owned(),
         };
-        log.add("/tf_static", &ros2::TF_MESSAGE)?;
-        log.add("/odom", &ros2::ODOMETRY)?;
+        log.add(true, "/tf_static", &ros2::TF_MESSAGE)?;
+        log.add(true, "/odom", &ros2::ODOMETRY)?;
         for camera in cameras {
-            log.add(
-                &format!("/{}/image/compressed", camera.name),
-                &ros2::COMPRESSED_IMAGE,
-            )?;
-            log.add(&format!("/{}/camera_info", camera.name), &ros2::CAMERA_INFO)?;
+            let topic = |leaf: &str| format!("/{}/{leaf}", camera.name);
+            let (calibrated, labelled) = (camera.intrinsics.is_some(), !camera.labels.is_empty());
+            log.add(true, &topic("image/compressed"), &ros2::COMPRESSED_IMAGE)?;
+            log.add(calibrated, &topic("camera_info"), &ros2::CAMERA_INFO)?;
+            log.add(labelled, &topic("labels"), &ros2::COMPRESSED_IMAGE)?;
         }
         Ok(log)
     }
@@ -111,7 +128,11 @@ impl Log {
         Fault::resource(error.to_string()).at(self.path.display())
     }
 
-    fn add(&mut self, topic: &str, message: &MessageType) -> Result<(), Fault> {
+    fn add(&mut self, used: bool, topic: &str, message: &MessageType) -> Result<(), Fault> {
+        if !used {
+            self.channels.push(None);
+            return Ok(());
+        }
         let definition = message.definition.as_bytes();
         let schema = self.writer.add_schema(message.name, "ros2msg", definition);
         let schema = schema.map_err(|error| self.fault(&error))?;
@@ -119,7 +140,7 @@ impl Log {
             .writer
             .add_channel(schema, topic, "cdr", &BTreeMap::new());
         let channel = channel.map_err(|error| self.fault(&error))?;
-        self.channels.push((channel, 0));
+        self.channels.push(Some((channel, 0)));
         Ok(())
     }
 
@@ -127,20 +148,57 @@ impl Log {
     fn start(&mut self, stamp: u64, cameras: &[Camera]) -> Result<(), Fault> {
         let placed: Vec<(&str, Isometry3<f64>)> = cameras
             .iter()
-            .map(|camera| (camera.name.as_str(), camera.vehicle_from_camera))
+            .filter_map(|camera| Some((camera.name.as_str(), camera.vehicle_from_camera?)))
             .collect();
         self.send(TF_STATIC, stamp, &ros2::transforms(stamp, &placed))?;
         for (c, camera) in cameras.iter().enumerate() {
-            let size = (camera.width, camera.height);
-            let info = ros2::camera_info(stamp, &camera.name, size, &camera.intrinsics);
-            self.send(FIRST_CAMERA + 2 * c + 1, stamp, &info)?;
+            if let Some(intrinsics) = &camera.intrinsics {
+                let size = (camera.width, camera.height);
+                let info = ros2::camera_info(stamp, &camera.name, size, intrinsics);
+                self.send(CAMERA_INFO + CHANNELS * c, stamp, &info)?;
+            }
         }
         Ok(())
     }
 
+    /// What the values of label images mean, if anybody says.
+    fn classes(&mut self, classes: &[String]) -> Result<(), Fault> {
+        let named = classes
+            .iter()
+            .enumerate()
+            .filter(|(_, name)| !name.is_empty());
+        let metadata: BTreeMap<String, String> = named
+            .map(|(value, name)| (value.to_string(), name.clone()))
+            .collect();
+        if metadata.is_empty() {
+            return Ok(());
+        }
+        let record = mcap::records::Metadata {
+            name: "label_classes".to_owned(),
+            metadata,
+        };
+        let written = self.writer.write_metadata(&record);
+        written.map_err(|error| self.fault(&error))
+    }
+
+    fn image(
+        &mut self,
+        channel: usize,
+        stamp: u64,
+        camera: &Camera,
+        path: &Path,
+    ) -> Result<(), Fault> {
+        let (format, bytes) = encoded(path)?;
+        let message = ros2::compressed_image(stamp, &camera.name, format, &bytes);
+        self.send(channel, stamp, &message)
+    }
+
     fn send(&mut self, channel: usize, stamp: u64, message: &[u8]) -> Result<(), Fault> {
-        let (channel_id, sequence) = self.channels[channel];
-        self.channels[channel].1 += 1;
+        let Some((channel_id, sent)) = &mut self.channels[channel] else {
+            return Err(Fault::bug("a message on a channel that was not declared"));
+        };
+        let (channel_id, sequence) = (*channel_id, *sent);
+        *sent += 1;
         let header = MessageHeader {
             channel_id,
             sequence,
@@ -180,6 +238,17 @@ pub(super) fn image_size(path: &Path) -> Result<(u32, u32), Fault> {
         _ => jpeg_size(&bytes),
     };
     size.ok_or_else(|| Fault::user("expected an image with a size").at(path.display()))
+}
+
+/// Width and height of what must be a PNG, as label images must: JPEG changes values.
+pub(super) fn png_image_size(path: &Path) -> Result<(u32, u32), Fault> {
+    let (format, bytes) = encoded(path)?;
+    let size = if format == "png" {
+        png_size(&bytes)
+    } else {
+        None
+    };
+    size.ok_or_else(|| Fault::user("expected labels as PNG").at(path.display()))
 }
 
 /// PNG: the IHDR chunk comes first.

@@ -10,6 +10,8 @@
 //!     camera_from_reference:
 //!       file: extrinsic/Front.json       # SensorsCalibration JSON; or `matrix` or `pose` in place
 //!       scale: 1.028                     # of the translation; 1 if not given
+//!     labels: [labels/Front.png]         # class labels of the images, PNG: see below
+//!     classes: [road, car]               # their names by pixel value, or a file with one a line
 //! vehicle_from_reference:                # identity if not given
 //!   matrix: [[0, -1, 0, 0], [-1, 0, 0, 0], [0, 0, -1, 6.25], [0, 0, 0, 1]]
 //! poses: { file: poses.txt, format: tum } # odom_from_vehicle; the vehicle stands still if not given
@@ -17,11 +19,16 @@
 //! rate_hz: 10
 //! ```
 //!
-//! Written are, per camera, `/NAME/image/compressed` and `/NAME/camera_info`, and for the vehicle `/tf_static` and
-//! `/odom`. Frames are those of REP-103: the vehicle's x forward, y left, z up; the camera's x right, y down, z forward.
+//! Label images belong to the images whose file stems they have; where stems differ, to the images in order, and then
+//! there is one for each. A value whose name is empty, or beyond the list, has no class.
+//!
+//! Written are, per camera, `/NAME/image/compressed`, `/NAME/camera_info` and `/NAME/labels`, for the vehicle
+//! `/tf_static` and `/odom`, and the metadata record `label_classes`. What a camera lacks (calibration, place, labels)
+//! is left out. Frames are those of REP-103: the vehicle's x forward, y left, z up; the camera's x right, y down, z forward.
 
 mod calibration;
 mod kitti;
+mod labels;
 mod log;
 mod poses;
 mod ros2;
@@ -34,6 +41,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 pub use kitti::Kitti;
+pub use labels::ClassNames;
 pub use poses::PoseFormat;
 
 use calibration::Intrinsics;
@@ -45,6 +53,8 @@ pub struct Imported {
     pub images: usize,
     /// Poses.
     pub poses: usize,
+    /// Label images.
+    pub labels: usize,
 }
 
 /// The description of an import.
@@ -96,12 +106,18 @@ pub struct CameraImport {
     /// Distortion coefficients.
     #[serde(default)]
     pub distortion: Vec<f64>,
-    /// From the frame of the extrinsic calibration into the camera's. Give this or `vehicle_from_camera`.
+    /// From the frame of the extrinsic calibration into the camera's. Give this, or `vehicle_from_camera`, or neither.
     #[serde(default)]
     pub camera_from_reference: Option<Placement>,
     /// From the camera's frame into the vehicle's.
     #[serde(default)]
     pub vehicle_from_camera: Option<Placement>,
+    /// PNG files, or globs, with the classes of the images' pixels.
+    #[serde(default)]
+    pub labels: Vec<String>,
+    /// Names of the classes by pixel value; the same for all cameras that give them.
+    #[serde(default)]
+    pub classes: Option<ClassNames>,
 }
 
 /// A rigid transform, in one of three spellings.
@@ -182,7 +198,27 @@ impl ImageImport {
                 .collect();
         }
         let poses = poses::stamped(poses, &stamps)?;
-        log::write(out, &cameras, &poses)
+        log::write(out, &cameras, &poses, &self.classes()?)
+    }
+
+    /// The classes that the cameras give.
+    fn classes(&self) -> Result<Vec<String>, Fault> {
+        let mut given = self
+            .cameras
+            .iter()
+            .filter_map(|camera| camera.classes.as_ref());
+        let Some(first) = given.next() else {
+            return Ok(Vec::new());
+        };
+        let classes = first.read(&self.folder)?;
+        for other in given {
+            if other.read(&self.folder)? != classes {
+                return Err(Fault::user(
+                    "expected the same classes for all cameras, because a log has one list; found different ones",
+                ));
+            }
+        }
+        Ok(classes)
     }
 
     fn camera(
@@ -197,23 +233,38 @@ impl ImageImport {
         let stamps = self.stamps(files.len())?;
         let (width, height) = log::image_size(first)?;
         let intrinsics = match (&camera.calibration, &camera.intrinsics) {
-            (Some(file), None) => {
-                Intrinsics::read(&self.folder.join(file), camera.model.as_deref())?
+            (Some(file), None) => Some(Intrinsics::read(
+                &self.folder.join(file),
+                camera.model.as_deref(),
+            )?),
+            (None, Some(k)) => Some(Intrinsics::given(
+                camera.model.as_deref(),
+                k,
+                &camera.distortion,
+            )?),
+            (None, None) => None,
+            _ => {
+                return Err(Fault::user(
+                    "expected calibration or intrinsics, found both",
+                ));
             }
-            (None, Some(k)) => Intrinsics::given(camera.model.as_deref(), k, &camera.distortion)?,
-            _ => return Err(Fault::user("expected either calibration or intrinsics")),
         };
         let vehicle_from_camera = match (&camera.vehicle_from_camera, &camera.camera_from_reference)
         {
-            (Some(placement), None) => placement.read(&self.folder)?,
+            (Some(placement), None) => Some(placement.read(&self.folder)?),
             (None, Some(placement)) => {
-                vehicle_from_reference * placement.read(&self.folder)?.inverse()
+                Some(vehicle_from_reference * placement.read(&self.folder)?.inverse())
             }
+            (None, None) => None,
             _ => {
                 return Err(Fault::user(
-                    "expected either vehicle_from_camera or camera_from_reference",
+                    "expected vehicle_from_camera or camera_from_reference, found both",
                 ));
             }
+        };
+        let labels = match camera.labels.as_slice() {
+            [] => Vec::new(),
+            globs => labels::of_images(&files, &stamps, self.files(globs)?, (width, height))?,
         };
         Ok(log::Camera {
             name: camera.name.clone(),
@@ -222,6 +273,7 @@ impl ImageImport {
             intrinsics,
             vehicle_from_camera,
             images: stamps.into_iter().zip(files).collect(),
+            labels,
         })
     }
 

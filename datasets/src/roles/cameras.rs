@@ -34,7 +34,7 @@ impl CameraNames {
 }
 
 /// Last parts of a topic that say what is sent, not who sends it.
-const KINDS: [&str; 12] = [
+const KINDS: [&str; 14] = [
     "compressed",
     "compressed_image",
     "image",
@@ -47,6 +47,8 @@ const KINDS: [&str; 12] = [
     "camera_info",
     "calibration",
     "raw",
+    "labels",
+    "depth",
 ];
 
 /// A topic without the last parts that say what is sent, and without the slash in front: `/front/image_raw/compressed`
