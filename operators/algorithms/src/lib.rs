@@ -19,9 +19,12 @@
 //! | [`mapping`] | association, triangulation and adjustment in turns, until a map is accurate |
 //! | [`matching`] | descriptors to descriptors |
 //! | [`permutohedral`] | Gaussian filters in many dimensions |
+//! | [`pixel_classifier`] | scores of classes over an image, by a random forest |
+//! | [`pixel_features`] | what a classifier of pixels sees: dense SIFT, colour, context |
 //! | [`places`] | a binary vocabulary, and keyframes that look alike |
 //! | [`pose_graph`] | odometry and loops relaxed into consistent poses |
 //! | [`relocation`] | where in a map a view was taken, by the graph of what it shows, and how well a method tells |
+//! | [`random_forest`] | decision trees over bytes, learnt and read fast |
 //! | [`resection`] | a rig's pose from points and rays, with outliers |
 //! | [`temporal_votes`] | what neighbouring views say about a view's pixels |
 //! | [`tracking`] | features followed through a camera's keyframes |
@@ -46,9 +49,12 @@ pub mod localisation;
 pub mod mapping;
 pub mod matching;
 pub mod permutohedral;
+pub mod pixel_classifier;
+pub mod pixel_features;
 pub mod places;
 pub mod pose;
 pub mod pose_graph;
+pub mod random_forest;
 pub mod relocation;
 pub mod resection;
 pub mod rig;
@@ -59,5 +65,6 @@ pub mod tiles;
 pub mod tracking;
 pub mod trajectory;
 
+mod random;
 #[cfg(test)]
 mod shared_data;

@@ -25,6 +25,7 @@ macro_rules! operators {
 // Sorted by file name; a test compares the list with the folder.
 operators! {
     bundle_adjustment::BundleAdjustment,
+    class_scores::ClassScoring,
     crf_settings::CrfSettings,
     features::Features,
     frame_poses::FramePoses,
@@ -38,6 +39,8 @@ operators! {
     loop_closures::LoopClosures,
     map_frames::MapFrames,
     overhead_tiles::OverheadTiles,
+    pixel_forest::PixelForest,
+    pixel_samples::PixelSampling,
     pose_graph::PoseGraph,
     recorded_labels::RecordedLabels,
     road_network::RoadNetwork,

@@ -1,5 +1,6 @@
 //! Layers of the semantic map: labels of pixels, what labels them, graphs of views, and where views were found.
 
+use crate::layers::Source;
 use crate::{Bytes, ImageRef, LayerRow, Stamp, record};
 
 record! {
@@ -70,6 +71,8 @@ record! {
         classes: Vec<String>,
         /// What the features are, as JSON: predictions must compute the same ones.
         features: String,
+        /// Labelled pixels of each class in the image, whether sampled or not.
+        class_pixels: Vec<u64>,
         /// Number of features of each sample.
         dimensions: u32,
         /// Class of each sample, an index into `classes`.
@@ -113,8 +116,10 @@ record! {
         nodes: Vec<TreeNode>,
         /// Probability of each class at each leaf, one leaf after the other.
         distributions: Vec<f32>,
-        /// Share of each class in the samples, before weights.
+        /// Share of each class among the labelled pixels.
         priors: Vec<f32>,
+        /// What it has not seen, though the forest was learnt from it: its scores there are as of new images.
+        held_out: Vec<Source>,
     }
 }
 impl LayerRow for DecisionTree {

@@ -2,10 +2,10 @@
 
 use super::ResectionOptions;
 use super::minimal;
-use super::random::SplitMix64;
 use super::refinement::adjust;
 use super::sight::{Frame, Sight};
 use crate::pose::Pose;
+use crate::random::SplitMix64;
 
 /// A pose with its score.
 pub(super) struct Consensus {

@@ -9,7 +9,6 @@ mod chance;
 mod consensus;
 mod minimal;
 mod polynomial;
-mod random;
 mod refinement;
 mod sight;
 #[cfg(test)]

@@ -1,6 +1,6 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-use super::random::SplitMix64;
 use super::*;
+use crate::random::SplitMix64;
 use nalgebra::{UnitQuaternion, Vector6};
 use proptest::prelude::*;
 use std::f64::consts::{FRAC_PI_2, TAU};

@@ -1,0 +1,145 @@
+//! Which features there are: what a model must carry, so that predictions see what training saw.
+
+use serde::{Deserialize, Serialize};
+
+use super::{CHANNELS, sift};
+
+/// A square of pixels beside the pixel that is described.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Window {
+    /// Columns from the pixel to the window's centre.
+    pub du: i32,
+    /// Rows from the pixel to the window's centre.
+    pub dv: i32,
+    /// The window is `2 half + 1` pixels wide and high.
+    pub half: u32,
+}
+
+/// Which features a pixel has, in this order: SIFT at each bin size (128 values each), eight means of each window (L*,
+/// a*, b*, red and green chromaticity, gradients along both axes, deviation of L*), the row, and, unless the image wraps, the column.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FeatureDescription {
+    /// Side of a SIFT bin, px, once per scale; a descriptor has 4 × 4 bins.
+    pub sift_bins_px: Vec<u32>,
+    /// Where colour and texture are averaged.
+    pub windows: Vec<Window>,
+    /// The last column is next to the first: full panoramas.
+    pub wraps: bool,
+}
+
+/// Why features cannot be computed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum FeatureError {
+    /// A number of the description is out of range.
+    #[error("features: expected {what}, found {found}")]
+    Range {
+        /// What must hold.
+        what: &'static str,
+        /// What was found.
+        found: u64,
+    },
+    /// Labels of an image of another size.
+    #[error("expected labels of {expected} pixels, found {found}")]
+    Labels {
+        /// Pixels of the image.
+        expected: usize,
+        /// Labels given.
+        found: usize,
+    },
+}
+
+impl Default for FeatureDescription {
+    /// What paid for itself on street scenes of 480 × 360.
+    fn default() -> Self {
+        let mut windows = centred(&[0, 2, 6, 16]);
+        windows.extend(rings(&[(14, 4), (36, 9), (80, 18)]));
+        Self {
+            sift_bins_px: vec![4, 8],
+            windows,
+            wraps: false,
+        }
+    }
+}
+
+impl FeatureDescription {
+    /// Number of values of a pixel.
+    pub fn dimensions(&self) -> usize {
+        self.sift_bins_px.len() * sift::DIMENSIONS
+            + self.windows.len() * CHANNELS
+            + if self.wraps { 1 } else { 2 }
+    }
+
+    /// Whether the features can be computed, and are no more than a tree can name.
+    ///
+    /// # Errors
+    /// [`FeatureError::Range`].
+    pub fn check(&self) -> Result<(), FeatureError> {
+        let range = |what, found: u64, good: bool| match good {
+            true => Ok(()),
+            false => Err(FeatureError::Range { what, found }),
+        };
+        for bin in &self.sift_bins_px {
+            // Sums of 32⁴ weights still fit 32 bits.
+            range(
+                "SIFT bins of 1 to 32 px",
+                (*bin).into(),
+                (1..=32).contains(bin),
+            )?;
+        }
+        for window in &self.windows {
+            range(
+                "windows of at most 120 px to each side",
+                window.half.into(),
+                window.half <= 120,
+            )?;
+            let furthest = window.du.unsigned_abs().max(window.dv.unsigned_abs());
+            range(
+                "windows at most 65535 px away",
+                furthest.into(),
+                furthest <= 65_535,
+            )?;
+        }
+        let most = self.sift_bins_px.len().max(self.windows.len());
+        range(
+            "at most 1000 windows and scales each",
+            most as u64,
+            most <= 1000,
+        )?;
+        let dimensions = self.dimensions();
+        let good = (1..=32_768).contains(&dimensions);
+        range("1 to 32768 features", dimensions as u64, good)
+    }
+}
+
+/// Windows about the pixel itself.
+fn centred(halves: &[u32]) -> Vec<Window> {
+    halves
+        .iter()
+        .map(|&half| Window { du: 0, dv: 0, half })
+        .collect()
+}
+
+/// Eight windows on each ring of (radius, half).
+fn rings(rings: &[(i32, u32)]) -> Vec<Window> {
+    let around = [
+        (1, 0),
+        (1, 1),
+        (0, 1),
+        (-1, 1),
+        (-1, 0),
+        (-1, -1),
+        (0, -1),
+        (1, -1),
+    ];
+    rings
+        .iter()
+        .flat_map(|&(radius, half)| {
+            around.iter().map(move |&(du, dv)| Window {
+                du: du * radius,
+                dv: dv * radius,
+                half,
+            })
+        })
+        .collect()
+}
