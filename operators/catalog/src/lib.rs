@@ -25,6 +25,7 @@ macro_rules! operators {
 // Sorted by file name; a test compares the list with the folder.
 operators! {
     bundle_adjustment::BundleAdjustment,
+    class_index::ClassIndex,
     class_scores::ClassScoring,
     crf_settings::CrfSettings,
     features::Features,
@@ -43,9 +44,11 @@ operators! {
     pixel_samples::PixelSampling,
     pose_graph::PoseGraph,
     recorded_labels::RecordedLabels,
+    relocations::Relocations,
     road_network::RoadNetwork,
     temporal_scores::TemporalScores,
     tracks::Tracks,
+    views::Views,
     word_relocations::WordRelocations,
 }
 

@@ -376,8 +376,8 @@ record! {
         map_camera: String,
         /// The map's view.
         map_view: String,
-        /// From 0 (nothing in common) to 1 (the same): of graphs, matched areas over the query's areas; of words, the
-        /// L1 score.
+        /// From 0 (nothing in common) to 1 (the same): of graphs, how much the query's areas are matched, by their sizes
+        /// and by how small the differences are; of words, the L1 score.
         score: f64,
         /// Of graphs, σ = exp(1 - N/Nm) with N areas in the query and Nm matched, 1 at best and 0 without a match
         /// (paper 3); of words, the score again.

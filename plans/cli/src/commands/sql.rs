@@ -7,7 +7,7 @@ use arrow::datatypes::SchemaRef;
 use datafusion::error::DataFusionError;
 use datafusion::prelude::SessionContext;
 use datafusion::sql::parser::{DFParserBuilder, Statement};
-use datafusion::sql::sqlparser::dialect::GenericDialect;
+use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
 use evermap_datasets::Dataset;
 use evermap_engine::error::fault_of;
 use evermap_engine::map::{LayerInfo, Map, RunRow, VersionInfo};
@@ -119,7 +119,7 @@ impl Tables {
 /// A user fault with what the parser says.
 pub fn statements(text: &str) -> Result<Vec<Statement>, Fault> {
     let parsed = DFParserBuilder::new(text)
-        .with_dialect(&GenericDialect {})
+        .with_dialect(&PostgreSqlDialect {})
         .build()
         .and_then(|mut parser| parser.parse_statements());
     let parsed = parsed.map_err(|error| match error.find_root() {

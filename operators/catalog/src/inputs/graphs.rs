@@ -1,0 +1,111 @@
+//! Graphs of views between rows and algorithms.
+
+use std::collections::BTreeSet;
+
+use evermap_algorithms::semantic_graph::{Area, Edge, Graph, VOID};
+use evermap_schemas::layers::{SemanticArea, SemanticEdge, SemanticGraph, View};
+
+use super::rig::Reason;
+
+/// Names of classes with their numbers.
+#[derive(Default)]
+pub(crate) struct ClassNames {
+    /// In the order of the alphabet.
+    names: Vec<String>,
+}
+
+impl ClassNames {
+    /// The classes of views, in the order of the alphabet; of more than 255 the first.
+    pub(crate) fn of(views: &[View]) -> Self {
+        let areas = views.iter().flat_map(|view| &view.graph.areas);
+        let names: BTreeSet<&String> = areas.map(|area| &area.class).collect();
+        let names = names.into_iter().take(usize::from(VOID)).cloned();
+        Self {
+            names: names.collect(),
+        }
+    }
+
+    /// Number of classes.
+    pub(crate) fn len(&self) -> u8 {
+        self.names.len() as u8
+    }
+
+    /// The number of a class.
+    pub(crate) fn number(&self, name: &str) -> Option<u8> {
+        let found = self
+            .names
+            .binary_search_by(|known| known.as_str().cmp(name));
+        found.ok().map(|number| number as u8)
+    }
+
+    /// The name of a class; empty for a number that there is not.
+    pub(crate) fn name(&self, number: usize) -> &str {
+        self.names.get(number).map_or("", String::as_str)
+    }
+
+    /// A view's graph. Areas of classes without a number are of class [`VOID`]: nothing is like them.
+    ///
+    /// # Errors
+    /// When the row describes no graph.
+    pub(crate) fn graph(&self, row: &SemanticGraph) -> Result<Graph, Reason> {
+        let number = row.areas.len();
+        let known = |edge: &SemanticEdge| usize::from(edge.a.max(edge.b)) < number;
+        if !row.edges.iter().all(known) {
+            return Err("graph has edges to areas that it does not have");
+        }
+        if number > 0 && (row.width == 0 || row.height == 0) {
+            return Err("graph of a view without pixels has areas");
+        }
+        let area = |area: &SemanticArea| Area {
+            class: self.number(&area.class).unwrap_or(VOID),
+            pixels: area.pixels,
+            u: area.u,
+            v: area.v,
+            major_px: area.major_px,
+            minor_px: area.minor_px,
+            orientation_rad: area.orientation_rad,
+            eccentricity: area.eccentricity,
+        };
+        let edge = |edge: &SemanticEdge| Edge {
+            a: edge.a,
+            b: edge.b,
+            boundary_px: edge.boundary_px,
+        };
+        Ok(Graph {
+            width: row.width,
+            height: row.height,
+            wraps: row.wraps,
+            areas: row.areas.iter().map(area).collect(),
+            edges: row.edges.iter().map(edge).collect(),
+        })
+    }
+}
+
+/// The row of a graph whose classes are indices into a list.
+pub(crate) fn row(graph: &Graph, classes: &[String]) -> SemanticGraph {
+    let area = |area: &Area| SemanticArea {
+        class: classes
+            .get(usize::from(area.class))
+            .cloned()
+            .unwrap_or_default(),
+        pixels: area.pixels,
+        u: area.u,
+        v: area.v,
+        major_px: area.major_px,
+        minor_px: area.minor_px,
+        orientation_rad: area.orientation_rad,
+        eccentricity: area.eccentricity,
+    };
+    let edge = |edge: &Edge| SemanticEdge {
+        a: edge.a,
+        b: edge.b,
+        boundary_px: edge.boundary_px,
+    };
+    SemanticGraph {
+        width: graph.width,
+        height: graph.height,
+        wraps: graph.wraps,
+        areas: graph.areas.iter().map(area).collect(),
+        edges: graph.edges.iter().map(edge).collect(),
+    }
+}
