@@ -91,54 +91,83 @@ fn image(message: &[u8]) -> (i64, Vec<u8>) {
     (stamp, data)
 }
 
-fn read(path: &std::path::Path) -> Visit {
-    let bytes = std::fs::read(path).unwrap();
-    let mut visit = Visit::default();
-    for message in mcap::MessageStream::new(&bytes).unwrap() {
-        let message = message.unwrap();
-        let data = &message.data;
-        match message.channel.topic.as_str() {
-            "/panorama/depth" => {
-                let (stamp, data) = image(data);
-                let (units, _) = data.as_chunks();
-                let depth = units.iter().map(|unit| u16::from_be_bytes(*unit)).collect();
-                visit.panoramas.entry(stamp).or_default().depth = depth;
+/// The messages of an MCAP log in the order of the file: chunks (opcode 6) hold channels (4) and messages (5).
+fn messages(
+    mut records: &[u8],
+    topics: &mut BTreeMap<u16, String>,
+    take: &mut dyn FnMut(&str, &[u8]),
+) {
+    let number =
+        |bytes: &[u8], at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+    let channel = |bytes: &[u8]| u16::from_le_bytes([bytes[0], bytes[1]]);
+    // A record's length takes eight bytes; nothing here is longer than 4 GiB.
+    while records.len() > 9 {
+        let (opcode, size) = (records[0], number(records, 1) as usize);
+        let record = &records[9..9 + size];
+        match opcode {
+            4 => {
+                let topic = &record[8..8 + number(record, 4) as usize];
+                let topic = std::str::from_utf8(topic).unwrap().to_owned();
+                topics.insert(channel(record), topic);
             }
-            "/panorama/labels" => {
-                let (stamp, data) = image(data);
-                visit.panoramas.entry(stamp).or_default().labels = data;
-            }
-            "/panorama/labels_noisy" => {
-                let (stamp, data) = image(data);
-                visit.panoramas.entry(stamp).or_default().noisy = data;
-            }
-            "/panorama/camera_info" => {
-                let mut cdr = Cdr::new(data);
-                cdr.header();
-                let (height, width) = (cdr.u32(), cdr.u32());
-                let model = cdr.bytes();
-                let model = std::str::from_utf8(&model[..model.len() - 1]).unwrap();
-                assert_eq!(cdr.u32(), 0, "no distortion");
-                let k: Vec<f64> = (0..9).map(|_| cdr.f64()).collect();
-                visit.camera = Camera::from_calibration(model, width, height, &k, &[]).ok();
-            }
-            "/odom" => {
-                let mut cdr = Cdr::new(data);
-                let stamp_ns = cdr.header();
-                cdr.bytes();
-                let pose = cdr.pose();
-                visit.odometry.push(StampedPose { stamp_ns, pose });
-            }
-            "/tf_static" => {
-                let mut cdr = Cdr::new(data);
-                assert_eq!(cdr.u32(), 1, "one transform: base_link to the camera");
-                cdr.header();
-                cdr.bytes();
-                visit.vehicle_from_camera = Some(cdr.pose());
+            5 => take(&topics[&channel(record)], &record[22..]),
+            6 => {
+                let name = number(record, 28) as usize;
+                assert_eq!(&record[32..32 + name], b"zstd");
+                let chunk = zstd::stream::decode_all(&record[32 + name + 8..]).unwrap();
+                messages(&chunk, topics, take);
             }
             _ => {}
         }
+        records = &records[9 + size..];
     }
+}
+
+fn read(path: &std::path::Path) -> Visit {
+    let bytes = std::fs::read(path).unwrap();
+    let mut visit = Visit::default();
+    let mut topics: BTreeMap<u16, String> = BTreeMap::new();
+    messages(&bytes[8..], &mut topics, &mut |topic, data| match topic {
+        "/panorama/depth" => {
+            let (stamp, data) = image(data);
+            let (units, _) = data.as_chunks();
+            let depth = units.iter().map(|unit| u16::from_be_bytes(*unit)).collect();
+            visit.panoramas.entry(stamp).or_default().depth = depth;
+        }
+        "/panorama/labels" => {
+            let (stamp, data) = image(data);
+            visit.panoramas.entry(stamp).or_default().labels = data;
+        }
+        "/panorama/labels_noisy" => {
+            let (stamp, data) = image(data);
+            visit.panoramas.entry(stamp).or_default().noisy = data;
+        }
+        "/panorama/camera_info" => {
+            let mut cdr = Cdr::new(data);
+            cdr.header();
+            let (height, width) = (cdr.u32(), cdr.u32());
+            let model = cdr.bytes();
+            let model = std::str::from_utf8(&model[..model.len() - 1]).unwrap();
+            assert_eq!(cdr.u32(), 0, "no distortion");
+            let k: Vec<f64> = (0..9).map(|_| cdr.f64()).collect();
+            visit.camera = Camera::from_calibration(model, width, height, &k, &[]).ok();
+        }
+        "/odom" => {
+            let mut cdr = Cdr::new(data);
+            let stamp_ns = cdr.header();
+            cdr.bytes();
+            let pose = cdr.pose();
+            visit.odometry.push(StampedPose { stamp_ns, pose });
+        }
+        "/tf_static" => {
+            let mut cdr = Cdr::new(data);
+            assert_eq!(cdr.u32(), 1, "one transform: base_link to the camera");
+            cdr.header();
+            cdr.bytes();
+            visit.vehicle_from_camera = Some(cdr.pose());
+        }
+        _ => {}
+    });
     visit
 }
 
