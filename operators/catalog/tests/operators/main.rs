@@ -11,6 +11,7 @@ mod keyframes;
 mod metric_map;
 mod mosaic;
 mod roads;
+mod words;
 
 use std::collections::BTreeMap;
 
