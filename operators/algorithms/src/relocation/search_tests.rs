@@ -158,7 +158,7 @@ proptest! {
         };
         let mut order: Vec<usize> = (0..index.len()).collect();
         order.sort_by_key(|leaf| (distance(*leaf), *leaf));
-        let mut expected = Vec::new();
+        let mut expected: Vec<u32> = Vec::new();
         for leaf in order {
             if expected.len() < wanted {
                 expected.extend(index.leaf(leaf).1.iter().filter(|view| **view % 3 > 0));
