@@ -73,7 +73,7 @@ impl Operator for TemporalScores {
     }
 
     fn kernel(params: TemporalScoresParams) -> Result<Kernel, Fault> {
-        if params.views % 2 == 0 || params.views > MOST_VIEWS {
+        if params.views.is_multiple_of(2) || params.views > MOST_VIEWS {
             return Err(Fault::user(format!(
                 "expected an odd number of views up to {MOST_VIEWS}, found {}",
                 params.views

@@ -82,11 +82,11 @@ impl RandomField {
     pub fn infer(&self, unary: &Unary, iterations: u32) -> Result<Marginals, CrfError> {
         self.fits(unary.classes * self.pixels(), unary.costs.len())?;
         let probabilities = match unary.classes {
-            ..=8 => self.run::<1>(unary, iterations),
-            ..=16 => self.run::<2>(unary, iterations),
-            ..=32 => self.run::<4>(unary, iterations),
-            ..=64 => self.run::<8>(unary, iterations),
-            ..=128 => self.run::<16>(unary, iterations),
+            0..=8 => self.run::<1>(unary, iterations),
+            9..=16 => self.run::<2>(unary, iterations),
+            17..=32 => self.run::<4>(unary, iterations),
+            33..=64 => self.run::<8>(unary, iterations),
+            65..=128 => self.run::<16>(unary, iterations),
             _ => self.run::<32>(unary, iterations),
         };
         Ok(Marginals {

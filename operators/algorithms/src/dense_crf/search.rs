@@ -1,6 +1,7 @@
 //! Kernels chosen by how well they label images whose classes are known.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 use rayon::prelude::*;
 
@@ -136,8 +137,8 @@ pub fn search(examples: &[Example<'_>], options: &SearchOptions) -> Result<Vec<T
             for direction in [step, -step] {
                 let mut there = here;
                 there[parameter] += direction;
-                if !tried.contains_key(&there) {
-                    tried.insert(there, trial(examples, options, there)?);
+                if let Entry::Vacant(untried) = tried.entry(there) {
+                    untried.insert(trial(examples, options, there)?);
                 }
                 if tried[&there].confusion.score() > tried[&best].confusion.score() {
                     best = there;

@@ -45,6 +45,8 @@ impl Unary {
     /// # Errors
     /// As [`Unary::new`].
     pub fn from_probabilities(classes: usize, probabilities: &[f32]) -> Result<Self, CrfError> {
+        // Not clamp, which would pass NaN on.
+        #[allow(clippy::manual_clamp)]
         let cost = |probability: &f32| -probability.max(LEAST_PROBABILITY).min(1.0).ln();
         Self::new(classes, probabilities.iter().map(cost).collect())
     }

@@ -297,7 +297,7 @@ fn checked<const V: usize>(coordinates: &[&[f32]]) -> Result<usize, LatticeError
     if positions >= 1 << 31 {
         return Err(LatticeError::Count { found: positions });
     }
-    let wild = |value: &&f32| !(value.abs() <= MOST_CELLS);
+    let wild = |value: &&f32| value.is_nan() || value.abs() > MOST_CELLS;
     match coordinates.iter().copied().flatten().find(wild) {
         Some(&found) => Err(LatticeError::Position { found }),
         None => Ok(positions),
