@@ -5,7 +5,7 @@
 //! cargo run --release --example camvid -p evermap-algorithms -- TRAINING_FOLDER --test TEST_FOLDER
 //! ```
 //! `--dump FOLDER` only writes the samples, for `tests/peers/pixel_forest.py`. Folds are contiguous parts of each sequence, or every n-th frame with `--interleaved`. The prior power and the weight of
-//! the appearance kernel are those that do best on training frames, each scored by trees that have not seen its part of
+//! the kernels are those that do best on training frames, each scored by trees that have not seen its part of
 //! the drive: no test frame is looked at.
 #![allow(
     clippy::print_stdout,
@@ -39,7 +39,8 @@ const CLASSES: [&str; 11] = [
     "bicyclist",
 ];
 const POWERS: [f64; 9] = [-0.5, -0.4, -0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.4];
-const APPEARANCE_WEIGHTS: [f64; 2] = [3.0, 8.0];
+/// Of both kernels.
+const WEIGHTS: [f64; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
 /// Training frames on which the field's parameters are chosen, every n-th.
 const CHOICE_STEP: usize = 9;
 
@@ -312,26 +313,22 @@ fn likeliest(probabilities: &[f32]) -> Vec<u8> {
         .collect()
 }
 
-fn by_field(frame: &Frame, probabilities: &[f32], appearance_weight: f64) -> Vec<u8> {
+fn by_field(frame: &Frame, probabilities: &[f32], weight: f64) -> Vec<u8> {
     let kernels = Kernels {
         appearance_px: 50.0,
         appearance_colour: 10.0,
-        appearance_weight,
+        appearance_weight: weight,
         smoothness_px: 3.0,
-        smoothness_weight: 3.0,
+        smoothness_weight: weight,
     };
     let unary = Unary::from_probabilities(CLASSES.len(), probabilities).unwrap();
     let field = RandomField::new(&frame.image(), &kernels, false).unwrap();
     likeliest(&field.infer(&unary, ITERATIONS).unwrap().probabilities)
 }
 
-/// The prior power and appearance weight that do best on training frames scored by trees that have not seen them.
+/// The prior power and weight of the kernels that do best on training frames scored by trees that have not seen them.
 fn chosen(frames: &[&Frame], model: &Model, arguments: &Arguments) -> (f64, f64) {
-    let weights: &[f64] = if arguments.field {
-        &APPEARANCE_WEIGHTS
-    } else {
-        &[0.0]
-    };
+    let weights: &[f64] = if arguments.field { &WEIGHTS } else { &[0.0] };
     let settings: Vec<(f64, f64)> = POWERS[..7]
         .iter()
         .step_by(if arguments.field { 2 } else { 1 })
@@ -386,7 +383,7 @@ struct Results {
 fn judge(training: &[&Frame], test: &[&Frame], arguments: &Arguments, results: &mut [Results; 3]) {
     let model = learn(training, arguments);
     let (power, weight) = chosen(training, &model, arguments);
-    eprintln!("chosen on training frames: prior power {power}, appearance weight {weight}");
+    eprintln!("chosen on training frames: prior power {power}, weight {weight}");
     let scoring = Instant::now();
     let scores: Vec<_> = test
         .iter()

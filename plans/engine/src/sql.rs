@@ -3,7 +3,6 @@
 use std::collections::HashSet;
 use std::sync::Arc;
 
-use datafusion::common::config::Dialect;
 use datafusion::execution::memory_pool::FairSpillPool;
 use datafusion::execution::runtime_env::RuntimeEnvBuilder;
 use datafusion::logical_expr::LogicalPlan;
@@ -31,10 +30,6 @@ impl Default for Limits {
     }
 }
 
-/// How queries are written. The generic dialect would take `SELECT session, view FROM views` for a list with a comma at
-/// its end.
-const DIALECT: Dialect = Dialect::PostgreSQL;
-
 /// Rows per batch, unless rows are heavy.
 pub const BATCH_ROWS: usize = 8192;
 
@@ -60,7 +55,6 @@ pub fn context_with(limits: Limits, batch_rows: usize) -> Result<SessionContext,
     options.execution.parquet.schema_force_view_types = false;
     options.execution.parquet.pushdown_filters = true;
     options.sql_parser.map_string_types_to_utf8view = false;
-    options.sql_parser.dialect = DIALECT;
     let runtime = RuntimeEnvBuilder::new()
         .with_memory_pool(Arc::new(FairSpillPool::new(limits.memory_bytes)))
         .build_arc()
@@ -89,8 +83,9 @@ pub async fn read_only(context: &SessionContext, query: &str) -> Result<DataFram
 /// The parser's sentence.
 pub fn tables(query: &str) -> Result<Vec<String>, String> {
     let state = SessionContext::new().state();
+    let dialect = state.config().options().sql_parser.dialect;
     let statement = state
-        .sql_to_statement(query, &DIALECT)
+        .sql_to_statement(query, &dialect)
         .map_err(|error| fault_of(&error).message)?;
     let references = state
         .resolve_table_references(&statement)

@@ -1,4 +1,5 @@
-//! Scores of many samples at once, laid out for the cache: tree by tree, samples side by side.
+//! Scores of many samples at once, laid out for the cache: a block of samples that stays in it, tree by tree, several
+//! samples side by side.
 
 use super::tree::{Tree, TreeError};
 
@@ -13,6 +14,10 @@ struct Packed {
 
 /// Samples that walk down a tree side by side, so that one's wait for memory is the others' work.
 const LANES: usize = 16;
+
+/// Bytes of the samples that all trees see before the next ones come: half of a small second-level cache, of which a
+/// tree takes the rest.
+const BLOCK_BYTES: usize = 128 << 10;
 
 #[derive(Debug, Clone)]
 struct PackedTree {
@@ -69,9 +74,10 @@ impl Forest {
         let held_out = |tree: &&PackedTree| block.is_some() && tree.held_out == block;
         let any = self.trees.iter().any(|tree| held_out(&tree));
         let chosen = || self.trees.iter().filter(|tree| !any || held_out(tree));
-        for tree in chosen() {
-            let groups = values.chunks(LANES * self.dimensions);
-            for (values, scores) in groups.zip(scores.chunks_mut(LANES * self.classes)) {
+        let block = (BLOCK_BYTES / self.dimensions).max(LANES);
+        let blocks = values.chunks(block * self.dimensions);
+        for (values, scores) in blocks.zip(scores.chunks_mut(block * self.classes)) {
+            for tree in chosen() {
                 tree.add(values, self.dimensions, scores, self.classes);
             }
         }
@@ -102,44 +108,51 @@ impl PackedTree {
         }
     }
 
-    /// Adds the distributions of up to [`LANES`] samples.
+    /// Adds the distributions of the samples' leaves. As soon as a sample has come to its leaf, the next one starts.
     fn add(&self, values: &[u8], dimensions: usize, scores: &mut [f32], classes: usize) {
-        let mut at = [0_u32; LANES];
-        let samples = (values.len() / dimensions).min(scores.len() / classes);
-        if samples == LANES {
-            self.walk(&mut at, values, dimensions);
-        } else {
-            for (at, sample) in at.iter_mut().zip(values.chunks_exact(dimensions)) {
-                self.walk(std::array::from_mut(at), sample, dimensions);
-            }
-        }
-        for (at, scores) in at
-            .iter()
-            .zip(scores.chunks_exact_mut(classes))
-            .take(samples)
-        {
-            let leaf = self.leaves[*at as usize] as usize;
-            let distribution = &self.distributions[leaf * classes..(leaf + 1) * classes];
-            for (score, p) in scores.iter_mut().zip(distribution) {
-                *score += p;
+        let count = (values.len() / dimensions).min(scores.len() / classes);
+        let mut lanes: [Lane; LANES] = std::array::from_fn(|sample| Lane { node: 0, sample });
+        let mut started = LANES;
+        let mut walking = count.min(LANES);
+        while walking > 0 {
+            let mut lane = 0;
+            while lane < walking {
+                let Lane { node: at, sample } = lanes[lane];
+                let node = self.nodes[at as usize];
+                if node.left != at {
+                    let value = values[sample * dimensions + usize::from(node.feature)];
+                    lanes[lane].node = node.left + u32::from(value > node.threshold);
+                    lane += 1;
+                    continue;
+                }
+                self.add_leaf(at, &mut scores[sample * classes..(sample + 1) * classes]);
+                if started < count {
+                    lanes[lane] = Lane {
+                        node: 0,
+                        sample: started,
+                    };
+                    started += 1;
+                } else {
+                    walking -= 1;
+                    lanes[lane] = lanes[walking];
+                }
             }
         }
     }
 
-    /// Takes each sample from the root to its leaf, all of them one level at a time.
-    fn walk<const N: usize>(&self, at: &mut [u32; N], values: &[u8], dimensions: usize) {
-        loop {
-            let mut moved = 0;
-            for (lane, at) in at.iter_mut().enumerate() {
-                let node = self.nodes[*at as usize];
-                let value = values[lane * dimensions + usize::from(node.feature)];
-                let next = node.left + u32::from(value > node.threshold);
-                moved |= next ^ *at;
-                *at = next;
-            }
-            if moved == 0 {
-                return;
-            }
+    fn add_leaf(&self, node: u32, scores: &mut [f32]) {
+        let leaf = self.leaves[node as usize] as usize;
+        let classes = scores.len();
+        let distribution = &self.distributions[leaf * classes..(leaf + 1) * classes];
+        for (score, p) in scores.iter_mut().zip(distribution) {
+            *score += p;
         }
     }
+}
+
+/// A sample on its way down a tree.
+#[derive(Debug, Clone, Copy)]
+struct Lane {
+    node: u32,
+    sample: usize,
 }

@@ -102,13 +102,16 @@ fn no_view_is_found_as_itself() {
     let [first, _] = street();
     let (rows, _) = found(json!({}), &first, &first);
     assert!(rows.is_empty());
-    let (rows, _) = found(json!({"within_session": true, "top": 2}), &first, &first);
+    // Few features are shared by neighbours: words must be coarse enough for both sightings to fall into one.
+    let params = json!({"within_session": true, "top": 2, "branching": 8, "depth": 3});
+    let (rows, _) = found(params, &first, &first);
     assert!(
         rows.iter()
             .all(|row| row.map_stamp != row.stamp && row.rank < 2)
     );
     let beside = |row: &&Relocation| row.rank == 0 && (row.stamp.0 - row.map_stamp.0).abs() == 1;
-    assert!(rows.iter().filter(beside).count() >= 28);
+    let right = rows.iter().filter(beside).count();
+    assert!(right >= 28, "{right} of 30");
 }
 
 #[test]

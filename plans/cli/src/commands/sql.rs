@@ -7,7 +7,7 @@ use arrow::datatypes::SchemaRef;
 use datafusion::error::DataFusionError;
 use datafusion::prelude::SessionContext;
 use datafusion::sql::parser::{DFParserBuilder, Statement};
-use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
+use datafusion::sql::sqlparser::dialect::GenericDialect;
 use evermap_datasets::Dataset;
 use evermap_engine::error::fault_of;
 use evermap_engine::map::{LayerInfo, Map, RunRow, VersionInfo};
@@ -119,13 +119,19 @@ impl Tables {
 /// A user fault with what the parser says.
 pub fn statements(text: &str) -> Result<Vec<Statement>, Fault> {
     let parsed = DFParserBuilder::new(text)
-        .with_dialect(&PostgreSqlDialect {})
+        .with_dialect(&GenericDialect {})
         .build()
         .and_then(|mut parser| parser.parse_statements());
     let parsed = parsed.map_err(|error| match error.find_root() {
         DataFusionError::SQL(error, _) => {
             let text = error.to_string();
-            Fault::user(text.trim_start_matches("sql parser error: "))
+            let fault = Fault::user(text.trim_start_matches("sql parser error: "));
+            match text.contains("found: view") {
+                true => {
+                    fault.next("VIEW is a word of SQL: after a comma, write the column as \"view\"")
+                }
+                false => fault,
+            }
         }
         _ => fault_of(&error),
     });
@@ -172,6 +178,13 @@ async fn all(tables: &Tables, text: &str, args: &SqlArgs) -> Result<(), Failure>
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+
+    #[test]
+    fn a_column_that_is_a_word_of_sql_is_explained() {
+        let fault = statements("SELECT session, view FROM views").unwrap_err();
+        assert!(fault.to_string().contains("\"view\""), "{fault}");
+        assert!(statements("SELECT session, \"view\" FROM views").is_ok());
+    }
 
     #[test]
     fn semicolons_in_quotes_and_comments_end_nothing() {
