@@ -9,6 +9,7 @@
     clippy::print_stderr
 )]
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use evermap_tests::trajectories::{rows, truth};
@@ -217,4 +218,78 @@ fn a_simulated_street_is_mapped_from_its_labels() {
     let best = rows(&map, None, "SELECT view FROM relocations WHERE rank = 0");
     assert!(names(&best).iter().all(|view| view.starts_with("visit_b/")));
     assert!(best.len() > 20, "{}", best.len());
+}
+
+/// Label images of a map, pixel by pixel, by stamp.
+fn labels(map: &Path) -> BTreeMap<i64, Vec<u8>> {
+    let query = "SELECT CAST(stamp AS BIGINT) AS at, encode(png, 'hex') AS png FROM label_images";
+    let decoded = |row: &Value| {
+        let hex = row["png"].as_str().unwrap();
+        let bytes = (0..hex.len())
+            .step_by(2)
+            .map(|at| u8::from_str_radix(&hex[at..at + 2], 16));
+        let bytes = bytes.collect::<Result<Vec<_>, _>>().unwrap();
+        let mut image = png::Decoder::new(std::io::Cursor::new(bytes))
+            .read_info()
+            .unwrap();
+        let mut pixels = vec![0; image.output_buffer_size().unwrap()];
+        image.next_frame(&mut pixels).unwrap();
+        (row["at"].as_i64().unwrap(), pixels)
+    };
+    rows(map, None, query).iter().map(decoded).collect()
+}
+
+#[test]
+fn labels_are_learnt_and_given_to_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let street = path("street");
+    let mut arguments = vec![
+        "simulate",
+        "street",
+        "--out",
+        text(&street),
+        "--progress",
+        "none",
+    ];
+    for setting in [
+        "length_m=120",
+        "spacing_m=5",
+        "width_px=512",
+        "height_px=166",
+        "visits=1",
+    ] {
+        arguments.extend(["--set", setting]);
+    }
+    evermap(&arguments).expect(0);
+    let log = street.join("visit_a/visit_a.mcap");
+    let (given, learnt) = (path("given"), path("learnt"));
+    run("semantic_map", &given, &["--sessions", text(&log)]).expect(0);
+    let mut more = vec!["--sessions", text(&log)];
+    for setting in [
+        "samples.samples=500",
+        "samples.wraps=true",
+        "pixel_forest.trees=10",
+        "crf_settings.trials=1",
+        "crf_settings.images=2",
+        "label_images.wraps=true",
+    ] {
+        more.extend(["--set", setting]);
+    }
+    run("scene_labels", &learnt, &more).expect(0);
+    let (given, learnt) = (labels(&given), labels(&learnt));
+    assert!(given.len() > 15 && given.keys().eq(learnt.keys()));
+    let mut right = 0;
+    let mut all = 0;
+    for (stamp, truth) in &given {
+        all += truth.len();
+        right += truth
+            .iter()
+            .zip(&learnt[stamp])
+            .filter(|(a, b)| a == b)
+            .count();
+    }
+    let share = right as f64 / all as f64;
+    eprintln!("pixels right: {share:.3} in {} views", given.len());
+    assert!(share > 0.8, "{share}");
 }
