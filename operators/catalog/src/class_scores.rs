@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use arrow::array::{Array, AsArray, BinaryArray, RecordBatch};
+use arrow::array::RecordBatch;
 use evermap_algorithms::dense_crf::ColourView;
 use evermap_algorithms::pixel_classifier::{PixelClassifier, quantised};
 use evermap_algorithms::pixel_features::FeatureDescription;
@@ -10,12 +10,12 @@ use evermap_algorithms::random_forest::{Node, Tree, prior_factors, with_priors};
 use evermap_contract::{Emit, Fault, Grain, Kernel, MapKernel, Mapper, Operator, Port, Sides};
 use evermap_schemas::layers::{ClassScores, DecisionTree, Source};
 use evermap_schemas::roles::Frame;
-use evermap_schemas::{Bytes, Stamp, record, rows};
+use evermap_schemas::{Bytes, Stamp, record};
 use evermap_vision::{Decoder, Rgb};
-use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::images::each_image;
 use crate::inputs::rig::Reason;
 
 /// See the module's page.
@@ -195,33 +195,10 @@ record! {
 
 impl Mapper for Scorer {
     fn map(&self, batch: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        let images = batch
-            .column_by_name("image")
-            .and_then(|column| column.as_binary_opt::<i32>())
-            .ok_or_else(|| Fault::bug("port frames comes without its pixels"))?;
-        let looks: Vec<_> = rows::<Look>(batch)?.into_iter().enumerate().collect();
-        let found: Vec<Result<ClassScores, Reason>> = looks
-            .into_par_iter()
-            .map_init(Rgb::default, |rgb, (index, look)| {
-                self.row(look, bytes(images, index)?, rgb)
-            })
-            .collect();
-        let mut rows = Vec::with_capacity(found.len());
-        for row in found {
-            match row {
-                Ok(row) => rows.push(row),
-                Err(reason) => emit.skip(reason, 1),
-            }
-        }
-        emit.rows(rows)
+        each_image(batch, "frames", emit, |look, bytes, rgb| {
+            self.row(look, bytes, rgb)
+        })
     }
-}
-
-fn bytes(images: &BinaryArray, index: usize) -> Result<&[u8], Reason> {
-    if images.is_null(index) {
-        return Err("image is missing");
-    }
-    Ok(images.value(index))
 }
 
 impl Scorer {

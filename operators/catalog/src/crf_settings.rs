@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use arrow::array::{Array, AsArray, RecordBatch};
+use arrow::array::{Array, RecordBatch};
 use evermap_algorithms::class_scores::ScoresView;
 use evermap_algorithms::dense_crf::{
     ColourView, Example, ITERATIONS, Kernels, MOST_CLASSES, SearchOptions, Trial, Unary, search,
@@ -14,6 +14,7 @@ use evermap_vision::{Decoder, Rgb, decode_labels};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::images::images;
 use crate::inputs::rig::Reason;
 
 /// See the module's page.
@@ -115,10 +116,7 @@ struct Collector {
 
 impl Group for Collector {
     fn push(&mut self, batch: &RecordBatch, _: &mut Emit<'_>) -> Result<(), Fault> {
-        let images = batch
-            .column_by_name("image")
-            .and_then(|column| column.as_binary_opt::<i32>())
-            .ok_or_else(|| Fault::bug("port labelled comes without its pixels"))?;
+        let images = images(batch, "labelled")?;
         let truths = rows::<Truth>(batch)?;
         let both = rows::<ClassScores>(batch)?.into_iter().zip(truths);
         for (index, (scores, truth)) in both.enumerate() {

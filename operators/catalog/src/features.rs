@@ -2,15 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use arrow::array::{Array, AsArray, BinaryArray, RecordBatch};
+use arrow::array::RecordBatch;
 use evermap_contract::{Emit, Fault, Grain, Kernel, MapKernel, Mapper, Operator, Port, Sides};
 use evermap_schemas::layers::{Features as FeaturesRow, FrameImage};
-use evermap_schemas::{Bytes, Stamp, record, rows};
+use evermap_schemas::{Bytes, Stamp, record};
 use evermap_vision::{Blind, Decoder, FeatureParams, Grey, features};
-use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::images::each_image;
 use crate::inputs::rig::{Reason, frame};
 
 /// See the module's page.
@@ -136,33 +136,10 @@ struct Finder {
 
 impl Mapper for Finder {
     fn map(&self, batch: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        let images = batch
-            .column_by_name("image")
-            .and_then(|column| column.as_binary_opt::<i32>())
-            .ok_or_else(|| Fault::bug("port images comes without its pixels"))?;
-        let looks: Vec<_> = rows::<Look>(batch)?.into_iter().enumerate().collect();
-        let found: Vec<Result<FeaturesRow, Reason>> = looks
-            .into_par_iter()
-            .map_init(Grey::default, |grey, (index, look)| {
-                self.row(look, bytes(images, index)?, grey)
-            })
-            .collect();
-        let mut rows = Vec::with_capacity(found.len());
-        for row in found {
-            match row {
-                Ok(row) => rows.push(row),
-                Err(reason) => emit.skip(reason, 1),
-            }
-        }
-        emit.rows(rows)
+        each_image(batch, "images", emit, |look, bytes, grey| {
+            self.row(look, bytes, grey)
+        })
     }
-}
-
-fn bytes(images: &BinaryArray, index: usize) -> Result<&[u8], Reason> {
-    if images.is_null(index) {
-        return Err("image is missing");
-    }
-    Ok(images.value(index))
 }
 
 impl Finder {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_2;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use arrow::array::{Array, AsArray, BinaryArray, RecordBatch};
+use arrow::array::{Array, RecordBatch};
 use evermap_algorithms::camera::{BrownConrady, Camera, Model, Pinhole};
 use evermap_algorithms::ground::{GrayView, GroundLut, GroundParams, GroundParamsError};
 use evermap_algorithms::pose::Pose;
@@ -17,6 +17,7 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::images::images;
 use crate::inputs::rig::{self, Reason, Rig, SessionName, camera, frame};
 
 /// See the module's page.
@@ -153,7 +154,7 @@ record! {
 
 impl Mapper for Projector {
     fn map(&self, batch: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        let images = pixels(batch)?;
+        let images = images(batch, "images")?;
         let looks = rows::<Look>(batch)?.into_iter().enumerate();
         // Tables first, one after the other: making one already uses all cores.
         let planned: Vec<_> = looks
@@ -179,13 +180,6 @@ impl Mapper for Projector {
         }
         emit.rows(found)
     }
-}
-
-fn pixels(batch: &RecordBatch) -> Result<&BinaryArray, Fault> {
-    batch
-        .column_by_name("image")
-        .and_then(|column| column.as_binary_opt::<i32>())
-        .ok_or_else(|| Fault::bug("port images: expected image bytes in column image"))
 }
 
 impl Projector {

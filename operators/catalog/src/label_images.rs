@@ -2,19 +2,19 @@
 
 use std::collections::BTreeMap;
 
-use arrow::array::{Array, AsArray, BinaryArray, RecordBatch};
+use arrow::array::RecordBatch;
 use evermap_algorithms::class_scores::ScoresView;
 use evermap_algorithms::dense_crf::{
     ColourView, ITERATIONS, Kernels, MOST_CLASSES, RandomField, Unary,
 };
 use evermap_contract::{Emit, Fault, Grain, Kernel, MapKernel, Mapper, Operator, Port, Sides};
+use evermap_schemas::Bytes;
 use evermap_schemas::layers::{ClassScores, CrfSetting, LabelImage, ScoredFrame};
-use evermap_schemas::{Bytes, rows};
 use evermap_vision::{Decoder, Grey, Rgb, encode_png};
-use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::images::each_image;
 use crate::inputs::rig::Reason;
 
 /// See the module's page.
@@ -131,36 +131,10 @@ struct Labeller {
 
 impl Mapper for Labeller {
     fn map(&self, batch: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        let images = batch
-            .column_by_name("image")
-            .and_then(|column| column.as_binary_opt::<i32>())
-            .ok_or_else(|| Fault::bug("port scores comes without its pixels"))?;
-        let scored: Vec<_> = rows::<ClassScores>(batch)?
-            .into_iter()
-            .enumerate()
-            .collect();
-        let found: Vec<Result<LabelImage, Reason>> = scored
-            .into_par_iter()
-            .map_init(Rgb::default, |rgb, (index, scored)| {
-                self.row(scored, bytes(images, index)?, rgb)
-            })
-            .collect();
-        let mut labelled = Vec::with_capacity(found.len());
-        for row in found {
-            match row {
-                Ok(row) => labelled.push(row),
-                Err(reason) => emit.skip(reason, 1),
-            }
-        }
-        emit.rows(labelled)
+        each_image(batch, "scores", emit, |scored, bytes, rgb| {
+            self.row(scored, bytes, rgb)
+        })
     }
-}
-
-fn bytes(images: &BinaryArray, index: usize) -> Result<&[u8], Reason> {
-    if images.is_null(index) {
-        return Err("image is missing");
-    }
-    Ok(images.value(index))
 }
 
 impl Labeller {

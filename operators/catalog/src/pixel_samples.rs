@@ -1,18 +1,18 @@
 #![doc = include_str!("pixel_samples.md")]
 
-use arrow::array::{Array, AsArray, BinaryArray, RecordBatch};
+use arrow::array::RecordBatch;
 use evermap_algorithms::dense_crf::ColourView;
 use evermap_algorithms::pixel_features::{
     FeatureDescription, SamplingOptions, Window, labelled_features,
 };
 use evermap_contract::{Emit, Fault, Grain, Kernel, MapKernel, Mapper, Operator, Port, Sides};
 use evermap_schemas::layers::{LabelledFrame, PixelSamples};
-use evermap_schemas::{Bytes, Stamp, record, rows};
+use evermap_schemas::{Bytes, Stamp, record};
 use evermap_vision::{Decoder, Rgb, decode_labels};
-use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::images::each_image;
 use crate::inputs::rig::Reason;
 
 /// See the module's page.
@@ -159,33 +159,10 @@ record! {
 
 impl Mapper for Sampler {
     fn map(&self, batch: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        let images = batch
-            .column_by_name("image")
-            .and_then(|column| column.as_binary_opt::<i32>())
-            .ok_or_else(|| Fault::bug("port labelled_frames comes without its pixels"))?;
-        let looks: Vec<_> = rows::<Look>(batch)?.into_iter().enumerate().collect();
-        let found: Vec<Result<PixelSamples, Reason>> = looks
-            .into_par_iter()
-            .map_init(Rgb::default, |rgb, (index, look)| {
-                self.row(look, bytes(images, index)?, rgb)
-            })
-            .collect();
-        let mut rows = Vec::with_capacity(found.len());
-        for row in found {
-            match row {
-                Ok(row) => rows.push(row),
-                Err(reason) => emit.skip(reason, 1),
-            }
-        }
-        emit.rows(rows)
+        each_image(batch, "labelled_frames", emit, |look, bytes, rgb| {
+            self.row(look, bytes, rgb)
+        })
     }
-}
-
-fn bytes(images: &BinaryArray, index: usize) -> Result<&[u8], Reason> {
-    if images.is_null(index) {
-        return Err("image is missing");
-    }
-    Ok(images.value(index))
 }
 
 impl Sampler {

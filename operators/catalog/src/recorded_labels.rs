@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use arrow::array::{Array, AsArray, RecordBatch};
+use arrow::array::{Array, RecordBatch};
 use evermap_contract::{Emit, Fault, Grain, Kernel, MapKernel, Mapper, Operator, Port, Sides};
 use evermap_schemas::layers::LabelImage;
 use evermap_schemas::roles::{Frame, LabelClass};
@@ -11,6 +11,8 @@ use evermap_vision::{Grey, ImageError, decode_labels, encode_png};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::inputs::images::images;
 
 /// See the module's page.
 pub struct RecordedLabels;
@@ -179,10 +181,7 @@ type Found = Result<(LabelImage, bool), &'static str>;
 
 impl Mapper for Reader {
     fn map(&self, batch: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        let images = batch
-            .column_by_name("image")
-            .and_then(|column| column.as_binary_opt::<i32>())
-            .ok_or_else(|| Fault::bug("port labels comes without its pixels"))?;
+        let images = images(batch, "labels")?;
         let looks: Vec<_> = rows::<Look>(batch)?.into_iter().enumerate().collect();
         let found: Vec<Found> = looks
             .into_par_iter()

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use arrow::array::{Array, AsArray, RecordBatch};
+use arrow::array::{Array, RecordBatch};
 use evermap_algorithms::class_scores::ScoresView;
 use evermap_algorithms::pose::Pose;
 use evermap_algorithms::temporal_votes::{DepthView, View, VoteOptions, Voter};
@@ -16,6 +16,7 @@ use evermap_vision::{Grey16, decode_depth};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::images::images;
 use crate::inputs::rig::{self, Reason, Rig, SessionName, frame};
 
 /// See the module's page.
@@ -143,10 +144,7 @@ struct Window {
 
 impl Group for Window {
     fn push(&mut self, batch: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        let images = batch
-            .column_by_name("image")
-            .and_then(|column| column.as_binary_opt::<i32>())
-            .ok_or_else(|| Fault::bug("port scores comes without its pixels"))?;
+        let images = images(batch, "scores")?;
         for (index, scores) in rows::<ClassScores>(batch)?.into_iter().enumerate() {
             let bytes = images.is_valid(index).then(|| images.value(index));
             match self.hold(scores, bytes, emit) {

@@ -4,12 +4,14 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_contract::Registry;
 use evermap_datasets::{Dataset, ImageReader, Manifest};
+use evermap_engine::conform::conform;
+use evermap_engine::error::fault_of;
 use evermap_engine::map::Map;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::layers::{LabelImage, Relocation, SemanticGraph, View};
-use evermap_schemas::{Cell, Fault, ImageRef, Stamp};
+use evermap_schemas::{Cell, Fault, ImageRef, LayerRow, Stamp, rows};
 
-use crate::scene::rows_of;
+use crate::scene::{layer_of, rows_of};
 
 /// Opened chunks that are kept while a report's few images are fetched.
 const CACHE_BYTES: u64 = 64 << 20;
@@ -45,11 +47,9 @@ pub struct Semantic {
     pub views: Vec<PicturedView>,
     /// All classes of those views' graphs, and what colours count by.
     pub classes: Vec<String>,
-    /// The relocations; `None` where there are none.
-    pub similarities: Option<Similarities>,
 }
 
-/// Some views of a site and its relocations; `None` where the map has no views of it.
+/// Some views of a site; `None` where the map has no views of it.
 ///
 /// # Errors
 /// As [`Map::batches`].
@@ -65,25 +65,55 @@ pub async fn semantic(
         return Ok(None);
     }
     views.sort_by(|a, b| (&a.session, a.stamp, &a.camera).cmp(&(&b.session, b.stamp, &b.camera)));
-    let labels: Vec<LabelImage> = rows_of(map, registry).await?;
-    let relocations: Vec<Relocation> = rows_of(map, registry).await?;
-    let mut found = Semantic {
-        similarities: similarities(&relocations, site),
-        ..Semantic::default()
-    };
+    let mut found = Semantic::default();
     for view in spread(views, most) {
-        let same = |row: &&LabelImage| {
-            row.session == view.session && row.stamp == view.stamp && row.camera == view.camera
-        };
         found.views.push(PicturedView {
             image: image(map, &view).await,
-            labels: labels.iter().find(same).cloned(),
+            labels: labels(map, registry, &view).await?,
             view: view.view,
             graph: view.graph,
         });
     }
     found.classes = classes(&found.views);
     Ok(Some(found))
+}
+
+/// How much the queries of a relocation run look like views of a site; `None` where the map has no relocations in it.
+///
+/// # Errors
+/// As [`Map::batches`].
+pub async fn similarities(
+    map: &Map,
+    registry: &Registry,
+    site: &str,
+) -> Result<Option<Similarities>, Fault> {
+    Ok(matrix(&rows_of(map, registry).await?, site))
+}
+
+/// The label image of a view; `None` where the map has none.
+async fn labels(map: &Map, registry: &Registry, view: &View) -> Result<Option<LabelImage>, Fault> {
+    let Some(layer) = layer_of::<LabelImage>(map, registry) else {
+        return Ok(None);
+    };
+    let context = map.context(Limits::default()).await?;
+    let query = format!("SELECT * FROM \"{layer}\" WHERE {}", of_view(view));
+    let found = async { context.sql(&query).await?.collect().await }.await;
+    for batch in found.map_err(|error| fault_of(&error))? {
+        if let Some(row) = rows(&conform(&batch, &LabelImage::layer())?)?
+            .into_iter()
+            .next()
+        {
+            return Ok(Some(row));
+        }
+    }
+    Ok(None)
+}
+
+/// The condition for the rows of a view.
+fn of_view(view: &View) -> String {
+    let [session, camera] = [&view.session, &view.camera].map(|name| name.replace('\'', "''"));
+    let stamp = view.stamp.0;
+    format!("session = '{session}' AND camera = '{camera}' AND CAST(stamp AS BIGINT) = {stamp}")
 }
 
 /// At most so many of a list, the same distance apart.
@@ -109,7 +139,7 @@ fn classes(views: &[PicturedView]) -> Vec<String> {
     classes
 }
 
-fn similarities(relocations: &[Relocation], site: &str) -> Option<Similarities> {
+fn matrix(relocations: &[Relocation], site: &str) -> Option<Similarities> {
     let rows: Vec<_> = relocations.iter().filter(|row| row.site == site).collect();
     let query = |row: &&Relocation| (row.session.clone(), row.stamp, row.camera.clone());
     let view = |row: &&Relocation| {
@@ -163,13 +193,9 @@ async fn fetched(map: &Map, view: &View) -> Result<Option<Vec<u8>>, Fault> {
     let context = context(Limits::default())?;
     let dataset = Dataset::open(&context.runtime_env(), &[], Some(&manifest)).await?;
     dataset.register(&context)?;
-    let query = format!(
-        "SELECT image FROM frames WHERE camera = '{}' AND CAST(stamp AS BIGINT) = {}",
-        view.camera.replace('\'', "''"),
-        view.stamp.0
-    );
+    let query = format!("SELECT image FROM frames WHERE {}", of_view(view));
     let found = async { context.sql(&query).await?.collect().await }.await;
-    let batches = found.map_err(|error| evermap_engine::error::fault_of(&error))?;
+    let batches = found.map_err(|error| fault_of(&error))?;
     let Some(batch) = batches.iter().find(|batch| batch.num_rows() > 0) else {
         return Ok(None);
     };
@@ -203,10 +229,10 @@ mod tests {
     #[test]
     fn similarities_lie_by_view_and_query() {
         let rows = [relocation(2, 7, 0.5), relocation(1, 9, 0.25)];
-        let found = similarities(&rows, "s").unwrap_or_default();
+        let found = matrix(&rows, "s").unwrap_or_default();
         assert_eq!((found.queries, found.views), (2, 2));
         assert_eq!(found.values, [0.0, 0.5, 0.25, 0.0]);
-        assert_eq!(similarities(&rows, "elsewhere"), None);
+        assert_eq!(matrix(&rows, "elsewhere"), None);
     }
 
     #[test]

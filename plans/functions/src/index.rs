@@ -27,7 +27,7 @@ pub async fn use_class_index(context: &SessionContext) -> Result<()> {
         return Ok(());
     }
     let indexed = "SELECT count(*) FROM (SELECT unnest(views) AS view FROM class_index)";
-    let all = "SELECT count(view) FROM views";
+    let all = "SELECT count(*) FROM views";
     if count(context, indexed).await? != count(context, all).await? {
         return Ok(());
     }

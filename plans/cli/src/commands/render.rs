@@ -12,7 +12,7 @@ use crate::output::write_file;
 use crate::progress::line;
 use crate::report;
 use crate::scene::scene;
-use crate::semantic::semantic;
+use crate::semantic::{semantic, similarities};
 
 /// Views that a picture shows.
 const VIEWS: usize = 3;
@@ -68,8 +68,7 @@ async fn picture(args: &RenderArgs, map: &Map, scene: Scene, site: &str) -> Resu
             views(&found.ok_or_else(|| nothing("views", "semantic_map"))?)
         }
         Shown::Similarities => {
-            let found = semantic(map, &registry, site, 1).await?;
-            let found = found.and_then(|found| found.similarities);
+            let found = similarities(map, &registry, site).await?;
             let found = found.ok_or_else(|| nothing("relocations", "relocate"))?;
             matrix(&found, args.width_px)
         }

@@ -279,7 +279,6 @@ mod tests {
                 },
             }],
             classes,
-            similarities: None,
         }
     }
 

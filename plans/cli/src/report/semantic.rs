@@ -6,7 +6,7 @@ use evermap_schemas::Fault;
 
 use crate::draw::{Picture, matrix, views};
 use crate::report::answers::{Answer, Question, answers};
-use crate::semantic::semantic;
+use crate::semantic::{semantic, similarities};
 
 /// Views that are shown.
 const VIEWS: usize = 3;
@@ -55,10 +55,10 @@ pub async fn gather(
     let Some(found) = semantic(map, registry, site, VIEWS).await? else {
         return Ok(None);
     };
-    let similarities = found.similarities.as_ref();
+    let similarities = similarities(map, registry, site).await?;
     Ok(Some(SemanticFacts {
         views: views(&found).ok(),
-        matrix: similarities.and_then(|found| matrix(found, MATRIX_PX).ok()),
+        matrix: similarities.and_then(|found| matrix(&found, MATRIX_PX).ok()),
         answers: answers(map, &QUESTIONS).await?,
     }))
 }
