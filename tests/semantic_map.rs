@@ -122,7 +122,7 @@ fn relocated_m(map: &Path, world: &Path) -> Vec<f64> {
     let places = |visit: &str| truth(&world.join(format!("{visit}/trajectory.tum")));
     let (here, there) = (places("visit_b"), places("visit_a"));
     let query = "SELECT CAST(stamp AS BIGINT) AS at, CAST(map_stamp AS BIGINT) AS map_at FROM relocations WHERE rank = 0";
-    let place = |places: &[evermap_algorithms::trajectory::StampedPose], at: &Value| {
+    let place = |places: &[evermap_algorithms::geometry::trajectory::StampedPose], at: &Value| {
         let found = places
             .iter()
             .find(|pose| Some(pose.stamp_ns) == at.as_i64());

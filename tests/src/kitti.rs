@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use evermap_algorithms::pose::Pose;
-use evermap_algorithms::trajectory::StampedPose;
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::geometry::trajectory::StampedPose;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::{evermap, shared, text};

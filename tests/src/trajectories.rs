@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use evermap_algorithms::pose::Pose;
-use evermap_algorithms::trajectory::{
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::geometry::trajectory::{
     AbsoluteError, PosePair, StampedPose, Statistics, absolute_error, align, associate, tum,
 };
 use serde_json::Value;

@@ -11,8 +11,8 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use evermap_algorithms::relocation::{ClassIndex, Options, Query, RelationIndex, ViewMap};
-use evermap_algorithms::semantic_graph::{Area, Graph, GraphOptions, Labels, Relation};
+use evermap_algorithms::semantic_map::relocation::{ClassIndex, Options, Query, RelationIndex, ViewMap};
+use evermap_algorithms::semantic_map::semantic_graph::{Area, Graph, GraphOptions, Labels, Relation};
 use evermap_worlds::{LabelKind, STREET_CLASSES, Street, street_labels};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -8,10 +8,10 @@ use std::error::Error;
 use std::f64::consts::FRAC_PI_2;
 use std::io::Write;
 
-use evermap_algorithms::relocation::{
+use evermap_algorithms::semantic_map::relocation::{
     Distances, EvaluationOptions, Hit, Options, Scales, ViewMap, estimate_scales, evaluate,
 };
-use evermap_algorithms::semantic_graph::{Graph, GraphOptions, Labels};
+use evermap_algorithms::semantic_map::semantic_graph::{Graph, GraphOptions, Labels};
 use evermap_worlds::{LabelKind, LabelView, STREET_CLASSES, Street, StreetLabels, street_labels};
 use nalgebra::Vector3;
 use rayon::prelude::*;

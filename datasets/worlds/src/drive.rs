@@ -2,7 +2,7 @@
 
 use crate::ground::Ground;
 use crate::route::PathPoint;
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::pose::Pose;
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// Acceleration and braking, m/s².

@@ -2,7 +2,7 @@
 //!
 //! A floor that is flat everywhere would hide every mistake a map makes in height, roll and pitch.
 
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::pose::Pose;
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// Distance between the axles, metres.

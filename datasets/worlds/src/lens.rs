@@ -1,8 +1,8 @@
 //! Rays of a camera, tile by tile, and which part of the surroundings a tile can see.
 
 use crate::solid::Extent;
-use evermap_algorithms::camera::Camera;
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::camera::Camera;
+use evermap_algorithms::geometry::pose::Pose;
 use nalgebra::Vector3;
 use std::f32::consts::{FRAC_PI_2, PI};
 

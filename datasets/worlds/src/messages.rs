@@ -2,7 +2,7 @@
 
 use crate::cdr::CdrWriter;
 use crate::odometry::OdometrySample;
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::pose::Pose;
 
 /// A message type: its name and full definition.
 #[derive(Debug, Clone, Copy)]

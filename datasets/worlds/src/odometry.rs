@@ -161,7 +161,7 @@ mod tests {
     use crate::layout::Layout;
     use crate::params::CarPark;
     use crate::route::Route;
-    use evermap_algorithms::pose::Pose;
+    use evermap_algorithms::geometry::pose::Pose;
 
     #[test]
     fn drift_is_there_and_bounded() {

@@ -14,7 +14,7 @@ use crate::random::scramble;
 use crate::rig::CIRCLE_RAD;
 use crate::scene::{Face, Scene};
 use crate::solid::Solid;
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::pose::Pose;
 use nalgebra::Vector3;
 
 /// A face with the eye's position worked in.

@@ -11,7 +11,7 @@ use crate::params::CarPark;
 use crate::picture::grey_png;
 use crate::rig::RigCamera;
 use crate::session::Plan;
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::pose::Pose;
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

@@ -17,10 +17,10 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use evermap_algorithms::dense_crf::{ColourView, ITERATIONS, Kernels, RandomField, Unary};
-use evermap_algorithms::pixel_classifier::PixelClassifier;
-use evermap_algorithms::pixel_features::{FeatureDescription, SamplingOptions, labelled_features};
-use evermap_algorithms::random_forest::{
+use evermap_algorithms::learning::dense_crf::{ColourView, ITERATIONS, Kernels, RandomField, Unary};
+use evermap_algorithms::learning::pixel_classifier::PixelClassifier;
+use evermap_algorithms::learning::pixel_features::{FeatureDescription, SamplingOptions, labelled_features};
+use evermap_algorithms::learning::random_forest::{
     ForestOptions, Samples, prior_factors, train, with_priors,
 };
 use rayon::prelude::*;

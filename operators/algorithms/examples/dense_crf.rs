@@ -15,7 +15,7 @@
 
 use std::collections::BTreeMap;
 
-use evermap_algorithms::dense_crf::{ColourView, Kernels, RandomField, Unary};
+use evermap_algorithms::learning::dense_crf::{ColourView, Kernels, RandomField, Unary};
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 

@@ -16,7 +16,7 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use evermap_algorithms::random_forest::{Forest, Node, Tree};
+use evermap_algorithms::learning::random_forest::{Forest, Node, Tree};
 use serde::Deserialize;
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;

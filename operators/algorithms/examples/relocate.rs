@@ -8,9 +8,9 @@
 //! query. On one thread.
 #![allow(clippy::print_stdout)]
 
-use evermap_algorithms::features::{DESCRIPTOR_BYTES, Descriptor};
-use evermap_algorithms::places::{Bag, PlaceIndex, Vocabulary, VocabularyOptions};
-use evermap_algorithms::relocation::{Distances, EvaluationOptions, evaluate};
+use evermap_algorithms::metric_map::features::{DESCRIPTOR_BYTES, Descriptor};
+use evermap_algorithms::metric_map::places::{Bag, PlaceIndex, Vocabulary, VocabularyOptions};
+use evermap_algorithms::semantic_map::relocation::{Distances, EvaluationOptions, evaluate};
 use nalgebra::Vector3;
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;

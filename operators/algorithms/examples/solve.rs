@@ -13,9 +13,9 @@
 use std::path::Path;
 use std::time::Instant;
 
-use evermap_algorithms::least_squares::{Summary, minimise};
-use evermap_algorithms::pose_graph::relaxation::Relaxation;
-use evermap_algorithms::pose_graph::{Graph, Motion, g2o, options};
+use evermap_algorithms::solving::least_squares::{Summary, minimise};
+use evermap_algorithms::metric_map::pose_graph::relaxation::Relaxation;
+use evermap_algorithms::metric_map::pose_graph::{Graph, Motion, g2o, options};
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 

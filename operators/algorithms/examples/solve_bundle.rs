@@ -13,13 +13,13 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::time::Instant;
 
-use evermap_algorithms::bundle_adjustment::{
+use evermap_algorithms::metric_map::bundle_adjustment::{
     self, Keyframe, Observation, Odometry, Problem, Session, bal,
 };
-use evermap_algorithms::camera::Camera;
-use evermap_algorithms::least_squares::{Options, Summary};
-use evermap_algorithms::pose::Pose;
-use evermap_algorithms::rig::{Rig, RigCamera};
+use evermap_algorithms::geometry::camera::Camera;
+use evermap_algorithms::solving::least_squares::{Options, Summary};
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::geometry::rig::{Rig, RigCamera};
 use nalgebra::{UnitQuaternion, Vector3};
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;

@@ -3,10 +3,10 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use evermap_algorithms::camera::Camera;
-use evermap_algorithms::features::{DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures};
-use evermap_algorithms::pose::Pose;
-use evermap_algorithms::tracking::{TrackParams, View, tracks};
+use evermap_algorithms::geometry::camera::Camera;
+use evermap_algorithms::metric_map::features::{DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures};
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::metric_map::tracking::{TrackParams, View, tracks};
 use nalgebra::Vector3;
 
 const VIEWS: u32 = 20;

@@ -12,8 +12,8 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use evermap_algorithms::camera::Camera;
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::camera::Camera;
+use evermap_algorithms::geometry::pose::Pose;
 use evermap_contract::{Emit, Kernel, Losses, Sides};
 use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Bytes, LayerRow, Stamp, batch, record};

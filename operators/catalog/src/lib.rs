@@ -12,44 +12,57 @@ mod inputs;
 pub use inputs::drive::rigs;
 
 macro_rules! operators {
-    ($($file:ident::$operator:ident),+ $(,)?) => {
-        $(pub mod $file;)+
+    ($($family:ident { $($file:ident::$operator:ident),+ $(,)? })+) => {
+        $(
+            #[allow(missing_docs)]
+            pub mod $family {
+                $(pub mod $file;)+
+            }
+        )+
 
         /// Every operator there is.
         pub fn registry() -> Registry {
-            Registry::new([$(Entry::of::<$file::$operator>()),+])
+            Registry::new([$($(Entry::of::<$family::$file::$operator>()),+),+])
         }
     };
 }
 
-// Sorted by file name; a test compares the list with the folder.
+// Sorted; a test compares the list with the folders.
 operators! {
-    bundle_adjustment::BundleAdjustment,
-    class_index::ClassIndex,
-    class_scores::ClassScoring,
-    crf_settings::CrfSettings,
-    features::Features,
-    frame_poses::FramePoses,
-    ground_patches::GroundPatches,
-    intersections::Intersections,
-    keyframes::Keyframes,
-    label_images::LabelImages,
-    label_scores::LabelScores,
-    landmarks::Landmarks,
-    localisation::Localisation,
-    loop_closures::LoopClosures,
-    map_frames::MapFrames,
-    overhead_tiles::OverheadTiles,
-    pixel_forest::PixelForest,
-    pixel_samples::PixelSampling,
-    pose_graph::PoseGraph,
-    recorded_labels::RecordedLabels,
-    relocations::Relocations,
-    road_network::RoadNetwork,
-    temporal_scores::TemporalScores,
-    tracks::Tracks,
-    views::Views,
-    word_relocations::WordRelocations,
+    ground {
+        ground_patches::GroundPatches,
+        intersections::Intersections,
+        overhead_tiles::OverheadTiles,
+        road_network::RoadNetwork,
+    }
+    learning {
+        class_scores::ClassScoring,
+        crf_settings::CrfSettings,
+        label_images::LabelImages,
+        label_scores::LabelScores,
+        pixel_forest::PixelForest,
+        pixel_samples::PixelSampling,
+        temporal_scores::TemporalScores,
+    }
+    metric_map {
+        bundle_adjustment::BundleAdjustment,
+        features::Features,
+        frame_poses::FramePoses,
+        keyframes::Keyframes,
+        landmarks::Landmarks,
+        localisation::Localisation,
+        loop_closures::LoopClosures,
+        map_frames::MapFrames,
+        pose_graph::PoseGraph,
+        tracks::Tracks,
+    }
+    semantic_map {
+        class_index::ClassIndex,
+        recorded_labels::RecordedLabels,
+        relocations::Relocations,
+        views::Views,
+        word_relocations::WordRelocations,
+    }
 }
 
 #[cfg(test)]
@@ -58,17 +71,20 @@ mod tests {
     use super::*;
     use std::path::{Path, PathBuf};
 
+    /// The files with this extension, `family/name`, without what only helps others.
     fn files(extension: &str) -> Vec<String> {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-        let paths = std::fs::read_dir(folder)
-            .unwrap()
-            .map(|entry| entry.unwrap().path());
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+        let entries = |folder: &Path| std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        let folders = entries(&source).filter(|path| path.is_dir() && !path.ends_with("inputs"));
         let named = |path: &PathBuf| path.extension().is_some_and(|found| found == extension);
-        let stem = |path: PathBuf| path.file_stem().unwrap().to_string_lossy().into_owned();
-        let mut names: Vec<_> = paths
+        let name = |path: PathBuf| {
+            let path = path.strip_prefix(&source).unwrap().with_extension("");
+            path.to_string_lossy().into_owned()
+        };
+        let mut names: Vec<_> = folders
+            .flat_map(|folder| entries(&folder).collect::<Vec<_>>())
             .filter(named)
-            .map(stem)
-            .filter(|name| name != "lib")
+            .map(name)
             .collect();
         names.sort();
         names
@@ -76,18 +92,25 @@ mod tests {
 
     #[test]
     fn the_list_the_files_and_the_pages_agree() {
-        let listed: Vec<_> = registry()
-            .entries()
-            .map(|entry| entry.name.to_owned())
-            .collect();
-        assert_eq!(listed, files("rs"));
-        assert_eq!(listed, files("md"));
+        assert_eq!(listed(), files("rs"));
+        assert_eq!(listed(), files("md"));
+    }
+
+    /// The operators as the list above has them, `family/name`.
+    fn listed() -> Vec<String> {
         let source = include_str!("lib.rs");
-        let places: Vec<_> = listed
-            .iter()
-            .map(|name| source.find(&format!("    {name}::")))
-            .collect();
-        assert!(places.is_sorted(), "the list is not sorted");
+        let list = source.split("\noperators! {").nth(1).unwrap();
+        let list = list.split("\n}").next().unwrap();
+        let mut family = "";
+        let mut names = Vec::new();
+        for line in list.lines().map(str::trim) {
+            match (line.strip_suffix(" {"), line.split_once("::")) {
+                (Some(name), _) => family = name,
+                (None, Some((name, _))) => names.push(format!("{family}/{name}")),
+                _ => {}
+            }
+        }
+        names
     }
 
     #[test]

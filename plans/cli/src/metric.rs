@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::pose::Pose;
 use evermap_contract::Registry;
 use evermap_engine::map::Map;
 use evermap_schemas::layers::{AdjustedPose, GraphPose, Keyframe, VehiclePose};

@@ -6,7 +6,7 @@
 //! | `related(graph, class, relation, class)` | an area of the first class is so related to one of the second |
 //!
 //! `graph` is the graph column of a layer like `views`; both functions are null where it is. `contains` on text is
-//! DataFusion's own. Relations are those of [`evermap_algorithms::semantic_graph::Relation`]: eight directions, `on`
+//! DataFusion's own. Relations are those of [`evermap_algorithms::semantic_map::semantic_graph::Relation`]: eight directions, `on`
 //! and `touches`.
 //!
 //! With [`use_class_index`], `contains` on `views` is answered by the layer `class_index`, and graphs are not read.

@@ -8,7 +8,7 @@ use datafusion::common::{DataFusionError, Result, plan_err};
 use datafusion::logical_expr::{
     ColumnarValue, ScalarFunctionArgs, ScalarUDFImpl, Signature, Volatility,
 };
-use evermap_algorithms::semantic_graph::{Relation, offset};
+use evermap_algorithms::semantic_map::semantic_graph::{Relation, offset};
 
 use crate::graphs::{Geometry, Graphs, is_graph, no_graph};
 

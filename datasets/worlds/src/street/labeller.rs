@@ -15,7 +15,7 @@ use crate::street::labels::classes;
 use crate::street::params::Street;
 use crate::street::sight::{PanoramaCamera, Scenery, Sight};
 use crate::street::things::FACES;
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::pose::Pose;
 use rand::Rng;
 
 /// At severity 1: share of the world's surface that is taken for something else in patches.

@@ -8,7 +8,7 @@ use crate::street::labels::classes;
 use crate::street::params::Street;
 use crate::street::sight::{PanoramaCamera, Scenery, Sight};
 use crate::street::visit::Visit;
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::pose::Pose;
 use rayon::prelude::*;
 
 /// Views made before any of them is handed out.

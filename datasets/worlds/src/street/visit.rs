@@ -10,7 +10,7 @@ use crate::street::params::Street;
 use crate::street::sight::Scenery;
 use crate::street::things::Thing;
 use crate::street::traffic::Traffic;
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::pose::Pose;
 use rand::Rng;
 
 /// Three years, ns.

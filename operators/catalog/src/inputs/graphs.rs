@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use evermap_algorithms::semantic_graph::{Area, Edge, Graph, VOID};
+use evermap_algorithms::semantic_map::semantic_graph::{Area, Edge, Graph, VOID};
 use evermap_schemas::layers::{SemanticArea, SemanticEdge, SemanticGraph, View};
 
 use super::rig::Reason;

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use evermap_algorithms::camera::Camera;
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::camera::Camera;
+use evermap_algorithms::geometry::pose::Pose;
 use evermap_contract::{Fault, Sides};
 use evermap_schemas::Stamp;
 use evermap_schemas::roles::{Calibration, Transform};

@@ -1,7 +1,7 @@
 //! A chequered floor, seen through lenses: input with a known answer.
 
-use evermap_algorithms::camera::Camera;
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::camera::Camera;
+use evermap_algorithms::geometry::pose::Pose;
 use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Bytes, LayerRow, Stamp, record};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};

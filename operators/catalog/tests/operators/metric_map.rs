@@ -1,7 +1,7 @@
 //! From features and rough poses to an accurate map, through the operators.
 
-use evermap_algorithms::camera::Camera;
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::camera::Camera;
+use evermap_algorithms::geometry::pose::Pose;
 use evermap_contract::laws::inputs_of;
 use evermap_schemas::layers::{
     AdjustedPose, Features, GraphPose, Keyframe, Landmark, Track, TrackPoint,

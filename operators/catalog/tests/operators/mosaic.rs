@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use evermap_algorithms::pose::Pose;
+use evermap_algorithms::geometry::pose::Pose;
 use evermap_contract::Losses;
 use evermap_contract::laws::{Split, inputs_of, run};
 use evermap_schemas::layers::{GroundPatch, OverheadTile};

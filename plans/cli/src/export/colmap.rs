@@ -7,9 +7,9 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::Path;
 
-use evermap_algorithms::camera::{Camera, Model};
-use evermap_algorithms::pose::Pose;
-use evermap_algorithms::rig::Rig;
+use evermap_algorithms::geometry::camera::{Camera, Model};
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::geometry::rig::Rig;
 use evermap_contract::{Registry, Sides};
 use evermap_engine::map::Map;
 use evermap_schemas::layers::{AdjustedPose, Features, Landmark};

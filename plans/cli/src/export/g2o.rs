@@ -6,9 +6,9 @@
 use std::collections::BTreeMap;
 
 use arrow::array::RecordBatch;
-use evermap_algorithms::least_squares::Loss;
-use evermap_algorithms::pose::Pose;
-use evermap_algorithms::pose_graph::{Edge, SpatialGraph, g2o};
+use evermap_algorithms::solving::least_squares::Loss;
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::metric_map::pose_graph::{Edge, SpatialGraph, g2o};
 use evermap_contract::Registry;
 use evermap_engine::conform::conform;
 use evermap_engine::map::Map;

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use arrow::array::{Array, AsArray, RecordBatch};
 use arrow::compute::{cast, filter, is_not_null};
 use arrow::datatypes::DataType;
-use evermap_algorithms::trajectory::{StampedPose, tum};
+use evermap_algorithms::geometry::trajectory::{StampedPose, tum};
 use evermap_schemas::{Cell, Fault, Pose, Stamp};
 
 /// `seconds x y z qx qy qz qw`, ordered by stamp, with all nine digits of the nanoseconds.
@@ -43,7 +43,7 @@ pub fn text(batches: &[RecordBatch]) -> Result<String, Fault> {
         poses.extend(stamps.into_iter().zip(found));
     }
     poses.sort_by_key(|(stamp, _)| *stamp);
-    let stamped = |(stamp, pose): &(Stamp, Pose)| match evermap_algorithms::pose::Pose::from_array(
+    let stamped = |(stamp, pose): &(Stamp, Pose)| match evermap_algorithms::geometry::pose::Pose::from_array(
         pose.to_array(),
     ) {
         Ok(pose) => Ok(StampedPose {

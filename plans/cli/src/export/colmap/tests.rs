@@ -1,6 +1,6 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
-use evermap_algorithms::rig::RigCamera;
+use evermap_algorithms::geometry::rig::RigCamera;
 use evermap_schemas::layers::Observation;
 use evermap_schemas::{Stamp, Wkb};
 

@@ -1,0 +1,76 @@
+//! From a camera image to cells of the ground: the mathematics of overhead mosaics.
+//!
+//! Paper 1 (V-A1) rectifies the fisheye image and projects it to the ground plane by the pose.
+//! Done naively that is a lens model, a square root and an arc tangent per cell per image. But
+//! seen from the vehicle the lens never moves: where a spot of the ground beside the car appears
+//! in the image is the same in every frame. So the lens is evaluated once per camera, on a grid
+//! fixed to the *vehicle* ([`GroundLut`]), and each image only needs
+//!
+//! ```text
+//! map cell ──affine, one addition per cell──▶ place in the vehicle's grid
+//!          ──bilinear between 4 grid nodes──▶ pixel and weight, at every fourth cell or so
+//!          ──bilinear, fixed point─────────▶ grey value
+//! ```
+//!
+//! The table is bilinear, not nearest: with 5 cm nodes and a 400 px, 180° lens 1 m above ground
+//! the interpolated pixel is within 0.03 px of the lens model, the nearest node would be 3 px off. Between
+//! looks into the table the pixel moves in equal steps, over spans so short that no cell is put
+//! off by more than a tenth of itself. (A mask finer than a span may therefore be stepped over.)
+//!
+//! **Which plane.** The ground is taken to be the vehicle's own z = 0 plane, the one its wheels
+//! stand on, at whatever attitude the pose gives it. A map cell is a vertical line; where it meets
+//! that plane is an affine function of the cell for *every* six-degree pose, so slopes and ramps
+//! cost nothing and nothing is approximated. What is not modelled is ground that bends within
+//! reach of the camera.
+//!
+//! **Weight.** A look straight down shows more than a glance along the floor. With ψ the angle
+//! between the ray and the ground's normal, cos ψ = height / distance, a cell weighs
+//! 255 (cos ψ)^p. p = 1 is Lambert's foreshortening, the usual weight of view blending (Debevec,
+//! Taylor & Malik 1996, section 6.2); p = 3 is proportional to the pixels that a square metre of
+//! ground fills in an equidistant image (solid angle per area is h / d³), the weight that
+//! minimises the variance of a mean. The default p = 2 lies between: p = 3 leaves nothing of what
+//! is only ever seen from a distance when 8 bits have to hold it. Weights are integers, so that
+//! sums are exact.
+
+mod lut;
+mod splat;
+#[cfg(test)]
+mod tests;
+
+pub use lut::{GroundLut, GroundParams, GroundParamsError, PixelMask};
+pub use splat::GroundRow;
+
+/// A grey image that somebody else owns.
+#[derive(Debug, Clone, Copy)]
+pub struct GrayView<'a> {
+    width: u32,
+    height: u32,
+    pixels: &'a [u8],
+}
+
+impl<'a> GrayView<'a> {
+    /// `pixels` row by row, without gaps. `None` when there are not `width * height` of them.
+    pub fn new(width: u32, height: u32, pixels: &'a [u8]) -> Option<Self> {
+        let expected = (width as usize).checked_mul(height as usize)?;
+        (pixels.len() == expected).then_some(Self {
+            width,
+            height,
+            pixels,
+        })
+    }
+
+    /// Width, pixels.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height, pixels.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// The pixels, row by row.
+    pub fn pixels(&self) -> &'a [u8] {
+        self.pixels
+    }
+}

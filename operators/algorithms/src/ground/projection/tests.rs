@@ -1,0 +1,218 @@
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stderr
+)]
+
+use super::*;
+use crate::geometry::camera::Camera;
+use crate::geometry::pose::Pose;
+use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use proptest::prelude::*;
+use std::collections::BTreeMap;
+
+/// A 180° fisheye on the bonnet, looking forward and 40° down.
+fn rig() -> (Camera, Pose) {
+    let k = [127.0, 0.0, 199.7, 0.0, 127.2, 149.2, 0.0, 0.0, 1.0];
+    let d = [0.012, -0.006, 0.002, -0.0004];
+    let camera = Camera::from_calibration("equidistant", 400, 300, &k, &d).unwrap();
+    let camera = camera.with_max_angle(96f64.to_radians());
+    // Columns: right, down and forward of the camera in the vehicle frame.
+    let level = Rotation3::from_matrix_unchecked(nalgebra::Matrix3::new(
+        0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0,
+    ));
+    let down = Rotation3::from_axis_angle(&Vector3::x_axis(), -40f64.to_radians());
+    let rotation = UnitQuaternion::from_rotation_matrix(&(level * down));
+    (camera, Pose::new(Vector3::new(3.6, 0.02, 0.95), rotation))
+}
+
+/// A smooth picture, so that sampling errors show as grey differences.
+fn picture(camera: &Camera) -> Vec<u8> {
+    let at = |u: u32, v: u32| {
+        127.0 + 60.0 * (f64::from(u) / 18.0).sin() + 60.0 * (f64::from(v) / 14.0).cos()
+    };
+    let rows = 0..camera.height;
+    rows.flat_map(|v| (0..camera.width).map(move |u| at(u, v) as u8))
+        .collect()
+}
+
+/// What the cell shows according to the lens itself, in floating point.
+fn naive(
+    camera: &Camera,
+    map_from_camera: &Pose,
+    map_from_vehicle: &Pose,
+    pixels: &[u8],
+    x: f64,
+    y: f64,
+) -> Option<f64> {
+    let normal = map_from_vehicle.rotate(&Vector3::z());
+    let origin = map_from_vehicle.translation;
+    let z = origin.z - (normal.x * (x - origin.x) + normal.y * (y - origin.y)) / normal.z;
+    let [u, v] = camera.project(&map_from_camera.inverse().transform(&Vector3::new(x, y, z)))?;
+    let (right, bottom) = (f64::from(camera.width - 1), f64::from(camera.height - 1));
+    if !(0.0..=right).contains(&u) || !(0.0..=bottom).contains(&v) {
+        return None;
+    }
+    let (left, top) = (u.floor().min(right - 1.0), v.floor().min(bottom - 1.0));
+    let pixel = |c: f64, r: f64| f64::from(pixels[r as usize * camera.width as usize + c as usize]);
+    let (fu, fv) = (u - left, v - top);
+    let north = pixel(left, top) * (1.0 - fu) + pixel(left + 1.0, top) * fu;
+    let south = pixel(left, top + 1.0) * (1.0 - fu) + pixel(left + 1.0, top + 1.0) * fu;
+    Some(north * (1.0 - fv) + south * fv)
+}
+
+fn cells(
+    lut: &GroundLut,
+    image: &GrayView<'_>,
+    pose: &Pose,
+    cell_m: f64,
+) -> BTreeMap<(i64, i64), (u8, u8)> {
+    let mut cells = BTreeMap::new();
+    lut.splat(image, pose, cell_m, |row| {
+        for (k, (value, weight)) in row.values.iter().zip(row.weights).enumerate() {
+            if *weight > 0 {
+                let twice = cells.insert((row.i + k as i64, row.j), (*value, *weight));
+                assert!(twice.is_none());
+            }
+        }
+    });
+    cells
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+    #[test]
+    fn agrees_with_the_lens(
+        x in -500.0..500.0f64, y in -500.0..500.0f64, yaw in -3.2..3.2f64,
+        roll in -0.05..0.05f64, pitch in -0.05..0.05f64
+    ) {
+        let (camera, vehicle_from_camera) = rig();
+        let params = GroundParams { reach_m: 5.0, ..GroundParams::default() };
+        let lut = GroundLut::new(&camera, &vehicle_from_camera, &params, None).unwrap();
+        let pixels = picture(&camera);
+        let image = GrayView::new(400, 300, &pixels).unwrap();
+        let pose = Pose::new(Vector3::new(x, y, 1.3), UnitQuaternion::from_euler_angles(roll, pitch, yaw));
+        let map_from_camera = pose.compose(&vehicle_from_camera);
+        let seen = cells(&lut, &image, &pose, 0.1);
+        prop_assert!(seen.len() > 2000, "{}", seen.len());
+        let (mut total, mut worst) = (0.0, 0.0f64);
+        for (&(i, j), &(value, weight)) in &seen {
+            let at = [(i as f64 + 0.5) * 0.1, (j as f64 + 0.5) * 0.1];
+            let expected = naive(&camera, &map_from_camera, &pose, &pixels, at[0], at[1]).unwrap();
+            let error = (expected - f64::from(value)).abs();
+            total += error;
+            worst = worst.max(error);
+            let spot = pose.inverse().transform(&Vector3::new(at[0], at[1], 1.3));
+            let away = (spot.x - 3.6).hypot(spot.y - 0.02);
+            prop_assert!(away <= 5.2);
+            let cos = 0.95 / away.hypot(0.95);
+            prop_assert!((f64::from(weight) - (255.0 * cos * cos).max(1.0)).abs() < 20.0);
+        }
+        prop_assert!(worst < 4.0, "worst {worst}");
+        prop_assert!(total / (seen.len() as f64) < 0.5);
+    }
+}
+
+#[test]
+fn what_is_not_seen_weighs_nothing() {
+    let (camera, vehicle_from_camera) = rig();
+    let params = GroundParams {
+        reach_m: 4.0,
+        ..GroundParams::default()
+    };
+    let pixels = picture(&camera);
+    let image = GrayView::new(400, 300, &pixels).unwrap();
+    let lut = GroundLut::new(&camera, &vehicle_from_camera, &params, None).unwrap();
+    let seen = cells(&lut, &image, &Pose::identity(), 0.05);
+    // Nothing far behind the camera: the image circle ends at 96° from an axis 40° down.
+    assert!(
+        seen.keys().all(|(i, _)| *i as f64 * 0.05 > 1.9),
+        "{:?}",
+        seen.keys().next()
+    );
+    assert!(seen.len() > 8000);
+    // A mask over the left half of the image hides what lies to the left (y > 0).
+    let mask: Vec<u8> = (0..300)
+        .flat_map(|_| (0..400).map(|u| u8::from(u < 200)))
+        .collect();
+    let masked = GroundLut::new(&camera, &vehicle_from_camera, &params, Some(&mask)).unwrap();
+    let right = cells(&masked, &image, &Pose::identity(), 0.05);
+    assert!(right.keys().all(|(_, j)| *j <= 1) && right.len() * 2 < seen.len() + 200);
+    assert!(right.iter().all(|(cell, look)| seen[cell] == *look));
+}
+
+#[test]
+fn senseless_input_is_refused_or_gives_nothing() {
+    let (camera, vehicle_from_camera) = rig();
+    let params = GroundParams::default();
+    let build = |pose: &Pose, params: &GroundParams, mask: Option<&[u8]>| {
+        GroundLut::new(&camera, pose, params, mask)
+    };
+    assert!(build(&Pose::identity(), &params, None).is_err());
+    assert!(
+        build(
+            &vehicle_from_camera,
+            &GroundParams {
+                node_m: 0.0,
+                ..params
+            },
+            None
+        )
+        .is_err()
+    );
+    assert!(
+        build(
+            &vehicle_from_camera,
+            &GroundParams {
+                reach_m: 1e9,
+                ..params
+            },
+            None
+        )
+        .is_err()
+    );
+    assert!(build(&vehicle_from_camera, &params, Some(&[0])).is_err());
+    let lut = build(&vehicle_from_camera, &params, None).unwrap();
+    let pixels = picture(&camera);
+    let image = GrayView::new(400, 300, &pixels).unwrap();
+    let on_its_side = Pose::new(
+        Vector3::zeros(),
+        UnitQuaternion::from_euler_angles(1.6, 0.0, 0.0),
+    );
+    let nowhere = Pose::new(Vector3::repeat(f64::NAN), UnitQuaternion::identity());
+    for pose in [on_its_side, nowhere] {
+        assert!(cells(&lut, &image, &pose, 0.05).is_empty());
+    }
+    assert!(cells(&lut, &image, &Pose::identity(), f64::NAN).is_empty());
+    let small = GrayView::new(2, 2, &pixels[..4]).unwrap();
+    assert!(cells(&lut, &small, &Pose::identity(), 0.05).is_empty());
+}
+
+/// Prints the best time per cell of many images; run with `--ignored --nocapture`.
+#[test]
+#[ignore = "measures time"]
+fn nanoseconds_per_cell() {
+    let (camera, vehicle_from_camera) = rig();
+    let pixels = picture(&camera);
+    let image = GrayView::new(400, 300, &pixels).unwrap();
+    for node_m in [0.05, 0.1] {
+        let params = GroundParams {
+            node_m,
+            ..GroundParams::default()
+        };
+        let lut = GroundLut::new(&camera, &vehicle_from_camera, &params, None).unwrap();
+        let (mut best, mut visited, mut sum) = (f64::INFINITY, 0, 0u64);
+        for k in 0..200 {
+            let pose = Pose::from_yaw(0.3 * f64::from(k), 1.0, 0.1 * f64::from(k));
+            visited = 0;
+            let start = std::time::Instant::now();
+            lut.splat(&image, &pose, 0.05, |row| {
+                visited += row.values.len();
+                sum += u64::from(row.values[0]);
+            });
+            best = best.min(start.elapsed().as_nanos() as f64 / visited as f64);
+        }
+        eprintln!("nodes every {node_m} m: {visited} cells, {best:.2} ns each, checksum {sum}");
+    }
+}

@@ -1,0 +1,15 @@
+//! Pixels told apart by classifiers that are learnt, and labels that follow the edges of images.
+//!
+//! | module | what it knows |
+//! |---|---|
+//! | [`dense_crf`] | labels that follow an image's edges: the fully connected random field |
+//! | [`permutohedral`] | Gaussian filters in many dimensions |
+//! | [`pixel_classifier`] | scores of classes over an image, by a random forest |
+//! | [`pixel_features`] | what a classifier of pixels sees: dense SIFT, colour, context |
+//! | [`random_forest`] | decision trees over bytes, learnt and read fast |
+
+pub mod dense_crf;
+pub mod permutohedral;
+pub mod pixel_classifier;
+pub mod pixel_features;
+pub mod random_forest;

@@ -1,0 +1,142 @@
+//! Scores of classes over an image, by a random forest on the features of its pixels.
+
+use rayon::prelude::*;
+
+use crate::learning::dense_crf::ColourView;
+use crate::learning::pixel_features::{FeatureDescription, FeatureError, PixelFeatures};
+use crate::learning::random_forest::{Forest, Tree, TreeError};
+
+/// A forest and the features that it reads.
+#[derive(Debug, Clone)]
+pub struct PixelClassifier {
+    description: FeatureDescription,
+    forest: Forest,
+}
+
+/// Why there is no classifier.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ClassifierError {
+    /// The features are senseless.
+    #[error(transparent)]
+    Features(#[from] FeatureError),
+    /// A tree is senseless.
+    #[error(transparent)]
+    Tree(#[from] TreeError),
+}
+
+impl PixelClassifier {
+    /// From trees over these features and so many classes.
+    ///
+    /// # Errors
+    /// [`ClassifierError`] for features out of range or trees that do not fit them.
+    pub fn new(
+        description: FeatureDescription,
+        trees: &[Tree],
+        classes: usize,
+    ) -> Result<Self, ClassifierError> {
+        description.check()?;
+        let forest = Forest::new(trees, description.dimensions(), classes)?;
+        Ok(Self {
+            description,
+            forest,
+        })
+    }
+
+    /// Number of classes.
+    pub fn classes(&self) -> usize {
+        self.forest.classes()
+    }
+
+    /// Probabilities of the classes for each cell of `stride_px` (at least 1), as seen at its central pixel: cell after
+    /// cell, row by row, classes innermost; the last cells of a row or column may reach beyond the image. Of an image of
+    /// a block that trees have held out, only those trees are asked. The same for any number of threads.
+    ///
+    /// # Errors
+    /// [`FeatureError`] where the features cannot be computed.
+    pub fn scores(
+        &self,
+        image: &ColourView<'_>,
+        block: Option<u32>,
+        stride_px: u32,
+    ) -> Result<Vec<f32>, FeatureError> {
+        let features = PixelFeatures::new(&self.description, image)?;
+        let stride = stride_px.max(1) as usize;
+        let [columns, rows] = features.size().map(|side| side.div_ceil(stride));
+        let (dimensions, classes) = (self.forest.dimensions(), self.forest.classes());
+        let mut scores = vec![0.0; columns * rows * classes];
+        scores
+            .par_chunks_exact_mut(columns * classes)
+            .enumerate()
+            .for_each_init(
+                || vec![0; columns * dimensions],
+                |values, (row, scores)| {
+                    let centre = |cell: usize| cell * stride + stride / 2;
+                    for (column, out) in values.chunks_exact_mut(dimensions).enumerate() {
+                        features.write(centre(column), centre(row), out);
+                    }
+                    self.forest.predict(values, block, scores);
+                },
+            );
+        Ok(scores)
+    }
+}
+
+/// A probability in units of 1/255.
+pub fn quantised(probability: f32) -> u8 {
+    // The conversion saturates, and takes NaN to 0.
+    (255.0 * probability + 0.5) as u8
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+    use super::*;
+    use crate::learning::random_forest::Node;
+
+    /// Splits at the row: the upper half is class 0, the lower one more likely class 1.
+    fn halves(description: &FeatureDescription, held_out: Option<u32>) -> Tree {
+        let row = description.dimensions() - 2;
+        let root = Node {
+            feature: row as u16,
+            threshold: 127,
+            left: 1,
+            leaf: 0,
+        };
+        let lower = Node {
+            leaf: 1,
+            ..Node::default()
+        };
+        Tree {
+            nodes: vec![root, Node::default(), lower],
+            distributions: vec![1.0, 0.0, 0.25, 0.75],
+            held_out,
+        }
+    }
+
+    #[test]
+    fn each_cell_is_scored_as_its_central_pixel() {
+        let what = FeatureDescription::default();
+        let mut other = halves(&what, Some(3));
+        other.distributions = vec![0.0, 1.0, 0.0, 1.0];
+        let trees = [halves(&what, None), other];
+        let classifier = PixelClassifier::new(what.clone(), &trees, 2).unwrap();
+        let data = [90; 3 * 16 * 12];
+        let image = ColourView::new(16, 12, &data).unwrap();
+        let scores = classifier.scores(&image, None, 5).unwrap();
+        assert_eq!(scores.len(), 4 * 3 * 2);
+        assert_eq!((scores[0], scores[8], scores[16]), (0.5, 0.125, 0.125));
+        let honest = classifier.scores(&image, Some(3), 5).unwrap();
+        assert!(honest.chunks_exact(2).all(|cell| cell == [0.0, 1.0]));
+        assert_eq!(
+            classifier.scores(&image, None, 0).unwrap().len(),
+            16 * 12 * 2
+        );
+        assert!(PixelClassifier::new(what, &trees, 3).is_err());
+    }
+
+    #[test]
+    fn probabilities_become_bytes() {
+        let found = [0.0, 0.5, 1.0, 7.0, f32::NAN].map(quantised);
+        assert_eq!(found, [0, 128, 255, 255, 0]);
+    }
+}

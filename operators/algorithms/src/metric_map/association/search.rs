@@ -1,0 +1,409 @@
+//! Landmarks sought in the images that may show them.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use super::resight::{Resighting, agreed_pose};
+use super::{
+    AssociationParams, FeatureGrid, FeatureRef, Landmark, Look, Scene, looks, mean_direction,
+};
+use crate::geometry::pose::Pose;
+
+/// Side of the squares that landmarks are sorted into, metres.
+const SQUARE_M: f64 = 4.0;
+/// A feature nearer than this to the best one, pixels, is no rival: key points of several scales lie on one corner.
+const SAME_PLACE_PX: f64 = 2.0;
+
+/// A feature that looks like a landmark, where the landmark should be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Hit {
+    /// Index of the landmark.
+    pub landmark: u32,
+    /// The feature.
+    pub feature: FeatureRef,
+    /// Bits in which they differ.
+    pub bits: u32,
+}
+
+/// What the search needs to know of a landmark.
+struct Target {
+    point: Vector3<f64>,
+    looks: Vec<Look>,
+    /// Mean direction to the cameras, and cosine of the half angle of the cone that is searched.
+    view: Vector3<f64>,
+    view_cos: f64,
+    near_m: f64,
+    far_m: f64,
+    /// Feature size times range, median: the landmark's own size, pixel metres.
+    size_px_m: f64,
+}
+
+/// An image and a landmark that it may show.
+type Candidate = (u32, u32);
+
+/// Prepared for searching any keyframe.
+pub(super) struct Search<'a> {
+    scene: &'a Scene,
+    poses: &'a [Pose],
+    params: &'a AssociationParams,
+    landmarks: &'a [Landmark],
+    targets: Vec<Target>,
+    squares: BTreeMap<(i64, i64), Vec<u32>>,
+    /// Farthest that any landmark may be seen from, metres.
+    reach_m: f64,
+}
+
+impl<'a> Search<'a> {
+    pub(super) fn new(
+        scene: &'a Scene,
+        poses: &'a [Pose],
+        landmarks: &'a [Landmark],
+        params: &'a AssociationParams,
+    ) -> Self {
+        let cameras = scene.map_from_cameras(poses);
+        let targets: Vec<Target> = landmarks
+            .par_iter()
+            .map(|landmark| target(scene, &cameras, landmark, params))
+            .collect();
+        let mut squares: BTreeMap<(i64, i64), Vec<u32>> = BTreeMap::new();
+        for (at, target) in targets.iter().enumerate() {
+            squares
+                .entry(square(&target.point))
+                .or_default()
+                .push(at as u32);
+        }
+        let reach_m = targets
+            .iter()
+            .map(|target| target.far_m)
+            .fold(0.0, f64::max);
+        Self {
+            scene,
+            poses,
+            params,
+            landmarks,
+            targets,
+            squares,
+            reach_m,
+        }
+    }
+
+    /// Hits of all keyframes, in the keyframes' order.
+    pub(super) fn hits(&self) -> Vec<Hit> {
+        let keyframes = 0..self.scene.keyframes.len() as u32;
+        let found: Vec<Vec<Hit>> = keyframes
+            .into_par_iter()
+            .map(|keyframe| self.keyframe(keyframe))
+            .collect();
+        found.into_iter().flatten().collect()
+    }
+
+    /// Hits of a keyframe that agree with each other.
+    fn keyframe(&self, keyframe: u32) -> Vec<Hit> {
+        let images = self.scene.keyframes[keyframe as usize].images.clone();
+        let grids: Vec<FeatureGrid> = images.map(|image| self.grid(image)).collect();
+        let around = self.around(&self.poses[keyframe as usize]);
+        let candidates = self.candidates(keyframe, &around);
+        let (own, others): (Vec<Candidate>, Vec<Candidate>) = candidates
+            .into_iter()
+            .partition(|(_, landmark)| self.same_visit(*landmark, keyframe));
+        let mut hits = self.agreeing(keyframe, &grids, &own, 0);
+        hits.extend(self.agreeing(keyframe, &grids, &others, self.params.min_agreeing));
+        hits.sort_unstable();
+        hits
+    }
+
+    /// Seeks landmarks, finds the motion that the hits agree on, and seeks again from there.
+    fn agreeing(
+        &self,
+        keyframe: u32,
+        grids: &[FeatureGrid],
+        candidates: &[Candidate],
+        least: usize,
+    ) -> Vec<Hit> {
+        let AssociationParams {
+            radius_px,
+            agree_px,
+            ..
+        } = *self.params;
+        let mut pose = self.poses[keyframe as usize];
+        let mut hits = Vec::new();
+        for (radius, from_px) in [(radius_px, radius_px), (radius_px.min(agree_px), agree_px)] {
+            hits = self.seek(keyframe, &pose, grids, candidates, radius);
+            if hits.len() < least {
+                return Vec::new();
+            }
+            let seen: Vec<Resighting> = hits.iter().map(|hit| self.resighting(hit)).collect();
+            pose = agreed_pose(&seen, &pose, from_px, agree_px / 2.0);
+        }
+        hits.retain(|hit| self.resighting(hit).residual_px(&pose) <= agree_px);
+        if hits.len() < least {
+            hits.clear();
+        }
+        hits
+    }
+
+    fn resighting(&self, hit: &Hit) -> Resighting {
+        let image = hit.feature.image;
+        Resighting {
+            vehicle_from_camera: self.scene.camera(image).vehicle_from_camera,
+            ray: self.scene.feature(hit.feature).ray.unwrap_or_default(),
+            point: self.targets[hit.landmark as usize].point,
+            px_per_rad: self.scene.px_per_rad(image),
+        }
+    }
+
+    fn grid(&self, image: u32) -> FeatureGrid {
+        let lens = &self.scene.camera(image).camera;
+        let features = &self.scene.images[image as usize].features;
+        let nowhere = [f64::NAN, f64::NAN];
+        FeatureGrid::new(
+            [lens.width, lens.height],
+            features
+                .iter()
+                .map(|feature| feature.ray.map_or(nowhere, |_| feature.pixel)),
+        )
+    }
+
+    /// Landmarks within reach.
+    fn around(&self, map_from_vehicle: &Pose) -> Vec<u32> {
+        let reach = self.reach_m;
+        let away = Vector3::new(reach, reach, 0.0);
+        let (low, high) = (
+            square(&(map_from_vehicle.translation - away)),
+            square(&(map_from_vehicle.translation + away)),
+        );
+        let columns = self.squares.range((low.0, i64::MIN)..=(high.0, i64::MAX));
+        columns
+            .filter(|((_, row), _)| (low.1..=high.1).contains(row))
+            .flat_map(|(_, landmarks)| landmarks.iter().copied())
+            .collect()
+    }
+
+    /// Whether a keyframe shortly before or after saw it. Features are sorted by image, and so by keyframe.
+    fn same_visit(&self, landmark: u32, keyframe: u32) -> bool {
+        let keyframes = &self.scene.keyframes;
+        let of = |feature: &FeatureRef| self.scene.images[feature.image as usize].keyframe;
+        let first = keyframe.saturating_sub(self.params.visit_keyframes);
+        let last = keyframe.saturating_add(self.params.visit_keyframes);
+        let features = &self.landmarks[landmark as usize].features;
+        let from = features.partition_point(|feature| of(feature) < first);
+        let mut around = features[from..].iter().map(of).take_while(|at| *at <= last);
+        around.any(|at| keyframes[at as usize].session == keyframes[keyframe as usize].session)
+    }
+
+    /// Landmarks that an image may show and that are not known there, by image.
+    fn candidates(&self, keyframe: u32, landmarks: &[u32]) -> Vec<Candidate> {
+        let images = self.scene.keyframes[keyframe as usize].images.clone();
+        let mut candidates = Vec::new();
+        for image in images {
+            let camera = self.scene.map_from_camera(self.poses, image);
+            let visible = landmarks.iter().filter(|landmark| {
+                self.targets[**landmark as usize].faces(&camera.translation)
+                    && self.pixel(**landmark, image, &camera).is_some()
+                    && !self.sees_already(**landmark, image)
+            });
+            candidates.extend(visible.map(|landmark| (image, *landmark)));
+        }
+        candidates
+    }
+
+    /// Where an image shows a landmark.
+    fn pixel(&self, landmark: u32, image: u32, map_from_camera: &Pose) -> Option<[f64; 2]> {
+        let ahead = self.targets[landmark as usize].point - map_from_camera.translation;
+        let lens = &self.scene.camera(image).camera;
+        let pixel = lens.project(&map_from_camera.rotation.inverse_transform_vector(&ahead))?;
+        lens.contains(pixel).then_some(pixel)
+    }
+
+    /// The unrivalled feature of each candidate, in the images of a keyframe that stands at `pose`.
+    fn seek(
+        &self,
+        keyframe: u32,
+        pose: &Pose,
+        grids: &[FeatureGrid],
+        candidates: &[Candidate],
+        radius_px: f64,
+    ) -> Vec<Hit> {
+        let first = self.scene.keyframes[keyframe as usize].images.start;
+        let cameras = self.scene.keyframes[keyframe as usize].images.clone();
+        let cameras: Vec<Pose> = cameras
+            .map(|image| pose.compose(&self.scene.camera(image).vehicle_from_camera))
+            .collect();
+        let look = |(image, landmark): &Candidate| {
+            let at = (image - first) as usize;
+            self.look_for(*landmark, *image, &cameras[at], &grids[at], radius_px)
+        };
+        candidates.iter().filter_map(look).collect()
+    }
+
+    fn look_for(
+        &self,
+        landmark: u32,
+        image: u32,
+        map_from_camera: &Pose,
+        grid: &FeatureGrid,
+        radius_px: f64,
+    ) -> Option<Hit> {
+        let target = &self.targets[landmark as usize];
+        let away = map_from_camera.translation - target.point;
+        let range = away.norm();
+        let sought = Sought {
+            pixel: self.pixel(landmark, image, map_from_camera)?,
+            radius_px,
+            looks: nearest_looks(&target.looks, &(away / range), range),
+            size_px: target.size_px_m / range,
+        };
+        let features = &self.scene.images[image as usize].features;
+        let (feature, bits) = sought.unrivalled(features, grid, self.params)?;
+        let feature = FeatureRef { image, feature };
+        Some(Hit {
+            landmark,
+            feature,
+            bits,
+        })
+    }
+
+    fn sees_already(&self, landmark: u32, image: u32) -> bool {
+        let features = &self.landmarks[landmark as usize].features;
+        features
+            .binary_search_by_key(&image, |feature| feature.image)
+            .is_ok()
+    }
+}
+
+impl Target {
+    /// Whether it may be seen from a place, by range and direction.
+    fn faces(&self, place: &Vector3<f64>) -> bool {
+        let away = place - self.point;
+        let squared = away.norm_squared();
+        (self.near_m * self.near_m..=self.far_m * self.far_m).contains(&squared)
+            && away.dot(&self.view) >= self.view_cos * squared.sqrt()
+    }
+}
+
+/// A landmark as it should appear in an image.
+struct Sought<'a> {
+    pixel: [f64; 2],
+    radius_px: f64,
+    /// Looks from about here.
+    looks: [Option<&'a Look>; 2],
+    size_px: f64,
+}
+
+impl Sought<'_> {
+    fn bits(&self, feature: &super::SceneFeature) -> u32 {
+        let looks = self.looks.iter().flatten();
+        looks
+            .map(|look| look.descriptor.distance(&feature.descriptor))
+            .min()
+            .unwrap_or(u32::MAX)
+    }
+
+    /// The feature most alike, if it is alike enough and no other one is nearly as much.
+    fn unrivalled(
+        &self,
+        features: &[super::SceneFeature],
+        grid: &FeatureGrid,
+        params: &AssociationParams,
+    ) -> Option<(u32, u32)> {
+        let fits = |at: &u32| {
+            let feature = &features[*at as usize];
+            let ratio = feature.size_px / self.size_px;
+            distance_px(feature.pixel, self.pixel) <= self.radius_px
+                && (1.0 / params.scale_factor..=params.scale_factor).contains(&ratio)
+        };
+        let near: Vec<(u32, u32)> = grid
+            .near(self.pixel, self.radius_px)
+            .filter(fits)
+            .map(|at| (self.bits(&features[at as usize]), at))
+            .collect();
+        let (bits, best) = *near.iter().min()?;
+        let at = features[best as usize].pixel;
+        let rival = near
+            .iter()
+            .filter(|(_, other)| distance_px(features[*other as usize].pixel, at) > SAME_PLACE_PX)
+            .map(|(bits, _)| *bits)
+            .min();
+        let unrivalled =
+            rival.is_none_or(|rival| f64::from(bits) < params.ratio * f64::from(rival));
+        (bits <= params.max_bits && unrivalled).then_some((best, bits))
+    }
+}
+
+fn distance_px(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (a[0] - b[0]).hypot(a[1] - b[1])
+}
+
+fn square(point: &Vector3<f64>) -> (i64, i64) {
+    (
+        (point.x / SQUARE_M).floor() as i64,
+        (point.y / SQUARE_M).floor() as i64,
+    )
+}
+
+/// The two looks from the most similar places: by direction first, a range twice as far counting like a radian.
+fn nearest_looks<'a>(
+    looks: &'a [Look],
+    direction: &Vector3<f64>,
+    range_m: f64,
+) -> [Option<&'a Look>; 2] {
+    let apart = |look: &Look| {
+        let across = (look.direction - direction).norm();
+        across + (look.range_m / range_m).log2().abs()
+    };
+    let mut nearest: [Option<(f64, &Look)>; 2] = [None, None];
+    for look in looks {
+        let apart = apart(look);
+        if nearest[0].is_none_or(|(best, _)| apart < best) {
+            nearest = [Some((apart, look)), nearest[0]];
+        } else if nearest[1].is_none_or(|(best, _)| apart < best) {
+            nearest[1] = Some((apart, look));
+        }
+    }
+    nearest.map(|found| found.map(|(_, look)| look))
+}
+
+fn target(
+    scene: &Scene,
+    cameras: &[Pose],
+    landmark: &Landmark,
+    params: &AssociationParams,
+) -> Target {
+    let mut sizes = Vec::with_capacity(landmark.features.len());
+    let sightings: Vec<Look> = landmark
+        .features
+        .iter()
+        .map(|feature| {
+            let away = cameras[feature.image as usize].translation - landmark.point;
+            let range_m = away.norm().max(1e-3);
+            let seen = scene.feature(*feature);
+            sizes.push(seen.size_px * range_m);
+            Look {
+                direction: away / range_m,
+                range_m,
+                descriptor: seen.descriptor,
+                members: 1,
+            }
+        })
+        .collect();
+    sizes.sort_by(f64::total_cmp);
+    let view = mean_direction(&sightings);
+    let ranges = || sightings.iter().map(|look| look.range_m);
+    let widest = sightings
+        .iter()
+        .map(|look| look.direction.angle(&view))
+        .fold(0.0, f64::max);
+    Target {
+        point: landmark.point,
+        looks: looks(&sightings),
+        view,
+        view_cos: (widest + params.view_margin_rad)
+            .min(std::f64::consts::PI)
+            .cos(),
+        near_m: ranges().fold(f64::INFINITY, f64::min) / params.scale_factor,
+        far_m: ranges().fold(0.0, f64::max) * params.scale_factor,
+        size_px_m: sizes.get(sizes.len() / 2).copied().unwrap_or(0.0),
+    }
+}

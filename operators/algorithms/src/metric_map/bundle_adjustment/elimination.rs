@@ -1,0 +1,338 @@
+//! The inner loops of the elimination of landmarks: numbers of one observation, of one landmark,
+//! and one row of the reduced system.
+//!
+//! Every loop is written over arrays whose lengths the compiler knows; [`pulp`] compiles the row
+//! once more for processors with wider vectors and chooses when it runs.
+
+use pulp::Arch;
+use rayon::prelude::*;
+
+use super::reduced::Row;
+use super::schur::{Linear, Sight};
+use crate::solving::least_squares::damped_diagonal;
+
+/// One observation's numbers, in the order of landmarks.
+#[derive(Clone, Copy)]
+pub(super) struct Sighted<const C: usize> {
+    pub(super) linear: Linear<C>,
+    /// `B = Jₗ L⁻ᵀ`.
+    eliminated: [[f64; 3]; 2],
+}
+
+/// One landmark's numbers. Symmetric and triangular 3 × 3 are `[00, 10, 11, 20, 21, 22]`.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Point {
+    hessian: [f64; 6],
+    pub(super) gradient: [f64; 3],
+    /// `L`.
+    factor: [f64; 6],
+    /// `L⁻¹ g`.
+    forward: [f64; 3],
+    pub(super) step: [f64; 3],
+    /// `½ ρ` of its observations.
+    pub(super) cost: f64,
+}
+
+/// Who sees whom.
+pub(super) struct Layout {
+    /// By landmark, then by block.
+    pub(super) sights: Vec<Sight>,
+    /// `first[l]..first[l + 1]` are the sights of landmark `l`.
+    first: Vec<usize>,
+    /// For each block its sights, ascending.
+    pub(super) by_block: Vec<Vec<u32>>,
+}
+
+impl Layout {
+    pub(super) fn new(blocks: usize, landmarks: usize, mut sights: Vec<Sight>) -> Self {
+        sights.par_sort_unstable();
+        let mut first = vec![0; landmarks + 1];
+        for sight in &sights {
+            first[sight.landmark as usize + 1] += 1;
+        }
+        for landmark in 0..landmarks {
+            first[landmark + 1] += first[landmark];
+        }
+        let mut by_block = vec![Vec::new(); blocks];
+        for (place, sight) in sights.iter().enumerate() {
+            if let Some(list) = by_block.get_mut(sight.block as usize) {
+                list.push(place as u32);
+            }
+        }
+        Self {
+            sights,
+            first,
+            by_block,
+        }
+    }
+
+    /// Places of the sights of one landmark.
+    fn of_landmark(&self, landmark: u32) -> std::ops::Range<usize> {
+        self.first[landmark as usize]..self.first[landmark as usize + 1]
+    }
+
+    /// Places of the sights of a sight's landmark, from the first of the same block on.
+    fn onward_of_block(&self, place: usize) -> std::ops::Range<usize> {
+        let sight = self.sights[place];
+        let all = self.of_landmark(sight.landmark);
+        let own = self.sights[all.start..place].iter().rev();
+        let same = own.take_while(|other| other.block == sight.block).count();
+        place - same..all.end
+    }
+
+    /// Pairs of blocks that see a common landmark, and the given ones; smaller first, sorted.
+    pub(super) fn meeting(&self, pairs: &[(u32, u32)]) -> Vec<(u32, u32)> {
+        let blocks = self.by_block.len();
+        let rows: Vec<Vec<(u32, u32)>> = (0..blocks as u32)
+            .into_par_iter()
+            .map_init(
+                || vec![u32::MAX; blocks],
+                |seen, block| {
+                    let mut row = Vec::new();
+                    for place in &self.by_block[block as usize] {
+                        for other in &self.sights[self.onward_of_block(*place as usize)] {
+                            if other.block > block
+                                && let Some(mark) = seen.get_mut(other.block as usize)
+                                && *mark != block
+                            {
+                                *mark = block;
+                                row.push((block, other.block));
+                            }
+                        }
+                    }
+                    row
+                },
+            )
+            .collect();
+        let given = pairs.iter().filter(|(a, b)| a != b);
+        let given = given.map(|(a, b)| (*a.min(b), *a.max(b)));
+        let mut all: Vec<(u32, u32)> = rows.into_iter().flatten().chain(given).collect();
+        all.par_sort_unstable();
+        all.dedup();
+        all
+    }
+}
+
+/// Landmarks handed to a thread at a time, whatever threads there are.
+const CHUNK: usize = 128;
+
+/// Some landmarks and their observations.
+pub(super) struct Piece<'a, const C: usize> {
+    landmark: usize,
+    layout: &'a Layout,
+    points: &'a mut [Point],
+    sighted: &'a mut [Sighted<C>],
+}
+
+/// All landmarks and observations, in pieces for threads to take.
+pub(super) fn pieces<'a, const C: usize>(
+    layout: &'a Layout,
+    points: &'a mut [Point],
+    mut sighted: &'a mut [Sighted<C>],
+) -> Vec<Piece<'a, C>> {
+    let mut pieces = Vec::with_capacity(points.len() / CHUNK + 1);
+    for (index, points) in points.chunks_mut(CHUNK).enumerate() {
+        let landmark = index * CHUNK;
+        let count = layout.first[landmark + points.len()] - layout.first[landmark];
+        let (own, rest) = std::mem::take(&mut sighted).split_at_mut(count);
+        sighted = rest;
+        pieces.push(Piece {
+            landmark,
+            layout,
+            points,
+            sighted: own,
+        });
+    }
+    pieces
+}
+
+impl<const C: usize> Piece<'_, C> {
+    /// Calls `visit` with each landmark's index, sights and numbers.
+    pub(super) fn each(
+        self,
+        mut visit: impl FnMut(usize, &[Sight], &mut Point, &mut [Sighted<C>]),
+    ) {
+        let start = self.layout.first[self.landmark];
+        for (index, point) in self.points.iter_mut().enumerate() {
+            let landmark = self.landmark + index;
+            let (from, to) = (self.layout.first[landmark], self.layout.first[landmark + 1]);
+            let sights = &self.layout.sights[from..to];
+            visit(
+                landmark,
+                sights,
+                point,
+                &mut self.sighted[from - start..to - start],
+            );
+        }
+    }
+}
+
+impl<const C: usize> Sighted<C> {
+    pub(super) const ZERO: Self = Self {
+        linear: Linear::ZERO,
+        eliminated: [[0.0; 3]; 2],
+    };
+
+    /// `B = Jₗ L⁻ᵀ`, row by row: `L bᵀ = jᵀ`.
+    pub(super) fn eliminate(&mut self, point: &Point) {
+        self.eliminated = self.linear.landmark.map(|row| forward(&point.factor, row));
+    }
+}
+
+/// `L⁻¹ b`.
+#[inline(always)]
+fn forward(l: &[f64; 6], b: [f64; 3]) -> [f64; 3] {
+    let x = b[0] / l[0];
+    let y = (b[1] - l[1] * x) / l[2];
+    [x, y, (b[2] - l[3] * x - l[4] * y) / l[5]]
+}
+
+impl Point {
+    /// Diagonal of the Hessian.
+    pub(super) fn diagonal(&self) -> [f64; 3] {
+        [self.hessian[0], self.hessian[2], self.hessian[5]]
+    }
+
+    /// Hessian and gradient from the observations.
+    pub(super) fn gather<const C: usize>(&mut self, sighted: &[Sighted<C>]) {
+        self.hessian = [0.0; 6];
+        self.gradient = [0.0; 3];
+        for sighted in sighted {
+            let linear = &sighted.linear;
+            for (j, r) in linear.landmark.iter().zip(linear.residual) {
+                let products = [
+                    j[0] * j[0],
+                    j[1] * j[0],
+                    j[1] * j[1],
+                    j[2] * j[0],
+                    j[2] * j[1],
+                    j[2] * j[2],
+                ];
+                for (entry, product) in self.hessian.iter_mut().zip(products) {
+                    *entry += product;
+                }
+                for (entry, j) in self.gradient.iter_mut().zip(j) {
+                    *entry += j * r;
+                }
+            }
+        }
+    }
+
+    /// `L` of the damped Hessian and `L⁻¹ g`. A direction that nothing observes gets a pivot of
+    /// 1e-12 of its diagonal instead of one that rounding made negative.
+    pub(super) fn factorise(&mut self, damping: f64) {
+        let [a, b, c, d, e, f] = self.hessian;
+        let [p, q, r] = [a, c, f].map(|x| x + damping * damped_diagonal(x));
+        let root = |pivot: f64, diagonal: f64| pivot.max(1e-12 * diagonal).max(1e-30).sqrt();
+        let l00 = root(p, p);
+        let (l10, l20) = (b / l00, d / l00);
+        let l11 = root(q - l10 * l10, q);
+        let l21 = (e - l10 * l20) / l11;
+        let l22 = root(r - l20 * l20 - l21 * l21, r);
+        self.factor = [l00, l10, l11, l20, l21, l22];
+        self.forward = forward(&self.factor, self.gradient);
+    }
+
+    /// `δ = -L⁻ᵀ (L⁻¹ g + Σ Bᵀ J δ_block)`.
+    pub(super) fn substitute<const C: usize>(
+        &mut self,
+        sights: &[Sight],
+        sighted: &[Sighted<C>],
+        steps: &[[f64; C]],
+    ) {
+        let mut right = self.forward;
+        for (sight, sighted) in sights.iter().zip(sighted) {
+            let Some(step) = steps.get(sight.block as usize) else {
+                continue;
+            };
+            for (j, b) in sighted.linear.camera.iter().zip(&sighted.eliminated) {
+                let moved: f64 = j.iter().zip(step).map(|(j, step)| j * step).sum();
+                for (entry, b) in right.iter_mut().zip(b) {
+                    *entry += b * moved;
+                }
+            }
+        }
+        let l = &self.factor;
+        let z = right[2] / l[5];
+        let y = (right[1] - l[4] * z) / l[2];
+        let x = (right[0] - l[1] * y - l[3] * z) / l[0];
+        self.step = [-x, -y, -z];
+    }
+}
+
+/// Fills one row of the reduced system and its right-hand side. `places` is scratch: for each
+/// block of this row its place in it.
+pub(super) fn fill_row<const C: usize>(
+    block: u32,
+    row: Row<'_, C>,
+    places: &mut [u32],
+    layout: &Layout,
+    sighted: &[Sighted<C>],
+    points: &[Point],
+) {
+    for (place, column) in row.columns.iter().enumerate() {
+        places[*column as usize] = place as u32;
+    }
+    row.blocks.fill([[0.0; C]; C]);
+    *row.right = [0.0; C];
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for place in &layout.by_block[block as usize] {
+                let place = *place as usize;
+                let own = &sighted[place];
+                let point = &points[layout.sights[place].landmark as usize];
+                subtract_right(own, point, row.right);
+                for other in layout.onward_of_block(place) {
+                    let Some(slot) = places.get(layout.sights[other].block as usize) else {
+                        // Fixed ones come last.
+                        break;
+                    };
+                    let target = &mut row.blocks[*slot as usize];
+                    subtract_pair(own, &sighted[other], other == place, target);
+                }
+            }
+        },
+    );
+}
+
+/// `b -= Jᵀ (r - B L⁻¹ g)`.
+#[inline(always)]
+fn subtract_right<const C: usize>(own: &Sighted<C>, point: &Point, right: &mut [f64; C]) {
+    let Linear {
+        residual, camera, ..
+    } = &own.linear;
+    for row in 0..2 {
+        let b = &own.eliminated[row];
+        let moved = b[0] * point.forward[0] + b[1] * point.forward[1] + b[2] * point.forward[2];
+        let left = residual[row] - moved;
+        for c in 0..C {
+            right[c] -= camera[row][c] * left;
+        }
+    }
+}
+
+/// `S -= Jᵒᵀ (Bᵒ Bᵖᵀ - [o = p]) Jᵖ`.
+#[inline(always)]
+fn subtract_pair<const C: usize>(
+    own: &Sighted<C>,
+    other: &Sighted<C>,
+    same: bool,
+    target: &mut [[f64; C]; C],
+) {
+    let (a, b) = (&own.eliminated, &other.eliminated);
+    let one = f64::from(u8::from(same));
+    let dot = |x: &[f64; 3], y: &[f64; 3]| x[0] * y[0] + x[1] * y[1] + x[2] * y[2];
+    let (m00, m01) = (one - dot(&a[0], &b[0]), -dot(&a[0], &b[1]));
+    let (m10, m11) = (-dot(&a[1], &b[0]), one - dot(&a[1], &b[1]));
+    let (j, k) = (&other.linear.camera[0], &other.linear.camera[1]);
+    let top: [f64; C] = std::array::from_fn(|c| m00 * j[c] + m01 * k[c]);
+    let bottom: [f64; C] = std::array::from_fn(|c| m10 * j[c] + m11 * k[c]);
+    let (j, k) = (&own.linear.camera[0], &own.linear.camera[1]);
+    for r in 0..C {
+        let entries = &mut target[r];
+        for c in 0..C {
+            entries[c] += j[r] * top[c] + k[r] * bottom[c];
+        }
+    }
+}

@@ -1,0 +1,333 @@
+//! Elimination of the landmarks: what makes bundle adjustment cheap.
+//!
+//! With camera-side unknowns `c` (poses, cameras, sessions) and landmarks `l`, the normal
+//! equations are `[U W; Wᵀ V]`. `V` is one 3 × 3 block per landmark, so
+//! `S = U - W V⁻¹ Wᵀ` is formed landmark by landmark and only `S` needs a real factorisation.
+//! Source: Triggs, McLauchlan, Hartley, Fitzgibbon, *Bundle Adjustment: A Modern Synthesis*
+//! (2000), section 6.1; Lourakis & Argyros, *SBA* (2009).
+//!
+//! `W` is never formed. An observation has two rows only, so with `V = L Lᵀ` and `B = Jₗ L⁻ᵀ` (2 × 3)
+//! the block of two observations `o`, `p` of one landmark is `Jᵒᵀ (Bᵒ Bᵖᵀ) Jᵖ` with a 2 × 2 matrix in
+//! the middle: fewer products than over the three rows of `L⁻¹ Wᵀ`, and less memory.
+
+use rayon::prelude::*;
+
+use super::elimination::{Layout, Point, Sighted, fill_row, pieces};
+use super::reduced::{Block, Reduced};
+use crate::solving::least_squares::{Linearisation, Problem, SystemError, TrialStep, damped_diagonal};
+
+/// An observation, weighted: residual and derivatives.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Linear<const C: usize> {
+    pub(super) residual: [f64; 2],
+    pub(super) camera: [[f64; C]; 2],
+    pub(super) landmark: [[f64; 3]; 2],
+}
+
+impl<const C: usize> Linear<C> {
+    pub(super) const ZERO: Self = Self {
+        residual: [0.0; 2],
+        camera: [[0.0; C]; 2],
+        landmark: [[0.0; 3]; 2],
+    };
+}
+
+/// Which camera-side unknown sees which landmark.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Sight {
+    pub(super) landmark: u32,
+    /// [`FIXED`] when it does not move.
+    pub(super) block: u32,
+    /// The observation's index where it came from.
+    pub(super) observation: u32,
+}
+
+/// No unknown: a pose that stays where it is.
+pub(super) const FIXED: u32 = u32::MAX;
+
+/// The camera side of a bundle: its unknowns, and what they make of landmarks. Keeps an estimate
+/// and a trial.
+pub(super) trait Bundle<const C: usize>: Sync {
+    /// `½ ρ` and the weighted derivatives of an observation at the estimate.
+    fn linearise(&self, observation: usize, landmark: &[f64; 3]) -> (f64, Linear<C>);
+
+    /// `½ ρ` of an observation at the trial.
+    fn trial_cost(&self, observation: usize, landmark: &[f64; 3]) -> f64;
+
+    /// Adds the terms without landmarks at the estimate; gives their `½ ρ`.
+    fn add_terms(&self, terms: &mut Terms<'_, C>) -> f64;
+
+    /// `½ ρ` of the terms without landmarks at the trial.
+    fn trial_terms_cost(&self) -> f64;
+
+    /// The trial becomes the estimate moved by these steps.
+    fn step(&mut self, steps: &[[f64; C]]);
+
+    /// The estimate becomes the trial.
+    fn accept(&mut self);
+}
+
+/// Hessian and gradient of the terms without landmarks.
+pub(super) struct Terms<'a, const C: usize> {
+    reduced: &'a mut Reduced<C>,
+    gradient: &'a mut [[f64; C]],
+}
+
+impl<const C: usize> Terms<'_, C> {
+    /// `H[row, column] += block`, once for a pair; its mirror is implied.
+    pub(super) fn add(&mut self, row: usize, column: usize, block: impl Fn(usize, usize) -> f64) {
+        if let Some((place, transposed)) = self.reduced.find(row, column) {
+            for (r, entries) in self.reduced.blocks[place].iter_mut().enumerate() {
+                for (c, entry) in entries.iter_mut().enumerate() {
+                    *entry += if transposed { block(c, r) } else { block(r, c) };
+                }
+            }
+        }
+    }
+
+    /// `g[row] += part`.
+    pub(super) fn add_gradient(&mut self, row: usize, part: impl Fn(usize) -> f64) {
+        if let Some(gradient) = self.gradient.get_mut(row) {
+            for (c, entry) in gradient.iter_mut().enumerate() {
+                *entry += part(c);
+            }
+        }
+    }
+}
+
+/// A bundle as the optimiser's loop sees it.
+pub(super) struct Schur<const C: usize, B> {
+    pub(super) bundle: B,
+    pub(super) landmarks: Vec<[f64; 3]>,
+    layout: Layout,
+    sighted: Vec<Sighted<C>>,
+    points: Vec<Point>,
+    trial: Vec<[f64; 3]>,
+    reduced: Reduced<C>,
+    /// The blocks that terms without landmarks add to: place in `reduced` and value. All others
+    /// are made anew for each damping.
+    terms: Vec<(usize, Block<C>)>,
+    terms_gradient: Vec<[f64; C]>,
+    gradient: Vec<[f64; C]>,
+    diagonal: Vec<[f64; C]>,
+    steps: Vec<[f64; C]>,
+}
+
+impl<const C: usize, B: Bundle<C>> Schur<C, B> {
+    /// `blocks` camera-side unknowns; `pairs` of them that meet in terms without landmarks.
+    ///
+    /// # Errors
+    /// [`SystemError`] when the reduced system does not fit.
+    pub(super) fn new(
+        bundle: B,
+        blocks: usize,
+        landmarks: Vec<[f64; 3]>,
+        sights: Vec<Sight>,
+        pairs: &[(u32, u32)],
+    ) -> Result<Self, SystemError> {
+        let layout = Layout::new(blocks, landmarks.len(), sights);
+        let reduced = Reduced::new(blocks, &layout.meeting(pairs))?;
+        let diagonal = (0..blocks as u32).map(|block| (block, block));
+        let mut places: Vec<usize> = pairs
+            .iter()
+            .copied()
+            .chain(diagonal)
+            .filter_map(|(a, b)| reduced.find(a as usize, b as usize))
+            .map(|(place, _)| place)
+            .collect();
+        places.sort_unstable();
+        places.dedup();
+        Ok(Self {
+            bundle,
+            sighted: vec![Sighted::ZERO; layout.sights.len()],
+            points: vec![Point::default(); landmarks.len()],
+            trial: landmarks.clone(),
+            landmarks,
+            layout,
+            reduced,
+            terms: places.into_iter().map(|p| (p, [[0.0; C]; C])).collect(),
+            terms_gradient: vec![[0.0; C]; blocks],
+            gradient: vec![[0.0; C]; blocks],
+            diagonal: vec![[0.0; C]; blocks],
+            steps: vec![[0.0; C]; blocks],
+        })
+    }
+
+    fn linearise_landmarks(&mut self) -> f64 {
+        let (bundle, landmarks) = (&self.bundle, &self.landmarks);
+        pieces(&self.layout, &mut self.points, &mut self.sighted)
+            .into_par_iter()
+            .for_each(|piece| {
+                piece.each(|landmark, sights, point, sighted| {
+                    point.cost = 0.0;
+                    for (sight, sighted) in sights.iter().zip(sighted.iter_mut()) {
+                        let observation = sight.observation as usize;
+                        let (cost, linear) = bundle.linearise(observation, &landmarks[landmark]);
+                        point.cost += cost;
+                        sighted.linear = linear;
+                    }
+                    point.gather(sighted);
+                });
+            });
+        self.points.iter().map(|point| point.cost).sum()
+    }
+
+    fn linearise_terms(&mut self) -> f64 {
+        for (place, _) in &self.terms {
+            self.reduced.blocks[*place] = [[0.0; C]; C];
+        }
+        self.terms_gradient.fill([0.0; C]);
+        let cost = self.bundle.add_terms(&mut Terms {
+            reduced: &mut self.reduced,
+            gradient: &mut self.terms_gradient,
+        });
+        for (place, block) in &mut self.terms {
+            *block = self.reduced.blocks[*place];
+        }
+        cost
+    }
+
+    /// Gradient and diagonal of the camera side.
+    fn gather_blocks(&mut self) {
+        let (sighted, reduced) = (&self.sighted, &self.reduced);
+        let all = self.gradient.par_iter_mut().zip(&mut self.diagonal);
+        let terms = self.terms_gradient.par_iter();
+        all.zip(terms)
+            .zip(&self.layout.by_block)
+            .enumerate()
+            .for_each(|(block, (((gradient, diagonal), terms), sights))| {
+                *gradient = *terms;
+                let own = &reduced.blocks[reduced.starts[block]];
+                *diagonal = std::array::from_fn(|c| own[c][c]);
+                for place in sights {
+                    let Linear {
+                        residual: [r, s],
+                        camera: [j, k],
+                        ..
+                    } = &sighted[*place as usize].linear;
+                    for c in 0..C {
+                        gradient[c] += j[c] * r + k[c] * s;
+                        diagonal[c] += j[c] * j[c] + k[c] * k[c];
+                    }
+                }
+            });
+    }
+
+    /// Forms the reduced system for a damping.
+    fn eliminate(&mut self, damping: f64) {
+        pieces(&self.layout, &mut self.points, &mut self.sighted)
+            .into_par_iter()
+            .for_each(|piece| {
+                piece.each(|_, _, point, sighted| {
+                    point.factorise(damping);
+                    sighted.iter_mut().for_each(|s| s.eliminate(point));
+                });
+            });
+        let (layout, sighted, points) = (&self.layout, &self.sighted, &self.points);
+        let blocks = self.diagonal.len();
+        self.reduced
+            .rows_mut()
+            .into_par_iter()
+            .enumerate()
+            .with_max_len(8)
+            .for_each_init(
+                || vec![0; blocks],
+                |places, (block, row)| fill_row(block as u32, row, places, layout, sighted, points),
+            );
+        for (place, block) in &self.terms {
+            let entries = self.reduced.blocks[*place].as_flattened_mut();
+            for (entry, term) in entries.iter_mut().zip(block.as_flattened()) {
+                *entry += term;
+            }
+        }
+        for block in 0..blocks {
+            let place = self.reduced.starts[block];
+            for c in 0..C {
+                let diagonal = damping * damped_diagonal(self.diagonal[block][c]);
+                self.reduced.blocks[place][c][c] += diagonal;
+                self.reduced.right[block][c] -= self.terms_gradient[block][c];
+            }
+        }
+    }
+
+    /// The landmarks' steps, from those of the camera side.
+    fn substitute(&mut self) {
+        let steps = &self.steps;
+        pieces(&self.layout, &mut self.points, &mut self.sighted)
+            .into_par_iter()
+            .for_each(|piece| {
+                piece.each(|_, sights, point, sighted| point.substitute(sights, sighted, steps));
+            });
+        for ((trial, landmark), point) in
+            self.trial.iter_mut().zip(&self.landmarks).zip(&self.points)
+        {
+            *trial = std::array::from_fn(|axis| landmark[axis] + point.step[axis]);
+        }
+    }
+
+    fn trial_step(&self, damping: f64) -> TrialStep {
+        let mut predicted = 0.0;
+        let mut step_max: f64 = 0.0;
+        let mut count = |step: f64, gradient: f64, diagonal: f64| {
+            predicted += 0.5 * step * (damping * damped_diagonal(diagonal) * step - gradient);
+            step_max = step_max.max(step.abs());
+        };
+        for ((step, gradient), diagonal) in
+            self.steps.iter().zip(&self.gradient).zip(&self.diagonal)
+        {
+            (0..C).for_each(|c| count(step[c], gradient[c], diagonal[c]));
+        }
+        for point in &self.points {
+            let diagonal = point.diagonal();
+            (0..3).for_each(|axis| count(point.step[axis], point.gradient[axis], diagonal[axis]));
+        }
+        TrialStep {
+            predicted_decrease: predicted,
+            step_max,
+        }
+    }
+}
+
+impl<const C: usize, B: Bundle<C>> Problem for Schur<C, B> {
+    fn linearise(&mut self) -> Linearisation {
+        let cost = self.linearise_landmarks() + self.linearise_terms();
+        self.gather_blocks();
+        let blocks = self.gradient.as_flattened().iter();
+        let points = self.points.iter().flat_map(|point| &point.gradient);
+        let gradient_max = blocks.chain(points).fold(0.0, |max: f64, entry| {
+            // `f64::max` would hide a NaN.
+            if entry.abs() <= max { max } else { entry.abs() }
+        });
+        Linearisation { cost, gradient_max }
+    }
+
+    fn solve(&mut self, damping: f64) -> Option<TrialStep> {
+        self.eliminate(damping);
+        self.reduced.solve()?;
+        self.steps.copy_from_slice(&self.reduced.right);
+        self.substitute();
+        self.bundle.step(&self.steps);
+        Some(self.trial_step(damping))
+    }
+
+    fn trial_cost(&mut self) -> f64 {
+        let (bundle, trial) = (&self.bundle, &self.trial);
+        pieces(&self.layout, &mut self.points, &mut self.sighted)
+            .into_par_iter()
+            .for_each(|piece| {
+                piece.each(|landmark, sights, point, _| {
+                    let costs = sights.iter().map(|sight| {
+                        bundle.trial_cost(sight.observation as usize, &trial[landmark])
+                    });
+                    point.cost = costs.sum();
+                });
+            });
+        let landmarks: f64 = self.points.iter().map(|point| point.cost).sum();
+        landmarks + self.bundle.trial_terms_cost()
+    }
+
+    fn accept(&mut self) {
+        self.bundle.accept();
+        self.landmarks.copy_from_slice(&self.trial);
+    }
+}

@@ -1,0 +1,218 @@
+//! Which feature shows which landmark: image distance and descriptor distance together.
+
+use super::view::Sighted;
+use super::{LandmarkMap, LocalisationParams};
+use crate::metric_map::features::{Feature, ImageFeatures, KeyframeFeatures};
+use nalgebra::Vector2;
+use rayon::prelude::*;
+
+/// Squared Mahalanobis distance that 99.9 % of true features in a plane stay below.
+const GATE: f64 = 13.8;
+/// Bits that one unit of squared Mahalanobis distance weighs: descriptors of one landmark scatter by some 20 bits
+/// between views, and both are twice the negative logarithm of a normal density: 20² / 2 of distance from the mean,
+/// which lies about 50 bits off, is 4 bits per unit.
+const BITS_PER_UNIT: f64 = 4.0;
+/// Features and projected landmarks nearer than this are one spot of the world, found twice: no rivals.
+const SAME_SPOT_PX: f64 = 3.0;
+/// Side of a cell of an image's index, pixels.
+const CELL_PX: f64 = 16.0;
+
+/// A feature that may show a landmark.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Claim {
+    /// Index into the sighted landmarks.
+    pub(super) sighted: usize,
+    /// Index into the image's features.
+    pub(super) feature: usize,
+    bits: u32,
+    cost: f64,
+}
+
+/// Where to search.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Search {
+    /// As far as the covariance of the projection says.
+    Covariance,
+    /// A fixed radius, pixels.
+    Radius(f64),
+}
+
+/// Features of one image by cells.
+struct Cells<'a> {
+    features: &'a [Feature],
+    columns: usize,
+    rows: usize,
+    /// Features by cell; those of cell `c` are `order[starts[c]..starts[c + 1]]`.
+    starts: Vec<u32>,
+    order: Vec<u32>,
+}
+
+impl<'a> Cells<'a> {
+    fn new(image: &'a ImageFeatures) -> Self {
+        let features = &image.features[..];
+        let sound = |feature: &&Feature| feature.pixel.iter().all(|x| (-1.0..1e5).contains(x));
+        let extent = |axis: usize| {
+            let largest = features
+                .iter()
+                .filter(sound)
+                .map(|feature| feature.pixel[axis])
+                .fold(0.0, f64::max);
+            (largest / CELL_PX) as usize + 1
+        };
+        let (columns, rows) = (extent(0), extent(1));
+        let mut cells: Vec<(usize, u32)> = Vec::with_capacity(features.len());
+        for (index, feature) in features.iter().enumerate() {
+            if sound(&feature) {
+                let [column, row] = feature.pixel.map(|x| (x.max(0.0) / CELL_PX) as usize);
+                cells.push((row * columns + column, index as u32));
+            }
+        }
+        cells.sort_unstable();
+        let mut starts = vec![0; columns * rows + 1];
+        cells.iter().for_each(|(cell, _)| starts[cell + 1] += 1);
+        (1..starts.len()).for_each(|cell| starts[cell] += starts[cell - 1]);
+        Self {
+            features,
+            columns,
+            rows,
+            starts,
+            order: cells.into_iter().map(|(_, index)| index).collect(),
+        }
+    }
+
+    /// Calls `visit` with every feature in the square of half side `radius` about a pixel, and some around it.
+    fn visit(&self, pixel: &Vector2<f64>, radius: f64, mut visit: impl FnMut(usize, &Feature)) {
+        let range = |centre: f64, count: usize| {
+            let low = ((centre - radius).max(0.0) / CELL_PX) as usize;
+            let high = ((centre + radius).max(0.0) / CELL_PX) as usize;
+            low.min(count)..(high + 1).min(count)
+        };
+        let columns = range(pixel.x, self.columns);
+        if columns.is_empty() {
+            return;
+        }
+        for row in range(pixel.y, self.rows) {
+            let first = self.starts[row * self.columns + columns.start] as usize;
+            let last = self.starts[row * self.columns + columns.end] as usize;
+            for &index in &self.order[first..last] {
+                visit(index as usize, &self.features[index as usize]);
+            }
+        }
+    }
+}
+
+/// The claims that hold: best for the landmark and for the feature, and clearly better than the next landmark or
+/// feature of another spot. Ordered by sighted landmark.
+pub(super) fn claims(
+    map: &LandmarkMap,
+    sighted: &[Sighted],
+    features: &KeyframeFeatures,
+    search: Search,
+    params: &LocalisationParams,
+) -> Vec<Claim> {
+    let mut parts: Vec<(usize, &[Sighted])> = Vec::new();
+    let mut start = 0;
+    for of_camera in sighted.chunk_by(|a, b| a.camera == b.camera) {
+        parts.push((start, of_camera));
+        start += of_camera.len();
+    }
+    let held: Vec<Vec<Claim>> = parts
+        .into_par_iter()
+        .map(|(start, of_camera)| {
+            let camera = of_camera.first().map_or(usize::MAX, |first| first.camera);
+            let Some(image) = features.images.get(camera) else {
+                return Vec::new();
+            };
+            let cells = Cells::new(image);
+            let all = candidates(map, of_camera, start, &cells, search, params);
+            mutual(all, sighted, image, params.match_ratio)
+        })
+        .collect();
+    held.into_iter().flatten().collect()
+}
+
+fn candidates(
+    map: &LandmarkMap,
+    sighted: &[Sighted],
+    start: usize,
+    cells: &Cells<'_>,
+    search: Search,
+    params: &LocalisationParams,
+) -> Vec<Claim> {
+    let mut found = Vec::new();
+    for (offset, seen) in sighted.iter().enumerate() {
+        let (radius, inverse) = match search {
+            Search::Radius(radius) => (radius, None),
+            Search::Covariance => {
+                let widest = seen.covariance.symmetric_eigenvalues().max().max(0.0);
+                let radius = (GATE * widest).sqrt().min(params.search_px);
+                (radius, seen.covariance.try_inverse())
+            }
+        };
+        let descriptors = &map.landmarks()[seen.landmark].descriptors;
+        cells.visit(&seen.pixel, radius, |index, feature| {
+            let offset_px = Vector2::from(feature.pixel) - seen.pixel;
+            if offset_px.norm_squared() > radius * radius {
+                return;
+            }
+            let units = inverse.map_or(0.0, |inverse| offset_px.dot(&(inverse * offset_px)));
+            if units > GATE {
+                return;
+            }
+            let bits = descriptors
+                .iter()
+                .map(|known| known.distance(&feature.descriptor))
+                .min();
+            if let Some(bits) = bits.filter(|bits| *bits <= params.match_bits) {
+                found.push(Claim {
+                    sighted: start + offset,
+                    feature: index,
+                    bits,
+                    cost: f64::from(bits) + BITS_PER_UNIT * units,
+                });
+            }
+        });
+    }
+    found
+}
+
+/// Of one image's claims, those that are best on both sides without a rival.
+fn mutual(all: Vec<Claim>, sighted: &[Sighted], image: &ImageFeatures, ratio: f64) -> Vec<Claim> {
+    let feature_place = |claim: &Claim| Vector2::from(image.features[claim.feature].pixel);
+    let landmark_place = |claim: &Claim| sighted[claim.sighted].pixel;
+    let by_landmark = best(all.clone(), |claim| claim.sighted, feature_place, ratio);
+    let by_feature = best(all, |claim| claim.feature, landmark_place, ratio);
+    let mut held: Vec<Claim> = by_landmark
+        .into_iter()
+        .filter(|claim| {
+            let found = by_feature.binary_search_by_key(&claim.feature, |other| other.feature);
+            found.is_ok_and(|at| by_feature[at].sighted == claim.sighted)
+        })
+        .collect();
+    held.sort_unstable_by_key(|claim| claim.sighted);
+    held
+}
+
+/// The best claim of each `key`, unless one of another spot is nearly as alike. Ordered by key.
+fn best(
+    mut all: Vec<Claim>,
+    key: impl Fn(&Claim) -> usize,
+    place: impl Fn(&Claim) -> Vector2<f64>,
+    ratio: f64,
+) -> Vec<Claim> {
+    all.sort_unstable_by(|a, b| {
+        key(a)
+            .cmp(&key(b))
+            .then(a.cost.total_cmp(&b.cost))
+            .then((a.sighted, a.feature).cmp(&(b.sighted, b.feature)))
+    });
+    let runs = all.chunk_by(|a, b| key(a) == key(b));
+    let held = runs.filter_map(|run| {
+        let (first, others) = run.split_first()?;
+        let rival = |other: &&Claim| (place(other) - place(first)).norm() > SAME_SPOT_PX;
+        let next = others.iter().filter(rival).map(|other| other.bits).min();
+        next.is_none_or(|next| f64::from(first.bits) <= ratio * f64::from(next))
+            .then_some(*first)
+    });
+    held.collect()
+}

@@ -1,0 +1,185 @@
+//! Bundle adjustment of a scene.
+
+use nalgebra::Vector3;
+
+use super::{MapInput, MapObservation};
+use crate::metric_map::association::{Landmark, Scene};
+use crate::metric_map::bundle_adjustment::{
+    Keyframe, Observation, Odometry, Options, Problem, Session, residuals, solve,
+};
+use crate::solving::least_squares::{self, Loss};
+use crate::geometry::pose::Pose;
+
+/// Weights of adjustment.
+///
+/// Wheel odometry is planar and a step between keyframes short: what it says is good to about a tick (5 mm) plus a
+/// part of the way. It knows nothing of slopes, kerbs and suspension: height, roll and pitch are held only as much
+/// as a ramp's beginning (some per cent of slope within a step) allows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AdjustParams {
+    /// Standard deviation of a feature, pixels.
+    pub sigma_px: f64,
+    /// Residuals beyond this many standard deviations count less and less (Cauchy).
+    pub robust_sigmas: f64,
+    /// Standard deviation of an odometry step along x, y, z (m), roll, pitch, yaw (rad), however short it is.
+    pub odometry_sigma: [f64; 6],
+    /// What is added for each metre.
+    pub odometry_sigma_per_m: [f64; 6],
+    /// Standard deviation of a session's odometry scale about 1.
+    pub odometry_scale_sigma: f64,
+    /// Steps longer than this (m) are no odometry: it was reset.
+    pub longest_step_m: f64,
+    /// Iterations of one adjustment between rounds.
+    pub iterations: usize,
+    /// Iterations of the last adjustment.
+    pub last_iterations: usize,
+}
+
+impl Default for AdjustParams {
+    fn default() -> Self {
+        Self {
+            sigma_px: 1.0,
+            robust_sigmas: 2.0,
+            odometry_sigma: [0.005, 0.005, 0.01, 0.01, 0.01, 0.003],
+            odometry_sigma_per_m: [0.01, 0.01, 0.03, 0.02, 0.02, 0.006],
+            odometry_scale_sigma: 0.01,
+            longest_step_m: 5.0,
+            iterations: 8,
+            last_iterations: 30,
+        }
+    }
+}
+
+/// Poses and points after adjustment.
+pub(super) struct Adjusted {
+    pub(super) poses: Vec<Pose>,
+    pub(super) points: Vec<Vector3<f64>>,
+    pub(super) observations: Vec<MapObservation>,
+    pub(super) odometry_scales: Vec<f64>,
+    pub(super) rms_px: f64,
+}
+
+/// Adjusts poses and landmarks; where that is impossible both stay.
+pub(super) fn adjust(
+    input: &MapInput<'_>,
+    poses: &[Pose],
+    landmarks: &[Landmark],
+    params: &AdjustParams,
+    iterations: usize,
+) -> Adjusted {
+    let loss = Loss::Cauchy(params.robust_sigmas);
+    let mut problem = problem(input, poses, landmarks, params);
+    let options = Options {
+        observation_loss: loss,
+        scale_sigma: params.odometry_scale_sigma,
+        least_squares: least_squares::Options {
+            max_iterations: iterations,
+            cost_tolerance: 1e-5,
+            ..least_squares::Options::default()
+        },
+        ..Options::default()
+    };
+    let seen = match solve(&mut problem, &options) {
+        Ok(report) => report.observations,
+        Err(_) => residuals(&problem, loss),
+    };
+    let mut observations = Vec::with_capacity(seen.len());
+    let features = landmarks.iter().zip(0_u32..).flat_map(|(landmark, at)| {
+        let features = landmark.features.iter();
+        features.map(move |feature| (*feature, at))
+    });
+    for ((feature, landmark), residual) in features.zip(&seen) {
+        if let Some(error) = residual.error_px {
+            observations.push(MapObservation {
+                feature,
+                landmark,
+                residual_px: error.norm(),
+                weight: residual.weight,
+            });
+        }
+    }
+    let squares: f64 = observations
+        .iter()
+        .map(|seen| seen.residual_px.powi(2))
+        .sum();
+    let poses = problem.poses.iter().map(|pose| pose.map_from_vehicle);
+    let sessions = problem.sessions.iter();
+    Adjusted {
+        poses: poses.collect(),
+        odometry_scales: sessions.map(|session| session.odometry_scale).collect(),
+        points: problem.landmarks,
+        rms_px: (squares / observations.len().max(1) as f64).sqrt(),
+        observations,
+    }
+}
+
+fn problem(
+    input: &MapInput<'_>,
+    poses: &[Pose],
+    landmarks: &[Landmark],
+    params: &AdjustParams,
+) -> Problem {
+    let scene = input.scene;
+    let keyframe =
+        |(at, (keyframe, pose)): (usize, (&crate::metric_map::association::SceneKeyframe, &Pose))| Keyframe {
+            session: keyframe.session as usize,
+            map_from_vehicle: *pose,
+            fixed: at == input.fixed,
+        };
+    let keyframes = scene.keyframes.iter().zip(poses).enumerate();
+    Problem {
+        rigs: scene.rigs.clone(),
+        sessions: (0..scene.rigs.len()).map(Session::new).collect(),
+        poses: keyframes.map(keyframe).collect(),
+        landmarks: landmarks.iter().map(|landmark| landmark.point).collect(),
+        observations: observations(scene, landmarks, params),
+        odometry: odometry(scene, params),
+        priors: Vec::new(),
+    }
+}
+
+fn observations(scene: &Scene, landmarks: &[Landmark], params: &AdjustParams) -> Vec<Observation> {
+    let mut all = Vec::new();
+    for (at, landmark) in landmarks.iter().enumerate() {
+        for feature in &landmark.features {
+            let image = &scene.images[feature.image as usize];
+            let pose = image.keyframe as usize;
+            all.push(Observation {
+                pose,
+                camera: (feature.image - scene.keyframes[pose].images.start) as usize,
+                landmark: at,
+                pixel: scene.feature(*feature).pixel,
+                sigma_px: params.sigma_px * scene.blur(*feature),
+            });
+        }
+    }
+    all
+}
+
+/// From each keyframe to the next of its session.
+fn odometry(scene: &Scene, params: &AdjustParams) -> Vec<Odometry> {
+    let mut steps = Vec::new();
+    for (from, pair) in scene.keyframes.windows(2).enumerate() {
+        if pair[0].session != pair[1].session {
+            continue;
+        }
+        let from_from_to = pair[0]
+            .odom_from_vehicle
+            .inverse()
+            .compose(&pair[1].odom_from_vehicle);
+        let length_m = from_from_to.translation.norm();
+        if length_m.is_nan() || length_m > params.longest_step_m {
+            continue;
+        }
+        steps.push(Odometry {
+            from,
+            to: from + 1,
+            from_from_to,
+            length_m,
+            sigma: std::array::from_fn(|axis| {
+                params.odometry_sigma[axis] + params.odometry_sigma_per_m[axis] * length_m
+            }),
+        });
+    }
+    steps
+}

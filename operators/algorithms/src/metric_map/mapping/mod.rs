@@ -1,0 +1,200 @@
+//! From tracks and rough poses to an accurate map.
+//!
+//! ```text
+//!        tracks, poses of the relaxed graph
+//!                     │
+//!   ┌─▶ associate ─▶ triangulate, prune ─▶ bundle adjustment ─▶ prune ─┐   the search radius shrinks
+//!   └──────────────────────────────────────────────────────────────────┘   from round to round
+//!                     │
+//!        bundle adjustment once more: poses, landmarks, residuals
+//! ```
+//!
+//! The first round sees poses that are off by what drift the relaxed graph has left: near landmarks appear many
+//! pixels away from where they are predicted. Each adjustment brings tracks of different cameras, loops and sessions
+//! together, so the next round finds more of them in a smaller circle. Features that do not fit the adjusted map are
+//! taken from their landmark; the next round may give them back.
+//!
+//! Metric scale comes from the rig: what two cameras see at one instant, or one after the other, is some metres of
+//! baseline apart, known from calibration. Odometry has one unknown scale per session, held near 1 with a tolerance.
+
+mod adjust;
+mod prune;
+#[cfg(test)]
+mod simulated;
+#[cfg(test)]
+mod tests;
+
+use crate::metric_map::association::{AssociationParams, FeatureRef, Landmark, Scene, associate};
+use crate::geometry::pose::Pose;
+
+pub use adjust::AdjustParams;
+
+/// How maps are made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MappingParams {
+    /// Rounds of association and adjustment.
+    pub rounds: u32,
+    /// Search radius of the first round, pixels.
+    pub first_radius_px: f64,
+    /// Search radius of the last round.
+    pub last_radius_px: f64,
+    /// The rest of association's choices; its radius is not used.
+    pub association: AssociationParams,
+    /// Features farther from their adjusted landmark than this, in standard deviations, are wrong.
+    pub drop_sigmas: f64,
+    /// Landmarks need so many features.
+    pub min_features: usize,
+    /// Landmarks need rays that differ by this angle, radians.
+    pub min_parallax_rad: f64,
+    /// Weights of adjustment.
+    pub adjust: AdjustParams,
+}
+
+impl Default for MappingParams {
+    fn default() -> Self {
+        Self {
+            rounds: 4,
+            first_radius_px: 12.0,
+            last_radius_px: 4.0,
+            association: AssociationParams::default(),
+            drop_sigmas: 4.0,
+            min_features: 3,
+            min_parallax_rad: 0.03,
+            adjust: AdjustParams::default(),
+        }
+    }
+}
+
+/// What a map is made from.
+#[derive(Debug, Clone, Copy)]
+pub struct MapInput<'a> {
+    /// All that was seen.
+    pub scene: &'a Scene,
+    /// `map_from_vehicle` of its keyframes, off by less than about half a metre and two degrees.
+    pub poses: &'a [Pose],
+    /// Landmarks of the version before: names and features; the points are found again.
+    pub landmarks: &'a [Landmark],
+    /// Features that show one point each, sorted by image. Those that landmarks have already are left to them.
+    pub tracks: &'a [Vec<FeatureRef>],
+    /// The keyframe whose pose stays.
+    pub fixed: usize,
+}
+
+/// A feature as the adjusted map explains it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MapObservation {
+    /// The feature.
+    pub feature: FeatureRef,
+    /// Index of the landmark.
+    pub landmark: u32,
+    /// Distance to the projected landmark, pixels.
+    pub residual_px: f64,
+    /// 1 where it counted fully, near 0 where it was found to be false.
+    pub weight: f64,
+}
+
+/// What one round did.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Round {
+    /// Search radius, pixels.
+    pub radius_px: f64,
+    /// Landmarks that went into others.
+    pub merged: usize,
+    /// Features that belonged to none before.
+    pub added: usize,
+    /// Landmarks adjusted.
+    pub landmarks: usize,
+    /// Features adjusted.
+    pub observations: usize,
+    /// Root mean square distance after adjustment, pixels.
+    pub rms_px: f64,
+    /// Largest move of a keyframe, metres.
+    pub moved_m: f64,
+}
+
+/// An accurate map.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Map {
+    /// `map_from_vehicle` of the scene's keyframes.
+    pub poses: Vec<Pose>,
+    /// The landmarks, those of the version before first. New names follow the largest name of those.
+    pub landmarks: Vec<Landmark>,
+    /// Their features, in the order of landmarks and images.
+    pub observations: Vec<MapObservation>,
+    /// By session: true length over the odometry's.
+    pub odometry_scales: Vec<f64>,
+    /// What happened.
+    pub rounds: Vec<Round>,
+}
+
+/// Makes a map. Without landmarks that can be triangulated the poses stay as they are.
+pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
+    let MapInput { scene, .. } = *input;
+    let mut poses = input.poses.to_vec();
+    let (mut landmarks, first_new) = prune::first(input, params);
+    let mut rounds = Vec::new();
+    for round in 0..params.rounds {
+        let radius_px = radius_px(params, round);
+        let association = AssociationParams {
+            radius_px,
+            ..params.association
+        };
+        let found = associate(scene, &poses, &landmarks, &association);
+        let gate_px = association.agree_px.max(0.75 * radius_px);
+        landmarks = prune::prune(scene, &poses, found.landmarks, gate_px, params);
+        let adjusted = adjust::adjust(
+            input,
+            &poses,
+            &landmarks,
+            &params.adjust,
+            params.adjust.iterations,
+        );
+        rounds.push(Round {
+            radius_px,
+            merged: found.merged,
+            added: found.added,
+            landmarks: landmarks.len(),
+            observations: landmarks
+                .iter()
+                .map(|landmark| landmark.features.len())
+                .sum(),
+            rms_px: adjusted.rms_px,
+            moved_m: farthest(&poses, &adjusted.poses),
+        });
+        poses = adjusted.poses;
+        let drop_px = params.drop_sigmas * params.adjust.sigma_px;
+        landmarks = prune::prune(scene, &poses, landmarks, drop_px, params);
+    }
+    prune::name(&mut landmarks, first_new);
+    let last = adjust::adjust(
+        input,
+        &poses,
+        &landmarks,
+        &params.adjust,
+        params.adjust.last_iterations,
+    );
+    for (landmark, point) in landmarks.iter_mut().zip(last.points) {
+        landmark.point = point;
+    }
+    Map {
+        poses: last.poses,
+        landmarks,
+        observations: last.observations,
+        odometry_scales: last.odometry_scales,
+        rounds,
+    }
+}
+
+/// From the first to the last radius in equal factors.
+fn radius_px(params: &MappingParams, round: u32) -> f64 {
+    let steps = params.rounds.saturating_sub(1).max(1);
+    let factor = params.last_radius_px / params.first_radius_px;
+    params.first_radius_px * factor.powf(f64::from(round) / f64::from(steps))
+}
+
+fn farthest(before: &[Pose], after: &[Pose]) -> f64 {
+    let moves = before.iter().zip(after);
+    moves
+        .map(|(before, after)| (before.translation - after.translation).norm())
+        .fold(0.0, f64::max)
+}

@@ -1,0 +1,109 @@
+//! Landmarks at their place, without the features that do not show them.
+
+use std::collections::BTreeSet;
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use super::{MapInput, MappingParams};
+use crate::metric_map::association::{FeatureRef, Landmark, Scene, Sight, ray_residual_rad, triangulate};
+use crate::geometry::pose::Pose;
+
+/// The landmarks of the version before and the tracks, triangulated; and the first name that is new.
+pub(super) fn first(input: &MapInput<'_>, params: &MappingParams) -> (Vec<Landmark>, u32) {
+    let names = input.landmarks.iter().map(|landmark| landmark.id);
+    let first_new = names.max().map_or(0, |last| last.saturating_add(1));
+    let mut taken: BTreeSet<FeatureRef> = BTreeSet::new();
+    let mut landmarks = Vec::with_capacity(input.landmarks.len() + input.tracks.len());
+    let known = input
+        .landmarks
+        .iter()
+        .map(|known| (known.id, &known.features));
+    let new = input.tracks.iter().map(|track| (first_new, track));
+    for (id, features) in known.chain(new) {
+        let mut features = features.clone();
+        features.sort_unstable();
+        features.dedup_by_key(|feature| feature.image);
+        features.retain(|feature| input.scene.has(*feature) && taken.insert(*feature));
+        landmarks.push(Landmark {
+            id,
+            point: Default::default(),
+            features,
+        });
+    }
+    let gate_px = params
+        .association
+        .agree_px
+        .max(0.5 * params.first_radius_px);
+    let params = MappingParams {
+        min_features: 2,
+        ..*params
+    };
+    let landmarks = prune(input.scene, input.poses, landmarks, gate_px, &params);
+    (landmarks, first_new)
+}
+
+/// Gives new landmarks names, from `first_new` on.
+pub(super) fn name(landmarks: &mut [Landmark], first_new: u32) {
+    let new = landmarks
+        .iter_mut()
+        .filter(|landmark| landmark.id >= first_new);
+    for (landmark, id) in new.zip(first_new..) {
+        landmark.id = id;
+    }
+}
+
+/// Triangulates every landmark; drops the features that are farther than `gate_px` from it, and the landmarks that
+/// have too few left or are seen along rays too much alike.
+pub(super) fn prune(
+    scene: &Scene,
+    poses: &[Pose],
+    landmarks: Vec<Landmark>,
+    gate_px: f64,
+    params: &MappingParams,
+) -> Vec<Landmark> {
+    let cameras = scene.map_from_cameras(poses);
+    let pruned: Vec<Option<Landmark>> = landmarks
+        .into_par_iter()
+        .map(|landmark| pruned(scene, &cameras, landmark, gate_px, params))
+        .collect();
+    pruned.into_iter().flatten().collect()
+}
+
+fn pruned(
+    scene: &Scene,
+    cameras: &[Pose],
+    mut landmark: Landmark,
+    gate_px: f64,
+    params: &MappingParams,
+) -> Option<Landmark> {
+    // Dropping the worst moves the point, which may free others; twice is nearly always enough.
+    for _ in 0..3 {
+        if landmark.features.len() < params.min_features {
+            return None;
+        }
+        let sights: Vec<Sight> = landmark
+            .features
+            .iter()
+            .filter_map(|feature| scene.sight(cameras, *feature))
+            .collect();
+        let found = triangulate(&sights)?;
+        let point = found.point;
+        let before = landmark.features.len();
+        landmark.point = point;
+        landmark.features.retain(|feature| {
+            let sight = scene.sight(cameras, *feature);
+            sight.is_some_and(|sight| off_px(&sight, &point) <= gate_px)
+        });
+        if landmark.features.len() == before {
+            return (found.parallax_rad >= params.min_parallax_rad).then_some(landmark);
+        }
+    }
+    None
+}
+
+fn off_px(sight: &Sight<'_>, point: &Vector3<f64>) -> f64 {
+    let in_camera = sight.map_from_camera.inverse().transform(point);
+    ray_residual_rad(&sight.ray, &in_camera)
+        .map_or(f64::INFINITY, |angles| angles.norm() * sight.px_per_rad)
+}

@@ -1,0 +1,298 @@
+//! Loop closures among the drives of a site.
+
+use nalgebra::Matrix6;
+use rayon::prelude::*;
+
+use super::drive::{Drive, Surveyed};
+use super::index::PlaceIndex;
+use super::local_points::{LocalPoint, PointLimits, local_points};
+use super::verification::{Verified, View, verified};
+use super::vocabulary::{Bag, Vocabulary, VocabularyOptions};
+use crate::metric_map::matching::MatchLimits;
+use crate::geometry::pose::Pose;
+use crate::geometry::resection::ResectionOptions;
+
+/// How loops are looked for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LoopOptions {
+    /// The words that places are compared by.
+    pub vocabulary: VocabularyOptions,
+    /// Keyframes of one drive are compared when more path than this lies between them, metres.
+    pub min_path_m: f64,
+    /// Hits nearer together along a drive than this are one place, metres.
+    pub place_m: f64,
+    /// Loops from one keyframe to one place lead to keyframes at least as far apart, metres.
+    pub spacing_m: f64,
+    /// Places that are looked at closely for each keyframe, the most similar first.
+    pub places: usize,
+    /// Loops wanted for each keyframe.
+    pub edges: usize,
+    /// Path before and after a keyframe whose sightings make its points, metres.
+    pub window_m: f64,
+    /// A point's standard deviation along its ray, at most, as a share of the range.
+    pub max_relative_sigma: f64,
+    /// When descriptors match.
+    pub limits: MatchLimits,
+    /// Standard deviation of a feature's place in the image, pixels.
+    pub sigma_px: f64,
+    /// Standard deviation of odometry's scale.
+    pub odometry_scale_sigma: f64,
+    /// Probability that a wrong match agrees with a wrong pose.
+    pub agreement: f64,
+    /// Loops that chance may confirm, per comparison.
+    pub false_alarms: f64,
+    /// Inliers must lie in as many of 24 sectors around the vehicle.
+    pub min_sectors: usize,
+    /// A loop whose standard deviation of position is larger says nothing, metres.
+    pub max_sigma_m: f64,
+    /// The search for a pose.
+    pub resection: ResectionOptions,
+}
+
+impl Default for LoopOptions {
+    fn default() -> Self {
+        Self {
+            vocabulary: VocabularyOptions::default(),
+            min_path_m: 10.0,
+            place_m: 5.0,
+            spacing_m: 1.0,
+            places: 4,
+            edges: 3,
+            window_m: 3.0,
+            max_relative_sigma: 0.3,
+            limits: MatchLimits::default(),
+            sigma_px: 1.0,
+            odometry_scale_sigma: 0.02,
+            agreement: 0.01,
+            false_alarms: 1e-6,
+            min_sectors: 3,
+            max_sigma_m: 0.2,
+            resection: ResectionOptions::default(),
+        }
+    }
+}
+
+/// Two keyframes that see the same place.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Loop {
+    /// Drive and keyframe that came later.
+    pub later: (usize, usize),
+    /// Drive and keyframe that came earlier.
+    pub earlier: (usize, usize),
+    /// The later vehicle in the earlier one's frame.
+    pub earlier_from_later: Pose,
+    /// Covariance: translation along the earlier vehicle's axes (m²), then rotation about them (rad²).
+    pub covariance: Matrix6<f64>,
+    /// Features that matched.
+    pub matches: usize,
+    /// Matches that agree with the pose.
+    pub inliers: usize,
+}
+
+impl Loop {
+    /// Standard deviation of the relative position along an axis, root mean square of the three; metres.
+    pub fn sigma_m(&self) -> f64 {
+        (self.covariance.fixed_view::<3, 3>(0, 0).trace() / 3.0).sqrt()
+    }
+
+    /// The same of the relative orientation; radians.
+    pub fn sigma_rad(&self) -> f64 {
+        (self.covariance.fixed_view::<3, 3>(3, 3).trace() / 3.0).sqrt()
+    }
+}
+
+/// The loops from each keyframe to earlier ones, of its own drive and of others; drives that began earlier count as
+/// earlier as a whole. Ordered by the later keyframe; to one keyframe the best first.
+pub fn loops(drives: &[Drive<'_>], options: &LoopOptions) -> Vec<Loop> {
+    let site = Site::new(drives, options);
+    let each = site.documents.par_iter().enumerate();
+    each.flat_map_iter(|(document, _)| site.closed(document))
+        .collect()
+}
+
+/// All drives of a site, with what is worked out once. A document is a keyframe, in the order driven.
+struct Site<'a> {
+    options: &'a LoopOptions,
+    drives: Vec<Surveyed<'a>>,
+    points: Vec<Vec<Vec<LocalPoint>>>,
+    /// Drive and keyframe.
+    documents: Vec<(usize, usize)>,
+    /// The first document of each drive.
+    first: Vec<usize>,
+    bags: Vec<Bag>,
+    index: PlaceIndex,
+}
+
+impl<'a> Site<'a> {
+    fn new(drives: &'a [Drive<'a>], options: &'a LoopOptions) -> Self {
+        let surveyed: Vec<_> = drives
+            .iter()
+            .map(|drive| Surveyed::new(drive, options.sigma_px))
+            .collect();
+        let limits = PointLimits {
+            window_m: options.window_m,
+            max_relative_sigma: options.max_relative_sigma,
+        };
+        let points = surveyed
+            .iter()
+            .map(|drive| local_points(drive, &limits))
+            .collect();
+        let (documents, first) = documents(drives);
+        let descriptors = |(drive, keyframe): &(usize, usize)| {
+            let images = &drives[*drive].keyframes[*keyframe].features.images;
+            let features = images.iter().flat_map(|image| &image.features);
+            features.map(|feature| &feature.descriptor)
+        };
+        let all: Vec<_> = documents.iter().flat_map(descriptors).collect();
+        let vocabulary = Vocabulary::train(all.into_iter(), &options.vocabulary);
+        let bags: Vec<Bag> = documents
+            .par_iter()
+            .map(|document| vocabulary.bag(descriptors(document)))
+            .collect();
+        let index = PlaceIndex::new(vocabulary.words(), &bags);
+        Self {
+            options,
+            drives: surveyed,
+            points,
+            documents,
+            first,
+            bags,
+            index,
+        }
+    }
+
+    fn view(&self, document: usize) -> View<'_> {
+        let (drive, keyframe) = self.documents[document];
+        View {
+            drive: &self.drives[drive],
+            keyframe,
+            points: &self.points[drive][keyframe],
+        }
+    }
+
+    fn path_m(&self, document: usize) -> f64 {
+        let (drive, keyframe) = self.documents[document];
+        self.drives[drive].path_m[keyframe]
+    }
+
+    fn same_drive(&self, a: usize, b: usize) -> bool {
+        self.documents[a].0 == self.documents[b].0
+    }
+
+    /// Path between two keyframes of one drive; infinite for those of two.
+    fn apart_m(&self, a: usize, b: usize) -> f64 {
+        if self.same_drive(a, b) {
+            (self.path_m(a) - self.path_m(b)).abs()
+        } else {
+            f64::INFINITY
+        }
+    }
+
+    /// The documents that look most alike, one for each place.
+    fn candidates(&self, later: usize) -> Vec<usize> {
+        let mut scored: Vec<(f32, usize)> = self
+            .index
+            .scores(&self.bags[later], later)
+            .into_iter()
+            .zip(0..)
+            .filter(|(score, earlier)| {
+                *score > 0.0 && self.apart_m(*earlier, later) > self.options.min_path_m
+            })
+            .collect();
+        scored.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let mut chosen: Vec<usize> = Vec::new();
+        for (_, document) in scored {
+            if chosen.len() >= self.options.places {
+                break;
+            }
+            if chosen
+                .iter()
+                .all(|other| self.apart_m(*other, document) > self.options.place_m)
+            {
+                chosen.push(document);
+            }
+        }
+        chosen
+    }
+
+    fn closed(&self, later: usize) -> Vec<Loop> {
+        let mut found: Vec<Loop> = Vec::new();
+        for earlier in self.candidates(later) {
+            if found.len() >= self.options.edges {
+                break;
+            }
+            let Some(first) = self.loop_between(earlier, later, None) else {
+                continue;
+            };
+            let beside = self.beside(earlier, &first);
+            found.push(first);
+            if let Some((document, guess)) = beside
+                && found.len() < self.options.edges
+            {
+                found.extend(self.loop_between(document, later, Some(&guess)));
+            }
+        }
+        found.sort_by(|a, b| b.inliers.cmp(&a.inliers).then(a.earlier.cmp(&b.earlier)));
+        found
+    }
+
+    fn loop_between(&self, earlier: usize, later: usize, guess: Option<&Pose>) -> Option<Loop> {
+        let Verified {
+            earlier_from_later,
+            covariance,
+            matches,
+            inliers,
+        } = verified(self.view(earlier), self.view(later), guess, self.options)?;
+        let found = Loop {
+            later: self.documents[later],
+            earlier: self.documents[earlier],
+            earlier_from_later,
+            covariance,
+            matches,
+            inliers,
+        };
+        (found.sigma_m() <= self.options.max_sigma_m).then_some(found)
+    }
+
+    /// The keyframe of the same place, but not the same spot, that the later one stood nearest to; and how.
+    fn beside(&self, earlier: usize, found: &Loop) -> Option<(usize, Pose)> {
+        let (drive, keyframe) = found.earlier;
+        let surveyed = &self.drives[drive];
+        let later = (found.later.0 == drive).then(|| surveyed.path_m[found.later.1]);
+        let first = self.first[drive];
+        let near = (0..surveyed.path_m.len()).filter(|other| {
+            let apart = self.apart_m(first + other, earlier);
+            let from_later =
+                later.map_or(f64::INFINITY, |path| (path - surveyed.path_m[*other]).abs());
+            (self.options.spacing_m..=self.options.place_m).contains(&apart)
+                && from_later > self.options.min_path_m
+        });
+        let guessed = near.map(|other| {
+            let guess = surveyed
+                .between(other, keyframe)
+                .compose(&found.earlier_from_later);
+            (guess.translation.norm(), other, guess)
+        });
+        let (_, nearest, guess) = guessed.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some((first + nearest, guess))
+    }
+}
+
+/// Keyframes by the time their drive began and their own, and the first of each drive.
+fn documents(drives: &[Drive<'_>]) -> (Vec<(usize, usize)>, Vec<usize>) {
+    let mut order: Vec<usize> = (0..drives.len()).collect();
+    let began = |drive: &usize| {
+        drives[*drive]
+            .keyframes
+            .first()
+            .map(|keyframe| keyframe.stamp)
+    };
+    order.sort_by_key(|drive| (began(drive), *drive));
+    let mut first = vec![0; drives.len()];
+    let mut documents = Vec::new();
+    for drive in order {
+        first[drive] = documents.len();
+        documents.extend((0..drives[drive].keyframes.len()).map(|keyframe| (drive, keyframe)));
+    }
+    (documents, first)
+}

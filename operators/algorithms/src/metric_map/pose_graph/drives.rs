@@ -1,0 +1,512 @@
+//! Drives of one site, each a chain of odometry, put into one map.
+//!
+//! ```text
+//! place the base ─► relax what is placed ─► attach drives whose sightings agree ─┐
+//!                        ▲                                                       │ until none
+//!                        └───────────────────────────────────────────────────────┘
+//! ─► leave out what too few accepted loops hold, and relax once more
+//! ```
+//!
+//! The base defines the map's frame: keyframes whose poses are known already; else the map that
+//! [`Fix`]es refer to; else the first drive given, whose first keyframe becomes the origin.
+//!
+//! Odometry errors are mostly systematic (a wheel's radius, a gyro's bias), and grow in proportion
+//! to the path. A chain of independent steps has errors that grow with its root. The walks of
+//! [`DriveParams`] are set so that the chain is as uncertain as odometry is after 100 m: were each
+//! step believed to its own one per cent, a hundred metres would be believed to one millimetre
+//! per metre, and true loops would look false.
+
+use nalgebra::{Matrix6, Vector6};
+
+use super::consensus::{Agreement, Rules, Sighting, agree, places};
+use super::robust::{CUTOFF_SPATIAL, relax_robustly};
+use super::{Edge, Graph, SpatialGraph, options};
+use crate::solving::least_squares::{Loss, SystemError};
+use crate::geometry::lie::se3;
+use crate::geometry::pose::Pose;
+
+/// A keyframe of a drive.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DrivePose {
+    /// The vehicle in the drive's own, drifting frame.
+    pub odom_from_vehicle: Pose,
+    /// Path from the drive's start (m).
+    pub path_m: f64,
+    /// Its pose in the map, where it is known and stays.
+    pub known: Option<Pose>,
+}
+
+/// Which keyframe of which drive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Place {
+    /// Index of the drive.
+    pub drive: usize,
+    /// Index of the keyframe within it.
+    pub keyframe: usize,
+}
+
+/// A loop closure, true or false.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Loop {
+    /// The later keyframe.
+    pub later: Place,
+    /// The earlier one.
+    pub earlier: Place,
+    /// The vehicle of the later keyframe in that of the earlier one.
+    pub earlier_from_later: Pose,
+    /// Standard deviation of the relative position (m).
+    pub sigma_m: f64,
+    /// Standard deviation of the relative orientation (rad).
+    pub sigma_rad: f64,
+}
+
+/// A keyframe localised in the map, rightly or not.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fix {
+    /// The keyframe.
+    pub at: Place,
+    /// Its pose in the map.
+    pub map_from_vehicle: Pose,
+    /// Covariance along the vehicle's own axes: translation (m²), rotation (rad²).
+    pub covariance: Matrix6<f64>,
+}
+
+/// How odometry and loops are believed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DriveParams {
+    /// Standard deviation of the odometry's position after one metre, growing with the root of
+    /// the path (m).
+    pub walk_m: f64,
+    /// Standard deviation of its heading after one metre, growing with the root of the path (rad).
+    pub walk_rad: f64,
+    /// Standard deviation of its heading after a turn of one radian, growing with the root of the
+    /// turn (rad).
+    pub turn_rad: f64,
+    /// Standard deviation of roll, pitch (rad) and height (m), which odometry does not measure,
+    /// after one metre.
+    pub slope: f64,
+    /// What loops and fixes are uncertain by beyond what they say (m).
+    pub loop_m: f64,
+    /// The same for their orientation (rad).
+    pub loop_rad: f64,
+    /// Squared standard deviations beyond which a loop is false: a quantile of χ².
+    pub cutoff: f64,
+    /// Path between keyframes that are two places (m).
+    pub place_m: f64,
+    /// Places that must agree before a drive is joined to the map.
+    pub places: usize,
+}
+
+impl Default for DriveParams {
+    fn default() -> Self {
+        Self {
+            walk_m: 0.1,
+            walk_rad: 0.01,
+            turn_rad: 0.03,
+            slope: 0.02,
+            loop_m: 0.05,
+            loop_rad: 0.01,
+            cutoff: CUTOFF_SPATIAL,
+            place_m: 1.0,
+            places: 3,
+        }
+    }
+}
+
+/// How a loop fits the relaxed poses.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fit {
+    /// Distance between where it puts the later keyframe and where that is (m).
+    pub residual_m: f64,
+    /// Angle between the two (rad).
+    pub residual_rad: f64,
+    /// 1 when it was believed, 0 when it was found to be false.
+    pub weight: f64,
+}
+
+/// The map.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Joined {
+    /// By drive: the poses of its keyframes in the map; `None` when nothing sure connects it.
+    pub poses: Vec<Option<Vec<Pose>>>,
+    /// By loop: `None` when one of its drives is not in the map.
+    pub loops: Vec<Option<Fit>>,
+    /// By fix: its weight; 0 when its drive is not in the map.
+    pub fixes: Vec<f64>,
+}
+
+/// Joins drives by loops and fixes. `base` starts the map where no pose is known and nothing is
+/// localised; `None` when the map exists already. Loops and fixes that name no keyframe are
+/// ignored.
+///
+/// # Errors
+/// [`SystemError`] when the graph is too large for memory.
+pub fn join(
+    drives: &[Vec<DrivePose>],
+    loops: &[Loop],
+    fixes: &[Fix],
+    base: Option<usize>,
+    params: &DriveParams,
+) -> Result<Joined, SystemError> {
+    let mut joining = Joining {
+        drives,
+        loops,
+        fixes,
+        params,
+        poses: drives.iter().map(|drive| known(drive)).collect(),
+        start: None,
+        is_base: vec![false; drives.len()],
+        loop_weights: vec![0.0; loops.len()],
+        fix_weights: vec![0.0; fixes.len()],
+    };
+    if let Some(base) = base
+        && joining.poses.iter().all(Option::is_none)
+        && let Some(first) = drives.get(base).and_then(|drive| drive.first())
+    {
+        joining.hang(base, &first.odom_from_vehicle.inverse());
+        joining.start = Some(base);
+    }
+    for (is_base, poses) in joining.is_base.iter_mut().zip(&joining.poses) {
+        *is_base = poses.is_some();
+    }
+    let mut refused = vec![false; drives.len()];
+    loop {
+        joining.relax()?;
+        if !joining.attach(&refused) && !joining.detach(&mut refused) {
+            break;
+        }
+    }
+    Ok(joining.finish())
+}
+
+/// The poses of a drive of which some are known: the others hang off the known one before them,
+/// or else the first known one.
+fn known(drive: &[DrivePose]) -> Option<Vec<Pose>> {
+    let map_from_odom = |at: &DrivePose| Some(at.known?.compose(&at.odom_from_vehicle.inverse()));
+    let mut frame = drive.iter().find_map(map_from_odom)?;
+    let poses = drive.iter().map(|at| {
+        frame = map_from_odom(at).unwrap_or(frame);
+        at.known
+            .unwrap_or_else(|| frame.compose(&at.odom_from_vehicle))
+    });
+    Some(poses.collect())
+}
+
+struct Joining<'a> {
+    drives: &'a [Vec<DrivePose>],
+    loops: &'a [Loop],
+    fixes: &'a [Fix],
+    params: &'a DriveParams,
+    poses: Vec<Option<Vec<Pose>>>,
+    /// The drive whose first keyframe is the origin.
+    start: Option<usize>,
+    is_base: Vec<bool>,
+    loop_weights: Vec<f64>,
+    fix_weights: Vec<f64>,
+}
+
+impl Joining<'_> {
+    /// Puts a drive into the map as odometry has it.
+    fn hang(&mut self, drive: usize, map_from_odom: &Pose) {
+        let poses = self.drives[drive].iter();
+        let poses = poses.map(|at| map_from_odom.compose(&at.odom_from_vehicle));
+        self.poses[drive] = Some(poses.collect());
+    }
+
+    fn pose(&self, place: Place) -> Option<Pose> {
+        let poses = self.poses.get(place.drive)?.as_ref()?;
+        poses.get(place.keyframe).copied()
+    }
+
+    fn drive_pose(&self, place: Place) -> Option<&DrivePose> {
+        self.drives.get(place.drive)?.get(place.keyframe)
+    }
+
+    /// Relaxes all drives that are placed; weights of loops and fixes follow.
+    fn relax(&mut self) -> Result<(), SystemError> {
+        let numbered = Numbered::new(self.drives, &self.poses);
+        let mut graph = numbered.graph(self.drives, &self.poses, self.params);
+        let start = self
+            .start
+            .and_then(|drive| numbered.of(Place { drive, keyframe: 0 }));
+        if let Some(start) = start {
+            graph.fixed[start] = true;
+        }
+        let chain = graph.edges.len();
+        let mut origin = Vec::new();
+        for (index, given) in self.loops.iter().enumerate() {
+            if let Some(edge) = numbered.loop_edge(given, self.params) {
+                graph.edges.push(edge);
+                origin.push(Doubted::Loop(index));
+            }
+        }
+        for (index, fix) in self.fixes.iter().enumerate() {
+            if let Some(edge) = numbered.fix_edge(fix, self.params) {
+                graph.edges.push(edge);
+                origin.push(Doubted::Fix(index));
+            }
+        }
+        let doubted: Vec<bool> = (0..graph.edges.len()).map(|edge| edge >= chain).collect();
+        let weights = relax_robustly(&mut graph, &doubted, self.params.cutoff, &options())?;
+        self.loop_weights.fill(0.0);
+        self.fix_weights.fill(0.0);
+        for (origin, weight) in origin.iter().zip(&weights[chain..]) {
+            match origin {
+                Doubted::Loop(index) => self.loop_weights[*index] = *weight,
+                Doubted::Fix(index) => self.fix_weights[*index] = *weight,
+            }
+        }
+        numbered.read(&graph, &mut self.poses);
+        Ok(())
+    }
+
+    /// Places each drive that is not yet, where enough sightings agree. Did any find its place?
+    fn attach(&mut self, refused: &[bool]) -> bool {
+        let rules = Rules {
+            walk_m: self.params.walk_m,
+            walk_rad: self.params.walk_rad,
+            sigmas: self.params.cutoff.sqrt(),
+            place_m: self.params.place_m,
+            places: self.params.places,
+        };
+        let free = (0..self.drives.len()).filter(|at| self.poses[*at].is_none() && !refused[*at]);
+        let found: Vec<(usize, Agreement)> = free
+            .filter_map(|drive| Some((drive, agree(&self.sightings(drive), &rules)?)))
+            .collect();
+        for (drive, agreement) in &found {
+            self.hang(*drive, &agreement.map_from_drive);
+        }
+        !found.is_empty()
+    }
+
+    /// Where loops to what is placed, and fixes, put the keyframes of a drive.
+    fn sightings(&self, drive: usize) -> Vec<Sighting> {
+        let mut sightings = Vec::new();
+        let params = self.params;
+        let mut add = |at: Place, map_from_vehicle: Pose, sigma_m: f64, sigma_rad: f64| {
+            if let Some(own) = self.drive_pose(at) {
+                sightings.push(Sighting {
+                    drive_from_vehicle: own.odom_from_vehicle,
+                    map_from_vehicle,
+                    path_m: own.path_m,
+                    sigma_m: sigma_m.hypot(params.loop_m),
+                    sigma_rad: sigma_rad.hypot(params.loop_rad),
+                });
+            }
+        };
+        for given in self.loops {
+            let [later, earlier] = [given.later, given.earlier];
+            if later.drive == drive
+                && let Some(other) = self.pose(earlier)
+            {
+                let map_from_vehicle = other.compose(&given.earlier_from_later);
+                add(later, map_from_vehicle, given.sigma_m, given.sigma_rad);
+            } else if earlier.drive == drive
+                && let Some(other) = self.pose(later)
+            {
+                let map_from_vehicle = other.compose(&given.earlier_from_later.inverse());
+                add(earlier, map_from_vehicle, given.sigma_m, given.sigma_rad);
+            }
+        }
+        for fix in self.fixes.iter().filter(|fix| fix.at.drive == drive) {
+            let diagonal = fix.covariance.diagonal();
+            let sigma_m = diagonal.fixed_rows::<3>(0).max().max(0.0).sqrt();
+            let sigma_rad = diagonal.fixed_rows::<3>(3).max().max(0.0).sqrt();
+            add(fix.at, fix.map_from_vehicle, sigma_m, sigma_rad);
+        }
+        sightings
+    }
+
+    /// Takes out drives that too few accepted loops and fixes connect with the base, directly or
+    /// over others. Was there one?
+    fn detach(&mut self, refused: &mut [bool]) -> bool {
+        let mut held = self.is_base.clone();
+        loop {
+            let more = (0..held.len())
+                .filter(|drive| !held[*drive] && self.poses[*drive].is_some())
+                .find(|drive| self.support(*drive, &held) >= self.params.places);
+            match more {
+                Some(drive) => held[drive] = true,
+                None => break,
+            }
+        }
+        let mut any = false;
+        for drive in 0..held.len() {
+            if self.poses[drive].is_some() && !held[drive] {
+                self.poses[drive] = None;
+                refused[drive] = true;
+                any = true;
+            }
+        }
+        any
+    }
+
+    /// Places of a drive that accepted loops to held drives, or accepted fixes, put into the map.
+    fn support(&self, drive: usize, held: &[bool]) -> usize {
+        let holds = |other: Place| held.get(other.drive) == Some(&true);
+        let by_loop = self.loops.iter().zip(&self.loop_weights);
+        let by_loop = by_loop
+            .filter(|(_, weight)| **weight > 0.5)
+            .filter_map(|(given, _)| {
+                let [later, earlier] = [given.later, given.earlier];
+                if later.drive == drive && holds(earlier) {
+                    Some(later)
+                } else if earlier.drive == drive && holds(later) {
+                    Some(earlier)
+                } else {
+                    None
+                }
+            });
+        let by_fix = self.fixes.iter().zip(&self.fix_weights);
+        let by_fix = by_fix
+            .filter(|(fix, weight)| **weight > 0.5 && fix.at.drive == drive)
+            .map(|(fix, _)| fix.at);
+        let path = by_loop.chain(by_fix);
+        let path = path.filter_map(|place| Some(self.drive_pose(place)?.path_m));
+        places(path, self.params.place_m)
+    }
+
+    fn finish(self) -> Joined {
+        let loops = self.loops.iter().zip(&self.loop_weights);
+        let loops = loops.map(|(given, weight)| {
+            let (later, earlier) = (self.pose(given.later)?, self.pose(given.earlier)?);
+            let said = earlier.compose(&given.earlier_from_later);
+            Some(Fit {
+                residual_m: (later.translation - said.translation).norm(),
+                residual_rad: later.rotation.angle_to(&said.rotation),
+                weight: *weight,
+            })
+        });
+        Joined {
+            loops: loops.collect(),
+            fixes: self.fix_weights,
+            poses: self.poses,
+        }
+    }
+}
+
+/// What a doubted edge was made of.
+enum Doubted {
+    Loop(usize),
+    Fix(usize),
+}
+
+/// Keyframes of placed drives as poses of a graph; pose 0 is the map's origin.
+struct Numbered {
+    /// By drive: the pose of its first keyframe.
+    first: Vec<Option<usize>>,
+    lengths: Vec<usize>,
+}
+
+impl Numbered {
+    fn new(drives: &[Vec<DrivePose>], poses: &[Option<Vec<Pose>>]) -> Self {
+        let mut next = 1;
+        let first = drives.iter().zip(poses).map(|(drive, poses)| {
+            poses.as_ref().map(|_| {
+                next += drive.len();
+                next - drive.len()
+            })
+        });
+        Self {
+            first: first.collect(),
+            lengths: drives.iter().map(Vec::len).collect(),
+        }
+    }
+
+    fn of(&self, place: Place) -> Option<usize> {
+        let first = *self.first.get(place.drive)?;
+        (place.keyframe < *self.lengths.get(place.drive)?).then_some(first? + place.keyframe)
+    }
+
+    /// The placed drives with their odometry.
+    fn graph(
+        &self,
+        drives: &[Vec<DrivePose>],
+        poses: &[Option<Vec<Pose>>],
+        params: &DriveParams,
+    ) -> SpatialGraph {
+        let mut graph = Graph {
+            poses: vec![Pose::identity()],
+            fixed: vec![true],
+            edges: Vec::new(),
+        };
+        for (drive, poses) in drives.iter().zip(poses) {
+            let Some(poses) = poses else { continue };
+            let first = graph.poses.len();
+            graph.poses.extend(poses);
+            graph
+                .fixed
+                .extend(drive.iter().map(|at| at.known.is_some()));
+            for (step, pair) in drive.windows(2).enumerate() {
+                graph.edges.push(odometry(first + step, pair, params));
+            }
+        }
+        graph
+    }
+
+    fn loop_edge(&self, given: &Loop, params: &DriveParams) -> Option<Edge<Pose, 6>> {
+        let (from, to) = (self.of(given.earlier)?, self.of(given.later)?);
+        let position = 1.0 / (given.sigma_m.powi(2) + params.loop_m.powi(2));
+        let turn = 1.0 / (given.sigma_rad.powi(2) + params.loop_rad.powi(2));
+        let diagonal = Vector6::new(position, position, position, turn, turn, turn);
+        if !diagonal.iter().all(|value| value.is_finite()) {
+            return None;
+        }
+        Some(Edge {
+            from,
+            to,
+            measured: given.earlier_from_later,
+            information: Matrix6::from_diagonal(&diagonal),
+            loss: Loss::Quadratic,
+        })
+    }
+
+    fn fix_edge(&self, fix: &Fix, params: &DriveParams) -> Option<Edge<Pose, 6>> {
+        let (m2, rad2) = (params.loop_m.powi(2), params.loop_rad.powi(2));
+        let floor = Matrix6::from_diagonal(&Vector6::new(m2, m2, m2, rad2, rad2, rad2));
+        let information = (fix.covariance + floor).cholesky()?.inverse();
+        if !information.iter().all(|value| value.is_finite()) {
+            return None;
+        }
+        Some(Edge {
+            from: 0,
+            to: self.of(fix.at)?,
+            measured: fix.map_from_vehicle,
+            information,
+            loss: Loss::Quadratic,
+        })
+    }
+
+    fn read(&self, graph: &SpatialGraph, poses: &mut [Option<Vec<Pose>>]) {
+        for ((first, length), poses) in self.first.iter().zip(&self.lengths).zip(poses) {
+            if let Some(first) = first {
+                *poses = Some(graph.poses[*first..first + length].to_vec());
+            }
+        }
+    }
+}
+
+/// Steps shorter than this are as uncertain as one of this length (m): wheels tick.
+const SHORTEST_STEP_M: f64 = 0.02;
+
+fn odometry(from: usize, pair: &[DrivePose], params: &DriveParams) -> Edge<Pose, 6> {
+    let [before, after] = [&pair[0], &pair[1]];
+    let measured = before
+        .odom_from_vehicle
+        .inverse()
+        .compose(&after.odom_from_vehicle);
+    let turn = se3::split(&se3::log(&measured)).1.norm();
+    let driven = (after.path_m - before.path_m).max(measured.translation.norm());
+    let step = driven.max(SHORTEST_STEP_M);
+    let position = 1.0 / (params.walk_m.powi(2) * step);
+    let upright = 1.0 / (params.slope.powi(2) * step);
+    let heading = 1.0 / (params.walk_rad.powi(2) * step + params.turn_rad.powi(2) * turn);
+    let diagonal = Vector6::new(position, position, upright, upright, upright, heading);
+    Edge {
+        from,
+        to: from + 1,
+        measured,
+        information: Matrix6::from_diagonal(&diagonal),
+        loss: Loss::Quadratic,
+    }
+}

@@ -1,0 +1,110 @@
+//! Odometry and loops relaxed into consistent poses.
+//!
+//! A [`Graph`] has poses and [`Edge`]s that say how one pose was measured from another. Relaxation
+//! finds the poses `x` that minimise
+//!
+//! ```text
+//! ½ Σ ρ( rᵀ Ω r ),   r = Log( measured⁻¹ · from⁻¹ · to )
+//! ```
+//!
+//! with every pose moved as [`crate::geometry::lie`] says, on the plane as in space. This is what GTSAM
+//! minimises, so that costs can be compared digit by digit.
+//!
+//! | file | what it knows |
+//! |---|---|
+//! | [`motion`] | residual and Jacobians, in space and on the plane |
+//! | [`relaxation`] | the graph as a [`crate::solving::least_squares::Problem`] |
+//! | [`initial`] | a first guess along a spanning tree |
+//! | [`chordal`] | a first guess from all edges at once |
+//! | [`robust`] | false loops, by graduated non-convexity |
+//! | [`consensus`] | where a drive lies in a map, from loops of which many may be false |
+//! | [`drives`] | odometry, loops and fixes of many drives joined into one map |
+//! | [`g2o`] | the text format of the field |
+
+pub mod chordal;
+pub mod consensus;
+pub mod drives;
+pub mod g2o;
+pub mod initial;
+pub mod motion;
+pub mod relaxation;
+pub mod robust;
+
+#[cfg(test)]
+mod tests;
+
+use nalgebra::SMatrix;
+
+use crate::geometry::lie::se2::PlanarPose;
+use crate::geometry::pose::Pose;
+pub use motion::Motion;
+pub use relaxation::{options, relax};
+
+/// How one pose was measured from another.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Edge<M, const D: usize> {
+    /// Index of the pose measured from.
+    pub from: usize,
+    /// Index of the pose measured.
+    pub to: usize,
+    /// `from⁻¹ · to` as measured.
+    pub measured: M,
+    /// Inverse covariance of the measurement along the axes of `to`, symmetric and positive
+    /// semidefinite: 1/m², 1/rad².
+    pub information: SMatrix<f64, D, D>,
+    /// How an outlier counts.
+    pub loss: crate::solving::least_squares::Loss,
+}
+
+/// Poses and what was measured between them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Graph<M, const D: usize> {
+    /// The poses, each `map_from_vehicle`; the guess to begin from.
+    pub poses: Vec<M>,
+    /// Poses that are known and stay where they are. Each connected part should have one; where
+    /// it has none, damping alone keeps it from floating away.
+    pub fixed: Vec<bool>,
+    /// The measurements. Edges that name no pose are ignored.
+    pub edges: Vec<Edge<M, D>>,
+}
+
+/// A graph in space.
+pub type SpatialGraph = Graph<Pose, 6>;
+
+/// A graph on the plane.
+pub type PlanarGraph = Graph<PlanarPose, 3>;
+
+impl<M: Motion<D>, const D: usize> Graph<M, D> {
+    /// Squared weighted residual of an edge, `rᵀ Ω r`; 0 when it names no pose.
+    pub fn squared_residual(&self, edge: &Edge<M, D>) -> f64 {
+        match (self.poses.get(edge.from), self.poses.get(edge.to)) {
+            (Some(from), Some(to)) => {
+                let r = M::residual(&edge.measured, from, to);
+                r.dot(&(edge.information * r))
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// `½ Σ ρ(rᵀ Ω r)`.
+    pub fn cost(&self) -> f64 {
+        let costs = self
+            .edges
+            .iter()
+            .map(|edge| edge.loss.cost(self.squared_residual(edge)));
+        0.5 * costs.sum::<f64>()
+    }
+
+    /// Are all of the poses, edges and weights finite, and do all edges name poses?
+    pub fn is_valid(&self) -> bool {
+        let n = self.poses.len();
+        self.fixed.len() == n
+            && self.poses.iter().all(M::is_finite)
+            && self.edges.iter().all(|edge| {
+                edge.from < n
+                    && edge.to < n
+                    && edge.measured.is_finite()
+                    && edge.information.iter().all(|value| value.is_finite())
+            })
+    }
+}

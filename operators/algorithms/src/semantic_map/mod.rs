@@ -1,0 +1,13 @@
+//! What views show, as graphs of areas; how alike two views are, and places found again by it.
+//!
+//! | module | what it knows |
+//! |---|---|
+//! | [`class_scores`] | probabilities of classes over an image |
+//! | [`relocation`] | where in a map a view was taken, by the graph of what it shows, and how well a method tells |
+//! | [`semantic_graph`] | label images as areas that touch, and where they lie of one another |
+//! | [`temporal_votes`] | what neighbouring views say about a view's pixels |
+
+pub mod class_scores;
+pub mod relocation;
+pub mod semantic_graph;
+pub mod temporal_votes;

@@ -1,0 +1,170 @@
+//! The interpretation tree: the areas of two views matched one after the other, each fitting all before.
+
+use std::f32::consts::TAU;
+use std::ops::Range;
+
+use super::description::{AreaCode, Areas, Block, Description, LANES, Measure, UNIT};
+use super::options::Options;
+use crate::semantic_map::semantic_graph::Relation;
+
+/// Two views' areas as far as they were matched.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Interpretation {
+    /// Area of the query and area of the other view, in the order of the tree.
+    pub(super) pairs: Vec<[u16; 2]>,
+    /// What the pairs speak for being the same, each as much as it counts.
+    pub(super) evidence: u32,
+}
+
+/// The tree's memory, used again and again.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Tree {
+    /// What an area of the query could be, for each area of the other view.
+    row: Vec<[u16; LANES]>,
+    /// By area of the other view: all bits set while it is not matched.
+    free: Vec<[u16; LANES]>,
+    /// By area of the query: its match.
+    partners: Vec<Option<u16>>,
+    found: Interpretation,
+}
+
+/// What a tree compares: a query turned by `turn` (`2^16` is a full turn) and one view of a map.
+pub(super) struct Pair<'a> {
+    pub(super) query: &'a Description,
+    pub(super) turn: u16,
+    /// The areas of all views.
+    pub(super) map: &'a Description,
+    /// Which of their blocks are the view's.
+    pub(super) blocks: Range<usize>,
+}
+
+/// Which pairs of pairs fit.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Constraints {
+    measure: Measure,
+    boundary: f32,
+    direction_steps: u8,
+    elevation_rad: f32,
+}
+
+impl Constraints {
+    pub(super) fn new(options: &Options) -> Self {
+        Self {
+            measure: Measure::new(options),
+            boundary: options.boundary_factor.max(1.0).ln() as f32,
+            direction_steps: options.direction_steps,
+            elevation_rad: options.scales.elevation_rad as f32 / UNIT,
+        }
+    }
+}
+
+impl Tree {
+    /// Matches the query's areas, the largest first: each with the area of the view that speaks most for it, of those that
+    /// are not matched and fit all matches before (paper 2, Algorithm 1).
+    #[inline(always)]
+    pub(super) fn grow(&mut self, pair: &Pair<'_>, rules: &Constraints) -> &Interpretation {
+        self.found.pairs.clear();
+        self.found.evidence = 0;
+        self.partners.clear();
+        self.partners.resize(pair.query.areas.len(), None);
+        self.free.clear();
+        self.free.resize(pair.blocks.len(), [u16::MAX; LANES]);
+        for area in 0..pair.query.areas.len() {
+            let mut code = pair.query.areas.at(area);
+            code.bearing = code.bearing.wrapping_add(pair.turn);
+            self.compare(
+                &code,
+                &pair.map.areas.blocks[pair.blocks.clone()],
+                &rules.measure,
+            );
+            while let Some((other, evidence)) = best(&self.row) {
+                if self.fits(pair, rules, area, other) {
+                    self.take(area, other, u32::from(evidence) * pair.query.weights[area]);
+                    break;
+                }
+                self.row[other / LANES][other % LANES] = 0;
+            }
+        }
+        &self.found
+    }
+
+    /// Fills the row, with 0 for areas that are matched.
+    #[inline(always)]
+    fn compare(&mut self, code: &AreaCode, blocks: &[Block], measure: &Measure) {
+        self.row.clear();
+        for (block, free) in blocks.iter().zip(&self.free) {
+            let mut evidence = measure.evidence(code, block);
+            for (evidence, free) in evidence.iter_mut().zip(free) {
+                *evidence &= free;
+            }
+            self.row.push(evidence);
+        }
+    }
+
+    fn take(&mut self, area: usize, other: usize, evidence: u32) {
+        self.free[other / LANES][other % LANES] = 0;
+        self.partners[area] = Some(other as u16);
+        self.found.pairs.push([area as u16, other as u16]);
+        self.found.evidence += evidence;
+    }
+
+    /// Whether two areas fit all pairs so far.
+    fn fits(&self, pair: &Pair<'_>, rules: &Constraints, area: usize, other: usize) -> bool {
+        self.boundaries_fit(pair, rules.boundary, area, other)
+            && (rules.direction_steps >= 4 || self.directions_fit(pair, rules, area, other))
+    }
+
+    fn boundaries_fit(&self, pair: &Pair<'_>, most: f32, area: usize, other: usize) -> bool {
+        let theirs = pair.map.neighbours(pair.blocks.start * LANES + other);
+        pair.query
+            .neighbours(area)
+            .iter()
+            .all(|(neighbour, length)| {
+                let Some(partner) = self.partners[usize::from(*neighbour)] else {
+                    return true;
+                };
+                let touching = theirs.iter().find(|(at, _)| *at == partner);
+                touching.is_none_or(|(_, other)| (length - other).abs() <= most)
+            })
+    }
+
+    fn directions_fit(&self, pair: &Pair<'_>, rules: &Constraints, a: usize, b: usize) -> bool {
+        let direction = |areas: &Areas, from: usize, to: usize| {
+            let (from, to) = (areas.at(from), areas.at(to));
+            let right = to.bearing.wrapping_sub(from.bearing) as i16;
+            let down = f32::from(to.elevation) - f32::from(from.elevation);
+            let right = f32::from(right) * (TAU / 65536.0);
+            Relation::direction([right, down * rules.elevation_rad])
+        };
+        self.found.pairs.iter().all(|[mine, other]| {
+            let here = direction(&pair.query.areas, usize::from(*mine), a);
+            let view = pair.blocks.start * LANES;
+            let there = direction(&pair.map.areas, view + usize::from(*other), view + b);
+            let (Some(here), Some(there)) = (here, there) else {
+                return true;
+            };
+            let apart = (here as u8).abs_diff(there as u8);
+            apart.min(8 - apart) <= rules.direction_steps
+        })
+    }
+}
+
+/// The area with the most evidence; the first of equal ones.
+#[inline(always)]
+fn best(row: &[[u16; LANES]]) -> Option<(usize, u16)> {
+    let mut most = [0; LANES];
+    for evidence in row {
+        for (most, evidence) in most.iter_mut().zip(evidence) {
+            *most = (*most).max(*evidence);
+        }
+    }
+    let most = most.into_iter().fold(0, u16::max);
+    if most == 0 {
+        return None;
+    }
+    let at = row
+        .as_flattened()
+        .iter()
+        .position(|evidence| *evidence == most)?;
+    Some((at, most))
+}

@@ -1,0 +1,227 @@
+//! What neighbouring views say about a view's pixels: the temporal unary.
+//!
+//! Paper 2 (map-based relocation by semantics), section III-B2: the unary potential of a pixel is the mean of the
+//! classifier's predictions for it in the views of a neighbourhood N, brought here by projection through the depth image
+//! and odometry,
+//!
+//! ```text
+//! ψ(y_i) = α Σ_{n ∈ N} ψ_n(y_i)          α = 1 / number of views that see the point
+//! ```
+//! Each pixel of the view is lifted by its depth, moved into a neighbour's frame and projected. The neighbour has a say
+//! where its own depth there is that of the point: where something is in front of it, or where it has gone, the
+//! neighbour's pixel shows another thing. What is farther away than depth is measured (the sky) is at infinity: only the
+//! rotation matters, and the neighbour must see nothing nearer either.
+
+#[cfg(test)]
+mod street;
+#[cfg(test)]
+mod tests;
+mod view;
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use crate::geometry::camera::{Camera, Model};
+use crate::semantic_map::class_scores::ScoresView;
+use crate::geometry::pose::Pose;
+pub use view::{DepthView, View};
+
+/// Cells that one task works on.
+const CHUNK: usize = 4096;
+
+/// How votes are gathered.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VoteOptions {
+    /// Inverse depths (1/m) that differ by no more than this are of the same thing. Inverse depth is what stereo cameras
+    /// measure with equal noise at all distances, and what grows by a constant per pixel along a plane.
+    pub same_per_m: f64,
+}
+
+impl Default for VoteOptions {
+    /// One pixel of a panorama of 1024 columns (1/163 rad) further along the ground, seen from 1.2 m above it, is 0.005
+    /// 1/m; steps and noise of stereo depth (2 to 3 · 10⁻⁴ 1/m) and of odometry over some metres are well within.
+    fn default() -> Self {
+        Self { same_per_m: 0.005 }
+    }
+}
+
+/// What is the same for all views of a camera.
+#[derive(Debug, Clone)]
+pub struct Voter {
+    camera: Camera,
+    /// Whether the last column is next to the first one.
+    wraps: bool,
+    /// Whether depth images hold the distance along the optical axis, not along the ray.
+    along_axis: bool,
+    options: VoteOptions,
+}
+
+impl Voter {
+    /// For the views of a camera. Depth is the distance along the ray; of a pinhole camera, along the optical axis, as
+    /// is usual with each.
+    pub fn new(camera: &Camera, options: &VoteOptions) -> Self {
+        let last = f64::from(camera.width) - 1.0;
+        let ray = |column: f64| camera.unproject([column, 0.5 * f64::from(camera.height)]);
+        let panorama = matches!(camera.model, Model::Equirectangular(_));
+        // From the last column to the first one is no farther than from one column to the next.
+        let wraps = match (ray(0.0), ray(1.0), ray(last)) {
+            (Some(first), Some(second), Some(last)) if panorama => {
+                first.angle(&last) < 1.5 * first.angle(&second)
+            }
+            _ => false,
+        };
+        Self {
+            camera: camera.clone(),
+            wraps,
+            along_axis: matches!(camera.model, Model::Pinhole(_)),
+            options: *options,
+        }
+    }
+
+    /// The mean of a view's own probabilities and of those that its neighbours have for the same points: `1/255` per
+    /// unit, in the view's cells. A cell without a ray, and a view without depth, keep what they have; neighbours without
+    /// depth, with other classes or of another size have no say.
+    pub fn vote(&self, view: &View<'_>, neighbours: &[View<'_>]) -> Vec<u8> {
+        let scores = &view.scores;
+        let Some(depth) = view.depth.filter(|depth| depth.fits(&self.camera)) else {
+            return scores.probabilities().to_vec();
+        };
+        let alike = |other: &&View<'_>| {
+            let same = other.scores.classes() == scores.classes();
+            same && other.scores.size() == scores.size()
+        };
+        let neighbours: Vec<Neighbour<'_>> = neighbours
+            .iter()
+            .filter(alike)
+            .filter_map(|other| {
+                let depth = other.depth.filter(|depth| depth.fits(&self.camera))?;
+                let there_from_here = other
+                    .odom_from_camera
+                    .inverse()
+                    .compose(&view.odom_from_camera);
+                Some(Neighbour {
+                    scores: other.scores,
+                    depth,
+                    there_from_here,
+                })
+            })
+            .collect();
+        let mut votes = scores.probabilities().to_vec();
+        let chunks = votes.par_chunks_mut(CHUNK * scores.classes()).enumerate();
+        chunks.for_each(|(chunk, votes)| {
+            let mut sums = vec![0; scores.classes()];
+            for (cell, votes) in votes.chunks_exact_mut(scores.classes()).enumerate() {
+                let centre = scores.centre(chunk * CHUNK + cell);
+                self.gather(centre, &depth, &neighbours, &mut sums, votes);
+            }
+        });
+        votes
+    }
+
+    /// Turns a cell's own probabilities into the mean of all.
+    fn gather(
+        &self,
+        centre: [f64; 2],
+        depth: &DepthView<'_>,
+        neighbours: &[Neighbour<'_>],
+        sums: &mut [u32],
+        votes: &mut [u8],
+    ) {
+        let Some(ray) = self.camera.unproject(centre) else {
+            return;
+        };
+        let point = self.lift(&ray, depth.nearest(centre));
+        let mut views = 1;
+        for (sum, own) in sums.iter_mut().zip(votes.iter()) {
+            *sum = u32::from(*own);
+        }
+        for neighbour in neighbours {
+            let Some(seen) = self.look_up(&point, neighbour) else {
+                continue;
+            };
+            views += 1;
+            for (sum, vote) in sums.iter_mut().zip(seen) {
+                *sum += u32::from(*vote);
+            }
+        }
+        for (vote, sum) in votes.iter_mut().zip(sums.iter()) {
+            *vote = ((2 * sum + views) / (2 * views)) as u8;
+        }
+    }
+
+    fn lift(&self, ray: &Vector3<f64>, depth_m: Option<f64>) -> Point {
+        match depth_m {
+            Some(depth_m) if self.along_axis => Point::At(ray * (depth_m / ray.z)),
+            Some(depth_m) => Point::At(ray * depth_m),
+            None => Point::Towards(*ray),
+        }
+    }
+
+    /// A neighbour's probabilities for a point, where it sees it.
+    fn look_up<'a>(&self, point: &Point, neighbour: &Neighbour<'a>) -> Option<&'a [u8]> {
+        let there = match point {
+            Point::At(point) => neighbour.there_from_here.transform(point),
+            Point::Towards(ray) => neighbour.there_from_here.rotate(ray),
+        };
+        let expected = match point {
+            Point::At(_) if self.along_axis => 1.0 / there.z,
+            Point::At(_) => 1.0 / there.norm(),
+            Point::Towards(_) => 0.0,
+        };
+        let pixel = self.camera.project(&there)?;
+        let mut best: Option<(f64, [f64; 2])> = None;
+        for pixel in self.around(pixel).into_iter().flatten() {
+            let found = neighbour
+                .depth
+                .nearest(pixel)
+                .map_or(0.0, |depth_m| 1.0 / depth_m);
+            // Nothing measured is nothing near: a point far away may be beyond what is measured.
+            let apart = (found - expected).abs();
+            if apart <= self.options.same_per_m && best.is_none_or(|(least, _)| apart < least) {
+                best = Some((apart, pixel));
+            }
+        }
+        let (_, pixel) = best?;
+        let seen = neighbour.scores.cell(neighbour.scores.at(pixel)?);
+        // A cell that knows nothing has no say.
+        (seen.iter().any(|vote| *vote > 0)).then_some(seen)
+    }
+
+    /// The nearest pixel and its neighbours on the side of the point, as far as they are in the image. The nearest one
+    /// comes first, and wins where depths are equal.
+    fn around(&self, [u, v]: [f64; 2]) -> [Option<[f64; 2]>; 4] {
+        let (width, height) = (f64::from(self.camera.width), f64::from(self.camera.height));
+        let beside = |x: f64| {
+            if x < x.round() {
+                x.round() - 1.0
+            } else {
+                x.round() + 1.0
+            }
+        };
+        let inside = |u: f64, v: f64| {
+            let u = if self.wraps { u.rem_euclid(width) } else { u };
+            let seen = u >= 0.0 && u < width && v >= 0.0 && v < height;
+            seen.then_some([u, v])
+        };
+        let (near_u, near_v) = (u.round(), v.round());
+        [
+            inside(near_u, near_v),
+            inside(beside(u), near_v),
+            inside(near_u, beside(v)),
+            inside(beside(u), beside(v)),
+        ]
+    }
+}
+
+/// What a pixel sees, in the view's frame.
+enum Point {
+    At(Vector3<f64>),
+    /// Farther away than is measured.
+    Towards(Vector3<f64>),
+}
+
+struct Neighbour<'a> {
+    scores: ScoresView<'a>,
+    depth: DepthView<'a>,
+    there_from_here: Pose,
+}

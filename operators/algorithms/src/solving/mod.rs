@@ -1,0 +1,8 @@
+//! Least squares and repeatable random numbers.
+//!
+//! | module | what it knows |
+//! |---|---|
+//! | [`least_squares`] | factors, robust losses, trust regions, sparse Cholesky |
+
+pub mod least_squares;
+pub(crate) mod random;

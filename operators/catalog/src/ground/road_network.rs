@@ -1,0 +1,180 @@
+#![doc = include_str!("road_network.md")]
+
+use evermap_algorithms::ground::road_network::{
+    Drive, EndKind, Passage, RoadNetworkParams as Lengths, Travel, road_network,
+};
+use evermap_contract::{Emit, Fault, Grain, Kernel, Operator, Port, group_whole};
+use evermap_schemas::layers::{Lane, Source, Sources, VehiclePose};
+use evermap_schemas::{Stamp, Wkb};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// See the module's page.
+pub struct RoadNetwork;
+
+/// How passes become lanes.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RoadNetworkParams {
+    /// Passes nearer than this are the same lane (m).
+    pub connect_m: f64,
+    /// Rounds of pruning; null goes on until nothing is left to prune.
+    pub prune_loops: Option<u32>,
+    /// Distance between representative poses (m); null is a quarter of `connect_m`, 0 takes every pose.
+    pub spacing_m: Option<f64>,
+    /// Loops shorter than this around are artefacts (m); null is six times `connect_m`.
+    pub min_loop_m: Option<f64>,
+    /// Shorter lanes at an intersection are part of it (m); null is twice `connect_m`.
+    pub min_link_m: Option<f64>,
+}
+
+impl Default for RoadNetworkParams {
+    fn default() -> Self {
+        Self {
+            connect_m: Lengths::default().connect_m,
+            prune_loops: None,
+            spacing_m: None,
+            min_loop_m: None,
+            min_link_m: None,
+        }
+    }
+}
+
+impl RoadNetworkParams {
+    fn lengths(&self) -> Lengths {
+        let derived = Lengths::with_connect_m(self.connect_m);
+        Lengths {
+            connect_m: self.connect_m,
+            prune_loops: self.prune_loops,
+            spacing_m: self.spacing_m.unwrap_or(derived.spacing_m),
+            min_loop_m: self.min_loop_m.unwrap_or(derived.min_loop_m),
+            min_link_m: self.min_link_m.unwrap_or(derived.min_link_m),
+        }
+    }
+}
+
+impl Operator for RoadNetwork {
+    const NAME: &'static str = "road_network";
+    const VERSION: u32 = 1;
+    const PAGE: &'static str = include_str!("road_network.md");
+    type Params = RoadNetworkParams;
+    type Output = Lane;
+
+    fn ports() -> Vec<Port> {
+        vec![Port::of::<VehiclePose>("poses", Grain::Whole)]
+    }
+
+    fn kernel(params: RoadNetworkParams) -> Result<Kernel, Fault> {
+        let lengths = params.lengths();
+        road_network(&[], &lengths).map_err(|error| Fault::user(error.to_string()))?;
+        Ok(group_whole(move |poses: Vec<VehiclePose>, _, emit| {
+            lanes(poses, &lengths, emit)
+        }))
+    }
+}
+
+fn lanes(poses: Vec<VehiclePose>, lengths: &Lengths, emit: &mut Emit<'_>) -> Result<(), Fault> {
+    let Some(site) = poses.first().map(|pose| pose.site.clone()) else {
+        return Ok(());
+    };
+    let drives = drives(poses, emit);
+    let driven: Vec<Drive<'_>> = drives.iter().map(Session::drive).collect();
+    let network = road_network(&driven, lengths).map_err(|error| Fault::data(error.to_string()))?;
+    let lanes = network.lanes.into_iter().zip(0_u32..);
+    emit.rows(
+        lanes
+            .map(|(lane, number)| Lane {
+                site: site.clone(),
+                lane: number,
+                start_node: lane.start.node,
+                end_node: lane.end.node,
+                start_kind: kind(lane.start.kind).to_owned(),
+                end_kind: kind(lane.end.kind).to_owned(),
+                direction: direction(lane.travel).to_owned(),
+                forward_passes: lane.forward_passes,
+                backward_passes: lane.reverse_passes,
+                length_m: lane.length_m,
+                sources: sources(&lane.passages, &drives),
+                geometry: Wkb::line_string(&lane.points),
+                points: lane.points,
+            })
+            .collect(),
+    )
+}
+
+/// A session's positions in the order driven, each with its stamp.
+struct Session {
+    name: String,
+    positions: Vec<[f64; 3]>,
+    stamps: Vec<Stamp>,
+}
+
+impl Session {
+    fn drive(&self) -> Drive<'_> {
+        Drive {
+            key: &self.name,
+            positions: &self.positions,
+        }
+    }
+}
+
+/// The sessions, ordered by name.
+fn drives(mut poses: Vec<VehiclePose>, emit: &mut Emit<'_>) -> Vec<Session> {
+    poses.sort_by(|a, b| (&a.session, a.stamp).cmp(&(&b.session, b.stamp)));
+    let mut drives: Vec<Session> = Vec::new();
+    for VehiclePose {
+        session,
+        stamp,
+        map_from_vehicle: pose,
+        ..
+    } in poses
+    {
+        let position = [pose.x, pose.y, pose.z];
+        if position.iter().any(|coordinate| !coordinate.is_finite()) {
+            emit.skip("position is not finite", 1);
+            continue;
+        }
+        match drives.last_mut() {
+            Some(last) if last.name == session => {
+                last.positions.push(position);
+                last.stamps.push(stamp);
+            }
+            _ => drives.push(Session {
+                name: session,
+                positions: vec![position],
+                stamps: vec![stamp],
+            }),
+        }
+    }
+    drives
+}
+
+/// Passages by stamp instead of by pose.
+fn sources(passages: &[Passage], drives: &[Session]) -> Vec<Source> {
+    let mut sources = Sources::default();
+    for passage in passages {
+        let at = drives.binary_search_by(|drive| drive.name.cmp(&passage.drive));
+        let stamps = at.map_or(&[][..], |at| &drives[at].stamps);
+        if let (Some(first), Some(last)) = (stamps.get(passage.first), stamps.get(passage.last)) {
+            sources.add(&passage.drive, *first, *last);
+        }
+    }
+    sources.into_rows()
+}
+
+fn kind(kind: EndKind) -> &'static str {
+    match kind {
+        EndKind::Intersection => "intersection",
+        EndKind::DeadEnd => "dead_end",
+        EndKind::Ring => "loop",
+    }
+}
+
+fn direction(travel: Travel) -> &'static str {
+    match travel {
+        Travel::Forward => "forward",
+        Travel::Reverse => "backward",
+        Travel::Both => "both",
+        Travel::Unknown => "unknown",
+    }
+}

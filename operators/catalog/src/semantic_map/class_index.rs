@@ -1,0 +1,71 @@
+#![doc = include_str!("class_index.md")]
+
+use evermap_algorithms::semantic_map::relocation;
+use evermap_algorithms::semantic_map::semantic_graph::Graph;
+use evermap_contract::{Emit, Fault, Grain, Kernel, Operator, Port, group_whole};
+use evermap_schemas::layers::{ClassCount, ClassLeaf, View};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::inputs::graphs::ClassNames;
+
+/// See the module's page.
+pub struct ClassIndex;
+
+/// There is nothing to choose.
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ClassIndexParams {}
+
+impl Operator for ClassIndex {
+    const NAME: &'static str = "class_index";
+    const VERSION: u32 = 1;
+    const PAGE: &'static str = include_str!("class_index.md");
+    type Params = ClassIndexParams;
+    type Output = ClassLeaf;
+
+    fn ports() -> Vec<Port> {
+        vec![Port::of::<View>("views", Grain::Whole)]
+    }
+
+    fn kernel(_: ClassIndexParams) -> Result<Kernel, Fault> {
+        Ok(group_whole(|views: Vec<View>, _, emit| leaves(views, emit)))
+    }
+}
+
+fn leaves(mut views: Vec<View>, emit: &mut Emit<'_>) -> Result<(), Fault> {
+    let site = views.first().map(|view| view.site.clone());
+    views.sort_by(|a, b| a.view.cmp(&b.view));
+    let classes = ClassNames::of(&views);
+    let mut names = Vec::with_capacity(views.len());
+    let mut graphs: Vec<Graph> = Vec::with_capacity(views.len());
+    for view in views {
+        match classes.graph(&view.graph) {
+            Ok(graph) => {
+                graphs.push(graph);
+                names.push(view.view);
+            }
+            Err(reason) => emit.skip(reason, 1),
+        }
+    }
+    let index = relocation::ClassIndex::new(graphs.iter(), classes.len());
+    let rows = (0..index.len()).map(|leaf| {
+        let (counts, views) = index.leaf(leaf);
+        let present = counts.iter().enumerate().filter(|(_, areas)| **areas > 0);
+        ClassLeaf {
+            site: site.clone().unwrap_or_default(),
+            leaf: leaf as u32,
+            counts: present
+                .map(|(class, areas)| ClassCount {
+                    class: classes.name(class).to_owned(),
+                    areas: *areas,
+                })
+                .collect(),
+            views: views
+                .iter()
+                .map(|view| names[*view as usize].clone())
+                .collect(),
+        }
+    });
+    emit.rows(rows.collect())
+}
