@@ -429,12 +429,12 @@ fn one_plan_node_runs_every_operator() {
     }
     assert_eq!(
         nodes,
-        [(PathBuf::from("plans/engine/src/exec.rs"), 1)],
+        [(PathBuf::from("plans/engine/src/nodes/operator.rs"), 1)],
         "operators run in one plan node, OperatorExec"
     );
     let exec = code("plans/engine")
         .into_iter()
-        .find(|(path, _)| path.ends_with("exec.rs"))
+        .find(|(path, _)| path.ends_with("nodes/operator.rs"))
         .unwrap()
         .1;
     assert!(exec.contains("ExecutionPlan for OperatorExec "));

@@ -38,3 +38,10 @@ pub fn external(fault: Fault) -> DataFusionError {
 pub fn store_fault(error: &object_store::Error, what: &str) -> Fault {
     Fault::resource(format!("{what}: {error}"))
 }
+
+/// What another process says has gone wrong: its fault, where the text begins with the code of one.
+#[cfg(feature = "cluster")]
+pub fn remote_fault(error: &dyn std::fmt::Display, what: &str) -> Fault {
+    let text = error.to_string();
+    Fault::parse(&text).unwrap_or_else(|| Fault::resource(format!("{what}: {text}")))
+}

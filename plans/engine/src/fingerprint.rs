@@ -13,7 +13,8 @@ use evermap_schemas::Fault;
 use object_store::ObjectStoreExt;
 use serde::{Deserialize, Serialize};
 
-use crate::store::{Store, digest};
+use crate::digest::digest;
+use crate::map::store::Store;
 
 /// How long a file must have rested for its times to be trusted.
 const REST: TimeDelta = TimeDelta::seconds(2);

@@ -7,36 +7,26 @@
 //! | module | what |
 //! |---|---|
 //! | [`program`] | a checked plan as stages with scopes |
+//! | [`map`] | what a map keeps: artifacts, receipts, versions; and how it is read |
+//! | [`nodes`] | the engine's own DataFusion nodes: the one that runs every operator |
+//! | [`unit`] | a self-contained piece of work, as one DataFusion plan |
 //! | [`run`] | the units of a run in dependency order; publishing |
-//! | [`mod@unit`] | a self-contained piece of work and its receipt |
-//! | [`build`] | a unit as one DataFusion plan |
-//! | [`exec`] | the one `ExecutionPlan` that runs every operator |
-//! | [`store`], [`version`], [`artifact`] | the map store |
+//! | [`cluster`] | many machines |
 //!
-//! The engine knows operators only through the registry, never by name.
+//! Each may use those above it, none those below. The engine knows operators only through the registry, never by
+//! name.
 
-pub mod artifact;
-mod assembly;
-pub mod build;
 #[cfg(feature = "cluster")]
 pub mod cluster;
 pub mod conform;
+pub mod digest;
 pub mod error;
-pub mod exec;
-pub mod explain;
 mod fingerprint;
-pub mod locality;
 pub mod map;
-pub mod needs;
-mod pixels;
+pub mod nodes;
 pub mod plan_test;
-mod planned;
 pub mod prepare;
-pub mod previous;
 pub mod program;
 pub mod run;
-pub mod runner;
 pub mod sql;
-pub mod store;
 pub mod unit;
-pub mod version;

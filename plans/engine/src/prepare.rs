@@ -10,14 +10,15 @@ use evermap_datasets::{Dataset, Manifest, Session};
 use evermap_language::{Faults, OperatorSpec, Plan, PortSpec, Vocabulary};
 use evermap_schemas::Fault;
 
+use crate::digest::digest;
 use crate::fingerprint::{Fingerprint, fingerprint};
-use crate::previous::Previous;
-use crate::program::{Program, compile};
+use crate::map::receipt::LogContent;
+use crate::map::store::Store;
+use crate::map::version::{Previous, Version};
+use crate::program::Program;
+use crate::program::compile::compile;
 use crate::run::{Run, RunSession};
 use crate::sql::{Limits, context, tables};
-use crate::store::Store;
-use crate::unit::LogContent;
-use crate::version::Version;
 
 /// What keeps a plan from running: its own faults, or something else.
 #[derive(Debug)]
@@ -284,7 +285,7 @@ fn run_session(session: &Session, site: String, content: String) -> Result<RunSe
         session: session.name.to_string(),
         site,
         content,
-        roles: crate::store::digest(&roles),
+        roles: digest(&roles),
     };
     Ok(RunSession { log, manifest })
 }

@@ -3,8 +3,8 @@
 use std::io::Write;
 
 use evermap_engine::map;
-use evermap_engine::store::Store;
-use evermap_engine::version::Version;
+use evermap_engine::map::store::Store;
+use evermap_engine::map::version::Version;
 use evermap_schemas::{LayerRow, record};
 
 use crate::arguments::{DiffArgs, GcArgs};

@@ -1,7 +1,7 @@
 //! `evermap layers` and `evermap versions`.
 
+use evermap_engine::map::store::Store;
 use evermap_engine::map::{Map, versions as versions_of};
-use evermap_engine::store::Store;
 
 use crate::arguments::{LayersArgs, MapArgs, VersionsArgs};
 use crate::ending::{DONE, Ending, Failure};

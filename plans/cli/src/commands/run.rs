@@ -5,10 +5,11 @@ use std::time::{Duration, Instant};
 use evermap_contract::Registry;
 #[cfg(feature = "cluster")]
 use evermap_engine::cluster::ClusterRunner;
-use evermap_engine::map::{Map, record_run};
+use evermap_engine::map::Map;
 use evermap_engine::prepare::Prepared;
 use evermap_engine::run::RunResult;
-use evermap_engine::runner::{LocalRunner, Runner};
+use evermap_engine::run::record::record_run;
+use evermap_engine::run::runner::{LocalRunner, Runner};
 use evermap_engine::sql::Limits;
 
 use evermap_schemas::Fault;

@@ -5,10 +5,10 @@ mod metric;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use evermap_engine::previous::Previous;
-use evermap_engine::store::{Store, digest};
-use evermap_engine::unit::{Artifact, LogContent};
-use evermap_engine::version::{MappedSession, StoredLayer, Version};
+use evermap_engine::digest::digest;
+use evermap_engine::map::receipt::{Artifact, LogContent};
+use evermap_engine::map::store::Store;
+use evermap_engine::map::version::{MappedSession, Previous, StoredLayer, Version};
 use evermap_schemas::layers::{Intersection, Lane, OverheadTile, VehiclePose};
 use evermap_schemas::{Bytes, LayerRow, Pose, Stamp, Wkb, batch};
 

@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use evermap_schemas::Fault;
 use serde::Serialize;
 
-use crate::assembly::assemble;
-use crate::needs::{Instance, instances, needs};
-use crate::previous::Previous;
+use crate::map::receipt::{Artifact, LogContent, Receipt, Recipe};
+use crate::map::version::Previous;
 use crate::program::{Stage, Task};
 use crate::run::Run;
-use crate::unit::{Artifact, LogContent, Receipt, Recipe};
+use crate::run::assembly::assemble;
+use crate::run::instance::{Instance, instances, needs};
 
 /// What would become of one unit.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]

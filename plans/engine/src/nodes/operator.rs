@@ -41,7 +41,7 @@ use tokio::sync::mpsc;
 
 use crate::conform::conform;
 use crate::error::{external, fault_of};
-use crate::pixels::Pixels;
+use crate::nodes::pixels::Pixels;
 
 /// States that a lift may hold before it passes them on.
 const STATE_BUDGET_BYTES: usize = 256 << 20;

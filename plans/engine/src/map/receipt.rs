@@ -1,22 +1,13 @@
-//! A work unit: one stage for one session, one site, or the whole map.
-//!
-//! A unit is self-contained. It says what to read, by digest and by URL, and runs the same in this process, in
-//! another, or on another machine; what it leaves behind is one artifact under its content's digest, and a receipt
-//! under its recipe's.
+//! What a unit leaves behind: rows under their digest, and a receipt under the digest of what they depend on.
 
 use std::collections::BTreeMap;
-use std::time::Instant;
 
-use evermap_contract::Registry;
-use evermap_datasets::Manifest;
 use evermap_schemas::Fault;
 use serde::{Deserialize, Serialize};
 
-use crate::artifact;
-use crate::build::Builder;
+use crate::digest::digest;
+use crate::map::store::Store;
 use crate::program::Stage;
-use crate::sql::Limits;
-use crate::store::{Store, digest};
 
 /// Raised when artifacts of the same recipe would come out differently for reasons no operator's version tells.
 const FORMAT: u32 = 1;
@@ -104,37 +95,6 @@ impl Recipe {
     }
 }
 
-/// A layer of the version before, as a unit reads it.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct PreviousLayer {
-    /// The operator that makes the layer in this plan: gives the columns where there is no version before.
-    pub op: Option<String>,
-    /// The rows; none where there is no version before.
-    pub artifacts: Vec<Artifact>,
-    /// Sessions whose rows are left out: their logs have been replaced.
-    #[serde(default)]
-    pub without: Vec<String>,
-}
-
-/// A unit of work.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Unit {
-    /// URL of the map store.
-    pub store: String,
-    /// What the result depends on.
-    pub recipe: Recipe,
-    /// The rows of the stored stages that are read.
-    pub tables: BTreeMap<String, Vec<Artifact>>,
-    /// The layers of the version before that are read.
-    pub previous: BTreeMap<String, PreviousLayer>,
-    /// The logs that are read, as manifests of one session each.
-    pub logs: Vec<Manifest>,
-    /// Bytes it may hold, partitions it may use.
-    pub memory_bytes: usize,
-    /// Partitions that its plan is cut into.
-    pub partitions: usize,
-}
-
 /// What a unit did.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Receipt {
@@ -173,66 +133,5 @@ impl Receipt {
         } else {
             None
         })
-    }
-}
-
-impl Unit {
-    /// The stage that it makes.
-    ///
-    /// # Errors
-    /// A bug fault for a unit without stages.
-    pub fn stage(&self) -> Result<&Stage, Fault> {
-        self.recipe
-            .stages
-            .last()
-            .ok_or_else(|| Fault::bug("a unit without stages"))
-    }
-
-    /// What a person calls it: the stage and the session or site.
-    pub fn label(&self) -> String {
-        let stage = self
-            .recipe
-            .stages
-            .last()
-            .map_or("", |stage| stage.name.as_str());
-        match self.recipe.session.as_ref().or(self.recipe.site.as_ref()) {
-            Some(of) => format!("{stage} of {of}"),
-            None => stage.to_owned(),
-        }
-    }
-
-    /// Does the work: reads, runs, writes the artifact, then the receipt. Done twice, it leaves the same.
-    ///
-    /// # Errors
-    /// Whatever stops it; nothing is left behind but, perhaps, a file in `tmp/`.
-    pub async fn run(&self, registry: &Registry) -> Result<Receipt, Fault> {
-        let (started, clock) = (chrono::Utc::now(), Instant::now());
-        let store = Store::open(&self.store, false)?;
-        let limits = Limits {
-            memory_bytes: self.memory_bytes,
-            partitions: self.partitions,
-        };
-        let builder = Builder::new(self, &store, registry, limits).await?;
-        let plan = builder.plan().await?;
-        let span = tracing::info_span!("unit", label = %self.label());
-        let written =
-            tracing::Instrument::instrument(artifact::write(&store, plan, &builder), span).await?;
-        let receipt = Receipt {
-            digest: self.recipe.digest()?,
-            recipe: self.recipe.clone(),
-            artifact: Artifact {
-                session: self.recipe.session.clone(),
-                site: self.recipe.site.clone(),
-                ..written
-            },
-            skipped: builder.skipped(),
-            log_losses: builder.log_losses(),
-            started: started.timestamp_nanos_opt().unwrap_or_default(),
-            seconds: clock.elapsed().as_secs_f64(),
-        };
-        store
-            .write_json(&Receipt::name(&receipt.digest), &receipt)
-            .await?;
-        Ok(receipt)
     }
 }

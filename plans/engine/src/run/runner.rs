@@ -7,7 +7,8 @@ use evermap_schemas::{Fault, Kind};
 use futures::StreamExt;
 use futures::stream::BoxStream;
 
-use crate::unit::{Receipt, Unit};
+use crate::map::receipt::Receipt;
+use crate::unit::Unit;
 
 /// A unit's number in its run, and what came of it.
 pub type Outcome = (usize, Result<Receipt, Fault>);
@@ -16,9 +17,6 @@ pub type Outcome = (usize, Result<Receipt, Fault>);
 pub trait Runner: Send + Sync {
     /// Runs these units; the stream ends when each has an outcome.
     fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Outcome>;
-
-    /// How many units it can run side by side.
-    fn width(&self) -> usize;
 }
 
 /// Runs units in this process, a few at a time.
@@ -58,9 +56,5 @@ impl Runner for LocalRunner {
         futures::stream::iter(running)
             .buffer_unordered(width)
             .boxed()
-    }
-
-    fn width(&self) -> usize {
-        self.width
     }
 }

@@ -18,7 +18,7 @@ use datafusion::physical_optimizer::ensure_requirements::EnsureRequirements;
 use datafusion::physical_plan::coalesce_partitions::CoalescePartitionsExec;
 use datafusion::physical_plan::sorts::sort::SortExec;
 use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties, collect};
-use datafusion::prelude::{DataFrame, ParquetReadOptions, SessionContext};
+use datafusion::prelude::{DataFrame, SessionContext};
 use evermap_contract::{Entry, LayerRow, Losses, Port, Registry, Sides, StateRow};
 use evermap_datasets::{Dataset, ImageReader};
 use evermap_schemas::{Fault, Layer};
@@ -27,13 +27,15 @@ use futures::future::BoxFuture;
 
 use crate::conform::conform;
 use crate::error::fault_of;
-use crate::exec::{OperatorExec, Phase, Work};
-use crate::pixels::Pixels;
-use crate::planned::PlannedTable;
+use crate::map::artifact::read_artifacts;
+use crate::map::receipt::Artifact;
+use crate::map::store::Store;
+use crate::nodes::operator::{OperatorExec, Phase, Work};
+use crate::nodes::pixels::Pixels;
+use crate::nodes::planned::PlannedTable;
 use crate::program::{Stage, Table, Task};
 use crate::sql::{BATCH_ROWS, Limits, context_with, read_only};
-use crate::store::Store;
-use crate::unit::{Artifact, Unit};
+use crate::unit::Unit;
 
 /// Rows per batch where rows carry bytes by the hundred kilobytes.
 const HEAVY_BATCH_ROWS: usize = 64;
@@ -117,7 +119,7 @@ impl<'a> Builder<'a> {
     /// The layer that the unit makes; `None` for a query's rows.
     pub fn layer(&self) -> Option<Layer> {
         let stage = self.unit.stage().ok()?;
-        stage_layer(stage, self.registry)
+        stage.layer(self.registry)
     }
 
     /// The context that the plan runs in.
@@ -440,27 +442,6 @@ fn joined(opened: &[Dataset]) -> Option<Dataset> {
     Some(joined)
 }
 
-/// The rows of artifacts, as one table.
-///
-/// # Errors
-/// When a file is missing or is no Parquet.
-pub async fn read_artifacts(
-    context: &SessionContext,
-    store: &Store,
-    artifacts: &[Artifact],
-) -> Result<DataFrame, Fault> {
-    let mut urls = artifacts
-        .iter()
-        .map(|artifact| Ok(store.url_of(&artifact.name())?.to_string()))
-        .collect::<Result<Vec<_>, Fault>>()?;
-    urls.sort();
-    urls.dedup();
-    context
-        .read_parquet(urls, ParquetReadOptions::default())
-        .await
-        .map_err(|error| fault_of(&error))
-}
-
 fn want(port: &Port) -> Want {
     if port.grain.is_per_session() {
         Want::Session
@@ -486,19 +467,9 @@ fn empty(schema: SchemaRef) -> Arc<dyn ExecutionPlan> {
     Arc::new(datafusion::physical_plan::empty::EmptyExec::new(schema))
 }
 
-/// The layer whose rows a stage makes; `None` for a query.
-pub fn stage_layer(stage: &Stage, registry: &Registry) -> Option<Layer> {
-    match &stage.task {
-        Task::Op {
-            phase: Phase::Lift, ..
-        } => Some(StateRow::layer()),
-        Task::Op { op, .. } => registry.get(op).ok().map(|entry| entry.output.clone()),
-        Task::Sql { .. } => None,
-    }
-}
-
 fn output_schema(stage: &Stage, registry: &Registry) -> SchemaRef {
-    stage_layer(stage, registry).map_or_else(|| Arc::new(Schema::empty()), |layer| layer.schema())
+    let layer = stage.layer(registry);
+    layer.map_or_else(|| Arc::new(Schema::empty()), |layer| layer.schema())
 }
 
 /// Rows per batch: few of heavy rows, whether they are made or read, so that a batch has megabytes and no more.
@@ -556,12 +527,4 @@ fn sortable_columns(schema: &Schema) -> Vec<String> {
         .filter(|field| !field.data_type().is_nested())
         .map(|field| field.name().clone())
         .collect()
-}
-
-/// The operator of a stage; `None` for a query.
-pub fn stage_op(stage: &Stage) -> Option<String> {
-    match &stage.task {
-        Task::Op { op, .. } => Some(op.clone()),
-        Task::Sql { .. } => None,
-    }
 }

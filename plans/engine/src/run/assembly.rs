@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 
 use evermap_schemas::Fault;
 
-use crate::needs::{Instance, Needs};
-use crate::previous::Previous;
+use crate::map::receipt::{Artifact, Recipe};
+use crate::map::version::Previous;
 use crate::program::Stage;
+use crate::run::instance::{Instance, Needs};
 use crate::run::{Run, RunSession};
-use crate::unit::{Artifact, Recipe, Unit};
+use crate::unit::Unit;
 
 /// The unit of `stage` for `instance`, which reads what `artifact` says that the units before it left.
 ///

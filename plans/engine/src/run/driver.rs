@@ -1,86 +1,19 @@
-//! A run: the units of a program in dependency order, what exists skipped, a version published at the end.
-//!
-//! A unit's recipe names the *contents* of what it reads, so it is known only when those units are done; then a
-//! receipt under the recipe's digest means that the work was done before, by this run, an earlier one, or one that
-//! was killed. An unchanged result has an unchanged digest and stops everything downstream.
+//! A run at work: ready units are begun, what they leave makes others ready.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use evermap_contract::Registry;
-use evermap_datasets::Manifest;
 use evermap_schemas::Fault;
 use futures::StreamExt;
 use futures::stream::SelectAll;
 
-use crate::assembly::assemble;
-use crate::needs::{Instance, Needs, instances, needs};
-use crate::previous::Previous;
-use crate::program::{Program, Stage};
-use crate::runner::Runner;
-use crate::sql::Limits;
-use crate::store::Store;
-use crate::unit::{Artifact, LogContent, Receipt, Unit};
-use crate::version::{MappedSession, StoredLayer, Version};
-
-/// A session as a run sees it.
-#[derive(Debug, Clone)]
-pub struct RunSession {
-    /// The log, by content.
-    pub log: LogContent,
-    /// How to open it: a manifest of this one session.
-    pub manifest: Manifest,
-}
-
-/// What happens during a run.
-#[derive(Debug)]
-pub enum Event<'a> {
-    /// So many units are known.
-    Planned {
-        /// Units in all.
-        units: usize,
-    },
-    /// A unit was begun.
-    Started {
-        /// What a person calls it.
-        label: &'a str,
-    },
-    /// A unit was done.
-    Done {
-        /// What a person calls it.
-        label: &'a str,
-        /// What it did.
-        receipt: &'a Receipt,
-        /// Whether it had been done before.
-        cached: bool,
-    },
-}
-
-/// What is run, on what, and where it goes.
-pub struct Run<'a> {
-    /// The program.
-    pub program: &'a Program,
-    /// The operators.
-    pub registry: &'a Registry,
-    /// The map.
-    pub store: &'a Store,
-    /// All sessions of the coming version, sorted by name.
-    pub sessions: Vec<RunSession>,
-    /// The version before.
-    pub base: Option<Version>,
-    /// What one unit may use.
-    pub limits: Limits,
-}
-
-/// What a run did.
-#[derive(Debug, Clone)]
-pub struct RunResult {
-    /// The version that the map is at now.
-    pub version: Version,
-    /// Whether this run published it; false where nothing had changed.
-    pub published: bool,
-    /// Every unit: its stage, its receipt, whether it had been done before.
-    pub units: Vec<(String, Receipt, bool)>,
-}
+use crate::map::receipt::{Artifact, Receipt};
+use crate::map::version::{MappedSession, Previous, StoredLayer, Version};
+use crate::program::Stage;
+use crate::run::assembly::assemble;
+use crate::run::instance::{Instance, Needs, instances, needs};
+use crate::run::runner::Runner;
+use crate::run::{Event, Run, RunResult, RunSession};
+use crate::unit::Unit;
 
 /// A unit before its recipe is known.
 struct Pending {
@@ -323,7 +256,7 @@ impl<'r, 'a> Driver<'r, 'a> {
                 .entry(stage.name.clone())
                 .or_insert_with(|| StoredLayer {
                     published: self.run.program.write.contains(&stage.name),
-                    op: crate::build::stage_op(stage),
+                    op: stage.op().map(str::to_owned),
                     ..StoredLayer::default()
                 });
             layer.artifacts.push(receipt.artifact.clone());

@@ -16,10 +16,10 @@ use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 use tokio::io::AsyncWriteExt;
 
-use crate::build::Builder;
 use crate::error::fault_of;
-use crate::store::Store;
-use crate::unit::Artifact;
+use crate::map::receipt::Artifact;
+use crate::map::store::Store;
+use crate::unit::build::Builder;
 
 /// Encoded bytes after which a row group is closed: bounds the writer's memory.
 const ROW_GROUP_BYTES: usize = 64 << 20;

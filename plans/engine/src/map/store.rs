@@ -213,11 +213,6 @@ fn address_url(address: &str, create: bool) -> Result<Url, Fault> {
     Url::from_directory_path(full).map_err(|()| Fault::user(format!("{address} is no folder")))
 }
 
-/// The BLAKE3 digest of some bytes, in hexadecimal.
-pub fn digest(bytes: &[u8]) -> String {
-    blake3::hash(bytes).to_hex().to_string()
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use evermap_contract::Registry;
 use evermap_schemas::Fault;
 
-use crate::exec::Phase;
+use crate::nodes::operator::Phase;
 use crate::program::{Program, Scope, Stage, Table, Task};
 use crate::run::RunSession;
 

@@ -6,24 +6,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_schemas::Fault;
-use serde::{Deserialize, Serialize};
 
-use crate::needs::Instance;
+use crate::map::receipt::Artifact;
+use crate::map::version::{MappedSession, Previous, Version};
 use crate::program::{Program, Stage, Table};
 use crate::run::RunSession;
-use crate::unit::{Artifact, PreviousLayer};
-use crate::version::Version;
-
-/// The layers of the version before that a plan reads.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Previous {
-    /// The version; 0 for none.
-    pub version: u64,
-    /// The layers that the plan reads as `previous.NAME`.
-    pub layers: BTreeMap<String, Vec<Artifact>>,
-    /// Sessions whose logs have been replaced since: their rows are no longer read. Sorted.
-    pub replaced: Vec<String>,
-}
+use crate::run::instance::Instance;
+use crate::unit::PreviousLayer;
 
 impl Previous {
     /// What `previous` means for a program on these sessions, when the map is at `base`.
@@ -72,7 +61,11 @@ impl Previous {
         let layer = |name: &String| {
             let held = self.layers.get(name).map_or(&[][..], Vec::as_slice);
             PreviousLayer {
-                op: program.stage(name).ok().and_then(crate::build::stage_op),
+                op: program
+                    .stage(name)
+                    .ok()
+                    .and_then(Stage::op)
+                    .map(str::to_owned),
                 artifacts: held.iter().filter(concerns).cloned().collect(),
                 without: self.replaced.clone(),
             }
@@ -110,9 +103,7 @@ fn same_logs(base: &Version, sessions: &[RunSession]) -> bool {
 }
 
 fn replaced(base: &Version, sessions: &[RunSession]) -> Vec<String> {
-    let other = |held: &&crate::version::MappedSession| {
-        sessions.iter().all(|session| session.log != held.log)
-    };
+    let other = |held: &&MappedSession| sessions.iter().all(|session| session.log != held.log);
     base.sessions
         .iter()
         .filter(other)

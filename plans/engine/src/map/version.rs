@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use evermap_schemas::Fault;
 use serde::{Deserialize, Serialize};
 
-use crate::previous::Previous;
-use crate::store::Store;
-use crate::unit::{Artifact, LogContent};
+use crate::digest::digest;
+use crate::map::receipt::{Artifact, LogContent};
+use crate::map::store::Store;
 
 /// A stored stage in a version: a published layer, or something that later runs build on.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -40,7 +40,7 @@ impl StoredLayer {
             .iter()
             .map(|artifact| artifact.content.as_str())
             .collect();
-        crate::store::digest(contents.join("\n").as_bytes())
+        digest(contents.join("\n").as_bytes())
     }
 }
 
@@ -51,6 +51,17 @@ pub struct MappedSession {
     pub log: LogContent,
     /// Where the log was when it was mapped, as a manifest of one session.
     pub manifest: serde_json::Value,
+}
+
+/// The layers of the version before that a plan reads.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Previous {
+    /// The version; 0 for none.
+    pub version: u64,
+    /// The layers that the plan reads as `previous.NAME`.
+    pub layers: BTreeMap<String, Vec<Artifact>>,
+    /// Sessions whose logs have been replaced since: their rows are no longer read. Sorted.
+    pub replaced: Vec<String>,
 }
 
 /// One version of a map.

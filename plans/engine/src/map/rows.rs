@@ -1,0 +1,86 @@
+//! What a map says of itself, as rows.
+
+use evermap_schemas::{LayerRow, record};
+
+record! {
+    /// How one unit of one run went.
+    pub struct RunRow {
+        /// Version that the run ended at.
+        version: u64,
+        /// Name of the run; runs of one version are told apart by it.
+        run: String,
+        /// Step that the unit belongs to.
+        step: String,
+        /// Session that the unit covered; null where it covered more.
+        session: Option<String>,
+        /// Site that the unit covered; null where it covered the map.
+        site: Option<String>,
+        /// Whether the work had been done before.
+        cached: bool,
+        /// Rows that came out.
+        rows: u64,
+        /// Bytes that came out.
+        bytes: u64 ["B"],
+        /// How long it took, when it was done.
+        seconds: f64 ["s"],
+        /// When it was done.
+        started: evermap_schemas::Stamp ["ns"],
+        /// Inputs that were skipped or lost.
+        lost: u64,
+        /// Digest of what the work depends on.
+        recipe: String,
+        /// Digest of what came out.
+        content: String,
+    }
+}
+impl LayerRow for RunRow {
+    const NAME: &'static str = "runs";
+    const DOC: &'static str = "How one unit of one run went.";
+    const KEY: &'static [&'static str] = &["version", "run", "step", "site", "session"];
+}
+
+record! {
+    /// One layer of one version.
+    pub struct LayerInfo {
+        /// Layer name.
+        layer: String,
+        /// Rows in it.
+        rows: u64,
+        /// Bytes in it.
+        bytes: u64 ["B"],
+        /// Files that hold it.
+        artifacts: u32,
+        /// Operator that made it; null for a query.
+        operator: Option<String>,
+        /// One digest for all its rows.
+        digest: String,
+    }
+}
+impl LayerRow for LayerInfo {
+    const NAME: &'static str = "layers";
+    const DOC: &'static str = "One layer of one version.";
+    const KEY: &'static [&'static str] = &["layer"];
+}
+
+record! {
+    /// One version of a map.
+    pub struct VersionInfo {
+        /// Counted from 1.
+        version: u64,
+        /// When it was published, RFC 3339.
+        published: String,
+        /// Plan that made it.
+        plan: String,
+        /// Sessions that it is made from.
+        sessions: Vec<String>,
+        /// Layers in it.
+        layers: u32,
+        /// Inputs that were skipped or lost on the way.
+        lost: u64,
+    }
+}
+impl LayerRow for VersionInfo {
+    const NAME: &'static str = "versions";
+    const DOC: &'static str = "One version of a map.";
+    const KEY: &'static [&'static str] = &["version"];
+}

@@ -1,0 +1,82 @@
+//! A run: the units of a program in dependency order, what exists skipped, a version published at the end.
+//!
+//! A unit's recipe names the *contents* of what it reads, so it is known only when those units are done; then a
+//! receipt under the recipe's digest means that the work was done before, by this run, an earlier one, or one that
+//! was killed. An unchanged result has an unchanged digest and stops everything downstream.
+
+mod assembly;
+mod driver;
+pub mod explain;
+mod instance;
+mod previous;
+pub mod record;
+pub mod runner;
+
+use evermap_contract::Registry;
+use evermap_datasets::Manifest;
+
+use crate::map::receipt::{LogContent, Receipt};
+use crate::map::store::Store;
+use crate::map::version::Version;
+use crate::program::Program;
+use crate::sql::Limits;
+
+/// A session as a run sees it.
+#[derive(Debug, Clone)]
+pub struct RunSession {
+    /// The log, by content.
+    pub log: LogContent,
+    /// How to open it: a manifest of this one session.
+    pub manifest: Manifest,
+}
+
+/// What happens during a run.
+#[derive(Debug)]
+pub enum Event<'a> {
+    /// So many units are known.
+    Planned {
+        /// Units in all.
+        units: usize,
+    },
+    /// A unit was begun.
+    Started {
+        /// What a person calls it.
+        label: &'a str,
+    },
+    /// A unit was done.
+    Done {
+        /// What a person calls it.
+        label: &'a str,
+        /// What it did.
+        receipt: &'a Receipt,
+        /// Whether it had been done before.
+        cached: bool,
+    },
+}
+
+/// What is run, on what, and where it goes.
+pub struct Run<'a> {
+    /// The program.
+    pub program: &'a Program,
+    /// The operators.
+    pub registry: &'a Registry,
+    /// The map.
+    pub store: &'a Store,
+    /// All sessions of the coming version, sorted by name.
+    pub sessions: Vec<RunSession>,
+    /// The version before.
+    pub base: Option<Version>,
+    /// What one unit may use.
+    pub limits: Limits,
+}
+
+/// What a run did.
+#[derive(Debug, Clone)]
+pub struct RunResult {
+    /// The version that the map is at now.
+    pub version: Version,
+    /// Whether this run published it; false where nothing had changed.
+    pub published: bool,
+    /// Every unit: its stage, its receipt, whether it had been done before.
+    pub units: Vec<(String, Receipt, bool)>,
+}

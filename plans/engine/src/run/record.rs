@@ -1,0 +1,56 @@
+//! How the units of a run went, kept as the `runs` layer.
+
+use evermap_schemas::{Fault, Stamp, batch};
+use object_store::ObjectStoreExt;
+use parquet::arrow::ArrowWriter;
+
+use crate::error::store_fault;
+use crate::map::RunRow;
+use crate::map::receipt::Receipt;
+use crate::map::store::Store;
+use crate::run::RunResult;
+
+/// Appends a run to the `runs` layer.
+///
+/// # Errors
+/// A resource fault when the store does not take it.
+pub async fn record_run(store: &Store, result: &RunResult) -> Result<(), Fault> {
+    let run = uuid::Uuid::new_v4().to_string();
+    let rows = result
+        .units
+        .iter()
+        .map(|(step, receipt, cached)| run_row(result, &run, step, receipt, *cached));
+    let table = batch(rows.collect::<Vec<_>>())?;
+    let mut file = Vec::new();
+    let write = |file: &mut Vec<u8>| -> parquet::errors::Result<()> {
+        let mut writer = ArrowWriter::try_new(file, table.schema(), None)?;
+        writer.write(&table)?;
+        writer.close().map(drop)
+    };
+    write(&mut file).map_err(|error| Fault::bug(error.to_string()))?;
+    let name = format!("runs/{:06}-{run}.parquet", result.version.version);
+    let put = store.objects().put(&store.path(&name), file.into()).await;
+    put.map(drop).map_err(|error| store_fault(&error, &name))
+}
+
+fn run_row(result: &RunResult, run: &str, step: &str, receipt: &Receipt, cached: bool) -> RunRow {
+    RunRow {
+        version: result.version.version,
+        run: run.to_owned(),
+        step: step.to_owned(),
+        session: receipt.artifact.session.clone(),
+        site: receipt.artifact.site.clone(),
+        cached,
+        rows: receipt.artifact.rows,
+        bytes: receipt.artifact.bytes,
+        seconds: receipt.seconds,
+        started: Stamp(receipt.started),
+        lost: receipt
+            .skipped
+            .values()
+            .chain(receipt.log_losses.values())
+            .sum(),
+        recipe: receipt.digest.clone(),
+        content: receipt.artifact.content.clone(),
+    }
+}

@@ -1,0 +1,49 @@
+//! A unit at work.
+
+use std::time::Instant;
+
+use evermap_contract::Registry;
+use evermap_schemas::Fault;
+
+use crate::map::receipt::{Artifact, Receipt};
+use crate::map::store::Store;
+use crate::sql::Limits;
+use crate::unit::Unit;
+use crate::unit::build::Builder;
+use crate::unit::write::write;
+
+impl Unit {
+    /// Does the work: reads, runs, writes the artifact, then the receipt. Done twice, it leaves the same.
+    ///
+    /// # Errors
+    /// Whatever stops it; nothing is left behind but, perhaps, a file in `tmp/`.
+    pub async fn run(&self, registry: &Registry) -> Result<Receipt, Fault> {
+        let (started, clock) = (chrono::Utc::now(), Instant::now());
+        let store = Store::open(&self.store, false)?;
+        let limits = Limits {
+            memory_bytes: self.memory_bytes,
+            partitions: self.partitions,
+        };
+        let builder = Builder::new(self, &store, registry, limits).await?;
+        let plan = builder.plan().await?;
+        let span = tracing::info_span!("unit", label = %self.label());
+        let written = tracing::Instrument::instrument(write(&store, plan, &builder), span).await?;
+        let receipt = Receipt {
+            digest: self.recipe.digest()?,
+            recipe: self.recipe.clone(),
+            artifact: Artifact {
+                session: self.recipe.session.clone(),
+                site: self.recipe.site.clone(),
+                ..written
+            },
+            skipped: builder.skipped(),
+            log_losses: builder.log_losses(),
+            started: started.timestamp_nanos_opt().unwrap_or_default(),
+            seconds: clock.elapsed().as_secs_f64(),
+        };
+        store
+            .write_json(&Receipt::name(&receipt.digest), &receipt)
+            .await?;
+        Ok(receipt)
+    }
+}
