@@ -18,6 +18,7 @@ mod layer;
 pub mod layers;
 mod record;
 pub mod roles;
+mod type_name;
 mod values;
 
 pub use cell::Cell;
@@ -26,6 +27,7 @@ pub use layer::{Layer, LayerRow, batch, rows};
 #[doc(hidden)]
 pub use record::decode_column;
 pub use record::{Column, Record};
+pub use type_name::type_name;
 pub use values::{Bytes, ImageRef, Pose, Stamp, Wkb};
 
 #[doc(hidden)]

@@ -9,49 +9,62 @@
 use std::collections::BTreeMap;
 
 use arrow::array::RecordBatch;
-use evermap_schemas::{Bytes, Fault, LayerRow, record};
+use evermap_schemas::{Bytes, Fault, LayerRow, Record, record, rows};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::{Emit, Kernel, Sides};
+use crate::kernel::{Folding, Rows};
+use crate::{Emit, Sides};
+
+/// Bytes of states that a lift may hold before it passes them on.
+const STATE_BUDGET_BYTES: usize = 256 << 20;
 
 /// A fold with typed keys and states.
-pub trait Fold: Send + Sync + 'static {
-    /// Names what is accumulated; the order of keys is the order of the output rows within a site.
+pub trait Fold: Send + Sync + Sized + 'static {
+    /// The operator's parameters.
+    type Params;
+    /// A driving row.
+    type Row: Record;
+    /// Names what is accumulated within a site; the order of keys is the order of the output rows.
     type Key: Ord + Clone + Serialize + DeserializeOwned + Send + Sync;
     /// What is accumulated: integers, so that [`Fold::merge`] is exactly associative and commutative.
     type State: Serialize + DeserializeOwned + Send + Sync;
     /// The output row.
-    type Row: LayerRow;
+    type Output: LayerRow;
+
+    /// Prepares for a site; sides are empty where states are merged.
+    ///
+    /// # Errors
+    /// A data fault when the sides make no sense.
+    fn prepare(params: &Self::Params, sides: &Sides) -> Result<Self, Fault>;
 
     /// Adds rows to the states.
     ///
     /// # Errors
-    /// As [`crate::Mapper::map`].
+    /// Only for what makes the whole run senseless; a bad row is skipped with [`Emit::skip`].
     fn lift(
         &self,
-        rows: &RecordBatch,
-        sides: &Sides,
-        states: &mut BTreeMap<(String, Self::Key), Self::State>,
+        rows: Vec<Self::Row>,
+        states: &mut BTreeMap<Self::Key, Self::State>,
         emit: &mut Emit<'_>,
     ) -> Result<(), Fault>;
 
-    /// Adds one state to another. Associative and commutative, exactly.
+    /// All states of a key, of which there is at least one, as one. The order of states cannot matter.
     ///
     /// # Errors
     /// A data fault when the states cannot be of the same key (a damaged artifact).
-    fn merge(&self, into: &mut Self::State, from: Self::State) -> Result<(), Fault>;
+    fn merge(&self, states: Vec<Self::State>) -> Result<Self::State, Fault>;
 
     /// The output row of a site's key; `None` where the state says that there is nothing to show.
     ///
     /// # Errors
-    /// As [`crate::Mapper::map`].
+    /// As [`Fold::lift`].
     fn finish(
         &self,
         site: &str,
         key: &Self::Key,
         state: Self::State,
-    ) -> Result<Option<Self::Row>, Fault>;
+    ) -> Result<Option<Self::Output>, Fault>;
 
     /// Bytes that one state holds, roughly: when the states of a lift outgrow their budget they are passed on early,
     /// which cannot change the result.
@@ -75,60 +88,64 @@ impl LayerRow for StateRow {
     const KEY: &'static [&'static str] = &["site", "key"];
 }
 
-/// A fold without its types: what the engine runs.
-pub trait FoldKernel: Send + Sync {
-    /// Rows to [`StateRow`] batches. States are passed on whenever they exceed `budget_bytes`, and at the end.
-    ///
-    /// # Errors
-    /// As [`Fold::lift`].
-    fn lifter(&self, sides: &Sides, budget_bytes: usize) -> Box<dyn Lifter + '_>;
+/// A typed fold, prepared for a site.
+pub(crate) struct Folded<F>(pub(crate) F);
 
-    /// Merges states of one key.
-    ///
-    /// # Errors
-    /// A data fault when a state does not deserialise, or as [`Fold::merge`].
-    fn merge(&self, states: Vec<Bytes>) -> Result<Bytes, Fault>;
+impl<F: Fold> Folding for Folded<F> {
+    fn lifter<'a>(&'a self, site: &str) -> Box<dyn Rows + 'a> {
+        Box::new(Lifter {
+            fold: &self.0,
+            site: site.to_owned(),
+            states: BTreeMap::new(),
+        })
+    }
 
-    /// The output rows (one or none) of a site's key.
-    ///
-    /// # Errors
-    /// As [`Fold::finish`].
     fn finish(
         &self,
         site: &str,
         key: &Bytes,
-        state: Bytes,
+        states: Vec<Bytes>,
         emit: &mut Emit<'_>,
-    ) -> Result<(), Fault>;
+    ) -> Result<(), Fault> {
+        let states = states.iter().map(decode).collect::<Result<_, _>>()?;
+        let merged = self.0.merge(states)?;
+        let row = self.0.finish(site, &decode(key)?, merged)?;
+        emit.rows(row.into_iter().collect())
+    }
 }
 
-/// A lift at work. The batches it emits are [`StateRow`]s.
-pub trait Lifter: Send {
-    /// Takes rows.
-    ///
-    /// # Errors
-    /// As [`Fold::lift`].
-    fn push(&mut self, rows: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault>;
-
-    /// Passes on what is left.
-    ///
-    /// # Errors
-    /// When the reader has gone.
-    fn close(&mut self, emit: &mut Emit<'_>) -> Result<(), Fault>;
-}
-
-/// The kernel of a typed fold.
-pub fn fold<F: Fold>(fold: F) -> Kernel {
-    Kernel::Fold(Box::new(Erased(fold)))
-}
-
-struct Erased<F>(F);
-
-struct LifterOf<'a, F: Fold> {
+struct Lifter<'a, F: Fold> {
     fold: &'a F,
-    sides: Sides,
-    budget_bytes: usize,
-    states: BTreeMap<(String, F::Key), F::State>,
+    site: String,
+    states: BTreeMap<F::Key, F::State>,
+}
+
+impl<F: Fold> Lifter<'_, F> {
+    fn flush(&mut self, emit: &mut Emit<'_>) -> Result<(), Fault> {
+        for (key, state) in std::mem::take(&mut self.states) {
+            emit.rows(vec![StateRow {
+                site: self.site.clone(),
+                key: encode(&key)?,
+                state: encode(&state)?,
+            }])?;
+        }
+        Ok(())
+    }
+}
+
+impl<F: Fold> Rows for Lifter<'_, F> {
+    fn push(&mut self, batch: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
+        self.fold.lift(rows(batch)?, &mut self.states, emit)?;
+        let bytes = |state| self.fold.state_bytes(state);
+        if self.states.values().map(bytes).sum::<usize>() > STATE_BUDGET_BYTES {
+            self.flush(emit)?;
+        }
+        Ok(())
+    }
+
+    fn close(mut self: Box<Self>, emit: &mut Emit<'_>) -> Result<(), Fault> {
+        self.flush(emit)
+    }
 }
 
 fn encode<T: Serialize>(value: &T) -> Result<Bytes, Fault> {
@@ -145,75 +162,4 @@ fn decode<T: DeserializeOwned>(bytes: &Bytes) -> Result<T, Fault> {
         ))
         .next("delete the artifact and run again")
     })
-}
-
-impl<F: Fold> LifterOf<'_, F> {
-    fn flush(&mut self, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        for ((site, key), state) in std::mem::take(&mut self.states) {
-            emit.rows(vec![StateRow {
-                site,
-                key: encode(&key)?,
-                state: encode(&state)?,
-            }])?;
-        }
-        Ok(())
-    }
-}
-
-impl<F: Fold> Lifter for LifterOf<'_, F> {
-    fn push(&mut self, rows: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        self.fold.lift(rows, &self.sides, &mut self.states, emit)?;
-        let held: usize = self
-            .states
-            .values()
-            .map(|state| self.fold.state_bytes(state))
-            .sum();
-        if held > self.budget_bytes {
-            self.flush(emit)
-        } else {
-            Ok(())
-        }
-    }
-
-    fn close(&mut self, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        self.flush(emit)
-    }
-}
-
-impl<F: Fold> FoldKernel for Erased<F> {
-    fn lifter(&self, sides: &Sides, budget_bytes: usize) -> Box<dyn Lifter + '_> {
-        Box::new(LifterOf {
-            fold: &self.0,
-            sides: sides.clone(),
-            budget_bytes,
-            states: BTreeMap::new(),
-        })
-    }
-
-    fn merge(&self, states: Vec<Bytes>) -> Result<Bytes, Fault> {
-        let mut states = states.into_iter();
-        let Some(first) = states.next() else {
-            return Err(Fault::bug("merge of no states"));
-        };
-        let mut merged: Option<F::State> = None;
-        for state in states {
-            let into = match merged.as_mut() {
-                Some(into) => into,
-                None => merged.insert(decode(&first)?),
-            };
-            self.0.merge(into, decode(&state)?)?;
-        }
-        merged.map_or(Ok(first), |state| encode(&state))
-    }
-
-    fn finish(
-        &self,
-        site: &str,
-        key: &Bytes,
-        state: Bytes,
-        emit: &mut Emit<'_>,
-    ) -> Result<(), Fault> {
-        let row = self.0.finish(site, &decode(key)?, decode(&state)?)?;
-        emit.rows(row.into_iter().collect())
-    }
 }

@@ -5,12 +5,12 @@
 //! |---|---|
 //! | example | the page's input gives the page's output |
 //! | batches | the same rows in batches of 1, 2, 3 … give the same output |
-//! | partitions | so do they in 1, 2, 3 partitions, run in either order (Map, Fold) |
+//! | partitions | so do they in 1, 2, 3 partitions, run in either order |
 //! | order of input | shuffled input rows give the same output: order comes from the grain |
 //! | empty | no rows in give no rows out, and no error |
 //! | determinism | twice the same |
 //! | schema | the output has the layer's schema, and no two rows have the same key |
-//! | parameters | defaults survive a round trip, and an unknown parameter is refused |
+//! | parameters | each says what it means, defaults survive a round trip, and an unknown one is refused |
 
 use std::collections::BTreeMap;
 
@@ -19,7 +19,7 @@ use arrow::compute::{partition, take_record_batch};
 use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
-pub use crate::reference::{Outcome, Split, inputs_of, run, sort};
+pub use crate::naive::{Outcome, Split, inputs_of, run, sort};
 pub use crate::table::{JsonRow, difference, json_rows, port_schema, table};
 use crate::{Entry, Example};
 
@@ -67,10 +67,7 @@ pub fn example_inputs(
         let port = entry
             .port(name)
             .ok_or_else(|| broken(entry, "example", &format!("there is no port {name}")))?;
-        Ok((
-            name.clone(),
-            table(&port_schema(&port.layer, port.pixels), rows)?,
-        ))
+        Ok((name.clone(), table(&port_schema(port), rows)?))
     });
     inputs.collect()
 }
@@ -193,22 +190,26 @@ fn parameters(entry: &Entry) -> Result<(), Fault> {
         ));
     }
     if entry.normalise(&json!({ "no_such_parameter": 1 })).is_ok() {
-        return Err(broken(
-            entry,
-            "parameters",
-            "an unknown one was accepted: add #[serde(deny_unknown_fields)]",
-        ));
+        return Err(broken(entry, "parameters", "an unknown one was accepted"));
     }
-    entry.kernel(&entry.defaults).map(drop)
+    if let Some(parameter) = entry
+        .parameters()
+        .iter()
+        .find(|parameter| parameter.doc.is_empty())
+    {
+        let text = format!("`{}` has no doc comment", parameter.name);
+        return Err(broken(entry, "parameters", &text));
+    }
+    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::{Emit, Fold, Grain, Kernel, Operator, Port, Sides, fold, group_whole};
+    use crate::{Emit, Fold, Key, Operator, Pixels, Port, Sides, Stream, Work};
     use evermap_schemas::layers::VehiclePose;
-    use evermap_schemas::{LayerRow, record, rows};
+    use evermap_schemas::{LayerRow, record};
     use schemars::JsonSchema;
     use serde::{Deserialize, Serialize};
 
@@ -227,8 +228,8 @@ mod tests {
         const KEY: &'static [&'static str] = &["site"];
     }
 
-    #[derive(Default, Serialize, Deserialize, JsonSchema)]
-    #[serde(default, deny_unknown_fields)]
+    #[derive(Clone, Default, Serialize, Deserialize, JsonSchema)]
+    #[serde(default)]
     struct Params {
         /// Added to each count.
         bias: u64,
@@ -238,33 +239,36 @@ mod tests {
         | site | session | stamp |\n|---|---|---|\n| s | a | 1 |\n| s | a | 2 |\n| s | b | 1 |\n| t | c | 1 |\n\n\
         Output:\n\n| site | poses |\n|---|---|\n| s | 3 |\n| t | 1 |\n";
 
+    fn poses() -> Port {
+        Port::site::<VehiclePose>("poses")
+    }
+
     struct Folded;
     struct Counter;
     impl Fold for Counter {
+        type Params = Params;
+        type Row = VehiclePose;
         type Key = ();
         type State = u64;
-        type Row = Count;
+        type Output = Count;
+        fn prepare(_: &Params, _: &Sides) -> Result<Self, Fault> {
+            Ok(Counter)
+        }
         fn lift(
             &self,
-            batch: &RecordBatch,
-            _: &Sides,
-            states: &mut BTreeMap<(String, ()), u64>,
+            rows: Vec<VehiclePose>,
+            states: &mut BTreeMap<(), u64>,
             _: &mut Emit<'_>,
         ) -> Result<(), Fault> {
-            rows::<VehiclePose>(batch)?
-                .into_iter()
-                .for_each(|pose| *states.entry((pose.site, ())).or_default() += 1);
+            *states.entry(()).or_default() += rows.len() as u64;
             Ok(())
         }
-        fn merge(&self, into: &mut u64, from: u64) -> Result<(), Fault> {
-            *into += from;
-            Ok(())
+        fn merge(&self, states: Vec<u64>) -> Result<u64, Fault> {
+            Ok(states.into_iter().sum())
         }
         fn finish(&self, site: &str, _: &(), poses: u64) -> Result<Option<Count>, Fault> {
-            Ok(Some(Count {
-                site: site.to_owned(),
-                poses,
-            }))
+            let site = site.to_owned();
+            Ok(Some(Count { site, poses }))
         }
         fn state_bytes(&self, _: &u64) -> usize {
             8
@@ -276,11 +280,8 @@ mod tests {
         const PAGE: &'static str = PAGE;
         type Params = Params;
         type Output = Count;
-        fn ports() -> Vec<Port> {
-            vec![Port::of::<VehiclePose>("poses", Grain::Row)]
-        }
-        fn kernel(_: Params) -> Result<Kernel, Fault> {
-            Ok(fold(Counter))
+        fn work() -> Work<Params> {
+            Work::fold::<Counter>(poses(), vec![])
         }
     }
 
@@ -291,60 +292,52 @@ mod tests {
         const PAGE: &'static str = PAGE;
         type Params = Params;
         type Output = Count;
-        fn ports() -> Vec<Port> {
-            vec![Port::of::<VehiclePose>("poses", Grain::Whole)]
-        }
-        fn kernel(_: Params) -> Result<Kernel, Fault> {
-            Ok(group_whole(|poses: Vec<VehiclePose>, _, emit| {
-                let site = poses
-                    .first()
-                    .map(|pose| pose.site.clone())
-                    .unwrap_or_default();
-                emit.rows(vec![Count {
-                    site,
-                    poses: poses.len() as u64,
-                }])
-            }))
+        fn work() -> Work<Params> {
+            Work::group(
+                poses(),
+                Key::SITE,
+                vec![],
+                |_, rows: Vec<VehiclePose>, _, emit| {
+                    let site = rows[0].site.clone();
+                    let poses = rows.len() as u64;
+                    emit.rows(vec![Count { site, poses }])
+                },
+            )
         }
     }
 
     /// Depends on batch boundaries: a defect that the laws must find.
     struct Careless;
+    struct Last(Option<Count>);
+    impl Stream for Last {
+        type Params = Params;
+        type Row = VehiclePose;
+        fn open(_: &Params, _: &Sides) -> Result<Self, Fault> {
+            Ok(Last(None))
+        }
+        fn push(
+            &mut self,
+            rows: Vec<VehiclePose>,
+            _: &Pixels,
+            _: &mut Emit<'_>,
+        ) -> Result<(), Fault> {
+            let site = rows[0].site.clone();
+            let poses = rows.len() as u64;
+            self.0 = Some(Count { site, poses });
+            Ok(())
+        }
+        fn close(self, emit: &mut Emit<'_>) -> Result<(), Fault> {
+            emit.rows(self.0.into_iter().collect())
+        }
+    }
     impl Operator for Careless {
         const NAME: &'static str = "counts";
         const VERSION: u32 = 1;
         const PAGE: &'static str = PAGE;
         type Params = Params;
         type Output = Count;
-        fn ports() -> Vec<Port> {
-            vec![Port::of::<VehiclePose>("poses", Grain::Whole)]
-        }
-        fn kernel(_: Params) -> Result<Kernel, Fault> {
-            struct Open;
-            struct Worker(u64, String);
-            impl crate::GroupKernel for Open {
-                fn open(&self, _: &Sides) -> Result<Box<dyn crate::Group>, Fault> {
-                    Ok(Box::new(Worker(0, String::new())))
-                }
-            }
-            impl crate::Group for Worker {
-                fn push(&mut self, batch: &RecordBatch, _: &mut Emit<'_>) -> Result<(), Fault> {
-                    let poses = rows::<VehiclePose>(batch)?;
-                    self.0 = poses.len() as u64;
-                    self.1 = poses
-                        .first()
-                        .map(|pose| pose.site.clone())
-                        .unwrap_or_default();
-                    Ok(())
-                }
-                fn close(&mut self, emit: &mut Emit<'_>) -> Result<(), Fault> {
-                    emit.rows(vec![Count {
-                        site: self.1.clone(),
-                        poses: self.0,
-                    }])
-                }
-            }
-            Ok(Kernel::Group(Box::new(Open)))
+        fn work() -> Work<Params> {
+            Work::stream::<Last>(poses(), Key::SITE, vec![])
         }
     }
 
@@ -358,5 +351,18 @@ mod tests {
     fn a_careless_operator_is_caught() {
         let text = check(&Entry::of::<Careless>()).unwrap_err().to_string();
         assert!(text.contains("law of batches"), "{text}");
+    }
+
+    #[test]
+    fn a_reference_has_one_table_of_parameters() {
+        let text = Entry::of::<Grouped>().reference();
+        assert!(
+            text.contains("| `bias` | integer | of at least 0 | 0 | Added to each count. |"),
+            "{text}"
+        );
+        assert!(
+            text.contains("| `poses` | `poses` | all rows of one site, by"),
+            "{text}"
+        );
     }
 }

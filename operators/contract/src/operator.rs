@@ -5,10 +5,10 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::{Kernel, Port};
+use crate::Work;
 
-/// An operator: parameters, ports, one output layer, a kernel. Implemented by an empty struct, in a file of its own,
-/// with its page beside it.
+/// An operator: parameters, one output layer, and its work. Implemented by an empty struct, in a file of its own, with
+/// its page beside it.
 pub trait Operator: 'static {
     /// A noun for what it yields; also the file's name.
     const NAME: &'static str;
@@ -16,17 +16,19 @@ pub trait Operator: 'static {
     const VERSION: u32;
     /// The page beside the file: `include_str!("name.md")`.
     const PAGE: &'static str;
-    /// Parameters; every one has a default, a unit in its name, and a doc comment.
-    type Params: Default + Serialize + DeserializeOwned + JsonSchema;
+    /// Parameters; every one has a default, a unit in its name, a doc comment, and a range where one makes sense.
+    type Params: Default + Clone + Serialize + DeserializeOwned + JsonSchema + Send + Sync + 'static;
     /// The row of the output layer.
     type Output: LayerRow;
 
-    /// The inputs; the first drives the kernel.
-    fn ports() -> Vec<Port>;
+    /// What is read, in which shape, and what is done with it.
+    fn work() -> Work<Self::Params>;
 
-    /// The kernel for these parameters.
+    /// Whether the parameters make sense together. Each by itself has been held to its type and range.
     ///
     /// # Errors
-    /// A user fault for parameters that make no sense together.
-    fn kernel(params: Self::Params) -> Result<Kernel, Fault>;
+    /// A user fault where they do not.
+    fn check(_: &Self::Params) -> Result<(), Fault> {
+        Ok(())
+    }
 }

@@ -1,47 +1,70 @@
-//! What an operator reads, and how much of it at once.
+//! What an operator reads, and how much of it belongs together.
 
 use evermap_schemas::{Layer, LayerRow};
 
-/// How much of a port a kernel must see at once. It says *where data must be*, not what is computed; the engine
-/// turns it into partitioning and order.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Grain {
-    /// Any rows, in any split.
-    Row,
-    /// All rows with equal values in `columns`, together, ordered by `order`.
-    Key {
-        /// Columns whose values name a group. With `session` among them the work is split by session.
-        columns: &'static [&'static str],
-        /// Columns that order the rows of a group.
-        order: &'static [&'static str],
-    },
-    /// All rows of one site, in the order of the layer's key.
-    Whole,
+/// How much of a table goes with a unit of work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Reach {
+    /// The rows of the session at hand.
+    Session,
+    /// All rows of its site.
+    Site,
 }
 
-impl Grain {
-    /// One session's rows ordered by stamp: the most common grain.
-    pub const SESSION: Grain = Grain::Key {
+impl Reach {
+    /// The columns whose equal values say what goes together.
+    pub(crate) fn columns(self) -> &'static [&'static str] {
+        match self {
+            Reach::Session => Key::SESSION.columns,
+            Reach::Site => Key::SITE.columns,
+        }
+    }
+}
+
+/// What makes a group, and in which order its rows come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Key {
+    /// Columns whose values name a group; the first is `site`. With `session` among them work is split by session.
+    pub columns: &'static [&'static str],
+    /// Columns that order the rows of a group; where there are none, the key of the layer does.
+    pub order: &'static [&'static str],
+}
+
+impl Key {
+    /// One session's rows, by stamp.
+    pub const SESSION: Key = Key {
         columns: &["site", "session"],
         order: &["stamp"],
     };
+    /// All rows of a site, in the order of the layer's key.
+    pub const SITE: Key = Key {
+        columns: &["site"],
+        order: &[],
+    };
 
-    /// Whether rows of one session are enough for the kernel.
-    pub fn is_per_session(&self) -> bool {
-        match self {
-            Grain::Row => true,
-            Grain::Key { columns, .. } => columns.contains(&"session"),
-            Grain::Whole => false,
+    /// How much of a table holds a group whole.
+    pub fn reach(&self) -> Reach {
+        if self.columns.contains(&"session") {
+            Reach::Session
+        } else {
+            Reach::Site
         }
     }
 
-    /// The columns whose equal values make a group: none for `Row`, the site for `Whole`.
-    pub fn group_columns(&self) -> &'static [&'static str] {
-        match self {
-            Grain::Row => &[],
-            Grain::Key { columns, .. } => columns,
-            Grain::Whole => &["site"],
+    /// The columns that order rows of this layer so that groups lie together, each in its order.
+    pub(crate) fn sorting(&self, layer: &Layer) -> Vec<&'static str> {
+        let order = if self.order.is_empty() {
+            layer.key
+        } else {
+            self.order
+        };
+        let mut columns = self.columns.to_vec();
+        for column in order {
+            if !columns.contains(column) {
+                columns.push(column);
+            }
         }
+        columns
     }
 }
 
@@ -52,41 +75,41 @@ pub struct Port {
     pub name: &'static str,
     /// The columns that are read, with their types. An input may have more.
     pub layer: Layer,
-    /// How much of it the kernel sees at once.
-    pub grain: Grain,
-    /// The [`evermap_schemas::ImageRef`] column that the engine replaces by encoded image bytes, if any.
-    pub pixels: Option<&'static str>,
+    /// How much of it goes with a unit of work.
+    pub reach: Reach,
+    /// The [`evermap_schemas::ImageRef`] columns whose images are wanted too: their encoded bytes come in a `Binary`
+    /// column beside each, see [`pixels_column`]. An image that cannot be fetched is null there.
+    pub pixels: Vec<&'static str>,
     /// Whether a plan may leave the port unconnected; the kernel then sees an empty table.
     pub optional: bool,
 }
 
 impl Port {
-    /// A port that reads the rows of `T`.
-    pub fn of<T: LayerRow>(name: &'static str, grain: Grain) -> Self {
+    /// A port that reads a session's rows of `T`.
+    pub fn session<T: LayerRow>(name: &'static str) -> Self {
+        Self::of::<T>(name, Reach::Session)
+    }
+
+    /// A port that reads a site's rows of `T`.
+    pub fn site<T: LayerRow>(name: &'static str) -> Self {
+        Self::of::<T>(name, Reach::Site)
+    }
+
+    fn of<T: LayerRow>(name: &'static str, reach: Reach) -> Self {
         Self {
             name,
             layer: T::layer(),
-            grain,
-            pixels: None,
+            reach,
+            pixels: Vec::new(),
             optional: false,
         }
     }
 
-    /// The rows carry images by reference in `column`; the kernel wants their bytes, in a `Binary` column of the same
-    /// name. An image that cannot be fetched is null.
+    /// The images of this column are wanted, not only where they are.
     #[must_use]
-    pub fn with_pixels(mut self, column: &'static str) -> Self {
-        self.pixels = Some(column);
+    pub fn pixels(mut self, column: &'static str) -> Self {
+        self.pixels.push(column);
         self
-    }
-
-    /// The columns that order the port's rows before a kernel sees them.
-    pub fn order(&self) -> Vec<&'static str> {
-        match &self.grain {
-            Grain::Row => Vec::new(),
-            Grain::Key { columns, order } => columns.iter().chain(*order).copied().collect(),
-            Grain::Whole => self.layer.key.to_vec(),
-        }
     }
 
     /// The port may stay unconnected.
@@ -95,4 +118,19 @@ impl Port {
         self.optional = true;
         self
     }
+
+    /// The columns that a side's rows are ordered by: what goes together first, then the layer's key.
+    pub fn sorting(&self) -> Vec<&'static str> {
+        let columns = self.reach.columns();
+        Key {
+            columns,
+            order: &[],
+        }
+        .sorting(&self.layer)
+    }
+}
+
+/// The name of the column that holds the images of an [`evermap_schemas::ImageRef`] column.
+pub fn pixels_column(column: &str) -> String {
+    format!("{column}_pixels")
 }

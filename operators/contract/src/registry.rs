@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use evermap_schemas::{Fault, Layer, LayerRow};
 use serde_json::Value;
 
-use crate::{Kernel, Operator, Page, Port};
+use crate::kernel::Kernel;
+use crate::params::{self, ParamFault, Parameter};
+use crate::{Operator, Page, Port, Shape};
 
 /// One operator, as the engine and the reference see it.
 #[derive(Clone)]
@@ -16,6 +18,8 @@ pub struct Entry {
     pub version: u32,
     /// The page beside the operator.
     pub page: Page,
+    /// How much the kernel must see at once.
+    pub shape: Shape,
     /// Inputs; the first drives.
     pub ports: Vec<Port>,
     /// The layer that it yields.
@@ -24,62 +28,85 @@ pub struct Entry {
     pub defaults: Value,
     /// JSON Schema of the parameters.
     pub params_schema: Value,
-    kernel: fn(&Value) -> Result<Kernel, Fault>,
-    normalise: fn(&Value) -> Result<Value, Fault>,
+    typed: fn(&Value, &Value) -> Result<Typed, Vec<ParamFault>>,
 }
 
-fn params<O: Operator>(value: &Value) -> Result<O::Params, Fault> {
-    let mut merged = serde_json::to_value(O::Params::default())
-        .map_err(|error| Fault::bug(error.to_string()))?;
-    if let (Some(merged), Some(given)) = (merged.as_object_mut(), value.as_object()) {
-        merged.extend(
-            given
-                .iter()
-                .map(|(name, value)| (name.clone(), value.clone())),
-        );
-    }
-    serde_json::from_value(merged).map_err(|error| {
-        Fault::user(format!("parameters of {}: {error}", O::NAME))
-            .next(format!("see `evermap operators {}`", O::NAME))
+/// Parameters that were understood.
+struct Typed {
+    normal: Value,
+    check: Result<(), Fault>,
+    kernel: Box<dyn FnOnce() -> Kernel>,
+}
+
+fn typed<O: Operator>(schema: &Value, given: &Value) -> Result<Typed, Vec<ParamFault>> {
+    let params = params::typed::<O::Params>(schema, given)?;
+    Ok(Typed {
+        normal: serde_json::to_value(&params).unwrap_or_default(),
+        check: O::check(&params),
+        kernel: Box::new(|| (O::work().kernel)(params)),
     })
 }
 
 impl Entry {
     /// The entry of an operator.
     pub fn of<O: Operator>() -> Self {
+        let work = O::work();
         Self {
             name: O::NAME,
             version: O::VERSION,
             page: Page(O::PAGE),
-            ports: O::ports(),
+            shape: work.shape,
+            ports: work.ports,
             output: O::Output::layer(),
             defaults: serde_json::to_value(O::Params::default()).unwrap_or_default(),
             params_schema: schemars::schema_for!(O::Params).to_value(),
-            kernel: |value| {
-                O::kernel(params::<O>(value)?)
-                    .map_err(|fault| fault.at(format!("operator {}", O::NAME)))
-            },
-            normalise: |value| {
-                serde_json::to_value(params::<O>(value)?)
-                    .map_err(|error| Fault::bug(error.to_string()))
-            },
+            typed: typed::<O>,
         }
     }
 
-    /// The kernel for parameters as a plan gives them; what it leaves out has its default.
-    ///
-    /// # Errors
-    /// A user fault for parameters of another type, unknown ones, or ones that make no sense together.
-    pub fn kernel(&self, params: &Value) -> Result<Kernel, Fault> {
-        (self.kernel)(params)
+    /// The parameters, in the order of their declaration.
+    pub fn parameters(&self) -> Vec<Parameter> {
+        params::declared(&self.params_schema, &self.defaults)
+    }
+
+    /// All that is wrong with parameters as a plan gives them.
+    pub fn faults(&self, given: &Value) -> Vec<ParamFault> {
+        match (self.typed)(&self.params_schema, given) {
+            Err(faults) => faults,
+            Ok(Typed { check: Ok(()), .. }) => Vec::new(),
+            Ok(Typed {
+                check: Err(fault), ..
+            }) => vec![ParamFault {
+                param: String::new(),
+                message: fault.message,
+                known: Vec::new(),
+            }],
+        }
     }
 
     /// The complete parameters, in declaration order: equal work has equal text.
     ///
     /// # Errors
-    /// As [`Entry::kernel`].
-    pub fn normalise(&self, params: &Value) -> Result<Value, Fault> {
-        (self.normalise)(params)
+    /// A user fault with all that [`Entry::faults`] finds.
+    pub fn normalise(&self, given: &Value) -> Result<Value, Fault> {
+        Ok(self.understood(given)?.normal)
+    }
+
+    /// The kernel for parameters as a plan gives them; what it leaves out has its default.
+    pub(crate) fn kernel(&self, given: &Value) -> Result<Kernel, Fault> {
+        Ok((self.understood(given)?.kernel)())
+    }
+
+    fn understood(&self, given: &Value) -> Result<Typed, Fault> {
+        let typed = (self.typed)(&self.params_schema, given)
+            .map_err(|faults| params::fault(self.name, faults))?;
+        match typed.check {
+            Ok(()) => Ok(Typed {
+                check: Ok(()),
+                ..typed
+            }),
+            Err(fault) => Err(fault.at(format!("operator {}", self.name))),
+        }
     }
 
     /// A port by name.
@@ -95,12 +122,8 @@ pub struct Registry(BTreeMap<&'static str, Entry>);
 impl Registry {
     /// A registry of these entries; the later of two with one name stays.
     pub fn new(entries: impl IntoIterator<Item = Entry>) -> Self {
-        Self(
-            entries
-                .into_iter()
-                .map(|entry| (entry.name, entry))
-                .collect(),
-        )
+        let named = entries.into_iter().map(|entry| (entry.name, entry));
+        Self(named.collect())
     }
 
     /// An operator by name.

@@ -2,10 +2,13 @@
 
 use std::sync::Arc;
 
-use arrow::array::RecordBatch;
+use arrow::array::{RecordBatch, new_null_array};
 use arrow::datatypes::{DataType, Field, Fields, Schema, SchemaRef};
-use evermap_schemas::{Fault, Layer};
+use evermap_schemas::{Cell, Column, Fault, ImageRef};
 use serde_json::{Map, Value, json};
+
+use crate::Port;
+use crate::port::pixels_column;
 
 /// A row written by hand.
 pub type JsonRow = Map<String, Value>;
@@ -169,17 +172,44 @@ fn identity_rotation(mut value: Value) -> Value {
     value
 }
 
-/// The schema that a port's table has when it reaches a kernel: image references have become bytes.
-pub fn port_schema(layer: &Layer, pixels: Option<&str>) -> SchemaRef {
-    let fields: Vec<Field> = layer
-        .columns
-        .iter()
-        .map(|column| match pixels {
-            Some(pixels) if pixels == column.name => {
-                Field::new(column.name, DataType::Binary, true)
-            }
-            _ => column.field(),
-        })
-        .collect();
+/// The schema of a port's table as a person writes it: images are bytes in the place of their references.
+pub fn port_schema(port: &Port) -> SchemaRef {
+    let field = |column: &Column| match port.pixels.contains(&column.name) {
+        true => Field::new(column.name, DataType::Binary, true),
+        false => column.field(),
+    };
+    let fields: Vec<Field> = port.layer.columns.iter().map(field).collect();
     Arc::new(Schema::new(fields))
+}
+
+/// A port's table with its images beside their references. Images that stand in the place of references get empty ones.
+pub(crate) fn with_pixels(rows: &RecordBatch, pixels: &[&str]) -> Result<RecordBatch, Fault> {
+    let mut fields: Vec<_> = rows.schema_ref().fields().iter().cloned().collect();
+    let mut columns = rows.columns().to_vec();
+    for column in pixels {
+        let name = pixels_column(column);
+        let Ok(index) = rows.schema_ref().index_of(column) else {
+            continue;
+        };
+        if rows.column_by_name(&name).is_some() {
+            continue;
+        }
+        let reference = Field::new(*column, ImageRef::data_type(), false);
+        let bare: SchemaRef = Arc::new(Schema::new(vec![reference.clone()]));
+        let references = table(&bare, &vec![JsonRow::new(); rows.num_rows()])?;
+        let images = match rows.column(index).data_type() {
+            DataType::Binary => Arc::clone(rows.column(index)),
+            _ => new_null_array(&DataType::Binary, rows.num_rows()),
+        };
+        if *rows.column(index).data_type() == DataType::Binary {
+            fields[index] = Arc::new(reference);
+            columns[index] = Arc::clone(references.column(0));
+        }
+        fields.push(Arc::new(Field::new(name, DataType::Binary, true)));
+        columns.push(images);
+    }
+    Ok(RecordBatch::try_new(
+        Arc::new(Schema::new(fields)),
+        columns,
+    )?)
 }

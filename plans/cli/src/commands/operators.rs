@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::io::Write as _;
 
-use evermap_contract::{Entry, Grain, Layer, LayerRow};
+use evermap_contract::Entry;
 use evermap_schemas::{Column, record};
 
 use crate::arguments::OperatorsArgs;
@@ -41,7 +41,7 @@ pub async fn operators(args: &OperatorsArgs) -> Ending {
         Some(name) => writeln!(
             std::io::stdout(),
             "{}",
-            reference(registry.get(name)?).trim_end()
+            registry.get(name)?.reference().trim_end()
         )?,
         None => print_rows(args.format, registry.entries().map(line).collect()).await?,
     }
@@ -65,102 +65,6 @@ fn line(entry: &Entry) -> OperatorLine {
     }
 }
 
-/// The operator's page, and behind it what its declaration says: columns of ports and output, parameters with types.
-pub fn reference(entry: &Entry) -> String {
-    let mut text = entry.page.0.trim_end().to_owned();
-    let _ = write!(
-        text,
-        "\n\n## Parameters as a plan writes them\n\n{}",
-        parameters(entry)
-    );
-    for port in &entry.ports {
-        let optional = if port.optional { ", optional" } else { "" };
-        let pixels = port
-            .pixels
-            .map(|column| format!("; `{column}` comes as encoded images"))
-            .unwrap_or_default();
-        let _ = write!(
-            text,
-            "\n## Port `{}`: {}{optional}{pixels}\n\n{}\n\n{}",
-            port.name,
-            grain(&port.grain),
-            port.layer.doc,
-            columns(&port.layer)
-        );
-    }
-    let output = &entry.output;
-    let key = output.key.join(", ");
-    let _ = write!(
-        text,
-        "\n## Yields `{}`, ordered by {key}\n\n{}\n\n{}",
-        output.name,
-        output.doc,
-        columns(output)
-    );
-    text
-}
-
-fn grain(grain: &Grain) -> String {
-    match grain {
-        Grain::Row => "any rows".to_owned(),
-        Grain::Key { columns, order } => format!(
-            "all rows of one {}, by {}",
-            columns.join(" and "),
-            order.join(", ")
-        ),
-        Grain::Whole => "all rows of one site".to_owned(),
-    }
-}
-
-fn columns(layer: &Layer) -> String {
-    let mut text =
-        String::from("| column | type | unit | frame | meaning |\n|---|---|---|---|---|\n");
-    for column in &layer.columns {
-        let _ = writeln!(
-            text,
-            "| `{}` | {} | {} | {} | {} |",
-            column.name,
-            type_name(column),
-            column.unit,
-            column.frame,
-            column.doc
-        );
-    }
-    text
-}
-
-/// The column's type for people: structs by their fields.
-fn type_name(column: &Column) -> String {
-    let null = if column.nullable { ", may be null" } else { "" };
-    format!("{}{null}", crate::describe::type_name(&column.data_type))
-}
-
-fn parameters(entry: &Entry) -> String {
-    let mut text = String::from("| parameter | type | default | meaning |\n|---|---|---|---|\n");
-    let empty = serde_json::Map::new();
-    let properties = entry.params_schema["properties"]
-        .as_object()
-        .unwrap_or(&empty);
-    for (name, default) in entry.defaults.as_object().unwrap_or(&empty) {
-        let property = properties.get(name).unwrap_or(&serde_json::Value::Null);
-        let kind = match &property["type"] {
-            serde_json::Value::String(kind) => kind.clone(),
-            serde_json::Value::Array(kinds) => kinds
-                .iter()
-                .filter_map(|kind| kind.as_str())
-                .collect::<Vec<_>>()
-                .join(" or "),
-            _ => "object".to_owned(),
-        };
-        let doc = property["description"]
-            .as_str()
-            .unwrap_or_default()
-            .replace('\n', " ");
-        let _ = writeln!(text, "| `{name}` | {kind} | {default} | {doc} |");
-    }
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -168,7 +72,7 @@ mod tests {
     #[test]
     fn a_reference_names_every_parameter_port_and_column() {
         for entry in evermap_catalog::registry().entries() {
-            let text = reference(entry);
+            let text = entry.reference();
             assert!(text.starts_with(&format!("# {}", entry.name)));
             let columns = entry
                 .ports

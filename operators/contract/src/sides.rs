@@ -1,0 +1,202 @@
+//! The tables that a kernel reads beside its driving rows, and the images that came with rows.
+
+use std::collections::BTreeMap;
+
+use arrow::array::{Array, AsArray, BinaryArray, RecordBatch};
+use arrow::compute::partition;
+use evermap_schemas::{Fault, Record, rows};
+
+use crate::Port;
+use crate::port::pixels_column;
+
+/// The tables of the ports other than the driving one, by port name: the rows of one site, or of the group at hand, in
+/// the order of the layer's key.
+#[derive(Debug, Clone, Default)]
+pub struct Sides(BTreeMap<String, Vec<RecordBatch>>);
+
+impl Sides {
+    /// Sides from tables by port name.
+    pub fn new(tables: BTreeMap<String, Vec<RecordBatch>>) -> Self {
+        Self(tables)
+    }
+
+    /// The typed rows of a port; none where it is not connected.
+    ///
+    /// # Errors
+    /// As [`evermap_schemas::rows`].
+    pub fn rows<T: Record>(&self, port: &str) -> Result<Vec<T>, Fault> {
+        let mut all = Vec::new();
+        for batch in self.batches(port) {
+            all.extend(rows::<T>(batch).map_err(|fault| fault.at(format!("port {port}")))?);
+        }
+        Ok(all)
+    }
+
+    /// The images of a port's column, row for row with [`Sides::rows`].
+    ///
+    /// # Errors
+    /// A bug fault where the port was not declared with pixels of that column.
+    pub fn pixels(&self, port: &str, column: &'static str) -> Result<Pixels, Fault> {
+        Pixels::of(self.batches(port), &[column]).map_err(|fault| fault.at(format!("port {port}")))
+    }
+
+    fn batches(&self, port: &str) -> &[RecordBatch] {
+        self.0.get(port).map_or(&[], Vec::as_slice)
+    }
+
+    /// The tables cut by site. A table without a column `site` belongs to every site.
+    pub(crate) fn by_site(&self) -> Result<BTreeMap<String, Sides>, Fault> {
+        let mut sites: BTreeMap<String, Sides> = BTreeMap::new();
+        for (port, batches) in &self.0 {
+            for batch in batches {
+                for part in runs_of_equal(batch, &["site"])? {
+                    if let Some(site) = site_of(&part) {
+                        let tables = &mut sites.entry(site.to_owned()).or_default().0;
+                        tables.entry(port.clone()).or_default().push(part);
+                    }
+                }
+            }
+        }
+        for sides in sites.values_mut() {
+            sides.0.extend(self.everywhere().0);
+        }
+        Ok(sites)
+    }
+
+    /// The tables that belong to no site.
+    pub(crate) fn everywhere(&self) -> Sides {
+        let no_site = |batches: &&Vec<RecordBatch>| {
+            batches
+                .iter()
+                .all(|batch| batch.column_by_name("site").is_none())
+        };
+        let tables = self.0.iter().filter(|(_, batches)| no_site(batches));
+        Sides(
+            tables
+                .map(|(port, batches)| (port.clone(), batches.clone()))
+                .collect(),
+        )
+    }
+
+    /// What belongs with a group of the driving port: the rows that are equal in those of the group's columns that say
+    /// how far the port reaches.
+    pub(crate) fn belonging(
+        &self,
+        ports: &[Port],
+        group: &RecordBatch,
+        group_columns: &[&str],
+    ) -> Result<Sides, Fault> {
+        let mut tables = BTreeMap::new();
+        for port in ports {
+            let mut columns = port.reach.columns().to_vec();
+            columns.retain(|column| group_columns.contains(column));
+            let mut kept = Vec::new();
+            for batch in self.batches(port.name) {
+                for part in runs_of_equal(batch, &columns)? {
+                    if same_group(&part, group, &columns) {
+                        kept.push(part);
+                    }
+                }
+            }
+            tables.insert(port.name.to_owned(), kept);
+        }
+        Ok(Sides(tables))
+    }
+}
+
+/// The encoded images that came with rows, by row and column.
+#[derive(Debug, Clone, Default)]
+pub struct Pixels {
+    columns: Vec<&'static str>,
+    /// The first row of each batch, and its images by column.
+    batches: Vec<(usize, Vec<BinaryArray>)>,
+}
+
+impl Pixels {
+    pub(crate) fn of(batches: &[RecordBatch], columns: &[&'static str]) -> Result<Self, Fault> {
+        let mut first = 0;
+        let mut found = Vec::with_capacity(batches.len());
+        for batch in batches {
+            let images = columns
+                .iter()
+                .map(|column| images(batch, column))
+                .collect::<Result<_, _>>()?;
+            found.push((first, images));
+            first += batch.num_rows();
+        }
+        Ok(Self {
+            columns: columns.to_vec(),
+            batches: found,
+        })
+    }
+
+    /// The image of a row, in the first column that was asked for; `None` where it could not be fetched.
+    pub fn get(&self, row: usize) -> Option<&[u8]> {
+        self.at(row, 0)
+    }
+
+    /// The image of a row in one of several columns.
+    pub fn column(&self, name: &str, row: usize) -> Option<&[u8]> {
+        let column = self.columns.iter().position(|column| *column == name)?;
+        self.at(row, column)
+    }
+
+    fn at(&self, row: usize, column: usize) -> Option<&[u8]> {
+        let batch = self.batches.partition_point(|(first, _)| *first <= row);
+        let (first, images) = self.batches.get(batch.checked_sub(1)?)?;
+        let images = images.get(column)?;
+        let row = row - first;
+        (row < images.len() && !images.is_null(row)).then(|| images.value(row))
+    }
+}
+
+fn images(batch: &RecordBatch, column: &str) -> Result<BinaryArray, Fault> {
+    batch
+        .column_by_name(&pixels_column(column))
+        .and_then(|images| images.as_binary_opt::<i32>())
+        .cloned()
+        .ok_or_else(|| Fault::bug(format!("column {column} comes without its pixels")))
+}
+
+/// The site of a batch's first row; `None` where there is none.
+pub(crate) fn site_of(rows: &RecordBatch) -> Option<&str> {
+    let sites = rows.column_by_name("site")?.as_string_opt::<i32>()?;
+    (!sites.is_empty()).then(|| sites.value(0))
+}
+
+/// Whether the first rows of two batches are of one group: equal in these columns, as far as both have them.
+pub(crate) fn same_group(a: &RecordBatch, b: &RecordBatch, columns: &[&str]) -> bool {
+    columns.iter().all(
+        |name| match (a.column_by_name(name), b.column_by_name(name)) {
+            (Some(a), Some(b)) if !a.is_empty() && !b.is_empty() => {
+                a.slice(0, 1).to_data() == b.slice(0, 1).to_data()
+            }
+            _ => true,
+        },
+    )
+}
+
+/// Runs of rows with equal values in these columns; all rows where there are no such columns.
+///
+/// # Errors
+/// When a column cannot be compared.
+pub(crate) fn runs_of_equal(
+    rows: &RecordBatch,
+    columns: &[&str],
+) -> Result<Vec<RecordBatch>, Fault> {
+    let columns: Vec<_> = columns
+        .iter()
+        .filter_map(|name| rows.column_by_name(name).cloned())
+        .collect();
+    if rows.num_rows() == 0 {
+        return Ok(Vec::new());
+    }
+    if columns.is_empty() {
+        return Ok(vec![rows.clone()]);
+    }
+    Ok(partition(&columns)?
+        .ranges()
+        .into_iter()
+        .map(|range| rows.slice(range.start, range.len()))
+        .collect())
+}
