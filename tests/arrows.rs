@@ -412,32 +412,94 @@ fn code(folder: &str) -> Vec<(PathBuf, String)> {
         .collect()
 }
 
-#[test]
-fn one_plan_node_runs_every_operator() {
-    let mut nodes = Vec::new();
+/// The files of our crates in which a text occurs, and how often.
+fn occurrences(text: &str) -> Vec<(PathBuf, usize)> {
+    let mut found = Vec::new();
     for folder in House::read().named.keys().filter(|name| *name != "tests") {
-        for (path, text) in code(folder) {
-            // Shipping whole work units to a cluster is another matter than running an operator.
-            let is_cluster = path
-                .components()
-                .any(|part| part.as_os_str().to_string_lossy().starts_with("cluster"));
-            let found = text.matches("ExecutionPlan for ").count();
-            if found > 0 && !(is_cluster && folder == "plans/engine") {
-                nodes.push((path.strip_prefix(root()).unwrap().to_owned(), found));
+        for (path, code) in code(folder) {
+            let count = code.matches(text).count();
+            if count > 0 {
+                found.push((path.strip_prefix(root()).unwrap().to_owned(), count));
             }
         }
     }
+    found
+}
+
+#[test]
+fn one_plan_node_runs_every_operator() {
+    let once = |path: &str| vec![(PathBuf::from(path), 1)];
     assert_eq!(
-        nodes,
-        [(PathBuf::from("plans/engine/src/nodes/operator.rs"), 1)],
+        occurrences("ExecutionPlan for "),
+        once("plans/engine/src/nodes/node.rs"),
+        "DataFusion's trait is implemented once, for all nodes"
+    );
+    assert_eq!(
+        occurrences("Duty for "),
+        [
+            // Shipping whole work units to a cluster is another matter than running an operator.
+            once("plans/engine/src/cluster/job.rs"),
+            once("plans/engine/src/nodes/operator.rs"),
+            once("plans/engine/src/nodes/pixels.rs"),
+        ]
+        .concat(),
+        "a node for units, one for operators, one for images"
+    );
+    let engine = |(path, _): &(PathBuf, usize)| path.starts_with("plans/engine");
+    let mut jobs = occurrences("Job::new");
+    jobs.retain(engine);
+    assert_eq!(
+        jobs,
+        once("plans/engine/src/nodes/operator.rs"),
         "operators run in one plan node, OperatorExec"
     );
-    let exec = code("plans/engine")
+}
+
+/// The module of a file in `src`: `map::store`, or nothing for `lib.rs`.
+fn module(path: &Path, sources: &Path) -> String {
+    let path = path.strip_prefix(sources).unwrap().with_extension("");
+    let parts: Vec<_> = path.iter().map(|part| part.to_str().unwrap()).collect();
+    let module = parts.join("::");
+    let module = module.strip_suffix("mod").unwrap_or(&module);
+    module.trim_end_matches("::").replace("lib", "")
+}
+
+/// Each module with those that its code names.
+fn uses(folder: &str) -> BTreeMap<String, BTreeSet<String>> {
+    let sources = root().join(folder).join("src");
+    let texts: BTreeMap<_, _> = code(folder)
         .into_iter()
-        .find(|(path, _)| path.ends_with("nodes/operator.rs"))
-        .unwrap()
-        .1;
-    assert!(exec.contains("ExecutionPlan for OperatorExec "));
+        .map(|(path, text)| (module(&path, &sources), text))
+        .collect();
+    let named = |text: &str| {
+        let paths = text.split("crate::").skip(1).map(|rest| {
+            let end = rest.find(|c: char| c != ':' && c != '_' && !c.is_alphanumeric());
+            let parts: Vec<_> = rest[..end.unwrap_or(rest.len())].split("::").collect();
+            let longest = (1..=parts.len())
+                .rev()
+                .map(|count| parts[..count].join("::"));
+            longest.into_iter().find(|name| texts.contains_key(name))
+        });
+        paths.flatten().collect::<BTreeSet<_>>()
+    };
+    texts
+        .iter()
+        .map(|(name, text)| (name.clone(), named(text)))
+        .collect()
+}
+
+#[test]
+fn files_of_the_engine_use_each_other_in_no_circle() {
+    let uses = uses("plans/engine");
+    assert!(uses["unit::build"].contains("nodes::operator"));
+    for start in uses.keys() {
+        let (mut found, mut open) = (BTreeSet::new(), vec![start]);
+        while let Some(next) = open.pop() {
+            open.extend(uses[next].iter().filter(|name| found.insert(*name)));
+        }
+        found.retain(|name| uses[*name].contains(start) && *name != start);
+        assert!(found.is_empty(), "{start} uses {found:?}, which uses it");
+    }
 }
 
 #[test]

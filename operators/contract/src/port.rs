@@ -1,9 +1,11 @@
 //! What an operator reads, and how much of it belongs together.
 
 use evermap_schemas::{Layer, LayerRow};
+use serde::{Deserialize, Serialize};
 
 /// How much of a table goes with a unit of work.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Reach {
     /// The rows of the session at hand.
     Session,

@@ -35,12 +35,33 @@ pub fn conform(batch: &RecordBatch, layer: &Layer) -> Result<RecordBatch, Fault>
     Ok(RecordBatch::try_new(layer.schema(), columns)?)
 }
 
-fn convert(array: &ArrayRef, to: &DataType) -> Result<ArrayRef, Fault> {
+/// The column in another type.
+///
+/// # Errors
+/// A data fault for types that do not convert.
+pub fn convert(array: &ArrayRef, to: &DataType) -> Result<ArrayRef, Fault> {
     if array.data_type() == to {
         Ok(Arc::clone(array))
     } else {
         Ok(cast(array, to)?)
     }
+}
+
+/// The batch with more columns behind its own, which may hold nulls.
+///
+/// # Errors
+/// A bug fault for columns of another length.
+pub fn beside(batch: RecordBatch, columns: Vec<(String, ArrayRef)>) -> Result<RecordBatch, Fault> {
+    if columns.is_empty() {
+        return Ok(batch);
+    }
+    let mut fields: Vec<_> = batch.schema_ref().fields().iter().cloned().collect();
+    let mut arrays = batch.columns().to_vec();
+    for (name, array) in columns {
+        fields.push(Arc::new(Field::new(name, array.data_type().clone(), true)));
+        arrays.push(array);
+    }
+    Ok(RecordBatch::try_new(Arc::new(Schema::new(fields)), arrays)?)
 }
 
 fn missing(name: &str, schema: &Schema) -> Fault {

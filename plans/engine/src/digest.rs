@@ -1,6 +1,18 @@
 //! Names by content.
 
+use evermap_schemas::Fault;
+use serde::Serialize;
+
 /// The BLAKE3 digest of some bytes, in hexadecimal.
 pub fn digest(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()
+}
+
+/// The digest of a value, as JSON.
+///
+/// # Errors
+/// A bug fault when it does not serialise.
+pub fn digest_of(value: &impl Serialize) -> Result<String, Fault> {
+    let text = serde_json::to_vec(value).map_err(|error| Fault::bug(error.to_string()))?;
+    Ok(digest(&text))
 }

@@ -29,6 +29,21 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
     Fault::new(kind, text.lines().next().unwrap_or_default())
 }
 
+/// What DataFusion gives, with a fault in place of its error.
+pub trait OrFault<T> {
+    /// The value, or [`fault_of`] the error.
+    ///
+    /// # Errors
+    /// As said.
+    fn or_fault(self) -> Result<T, Fault>;
+}
+
+impl<T> OrFault<T> for Result<T, DataFusionError> {
+    fn or_fault(self) -> Result<T, Fault> {
+        self.map_err(|error| fault_of(&error))
+    }
+}
+
 /// A fault on its way through DataFusion.
 pub fn external(fault: Fault) -> DataFusionError {
     DataFusionError::External(Box::new(fault))

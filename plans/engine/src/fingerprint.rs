@@ -13,7 +13,7 @@ use evermap_schemas::Fault;
 use object_store::ObjectStoreExt;
 use serde::{Deserialize, Serialize};
 
-use crate::digest::digest;
+use crate::digest::digest_of;
 use crate::map::store::Store;
 
 /// How long a file must have rested for its times to be trusted.
@@ -42,8 +42,7 @@ pub struct Fingerprint {
 impl Fingerprint {
     /// Where it is remembered.
     fn name(files: &[FileState]) -> Result<String, Fault> {
-        let text = serde_json::to_vec(files).map_err(|error| Fault::bug(error.to_string()))?;
-        Ok(format!("{FOLDER}/{}.json", digest(&text)))
+        Ok(format!("{FOLDER}/{}.json", digest_of(&files)?))
     }
 
     /// Remembers it.

@@ -6,9 +6,6 @@ use std::sync::Arc;
 use arrow::array::RecordBatch;
 use arrow::compute::concat_batches;
 use arrow::datatypes::SchemaRef;
-use datafusion::catalog::{MemorySchemaProvider, SchemaProvider};
-use datafusion::common::TableReference;
-use datafusion::datasource::MemTable;
 use datafusion::prelude::SessionContext;
 use evermap_contract::Registry;
 use evermap_contract::laws::{Split, difference, run, table};
@@ -17,9 +14,9 @@ use evermap_language::{Body, Input, Plan, PlanTest, Step};
 use evermap_schemas::Fault;
 
 use crate::conform::conform;
-use crate::error::fault_of;
+use crate::error::OrFault;
 use crate::program::Program;
-use crate::sql::{Limits, context, read_only};
+use crate::sql::{Limits, context, put_rows, read_only, reference};
 
 /// What became of one test: `None` where it passed.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -68,52 +65,35 @@ struct Bench<'a> {
 
 impl Bench<'_> {
     async fn run(&self, test: &PlanTest) -> Result<Option<String>, Fault> {
-        let context = context(Limits {
-            partitions: 1,
-            ..Limits::default()
-        })?;
+        let context = context(Limits::one_partition())?;
         self.dataset.register(&context)?;
-        let previous = Arc::new(MemorySchemaProvider::new());
-        if let Some(catalog) = context.catalog("datafusion") {
-            catalog
-                .register_schema("previous", Arc::clone(&previous) as _)
-                .map_err(|error| fault_of(&error))?;
-        }
-        let mut tables: BTreeMap<String, RecordBatch> = BTreeMap::new();
         // What a test does not say of the version before is empty, as before the first version.
         for step in &self.plan.steps {
             if let (Body::Op { .. }, Some(schema)) =
                 (&step.body, self.program.schemas.get(&step.name))
             {
-                let name = format!("{}{}", Input::PREVIOUS, step.name);
-                put(
-                    &context,
-                    &previous,
-                    &name,
-                    &RecordBatch::new_empty(Arc::clone(schema)),
-                )?;
+                let rows = RecordBatch::new_empty(Arc::clone(schema));
+                put_rows(&context, &Input::Previous(step.name.clone()), rows)?;
             }
         }
+        let mut tables: BTreeMap<Input, RecordBatch> = BTreeMap::new();
         for (input, rows) in &test.given {
             let schema = self.schema(&context, input).await?;
-            tables.insert(
-                input.written(),
-                table(&schema, rows).map_err(|fault| fault.at(input.written()))?,
-            );
-        }
-        for (name, rows) in &tables {
-            put(&context, &previous, name, rows)?;
+            let rows = table(&schema, rows).map_err(|fault| fault.at(input.written()))?;
+            put_rows(&context, input, rows.clone())?;
+            tables.insert(input.clone(), rows);
         }
         for step in &self.plan.steps {
-            if !tables.contains_key(&step.name) {
+            let made = Input::Step(step.name.clone());
+            if !tables.contains_key(&made) {
                 let rows = self.step(&context, step, &tables).await?;
-                put(&context, &previous, &step.name, &rows)?;
-                tables.insert(step.name.clone(), rows);
+                put_rows(&context, &made, rows.clone())?;
+                tables.insert(made, rows);
             }
         }
         for (step, expected) in &test.expect {
             let found = tables
-                .get(step)
+                .get(&Input::Step(step.clone()))
                 .ok_or_else(|| Fault::bug(format!("no step {step}")))?;
             if let Some(text) = difference(found, expected, test.tolerance)? {
                 return Ok(Some(format!("{step}: {text}")));
@@ -129,11 +109,9 @@ impl Bench<'_> {
                     Fault::user(format!("the columns of {} are not known", input.written()))
                 })
             }
-            Input::Source(name) => {
-                let found = context
-                    .table_provider(TableReference::bare(name.clone()))
-                    .await;
-                Ok(found.map_err(|error| fault_of(&error))?.schema())
+            Input::Source(_) => {
+                let found = context.table_provider(reference(input)).await;
+                Ok(found.or_fault()?.schema())
             }
         }
     }
@@ -142,16 +120,14 @@ impl Bench<'_> {
         &self,
         context: &SessionContext,
         step: &Step,
-        tables: &BTreeMap<String, RecordBatch>,
+        tables: &BTreeMap<Input, RecordBatch>,
     ) -> Result<RecordBatch, Fault> {
         match &step.body {
             Body::Op { op, inputs, params } => {
                 let entry = self.registry.get(op)?;
                 let mut rows = BTreeMap::new();
                 for (name, input) in inputs {
-                    if let (Some(port), Some(found)) =
-                        (entry.port(name), tables.get(&input.written()))
-                    {
+                    if let (Some(port), Some(found)) = (entry.port(name), tables.get(input)) {
                         rows.insert(name.clone(), conform(found, &port.layer)?);
                     }
                 }
@@ -160,35 +136,10 @@ impl Bench<'_> {
             Body::Sql { query, .. } => {
                 let frame = read_only(context, query).await?;
                 let schema = Arc::new(frame.schema().as_arrow().clone());
-                let batches = frame.collect().await.map_err(|error| fault_of(&error))?;
+                let batches = frame.collect().await.or_fault()?;
                 let schema = batches.first().map_or(schema, RecordBatch::schema);
                 Ok(concat_batches(&schema, &batches)?)
             }
         }
     }
-}
-
-fn put(
-    context: &SessionContext,
-    previous: &MemorySchemaProvider,
-    name: &str,
-    rows: &RecordBatch,
-) -> Result<(), Fault> {
-    let provider = MemTable::try_new(rows.schema(), vec![vec![rows.clone()]])
-        .map_err(|error| fault_of(&error))?;
-    if let Some(layer) = name.strip_prefix(Input::PREVIOUS) {
-        let _ = previous.deregister_table(layer);
-        return previous
-            .register_table(layer.to_owned(), Arc::new(provider))
-            .map(drop)
-            .map_err(|error| fault_of(&error));
-    }
-    let reference = TableReference::bare(name);
-    context
-        .deregister_table(reference.clone())
-        .map_err(|error| fault_of(&error))?;
-    context
-        .register_table(reference, Arc::new(provider))
-        .map(drop)
-        .map_err(|error| fault_of(&error))
 }

@@ -10,7 +10,7 @@ use evermap_datasets::{Dataset, Manifest, Session};
 use evermap_language::{Faults, OperatorSpec, Plan, PortSpec, Vocabulary};
 use evermap_schemas::Fault;
 
-use crate::digest::digest;
+use crate::digest::digest_of;
 use crate::fingerprint::{Fingerprint, fingerprint};
 use crate::map::receipt::LogContent;
 use crate::map::store::Store;
@@ -279,13 +279,11 @@ fn site_of(session: &Session, sited: bool, mapped: &BTreeMap<String, RunSession>
 
 fn run_session(session: &Session, site: String, content: String) -> Result<RunSession, Fault> {
     let manifest = manifest_of(session, &site);
-    let roles =
-        serde_json::to_vec(&manifest.roles).map_err(|error| Fault::bug(error.to_string()))?;
     let log = LogContent {
         session: session.name.to_string(),
         site,
         content,
-        roles: digest(&roles),
+        roles: digest_of(&manifest.roles)?,
     };
     Ok(RunSession { log, manifest })
 }

@@ -3,16 +3,22 @@
 use std::collections::HashSet;
 use std::sync::Arc;
 
+use arrow::array::RecordBatch;
+use datafusion::catalog::{MemorySchemaProvider, TableProvider};
+use datafusion::common::TableReference;
+use datafusion::datasource::MemTable;
 use datafusion::execution::memory_pool::FairSpillPool;
 use datafusion::execution::runtime_env::RuntimeEnvBuilder;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SQLOptions, SessionConfig, SessionContext};
+use evermap_language::Input;
 use evermap_schemas::Fault;
+use serde::{Deserialize, Serialize};
 
-use crate::error::fault_of;
+use crate::error::{OrFault, fault_of};
 
 /// What an engine process may use.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Limits {
     /// Bytes that sorts, joins and decoded chunks may hold before they spill or fail.
     pub memory_bytes: usize,
@@ -26,6 +32,16 @@ impl Default for Limits {
         Self {
             memory_bytes: 4 << 30,
             partitions,
+        }
+    }
+}
+
+impl Limits {
+    /// The default, with everything in one partition: rows keep their order.
+    pub fn one_partition() -> Self {
+        Self {
+            partitions: 1,
+            ..Self::default()
         }
     }
 }
@@ -58,10 +74,48 @@ pub fn context_with(limits: Limits, batch_rows: usize) -> Result<SessionContext,
     let runtime = RuntimeEnvBuilder::new()
         .with_memory_pool(Arc::new(FairSpillPool::new(limits.memory_bytes)))
         .build_arc()
-        .map_err(|error| fault_of(&error))?;
+        .or_fault()?;
     let context = SessionContext::new_with_config_rt(config, runtime);
+    if let Some(catalog) = context.catalog("datafusion") {
+        let previous = Arc::new(MemorySchemaProvider::new());
+        catalog.register_schema("previous", previous).or_fault()?;
+    }
     evermap_functions::register(&context);
     Ok(context)
+}
+
+/// The name in a context of what a plan reads.
+pub fn reference(input: &Input) -> TableReference {
+    match input {
+        Input::Step(name) | Input::Source(name) => TableReference::bare(name.clone()),
+        Input::Previous(name) => TableReference::partial("previous", name.clone()),
+    }
+}
+
+/// Makes a table what a plan reads under this name, in place of what was that before.
+///
+/// # Errors
+/// A fault of ours.
+pub fn put(
+    context: &SessionContext,
+    input: &Input,
+    table: Arc<dyn TableProvider>,
+) -> Result<(), Fault> {
+    let reference = reference(input);
+    context.deregister_table(reference.clone()).or_fault()?;
+    context
+        .register_table(reference, table)
+        .map(drop)
+        .or_fault()
+}
+
+/// As [`put`], with rows.
+///
+/// # Errors
+/// As [`put`].
+pub fn put_rows(context: &SessionContext, input: &Input, rows: RecordBatch) -> Result<(), Fault> {
+    let table = MemTable::try_new(rows.schema(), vec![vec![rows]]).or_fault()?;
+    put(context, input, Arc::new(table))
 }
 
 /// Plans a query. Only queries: nothing that would change a table, a file or a setting.
@@ -74,7 +128,7 @@ pub async fn read_only(context: &SessionContext, query: &str) -> Result<DataFram
         .with_allow_dml(false)
         .with_allow_statements(false);
     let frame = context.sql_with_options(query, options).await;
-    frame.map_err(|error| fault_of(&error))
+    frame.or_fault()
 }
 
 /// The tables that a query reads, as a plan names its inputs: `poses`, `/odom`, `previous.lanes`.

@@ -1,5 +1,6 @@
 //! A wave of units as one Ballista job.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 
@@ -9,19 +10,14 @@ use ballista_core::config::BallistaConfig;
 use ballista_core::execution_plans::execute_physical_plan;
 use ballista_core::extension::SessionConfigExt;
 use ballista_core::serde::{BallistaLogicalExtensionCodec, BallistaPhysicalExtensionCodec};
-use datafusion::common::tree_node::TreeNodeRecursion;
 use datafusion::datasource::memory::MemorySourceConfig;
 use datafusion::error::{DataFusionError, Result as DataFusionResult};
 use datafusion::execution::{
     SendableRecordBatchStream, SessionState, SessionStateBuilder, TaskContext,
 };
-use datafusion::physical_expr::{EquivalenceProperties, PhysicalExpr};
-use datafusion::physical_plan::execution_plan::{Boundedness, EmissionType};
+use datafusion::physical_expr::EquivalenceProperties;
 use datafusion::physical_plan::stream::RecordBatchStreamAdapter;
-use datafusion::physical_plan::{
-    DisplayAs, DisplayFormatType, ExecutionPlan, ExecutionPlanProperties, Partitioning,
-    PlanProperties,
-};
+use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties, Partitioning};
 use datafusion::prelude::SessionConfig;
 use datafusion_proto::physical_plan::{PhysicalExtensionCodec, PhysicalProtoConverterExtension};
 use datafusion_proto::protobuf::PhysicalPlanNode;
@@ -29,154 +25,119 @@ use evermap_contract::Registry;
 use evermap_schemas::{Fault, Kind};
 use futures::{StreamExt, TryStreamExt};
 
-use crate::error::{external, fault_of, remote_fault};
+use crate::error::{OrFault, external, remote_fault};
+use crate::nodes::node::{Deal, Duty, Need, Node, first};
 use crate::unit::Unit;
 
 /// The job of some units: a manifest with one partition each, and the node that does them.
-pub fn job<'u>(units: impl Iterator<Item = &'u Unit>) -> Result<Arc<dyn ExecutionPlan>, Fault> {
+pub fn job(units: &BTreeMap<usize, Unit>) -> Result<Arc<dyn ExecutionPlan>, Fault> {
     let schema = manifest_schema();
+    let partition = |(index, unit): (&usize, &Unit)| {
+        let text = serde_json::to_string(unit).map_err(|error| Fault::bug(error.to_string()))?;
+        Ok(vec![manifest(vec![index.to_string()], vec![text])?])
+    };
     let partitions = units
-        .enumerate()
-        .map(|(row, unit)| {
-            let text =
-                serde_json::to_string(unit).map_err(|error| Fault::bug(error.to_string()))?;
-            let columns: Vec<ArrayRef> = vec![
-                Arc::new(StringArray::from(vec![row.to_string()])),
-                Arc::new(StringArray::from(vec![text])),
-            ];
-            Ok(vec![RecordBatch::try_new(Arc::clone(&schema), columns)?])
-        })
+        .iter()
+        .map(partition)
         .collect::<Result<Vec<_>, Fault>>()?;
-    let manifest = MemorySourceConfig::try_new_exec(&partitions, schema, None)
-        .map_err(|error| fault_of(&error))?;
-    Ok(Arc::new(UnitExec::new(manifest, Registry::default())))
+    let manifest = MemorySourceConfig::try_new_exec(&partitions, schema, None).or_fault()?;
+    unit_exec(manifest, Registry::default()).or_fault()
 }
 
-/// Runs a job to its end; the units that failed for reasons of their own, by their row in the manifest.
+fn manifest(units: Vec<String>, texts: Vec<String>) -> Result<RecordBatch, Fault> {
+    let columns: Vec<ArrayRef> = vec![
+        Arc::new(StringArray::from(units)),
+        Arc::new(StringArray::from(texts)),
+    ];
+    Ok(RecordBatch::try_new(manifest_schema(), columns)?)
+}
+
+/// Units and texts of a manifest.
+fn entries(manifest: &RecordBatch) -> impl Iterator<Item = (&str, &str)> {
+    let column = |index: usize| manifest.column(index).as_string::<i32>().iter().flatten();
+    column(0).zip(column(1))
+}
+
+/// Runs a job to its end; the units that failed for reasons of their own.
 pub async fn submit(
-    scheduler: String,
+    scheduler: &str,
     plan: Arc<dyn ExecutionPlan>,
-    registry: Registry,
+    registry: &Registry,
 ) -> Result<Vec<(usize, Fault)>, Fault> {
-    let codec = UnitCodec::new(registry.clone());
-    let session = uuid::Uuid::new_v4().to_string();
-    let config = session_config(&registry);
     let lost = |error: DataFusionError| {
         remote_fault(error.find_root(), &format!("the cluster of {scheduler}"))
     };
     let stream = execute_physical_plan::<PhysicalPlanNode>(
-        scheduler.clone(),
+        scheduler.to_owned(),
         &BallistaConfig::default(),
         plan,
-        &codec,
-        session,
-        config,
+        &UnitCodec::new(registry.clone()),
+        uuid::Uuid::new_v4().to_string(),
+        session_config(registry),
     )
     .await
     .map_err(lost)?;
     let batches: Vec<RecordBatch> = stream.try_collect().await.map_err(lost)?;
-    let mut faults = Vec::new();
-    for batch in &batches {
-        let (rows, texts) = (
-            batch.column(0).as_string::<i32>(),
-            batch.column(1).as_string::<i32>(),
-        );
-        for (row, text) in rows.iter().flatten().zip(texts.iter().flatten()) {
-            if let (Ok(row), Ok(fault)) = (row.parse(), serde_json::from_str::<Fault>(text)) {
-                faults.push((row, fault));
-            }
-        }
-    }
-    Ok(faults)
+    let fault =
+        |(index, text): (&str, &str)| Some((index.parse().ok()?, serde_json::from_str(text).ok()?));
+    let ended = batches.iter().flat_map(entries);
+    Ok(ended.filter_map(fault).collect())
 }
 
-/// Rows of the manifest, and of what comes back: the unit's row, and its text, or its fault (empty for none).
+/// Rows of the manifest, and of what comes back: the unit's number, and its text, or its fault (empty for none).
 fn manifest_schema() -> SchemaRef {
     Arc::new(Schema::new(vec![
-        Field::new("row", DataType::Utf8, false),
+        Field::new("unit", DataType::Utf8, false),
         Field::new("text", DataType::Utf8, false),
     ]))
 }
 
 /// Does the units of a manifest. Unary, so that Ballista cuts it by partition.
-#[derive(Clone)]
-struct UnitExec {
-    manifest: Arc<dyn ExecutionPlan>,
-    registry: Registry,
-    properties: Arc<PlanProperties>,
-}
+type UnitExec = Node<Units>;
 
-impl UnitExec {
-    fn new(manifest: Arc<dyn ExecutionPlan>, registry: Registry) -> Self {
-        let properties = PlanProperties::new(
-            EquivalenceProperties::new(manifest_schema()),
-            Partitioning::UnknownPartitioning(manifest.output_partitioning().partition_count()),
-            EmissionType::Incremental,
-            Boundedness::Bounded,
-        );
-        Self {
-            manifest,
-            registry,
-            properties: Arc::new(properties),
-        }
-    }
-}
+/// Units, done by the operators of this process.
+struct Units(Registry);
 
-impl fmt::Debug for UnitExec {
+impl fmt::Display for Units {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "UnitExec")
+        write!(f, "the units of a manifest")
     }
 }
 
-impl DisplayAs for UnitExec {
-    fn fmt_as(&self, _: DisplayFormatType, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "UnitExec")
-    }
-}
+impl Duty for Units {
+    const NAME: &'static str = "UnitExec";
+    type Shared = ();
 
-impl ExecutionPlan for UnitExec {
-    fn name(&self) -> &str {
-        "UnitExec"
-    }
-
-    fn properties(&self) -> &Arc<PlanProperties> {
-        &self.properties
+    fn needs(&self) -> Vec<Need> {
+        vec![Need {
+            deal: Deal::Any,
+            sorting: Vec::new(),
+            parallel: false,
+        }]
     }
 
-    fn children(&self) -> Vec<&Arc<dyn ExecutionPlan>> {
-        vec![&self.manifest]
-    }
-
-    fn apply_expressions(
+    fn output(
         &self,
-        _: &mut dyn FnMut(&Arc<dyn PhysicalExpr>) -> DataFusionResult<TreeNodeRecursion>,
-    ) -> DataFusionResult<TreeNodeRecursion> {
-        Ok(TreeNodeRecursion::Continue)
-    }
-
-    fn with_new_children(
-        self: Arc<Self>,
-        mut children: Vec<Arc<dyn ExecutionPlan>>,
-    ) -> DataFusionResult<Arc<dyn ExecutionPlan>> {
-        let manifest = children
-            .pop()
-            .ok_or_else(|| DataFusionError::Internal("UnitExec has one child".into()))?;
-        Ok(Arc::new(Self::new(manifest, self.registry.clone())))
+        children: &[Arc<dyn ExecutionPlan>],
+    ) -> DataFusionResult<(EquivalenceProperties, Partitioning)> {
+        let partitions = first(children)?.output_partitioning().partition_count();
+        Ok((
+            EquivalenceProperties::new(manifest_schema()),
+            Partitioning::UnknownPartitioning(partitions),
+        ))
     }
 
     fn execute(
-        &self,
+        node: &UnitExec,
         partition: usize,
         context: Arc<TaskContext>,
     ) -> DataFusionResult<SendableRecordBatchStream> {
-        let registry = self.registry.clone();
-        let done = self
-            .manifest
-            .execute(partition, context)?
-            .then(move |batch| {
-                let registry = registry.clone();
-                async move { work(&batch?, &registry).await.map_err(external) }
-            });
+        let manifest = first(&node.children)?.execute(partition, context)?;
+        let units = Arc::clone(&node.duty);
+        let done = manifest.then(move |batch| {
+            let units = Arc::clone(&units);
+            async move { work(&batch?, &units.0).await.map_err(external) }
+        });
         Ok(Box::pin(RecordBatchStreamAdapter::new(
             manifest_schema(),
             done,
@@ -184,17 +145,22 @@ impl ExecutionPlan for UnitExec {
     }
 }
 
-async fn work(manifest: &RecordBatch, registry: &Registry) -> Result<RecordBatch, Fault> {
-    let (rows, texts) = (
-        manifest.column(0).as_string::<i32>(),
-        manifest.column(1).as_string::<i32>(),
-    );
-    let mut outcomes = Vec::new();
-    for text in texts.iter().flatten() {
+fn unit_exec(
+    manifest: Arc<dyn ExecutionPlan>,
+    registry: Registry,
+) -> DataFusionResult<Arc<dyn ExecutionPlan>> {
+    let units = Arc::new(Units(registry));
+    Ok(Arc::new(UnitExec::try_new(units, vec![manifest])?))
+}
+
+async fn work(batch: &RecordBatch, registry: &Registry) -> Result<RecordBatch, Fault> {
+    let (mut units, mut outcomes) = (Vec::new(), Vec::new());
+    for (index, text) in entries(batch) {
         let unit: Unit = serde_json::from_str(text).map_err(|error| {
             Fault::bug(format!("a unit does not read: {error}"))
                 .next("run the same evermap everywhere")
         })?;
+        units.push(index.to_owned());
         outcomes.push(match unit.run(registry).await {
             Ok(_) => String::new(),
             // What the machine was short of may be there on another one: let the task fail and be tried again.
@@ -204,11 +170,7 @@ async fn work(manifest: &RecordBatch, registry: &Registry) -> Result<RecordBatch
             }
         });
     }
-    let columns: Vec<ArrayRef> = vec![
-        Arc::new(rows.clone()),
-        Arc::new(StringArray::from(outcomes)),
-    ];
-    Ok(RecordBatch::try_new(manifest_schema(), columns)?)
+    manifest(units, outcomes)
 }
 
 /// A remote error arrives as a string: the code at its front lets the other side read it back.
@@ -255,10 +217,7 @@ impl PhysicalExtensionCodec for UnitCodec {
         converter: &dyn PhysicalProtoConverterExtension,
     ) -> DataFusionResult<Arc<dyn ExecutionPlan>> {
         match inputs {
-            [manifest] if bytes == MAGIC => Ok(Arc::new(UnitExec::new(
-                Arc::clone(manifest),
-                self.registry.clone(),
-            ))),
+            [manifest] if bytes == MAGIC => unit_exec(Arc::clone(manifest), self.registry.clone()),
             _ => self.inner.try_decode(bytes, inputs, context, converter),
         }
     }

@@ -24,6 +24,7 @@ const POLL: Duration = Duration::from_millis(300);
 const ATTEMPTS: usize = 6;
 
 /// Runs units on a Ballista cluster.
+#[derive(Clone)]
 pub struct ClusterRunner {
     scheduler: String,
     registry: Registry,
@@ -75,27 +76,19 @@ impl ClusterRunner {
 
 impl Runner for ClusterRunner {
     fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Outcome> {
-        let (sender, receiver) = mpsc::unbounded_channel();
+        let (outcomes, mut received) = mpsc::unbounded_channel();
         let wave = Wave {
-            scheduler: self.scheduler.clone(),
-            registry: self.registry.clone(),
-            deadline: self.deadline,
-            outcomes: sender,
+            cluster: self.clone(),
+            outcomes,
         };
         tokio::spawn(wave.run(units));
-        tokio_stream(receiver)
+        futures::stream::poll_fn(move |context| received.poll_recv(context)).boxed()
     }
-}
-
-fn tokio_stream(mut receiver: mpsc::UnboundedReceiver<Outcome>) -> BoxStream<'static, Outcome> {
-    futures::stream::poll_fn(move |context| receiver.poll_recv(context)).boxed()
 }
 
 /// One wave of units, from submission to the last outcome.
 struct Wave {
-    scheduler: String,
-    registry: Registry,
-    deadline: Duration,
+    cluster: ClusterRunner,
     outcomes: mpsc::UnboundedSender<Outcome>,
 }
 
@@ -129,10 +122,12 @@ impl Wave {
 
     /// Submits one job and follows it until it ends, or nothing has ended for as long as the deadline.
     async fn attempt(&self, missing: &mut Missing) -> Result<(), Fault> {
-        let order: Vec<usize> = missing.keys().copied().collect();
-        let plan = job(missing.values())?;
-        let submitted = submit(self.scheduler.clone(), plan, self.registry.clone());
-        let mut job = std::pin::pin!(submitted);
+        let ClusterRunner {
+            scheduler,
+            registry,
+            deadline,
+        } = &self.cluster;
+        let mut job = std::pin::pin!(submit(scheduler, job(missing)?, registry));
         let mut progress = Instant::now();
         let ended = loop {
             match tokio::time::timeout(POLL, &mut job).await {
@@ -144,8 +139,8 @@ impl Wave {
                     if missing.is_empty() {
                         return Ok(());
                     }
-                    if progress.elapsed() > self.deadline {
-                        let waited = self.deadline.as_secs();
+                    if progress.elapsed() > *deadline {
+                        let waited = deadline.as_secs();
                         return Err(Fault::resource(format!(
                             "no unit of a job ended for {waited} s"
                         )));
@@ -154,12 +149,9 @@ impl Wave {
             }
         };
         self.collect(missing).await?;
-        for (row, fault) in ended? {
-            if let Some(unit) = order
-                .get(row)
-                .and_then(|index| missing.remove(index).map(|unit| (*index, unit)))
-            {
-                let _ = self.outcomes.send((unit.0, Err(fault)));
+        for (index, fault) in ended? {
+            if missing.remove(&index).is_some() {
+                let _ = self.outcomes.send((index, Err(fault)));
             }
         }
         if missing.is_empty() {

@@ -3,27 +3,48 @@
 use datafusion::prelude::{DataFrame, ParquetReadOptions, SessionContext};
 use evermap_schemas::Fault;
 
-use crate::error::fault_of;
+use crate::error::OrFault;
 use crate::map::receipt::Artifact;
 use crate::map::store::Store;
+use crate::sql::{Limits, context};
+
+/// The rows of some Parquet files of a map, as one table.
+///
+/// # Errors
+/// When a file is missing or is no Parquet.
+pub async fn read_files(
+    context: &SessionContext,
+    store: &Store,
+    names: impl IntoIterator<Item = String>,
+) -> Result<DataFrame, Fault> {
+    let urls = names
+        .into_iter()
+        .map(|name| Ok(store.url_of(&name)?.to_string()));
+    let mut urls = urls.collect::<Result<Vec<_>, Fault>>()?;
+    urls.sort();
+    urls.dedup();
+    let options = ParquetReadOptions::default();
+    context.read_parquet(urls, options).await.or_fault()
+}
 
 /// The rows of artifacts, as one table.
 ///
 /// # Errors
-/// When a file is missing or is no Parquet.
+/// As [`read_files`].
 pub async fn read_artifacts(
     context: &SessionContext,
     store: &Store,
     artifacts: &[Artifact],
 ) -> Result<DataFrame, Fault> {
-    let mut urls = artifacts
-        .iter()
-        .map(|artifact| Ok(store.url_of(&artifact.name())?.to_string()))
-        .collect::<Result<Vec<_>, Fault>>()?;
-    urls.sort();
-    urls.dedup();
-    context
-        .read_parquet(urls, ParquetReadOptions::default())
-        .await
-        .map_err(|error| fault_of(&error))
+    read_files(context, store, artifacts.iter().map(Artifact::name)).await
+}
+
+/// As [`read_artifacts`], in the order that they are kept in.
+///
+/// # Errors
+/// As [`read_files`].
+pub async fn read_in_order(store: &Store, artifacts: &[Artifact]) -> Result<DataFrame, Fault> {
+    let context = context(Limits::one_partition())?;
+    context.register_object_store(store.url(), store.objects());
+    read_artifacts(&context, store, artifacts).await
 }

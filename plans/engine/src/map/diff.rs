@@ -4,21 +4,19 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
-use arrow::datatypes::SchemaRef;
 use arrow::row::{RowConverter, SortField};
 use evermap_contract::Registry;
 use evermap_schemas::Fault;
 use futures::StreamExt;
 use serde::Serialize;
 
-use crate::error::fault_of;
-use crate::map::artifact::read_artifacts;
+use crate::error::OrFault;
+use crate::map::artifact::read_in_order;
 use crate::map::store::Store;
 use crate::map::version::{StoredLayer, Version};
-use crate::sql::{Limits, context};
 
 /// What became of one layer between two versions.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct LayerDiff {
     /// Layer name.
     pub layer: String,
@@ -43,16 +41,10 @@ pub async fn diff(
     after: &Version,
     registry: &Registry,
 ) -> Result<Vec<LayerDiff>, Fault> {
-    let published = |version: &Version| -> BTreeSet<String> {
-        version
-            .layers
-            .iter()
-            .filter(|(_, layer)| layer.published)
-            .map(|(name, _)| name.clone())
-            .collect()
-    };
+    let mut names: BTreeSet<&String> = before.published().map(|(name, _)| name).collect();
+    names.extend(after.published().map(|(name, _)| name));
     let mut diffs = Vec::new();
-    for layer in published(before).union(&published(after)) {
+    for layer in names {
         let (old, new) = (before.layers.get(layer), after.layers.get(layer));
         diffs.push(diff_layer(store, layer, old, new, registry).await?);
     }
@@ -68,10 +60,7 @@ async fn diff_layer(
 ) -> Result<LayerDiff, Fault> {
     let mut diff = LayerDiff {
         layer: name.to_owned(),
-        added: 0,
-        removed: 0,
-        changed: 0,
-        same: 0,
+        ..LayerDiff::default()
     };
     if let (Some(old), Some(new)) = (old, new)
         && old.digest() == new.digest()
@@ -79,16 +68,11 @@ async fn diff_layer(
         diff.same = new.rows();
         return Ok(diff);
     }
-    let key = [new, old]
-        .into_iter()
-        .flatten()
-        .find_map(|layer| registry.get(layer.op.as_deref()?).ok());
-    let key: &[&str] = key.map_or(&[], |entry| entry.output.key);
-    let (mut before, after) = (
-        digests(store, old, key).await?,
-        digests(store, new, key).await?,
-    );
-    for (row, content) in after {
+    let made = new.or(old).and_then(|layer| layer.op.as_deref());
+    let made = made.and_then(|op| registry.get(op).ok());
+    let key: &[&str] = made.map_or(&[], |entry| entry.output.key);
+    let mut before = digests(store, old, key).await?;
+    for (row, content) in digests(store, new, key).await? {
         match before.remove(&row) {
             None => diff.added += content.1,
             Some(held) if held.0 == content.0 => {
@@ -113,52 +97,31 @@ async fn digests(
 ) -> Result<RowDigests, Fault> {
     let mut found = RowDigests::new();
     let Some(layer) = layer else { return Ok(found) };
-    let context = context(Limits {
-        partitions: 1,
-        ..Limits::default()
-    })?;
-    context.register_object_store(store.url(), store.objects());
-    let frame = read_artifacts(&context, store, &layer.artifacts).await?;
-    let mut stream = frame
-        .execute_stream()
-        .await
-        .map_err(|error| fault_of(&error))?;
+    let rows = read_in_order(store, &layer.artifacts).await?;
+    let mut stream = rows.execute_stream().await.or_fault()?;
     while let Some(batch) = stream.next().await {
-        let batch = batch.map_err(|error| fault_of(&error))?;
-        let whole = row_bytes(&batch, &batch.schema(), None)?;
-        let keys = if key.is_empty() {
-            whole.clone()
-        } else {
-            row_bytes(&batch, &batch.schema(), Some(key))?
-        };
-        for (key, whole) in keys.into_iter().zip(whole) {
-            found
-                .entry(key)
-                .or_insert_with(|| (blake3::hash(&whole), 0))
-                .1 += 1;
+        let batch = batch.or_fault()?;
+        let whole = row_bytes(&batch, &[])?;
+        for (key, whole) in row_bytes(&batch, key)?.into_iter().zip(whole) {
+            let held = found.entry(key);
+            held.or_insert_with(|| (blake3::hash(&whole), 0)).1 += 1;
         }
     }
     Ok(found)
 }
 
-fn row_bytes(
-    batch: &RecordBatch,
-    schema: &SchemaRef,
-    only: Option<&[&str]>,
-) -> Result<Vec<Vec<u8>>, Fault> {
-    let kept: Vec<usize> = (0..schema.fields().len())
-        .filter(|&index| {
-            only.is_none_or(|only| only.contains(&schema.field(index).name().as_str()))
+/// Each row's values of these columns as bytes that compare; of all columns where none are named.
+fn row_bytes(batch: &RecordBatch, names: &[&str]) -> Result<Vec<Vec<u8>>, Fault> {
+    let fields = batch.schema_ref().fields().iter().zip(batch.columns());
+    let (fields, columns): (Vec<_>, Vec<_>) = fields
+        .filter(|(field, _)| names.is_empty() || names.contains(&field.name().as_str()))
+        .map(|(field, column)| {
+            (
+                SortField::new(field.data_type().clone()),
+                Arc::clone(column),
+            )
         })
-        .collect();
-    let fields = kept
-        .iter()
-        .map(|&index| SortField::new(schema.field(index).data_type().clone()))
-        .collect();
-    let columns: Vec<_> = kept
-        .iter()
-        .map(|&index| Arc::clone(batch.column(index)))
-        .collect();
+        .unzip();
     let rows = RowConverter::new(fields)?.convert_columns(&columns)?;
     Ok(rows.iter().map(|row| row.as_ref().to_vec()).collect())
 }

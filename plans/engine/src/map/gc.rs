@@ -37,12 +37,8 @@ pub async fn gc(store: &Store, keep: usize, dry: bool) -> Result<Collected, Faul
         // What `previous` meant is kept too: the version can then be made again.
         let previous = version.previous.layers.values().flatten();
         needed.extend(previous.map(Artifact::name));
-        logs.extend(
-            version
-                .sessions
-                .into_iter()
-                .map(|session| session.log.content),
-        );
+        let sessions = version.sessions.into_iter();
+        logs.extend(sessions.map(|session| session.log.content));
         for layer in version.layers.values() {
             needed.extend(layer.artifacts.iter().map(Artifact::name));
             needed.extend(layer.recipes.iter().map(|digest| Receipt::name(digest)));

@@ -8,16 +8,13 @@ mod rows;
 pub mod store;
 pub mod version;
 
-use std::sync::Arc;
-
 use arrow::array::RecordBatch;
-use datafusion::catalog::TableProvider;
 use datafusion::common::TableReference;
-use datafusion::prelude::{ParquetReadOptions, SessionContext};
+use datafusion::prelude::{DataFrame, SessionContext};
 use evermap_schemas::{Fault, LayerRow, batch};
 
-use crate::error::fault_of;
-use crate::map::artifact::read_artifacts;
+use crate::error::OrFault;
+use crate::map::artifact::{read_artifacts, read_files, read_in_order};
 use crate::map::store::Store;
 use crate::map::version::{StoredLayer, Version};
 use crate::sql::{Limits, context};
@@ -54,11 +51,7 @@ impl Map {
 
     /// The published layers.
     pub fn layers(&self) -> Vec<LayerInfo> {
-        let published = self
-            .version
-            .layers
-            .iter()
-            .filter(|(_, layer)| layer.published);
+        let published = self.version.published();
         published.map(|(name, layer)| info(name, layer)).collect()
     }
 
@@ -67,37 +60,32 @@ impl Map {
     /// # Errors
     /// When an artifact is missing.
     pub async fn context(&self, limits: Limits) -> Result<SessionContext, Fault> {
-        let context = context(limits)?;
-        context.register_object_store(self.store.url(), self.store.objects());
-        for (name, layer) in self
-            .version
-            .layers
-            .iter()
-            .filter(|(_, layer)| layer.published)
-        {
-            let frame = read_artifacts(&context, &self.store, &layer.artifacts).await?;
-            register(&context, name, frame.into_view())?;
+        let (context, store) = (context(limits)?, &self.store);
+        context.register_object_store(store.url(), store.objects());
+        let register = |name: &str, rows: DataFrame| {
+            let registered = context.register_table(TableReference::bare(name), rows.into_view());
+            registered.map(drop).or_fault()
+        };
+        for (name, layer) in self.version.published() {
+            register(
+                name,
+                read_artifacts(&context, store, &layer.artifacts).await?,
+            )?;
         }
-        register_rows(&context, "layers", self.layers())?;
-        register_rows(&context, "versions", versions(&self.store).await?)?;
-        self.register_runs(&context).await?;
+        let layers = context.read_batch(batch(self.layers())?);
+        register("layers", layers.or_fault()?)?;
+        let versions = context.read_batch(batch(versions(store).await?)?);
+        register("versions", versions.or_fault()?)?;
+        let files = store.list("runs").await?.into_iter().map(|(name, _)| name);
+        let runs = if files.len() == 0 {
+            context
+                .read_batch(batch::<RunRow>(Vec::new())?)
+                .or_fault()?
+        } else {
+            read_files(&context, store, files).await?
+        };
+        register("runs", runs)?;
         Ok(context)
-    }
-
-    async fn register_runs(&self, context: &SessionContext) -> Result<(), Fault> {
-        let files = self.store.list("runs").await?;
-        if files.is_empty() {
-            return register_rows::<RunRow>(context, "runs", Vec::new());
-        }
-        let urls = files
-            .iter()
-            .map(|(name, _)| Ok(self.store.url_of(name)?.to_string()));
-        let urls = urls.collect::<Result<Vec<_>, Fault>>()?;
-        let frame = context
-            .read_parquet(urls, ParquetReadOptions::default())
-            .await
-            .map_err(|error| fault_of(&error))?;
-        register(context, "runs", frame.into_view())
     }
 
     /// All rows of a layer, in the order of its key within each artifact.
@@ -107,10 +95,8 @@ impl Map {
     pub async fn rows<T: LayerRow>(&self, layer: &str) -> Result<Vec<T>, Fault> {
         let mut rows = Vec::new();
         for batch in self.batches(layer).await? {
-            rows.extend(
-                evermap_schemas::rows::<T>(&batch)
-                    .map_err(|fault| fault.at(format!("layer {layer}")))?,
-            );
+            let more = evermap_schemas::rows::<T>(&batch);
+            rows.extend(more.map_err(|fault| fault.at(format!("layer {layer}")))?);
         }
         Ok(rows)
     }
@@ -120,33 +106,29 @@ impl Map {
     /// # Errors
     /// As [`Map::rows`].
     pub async fn batches(&self, layer: &str) -> Result<Vec<RecordBatch>, Fault> {
-        let stored = self
-            .version
-            .layers
-            .get(layer)
-            .filter(|stored| stored.published)
-            .ok_or_else(|| {
-                let known: Vec<_> = self.layers().into_iter().map(|info| info.layer).collect();
-                Fault::user(format!(
-                    "no layer {layer} in this map; there are {}",
-                    known.join(", ")
-                ))
-            })?;
-        let context = context(Limits {
-            partitions: 1,
-            ..Limits::default()
+        let stored = self.published(layer).ok_or_else(|| {
+            let known: Vec<_> = self
+                .version
+                .published()
+                .map(|(name, _)| name.as_str())
+                .collect();
+            let known = known.join(", ");
+            Fault::user(format!("no layer {layer} in this map; there are {known}"))
         })?;
-        context.register_object_store(self.store.url(), self.store.objects());
-        let frame = read_artifacts(&context, &self.store, &stored.artifacts).await?;
-        frame.collect().await.map_err(|error| fault_of(&error))
+        let rows = read_in_order(&self.store, &stored.artifacts).await?;
+        rows.collect().await.or_fault()
     }
 
     /// Whether the version has the layer.
     pub fn has(&self, layer: &str) -> bool {
+        self.published(layer).is_some()
+    }
+
+    fn published(&self, layer: &str) -> Option<&StoredLayer> {
         self.version
             .layers
             .get(layer)
-            .is_some_and(|stored| stored.published)
+            .filter(|stored| stored.published)
     }
 }
 
@@ -161,28 +143,6 @@ fn info(name: &str, layer: &StoredLayer) -> LayerInfo {
     }
 }
 
-fn register(
-    context: &SessionContext,
-    name: &str,
-    table: Arc<dyn TableProvider>,
-) -> Result<(), Fault> {
-    context
-        .register_table(TableReference::bare(name), table)
-        .map(drop)
-        .map_err(|error| fault_of(&error))
-}
-
-fn register_rows<T: LayerRow>(
-    context: &SessionContext,
-    name: &str,
-    rows: Vec<T>,
-) -> Result<(), Fault> {
-    context
-        .register_batch(name, batch(rows)?)
-        .map(drop)
-        .map_err(|error| fault_of(&error))
-}
-
 /// The versions of a map, ascending.
 ///
 /// # Errors
@@ -191,21 +151,16 @@ pub async fn versions(store: &Store) -> Result<Vec<VersionInfo>, Fault> {
     let mut infos = Vec::new();
     for number in Version::numbers(store).await? {
         let version = Version::read(store, number).await?;
+        let sessions = version.sessions.iter();
         infos.push(VersionInfo {
+            layers: version.published().count() as u32,
+            sessions: sessions
+                .map(|session| session.log.session.clone())
+                .collect(),
+            lost: version.losses.values().sum(),
             version: version.version,
             published: version.published,
             plan: version.plan,
-            sessions: version
-                .sessions
-                .iter()
-                .map(|session| session.log.session.clone())
-                .collect(),
-            layers: version
-                .layers
-                .values()
-                .filter(|layer| layer.published)
-                .count() as u32,
-            lost: version.losses.values().sum(),
         });
     }
     Ok(infos)

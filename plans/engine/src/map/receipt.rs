@@ -2,15 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use evermap_schemas::Fault;
+use evermap_schemas::{Fault, Kind};
 use serde::{Deserialize, Serialize};
 
-use crate::digest::digest;
+use crate::digest::digest_of;
 use crate::map::store::Store;
 use crate::program::Stage;
 
 /// Raised when artifacts of the same recipe would come out differently for reasons no operator's version tells.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// Rows that are kept: a Parquet file named by its content.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -90,8 +90,7 @@ impl Recipe {
     /// # Errors
     /// A bug fault when it does not serialise.
     pub fn digest(&self) -> Result<String, Fault> {
-        let text = serde_json::to_vec(self).map_err(|error| Fault::bug(error.to_string()))?;
-        Ok(digest(&text))
+        digest_of(self)
     }
 }
 
@@ -120,18 +119,17 @@ impl Receipt {
         format!("receipts/{digest}.json")
     }
 
-    /// The receipt of a recipe that was done before, if its rows are still there.
+    /// The receipt of a recipe that was done before, if it reads and its rows are still there.
     ///
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn find(store: &Store, digest: &str) -> Result<Option<Self>, Fault> {
-        let Some(receipt) = store.read_json::<Self>(&Self::name(digest)).await? else {
-            return Ok(None);
+        let receipt = match store.read_json::<Self>(&Self::name(digest)).await {
+            Ok(Some(receipt)) => receipt,
+            Err(fault) if fault.kind != Kind::Data => return Err(fault),
+            Ok(None) | Err(_) => return Ok(None),
         };
-        Ok(if store.exists(&receipt.artifact.name()).await? {
-            Some(receipt)
-        } else {
-            None
-        })
+        let there = store.exists(&receipt.artifact.name()).await?;
+        Ok(there.then_some(receipt))
     }
 }

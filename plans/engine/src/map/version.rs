@@ -142,6 +142,11 @@ impl Version {
         }
     }
 
+    /// The layers that readers see, by name.
+    pub fn published(&self) -> impl Iterator<Item = (&String, &StoredLayer)> {
+        self.layers.iter().filter(|(_, layer)| layer.published)
+    }
+
     /// Whether another version has the same sessions, plan and rows.
     pub fn same_content(&self, other: &Self) -> bool {
         self.plan == other.plan && self.sessions == other.sessions && self.layers == other.layers

@@ -1,286 +1,347 @@
-//! The one `ExecutionPlan` that runs every operator.
+//! The one plan node that runs every operator.
 //!
-//! It says what the kernel's grain needs (hash partitioning, order) and DataFusion's optimizer puts that in front of
-//! it. Rows cross from the async side to a blocking thread, the kernel runs inside the process's one CPU pool, and
-//! what it emits crosses back. Nothing is sent while inside the pool, so that operators stacked on each other cannot
-//! block it.
+//! It says what the operator's shape needs (hash partitioning, order) and DataFusion's optimizer puts that in front of
+//! it. Its first child drives; the others are its sides, each collected once, from which the job is prepared that all
+//! partitions share. Rows cross from the async side to a blocking thread, the kernel runs inside the process's one CPU
+//! pool, and what it emits crosses back. Nothing is sent while inside the pool, so that operators stacked on each
+//! other cannot block it.
 //!
 //! ```text
-//!  input stream ─► conform to the port ─► fetch pixels ─►│channel│─► kernel in CPU pool ─►│channel│─► output stream
-//!        (async threads)                                       (blocking thread)
+//!  sides ─► conform ─► memory reservation ─► Job, in the CPU pool, once
+//!                                             │
+//!  driving rows ─► conform ─► │channel│ ─► Worker, in the CPU pool ─► │channel│ ─► output stream
+//!        (async threads)                     (blocking thread)
 //! ```
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use arrow::array::RecordBatch;
-use arrow::compute::SortOptions;
-use datafusion::common::tree_node::TreeNodeRecursion;
-use datafusion::error::{DataFusionError, Result as DataFusionResult};
+use datafusion::common::utils::memory::get_record_batch_memory_size;
+use datafusion::error::Result as DataFusionResult;
+use datafusion::execution::memory_pool::{MemoryConsumer, MemoryReservation};
 use datafusion::execution::{SendableRecordBatchStream, TaskContext};
-use datafusion::physical_expr::expressions::Column;
-use datafusion::physical_expr::{
-    Distribution, EquivalenceProperties, LexOrdering, OrderingRequirements, PhysicalExpr,
-    PhysicalSortExpr,
-};
-use datafusion::physical_plan::execution_plan::{Boundedness, EmissionType};
+use datafusion::physical_expr::EquivalenceProperties;
+use datafusion::physical_plan::metrics::{BaselineMetrics, Count, MetricBuilder, Time};
 use datafusion::physical_plan::stream::RecordBatchReceiverStreamBuilder;
-use datafusion::physical_plan::{
-    DisplayAs, DisplayFormatType, ExecutionPlan, ExecutionPlanProperties,
-    InputDistributionRequirements, Partitioning, PlanProperties,
-};
+use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties, Partitioning};
 use evermap_contract::{
-    Emit, Entry, Grain, Kernel, LayerRow, Losses, Port, Sides, StateRow, runs_of_equal, same_group,
+    Driving, Emit, Entry, Job, Layer, Losses, Phase, Port, Sides, pixels_column,
 };
-use evermap_schemas::{Fault, rows};
-use futures::{StreamExt, TryStreamExt};
+use evermap_schemas::Fault;
+use futures::future::{BoxFuture, Shared};
+use futures::{FutureExt, StreamExt};
 use rayon::ThreadPool;
-use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 
-use crate::conform::conform;
-use crate::error::{external, fault_of};
-use crate::nodes::pixels::Pixels;
-
-/// States that a lift may hold before it passes them on.
-const STATE_BUDGET_BYTES: usize = 256 << 20;
+use crate::conform::{beside, conform};
+use crate::error::{OrFault, external};
+use crate::nodes::node::{Deal, Duty, Need, Node, first};
 
 /// Batches waiting on either side of a kernel.
 const QUEUE: usize = 2;
 
-/// Which part of an operator's work a plan node does.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Phase {
-    /// All of it: Map and Group.
-    Run,
-    /// A fold's rows to states.
-    Lift,
-    /// A fold's states to rows.
-    Merge,
-}
-
-/// An operator with its parameters and everything it reads besides its driving rows.
-pub struct Work {
-    /// The operator.
-    pub entry: Entry,
-    /// Its parameters, complete.
-    pub params: Value,
-    /// The part of it to do.
-    pub phase: Phase,
-    /// The tables of its other ports.
-    pub sides: Sides,
-    /// Fetches the images of the driving port, where it asks for them.
-    pub pixels: Option<Pixels>,
-    /// Where losses are counted.
-    pub losses: Arc<Mutex<Losses>>,
-}
-
-impl Work {
-    /// The layer whose rows come out.
-    fn output(&self) -> evermap_schemas::Layer {
-        if self.phase == Phase::Lift {
-            StateRow::layer()
-        } else {
-            self.entry.output.clone()
-        }
-    }
-
-    /// What drives this phase: the first port, or the states of a fold.
-    fn driving(&self) -> Result<Port, Fault> {
-        const STATES: Grain = Grain::Key {
-            columns: &["site", "key"],
-            order: &[],
-        };
-        match self.phase {
-            Phase::Merge => Ok(Port::of::<StateRow>("states", STATES)),
-            Phase::Run | Phase::Lift => self
-                .entry
-                .ports
-                .first()
-                .cloned()
-                .ok_or_else(|| Fault::bug("an operator has no port")),
-        }
-    }
-}
-
 /// Runs an operator over its driving rows.
-pub struct OperatorExec {
-    work: Arc<Work>,
-    driving: Port,
-    input: Arc<dyn ExecutionPlan>,
-    properties: Arc<PlanProperties>,
+pub type OperatorExec = Node<Operator>;
+
+/// An operator with its parameters: the driving rows are the first child, then the sides.
+pub struct Operator {
+    entry: Entry,
+    params: Value,
+    phase: Phase,
+    driving: Driving,
+    /// The ports of the sides, in the order of the children.
+    sides: Vec<Port>,
+    losses: Arc<Mutex<Losses>>,
 }
 
-impl OperatorExec {
-    /// A node over `input`, which has at least the driving port's columns.
-    ///
-    /// # Errors
-    /// A bug fault for an operator without ports.
-    pub fn try_new(work: Arc<Work>, input: Arc<dyn ExecutionPlan>) -> Result<Self, Fault> {
-        let driving = work.driving()?;
-        let properties = PlanProperties::new(
-            EquivalenceProperties::new(work.output().schema()),
-            Partitioning::UnknownPartitioning(input.output_partitioning().partition_count()),
-            EmissionType::Incremental,
-            Boundedness::Bounded,
-        );
-        Ok(Self {
-            work,
-            driving,
-            input,
-            properties: Arc::new(properties),
-        })
-    }
-
-    fn column(&self, name: &str) -> Option<Arc<dyn PhysicalExpr>> {
-        Column::new_with_schema(name, &self.input.schema())
-            .ok()
-            .map(|column| Arc::new(column) as _)
+impl Operator {
+    /// A phase of an operator with complete parameters; `sides` are the ports that are connected. What it skips is
+    /// counted in `losses`.
+    pub fn new(
+        entry: &Entry,
+        params: &Value,
+        phase: Phase,
+        sides: Vec<Port>,
+        losses: Arc<Mutex<Losses>>,
+    ) -> Self {
+        Self {
+            entry: entry.clone(),
+            params: params.clone(),
+            phase,
+            driving: entry.driving(phase),
+            sides,
+            losses,
+        }
     }
 }
 
-impl fmt::Debug for OperatorExec {
+impl fmt::Display for Operator {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (name, phase, params) = (self.entry.name, self.phase, &self.params);
+        let sides: Vec<_> = self.sides.iter().map(|port| port.name).collect();
+        let (driving, sides) = (self.driving.name, sides.join(", "));
         write!(
             f,
-            "OperatorExec({}, {:?})",
-            self.work.entry.name, self.work.phase
+            "operator={name}, phase={phase:?}, driving={driving}, sides=[{sides}], params={params}"
         )
     }
 }
 
-impl DisplayAs for OperatorExec {
-    fn fmt_as(&self, _: DisplayFormatType, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "OperatorExec: operator={}, phase={:?}, params={}",
-            self.work.entry.name, self.work.phase, self.work.params
-        )
-    }
-}
+impl Duty for Operator {
+    const NAME: &'static str = "OperatorExec";
+    type Shared = OnceLock<Preparing>;
 
-impl ExecutionPlan for OperatorExec {
-    fn name(&self) -> &str {
-        "OperatorExec"
-    }
-
-    fn properties(&self) -> &Arc<PlanProperties> {
-        &self.properties
-    }
-
-    fn children(&self) -> Vec<&Arc<dyn ExecutionPlan>> {
-        vec![&self.input]
-    }
-
-    fn input_distribution_requirements(&self) -> InputDistributionRequirements {
-        let key: Vec<_> = self
-            .driving
-            .grain
-            .group_columns()
-            .iter()
-            .filter_map(|name| self.column(name))
-            .collect();
-        let distribution = if key.is_empty() {
-            Distribution::UnspecifiedDistribution
-        } else {
-            Distribution::KeyPartitioned(key)
+    fn needs(&self) -> Vec<Need> {
+        let driving = Need {
+            deal: match self.driving.group {
+                [] => Deal::Any,
+                columns => Deal::ByKey(columns),
+            },
+            sorting: self.driving.sorting.clone(),
+            // Rows with images were dealt out before the images were fetched.
+            parallel: self.driving.pixels.is_empty(),
         };
-        InputDistributionRequirements::new(vec![distribution])
+        let sides = self.sides.iter().map(|port| Need::whole(port.sorting()));
+        std::iter::once(driving).chain(sides).collect()
     }
 
-    fn required_input_ordering(&self) -> Vec<Option<OrderingRequirements>> {
-        let columns = self.driving.order();
-        let order = columns.iter().filter_map(|name| {
-            Some(PhysicalSortExpr::new(
-                self.column(name)?,
-                SortOptions {
-                    descending: false,
-                    nulls_first: true,
-                },
-            ))
-        });
-        vec![LexOrdering::new(order).map(OrderingRequirements::from)]
-    }
-
-    fn apply_expressions(
+    fn output(
         &self,
-        _: &mut dyn FnMut(&Arc<dyn PhysicalExpr>) -> DataFusionResult<TreeNodeRecursion>,
-    ) -> DataFusionResult<TreeNodeRecursion> {
-        Ok(TreeNodeRecursion::Continue)
-    }
-
-    fn with_new_children(
-        self: Arc<Self>,
-        mut children: Vec<Arc<dyn ExecutionPlan>>,
-    ) -> DataFusionResult<Arc<dyn ExecutionPlan>> {
-        let input = children
-            .pop()
-            .ok_or_else(|| DataFusionError::Internal("OperatorExec has one child".into()))?;
-        Ok(Arc::new(
-            Self::try_new(Arc::clone(&self.work), input).map_err(external)?,
+        children: &[Arc<dyn ExecutionPlan>],
+    ) -> DataFusionResult<(EquivalenceProperties, Partitioning)> {
+        let partitions = first(children)?.output_partitioning().partition_count();
+        let schema = self.entry.yields(self.phase).schema();
+        Ok((
+            EquivalenceProperties::new(schema),
+            Partitioning::UnknownPartitioning(partitions),
         ))
     }
 
     fn execute(
-        &self,
+        node: &OperatorExec,
         partition: usize,
         context: Arc<TaskContext>,
     ) -> DataFusionResult<SendableRecordBatchStream> {
-        let input = self.input.execute(partition, context)?;
-        let (work, port) = (Arc::clone(&self.work), self.driving.clone());
-        let mut output = RecordBatchReceiverStreamBuilder::new(self.schema(), QUEUE);
+        let input = first(&node.children)?.execute(partition, Arc::clone(&context))?;
+        let mut output = RecordBatchReceiverStreamBuilder::new(node.schema(), QUEUE);
         let (feed, rows) = mpsc::channel(QUEUE);
-        let feeder_work = Arc::clone(&work);
-        output.spawn(async move {
-            let mut ready = std::pin::pin!(fed(input, feeder_work, port));
-            while let Some(batch) = ready.next().await {
-                if feed.send(batch).await.is_err() {
-                    break;
-                }
-            }
-            Ok(())
-        });
-        let sender = output.tx();
-        let span = tracing::info_span!("operator", name = self.work.entry.name, phase = ?self.work.phase, partition);
+        let (ready, prepared) = oneshot::channel();
+        output.spawn(feed_rows(
+            Arc::clone(&node.duty),
+            node.prepared(context),
+            ready,
+            input,
+            feed,
+        ));
+        let outlet = Outlet {
+            operator: Arc::clone(&node.duty),
+            sender: output.tx(),
+            metrics: BaselineMetrics::new(&node.metrics, partition),
+        };
+        let (name, phase) = (node.duty.entry.name, node.duty.phase);
+        let span = tracing::info_span!("operator", name, ?phase, partition);
         output.spawn_blocking(move || {
             let _entered = span.enter();
-            let outlet = Outlet { sender };
-            drive(&work, rows, &outlet).map_err(external)
+            let prepared = prepared.blocking_recv().unwrap_or_else(|_| Err(gone()));
+            prepared
+                .and_then(|prepared| drive(&prepared.job, rows, &outlet))
+                .map_err(external)
         });
         Ok(output.build())
     }
 }
 
-/// The driving rows as the kernel wants them: conformed to the port, with pixels, one batch ahead of the kernel.
-fn fed(
-    input: SendableRecordBatchStream,
-    work: Arc<Work>,
-    port: Port,
-) -> impl futures::Stream<Item = Result<RecordBatch, Fault>> + Send {
-    let conformed = input
-        .map_err(|error| fault_of(&error))
-        .map(move |batch| conform(&batch?, &port.layer));
-    let pixel_work = Arc::clone(&work);
-    conformed
-        .map_ok(move |batch| match &pixel_work.pixels {
-            Some(pixels) => {
-                futures::stream::iter(pixels.slices(&batch).into_iter().map(Ok)).left_stream()
-            }
-            None => futures::stream::iter([Ok(batch)]).right_stream(),
+/// A job being prepared; every partition waits for the same.
+pub type Preparing = Shared<BoxFuture<'static, Result<Arc<Prepared>, Fault>>>;
+
+/// A job, and the memory that its sides hold as long as it runs.
+pub struct Prepared {
+    job: Job,
+    _memory: MemoryReservation,
+}
+
+/// What is told of the sides.
+struct SideMetrics {
+    rows: Count,
+    bytes: Count,
+    collecting: Time,
+    preparing: Time,
+}
+
+impl OperatorExec {
+    fn prepared(&self, context: Arc<TaskContext>) -> Preparing {
+        let begin = || {
+            let builder = || MetricBuilder::new(&self.metrics);
+            let metrics = SideMetrics {
+                rows: builder().global_counter("side_rows"),
+                bytes: builder().global_counter("side_bytes"),
+                collecting: builder().subset_time("side_time", 0),
+                preparing: builder().subset_time("prepare_time", 0),
+            };
+            let tables = self.children.iter().skip(1).cloned().collect();
+            prepare(Arc::clone(&self.duty), tables, context, metrics)
+                .boxed()
+                .shared()
+        };
+        self.shared.get_or_init(begin).clone()
+    }
+}
+
+/// Collects the sides and prepares the job.
+async fn prepare(
+    operator: Arc<Operator>,
+    tables: Vec<Arc<dyn ExecutionPlan>>,
+    context: Arc<TaskContext>,
+    metrics: SideMetrics,
+) -> Result<Arc<Prepared>, Fault> {
+    let memory = MemoryConsumer::new(format!("sides of {}", operator.entry.name))
+        .register(context.memory_pool());
+    let mut sides = BTreeMap::new();
+    for (port, table) in operator.sides.iter().zip(tables) {
+        let _timer = metrics.collecting.timer();
+        let stream = table.execute(0, Arc::clone(&context));
+        let rows = collect(port, stream.or_fault()?, &memory).await;
+        let rows = rows.map_err(|fault| fault.at(format!("port {}", port.name)))?;
+        metrics
+            .rows
+            .add(rows.iter().map(RecordBatch::num_rows).sum());
+        sides.insert(port.name.to_owned(), rows);
+    }
+    metrics.bytes.add(memory.size());
+    let timed = metrics.preparing;
+    let job = in_pool(move || {
+        let _timer = timed.timer();
+        let Operator {
+            entry,
+            params,
+            phase,
+            ..
+        } = operator.as_ref();
+        Job::new(entry, params, *phase, Sides::new(sides))
+    });
+    Ok(Arc::new(Prepared {
+        job: job.await?,
+        _memory: memory,
+    }))
+}
+
+async fn collect(
+    port: &Port,
+    mut table: SendableRecordBatchStream,
+    memory: &MemoryReservation,
+) -> Result<Vec<RecordBatch>, Fault> {
+    let mut rows = Vec::new();
+    while let Some(batch) = table.next().await {
+        let batch = batch.or_fault()?;
+        let batch = given(&batch, &port.layer, &port.pixels)?;
+        memory
+            .try_grow(get_record_batch_memory_size(&batch))
+            .or_fault()?;
+        rows.push(batch);
+    }
+    Ok(rows)
+}
+
+/// The batch with just what a port reads: the columns of its layer, and the images beside them.
+fn given(batch: &RecordBatch, layer: &Layer, pixels: &[&str]) -> Result<RecordBatch, Fault> {
+    let images = pixels.iter().map(|column| {
+        let name = pixels_column(column);
+        let images = batch.column_by_name(&name).cloned();
+        let images = images.ok_or_else(|| Fault::bug(format!("no column {name}")))?;
+        Ok((name, images))
+    });
+    beside(
+        conform(batch, layer)?,
+        images.collect::<Result<_, Fault>>()?,
+    )
+}
+
+/// Waits for the job, then hands on the driving rows as the kernel wants them.
+async fn feed_rows(
+    operator: Arc<Operator>,
+    prepared: Preparing,
+    ready: oneshot::Sender<Result<Arc<Prepared>, Fault>>,
+    mut input: SendableRecordBatchStream,
+    feed: mpsc::Sender<Result<RecordBatch, Fault>>,
+) -> DataFusionResult<()> {
+    let prepared = prepared.await;
+    let failed = prepared.is_err();
+    if ready.send(prepared).is_err() || failed {
+        return Ok(());
+    }
+    let Driving { layer, pixels, .. } = &operator.driving;
+    while let Some(batch) = input.next().await {
+        let batch = batch.or_fault();
+        let rows = batch.and_then(|batch| given(&batch, layer, pixels));
+        if feed.send(rows).await.is_err() {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// The worker's life, on a blocking thread.
+fn drive(
+    job: &Job,
+    mut rows: mpsc::Receiver<Result<RecordBatch, Fault>>,
+    outlet: &Outlet,
+) -> Result<(), Fault> {
+    let mut worker = job.worker();
+    while let Some(batch) = rows.blocking_recv().transpose()? {
+        outlet.run(|emit| worker.push(&batch, emit))?;
+    }
+    outlet.run(|emit| worker.close(emit))
+}
+
+struct Outlet {
+    operator: Arc<Operator>,
+    sender: mpsc::Sender<DataFusionResult<RecordBatch>>,
+    metrics: BaselineMetrics,
+}
+
+impl Outlet {
+    /// Runs a piece of kernel in the CPU pool, then hands on what it emitted.
+    fn run(
+        &self,
+        piece: impl FnOnce(&mut Emit<'_>) -> Result<(), Fault> + Send,
+    ) -> Result<(), Fault> {
+        let timer = self.metrics.elapsed_compute().timer();
+        let (done, emitted, losses) = cpu_pool()?.install(|| {
+            let (mut emitted, mut losses) = (Vec::new(), Losses::default());
+            let mut collect = |batch: RecordBatch| {
+                emitted.push(batch);
+                Ok(())
+            };
+            let done = piece(&mut Emit::new(&mut collect, &mut losses));
+            (done, emitted, losses)
+        });
+        timer.done();
+        let held = self.operator.losses.lock();
+        held.unwrap_or_else(PoisonError::into_inner).merge(&losses);
+        done?;
+        emitted.into_iter().try_for_each(|batch| {
+            self.metrics.record_output(batch.num_rows());
+            self.sender.blocking_send(Ok(batch)).map_err(|_| gone())
         })
-        .try_flatten()
-        .map(move |batch| {
-            let work = Arc::clone(&work);
-            async move {
-                match &work.pixels {
-                    Some(pixels) => pixels.resolve(batch?, &work.losses).await,
-                    None => batch,
-                }
-            }
-        })
-        .buffered(QUEUE)
+    }
+}
+
+/// The reader went away: stop, without an error of our own.
+fn gone() -> Fault {
+    Fault::resource("the reader of an operator's rows has gone")
+}
+
+/// Runs work in the CPU pool, off the async threads.
+async fn in_pool<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, Fault> + Send + 'static,
+) -> Result<T, Fault> {
+    let pool = cpu_pool()?;
+    tokio::task::spawn_blocking(|| pool.install(work))
+        .await
+        .map_err(|error| Fault::bug(format!("an operator panicked: {error}")))?
 }
 
 /// The process's CPU pool: kernels run here and nowhere else.
@@ -294,135 +355,4 @@ fn cpu_pool() -> Result<&'static ThreadPool, Fault> {
     })
     .as_ref()
     .map_err(|error| Fault::resource(format!("the CPU pool does not start: {error}")))
-}
-
-struct Outlet {
-    sender: mpsc::Sender<DataFusionResult<RecordBatch>>,
-}
-
-/// The reader went away: stop, without an error of our own.
-fn gone() -> Fault {
-    Fault::resource("the reader of an operator's rows has gone")
-}
-
-impl Outlet {
-    /// Runs a piece of kernel in the CPU pool, then hands on what it emitted.
-    fn run(
-        &self,
-        work: &Work,
-        piece: impl FnOnce(&mut Emit<'_>) -> Result<(), Fault> + Send,
-    ) -> Result<(), Fault> {
-        let (done, emitted, losses) = cpu_pool()?.install(|| {
-            let (mut emitted, mut losses) = (Vec::new(), Losses::default());
-            let mut collect = |batch: RecordBatch| {
-                emitted.push(batch);
-                Ok(())
-            };
-            let done = piece(&mut Emit::new(&mut collect, &mut losses));
-            (done, emitted, losses)
-        });
-        work.losses
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .merge(&losses);
-        done?;
-        emitted
-            .into_iter()
-            .try_for_each(|batch| self.sender.blocking_send(Ok(batch)).map_err(|_| gone()))
-    }
-}
-
-type Rows = mpsc::Receiver<Result<RecordBatch, Fault>>;
-
-/// The kernel's life, on a blocking thread: open, rows, close.
-fn drive(work: &Work, mut rows: Rows, outlet: &Outlet) -> Result<(), Fault> {
-    match (work.entry.kernel(&work.params)?, work.phase) {
-        (Kernel::Map(kernel), _) => {
-            let mapper = kernel.open(&work.sides)?;
-            while let Some(batch) = rows.blocking_recv().transpose()? {
-                outlet.run(work, |emit| mapper.map(&batch, emit))?;
-            }
-            Ok(())
-        }
-        (Kernel::Group(kernel), _) => drive_groups(work, kernel.as_ref(), rows, outlet),
-        (Kernel::Fold(kernel), Phase::Lift) => {
-            let mut lifter = kernel.lifter(&work.sides, STATE_BUDGET_BYTES);
-            while let Some(batch) = rows.blocking_recv().transpose()? {
-                outlet.run(work, |emit| lifter.push(&batch, emit))?;
-            }
-            outlet.run(work, |emit| lifter.close(emit))
-        }
-        (Kernel::Fold(kernel), _) => drive_merge(work, kernel.as_ref(), rows, outlet),
-    }
-}
-
-fn drive_groups(
-    work: &Work,
-    kernel: &dyn evermap_contract::GroupKernel,
-    mut rows: Rows,
-    outlet: &Outlet,
-) -> Result<(), Fault> {
-    let Some((driving, others)) = work.entry.ports.split_first() else {
-        return Ok(());
-    };
-    let columns = driving.grain.group_columns();
-    let mut open: Option<(RecordBatch, Box<dyn evermap_contract::Group>)> = None;
-    while let Some(batch) = rows.blocking_recv().transpose()? {
-        for run in runs_of_equal(&batch, columns)? {
-            let same = open
-                .as_ref()
-                .is_some_and(|(first, _)| same_group(first, &run, columns));
-            if !same {
-                if let Some((_, mut finished)) = open.take() {
-                    outlet.run(work, |emit| finished.close(emit))?;
-                }
-                open = Some((
-                    run.slice(0, 1),
-                    kernel.open(&work.sides.belonging(others, &run)?)?,
-                ));
-            }
-            if let Some((_, group)) = open.as_mut() {
-                outlet.run(work, |emit| group.push(&run, emit))?;
-            }
-        }
-    }
-    match open {
-        Some((_, mut last)) => outlet.run(work, |emit| last.close(emit)),
-        None => Ok(()),
-    }
-}
-
-/// Merges the states of each key as they come, ordered by key, and finishes a key when the next one begins.
-fn drive_merge(
-    work: &Work,
-    kernel: &dyn evermap_contract::FoldKernel,
-    mut input: Rows,
-    outlet: &Outlet,
-) -> Result<(), Fault> {
-    let mut open: Option<StateRow> = None;
-    while let Some(batch) = input.blocking_recv().transpose()? {
-        for next in rows::<StateRow>(&batch)? {
-            open = Some(match open.take() {
-                Some(mut held) if held.site == next.site && held.key == next.key => {
-                    held.state = kernel.merge(vec![held.state, next.state])?;
-                    held
-                }
-                Some(finished) => {
-                    finish(work, kernel, finished, outlet)?;
-                    next
-                }
-                None => next,
-            });
-        }
-    }
-    open.map_or(Ok(()), |last| finish(work, kernel, last, outlet))
-}
-
-fn finish(
-    work: &Work,
-    kernel: &dyn evermap_contract::FoldKernel,
-    StateRow { site, key, state }: StateRow,
-    outlet: &Outlet,
-) -> Result<(), Fault> {
-    outlet.run(work, |emit| kernel.finish(&site, &key, state, emit))
 }

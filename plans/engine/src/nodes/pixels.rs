@@ -1,34 +1,139 @@
-//! Image references become image bytes just before a kernel that asks for them.
+//! The plan node that fetches images: references become image bytes just before a kernel that asks for them.
 
+use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use arrow::array::{ArrayRef, BinaryBuilder, RecordBatch};
+use arrow::array::{ArrayRef, BinaryArray, BinaryBuilder, RecordBatch};
 use arrow::datatypes::{DataType, Field, Schema};
-use evermap_contract::Losses;
+use datafusion::error::Result as DataFusionResult;
+use datafusion::execution::{SendableRecordBatchStream, TaskContext};
+use datafusion::physical_expr::projection::ProjectionMapping;
+use datafusion::physical_expr::{EquivalenceProperties, Partitioning};
+use datafusion::physical_plan::metrics::{BaselineMetrics, Count, MetricBuilder};
+use datafusion::physical_plan::stream::RecordBatchStreamAdapter;
+use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
+use evermap_contract::{Losses, pixels_column};
 use evermap_datasets::ImageReader;
 use evermap_schemas::{Cell, Fault, ImageRef};
+use futures::{StreamExt, TryStreamExt};
+
+use crate::conform::{beside, convert};
+use crate::error::{OrFault, external};
+use crate::nodes::netpbm::netpbm;
+use crate::nodes::node::{Duty, Need, Node, first};
 
 /// Encoded image bytes that one batch may carry: bounds memory, whatever the batch size.
 const SLICE_BYTES: u64 = 8 << 20;
 
-/// Fetches the images of one column.
-pub struct Pixels {
-    column: &'static str,
-    reader: Arc<ImageReader>,
+/// Batches whose images are fetched ahead of the kernel.
+const AHEAD: usize = 2;
+
+/// Puts the images of some columns beside their references, in columns named by [`pixels_column`].
+pub type PixelsExec = Node<Fetching>;
+
+/// Which images are fetched, and for whom.
+pub struct Fetching {
+    /// Columns of references.
+    pub columns: Vec<&'static str>,
+    /// How the reader of the images needs the rows. They come so before their images are fetched, which are then
+    /// neither sorted nor shuffled.
+    pub need: Need,
+    /// Fetches.
+    pub reader: Arc<ImageReader>,
+    /// Where images that cannot be fetched are counted.
+    pub losses: Arc<Mutex<Losses>>,
 }
 
-impl Pixels {
-    /// Fetches `column` through `reader`.
-    pub fn new(column: &'static str, reader: Arc<ImageReader>) -> Self {
-        Self { column, reader }
+impl fmt::Display for Fetching {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "columns=[{}]", self.columns.join(", "))
+    }
+}
+
+impl Duty for Fetching {
+    const NAME: &'static str = "PixelsExec";
+    type Shared = ();
+
+    fn needs(&self) -> Vec<Need> {
+        vec![self.need.clone()]
     }
 
+    /// All that is known of the child's rows holds for these, which have columns more.
+    fn output(
+        &self,
+        children: &[Arc<dyn ExecutionPlan>],
+    ) -> DataFusionResult<(EquivalenceProperties, Partitioning)> {
+        let child = first(children)?;
+        let schema = child.schema();
+        let images = self
+            .columns
+            .iter()
+            .map(|column| Arc::new(Field::new(pixels_column(column), DataType::Binary, true)));
+        let fields: Vec<_> = schema.fields().iter().cloned().chain(images).collect();
+        let kept: Vec<usize> = (0..schema.fields().len()).collect();
+        let same = ProjectionMapping::from_indices(&kept, &schema)?;
+        let output = Arc::new(Schema::new(fields));
+        Ok((
+            child.equivalence_properties().project(&same, output),
+            child.output_partitioning().clone(),
+        ))
+    }
+
+    fn keeps_order(&self) -> bool {
+        true
+    }
+
+    fn execute(
+        node: &PixelsExec,
+        partition: usize,
+        context: Arc<TaskContext>,
+    ) -> DataFusionResult<SendableRecordBatchStream> {
+        let input = first(&node.children)?.execute(partition, context)?;
+        let fetcher = Arc::new(Fetcher {
+            fetching: Arc::clone(&node.duty),
+            baseline: BaselineMetrics::new(&node.metrics, partition),
+            images: MetricBuilder::new(&node.metrics).counter("images", partition),
+            bytes: MetricBuilder::new(&node.metrics).counter("image_bytes", partition),
+            failures: MetricBuilder::new(&node.metrics).counter("failures", partition),
+        });
+        let slicer = Arc::clone(&fetcher);
+        let slices = input
+            .map(move |batch| {
+                let pieces = slicer.slices(&batch.or_fault()?)?;
+                let pieces = pieces.into_iter().map(Ok::<_, Fault>);
+                Ok::<_, Fault>(futures::stream::iter(pieces))
+            })
+            .try_flatten();
+        let fetched = slices
+            .map(move |piece| {
+                let fetcher = Arc::clone(&fetcher);
+                async move { fetcher.fetch(piece?).await }
+            })
+            .buffered(AHEAD)
+            .map_err(external);
+        let schema = node.schema();
+        Ok(Box::pin(RecordBatchStreamAdapter::new(schema, fetched)))
+    }
+}
+
+/// The images of one partition.
+struct Fetcher {
+    fetching: Arc<Fetching>,
+    baseline: BaselineMetrics,
+    images: Count,
+    bytes: Count,
+    failures: Count,
+}
+
+impl Fetcher {
     /// The batch cut so that no piece carries more than a few megabytes of images.
-    pub fn slices(&self, batch: &RecordBatch) -> Vec<RecordBatch> {
-        let lengths: Vec<u64> = self.references(batch).map_or_else(
-            |_| Vec::new(),
-            |images| images.iter().map(|image| image.length).collect(),
-        );
+    fn slices(&self, batch: &RecordBatch) -> Result<Vec<RecordBatch>, Fault> {
+        let mut lengths = vec![0; batch.num_rows()];
+        for column in &self.fetching.columns {
+            for (length, image) in lengths.iter_mut().zip(references(batch, column)?) {
+                *length += image.length;
+            }
+        }
         let (mut pieces, mut start, mut held) = (Vec::new(), 0, 0);
         for (row, length) in lengths.iter().enumerate() {
             if held > 0 && held + length > SLICE_BYTES {
@@ -38,128 +143,51 @@ impl Pixels {
             held += length;
         }
         pieces.push(batch.slice(start, batch.num_rows() - start));
-        pieces
+        Ok(pieces)
     }
 
-    /// The batch with the column's references replaced by bytes; what cannot be fetched is null and counted.
-    ///
-    /// # Errors
-    /// When the column holds no references, or the logs cannot be read at all.
-    pub async fn resolve(
-        &self,
-        batch: RecordBatch,
-        losses: &Mutex<Losses>,
-    ) -> Result<RecordBatch, Fault> {
-        let images = self.references(&batch)?;
-        let mut bytes = BinaryBuilder::with_capacity(
-            images.len(),
-            images.iter().map(|image| image.length as usize).sum(),
-        );
-        for (image, fetched) in images.iter().zip(self.reader.resolve(&images).await?) {
+    /// The batch with the images beside it.
+    async fn fetch(&self, batch: RecordBatch) -> Result<RecordBatch, Fault> {
+        let mut columns: Vec<(String, ArrayRef)> = Vec::new();
+        for column in &self.fetching.columns {
+            let images = self.column(references(&batch, column)?).await?;
+            columns.push((pixels_column(column), Arc::new(images)));
+        }
+        self.baseline.record_output(batch.num_rows());
+        beside(batch, columns)
+    }
+
+    /// The images of a column; what cannot be fetched is null and counted.
+    async fn column(&self, images: Vec<ImageRef>) -> Result<BinaryArray, Fault> {
+        let mut bytes = BinaryBuilder::new();
+        for (image, fetched) in images
+            .iter()
+            .zip(self.fetching.reader.resolve(&images).await?)
+        {
             match fetched {
-                Ok(fetched) => bytes.append_value(netpbm(image, &fetched)),
+                Ok(fetched) => {
+                    self.images.add(1);
+                    self.bytes.add(fetched.len());
+                    bytes.append_value(netpbm(image, &fetched));
+                }
                 Err(fault) => {
+                    self.failures.add(1);
+                    let losses = self.fetching.losses.lock();
                     losses
-                        .lock()
                         .unwrap_or_else(PoisonError::into_inner)
                         .add(format!("image not fetched: {}", fault.message), 1);
                     bytes.append_null();
                 }
             }
         }
-        self.replaced(&batch, Arc::new(bytes.finish()))
-    }
-
-    fn references(&self, batch: &RecordBatch) -> Result<Vec<ImageRef>, Fault> {
-        let column = batch
-            .column_by_name(self.column)
-            .ok_or_else(|| Fault::bug(format!("no image column {}", self.column)))?;
-        ImageRef::decode(column)
-    }
-
-    fn replaced(&self, batch: &RecordBatch, bytes: ArrayRef) -> Result<RecordBatch, Fault> {
-        let index = batch.schema_ref().index_of(self.column)?;
-        let mut fields: Vec<_> = batch.schema_ref().fields().iter().cloned().collect();
-        let mut columns = batch.columns().to_vec();
-        fields[index] = Arc::new(Field::new(self.column, DataType::Binary, true));
-        columns[index] = bytes;
-        Ok(RecordBatch::try_new(
-            Arc::new(Schema::new(fields)),
-            columns,
-        )?)
+        Ok(bytes.finish())
     }
 }
 
-/// A raw image as a netpbm file, which any decoder reads; an encoded one as it is.
-///
-/// `mono8`, `8UC1`, `rgb8`, `bgr8`, `rgba8`, `bgra8`, `mono16` and `16UC1` are known; colour is made RGB, 16-bit
-/// values big endian, as the format wants. Anything else is passed on untouched, for the decoder to refuse.
-fn netpbm<'a>(image: &ImageRef, bytes: &'a [u8]) -> std::borrow::Cow<'a, [u8]> {
-    let (Some(width), Some(height), Some(step)) = (image.width, image.height, image.step) else {
-        return bytes.into();
-    };
-    let (magic, maximum, pixel, order): (&str, u32, usize, &[usize]) = match image.format.as_str() {
-        "mono8" | "8UC1" => ("P5", 255, 1, &[0]),
-        "rgb8" | "8UC3" => ("P6", 255, 3, &[0, 1, 2]),
-        "bgr8" => ("P6", 255, 3, &[2, 1, 0]),
-        "rgba8" => ("P6", 255, 4, &[0, 1, 2]),
-        "bgra8" => ("P6", 255, 4, &[2, 1, 0]),
-        "mono16" | "16UC1" => ("P5", 65535, 2, &[1, 0]),
-        _ => return bytes.into(),
-    };
-    let (row, step) = (width as usize * pixel, step as usize);
-    if step < row || bytes.len() < step.saturating_mul(height as usize) {
-        return bytes.into();
-    }
-    let mut file = format!("{magic}\n{width} {height}\n{maximum}\n").into_bytes();
-    for line in bytes.chunks(step.max(1)).take(height as usize) {
-        for pixel in line[..row].chunks_exact(pixel) {
-            file.extend(order.iter().map(|&channel| pixel[channel]));
-        }
-    }
-    file.into()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn raw(format: &str, width: u32, height: u32, step: u32) -> ImageRef {
-        ImageRef {
-            session: String::new(),
-            part: 0,
-            chunk: None,
-            chunk_length: 0,
-            chunk_size: 0,
-            compression: String::new(),
-            offset: 0,
-            length: 0,
-            format: format.into(),
-            width: Some(width),
-            height: Some(height),
-            step: Some(step),
-        }
-    }
-
-    #[test]
-    fn raw_images_become_netpbm_without_padding() {
-        let padded = [1, 2, 0, 3, 4, 0];
-        assert_eq!(
-            netpbm(&raw("mono8", 2, 2, 3), &padded).as_ref(),
-            b"P5\n2 2\n255\n\x01\x02\x03\x04"
-        );
-        assert_eq!(
-            netpbm(&raw("bgr8", 1, 1, 3), &[1, 2, 3]).as_ref(),
-            b"P6\n1 1\n255\n\x03\x02\x01"
-        );
-        assert_eq!(
-            netpbm(&raw("mono16", 1, 1, 2), &[1, 2]).as_ref(),
-            b"P5\n1 1\n65535\n\x02\x01"
-        );
-    }
-
-    #[test]
-    fn a_raw_image_that_is_too_short_is_left_for_the_decoder_to_refuse() {
-        assert_eq!(netpbm(&raw("mono8", 9, 9, 9), &[1, 2]).as_ref(), &[1, 2]);
-    }
+fn references(batch: &RecordBatch, column: &str) -> Result<Vec<ImageRef>, Fault> {
+    let found = batch
+        .column_by_name(column)
+        .ok_or_else(|| Fault::bug(format!("no image column {column}")))?;
+    ImageRef::decode(&convert(found, &ImageRef::data_type())?)
+        .map_err(|fault| fault.at(format!("column {column}")))
 }

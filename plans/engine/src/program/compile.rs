@@ -3,18 +3,16 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
-use datafusion::catalog::{MemorySchemaProvider, SchemaProvider};
-use datafusion::datasource::MemTable;
 use datafusion::prelude::SessionContext;
-use evermap_contract::{Entry, Grain, Kernel, LayerRow, Registry, StateRow};
+use evermap_contract::{Entry, Layer, Phase, Reach, Registry, Shape};
 use evermap_language::{Body, Faults, Input, Place, Plan, Step};
 use serde_json::Value;
 
-use crate::conform::misfits;
-use crate::nodes::operator::Phase;
+use crate::conform::{bare, misfits};
 use crate::program::locality::is_local;
-use crate::program::{LIFT, Program, Scope, Stage, Table, Task};
+use crate::program::{LIFT, Program, Read, Role, Scope, Stage, Task};
 use crate::sql;
 
 /// Compiles a plan. `context` has the log tables registered; their rows are not read.
@@ -35,7 +33,6 @@ pub async fn compile(
         faults: Faults::new(origin, text),
         stages: Vec::new(),
         schemas: BTreeMap::new(),
-        previous: Arc::new(MemorySchemaProvider::new()),
     };
     compiler.register_previous();
     for step in &plan.steps {
@@ -65,7 +62,6 @@ struct Compiler<'a> {
     faults: Faults,
     stages: Vec<Stage>,
     schemas: BTreeMap<String, SchemaRef>,
-    previous: Arc<MemorySchemaProvider>,
 }
 
 impl Compiler<'_> {
@@ -75,24 +71,18 @@ impl Compiler<'_> {
 
     /// Layers of the version before have the schema of the operator that makes them in this plan.
     fn register_previous(&mut self) {
-        if let Some(catalog) = self.context.catalog("datafusion") {
-            let _ = catalog.register_schema("previous", Arc::clone(&self.previous) as _);
-        }
         for step in &self.plan.steps {
             if let Body::Op { op, .. } = &step.body
                 && let Ok(entry) = self.registry.get(op)
             {
-                self.add_previous(&step.name, entry.output.schema());
+                self.put(Input::Previous(step.name.clone()), entry.output.schema());
             }
         }
     }
 
-    fn add_previous(&self, name: &str, schema: SchemaRef) {
-        if let Ok(table) = MemTable::try_new(schema, vec![vec![]]) {
-            let _ = self
-                .previous
-                .register_table(name.to_owned(), Arc::new(table));
-        }
+    /// An empty table: queries are planned on columns alone.
+    fn put(&self, input: Input, schema: SchemaRef) {
+        let _ = sql::put_rows(self.context, &input, RecordBatch::new_empty(schema));
     }
 
     async fn step(&mut self, step: &Step) {
@@ -102,27 +92,19 @@ impl Compiler<'_> {
             Body::Sql { query, inputs } => self.sql(step, query, inputs).await,
         };
         let Some(schema) = schema else { return };
-        if let Ok(table) = MemTable::try_new(Arc::clone(&schema), vec![vec![]]) {
-            let _ = self.context.register_table(
-                datafusion::common::TableReference::bare(step.name.clone()),
-                Arc::new(table),
-            );
-        }
+        self.put(Input::Step(step.name.clone()), Arc::clone(&schema));
         self.schemas.insert(step.name.clone(), schema);
     }
 
     /// The columns of a query are known once it is planned, which may need those of the version before: only layers
     /// of operators can be read from there.
     fn check_previous(&mut self, step: &Step) {
-        let inputs: Vec<&Input> = match &step.body {
-            Body::Op { inputs, .. } => inputs.values().collect(),
-            Body::Sql { inputs, .. } => inputs.iter().collect(),
-        };
         let is_query = |name: &str| {
             let mut steps = self.plan.steps.iter();
             steps.any(|step| step.name == name && matches!(step.body, Body::Sql { .. }))
         };
-        let faults: Vec<_> = inputs
+        let faults: Vec<_> = step
+            .inputs()
             .into_iter()
             .filter(|input| matches!(input, Input::Previous(name) if is_query(name)))
             .map(|input| {
@@ -147,24 +129,14 @@ impl Compiler<'_> {
                 return None;
             }
         };
-        let params = match entry
-            .normalise(params)
-            .and_then(|params| entry.kernel(&params).map(|kernel| (params, kernel)))
-        {
-            Ok(params) => Some(params),
-            Err(fault) => {
-                self.fault(step, format!("step `{}`: {}", step.name, fault.message));
-                None
-            }
-        };
         for (port, input) in inputs {
             self.check_port(step, &entry, port, input).await;
         }
-        let schema = entry.output.schema();
-        if let Some((params, kernel)) = params {
-            self.add_operator(step, &entry, inputs, params, &kernel);
+        match entry.normalise(params) {
+            Ok(params) => self.add_operator(step, &entry, inputs, params),
+            Err(fault) => self.fault(step, format!("step `{}`: {}", step.name, fault.message)),
         }
-        Some(schema)
+        Some(entry.output.schema())
     }
 
     async fn check_port(&mut self, step: &Step, entry: &Entry, port: &str, input: &Input) {
@@ -184,23 +156,8 @@ impl Compiler<'_> {
     }
 
     async fn schema_of(&self, input: &Input) -> Option<SchemaRef> {
-        match input {
-            Input::Step(name) => self.schemas.get(name).cloned(),
-            Input::Source(name) => {
-                let table = self
-                    .context
-                    .table_provider(datafusion::common::TableReference::bare(name.clone()))
-                    .await;
-                table.ok().map(|table| table.schema())
-            }
-            Input::Previous(name) => self
-                .previous
-                .table(name)
-                .await
-                .ok()
-                .flatten()
-                .map(|table| table.schema()),
-        }
+        let table = self.context.table_provider(sql::reference(input)).await;
+        table.ok().map(|table| table.schema())
     }
 
     fn add_operator(
@@ -209,59 +166,31 @@ impl Compiler<'_> {
         entry: &Entry,
         inputs: &BTreeMap<String, Input>,
         params: Value,
-        kernel: &Kernel,
     ) {
-        let tables: BTreeMap<_, _> = inputs
-            .iter()
-            .map(|(port, input)| (port.clone(), table(input)))
-            .collect();
-        let own = entry.ports.first().map_or(Scope::Map, |driving| {
-            let grain = if driving.grain.is_per_session() {
-                Scope::Session
-            } else {
-                Scope::Site
-            };
-            tables
-                .get(driving.name)
-                .map_or(grain, |table| self.scope_of(table).max(grain))
-        });
-        let scope = entry
-            .ports
-            .iter()
-            .skip(1)
-            .filter(|port| port.grain.is_per_session())
-            .fold(own, |scope, port| {
-                tables
-                    .get(port.name)
-                    .map_or(scope, |table| scope.max(self.scope_of(table)))
+        let mut stage = |name: &str, phase, inputs: &BTreeMap<String, Input>| {
+            let reads = operator_reads(entry, phase, inputs);
+            let scope = self.widest(&reads).unwrap_or(Scope::Map);
+            self.stages.push(Stage {
+                name: name.to_owned(),
+                task: Task::Op {
+                    op: entry.name.to_owned(),
+                    version: entry.version,
+                    phase,
+                    params: params.clone(),
+                },
+                reads,
+                scope,
+                stored: false,
             });
-        let stage = |name: String, phase, inputs, scope| Stage {
-            name,
-            task: Task::Op {
-                op: entry.name.to_owned(),
-                version: entry.version,
-                phase,
-                params: params.clone(),
-                inputs,
-            },
-            scope,
-            stored: false,
         };
-        if matches!(kernel, Kernel::Fold(_)) {
+        if entry.shape == Shape::Fold {
             let lift = format!("{}{LIFT}", step.name);
-            let states = BTreeMap::from([("states".to_owned(), Table::Stage(lift.clone()))]);
-            self.schemas
-                .insert(lift.clone(), StateRow::layer().schema());
-            self.stages.push(stage(lift, Phase::Lift, tables, scope));
-            self.stages.push(stage(
-                step.name.clone(),
-                Phase::Merge,
-                states,
-                scope.max(Scope::Site),
-            ));
+            stage(&lift, Phase::Lift, inputs);
+            let states = entry.driving(Phase::Merge).name.to_owned();
+            let states = BTreeMap::from([(states, Input::Step(lift))]);
+            stage(&step.name, Phase::Merge, &states);
         } else {
-            self.stages
-                .push(stage(step.name.clone(), Phase::Run, tables, scope));
+            stage(&step.name, Phase::Run, inputs);
         }
     }
 
@@ -298,12 +227,8 @@ impl Compiler<'_> {
             );
             return None;
         }
-        let tables: Vec<_> = inputs.iter().map(table).collect();
-        let widest = tables
-            .iter()
-            .map(|table| self.scope_of(table))
-            .max()
-            .unwrap_or(Scope::Map);
+        let reads: Vec<_> = inputs.iter().map(query_read).collect();
+        let widest = self.widest(&reads).unwrap_or(Scope::Map);
         // Rows of a table that covers a site are narrowed to those of a session where they are read.
         let scope = match widest {
             Scope::Map => Scope::Map,
@@ -311,81 +236,105 @@ impl Compiler<'_> {
             _ if is_local(plan, "site") => Scope::Site,
             _ => Scope::Map,
         };
-        let schema = crate::conform::bare(plan.schema().as_arrow());
+        let schema = bare(plan.schema().as_arrow());
         let task = Task::Sql {
             query: query.to_owned(),
-            inputs: tables,
             ordered: sql::is_ordered(plan),
         };
         self.stages.push(Stage {
             name: step.name.clone(),
             task,
+            reads,
             scope,
             stored: false,
         });
         Some(schema)
     }
 
-    fn scope_of(&self, table: &Table) -> Scope {
+    /// How much of the map a unit covers at least that reads this.
+    fn widest(&self, reads: &[Read]) -> Option<Scope> {
+        let scope = |read: &Read| match (&read.role, read.reach) {
+            // A side of the whole site is read by units that cover less, too.
+            (Role::Side(_), Reach::Site) => Scope::Session,
+            (_, Reach::Site) => self.scope_of(&read.table).max(Scope::Site),
+            (_, Reach::Session) => self.scope_of(&read.table),
+        };
+        reads.iter().map(scope).max()
+    }
+
+    fn scope_of(&self, table: &Input) -> Scope {
         match table {
-            Table::Log(_) => Scope::Session,
-            Table::Previous(_) => Scope::Site,
-            Table::Stage(name) => self
-                .stages
-                .iter()
-                .find(|stage| stage.name == *name)
-                .map_or(Scope::Map, |stage| stage.scope),
+            Input::Source(_) => Scope::Session,
+            Input::Previous(_) => Scope::Site,
+            Input::Step(name) => {
+                let made = self.stages.iter().find(|stage| stage.name == *name);
+                made.map_or(Scope::Map, |stage| stage.scope)
+            }
         }
     }
 
-    /// A stage is kept when it is written, is read twice, is read at a wider scope, or is a port other than the
-    /// driving one, whose table every unit needs.
+    /// A stage is kept when it is written, is read twice, is read at a wider scope, or is read whole.
     fn decide_stored(&mut self) {
-        let mut readers: BTreeMap<String, usize> = BTreeMap::new();
+        let mut read_once = BTreeSet::new();
         let mut stored: BTreeSet<String> = self.plan.write.iter().cloned().collect();
         for stage in &self.stages {
-            for table in stage.task.inputs() {
-                let Table::Stage(input) = table else { continue };
-                *readers.entry(input.clone()).or_default() += 1;
-                if self.scope_of(table) != stage.scope || self.is_side(stage, input) {
-                    stored.insert(input.clone());
+            for read in &stage.reads {
+                let Input::Step(name) = &read.table else {
+                    continue;
+                };
+                let again = !read_once.insert(name);
+                if again || is_whole(stage, read) || self.scope_of(&read.table) != stage.scope {
+                    stored.insert(name.clone());
                 }
             }
         }
-        stored.extend(
-            readers
-                .into_iter()
-                .filter(|(_, count)| *count > 1)
-                .map(|(name, _)| name),
-        );
         for stage in &mut self.stages {
             stage.stored = stored.contains(&stage.name);
         }
     }
-
-    fn is_side(&self, stage: &Stage, input: &str) -> bool {
-        let Task::Op {
-            op, inputs, phase, ..
-        } = &stage.task
-        else {
-            return false;
-        };
-        let Ok(entry) = self.registry.get(op) else {
-            return false;
-        };
-        *phase != Phase::Merge
-            && entry.ports.iter().enumerate().any(|(index, port)| {
-                let here =
-                    matches!(inputs.get(port.name), Some(Table::Stage(name)) if name == input);
-                here && (index > 0 || port.grain == Grain::Whole)
-            })
-    }
 }
 
-fn table(input: &Input) -> Table {
-    match input {
-        Input::Step(name) => Table::Stage(name.clone()),
-        Input::Source(name) => Table::Log(name.clone()),
-        Input::Previous(name) => Table::Previous(name.clone()),
+/// Whether an operator needs the whole table, as a side or for the site's only group.
+fn is_whole(stage: &Stage, read: &Read) -> bool {
+    let runs = matches!(
+        &stage.task,
+        Task::Op {
+            phase: Phase::Run,
+            ..
+        }
+    );
+    matches!(read.role, Role::Side(_)) || runs && read.reach == Reach::Site
+}
+
+/// What a phase of an operator reads of the tables that a plan gives to its ports.
+fn operator_reads(entry: &Entry, phase: Phase, inputs: &BTreeMap<String, Input>) -> Vec<Read> {
+    let driving = entry.driving(phase);
+    let read = |port: &str, role, reach, layer: &Layer, pixels: &[&str]| {
+        let columns = layer.columns.iter().map(|column| column.name.to_owned());
+        Some(Read {
+            table: inputs.get(port)?.clone(),
+            role,
+            reach,
+            columns: columns.collect(),
+            pixels: pixels.iter().map(ToString::to_string).collect(),
+        })
+    };
+    let (layer, pixels) = (&driving.layer, &driving.pixels);
+    let first = read(driving.name, Role::Driving, driving.reach, layer, pixels);
+    let sides = entry.sides(phase).iter().map(|port| {
+        let role = Role::Side(port.name.to_owned());
+        read(port.name, role, port.reach, &port.layer, &port.pixels)
+    });
+    std::iter::once(first).chain(sides).flatten().collect()
+}
+
+/// A table that a query names: what belongs to the unit, and the columns that the query turns out to use.
+fn query_read(table: &Input) -> Read {
+    Read {
+        table: table.clone(),
+        role: Role::Query,
+        reach: Reach::Session,
+        columns: Vec::new(),
+        pixels: Vec::new(),
     }
 }

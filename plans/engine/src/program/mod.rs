@@ -1,7 +1,8 @@
-//! From a checked plan to stages: what is stored, at which scope, and what runs inside what.
+//! What a plan comes to: stages with what they read, how much of the map one unit of them covers, and what is stored.
 //!
-//! A step is one stage, a Fold two: its lift, which runs where the rows are, and its merge. A stage's [`Scope`] says
-//! how much of the map one unit of it covers; a stage that is not stored runs inside the units of its reader.
+//! A step is one stage, a Fold two: its lift, which runs where the rows are, and its merge. A stage that is not stored
+//! runs inside the units of its reader. [`compile`] decides all of this, once: recipes, units, their DataFusion plans
+//! and explanations follow from a stage's [`Read`]s.
 
 pub mod compile;
 mod locality;
@@ -9,13 +10,13 @@ mod locality;
 use std::collections::{BTreeMap, BTreeSet};
 
 use arrow::datatypes::SchemaRef;
-use evermap_contract::{Layer, LayerRow, Registry, StateRow};
+use evermap_contract::{Layer, Phase, Reach, Registry};
+use evermap_language::Input;
 use evermap_schemas::Fault;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::digest::digest;
-use crate::nodes::operator::Phase;
+use crate::digest::digest_of;
 
 /// How much of a map one unit of a stage covers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -29,19 +30,34 @@ pub enum Scope {
     Map,
 }
 
-/// What a stage reads.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+/// What a stage reads a table for.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Table {
-    /// Another stage.
-    Stage(String),
-    /// A table of the logs: a role or a topic.
-    Log(String),
-    /// A layer of the version before.
-    Previous(String),
+pub enum Role {
+    /// Its rows drive an operator.
+    Driving,
+    /// An operator is given it whole at this port.
+    Side(String),
+    /// A query names it.
+    Query,
 }
 
-/// What a stage does.
+/// What a stage reads of one table.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Read {
+    /// The table. The lift of a fold is a step too, named with [`LIFT`].
+    pub table: Input,
+    /// What for.
+    pub role: Role,
+    /// How much of it: what belongs to the unit at hand, or all of its site.
+    pub reach: Reach,
+    /// Which columns; whatever the query names, where there are none.
+    pub columns: Vec<String>,
+    /// Columns whose images are fetched from the logs.
+    pub pixels: Vec<String>,
+}
+
+/// What a stage does with what it reads.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Task {
@@ -55,28 +71,14 @@ pub enum Task {
         phase: Phase,
         /// Its parameters, complete.
         params: Value,
-        /// Port to table.
-        inputs: BTreeMap<String, Table>,
     },
     /// A query.
     Sql {
         /// Its text.
         query: String,
-        /// The tables it names.
-        inputs: Vec<Table>,
         /// Whether it orders its rows itself.
         ordered: bool,
     },
-}
-
-impl Task {
-    /// The tables it reads.
-    pub fn inputs(&self) -> Vec<&Table> {
-        match self {
-            Task::Op { inputs, .. } => inputs.values().collect(),
-            Task::Sql { inputs, .. } => inputs.iter().collect(),
-        }
-    }
 }
 
 /// One stage.
@@ -86,6 +88,8 @@ pub struct Stage {
     pub name: String,
     /// What it does.
     pub task: Task,
+    /// What it reads.
+    pub reads: Vec<Read>,
     /// How much one unit of it covers.
     pub scope: Scope,
     /// Whether its rows are kept as artifacts.
@@ -104,10 +108,7 @@ impl Stage {
     /// The layer whose rows it makes; `None` for a query.
     pub fn layer(&self, registry: &Registry) -> Option<Layer> {
         match &self.task {
-            Task::Op {
-                phase: Phase::Lift, ..
-            } => Some(StateRow::layer()),
-            Task::Op { op, .. } => registry.get(op).ok().map(|entry| entry.output.clone()),
+            Task::Op { op, phase, .. } => Some(registry.get(op).ok()?.yields(*phase)),
             Task::Sql { .. } => None,
         }
     }
@@ -123,7 +124,7 @@ pub struct Program {
     pub plan: String,
     /// Stages, each after all it reads.
     pub stages: Vec<Stage>,
-    /// The schema of every stage.
+    /// The schema of every step's rows.
     pub schemas: BTreeMap<String, SchemaRef>,
     /// The stages that are published as layers, in the plan's order.
     pub write: Vec<String>,
@@ -137,9 +138,7 @@ impl Program {
     /// # Errors
     /// A bug fault when it does not serialise.
     pub fn digest(&self) -> Result<String, Fault> {
-        let text = serde_json::to_vec(&(&self.stages, &self.write))
-            .map_err(|error| Fault::bug(error.to_string()))?;
-        Ok(digest(&text))
+        digest_of(&(&self.stages, &self.write))
     }
 
     /// A stage by name.
@@ -154,32 +153,20 @@ impl Program {
     }
 
     /// A stage and those that run inside it, in order.
-    ///
-    /// # Errors
-    /// As [`Program::stage`].
-    pub fn fragment(&self, name: &str) -> Result<Vec<Stage>, Fault> {
-        let mut wanted = BTreeSet::from([name.to_owned()]);
+    pub fn fragment(&self, name: &str) -> Vec<Stage> {
+        let mut wanted = BTreeSet::from([name]);
         let mut fragment = Vec::new();
-        for stage in self
-            .stages
-            .iter()
-            .rev()
-            .filter(|stage| stage.name == name || !stage.stored)
-        {
-            if wanted.contains(&stage.name) {
-                let inside = stage
-                    .task
-                    .inputs()
-                    .into_iter()
-                    .filter_map(|table| match table {
-                        Table::Stage(input) => Some(input.clone()),
-                        _ => None,
-                    });
-                wanted.extend(inside);
+        let inside = |stage: &&Stage| stage.name == name || !stage.stored;
+        for stage in self.stages.iter().rev().filter(inside) {
+            if wanted.contains(stage.name.as_str()) {
+                wanted.extend(stage.reads.iter().filter_map(|read| match &read.table {
+                    Input::Step(name) => Some(name.as_str()),
+                    _ => None,
+                }));
                 fragment.push(stage.clone());
             }
         }
         fragment.reverse();
-        Ok(fragment)
+        fragment
     }
 }

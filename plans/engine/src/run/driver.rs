@@ -1,36 +1,31 @@
 //! A run at work: ready units are begun, what they leave makes others ready.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use evermap_schemas::Fault;
 use futures::StreamExt;
 use futures::stream::SelectAll;
 
-use crate::map::receipt::{Artifact, Receipt};
+use crate::map::receipt::Receipt;
 use crate::map::version::{MappedSession, Previous, StoredLayer, Version};
 use crate::program::Stage;
-use crate::run::assembly::assemble;
-use crate::run::instance::{Instance, Needs, instances, needs};
+use crate::run::instance::Place;
+use crate::run::pending::Pending;
 use crate::run::runner::Runner;
 use crate::run::{Event, Run, RunResult, RunSession};
 use crate::unit::Unit;
 
-/// A unit before its recipe is known.
-struct Pending {
-    stage: usize,
-    instance: Instance,
-    needs: Needs,
-    waiting: usize,
-}
-
+/// A run under way, unit by unit.
 struct Driver<'r, 'a> {
     run: &'r Run<'a>,
     previous: Previous,
     units: Vec<Pending>,
-    by_place: BTreeMap<(String, Instance), usize>,
-    dependents: Vec<Vec<usize>>,
-    receipts: Vec<Option<(Receipt, bool)>>,
-    labels: Vec<String>,
+    /// How many units each still waits for.
+    waiting: Vec<usize>,
+    /// The units that wait for each.
+    dependents: BTreeMap<Place, Vec<usize>>,
+    /// What was done, and whether it had been done before.
+    receipts: BTreeMap<Place, (Receipt, bool)>,
 }
 
 impl Run<'_> {
@@ -76,22 +71,18 @@ impl Run<'_> {
             layers: driver.layers()?,
             losses: driver.losses(),
         };
-        let units = driver.done();
-        match &self.base {
-            Some(base) if base.same_content(&version) => Ok(RunResult {
-                version: base.clone(),
-                published: false,
-                units,
-            }),
+        let (version, published) = match &self.base {
+            Some(base) if base.same_content(&version) => (base.clone(), false),
             _ => {
                 version.publish(self.store).await?;
-                Ok(RunResult {
-                    version,
-                    published: true,
-                    units,
-                })
+                (version, true)
             }
-        }
+        };
+        Ok(RunResult {
+            version,
+            published,
+            units: driver.done(),
+        })
     }
 }
 
@@ -106,49 +97,20 @@ fn mapped(session: &RunSession) -> Result<MappedSession, Fault> {
 
 impl<'r, 'a> Driver<'r, 'a> {
     fn new(run: &'r Run<'a>) -> Result<Self, Fault> {
-        let mut units = Vec::new();
-        let mut by_place = BTreeMap::new();
-        let mut labels = Vec::new();
-        for (stage_index, stage) in run
-            .program
-            .stages
-            .iter()
-            .enumerate()
-            .filter(|(_, stage)| stage.stored)
-        {
-            for instance in instances(stage.scope, &run.sessions) {
-                let needs = needs(run.program, run.registry, stage, &instance, &run.sessions)?;
-                labels.push(instance.label(&stage.name));
-                by_place.insert((stage.name.clone(), instance.clone()), units.len());
-                units.push(Pending {
-                    stage: stage_index,
-                    instance,
-                    needs,
-                    waiting: 0,
-                });
+        let units = run.units()?;
+        let mut dependents: BTreeMap<Place, Vec<usize>> = BTreeMap::new();
+        for (index, unit) in units.iter().enumerate() {
+            for earlier in &unit.before {
+                dependents.entry(earlier.clone()).or_default().push(index);
             }
         }
-        let mut dependents = vec![Vec::new(); units.len()];
-        for (index, unit) in units.iter_mut().enumerate() {
-            let unit: &mut Pending = unit;
-            let places = unit.needs.places();
-            let before: BTreeSet<usize> = places
-                .filter_map(|place| by_place.get(&place).copied())
-                .collect();
-            unit.waiting = before.len();
-            before
-                .into_iter()
-                .for_each(|earlier: usize| dependents[earlier].push(index));
-        }
-        let receipts = vec![None; units.len()];
         Ok(Self {
             run,
             previous: run.previous()?,
-            units,
-            by_place,
+            waiting: units.iter().map(|unit| unit.before.len()).collect(),
             dependents,
-            receipts,
-            labels,
+            receipts: BTreeMap::new(),
+            units,
         })
     }
 
@@ -159,7 +121,7 @@ impl<'r, 'a> Driver<'r, 'a> {
     ) -> Result<(), Fault> {
         let mut running = SelectAll::new();
         let mut ready: Vec<usize> = (0..self.units.len())
-            .filter(|&index| self.units[index].waiting == 0)
+            .filter(|&index| self.waiting[index] == 0)
             .collect();
         let mut first_fault: Option<Fault> = None;
         loop {
@@ -173,11 +135,10 @@ impl<'r, 'a> Driver<'r, 'a> {
             }
             fresh.sort_by_key(|(index, _)| *index);
             if !fresh.is_empty() && first_fault.is_none() {
-                fresh.iter().for_each(|(index, _)| {
-                    observe(Event::Started {
-                        label: &self.labels[*index],
-                    })
-                });
+                for (index, _) in &fresh {
+                    let label = &self.label(*index);
+                    observe(Event::Started { label });
+                }
                 running.push(runner.start(fresh));
             }
             match running.next().await {
@@ -186,7 +147,7 @@ impl<'r, 'a> Driver<'r, 'a> {
                     ready.extend(self.finish(index, receipt, false, observe))
                 }
                 Some((index, Err(fault))) => {
-                    first_fault.get_or_insert_with(|| fault.at(&self.labels[index]));
+                    first_fault.get_or_insert_with(|| fault.at(self.label(index)));
                 }
             }
         }
@@ -202,63 +163,54 @@ impl<'r, 'a> Driver<'r, 'a> {
         observe: &mut (dyn FnMut(Event<'_>) + Send),
     ) -> Vec<usize> {
         observe(Event::Done {
-            label: &self.labels[index],
+            label: &self.label(index),
             receipt: &receipt,
             cached,
         });
-        self.receipts[index] = Some((receipt, cached));
+        let place = &self.units[index].place;
+        self.receipts.insert(place.clone(), (receipt, cached));
         let mut ready = Vec::new();
-        for &later in &self.dependents[index] {
-            self.units[later].waiting -= 1;
-            if self.units[later].waiting == 0 {
+        for &later in self.dependents.get(place).into_iter().flatten() {
+            self.waiting[later] -= 1;
+            if self.waiting[later] == 0 {
                 ready.push(later);
             }
         }
         ready
     }
 
-    fn artifact(&self, place: &(String, Instance)) -> Result<Artifact, Fault> {
-        self.by_place
-            .get(place)
-            .and_then(|&index| self.receipts[index].as_ref())
-            .map(|(receipt, _)| receipt.artifact.clone())
-            .ok_or_else(|| Fault::bug(format!("a unit began before {}", place.1.label(&place.0))))
+    fn label(&self, index: usize) -> String {
+        self.units[index].place.label()
     }
 
     fn unit(&self, index: usize) -> Result<Unit, Fault> {
-        let pending = &self.units[index];
-        let stage = &self.run.program.stages[pending.stage];
-        let artifact = |place: &(String, Instance)| self.artifact(place);
-        let (instance, needs) = (&pending.instance, &pending.needs);
-        assemble(self.run, &self.previous, stage, instance, needs, artifact)
+        let artifact = |place: &Place| Ok(self.receipt(place)?.artifact.clone());
+        self.units[index].assemble(self.run, &self.previous, artifact)
+    }
+
+    fn receipt(&self, place: &Place) -> Result<&Receipt, Fault> {
+        let missing = || Fault::bug(format!("{} was not run", place.label()));
+        let (receipt, _) = self.receipts.get(place).ok_or_else(missing)?;
+        Ok(receipt)
     }
 
     fn done(&self) -> Vec<(String, Receipt, bool)> {
-        let units = self.units.iter().zip(&self.receipts);
-        let stage = |unit: &Pending| self.run.program.stages[unit.stage].name.clone();
-        units
-            .filter_map(|(unit, receipt)| {
-                receipt
-                    .clone()
-                    .map(|(receipt, cached)| (stage(unit), receipt, cached))
-            })
-            .collect()
+        let done = |unit: &Pending| {
+            let (receipt, cached) = self.receipts.get(&unit.place)?.clone();
+            Some((unit.place.stage.clone(), receipt, cached))
+        };
+        self.units.iter().filter_map(done).collect()
     }
 
     fn layers(&self) -> Result<BTreeMap<String, StoredLayer>, Fault> {
         let mut layers: BTreeMap<String, StoredLayer> = BTreeMap::new();
-        for (unit, receipt) in self.units.iter().zip(&self.receipts) {
-            let stage: &Stage = &self.run.program.stages[unit.stage];
-            let (receipt, _) = receipt
-                .as_ref()
-                .ok_or_else(|| Fault::bug(format!("{} was not run", stage.name)))?;
-            let layer = layers
-                .entry(stage.name.clone())
-                .or_insert_with(|| StoredLayer {
-                    published: self.run.program.write.contains(&stage.name),
-                    op: stage.op().map(str::to_owned),
-                    ..StoredLayer::default()
-                });
+        for unit in &self.units {
+            let (stage, receipt) = (&unit.place.stage, self.receipt(&unit.place)?);
+            let layer = layers.entry(stage.clone()).or_insert_with(|| StoredLayer {
+                published: self.run.program.write.contains(stage),
+                op: unit.stages.last().and_then(Stage::op).map(str::to_owned),
+                ..StoredLayer::default()
+            });
             layer.artifacts.push(receipt.artifact.clone());
             layer.recipes.push(receipt.digest.clone());
         }
@@ -268,7 +220,7 @@ impl<'r, 'a> Driver<'r, 'a> {
     /// What was skipped or lost: operators' counts summed, a log's counted once however many units read it.
     fn losses(&self) -> BTreeMap<String, u64> {
         let mut losses: BTreeMap<String, u64> = BTreeMap::new();
-        for (receipt, _) in self.receipts.iter().flatten() {
+        for (receipt, _) in self.receipts.values() {
             for (reason, count) in &receipt.skipped {
                 *losses.entry(reason.clone()).or_default() += count;
             }

@@ -9,8 +9,8 @@ use crate::map::receipt::{Artifact, LogContent, Receipt, Recipe};
 use crate::map::version::Previous;
 use crate::program::{Stage, Task};
 use crate::run::Run;
-use crate::run::assembly::assemble;
-use crate::run::instance::{Instance, instances, needs};
+use crate::run::instance::{Instance, Place};
+use crate::run::pending::Pending;
 
 /// What would become of one unit.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -39,32 +39,30 @@ impl Run<'_> {
             artifacts: BTreeMap::new(),
         };
         let mut forecasts = Vec::new();
-        for stage in self.program.stages.iter().filter(|stage| stage.stored) {
-            for instance in instances(stage.scope, &self.sessions) {
-                let reason = known.reason(stage, &instance, &held).await?;
-                forecasts.push(UnitForecast {
-                    step: stage.name.clone(),
-                    label: instance.label(&stage.name),
-                    recompute: reason.is_err(),
-                    reason: reason.unwrap_or_else(|why| why),
-                });
-            }
+        for unit in self.units()? {
+            let reason = known.reason(&unit, &held).await?;
+            forecasts.push(UnitForecast {
+                label: unit.place.label(),
+                step: unit.place.stage,
+                recompute: reason.is_err(),
+                reason: reason.unwrap_or_else(|why| why),
+            });
         }
         Ok(forecasts)
     }
 
-    /// The receipts of the version before, by stage and instance.
+    /// The receipts of the version before.
     async fn receipts_before(&self) -> Result<Held, Fault> {
         let mut receipts = BTreeMap::new();
         for (name, layer) in self.base.iter().flat_map(|base| &base.layers) {
             for digest in &layer.recipes {
                 if let Some(receipt) = Receipt::find(self.store, digest).await? {
-                    let instance = match (&receipt.recipe.session, &receipt.recipe.site) {
-                        (Some(session), _) => Instance::Session(session.clone()),
-                        (None, Some(site)) => Instance::Site(site.clone()),
-                        (None, None) => Instance::Map,
+                    let Recipe { session, site, .. } = &receipt.recipe;
+                    let place = Place {
+                        stage: name.clone(),
+                        instance: Instance::of(session.as_ref(), site.as_ref()),
                     };
-                    receipts.insert((name.clone(), instance), receipt);
+                    receipts.insert(place, receipt);
                 }
             }
         }
@@ -72,54 +70,48 @@ impl Run<'_> {
     }
 }
 
-/// Receipts by stage and instance.
-type Held = BTreeMap<(String, Instance), Receipt>;
+/// Receipts by unit.
+type Held = BTreeMap<Place, Receipt>;
 
 /// What is known without running anything: the artifacts of the units that were done before.
 struct Known<'r, 'a> {
     run: &'r Run<'a>,
     previous: Previous,
-    artifacts: BTreeMap<(String, Instance), Artifact>,
+    artifacts: BTreeMap<Place, Artifact>,
 }
 
 impl Known<'_, '_> {
     /// Why a unit would not be computed, or, as the error, why it would.
     async fn reason(
         &mut self,
-        stage: &Stage,
-        instance: &Instance,
+        unit: &Pending,
         held: &Held,
     ) -> Result<Result<String, String>, Fault> {
-        let run = self.run;
-        let place = (stage.name.clone(), instance.clone());
-        let needs = needs(run.program, run.registry, stage, instance, &run.sessions)?;
-        let open = needs
-            .places()
-            .find(|place| !self.artifacts.contains_key(place));
-        let before = held.get(&place);
-        if let Some((name, input)) = open {
+        let before = held.get(&unit.place);
+        let mut inputs = unit.before.iter();
+        if let Some(open) = inputs.find(|input| !self.artifacts.contains_key(input)) {
             let change = match before {
-                None => Some(new_reason(instance, held)),
-                Some(before) => stage_change(&before.recipe, &run.program.fragment(&stage.name)?),
+                None => Some(new_reason(&unit.place.instance, held)),
+                Some(before) => stage_change(&before.recipe, &unit.stages),
             };
-            return Ok(Err(change.unwrap_or_else(|| {
-                format!("{} is recomputed", input.label(&name))
-            })));
+            return Ok(Err(
+                change.unwrap_or_else(|| format!("{} is recomputed", open.label()))
+            ));
         }
-        let artifact = |place: &(String, Instance)| {
-            let found = self.artifacts.get(place).cloned();
-            found.ok_or_else(|| Fault::bug(format!("{} is not known", place.0)))
-        };
-        let unit = assemble(run, &self.previous, stage, instance, &needs, artifact)?;
-        let digest = unit.recipe.digest()?;
-        if let Some(receipt) = Receipt::find(run.store, &digest).await? {
-            self.artifacts.insert(place, receipt.artifact);
+        let recipe = unit.assemble(self.run, &self.previous, |input| {
+            let found = self.artifacts.get(input).cloned();
+            found.ok_or_else(|| Fault::bug(format!("{} is not known", input.label())))
+        });
+        let recipe = recipe?.recipe;
+        let digest = recipe.digest()?;
+        if let Some(receipt) = Receipt::find(self.run.store, &digest).await? {
+            self.artifacts.insert(unit.place.clone(), receipt.artifact);
             let same = before.is_some_and(|before| before.digest == digest);
             return Ok(Ok(if same { "unchanged" } else { "done before" }.to_owned()));
         }
         Ok(Err(match before {
-            None => new_reason(instance, held),
-            Some(before) => recipe_change(&before.recipe, &unit.recipe),
+            None => new_reason(&unit.place.instance, held),
+            Some(before) => recipe_change(&before.recipe, &recipe),
         }))
     }
 }
@@ -166,10 +158,10 @@ fn recipe_change(then: &Recipe, now: &Recipe) -> String {
 fn new_reason(instance: &Instance, before: &Held) -> String {
     match instance {
         _ if before.is_empty() => "nothing was computed before".to_owned(),
-        Instance::Session(name) if !before.keys().any(|(_, held)| held == instance) => {
+        Instance::Session(name) if !before.keys().any(|held| held.instance == *instance) => {
             format!("session {name} is new")
         }
-        Instance::Site(name) if !before.keys().any(|(_, held)| held == instance) => {
+        Instance::Site(name) if !before.keys().any(|held| held.instance == *instance) => {
             format!("site {name} is new")
         }
         _ => "the step is new".to_owned(),
@@ -184,6 +176,9 @@ fn stage_change(held: &Recipe, now: &[Stage]) -> Option<String> {
         };
         if then.task != stage.task {
             return Some(task_change(&then.task, &stage.task, &stage.name));
+        }
+        if then.reads != stage.reads {
+            return Some(format!("{} reads other tables", stage.name));
         }
     }
     (held.stages != now).then(|| "the plan is wired differently".to_owned())
@@ -216,6 +211,6 @@ fn task_change(then: &Task, now: &Task, name: &str) -> String {
                 },
             )
         }
-        _ => format!("{name} reads other tables"),
+        _ => format!("{name} is another task"),
     }
 }

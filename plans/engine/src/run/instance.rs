@@ -1,12 +1,10 @@
-//! What a unit has to wait for, and which logs it reads.
+//! Which units there are of a stage, and what each covers.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
-use evermap_contract::Registry;
-use evermap_schemas::Fault;
+use evermap_contract::Reach;
 
-use crate::nodes::operator::Phase;
-use crate::program::{Program, Scope, Stage, Table, Task};
+use crate::program::Scope;
 use crate::run::RunSession;
 
 /// What one unit of a stage covers.
@@ -21,11 +19,25 @@ pub enum Instance {
 }
 
 impl Instance {
-    /// What a person calls the unit.
-    pub fn label(&self, stage: &str) -> String {
-        match self {
-            Instance::Session(name) | Instance::Site(name) => format!("{stage} of {name}"),
-            Instance::Map => stage.to_owned(),
+    /// The instances of a scope, sorted by name.
+    pub fn all<'s>(
+        scope: Scope,
+        sessions: impl IntoIterator<Item = &'s RunSession>,
+    ) -> BTreeSet<Self> {
+        let instance = |session: &RunSession| match scope {
+            Scope::Session => Instance::Session(session.log.session.clone()),
+            Scope::Site => Instance::Site(session.log.site.clone()),
+            Scope::Map => Instance::Map,
+        };
+        sessions.into_iter().map(instance).collect()
+    }
+
+    /// What a recipe or a receipt covers: its session, else its site, else everything.
+    pub fn of(session: Option<&String>, site: Option<&String>) -> Self {
+        match (session, site) {
+            (Some(session), _) => Instance::Session(session.clone()),
+            (None, Some(site)) => Instance::Site(site.clone()),
+            (None, None) => Instance::Map,
         }
     }
 
@@ -33,15 +45,25 @@ impl Instance {
     pub fn names(&self, sessions: &[RunSession]) -> (Option<String>, Option<String>) {
         match self {
             Instance::Session(name) => {
-                let site = sessions
-                    .iter()
-                    .find(|session| session.log.session == *name)
-                    .map(|found| found.log.site.clone());
-                (Some(name.clone()), site)
+                let session = sessions.iter().find(|session| self.covers(session));
+                (
+                    Some(name.clone()),
+                    session.map(|found| found.log.site.clone()),
+                )
             }
             Instance::Site(site) => (None, Some(site.clone())),
             Instance::Map => (None, None),
         }
+    }
+
+    /// The sessions that belong with it, or with its site.
+    pub fn reached<'s>(&self, reach: Reach, sessions: &'s [RunSession]) -> Vec<&'s RunSession> {
+        let covering = match (reach, self.names(sessions).1) {
+            (Reach::Site, Some(site)) => &Instance::Site(site),
+            _ => self,
+        };
+        let reached = sessions.iter().filter(|session| covering.covers(session));
+        reached.collect()
     }
 
     fn covers(&self, session: &RunSession) -> bool {
@@ -53,139 +75,21 @@ impl Instance {
     }
 }
 
-/// The instances of a scope, sorted by name.
-pub fn instances(scope: Scope, sessions: &[RunSession]) -> Vec<Instance> {
-    let names: BTreeSet<Instance> = match scope {
-        Scope::Session => sessions
-            .iter()
-            .map(|session| Instance::Session(session.log.session.clone()))
-            .collect(),
-        Scope::Site => sessions
-            .iter()
-            .map(|session| Instance::Site(session.log.site.clone()))
-            .collect(),
-        Scope::Map => BTreeSet::from([Instance::Map]),
-    };
-    names.into_iter().collect()
+/// Which unit of a program.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Place {
+    /// Its stage.
+    pub stage: String,
+    /// What it covers.
+    pub instance: Instance,
 }
 
-/// What a unit reads.
-#[derive(Debug, Clone, Default)]
-pub struct Needs {
-    /// Stored stages, with the instances of each.
-    pub tables: BTreeMap<String, BTreeSet<Instance>>,
-    /// Sessions whose logs are read.
-    pub logs: BTreeSet<String>,
-}
-
-impl Needs {
-    /// Every unit that has to be done before.
-    pub fn places(&self) -> impl Iterator<Item = (String, Instance)> + '_ {
-        self.tables.iter().flat_map(|(name, instances)| {
-            instances
-                .iter()
-                .map(|instance| (name.clone(), instance.clone()))
-        })
-    }
-}
-
-/// What the unit of `stage` for `instance` reads.
-///
-/// # Errors
-/// A bug fault for a program that names a stage or an operator that there is not.
-pub fn needs(
-    program: &Program,
-    registry: &Registry,
-    stage: &Stage,
-    instance: &Instance,
-    sessions: &[RunSession],
-) -> Result<Needs, Fault> {
-    let mut needs = Needs::default();
-    for inner in program.fragment(&stage.name)? {
-        for (table, whole) in reads(&inner, registry)? {
-            match table {
-                Table::Previous(_) => {}
-                Table::Log(_) => {
-                    let covered = sessions.iter().filter(|session| instance.covers(session));
-                    needs
-                        .logs
-                        .extend(covered.map(|session| session.log.session.clone()));
-                }
-                Table::Stage(name) => {
-                    let input = program.stage(&name)?;
-                    if input.stored {
-                        let wanted = wanted(input.scope, instance, whole, sessions);
-                        needs.tables.entry(name).or_default().extend(wanted);
-                    }
-                }
-            }
-        }
-        if pixels(&inner, registry) {
-            let covered = sessions.iter().filter(|session| instance.covers(session));
-            needs
-                .logs
-                .extend(covered.map(|session| session.log.session.clone()));
+impl Place {
+    /// What a person calls the unit.
+    pub fn label(&self) -> String {
+        match &self.instance {
+            Instance::Session(name) | Instance::Site(name) => format!("{} of {name}", self.stage),
+            Instance::Map => self.stage.clone(),
         }
     }
-    Ok(needs)
-}
-
-/// The tables of a stage, and whether all of the site is read of each, however little the unit covers.
-fn reads(stage: &Stage, registry: &Registry) -> Result<Vec<(Table, bool)>, Fault> {
-    Ok(match &stage.task {
-        Task::Sql { inputs, .. } => inputs.iter().map(|table| (table.clone(), false)).collect(),
-        Task::Op {
-            phase: Phase::Merge,
-            inputs,
-            ..
-        } => inputs
-            .values()
-            .map(|table| (table.clone(), false))
-            .collect(),
-        Task::Op { op, inputs, .. } => {
-            let entry = registry.get(op)?;
-            let whole = |port: &str| {
-                entry
-                    .port(port)
-                    .is_some_and(|port| !port.grain.is_per_session())
-            };
-            inputs
-                .iter()
-                .map(|(port, table)| (table.clone(), whole(port)))
-                .collect()
-        }
-    })
-}
-
-/// Whether the stage asks for images, which come from logs though no table of the logs is named.
-fn pixels(stage: &Stage, registry: &Registry) -> bool {
-    match &stage.task {
-        Task::Op { op, phase, .. } if *phase != Phase::Merge => {
-            registry.get(op).is_ok_and(|entry| {
-                entry
-                    .ports
-                    .first()
-                    .is_some_and(|port| port.pixels.is_some())
-            })
-        }
-        _ => false,
-    }
-}
-
-fn wanted(
-    scope: Scope,
-    instance: &Instance,
-    whole: bool,
-    sessions: &[RunSession],
-) -> Vec<Instance> {
-    let covering = match (whole, instance.names(sessions).1) {
-        (true, Some(site)) => Instance::Site(site),
-        _ => instance.clone(),
-    };
-    let covered: Vec<RunSession> = sessions
-        .iter()
-        .filter(|session| covering.covers(session))
-        .cloned()
-        .collect();
-    instances(scope, &covered)
 }

@@ -4,10 +4,10 @@
 //! receipt under the recipe's digest means that the work was done before, by this run, an earlier one, or one that
 //! was killed. An unchanged result has an unchanged digest and stops everything downstream.
 
-mod assembly;
 mod driver;
 pub mod explain;
 mod instance;
+mod pending;
 mod previous;
 pub mod record;
 pub mod runner;

@@ -5,13 +5,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use evermap_language::Input;
 use evermap_schemas::Fault;
 
 use crate::map::receipt::Artifact;
 use crate::map::version::{MappedSession, Previous, Version};
-use crate::program::{Program, Stage, Table};
+use crate::program::{Program, Stage};
 use crate::run::RunSession;
-use crate::run::instance::Instance;
 use crate::unit::PreviousLayer;
 
 impl Previous {
@@ -41,39 +41,30 @@ impl Previous {
         })
     }
 
-    /// The layers that these stages read, as far as they concern the instance.
+    /// The layers that these stages read, as far as they concern a site; everything where none is given.
     pub fn concerning(
         &self,
         program: &Program,
         stages: &[Stage],
-        instance: &Instance,
-        sessions: &[RunSession],
+        site: Option<&String>,
     ) -> BTreeMap<String, PreviousLayer> {
-        let site = instance.names(sessions).1;
         let concerns = |artifact: &&Artifact| {
-            let here = site.is_none() || artifact.site.is_none() || artifact.site == site;
-            let holds = artifact
-                .session
-                .as_ref()
-                .is_none_or(|session| !self.replaced.contains(session));
-            here && holds
+            let of = artifact.site.as_ref();
+            let here = site.is_none() || of.is_none() || of == site;
+            let mut replaced = self.replaced.iter();
+            here && !replaced.any(|session| artifact.session.as_ref() == Some(session))
         };
         let layer = |name: &String| {
             let held = self.layers.get(name).map_or(&[][..], Vec::as_slice);
+            let made = program.stage(name).ok();
             PreviousLayer {
-                op: program
-                    .stage(name)
-                    .ok()
-                    .and_then(Stage::op)
-                    .map(str::to_owned),
+                op: made.and_then(Stage::op).map(str::to_owned),
                 artifacts: held.iter().filter(concerns).cloned().collect(),
                 without: self.replaced.clone(),
             }
         };
-        names(stages)
-            .into_iter()
-            .map(|name| (name.clone(), layer(name)))
-            .collect()
+        let names = names(stages).into_iter();
+        names.map(|name| (name.clone(), layer(name))).collect()
     }
 
     /// Layers that the program reads of the version before, which that version does not have.
@@ -86,11 +77,10 @@ impl Previous {
 
 /// Names of the layers that stages read of the version before.
 fn names(stages: &[Stage]) -> BTreeSet<&String> {
-    stages
-        .iter()
-        .flat_map(|stage| stage.task.inputs())
-        .filter_map(|table| match table {
-            Table::Previous(name) => Some(name),
+    let reads = stages.iter().flat_map(|stage| &stage.reads);
+    reads
+        .filter_map(|read| match &read.table {
+            Input::Previous(name) => Some(name),
             _ => None,
         })
         .collect()

@@ -1,13 +1,14 @@
 //! A unit at work.
 
+use std::sync::Arc;
 use std::time::Instant;
 
+use datafusion::physical_plan::display::DisplayableExecutionPlan;
 use evermap_contract::Registry;
 use evermap_schemas::Fault;
 
 use crate::map::receipt::{Artifact, Receipt};
 use crate::map::store::Store;
-use crate::sql::Limits;
 use crate::unit::Unit;
 use crate::unit::build::Builder;
 use crate::unit::write::write;
@@ -20,14 +21,13 @@ impl Unit {
     pub async fn run(&self, registry: &Registry) -> Result<Receipt, Fault> {
         let (started, clock) = (chrono::Utc::now(), Instant::now());
         let store = Store::open(&self.store, false)?;
-        let limits = Limits {
-            memory_bytes: self.memory_bytes,
-            partitions: self.partitions,
-        };
-        let builder = Builder::new(self, &store, registry, limits).await?;
+        let builder = Builder::new(self, &store, registry).await?;
         let plan = builder.plan().await?;
         let span = tracing::info_span!("unit", label = %self.label());
-        let written = tracing::Instrument::instrument(write(&store, plan, &builder), span).await?;
+        let write = write(&store, Arc::clone(&plan), &builder);
+        let written = tracing::Instrument::instrument(write, span).await?;
+        let ran = DisplayableExecutionPlan::with_metrics(plan.as_ref());
+        tracing::debug!(unit = %self.label(), "\n{}", ran.indent(false));
         let receipt = Receipt {
             digest: self.recipe.digest()?,
             recipe: self.recipe.clone(),

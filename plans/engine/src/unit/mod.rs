@@ -6,6 +6,7 @@
 
 pub mod build;
 mod execute;
+mod tables;
 mod write;
 
 use std::collections::BTreeMap;
@@ -16,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::map::receipt::{Artifact, Recipe};
 use crate::program::Stage;
+use crate::sql::Limits;
 
 /// A layer of the version before, as a unit reads it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -42,10 +44,8 @@ pub struct Unit {
     pub previous: BTreeMap<String, PreviousLayer>,
     /// The logs that are read, as manifests of one session each.
     pub logs: Vec<Manifest>,
-    /// Bytes it may hold, partitions it may use.
-    pub memory_bytes: usize,
-    /// Partitions that its plan is cut into.
-    pub partitions: usize,
+    /// What it may use.
+    pub limits: Limits,
 }
 
 impl Unit {

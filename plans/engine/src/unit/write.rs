@@ -16,7 +16,7 @@ use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 use tokio::io::AsyncWriteExt;
 
-use crate::error::fault_of;
+use crate::error::OrFault;
 use crate::map::receipt::Artifact;
 use crate::map::store::Store;
 use crate::unit::build::Builder;
@@ -53,33 +53,20 @@ async fn write_to(
     builder: &Builder<'_>,
 ) -> Result<Artifact, Fault> {
     let file = Hashing::new(BufWriter::new(store.objects(), store.path(name)));
-    let mut writer = AsyncArrowWriter::try_new(
-        file,
-        plan.schema(),
-        Some(properties(builder.layer().as_ref())),
-    )
-    .map_err(|error| parquet_fault(&error))?;
+    let properties = properties(builder.layer().as_ref());
+    let mut writer =
+        AsyncArrowWriter::try_new(file, plan.schema(), Some(properties)).map_err(parquet_fault)?;
     let mut rows = 0;
-    let mut stream =
-        execute_stream(plan, builder.task_context()).map_err(|error| fault_of(&error))?;
+    let mut stream = execute_stream(plan, builder.task_context()).or_fault()?;
     while let Some(batch) = stream.next().await {
-        let batch = batch.map_err(|error| fault_of(&error))?;
+        let batch = batch.or_fault()?;
         rows += batch.num_rows() as u64;
-        writer
-            .write(&batch)
-            .await
-            .map_err(|error| parquet_fault(&error))?;
+        writer.write(&batch).await.map_err(parquet_fault)?;
         if writer.in_progress_size() > ROW_GROUP_BYTES {
-            writer
-                .flush()
-                .await
-                .map_err(|error| parquet_fault(&error))?;
+            writer.flush().await.map_err(parquet_fault)?;
         }
     }
-    writer
-        .finish()
-        .await
-        .map_err(|error| parquet_fault(&error))?;
+    writer.finish().await.map_err(parquet_fault)?;
     let (content, bytes) = writer.into_inner().finish();
     Ok(Artifact {
         content,
@@ -90,23 +77,19 @@ async fn write_to(
     })
 }
 
-fn parquet_fault(error: &ParquetError) -> Fault {
+fn parquet_fault(error: ParquetError) -> Fault {
     Fault::resource(format!("cannot write an artifact: {error}"))
 }
 
 fn properties(layer: Option<&Layer>) -> WriterProperties {
     let mut metadata = Vec::new();
+    let mut note = |key: &str, value| metadata.push(KeyValue::new(key.to_owned(), value));
     if let Some(layer) = layer {
-        metadata.push(KeyValue::new("evermap.layer".into(), layer.name.to_owned()));
-        metadata.push(KeyValue::new(
-            "evermap.layer_version".into(),
-            layer.version.to_string(),
-        ));
-        metadata.extend(
-            layer
-                .geometry
-                .map(|column| KeyValue::new("geo".into(), geo(column))),
-        );
+        note("evermap.layer", layer.name.to_owned());
+        note("evermap.layer_version", layer.version.to_string());
+        if let Some(column) = layer.geometry {
+            note("geo", geo(column));
+        }
     }
     WriterProperties::builder()
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(1).unwrap_or_default()))
@@ -150,20 +133,14 @@ impl AsyncFileWriter for Hashing {
     fn write(&mut self, bytes: Bytes) -> BoxFuture<'_, parquet::errors::Result<()>> {
         self.hasher.update(&bytes);
         self.bytes += bytes.len() as u64;
-        Box::pin(async move {
-            self.file
-                .put(bytes)
-                .await
-                .map_err(|error| ParquetError::External(Box::new(error)))
-        })
+        Box::pin(async move { self.file.put(bytes).await.map_err(external) })
     }
 
     fn complete(&mut self) -> BoxFuture<'_, parquet::errors::Result<()>> {
-        Box::pin(async move {
-            self.file
-                .shutdown()
-                .await
-                .map_err(|error| ParquetError::External(Box::new(error)))
-        })
+        Box::pin(async move { self.file.shutdown().await.map_err(external) })
     }
+}
+
+fn external(error: impl std::error::Error + Send + Sync + 'static) -> ParquetError {
+    ParquetError::External(Box::new(error))
 }

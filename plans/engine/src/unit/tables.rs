@@ -1,0 +1,148 @@
+//! The tables that a unit reads from the map and from logs, no more of each than it needs.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use arrow::array::RecordBatch;
+use arrow::datatypes::Schema;
+use datafusion::catalog::TableProvider;
+use datafusion::logical_expr::{ident, lit};
+use datafusion::prelude::{DataFrame, SessionContext};
+use evermap_contract::{Reach, Registry};
+use evermap_language::Input;
+use evermap_schemas::Fault;
+
+use crate::error::OrFault;
+use crate::map::artifact::read_artifacts;
+use crate::map::receipt::{Artifact, LogContent};
+use crate::map::store::Store;
+use crate::program::Read;
+use crate::unit::Unit;
+
+/// The session and the site that some rows are of, where they are of one.
+type Extent<'a> = (Option<&'a String>, Option<&'a String>);
+
+/// What a unit reads, in the context that it runs in.
+pub struct Tables<'a> {
+    /// The unit.
+    pub unit: &'a Unit,
+    /// The map.
+    pub store: &'a Store,
+    /// The operators, which know the columns of layers.
+    pub registry: &'a Registry,
+    /// Where plans are made and run.
+    pub context: SessionContext,
+    /// The tables of the unit's logs.
+    pub logs: BTreeMap<String, Arc<dyn TableProvider>>,
+}
+
+impl Tables<'_> {
+    /// The rows of a table that are read, with the columns that are.
+    ///
+    /// # Errors
+    /// A bug fault for a table that the unit was not given, or what keeps it from being opened.
+    pub async fn rows(&self, read: &Read) -> Result<DataFrame, Fault> {
+        let (frame, extents, without): (_, Vec<Extent<'_>>, &[String]) = match &read.table {
+            Input::Source(name) => {
+                let missing = || Fault::bug(format!("the unit has no log with {name}"));
+                let table = Arc::clone(self.logs.get(name).ok_or_else(missing)?);
+                let frame = self.context.read_table(table);
+                let frame = frame.or_fault()?;
+                (frame, extents_of_logs(&self.unit.recipe.logs), &[])
+            }
+            Input::Step(name) => {
+                let artifacts = self.unit.tables.get(name).map_or(&[][..], Vec::as_slice);
+                let frame = self.artifacts(artifacts, None).await?;
+                (frame, extents_of(artifacts), &[])
+            }
+            Input::Previous(name) => {
+                let missing = || Fault::bug(format!("no previous {name}"));
+                let layer = self.unit.previous.get(name).ok_or_else(missing)?;
+                let frame = self.artifacts(&layer.artifacts, layer.op.as_deref());
+                (frame.await?, extents_of(&layer.artifacts), &layer.without)
+            }
+        };
+        let frame = self.narrowed(frame, &extents, read.reach)?;
+        projected(without_sessions(frame, without)?, &read.columns)
+    }
+
+    /// Rows of more than is wanted are filtered.
+    fn narrowed(
+        &self,
+        frame: DataFrame,
+        extents: &[Extent<'_>],
+        reach: Reach,
+    ) -> Result<DataFrame, Fault> {
+        let recipe = &self.unit.recipe;
+        let many = extents.len() > 1;
+        let (column, value) = match (reach, &recipe.session, &recipe.site) {
+            (Reach::Session, Some(session), _)
+                if many || extents.iter().any(|extent| extent.0.is_none()) =>
+            {
+                ("session", session)
+            }
+            (_, _, Some(site)) if extents.iter().any(|extent| extent.1.is_none()) => ("site", site),
+            _ => return Ok(frame),
+        };
+        if !has(&frame, column) {
+            return Ok(frame);
+        }
+        let filtered = frame.filter(ident(column).eq(lit(value.clone())));
+        filtered.or_fault()
+    }
+
+    async fn artifacts(
+        &self,
+        artifacts: &[Artifact],
+        op: Option<&str>,
+    ) -> Result<DataFrame, Fault> {
+        if !artifacts.is_empty() {
+            return read_artifacts(&self.context, self.store, artifacts).await;
+        }
+        let schema = match op {
+            Some(op) => self.registry.get(op)?.output.schema(),
+            None => Arc::new(Schema::empty()),
+        };
+        let empty = self.context.read_batch(RecordBatch::new_empty(schema));
+        empty.or_fault()
+    }
+}
+
+fn extents_of(artifacts: &[Artifact]) -> Vec<Extent<'_>> {
+    artifacts
+        .iter()
+        .map(|artifact| (artifact.session.as_ref(), artifact.site.as_ref()))
+        .collect()
+}
+
+fn extents_of_logs(logs: &[LogContent]) -> Vec<Extent<'_>> {
+    logs.iter()
+        .map(|log| (Some(&log.session), Some(&log.site)))
+        .collect()
+}
+
+fn has(frame: &DataFrame, column: &str) -> bool {
+    frame.schema().field_with_unqualified_name(column).is_ok()
+}
+
+fn without_sessions(frame: DataFrame, without: &[String]) -> Result<DataFrame, Fault> {
+    if without.is_empty() || !has(&frame, "session") {
+        return Ok(frame);
+    }
+    let without = without.iter().map(|session| lit(session.clone())).collect();
+    let filtered = frame.filter(ident("session").in_list(without, true));
+    filtered.or_fault()
+}
+
+/// The table with just these columns, as far as it has them; all where none are named.
+fn projected(frame: DataFrame, columns: &[String]) -> Result<DataFrame, Fault> {
+    if columns.is_empty() {
+        return Ok(frame);
+    }
+    let kept: Vec<_> = columns
+        .iter()
+        .filter(|column| has(&frame, column))
+        .collect();
+    let projected = frame.select(kept.into_iter().map(ident));
+    projected.or_fault()
+}
