@@ -22,18 +22,14 @@ fn every_shipped_plan_checks_and_its_tests_pass() {
     }
 }
 
-/// The steps of a plan as text, by name.
+/// The steps of a shipped plan as composed, as text, by name.
 fn steps(plan: &str) -> std::collections::BTreeMap<String, String> {
-    let path = repository().join(format!("plans/library/{plan}.yaml"));
-    let text = std::fs::read_to_string(path).unwrap();
+    let text = evermap(&["explain", plan]).expect(0).stdout;
     let text = text.split("\nsteps:\n").nth(1).unwrap();
     let text = text.split("\nwrite:").next().unwrap();
     let mut steps = std::collections::BTreeMap::<String, String>::new();
     let mut name = String::new();
-    for line in text
-        .lines()
-        .filter(|line| !line.trim_start().starts_with('#'))
-    {
+    for line in text.lines() {
         if line.starts_with("  ") && !line.starts_with("   ") {
             name = line.trim().trim_end_matches(':').to_owned();
         } else {
@@ -57,14 +53,75 @@ fn plans_share_the_steps_of_the_metric_map() {
     for (name, step) in steps("metric_map") {
         let mut other = lifelong[&name].clone();
         for port in [
-            "localisations: localisations\n",
-            "previous: previous.adjusted_poses\n",
-            ", previous: previous.map_frames",
+            "localisations: localisations",
+            "previous: previous.adjusted_poses",
+            "previous: previous.map_frames",
         ] {
             other = other.replace(port, "");
         }
         let flat = |text: &str| text.replace(['\n', ' ', ',', '{', '}'], "");
         assert_eq!(flat(&other), flat(&step), "{name}");
+    }
+}
+
+/// Two plans in a folder, the second beside the first; the path of the first.
+fn plans(folder: &tempfile::TempDir, texts: [&str; 2]) -> std::path::PathBuf {
+    let path = folder.path().join("plan.yaml");
+    std::fs::write(&path, texts[0]).unwrap();
+    std::fs::write(folder.path().join("base.yaml"), texts[1]).unwrap();
+    path
+}
+
+#[test]
+fn a_plan_extends_a_file_beside_it_which_extends_one_that_ships() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = plans(
+        &folder,
+        [
+            "plan: denser\nextends: base.yaml\ndefaults: { baseline_m: 0.5 }\ndrop: [intersections]\n",
+            "plan: base\nextends: trajectory\nsteps:\n  keyframes: { with: { baseline_m: 0.1 } }\n  \
+             drives: { sql: SELECT DISTINCT session FROM poses }\nwrite: [drives]\n",
+        ],
+    );
+    evermap(&["check", text(&plan)]).expect(0);
+    evermap(&["test", text(&plan)]).expect(0);
+    let composed = evermap(&["explain", text(&plan), "--set", "lanes.connect_m=3"]).expect(0);
+    let expected = "plan: denser\n\
+         doc: |\n  The road network of any log with odometry: where the vehicle drove, which lanes that makes, and \
+         where they meet. Needs no camera.\n\
+         steps:\n  \
+         keyframes:\n    op: keyframes\n    in: { odometry: odometry }\n    with: { baseline_m: 0.1 }\n  \
+         poses:\n    sql: |\n      SELECT site, session, stamp, odom_from_vehicle AS map_from_vehicle FROM keyframes\n  \
+         lanes:\n    op: road_network\n    in: { poses: poses }\n    with: { connect_m: 3 }\n  \
+         drives:\n    sql: |-\n      SELECT DISTINCT session FROM poses\n\
+         write: [poses, lanes, drives]\n";
+    assert_eq!(composed.stdout, expected);
+    let again = folder.path().join("composed.yaml");
+    std::fs::write(&again, &composed.stdout).unwrap();
+    let again = evermap(&["explain", text(&again)]).expect(0);
+    assert_eq!(again.stdout, expected);
+}
+
+#[test]
+fn faults_of_what_a_plan_extends_are_told_where_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = plans(
+        &folder,
+        [
+            "plan: plan\nextends: base.yaml\nsteps:\n  lanes:\n    with: { connect_m: -1 }\n",
+            "plan: base\nextends: trajectory\nsteps:\n  more:\n    sql: SELECT nothing FROM lanes\nwrite: [more]\n",
+        ],
+    );
+    let told = evermap(&["check", text(&plan)]).expect(1);
+    assert!(told.stderr.contains("plan.yaml:5:24"), "{}", told.stderr);
+    // What only compiling shows, too.
+    std::fs::write(&plan, "plan: plan\nextends: base.yaml\n").unwrap();
+    let told = evermap(&["check", text(&plan)]).expect(1);
+    assert!(told.stderr.contains("base.yaml:4:3"), "{}", told.stderr);
+    std::fs::write(&plan, "plan: plan\nextends: bases.yaml\n").unwrap();
+    let told = evermap(&["check", text(&plan)]).expect(1);
+    for needle in ["plan.yaml:2:10", "bases.yaml", "lifelong"] {
+        assert!(told.stderr.contains(needle), "{}", told.stderr);
     }
 }
 

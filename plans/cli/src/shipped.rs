@@ -1,7 +1,10 @@
 //! Plans by path, or by name where they ship with the program.
 
+use std::io::Read;
+use std::path::Path;
+
 use evermap_engine::prepare::PlanText;
-use evermap_language::utf8;
+use evermap_language::{PlanFaults, Source, utf8};
 use evermap_schemas::Fault;
 
 use crate::ending::Failure;
@@ -14,34 +17,57 @@ pub const PLANS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/plans.rs"
 /// # Errors
 /// A user fault that names the plans that ship, or the file's first byte that is no text.
 pub fn read(plan: &str, settings: Vec<String>) -> Result<PlanText, Failure> {
-    let shipped = PLANS.iter().find(|(name, _)| *name == plan);
-    let file = std::path::Path::new(plan);
-    if let (Some((name, text)), false) = (shipped, file.is_file()) {
-        return Ok(PlanText {
-            text: (*text).to_owned(),
-            origin: format!("{name}.yaml"),
-            settings,
-        });
-    }
-    let bytes = match plan {
-        "-" => std::io::read_to_string(std::io::stdin()).map(String::into_bytes),
-        _ => std::fs::read(file),
+    let (origin, bytes) = match plan {
+        "-" => (plan.to_owned(), standard_input()?),
+        _ => file_or_shipped(Path::new(plan), plan)?,
     };
-    let bytes = bytes.map_err(|error| {
+    let source = source(origin, &bytes).map_err(|faults| Failure::Plan(faults.pretty()))?;
+    Ok(PlanText {
+        source,
+        find,
+        settings,
+    })
+}
+
+/// The plan that another extends: a path relative to it, or the name of a plan that ships.
+fn find(name: &str, extended_by: &str) -> Result<Source, String> {
+    let folder = Path::new(extended_by).parent().unwrap_or(Path::new(""));
+    let found = file_or_shipped(&folder.join(name), name);
+    let (origin, bytes) = found.map_err(|fault| fault.to_string())?;
+    source(origin, &bytes).map_err(|faults| faults.to_string())
+}
+
+fn source(origin: String, bytes: &[u8]) -> Result<Source, PlanFaults> {
+    let text = utf8(bytes, &origin)?.to_owned();
+    Ok(Source { origin, text })
+}
+
+fn standard_input() -> Result<Vec<u8>, Fault> {
+    let mut bytes = Vec::new();
+    match std::io::stdin().read_to_end(&mut bytes) {
+        Ok(_) => Ok(bytes),
+        Err(error) => Err(Fault::user(format!("cannot read the plan: {error}"))),
+    }
+}
+
+/// Where a plan is from, and its bytes.
+fn file_or_shipped(file: &Path, name: &str) -> Result<(String, Vec<u8>), Fault> {
+    let shipped = PLANS.iter().find(|(shipped, _)| *shipped == name);
+    if let (Some((name, text)), false) = (shipped, file.is_file()) {
+        return Ok((
+            format!("plans/library/{name}.yaml"),
+            text.as_bytes().to_vec(),
+        ));
+    }
+    let bytes = std::fs::read(file).map_err(|error| {
         let names: Vec<_> = PLANS.iter().map(|(name, _)| *name).collect();
-        Fault::user(format!("cannot read the plan {plan}: {error}")).next(format!(
+        let file = file.display();
+        Fault::user(format!("cannot read the plan {file}: {error}")).next(format!(
             "give a YAML file, or one of the plans that ship: {}",
             names.join(", ")
         ))
     })?;
-    let text = utf8(&bytes, plan)
-        .map_err(|faults| Failure::Plan(faults.pretty()))?
-        .to_owned();
-    Ok(PlanText {
-        text,
-        origin: plan.to_owned(),
-        settings,
-    })
+    Ok((file.display().to_string(), bytes))
 }
 
 #[cfg(test)]
@@ -72,8 +98,25 @@ mod tests {
         assert!(matches!(refused, Err(Failure::Plan(text)) if text.contains("UTF-8")));
         std::fs::write(&path, "plan: a").unwrap();
         assert_eq!(
-            read(path.to_str().unwrap(), vec![]).unwrap().text,
+            read(path.to_str().unwrap(), vec![]).unwrap().source.text,
             "plan: a"
         );
+    }
+
+    #[test]
+    fn what_a_plan_extends_is_beside_it_or_ships() {
+        let folder = tempfile::tempdir().unwrap();
+        let (plan, base) = (
+            folder.path().join("a.yaml"),
+            folder.path().join("base.yaml"),
+        );
+        std::fs::write(&base, "plan: base").unwrap();
+        let found = |name: &str| find(name, plan.to_str().unwrap());
+        assert_eq!(found("base.yaml").unwrap().text, "plan: base");
+        let shipped = found("lifelong").unwrap();
+        assert_eq!(shipped.origin, "plans/library/lifelong.yaml");
+        assert!(found("no_such_plan").unwrap_err().contains("car_park"));
+        std::fs::write(&base, b"\xff").unwrap();
+        assert!(found("base.yaml").unwrap_err().contains("UTF-8"));
     }
 }

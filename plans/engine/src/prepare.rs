@@ -7,8 +7,11 @@ use std::path::{Path, PathBuf};
 use evermap_contract::Registry;
 use evermap_datasets::manifest::{ManifestRoles, ManifestSession};
 use evermap_datasets::{Dataset, Manifest, Session};
-use evermap_language::{Faults, OperatorSpec, Plan, PortSpec, Vocabulary};
+use evermap_language::{
+    Host, OperatorSpec, ParameterFault, Plan, PlanFaults, PortSpec, Source, Vocabulary,
+};
 use evermap_schemas::Fault;
+use serde_json::Value;
 
 use crate::digest::digest_of;
 use crate::fingerprint::{Fingerprint, fingerprint};
@@ -24,7 +27,7 @@ use crate::sql::{Limits, context, tables};
 #[derive(Debug)]
 pub enum Refusal {
     /// The plan's faults, all of them, with positions.
-    Plan(Box<Faults>),
+    Plan(Box<PlanFaults>),
     /// Anything else.
     Fault(Fault),
 }
@@ -35,8 +38,8 @@ impl From<Fault> for Refusal {
     }
 }
 
-impl From<Faults> for Refusal {
-    fn from(faults: Faults) -> Self {
+impl From<PlanFaults> for Refusal {
+    fn from(faults: PlanFaults) -> Self {
         Self::Plan(Box::new(faults))
     }
 }
@@ -52,13 +55,13 @@ impl fmt::Display for Refusal {
 
 impl std::error::Error for Refusal {}
 
-/// A plan's text, where it is from, and what overrides it.
-#[derive(Debug, Clone, Default)]
+/// A plan's text, where others are found, and what overrides it.
+#[derive(Debug, Clone)]
 pub struct PlanText {
     /// The YAML.
-    pub text: String,
-    /// Names the text in messages.
-    pub origin: String,
+    pub source: Source,
+    /// Finds the plan that another extends, as [`Host::plan`] does.
+    pub find: fn(&str, &str) -> Result<Source, String>,
     /// `step.param=value` options.
     pub settings: Vec<String>,
 }
@@ -92,7 +95,6 @@ pub fn vocabulary(registry: &Registry) -> Vocabulary {
             })
             .collect(),
         params: entry.params_schema.clone(),
-        defaults: entry.defaults.clone(),
     });
     Vocabulary {
         operators: operators.collect(),
@@ -101,18 +103,49 @@ pub fn vocabulary(registry: &Registry) -> Vocabulary {
     }
 }
 
+struct Surroundings<'a> {
+    plan: &'a PlanText,
+    registry: &'a Registry,
+}
+
+impl Host for Surroundings<'_> {
+    fn tables(&self, query: &str) -> Result<Vec<String>, String> {
+        tables(query)
+    }
+
+    fn parameter_faults(&self, operator: &str, params: &Value) -> Vec<ParameterFault> {
+        let Ok(entry) = self.registry.get(operator) else {
+            return Vec::new();
+        };
+        let given = params.as_object().into_iter().flatten();
+        let mut faults: Vec<_> = given
+            .filter(|(name, _)| entry.defaults.get(name).is_none())
+            .map(|(name, _)| ParameterFault {
+                parameter: name.clone(),
+                message: format!("no parameter `{name}`"),
+            })
+            .collect();
+        if let (Err(fault), true) = (entry.kernel(params), faults.is_empty()) {
+            faults.push(ParameterFault {
+                parameter: String::new(),
+                message: fault.message,
+            });
+        }
+        faults
+    }
+
+    fn plan(&self, name: &str, extended_by: &str) -> Result<Source, String> {
+        (self.plan.find)(name, extended_by)
+    }
+}
+
 /// Parses a plan and checks what its text alone shows.
 ///
 /// # Errors
 /// All its faults.
-pub fn parse(plan: &PlanText, registry: &Registry) -> Result<Plan, Faults> {
-    evermap_language::parse(
-        &plan.text,
-        &plan.origin,
-        &vocabulary(registry),
-        &tables,
-        &plan.settings,
-    )
+pub fn parse(plan: &PlanText, registry: &Registry) -> Result<Plan, PlanFaults> {
+    let host = Surroundings { plan, registry };
+    evermap_language::parse(&plan.source, &plan.settings, &vocabulary(registry), &host)
 }
 
 /// Parses and compiles a plan, on the tables of these sessions; none are needed unless the plan reads topics.
@@ -127,7 +160,7 @@ pub async fn check(
     let parsed = parse(plan, registry)?;
     let context = context(Limits::default())?;
     dataset.register(&context)?;
-    let program = compile(&parsed, registry, &context, &plan.origin, &plan.text).await?;
+    let program = compile(&parsed, registry, &context).await?;
     Ok((parsed, program))
 }
 
@@ -163,8 +196,8 @@ impl Prepared {
         let parsed = parse(plan, registry)?;
         let read;
         let manifest = match (manifest, &parsed.sessions) {
-            (None, Some(path)) => {
-                read = Manifest::load(&beside(&plan.origin, path))?;
+            (None, Some(named)) => {
+                read = Manifest::load(&beside(&named.origin, &named.path))?;
                 Some(&read)
             }
             (manifest, _) => manifest,
@@ -175,7 +208,7 @@ impl Prepared {
         let context = context(Limits::default())?;
         let given = Dataset::open(&context.runtime_env(), sessions, manifest).await?;
         given.register(&context)?;
-        let program = compile(&parsed, registry, &context, &plan.origin, &plan.text).await?;
+        let program = compile(&parsed, registry, &context).await?;
         let mut by_name = mapped_sessions(base.as_ref())?;
         let mut fresh = Vec::new();
         for session in &given.sessions {

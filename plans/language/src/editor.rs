@@ -22,35 +22,71 @@ pub fn json_schema(vocabulary: &Vocabulary) -> Value {
     definitions.insert("input".to_owned(), input(vocabulary));
     definitions.insert("test".to_owned(), test());
     definitions.insert("rows".to_owned(), rows());
+    let whole_step = json!({"anyOf": [{"required": ["op"]}, {"required": ["sql"]}]});
     json!({
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "evermap plan",
         "type": "object",
-        "required": ["plan", "steps", "write"],
+        "required": ["plan"],
         "additionalProperties": false,
         "properties": {
             "plan": {"type": "string", "pattern": NAME, "description": "Name of the plan."},
+            "extends": {
+                "type": "string",
+                "description": "The plan that this one changes: a path relative to it, or the name of one that ships.",
+            },
             "doc": {"type": "string", "description": "What the plan is for."},
             "sessions": {"type": "string", "description": "Path of a session manifest."},
+            "defaults": {
+                "type": ["object", "null"],
+                "description": "Parameters of all steps that have them and give no other value.",
+                "properties": defaults(vocabulary),
+                "additionalProperties": false,
+            },
             "steps": {
                 "type": "object",
                 "description": "Steps by name; each makes the layer of its name.",
-                "minProperties": 1,
                 "maxProperties": MOST_STEPS,
                 "propertyNames": {"pattern": NAME, "not": {"enum": vocabulary.sources}},
                 "additionalProperties": {"$ref": "#/$defs/step"},
             },
+            "drop": {
+                "type": "array",
+                "description": "Steps of the extended plan that this one does without.",
+                "items": {"type": "string"},
+            },
             "write": {
                 "type": "array",
-                "description": "The steps whose layers are published.",
+                "description": "The steps whose layers are published, beside those of the extended plan.",
                 "items": {"type": "string"},
                 "minItems": 1,
                 "uniqueItems": true,
             },
             "tests": {"type": "array", "items": {"$ref": "#/$defs/test"}},
         },
+        "if": {"required": ["extends"]},
+        "else": {
+            "required": ["steps", "write"],
+            "not": {"required": ["drop"]},
+            "properties": {"steps": {"minProperties": 1, "additionalProperties": whole_step}},
+        },
         "$defs": definitions,
     })
+}
+
+/// The parameters of all operators, each as one of them or another has it.
+fn defaults(vocabulary: &Vocabulary) -> Map<String, Value> {
+    let mut defaults = Map::new();
+    for operator in &vocabulary.operators {
+        for name in operator.parameter_names() {
+            let known = defaults.entry(name).or_insert_with(|| json!({"anyOf": []}));
+            if let Some(known) = known.get_mut("anyOf").and_then(Value::as_array_mut) {
+                let owner = format!("#/$defs/{}.with/properties/{name}", operator.name);
+                known.push(json!({"$ref": owner}));
+            }
+        }
+    }
+    defaults
 }
 
 fn step(vocabulary: &Vocabulary) -> Value {
@@ -62,16 +98,18 @@ fn step(vocabulary: &Vocabulary) -> Value {
     let cases: Vec<Value> = vocabulary.operators.iter().map(operator_case).collect();
     let query = json!({
         "if": {"required": ["sql"]},
-        "then": {"not": {"anyOf": [{"required": ["in"]}, {"required": ["with"]}]}},
+        "then": {"not": {"anyOf": [{"required": ["op"]}, {"required": ["in"]}, {"required": ["with"]}]}},
     });
     let conditions: Vec<Value> = cases.into_iter().chain([query]).collect();
     json!({
         "type": "object",
         "additionalProperties": false,
-        "oneOf": [{"required": ["op"]}, {"required": ["sql"]}],
         "properties": {
             "op": op,
-            "in": {"type": ["object", "null"], "description": "Port to layer."},
+            "in": {
+                "type": ["object", "null"],
+                "description": "Port to layer. A port that is not named takes the layer of its own name; an optional one stays open.",
+            },
             "with": {"type": ["object", "null"], "description": "Parameters of the operator."},
             "sql": {"type": "string", "minLength": 1, "description": "The query."},
         },
@@ -94,90 +132,29 @@ fn operator_case(operator: &OperatorSpec) -> Value {
         .iter()
         .map(|port| (port.name.clone(), json!({"$ref": "#/$defs/input"})))
         .collect();
-    let ports_needed: Vec<&str> = operator
-        .ports
-        .iter()
-        .filter(|port| !port.optional)
-        .map(|port| port.name.as_str())
-        .collect();
-    let parameters_needed = !needed_parameters(operator).is_empty();
-    let needed: Vec<&str> = [
-        ("in", !ports_needed.is_empty()),
-        ("with", parameters_needed),
-    ]
-    .into_iter()
-    .filter_map(|(key, needed)| needed.then_some(key))
-    .collect();
-    let nullable = |needed: bool| {
-        if needed {
-            json!("object")
-        } else {
-            json!(["object", "null"])
-        }
-    };
-    let with = json!({"$ref": format!("#/$defs/{}", operator.name.clone() + ".with")});
-    let with = match parameters_needed {
-        true => with,
-        false => json!({"anyOf": [with, {"type": "null"}]}),
-    };
+    let with = format!("#/$defs/{}.with", operator.name);
     json!({
         "if": {"properties": {"op": {"const": operator.name}}, "required": ["op"]},
         "then": {
-            "required": needed,
             "properties": {
-                "in": {
-                    "type": nullable(!ports_needed.is_empty()),
-                    "properties": ports,
-                    "required": ports_needed,
-                    "additionalProperties": false,
-                },
-                "with": with,
+                "in": {"properties": ports, "additionalProperties": false},
+                "with": {"anyOf": [{"$ref": with}, {"type": "null"}]},
             },
         },
     })
 }
 
-/// Required parameters without a default.
-fn needed_parameters(operator: &OperatorSpec) -> Vec<Value> {
-    let required = operator.params.get("required").and_then(Value::as_array);
-    let has_no_default = |name: &&Value| {
-        name.as_str()
-            .is_some_and(|name| operator.default_of(name).is_none())
-    };
-    required
-        .into_iter()
-        .flatten()
-        .filter(has_no_default)
-        .cloned()
-        .collect()
-}
-
 /// Adds `OPERATOR.with` and, as `OPERATOR.NAME`, what the operator's schema refers to.
 fn add_parameters(operator: &OperatorSpec, definitions: &mut Map<String, Value>) {
     let mut schema = operator.params.clone();
-    let needed = needed_parameters(operator);
-    let mut own = Map::new();
+    adopt(&mut schema, &operator.name);
     if let Some(object) = schema.as_object_mut() {
         object.shift_remove("$schema");
-        own = match object.shift_remove("$defs") {
-            Some(Value::Object(own)) => own,
-            _ => Map::new(),
-        };
-        object.insert("required".to_owned(), Value::Array(needed));
-    }
-    let properties = schema.get_mut("properties").and_then(Value::as_object_mut);
-    for (name, property) in properties.into_iter().flatten() {
-        if let (Some(default), Some(property)) =
-            (operator.default_of(name), property.as_object_mut())
-        {
-            property.insert("default".to_owned(), default.clone());
+        if let Some(Value::Object(own)) = object.shift_remove("$defs") {
+            let named = |(name, schema)| (format!("{}.{name}", operator.name), schema);
+            definitions.extend(own.into_iter().map(named));
         }
     }
-    for (name, mut definition) in own {
-        adopt(&mut definition, &operator.name);
-        definitions.insert(format!("{}.{name}", operator.name), definition);
-    }
-    adopt(&mut schema, &operator.name);
     definitions.insert(format!("{}.with", operator.name), schema);
 }
 
@@ -216,7 +193,7 @@ fn adopt(schema: &mut Value, operator: &str) {
 
 fn input(vocabulary: &Vocabulary) -> Value {
     json!({
-        "type": "string",
+        "type": ["string", "null"],
         "description": "A step, a source, or `previous.LAYER` of the version of the map before.",
         "examples": vocabulary.sources,
     })

@@ -1,6 +1,6 @@
-//! Faults: what is wrong with a text, where, and what was probably meant.
+//! Faults: what is wrong with a plan, where, and what was probably meant.
 //!
-//! Every check appends to one [`Faults`] and goes on, so that a person mends a file in one
+//! Every check appends to one [`PlanFaults`] and goes on, so that a person mends a file in one
 //! go instead of once per mistake.
 
 use std::fmt;
@@ -10,9 +10,20 @@ use crate::suggest;
 /// Faults beyond this many are counted, not kept: a binary file is not worth a longer list.
 const MOST_KEPT: usize = 1000;
 
+/// A text and where it is from.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Source {
+    /// Names the text in messages: the path of a file.
+    pub origin: String,
+    /// The text.
+    pub text: String,
+}
+
 /// A place in a text: line and column, both counted from 1, columns in characters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Position {
+    /// Which text: 0 is the plan itself, 1 the one that it extends, and so on.
+    pub source: usize,
     /// Line, from 1.
     pub line: usize,
     /// Column in characters, from 1.
@@ -28,16 +39,24 @@ pub enum Place {
     Setting(usize),
 }
 
-impl Place {
-    /// The first character of the text.
-    pub const START: Self = Self::Text(Position { line: 1, column: 1 });
+impl Position {
+    /// The first character of a text.
+    pub(crate) fn start_of(source: usize) -> Self {
+        Self {
+            source,
+            line: 1,
+            column: 1,
+        }
+    }
+}
 
-    /// The position in the text; the start of the text for a value set by an option.
+impl Place {
+    /// The position in a text; the start of the plan for a value set by an option.
     #[must_use]
     pub fn position(self) -> Position {
         match self {
             Self::Text(position) => position,
-            Self::Setting(_) => Position { line: 1, column: 1 },
+            Self::Setting(_) => Position::start_of(0),
         }
     }
 }
@@ -53,7 +72,7 @@ pub enum Severity {
 
 /// One thing that is wrong.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Fault {
+pub struct PlanFault {
     /// Where.
     pub place: Place,
     /// Error or warning.
@@ -64,27 +83,36 @@ pub struct Fault {
     pub suggestion: Option<String>,
 }
 
-/// All faults of one text. Displayed as `origin:line:column: message; suggestion`, one a line.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Faults {
-    origin: String,
-    text: String,
+/// All faults of a plan. Displayed as `origin:line:column: message; suggestion`, one a line.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct PlanFaults {
+    sources: Vec<Source>,
     settings: Vec<String>,
-    kept: Vec<Fault>,
+    kept: Vec<PlanFault>,
     omitted: usize,
 }
 
-impl Faults {
-    /// No faults yet, of `text`, which came from `origin` (a file name, for messages).
+impl PlanFaults {
+    /// No faults yet, in the same texts.
     #[must_use]
-    pub fn new(origin: &str, text: &str) -> Self {
+    pub fn none_yet(&self) -> Self {
         Self {
-            origin: origin.to_owned(),
-            text: text.to_owned(),
-            settings: Vec::new(),
-            kept: Vec::new(),
-            omitted: 0,
+            sources: self.sources.clone(),
+            settings: self.settings.clone(),
+            ..Self::default()
         }
+    }
+
+    /// Adds a text that faults can point to; its number is that of [`Position::source`].
+    pub(crate) fn open(&mut self, source: Source) -> usize {
+        self.sources.push(source);
+        self.sources.len() - 1
+    }
+
+    /// Where the text at a place is from.
+    pub(crate) fn origin(&self, place: Place) -> &str {
+        let source = self.sources.get(place.position().source);
+        source.map_or("", |source| source.origin.as_str())
     }
 
     /// Names the `--set` options that [`Place::Setting`] counts.
@@ -130,7 +158,7 @@ impl Faults {
         self.unknown_as(Severity::Error, place, message, name, known);
     }
 
-    /// As [`Faults::unknown`], with the severity given.
+    /// As [`PlanFaults::unknown`], with the severity given.
     pub fn unknown_as<'k>(
         &mut self,
         severity: Severity,
@@ -160,7 +188,7 @@ impl Faults {
             self.omitted += 1;
             return;
         }
-        self.kept.push(Fault {
+        self.kept.push(PlanFault {
             place,
             severity,
             message,
@@ -168,32 +196,19 @@ impl Faults {
         });
     }
 
-    /// Takes over the faults of a trial, such as one alternative of a schema.
-    pub(crate) fn append(&mut self, trial: Self) {
-        self.omitted += trial.omitted;
-        for fault in trial.kept {
-            self.push(fault.place, fault.severity, fault.message, fault.suggestion);
-        }
-    }
-
-    /// An empty list for a trial whose faults may be thrown away.
-    pub(crate) fn trial() -> Self {
-        Self::new("", "")
-    }
-
-    /// The faults, in the order of the text once sorted by [`Faults::settle`].
-    pub fn iter(&self) -> impl Iterator<Item = &Fault> {
+    /// The faults, in the order of the text once sorted by [`PlanFaults::settle`].
+    pub fn iter(&self) -> impl Iterator<Item = &PlanFault> {
         self.kept.iter()
     }
 
     /// The faults that refuse the plan.
-    pub fn errors(&self) -> impl Iterator<Item = &Fault> {
+    pub fn errors(&self) -> impl Iterator<Item = &PlanFault> {
         self.iter()
             .filter(|fault| fault.severity == Severity::Error)
     }
 
     /// The faults that do not.
-    pub fn warnings(&self) -> impl Iterator<Item = &Fault> {
+    pub fn warnings(&self) -> impl Iterator<Item = &PlanFault> {
         self.iter()
             .filter(|fault| fault.severity == Severity::Warning)
     }
@@ -214,7 +229,7 @@ impl Faults {
     #[must_use]
     pub fn settle(mut self) -> Self {
         self.kept.sort_by_key(|fault| (fault.place, fault.severity));
-        let mut settled: Vec<Fault> = Vec::with_capacity(self.kept.len());
+        let mut settled: Vec<PlanFault> = Vec::with_capacity(self.kept.len());
         for fault in self.kept.drain(..) {
             let same_place = settled
                 .iter()
@@ -242,7 +257,9 @@ impl Faults {
 
     fn place_name(&self, place: Place) -> String {
         match place {
-            Place::Text(Position { line, column }) => format!("{}:{line}:{column}", self.origin),
+            Place::Text(Position { line, column, .. }) => {
+                format!("{}:{line}:{column}", self.origin(place))
+            }
             Place::Setting(index) => match self.settings.get(index) {
                 Some(setting) => format!("--set {}", suggest::printable(setting)),
                 None => "--set".to_owned(),
@@ -253,14 +270,24 @@ impl Faults {
     fn write_omitted(&self, out: &mut impl fmt::Write) -> fmt::Result {
         match self.omitted {
             0 => Ok(()),
-            omitted => writeln!(out, "{}: … and {omitted} more", self.origin),
+            omitted => {
+                let origin = self
+                    .sources
+                    .first()
+                    .map_or("", |source| source.origin.as_str());
+                writeln!(out, "{origin}: … and {omitted} more")
+            }
         }
     }
 
     /// The long form for a terminal: each fault with its source line and a mark under it.
     #[must_use]
     pub fn pretty(&self) -> String {
-        let lines: Vec<&str> = self.text.lines().collect();
+        let lines: Vec<Vec<&str>> = self
+            .sources
+            .iter()
+            .map(|source| source.text.lines().collect())
+            .collect();
         let mut out = String::new();
         for fault in &self.kept {
             self.pretty_fault(fault, &lines, &mut out);
@@ -270,7 +297,7 @@ impl Faults {
         out
     }
 
-    fn pretty_fault(&self, fault: &Fault, lines: &[&str], out: &mut String) {
+    fn pretty_fault(&self, fault: &PlanFault, lines: &[Vec<&str>], out: &mut String) {
         let kind = match fault.severity {
             Severity::Error => "error",
             Severity::Warning => "warning",
@@ -279,7 +306,8 @@ impl Faults {
         out.push_str(&format!("{kind}: {}\n  --> {place}\n", fault.message));
         let source = match fault.place {
             Place::Text(position) => lines
-                .get(position.line.wrapping_sub(1))
+                .get(position.source)
+                .and_then(|lines| lines.get(position.line.wrapping_sub(1)))
                 .map(|line| (position, *line)),
             Place::Setting(_) => None,
         };
@@ -321,7 +349,7 @@ fn marked_line(position: Position, line: &str, hint: &str) -> String {
     )
 }
 
-impl fmt::Display for Faults {
+impl fmt::Display for PlanFaults {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for fault in &self.kept {
             let place = self.place_name(fault.place);
@@ -339,4 +367,4 @@ impl fmt::Display for Faults {
     }
 }
 
-impl std::error::Error for Faults {}
+impl std::error::Error for PlanFaults {}

@@ -4,11 +4,11 @@ mod order;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::fault::{Faults, Place, Severity};
+use crate::fault::{Place, PlanFaults, Severity};
 use crate::plan::{Body, Input, Plan, PlanTest, Step};
 use crate::suggest::quoted;
 use crate::vocabulary::Vocabulary;
-use crate::written::{Named, Written, WrittenStep, WrittenTest};
+use crate::written::{Named, Written, WrittenInput, WrittenStep, WrittenTest};
 
 /// Names that can be read.
 struct Names<'n> {
@@ -19,7 +19,11 @@ struct Names<'n> {
 }
 
 /// Resolves every name, records what is wrong, and makes the plan if nothing was.
-pub(crate) fn plan(written: Written, vocabulary: &Vocabulary, faults: &mut Faults) -> Option<Plan> {
+pub(crate) fn plan(
+    written: Written,
+    vocabulary: &Vocabulary,
+    faults: &mut PlanFaults,
+) -> Option<Plan> {
     let in_order: Vec<&str> = written.steps.iter().map(|s| s.name.name.as_str()).collect();
     let names = Names {
         steps: in_order
@@ -66,7 +70,7 @@ pub(crate) fn plan(written: Written, vocabulary: &Vocabulary, faults: &mut Fault
         name: written.name,
         doc: written.doc,
         sessions: written.sessions,
-        warnings: Faults::new("", ""),
+        warnings: PlanFaults::default(),
     })
 }
 
@@ -75,7 +79,7 @@ fn finished(step: &WrittenStep, resolved: Vec<Option<Input>>) -> Option<Step> {
     let resolved: Vec<Input> = resolved.into_iter().collect::<Option<_>>()?;
     let body = match step.body.clone()? {
         Body::Op { op, params, .. } => {
-            let ports = step.inputs.iter().map(|(port, _)| port.clone());
+            let ports = step.inputs.iter().map(|input| input.port.clone());
             let inputs = ports.zip(resolved).collect();
             Body::Op { op, inputs, params }
         }
@@ -92,19 +96,31 @@ fn finished(step: &WrittenStep, resolved: Vec<Option<Input>>) -> Option<Step> {
 }
 
 impl Names<'_> {
-    fn inputs(&self, step: &WrittenStep, faults: &mut Faults) -> Vec<Option<Input>> {
-        let resolve = |(port, named): &(String, Named)| {
-            let what = match port.as_str() {
+    fn inputs(&self, step: &WrittenStep, faults: &mut PlanFaults) -> Vec<Option<Input>> {
+        let resolve = |input: &WrittenInput| {
+            let what = match input.port.as_str() {
                 "" => format!("the query of {}", quoted(&step.name.name)),
                 port => format!("port {}", quoted(port)),
             };
-            self.input(named, &what, faults)
+            if input.is_implied && !self.has_table_for(input, step) {
+                let message = format!("{what} is not connected, and no other table has its name");
+                faults.error(input.table.place, message);
+                return None;
+            }
+            self.input(&input.table, &what, faults)
         };
         step.inputs.iter().map(resolve).collect()
     }
 
+    /// Whether there is a table of a port's own name, which is not the step that has the port.
+    fn has_table_for(&self, port: &WrittenInput, step: &WrittenStep) -> bool {
+        let name = port.table.name.as_str();
+        let is_other_step = self.steps.contains_key(name) && name != step.name.name;
+        is_other_step || self.vocabulary.is_source(name)
+    }
+
     /// What a name that is read stands for.
-    fn input(&self, named: &Named, what: &str, faults: &mut Faults) -> Option<Input> {
+    fn input(&self, named: &Named, what: &str, faults: &mut PlanFaults) -> Option<Input> {
         let name = named.name.as_str();
         if let Some(layer) = name.strip_prefix(Input::PREVIOUS) {
             return self.previous(layer, named.place, faults);
@@ -130,7 +146,7 @@ impl Names<'_> {
     }
 
     /// Another plan may have published the layer, so that an unknown name is only a warning.
-    fn previous(&self, layer: &str, place: Place, faults: &mut Faults) -> Option<Input> {
+    fn previous(&self, layer: &str, place: Place, faults: &mut PlanFaults) -> Option<Input> {
         if layer.is_empty() {
             faults.error(place, "`previous.` must be followed by the name of a layer");
             return None;
@@ -157,7 +173,7 @@ impl Names<'_> {
     }
 
     /// A name that must be a step; `what` is what names it.
-    fn step(&self, named: &Named, what: &str, faults: &mut Faults) -> Option<usize> {
+    fn step(&self, named: &Named, what: &str, faults: &mut PlanFaults) -> Option<usize> {
         let name = named.name.as_str();
         if let Some(index) = self.steps.get(name) {
             return Some(*index);
@@ -175,7 +191,7 @@ impl Names<'_> {
         None
     }
 
-    fn write(&self, write: &[Named], faults: &mut Faults) -> Vec<usize> {
+    fn write(&self, write: &[Named], faults: &mut PlanFaults) -> Vec<usize> {
         let mut seen = BTreeSet::new();
         let mut indices = Vec::new();
         for named in write {
@@ -189,7 +205,7 @@ impl Names<'_> {
         indices
     }
 
-    fn test(&self, test: &WrittenTest, faults: &mut Faults) -> Option<PlanTest> {
+    fn test(&self, test: &WrittenTest, faults: &mut PlanFaults) -> Option<PlanTest> {
         let mut given = Vec::new();
         let mut sound = true;
         for (named, rows) in &test.given {
@@ -222,7 +238,7 @@ impl Names<'_> {
         steps: &[WrittenStep],
         reads: &[Vec<usize>],
         write: &[usize],
-        faults: &mut Faults,
+        faults: &mut PlanFaults,
     ) {
         let read: BTreeSet<usize> = reads.iter().flatten().copied().collect();
         let needed = order::reachable(reads, write);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::fault::{Faults, Position};
+use crate::fault::{PlanFaults, Position};
 
 /// How far numbers in a plan's test may be apart when the test does not say.
 pub const DEFAULT_TOLERANCE: f64 = 1e-9;
@@ -17,8 +17,8 @@ pub struct Plan {
     pub name: String,
     /// What it is for.
     pub doc: Option<String>,
-    /// Path of a session manifest, as written.
-    pub sessions: Option<String>,
+    /// The session manifest.
+    pub sessions: Option<ManifestPath>,
     /// The steps, each after all it reads; otherwise in written order.
     pub steps: Vec<Step>,
     /// The steps whose layers are published, in written order.
@@ -26,7 +26,16 @@ pub struct Plan {
     /// Tests of the plan.
     pub tests: Vec<PlanTest>,
     /// What is allowed but probably not meant.
-    pub warnings: Faults,
+    pub warnings: PlanFaults,
+}
+
+/// Path of a session manifest.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ManifestPath {
+    /// The path, as written.
+    pub path: String,
+    /// Origin of the plan that it is written in.
+    pub origin: String,
 }
 
 /// One step: it makes the layer of its name.
@@ -49,8 +58,7 @@ pub enum Body {
         op: String,
         /// Port to layer. Optional ports may be absent.
         inputs: BTreeMap<String, Input>,
-        /// The parameters: an object, what is written over the operator's defaults, each
-        /// parameter as a whole.
+        /// The parameters that the plan gives, an object; the others have the operator's defaults.
         params: Value,
     },
     /// A query.
@@ -118,6 +126,12 @@ impl Step {
 }
 
 impl Plan {
+    /// No faults yet, for a check that goes on with this plan.
+    #[must_use]
+    pub fn faults(&self) -> PlanFaults {
+        self.warnings.none_yet()
+    }
+
     /// The step of this name.
     #[must_use]
     pub fn step(&self, name: &str) -> Option<&Step> {

@@ -57,6 +57,11 @@ pub(crate) fn printable(name: &str) -> String {
     out
 }
 
+/// A message of another program, its line breaks and runs of spaces as single spaces.
+pub(crate) fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
 /// The names quoted and listed with commas: "`a`, `b`"; "none" when there are none.
 pub(crate) fn listed<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
     const MOST_LISTED: usize = 12;

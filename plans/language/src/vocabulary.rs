@@ -1,6 +1,8 @@
-//! What a plan may name: operators and source tables, described by the caller.
+//! What a plan may name, and whom the language asks about the rest.
 
-use serde_json::Value;
+use serde_json::{Map, Value};
+
+use crate::fault::Source;
 
 /// Everything plans can be written with. Its order is the order of suggestions and listings.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -20,11 +22,9 @@ pub struct OperatorSpec {
     pub name: String,
     /// Its inputs, in the operator's order.
     pub ports: Vec<PortSpec>,
-    /// JSON Schema of its parameters, an object, as schemars derives it. The object's
-    /// `description` is shown by editors as the operator's.
+    /// JSON Schema of its parameters, an object with `properties`, as schemars derives it. The
+    /// object's `description` is shown by editors as the operator's.
     pub params: Value,
-    /// An object with the values of parameters that are not written.
-    pub defaults: Value,
 }
 
 /// One named input of an operator.
@@ -34,6 +34,36 @@ pub struct PortSpec {
     pub name: String,
     /// Whether it may be left open.
     pub optional: bool,
+}
+
+/// What is wrong with a parameter.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ParameterFault {
+    /// Its name; empty where parameters do not make sense together.
+    pub parameter: String,
+    /// What was expected and what was found: one line, no full stop.
+    pub message: String,
+}
+
+/// Answers what the language does not know itself.
+pub trait Host {
+    /// The tables a query reads (not those it defines itself with `WITH`), under the names
+    /// that steps and sources have: `poses`, `/odom`, `previous.lanes`.
+    ///
+    /// # Errors
+    /// One sentence.
+    fn tables(&self, query: &str) -> Result<Vec<String>, String>;
+
+    /// All that is wrong with what a plan gives as parameters of an operator, a JSON object;
+    /// the others have their defaults.
+    fn parameter_faults(&self, operator: &str, params: &Value) -> Vec<ParameterFault>;
+
+    /// The plan that another one extends: by its name or by its path, relative to the origin
+    /// of the other one. One plan has one origin.
+    ///
+    /// # Errors
+    /// One sentence.
+    fn plan(&self, name: &str, extended_by: &str) -> Result<Source, String>;
 }
 
 impl Vocabulary {
@@ -68,8 +98,12 @@ impl OperatorSpec {
         self.ports.iter().find(|port| port.name == name)
     }
 
-    /// The default of a parameter, if it has one.
-    pub(crate) fn default_of(&self, parameter: &str) -> Option<&Value> {
-        self.defaults.get(parameter)
+    /// The names of its parameters.
+    pub(crate) fn parameter_names(&self) -> impl Iterator<Item = &str> {
+        let properties = self.params.get("properties").and_then(Value::as_object);
+        properties
+            .into_iter()
+            .flat_map(Map::keys)
+            .map(String::as_str)
     }
 }

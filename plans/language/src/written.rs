@@ -3,19 +3,22 @@
 mod step;
 mod table;
 
-use crate::SqlTables;
-use crate::fault::{Faults, Place};
-use crate::plan::{Body, DEFAULT_TOLERANCE, Row};
-use crate::suggest::quoted;
-use crate::vocabulary::Vocabulary;
-use crate::yaml::{Fields, Kind, Node};
+use std::collections::BTreeSet;
 
-/// The keys of a plan.
-pub(crate) const PLAN_KEYS: [&str; 6] = ["plan", "doc", "sessions", "steps", "write", "tests"];
+use crate::fault::{Place, PlanFaults};
+use crate::plan::{Body, DEFAULT_TOLERANCE, ManifestPath, Row};
+use crate::suggest::quoted;
+use crate::vocabulary::{Host, OperatorSpec, Vocabulary};
+use crate::yaml::{Entry, Fields, Kind, Node};
+
+/// The keys of a plan. A composed one has no `extends` and no `drop` any more.
+const PLAN_KEYS: [&str; 9] = [
+    "plan", "extends", "doc", "sessions", "defaults", "steps", "drop", "write", "tests",
+];
 /// The keys of a step.
-pub(crate) const STEP_KEYS: [&str; 4] = ["op", "in", "with", "sql"];
+const STEP_KEYS: [&str; 4] = ["op", "in", "with", "sql"];
 /// The keys of a test.
-pub(crate) const TEST_KEYS: [&str; 4] = ["name", "given", "expect", "tolerance"];
+const TEST_KEYS: [&str; 4] = ["name", "given", "expect", "tolerance"];
 /// More steps than this are refused; checking the graph takes time by its square at worst.
 pub(crate) const MOST_STEPS: usize = 4096;
 
@@ -30,7 +33,7 @@ pub(crate) struct Named {
 pub(crate) struct Written {
     pub name: String,
     pub doc: Option<String>,
-    pub sessions: Option<String>,
+    pub sessions: Option<ManifestPath>,
     pub steps: Vec<WrittenStep>,
     pub write: Vec<Named>,
     /// Whether all of `write` could be read, so that what it lacks is known to be lacking.
@@ -40,10 +43,18 @@ pub(crate) struct Written {
 
 pub(crate) struct WrittenStep {
     pub name: Named,
-    /// What is read: under which port (empty for queries), and what.
-    pub inputs: Vec<(String, Named)>,
+    pub inputs: Vec<WrittenInput>,
     /// The step, its inputs to be filled in; `None` if at fault.
     pub body: Option<Body>,
+}
+
+/// What a step reads.
+pub(crate) struct WrittenInput {
+    /// Under which port; empty for queries.
+    pub port: String,
+    pub table: Named,
+    /// Whether the port is not named, so that the table of its own name is meant.
+    pub is_implied: bool,
 }
 
 pub(crate) struct WrittenTest {
@@ -56,10 +67,17 @@ pub(crate) struct WrittenTest {
 /// What decoding needs beside the tree.
 pub(crate) struct Context<'c> {
     pub vocabulary: &'c Vocabulary,
-    pub sql_tables: SqlTables<'c>,
+    pub host: &'c dyn Host,
 }
 
-pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut Faults) -> Option<Written> {
+/// What steps are decoded with.
+struct StepContext<'c> {
+    around: &'c Context<'c>,
+    /// Parameters for all steps that have them.
+    defaults: &'c [Entry],
+}
+
+pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut PlanFaults) -> Option<Written> {
     let fields = Fields::of(root, "the plan", &PLAN_KEYS, faults)?;
     let name = fields
         .require("plan", "the plan", faults)
@@ -72,14 +90,23 @@ pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut Faults) -> O
     if let Some((entry, name)) = name {
         check_name(name, "a plan", entry.value.place, faults);
     }
-    let mut optional = |key: &str, what: &str| {
-        let entry = fields.get(key)?;
-        entry.value.text(what, faults).map(str::to_owned)
-    };
-    let doc = optional("doc", "`doc`");
-    let sessions = optional("sessions", "`sessions`");
+    let doc = fields.get("doc");
+    let doc = doc.and_then(|entry| entry.value.text("`doc`", faults));
+    let sessions = fields.get("sessions").and_then(|entry| {
+        Some(ManifestPath {
+            path: entry.value.text("`sessions`", faults)?.to_owned(),
+            origin: faults.origin(entry.value.place).to_owned(),
+        })
+    });
+    let defaults = fields.get("defaults");
+    let defaults = defaults.and_then(|entry| entry.value.mapping("`defaults`", faults));
+    let defaults = defaults.unwrap_or_default();
     let steps = fields.require("steps", "the plan", faults);
-    let steps = steps.map_or_else(Vec::new, |entry| steps_of(&entry.value, context, faults));
+    let steps = steps.map_or_else(Vec::new, |entry| {
+        check_defaults(defaults, &entry.value, context.vocabulary, faults);
+        let around = context;
+        steps_of(&entry.value, &StepContext { around, defaults }, faults)
+    });
     let write = fields.require("write", "the plan", faults);
     let before = faults.error_count();
     let named = write.and_then(|entry| write_of(&entry.value, faults));
@@ -88,7 +115,7 @@ pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut Faults) -> O
     let tests = tests.map_or_else(Vec::new, |entry| table::tests(&entry.value, faults));
     Some(Written {
         name: name.map_or_else(String::new, |(_, name)| name.to_owned()),
-        doc,
+        doc: doc.map(str::to_owned),
         sessions,
         steps,
         write: named.unwrap_or_default(),
@@ -98,7 +125,7 @@ pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut Faults) -> O
 }
 
 /// Names are `[a-z][a-z0-9_]*`: they are names of tables, files and columns.
-fn check_name(name: &str, what: &str, place: Place, faults: &mut Faults) -> bool {
+fn check_name(name: &str, what: &str, place: Place, faults: &mut PlanFaults) -> bool {
     const LONGEST: usize = 64;
     let starts_well = name.starts_with(|c: char| c.is_ascii_lowercase());
     let continues_well = name
@@ -140,7 +167,33 @@ fn mended(name: &str) -> Option<String> {
     (!mended.is_empty()).then(|| mended.to_owned())
 }
 
-fn steps_of(node: &Node, context: &Context<'_>, faults: &mut Faults) -> Vec<WrittenStep> {
+/// A default is a parameter of some step.
+fn check_defaults(
+    defaults: &[Entry],
+    steps: &Node,
+    vocabulary: &Vocabulary,
+    faults: &mut PlanFaults,
+) {
+    let Kind::Mapping(steps) = &steps.kind else {
+        return;
+    };
+    let operator = |step: &Entry| match &step.value.get("op")?.value.kind {
+        Kind::Text(name) => vocabulary.operator(name),
+        _ => None,
+    };
+    let operators = steps.iter().filter_map(operator);
+    let known: BTreeSet<&str> = operators.flat_map(OperatorSpec::parameter_names).collect();
+    for default in defaults {
+        if !known.contains(default.key.as_str()) {
+            let name = quoted(&default.key);
+            let message = format!("`defaults` sets {name}, which is a parameter of no step");
+            let known = known.iter().copied();
+            faults.unknown(default.place, message, &default.key, known);
+        }
+    }
+}
+
+fn steps_of(node: &Node, context: &StepContext<'_>, faults: &mut PlanFaults) -> Vec<WrittenStep> {
     let Some(entries) = node.mapping("`steps`", faults) else {
         return Vec::new();
     };
@@ -155,7 +208,7 @@ fn steps_of(node: &Node, context: &Context<'_>, faults: &mut Faults) -> Vec<Writ
     let mut steps = Vec::new();
     for entry in entries {
         check_name(&entry.key, "a step", entry.place, faults);
-        if context.vocabulary.is_source(&entry.key) {
+        if context.around.vocabulary.is_source(&entry.key) {
             let name = quoted(&entry.key);
             faults.error(
                 entry.place,
@@ -167,7 +220,7 @@ fn steps_of(node: &Node, context: &Context<'_>, faults: &mut Faults) -> Vec<Writ
     steps
 }
 
-fn write_of(node: &Node, faults: &mut Faults) -> Option<Vec<Named>> {
+fn write_of(node: &Node, faults: &mut PlanFaults) -> Option<Vec<Named>> {
     let items = node.sequence("`write`", faults)?;
     if items.is_empty() {
         faults.error(node.place, "`write` must name at least one step");
@@ -181,7 +234,7 @@ fn write_of(node: &Node, faults: &mut Faults) -> Option<Vec<Named>> {
     Some(items.iter().filter_map(named).collect())
 }
 
-fn tolerance(fields: &Fields<'_>, faults: &mut Faults) -> f64 {
+fn tolerance(fields: &Fields<'_>, faults: &mut PlanFaults) -> f64 {
     let Some(entry) = fields.get("tolerance") else {
         return DEFAULT_TOLERANCE;
     };

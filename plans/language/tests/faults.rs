@@ -6,9 +6,9 @@ mod vocabulary;
 
 use std::path::{Path, PathBuf};
 
-use evermap_language::{Faults, parse};
+use evermap_language::{PlanFaults, parse};
 
-fn faults_of(path: &Path) -> Faults {
+fn faults_of(path: &Path) -> PlanFaults {
     let text = std::fs::read_to_string(path).unwrap();
     let origin = path.file_name().unwrap().to_str().unwrap();
     // Options are written in the file itself, as comments.
@@ -18,13 +18,15 @@ fn faults_of(path: &Path) -> Faults {
         .map(str::to_owned)
         .collect();
     let vocabulary = vocabulary::vocabulary();
-    match parse(
-        &text,
-        origin,
-        &vocabulary,
-        &vocabulary::sql_tables,
-        &settings,
-    ) {
+    // What the others extend.
+    let host = vocabulary::Plans(vec![
+        ("base", include_str!("faults/base.plan")),
+        ("faulty_base", include_str!("faults/faulty_base.plan")),
+        ("circle", include_str!("faults/circle.yaml")),
+        ("around", "plan: around\nextends: circle\n"),
+    ]);
+    let source = vocabulary::source(origin, &text);
+    match parse(&source, &settings, &vocabulary, &host) {
         Ok(plan) => plan.warnings,
         Err(faults) => faults,
     }

@@ -3,19 +3,20 @@
 
 mod vocabulary;
 
-use evermap_language::{Body, Faults, Input, Plan, Severity, parse, utf8};
+use evermap_language::{Body, Input, Plan, PlanFaults, Severity, parse, utf8};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-fn read(text: &str, settings: &[&str]) -> Result<Plan, Faults> {
+fn read(text: &str, settings: &[&str]) -> Result<Plan, PlanFaults> {
+    read_with(text, settings, &[])
+}
+
+/// Reads a plan where there are others, by name.
+fn read_with(text: &str, settings: &[&str], others: &[(&str, &str)]) -> Result<Plan, PlanFaults> {
     let settings: Vec<String> = settings.iter().map(|s| (*s).to_owned()).collect();
-    parse(
-        text,
-        "plan.yaml",
-        &vocabulary::vocabulary(),
-        &vocabulary::sql_tables,
-        &settings,
-    )
+    let source = vocabulary::source("plan.yaml", text);
+    let host = vocabulary::Plans(others.to_vec());
+    parse(&source, &settings, &vocabulary::vocabulary(), &host)
 }
 
 const PLAN: &str = "\
@@ -50,10 +51,9 @@ fn a_sound_plan_is_read_whole() {
     assert!(plan.warnings.is_empty(), "{}", plan.warnings);
     assert_eq!(plan.name, "car_park");
     assert_eq!(plan.doc.as_deref(), Some("Two lines of text."));
-    assert_eq!(
-        plan.sessions.as_deref(),
-        Some("datasets/manifests/car_park.yaml")
-    );
+    let sessions = plan.sessions.as_ref().unwrap();
+    assert_eq!(sessions.path, "datasets/manifests/car_park.yaml");
+    assert_eq!(sessions.origin, "plan.yaml");
     assert_eq!(plan.write, ["relabelled", "more"]);
     let order: Vec<&str> = plan.steps.iter().map(|step| step.name.as_str()).collect();
     assert_eq!(order, ["keys", "tiles", "relabelled", "more"]);
@@ -65,12 +65,8 @@ fn a_sound_plan_is_read_whole() {
     assert_eq!(op, "overhead_tiles");
     assert_eq!(inputs["patches"], Input::Step("keys".into()));
     let expected = json!({
-        "weighting": "uniform",
         "camera": {"model": "pinhole", "fx_px": 1, "fy_px": 200.0},
         "grid": {"square": {"cell_m": 0.5}},
-        "extent": {"width_m": 0.0, "height_m": 0.0, "clip": false},
-        "origin_m": [0.0, 0.0, 0.0],
-        "zooms": [],
     });
     assert_eq!(params, &expected);
     let parameters: vocabulary::Tiles = serde_json::from_value(params.clone()).unwrap();
@@ -112,8 +108,7 @@ fn settings_replace_parameters_and_are_checked_like_them() {
     let faults = read(PLAN, &["keys.baseline_m=-1"]).unwrap_err();
     assert_eq!(
         faults.to_string(),
-        "--set keys.baseline_m=-1: parameter `baseline_m` must be above 0, \
-         found the integer -1\n"
+        "--set keys.baseline_m=-1: expected `baseline_m` above 0, found -1\n"
     );
 }
 
@@ -212,10 +207,8 @@ fn the_schema_for_editors_knows_operators_ports_and_parameters() {
     );
     let tiles = &step["allOf"][1];
     assert_eq!(tiles["if"]["properties"]["op"]["const"], "overhead_tiles");
-    assert_eq!(
-        tiles["then"]["properties"]["in"]["required"],
-        json!(["patches"])
-    );
+    let ports = &tiles["then"]["properties"]["in"]["properties"];
+    assert_eq!(ports["patches"], json!({"$ref": "#/$defs/input"}));
     let with = &schema["$defs"]["keyframes.with"];
     assert_eq!(with["properties"]["baseline_m"]["default"], json!(0.2));
     assert_eq!(with["additionalProperties"], json!(false));

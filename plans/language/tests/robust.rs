@@ -3,22 +3,27 @@
 
 mod vocabulary;
 
-use evermap_language::{Faults, Place, parse};
+use evermap_language::{Place, PlanFaults, parse};
 use proptest::prelude::*;
 
-const PLANS: [&str; 4] = [
+const PLANS: [&str; 6] = [
     include_str!("faults/ten.yaml"),
     include_str!("faults/parameters.yaml"),
     include_str!("faults/tests.yaml"),
     include_str!("faults/warnings.yaml"),
+    include_str!("faults/base.plan"),
+    include_str!("faults/extends.yaml"),
 ];
 
 /// Pieces that mean something to YAML or to plans.
-const PIECES: [&str; 34] = [
+const PIECES: [&str; 37] = [
     "plan: ",
     "steps:",
     "write: ",
     "tests:",
+    "extends: base",
+    "drop: [",
+    "defaults: ",
     "op: ",
     "in: ",
     "with: ",
@@ -53,9 +58,16 @@ const PIECES: [&str; 34] = [
 
 fn check(text: &str, settings: &[String]) {
     let vocabulary = vocabulary::vocabulary();
-    let result = parse(text, "x", &vocabulary, &vocabulary::sql_tables, settings);
+    let host = vocabulary::Plans(vec![("base", PLANS[4])]);
+    let source = vocabulary::source("x", text);
+    let result = parse(&source, settings, &vocabulary, &host);
     let faults = match result {
-        Ok(plan) => plan.warnings,
+        Ok(plan) => {
+            let printed = plan.to_string();
+            let again = parse(&vocabulary::source("x", &printed), &[], &vocabulary, &host);
+            assert_eq!(again.unwrap().to_string(), printed);
+            plan.warnings
+        }
         Err(faults) => {
             assert!(faults.error_count() > 0);
             faults
@@ -64,11 +76,17 @@ fn check(text: &str, settings: &[String]) {
     check_places(text, &faults);
 }
 
-fn check_places(text: &str, faults: &Faults) {
+fn check_places(text: &str, faults: &PlanFaults) {
     // YAML counts a lone carriage return as a line break.
-    let lines = 2 + text.matches(['\n', '\r']).count();
+    let lines_of = |text: &str| 2 + text.matches(['\n', '\r']).count();
+    let (lines, base_lines) = (lines_of(text), lines_of(PLANS[4]));
     for fault in faults.iter() {
         if let Place::Text(position) = fault.place {
+            let lines = if position.source == 0 {
+                lines
+            } else {
+                base_lines
+            };
             assert!((1..=lines).contains(&position.line), "{fault:?}");
             assert!(position.column >= 1);
         }

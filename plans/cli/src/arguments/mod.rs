@@ -34,7 +34,7 @@ pub enum Command {
     Check(PlanArgs),
     /// Run the tests that a plan carries.
     Test(PlanArgs),
-    /// Say what a run would recompute, and why.
+    /// Show a plan as it is composed, or, on a map, what a run would recompute, and why.
     Explain(ExplainArgs),
     /// Print the JSON Schema of plans, for editors.
     Schema,
@@ -154,9 +154,9 @@ pub struct PlanArgs {
 pub struct ExplainArgs {
     /// Plan file, `-` for standard input, or the name of a plan that ships.
     pub plan: String,
-    /// Folder or URL of the map.
+    /// Folder or URL of the map; without one, the plan is shown as it is composed.
     #[arg(long, value_name = "DIR")]
-    pub map: String,
+    pub map: Option<String>,
     /// Sessions that would join those of the map.
     #[command(flatten)]
     pub sessions: SessionArgs,

@@ -1,11 +1,13 @@
 //! `evermap explain`.
 
-use evermap_engine::prepare::Prepared;
+use std::io::Write;
+
+use evermap_engine::prepare::{self, Prepared};
 use evermap_engine::sql::Limits;
 use evermap_schemas::{LayerRow, record};
 
 use crate::arguments::ExplainArgs;
-use crate::ending::{DONE, Ending};
+use crate::ending::{DONE, Ending, Failure};
 use crate::output::print_rows;
 use crate::progress::line;
 use crate::quantity::of;
@@ -31,18 +33,24 @@ impl LayerRow for Forecast {
     const KEY: &'static [&'static str] = &["step", "unit"];
 }
 
-/// Says what a run would recompute.
+/// Shows the plan as composed; on a map, says what a run would recompute.
 ///
 /// # Errors
 /// The plan's faults, or what is wrong with the sessions or the map.
 pub async fn explain(args: &ExplainArgs) -> Ending {
     let registry = evermap_catalog::registry();
     let plan = shipped::read(&args.plan, args.set.clone())?;
+    let Some(map) = &args.map else {
+        let plan = prepare::parse(&plan, &registry);
+        let plan = plan.map_err(|faults| Failure::Plan(faults.pretty()))?;
+        write!(std::io::stdout(), "{plan}")?;
+        return DONE;
+    };
     let manifest = sessions::manifest(&args.sessions)?;
     let prepared = Prepared::new(
         &plan,
         &registry,
-        &args.map,
+        map,
         &args.sessions.sessions,
         manifest.as_ref(),
     )

@@ -7,7 +7,7 @@ use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
 use datafusion::prelude::SessionContext;
 use evermap_contract::{Entry, Layer, Phase, Reach, Registry, Shape};
-use evermap_language::{Body, Faults, Input, Place, Plan, Step};
+use evermap_language::{Body, Input, Place, Plan, PlanFaults, Step};
 use serde_json::Value;
 
 use crate::conform::{bare, misfits};
@@ -23,14 +23,12 @@ pub async fn compile(
     plan: &Plan,
     registry: &Registry,
     context: &SessionContext,
-    origin: &str,
-    text: &str,
-) -> Result<Program, Faults> {
+) -> Result<Program, PlanFaults> {
     let mut compiler = Compiler {
         registry,
         context,
         plan,
-        faults: Faults::new(origin, text),
+        faults: plan.faults(),
         stages: Vec::new(),
         schemas: BTreeMap::new(),
     };
@@ -59,7 +57,7 @@ struct Compiler<'a> {
     registry: &'a Registry,
     context: &'a SessionContext,
     plan: &'a Plan,
-    faults: Faults,
+    faults: PlanFaults,
     stages: Vec<Stage>,
     schemas: BTreeMap<String, SchemaRef>,
 }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeSet, VecDeque};
 
-use crate::fault::Faults;
+use crate::fault::PlanFaults;
 use crate::suggest::{printable, quoted};
 use crate::written::WrittenStep;
 
@@ -11,7 +11,7 @@ use crate::written::WrittenStep;
 pub(super) fn order(
     steps: &[WrittenStep],
     reads: &[Vec<usize>],
-    faults: &mut Faults,
+    faults: &mut PlanFaults,
 ) -> Option<Vec<usize>> {
     let readers = reversed(reads);
     let mut missing: Vec<usize> = reads.iter().map(Vec::len).collect();
@@ -101,7 +101,7 @@ fn way(from: &[Option<usize>], start: usize, end: usize) -> Vec<usize> {
     way
 }
 
-fn report(steps: &[WrittenStep], cycle: &[usize], faults: &mut Faults) {
+fn report(steps: &[WrittenStep], cycle: &[usize], faults: &mut PlanFaults) {
     let step = |index: &usize| steps.get(*index);
     let Some(first) = cycle.first().and_then(step) else {
         return;

@@ -4,15 +4,18 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::{Map, Value};
 
-use super::{Context, Named, STEP_KEYS, WrittenStep, is_null};
-use crate::fault::Faults;
+use super::{Named, STEP_KEYS, StepContext, WrittenInput, WrittenStep, is_null};
+use crate::fault::PlanFaults;
 use crate::plan::Body;
-use crate::schema;
-use crate::suggest::{listed, quoted};
+use crate::suggest::{listed, one_line, quoted};
 use crate::vocabulary::OperatorSpec;
-use crate::yaml::{Entry, Fields, Kind, Node};
+use crate::yaml::{Entry, Fields};
 
-pub(super) fn step(entry: &Entry, context: &Context<'_>, faults: &mut Faults) -> WrittenStep {
+pub(super) fn step(
+    entry: &Entry,
+    context: &StepContext<'_>,
+    faults: &mut PlanFaults,
+) -> WrittenStep {
     let mut step = WrittenStep {
         name: Named {
             name: entry.key.clone(),
@@ -43,29 +46,36 @@ pub(super) fn step(entry: &Entry, context: &Context<'_>, faults: &mut Faults) ->
     step
 }
 
+impl WrittenStep {
+    fn reads(&mut self, port: &str, table: Named, is_implied: bool) {
+        self.inputs.push(WrittenInput {
+            port: port.to_owned(),
+            table,
+            is_implied,
+        });
+    }
+}
+
 fn operator(
     step: &mut WrittenStep,
     op: &Entry,
     fields: &Fields<'_>,
-    context: &Context<'_>,
-    faults: &mut Faults,
+    context: &StepContext<'_>,
+    faults: &mut PlanFaults,
 ) {
     let name = op.value.text("`op`", faults);
-    let spec = name.and_then(|name| context.vocabulary.operator(name));
+    let vocabulary = context.around.vocabulary;
+    let spec = name.and_then(|name| vocabulary.operator(name));
     if let (Some(name), None) = (name, spec) {
         let message = format!("unknown operator {}", quoted(name));
-        faults.unknown(
-            op.value.place,
-            message,
-            name,
-            context.vocabulary.operator_names(),
-        );
+        let known = vocabulary.operator_names();
+        faults.unknown(op.value.place, message, name, known);
     }
     ports(step, spec.map(|spec| (spec, op)), fields.get("in"), faults);
     let Some(spec) = spec else {
         return;
     };
-    let params = parameters(spec, op, fields.get("with"), faults);
+    let params = parameters(spec, op, fields.get("with"), context, faults);
     step.body = params.map(|params| Body::Op {
         op: spec.name.clone(),
         inputs: BTreeMap::new(),
@@ -73,12 +83,13 @@ fn operator(
     });
 }
 
-/// Reads `in`. Without an operator the ports cannot be checked, but what they name can.
+/// Reads `in`. Without an operator the ports cannot be checked, but what they name can. A port
+/// that is not named, or given nothing, takes the table of its own name, unless it is optional.
 fn ports(
     step: &mut WrittenStep,
     spec: Option<(&OperatorSpec, &Entry)>,
     inputs: Option<&Entry>,
-    faults: &mut Faults,
+    faults: &mut PlanFaults,
 ) {
     let given = inputs.filter(|entry| !is_null(&entry.value));
     let entries = match given {
@@ -88,35 +99,31 @@ fn ports(
         },
         None => &[],
     };
-    for entry in entries {
-        if let Some((spec, _)) = spec
-            && spec.port(&entry.key).is_none()
-        {
-            unknown_port(spec, entry, faults);
-        }
+    let named = entries.iter().filter(|entry| !is_null(&entry.value));
+    for entry in named.clone() {
         let what = format!("port {}", quoted(&entry.key));
         if let Some(name) = entry.value.text(&what, faults) {
             let name = name.to_owned();
             let place = entry.value.place;
-            step.inputs.push((entry.key.clone(), Named { name, place }));
+            step.reads(&entry.key, Named { name, place }, false);
         }
     }
     let Some((spec, op)) = spec else {
         return;
     };
-    let is_open = |name: &str| !entries.iter().any(|entry| entry.key == name);
-    for port in spec
-        .ports
-        .iter()
-        .filter(|port| !port.optional && is_open(&port.name))
-    {
-        let place = given.map_or(op.value.place, |entry| entry.value.place);
-        let (port, operator) = (quoted(&port.name), quoted(&spec.name));
-        faults.error(place, format!("port {port} of {operator} is not connected"));
+    for entry in entries.iter().filter(|e| spec.port(&e.key).is_none()) {
+        unknown_port(spec, entry, faults);
+    }
+    for port in spec.ports.iter().filter(|port| !port.optional) {
+        if named.clone().all(|entry| entry.key != port.name) {
+            let name = port.name.clone();
+            let place = given.map_or(op.value.place, |entry| entry.value.place);
+            step.reads(&port.name, Named { name, place }, true);
+        }
     }
 }
 
-fn unknown_port(spec: &OperatorSpec, entry: &Entry, faults: &mut Faults) {
+fn unknown_port(spec: &OperatorSpec, entry: &Entry, faults: &mut PlanFaults) {
     let known = spec.ports.iter().map(|port| port.name.as_str());
     let (port, operator) = (quoted(&entry.key), quoted(&spec.name));
     let ports = listed(known.clone());
@@ -124,39 +131,62 @@ fn unknown_port(spec: &OperatorSpec, entry: &Entry, faults: &mut Faults) {
     faults.unknown(entry.place, message, &entry.key, known);
 }
 
-/// Checks `with` and lays it over the defaults.
+/// The parameters that `with` gives, and those of the plan's defaults that the operator has.
 fn parameters(
     spec: &OperatorSpec,
     op: &Entry,
     with: Option<&Entry>,
-    faults: &mut Faults,
+    context: &StepContext<'_>,
+    faults: &mut PlanFaults,
 ) -> Option<Value> {
-    let nothing = Node {
-        place: op.value.place,
-        kind: Kind::Mapping(Vec::new()),
+    let given = match with.filter(|entry| !is_null(&entry.value)) {
+        Some(entry) => entry.value.mapping("`with`", faults)?,
+        None => &[],
     };
-    let written = with.map_or(&nothing, |entry| &entry.value);
-    let written = if is_null(written) { &nothing } else { written };
-    let entries = written.mapping("`with`", faults)?;
-    let has_default = |name: &str| spec.default_of(name).is_some();
+    let is_given = |name: &str| given.iter().any(|entry| entry.key == name);
+    let is_parameter = |name: &str| spec.parameter_names().any(|known| known == name);
+    let defaults = context.defaults.iter();
+    let entries: Vec<&Entry> = defaults
+        .filter(|default| is_parameter(&default.key) && !is_given(&default.key))
+        .chain(given)
+        .collect();
     let before = faults.error_count();
-    schema::check_parameters(written, &spec.params, &has_default, faults);
-    if faults.error_count() > before {
-        return None;
+    let params = Value::Object(sound_values(&entries, faults));
+    for fault in context.around.host.parameter_faults(&spec.name, &params) {
+        let entry = entries.iter().find(|entry| entry.key == fault.parameter);
+        match entry {
+            None => faults.error(with.unwrap_or(op).value.place, fault.message),
+            Some(entry) if is_parameter(&entry.key) => {
+                faults.error(entry.value.place, fault.message);
+            }
+            Some(entry) => {
+                let known = spec.parameter_names();
+                faults.unknown(entry.place, fault.message, &entry.key, known);
+            }
+        }
     }
-    let mut params: Map<String, Value> = spec.defaults.as_object().cloned().unwrap_or_default();
+    (faults.error_count() == before).then_some(params)
+}
+
+/// The entries whose values are such that JSON has them.
+fn sound_values(entries: &[&Entry], faults: &mut PlanFaults) -> Map<String, Value> {
+    let mut values = Map::new();
     for entry in entries {
-        params.insert(entry.key.clone(), entry.value.json(faults));
+        let before = faults.error_count();
+        let value = entry.value.json(faults);
+        if faults.error_count() == before {
+            values.insert(entry.key.clone(), value);
+        }
     }
-    Some(Value::Object(params))
+    values
 }
 
 fn query(
     step: &mut WrittenStep,
     sql: &Entry,
     fields: &Fields<'_>,
-    context: &Context<'_>,
-    faults: &mut Faults,
+    context: &StepContext<'_>,
+    faults: &mut PlanFaults,
 ) {
     for key in ["in", "with"] {
         if let Some(entry) = fields.get(key) {
@@ -173,13 +203,13 @@ fn query(
         faults.error(sql.value.place, "`sql` is empty");
         return;
     }
-    match (context.sql_tables)(query) {
+    match context.around.host.tables(query) {
         Ok(tables) => {
             let mut seen = BTreeSet::new();
             for name in tables {
                 if seen.insert(name.clone()) {
                     let place = sql.value.place;
-                    step.inputs.push((String::new(), Named { name, place }));
+                    step.reads("", Named { name, place }, false);
                 }
             }
             step.body = Some(Body::Sql {
@@ -189,8 +219,4 @@ fn query(
         }
         Err(error) => faults.error(sql.value.place, format!("SQL: {}", one_line(&error))),
     }
-}
-
-fn one_line(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -3,13 +3,13 @@
 use serde_json::{Map, Number, Value};
 
 use super::{Entry, Kind, Node};
-use crate::fault::{Faults, Place};
+use crate::fault::{Place, PlanFaults};
 use crate::suggest::{listed, quoted};
 
 impl Node {
     /// What the value is, for messages: "the number 3", "a mapping".
     #[must_use]
-    pub fn described(&self) -> String {
+    pub(crate) fn described(&self) -> String {
         match &self.kind {
             Kind::Null => "nothing".to_owned(),
             Kind::Bool(value) => value.to_string(),
@@ -21,7 +21,7 @@ impl Node {
         }
     }
 
-    fn expected<T>(&self, what: &str, expected: &str, faults: &mut Faults) -> Option<T> {
+    fn expected<T>(&self, what: &str, expected: &str, faults: &mut PlanFaults) -> Option<T> {
         let message = format!("{what} must be {expected}, found {}", self.described());
         let scalar = matches!(self.kind, Kind::Bool(_) | Kind::Integer(_) | Kind::Float(_));
         if scalar && expected == "text" {
@@ -33,7 +33,7 @@ impl Node {
     }
 
     /// The text. `what` names the value in the fault recorded otherwise.
-    pub fn text(&self, what: &str, faults: &mut Faults) -> Option<&str> {
+    pub(crate) fn text(&self, what: &str, faults: &mut PlanFaults) -> Option<&str> {
         match &self.kind {
             Kind::Text(text) => Some(text),
             _ => self.expected(what, "text", faults),
@@ -41,7 +41,7 @@ impl Node {
     }
 
     /// The number, whole or not, finite or not.
-    pub fn number(&self, what: &str, faults: &mut Faults) -> Option<f64> {
+    pub(crate) fn number(&self, what: &str, faults: &mut PlanFaults) -> Option<f64> {
         match self.kind {
             Kind::Integer(value) => Some(value as f64),
             Kind::Float(value) => Some(value),
@@ -49,16 +49,8 @@ impl Node {
         }
     }
 
-    /// The truth value.
-    pub fn boolean(&self, what: &str, faults: &mut Faults) -> Option<bool> {
-        match self.kind {
-            Kind::Bool(value) => Some(value),
-            _ => self.expected(what, "true or false", faults),
-        }
-    }
-
     /// The items of a list.
-    pub fn sequence(&self, what: &str, faults: &mut Faults) -> Option<&[Node]> {
+    pub(crate) fn sequence(&self, what: &str, faults: &mut PlanFaults) -> Option<&[Node]> {
         match &self.kind {
             Kind::Sequence(items) => Some(items),
             _ => self.expected(what, "a list", faults),
@@ -66,15 +58,45 @@ impl Node {
     }
 
     /// The entries of a mapping, in written order.
-    pub fn mapping(&self, what: &str, faults: &mut Faults) -> Option<&[Entry]> {
+    pub(crate) fn mapping(&self, what: &str, faults: &mut PlanFaults) -> Option<&[Entry]> {
         match &self.kind {
             Kind::Mapping(entries) => Some(entries),
             _ => self.expected(what, "a mapping", faults),
         }
     }
 
+    /// The entry of a key, if this is a mapping that has it.
+    pub(crate) fn get(&self, key: &str) -> Option<&Entry> {
+        match &self.kind {
+            Kind::Mapping(entries) => entries.iter().find(|entry| entry.key == key),
+            _ => None,
+        }
+    }
+
+    /// As [`Node::get`], to be changed.
+    pub(crate) fn get_mut(&mut self, key: &str) -> Option<&mut Entry> {
+        self.entries_mut()?
+            .iter_mut()
+            .find(|entry| entry.key == key)
+    }
+
+    /// Takes the entry of a key out of a mapping.
+    pub(crate) fn take(&mut self, key: &str) -> Option<Entry> {
+        let entries = self.entries_mut()?;
+        let index = entries.iter().position(|entry| entry.key == key)?;
+        Some(entries.remove(index))
+    }
+
+    /// The entries of a mapping, to be changed.
+    pub(crate) fn entries_mut(&mut self) -> Option<&mut Vec<Entry>> {
+        match &mut self.kind {
+            Kind::Mapping(entries) => Some(entries),
+            _ => None,
+        }
+    }
+
     /// The value as JSON. Numbers that JSON has not (`.inf`, `.nan`) are faults and null.
-    pub fn json(&self, faults: &mut Faults) -> Value {
+    pub(crate) fn json(&self, faults: &mut PlanFaults) -> Value {
         match &self.kind {
             Kind::Null => Value::Null,
             Kind::Bool(value) => Value::Bool(*value),
@@ -100,14 +122,24 @@ impl Node {
 }
 
 /// The entries of a mapping as a JSON object, in written order.
-pub(crate) fn json_object(entries: &[Entry], faults: &mut Faults) -> Map<String, Value> {
+pub(crate) fn json_object(entries: &[Entry], faults: &mut PlanFaults) -> Map<String, Value> {
     let json = |entry: &Entry| (entry.key.clone(), entry.value.json(faults));
     entries.iter().map(json).collect()
 }
 
+/// Puts entries in a mapping, in place of those with the same keys.
+pub(crate) fn merge(entries: &mut Vec<Entry>, changes: Vec<Entry>) {
+    for change in changes {
+        match entries.iter_mut().find(|entry| entry.key == change.key) {
+            Some(entry) => *entry = change,
+            None => entries.push(change),
+        }
+    }
+}
+
 /// A mapping with a fixed set of keys, such as a step or a whole plan.
 #[derive(Debug, Clone, Copy)]
-pub struct Fields<'n> {
+pub(crate) struct Fields<'n> {
     entries: &'n [Entry],
     place: Place,
 }
@@ -115,7 +147,12 @@ pub struct Fields<'n> {
 impl<'n> Fields<'n> {
     /// Reads `node` as a mapping with no keys but `known`; every other key is a fault with
     /// a suggestion. `what` names the mapping in messages: "the plan", "step `lanes`".
-    pub fn of(node: &'n Node, what: &str, known: &[&str], faults: &mut Faults) -> Option<Self> {
+    pub(crate) fn of(
+        node: &'n Node,
+        what: &str,
+        known: &[&str],
+        faults: &mut PlanFaults,
+    ) -> Option<Self> {
         let entries = node.mapping(what, faults)?;
         for entry in entries {
             if !known.contains(&entry.key.as_str()) {
@@ -133,12 +170,17 @@ impl<'n> Fields<'n> {
 
     /// The entry of a key, if given. An entry of the value null counts as given.
     #[must_use]
-    pub fn get(&self, key: &str) -> Option<&'n Entry> {
+    pub(crate) fn get(&self, key: &str) -> Option<&'n Entry> {
         self.entries.iter().find(|entry| entry.key == key)
     }
 
     /// The entry of a key; its absence from `what` is a fault at the mapping's start.
-    pub fn require(&self, key: &str, what: &str, faults: &mut Faults) -> Option<&'n Entry> {
+    pub(crate) fn require(
+        &self,
+        key: &str,
+        what: &str,
+        faults: &mut PlanFaults,
+    ) -> Option<&'n Entry> {
         let entry = self.get(key);
         if entry.is_none() {
             faults.error(self.place, format!("{what} lacks {}", quoted(key)));
@@ -153,22 +195,29 @@ mod tests {
 
     use super::super::read;
     use super::*;
+    use crate::fault::Source;
+
+    fn read_text(text: &str) -> (Option<Node>, PlanFaults) {
+        let source = Source {
+            origin: "x.yaml".to_owned(),
+            text: text.to_owned(),
+        };
+        let mut faults = PlanFaults::default();
+        (read(&source, &mut faults), faults)
+    }
 
     fn tree(text: &str) -> Node {
-        let mut faults = Faults::new("x.yaml", text);
-        let node = read(text, &mut faults);
+        let (node, faults) = read_text(text);
         assert!(faults.is_empty(), "{faults}");
         node.unwrap()
     }
 
     fn fault(text: &str) -> String {
-        let mut faults = Faults::new("x.yaml", text);
-        read(text, &mut faults);
-        faults.to_string()
+        read_text(text).1.to_string()
     }
 
     fn json(text: &str) -> Value {
-        tree(text).json(&mut Faults::new("", ""))
+        tree(text).json(&mut PlanFaults::default())
     }
 
     fn position(node: &Node) -> (usize, usize) {
@@ -180,7 +229,7 @@ mod tests {
     fn values_know_where_they_are() {
         let root = tree("a: 1\nbé: { ü: [x, 'y'] }\nc:\n  - d\n  - e: |\n      f\n");
         assert_eq!(position(&root), (1, 1));
-        let entries = root.mapping("", &mut Faults::new("", "")).unwrap();
+        let entries = root.mapping("", &mut PlanFaults::default()).unwrap();
         assert_eq!(entries[1].place.position().line, 2);
         let Kind::Mapping(inner) = &entries[1].value.kind else {
             panic!("{:?}", entries[1])

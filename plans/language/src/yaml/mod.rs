@@ -1,7 +1,7 @@
 //! YAML as a tree in which every value knows its line and column.
 //!
-//! Plans and session manifests are both read through this. [`read`] builds the tree;
-//! [`Fields`] and the methods of [`Node`] decode it, recording faults and going on.
+//! [`read`] builds the tree; [`Fields`] and the methods of [`Node`] decode it, recording faults
+//! and going on.
 //!
 //! YAML 1.2 with the core schema. Anchors and aliases work; merge keys (`<<`, YAML 1.1),
 //! application tags, keys that are not scalars and second documents are faults. Text,
@@ -11,22 +11,22 @@ mod decode;
 mod scalar;
 mod tree;
 
-pub use decode::Fields;
-pub(crate) use decode::json_object;
-pub use tree::read;
+pub(crate) use decode::{Fields, json_object, merge};
+pub(crate) use scalar::plain;
+pub(crate) use tree::read;
 
 use crate::fault::Place;
 
 /// Texts longer than this many bytes are refused.
-pub const LONGEST_TEXT: usize = 4 << 20;
+pub(crate) const LONGEST_TEXT: usize = 4 << 20;
 /// Collections may be nested this deep.
-pub const DEEPEST: usize = 64;
+pub(crate) const DEEPEST: usize = 64;
 /// Nodes a tree may have, aliases counted in full.
-pub const MOST_NODES: usize = 500_000;
+pub(crate) const MOST_NODES: usize = 500_000;
 
 /// A value and where it is written.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Node {
+pub(crate) struct Node {
     /// Where its first character is.
     pub place: Place,
     /// The value.
@@ -35,7 +35,7 @@ pub struct Node {
 
 /// The value of a [`Node`].
 #[derive(Debug, Clone, PartialEq)]
-pub enum Kind {
+pub(crate) enum Kind {
     /// `null`, `~` or nothing.
     Null,
     /// `true` or `false`.
@@ -54,7 +54,7 @@ pub enum Kind {
 
 /// One `key: value` of a mapping.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Entry {
+pub(crate) struct Entry {
     /// The key as written, without quotes.
     pub key: String,
     /// Where the key is.

@@ -3,11 +3,11 @@
 use saphyr_parser::Tag;
 
 use super::Kind;
-use crate::fault::{Faults, Place};
+use crate::fault::{Place, PlanFaults};
 use crate::suggest::quoted;
 
 /// The value of a plain (unquoted, untagged) scalar.
-pub(super) fn plain(text: &str) -> Kind {
+pub(crate) fn plain(text: &str) -> Kind {
     match text {
         "" | "~" | "null" | "Null" | "NULL" => return Kind::Null,
         "true" | "True" | "TRUE" => return Kind::Bool(true),
@@ -31,7 +31,7 @@ pub(super) fn plain(text: &str) -> Kind {
 }
 
 /// The value of a scalar with an explicit tag.
-pub(super) fn tagged(text: &str, tag: &Tag, place: Place, faults: &mut Faults) -> Kind {
+pub(super) fn tagged(text: &str, tag: &Tag, place: Place, faults: &mut PlanFaults) -> Kind {
     let as_text = || Kind::Text(text.to_owned());
     if tag.handle == "!" && tag.suffix.is_empty() || tag.handle.is_empty() && tag.suffix == "!" {
         return as_text();

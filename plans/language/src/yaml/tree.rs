@@ -5,24 +5,26 @@ use std::collections::BTreeMap;
 use saphyr_parser::{Event, Marker, Parser, ScalarStyle, ScanError, Span, Tag};
 
 use super::{DEEPEST, Entry, Kind, LONGEST_TEXT, MOST_NODES, Node, scalar};
-use crate::fault::{Faults, Place, Position};
+use crate::fault::{Place, PlanFaults, Position, Source};
 use crate::suggest::quoted;
 
-/// Reads the one YAML document in `text`. `None` means it has no tree; the faults say why.
+/// Reads the one YAML document in a text. `None` means it has no tree; the faults say why.
 ///
 /// Syntax faults, duplicate keys, and what is beyond the limits of [`crate::yaml`] are
 /// recorded. After a syntax fault there is no tree: what follows it would be guesswork.
-pub fn read(text: &str, faults: &mut Faults) -> Option<Node> {
-    if text.len() > LONGEST_TEXT {
-        let (length, most) = (text.len(), LONGEST_TEXT);
+pub(crate) fn read(source: &Source, faults: &mut PlanFaults) -> Option<Node> {
+    let number = faults.open(source.clone());
+    let start = Place::Text(Position::start_of(number));
+    if source.text.len() > LONGEST_TEXT {
+        let (length, most) = (source.text.len(), LONGEST_TEXT);
         faults.error(
-            Place::START,
+            start,
             format!("the text has {length} bytes; at most {most} are read"),
         );
         return None;
     }
-    let mut builder = Builder::new(faults);
-    let mut parser = Parser::new_from_str(text);
+    let mut builder = Builder::new(number, faults);
+    let mut parser = Parser::new_from_str(&source.text);
     while let Some(event) = parser.next_event() {
         let step = match event {
             Ok((event, span)) => builder.event(event, span),
@@ -37,20 +39,13 @@ pub fn read(text: &str, faults: &mut Faults) -> Option<Node> {
     }
     let root = builder.root;
     if root.is_none() {
-        faults.error(Place::START, "the text is empty");
+        faults.error(start, "the text is empty");
     }
     root
 }
 
 /// Reading cannot go on; the fault is recorded.
 struct Stop;
-
-fn place(marker: Marker) -> Place {
-    Place::Text(Position {
-        line: marker.line().max(1),
-        column: marker.col() + 1,
-    })
-}
 
 fn too_deep() -> String {
     format!("nested deeper than {DEEPEST} levels")
@@ -95,7 +90,8 @@ struct Open {
 }
 
 struct Builder<'f> {
-    faults: &'f mut Faults,
+    source: usize,
+    faults: &'f mut PlanFaults,
     open: Vec<Open>,
     anchors: BTreeMap<usize, Finished>,
     nodes: usize,
@@ -104,8 +100,9 @@ struct Builder<'f> {
 }
 
 impl<'f> Builder<'f> {
-    fn new(faults: &'f mut Faults) -> Self {
+    fn new(source: usize, faults: &'f mut PlanFaults) -> Self {
         Self {
+            source,
             faults,
             open: Vec::new(),
             anchors: BTreeMap::new(),
@@ -115,8 +112,16 @@ impl<'f> Builder<'f> {
         }
     }
 
+    fn place(&self, marker: Marker) -> Place {
+        Place::Text(Position {
+            source: self.source,
+            line: marker.line().max(1),
+            column: marker.col() + 1,
+        })
+    }
+
     fn event(&mut self, event: Event<'_>, span: Span) -> Result<(), Stop> {
-        let place = place(span.start);
+        let place = self.place(span.start);
         match event {
             Event::DocumentStart(_) => self.document(place),
             Event::SequenceStart(anchor, tag) => {
@@ -162,7 +167,7 @@ impl<'f> Builder<'f> {
     }
 
     fn syntax(&mut self, error: &ScanError) {
-        let place = place(*error.marker());
+        let place = self.place(*error.marker());
         let message = match error.info() {
             // The scanner looks ahead and has a limit of its own, above ours.
             "recursion limit exceeded" => too_deep(),
@@ -305,7 +310,11 @@ impl<'f> Builder<'f> {
 }
 
 /// Takes a finished node as the next key of a mapping.
-fn key(finished: Finished, first: &mut BTreeMap<String, Place>, faults: &mut Faults) -> Pending {
+fn key(
+    finished: Finished,
+    first: &mut BTreeMap<String, Place>,
+    faults: &mut PlanFaults,
+) -> Pending {
     let place = finished.node.place;
     let Some(key) = finished.written else {
         faults.error(place, "a key must be a single word or quoted text");

@@ -1,9 +1,10 @@
 //! The vocabulary the tests write plans with: parameters of every kind schemars derives.
 #![allow(dead_code, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use evermap_language::{OperatorSpec, PortSpec, Vocabulary};
+use evermap_language::{Host, OperatorSpec, ParameterFault, PortSpec, Source, Vocabulary};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 /// A frame every so many metres.
 #[derive(Debug, Serialize, Deserialize, JsonSchema, PartialEq)]
@@ -76,14 +77,15 @@ pub struct Extent {
 pub struct Roads {
     #[schemars(range(min = 0.1))]
     pub connect_m: f64,
+    #[serde(default = "three")]
     pub prune_loops: u32,
 }
 
-fn operator<P: JsonSchema>(
-    name: &str,
-    ports: &[(&str, bool)],
-    defaults: serde_json::Value,
-) -> OperatorSpec {
+fn three() -> u32 {
+    3
+}
+
+fn operator<P: JsonSchema>(name: &str, ports: &[(&str, bool)]) -> OperatorSpec {
     let port = |(name, optional): &(&str, bool)| PortSpec {
         name: (*name).to_owned(),
         optional: *optional,
@@ -92,7 +94,6 @@ fn operator<P: JsonSchema>(
         name: name.to_owned(),
         ports: ports.iter().map(port).collect(),
         params: schemars::schema_for!(P).to_value(),
-        defaults,
     }
 }
 
@@ -100,21 +101,12 @@ pub fn vocabulary() -> Vocabulary {
     let names = ["frames", "odometry", "calibration", "sessions", "poses"];
     Vocabulary {
         operators: vec![
-            operator::<Keyframes>(
-                "keyframes",
-                &[("odometry", false), ("frames", false)],
-                serde_json::to_value(Keyframes::default()).unwrap(),
-            ),
+            operator::<Keyframes>("keyframes", &[("odometry", false), ("frames", false)]),
             operator::<Tiles>(
                 "overhead_tiles",
                 &[("patches", false), ("calibration", true)],
-                serde_json::to_value(Tiles::default()).unwrap(),
             ),
-            operator::<Roads>(
-                "road_network",
-                &[("poses", false), ("lanes", true)],
-                serde_json::json!({"prune_loops": 3}),
-            ),
+            operator::<Roads>("road_network", &[("poses", false), ("lanes", true)]),
         ],
         sources: names.map(str::to_owned).to_vec(),
         open_sources: true,
@@ -135,4 +127,60 @@ pub fn sql_tables(query: &str) -> Result<Vec<String>, String> {
         .filter(|pair| pair[0] == "FROM" || pair[0] == "JOIN")
         .map(|pair| pair[1].trim_matches(['"', ',', ';']).to_owned())
         .collect())
+}
+
+/// Plans by name and text; none lies beside another.
+#[derive(Default)]
+pub struct Plans<'p>(pub Vec<(&'p str, &'p str)>);
+
+impl Host for Plans<'_> {
+    fn tables(&self, query: &str) -> Result<Vec<String>, String> {
+        sql_tables(query)
+    }
+
+    /// Types and least values, of parameters that are there.
+    fn parameter_faults(&self, operator: &str, params: &Value) -> Vec<ParameterFault> {
+        let schema = vocabulary().operator(operator).unwrap().params.clone();
+        let fault = |(name, value): (&String, &Value)| {
+            let message = match schema["properties"].get(name) {
+                None => format!("no parameter `{name}`"),
+                Some(schema) => {
+                    let expected = expected(schema, value)?;
+                    format!("expected `{name}` {expected}, found {value}")
+                }
+            };
+            let parameter = name.clone();
+            Some(ParameterFault { parameter, message })
+        };
+        let params = params.as_object().unwrap();
+        params.iter().filter_map(fault).collect()
+    }
+
+    fn plan(&self, name: &str, extended_by: &str) -> Result<Source, String> {
+        let found = self.0.iter().find(|(known, _)| *known == name);
+        let (name, text) =
+            found.ok_or(format!("{extended_by} extends {name}, which is nowhere"))?;
+        let (origin, text) = (format!("{name}.yaml"), (*text).to_owned());
+        Ok(Source { origin, text })
+    }
+}
+
+/// What a schema asks for that a value is not.
+fn expected(schema: &Value, value: &Value) -> Option<String> {
+    if schema["type"] == "number" && !value.is_number() {
+        return Some("number".to_owned());
+    }
+    let above = |key: &str| schema[key].as_f64().zip(value.as_f64());
+    if let Some((least, _)) = above("minimum").filter(|(least, value)| value < least) {
+        return Some(format!("from {least}"));
+    }
+    let least = above("exclusiveMinimum").filter(|(least, value)| value <= least);
+    least.map(|(least, _)| format!("above {least}"))
+}
+
+pub fn source(origin: &str, text: &str) -> Source {
+    Source {
+        origin: origin.to_owned(),
+        text: text.to_owned(),
+    }
 }

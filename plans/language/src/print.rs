@@ -1,0 +1,92 @@
+//! A plan as YAML, composed: reading it gives the same plan.
+
+use std::fmt;
+
+use serde_json::{Map, Value};
+
+use crate::plan::{Body, Plan, Step};
+use crate::yaml::{Kind, plain};
+
+/// What the plan extends, its defaults and the ports that it does not name are in its steps. Its
+/// tests are not shown.
+impl fmt::Display for Plan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "plan: {}", word(&self.name))?;
+        if let Some(doc) = &self.doc {
+            writeln!(f, "doc: {}", block(doc, 2))?;
+        }
+        if let Some(sessions) = &self.sessions {
+            writeln!(f, "sessions: {}", word(&sessions.path))?;
+        }
+        writeln!(f, "steps:")?;
+        for step in &self.steps {
+            write_step(step, f)?;
+        }
+        let write = self.write.iter().cloned().map(Value::String).collect();
+        writeln!(f, "write: {}", flow(&Value::Array(write)))
+    }
+}
+
+fn write_step(step: &Step, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    writeln!(f, "  {}:", step.name)?;
+    match &step.body {
+        Body::Op { op, inputs, params } => {
+            writeln!(f, "    op: {}", word(op))?;
+            let ports: Map<String, Value> = inputs
+                .iter()
+                .map(|(port, input)| (port.clone(), input.written().into()))
+                .collect();
+            for (key, value) in [("in", &Value::Object(ports)), ("with", params)] {
+                if value.as_object().is_some_and(|entries| !entries.is_empty()) {
+                    writeln!(f, "    {key}: {}", flow(value))?;
+                }
+            }
+            Ok(())
+        }
+        Body::Sql { query, .. } => writeln!(f, "    sql: {}", block(query, 6)),
+    }
+}
+
+/// A value in one line.
+fn flow(value: &Value) -> String {
+    match value {
+        Value::String(text) => word(text),
+        Value::Array(items) => {
+            let items: Vec<String> = items.iter().map(flow).collect();
+            format!("[{}]", items.join(", "))
+        }
+        Value::Object(entries) if entries.is_empty() => "{}".to_owned(),
+        Value::Object(entries) => {
+            let entry = |(key, value): (&String, &Value)| format!("{}: {}", word(key), flow(value));
+            let entries: Vec<String> = entries.iter().map(entry).collect();
+            format!("{{ {} }}", entries.join(", "))
+        }
+        Value::Null | Value::Bool(_) | Value::Number(_) => value.to_string(),
+    }
+}
+
+/// A text in one line, quoted where it would be read as something else.
+fn word(text: &str) -> String {
+    let is_simple = |c: char| c.is_ascii_alphanumeric() || "_./-".contains(c);
+    let starts_simply = text.starts_with(|c: char| c.is_ascii_alphanumeric() || "_/.".contains(c));
+    let is_text = matches!(plain(text), Kind::Text(_));
+    match starts_simply && text.chars().all(is_simple) && is_text {
+        true => text.to_owned(),
+        false => Value::from(text).to_string(),
+    }
+}
+
+/// A text in lines of its own, or quoted where its spaces and breaks would not stay.
+fn block(text: &str, indent: usize) -> String {
+    let (lines, head) = match text.strip_suffix('\n') {
+        Some(lines) => (lines, "|"),
+        None => (text, "|-"),
+    };
+    let starts_well = lines.starts_with(|c: char| !c.is_whitespace());
+    let stays = |c: char| c == '\n' || c == ' ' || !(c.is_control() || c.is_whitespace());
+    if !starts_well || lines.ends_with(['\n', ' ']) || !lines.chars().all(stays) {
+        return Value::from(text).to_string();
+    }
+    let margin = format!("\n{}", " ".repeat(indent));
+    format!("{head}{margin}{}", lines.replace('\n', &margin))
+}
