@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use evermap_contract::Registry;
+use evermap_contract::{ParamFault, Registry};
 use evermap_datasets::manifest::{ManifestRoles, ManifestSession};
 use evermap_datasets::{Dataset, Manifest, Session};
 use evermap_language::{
@@ -114,24 +114,13 @@ impl Host for Surroundings<'_> {
     }
 
     fn parameter_faults(&self, operator: &str, params: &Value) -> Vec<ParameterFault> {
-        let Ok(entry) = self.registry.get(operator) else {
-            return Vec::new();
+        let entry = self.registry.get(operator);
+        let faults = entry.map_or_else(|_| Vec::new(), |entry| entry.faults(params));
+        let told = |fault: ParamFault| ParameterFault {
+            parameter: fault.param,
+            message: fault.message,
         };
-        let given = params.as_object().into_iter().flatten();
-        let mut faults: Vec<_> = given
-            .filter(|(name, _)| entry.defaults.get(name).is_none())
-            .map(|(name, _)| ParameterFault {
-                parameter: name.clone(),
-                message: format!("no parameter `{name}`"),
-            })
-            .collect();
-        if let (Err(fault), true) = (entry.kernel(params), faults.is_empty()) {
-            faults.push(ParameterFault {
-                parameter: String::new(),
-                message: fault.message,
-            });
-        }
-        faults
+        faults.into_iter().map(told).collect()
     }
 
     fn plan(&self, name: &str, extended_by: &str) -> Result<Source, String> {
