@@ -167,7 +167,8 @@ fn mended(name: &str) -> Option<String> {
     (!mended.is_empty()).then(|| mended.to_owned())
 }
 
-/// A default is a parameter of some step.
+/// A default is a parameter of some step. One that is taken over need not be: the step that had
+/// it may have been dropped.
 fn check_defaults(
     defaults: &[Entry],
     steps: &Node,
@@ -183,7 +184,8 @@ fn check_defaults(
     };
     let operators = steps.iter().filter_map(operator);
     let known: BTreeSet<&str> = operators.flat_map(OperatorSpec::parameter_names).collect();
-    for default in defaults {
+    let is_own = |default: &&Entry| default.place.position().source == 0;
+    for default in defaults.iter().filter(is_own) {
         if !known.contains(default.key.as_str()) {
             let name = quoted(&default.key);
             let message = format!("`defaults` sets {name}, which is a parameter of no step");

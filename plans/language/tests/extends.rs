@@ -289,7 +289,6 @@ proptest! {
             "write": ["keys", "tiles", "query"],
         });
         let Ok(plan) = read(&text.to_string(), &[]) else {
-            // Of the texts, only JSON's escapes of half a character are refused.
             return Err(TestCaseError::reject("not YAML"));
         };
         let printed = plan.to_string();
