@@ -13,7 +13,7 @@
 
 use std::path::{Path, PathBuf};
 
-use evermap_algorithms::geometry::trajectory::{AbsoluteError, Statistics, relative_error};
+use evermap_bench::trajectory::{AbsoluteError, Statistics, relative_error};
 use evermap_tests::kitti::Stretch;
 use evermap_tests::trajectories::{
     Trajectories, error_by_session, error_in, map_error, pairs, poses, rows, truth, truth_from_map,

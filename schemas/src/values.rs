@@ -12,13 +12,6 @@ use crate::{Cell, Fault, record};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Stamp(pub i64);
 
-impl Stamp {
-    /// Seconds from another stamp to this one.
-    pub fn seconds_since(self, earlier: Stamp) -> f64 {
-        self.0.wrapping_sub(earlier.0) as f64 * 1e-9
-    }
-}
-
 impl Cell for Stamp {
     fn data_type() -> DataType {
         DataType::Timestamp(TimeUnit::Nanosecond, Some("UTC".into()))

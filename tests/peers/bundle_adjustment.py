@@ -7,7 +7,7 @@ solver is run on one and on two threads; of Ceres' three Schur solvers the faste
 
 Needs libceres-dev and a C++ compiler, and the release build of the example:
 
-    cargo build --release --example solve_bundle -p evermap-algorithms
+    cargo build --release --example solve_bundle -p evermap-bench
     tests/peers/bundle_adjustment.py [FILE.txt ...]
 """
 

@@ -34,7 +34,7 @@ APPEARANCE = {"compat": 10, "sxy": 80, "srgb": 13}
 
 def example():
     """evermap's program, compiled if need be."""
-    cargo = ["cargo", "build", "--release", "--example", "dense_crf", "-p", "evermap-algorithms", "--message-format=json"]
+    cargo = ["cargo", "build", "--release", "--example", "dense_crf", "-p", "evermap-bench", "--message-format=json"]
     lines = subprocess.run(cargo, cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout.splitlines()
     return next(message["executable"] for message in map(json.loads, lines) if message.get("executable"))
 

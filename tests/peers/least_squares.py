@@ -27,7 +27,7 @@ OURS = "evermap"
 
 def example():
     """evermap's program, compiled if need be."""
-    cargo = ["cargo", "build", "--release", "--example", "solve", "-p", "evermap-algorithms", "--message-format=json"]
+    cargo = ["cargo", "build", "--release", "--example", "solve", "-p", "evermap-bench", "--message-format=json"]
     lines = subprocess.run(cargo, cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout.splitlines()
     return next(message["executable"] for message in map(json.loads, lines) if message.get("executable"))
 

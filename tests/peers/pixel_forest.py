@@ -24,7 +24,7 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent.parent
 
 def example(name):
     """One of evermap's examples, compiled if need be."""
-    cargo = ["cargo", "build", "--release", "--example", name, "-p", "evermap-algorithms", "--message-format=json"]
+    cargo = ["cargo", "build", "--release", "--example", name, "-p", "evermap-bench", "--message-format=json"]
     lines = subprocess.run(cargo, cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout.splitlines()
     found = [message["executable"] for message in map(json.loads, lines) if message.get("executable")]
     return found[-1]

@@ -241,7 +241,7 @@ def main():
     given = parser.parse_args()
     cv2.setNumThreads(1)
     describe = given.describe or example("describe", "evermap-vision")
-    ours = given.relocate or example("relocate", "evermap-algorithms")
+    ours = given.relocate or example("relocate", "evermap-bench")
     programs = ours, None if given.no_abow else abow_program()
     print("| task | method | views | recall@1 | power | ms per query | training, s |")
     print("|---|---|--:|--:|--:|--:|--:|")

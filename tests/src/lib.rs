@@ -3,7 +3,7 @@
 //! Data that others made (`../shared` beside the repository, or `EVERMAP_SHARED`) is never part of the project. A test
 //! that needs it asks [`shared`] and, where it is absent, says so on standard error and passes.
 
-#![allow(clippy::expect_used, clippy::panic, clippy::print_stderr)]
+#![allow(clippy::expect_used, clippy::panic)]
 
 pub mod kitti;
 pub mod trajectories;
@@ -11,23 +11,13 @@ pub mod trajectories;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+pub use evermap_bench::shared;
+
 /// The repository.
 pub fn repository() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()
         .expect("tests/ lies in the repository")
-}
-
-/// A path in the shared data; `None`, loudly, where it is not there.
-pub fn shared(path: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("EVERMAP_SHARED")
-        .map_or_else(|| repository().join("../shared"), PathBuf::from);
-    let full = root.join(path);
-    if full.exists() {
-        return Some(full);
-    }
-    eprintln!("SKIPPED: {} is not there", full.display());
-    None
 }
 
 /// A finished program.

@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::geometry::trajectory::{
-    AbsoluteError, PosePair, StampedPose, Statistics, absolute_error, align, associate, tum,
+use evermap_algorithms::geometry::trajectory::StampedPose;
+use evermap_bench::trajectory::{
+    AbsoluteError, PosePair, Statistics, absolute_error, align, associate, tum,
 };
 use serde_json::Value;
 

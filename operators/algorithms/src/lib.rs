@@ -20,4 +20,4 @@ pub mod semantic_map;
 pub mod solving;
 
 #[cfg(test)]
-mod shared_data;
+mod tests;

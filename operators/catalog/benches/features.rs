@@ -4,8 +4,10 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use evermap_algorithms::geometry::camera::Camera;
-use evermap_algorithms::metric_map::features::{DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures};
 use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::metric_map::features::{
+    DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures,
+};
 use evermap_algorithms::metric_map::tracking::{TrackParams, View, tracks};
 use nalgebra::Vector3;
 

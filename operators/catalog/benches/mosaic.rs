@@ -14,10 +14,11 @@ use std::hint::black_box;
 use criterion::{Criterion, criterion_group, criterion_main};
 use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::geometry::pose::Pose;
+use evermap_bench::remap::Remap;
 use evermap_contract::{Emit, Kernel, Losses, Sides};
 use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Bytes, LayerRow, Stamp, batch, record};
-use evermap_vision::{Decoder, Grey, Remap};
+use evermap_vision::{Decoder, Grey};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde_json::json;
 

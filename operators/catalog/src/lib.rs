@@ -75,7 +75,11 @@ mod tests {
     /// The files with this extension, `family/name`, without what only helps others.
     fn files(extension: &str) -> Vec<String> {
         let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-        let entries = |folder: &Path| std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        let entries = |folder: &Path| {
+            std::fs::read_dir(folder)
+                .unwrap()
+                .map(|entry| entry.unwrap().path())
+        };
         let folders = entries(&source).filter(|path| path.is_dir() && !path.ends_with("inputs"));
         let named = |path: &PathBuf| path.extension().is_some_and(|found| found == extension);
         let name = |path: PathBuf| {

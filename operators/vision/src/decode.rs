@@ -8,73 +8,22 @@ use std::sync::OnceLock;
 
 use imagesize::ImageType;
 use opencv::core::{DataType, Mat, MatTraitConst, MatTraitConstManual, Vec3b, set_num_threads};
-use opencv::imgcodecs::{
-    IMREAD_COLOR, IMREAD_GRAYSCALE, IMREAD_IGNORE_ORIENTATION, IMREAD_REDUCED_COLOR_2,
-    IMREAD_REDUCED_COLOR_4, IMREAD_REDUCED_GRAYSCALE_2, IMREAD_REDUCED_GRAYSCALE_4, imdecode_to,
-};
+use opencv::imgcodecs::{IMREAD_COLOR, IMREAD_GRAYSCALE, IMREAD_IGNORE_ORIENTATION, imdecode_to};
 
 use crate::{Grey, ImageError, Rgb};
-
-/// How much smaller an image is decoded. JPEGs are then also decoded faster: the transform itself is done at the
-/// smaller size.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub enum Reduction {
-    /// As it is.
-    #[default]
-    Full,
-    /// Half as wide and high.
-    Half,
-    /// A quarter as wide and high.
-    Quarter,
-}
-
-impl Reduction {
-    /// How many times smaller.
-    pub fn factor(self) -> u32 {
-        match self {
-            Self::Full => 1,
-            Self::Half => 2,
-            Self::Quarter => 4,
-        }
-    }
-
-    fn grey(self) -> i32 {
-        match self {
-            Self::Full => IMREAD_GRAYSCALE,
-            Self::Half => IMREAD_REDUCED_GRAYSCALE_2,
-            Self::Quarter => IMREAD_REDUCED_GRAYSCALE_4,
-        }
-    }
-
-    fn colour(self) -> i32 {
-        match self {
-            Self::Full => IMREAD_COLOR,
-            Self::Half => IMREAD_REDUCED_COLOR_2,
-            Self::Quarter => IMREAD_REDUCED_COLOR_4,
-        }
-    }
-}
 
 /// Decodes encoded images (JPEG, PNG, WebP, BMP, TIFF, PGM and PPM, by their first bytes) to 8-bit grey or
 /// colour.
 ///
-/// Grey from colour is luma (Rec. 601, which in a JPEG is stored as such); colour from grey has three equal values; 16 bits become the upper 8; transparency and
-/// EXIF orientation are ignored.
+/// Grey from colour is luma (Rec. 601, which in a JPEG is stored as such); colour from grey has three equal values; 16
+/// bits become the upper 8; transparency and EXIF orientation are ignored.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Decoder {
-    reduction: Reduction,
-}
+pub struct Decoder;
 
 impl Decoder {
-    /// A decoder at full size.
+    /// A decoder.
     pub fn new() -> Self {
-        Self::default()
-    }
-
-    /// The same, to smaller images.
-    #[must_use]
-    pub fn reduced(self, reduction: Reduction) -> Self {
-        Self { reduction }
+        Self
     }
 
     /// Width and height (px) that the header claims; the rest of the bytes is not looked at.
@@ -82,7 +31,8 @@ impl Decoder {
     /// # Errors
     /// [`ImageError`] for bytes that are no image, or too large a one.
     pub fn size(&self, bytes: &[u8]) -> Result<[u32; 2], ImageError> {
-        Ok(self.header(bytes)?.1)
+        let header = header(bytes)?;
+        Ok([header.width, header.height])
     }
 
     /// The image that `bytes` encode.
@@ -101,11 +51,10 @@ impl Decoder {
     /// [`ImageError`] for bytes that are no image, too large an image, or one that is cut off or damaged so that not
     /// every row can be read. (A JPEG damaged in the middle may still decode, with some blocks wrong.)
     pub fn decode_into(&self, bytes: &[u8], grey: &mut Grey) -> Result<(), ImageError> {
-        let (header, [width, height]) = self.header(bytes)?;
-        grey.reset(width, height)?;
-        let target = (&mut grey.data, [width, height]);
+        let header = header(bytes)?;
+        grey.reset(header.width, header.height)?;
         [grey.width, grey.height] =
-            decode_onto::<u8>(bytes, &header, self.reduction.grey(), target)?;
+            decode_onto::<u8>(bytes, &header, IMREAD_GRAYSCALE, &mut grey.data)?;
         Ok(())
     }
 
@@ -124,34 +73,27 @@ impl Decoder {
     /// # Errors
     /// As [`Decoder::decode_into`].
     pub fn decode_colour_into(&self, bytes: &[u8], rgb: &mut Rgb) -> Result<(), ImageError> {
-        let (header, [width, height]) = self.header(bytes)?;
-        rgb.reset(width, height)?;
-        let target = (&mut rgb.data, [width, height]);
+        let header = header(bytes)?;
+        rgb.reset(header.width, header.height)?;
         [rgb.width, rgb.height] =
-            decode_onto::<Vec3b>(bytes, &header, self.reduction.colour(), target)?;
+            decode_onto::<Vec3b>(bytes, &header, IMREAD_COLOR, &mut rgb.data)?;
         // OpenCV's order is blue, green, red.
         for pixel in rgb.data.chunks_exact_mut(3) {
             pixel.swap(0, 2);
         }
         Ok(())
     }
-
-    fn header(&self, bytes: &[u8]) -> Result<(Header, [u32; 2]), ImageError> {
-        let header = header(bytes)?;
-        let factor = self.reduction.factor();
-        let size = [header.width, header.height].map(|side| side.div_ceil(factor));
-        Ok((header, size))
-    }
 }
 
-/// Decodes pixels of type `P` into a buffer of that size; the width and height of what was decoded.
+/// Decodes pixels of type `P` into a buffer of the header's size; the width and height of what was decoded.
 fn decode_onto<P: DataType>(
     bytes: &[u8],
     header: &Header,
     flags: i32,
-    (buffer, [width, height]): (&mut Vec<u8>, [u32; 2]),
+    buffer: &mut Vec<u8>,
 ) -> Result<[u32; 2], ImageError> {
     one_thread()?;
+    let (width, height) = (header.width, header.height);
     let damaged = || header.damaged(bytes);
     if header.format == "jpeg" && !ends_like_a_jpeg(bytes) {
         return Err(damaged());

@@ -98,22 +98,6 @@ pub enum ImageError {
         /// What was found instead.
         found: String,
     },
-    /// A raw encoding that is not read.
-    #[error("unknown raw encoding \"{found}\"; known are {}", crate::RAW_ENCODINGS.join(", "))]
-    Encoding {
-        /// The encoding given.
-        found: String,
-    },
-    /// A raw image's row stride or length does not fit its size.
-    #[error("raw image: expected {what} of at least {expected} bytes, found {found}")]
-    Length {
-        /// `step` or `data`.
-        what: &'static str,
-        /// Bytes that it must have.
-        expected: u64,
-        /// Bytes that it has.
-        found: u64,
-    },
     /// OpenCV failed in a way that none of the above explains.
     #[error("OpenCV: {message}")]
     OpenCv {

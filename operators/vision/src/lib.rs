@@ -1,9 +1,7 @@
 //! Images, by OpenCV. This is the only crate that links it, and the only one that needs to.
 //!
 //! ```text
-//!   jpeg, png, pgm … ──► Decoder::decode ──┐
-//!                                          ├──► Grey (8 bits, rows without gaps)
-//!   mono8, bgr8 … ─────► from_raw ─────────┘
+//!   jpeg, png, pgm … ──► Decoder::decode ─────────► Grey (8 bits, rows without gaps)
 //!   jpeg, png, ppm … ──► Decoder::decode_colour ──► Rgb
 //!   depth: png, pgm ───► decode_depth ────────────► Grey16, the values as stored
 //!   labels: png, pgm ──► decode_labels ───────────► Grey, the values as stored ──► encode_png
@@ -15,13 +13,9 @@
 mod decode;
 mod features;
 mod grey;
-mod raw;
-mod resample;
 mod stored;
 
-pub use decode::{Decoder, Reduction};
+pub use decode::Decoder;
 pub use features::{Blind, DESCRIPTOR_BYTES, FeatureParams, KeyPoints, Vignette, features};
 pub use grey::{Grey, Grey16, ImageError, MAX_PIXELS, Rgb};
-pub use raw::{RAW_ENCODINGS, from_raw};
-pub use resample::Remap;
 pub use stored::{decode_depth, decode_labels, encode_png};

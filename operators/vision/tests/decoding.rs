@@ -1,7 +1,7 @@
 //! Decoding: exact where the format is, refused where the bytes are not an image, and never a panic.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use evermap_vision::{Decoder, Grey, ImageError, Reduction};
+use evermap_vision::{Decoder, Grey, ImageError};
 use png::{BitDepth, ColorType};
 use proptest::prelude::*;
 
@@ -99,29 +99,6 @@ fn colour_becomes_luma_and_sixteen_bits_their_upper_eight() {
         pnm("P5\n2 1\n65535\n", &deep),
     ] {
         assert_eq!(decode(&bytes).unwrap().data, [0x12, 0xab]);
-    }
-}
-
-#[test]
-fn reduced_images_are_smaller_and_alike() {
-    let flat = Grey {
-        width: 61,
-        height: 37,
-        data: vec![90; 61 * 37],
-    };
-    for (reduction, [width, height]) in
-        [(Reduction::Half, [31, 19]), (Reduction::Quarter, [16, 10])]
-    {
-        for bytes in [jpeg_of(&flat), grey_png(&flat)] {
-            let small = Decoder::new().reduced(reduction).decode(&bytes).unwrap();
-            let size = (small.width, small.height);
-            assert!(
-                size.0.abs_diff(width) <= 1 && size.1.abs_diff(height) <= 1,
-                "{size:?}"
-            );
-            assert_eq!(small.data.len() as u32, small.width * small.height);
-            assert!(small.data.iter().all(|value| value.abs_diff(90) <= 1));
-        }
     }
 }
 

@@ -7,7 +7,7 @@
 //! | [`pose`] | rigid transforms, checked at the door |
 //! | [`resection`] | a rig's pose from points and rays, with outliers |
 //! | [`rig`] | cameras fixed to one vehicle |
-//! | [`trajectory`] | alignment and errors of trajectories |
+//! | [`trajectory`] | poses at instants |
 
 pub mod camera;
 pub mod lie;

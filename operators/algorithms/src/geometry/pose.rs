@@ -8,7 +8,7 @@
 //! frame and gives it in the map frame, and `map_from_vehicle.compose(&vehicle_from_camera)` is
 //! `map_from_camera`, so a chain cancels by eye.
 
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 /// A quaternion shorter than this has no direction worth trusting.
 const MIN_QUATERNION_NORM: f64 = 1e-6;
@@ -152,17 +152,6 @@ impl Pose {
         }
         let t = stamp.saturating_sub(before.0) as f64 / span as f64;
         before.1.interpolate(after.1, t)
-    }
-
-    /// The same transform for nalgebra.
-    pub fn to_isometry(&self) -> Isometry3<f64> {
-        Isometry3::from_parts(Translation3::from(self.translation), self.rotation)
-    }
-}
-
-impl From<Isometry3<f64>> for Pose {
-    fn from(isometry: Isometry3<f64>) -> Self {
-        Self::new(isometry.translation.vector, isometry.rotation)
     }
 }
 

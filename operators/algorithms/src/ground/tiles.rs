@@ -20,12 +20,9 @@
 //! the map frame, x east and y north, at zoom 0; every zoom doubles the cell. Tile rows run
 //! *north* (row 0 has the smallest y); a picture with row 0 on top flips them.
 
-use std::collections::BTreeMap;
-
 /// Cells along a tile's side.
 pub const TILE_CELLS: usize = 256;
 
-const SIDE: i64 = TILE_CELLS as i64;
 const SUM_BITS: u32 = 36;
 const SUM_MASK: u64 = (1 << SUM_BITS) - 1;
 
@@ -49,30 +46,6 @@ pub struct TileKey {
 }
 
 impl TileKey {
-    /// The tile of `zoom` that holds cell `(i, j)` of that zoom.
-    pub fn of_cell(zoom: u8, i: i64, j: i64) -> Self {
-        Self {
-            zoom,
-            x: i.div_euclid(SIDE),
-            y: j.div_euclid(SIDE),
-        }
-    }
-
-    /// The tile one zoom up that covers this one.
-    #[must_use]
-    pub fn parent(self) -> Self {
-        Self {
-            zoom: self.zoom.saturating_add(1),
-            x: self.x.div_euclid(2),
-            y: self.y.div_euclid(2),
-        }
-    }
-
-    /// First cell `(i, j)` of the tile, at its own zoom.
-    pub fn first_cell(self) -> (i64, i64) {
-        (self.x.saturating_mul(SIDE), self.y.saturating_mul(SIDE))
-    }
-
     /// Width of a cell of this tile in metres, given that of zoom 0.
     pub fn cell_m(self, base_cell_m: f64) -> f64 {
         base_cell_m * 2f64.powi(i32::from(self.zoom))
@@ -180,25 +153,6 @@ impl TileSum {
         if full { Err(TileOverflow) } else { Ok(()) }
     }
 
-    /// Writes this tile (of `key`) at half resolution into its quarter of `parent`.
-    ///
-    /// A parent's cell has the weighted mean of its four cells and their mean weight (rounded up,
-    /// so a cell seen at all stays seen). Averaging, not adding, keeps every zoom level inside the
-    /// same bounds; it means that a pyramid is built once, from merged tiles, not merged itself.
-    pub fn downsample_into(&self, key: TileKey, parent: &mut TileSum) {
-        let half = TILE_CELLS / 2;
-        let left = if key.x.rem_euclid(2) == 1 { half } else { 0 };
-        let bottom = if key.y.rem_euclid(2) == 1 { half } else { 0 };
-        for row in 0..half {
-            let south = &self.cells[2 * row * TILE_CELLS..][..TILE_CELLS];
-            let north = &self.cells[(2 * row + 1) * TILE_CELLS..][..TILE_CELLS];
-            let out = &mut parent.cells[(bottom + row) * TILE_CELLS + left..][..half];
-            for ((out, south), north) in out.iter_mut().zip(south.chunks(2)).zip(north.chunks(2)) {
-                *out = average(south.iter().chain(north));
-            }
-        }
-    }
-
     /// The picture, by exact integer rounding.
     pub fn finish(&self) -> FinishedTile {
         let mean = |&cell: &u64| match unpack(cell) {
@@ -223,85 +177,25 @@ fn unpack(cell: u64) -> (u64, u32) {
     (cell & SUM_MASK, (cell >> SUM_BITS) as u32)
 }
 
-/// Mean of four cells as one cell; at most 2³⁸ × 2²⁸ in between, hence 128 bits.
-fn average<'a>(cells: impl Iterator<Item = &'a u64>) -> u64 {
-    let (sum, weight) = cells.fold((0u64, 0u64), |(sums, weights), &cell| {
-        let (sum, weight) = unpack(cell);
-        (sums + sum, weights + u64::from(weight))
-    });
-    if weight == 0 {
-        return 0;
-    }
-    let mean_weight = weight.div_ceil(4);
-    let scaled = u128::from(sum) * u128::from(mean_weight) + u128::from(weight / 2);
-    (mean_weight << SUM_BITS) + (scaled / u128::from(weight)) as u64
-}
-
-/// All tiles of zoom 0 that were touched, in key order.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Mosaic {
-    /// The tiles.
-    pub tiles: BTreeMap<TileKey, TileSum>,
-}
-
-impl Mosaic {
-    /// Adds a run of looks that starts at global cell `(i, j)` and goes east, cutting it at tile
-    /// borders. Cells of weight 0 at a tile's part do not create the tile.
-    ///
-    /// # Errors
-    /// [`TileOverflow`] when a cell is full.
-    pub fn add_row(
-        &mut self,
-        i: i64,
-        j: i64,
-        values: &[u8],
-        weights: &[u8],
-    ) -> Result<(), TileOverflow> {
-        let length = values.len().min(weights.len());
-        let row = j.rem_euclid(SIDE) as usize;
-        let mut done = 0;
-        while done < length {
-            let at = i.saturating_add(done as i64);
-            let column = at.rem_euclid(SIDE) as usize;
-            let end = length.min(done + TILE_CELLS - column);
-            if weights[done..end].iter().any(|weight| *weight != 0) {
-                let tile = self.tiles.entry(TileKey::of_cell(0, at, j)).or_default();
-                tile.add_row(column, row, &values[done..end], &weights[done..end])?;
-            }
-            done = end;
-        }
-        Ok(())
-    }
-
-    /// The tiles one zoom level up.
-    #[must_use]
-    pub fn downsampled(&self) -> Mosaic {
-        let mut parents = Mosaic::default();
-        for (key, tile) in &self.tiles {
-            tile.downsample_into(*key, parents.tiles.entry(key.parent()).or_default());
-        }
-        parents
-    }
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
     use super::*;
     use proptest::prelude::*;
 
-    type Look = (i64, i64, u8, u8);
+    /// Column, row, value and weight.
+    type Look = (usize, usize, u8, u8);
 
-    fn mosaic(looks: &[Look]) -> Mosaic {
-        let mut mosaic = Mosaic::default();
-        for &(i, j, value, weight) in looks {
-            mosaic.add_row(i, j, &[value], &[weight]).unwrap();
+    fn tile(looks: &[Look]) -> TileSum {
+        let mut tile = TileSum::new();
+        for &(column, row, value, weight) in looks {
+            tile.add_row(column, row, &[value], &[weight]).unwrap();
         }
-        mosaic
+        tile
     }
 
     fn looks() -> impl Strategy<Value = Vec<Look>> {
-        prop::collection::vec((-4..4i64, 254..258i64, any::<u8>(), any::<u8>()), 0..40)
+        prop::collection::vec((252..256usize, 0..4usize, any::<u8>(), any::<u8>()), 0..40)
     }
 
     proptest! {
@@ -309,36 +203,31 @@ mod tests {
         #[test]
         fn merging_is_exact_and_in_any_order(a in looks(), b in looks()) {
             let all: Vec<Look> = b.iter().chain(&a).copied().collect();
-            let mut merged = mosaic(&a);
-            for (key, tile) in &mosaic(&b).tiles {
-                merged.tiles.entry(*key).or_default().merge(tile).unwrap();
-            }
-            prop_assert_eq!(&merged, &mosaic(&all));
-            for i in -4..4i64 {
-                for j in 254..258i64 {
-                    let here = || all.iter().filter(|look| (look.0, look.1) == (i, j));
+            let mut merged = tile(&a);
+            merged.merge(&tile(&b)).unwrap();
+            prop_assert_eq!(&merged, &tile(&all));
+            let finished = merged.finish();
+            for column in 252..256 {
+                for row in 0..4 {
+                    let here = || all.iter().filter(|look| (look.0, look.1) == (column, row));
                     let sum: u64 = here().map(|l| u64::from(l.2) * u64::from(l.3)).sum();
                     let weight: u32 = here().map(|l| u32::from(l.3)).sum();
-                    let (column, row) = (i.rem_euclid(256) as usize, (j % 256) as usize);
-                    let tile = merged.tiles.get(&TileKey::of_cell(0, i, j));
-                    prop_assert_eq!(tile.map_or((0, 0), |t| t.get(column, row)), (sum, weight));
-                    if let (Some(tile), true) = (tile, weight > 0) {
+                    prop_assert_eq!(merged.get(column, row), (sum, weight));
+                    if weight > 0 {
                         let mean = (sum as f64 / f64::from(weight) + 0.5).floor() as u8;
-                        prop_assert_eq!(tile.finish().grey[row * 256 + column], mean);
+                        prop_assert_eq!(finished.grey[row * 256 + column], mean);
                     }
                 }
             }
         }
 
         #[test]
-        fn long_rows_are_cut_at_tiles(start in -600..600i64, length in 0..800usize) {
+        fn what_leaves_the_tile_is_ignored(start in 0..300usize, length in 0..300usize) {
             let values: Vec<u8> = (0..length).map(|i| i as u8).collect();
-            let weights = vec![3u8; length];
-            let mut whole = Mosaic::default();
-            whole.add_row(start, -1, &values, &weights).unwrap();
-            let single: Vec<Look> =
-                (0..length).map(|k| (start + k as i64, -1, k as u8, 3)).collect();
-            prop_assert_eq!(whole, mosaic(&single));
+            let mut whole = TileSum::new();
+            whole.add_row(start, 7, &values, &vec![3; length]).unwrap();
+            let single: Vec<Look> = (0..length).map(|k| (start + k, 7, k as u8, 3)).collect();
+            prop_assert_eq!(whole, tile(&single));
         }
     }
 
@@ -357,32 +246,13 @@ mod tests {
     }
 
     #[test]
-    fn zooming_out_keeps_means_and_places() {
-        let looks: Vec<Look> = vec![(-2, -2, 100, 10), (-1, -2, 200, 30), (0, 0, 7, 1)];
-        let parents = mosaic(&looks).downsampled();
+    fn a_tile_covers_what_its_key_says() {
         let south_west = TileKey {
             zoom: 1,
             x: -1,
             y: -1,
         };
-        assert_eq!(parents.tiles[&south_west].get(255, 255), (1750, 10));
-        assert_eq!(
-            parents.tiles[&TileKey {
-                zoom: 1,
-                x: 0,
-                y: 0
-            }]
-                .get(0, 0),
-            (7, 1)
-        );
         assert_eq!(south_west.footprint_m(0.05), [-25.6, -25.6, 0.0, 0.0]);
-        assert_eq!(
-            TileKey::of_cell(0, -1, 256),
-            TileKey {
-                zoom: 0,
-                x: -1,
-                y: 1
-            }
-        );
+        assert_eq!(south_west.cell_m(0.05), 0.1);
     }
 }

@@ -10,15 +10,29 @@ pub struct Descriptor(pub [u8; DESCRIPTOR_BYTES]);
 impl Descriptor {
     /// Bits that differ, 0 to 512.
     pub fn distance(&self, other: &Self) -> u32 {
-        let words = self.0.chunks_exact(8).zip(other.0.chunks_exact(8));
-        words.map(|(a, b)| (word(a) ^ word(b)).count_ones()).sum()
+        distance(&words(self), &words(other))
     }
 }
 
-fn word(bytes: &[u8]) -> u64 {
-    let mut word = [0; 8];
-    word.copy_from_slice(bytes);
-    u64::from_le_bytes(word)
+const WORDS: usize = DESCRIPTOR_BYTES / 8;
+
+/// A descriptor as the processor counts it.
+pub(crate) type Words = [u64; WORDS];
+
+/// The words of a descriptor.
+pub(crate) fn words(descriptor: &Descriptor) -> Words {
+    let (eights, _) = descriptor.0.as_chunks::<8>();
+    std::array::from_fn(|word| u64::from_le_bytes(eights[word]))
+}
+
+/// Bits that differ. Always inlined, so that it is compiled for the instructions of whoever calls.
+#[inline(always)]
+pub(crate) fn distance(a: &Words, b: &Words) -> u32 {
+    let mut bits = 0;
+    for word in 0..WORDS {
+        bits += (a[word] ^ b[word]).count_ones();
+    }
+    bits
 }
 
 /// One key point.

@@ -3,7 +3,7 @@
 //! | module | what it knows |
 //! |---|---|
 //! | [`class_scores`] | probabilities of classes over an image |
-//! | [`relocation`] | where in a map a view was taken, by the graph of what it shows, and how well a method tells |
+//! | [`relocation`] | where in a map a view was taken, by the graph of what it shows |
 //! | [`semantic_graph`] | label images as areas that touch, and where they lie of one another |
 //! | [`temporal_votes`] | what neighbouring views say about a view's pixels |
 

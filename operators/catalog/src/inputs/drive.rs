@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::geometry::rig::{Rig, RigCamera};
 use evermap_algorithms::metric_map::features::{
     DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures, KeyframeFeatures,
 };
-use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::geometry::rig::{Rig, RigCamera};
 use evermap_contract::{Fault, Sides};
 use evermap_schemas::Stamp;
 use evermap_schemas::layers::{Features, Keyframe};

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use evermap_algorithms::metric_map::association::{FeatureRef, Scene};
 use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::metric_map::association::{FeatureRef, Scene};
 use evermap_contract::{Emit, Fault, Sides};
 use evermap_schemas::Stamp;
 use evermap_schemas::layers::{Features, Keyframe};

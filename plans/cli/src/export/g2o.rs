@@ -6,9 +6,9 @@
 use std::collections::BTreeMap;
 
 use arrow::array::RecordBatch;
-use evermap_algorithms::solving::least_squares::Loss;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::metric_map::pose_graph::{Edge, SpatialGraph, g2o};
+use evermap_algorithms::solving::least_squares::Loss;
 use evermap_contract::Registry;
 use evermap_engine::conform::conform;
 use evermap_engine::map::Map;
@@ -130,6 +130,7 @@ fn edge([from, to]: [usize; 2], measured: Pose, sigmas: [f64; 6]) -> Edge<Pose, 
 mod tests {
     #![allow(clippy::unwrap_used, clippy::panic)]
     use super::*;
+    use evermap_bench::g2o::{File, read};
 
     fn at(x: f64) -> evermap_schemas::Pose {
         evermap_schemas::Pose {
@@ -183,7 +184,7 @@ mod tests {
         )
         .unwrap();
         let text = g2o::write_spatial(&graph, &ids);
-        let g2o::File::Spatial(read) = g2o::read(&text).unwrap() else {
+        let File::Spatial(read) = read(&text).unwrap() else {
             panic!("{text}")
         };
         assert_eq!(read.graph, graph);

@@ -43,17 +43,18 @@ pub fn text(batches: &[RecordBatch]) -> Result<String, Fault> {
         poses.extend(stamps.into_iter().zip(found));
     }
     poses.sort_by_key(|(stamp, _)| *stamp);
-    let stamped = |(stamp, pose): &(Stamp, Pose)| match evermap_algorithms::geometry::pose::Pose::from_array(
-        pose.to_array(),
-    ) {
-        Ok(pose) => Ok(StampedPose {
-            stamp_ns: stamp.0,
-            pose,
-        }),
-        Err(error) => Err(Fault::data(format!("the pose at {} ns: {error}", stamp.0))),
-    };
+    let stamped =
+        |(stamp, pose): &(Stamp, Pose)| match evermap_algorithms::geometry::pose::Pose::from_array(
+            pose.to_array(),
+        ) {
+            Ok(pose) => Ok(StampedPose {
+                stamp_ns: stamp.0,
+                pose,
+            }),
+            Err(error) => Err(Fault::data(format!("the pose at {} ns: {error}", stamp.0))),
+        };
     let poses = poses.iter().map(stamped).collect::<Result<Vec<_>, _>>()?;
-    Ok(tum::write(&poses))
+    Ok(tum(&poses))
 }
 
 fn no_poses(column: &str) -> Fault {

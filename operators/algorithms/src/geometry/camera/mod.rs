@@ -126,6 +126,24 @@ impl Camera {
         inside(u, self.width) && inside(v, self.height)
     }
 
+    /// Pixels per radian at the middle of the image, from the rays a pixel left and right, and above and below, of it;
+    /// where the lens sees nothing there, those of half a circle over the image's width.
+    pub fn px_per_rad(&self) -> f64 {
+        let [u, v] = [self.width, self.height].map(|size| f64::from(size) / 2.0 - 0.5);
+        let across = |du: f64, dv: f64| {
+            let before = self.unproject([u - du, v - dv])?;
+            let after = self.unproject([u + du, v + dv])?;
+            let angle = before.angle(&after);
+            (angle > 0.0).then(|| 2.0 / angle)
+        };
+        match (across(1.0, 0.0), across(0.0, 1.0)) {
+            (Some(a), Some(b)) => (a + b) / 2.0,
+            (one, other) => one
+                .or(other)
+                .unwrap_or_else(|| f64::from(self.width.max(1)) / PI),
+        }
+    }
+
     fn sees_angle(&self, ray: &Vector3<f64>) -> bool {
         self.max_angle_rad >= PI || ray.x.hypot(ray.y).atan2(ray.z) <= self.max_angle_rad
     }

@@ -47,7 +47,7 @@ const F5: [f64; 8] = {
 };
 
 /// `(1 - cos θ) / θ²`.
-pub(super) fn one_minus_cos(theta2: f64) -> f64 {
+pub fn one_minus_cos(theta2: f64) -> f64 {
     if theta2 < SERIES_BELOW {
         return alternating(theta2, &F2);
     }
@@ -55,7 +55,7 @@ pub(super) fn one_minus_cos(theta2: f64) -> f64 {
 }
 
 /// `(θ - sin θ) / θ³`.
-pub(super) fn angle_minus_sin(theta2: f64) -> f64 {
+pub fn angle_minus_sin(theta2: f64) -> f64 {
     if theta2 < SERIES_BELOW {
         return alternating(theta2, &F3);
     }

@@ -8,15 +8,13 @@
 //! > then the rotation φ (radians), both along the axes of `b`.**
 //!
 //! So for a landmark `p` (frame a), `b_from_a · p = p_b` changes by `-ρ + [p_b]× φ`, and a 6×6
-//! covariance or information matrix of a pose has translation in its first three rows. Where a
-//! table wants the covariance along the axes of `a` instead, [`se3::covariance_along_left`] turns
-//! it.
+//! covariance or information matrix of a pose has translation in its first three rows. One along
+//! the axes of `a` instead is turned by [`se3::covariance_along_right`].
 //!
 //! | module | group | tangent |
 //! |---|---|---|
 //! | [`so3`] | rotations, [`nalgebra::UnitQuaternion`] | φ, 3 |
 //! | [`se3`] | rigid motions, [`crate::geometry::pose::Pose`] | (ρ, φ), 6 |
-//! | [`se2`] | planar rigid motions, [`se2::PlanarPose`] | (ρ, φ), 3 |
 //!
 //! Every coefficient that is `0/0` at the identity is taken from its Taylor series below half a
 //! radian; logarithms go through `atan2` of half the angle, which keeps all digits at half a
@@ -25,8 +23,7 @@
 //! Source: Solà, Deray, Atchuthan, *A micro Lie theory for state estimation in robotics* (2018);
 //! Barfoot, *State Estimation for Robotics* (2017), section 7.1.
 
-mod coefficients;
-pub mod se2;
+pub mod coefficients;
 pub mod se3;
 pub mod so3;
 

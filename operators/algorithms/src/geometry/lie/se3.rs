@@ -62,11 +62,6 @@ pub fn left_jacobian(xi: &Tangent) -> Matrix6<f64> {
     blocks(&j, &coupling(&rho, &phi), &j)
 }
 
-/// `J` with `Exp(ξ + δ) ≈ Exp(ξ) Exp(J δ)`.
-pub fn right_jacobian(xi: &Tangent) -> Matrix6<f64> {
-    left_jacobian(&-xi)
-}
-
 /// Inverse of [`left_jacobian`]: `Log(Exp(δ) Exp(ξ)) ≈ ξ + J⁻¹ δ`.
 pub fn left_jacobian_inverse(xi: &Tangent) -> Matrix6<f64> {
     let (rho, phi) = split(xi);
@@ -74,27 +69,17 @@ pub fn left_jacobian_inverse(xi: &Tangent) -> Matrix6<f64> {
     blocks(&j, &(-(j * coupling(&rho, &phi) * j)), &j)
 }
 
-/// Inverse of [`right_jacobian`]: `Log(Exp(ξ) Exp(δ)) ≈ ξ + J⁻¹ δ`.
+/// `J⁻¹` with `Log(Exp(ξ) Exp(δ)) ≈ ξ + J⁻¹ δ`.
 pub fn right_jacobian_inverse(xi: &Tangent) -> Matrix6<f64> {
     left_jacobian_inverse(&-xi)
 }
 
-/// A covariance of `a_from_b` along the axes of `b`, as the convention has it, turned to the axes
-/// of `a`: of the position as seen in `a` (m²), then of a rotation about the axes of `a` (rad²).
-pub fn covariance_along_left(pose: &Pose, covariance: &Matrix6<f64>) -> Matrix6<f64> {
-    let turn = axes(pose);
-    turn * covariance * turn.transpose()
-}
-
-/// Undoes [`covariance_along_left`].
+/// A covariance of `a_from_b` along the axes of `a` (of the position as seen in `a`, m², then of a
+/// rotation about the axes of `a`, rad²) turned to the axes of `b`, as the convention has it.
 pub fn covariance_along_right(pose: &Pose, covariance: &Matrix6<f64>) -> Matrix6<f64> {
-    let turn = axes(pose);
-    turn.transpose() * covariance * turn
-}
-
-fn axes(pose: &Pose) -> Matrix6<f64> {
     let r = pose.rotation.to_rotation_matrix().into_inner();
-    blocks(&r, &Matrix3::zeros(), &r)
+    let turn = blocks(&r, &Matrix3::zeros(), &r);
+    turn.transpose() * covariance * turn
 }
 
 /// `[[a, b], [0, d]]`.

@@ -45,17 +45,12 @@ pub fn left_jacobian(phi: &Vector3<f64>) -> Matrix3<f64> {
     combine(phi, one_minus_cos(theta2), angle_minus_sin(theta2))
 }
 
-/// `J` with `Exp(φ + δ) ≈ Exp(φ) Exp(J δ)`.
-pub fn right_jacobian(phi: &Vector3<f64>) -> Matrix3<f64> {
-    left_jacobian(&-phi)
-}
-
 /// Inverse of [`left_jacobian`]: `Log(Exp(δ) Exp(φ)) ≈ φ + J⁻¹ δ`. Singular only at a full turn.
 pub fn left_jacobian_inverse(phi: &Vector3<f64>) -> Matrix3<f64> {
     combine(phi, -0.5, inverse_square(phi.norm_squared()))
 }
 
-/// Inverse of [`right_jacobian`]: `Log(Exp(φ) Exp(δ)) ≈ φ + J⁻¹ δ`.
+/// `J⁻¹` with `Log(Exp(φ) Exp(δ)) ≈ φ + J⁻¹ δ`.
 pub fn right_jacobian_inverse(phi: &Vector3<f64>) -> Matrix3<f64> {
     left_jacobian_inverse(&-phi)
 }

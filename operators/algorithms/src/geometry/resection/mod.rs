@@ -21,7 +21,7 @@ use nalgebra::{Matrix3, Matrix6, Vector3};
 use crate::geometry::pose::Pose;
 use consensus::inliers;
 use refinement::adjust;
-use sight::{Frame, Sight};
+use sight::Sight;
 
 /// Rounds of adjustment and new choice of inliers; they settle after two or three.
 const MAX_ROUNDS: usize = 10;
@@ -162,23 +162,4 @@ fn settled(
         inliers: found,
         variance_factor: adjusted.variance_factor,
     })
-}
-
-/// Squared errors of correspondences at a pose, in standard deviations; infinite for those that cannot see their point
-/// and those left out. In the order given.
-pub fn squared_errors(
-    vehicle_from_camera: &[Pose],
-    correspondences: &[Correspondence],
-    world_from_vehicle: &Pose,
-) -> Vec<f64> {
-    let frame = Frame::from(&world_from_vehicle.inverse());
-    let squared = |(index, given)| {
-        let sight = Sight::new(vehicle_from_camera, index, given)?;
-        let miss = sight.miss(&frame, f64::MAX)?;
-        Some(miss.squared())
-    };
-    let indexed = correspondences.iter().enumerate();
-    indexed
-        .map(|pair| squared(pair).unwrap_or(f64::INFINITY))
-        .collect()
 }

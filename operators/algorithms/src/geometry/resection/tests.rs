@@ -171,15 +171,6 @@ fn nonsense_is_left_out() {
     ]);
     let found = resect(&scene.rig, &scene.given, &options).unwrap();
     assert_eq!(found.inliers, expected.inliers);
-    let errors = squared_errors(&scene.rig, &scene.given, &found.world_from_vehicle);
-    assert!(errors[40..].iter().all(|error| error.is_infinite()));
-    assert!(
-        errors[..40]
-            .iter()
-            .filter(|error| **error <= options.gate)
-            .count()
-            == found.inliers.len()
-    );
     assert!(resect(&[], &scene.given, &options).is_none());
     assert!(resect(&scene.rig, &[], &options).is_none());
 }

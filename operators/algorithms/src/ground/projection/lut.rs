@@ -106,7 +106,7 @@ impl GroundLut {
         mask: Option<PixelMask<'_>>,
     ) -> Result<Self, GroundParamsError> {
         check(camera, vehicle_from_camera, params, mask)?;
-        let view = View {
+        let view = GroundCamera {
             camera,
             camera_from_vehicle: vehicle_from_camera.inverse(),
             eye: vehicle_from_camera.translation,
@@ -250,7 +250,7 @@ fn check(
 }
 
 /// One camera over the vehicle's ground plane.
-struct View<'a> {
+struct GroundCamera<'a> {
     camera: &'a Camera,
     camera_from_vehicle: Pose,
     eye: Vector3<f64>,
@@ -258,7 +258,7 @@ struct View<'a> {
     mask: Option<PixelMask<'a>>,
 }
 
-impl View<'_> {
+impl GroundCamera<'_> {
     /// The node at `(x, y, 0)` of the vehicle frame.
     fn look(&self, x: f64, y: f64) -> Option<Node> {
         let away = (x - self.eye.x).hypot(y - self.eye.y);

@@ -33,8 +33,6 @@ mod explore;
 mod graph;
 mod prune;
 #[cfg(test)]
-mod reference;
-#[cfg(test)]
 mod tests;
 mod thinning;
 

@@ -19,9 +19,6 @@
 //! In a full panorama the last column is next to the first one: [`RandomField::new`] can wrap the columns around. The
 //! deviation along x is then rounded, so that the panorama is a whole number of lattice cells wide; no dimension is added.
 
-mod energy;
-#[cfg(test)]
-mod examples;
 mod image;
 mod mean_field;
 mod search;

@@ -16,25 +16,15 @@ const LEAST_EXPLAINED: f64 = 0.8;
 /// A feature belongs to no landmark.
 const NONE: u32 = u32::MAX;
 
-/// What association did.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Association {
-    /// The landmarks, in the order of the ones given; merged ones take the place of the earliest.
-    pub landmarks: Vec<Landmark>,
-    /// Landmarks that went into others.
-    pub merged: usize,
-    /// Features that belonged to none before.
-    pub added: usize,
-}
-
 /// Looks for every landmark in all images that may show it, and makes one of those that turn out to be the same.
 /// `poses` are `map_from_vehicle` of the scene's keyframes. Features appear in at most one landmark, before and after.
+/// Given are the landmarks in the order of the ones given; merged ones take the place of the earliest.
 pub fn associate(
     scene: &Scene,
     poses: &[Pose],
     landmarks: &[Landmark],
     params: &AssociationParams,
-) -> Association {
+) -> Vec<Landmark> {
     let hits = Search::new(scene, poses, landmarks, params).hits();
     let owners = owners(scene, landmarks);
     let mut votes: BTreeMap<(u32, u32), (u32, u32)> = BTreeMap::new();
@@ -90,7 +80,6 @@ struct Groups<'a> {
     landmarks: Vec<Option<Landmark>>,
     /// Features added, so that none is given away twice.
     taken: std::collections::BTreeSet<FeatureRef>,
-    merged: usize,
 }
 
 impl<'a> Groups<'a> {
@@ -107,7 +96,6 @@ impl<'a> Groups<'a> {
             parents: (0..landmarks.len() as u32).collect(),
             landmarks: landmarks.iter().cloned().map(Some).collect(),
             taken: Default::default(),
-            merged: 0,
         }
     }
 
@@ -141,7 +129,6 @@ impl<'a> Groups<'a> {
         self.landmarks[into as usize] = Some(merged);
         self.landmarks[from as usize] = None;
         self.parents[from as usize] = into;
-        self.merged += 1;
     }
 
     /// The landmark that shows as these features, if there is one.
@@ -180,12 +167,8 @@ impl<'a> Groups<'a> {
         }
     }
 
-    fn finish(self) -> Association {
-        Association {
-            landmarks: self.landmarks.into_iter().flatten().collect(),
-            merged: self.merged,
-            added: self.taken.len(),
-        }
+    fn finish(self) -> Vec<Landmark> {
+        self.landmarks.into_iter().flatten().collect()
     }
 }
 

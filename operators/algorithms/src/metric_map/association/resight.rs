@@ -1,8 +1,6 @@
 //! The one small rigid motion of a keyframe that most of its hits agree on.
 
-use nalgebra::{
-    Isometry3, Matrix2x6, Matrix3, Matrix6, Translation3, UnitQuaternion, Vector3, Vector6,
-};
+use nalgebra::{Matrix2x6, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 
 use super::point::{across, ray_residual_rad};
 use crate::geometry::pose::Pose;
@@ -102,9 +100,9 @@ fn prior() -> Matrix6<f64> {
 }
 
 fn moved(pose: &Pose, motion: &Vector6<f64>) -> Pose {
-    let translation = Translation3::from(motion.fixed_rows::<3>(0).into_owned());
+    let translation = motion.fixed_rows::<3>(0).into_owned();
     let rotation = UnitQuaternion::from_scaled_axis(motion.fixed_rows::<3>(3).into_owned());
-    pose.compose(&Pose::from(Isometry3::from_parts(translation, rotation)))
+    pose.compose(&Pose::new(translation, rotation))
 }
 
 #[cfg(test)]

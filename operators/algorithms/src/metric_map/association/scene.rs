@@ -5,9 +5,9 @@ use std::ops::Range;
 use nalgebra::Vector3;
 
 use super::point::Sight;
-use crate::metric_map::features::{Descriptor, KeyframeFeatures};
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::{Rig, RigCamera};
+use crate::metric_map::features::{Descriptor, KeyframeFeatures};
 
 /// Growth of a feature's standard deviation with its size.
 const BLUR_POWER: f64 = 0.75;
@@ -86,7 +86,7 @@ impl Scene {
         self.rigs.push(rig.clone());
         let first_camera = self.cameras.len();
         for camera in &rig.cameras {
-            self.px_per_rad.push(px_per_rad(camera));
+            self.px_per_rad.push(camera.camera.px_per_rad());
             self.cameras.push(camera.clone());
         }
         let mut sizes: Vec<Vec<f64>> = vec![Vec::new(); rig.cameras.len()];
@@ -182,27 +182,4 @@ fn first_decile(mut sizes: Vec<f64>) -> f64 {
     sizes.retain(|size| *size > 0.0 && size.is_finite());
     sizes.sort_by(f64::total_cmp);
     sizes.get(sizes.len() / 10).copied().unwrap_or(1.0)
-}
-
-/// From the rays a pixel left and right, and above and below, of the image's middle.
-fn px_per_rad(camera: &RigCamera) -> f64 {
-    let lens = &camera.camera;
-    let middle = [
-        f64::from(lens.width) / 2.0 - 0.5,
-        f64::from(lens.height) / 2.0 - 0.5,
-    ];
-    let across = |du: f64, dv: f64| {
-        let before = lens.unproject([middle[0] - du, middle[1] - dv])?;
-        let after = lens.unproject([middle[0] + du, middle[1] + dv])?;
-        let angle = before.angle(&after);
-        (angle > 0.0).then(|| 2.0 / angle)
-    };
-    let found: Vec<f64> = [across(1.0, 0.0), across(0.0, 1.0)]
-        .into_iter()
-        .flatten()
-        .collect();
-    if found.is_empty() {
-        return f64::from(lens.width.max(1)) / std::f64::consts::PI;
-    }
-    found.iter().sum::<f64>() / found.len() as f64
 }

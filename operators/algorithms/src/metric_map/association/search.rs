@@ -6,10 +6,9 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::resight::{Resighting, agreed_pose};
-use super::{
-    AssociationParams, FeatureGrid, FeatureRef, Landmark, Look, Scene, looks, mean_direction,
-};
+use super::{AssociationParams, FeatureRef, Landmark, Look, Scene, looks, mean_direction};
 use crate::geometry::pose::Pose;
+use crate::metric_map::matching::FeatureGrid;
 
 /// Side of the squares that landmarks are sorted into, metres.
 const SQUARE_M: f64 = 4.0;
@@ -155,15 +154,9 @@ impl<'a> Search<'a> {
     }
 
     fn grid(&self, image: u32) -> FeatureGrid {
-        let lens = &self.scene.camera(image).camera;
-        let features = &self.scene.images[image as usize].features;
+        let features = self.scene.images[image as usize].features.iter();
         let nowhere = [f64::NAN, f64::NAN];
-        FeatureGrid::new(
-            [lens.width, lens.height],
-            features
-                .iter()
-                .map(|feature| feature.ray.map_or(nowhere, |_| feature.pixel)),
-        )
+        FeatureGrid::new(features.map(|feature| feature.ray.map_or(nowhere, |_| feature.pixel)))
     }
 
     /// Landmarks within reach.
@@ -311,8 +304,7 @@ impl Sought<'_> {
         let fits = |at: &u32| {
             let feature = &features[*at as usize];
             let ratio = feature.size_px / self.size_px;
-            distance_px(feature.pixel, self.pixel) <= self.radius_px
-                && (1.0 / params.scale_factor..=params.scale_factor).contains(&ratio)
+            (1.0 / params.scale_factor..=params.scale_factor).contains(&ratio)
         };
         let near: Vec<(u32, u32)> = grid
             .near(self.pixel, self.radius_px)

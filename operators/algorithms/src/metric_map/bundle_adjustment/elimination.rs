@@ -67,11 +67,13 @@ impl Layout {
     }
 
     /// Places of the sights of one landmark.
+    #[inline]
     fn of_landmark(&self, landmark: u32) -> std::ops::Range<usize> {
         self.first[landmark as usize]..self.first[landmark as usize + 1]
     }
 
     /// Places of the sights of a sight's landmark, from the first of the same block on.
+    #[inline]
     fn onward_of_block(&self, place: usize) -> std::ops::Range<usize> {
         let sight = self.sights[place];
         let all = self.of_landmark(sight.landmark);
@@ -189,6 +191,7 @@ fn forward(l: &[f64; 6], b: [f64; 3]) -> [f64; 3] {
 
 impl Point {
     /// Diagonal of the Hessian.
+    #[inline]
     pub(super) fn diagonal(&self) -> [f64; 3] {
         [self.hessian[0], self.hessian[2], self.hessian[5]]
     }
@@ -220,6 +223,7 @@ impl Point {
 
     /// `L` of the damped Hessian and `L⁻¹ g`. A direction that nothing observes gets a pivot of
     /// 1e-12 of its diagonal instead of one that rounding made negative.
+    #[inline]
     pub(super) fn factorise(&mut self, damping: f64) {
         let [a, b, c, d, e, f] = self.hessian;
         let [p, q, r] = [a, c, f].map(|x| x + damping * damped_diagonal(x));

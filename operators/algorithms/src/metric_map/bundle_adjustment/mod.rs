@@ -4,8 +4,7 @@
 //!  Session ── odometry scale, yaw per metre      Rig ── cameras, fixed on the vehicle
 //!     │                                           │
 //!  Keyframe ──Odometry── Keyframe        Observation ── pixel of a Landmark
-//!     └── PosePrior                               │
-//!                          ──── Problem ──────────┘ ──solve──► Report
+//!     └────────────────────── Problem ────────────┘ ──solve──► Report
 //! ```
 //!
 //! Minimised is `½ Σ ρ(‖r‖²)` over
@@ -13,23 +12,21 @@
 //!   units of the pixel's standard deviation;
 //! - odometry: the motion between two keyframes against what the wheels said, corrected by the
 //!   session's unknown scale and yaw drift, in units of its standard deviations per axis (so z,
-//!   roll and pitch can be held weakly, and an inclined floor shows);
-//! - priors on poses.
+//!   roll and pitch can be held weakly, and an inclined floor shows).
 //!
 //! The metric scale thus comes from the rig, whose cameras stand a known distance apart, as much
-//! as from odometry. Without a fixed pose or a prior the whole may drift; fix one.
+//! as from odometry. Without a fixed pose the whole may drift; fix one.
 //!
-//! The landmarks are eliminated first (`schur`), the rest is one sparse or dense Cholesky
-//! factorisation (`reduced`); the loop is [`crate::solving::least_squares::minimise`]. The same core
-//! solves [`bal`] problems. Cost per iteration: linear in the observations, times the mean number
-//! of sightings of a landmark, plus the factorisation. Results are the same to the bit on any
+//! The landmarks are eliminated first ([`schur`]), the rest is one sparse or dense Cholesky
+//! factorisation (`reduced`); the loop is [`crate::solving::least_squares::minimise`]. Cost per
+//! iteration: linear in the observations, times the mean number of sightings of a landmark, plus
+//! the factorisation. Results are the same to the bit on any
 //! number of threads.
 
-pub mod bal;
 mod elimination;
 mod odometry;
 mod reduced;
-mod schur;
+pub mod schur;
 mod vehicle;
 
 #[cfg(test)]
@@ -37,9 +34,9 @@ pub(crate) mod tests;
 
 use nalgebra::{Vector2, Vector3};
 
-use crate::solving::least_squares::{self, Loss, Summary, SystemError};
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::Rig;
+use crate::solving::least_squares::{self, Loss, Summary, SystemError};
 
 /// A drive.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -106,18 +103,6 @@ pub struct Odometry {
     pub sigma: [f64; 6],
 }
 
-/// Where a pose is believed to be.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PosePrior {
-    /// Index of the keyframe.
-    pub pose: usize,
-    /// The belief.
-    pub map_from_vehicle: Pose,
-    /// Standard deviations along and about the axes of the believed vehicle frame: x, y, z (m),
-    /// roll, pitch, yaw (rad).
-    pub sigma: [f64; 6],
-}
-
 /// Everything that is known, and the present estimate of what is not.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Problem {
@@ -133,8 +118,6 @@ pub struct Problem {
     pub observations: Vec<Observation>,
     /// Motions between keyframes.
     pub odometry: Vec<Odometry>,
-    /// Beliefs about poses.
-    pub priors: Vec<PosePrior>,
 }
 
 /// How to weigh, and when to stop.
@@ -187,9 +170,6 @@ pub struct Report {
     pub summary: Summary,
     /// One for each observation.
     pub observations: Vec<Residual>,
-    /// For each odometry step, how far the poses are from it in standard deviations: x, y, z,
-    /// roll, pitch, yaw.
-    pub odometry: Vec<[f64; 6]>,
 }
 
 /// Why a problem cannot be solved.
@@ -238,11 +218,6 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Report, Problem
     Ok(Report {
         summary,
         observations: residuals(problem, options.observation_loss),
-        odometry: problem
-            .odometry
-            .iter()
-            .map(|step| odometry::whitened(problem, step))
-            .collect(),
     })
 }
 
@@ -286,7 +261,6 @@ fn check(problem: &Problem) -> Result<(), ProblemError> {
         landmarks,
         observations,
         odometry,
-        priors,
     } = problem;
     for (index, session) in sessions.iter().enumerate() {
         within("session", index, "rig", rigs.len(), session.rig)?;
@@ -329,15 +303,6 @@ fn check(problem: &Problem) -> Result<(), ProblemError> {
             &step.sigma,
         )?;
         finite("odometry", index, &[step.length_m], &[])?;
-    }
-    for (index, prior) in priors.iter().enumerate() {
-        within("prior", index, "pose", poses.len(), prior.pose)?;
-        finite(
-            "prior",
-            index,
-            &prior.map_from_vehicle.to_array(),
-            &prior.sigma,
-        )?;
     }
     Ok(())
 }

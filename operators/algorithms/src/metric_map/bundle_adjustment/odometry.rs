@@ -1,4 +1,4 @@
-//! Terms without landmarks: wheel odometry and beliefs about poses.
+//! Terms without landmarks: wheel odometry.
 //!
 //! With `Δ` the measured motion of translation `d` and rotation `M`, `s` the session's scale, `b`
 //! its yaw drift and `ℓ` the driven length, the residual of a step from pose `i` to pose `j` is
@@ -15,7 +15,7 @@
 
 use nalgebra::{Matrix6, SMatrix, UnitQuaternion, Vector3, Vector6};
 
-use super::{Odometry, PosePrior, Problem, Session};
+use super::{Odometry, Session};
 use crate::geometry::lie::{hat, se3, so3};
 use crate::geometry::pose::Pose;
 
@@ -86,29 +86,4 @@ pub(super) fn linearise(step: &Odometry, from: &Pose, to: &Pose, session: &Sessi
         to,
         session: of_session,
     }
-}
-
-/// Residual of a belief, in standard deviations, and its derivative by the pose.
-pub(super) fn prior(prior: &PosePrior, pose: &Pose) -> (Vector6<f64>, Matrix6<f64>) {
-    let motion = prior.map_from_vehicle.inverse().compose(pose);
-    let angle = so3::log(&motion.rotation);
-    let mut residual = se3::join(&motion.translation, &angle);
-    let mut jacobian = Matrix6::zeros();
-    let r = motion.rotation.to_rotation_matrix().into_inner();
-    jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&r);
-    jacobian
-        .fixed_view_mut::<3, 3>(3, 3)
-        .copy_from(&so3::right_jacobian_inverse(&angle));
-    for (axis, sigma) in prior.sigma.iter().enumerate() {
-        residual[axis] /= sigma;
-        jacobian.row_mut(axis).scale_mut(1.0 / sigma);
-    }
-    (residual, jacobian)
-}
-
-/// How far the poses of a checked problem are from an odometry step, in standard deviations.
-pub(super) fn whitened(problem: &Problem, step: &Odometry) -> [f64; 6] {
-    let (from, to) = (&problem.poses[step.from], &problem.poses[step.to]);
-    let session = &problem.sessions[from.session];
-    residual(step, &from.map_from_vehicle, &to.map_from_vehicle, session).into()
 }

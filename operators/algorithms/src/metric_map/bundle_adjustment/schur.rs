@@ -9,23 +9,31 @@
 //! `W` is never formed. An observation has two rows only, so with `V = L Lᵀ` and `B = Jₗ L⁻ᵀ` (2 × 3)
 //! the block of two observations `o`, `p` of one landmark is `Jᵒᵀ (Bᵒ Bᵖᵀ) Jᵖ` with a 2 × 2 matrix in
 //! the middle: fewer products than over the three rows of `L⁻¹ Wᵀ`, and less memory.
+//!
+//! [`Schur`] knows neither rigs nor lenses: a [`Bundle`] tells it what each observation says.
 
 use rayon::prelude::*;
 
 use super::elimination::{Layout, Point, Sighted, fill_row, pieces};
 use super::reduced::{Block, Reduced};
-use crate::solving::least_squares::{Linearisation, Problem, SystemError, TrialStep, damped_diagonal};
+use crate::solving::least_squares::{
+    Linearisation, Problem, SystemError, TrialStep, damped_diagonal,
+};
 
 /// An observation, weighted: residual and derivatives.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Linear<const C: usize> {
-    pub(super) residual: [f64; 2],
-    pub(super) camera: [[f64; C]; 2],
-    pub(super) landmark: [[f64; 3]; 2],
+pub struct Linear<const C: usize> {
+    /// By row: predicted less observed.
+    pub residual: [f64; 2],
+    /// By row: derivative by the camera-side unknown.
+    pub camera: [[f64; C]; 2],
+    /// By row: derivative by the landmark.
+    pub landmark: [[f64; 3]; 2],
 }
 
 impl<const C: usize> Linear<C> {
-    pub(super) const ZERO: Self = Self {
+    /// An observation that says nothing.
+    pub const ZERO: Self = Self {
         residual: [0.0; 2],
         camera: [[0.0; C]; 2],
         landmark: [[0.0; 3]; 2],
@@ -34,20 +42,21 @@ impl<const C: usize> Linear<C> {
 
 /// Which camera-side unknown sees which landmark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Sight {
-    pub(super) landmark: u32,
-    /// [`FIXED`] when it does not move.
-    pub(super) block: u32,
+pub struct Sight {
+    /// Index of the landmark.
+    pub landmark: u32,
+    /// Index of the unknown; [`FIXED`] when it does not move.
+    pub block: u32,
     /// The observation's index where it came from.
-    pub(super) observation: u32,
+    pub observation: u32,
 }
 
 /// No unknown: a pose that stays where it is.
-pub(super) const FIXED: u32 = u32::MAX;
+pub const FIXED: u32 = u32::MAX;
 
 /// The camera side of a bundle: its unknowns, and what they make of landmarks. Keeps an estimate
 /// and a trial.
-pub(super) trait Bundle<const C: usize>: Sync {
+pub trait Bundle<const C: usize>: Sync {
     /// `½ ρ` and the weighted derivatives of an observation at the estimate.
     fn linearise(&self, observation: usize, landmark: &[f64; 3]) -> (f64, Linear<C>);
 
@@ -68,14 +77,14 @@ pub(super) trait Bundle<const C: usize>: Sync {
 }
 
 /// Hessian and gradient of the terms without landmarks.
-pub(super) struct Terms<'a, const C: usize> {
+pub struct Terms<'a, const C: usize> {
     reduced: &'a mut Reduced<C>,
     gradient: &'a mut [[f64; C]],
 }
 
 impl<const C: usize> Terms<'_, C> {
     /// `H[row, column] += block`, once for a pair; its mirror is implied.
-    pub(super) fn add(&mut self, row: usize, column: usize, block: impl Fn(usize, usize) -> f64) {
+    pub fn add(&mut self, row: usize, column: usize, block: impl Fn(usize, usize) -> f64) {
         if let Some((place, transposed)) = self.reduced.find(row, column) {
             for (r, entries) in self.reduced.blocks[place].iter_mut().enumerate() {
                 for (c, entry) in entries.iter_mut().enumerate() {
@@ -86,7 +95,7 @@ impl<const C: usize> Terms<'_, C> {
     }
 
     /// `g[row] += part`.
-    pub(super) fn add_gradient(&mut self, row: usize, part: impl Fn(usize) -> f64) {
+    pub fn add_gradient(&mut self, row: usize, part: impl Fn(usize) -> f64) {
         if let Some(gradient) = self.gradient.get_mut(row) {
             for (c, entry) in gradient.iter_mut().enumerate() {
                 *entry += part(c);
@@ -96,9 +105,11 @@ impl<const C: usize> Terms<'_, C> {
 }
 
 /// A bundle as the optimiser's loop sees it.
-pub(super) struct Schur<const C: usize, B> {
-    pub(super) bundle: B,
-    pub(super) landmarks: Vec<[f64; 3]>,
+pub struct Schur<const C: usize, B> {
+    /// The camera side.
+    pub bundle: B,
+    /// The landmarks' estimates.
+    pub landmarks: Vec<[f64; 3]>,
     layout: Layout,
     sighted: Vec<Sighted<C>>,
     points: Vec<Point>,
@@ -118,7 +129,7 @@ impl<const C: usize, B: Bundle<C>> Schur<C, B> {
     ///
     /// # Errors
     /// [`SystemError`] when the reduced system does not fit.
-    pub(super) fn new(
+    pub fn new(
         bundle: B,
         blocks: usize,
         landmarks: Vec<[f64; 3]>,

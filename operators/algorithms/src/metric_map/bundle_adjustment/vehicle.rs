@@ -8,10 +8,10 @@ use nalgebra::{Matrix2x3, Matrix3, SMatrix, SVector, Vector3, Vector6};
 
 use super::odometry::{self, StepLinear};
 use super::schur::{Bundle, FIXED, Linear, Schur, Sight, Terms};
-use super::{Keyframe, Observation, Odometry, Options, PosePrior, Problem, Session};
+use super::{Keyframe, Observation, Odometry, Options, Problem, Session};
 use crate::geometry::camera::Camera;
-use crate::solving::least_squares::SystemError;
 use crate::geometry::lie::se3;
+use crate::solving::least_squares::SystemError;
 
 /// An observation that the camera cannot see counts as one of this many standard deviations, and
 /// pulls nowhere: steps that make landmarks invisible are refused, and those that begin so stay
@@ -57,7 +57,6 @@ pub(super) struct Vehicles<'a> {
     cameras: Vec<Mounted>,
     seen: Vec<Seen>,
     odometry: &'a [Odometry],
-    priors: &'a [PosePrior],
     /// Block of each pose, or [`FIXED`].
     blocks: Vec<u32>,
     /// Block of the first session.
@@ -156,7 +155,6 @@ impl<'a> Vehicles<'a> {
             cameras,
             seen: problem.observations.iter().map(seen).collect(),
             odometry: &problem.odometry,
-            priors: &problem.priors,
             blocks,
             first_session,
             options,
@@ -175,10 +173,6 @@ impl<'a> Vehicles<'a> {
             let residual =
                 odometry::residual(step, &from.map_from_vehicle, &to.map_from_vehicle, session);
             cost += 0.5 * self.options.odometry_loss.cost(residual.norm_squared());
-        }
-        for prior in self.priors {
-            let pose = &at.poses[prior.pose].map_from_vehicle;
-            cost += 0.5 * odometry::prior(prior, pose).0.norm_squared();
         }
         for session in &at.sessions {
             cost += 0.5
@@ -311,15 +305,6 @@ impl Bundle<6> for Vehicles<'_> {
         let mut cost = 0.0;
         for step in self.odometry {
             cost += self.add_step(terms, step);
-        }
-        for prior in self.priors {
-            let pose = &self.estimate.poses[prior.pose].map_from_vehicle;
-            let (residual, jacobian) = odometry::prior(prior, pose);
-            cost += 0.5 * residual.norm_squared();
-            let block = self.blocks[prior.pose];
-            if block != FIXED {
-                add_product(terms, (block, &jacobian), &residual, 1.0);
-            }
         }
         for (index, session) in self.estimate.sessions.iter().enumerate() {
             cost += self.add_session(terms, index, session);

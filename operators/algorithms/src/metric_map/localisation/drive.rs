@@ -2,8 +2,8 @@
 
 use super::fix::{Fix, Localiser};
 use super::motion::{Guess, Odometer, difference};
-use crate::metric_map::features::KeyframeFeatures;
 use crate::geometry::pose::Pose;
+use crate::metric_map::features::KeyframeFeatures;
 
 /// Keyframes without a fix in a row after which the place is recognised anew; odometry goes on meanwhile.
 const MOST_MISSES: usize = 3;
@@ -58,7 +58,7 @@ struct Walk {
     misses: Vec<(usize, Fix)>,
 }
 
-struct Drive<'a> {
+struct DriveLocalisation<'a> {
     localiser: &'a Localiser<'a>,
     keyframes: &'a [DriveKeyframe<'a>],
     odometer: Odometer,
@@ -76,7 +76,7 @@ impl Localiser<'_> {
             state: State::Lost,
             fix: None,
         };
-        let mut drive = Drive {
+        let mut drive = DriveLocalisation {
             localiser: self,
             keyframes,
             odometer: Odometer::new(),
@@ -89,7 +89,7 @@ impl Localiser<'_> {
     }
 }
 
-impl Drive<'_> {
+impl DriveLocalisation<'_> {
     fn run(&mut self, places: &dyn Recognise) {
         let mut next = 0;
         while next < self.keyframes.len() {

@@ -5,8 +5,8 @@ use super::motion::{Guess, difference};
 use super::refinement::{Pair, Refined, Refinement};
 use super::view::{Sighted, eyes, sighted};
 use super::{LandmarkMap, LocalisationParams, LocalisationParamsError};
-use crate::metric_map::features::KeyframeFeatures;
 use crate::geometry::rig::Rig;
+use crate::metric_map::features::KeyframeFeatures;
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
 
@@ -120,7 +120,11 @@ impl<'a> Localiser<'a> {
     }
 
     /// The same from a recognised place, whose pose comes from the image alone: it holds nothing back.
-    pub fn fix_at_place(&self, place: &crate::geometry::pose::Pose, features: &KeyframeFeatures) -> Fix {
+    pub fn fix_at_place(
+        &self,
+        place: &crate::geometry::pose::Pose,
+        features: &KeyframeFeatures,
+    ) -> Fix {
         let (shift, turn) = (
             PLACE_SIGMA_M * PLACE_SIGMA_M,
             PLACE_SIGMA_RAD * PLACE_SIGMA_RAD,

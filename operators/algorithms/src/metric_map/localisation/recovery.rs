@@ -2,12 +2,12 @@
 
 use super::drive::Recognise;
 use super::{LandmarkMap, LocalisationParams};
-use crate::metric_map::features::{Descriptor, Feature, KeyframeFeatures};
-use crate::metric_map::matching::{Descriptors, MatchLimits};
-use crate::metric_map::places::{PlaceIndex, Vocabulary, VocabularyOptions};
 use crate::geometry::pose::Pose;
 use crate::geometry::resection::{Correspondence, ResectionOptions, inliers_beyond_chance, resect};
 use crate::geometry::rig::{Rig, RigCamera};
+use crate::metric_map::features::{Descriptor, Feature, KeyframeFeatures};
+use crate::metric_map::matching::{Descriptors, MatchLimits};
+use crate::metric_map::places::{PlaceIndex, Vocabulary, VocabularyOptions};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;

@@ -3,12 +3,12 @@
 use nalgebra::Vector3;
 
 use super::{MapInput, MapObservation};
+use crate::geometry::pose::Pose;
 use crate::metric_map::association::{Landmark, Scene};
 use crate::metric_map::bundle_adjustment::{
     Keyframe, Observation, Odometry, Options, Problem, Session, residuals, solve,
 };
 use crate::solving::least_squares::{self, Loss};
-use crate::geometry::pose::Pose;
 
 /// Weights of adjustment.
 ///
@@ -56,7 +56,6 @@ pub(super) struct Adjusted {
     pub(super) points: Vec<Vector3<f64>>,
     pub(super) observations: Vec<MapObservation>,
     pub(super) odometry_scales: Vec<f64>,
-    pub(super) rms_px: f64,
 }
 
 /// Adjusts poses and landmarks; where that is impossible both stay.
@@ -98,17 +97,12 @@ pub(super) fn adjust(
             });
         }
     }
-    let squares: f64 = observations
-        .iter()
-        .map(|seen| seen.residual_px.powi(2))
-        .sum();
     let poses = problem.poses.iter().map(|pose| pose.map_from_vehicle);
     let sessions = problem.sessions.iter();
     Adjusted {
         poses: poses.collect(),
         odometry_scales: sessions.map(|session| session.odometry_scale).collect(),
         points: problem.landmarks,
-        rms_px: (squares / observations.len().max(1) as f64).sqrt(),
         observations,
     }
 }
@@ -120,12 +114,14 @@ fn problem(
     params: &AdjustParams,
 ) -> Problem {
     let scene = input.scene;
-    let keyframe =
-        |(at, (keyframe, pose)): (usize, (&crate::metric_map::association::SceneKeyframe, &Pose))| Keyframe {
-            session: keyframe.session as usize,
-            map_from_vehicle: *pose,
-            fixed: at == input.fixed,
-        };
+    let keyframe = |(at, (keyframe, pose)): (
+        usize,
+        (&crate::metric_map::association::SceneKeyframe, &Pose),
+    )| Keyframe {
+        session: keyframe.session as usize,
+        map_from_vehicle: *pose,
+        fixed: at == input.fixed,
+    };
     let keyframes = scene.keyframes.iter().zip(poses).enumerate();
     Problem {
         rigs: scene.rigs.clone(),
@@ -134,7 +130,6 @@ fn problem(
         landmarks: landmarks.iter().map(|landmark| landmark.point).collect(),
         observations: observations(scene, landmarks, params),
         odometry: odometry(scene, params),
-        priors: Vec::new(),
     }
 }
 

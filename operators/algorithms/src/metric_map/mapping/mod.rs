@@ -20,12 +20,10 @@
 mod adjust;
 mod prune;
 #[cfg(test)]
-mod simulated;
-#[cfg(test)]
 mod tests;
 
-use crate::metric_map::association::{AssociationParams, FeatureRef, Landmark, Scene, associate};
 use crate::geometry::pose::Pose;
+use crate::metric_map::association::{AssociationParams, FeatureRef, Landmark, Scene, associate};
 
 pub use adjust::AdjustParams;
 
@@ -93,25 +91,6 @@ pub struct MapObservation {
     pub weight: f64,
 }
 
-/// What one round did.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Round {
-    /// Search radius, pixels.
-    pub radius_px: f64,
-    /// Landmarks that went into others.
-    pub merged: usize,
-    /// Features that belonged to none before.
-    pub added: usize,
-    /// Landmarks adjusted.
-    pub landmarks: usize,
-    /// Features adjusted.
-    pub observations: usize,
-    /// Root mean square distance after adjustment, pixels.
-    pub rms_px: f64,
-    /// Largest move of a keyframe, metres.
-    pub moved_m: f64,
-}
-
 /// An accurate map.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Map {
@@ -123,8 +102,6 @@ pub struct Map {
     pub observations: Vec<MapObservation>,
     /// By session: true length over the odometry's.
     pub odometry_scales: Vec<f64>,
-    /// What happened.
-    pub rounds: Vec<Round>,
 }
 
 /// Makes a map. Without landmarks that can be triangulated the poses stay as they are.
@@ -132,7 +109,6 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
     let MapInput { scene, .. } = *input;
     let mut poses = input.poses.to_vec();
     let (mut landmarks, first_new) = prune::first(input, params);
-    let mut rounds = Vec::new();
     for round in 0..params.rounds {
         let radius_px = radius_px(params, round);
         let association = AssociationParams {
@@ -141,27 +117,9 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
         };
         let found = associate(scene, &poses, &landmarks, &association);
         let gate_px = association.agree_px.max(0.75 * radius_px);
-        landmarks = prune::prune(scene, &poses, found.landmarks, gate_px, params);
-        let adjusted = adjust::adjust(
-            input,
-            &poses,
-            &landmarks,
-            &params.adjust,
-            params.adjust.iterations,
-        );
-        rounds.push(Round {
-            radius_px,
-            merged: found.merged,
-            added: found.added,
-            landmarks: landmarks.len(),
-            observations: landmarks
-                .iter()
-                .map(|landmark| landmark.features.len())
-                .sum(),
-            rms_px: adjusted.rms_px,
-            moved_m: farthest(&poses, &adjusted.poses),
-        });
-        poses = adjusted.poses;
+        landmarks = prune::prune(scene, &poses, found, gate_px, params);
+        let iterations = params.adjust.iterations;
+        poses = adjust::adjust(input, &poses, &landmarks, &params.adjust, iterations).poses;
         let drop_px = params.drop_sigmas * params.adjust.sigma_px;
         landmarks = prune::prune(scene, &poses, landmarks, drop_px, params);
     }
@@ -181,7 +139,6 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
         landmarks,
         observations: last.observations,
         odometry_scales: last.odometry_scales,
-        rounds,
     }
 }
 
@@ -190,11 +147,4 @@ fn radius_px(params: &MappingParams, round: u32) -> f64 {
     let steps = params.rounds.saturating_sub(1).max(1);
     let factor = params.last_radius_px / params.first_radius_px;
     params.first_radius_px * factor.powf(f64::from(round) / f64::from(steps))
-}
-
-fn farthest(before: &[Pose], after: &[Pose]) -> f64 {
-    let moves = before.iter().zip(after);
-    moves
-        .map(|(before, after)| (before.translation - after.translation).norm())
-        .fold(0.0, f64::max)
 }

@@ -6,8 +6,10 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::{MapInput, MappingParams};
-use crate::metric_map::association::{FeatureRef, Landmark, Scene, Sight, ray_residual_rad, triangulate};
 use crate::geometry::pose::Pose;
+use crate::metric_map::association::{
+    FeatureRef, Landmark, Scene, Sight, ray_residual_rad, triangulate,
+};
 
 /// The landmarks of the version before and the tracks, triangulated; and the first name that is new.
 pub(super) fn first(input: &MapInput<'_>, params: &MappingParams) -> (Vec<Landmark>, u32) {

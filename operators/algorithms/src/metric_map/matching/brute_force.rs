@@ -3,33 +3,7 @@
 use pulp::Arch;
 
 use super::MatchLimits;
-use crate::metric_map::features::{DESCRIPTOR_BYTES, Descriptor};
-
-const WORDS: usize = DESCRIPTOR_BYTES / 8;
-
-/// A descriptor as the processor counts it.
-pub(crate) type Words = [u64; WORDS];
-
-/// The words of a descriptor.
-pub(crate) fn words(descriptor: &Descriptor) -> Words {
-    let mut words = [0; WORDS];
-    for (word, bytes) in words.iter_mut().zip(descriptor.0.chunks_exact(8)) {
-        let mut eight = [0; 8];
-        eight.copy_from_slice(bytes);
-        *word = u64::from_le_bytes(eight);
-    }
-    words
-}
-
-/// Bits that differ. Always inlined, so that it is compiled for the instructions of whoever calls.
-#[inline(always)]
-pub(crate) fn distance(a: &Words, b: &Words) -> u32 {
-    let mut bits = 0;
-    for word in 0..WORDS {
-        bits += (a[word] ^ b[word]).count_ones();
-    }
-    bits
-}
+use crate::metric_map::features::{Descriptor, Words, distance, words};
 
 /// Descriptors laid out for many distances. Named by their index.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]

@@ -7,12 +7,13 @@
 //! [`ImageIndex`].
 
 mod brute_force;
+mod grid;
 mod index;
 #[cfg(test)]
 mod tests;
 
 pub use brute_force::{Descriptors, Match};
-pub(crate) use brute_force::{Words, distance, words};
+pub use grid::FeatureGrid;
 pub use index::{ImageIndex, Nearest};
 
 /// When the nearest descriptor counts as a match.

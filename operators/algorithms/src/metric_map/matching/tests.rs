@@ -71,8 +71,8 @@ proptest! {
         image in images(), u in -50.0..450.0_f64, v in -50.0..350.0_f64, radius in 0.0..500.0_f64
     ) {
         let index = ImageIndex::new(&image);
-        prop_assert_eq!(index.len(), image.features.len());
-        let mut found: Vec<u32> = index.within([u, v], radius).map(|(feature, _)| feature).collect();
+        let grid = FeatureGrid::new(image.features.iter().map(|feature| feature.pixel));
+        let mut found: Vec<u32> = grid.near([u, v], radius).collect();
         found.sort_unstable();
         let near = |feature: &Feature| {
             (feature.pixel[0] - u).powi(2) + (feature.pixel[1] - v).powi(2) <= radius * radius
@@ -82,9 +82,9 @@ proptest! {
         prop_assert_eq!(&found, &expected);
 
         let wanted = Descriptor([1; DESCRIPTOR_BYTES]);
-        let even = |feature: u32, _: [f64; 2]| feature.is_multiple_of(2);
-        let nearest = index.nearest_where([u, v], radius, &wanted, even);
-        let candidates: Vec<u32> = expected.into_iter().filter(|f| even(*f, [0.0; 2])).collect();
+        let even = |feature: u32| feature.is_multiple_of(2);
+        let nearest = index.nearest([u, v], radius, &wanted, even);
+        let candidates: Vec<u32> = expected.into_iter().filter(|f| even(*f)).collect();
         let distance = |f: u32| image.features[f as usize].descriptor.distance(&wanted);
         let best = candidates.iter().copied().min_by_key(|f| (distance(*f), *f));
         prop_assert_eq!(nearest.map(|nearest| nearest.feature), best);
@@ -104,28 +104,16 @@ proptest! {
 
 #[test]
 fn nothing_and_nonsense_find_nothing() {
-    let empty = ImageIndex::new(&ImageFeatures::default());
-    assert!(empty.is_empty() && empty.within([0.0, 0.0], 1e9).next().is_none());
-    let feature = |pixel| Feature {
-        pixel,
-        size_px: 10.0,
-        descriptor: Descriptor([0; DESCRIPTOR_BYTES]),
-    };
-    let far = ImageIndex::new(&ImageFeatures {
-        features: vec![
-            feature([f64::NAN, 0.0]),
-            feature([1e300, 0.0]),
-            feature([-9e5, 5.0]),
-        ],
-    });
-    assert_eq!(far.len(), 1);
-    assert_eq!(far.within([-9e5, 5.0], 1.0).next().map(|at| at.0), Some(2));
+    let empty = FeatureGrid::new([]);
+    assert!(empty.near([0.0, 0.0], 1e9).next().is_none());
+    let far = FeatureGrid::new([[f64::NAN, 0.0], [1e300, 0.0], [-9e5, 5.0]]);
+    assert_eq!(far.near([-9e5, 5.0], 1e9).collect::<Vec<_>>(), [2]);
     for (pixel, radius) in [
         ([f64::NAN, 0.0], 1.0),
         ([0.0, 0.0], f64::NAN),
         ([0.0, 0.0], -1.0),
     ] {
-        assert!(far.within(pixel, radius).next().is_none());
+        assert!(far.near(pixel, radius).next().is_none());
     }
     let none: Descriptors = [].iter().collect();
     assert!(none.mutual(&none, &MatchLimits::default()).is_empty() && none.is_empty());
@@ -141,11 +129,12 @@ fn another_scale_of_one_corner_is_no_rival() {
     let image = ImageFeatures {
         features: vec![feature(100.0, 0), feature(101.0, 1), feature(110.0, 3)],
     };
-    let found = ImageIndex::new(&image).nearest([100.0, 0.0], 30.0, &Descriptor([0; 64]));
+    let wanted = Descriptor([0; DESCRIPTOR_BYTES]);
+    let found = ImageIndex::new(&image).nearest([100.0, 0.0], 30.0, &wanted, |_| true);
     let found = found.unwrap();
     assert_eq!(
         (found.feature, found.distance, found.runner_up),
         (0, 0, Some(128))
     );
-    assert!(found.accepted(&MatchLimits::default()));
+    assert!(MatchLimits::default().accept(found.distance, found.runner_up));
 }

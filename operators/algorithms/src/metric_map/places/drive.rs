@@ -4,9 +4,9 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::geometry::camera::Camera;
-use crate::metric_map::features::KeyframeFeatures;
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::Rig;
+use crate::metric_map::features::KeyframeFeatures;
 
 /// One session.
 #[derive(Debug, Clone)]

@@ -6,11 +6,11 @@ use rayon::prelude::*;
 use super::drive::{Drive, Surveyed};
 use super::index::PlaceIndex;
 use super::local_points::{LocalPoint, PointLimits, local_points};
-use super::verification::{Verified, View, verified};
+use super::verification::{KeyframePoints, Verified, verified};
 use super::vocabulary::{Bag, Vocabulary, VocabularyOptions};
-use crate::metric_map::matching::MatchLimits;
 use crate::geometry::pose::Pose;
 use crate::geometry::resection::ResectionOptions;
+use crate::metric_map::matching::MatchLimits;
 
 /// How loops are looked for.
 #[derive(Debug, Clone, PartialEq)]
@@ -161,9 +161,9 @@ impl<'a> Site<'a> {
         }
     }
 
-    fn view(&self, document: usize) -> View<'_> {
+    fn view(&self, document: usize) -> KeyframePoints<'_> {
         let (drive, keyframe) = self.documents[document];
-        View {
+        KeyframePoints {
             drive: &self.drives[drive],
             keyframe,
             points: &self.points[drive][keyframe],

@@ -1,9 +1,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 use super::*;
 use crate::geometry::camera::{Camera, KannalaBrandt, Model};
-use crate::metric_map::features::{Descriptor, Feature, ImageFeatures, KeyframeFeatures};
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::{Rig, RigCamera};
+use crate::metric_map::features::{Descriptor, Feature, ImageFeatures, KeyframeFeatures};
 use nalgebra::{UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use std::collections::BTreeMap;

@@ -5,13 +5,13 @@ use nalgebra::{Matrix6, UnitQuaternion};
 use super::drive::Surveyed;
 use super::local_points::LocalPoint;
 use super::loops::LoopOptions;
-use crate::metric_map::features::Descriptor;
 use crate::geometry::lie::{se3, so3};
-use crate::metric_map::matching::Descriptors;
 use crate::geometry::pose::Pose;
 use crate::geometry::resection::{
     Correspondence, Resection, ResectionOptions, inliers_beyond_chance, refine, resect,
 };
+use crate::metric_map::features::Descriptor;
+use crate::metric_map::matching::Descriptors;
 
 /// Directions around the vehicle are told apart by as many sectors.
 const SECTORS: usize = 24;
@@ -21,7 +21,7 @@ const MAX_DISAGREEMENT: f64 = 22.5;
 
 /// A keyframe with its points.
 #[derive(Clone, Copy)]
-pub(super) struct View<'a> {
+pub(super) struct KeyframePoints<'a> {
     pub(super) drive: &'a Surveyed<'a>,
     pub(super) keyframe: usize,
     pub(super) points: &'a [LocalPoint],
@@ -45,7 +45,7 @@ struct Pair<'a> {
     distance: u32,
 }
 
-impl View<'_> {
+impl KeyframePoints<'_> {
     fn descriptor(&self, camera: usize, feature: usize) -> Option<&Descriptor> {
         let images = &self.drive.drive.keyframes[self.keyframe].features.images;
         Some(&images.get(camera)?.features.get(feature)?.descriptor)
@@ -97,8 +97,8 @@ impl View<'_> {
 /// The pose of the later keyframe from the points of the earlier one, confirmed the other way round. With a guess only
 /// poses near it are looked for.
 pub(super) fn verified(
-    earlier: View<'_>,
-    later: View<'_>,
+    earlier: KeyframePoints<'_>,
+    later: KeyframePoints<'_>,
     guess: Option<&Pose>,
     options: &LoopOptions,
 ) -> Option<Verified> {
@@ -140,7 +140,11 @@ pub(super) fn verified(
 }
 
 /// Mutually nearest descriptors of each pair of cameras; of several matches of a later feature the nearest.
-fn pairs<'a>(earlier: &View<'a>, later: &View<'_>, options: &LoopOptions) -> Vec<Pair<'a>> {
+fn pairs<'a>(
+    earlier: &KeyframePoints<'a>,
+    later: &KeyframePoints<'_>,
+    options: &LoopOptions,
+) -> Vec<Pair<'a>> {
     let all: Vec<Descriptors> = (0..later.images())
         .map(|camera| later.all(camera))
         .collect();
@@ -168,7 +172,7 @@ fn pairs<'a>(earlier: &View<'a>, later: &View<'_>, options: &LoopOptions) -> Vec
 }
 
 /// In how many directions around the later vehicle inliers lie.
-fn sectors(later: &View<'_>, given: &[Correspondence], found: &Resection) -> usize {
+fn sectors(later: &KeyframePoints<'_>, given: &[Correspondence], found: &Resection) -> usize {
     let mut hit = [false; SECTORS];
     for index in &found.inliers {
         let given = &given[*index];
@@ -181,7 +185,7 @@ fn sectors(later: &View<'_>, given: &[Correspondence], found: &Resection) -> usi
 
 /// Looks back: the earlier rig in the points of the later keyframe. Where there are too few of them, one side must do.
 fn confirmed(
-    earlier: &View<'_>,
+    earlier: &KeyframePoints<'_>,
     back: &[Correspondence],
     found: &Resection,
     options: &LoopOptions,

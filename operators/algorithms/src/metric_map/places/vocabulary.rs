@@ -3,8 +3,7 @@
 use pulp::Arch;
 use rayon::prelude::*;
 
-use crate::metric_map::features::Descriptor;
-use crate::metric_map::matching::{Words, distance, words};
+use crate::metric_map::features::{Descriptor, Words, distance, words};
 
 /// Descriptors that one task of the assignment takes.
 const CHUNK: usize = 2048;

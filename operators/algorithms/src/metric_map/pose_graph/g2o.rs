@@ -1,358 +1,32 @@
-//! The text format of g2o: one vertex or edge per line.
+//! Writes the text format of g2o: one vertex or edge per line.
 //!
 //! ```text
-//! VERTEX_SE2 id x y yaw
-//! EDGE_SE2 from to x y yaw  xx xy xθ yy yθ θθ
 //! VERTEX_SE3:QUAT id x y z qx qy qz qw
+//! FIX id
 //! EDGE_SE3:QUAT from to x y z qx qy qz qw  (upper triangle of the 6×6 information, row by row)
-//! FIX id …
 //! ```
 //!
-//! Blank lines and those that begin with `#` are skipped. The information of an edge is that of
-//! translation, then rotation, as here.
+//! The information of an edge is that of translation, then rotation, as here.
 
-use std::collections::BTreeMap;
-
-use nalgebra::SMatrix;
-
-use super::{Edge, Graph, Motion, PlanarGraph, SpatialGraph};
-use crate::solving::least_squares::Loss;
-use crate::geometry::lie::se2::PlanarPose;
-use crate::geometry::pose::Pose;
-
-/// A file: which pose of the graph has which number in it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Numbered<M, const D: usize> {
-    /// The graph. A pose that the file only mentions in edges is the identity.
-    pub graph: Graph<M, D>,
-    /// By pose: its number in the file, ascending.
-    pub ids: Vec<u64>,
-    /// By pose: did the file have a line for it?
-    pub given: Vec<bool>,
-}
-
-/// A graph on the plane or in space, as the file has it.
-#[derive(Debug, Clone, PartialEq)]
-pub enum File {
-    /// Of `VERTEX_SE2` and `EDGE_SE2`.
-    Planar(Numbered<PlanarPose, 3>),
-    /// Of `VERTEX_SE3:QUAT` and `EDGE_SE3:QUAT`.
-    Spatial(Numbered<Pose, 6>),
-}
-
-/// Why a text is no graph.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("line {line}: {fault}")]
-pub struct ReadError {
-    /// Counted from 1; 0 for the file as a whole.
-    pub line: usize,
-    /// What is wrong with it.
-    pub fault: Fault,
-}
-
-/// What can be wrong with a line.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Fault {
-    /// A tag that is none of those above.
-    #[error(
-        "expected VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT or FIX, found `{found}`"
-    )]
-    Tag {
-        /// The tag.
-        found: String,
-    },
-    /// Too few or too many numbers.
-    #[error("expected {expected} numbers after {tag}, found {found}")]
-    Count {
-        /// The tag.
-        tag: &'static str,
-        /// How many there should be.
-        expected: usize,
-        /// How many there are.
-        found: usize,
-    },
-    /// Not a number, or not finite.
-    #[error("expected a finite number, found `{found}`")]
-    Number {
-        /// The word.
-        found: String,
-    },
-    /// Not the number of a vertex.
-    #[error("expected the number of a vertex, found `{found}`")]
-    Id {
-        /// The word.
-        found: String,
-    },
-    /// A quaternion without length.
-    #[error("expected a unit quaternion, found one that is nearly zero")]
-    Quaternion,
-    /// An information matrix with a negative eigenvalue.
-    #[error("expected a positive semidefinite information matrix, found a negative eigenvalue")]
-    Information,
-    /// A vertex that was there before.
-    #[error("expected each vertex once, found {id} again")]
-    Twice {
-        /// Its number.
-        id: u64,
-    },
-    /// An edge from a vertex to itself.
-    #[error("expected an edge between two vertices, found one from {id} to itself")]
-    Loop {
-        /// Its number.
-        id: u64,
-    },
-    /// `FIX` of a vertex that is nowhere else.
-    #[error("expected a vertex that has a line or an edge, found FIX {id}")]
-    Unknown {
-        /// Its number.
-        id: u64,
-    },
-    /// Planar and spatial lines together.
-    #[error("expected all lines planar (SE2) or all spatial (SE3), found both")]
-    Mixed,
-    /// Nothing in it.
-    #[error("expected vertices or edges, found neither")]
-    Empty,
-}
-
-/// Reads a graph. Where the file fixes nothing, the vertex with the smallest number is fixed.
-///
-/// # Errors
-/// [`ReadError`] at the first line that is not understood.
-pub fn read(text: &str) -> Result<File, ReadError> {
-    let mut planar = Lines::<PlanarPose, 3>::default();
-    let mut spatial = Lines::<Pose, 6>::default();
-    let mut fixed = Vec::new();
-    for (index, content) in text.lines().enumerate() {
-        let line = index + 1;
-        let mut words = content.split_ascii_whitespace();
-        let read = match words.next() {
-            None => Ok(()),
-            Some(tag) if tag.starts_with('#') => Ok(()),
-            Some("VERTEX_SE2") => planar.vertex("VERTEX_SE2", words),
-            Some("EDGE_SE2") => planar.edge("EDGE_SE2", words),
-            Some("VERTEX_SE3:QUAT") => spatial.vertex("VERTEX_SE3:QUAT", words),
-            Some("EDGE_SE3:QUAT") => spatial.edge("EDGE_SE3:QUAT", words),
-            Some("FIX") => words.try_for_each(|word| id(word).map(|id| fixed.push((line, id)))),
-            Some(tag) => Err(Fault::Tag {
-                found: tag.chars().take(40).collect(),
-            }),
-        };
-        read.map_err(|fault| ReadError { line, fault })?;
-        if !planar.is_empty() && !spatial.is_empty() {
-            let fault = Fault::Mixed;
-            return Err(ReadError { line, fault });
-        }
-    }
-    match (planar.is_empty(), spatial.is_empty()) {
-        (false, _) => planar.finish(&fixed).map(File::Planar),
-        (_, false) => spatial.finish(&fixed).map(File::Spatial),
-        _ => Err(ReadError {
-            line: 0,
-            fault: Fault::Empty,
-        }),
-    }
-}
-
-/// A pose as the words of a line.
-trait Written<const D: usize>: Motion<D> {
-    const NUMBERS: usize;
-    fn from_numbers(numbers: &[f64]) -> Result<Self, Fault>;
-    fn numbers(&self) -> Vec<f64>;
-}
-
-impl Written<3> for PlanarPose {
-    const NUMBERS: usize = 3;
-
-    fn from_numbers(numbers: &[f64]) -> Result<Self, Fault> {
-        Ok(PlanarPose::new(numbers[0], numbers[1], numbers[2]))
-    }
-
-    fn numbers(&self) -> Vec<f64> {
-        vec![self.translation.x, self.translation.y, self.yaw]
-    }
-}
-
-impl Written<6> for Pose {
-    const NUMBERS: usize = 7;
-
-    fn from_numbers(numbers: &[f64]) -> Result<Self, Fault> {
-        let mut seven = [0.0; 7];
-        seven.copy_from_slice(numbers);
-        Pose::from_array(seven).map_err(|_| Fault::Quaternion)
-    }
-
-    fn numbers(&self) -> Vec<f64> {
-        self.to_array().to_vec()
-    }
-}
-
-struct Lines<M, const D: usize> {
-    vertices: BTreeMap<u64, M>,
-    edges: Vec<(u64, u64, Edge<M, D>)>,
-}
-
-impl<M, const D: usize> Default for Lines<M, D> {
-    fn default() -> Self {
-        Self {
-            vertices: BTreeMap::new(),
-            edges: Vec::new(),
-        }
-    }
-}
-
-impl<M: Written<D>, const D: usize> Lines<M, D> {
-    fn is_empty(&self) -> bool {
-        self.vertices.is_empty() && self.edges.is_empty()
-    }
-
-    fn vertex<'t>(
-        &mut self,
-        tag: &'static str,
-        words: impl Iterator<Item = &'t str>,
-    ) -> Result<(), Fault> {
-        let words = counted(tag, 1 + M::NUMBERS, words)?;
-        let id = id(words[0])?;
-        let pose = M::from_numbers(&numbers(&words[1..])?)?;
-        match self.vertices.insert(id, pose) {
-            Some(_) => Err(Fault::Twice { id }),
-            None => Ok(()),
-        }
-    }
-
-    fn edge<'t>(
-        &mut self,
-        tag: &'static str,
-        words: impl Iterator<Item = &'t str>,
-    ) -> Result<(), Fault> {
-        let words = counted(tag, 2 + M::NUMBERS + D * (D + 1) / 2, words)?;
-        let (from, to) = (id(words[0])?, id(words[1])?);
-        if from == to {
-            return Err(Fault::Loop { id: from });
-        }
-        let numbers = numbers(&words[2..])?;
-        let (pose, upper) = numbers.split_at(M::NUMBERS);
-        let edge = Edge {
-            from: 0,
-            to: 0,
-            measured: M::from_numbers(pose)?,
-            information: information(upper)?,
-            loss: Loss::Quadratic,
-        };
-        self.edges.push((from, to, edge));
-        Ok(())
-    }
-
-    fn finish(self, fixed: &[(usize, u64)]) -> Result<Numbered<M, D>, ReadError> {
-        let mut known: BTreeMap<u64, Option<M>> = BTreeMap::new();
-        for (from, to, _) in &self.edges {
-            known.extend([(*from, None), (*to, None)]);
-        }
-        known.extend(self.vertices.into_iter().map(|(id, pose)| (id, Some(pose))));
-        let ids: Vec<u64> = known.keys().copied().collect();
-        let index = |id: u64| ids.binary_search(&id).ok();
-        let edges = self.edges.into_iter().filter_map(|(from, to, edge)| {
-            Some(Edge {
-                from: index(from)?,
-                to: index(to)?,
-                ..edge
-            })
-        });
-        let edges: Vec<_> = edges.collect();
-        let mut is_fixed = vec![false; ids.len()];
-        for (line, id) in fixed {
-            match index(*id) {
-                Some(index) => is_fixed[index] = true,
-                None => {
-                    let (line, fault) = (*line, Fault::Unknown { id: *id });
-                    return Err(ReadError { line, fault });
-                }
-            }
-        }
-        if fixed.is_empty() {
-            is_fixed[0] = true;
-        }
-        let poses = known.values().map(|pose| pose.unwrap_or_else(M::identity));
-        Ok(Numbered {
-            graph: Graph {
-                poses: poses.collect(),
-                fixed: is_fixed,
-                edges,
-            },
-            given: known.values().map(Option::is_some).collect(),
-            ids,
-        })
-    }
-}
-
-fn counted<'t>(
-    tag: &'static str,
-    expected: usize,
-    words: impl Iterator<Item = &'t str>,
-) -> Result<Vec<&'t str>, Fault> {
-    let words: Vec<_> = words.collect();
-    if words.len() == expected {
-        return Ok(words);
-    }
-    Err(Fault::Count {
-        tag,
-        expected,
-        found: words.len(),
-    })
-}
-
-fn id(word: &str) -> Result<u64, Fault> {
-    word.parse().map_err(|_| Fault::Id {
-        found: word.chars().take(40).collect(),
-    })
-}
-
-fn numbers(words: &[&str]) -> Result<Vec<f64>, Fault> {
-    let number = |word: &&str| match word.parse::<f64>() {
-        Ok(value) if value.is_finite() => Ok(value),
-        _ => Err(Fault::Number {
-            found: word.chars().take(40).collect(),
-        }),
-    };
-    words.iter().map(number).collect()
-}
-
-/// A matrix of its upper triangle, row by row.
-fn information<const D: usize>(upper: &[f64]) -> Result<SMatrix<f64, D, D>, Fault> {
-    let mut matrix = SMatrix::<f64, D, D>::zeros();
-    let places = (0..D).flat_map(|row| (row..D).map(move |column| (row, column)));
-    for ((row, column), value) in places.zip(upper) {
-        matrix[(row, column)] = *value;
-        matrix[(column, row)] = *value;
-    }
-    // Rounding may have made a zero eigenvalue slightly negative.
-    let slack = 1e-9 * matrix.trace().abs().max(f64::MIN_POSITIVE);
-    let shifted = matrix + SMatrix::<f64, D, D>::identity() * slack;
-    match shifted.cholesky() {
-        Some(_) => Ok(matrix),
-        None => Err(Fault::Information),
-    }
-}
-
-/// A planar graph as text; `ids` by pose.
-pub fn write_planar(graph: &PlanarGraph, ids: &[u64]) -> String {
-    write("SE2", graph, ids)
-}
+use super::{Graph, Motion, SpatialGraph};
 
 /// A spatial graph as text; `ids` by pose.
 pub fn write_spatial(graph: &SpatialGraph, ids: &[u64]) -> String {
-    write("SE3:QUAT", graph, ids)
+    write("SE3:QUAT", graph, ids, |pose| pose.to_array().to_vec())
 }
 
-fn write<M: Written<D>, const D: usize>(group: &str, graph: &Graph<M, D>, ids: &[u64]) -> String {
+/// A graph as text: `group` is how the format calls its motions, `numbers` what it writes of one.
+pub fn write<M: Motion<D>, const D: usize>(
+    group: &str,
+    graph: &Graph<M, D>,
+    ids: &[u64],
+    numbers: impl Fn(&M) -> Vec<f64>,
+) -> String {
     let mut text = String::new();
     let mut line = |tag: &str, ids: &[u64], numbers: &[f64]| {
         text.push_str(tag);
-        for word in ids
-            .iter()
-            .map(u64::to_string)
-            .chain(numbers.iter().map(f64::to_string))
-        {
+        let ids = ids.iter().map(u64::to_string);
+        for word in ids.chain(numbers.iter().map(f64::to_string)) {
             text.push(' ');
             text.push_str(&word);
         }
@@ -360,16 +34,14 @@ fn write<M: Written<D>, const D: usize>(group: &str, graph: &Graph<M, D>, ids: &
     };
     let (vertex, edge_tag) = (format!("VERTEX_{group}"), format!("EDGE_{group}"));
     for (pose, id) in graph.poses.iter().zip(ids) {
-        line(&vertex, &[*id], &pose.numbers());
+        line(&vertex, &[*id], &numbers(pose));
     }
-    for ((_, id), fixed) in graph.poses.iter().zip(ids).zip(&graph.fixed) {
-        if *fixed {
-            line("FIX", &[*id], &[]);
-        }
+    for (id, _) in ids.iter().zip(&graph.fixed).filter(|(_, fixed)| **fixed) {
+        line("FIX", &[*id], &[]);
     }
     for edge in &graph.edges {
         if let (Some(from), Some(to)) = (ids.get(edge.from), ids.get(edge.to)) {
-            let mut numbers = edge.measured.numbers();
+            let mut numbers = numbers(&edge.measured);
             for row in 0..D {
                 numbers.extend((row..D).map(|column| edge.information[(row, column)]));
             }

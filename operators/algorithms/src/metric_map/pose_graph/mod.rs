@@ -7,26 +7,23 @@
 //! ½ Σ ρ( rᵀ Ω r ),   r = Log( measured⁻¹ · from⁻¹ · to )
 //! ```
 //!
-//! with every pose moved as [`crate::geometry::lie`] says, on the plane as in space. This is what GTSAM
+//! with every pose moved as [`crate::geometry::lie`] says. This is what GTSAM
 //! minimises, so that costs can be compared digit by digit.
 //!
 //! | file | what it knows |
 //! |---|---|
-//! | [`motion`] | residual and Jacobians, in space and on the plane |
+//! | [`motion`] | residual and Jacobians |
 //! | [`relaxation`] | the graph as a [`crate::solving::least_squares::Problem`] |
-//! | [`initial`] | a first guess along a spanning tree |
-//! | [`chordal`] | a first guess from all edges at once |
 //! | [`robust`] | false loops, by graduated non-convexity |
 //! | [`consensus`] | where a drive lies in a map, from loops of which many may be false |
 //! | [`drives`] | odometry, loops and fixes of many drives joined into one map |
-//! | [`g2o`] | the text format of the field |
+//! | [`g2o`] | written in the text format of the field |
 
-pub mod chordal;
 pub mod consensus;
 pub mod drives;
 pub mod g2o;
-pub mod initial;
 pub mod motion;
+mod numbering;
 pub mod relaxation;
 pub mod robust;
 
@@ -35,7 +32,6 @@ mod tests;
 
 use nalgebra::SMatrix;
 
-use crate::geometry::lie::se2::PlanarPose;
 use crate::geometry::pose::Pose;
 pub use motion::Motion;
 pub use relaxation::{options, relax};
@@ -70,9 +66,6 @@ pub struct Graph<M, const D: usize> {
 
 /// A graph in space.
 pub type SpatialGraph = Graph<Pose, 6>;
-
-/// A graph on the plane.
-pub type PlanarGraph = Graph<PlanarPose, 3>;
 
 impl<M: Motion<D>, const D: usize> Graph<M, D> {
     /// Squared weighted residual of an edge, `rᵀ Ω r`; 0 when it names no pose.

@@ -2,7 +2,6 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::geometry::lie::se2::{PlanarPose, inverse_adjoint, right_jacobian_inverse};
 use crate::geometry::lie::se3;
 use crate::geometry::pose::Pose;
 
@@ -70,40 +69,6 @@ impl Motion<6> for Pose {
         let r = Self::residual(measured, from, to);
         let by_to = se3::right_jacobian_inverse(&r);
         let by_from = -se3::left_jacobian_inverse(&r) * se3::adjoint(&measured.inverse());
-        (r, by_from, by_to)
-    }
-}
-
-impl Motion<3> for PlanarPose {
-    fn identity() -> Self {
-        PlanarPose::identity()
-    }
-
-    fn then(&self, right: &Self) -> Self {
-        self.compose(right)
-    }
-
-    fn inverted(&self) -> Self {
-        self.inverse()
-    }
-
-    fn moved(&self, xi: &SVector<f64, 3>) -> Self {
-        self.plus(xi)
-    }
-
-    fn is_finite(&self) -> bool {
-        self.yaw.is_finite() && self.translation.iter().all(|value| value.is_finite())
-    }
-
-    fn residual(measured: &Self, from: &Self, to: &Self) -> SVector<f64, 3> {
-        from.inverse().compose(to).minus(measured)
-    }
-
-    fn linearise(measured: &Self, from: &Self, to: &Self) -> Linear<3> {
-        let motion = from.inverse().compose(to);
-        let r = motion.minus(measured);
-        let by_to = right_jacobian_inverse(&r);
-        let by_from = -by_to * inverse_adjoint(&motion);
         (r, by_from, by_to)
     }
 }

@@ -47,7 +47,7 @@ struct Terms<const D: usize> {
 
 /// The unknowns of an edge: `None` where a pose is fixed.
 #[derive(Clone, Copy)]
-struct Place {
+struct Unknowns {
     from: Option<usize>,
     to: Option<usize>,
     slot: Option<Slot>,
@@ -59,7 +59,7 @@ pub struct Relaxation<'g, M, const D: usize> {
     /// By edge: its index in the graph.
     numbers: Vec<usize>,
     graph_edges: usize,
-    places: Vec<Place>,
+    places: Vec<Unknowns>,
     /// By edge: multiplies the information, 1 unless set.
     weights: Vec<f64>,
     /// By pose: its unknown.
@@ -98,7 +98,7 @@ impl<'g, M: Motion<D>, const D: usize> Relaxation<'g, M, D> {
         let places = edges.iter().map(|edge| {
             let (from, to) = (unknown[edge.from], unknown[edge.to]);
             let slot = from.zip(to).and_then(|(from, to)| structure.slot(from, to));
-            Place { from, to, slot }
+            Unknowns { from, to, slot }
         });
         Ok(Self {
             places: places.collect(),

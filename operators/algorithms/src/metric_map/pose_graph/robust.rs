@@ -22,9 +22,6 @@ const GROWTH: f64 = 1.4;
 /// quantile of χ² with 6 degrees of freedom.
 pub const CUTOFF_SPATIAL: f64 = 22.46;
 
-/// The same on the plane, with 3 degrees of freedom.
-pub const CUTOFF_PLANAR: f64 = 16.27;
-
 /// Most values of `μ`.
 const MAX_STEPS: usize = 100;
 

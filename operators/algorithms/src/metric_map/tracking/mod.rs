@@ -23,9 +23,9 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::geometry::camera::Camera;
+use crate::geometry::pose::Pose;
 use crate::metric_map::features::ImageFeatures;
 use crate::metric_map::matching::{ImageIndex, MatchLimits};
-use crate::geometry::pose::Pose;
 use pair::{Pair, match_pair};
 
 /// How features are followed.
@@ -119,7 +119,7 @@ const GROWTH: f64 = 0.75;
 /// The same input gives the same tracks on any number of threads. Cost: some ten distances per
 /// feature and view.
 pub fn tracks(camera: &Camera, views: &[View<'_>], params: &TrackParams) -> Vec<Vec<Sighting>> {
-    let rad_per_px = rad_per_px(camera);
+    let rad_per_px = 1.0 / camera.px_per_rad();
     let ready = views
         .par_iter()
         .map(|view| Ready::new(camera, view, params, rad_per_px))
@@ -166,20 +166,6 @@ impl<'a> Ready<'a> {
     fn ray(&self, feature: u32) -> Option<(Vector3<f64>, f64)> {
         let at = feature as usize;
         Some(((*self.rays.get(at)?)?, *self.sigmas_rad.get(at)?))
-    }
-}
-
-/// Angle between the rays of two neighbouring pixels in the middle of the image; where the lens
-/// sees nothing there, that of a full circle around the image's width.
-fn rad_per_px(camera: &Camera) -> f64 {
-    let (u, v) = (
-        0.5 * f64::from(camera.width),
-        0.5 * f64::from(camera.height),
-    );
-    let rays = (camera.unproject([u, v]), camera.unproject([u + 1.0, v]));
-    match rays {
-        (Some(a), Some(b)) if a.angle(&b) > 0.0 => a.angle(&b),
-        _ => std::f64::consts::TAU / f64::from(camera.width.max(1)),
     }
 }
 

@@ -8,8 +8,8 @@
 use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 
 use super::{Ready, TrackParams};
-use crate::metric_map::matching::Match;
 use crate::geometry::pose::Pose;
+use crate::metric_map::matching::Match;
 
 /// Fewer matches than this refine nothing.
 const FEWEST: usize = 12;

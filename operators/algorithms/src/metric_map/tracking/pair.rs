@@ -2,8 +2,8 @@
 
 use super::arc::Arc;
 use super::{Ready, Tracker};
-use crate::metric_map::matching::{Match, MatchLimits};
 use crate::geometry::pose::Pose;
+use crate::metric_map::matching::{Match, MatchLimits};
 
 /// Distances are accepted up to this many standard deviations.
 pub(super) const SIGMAS: f64 = 3.0;
@@ -119,7 +119,7 @@ impl Search<'_> {
         // Odometry's error across its way turns the arc about its far end.
         let way_rad = tracker.params.way_sigma * arc.length_rad();
         let other = self.turn_sigma_rad.hypot(way_rad).hypot(sigma);
-        let accept = |to: u32, _: [f64; 2]| {
+        let accept = |to: u32| {
             self.b
                 .ray(to)
                 .is_some_and(|(ray, sigma)| arc.distance(&ray) <= SIGMAS * other.hypot(sigma))
@@ -127,10 +127,7 @@ impl Search<'_> {
         let widest = SIGMAS * other.hypot(4.0 * tracker.params.noise_px * tracker.rad_per_px);
         let (pixel, radius_px) = self.circle(&arc, widest)?;
         let descriptor = &self.a.features.features.get(from as usize)?.descriptor;
-        let found = self
-            .b
-            .index
-            .nearest_where(pixel, radius_px, descriptor, accept)?;
+        let found = self.b.index.nearest(pixel, radius_px, descriptor, accept)?;
         Some((found.feature, found.distance, found.runner_up))
     }
 

@@ -1,6 +1,5 @@
 //! Views by what they show.
 
-use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use crate::semantic_map::semantic_graph::Graph;
@@ -11,7 +10,7 @@ const NEAR_LEAVES: usize = 1024;
 const BLOCK: usize = 16;
 
 /// Views by which classes they show and how many areas of each: the tree that the paper indexes sub-maps with, laid out as
-/// a sorted list of its leaves (by presence, then by counts), with all views ordered by count for each class beside it.
+/// a sorted list of its leaves (by presence, then by counts).
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ClassIndex {
     classes: usize,
@@ -23,8 +22,6 @@ pub struct ClassIndex {
     views: Vec<u32>,
     /// Leaves by their number of areas.
     by_total: Totals,
-    /// By class.
-    by_count: Vec<ByCount>,
 }
 
 /// Leaves by how many areas they have.
@@ -34,14 +31,6 @@ struct Totals {
     leaves: Vec<(u32, u32)>,
     /// Counts in that order, each leaf's filled up to whole blocks.
     blocks: Vec<[u16; BLOCK]>,
-}
-
-/// All views, those with the most areas of one class first.
-#[derive(Debug, Clone, Default, PartialEq)]
-struct ByCount {
-    views: Vec<u32>,
-    /// `above[n]` views have more than `n` areas.
-    above: Vec<u32>,
 }
 
 impl ClassIndex {
@@ -62,8 +51,6 @@ impl ClassIndex {
         }
         index.starts.push(index.views.len() as u32);
         index.by_total = Totals::new(&index);
-        let of_class = |class| ByCount::new(&counts, class);
-        index.by_count = (0..index.classes).map(of_class).collect();
         index
     }
 
@@ -89,21 +76,6 @@ impl ClassIndex {
 
     fn leaf_counts(&self, leaf: usize) -> &[u16] {
         &self.counts[leaf * self.classes..][..self.classes]
-    }
-
-    /// The views with exactly this many areas of each class, ascending.
-    pub fn like(&self, counts: &[u16]) -> &[u32] {
-        let (mut low, mut high) = (0, self.len());
-        while low < high {
-            let middle = (low + high) / 2;
-            if content(self.leaf_counts(middle)).lt(content(counts)) {
-                low = middle + 1;
-            } else {
-                high = middle;
-            }
-        }
-        let (found, views) = self.leaf(low);
-        if found == counts { views } else { &[] }
     }
 
     /// At least `wanted` of the views that `allowed` lets pass, where there are as many, of the leaves whose counts differ
@@ -145,51 +117,6 @@ impl ClassIndex {
             .iter()
             .flat_map(|(_, leaf, _)| self.leaf(*leaf as usize).1);
         views.copied().filter(|view| allowed(*view)).collect()
-    }
-
-    /// The views with exactly `areas` areas of a class; ascending.
-    pub fn exactly(&self, class: u8, areas: u16) -> &[u32] {
-        let Some(order) = self.by_count.get(usize::from(class)) else {
-            return if areas == 0 { &self.views } else { &[] };
-        };
-        let end = areas
-            .checked_sub(1)
-            .map_or(order.views.len(), |less| order.above(less));
-        &order.views[order.above(areas)..end]
-    }
-
-    /// The views with at least `areas` areas of a class, those with the most first.
-    pub fn at_least(&self, class: u8, areas: u16) -> &[u32] {
-        let Some(less) = areas.checked_sub(1) else {
-            return &self.views;
-        };
-        let order = self.by_count.get(usize::from(class));
-        order.map_or(&[], |order| &order.views[..order.above(less)])
-    }
-
-    /// The views without any area of a class.
-    pub fn without(&self, class: u8) -> &[u32] {
-        self.exactly(class, 0)
-    }
-}
-
-impl ByCount {
-    fn new(counts: &[Vec<u16>], class: usize) -> Self {
-        let count = |view: &u32| counts[*view as usize][class];
-        let mut views: Vec<u32> = (0..counts.len() as u32).collect();
-        views.sort_by_key(|view| (Reverse(count(view)), *view));
-        let most = views.first().map_or(0, count);
-        let above = (0..=most).map(|n| views.partition_point(|view| count(view) > n) as u32);
-        Self {
-            above: above.collect(),
-            views,
-        }
-    }
-
-    fn above(&self, areas: u16) -> usize {
-        self.above
-            .get(usize::from(areas))
-            .map_or(0, |views| *views as usize)
     }
 }
 

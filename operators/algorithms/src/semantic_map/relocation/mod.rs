@@ -2,38 +2,27 @@
 //!
 //! ```text
 //!   Graph ──► ViewMap   all views' areas by class and bearing ──► bound on every view ──► interpretation trees, best first
-//!        ├──► ClassIndex    views by which classes they show, and how many areas of each
-//!        └──► RelationIndex views by pairs of classes and how they lie: 'car on road'
+//!        └──► ClassIndex views by which classes they show, and how many areas of each
 //! ```
 //!
 //! Paper 2 (metric-topological-semantic map), sections IV and V. Two views are compared by an interpretation tree
 //! ([`ViewMap::compare`]): areas of one class and similar shape are matched, one after the other, as long as they fit what
 //! is matched already. Searching all views ([`ViewMap::search`]) gives the same answer as comparing with each, but most
-//! are ruled out by a bound: what each area of the query could at best be matched with, regardless of all others. How well a method tells places apart, this one or another, is for [`evaluate`].
+//! are ruled out by a bound: what each area of the query could at best be matched with, regardless of all others.
 
 mod bounds;
 mod class_index;
 mod description;
-mod estimate;
-mod evaluation;
 mod options;
-mod relation_index;
 mod tree;
 mod view_map;
-mod view_set;
 
-#[cfg(test)]
-mod search_tests;
 #[cfg(test)]
 mod tests;
 
 pub use class_index::ClassIndex;
-pub use estimate::estimate_scales;
-pub use evaluation::{Distances, Evaluation, EvaluationOptions, evaluate};
 pub use options::{Options, Scales};
-pub use relation_index::RelationIndex;
-pub use view_map::{Hit, Query, ViewMap};
-pub use view_set::ViewSet;
+pub use view_map::{Hit, Query, ViewMap, matched_areas};
 
 /// The paper's similarity of two graphs: `σ = exp(1 - N / Nm)` of `areas` N in the query, of which `matched` Nm were found
 /// in the other; 1 when all were, 0 when none was.

@@ -22,7 +22,7 @@ pub struct Scales {
 }
 
 impl Default for Scales {
-    /// Rounded from [`super::estimate_scales`] on views of a simulated street some 3 m apart, its labels 18 % wrong.
+    /// Rounded from what areas differ by between views of a simulated street some 3 m apart, its labels 18 % wrong.
     fn default() -> Self {
         Self {
             bearing_rad: 0.25,
@@ -30,18 +30,6 @@ impl Default for Scales {
             log_size: 0.6,
             eccentricity: 0.15,
             orientation_rad: 0.5,
-        }
-    }
-}
-
-impl Scales {
-    /// The paper's unary constraint: class, eccentricity and orientation, wherever the area is and however large it looks.
-    pub fn shape_only() -> Self {
-        Self {
-            bearing_rad: f64::INFINITY,
-            elevation_rad: f64::INFINITY,
-            log_size: f64::INFINITY,
-            ..Self::default()
         }
     }
 }

@@ -7,7 +7,7 @@ use std::ops::Range;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::bounds::Bounds;
-use super::description::{Description, Measure};
+use super::description::{Description, Measure, order};
 use super::options::Options;
 use super::similarity;
 use super::tree::{Constraints, Interpretation, Pair, Tree};
@@ -172,14 +172,6 @@ impl ViewMap {
         best.map(|found| self.hit(query, &found))
     }
 
-    /// The matched areas of a query and a view, as indices into their graphs' lists by descending size; see
-    /// [`ViewMap::compare`].
-    pub(super) fn interpretation(&self, query: &Query, view: u32) -> Option<Interpretation> {
-        let tree = &mut Tree::default();
-        let pair = self.pair(query, view, *self.turns.first()?)?;
-        Some(tree.grow(&pair, &self.rules).clone())
-    }
-
     fn blocks(&self, view: u32) -> Option<Range<usize>> {
         let bounds = self.offsets.get(view as usize..)?.get(..2)?;
         Some(bounds[0] as usize..bounds[1] as usize)
@@ -331,4 +323,20 @@ impl<'a> WithSimd for Growing<'a> {
     fn with_simd<S: Simd>(self, _: S) -> Self::Output {
         self.tree.grow(&self.pair, self.rules)
     }
+}
+
+/// Areas of two views that are taken for the same things: indices into the query's areas and into the view's. Of the
+/// turns only the first counts.
+pub fn matched_areas(query: &Graph, view: &Graph, options: &Options) -> Vec<[usize; 2]> {
+    let map = ViewMap::new(std::iter::once(view), options.clone());
+    let (asked, mut tree) = (map.query(query), Tree::default());
+    let turn = map.turns.first();
+    let Some(pair) = turn.and_then(|turn| map.pair(&asked, 0, *turn)) else {
+        return Vec::new();
+    };
+    let orders = [order(query, options), order(view, &options.of_map())];
+    let matched = tree.grow(&pair, &map.rules).pairs.iter();
+    matched
+        .map(|[a, b]| [orders[0][usize::from(*a)], orders[1][usize::from(*b)]])
+        .collect()
 }

@@ -13,8 +13,6 @@
 //! rotation matters, and the neighbour must see nothing nearer either.
 
 #[cfg(test)]
-mod street;
-#[cfg(test)]
 mod tests;
 mod view;
 
@@ -22,8 +20,8 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::geometry::camera::{Camera, Model};
-use crate::semantic_map::class_scores::ScoresView;
 use crate::geometry::pose::Pose;
+use crate::semantic_map::class_scores::ScoresView;
 pub use view::{DepthView, View};
 
 /// Cells that one task works on.

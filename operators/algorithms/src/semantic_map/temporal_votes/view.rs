@@ -1,8 +1,8 @@
 //! Views: what was seen, how far away, and from where.
 
 use crate::geometry::camera::Camera;
-use crate::semantic_map::class_scores::ScoresView;
 use crate::geometry::pose::Pose;
+use crate::semantic_map::class_scores::ScoresView;
 
 /// A depth image.
 #[derive(Debug, Clone, Copy)]

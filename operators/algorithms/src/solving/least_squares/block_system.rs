@@ -63,11 +63,6 @@ impl<const D: usize> BlockSystem<D> {
         self.gradient.fill(0.0);
     }
 
-    /// All entries of `g` become zero.
-    pub fn clear_gradient(&mut self) {
-        self.gradient.fill(0.0);
-    }
-
     /// `H[row, column] += block`, and its transpose across the diagonal. The slot is of
     /// [`Structure::slot`] for (row, column); on the diagonal use [`BlockSystem::add_diagonal`].
     pub fn add(&mut self, slot: Slot, block: &SMatrix<f64, D, D>) {
@@ -177,8 +172,8 @@ impl<const D: usize> BlockSystem<D> {
     }
 
     /// Factorises `H + damping · D` and returns `D` in elimination order; `None` when the matrix
-    /// is not positive definite. [`BlockSystem::back_substitute`] then serves any number of `g`.
-    pub fn factorise(&mut self, damping: f64) -> Option<Vec<f64>> {
+    /// is not positive definite.
+    fn factorise(&mut self, damping: f64) -> Option<Vec<f64>> {
         let diagonal = self.damp(damping);
         let structure = &self.structure;
         let n = self.step.len();
@@ -205,7 +200,7 @@ impl<const D: usize> BlockSystem<D> {
     }
 
     /// Solves for `δ` with the last factor and the present `g`; `None` when `δ` is not finite.
-    pub fn back_substitute(&mut self) -> Option<()> {
+    fn back_substitute(&mut self) -> Option<()> {
         let n = self.step.len();
         for (step, gradient) in self.step.iter_mut().zip(&self.gradient) {
             *step = -gradient;

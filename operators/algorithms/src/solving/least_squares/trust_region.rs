@@ -42,6 +42,7 @@ pub struct TrialStep {
 
 /// Marquardt's damping follows the curvature: `D` is the diagonal of `H`, kept away from 0 so
 /// that unknowns that nothing observes stay where they are.
+#[inline]
 pub fn damped_diagonal(diagonal: f64) -> f64 {
     diagonal.clamp(1e-6, 1e32)
 }

@@ -1,7 +1,7 @@
 //! Real and simulated drives, judged by geometry that shares nothing with the algorithm.
 
 use super::*;
-use crate::shared_data;
+use crate::tests::shared_data;
 
 /// KITTI odometry ground truth: rows of 3×4 camera poses; the ground plane is x and z.
 fn kitti(name: &str) -> Option<Vec<[f64; 3]>> {

@@ -186,28 +186,6 @@ fn landmarks_that_nothing_fixes_do_no_harm() {
 }
 
 #[test]
-fn priors_hold_where_nothing_else_does() {
-    let mut drive = Drive::new(20, 120, 8);
-    let mut problem = drive.disturbed(0.2, 0.02);
-    for pose in &mut problem.poses {
-        pose.fixed = false;
-    }
-    problem.priors = (0..20)
-        .step_by(5)
-        .map(|pose| PosePrior {
-            pose,
-            map_from_vehicle: drive.truth.poses[pose].map_from_vehicle,
-            sigma: [0.01, 0.01, 0.01, 0.002, 0.002, 0.002],
-        })
-        .collect();
-    let report = solve(&mut problem, &options()).unwrap();
-    assert!(
-        report.summary.converged() && drive.error_m(&problem) < 0.02,
-        "{report:?}"
-    );
-}
-
-#[test]
 fn faults_are_named_and_change_nothing() {
     let mut drive = Drive::new(6, 20, 9);
     let good = drive.disturbed(0.0, 0.01);

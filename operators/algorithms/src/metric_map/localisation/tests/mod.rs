@@ -3,8 +3,8 @@
 pub(super) mod world;
 
 use super::*;
-use crate::metric_map::features::KeyframeFeatures;
 use crate::geometry::pose::Pose;
+use crate::metric_map::features::KeyframeFeatures;
 use std::cell::Cell;
 use world::{Imaging, Random, World};
 

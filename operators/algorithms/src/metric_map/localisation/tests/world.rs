@@ -1,10 +1,12 @@
 //! A rig with four fisheyes in a room whose surfaces are covered with points.
 
 use crate::geometry::camera::Camera;
-use crate::metric_map::features::{DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures, KeyframeFeatures};
-use crate::metric_map::localisation::{DriveKeyframe, LandmarkMap, MapLandmark};
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::{Rig, RigCamera};
+use crate::metric_map::features::{
+    DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures, KeyframeFeatures,
+};
+use crate::metric_map::localisation::{DriveKeyframe, LandmarkMap, MapLandmark};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 /// SplitMix64, and what is drawn from it.

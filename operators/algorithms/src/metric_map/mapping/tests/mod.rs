@@ -1,0 +1,181 @@
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+
+use super::{Map, MapInput, MappingParams, map};
+use crate::geometry::pose::Pose;
+use crate::metric_map::association::{
+    AssociationParams, FeatureRef, Landmark, Scene, Sight, associate, triangulate,
+};
+
+mod simulated;
+
+use simulated::{Hall, Simulated, simulate};
+
+fn landmarks(scene: &Scene, poses: &[Pose], tracks: Vec<Vec<FeatureRef>>) -> Vec<Landmark> {
+    let cameras = scene.map_from_cameras(poses);
+    let landmark = |features: Vec<FeatureRef>| {
+        let sights: Vec<Sight> = features
+            .iter()
+            .filter_map(|feature| scene.sight(&cameras, *feature))
+            .collect();
+        let found = triangulate(&sights)?;
+        (found.parallax_rad > 0.03).then_some(Landmark {
+            id: 0,
+            point: found.point,
+            features,
+        })
+    };
+    tracks.into_iter().filter_map(landmark).collect()
+}
+
+/// Part of the landmarks' features that show what most of the landmark's features show, and the number of landmarks
+/// for each mark.
+fn purity(session: &Simulated, landmarks: &[Landmark]) -> (f64, f64) {
+    let (mut pure, mut all) = (0, 0);
+    let mut landmarks_of: BTreeMap<usize, usize> = BTreeMap::new();
+    for landmark in landmarks {
+        let mut counts: BTreeMap<usize, usize> = BTreeMap::new();
+        for feature in &landmark.features {
+            let (keyframe, camera) = (feature.image as usize / 4, feature.image as usize % 4);
+            let mark = session.shown[keyframe][camera][feature.feature as usize];
+            *counts.entry(mark).or_default() += 1;
+        }
+        let (mark, most) = counts.iter().max_by_key(|(_, count)| **count).unwrap();
+        pure += most;
+        all += landmark.features.len();
+        *landmarks_of.entry(*mark).or_default() += 1;
+    }
+    (
+        pure as f64 / all as f64,
+        landmarks.len() as f64 / landmarks_of.len() as f64,
+    )
+}
+
+#[test]
+fn tracks_of_one_mark_become_one_landmark() {
+    let session = simulate(&Hall {
+        points: 1500,
+        keyframes: 80,
+        ..Hall::default()
+    });
+    let mut scene = Scene::default();
+    let tracks = session.add_to(&mut scene);
+    let poses = session.guess(0.15, 0.02);
+    let landmarks = landmarks(&scene, &poses, tracks);
+    let (pure_before, parts_before) = purity(&session, &landmarks);
+    let params = AssociationParams {
+        radius_px: 12.0,
+        ..AssociationParams::default()
+    };
+    let found = associate(&scene, &poses, &landmarks, &params);
+    assert!(found.len() < landmarks.len());
+    let mut features: Vec<FeatureRef> = Vec::new();
+    for landmark in &found {
+        features.extend(&landmark.features);
+    }
+    let all = features.len();
+    features.sort_unstable();
+    features.dedup();
+    assert_eq!(features.len(), all, "a feature is in two landmarks");
+    let (pure, parts) = purity(&session, &found);
+    assert!(pure >= pure_before && pure > 0.98, "{pure_before} {pure}");
+    assert!(
+        parts < 2.0 && parts < 0.4 * parts_before,
+        "{parts_before} {parts}"
+    );
+}
+
+/// The rigid motion that lays points onto others best.
+fn aligned(source: &[Vector3<f64>], target: &[Vector3<f64>]) -> Pose {
+    let mean = |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+    let (from, to) = (mean(source), mean(target));
+    let pairs = source.iter().zip(target);
+    let products = pairs.map(|(a, b)| (b - to) * (a - from).transpose());
+    let nearest = Rotation3::from_matrix_eps(&products.sum(), 1e-12, 1000, Rotation3::identity());
+    let rotation = UnitQuaternion::from_rotation_matrix(&nearest);
+    Pose::new(to - rotation * from, rotation)
+}
+
+/// Root mean square distance after the best rigid alignment.
+fn error_m(found: &[Pose], truth: &[Pose]) -> f64 {
+    let points = |poses: &[Pose]| {
+        poses
+            .iter()
+            .map(|pose| pose.translation)
+            .collect::<Vec<_>>()
+    };
+    let (found, truth) = (points(found), points(truth));
+    let truth_from_found = aligned(&found, &truth);
+    let squares = found
+        .iter()
+        .zip(&truth)
+        .map(|(found, truth)| (truth_from_found.transform(found) - truth).norm_squared());
+    (squares.sum::<f64>() / truth.len() as f64).sqrt()
+}
+
+/// How well a hall is mapped from poses that are off: error in metres, and the map.
+fn mapped(hall: &Hall) -> (f64, Map, Simulated) {
+    let session = simulate(hall);
+    let mut scene = Scene::default();
+    let tracks = session.add_to(&mut scene);
+    let guess = session.guess(0.25, 0.03);
+    assert!(error_m(&guess, &session.truth) > 0.2);
+    let input = MapInput {
+        scene: &scene,
+        poses: &guess,
+        landmarks: &[],
+        tracks: &tracks,
+        fixed: 0,
+    };
+    let found = map(&input, &MappingParams::default());
+    assert_eq!(found.poses[0], guess[0]);
+    (error_m(&found.poses, &session.truth), found, session)
+}
+
+fn small() -> Hall {
+    Hall {
+        points: 1500,
+        keyframes: 80,
+        ..Hall::default()
+    }
+}
+
+#[test]
+fn a_rough_graph_becomes_an_accurate_map() {
+    let (error, found, session) = mapped(&small());
+    assert!(error < 0.01, "{error} m");
+    let (pure, parts) = purity(&session, &found.landmarks);
+    assert!(pure > 0.995 && parts < 1.2, "{pure} {parts}");
+    assert!((found.odometry_scales[0] - 1.0 / 1.01).abs() < 0.002);
+}
+
+#[test]
+fn a_dark_camera_and_odometry_that_is_far_off_do_little_harm() {
+    let (error, found, _) = mapped(&Hall {
+        dark: Some(1),
+        odometry_scale: 1.05,
+        ..small()
+    });
+    assert!(error < 0.02, "{error} m");
+    assert!((found.odometry_scales[0] - 1.0 / 1.05).abs() < 0.004);
+}
+
+#[test]
+fn nothing_seen_leaves_poses_where_they_are() {
+    let session = simulate(&small());
+    let mut scene = Scene::default();
+    session.add_to(&mut scene);
+    let guess = session.guess(0.25, 0.03);
+    let input = MapInput {
+        scene: &scene,
+        poses: &guess,
+        landmarks: &[],
+        tracks: &[],
+        fixed: 0,
+    };
+    let found = map(&input, &MappingParams::default());
+    assert!(found.landmarks.is_empty() && found.poses[0] == guess[0]);
+}

@@ -1,0 +1,3 @@
+//! What the tests of several families share.
+
+pub(crate) mod shared_data;

@@ -1,0 +1,487 @@
+//! How well pixels of CamVid are classified by forest and random field, cross-validated within its sequences.
+//!
+//! ```text
+//! cargo run --release --example camvid -p evermap-bench -- ../shared/data/camvid --folds 5
+//! cargo run --release --example camvid -p evermap-bench -- TRAINING_FOLDER --test TEST_FOLDER
+//! ```
+//! `--dump FOLDER` only writes the samples, for `tests/peers/pixel_forest.py`. Folds are contiguous parts of each sequence, or every n-th frame with `--interleaved`. The prior power and the weight of
+//! the kernels are those that do best on training frames, each scored by trees that have not seen its part of
+//! the drive: no test frame is looked at.
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    clippy::unwrap_used,
+    clippy::expect_used
+)]
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use evermap_algorithms::learning::dense_crf::{
+    ColourView, ITERATIONS, Kernels, RandomField, Unary,
+};
+use evermap_algorithms::learning::pixel_classifier::PixelClassifier;
+use evermap_algorithms::learning::pixel_features::{
+    FeatureDescription, SamplingOptions, labelled_features,
+};
+use evermap_algorithms::learning::random_forest::{
+    ForestOptions, Samples, prior_factors, train, with_priors,
+};
+use evermap_bench::Failure;
+use rayon::prelude::*;
+
+const CLASSES: [&str; 11] = [
+    "sky",
+    "building",
+    "pole",
+    "road",
+    "pavement",
+    "tree",
+    "sign",
+    "fence",
+    "car",
+    "pedestrian",
+    "bicyclist",
+];
+const POWERS: [f64; 9] = [-0.5, -0.4, -0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.4];
+/// Of both kernels.
+const WEIGHTS: [f64; 5] = [0.25, 0.5, 1.0, 2.0, 4.0];
+/// Training frames on which the field's parameters are chosen, every n-th.
+const CHOICE_STEP: usize = 9;
+
+struct Arguments {
+    folder: PathBuf,
+    test: Option<PathBuf>,
+    dump: Option<PathBuf>,
+    folds: usize,
+    interleaved: bool,
+    only: Vec<usize>,
+    stride: u32,
+    blocks: usize,
+    field: bool,
+    sampling: SamplingOptions,
+    forest: ForestOptions,
+    features: FeatureDescription,
+}
+
+fn arguments() -> Result<Arguments, Failure> {
+    let mut parsed = Arguments {
+        folder: PathBuf::new(),
+        test: None,
+        dump: None,
+        folds: 5,
+        interleaved: false,
+        only: Vec::new(),
+        stride: 2,
+        blocks: 5,
+        field: true,
+        sampling: SamplingOptions::default(),
+        forest: ForestOptions::default(),
+        features: FeatureDescription::default(),
+    };
+    let mut words = std::env::args().skip(1);
+    while let Some(word) = words.next() {
+        let mut value = || words.next().ok_or(format!("{word} needs a value"));
+        match word.as_str() {
+            "--test" => parsed.test = Some(value()?.into()),
+            "--dump" => parsed.dump = Some(value()?.into()),
+            "--folds" => parsed.folds = value()?.parse()?,
+            "--only" => parsed.only.push(value()?.parse()?),
+            "--interleaved" => parsed.interleaved = true,
+            "--no-field" => parsed.field = false,
+            "--no-mirror" => parsed.sampling.mirror = false,
+            "--stride" => parsed.stride = value()?.parse()?,
+            "--blocks" => parsed.blocks = value()?.parse()?,
+            "--samples" => parsed.sampling.count = value()?.parse()?,
+            "--sample-balance" => parsed.sampling.balance = value()?.parse()?,
+            "--trees" => parsed.forest.trees = value()?.parse()?,
+            "--tried" => parsed.forest.tried_features = value()?.parse()?,
+            "--min-leaf" => parsed.forest.min_leaf = value()?.parse()?,
+            "--balance" => parsed.forest.balance = value()?.parse()?,
+            "--features" => parsed.features = serde_json::from_str(&value()?)?,
+            _ => parsed.folder = word.into(),
+        }
+    }
+    Ok(parsed)
+}
+
+struct Frame {
+    sequence: usize,
+    width: u32,
+    height: u32,
+    rgb: Vec<u8>,
+    labels: Vec<u8>,
+}
+
+impl Frame {
+    fn image(&self) -> ColourView<'_> {
+        ColourView::new(self.width, self.height, &self.rgb).unwrap()
+    }
+}
+
+fn png(path: &Path) -> Result<(u32, u32, Vec<u8>), Failure> {
+    let decoder = png::Decoder::new(std::io::BufReader::new(std::fs::File::open(path)?));
+    let mut reader = decoder.read_info()?;
+    let mut data = vec![0; reader.output_buffer_size().ok_or("too large")?];
+    let info = reader.next_frame(&mut data)?;
+    data.truncate(info.buffer_size());
+    Ok((info.width, info.height, data))
+}
+
+fn frames(folder: &Path) -> Result<Vec<Frame>, Failure> {
+    let mut frames = Vec::new();
+    for (sequence, name) in ["0001TP", "0006R0"].into_iter().enumerate() {
+        let listed = std::fs::read_dir(folder.join("images"))?;
+        let mut names: Vec<_> = listed.map(|entry| entry.unwrap().file_name()).collect();
+        names.retain(|file| file.to_string_lossy().starts_with(name));
+        names.sort();
+        for file in names {
+            let (width, height, rgb) = png(&folder.join("images").join(&file))?;
+            let labels = png(&folder.join("labels11").join(&file))?.2;
+            frames.push(Frame {
+                sequence,
+                width,
+                height,
+                rgb,
+                labels,
+            });
+        }
+    }
+    Ok(frames)
+}
+
+/// Contiguous part of its sequence that each frame belongs to.
+fn parts(frames: &[&Frame], parts: usize) -> Vec<usize> {
+    let of = |sequence| {
+        frames
+            .iter()
+            .filter(|frame| frame.sequence == sequence)
+            .count()
+    };
+    let parts = |count: usize| (0..count).map(move |i| i * parts / count);
+    parts(of(0)).chain(parts(of(1))).collect()
+}
+
+/// A classifier, and the block of each training frame.
+struct Model {
+    classifier: PixelClassifier,
+    blocks: Vec<u32>,
+    frequencies: Vec<f32>,
+}
+
+/// Samples of all frames, side by side.
+#[derive(Default)]
+struct Gathered {
+    labels: Vec<u8>,
+    values: Vec<u8>,
+    /// Block of each sample.
+    blocks: Vec<u32>,
+    /// Labelled pixels of each class.
+    class_pixels: [u64; 11],
+}
+
+fn gather(frames: &[&Frame], blocks: &[u32], arguments: &Arguments) -> Gathered {
+    let sample = |(index, frame): (usize, &&Frame)| {
+        let options = SamplingOptions {
+            seed: index as u64,
+            ..arguments.sampling
+        };
+        let (what, classes) = (&arguments.features, CLASSES.len());
+        labelled_features(what, &frame.image(), &frame.labels, classes, &options).unwrap()
+    };
+    let parts: Vec<_> = frames.par_iter().enumerate().map(sample).collect();
+    let mut all = Gathered::default();
+    for (part, block) in parts.into_iter().zip(blocks) {
+        for (sum, count) in all.class_pixels.iter_mut().zip(&part.class_pixels) {
+            *sum += count;
+        }
+        all.blocks
+            .resize(all.blocks.len() + part.labels.len(), *block);
+        all.labels.extend(part.labels);
+        all.values.extend(part.values);
+    }
+    all
+}
+
+fn learn(frames: &[&Frame], arguments: &Arguments) -> Model {
+    let what = &arguments.features;
+    let blocks: Vec<u32> = parts(frames, arguments.blocks)
+        .into_iter()
+        .map(|part| part as u32)
+        .collect();
+    let gathered = gather(frames, &blocks, arguments);
+    let samples = Samples {
+        dimensions: what.dimensions(),
+        classes: CLASSES.len(),
+        labels: &gathered.labels,
+        values: &gathered.values,
+        blocks: &gathered.blocks,
+    };
+    let start = Instant::now();
+    let trees = train(&samples, &arguments.forest);
+    let nodes = trees.iter().map(|tree| tree.nodes.len()).sum::<usize>() / trees.len();
+    eprintln!(
+        "{} trees of {nodes} nodes on {} samples in {:.1} s",
+        trees.len(),
+        gathered.labels.len(),
+        start.elapsed().as_secs_f64()
+    );
+    let all = gathered.class_pixels.iter().sum::<u64>() as f32;
+    Model {
+        classifier: PixelClassifier::new(what.clone(), &trees, CLASSES.len()).unwrap(),
+        blocks,
+        frequencies: gathered
+            .class_pixels
+            .iter()
+            .map(|count| *count as f32 / all)
+            .collect(),
+    }
+}
+
+/// Right and all pixels of each class.
+#[derive(Clone, Copy, Default)]
+struct Tally([[u64; 2]; 11]);
+
+impl Tally {
+    fn add(&mut self, frame: &Frame, labels: &[u8]) {
+        for (label, found) in frame
+            .labels
+            .iter()
+            .zip(labels)
+            .filter(|(label, _)| **label < 11)
+        {
+            self.0[usize::from(*label)][0] += u64::from(label == found);
+            self.0[usize::from(*label)][1] += 1;
+        }
+    }
+
+    fn pixels(&self) -> f64 {
+        let sum = |n: usize| self.0.iter().map(|class| class[n]).sum::<u64>() as f64;
+        100.0 * sum(0) / sum(1).max(1.0)
+    }
+
+    fn shares(&self) -> Vec<f64> {
+        let present = self.0.iter().filter(|class| class[1] > 0);
+        present
+            .map(|class| 100.0 * class[0] as f64 / class[1] as f64)
+            .collect()
+    }
+
+    fn classes(&self) -> f64 {
+        let shares = self.shares();
+        shares.iter().sum::<f64>() / shares.len().max(1) as f64
+    }
+
+    fn row(&self, name: &str) -> String {
+        let shares: Vec<String> = self
+            .shares()
+            .iter()
+            .map(|share| format!("{share:.0}"))
+            .collect();
+        format!(
+            "| {name} | {:.2} | {:.2} | {} |",
+            self.pixels(),
+            self.classes(),
+            shares.join(" ")
+        )
+    }
+}
+
+/// Probabilities of every pixel, from cells of a stride, with other priors.
+fn probabilities(frame: &Frame, scores: &[f32], stride: u32, factors: &[f32]) -> Vec<f32> {
+    let n = CLASSES.len();
+    let columns = frame.width.div_ceil(stride);
+    let mut cells = scores.to_vec();
+    cells
+        .chunks_exact_mut(n)
+        .for_each(|cell| with_priors(cell, factors));
+    let pixels = (0..frame.height).flat_map(|v| (0..frame.width).map(move |u| (u, v)));
+    let cell = |(u, v): (u32, u32)| (v / stride * columns + u / stride) as usize;
+    pixels
+        .flat_map(|pixel| &cells[cell(pixel) * n..][..n])
+        .copied()
+        .collect()
+}
+
+fn likeliest(probabilities: &[f32]) -> Vec<u8> {
+    let best = |p: &[f32]| {
+        (0..p.len()).fold(
+            0,
+            |best, class| if p[class] > p[best] { class } else { best },
+        )
+    };
+    probabilities
+        .chunks_exact(CLASSES.len())
+        .map(|p| best(p) as u8)
+        .collect()
+}
+
+fn by_field(frame: &Frame, probabilities: &[f32], weight: f64) -> Vec<u8> {
+    let kernels = Kernels {
+        appearance_px: 50.0,
+        appearance_colour: 10.0,
+        appearance_weight: weight,
+        smoothness_px: 3.0,
+        smoothness_weight: weight,
+    };
+    let unary = Unary::from_probabilities(CLASSES.len(), probabilities).unwrap();
+    let field = RandomField::new(&frame.image(), &kernels, false).unwrap();
+    likeliest(&field.infer(&unary, ITERATIONS).unwrap().probabilities)
+}
+
+/// The prior power and weight of the kernels that do best on training frames scored by trees that have not seen them.
+fn chosen(frames: &[&Frame], model: &Model, arguments: &Arguments) -> (f64, f64) {
+    let weights: &[f64] = if arguments.field { &WEIGHTS } else { &[0.0] };
+    let settings: Vec<(f64, f64)> = POWERS[..7]
+        .iter()
+        .step_by(if arguments.field { 2 } else { 1 })
+        .flat_map(|power| weights.iter().map(|weight| (*power, *weight)))
+        .collect();
+    let mut tallies = vec![Tally::default(); settings.len()];
+    for (frame, block) in frames
+        .iter()
+        .zip(&model.blocks)
+        .skip(CHOICE_STEP / 2)
+        .step_by(CHOICE_STEP)
+    {
+        let scores = model
+            .classifier
+            .scores(&frame.image(), Some(*block), arguments.stride)
+            .unwrap();
+        let found: Vec<Vec<u8>> = settings
+            .par_iter()
+            .map(|(power, weight)| {
+                let factors = prior_factors(&model.frequencies, *power);
+                let p = probabilities(frame, &scores, arguments.stride, &factors);
+                if arguments.field {
+                    by_field(frame, &p, *weight)
+                } else {
+                    likeliest(&p)
+                }
+            })
+            .collect();
+        tallies
+            .iter_mut()
+            .zip(found)
+            .for_each(|(tally, labels)| tally.add(frame, &labels));
+    }
+    let value = |tally: &Tally| tally.pixels() + tally.classes();
+    let best = (0..settings.len()).fold(0, |best, at| {
+        if value(&tallies[at]) > value(&tallies[best]) {
+            at
+        } else {
+            best
+        }
+    });
+    settings[best]
+}
+
+#[derive(Clone, Default)]
+struct Results {
+    powers: [Tally; POWERS.len()],
+    alone: Tally,
+    with_field: Tally,
+}
+
+fn judge(training: &[&Frame], test: &[&Frame], arguments: &Arguments, results: &mut [Results; 3]) {
+    let model = learn(training, arguments);
+    let (power, weight) = chosen(training, &model, arguments);
+    eprintln!("chosen on training frames: prior power {power}, weight {weight}");
+    let scoring = Instant::now();
+    let scores: Vec<_> = test
+        .iter()
+        .map(|frame| {
+            model
+                .classifier
+                .scores(&frame.image(), None, arguments.stride)
+                .unwrap()
+        })
+        .collect();
+    let seconds = scoring.elapsed().as_secs_f64() / test.len().max(1) as f64;
+    eprintln!("scored in {seconds:.3} s per frame");
+    let found: Vec<_> = test
+        .par_iter()
+        .zip(&scores)
+        .map(|(frame, scores)| {
+            let of = |power| {
+                let factors = prior_factors(&model.frequencies, power);
+                probabilities(frame, scores, arguments.stride, &factors)
+            };
+            let own = of(power);
+            let field = arguments.field.then(|| by_field(frame, &own, weight));
+            (
+                POWERS.map(|power| likeliest(&of(power))),
+                likeliest(&own),
+                field,
+            )
+        })
+        .collect();
+    for (frame, (powers, alone, field)) in test.iter().zip(found) {
+        for of in [frame.sequence, 2] {
+            let results = &mut results[of];
+            for (tally, labels) in results.powers.iter_mut().zip(&powers) {
+                tally.add(frame, labels);
+            }
+            results.alone.add(frame, &alone);
+            if let Some(labels) = &field {
+                results.with_field.add(frame, labels);
+            }
+        }
+    }
+}
+
+fn main() -> Result<(), Failure> {
+    let arguments = arguments()?;
+    let given = frames(&arguments.folder)?;
+    let given: Vec<&Frame> = given.iter().collect();
+    if let Some(folder) = &arguments.dump {
+        let blocks = vec![0; given.len()];
+        let gathered = gather(&given, &blocks, &arguments);
+        std::fs::write(folder.join("labels.bin"), gathered.labels)?;
+        std::fs::write(folder.join("values.bin"), gathered.values)?;
+        return Ok(());
+    }
+    let mut results: [Results; 3] = Default::default();
+    if let Some(folder) = &arguments.test {
+        let test = frames(folder)?;
+        judge(
+            &given,
+            &test.iter().collect::<Vec<_>>(),
+            &arguments,
+            &mut results,
+        );
+    } else {
+        let folds = arguments.folds.max(1);
+        let fold_of = match arguments.interleaved {
+            true => (0..given.len()).map(|index| index % folds).collect(),
+            false => parts(&given, folds),
+        };
+        for fold in
+            (0..folds).filter(|fold| arguments.only.is_empty() || arguments.only.contains(fold))
+        {
+            let of = |inside: bool| -> Vec<&Frame> {
+                let frames = given
+                    .iter()
+                    .zip(&fold_of)
+                    .filter(|(_, of)| (**of == fold) == inside);
+                frames.map(|(frame, _)| *frame).collect()
+            };
+            judge(&of(false), &of(true), &arguments, &mut results);
+        }
+    }
+    for (name, results) in ["0001TP", "0006R0", "both"].iter().zip(&results) {
+        println!(
+            "\n| {name} | pixels % | class average % | {} |\n|---|---|---|---|",
+            CLASSES.join(" ")
+        );
+        for (power, tally) in POWERS.iter().zip(&results.powers) {
+            println!("{}", tally.row(&format!("forest, prior power {power}")));
+        }
+        println!(
+            "{}",
+            results.alone.row("forest, power chosen on training frames")
+        );
+        println!("{}", results.with_field.row("and random field"));
+    }
+    Ok(())
+}

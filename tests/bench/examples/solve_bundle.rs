@@ -1,0 +1,240 @@
+//! Bundle adjustment for measurements, reported as JSON.
+//!
+//! ```text
+//! cargo run --release --example solve_bundle -p evermap-bench -- problem-49-7776-pre.txt --threads 1 --repeat 5
+//! cargo run --release --example solve_bundle -p evermap-bench -- --drive 3000 --threads 1
+//! ```
+//!
+//! The first solves a BAL problem, for `tests/peers/bundle_adjustment.py`. The second simulates a
+//! drive of so many keyframes with four fisheyes and odometry, as the metric map has them, and
+//! adjusts it; it shows how time grows with length.
+#![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use evermap_algorithms::geometry::camera::Camera;
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::geometry::rig::{Rig, RigCamera};
+use evermap_algorithms::metric_map::bundle_adjustment::{
+    self, Keyframe, Observation, Odometry, Problem, Session,
+};
+use evermap_algorithms::solving::least_squares::{Options, Summary};
+use evermap_bench::timing::shortest;
+use evermap_bench::{Failure, bal};
+use nalgebra::{UnitQuaternion, Vector3};
+
+struct Arguments {
+    path: Option<String>,
+    drive: usize,
+    threads: usize,
+    repeat: usize,
+}
+
+fn arguments() -> Result<Arguments, Failure> {
+    let mut parsed = Arguments {
+        path: None,
+        drive: 0,
+        threads: 1,
+        repeat: 1,
+    };
+    let mut words = std::env::args().skip(1);
+    while let Some(word) = words.next() {
+        let mut value = || words.next().ok_or(format!("{word} needs a value"));
+        match word.as_str() {
+            "--threads" => parsed.threads = value()?.parse()?,
+            "--repeat" => parsed.repeat = value()?.parse()?,
+            "--drive" => parsed.drive = value()?.parse()?,
+            _ => parsed.path = Some(word),
+        }
+    }
+    Ok(parsed)
+}
+
+fn main() -> Result<(), Failure> {
+    let arguments = arguments()?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(arguments.threads)
+        .build()?;
+    pool.install(|| match &arguments.path {
+        Some(path) => benchmark(&arguments, path),
+        None => drive(&arguments),
+    })
+}
+
+fn benchmark(arguments: &Arguments, path: &str) -> Result<(), Failure> {
+    let initial = bal::read(&std::fs::read_to_string(path)?)?;
+    let (seconds, summary) = shortest(arguments.repeat, || {
+        let mut problem = initial.clone();
+        bal::solve(&mut problem, &Options::default())
+    });
+    report(seconds, &summary?, initial.observations.len());
+    Ok(())
+}
+
+fn drive(arguments: &Arguments) -> Result<(), Failure> {
+    let initial = simulated(arguments.drive);
+    let options = bundle_adjustment::Options::default();
+    let (seconds, result) = shortest(arguments.repeat, || {
+        let mut problem = initial.clone();
+        bundle_adjustment::solve(&mut problem, &options)
+    });
+    report(seconds, &result?.summary, initial.observations.len());
+    Ok(())
+}
+
+fn report(seconds: f64, summary: &Summary, observations: usize) {
+    let iterations = summary.accepted + summary.refused;
+    println!(
+        "{}",
+        serde_json::json!({
+            "initial_cost": summary.initial_cost,
+            "final_cost": summary.final_cost,
+            "iterations": iterations,
+            "stop": format!("{:?}", summary.stop),
+            "observations": observations,
+            "seconds": seconds,
+            "microseconds_per_iteration_and_observation":
+                seconds * 1e6 / (iterations.max(1) * observations.max(1)) as f64,
+        })
+    );
+}
+
+/// SplitMix64: numbers for a simulation.
+struct Noise(u64);
+
+impl Noise {
+    fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn normal(&mut self) -> f64 {
+        (-2.0 * (1.0 - self.uniform()).ln()).sqrt() * (2.0 * PI * self.uniform()).cos()
+    }
+}
+
+/// Four fisheyes of 180° that look ahead, left, back and right.
+fn rig() -> Rig {
+    let k = [127.0, 0.0, 199.5, 0.0, 127.0, 149.5, 0.0, 0.0, 1.0];
+    let lens = [0.012, -0.006, 0.002, -0.0004];
+    let camera = Camera::from_calibration("equidistant", 400, 300, &k, &lens).unwrap();
+    let ahead = UnitQuaternion::from_euler_angles(-FRAC_PI_2, 0.0, -FRAC_PI_2);
+    let mount = |name: &str, position: [f64; 3], yaw: f64| RigCamera {
+        name: name.to_owned(),
+        camera: camera.clone(),
+        vehicle_from_camera: Pose::new(
+            Vector3::from(position),
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw) * ahead,
+        ),
+    };
+    Rig {
+        cameras: vec![
+            mount("front", [3.7, 0.0, 0.7], 0.0),
+            mount("left", [2.0, 0.9, 1.0], FRAC_PI_2),
+            mount("rear", [-0.8, 0.0, 0.9], PI),
+            mount("right", [2.0, -0.9, 1.0], -FRAC_PI_2),
+        ],
+    }
+}
+
+/// A drive of 0.2 m steps along a winding road with points at both sides, 12 new ones per step,
+/// each followed within 4 m; noise of half a pixel, and a start that is off by centimetres.
+fn simulated(keyframes: usize) -> Problem {
+    let mut noise = Noise(1);
+    let mut problem = Problem {
+        rigs: vec![rig()],
+        sessions: vec![Session::new(0)],
+        ..Problem::default()
+    };
+    let mut pose = Pose::identity();
+    let mut poses = Vec::with_capacity(keyframes);
+    for step in 0..keyframes {
+        poses.push(pose);
+        pose = pose.compose(&Pose::from_yaw(0.2, 0.0, 0.02 * (step as f64 * 0.01).sin()));
+    }
+    for (at, pose) in poses.iter().enumerate() {
+        for _ in 0..12 {
+            let side = if noise.uniform() < 0.5 { -1.0 } else { 1.0 };
+            let across = side * (2.5 + 3.0 * noise.uniform());
+            let point = Vector3::new(1.4, across, 2.5 * noise.uniform());
+            sight(
+                &mut problem,
+                &poses,
+                at,
+                &pose.transform(&point),
+                &mut noise,
+            );
+        }
+    }
+    for (at, pair) in poses.windows(2).enumerate() {
+        let motion = pair[0].inverse().compose(&pair[1]);
+        let measured = Pose::from_yaw(
+            motion.translation.x / 1.01 + 0.003 * noise.normal(),
+            motion.translation.y + 0.003 * noise.normal(),
+            motion.yaw() + 0.001 * noise.normal(),
+        );
+        problem.odometry.push(Odometry {
+            from: at,
+            to: at + 1,
+            from_from_to: measured,
+            length_m: 0.2,
+            sigma: [0.005, 0.005, 0.02, 0.01, 0.01, 0.003],
+        });
+    }
+    problem.poses = poses
+        .iter()
+        .enumerate()
+        .map(|(at, pose)| Keyframe {
+            session: 0,
+            map_from_vehicle: if at == 0 {
+                *pose
+            } else {
+                let (x, y, yaw) = (noise.normal(), noise.normal(), noise.normal());
+                pose.compose(&Pose::from_yaw(0.02 * x, 0.02 * y, 0.002 * yaw))
+            },
+            fixed: at == 0,
+        })
+        .collect();
+    problem
+}
+
+/// Adds a landmark with its observations.
+fn sight(
+    problem: &mut Problem,
+    poses: &[Pose],
+    at: usize,
+    point: &Vector3<f64>,
+    noise: &mut Noise,
+) {
+    let landmark = problem.landmarks.len();
+    problem
+        .landmarks
+        .push(point + Vector3::from_fn(|_, _| 0.05 * noise.normal()));
+    let near = at.saturating_sub(10)..(at + 10).min(poses.len());
+    for pose in near {
+        for (camera, mounted) in problem.rigs[0].cameras.iter().enumerate() {
+            let map_from_camera = poses[pose].compose(&mounted.vehicle_from_camera);
+            let seen = map_from_camera.inverse().transform(point);
+            // Tracks end: four of ten sights are missed.
+            let Some(pixel) = mounted
+                .camera
+                .project(&seen)
+                .filter(|_| seen.z > 0.3 * seen.norm())
+            else {
+                continue;
+            };
+            if mounted.camera.contains(pixel) && noise.uniform() < 0.6 {
+                problem.observations.push(Observation {
+                    pose,
+                    camera,
+                    landmark,
+                    pixel: pixel.map(|x| x + 0.5 * noise.normal()),
+                    sigma_px: 0.5,
+                });
+            }
+        }
+    }
+}

@@ -1,0 +1,18 @@
+//! How well a method tells places apart, and indexes that answer what paper 2 asks of a map's views.
+//!
+//! The measures are for any method ([`evaluate`]). The indexes are those of the paper's content requests; maps answer
+//! them by SQL on their layers instead.
+
+mod count_index;
+mod evaluation;
+mod relation_index;
+mod scales;
+#[cfg(test)]
+mod tests;
+mod view_set;
+
+pub use count_index::{CountIndex, like};
+pub use evaluation::{Distances, Evaluation, EvaluationOptions, evaluate};
+pub use relation_index::RelationIndex;
+pub use scales::estimate_scales;
+pub use view_set::ViewSet;

@@ -1,0 +1,69 @@
+//! Views by pairs of classes and how they lie.
+
+use std::collections::BTreeMap;
+
+use evermap_algorithms::semantic_map::semantic_graph::{Graph, Relation};
+
+use super::view_set::ViewSet;
+
+/// For each pair of classes and each relation the views in which it holds: 'car on road' is one look-up.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct RelationIndex {
+    sets: BTreeMap<(u8, Relation, u8), ViewSet>,
+    none: ViewSet,
+}
+
+impl RelationIndex {
+    /// Indexes views, numbered in their order.
+    pub fn new<'a>(graphs: impl ExactSizeIterator<Item = &'a Graph>) -> Self {
+        let mut index = Self {
+            sets: BTreeMap::new(),
+            none: ViewSet::none(graphs.len()),
+        };
+        for (graph, view) in graphs.zip(0_u32..) {
+            let mut found = directions(graph);
+            found.extend(contacts(graph));
+            found.sort_unstable();
+            found.dedup();
+            for relation in found {
+                let set = index.sets.entry(relation);
+                set.or_insert_with(|| index.none.clone()).insert(view);
+            }
+        }
+        index
+    }
+
+    /// The views in which some area of class `a` is in `relation` to some other area of class `b`; exactly those of
+    /// [`Graph::holds`].
+    pub fn views(&self, a: u8, relation: Relation, b: u8) -> &ViewSet {
+        self.sets.get(&(a, relation, b)).unwrap_or(&self.none)
+    }
+}
+
+fn directions(graph: &Graph) -> Vec<(u8, Relation, u8)> {
+    let mut found = Vec::with_capacity(graph.areas.len().pow(2));
+    for (at, a) in graph.areas.iter().enumerate() {
+        for (other, b) in graph.areas.iter().enumerate() {
+            if at != other
+                && let Some(direction) = Relation::direction(graph.offset(b, a))
+            {
+                found.push((a.class, direction, b.class));
+            }
+        }
+        // Many areas of few classes: most are the same.
+        if found.len() > 1 << 16 {
+            found.sort_unstable();
+            found.dedup();
+        }
+    }
+    found
+}
+
+fn contacts(graph: &Graph) -> impl Iterator<Item = (u8, Relation, u8)> + '_ {
+    [Relation::On, Relation::Touches]
+        .into_iter()
+        .flat_map(move |relation| {
+            let pairs = graph.related(relation);
+            pairs.map(move |[a, b]| (graph.areas[a].class, relation, graph.areas[b].class))
+        })
+}
