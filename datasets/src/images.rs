@@ -143,18 +143,6 @@ impl ImageReader {
         Ok(resolved)
     }
 
-    /// As [`ImageReader::resolve`], from a thread that is not asynchronous.
-    ///
-    /// # Errors
-    /// As [`ImageReader::resolve`].
-    pub fn resolve_blocking(
-        &self,
-        runtime: &tokio::runtime::Handle,
-        images: &[ImageRef],
-    ) -> Result<Vec<Result<Bytes, Fault>>, Fault> {
-        runtime.block_on(self.resolve(images))
-    }
-
     async fn open(&self, place: &Place) -> Result<Result<Bytes, Fault>, Fault> {
         let key = (place.session.as_str().into(), place.part);
         let part = self.parts.get(&key).ok_or_else(|| {

@@ -2,10 +2,10 @@
 //!
 //! ```text
 //!   files, globs, URLs ─┐
-//!   session manifest ───┴─► Dataset ── register ──► "/odom" …, messages, channels, sessions, attachments, metadata
-//!                             │                      frames, odometry, calibration, transforms
-//!                             ├── losses: what could not be read
-//!                             └── images: references of frames ──► bytes
+//!   session manifest ───┴─► Recordings ── open ──► Dataset ── register ──► a table for each topic and each role,
+//!                                                    │                      messages, channels, sessions, …
+//!                                                    ├── losses: what could not be read
+//!                                                    └── images: references of frames ──► bytes
 //! ```
 //!
 //! Logs are read by ranges of their object store, chunk by chunk; a log without a usable index is read once from its
@@ -18,7 +18,8 @@ mod listing;
 pub mod log;
 pub mod losses;
 pub mod manifest;
-pub mod roles;
+pub mod recordings;
+mod roles;
 pub mod scan;
 pub mod session;
 mod stores;
@@ -27,4 +28,6 @@ pub use dataset::Dataset;
 pub use images::ImageReader;
 pub use losses::{Loss, LossLedger, Reason};
 pub use manifest::{Manifest, Roles};
+pub use recordings::{Recording, Recordings};
 pub use session::{LogPart, Session};
+pub use stores::LogFile;

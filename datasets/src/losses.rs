@@ -8,8 +8,10 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use serde::{Deserialize, Serialize};
+
 /// Why something was lost.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Reason {
     /// The log ends without its end record: the recorder did not finish, or the tail was cut off. Counted once per
     /// file; the bytes are those of the incomplete records at the end.
@@ -56,7 +58,7 @@ impl fmt::Display for Reason {
 }
 
 /// How much was lost.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Loss {
     /// Things lost; what kind of thing the [`Reason`] says.
     pub count: u64,
@@ -64,8 +66,15 @@ pub struct Loss {
     pub bytes: u64,
 }
 
+impl Loss {
+    /// One thing of so many bytes.
+    pub fn one(bytes: u64) -> Self {
+        Self { count: 1, bytes }
+    }
+}
+
 /// One line of the ledger: all losses of one kind at one place of one file.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Entry {
     /// Location of the file.
     pub file: Arc<str>,
@@ -196,9 +205,12 @@ impl FileLosses {
         });
     }
 
-    /// Location of the file.
-    pub fn file(&self) -> &str {
-        &self.file
+    /// Notes what was noted elsewhere, about this file.
+    pub(crate) fn note_again(&self, entry: &Entry) {
+        self.ledger.note(Entry {
+            file: self.file.clone(),
+            ..entry.clone()
+        });
     }
 }
 

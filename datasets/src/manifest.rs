@@ -1,4 +1,4 @@
-//! Session manifests: which files are which session, and which topics play which part.
+//! Session manifests: which files are which session, and which topics play which role.
 //!
 //! ```yaml
 //! site: car_park
@@ -7,38 +7,37 @@
 //!     files: [logs/monday_*.mcap]      # parts of one recording; relative to the manifest
 //! roles:
 //!   frames: ["/camera/*/image_raw/compressed"]
-//!   depth_frames: ["/camera/*/depth"]
-//!   label_frames: ["/camera/*/labels"]
 //!   odometry: /odom
-//!   calibration: ["/camera/*/camera_info"]
 //!   transforms: [/tf, /tf_static]
 //! ```
 //!
-//! Everything is optional. Roles that are not given are inferred from message types; see [`Roles::infer`].
+//! Everything is optional. Roles ([`evermap_schemas::roles`]) that are not given are inferred from message types.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use evermap_schemas::Fault;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use evermap_schemas::roles::{Choice, Role, Topic};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// A session manifest.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Manifest {
     /// Site of every session that names none itself.
     pub site: Option<String>,
     /// Sessions, in addition to those given on the command line.
-    pub sessions: Vec<ManifestSession>,
-    /// Topics by role, for all sessions.
-    pub roles: ManifestRoles,
+    pub sessions: Vec<SessionFiles>,
+    /// Topics by role, for all sessions. A topic may be a pattern, in which `*` stands for anything.
+    #[serde(deserialize_with = "topics_by_role")]
+    pub roles: BTreeMap<String, Vec<String>>,
 }
 
 /// One session of a manifest.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ManifestSession {
+pub struct SessionFiles {
     /// Name, unique in the manifest.
     pub name: String,
     /// Files, globs or URLs: the parts of one recording.
@@ -48,22 +47,25 @@ pub struct ManifestSession {
     pub site: Option<String>,
 }
 
-/// Topics by role. A topic may be a pattern, in which `*` stands for anything.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct ManifestRoles {
-    /// Topics with images.
-    pub frames: Option<Vec<String>>,
-    /// Topics with range images.
-    pub depth_frames: Option<Vec<String>>,
-    /// Topics with images of class labels.
-    pub label_frames: Option<Vec<String>>,
-    /// The one topic with wheel or visual odometry.
-    pub odometry: Option<String>,
-    /// Topics with intrinsic calibrations.
-    pub calibration: Option<Vec<String>>,
-    /// Topics with transforms.
-    pub transforms: Option<Vec<String>>,
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "expected a topic, or a list of topics")]
+enum Topics {
+    One(String),
+    Many(Vec<String>),
+}
+
+/// A role without topics is one that is not given.
+fn topics_by_role<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<BTreeMap<String, Vec<String>>, D::Error> {
+    let given = BTreeMap::<String, Option<Topics>>::deserialize(deserializer)?;
+    let topics = given
+        .into_iter()
+        .filter_map(|(role, topics)| match topics? {
+            Topics::One(topic) => Some((role, vec![topic])),
+            Topics::Many(topics) => Some((role, topics)),
+        });
+    Ok(topics.collect())
 }
 
 impl Manifest {
@@ -75,8 +77,7 @@ impl Manifest {
         if text.trim().is_empty() {
             return Ok(Self::default());
         }
-        serde_yaml_ng::from_str(text)
-            .map_err(|error| Fault::user(format!("expected a session manifest, found {error}")))
+        from_yaml(text, "a session manifest")
     }
 
     /// Reads a manifest file; its relative paths become relative to the manifest's folder.
@@ -84,11 +85,13 @@ impl Manifest {
     /// # Errors
     /// A user fault when the file cannot be read or is no manifest.
     pub fn load(path: &Path) -> Result<Self, Fault> {
-        let place = path.display();
+        let at = |fault: Fault| fault.at(path.display());
         let text = std::fs::read_to_string(path).map_err(|error| {
-            Fault::user(format!("expected a session manifest, found {error}")).at(place.to_string())
+            at(Fault::user(format!(
+                "expected a session manifest, found {error}"
+            )))
         })?;
-        let mut manifest = Self::parse(&text).map_err(|fault| fault.at(place.to_string()))?;
+        let mut manifest = Self::parse(&text).map_err(at)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         for file in manifest.sessions.iter_mut().flat_map(|s| &mut s.files) {
             if !file.contains("://") && !Path::new(file).is_absolute() {
@@ -99,331 +102,126 @@ impl Manifest {
     }
 }
 
-/// The topics of one session that play a part.
+/// Reads YAML that should be `what`.
+pub(crate) fn from_yaml<T: DeserializeOwned>(text: &str, what: &str) -> Result<T, Fault> {
+    serde_yaml_ng::from_str(text)
+        .map_err(|error| Fault::user(format!("expected {what}, found {error}")))
+}
+
+/// Which topics of one session play which role.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Roles {
-    /// Topics with images, ascending.
-    pub frames: Vec<String>,
-    /// Topics with range images, ascending.
-    pub depth_frames: Vec<String>,
-    /// Topics with images of class labels, ascending.
-    pub label_frames: Vec<String>,
-    /// The topic with odometry.
-    pub odometry: Option<String>,
-    /// Topics with intrinsic calibrations, ascending.
-    pub calibration: Vec<String>,
-    /// Topics with transforms, ascending.
-    pub transforms: Vec<String>,
-}
-
-/// What inference needs to know of a topic.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct TopicInfo {
-    /// Name of the message type, as the log spells it.
-    pub schema: String,
-    /// Number of messages; 0 where it is not known.
-    pub messages: u64,
-}
-
-/// The part that a message type plays, whatever it is called: `sensor_msgs/msg/Image` (ROS 2), `sensor_msgs/Image`
-/// (ROS 1) and `foxglove.RawImage` (protobuf, JSON) are the same.
-pub(crate) fn plain_type(schema: &str) -> String {
-    schema
-        .replace("/msg/", "/")
-        .replace("foxglove_msgs/", "foxglove.")
-}
-
-const FRAMES: [&str; 4] = [
-    "sensor_msgs/CompressedImage",
-    "sensor_msgs/Image",
-    "foxglove.CompressedImage",
-    "foxglove.RawImage",
-];
-/// Parts of a topic's name that tell range images and label images from pictures.
-const DEPTH: [&str; 1] = ["depth"];
-const LABELS: [&str; 3] = ["label", "segmentation", "semantic"];
-const CALIBRATION: [&str; 2] = ["sensor_msgs/CameraInfo", "foxglove.CameraCalibration"];
-const ODOMETRY: [&str; 1] = ["nav_msgs/Odometry"];
-const POSES: [&str; 2] = ["foxglove.PoseInFrame", "geometry_msgs/PoseStamped"];
-const TRANSFORMS: [&str; 4] = [
-    "tf2_msgs/TFMessage",
-    "tf/tfMessage",
-    "foxglove.FrameTransform",
-    "foxglove.FrameTransforms",
-];
+pub struct Roles(BTreeMap<&'static str, Vec<String>>);
 
 impl Roles {
-    /// Roles from message types.
-    ///
-    /// - `frames`: `CompressedImage` and `Image` of sensor_msgs, `CompressedImage` and `RawImage` of foxglove. Where a
-    ///   topic and its `/compressed` twin are both there, the compressed one counts; `/compressedDepth` never does.
-    /// - `depth_frames` and `label_frames`: those of them with a part of the name that speaks of depth, or of labels,
-    ///   segmentation or semantics. Of several label topics beside each other the first by name.
-    /// - `calibration`: `CameraInfo`, `CameraCalibration`. `transforms`: `TFMessage`, `FrameTransform(s)`.
-    /// - `odometry`: one `nav_msgs/Odometry` topic: `/odom` if there is one, else that with most messages, else the
-    ///   first by name. Where there is none, a `PoseInFrame` or `PoseStamped` topic whose name speaks of odometry.
-    ///
-    /// Choices that another reader might have made differently are told in the notes.
-    pub fn infer(topics: &BTreeMap<String, TopicInfo>) -> (Self, Vec<String>) {
-        let mut notes = Vec::new();
-        let of = |types: &[&str]| -> Vec<String> {
-            let fits = |info: &TopicInfo| types.contains(&plain_type(&info.schema).as_str());
-            let fitting = topics.iter().filter(|(_, info)| fits(info));
-            fitting.map(|(topic, _)| topic.clone()).collect()
-        };
-        let all = of(&FRAMES);
-        let twin = |topic: &String| all.contains(&format!("{topic}/compressed"));
-        let images = all
-            .iter()
-            .filter(|topic| !twin(topic) && !topic.ends_with("/compressedDepth"));
-        let (special, frames): (Vec<String>, Vec<String>) = images
-            .cloned()
-            .partition(|topic| speaks_of(topic, &DEPTH) || speaks_of(topic, &LABELS));
-        let (labels, depth_frames) = special
-            .into_iter()
-            .partition(|topic| speaks_of(topic, &LABELS));
-        let label_frames = choose_labels(labels, &mut notes);
-        let mut candidates = of(&ODOMETRY);
-        if candidates.is_empty() {
-            candidates = of(&POSES);
-            candidates.retain(|topic| topic.to_lowercase().contains("odom"));
-        }
-        let odometry = choose_odometry(&candidates, topics);
-        if let Some(chosen) = odometry.as_ref().filter(|_| candidates.len() > 1) {
-            notes.push(format!(
-                "odometry is read from {chosen}; {} would do too: say roles.odometry in a session manifest to choose",
-                others(&candidates, chosen)
-            ));
-        }
-        let roles = Self {
-            frames,
-            depth_frames,
-            label_frames,
-            odometry,
-            calibration: of(&CALIBRATION),
-            transforms: of(&TRANSFORMS),
-        };
-        (roles, notes)
-    }
-
-    /// The topics of a role, by the role's name.
+    /// The topics of a role, by the role's name; ascending.
     pub fn topics(&self, role: &str) -> &[String] {
-        match role {
-            "frames" => &self.frames,
-            "depth_frames" => &self.depth_frames,
-            "label_frames" => &self.label_frames,
-            "odometry" => self.odometry.as_slice(),
-            "calibration" => &self.calibration,
-            "transforms" => &self.transforms,
-            _ => &[],
-        }
+        self.0.get(role).map_or(&[], Vec::as_slice)
     }
 
-    /// Roles from a manifest; what it leaves out is inferred.
+    /// As a manifest gives them, to choose the same topics again.
+    pub fn to_manifest(&self) -> BTreeMap<String, Vec<String>> {
+        let played = self.0.iter().filter(|(_, topics)| !topics.is_empty());
+        let exact = |topic: &String| glob::Pattern::escape(topic);
+        played
+            .map(|(role, topics)| ((*role).to_owned(), topics.iter().map(exact).collect()))
+            .collect()
+    }
+
+    /// The topics, of those of a session, that a manifest gives to each role; what it leaves out is inferred. Choices
+    /// that another reader might have made differently are told in the notes.
     ///
     /// # Errors
-    /// A user fault when a pattern is malformed, or two topics match the pattern for odometry.
+    /// A user fault when a pattern is malformed, or two topics match the pattern of a role that only one plays.
     pub fn resolve(
-        manifest: &ManifestRoles,
-        topics: &BTreeMap<String, TopicInfo>,
+        roles: &[Role],
+        given: &BTreeMap<String, Vec<String>>,
+        topics: &[Topic],
     ) -> Result<(Self, Vec<String>), Fault> {
-        let (mut roles, mut notes) = Self::infer(topics);
-        if let Some(patterns) = &manifest.frames {
-            roles.frames = matching(patterns, topics)?;
+        let mut resolved = BTreeMap::new();
+        let mut notes = Vec::new();
+        for role in roles {
+            let found = match given.get(role.name) {
+                Some(patterns) => matching(role, patterns, topics)?,
+                None => {
+                    let choices = role.infer(topics);
+                    notes.extend(choices.iter().filter_map(|choice| note(role, choice)));
+                    choices.into_iter().map(|choice| choice.topic).collect()
+                }
+            };
+            resolved.insert(role.name, found);
         }
-        if let Some(patterns) = &manifest.depth_frames {
-            roles.depth_frames = matching(patterns, topics)?;
-        }
-        if let Some(patterns) = &manifest.label_frames {
-            roles.label_frames = matching(patterns, topics)?;
-            notes.retain(|note| !note.starts_with("label_frames"));
-        }
-        if let Some(patterns) = &manifest.calibration {
-            roles.calibration = matching(patterns, topics)?;
-        }
-        if let Some(patterns) = &manifest.transforms {
-            roles.transforms = matching(patterns, topics)?;
-        }
-        if let Some(pattern) = &manifest.odometry {
-            let mut found = matching(std::slice::from_ref(pattern), topics)?;
-            if found.len() > 1 {
-                return Err(Fault::user(format!(
-                    "expected one odometry topic, found {}",
-                    found.join(", ")
-                ))
-                .at("roles.odometry"));
-            }
-            notes.retain(|note| !note.starts_with("odometry"));
-            roles.odometry = found.pop();
-        }
-        Ok((roles, notes))
+        Ok((Self(resolved), notes))
     }
 }
 
-fn others(candidates: &[String], chosen: &str) -> String {
-    let others: Vec<&str> = candidates
-        .iter()
-        .map(String::as_str)
-        .filter(|topic| *topic != chosen)
+fn note(role: &Role, choice: &Choice) -> Option<String> {
+    let Choice { topic, passed_over } = choice;
+    (!passed_over.is_empty()).then(|| {
+        format!(
+            "{name} is read from {topic}; {} would do too: say roles.{name} in a session manifest to choose",
+            passed_over.join(", "),
+            name = role.name,
+        )
+    })
+}
+
+fn matching(role: &Role, patterns: &[String], topics: &[Topic]) -> Result<Vec<String>, Fault> {
+    let at = |fault: Fault| fault.at(format!("roles.{}", role.name));
+    let compiled = patterns.iter().map(|pattern| {
+        glob::Pattern::new(pattern)
+            .map_err(|error| at(Fault::user(format!("the topic pattern {pattern}: {error}"))))
+    });
+    let compiled = compiled.collect::<Result<Vec<_>, _>>()?;
+    let names = topics.iter().map(|topic| topic.name.clone());
+    let found: Vec<String> = names
+        .filter(|name| compiled.iter().any(|pattern| pattern.matches(name)))
         .collect();
-    others.join(", ")
-}
-
-fn speaks_of(topic: &str, words: &[&str]) -> bool {
-    let topic = topic.to_lowercase();
-    words.iter().any(|word| topic.contains(word))
-}
-
-/// Of label topics that differ only from the part that speaks of labels on, the first by name.
-fn choose_labels(candidates: Vec<String>, notes: &mut Vec<String>) -> Vec<String> {
-    let owner = |topic: &str| {
-        let parts = topic.split('/');
-        let parts: Vec<_> = parts.take_while(|part| !speaks_of(part, &LABELS)).collect();
-        parts.join("/")
-    };
-    let mut owners = BTreeMap::<String, Vec<String>>::new();
-    for topic in candidates {
-        owners.entry(owner(&topic)).or_default().push(topic);
+    let single = role.messages().is_some_and(|messages| messages.single);
+    match found.len() > 1 && single {
+        true => Err(at(Fault::user(format!(
+            "expected one topic, found {}",
+            found.join(", ")
+        )))),
+        false => Ok(found),
     }
-    let mut chosen = Vec::new();
-    for topics in owners.into_values() {
-        let Some(first) = topics.first() else {
-            continue;
-        };
-        if topics.len() > 1 {
-            notes.push(format!(
-                "label_frames are read from {first}; {} would do too: say roles.label_frames in a session manifest to choose",
-                others(&topics, first)
-            ));
-        }
-        chosen.push(first.clone());
-    }
-    chosen.sort();
-    chosen
-}
-
-fn choose_odometry(candidates: &[String], topics: &BTreeMap<String, TopicInfo>) -> Option<String> {
-    let messages = |topic: &String| topics.get(topic).map_or(0, |info| info.messages);
-    let rank = |topic: &&String| {
-        let plain = topic.trim_start_matches('/') == "odom";
-        (!plain, u64::MAX - messages(topic), (*topic).clone())
-    };
-    candidates.iter().min_by_key(rank).cloned()
-}
-
-fn matching(
-    patterns: &[String],
-    topics: &BTreeMap<String, TopicInfo>,
-) -> Result<Vec<String>, Fault> {
-    let patterns = patterns
-        .iter()
-        .map(|pattern| {
-            glob::Pattern::new(pattern)
-                .map_err(|error| Fault::user(format!("the topic pattern {pattern}: {error}")))
-        })
-        .collect::<Result<Vec<_>, _>>()?;
-    let fits = |topic: &&String| patterns.iter().any(|pattern| pattern.matches(topic));
-    Ok(topics.keys().filter(fits).cloned().collect())
 }
 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use evermap_schemas::roles::ALL;
+
     use super::*;
-
-    fn topics(list: &[(&str, &str, u64)]) -> BTreeMap<String, TopicInfo> {
-        let info = |(topic, schema, messages): &(&str, &str, u64)| {
-            let info = TopicInfo {
-                schema: (*schema).to_owned(),
-                messages: *messages,
-            };
-            ((*topic).to_owned(), info)
-        };
-        list.iter().map(info).collect()
-    }
-
-    #[test]
-    fn roles_follow_from_types_in_every_spelling() {
-        for (odometry, image, tf) in [
-            (
-                "nav_msgs/msg/Odometry",
-                "sensor_msgs/msg/Image",
-                "tf2_msgs/msg/TFMessage",
-            ),
-            (
-                "nav_msgs/Odometry",
-                "sensor_msgs/CompressedImage",
-                "tf/tfMessage",
-            ),
-            (
-                "foxglove.PoseInFrame",
-                "foxglove.RawImage",
-                "foxglove.FrameTransforms",
-            ),
-        ] {
-            let (roles, notes) = Roles::infer(&topics(&[
-                ("/my_odometry", odometry, 1),
-                ("/cam", image, 1),
-                ("/tf", tf, 1),
-                ("/goal_pose", "geometry_msgs/msg/PoseStamped", 9),
-            ]));
-            assert_eq!(roles.odometry.as_deref(), Some("/my_odometry"));
-            assert_eq!(roles.frames, ["/cam"]);
-            assert_eq!(roles.transforms, ["/tf"]);
-            assert!(notes.is_empty());
-        }
-    }
-
-    #[test]
-    fn range_and_label_images_are_no_pictures() {
-        let image = "sensor_msgs/msg/CompressedImage";
-        let (roles, notes) = Roles::infer(&topics(&[
-            ("/pano/image/compressed", image, 1),
-            ("/pano/depth", image, 1),
-            ("/pano/labels", image, 1),
-            ("/pano/labels_noisy", image, 1),
-            ("/front/semantic_segmentation/image", image, 1),
-        ]));
-        assert_eq!(roles.frames, ["/pano/image/compressed"]);
-        assert_eq!(roles.depth_frames, ["/pano/depth"]);
-        assert_eq!(
-            roles.label_frames,
-            ["/front/semantic_segmentation/image", "/pano/labels"]
-        );
-        assert!(notes[0].contains("/pano/labels_noisy"), "{notes:?}");
-    }
-
-    #[test]
-    fn one_odometry_topic_is_chosen_and_told() {
-        let nav = "nav_msgs/msg/Odometry";
-        let (roles, notes) = Roles::infer(&topics(&[("/a", nav, 5), ("/b", nav, 9)]));
-        assert_eq!(roles.odometry.as_deref(), Some("/b"));
-        assert!(notes[0].contains("/a"));
-        let (roles, _) = Roles::infer(&topics(&[("/odom", nav, 1), ("/b", nav, 9)]));
-        assert_eq!(roles.odometry.as_deref(), Some("/odom"));
-    }
-
-    #[test]
-    fn a_compressed_twin_is_preferred() {
-        let (roles, _) = Roles::infer(&topics(&[
-            ("/c/image", "sensor_msgs/msg/Image", 1),
-            ("/c/image/compressed", "sensor_msgs/msg/CompressedImage", 1),
-            (
-                "/c/image/compressedDepth",
-                "sensor_msgs/msg/CompressedImage",
-                1,
-            ),
-        ]));
-        assert_eq!(roles.frames, ["/c/image/compressed"]);
-    }
 
     #[test]
     fn a_manifest_overrules_and_refuses_unknown_keys() {
-        let manifest = Manifest::parse("roles: {frames: ['/x/*']}\nsite: here").unwrap();
-        let known = topics(&[("/x/1", "any", 1), ("/y", "sensor_msgs/msg/Image", 1)]);
-        let (roles, _) = Roles::resolve(&manifest.roles, &known).unwrap();
-        assert_eq!(roles.frames, ["/x/1"]);
+        let manifest =
+            Manifest::parse("roles: {frames: ['/x/*'], odometry: }\nsite: here").unwrap();
+        let topics = [
+            Topic::new("/odom", "nav_msgs/msg/Odometry", 1),
+            Topic::new("/x/1", "any", 1),
+            Topic::new("/y", "sensor_msgs/msg/Image", 1),
+        ];
+        let (roles, _) = Roles::resolve(ALL, &manifest.roles, &topics).unwrap();
+        assert_eq!(roles.topics("frames"), ["/x/1"]);
+        assert_eq!(roles.topics("odometry"), ["/odom"]);
         let fault = Manifest::parse("sights: here").unwrap_err();
         assert!(fault.to_string().contains("sights"), "{fault}");
+        let fault = Manifest::parse("roles: {frames: {a: b}}").unwrap_err();
+        assert!(fault.to_string().contains("a list of topics"), "{fault}");
+    }
+
+    #[test]
+    fn a_choice_is_told_unless_a_manifest_made_it() {
+        let nav = "nav_msgs/msg/Odometry";
+        let topics = [Topic::new("/a", nav, 5), Topic::new("/b", nav, 9)];
+        let (roles, notes) = Roles::resolve(ALL, &BTreeMap::new(), &topics).unwrap();
+        assert_eq!(roles.topics("odometry"), ["/b"]);
+        assert!(notes[0].contains("/a"), "{notes:?}");
+        let again = Roles::resolve(ALL, &roles.to_manifest(), &topics).unwrap();
+        assert_eq!(again, (roles, Vec::new()));
+        let both = BTreeMap::from([("odometry".to_owned(), vec!["/*".to_owned()])]);
+        let fault = Roles::resolve(ALL, &both, &topics).unwrap_err();
+        assert!(fault.to_string().contains("expected one topic"), "{fault}");
     }
 }

@@ -1,16 +1,19 @@
 //! Sessions: one drive each, one MCAP file or the ordered parts of a split recording.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, OnceLock};
 
 use datafusion::execution::object_store::ObjectStoreUrl;
 use evermap_messages::{MessageType, SchemaError};
 use evermap_schemas::Fault;
-use object_store::{ObjectMeta, ObjectStore};
+use futures::StreamExt;
+use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 
 use crate::log::index::{LogChannel, LogIndex};
+use crate::log::window::store_fault;
 use crate::losses::{FileLosses, LossLedger};
 use crate::manifest::Roles;
+use crate::stores::LogFile;
 
 /// Site of a session whose manifest names none.
 pub const DEFAULT_SITE: &str = "default";
@@ -30,12 +33,31 @@ pub struct Session {
 
 impl Session {
     /// Topics of all parts, ascending.
-    pub fn topics(&self) -> std::collections::BTreeSet<String> {
+    pub fn topics(&self) -> BTreeSet<String> {
         self.parts
             .iter()
             .flat_map(|part| part.index.channels.values())
             .map(|channel| channel.topic.clone())
             .collect()
+    }
+
+    /// The digest of its bytes: BLAKE3 over the contents of its files in order, each preceded by its length.
+    ///
+    /// # Errors
+    /// A resource fault when a file cannot be read.
+    pub async fn fingerprint(&self) -> Result<blake3::Hash, Fault> {
+        let mut hasher = blake3::Hasher::new();
+        for part in &self.parts {
+            hasher.update(&part.meta.size.to_le_bytes());
+            let object = part.store.get(&part.meta.location).await;
+            let object = object.map_err(|error| store_fault(&error).at(&part.url))?;
+            let mut stream = object.into_stream();
+            while let Some(bytes) = stream.next().await {
+                let bytes = bytes.map_err(|error| store_fault(&error).at(&part.url))?;
+                hasher.update(&bytes);
+            }
+        }
+        Ok(hasher.finalize())
     }
 }
 
@@ -75,39 +97,49 @@ impl std::fmt::Debug for LogPart {
 }
 
 impl LogPart {
-    /// Reads the file's index. The session is named after the file until somebody says otherwise.
+    /// Opens a part of a session, with the index that is known or else the file's own.
     ///
     /// # Errors
     /// As [`LogIndex::read`].
-    pub async fn open(
-        store: Arc<dyn ObjectStore>,
-        store_url: ObjectStoreUrl,
-        meta: ObjectMeta,
+    pub(crate) async fn open(
+        file: LogFile,
+        session: Arc<str>,
+        site: Arc<str>,
         ledger: &LossLedger,
     ) -> Result<Self, Fault> {
-        let url = display_url(&store_url, &meta);
+        let url = file.url();
+        let known = file.index.filter(|index| index.fits(file.meta.size));
+        let index = match known {
+            Some(index) => index,
+            None => LogIndex::read(&file.store, &file.meta)
+                .await
+                .map_err(|mut fault| {
+                    if fault.place == file.meta.location.as_ref() {
+                        fault.place.clone_from(&url);
+                    }
+                    fault
+                })?,
+        };
         let losses = ledger.of_file(url.as_str());
-        let index = LogIndex::read(&store, &meta, &losses)
-            .await
-            .map_err(|mut fault| {
-                if fault.place == meta.location.as_ref() {
-                    fault.place.clone_from(&url);
-                }
-                fault
-            })?;
-        let stem = stem(meta.location.filename().unwrap_or_default());
+        index.losses.iter().for_each(|lost| losses.note_again(lost));
         Ok(Self {
-            session: stem.into(),
-            site: DEFAULT_SITE.into(),
+            session,
+            site,
             part: 0,
             url,
-            store,
-            store_url,
-            meta,
+            store: file.store,
+            store_url: file.store_url,
+            meta: file.meta,
             index,
             losses,
             types: OnceLock::new(),
         })
+    }
+
+    /// Whether it has messages of one of these topics.
+    pub(crate) fn has_any(&self, topics: &[String]) -> bool {
+        let mut channels = self.index.channels.values();
+        channels.any(|channel| topics.contains(&channel.topic))
     }
 
     /// The columns of a channel's messages, or why there are none. `None` for a channel that the log does not have.
@@ -139,12 +171,5 @@ pub(crate) fn stem(name: &str) -> &str {
     match name.rsplit_once('.') {
         Some((stem, _)) if !stem.is_empty() => stem,
         _ => name,
-    }
-}
-
-fn display_url(store_url: &ObjectStoreUrl, meta: &ObjectMeta) -> String {
-    match store_url.as_str() {
-        "file:///" => format!("/{}", meta.location),
-        url => format!("{}/{}", url.trim_end_matches('/'), meta.location),
     }
 }

@@ -11,32 +11,56 @@ use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 use url::{Position, Url};
 
+use crate::log::index::LogIndex;
 use crate::log::window::store_fault;
 
-/// A file that was named, or found.
+/// A log's file that was named, or found.
 #[derive(Debug, Clone)]
-pub(crate) struct Found {
+pub struct LogFile {
+    /// Store that holds it.
     pub store: Arc<dyn ObjectStore>,
-    pub url: ObjectStoreUrl,
+    /// The store's name in DataFusion's registry.
+    pub store_url: ObjectStoreUrl,
+    /// Path, size and times in the store.
     pub meta: ObjectMeta,
+    /// Its index, where that is known from elsewhere. It is believed if it fits the file's size and makes sense; else
+    /// it is read from the file.
+    pub index: Option<LogIndex>,
 }
 
-impl Found {
-    pub fn name(&self) -> &str {
+impl LogFile {
+    fn new(store: &Arc<dyn ObjectStore>, store_url: &ObjectStoreUrl, meta: ObjectMeta) -> Self {
+        Self {
+            store: store.clone(),
+            store_url: store_url.clone(),
+            meta,
+            index: None,
+        }
+    }
+
+    pub(crate) fn name(&self) -> &str {
         self.meta.location.filename().unwrap_or_default()
     }
 
     /// Store and folder, to tell which files lie side by side.
-    pub fn folder(&self) -> (String, String) {
+    pub(crate) fn folder(&self) -> (String, String) {
         let path = self.meta.location.as_ref();
         let folder = path.rsplit_once('/').map_or("", |(folder, _)| folder);
-        (self.url.as_str().to_owned(), folder.to_owned())
+        (self.store_url.as_str().to_owned(), folder.to_owned())
+    }
+
+    /// Where it is, for people.
+    pub(crate) fn url(&self) -> String {
+        match self.store_url.as_str() {
+            "file:///" => format!("/{}", self.meta.location),
+            url => format!("{}/{}", url.trim_end_matches('/'), self.meta.location),
+        }
     }
 }
 
 /// The files that a path, glob or URL names, in natural order (`x_2` before `x_10`). A folder stands for the MCAP
 /// files in it.
-pub(crate) async fn resolve(runtime: &RuntimeEnv, name: &str) -> Result<Vec<Found>, Fault> {
+pub(crate) async fn resolve(runtime: &RuntimeEnv, name: &str) -> Result<Vec<LogFile>, Fault> {
     let mut found = match Url::parse(name) {
         Ok(url) if name.contains("://") && url.scheme() != "file" => remote(runtime, &url).await?,
         Ok(url) if url.scheme() == "file" && name.contains("://") => {
@@ -82,7 +106,7 @@ fn is_mcap(path: &FilePath) -> bool {
         .is_some_and(|extension| extension == "mcap")
 }
 
-async fn local(runtime: &RuntimeEnv, name: &str) -> Result<Vec<Found>, Fault> {
+async fn local(runtime: &RuntimeEnv, name: &str) -> Result<Vec<LogFile>, Fault> {
     let url = ObjectStoreUrl::local_filesystem();
     let store = runtime
         .object_store(&url)
@@ -97,11 +121,7 @@ async fn local(runtime: &RuntimeEnv, name: &str) -> Result<Vec<Found>, Fault> {
             .head(&location)
             .await
             .map_err(|error| store_fault(&error).at(path.display()))?;
-        files.push(Found {
-            store: store.clone(),
-            url: url.clone(),
-            meta,
-        });
+        files.push(LogFile::new(&store, &url, meta));
     }
     Ok(files)
 }
@@ -164,15 +184,11 @@ fn folder_paths(folder: &FilePath) -> Result<Vec<PathBuf>, Fault> {
     })
 }
 
-async fn remote(runtime: &RuntimeEnv, url: &Url) -> Result<Vec<Found>, Fault> {
+async fn remote(runtime: &RuntimeEnv, url: &Url) -> Result<Vec<LogFile>, Fault> {
     let store_url = ObjectStoreUrl::parse(&url[..Position::BeforePath])
         .map_err(|error| Fault::user(error.to_string()).at(url))?;
     let (store, path) = open_store(runtime, url, &store_url)?;
-    let found = |meta| Found {
-        store: store.clone(),
-        url: store_url.clone(),
-        meta,
-    };
+    let found = |meta| LogFile::new(&store, &store_url, meta);
     let text = path.as_ref().to_owned();
     if !text.contains(['*', '?', '[']) {
         if let Ok(meta) = store.head(&path).await {

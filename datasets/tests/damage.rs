@@ -3,6 +3,8 @@
 
 mod common;
 
+use std::sync::Arc;
+
 use arrow::array::AsArray;
 use arrow::datatypes::UInt32Type;
 use common::{Log, context, count, files, in_memory, open_in, shared};
@@ -10,7 +12,7 @@ use datafusion::catalog::TableProvider;
 use datafusion::physical_plan::collect;
 use datafusion::prelude::SessionContext;
 use evermap_datasets::log::record::{FRAME, MAGIC, split};
-use evermap_datasets::scan::{LogTable, McapTable, fault_of};
+use evermap_datasets::scan::{McapTable, WholeTable, fault_of};
 use evermap_datasets::{Dataset, LossLedger, Reason};
 use evermap_schemas::Kind;
 use mcap::records::op;
@@ -32,7 +34,7 @@ async fn messages(bytes: &[u8]) -> Option<(Vec<u32>, LossLedger)> {
     let context = context(1);
     let dataset = opened(&context, bytes).await?;
     let losses = dataset.losses.clone();
-    let table = McapTable::new(LogTable::Messages, &dataset.parts(), losses.clone()).unwrap();
+    let table = McapTable::new(Arc::new(WholeTable::Messages), &dataset.parts());
     let plan = table.scan(&context.state(), None, &[], None).await.unwrap();
     let mut sequences = Vec::new();
     for batch in collect(plan, context.task_ctx()).await.unwrap() {

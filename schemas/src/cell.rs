@@ -1,14 +1,15 @@
 //! One value of one column: how it becomes Arrow and comes back.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use arrow::array::{
-    Array, ArrayRef, AsArray, BooleanArray, FixedSizeListArray, ListArray, PrimitiveArray,
-    StringArray, UInt32Array,
+    Array, ArrayRef, AsArray, BooleanArray, FixedSizeListArray, ListArray, MapArray,
+    PrimitiveArray, StringArray, StructArray, UInt32Array,
 };
 use arrow::buffer::OffsetBuffer;
 use arrow::compute::{filter, is_not_null, take};
-use arrow::datatypes::{ArrowPrimitiveType, DataType, Field};
+use arrow::datatypes::{ArrowPrimitiveType, DataType, Field, Fields};
 
 use crate::Fault;
 
@@ -212,5 +213,43 @@ impl<T: Cell + Copy + Default, const N: usize> Cell for [T; N] {
                 row
             })
             .collect())
+    }
+}
+
+fn map_entries() -> Fields {
+    Fields::from(vec![
+        Field::new("keys", DataType::Utf8, false),
+        Field::new("values", DataType::Utf8, true),
+    ])
+}
+
+/// Text by text.
+impl Cell for BTreeMap<String, String> {
+    fn data_type() -> DataType {
+        let entries = Field::new("entries", DataType::Struct(map_entries()), false);
+        DataType::Map(Arc::new(entries), false)
+    }
+
+    fn encode(values: Vec<Self>) -> Result<ArrayRef, Fault> {
+        let offsets = OffsetBuffer::from_lengths(values.iter().map(BTreeMap::len));
+        let (keys, texts): (Vec<String>, Vec<String>) = values.into_iter().flatten().unzip();
+        let columns = vec![String::encode(keys)?, String::encode(texts)?];
+        let entries = StructArray::try_new(map_entries(), columns, None)?;
+        let field = Field::new("entries", entries.data_type().clone(), false);
+        let map = MapArray::try_new(Arc::new(field), offsets, entries, None, false)?;
+        Ok(Arc::new(map))
+    }
+
+    fn decode(column: &ArrayRef) -> Result<Vec<Self>, Fault> {
+        expect::<Self>(column)?;
+        let map = column.as_map();
+        let texts = |entries: &StructArray, of: usize| String::decode(entries.column(of));
+        (0..map.len())
+            .map(|row| {
+                let entries = map.value(row);
+                let pairs = texts(&entries, 0)?.into_iter().zip(texts(&entries, 1)?);
+                Ok(pairs.collect())
+            })
+            .collect()
     }
 }

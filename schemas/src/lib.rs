@@ -36,6 +36,8 @@ pub use arrow;
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use std::collections::BTreeMap;
+
     use super::*;
 
     record! {
@@ -53,6 +55,8 @@ mod tests {
             pose: Option<Pose>,
             /// Perhaps bytes.
             bytes: Option<Bytes>,
+            /// Text by text.
+            notes: BTreeMap<String, String>,
         }
     }
     impl LayerRow for Sample {
@@ -75,6 +79,7 @@ mod tests {
             points: vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]],
             pose: Some(Pose::IDENTITY),
             bytes: Some(Bytes(vec![1, 2])),
+            notes: BTreeMap::from([("by".into(), "me".into()), ("of".into(), "it".into())]),
         };
         let empty = Sample {
             name: "b".into(),
@@ -83,6 +88,7 @@ mod tests {
             points: vec![],
             pose: None,
             bytes: None,
+            notes: BTreeMap::new(),
         };
         vec![full.clone(), empty.clone(), full, empty]
     }

@@ -4,13 +4,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use evermap_schemas::Fault;
-use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::import::{log, read};
 
 /// Names of classes by pixel value.
-#[derive(Debug, Clone, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(untagged)]
 pub enum ClassNames {
     /// The names.

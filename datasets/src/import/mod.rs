@@ -37,13 +37,13 @@ use std::path::{Path, PathBuf};
 
 use evermap_schemas::Fault;
 use nalgebra::{Isometry3, Matrix4, Quaternion, Translation3, UnitQuaternion};
-use schemars::JsonSchema;
 use serde::Deserialize;
 
 pub use kitti::Kitti;
 pub use labels::ClassNames;
 pub use poses::PoseFormat;
 
+use crate::manifest::from_yaml;
 use calibration::Intrinsics;
 
 /// What an import wrote.
@@ -58,7 +58,7 @@ pub struct Imported {
 }
 
 /// The description of an import.
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImageImport {
     /// Cameras.
@@ -87,7 +87,7 @@ fn default_rate_hz() -> f64 {
 }
 
 /// One camera of an import.
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraImport {
     /// Name; also that of the optical frame.
@@ -121,7 +121,7 @@ pub struct CameraImport {
 }
 
 /// A rigid transform, in one of three spellings.
-#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Placement {
     /// A SensorsCalibration JSON file (`sensor_calib.data`, 4 by 4).
@@ -135,7 +135,7 @@ pub struct Placement {
 }
 
 /// A file of poses.
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PoseFile {
     /// The file.
@@ -150,12 +150,8 @@ impl ImageImport {
     /// # Errors
     /// A user fault when the file cannot be read or is no such description.
     pub fn load(path: &Path) -> Result<Self, Fault> {
-        let mut import: Self = serde_yaml_ng::from_str(&read(path)?).map_err(|error| {
-            Fault::user(format!(
-                "expected the description of an import, found {error}"
-            ))
-            .at(path.display())
-        })?;
+        let mut import: Self = from_yaml(&read(path)?, "the description of an import")
+            .map_err(|fault| fault.at(path.display()))?;
         import.folder = path.parent().unwrap_or(Path::new("")).to_owned();
         Ok(import)
     }

@@ -4,13 +4,12 @@ use std::path::Path;
 
 use evermap_schemas::Fault;
 use nalgebra::{Isometry3, Matrix4, Quaternion, Translation3, UnitQuaternion};
-use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::import::{read, rigid};
 
 /// Format of a file of poses, one per line.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PoseFormat {
     /// `stamp x y z qx qy qz qw`, s and m.

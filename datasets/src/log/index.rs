@@ -8,24 +8,44 @@ use bytes::Bytes;
 use evermap_schemas::Fault;
 use mcap::records::{ChunkIndex, Statistics, op};
 use object_store::{ObjectMeta, ObjectStore};
+use serde::{Deserialize, Serialize};
 
 use crate::log::record::{MAGIC, nanoseconds};
 use crate::log::{linear, summary};
-use crate::losses::FileLosses;
+use crate::losses::{Entry, LossLedger};
 
 /// A schema record.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LogSchema {
     /// Name of the message type.
     pub name: String,
     /// Encoding of the schema: `ros2msg`, `protobuf`, …
     pub encoding: String,
     /// The schema itself.
+    #[serde(with = "base64_text")]
     pub data: Bytes,
 }
 
+/// Bytes in JSON.
+mod base64_text {
+    use base64::Engine;
+    use base64::prelude::BASE64_STANDARD;
+    use bytes::Bytes;
+    use serde::de::{Deserialize, Deserializer, Error};
+    use serde::ser::Serializer;
+
+    pub fn serialize<S: Serializer>(bytes: &Bytes, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(&BASE64_STANDARD.encode(bytes))
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Bytes, D::Error> {
+        let bytes = BASE64_STANDARD.decode(String::deserialize(deserializer)?);
+        bytes.map(Bytes::from).map_err(D::Error::custom)
+    }
+}
+
 /// A channel record, with its schema.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LogChannel {
     /// The channel's number within the file.
     pub id: u16,
@@ -40,7 +60,7 @@ pub struct LogChannel {
 }
 
 /// A stretch of the file that is read at once.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Unit {
     /// What it is.
     pub kind: UnitKind,
@@ -59,7 +79,7 @@ pub struct Unit {
 }
 
 /// What a [`Unit`] is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum UnitKind {
     /// One chunk record.
     Chunk,
@@ -111,9 +131,21 @@ impl Unit {
     }
 }
 
-/// The index of one log.
-#[derive(Debug, Clone, Default)]
+/// How many messages a log has.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Counts {
+    /// In all.
+    pub messages: u64,
+    /// By channel; `None` where the recorder did not tell them apart.
+    pub channels: Option<BTreeMap<u16, u64>>,
+}
+
+/// The index of one file of a log. It can be kept, and spares whoever opens the file again to read it: see
+/// [`LogIndex::fits`].
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LogIndex {
+    /// Bytes of the file.
+    pub size: u64,
     /// Profile of the header: `ros2`, `ros1`, or empty.
     pub profile: String,
     /// Library that wrote the file.
@@ -126,31 +158,56 @@ pub struct LogIndex {
     pub attachments: Vec<Unit>,
     /// Metadata records, in file order.
     pub metadata: Vec<Unit>,
-    /// What the recorder counted, where the file has a summary that says so.
-    pub statistics: Option<Statistics>,
-    /// Messages per channel that were counted while reading the file from its start; `None` where the summary was used.
-    pub counted: Option<BTreeMap<u16, u64>>,
+    /// Messages, as the recorder counted them or, where there is no sound summary, as they were found; `None` where
+    /// nobody counted.
+    pub counts: Option<Counts>,
     /// Whether the file's own summary was used.
     pub indexed: bool,
+    /// What was lost while the index was read.
+    pub losses: Vec<Entry>,
 }
 
 impl LogIndex {
-    /// Reads the index of the log at `meta.location`: the summary where there is a sound one, else the whole file,
-    /// one record at a time.
+    /// Reads the index of the file at `meta.location`: the summary where there is a sound one, else the whole file, one
+    /// record at a time.
     ///
     /// # Errors
     /// A data fault when the file is empty or no MCAP file at all, a resource fault when the store fails. Damage
-    /// behind the file's first bytes is no error: it is noted in `losses`.
-    pub async fn read(
-        store: &Arc<dyn ObjectStore>,
-        meta: &ObjectMeta,
-        losses: &FileLosses,
-    ) -> Result<Self, Fault> {
+    /// behind the file's first bytes is no error: it is among the index's losses.
+    pub async fn read(store: &Arc<dyn ObjectStore>, meta: &ObjectMeta) -> Result<Self, Fault> {
         check_kind(store, meta).await?;
-        match summary::read(store, meta).await? {
-            Some(found) => linear::with_gaps(store, meta, found, losses).await,
-            None => linear::read(store, meta, losses).await,
-        }
+        let ledger = LossLedger::new();
+        let losses = ledger.of_file(meta.location.as_ref());
+        let index = match summary::read(store, meta).await? {
+            Some(found) => linear::with_gaps(store, meta, found, &losses).await?,
+            None => linear::read(store, meta, &losses).await?,
+        };
+        Ok(Self {
+            size: meta.size,
+            losses: ledger.entries(),
+            ..index
+        })
+    }
+
+    /// Whether it can be the index of a file of this size, as far as it says itself: it was read from one, its
+    /// stretches lie inside one behind the other, and what is sorted in an index is sorted. For an index that does not
+    /// come from the file right now.
+    pub fn fits(&self, size: u64) -> bool {
+        let inside = |units: &[Unit]| {
+            let sorted = units.is_sorted_by(|one, next| one.end() <= next.offset);
+            let whole = |unit: &Unit| unit.offset >= MAGIC.len() as u64 && unit.end() <= size;
+            sorted && units.iter().all(whole)
+        };
+        let ascending = |unit: &Unit| {
+            let channels = unit.channels.as_deref().unwrap_or_default();
+            channels.is_sorted_by(|one, next| one < next)
+        };
+        self.size == size
+            && [&self.units, &self.attachments, &self.metadata]
+                .into_iter()
+                .all(|units| inside(units))
+            && self.units.iter().all(ascending)
+            && self.channels.iter().all(|(id, channel)| *id == channel.id)
     }
 
     /// Earliest and latest log time, ns; `None` where there are no messages.
@@ -166,24 +223,13 @@ impl LogIndex {
 
     /// Number of messages, where it is known.
     pub fn message_count(&self) -> Option<u64> {
-        match (&self.counted, &self.statistics) {
-            (Some(counted), _) => Some(counted.values().sum()),
-            (None, Some(statistics)) => Some(statistics.message_count),
-            (None, None) => None,
-        }
+        self.counts.as_ref().map(|counts| counts.messages)
     }
 
     /// Number of messages of one channel, where it is known.
     pub fn channel_messages(&self, channel: u16) -> Option<u64> {
-        match (&self.counted, &self.statistics) {
-            (Some(counted), _) => Some(counted.get(&channel).copied().unwrap_or(0)),
-            (None, Some(statistics)) => statistics
-                .channel_message_counts
-                .get(&channel)
-                .copied()
-                .or((!statistics.channel_message_counts.is_empty()).then_some(0)),
-            (None, None) => None,
-        }
+        let channels = self.counts.as_ref()?.channels.as_ref()?;
+        Some(channels.get(&channel).copied().unwrap_or(0))
     }
 
     /// Channels of a topic.
@@ -225,19 +271,13 @@ async fn check_kind(store: &Arc<dyn ObjectStore>, meta: &ObjectMeta) -> Result<(
 #[derive(Debug, Default)]
 pub(crate) struct Collector {
     pub index: LogIndex,
+    /// What the recorder counted.
+    pub statistics: Option<Statistics>,
     schemas: BTreeMap<u16, Arc<LogSchema>>,
     pending: BTreeMap<u16, mcap::records::Channel>,
 }
 
 impl Collector {
-    pub fn add_schema(&mut self, id: u16, schema: LogSchema) {
-        self.schemas.entry(id).or_insert_with(|| Arc::new(schema));
-    }
-
-    pub fn add_channel(&mut self, channel: mcap::records::Channel) {
-        self.pending.entry(channel.id).or_insert(channel);
-    }
-
     /// Takes a schema or channel record; other records are ignored.
     pub fn add_definition(&mut self, opcode: u8, body: &[u8]) {
         use mcap::records::Record;
@@ -245,15 +285,18 @@ impl Collector {
             return;
         }
         match super::record::parse(opcode, body) {
-            Ok(Record::Schema { header, data }) => self.add_schema(
-                header.id,
-                LogSchema {
+            Ok(Record::Schema { header, data }) => {
+                let schema = LogSchema {
                     name: header.name,
                     encoding: header.encoding,
                     data: Bytes::copy_from_slice(&data),
-                },
-            ),
-            Ok(Record::Channel(channel)) => self.add_channel(channel),
+                };
+                let schemas = &mut self.schemas;
+                schemas.entry(header.id).or_insert_with(|| schema.into());
+            }
+            Ok(Record::Channel(channel)) => {
+                self.pending.entry(channel.id).or_insert(channel);
+            }
             _ => {}
         }
     }
@@ -282,6 +325,13 @@ impl Collector {
             };
             self.index.channels.insert(id, Arc::new(channel));
         }
+        self.index.counts = self.statistics.map(|statistics| {
+            let channels = statistics.channel_message_counts;
+            Counts {
+                messages: statistics.message_count,
+                channels: (!channels.is_empty()).then_some(channels),
+            }
+        });
         self.index.units.sort_by_key(|unit| unit.offset);
         self.index.attachments.sort_by_key(|unit| unit.offset);
         self.index.metadata.sort_by_key(|unit| unit.offset);

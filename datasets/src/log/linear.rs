@@ -10,7 +10,7 @@ use mcap::records::{Record, op};
 use object_store::{ObjectMeta, ObjectStore};
 
 use crate::log::chunk::Block;
-use crate::log::index::{Collector, LogIndex, Unit, UnitKind};
+use crate::log::index::{Collector, Counts, LogIndex, Unit, UnitKind};
 use crate::log::record::{FRAME, MAGIC, MESSAGE_HEAD, MessageHead, frame, parse};
 use crate::log::summary::Summary;
 use crate::log::window::Window;
@@ -29,10 +29,7 @@ pub(crate) async fn read(
     let ended = scan.run(MAGIC.len() as u64, meta.size).await?;
     if let Ended::Early(at) = ended {
         let rest = meta.size - at.min(meta.size);
-        let loss = Loss {
-            count: 1,
-            bytes: rest,
-        };
+        let loss = Loss::one(rest);
         losses.note(Reason::Torn, at, loss, "no end record");
     }
     let mut index = scan.collector.finish();
@@ -46,7 +43,10 @@ pub(crate) async fn read(
             losses.note(Reason::UnknownChannel, u64::from(*channel), loss, detail);
         }
     }
-    index.counted = Some(scan.counts);
+    index.counts = Some(Counts {
+        messages: scan.counts.values().sum(),
+        channels: Some(scan.counts),
+    });
     Ok(index)
 }
 
@@ -64,10 +64,7 @@ pub(crate) async fn with_gaps(
         if let Ended::Early(at) = scan.run(start, end).await?
             && at < end
         {
-            let loss = Loss {
-                count: 1,
-                bytes: end - at,
-            };
+            let loss = Loss::one(end - at);
             losses.note(Reason::BadRecord, at, loss, "between indexed records");
         }
     }
@@ -210,10 +207,7 @@ impl<'a> Scan<'a> {
             self.close_run();
         }
         let Some(head) = MessageHead::parse(&body) else {
-            let loss = Loss {
-                count: 1,
-                bytes: FRAME + length,
-            };
+            let loss = Loss::one(FRAME + length);
             self.losses.note(
                 Reason::BadRecord,
                 offset,
@@ -270,10 +264,7 @@ impl<'a> Scan<'a> {
                 self.collector.index.units.push(census.unit);
             }
             Err((reason, detail)) => {
-                let loss = Loss {
-                    count: 1,
-                    bytes: FRAME + length,
-                };
+                let loss = Loss::one(FRAME + length);
                 self.losses.note(reason, offset, loss, detail);
             }
         }

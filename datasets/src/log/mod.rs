@@ -2,7 +2,6 @@
 
 pub mod chunk;
 pub mod index;
-pub mod inspect;
 mod linear;
 pub mod record;
 mod summary;

@@ -103,7 +103,7 @@ fn collect(records: &Bytes) -> Option<(Collector, Vec<(u64, u64)>)> {
                 entry.length,
                 0,
             )),
-            Record::Statistics(statistics) => index.statistics = Some(statistics),
+            Record::Statistics(statistics) => collector.statistics = Some(statistics),
             _ => {}
         }
     }
@@ -122,8 +122,8 @@ fn believe(
         .iter()
         .flat_map(|unit| unit.channels.iter().flatten().copied())
         .collect();
-    let statistics = collector.index.statistics.clone();
-    let promised = statistics.as_ref().map_or(0, |found| found.channel_count) as usize;
+    let statistics = collector.statistics.as_ref();
+    let promised = statistics.map_or(0, |found| found.channel_count) as usize;
     let silent = collector.channel_count() == 0 && statistics.is_none_or(|s| s.message_count > 0);
     if silent || collector.channel_count() < promised || !collector.describes(known.into_iter()) {
         return None;

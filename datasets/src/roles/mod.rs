@@ -1,240 +1,241 @@
-//! The role tables `frames`, `depth_frames`, `label_frames`, `odometry`, `calibration`, `transforms`, `label_classes`:
-//! whatever a log's messages are called, these have the schemas of [`evermap_schemas::roles`].
+//! The role tables: whatever a log's messages are called, these have the schemas of [`evermap_schemas::roles`].
 //!
 //! They are scans like any other (splits, pruning by session and log time, projection), only with a builder that turns
-//! decoded messages into typed rows. Their order is that of the log; sort by stamp where order matters.
+//! decoded messages into the rows of a [`Role`]. No role is known here by name, but for the calibrations that name
+//! cameras. The rows' order is that of the log; sort by stamp where order matters.
 
-mod calibration;
 mod cameras;
-mod columns;
-mod frames;
-mod labels;
-mod motion;
 mod rows;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use arrow::datatypes::SchemaRef;
+use arrow::array::{Array, ArrayRef};
+use arrow::compute::concat;
+use arrow::datatypes::{DataType, SchemaRef};
 use async_trait::async_trait;
-use datafusion::catalog::{Session, TableProvider};
+use datafusion::catalog::TableProvider;
 use datafusion::datasource::ViewTable;
-use datafusion::error::Result;
-use datafusion::logical_expr::{Expr, TableType};
-use datafusion::physical_plan::ExecutionPlan;
 use datafusion::prelude::SessionContext;
-use evermap_schemas::roles::{Calibration, Frame, LabelClass, OdometryPose, Transform};
-use evermap_schemas::{Fault, Layer, LayerRow};
+use evermap_schemas::roles::{CameraNames, Messages, Metadata, Role, Source};
+use evermap_schemas::{Column, Fault, Layer};
 use futures::FutureExt;
+use mcap::records::Record;
+use tokio::sync::OnceCell;
 
-pub(crate) use cameras::{CameraNames, Cameras};
-
-use crate::dataset::Dataset;
-use crate::losses::LossLedger;
-use crate::scan::{LogTable, RowBuilder, external, fault_of, scan_parts};
-use crate::session::LogPart;
+use crate::log::index::{LogIndex, Unit};
+use crate::scan::{LogTable, McapTable, RecordRows, RowBuilder, fault_of};
+use crate::session::{LogPart, Session};
 use rows::RoleRows;
 
-/// A role that topics play.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Role {
-    /// Images, by reference.
-    Frames,
-    /// Range images, by reference.
-    Depth,
-    /// Images of class labels, by reference.
-    Labels,
-    /// The vehicle in the odometry frame.
-    Odometry,
-    /// Intrinsic calibrations.
-    Calibration,
-    /// Transforms between frames.
-    Transforms,
-}
+/// Topics that play a role, by session.
+type Topics = BTreeMap<Arc<str>, Vec<String>>;
 
-impl Role {
-    /// All of them.
-    pub const ALL: [Role; 6] = [
-        Role::Frames,
-        Role::Depth,
-        Role::Labels,
-        Role::Odometry,
-        Role::Calibration,
-        Role::Transforms,
-    ];
-
-    /// The table's declaration.
-    pub fn layer(self) -> Layer {
-        match self {
-            Role::Frames => Frame::layer(),
-            Role::Depth => Frame::depth_layer(),
-            Role::Labels => Frame::label_layer(),
-            Role::Odometry => OdometryPose::layer(),
-            Role::Calibration => Calibration::layer(),
-            Role::Transforms => Transform::layer(),
-        }
-    }
-
-    /// The table's name.
-    pub fn name(self) -> &'static str {
-        self.layer().name
-    }
-
-    /// Whether its rows refer to images.
-    fn is_images(self) -> bool {
-        matches!(self, Role::Frames | Role::Depth | Role::Labels)
+/// The table of a role over some sessions.
+pub(crate) fn table(role: &Role, sessions: &[Session]) -> Result<Arc<dyn TableProvider>, Fault> {
+    let parts: Vec<Arc<LogPart>> = sessions.iter().flat_map(|s| s.parts.clone()).collect();
+    let layer = role.layer();
+    let (table, drop_repeats): (Arc<dyn LogTable>, bool) = match role.source {
+        Source::Messages(messages) => (
+            Arc::new(MessageRole {
+                name: role.name,
+                schema: layer.schema(),
+                messages,
+                topics: topics(role.name, sessions),
+                names: CameraTopics {
+                    topics: topics(cameras::ROLE.name, sessions),
+                    parts: parts.clone(),
+                    names: OnceCell::new(),
+                },
+            }),
+            messages.drop_repeats,
+        ),
+        Source::Metadata(metadata) => (
+            Arc::new(MetadataRole {
+                name: role.name,
+                schema: layer.schema(),
+                metadata,
+            }),
+            false,
+        ),
+    };
+    let table = Arc::new(McapTable::new(table, &parts));
+    match drop_repeats {
+        true => without_repeats(&layer, table),
+        false => Ok(table),
     }
 }
 
-/// A role, with what is needed to read it: the topics that play it in each session, and the names of cameras.
-#[derive(Debug, Clone)]
-pub struct RoleScan {
-    /// Which role.
-    pub(crate) role: Role,
-    /// Topics by session.
-    pub(crate) topics: Arc<BTreeMap<Arc<str>, Vec<String>>>,
-    /// Names of cameras by session; only images need them.
-    pub(crate) cameras: Arc<Cameras>,
+fn topics(role: &str, sessions: &[Session]) -> Topics {
+    let played = sessions.iter();
+    played
+        .map(|session| (session.name.clone(), session.roles.topics(role).to_vec()))
+        .collect()
 }
 
-impl RoleScan {
-    /// Topics that play the role in a session.
-    pub(crate) fn topics(&self, session: &str) -> &[String] {
-        self.topics.get(session).map_or(&[], Vec::as_slice)
-    }
-
-    /// The builder of the role's rows from one file.
-    pub(crate) fn rows(
-        &self,
-        part: &Arc<LogPart>,
-        projection: &[usize],
-    ) -> Result<Box<dyn RowBuilder>, Fault> {
-        Ok(match self.role {
-            Role::Frames | Role::Depth | Role::Labels => {
-                Box::new(RoleRows::<Frame>::new(self, part, projection)?)
-            }
-            Role::Odometry => Box::new(RoleRows::<OdometryPose>::new(self, part, projection)?),
-            Role::Calibration => Box::new(RoleRows::<Calibration>::new(self, part, projection)?),
-            Role::Transforms => Box::new(RoleRows::<Transform>::new(self, part, projection)?),
-        })
-    }
-}
-
-type Provider = Arc<dyn TableProvider>;
-
-/// A query over tables at hand, as a table.
-fn view<const N: usize>(query: &str, tables: [(&str, Provider); N]) -> Result<Provider, Fault> {
-    let bug = |error| fault_of(&error).at("a view of the log's tables");
+/// The table without rows that repeat, in all but their stamp, the row of the same key before them in time.
+fn without_repeats(
+    layer: &Layer,
+    table: Arc<dyn TableProvider>,
+) -> Result<Arc<dyn TableProvider>, Fault> {
+    let list = |columns: &mut dyn Iterator<Item = String>| columns.collect::<Vec<_>>().join(", ");
+    let key = layer.key.iter().filter(|name| **name != "stamp");
+    let said = layer
+        .columns
+        .iter()
+        .filter(|c| !layer.key.contains(&c.name));
+    let mut said = said.map(|column: &Column| match column.data_type {
+        DataType::List(_) => format!("'/', array_to_string({}, ',')", column.name),
+        _ => column.name.to_owned(),
+    });
+    let query = format!(
+        "SELECT {columns} FROM (
+            SELECT *, lag(said) OVER (PARTITION BY {key} ORDER BY stamp, said) AS said_before
+            FROM (SELECT *, concat_ws(' ', {said}) AS said FROM rows)
+        )
+        WHERE said_before IS NULL OR said_before <> said",
+        columns = list(&mut layer.columns.iter().map(|column| column.name.to_owned())),
+        key = list(&mut key.map(ToString::to_string)),
+        said = list(&mut said),
+    );
+    let bug = |error| fault_of(&error).at(format!("the table {}", layer.name));
     let context = SessionContext::new();
-    for (name, table) in tables {
-        context.register_table(name, table).map_err(bug)?;
-    }
-    // Nothing in the making of this plan waits: the tables are at hand.
-    let frame = context.sql(query).now_or_never();
+    context.register_table("rows", table).map_err(bug)?;
+    // Nothing in the making of this plan waits: the table is at hand.
+    let frame = context.sql(&query).now_or_never();
     let frame = frame.ok_or_else(|| Fault::bug("planning a view had to wait"))?;
     let plan = frame.map_err(bug)?.into_unoptimized_plan();
     Ok(Arc::new(ViewTable::new(plan, None)))
 }
 
-/// The role tables of a dataset.
-pub(crate) fn tables(dataset: &Dataset) -> Result<Vec<(&'static str, Provider)>, Fault> {
-    let mut tables = Vec::new();
-    for role in Role::ALL {
-        let table: Arc<dyn TableProvider> = Arc::new(RoleTable::new(role, dataset));
-        let table = match role {
-            Role::Calibration => calibration::without_repeats(table)?,
-            _ => table,
-        };
-        tables.push((role.name(), table));
-    }
-    tables.push((LabelClass::NAME, labels::classes(dataset)?));
-    Ok(tables)
-}
-
-/// A role over the files of a dataset.
+/// A role that messages play.
 #[derive(Debug)]
-struct RoleTable {
-    scan: RoleScan,
-    calibration: RoleScan,
-    parts: Vec<Arc<LogPart>>,
+struct MessageRole {
+    name: &'static str,
     schema: SchemaRef,
-    losses: LossLedger,
-    cameras: tokio::sync::OnceCell<Arc<Cameras>>,
+    messages: Messages,
+    topics: Topics,
+    names: CameraTopics,
 }
 
-impl RoleTable {
-    fn new(role: Role, dataset: &Dataset) -> Self {
-        let scan = |role: Role| {
-            let topics = dataset
-                .sessions
-                .iter()
-                .map(|s| (s.name.clone(), s.roles.topics(role.name()).to_vec()));
-            RoleScan {
-                role,
-                topics: Arc::new(topics.collect()),
-                cameras: Arc::default(),
-            }
-        };
-        let chosen = scan(role);
-        let plays = |part: &Arc<LogPart>| {
-            let mut topics = chosen.topics(&part.session).iter();
-            topics.any(|topic| part.index.channels_of(topic).next().is_some())
-        };
-        let parts = match role {
-            // Calibrations may lie in other parts than the frames they name.
-            role if role.is_images() => dataset.parts(),
-            _ => dataset.parts().into_iter().filter(plays).collect(),
-        };
-        Self {
-            scan: chosen,
-            calibration: scan(Role::Calibration),
-            parts,
-            schema: role.layer().schema(),
-            losses: dataset.losses.clone(),
-            cameras: tokio::sync::OnceCell::new(),
-        }
-    }
+/// What cameras are called, read when it is first asked. Calibrations may lie in other files than the frames they name.
+#[derive(Debug)]
+struct CameraTopics {
+    topics: Topics,
+    parts: Vec<Arc<LogPart>>,
+    names: OnceCell<BTreeMap<Arc<str>, CameraNames>>,
+}
 
-    async fn cameras(&self) -> Result<Arc<Cameras>, Fault> {
-        let read = || async {
-            let cameras = cameras::read(&self.calibration, &self.parts).await?;
-            Ok(Arc::new(cameras))
-        };
-        self.cameras.get_or_try_init(read).await.cloned()
+impl CameraTopics {
+    async fn of(&self, session: &str) -> Result<CameraNames, Fault> {
+        let read = || cameras::read(&self.topics, &self.parts);
+        let names = self.names.get_or_try_init(read).await?;
+        Ok(names.get(session).cloned().unwrap_or_default())
+    }
+}
+
+impl MessageRole {
+    fn topics(&self, part: &LogPart) -> &[String] {
+        self.topics.get(&part.session).map_or(&[], Vec::as_slice)
     }
 }
 
 #[async_trait]
-impl TableProvider for RoleTable {
+impl LogTable for MessageRole {
+    fn name(&self) -> &str {
+        self.name
+    }
+
     fn schema(&self) -> SchemaRef {
         self.schema.clone()
     }
 
-    fn table_type(&self) -> TableType {
-        TableType::Base
+    fn is_in(&self, part: &LogPart) -> bool {
+        part.has_any(self.topics(part))
     }
 
-    async fn scan(
+    async fn rows(
         &self,
-        state: &dyn Session,
-        projection: Option<&Vec<usize>>,
-        _filters: &[Expr],
-        limit: Option<usize>,
-    ) -> Result<Arc<dyn ExecutionPlan>> {
-        let mut scan = self.scan.clone();
-        if scan.role.is_images() {
-            scan.cameras = self.cameras().await.map_err(external)?;
-        }
-        let table = LogTable::Role(scan);
-        let losses = self.losses.clone();
-        scan_parts(
-            table,
+        part: &Arc<LogPart>,
+        projection: &[usize],
+    ) -> Result<Box<dyn RowBuilder>, Fault> {
+        let cameras = match self.messages.image {
+            Some(_) => self.names.of(&part.session).await?,
+            None => CameraNames::default(),
+        };
+        let topics = self.topics(part);
+        let rows = RoleRows::new(
+            self.messages,
+            topics,
+            cameras,
+            part,
             &self.schema,
-            &self.parts,
-            losses,
-            state,
             projection,
-            limit,
-        )
+        )?;
+        Ok(Box::new(rows))
     }
+}
+
+/// A role that metadata records play.
+#[derive(Debug)]
+struct MetadataRole {
+    name: &'static str,
+    schema: SchemaRef,
+    metadata: Metadata,
+}
+
+#[async_trait]
+impl LogTable for MetadataRole {
+    fn name(&self) -> &str {
+        self.name
+    }
+
+    fn schema(&self) -> SchemaRef {
+        self.schema.clone()
+    }
+
+    fn is_in(&self, part: &LogPart) -> bool {
+        !part.index.metadata.is_empty()
+    }
+
+    fn records<'a>(&self, index: &'a LogIndex) -> Option<&'a [Unit]> {
+        Some(&index.metadata)
+    }
+
+    async fn rows(
+        &self,
+        part: &Arc<LogPart>,
+        projection: &[usize],
+    ) -> Result<Box<dyn RowBuilder>, Fault> {
+        let metadata = self.metadata;
+        let columns = move |part: &LogPart, records| columns(&metadata, part, records);
+        let schema = self.schema.clone();
+        let rows = RecordRows::new(part, schema, projection, Box::new(columns));
+        Ok(Box::new(rows))
+    }
+}
+
+/// The rows of the records that have the role's name.
+fn columns(
+    role: &Metadata,
+    part: &LogPart,
+    records: Vec<Record<'static>>,
+) -> Result<Vec<ArrayRef>, Fault> {
+    let mut found: Vec<Vec<ArrayRef>> = Vec::new();
+    for record in records {
+        if let Record::Metadata(record) = record
+            && record.name == role.record
+        {
+            found.push((role.read)(&part.site, &part.session, &record.metadata)?);
+        }
+    }
+    let width = found.first().map_or(0, Vec::len);
+    let column = |index: usize| -> Result<ArrayRef, Fault> {
+        let pieces: Vec<&dyn Array> = found
+            .iter()
+            .map(|columns| columns[index].as_ref())
+            .collect();
+        Ok(concat(&pieces)?)
+    };
+    (0..width).map(column).collect()
 }

@@ -1,106 +1,61 @@
-//! The builder that all roles share: decode the members that a role reads, then make typed rows of them.
+//! The builder that all roles of messages share: decode the members that a role reads, then have it make rows of them.
 
 use std::collections::BTreeMap;
-use std::marker::PhantomData;
 use std::sync::Arc;
 
 use arrow::array::{RecordBatch, StructArray};
+use arrow::datatypes::{Field, SchemaRef};
 use evermap_messages::{Decoder, MessageType};
-use evermap_schemas::{Fault, LayerRow, Stamp, batch};
+use evermap_schemas::roles::{CameraNames, Fields, FoundImage, Message, Messages};
+use evermap_schemas::{Fault, ImageRef, Stamp};
 
-use crate::log::record::MessageHead;
 use crate::losses::{Loss, Reason};
-use crate::roles::columns::Columns;
-use crate::roles::{CameraNames, RoleScan};
-use crate::scan::{MessageAt, RowBuilder};
+use crate::scan::{MessageAt, RowBuilder, projected};
 use crate::session::LogPart;
 
-/// A layer whose rows come from messages.
-pub(crate) trait FromMessages: LayerRow + Send {
-    /// Members of a message that are decoded, if it has them.
-    const MEMBERS: &'static [&'static str];
-
-    /// What is kept of a payload beside the decoded members.
-    type Note: Send;
-
-    /// Takes what is kept.
-    ///
-    /// # Errors
-    /// In words, when the message has nothing of what the role needs.
-    fn note(message_type: &MessageType, message: &MessageAt<'_>) -> Result<Self::Note, String>;
-
-    /// The rows of one message.
-    ///
-    /// # Errors
-    /// In words, when its values make no sense: the message is then counted as lost.
-    fn rows(message: Decoded<'_>, note: Self::Note) -> Result<Vec<Self>, String>;
-}
-
-/// One decoded message.
-pub(crate) struct Decoded<'a> {
-    pub site: &'a str,
-    pub session: &'a str,
-    pub topic: &'a str,
-    pub cameras: &'a CameraNames,
-    pub log_time: Stamp,
-    pub columns: &'a Columns,
-    pub row: usize,
-}
-
-impl Decoded<'_> {
-    /// The header's stamp; the log time where there is none.
-    pub fn stamp(&self) -> Stamp {
-        let header = self.columns.stamp(&["header", "stamp"], self.row);
-        let own = || self.columns.stamp(&["timestamp"], self.row);
-        header.or_else(own).unwrap_or(self.log_time)
-    }
-
-    /// The header's frame, without the slash that ROS 1 puts in front; empty where there is none.
-    pub fn frame(&self) -> String {
-        let header = self.columns.text(&["header", "frame_id"], self.row);
-        let own = || self.columns.text(&["frame_id"], self.row);
-        plain_frame(&header.or_else(own).unwrap_or_default())
-    }
-}
-
-/// A frame's name without the slash in front.
-pub(crate) fn plain_frame(frame: &str) -> String {
-    frame.trim_start_matches('/').to_owned()
-}
-
 /// Builds the rows of one role from one file.
-pub(crate) struct RoleRows<T: FromMessages> {
+pub(crate) struct RoleRows {
+    role: Messages,
     part: Arc<LogPart>,
-    cameras: Arc<crate::roles::Cameras>,
+    cameras: CameraNames,
+    schema: SchemaRef,
     projection: Vec<usize>,
-    sources: Vec<Source<T::Note>>,
+    topics: Vec<TopicMessages>,
     channels: BTreeMap<u16, usize>,
     pushed: usize,
-    row: PhantomData<T>,
 }
 
-/// One channel's messages.
-struct Source<N> {
+/// The messages of one channel.
+struct TopicMessages {
     topic: String,
     message_type: MessageType,
     names: Vec<String>,
     decoder: Box<dyn Decoder>,
-    taken: Vec<Taken<N>>,
+    taken: Vec<Taken>,
 }
 
-struct Taken<N> {
+/// What is kept of a message beside its decoded members.
+struct Taken {
     order: usize,
-    head: MessageHead,
+    log_time: i64,
     place: u64,
     length: u64,
-    note: N,
+    image: Option<FoundImage>,
 }
 
-impl<T: FromMessages> RoleRows<T> {
-    pub fn new(scan: &RoleScan, part: &Arc<LogPart>, projection: &[usize]) -> Result<Self, Fault> {
-        let mut sources = Vec::new();
+impl RoleRows {
+    /// A builder of the projected columns from the messages of these topics.
+    pub fn new(
+        role: Messages,
+        topics: &[String],
+        cameras: CameraNames,
+        part: &Arc<LogPart>,
+        schema: &SchemaRef,
+        projection: &[usize],
+    ) -> Result<Self, Fault> {
+        let mut found = Vec::new();
         let mut channels = BTreeMap::new();
-        for topic in scan.topics(&part.session) {
+        for topic in topics {
             for channel in part.index.channels_of(topic) {
                 let message_type = match part.message_type(channel.id) {
                     Some(Ok(message_type)) => message_type.clone(),
@@ -112,23 +67,24 @@ impl<T: FromMessages> RoleRows<T> {
                     }
                     None => continue,
                 };
-                channels.insert(channel.id, sources.len());
-                sources.push(Source::new(topic, message_type, T::MEMBERS));
+                channels.insert(channel.id, found.len());
+                found.push(TopicMessages::new(topic, message_type, role.members));
             }
         }
         Ok(Self {
+            role,
             part: part.clone(),
-            cameras: scan.cameras.clone(),
+            cameras,
+            schema: schema.clone(),
             projection: projection.to_vec(),
-            sources,
+            topics: found,
             channels,
             pushed: 0,
-            row: PhantomData,
         })
     }
 }
 
-impl<N> Source<N> {
+impl TopicMessages {
     fn new(topic: &str, message_type: MessageType, members: &[&str]) -> Self {
         let fields = message_type.fields();
         let wanted: Vec<usize> = (0..fields.len())
@@ -144,43 +100,43 @@ impl<N> Source<N> {
         }
     }
 
-    fn columns(&mut self) -> Result<Columns, Fault> {
+    /// The decoded members of the messages so far.
+    fn members(&mut self) -> Result<StructArray, Fault> {
         let rows = self.decoder.len();
         let arrays = self.decoder.finish()?;
-        let fields: Vec<_> = self
-            .names
-            .iter()
-            .zip(&arrays)
-            .map(|(name, array)| {
-                arrow::datatypes::Field::new(name, array.data_type().clone(), true)
-            })
+        let named = self.names.iter().zip(&arrays);
+        let fields: Vec<Field> = named
+            .map(|(name, array)| Field::new(name, array.data_type().clone(), true))
             .collect();
-        let columns = StructArray::try_new_with_length(fields.into(), arrays, None, rows)?;
-        Ok(Columns(columns))
+        let members = StructArray::try_new_with_length(fields.into(), arrays, None, rows)?;
+        Ok(members)
     }
 }
 
-impl<T: FromMessages> RowBuilder for RoleRows<T> {
+impl RowBuilder for RoleRows {
     fn wants(&self, channel: u16) -> bool {
         self.channels.contains_key(&channel)
     }
 
     fn push(&mut self, message: &MessageAt<'_>) -> Result<(), String> {
         let source = self.channels.get(&message.head.channel);
-        let Some(source) = source.and_then(|index| self.sources.get_mut(*index)) else {
+        let Some(source) = source.and_then(|index| self.topics.get_mut(*index)) else {
             return Ok(());
         };
-        let note = T::note(&source.message_type, message)?;
+        let image = match self.role.image {
+            Some(member) => Some(find_image(&source.message_type, message, member)?),
+            None => None,
+        };
         source
             .decoder
             .push(message.payload)
             .map_err(|error| error.to_string())?;
         source.taken.push(Taken {
             order: self.pushed,
-            head: message.head,
+            log_time: message.head.log_time,
             place: message.block.file_offset + message.start as u64,
             length: message.payload.len() as u64,
-            note,
+            image,
         });
         self.pushed += 1;
         Ok(())
@@ -190,52 +146,93 @@ impl<T: FromMessages> RowBuilder for RoleRows<T> {
         self.pushed
     }
 
+    /// Twice what is decoded: rows hold much the same.
     fn bytes(&self) -> usize {
-        let decoded: usize = self.sources.iter().map(|s| s.decoder.bytes()).sum();
-        decoded + self.pushed * (size_of::<Taken<T::Note>>() + size_of::<T>())
+        let decoded: usize = self.topics.iter().map(|s| s.decoder.bytes()).sum();
+        2 * decoded + self.pushed * size_of::<Taken>()
     }
 
     fn finish(&mut self) -> Result<Vec<RecordBatch>, Fault> {
-        let nobody = CameraNames::default();
-        let cameras = self.cameras.get(&self.part.session).unwrap_or(&nobody);
-        let mut ordered: Vec<(usize, Vec<T>)> = Vec::with_capacity(self.pushed);
-        for source in &mut self.sources {
-            let columns = source.columns()?;
-            for (row, taken) in std::mem::take(&mut source.taken).into_iter().enumerate() {
-                let decoded = Decoded {
-                    site: &self.part.site,
-                    session: &self.part.session,
-                    topic: &source.topic,
-                    cameras,
-                    log_time: Stamp(taken.head.log_time),
-                    columns: &columns,
-                    row,
-                };
-                match T::rows(decoded, taken.note) {
-                    Ok(rows) => ordered.push((taken.order, rows)),
-                    Err(detail) => {
-                        let loss = Loss {
-                            count: 1,
-                            bytes: taken.length,
-                        };
-                        let losses = &self.part.losses;
-                        losses.note_topic(
-                            Reason::Senseless,
-                            &source.topic,
-                            taken.place,
-                            loss,
-                            detail,
-                        );
-                    }
-                }
-            }
-        }
         self.pushed = 0;
-        ordered.sort_by_key(|(order, _)| *order);
-        let rows: Vec<T> = ordered.into_iter().flat_map(|(_, rows)| rows).collect();
-        if rows.is_empty() {
-            return Ok(Vec::new());
+        let mut taken: Vec<(Taken, usize, usize)> = Vec::new();
+        let mut members = Vec::new();
+        for (topic, messages) in self.topics.iter_mut().enumerate() {
+            members.push(messages.members()?);
+            let rows = std::mem::take(&mut messages.taken).into_iter().enumerate();
+            taken.extend(rows.map(|(row, taken)| (taken, topic, row)));
         }
-        Ok(vec![batch(rows)?.project(&self.projection)?])
+        taken.sort_by_key(|(taken, ..)| taken.order);
+        let messages: Vec<Message<'_>> = taken
+            .iter()
+            .map(|(taken, topic, row)| Message {
+                site: &self.part.site,
+                session: &self.part.session,
+                topic: &self.topics[*topic].topic,
+                log_time: Stamp(taken.log_time),
+                fields: Fields::new(&members[*topic], *row),
+                image: taken.image.as_ref(),
+                cameras: &self.cameras,
+            })
+            .collect();
+        let read = (self.role.read)(&messages)?;
+        for (index, detail) in read.senseless {
+            let (taken, topic, _) = &taken[index];
+            let loss = Loss::one(taken.length);
+            let topic = &self.topics[*topic].topic;
+            let losses = &self.part.losses;
+            losses.note_topic(Reason::Senseless, topic, taken.place, loss, detail);
+        }
+        let rows = read.columns.first().map_or(0, |column| column.len());
+        projected(&self.schema, &self.projection, rows, |column| {
+            read.columns[column].clone()
+        })
     }
+}
+
+/// Where the image of a message lies.
+fn find_image(
+    message_type: &MessageType,
+    message: &MessageAt<'_>,
+    member: &str,
+) -> Result<FoundImage, String> {
+    let block = message.block;
+    if !block.addressable {
+        return Err(
+            "an image that is compressed inside a compressed chunk cannot be referred to: \
+                    record with either chunk or message compression"
+                .to_owned(),
+        );
+    }
+    let located = message_type
+        .locate(message.payload, &[member])
+        .map_err(|error| error.to_string())?
+        .ok_or_else(|| format!("expected image bytes in the field {member}"))?;
+    let bytes = message.payload.get(located.range.clone());
+    let bytes = bytes.ok_or("image bytes outside the payload")?;
+    if bytes.is_empty() {
+        return Err("an image without bytes".to_owned());
+    }
+    let mut magic = [0; 8];
+    let known = bytes.len().min(magic.len());
+    magic[..known].copy_from_slice(&bytes[..known]);
+    let within = (message.start + located.range.start) as u64;
+    let packing = block.packing.as_ref();
+    let place = ImageRef {
+        session: message.part.session.to_string(),
+        part: message.part.part,
+        chunk: packing.map(|_| block.file_offset),
+        chunk_length: packing.map_or(0, |packing| packing.compressed_size),
+        chunk_size: packing.map_or(0, |_| block.bytes.len() as u64),
+        compression: packing.map_or_else(String::new, |packing| packing.compression.clone()),
+        offset: match packing {
+            Some(_) => within,
+            None => block.file_offset + within,
+        },
+        length: bytes.len() as u64,
+        format: String::new(),
+        width: None,
+        height: None,
+        step: None,
+    };
+    Ok(FoundImage { place, magic })
 }

@@ -1,18 +1,20 @@
 //! MCAP as DataFusion tables.
 //!
 //! ```text
-//!   McapFormat ── file_source ──► McapSource ── per file and byte range ──► units (chunks) that may matter
-//!                                   ▲ projection, filters, limit                      │ fetch, one ahead
-//!                                   │                                                 ▼
-//!                            FileScanConfig  ◄── batches, bounded in bytes ──  RowBuilder of the table
+//!   McapTable ── scan ──► McapSource ── per file and byte range ──► units (chunks) that may matter
+//!                            ▲ projection, filters, limit                   │ fetch, one ahead
+//!                            │                                              ▼
+//!                      FileScanConfig  ◄── batches, bounded in bytes ──  RowBuilder of the LogTable
 //! ```
 //!
+//! What a table's rows are made of, its [`LogTable`] says; this module has those of topics and of the whole log.
 //! A byte range of a file owns the chunks that start in it, so partitions share a file without sharing a chunk.
 //! Within a partition, rows come chunk by chunk in file order and, inside a chunk, ordered by log time; an order
 //! across chunks that overlap in time, or across partitions, is for a sort downstream to make.
 
-mod format;
+mod messages;
 mod plan;
+mod records;
 mod rows;
 mod source;
 mod stream;
@@ -20,17 +22,16 @@ mod table;
 mod topic;
 mod whole;
 
-pub use format::McapFormat;
 pub use rows::{MessageAt, RowBuilder};
-pub use source::McapSource;
 pub use table::{FaultyTable, LogTable, McapTable};
-pub use topic::topic_schema;
+pub use whole::WholeTable;
 
 pub(crate) use plan::Wanted;
+pub(crate) use records::RecordRows;
+pub(crate) use rows::projected;
 pub(crate) use stream::{Job, stream};
-pub(crate) use table::scan_parts;
-pub(crate) use topic::timestamp;
-pub(crate) use whole::{append_map, text_map_builder, text_map_type};
+pub(crate) use table::schema_of;
+pub(crate) use topic::TopicTable;
 
 use datafusion::error::DataFusionError;
 use evermap_schemas::Fault;

@@ -1,6 +1,9 @@
 //! From messages to record batches: what a table's rows are made of.
 
-use arrow::array::RecordBatch;
+use std::sync::Arc;
+
+use arrow::array::{ArrayRef, RecordBatch, RecordBatchOptions};
+use arrow::datatypes::SchemaRef;
 use evermap_schemas::Fault;
 
 use crate::log::chunk::{Block, Message};
@@ -82,8 +85,8 @@ pub trait RowBuilder: Send {
     ///
     /// # Errors
     /// In words, when the record is damaged.
-    fn push_record(&mut self, part: &LogPart, unit: &Unit, record: &[u8]) -> Result<(), String> {
-        let _ = (part, unit, record);
+    fn push_record(&mut self, unit: &Unit, record: &[u8]) -> Result<(), String> {
+        let _ = (unit, record);
         Ok(())
     }
 
@@ -98,4 +101,21 @@ pub trait RowBuilder: Send {
     /// # Errors
     /// A fault of ours, or of a value that no layer can hold.
     fn finish(&mut self) -> Result<Vec<RecordBatch>, Fault>;
+}
+
+/// A batch of the projected columns of a table, unless there are no rows; `column` makes each.
+pub(crate) fn projected(
+    schema: &SchemaRef,
+    projection: &[usize],
+    rows: usize,
+    column: impl FnMut(usize) -> ArrayRef,
+) -> Result<Vec<RecordBatch>, Fault> {
+    if rows == 0 {
+        return Ok(Vec::new());
+    }
+    let columns = projection.iter().copied().map(column).collect();
+    let options = RecordBatchOptions::new().with_row_count(Some(rows));
+    let schema = Arc::new(schema.project(projection)?);
+    let batch = RecordBatch::try_new_with_options(schema, columns, &options)?;
+    Ok(vec![batch])
 }

@@ -13,18 +13,17 @@ use datafusion::datasource::projection::{ProjectionOpener, SplitProjection};
 use datafusion::datasource::table_schema::TableSchema;
 use datafusion::error::Result;
 use datafusion::execution::memory_pool::MemoryPool;
-use datafusion::execution::object_store::ObjectStoreUrl;
 use datafusion::physical_expr::projection::ProjectionExprs;
 use datafusion::physical_expr::{PhysicalExpr, conjunction};
 use datafusion::physical_plan::DisplayFormatType;
 use datafusion::physical_plan::filter_pushdown::{FilterPushdownPropagation, PushedDown};
 use datafusion::physical_plan::metrics::ExecutionPlanMetricsSet;
+use evermap_schemas::Fault;
 use futures::FutureExt;
 use object_store::ObjectStore;
 
-use crate::losses::LossLedger;
 use crate::scan::external;
-use crate::scan::plan::Wanted;
+use crate::scan::plan::{PlannedUnit, Wanted};
 use crate::scan::stream::{Job, stream};
 use crate::scan::table::LogTable;
 use crate::session::LogPart;
@@ -37,20 +36,24 @@ const BATCH_ROWS: usize = 8192;
 /// Filters choose the chunks that are read (by log time, session and topic); every row is checked again by the
 /// filter above the scan. A projection reaches the message decoders.
 #[derive(Clone)]
-pub struct McapSource {
-    table: LogTable,
+pub(crate) struct McapSource {
+    table: Arc<dyn LogTable>,
     table_schema: TableSchema,
     projection: SplitProjection,
     predicate: Option<Arc<dyn PhysicalExpr>>,
     batch_rows: usize,
     metrics: ExecutionPlanMetricsSet,
-    pool: Option<Arc<dyn MemoryPool>>,
-    losses: LossLedger,
+    /// Memory for chunks and batches is reserved from this pool.
+    pool: Arc<dyn MemoryPool>,
 }
 
 impl McapSource {
-    /// A scan of `table` with the given schema.
-    pub fn new(table: LogTable, table_schema: TableSchema, losses: LossLedger) -> Self {
+    /// A scan of `table`, whose schema this is.
+    pub fn new(
+        table: Arc<dyn LogTable>,
+        table_schema: TableSchema,
+        pool: Arc<dyn MemoryPool>,
+    ) -> Self {
         Self {
             table,
             projection: SplitProjection::unprojected(&table_schema),
@@ -58,23 +61,15 @@ impl McapSource {
             predicate: None,
             batch_rows: BATCH_ROWS,
             metrics: ExecutionPlanMetricsSet::new(),
-            pool: None,
-            losses,
+            pool,
         }
-    }
-
-    /// Memory for chunks and batches is reserved from this pool.
-    #[must_use]
-    pub fn with_pool(mut self, pool: Arc<dyn MemoryPool>) -> Self {
-        self.pool = Some(pool);
-        self
     }
 }
 
 impl FileSource for McapSource {
     fn create_file_opener(
         &self,
-        object_store: Arc<dyn ObjectStore>,
+        _object_store: Arc<dyn ObjectStore>,
         base_config: &FileScanConfig,
         _partition: usize,
     ) -> Result<Arc<dyn FileOpener>> {
@@ -82,14 +77,9 @@ impl FileSource for McapSource {
         // No batch needs to be larger than the rows that are asked for.
         let limit = base_config.limit.unwrap_or(usize::MAX);
         source.batch_rows = source.batch_rows.min(limit);
-        let opener = Arc::new(McapOpener {
-            source,
-            object_store,
-            store_url: base_config.object_store_url.clone(),
-        });
         ProjectionOpener::try_new(
             self.projection.clone(),
-            opener,
+            Arc::new(McapOpener { source }),
             self.table_schema.file_schema(),
         )
     }
@@ -173,67 +163,53 @@ impl FileSource for McapSource {
 /// Opens a file, or a byte range of one.
 struct McapOpener {
     source: McapSource,
-    object_store: Arc<dyn ObjectStore>,
-    store_url: ObjectStoreUrl,
 }
 
 impl FileOpener for McapOpener {
     fn open(&self, file: PartitionedFile) -> Result<FileOpenFuture> {
         let source = self.source.clone();
-        let store = self.object_store.clone();
-        let store_url = self.store_url.clone();
+        let part = file.extension::<Arc<LogPart>>().cloned();
+        let part = part.ok_or_else(|| external(Fault::bug("a file without its index")))?;
         Ok(async move {
-            let part = match file.extension::<Arc<LogPart>>() {
-                Some(part) => part.clone(),
-                None => {
-                    let meta = file.object_meta.clone();
-                    let opened = LogPart::open(store, store_url, meta, &source.losses).await;
-                    Arc::new(opened.map_err(external)?)
-                }
-            };
-            let job = job(source, part, file.range()).map_err(external)?;
+            let job = source.job(part, file.range()).await.map_err(external)?;
             Ok(stream(job))
         }
         .boxed())
     }
 }
 
-fn job(
-    source: McapSource,
-    part: Arc<LogPart>,
-    range: (u64, u64),
-) -> Result<Job, evermap_schemas::Fault> {
-    let schema = source.table_schema.file_schema();
-    let rows = source
-        .table
-        .rows(&part, schema, &source.projection.file_indices)?;
-    let units = match source.table.records(&part.index) {
-        Some(records) => records
-            .iter()
-            .filter(|unit| unit.offset >= range.0 && unit.offset < range.1)
-            .map(|unit| crate::scan::plan::PlannedUnit {
-                unit: unit.clone(),
-                channels: None,
-            })
-            .collect(),
-        None => {
-            let channels = part.index.channels.keys().copied();
-            Wanted {
-                part: &part,
-                range,
-                channels: channels.filter(|channel| rows.wants(*channel)).collect(),
-                predicate: source.predicate.as_ref(),
-                schema,
+impl McapSource {
+    async fn job(self, part: Arc<LogPart>, range: (u64, u64)) -> Result<Job, Fault> {
+        let columns = &self.projection.file_indices;
+        let rows = self.table.rows(&part, columns).await?;
+        let units = match self.table.records(&part.index) {
+            Some(records) => records
+                .iter()
+                .filter(|unit| unit.offset >= range.0 && unit.offset < range.1)
+                .map(|unit| PlannedUnit {
+                    unit: unit.clone(),
+                    channels: None,
+                })
+                .collect(),
+            None => {
+                let channels = part.index.channels.keys().copied();
+                Wanted {
+                    part: &part,
+                    range,
+                    channels: channels.filter(|channel| rows.wants(*channel)).collect(),
+                    predicate: self.predicate.as_ref(),
+                    schema: self.table_schema.file_schema(),
+                }
+                .units()
             }
-            .units()
-        }
-    };
-    Ok(Job {
-        topic: source.table.topic().to_owned(),
-        part,
-        units,
-        rows,
-        batch_rows: source.batch_rows,
-        pool: source.pool,
-    })
+        };
+        Ok(Job {
+            topic: self.table.topic().to_owned(),
+            part,
+            units,
+            rows,
+            batch_rows: self.batch_rows,
+            pool: Some(self.pool),
+        })
+    }
 }

@@ -219,7 +219,7 @@ impl Worker {
             },
             UnitKind::Loose => Block::loose(bytes, unit.offset),
             UnitKind::Attachment | UnitKind::Metadata => {
-                if let Err(detail) = self.rows.push_record(&self.part, &unit, &bytes) {
+                if let Err(detail) = self.rows.push_record(&unit, &bytes) {
                     self.lose_unit(&unit, (Reason::BadAttachment, detail));
                 }
                 return;
@@ -231,10 +231,7 @@ impl Worker {
             None => rows.wants(channel),
         });
         if rest > 0 {
-            let loss = Loss {
-                count: 1,
-                bytes: rest,
-            };
+            let loss = Loss::one(rest);
             let detail = "inside a chunk";
             self.part
                 .losses
@@ -251,10 +248,7 @@ impl Worker {
     }
 
     fn lose_unit(&self, unit: &Unit, (reason, detail): Damage) {
-        let loss = Loss {
-            count: 1,
-            bytes: unit.length,
-        };
+        let loss = Loss::one(unit.length);
         self.part.losses.note(reason, unit.offset, loss, detail);
     }
 

@@ -7,18 +7,20 @@ use arrow::array::{
     ArrayRef, RecordBatch, RecordBatchOptions, StringArray, TimestampNanosecondArray, UInt32Array,
     new_null_array,
 };
-use arrow::datatypes::{DataType, Field, FieldRef, Fields, Schema, SchemaRef, TimeUnit};
+use arrow::datatypes::{DataType, Field, FieldRef, Fields, Schema, SchemaRef};
+use async_trait::async_trait;
 use evermap_messages::{Decoder, MessageType};
-use evermap_schemas::Fault;
+use evermap_schemas::{Cell, Fault, Stamp};
 
 use crate::log::index::LogChannel;
 use crate::log::record::MessageHead;
 use crate::scan::rows::{MessageAt, RowBuilder};
+use crate::scan::table::LogTable;
 use crate::session::LogPart;
 
 /// The type of every time column.
 pub(crate) fn timestamp() -> DataType {
-    DataType::Timestamp(TimeUnit::Nanosecond, Some("UTC".into()))
+    Stamp::data_type()
 }
 
 /// The columns that every message has.
@@ -46,12 +48,57 @@ fn column_names(fields: &Fields) -> Vec<String> {
     taken.split_off(HEAD)
 }
 
+/// The messages of one topic, decoded.
+#[derive(Debug)]
+pub(crate) struct TopicTable {
+    topic: String,
+    schema: SchemaRef,
+}
+
+impl TopicTable {
+    /// The table of a topic in these files.
+    ///
+    /// # Errors
+    /// A data fault when a channel's messages cannot be decoded, or when two channels give a field different types.
+    pub fn new(topic: &str, parts: &[Arc<LogPart>]) -> Result<Self, Fault> {
+        Ok(Self {
+            topic: topic.to_owned(),
+            schema: topic_schema(topic, parts)?,
+        })
+    }
+}
+
+#[async_trait]
+impl LogTable for TopicTable {
+    fn name(&self) -> &str {
+        &self.topic
+    }
+
+    fn schema(&self) -> SchemaRef {
+        self.schema.clone()
+    }
+
+    fn topic(&self) -> &str {
+        &self.topic
+    }
+
+    fn is_in(&self, part: &LogPart) -> bool {
+        part.has_any(std::slice::from_ref(&self.topic))
+    }
+
+    async fn rows(
+        &self,
+        part: &Arc<LogPart>,
+        projection: &[usize],
+    ) -> Result<Box<dyn RowBuilder>, Fault> {
+        let rows = TopicRows::new(&self.topic, part, &self.schema, projection)?;
+        Ok(Box::new(rows))
+    }
+}
+
 /// The schema of a topic over several files: the union of its channels' fields by name. A field that some channels
 /// lack is nullable.
-///
-/// # Errors
-/// A data fault when a channel's messages cannot be decoded, or when two channels give a field different types.
-pub fn topic_schema(topic: &str, parts: &[Arc<LogPart>]) -> Result<SchemaRef, Fault> {
+fn topic_schema(topic: &str, parts: &[Arc<LogPart>]) -> Result<SchemaRef, Fault> {
     let mut columns: Vec<(FieldRef, usize)> = Vec::new();
     let mut seen: Vec<Fields> = Vec::new();
     for part in parts {
@@ -115,7 +162,7 @@ fn merge(columns: &mut Vec<(FieldRef, usize)>, fields: &Fields) -> Result<(), Fa
 }
 
 /// Builds the rows of one topic from one file.
-pub(crate) struct TopicRows {
+struct TopicRows {
     session: Arc<str>,
     schema: SchemaRef,
     projection: Vec<usize>,
@@ -136,8 +183,7 @@ struct Columns {
 }
 
 impl TopicRows {
-    /// A builder for the projected columns of a topic table.
-    pub fn new(
+    fn new(
         topic: &str,
         part: &LogPart,
         schema: &SchemaRef,

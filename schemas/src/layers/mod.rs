@@ -282,7 +282,6 @@ impl LayerRow for Intersection {
 
 /// Every layer that operators yield or read, sorted by name; the reference page lists these.
 pub fn all() -> Vec<crate::Layer> {
-    use crate::roles::{Calibration, Frame, LabelClass, OdometryPose, Transform};
     let mut layers = vec![
         AdjustedPose::layer(),
         Features::layer(),
@@ -305,21 +304,15 @@ pub fn all() -> Vec<crate::Layer> {
         ScoredFrame::layer(),
         LabelledScores::layer(),
         View::layer(),
-        Calibration::layer(),
-        Frame::layer(),
-        Frame::depth_layer(),
-        Frame::label_layer(),
         GroundPatch::layer(),
         Intersection::layer(),
         Keyframe::layer(),
-        LabelClass::layer(),
         Lane::layer(),
-        OdometryPose::layer(),
         OverheadTile::layer(),
         PosedImage::layer(),
-        Transform::layer(),
         VehiclePose::layer(),
     ];
+    layers.extend(crate::roles::ALL.iter().map(crate::roles::Role::layer));
     layers.sort_by_key(|layer| layer.name);
     layers
 }

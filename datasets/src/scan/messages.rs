@@ -1,0 +1,119 @@
+//! The table over all messages of a log, with their payloads as bytes.
+
+use std::sync::Arc;
+
+use arrow::array::{ArrayRef, BinaryBuilder, RecordBatch, StringBuilder, UInt32Array};
+use arrow::datatypes::{DataType, Field, Schema, SchemaRef};
+use evermap_schemas::Fault;
+
+use crate::log::record::MessageHead;
+use crate::scan::rows::{MessageAt, RowBuilder, projected};
+use crate::scan::topic::{head_column, timestamp};
+use crate::session::LogPart;
+
+/// Columns of `messages`.
+pub(crate) fn messages_schema() -> SchemaRef {
+    Arc::new(Schema::new(vec![
+        Field::new("session", DataType::Utf8, false),
+        Field::new("topic", DataType::Utf8, false),
+        Field::new("log_time", timestamp(), false),
+        Field::new("publish_time", timestamp(), false),
+        Field::new("sequence", DataType::UInt32, false),
+        Field::new("channel", DataType::UInt32, false),
+        Field::new("schema_name", DataType::Utf8, true),
+        Field::new("data", DataType::Binary, false),
+    ]))
+}
+
+/// Rows of `messages`.
+pub(crate) struct MessageRows {
+    part: Arc<LogPart>,
+    projection: Vec<usize>,
+    heads: Vec<MessageHead>,
+    with_data: bool,
+    data: BinaryBuilder,
+    bytes: usize,
+}
+
+impl MessageRows {
+    const DATA: usize = 7;
+
+    pub fn new(part: &Arc<LogPart>, projection: &[usize]) -> Self {
+        Self {
+            part: part.clone(),
+            projection: projection.to_vec(),
+            heads: Vec::new(),
+            with_data: projection.contains(&Self::DATA),
+            data: BinaryBuilder::new(),
+            bytes: 0,
+        }
+    }
+}
+
+fn texts<'a>(texts: impl Iterator<Item = Option<&'a str>>) -> ArrayRef {
+    let mut builder = StringBuilder::new();
+    texts.for_each(|text| builder.append_option(text));
+    Arc::new(builder.finish())
+}
+
+impl RowBuilder for MessageRows {
+    fn decodes(&self) -> bool {
+        false
+    }
+
+    fn wants(&self, channel: u16) -> bool {
+        self.part.index.channels.contains_key(&channel)
+    }
+
+    fn push(&mut self, message: &MessageAt<'_>) -> Result<(), String> {
+        if self.with_data {
+            if self.bytes + message.payload.len() > i32::MAX as usize {
+                return Err("a payload beyond 2 GiB".to_owned());
+            }
+            self.data.append_value(message.payload);
+            self.bytes += message.payload.len();
+        }
+        self.heads.push(message.head);
+        self.bytes += size_of::<MessageHead>();
+        Ok(())
+    }
+
+    fn rows(&self) -> usize {
+        self.heads.len()
+    }
+
+    fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    fn finish(&mut self) -> Result<Vec<RecordBatch>, Fault> {
+        let heads = std::mem::take(&mut self.heads);
+        let data: ArrayRef = Arc::new(self.data.finish());
+        self.bytes = 0;
+        let channels = &self.part.index.channels;
+        let channel = |head: &MessageHead| channels.get(&head.channel);
+        let schema = messages_schema();
+        projected(
+            &schema,
+            &self.projection,
+            heads.len(),
+            |column| match column {
+                0 => head_column(0, &self.part.session, &heads),
+                1 => texts(
+                    heads
+                        .iter()
+                        .map(|head| channel(head).map(|c| c.topic.as_str())),
+                ),
+                2..=4 => head_column(column - 1, &self.part.session, &heads),
+                5 => Arc::new(UInt32Array::from_iter_values(
+                    heads.iter().map(|head| u32::from(head.channel)),
+                )),
+                6 => texts(heads.iter().map(|head| {
+                    let schema = channel(head).and_then(|channel| channel.schema.as_ref());
+                    schema.map(|schema| schema.name.as_str())
+                })),
+                _ => data.clone(),
+            },
+        )
+    }
+}

@@ -1,0 +1,46 @@
+//! What the values of label images mean, from the log's metadata: `{"0": "tree", "1": "sky"}`.
+
+use std::collections::BTreeMap;
+
+use crate::roles::{FromMetadata, Role};
+use crate::{LayerRow, record};
+
+record! {
+    /// What a value in the label images of a session means.
+    pub struct LabelClass {
+        /// Site that the session belongs to.
+        site: String,
+        /// Session that it holds for.
+        session: String,
+        /// Pixel value.
+        value: u8,
+        /// Name of the class.
+        class: String,
+    }
+}
+impl LayerRow for LabelClass {
+    const NAME: &'static str = "label_classes";
+    const DOC: &'static str =
+        "What a value in the label images of a session means: the log's metadata `label_classes`.";
+    const KEY: &'static [&'static str] = &["site", "session", "value"];
+}
+
+/// Metadata records that name the classes of label images.
+pub const ROLE: Role = Role::of_metadata::<LabelClass>();
+
+impl FromMetadata for LabelClass {
+    const RECORD: &'static str = "label_classes";
+
+    /// Entries whose key is no pixel value are left out.
+    fn from_metadata(site: &str, session: &str, record: &BTreeMap<String, String>) -> Vec<Self> {
+        let row = |(value, class): (&String, &String)| {
+            Some(Self {
+                site: site.to_owned(),
+                session: session.to_owned(),
+                value: value.trim().parse().ok()?,
+                class: class.clone(),
+            })
+        };
+        record.iter().filter_map(row).collect()
+    }
+}

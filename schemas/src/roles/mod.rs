@@ -1,0 +1,48 @@
+//! What a log holds, whatever its messages are called: the *sources* of every plan.
+//!
+//! A [`Role`] is a part that a log's messages play, and the table of its rows. Each has a file of its own: the row, the
+//! message types that it is inferred from, how a message becomes rows. Keys of session manifests, tables, names that
+//! plans may use and the reference all follow from [`ALL`]; a new role is a file here and a line in that list.
+//!
+//! ```text
+//!   types of a log's topics ──► Role::infer ──► topics ──► Message (decoded members) ──► FromMessage ──► rows
+//! ```
+//!
+//! Files, and how bytes become members, are the business of whoever reads logs.
+
+mod cameras;
+mod message;
+mod role;
+
+pub use cameras::CameraNames;
+pub use message::{Fields, FoundImage, FromMessage, FromMetadata, Message, Read};
+pub use role::{Choice, Messages, Metadata, Role, Source, Topic, every, in_words};
+
+macro_rules! roles {
+    ($($file:ident),+ $(,)?) => {
+        $(pub mod $file;)+
+
+        /// Every role there is.
+        pub const ALL: &[Role] = &[$($file::ROLE),+];
+    };
+}
+
+// Sorted; a test compares the list with the tables' names.
+roles! {
+    calibration,
+    depth_frames,
+    frames,
+    label_classes,
+    label_frames,
+    odometry,
+    transforms,
+}
+
+pub use calibration::Calibration;
+pub use frames::Frame;
+pub use label_classes::LabelClass;
+pub use odometry::OdometryPose;
+pub use transforms::Transform;
+
+#[cfg(test)]
+mod tests;

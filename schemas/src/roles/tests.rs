@@ -1,0 +1,105 @@
+//! Which topics play which role where nobody says.
+
+use super::*;
+
+/// The topics that are inferred for a role, and those passed over.
+fn inferred(role: &Role, topics: &[(&str, &str, u64)]) -> (Vec<String>, Vec<String>) {
+    let topics: Vec<Topic> = topics
+        .iter()
+        .map(|(name, schema, messages)| Topic::new(name, schema, *messages))
+        .collect();
+    let choices = role.infer(&topics).into_iter();
+    let (chosen, passed_over): (Vec<_>, Vec<_>) = choices
+        .map(|choice| (choice.topic, choice.passed_over))
+        .unzip();
+    (chosen, passed_over.concat())
+}
+
+#[test]
+fn the_list_is_sorted() {
+    assert!(ALL.is_sorted_by(|a, b| a.name < b.name));
+}
+
+#[test]
+fn roles_follow_from_types_in_every_spelling() {
+    for (odometry, image, tf) in [
+        (
+            "nav_msgs/msg/Odometry",
+            "sensor_msgs/msg/Image",
+            "tf2_msgs/msg/TFMessage",
+        ),
+        (
+            "nav_msgs/Odometry",
+            "sensor_msgs/CompressedImage",
+            "tf/tfMessage",
+        ),
+        (
+            "foxglove.PoseInFrame",
+            "foxglove.RawImage",
+            "foxglove.FrameTransforms",
+        ),
+    ] {
+        let topics = [
+            ("/my_odometry", odometry, 1),
+            ("/cam", image, 1),
+            ("/tf", tf, 1),
+            ("/goal_pose", "geometry_msgs/msg/PoseStamped", 9),
+        ];
+        for (role, topic) in [
+            (&odometry::ROLE, "/my_odometry"),
+            (&frames::ROLE, "/cam"),
+            (&transforms::ROLE, "/tf"),
+        ] {
+            let (chosen, passed_over) = inferred(role, &topics);
+            assert_eq!(chosen, [topic]);
+            assert!(passed_over.is_empty());
+        }
+    }
+}
+
+#[test]
+fn range_and_label_images_are_no_pictures() {
+    let image = "sensor_msgs/msg/CompressedImage";
+    let topics = [
+        ("/front/semantic_segmentation/image", image, 1),
+        ("/pano/depth", image, 1),
+        ("/pano/image/compressed", image, 1),
+        ("/pano/labels", image, 1),
+        ("/pano/labels_noisy", image, 1),
+    ];
+    assert_eq!(
+        inferred(&frames::ROLE, &topics).0,
+        ["/pano/image/compressed"]
+    );
+    assert_eq!(inferred(&depth_frames::ROLE, &topics).0, ["/pano/depth"]);
+    let (labels, passed_over) = inferred(&label_frames::ROLE, &topics);
+    assert_eq!(
+        labels,
+        ["/front/semantic_segmentation/image", "/pano/labels"]
+    );
+    assert_eq!(passed_over, ["/pano/labels_noisy"]);
+}
+
+#[test]
+fn one_odometry_topic_is_chosen_and_told() {
+    let nav = "nav_msgs/msg/Odometry";
+    let (chosen, passed_over) = inferred(&odometry::ROLE, &[("/a", nav, 5), ("/b", nav, 9)]);
+    assert_eq!(
+        (chosen, passed_over),
+        (vec!["/b".into()], vec!["/a".into()])
+    );
+    let (chosen, _) = inferred(&odometry::ROLE, &[("/b", nav, 9), ("/odom", nav, 1)]);
+    assert_eq!(chosen, ["/odom"]);
+}
+
+#[test]
+fn a_compressed_twin_is_preferred() {
+    let compressed = "sensor_msgs/msg/CompressedImage";
+    let topics = [
+        ("/c/image", "sensor_msgs/msg/Image", 1),
+        ("/c/image/compressed", compressed, 1),
+        ("/c/image/compressedDepth", compressed, 1),
+    ];
+    assert_eq!(inferred(&frames::ROLE, &topics).0, ["/c/image/compressed"]);
+    assert!(inferred(&depth_frames::ROLE, &topics).0.is_empty());
+}

@@ -1,0 +1,83 @@
+//! Transforms between frames, as `/tf` and `/tf_static` publish them.
+
+use crate::roles::message::plain_frame;
+use crate::roles::{Fields, FromMessage, Message, Messages, Role};
+use crate::{LayerRow, Pose, Stamp, record};
+
+record! {
+    /// One transform between two frames.
+    pub struct Transform {
+        /// Site that the session belongs to.
+        site: String,
+        /// Session that the transform belongs to.
+        session: String,
+        /// Instant of the transform.
+        stamp: Stamp ["ns"],
+        /// Frame that points come out in.
+        parent: String,
+        /// Frame that points are given in.
+        child: String,
+        /// The transform.
+        parent_from_child: Pose,
+        /// True where it holds for all time (`/tf_static`).
+        fixed: bool,
+    }
+}
+impl LayerRow for Transform {
+    const NAME: &'static str = "transforms";
+    const DOC: &'static str =
+        "One transform between two frames, as `/tf` and `/tf_static` publish them.";
+    const KEY: &'static [&'static str] = &["site", "session", "parent", "child", "stamp"];
+}
+
+/// Topics with transforms.
+pub const ROLE: Role = Role::of::<Transform>(Messages::of::<Transform>(&[
+    "tf2_msgs/TFMessage",
+    "tf/tfMessage",
+    "foxglove.FrameTransform",
+    "foxglove.FrameTransforms",
+]));
+
+impl FromMessage for Transform {
+    const MEMBERS: &'static [&'static str] = &[
+        "transforms",
+        "timestamp",
+        "parent_frame_id",
+        "child_frame_id",
+        "translation",
+        "rotation",
+    ];
+
+    fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
+        match message.fields.list("transforms") {
+            Some(list) => Fields::all(&list)
+                .map(|fields| transform(message, fields))
+                .collect(),
+            None => Ok(vec![transform(message, message.fields)?]),
+        }
+    }
+}
+
+/// One transform, as tf2_msgs (`header`, `transform`) or foxglove (`parent_frame_id`, `translation`) spell it.
+fn transform(message: &Message<'_>, fields: Fields<'_>) -> Result<Transform, String> {
+    let (parent, pose) = match fields.text(&["header", "frame_id"]) {
+        Some(parent) => {
+            let paths = [["transform", "translation"], ["transform", "rotation"]];
+            (Some(parent), fields.pose(&paths[0], &paths[1]))
+        }
+        None => (
+            fields.text(&["parent_frame_id"]),
+            fields.pose(&["translation"], &["rotation"]),
+        ),
+    };
+    let child = fields.text(&["child_frame_id"]);
+    Ok(Transform {
+        site: message.site.to_owned(),
+        session: message.session.to_owned(),
+        stamp: fields.stamp().unwrap_or(message.log_time),
+        parent: plain_frame(&parent.ok_or("expected the name of the parent frame")?),
+        child: plain_frame(&child.ok_or("expected the name of the child frame")?),
+        parent_from_child: pose?,
+        fixed: message.topic.ends_with("tf_static"),
+    })
+}
