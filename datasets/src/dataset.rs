@@ -99,10 +99,7 @@ impl Dataset {
     /// # Errors
     /// As [`Dataset::tables`], or when the context refuses a name.
     pub fn register(&self, context: &SessionContext) -> Result<(), Fault> {
-        for part in self.parts() {
-            let runtime = context.runtime_env();
-            runtime.register_object_store(part.store_url.as_ref(), part.store.clone());
-        }
+        self.register_stores(&context.runtime_env());
         for (name, table) in self.tables()? {
             let reference = TableReference::bare(name.as_str());
             context
@@ -111,6 +108,13 @@ impl Dataset {
                 .map_err(|error| crate::scan::fault_of(&error).at(format!("table {name}")))?;
         }
         Ok(())
+    }
+
+    /// Registers the object stores that the files are in.
+    pub fn register_stores(&self, runtime: &RuntimeEnv) {
+        for part in self.parts() {
+            runtime.register_object_store(part.store_url.as_ref(), part.store.clone());
+        }
     }
 }
 

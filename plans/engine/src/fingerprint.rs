@@ -1,16 +1,23 @@
-//! Digests of logs, remembered beside the map, so that logs that have not changed are not read again.
+//! Digests and indexes of logs, remembered beside the map, so that logs that have not changed are not read again: a run
+//! reads a log's index once, and the units that read from the log open it with what is remembered.
 //!
 //! A log is taken for unchanged when each of its files has the place, size, time of modification, entity tag and, on
 //! a local disk, time of status change that it had when it was read. Times within the last two seconds say nothing,
-//! as clocks of file systems are coarse: such a log is read again, and its digest is not remembered.
+//! as clocks of file systems are coarse: the next run reads such a log again. What is remembered may be missing, of
+//! another log or damaged: then a unit reads the log's own index, and so it does on a machine where files look
+//! different.
 
 use std::collections::BTreeSet;
 use std::path::Path;
+use std::sync::Arc;
 
 use chrono::{DateTime, TimeDelta, Utc};
-use evermap_datasets::{Dataset, Session};
+use datafusion::execution::object_store::ObjectStoreUrl;
+use evermap_datasets::log::index::LogIndex;
+use evermap_datasets::{Dataset, LogFile, LogPart, Recordings, Session};
 use evermap_schemas::Fault;
-use object_store::ObjectStoreExt;
+use object_store::path::Path as ObjectPath;
+use object_store::{ObjectMeta, ObjectStoreExt};
 use serde::{Deserialize, Serialize};
 
 use crate::digest::digest_of;
@@ -31,15 +38,48 @@ struct FileState {
     status_changed: Option<(i64, i64)>,
 }
 
-/// A log's digest, and what its files were like when it was computed.
+/// A log's digest and its index, and what its files were like when it was read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fingerprint {
     /// BLAKE3 of the files.
     pub content: String,
+    /// Whether the files had rested: if not, they may have changed since without looking different.
+    rested: bool,
     files: Vec<FileState>,
+    /// The index of each file.
+    indexes: Vec<LogIndex>,
+    /// Digest of all of this.
+    seal: String,
 }
 
+/// The folder of a map that remembers logs.
+pub const FOLDER: &str = "logs";
+
 impl Fingerprint {
+    fn new(
+        content: String,
+        rested: bool,
+        files: Vec<FileState>,
+        indexes: Vec<LogIndex>,
+    ) -> Result<Self, Fault> {
+        let fingerprint = Self {
+            content,
+            rested,
+            files,
+            indexes,
+            seal: String::new(),
+        };
+        let seal = fingerprint.sealed()?;
+        Ok(Self {
+            seal,
+            ..fingerprint
+        })
+    }
+
+    fn sealed(&self) -> Result<String, Fault> {
+        digest_of(&(&self.content, self.rested, &self.files, &self.indexes))
+    }
+
     /// Where it is remembered.
     fn name(files: &[FileState]) -> Result<String, Fault> {
         Ok(format!("{FOLDER}/{}.json", digest_of(&files)?))
@@ -52,12 +92,21 @@ impl Fingerprint {
     pub async fn remember(&self, store: &Store) -> Result<(), Fault> {
         store.write_json(&Self::name(&self.files)?, self).await
     }
+
+    /// What is remembered of these files; nothing where somebody else wrote there.
+    async fn find(store: &Store, files: &[FileState]) -> Result<Option<Self>, Fault> {
+        let found = match store.read_json::<Self>(&Self::name(files)?).await {
+            Ok(Some(found)) => found,
+            Ok(None) => return Ok(None),
+            Err(fault) if fault.kind == evermap_schemas::Kind::Data => return Ok(None),
+            Err(fault) => return Err(fault),
+        };
+        let sound = found.files == files && found.seal == found.sealed()?;
+        Ok(sound.then_some(found))
+    }
 }
 
-/// The folder of a map that remembers digests of logs.
-pub const FOLDER: &str = "logs";
-
-/// The names under which the digests of logs with these contents are remembered.
+/// The names under which logs with these contents are remembered.
 ///
 /// # Errors
 /// A resource fault when the store does not answer.
@@ -73,56 +122,81 @@ pub async fn names_of(store: &Store, contents: &BTreeSet<String>) -> Result<Vec<
     Ok(names)
 }
 
+/// Which remembered logs are believed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Believe<'a> {
+    /// Those whose files had rested when they were read, and have rested until now.
+    Rested,
+    /// Those with this content: whoever read them did so for this run.
+    Content(&'a str),
+}
+
+/// Opens recordings. Indexes of logs that are remembered, and whose files are what they were, are not read again.
+///
+/// # Errors
+/// As [`Recordings::open`], or a resource fault when the map's store does not answer.
+pub async fn open(
+    store: &Store,
+    mut recordings: Recordings,
+    believe: Believe<'_>,
+) -> Result<Dataset, Fault> {
+    let now = Utc::now();
+    for recording in &mut recordings.sessions {
+        let files = &mut recording.files;
+        files.sort_by_key(|file| place(&file.store_url, &file.meta));
+        let state_of = |file: &LogFile| state(file.store_url.as_str(), &file.meta);
+        let files: Vec<FileState> = files.iter().map(state_of).collect();
+        let Some(found) = Fingerprint::find(store, &files).await? else {
+            continue;
+        };
+        let believed = match believe {
+            Believe::Rested => found.rested && files.iter().all(|file| rests(file, now)),
+            Believe::Content(content) => found.content == content,
+        };
+        if believed {
+            for (file, index) in recording.files.iter_mut().zip(found.indexes) {
+                file.index = Some(index);
+            }
+        }
+    }
+    recordings.open().await
+}
+
 /// The digest of a session's log, and what is worth remembering of it.
 ///
 /// # Errors
 /// A resource fault when a file cannot be read.
 pub async fn fingerprint(
     store: &Store,
-    dataset: &Dataset,
     session: &Session,
 ) -> Result<(String, Option<Fingerprint>), Fault> {
     let begun = Utc::now();
-    let files = states(session);
+    let mut parts = session.parts.clone();
+    parts.sort_by_key(|part| place(&part.store_url, &part.meta));
+    let state_of = |part: &Arc<LogPart>| state(part.store_url.as_str(), &part.meta);
+    let files: Vec<FileState> = parts.iter().map(state_of).collect();
     let rested = files.iter().all(|file| rests(file, begun));
-    if rested && let Some(content) = remembered(store, &files).await? {
+    if rested
+        && let Some(found) = Fingerprint::find(store, &files).await?
+        && found.rested
+    {
+        return Ok((found.content, None));
+    }
+    let content = session.fingerprint().await?.to_hex().to_string();
+    if !unchanged(&parts, &files).await {
         return Ok((content, None));
     }
-    let content = dataset
-        .fingerprint(&session.name)
-        .await?
-        .to_hex()
-        .to_string();
-    let fresh = (rested && unchanged(session, &files).await).then(|| Fingerprint {
-        content: content.clone(),
-        files,
-    });
-    Ok((content, fresh))
+    let indexes = parts.iter().map(|part| part.index.clone()).collect();
+    let fresh = Fingerprint::new(content.clone(), rested, files, indexes)?;
+    Ok((content, Some(fresh)))
 }
 
-/// What is remembered of these files; nothing where somebody else wrote there.
-async fn remembered(store: &Store, files: &[FileState]) -> Result<Option<String>, Fault> {
-    let found = store
-        .read_json::<Fingerprint>(&Fingerprint::name(files)?)
-        .await;
-    Ok(match found {
-        Ok(Some(found)) if found.files == files => Some(found.content),
-        Ok(_) => None,
-        Err(fault) if fault.kind == evermap_schemas::Kind::Data => None,
-        Err(fault) => return Err(fault),
-    })
+/// What orders the files of a session.
+fn place(store: &ObjectStoreUrl, meta: &ObjectMeta) -> (String, ObjectPath) {
+    (store.as_str().to_owned(), meta.location.clone())
 }
 
-/// The files as they were when their indexes were read.
-fn states(session: &Session) -> Vec<FileState> {
-    session
-        .parts
-        .iter()
-        .map(|part| state(part.store_url.as_str(), &part.meta))
-        .collect()
-}
-
-fn state(store: &str, meta: &object_store::ObjectMeta) -> FileState {
+fn state(store: &str, meta: &ObjectMeta) -> FileState {
     FileState {
         store: store.to_owned(),
         location: meta.location.to_string(),
@@ -159,8 +233,8 @@ fn rests(file: &FileState, now: DateTime<Utc>) -> bool {
 }
 
 /// Whether the files are now what they were before they were read.
-async fn unchanged(session: &Session, files: &[FileState]) -> bool {
-    for (part, before) in session.parts.iter().zip(files) {
+async fn unchanged(parts: &[Arc<LogPart>], files: &[FileState]) -> bool {
+    for (part, before) in parts.iter().zip(files) {
         let now = part.store.head(&part.meta.location).await;
         let same = now.is_ok_and(|now| state(part.store_url.as_str(), &now) == *before);
         if !same {
@@ -172,7 +246,67 @@ async fn unchanged(session: &Session, files: &[FileState]) -> bool {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
+    use datafusion::execution::runtime_env::RuntimeEnv;
+
     use super::*;
+
+    /// A log without messages: magic, header, end of data, footer, magic.
+    const LOG: &[u8] = b"\x89MCAP0\r\n\
+        \x01\x08\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\
+        \x0f\x04\0\0\0\0\0\0\0\0\0\0\0\
+        \x02\x14\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\
+        \x89MCAP0\r\n";
+
+    /// The library that the log's index names, when it is opened with what is remembered.
+    async fn library(store: &Store, log: &Path, content: &str) -> String {
+        let paths = [log.display().to_string()];
+        let found = Recordings::find(&RuntimeEnv::default(), &paths, None).await;
+        let opened = open(store, found.unwrap(), Believe::Content(content)).await;
+        opened.unwrap().parts()[0].index.library.clone()
+    }
+
+    #[tokio::test]
+    async fn a_remembered_index_is_used_for_the_same_log_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let log = folder.path().join("a.mcap");
+        std::fs::write(&log, LOG).unwrap();
+        let store = Store::open(folder.path().join("map").to_str().unwrap(), true).unwrap();
+        let paths = [log.display().to_string()];
+        let dataset = Dataset::open(&RuntimeEnv::default(), &paths, None)
+            .await
+            .unwrap();
+        assert!(dataset.losses.is_empty(), "{:?}", dataset.losses.lines());
+        let (content, fresh) = fingerprint(&store, &dataset.sessions[0]).await.unwrap();
+        let fresh = fresh.unwrap();
+        // An index that the file does not have, to see which of both is used.
+        let mut indexes = fresh.indexes.clone();
+        indexes[0].library = "remembered".into();
+        let kept = Fingerprint::new(content.clone(), false, fresh.files, indexes).unwrap();
+        kept.remember(&store).await.unwrap();
+        assert_eq!(library(&store, &log, &content).await, "remembered");
+        assert_eq!(library(&store, &log, "another").await, "");
+
+        let forged = Fingerprint {
+            indexes: fresh.indexes,
+            ..kept.clone()
+        };
+        forged.remember(&store).await.unwrap();
+        assert!(
+            Fingerprint::find(&store, &kept.files)
+                .await
+                .unwrap()
+                .is_none()
+        );
+
+        kept.remember(&store).await.unwrap();
+        std::fs::write(&log, LOG).unwrap();
+        let later = std::fs::File::options().append(true).open(&log).unwrap();
+        later
+            .set_modified(std::time::SystemTime::UNIX_EPOCH)
+            .unwrap();
+        assert_eq!(library(&store, &log, &content).await, "");
+    }
 
     #[test]
     fn a_file_of_just_now_or_of_the_future_is_not_trusted() {

@@ -5,8 +5,8 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use evermap_contract::{ParamFault, Registry};
-use evermap_datasets::manifest::{ManifestRoles, ManifestSession};
-use evermap_datasets::{Dataset, Manifest, Session};
+use evermap_datasets::manifest::SessionFiles;
+use evermap_datasets::{Dataset, Manifest, Recordings, Session};
 use evermap_language::{
     Host, OperatorSpec, ParameterFault, Plan, PlanFaults, PortSpec, Source, Vocabulary,
 };
@@ -14,7 +14,7 @@ use evermap_schemas::Fault;
 use serde_json::Value;
 
 use crate::digest::digest_of;
-use crate::fingerprint::{Fingerprint, fingerprint};
+use crate::fingerprint::{self, Believe, Fingerprint};
 use crate::map::receipt::LogContent;
 use crate::map::store::Store;
 use crate::map::version::{Previous, Version};
@@ -66,22 +66,6 @@ pub struct PlanText {
     pub settings: Vec<String>,
 }
 
-/// The tables of every log, beside one for each topic.
-const SOURCES: [&str; 12] = [
-    "frames",
-    "depth_frames",
-    "label_frames",
-    "label_classes",
-    "odometry",
-    "calibration",
-    "transforms",
-    "sessions",
-    "channels",
-    "messages",
-    "attachments",
-    "metadata",
-];
-
 /// Everything plans can be written with.
 pub fn vocabulary(registry: &Registry) -> Vocabulary {
     let operators = registry.entries().map(|entry| OperatorSpec {
@@ -98,7 +82,10 @@ pub fn vocabulary(registry: &Registry) -> Vocabulary {
     });
     Vocabulary {
         operators: operators.collect(),
-        sources: SOURCES.iter().map(ToString::to_string).collect(),
+        sources: Dataset::table_names()
+            .iter()
+            .map(ToString::to_string)
+            .collect(),
         open_sources: true,
     }
 }
@@ -165,7 +152,7 @@ pub struct Prepared {
     pub store: Store,
     /// What the plan reads of the version before, though that version does not have it.
     pub missing: Vec<String>,
-    /// Digests of logs that were read, to be remembered.
+    /// Logs that were read, to be remembered.
     fresh: Vec<Fingerprint>,
 }
 
@@ -195,7 +182,8 @@ impl Prepared {
         let base = Version::latest(&store).await?;
         // Topics are checked on the logs at hand; a map's earlier logs may be gone, their artifacts are not.
         let context = context(Limits::default())?;
-        let given = Dataset::open(&context.runtime_env(), sessions, manifest).await?;
+        let found = Recordings::find(&context.runtime_env(), sessions, manifest).await?;
+        let given = fingerprint::open(&store, found, Believe::Rested).await?;
         given.register(&context)?;
         let program = compile(&parsed, registry, &context).await?;
         let mut by_name = mapped_sessions(base.as_ref())?;
@@ -209,7 +197,7 @@ impl Prepared {
                 manifest.site.is_some() || named.is_some_and(|named| named.site.is_some())
             });
             let site = site_of(session, sited, &by_name);
-            let (content, read) = fingerprint(&store, &given, session).await?;
+            let (content, read) = fingerprint::fingerprint(&store, session).await?;
             fresh.extend(read);
             by_name.insert(
                 session.name.to_string(),
@@ -235,7 +223,7 @@ impl Prepared {
         })
     }
 
-    /// Remembers the digests of logs that were read, so that the next run need not read them.
+    /// Remembers the logs that were read, so that neither this run's units nor the next run need read them.
     ///
     /// # Errors
     /// A resource fault when the map's store does not take it.
@@ -312,21 +300,13 @@ fn run_session(session: &Session, site: String, content: String) -> Result<RunSe
 
 /// The manifest that opens just this session, with its topics as they were resolved.
 fn manifest_of(session: &Session, site: &str) -> Manifest {
-    let topics = |topics: &[String]| (!topics.is_empty()).then(|| topics.to_vec());
     Manifest {
         site: Some(site.to_owned()),
-        sessions: vec![ManifestSession {
+        sessions: vec![SessionFiles {
             name: session.name.to_string(),
             files: session.parts.iter().map(|part| part.url.clone()).collect(),
             site: Some(site.to_owned()),
         }],
-        roles: ManifestRoles {
-            frames: topics(&session.roles.frames),
-            depth_frames: topics(&session.roles.depth_frames),
-            label_frames: topics(&session.roles.label_frames),
-            odometry: session.roles.odometry.clone(),
-            calibration: topics(&session.roles.calibration),
-            transforms: topics(&session.roles.transforms),
-        },
+        roles: session.roles.to_manifest(),
     }
 }

@@ -12,7 +12,7 @@ use datafusion::physical_plan::empty::EmptyExec;
 use datafusion::physical_plan::sorts::sort::SortExec;
 use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
 use evermap_contract::{Losses, Phase, Registry};
-use evermap_datasets::{Dataset, ImageReader};
+use evermap_datasets::{Dataset, ImageReader, Recordings};
 use evermap_language::Input;
 use evermap_schemas::{Fault, Layer};
 use futures::FutureExt;
@@ -20,6 +20,7 @@ use futures::future::BoxFuture;
 use serde_json::Value;
 
 use crate::error::OrFault;
+use crate::fingerprint::{self, Believe};
 use crate::map::store::Store;
 use crate::nodes::node::{Deal, Duty, Need, ordering};
 use crate::nodes::operator::{Operator, OperatorExec};
@@ -67,9 +68,11 @@ impl<'a> Builder<'a> {
         let context = context_with(limits, batch_rows)?;
         context.register_object_store(store.url(), store.objects());
         let mut opened = Vec::new();
-        for manifest in &unit.logs {
+        for (manifest, log) in unit.logs.iter().zip(&unit.recipe.logs) {
             let runtime = context.runtime_env();
-            opened.push(Dataset::open(&runtime, &[], Some(manifest)).await?);
+            let found = Recordings::find(&runtime, &[], Some(manifest)).await?;
+            let believe = Believe::Content(&log.content);
+            opened.push(fingerprint::open(store, found, believe).await?);
         }
         let (mut logs, mut reader) = (BTreeMap::new(), None);
         if let Some(dataset) = joined(&opened) {
