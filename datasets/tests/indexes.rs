@@ -52,7 +52,7 @@ async fn a_kept_index_is_used_and_the_file_is_not_read_for_it() {
 #[tokio::test]
 async fn losses_of_the_first_reading_are_told_again() {
     let log = Log::default().write();
-    let torn = &log[..log.len() - 700];
+    let torn = &log[..log.len() / 2];
     let index = kept(torn).await;
     let (_, read) = open_with(torn, None).await;
     assert!(read.losses.losses().contains_key(&Reason::Torn));
