@@ -71,7 +71,7 @@ pub enum Severity {
 }
 
 /// One thing that is wrong.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct PlanFault {
     /// Where.
     pub place: Place,
@@ -207,12 +207,6 @@ impl PlanFaults {
             .filter(|fault| fault.severity == Severity::Error)
     }
 
-    /// The faults that do not.
-    pub fn warnings(&self) -> impl Iterator<Item = &PlanFault> {
-        self.iter()
-            .filter(|fault| fault.severity == Severity::Warning)
-    }
-
     /// True when nothing at all was found.
     #[must_use]
     pub fn is_empty(&self) -> bool {
@@ -228,18 +222,8 @@ impl PlanFaults {
     /// Sorts by place and drops repetitions (an alias repeats the faults of its anchor).
     #[must_use]
     pub fn settle(mut self) -> Self {
-        self.kept.sort_by_key(|fault| (fault.place, fault.severity));
-        let mut settled: Vec<PlanFault> = Vec::with_capacity(self.kept.len());
-        for fault in self.kept.drain(..) {
-            let same_place = settled
-                .iter()
-                .rev()
-                .take_while(|earlier| earlier.place == fault.place);
-            if !same_place.into_iter().any(|earlier| *earlier == fault) {
-                settled.push(fault);
-            }
-        }
-        self.kept = settled;
+        self.kept.sort();
+        self.kept.dedup();
         self
     }
 

@@ -7,6 +7,9 @@ use serde_json::{Map, Value};
 use crate::plan::{Body, Plan, Step};
 use crate::yaml::{Kind, plain};
 
+/// Longer texts are broken into lines.
+const WIDEST: usize = 100;
+
 /// What the plan extends, its defaults and the ports that it does not name are in its steps. Its
 /// tests are not shown.
 impl fmt::Display for Plan {
@@ -76,11 +79,12 @@ fn word(text: &str) -> String {
     }
 }
 
-/// A text in lines of its own, or quoted where its spaces and breaks would not stay.
+/// A text in lines of its own, or quoted where its spaces and breaks would not stay. A long line
+/// is broken between words, which reads as one line again.
 fn block(text: &str, indent: usize) -> String {
-    let (lines, head) = match text.strip_suffix('\n') {
-        Some(lines) => (lines, "|"),
-        None => (text, "|-"),
+    let (lines, end) = match text.strip_suffix('\n') {
+        Some(lines) => (lines, ""),
+        None => (text, "-"),
     };
     let starts_well = lines.starts_with(|c: char| !c.is_whitespace());
     let stays = |c: char| c == '\n' || c == ' ' || !(c.is_control() || c.is_whitespace());
@@ -88,5 +92,24 @@ fn block(text: &str, indent: usize) -> String {
         return Value::from(text).to_string();
     }
     let margin = format!("\n{}", " ".repeat(indent));
-    format!("{head}{margin}{}", lines.replace('\n', &margin))
+    let is_long = lines.chars().count() > WIDEST;
+    if is_long && !lines.contains('\n') && !lines.contains("  ") {
+        return format!(">{end}{margin}{}", wrapped(lines).join(&margin));
+    }
+    format!("|{end}{margin}{}", lines.replace('\n', &margin))
+}
+
+/// The words of a text in lines that are not wider than [`WIDEST`], unless a word is.
+fn wrapped(text: &str) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split(' ') {
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= WIDEST => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
 }

@@ -1,7 +1,7 @@
 //! `--set step.param=value`: parameters from the command line, laid over the tree before
 //! anything is checked, so that they are checked like written ones.
 
-use crate::fault::{Place, PlanFaults, Source};
+use crate::fault::{Place, PlanFaults};
 use crate::suggest::quoted;
 use crate::yaml::{self, Entry, Kind, Node};
 
@@ -42,39 +42,13 @@ fn parsed<'s>(
     if text.trim().is_empty() {
         return Some((path, nothing(place)));
     }
-    let source = Source {
-        origin: String::new(),
-        text: text.to_owned(),
-    };
-    let mut within = PlanFaults::default();
-    let value = yaml::read(&source, &mut within);
-    for fault in within.iter() {
-        faults.error(place, format!("its value: {}", fault.message));
-    }
-    let mut value = value.filter(|_| within.is_empty())?;
-    move_to(&mut value, place);
-    Some((path, value))
+    Some((path, yaml::read_from(place, text, faults)?))
 }
 
 fn nothing(place: Place) -> Node {
     Node {
         place,
         kind: Kind::Null,
-    }
-}
-
-/// Places a tree, at most [`yaml::DEEPEST`] deep, at the setting.
-fn move_to(node: &mut Node, place: Place) {
-    node.place = place;
-    match &mut node.kind {
-        Kind::Sequence(items) => items.iter_mut().for_each(|item| move_to(item, place)),
-        Kind::Mapping(entries) => {
-            for entry in entries {
-                entry.place = place;
-                move_to(&mut entry.value, place);
-            }
-        }
-        Kind::Null | Kind::Bool(_) | Kind::Integer(_) | Kind::Float(_) | Kind::Text(_) => {}
     }
 }
 

@@ -276,7 +276,7 @@ proptest! {
     /// Printing loses nothing: whatever texts a plan has, the print reads as the same plan.
     #[test]
     fn a_printed_plan_is_the_same_plan(
-        doc in any::<String>(), query in "[ \\n]{0,2}[a-z:#'\"{|> \\n\t-]{0,40}", camera in any::<String>(),
+        doc in any::<String>(), query in "[ \\n]{0,2}[a-z:#'\"{|> \\n\t-]{0,40}", long in "( ?[a-z:#'-]{1,9}){0,60}", camera in any::<String>(),
         number in any::<f64>(), whole in any::<i64>(),
     ) {
         let text = json!({
@@ -285,8 +285,9 @@ proptest! {
                 "keys": {"op": "keyframes", "with": {"cameras": [camera, whole, null, {"a b": {}}], "baseline_m": 1}},
                 "tiles": {"op": "overhead_tiles", "in": {"patches": "/odom-etry"}, "with": {"zooms": [number]}},
                 "query": {"sql": format!("SELECT {query}")},
+                "more": {"sql": format!("SELECT {long}")},
             },
-            "write": ["keys", "tiles", "query"],
+            "write": ["keys", "tiles", "query", "more"],
         });
         let Ok(plan) = read(&text.to_string(), &[]) else {
             return Err(TestCaseError::reject("not YAML"));

@@ -13,7 +13,7 @@ mod tree;
 
 pub(crate) use decode::{Fields, json_object, merge};
 pub(crate) use scalar::plain;
-pub(crate) use tree::read;
+pub(crate) use tree::{read, read_from};
 
 use crate::fault::Place;
 

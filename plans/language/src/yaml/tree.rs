@@ -8,23 +8,29 @@ use super::{DEEPEST, Entry, Kind, LONGEST_TEXT, MOST_NODES, Node, scalar};
 use crate::fault::{Place, PlanFaults, Position, Source};
 use crate::suggest::quoted;
 
-/// Reads the one YAML document in a text. `None` means it has no tree; the faults say why.
+/// Reads the one YAML document in a text, which faults can point to from now on. `None` means it
+/// has no tree; the faults say why.
 ///
 /// Syntax faults, duplicate keys, and what is beyond the limits of [`crate::yaml`] are
 /// recorded. After a syntax fault there is no tree: what follows it would be guesswork.
 pub(crate) fn read(source: &Source, faults: &mut PlanFaults) -> Option<Node> {
     let number = faults.open(source.clone());
     let start = Place::Text(Position::start_of(number));
-    if source.text.len() > LONGEST_TEXT {
-        let (length, most) = (source.text.len(), LONGEST_TEXT);
+    read_from(start, &source.text, faults)
+}
+
+/// Reads a text that starts at a place. All of a text in a setting is at the setting.
+pub(crate) fn read_from(start: Place, text: &str, faults: &mut PlanFaults) -> Option<Node> {
+    if text.len() > LONGEST_TEXT {
+        let (length, most) = (text.len(), LONGEST_TEXT);
         faults.error(
             start,
             format!("the text has {length} bytes; at most {most} are read"),
         );
         return None;
     }
-    let mut builder = Builder::new(number, faults);
-    let mut parser = Parser::new_from_str(&source.text);
+    let mut builder = Builder::new(start, faults);
+    let mut parser = Parser::new_from_str(text);
     while let Some(event) = parser.next_event() {
         let step = match event {
             Ok((event, span)) => builder.event(event, span),
@@ -90,7 +96,7 @@ struct Open {
 }
 
 struct Builder<'f> {
-    source: usize,
+    start: Place,
     faults: &'f mut PlanFaults,
     open: Vec<Open>,
     anchors: BTreeMap<usize, Finished>,
@@ -100,9 +106,9 @@ struct Builder<'f> {
 }
 
 impl<'f> Builder<'f> {
-    fn new(source: usize, faults: &'f mut PlanFaults) -> Self {
+    fn new(start: Place, faults: &'f mut PlanFaults) -> Self {
         Self {
-            source,
+            start,
             faults,
             open: Vec::new(),
             anchors: BTreeMap::new(),
@@ -113,11 +119,14 @@ impl<'f> Builder<'f> {
     }
 
     fn place(&self, marker: Marker) -> Place {
-        Place::Text(Position {
-            source: self.source,
-            line: marker.line().max(1),
-            column: marker.col() + 1,
-        })
+        match self.start {
+            Place::Text(start) => Place::Text(Position {
+                source: start.source,
+                line: marker.line().max(1),
+                column: marker.col() + 1,
+            }),
+            setting @ Place::Setting(_) => setting,
+        }
     }
 
     fn event(&mut self, event: Event<'_>, span: Span) -> Result<(), Stop> {
