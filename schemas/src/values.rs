@@ -9,7 +9,19 @@ use crate::cell::expect;
 use crate::{Cell, Fault, record};
 
 /// Nanoseconds since the epoch, UTC.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    serde::Serialize,
+    serde::Deserialize,
+)]
 pub struct Stamp(pub i64);
 
 impl Cell for Stamp {

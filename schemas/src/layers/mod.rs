@@ -30,7 +30,7 @@ record! {
 }
 
 /// Sources of one row while they are gathered: what comes out depends neither on order nor on grouping.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Sources(BTreeMap<String, (Stamp, Stamp)>);
 
 impl Sources {

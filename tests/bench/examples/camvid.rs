@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use evermap_algorithms::learning::dense_crf::{
-    ColourView, ITERATIONS, Kernels, RandomField, Unary,
+    ColourView, Kernels, MeanField, RandomField, Unary,
 };
 use evermap_algorithms::learning::pixel_classifier::PixelClassifier;
 use evermap_algorithms::learning::pixel_features::{
@@ -92,7 +92,7 @@ fn arguments() -> Result<Arguments, Failure> {
             "--no-mirror" => parsed.sampling.mirror = false,
             "--stride" => parsed.stride = value()?.parse()?,
             "--blocks" => parsed.blocks = value()?.parse()?,
-            "--samples" => parsed.sampling.count = value()?.parse()?,
+            "--samples" => parsed.sampling.samples = value()?.parse()?,
             "--sample-balance" => parsed.sampling.balance = value()?.parse()?,
             "--trees" => parsed.forest.trees = value()?.parse()?,
             "--tried" => parsed.forest.tried_features = value()?.parse()?,
@@ -326,7 +326,12 @@ fn by_field(frame: &Frame, probabilities: &[f32], weight: f64) -> Vec<u8> {
     };
     let unary = Unary::from_probabilities(CLASSES.len(), probabilities).unwrap();
     let field = RandomField::new(&frame.image(), &kernels, false).unwrap();
-    likeliest(&field.infer(&unary, ITERATIONS).unwrap().probabilities)
+    likeliest(
+        &field
+            .infer(&unary, MeanField::default().iterations)
+            .unwrap()
+            .probabilities,
+    )
 }
 
 /// The prior power and weight of the kernels that do best on training frames scored by trees that have not seen them.

@@ -2,10 +2,12 @@
 //!
 //! | module | what it knows |
 //! |---|---|
+//! | [`patch`] | what one image shows of the ground |
 //! | [`projection`] | images projected to cells of the ground plane |
 //! | [`road_network`] | lanes and intersections from driven positions |
 //! | [`tiles`] | tile addressing and exact integer sums |
 
+pub mod patch;
 pub mod projection;
 pub mod road_network;
 pub mod tiles;

@@ -103,3 +103,38 @@ impl<'a> ScoresView<'a> {
         Some(row * self.columns() + column)
     }
 }
+
+/// Labels as probabilities, a byte for each pixel and class: that of a pixel's label is `confidence`, every other one an
+/// equal part of the rest. A label that is no class may be any.
+pub fn of_labels(labels: &[u8], classes: usize, confidence: f64) -> Vec<u8> {
+    let unit = |probability: f64| (255.0 * probability).round() as u8;
+    let right = unit(confidence);
+    let wrong = unit((1.0 - confidence) / (classes.max(2) - 1) as f64);
+    let unknown = unit(1.0 / classes as f64);
+    let mut probabilities = Vec::with_capacity(classes * labels.len());
+    for label in labels {
+        let label = usize::from(*label);
+        let others = if label < classes { wrong } else { unknown };
+        probabilities.resize(probabilities.len() + classes, others);
+        if label < classes {
+            let at = probabilities.len() - classes + label;
+            probabilities[at] = right;
+        }
+    }
+    probabilities
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_label_is_as_probable_as_it_is_trusted() {
+        assert_eq!(
+            of_labels(&[0, 2, 255], 3, 0.8),
+            [204, 25, 25, 25, 25, 204, 85, 85, 85]
+        );
+        assert_eq!(of_labels(&[0, 1], 1, 0.5), [128, 255]);
+        assert!(of_labels(&[0, 1], 0, 0.5).is_empty());
+    }
+}

@@ -1,49 +1,85 @@
 //! The table: what the lens does to the ground beside the vehicle, evaluated once.
 
-use crate::geometry::camera::Camera;
-use crate::geometry::pose::Pose;
+use std::f64::consts::FRAC_PI_2;
+
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::geometry::camera::{Camera, Model};
+use crate::geometry::pose::Pose;
 
 /// A table larger than this (nodes) is a mistake in the parameters.
 const MAX_NODES: f64 = 64e6;
 
-/// How ground is looked at; lengths in metres.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// How images are laid on the ground.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct GroundParams {
-    /// Ground farther than this from the camera's foot is not used.
+    /// Side of a cell of the map, and the distance between the table's nodes (m). A painted line is 0.1 m wide: two
+    /// cells of the default.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub cell_m: f64,
+    /// Ground farther than this from the camera's foot is not used (m). A 1280 px fisheye has 407 px per radian; 1 m
+    /// above the ground and 8 m away a pixel is 0.16 m deep, more than a painted line.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub reach_m: f64,
-    /// Distance between the table's nodes; the map's cell size is a good choice.
-    pub node_m: f64,
-    /// Looks flatter than this cosine of the angle to the ground's normal are not used; 0 uses
-    /// all within reach.
+    /// Looks flatter than this cosine of the angle ψ to the ground's normal are not used; 0 uses all within reach. The
+    /// default is 85.4°, where one degree of pitch moves the ground by 15 %.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub min_cos: f64,
-    /// p in weight = 255 (cos ψ)^p.
+    /// p in weight = 255 (cos ψ)^p. Between foreshortening (1) and pixels per area (3), which leaves too little of what
+    /// is only seen from afar.
+    #[schemars(range(min = 0.0, max = 64.0))]
     pub weight_power: f64,
+    /// Rays farther than this from a camera's axis are not used (rad): the nominal 180° of a fisheye, whose image circle
+    /// ends soon after. Panoramas ignore it, as their axis is just the direction that they call forward.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub max_angle_rad: f64,
 }
 
 impl Default for GroundParams {
     fn default() -> Self {
         Self {
+            cell_m: 0.05,
             reach_m: 8.0,
-            node_m: 0.05,
             min_cos: 0.08,
             weight_power: 2.0,
+            max_angle_rad: FRAC_PI_2,
         }
+    }
+}
+
+impl GroundParams {
+    /// Whether a table of these lengths can be made.
+    ///
+    /// # Errors
+    /// [`GroundParamsError::Nodes`].
+    pub fn check(&self) -> Result<(), GroundParamsError> {
+        let Self {
+            reach_m, cell_m, ..
+        } = *self;
+        let side = 2.0 * reach_m / cell_m + 2.0;
+        if cell_m > 0.0 && reach_m > cell_m && side * side <= MAX_NODES {
+            return Ok(());
+        }
+        Err(GroundParamsError::Nodes { reach_m, cell_m })
     }
 }
 
 /// Parameters that give no table.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum GroundParamsError {
-    /// A length or exponent is out of range.
+    /// The table has too many nodes, or none.
     #[error(
-        "expected reach_m > node_m > 0, 0 <= min_cos < 1 and weight_power >= 0 with at most 64 \
-         million nodes, found {found:?}"
+        "expected `reach_m` above `cell_m`, and less than 4000 times as much, found {reach_m} m with cells of {cell_m} m"
     )]
-    Range {
-        /// The parameters given.
-        found: GroundParams,
+    Nodes {
+        /// The reach given, metres.
+        reach_m: f64,
+        /// The side of a cell given, metres.
+        cell_m: f64,
     },
     /// The camera is in or below the ground.
     #[error("expected a camera above the vehicle's ground plane z = 0, found it at z = {z_m} m")]
@@ -105,30 +141,31 @@ impl GroundLut {
         params: &GroundParams,
         mask: Option<PixelMask<'_>>,
     ) -> Result<Self, GroundParamsError> {
-        check(camera, vehicle_from_camera, params, mask)?;
+        params.check()?;
+        check(camera, vehicle_from_camera, mask)?;
         let view = GroundCamera {
-            camera,
+            camera: &within(camera, params.max_angle_rad),
             camera_from_vehicle: vehicle_from_camera.inverse(),
             eye: vehicle_from_camera.translation,
             params,
             mask,
         };
-        let low = |x: f64| ((x - params.reach_m) / params.node_m).floor() as i64;
+        let low = |x: f64| ((x - params.reach_m) / params.cell_m).floor() as i64;
         let first = [low(view.eye.x), low(view.eye.y)];
-        let side = (2.0 * params.reach_m / params.node_m).ceil() as usize + 2;
+        let side = (2.0 * params.reach_m / params.cell_m).ceil() as usize + 2;
         let nodes: Vec<Node> = (0..side * side)
             .into_par_iter()
             .map(|at| {
                 let (column, row) = (at % side, at / side);
-                let x = (first[0] + column as i64) as f64 * params.node_m;
-                let y = (first[1] + row as i64) as f64 * params.node_m;
+                let x = (first[0] + column as i64) as f64 * params.cell_m;
+                let y = (first[1] + row as i64) as f64 * params.cell_m;
                 view.look(x, y).unwrap_or(UNSEEN)
             })
             .collect();
         let whole = Self {
             width: camera.width,
             height: camera.height,
-            node_m: params.node_m,
+            node_m: params.cell_m,
             height_m: view.eye.z,
             first,
             columns: side,
@@ -209,27 +246,19 @@ impl GroundLut {
     }
 }
 
+/// The camera without what it shows too far from its axis.
+fn within(camera: &Camera, max_angle_rad: f64) -> Camera {
+    match camera.model {
+        Model::Equirectangular(_) => camera.clone(),
+        _ => camera.clone().with_max_angle(max_angle_rad),
+    }
+}
+
 fn check(
     camera: &Camera,
     vehicle_from_camera: &Pose,
-    params: &GroundParams,
     mask: Option<PixelMask<'_>>,
 ) -> Result<(), GroundParamsError> {
-    let GroundParams {
-        reach_m,
-        node_m,
-        min_cos,
-        weight_power,
-    } = *params;
-    let side = 2.0 * reach_m / node_m + 2.0;
-    let sound = node_m > 0.0
-        && reach_m > node_m
-        && side * side <= MAX_NODES
-        && (0.0..1.0).contains(&min_cos)
-        && (0.0..=64.0).contains(&weight_power);
-    if !sound {
-        return Err(GroundParamsError::Range { found: *params });
-    }
     let eye = vehicle_from_camera.translation;
     let far_off = !(eye.x.abs() < 1e6 && eye.y.abs() < 1e6 && eye.z < 1e6);
     if far_off || eye.z <= 0.0 {

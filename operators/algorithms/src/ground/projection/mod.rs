@@ -33,6 +33,7 @@
 //! sums are exact.
 
 mod lut;
+mod patch;
 mod splat;
 #[cfg(test)]
 mod tests;

@@ -143,6 +143,30 @@ fn what_is_not_seen_weighs_nothing() {
 }
 
 #[test]
+fn a_patch_holds_just_the_cells_that_are_seen() {
+    let (camera, vehicle_from_camera) = rig();
+    let params = GroundParams::default();
+    let pixels = picture(&camera);
+    let image = GrayView::new(400, 300, &pixels).unwrap();
+    let lut = GroundLut::new(&camera, &vehicle_from_camera, &params, None).unwrap();
+    let pose = Pose::from_yaw(-2.0, 1.0, 0.7);
+    let seen = cells(&lut, &image, &pose, 0.1);
+    let patch = lut.patch(&image, &pose, 0.1).unwrap();
+    assert!(patch.is_sound());
+    let looks = patch.values.iter().zip(&patch.weights).enumerate();
+    let shown: BTreeMap<_, _> = looks
+        .filter(|(_, (_, weight))| **weight > 0)
+        .map(|(at, (value, weight))| {
+            let (i, j) = ((at % patch.width) as i64, (at / patch.width) as i64);
+            ((patch.column + i, patch.row + j), (*value, *weight))
+        })
+        .collect();
+    assert_eq!(shown, seen);
+    let nowhere = Pose::new(Vector3::repeat(f64::NAN), UnitQuaternion::identity());
+    assert_eq!(lut.patch(&image, &nowhere, 0.1), None);
+}
+
+#[test]
 fn senseless_input_is_refused_or_gives_nothing() {
     let (camera, vehicle_from_camera) = rig();
     let params = GroundParams::default();
@@ -154,7 +178,7 @@ fn senseless_input_is_refused_or_gives_nothing() {
         build(
             &vehicle_from_camera,
             &GroundParams {
-                node_m: 0.0,
+                cell_m: 0.0,
                 ..params
             },
             None
@@ -196,9 +220,9 @@ fn nanoseconds_per_cell() {
     let (camera, vehicle_from_camera) = rig();
     let pixels = picture(&camera);
     let image = GrayView::new(400, 300, &pixels).unwrap();
-    for node_m in [0.05, 0.1] {
+    for cell_m in [0.05, 0.1] {
         let params = GroundParams {
-            node_m,
+            cell_m,
             ..GroundParams::default()
         };
         let lut = GroundLut::new(&camera, &vehicle_from_camera, &params, None).unwrap();
@@ -213,6 +237,6 @@ fn nanoseconds_per_cell() {
             });
             best = best.min(start.elapsed().as_nanos() as f64 / visited as f64);
         }
-        eprintln!("nodes every {node_m} m: {visited} cells, {best:.2} ns each, checksum {sum}");
+        eprintln!("nodes every {cell_m} m: {visited} cells, {best:.2} ns each, checksum {sum}");
     }
 }

@@ -19,11 +19,8 @@
 //!
 //! *Defaults.* `connect_m` = 2 m: half of the narrowest pair of opposite lanes (2 × 2.5 m apart
 //! in car parks, more on roads), more than the lateral scatter of repeated passes (paper 1 and our
-//! car park: ± 0.5 m) plus pose errors. `spacing_m` = `connect_m` / 4 follows any bend a vehicle
-//! can drive within centimetres. `min_loop_m` = 6 `connect_m` is half of the tightest circle a car
-//! can drive. `min_link_m` = 2 `connect_m`: lanes that cross at 45° or more share less than that.
-//! Pruning goes on until no clique is left, which takes a few rounds; the paper's P is a
-//! parameter.
+//! car park: ± 0.5 m) plus pose errors. Lanes that cross at 45° or more share less than
+//! 2 `connect_m`, and bends are followed within centimetres at a spacing of `connect_m` / 4.
 
 mod attribution;
 mod cells;
@@ -35,6 +32,9 @@ mod prune;
 #[cfg(test)]
 mod tests;
 mod thinning;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use explore::Chain;
 use graph::Graph;
@@ -56,52 +56,82 @@ pub struct Drive<'a> {
     pub positions: &'a [[f64; 3]],
 }
 
-/// Parameters; lengths in metres.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// How passes become lanes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct RoadNetworkParams {
-    /// d: passes nearer than this are the same lane.
+    /// d: passes nearer than this are the same lane (m). Half of the narrowest pair of opposite lanes, and more than the
+    /// scatter of repeated passes.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub connect_m: f64,
-    /// P: rounds of pruning; `None` goes on until no clique is left.
+    /// P: rounds of pruning; null goes on until nothing is left to prune, which takes a few.
     pub prune_loops: Option<u32>,
-    /// Distance between representative poses; 0 takes every pose, as the paper does.
-    pub spacing_m: f64,
-    /// Loops shorter than this around are artefacts (only when thinning).
-    pub min_loop_m: f64,
-    /// Lanes shorter than this between two intersections, or between one and a dead end, are part
-    /// of the intersection (only when thinning).
-    pub min_link_m: f64,
-}
-
-impl RoadNetworkParams {
-    /// Defaults for a connecting distance.
-    pub fn with_connect_m(connect_m: f64) -> Self {
-        Self {
-            connect_m,
-            prune_loops: None,
-            spacing_m: 0.25 * connect_m,
-            min_loop_m: 6.0 * connect_m,
-            min_link_m: 2.0 * connect_m,
-        }
-    }
+    /// Distance between representative poses, at most `connect_m` (m); null is `connect_m` / 4, which follows any bend
+    /// that a vehicle can drive. 0 takes every pose, as the paper does; that is exponential in the number of passes.
+    #[schemars(range(min = 0.0))]
+    pub spacing_m: Option<f64>,
+    /// Loops shorter than this around are artefacts (m); null is 6 `connect_m`, half of the tightest circle of a car.
+    /// Only when thinning.
+    #[schemars(range(min = 0.0))]
+    pub min_loop_m: Option<f64>,
+    /// Shorter lanes between two intersections, or between one and a dead end, are part of the intersection (m); null is
+    /// 2 `connect_m`. Only when thinning.
+    #[schemars(range(min = 0.0))]
+    pub min_link_m: Option<f64>,
 }
 
 impl Default for RoadNetworkParams {
     fn default() -> Self {
-        Self::with_connect_m(2.0)
+        Self {
+            connect_m: 2.0,
+            prune_loops: None,
+            spacing_m: None,
+            min_loop_m: None,
+            min_link_m: None,
+        }
+    }
+}
+
+impl RoadNetworkParams {
+    /// Whether the lengths make sense together.
+    ///
+    /// # Errors
+    /// [`RoadNetworkError::Lengths`].
+    pub fn check(&self) -> Result<(), RoadNetworkError> {
+        let connect_m = self.connect_m;
+        let sound = connect_m > 0.0 && connect_m.is_finite();
+        if sound && (0.0..=connect_m).contains(&self.spacing_m()) {
+            return Ok(());
+        }
+        Err(RoadNetworkError::Lengths {
+            connect_m,
+            spacing_m: self.spacing_m(),
+        })
+    }
+
+    fn spacing_m(&self) -> f64 {
+        self.spacing_m.unwrap_or(0.25 * self.connect_m)
+    }
+
+    fn min_loop_m(&self) -> f64 {
+        self.min_loop_m.unwrap_or(6.0 * self.connect_m)
+    }
+
+    fn min_link_m(&self) -> f64 {
+        self.min_link_m.unwrap_or(2.0 * self.connect_m)
     }
 }
 
 /// Input that gives no road network.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RoadNetworkError {
-    /// A length is out of range.
-    #[error(
-        "expected connect_m > 0 and the other lengths at least 0, all finite, with spacing_m at \
-         most connect_m; found {found:?}"
-    )]
-    Params {
-        /// The parameters given.
-        found: RoadNetworkParams,
+    /// Lengths that make no sense together.
+    #[error("expected `spacing_m` from 0 to `connect_m`, found {spacing_m} m and {connect_m} m")]
+    Lengths {
+        /// The connecting distance given, metres.
+        connect_m: f64,
+        /// The spacing given or derived, metres.
+        spacing_m: f64,
     },
     /// More poses than node numbers.
     #[error("expected at most {} poses in one site, found {found}", u32::MAX)]
@@ -208,8 +238,8 @@ pub fn road_network(
     check(drives, params)?;
     let mut sorted = drives.to_vec();
     sorted.sort_by(|a, b| a.key.cmp(b.key));
-    let (mut graph, visited) = if params.spacing_m > 0.0 {
-        let visits = thinning::thinned(&sorted, params.spacing_m, params.connect_m);
+    let (mut graph, visited) = if params.spacing_m() > 0.0 {
+        let visits = thinning::thinned(&sorted, params.spacing_m(), params.connect_m);
         graph::connect(visits, params.connect_m, MOST_FOLLOWERS)
     } else {
         graph::connect(thinning::literal(&sorted), params.connect_m, usize::MAX)
@@ -236,21 +266,7 @@ pub fn road_network(
 }
 
 fn check(drives: &[Drive<'_>], params: &RoadNetworkParams) -> Result<(), RoadNetworkError> {
-    let RoadNetworkParams {
-        connect_m,
-        spacing_m,
-        min_loop_m,
-        min_link_m,
-        ..
-    } = *params;
-    let sound = connect_m > 0.0
-        && connect_m.is_finite()
-        && (0.0..=connect_m).contains(&spacing_m)
-        && (0.0..f64::INFINITY).contains(&min_loop_m)
-        && (0.0..f64::INFINITY).contains(&min_link_m);
-    if !sound {
-        return Err(RoadNetworkError::Params { found: *params });
-    }
+    params.check()?;
     let found = drives.iter().map(|drive| drive.positions.len()).sum();
     // Thinning fills steps with at most 128 samples each, but merges more than it adds.
     if found > u32::MAX as usize / 128 {
@@ -264,16 +280,16 @@ fn prune(graph: &mut Graph, params: &RoadNetworkParams) {
     let rounds = params.prune_loops.unwrap_or(u32::MAX);
     let rule = Rule {
         connect_m: params.connect_m,
-        drops_dead_ends: params.spacing_m == 0.0,
+        drops_dead_ends: params.spacing_m() == 0.0,
     };
     prune::prune_cliques(graph, rounds, rule);
-    if params.spacing_m == 0.0 || rounds == 0 {
+    if params.spacing_m() == 0.0 || rounds == 0 {
         return;
     }
     for _ in 0..MOST_CLEANUPS {
-        let ladders = prune::prune_ladders(graph, params.min_loop_m, rule);
-        let links = prune::prune_links(graph, params.min_link_m, rule);
-        let stubs = prune::prune_stubs(graph, params.min_link_m);
+        let ladders = prune::prune_ladders(graph, params.min_loop_m(), rule);
+        let links = prune::prune_links(graph, params.min_link_m(), rule);
+        let stubs = prune::prune_stubs(graph, params.min_link_m());
         if !ladders && !links && !stubs {
             return;
         }

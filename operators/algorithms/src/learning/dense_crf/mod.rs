@@ -33,26 +33,32 @@ pub use mean_field::RandomField;
 pub use search::{Confusion, Example, SearchOptions, Trial, search};
 pub use unary::Unary;
 
-use crate::learning::permutohedral::LatticeError;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
-/// Rounds after which mean field has settled (paper, figure 3: the divergence hardly falls after ten).
-pub const ITERATIONS: u32 = 10;
+use crate::learning::permutohedral::LatticeError;
 
 /// The most classes: labels are bytes, and 255 is no label.
 pub const MOST_CLASSES: usize = 255;
 
 /// How pixels are joined. The default is what the reference implementation's example has.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct Kernels {
     /// Standard deviation of the appearance kernel in the image (px).
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub appearance_px: f64,
     /// Standard deviation of the appearance kernel in each colour channel (8-bit values).
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub appearance_colour: f64,
     /// Weight of the appearance kernel; 0 leaves it out.
+    #[schemars(range(min = 0.0))]
     pub appearance_weight: f64,
     /// Standard deviation of the smoothness kernel in the image (px).
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub smoothness_px: f64,
     /// Weight of the smoothness kernel; 0 leaves it out.
+    #[schemars(range(min = 0.0))]
     pub smoothness_weight: f64,
 }
 
@@ -68,14 +74,38 @@ impl Default for Kernels {
     }
 }
 
+/// How labels are found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct MeanField {
+    /// Rounds of mean field. Paper, figure 3: the divergence hardly falls after ten.
+    #[schemars(range(max = 1000))]
+    pub iterations: u32,
+    /// Whether the last column of an image is next to its first one, as in a full panorama. The deviation along the rows is
+    /// then rounded, so that the panorama is a whole number of lattice cells wide: 84 for 80 px at a width of 1024.
+    pub wraps: bool,
+}
+
+impl Default for MeanField {
+    fn default() -> Self {
+        Self {
+            iterations: 10,
+            wraps: false,
+        }
+    }
+}
+
 /// Why there is no random field, or no labelling by it.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum CrfError {
-    /// A kernel's parameter is not a number that can be worked with.
-    #[error("{parameter}: expected {expected}, found {found}")]
-    Kernel {
-        /// Name of the parameter.
-        parameter: &'static str,
+    /// Kernels that cannot be worked with.
+    #[error("expected deviations above 0 and weights of 0 or above, found {0:?}")]
+    Kernels(Kernels),
+    /// A number that cannot be worked with.
+    #[error("{what}: expected {expected}, found {found}")]
+    Number {
+        /// What the number is.
+        what: &'static str,
         /// What it should be.
         expected: &'static str,
         /// What it is.
@@ -101,41 +131,19 @@ pub enum CrfError {
 }
 
 impl Kernels {
-    /// Checks all parameters.
-    ///
-    /// # Errors
-    /// [`CrfError::Kernel`] for the first that cannot be used.
-    pub fn check(&self) -> Result<(), CrfError> {
+    /// Kernels may be data: learnt ones come from a table.
+    fn check(&self) -> Result<(), CrfError> {
         let deviations = [
-            ("appearance_px", self.appearance_px),
-            ("appearance_colour", self.appearance_colour),
-            ("smoothness_px", self.smoothness_px),
+            self.appearance_px,
+            self.appearance_colour,
+            self.smoothness_px,
         ];
-        for (parameter, found) in deviations {
-            if !(found > 0.0 && found.is_finite()) {
-                let expected = "a standard deviation above 0";
-                return Err(CrfError::Kernel {
-                    parameter,
-                    expected,
-                    found,
-                });
-            }
-        }
-        let weights = [
-            ("appearance_weight", self.appearance_weight),
-            ("smoothness_weight", self.smoothness_weight),
-        ];
-        for (parameter, found) in weights {
-            if !(found >= 0.0 && found.is_finite()) {
-                let expected = "a weight of 0 or above";
-                return Err(CrfError::Kernel {
-                    parameter,
-                    expected,
-                    found,
-                });
-            }
-        }
-        Ok(())
+        let weights = [self.appearance_weight, self.smoothness_weight];
+        let sound = deviations.iter().all(|px| *px > 0.0 && px.is_finite())
+            && weights
+                .iter()
+                .all(|weight| *weight >= 0.0 && weight.is_finite());
+        sound.then_some(()).ok_or(CrfError::Kernels(*self))
     }
 }
 

@@ -4,8 +4,10 @@ use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 
 use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
-use super::{ColourView, CrfError, ITERATIONS, Kernels, RandomField, Unary};
+use super::{ColourView, CrfError, Kernels, MeanField, RandomField, Unary};
 
 /// An image whose classes are known, with costs from a classifier that has not learnt from it.
 #[derive(Debug, Clone)]
@@ -19,26 +21,27 @@ pub struct Example<'a> {
 }
 
 /// How kernels are searched.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct SearchOptions {
+    /// The most kernels that are tried; a round that has begun is finished. By default each of the five parameters is
+    /// tried on both sides a few times.
+    #[schemars(range(min = 1))]
+    pub trials: u32,
+    /// How images are labelled.
+    #[serde(flatten)]
+    pub mean_field: MeanField,
     /// Where the search begins.
+    #[serde(skip)]
     pub start: Kernels,
-    /// Rounds of mean field.
-    pub iterations: u32,
-    /// Whether the images' last columns are next to their first ones.
-    pub wraps: bool,
-    /// The most kernels that are tried.
-    pub trials: usize,
 }
 
 impl Default for SearchOptions {
-    /// Five parameters, each tried on both sides a few times.
     fn default() -> Self {
         Self {
-            start: Kernels::default(),
-            iterations: ITERATIONS,
-            wraps: false,
             trials: 60,
+            mean_field: MeanField::default(),
+            start: Kernels::default(),
         }
     }
 }
@@ -123,14 +126,13 @@ type Steps = [i32; 5];
 /// # Errors
 /// [`CrfError`] for kernels that cannot be used, and examples whose image, costs and truth do not have the same pixels.
 pub fn search(examples: &[Example<'_>], options: &SearchOptions) -> Result<Vec<Trial>, CrfError> {
-    options.start.check()?;
     let mut tried: BTreeMap<Steps, Trial> = BTreeMap::new();
     let mut here = [0; 5];
     tried.insert(here, trial(examples, options, here)?);
     for step in [2, 1] {
         let mut still = 0;
         for parameter in (0..here.len()).cycle() {
-            if still == here.len() || tried.len() >= options.trials {
+            if still == here.len() || tried.len() >= options.trials as usize {
                 break;
             }
             let mut best = here;
@@ -198,9 +200,10 @@ fn evaluate(
     options: &SearchOptions,
     classes: usize,
 ) -> Result<Confusion, CrfError> {
-    let field = RandomField::new(&example.image, kernels, options.wraps)?;
+    let MeanField { iterations, wraps } = options.mean_field;
+    let field = RandomField::new(&example.image, kernels, wraps)?;
     field.fits(field.pixels(), example.truth.len())?;
-    let found = field.infer(&example.unary, options.iterations)?.labels();
+    let found = field.infer(&example.unary, iterations)?.labels();
     let mut confusion = Confusion::new(classes);
     confusion.add(example.truth, &found);
     Ok(confusion)
@@ -255,7 +258,7 @@ mod tests {
         let first = trials.iter().find(|trial| trial.kernels == start).unwrap();
         assert!(first.confusion.score() < 0.7, "{}", first.confusion.score());
         assert!(trials[0].confusion.score() > 0.95, "{:?}", trials[0]);
-        assert!(trials.len() <= options.trials + 1);
+        assert!(trials.len() <= options.trials as usize + 1);
         assert!(trials.is_sorted_by(|a, b| a.confusion.score() >= b.confusion.score()));
     }
 }

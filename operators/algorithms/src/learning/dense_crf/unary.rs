@@ -31,8 +31,8 @@ impl Unary {
             });
         }
         match costs.iter().find(|cost| !cost.is_finite()) {
-            Some(&found) => Err(CrfError::Kernel {
-                parameter: "unary",
+            Some(&found) => Err(CrfError::Number {
+                what: "unary",
                 expected: "finite costs",
                 found: f64::from(found),
             }),
@@ -58,8 +58,8 @@ impl Unary {
     /// [`CrfError`] for no or too many classes, or another confidence.
     pub fn from_labels(classes: usize, labels: &[u8], confidence: f64) -> Result<Self, CrfError> {
         if !(confidence > 0.0 && confidence < 1.0) {
-            return Err(CrfError::Kernel {
-                parameter: "confidence",
+            return Err(CrfError::Number {
+                what: "confidence",
                 expected: "a probability between 0 and 1",
                 found: confidence,
             });

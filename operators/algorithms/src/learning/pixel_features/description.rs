@@ -1,11 +1,13 @@
 //! Which features there are: what a model must carry, so that predictions see what training saw.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{CHANNELS, sift};
 
-/// A square of pixels beside the pixel that is described.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+/// A square of pixels beside the pixel that is described; written as `[du, dv, half]`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(from = "(i32, i32, u32)", into = "(i32, i32, u32)")]
 pub struct Window {
     /// Columns from the pixel to the window's centre.
     pub du: i32,
@@ -15,16 +17,30 @@ pub struct Window {
     pub half: u32,
 }
 
+impl From<(i32, i32, u32)> for Window {
+    fn from((du, dv, half): (i32, i32, u32)) -> Self {
+        Self { du, dv, half }
+    }
+}
+
+impl From<Window> for (i32, i32, u32) {
+    fn from(Window { du, dv, half }: Window) -> Self {
+        (du, dv, half)
+    }
+}
+
 /// Which features a pixel has, in this order: SIFT at each bin size (128 values each), eight means of each window (L*,
 /// a*, b*, red and green chromaticity, gradients along both axes, deviation of L*), the row, and, unless the image wraps, the column.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct FeatureDescription {
-    /// Side of a SIFT bin, px, once per scale; a descriptor has 4 × 4 bins.
+    /// Side of a SIFT bin (px), once per scale, 1 to 32; a descriptor has 4 × 4 bins.
+    #[schemars(inner(range(min = 1, max = 32)))]
     pub sift_bins_px: Vec<u32>,
-    /// Where colour and texture are averaged.
-    pub windows: Vec<Window>,
-    /// The last column is next to the first: full panoramas.
+    /// Where colour and texture are averaged: columns away, rows away, and h of a window that is 2 h + 1 wide (px). By
+    /// default 4 about the pixel, 24 around it.
+    pub windows_px: Vec<Window>,
+    /// The last column is next to the first: full panoramas. The column is then no feature.
     pub wraps: bool,
 }
 
@@ -52,11 +68,11 @@ pub enum FeatureError {
 impl Default for FeatureDescription {
     /// What paid for itself on street scenes of 480 × 360.
     fn default() -> Self {
-        let mut windows = centred(&[0, 2, 6, 16]);
-        windows.extend(rings(&[(14, 4), (36, 9), (80, 18)]));
+        let mut windows_px = centred(&[0, 2, 6, 16]);
+        windows_px.extend(rings(&[(14, 4), (36, 9), (80, 18)]));
         Self {
             sift_bins_px: vec![4, 8],
-            windows,
+            windows_px,
             wraps: false,
         }
     }
@@ -66,7 +82,7 @@ impl FeatureDescription {
     /// Number of values of a pixel.
     pub fn dimensions(&self) -> usize {
         self.sift_bins_px.len() * sift::DIMENSIONS
-            + self.windows.len() * CHANNELS
+            + self.windows_px.len() * CHANNELS
             + if self.wraps { 1 } else { 2 }
     }
 
@@ -87,7 +103,7 @@ impl FeatureDescription {
                 (1..=32).contains(bin),
             )?;
         }
-        for window in &self.windows {
+        for window in &self.windows_px {
             range(
                 "windows of at most 120 px to each side",
                 window.half.into(),
@@ -100,7 +116,7 @@ impl FeatureDescription {
                 furthest <= 65_535,
             )?;
         }
-        let most = self.sift_bins_px.len().max(self.windows.len());
+        let most = self.sift_bins_px.len().max(self.windows_px.len());
         range(
             "at most 1000 windows and scales each",
             most as u64,

@@ -79,7 +79,7 @@ impl PixelFeatures {
             sift.write(u, v, part);
             rest = after;
         }
-        for window in &self.description.windows {
+        for window in &self.description.windows_px {
             let Some((part, after)) = rest.split_at_mut_checked(CHANNELS) else {
                 return;
             };

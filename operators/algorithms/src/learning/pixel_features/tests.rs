@@ -67,7 +67,7 @@ fn a_flat_image_has_its_colour_and_no_texture() {
     assert!(found[..sift].iter().all(|value| *value == 0));
     for window in found[sift..]
         .chunks_exact(CHANNELS)
-        .take(what.windows.len())
+        .take(what.windows_px.len())
     {
         // L* of grey 200 is 80.6 of 100; a*, b* are in the middle; a third of the light each.
         assert_eq!(window, [206, 128, 128, 170, 170, 0, 0, 0]);
@@ -84,7 +84,7 @@ fn descriptors_keep_their_values_in_other_light() {
     let bright: Vec<u8> = dim.iter().map(|value| value + 90).collect();
     let what = FeatureDescription {
         sift_bins_px: vec![4],
-        windows: Vec::new(),
+        windows_px: Vec::new(),
         ..FeatureDescription::default()
     };
     let [dim, bright] = [&dim, &bright].map(|data| {
@@ -105,7 +105,7 @@ fn an_edge_is_seen_in_its_direction() {
     let data = row.repeat(32);
     let what = FeatureDescription {
         sift_bins_px: vec![3],
-        windows: Vec::new(),
+        windows_px: Vec::new(),
         ..FeatureDescription::default()
     };
     let features = PixelFeatures::new(&what, &view(32, 32, &data)).unwrap();
@@ -137,8 +137,8 @@ fn senseless_descriptions_are_refused() {
     };
     assert!(wrong(&|what| what.sift_bins_px = vec![0]));
     assert!(wrong(&|what| what.sift_bins_px = vec![33]));
-    assert!(wrong(&|what| what.windows = vec![window(121, 0)]));
-    assert!(wrong(&|what| what.windows = vec![window(0, i32::MIN)]));
+    assert!(wrong(&|what| what.windows_px = vec![window(121, 0)]));
+    assert!(wrong(&|what| what.windows_px = vec![window(0, i32::MIN)]));
     assert!(wrong(&|what| what.sift_bins_px = vec![1; 300]));
 }
 
@@ -163,7 +163,7 @@ fn samples_are_balanced_and_within_their_class() {
         })
         .collect();
     let mut options = SamplingOptions {
-        count: 300,
+        samples: 300,
         stride_px: 1,
         balance: 1.0,
         mirror: false,
@@ -200,7 +200,7 @@ fn samples_are_also_of_the_mirror_image() {
         labelled_features(&what, &view(24, 10, &data), &labels, 2, options)
     };
     let mut options = SamplingOptions {
-        count: 1000,
+        samples: 1000,
         ..SamplingOptions::default()
     };
     let both = of(&options).unwrap();

@@ -1,6 +1,8 @@
 //! Trees learnt from samples, side by side, each from its own random numbers.
 
 use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use super::split::{Histogram, Split};
 use super::tree::{Node, Tree};
@@ -24,17 +26,21 @@ pub struct Samples<'a> {
 }
 
 /// How a forest is learnt.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct ForestOptions {
     /// Number of trees.
+    #[schemars(range(min = 1, max = 10_000))]
     pub trees: u32,
     /// Features tried at each node, chosen at random; 0: four times the square root of their number, as many say little.
+    /// On CamVid with 482 features, 80 are 3 to 4 % better in an average class than 22, and 250 are no better than 80.
     pub tried_features: u32,
     /// Nodes this deep are leaves.
     pub max_depth: u32,
     /// The least samples at a leaf.
     pub min_leaf: u32,
-    /// Samples of class c weigh `(n / n_c)^balance`: 1 makes classes equal, 0 samples.
+    /// Samples of a class with n of all N samples weigh `(N / n)^balance`: 1 makes classes equal, 0 samples.
+    #[schemars(range(min = 0.0, max = 2.0))]
     pub balance: f64,
     /// Where random numbers start.
     pub seed: u64,

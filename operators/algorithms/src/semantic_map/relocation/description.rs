@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::f32::consts::{PI, TAU};
 
-use super::options::Options;
+use super::options::{Options, divisor};
 use crate::semantic_map::semantic_graph::{Area, Graph};
 
 /// One scale's worth of difference.
@@ -108,7 +108,7 @@ impl Areas {
 
 /// A value in units of a scale.
 fn in_units(value: f32, scale: f64) -> f32 {
-    (f64::from(value) / scale.max(1e-6) * f64::from(UNIT)) as f32
+    (f64::from(value) / divisor(scale).max(1e-6) * f64::from(UNIT)) as f32
 }
 
 /// Options as integers.

@@ -4,7 +4,7 @@ use std::f32::consts::TAU;
 use std::ops::Range;
 
 use super::description::{AreaCode, Areas, Block, Description, LANES, Measure, UNIT};
-use super::options::Options;
+use super::options::{Options, divisor};
 use crate::semantic_map::semantic_graph::Relation;
 
 /// Two views' areas as far as they were matched.
@@ -53,7 +53,7 @@ impl Constraints {
             measure: Measure::new(options),
             boundary: options.boundary_factor.max(1.0).ln() as f32,
             direction_steps: options.direction_steps,
-            elevation_rad: options.scales.elevation_rad as f32 / UNIT,
+            elevation_rad: divisor(options.scales.elevation_rad) as f32 / UNIT,
         }
     }
 }

@@ -50,7 +50,7 @@ impl Query {
 pub struct Hit {
     /// Its number in the map.
     pub view: u32,
-    /// Heading of the query relative to the view that fits best, one of [`Options::turns_rad`] (rad).
+    /// Heading of the query relative to the view that fits best, one of [`Options::headings`] (rad).
     pub turn_rad: f64,
     /// Areas of the query that were matched.
     pub matched: u32,
@@ -89,11 +89,11 @@ impl ViewMap {
             described.append(Description::new(graph, &of_map));
             offsets.push(described.areas.blocks.len() as u32);
         }
-        let code = |turn: &f64| ((turn / TAU * 65536.0).round() as i64).rem_euclid(65536) as u16;
+        let code = |turn: f64| ((turn / TAU * 65536.0).round() as i64).rem_euclid(65536) as u16;
         Self {
             measure: Measure::new(&options),
             rules: Constraints::new(&options),
-            turns: options.turns_rad.iter().map(code).collect(),
+            turns: options.turns_rad().map(code).collect(),
             bounds: Bounds::new(&described, &offsets),
             described,
             offsets,
@@ -202,7 +202,7 @@ impl ViewMap {
         let most = f64::from(query.weight) * f64::from(self.measure.limit);
         Hit {
             view: found.view,
-            turn_rad: self.options.turns_rad[found.turn],
+            turn_rad: self.options.turns_rad().nth(found.turn).unwrap_or(0.0),
             matched,
             score: if most > 0.0 {
                 found.evidence() as f64 / most

@@ -18,6 +18,8 @@ mod view;
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use crate::geometry::camera::{Camera, Model};
 use crate::geometry::pose::Pose;
@@ -28,10 +30,13 @@ pub use view::{DepthView, View};
 const CHUNK: usize = 4096;
 
 /// How votes are gathered.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct VoteOptions {
-    /// Inverse depths (1/m) that differ by no more than this are of the same thing. Inverse depth is what stereo cameras
-    /// measure with equal noise at all distances, and what grows by a constant per pixel along a plane.
+    /// Inverse depths that differ by no more than this are of the same thing (1/m): by default 12 cm at 5 m, 2 m at
+    /// 20 m. Inverse depth is what stereo cameras measure with equal noise at all distances, and what grows by a constant
+    /// per pixel along a plane.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub same_per_m: f64,
 }
 

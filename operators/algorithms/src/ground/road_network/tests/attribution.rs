@@ -52,7 +52,7 @@ fn a_step_without_poses_between_has_the_poses_around_it() {
     let long = vec![[0.0; 3], [20.0, 0.0, 0.0]];
     for spacing_m in [0.0, 0.5] {
         let params = RoadNetworkParams {
-            spacing_m,
+            spacing_m: Some(spacing_m),
             ..RoadNetworkParams::default()
         };
         let found = network(std::slice::from_ref(&long), &params);
@@ -93,7 +93,7 @@ proptest! {
         let (a, b) = (&a[..a.len().min(most)], &b[..b.len().min(most)]);
         let mut params = RoadNetworkParams::default();
         if !thinned {
-            params.spacing_m = 0.0;
+            params.spacing_m = Some(0.0);
         }
         let solve = |a: &[[f64; 3]]| {
             let drives = [("a", a), ("b", b)];

@@ -181,7 +181,11 @@ fn nothing_and_nonsense() {
     let far = vec![[0.0; 3], [1e300, 0.0, 0.0], [f64::MAX, -f64::MAX, 0.0]];
     assert!(network(&[far], &params).lanes.len() <= 1);
     for connect_m in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        assert!(road_network(&[], &RoadNetworkParams::with_connect_m(connect_m)).is_err());
+        let params = RoadNetworkParams {
+            connect_m,
+            ..RoadNetworkParams::default()
+        };
+        assert!(road_network(&[], &params).is_err());
     }
 }
 

@@ -173,7 +173,7 @@ fn labels_follow_edges() {
     let image = ColourView::new(width as u32, height as u32, &colours).unwrap();
     let field = RandomField::new(&image, &Kernels::default(), false).unwrap();
     let unary = Unary::from_labels(2, &labels, 0.7).unwrap();
-    let found = field.infer(&unary, ITERATIONS).unwrap().labels();
+    let found = field.infer(&unary, 10).unwrap().labels();
     let truth: Vec<u8> = (0..width * height).map(|i| u8::from(side(i))).collect();
     assert_eq!(found, truth);
     assert!(energy(&field, &unary, &found) < energy(&field, &unary, &labels));

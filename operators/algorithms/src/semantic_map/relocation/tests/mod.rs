@@ -13,28 +13,18 @@ use graphs::{WIDTH, graph};
 
 fn options() -> impl Strategy<Value = Options> {
     let pairs = (prop_oneof![Just(1.5_f64), Just(f64::INFINITY)], 0_u8..5);
-    let turns = prop_oneof![
-        Just(vec![0.0]),
-        Just(vec![0.0, f64::from(PI)]),
-        Just(vec![-0.3, 0.0, 0.3])
-    ];
+    let turns = prop_oneof![Just(1_u32), Just(2), Just(21)];
     let unary = (
         0.5_f64..9.0,
         0.1_f64..4.0,
         prop_oneof![Just(0.0_f64), Just(0.5)],
     );
     (pairs, turns, unary, any::<bool>(), 1_u32..4).prop_map(
-        |(
-            (boundary_factor, direction_steps),
-            turns_rad,
-            (limit, bearing, power),
-            ignore,
-            least,
-        )| {
+        |((boundary_factor, direction_steps), headings, (limit, bearing, power), ignore, least)| {
             Options {
                 boundary_factor,
                 direction_steps,
-                turns_rad,
+                headings,
                 limit,
                 max_bearing_rad: bearing,
                 size_power: power,
@@ -88,7 +78,7 @@ proptest! {
     fn a_view_is_found_again_wherever_it_looked(graphs in prop::collection::vec(graph(), 1..20), which: prop::sample::Index, half: bool) {
         let view = which.index(graphs.len());
         prop_assume!(!graphs[view].areas.is_empty());
-        let options = Options { turns_rad: vec![0.0, f64::from(PI)], ..Options::default() };
+        let options = Options { headings: 2, ..Options::default() };
         let map = ViewMap::new(graphs.iter(), options);
         let query = if half && graphs[view].wraps { turned(&graphs[view], PI) } else { graphs[view].clone() };
         let asked = map.query(&query);
@@ -171,7 +161,7 @@ fn what_is_no_number_takes_no_part() {
     let nowhere = ViewMap::new(std::iter::empty(), Options::default());
     assert_eq!(nowhere.search(&nowhere.query(&graphs[2]), 3, |_| true), []);
     let unturned = Options {
-        turns_rad: Vec::new(),
+        headings: 0,
         ..Options::default()
     };
     let map = ViewMap::new(graphs.iter(), unturned);

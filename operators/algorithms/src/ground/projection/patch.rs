@@ -1,0 +1,58 @@
+//! The cells that one image shows, as a rectangle.
+
+use std::ops::Range;
+
+use super::{GrayView, GroundLut};
+use crate::geometry::pose::Pose;
+use crate::ground::patch::Patch;
+
+impl GroundLut {
+    /// What an image shows of the map's ground, cropped to what is seen; `None` where nothing is. See [`Self::splat`].
+    pub fn patch(
+        &self,
+        image: &GrayView<'_>,
+        map_from_vehicle: &Pose,
+        cell_m: f64,
+    ) -> Option<Patch> {
+        let mut cells = Cells::default();
+        self.splat(image, map_from_vehicle, cell_m, |run| {
+            let from = cells.values.len();
+            cells.values.extend_from_slice(run.values);
+            cells.weights.extend_from_slice(run.weights);
+            cells.runs.push((run.i, run.j, from..cells.values.len()));
+        });
+        cells.rectangle()
+    }
+}
+
+/// Runs of cells as they come: first column, row, and where their bytes begin and end.
+#[derive(Default)]
+struct Cells {
+    runs: Vec<(i64, i64, Range<usize>)>,
+    values: Vec<u8>,
+    weights: Vec<u8>,
+}
+
+impl Cells {
+    fn rectangle(&self) -> Option<Patch> {
+        let end = |(i, _, run): &(i64, i64, Range<usize>)| i + run.len() as i64;
+        let column = self.runs.iter().map(|(i, _, _)| *i).min()?;
+        let width = (self.runs.iter().map(end).max()? - column) as usize;
+        let row = self.runs.iter().map(|(_, j, _)| *j).min()?;
+        let height = (self.runs.iter().map(|(_, j, _)| *j).max()? + 1 - row) as usize;
+        let mut patch = Patch {
+            column,
+            row,
+            width,
+            height,
+            values: vec![0; width * height],
+            weights: vec![0; width * height],
+        };
+        for (i, j, run) in &self.runs {
+            let at = (j - row) as usize * width + (i - column) as usize;
+            patch.values[at..at + run.len()].copy_from_slice(&self.values[run.clone()]);
+            patch.weights[at..at + run.len()].copy_from_slice(&self.weights[run.clone()]);
+        }
+        Some(patch)
+    }
+}
