@@ -11,13 +11,14 @@
 
 use std::hint::black_box;
 
+use arrow::array::RecordBatch;
 use criterion::{Criterion, criterion_group, criterion_main};
 use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_bench::remap::Remap;
-use evermap_contract::{Emit, Kernel, Losses, Sides};
+use evermap_contract::{Emit, Job, Losses, Phase, Sides};
 use evermap_schemas::roles::{Calibration, Transform};
-use evermap_schemas::{Bytes, LayerRow, Stamp, batch, record};
+use evermap_schemas::{Bytes, ImageRef, LayerRow, Stamp, batch, record};
 use evermap_vision::{Decoder, Grey};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde_json::json;
@@ -40,8 +41,10 @@ record! {
         camera: String,
         /// The vehicle.
         map_from_vehicle: evermap_schemas::Pose,
+        /// Where the pixels would be.
+        image: ImageRef,
         /// JPEG.
-        image: Option<Bytes>,
+        image_pixels: Option<Bytes>,
     }
 }
 impl LayerRow for Image {
@@ -112,11 +115,27 @@ fn jpeg() -> Vec<u8> {
     bytes
 }
 
+fn reference(length: usize) -> ImageRef {
+    ImageRef {
+        session: "a".into(),
+        part: 0,
+        chunk: None,
+        chunk_length: 0,
+        chunk_size: 0,
+        compression: String::new(),
+        offset: 0,
+        length: length as u64,
+        format: "jpeg".into(),
+        width: None,
+        height: None,
+        step: None,
+    }
+}
+
 struct Mosaic {
-    images: arrow::array::RecordBatch,
-    sides: Sides,
-    patches: Kernel,
-    tiles: Kernel,
+    images: RecordBatch,
+    patches: Job,
+    tiles: Job,
 }
 
 impl Mosaic {
@@ -127,7 +146,8 @@ impl Mosaic {
             stamp: Stamp(index),
             camera: "front".into(),
             map_from_vehicle: evermap_schemas::Pose::from_array(pose(index).to_array()),
-            image: Some(Bytes(jpeg.to_vec())),
+            image: reference(jpeg.len()),
+            image_pixels: Some(Bytes(jpeg.to_vec())),
         };
         let transform = Transform {
             site: "s".into(),
@@ -139,32 +159,23 @@ impl Mosaic {
             fixed: true,
         };
         let registry = evermap_catalog::registry();
-        let kernel = |name: &str| registry.get(name).unwrap().kernel(&json!({})).unwrap();
+        let job = |name: &str, phase: Phase, sides: Sides| {
+            let entry = registry.get(name).unwrap();
+            Job::new(entry, &json!({}), phase, sides).unwrap()
+        };
+        let side = |name: &str, rows: RecordBatch| (name.to_owned(), vec![rows]);
+        let sides = [
+            side("calibration", batch(vec![calibration()]).unwrap()),
+            side("transforms", batch(vec![transform]).unwrap()),
+        ];
         Self {
             images: batch((0..IMAGES).map(image).collect()).unwrap(),
-            sides: Sides::new(
-                [
-                    (
-                        "calibration".to_owned(),
-                        vec![batch(vec![calibration()]).unwrap()],
-                    ),
-                    (
-                        "transforms".to_owned(),
-                        vec![batch(vec![transform]).unwrap()],
-                    ),
-                ]
-                .into(),
-            ),
-            patches: kernel("ground_patches"),
-            tiles: kernel("overhead_tiles"),
+            patches: job("ground_patches", Phase::Run, Sides::new(sides.into())),
+            tiles: job("overhead_tiles", Phase::Lift, Sides::default()),
         }
     }
 
     fn bench(&self, bench: &mut criterion::Bencher<'_>) {
-        let (Kernel::Map(patches), Kernel::Fold(tiles)) = (&self.patches, &self.tiles) else {
-            panic!("ground_patches is a Map and overhead_tiles a Fold");
-        };
-        let mapper = patches.open(&self.sides).unwrap();
         let one = rayon::ThreadPoolBuilder::new()
             .num_threads(1)
             .build()
@@ -176,19 +187,20 @@ impl Mosaic {
                     found.push(batch);
                     Ok(())
                 };
-                mapper
-                    .map(&self.images, &mut Emit::new(&mut keep, &mut losses))
+                self.patches
+                    .worker()
+                    .push(&self.images, &mut Emit::new(&mut keep, &mut losses))
                     .unwrap();
-                let mut count = |batch: arrow::array::RecordBatch| {
+                let mut count = |batch: RecordBatch| {
                     states += batch.num_rows();
                     Ok(())
                 };
                 let mut emit = Emit::new(&mut count, &mut losses);
-                let mut lifter = tiles.lifter(&Sides::default(), usize::MAX);
+                let mut lift = self.tiles.worker();
                 found
                     .iter()
-                    .for_each(|batch| lifter.push(batch, &mut emit).unwrap());
-                lifter.close(&mut emit).unwrap();
+                    .for_each(|batch| lift.push(batch, &mut emit).unwrap());
+                lift.close(&mut emit).unwrap();
                 assert!(losses.is_empty() && states > 0);
             });
         });

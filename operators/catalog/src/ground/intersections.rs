@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use evermap_contract::{Emit, Fault, Grain, Kernel, Operator, Port, group_whole};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Wkb;
 use evermap_schemas::layers::{Intersection, Lane, Sources};
 use schemars::JsonSchema;
@@ -13,7 +13,6 @@ pub struct Intersections;
 
 /// There is nothing to choose.
 #[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct IntersectionsParams {}
 
 impl Operator for Intersections {
@@ -23,37 +22,21 @@ impl Operator for Intersections {
     type Params = IntersectionsParams;
     type Output = Intersection;
 
-    fn ports() -> Vec<Port> {
-        vec![Port::of::<Lane>("lanes", Grain::Whole)]
-    }
-
-    fn kernel(_: IntersectionsParams) -> Result<Kernel, Fault> {
-        Ok(group_whole(|lanes: Vec<Lane>, _, emit| {
-            intersections(&lanes, emit)
-        }))
+    fn work() -> Work<Self::Params> {
+        let lanes = Port::site::<Lane>("lanes");
+        Work::group(lanes, Key::SITE, vec![], intersections)
     }
 }
 
-/// Lane ends that share a node.
-struct Meeting {
-    degree: u32,
-    point: [f64; 3],
-    sources: Sources,
-}
-
-impl Meeting {
-    fn at(point: [f64; 3]) -> Self {
-        Self {
-            degree: 0,
-            point,
-            sources: Sources::default(),
-        }
-    }
-}
-
-fn intersections(lanes: &[Lane], emit: &mut Emit<'_>) -> Result<(), Fault> {
-    let mut nodes: BTreeMap<u32, Meeting> = BTreeMap::new();
-    for lane in lanes {
+fn intersections(
+    _: &IntersectionsParams,
+    lanes: Vec<Lane>,
+    _: &Sides,
+    emit: &mut Emit<'_>,
+) -> Result<(), Fault> {
+    let mut nodes: BTreeMap<u32, Intersection> = BTreeMap::new();
+    let mut sources: BTreeMap<u32, Sources> = BTreeMap::new();
+    for lane in &lanes {
         let (Some(first), Some(last)) = (lane.points.first(), lane.points.last()) else {
             emit.skip("lane has no points", 1);
             continue;
@@ -66,27 +49,36 @@ fn intersections(lanes: &[Lane], emit: &mut Emit<'_>) -> Result<(), Fault> {
             .into_iter()
             .filter(|(_, kind, _)| *kind == "intersection")
         {
-            let meeting = nodes.entry(node).or_insert_with(|| Meeting::at(*point));
+            let meeting = nodes
+                .entry(node)
+                .or_insert_with(|| unmet(&lane.site, node, *point));
             meeting.degree += 1;
+            let sources = sources.entry(node).or_default();
             for source in &lane.sources {
                 let (first, last) = (source.first_stamp, source.last_stamp);
-                meeting.sources.add(&source.session, first, last);
+                sources.add(&source.session, first, last);
             }
         }
     }
-    let site = lanes
-        .first()
-        .map(|lane| lane.site.clone())
-        .unwrap_or_default();
-    let found = nodes.into_iter().map(|(node, meeting)| Intersection {
-        site: site.clone(),
-        node,
-        degree: meeting.degree,
-        x: meeting.point[0],
-        y: meeting.point[1],
-        z: meeting.point[2],
-        sources: meeting.sources.into_rows(),
-        geometry: Wkb::point(meeting.point),
+    let met = nodes.into_values().zip(sources.into_values());
+    let met = met.map(|(meeting, sources)| Intersection {
+        sources: sources.into_rows(),
+        ..meeting
     });
-    emit.rows(found.collect())
+    emit.rows(met.collect())
+}
+
+/// A place where no lane ends yet.
+fn unmet(site: &str, node: u32, point: [f64; 3]) -> Intersection {
+    let [x, y, z] = point;
+    Intersection {
+        site: site.to_owned(),
+        node,
+        degree: 0,
+        x,
+        y,
+        z,
+        sources: Vec::new(),
+        geometry: Wkb::point(point),
+    }
 }

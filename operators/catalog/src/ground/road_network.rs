@@ -1,57 +1,14 @@
 #![doc = include_str!("road_network.md")]
 
 use evermap_algorithms::ground::road_network::{
-    Drive, EndKind, Passage, RoadNetworkParams as Lengths, Travel, road_network,
+    Drive, EndKind, Passage, RoadNetworkParams, Travel, road_network,
 };
-use evermap_contract::{Emit, Fault, Grain, Kernel, Operator, Port, group_whole};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{Lane, Source, Sources, VehiclePose};
 use evermap_schemas::{Stamp, Wkb};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 /// See the module's page.
 pub struct RoadNetwork;
-
-/// How passes become lanes.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct RoadNetworkParams {
-    /// Passes nearer than this are the same lane (m).
-    pub connect_m: f64,
-    /// Rounds of pruning; null goes on until nothing is left to prune.
-    pub prune_loops: Option<u32>,
-    /// Distance between representative poses (m); null is a quarter of `connect_m`, 0 takes every pose.
-    pub spacing_m: Option<f64>,
-    /// Loops shorter than this around are artefacts (m); null is six times `connect_m`.
-    pub min_loop_m: Option<f64>,
-    /// Shorter lanes at an intersection are part of it (m); null is twice `connect_m`.
-    pub min_link_m: Option<f64>,
-}
-
-impl Default for RoadNetworkParams {
-    fn default() -> Self {
-        Self {
-            connect_m: Lengths::default().connect_m,
-            prune_loops: None,
-            spacing_m: None,
-            min_loop_m: None,
-            min_link_m: None,
-        }
-    }
-}
-
-impl RoadNetworkParams {
-    fn lengths(&self) -> Lengths {
-        let derived = Lengths::with_connect_m(self.connect_m);
-        Lengths {
-            connect_m: self.connect_m,
-            prune_loops: self.prune_loops,
-            spacing_m: self.spacing_m.unwrap_or(derived.spacing_m),
-            min_loop_m: self.min_loop_m.unwrap_or(derived.min_loop_m),
-            min_link_m: self.min_link_m.unwrap_or(derived.min_link_m),
-        }
-    }
-}
 
 impl Operator for RoadNetwork {
     const NAME: &'static str = "road_network";
@@ -60,26 +17,29 @@ impl Operator for RoadNetwork {
     type Params = RoadNetworkParams;
     type Output = Lane;
 
-    fn ports() -> Vec<Port> {
-        vec![Port::of::<VehiclePose>("poses", Grain::Whole)]
+    fn work() -> Work<Self::Params> {
+        let poses = Port::site::<VehiclePose>("poses");
+        Work::group(poses, Key::SITE, vec![], lanes)
     }
 
-    fn kernel(params: RoadNetworkParams) -> Result<Kernel, Fault> {
-        let lengths = params.lengths();
-        road_network(&[], &lengths).map_err(|error| Fault::user(error.to_string()))?;
-        Ok(group_whole(move |poses: Vec<VehiclePose>, _, emit| {
-            lanes(poses, &lengths, emit)
-        }))
+    fn check(params: &Self::Params) -> Result<(), Fault> {
+        let checked = params.check();
+        checked.map_err(|error| Fault::user(error.to_string()))
     }
 }
 
-fn lanes(poses: Vec<VehiclePose>, lengths: &Lengths, emit: &mut Emit<'_>) -> Result<(), Fault> {
+fn lanes(
+    params: &RoadNetworkParams,
+    poses: Vec<VehiclePose>,
+    _: &Sides,
+    emit: &mut Emit<'_>,
+) -> Result<(), Fault> {
     let Some(site) = poses.first().map(|pose| pose.site.clone()) else {
         return Ok(());
     };
     let drives = drives(poses, emit);
     let driven: Vec<Drive<'_>> = drives.iter().map(Session::drive).collect();
-    let network = road_network(&driven, lengths).map_err(|error| Fault::data(error.to_string()))?;
+    let network = road_network(&driven, params).map_err(|error| Fault::data(error.to_string()))?;
     let lanes = network.lanes.into_iter().zip(0_u32..);
     emit.rows(
         lanes
@@ -118,9 +78,8 @@ impl Session {
     }
 }
 
-/// The sessions, ordered by name.
-fn drives(mut poses: Vec<VehiclePose>, emit: &mut Emit<'_>) -> Vec<Session> {
-    poses.sort_by(|a, b| (&a.session, a.stamp).cmp(&(&b.session, b.stamp)));
+/// The sessions, ordered by name as the poses are.
+fn drives(poses: Vec<VehiclePose>, emit: &mut Emit<'_>) -> Vec<Session> {
     let mut drives: Vec<Session> = Vec::new();
     for VehiclePose {
         session,

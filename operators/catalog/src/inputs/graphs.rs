@@ -3,9 +3,8 @@
 use std::collections::BTreeSet;
 
 use evermap_algorithms::semantic_map::semantic_graph::{Area, Edge, Graph, VOID};
+use evermap_contract::Reason;
 use evermap_schemas::layers::{SemanticArea, SemanticEdge, SemanticGraph, View};
-
-use super::rig::Reason;
 
 /// Names of classes with their numbers.
 #[derive(Default)]

@@ -3,6 +3,6 @@
 pub(crate) mod drive;
 pub(crate) mod frames;
 pub(crate) mod graphs;
-pub(crate) mod images;
+pub(crate) mod pixels;
 pub(crate) mod rig;
 pub(crate) mod survey;

@@ -1,46 +1,37 @@
 #![doc = include_str!("crf_settings.md")]
 
-use std::sync::Arc;
-
-use arrow::array::{Array, RecordBatch};
-use evermap_algorithms::semantic_map::class_scores::ScoresView;
 use evermap_algorithms::learning::dense_crf::{
-    ColourView, Example, ITERATIONS, Kernels, MOST_CLASSES, SearchOptions, Trial, Unary, search,
+    ColourView, Example, MOST_CLASSES, SearchOptions, Trial, Unary, search,
 };
-use evermap_contract::{Emit, Fault, Grain, Group, GroupKernel, Kernel, Operator, Port, Sides};
-use evermap_schemas::layers::{ClassScores, CrfSetting, LabelledScores};
-use evermap_schemas::{Bytes, record, rows};
-use evermap_vision::{Decoder, Rgb, decode_labels};
+use evermap_algorithms::semantic_map::class_scores::ScoresView;
+use evermap_contract::{Emit, Fault, Key, Operator, Pixels, Port, Reason, Sides, Stream, Work};
+use evermap_schemas::layers::{CrfSetting, LabelledScores};
+use evermap_vision::{Rgb, decode_labels};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::images::images;
-use crate::inputs::rig::Reason;
+use crate::inputs::pixels::colours;
 
 /// See the module's page.
 pub struct CrfSettings;
 
 /// How kernels are searched.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default)]
 pub struct CrfSettingsParams {
-    /// The most kernels that are tried.
-    pub trials: u32,
     /// The most images that they are tried on, evenly from all.
+    #[schemars(range(min = 1))]
     pub images: u32,
-    /// Rounds of mean field.
-    pub iterations: u32,
-    /// Whether the last column of an image is next to its first one, as in a full panorama.
-    pub wraps: bool,
+    /// How they are tried.
+    #[serde(flatten)]
+    pub search: SearchOptions,
 }
 
 impl Default for CrfSettingsParams {
     fn default() -> Self {
         Self {
-            trials: SearchOptions::default().trials as u32,
             images: 24,
-            iterations: ITERATIONS,
-            wraps: false,
+            search: SearchOptions::default(),
         }
     }
 }
@@ -52,53 +43,15 @@ impl Operator for CrfSettings {
     type Params = CrfSettingsParams;
     type Output = CrfSetting;
 
-    fn ports() -> Vec<Port> {
-        vec![Port::of::<LabelledScores>("labelled", Grain::Whole).with_pixels("image")]
-    }
-
-    fn kernel(params: CrfSettingsParams) -> Result<Kernel, Fault> {
-        if params.trials == 0 || params.images == 0 {
-            return Err(Fault::user(
-                "expected at least one of trials and images, found 0",
-            ));
-        }
-        if params.iterations > 1000 {
-            return Err(Fault::user(format!(
-                "expected iterations up to 1000, found {}",
-                params.iterations
-            )));
-        }
-        Ok(Kernel::Group(Box::new(Opener {
-            params: Arc::new(params),
-        })))
-    }
-}
-
-struct Opener {
-    params: Arc<CrfSettingsParams>,
-}
-
-impl GroupKernel for Opener {
-    fn open(&self, _: &Sides) -> Result<Box<dyn Group>, Fault> {
-        Ok(Box::new(Collector {
-            params: Arc::clone(&self.params),
-            images: Vec::new(),
-        }))
-    }
-}
-
-record! {
-    /// The true labels of a row.
-    pub struct Truth {
-        /// The labels.
-        png: Bytes,
+    fn work() -> Work<Self::Params> {
+        let labelled = Port::site::<LabelledScores>("labelled").pixels("image");
+        Work::stream::<Collector>(labelled, Key::SITE, vec![])
     }
 }
 
 /// A labelled image, still encoded.
 struct Encoded {
-    scores: ClassScores,
-    truth: Bytes,
+    scores: LabelledScores,
     image: Option<Vec<u8>>,
 }
 
@@ -110,34 +63,43 @@ struct Decoded {
 }
 
 struct Collector {
-    params: Arc<CrfSettingsParams>,
+    params: CrfSettingsParams,
     images: Vec<Encoded>,
 }
 
-impl Group for Collector {
-    fn push(&mut self, batch: &RecordBatch, _: &mut Emit<'_>) -> Result<(), Fault> {
-        let images = images(batch, "labelled")?;
-        let truths = rows::<Truth>(batch)?;
-        let both = rows::<ClassScores>(batch)?.into_iter().zip(truths);
-        for (index, (scores, truth)) in both.enumerate() {
-            self.images.push(Encoded {
-                scores,
-                truth: truth.png,
-                image: images.is_valid(index).then(|| images.value(index).to_vec()),
-            });
-        }
+impl Stream for Collector {
+    type Params = CrfSettingsParams;
+    type Row = LabelledScores;
+
+    fn open(params: &CrfSettingsParams, _: &Sides) -> Result<Self, Fault> {
+        Ok(Self {
+            params: params.clone(),
+            images: Vec::new(),
+        })
+    }
+
+    fn push(
+        &mut self,
+        rows: Vec<LabelledScores>,
+        pixels: &Pixels,
+        _: &mut Emit<'_>,
+    ) -> Result<(), Fault> {
+        let encoded = rows.into_iter().enumerate();
+        self.images.extend(encoded.map(|(row, scores)| Encoded {
+            scores,
+            image: pixels.get(row).map(<[u8]>::to_vec),
+        }));
         Ok(())
     }
 
-    fn close(&mut self, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        let Some(first) = self.images.first() else {
+    fn close(self, emit: &mut Emit<'_>) -> Result<(), Fault> {
+        let Some(Encoded { scores: first, .. }) = self.images.first() else {
             return Ok(());
         };
-        let (site, classes) = (first.scores.site.clone(), first.scores.classes.clone());
         let step = self.images.len().div_ceil(self.params.images as usize);
         let mut decoded = Vec::new();
         for image in self.images.iter().step_by(step.max(1)) {
-            match image.decode(&classes, self.params.wraps) {
+            match image.decode(&first.classes, self.params.search.mean_field.wraps) {
                 Ok(image) => decoded.push(image),
                 Err(reason) => emit.skip(reason, 1),
             }
@@ -146,17 +108,12 @@ impl Group for Collector {
         if examples.is_empty() {
             return Ok(());
         }
-        let options = SearchOptions {
-            start: Kernels::default(),
-            iterations: self.params.iterations,
-            wraps: self.params.wraps,
-            trials: self.params.trials as usize,
-        };
-        let trials = search(&examples, &options).map_err(|error| Fault::data(error.to_string()))?;
-        let ranked = trials.into_iter().zip(0..);
+        let trials = search(&examples, &self.params.search);
+        let trials = trials.map_err(|error| Fault::data(error.to_string()))?;
+        let ranked = trials.iter().zip(0..);
         emit.rows(
             ranked
-                .map(|(trial, rank)| row(&site, rank, &trial))
+                .map(|(trial, rank)| setting(&first.site, rank, trial))
                 .collect(),
         )
     }
@@ -173,10 +130,9 @@ impl Encoded {
         let view = ScoresView::new(size, scores.stride_px, classes.len(), bytes)
             .ok_or("scores do not have the size that they claim")?;
         let image = self.image.as_ref().ok_or("image is missing")?;
-        let rgb = Decoder::new()
-            .decode_colour(image)
-            .map_err(|_| "image does not decode")?;
-        let truth = decode_labels(&self.truth.0).map_err(|_| "labels do not decode")?;
+        let mut rgb = Rgb::default();
+        colours(image, &mut rgb)?;
+        let truth = decode_labels(&scores.png.0).map_err(|_| "labels do not decode")?;
         if [rgb.width, rgb.height] != size || [truth.width, truth.height] != size {
             return Err("image, labels and scores are not of one size");
         }
@@ -200,7 +156,7 @@ impl Decoded {
     }
 }
 
-fn row(site: &str, rank: u32, trial: &Trial) -> CrfSetting {
+fn setting(site: &str, rank: u32, trial: &Trial) -> CrfSetting {
     let kernels = &trial.kernels;
     CrfSetting {
         site: site.to_owned(),

@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use evermap_algorithms::learning::random_forest::{ForestOptions, Samples, Tree, train};
-use evermap_contract::{Emit, Fault, Grain, Kernel, Operator, Port, group_whole};
+use evermap_algorithms::learning::random_forest::{ForestOptions, Node, Samples, Tree, train};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Stamp;
 use evermap_schemas::layers::{DecisionTree, PixelSamples, Sources, TreeNode};
 use schemars::JsonSchema;
@@ -14,42 +14,21 @@ pub struct PixelForest;
 
 /// How the forest is learnt.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default)]
 pub struct PixelForestParams {
-    /// Number of trees.
-    pub trees: u32,
-    /// Features tried at each node; 0: four times the square root of their number.
-    pub tried_features: u32,
-    /// Nodes this deep are leaves.
-    pub max_depth: u32,
-    /// The least samples at a leaf.
-    pub min_leaf: u32,
-    /// Samples weigh by their class's inverse frequency to this power.
-    pub balance: f64,
-    /// Parts of each session, of which every tree holds one out; 1: none.
+    /// How each tree is learnt.
+    #[serde(flatten)]
+    pub forest: ForestOptions,
+    /// Stretches of each session, of which each tree holds one out; 1: none is held out.
+    #[schemars(range(min = 1, max = 10_000))]
     pub blocks: u32,
-    /// Where random numbers start.
-    pub seed: u64,
 }
 
 impl Default for PixelForestParams {
     fn default() -> Self {
-        let ForestOptions {
-            trees,
-            tried_features,
-            max_depth,
-            min_leaf,
-            balance,
-            seed,
-        } = ForestOptions::default();
         Self {
-            trees,
-            tried_features,
-            max_depth,
-            min_leaf,
-            balance,
+            forest: ForestOptions::default(),
             blocks: 5,
-            seed,
         }
     }
 }
@@ -61,32 +40,24 @@ impl Operator for PixelForest {
     type Params = PixelForestParams;
     type Output = DecisionTree;
 
-    fn ports() -> Vec<Port> {
-        vec![Port::of::<PixelSamples>("samples", Grain::Whole)]
+    fn work() -> Work<Self::Params> {
+        let samples = Port::site::<PixelSamples>("samples");
+        Work::group(samples, Key::SITE, vec![], forest)
     }
+}
 
-    fn kernel(params: PixelForestParams) -> Result<Kernel, Fault> {
-        for (name, found) in [("trees", params.trees), ("blocks", params.blocks)] {
-            if !(1..=10_000).contains(&found) {
-                let expected = format!("expected {name} from 1 to 10000, found {found}");
-                return Err(Fault::user(expected));
-            }
-        }
-        if !(0.0..=2.0).contains(&params.balance) {
-            return Err(Fault::user(format!(
-                "expected balance from 0 (samples weigh the same) to 2, found {}",
-                params.balance
-            )));
-        }
-        Ok(group_whole(move |samples: Vec<PixelSamples>, _, emit| {
-            let Some(first) = samples.first() else {
-                return Ok(());
-            };
-            let (site, features) = (first.site.clone(), first.features.clone());
-            let learnt = Gathered::of(samples, params.blocks, emit);
-            emit.rows(learnt.forest(&params, &site, &features))
-        }))
-    }
+fn forest(
+    params: &PixelForestParams,
+    samples: Vec<PixelSamples>,
+    _: &Sides,
+    emit: &mut Emit<'_>,
+) -> Result<(), Fault> {
+    let Some(first) = samples.first() else {
+        return Ok(());
+    };
+    let (site, features) = (first.site.clone(), first.features.clone());
+    let gathered = Gathered::of(samples, params.blocks, emit);
+    emit.rows(gathered.forest(&params.forest, &site, &features))
 }
 
 /// All samples, side by side.
@@ -161,21 +132,13 @@ impl Gathered {
         })
     }
 
-    fn forest(&self, params: &PixelForestParams, site: &str, features: &str) -> Vec<DecisionTree> {
+    fn forest(&self, options: &ForestOptions, site: &str, features: &str) -> Vec<DecisionTree> {
         let samples = Samples {
             dimensions: self.dimensions,
             classes: self.classes.len(),
             labels: &self.labels,
             values: &self.values,
             blocks: &self.blocks,
-        };
-        let options = ForestOptions {
-            trees: params.trees,
-            tried_features: params.tried_features,
-            max_depth: params.max_depth,
-            min_leaf: params.min_leaf,
-            balance: params.balance,
-            seed: params.seed,
         };
         let pixels = self.class_pixels.iter().sum::<u64>().max(1) as f64;
         let share = |count: &u64| (*count as f64 / pixels) as f32;
@@ -194,12 +157,12 @@ impl Gathered {
                 .unwrap_or_default()
                 .into_rows(),
         };
-        let trees = train(&samples, &options);
+        let trees = train(&samples, options);
         trees.into_iter().enumerate().map(row).collect()
     }
 }
 
-fn node(node: &evermap_algorithms::learning::random_forest::Node) -> TreeNode {
+fn node(node: &Node) -> TreeNode {
     TreeNode {
         feature: node.feature,
         threshold: node.threshold,

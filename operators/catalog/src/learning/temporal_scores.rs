@@ -1,39 +1,40 @@
 #![doc = include_str!("temporal_scores.md")]
 
-use std::collections::{BTreeMap, VecDeque};
-use std::sync::Arc;
+use std::collections::VecDeque;
 
-use arrow::array::{Array, RecordBatch};
-use evermap_algorithms::semantic_map::class_scores::ScoresView;
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::semantic_map::temporal_votes::{DepthView, View, VoteOptions, Voter};
 use evermap_algorithms::geometry::trajectory::{StampedPose, pose_at};
-use evermap_contract::{Emit, Fault, Grain, Group, GroupKernel, Kernel, Operator, Port, Sides};
+use evermap_algorithms::semantic_map::temporal_votes::{DepthView, View, VoteOptions, Voter};
+use evermap_contract::{Emit, Fault, Key, Operator, Pixels, Port, Reason, Sides, Stream, Work};
+use evermap_schemas::Bytes;
 use evermap_schemas::layers::{ClassScores, ScoredFrame};
 use evermap_schemas::roles::{Calibration, OdometryPose, Transform};
-use evermap_schemas::{Bytes, rows};
 use evermap_vision::{Grey16, decode_depth};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::images::images;
-use crate::inputs::rig::{self, Reason, Rig, SessionName, frame};
+use crate::inputs::pixels::scores;
+use crate::inputs::rig::{self, Rig, VehicleFrame, frame};
 
 /// See the module's page.
 pub struct TemporalScores;
 
 /// How votes are gathered.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default)]
 pub struct TemporalScoresParams {
-    /// Views that vote, the view itself included: an odd number.
+    /// Views that vote, the view itself included: an odd number. Fewer vote at the ends of a session.
+    #[schemars(range(min = 1, max = 101))]
     pub views: u32,
     /// Metres per unit of the depth images.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub depth_scale_m: f64,
-    /// Inverse depths that differ by no more than this are of the same thing (1/m).
-    pub same_per_m: f64,
+    /// What votes.
+    #[serde(flatten)]
+    pub votes: VoteOptions,
     /// The frame that odometry is of.
-    pub vehicle_frame: String,
+    #[serde(flatten)]
+    pub vehicle: VehicleFrame,
 }
 
 impl Default for TemporalScoresParams {
@@ -41,14 +42,11 @@ impl Default for TemporalScoresParams {
         Self {
             views: 7,
             depth_scale_m: 0.001,
-            same_per_m: VoteOptions::default().same_per_m,
-            vehicle_frame: "base_link".to_owned(),
+            votes: VoteOptions::default(),
+            vehicle: VehicleFrame::default(),
         }
     }
 }
-
-/// The most views: all of them are held in memory.
-const MOST_VIEWS: u32 = 101;
 
 /// Odometry poses farther apart than this say nothing about what is between them.
 const MAX_GAP_NS: i64 = 1_000_000_000;
@@ -60,67 +58,28 @@ impl Operator for TemporalScores {
     type Params = TemporalScoresParams;
     type Output = ClassScores;
 
-    fn ports() -> Vec<Port> {
-        let camera = Grain::Key {
+    fn work() -> Work<Self::Params> {
+        let camera = Key {
             columns: &["site", "session", "camera"],
             order: &["stamp"],
         };
-        vec![
-            Port::of::<ScoredFrame>("scores", camera).with_pixels("image"),
-            Port::of::<OdometryPose>("odometry", Grain::SESSION),
-            Port::of::<Calibration>("calibration", Grain::SESSION),
-            Port::of::<Transform>("transforms", Grain::SESSION),
-        ]
-    }
-
-    fn kernel(params: TemporalScoresParams) -> Result<Kernel, Fault> {
-        if params.views.is_multiple_of(2) || params.views > MOST_VIEWS {
-            return Err(Fault::user(format!(
-                "expected an odd number of views up to {MOST_VIEWS}, found {}",
-                params.views
-            )));
-        }
-        let above_zero = [
-            ("depth_scale_m", params.depth_scale_m),
-            ("same_per_m", params.same_per_m),
+        let sides = vec![
+            Port::session::<OdometryPose>("odometry"),
+            Port::session::<Calibration>("calibration"),
+            Port::session::<Transform>("transforms"),
         ];
-        for (name, found) in above_zero {
-            if !(found > 0.0 && found.is_finite()) {
-                return Err(Fault::user(format!(
-                    "expected {name} above 0, found {found}"
-                )));
-            }
-        }
-        Ok(Kernel::Group(Box::new(Opener {
-            params: Arc::new(params),
-        })))
+        let scored = Port::session::<ScoredFrame>("scores").pixels("image");
+        Work::stream::<Window>(scored, camera, sides)
     }
-}
 
-struct Opener {
-    params: Arc<TemporalScoresParams>,
-}
-
-impl GroupKernel for Opener {
-    fn open(&self, sides: &Sides) -> Result<Box<dyn Group>, Fault> {
-        let mut odometry: BTreeMap<SessionName, Vec<StampedPose>> = BTreeMap::new();
-        for row in sides.rows::<OdometryPose>("odometry")? {
-            if let Ok(pose) = Pose::from_array(row.odom_from_vehicle.to_array()) {
-                let stamp_ns = row.stamp.0;
-                let session = odometry.entry((row.site, row.session)).or_default();
-                session.push(StampedPose { stamp_ns, pose });
-            }
+    fn check(params: &Self::Params) -> Result<(), Fault> {
+        match params.views % 2 {
+            1 => Ok(()),
+            _ => Err(Fault::user(format!(
+                "expected an odd number of `views`, found {}",
+                params.views
+            ))),
         }
-        for poses in odometry.values_mut() {
-            poses.sort_by_key(|pose| pose.stamp_ns);
-        }
-        Ok(Box::new(Window {
-            params: Arc::clone(&self.params),
-            rigs: rig::sessions(sides)?,
-            odometry,
-            views: VecDeque::new(),
-            next: 0,
-        }))
     }
 }
 
@@ -134,20 +93,43 @@ struct Held {
 
 /// Views of one camera, as many as vote on one.
 struct Window {
-    params: Arc<TemporalScoresParams>,
-    rigs: BTreeMap<SessionName, Rig>,
-    odometry: BTreeMap<SessionName, Vec<StampedPose>>,
+    params: TemporalScoresParams,
+    rig: Rig,
+    odometry: Vec<StampedPose>,
     views: VecDeque<Held>,
     /// Which of them is to be voted on next.
     next: usize,
 }
 
-impl Group for Window {
-    fn push(&mut self, batch: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        let images = images(batch, "scores")?;
-        for (index, scores) in rows::<ClassScores>(batch)?.into_iter().enumerate() {
-            let bytes = images.is_valid(index).then(|| images.value(index));
-            match self.hold(scores, bytes, emit) {
+impl Stream for Window {
+    type Params = TemporalScoresParams;
+    type Row = ClassScores;
+
+    fn open(params: &TemporalScoresParams, sides: &Sides) -> Result<Self, Fault> {
+        let odometry = sides.rows::<OdometryPose>("odometry")?;
+        let odometry = odometry.into_iter().filter_map(|row| {
+            let pose = Pose::from_array(row.odom_from_vehicle.to_array()).ok()?;
+            let stamp_ns = row.stamp.0;
+            Some(StampedPose { stamp_ns, pose })
+        });
+        let rig = rig::sessions(sides)?.into_values().next();
+        Ok(Self {
+            params: params.clone(),
+            rig: rig.unwrap_or_default(),
+            odometry: odometry.collect(),
+            views: VecDeque::new(),
+            next: 0,
+        })
+    }
+
+    fn push(
+        &mut self,
+        rows: Vec<ClassScores>,
+        pixels: &Pixels,
+        emit: &mut Emit<'_>,
+    ) -> Result<(), Fault> {
+        for (index, scores) in rows.into_iter().enumerate() {
+            match self.hold(scores, pixels.get(index), emit) {
                 Ok(held) => self.views.push_back(held),
                 Err(reason) => emit.skip(reason, 1),
             }
@@ -158,7 +140,7 @@ impl Group for Window {
         Ok(())
     }
 
-    fn close(&mut self, emit: &mut Emit<'_>) -> Result<(), Fault> {
+    fn close(mut self, emit: &mut Emit<'_>) -> Result<(), Fault> {
         while self.next < self.views.len() {
             self.vote(emit)?;
         }
@@ -175,42 +157,34 @@ impl Window {
     /// Scores that make no sense are refused; a view of which only depth or place are not known stays by itself.
     fn hold(
         &self,
-        scores: ClassScores,
+        row: ClassScores,
         bytes: Option<&[u8]>,
         emit: &mut Emit<'_>,
     ) -> Result<Held, Reason> {
-        view(&scores).ok_or("scores do not have the size that they claim")?;
+        scores(&row)?;
         let mut known = |reason: Reason| emit.skip(reason, 1);
-        let depth = depth(&scores, bytes).map_err(&mut known).ok();
-        let posed = self.pose(&scores).map_err(&mut known).ok();
+        let depth = depth(&row, bytes).map_err(&mut known).ok();
+        let posed = self.pose(&row).map_err(&mut known).ok();
         Ok(Held {
-            scores,
+            scores: row,
             depth,
             posed,
         })
     }
 
     fn pose(&self, scores: &ClassScores) -> Result<(Pose, Voter), Reason> {
-        let session = (scores.site.clone(), scores.session.clone());
-        let rig = self.rigs.get(&session).ok_or("camera has no calibration")?;
         let camera = frame(&scores.camera);
-        let calibration = rig
-            .calibration(camera, scores.stamp)
-            .ok_or("camera has no calibration")?;
-        let vehicle_from_camera = rig
-            .vehicle_from_camera(frame(&self.params.vehicle_frame), camera)
+        let calibration = self.rig.calibration(camera, scores.stamp);
+        let calibration = calibration.ok_or("camera has no calibration")?;
+        let vehicle_from_camera = self
+            .rig
+            .vehicle_from_camera(self.params.vehicle.name(), camera)
             .ok_or("no fixed transforms from camera to vehicle")?;
         let camera = rig::camera(calibration, [scores.width, scores.height])?;
-        let odom_from_vehicle = self
-            .odometry
-            .get(&session)
-            .and_then(|poses| pose_at(poses, scores.stamp.0, MAX_GAP_NS))
+        let odom_from_vehicle = pose_at(&self.odometry, scores.stamp.0, MAX_GAP_NS)
             .ok_or("no odometry at the view's instant")?;
-        let options = VoteOptions {
-            same_per_m: self.params.same_per_m,
-        };
         let odom_from_camera = odom_from_vehicle.compose(&vehicle_from_camera);
-        Ok((odom_from_camera, Voter::new(&camera, &options)))
+        Ok((odom_from_camera, Voter::new(&camera, &self.params.votes)))
     }
 
     /// Emits the next view with its neighbours' votes, and forgets what no later one needs.
@@ -240,21 +214,11 @@ impl Window {
         let depth = held.depth.as_ref()?;
         let size = [depth.width, depth.height];
         Some(View {
-            scores: view(&held.scores)?,
+            scores: scores(&held.scores).ok()?,
             depth: DepthView::new(size, &depth.data, self.params.depth_scale_m),
             odom_from_camera: *odom_from_camera,
         })
     }
-}
-
-fn view(scores: &ClassScores) -> Option<ScoresView<'_>> {
-    let size = [scores.width, scores.height];
-    ScoresView::new(
-        size,
-        scores.stride_px,
-        scores.classes.len(),
-        &scores.probabilities.0,
-    )
 }
 
 fn depth(scores: &ClassScores, bytes: Option<&[u8]>) -> Result<Grey16, Reason> {

@@ -2,7 +2,7 @@
 
 use evermap_algorithms::semantic_map::relocation;
 use evermap_algorithms::semantic_map::semantic_graph::Graph;
-use evermap_contract::{Emit, Fault, Grain, Kernel, Operator, Port, group_whole};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{ClassCount, ClassLeaf, View};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -14,7 +14,6 @@ pub struct ClassIndex;
 
 /// There is nothing to choose.
 #[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
 pub struct ClassIndexParams {}
 
 impl Operator for ClassIndex {
@@ -24,16 +23,17 @@ impl Operator for ClassIndex {
     type Params = ClassIndexParams;
     type Output = ClassLeaf;
 
-    fn ports() -> Vec<Port> {
-        vec![Port::of::<View>("views", Grain::Whole)]
-    }
-
-    fn kernel(_: ClassIndexParams) -> Result<Kernel, Fault> {
-        Ok(group_whole(|views: Vec<View>, _, emit| leaves(views, emit)))
+    fn work() -> Work<Self::Params> {
+        Work::group(Port::site::<View>("views"), Key::SITE, vec![], leaves)
     }
 }
 
-fn leaves(mut views: Vec<View>, emit: &mut Emit<'_>) -> Result<(), Fault> {
+fn leaves(
+    _: &ClassIndexParams,
+    mut views: Vec<View>,
+    _: &Sides,
+    emit: &mut Emit<'_>,
+) -> Result<(), Fault> {
     let site = views.first().map(|view| view.site.clone());
     views.sort_by(|a, b| a.view.cmp(&b.view));
     let classes = ClassNames::of(&views);

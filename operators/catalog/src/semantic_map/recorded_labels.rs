@@ -2,28 +2,25 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use arrow::array::{Array, RecordBatch};
-use evermap_contract::{Emit, Fault, Grain, Kernel, MapKernel, Mapper, Operator, Port, Sides};
+use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reason, Sides, Work};
+use evermap_schemas::Bytes;
 use evermap_schemas::layers::LabelImage;
 use evermap_schemas::roles::{Frame, LabelClass};
-use evermap_schemas::{Bytes, Stamp, record, rows};
 use evermap_vision::{Grey, ImageError, decode_labels, encode_png};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-
-use crate::inputs::images::images;
 
 /// See the module's page.
 pub struct RecordedLabels;
 
 /// What labels mean.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default)]
 pub struct RecordedLabelsParams {
-    /// Names of the classes by pixel value, for sessions whose log does not say.
+    /// Names of the classes by pixel value, for sessions whose log does not say: by default those of paper 2.
     pub classes: Vec<String>,
-    /// Classes that count as another one, by name.
+    /// Classes that count as another one, by name: `{"bicyclist": "pedestrian"}`.
     pub merge: BTreeMap<String, String>,
 }
 
@@ -54,18 +51,17 @@ impl Operator for RecordedLabels {
     type Params = RecordedLabelsParams;
     type Output = LabelImage;
 
-    fn ports() -> Vec<Port> {
-        vec![
-            Port::of::<Frame>("labels", Grain::Row).with_pixels("image"),
-            Port::of::<LabelClass>("classes", Grain::Whole).optional(),
-        ]
+    fn work() -> Work<Self::Params> {
+        let labels = Port::session::<Frame>("labels").pixels("image");
+        let classes = Port::site::<LabelClass>("classes").optional();
+        Work::batches(labels, vec![classes], Site::new, Site::images)
     }
 
-    fn kernel(params: RecordedLabelsParams) -> Result<Kernel, Fault> {
+    fn check(params: &Self::Params) -> Result<(), Fault> {
         let distinct: BTreeSet<_> = params.classes.iter().collect();
         if distinct.len() != params.classes.len() || !(1..=MOST_CLASSES).contains(&distinct.len()) {
             return Err(Fault::user(format!(
-                "expected from 1 to {MOST_CLASSES} classes, each named once, found {:?}",
+                "expected from 1 to {MOST_CLASSES} `classes`, each named once, found {:?}",
                 params.classes
             )));
         }
@@ -73,48 +69,13 @@ impl Operator for RecordedLabels {
         if names.clone().any(String::is_empty) {
             return Err(Fault::user("expected names of classes, found an empty one"));
         }
-        Ok(Kernel::Map(Box::new(Opener { params })))
+        Ok(())
     }
 }
 
 /// Values 0 to 254; 255 stands for no class.
 const MOST_CLASSES: usize = 255;
 const NO_CLASS: u8 = 255;
-
-record! {
-    /// The columns of an image row beside its pixels.
-    pub struct Look {
-        /// Site.
-        site: String,
-        /// Session.
-        session: String,
-        /// Exposure.
-        stamp: Stamp,
-        /// Camera.
-        camera: String,
-    }
-}
-
-struct Opener {
-    params: RecordedLabelsParams,
-}
-
-impl MapKernel for Opener {
-    fn open(&self, sides: &Sides) -> Result<Box<dyn Mapper>, Fault> {
-        let mut sites: BTreeMap<String, Vec<LabelClass>> = BTreeMap::new();
-        for row in sides.rows::<LabelClass>("classes")? {
-            sites.entry(row.site.clone()).or_default().push(row);
-        }
-        let merge = &self.params.merge;
-        let sites = sites
-            .into_iter()
-            .map(|(site, said)| (site, Site::of(said, &self.params.classes, merge)));
-        Ok(Box::new(Reader {
-            sites: sites.collect(),
-            elsewhere: Site::of(Vec::new(), &self.params.classes, merge),
-        }))
-    }
-}
 
 /// What label values become: an index into the site's classes.
 type Table = [u8; 256];
@@ -129,6 +90,11 @@ struct Site {
 }
 
 impl Site {
+    fn new(params: &RecordedLabelsParams, sides: &Sides) -> Result<Self, Fault> {
+        let said = sides.rows("classes")?;
+        Ok(Self::of(said, &params.classes, &params.merge))
+    }
+
     /// The classes that the logs name, by session and value; where none does, the given ones.
     fn of(mut said: Vec<LabelClass>, given: &[String], merge: &BTreeMap<String, String>) -> Self {
         let merged = |name: &str| merge.get(name).map_or(name, String::as_str).to_owned();
@@ -170,26 +136,21 @@ impl Site {
     }
 }
 
-struct Reader {
-    sites: BTreeMap<String, Site>,
-    /// For sites that no log says anything of.
-    elsewhere: Site,
-}
-
 /// A row, and whether all its pixels have a class or say that they have none.
-type Found = Result<(LabelImage, bool), &'static str>;
+type Found = Result<(LabelImage, bool), Reason>;
 
-impl Mapper for Reader {
-    fn map(&self, batch: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        let images = images(batch, "labels")?;
-        let looks: Vec<_> = rows::<Look>(batch)?.into_iter().enumerate().collect();
-        let found: Vec<Found> = looks
-            .into_par_iter()
-            .map(|(index, look)| {
-                if images.is_null(index) {
-                    return Err("label image is missing");
-                }
-                self.row(look, images.value(index))
+impl Site {
+    fn images(
+        &self,
+        frames: Vec<Frame>,
+        pixels: &Pixels,
+        emit: &mut Emit<'_>,
+    ) -> Result<(), Fault> {
+        let frames = frames.into_par_iter().enumerate();
+        let found: Vec<Found> = frames
+            .map(|(row, frame)| {
+                let bytes = pixels.get(row).ok_or("label image is missing")?;
+                self.image(frame, bytes)
             })
             .collect();
         let mut kept = Vec::with_capacity(found.len());
@@ -206,26 +167,23 @@ impl Mapper for Reader {
         }
         emit.rows(kept)
     }
-}
 
-impl Reader {
-    fn row(&self, look: Look, bytes: &[u8]) -> Found {
+    fn image(&self, frame: Frame, bytes: &[u8]) -> Found {
         let mut labels = decode_labels(bytes).map_err(|error| match error {
             ImageError::Values { .. } => "label image holds colours instead of values",
             _ => "label image does not decode",
         })?;
-        let site = self.sites.get(&look.site).unwrap_or(&self.elsewhere);
-        let table = site.sessions.get(&look.session).unwrap_or(&site.unsaid);
+        let table = self.sessions.get(&frame.session).unwrap_or(&self.unsaid);
         let complete = classify(&mut labels, table);
         let png = encode_png(&labels).map_err(|_| "label image does not encode")?;
         let row = LabelImage {
-            site: look.site,
-            session: look.session,
-            stamp: look.stamp,
-            camera: look.camera,
+            site: frame.site,
+            session: frame.session,
+            stamp: frame.stamp,
+            camera: frame.camera,
             width: labels.width,
             height: labels.height,
-            classes: site.classes.clone(),
+            classes: self.classes.clone(),
             png: Bytes(png),
         };
         Ok((row, complete))

@@ -1,35 +1,35 @@
 #![doc = include_str!("word_relocations.md")]
 
-use std::collections::BTreeMap;
-
-use arrow::array::RecordBatch;
 use evermap_algorithms::metric_map::features::{DESCRIPTOR_BYTES, Descriptor};
 use evermap_algorithms::metric_map::places::{Hit, PlaceIndex, Vocabulary, VocabularyOptions};
-use evermap_contract::{Emit, Fault, Grain, Kernel, MapKernel, Mapper, Operator, Port, Sides};
+use evermap_contract::{Fault, Operator, Port, Reason, Sides, Work};
 use evermap_schemas::layers::{Features, Relocation};
-use evermap_schemas::{Bytes, Stamp, record, rows};
+use evermap_schemas::{Bytes, Stamp, record};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-
-use crate::inputs::rig::Reason;
 
 /// See the module's page.
 pub struct WordRelocations;
 
 /// How views are looked for.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default)]
 pub struct WordRelocationsParams {
     /// Views of the map that are given for each query, at most.
+    #[schemars(range(min = 1, max = 100_000))]
     pub top: u32,
     /// Branches at each node of the vocabulary (K).
+    #[schemars(range(min = 2, max = 1000))]
     pub branching: u32,
-    /// Levels of the vocabulary, at most (L).
+    /// Levels of the vocabulary (L): at most `branching` to the power of `depth` words. Paper 2 compares with 10 and 5, and
+    /// with 8 and 4.
+    #[schemars(range(min = 1, max = 16))]
     pub depth: u32,
-    /// Descriptors that the vocabulary is trained with, at most.
+    /// Descriptors of the map that the vocabulary is trained with, at most; of more, every second, third … is taken.
+    #[schemars(range(min = 1))]
     pub max_training: u32,
-    /// Whether a view may be found in its own session; never as itself.
+    /// Whether a view may be found in its own session, where its neighbours in time would win. It is never found as itself.
     pub within_session: bool,
 }
 
@@ -46,24 +46,6 @@ impl Default for WordRelocationsParams {
 }
 
 impl WordRelocationsParams {
-    fn refuse_senseless(&self) -> Result<(), Fault> {
-        let ranges = [
-            ("top", self.top, 1..=100_000),
-            ("branching", self.branching, 2..=1000),
-            ("depth", self.depth, 1..=16),
-            ("max_training", self.max_training, 1..=u32::MAX),
-        ];
-        for (name, value, range) in ranges {
-            if !range.contains(&value) {
-                let (least, most) = range.into_inner();
-                return Err(Fault::user(format!(
-                    "expected {name} from {least} to {most}, found {value}"
-                )));
-            }
-        }
-        Ok(())
-    }
-
     fn vocabulary(&self) -> VocabularyOptions {
         VocabularyOptions {
             branching: self.branching as usize,
@@ -83,22 +65,16 @@ impl Operator for WordRelocations {
     type Params = WordRelocationsParams;
     type Output = Relocation;
 
-    fn ports() -> Vec<Port> {
-        vec![
-            Port::of::<Features>("queries", Grain::Row),
-            Port::of::<Features>("map", Grain::Whole),
-        ]
-    }
-
-    fn kernel(params: WordRelocationsParams) -> Result<Kernel, Fault> {
-        params.refuse_senseless()?;
-        Ok(Kernel::Map(Box::new(Opener { params })))
+    fn work() -> Work<Self::Params> {
+        let queries = Port::session::<Features>("queries");
+        let map = Port::site::<Features>("map");
+        Work::each_row(queries, vec![map], Finder::new, Finder::relocations)
     }
 }
 
 record! {
     /// What an image looks like, without where its features are.
-    pub struct Look {
+    pub struct Described {
         /// Site.
         site: String,
         /// Session.
@@ -112,7 +88,7 @@ record! {
     }
 }
 
-impl Look {
+impl Described {
     fn view(&self) -> View {
         View {
             session: self.session.clone(),
@@ -125,26 +101,6 @@ impl Look {
     fn descriptors(&self) -> Vec<Descriptor> {
         let (all, _) = self.descriptors.0.as_chunks::<DESCRIPTOR_BYTES>();
         all.iter().copied().map(Descriptor).collect()
-    }
-}
-
-struct Opener {
-    params: WordRelocationsParams,
-}
-
-impl MapKernel for Opener {
-    fn open(&self, sides: &Sides) -> Result<Box<dyn Mapper>, Fault> {
-        let mut by_site: BTreeMap<String, Vec<Look>> = BTreeMap::new();
-        for look in sides.rows::<Look>("map")? {
-            by_site.entry(look.site.clone()).or_default().push(look);
-        }
-        let sites = by_site
-            .into_iter()
-            .map(|(site, looks)| (site, Site::new(looks, &self.params.vocabulary())));
-        Ok(Box::new(Finder {
-            params: self.params.clone(),
-            sites: sites.collect(),
-        }))
     }
 }
 
@@ -163,75 +119,57 @@ impl View {
 }
 
 /// A site's map: its words, and which views show them.
-struct Site {
+struct Finder {
+    params: WordRelocationsParams,
     vocabulary: Vocabulary,
     index: PlaceIndex,
     views: Vec<View>,
 }
 
-impl Site {
-    fn new(looks: Vec<Look>, options: &VocabularyOptions) -> Self {
-        let views = looks.iter().map(Look::view).collect();
-        let descriptors: Vec<_> = looks.iter().map(Look::descriptors).collect();
-        drop(looks);
+impl Finder {
+    fn new(params: &WordRelocationsParams, sides: &Sides) -> Result<Self, Fault> {
+        let map = sides.rows::<Described>("map")?;
+        let views = map.iter().map(Described::view).collect();
+        let descriptors: Vec<_> = map.iter().map(Described::descriptors).collect();
+        drop(map);
         let all: Vec<_> = descriptors.iter().flatten().collect();
-        let vocabulary = Vocabulary::train(all.into_iter(), options);
+        let vocabulary = Vocabulary::train(all.into_iter(), &params.vocabulary());
         let bags: Vec<_> = descriptors
             .par_iter()
             .map(|descriptors| vocabulary.bag(descriptors))
             .collect();
-        Self {
+        Ok(Self {
+            params: params.clone(),
             index: PlaceIndex::new(vocabulary.words(), &bags),
             vocabulary,
             views,
-        }
+        })
     }
-}
 
-struct Finder {
-    params: WordRelocationsParams,
-    sites: BTreeMap<String, Site>,
-}
-
-impl Mapper for Finder {
-    fn map(&self, batch: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        let looks = rows::<Look>(batch)?;
-        let found: Vec<_> = looks.par_iter().map(|look| self.found(look)).collect();
-        let mut all = Vec::new();
-        for relocations in found {
-            match relocations {
-                Ok(relocations) => all.extend(relocations),
-                Err(reason) => emit.skip(reason, 1),
-            }
-        }
-        emit.rows(all)
-    }
-}
-
-impl Finder {
-    fn found(&self, look: &Look) -> Result<Vec<Relocation>, Reason> {
-        let descriptors = look.descriptors();
+    fn relocations(&self, described: Described) -> Result<Vec<Relocation>, Reason> {
+        let descriptors = described.descriptors();
         if descriptors.is_empty() {
             return Err("view has no features");
         }
-        let site = self.sites.get(&look.site).ok_or("site has no map")?;
-        let query = look.view();
-        let hits = site.index.best(
-            &site.vocabulary.bag(&descriptors),
-            self.params.top as usize,
-            |document| {
-                let view = &site.views[document];
+        if self.views.is_empty() {
+            return Err("site has no map");
+        }
+        let query = described.view();
+        let bag = self.vocabulary.bag(&descriptors);
+        let hits = self
+            .index
+            .best(&bag, self.params.top as usize, |document| {
+                let view = &self.views[document];
                 view.session != query.session || (self.params.within_session && *view != query)
-            },
-        );
+            });
         let relocation = |(rank, hit): (u32, Hit)| {
-            let view = &site.views[hit.document];
+            let view = &self.views[hit.document];
             let score = f64::from(hit.score.min(1.0));
             Relocation {
-                site: look.site.clone(),
-                session: look.session.clone(),
-                stamp: look.stamp,
-                camera: look.camera.clone(),
+                site: described.site.clone(),
+                session: described.session.clone(),
+                stamp: described.stamp,
+                camera: described.camera.clone(),
                 view: query.name(),
                 rank,
                 map_session: view.session.clone(),

@@ -352,12 +352,8 @@ fn senseless_parameters_are_the_users() {
         ("keyframes", json!({ "max_gap_s": -1.0 })),
         ("road_network", json!({ "connect_m": 0.0 })),
     ] {
-        let fault = registry
-            .get(operator)
-            .unwrap()
-            .kernel(&params)
-            .err()
-            .unwrap();
+        let entry = registry.get(operator).unwrap();
+        let fault = entry.normalise(&params).unwrap_err();
         assert_eq!(fault.kind.code(), "user", "{operator} {params}: {fault}");
     }
 }

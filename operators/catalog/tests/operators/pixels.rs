@@ -49,6 +49,10 @@ record! {
         stamp: Stamp,
         /// Camera.
         camera: String,
+        /// Topic.
+        topic: String,
+        /// When it was recorded.
+        log_time: Stamp,
         /// Encoded pixels.
         image: Bytes,
     }
@@ -115,6 +119,8 @@ fn shot(n: i64, image: Vec<u8>) -> Shot {
         session: "a".to_owned(),
         stamp: Stamp(n),
         camera: "front".to_owned(),
+        topic: "/front".to_owned(),
+        log_time: Stamp(n),
         image: Bytes(image),
     }
 }
