@@ -1,5 +1,8 @@
 //! Key points with binary descriptors, as BRISK yields them.
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 /// Bytes of a descriptor.
 pub const DESCRIPTOR_BYTES: usize = 64;
 
@@ -44,6 +47,22 @@ pub struct Feature {
     pub size_px: f64,
     /// What it looks like.
     pub descriptor: Descriptor,
+}
+
+/// How exactly features lie: a parameter of all that weigh them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct FeatureNoise {
+    /// Standard deviation of the smallest features' places in the image (px): corners of a few pixels, odometry that
+    /// does not know the vehicle's nodding. Where sizes count, that of larger ones grows with the 0.75th power of them.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub sigma_px: f64,
+}
+
+impl Default for FeatureNoise {
+    fn default() -> Self {
+        Self { sigma_px: 1.0 }
+    }
 }
 
 /// The features of one image.

@@ -9,6 +9,7 @@
 //! | [`localisation`] | a drive's poses in a map it did not make |
 //! | [`mapping`] | association, triangulation and adjustment in turns, until a map is accurate |
 //! | [`matching`] | descriptors to descriptors |
+//! | [`odometry`] | how far odometry is believed |
 //! | [`places`] | a binary vocabulary, and keyframes that look alike |
 //! | [`pose_graph`] | odometry and loops relaxed into consistent poses |
 //! | [`tracking`] | features followed through a camera's keyframes |
@@ -20,6 +21,7 @@ pub mod features;
 pub mod localisation;
 pub mod mapping;
 pub mod matching;
+pub mod odometry;
 pub mod places;
 pub mod pose_graph;
 pub mod tracking;

@@ -17,6 +17,8 @@ mod tests;
 pub use chance::inliers_beyond_chance;
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use crate::geometry::pose::Pose;
 use consensus::inliers;
@@ -43,19 +45,24 @@ pub struct Correspondence {
     pub quality: f64,
 }
 
-/// How to search.
-#[derive(Debug, Clone, PartialEq)]
+/// How to search. How long is a parameter of those who search.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct ResectionOptions {
     /// Squared error in standard deviations up to which a correspondence is an inlier. Of two degrees of freedom: 9.21
     /// keeps 99 % of the true ones.
+    #[serde(skip)]
     pub gate: f64,
     /// The search ends when a sample without outliers was drawn with this probability.
+    #[serde(skip)]
     pub confidence: f64,
-    /// The search ends after as many samples.
+    /// Samples of the search for a pose, at most: 99 % for 13 % of inliers.
     pub max_iterations: usize,
     /// Fewer inliers are no pose. Never taken below four.
+    #[serde(skip)]
     pub min_inliers: usize,
     /// Seed of the samples.
+    #[serde(skip)]
     pub seed: u64,
 }
 
@@ -64,7 +71,6 @@ impl Default for ResectionOptions {
         Self {
             gate: 9.21,
             confidence: 0.99,
-            // 99 % for 13 % of inliers.
             max_iterations: 2000,
             min_inliers: 8,
             seed: 0,

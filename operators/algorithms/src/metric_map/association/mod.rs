@@ -40,6 +40,10 @@ pub use scene::{FeatureRef, Scene, SceneFeature, SceneImage, SceneKeyframe};
 pub use search::Hit;
 
 use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::metric_map::matching::MatchLimits;
 
 /// A point of the world and the features that show it.
 #[derive(Debug, Clone, PartialEq)]
@@ -53,26 +57,33 @@ pub struct Landmark {
 }
 
 /// How features are sought and landmarks merged.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct AssociationParams {
     /// Radius around the predicted pixel that is searched, pixels. About what poses are off by, as seen from the
     /// landmark: smaller from round to round.
+    #[serde(skip)]
     pub radius_px: f64,
-    /// Descriptors with more differing bits are not alike.
-    pub max_bits: u32,
-    /// The best feature must have fewer bits than this part of the second best one's.
-    pub ratio: f64,
+    /// Which descriptors are alike; the next best one is that of another spot in the circle.
+    #[serde(flatten)]
+    pub limits: MatchLimits,
     /// Features sought may be seen under an angle so much larger than the landmark was seen under so far, radians.
+    #[serde(skip)]
     pub view_margin_rad: f64,
     /// Range and size of the feature may differ by this factor from what was seen so far.
+    #[serde(skip)]
     pub scale_factor: f64,
     /// Hits that agree with a keyframe's motion lie nearer than this, pixels.
+    #[serde(skip)]
     pub agree_px: f64,
     /// Hits of one keyframe on landmarks of other visits that must agree before any of them counts.
+    #[serde(skip)]
     pub min_agreeing: usize,
     /// Keyframes before and after that are the same visit.
+    #[serde(skip)]
     pub visit_keyframes: u32,
     /// Images that must say that two landmarks are one.
+    #[serde(skip)]
     pub min_votes: u32,
 }
 
@@ -80,8 +91,7 @@ impl Default for AssociationParams {
     fn default() -> Self {
         Self {
             radius_px: 8.0,
-            max_bits: 100,
-            ratio: 0.8,
+            limits: MatchLimits::default(),
             view_margin_rad: 0.5,
             scale_factor: 1.6,
             agree_px: 3.0,

@@ -318,9 +318,7 @@ impl Sought<'_> {
             .filter(|(_, other)| distance_px(features[*other as usize].pixel, at) > SAME_PLACE_PX)
             .map(|(bits, _)| *bits)
             .min();
-        let unrivalled =
-            rival.is_none_or(|rival| f64::from(bits) < params.ratio * f64::from(rival));
-        (bits <= params.max_bits && unrivalled).then_some((best, bits))
+        params.limits.accept(bits, rival).then_some((best, bits))
     }
 }
 

@@ -125,7 +125,7 @@ pub(super) fn claims(
             };
             let cells = Cells::new(image);
             let all = candidates(map, of_camera, start, &cells, search, params);
-            mutual(all, sighted, image, params.match_ratio)
+            mutual(all, sighted, image, params.limits.match_ratio)
         })
         .collect();
     held.into_iter().flatten().collect()
@@ -163,7 +163,7 @@ fn candidates(
                 .iter()
                 .map(|known| known.distance(&feature.descriptor))
                 .min();
-            if let Some(bits) = bits.filter(|bits| *bits <= params.match_bits) {
+            if let Some(bits) = bits.filter(|bits| *bits <= params.limits.match_bits) {
                 found.push(Claim {
                     sighted: start + offset,
                     feature: index,

@@ -4,7 +4,7 @@ use super::association::{Claim, Search, claims};
 use super::motion::{Guess, difference};
 use super::refinement::{Pair, Refined, Refinement};
 use super::view::{Sighted, eyes, sighted};
-use super::{LandmarkMap, LocalisationParams, LocalisationParamsError};
+use super::{LandmarkMap, LocalisationParams};
 use crate::geometry::rig::Rig;
 use crate::metric_map::features::KeyframeFeatures;
 use nalgebra::Vector3;
@@ -91,17 +91,9 @@ pub struct Localiser<'a> {
 }
 
 impl<'a> Localiser<'a> {
-    /// A localiser.
-    ///
-    /// # Errors
-    /// A parameter that makes no sense.
-    pub fn new(
-        rig: &'a Rig,
-        map: &'a LandmarkMap,
-        params: LocalisationParams,
-    ) -> Result<Self, LocalisationParamsError> {
-        params.check()?;
-        Ok(Self { rig, map, params })
+    /// A localiser; its parameters have passed [`LocalisationParams::check`].
+    pub fn new(rig: &'a Rig, map: &'a LandmarkMap, params: LocalisationParams) -> Self {
+        Self { rig, map, params }
     }
 
     /// The pose of a keyframe near a guess: matched as far as the guess's covariance reaches, refined, matched

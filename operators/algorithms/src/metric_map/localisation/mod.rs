@@ -38,5 +38,5 @@ pub use drive::{DriveKeyframe, KeyframeLocalisation, Recognise, State};
 pub use fix::{Doubt, Fix, Localiser, Match};
 pub use map::{LandmarkMap, MapLandmark};
 pub use motion::Guess;
-pub use params::{LocalisationParams, LocalisationParamsError};
+pub use params::{LocalisationParams, NarrowVerification};
 pub use recovery::Places;

@@ -164,11 +164,12 @@ impl Odometer {
 fn step_noise(step: &Pose, params: &LocalisationParams) -> (Vector3<f64>, Vector3<f64>) {
     let path = step.translation.norm();
     let turn = step.rotation.angle();
-    let along = FLOOR_M + params.odometry_scale * path;
+    let share = params.odometry.share_of_guess();
+    let along = FLOOR_M + share * path;
     let across = FLOOR_M + params.odometry_yaw_rad_per_m * path;
     let up = FLOOR_M + params.tilt_rad_per_m * path;
     let tilt = FLOOR_RAD + params.tilt_rad_per_m * path;
-    let yaw = FLOOR_RAD + params.odometry_yaw_rad_per_m * path + params.odometry_scale * turn;
+    let yaw = FLOOR_RAD + params.odometry_yaw_rad_per_m * path + share * turn;
     let square = |sigmas: [f64; 3]| Vector3::from(sigmas.map(|sigma| sigma * sigma));
     (square([along, across, up]), square([tilt, tilt, yaw]))
 }

@@ -1,50 +1,82 @@
 //! What localisation can be told, with the reasons for its defaults.
 
-/// How a drive is localised. The operator's page gives the same reasons at more length.
-#[derive(Debug, Clone, Copy, PartialEq)]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::metric_map::matching::MatchLimits;
+use crate::metric_map::odometry::OdometryScale;
+
+/// How a drive is localised.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct LocalisationParams {
-    /// Standard deviation of a feature's place in the image, pixels: quantisation of a corner to a pixel (0.3) and
-    /// what the descriptor's neighbourhood shifts between two views. Covariances are scaled by the residuals found;
-    /// this only weighs features against landmarks' own uncertainty and odometry.
+    /// Standard deviation of a feature's place in the image (px): a corner rounded to a pixel (0.3), and what its
+    /// neighbourhood shifts between two views. Covariances are scaled by the residuals found; this weighs features
+    /// against landmarks' own uncertainty and odometry.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub feature_px: f64,
-    /// Descriptors farther apart than this many of 512 bits are not of one landmark.
-    pub match_bits: u32,
-    /// A landmark's descriptor distance, over that of the next landmark that could be meant, is below this.
-    pub match_ratio: f64,
-    /// Radius in which a pose is verified, pixels: several times the noise, so that chance fills it evenly.
+    /// Which descriptors are of one landmark; the next best one is that of the next landmark or feature of another
+    /// spot.
+    #[serde(flatten)]
+    pub limits: MatchLimits,
+    /// Radius in which a pose is verified (px), at least four times `feature_px`: four radii of inliers, so that chance
+    /// gives one match in sixteen as inlier.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub verify_px: f64,
-    /// Largest radius of a search, pixels.
+    /// Largest radius of a search (px): a quarter of a radian at 127 px/rad.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub search_px: f64,
-    /// Fewest inliers of a fix.
+    /// Fewest inliers of a fix: 30 equations for 6 unknowns.
+    #[schemars(range(min = 6))]
     pub min_inliers: usize,
-    /// Smallest share of inliers among the matches within `verify_px`.
+    /// Smallest share of inliers among the matches within `verify_px`; by chance it is 0.06.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub min_inlier_share: f64,
-    /// Fewest directions, of 24 equal parts of the sphere around the vehicle, that inliers lie in.
+    /// Fewest of 24 directions that inliers lie in: 12 sectors around the vehicle, above and below the cameras' horizon
+    /// apart. One parked car that moved fills two or three.
     pub min_directions: usize,
-    /// Largest standard deviation of a localised position in any direction, metres.
+    /// Largest standard deviation of a localised position in any direction (m): five of them are the half metre that
+    /// must never be missed.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_sigma_m: f64,
-    /// Largest standard deviation of a localised orientation about any axis, radians.
+    /// Largest standard deviation of a localised orientation about any axis (rad).
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_sigma_rad: f64,
-    /// What the map's landmarks around a keyframe are off by together, along each axis, metres: no number of them
-    /// averages it out. Added to every pose's uncertainty.
+    /// What the map's landmarks around a keyframe are off by together, along each axis (m); no number of inliers
+    /// averages it out, and nothing in a session shows it. 1.5 cm along each of three axes is a map with an error of
+    /// 2.6 cm RMSE, as two loops of a car park give. 0: covariances relative to the landmarks nearby.
+    #[schemars(range(min = 0.0))]
     pub map_m: f64,
-    /// What they are turned by together, about each axis, radians.
+    /// What they are turned by together, about each axis (rad): `map_m` over some fifteen metres.
+    #[schemars(range(min = 0.0))]
     pub map_rad: f64,
-    /// Odometry: standard deviation of driven distance over distance.
-    pub odometry_scale: f64,
-    /// Odometry: standard deviation of heading per distance, radians per metre.
+    /// Odometry's distance, of which a guess allows for five standard deviations. Scale and yaw drift are learned along
+    /// the drive; this is not reduced.
+    #[serde(flatten)]
+    pub odometry: OdometryScale,
+    /// Standard deviation of odometry's heading by distance (rad/m), as guesses of the next pose allow for.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub odometry_yaw_rad_per_m: f64,
-    /// Standard deviation of roll and pitch per distance, which planar odometry does not measure, radians per metre.
+    /// Standard deviation of roll and pitch by distance (rad/m), and of height by distance: planar odometry says nothing
+    /// about a floor's slope of up to 3 % between two halves.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub tilt_rad_per_m: f64,
-    /// A guess whose position is less certain than this in any direction is given up, metres.
+    /// A guess with a larger standard deviation of position is given up, and the place recognised anew (m).
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub give_up_m: f64,
-    /// Keyframes beside a recovered one that must confirm it.
+    /// Keyframes, of the next six or the six before, that must be localised from a recovered one before it counts.
+    #[schemars(range(min = 1))]
     pub confirmations: usize,
-    /// Largest distance of landmarks that are looked for, metres.
+    /// Landmarks farther than this are not looked for (m): at 127 px/rad a metre is three pixels.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub reach_m: f64,
-    /// How far outside the cone that it was seen from a landmark is still looked for, radians.
+    /// How far outside the cone that it was seen from a landmark is looked for (rad): binary descriptors bear some 20°
+    /// of change of view.
+    #[schemars(range(min = 0.0))]
     pub view_slack_rad: f64,
-    /// How far outside the ranges that it was seen at a landmark is still looked for, as a factor.
+    /// How far outside the ranges that it was seen at a landmark is looked for, as a factor: about an octave of scale
+    /// from end to end.
+    #[schemars(range(min = 1.0))]
     pub range_slack: f64,
 }
 
@@ -52,8 +84,7 @@ impl Default for LocalisationParams {
     fn default() -> Self {
         Self {
             feature_px: 0.7,
-            match_bits: 90,
-            match_ratio: 0.85,
+            limits: MatchLimits::default(),
             verify_px: 12.0,
             search_px: 40.0,
             min_inliers: 15,
@@ -63,7 +94,7 @@ impl Default for LocalisationParams {
             max_sigma_rad: 0.02,
             map_m: 0.015,
             map_rad: 0.001,
-            odometry_scale: 0.05,
+            odometry: OdometryScale::default(),
             odometry_yaw_rad_per_m: 0.02,
             tilt_rad_per_m: 0.03,
             give_up_m: 0.5,
@@ -75,91 +106,33 @@ impl Default for LocalisationParams {
     }
 }
 
-/// A parameter that makes no sense.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("expected {name} {expected}, found {found}")]
-pub struct LocalisationParamsError {
-    /// Its name.
-    pub name: &'static str,
-    /// What would do.
-    pub expected: &'static str,
-    /// What was given.
-    pub found: f64,
+/// A verification so narrow that chance would not fill it evenly.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("expected verify_px of at least 4 times feature_px ({feature_px} px), found {verify_px}")]
+pub struct NarrowVerification {
+    /// The radius.
+    pub verify_px: f64,
+    /// The features' standard deviation.
+    pub feature_px: f64,
 }
 
 impl LocalisationParams {
-    /// Checks every parameter.
+    /// Whether the parameters go together.
     ///
     /// # Errors
-    /// [`LocalisationParamsError`] names the first that makes no sense.
-    pub fn check(&self) -> Result<(), LocalisationParamsError> {
-        let positive = [
-            ("feature_px", self.feature_px),
-            ("search_px", self.search_px),
-            ("max_sigma_m", self.max_sigma_m),
-            ("max_sigma_rad", self.max_sigma_rad),
-            ("odometry_scale", self.odometry_scale),
-            ("odometry_yaw_rad_per_m", self.odometry_yaw_rad_per_m),
-            ("tilt_rad_per_m", self.tilt_rad_per_m),
-            ("give_up_m", self.give_up_m),
-            ("reach_m", self.reach_m),
-        ];
-        for (name, found) in positive {
-            need(name, "> 0", found, found > 0.0 && found.is_finite())?;
+    /// [`NarrowVerification`].
+    pub fn check(&self) -> Result<(), NarrowVerification> {
+        let Self {
+            verify_px,
+            feature_px,
+            ..
+        } = *self;
+        if verify_px >= 4.0 * feature_px {
+            return Ok(());
         }
-        let share = self.min_inlier_share;
-        need(
-            "min_inlier_share",
-            "of 0 to 1",
-            share,
-            (0.0..=1.0).contains(&share),
-        )?;
-        let ratio = self.match_ratio;
-        need(
-            "match_ratio",
-            "above 0, at most 1",
-            ratio,
-            ratio > 0.0 && ratio <= 1.0,
-        )?;
-        for (name, found) in [("map_m", self.map_m), ("map_rad", self.map_rad)] {
-            need(name, ">= 0", found, found >= 0.0 && found.is_finite())?;
-        }
-        let wide = self.verify_px >= 4.0 * self.feature_px && self.verify_px.is_finite();
-        need("verify_px", ">= 4 feature_px", self.verify_px, wide)?;
-        let slack = self.view_slack_rad;
-        need("view_slack_rad", ">= 0", slack, slack >= 0.0)?;
-        let slack = self.range_slack;
-        need(
-            "range_slack",
-            ">= 1",
-            slack,
-            slack >= 1.0 && slack.is_finite(),
-        )?;
-        let inliers = self.min_inliers;
-        need("min_inliers", ">= 6", inliers as f64, inliers >= 6)?;
-        let confirmations = self.confirmations;
-        need(
-            "confirmations",
-            ">= 1",
-            confirmations as f64,
-            confirmations >= 1,
-        )
-    }
-}
-
-fn need(
-    name: &'static str,
-    expected: &'static str,
-    found: f64,
-    sound: bool,
-) -> Result<(), LocalisationParamsError> {
-    if sound {
-        Ok(())
-    } else {
-        Err(LocalisationParamsError {
-            name,
-            expected,
-            found,
+        Err(NarrowVerification {
+            verify_px,
+            feature_px,
         })
     }
 }

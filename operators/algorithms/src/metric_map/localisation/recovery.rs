@@ -62,7 +62,7 @@ impl<'a> Places<'a> {
             index: PlaceIndex::new(vocabulary.words(), &bags),
             rig,
             map,
-            match_bits: params.match_bits,
+            match_bits: params.limits.match_bits,
             vocabulary,
             landmarks,
         }
@@ -102,8 +102,8 @@ impl<'a> Places<'a> {
         {
             // No ratio test: a landmark's own other descriptors would fail it.
             let limits = MatchLimits {
-                max_distance: self.match_bits,
-                max_ratio: 1.0,
+                match_bits: self.match_bits,
+                match_ratio: 1.0,
             };
             let seen: Descriptors = image
                 .features

@@ -1,6 +1,8 @@
 //! Bundle adjustment of a scene.
 
 use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use super::{MapInput, MapObservation};
 use crate::geometry::pose::Pose;
@@ -8,6 +10,8 @@ use crate::metric_map::association::{Landmark, Scene};
 use crate::metric_map::bundle_adjustment::{
     Keyframe, Observation, Odometry, Options, Problem, Session, residuals, solve,
 };
+use crate::metric_map::features::FeatureNoise;
+use crate::metric_map::odometry::OdometryScale;
 use crate::solving::least_squares::{self, Loss};
 
 /// Weights of adjustment.
@@ -15,34 +19,43 @@ use crate::solving::least_squares::{self, Loss};
 /// Wheel odometry is planar and a step between keyframes short: what it says is good to about a tick (5 mm) plus a
 /// part of the way. It knows nothing of slopes, kerbs and suspension: height, roll and pitch are held only as much
 /// as a ramp's beginning (some per cent of slope within a step) allows.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct AdjustParams {
-    /// Standard deviation of a feature, pixels.
-    pub sigma_px: f64,
+    /// How exactly features lie.
+    #[serde(flatten)]
+    pub features: FeatureNoise,
     /// Residuals beyond this many standard deviations count less and less (Cauchy).
+    #[serde(skip)]
     pub robust_sigmas: f64,
     /// Standard deviation of an odometry step along x, y, z (m), roll, pitch, yaw (rad), however short it is.
+    #[serde(skip)]
     pub odometry_sigma: [f64; 6],
     /// What is added for each metre.
+    #[serde(skip)]
     pub odometry_sigma_per_m: [f64; 6],
-    /// Standard deviation of a session's odometry scale about 1.
-    pub odometry_scale_sigma: f64,
+    /// What a session's odometry scale is held by.
+    #[serde(flatten)]
+    pub odometry: OdometryScale,
     /// Steps longer than this (m) are no odometry: it was reset.
+    #[serde(skip)]
     pub longest_step_m: f64,
     /// Iterations of one adjustment between rounds.
+    #[serde(skip)]
     pub iterations: usize,
     /// Iterations of the last adjustment.
+    #[serde(skip)]
     pub last_iterations: usize,
 }
 
 impl Default for AdjustParams {
     fn default() -> Self {
         Self {
-            sigma_px: 1.0,
+            features: FeatureNoise::default(),
             robust_sigmas: 2.0,
             odometry_sigma: [0.005, 0.005, 0.01, 0.01, 0.01, 0.003],
             odometry_sigma_per_m: [0.01, 0.01, 0.03, 0.02, 0.02, 0.006],
-            odometry_scale_sigma: 0.01,
+            odometry: OdometryScale::default(),
             longest_step_m: 5.0,
             iterations: 8,
             last_iterations: 30,
@@ -70,7 +83,7 @@ pub(super) fn adjust(
     let mut problem = problem(input, poses, landmarks, params);
     let options = Options {
         observation_loss: loss,
-        scale_sigma: params.odometry_scale_sigma,
+        scale_sigma: params.odometry.sigma,
         least_squares: least_squares::Options {
             max_iterations: iterations,
             cost_tolerance: 1e-5,
@@ -144,7 +157,7 @@ fn observations(scene: &Scene, landmarks: &[Landmark], params: &AdjustParams) ->
                 camera: (feature.image - scene.keyframes[pose].images.start) as usize,
                 landmark: at,
                 pixel: scene.feature(*feature).pixel,
-                sigma_px: params.sigma_px * scene.blur(*feature),
+                sigma_px: params.features.sigma_px * scene.blur(*feature),
             });
         }
     }

@@ -22,29 +22,40 @@ mod prune;
 #[cfg(test)]
 mod tests;
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 use crate::geometry::pose::Pose;
 use crate::metric_map::association::{AssociationParams, FeatureRef, Landmark, Scene, associate};
 
 pub use adjust::AdjustParams;
 
 /// How maps are made.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct MappingParams {
-    /// Rounds of association and adjustment.
+    /// Rounds of association and adjustment. Later ones change little.
     pub rounds: u32,
-    /// Search radius of the first round, pixels.
+    /// Radius around a predicted pixel that the first round searches (px).
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub first_radius_px: f64,
-    /// Search radius of the last round.
+    /// Radius that the last round searches (px): some standard deviations of a feature and its prediction.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub last_radius_px: f64,
     /// The rest of association's choices; its radius is not used.
+    #[serde(flatten)]
     pub association: AssociationParams,
     /// Features farther from their adjusted landmark than this, in standard deviations, are wrong.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub drop_sigmas: f64,
     /// Landmarks need so many features.
+    #[serde(skip)]
     pub min_features: usize,
-    /// Landmarks need rays that differ by this angle, radians.
+    /// Rays to a landmark differ by at least this angle (rad).
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_parallax_rad: f64,
     /// Weights of adjustment.
+    #[serde(flatten)]
     pub adjust: AdjustParams,
 }
 
@@ -120,7 +131,7 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
         landmarks = prune::prune(scene, &poses, found, gate_px, params);
         let iterations = params.adjust.iterations;
         poses = adjust::adjust(input, &poses, &landmarks, &params.adjust, iterations).poses;
-        let drop_px = params.drop_sigmas * params.adjust.sigma_px;
+        let drop_px = params.drop_sigmas * params.adjust.features.sigma_px;
         landmarks = prune::prune(scene, &poses, landmarks, drop_px, params);
     }
     prune::name(&mut landmarks, first_new);

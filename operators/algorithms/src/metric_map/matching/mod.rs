@@ -16,22 +16,28 @@ pub use brute_force::{Descriptors, Match};
 pub use grid::FeatureGrid;
 pub use index::{ImageIndex, Nearest};
 
-/// When the nearest descriptor counts as a match.
-#[derive(Debug, Clone, Copy, PartialEq)]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// When the nearest descriptor counts as a match: parameters of all that match descriptors.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct MatchLimits {
-    /// More differing bits than this, of 512, are never a match.
-    pub max_distance: u32,
-    /// The distance must be below this share of the runner-up's; 1 and more switch the test off.
-    pub max_ratio: f64,
+    /// Descriptors that differ in more bits than this, of 512, never match. The same point in neighbouring keyframes
+    /// differs in 40 to 100 bits, the nearest of some hundred unrelated ones in more than 110.
+    #[schemars(range(max = 512))]
+    pub match_bits: u32,
+    /// The best match's bits must be below this share of the next best one's; 1 and more: no such test.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub match_ratio: f64,
 }
 
 impl Default for MatchLimits {
-    /// Measured on neighbouring keyframes of fisheye cameras: true pairs differ in 40 to 100 bits,
-    /// the nearest of some hundred unrelated descriptors in 110 and more. The ratio is near Lowe's.
+    /// Measured on neighbouring keyframes of fisheye cameras. The ratio is near Lowe's.
     fn default() -> Self {
         Self {
-            max_distance: 100,
-            max_ratio: 0.85,
+            match_bits: 100,
+            match_ratio: 0.85,
         }
     }
 }
@@ -41,8 +47,8 @@ impl MatchLimits {
     /// distance counts.
     pub fn accept(&self, distance: u32, runner_up: Option<u32>) -> bool {
         let clear = |second: u32| {
-            self.max_ratio >= 1.0 || f64::from(distance) < self.max_ratio * f64::from(second)
+            self.match_ratio >= 1.0 || f64::from(distance) < self.match_ratio * f64::from(second)
         };
-        distance <= self.max_distance && runner_up.is_none_or(clear)
+        distance <= self.match_bits && runner_up.is_none_or(clear)
     }
 }

@@ -47,7 +47,7 @@ proptest! {
     fn mutual_matches_are_those_of_the_naive_search(
         a in descriptors(), b in descriptors(), ratio in 0.5..1.1_f64
     ) {
-        let limits = MatchLimits { max_distance: 60, max_ratio: ratio };
+        let limits = MatchLimits { match_bits: 60, match_ratio: ratio };
         let (set_a, set_b): (Descriptors, Descriptors) = (a.iter().collect(), b.iter().collect());
         let good = |(_, distance, second): (usize, u32, Option<u32>)| limits.accept(distance, second);
         let mut expected = Vec::new();

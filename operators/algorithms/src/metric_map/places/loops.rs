@@ -2,6 +2,8 @@
 
 use nalgebra::Matrix6;
 use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use super::drive::{Drive, Surveyed};
 use super::index::PlaceIndex;
@@ -10,42 +12,65 @@ use super::verification::{KeyframePoints, Verified, verified};
 use super::vocabulary::{Bag, Vocabulary, VocabularyOptions};
 use crate::geometry::pose::Pose;
 use crate::geometry::resection::ResectionOptions;
+use crate::metric_map::features::FeatureNoise;
 use crate::metric_map::matching::MatchLimits;
+use crate::metric_map::odometry::OdometryScale;
 
 /// How loops are looked for.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct LoopOptions {
     /// The words that places are compared by.
+    #[serde(flatten)]
     pub vocabulary: VocabularyOptions,
-    /// Keyframes of one drive are compared when more path than this lies between them, metres.
+    /// Keyframes of one session are compared when more driven path than this lies between them (m). Over 10 m odometry
+    /// that is 1 % off errs by 0.1 m, which tracks bridge as well as a loop.
+    #[schemars(range(min = 0.0))]
     pub min_path_m: f64,
-    /// Hits nearer together along a drive than this are one place, metres.
+    /// Similar keyframes nearer together along a session than this are one place (m): what lies 5 m apart shows most of
+    /// the same things.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub place_m: f64,
-    /// Loops from one keyframe to one place lead to keyframes at least as far apart, metres.
+    /// Loops from a keyframe to one place lead to keyframes at least as far apart (m), so that they do not repeat each
+    /// other.
+    #[schemars(range(min = 0.0))]
     pub spacing_m: f64,
     /// Places that are looked at closely for each keyframe, the most similar first.
     pub places: usize,
     /// Loops wanted for each keyframe.
     pub edges: usize,
-    /// Path before and after a keyframe whose sightings make its points, metres.
+    /// Driven path before and after a keyframe whose sightings make its points (m): a base of 6 m for points 20 m away,
+    /// and a drift of centimetres.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub window_m: f64,
-    /// A point's standard deviation along its ray, at most, as a share of the range.
+    /// A point's standard deviation along its ray, at most, as a share of its range; beyond that its error is far from
+    /// normal.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_relative_sigma: f64,
-    /// When descriptors match.
+    /// When descriptors match, seen from either side.
+    #[serde(flatten)]
     pub limits: MatchLimits,
-    /// Standard deviation of a feature's place in the image, pixels.
-    pub sigma_px: f64,
-    /// Standard deviation of odometry's scale.
-    pub odometry_scale_sigma: f64,
-    /// Probability that a wrong match agrees with a wrong pose.
+    /// How exactly features lie.
+    #[serde(flatten)]
+    pub features: FeatureNoise,
+    /// What the points that odometry gives are off by together.
+    #[serde(flatten)]
+    pub odometry: OdometryScale,
+    /// Probability that a wrong match agrees with a wrong pose: a cone of three sigma is a thousandth of a half space,
+    /// and what there is to see crowds around the horizon.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub agreement: f64,
-    /// Loops that chance may confirm, per comparison.
+    /// False loops per comparison that chance may make. With `agreement` it sets the least number of inliers: 13 of 30
+    /// matches, 27 of 300.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub false_alarms: f64,
-    /// Inliers must lie in as many of 24 sectors around the vehicle.
+    /// Inliers must lie in as many of 24 directions around the vehicle.
     pub min_sectors: usize,
-    /// A loop whose standard deviation of position is larger says nothing, metres.
+    /// Loops whose position is known less well are left out (m).
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_sigma_m: f64,
     /// The search for a pose.
+    #[serde(flatten)]
     pub resection: ResectionOptions,
 }
 
@@ -61,8 +86,8 @@ impl Default for LoopOptions {
             window_m: 3.0,
             max_relative_sigma: 0.3,
             limits: MatchLimits::default(),
-            sigma_px: 1.0,
-            odometry_scale_sigma: 0.02,
+            features: FeatureNoise::default(),
+            odometry: OdometryScale::default(),
             agreement: 0.01,
             false_alarms: 1e-6,
             min_sectors: 3,
@@ -127,7 +152,7 @@ impl<'a> Site<'a> {
     fn new(drives: &'a [Drive<'a>], options: &'a LoopOptions) -> Self {
         let surveyed: Vec<_> = drives
             .iter()
-            .map(|drive| Surveyed::new(drive, options.sigma_px))
+            .map(|drive| Surveyed::new(drive, options.features.sigma_px))
             .collect();
         let limits = PointLimits {
             window_m: options.window_m,

@@ -223,7 +223,7 @@ fn inverted(found: &Resection) -> Matrix6<f64> {
 
 /// The points come from odometry: its error of scale is theirs, and with them the relative position's.
 fn inflated(covariance: &Matrix6<f64>, pose: &Pose, options: &LoopOptions) -> Matrix6<f64> {
-    let error = pose.translation * options.odometry_scale_sigma;
+    let error = pose.translation * options.odometry.sigma;
     let mut inflated = *covariance;
     let mut position = inflated.fixed_view_mut::<3, 3>(0, 0);
     position += error * error.transpose();

@@ -2,24 +2,32 @@
 
 use pulp::Arch;
 use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use crate::metric_map::features::{Descriptor, Words, distance, words};
 
 /// Descriptors that one task of the assignment takes.
 const CHUNK: usize = 2048;
 
-/// How a vocabulary is made.
-#[derive(Debug, Clone, PartialEq)]
+/// How a vocabulary is made. How much it learns from is a parameter of those who make one.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct VocabularyOptions {
     /// Branches at each node: looking a word up costs as many distances on each level.
+    #[serde(skip)]
     pub branching: usize,
     /// A node with this many training descriptors or fewer is a word.
+    #[serde(skip)]
     pub leaf: usize,
     /// Levels at most.
+    #[serde(skip)]
     pub max_depth: usize,
-    /// Descriptors to train with at most, taken evenly from all.
+    /// Descriptors that the vocabulary is trained with, at most; taken evenly from all.
+    #[schemars(range(min = 1))]
     pub max_training: usize,
     /// Rounds of assignment and majority at each node.
+    #[serde(skip)]
     pub rounds: usize,
 }
 

@@ -11,18 +11,19 @@
 //! [`Fix`]es refer to; else the first drive given, whose first keyframe becomes the origin.
 //!
 //! Odometry errors are mostly systematic (a wheel's radius, a gyro's bias), and grow in proportion
-//! to the path. A chain of independent steps has errors that grow with its root. The walks of
-//! [`DriveParams`] are set so that the chain is as uncertain as odometry is after 100 m: were each
-//! step believed to its own one per cent, a hundred metres would be believed to one millimetre
-//! per metre, and true loops would look false.
+//! to the path. A chain of independent steps has errors that grow with its root. The walks are set
+//! so that the chain is as uncertain as odometry is after 100 m ([`OdometryScale::walk_m`]).
 
 use nalgebra::Matrix6;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use super::consensus::{Agreement, Rules, Sighting, agree, places};
 use super::numbering::Numbering;
 use super::options;
 use super::robust::{CUTOFF_SPATIAL, relax_robustly};
 use crate::geometry::pose::Pose;
+use crate::metric_map::odometry::OdometryScale;
 use crate::solving::least_squares::SystemError;
 
 /// A keyframe of a drive.
@@ -72,35 +73,47 @@ pub struct Fix {
 }
 
 /// How odometry and loops are believed.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct DriveParams {
-    /// Standard deviation of the odometry's position after one metre, growing with the root of
-    /// the path (m).
-    pub walk_m: f64,
-    /// Standard deviation of its heading after one metre, growing with the root of the path (rad).
+    /// What the odometry's position is uncertain by: see [`OdometryScale::walk_m`].
+    #[serde(flatten)]
+    pub odometry: OdometryScale,
+    /// Standard deviation of the odometry's heading after one metre, growing with the root of the path (rad): 6° after
+    /// 100 m.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub walk_rad: f64,
-    /// Standard deviation of its heading after a turn of one radian, growing with the root of the
-    /// turn (rad).
+    /// Standard deviation of its heading after a turn of one radian, growing with the root of the turn (rad): 4° after a
+    /// full turn, for a track width that is one per cent off.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub turn_rad: f64,
-    /// Standard deviation of roll, pitch (rad) and height (m), which odometry does not measure,
-    /// after one metre.
+    /// Standard deviation of roll, pitch (rad) and height (m) after one metre, growing with its root. Wheels do not
+    /// measure them; floors for cars are drained by slopes of one to two per cent.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub slope: f64,
-    /// What loops and fixes are uncertain by beyond what they say (m).
+    /// What loop closures and localisations are uncertain by beyond what they say (m): synchronisation and calibration.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub loop_m: f64,
     /// The same for their orientation (rad).
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub loop_rad: f64,
-    /// Squared standard deviations beyond which a loop is false: a quantile of χ².
+    /// Squared standard deviations beyond which a loop closure or localisation is false: χ² with six degrees of freedom,
+    /// once in a thousand.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub cutoff: f64,
-    /// Path between keyframes that are two places (m).
+    /// Keyframes closer than this along the path (m) are one place.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub place_m: f64,
-    /// Places that must agree before a drive is joined to the map.
+    /// Places that must agree before a session joins the map. Of false closures anywhere on 1000 m², two agree by chance
+    /// about once in 10⁴, three practically never.
+    #[schemars(range(min = 1))]
     pub places: usize,
 }
 
 impl Default for DriveParams {
     fn default() -> Self {
         Self {
-            walk_m: 0.1,
+            odometry: OdometryScale::default(),
             walk_rad: 0.01,
             turn_rad: 0.03,
             slope: 0.02,
@@ -263,7 +276,7 @@ impl Joining<'_> {
     /// Places each drive that is not yet, where enough sightings agree. Did any find its place?
     fn attach(&mut self, refused: &[bool]) -> bool {
         let rules = Rules {
-            walk_m: self.params.walk_m,
+            walk_m: self.params.odometry.walk_m(),
             walk_rad: self.params.walk_rad,
             sigmas: self.params.cutoff.sqrt(),
             place_m: self.params.place_m,

@@ -21,6 +21,8 @@ mod tests;
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
@@ -29,28 +31,35 @@ use crate::metric_map::matching::{ImageIndex, MatchLimits};
 use pair::{Pair, match_pair};
 
 /// How features are followed.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct TrackParams {
-    /// When descriptors match.
+    /// When descriptors match, on the arc.
+    #[serde(flatten)]
     pub limits: MatchLimits,
-    /// Nothing is nearer to the camera than this (m).
+    /// Nothing is nearer to a camera than this (m): the ground below a low camera.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_depth_m: f64,
-    /// Views that a track may miss between two sightings.
+    /// Keyframes that a track may miss between two sightings.
     pub gap: u32,
-    /// Tracks with fewer sightings are dropped; at least 2.
+    /// Tracks with fewer sightings are dropped; at least 2. Of two, any that are on each other's arcs agree; the third
+    /// puts them to the test.
     pub min_points: u32,
-    /// Tracks are cut after this many sightings, so that a vehicle that hardly moves gives no
-    /// endless ones.
+    /// Tracks are cut after this many sightings, so that a vehicle that hardly moves gives no endless ones.
     pub max_points: u32,
-    /// Standard deviation of a feature's place in the image (px), for the smallest features of the
-    /// image.
+    /// Standard deviation of where an image's smallest features lie (px), as measured under true poses; large ones lie
+    /// less exactly.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub noise_px: f64,
-    /// Standard deviation of odometry's translation between two views: share of the way.
+    /// Standard deviation of odometry's way between two keyframes: share of the way.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub way_sigma: f64,
-    /// Standard deviation of odometry's rotation between two views (rad), tilt included that
-    /// planar odometry does not know.
+    /// Standard deviation of odometry's rotation between two keyframes (rad), with the tilt that planar odometry does
+    /// not know: a third of a degree.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub turn_sigma_rad: f64,
-    /// Views farther apart than this (m) are not matched: odometry was reset, or there is a hole.
+    /// Keyframes farther apart than this (m) are not matched: odometry was reset, or images are missing.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_step_m: f64,
 }
 

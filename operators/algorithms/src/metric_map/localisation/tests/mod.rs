@@ -132,7 +132,7 @@ impl Case {
             map_rad: 0.0,
             ..LocalisationParams::default()
         };
-        let localiser = Localiser::new(&self.world.rig, &self.map, params).unwrap();
+        let localiser = Localiser::new(&self.world.rig, &self.map, params);
         localiser.localise(&world::drive(&self.odometry, &self.features), places)
     }
 }
@@ -265,7 +265,7 @@ fn nothing_breaks_it() {
     let case = Case::new(13, World::new(13, 500), Imaging::default(), 1.0, 0.0);
     let told = case.told(&mut Random(1));
     let empty = LandmarkMap::new(Vec::new());
-    let localiser = Localiser::new(&case.world.rig, &empty, LocalisationParams::default()).unwrap();
+    let localiser = Localiser::new(&case.world.rig, &empty, LocalisationParams::default());
     let drive = world::drive(&case.odometry, &case.features);
     assert!(
         localiser
@@ -273,8 +273,7 @@ fn nothing_breaks_it() {
             .iter()
             .all(|found| found.state == State::Lost)
     );
-    let localiser =
-        Localiser::new(&case.world.rig, &case.map, LocalisationParams::default()).unwrap();
+    let localiser = Localiser::new(&case.world.rig, &case.map, LocalisationParams::default());
     assert!(localiser.localise(&[], &told).is_empty());
     let mut broken = case.features.clone();
     broken[3].images.clear();
@@ -289,10 +288,10 @@ fn nothing_breaks_it() {
         odometry.len()
     );
     let senseless = LocalisationParams {
-        feature_px: 0.0,
+        feature_px: 4.0,
         ..LocalisationParams::default()
     };
-    assert!(Localiser::new(&case.world.rig, &case.map, senseless).is_err());
+    assert!(senseless.check().is_err());
 }
 
 #[test]

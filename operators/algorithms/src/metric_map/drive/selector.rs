@@ -1,58 +1,11 @@
-//! Keyframes by driven path, not by time.
-//!
-//! A map wants a picture every so many metres: a car that waits adds nothing, a car that reverses
-//! does. Paper 1 (IV-B) takes one frame set every 0.2 m of wheel odometry. Three things make the
-//! difference between that sentence and a map:
-//!
-//! * **Between messages.** The path is interpolated, so a keyframe lies where the path length is
-//!   reached *exactly*, with the stamp and pose of that instant, however coarse the odometry is.
-//! * **Standing still.** Odometry that trembles by a millimetre at 50 Hz walks kilometres a day.
-//!   Path is therefore counted in chords: it grows only when the vehicle is more than
-//!   `deadband_m` away from where it was counted last, and then by the whole straight distance.
-//!   Tremble inside the dead-band adds nothing, real motion loses nothing but the sagitta of a
-//!   chord (a 0.05 m chord on a 5 m bend: a part in 240 000).
-//! * **Waiting, then leaving.** Inside a chord the stamp is that of the *last* time the distance
-//!   was passed on the way out, so a minute of standing is not smeared into the first metre.
-//!
-//! Reversing is driven path like any other. A step longer than `jump_m` is not: the odometry was
-//! reset, so a new run starts there with a keyframe of its own.
+//! Where the driven path reaches the next multiple of the baseline.
 
+use super::{DriveLosses, KeyframeParams};
 use crate::geometry::pose::Pose;
 
-/// What [`KeyframeSelector`] needs to know; all lengths in metres.
+/// Where a keyframe is due.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct KeyframeParams {
-    /// Driven path between keyframes; 0.2 in paper 1.
-    pub baseline_m: f64,
-    /// Motion smaller than this is not counted until it adds up; at most the baseline.
-    pub deadband_m: f64,
-    /// A step between two messages longer than this is a reset, not a drive.
-    pub jump_m: f64,
-}
-
-impl Default for KeyframeParams {
-    fn default() -> Self {
-        Self {
-            baseline_m: 0.2,
-            deadband_m: 0.02,
-            jump_m: 10.0,
-        }
-    }
-}
-
-/// Parameters that select nothing sensible.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error(
-    "expected baseline_m > 0, 0 <= deadband_m <= baseline_m and jump_m > deadband_m, found {found:?}"
-)]
-pub struct KeyframeParamsError {
-    /// The parameters given.
-    pub found: KeyframeParams,
-}
-
-/// One keyframe.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Keyframe {
+pub struct Due {
     /// When the path length was reached, ns UTC.
     pub stamp: i64,
     /// Pose of the vehicle at that stamp, in the frame of the odometry.
@@ -61,17 +14,6 @@ pub struct Keyframe {
     pub path_m: f64,
     /// 0 for the first run; one more after each jump.
     pub run: u32,
-}
-
-/// What was not used, and why.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct DriveLosses {
-    /// Messages whose stamp was not later than the one before.
-    pub out_of_order: u64,
-    /// Messages with a position that is not a number.
-    pub not_finite: u64,
-    /// Steps longer than `jump_m`.
-    pub jumps: u64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -89,13 +31,13 @@ struct Outward {
     to: Option<Sample>,
 }
 
-/// Turns a stream of odometry into keyframes. Memory stays small however long the vehicle waits.
+/// Turns a stream of odometry into due points. Memory stays small however long the vehicle waits.
 #[derive(Debug, Clone)]
 pub struct KeyframeSelector {
     params: KeyframeParams,
     /// Path counted up to the anchor, metres.
     path_m: f64,
-    /// Number of keyframes given in this run.
+    /// Number of due points given in this run.
     given: u64,
     run: u32,
     /// Since the anchor, in order of time and of distance; the first is the anchor, the last is
@@ -105,31 +47,16 @@ pub struct KeyframeSelector {
 }
 
 impl KeyframeSelector {
-    /// A selector that has seen nothing yet.
-    ///
-    /// # Errors
-    /// [`KeyframeParamsError`] when a length makes no sense.
-    pub fn new(params: KeyframeParams) -> Result<Self, KeyframeParamsError> {
-        let KeyframeParams {
-            baseline_m,
-            deadband_m,
-            jump_m,
-        } = params;
-        let sound = baseline_m > 0.0
-            && baseline_m.is_finite()
-            && (0.0..=baseline_m).contains(&deadband_m)
-            && jump_m > deadband_m;
-        if !sound {
-            return Err(KeyframeParamsError { found: params });
-        }
-        Ok(Self {
+    /// A selector that has seen nothing yet; its parameters have passed [`KeyframeParams::check`].
+    pub fn new(params: KeyframeParams) -> Self {
+        Self {
             params,
             path_m: 0.0,
             given: 0,
             run: 0,
             outward: Vec::new(),
             losses: DriveLosses::default(),
-        })
+        }
     }
 
     /// What was left out so far.
@@ -137,8 +64,8 @@ impl KeyframeSelector {
         self.losses
     }
 
-    /// Takes the next odometry message and gives the keyframes it completes, mostly none.
-    pub fn push(&mut self, stamp: i64, odom_from_vehicle: &Pose) -> Vec<Keyframe> {
+    /// Takes the next odometry message and gives the due points it reaches, mostly none.
+    pub fn push(&mut self, stamp: i64, odom_from_vehicle: &Pose) -> Vec<Due> {
         if !odom_from_vehicle.translation.iter().all(|x| x.is_finite()) {
             self.losses.not_finite += 1;
             return Vec::new();
@@ -173,8 +100,8 @@ impl KeyframeSelector {
         Some((self.outward.first()?.from, self.outward.last()?.from))
     }
 
-    /// Starts a run: its first pose is a keyframe.
-    fn begin(&mut self, stamp: i64, pose: &Pose) -> Keyframe {
+    /// Starts a run: at its first pose a keyframe is due.
+    fn begin(&mut self, stamp: i64, pose: &Pose) -> Due {
         self.path_m = 0.0;
         self.given = 1;
         self.anchor(Sample {
@@ -182,7 +109,7 @@ impl KeyframeSelector {
             pose: *pose,
             away_m: 0.0,
         });
-        Keyframe {
+        Due {
             stamp,
             odom_from_vehicle: *pose,
             path_m: 0.0,
@@ -221,8 +148,8 @@ impl KeyframeSelector {
     }
 
     /// Adds the chord from the anchor to the latest message and moves the anchor there.
-    fn count_chord(&mut self, chord_m: f64) -> Vec<Keyframe> {
-        let mut keyframes = Vec::new();
+    fn count_chord(&mut self, chord_m: f64) -> Vec<Due> {
+        let mut reached = Vec::new();
         let end_m = self.path_m + chord_m;
         loop {
             let due_m = self.given as f64 * self.params.baseline_m;
@@ -230,7 +157,7 @@ impl KeyframeSelector {
                 break;
             }
             let (stamp, odom_from_vehicle) = self.crossing(due_m - self.path_m);
-            keyframes.push(Keyframe {
+            reached.push(Due {
                 stamp,
                 odom_from_vehicle,
                 path_m: due_m,
@@ -242,7 +169,7 @@ impl KeyframeSelector {
         if let Some((_, last)) = self.ends() {
             self.anchor(last);
         }
-        keyframes
+        reached
     }
 
     /// When and where the distance `away_m` from the anchor was passed last on the way out.
@@ -277,8 +204,8 @@ mod tests {
 
     const HZ50: i64 = 20_000_000;
 
-    fn select(params: KeyframeParams, xs: impl IntoIterator<Item = (f64, f64)>) -> Vec<Keyframe> {
-        let mut selector = KeyframeSelector::new(params).unwrap();
+    fn select(params: KeyframeParams, xs: impl IntoIterator<Item = (f64, f64)>) -> Vec<Due> {
+        let mut selector = KeyframeSelector::new(params);
         let mut found = Vec::new();
         for (i, (x, y)) in xs.into_iter().enumerate() {
             found.extend(selector.push(i as i64 * HZ50, &Pose::from_yaw(x, y, 0.0)));
@@ -293,10 +220,10 @@ mod tests {
             (0..1001).map(|i| (f64::from(i) * 0.03, 0.0)),
         );
         assert_eq!(found.len(), 151);
-        for (k, keyframe) in found.iter().enumerate() {
+        for (k, due) in found.iter().enumerate() {
             let x = k as f64 * 0.2;
-            assert!((keyframe.odom_from_vehicle.translation.x - x).abs() < 1e-9);
-            assert!((keyframe.stamp as f64 - x / 0.03 * HZ50 as f64).abs() <= 1.0);
+            assert!((due.odom_from_vehicle.translation.x - x).abs() < 1e-9);
+            assert!((due.stamp as f64 - x / 0.03 * HZ50 as f64).abs() <= 1.0);
         }
     }
 
@@ -310,11 +237,7 @@ mod tests {
         // 1.98 m of path: one at the start and nine more.
         assert_eq!(found.len(), 10);
         let waiting = (105 * HZ50)..(50_095 * HZ50);
-        assert!(
-            found
-                .iter()
-                .all(|keyframe| !waiting.contains(&keyframe.stamp))
-        );
+        assert!(found.iter().all(|due| !waiting.contains(&due.stamp)));
         assert!(
             (found[6].odom_from_vehicle.translation.x - 0.78).abs() < 0.03,
             "{found:?}"
@@ -323,7 +246,7 @@ mod tests {
 
     #[test]
     fn a_reset_starts_a_new_run() {
-        let mut selector = KeyframeSelector::new(KeyframeParams::default()).unwrap();
+        let mut selector = KeyframeSelector::new(KeyframeParams::default());
         assert_eq!(selector.push(0, &Pose::identity()).len(), 1);
         let far = selector.push(1, &Pose::from_yaw(1e12, 0.0, 0.0));
         assert_eq!((far.len(), far[0].run), (1, 1));
@@ -337,6 +260,7 @@ mod tests {
             out_of_order: 1,
             not_finite: 1,
             jumps: 1,
+            repeated_frames: 0,
         };
         assert_eq!(selector.losses(), expected);
     }
@@ -344,15 +268,16 @@ mod tests {
     #[test]
     fn senseless_parameters_are_refused() {
         let refused = |baseline_m, deadband_m, jump_m| {
-            KeyframeSelector::new(KeyframeParams {
+            let params = KeyframeParams {
                 baseline_m,
                 deadband_m,
                 jump_m,
-            })
-            .is_err()
+                ..KeyframeParams::default()
+            };
+            params.check().is_err()
         };
-        assert!(refused(0.0, 0.0, 1.0) && refused(0.2, 0.3, 1.0) && refused(0.2, 0.02, 0.01));
-        assert!(refused(f64::NAN, 0.0, 1.0) && refused(f64::INFINITY, 0.0, 1.0));
+        assert!(refused(0.2, 0.3, 1.0) && refused(0.2, 0.02, 0.01));
+        assert!(refused(f64::NAN, 0.0, 1.0) && !refused(0.2, 0.02, 1.0));
     }
 
     proptest! {
@@ -378,8 +303,8 @@ mod tests {
                 length += step;
             }
             prop_assert!(found.len().abs_diff(expected.len()) <= 1);
-            for (keyframe, (x, y)) in found.iter().zip(expected) {
-                let at = keyframe.odom_from_vehicle.translation;
+            for (due, (x, y)) in found.iter().zip(expected) {
+                let at = due.odom_from_vehicle.translation;
                 prop_assert!((at.x - x).hypot(at.y - y) < 1e-6);
             }
             prop_assert!(found.windows(2).all(|pair| pair[0].stamp <= pair[1].stamp));

@@ -1,0 +1,130 @@
+//! The images of all cameras at one time.
+
+use std::collections::VecDeque;
+
+use crate::geometry::pose::Pose;
+
+/// One image of one camera; `I` says where its pixels are.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Exposure<I> {
+    /// When, ns UTC.
+    pub stamp: i64,
+    /// Name of the camera.
+    pub camera: String,
+    /// The image.
+    pub image: I,
+}
+
+/// At most one exposure of each camera. Its stamp is that of the first.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct FrameSet<I> {
+    pub(super) stamp: i64,
+    pub(super) exposures: Vec<Exposure<I>>,
+}
+
+impl<I> FrameSet<I> {
+    fn takes(&self, exposure: &Exposure<I>, max_gap_ns: i64) -> bool {
+        let of_camera = |other: &Exposure<I>| other.camera == exposure.camera;
+        exposure.stamp.saturating_sub(self.stamp) <= max_gap_ns
+            && !self.exposures.iter().any(of_camera)
+    }
+}
+
+/// A session's frame sets: those that odometry has passed have a pose.
+#[derive(Debug, Clone)]
+pub(super) struct FrameSets<I> {
+    pub(super) placed: VecDeque<(FrameSet<I>, Pose)>,
+    pub(super) ahead: VecDeque<FrameSet<I>>,
+    /// Exposures left out: the camera has another one with their stamp.
+    pub(super) repeated: u64,
+}
+
+impl<I> FrameSets<I> {
+    /// Sets of exposures in any order; of several with one camera and stamp the first one given stays.
+    pub(super) fn new(mut exposures: Vec<Exposure<I>>, max_gap_ns: i64) -> Self {
+        exposures.sort_by(|a, b| (a.stamp, &a.camera).cmp(&(b.stamp, &b.camera)));
+        let all = exposures.len();
+        exposures.dedup_by(|b, a| (a.stamp, &a.camera) == (b.stamp, &b.camera));
+        let repeated = (all - exposures.len()) as u64;
+        let mut ahead: VecDeque<FrameSet<I>> = VecDeque::new();
+        for exposure in exposures {
+            match ahead.back_mut() {
+                Some(set) if set.takes(&exposure, max_gap_ns) => set.exposures.push(exposure),
+                _ => ahead.push_back(FrameSet {
+                    stamp: exposure.stamp,
+                    exposures: vec![exposure],
+                }),
+            }
+        }
+        Self {
+            placed: VecDeque::new(),
+            ahead,
+            repeated,
+        }
+    }
+
+    /// Gives a pose to the frame sets up to `to`; those that lie before `from`, or before `to` where there is no
+    /// path between the two, have none and are dropped.
+    pub(super) fn place(&mut self, from: Option<(i64, &Pose)>, to: (i64, &Pose)) {
+        while let Some(set) = self.ahead.pop_front_if(|set| set.stamp <= to.0) {
+            let from = from
+                .filter(|from| from.0 < set.stamp)
+                .or((set.stamp == to.0).then_some(to));
+            if let Some(from) = from {
+                let pose = Pose::at_stamp(set.stamp, from, to);
+                self.placed.push_back((set, pose));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sets(exposures: &[(&str, i64)]) -> FrameSets<usize> {
+        let given = exposures.iter().enumerate();
+        let exposure = |(image, (camera, stamp)): (usize, &(&str, i64))| Exposure {
+            stamp: *stamp,
+            camera: (*camera).to_owned(),
+            image,
+        };
+        FrameSets::new(given.map(exposure).collect(), 40)
+    }
+
+    fn images(set: &FrameSet<usize>) -> Vec<usize> {
+        set.exposures.iter().map(|found| found.image).collect()
+    }
+
+    #[test]
+    fn a_set_ends_by_time_and_by_camera() {
+        let sets = sets(&[
+            ("left", 100),
+            ("left", 0),
+            ("front", 30),
+            ("rear", 60),
+            ("rear", 60),
+        ]);
+        let found: Vec<_> = sets
+            .ahead
+            .iter()
+            .map(|set| (set.stamp, images(set)))
+            .collect();
+        assert_eq!(found, [(0, vec![1, 2]), (60, vec![3, 0])]);
+        assert_eq!(sets.repeated, 1);
+    }
+
+    #[test]
+    fn sets_are_placed_on_the_path_or_dropped() {
+        let mut sets = sets(&[("a", 0), ("a", 50), ("a", 150), ("a", 250), ("a", 400)]);
+        let at = |x: f64| Pose::from_yaw(x, 0.0, 0.0);
+        sets.place(None, (50, &at(1.0)));
+        sets.place(Some((50, &at(1.0))), (250, &at(3.0)));
+        let placed = sets.placed.iter();
+        let placed: Vec<_> = placed
+            .map(|(set, pose)| (set.stamp, pose.translation.x))
+            .collect();
+        assert_eq!(placed, [(50, 1.0), (150, 2.0), (250, 3.0)]);
+        assert_eq!(sets.ahead.len(), 1);
+    }
+}
