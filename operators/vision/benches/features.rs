@@ -42,7 +42,7 @@ fn benches(criterion: &mut Criterion) {
     set_num_threads(1).unwrap();
     let image = scene(640, 480);
     let params = FeatureParams {
-        scale: Some(1.0),
+        scale: 1.0,
         ..FeatureParams::default()
     };
     let mat = Mat::new_rows_cols_with_data(480, 640, image.data.as_slice()).unwrap();

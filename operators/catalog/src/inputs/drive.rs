@@ -7,11 +7,12 @@ use evermap_algorithms::geometry::rig::{Rig, RigCamera};
 use evermap_algorithms::metric_map::features::{
     DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures, KeyframeFeatures,
 };
-use evermap_contract::{Fault, Sides};
+use evermap_contract::{Emit, Fault, Reason, Sides};
 use evermap_schemas::Stamp;
 use evermap_schemas::layers::{Features, Keyframe};
+use evermap_schemas::roles::{Calibration, Transform};
 
-use super::rig::{self, SessionName, frame};
+use super::rig::{self, VehicleFrame, frame};
 
 /// One keyframe of a drive.
 pub(crate) struct DriveKeyframe {
@@ -26,17 +27,16 @@ pub(crate) struct DriveKeyframe {
 }
 
 /// One session.
+#[derive(Default)]
 pub(crate) struct Drive {
     /// Its cameras: those with features and a calibration.
     pub(crate) rig: Rig,
     /// Its keyframes, by stamp.
     pub(crate) keyframes: Vec<DriveKeyframe>,
-    /// Images whose camera cannot be used, by reason.
-    pub(crate) skipped: BTreeMap<rig::Reason, u64>,
 }
 
-/// The drives of all sessions, from the rows of their keyframes and features and the ports `calibration` and
-/// `transforms`. A keyframe without features is kept: odometry goes through it.
+/// The drives by session, from the rows of their keyframes and features and the ports `calibration` and `transforms`. A
+/// keyframe without features is kept: odometry goes through it. Images whose camera cannot be used are counted.
 ///
 /// # Errors
 /// As [`Sides::rows`].
@@ -44,17 +44,16 @@ pub(crate) fn drives(
     keyframes: Vec<Keyframe>,
     features: Vec<Features>,
     sides: &Sides,
-    vehicle_frame: &str,
-) -> Result<BTreeMap<SessionName, Drive>, Fault> {
+    vehicle: &VehicleFrame,
+    emit: &mut Emit<'_>,
+) -> Result<BTreeMap<String, Drive>, Fault> {
     let mounted = rig::sessions(sides)?;
-    let mut drives: BTreeMap<SessionName, Drive> = BTreeMap::new();
+    let mut drives: BTreeMap<String, Drive> = BTreeMap::new();
     for row in keyframes {
         let Ok(odom_from_vehicle) = Pose::from_array(row.odom_from_vehicle.to_array()) else {
             continue;
         };
-        let drive = drives
-            .entry((row.site, row.session))
-            .or_insert_with(Drive::empty);
+        let drive = drives.entry(row.session).or_default();
         drive.keyframes.push(DriveKeyframe {
             stamp: row.stamp,
             number: row.keyframe,
@@ -62,75 +61,72 @@ pub(crate) fn drives(
             features: KeyframeFeatures::default(),
         });
     }
-    let mut by_session: BTreeMap<SessionName, Vec<Features>> = BTreeMap::new();
-    for row in features {
-        by_session
-            .entry((row.site.clone(), row.session.clone()))
-            .or_default()
-            .push(row);
-    }
-    for (name, drive) in &mut drives {
+    let mut features = by_session(features);
+    for (session, drive) in &mut drives {
+        let rows = features.remove(session).unwrap_or_default();
+        let mut skip = |reason, images| emit.skip(reason, images);
+        drive.rig = rig(mounted.get(session), &rows, vehicle, &mut skip);
         drive.keyframes.sort_by_key(|keyframe| keyframe.stamp);
-        let rows = by_session.remove(name).unwrap_or_default();
-        drive.mount(mounted.get(name), &rows, vehicle_frame);
         drive.fill(rows);
     }
     Ok(drives)
 }
 
-/// The rig of every session whose images these are, from the ports `calibration` and `transforms`: for programs that
-/// hand a map's cameras to others. Of the features only camera, stamp and size of the image are looked at. Cameras that
-/// cannot be used are left out.
-///
-/// # Errors
-/// As [`Sides::rows`].
+/// The rig of every session of a site whose images these are: for programs that hand a map's cameras to others. Of the
+/// features only camera, stamp and size of the image are looked at. Cameras that cannot be used are left out.
 pub fn rigs(
     features: Vec<Features>,
-    sides: &Sides,
+    calibration: Vec<Calibration>,
+    transforms: Vec<Transform>,
     vehicle_frame: &str,
-) -> Result<BTreeMap<(String, String), Rig>, Fault> {
-    let mounted = rig::sessions(sides)?;
-    let mut by_session: BTreeMap<SessionName, Vec<Features>> = BTreeMap::new();
-    for row in features {
-        let name = (row.site.clone(), row.session.clone());
-        by_session.entry(name).or_default().push(row);
-    }
-    let rigs = by_session.into_iter().map(|(name, rows)| {
-        let mut drive = Drive::empty();
-        drive.mount(mounted.get(&name), &rows, vehicle_frame);
-        (name, drive.rig)
-    });
-    Ok(rigs.collect())
+) -> BTreeMap<String, Rig> {
+    let mounted = rig::rigs(calibration, transforms);
+    let vehicle = VehicleFrame {
+        vehicle_frame: vehicle_frame.to_owned(),
+    };
+    let sessions = by_session(features).into_iter();
+    let of = |(session, rows): (String, Vec<Features>)| {
+        let rig = rig(mounted.get(&session), &rows, &vehicle, &mut |_, _| {});
+        (session, rig)
+    };
+    sessions.map(of).collect()
 }
 
-impl Drive {
-    fn empty() -> Self {
-        Self {
-            rig: Rig::default(),
-            keyframes: Vec::new(),
-            skipped: BTreeMap::new(),
-        }
+fn by_session(features: Vec<Features>) -> BTreeMap<String, Vec<Features>> {
+    let mut sessions: BTreeMap<String, Vec<Features>> = BTreeMap::new();
+    for row in features {
+        sessions.entry(row.session.clone()).or_default().push(row);
     }
+    sessions
+}
 
-    /// Cameras are calibrated once per session: by the calibration that holds at their first image.
-    fn mount(&mut self, mounted: Option<&rig::Rig>, rows: &[Features], vehicle_frame: &str) {
-        let mut first: BTreeMap<&str, &Features> = BTreeMap::new();
-        for row in rows {
-            first.entry(&row.camera).or_insert(row);
-        }
-        for (name, row) in first {
-            match mounted.map_or(Err("camera has no calibration"), |rig| {
-                camera(rig, row, vehicle_frame)
-            }) {
-                Ok(camera) => self.rig.cameras.push(camera),
-                Err(reason) => {
-                    let images = rows.iter().filter(|row| row.camera == name).count() as u64;
-                    *self.skipped.entry(reason).or_default() += images;
-                }
+/// The rig whose images these are. Cameras are calibrated once per session: by the calibration that holds at their first
+/// image.
+fn rig(
+    mounted: Option<&rig::Rig>,
+    rows: &[Features],
+    vehicle: &VehicleFrame,
+    skip: &mut dyn FnMut(Reason, u64),
+) -> Rig {
+    let mut first: BTreeMap<&str, &Features> = BTreeMap::new();
+    for row in rows {
+        first.entry(&row.camera).or_insert(row);
+    }
+    let mut cameras = Vec::new();
+    for (name, row) in first {
+        let mounted = mounted.ok_or("camera has no calibration");
+        match mounted.and_then(|rig| camera(rig, row, vehicle)) {
+            Ok(camera) => cameras.push(camera),
+            Err(reason) => {
+                let images = rows.iter().filter(|row| row.camera == name).count();
+                skip(reason, images as u64);
             }
         }
     }
+    Rig { cameras }
+}
 
+impl Drive {
     fn fill(&mut self, rows: Vec<Features>) {
         let cameras = self.rig.cameras.len();
         for keyframe in &mut self.keyframes {
@@ -154,13 +150,13 @@ impl Drive {
     }
 }
 
-fn camera(rig: &rig::Rig, row: &Features, vehicle_frame: &str) -> Result<RigCamera, rig::Reason> {
+fn camera(rig: &rig::Rig, row: &Features, vehicle: &VehicleFrame) -> Result<RigCamera, Reason> {
     let name = frame(&row.camera);
     let calibration = rig
         .calibration(name, row.stamp)
         .ok_or("camera has no calibration")?;
     let vehicle_from_camera = rig
-        .vehicle_from_camera(frame(vehicle_frame), name)
+        .vehicle_from_camera(vehicle.name(), name)
         .ok_or("no fixed transforms from camera to vehicle")?;
     Ok(RigCamera {
         name: row.camera.clone(),

@@ -11,9 +11,17 @@ pub(crate) struct Frames {
     places: RTree<GeomWithData<[f64; 3], usize>>,
 }
 
+impl FromIterator<MapFrame> for Frames {
+    fn from_iter<I: IntoIterator<Item = MapFrame>>(rows: I) -> Self {
+        let mut frames = Self::default();
+        rows.into_iter().for_each(|frame| frames.push(frame));
+        frames
+    }
+}
+
 impl Frames {
     /// Adds a frame as it is; one whose pose is no rigid transform can never be the nearest.
-    pub(crate) fn push(&mut self, frame: MapFrame) {
+    fn push(&mut self, frame: MapFrame) {
         let pose = &frame.map_from_frame;
         if pose.to_array().iter().all(|value| value.is_finite()) {
             let place = GeomWithData::new([pose.x, pose.y, pose.z], self.rows.len());

@@ -5,43 +5,73 @@ use std::sync::Arc;
 
 use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_contract::{Fault, Sides};
+use evermap_contract::{Fault, Reason, Sides};
 use evermap_schemas::Stamp;
 use evermap_schemas::roles::{Calibration, Transform};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
-/// Why a camera cannot be used.
-pub(crate) type Reason = &'static str;
+/// The frame that poses are of: a parameter of all that read cameras.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct VehicleFrame {
+    /// The frame that poses are of, as the transforms name it.
+    pub vehicle_frame: String,
+}
 
-/// Site and session.
-pub(crate) type SessionName = (String, String);
+impl VehicleFrame {
+    /// Its name, without ROS 1's slash.
+    pub(crate) fn name(&self) -> &str {
+        frame(&self.vehicle_frame)
+    }
+}
+
+impl Default for VehicleFrame {
+    fn default() -> Self {
+        Self {
+            vehicle_frame: "base_link".to_owned(),
+        }
+    }
+}
+
+/// The options of an algorithm that works on a vehicle's cameras.
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct OfVehicle<O> {
+    /// Those of the algorithm.
+    #[serde(flatten)]
+    pub options: O,
+    /// The vehicle.
+    #[serde(flatten)]
+    pub vehicle: VehicleFrame,
+}
 
 /// ROS 1 wrote frames with a slash in front.
 pub(crate) fn frame(name: &str) -> &str {
     name.trim_start_matches('/')
 }
 
-/// The rigs of all sessions that the sides hold.
-pub(crate) fn sessions(sides: &Sides) -> Result<BTreeMap<SessionName, Rig>, Fault> {
-    let mut sessions: BTreeMap<SessionName, Rig> = BTreeMap::new();
-    for row in sides.rows::<Calibration>("calibration")? {
-        let rig = sessions
-            .entry((row.site.clone(), row.session.clone()))
-            .or_default();
-        rig.calibrations
-            .entry(frame(&row.camera).to_owned())
-            .or_default()
-            .push(Arc::new(row));
+/// The rigs by session, from the ports `calibration` and `transforms`.
+pub(crate) fn sessions(sides: &Sides) -> Result<BTreeMap<String, Rig>, Fault> {
+    Ok(rigs(sides.rows("calibration")?, sides.rows("transforms")?))
+}
+
+/// The rigs of one site's sessions.
+pub(crate) fn rigs(
+    calibration: Vec<Calibration>,
+    transforms: Vec<Transform>,
+) -> BTreeMap<String, Rig> {
+    let mut sessions: BTreeMap<String, Rig> = BTreeMap::new();
+    for row in calibration {
+        let rig = sessions.entry(row.session.clone()).or_default();
+        let of_camera = rig.calibrations.entry(frame(&row.camera).to_owned());
+        of_camera.or_default().push(Arc::new(row));
     }
-    for row in sides.rows::<Transform>("transforms")? {
-        if row.fixed {
-            let rig = sessions
-                .entry((row.site.clone(), row.session.clone()))
-                .or_default();
-            rig.mount(row);
-        }
+    for row in transforms.into_iter().filter(|row| row.fixed) {
+        sessions.entry(row.session.clone()).or_default().mount(row);
     }
     sessions.values_mut().for_each(Rig::order);
-    Ok(sessions)
+    sessions
 }
 
 /// One session's cameras, and how they are mounted.

@@ -6,9 +6,10 @@ use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::metric_map::association::{FeatureRef, Scene};
 use evermap_contract::{Emit, Fault, Sides};
 use evermap_schemas::Stamp;
-use evermap_schemas::layers::{Features, Keyframe};
+use evermap_schemas::layers::{AdjustedPose, Features, Keyframe};
 
 use super::drive::{Drive, drives};
+use super::rig::VehicleFrame;
 
 /// A keyframe of the survey.
 pub(crate) struct SurveyKeyframe {
@@ -41,11 +42,10 @@ impl Survey {
     /// # Errors
     /// As [`Sides::rows`].
     pub(crate) fn new<'a>(
-        site: &str,
         poses: impl IntoIterator<Item = (&'a str, u32, [f64; 7])>,
         mut keyframes: Vec<Keyframe>,
         sides: &Sides,
-        vehicle_frame: &str,
+        vehicle: &VehicleFrame,
         emit: &mut Emit<'_>,
     ) -> Result<Self, Fault> {
         let mut by_session: BTreeMap<&str, BTreeMap<u32, Pose>> = BTreeMap::new();
@@ -57,9 +57,9 @@ impl Survey {
                 Err(_) => emit.skip("pose is no rigid transform", 1),
             }
         }
-        keyframes.retain(|row| row.site == site && by_session.contains_key(row.session.as_str()));
+        keyframes.retain(|row| by_session.contains_key(row.session.as_str()));
         let mut features = sides.rows::<Features>("features")?;
-        features.retain(|row| row.site == site && by_session.contains_key(row.session.as_str()));
+        features.retain(|row| by_session.contains_key(row.session.as_str()));
         let mut survey = Self {
             scene: Scene::default(),
             poses: Vec::new(),
@@ -67,10 +67,7 @@ impl Survey {
             numbers: BTreeMap::new(),
             cameras: BTreeMap::new(),
         };
-        for ((_, session), drive) in drives(keyframes, features, sides, vehicle_frame)? {
-            for (reason, images) in &drive.skipped {
-                emit.skip(reason, *images);
-            }
+        for (session, drive) in drives(keyframes, features, sides, vehicle, emit)? {
             if let Some(poses) = by_session.remove(session.as_str()) {
                 survey.add(session, drive, &poses);
             }
@@ -103,6 +100,20 @@ impl Survey {
     /// The index of a keyframe.
     pub(crate) fn keyframe(&self, session: &str, number: u32) -> Option<usize> {
         self.numbers.get(session)?.get(&number).copied()
+    }
+
+    /// The features that adjusted poses' landmarks show, by number.
+    pub(crate) fn landmarks(&self, poses: &[AdjustedPose]) -> BTreeMap<u32, Vec<FeatureRef>> {
+        let mut landmarks: BTreeMap<u32, Vec<FeatureRef>> = BTreeMap::new();
+        for row in poses {
+            let keyframe = self.keyframe(&row.session, row.keyframe);
+            for seen in &row.observations {
+                let of = |keyframe| self.feature(keyframe, &seen.camera, seen.feature);
+                let features = landmarks.entry(seen.landmark).or_default();
+                features.extend(keyframe.and_then(of));
+            }
+        }
+        landmarks
     }
 
     /// A feature of a keyframe's image by a camera.

@@ -2,155 +2,51 @@
 
 use std::collections::BTreeMap;
 
-use evermap_algorithms::metric_map::association::{AssociationParams, FeatureRef, Landmark};
-use evermap_algorithms::metric_map::mapping::{AdjustParams, Map, MapInput, MappingParams, map};
-use evermap_contract::{Emit, Fault, Grain, Kernel, Operator, Port, Sides, group_whole};
+use evermap_algorithms::metric_map::association::{FeatureRef, Landmark};
+use evermap_algorithms::metric_map::mapping::{Map, MapInput, MappingParams, map};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{
     AdjustedPose, Features, GraphPose, Keyframe, Observation, Track, TrackPoint,
 };
 use evermap_schemas::roles::{Calibration, Transform};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
+use crate::inputs::rig::OfVehicle;
 use crate::inputs::survey::Survey;
 
 /// See the module's page.
 pub struct BundleAdjustment;
 
-/// How poses are adjusted.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct BundleAdjustmentParams {
-    /// Rounds of association and adjustment.
-    pub rounds: u32,
-    /// Radius around a predicted pixel that the first round searches (px).
-    pub first_radius_px: f64,
-    /// Radius that the last round searches (px).
-    pub last_radius_px: f64,
-    /// Descriptors with more differing bits are not alike.
-    pub max_bits: u32,
-    /// The best feature has fewer bits than this part of the second best one's.
-    pub ratio: f64,
-    /// Standard deviation of a feature (px).
-    pub sigma_px: f64,
-    /// Features farther from their landmark than this, in standard deviations, are wrong.
-    pub drop_sigmas: f64,
-    /// Rays to a landmark differ by at least this angle (rad).
-    pub min_parallax_rad: f64,
-    /// Standard deviation of a session's odometry scale about 1.
-    pub odometry_scale_sigma: f64,
-    /// The frame whose poses are adjusted.
-    pub vehicle_frame: String,
-}
-
-impl Default for BundleAdjustmentParams {
-    fn default() -> Self {
-        let MappingParams {
-            rounds,
-            first_radius_px,
-            last_radius_px,
-            association,
-            drop_sigmas,
-            min_parallax_rad,
-            adjust,
-            ..
-        } = MappingParams::default();
-        Self {
-            rounds,
-            first_radius_px,
-            last_radius_px,
-            max_bits: association.max_bits,
-            ratio: association.ratio,
-            sigma_px: adjust.sigma_px,
-            drop_sigmas,
-            min_parallax_rad,
-            odometry_scale_sigma: adjust.odometry_scale_sigma,
-            vehicle_frame: "base_link".into(),
-        }
-    }
-}
-
-impl BundleAdjustmentParams {
-    fn mapping(&self) -> Result<MappingParams, Fault> {
-        let positive = [
-            ("first_radius_px", self.first_radius_px),
-            ("last_radius_px", self.last_radius_px),
-            ("ratio", self.ratio),
-            ("sigma_px", self.sigma_px),
-            ("drop_sigmas", self.drop_sigmas),
-            ("min_parallax_rad", self.min_parallax_rad),
-            ("odometry_scale_sigma", self.odometry_scale_sigma),
-        ];
-        for (name, value) in positive {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(Fault::user(format!(
-                    "expected {name} above 0, found {value}"
-                )));
-            }
-        }
-        let defaults = MappingParams::default();
-        Ok(MappingParams {
-            rounds: self.rounds,
-            first_radius_px: self.first_radius_px,
-            last_radius_px: self.last_radius_px,
-            association: AssociationParams {
-                max_bits: self.max_bits,
-                ratio: self.ratio,
-                ..defaults.association
-            },
-            drop_sigmas: self.drop_sigmas,
-            min_parallax_rad: self.min_parallax_rad,
-            adjust: AdjustParams {
-                sigma_px: self.sigma_px,
-                odometry_scale_sigma: self.odometry_scale_sigma,
-                ..defaults.adjust
-            },
-            ..defaults
-        })
-    }
-}
-
 impl Operator for BundleAdjustment {
     const NAME: &'static str = "bundle_adjustment";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("bundle_adjustment.md");
-    type Params = BundleAdjustmentParams;
+    type Params = OfVehicle<MappingParams>;
     type Output = AdjustedPose;
 
-    fn ports() -> Vec<Port> {
-        vec![
-            Port::of::<GraphPose>("poses", Grain::Whole),
-            Port::of::<Keyframe>("keyframes", Grain::Whole),
-            Port::of::<Features>("features", Grain::Whole),
-            Port::of::<Track>("tracks", Grain::Whole),
-            Port::of::<Calibration>("calibration", Grain::Whole),
-            Port::of::<Transform>("transforms", Grain::Whole),
-            Port::of::<AdjustedPose>("previous", Grain::Whole).optional(),
-        ]
-    }
-
-    fn kernel(params: BundleAdjustmentParams) -> Result<Kernel, Fault> {
-        let mapping = params.mapping()?;
-        Ok(group_whole(
-            move |poses: Vec<GraphPose>, sides: &Sides, emit: &mut Emit<'_>| {
-                adjust(poses, sides, &mapping, &params.vehicle_frame, emit)
-            },
-        ))
+    fn work() -> Work<Self::Params> {
+        let poses = Port::site::<GraphPose>("poses");
+        let sides = vec![
+            Port::site::<Keyframe>("keyframes"),
+            Port::site::<Features>("features"),
+            Port::site::<Track>("tracks"),
+            Port::site::<Calibration>("calibration"),
+            Port::site::<Transform>("transforms"),
+            Port::site::<AdjustedPose>("previous").optional(),
+        ];
+        Work::group(poses, Key::SITE, sides, adjust)
     }
 }
 
 fn adjust(
+    params: &OfVehicle<MappingParams>,
     mut poses: Vec<GraphPose>,
     sides: &Sides,
-    params: &MappingParams,
-    vehicle_frame: &str,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = poses.first().map(|pose| pose.site.clone()) else {
         return Ok(());
     };
-    let mut previous = sides.rows::<AdjustedPose>("previous")?;
-    previous.retain(|row| row.site == site);
+    let previous = sides.rows::<AdjustedPose>("previous")?;
     let base = base(&poses, &previous);
     keep_previous(&mut poses, &previous);
     let guesses = poses.iter().map(|row| {
@@ -158,9 +54,9 @@ fn adjust(
         (row.session.as_str(), row.keyframe, pose)
     });
     let keyframes = sides.rows::<Keyframe>("keyframes")?;
-    let survey = Survey::new(&site, guesses, keyframes, sides, vehicle_frame, emit)?;
+    let survey = Survey::new(guesses, keyframes, sides, &params.vehicle, emit)?;
     let landmarks = landmarks(&survey, &previous);
-    let tracks = tracks(&survey, sides, &site, emit)?;
+    let tracks = tracks(&survey, sides.rows("tracks")?, emit);
     let fixed = base
         .and_then(|(session, keyframe)| survey.keyframe(&session, keyframe))
         .unwrap_or(0);
@@ -172,7 +68,7 @@ fn adjust(
             tracks: &tracks,
             fixed,
         },
-        params,
+        &params.options,
     );
     emit.rows(rows(&survey, &found, &site))
 }
@@ -209,54 +105,31 @@ fn keep_previous(poses: &mut [GraphPose], previous: &[AdjustedPose]) {
 
 /// The landmarks of the version before, by name.
 fn landmarks(survey: &Survey, previous: &[AdjustedPose]) -> Vec<Landmark> {
-    let mut landmarks: BTreeMap<u32, Vec<FeatureRef>> = BTreeMap::new();
-    for row in previous {
-        let Some(keyframe) = survey.keyframe(&row.session, row.keyframe) else {
-            continue;
-        };
-        for seen in &row.observations {
-            let feature = survey.feature(keyframe, &seen.camera, seen.feature);
-            landmarks.entry(seen.landmark).or_default().extend(feature);
-        }
-    }
-    landmarks
-        .into_iter()
-        .map(|(id, features)| Landmark {
-            id,
-            point: Default::default(),
-            features,
-        })
-        .collect()
+    let landmark = |(id, features)| Landmark {
+        id,
+        point: Default::default(),
+        features,
+    };
+    let landmarks = survey.landmarks(previous).into_iter();
+    landmarks.map(landmark).collect()
 }
 
-fn tracks(
-    survey: &Survey,
-    sides: &Sides,
-    site: &str,
-    emit: &mut Emit<'_>,
-) -> Result<Vec<Vec<FeatureRef>>, Fault> {
-    let mut tracks = Vec::new();
-    let mut unknown = 0;
-    for row in sides.rows::<Track>("tracks")? {
-        if row.site != site {
-            continue;
-        }
-        let point = |point: &TrackPoint| {
+fn tracks(survey: &Survey, rows: Vec<Track>, emit: &mut Emit<'_>) -> Vec<Vec<FeatureRef>> {
+    let features = |row: Track| -> Vec<FeatureRef> {
+        let feature = |point: &TrackPoint| {
             let keyframe = survey.keyframe(&row.session, point.keyframe)?;
             survey.feature(keyframe, &row.camera, point.feature)
         };
-        let track: Vec<FeatureRef> = row.points.iter().filter_map(point).collect();
-        if track.len() > 1 {
-            tracks.push(track);
-        } else {
-            unknown += 1;
-        }
-    }
+        row.points.iter().filter_map(feature).collect()
+    };
+    let all = rows.len();
+    let mut tracks: Vec<_> = rows.into_iter().map(features).collect();
+    tracks.retain(|track| track.len() > 1);
     emit.skip(
         "track has fewer than two features in keyframes with a pose",
-        unknown,
+        (all - tracks.len()) as u64,
     );
-    Ok(tracks)
+    tracks
 }
 
 fn rows(survey: &Survey, found: &Map, site: &str) -> Vec<AdjustedPose> {

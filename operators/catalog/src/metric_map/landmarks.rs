@@ -2,11 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use evermap_algorithms::metric_map::association::{
-    FeatureRef, LandmarkPoint, Look, Sight, looks, ray_residual_rad, triangulate,
-};
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_contract::{Emit, Fault, Grain, Kernel, Operator, Port, Sides, group_whole};
+use evermap_algorithms::metric_map::association::{
+    FeatureRef, LandmarkPoint, Look, Sight, looks, mean_direction, ray_residual_rad, triangulate,
+};
+use evermap_algorithms::metric_map::features::FeatureNoise;
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{AdjustedPose, Features, Keyframe, Landmark, Sighting, Sources};
 use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Bytes, Wkb};
@@ -14,6 +15,7 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::rig::OfVehicle;
 use crate::inputs::survey::Survey;
 
 /// See the module's page.
@@ -21,22 +23,21 @@ pub struct Landmarks;
 
 /// What landmarks need to know.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct LandmarksParams {
-    /// Standard deviation of a feature (px).
-    pub sigma_px: f64,
-    /// Descriptors kept of a landmark, at most.
+#[serde(default)]
+pub struct LandmarkOptions {
+    /// How exactly features lie; scales `sigma_m`.
+    #[serde(flatten)]
+    pub features: FeatureNoise,
+    /// Descriptors kept of a landmark, at most: those that stand for most sightings.
+    #[schemars(range(min = 1))]
     pub looks: usize,
-    /// The frame whose poses were adjusted.
-    pub vehicle_frame: String,
 }
 
-impl Default for LandmarksParams {
+impl Default for LandmarkOptions {
     fn default() -> Self {
         Self {
-            sigma_px: evermap_algorithms::metric_map::mapping::AdjustParams::default().sigma_px,
+            features: FeatureNoise::default(),
             looks: 4,
-            vehicle_frame: "base_link".into(),
         }
     }
 }
@@ -45,37 +46,24 @@ impl Operator for Landmarks {
     const NAME: &'static str = "landmarks";
     const VERSION: u32 = 1;
     const PAGE: &'static str = include_str!("landmarks.md");
-    type Params = LandmarksParams;
+    type Params = OfVehicle<LandmarkOptions>;
     type Output = Landmark;
 
-    fn ports() -> Vec<Port> {
-        vec![
-            Port::of::<AdjustedPose>("poses", Grain::Whole),
-            Port::of::<Features>("features", Grain::Whole),
-            Port::of::<Calibration>("calibration", Grain::Whole),
-            Port::of::<Transform>("transforms", Grain::Whole),
-        ]
-    }
-
-    fn kernel(params: LandmarksParams) -> Result<Kernel, Fault> {
-        if !(params.sigma_px > 0.0 && params.sigma_px.is_finite() && params.looks > 0) {
-            return Err(Fault::user(format!(
-                "expected sigma_px above 0 and looks of 1 or more, found {} and {}",
-                params.sigma_px, params.looks
-            )));
-        }
-        Ok(group_whole(
-            move |poses: Vec<AdjustedPose>, sides: &Sides, emit: &mut Emit<'_>| {
-                landmarks(&poses, sides, &params, emit)
-            },
-        ))
+    fn work() -> Work<Self::Params> {
+        let poses = Port::site::<AdjustedPose>("poses");
+        let sides = vec![
+            Port::site::<Features>("features"),
+            Port::site::<Calibration>("calibration"),
+            Port::site::<Transform>("transforms"),
+        ];
+        Work::group(poses, Key::SITE, sides, landmarks)
     }
 }
 
 fn landmarks(
-    poses: &[AdjustedPose],
+    params: &OfVehicle<LandmarkOptions>,
+    poses: Vec<AdjustedPose>,
     sides: &Sides,
-    params: &LandmarksParams,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = poses.first().map(|row| row.site.clone()) else {
@@ -86,27 +74,18 @@ fn landmarks(
         (row.session.as_str(), row.keyframe, pose)
     });
     let keyframes = poses.iter().map(keyframe).collect();
-    let survey = Survey::new(&site, known, keyframes, sides, &params.vehicle_frame, emit)?;
-    let mut seen: BTreeMap<u32, Vec<FeatureRef>> = BTreeMap::new();
-    for row in poses {
-        let keyframe = survey.keyframe(&row.session, row.keyframe);
-        for observation in &row.observations {
-            let of = |keyframe| survey.feature(keyframe, &observation.camera, observation.feature);
-            let features = seen.entry(observation.landmark).or_default();
-            features.extend(keyframe.and_then(of));
-        }
-    }
-    let work = Work {
+    let survey = Survey::new(known, keyframes, sides, &params.vehicle, emit)?;
+    let seen: Vec<_> = survey.landmarks(&poses).into_iter().collect();
+    let all = seen.len();
+    let maker = Maker {
         cameras: survey.scene.map_from_cameras(&survey.poses),
         survey: &survey,
-        params,
+        options: &params.options,
         site: &site,
     };
-    let all = seen.len();
-    let seen: Vec<(u32, Vec<FeatureRef>)> = seen.into_iter().collect();
     let found: Vec<Option<Landmark>> = seen
         .into_par_iter()
-        .map(|(landmark, features)| work.landmark(landmark, features))
+        .map(|(landmark, features)| maker.landmark(landmark, features))
         .collect();
     let found: Vec<Landmark> = found.into_iter().flatten().collect();
     emit.skip(
@@ -129,14 +108,14 @@ fn keyframe(row: &AdjustedPose) -> Keyframe {
     }
 }
 
-struct Work<'a> {
+struct Maker<'a> {
     survey: &'a Survey,
     cameras: Vec<Pose>,
-    params: &'a LandmarksParams,
+    options: &'a LandmarkOptions,
     site: &'a str,
 }
 
-impl Work<'_> {
+impl Maker<'_> {
     fn landmark(&self, landmark: u32, mut features: Vec<FeatureRef>) -> Option<Landmark> {
         features.sort_unstable();
         features.dedup();
@@ -146,7 +125,7 @@ impl Work<'_> {
             .collect();
         let found = triangulate(&sights)?;
         let views = self.views(&found, &features);
-        let view = evermap_algorithms::metric_map::association::mean_direction(&views);
+        let view = mean_direction(&views);
         let cosines = views.iter().map(|seen| seen.direction.dot(&view));
         let ranges = || views.iter().map(|view| view.range_m);
         let point = [found.point.x, found.point.y, found.point.z];
@@ -156,7 +135,7 @@ impl Work<'_> {
             x: point[0],
             y: point[1],
             z: point[2],
-            sigma_m: found.sigma_m() * self.params.sigma_px,
+            sigma_m: found.sigma_m() * self.options.features.sigma_px,
             parallax_rad: found.parallax_rad,
             rms_px: rms_px(&sights, &found),
             view: [view.x, view.y, view.z],
@@ -185,7 +164,7 @@ impl Work<'_> {
     }
 
     fn descriptors(&self, views: &[Look]) -> Bytes {
-        let looks = looks(views).into_iter().take(self.params.looks);
+        let looks = looks(views).into_iter().take(self.options.looks);
         Bytes(looks.flat_map(|look| look.descriptor.0).collect())
     }
 

@@ -2,178 +2,64 @@
 
 use std::collections::BTreeMap;
 
+use evermap_algorithms::geometry::rig::Rig;
 use evermap_algorithms::metric_map::features::{DESCRIPTOR_BYTES, Descriptor};
 use evermap_algorithms::metric_map::localisation::{
-    DriveKeyframe, Fix, KeyframeLocalisation, LandmarkMap, LocalisationParams as Options,
-    Localiser, MapLandmark, Places, State,
+    DriveKeyframe, Fix, KeyframeLocalisation, LandmarkMap, LocalisationParams, Localiser,
+    MapLandmark, Places, State,
 };
-use evermap_algorithms::geometry::rig::Rig;
-use evermap_contract::{Emit, Fault, Grain, Kernel, Operator, Port, Sides, group_whole};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Pose;
 use evermap_schemas::layers::{Features, Keyframe, Landmark, Localisation as Row, Observation};
 use evermap_schemas::roles::{Calibration, Transform};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use crate::inputs::drive::{Drive, drives};
-use crate::inputs::rig::SessionName;
+use crate::inputs::rig::OfVehicle;
 
 /// See the module's page.
 pub struct Localisation;
 
-/// How a drive is localised.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct LocalisationParams {
-    /// Standard deviation of a feature's place in the image (px).
-    pub feature_px: f64,
-    /// Descriptors that differ in more bits, of 512, are not of one landmark.
-    pub match_bits: u32,
-    /// A landmark's distance by descriptor, over that of the next that could be meant, is below this.
-    pub match_ratio: f64,
-    /// Radius in which a pose is verified (px).
-    pub verify_px: f64,
-    /// Largest radius of a search (px).
-    pub search_px: f64,
-    /// Fewest inliers of a fix.
-    pub min_inliers: usize,
-    /// Smallest share of inliers among the matches within `verify_px`.
-    pub min_inlier_share: f64,
-    /// Fewest of 24 directions around the vehicle that inliers lie in.
-    pub min_directions: usize,
-    /// Largest standard deviation of a localised position (m).
-    pub max_sigma_m: f64,
-    /// Largest standard deviation of a localised orientation (rad).
-    pub max_sigma_rad: f64,
-    /// What the map's landmarks around a keyframe are off by together (m).
-    pub map_m: f64,
-    /// What they are turned by together (rad).
-    pub map_rad: f64,
-    /// Standard deviation of odometry's distance over distance.
-    pub odometry_scale: f64,
-    /// Standard deviation of odometry's heading by distance (rad/m).
-    pub odometry_yaw_rad_per_m: f64,
-    /// Standard deviation of roll and pitch by distance (rad/m).
-    pub tilt_rad_per_m: f64,
-    /// A guess less certain than this is given up (m).
-    pub give_up_m: f64,
-    /// Keyframes that must confirm a recovered one.
-    pub confirmations: usize,
-    /// Landmarks farther than this are not looked for (m).
-    pub reach_m: f64,
-    /// How far outside the cone it was seen from a landmark is looked for (rad).
-    pub view_slack_rad: f64,
-    /// How far outside the ranges it was seen at a landmark is looked for, as a factor.
-    pub range_slack: f64,
-    /// The frame that poses are of.
-    pub vehicle_frame: String,
-}
-
-impl Default for LocalisationParams {
-    fn default() -> Self {
-        let options = Options::default();
-        Self {
-            feature_px: options.feature_px,
-            match_bits: options.match_bits,
-            match_ratio: options.match_ratio,
-            verify_px: options.verify_px,
-            search_px: options.search_px,
-            min_inliers: options.min_inliers,
-            min_inlier_share: options.min_inlier_share,
-            min_directions: options.min_directions,
-            max_sigma_m: options.max_sigma_m,
-            max_sigma_rad: options.max_sigma_rad,
-            map_m: options.map_m,
-            map_rad: options.map_rad,
-            odometry_scale: options.odometry_scale,
-            odometry_yaw_rad_per_m: options.odometry_yaw_rad_per_m,
-            tilt_rad_per_m: options.tilt_rad_per_m,
-            give_up_m: options.give_up_m,
-            confirmations: options.confirmations,
-            reach_m: options.reach_m,
-            view_slack_rad: options.view_slack_rad,
-            range_slack: options.range_slack,
-            vehicle_frame: "base_link".to_owned(),
-        }
-    }
-}
-
-impl LocalisationParams {
-    fn options(&self) -> Options {
-        Options {
-            feature_px: self.feature_px,
-            match_bits: self.match_bits,
-            match_ratio: self.match_ratio,
-            verify_px: self.verify_px,
-            search_px: self.search_px,
-            min_inliers: self.min_inliers,
-            min_inlier_share: self.min_inlier_share,
-            min_directions: self.min_directions,
-            max_sigma_m: self.max_sigma_m,
-            max_sigma_rad: self.max_sigma_rad,
-            map_m: self.map_m,
-            map_rad: self.map_rad,
-            odometry_scale: self.odometry_scale,
-            odometry_yaw_rad_per_m: self.odometry_yaw_rad_per_m,
-            tilt_rad_per_m: self.tilt_rad_per_m,
-            give_up_m: self.give_up_m,
-            confirmations: self.confirmations,
-            reach_m: self.reach_m,
-            view_slack_rad: self.view_slack_rad,
-            range_slack: self.range_slack,
-        }
-    }
-}
-
 impl Operator for Localisation {
     const NAME: &'static str = "localisation";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("localisation.md");
-    type Params = LocalisationParams;
+    type Params = OfVehicle<LocalisationParams>;
     type Output = Row;
 
-    fn ports() -> Vec<Port> {
-        vec![
-            Port::of::<Features>("features", Grain::SESSION),
-            Port::of::<Keyframe>("keyframes", Grain::SESSION),
-            Port::of::<Calibration>("calibration", Grain::SESSION),
-            Port::of::<Transform>("transforms", Grain::SESSION),
-            Port::of::<Landmark>("landmarks", Grain::Whole),
-        ]
+    fn work() -> Work<Self::Params> {
+        let features = Port::session::<Features>("features");
+        let sides = vec![
+            Port::session::<Keyframe>("keyframes"),
+            Port::session::<Calibration>("calibration"),
+            Port::session::<Transform>("transforms"),
+            Port::site::<Landmark>("landmarks"),
+        ];
+        Work::group(features, Key::SESSION, sides, localise)
     }
 
-    fn kernel(params: LocalisationParams) -> Result<Kernel, Fault> {
-        let options = params.options();
-        options
-            .check()
-            .map_err(|error| Fault::user(error.to_string()))?;
-        let vehicle_frame = params.vehicle_frame;
-        Ok(group_whole(move |features: Vec<Features>, sides, emit| {
-            localise(features, sides, &vehicle_frame, options, emit)
-        }))
+    fn check(params: &Self::Params) -> Result<(), Fault> {
+        let checked = params.options.check();
+        checked.map_err(|error| Fault::user(error.to_string()))
     }
 }
 
 fn localise(
+    params: &OfVehicle<LocalisationParams>,
     features: Vec<Features>,
     sides: &Sides,
-    vehicle_frame: &str,
-    options: Options,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
+    let Some(site) = features.first().map(|row| row.site.clone()) else {
+        return Ok(());
+    };
     let (numbers, landmarks) = landmarks(sides.rows("landmarks")?);
     let sound = LandmarkMap::new(landmarks);
-    emit.skip(
-        "landmark makes no sense",
-        (numbers.len() - sound.len()) as u64,
-    );
+    let senseless = numbers.len() - sound.len();
+    emit.skip("landmark makes no sense", senseless as u64);
     let keyframes = sides.rows("keyframes")?;
-    for (name, drive) in drives(keyframes, features, sides, vehicle_frame)? {
-        for (reason, count) in &drive.skipped {
-            emit.skip(reason, *count);
-        }
-        let found = localise_drive(&drive, &sound, options)?;
-        emit.rows(rows(&name, &drive, found, &numbers))?;
+    for (session, drive) in drives(keyframes, features, sides, &params.vehicle, emit)? {
+        let found = localise_drive(&drive, &sound, params.options);
+        emit.rows(rows([&site, &session], &drive, found, &numbers))?;
     }
     Ok(())
 }
@@ -181,10 +67,8 @@ fn localise(
 fn localise_drive(
     drive: &Drive,
     map: &LandmarkMap,
-    options: Options,
-) -> Result<Vec<KeyframeLocalisation>, Fault> {
-    let localiser =
-        Localiser::new(&drive.rig, map, options).map_err(|error| Fault::user(error.to_string()))?;
+    params: LocalisationParams,
+) -> Vec<KeyframeLocalisation> {
     let keyframes: Vec<_> = drive
         .keyframes
         .iter()
@@ -193,7 +77,8 @@ fn localise_drive(
             features: &keyframe.features,
         })
         .collect();
-    Ok(localiser.localise(&keyframes, &Places::new(&drive.rig, map, &options)))
+    let places = Places::new(&drive.rig, map, &params);
+    Localiser::new(&drive.rig, map, params).localise(&keyframes, &places)
 }
 
 /// The landmarks, and their numbers in the map.
@@ -237,7 +122,7 @@ fn descriptors(bytes: &[u8]) -> Vec<Descriptor> {
 }
 
 fn rows(
-    (site, session): &SessionName,
+    [site, session]: [&String; 2],
     drive: &Drive,
     found: Vec<KeyframeLocalisation>,
     numbers: &[u32],

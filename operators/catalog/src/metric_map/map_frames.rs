@@ -1,7 +1,7 @@
 #![doc = include_str!("map_frames.md")]
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_contract::{Emit, Fault, Grain, Kernel, Operator, Port, Sides, group_whole};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{MapFrame, VehiclePose};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -13,9 +13,11 @@ pub struct MapFrames;
 
 /// Where frames are made.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default)]
 pub struct MapFramesParams {
-    /// A pose farther than this from every frame (m) becomes a frame.
+    /// A pose farther than this from every frame (m) becomes a frame. About the range of the landmarks that a car park's
+    /// keyframe sees best.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub gap_m: f64,
 }
 
@@ -32,34 +34,23 @@ impl Operator for MapFrames {
     type Params = MapFramesParams;
     type Output = MapFrame;
 
-    fn ports() -> Vec<Port> {
-        vec![
-            Port::of::<VehiclePose>("poses", Grain::Whole),
-            Port::of::<MapFrame>("previous", Grain::Whole).optional(),
-        ]
-    }
-
-    fn kernel(MapFramesParams { gap_m }: MapFramesParams) -> Result<Kernel, Fault> {
-        if !(gap_m > 0.0 && gap_m.is_finite()) {
-            return Err(Fault::user(format!(
-                "expected gap_m above 0 m, found {gap_m}"
-            )));
-        }
-        Ok(group_whole(
-            move |poses: Vec<VehiclePose>, sides: &Sides, emit: &mut Emit<'_>| {
-                let site = poses.first().map(|pose| pose.site.clone());
-                let mut previous = sides.rows::<MapFrame>("previous")?;
-                previous.retain(|frame| Some(&frame.site) == site.as_ref());
-                emit.rows(frames(poses, previous, gap_m))
-            },
-        ))
+    fn work() -> Work<Self::Params> {
+        let poses = Port::site::<VehiclePose>("poses");
+        let sides = vec![Port::site::<MapFrame>("previous").optional()];
+        Work::group(poses, Key::SITE, sides, frames)
     }
 }
 
 /// The frames of the version before, then those of the base session if there were none, then those in the gaps.
-fn frames(mut poses: Vec<VehiclePose>, previous: Vec<MapFrame>, gap_m: f64) -> Vec<MapFrame> {
+fn frames(
+    params: &MapFramesParams,
+    mut poses: Vec<VehiclePose>,
+    sides: &Sides,
+    emit: &mut Emit<'_>,
+) -> Result<(), Fault> {
     poses.retain(|pose| Pose::from_array(pose.map_from_vehicle.to_array()).is_ok());
     poses.sort_by(|a, b| (a.stamp, &a.session).cmp(&(b.stamp, &b.session)));
+    let previous = sides.rows::<MapFrame>("previous")?;
     let base = match poses.first() {
         Some(first) if previous.is_empty() => Some(first.session.clone()),
         _ => None,
@@ -67,23 +58,14 @@ fn frames(mut poses: Vec<VehiclePose>, previous: Vec<MapFrame>, gap_m: f64) -> V
     let (of_base, others): (Vec<VehiclePose>, Vec<VehiclePose>) = poses
         .into_iter()
         .partition(|pose| base.as_ref() == Some(&pose.session));
-    let mut frames = Frames::default();
-    previous.into_iter().for_each(|frame| frames.push(frame));
-    for pose in of_base {
-        frames.push_pose(pose);
-    }
+    let mut frames: Frames = previous.into_iter().collect();
+    of_base.into_iter().for_each(|pose| frames.push_pose(pose));
     for pose in others {
-        let position = [
-            pose.map_from_vehicle.x,
-            pose.map_from_vehicle.y,
-            pose.map_from_vehicle.z,
-        ];
-        if frames
-            .nearest(position)
-            .is_none_or(|(_, away_m)| away_m > gap_m)
-        {
+        let at = &pose.map_from_vehicle;
+        let nearest = frames.nearest([at.x, at.y, at.z]);
+        if nearest.is_none_or(|(_, away_m)| away_m > params.gap_m) {
             frames.push_pose(pose);
         }
     }
-    frames.into_rows()
+    emit.rows(frames.into_rows())
 }

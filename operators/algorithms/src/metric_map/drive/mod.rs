@@ -79,7 +79,7 @@ impl Default for KeyframeParams {
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error(
     "expected deadband_m <= baseline_m and deadband_m < jump_m, found {deadband_m}, {baseline_m} and {jump_m}",
-    deadband_m = found.deadband_m, baseline_m = found.baseline_m, jump_m = found.jump_m
+    deadband_m = .found.deadband_m, baseline_m = .found.baseline_m, jump_m = .found.jump_m
 )]
 pub struct KeyframeParamsError {
     /// The parameters given.

@@ -24,7 +24,8 @@ use serde::{Deserialize, Serialize};
 #[serde(default)]
 pub struct MatchLimits {
     /// Descriptors that differ in more bits than this, of 512, never match. The same point in neighbouring keyframes
-    /// differs in 40 to 100 bits, the nearest of some hundred unrelated ones in more than 110.
+    /// differs in 40 to 100 bits, an unrelated one in about 200, the nearest of some hundred unrelated ones in more than
+    /// 110.
     #[schemars(range(max = 512))]
     pub match_bits: u32,
     /// The best match's bits must be below this share of the next best one's; 1 and more: no such test.

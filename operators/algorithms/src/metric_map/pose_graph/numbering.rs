@@ -115,7 +115,7 @@ fn odometry(from: usize, pair: &[DrivePose], params: &DriveParams) -> Edge<Pose,
     let turn = se3::split(&se3::log(&measured)).1.norm();
     let driven = (after.path_m - before.path_m).max(measured.translation.norm());
     let step = driven.max(SHORTEST_STEP_M);
-    let position = 1.0 / (params.walk_m.powi(2) * step);
+    let position = 1.0 / (params.odometry.walk_m().powi(2) * step);
     let upright = 1.0 / (params.slope.powi(2) * step);
     let heading = 1.0 / (params.walk_rad.powi(2) * step + params.turn_rad.powi(2) * turn);
     let diagonal = Vector6::new(position, position, upright, upright, upright, heading);
