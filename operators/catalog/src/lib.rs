@@ -55,6 +55,7 @@ operators! {
         loop_closures::LoopClosures,
         map_frames::MapFrames,
         pose_graph::PoseGraph,
+        speeds::Speeds,
         tracks::Tracks,
     }
     semantic_map {

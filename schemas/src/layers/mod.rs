@@ -120,6 +120,27 @@ impl LayerRow for VehiclePose {
 }
 
 record! {
+    /// How fast the vehicle drove at the instant of an odometry message.
+    pub struct Speed {
+        /// Site.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Instant.
+        stamp: Stamp ["ns"],
+        /// Speed along the vehicle's forward axis; negative in reverse.
+        speed_mps: f64 ["m/s"],
+        /// Change of the speed.
+        acceleration_mps2: f64 ["m/s²"],
+    }
+}
+impl LayerRow for Speed {
+    const NAME: &'static str = "speeds";
+    const DOC: &'static str = "Speed and acceleration along the path.";
+    const KEY: &'static [&'static str] = &["site", "session", "stamp"];
+}
+
+record! {
     /// One image with the vehicle's pose at its exposure: what ground patches are made from.
     pub struct PosedImage {
         /// Site of the map.

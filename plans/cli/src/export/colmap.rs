@@ -10,11 +10,11 @@ use std::path::Path;
 use evermap_algorithms::geometry::camera::{Camera, Model};
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::rig::Rig;
-use evermap_contract::{Registry, Sides};
+use evermap_contract::Registry;
 use evermap_engine::map::Map;
 use evermap_schemas::layers::{AdjustedPose, Features, Landmark};
 use evermap_schemas::roles::{Calibration, Transform};
-use evermap_schemas::{Fault, LayerRow};
+use evermap_schemas::{Fault, LayerRow, rows};
 
 use crate::ending::Failure;
 use crate::export::Selection;
@@ -24,15 +24,12 @@ use crate::output::write_file;
 /// From the centre of the first pixel at (0, 0) to that at (0.5, 0.5).
 const CORNER: f64 = 0.5;
 
-/// The frame of the vehicle in a log's transforms.
-const VEHICLE_FRAME: &str = "base_link";
-
 /// What a model is made of, of one site.
 struct Parts {
     poses: Vec<AdjustedPose>,
     landmarks: Vec<Landmark>,
     features: Vec<Features>,
-    rigs: BTreeMap<(String, String), Rig>,
+    rigs: BTreeMap<String, Rig>,
 }
 
 /// Writes a model of the adjusted poses into a folder.
@@ -74,16 +71,13 @@ async fn gather(
     landmarks.retain(|row| row.site == site);
     let mut features: Vec<Features> = found(map, registry).await?;
     features.retain(|row| row.site == site);
-    let sides = [
-        ("calibration", batches::<Calibration>(map, "cameras").await?),
-        ("transforms", batches::<Transform>(map, "mounts").await?),
-    ];
-    let sides = Sides::new(BTreeMap::from(
-        sides.map(|(port, batches)| (port.to_owned(), batches)),
-    ));
+    let mut calibration: Vec<Calibration> = from_logs(map, "cameras").await?;
+    calibration.retain(|row| row.site == site);
+    let mut transforms: Vec<Transform> = from_logs(map, "mounts").await?;
+    transforms.retain(|row| row.site == site);
     let sizes = features.iter().map(without_content).collect();
     Ok(Parts {
-        rigs: evermap_catalog::rigs(sizes, &sides, VEHICLE_FRAME)?,
+        rigs: evermap_catalog::rigs(sizes, calibration, transforms),
         poses,
         landmarks,
         features,
@@ -91,15 +85,12 @@ async fn gather(
 }
 
 /// The rows of a layer that a plan took from the logs.
-async fn batches<T: LayerRow>(
-    map: &Map,
-    layer: &str,
-) -> Result<Vec<arrow::array::RecordBatch>, Fault> {
-    let batches = map.batches(layer).await?;
-    batches
-        .iter()
-        .map(|batch| evermap_engine::conform::conform(batch, &T::layer()))
-        .collect()
+async fn from_logs<T: LayerRow>(map: &Map, layer: &str) -> Result<Vec<T>, Fault> {
+    let mut all = Vec::new();
+    for batch in &map.batches(layer).await? {
+        all.extend(rows(&evermap_engine::conform::conform(batch, &T::layer())?)?);
+    }
+    Ok(all)
 }
 
 fn without_content(row: &Features) -> Features {
@@ -134,7 +125,7 @@ fn model(parts: &Parts) -> Result<Texts, Fault> {
         points: String::from("# POINT3D_ID X Y Z R G B ERROR TRACK[] as IMAGE_ID POINT2D_IDX\n"),
     };
     let mut numbers = BTreeMap::new();
-    for ((_, session), rig) in &parts.rigs {
+    for (session, rig) in &parts.rigs {
         for camera in &rig.cameras {
             let number = numbers.len() + 1;
             numbers.insert((session.as_str(), camera.name.as_str()), (number, camera));

@@ -29,6 +29,7 @@
 mod frame_sets;
 mod keyframer;
 mod selector;
+mod speed;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -36,6 +37,7 @@ use serde::{Deserialize, Serialize};
 pub use frame_sets::Exposure;
 pub use keyframer::{Keyframe, Keyframer};
 pub use selector::{Due, KeyframeSelector};
+pub use speed::{Speed, speeds};
 
 /// How keyframes are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
