@@ -36,7 +36,6 @@ impl Default for VehicleFrame {
 
 /// The options of an algorithm that works on a vehicle's cameras.
 #[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(default)]
 pub struct OfVehicle<O> {
     /// Those of the algorithm.
     #[serde(flatten)]

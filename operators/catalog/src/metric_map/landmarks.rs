@@ -1,7 +1,5 @@
 #![doc = include_str!("landmarks.md")]
 
-use std::collections::BTreeMap;
-
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::metric_map::association::{
     FeatureRef, LandmarkPoint, Look, Sight, looks, mean_direction, ray_residual_rad, triangulate,

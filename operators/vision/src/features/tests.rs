@@ -117,7 +117,7 @@ fn coordinates_are_those_of_the_full_image() {
     assert_eq!(FeatureParams::default().scale_for(100), 2.0);
     assert_eq!(FeatureParams::default().scale_for(700), 1.0);
     assert_eq!(FeatureParams::default().scale_for(2600), 0.25);
-    let [half, whole] = [None, Some(1.0)].map(|scale| {
+    let [half, whole] = [0.0, 1.0].map(|scale| {
         let params = FeatureParams {
             scale,
             count: 20_000,
