@@ -59,6 +59,15 @@ pub enum SchemaError {
     },
 }
 
+impl SchemaError {
+    pub(crate) fn refused(schema: &str, reason: String) -> Self {
+        SchemaError::Refused {
+            schema: schema.to_owned(),
+            reason,
+        }
+    }
+}
+
 /// Why one message gave no row. The decoder is unchanged by it.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DecodeError {
@@ -115,4 +124,16 @@ pub enum DecodeError {
         /// The value found, shortened.
         found: String,
     },
+}
+
+impl DecodeError {
+    /// A value of `needed` bytes at `offset` is not all in `data`.
+    #[cold]
+    pub(crate) fn truncated(data: &[u8], offset: usize, needed: u64) -> Self {
+        DecodeError::Truncated {
+            offset,
+            needed,
+            available: data.len().saturating_sub(offset),
+        }
+    }
 }

@@ -31,14 +31,18 @@
 //!
 //! Whether a payload is a row never depends on the projection, so counts agree
 //! whichever columns are read.
+//!
+//! The other way, from values to payloads, goes [`ros2`], for the few messages that evermap records itself.
 
 mod buffers;
 mod cdr;
+mod columns;
 mod error;
 mod idl;
 mod json;
 mod protobuf;
 mod resolve;
+pub mod ros2;
 mod rosmsg;
 mod wire;
 
@@ -47,12 +51,16 @@ pub use error::{DecodeError, SchemaError};
 use arrow::array::ArrayRef;
 use arrow::datatypes::Fields;
 use arrow::error::ArrowError;
-use cdr::{CdrDecoder, Serialisation};
-use json::JsonDecoder;
-use protobuf::ProtobufDecoder;
+use cdr::Serialisation;
+use columns::Rows;
 use std::ops::Range;
 use std::sync::Arc;
 use wire::StructType;
+
+/// Columns one schema may unfold to; beyond it a definition is refused.
+const MAX_COLUMNS: usize = 20_000;
+/// Levels of nesting one schema may have.
+const MAX_DEPTH: usize = 64;
 
 /// Where bytes lie inside a payload.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -160,14 +168,18 @@ impl MessageType {
     pub fn decoder(&self, projection: Option<&[usize]>) -> Box<dyn Decoder> {
         let projection = self.distinct(projection);
         match &self.kind {
-            Kind::Ros(serialisation, message) => Box::new(CdrDecoder::new(
-                *serialisation,
-                message.clone(),
-                &self.fields,
-                &projection,
-            )),
-            Kind::Protobuf(plan) => Box::new(ProtobufDecoder::new(plan.clone(), &projection)),
-            Kind::Json(plan) => Box::new(JsonDecoder::new(plan.clone(), &projection)),
+            Kind::Ros(serialisation, message) => {
+                let reader = cdr::Reader::new(*serialisation, message.clone());
+                Box::new(Rows::new(reader, &self.fields, &projection))
+            }
+            Kind::Protobuf(plan) => {
+                let reader = protobuf::Reader::new(plan.clone());
+                Box::new(Rows::new(reader, &self.fields, &projection))
+            }
+            Kind::Json(plan) => {
+                let reader = json::Reader(plan.clone());
+                Box::new(Rows::new(reader, &self.fields, &projection))
+            }
         }
     }
 

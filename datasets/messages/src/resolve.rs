@@ -1,14 +1,10 @@
 //! From declarations that name each other to one finite message type.
 
-use crate::SchemaError;
-use crate::wire::{Extensibility, StructType, Wire};
+use crate::wire::{Extensibility, Scalar, StructType, Wire};
+use crate::{MAX_COLUMNS, MAX_DEPTH, SchemaError};
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// Columns one schema may unfold to; beyond it a definition is refused.
-const MAX_COLUMNS: usize = 20_000;
-/// Levels of nesting one schema may have.
-const MAX_DEPTH: usize = 64;
 /// Bytes of one fixed-size member.
 const MAX_FIXED_BYTES: u64 = i32::MAX as u64;
 
@@ -37,6 +33,15 @@ pub(crate) struct Declaration {
     pub(crate) extensibility: Extensibility,
 }
 
+impl Member {
+    pub(crate) fn new(name: &str, declared: Declared) -> Self {
+        Member {
+            name: name.to_owned(),
+            declared,
+        }
+    }
+}
+
 impl Declaration {
     pub(crate) fn new(name: &str, extensibility: Extensibility) -> Self {
         Declaration {
@@ -44,6 +49,21 @@ impl Declaration {
             members: Vec::new(),
             extensibility,
         }
+    }
+
+    /// A type that recorders may leave out because every installation has it.
+    pub(crate) fn builtin(name: &str, members: &[(&str, Declared)]) -> Self {
+        let members = members.iter().cloned();
+        Declaration {
+            members: members.map(|(name, of)| Member::new(name, of)).collect(),
+            ..Declaration::new(name, Extensibility::Final)
+        }
+    }
+
+    /// A built-in time or duration: seconds and what is over.
+    pub(crate) fn time(name: &str, parts: [(&str, Scalar); 2]) -> Self {
+        let parts = parts.map(|(name, of)| (name, Declared::Wire(Wire::Scalar(of))));
+        Declaration::builtin(name, &parts)
     }
 }
 
@@ -198,10 +218,7 @@ impl Library {
     }
 
     fn refused(&self, reason: String) -> SchemaError {
-        SchemaError::Refused {
-            schema: self.schema.clone(),
-            reason,
-        }
+        SchemaError::refused(&self.schema, reason)
     }
 }
 

@@ -113,9 +113,9 @@ fn begin_response(mut request: Declaration, library: &mut Library) -> Option<Dec
     let optional = |part: &str| Declared::Sequence(Box::new(named(&format!("{service}_{part}"))));
     let mut event = Declaration::new(&format!("{service}_Event"), Extensibility::Unstated);
     event.members = vec![
-        declared_member("info", named("service_msgs/ServiceEventInfo")),
-        declared_member("request", optional("Request")),
-        declared_member("response", optional("Response")),
+        Member::new("info", named("service_msgs/ServiceEventInfo")),
+        Member::new("request", optional("Request")),
+        Member::new("response", optional("Response")),
     ];
     library.add(event);
     request.name = format!("{service}_Request");
@@ -126,13 +126,6 @@ fn begin_response(mut request: Declaration, library: &mut Library) -> Option<Dec
 
 fn named(name: &str) -> Declared {
     Declared::Named(vec![name.to_owned()])
-}
-
-fn declared_member(name: &str, declared: Declared) -> Member {
-    Member {
-        name: name.to_owned(),
-        declared,
-    }
 }
 
 fn is_separator(line: &str) -> bool {
@@ -164,7 +157,7 @@ fn member(line: &str, scope: &str, place: Place) -> Result<Option<Member>, Schem
         return Ok(None);
     }
     let declared = declared(type_text, scope, place)?;
-    Ok(Some(declared_member(name, declared)))
+    Ok(Some(Member::new(name, declared)))
 }
 
 fn declared(text: &str, scope: &str, place: Place) -> Result<Declared, SchemaError> {
@@ -235,40 +228,30 @@ fn primitive(name: &str, generation: Generation) -> Option<Wire> {
     Some(Wire::Scalar(scalar))
 }
 
-/// Types that recorders may leave out because every ROS installation has them.
+/// Adds the types that recorders may leave out because every installation has them.
 fn add_builtins(generation: Generation, library: &mut Library) {
-    let (fraction, time_seconds) = match generation {
-        Generation::Ros1 => ("nsec", Scalar::UInt32),
-        Generation::Ros2 => ("nanosec", Scalar::Int32),
-    };
-    let duration_fraction = match generation {
-        Generation::Ros1 => Scalar::Int32,
-        Generation::Ros2 => Scalar::UInt32,
-    };
-    for (name, seconds, fractions) in [
-        ("builtin_interfaces/Time", time_seconds, Scalar::UInt32),
-        (
-            "builtin_interfaces/Duration",
-            Scalar::Int32,
-            duration_fraction,
+    let (time, duration) = match generation {
+        Generation::Ros1 => (
+            [("sec", Scalar::UInt32), ("nsec", Scalar::UInt32)],
+            [("sec", Scalar::Int32), ("nsec", Scalar::Int32)],
         ),
-    ] {
-        let mut declaration = Declaration::new(name, Extensibility::Final);
-        declaration.members = [("sec", seconds), (fraction, fractions)]
-            .map(|(name, scalar)| declared_member(name, Declared::Wire(Wire::Scalar(scalar))))
-            .into();
-        library.add(declaration);
-    }
+        Generation::Ros2 => {
+            let parts = [("sec", Scalar::Int32), ("nanosec", Scalar::UInt32)];
+            (parts, parts)
+        }
+    };
+    library.add(Declaration::time("builtin_interfaces/Time", time));
+    library.add(Declaration::time("builtin_interfaces/Duration", duration));
     let number = |scalar| Declared::Wire(Wire::Scalar(scalar));
-    let mut info = Declaration::new("service_msgs/ServiceEventInfo", Extensibility::Final);
-    info.members = vec![
-        declared_member("event_type", number(Scalar::UInt8)),
-        declared_member("stamp", named("builtin_interfaces/Time")),
-        declared_member(
-            "client_gid",
-            Declared::Array(Box::new(number(Scalar::UInt8)), 16),
-        ),
-        declared_member("sequence_number", number(Scalar::Int64)),
+    let gid = Declared::Array(Box::new(number(Scalar::UInt8)), 16);
+    let members = [
+        ("event_type", number(Scalar::UInt8)),
+        ("stamp", named("builtin_interfaces/Time")),
+        ("client_gid", gid),
+        ("sequence_number", number(Scalar::Int64)),
     ];
-    library.add(info);
+    library.add(Declaration::builtin(
+        "service_msgs/ServiceEventInfo",
+        &members,
+    ));
 }

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use evermap_messages::ros2::Calibration;
 use evermap_schemas::Fault;
 use nalgebra::Matrix4;
 use serde_json::Value;
@@ -43,6 +44,16 @@ impl Intrinsics {
             _ => "plumb_bob",
         });
         Self::given(Some(model), &k, &d).map_err(|fault| fault.at(path.display()))
+    }
+
+    /// As messages say it of a camera with images of this size, pixels.
+    pub fn published(&self, size: [u32; 2]) -> Calibration<'_> {
+        Calibration {
+            size,
+            model: &self.model,
+            distortion: &self.d,
+            k: self.k,
+        }
     }
 }
 

@@ -5,13 +5,15 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
+use evermap_messages::ros2::{
+    CameraInfo, CompressedImage, Header, Message, Odometry, Pose, StaticTransforms,
+};
 use evermap_schemas::Fault;
 use mcap::records::MessageHeader;
 use nalgebra::Isometry3;
 
 use crate::import::Imported;
 use crate::import::calibration::Intrinsics;
-use crate::import::ros2::{self, MessageType};
 
 /// A camera, ready to be written.
 pub(super) struct Camera {
@@ -26,6 +28,15 @@ pub(super) struct Camera {
     pub images: Vec<(u64, PathBuf)>,
     /// Stamps of their images, ns, and files.
     pub labels: Vec<(u64, PathBuf)>,
+}
+
+impl Camera {
+    fn header(&self, stamp_ns: u64) -> Header<'_> {
+        Header {
+            stamp_ns,
+            frame_id: &self.name,
+        }
+    }
 }
 
 /// What is written at an instant, in this order.
@@ -55,20 +66,39 @@ pub(super) fn write(
     }
     events.sort();
     let partial = out.with_extension("mcap.partial");
-    let mut log = Log::create(&partial, cameras)?;
+    let mut log = Log::create(&partial)?;
+    let transforms = log.topic::<StaticTransforms>("/tf_static")?;
+    let odometry = log.topic::<Odometry>("/odom")?;
+    let channels: Result<Vec<Channels>, Fault> = cameras
+        .iter()
+        .map(|camera| Channels::declare(&mut log, camera))
+        .collect();
+    let channels = channels?;
+    // What holds for the whole log comes first.
     let start = events.first().map_or(0, |(stamp, _)| *stamp);
-    log.start(start, cameras)?;
+    log.send(transforms, start, &placed(start, cameras))?;
+    for (camera, channels) in cameras.iter().zip(&channels) {
+        if let (Some(channel), Some(intrinsics)) = (channels.info, &camera.intrinsics) {
+            let info = CameraInfo {
+                header: camera.header(start),
+                calibration: intrinsics.published([camera.width, camera.height]),
+            };
+            log.send(channel, start, &info)?;
+        }
+    }
     log.classes(classes)?;
     for (stamp, event) in &events {
+        let stamp = *stamp;
         match event {
-            Event::Pose(i) => log.send(ODOM, *stamp, &ros2::odometry(*stamp, &poses[*i].1))?,
+            Event::Pose(i) => log.send(odometry, stamp, &odometry_of(stamp, &poses[*i].1))?,
             Event::Image(c, i) => {
-                let camera = &cameras[*c];
-                log.image(IMAGE + CHANNELS * c, *stamp, camera, &camera.images[*i].1)?;
+                let (camera, channel) = (&cameras[*c], channels[*c].images);
+                log.image(channel, camera.header(stamp), &camera.images[*i].1)?;
             }
             Event::Labels(c, i) => {
-                let camera = &cameras[*c];
-                log.image(LABELS + CHANNELS * c, *stamp, camera, &camera.labels[*i].1)?;
+                let (camera, channel) = (&cameras[*c], channels[*c].labels);
+                let channel = channel.ok_or_else(|| Fault::bug("labels without a channel"))?;
+                log.image(channel, camera.header(stamp), &camera.labels[*i].1)?;
             }
         }
     }
@@ -82,83 +112,90 @@ pub(super) fn write(
     })
 }
 
-const TF_STATIC: usize = 0;
-const ODOM: usize = 1;
-/// The first camera's channels; the next one's are so many further.
-const IMAGE: usize = 2;
-const CAMERA_INFO: usize = 3;
-const LABELS: usize = 4;
-const CHANNELS: usize = 3;
+/// The places of those cameras whose place is known.
+fn placed(stamp_ns: u64, cameras: &[Camera]) -> StaticTransforms<'_> {
+    let placed = cameras.iter().filter_map(|camera| {
+        let vehicle_from_camera = camera.vehicle_from_camera.as_ref()?;
+        Some((camera.name.as_str(), pose(vehicle_from_camera)))
+    });
+    StaticTransforms {
+        stamp_ns,
+        cameras: placed.collect(),
+    }
+}
+
+/// Variances and speeds are zero: the source does not say them.
+fn odometry_of(stamp_ns: u64, odom_from_vehicle: &Isometry3<f64>) -> Odometry {
+    Odometry {
+        stamp_ns,
+        pose: pose(odom_from_vehicle),
+        pose_variances: [0.0; 6],
+        twist: [0.0; 6],
+        twist_variances: [0.0; 6],
+    }
+}
+
+/// Channels of one camera; `None` where nothing will be sent.
+struct Channels {
+    images: u16,
+    info: Option<u16>,
+    labels: Option<u16>,
+}
+
+impl Channels {
+    fn declare(log: &mut Log, camera: &Camera) -> Result<Self, Fault> {
+        let topic = |leaf: &str| format!("/{}/{leaf}", camera.name);
+        let images = log.topic::<CompressedImage>(&topic("image/compressed"))?;
+        let info = match &camera.intrinsics {
+            Some(_) => Some(log.topic::<CameraInfo>(&topic("camera_info"))?),
+            None => None,
+        };
+        let labels = match camera.labels.as_slice() {
+            [] => None,
+            _ => Some(log.topic::<CompressedImage>(&topic("labels"))?),
+        };
+        Ok(Self {
+            images,
+            info,
+            labels,
+        })
+    }
+}
 
 struct Log {
     writer: mcap::Writer<BufWriter<File>>,
-    /// Number, and messages so far; `None` where nothing will be sent.
-    channels: Vec<Option<(u16, u32)>>,
+    /// Messages so far, by channel.
+    sent: BTreeMap<u16, u32>,
     path: PathBuf,
 }
 
 impl Log {
-    fn create(path: &Path, cameras: &[Camera]) -> Result<Self, Fault> {
-        let place = |error: std::io::Error| Fault::resource(error.to_string()).at(path.display());
-        let file = BufWriter::new(File::create(path).map_err(place)?);
+    fn create(path: &Path) -> Result<Self, Fault> {
+        let place = |error: String| Fault::resource(error).at(path.display());
+        let file = File::create(path).map_err(|error| place(error.to_string()))?;
         let options = mcap::WriteOptions::new()
             .profile("ros2")
             .library("evermap import");
-        let writer = options
-            .create(file)
-            .map_err(|error| Fault::resource(error.to_string()).at(path.display()))?;
-        let mut log = Self {
-            writer,
-            channels: Vec::new(),
+        let writer = options.create(BufWriter::new(file));
+        Ok(Self {
+            writer: writer.map_err(|error| place(error.to_string()))?,
+            sent: BTreeMap::new(),
             path: path.to_owned(),
-        };
-        log.add(true, "/tf_static", &ros2::TF_MESSAGE)?;
-        log.add(true, "/odom", &ros2::ODOMETRY)?;
-        for camera in cameras {
-            let topic = |leaf: &str| format!("/{}/{leaf}", camera.name);
-            let (calibrated, labelled) = (camera.intrinsics.is_some(), !camera.labels.is_empty());
-            log.add(true, &topic("image/compressed"), &ros2::COMPRESSED_IMAGE)?;
-            log.add(calibrated, &topic("camera_info"), &ros2::CAMERA_INFO)?;
-            log.add(labelled, &topic("labels"), &ros2::COMPRESSED_IMAGE)?;
-        }
-        Ok(log)
+        })
     }
 
     fn fault(&self, error: &mcap::McapError) -> Fault {
         Fault::resource(error.to_string()).at(self.path.display())
     }
 
-    fn add(&mut self, used: bool, topic: &str, message: &MessageType) -> Result<(), Fault> {
-        if !used {
-            self.channels.push(None);
-            return Ok(());
-        }
-        let definition = message.definition.as_bytes();
-        let schema = self.writer.add_schema(message.name, "ros2msg", definition);
+    fn topic<M: Message>(&mut self, topic: &str) -> Result<u16, Fault> {
+        let definition = M::DEFINITION.as_bytes();
+        let schema = self.writer.add_schema(M::NAME, "ros2msg", definition);
         let schema = schema.map_err(|error| self.fault(&error))?;
         let channel = self
             .writer
             .add_channel(schema, topic, "cdr", &BTreeMap::new());
-        let channel = channel.map_err(|error| self.fault(&error))?;
-        self.channels.push(Some((channel, 0)));
-        Ok(())
-    }
-
-    /// What holds for the whole log: where the cameras are, and what their lenses do.
-    fn start(&mut self, stamp: u64, cameras: &[Camera]) -> Result<(), Fault> {
-        let placed: Vec<(&str, Isometry3<f64>)> = cameras
-            .iter()
-            .filter_map(|camera| Some((camera.name.as_str(), camera.vehicle_from_camera?)))
-            .collect();
-        self.send(TF_STATIC, stamp, &ros2::transforms(stamp, &placed))?;
-        for (c, camera) in cameras.iter().enumerate() {
-            if let Some(intrinsics) = &camera.intrinsics {
-                let size = (camera.width, camera.height);
-                let info = ros2::camera_info(stamp, &camera.name, size, intrinsics);
-                self.send(CAMERA_INFO + CHANNELS * c, stamp, &info)?;
-            }
-        }
-        Ok(())
+        channel.map_err(|error| self.fault(&error))
     }
 
     /// What the values of label images mean, if anybody says.
@@ -181,31 +218,28 @@ impl Log {
         written.map_err(|error| self.fault(&error))
     }
 
-    fn image(
-        &mut self,
-        channel: usize,
-        stamp: u64,
-        camera: &Camera,
-        path: &Path,
-    ) -> Result<(), Fault> {
-        let (format, bytes) = encoded(path)?;
-        let message = ros2::compressed_image(stamp, &camera.name, format, &bytes);
-        self.send(channel, stamp, &message)
+    fn image(&mut self, channel: u16, header: Header<'_>, path: &Path) -> Result<(), Fault> {
+        let (format, data) = encoded(path)?;
+        let image = CompressedImage {
+            header,
+            format,
+            data: &data,
+        };
+        self.send(channel, header.stamp_ns, &image)
     }
 
-    fn send(&mut self, channel: usize, stamp: u64, message: &[u8]) -> Result<(), Fault> {
-        let Some((channel_id, sent)) = &mut self.channels[channel] else {
-            return Err(Fault::bug("a message on a channel that was not declared"));
-        };
-        let (channel_id, sequence) = (*channel_id, *sent);
-        *sent += 1;
+    fn send(&mut self, channel: u16, stamp: u64, message: &impl Message) -> Result<(), Fault> {
+        let sent = self.sent.entry(channel).or_default();
         let header = MessageHeader {
-            channel_id,
-            sequence,
+            channel_id: channel,
+            sequence: *sent,
             log_time: stamp,
             publish_time: stamp,
         };
-        let written = self.writer.write_to_known_channel(&header, message);
+        *sent += 1;
+        let written = self
+            .writer
+            .write_to_known_channel(&header, &message.encode());
         written.map_err(|error| self.fault(&error))
     }
 
@@ -213,6 +247,13 @@ impl Log {
         let finished = self.writer.finish();
         finished.map(|_| ()).map_err(|error| self.fault(&error))
     }
+}
+
+/// Position, then quaternion.
+fn pose(pose: &Isometry3<f64>) -> Pose {
+    let [x, y, z] = pose.translation.vector.into();
+    let [qx, qy, qz, qw] = pose.rotation.coords.into();
+    [x, y, z, qx, qy, qz, qw]
 }
 
 /// An encoded image, and its format.

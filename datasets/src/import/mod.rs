@@ -31,7 +31,6 @@ mod kitti;
 mod labels;
 mod log;
 mod poses;
-mod ros2;
 
 use std::path::{Path, PathBuf};
 

@@ -38,3 +38,27 @@ impl WorldError {
         }
     }
 }
+
+/// A parameter: its name and value, and the least and the most that it may be.
+pub(crate) type Limits<'a> = (&'a str, f64, f64, f64);
+
+/// Refuses values outside their limits, and says what else is wrong, all at once.
+pub(crate) fn check(
+    limits: &[Limits<'_>],
+    others: impl IntoIterator<Item = String>,
+) -> Result<(), WorldError> {
+    let outside = limits
+        .iter()
+        .filter(|(_, value, low, high)| !(low..=high).contains(&value));
+    let faults: Vec<String> = outside
+        .map(|(name, value, low, high)| {
+            format!("{name}: expected {low} to {high}, found {value}; choose a value inside")
+        })
+        .chain(others)
+        .collect();
+    if faults.is_empty() {
+        Ok(())
+    } else {
+        Err(WorldError::Parameters { faults })
+    }
+}

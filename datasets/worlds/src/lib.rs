@@ -8,52 +8,26 @@
 //! number of threads.
 //!
 //! ```text
-//! layout ── route ── drive ─┬─ odometry ────────────┐
-//!    │                      ├─ walkers ─┐           ├─ session ── recording (MCAP)
-//!    ├─ floor, walls, cars ─┴─ scene ───┴─ render ──┘
-//!    └─ truth
+//! car_park ─┐ scene, course, sensors, truth ┌─ render    what each pixel of a camera sees
+//!           ├───────────────────────────────┼─ vehicle   motion and odometry
+//! street ───┘                               └─ record    logs (MCAP) and truth
 //! ```
 //! Nothing here knows how maps are made; it only shares camera models and poses with the rest.
 
-mod canvas;
-mod cars;
-mod cast;
-mod cdr;
-mod drive;
+mod car_park;
 mod error;
-mod floor;
-mod folder;
-mod glyphs;
-mod ground;
-mod layout;
-mod lens;
-mod lighting;
-mod look;
-mod messages;
-mod odometry;
-mod params;
-mod picture;
+mod plane;
 mod random;
-mod recording;
+mod record;
 mod render;
-mod rig;
-mod route;
-mod scene;
-mod session;
-mod solid;
 mod street;
-#[cfg(test)]
-mod tests;
-mod texture;
-mod truth;
-mod walkers;
-mod walls;
+mod vehicle;
 
+pub use car_park::{CarPark, car_park};
 pub use error::WorldError;
-pub use odometry::WheelErrors;
-pub use params::CarPark;
-pub use session::{Progress, SessionSummary, Summary, car_park};
+pub use record::{Progress, SessionSummary, Summary};
 pub use street::{
     LabelKind, LabelView, STREET_CLASSES, STREET_COLOURS, Street, StreetLabels, street,
     street_labels,
 };
+pub use vehicle::WheelErrors;

@@ -5,16 +5,16 @@
 
 mod program;
 mod run;
+mod writer;
 
-use crate::buffers::{Node, Pool};
+use crate::buffers::Pool;
+use crate::columns::{Columns, Format};
 use crate::wire::StructType;
-use crate::{DecodeError, Decoder, Located};
-use arrow::array::ArrayRef;
-use arrow::datatypes::{FieldRef, Fields};
-use arrow::error::ArrowError;
+use crate::{DecodeError, Located};
 use program::{Compiler, Dialect, Step};
 use run::Runner;
 use std::sync::Arc;
+pub(crate) use writer::CdrWriter;
 
 /// First bytes of a zstd frame (RFC 8878, 3.1.1); no CDR header begins so.
 const ZSTD_MAGIC: [u8; 4] = [0x28, 0xB5, 0x2F, 0xFD];
@@ -46,11 +46,7 @@ impl<'a> Body<'a> {
             });
         }
         let Some((header, data)) = payload.split_first_chunk::<4>() else {
-            return Err(DecodeError::Truncated {
-                offset: 0,
-                needed: 4,
-                available: payload.len(),
-            });
+            return Err(DecodeError::truncated(payload, 0, 4));
         };
         if header == &ZSTD_MAGIC {
             return Err(DecodeError::Compressed);
@@ -102,88 +98,39 @@ pub(crate) fn locate(
     }
 }
 
-/// Columns of one message type, filled by its program.
-pub(crate) struct CdrDecoder {
+/// Reads payloads of one message type by its programs.
+pub(crate) struct Reader {
     serialisation: Serialisation,
     message: Arc<StructType>,
-    /// Column of each member, where it is projected.
-    column_of: Vec<Option<usize>>,
-    columns: Vec<Node>,
-    pool: Pool,
-    rows: usize,
+    /// Compiled when first met, as a log rarely mixes dialects.
     programs: Vec<(Dialect, Vec<Step>)>,
 }
 
-impl CdrDecoder {
-    pub(crate) fn new(
-        serialisation: Serialisation,
-        message: Arc<StructType>,
-        fields: &Fields,
-        projection: &[usize],
-    ) -> Self {
-        let mut pool = Pool::default();
-        let mut column_of = vec![None; message.members.len()];
-        let mut columns = Vec::new();
-        for index in projection {
-            let (Some(field), Some(slot)) = (fields.get(*index), column_of.get_mut(*index)) else {
-                continue;
-            };
-            let field: &FieldRef = field;
-            *slot = Some(columns.len());
-            columns.push(Node::new(field, &mut pool));
-        }
-        CdrDecoder {
+impl Reader {
+    pub(crate) fn new(serialisation: Serialisation, message: Arc<StructType>) -> Self {
+        Self {
             serialisation,
             message,
-            column_of,
-            columns,
-            pool,
-            rows: 0,
             programs: Vec::new(),
         }
     }
-
-    /// The program for `dialect`; compiled when first met, as a log rarely mixes them.
-    fn program(&mut self, dialect: Dialect) -> usize {
-        if let Some(known) = self.programs.iter().position(|(d, _)| *d == dialect) {
-            return known;
-        }
-        let columns: Vec<Option<&Node>> = self
-            .column_of
-            .iter()
-            .map(|column| column.and_then(|index| self.columns.get(index)))
-            .collect();
-        let steps = Compiler::message(dialect, &self.message, &columns);
-        self.programs.push((dialect, steps));
-        self.programs.len() - 1
-    }
 }
 
-impl Decoder for CdrDecoder {
-    fn push(&mut self, payload: &[u8]) -> Result<(), DecodeError> {
+impl Format for Reader {
+    fn append(
+        &mut self,
+        payload: &[u8],
+        columns: &Columns,
+        _row: usize,
+        pool: &mut Pool,
+    ) -> Result<(), DecodeError> {
         let body = Body::open(payload, self.serialisation)?;
-        let program = self.program(body.dialect);
-        if let Err(error) = body.run(&self.programs[program].1, &mut self.pool) {
-            for column in &self.columns {
-                column.truncate(&mut self.pool, self.rows);
-            }
-            return Err(error);
-        }
-        self.rows += 1;
-        Ok(())
-    }
-
-    fn len(&self) -> usize {
-        self.rows
-    }
-
-    fn bytes(&self) -> usize {
-        self.pool.bytes()
-    }
-
-    fn finish(&mut self) -> Result<Vec<ArrayRef>, ArrowError> {
-        let rows = std::mem::take(&mut self.rows);
-        let pool = &mut self.pool;
-        self.columns.iter().map(|c| c.finish(pool, rows)).collect()
+        let known = self.programs.iter().position(|(d, _)| *d == body.dialect);
+        let program = known.unwrap_or_else(|| {
+            let steps = Compiler::message(body.dialect, &self.message, columns);
+            self.programs.push((body.dialect, steps));
+            self.programs.len() - 1
+        });
+        body.run(&self.programs[program].1, pool).map(|_| ())
     }
 }

@@ -6,6 +6,7 @@
 //! outside the projection leave no copies, so what is skipped costs an addition.
 
 use crate::buffers::{Layout, Node};
+use crate::columns::Columns;
 use crate::wire::{Extensibility, StructType, Wire};
 
 /// How scalars and structs are laid out on the wire.
@@ -110,14 +111,10 @@ pub(crate) struct Compiler {
 }
 
 impl Compiler {
-    /// The steps for `message`, filling `columns[i]` with member `i` where it is some.
-    pub(crate) fn message(
-        dialect: Dialect,
-        message: &StructType,
-        columns: &[Option<&Node>],
-    ) -> Vec<Step> {
+    /// The steps for `message`, filling the columns of those members that have one.
+    pub(crate) fn message(dialect: Dialect, message: &StructType, columns: &Columns) -> Vec<Step> {
         let mut compiler = Compiler::new(dialect);
-        compiler.body(message, |index| columns.get(index).copied().flatten());
+        compiler.body(message, |index| columns.get(index));
         compiler.steps
     }
 
@@ -368,16 +365,11 @@ impl Layout {
 
     /// Offsets and data of a string, of binary, or of a list of numbers.
     fn target(&self) -> Option<Target> {
-        match self {
-            Layout::Bytes { offsets, data } => Some(Target {
-                offsets: *offsets,
-                data: *data,
-            }),
-            Layout::List { offsets, child } => child.layout.data().map(|data| Target {
-                offsets: *offsets,
-                data,
-            }),
-            _ => None,
-        }
+        let (offsets, data) = match self {
+            Layout::Bytes { offsets, data } => (*offsets, *data),
+            Layout::List { offsets, child } => (*offsets, child.layout.data()?),
+            _ => return None,
+        };
+        Some(Target { offsets, data })
     }
 }

@@ -249,11 +249,7 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
 
     #[cold]
     fn truncated(&self, needed: u64) -> DecodeError {
-        DecodeError::Truncated {
-            offset: self.position,
-            needed,
-            available: self.data.len().saturating_sub(self.position),
-        }
+        DecodeError::truncated(self.data, self.position, needed)
     }
 }
 

@@ -42,16 +42,10 @@ fn root_names(schema_name: &str) -> Vec<String> {
 }
 
 fn add_builtins(library: &mut Library) {
+    let parts = [("sec", Scalar::Int32), ("nanosec", Scalar::UInt32)];
     for name in ["Time", "Duration"] {
-        let full = format!("builtin_interfaces/msg/{name}");
-        let mut declaration = Declaration::new(&full, Extensibility::Final);
-        declaration.members = [("sec", Scalar::Int32), ("nanosec", Scalar::UInt32)]
-            .map(|(name, scalar)| Member {
-                name: name.to_owned(),
-                declared: Declared::Wire(Wire::Scalar(scalar)),
-            })
-            .into();
-        library.add(declaration);
+        let name = format!("builtin_interfaces/msg/{name}");
+        library.add(Declaration::time(&name, parts));
     }
 }
 
@@ -90,10 +84,7 @@ impl Parser<'_> {
     }
 
     fn refused(&self, reason: String) -> SchemaError {
-        SchemaError::Refused {
-            schema: self.schema.to_owned(),
-            reason,
-        }
+        SchemaError::refused(self.schema, reason)
     }
 
     fn is_sign(&self, sign: char) -> bool {

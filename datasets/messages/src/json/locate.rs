@@ -1,7 +1,11 @@
 //! Finds base64 text inside a JSON payload without taking the payload apart.
 
+use super::malformed;
 use super::plan::{Plan, Shape};
 use crate::{DecodeError, Located};
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use std::borrow::Cow;
+use std::fmt;
 use std::ops::Range;
 
 /// Where the text of the base64 property at `path` lies, between its quotes. None where the
@@ -14,24 +18,13 @@ pub(crate) fn locate(
     if !plan.is_base64(path) {
         return Ok(None);
     }
-    let mut value = 0..payload.len();
-    for name in path {
-        let mut scanner = Scanner {
-            text: payload,
-            position: value.start,
-        };
-        match scanner.member(name)? {
-            Some(member) => value = member,
-            None => return Ok(None),
-        }
-    }
-    Ok(match &payload[value.clone()] {
-        [b'"', text @ .., b'"'] if !text.contains(&b'\\') => Some(Located {
-            range: value.start + 1..value.end - 1,
-            base64: true,
-        }),
-        _ => None,
-    })
+    let mut deserializer = serde_json::Deserializer::from_slice(payload);
+    let text = At { payload, path }.deserialize(&mut deserializer);
+    let range = text.map_err(|error| malformed(&error))?;
+    Ok(range.map(|range| Located {
+        range,
+        base64: true,
+    }))
 }
 
 impl Plan {
@@ -50,113 +43,78 @@ impl Plan {
     }
 }
 
-/// Steps over JSON values by their brackets and quotes alone.
-struct Scanner<'a> {
-    text: &'a [u8],
-    position: usize,
+/// Looks for the text at a path, as a range of the payload.
+#[derive(Clone, Copy)]
+struct At<'a> {
+    payload: &'a [u8],
+    path: &'a [&'a str],
 }
 
-impl Scanner<'_> {
-    /// The value of member `name` of the object here; the last, where there are several.
-    fn member(&mut self, name: &str) -> Result<Option<Range<usize>>, DecodeError> {
+impl<'de> DeserializeSeed<'de> for At<'de> {
+    type Value = Option<Range<usize>>;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for At<'de> {
+    type Value = Option<Range<usize>>;
+
+    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("any value")
+    }
+
+    /// The last member of the name counts, where there are several.
+    fn visit_map<A: MapAccess<'de>>(self, mut members: A) -> Result<Self::Value, A::Error> {
         let mut found = None;
-        if self.peek() != Some(b'{') {
-            return Ok(None);
-        }
-        self.position += 1;
-        while self.peek() != Some(b'}') {
-            let key = self.string()?;
-            let key = &self.text[key.start + 1..key.end - 1];
-            self.expect(b':')?;
-            let value = self.value()?;
-            if key == name.as_bytes() {
-                found = Some(value);
-            }
-            if self.peek() != Some(b'}') {
-                self.expect(b',')?;
+        while let Some(name) = members.next_key::<Cow<'de, str>>()? {
+            match self.path {
+                [wanted, path @ ..] if name == *wanted => {
+                    found = members.next_value_seed(At { path, ..self })?;
+                }
+                _ => {
+                    members.next_value::<IgnoredAny>()?;
+                }
             }
         }
         Ok(found)
     }
 
-    /// Steps over white space; the byte there.
-    fn peek(&mut self) -> Option<u8> {
-        while self.text.get(self.position)?.is_ascii_whitespace() {
-            self.position += 1;
-        }
-        self.text.get(self.position).copied()
+    /// Text without escapes is handed out as it lies in the payload.
+    fn visit_borrowed_str<E: Error>(self, text: &'de str) -> Result<Self::Value, E> {
+        let start = (text.as_ptr() as usize).checked_sub(self.payload.as_ptr() as usize);
+        Ok(start
+            .filter(|_| self.path.is_empty())
+            .map(|start| start..start + text.len()))
     }
 
-    fn expect(&mut self, byte: u8) -> Result<(), DecodeError> {
-        if self.peek() != Some(byte) {
-            return Err(self.malformed(&format!("'{}'", char::from(byte))));
-        }
-        self.position += 1;
-        Ok(())
+    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Self::Value, A::Error> {
+        while items.next_element::<IgnoredAny>()?.is_some() {}
+        Ok(None)
     }
 
-    /// Steps over a string, quotes included.
-    fn string(&mut self) -> Result<Range<usize>, DecodeError> {
-        self.expect(b'"')?;
-        let start = self.position - 1;
-        while let Some(byte) = self.text.get(self.position) {
-            self.position += 1;
-            match byte {
-                b'"' => return Ok(start..self.position),
-                b'\\' => self.position += 1,
-                _ => {}
-            }
-        }
-        Err(self.malformed("the end of a string"))
+    fn visit_str<E: Error>(self, _: &str) -> Result<Self::Value, E> {
+        Ok(None)
     }
 
-    /// Steps over any value.
-    fn value(&mut self) -> Result<Range<usize>, DecodeError> {
-        let Some(first) = self.peek() else {
-            return Err(self.malformed("a value"));
-        };
-        let start = self.position;
-        match first {
-            b'"' => return self.string(),
-            b'{' | b'[' => self.brackets()?,
-            _ => {
-                let ends = |b: &u8| matches!(b, b',' | b'}' | b']') || b.is_ascii_whitespace();
-                let rest = &self.text[start..];
-                let length = rest.iter().position(ends).unwrap_or(rest.len());
-                if length == 0 {
-                    return Err(self.malformed("a value"));
-                }
-                self.position += length;
-            }
-        }
-        Ok(start..self.position)
+    fn visit_bool<E: Error>(self, _: bool) -> Result<Self::Value, E> {
+        Ok(None)
     }
 
-    fn brackets(&mut self) -> Result<(), DecodeError> {
-        let mut depth = 0_usize;
-        while let Some(byte) = self.peek() {
-            match byte {
-                b'"' => {
-                    self.string()?;
-                    continue;
-                }
-                b'{' | b'[' => depth += 1,
-                b'}' | b']' => depth -= 1,
-                _ => {}
-            }
-            self.position += 1;
-            if depth == 0 {
-                return Ok(());
-            }
-        }
-        Err(self.malformed("a closing bracket"))
+    fn visit_i64<E: Error>(self, _: i64) -> Result<Self::Value, E> {
+        Ok(None)
     }
 
-    fn malformed(&self, expected: &str) -> DecodeError {
-        DecodeError::Malformed {
-            format: "json",
-            offset: self.position,
-            expected: expected.to_owned(),
-        }
+    fn visit_u64<E: Error>(self, _: u64) -> Result<Self::Value, E> {
+        Ok(None)
+    }
+
+    fn visit_f64<E: Error>(self, _: f64) -> Result<Self::Value, E> {
+        Ok(None)
+    }
+
+    fn visit_unit<E: Error>(self) -> Result<Self::Value, E> {
+        Ok(None)
     }
 }

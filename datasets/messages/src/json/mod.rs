@@ -8,10 +8,9 @@
 mod locate;
 mod plan;
 
+use crate::DecodeError;
 use crate::buffers::{Layout, Node, OFFSET_LIMIT, Pool, offset};
-use crate::{DecodeError, Decoder};
-use arrow::array::ArrayRef;
-use arrow::error::ArrowError;
+use crate::columns::{Columns, Format};
 use base64::Engine;
 use base64::alphabet::STANDARD;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
@@ -27,84 +26,30 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
     GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),
 );
 
-/// Columns of one JSON channel.
-pub(crate) struct JsonDecoder {
-    plan: Arc<Plan>,
-    /// Column of each property, where it is projected.
-    column_of: Vec<Option<usize>>,
-    columns: Vec<Node>,
-    pool: Pool,
-    rows: usize,
-}
+/// Reads payloads of one JSON channel.
+pub(crate) struct Reader(pub(crate) Arc<Plan>);
 
-impl JsonDecoder {
-    pub(crate) fn new(plan: Arc<Plan>, projection: &[usize]) -> Self {
-        let mut pool = Pool::default();
-        let mut column_of = vec![None; plan.fields().len()];
-        let mut columns = Vec::new();
-        for index in projection {
-            if let (Some(field), Some(slot)) =
-                (plan.fields().get(*index), column_of.get_mut(*index))
-            {
-                *slot = Some(columns.len());
-                columns.push(Node::new(field, &mut pool));
-            }
-        }
-        JsonDecoder {
-            plan,
-            column_of,
-            columns,
-            pool,
-            rows: 0,
-        }
-    }
-
-    fn row(&mut self, payload: &[u8]) -> Result<(), DecodeError> {
+impl Format for Reader {
+    fn append(
+        &mut self,
+        payload: &[u8],
+        columns: &Columns,
+        _row: usize,
+        pool: &mut Pool,
+    ) -> Result<(), DecodeError> {
         let value: Value = serde_json::from_slice(payload).map_err(|error| malformed(&error))?;
-        let Some(properties) = &self.plan.properties else {
-            if let Some(node) = self.columns.first() {
+        let Some(properties) = &self.0.properties else {
+            if let Some(node) = columns.get(0) {
                 let text = String::from_utf8_lossy(payload);
-                node.append_present(&mut self.pool);
-                text_value(node, text.trim(), &mut self.pool)?;
+                node.append_present(pool);
+                text_into(Some(node), text.trim(), pool)?;
             }
             return Ok(());
         };
         let Value::Object(object) = &value else {
             return Err(mismatch("(the payload)", "an object", &value));
         };
-        for (index, (name, shape)) in properties.iter().enumerate() {
-            let column = self.column_of.get(index).copied().flatten();
-            let node = column.and_then(|column| self.columns.get(column));
-            append(name, shape, object.get(name), node, &mut self.pool)?;
-        }
-        Ok(())
-    }
-}
-
-impl Decoder for JsonDecoder {
-    fn push(&mut self, payload: &[u8]) -> Result<(), DecodeError> {
-        if let Err(error) = self.row(payload) {
-            for column in &self.columns {
-                column.truncate(&mut self.pool, self.rows);
-            }
-            return Err(error);
-        }
-        self.rows += 1;
-        Ok(())
-    }
-
-    fn len(&self) -> usize {
-        self.rows
-    }
-
-    fn bytes(&self) -> usize {
-        self.pool.bytes()
-    }
-
-    fn finish(&mut self) -> Result<Vec<ArrayRef>, ArrowError> {
-        let rows = std::mem::take(&mut self.rows);
-        let pool = &mut self.pool;
-        self.columns.iter().map(|c| c.finish(pool, rows)).collect()
+        members(properties, object, |index| columns.get(index), pool)
     }
 }
 
@@ -190,8 +135,18 @@ fn object_into(
         Some(Layout::Struct { children }) => children,
         _ => &[],
     };
+    members(properties, object, |index| children.get(index), pool)
+}
+
+/// Appends each property to its column, where it has one.
+fn members<'a>(
+    properties: &[(String, Shape)],
+    object: &Map<String, Value>,
+    column: impl Fn(usize) -> Option<&'a Node>,
+    pool: &mut Pool,
+) -> Result<(), DecodeError> {
     for (index, (name, shape)) in properties.iter().enumerate() {
-        append(name, shape, object.get(name), children.get(index), pool)?;
+        append(name, shape, object.get(name), column(index), pool)?;
     }
     Ok(())
 }
@@ -237,10 +192,6 @@ fn fixed(node: Option<&Node>, bits: i64, pool: &mut Pool) {
 
 fn text_into(node: Option<&Node>, text: &str, pool: &mut Pool) -> Result<(), DecodeError> {
     bytes_into(node, text.as_bytes(), pool)
-}
-
-fn text_value(node: &Node, text: &str, pool: &mut Pool) -> Result<(), DecodeError> {
-    bytes_into(Some(node), text.as_bytes(), pool)
 }
 
 fn bytes_into(node: Option<&Node>, bytes: &[u8], pool: &mut Pool) -> Result<(), DecodeError> {

@@ -1,12 +1,9 @@
 //! A JSON Schema as column shapes.
 
-use crate::SchemaError;
+use crate::{MAX_COLUMNS, MAX_DEPTH, SchemaError};
 use arrow::datatypes::{DataType, Field, Fields};
 use serde_json::Value;
 use std::sync::Arc;
-
-const MAX_COLUMNS: usize = 20_000;
-const MAX_DEPTH: usize = 64;
 
 /// How a JSON value becomes a column.
 #[derive(Debug, Clone, PartialEq)]
@@ -68,10 +65,8 @@ impl Plan {
         };
         let shape = builder.shape(&root);
         if builder.columns > MAX_COLUMNS {
-            return Err(SchemaError::Refused {
-                schema: schema_name.to_owned(),
-                reason: format!("expected at most {MAX_COLUMNS} columns, found more"),
-            });
+            let reason = format!("expected at most {MAX_COLUMNS} columns, found more");
+            return Err(SchemaError::refused(schema_name, reason));
         }
         let Shape::Object(properties) = shape else {
             return Ok(Plan::untyped());

@@ -12,13 +12,12 @@ mod plan;
 mod wire;
 
 use crate::buffers::{Layout, Node, OFFSET_LIMIT, Pool, offset};
-use crate::{DecodeError, Decoder, Located};
-use arrow::array::ArrayRef;
-use arrow::error::ArrowError;
+use crate::columns::{Columns, Format};
+use crate::{DecodeError, Located};
 pub(crate) use plan::Plan;
 use plan::{Shape, Slot};
 use std::sync::Arc;
-use wire::{Reader, Value};
+use wire::{Value, WireReader};
 
 /// Values one message may yield: this many, and [`VALUES_PER_BYTE`] for each of its bytes.
 /// Two bytes can stand for a message of thousands of absent fields; thus they cannot for
@@ -36,100 +35,67 @@ struct Met {
     merged: bool,
 }
 
-/// Columns of one message type.
-pub(crate) struct ProtobufDecoder {
+/// Reads payloads of one message type.
+pub(crate) struct Reader {
     plan: Arc<Plan>,
-    /// Column of each field, where it is projected.
-    column_of: Vec<Option<usize>>,
-    columns: Vec<Node>,
-    sink: Sink,
-    rows: usize,
+    met: Vec<Met>,
+}
+
+impl Reader {
+    pub(crate) fn new(plan: Arc<Plan>) -> Self {
+        let met = Vec::new();
+        Self { plan, met }
+    }
+}
+
+impl Format for Reader {
+    fn append(
+        &mut self,
+        payload: &[u8],
+        columns: &Columns,
+        row: usize,
+        pool: &mut Pool,
+    ) -> Result<(), DecodeError> {
+        self.met.clear();
+        let mut sink = Sink {
+            pool,
+            met: &mut self.met,
+            values_left: MIN_VALUES + VALUES_PER_BYTE.saturating_mul(payload.len()),
+        };
+        sink.message(&self.plan, Targets::Some(columns), row, payload)
+    }
 }
 
 /// Where values go, and what is kept while a message is read.
-#[derive(Default)]
-struct Sink {
-    pool: Pool,
+struct Sink<'a> {
+    pool: &'a mut Pool,
     /// A stack: one stretch for each message that is open.
-    met: Vec<Met>,
+    met: &'a mut Vec<Met>,
     values_left: usize,
 }
 
-/// The columns of a message: nodes in column order, some left out.
+/// The columns of a message, by place among its fields.
 #[derive(Clone, Copy)]
-enum Columns<'a> {
+enum Targets<'a> {
     None,
     All(&'a [Node]),
-    Some(&'a [Node], &'a [Option<usize>]),
+    Some(&'a Columns),
 }
 
-impl<'a> Columns<'a> {
+impl<'a> Targets<'a> {
     fn get(self, column: usize) -> Option<&'a Node> {
         match self {
-            Columns::None => None,
-            Columns::All(nodes) => nodes.get(column),
-            Columns::Some(nodes, map) => nodes.get((*map.get(column)?)?),
+            Targets::None => None,
+            Targets::All(nodes) => nodes.get(column),
+            Targets::Some(columns) => columns.get(column),
         }
     }
 
     fn within(node: Option<&'a Node>) -> Self {
         match node.map(|node| &node.layout) {
-            Some(Layout::Struct { children }) => Columns::All(children),
-            _ => Columns::None,
+            Some(Layout::Struct { children }) => Targets::All(children),
+            _ => Targets::None,
         }
-    }
-}
-
-impl ProtobufDecoder {
-    pub(crate) fn new(plan: Arc<Plan>, projection: &[usize]) -> Self {
-        let mut sink = Sink::default();
-        let mut column_of = vec![None; plan.fields().len()];
-        let mut columns = Vec::new();
-        for index in projection {
-            if let (Some(field), Some(slot)) =
-                (plan.fields().get(*index), column_of.get_mut(*index))
-            {
-                *slot = Some(columns.len());
-                columns.push(Node::new(field, &mut sink.pool));
-            }
-        }
-        ProtobufDecoder {
-            plan,
-            column_of,
-            columns,
-            sink,
-            rows: 0,
-        }
-    }
-}
-
-impl Decoder for ProtobufDecoder {
-    fn push(&mut self, payload: &[u8]) -> Result<(), DecodeError> {
-        self.sink.met.clear();
-        self.sink.values_left = MIN_VALUES + VALUES_PER_BYTE.saturating_mul(payload.len());
-        let columns = Columns::Some(&self.columns, &self.column_of);
-        if let Err(error) = self.sink.message(&self.plan, columns, self.rows, payload) {
-            for column in &self.columns {
-                column.truncate(&mut self.sink.pool, self.rows);
-            }
-            return Err(error);
-        }
-        self.rows += 1;
-        Ok(())
-    }
-
-    fn len(&self) -> usize {
-        self.rows
-    }
-
-    fn bytes(&self) -> usize {
-        self.sink.pool.bytes()
-    }
-
-    fn finish(&mut self) -> Result<Vec<ArrayRef>, ArrowError> {
-        let rows = std::mem::take(&mut self.rows);
-        let pool = &mut self.sink.pool;
-        self.columns.iter().map(|c| c.finish(pool, rows)).collect()
     }
 }
 
@@ -137,19 +103,19 @@ impl Decoder for ProtobufDecoder {
 #[derive(Clone, Copy)]
 struct Open<'a> {
     plan: &'a Plan,
-    columns: Columns<'a>,
+    columns: Targets<'a>,
     row: usize,
     data: &'a [u8],
     /// Start of its stretch of `met`.
     base: usize,
 }
 
-impl Sink {
+impl Sink<'_> {
     /// Appends row `row` of a message's columns.
     fn message(
         &mut self,
         plan: &Plan,
-        columns: Columns,
+        columns: Targets,
         row: usize,
         data: &[u8],
     ) -> Result<(), DecodeError> {
@@ -175,7 +141,7 @@ impl Sink {
     }
 
     fn fields(&mut self, open: Open) -> Result<(), DecodeError> {
-        let mut reader = Reader::new(open.data);
+        let mut reader = WireReader::new(open.data);
         let mut guess = 0;
         loop {
             let at = reader.position();
@@ -206,7 +172,7 @@ impl Sink {
                 let end = offset(self.pool.last_offset(*offsets) + count)?;
                 self.pool.0[*offsets].push(end);
             }
-            _ if count == 0 => node.append_absent(&mut self.pool),
+            _ if count == 0 => node.append_absent(self.pool),
             _ => {}
         }
         Ok(())
@@ -222,7 +188,7 @@ impl Sink {
             if other != index && slot.oneof == Some(oneof) && met.count > 0 {
                 *met = Met::default();
                 if let Some(node) = open.columns.get(slot.column) {
-                    node.truncate(&mut self.pool, open.row);
+                    node.truncate(self.pool, open.row);
                 }
             }
         }
@@ -243,10 +209,10 @@ impl Sink {
         }
         if let Some(node) = node {
             if met.count > 0 {
-                node.truncate(&mut self.pool, open.row);
+                node.truncate(self.pool, open.row);
             }
-            node.append_present(&mut self.pool);
-            scalar(&slot.shape, node, value, &mut self.pool)?;
+            node.append_present(self.pool);
+            scalar(&slot.shape, node, value, self.pool)?;
         }
         self.met[open.base + index].count = 1;
         Ok(())
@@ -267,19 +233,19 @@ impl Sink {
         let met = self.met[open.base + index];
         if met.count == 0 {
             if let Some(node) = node {
-                node.append_present(&mut self.pool);
+                node.append_present(self.pool);
             }
-            self.message(plan, Columns::within(node), open.row, bytes)?;
+            self.message(plan, Targets::within(node), open.row, bytes)?;
             let met = &mut self.met[open.base + index];
             (met.count, met.first) = (1, at);
             return Ok(());
         }
-        self.message(plan, Columns::None, 0, bytes)?;
+        self.message(plan, Targets::None, 0, bytes)?;
         if let (Some(node), false) = (node, met.merged) {
             let whole = joined(slot, &open.data[met.first..])?;
-            node.truncate(&mut self.pool, open.row);
-            node.append_present(&mut self.pool);
-            self.message(plan, Columns::within(Some(node)), open.row, &whole)?;
+            node.truncate(self.pool, open.row);
+            node.append_present(self.pool);
+            self.message(plan, Targets::within(Some(node)), open.row, &whole)?;
         }
         self.met[open.base + index].merged = true;
         Ok(())
@@ -305,22 +271,22 @@ impl Sink {
                 let row = list.map_or(0, |(start, _)| start) + count;
                 offset(row)?;
                 let bytes = value.bytes().unwrap_or_default();
-                self.message(plan, Columns::within(child), row, bytes)?;
+                self.message(plan, Targets::within(child), row, bytes)?;
                 count += 1;
             }
             (shape, Value::Bytes { bytes, .. }) if shape.packs() => {
-                let mut packed = Reader::new(bytes);
+                let mut packed = WireReader::new(bytes);
                 while !packed.is_empty() {
                     let element = shape.unpack(&mut packed)?;
                     if let Some(child) = child {
-                        scalar(shape, child, element, &mut self.pool)?;
+                        scalar(shape, child, element, self.pool)?;
                     }
                     count += 1;
                 }
             }
             _ if slot.takes(&value) => {
                 if let Some(child) = child {
-                    scalar(&slot.shape, child, value, &mut self.pool)?;
+                    scalar(&slot.shape, child, value, self.pool)?;
                 }
                 count += 1;
             }
@@ -333,7 +299,7 @@ impl Sink {
 /// The parts of a message field, one after the other.
 fn joined(slot: &Slot, data: &[u8]) -> Result<Vec<u8>, DecodeError> {
     let mut whole = Vec::new();
-    let mut reader = Reader::new(data);
+    let mut reader = WireReader::new(data);
     while let Some((number, value)) = reader.field()? {
         if number == slot.number && slot.takes(&value) {
             whole.extend_from_slice(value.bytes().unwrap_or_default());
@@ -362,7 +328,7 @@ impl Shape {
         !matches!(self, Shape::Text | Shape::Bytes | Shape::Message(_))
     }
 
-    fn unpack<'a>(&self, packed: &mut Reader<'a>) -> Result<Value<'a>, DecodeError> {
+    fn unpack<'a>(&self, packed: &mut WireReader<'a>) -> Result<Value<'a>, DecodeError> {
         Ok(match self {
             Shape::Fixed32 => Value::Fixed32(packed.chunk()?),
             Shape::Fixed64 => Value::Fixed64(packed.chunk()?),
@@ -423,7 +389,7 @@ pub(crate) fn locate(
         return Ok(None);
     };
     let mut located = None;
-    let mut reader = Reader::new(payload);
+    let mut reader = WireReader::new(payload);
     while let Some((number, value)) = reader.field()? {
         if number != slot.number || slot.repeated || !slot.takes(&value) {
             continue;

@@ -1,12 +1,9 @@
 //! A protobuf message type as slots by field number, and its Arrow fields.
 
-use crate::SchemaError;
+use crate::{MAX_COLUMNS, MAX_DEPTH, SchemaError};
 use arrow::datatypes::{DataType, Field, Fields};
 use prost_reflect::{DescriptorPool, FieldDescriptor, Kind, MessageDescriptor};
 use std::sync::Arc;
-
-const MAX_COLUMNS: usize = 20_000;
-const MAX_DEPTH: usize = 64;
 
 /// How one value lies on the wire.
 #[derive(Debug, Clone)]
@@ -61,9 +58,9 @@ struct Builder<'a> {
 impl Plan {
     /// The message `schema_name` of a serialised `FileDescriptorSet`.
     pub(crate) fn parse(schema_name: &str, set: &[u8]) -> Result<Arc<Plan>, SchemaError> {
-        let pool = DescriptorPool::decode(set).map_err(|error| SchemaError::Refused {
-            schema: schema_name.to_owned(),
-            reason: format!("expected a complete FileDescriptorSet, found: {error}"),
+        let pool = DescriptorPool::decode(set).map_err(|error| {
+            let reason = format!("expected a complete FileDescriptorSet, found: {error}");
+            SchemaError::refused(schema_name, reason)
         })?;
         let message = pool.get_message_by_name(schema_name.trim_start_matches('.'));
         let message = message.ok_or_else(|| SchemaError::UnknownType {
@@ -97,10 +94,7 @@ impl Plan {
 
 impl Builder<'_> {
     fn refused(&self, reason: String) -> SchemaError {
-        SchemaError::Refused {
-            schema: self.schema.to_owned(),
-            reason,
-        }
+        SchemaError::refused(self.schema, reason)
     }
 
     fn message(&mut self, message: &MessageDescriptor) -> Result<Arc<Plan>, SchemaError> {

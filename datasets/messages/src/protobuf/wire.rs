@@ -24,7 +24,7 @@ impl<'a> Value<'a> {
 
 /// Reads one message.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Reader<'a> {
+pub(super) struct WireReader<'a> {
     data: &'a [u8],
     position: usize,
 }
@@ -32,9 +32,9 @@ pub(super) struct Reader<'a> {
 /// Groups within groups that are followed.
 const MAX_GROUPS: usize = 100;
 
-impl<'a> Reader<'a> {
+impl<'a> WireReader<'a> {
     pub(super) fn new(data: &'a [u8]) -> Self {
-        Reader { data, position: 0 }
+        WireReader { data, position: 0 }
     }
 
     /// The next field's number and value; none at the end.
@@ -134,11 +134,7 @@ impl<'a> Reader<'a> {
     }
 
     fn truncated(&self, needed: usize) -> DecodeError {
-        DecodeError::Truncated {
-            offset: self.position,
-            needed: needed as u64,
-            available: self.data.len().saturating_sub(self.position),
-        }
+        DecodeError::truncated(self.data, self.position, needed as u64)
     }
 
     fn malformed(&self, expected: &str) -> DecodeError {

@@ -53,42 +53,17 @@ pub const STREET_COLOURS: [[u8; 3]; 9] = [
 impl Class {
     /// What a labeller takes this for, and how often of all times it errs; shares add up to 1.
     pub fn confusions(self) -> &'static [(Class, f32)] {
+        use Class::{Building, Car, GroundSign, Other, Road, Sidewalk, Sign, Sky, Tree};
         match self {
-            Class::Tree => &[
-                (Class::Other, 0.5),
-                (Class::Building, 0.35),
-                (Class::Sky, 0.15),
-            ],
-            Class::Sky => &[(Class::Building, 0.55), (Class::Tree, 0.45)],
-            Class::Road => &[
-                (Class::Sidewalk, 0.65),
-                (Class::Other, 0.2),
-                (Class::GroundSign, 0.15),
-            ],
-            Class::Sign => &[
-                (Class::Building, 0.5),
-                (Class::Other, 0.3),
-                (Class::Tree, 0.2),
-            ],
-            Class::Sidewalk => &[(Class::Road, 0.6), (Class::Other, 0.4)],
-            Class::GroundSign => &[(Class::Road, 0.9), (Class::Sidewalk, 0.1)],
-            Class::Building => &[
-                (Class::Other, 0.35),
-                (Class::Tree, 0.35),
-                (Class::Sign, 0.15),
-                (Class::Sky, 0.15),
-            ],
-            Class::Car => &[
-                (Class::Other, 0.4),
-                (Class::Building, 0.3),
-                (Class::Road, 0.3),
-            ],
-            Class::Other => &[
-                (Class::Tree, 0.4),
-                (Class::Sidewalk, 0.25),
-                (Class::Building, 0.25),
-                (Class::Road, 0.1),
-            ],
+            Tree => &[(Other, 0.5), (Building, 0.35), (Sky, 0.15)],
+            Sky => &[(Building, 0.55), (Tree, 0.45)],
+            Road => &[(Sidewalk, 0.65), (Other, 0.2), (GroundSign, 0.15)],
+            Sign => &[(Building, 0.5), (Other, 0.3), (Tree, 0.2)],
+            Sidewalk => &[(Road, 0.6), (Other, 0.4)],
+            GroundSign => &[(Road, 0.9), (Sidewalk, 0.1)],
+            Building => &[(Other, 0.35), (Tree, 0.35), (Sign, 0.15), (Sky, 0.15)],
+            Car => &[(Other, 0.4), (Building, 0.3), (Road, 0.3)],
+            Other => &[(Tree, 0.4), (Sidewalk, 0.25), (Building, 0.25), (Road, 0.1)],
         }
     }
 

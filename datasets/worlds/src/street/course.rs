@@ -4,6 +4,7 @@
 //! visits every quarter of every cell once: a closed walk that never meets itself and leaves room
 //! for houses on both sides. A cubic B-spline through the (displaced) quarters makes streets of it.
 
+use crate::plane::{between, distance};
 use crate::random::stream;
 use rand::Rng;
 use std::collections::BTreeMap;
@@ -40,13 +41,20 @@ pub struct Course {
     nearest: Vec<u32>,
 }
 
-/// A place given along and across the street.
+/// A place given along and across the street: Frenet coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
+pub struct Frenet {
     /// Distance along the centre line, metres.
     pub s: f64,
     /// Distance to the left of it, metres.
     pub d: f64,
+}
+
+impl Frenet {
+    /// From both distances.
+    pub fn new(s: f64, d: f64) -> Self {
+        Self { s, d }
+    }
 }
 
 impl Course {
@@ -100,7 +108,7 @@ impl Course {
     }
 
     /// The point at a place, metres.
-    pub fn point(&self, place: Place) -> [f64; 2] {
+    pub fn point(&self, place: Frenet) -> [f64; 2] {
         let Station { at, along, .. } = self.station(place.s);
         [at[0] - place.d * along[1], at[1] + place.d * along[0]]
     }
@@ -118,7 +126,7 @@ impl Course {
     }
 
     /// Where a point is along and across the street; `None` far from it.
-    pub fn place(&self, [x, y]: [f64; 2]) -> Option<Place> {
+    pub fn frenet(&self, [x, y]: [f64; 2]) -> Option<Frenet> {
         let cell = self.cell([x, y])?;
         let index = *self.nearest.get(cell)?;
         let station = self.stations.get(index as usize)?;
@@ -128,10 +136,10 @@ impl Course {
         // On the circle that the street is here.
         let bend = (1.0 - station.curvature * left).max(0.2);
         let s = f64::from(index) * self.step_m() + ahead / bend;
-        Some(Place {
-            s: s.rem_euclid(self.length_m),
-            d: left - 0.5 * station.curvature * ahead * ahead / bend,
-        })
+        Some(Frenet::new(
+            s.rem_euclid(self.length_m),
+            left - 0.5 * station.curvature * ahead * ahead / bend,
+        ))
     }
 
     /// Index of the cell around a point, of [`Course::cells`].
@@ -269,12 +277,8 @@ fn spline(corners: &[[f64; 2]]) -> Vec<[f64; 2]> {
 
 fn closed_length(line: &[[f64; 2]]) -> f64 {
     (0..line.len())
-        .map(|k| gap(line[k], line[(k + 1) % line.len()]))
+        .map(|k| distance(line[k], line[(k + 1) % line.len()]))
         .sum()
-}
-
-fn gap(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
 /// Stations equally far apart on a closed line.
@@ -285,10 +289,10 @@ fn stations(line: &[[f64; 2]], length_m: f64) -> Vec<Station> {
     let mut driven = 0.0;
     for k in 0..line.len() {
         let (a, b) = (line[k], line[(k + 1) % line.len()]);
-        let long = gap(a, b);
+        let long = distance(a, b);
         while points.len() < count && points.len() as f64 * step <= driven + long {
             let f = (points.len() as f64 * step - driven) / long.max(1e-12);
-            points.push([a[0] + f * (b[0] - a[0]), a[1] + f * (b[1] - a[1])]);
+            points.push(between(a, b, f));
         }
         driven += long;
     }
@@ -327,7 +331,7 @@ mod tests {
                     let along =
                         course.apart(k as f64 * course.step_m(), l as f64 * course.step_m());
                     if length_m > 200.0 && along > 120.0 {
-                        assert!(gap(*a, *b) > 35.0, "seed {seed}: {a:?} {b:?}");
+                        assert!(distance(*a, *b) > 35.0, "seed {seed}: {a:?} {b:?}");
                     }
                 }
             }
@@ -338,11 +342,8 @@ mod tests {
     fn places_and_points_are_inverse() {
         let course = Course::new(5, 1500.0);
         for k in 0..600 {
-            let place = Place {
-                s: f64::from(k) * 2.5 + 0.3,
-                d: f64::from(k % 21) - 10.0,
-            };
-            let found = course.place(course.point(place)).unwrap();
+            let place = Frenet::new(f64::from(k) * 2.5 + 0.3, f64::from(k % 21) - 10.0);
+            let found = course.frenet(course.point(place)).unwrap();
             assert!(course.apart(found.s, place.s) < 0.3, "{place:?} {found:?}");
             assert!((found.d - place.d).abs() < 0.1, "{place:?} {found:?}");
         }

@@ -1,8 +1,8 @@
 //! What the ground is at a place.
 
-use crate::street::classes::Class;
-use crate::street::course::{Course, Place};
-use crate::street::stretch::{CentreLine, Junction, Plan, SIDE_STREET_M, Side, Stretch};
+use super::classes::Class;
+use super::course::{Course, Frenet};
+use super::stretch::{CentreLine, Junction, Plan, SIDE_STREET_M, Side, Stretch};
 
 /// Width of painted lines, metres.
 const LINE_M: f64 = 0.14;
@@ -15,11 +15,11 @@ const SIDE_WALK_M: f64 = 1.6;
 
 /// A point of the ground.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Ground {
+pub struct GroundPoint {
     /// What it is.
     pub class: Class,
     /// Where along and across the street it is, for its texture.
-    pub place: Place,
+    pub place: Frenet,
 }
 
 /// Streets and what lies between.
@@ -84,21 +84,21 @@ impl Land {
     }
 
     /// The ground at a point, metres.
-    pub fn at(&self, point: [f64; 2]) -> Ground {
-        match self.course.place(point) {
-            Some(place) => Ground {
+    pub fn at(&self, point: [f64; 2]) -> GroundPoint {
+        match self.course.frenet(point) {
+            Some(place) => GroundPoint {
                 class: self.class(place),
                 place,
             },
-            None => Ground {
+            None => GroundPoint {
                 class: Class::Other,
-                place: Place { s: 0.0, d: 1e3 },
+                place: Frenet::new(0.0, 1e3),
             },
         }
     }
 
     /// The class of the ground at a place.
-    pub fn class(&self, place: Place) -> Class {
+    pub fn class(&self, place: Frenet) -> Class {
         let stretch = self.stretch(place.s);
         let side = &stretch.sides[usize::from(place.d < 0.0)];
         let out = place.d.abs() - stretch.half_m;
@@ -118,7 +118,7 @@ impl Land {
     }
 
     /// Whether a place is on the roadway of a side street; with `margin` metres around it.
-    pub fn in_side_street(&self, place: Place, margin: f64) -> bool {
+    pub fn in_side_street(&self, place: Frenet, margin: f64) -> bool {
         self.junction(place.s).is_some_and(|junction| {
             junction.arms[usize::from(place.d < 0.0)]
                 && place.d.abs() < SIDE_STREET_M + margin
@@ -127,7 +127,7 @@ impl Land {
     }
 
     /// The ground at a place `out` metres beyond the kerb, if it belongs to a side street.
-    fn side_street(&self, junction: &Junction, place: Place, out: f64) -> Option<Class> {
+    fn side_street(&self, junction: &Junction, place: Frenet, out: f64) -> Option<Class> {
         let ahead = self.ahead(junction, place.s);
         let aside = ahead.abs();
         let reached = junction.arms[usize::from(place.d < 0.0)] && place.d.abs() < SIDE_STREET_M;
@@ -148,7 +148,7 @@ impl Land {
         })
     }
 
-    fn carriageway(&self, stretch: &Stretch, side: &Side, place: Place, out: f64) -> Class {
+    fn carriageway(&self, stretch: &Stretch, side: &Side, place: Frenet, out: f64) -> Class {
         let near_junction = self
             .junction(place.s)
             .is_some_and(|junction| self.ahead(junction, place.s).abs() < junction.half_m + 2.0);
@@ -180,7 +180,7 @@ fn striped(across: f64) -> bool {
     across.rem_euclid(2.0 * STRIPE_M) < STRIPE_M
 }
 
-fn centre_line(line: CentreLine, place: Place) -> bool {
+fn centre_line(line: CentreLine, place: Frenet) -> bool {
     let on = place.d.abs() < 0.5 * LINE_M;
     match line {
         CentreLine::None => false,
@@ -190,7 +190,7 @@ fn centre_line(line: CentreLine, place: Place) -> bool {
 }
 
 /// An arrow in the middle of a lane that points where its traffic goes.
-fn symbol(place: Place, at: f64, side: f64, half_m: f64) -> bool {
+fn symbol(place: Frenet, at: f64, side: f64, half_m: f64) -> bool {
     let ahead = -(place.s - at) * side;
     let across = (place.d - 0.5 * side * half_m).abs();
     let shaft = (-1.6..0.6).contains(&ahead) && across < 0.12;

@@ -6,15 +6,12 @@
 //! each there is follows from one number, the severity, which is found so that the wanted share of
 //! pixels is wrong on average over views along the street; single views are better or worse.
 
-use crate::cast::{FAR, Scratch};
-use crate::lens::{Lens, TILE};
-use crate::random::{lattice, scramble, stream};
-use crate::street::classes::Class;
-use crate::street::course::Place;
-use crate::street::labels::classes;
-use crate::street::params::Street;
-use crate::street::sight::{PanoramaCamera, Scenery, Sight};
-use crate::street::things::FACES;
+use super::classes::Class;
+use super::course::Frenet;
+use super::params::Street;
+use super::sight::{PanoramaCamera, Scenery, Sight};
+use crate::random::{lattice, noise2, noise3, scramble, smooth, stream};
+use crate::render::{FAR, Lens, Scratch};
 use evermap_algorithms::geometry::pose::Pose;
 use rand::Rng;
 
@@ -63,7 +60,7 @@ impl Labeller {
             seed: scramble(world.seed ^ 0x1abe1),
             severity: 0.0,
             space: sample(&|p| noise3(7, p)),
-            image: sample(&|p| noise2(7, [p[0], p[1]])),
+            image: sample(&|[x, y, _]| noise2(7, [x, y].map(f64::from))),
         };
         labeller.find_severity(world, scenery);
         labeller
@@ -80,10 +77,10 @@ impl Labeller {
         let trials: Vec<(Sight, Vec<Class>)> = (0..TRIALS)
             .map(|k| {
                 let s = (k as f64 + 0.5) / TRIALS as f64 * course.length_m;
-                let [x, y] = course.point(Place { s, d: -1.5 });
+                let [x, y] = course.point(Frenet::new(s, -1.5));
                 let pose = Pose::from_yaw(x, y, course.yaw(s));
                 let sight = scenery.look(&camera, &pose, &[], false, &mut Scratch::default());
-                let exact = classes(scenery, &camera.lens, &sight, false);
+                let exact = scenery.classes(&camera.lens, &sight, false);
                 (sight, exact)
             })
             .collect();
@@ -155,16 +152,16 @@ impl Labeller {
         class: Class,
         limits: &Limits,
     ) -> Class {
-        let (range, face) = (sight.range_m[pixel], sight.face[pixel]);
-        let ray = sight.turned(own_ray(lens, pixel));
-        if face >= 0.0
-            && let Some(surface) = sight.surfaces.get(face as usize / FACES as usize)
-            && lattice(self.seed, i64::from(surface.seed), 1) < limits.thing
-        {
-            return class.mistaken(lattice(self.seed, i64::from(surface.seed), 2));
+        let range = sight.hits.range_m[pixel];
+        if let Some(surface) = sight.surface(sight.hits.face[pixel]) {
+            let chance = |number: i64| lattice(self.seed, i64::from(surface.seed), number);
+            if chance(1) < limits.thing {
+                return class.mistaken(chance(2));
+            }
         }
+        let ray = sight.eye.turned(lens.ray(pixel));
         let point = if range < FAR {
-            [0, 1, 2].map(|axis| sight.eye[axis] as f32 + range * ray[axis])
+            [0, 1, 2].map(|axis| sight.eye.at[axis] as f32 + range * ray[axis])
         } else {
             ray.map(|part| 14.0 * part)
         };
@@ -211,7 +208,7 @@ impl Field {
     fn at(&self, pixel: [usize; 2]) -> f32 {
         let place = pixel.map(|part| part as f32 / self.wave_px);
         let [column, row] = place.map(|part| part as usize);
-        let f = place.map(|part| ease(part.fract()));
+        let f = place.map(|part| smooth(part.fract()));
         let value = |k: usize| self.values.get(k).copied().unwrap_or(0.5);
         let first = row * self.columns + column;
         let mix = |a: f32, b: f32, f: f32| a + f * (b - a);
@@ -239,40 +236,8 @@ fn slip(class: Class, [column, row]: [usize; 2], shot: u64, limits: &Limits) -> 
     class
 }
 
-fn own_ray(lens: &Lens, pixel: usize) -> [f32; 3] {
-    let (column, row) = (pixel % lens.width, pixel / lens.width);
-    let tile = &lens.tiles[row / TILE * lens.columns + column / TILE];
-    let i = row % TILE * TILE + column % TILE;
-    [tile.rays[0][i], tile.rays[1][i], tile.rays[2][i]]
-}
-
 /// The value that a share of the values is above.
 fn quantile(sorted: &[f32], above: f32) -> f32 {
     let rank = ((1.0 - above.clamp(0.0, 1.0)) * sorted.len() as f32) as usize;
     sorted.get(rank).copied().unwrap_or(f32::MAX)
-}
-
-fn ease(f: f32) -> f32 {
-    f * f * (3.0 - 2.0 * f)
-}
-
-/// Smooth noise in the plane, 0 to 1, that changes over a distance of 1.
-pub fn noise2(seed: u64, p: [f32; 2]) -> f32 {
-    let (low, f) = (p.map(f32::floor), p.map(|part| ease(part - part.floor())));
-    let [x, y] = low.map(|part| part as i64);
-    let at = |dx: i64, dy: i64| lattice(seed, x + dx, y + dy);
-    let mix = |a: f32, b: f32, f: f32| a + f * (b - a);
-    mix(
-        mix(at(0, 0), at(1, 0), f[0]),
-        mix(at(0, 1), at(1, 1), f[0]),
-        f[1],
-    )
-}
-
-/// Smooth noise in space.
-pub fn noise3(seed: u64, [x, y, z]: [f32; 3]) -> f32 {
-    let (low, f) = (z.floor(), ease(z - z.floor()));
-    let layer = |k: i64| noise2(scramble(seed ^ (low as i64 + k) as u64), [x, y]);
-    let (a, b) = (layer(0), layer(1));
-    a + f * (b - a)
 }

@@ -2,19 +2,17 @@
 //!
 //! ```text
 //! course ── stretch ── ground ─┐
-//!                └──── town ───┴─ sight ─┬─ labels ── labeller
-//! visit ─┬─ traffic ───────────────┘     └─ paint
-//!        └─ session, truth
+//!                └──── town ───┴─ sight ─┬─ views ── labeller
+//! visit ─── traffic ─────────────────────┘     └──── paint
+//!      └─── truth
 //! ```
 
 mod classes;
 mod course;
 mod ground;
 mod labeller;
-mod labels;
 mod paint;
 mod params;
-mod session;
 mod sight;
 mod stretch;
 #[cfg(test)]
@@ -28,5 +26,145 @@ mod visit;
 
 pub use classes::{STREET_CLASSES, STREET_COLOURS};
 pub use params::Street;
-pub use session::street;
 pub use views::{LabelKind, LabelView, StreetLabels, street_labels};
+
+use crate::WorldError;
+use crate::random::{normal, stream};
+use crate::record::{
+    CameraTopics, Folder, Progress, Sensors, SessionSummary, Summary, World, deep_png, grey_png,
+    jpeg, simulate,
+};
+use crate::render::Scratch;
+use classes::Class;
+use jpeg_encoder::ColorType;
+use paint::Light;
+use sight::{PANORAMA_FRAME, Sight};
+use std::path::{Path, PathBuf};
+use views::values;
+use visit::Visit;
+
+/// Simulates a street and writes into `out`: for each visit a folder with its session
+/// (`visit_a/visit_a.mcap`) and the truth about it, and the folder `truth` with what is true of
+/// all. Each folder appears under its name only when it is complete.
+///
+/// # Errors
+/// [`WorldError::Parameters`] before anything is written; otherwise when a file cannot be.
+pub fn street(
+    world: &Street,
+    out: &Path,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<Summary, WorldError> {
+    simulate(&street_labels(world)?, out, progress)
+}
+
+/// The images of a shot; colour and depth only if they are wanted.
+static IMAGES: [(&str, &str); 4] = [
+    ("labels", "png"),
+    ("labels_noisy", "png"),
+    ("image/compressed", "jpeg"),
+    ("depth", "png"),
+];
+
+impl World for StreetLabels {
+    type Visit = Visit;
+
+    fn visits(&self) -> &[Visit] {
+        &self.visits
+    }
+
+    fn sensors(&self) -> Sensors<'_> {
+        let names = STREET_CLASSES.iter().enumerate();
+        Sensors {
+            cameras: vec![CameraTopics {
+                namespace: "/panorama".to_owned(),
+                frame_id: PANORAMA_FRAME,
+                vehicle_from_camera: &self.camera.lens.vehicle_from_camera,
+                calibration: self.camera.calibration(),
+            }],
+            images: IMAGES.get(..self.images()).unwrap_or(&IMAGES),
+            delay_ns: 8_000_000..12_000_000,
+            spread_ns: 0..6_000_000,
+            label_classes: names
+                .map(|(value, name)| (value.to_string(), (*name).to_owned()))
+                .collect(),
+        }
+    }
+
+    fn write_truth(&self, out: &Path) -> Result<PathBuf, WorldError> {
+        truth::write_world(self, out)
+    }
+
+    fn record(
+        &self,
+        visit: &Visit,
+        out: &Path,
+        tell: &mut dyn FnMut(usize),
+    ) -> Result<SessionSummary, WorldError> {
+        let session = &visit.session;
+        let folder = Folder::create(out, &session.name)?;
+        truth::write_visit(self, visit, &folder)?;
+        let light = Light::new(&self.params, session.index);
+        let take = |shot: usize, _, scratch: &mut Scratch| {
+            self.take(visit, &light, shot, &folder, scratch)
+        };
+        let summary = session.record(folder.path(), &self.sensors(), &take, tell)?;
+        let path = folder.finish()?.join(format!("{}.mcap", session.name));
+        Ok(SessionSummary { path, ..summary })
+    }
+}
+
+impl StreetLabels {
+    /// How many of [`IMAGES`] are wanted.
+    fn images(&self) -> usize {
+        if self.params.colour { 4 } else { 2 }
+    }
+
+    /// The images of a shot. What labels would be without cars is written into the folder.
+    fn take(
+        &self,
+        visit: &Visit,
+        light: &Light,
+        shot: usize,
+        folder: &Folder,
+        scratch: &mut Scratch,
+    ) -> Result<Vec<Vec<u8>>, WorldError> {
+        let (index, size) = (visit.session.index, self.camera.size());
+        let sight = self.sight(index, shot, true, scratch);
+        let lens = &self.camera.lens;
+        let exact = self.scenery.classes(lens, &sight, false);
+        let bare = self.scenery.classes(lens, &sight, true);
+        let noisy = self.noisy(&sight, &exact, index, shot);
+        let name = format!("static_labels/{shot:06}.png");
+        folder.save(&name, &grey_png(size, &values(&bare))?)?;
+        let mut images = vec![
+            grey_png(size, &values(&exact))?,
+            grey_png(size, &values(&noisy))?,
+        ];
+        if self.params.colour {
+            images.push(self.colour(light, &sight, &exact, index, shot)?);
+            let mut rng = stream(self.params.seed ^ index as u64, "depth", shot as u64);
+            let depth = sight.hits.depth(|| normal(&mut rng) as f32);
+            images.push(deep_png(size, &depth)?);
+        }
+        Ok(images)
+    }
+
+    /// The colour image of a shot, with the sensor's noise.
+    fn colour(
+        &self,
+        light: &Light,
+        sight: &Sight,
+        exact: &[Class],
+        visit: usize,
+        shot: usize,
+    ) -> Result<Vec<u8>, WorldError> {
+        let mut rgb = light.panorama(&self.scenery, &self.camera.lens, sight, exact);
+        let mut rng = stream(self.params.seed ^ visit as u64, "sensor", shot as u64);
+        for value in &mut rgb {
+            let noise = f64::from(light.noise) * normal(&mut rng);
+            *value = (f64::from(*value) + noise).clamp(0.0, 255.0) as u8;
+        }
+        let quality = self.params.jpeg_quality;
+        jpeg(self.camera.size(), ColorType::Rgb, quality, &rgb)
+    }
+}

@@ -1,13 +1,13 @@
 //! Colours: what the surfaces of a street look like in a visit's light.
 
-use crate::random::{lattice, scramble, stream};
-use crate::street::classes::Class;
-use crate::street::course::Place;
-use crate::street::ground::Ground;
-use crate::street::labeller::{noise2, noise3};
-use crate::street::params::Street;
-use crate::street::sight::{GROUND, SKY, Scenery, Sight};
-use crate::street::things::{FACES, Finish, Surface, face_normal};
+use super::classes::Class;
+use super::course::Frenet;
+use super::ground::GroundPoint;
+use super::params::Street;
+use super::sight::{GROUND, SKY, Scenery, Sight};
+use super::things::{FACES, Finish, Surface, face_normal};
+use crate::random::{lattice, noise2, noise3, scramble, stream};
+use crate::render::Lens;
 use nalgebra::Vector3;
 use rand::Rng;
 
@@ -50,6 +50,23 @@ impl Light {
         }
     }
 
+    /// The colours of a panorama, row by row, before the sensor's noise.
+    pub fn panorama(
+        &self,
+        scenery: &Scenery,
+        lens: &Lens,
+        sight: &Sight,
+        exact: &[Class],
+    ) -> Vec<u8> {
+        let colour = |pixel: usize| {
+            let (range_m, face) = (sight.hits.range_m[pixel], sight.hits.face[pixel]);
+            let ray = sight.eye.turned(lens.ray(pixel));
+            let lit = colour(scenery, self, sight, exact[pixel], (range_m, face, ray));
+            lit.map(|value| value.clamp(0.0, 255.0) as u8)
+        };
+        (0..lens.pixels()).flat_map(colour).collect()
+    }
+
     fn on(&self, albedo: Rgb, normal: &Vector3<f32>) -> Rgb {
         let direct = normal.dot(&self.sun).max(0.0) * self.sunny;
         let ambient = (0.42 + 0.16 * normal.z) * (1.25 - 0.5 * self.sunny);
@@ -59,9 +76,8 @@ impl Light {
     fn sky(&self, ray: &Vector3<f32>) -> Rgb {
         let up = ray.z.max(0.02);
         let p = [ray.x / (up + 0.15) * 1.3, ray.y / (up + 0.15) * 1.3];
-        let wisps = 0.6 * noise2(self.clouds, p)
-            + 0.3 * noise2(self.clouds ^ 1, p.map(|c| 2.7 * c))
-            + 0.1 * noise2(self.clouds ^ 2, p.map(|c| 7.1 * c));
+        let wave = |k: u64, finer: f32| noise2(self.clouds ^ k, p.map(|c| f64::from(finer * c)));
+        let wisps = 0.6 * wave(0, 1.0) + 0.3 * wave(1, 2.7) + 0.1 * wave(2, 7.1);
         let cloud = ((wisps - self.cover) * 4.0).clamp(0.0, 1.0);
         let glare = ray.dot(&self.sun).max(0.0).powi(24) * self.sunny * 0.5;
         let blue = [0.42 + 0.25 * (1.0 - up), 0.6 + 0.17 * (1.0 - up), 0.85];
@@ -70,7 +86,7 @@ impl Light {
 }
 
 /// The colour of a pixel, 8 bits a channel, before the sensor's noise.
-pub fn colour(
+fn colour(
     scenery: &Scenery,
     light: &Light,
     sight: &Sight,
@@ -84,13 +100,12 @@ pub fn colour(
             _ => light.sky(&way),
         }
     } else {
-        let point =
-            [0, 1, 2].map(|axis| sight.eye[axis] + f64::from(range_m) * f64::from(ray[axis]));
+        let point = sight.point(range_m, ray);
         let (albedo, normal) = if face == GROUND {
             let ground = scenery.land.at([point[0], point[1]]);
             (paving(&ground, point), Vector3::z())
         } else {
-            match sight.surfaces.get(face as usize / FACES as usize) {
+            match sight.surface(face) {
                 Some(surface) => finished(surface, face as u32 % FACES, point),
                 None => ([0.5; 3], Vector3::z()),
             }
@@ -106,10 +121,10 @@ fn grain(seed: u64, point: [f64; 3], size_m: f64) -> f32 {
     noise3(seed, point.map(|part| (part / size_m) as f32))
 }
 
-fn paving(ground: &Ground, point: [f64; 3]) -> Rgb {
+fn paving(ground: &GroundPoint, point: [f64; 3]) -> Rgb {
     let fine = grain(11, point, 0.07) - 0.5;
     let broad = grain(12, point, 2.3) - 0.5;
-    let Place { s, d } = ground.place;
+    let Frenet { s, d } = ground.place;
     match ground.class {
         Class::Road => [0.33, 0.33, 0.34].map(|c| c + 0.1 * fine + 0.1 * broad),
         Class::GroundSign => [0.88, 0.88, 0.85].map(|c| c + 0.1 * fine - 0.25 * broad.max(0.0)),
@@ -217,9 +232,8 @@ fn finished(surface: &Surface, face: u32, point: [f64; 3]) -> (Rgb, Vector3<f32>
 }
 
 fn own_frame(surface: &Surface, point: [f64; 3]) -> [f64; 3] {
-    let (sin, cos) = surface.yaw.sin_cos();
-    let (x, y) = (point[0] - surface.at[0], point[1] - surface.at[1]);
-    [cos * x + sin * y, cos * y - sin * x, point[2]]
+    let [ahead, left] = surface.pose.own([point[0], point[1]]);
+    [ahead, left, point[2]]
 }
 
 /// Storeys of windows, and a door now and then.

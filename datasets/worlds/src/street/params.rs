@@ -1,7 +1,7 @@
 //! What can be asked of the street.
 
 use crate::WorldError;
-use crate::params::Faults;
+use crate::error::check;
 use serde::{Deserialize, Serialize};
 
 /// Parameters of the simulated street. The same parameters give byte-identical files.
@@ -75,9 +75,8 @@ impl Street {
     /// # Errors
     /// [`WorldError::Parameters`] with one line for each unusable value.
     pub fn check(&self) -> Result<(), WorldError> {
-        let mut faults = Faults::default();
         let width = f64::from(self.width_px);
-        for (name, value, low, high) in [
+        let limits = [
             ("visits", self.visits as f64, 1.0, 26.0),
             ("length_m", self.length_m, 80.0, 1e6),
             ("spacing_m", self.spacing_m, 0.1, 100.0),
@@ -89,9 +88,7 @@ impl Street {
             ("odometry_rate_hz", self.odometry_rate_hz, 1.0, 1000.0),
             ("jpeg_quality", f64::from(self.jpeg_quality), 1.0, 100.0),
             ("start_ns", self.start_ns as f64, 0.0, 4e18),
-        ] {
-            faults.within(name, value, low, high);
-        }
-        faults.into_result()
+        ];
+        check(&limits, [])
     }
 }

@@ -1,19 +1,19 @@
 //! What a panorama sees: for every pixel how far it looks, and at what.
 
-use crate::cast::{FAR, Scratch, Seen, meet_solids, turn_rays};
-use crate::lens::{Lens, PIXELS, TILE, Window};
-use crate::odometry::normal;
-use crate::random::{lattice, stream};
-use crate::rig::looking;
-use crate::street::classes::Class;
-use crate::street::course::Course;
-use crate::street::ground::Land;
-use crate::street::params::Street;
-use crate::street::stretch::Plan;
-use crate::street::things::{FACES, Stage, Surface, Thing};
-use crate::street::town::Town;
+use super::classes::Class;
+use super::course::Course;
+use super::ground::Land;
+use super::params::Street;
+use super::stretch::Plan;
+use super::things::{FACES, Stage, Surface, Thing};
+use super::town::Town;
+use crate::plane::distance;
+use crate::random::{lattice, normal, stream};
+use crate::record::camera_matrix;
+use crate::render::{Eye, FAR, Lens, PIXELS, Scratch, cast, looking, nearest_first};
 use evermap_algorithms::geometry::camera::{Camera, Equirectangular, Model};
 use evermap_algorithms::geometry::pose::Pose;
+use evermap_messages::ros2::Calibration;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -22,6 +22,10 @@ use std::f64::consts::TAU;
 const CELL_M: f64 = 32.0;
 /// Ground farther away than this is hidden behind the woods at the horizon, metres.
 const HORIZON_M: f32 = 300.0;
+/// Range images end here, metres.
+const DEPTH_REACH_M: f32 = 65.0;
+/// Steps of inverse range, 1/m.
+const DEPTH_STEP: f32 = 2e-4;
 /// The optical frame.
 pub const PANORAMA_FRAME: &str = "panorama_optical_frame";
 
@@ -52,6 +56,21 @@ impl PanoramaCamera {
             centre,
         }
     }
+
+    /// Width and height, pixels.
+    pub fn size(&self) -> [u32; 2] {
+        [self.lens.width, self.lens.height].map(|side| side as u32)
+    }
+
+    /// What is published of it.
+    pub fn calibration(&self) -> Calibration<'_> {
+        Calibration {
+            size: self.size(),
+            model: "equirectangular",
+            distortion: &[],
+            k: camera_matrix([self.focal; 2], self.centre),
+        }
+    }
 }
 
 /// All that stays, indexed by place.
@@ -64,30 +83,24 @@ pub struct Scenery {
     horizon: u64,
 }
 
-/// What one panorama sees, row by row.
-#[derive(Default)]
-pub struct Sight {
+/// What the rays of a panorama met, row by row.
+pub struct Hits {
     /// Distance along the ray, metres; [`FAR`] for the sky.
     pub range_m: Vec<f32>,
     /// Number of the face; negative for ground and sky.
     pub face: Vec<f32>,
-    /// What the faces are of.
-    pub surfaces: Vec<Surface>,
-    /// The eye, metres.
-    pub eye: [f64; 3],
-    /// Rotation `map_from_vehicle`.
-    pub turn: [[f32; 3]; 3],
-    /// The same without cars.
-    pub bare: Option<Bare>,
 }
 
-/// What would be seen without cars.
-#[derive(Default)]
-pub struct Bare {
-    /// Distance along the ray, metres.
-    pub range_m: Vec<f32>,
-    /// Number of the face.
-    pub face: Vec<f32>,
+/// What one panorama sees.
+pub struct Sight {
+    /// What is seen.
+    pub hits: Hits,
+    /// What would be seen without cars, if that was asked for.
+    pub bare: Option<Hits>,
+    /// What the faces are of.
+    pub surfaces: Vec<Surface>,
+    /// From where.
+    pub eye: Eye,
 }
 
 /// Face of the ground.
@@ -104,7 +117,10 @@ impl Scenery {
         let town = Town::new(world.seed, &land);
         let mut cells: BTreeMap<[i32; 2], Vec<u32>> = BTreeMap::new();
         for (index, thing) in town.things.iter().enumerate() {
-            cells.entry(cell(thing.at)).or_default().push(index as u32);
+            cells
+                .entry(cell(thing.pose.at()))
+                .or_default()
+                .push(index as u32);
         }
         Self {
             land,
@@ -134,43 +150,60 @@ impl Scenery {
         bare: bool,
         scratch: &mut Scratch,
     ) -> Sight {
-        let eye = map_from_vehicle.transform(&camera.lens.vehicle_from_camera.translation);
-        let eye = [eye.x, eye.y, eye.z];
-        let matrix = map_from_vehicle.rotation.to_rotation_matrix();
-        let turn = [0, 1, 2].map(|row| [0, 1, 2].map(|column| matrix[(row, column)] as f32));
+        let lens = &camera.lens;
+        let eye = Eye::new(lens, map_from_vehicle);
         let mut stage = Stage::default();
-        stand_all(self.near(eye), eye, &mut stage);
-        let mut still = std::mem::take(&mut stage.seen);
-        stand_all(cars.iter(), eye, &mut stage);
-        let mut moving = std::mem::take(&mut stage.seen);
-        for seen in [&mut still, &mut moving] {
-            seen.sort_by(|a, b| a.extent.near.total_cmp(&b.extent.near));
-        }
-        let pixels = camera.lens.width * camera.lens.height;
-        let mut sight = Sight {
-            range_m: vec![0.0; pixels],
-            face: vec![0.0; pixels],
+        stand_all(self.near(eye.at), eye.at, &mut stage);
+        let still = nearest_first(std::mem::take(&mut stage.seen));
+        stand_all(cars.iter(), eye.at, &mut stage);
+        let moving = nearest_first(std::mem::take(&mut stage.seen));
+        let mut hits = Hits::new(lens);
+        let mut without = bare.then(|| Hits::new(lens));
+        let up = eye.at[2] as f32;
+        let surround = |scratch: &mut Scratch| meet_ground(up, scratch);
+        cast(
+            lens,
+            &eye.turn,
+            [&still, &moving],
+            scratch,
+            surround,
+            |tile, layer, scratch| match (&mut without, layer) {
+                (Some(without), 0) => without.put(lens, tile, scratch),
+                (None, 0) => {}
+                _ => hits.put(lens, tile, scratch),
+            },
+        );
+        Sight {
+            hits,
+            bare: without,
             surfaces: stage.surfaces,
             eye,
-            turn,
-            bare: bare.then(|| Bare {
-                range_m: vec![0.0; pixels],
-                face: vec![0.0; pixels],
-            }),
+        }
+    }
+
+    /// The classes of all pixels, row by row; with `bare`, of what would be seen without the cars.
+    pub fn classes(&self, lens: &Lens, sight: &Sight, bare: bool) -> Vec<Class> {
+        let hits = match &sight.bare {
+            Some(without) if bare => without,
+            _ => &sight.hits,
         };
-        cast(&camera.lens, &still, &moving, &mut sight, scratch);
-        sight
+        let class = |pixel: usize| {
+            let ray = sight.eye.turned(lens.ray(pixel));
+            self.class(sight, hits.range_m[pixel], hits.face[pixel], ray)
+        };
+        (0..lens.pixels()).map(class).collect()
     }
 
     /// The class of a pixel from its range, face and ray.
-    pub fn class(&self, sight: &Sight, range_m: f32, face: f32, ray: [f32; 3]) -> Class {
+    fn class(&self, sight: &Sight, range_m: f32, face: f32, ray: [f32; 3]) -> Class {
         if face == GROUND {
-            return self.land.at(sight.on_ground(range_m, ray)).class;
+            let [x, y, _] = sight.point(range_m, ray);
+            return self.land.at([x, y]).class;
         }
         if face == SKY {
             return self.sky(ray);
         }
-        let surface = sight.surfaces.get(face as usize / FACES as usize);
+        let surface = sight.surface(face);
         surface.map_or(Class::Other, |surface| surface.class)
     }
 
@@ -192,16 +225,47 @@ impl Scenery {
     }
 }
 
-impl Sight {
-    /// Where a ray of this length ends on the ground, metres.
-    pub fn on_ground(&self, range_m: f32, ray: [f32; 3]) -> [f64; 2] {
-        [0, 1].map(|axis| self.eye[axis] + f64::from(range_m) * f64::from(ray[axis]))
+impl Hits {
+    fn new(lens: &Lens) -> Self {
+        Self {
+            range_m: vec![0.0; lens.pixels()],
+            face: vec![0.0; lens.pixels()],
+        }
     }
 
-    /// The ray of a pixel of a tile in the map frame.
-    pub fn turned(&self, own: [f32; 3]) -> [f32; 3] {
-        self.turn
-            .map(|row| row[0] * own[0] + row[1] * own[1] + row[2] * own[2])
+    /// A range image as stereo makes it, millimetres along the ray; 0 where nothing is measured.
+    /// `noise` are standard normal numbers.
+    pub fn depth(&self, mut noise: impl FnMut() -> f32) -> Vec<u16> {
+        let measured = |range: &f32| {
+            let step = 0.5 * noise();
+            if *range >= DEPTH_REACH_M {
+                return 0;
+            }
+            let inverse = (1.0 / (range * DEPTH_STEP) + step).round().max(1.0);
+            (1000.0 / (inverse * DEPTH_STEP))
+                .round()
+                .clamp(0.0, 65_535.0) as u16
+        };
+        self.range_m.iter().map(measured).collect()
+    }
+
+    fn put(&mut self, lens: &Lens, tile: usize, scratch: &Scratch) {
+        lens.put(tile, &scratch.t, &mut self.range_m);
+        lens.put(tile, &scratch.face, &mut self.face);
+    }
+}
+
+impl Sight {
+    /// Where a ray of this length ends, metres.
+    pub fn point(&self, range_m: f32, ray: [f32; 3]) -> [f64; 3] {
+        let far = f64::from(range_m);
+        [0, 1, 2].map(|axis| self.eye.at[axis] + far * f64::from(ray[axis]))
+    }
+
+    /// What a face is of; `None` for ground and sky.
+    pub fn surface(&self, face: f32) -> Option<&Surface> {
+        let index = (face >= 0.0).then(|| face as usize / FACES as usize);
+        self.surfaces.get(index?)
     }
 }
 
@@ -212,36 +276,9 @@ fn cell(at: [f64; 2]) -> [i32; 2] {
 /// Puts the things on the stage that are near enough to be seen, but not the eye's own place.
 fn stand_all<'a>(things: impl Iterator<Item = &'a Thing>, eye: [f64; 3], stage: &mut Stage) {
     for thing in things {
-        let away = (thing.at[0] - eye[0]).hypot(thing.at[1] - eye[1]);
+        let away = distance([eye[0], eye[1]], thing.pose.at());
         if away < thing.sight() + thing.reach() {
             thing.stand(eye, stage);
-        }
-    }
-}
-
-fn cast(lens: &Lens, still: &[Seen], moving: &[Seen], sight: &mut Sight, scratch: &mut Scratch) {
-    let up = sight.eye[2] as f32;
-    for block in &lens.blocks {
-        let Some(cone) = &block.cone else { continue };
-        let window = Window::of(cone, &sight.turn);
-        let within = |seen: &&Seen| window.meets(&seen.extent);
-        let still: Vec<&Seen> = still.iter().filter(within).collect();
-        let moving: Vec<&Seen> = moving.iter().filter(within).collect();
-        for index in &block.tiles {
-            let tile = &lens.tiles[*index];
-            let Some(cone) = &tile.cone else { continue };
-            turn_rays(&tile.rays, &sight.turn, &mut scratch.rays);
-            meet_ground(up, scratch);
-            let window = Window::of(cone, &sight.turn);
-            meet_solids(&still, &window, scratch);
-            let target = (index % lens.columns * TILE, index / lens.columns * TILE);
-            if let Some(bare) = &mut sight.bare {
-                put(lens, target, &scratch.t, &mut bare.range_m);
-                put(lens, target, &scratch.face, &mut bare.face);
-            }
-            meet_solids(&moving, &window, scratch);
-            put(lens, target, &scratch.t, &mut sight.range_m);
-            put(lens, target, &scratch.face, &mut sight.face);
         }
     }
 }
@@ -254,15 +291,5 @@ fn meet_ground(eye_z: f32, scratch: &mut Scratch) {
         let meets = (down > 0.0) & (here < HORIZON_M);
         t[i] = if meets { here } else { FAR };
         face[i] = if meets { GROUND } else { SKY };
-    }
-}
-
-fn put(lens: &Lens, (left, top): (usize, usize), from: &[f32; PIXELS], image: &mut [f32]) {
-    let columns = TILE.min(lens.width - left);
-    for (row, values) in from.chunks_exact(TILE).enumerate().take(lens.height - top) {
-        let start = (top + row) * lens.width + left;
-        if let Some(target) = image.get_mut(start..start + columns) {
-            target.copy_from_slice(&values[..columns]);
-        }
     }
 }

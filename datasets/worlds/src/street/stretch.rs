@@ -1,8 +1,8 @@
 //! What the street is like along its way: stretches between junctions, each with its own width,
 //! sidewalks, markings, and kind of town on either side.
 
+use super::course::Course;
 use crate::random::stream;
-use crate::street::course::Course;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 

@@ -1,10 +1,10 @@
 //! Whole streets, small.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::cast::Scratch;
-use crate::street::labels::classes;
-use crate::street::views::StreetLabels;
-use crate::tests::{contents, messages, stamp_of};
+use super::paint::Light;
+use super::views::StreetLabels;
+use crate::car_park::tests::{contents, messages, stamp_of};
+use crate::render::Scratch;
 use crate::{LabelKind, STREET_CLASSES, STREET_COLOURS, Street, WorldError, street, street_labels};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
@@ -186,7 +186,7 @@ fn neighbouring_panoramas_agree_about_ranges_and_classes() {
     for index in [20, 90, 150] {
         let sights =
             [0, 1].map(|next| labels.sight(0, index + next, true, &mut Scratch::default()));
-        let found = [0, 1].map(|k| classes(&labels.scenery, lens, &sights[k], true));
+        let found = [0, 1].map(|k| labels.scenery.classes(lens, &sights[k], true));
         let map_from_panorama = [0, 1].map(|next| {
             labels
                 .pose(0, index + next)
@@ -344,10 +344,11 @@ fn pictures() {
             );
         }
         for visit in [0, 1] {
-            let light = crate::street::paint::Light::new(&world, visit);
+            let light = Light::new(&world, visit);
             let sight = labels.sight(visit, index, false, &mut Scratch::default());
-            let exact = classes(&labels.scenery, &labels.camera.lens, &sight, false);
-            let rgb = crate::street::session::exposed(&labels, &light, &sight, &exact);
+            let (scenery, lens) = (&labels.scenery, &labels.camera.lens);
+            let exact = scenery.classes(lens, &sight, false);
+            let rgb = light.panorama(scenery, lens, &sight, &exact);
             let name = format!("colour_{index}_{visit}.png");
             picture(&folder.join(name), 1024, 333, &rgb);
         }

@@ -1,9 +1,10 @@
 //! Things that stand along the street, and what they are made of.
 
-use crate::cast::Seen;
-use crate::solid::{Side, Solid, Stand};
-use crate::street::classes::Class;
-use nalgebra::{UnitQuaternion, Vector3};
+use super::classes::Class;
+use crate::plane::Pose2;
+use crate::render::{Seen, Side, Solid};
+use evermap_algorithms::geometry::pose::Pose;
+use nalgebra::Vector3;
 
 /// What a surface looks like.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,10 +56,8 @@ pub enum Shape {
 /// A thing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Thing {
-    /// Where it stands, metres.
-    pub at: [f64; 2],
-    /// Direction of its x axis, radians.
-    pub yaw: f64,
+    /// Where it stands, and the direction of its x axis.
+    pub pose: Pose2,
     /// What it is.
     pub shape: Shape,
     /// What most of it counts as.
@@ -76,10 +75,8 @@ pub struct Surface {
     pub finish: Finish,
     /// The thing's chance.
     pub seed: u32,
-    /// The thing's place and direction.
-    pub at: [f64; 2],
-    /// Direction of the thing's x axis, radians.
-    pub yaw: f64,
+    /// Where the thing stands, and the direction of its x axis.
+    pub pose: Pose2,
     /// Centre of an ellipsoid, metres, and its radii; for its normals.
     pub ball: Option<([f64; 3], [f64; 2])>,
 }
@@ -204,18 +201,17 @@ impl Hands<'_> {
             class,
             finish,
             seed: self.thing.seed,
-            at: self.thing.at,
-            yaw: self.thing.yaw,
+            pose: self.thing.pose,
             ball,
         });
         (self.stage.surfaces.len() as u32 - 1) * FACES
     }
 
     /// The thing's frame as seen from the eye.
-    fn frame(&self) -> Stand {
-        let [x, y] = self.thing.at;
+    fn frame(&self) -> Pose {
+        let Pose2 { x, y, yaw } = self.thing.pose;
         let [ex, ey, ez] = self.eye;
-        Stand::upright(x - ex, y - ey, -ez, self.thing.yaw)
+        Pose2::new([x - ex, y - ey], yaw).upright(-ez)
     }
 
     fn convex(
@@ -237,13 +233,8 @@ impl Hands<'_> {
 
     /// An upright ellipsoid, placed in the thing's frame.
     fn ball(&mut self, class: Class, finish: Finish, centre: [f64; 3], radii: [f64; 2]) {
-        let (sin, cos) = self.thing.yaw.sin_cos();
-        let [x, y] = self.thing.at;
-        let middle = [
-            x + cos * centre[0] - sin * centre[1],
-            y + sin * centre[0] + cos * centre[1],
-            centre[2],
-        ];
+        let [x, y] = self.thing.pose.point([centre[0], centre[1]]);
+        let middle = [x, y, centre[2]];
         let first = self.surface(class, finish, Some((middle, radii)));
         let from_eye = [0, 1, 2].map(|axis| (middle[axis] - self.eye[axis]) as f32);
         let radii = radii.map(|radius| radius as f32);
@@ -365,5 +356,5 @@ pub fn face_normal(surface: &Surface, face: u32) -> Vector3<f64> {
         5 => -Vector3::z(),
         _ => Vector3::z(),
     };
-    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), surface.yaw) * own
+    surface.pose.upright(0.0).rotate(&own)
 }

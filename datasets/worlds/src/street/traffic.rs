@@ -1,15 +1,17 @@
 //! The cars of one visit.
 
+use super::classes::Class;
+use super::course::Frenet;
+use super::ground::Land;
+use super::params::Street;
+use super::things::{Shape, Thing};
+use super::town::Town;
+use crate::plane::Pose2;
 use crate::random::stream;
-use crate::street::classes::Class;
-use crate::street::course::Place;
-use crate::street::ground::Land;
-use crate::street::params::Street;
-use crate::street::things::{Shape, Thing};
-use crate::street::town::Town;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
+use std::f64::consts::PI;
 
 /// Share of the cars that drive.
 const DRIVING: f64 = 0.06;
@@ -47,12 +49,9 @@ pub struct Traffic {
 /// A car as the truth tells it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct CarTruth {
-    /// Middle, metres; of a driving car where the visit starts.
-    pub x: f64,
-    /// Middle, metres.
-    pub y: f64,
-    /// Heading, radians.
-    pub yaw: f64,
+    /// Middle and heading; of a driving car when the visit starts.
+    #[serde(flatten)]
+    pub pose: Pose2,
     /// Speed along the street, m/s.
     pub speed: f64,
     /// Length, width and height, metres.
@@ -69,9 +68,9 @@ impl Traffic {
         let mut parked = Vec::new();
         for bay in &town.bays {
             // Both are asked for every bay, so that one bay's fate changes no other's.
-            let own = car(&mut residents);
+            let own = candidate(&mut residents);
             let stays = residents.random_bool(RESIDENTS * share);
-            let other = car(&mut rng);
+            let other = candidate(&mut rng);
             let visitor = rng.random_bool(share);
             let chosen = if stays {
                 own
@@ -81,17 +80,8 @@ impl Traffic {
                 continue;
             };
             let [ahead, aside, turn] = chosen.shift;
-            let (sin, cos) = bay.yaw.sin_cos();
-            parked.push(Thing {
-                at: [
-                    bay.at[0] + cos * ahead - sin * aside,
-                    bay.at[1] + sin * ahead + cos * aside,
-                ],
-                yaw: bay.yaw + turn,
-                shape: Shape::Car(MODELS[chosen.model]),
-                class: Class::Car,
-                seed: chosen.seed,
-            });
+            let pose = Pose2::new(bay.point([ahead, aside]), bay.yaw + turn);
+            parked.push(car(pose, chosen.model, chosen.seed));
         }
         let drivers = (0..(DRIVING * wanted).round() as usize)
             .map(|_| Driver {
@@ -109,13 +99,9 @@ impl Traffic {
         self.drivers.iter().map(move |driver| {
             let s = (driver.s + driver.speed * t).rem_euclid(land.course.length_m);
             let d = 0.5 * land.stretch(s).half_m;
-            Thing {
-                at: land.course.point(Place { s, d }),
-                yaw: land.course.yaw(s) + std::f64::consts::PI,
-                shape: Shape::Car(MODELS[driver.model]),
-                class: Class::Car,
-                seed: driver.seed,
-            }
+            let at = land.course.point(Frenet::new(s, d));
+            let pose = Pose2::new(at, land.course.yaw(s) + PI);
+            car(pose, driver.model, driver.seed)
         })
     }
 
@@ -131,17 +117,22 @@ impl Traffic {
                     Shape::Car([length, width, height, _]) => [length, width, height],
                     _ => [0.0; 3],
                 };
-                let [x, y] = car.at;
-                let yaw = car.yaw;
                 CarTruth {
-                    x,
-                    y,
-                    yaw,
+                    pose: car.pose,
                     speed,
                     size,
                 }
             })
             .collect()
+    }
+}
+
+fn car(pose: Pose2, model: usize, seed: u32) -> Thing {
+    Thing {
+        pose,
+        shape: Shape::Car(MODELS[model]),
+        class: Class::Car,
+        seed,
     }
 }
 
@@ -153,7 +144,7 @@ struct Candidate {
     shift: [f64; 3],
 }
 
-fn car(rng: &mut ChaCha8Rng) -> Candidate {
+fn candidate(rng: &mut ChaCha8Rng) -> Candidate {
     Candidate {
         model: rng.random_range(0..MODELS.len()),
         seed: rng.random(),

@@ -1,13 +1,12 @@
 //! Label panoramas without files.
 
+use super::classes::Class;
+use super::labeller::Labeller;
+use super::params::Street;
+use super::sight::{PanoramaCamera, Scenery, Sight};
+use super::visit::Visit;
 use crate::WorldError;
-use crate::cast::Scratch;
-use crate::street::classes::Class;
-use crate::street::labeller::Labeller;
-use crate::street::labels::classes;
-use crate::street::params::Street;
-use crate::street::sight::{PanoramaCamera, Scenery, Sight};
-use crate::street::visit::Visit;
+use crate::render::Scratch;
 use evermap_algorithms::geometry::pose::Pose;
 use rayon::prelude::*;
 
@@ -43,11 +42,12 @@ pub enum LabelKind {
     Noisy,
 }
 
-/// The label panoramas of one visit, to be asked in any order and on any thread.
+/// A street as built: the label panoramas of its visits, to be asked in any order and on any thread.
 pub struct StreetLabels {
-    pub(crate) scenery: Scenery,
-    pub(crate) camera: PanoramaCamera,
-    pub(crate) visits: Vec<Visit>,
+    pub(super) params: Street,
+    pub(super) scenery: Scenery,
+    pub(super) camera: PanoramaCamera,
+    pub(super) visits: Vec<Visit>,
     labeller: Labeller,
 }
 
@@ -62,6 +62,7 @@ pub fn street_labels(world: &Street) -> Result<StreetLabels, WorldError> {
         .map(|index| Visit::new(world, &scenery, index))
         .collect();
     Ok(StreetLabels {
+        params: world.clone(),
         camera: PanoramaCamera::new(world),
         labeller: Labeller::new(world, &scenery),
         scenery,
@@ -72,7 +73,8 @@ pub fn street_labels(world: &Street) -> Result<StreetLabels, WorldError> {
 impl StreetLabels {
     /// Number of views of each visit.
     pub fn len(&self) -> usize {
-        self.visits.first().map_or(0, |visit| visit.stamps.len())
+        let first = self.visits.first();
+        first.map_or(0, |visit| visit.session.stamps.len())
     }
 
     /// Whether there are none.
@@ -83,9 +85,9 @@ impl StreetLabels {
     /// When a view is taken (ns since the epoch) and where the robot is then (`map_from_vehicle`).
     /// `None` when there is no such visit or view.
     pub fn pose(&self, visit: usize, index: usize) -> Option<(u64, Pose)> {
-        let visit = self.visits.get(visit)?;
-        let stamp = visit.stamps.get(index)?;
-        Some((*stamp, visit.pose(index)))
+        let session = &self.visits.get(visit)?.session;
+        let stamp = *session.stamps.get(index)?;
+        Some((stamp, session.map_from_vehicle(stamp)))
     }
 
     /// One view; `None` when there is no such visit or view.
@@ -101,9 +103,9 @@ impl StreetLabels {
         scratch: &mut Scratch,
     ) -> Option<LabelView> {
         let (stamp_ns, map_from_vehicle) = self.pose(visit, index)?;
-        let sight = self.sight(visit, index, kind == LabelKind::WithoutCars, scratch);
-        let lens = &self.camera.lens;
-        let exact = classes(&self.scenery, lens, &sight, kind == LabelKind::WithoutCars);
+        let (lens, bare) = (&self.camera.lens, kind == LabelKind::WithoutCars);
+        let sight = self.sight(visit, index, bare, scratch);
+        let exact = self.scenery.classes(lens, &sight, bare);
         let labels = match kind {
             LabelKind::Noisy => self.noisy(&sight, &exact, visit, index),
             _ => exact,
@@ -137,7 +139,8 @@ impl StreetLabels {
         })
     }
 
-    pub(crate) fn sight(
+    /// What is seen in a view of a visit; with `bare`, also what would be seen without cars.
+    pub(super) fn sight(
         &self,
         visit: usize,
         index: usize,
@@ -145,12 +148,14 @@ impl StreetLabels {
         scratch: &mut Scratch,
     ) -> Sight {
         let visit = &self.visits[visit];
-        let cars = visit.cars(&self.scenery, index);
-        self.scenery
-            .look(&self.camera, &visit.pose(index), &cars, bare, scratch)
+        let stamp = visit.session.stamps[index];
+        let pose = visit.session.map_from_vehicle(stamp);
+        let cars = visit.cars(&self.scenery, stamp);
+        self.scenery.look(&self.camera, &pose, &cars, bare, scratch)
     }
 
-    pub(crate) fn noisy(
+    /// The labels of a labeller who errs.
+    pub(super) fn noisy(
         &self,
         sight: &Sight,
         exact: &[Class],
@@ -163,6 +168,6 @@ impl StreetLabels {
 }
 
 /// The values of classes in label images.
-pub(crate) fn values(classes: &[Class]) -> Vec<u8> {
+pub(super) fn values(classes: &[Class]) -> Vec<u8> {
     classes.iter().map(|class| *class as u8).collect()
 }

@@ -2,7 +2,7 @@
 
 use super::{Builder, Lot};
 use crate::street::classes::Class;
-use crate::street::course::Place;
+use crate::street::course::Frenet;
 use crate::street::stretch::Quarter;
 use crate::street::things::Shape;
 use rand::Rng;
@@ -24,15 +24,12 @@ impl Builder<'_> {
         for _ in 0..(density * long).round() as usize {
             let s = lot.stretch.from + self.between(0.0, long);
             let out = self.between(1.2, 30.0);
-            let place = Place {
-                s,
-                d: lot.sign * (lot.front() + lot.side.yard_m + out),
-            };
+            let place = Frenet::new(s, lot.sign * (lot.front() + lot.side.yard_m + out));
             let at = self.land.course.point(place);
             let inside = self
                 .land
                 .course
-                .place(at)
+                .frenet(at)
                 .is_some_and(|found| self.land.course.apart(found.s, s) < 8.0);
             if !inside || !self.free(at, 0.8) {
                 continue;
@@ -62,10 +59,7 @@ impl Builder<'_> {
         let tall = self.between(0.8, 1.8);
         let mut s = lot.stretch.from + 3.0;
         while s + 3.0 < lot.stretch.to {
-            let place = Place {
-                s,
-                d: lot.sign * (lot.front() + 0.5),
-            };
+            let place = Frenet::new(s, lot.sign * (lot.front() + 0.5));
             let at = self.land.course.point(place);
             if self.free(at, 0.1) && self.often(0.93) {
                 let yaw = self.land.course.yaw(s);

@@ -1,8 +1,9 @@
 //! Houses, and what belongs to each.
 
-use super::{Bay, Builder, Lot};
+use super::{Builder, Lot};
+use crate::plane::Pose2;
 use crate::street::classes::Class;
-use crate::street::course::Place;
+use crate::street::course::Frenet;
 use crate::street::stretch::{Quarter, SIDE_STREET_M};
 use crate::street::things::Shape;
 use rand::Rng;
@@ -10,27 +11,32 @@ use std::f64::consts::FRAC_PI_2;
 
 impl Builder<'_> {
     /// Builds a house if there is room for it, its front at `place`.
-    fn house(&mut self, place: Place, sizes: [f64; 4]) -> bool {
+    fn house(&mut self, place: Frenet, sizes: [f64; 4]) -> bool {
         let [a, b, ..] = sizes;
         let sign = place.d.signum();
         let course = &self.land.course;
         let station = course.station(place.s);
         // A straight front on a bend: back until no corner stands on the street.
         let inward = (sign * station.curvature).min(0.0).abs() * a * a * 0.5;
-        let middle = Place {
-            s: place.s,
-            d: place.d + sign * (b + inward),
-        };
+        let middle = Frenet::new(place.s, place.d + sign * (b + inward));
         let (at, yaw) = (course.point(middle), course.yaw(place.s));
-        let points = Self::footprint(at, yaw, [a, b]);
-        if !points.iter().all(|point| self.free(*point, 0.0)) {
-            return false;
+        self.house_at(&Pose2::new(at, yaw), sizes, 0.0)
+    }
+
+    /// Builds a house if there is room for it, and a margin (m) to the streets.
+    fn house_at(&mut self, middle: &Pose2, sizes: [f64; 4], margin: f64) -> bool {
+        let points = Self::footprint(middle, [sizes[0], sizes[1]]);
+        let free = points.iter().all(|point| self.free(*point, margin));
+        if free {
+            points.into_iter().for_each(|point| self.take(point));
+            self.add(
+                middle.at(),
+                middle.yaw,
+                Shape::House(sizes),
+                Class::Building,
+            );
         }
-        for point in points {
-            self.take(point);
-        }
-        self.add(at, yaw, Shape::House(sizes), Class::Building);
-        true
+        free
     }
 
     /// A house across the end of each side street.
@@ -43,18 +49,9 @@ impl Builder<'_> {
                     let a = junction.half_m + self.between(1.5, 6.0);
                     let wall = self.between(5.0, 13.0);
                     let roof = self.between(0.0, 4.0);
-                    let place = Place { s: junction.s, d };
-                    let course = &land.course;
-                    let middle = Place {
-                        d: d + sign * 2.5,
-                        ..place
-                    };
-                    let (at, yaw) = (course.point(middle), course.yaw(junction.s));
-                    let points = Self::footprint(at, yaw, [a, 2.5]);
-                    if points.iter().all(|point| self.free(*point, -1.7)) {
-                        points.into_iter().for_each(|point| self.take(point));
-                        self.add(at, yaw, Shape::House([a, 2.5, wall, roof]), Class::Building);
-                    }
+                    let middle = land.course.point(Frenet::new(junction.s, d + sign * 2.5));
+                    let middle = Pose2::new(middle, land.course.yaw(junction.s));
+                    self.house_at(&middle, [a, 2.5, wall, roof], -1.7);
                 }
             }
         }
@@ -89,10 +86,7 @@ impl Builder<'_> {
                 0.0
             };
             let out = lot.front() + lot.side.yard_m + lawn + back + 0.2;
-            let place = Place {
-                s: at + half,
-                d: lot.sign * out,
-            };
+            let place = Frenet::new(at + half, lot.sign * out);
             let beyond = at + 2.0 * half > lot.stretch.to + 3.0;
             if beyond || !self.house(place, sizes) {
                 at += 3.0;
@@ -144,7 +138,7 @@ impl Builder<'_> {
     }
 
     /// What belongs to one house: shop signs, hedges and walls along its garden, places for cars.
-    fn front_of(&mut self, lot: &Lot<'_>, place: Place, half: f64, wall: f64) {
+    fn front_of(&mut self, lot: &Lot<'_>, place: Frenet, half: f64, wall: f64) {
         let quarter = lot.side.quarter;
         let shop = match quarter {
             Quarter::Terraces => 0.3,
@@ -171,7 +165,7 @@ impl Builder<'_> {
         }
     }
 
-    fn shop_sign(&mut self, lot: &Lot<'_>, place: Place, half: f64, wall: f64) {
+    fn shop_sign(&mut self, lot: &Lot<'_>, place: Frenet, half: f64, wall: f64) {
         let long = self.between(0.25, 0.7) * half;
         let aside = self.between(-0.5, 0.5) * (half - long);
         let tall = self.between(0.35, 0.8);
@@ -180,10 +174,7 @@ impl Builder<'_> {
         } else {
             self.between(2.9, 3.3)
         };
-        let station = Place {
-            s: place.s + aside,
-            d: place.d - lot.sign * 0.1,
-        };
+        let station = Frenet::new(place.s + aside, place.d - lot.sign * 0.1);
         let course = &self.land.course;
         let (at, yaw) = (course.point(station), course.yaw(place.s));
         let shape = Shape::Block([long, 0.12, high, high + tall]);
@@ -194,10 +185,8 @@ impl Builder<'_> {
     fn bay_before(&mut self, lot: &Lot<'_>, s: f64) {
         let course = &self.land.course;
         let d = lot.sign * (lot.front() + 2.9);
-        self.town.bays.push(Bay {
-            at: course.point(Place { s, d }),
-            yaw: course.yaw(s) + FRAC_PI_2,
-        });
+        let bay = Pose2::new(course.point(Frenet::new(s, d)), course.yaw(s) + FRAC_PI_2);
+        self.town.bays.push(bay);
     }
 
     /// A hedge, a wall or nothing along the front of a garden, with a gap for the door.
@@ -209,17 +198,13 @@ impl Builder<'_> {
         let tall = self.between(0.7, 1.9);
         for way in [-1.0, 1.0] {
             let long = 0.5 * (half - 1.2);
-            let place = Place {
-                s: s + way * (1.2 + long),
-                d: lot.sign * (lot.front() + 0.4),
-            };
+            let place = Frenet::new(s + way * (1.2 + long), lot.sign * (lot.front() + 0.4));
             let at = self.land.course.point(place);
             let yaw = self.land.course.yaw(place.s);
             let ends = [-1.0, 0.0, 1.0].map(|end| {
-                self.land.course.point(Place {
-                    s: place.s + end * long,
-                    d: place.d,
-                })
+                self.land
+                    .course
+                    .point(Frenet::new(place.s + end * long, place.d))
             });
             if !ends.iter().all(|end| self.free(*end, 0.1)) {
                 continue;

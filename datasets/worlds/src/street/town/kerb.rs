@@ -1,6 +1,7 @@
 //! What stands along the kerb: trees, lamps, furniture, signs, and places for cars.
 
-use super::{Bay, Builder, Lot};
+use super::{Builder, Lot};
+use crate::plane::Pose2;
 use crate::street::classes::Class;
 use crate::street::things::Shape;
 use rand::Rng;
@@ -61,10 +62,10 @@ impl Builder<'_> {
                 .any(|z| land.course.apart(*z, s) < 5.0);
             if !zebra && !land.in_side_street(lot.beside_kerb(s, 1.0), 5.0) {
                 let here = lot.beside_kerb(s, -0.5 * lot.side.parking_m);
-                self.town.bays.push(Bay {
-                    at: land.course.point(here),
-                    yaw: land.course.yaw(s) + turned,
-                });
+                let yaw = land.course.yaw(s) + turned;
+                self.town
+                    .bays
+                    .push(Pose2::new(land.course.point(here), yaw));
             }
             s += 6.0;
         }

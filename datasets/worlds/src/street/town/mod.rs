@@ -4,23 +4,15 @@ mod gardens;
 mod houses;
 mod kerb;
 
+use crate::plane::Pose2;
 use crate::random::stream;
 use crate::street::classes::Class;
-use crate::street::course::Place;
+use crate::street::course::Frenet;
 use crate::street::ground::Land;
 use crate::street::stretch::{Side, Stretch};
 use crate::street::things::{Shape, Thing};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
-
-/// A place where a car may stand.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Bay {
-    /// Its middle, metres.
-    pub at: [f64; 2],
-    /// Direction of a car in it, radians.
-    pub yaw: f64,
-}
 
 /// All that stays.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,7 +20,7 @@ pub struct Town {
     /// Houses, trees, signs and the rest.
     pub things: Vec<Thing>,
     /// Where cars may stand.
-    pub bays: Vec<Bay>,
+    pub bays: Vec<Pose2>,
 }
 
 /// Builds a town, one stretch after the other.
@@ -56,11 +48,11 @@ impl Lot<'_> {
     }
 
     /// The place `out` metres behind the kerb.
-    fn beside_kerb(&self, s: f64, out: f64) -> Place {
-        Place {
+    fn beside_kerb(&self, s: f64, out: f64) -> Frenet {
+        Frenet::new(
             s,
-            d: self.sign * (self.stretch.half_m + self.side.parking_m + out),
-        }
+            self.sign * (self.stretch.half_m + self.side.parking_m + out),
+        )
     }
 }
 
@@ -106,8 +98,7 @@ impl Builder<'_> {
     fn add(&mut self, at: [f64; 2], yaw: f64, shape: Shape, class: Class) {
         let seed = self.rng.random();
         self.town.things.push(Thing {
-            at,
-            yaw,
+            pose: Pose2::new(at, yaw),
             shape,
             class,
             seed,
@@ -115,15 +106,14 @@ impl Builder<'_> {
     }
 
     /// Points of a rectangle around a place, at most 1.5 m apart.
-    fn footprint(at: [f64; 2], yaw: f64, half: [f64; 2]) -> Vec<[f64; 2]> {
-        let (sin, cos) = yaw.sin_cos();
+    fn footprint(middle: &Pose2, half: [f64; 2]) -> Vec<[f64; 2]> {
         let steps = half.map(|half| (2.0 * half / 1.5).ceil().max(1.0) as i32);
         let mut points = Vec::new();
         for i in 0..=steps[0] {
             for j in 0..=steps[1] {
                 let a = half[0] * (2.0 * f64::from(i) / f64::from(steps[0]) - 1.0);
                 let b = half[1] * (2.0 * f64::from(j) / f64::from(steps[1]) - 1.0);
-                points.push([at[0] + cos * a - sin * b, at[1] + sin * a + cos * b]);
+                points.push(middle.point([a, b]));
             }
         }
         points
@@ -131,7 +121,7 @@ impl Builder<'_> {
 
     /// Whether a point is private, free, and off the streets.
     fn free(&self, point: [f64; 2], margin: f64) -> bool {
-        let Some(place) = self.land.course.place(point) else {
+        let Some(place) = self.land.course.frenet(point) else {
             return true;
         };
         let stretch = self.land.stretch(place.s);

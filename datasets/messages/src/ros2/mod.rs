@@ -1,0 +1,189 @@
+//! The ROS 2 messages that evermap records itself: their definitions, and their bytes in CDR.
+
+use crate::cdr::CdrWriter;
+
+/// The vehicle's frame (REP-105): x forward, y left, z up, on the ground below the rear axle.
+pub const VEHICLE_FRAME: &str = "base_link";
+/// The frame of odometry (REP-105).
+pub const ODOM_FRAME: &str = "odom";
+
+/// A message that can be recorded.
+pub trait Message {
+    /// `package/msg/Name`.
+    const NAME: &'static str;
+    /// The definition (`ros2msg`) and, after separators, those of all types that it uses.
+    const DEFINITION: &'static str;
+
+    /// The payload, with its encapsulation header.
+    fn encode(&self) -> Vec<u8>;
+}
+
+/// Position, m, and unit quaternion: `x, y, z, qx, qy, qz, qw`.
+pub type Pose = [f64; 7];
+
+/// `std_msgs/msg/Header`.
+#[derive(Debug, Clone, Copy)]
+pub struct Header<'a> {
+    /// Nanoseconds since the epoch.
+    pub stamp_ns: u64,
+    /// The frame that the message is given in.
+    pub frame_id: &'a str,
+}
+
+impl Header<'_> {
+    fn write(&self, cdr: &mut CdrWriter) {
+        cdr.u32((self.stamp_ns / 1_000_000_000) as u32);
+        cdr.u32((self.stamp_ns % 1_000_000_000) as u32);
+        cdr.string(self.frame_id);
+    }
+}
+
+/// `sensor_msgs/msg/CompressedImage`.
+#[derive(Debug, Clone, Copy)]
+pub struct CompressedImage<'a> {
+    /// When it was taken, and the optical frame.
+    pub header: Header<'a>,
+    /// `png`, `jpeg` or as a driver writes it.
+    pub format: &'a str,
+    /// The encoded image.
+    pub data: &'a [u8],
+}
+
+impl Message for CompressedImage<'_> {
+    const NAME: &'static str = "sensor_msgs/msg/CompressedImage";
+    const DEFINITION: &'static str = include_str!("definitions/CompressedImage.msg");
+
+    fn encode(&self) -> Vec<u8> {
+        let mut cdr = CdrWriter::new();
+        self.header.write(&mut cdr);
+        cdr.string(self.format);
+        cdr.octets(self.data);
+        cdr.finish()
+    }
+}
+
+/// What is known of a camera's lens.
+#[derive(Debug, Clone, Copy)]
+pub struct Calibration<'a> {
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// `distortion_model`.
+    pub model: &'a str,
+    /// D.
+    pub distortion: &'a [f64],
+    /// K, row by row, pixels; of a panorama, focal lengths are pixels per radian.
+    pub k: [f64; 9],
+}
+
+/// `sensor_msgs/msg/CameraInfo` of one camera: R is the identity, P is K, and all of the image is of interest.
+#[derive(Debug, Clone, Copy)]
+pub struct CameraInfo<'a> {
+    /// When it holds, and the optical frame.
+    pub header: Header<'a>,
+    /// What it says.
+    pub calibration: Calibration<'a>,
+}
+
+impl Message for CameraInfo<'_> {
+    const NAME: &'static str = "sensor_msgs/msg/CameraInfo";
+    const DEFINITION: &'static str = include_str!("definitions/CameraInfo.msg");
+
+    fn encode(&self) -> Vec<u8> {
+        let Calibration {
+            size: [width, height],
+            model,
+            distortion,
+            k,
+        } = self.calibration;
+        let mut cdr = CdrWriter::new();
+        self.header.write(&mut cdr);
+        cdr.u32(height);
+        cdr.u32(width);
+        cdr.string(model);
+        cdr.u32(distortion.len() as u32);
+        cdr.f64s(distortion);
+        cdr.f64s(&k);
+        cdr.f64s(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+        for row in k.chunks_exact(3) {
+            cdr.f64s(row);
+            cdr.f64s(&[0.0]);
+        }
+        // Binning, and a region of interest that is the whole image.
+        (0..6).for_each(|_| cdr.u32(0));
+        cdr.u8(0);
+        cdr.finish()
+    }
+}
+
+/// `nav_msgs/msg/Odometry` of the vehicle, in the odometry frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Odometry {
+    /// When it was measured, ns since the epoch.
+    pub stamp_ns: u64,
+    /// `odom_from_vehicle`.
+    pub pose: Pose,
+    /// Variances of x, y, z (m²), roll, pitch and yaw (rad²); 0 where nobody says.
+    pub pose_variances: [f64; 6],
+    /// Speeds along and around the vehicle's axes, m/s and rad/s.
+    pub twist: [f64; 6],
+    /// Their variances; 0 where nobody says.
+    pub twist_variances: [f64; 6],
+}
+
+impl Message for Odometry {
+    const NAME: &'static str = "nav_msgs/msg/Odometry";
+    const DEFINITION: &'static str = include_str!("definitions/Odometry.msg");
+
+    fn encode(&self) -> Vec<u8> {
+        let header = Header {
+            stamp_ns: self.stamp_ns,
+            frame_id: ODOM_FRAME,
+        };
+        let mut cdr = CdrWriter::new();
+        header.write(&mut cdr);
+        cdr.string(VEHICLE_FRAME);
+        cdr.f64s(&self.pose);
+        cdr.f64s(&diagonal(self.pose_variances));
+        cdr.f64s(&self.twist);
+        cdr.f64s(&diagonal(self.twist_variances));
+        cdr.finish()
+    }
+}
+
+/// A covariance, row by row, of quantities that vary independently.
+fn diagonal(variances: [f64; 6]) -> [f64; 36] {
+    let mut matrix = [0.0; 36];
+    for (k, variance) in variances.into_iter().enumerate() {
+        matrix[7 * k] = variance;
+    }
+    matrix
+}
+
+/// `tf2_msgs/msg/TFMessage` that places cameras on the vehicle.
+#[derive(Debug, Clone)]
+pub struct StaticTransforms<'a> {
+    /// Since when they are there, ns since the epoch.
+    pub stamp_ns: u64,
+    /// Optical frame and `vehicle_from_camera` of each.
+    pub cameras: Vec<(&'a str, Pose)>,
+}
+
+impl Message for StaticTransforms<'_> {
+    const NAME: &'static str = "tf2_msgs/msg/TFMessage";
+    const DEFINITION: &'static str = include_str!("definitions/TFMessage.msg");
+
+    fn encode(&self) -> Vec<u8> {
+        let header = Header {
+            stamp_ns: self.stamp_ns,
+            frame_id: VEHICLE_FRAME,
+        };
+        let mut cdr = CdrWriter::new();
+        cdr.u32(self.cameras.len() as u32);
+        for (frame_id, vehicle_from_camera) in &self.cameras {
+            header.write(&mut cdr);
+            cdr.string(frame_id);
+            cdr.f64s(vehicle_from_camera);
+        }
+        cdr.finish()
+    }
+}

@@ -1,0 +1,63 @@
+//! One session in the car park, and whom it meets.
+
+use super::CarPark;
+use super::cars::{ParkedCar, parked_cars};
+use super::layout::Layout;
+use super::route::Route;
+use super::walkers::{Walker, walkers};
+use crate::random::stream;
+use crate::record::{Session, shutter};
+use crate::vehicle::{Trajectory, WheelErrors, Wheels};
+
+const DAY_NS: u64 = 86_400_000_000_000;
+
+/// A session before it is rendered.
+pub struct Visit {
+    /// The drive.
+    pub session: Session,
+    /// Where it goes.
+    pub route: Route,
+    /// Who is parked.
+    pub parked: Vec<ParkedCar>,
+    /// Who walks around.
+    pub walkers: Vec<Walker>,
+}
+
+impl AsRef<Session> for Visit {
+    fn as_ref(&self) -> &Session {
+        &self.session
+    }
+}
+
+impl Visit {
+    /// The visit of this number and name.
+    pub fn new(world: &CarPark, layout: &Layout, index: usize, name: &str) -> Self {
+        let route = Route::of_session(world, index);
+        let path = route.path_from(layout, world.start_m, world.loops);
+        let drive = Trajectory::new(path, world.speed_mps, layout.ground);
+        let mut jitter = stream(world.seed, "shutter", index as u64);
+        let count = (drive.duration_s() * world.rate_hz).floor() as usize;
+        let start_ns = world.start_ns + index as u64 * DAY_NS;
+        let seconds = |k: usize| 0.02 / world.rate_hz + k as f64 / world.rate_hz;
+        let scale = world.odometry_scale_error;
+        Self {
+            route,
+            parked: parked_cars(world, layout, index),
+            walkers: walkers(world, layout, index, &drive),
+            session: Session {
+                seed: world.seed,
+                index,
+                name: name.to_owned(),
+                start_ns,
+                drive,
+                stamps: (0..=count)
+                    .map(|k| shutter(start_ns, seconds(k), &mut jitter))
+                    .collect(),
+                wheels: Wheels {
+                    rate_hz: world.odometry_rate_hz,
+                    errors: WheelErrors::of_session(world.seed, index as u64, scale),
+                },
+            },
+        }
+    }
+}

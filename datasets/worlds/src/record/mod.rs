@@ -1,0 +1,113 @@
+//! Records a world: its sessions as logs, and the truth beside them.
+//!
+//! A world describes itself: its sessions, its cameras, what they see, and what is true. How messages get their times,
+//! in what order they are written, and how much is rendered at once is the same for all worlds.
+
+mod folder;
+mod log;
+mod picture;
+mod session;
+
+pub use folder::Folder;
+pub use picture::{deep_png, grey_png, jpeg};
+pub use session::{CameraTopics, Sensors, Session, camera_matrix, shutter};
+
+use crate::WorldError;
+use std::path::{Path, PathBuf};
+
+/// How far the simulation has come.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Progress {
+    /// The session being driven.
+    pub session: String,
+    /// Images of that session written.
+    pub images: usize,
+    /// Images that session will have.
+    pub images_total: usize,
+    /// Images of all sessions written.
+    pub all_images: usize,
+    /// Images all sessions will have.
+    pub all_images_total: usize,
+}
+
+/// One session as written.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SessionSummary {
+    /// Its name.
+    pub name: String,
+    /// Its file.
+    pub path: PathBuf,
+    /// Images per camera.
+    pub shots: usize,
+    /// Messages on all topics.
+    pub messages: u64,
+    /// Size of the file, bytes.
+    pub bytes: u64,
+    /// Distance driven, metres.
+    pub driven_m: f64,
+    /// Length, seconds.
+    pub duration_s: f64,
+}
+
+/// What a simulation wrote.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Summary {
+    /// The sessions, in order.
+    pub sessions: Vec<SessionSummary>,
+    /// The folder with the truth.
+    pub truth: PathBuf,
+}
+
+/// A world, built and ready to be driven through.
+pub trait World {
+    /// A session, and what the world knows about it besides.
+    type Visit: AsRef<Session>;
+
+    /// The sessions to be written, in order.
+    fn visits(&self) -> &[Self::Visit];
+
+    /// What is on the vehicle.
+    fn sensors(&self) -> Sensors<'_>;
+
+    /// Writes what is true of all sessions into a folder in `out`, and gives its path.
+    fn write_truth(&self, out: &Path) -> Result<PathBuf, WorldError>;
+
+    /// Writes one session into `out`; `tell` learns how many images are written.
+    fn record(
+        &self,
+        visit: &Self::Visit,
+        out: &Path,
+        tell: &mut dyn FnMut(usize),
+    ) -> Result<SessionSummary, WorldError>;
+}
+
+/// Writes a world's truth and sessions into `out`.
+pub fn simulate(
+    world: &impl World,
+    out: &Path,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<Summary, WorldError> {
+    std::fs::create_dir_all(out).map_err(|error| WorldError::io(out, error))?;
+    let truth = world.write_truth(out)?;
+    let cameras = world.sensors().cameras.len();
+    let images = |session: &Session| session.stamps.len() * cameras;
+    let visits = world.visits();
+    let all_images_total = visits.iter().map(|visit| images(visit.as_ref())).sum();
+    let mut sessions = Vec::with_capacity(visits.len());
+    let mut before = 0;
+    for visit in visits {
+        let session = visit.as_ref();
+        let written = world.record(visit, out, &mut |written| {
+            progress(Progress {
+                session: session.name.clone(),
+                images: written,
+                images_total: images(session),
+                all_images: before + written,
+                all_images_total,
+            });
+        })?;
+        before += images(session);
+        sessions.push(written);
+    }
+    Ok(Summary { sessions, truth })
+}
