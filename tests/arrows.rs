@@ -498,8 +498,10 @@ fn module(path: &Path, sources: &Path) -> String {
     let path = path.strip_prefix(sources).unwrap().with_extension("");
     let parts: Vec<_> = path.iter().map(|part| part.to_str().unwrap()).collect();
     let module = parts.join("::");
-    let module = module.strip_suffix("mod").unwrap_or(&module);
-    module.trim_end_matches("::").replace("lib", "")
+    if module == "lib" {
+        return String::new();
+    }
+    module.strip_suffix("::mod").unwrap_or(&module).to_owned()
 }
 
 /// Each module with those that its code names.

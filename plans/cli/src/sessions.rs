@@ -3,11 +3,13 @@
 use std::path::Path;
 
 use datafusion::execution::runtime_env::RuntimeEnv;
+use evermap_contract::Registry;
 use evermap_datasets::{Dataset, Manifest};
+use evermap_engine::prepare::{PlanText, Prepared};
 use evermap_schemas::Fault;
 
 use crate::arguments::SessionArgs;
-use crate::ending::Lost;
+use crate::ending::{Failure, Lost};
 use crate::progress::line;
 
 /// The manifest that the command line names, with its site; `None` where it names neither.
@@ -27,6 +29,21 @@ pub fn manifest(args: &SessionArgs) -> Result<Option<Manifest>, Fault> {
         }),
         (None, read) => read,
     })
+}
+
+/// A plan's run on a map, with the sessions that the command line names.
+///
+/// # Errors
+/// The plan's faults, or what is wrong with the sessions or the map.
+pub async fn prepare(
+    plan: &PlanText,
+    registry: &Registry,
+    map: &str,
+    args: &SessionArgs,
+) -> Result<Prepared, Failure> {
+    let manifest = manifest(args)?;
+    let prepared = Prepared::new(plan, registry, map, &args.sessions, manifest.as_ref());
+    Ok(prepared.await?)
 }
 
 /// Opens the sessions, and says on stderr what was chosen for the person.

@@ -1,9 +1,9 @@
 //! From what a person asks for to a run: plan text, sessions and a map, checked together.
 
 use std::collections::BTreeMap;
-use std::fmt;
 use std::path::{Path, PathBuf};
 
+use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::{ParamFault, Registry};
 use evermap_datasets::manifest::SessionFiles;
 use evermap_datasets::{Dataset, Manifest, Recordings, Session};
@@ -43,17 +43,6 @@ impl From<PlanFaults> for Refusal {
         Self::Plan(Box::new(faults))
     }
 }
-
-impl fmt::Display for Refusal {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Plan(faults) => write!(f, "{}", faults.pretty()),
-            Self::Fault(fault) => write!(f, "{fault}"),
-        }
-    }
-}
-
-impl std::error::Error for Refusal {}
 
 /// A plan's text, where others are found, and what overrides it.
 #[derive(Debug, Clone)]
@@ -134,10 +123,19 @@ pub async fn check(
     dataset: &Dataset,
 ) -> Result<(Plan, Program), Refusal> {
     let parsed = parse(plan, registry)?;
+    let program = compiled(&parsed, registry, dataset).await?;
+    Ok((parsed, program))
+}
+
+/// The program of a plan on the tables of these sessions.
+async fn compiled(
+    plan: &Plan,
+    registry: &Registry,
+    dataset: &Dataset,
+) -> Result<Program, Refusal> {
     let context = context(Limits::default())?;
     dataset.register(&context)?;
-    let program = compile(&parsed, registry, &context).await?;
-    Ok((parsed, program))
+    Ok(compile(plan, registry, &context).await?)
 }
 
 /// A run, ready to be explained or executed.
@@ -181,20 +179,16 @@ impl Prepared {
         let store = Store::open(map, true)?;
         let base = Version::latest(&store).await?;
         // Topics are checked on the logs at hand; a map's earlier logs may be gone, their artifacts are not.
-        let context = context(Limits::default())?;
-        let found = Recordings::find(&context.runtime_env(), sessions, manifest).await?;
+        let found = Recordings::find(&RuntimeEnv::default(), sessions, manifest).await?;
         let given = fingerprint::open(&store, found, Believe::Rested).await?;
-        given.register(&context)?;
-        let program = compile(&parsed, registry, &context).await?;
+        let program = compiled(&parsed, registry, &given).await?;
         let mut by_name = mapped_sessions(base.as_ref())?;
         let mut fresh = Vec::new();
         for session in &given.sessions {
             let sited = manifest.is_some_and(|manifest| {
-                let named = manifest
-                    .sessions
-                    .iter()
-                    .find(|named| named.name == *session.name);
-                manifest.site.is_some() || named.is_some_and(|named| named.site.is_some())
+                let mut named = manifest.sessions.iter();
+                let sited = named.any(|named| named.name == *session.name && named.site.is_some());
+                manifest.site.is_some() || sited
             });
             let site = site_of(session, sited, &by_name);
             let (content, read) = fingerprint::fingerprint(&store, session).await?;
@@ -206,11 +200,7 @@ impl Prepared {
         }
         let sessions: Vec<_> = by_name.into_values().collect();
         let missing = match &base {
-            Some(base) => Previous::of(&program, &sessions, Some(base))?
-                .missing(&program)
-                .into_iter()
-                .cloned()
-                .collect(),
+            Some(base) => Previous::of(&program, &sessions, Some(base))?.missing(&program),
             None => Vec::new(),
         };
         Ok(Self {

@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-use evermap_engine::prepare::{self, Prepared};
+use evermap_engine::prepare;
 use evermap_engine::sql::Limits;
 use evermap_schemas::{LayerRow, record};
 
@@ -46,15 +46,7 @@ pub async fn explain(args: &ExplainArgs) -> Ending {
         write!(std::io::stdout(), "{plan}")?;
         return DONE;
     };
-    let manifest = sessions::manifest(&args.sessions)?;
-    let prepared = Prepared::new(
-        &plan,
-        &registry,
-        map,
-        &args.sessions.sessions,
-        manifest.as_ref(),
-    )
-    .await?;
+    let prepared = sessions::prepare(&plan, &registry, map, &args.sessions).await?;
     let forecasts = prepared.run(&registry, Limits::default()).explain().await?;
     let count = forecasts
         .iter()

@@ -31,15 +31,7 @@ pub async fn run(args: &RunArgs) -> Ending {
     let begun = Instant::now();
     let registry = evermap_catalog::registry();
     let plan = shipped::read(&args.plan, args.set.clone())?;
-    let manifest = sessions::manifest(&args.sessions)?;
-    let prepared = Prepared::new(
-        &plan,
-        &registry,
-        &args.map,
-        &args.sessions.sessions,
-        manifest.as_ref(),
-    )
-    .await?;
+    let prepared = sessions::prepare(&plan, &registry, &args.map, &args.sessions).await?;
     prepared
         .program
         .warnings

@@ -321,7 +321,12 @@ fn operator_reads(entry: &Entry, phase: Phase, inputs: &BTreeMap<String, Input>)
     let first = read(driving.name, Role::Driving, driving.reach, layer, pixels);
     let sides = entry.sides(phase).iter().map(|port| {
         let role = Role::Side(port.name.to_owned());
-        read(port.name, role, port.reach, &port.layer, &port.pixels)
+        let reach = match inputs.get(port.name) {
+            // A log is its session's alone: a unit of one session opens no other's.
+            Some(Input::Source(_)) => Reach::Session,
+            _ => port.reach,
+        };
+        read(port.name, role, reach, &port.layer, &port.pixels)
     });
     std::iter::once(first).chain(sides).flatten().collect()
 }

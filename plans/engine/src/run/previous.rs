@@ -68,10 +68,10 @@ impl Previous {
     }
 
     /// Layers that the program reads of the version before, which that version does not have.
-    pub fn missing<'p>(&self, program: &'p Program) -> Vec<&'p String> {
+    pub fn missing(&self, program: &Program) -> Vec<String> {
         let mut missing = names(&program.stages);
         missing.retain(|name| !self.layers.contains_key(*name));
-        missing.into_iter().collect()
+        missing.into_iter().cloned().collect()
     }
 }
 

@@ -44,7 +44,7 @@ impl Tables<'_> {
     pub async fn rows(&self, read: &Read) -> Result<DataFrame, Fault> {
         let (frame, extents, without): (_, Vec<Extent<'_>>, &[String]) = match &read.table {
             Input::Source(name) => {
-                let missing = || Fault::bug(format!("the unit has no log with {name}"));
+                let missing = || Fault::user(format!("expected logs with {name}, found none"));
                 let table = Arc::clone(self.logs.get(name).ok_or_else(missing)?);
                 let frame = self.context.read_table(table);
                 let frame = frame.or_fault()?;
