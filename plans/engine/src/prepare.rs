@@ -128,11 +128,7 @@ pub async fn check(
 }
 
 /// The program of a plan on the tables of these sessions.
-async fn compiled(
-    plan: &Plan,
-    registry: &Registry,
-    dataset: &Dataset,
-) -> Result<Program, Refusal> {
+async fn compiled(plan: &Plan, registry: &Registry, dataset: &Dataset) -> Result<Program, Refusal> {
     let context = context(Limits::default())?;
     dataset.register(&context)?;
     Ok(compile(plan, registry, &context).await?)

@@ -23,7 +23,9 @@ use datafusion::error::Result as DataFusionResult;
 use datafusion::execution::memory_pool::{MemoryConsumer, MemoryReservation};
 use datafusion::execution::{SendableRecordBatchStream, TaskContext};
 use datafusion::physical_expr::EquivalenceProperties;
-use datafusion::physical_plan::metrics::{BaselineMetrics, Count, MetricBuilder, Time};
+use datafusion::physical_plan::metrics::{
+    BaselineMetrics, Count, MetricBuilder, RecordOutput, Time,
+};
 use datafusion::physical_plan::stream::RecordBatchReceiverStreamBuilder;
 use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties, Partitioning};
 use evermap_contract::{
@@ -323,7 +325,7 @@ impl Outlet {
         held.unwrap_or_else(PoisonError::into_inner).merge(&losses);
         done?;
         emitted.into_iter().try_for_each(|batch| {
-            self.metrics.record_output(batch.num_rows());
+            let batch = batch.record_output(&self.metrics);
             self.sender.blocking_send(Ok(batch)).map_err(|_| gone())
         })
     }

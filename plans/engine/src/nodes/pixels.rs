@@ -9,7 +9,7 @@ use datafusion::error::Result as DataFusionResult;
 use datafusion::execution::{SendableRecordBatchStream, TaskContext};
 use datafusion::physical_expr::projection::ProjectionMapping;
 use datafusion::physical_expr::{EquivalenceProperties, Partitioning};
-use datafusion::physical_plan::metrics::{BaselineMetrics, Count, MetricBuilder};
+use datafusion::physical_plan::metrics::{BaselineMetrics, Count, MetricBuilder, RecordOutput};
 use datafusion::physical_plan::stream::RecordBatchStreamAdapter;
 use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
 use evermap_contract::{Losses, pixels_column};
@@ -153,8 +153,7 @@ impl Fetcher {
             let images = self.column(references(&batch, column)?).await?;
             columns.push((pixels_column(column), Arc::new(images)));
         }
-        self.baseline.record_output(batch.num_rows());
-        beside(batch, columns)
+        Ok(beside(batch, columns)?.record_output(&self.baseline))
     }
 
     /// The images of a column; what cannot be fetched is null and counted.

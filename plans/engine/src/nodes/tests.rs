@@ -139,7 +139,7 @@ async fn sides_are_children_collected_once_for_all_partitions() {
         "OperatorExec: operator=company, phase=Run, driving=poses, sides=[keyframes]",
         "side_rows=5",
         "output_rows=30",
-        "SortExec: expr=[site@0 ASC, keyframe",
+        "SortExec: expr=[site@0 ASC, session@1 ASC, stamp@2 ASC]",
     ] {
         assert!(text.contains(needle), "{needle} is not in\n{text}");
     }
