@@ -63,10 +63,10 @@ record! {
 /// Names of the tables.
 pub(crate) const NAMES: [&str; 2] = ["sessions", "channels"];
 
+type Named = (&'static str, Arc<dyn TableProvider>);
+
 /// The tables, by name.
-pub(crate) fn tables(
-    sessions: &[Session],
-) -> Result<[(&'static str, Arc<dyn TableProvider>); 2], Fault> {
+pub(crate) fn tables(sessions: &[Session]) -> Result<[Named; 2], Fault> {
     let parts = sessions.iter().flat_map(|session| &session.parts);
     let channels = parts.flat_map(|part| {
         let channels = part.index.channels.values();

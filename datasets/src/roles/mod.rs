@@ -35,34 +35,28 @@ type Topics = BTreeMap<Arc<str>, Vec<String>>;
 pub(crate) fn table(role: &Role, sessions: &[Session]) -> Result<Arc<dyn TableProvider>, Fault> {
     let parts: Vec<Arc<LogPart>> = sessions.iter().flat_map(|s| s.parts.clone()).collect();
     let layer = role.layer();
-    let (table, drop_repeats): (Arc<dyn LogTable>, bool) = match role.source {
-        Source::Messages(messages) => (
-            Arc::new(MessageRole {
-                name: role.name,
-                schema: layer.schema(),
-                messages,
-                topics: topics(role.name, sessions),
-                names: CameraTopics {
-                    topics: topics(cameras::ROLE.name, sessions),
-                    parts: parts.clone(),
-                    names: OnceCell::new(),
-                },
-            }),
-            messages.drop_repeats,
-        ),
-        Source::Metadata(metadata) => (
-            Arc::new(MetadataRole {
-                name: role.name,
-                schema: layer.schema(),
-                metadata,
-            }),
-            false,
-        ),
+    let table: Arc<dyn LogTable> = match role.source {
+        Source::Messages(messages) => Arc::new(MessageRole {
+            name: role.name,
+            schema: layer.schema(),
+            messages,
+            topics: topics(role.name, sessions),
+            names: CameraTopics {
+                topics: topics(cameras::ROLE.name, sessions),
+                parts: parts.clone(),
+                names: OnceCell::new(),
+            },
+        }),
+        Source::Metadata(metadata) => Arc::new(MetadataRole {
+            name: role.name,
+            schema: layer.schema(),
+            metadata,
+        }),
     };
     let table = Arc::new(McapTable::new(table, &parts));
-    match drop_repeats {
-        true => without_repeats(&layer, table),
-        false => Ok(table),
+    match role.messages() {
+        Some(messages) if messages.drop_repeats => without_repeats(&layer, table),
+        _ => Ok(table),
     }
 }
 
@@ -80,10 +74,8 @@ fn without_repeats(
 ) -> Result<Arc<dyn TableProvider>, Fault> {
     let list = |columns: &mut dyn Iterator<Item = String>| columns.collect::<Vec<_>>().join(", ");
     let key = layer.key.iter().filter(|name| **name != "stamp");
-    let said = layer
-        .columns
-        .iter()
-        .filter(|c| !layer.key.contains(&c.name));
+    let columns = layer.columns.iter();
+    let said = columns.filter(|column| !layer.key.contains(&column.name));
     let mut said = said.map(|column: &Column| match column.data_type {
         DataType::List(_) => format!("'/', array_to_string({}, ',')", column.name),
         _ => column.name.to_owned(),

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use arrow::array::{ArrayRef, BinaryBuilder, RecordBatch, StringBuilder, UInt32Array};
 use arrow::datatypes::{DataType, Field, Schema, SchemaRef};
-use evermap_schemas::Fault;
+use evermap_schemas::{Cell, Fault, Stamp};
 
 use crate::log::record::MessageHead;
 use crate::scan::rows::{MessageAt, RowBuilder, projected};
-use crate::scan::topic::{head_column, timestamp};
+use crate::scan::topic::head_column;
 use crate::session::LogPart;
 
 /// Columns of `messages`.
@@ -16,8 +16,8 @@ pub(crate) fn messages_schema() -> SchemaRef {
     Arc::new(Schema::new(vec![
         Field::new("session", DataType::Utf8, false),
         Field::new("topic", DataType::Utf8, false),
-        Field::new("log_time", timestamp(), false),
-        Field::new("publish_time", timestamp(), false),
+        Field::new("log_time", Stamp::data_type(), false),
+        Field::new("publish_time", Stamp::data_type(), false),
         Field::new("sequence", DataType::UInt32, false),
         Field::new("channel", DataType::UInt32, false),
         Field::new("schema_name", DataType::Utf8, true),

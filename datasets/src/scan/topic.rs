@@ -18,17 +18,12 @@ use crate::scan::rows::{MessageAt, RowBuilder};
 use crate::scan::table::LogTable;
 use crate::session::LogPart;
 
-/// The type of every time column.
-pub(crate) fn timestamp() -> DataType {
-    Stamp::data_type()
-}
-
 /// The columns that every message has.
 pub(crate) fn head_fields() -> [Field; 4] {
     [
         Field::new("session", DataType::Utf8, false),
-        Field::new("log_time", timestamp(), false),
-        Field::new("publish_time", timestamp(), false),
+        Field::new("log_time", Stamp::data_type(), false),
+        Field::new("publish_time", Stamp::data_type(), false),
         Field::new("sequence", DataType::UInt32, false),
     ]
 }
