@@ -20,6 +20,7 @@ mod record;
 pub mod roles;
 mod type_name;
 mod values;
+mod wkb;
 
 pub use cell::Cell;
 pub use fault::{Fault, Kind};
@@ -28,7 +29,8 @@ pub use layer::{Layer, LayerRow, batch, rows};
 pub use record::decode_column;
 pub use record::{Column, Record};
 pub use type_name::type_name;
-pub use values::{Bytes, ImageRef, Pose, Stamp, Wkb};
+pub use values::{Bytes, ImageRef, Pose, Stamp};
+pub use wkb::Wkb;
 
 #[doc(hidden)]
 pub use arrow;

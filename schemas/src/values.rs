@@ -73,66 +73,6 @@ impl Cell for Bytes {
     }
 }
 
-/// A geometry as well-known binary (ISO WKB, little endian), in local metres: GeoParquet with `"crs": null`.
-#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Wkb(pub Vec<u8>);
-
-impl Wkb {
-    /// A point with height.
-    pub fn point([x, y, z]: [f64; 3]) -> Self {
-        let mut wkb = Self::header(1001);
-        wkb.numbers(&[x, y, z]);
-        wkb
-    }
-
-    /// A polyline with heights.
-    pub fn line_string(points: &[[f64; 3]]) -> Self {
-        let mut wkb = Self::header(1002);
-        wkb.0.extend((points.len() as u32).to_le_bytes());
-        points.iter().for_each(|point| wkb.numbers(point));
-        wkb
-    }
-
-    /// A polygon of one ring, flat. The ring is closed here: give each corner once.
-    pub fn polygon(corners: &[[f64; 2]]) -> Self {
-        let mut wkb = Self::header(3);
-        wkb.0.extend(1_u32.to_le_bytes());
-        wkb.0.extend((corners.len() as u32 + 1).to_le_bytes());
-        corners
-            .iter()
-            .chain(corners.first())
-            .for_each(|corner| wkb.numbers(corner));
-        wkb
-    }
-
-    fn header(kind: u32) -> Self {
-        let mut bytes = vec![1];
-        bytes.extend(kind.to_le_bytes());
-        Self(bytes)
-    }
-
-    fn numbers(&mut self, numbers: &[f64]) {
-        numbers
-            .iter()
-            .for_each(|number| self.0.extend(number.to_le_bytes()));
-    }
-}
-
-impl Cell for Wkb {
-    fn data_type() -> DataType {
-        DataType::Binary
-    }
-    fn encode(values: Vec<Self>) -> Result<ArrayRef, Fault> {
-        Bytes::encode(values.into_iter().map(|wkb| Bytes(wkb.0)).collect())
-    }
-    fn decode(column: &ArrayRef) -> Result<Vec<Self>, Fault> {
-        Ok(Bytes::decode(column)?
-            .into_iter()
-            .map(|bytes| Wkb(bytes.0))
-            .collect())
-    }
-}
-
 record! {
     /// A rigid transform `parent_from_child`: a point in the child frame, multiplied from the left by the
     /// transform, comes out in the parent frame.

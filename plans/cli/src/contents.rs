@@ -1,13 +1,15 @@
-//! What an MCAP file holds, for people and for programs.
+//! What an MCAP file holds, for people (as text) and for programs.
 
 use std::collections::BTreeSet;
 
+use askama::Template;
 use serde::Serialize;
 
-use crate::quantity::{of_bytes, of_seconds};
+use crate::quantity;
 
 /// What a file holds.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, Template)]
+#[template(path = "contents.txt")]
 pub struct Contents {
     /// Where it is.
     pub file: String,
@@ -103,103 +105,16 @@ pub struct LossLine {
     pub detail: String,
 }
 
-/// The contents as lines for people.
-pub fn text(contents: &Contents) -> String {
-    let mut text = String::new();
-    let mut fact = |name: &str, value: String| text.push_str(&format!("{name:<12} {value}\n"));
-    fact("file", contents.file.clone());
-    fact("size", of_bytes(contents.bytes));
-    fact("profile", contents.profile.clone());
-    fact("library", contents.library.clone());
-    fact(
-        "index",
-        if contents.indexed {
-            "summary"
-        } else {
-            "none; read from the start"
-        }
-        .to_owned(),
-    );
-    let count = contents
-        .messages
-        .map_or_else(|| "not counted".to_owned(), |count| count.to_string());
-    fact("messages", count);
-    if let (Some(start), Some(end), Some(from), Some(to)) = (
-        &contents.start,
-        &contents.end,
-        contents.start_ns,
-        contents.end_ns,
-    ) {
-        fact("start", start.clone());
-        fact(
-            "end",
-            format!("{end}  ({})", of_seconds((to - from) as f64 * 1e-9)),
-        );
+impl Contents {
+    fn length(&self) -> String {
+        let (start, end) = (self.start_ns.unwrap_or(0), self.end_ns.unwrap_or(0));
+        quantity::of_seconds((end - start) as f64 * 1e-9)
     }
-    let chunks = &contents.chunks;
-    let kinds: Vec<_> = chunks.compression.iter().map(String::as_str).collect();
-    let (packed, size) = (of_bytes(chunks.bytes), of_bytes(chunks.uncompressed_bytes));
-    let sizes = format!(
-        "{} ({}), {packed} of {size}",
-        chunks.count,
-        kinds.join(", ")
-    );
-    fact(
-        "chunks",
-        if chunks.count == 0 {
-            "none".to_owned()
-        } else {
-            sizes
-        },
-    );
-    text.push_str("\nchannels\n");
-    let widest = contents
-        .channels
-        .iter()
-        .map(|channel| channel.topic.chars().count())
-        .max()
-        .unwrap_or(0);
-    for channel in &contents.channels {
-        let count = channel
-            .messages
-            .map_or_else(|| "?".to_owned(), |count| count.to_string());
-        let how = format!(
-            "{} [{}, {}]",
-            channel.schema, channel.message_encoding, channel.schema_encoding
-        );
-        let why = channel
-            .undecodable
-            .as_ref()
-            .map(|why| format!("  not decoded: {why}"))
-            .unwrap_or_default();
-        text.push_str(&format!(
-            "{count:>10}  {:<widest$}  {how}{why}\n",
-            channel.topic
-        ));
+
+    /// Letters of the longest topic.
+    fn widest(&self) -> usize {
+        let topics = self.channels.iter();
+        let widths = topics.map(|channel| channel.topic.chars().count());
+        widths.max().unwrap_or(0)
     }
-    for attachment in &contents.attachments {
-        let size = of_bytes(attachment.bytes);
-        text.push_str(&format!(
-            "attachment   {} ({}, {size})\n",
-            attachment.name, attachment.media_type
-        ));
-    }
-    contents
-        .metadata
-        .iter()
-        .for_each(|name| text.push_str(&format!("metadata     {name}\n")));
-    for loss in &contents.losses {
-        let LossLine {
-            reason,
-            offset,
-            count,
-            bytes,
-            detail,
-            ..
-        } = loss;
-        text.push_str(&format!(
-            "loss         at byte {offset}: {count} {reason} ({bytes} B): {detail}\n"
-        ));
-    }
-    text
 }

@@ -4,8 +4,9 @@
 //!   arguments ──► commands ──► engine, datasets, worlds, catalog
 //!                    │
 //!                    ├──► output    rows as table, CSV, JSON, Parquet
-//!                    ├──► draw      the picture of a map
-//!                    ├──► report    the page about a map
+//!                    ├──► reader    rows of a map by what they are
+//!                    │      ├──► draw, report   pictures and the page, as `templates` lay them out
+//!                    │      └──► export         other programs' formats
 //!                    └──► ending    exit status, losses, faults
 //! ```
 //! Only this crate knows which operators there are; the engine is handed the registry.
@@ -23,13 +24,13 @@ pub mod output;
 mod progress;
 mod prompt;
 pub mod quantity;
+pub mod reader;
 pub mod report;
 pub mod scene;
 pub mod semantic;
 mod sessions;
 pub mod shipped;
 pub mod shown;
-pub mod wkb;
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -3,13 +3,11 @@
 use std::collections::BTreeMap;
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_contract::Registry;
-use evermap_engine::map::Map;
 use evermap_schemas::layers::{AdjustedPose, GraphPose, Keyframe, VehiclePose};
 use evermap_schemas::{Fault, Stamp};
 
-use crate::draw::{Drive, LoopLine};
-use crate::scene::rows_of;
+use crate::draw::{LoopLine, Scene, Trajectory};
+use crate::reader::MapReader;
 use crate::shown::LandmarkPoint;
 
 /// Above this a loop closure counts as one that the relaxed poses agree with: half of what it would count as sound.
@@ -34,15 +32,9 @@ pub struct Drift {
 
 /// The metric map of one site.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Metric {
-    /// The odometry's trajectories, each laid on the first pose of its session in the map.
-    pub before: Vec<Drive>,
-    /// The map's trajectories.
-    pub after: Vec<Drive>,
-    /// Landmarks from above.
-    pub landmarks: Vec<[f64; 2]>,
-    /// Loop closures.
-    pub loops: Vec<LoopLine>,
+pub struct MetricMap {
+    /// Trajectories, those of the odometry laid on the first pose of their session in the map; landmarks and loops.
+    pub scene: Scene,
     /// Drift, by session.
     pub drifts: Vec<Drift>,
 }
@@ -50,10 +42,10 @@ pub struct Metric {
 /// The metric map of a site; `None` where the map has no adjusted poses of it.
 ///
 /// # Errors
-/// As [`Map::batches`].
-pub async fn metric(map: &Map, registry: &Registry, site: &str) -> Result<Option<Metric>, Fault> {
-    let mut adjusted: Vec<AdjustedPose> = rows_of(map, registry).await?;
-    adjusted.retain(|row| row.site == site);
+/// As [`MapReader::rows`].
+pub async fn metric_map(reader: &MapReader, site: &str) -> Result<Option<MetricMap>, Fault> {
+    let site = Some(site);
+    let adjusted: Vec<AdjustedPose> = reader.rows(site).await?;
     if adjusted.is_empty() {
         return Ok(None);
     }
@@ -63,16 +55,12 @@ pub async fn metric(map: &Map, registry: &Registry, site: &str) -> Result<Option
         stamp: row.stamp,
         map_from_vehicle: row.map_from_vehicle,
     });
-    let mut keyframes: Vec<Keyframe> = rows_of(map, registry).await?;
-    keyframes.retain(|row| row.site == site);
-    let mut graph: Vec<GraphPose> = rows_of(map, registry).await?;
-    graph.retain(|row| row.site == site);
-    let landmarks: Vec<LandmarkPoint> = rows_of(map, registry).await?;
-    let landmarks = landmarks.into_iter().filter(|row| row.site == site);
-    let mut metric = compared(&poses.collect::<Vec<_>>(), &keyframes);
-    metric.landmarks = landmarks.map(|row| [row.x, row.y]).collect();
-    metric.loops = loops(&graph);
-    Ok(Some(metric))
+    let keyframes: Vec<Keyframe> = reader.rows(site).await?;
+    let landmarks: Vec<LandmarkPoint> = reader.rows(site).await?;
+    let mut found = compared(&poses.collect::<Vec<_>>(), &keyframes);
+    found.scene.landmarks = landmarks.iter().map(|row| [row.x, row.y]).collect();
+    found.scene.loops = loops(&reader.rows(site).await?);
+    Ok(Some(found))
 }
 
 fn at(found: &evermap_schemas::Pose) -> Option<Pose> {
@@ -82,8 +70,8 @@ fn at(found: &evermap_schemas::Pose) -> Option<Pose> {
 /// Stamp, odometry, map.
 type Pair = (Stamp, Pose, Pose);
 
-fn compared(poses: &[VehiclePose], keyframes: &[Keyframe]) -> Metric {
-    let by_place: BTreeMap<(&str, Stamp), &VehiclePose> = poses
+fn compared(poses: &[VehiclePose], keyframes: &[Keyframe]) -> MetricMap {
+    let by_stamp: BTreeMap<(&str, Stamp), &VehiclePose> = poses
         .iter()
         .map(|row| ((row.session.as_str(), row.stamp), row))
         .collect();
@@ -91,21 +79,21 @@ fn compared(poses: &[VehiclePose], keyframes: &[Keyframe]) -> Metric {
     let mut pairs: BTreeMap<&str, Vec<Pair>> = BTreeMap::new();
     for row in keyframes {
         *counts.entry(&row.session).or_default() += 1;
-        let mapped = by_place.get(&(row.session.as_str(), row.stamp));
+        let mapped = by_stamp.get(&(row.session.as_str(), row.stamp));
         let both = mapped
             .and_then(|mapped| Some((at(&row.odom_from_vehicle)?, at(&mapped.map_from_vehicle)?)));
         let of_session = pairs.entry(&row.session).or_default();
         of_session.extend(both.map(|(odometry, mapped)| (row.stamp, odometry, mapped)));
     }
-    let mut metric = Metric::default();
+    let mut found = MetricMap::default();
     for (session, mut pairs) in pairs {
         pairs.sort_by_key(|(stamp, ..)| *stamp);
-        metric.add(session, counts[session], &pairs);
+        found.add(session, counts[session], &pairs);
     }
-    metric
+    found
 }
 
-impl Metric {
+impl MetricMap {
     fn add(&mut self, session: &str, keyframes: u64, pairs: &[Pair]) {
         let Some((_, odometry, mapped)) = pairs.first() else {
             return;
@@ -118,14 +106,14 @@ impl Metric {
         let off =
             |(laid, (_, _, mapped)): (&Pose, &Pair)| (laid.translation - mapped.translation).norm();
         let offs: Vec<f64> = laid.iter().zip(pairs).map(off).collect();
-        let drive = |poses: Vec<&Pose>| Drive {
+        let trajectory = |poses: Vec<&Pose>| Trajectory {
             session: session.to_owned(),
             points: poses
                 .iter()
                 .map(|pose| [pose.translation.x, pose.translation.y])
                 .collect(),
         };
-        let after = drive(pairs.iter().map(|(_, _, mapped)| mapped).collect());
+        let after = trajectory(pairs.iter().map(|(_, _, mapped)| mapped).collect());
         self.drifts.push(Drift {
             session: session.to_owned(),
             keyframes,
@@ -134,14 +122,14 @@ impl Metric {
             end_m: offs.last().copied().unwrap_or_default(),
             most_m: offs.into_iter().fold(0.0, f64::max),
         });
-        self.before.push(drive(laid.iter().collect()));
-        self.after.push(after);
+        self.scene.odometry.push(trajectory(laid.iter().collect()));
+        self.scene.trajectories.push(after);
     }
 }
 
-/// Loops between the places of relaxed poses.
+/// Loops between relaxed poses.
 fn loops(graph: &[GraphPose]) -> Vec<LoopLine> {
-    let places: BTreeMap<(&str, u32), [f64; 2]> = graph
+    let positions: BTreeMap<(&str, u32), [f64; 2]> = graph
         .iter()
         .map(|row| {
             let pose = &row.map_from_vehicle;
@@ -152,7 +140,7 @@ fn loops(graph: &[GraphPose]) -> Vec<LoopLine> {
     for row in graph {
         let to = [row.map_from_vehicle.x, row.map_from_vehicle.y];
         for closed in &row.loops {
-            if let Some(from) = places.get(&(closed.session.as_str(), closed.keyframe)) {
+            if let Some(from) = positions.get(&(closed.session.as_str(), closed.keyframe)) {
                 lines.push(LoopLine {
                     ends: [*from, to],
                     accepted: closed.weight > ACCEPTED,
@@ -201,7 +189,7 @@ mod tests {
         assert_eq!((drift.keyframes, drift.mapped), (5, 4));
         assert!((drift.end_m - 0.3).abs() < 1e-12 && (drift.most_m - 0.3).abs() < 1e-12);
         assert!((drift.driven_m - 3.0).abs() < 1e-12);
-        let [x, y] = found.before[0].points[3];
+        let [x, y] = found.scene.odometry[0].points[3];
         assert!((x - 10.0).abs() < 1e-12 && (y - 23.3).abs() < 1e-12);
     }
 

@@ -1,7 +1,10 @@
 //! Overhead tiles put together to one picture.
 
+use std::collections::BTreeSet;
+
 use evermap_schemas::Fault;
 
+use crate::draw::{decoded, encoded};
 use crate::shown::Tile;
 
 /// Cells of the largest picture that is put together: a quarter of a gigabyte of grey and alpha.
@@ -62,20 +65,22 @@ fn side(tile: &Tile) -> u64 {
 /// The zoom level to show at this resolution: the coarsest that is at least as fine, or the finest there is; never one
 /// whose picture would be too large. `None` where there are no tiles, or none that can be shown.
 pub fn zoom_for(tiles: &[Tile], m_per_px: f64) -> Option<u32> {
-    let mut levels: Vec<u32> = tiles.iter().map(|tile| tile.zoom).collect();
-    levels.sort_unstable();
-    levels.dedup();
     let fits = |zoom: u32| {
         let level = level(tiles, zoom);
         let cells = Extent::of(&level)?.cells(side(level.first()?));
         (cells <= MOST_CELLS).then_some(level.first()?.cell_m)
     };
-    let shown: Vec<(u32, f64)> = levels
+    let shown: Vec<(u32, f64)> = zooms(tiles)
         .into_iter()
         .filter_map(|zoom| Some((zoom, fits(zoom)?)))
         .collect();
     let fine_enough = shown.iter().rfind(|(_, cell_m)| *cell_m <= m_per_px * 1.01);
     fine_enough.or(shown.first()).map(|(zoom, _)| *zoom)
+}
+
+/// The zoom levels of tiles, ascending.
+pub fn zooms(tiles: &[Tile]) -> BTreeSet<u32> {
+    tiles.iter().map(|tile| tile.zoom).collect()
 }
 
 /// The tiles of one zoom level.
@@ -180,19 +185,9 @@ impl Mosaic {
     /// # Errors
     /// A resource fault for a picture too large for the format.
     pub fn png(&self) -> Result<Vec<u8>, Fault> {
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, self.width as u32, self.height as u32);
-        encoder.set_color(png::ColorType::GrayscaleAlpha);
-        encoder.set_depth(png::BitDepth::Eight);
-        let fault = |error: png::EncodingError| {
-            Fault::resource(format!("cannot encode the picture: {error}"))
-        };
-        let mut writer = encoder.write_header().map_err(fault)?;
-        writer
-            .write_image_data(self.cells.as_flattened())
-            .map_err(fault)?;
-        writer.finish().map_err(fault)?;
-        Ok(bytes)
+        let (width, height) = (self.width as u32, self.height as u32);
+        let grey = png::ColorType::GrayscaleAlpha;
+        encoded(width, height, grey, self.cells.as_flattened())
     }
 
     /// The world file beside the PNG: cell sizes, rotation, the centre of the north-western cell.
@@ -225,31 +220,12 @@ fn place(tile: &Tile) -> String {
 
 /// A tile's cells.
 fn decode(tile: &Tile, side: usize) -> Result<Vec<[u8; 2]>, Fault> {
-    let damaged =
-        |error: png::DecodingError| Fault::data(format!("the tile's picture is damaged: {error}"));
-    let mut reader = png::Decoder::new(std::io::Cursor::new(&tile.png.0))
-        .read_info()
-        .map_err(damaged)?;
-    let info = reader.info();
-    let found = (
-        info.width as usize,
-        info.height as usize,
-        info.color_type,
-        info.bit_depth,
-    );
-    let expected = (
-        side,
-        side,
-        png::ColorType::GrayscaleAlpha,
-        png::BitDepth::Eight,
-    );
-    if found != expected {
+    let (width, height, bytes) = decoded(&tile.png.0, png::ColorType::GrayscaleAlpha)?;
+    if (width as usize, height as usize) != (side, side) {
         return Err(Fault::data(format!(
-            "expected a picture {expected:?}, found {found:?}"
+            "expected a picture of {side} by {side} cells, found {width} by {height}"
         )));
     }
-    let mut bytes = vec![0; side * side * 2];
-    reader.next_frame(&mut bytes).map_err(damaged)?;
     Ok(bytes.as_chunks::<2>().0.to_vec())
 }
 

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::io::Write;
 use std::path::PathBuf;
 
+use datafusion::common::utils::quote_identifier;
 use evermap_engine::error::fault_of;
 use evermap_schemas::Fault;
 use reedline::{
@@ -198,22 +199,11 @@ async fn list(tables: &Tables) -> Result<(), Failure> {
                 .await
                 .map_err(|error| fault_of(&error))?;
             let columns = columns.map_or(0, |table| table.schema().fields().len() as u32);
-            let rows_are = tables
-                .declaration(&name)
-                .map(|layer| layer.doc.to_owned())
-                .unwrap_or_default();
-            let table = if name
-                .chars()
-                .all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
-            {
-                name
-            } else {
-                format!("\"{name}\"")
-            };
+            let declared = tables.declaration(&name);
             names.push(TableLine {
-                table,
+                table: quote_identifier(&name).into_owned(),
                 columns,
-                rows_are,
+                rows_are: declared.map_or(String::new(), |layer| layer.doc.to_owned()),
             });
         }
     }

@@ -1,32 +1,16 @@
 //! Amounts as people write and read them.
 
+use bytesize::ByteSize;
+
 /// Bytes from text: `1GiB`, `512 MiB`, `2GB`, `1048576`.
 ///
 /// # Errors
 /// A sentence that says what is expected.
 pub fn bytes(text: &str) -> Result<usize, String> {
-    let text = text.trim();
-    let digits = text
-        .find(|letter: char| !letter.is_ascii_digit() && letter != '.')
-        .unwrap_or(text.len());
-    let (number, unit) = text.split_at(digits);
-    let factor: u64 = match unit.trim().to_ascii_lowercase().as_str() {
-        "" | "b" => 1,
-        "k" | "kib" => 1 << 10,
-        "m" | "mib" => 1 << 20,
-        "g" | "gib" => 1 << 30,
-        "t" | "tib" => 1 << 40,
-        "kb" => 1_000,
-        "mb" => 1_000_000,
-        "gb" => 1_000_000_000,
-        "tb" => 1_000_000_000_000,
-        other => return Err(format!("expected a unit such as MiB or GiB, found {other}")),
-    };
-    let number: f64 = number
+    let ByteSize(amount) = text
         .parse()
         .map_err(|_| format!("expected an amount such as 1GiB, found {text}"))?;
-    let amount = number * factor as f64;
-    if amount < (1 << 20) as f64 || amount > (1_u64 << 50) as f64 {
+    if !(bytesize::MIB..=bytesize::PIB).contains(&amount) {
         return Err(format!("expected 1 MiB or more, found {text}"));
     }
     Ok(amount as usize)
@@ -34,18 +18,7 @@ pub fn bytes(text: &str) -> Result<usize, String> {
 
 /// Bytes for people.
 pub fn of_bytes(bytes: u64) -> String {
-    let units = ["B", "KiB", "MiB", "GiB", "TiB"];
-    let mut amount = bytes as f64;
-    let mut unit = 0;
-    while amount >= 1024.0 && unit + 1 < units.len() {
-        amount /= 1024.0;
-        unit += 1;
-    }
-    if unit == 0 {
-        format!("{bytes} B")
-    } else {
-        format!("{amount:.1} {}", units[unit])
-    }
+    ByteSize(bytes).to_string()
 }
 
 /// A duration for people.
@@ -56,6 +29,20 @@ pub fn of_seconds(seconds: f64) -> String {
         s if s < 7200.0 => format!("{:.1} min", s / 60.0),
         s => format!("{:.1} h", s / 3600.0),
     }
+}
+
+/// A distance for people.
+pub fn of_metres(metres: f64) -> String {
+    if metres >= 10_000.0 {
+        format!("{:.1} km", metres / 1000.0)
+    } else {
+        format!("{metres:.1} m")
+    }
+}
+
+/// The first digits of a digest, as many as a person is shown.
+pub fn short_digest(digest: &str) -> String {
+    digest.chars().take(12).collect()
 }
 
 /// A count with its noun: `1 unit`, `3 units`.

@@ -2,16 +2,16 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use evermap_contract::Registry;
 use evermap_datasets::{Dataset, ImageReader, Manifest};
-use evermap_engine::conform::conform;
-use evermap_engine::error::fault_of;
 use evermap_engine::map::Map;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::layers::{LabelImage, Relocation, SemanticGraph, View};
-use evermap_schemas::{Cell, Fault, ImageRef, LayerRow, Stamp, rows};
+use evermap_schemas::{Cell, Fault, ImageRef, Stamp};
 
-use crate::scene::{layer_of, rows_of};
+use crate::reader::{MapReader, answered, typed};
+
+/// Views that a picture shows.
+const VIEWS: usize = 3;
 
 /// Opened chunks that are kept while a report's few images are fetched.
 const CACHE_BYTES: u64 = 64 << 20;
@@ -42,7 +42,7 @@ pub struct Similarities {
 
 /// The semantic map of one site.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Semantic {
+pub struct SemanticMap {
     /// Some views, spread over the map.
     pub views: Vec<PicturedView>,
     /// All classes of those views' graphs, and what colours count by.
@@ -52,24 +52,18 @@ pub struct Semantic {
 /// Some views of a site; `None` where the map has no views of it.
 ///
 /// # Errors
-/// As [`Map::batches`].
-pub async fn semantic(
-    map: &Map,
-    registry: &Registry,
-    site: &str,
-    most: usize,
-) -> Result<Option<Semantic>, Fault> {
-    let mut views: Vec<View> = rows_of(map, registry).await?;
-    views.retain(|row| row.site == site);
+/// As [`MapReader::rows`].
+pub async fn semantic_map(reader: &MapReader, site: &str) -> Result<Option<SemanticMap>, Fault> {
+    let mut views: Vec<View> = reader.rows(Some(site)).await?;
     if views.is_empty() {
         return Ok(None);
     }
     views.sort_by(|a, b| (&a.session, a.stamp, &a.camera).cmp(&(&b.session, b.stamp, &b.camera)));
-    let mut found = Semantic::default();
-    for view in spread(views, most) {
+    let mut found = SemanticMap::default();
+    for view in spread(views, VIEWS) {
         found.views.push(PicturedView {
-            image: image(map, &view).await,
-            labels: labels(map, registry, &view).await?,
+            image: image(&reader.map, &view).await,
+            labels: labels(reader, &view).await?,
             view: view.view,
             graph: view.graph,
         });
@@ -81,32 +75,20 @@ pub async fn semantic(
 /// How much the queries of a relocation run look like views of a site; `None` where the map has no relocations in it.
 ///
 /// # Errors
-/// As [`Map::batches`].
-pub async fn similarities(
-    map: &Map,
-    registry: &Registry,
-    site: &str,
-) -> Result<Option<Similarities>, Fault> {
-    Ok(matrix(&rows_of(map, registry).await?, site))
+/// As [`MapReader::rows`].
+pub async fn similarities(reader: &MapReader, site: &str) -> Result<Option<Similarities>, Fault> {
+    Ok(matrix(&reader.rows(Some(site)).await?))
 }
 
 /// The label image of a view; `None` where the map has none.
-async fn labels(map: &Map, registry: &Registry, view: &View) -> Result<Option<LabelImage>, Fault> {
-    let Some(layer) = layer_of::<LabelImage>(map, registry) else {
+async fn labels(reader: &MapReader, view: &View) -> Result<Option<LabelImage>, Fault> {
+    let Some(layer) = reader.layer_of::<LabelImage>() else {
         return Ok(None);
     };
-    let context = map.context(Limits::default()).await?;
+    let context = reader.map.context(Limits::default()).await?;
     let query = format!("SELECT * FROM \"{layer}\" WHERE {}", of_view(view));
-    let found = async { context.sql(&query).await?.collect().await }.await;
-    for batch in found.map_err(|error| fault_of(&error))? {
-        if let Some(row) = rows(&conform(&batch, &LabelImage::layer())?)?
-            .into_iter()
-            .next()
-        {
-            return Ok(Some(row));
-        }
-    }
-    Ok(None)
+    let found = typed(&answered(&context, &query).await?)?;
+    Ok(found.into_iter().next())
 }
 
 /// The condition for the rows of a view.
@@ -139,10 +121,9 @@ fn classes(views: &[PicturedView]) -> Vec<String> {
     classes
 }
 
-fn matrix(relocations: &[Relocation], site: &str) -> Option<Similarities> {
-    let rows: Vec<_> = relocations.iter().filter(|row| row.site == site).collect();
-    let query = |row: &&Relocation| (row.session.clone(), row.stamp, row.camera.clone());
-    let view = |row: &&Relocation| {
+fn matrix(rows: &[Relocation]) -> Option<Similarities> {
+    let query = |row: &Relocation| (row.session.clone(), row.stamp, row.camera.clone());
+    let view = |row: &Relocation| {
         (
             row.map_session.clone(),
             row.map_stamp,
@@ -155,7 +136,7 @@ fn matrix(relocations: &[Relocation], site: &str) -> Option<Similarities> {
         return None;
     }
     let mut values = vec![0.0; queries.len() * views.len()];
-    for row in &rows {
+    for row in rows {
         values[views[&view(row)] * queries.len() + queries[&query(row)]] = row.similarity;
     }
     Some(Similarities {
@@ -165,10 +146,11 @@ fn matrix(relocations: &[Relocation], site: &str) -> Option<Similarities> {
     })
 }
 
-type Name = (String, Stamp, String);
+/// Session, stamp and camera.
+type ViewKey = (String, Stamp, String);
 
-fn numbered(names: impl Iterator<Item = Name>) -> BTreeMap<Name, usize> {
-    let names: BTreeSet<Name> = names.collect();
+fn numbered(names: impl Iterator<Item = ViewKey>) -> BTreeMap<ViewKey, usize> {
+    let names: BTreeSet<ViewKey> = names.collect();
     names.into_iter().zip(0..).collect()
 }
 
@@ -194,8 +176,7 @@ async fn fetched(map: &Map, view: &View) -> Result<Option<Vec<u8>>, Fault> {
     let dataset = Dataset::open(&context.runtime_env(), &[], Some(&manifest)).await?;
     dataset.register(&context)?;
     let query = format!("SELECT image FROM frames WHERE {}", of_view(view));
-    let found = async { context.sql(&query).await?.collect().await }.await;
-    let batches = found.map_err(|error| fault_of(&error))?;
+    let batches = answered(&context, &query).await?;
     let Some(batch) = batches.iter().find(|batch| batch.num_rows() > 0) else {
         return Ok(None);
     };
@@ -229,10 +210,10 @@ mod tests {
     #[test]
     fn similarities_lie_by_view_and_query() {
         let rows = [relocation(2, 7, 0.5), relocation(1, 9, 0.25)];
-        let found = matrix(&rows, "s").unwrap_or_default();
+        let found = matrix(&rows).unwrap_or_default();
         assert_eq!((found.queries, found.views), (2, 2));
         assert_eq!(found.values, [0.0, 0.5, 0.25, 0.0]);
-        assert_eq!(matrix(&rows, "elsewhere"), None);
+        assert_eq!(matrix(&[]), None);
     }
 
     #[test]

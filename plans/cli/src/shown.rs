@@ -46,6 +46,13 @@ record! {
         points: Vec<[f64; 3]> ["m", "map"],
     }
 }
+impl Lane {
+    /// The centre line without heights.
+    pub fn from_above(&self) -> impl Iterator<Item = [f64; 2]> {
+        self.points.iter().map(|[x, y, _]| [*x, *y])
+    }
+}
+
 impl LayerRow for Lane {
     const NAME: &'static str = layers::Lane::NAME;
     const DOC: &'static str = layers::Lane::DOC;

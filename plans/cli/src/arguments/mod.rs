@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
-use crate::export::ExportFormat;
+use crate::export::{ExportFormat, Selection};
 use crate::output::Format;
 use crate::progress::Show;
 use crate::quantity;
@@ -267,15 +267,9 @@ pub struct ExportArgs {
     /// File to write.
     #[arg(long, value_name = "PATH")]
     pub out: PathBuf,
-    /// Only rows of this session.
-    #[arg(long, value_name = "NAME")]
-    pub session: Option<String>,
-    /// Only rows of this site.
-    #[arg(long, value_name = "NAME")]
-    pub site: Option<String>,
-    /// Zoom level of tiles; 0 is the finest.
-    #[arg(long, value_name = "Z")]
-    pub zoom: Option<u32>,
+    /// What is exported.
+    #[command(flatten)]
+    pub selection: Selection,
 }
 
 /// What a picture shows.

@@ -1,26 +1,20 @@
 //! `evermap export`.
 
 use crate::arguments::ExportArgs;
-use crate::commands::layers::open;
 use crate::ending::{DONE, Ending};
-use crate::export::{Selection, export as write};
+use crate::export::export as write;
+use crate::reader::MapReader;
 
 /// Writes a layer in the format of another program.
 ///
 /// # Errors
 /// As [`crate::export::export`].
 pub async fn export(args: &ExportArgs) -> Ending {
-    let map = open(&args.map).await?;
-    let selection = Selection {
-        session: args.session.clone(),
-        site: args.site.clone(),
-        zoom: args.zoom,
-    };
+    let reader = MapReader::open(&args.map.map, args.map.version).await?;
     write(
-        &map,
-        &evermap_catalog::registry(),
+        &reader,
         &args.layer,
-        &selection,
+        &args.selection,
         args.format,
         &args.out,
     )

@@ -3,20 +3,19 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 
-use datafusion::arrow::array::AsArray;
-use datafusion::arrow::datatypes::{TimestampNanosecondType, UInt64Type};
+use arrow::array::AsArray;
+use arrow::datatypes::{TimestampNanosecondType, UInt64Type};
 use datafusion::prelude::SessionContext;
 use evermap_datasets::log::index::{LogIndex, UnitKind};
 use evermap_datasets::{Dataset, LogPart};
-use evermap_engine::error::fault_of;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::Fault;
-use futures::StreamExt;
 use object_store::ObjectStoreExt;
 
 use crate::arguments::InspectArgs;
-use crate::contents::{Attachment, Channel, Chunks, Contents, LossLine, text};
-use crate::ending::{Ending, Failure};
+use crate::contents::{Attachment, Channel, Chunks, Contents, LossLine};
+use crate::ending::Ending;
+use crate::reader::{answered, texts};
 use crate::sessions::lost;
 
 /// Says what a file holds. Every chunk is read, so that damage is found, unless only the index is asked for.
@@ -54,22 +53,16 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
             .map_err(|error| Fault::bug(error.to_string()))?;
         writeln!(stdout, "{text}")?;
     } else {
-        stdout.write_all(text(&contents).as_bytes())?;
+        stdout.write_all(contents.to_string().as_bytes())?;
     }
     Ok(lost(&dataset))
 }
 
 /// Reads every message; how many there are of each topic.
-async fn read_all(context: &SessionContext) -> Result<BTreeMap<String, u64>, Failure> {
+async fn read_all(context: &SessionContext) -> Result<BTreeMap<String, u64>, Fault> {
     let query = "SELECT topic, CAST(count(*) AS BIGINT UNSIGNED) AS n FROM messages GROUP BY topic";
     let mut counts = BTreeMap::new();
-    let frame = context.sql(query).await.map_err(|error| fault_of(&error))?;
-    let mut stream = frame
-        .execute_stream()
-        .await
-        .map_err(|error| fault_of(&error))?;
-    while let Some(batch) = stream.next().await {
-        let batch = batch.map_err(|error| fault_of(&error))?;
+    for batch in answered(context, query).await? {
         let (topics, numbers) = (
             batch.column(0).as_string::<i32>(),
             batch.column(1).as_primitive::<UInt64Type>(),
@@ -81,24 +74,13 @@ async fn read_all(context: &SessionContext) -> Result<BTreeMap<String, u64>, Fai
     Ok(counts)
 }
 
-async fn attachments(context: &SessionContext) -> Result<Vec<Attachment>, Failure> {
+async fn attachments(context: &SessionContext) -> Result<Vec<Attachment>, Fault> {
     let query = "SELECT name, media_type, size, log_time FROM attachments ORDER BY log_time, name";
-    let batches = context
-        .sql(query)
-        .await
-        .map_err(|error| fault_of(&error))?
-        .collect()
-        .await;
     let mut found = Vec::new();
-    for batch in batches.map_err(|error| fault_of(&error))? {
-        let (names, types) = (
-            batch.column(0).as_string::<i32>(),
-            batch.column(1).as_string::<i32>(),
-        );
-        let (sizes, times) = (
-            batch.column(2).as_primitive::<UInt64Type>(),
-            batch.column(3).as_primitive::<TimestampNanosecondType>(),
-        );
+    for batch in answered(context, query).await? {
+        let [names, types] = [0, 1].map(|column| batch.column(column).as_string::<i32>());
+        let sizes = batch.column(2).as_primitive::<UInt64Type>();
+        let times = batch.column(3).as_primitive::<TimestampNanosecondType>();
         found.extend((0..batch.num_rows()).map(|row| Attachment {
             name: names.value(row).to_owned(),
             media_type: types.value(row).to_owned(),
@@ -109,23 +91,10 @@ async fn attachments(context: &SessionContext) -> Result<Vec<Attachment>, Failur
     Ok(found)
 }
 
-async fn metadata(context: &SessionContext) -> Result<Vec<String>, Failure> {
-    let frame = context
-        .sql("SELECT name FROM metadata ORDER BY name")
-        .await
-        .map_err(|error| fault_of(&error))?;
-    let mut names = Vec::new();
-    for batch in frame.collect().await.map_err(|error| fault_of(&error))? {
-        names.extend(
-            batch
-                .column(0)
-                .as_string::<i32>()
-                .iter()
-                .flatten()
-                .map(str::to_owned),
-        );
-    }
-    Ok(names)
+async fn metadata(context: &SessionContext) -> Result<Vec<String>, Fault> {
+    let batches = answered(context, "SELECT name FROM metadata ORDER BY name").await?;
+    let names = batches.iter().filter_map(|batch| texts(batch, "name"));
+    Ok(names.flatten().flatten().map(str::to_owned).collect())
 }
 
 async fn contents(

@@ -3,27 +3,18 @@
 use evermap_engine::map::store::Store;
 use evermap_engine::map::{Map, versions as versions_of};
 
-use crate::arguments::{LayersArgs, MapArgs, VersionsArgs};
+use crate::arguments::{LayersArgs, VersionsArgs};
 use crate::ending::{DONE, Ending, Failure};
 use crate::output::{Format, print_rows};
-
-/// Digits of a digest that a person is shown.
-pub const SHORT_DIGEST: usize = 12;
-
-/// Opens a map at the version asked for.
-///
-/// # Errors
-/// A user fault where there is no such map or version.
-pub async fn open(args: &MapArgs) -> Result<Map, Failure> {
-    Ok(Map::open(&args.map, args.version).await?)
-}
+use crate::quantity::short_digest;
 
 /// Lists the layers of a map.
 ///
 /// # Errors
 /// A user fault where there is no such map or version.
 pub async fn layers(args: &LayersArgs) -> Ending {
-    print_layers(&open(&args.map).await?, args.format).await?;
+    let map = Map::open(&args.map.map, args.map.version).await?;
+    print_layers(&map, args.format).await?;
     DONE
 }
 
@@ -34,9 +25,9 @@ pub async fn layers(args: &LayersArgs) -> Ending {
 pub async fn print_layers(map: &Map, format: Format) -> Result<(), Failure> {
     let mut layers = map.layers();
     if format == Format::Table {
-        layers
-            .iter_mut()
-            .for_each(|layer| layer.digest.truncate(SHORT_DIGEST));
+        for layer in &mut layers {
+            layer.digest = short_digest(&layer.digest);
+        }
     }
     print_rows(format, layers).await
 }

@@ -2,15 +2,15 @@
 
 use std::io::IsTerminal;
 use std::path::Path;
+use std::sync::Arc;
 
-use arrow::datatypes::SchemaRef;
 use datafusion::error::DataFusionError;
 use datafusion::prelude::SessionContext;
 use datafusion::sql::parser::{DFParserBuilder, Statement};
 use datafusion::sql::sqlparser::dialect::GenericDialect;
 use evermap_datasets::Dataset;
 use evermap_engine::error::fault_of;
-use evermap_engine::map::{LayerInfo, Map, RunRow, VersionInfo};
+use evermap_engine::map::{LayerInfo, RunRow, VersionInfo};
 use evermap_engine::sql::{Limits, context};
 use evermap_functions::use_class_index;
 use evermap_schemas::{Fault, Layer, LayerRow};
@@ -18,16 +18,16 @@ use futures::{StreamExt, TryStreamExt};
 
 use crate::arguments::{SessionArgs, SqlArgs};
 use crate::ending::{Ending, Failure, Lost};
-use crate::export::declaration;
 use crate::output::{Format, Sink, write};
 use crate::prompt;
+use crate::reader::MapReader;
 use crate::sessions;
 
 /// What queries run on.
 pub struct Tables {
     /// The tables.
     pub context: SessionContext,
-    map: Option<Map>,
+    reader: Option<MapReader>,
     dataset: Option<Dataset>,
 }
 
@@ -38,13 +38,13 @@ impl Tables {
             ..Limits::default()
         };
         if let Some(address) = &args.map {
-            let map = Map::open(address, args.version).await?;
-            let context = map.context(limits).await?;
+            let reader = MapReader::open(address, args.version).await?;
+            let context = reader.map.context(limits).await?;
             let indexed = use_class_index(&context).await;
             indexed.map_err(|error| fault_of(&error))?;
             return Ok(Self {
                 context,
-                map: Some(map),
+                reader: Some(reader),
                 dataset: None,
             });
         }
@@ -53,17 +53,15 @@ impl Tables {
         dataset.register(&context)?;
         Ok(Self {
             context,
-            map: None,
+            reader: None,
             dataset: Some(dataset),
         })
     }
 
     /// The declaration of a table's columns, where there is one: of the operator that made it, else by name.
     pub fn declaration(&self, table: &str) -> Option<Layer> {
-        let made = self
-            .map
-            .as_ref()
-            .and_then(|map| declaration(map, &evermap_catalog::registry(), table));
+        let reader = self.reader.as_ref();
+        let made = reader.and_then(|reader| reader.declaration(table));
         let listed = [LayerInfo::layer(), VersionInfo::layer(), RunRow::layer()];
         let known = || evermap_schemas::layers::all().into_iter().chain(listed);
         made.or_else(|| known().find(|layer| layer.name == table))
@@ -87,29 +85,15 @@ impl Tables {
         format: Format,
         sink: &mut Sink,
     ) -> Result<u64, Failure> {
-        let plan = self
-            .context
-            .state()
-            .statement_to_plan(statement)
-            .await
-            .map_err(|error| fault_of(&error))?;
-        let frame = self
-            .context
-            .execute_logical_plan(plan)
-            .await
-            .map_err(|error| fault_of(&error))?;
-        let schema: SchemaRef = std::sync::Arc::new(frame.schema().as_arrow().clone());
-        let rows = frame
-            .execute_stream()
-            .await
-            .map_err(|error| fault_of(&error))?;
-        write(
-            format,
-            schema,
-            rows.map_err(|error| fault_of(&error)).boxed(),
-            sink,
-        )
-        .await
+        let rows = async {
+            let plan = self.context.state().statement_to_plan(statement).await?;
+            let frame = self.context.execute_logical_plan(plan).await?;
+            let schema = frame.schema().as_arrow().clone();
+            Ok::<_, DataFusionError>((Arc::new(schema), frame.execute_stream().await?))
+        };
+        let (schema, rows) = rows.await.map_err(|error| fault_of(&error))?;
+        let rows = rows.map_err(|error| fault_of(&error));
+        write(format, schema, rows.boxed(), sink).await
     }
 }
 
@@ -203,7 +187,7 @@ mod tests {
     async fn results_have_a_header_even_without_rows() {
         let tables = Tables {
             context: context(Limits::default()).unwrap(),
-            map: None,
+            reader: None,
             dataset: None,
         };
         for (query, expected) in [

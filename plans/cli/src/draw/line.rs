@@ -1,5 +1,8 @@
 //! Polylines in pixels.
 
+/// From one arrow to the next, px.
+const ARROW_EVERY_PX: f64 = 90.0;
+
 /// Path data of a line.
 pub fn path(points: &[[f64; 2]]) -> String {
     let mut text = String::with_capacity(points.len() * 12);
@@ -44,6 +47,43 @@ pub fn along(points: &[[f64; 2]], mut at: f64) -> Option<([f64; 2], [f64; 2])> {
 
 fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
+}
+
+/// Chevrons that point the way the lane was driven, both where it was driven both ways, none where nobody knows.
+pub fn chevrons(points: &[[f64; 2]], direction: &str, size: f64) -> String {
+    let length = length(points);
+    if length < 4.0 * size {
+        return String::new();
+    }
+    let count = (length / ARROW_EVERY_PX).round().clamp(1.0, 1000.0);
+    let mut arrows = String::new();
+    let step = length / count;
+    let places = (0..count as usize).map(|k| (k as f64 + 0.5) * step);
+    let mut chevron = |at: f64, sign: f64| {
+        let Some(([x, y], [dx, dy])) = along(points, at) else {
+            return;
+        };
+        let (dx, dy) = (sign * dx, sign * dy);
+        let back = [x - size * dx * 0.5, y - size * dy * 0.5];
+        let tip = [x + size * dx * 0.5, y + size * dy * 0.5];
+        let (left, right) = (
+            [back[0] - size * dy, back[1] + size * dx],
+            [back[0] + size * dy, back[1] - size * dx],
+        );
+        arrows.push_str(&path(&[left, tip, right]));
+    };
+    for place in places {
+        match direction {
+            "forward" => chevron(place, 1.0),
+            "backward" => chevron(place, -1.0),
+            "both" => {
+                chevron(place + size, 1.0);
+                chevron(place - size, -1.0);
+            }
+            _ => {}
+        }
+    }
+    arrows
 }
 
 /// The line with as few points as keep it within a tolerance (Douglas and Peucker 1973), without recursion.

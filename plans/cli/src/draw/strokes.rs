@@ -1,5 +1,8 @@
 //! Letters as strokes, so that a picture needs no font: machines that draw maps often have none.
 
+/// Height of letters in pictures, px.
+pub const LETTER_PX: f64 = 9.0;
+
 /// Height of a capital, in units of the glyph grid.
 const CAPITAL: f64 = 6.0;
 /// From one letter to the next, in units of the glyph grid.
@@ -67,6 +70,11 @@ pub fn width(text: &str, height_px: f64) -> f64 {
     ((letters * ADVANCE) - (ADVANCE - 4.0)).max(0.0) * height_px / CAPITAL
 }
 
+/// The path data of a text in the usual height, with its upper left corner at the origin.
+pub fn letters(text: &str) -> String {
+    path([0.0, 0.0], LETTER_PX, text)
+}
+
 /// The path data of a text with its upper left corner at a pixel. Only `m` has a small letter: give capitals.
 pub fn path([x, y]: [f64; 2], height_px: f64, text: &str) -> String {
     let unit = height_px / CAPITAL;
@@ -91,6 +99,11 @@ pub fn path([x, y]: [f64; 2], height_px: f64, text: &str) -> String {
         }
     }
     path
+}
+
+/// A text without the letters that XML forbids.
+pub fn printable(text: &str) -> String {
+    text.replace(char::is_control, " ")
 }
 
 /// A name in letters that there are, cut where it is longer than `most`.

@@ -63,12 +63,12 @@ pub(crate) fn scene() -> Scene {
                 y,
             })
             .collect(),
-        drives: vec![
-            Drive {
+        trajectories: vec![
+            Trajectory {
                 session: "initial".into(),
                 points: ring(1.01, 300).collect(),
             },
-            Drive {
+            Trajectory {
                 session: "revisit_1 & <co>".into(),
                 points: ring(0.97, 250).collect(),
             },
@@ -94,7 +94,7 @@ fn pixel(png: &[u8], x: usize, y: usize) -> ([u8; 4], (u32, u32)) {
 fn the_picture_holds_everything() {
     let picture = draw(
         &scene(),
-        Look {
+        Canvas {
             width_px: 1200,
             zoom: None,
         },
@@ -115,15 +115,15 @@ fn the_picture_holds_everything() {
     }
     assert_eq!(picture.svg.matches("<title>lane ").count(), 4);
     assert_eq!(picture.svg.matches("<title>intersection ").count(), 2);
-    assert!(picture.svg.contains("revisit_1 &amp; &lt;co&gt;"));
+    assert!(picture.svg.contains("revisit_1 &#38; &#60;co&#62;"));
     assert!(!picture.svg.contains("NaN") && !picture.svg.contains("inf"));
-    let png = raster::png(&picture).unwrap();
+    let png = png(&picture).unwrap();
     if let Ok(folder) = std::env::var("EVERMAP_LOOK") {
         std::fs::write(format!("{folder}/scene.png"), &png).unwrap();
     }
-    let view = View::of(
+    let view = Viewport::of(
         union(
-            scene().ground(Look::default()).unwrap().unwrap().seen(),
+            scene().ground(Canvas::default()).unwrap().unwrap().seen(),
             scene().line_bounds(),
         )
         .unwrap(),
@@ -147,38 +147,38 @@ fn the_picture_holds_everything() {
 #[test]
 fn a_map_without_tiles_or_lanes_is_drawn_too() {
     let drives = Scene {
-        drives: scene().drives,
+        trajectories: scene().trajectories,
         ..Scene::default()
     };
-    let picture = draw(&drives, Look::default()).unwrap();
+    let picture = draw(&drives, Canvas::default()).unwrap();
     assert!(!picture.svg.contains("id=\"ground\"") && picture.svg.contains("id=\"trajectories\""));
-    let png = raster::png(&picture).unwrap();
+    let png = png(&picture).unwrap();
     if let Ok(folder) = std::env::var("EVERMAP_LOOK") {
         std::fs::write(format!("{folder}/drives.png"), &png).unwrap();
     }
     let standing = Scene {
-        drives: vec![Drive {
+        trajectories: vec![Trajectory {
             session: "s".into(),
             points: vec![[1.0, 1.0]],
         }],
         ..Scene::default()
     };
-    raster::png(&draw(&standing, Look::default()).unwrap()).unwrap();
+    png(&draw(&standing, Canvas::default()).unwrap()).unwrap();
 }
 
 #[test]
 fn nothing_to_draw_and_a_zoom_that_is_not_there_are_said() {
     assert!(
-        draw(&Scene::default(), Look::default())
+        draw(&Scene::default(), Canvas::default())
             .unwrap_err()
             .to_string()
             .contains("nothing to draw")
     );
     let fault = draw(
         &scene(),
-        Look {
+        Canvas {
             zoom: Some(7),
-            ..Look::default()
+            ..Canvas::default()
         },
     )
     .unwrap_err();
@@ -197,7 +197,7 @@ fn coarse_tiles_do_not_blur_a_small_map() {
         scene.tiles.push(tile(zoom, 0, 0, 64, |_, _| [9, 255]));
     }
     let ground = scene
-        .ground(Look {
+        .ground(Canvas {
             width_px: 400,
             zoom: None,
         })
@@ -208,7 +208,7 @@ fn coarse_tiles_do_not_blur_a_small_map() {
         "0.24 m a pixel asks for the finest level"
     );
     let ground = scene
-        .ground(Look {
+        .ground(Canvas {
             width_px: 80,
             zoom: None,
         })

@@ -7,19 +7,17 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::Path;
 
+use arrow::array::RecordBatch;
 use evermap_algorithms::geometry::camera::{Camera, Model};
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::rig::Rig;
-use evermap_contract::Registry;
-use evermap_engine::map::Map;
 use evermap_schemas::layers::{AdjustedPose, Features, Landmark};
 use evermap_schemas::roles::{Calibration, Transform};
-use evermap_schemas::{Fault, LayerRow, rows};
+use evermap_schemas::{Fault, LayerRow};
 
 use crate::ending::Failure;
-use crate::export::Selection;
-use crate::export::metric::{found, one_site};
 use crate::output::write_file;
+use crate::reader::{MapReader, one_site, only, typed};
 
 /// From the centre of the first pixel at (0, 0) to that at (0.5, 0.5).
 const CORNER: f64 = 0.5;
@@ -32,18 +30,17 @@ struct Parts {
     rigs: BTreeMap<String, Rig>,
 }
 
-/// Writes a model of the adjusted poses into a folder.
+/// Writes a model of adjusted poses into a folder.
 ///
 /// # Errors
 /// A user fault for a map without the layers, or a lens that COLMAP does not have.
 pub async fn export(
-    map: &Map,
-    registry: &Registry,
-    layer: &str,
-    selection: &Selection,
+    reader: &MapReader,
+    batches: &[RecordBatch],
+    site: Option<&str>,
     out: &Path,
 ) -> Result<(), Failure> {
-    let model = model(&gather(map, registry, layer, selection).await?)?;
+    let model = model(&gather(reader, batches, site).await?)?;
     std::fs::create_dir_all(out)?;
     for (name, text) in [
         ("cameras.txt", &model.cameras),
@@ -56,41 +53,32 @@ pub async fn export(
 }
 
 async fn gather(
-    map: &Map,
-    registry: &Registry,
-    layer: &str,
-    selection: &Selection,
+    reader: &MapReader,
+    batches: &[RecordBatch],
+    site: Option<&str>,
 ) -> Result<Parts, Fault> {
-    let mut poses: Vec<AdjustedPose> = map.rows(layer).await?;
-    let sites = poses.iter().map(|row| row.site.as_str());
-    let site = one_site(sites, selection.site.as_deref())?;
-    let session = selection.session.as_deref();
-    poses.retain(|row| row.site == site && session.is_none_or(|only| row.session == only));
+    let mut poses: Vec<AdjustedPose> = typed(batches)?;
+    let site = one_site(poses.iter().map(|row| row.site.as_str()), site)?;
     poses.sort_by(|a, b| (&a.session, a.stamp).cmp(&(&b.session, b.stamp)));
-    let mut landmarks: Vec<Landmark> = found(map, registry).await?;
-    landmarks.retain(|row| row.site == site);
-    let mut features: Vec<Features> = found(map, registry).await?;
-    features.retain(|row| row.site == site);
-    let mut calibration: Vec<Calibration> = from_logs(map, "cameras").await?;
-    calibration.retain(|row| row.site == site);
-    let mut transforms: Vec<Transform> = from_logs(map, "mounts").await?;
-    transforms.retain(|row| row.site == site);
+    let features: Vec<Features> = reader.needed(Some(&site)).await?;
+    let calibration: Vec<Calibration> = from_logs(reader, "cameras", &site).await?;
+    let transforms: Vec<Transform> = from_logs(reader, "mounts", &site).await?;
     let sizes = features.iter().map(without_content).collect();
     Ok(Parts {
         rigs: evermap_catalog::rigs(sizes, calibration, transforms),
         poses,
-        landmarks,
+        landmarks: reader.needed(Some(&site)).await?,
         features,
     })
 }
 
 /// The rows of a layer that a plan took from the logs.
-async fn from_logs<T: LayerRow>(map: &Map, layer: &str) -> Result<Vec<T>, Fault> {
-    let mut all = Vec::new();
-    for batch in &map.batches(layer).await? {
-        all.extend(rows(&evermap_engine::conform::conform(batch, &T::layer())?)?);
-    }
-    Ok(all)
+async fn from_logs<T: LayerRow>(
+    reader: &MapReader,
+    layer: &str,
+    site: &str,
+) -> Result<Vec<T>, Fault> {
+    typed(&only(&reader.map.batches(layer).await?, "site", site)?)
 }
 
 fn without_content(row: &Features) -> Features {

@@ -9,14 +9,11 @@ use arrow::array::RecordBatch;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::metric_map::pose_graph::{Edge, SpatialGraph, g2o};
 use evermap_algorithms::solving::least_squares::Loss;
-use evermap_contract::Registry;
-use evermap_engine::conform::conform;
-use evermap_engine::map::Map;
 use evermap_schemas::layers::{Keyframe, LoopClosure, VehiclePose};
-use evermap_schemas::{Fault, LayerRow, Stamp, rows};
+use evermap_schemas::{Fault, Stamp};
 use nalgebra::{SMatrix, SVector};
 
-use crate::export::metric::{found, one_site};
+use crate::reader::{MapReader, one_site, typed};
 
 /// Standard deviations of odometry after one metre, growing with the root of the path, as the defaults of the operator
 /// `pose_graph`: position (m) and heading (rad).
@@ -28,30 +25,21 @@ const SHORTEST_M: f64 = 0.01;
 /// What loop closures are uncertain by beyond what they say: position (m), orientation (rad).
 const LOOP: [f64; 2] = [0.05, 0.01];
 
-/// Session and stamp.
-type Place = (String, Stamp);
-
 /// The graph of a layer of poses.
 ///
 /// # Errors
 /// A user fault for poses of several sites, or a map without keyframes.
 pub async fn text(
-    map: &Map,
-    registry: &Registry,
+    reader: &MapReader,
     batches: &[RecordBatch],
     site: Option<&str>,
 ) -> Result<String, Fault> {
-    let mut poses: Vec<VehiclePose> = Vec::new();
-    for batch in batches {
-        let batch = conform(batch, &VehiclePose::layer())
-            .map_err(|fault| fault.next("export adjusted_poses, graph_poses or poses"))?;
-        poses.extend(rows::<VehiclePose>(&batch)?);
-    }
+    let poses: Vec<VehiclePose> = typed(batches)
+        .map_err(|fault| fault.next("export adjusted_poses, graph_poses or poses"))?;
     let site = one_site(poses.iter().map(|row| row.site.as_str()), site)?;
-    poses.retain(|row| row.site == site);
-    let keyframes: Vec<Keyframe> = found(map, registry).await?;
+    let keyframes: Vec<Keyframe> = reader.needed(Some(&site)).await?;
     // A drive without loops is a graph too.
-    let loops: Vec<LoopClosure> = found(map, registry).await.unwrap_or_default();
+    let loops: Vec<LoopClosure> = reader.rows(Some(&site)).await?;
     let (graph, ids) = graph(poses, keyframes, &loops)?;
     Ok(g2o::write_spatial(&graph, &ids))
 }
@@ -62,7 +50,7 @@ fn graph(
     loops: &[LoopClosure],
 ) -> Result<(SpatialGraph, Vec<u64>), Fault> {
     poses.sort_by(|a, b| (&a.session, a.stamp).cmp(&(&b.session, b.stamp)));
-    let index: BTreeMap<Place, usize> = (0..)
+    let index: BTreeMap<(String, Stamp), usize> = (0..)
         .zip(&poses)
         .map(|(index, row)| ((row.session.clone(), row.stamp), index))
         .collect();

@@ -5,11 +5,10 @@ use std::io::Write;
 use arrow::array::{Array, AsArray, RecordBatch};
 use arrow::datatypes::DataType;
 use arrow::json::writer::{JsonArray, WriterBuilder};
-use evermap_schemas::{Fault, Layer};
+use evermap_schemas::{Fault, Layer, Wkb};
 use serde_json::{Map, Value, json};
 
 use crate::ending::Failure;
-use crate::wkb;
 
 const COORDINATES: &str = "local metres in the map frame (x, y, z up), not longitude and latitude";
 
@@ -48,9 +47,10 @@ fn features(batch: &RecordBatch, layer: Option<&Layer>) -> Result<Vec<Value>, Fa
     let Some(geometry) = geometry.map(|column| column.as_binary::<i32>()) else {
         return Err(Fault::user("it has no geometry").next("choose csv or parquet"));
     };
+    let shape = |bytes: &[u8]| Wkb(bytes.to_vec()).geojson();
     let shapes = geometry
         .iter()
-        .map(|bytes| bytes.map_or(Ok(Value::Null), wkb::geojson));
+        .map(|bytes| bytes.map_or(Ok(Value::Null), shape));
     let rows = properties(batch)?.into_iter();
     shapes
         .zip(rows)
@@ -77,7 +77,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use evermap_schemas::layers::Intersection;
-    use evermap_schemas::{LayerRow, Wkb, batch};
+    use evermap_schemas::{LayerRow, batch};
 
     #[test]
     fn features_have_shapes_and_properties() {

@@ -1,39 +1,30 @@
 //! Trajectories as the TUM RGB-D benchmark writes them, read by evo and others.
 
-use std::collections::BTreeSet;
-
-use arrow::array::{Array, AsArray, RecordBatch};
+use arrow::array::RecordBatch;
 use arrow::compute::{cast, filter, is_not_null};
 use arrow::datatypes::DataType;
+use evermap_algorithms::geometry;
 use evermap_algorithms::geometry::trajectory::{StampedPose, tum};
 use evermap_schemas::{Cell, Fault, Pose, Stamp};
+
+use crate::reader::{one_session, texts};
 
 /// `seconds x y z qx qy qz qw`, ordered by stamp, with all nine digits of the nanoseconds.
 ///
 /// # Errors
 /// A user fault where there is no pose column or more than one session.
 pub fn text(batches: &[RecordBatch]) -> Result<String, Fault> {
-    one_session(batches)?;
+    let sessions = batches.iter().filter_map(|batch| texts(batch, "session"));
+    one_session(sessions.flatten().flatten())?;
     let mut poses: Vec<(Stamp, Pose)> = Vec::new();
     for batch in batches {
         let stamps = batch
             .column_by_name("stamp")
             .ok_or_else(|| no_poses("stamp"))?;
-        let is_pose = |column: &&arrow::array::ArrayRef| {
-            let names = |fields: &arrow::datatypes::Fields| {
-                fields.iter().map(|field| field.name().clone()).collect()
-            };
-            let found: Vec<String> = if let DataType::Struct(fields) = column.data_type() {
-                names(fields)
-            } else {
-                vec![]
-            };
-            found == ["x", "y", "z", "qx", "qy", "qz", "qw"]
-        };
         let column = batch
             .columns()
             .iter()
-            .find(is_pose)
+            .find(|column| is_pose(column.data_type()))
             .ok_or_else(|| no_poses("pose"))?;
         // Where a vehicle was lost there is no pose.
         let known = is_not_null(column)?;
@@ -43,46 +34,28 @@ pub fn text(batches: &[RecordBatch]) -> Result<String, Fault> {
         poses.extend(stamps.into_iter().zip(found));
     }
     poses.sort_by_key(|(stamp, _)| *stamp);
-    let stamped =
-        |(stamp, pose): &(Stamp, Pose)| match evermap_algorithms::geometry::pose::Pose::from_array(
-            pose.to_array(),
-        ) {
-            Ok(pose) => Ok(StampedPose {
-                stamp_ns: stamp.0,
-                pose,
-            }),
-            Err(error) => Err(Fault::data(format!("the pose at {} ns: {error}", stamp.0))),
-        };
+    let stamped = |(Stamp(stamp_ns), pose): &(Stamp, Pose)| -> Result<StampedPose, Fault> {
+        let pose = geometry::pose::Pose::from_array(pose.to_array())
+            .map_err(|error| Fault::data(format!("the pose at {stamp_ns} ns: {error}")))?;
+        Ok(StampedPose {
+            stamp_ns: *stamp_ns,
+            pose,
+        })
+    };
     let poses = poses.iter().map(stamped).collect::<Result<Vec<_>, _>>()?;
     Ok(tum(&poses))
 }
 
-fn no_poses(column: &str) -> Fault {
-    Fault::user(format!("it has no {column} column")).next("export a layer of poses or keyframes")
+fn is_pose(data_type: &DataType) -> bool {
+    let DataType::Struct(fields) = data_type else {
+        return false;
+    };
+    let names = fields.iter().map(|field| field.name().as_str());
+    names.eq(["x", "y", "z", "qx", "qy", "qz", "qw"])
 }
 
-fn one_session(batches: &[RecordBatch]) -> Result<(), Fault> {
-    let mut sessions = BTreeSet::new();
-    for batch in batches {
-        let column = batch
-            .column_by_name("session")
-            .filter(|column| *column.data_type() == DataType::Utf8);
-        if let Some(column) = column {
-            sessions.extend(
-                column
-                    .as_string::<i32>()
-                    .iter()
-                    .flatten()
-                    .map(str::to_owned),
-            );
-        }
-    }
-    if sessions.len() > 1 {
-        let names: Vec<_> = sessions.into_iter().collect();
-        return Err(Fault::user("a trajectory is of one session")
-            .next(format!("choose one with --session: {}", names.join(", "))));
-    }
-    Ok(())
+fn no_poses(column: &str) -> Fault {
+    Fault::user(format!("it has no {column} column")).next("export a layer of poses or keyframes")
 }
 
 #[cfg(test)]

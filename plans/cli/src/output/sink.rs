@@ -68,6 +68,15 @@ impl Sink {
         path.map_or_else(|| Ok(Self::stdout()), Self::file)
     }
 
+    fn out(&mut self) -> &mut dyn Write {
+        match self {
+            Self::Stdout(out) => out,
+            Self::Temporary(out, _) => out,
+            Self::Special(out) => out,
+            Self::Memory(out) => out,
+        }
+    }
+
     /// Whether a person is looking.
     pub fn is_terminal(&self) -> bool {
         matches!(self, Self::Stdout(out) if out.get_ref().is_terminal())
@@ -93,21 +102,11 @@ impl Sink {
 
 impl Write for Sink {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        match self {
-            Self::Stdout(out) => out.write(bytes),
-            Self::Temporary(out, _) => out.write(bytes),
-            Self::Special(out) => out.write(bytes),
-            Self::Memory(out) => out.write(bytes),
-        }
+        self.out().write(bytes)
     }
 
     fn flush(&mut self) -> std::io::Result<()> {
-        match self {
-            Self::Stdout(out) => out.flush(),
-            Self::Temporary(out, _) => out.flush(),
-            Self::Special(out) => out.flush(),
-            Self::Memory(out) => out.flush(),
-        }
+        self.out().flush()
     }
 }
 

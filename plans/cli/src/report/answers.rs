@@ -2,21 +2,62 @@
 
 use arrow::array::RecordBatch;
 use arrow::util::display::{ArrayFormatter, FormatOptions};
-use evermap_engine::error::fault_of;
 use evermap_engine::map::Map;
 use evermap_engine::sql::Limits;
 use evermap_schemas::Fault;
 
-/// What is asked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Question {
-    /// The layer that it needs.
-    pub layer: &'static str,
-    /// What it is about.
-    pub title: &'static str,
-    /// The query.
-    pub query: &'static str,
-}
+use crate::reader::answered;
+
+/// What is asked: the layer that it needs, what it is about, the query.
+pub type Question = (&'static str, &'static str, &'static str);
+
+/// What a person who doubts a metric map asks.
+pub const OF_METRIC_MAPS: [Question; 5] = [
+    (
+        "adjusted_poses",
+        "Residuals",
+        include_str!("queries/residuals.sql"),
+    ),
+    (
+        "adjusted_poses",
+        "Landmarks in view",
+        include_str!("queries/inliers.sql"),
+    ),
+    (
+        "graph_poses",
+        "Loop closures",
+        include_str!("queries/loops.sql"),
+    ),
+    (
+        "localisations",
+        "Localisation",
+        include_str!("queries/localisations.sql"),
+    ),
+    (
+        "landmarks",
+        "Landmarks",
+        include_str!("queries/landmarks.sql"),
+    ),
+];
+
+/// What a person who doubts a semantic map asks.
+pub const OF_SEMANTIC_MAPS: [Question; 3] = [
+    (
+        "views",
+        "What the views show",
+        include_str!("queries/content.sql"),
+    ),
+    (
+        "relations",
+        "How classes relate",
+        include_str!("queries/relations.sql"),
+    ),
+    (
+        "relocations",
+        "Relocation",
+        include_str!("queries/relocations.sql"),
+    ),
+];
 
 /// The answer to a question.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,6 +72,14 @@ pub struct Answer {
     pub rows: Vec<Vec<String>>,
 }
 
+impl Answer {
+    /// The cells of a row, and whether they are numbers.
+    pub fn cells<'r>(&self, row: &'r [String]) -> impl Iterator<Item = (&'r String, bool)> {
+        let numeric = self.columns.iter().map(|(_, numeric)| *numeric);
+        row.iter().zip(numeric)
+    }
+}
+
 /// The answers to those questions whose layers the map has, and that have any rows.
 ///
 /// # Errors
@@ -38,19 +87,14 @@ pub struct Answer {
 pub async fn answers(map: &Map, questions: &[Question]) -> Result<Vec<Answer>, Fault> {
     let context = map.context(Limits::default()).await?;
     let mut answers = Vec::new();
-    for Question {
-        layer,
-        title,
-        query,
-    } in questions.iter().copied()
-    {
+    for &(layer, title, query) in questions {
         // Nothing comes before the first version: there, everything is lost.
         let first = layer == "localisations" && map.version.previous.version == 0;
         if first || !map.has(layer) {
             continue;
         }
-        let found = async { context.sql(query).await?.collect().await }.await;
-        let batches = found.map_err(|error| fault_of(&error).at(format!("report: {title}")))?;
+        let found = answered(&context, query).await;
+        let batches = found.map_err(|fault| fault.at(format!("report: {title}")))?;
         if batches.iter().any(|batch| batch.num_rows() > 0) {
             answers.push(answer(title, query, &batches)?);
         }

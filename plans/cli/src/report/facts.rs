@@ -1,36 +1,32 @@
-//! What a report says.
+//! What a report says. As text it is the page: HTML with its style and pictures inside, no reference to anything else.
 
 use std::collections::BTreeMap;
 
-use evermap_contract::Registry;
+use askama::Template;
 use evermap_engine::map::{LayerInfo, Map, RunRow, VersionInfo, versions};
 use evermap_engine::sql::Limits;
-use evermap_engine::{conform::conform, error::fault_of};
-use evermap_schemas::{Fault, LayerRow, rows};
+use evermap_schemas::Fault;
 
-use crate::draw::{Look, Picture, draw};
-use crate::report::metric::{self, MetricFacts};
-use crate::report::semantic::{self, SemanticFacts};
-use crate::scene::{drives, scene};
+use crate::draw::{Canvas, Picture, draw, matrix, views};
+use crate::metric::{Drift, metric_map};
+use crate::quantity;
+use crate::reader::{MapReader, answered, typed};
+use crate::report::answers::{Answer, OF_METRIC_MAPS, OF_SEMANTIC_MAPS, answers};
+use crate::scene::{scene, trajectories};
+use crate::semantic::{semantic_map, similarities};
 
 /// Width of the picture in a report, pixels.
 const WIDTH_PX: u32 = 1400;
-
-/// A session of the map.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SessionFact {
-    /// Its name.
-    pub session: String,
-    /// Its site.
-    pub site: String,
-    /// Length of its trajectory, m; null where the map has no poses of it.
-    pub driven_m: Option<f64>,
-    /// Digest of its log.
-    pub content: String,
-}
+/// Width of the matrix of similarities, at most, pixels.
+const MATRIX_PX: u32 = 700;
+/// Units that are shown before the rest is folded away.
+const SHOWN_UNITS: usize = 15;
+/// Length of the bar of the slowest unit, pixels.
+const LONGEST_BAR_PX: f64 = 120.0;
 
 /// What a report says.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Template)]
+#[template(path = "report.html")]
 pub struct Facts {
     /// Version of the map.
     pub version: u64,
@@ -60,70 +56,169 @@ pub struct Facts {
     pub versions: Vec<VersionInfo>,
 }
 
+/// A session of the map.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SessionFact {
+    /// Its name.
+    pub session: String,
+    /// Its site.
+    pub site: String,
+    /// Length of its trajectory, m; null where the map has no poses of it.
+    pub driven_m: Option<f64>,
+    /// Digest of its log.
+    pub content: String,
+}
+
+/// What a person who doubts the poses wants to see: drift removed, residuals, loops, localisations, landmarks.
+#[derive(Debug, Clone)]
+pub struct MetricFacts {
+    /// Trajectories before and after, landmarks and loops from above.
+    pub picture: Option<Picture>,
+    /// How far the map moved the poses of each session.
+    pub drifts: Vec<Drift>,
+    /// The answers.
+    pub answers: Vec<Answer>,
+}
+
+/// What a person who doubts the places wants to see: labels over images, graphs, and the matrix of relocation.
+#[derive(Debug, Clone)]
+pub struct SemanticFacts {
+    /// Labels over images, graphs over images.
+    pub views: Option<Picture>,
+    /// Similarity of each query with each view of the map.
+    pub matrix: Option<Picture>,
+    /// The answers.
+    pub answers: Vec<Answer>,
+}
+
+impl Facts {
+    fn driven_m(&self) -> f64 {
+        let driven = self.sessions.iter().filter_map(|session| session.driven_m);
+        driven.sum()
+    }
+
+    fn bytes(&self) -> u64 {
+        self.layers.iter().map(|layer| layer.bytes).sum()
+    }
+
+    fn lost(&self) -> u64 {
+        self.losses.values().sum()
+    }
+
+    fn computed(&self) -> impl Iterator<Item = &RunRow> {
+        self.units.iter().filter(|unit| !unit.cached)
+    }
+
+    fn seconds(&self) -> f64 {
+        self.computed().map(|unit| unit.seconds).sum()
+    }
+
+    fn first_units(&self) -> &[RunRow] {
+        &self.units[..self.units.len().min(SHOWN_UNITS)]
+    }
+
+    fn other_units(&self) -> &[RunRow] {
+        &self.units[self.first_units().len()..]
+    }
+
+    fn more(&self) -> String {
+        quantity::of(self.other_units().len() as u64, "more unit")
+    }
+
+    fn scope<'u>(&self, unit: &'u RunRow) -> &'u str {
+        let named = unit.session.as_ref().or(unit.site.as_ref());
+        named.map_or("the map", String::as_str)
+    }
+
+    fn bar_px(&self, unit: &RunRow) -> f64 {
+        let longest = self.computed().map(|unit| unit.seconds);
+        LONGEST_BAR_PX * unit.seconds / longest.fold(1e-9, f64::max)
+    }
+}
+
 /// Gathers what a report says.
 ///
 /// # Errors
 /// As [`Map::batches`], or a user fault for a site that is not in the map.
-pub async fn gather(map: &Map, registry: &Registry, site: Option<&str>) -> Result<Facts, Fault> {
-    let (scene, sites) = scene(map, registry, site).await?;
-    let look = Look {
+pub async fn gather(reader: &MapReader, site: Option<&str>) -> Result<Facts, Fault> {
+    let (scene, sites) = scene(reader, site).await?;
+    let canvas = Canvas {
         width_px: WIDTH_PX,
         zoom: None,
     };
-    let drawn = site
-        .or(sites.first().map(String::as_str))
-        .unwrap_or_default();
-    let metric = metric::gather(map, registry, drawn, look).await?;
-    let semantic = semantic::gather(map, registry, drawn).await?;
-    let picture = match draw(&scene, look) {
-        Ok(picture) => Some(picture),
-        Err(fault) => {
-            tracing::info!(%fault, "no picture");
-            None
-        }
-    };
-    let lengths: BTreeMap<String, f64> = drives(map, registry)
-        .await?
-        .into_iter()
-        .map(|(_, drive)| (drive.session.clone(), drive.length_m()))
-        .collect();
-    let version = &map.version;
-    let sessions = version.sessions.iter().map(|session| SessionFact {
-        session: session.log.session.clone(),
-        site: session.log.site.clone(),
-        driven_m: lengths.get(&session.log.session).copied(),
-        content: session.log.content.clone(),
-    });
+    let site = site.or(sites.first().map(String::as_str));
+    let site = site.unwrap_or_default();
+    let picture = draw(&scene, canvas)
+        .inspect_err(|fault| tracing::info!(%fault, "no picture"))
+        .ok();
+    let version = &reader.map.version;
     Ok(Facts {
         version: version.version,
         plan: version.plan.clone(),
         published: version.published.clone(),
         evermap: version.evermap.clone(),
         picture,
-        metric,
-        semantic,
-        sites,
-        layers: map.layers(),
-        sessions: sessions.collect(),
-        units: units(map).await?,
+        metric: metric_facts(reader, site, canvas).await?,
+        semantic: semantic_facts(reader, site).await?,
+        layers: reader.map.layers(),
+        sessions: sessions(reader).await?,
+        units: units(&reader.map).await?,
         losses: version.losses.clone(),
-        versions: versions(&map.store).await?,
+        versions: versions(&reader.map.store).await?,
+        sites,
     })
+}
+
+async fn metric_facts(
+    reader: &MapReader,
+    site: &str,
+    canvas: Canvas,
+) -> Result<Option<MetricFacts>, Fault> {
+    let Some(found) = metric_map(reader, site).await? else {
+        return Ok(None);
+    };
+    Ok(Some(MetricFacts {
+        picture: draw(&found.scene, canvas).ok(),
+        drifts: found.drifts,
+        answers: answers(&reader.map, &OF_METRIC_MAPS).await?,
+    }))
+}
+
+async fn semantic_facts(reader: &MapReader, site: &str) -> Result<Option<SemanticFacts>, Fault> {
+    let Some(found) = semantic_map(reader, site).await? else {
+        return Ok(None);
+    };
+    let similarities = similarities(reader, site).await?;
+    Ok(Some(SemanticFacts {
+        views: views(&found).ok(),
+        matrix: similarities.and_then(|found| matrix(&found, MATRIX_PX).ok()),
+        answers: answers(&reader.map, &OF_SEMANTIC_MAPS).await?,
+    }))
+}
+
+async fn sessions(reader: &MapReader) -> Result<Vec<SessionFact>, Fault> {
+    let driven = trajectories(reader, None).await?;
+    let lengths: BTreeMap<&str, f64> = driven
+        .iter()
+        .map(|driven| (driven.session.as_str(), driven.length_m()))
+        .collect();
+    let fact = |log: &evermap_engine::unit::LogContent| SessionFact {
+        session: log.session.clone(),
+        site: log.site.clone(),
+        driven_m: lengths.get(log.session.as_str()).copied(),
+        content: log.content.clone(),
+    };
+    let mapped = reader.map.version.sessions.iter();
+    Ok(mapped.map(|session| fact(&session.log)).collect())
 }
 
 /// The units of the run that published the version: of its runs the one that computed most.
 async fn units(map: &Map) -> Result<Vec<RunRow>, Fault> {
     let context = map.context(Limits::default()).await?;
     let query = format!("SELECT * FROM runs WHERE version = {}", map.version.version);
-    let frame = context
-        .sql(&query)
-        .await
-        .map_err(|error| fault_of(&error))?;
     let mut runs: BTreeMap<String, Vec<RunRow>> = BTreeMap::new();
-    for batch in frame.collect().await.map_err(|error| fault_of(&error))? {
-        for row in rows::<RunRow>(&conform(&batch, &RunRow::layer())?)? {
-            runs.entry(row.run.clone()).or_default().push(row);
-        }
+    for row in typed::<RunRow>(&answered(&context, &query).await?)? {
+        runs.entry(row.run.clone()).or_default().push(row);
     }
     let computed = |units: &Vec<RunRow>| units.iter().filter(|unit| !unit.cached).count();
     let mut units = runs.into_values().max_by_key(computed).unwrap_or_default();

@@ -26,7 +26,7 @@ pub fn bounds_of(points: impl IntoIterator<Item = [f64; 2]>) -> Option<Bounds> {
 
 /// What of the map is shown, and how large.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct View {
+pub struct Viewport {
     /// Western edge, m.
     pub west: f64,
     /// Northern edge, m.
@@ -39,8 +39,8 @@ pub struct View {
     pub height_px: f64,
 }
 
-impl View {
-    /// A view of these bounds with a margin around them, neither flatter than 1:3 nor taller than 3:2.
+impl Viewport {
+    /// A viewport on these bounds with a margin around them, neither flatter than 1:3 nor taller than 3:2.
     pub fn of(bounds: Bounds, width_px: u32) -> Self {
         let [west, south, east, north] = bounds;
         let margin = (0.04 * (east - west).max(north - south)).max(2.0);
@@ -70,6 +70,27 @@ impl View {
             .filter(|[x, y]| x.is_finite() && y.is_finite());
         finite.map(|point| self.at(point)).collect()
     }
+
+    /// Path data of grid lines at round metres, some ten across the picture.
+    pub fn grid(&self) -> String {
+        let step = round_length(self.width_px / self.scale / 8.0);
+        let east = self.west + self.width_px / self.scale;
+        let south = self.north - self.height_px / self.scale;
+        let columns = multiples(self.west, east, step).map(|x| {
+            let [x, _] = self.at([x, 0.0]);
+            format!("M{x:.1} 0V{:.1}", self.height_px)
+        });
+        let rows = multiples(south, self.north, step).map(|y| {
+            let [_, y] = self.at([0.0, y]);
+            format!("M0 {y:.1}H{:.1}", self.width_px)
+        });
+        columns.chain(rows).collect()
+    }
+}
+
+fn multiples(from: f64, to: f64, step: f64) -> impl Iterator<Item = f64> {
+    let (first, last) = ((from / step).ceil() as i64, (to / step).floor() as i64);
+    (first..=last).take(100).map(move |k| k as f64 * step)
 }
 
 /// A length of 1, 2 or 5 times a power of ten, at most `most`.
@@ -94,7 +115,7 @@ mod tests {
             [-5.0, 0.0, 5.0, 900.0],
             [0.0, 3.0, 900.0, 4.0],
         ] {
-            let view = View::of(bounds, 1000);
+            let view = Viewport::of(bounds, 1000);
             let [x, y] = view.at([(bounds[0] + bounds[2]) / 2.0, (bounds[1] + bounds[3]) / 2.0]);
             assert!(
                 (x - 500.0).abs() < 1e-6 && (y - view.height_px / 2.0).abs() <= 0.5,

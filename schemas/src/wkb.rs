@@ -1,24 +1,91 @@
-//! Well-known binary to GeoJSON.
+//! Geometries as well-known binary, written and read.
+//!
+//! Not by a crate: `wkb` and `geozero` bring five or six more with them, write heights only of geometries of their own
+//! traits, and the latter's GeoJSON of a coordinate that is no number is no JSON.
 
-use evermap_schemas::Fault;
+use arrow::array::ArrayRef;
+use arrow::datatypes::DataType;
 use serde_json::{Value, json};
 
-/// The GeoJSON geometry of well-known binary (ISO, either byte order): points, line strings and polygons, flat or with
-/// heights, and collections of them.
-///
-/// # Errors
-/// A data fault for bytes that are none of these.
-pub fn geojson(bytes: &[u8]) -> Result<Value, Fault> {
-    let mut cursor = Cursor {
-        bytes,
-        little: true,
-    };
-    cursor.geometry(0).ok_or_else(|| {
-        Fault::data(format!(
-            "expected a point, line string or polygon as WKB, found {} other bytes",
-            bytes.len()
-        ))
-    })
+use crate::{Bytes, Cell, Fault};
+
+/// A geometry as well-known binary (ISO WKB, little endian), in local metres: GeoParquet with `"crs": null`.
+#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Wkb(pub Vec<u8>);
+
+impl Wkb {
+    /// A point with height.
+    pub fn point([x, y, z]: [f64; 3]) -> Self {
+        let mut wkb = Self::header(1001);
+        wkb.numbers(&[x, y, z]);
+        wkb
+    }
+
+    /// A polyline with heights.
+    pub fn line_string(points: &[[f64; 3]]) -> Self {
+        let mut wkb = Self::header(1002);
+        wkb.0.extend((points.len() as u32).to_le_bytes());
+        points.iter().for_each(|point| wkb.numbers(point));
+        wkb
+    }
+
+    /// A polygon of one ring, flat. The ring is closed here: give each corner once.
+    pub fn polygon(corners: &[[f64; 2]]) -> Self {
+        let mut wkb = Self::header(3);
+        wkb.0.extend(1_u32.to_le_bytes());
+        wkb.0.extend((corners.len() as u32 + 1).to_le_bytes());
+        corners
+            .iter()
+            .chain(corners.first())
+            .for_each(|corner| wkb.numbers(corner));
+        wkb
+    }
+
+    /// The geometry as GeoJSON: points, line strings and polygons in either byte order, flat or with heights, and
+    /// collections of them.
+    ///
+    /// # Errors
+    /// A data fault for bytes that are none of these.
+    pub fn geojson(&self) -> Result<Value, Fault> {
+        let bytes = self.0.as_slice();
+        let mut cursor = Cursor {
+            bytes,
+            little: true,
+        };
+        cursor.geometry(0).ok_or_else(|| {
+            Fault::data(format!(
+                "expected a point, line string or polygon as WKB, found {} other bytes",
+                bytes.len()
+            ))
+        })
+    }
+
+    fn header(kind: u32) -> Self {
+        let mut bytes = vec![1];
+        bytes.extend(kind.to_le_bytes());
+        Self(bytes)
+    }
+
+    fn numbers(&mut self, numbers: &[f64]) {
+        numbers
+            .iter()
+            .for_each(|number| self.0.extend(number.to_le_bytes()));
+    }
+}
+
+impl Cell for Wkb {
+    fn data_type() -> DataType {
+        DataType::Binary
+    }
+    fn encode(values: Vec<Self>) -> Result<ArrayRef, Fault> {
+        Bytes::encode(values.into_iter().map(|wkb| Bytes(wkb.0)).collect())
+    }
+    fn decode(column: &ArrayRef) -> Result<Vec<Self>, Fault> {
+        Ok(Bytes::decode(column)?
+            .into_iter()
+            .map(|bytes| Wkb(bytes.0))
+            .collect())
+    }
 }
 
 struct Cursor<'b> {
@@ -27,28 +94,23 @@ struct Cursor<'b> {
 }
 
 impl Cursor<'_> {
+    /// The next bytes, little endian.
     fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
         let (head, rest) = self.bytes.split_first_chunk::<N>()?;
         self.bytes = rest;
-        Some(*head)
+        let mut head = *head;
+        if !self.little {
+            head.reverse();
+        }
+        Some(head)
     }
 
     fn number(&mut self) -> Option<u32> {
-        let bytes = self.take()?;
-        Some(if self.little {
-            u32::from_le_bytes(bytes)
-        } else {
-            u32::from_be_bytes(bytes)
-        })
+        self.take().map(u32::from_le_bytes)
     }
 
     fn real(&mut self) -> Option<f64> {
-        let bytes = self.take()?;
-        Some(if self.little {
-            f64::from_le_bytes(bytes)
-        } else {
-            f64::from_be_bytes(bytes)
-        })
+        self.take().map(f64::from_le_bytes)
     }
 
     fn geometry(&mut self, depth: u8) -> Option<Value> {
@@ -108,7 +170,6 @@ impl Cursor<'_> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use evermap_schemas::Wkb;
     use proptest::prelude::*;
 
     #[test]
@@ -149,6 +210,10 @@ mod tests {
         );
         many.truncate(20);
         assert!(geojson(&many).is_err());
+    }
+
+    fn geojson(bytes: &[u8]) -> Result<Value, Fault> {
+        Wkb(bytes.to_vec()).geojson()
     }
 
     proptest! {

@@ -1,0 +1,212 @@
+//! A scene from above.
+
+use askama::Template;
+use evermap_schemas::Fault;
+
+use crate::draw::line::{chevrons, path, simplified};
+use crate::draw::pixels::data_url;
+use crate::draw::viewport::{Viewport, round_length, union};
+use crate::draw::{Canvas, Picture, Scene, Trajectory, colours, strokes};
+use crate::mosaic::Mosaic;
+use crate::shown::Lane;
+
+/// Width of a driving lane, m.
+const LANE_WIDTH_M: f64 = 2.4;
+/// Radius of the marker of an intersection, m.
+const MARKER_M: f64 = 1.1;
+/// More landmarks than this are thinned out evenly: a picture has no room for them.
+const MOST_LANDMARKS: usize = 40_000;
+/// Sessions that the legend names; the rest are counted.
+const MOST_NAMED: usize = 12;
+/// From one line of the legend to the next, px.
+const LEGEND_LINE_PX: f64 = strokes::LETTER_PX * 2.1;
+/// What a drawn line may be off by, px.
+const TOLERANCE_PX: f64 = 0.25;
+
+/// Draws a scene.
+///
+/// # Errors
+/// A user fault where there is nothing to draw or no tile at the zoom level asked for, a data fault for a damaged tile.
+pub fn draw(scene: &Scene, canvas: Canvas) -> Result<Picture, Fault> {
+    let ground = scene.ground(canvas)?;
+    let seen = ground.as_ref().and_then(Mosaic::seen);
+    let bounds = union(seen, scene.line_bounds()).ok_or_else(|| {
+        Fault::user("there is nothing to draw").next("publish tiles, lanes or poses in the plan")
+    })?;
+    let viewport = Viewport::of(bounds, canvas.width_px);
+    let ground = ground.map(|mosaic| GroundImage::of(&mosaic, &viewport));
+    let map = MapFromAbove {
+        scene,
+        ground: ground.transpose()?,
+        legend: legend(&scene.trajectories),
+        scale: ScaleBar::of(&viewport),
+        viewport,
+    };
+    Ok(Picture {
+        svg: map.to_string(),
+        width_px: viewport.width_px as u32,
+        height_px: viewport.height_px as u32,
+    })
+}
+
+#[derive(Template)]
+#[template(path = "map.svg")]
+struct MapFromAbove<'s> {
+    scene: &'s Scene,
+    viewport: Viewport,
+    ground: Option<GroundImage>,
+    /// Lines of text, most with the colour of a session.
+    legend: Vec<(String, Option<String>)>,
+    scale: ScaleBar,
+}
+
+impl MapFromAbove<'_> {
+    fn lane_px(&self) -> f64 {
+        (LANE_WIDTH_M * self.viewport.scale).clamp(4.0, 22.0)
+    }
+
+    fn arrow_px(&self) -> f64 {
+        (self.lane_px() * 0.16).clamp(1.4, 3.0)
+    }
+
+    fn marker_px(&self) -> f64 {
+        (MARKER_M * self.viewport.scale).clamp(4.0, 9.0)
+    }
+
+    fn lane(&self, lane: &Lane) -> String {
+        path(&simplified(
+            &self.viewport.line(lane.from_above()),
+            TOLERANCE_PX,
+        ))
+    }
+
+    fn arrows(&self) -> String {
+        let size = (self.lane_px() * 0.3).clamp(3.0, 6.0);
+        let of = |lane: &Lane| {
+            let line = self.viewport.line(lane.from_above());
+            chevrons(&line, &lane.direction, size)
+        };
+        self.scene.lanes.iter().map(of).collect()
+    }
+
+    /// Landmarks within the picture, as dots of one path.
+    fn landmarks(&self) -> String {
+        let landmarks = &self.scene.landmarks;
+        let every = landmarks.len().div_ceil(MOST_LANDMARKS).max(1);
+        let (width, height) = (self.viewport.width_px, self.viewport.height_px);
+        let places = self.viewport.line(landmarks.iter().step_by(every).copied());
+        let inside = |[x, y]: &[f64; 2]| (0.0..=width).contains(x) && (0.0..=height).contains(y);
+        let dots = places.into_iter().filter(inside);
+        dots.map(|[x, y]| format!("M{x:.1} {y:.1}h0")).collect()
+    }
+
+    /// Loop closures that the map agrees with, or those that it does not.
+    fn loops(&self, accepted: bool) -> Vec<String> {
+        let loops = self.scene.loops.iter();
+        let chosen = loops.filter(|line| line.accepted == accepted);
+        let drawn = chosen.map(|line| path(&self.viewport.line(line.ends)));
+        drawn.collect()
+    }
+
+    fn driven(&self, driven: &Trajectory) -> String {
+        let drawn = |stretch: &[[f64; 2]]| {
+            let line = self.viewport.line(stretch.iter().copied());
+            path(&simplified(&line, TOLERANCE_PX))
+        };
+        driven.stretches().into_iter().map(drawn).collect()
+    }
+
+    fn start(&self, driven: &Trajectory) -> Option<[f64; 2]> {
+        self.viewport.line(driven.points.first().copied()).pop()
+    }
+
+    /// Number, lanes that meet, and where.
+    fn intersections(&self) -> impl Iterator<Item = (u32, u32, [f64; 2])> {
+        let rows = self.scene.intersections.iter();
+        rows.flat_map(move |row| {
+            let places = self.viewport.line([[row.x, row.y]]);
+            places.into_iter().map(move |at| (row.node, row.degree, at))
+        })
+    }
+
+    fn legend_y(&self, line: usize) -> f64 {
+        line as f64 * LEGEND_LINE_PX
+    }
+
+    fn legend_height(&self) -> f64 {
+        self.legend_y(self.legend.len()) + 11.0
+    }
+
+    fn legend_width(&self) -> f64 {
+        let names = self.legend.iter();
+        let widths = names.map(|(name, _)| strokes::width(name, strokes::LETTER_PX));
+        widths.fold(0.0, f64::max) + 52.0
+    }
+}
+
+/// The sessions' names in their colours.
+fn legend(driven: &[Trajectory]) -> Vec<(String, Option<String>)> {
+    let named = driven.iter().take(MOST_NAMED).enumerate();
+    let mut lines: Vec<_> = named
+        .map(|(index, driven)| {
+            let name = strokes::name(&driven.session, 28);
+            (name, Some(colours::session(index)))
+        })
+        .collect();
+    if driven.len() > MOST_NAMED {
+        lines.push((format!("+ {} MORE", driven.len() - MOST_NAMED), None));
+    }
+    lines
+}
+
+/// The picture of the ground, and where it lies.
+struct GroundImage {
+    x: f64,
+    y: f64,
+    width: f64,
+    height: f64,
+    href: String,
+}
+
+impl GroundImage {
+    fn of(mosaic: &Mosaic, viewport: &Viewport) -> Result<Self, Fault> {
+        let [x, y] = viewport.at([mosaic.west, mosaic.north]);
+        let cell_px = mosaic.cell_m * viewport.scale;
+        Ok(Self {
+            x,
+            y,
+            width: mosaic.width as f64 * cell_px,
+            height: mosaic.height as f64 * cell_px,
+            href: data_url(&mosaic.png()?),
+        })
+    }
+}
+
+/// A bar of round length.
+struct ScaleBar {
+    bar_px: f64,
+    label: String,
+}
+
+impl ScaleBar {
+    fn of(viewport: &Viewport) -> Self {
+        let metres = round_length(viewport.width_px * 0.2 / viewport.scale);
+        Self {
+            bar_px: metres * viewport.scale,
+            label: if metres >= 1000.0 {
+                format!("{} Km", metres / 1000.0)
+            } else {
+                format!("{metres} m")
+            },
+        }
+    }
+
+    fn ticks(&self) -> String {
+        let (end, middle) = (self.bar_px, self.bar_px / 2.0);
+        format!("M0 -8V0H{end:.1}V-8M{middle:.1} -5V0")
+    }
+
+    fn label_x(&self) -> f64 {
+        (self.bar_px - strokes::width(&self.label, strokes::LETTER_PX)) / 2.0
+    }
+}

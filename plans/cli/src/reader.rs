@@ -1,0 +1,216 @@
+//! Rows of a map by what they are, whichever layer holds them.
+
+use std::collections::BTreeSet;
+
+use arrow::array::{Array, AsArray, BooleanArray, RecordBatch};
+use arrow::compute::filter_record_batch;
+use arrow::datatypes::DataType;
+use datafusion::prelude::SessionContext;
+use evermap_contract::Registry;
+use evermap_engine::conform::conform;
+use evermap_engine::error::fault_of;
+use evermap_engine::map::Map;
+use evermap_schemas::{Fault, Layer, LayerRow, rows};
+
+/// A map with the operators that may have made its layers.
+pub struct MapReader {
+    /// The map.
+    pub map: Map,
+    registry: Registry,
+}
+
+impl MapReader {
+    /// Opens a map at the version asked for.
+    ///
+    /// # Errors
+    /// A user fault where there is no such map or version.
+    pub async fn open(address: &str, version: Option<u64>) -> Result<Self, Fault> {
+        Ok(Self {
+            map: Map::open(address, version).await?,
+            registry: evermap_catalog::registry(),
+        })
+    }
+
+    /// The declaration of a layer's columns, where an operator makes it.
+    pub fn declaration(&self, layer: &str) -> Option<Layer> {
+        let op = self.map.version.layers.get(layer)?.op.as_deref()?;
+        self.registry.get(op).ok().map(|entry| entry.output.clone())
+    }
+
+    /// The published layer that holds rows of this kind: the one of its name, else one that such an operator made.
+    pub fn layer_of<T: LayerRow>(&self) -> Option<String> {
+        if self.map.has(T::NAME) {
+            return Some(T::NAME.to_owned());
+        }
+        let mut names = self.map.version.layers.keys();
+        let makes = |name: &&String| {
+            let made = self.declaration(name);
+            self.map.has(name) && made.is_some_and(|layer| layer.name == T::NAME)
+        };
+        names.find(makes).cloned()
+    }
+
+    /// All rows of this kind, of one site where it is named; none where no layer holds them, or where it has other
+    /// columns.
+    ///
+    /// # Errors
+    /// As [`Map::batches`].
+    pub async fn rows<T: LayerRow>(&self, site: Option<&str>) -> Result<Vec<T>, Fault> {
+        let Some(layer) = self.layer_of::<T>() else {
+            return Ok(Vec::new());
+        };
+        let batches = match conformed::<T>(&self.map.batches(&layer).await?) {
+            Ok(batches) => batches,
+            Err(fault) => {
+                tracing::warn!(%layer, %fault, "not drawn: it has other columns");
+                return Ok(Vec::new());
+            }
+        };
+        let batches = match site {
+            Some(site) => only(&batches, "site", site)?,
+            None => batches,
+        };
+        typed(&batches).map_err(|fault| fault.at(format!("layer {layer}")))
+    }
+
+    /// As [`MapReader::rows`], of a kind that must be there.
+    ///
+    /// # Errors
+    /// A user fault that says which layer the plan must write.
+    pub async fn needed<T: LayerRow>(&self, site: Option<&str>) -> Result<Vec<T>, Fault> {
+        if self.layer_of::<T>().is_none() {
+            return Err(Fault::user(format!("the map has no layer {}", T::NAME))
+                .next("list it under `write:` in the plan, as lifelong does"));
+        }
+        self.rows(site).await
+    }
+}
+
+/// The answer to a query.
+///
+/// # Errors
+/// What is wrong with the query, or what reading says.
+pub async fn answered(context: &SessionContext, query: &str) -> Result<Vec<RecordBatch>, Fault> {
+    let found = async { context.sql(query).await?.collect().await }.await;
+    found.map_err(|error| fault_of(&error))
+}
+
+/// Batches with just the columns of these rows.
+///
+/// # Errors
+/// A data fault for a column that is missing or of another type.
+fn conformed<T: LayerRow>(batches: &[RecordBatch]) -> Result<Vec<RecordBatch>, Fault> {
+    let layer = T::layer();
+    batches.iter().map(|batch| conform(batch, &layer)).collect()
+}
+
+/// The rows of batches that may have more columns than these.
+///
+/// # Errors
+/// As [`conformed`].
+pub fn typed<T: LayerRow>(batches: &[RecordBatch]) -> Result<Vec<T>, Fault> {
+    let mut found = Vec::new();
+    for batch in conformed::<T>(batches)? {
+        found.extend(rows::<T>(&batch)?);
+    }
+    Ok(found)
+}
+
+/// Just the rows that have this text in a column.
+///
+/// # Errors
+/// A user fault where there is no such column.
+pub fn only(batches: &[RecordBatch], column: &str, value: &str) -> Result<Vec<RecordBatch>, Fault> {
+    let kept = |batch: &RecordBatch| -> Result<RecordBatch, Fault> {
+        let texts = texts(batch, column)
+            .ok_or_else(|| Fault::user(format!("it has no column {column}")))?;
+        let keep: BooleanArray = texts.map(|text| Some(text == Some(value))).collect();
+        Ok(filter_record_batch(batch, &keep)?)
+    };
+    batches.iter().map(kept).collect()
+}
+
+/// The texts of a column; `None` where it is none of text.
+pub fn texts<'b>(
+    batch: &'b RecordBatch,
+    column: &str,
+) -> Option<impl Iterator<Item = Option<&'b str>> + use<'b>> {
+    let found = batch.column_by_name(column)?;
+    (*found.data_type() == DataType::Utf8).then(|| found.as_string::<i32>().iter())
+}
+
+/// The site that is exported: the one asked for, or the only one.
+///
+/// # Errors
+/// A user fault that names the sites.
+pub fn one_site<'n>(
+    sites: impl IntoIterator<Item = &'n str>,
+    asked: Option<&str>,
+) -> Result<String, Fault> {
+    let sites: BTreeSet<&str> = sites.into_iter().collect();
+    match asked {
+        _ if sites.is_empty() => Err(Fault::user("there is nothing to export")),
+        Some(asked) if sites.contains(asked) => Ok(asked.to_owned()),
+        Some(asked) => Err(choose(format!("no site {asked}"), "site", &sites)),
+        None if sites.len() == 1 => Ok(sites.into_iter().collect()),
+        None => Err(choose("frames differ from site to site", "site", &sites)),
+    }
+}
+
+/// That there is no more than one session.
+///
+/// # Errors
+/// A user fault that names the sessions.
+pub fn one_session<'n>(sessions: impl IntoIterator<Item = &'n str>) -> Result<(), Fault> {
+    let sessions: BTreeSet<&str> = sessions.into_iter().collect();
+    match sessions.len() {
+        0 | 1 => Ok(()),
+        _ => Err(choose(
+            "a trajectory is of one session",
+            "session",
+            &sessions,
+        )),
+    }
+}
+
+fn choose(why: impl Into<String>, option: &str, names: &BTreeSet<&str>) -> Fault {
+    let names: Vec<&str> = names.iter().copied().collect();
+    Fault::user(why).next(format!("choose one with --{option}: {}", names.join(", ")))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use evermap_schemas::layers::VehiclePose;
+    use evermap_schemas::{Pose, Stamp, batch};
+
+    fn poses(sites: &[&str]) -> RecordBatch {
+        let row = |site: &&str| VehiclePose {
+            site: (*site).to_owned(),
+            session: "a".into(),
+            stamp: Stamp(0),
+            map_from_vehicle: Pose::IDENTITY,
+        };
+        batch(sites.iter().map(row).collect::<Vec<_>>()).unwrap()
+    }
+
+    #[test]
+    fn rows_of_one_site_are_left() {
+        let kept = only(&[poses(&["a", "b", "a"]), poses(&[])], "site", "a").unwrap();
+        assert_eq!(typed::<VehiclePose>(&kept).unwrap().len(), 2);
+        let fault = only(&[poses(&["a"])], "planet", "a").unwrap_err();
+        assert!(fault.to_string().contains("no column planet"), "{fault}");
+    }
+
+    #[test]
+    fn the_site_is_the_one_asked_for_or_the_only_one() {
+        assert_eq!(one_site(["b", "a"], Some("a")).unwrap(), "a");
+        assert_eq!(one_site(["a", "a"], None).unwrap(), "a");
+        for (sites, asked) in [(&["a", "b"][..], None), (&["a", "b"], Some("c"))] {
+            let fault = one_site(sites.iter().copied(), asked).unwrap_err();
+            assert!(fault.to_string().contains("--site: a, b"), "{fault}");
+        }
+        assert!(one_site([], None).is_err());
+    }
+}
