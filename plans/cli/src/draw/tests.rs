@@ -163,7 +163,7 @@ fn a_map_without_tiles_or_lanes_is_drawn_too() {
         }],
         ..Scene::default()
     };
-    png(&draw(&standing, Canvas::default()).unwrap()).unwrap();
+    super::png(&draw(&standing, Canvas::default()).unwrap()).unwrap();
 }
 
 #[test]
