@@ -202,14 +202,14 @@ async fn sessions(reader: &MapReader) -> Result<Vec<SessionFact>, Fault> {
         .iter()
         .map(|driven| (driven.session.as_str(), driven.length_m()))
         .collect();
-    let fact = |log: &evermap_engine::unit::LogContent| SessionFact {
+    let mapped = reader.map.version.sessions.iter().map(|mapped| &mapped.log);
+    let facts = mapped.map(|log| SessionFact {
         session: log.session.clone(),
         site: log.site.clone(),
         driven_m: lengths.get(log.session.as_str()).copied(),
         content: log.content.clone(),
-    };
-    let mapped = reader.map.version.sessions.iter();
-    Ok(mapped.map(|session| fact(&session.log)).collect())
+    });
+    Ok(facts.collect())
 }
 
 /// The units of the run that published the version: of its runs the one that computed most.
