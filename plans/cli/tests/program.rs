@@ -56,6 +56,16 @@ fn what_needs_no_map_works_anywhere() {
 }
 
 #[test]
+fn an_operator_is_printed_as_it_is_declared() {
+    let registry = evermap_catalog::registry();
+    let declared = registry.get("keyframes").unwrap().reference();
+    assert_eq!(
+        done(&["operators", "keyframes"]).trim_end(),
+        declared.trim_end()
+    );
+}
+
+#[test]
 fn failures_end_with_1_and_wrong_usage_with_2() {
     for arguments in [
         &[][..],
