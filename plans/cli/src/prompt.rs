@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use datafusion::common::utils::quote_identifier;
-use evermap_engine::error::fault_of;
+use evermap_engine::error::OrFault;
 use evermap_schemas::Fault;
 use reedline::{
     FileBackedHistory, Prompt, PromptEditMode, PromptHistorySearch, Reedline, Signal,
@@ -194,10 +194,7 @@ async fn list(tables: &Tables) -> Result<(), Failure> {
             continue;
         };
         for name in schema.table_names() {
-            let columns = schema
-                .table(&name)
-                .await
-                .map_err(|error| fault_of(&error))?;
+            let columns = schema.table(&name).await.or_fault()?;
             let columns = columns.map_or(0, |table| table.schema().fields().len() as u32);
             let declared = tables.declaration(&name);
             names.push(TableLine {
@@ -213,11 +210,7 @@ async fn list(tables: &Tables) -> Result<(), Failure> {
 
 async fn describe(tables: &Tables, name: &str) -> Result<(), Failure> {
     let reference = datafusion::common::TableReference::bare(name);
-    let table = tables
-        .context
-        .table_provider(reference)
-        .await
-        .map_err(|error| fault_of(&error))?;
+    let table = tables.context.table_provider(reference).await.or_fault()?;
     let declared = tables.declaration(name);
     print_rows(Format::Table, columns(&table.schema(), declared.as_ref())).await
 }

@@ -8,7 +8,7 @@ use arrow::datatypes::DataType;
 use datafusion::prelude::SessionContext;
 use evermap_contract::Registry;
 use evermap_engine::conform::conform;
-use evermap_engine::error::fault_of;
+use evermap_engine::error::OrFault;
 use evermap_engine::map::Map;
 use evermap_schemas::{Fault, Layer, LayerRow, rows};
 
@@ -91,8 +91,8 @@ impl MapReader {
 /// # Errors
 /// What is wrong with the query, or what reading says.
 pub async fn answered(context: &SessionContext, query: &str) -> Result<Vec<RecordBatch>, Fault> {
-    let found = async { context.sql(query).await?.collect().await }.await;
-    found.map_err(|error| fault_of(&error))
+    let frame = context.sql(query).await.or_fault()?;
+    frame.collect().await.or_fault()
 }
 
 /// Batches with just the columns of these rows.

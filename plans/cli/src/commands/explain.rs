@@ -4,7 +4,6 @@ use std::io::Write;
 
 use evermap_engine::prepare;
 use evermap_engine::sql::Limits;
-use evermap_schemas::{LayerRow, record};
 
 use crate::arguments::ExplainArgs;
 use crate::ending::{DONE, Ending, Failure};
@@ -13,25 +12,6 @@ use crate::progress::line;
 use crate::quantity::of;
 use crate::sessions;
 use crate::shipped;
-
-record! {
-    /// What would become of one unit.
-    pub struct Forecast {
-        /// Step that it belongs to.
-        step: String,
-        /// The unit.
-        unit: String,
-        /// Whether it would be computed.
-        recompute: bool,
-        /// Why, or why not.
-        why: String,
-    }
-}
-impl LayerRow for Forecast {
-    const NAME: &'static str = "forecasts";
-    const DOC: &'static str = "What would become of one unit.";
-    const KEY: &'static [&'static str] = &["step", "unit"];
-}
 
 /// Shows the plan as composed; on a map, says what a run would recompute.
 ///
@@ -56,12 +36,6 @@ pub async fn explain(args: &ExplainArgs) -> Ending {
         "{count} of {} to compute",
         of(forecasts.len() as u64, "unit")
     ));
-    let rows = forecasts.into_iter().map(|forecast| Forecast {
-        step: forecast.step,
-        unit: forecast.label,
-        recompute: forecast.recompute,
-        why: forecast.reason,
-    });
-    print_rows(args.format, rows.collect()).await?;
+    print_rows(args.format, forecasts).await?;
     DONE
 }

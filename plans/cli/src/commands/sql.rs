@@ -9,7 +9,7 @@ use datafusion::prelude::SessionContext;
 use datafusion::sql::parser::{DFParserBuilder, Statement};
 use datafusion::sql::sqlparser::dialect::GenericDialect;
 use evermap_datasets::Dataset;
-use evermap_engine::error::fault_of;
+use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::map::{LayerInfo, RunRow, VersionInfo};
 use evermap_engine::sql::{Limits, context};
 use evermap_functions::use_class_index;
@@ -41,7 +41,7 @@ impl Tables {
             let reader = MapReader::open(address, args.version).await?;
             let context = reader.map.context(limits).await?;
             let indexed = use_class_index(&context).await;
-            indexed.map_err(|error| fault_of(&error))?;
+            indexed.or_fault()?;
             return Ok(Self {
                 context,
                 reader: Some(reader),
@@ -85,13 +85,11 @@ impl Tables {
         format: Format,
         sink: &mut Sink,
     ) -> Result<u64, Failure> {
-        let rows = async {
-            let plan = self.context.state().statement_to_plan(statement).await?;
-            let frame = self.context.execute_logical_plan(plan).await?;
-            let schema = frame.schema().as_arrow().clone();
-            Ok::<_, DataFusionError>((Arc::new(schema), frame.execute_stream().await?))
-        };
-        let (schema, rows) = rows.await.map_err(|error| fault_of(&error))?;
+        let state = self.context.state();
+        let plan = state.statement_to_plan(statement).await.or_fault()?;
+        let frame = self.context.execute_logical_plan(plan).await.or_fault()?;
+        let schema = Arc::new(frame.schema().as_arrow().clone());
+        let rows = frame.execute_stream().await.or_fault()?;
         let rows = rows.map_err(|error| fault_of(&error));
         write(format, schema, rows.boxed(), sink).await
     }

@@ -6,28 +6,33 @@ use std::sync::Arc;
 use arrow::array::RecordBatch;
 use arrow::row::{RowConverter, SortField};
 use evermap_contract::Registry;
-use evermap_schemas::Fault;
+use evermap_schemas::{Fault, LayerRow, record};
 use futures::StreamExt;
-use serde::Serialize;
 
 use crate::error::OrFault;
 use crate::map::artifact::read_in_order;
 use crate::map::store::Store;
 use crate::map::version::{StoredLayer, Version};
 
-/// What became of one layer between two versions.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
-pub struct LayerDiff {
-    /// Layer name.
-    pub layer: String,
-    /// Rows whose key is new.
-    pub added: u64,
-    /// Rows whose key is gone.
-    pub removed: u64,
-    /// Rows whose key is in both, with other content.
-    pub changed: u64,
-    /// Rows that are the same.
-    pub same: u64,
+record! {
+    /// What became of one layer between two versions.
+    pub struct LayerDiff {
+        /// Layer.
+        layer: String,
+        /// Rows whose key is new.
+        added: u64,
+        /// Rows whose key is gone.
+        removed: u64,
+        /// Rows whose key is in both, with other content.
+        changed: u64,
+        /// Rows that are the same.
+        same: u64,
+    }
+}
+impl LayerRow for LayerDiff {
+    const NAME: &'static str = "changes";
+    const DOC: &'static str = "What became of one layer between two versions.";
+    const KEY: &'static [&'static str] = &["layer"];
 }
 
 /// Compares two versions, layer by layer. Rows are matched by the key of the operator's layer; rows of a query, which
@@ -60,7 +65,10 @@ async fn diff_layer(
 ) -> Result<LayerDiff, Fault> {
     let mut diff = LayerDiff {
         layer: name.to_owned(),
-        ..LayerDiff::default()
+        added: 0,
+        removed: 0,
+        changed: 0,
+        same: 0,
     };
     if let (Some(old), Some(new)) = (old, new)
         && old.digest() == new.digest()

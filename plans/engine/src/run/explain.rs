@@ -2,8 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use evermap_schemas::Fault;
-use serde::Serialize;
+use evermap_schemas::{Fault, LayerRow, record};
 
 use crate::map::receipt::{Artifact, LogContent, Receipt, Recipe};
 use crate::map::version::Previous;
@@ -12,17 +11,23 @@ use crate::run::Run;
 use crate::run::instance::{Instance, Place};
 use crate::run::pending::Pending;
 
-/// What would become of one unit.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct UnitForecast {
-    /// Its stage.
-    pub step: String,
-    /// What a person calls it.
-    pub label: String,
-    /// Whether it would be computed.
-    pub recompute: bool,
-    /// Why.
-    pub reason: String,
+record! {
+    /// What would become of one unit.
+    pub struct UnitForecast {
+        /// Step that it belongs to.
+        step: String,
+        /// The unit.
+        unit: String,
+        /// Whether it would be computed.
+        recompute: bool,
+        /// Why, or why not.
+        why: String,
+    }
+}
+impl LayerRow for UnitForecast {
+    const NAME: &'static str = "forecasts";
+    const DOC: &'static str = "What would become of one unit.";
+    const KEY: &'static [&'static str] = &["step", "unit"];
 }
 
 impl Run<'_> {
@@ -42,10 +47,10 @@ impl Run<'_> {
         for unit in self.units()? {
             let reason = known.reason(&unit, &held).await?;
             forecasts.push(UnitForecast {
-                label: unit.place.label(),
+                unit: unit.place.label(),
                 step: unit.place.stage,
                 recompute: reason.is_err(),
-                reason: reason.unwrap_or_else(|why| why),
+                why: reason.unwrap_or_else(|why| why),
             });
         }
         Ok(forecasts)
