@@ -133,10 +133,17 @@ mod tests {
             assert!(page.starts_with(&format!("# {name}\n")), "{name}: title");
             assert!(page.contains("\n## Source\n"), "{name}: source");
             for told in ["\n## Ports", "\n## Parameters"] {
-                assert!(!page.contains(told), "{name}: {told:?} is written from the declaration, see Entry::reference");
+                assert!(
+                    !page.contains(told),
+                    "{name}: {told:?} is written from the declaration, see Entry::reference"
+                );
             }
             for parameter in entry.parameters() {
-                assert!(!page.contains(&format!("| `{}` |", parameter.name)), "{name}: {} is told twice", parameter.name);
+                assert!(
+                    !page.contains(&format!("| `{}` |", parameter.name)),
+                    "{name}: {} is told twice",
+                    parameter.name
+                );
             }
         }
     }
