@@ -8,7 +8,7 @@ use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::metric_map::features::{
     DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures,
 };
-use evermap_algorithms::metric_map::tracking::{TrackParams, View, tracks};
+use evermap_algorithms::metric_map::tracking::{CameraFrame, TrackParams, tracks};
 use nalgebra::Vector3;
 
 const VIEWS: u32 = 20;
@@ -72,9 +72,9 @@ fn benches(criterion: &mut Criterion) {
     let intrinsics = [128.0, 0.0, 199.5, 0.0, 128.0, 149.5, 0.0, 0.0, 1.0];
     let camera = Camera::from_calibration("equidistant", 400, 300, &intrinsics, &[0.0; 4]).unwrap();
     let drive = drive(&camera);
-    let views: Vec<View<'_>> = drive
+    let views: Vec<CameraFrame<'_>> = drive
         .iter()
-        .map(|(pose, features)| View {
+        .map(|(pose, features)| CameraFrame {
             odom_from_camera: *pose,
             features,
         })

@@ -17,9 +17,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use evermap_algorithms::learning::dense_crf::{
-    ColourView, Kernels, MeanField, RandomField, Unary,
-};
+use evermap_algorithms::learning::dense_crf::{ColourView, Kernels, MeanField, RandomField, Unary};
 use evermap_algorithms::learning::pixel_classifier::PixelClassifier;
 use evermap_algorithms::learning::pixel_features::{
     FeatureDescription, SamplingOptions, labelled_features,

@@ -1,7 +1,7 @@
 #![doc = include_str!("road_network.md")]
 
 use evermap_algorithms::ground::road_network::{
-    Drive, EndKind, Passage, RoadNetworkParams, Travel, road_network,
+    EndKind, Passage, RoadNetworkParams, Trace, Travel, road_network,
 };
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{Lane, Source, Sources, VehiclePose};
@@ -38,7 +38,7 @@ fn lanes(
         return Ok(());
     };
     let drives = drives(poses, emit);
-    let driven: Vec<Drive<'_>> = drives.iter().map(Session::drive).collect();
+    let driven: Vec<Trace<'_>> = drives.iter().map(Session::drive).collect();
     let network = road_network(&driven, params).map_err(|error| Fault::data(error.to_string()))?;
     let lanes = network.lanes.into_iter().zip(0_u32..);
     emit.rows(
@@ -70,8 +70,8 @@ struct Session {
 }
 
 impl Session {
-    fn drive(&self) -> Drive<'_> {
-        Drive {
+    fn drive(&self) -> Trace<'_> {
+        Trace {
             key: &self.name,
             positions: &self.positions,
         }

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::trajectory::{StampedPose, pose_at};
-use evermap_algorithms::semantic_map::temporal_votes::{DepthView, View, VoteOptions, Voter};
+use evermap_algorithms::semantic_map::temporal_votes::{DepthView, ScoredView, VoteOptions, Voter};
 use evermap_contract::{Emit, Fault, Key, Operator, Pixels, Port, Reason, Sides, Stream, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{ClassScores, ScoredFrame};
@@ -191,7 +191,7 @@ impl Window {
     fn vote(&mut self, emit: &mut Emit<'_>) -> Result<(), Fault> {
         let first = self.next.saturating_sub(self.reach());
         let end = (self.next + self.reach() + 1).min(self.views.len());
-        let neighbours: Vec<View<'_>> = (first..end)
+        let neighbours: Vec<ScoredView<'_>> = (first..end)
             .filter(|index| *index != self.next)
             .filter_map(|index| self.seen(&self.views[index]))
             .collect();
@@ -209,11 +209,11 @@ impl Window {
     }
 
     /// A view that can be projected.
-    fn seen<'a>(&self, held: &'a Held) -> Option<View<'a>> {
+    fn seen<'a>(&self, held: &'a Held) -> Option<ScoredView<'a>> {
         let (odom_from_camera, _) = held.posed.as_ref()?;
         let depth = held.depth.as_ref()?;
         let size = [depth.width, depth.height];
-        Some(View {
+        Some(ScoredView {
             scores: scores(&held.scores).ok()?,
             depth: DepthView::new(size, &depth.data, self.params.depth_scale_m),
             odom_from_camera: *odom_from_camera,

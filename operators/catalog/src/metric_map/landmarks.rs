@@ -2,7 +2,7 @@
 
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::metric_map::association::{
-    FeatureRef, LandmarkPoint, Look, Sight, looks, mean_direction, ray_residual_rad, triangulate,
+    Appearance, FeatureRef, LandmarkPoint, Sight, appearances, mean_direction, ray_residual_rad, triangulate,
 };
 use evermap_algorithms::metric_map::features::FeatureNoise;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
@@ -147,11 +147,11 @@ impl Maker<'_> {
         })
     }
 
-    fn views(&self, found: &LandmarkPoint, features: &[FeatureRef]) -> Vec<Look> {
+    fn views(&self, found: &LandmarkPoint, features: &[FeatureRef]) -> Vec<Appearance> {
         let view = |feature: &FeatureRef| {
             let away = self.cameras[feature.image as usize].translation - found.point;
             let range_m = away.norm().max(1e-6);
-            Look {
+            Appearance {
                 direction: away / range_m,
                 range_m,
                 descriptor: self.survey.scene.feature(*feature).descriptor,
@@ -161,9 +161,9 @@ impl Maker<'_> {
         features.iter().map(view).collect()
     }
 
-    fn descriptors(&self, views: &[Look]) -> Bytes {
-        let looks = looks(views).into_iter().take(self.options.looks);
-        Bytes(looks.flat_map(|look| look.descriptor.0).collect())
+    fn descriptors(&self, views: &[Appearance]) -> Bytes {
+        let appearances = appearances(views).into_iter().take(self.options.looks);
+        Bytes(appearances.flat_map(|seen| seen.descriptor.0).collect())
     }
 
     fn sightings(&self, features: &[FeatureRef]) -> Vec<Sighting> {

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use evermap_algorithms::geometry::lie::se3;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::metric_map::pose_graph::drives::{
-    DriveParams, DrivePose, Fix, Joined, Loop, Place, join,
+    DriveParams, DrivePose, FixConstraint, Joined, KeyframeRef, LoopConstraint, join,
 };
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Stamp;
@@ -63,7 +63,7 @@ impl Operator for PoseGraph {
 struct Stretches {
     keyframes: Vec<Vec<Keyframe>>,
     drives: Vec<Vec<DrivePose>>,
-    by_number: BTreeMap<(String, u32), Place>,
+    by_number: BTreeMap<(String, u32), KeyframeRef>,
 }
 
 impl Stretches {
@@ -102,7 +102,7 @@ impl Stretches {
             self.drives.push(Vec::new());
         }
         let drive = self.drives.len() - 1;
-        let place = Place {
+        let place = KeyframeRef {
             drive,
             keyframe: self.drives[drive].len(),
         };
@@ -112,7 +112,7 @@ impl Stretches {
         self.drives[drive].push(at);
     }
 
-    fn place(&self, session: &str, number: u32) -> Option<Place> {
+    fn place(&self, session: &str, number: u32) -> Option<KeyframeRef> {
         self.by_number.get(&(session.to_owned(), number)).copied()
     }
 
@@ -166,7 +166,7 @@ fn loops(
     given: Vec<LoopClosure>,
     stretches: &Stretches,
     emit: &mut Emit<'_>,
-) -> (Vec<LoopClosure>, Vec<Loop>) {
+) -> (Vec<LoopClosure>, Vec<LoopConstraint>) {
     let (mut rows, mut loops) = (Vec::new(), Vec::new());
     for row in given {
         let places = stretches
@@ -185,7 +185,7 @@ fn loops(
             );
             continue;
         };
-        loops.push(Loop {
+        loops.push(LoopConstraint {
             later,
             earlier,
             earlier_from_later,
@@ -202,7 +202,7 @@ fn fixes(
     mut rows: Vec<Localisation>,
     stretches: &Stretches,
     emit: &mut Emit<'_>,
-) -> (bool, Vec<Fix>) {
+) -> (bool, Vec<FixConstraint>) {
     rows.retain(|row| row.state != "lost");
     let localised = !rows.is_empty();
     let mut fixes = Vec::new();
@@ -222,7 +222,7 @@ fn fixes(
     (localised, fixes)
 }
 
-fn fix(row: &Localisation, at: Place) -> Option<Fix> {
+fn fix(row: &Localisation, at: KeyframeRef) -> Option<FixConstraint> {
     let map_from_vehicle = Pose::from_array(row.map_from_vehicle.as_ref()?.to_array()).ok()?;
     let along_map = if row.covariance.len() == 36 {
         Matrix6::from_row_slice(&row.covariance)
@@ -233,7 +233,7 @@ fn fix(row: &Localisation, at: Place) -> Option<Fix> {
     along_map
         .iter()
         .all(|value| value.is_finite())
-        .then(|| Fix {
+        .then(|| FixConstraint {
             at,
             map_from_vehicle,
             covariance: se3::covariance_along_right(&map_from_vehicle, &along_map),
@@ -243,11 +243,11 @@ fn fix(row: &Localisation, at: Place) -> Option<Fix> {
 /// How loop closures fit, by the later keyframe's session and number.
 fn edges(
     rows: &[LoopClosure],
-    loops: &[Loop],
+    loops: &[LoopConstraint],
     joined: &Joined,
     emit: &mut Emit<'_>,
-) -> BTreeMap<Place, Vec<LoopEdge>> {
-    let mut edges: BTreeMap<Place, Vec<LoopEdge>> = BTreeMap::new();
+) -> BTreeMap<KeyframeRef, Vec<LoopEdge>> {
+    let mut edges: BTreeMap<KeyframeRef, Vec<LoopEdge>> = BTreeMap::new();
     for ((row, given), fit) in rows.iter().zip(loops).zip(&joined.loops) {
         match fit {
             Some(fit) => edges.entry(given.later).or_default().push(LoopEdge {
@@ -267,7 +267,7 @@ fn poses(
     site: &str,
     stretches: &Stretches,
     joined: &Joined,
-    mut edges: BTreeMap<Place, Vec<LoopEdge>>,
+    mut edges: BTreeMap<KeyframeRef, Vec<LoopEdge>>,
     emit: &mut Emit<'_>,
 ) -> Vec<GraphPose> {
     let mut rows = Vec::new();
@@ -280,7 +280,7 @@ fn poses(
             continue;
         };
         for (keyframe, (row, pose)) in keyframes.iter().zip(poses).enumerate() {
-            let mut loops = edges.remove(&Place { drive, keyframe }).unwrap_or_default();
+            let mut loops = edges.remove(&KeyframeRef { drive, keyframe }).unwrap_or_default();
             loops.sort_by(|a, b| (&a.session, a.keyframe).cmp(&(&b.session, b.keyframe)));
             rows.push(GraphPose {
                 site: site.to_owned(),

@@ -1,6 +1,6 @@
 #![doc = include_str!("tracks.md")]
 
-use evermap_algorithms::metric_map::tracking::{TrackParams, View, tracks};
+use evermap_algorithms::metric_map::tracking::{CameraFrame, TrackParams, tracks};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{Features, Keyframe, Track, TrackPoint};
 use evermap_schemas::roles::{Calibration, Transform};
@@ -72,11 +72,11 @@ fn of_drive(drive: &Drive, params: &TrackParams) -> Vec<Vec<TrackPoint>> {
     let Some(mounted) = drive.rig.cameras.first() else {
         return Vec::new();
     };
-    let views: Vec<View<'_>> = drive
+    let views: Vec<CameraFrame<'_>> = drive
         .keyframes
         .iter()
         .filter_map(|keyframe| {
-            Some(View {
+            Some(CameraFrame {
                 odom_from_camera: keyframe
                     .odom_from_vehicle
                     .compose(&mounted.vehicle_from_camera),

@@ -49,7 +49,7 @@ const MOST_FOLLOWERS: usize = 64;
 
 /// One drive: a session's poses in the order driven.
 #[derive(Debug, Clone, Copy)]
-pub struct Drive<'a> {
+pub struct Trace<'a> {
     /// Orders the drives; the name of the session.
     pub key: &'a str,
     /// Positions in the map frame, metres. Those that are not finite are skipped.
@@ -179,7 +179,7 @@ pub enum Travel {
 pub struct Passage {
     /// The drive's key.
     pub drive: String,
-    /// First of its positions on the lane, as counted in [`Drive::positions`].
+    /// First of its positions on the lane, as counted in [`Trace::positions`].
     pub first: usize,
     /// Last of its positions on the lane; never before `first`.
     pub last: usize,
@@ -232,7 +232,7 @@ pub struct RoadNetwork {
 /// # Errors
 /// [`RoadNetworkError`] when a parameter makes no sense or there are more than 2³² poses.
 pub fn road_network(
-    drives: &[Drive<'_>],
+    drives: &[Trace<'_>],
     params: &RoadNetworkParams,
 ) -> Result<RoadNetwork, RoadNetworkError> {
     check(drives, params)?;
@@ -265,7 +265,7 @@ pub fn road_network(
     })
 }
 
-fn check(drives: &[Drive<'_>], params: &RoadNetworkParams) -> Result<(), RoadNetworkError> {
+fn check(drives: &[Trace<'_>], params: &RoadNetworkParams) -> Result<(), RoadNetworkError> {
     params.check()?;
     let found = drives.iter().map(|drive| drive.positions.len()).sum();
     // Thinning fills steps with at most 128 samples each, but merges more than it adds.

@@ -17,7 +17,7 @@
 //! of representatives it visits, and the paper's algorithm runs on those lists as if they were
 //! the poses.
 
-use super::Drive;
+use super::Trace;
 use super::cells::{CellIndex, distance};
 
 /// Steps longer than this many spacings are not filled with samples: nothing is known between.
@@ -27,7 +27,7 @@ const LONGEST_FILLED_STEP: f64 = 64.0;
 const SAMPLES_PER_SPACING: f64 = 2.0;
 
 /// A drive at one node, and the poses that its samples there are, or lie between; as counted in
-/// [`Drive::positions`].
+/// [`Trace::positions`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Visit {
     pub(super) node: u32,
@@ -61,7 +61,7 @@ pub(super) struct Visits {
 }
 
 /// Every pose is a node, as in the paper.
-pub(super) fn literal(drives: &[Drive<'_>]) -> Visits {
+pub(super) fn literal(drives: &[Trace<'_>]) -> Visits {
     let mut visits = Visits {
         nodes: Vec::new(),
         drives: Vec::new(),
@@ -81,7 +81,7 @@ pub(super) fn literal(drives: &[Drive<'_>]) -> Visits {
 
 /// The net of representatives: at least `spacing_m` apart, one for all passes within
 /// `connect_m` of each other.
-pub(super) fn thinned(drives: &[Drive<'_>], spacing_m: f64, connect_m: f64) -> Visits {
+pub(super) fn thinned(drives: &[Trace<'_>], spacing_m: f64, connect_m: f64) -> Visits {
     let mut net = Net {
         nodes: Vec::new(),
         index: CellIndex::new(connect_m),

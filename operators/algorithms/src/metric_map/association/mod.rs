@@ -26,14 +26,14 @@
 //! The projection-and-descriptor search is that of paper 1 (IV-C) and of map points in ORB-SLAM (Mur-Artal, Montiel &
 //! Tardós 2015, V-D and VI-B); the ratio test is Lowe's (2004, 7.1).
 
-mod looks;
+mod appearance;
 mod merge;
 mod point;
 mod resight;
 mod scene;
 mod search;
 
-pub use looks::{Look, looks, mean_direction};
+pub use appearance::{Appearance, appearances, mean_direction};
 pub use merge::associate;
 pub use point::{LandmarkPoint, Sight, ray_residual_rad, triangulate};
 pub use scene::{FeatureRef, Scene, SceneFeature, SceneImage, SceneKeyframe};

@@ -6,7 +6,9 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::resight::{Resighting, agreed_pose};
-use super::{AssociationParams, FeatureRef, Landmark, Look, Scene, looks, mean_direction};
+use super::{
+    Appearance, AssociationParams, FeatureRef, Landmark, Scene, appearances, mean_direction,
+};
 use crate::geometry::pose::Pose;
 use crate::metric_map::matching::FeatureGrid;
 
@@ -29,7 +31,7 @@ pub struct Hit {
 /// What the search needs to know of a landmark.
 struct Target {
     point: Vector3<f64>,
-    looks: Vec<Look>,
+    appearances: Vec<Appearance>,
     /// Mean direction to the cameras, and cosine of the half angle of the cone that is searched.
     view: Vector3<f64>,
     view_cos: f64,
@@ -245,7 +247,7 @@ impl<'a> Search<'a> {
         let sought = Sought {
             pixel: self.pixel(landmark, image, map_from_camera)?,
             radius_px,
-            looks: nearest_looks(&target.looks, &(away / range), range),
+            appearances: nearest_appearances(&target.appearances, &(away / range), range),
             size_px: target.size_px_m / range,
         };
         let features = &self.scene.images[image as usize].features;
@@ -280,15 +282,15 @@ impl Target {
 struct Sought<'a> {
     pixel: [f64; 2],
     radius_px: f64,
-    /// Looks from about here.
-    looks: [Option<&'a Look>; 2],
+    /// Appearances from about here.
+    appearances: [Option<&'a Appearance>; 2],
     size_px: f64,
 }
 
 impl Sought<'_> {
     fn bits(&self, feature: &super::SceneFeature) -> u32 {
-        let looks = self.looks.iter().flatten();
-        looks
+        let appearances = self.appearances.iter().flatten();
+        appearances
             .map(|look| look.descriptor.distance(&feature.descriptor))
             .min()
             .unwrap_or(u32::MAX)
@@ -333,18 +335,18 @@ fn square(point: &Vector3<f64>) -> (i64, i64) {
     )
 }
 
-/// The two looks from the most similar places: by direction first, a range twice as far counting like a radian.
-fn nearest_looks<'a>(
-    looks: &'a [Look],
+/// The two appearances from the most similar places: by direction first, a range twice as far counting like a radian.
+fn nearest_appearances<'a>(
+    appearances: &'a [Appearance],
     direction: &Vector3<f64>,
     range_m: f64,
-) -> [Option<&'a Look>; 2] {
-    let apart = |look: &Look| {
+) -> [Option<&'a Appearance>; 2] {
+    let apart = |look: &Appearance| {
         let across = (look.direction - direction).norm();
         across + (look.range_m / range_m).log2().abs()
     };
-    let mut nearest: [Option<(f64, &Look)>; 2] = [None, None];
-    for look in looks {
+    let mut nearest: [Option<(f64, &Appearance)>; 2] = [None, None];
+    for look in appearances {
         let apart = apart(look);
         if nearest[0].is_none_or(|(best, _)| apart < best) {
             nearest = [Some((apart, look)), nearest[0]];
@@ -362,7 +364,7 @@ fn target(
     params: &AssociationParams,
 ) -> Target {
     let mut sizes = Vec::with_capacity(landmark.features.len());
-    let sightings: Vec<Look> = landmark
+    let sightings: Vec<Appearance> = landmark
         .features
         .iter()
         .map(|feature| {
@@ -370,7 +372,7 @@ fn target(
             let range_m = away.norm().max(1e-3);
             let seen = scene.feature(*feature);
             sizes.push(seen.size_px * range_m);
-            Look {
+            Appearance {
                 direction: away / range_m,
                 range_m,
                 descriptor: seen.descriptor,
@@ -387,7 +389,7 @@ fn target(
         .fold(0.0, f64::max);
     Target {
         point: landmark.point,
-        looks: looks(&sightings),
+        appearances: appearances(&sightings),
         view,
         view_cos: (widest + params.view_margin_rad)
             .min(std::f64::consts::PI)

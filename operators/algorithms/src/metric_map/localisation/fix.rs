@@ -37,7 +37,7 @@ pub enum Doubt {
 
 /// A landmark, once for each camera, with the feature that shows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Match {
+pub struct LandmarkMatch {
     /// Index of the landmark in the map.
     pub landmark: usize,
     /// Index of the camera in the rig.
@@ -60,7 +60,7 @@ pub struct Fix {
     /// Those that matched a feature within the radius of verification.
     pub matches: usize,
     /// The matches that agree with the pose.
-    pub inliers: Vec<Match>,
+    pub inliers: Vec<LandmarkMatch>,
     /// Why not to believe it; `None` for a sound fix.
     pub doubt: Option<Doubt>,
 }
@@ -183,7 +183,7 @@ impl<'a> Localiser<'a> {
                 .zip(&refined.inliers)
                 .filter_map(|(claim, inlier)| {
                     let (residual_px, weight) = (*inlier)?;
-                    Some(Match {
+                    Some(LandmarkMatch {
                         landmark: seen[claim.sighted].landmark,
                         camera: seen[claim.sighted].camera,
                         feature: claim.feature,
@@ -225,7 +225,7 @@ impl<'a> Localiser<'a> {
     /// Directions around the vehicle, of 24, that inliers lie in.
     fn directions(&self, fix: &Fix) -> usize {
         let eyes = eyes(self.rig, &fix.pose.pose);
-        let cell = |found: &Match| {
+        let cell = |found: &LandmarkMatch| {
             let from_eye =
                 self.map.landmarks()[found.landmark].position - eyes[found.camera].centre;
             let ray = fix.pose.pose.rotation.inverse() * from_eye;

@@ -35,7 +35,7 @@ mod view;
 mod tests;
 
 pub use drive::{DriveKeyframe, KeyframeLocalisation, Recognise, State};
-pub use fix::{Doubt, Fix, Localiser, Match};
+pub use fix::{Doubt, Fix, LandmarkMatch, Localiser};
 pub use map::{LandmarkMap, MapLandmark};
 pub use motion::Guess;
 pub use params::{LocalisationParams, NarrowVerification};

@@ -17,7 +17,7 @@ use crate::geometry::pose::Pose;
 
 /// A keyframe of a drive that is known to lie somewhere in the map, if that is true.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sighting {
+pub struct PoseVote {
     /// The keyframe's pose in the drive's own, drifting frame.
     pub drive_from_vehicle: Pose,
     /// Where it lies in the map.
@@ -58,7 +58,7 @@ pub struct Agreement {
 }
 
 /// The sighting that most places confirm, if they are enough. Quadratic in the number of sightings.
-pub fn agree(sightings: &[Sighting], rules: &Rules) -> Option<Agreement> {
+pub fn agree(sightings: &[PoseVote], rules: &Rules) -> Option<Agreement> {
     let mut best: Option<(usize, usize, Vec<usize>)> = None;
     for hub in 0..sightings.len() {
         let with: Vec<usize> = (0..sightings.len())
@@ -99,7 +99,7 @@ pub fn places(path_m: impl IntoIterator<Item = f64>, place_m: f64) -> usize {
 }
 
 /// Do two sightings say the same about the drive?
-fn consistent(a: &Sighting, b: &Sighting, rules: &Rules) -> bool {
+fn consistent(a: &PoseVote, b: &PoseVote, rules: &Rules) -> bool {
     let drive = a
         .drive_from_vehicle
         .inverse()

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! The base defines the map's frame: keyframes whose poses are known already; else the map that
-//! [`Fix`]es refer to; else the first drive given, whose first keyframe becomes the origin.
+//! [`FixConstraint`]es refer to; else the first drive given, whose first keyframe becomes the origin.
 //!
 //! Odometry errors are mostly systematic (a wheel's radius, a gyro's bias), and grow in proportion
 //! to the path. A chain of independent steps has errors that grow with its root. The walks are set
@@ -18,7 +18,7 @@ use nalgebra::Matrix6;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::consensus::{Agreement, Rules, Sighting, agree, places};
+use super::consensus::{Agreement, PoseVote, Rules, agree, places};
 use super::numbering::Numbering;
 use super::options;
 use super::robust::{CUTOFF_SPATIAL, relax_robustly};
@@ -39,7 +39,7 @@ pub struct DrivePose {
 
 /// Which keyframe of which drive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Place {
+pub struct KeyframeRef {
     /// Index of the drive.
     pub drive: usize,
     /// Index of the keyframe within it.
@@ -48,11 +48,11 @@ pub struct Place {
 
 /// A loop closure, true or false.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Loop {
+pub struct LoopConstraint {
     /// The later keyframe.
-    pub later: Place,
+    pub later: KeyframeRef,
     /// The earlier one.
-    pub earlier: Place,
+    pub earlier: KeyframeRef,
     /// The vehicle of the later keyframe in that of the earlier one.
     pub earlier_from_later: Pose,
     /// Standard deviation of the relative position (m).
@@ -63,9 +63,9 @@ pub struct Loop {
 
 /// A keyframe localised in the map, rightly or not.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Fix {
+pub struct FixConstraint {
     /// The keyframe.
-    pub at: Place,
+    pub at: KeyframeRef,
     /// Its pose in the map.
     pub map_from_vehicle: Pose,
     /// Covariance along the vehicle's own axes: translation (m²), rotation (rad²).
@@ -156,8 +156,8 @@ pub struct Joined {
 /// [`SystemError`] when the graph is too large for memory.
 pub fn join(
     drives: &[Vec<DrivePose>],
-    loops: &[Loop],
-    fixes: &[Fix],
+    loops: &[LoopConstraint],
+    fixes: &[FixConstraint],
     base: Option<usize>,
     params: &DriveParams,
 ) -> Result<Joined, SystemError> {
@@ -207,8 +207,8 @@ fn known(drive: &[DrivePose]) -> Option<Vec<Pose>> {
 
 struct Joining<'a> {
     drives: &'a [Vec<DrivePose>],
-    loops: &'a [Loop],
-    fixes: &'a [Fix],
+    loops: &'a [LoopConstraint],
+    fixes: &'a [FixConstraint],
     params: &'a DriveParams,
     poses: Vec<Option<Vec<Pose>>>,
     /// The drive whose first keyframe is the origin.
@@ -226,12 +226,12 @@ impl Joining<'_> {
         self.poses[drive] = Some(poses.collect());
     }
 
-    fn pose(&self, place: Place) -> Option<Pose> {
+    fn pose(&self, place: KeyframeRef) -> Option<Pose> {
         let poses = self.poses.get(place.drive)?.as_ref()?;
         poses.get(place.keyframe).copied()
     }
 
-    fn drive_pose(&self, place: Place) -> Option<&DrivePose> {
+    fn drive_pose(&self, place: KeyframeRef) -> Option<&DrivePose> {
         self.drives.get(place.drive)?.get(place.keyframe)
     }
 
@@ -241,7 +241,7 @@ impl Joining<'_> {
         let mut graph = numbering.graph(self.drives, &self.poses, self.params);
         let start = self
             .start
-            .and_then(|drive| numbering.of(Place { drive, keyframe: 0 }));
+            .and_then(|drive| numbering.of(KeyframeRef { drive, keyframe: 0 }));
         if let Some(start) = start {
             graph.fixed[start] = true;
         }
@@ -293,12 +293,12 @@ impl Joining<'_> {
     }
 
     /// Where loops to what is placed, and fixes, put the keyframes of a drive.
-    fn sightings(&self, drive: usize) -> Vec<Sighting> {
+    fn sightings(&self, drive: usize) -> Vec<PoseVote> {
         let mut sightings = Vec::new();
         let params = self.params;
-        let mut add = |at: Place, map_from_vehicle: Pose, sigma_m: f64, sigma_rad: f64| {
+        let mut add = |at: KeyframeRef, map_from_vehicle: Pose, sigma_m: f64, sigma_rad: f64| {
             if let Some(own) = self.drive_pose(at) {
-                sightings.push(Sighting {
+                sightings.push(PoseVote {
                     drive_from_vehicle: own.odom_from_vehicle,
                     map_from_vehicle,
                     path_m: own.path_m,
@@ -356,7 +356,7 @@ impl Joining<'_> {
 
     /// Places of a drive that accepted loops to held drives, or accepted fixes, put into the map.
     fn support(&self, drive: usize, held: &[bool]) -> usize {
-        let holds = |other: Place| held.get(other.drive) == Some(&true);
+        let holds = |other: KeyframeRef| held.get(other.drive) == Some(&true);
         let by_loop = self.loops.iter().zip(&self.loop_weights);
         let by_loop = by_loop
             .filter(|(_, weight)| **weight > 0.5)

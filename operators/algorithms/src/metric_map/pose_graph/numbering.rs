@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix6, Vector6};
 
-use super::drives::{DriveParams, DrivePose, Fix, Loop, Place};
+use super::drives::{DriveParams, DrivePose, FixConstraint, KeyframeRef, LoopConstraint};
 use super::{Edge, Graph, SpatialGraph};
 use crate::geometry::lie::se3;
 use crate::geometry::pose::Pose;
@@ -33,7 +33,7 @@ impl Numbering {
         }
     }
 
-    pub(super) fn of(&self, place: Place) -> Option<usize> {
+    pub(super) fn of(&self, place: KeyframeRef) -> Option<usize> {
         let first = *self.first.get(place.drive)?;
         (place.keyframe < *self.lengths.get(place.drive)?).then_some(first? + place.keyframe)
     }
@@ -64,7 +64,11 @@ impl Numbering {
         graph
     }
 
-    pub(super) fn loop_edge(&self, given: &Loop, params: &DriveParams) -> Option<Edge<Pose, 6>> {
+    pub(super) fn loop_edge(
+        &self,
+        given: &LoopConstraint,
+        params: &DriveParams,
+    ) -> Option<Edge<Pose, 6>> {
         let (from, to) = (self.of(given.earlier)?, self.of(given.later)?);
         let position = 1.0 / (given.sigma_m.powi(2) + params.loop_m.powi(2));
         let turn = 1.0 / (given.sigma_rad.powi(2) + params.loop_rad.powi(2));
@@ -81,7 +85,11 @@ impl Numbering {
         })
     }
 
-    pub(super) fn fix_edge(&self, fix: &Fix, params: &DriveParams) -> Option<Edge<Pose, 6>> {
+    pub(super) fn fix_edge(
+        &self,
+        fix: &FixConstraint,
+        params: &DriveParams,
+    ) -> Option<Edge<Pose, 6>> {
         let (m2, rad2) = (params.loop_m.powi(2), params.loop_rad.powi(2));
         let floor = Matrix6::from_diagonal(&Vector6::new(m2, m2, m2, rad2, rad2, rad2));
         let information = (fix.covariance + floor).cholesky()?.inverse();

@@ -81,7 +81,7 @@ impl Default for TrackParams {
 
 /// One image of a camera, and where odometry says that it was taken.
 #[derive(Debug, Clone)]
-pub struct View<'a> {
+pub struct CameraFrame<'a> {
     /// The camera in the drifting odometry frame.
     pub odom_from_camera: Pose,
     /// What it saw; nothing where there is no image.
@@ -113,7 +113,7 @@ struct Tracker<'a> {
     params: &'a TrackParams,
     /// Angle that a pixel spans in the middle of the image.
     rad_per_px: f64,
-    views: &'a [View<'a>],
+    views: &'a [CameraFrame<'a>],
     ready: Vec<Ready<'a>>,
 }
 
@@ -127,7 +127,11 @@ const GROWTH: f64 = 0.75;
 /// Views without features, features without a ray, steps too long to match: all just end tracks.
 /// The same input gives the same tracks on any number of threads. Cost: some ten distances per
 /// feature and view.
-pub fn tracks(camera: &Camera, views: &[View<'_>], params: &TrackParams) -> Vec<Vec<Sighting>> {
+pub fn tracks(
+    camera: &Camera,
+    views: &[CameraFrame<'_>],
+    params: &TrackParams,
+) -> Vec<Vec<Sighting>> {
     let rad_per_px = 1.0 / camera.px_per_rad();
     let ready = views
         .par_iter()
@@ -148,7 +152,7 @@ pub fn tracks(camera: &Camera, views: &[View<'_>], params: &TrackParams) -> Vec<
 }
 
 impl<'a> Ready<'a> {
-    fn new(camera: &Camera, view: &View<'a>, params: &TrackParams, rad_per_px: f64) -> Self {
+    fn new(camera: &Camera, view: &CameraFrame<'a>, params: &TrackParams, rad_per_px: f64) -> Self {
         let features = &view.features.features;
         let smallest = features
             .iter()

@@ -103,7 +103,7 @@ fn followed(world: &World, moving: bool, drift: f64) -> Vec<Vec<usize>> {
     let looks: Vec<_> = (0..world.poses.len())
         .map(|view| world.look(view, moving))
         .collect();
-    let views: Vec<View<'_>> = looks
+    let views: Vec<CameraFrame<'_>> = looks
         .iter()
         .zip(&world.poses)
         .zip(0_u32..)
@@ -114,7 +114,7 @@ fn followed(world: &World, moving: bool, drift: f64) -> Vec<Vec<usize>> {
                 drift * 0.1 * f64::from(view),
                 0.0,
             ));
-            View {
+            CameraFrame {
                 odom_from_camera: Pose::new(scaled.translation, scaled.rotation * tilt),
                 features,
             }
@@ -171,7 +171,7 @@ fn the_order_is_that_of_first_sight_and_features_are_used_once() {
     let views: Vec<_> = looks
         .iter()
         .zip(&world.poses)
-        .map(|(features, pose)| View {
+        .map(|(features, pose)| CameraFrame {
             odom_from_camera: *pose,
             features,
         })
@@ -199,7 +199,7 @@ fn the_order_is_that_of_first_sight_and_features_are_used_once() {
 fn nothing_gives_no_tracks() {
     let none = ImageFeatures::default();
     let pose = |x: f64| Pose::from_yaw(x, 0.0, 0.0);
-    let view = |x: f64| View {
+    let view = |x: f64| CameraFrame {
         odom_from_camera: pose(x),
         features: &none,
     };
@@ -214,7 +214,7 @@ fn nothing_gives_no_tracks() {
     );
     let world = World::new(2);
     let (features, _) = world.look(0, false);
-    let far = [0.0, 50.0].map(|x| View {
+    let far = [0.0, 50.0].map(|x| CameraFrame {
         odom_from_camera: pose(x),
         features: &features,
     });

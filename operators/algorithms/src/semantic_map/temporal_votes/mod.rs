@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 use crate::geometry::camera::{Camera, Model};
 use crate::geometry::pose::Pose;
 use crate::semantic_map::class_scores::ScoresView;
-pub use view::{DepthView, View};
+pub use view::{DepthView, ScoredView};
 
 /// Cells that one task works on.
 const CHUNK: usize = 4096;
@@ -84,12 +84,12 @@ impl Voter {
     /// The mean of a view's own probabilities and of those that its neighbours have for the same points: `1/255` per
     /// unit, in the view's cells. A cell without a ray, and a view without depth, keep what they have; neighbours without
     /// depth, with other classes or of another size have no say.
-    pub fn vote(&self, view: &View<'_>, neighbours: &[View<'_>]) -> Vec<u8> {
+    pub fn vote(&self, view: &ScoredView<'_>, neighbours: &[ScoredView<'_>]) -> Vec<u8> {
         let scores = &view.scores;
         let Some(depth) = view.depth.filter(|depth| depth.fits(&self.camera)) else {
             return scores.probabilities().to_vec();
         };
-        let alike = |other: &&View<'_>| {
+        let alike = |other: &&ScoredView<'_>| {
             let same = other.scores.classes() == scores.classes();
             same && other.scores.size() == scores.size()
         };

@@ -46,7 +46,7 @@ impl<'a> DepthView<'a> {
 
 /// A view with its predictions.
 #[derive(Debug, Clone, Copy)]
-pub struct View<'a> {
+pub struct ScoredView<'a> {
     /// The probabilities of the classes.
     pub scores: ScoresView<'a>,
     /// How far away things are, if that is known.

@@ -97,7 +97,7 @@ proptest! {
         }
         let solve = |a: &[[f64; 3]]| {
             let drives = [("a", a), ("b", b)];
-            let borrowed = drives.map(|(key, positions)| Drive { key, positions });
+            let borrowed = drives.map(|(key, positions)| Trace { key, positions });
             let found = road_network(&borrowed, &params).unwrap();
             check(&found, &drives);
             found

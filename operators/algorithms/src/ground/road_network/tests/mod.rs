@@ -15,10 +15,10 @@ use reference::Reference;
 
 fn network(drives: &[Vec<[f64; 3]>], params: &RoadNetworkParams) -> RoadNetwork {
     let keys: Vec<String> = (0..drives.len()).map(|i| format!("drive_{i:05}")).collect();
-    let drives: Vec<Drive<'_>> = keys
+    let drives: Vec<Trace<'_>> = keys
         .iter()
         .zip(drives)
-        .map(|(key, positions)| Drive { key, positions })
+        .map(|(key, positions)| Trace { key, positions })
         .collect();
     road_network(&drives, params).unwrap()
 }
@@ -209,8 +209,8 @@ proptest! {
         let drives = [a, b];
         let mut reference = Reference::new(&drives, 2.0);
         reference.prune(loops, 2.0);
-        let borrowed: Vec<Drive<'_>> =
-            drives.iter().map(|positions| Drive { key: "", positions }).collect();
+        let borrowed: Vec<Trace<'_>> =
+            drives.iter().map(|positions| Trace { key: "", positions }).collect();
         let (mut graph, _) = graph::connect(thinning::literal(&borrowed), 2.0, usize::MAX);
         let rule = Rule { connect_m: 2.0, drops_dead_ends: true };
         prune::prune_cliques(&mut graph, loops, rule);
@@ -244,7 +244,7 @@ proptest! {
     ) {
         let params = RoadNetworkParams::default();
         let drives =
-            [("a", &a), ("b", &b), ("c", &c)].map(|(key, positions)| Drive { key, positions });
+            [("a", &a), ("b", &b), ("c", &c)].map(|(key, positions)| Trace { key, positions });
         let found = road_network(&drives, &params).unwrap();
         let [first, second, third] = drives;
         prop_assert_eq!(&road_network(&[third, first, second], &params).unwrap(), &found);

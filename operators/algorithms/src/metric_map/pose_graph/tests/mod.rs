@@ -4,7 +4,7 @@
 use nalgebra::{Matrix6, Vector3, Vector6};
 use proptest::prelude::*;
 
-use super::consensus::{Rules, Sighting, agree};
+use super::consensus::{PoseVote, Rules, agree};
 use super::robust::{CUTOFF_SPATIAL, relax_robustly};
 use super::*;
 use crate::geometry::lie::se3;
@@ -81,7 +81,7 @@ proptest! {
     fn a_drive_is_found_among_false_sightings(seed in any::<u64>(), lies in 0..12usize) {
         let mut noise = Noise(seed);
         let map_from_drive = Pose::from_yaw(7.0, -3.0, 2.0);
-        let sighting = |path: f64, at: Pose| Sighting {
+        let sighting = |path: f64, at: Pose| PoseVote {
             drive_from_vehicle: Pose::from_yaw(path, 0.1 * path, 0.0),
             map_from_vehicle: at,
             path_m: path,
@@ -131,7 +131,7 @@ fn neighbours(
     lies: f64,
 ) -> (
     Vec<Vec<drives::DrivePose>>,
-    Vec<drives::Loop>,
+    Vec<drives::LoopConstraint>,
     Vec<Vec<Pose>>,
 ) {
     let mut noise = Noise(seed);
@@ -200,12 +200,12 @@ fn neighbours(
             let between = truths[other][keyframe]
                 .inverse()
                 .compose(&truths[later][step]);
-            loops.push(drives::Loop {
-                later: drives::Place {
+            loops.push(drives::LoopConstraint {
+                later: drives::KeyframeRef {
                     drive: later,
                     keyframe: step,
                 },
-                earlier: drives::Place {
+                earlier: drives::KeyframeRef {
                     drive: other,
                     keyframe,
                 },
@@ -227,7 +227,7 @@ proptest! {
         let joined = drives::join(&drives, &loops, &[], Some(0), &Default::default()).unwrap();
         // As somebody joins them who knows which are false.
         let honest: Vec<_> = loops.iter().filter(|given| {
-            let at = |place: drives::Place| truths[place.drive][place.keyframe];
+            let at = |place: drives::KeyframeRef| truths[place.drive][place.keyframe];
             let between = at(given.earlier).inverse().compose(&at(given.later));
             se3::minus(&given.earlier_from_later, &between).norm() < 1.0
         }).copied().collect();
@@ -276,8 +276,8 @@ proptest! {
         let mut noise = Noise(seed);
         let fixes: Vec<_> = (0..250).step_by(5).map(|keyframe| {
             let size = if noise.uniform() < 0.2 { 2.0 } else { 0.01 };
-            drives::Fix {
-                at: drives::Place { drive: 1, keyframe },
+            drives::FixConstraint {
+                at: drives::KeyframeRef { drive: 1, keyframe },
                 map_from_vehicle: se3::plus(&truths[1][keyframe], &noise.twist(size)),
                 covariance: Matrix6::identity() * 1e-4,
             }

@@ -89,8 +89,8 @@ fn scores(labels: &[u8], noise: impl Fn(usize) -> bool) -> Vec<u8> {
     bytes
 }
 
-fn view<'a>(seen: &'a Seen, bytes: &'a [u8]) -> View<'a> {
-    View {
+fn view<'a>(seen: &'a Seen, bytes: &'a [u8]) -> ScoredView<'a> {
+    ScoredView {
         scores: ScoresView::new(SIZE, 1, 4, bytes).unwrap(),
         depth: DepthView::new(SIZE, &seen.depth, 0.001),
         odom_from_camera: seen.pose,
@@ -120,7 +120,7 @@ proptest! {
     ) {
         let views: Vec<Seen> = steps.iter().map(|(x, z, turn)| seen(*x, *z, *turn, true)).collect();
         let bytes: Vec<Vec<u8>> = views.iter().map(|seen| scores(&seen.labels, |_| false)).collect();
-        let all: Vec<View<'_>> = views.iter().zip(&bytes).map(|(seen, bytes)| view(seen, bytes)).collect();
+        let all: Vec<ScoredView<'_>> = views.iter().zip(&bytes).map(|(seen, bytes)| view(seen, bytes)).collect();
         let votes = Voter::new(&panorama(), &VoteOptions::default()).vote(&all[0], &all[1..]);
         let right = right(&votes, &views[0].labels);
         prop_assert!(right > 0.95, "{right}");
@@ -149,14 +149,14 @@ fn noise_of_single_views_is_voted_down() {
         .enumerate()
         .map(|(i, seen)| scores(&seen.labels, noise(i)))
         .collect();
-    let all: Vec<View<'_>> = views
+    let all: Vec<ScoredView<'_>> = views
         .iter()
         .zip(&bytes)
         .map(|(seen, bytes)| view(seen, bytes))
         .collect();
     let voter = Voter::new(&panorama(), &VoteOptions::default());
     let alone = right(&voter.vote(&all[3], &[]), &views[3].labels);
-    let others: Vec<View<'_>> = all
+    let others: Vec<ScoredView<'_>> = all
         .iter()
         .enumerate()
         .filter(|(i, _)| *i != 3)
@@ -191,14 +191,14 @@ fn views_that_do_not_fit_have_no_say() {
     let bytes = scores(&seen.labels, |_| false);
     let here = view(&seen, &bytes);
     let voter = Voter::new(&panorama(), &VoteOptions::default());
-    let blind = View {
+    let blind = ScoredView {
         depth: None,
         ..here
     };
     assert_eq!(voter.vote(&blind, &[here]), bytes);
     assert_eq!(voter.vote(&here, &[blind]), bytes);
     let small = [255];
-    let other = View {
+    let other = ScoredView {
         scores: ScoresView::new([1, 1], 1, 1, &small).unwrap(),
         ..here
     };

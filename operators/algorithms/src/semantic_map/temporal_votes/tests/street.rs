@@ -187,11 +187,11 @@ fn accuracy(visit: &Visit, views: usize, options: &VoteOptions) -> Confusion {
         .values()
         .map(|panorama| sure(&panorama.noisy))
         .collect();
-    let held: Vec<View<'_>> = visit
+    let held: Vec<ScoredView<'_>> = visit
         .panoramas
         .iter()
         .zip(&bytes)
-        .map(|((stamp, panorama), bytes)| View {
+        .map(|((stamp, panorama), bytes)| ScoredView {
             scores: ScoresView::new(size, 1, CLASSES, bytes).unwrap(),
             depth: DepthView::new(size, &panorama.depth, 0.001),
             odom_from_camera: pose_at(&visit.odometry, *stamp, 1_000_000_000)
@@ -203,7 +203,8 @@ fn accuracy(visit: &Visit, views: usize, options: &VoteOptions) -> Confusion {
     let mut confusion = Confusion::new(CLASSES);
     for (at, panorama) in visit.panoramas.values().enumerate().step_by(20) {
         let reach = views / 2;
-        let around: Vec<View<'_>> = (at.saturating_sub(reach)..(at + reach + 1).min(held.len()))
+        let around: Vec<ScoredView<'_>> = (at.saturating_sub(reach)
+            ..(at + reach + 1).min(held.len()))
             .filter(|other| *other != at)
             .map(|other| held[other])
             .collect();

@@ -4,19 +4,19 @@ use nalgebra::Vector3;
 
 use crate::metric_map::features::Descriptor;
 
-/// Most looks of one landmark.
-const MOST_LOOKS: usize = 8;
-/// A look is of a cone of this half angle: binary descriptors survive about 25 degrees (Leutenegger, Chli & Siegwart
-/// 2011, figure 6: recall of BRISK halves at 30 degrees).
-const LOOK_COS: f64 = 0.94;
-/// A look is of ranges within this factor.
-const LOOK_RANGE_FACTOR: f64 = 1.5;
-/// Members of a look that the medoid is taken of, at most.
+/// Most appearances of one landmark.
+const MOST_APPEARANCES: usize = 8;
+/// An appearance is of a cone of this half angle: binary descriptors survive about 25 degrees (Leutenegger, Chli &
+/// Siegwart 2011, figure 6: recall of BRISK halves at 30 degrees).
+const ALIKE_COS: f64 = 0.94;
+/// An appearance is of ranges within this factor.
+const ALIKE_RANGE_FACTOR: f64 = 1.5;
+/// Members of an appearance that the medoid is taken of, at most.
 const MOST_MEMBERS: usize = 24;
 
 /// One appearance of a landmark.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Look {
+pub struct Appearance {
     /// Unit vector from the landmark to the camera, in the map.
     pub direction: Vector3<f64>,
     /// Distance of the camera, metres.
@@ -27,39 +27,39 @@ pub struct Look {
     pub members: u32,
 }
 
-/// Groups sightings of a landmark (each a look of its own: direction, range, descriptor) by direction and range, and
-/// gives the medoid of each group: the sighting whose descriptor is nearest to all others. Most members first, ties
-/// in order of first sight.
-pub fn looks(sightings: &[Look]) -> Vec<Look> {
-    let mut groups: Vec<Vec<&Look>> = Vec::new();
+/// Groups sightings of a landmark (each an appearance of its own: direction, range, descriptor) by direction and range,
+/// and gives the medoid of each group: the sighting whose descriptor is nearest to all others. Most members first,
+/// ties in order of first sight.
+pub fn appearances(sightings: &[Appearance]) -> Vec<Appearance> {
+    let mut groups: Vec<Vec<&Appearance>> = Vec::new();
     for sighting in sightings {
-        let like = |group: &&mut Vec<&Look>| {
+        let like = |group: &&mut Vec<&Appearance>| {
             let first = group[0];
             let ratio = first.range_m / sighting.range_m;
-            first.direction.dot(&sighting.direction) >= LOOK_COS
-                && (1.0 / LOOK_RANGE_FACTOR..=LOOK_RANGE_FACTOR).contains(&ratio)
+            first.direction.dot(&sighting.direction) >= ALIKE_COS
+                && (1.0 / ALIKE_RANGE_FACTOR..=ALIKE_RANGE_FACTOR).contains(&ratio)
         };
         match groups.iter_mut().find(like) {
             Some(group) => group.push(sighting),
             None => groups.push(vec![sighting]),
         }
     }
-    let mut found: Vec<Look> = groups.iter().map(|group| medoid(group)).collect();
+    let mut found: Vec<Appearance> = groups.iter().map(|group| medoid(group)).collect();
     found.sort_by_key(|look| std::cmp::Reverse(look.members));
-    found.truncate(MOST_LOOKS);
+    found.truncate(MOST_APPEARANCES);
     found
 }
 
 /// Mean direction to the cameras, a unit vector; up where directions cancel.
-pub fn mean_direction(sightings: &[Look]) -> Vector3<f64> {
+pub fn mean_direction(sightings: &[Appearance]) -> Vector3<f64> {
     let sum: Vector3<f64> = sightings.iter().map(|look| look.direction).sum();
     sum.try_normalize(1e-6).unwrap_or_else(Vector3::z)
 }
 
-fn medoid(group: &[&Look]) -> Look {
+fn medoid(group: &[&Appearance]) -> Appearance {
     let step = group.len().div_ceil(MOST_MEMBERS);
-    let members: Vec<&&Look> = group.iter().step_by(step).collect();
-    let total = |look: &Look| -> u32 {
+    let members: Vec<&&Appearance> = group.iter().step_by(step).collect();
+    let total = |look: &Appearance| -> u32 {
         let bits = members
             .iter()
             .map(|other| look.descriptor.distance(&other.descriptor));
@@ -69,7 +69,7 @@ fn medoid(group: &[&Look]) -> Look {
         .iter()
         .min_by_key(|look| total(look))
         .map_or(group[0], |look| **look);
-    Look {
+    Appearance {
         members: group.len() as u32,
         ..*best
     }
@@ -81,10 +81,10 @@ mod tests {
     use super::*;
     use crate::metric_map::features::DESCRIPTOR_BYTES;
 
-    fn sighting(angle_rad: f64, range_m: f64, first_byte: u8) -> Look {
+    fn sighting(angle_rad: f64, range_m: f64, first_byte: u8) -> Appearance {
         let mut bytes = [0; DESCRIPTOR_BYTES];
         bytes[0] = first_byte;
-        Look {
+        Appearance {
             direction: Vector3::new(angle_rad.cos(), angle_rad.sin(), 0.0),
             range_m,
             descriptor: Descriptor(bytes),
@@ -93,8 +93,8 @@ mod tests {
     }
 
     #[test]
-    fn near_views_share_a_look_and_its_medoid_is_in_the_middle() {
-        let found = looks(&[
+    fn near_sightings_share_an_appearance_and_its_medoid_is_in_the_middle() {
+        let found = appearances(&[
             sighting(0.0, 2.0, 0b0001),
             sighting(0.1, 2.2, 0b0011),
             sighting(0.05, 1.9, 0b0111),
@@ -103,14 +103,14 @@ mod tests {
         assert_eq!(found.len(), 2);
         assert_eq!((found[0].descriptor.0[0], found[0].members), (0b0011, 3));
         assert_eq!(found[1].descriptor.0[0], 0b1111_0000);
-        assert!(looks(&[]).is_empty());
+        assert!(appearances(&[]).is_empty());
     }
 
     #[test]
     fn there_are_never_too_many() {
-        let around: Vec<Look> = (0..200)
+        let around: Vec<Appearance> = (0..200)
             .map(|at| sighting(f64::from(at) * 0.3, 1.0 + f64::from(at), 7))
             .collect();
-        assert_eq!(looks(&around).len(), MOST_LOOKS);
+        assert_eq!(appearances(&around).len(), MOST_APPEARANCES);
     }
 }
