@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 
 use evermap_contract::Entry;
-use evermap_schemas::{Column, record};
+use evermap_schemas::{LayerRow, record};
 
 use crate::arguments::OperatorsArgs;
 use crate::ending::{DONE, Ending};
