@@ -19,7 +19,7 @@ use evermap_bench::remap::Remap;
 use evermap_contract::{Emit, Job, Losses, Phase, Sides};
 use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Bytes, ImageRef, LayerRow, Stamp, batch, record};
-use evermap_vision::{Decoder, Grey};
+use evermap_vision::{Grey, decode_grey};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde_json::json;
 
@@ -299,13 +299,7 @@ fn mosaics(criterion: &mut Criterion) {
         .throughput(criterion::Throughput::Elements(IMAGES as u64));
     let (mut grey, mut seen) = (Grey::default(), Grey::default());
     group.bench_function("decode", |bench| {
-        bench.iter(|| {
-            (0..IMAGES).for_each(|_| {
-                Decoder::new()
-                    .decode_into(black_box(&jpeg), &mut grey)
-                    .unwrap()
-            })
-        });
+        bench.iter(|| (0..IMAGES).for_each(|_| decode_grey(black_box(&jpeg), &mut grey).unwrap()));
     });
     let mosaic = Mosaic::new(&jpeg);
     group.bench_function("mosaic", |bench| mosaic.bench(bench));
@@ -314,9 +308,7 @@ fn mosaics(criterion: &mut Criterion) {
         bench.iter(|| {
             let mut sheet = Sheet::new();
             for index in 0..IMAGES {
-                Decoder::new()
-                    .decode_into(black_box(&jpeg), &mut grey)
-                    .unwrap();
+                decode_grey(black_box(&jpeg), &mut grey).unwrap();
                 fixed.apply(&grey, &mut seen).unwrap();
                 sheet.add(&Area::around(&pose(index)), &seen.data, &weights);
             }
@@ -327,9 +319,7 @@ fn mosaics(criterion: &mut Criterion) {
         bench.iter(|| {
             let mut sheet = Sheet::new();
             for index in 0..IMAGES {
-                Decoder::new()
-                    .decode_into(black_box(&jpeg), &mut grey)
-                    .unwrap();
+                decode_grey(black_box(&jpeg), &mut grey).unwrap();
                 let area = Area::around(&pose(index));
                 let (remap, weights) = area.remap(&pose(index));
                 remap.apply(&grey, &mut seen).unwrap();

@@ -8,7 +8,7 @@
 
 use std::io::Write;
 
-use evermap_vision::{Blind, Decoder, FeatureParams, Grey, features};
+use evermap_vision::{Blind, FeatureParams, Grey, decode_grey, features};
 
 type Failure = Box<dyn std::error::Error>;
 
@@ -27,7 +27,7 @@ fn main() -> Result<(), Failure> {
     let mut out = std::io::BufWriter::new(std::fs::File::create(out)?);
     let (mut grey, mut total) = (Grey::default(), 0);
     for path in &paths {
-        Decoder::new().decode_into(&std::fs::read(path)?, &mut grey)?;
+        decode_grey(&std::fs::read(path)?, &mut grey)?;
         let found = features(&grey, &params, &Blind::default())?;
         out.write_all(&u32::try_from(found.len())?.to_le_bytes())?;
         out.write_all(&found.descriptors)?;

@@ -12,77 +12,45 @@ use opencv::imgcodecs::{IMREAD_COLOR, IMREAD_GRAYSCALE, IMREAD_IGNORE_ORIENTATIO
 
 use crate::{Grey, ImageError, Rgb};
 
-/// Decodes encoded images (JPEG, PNG, WebP, BMP, TIFF, PGM and PPM, by their first bytes) to 8-bit grey or
-/// colour.
+/// Width and height (px) that the header claims; the rest of the bytes is not looked at.
 ///
-/// Grey from colour is luma (Rec. 601, which in a JPEG is stored as such); colour from grey has three equal values; 16
-/// bits become the upper 8; transparency and EXIF orientation are ignored.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Decoder;
+/// # Errors
+/// [`ImageError`] for bytes that are no image, or too large a one.
+pub fn image_size(bytes: &[u8]) -> Result<[u32; 2], ImageError> {
+    let header = header(bytes)?;
+    Ok([header.width, header.height])
+}
 
-impl Decoder {
-    /// A decoder.
-    pub fn new() -> Self {
-        Self
-    }
+/// Decodes an image (JPEG, PNG, WebP, BMP, TIFF, PGM or PPM, by its first bytes) to 8-bit grey, into a buffer that is
+/// used again. After an error its contents mean nothing.
+///
+/// Grey from colour is luma (Rec. 601, which in a JPEG is stored as such); 16 bits become the upper 8; transparency and
+/// EXIF orientation are ignored.
+///
+/// # Errors
+/// [`ImageError`] for bytes that are no image, too large an image, or one that is cut off or damaged so that not
+/// every row can be read. (A JPEG damaged in the middle may still decode, with some blocks wrong.)
+pub fn decode_grey(bytes: &[u8], grey: &mut Grey) -> Result<(), ImageError> {
+    let header = header(bytes)?;
+    grey.reset(header.width, header.height)?;
+    [grey.width, grey.height] =
+        decode_onto::<u8>(bytes, &header, IMREAD_GRAYSCALE, &mut grey.data)?;
+    Ok(())
+}
 
-    /// Width and height (px) that the header claims; the rest of the bytes is not looked at.
-    ///
-    /// # Errors
-    /// [`ImageError`] for bytes that are no image, or too large a one.
-    pub fn size(&self, bytes: &[u8]) -> Result<[u32; 2], ImageError> {
-        let header = header(bytes)?;
-        Ok([header.width, header.height])
+/// As [`decode_grey`], in colour; grey images have three equal values.
+///
+/// # Errors
+/// As [`decode_grey`].
+pub fn decode_colour(bytes: &[u8], rgb: &mut Rgb) -> Result<(), ImageError> {
+    let header = header(bytes)?;
+    rgb.reset(header.width, header.height)?;
+    [rgb.width, rgb.height] = decode_onto::<Vec3b>(bytes, &header, IMREAD_COLOR, &mut rgb.data)?;
+    // OpenCV's order is blue, green, red.
+    for pixel in rgb.data.chunks_exact_mut(3) {
+        pixel.swap(0, 2);
     }
-
-    /// The image that `bytes` encode.
-    ///
-    /// # Errors
-    /// As [`Decoder::decode_into`].
-    pub fn decode(&self, bytes: &[u8]) -> Result<Grey, ImageError> {
-        let mut grey = Grey::default();
-        self.decode_into(bytes, &mut grey)?;
-        Ok(grey)
-    }
-
-    /// Decodes into an image whose buffer is used again. After an error the image's contents mean nothing.
-    ///
-    /// # Errors
-    /// [`ImageError`] for bytes that are no image, too large an image, or one that is cut off or damaged so that not
-    /// every row can be read. (A JPEG damaged in the middle may still decode, with some blocks wrong.)
-    pub fn decode_into(&self, bytes: &[u8], grey: &mut Grey) -> Result<(), ImageError> {
-        let header = header(bytes)?;
-        grey.reset(header.width, header.height)?;
-        [grey.width, grey.height] =
-            decode_onto::<u8>(bytes, &header, IMREAD_GRAYSCALE, &mut grey.data)?;
-        Ok(())
-    }
-
-    /// The image that `bytes` encode, in colour.
-    ///
-    /// # Errors
-    /// As [`Decoder::decode_into`].
-    pub fn decode_colour(&self, bytes: &[u8]) -> Result<Rgb, ImageError> {
-        let mut rgb = Rgb::default();
-        self.decode_colour_into(bytes, &mut rgb)?;
-        Ok(rgb)
-    }
-
-    /// Decodes into a colour image whose buffer is used again. After an error the image's contents mean nothing.
-    ///
-    /// # Errors
-    /// As [`Decoder::decode_into`].
-    pub fn decode_colour_into(&self, bytes: &[u8], rgb: &mut Rgb) -> Result<(), ImageError> {
-        let header = header(bytes)?;
-        rgb.reset(header.width, header.height)?;
-        [rgb.width, rgb.height] =
-            decode_onto::<Vec3b>(bytes, &header, IMREAD_COLOR, &mut rgb.data)?;
-        // OpenCV's order is blue, green, red.
-        for pixel in rgb.data.chunks_exact_mut(3) {
-            pixel.swap(0, 2);
-        }
-        Ok(())
-    }
+    Ok(())
 }
 
 /// Decodes pixels of type `P` into a buffer of the header's size; the width and height of what was decoded.

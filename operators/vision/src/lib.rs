@@ -1,8 +1,8 @@
 //! Images, by OpenCV. This is the only crate that links it, and the only one that needs to.
 //!
 //! ```text
-//!   jpeg, png, pgm … ──► Decoder::decode ─────────► Grey (8 bits, rows without gaps)
-//!   jpeg, png, ppm … ──► Decoder::decode_colour ──► Rgb
+//!   jpeg, png, pgm … ──► decode_grey ─────────────► Grey (8 bits, rows without gaps)
+//!   jpeg, png, ppm … ──► decode_colour ───────────► Rgb
 //!   depth: png, pgm ───► decode_depth ────────────► Grey16, the values as stored
 //!   labels: png, pgm ──► decode_labels ───────────► Grey, the values as stored ──► encode_png
 //! ```
@@ -15,7 +15,7 @@ mod features;
 mod grey;
 mod stored;
 
-pub use decode::Decoder;
+pub use decode::{decode_colour, decode_grey, image_size};
 pub use features::{Blind, DESCRIPTOR_BYTES, FeatureParams, KeyPoints, Vignette, features};
 pub use grey::{Grey, Grey16, ImageError, MAX_PIXELS, Rgb};
 pub use stored::{decode_depth, decode_labels, encode_png};

@@ -1,7 +1,9 @@
 //! Labels and depth: the values as they are stored; and colour.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use evermap_vision::{Decoder, Grey, ImageError, decode_depth, decode_labels, encode_png};
+use evermap_vision::{
+    Grey, ImageError, Rgb, decode_colour, decode_depth, decode_grey, decode_labels, encode_png,
+};
 use png::{BitDepth, ColorType};
 use proptest::prelude::*;
 
@@ -19,6 +21,12 @@ fn png_of(size: [u32; 2], colour: ColorType, depth: BitDepth, data: &[u8]) -> Ve
     bytes
 }
 
+fn colour(bytes: &[u8]) -> Result<Rgb, ImageError> {
+    let mut rgb = Rgb::default();
+    decode_colour(bytes, &mut rgb)?;
+    Ok(rgb)
+}
+
 #[test]
 fn colour_comes_in_the_order_red_green_blue() {
     let pixels = [255, 0, 0, 0, 255, 0, 0, 0, 255, 1, 2, 3];
@@ -26,12 +34,12 @@ fn colour_comes_in_the_order_red_green_blue() {
         png_of([2, 2], ColorType::Rgb, BitDepth::Eight, &pixels),
         [b"P6\n2 2\n255\n".as_slice(), &pixels].concat(),
     ] {
-        let rgb = Decoder::new().decode_colour(&bytes).unwrap();
+        let rgb = colour(&bytes).unwrap();
         assert_eq!((rgb.width, rgb.height), (2, 2));
         assert_eq!(rgb.data, pixels);
     }
     let grey = png_of([2, 1], ColorType::Grayscale, BitDepth::Eight, &[7, 9]);
-    let rgb = Decoder::new().decode_colour(&grey).unwrap();
+    let rgb = colour(&grey).unwrap();
     assert_eq!(rgb.data, [7, 7, 7, 9, 9, 9]);
 }
 
@@ -45,7 +53,7 @@ fn a_colour_jpeg_is_close_to_what_was_encoded() {
     jpeg_encoder::Encoder::new(&mut bytes, 95)
         .encode(&pixels, width, height, jpeg_encoder::ColorType::Rgb)
         .unwrap();
-    let rgb = Decoder::new().decode_colour(&bytes).unwrap();
+    let rgb = colour(&bytes).unwrap();
     let worst = rgb
         .data
         .iter()
@@ -53,11 +61,7 @@ fn a_colour_jpeg_is_close_to_what_was_encoded() {
         .map(|(a, b)| a.abs_diff(*b))
         .max();
     assert!(worst.unwrap() < 24, "{worst:?}");
-    assert!(
-        Decoder::new()
-            .decode_colour(&bytes[..bytes.len() / 2])
-            .is_err()
-    );
+    assert!(colour(&bytes[..bytes.len() / 2]).is_err());
     assert!(matches!(
         decode_labels(&bytes),
         Err(ImageError::Values { .. })
@@ -129,7 +133,9 @@ proptest! {
         let grey = Grey { width, height, data };
         let bytes = encode_png(&grey).unwrap();
         prop_assert_eq!(&decode_labels(&bytes).unwrap(), &grey);
-        prop_assert_eq!(Decoder::new().decode(&bytes).unwrap(), grey);
+        let mut decoded = Grey::default();
+        decode_grey(&bytes, &mut decoded).unwrap();
+        prop_assert_eq!(decoded, grey);
     }
 
     #[test]
@@ -157,6 +163,6 @@ proptest! {
         if let Ok(labels) = decode_labels(&bytes) {
             prop_assert_eq!(labels.data.len() as u64, u64::from(labels.width) * u64::from(labels.height));
         }
-        prop_assert_eq!(Decoder::new().decode_colour(&bytes), Decoder::new().decode_colour(&bytes));
+        prop_assert_eq!(colour(&bytes), colour(&bytes));
     }
 }

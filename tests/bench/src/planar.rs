@@ -156,10 +156,6 @@ impl Motion<3> for PlanarPose {
         self.plus(xi)
     }
 
-    fn is_finite(&self) -> bool {
-        self.yaw.is_finite() && self.translation.iter().all(|value| value.is_finite())
-    }
-
     fn residual(measured: &Self, from: &Self, to: &Self) -> Vector3<f64> {
         from.inverse().compose(to).minus(measured)
     }

@@ -9,7 +9,7 @@ use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reason, Sides, Work}
 use evermap_schemas::layers::{GroundPatch, PosedImage};
 use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Bytes, Stamp};
-use evermap_vision::{Decoder, Grey};
+use evermap_vision::{Grey, decode_grey, image_size};
 use rayon::prelude::*;
 
 use crate::inputs::rig::{self, OfVehicle, Rig, camera, frame};
@@ -99,9 +99,7 @@ impl Projector {
         bytes: Option<&'a [u8]>,
     ) -> Result<(&'a [u8], Arc<GroundLut>), Reason> {
         let bytes = bytes.ok_or("image is missing")?;
-        let size = Decoder::new()
-            .size(bytes)
-            .map_err(|_| "image does not decode")?;
+        let size = image_size(bytes).map_err(|_| "image does not decode")?;
         let camera = frame(&image.camera);
         let rig = self.rigs.get(&image.session);
         let (rig, calibration) = rig
@@ -148,9 +146,7 @@ impl Projector {
     ) -> Result<GroundPatch, Reason> {
         let pose = Pose::from_array(image.map_from_vehicle.to_array())
             .map_err(|_| "pose is no rigid transform")?;
-        Decoder::new()
-            .decode_into(bytes, grey)
-            .map_err(|_| "image does not decode")?;
+        decode_grey(bytes, grey).map_err(|_| "image does not decode")?;
         let view =
             GrayView::new(grey.width, grey.height, &grey.data).ok_or("image does not decode")?;
         let cell_m = self.params.options.cell_m;

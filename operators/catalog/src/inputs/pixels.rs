@@ -4,13 +4,11 @@ use evermap_algorithms::learning::dense_crf::ColourView;
 use evermap_algorithms::semantic_map::class_scores::ScoresView;
 use evermap_contract::Reason;
 use evermap_schemas::layers::ClassScores;
-use evermap_vision::{Decoder, Rgb};
+use evermap_vision::{Rgb, decode_colour};
 
 /// An encoded image in colour; `room` holds it.
 pub(crate) fn colours<'a>(bytes: &[u8], room: &'a mut Rgb) -> Result<ColourView<'a>, Reason> {
-    Decoder::new()
-        .decode_colour_into(bytes, room)
-        .map_err(|_| "image does not decode")?;
+    decode_colour(bytes, room).map_err(|_| "image does not decode")?;
     ColourView::new(room.width, room.height, &room.data).ok_or("image does not decode")
 }
 

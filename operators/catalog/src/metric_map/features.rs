@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use evermap_contract::{Fault, Operator, Port, Reason, Sides, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{Features as FeaturesRow, FrameImage};
-use evermap_vision::{Blind, Decoder, FeatureParams, Grey, features};
+use evermap_vision::{Blind, FeatureParams, Grey, decode_grey, features};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -63,9 +63,7 @@ impl Finder {
         bytes: &[u8],
         grey: &mut Grey,
     ) -> Result<Option<FeaturesRow>, Reason> {
-        Decoder::new()
-            .decode_into(bytes, grey)
-            .map_err(|_| "image does not decode")?;
+        decode_grey(bytes, grey).map_err(|_| "image does not decode")?;
         let blind = [frame(&image.camera), "*"]
             .into_iter()
             .find_map(|name| self.mask.get(name));

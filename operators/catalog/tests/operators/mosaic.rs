@@ -7,7 +7,7 @@ use evermap_contract::Losses;
 use evermap_contract::laws::{Split, inputs_of, run};
 use evermap_schemas::layers::{GroundPatch, OverheadTile};
 use evermap_schemas::{Bytes, Stamp, batch};
-use evermap_vision::Decoder;
+use evermap_vision::{Grey, decode_grey};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde_json::json;
 
@@ -281,9 +281,8 @@ fn a_halved_image_gets_its_calibration_halved() {
     let mounted = Mounted::new("front", "equidistant", 127.0, 0.0, 0.7);
     let pose = Pose::identity();
     let mut image = mounted.image(0, &pose);
-    let full = Decoder::new()
-        .decode(&image.image.as_ref().unwrap().0)
-        .unwrap();
+    let mut full = Grey::default();
+    decode_grey(&image.image.as_ref().unwrap().0, &mut full).unwrap();
     let mut half = b"P5\n200 150\n255\n".to_vec();
     for v in 0..150_usize {
         for u in 0..200_usize {

@@ -87,17 +87,4 @@ impl<M: Motion<D>, const D: usize> Graph<M, D> {
             .map(|edge| edge.loss.cost(self.squared_residual(edge)));
         0.5 * costs.sum::<f64>()
     }
-
-    /// Are all of the poses, edges and weights finite, and do all edges name poses?
-    pub fn is_valid(&self) -> bool {
-        let n = self.poses.len();
-        self.fixed.len() == n
-            && self.poses.iter().all(M::is_finite)
-            && self.edges.iter().all(|edge| {
-                edge.from < n
-                    && edge.to < n
-                    && edge.measured.is_finite()
-                    && edge.information.iter().all(|value| value.is_finite())
-            })
-    }
 }

@@ -22,9 +22,6 @@ pub trait Motion<const D: usize>: Copy + Send + Sync {
     /// Moved along its own axes.
     fn moved(&self, xi: &SVector<f64, D>) -> Self;
 
-    /// Is no component NaN or infinite?
-    fn is_finite(&self) -> bool;
-
     /// What moves `from · measured` to `to`.
     fn residual(measured: &Self, from: &Self, to: &Self) -> SVector<f64, D>;
 
@@ -47,10 +44,6 @@ impl Motion<6> for Pose {
 
     fn moved(&self, xi: &SVector<f64, 6>) -> Self {
         se3::plus(self, xi)
-    }
-
-    fn is_finite(&self) -> bool {
-        self.to_array().iter().all(|value| value.is_finite())
     }
 
     fn residual(measured: &Self, from: &Self, to: &Self) -> SVector<f64, 6> {
