@@ -206,17 +206,14 @@ fn a_query_of_the_version_before_is_refused() {
 }
 
 #[test]
-fn the_plan_in_the_readme_checks() {
+fn the_plans_in_the_readme_check() {
     let readme = std::fs::read_to_string(repository().join("README.md")).unwrap();
-    let plan = readme
-        .split("```yaml\n")
-        .nth(1)
-        .unwrap()
-        .split("```")
-        .next()
-        .unwrap();
     let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("readme.yaml");
-    std::fs::write(&path, plan).unwrap();
-    evermap(&["check", text(&path)]).expect(0);
+    let plans: Vec<_> = readme.split("```yaml\n").skip(1).collect();
+    assert_eq!(plans.len(), 2);
+    for (number, plan) in plans.iter().enumerate() {
+        let path = folder.path().join(format!("readme_{number}.yaml"));
+        std::fs::write(&path, plan.split("```").next().unwrap()).unwrap();
+        evermap(&["check", text(&path)]).expect(0);
+    }
 }

@@ -1,6 +1,5 @@
 //! `evermap operators`.
 
-use std::fmt::Write as _;
 use std::io::Write as _;
 
 use evermap_contract::Entry;
@@ -67,8 +66,6 @@ fn line(entry: &Entry) -> OperatorLine {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-
     #[test]
     fn a_reference_names_every_parameter_port_and_column() {
         for entry in evermap_catalog::registry().entries() {
