@@ -72,7 +72,7 @@ fn parts() -> Parts {
         landmarks: vec![landmark],
         features: vec![features],
         rigs: BTreeMap::from([(
-            (site, session),
+            session,
             Rig {
                 cameras: vec![camera],
             },
