@@ -196,7 +196,7 @@ impl Session {
                     };
                     log.send(channels.cameras[camera].1[image], at(stamp_ns), &message)?;
                     written += 1;
-                    if written % sensors.images.len() == 0 {
+                    if usize::is_multiple_of(written, sensors.images.len()) {
                         tell(written / sensors.images.len());
                     }
                 }
