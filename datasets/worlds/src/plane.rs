@@ -7,12 +7,16 @@ use serde::Serialize;
 /// A position, metres, and a heading, radians.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Pose2 {
+    /// East, metres.
     pub x: f64,
+    /// North, metres.
     pub y: f64,
+    /// Heading from x towards y, radians.
     pub yaw: f64,
 }
 
 impl Pose2 {
+    /// At a position, with a heading.
     pub fn new([x, y]: [f64; 2], yaw: f64) -> Self {
         Self { x, y, yaw }
     }
