@@ -56,8 +56,7 @@ impl Sampler {
         let features = serde_json::to_string(&params.features);
         Ok(Self {
             params: params.clone(),
-            features: features
-                .map_err(|error| Fault::bug(format!("features as JSON: {error}")))?,
+            features: features.map_err(|error| Fault::bug(format!("features as JSON: {error}")))?,
         })
     }
 

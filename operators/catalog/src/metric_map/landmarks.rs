@@ -2,7 +2,8 @@
 
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::metric_map::association::{
-    Appearance, FeatureRef, LandmarkPoint, Sight, appearances, mean_direction, ray_residual_rad, triangulate,
+    Appearance, FeatureRef, LandmarkPoint, Sight, appearances, mean_direction, ray_residual_rad,
+    triangulate,
 };
 use evermap_algorithms::metric_map::features::FeatureNoise;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};

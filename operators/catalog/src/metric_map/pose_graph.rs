@@ -280,7 +280,9 @@ fn poses(
             continue;
         };
         for (keyframe, (row, pose)) in keyframes.iter().zip(poses).enumerate() {
-            let mut loops = edges.remove(&KeyframeRef { drive, keyframe }).unwrap_or_default();
+            let mut loops = edges
+                .remove(&KeyframeRef { drive, keyframe })
+                .unwrap_or_default();
             loops.sort_by(|a, b| (&a.session, a.keyframe).cmp(&(&b.session, b.keyframe)));
             rows.push(GraphPose {
                 site: site.to_owned(),

@@ -156,12 +156,10 @@ impl Finder {
         }
         let query = described.view();
         let bag = self.vocabulary.bag(&descriptors);
-        let hits = self
-            .index
-            .best(&bag, self.params.top as usize, |document| {
-                let view = &self.views[document];
-                view.session != query.session || (self.params.within_session && *view != query)
-            });
+        let hits = self.index.best(&bag, self.params.top as usize, |document| {
+            let view = &self.views[document];
+            view.session != query.session || (self.params.within_session && *view != query)
+        });
         let relocation = |(rank, hit): (u32, Hit)| {
             let view = &self.views[hit.document];
             let score = f64::from(hit.score.min(1.0));

@@ -44,7 +44,7 @@ pub struct Selection {
     /// Only rows of this site.
     #[arg(long, value_name = "NAME")]
     pub site: Option<String>,
-    /// Zoom level of tiles [default: the finest that fits]; 0 is the finest.
+    /// Zoom level of tiles; 0 is the finest [default: the finest that fits].
     #[arg(long, value_name = "Z")]
     pub zoom: Option<u32>,
 }
