@@ -570,10 +570,9 @@ fn no_operator_names_another() {
                 .with_extension("")
                 .ancestors()
                 .any(|part| part.ends_with(entry.name));
-            let named = [
-                format!("crate::{}::", entry.name),
-                format!("super::{}::", entry.name),
-            ];
+            let families = ["ground", "learning", "metric_map", "semantic_map"];
+            let mut named = vec![format!("super::{}::", entry.name)];
+            named.extend(families.map(|family| format!("crate::{family}::{}::", entry.name)));
             assert!(
                 own || !named.iter().any(|name| text.contains(name)),
                 "{} uses the operator {}",
@@ -610,4 +609,30 @@ fn kernels_have_no_files_no_clock_and_no_threads_of_their_own() {
             }
         }
     }
+}
+
+#[test]
+fn the_walks_lead_through_what_there_is() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let page = std::fs::read_to_string(root.join("docs/ARCHITECTURE.md")).unwrap();
+    let walks = page.split("## Two walks").nth(1).unwrap();
+    let walks = walks.split("\n## ").next().unwrap();
+    let mut lengths = vec![0];
+    for line in walks.lines() {
+        let mut quoted = line.split('`');
+        let number = quoted.next().unwrap().trim().trim_end_matches('.');
+        let (Ok(number), Some(file), Some(name)) =
+            (number.parse::<usize>(), quoted.next(), quoted.nth(1))
+        else {
+            continue;
+        };
+        let text = std::fs::read_to_string(root.join(file)).unwrap();
+        let place = |kind: &str| text.contains(&format!("{kind} {name}"));
+        assert!(place("fn") || place("struct"), "{file} has no {name}");
+        if number == 1 {
+            lengths.push(0);
+        }
+        *lengths.last_mut().unwrap() = number;
+    }
+    assert!(lengths[1] <= 12 && lengths[2] <= 30, "{lengths:?}");
 }

@@ -8,6 +8,9 @@ use evermap_schemas::{Fault, Stamp};
 use crate::draw::{Scene, Trajectory};
 use crate::reader::MapReader;
 
+/// Where a vehicle was, and when.
+type Passed = (Stamp, [f64; 2]);
+
 /// The trajectories of a map, of one site where it is named, by site and session; from keyframes where it has no poses.
 ///
 /// # Errors
@@ -16,7 +19,7 @@ pub async fn trajectories(
     reader: &MapReader,
     site: Option<&str>,
 ) -> Result<Vec<Trajectory>, Fault> {
-    let mut sessions: BTreeMap<(String, String), Vec<(Stamp, [f64; 2])>> = BTreeMap::new();
+    let mut sessions: BTreeMap<(String, String), Vec<Passed>> = BTreeMap::new();
     for row in reader.rows::<VehiclePose>(site).await? {
         let points = sessions.entry((row.site, row.session)).or_default();
         points.push((row.stamp, [row.map_from_vehicle.x, row.map_from_vehicle.y]));
@@ -30,7 +33,7 @@ pub async fn trajectories(
             ));
         }
     }
-    let trajectory = |((_, session), mut points): (_, Vec<(Stamp, [f64; 2])>)| {
+    let trajectory = |((_, session), mut points): (_, Vec<Passed>)| {
         points.sort_by_key(|(stamp, _)| *stamp);
         Trajectory {
             session,

@@ -50,7 +50,7 @@ fn parts() -> Parts {
         observations: vec![seen],
     };
     let landmark = Landmark {
-        site: site,
+        site,
         landmark: 0,
         x: 15.0,
         y: 0.0,
