@@ -107,7 +107,7 @@ fn conformed<T: LayerRow>(batches: &[RecordBatch]) -> Result<Vec<RecordBatch>, F
 /// The rows of batches that may have more columns than these.
 ///
 /// # Errors
-/// As [`conformed`].
+/// When a column of the layer is missing or of another type.
 pub fn typed<T: LayerRow>(batches: &[RecordBatch]) -> Result<Vec<T>, Fault> {
     let mut found = Vec::new();
     for batch in conformed::<T>(batches)? {

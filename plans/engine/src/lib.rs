@@ -9,7 +9,7 @@
 //! | [`program`] | a checked plan as stages with scopes |
 //! | [`map`] | what a map keeps: artifacts, receipts, versions; and how it is read |
 //! | [`nodes`] | the engine's own DataFusion nodes: the one that runs every operator |
-//! | [`unit`] | a self-contained piece of work, as one DataFusion plan |
+//! | [`mod@unit`] | a self-contained piece of work, as one DataFusion plan |
 //! | [`run`] | the units of a run in dependency order; publishing |
 //! | [`cluster`] | many machines |
 //!
