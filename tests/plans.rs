@@ -87,8 +87,8 @@ fn a_plan_extends_a_file_beside_it_which_extends_one_that_ships() {
     evermap(&["test", text(&plan)]).expect(0);
     let composed = evermap(&["explain", text(&plan), "--set", "lanes.connect_m=3"]).expect(0);
     let expected = "plan: denser\n\
-         doc: >\n  The road network of any log with odometry: where the vehicle drove, which lanes that makes, and where\n  \
-         they meet. Needs no camera.\n\
+         doc: >\n  The road network of any log with odometry: where the vehicle drove, which lanes that makes, and\n  \
+         where they meet. Needs no camera.\n\
          steps:\n  \
          keyframes:\n    op: keyframes\n    in: { odometry: odometry }\n    with: { baseline_m: 0.1 }\n  \
          poses:\n    sql: |\n      SELECT site, session, stamp, odom_from_vehicle AS map_from_vehicle FROM keyframes\n  \
