@@ -64,6 +64,7 @@ const WALLS: &[Wall] = &[
             "schemas",
             "operators/*",
             "datasets/messages",
+            "datasets/recording",
             "datasets/worlds",
             "plans/language",
         ],

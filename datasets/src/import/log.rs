@@ -1,15 +1,12 @@
 //! Writing the log of an import.
 
-use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use evermap_messages::ros2::{
     CameraInfo, CompressedImage, Header, Message, Odometry, Pose, StaticTransforms,
 };
+use evermap_recording::{LogWriter, RecordingError, Times};
 use evermap_schemas::Fault;
-use mcap::records::MessageHeader;
 use nalgebra::Isometry3;
 
 use crate::import::Imported;
@@ -65,10 +62,9 @@ pub(super) fn write(
         events.extend(stamps.map(|(i, (stamp, _))| (*stamp, Event::Labels(c, i))));
     }
     events.sort();
-    let partial = out.with_extension("mcap.partial");
-    let mut log = Log::create(&partial)?;
-    let transforms = log.topic::<StaticTransforms>("/tf_static")?;
-    let odometry = log.topic::<Odometry>("/odom")?;
+    let mut log = LogWriter::create(out, "evermap import").map_err(fault)?;
+    let transforms = topic::<StaticTransforms>(&mut log, "/tf_static")?;
+    let odometry = topic::<Odometry>(&mut log, "/odom")?;
     let channels: Result<Vec<Channels>, Fault> = cameras
         .iter()
         .map(|camera| Channels::declare(&mut log, camera))
@@ -76,35 +72,48 @@ pub(super) fn write(
     let channels = channels?;
     // What holds for the whole log comes first.
     let start = events.first().map_or(0, |(stamp, _)| *stamp);
-    log.send(transforms, start, &placed(start, cameras))?;
+    send(&mut log, transforms, start, &placed(start, cameras))?;
     for (camera, channels) in cameras.iter().zip(&channels) {
         if let (Some(channel), Some(intrinsics)) = (channels.info, &camera.intrinsics) {
             let info = CameraInfo {
                 header: camera.header(start),
                 calibration: intrinsics.published([camera.width, camera.height]),
             };
-            log.send(channel, start, &info)?;
+            send(&mut log, channel, start, &info)?;
         }
     }
-    log.classes(classes)?;
+    let named = classes.iter().enumerate();
+    let named = named.filter(|(_, name)| !name.is_empty());
+    let named = named.map(|(value, name)| (value.to_string(), name.clone()));
+    log.label_classes(named.collect()).map_err(fault)?;
     for (stamp, event) in &events {
         let stamp = *stamp;
         match event {
-            Event::Pose(i) => log.send(odometry, stamp, &odometry_of(stamp, &poses[*i].1))?,
+            Event::Pose(i) => {
+                send(&mut log, odometry, stamp, &odometry_of(stamp, &poses[*i].1))?;
+            }
             Event::Image(c, i) => {
                 let (camera, channel) = (&cameras[*c], channels[*c].images);
-                log.image(channel, camera.header(stamp), &camera.images[*i].1)?;
+                send_image(
+                    &mut log,
+                    channel,
+                    camera.header(stamp),
+                    &camera.images[*i].1,
+                )?;
             }
             Event::Labels(c, i) => {
                 let (camera, channel) = (&cameras[*c], channels[*c].labels);
                 let channel = channel.ok_or_else(|| Fault::bug("labels without a channel"))?;
-                log.image(channel, camera.header(stamp), &camera.labels[*i].1)?;
+                send_image(
+                    &mut log,
+                    channel,
+                    camera.header(stamp),
+                    &camera.labels[*i].1,
+                )?;
             }
         }
     }
-    log.finish()?;
-    let place = |error: std::io::Error| Fault::resource(error.to_string()).at(out.display());
-    std::fs::rename(&partial, out).map_err(place)?;
+    log.finish().map_err(fault)?;
     Ok(Imported {
         images: cameras.iter().map(|camera| camera.images.len()).sum(),
         poses: poses.len(),
@@ -143,16 +152,16 @@ struct Channels {
 }
 
 impl Channels {
-    fn declare(log: &mut Log, camera: &Camera) -> Result<Self, Fault> {
-        let topic = |leaf: &str| format!("/{}/{leaf}", camera.name);
-        let images = log.topic::<CompressedImage>(&topic("image/compressed"))?;
+    fn declare(log: &mut LogWriter, camera: &Camera) -> Result<Self, Fault> {
+        let name = |leaf: &str| format!("/{}/{leaf}", camera.name);
+        let images = topic::<CompressedImage>(log, &name("image/compressed"))?;
         let info = match &camera.intrinsics {
-            Some(_) => Some(log.topic::<CameraInfo>(&topic("camera_info"))?),
+            Some(_) => Some(topic::<CameraInfo>(log, &name("camera_info"))?),
             None => None,
         };
         let labels = match camera.labels.as_slice() {
             [] => None,
-            _ => Some(log.topic::<CompressedImage>(&topic("labels"))?),
+            _ => Some(topic::<CompressedImage>(log, &name("labels"))?),
         };
         Ok(Self {
             images,
@@ -162,91 +171,38 @@ impl Channels {
     }
 }
 
-struct Log {
-    writer: mcap::Writer<BufWriter<File>>,
-    /// Messages so far, by channel.
-    sent: BTreeMap<u16, u32>,
-    path: PathBuf,
+fn topic<M: Message>(log: &mut LogWriter, name: &str) -> Result<u16, Fault> {
+    log.topic::<M>(name, false).map_err(fault)
 }
 
-impl Log {
-    fn create(path: &Path) -> Result<Self, Fault> {
-        let place = |error: String| Fault::resource(error).at(path.display());
-        let file = File::create(path).map_err(|error| place(error.to_string()))?;
-        let options = mcap::WriteOptions::new()
-            .profile("ros2")
-            .library("evermap import");
-        let writer = options.create(BufWriter::new(file));
-        Ok(Self {
-            writer: writer.map_err(|error| place(error.to_string()))?,
-            sent: BTreeMap::new(),
-            path: path.to_owned(),
-        })
-    }
+fn send(
+    log: &mut LogWriter,
+    channel: u16,
+    stamp_ns: u64,
+    message: &impl Message,
+) -> Result<(), Fault> {
+    let log_ns = stamp_ns;
+    let sent = log.send(channel, Times { log_ns, stamp_ns }, &message.encode());
+    sent.map_err(fault)
+}
 
-    fn fault(&self, error: &mcap::McapError) -> Fault {
-        Fault::resource(error.to_string()).at(self.path.display())
-    }
+fn send_image(
+    log: &mut LogWriter,
+    channel: u16,
+    header: Header<'_>,
+    path: &Path,
+) -> Result<(), Fault> {
+    let (format, data) = encoded(path)?;
+    let image = CompressedImage {
+        header,
+        format,
+        data: &data,
+    };
+    send(log, channel, header.stamp_ns, &image)
+}
 
-    fn topic<M: Message>(&mut self, topic: &str) -> Result<u16, Fault> {
-        let definition = M::DEFINITION.as_bytes();
-        let schema = self.writer.add_schema(M::NAME, "ros2msg", definition);
-        let schema = schema.map_err(|error| self.fault(&error))?;
-        let channel = self
-            .writer
-            .add_channel(schema, topic, "cdr", &BTreeMap::new());
-        channel.map_err(|error| self.fault(&error))
-    }
-
-    /// What the values of label images mean, if anybody says.
-    fn classes(&mut self, classes: &[String]) -> Result<(), Fault> {
-        let named = classes
-            .iter()
-            .enumerate()
-            .filter(|(_, name)| !name.is_empty());
-        let metadata: BTreeMap<String, String> = named
-            .map(|(value, name)| (value.to_string(), name.clone()))
-            .collect();
-        if metadata.is_empty() {
-            return Ok(());
-        }
-        let record = mcap::records::Metadata {
-            name: "label_classes".to_owned(),
-            metadata,
-        };
-        let written = self.writer.write_metadata(&record);
-        written.map_err(|error| self.fault(&error))
-    }
-
-    fn image(&mut self, channel: u16, header: Header<'_>, path: &Path) -> Result<(), Fault> {
-        let (format, data) = encoded(path)?;
-        let image = CompressedImage {
-            header,
-            format,
-            data: &data,
-        };
-        self.send(channel, header.stamp_ns, &image)
-    }
-
-    fn send(&mut self, channel: u16, stamp: u64, message: &impl Message) -> Result<(), Fault> {
-        let sent = self.sent.entry(channel).or_default();
-        let header = MessageHeader {
-            channel_id: channel,
-            sequence: *sent,
-            log_time: stamp,
-            publish_time: stamp,
-        };
-        *sent += 1;
-        let written = self
-            .writer
-            .write_to_known_channel(&header, &message.encode());
-        written.map_err(|error| self.fault(&error))
-    }
-
-    fn finish(mut self) -> Result<(), Fault> {
-        let finished = self.writer.finish();
-        finished.map(|_| ()).map_err(|error| self.fault(&error))
-    }
+fn fault(error: RecordingError) -> Fault {
+    Fault::resource(error.to_string())
 }
 
 /// Position, then quaternion.

@@ -1,6 +1,10 @@
 //! What can go wrong when a world is written.
 
-use std::path::{Path, PathBuf};
+use evermap_recording::RecordingError;
+use schemars::JsonSchema;
+use serde::Serialize;
+use serde_json::Value;
+use std::path::Path;
 
 /// Why a world was not written.
 #[derive(Debug, thiserror::Error)]
@@ -11,17 +15,9 @@ pub enum WorldError {
         /// One line for each unusable value.
         faults: Vec<String>,
     },
-    /// A file could not be written (a resource is missing).
-    #[error("cannot write {}: {source}; check the folder's rights and free space", path.display())]
-    Io {
-        /// Which file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// The MCAP writer refused a message (a bug).
-    #[error("cannot write MCAP: {0}")]
-    Mcap(#[from] mcap::McapError),
+    /// A file could not be written.
+    #[error(transparent)]
+    File(#[from] RecordingError),
     /// The JPEG encoder refused an image (a bug).
     #[error("cannot encode JPEG: {0}")]
     Jpeg(#[from] jpeg_encoder::EncodingError),
@@ -32,33 +28,44 @@ pub enum WorldError {
 
 impl WorldError {
     pub(crate) fn io(path: &Path, source: std::io::Error) -> Self {
-        Self::Io {
-            path: path.to_owned(),
-            source,
-        }
+        let path = path.to_owned();
+        Self::File(RecordingError::Io { path, source })
     }
 }
 
-/// A parameter: its name and value, and the least and the most that it may be.
-pub(crate) type Limits<'a> = (&'a str, f64, f64, f64);
-
-/// Refuses values outside their limits, and says what else is wrong, all at once.
-pub(crate) fn check(
-    limits: &[Limits<'_>],
-    others: impl IntoIterator<Item = String>,
+/// Refuses values outside what their fields declare (`range`, and `enum` for a text), and says what else is wrong, all
+/// at once.
+pub(crate) fn check<W: Serialize + JsonSchema>(
+    world: &W,
+    others: impl IntoIterator<Item = Option<String>>,
 ) -> Result<(), WorldError> {
-    let outside = limits
-        .iter()
-        .filter(|(_, value, low, high)| !(low..=high).contains(&value));
-    let faults: Vec<String> = outside
-        .map(|(name, value, low, high)| {
-            format!("{name}: expected {low} to {high}, found {value}; choose a value inside")
-        })
-        .chain(others)
-        .collect();
+    let schema = schemars::schema_for!(W).to_value();
+    let values = serde_json::to_value(world).unwrap_or_default();
+    let fields = schema["properties"].as_object().into_iter().flatten();
+    let misfits = fields.map(|(name, declared)| {
+        let expected = misfit(declared, &values[name])?;
+        let found = &values[name];
+        Some(format!(
+            "{name}: expected {expected}, found {found}; choose another value"
+        ))
+    });
+    let faults: Vec<String> = misfits.chain(others).flatten().collect();
     if faults.is_empty() {
         Ok(())
     } else {
         Err(WorldError::Parameters { faults })
     }
+}
+
+/// What was expected of a value that is not as its field declares.
+fn misfit(declared: &Value, value: &Value) -> Option<String> {
+    let bound = |key: &str| declared[key].as_f64();
+    if let (Some(least), Some(most)) = (bound("minimum"), bound("maximum")) {
+        let inside = value
+            .as_f64()
+            .is_some_and(|value| (least..=most).contains(&value));
+        return (!inside).then(|| format!("{least} to {most}"));
+    }
+    let known = declared["enum"].as_array()?;
+    (!value.is_null() && !known.contains(value)).then(|| format!("one of {}", declared["enum"]))
 }

@@ -25,9 +25,9 @@ mod vehicle;
 
 pub use car_park::{CarPark, car_park};
 pub use error::WorldError;
+pub use evermap_recording::RecordingError;
 pub use record::{Progress, SessionSummary, Summary};
 pub use street::{
     LabelKind, LabelView, STREET_CLASSES, STREET_COLOURS, Street, StreetLabels, street,
     street_labels,
 };
-pub use vehicle::WheelErrors;

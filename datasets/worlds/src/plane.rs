@@ -26,6 +26,11 @@ impl Pose2 {
         [self.x, self.y]
     }
 
+    /// The same place, with the heading turned by `angle` to the left, radians.
+    pub fn turned(&self, angle: f64) -> Self {
+        Self::new(self.at(), self.yaw + angle)
+    }
+
     /// The point that is so far ahead and to the left of here, metres.
     pub fn point(&self, [ahead, left]: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = self.yaw.sin_cos();

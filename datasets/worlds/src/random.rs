@@ -1,8 +1,9 @@
 //! Randomness that does not depend on the order of asking: every purpose has its own stream, every place its own value.
 
-use rand::SeedableRng;
+use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use std::ops::Range;
 
 /// Scrambles 64 bits (splitmix64's finaliser, Steele et al. 2014).
 pub fn scramble(value: u64) -> u64 {
@@ -29,6 +30,15 @@ pub fn lattice(seed: u64, x: i64, y: i64) -> f32 {
 /// A standard normal number.
 pub fn normal(rng: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(rng)
+}
+
+/// A number in a range where chance has it so, otherwise 0.
+pub fn maybe(rng: &mut ChaCha8Rng, chance: f64, range: Range<f64>) -> f64 {
+    if rng.random_bool(chance) {
+        rng.random_range(range)
+    } else {
+        0.0
+    }
 }
 
 /// Seconds (not negative) to whole nanoseconds.

@@ -19,6 +19,9 @@ pub struct Canvas {
     pub grey: Vec<u8>,
 }
 
+/// Distance between places that light is asked for, metres.
+const LIGHT_CELL_M: f64 = 0.25;
+
 /// One octave of noise: wavelength (m) and amplitude (grey values).
 pub type Octave = (f64, f64);
 
@@ -53,20 +56,43 @@ impl Canvas {
             });
     }
 
+    /// Dims the picture by a light that changes slowly: it is asked for every [`LIGHT_CELL_M`], and linear between.
+    pub fn dim(&mut self, light: impl Fn(f64, f64) -> f64 + Sync) {
+        let cells = |side: usize| (side as f64 / self.scale / LIGHT_CELL_M) as usize + 2;
+        let (columns, rows) = (cells(self.width), cells(self.height));
+        let nodes = (0..rows * columns).into_par_iter();
+        let node = |i: usize| [i % columns, i / columns].map(|k| k as f64 * LIGHT_CELL_M);
+        let grid: Vec<f32> = nodes
+            .map(|i| {
+                let [x, y] = node(i);
+                light(x, y) as f32
+            })
+            .collect();
+        let step = (1.0 / (self.scale * LIGHT_CELL_M)) as f32;
+        let mix = |a: f32, b: f32, f: f32| a + (b - a) * f;
+        let lines = self.grey.par_chunks_mut(self.width).enumerate();
+        lines.for_each(|(row, texels)| {
+            let y = (row as f32 + 0.5) * step;
+            let (below, above) = grid[y as usize * columns..].split_at(columns);
+            let pairs = below.iter().zip(above);
+            let edge: Vec<f32> = pairs.map(|(a, b)| mix(*a, *b, y.fract())).collect();
+            for (column, texel) in texels.iter_mut().enumerate() {
+                let x = (column as f32 + 0.5) * step;
+                let light = mix(edge[x as usize], edge[x as usize + 1], x.fract());
+                *texel = (f32::from(*texel) * light).clamp(0.0, 255.0) as u8;
+            }
+        });
+    }
+
     /// Repaints every texel of a region (`[x0, y0, x1, y1]`, metres): `paint(x, y, old)`.
     pub fn repaint(&mut self, region: [f64; 4], mut paint: impl FnMut(f64, f64, f64) -> f64) {
-        let clip = |m: f64, size: usize| ((m * self.scale).max(0.0) as usize).min(size);
-        let (c0, c1) = (
-            clip(region[0], self.width),
-            clip(region[2] + 1.0 / self.scale, self.width),
-        );
-        let (r0, r1) = (
-            clip(region[1], self.height),
-            clip(region[3] + 1.0 / self.scale, self.height),
-        );
-        for row in r0..r1 {
+        let texel = |m: f64| (m * self.scale).max(0.0) as usize;
+        let [x0, y0, x1, y1] = region;
+        let beyond = |m: f64, size: usize| texel(m + 1.0 / self.scale).min(size);
+        let (columns, rows) = (beyond(x1, self.width), beyond(y1, self.height));
+        for row in texel(y0)..rows {
             let y = (row as f64 + 0.5) / self.scale;
-            for column in c0..c1 {
+            for column in texel(x0)..columns {
                 let x = (column as f64 + 0.5) / self.scale;
                 let texel = &mut self.grey[row * self.width + column];
                 *texel = paint(x, y, f64::from(*texel)).clamp(0.0, 255.0) as u8;
@@ -166,16 +192,10 @@ impl Canvas {
 
 /// The rectangle around some points, with a margin, metres.
 pub fn around(points: &[[f64; 2]], margin: f64) -> [f64; 4] {
-    let nothing = [f64::MAX, f64::MAX, f64::MIN, f64::MIN];
-    points.iter().fold(nothing, |[x0, y0, x1, y1], [x, y]| {
-        let (low, high) = ([x - margin, y - margin], [x + margin, y + margin]);
-        [
-            x0.min(low[0]),
-            y0.min(low[1]),
-            x1.max(high[0]),
-            y1.max(high[1]),
-        ]
-    })
+    let of = |axis: usize| points.iter().map(move |point| point[axis]);
+    let low = [0, 1].map(|axis| of(axis).fold(f64::MAX, f64::min) - margin);
+    let high = [0, 1].map(|axis| of(axis).fold(f64::MIN, f64::max) + margin);
+    [low[0], low[1], high[0], high[1]]
 }
 
 fn add_octave(sum: &mut [f32], seed: u64, (wavelength, amplitude): Octave, y: f64, scale: f64) {

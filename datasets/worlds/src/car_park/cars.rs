@@ -90,9 +90,8 @@ fn park(layout: &Layout, bay: usize, resident: bool, rng: &mut ChaCha8Rng) -> Pa
 }
 
 fn draw_shape(rng: &mut ChaCha8Rng) -> Measures {
-    let paint = *[28.0, 48.0, 75.0, 120.0, 165.0, 205.0, 235.0]
-        .get(rng.random_range(0..7usize))
-        .unwrap_or(&120.0);
+    let paints = [28.0, 48.0, 75.0, 120.0, 165.0, 205.0, 235.0];
+    let paint = paints[rng.random_range(0..paints.len())];
     let mut between = |low: f64, high: f64| rng.random_range(low..high);
     let belt = between(0.86, 0.98);
     let common = Measures {
@@ -133,23 +132,21 @@ fn draw_shape(rng: &mut ChaCha8Rng) -> Measures {
     }
 }
 
-/// Which faces a car is painted with.
+/// Something for each view of a car: its pictures, at [`CAR_SCALE`], or the faces that they are painted on.
 #[derive(Debug, Clone, Copy)]
-pub struct CarFaces {
-    /// Both flanks, in the car's x and z.
-    pub side: u16,
-    /// Front, in y and z.
-    pub front: u16,
-    /// Rear, in y and z.
-    pub rear: u16,
-    /// From above, in x and y.
-    pub top: u16,
-    /// Rubber and underside.
-    pub dark: u16,
+pub struct CarViews<T> {
+    /// Both flanks: columns from rear to front, rows up.
+    pub side: T,
+    /// Columns along y, rows up.
+    pub front: T,
+    /// Columns along y, rows up.
+    pub rear: T,
+    /// From above: columns from rear to front, rows along y.
+    pub top: T,
 }
 
-/// The solids of a car that stands at `stand`: body, cabin, four wheels.
-pub fn car_solids(car: &ParkedCar, stand: &Pose, faces: &CarFaces) -> Vec<Solid> {
+/// The solids of a car that stands at `stand`: body, cabin, four wheels. Rubber and underside are `dark`.
+pub fn car_solids(car: &ParkedCar, stand: &Pose, faces: &CarViews<u16>, dark: u16) -> Vec<Solid> {
     let s = &car.shape;
     let (hx, hy) = (0.5 * s.length, 0.5 * s.width);
     let v = Vector3::new;
@@ -164,16 +161,12 @@ pub fn car_solids(car: &ParkedCar, stand: &Pose, faces: &CarFaces) -> Vec<Solid>
         (v(1.0, 0.0, 0.0), hx, faces.front),
         (v(-1.0, 0.0, 0.0), hx, faces.rear),
         (v(0.0, 0.0, 1.0), s.belt, faces.top),
-        (v(0.0, 0.0, -1.0), -0.2, faces.dark),
+        (v(0.0, 0.0, -1.0), -0.2, dark),
         slope(hx, 0.68, s.bonnet, s.belt - 0.68, faces.top),
         slope(-hx, 0.8, 0.3, s.belt - 0.8, faces.top),
     ];
-    let mut solids = vec![Solid::new(
-        stand,
-        &body,
-        v(-hx, -hy, 0.2),
-        v(hx, hy, s.belt),
-    )];
+    let (low, high) = (v(-hx, -hy, 0.2), v(hx, hy, s.belt));
+    let mut solids = vec![Solid::new(stand, &body, low, high)];
     let rise = s.height - s.belt;
     let (front, back) = (hx - s.bonnet, s.boot - hx);
     let lean = |side: f64| -> Side {
@@ -184,7 +177,7 @@ pub fn car_solids(car: &ParkedCar, stand: &Pose, faces: &CarFaces) -> Vec<Solid>
         lean(1.0),
         lean(-1.0),
         (v(0.0, 0.0, 1.0), s.height, faces.top),
-        (v(0.0, 0.0, -1.0), 0.05 - s.belt, faces.dark),
+        (v(0.0, 0.0, -1.0), 0.05 - s.belt, dark),
         slope(front.max(0.1), s.belt, 0.72, rise, faces.top),
         slope(back.min(-0.1), s.belt, s.rear_slope, rise, faces.top),
     ];
@@ -192,43 +185,31 @@ pub fn car_solids(car: &ParkedCar, stand: &Pose, faces: &CarFaces) -> Vec<Solid>
     solids.push(Solid::new(stand, &cabin, low, v(front + 0.1, hy, s.height)));
     for x in [0.3 * s.length, -0.3 * s.length] {
         for y in [hy - 0.19, -hy - 0.012] {
-            solids.push(wheel(stand, x, y, faces));
+            solids.push(wheel(stand, [x, y], faces.side, dark));
         }
     }
     solids
 }
 
-fn wheel(stand: &Pose, x: f64, y: f64, faces: &CarFaces) -> Solid {
+fn wheel(stand: &Pose, [x, y]: [f64; 2], side: u16, dark: u16) -> Solid {
     let (radius, width) = (0.31, 0.2);
     let mut sides = vec![
-        (Vector3::new(0.0, 1.0, 0.0), y + width, faces.side),
-        (Vector3::new(0.0, -1.0, 0.0), -y, faces.side),
+        (Vector3::new(0.0, 1.0, 0.0), y + width, side),
+        (Vector3::new(0.0, -1.0, 0.0), -y, side),
     ];
     for k in 0..8 {
         let (sin, cos) = (f64::from(k) * FRAC_PI_4).sin_cos();
         let offset = radius + cos * x + sin * radius;
-        sides.push((Vector3::new(cos, 0.0, sin), offset, faces.dark));
+        sides.push((Vector3::new(cos, 0.0, sin), offset, dark));
     }
     let low = Vector3::new(x - 0.34, y, 0.0);
     let high = Vector3::new(x + 0.34, y + width, 0.66);
     Solid::new(stand, &sides, low, high)
 }
 
-/// Views of a car from the side, front, rear and above, at [`CAR_SCALE`].
-pub struct CarPaint {
-    /// Columns from rear to front, rows up.
-    pub side: Canvas,
-    /// Columns along y, rows up.
-    pub front: Canvas,
-    /// Columns along y, rows up.
-    pub rear: Canvas,
-    /// Columns from rear to front, rows along y.
-    pub top: Canvas,
-}
-
 /// Paints a car.
-pub fn paint_car(shape: &Measures) -> CarPaint {
-    CarPaint {
+pub fn paint_car(shape: &Measures) -> CarViews<Canvas> {
+    CarViews {
         side: paint_side(shape),
         front: paint_end(shape, true),
         rear: paint_end(shape, false),
@@ -243,13 +224,8 @@ fn paint_side(s: &Measures) -> Canvas {
         old * (0.72 + 0.38 * (y / s.belt).powi(2))
     });
     side.fill([0.0, 0.0, s.length, 0.32], 30.0, 0.75);
-    side.line(
-        [0.25, s.belt - 0.1],
-        [s.length - 0.4, s.belt - 0.16],
-        0.03,
-        250.0,
-        0.35,
-    );
+    let (from, to) = ([0.25, s.belt - 0.1], [s.length - 0.4, s.belt - 0.16]);
+    side.line(from, to, 0.03, 250.0, 0.35);
     let (rear, front) = (s.boot + 0.3, s.length - s.bonnet - 0.12);
     let top = s.height - 0.1;
     let glass = [
@@ -314,27 +290,14 @@ fn paint_top(s: &Measures) -> Canvas {
     let windscreen = s.length - s.bonnet;
     top.fill(glass(windscreen - 0.7, windscreen - 0.02), GLASS, 1.0);
     if s.rear_slope > 0.15 {
-        top.fill(
-            glass(s.boot + 0.04, s.boot + 0.9 * s.rear_slope),
-            GLASS,
-            1.0,
-        );
+        let rear = glass(s.boot + 0.04, s.boot + 0.9 * s.rear_slope);
+        top.fill(rear, GLASS, 1.0);
     }
     for y in [0.3, s.width - 0.3] {
-        top.line(
-            [windscreen + 0.05, y],
-            [s.length - 0.2, y + 0.05],
-            0.02,
-            12.0,
-            0.4,
-        );
+        let (from, to) = ([windscreen + 0.05, y], [s.length - 0.2, y + 0.05]);
+        top.line(from, to, 0.02, 12.0, 0.4);
     }
-    top.line(
-        [windscreen, 0.1],
-        [windscreen, s.width - 0.1],
-        0.03,
-        12.0,
-        0.9,
-    );
+    let (from, to) = ([windscreen, 0.1], [windscreen, s.width - 0.1]);
+    top.line(from, to, 0.03, 12.0, 0.9);
     top
 }

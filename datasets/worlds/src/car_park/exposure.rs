@@ -2,10 +2,10 @@
 
 use super::CarPark;
 use crate::random::{normal, stream};
+use crate::render::PIXELS;
 use rand::Rng;
 
 const TABLE: usize = 1 << 16;
-const MARGIN: usize = 256;
 
 /// Exposure, lens shading and noise of one session.
 #[derive(Debug, Clone)]
@@ -29,7 +29,7 @@ impl Exposure {
             vignette: rng.random_range(0.28..0.42),
             read_noise: rng.random_range(0.9..1.5),
             shot_noise: rng.random_range(0.006..0.011),
-            noise: (0..TABLE + MARGIN)
+            noise: (0..TABLE + PIXELS)
                 .map(|_| normal(&mut rng).clamp(-4.0, 4.0) as f32)
                 .collect(),
         }
@@ -48,8 +48,9 @@ impl Exposure {
         self.read_noise + self.shot_noise * value
     }
 
-    /// Standard normal numbers, at least 256 of them, chosen by `seed`.
-    pub fn noise(&self, seed: u64) -> &[f32] {
-        &self.noise[(seed as usize) % TABLE..]
+    /// Standard normal numbers, chosen by `seed`.
+    pub fn noise(&self, seed: u64) -> &[f32; PIXELS] {
+        let numbers = self.noise[(seed as usize) % TABLE..].first_chunk();
+        numbers.unwrap_or(&[0.0; PIXELS])
     }
 }

@@ -1,11 +1,11 @@
 //! The floor: cast concrete, its wear, and what is painted on it.
 
 use super::CarPark;
-use super::canvas::{Canvas, Octave, noise_at};
+use super::canvas::{Canvas, Octave, around, noise_at};
 use super::layout::{
     AISLE_M, AISLES, BAY_DEPTH_M, Bay, LINE_M, Layout, NOSE_M, Node, Rect, runs_along_y,
 };
-use crate::plane::{Pose2, heading};
+use crate::plane::{Pose2, distance, heading};
 use crate::random::stream;
 use crate::vehicle::PathPoint;
 use rand::Rng;
@@ -62,7 +62,7 @@ pub fn paint_floor(world: &CarPark, layout: &Layout, paths: &[&[PathPoint]]) -> 
 fn patches(canvas: &mut Canvas, layout: &Layout, rng: &mut ChaCha8Rng) {
     let count = (layout.width_m * layout.depth_m / 35.0) as usize;
     for _ in 0..count {
-        let (x, y) = somewhere(layout, rng);
+        let [x, y] = somewhere(layout, rng);
         let (w, h) = (rng.random_range(0.4..2.6), rng.random_range(0.4..2.6));
         let grey = rng.random_range(70.0..165.0);
         canvas.fill([x, y, x + w, y + h], grey, rng.random_range(0.25..0.55));
@@ -77,7 +77,7 @@ fn patches(canvas: &mut Canvas, layout: &Layout, rng: &mut ChaCha8Rng) {
 fn grit(canvas: &mut Canvas, layout: &Layout, rng: &mut ChaCha8Rng) {
     let count = (layout.width_m * layout.depth_m * 45.0) as usize;
     for _ in 0..count {
-        let (x, y) = somewhere(layout, rng);
+        let [x, y] = somewhere(layout, rng);
         let radius = 0.005 + 0.02 * rng.random_range(0.0..1.0_f64).powi(3);
         let grey = if rng.random_bool(0.6) { 42.0 } else { 190.0 };
         canvas.disc([x, y], radius, grey, rng.random_range(0.4..0.9));
@@ -102,7 +102,7 @@ fn joints(canvas: &mut Canvas, layout: &Layout) {
 fn cracks(canvas: &mut Canvas, layout: &Layout, rng: &mut ChaCha8Rng) {
     let count = (layout.width_m * layout.depth_m / 22.0) as usize;
     for _ in 0..count {
-        let (mut x, mut y) = somewhere(layout, rng);
+        let [mut x, mut y] = somewhere(layout, rng);
         let mut angle = rng.random_range(0.0..TAU);
         let grey = rng.random_range(35.0..70.0);
         for _ in 0..rng.random_range(8..40) {
@@ -189,7 +189,7 @@ fn arrow(canvas: &mut Canvas, at: &Pose2) {
 
 /// The dashed line between the lanes of an aisle.
 fn dashes(canvas: &mut Canvas, a: [f64; 2], b: [f64; 2]) {
-    let length = (b[0] - a[0]).hypot(b[1] - a[1]);
+    let length = distance(a, b);
     let unit = [(b[0] - a[0]) / length, (b[1] - a[1]) / length];
     let mut at = 4.2;
     while at + 1.0 < length - 4.0 {
@@ -203,19 +203,11 @@ fn dashes(canvas: &mut Canvas, a: [f64; 2], b: [f64; 2]) {
 /// Where the cross aisle and the gate meet the others, one gives way.
 fn stop_lines(canvas: &mut Canvas, layout: &Layout) {
     let reach = 0.5 * AISLE_M + 0.3;
-    for (node, side, along) in [
-        (Node::SC, 1.0, -1.0),
-        (Node::NC, -1.0, 1.0),
-        (Node::SC, -1.0, 1.0),
-    ] {
+    for (node, side) in [(Node::SC, 1.0), (Node::NC, -1.0), (Node::SC, -1.0)] {
         let [x, y] = layout.node(node);
         let y = y + side * reach;
-        let (x0, x1) = if along > 0.0 {
-            (x + 0.2, x + 2.6)
-        } else {
-            (x - 2.6, x - 0.2)
-        };
-        canvas.line([x0, y], [x1, y], 0.3, PAINT, 0.9);
+        let [x0, x1] = if side > 0.0 { [-2.6, -0.2] } else { [0.2, 2.6] };
+        canvas.line([x + x0, y], [x + x1, y], 0.3, PAINT, 0.9);
     }
 }
 
@@ -261,16 +253,12 @@ fn drains(canvas: &mut Canvas, layout: &Layout) {
 /// Oil and water, mostly where cars stand.
 pub fn stains(canvas: &mut Canvas, layout: &Layout, count: usize, rng: &mut ChaCha8Rng) {
     for index in 0..count {
-        let (x, y) = match layout
-            .bays
-            .get(rng.random_range(0..layout.bays.len().max(1)))
-        {
+        let bays = &layout.bays;
+        let [x, y] = match bays.get(rng.random_range(0..bays.len().max(1))) {
             Some(bay) if index % 3 != 0 => {
                 let [x, y] = bay.rect.centre();
-                (
-                    x + rng.random_range(-1.0..1.0),
-                    y + rng.random_range(-1.5..1.5),
-                )
+                let aside = rng.random_range(-1.0..1.0);
+                [x + aside, y + rng.random_range(-1.5..1.5)]
             }
             _ => somewhere(layout, rng),
         };
@@ -278,21 +266,14 @@ pub fn stains(canvas: &mut Canvas, layout: &Layout, count: usize, rng: &mut ChaC
         let seed: u64 = rng.random();
         let grey = if rng.random_bool(0.8) { 38.0 } else { 160.0 };
         let alpha = rng.random_range(0.2..0.65);
-        let reach = 1.5 * radius;
-        canvas.repaint(
-            [x - reach, y - reach, x + reach, y + reach],
-            |px, py, old| {
-                let rim = radius * (1.0 + 0.4 * noise_at(seed, px, py, 0.6 * radius));
-                let inside = (rim - (px - x).hypot(py - y)) / (0.35 * radius);
-                old + (grey - old) * alpha * inside.clamp(0.0, 1.0)
-            },
-        );
+        canvas.repaint(around(&[[x, y]], 1.5 * radius), |px, py, old| {
+            let rim = radius * (1.0 + 0.4 * noise_at(seed, px, py, 0.6 * radius));
+            let inside = (rim - (px - x).hypot(py - y)) / (0.35 * radius);
+            old + (grey - old) * alpha * inside.clamp(0.0, 1.0)
+        });
     }
 }
 
-fn somewhere(layout: &Layout, rng: &mut ChaCha8Rng) -> (f64, f64) {
-    (
-        rng.random_range(0.0..layout.width_m),
-        rng.random_range(0.0..layout.depth_m),
-    )
+fn somewhere(layout: &Layout, rng: &mut ChaCha8Rng) -> [f64; 2] {
+    [layout.width_m, layout.depth_m].map(|side| rng.random_range(0.0..side))
 }

@@ -6,10 +6,12 @@
 use super::exposure::Exposure;
 use super::rig::CIRCLE_RAD;
 use super::scene::{Face, Scene};
-use crate::random::scramble;
-use crate::render::{Eye, FAR, Lanes, Lens, PIXELS, Scratch, Solid, cast, seen_from};
-use evermap_algorithms::geometry::pose::Pose;
+use super::visit::Visit;
+use crate::random::{normal, scramble};
+use crate::render::{Eye, FAR, Lanes, Lens, PIXELS, Scratch, cast, seen_from};
 use nalgebra::Vector3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 
 /// A face with the eye's position worked in.
 #[derive(Clone, Copy)]
@@ -61,43 +63,80 @@ impl Painted {
     }
 }
 
-/// Renders one image, row by row, grey. `shot` seeds the sensor noise.
-pub fn render(
-    scene: &Scene,
-    moving: &[Solid],
-    lens: &Lens,
-    map_from_vehicle: &Pose,
-    exposure: &Exposure,
-    shot: u64,
-    scratch: &mut Scratch,
-) -> Vec<u8> {
-    let mut image = vec![0; lens.pixels()];
-    let eye = Eye::new(lens, map_from_vehicle);
-    let at = eye.position();
-    let faces = scene.faces.iter();
-    let painted: Vec<Painted> = faces
-        .map(|face| Painted::new(face, at, lens.omega))
-        .collect();
-    let seen = seen_from(at, scene.solids.iter().chain(moving));
-    let surround = |scratch: &mut Scratch| meet_room(scene, at, scratch);
-    cast(
-        lens,
-        &eye.turn,
-        [&seen],
-        scratch,
-        surround,
-        |tile, _, scratch| {
-            let noise = scramble(shot ^ (tile as u64) << 20);
-            shade(scene, &painted, scratch);
-            let theta = &lens.tiles[tile].theta;
-            lens.put(
-                tile,
-                &develop(exposure, theta, noise, &scratch.grey),
-                &mut image,
-            );
-        },
-    );
-    image
+/// All that is needed to render one session.
+pub struct Studio<'a> {
+    /// The world's seed.
+    pub seed: u64,
+    /// The cameras' rays.
+    pub lenses: &'a [Lens],
+    /// The session.
+    pub visit: &'a Visit,
+    /// What it sees.
+    pub scene: Scene,
+    /// How bright that appears.
+    pub exposure: Exposure,
+}
+
+impl Studio<'_> {
+    /// The grey image of one camera at one shot, row by row.
+    pub fn image(&self, shot: usize, camera: usize) -> Vec<u8> {
+        let (scene, visit, lens) = (&self.scene, self.visit, &self.lenses[camera]);
+        let stamp = visit.session.stamps[shot];
+        let eye = Eye::new(lens, &visit.session.map_from_vehicle(stamp));
+        let at = eye.position();
+        let faces = scene.faces.iter();
+        let painted: Vec<Painted> = faces
+            .map(|face| Painted::new(face, at, lens.omega))
+            .collect();
+        let moving = scene.walkers_at(&visit.walkers, visit.session.seconds(stamp));
+        let seen = seen_from(at, scene.solids.iter().chain(&moving));
+        let noise = self.noise_seed(shot, camera);
+        let mut image = vec![0; lens.pixels()];
+        cast(
+            lens,
+            &eye,
+            [&seen],
+            |scratch| meet_room(scene, at, scratch),
+            |tile, _, scratch| {
+                shade(scene, &painted, scratch);
+                let noise = self.exposure.noise(scramble(noise ^ (tile as u64) << 20));
+                let grey = self.develop(&lens.tiles[tile].theta, noise, &scratch.grey);
+                lens.put(tile, &grey, &mut image);
+            },
+        );
+        image
+    }
+
+    /// What a camera without light sees: the noise of its sensor.
+    pub fn darkness(&self, shot: usize, camera: usize) -> Vec<u8> {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.noise_seed(shot, camera));
+        let deviation = f64::from(self.exposure.noise_at(0.0));
+        let black = f64::from(self.exposure.black);
+        (0..self.lenses[camera].pixels())
+            .map(|_| (black + deviation * normal(&mut rng)).clamp(0.0, 255.0) as u8)
+            .collect()
+    }
+
+    fn noise_seed(&self, shot: usize, camera: usize) -> u64 {
+        let index = self.visit.session.index as u64;
+        let place = index << 40 | (shot as u64) << 8 | camera as u64;
+        scramble(scramble(self.seed) ^ place)
+    }
+
+    /// From light to grey values: lens shading, exposure and sensor noise.
+    fn develop(&self, theta: &Lanes, noise: &[f32; PIXELS], light: &Lanes) -> [u8; PIXELS] {
+        let exposure = &self.exposure;
+        let mut out = [0; PIXELS];
+        for i in 0..PIXELS {
+            let value = exposure.at(theta[i]) * light[i];
+            let grey = exposure.black + value + noise[i] * exposure.noise_at(value);
+            let seen = theta[i] < CIRCLE_RAD as f32;
+            let grey = if seen { grey } else { 0.0 };
+            let grey = if grey > 255.0 { 255.0 } else { grey };
+            out[i] = (if grey > 0.0 { grey } else { 0.0 }) as i32 as u8;
+        }
+        out
+    }
 }
 
 /// Every ray leaves the hall through the nearest of the planes it heads for: a wall of each pair,
@@ -134,6 +173,7 @@ fn meet_room(scene: &Scene, eye: [f32; 3], scratch: &mut Scratch) {
     }
 }
 
+/// How bright everything is where the rays end.
 fn shade(scene: &Scene, painted: &[Painted], scratch: &mut Scratch) {
     let Scratch {
         rays,
@@ -142,13 +182,6 @@ fn shade(scene: &Scene, painted: &[Painted], scratch: &mut Scratch) {
         grey,
         ..
     } = scratch;
-    let first = face[0];
-    if face.iter().all(|face| *face == first) {
-        if let Some(face) = painted.get(first as usize) {
-            shade_one_face(scene, face, rays, t, grey);
-        }
-        return;
-    }
     for i in 0..PIXELS {
         let Some(face) = painted.get(face[i] as usize) else {
             continue;
@@ -161,48 +194,14 @@ fn shade(scene: &Scene, painted: &[Painted], scratch: &mut Scratch) {
     }
 }
 
-fn shade_one_face(scene: &Scene, face: &Painted, rays: &[Lanes; 3], t: &Lanes, grey: &mut Lanes) {
-    let Some(texture) = scene.textures.get(face.texture) else {
-        return;
-    };
-    let mut texels = [[0_i32; PIXELS]; 2];
-    let mut levels = [0.0_f32; PIXELS];
-    for i in 0..PIXELS {
-        let (u, v, level) = face.texel(t[i], [rays[0][i], rays[1][i], rays[2][i]]);
-        texels[0][i] = u;
-        texels[1][i] = v;
-        levels[i] = level;
-    }
-    for i in 0..PIXELS {
-        grey[i] = face.light * texture.blend(texels[0][i], texels[1][i], levels[i]);
-    }
-}
-
-/// From light to grey values: lens shading, exposure and sensor noise.
-fn develop(exposure: &Exposure, theta: &Lanes, noise: u64, light: &Lanes) -> [u8; PIXELS] {
-    let mut out = [0; PIXELS];
-    let Some(noise) = exposure.noise(noise).first_chunk::<PIXELS>() else {
-        return out;
-    };
-    for i in 0..PIXELS {
-        let value = exposure.at(theta[i]) * light[i];
-        let grey = exposure.black + value + noise[i] * exposure.noise_at(value);
-        let seen = theta[i] < CIRCLE_RAD as f32;
-        let grey = if seen { grey } else { 0.0 };
-        let grey = if grey > 255.0 { 255.0 } else { grey };
-        out[i] = (if grey > 0.0 { grey } else { 0.0 }) as i32 as u8;
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
     use super::*;
     use crate::car_park::canvas::Canvas;
     use crate::car_park::rig::rig;
-    use crate::car_park::{CarPark, Layout, Visit};
-    use crate::render::{Seen, Window, meet_solid, meet_solids, turn_rays};
+    use crate::car_park::{CarPark, Layout};
+    use crate::render::{Window, meet_solid, meet_solids};
 
     /// Culling is an optimisation: asking every tile about every solid gives the same hits.
     #[test]
@@ -214,9 +213,9 @@ mod tests {
             ..CarPark::default()
         };
         let layout = Layout::new(&world);
-        let visit = Visit::new(&world, &layout, 1, "revisit_1");
+        let visit = Visit::new(&world, &layout, 1);
         let floor = Canvas::new(layout.width_m, layout.depth_m, 10.0, 99);
-        let scene = Scene::build(&world, &layout, 1, &floor, &visit.parked, &visit.walkers);
+        let scene = Scene::build(&world, &layout, &floor, &visit);
         let mut met = 0;
         for (camera, t) in rig(&world).iter().zip([0.0, 9.0, 20.0, 31.0]) {
             let lens = camera.lens();
@@ -224,16 +223,15 @@ mod tests {
             let at = eye.position();
             let moving = scene.walkers_at(&visit.walkers, t);
             let seen = seen_from(at, scene.solids.iter().chain(&moving));
-            let all: Vec<&Seen> = seen.iter().collect();
             let (mut fast, mut slow) = (Scratch::default(), Scratch::default());
             for tile in lens.tiles.iter().filter(|tile| tile.cone.is_some()) {
                 for scratch in [&mut fast, &mut slow] {
-                    turn_rays(&tile.rays, &eye.turn, &mut scratch.rays);
+                    eye.turn_rays(&tile.rays, &mut scratch.rays);
                     meet_room(&scene, at, scratch);
                 }
-                let window = Window::of(tile.cone.as_ref().unwrap(), &eye.turn);
-                meet_solids(&all, &window, &mut fast);
-                for seen in &all {
+                let window = Window::of(tile.cone.as_ref().unwrap(), &eye);
+                meet_solids(&seen, &window, &mut fast);
+                for seen in &seen {
                     meet_solid(seen, &mut slow);
                 }
                 for i in (0..PIXELS).filter(|i| tile.theta[*i] < CIRCLE_RAD as f32) {

@@ -103,27 +103,21 @@ pub enum Node {
     Gate,
 }
 
+use Node::{Gate, NC, NE, NW, SC, SE, SW};
+
 /// All nodes, in the order in which the truth lists them.
-pub const NODES: [Node; 7] = [
-    Node::SW,
-    Node::SC,
-    Node::SE,
-    Node::NW,
-    Node::NC,
-    Node::NE,
-    Node::Gate,
-];
+pub const NODES: [Node; 7] = [SW, SC, SE, NW, NC, NE, Gate];
 
 /// All aisles, as pairs of nodes.
 pub const AISLES: [(Node, Node); 8] = [
-    (Node::SW, Node::SC),
-    (Node::SC, Node::SE),
-    (Node::NW, Node::NC),
-    (Node::NC, Node::NE),
-    (Node::SW, Node::NW),
-    (Node::SC, Node::NC),
-    (Node::SE, Node::NE),
-    (Node::Gate, Node::SC),
+    (SW, SC),
+    (SC, SE),
+    (NW, NC),
+    (NC, NE),
+    (SW, NW),
+    (SC, NC),
+    (SE, NE),
+    (Gate, SC),
 ];
 
 /// The hall, drawn to scale.
@@ -171,15 +165,8 @@ impl Layout {
                 slope: world.floor_slope,
             },
             islands: [west, east],
-            rooms: [
-                Rect::new(width_m - BAY_DEPTH_M, 0.0, width_m, BAY_DEPTH_M),
-                Rect::new(
-                    width_m - BAY_DEPTH_M,
-                    depth_m - BAY_DEPTH_M,
-                    width_m,
-                    depth_m,
-                ),
-            ],
+            rooms: [0.0, depth_m - BAY_DEPTH_M]
+                .map(|y| Rect::new(width_m - BAY_DEPTH_M, y, width_m, y + BAY_DEPTH_M)),
             bays: Vec::new(),
             crossings: Vec::new(),
             pillars: Vec::new(),
@@ -202,52 +189,54 @@ impl Layout {
         let (west, cross) = (0.5 * AISLE_M, self.islands[0].x1 + 0.5 * AISLE_M);
         let east = self.islands[1].x1 + 0.5 * AISLE_M;
         match node {
-            Node::SW => [west, south],
-            Node::SC => [cross, south],
-            Node::SE => [east, south],
-            Node::NW => [west, north],
-            Node::NC => [cross, north],
-            Node::NE => [east, north],
-            Node::Gate => [cross, 1.6],
+            SW => [west, south],
+            SC => [cross, south],
+            SE => [east, south],
+            NW => [west, north],
+            NC => [cross, north],
+            NE => [east, north],
+            Gate => [cross, 1.6],
         }
     }
 
     fn add_bays(&mut self) {
         let [west, east] = self.islands;
-        let (depth, top) = (BAY_DEPTH_M, self.depth_m);
-        let end = self.width_m - depth;
-        let walk = NOSE_M;
-        self.row_along_x('A', 0.1, west.x1 - walk, 0.0, -FRAC_PI_2);
-        self.row_along_x('B', east.x0 + 0.1, end, 0.0, -FRAC_PI_2);
-        for (letters, island) in [(['C', 'D'], west), (['E', 'F'], east)] {
-            let middle = island.centre()[1];
-            let (x0, x1) = (island.x0 + walk, island.x1 - walk);
-            self.row_along_x(letters[0], x0, x1, island.y0, FRAC_PI_2);
-            self.row_along_x(letters[1], x0, x1, middle, -FRAC_PI_2);
+        let (top, end) = (self.depth_m - BAY_DEPTH_M, self.width_m - BAY_DEPTH_M);
+        let (north, south) = (FRAC_PI_2, -FRAC_PI_2);
+        let inner = |island: Rect| (island.x0 + NOSE_M, island.x1 - NOSE_M);
+        // Letter, western and eastern end, south edge, and which way one drives in.
+        let rows = [
+            ('A', (0.1, west.x1 - NOSE_M), 0.0, south),
+            ('B', (east.x0 + 0.1, end), 0.0, south),
+            ('C', inner(west), west.y0, north),
+            ('D', inner(west), west.centre()[1], south),
+            ('E', inner(east), east.y0, north),
+            ('F', inner(east), east.centre()[1], south),
+            ('G', (0.1, east.x0), top, north),
+            ('H', (east.x0 + NOSE_M + 0.1, end), top, north),
+        ];
+        for (letter, (x0, x1), y0, entry_yaw) in rows {
+            let count = ((x1 - x0) / BAY_WIDTH_M + 1e-6).floor() as usize;
+            for k in 0..count {
+                let x0 = x0 + k as f64 * BAY_WIDTH_M;
+                let rect = Rect::new(x0, y0, x0 + BAY_WIDTH_M, y0 + BAY_DEPTH_M);
+                self.add_bay(letter, k, rect, entry_yaw);
+            }
         }
-        self.row_along_x('G', 0.1, east.x0, top - depth, FRAC_PI_2);
-        self.row_along_x('H', east.x0 + walk + 0.1, end, top - depth, FRAC_PI_2);
-        let count = ((top - 2.0 * depth) / BAY_WIDTH_M).floor() as usize;
+        let count = ((top - BAY_DEPTH_M) / BAY_WIDTH_M).floor() as usize;
         for k in 0..count {
-            let y0 = depth + 0.2 + k as f64 * BAY_WIDTH_M;
-            self.bays.push(Bay {
-                label: format!("K{}", k + 1),
-                rect: Rect::new(end, y0, self.width_m, y0 + BAY_WIDTH_M),
-                entry_yaw: 0.0,
-            });
+            let y0 = BAY_DEPTH_M + 0.2 + k as f64 * BAY_WIDTH_M;
+            let rect = Rect::new(end, y0, self.width_m, y0 + BAY_WIDTH_M);
+            self.add_bay('K', k, rect, 0.0);
         }
     }
 
-    fn row_along_x(&mut self, letter: char, x0: f64, x1: f64, y0: f64, entry_yaw: f64) {
-        let count = ((x1 - x0) / BAY_WIDTH_M + 1e-6).floor() as usize;
-        for k in 0..count {
-            let left = x0 + k as f64 * BAY_WIDTH_M;
-            self.bays.push(Bay {
-                label: format!("{letter}{}", k + 1),
-                rect: Rect::new(left, y0, left + BAY_WIDTH_M, y0 + BAY_DEPTH_M),
-                entry_yaw,
-            });
-        }
+    fn add_bay(&mut self, letter: char, k: usize, rect: Rect, entry_yaw: f64) {
+        self.bays.push(Bay {
+            label: format!("{letter}{}", k + 1),
+            rect,
+            entry_yaw,
+        });
     }
 
     fn add_crossings(&mut self) {
@@ -268,33 +257,25 @@ impl Layout {
     }
 
     fn add_pillars(&mut self) {
-        let mut pillar = |x: f64, y: f64| {
-            self.pillars
-                .push(Rect::new(x - 0.2, y - 0.25, x + 0.2, y + 0.25));
-        };
+        let pillar = |x: f64, y: f64| Rect::new(x - 0.2, y - 0.25, x + 0.2, y + 0.25);
+        let pillars = &mut self.pillars;
         for island in self.islands {
             let bays = ((island.x1 - island.x0 - 2.0 * NOSE_M) / BAY_WIDTH_M).round() as usize;
             for k in (0..=bays).step_by(2) {
                 let x = island.x0 + NOSE_M + k as f64 * BAY_WIDTH_M;
-                pillar(x, island.centre()[1]);
+                pillars.push(pillar(x, island.centre()[1]));
             }
         }
         let far = self.depth_m - BAY_DEPTH_M;
-        for (y, first) in [(BAY_DEPTH_M - 0.5, 0.1), (far + 0.5, 0.1)] {
-            let mut k = 3;
-            loop {
-                let x = first + f64::from(k) * BAY_WIDTH_M;
-                if x > self.islands[0].x1 - NOSE_M {
-                    break;
-                }
-                pillar(x, y);
-                k += 3;
-            }
-            let east = self.islands[1].x0 + if y < far { 0.1 } else { NOSE_M + 0.1 };
-            let mut x = east + 3.0 * BAY_WIDTH_M;
+        for y in [BAY_DEPTH_M - 0.5, far + 0.5] {
+            let step = 3.0 * BAY_WIDTH_M;
+            let west = (1..).map(|k| 0.1 + f64::from(3 * k) * BAY_WIDTH_M);
+            let west = west.take_while(|x| *x <= self.islands[0].x1 - NOSE_M);
+            pillars.extend(west.map(|x| pillar(x, y)));
+            let mut x = self.islands[1].x0 + if y < far { 0.1 } else { NOSE_M + 0.1 } + step;
             while x < self.width_m - BAY_DEPTH_M - 0.5 {
-                pillar(x, y);
-                x += 3.0 * BAY_WIDTH_M;
+                pillars.push(pillar(x, y));
+                x += step;
             }
         }
     }
@@ -302,19 +283,18 @@ impl Layout {
     fn add_ceiling(&mut self) {
         let rows = [
             0.5 * BAY_DEPTH_M,
-            self.node(Node::SC)[1],
+            self.node(SC)[1],
             0.5 * self.depth_m,
-            self.node(Node::NC)[1],
+            self.node(NC)[1],
             self.depth_m - 0.5 * BAY_DEPTH_M,
         ];
-        let columns = (self.width_m / 5.5).round().max(2.0);
-        let pitch = self.width_m / columns;
+        let columns = (self.width_m / 5.5).round().max(2.0) as usize;
+        let pitch = self.width_m / columns as f64;
         for y in rows {
-            for k in 0..columns as usize {
-                self.lamps.push([(k as f64 + 0.5) * pitch, y]);
-            }
+            let lamps = (0..columns).map(|k| [(k as f64 + 0.5) * pitch, y]);
+            self.lamps.extend(lamps);
         }
-        self.beams = (1..columns as usize).map(|k| k as f64 * pitch).collect();
+        self.beams = (1..columns).map(|k| k as f64 * pitch).collect();
     }
 }
 

@@ -1,12 +1,11 @@
 //! Lamps, some of them broken, and how bright they make things.
 
 use super::CarPark;
-use super::canvas::Canvas;
+use super::canvas::{Canvas, around};
 use super::cars::ParkedCar;
 use super::layout::{CEILING_M, Layout};
 use crate::random::stream;
 use rand::Rng;
-use rayon::prelude::*;
 
 /// The light of one session.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,20 +19,16 @@ impl Lighting {
     /// The light of a session.
     pub fn of_session(world: &CarPark, layout: &Layout, session: usize) -> Self {
         let mut rng = stream(world.seed, "lamps", session as u64);
-        let lamps = layout
-            .lamps
-            .iter()
-            .map(|place| {
-                let power = match rng.random_range(0.0..1.0) {
-                    draw if draw < 0.06 => 0.0,
-                    draw if draw < 0.12 => 0.5,
-                    _ => rng.random_range(0.85..1.1),
-                };
-                (*place, power)
-            })
-            .collect();
+        let lamps = layout.lamps.iter().map(|place| {
+            let power = match rng.random_range(0.0..1.0) {
+                draw if draw < 0.06 => 0.0,
+                draw if draw < 0.12 => 0.5,
+                _ => rng.random_range(0.85..1.1),
+            };
+            (*place, power)
+        });
         Self {
-            lamps,
+            lamps: lamps.collect(),
             ambient: rng.random_range(0.42..0.55),
         }
     }
@@ -41,54 +36,17 @@ impl Lighting {
     /// Brightness (about 1) of a surface facing up at a place, metres.
     pub fn at(&self, x: f64, y: f64, z: f64) -> f64 {
         let drop = (CEILING_M - z).max(0.4);
-        let lamp = |place: [f64; 2], power: f64| {
+        let lamps = self.lamps.iter().map(|(place, power)| {
             let away = (x - place[0]).powi(2) + (y - place[1]).powi(2);
             power * drop * drop * 2.6 / (away + drop * drop).powf(1.5)
-        };
-        let direct: f64 = self
-            .lamps
-            .iter()
-            .map(|(place, power)| lamp(*place, *power))
-            .sum();
-        self.ambient + 0.42 * direct
+        });
+        self.ambient + 0.42 * lamps.sum::<f64>()
     }
 
     /// The floor under this light, with the darkness beneath parked cars.
     pub fn on_floor(&self, floor: &Canvas, cars: &[ParkedCar]) -> Canvas {
         let mut lit = floor.clone();
-        let cell = 0.25;
-        let columns = (floor.width as f64 / floor.scale / cell) as usize + 2;
-        let rows = (floor.height as f64 / floor.scale / cell) as usize + 2;
-        let grid: Vec<f32> = (0..rows * columns)
-            .into_par_iter()
-            .map(|i| {
-                self.at(
-                    (i % columns) as f64 * cell,
-                    (i / columns) as f64 * cell,
-                    0.0,
-                ) as f32
-            })
-            .collect();
-        let step = (1.0 / (floor.scale * cell)) as f32;
-        lit.grey
-            .par_chunks_mut(floor.width)
-            .enumerate()
-            .for_each(|(row, texels)| {
-                let y = (row as f32 + 0.5) * step;
-                let (iy, fy) = (y as usize, y.fract());
-                let edge: Vec<f32> = (0..columns)
-                    .map(|i| {
-                        let (a, b) = (grid[iy * columns + i], grid[(iy + 1) * columns + i]);
-                        a + (b - a) * fy
-                    })
-                    .collect();
-                for (column, texel) in texels.iter_mut().enumerate() {
-                    let x = (column as f32 + 0.5) * step;
-                    let (ix, fx) = (x as usize, x.fract());
-                    let light = edge[ix] + (edge[ix + 1] - edge[ix]) * fx;
-                    *texel = (f32::from(*texel) * light).clamp(0.0, 255.0) as u8;
-                }
-            });
+        lit.dim(|x, y| self.at(x, y, 0.0));
         for car in cars {
             shade_beneath(&mut lit, car);
         }
@@ -101,8 +59,7 @@ fn shade_beneath(floor: &mut Canvas, car: &ParkedCar) {
     let (half_x, half_y) = (0.5 * car.shape.length - 0.1, 0.5 * car.shape.width - 0.05);
     let reach = half_x + 0.9;
     let ([cx, cy], (sin, cos)) = (car.pose.at(), car.pose.yaw.sin_cos());
-    let region = [cx - reach, cy - reach, cx + reach, cy + reach];
-    floor.repaint(region, |x, y, old| {
+    floor.repaint(around(&[[cx, cy]], reach), |x, y, old| {
         let (dx, dy) = (x - cx, y - cy);
         let (ahead, left) = ((dx * cos + dy * sin).abs(), (dy * cos - dx * sin).abs());
         let (ox, oy) = (ahead - half_x, left - half_y);

@@ -32,18 +32,13 @@ pub(crate) use route::Route;
 pub(crate) use visit::Visit;
 
 use crate::WorldError;
-use crate::random::{normal, scramble};
-use crate::record::{
-    CameraTopics, Progress, Sensors, SessionSummary, Summary, World, jpeg, simulate,
-};
-use crate::render::{Lens, Scratch};
+use crate::record::{Progress, Recorded, Sensors, Summary, Tell, World, jpeg, simulate};
+use crate::render::Lens;
 use canvas::Canvas;
 use exposure::Exposure;
 use floor::paint_floor;
-use image::render;
+use image::Studio;
 use jpeg_encoder::ColorType;
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use rig::{RigCamera, rig};
 use scene::Scene;
@@ -80,13 +75,11 @@ impl<'a> Hall<'a> {
     fn new(params: &'a CarPark) -> Self {
         let layout = Layout::new(params);
         let rig = rig(params);
-        let names = params.session_names();
-        let visits = names.iter().enumerate();
         // Tyres have left their marks on the whole round trip, however little of it is driven today.
-        let worn = Route::of_session(params, 0).path(&layout, 2.0);
+        let worn = Route::of_session(params, 0).path(&layout, 0.0, 2.0);
         Self {
-            visits: visits
-                .map(|(index, name)| Visit::new(params, &layout, index, name))
+            visits: (0..=params.revisits)
+                .map(|index| Visit::new(params, &layout, index))
                 .collect(),
             floor: paint_floor(params, &layout, &[&worn]),
             lenses: rig.par_iter().map(RigCamera::lens).collect(),
@@ -104,15 +97,13 @@ impl World for Hall<'_> {
         self.visits.get(self.params.skip..).unwrap_or_default()
     }
 
-    fn sensors(&self) -> Sensors<'_> {
-        let cameras = self.rig.iter().map(|camera| CameraTopics {
-            namespace: format!("/camera/{}", camera.name),
-            frame_id: &camera.frame_id,
-            vehicle_from_camera: &camera.vehicle_from_camera,
-            calibration: camera.published(),
-        });
+    fn sensors(&self) -> Sensors {
         Sensors {
-            cameras: cameras.collect(),
+            cameras: self
+                .rig
+                .iter()
+                .map(|camera| camera.topics.clone())
+                .collect(),
             // The format of a grey JPEG, as some drivers write it.
             images: &[("image/compressed", "mono8; jpeg compressed ")],
             delay_ns: 4_000_000..9_000_000,
@@ -125,87 +116,26 @@ impl World for Hall<'_> {
         truth::write(self, out)
     }
 
-    fn record(
-        &self,
-        visit: &Visit,
-        out: &Path,
-        tell: &mut dyn FnMut(usize),
-    ) -> Result<SessionSummary, WorldError> {
-        let (params, index) = (self.params, visit.session.index);
+    fn record(&self, visit: &Visit, out: &Path, tell: &mut Tell<'_>) -> Recorded {
+        let params = self.params;
         let studio = Studio {
-            params,
+            seed: params.seed,
             lenses: &self.lenses,
             visit,
-            scene: Scene::build(
-                params,
-                &self.layout,
-                index,
-                &self.floor,
-                &visit.parked,
-                &visit.walkers,
-            ),
-            exposure: Exposure::of_session(params, index),
+            scene: Scene::build(params, &self.layout, &self.floor, visit),
+            exposure: Exposure::of_session(params, visit.session.index),
         };
-        let take = |shot: usize, camera: usize, scratch: &mut Scratch| {
+        let take = |shot: usize, camera: usize| {
             let dark = params.dark_camera.as_deref() == Some(self.rig[camera].name);
             let grey = if dark {
                 studio.darkness(shot, camera)
             } else {
-                studio.image(shot, camera, scratch)
+                studio.image(shot, camera)
             };
             let size = [params.width_px, params.height_px];
-            Ok(vec![jpeg(
-                size,
-                ColorType::Luma,
-                params.jpeg_quality,
-                &grey,
-            )?])
+            let image = jpeg(size, ColorType::Luma, params.jpeg_quality, &grey)?;
+            Ok(vec![image])
         };
         visit.session.record(out, &self.sensors(), &take, tell)
-    }
-}
-
-/// All that is needed to render one session.
-struct Studio<'a> {
-    params: &'a CarPark,
-    lenses: &'a [Lens],
-    visit: &'a Visit,
-    scene: Scene,
-    exposure: Exposure,
-}
-
-impl Studio<'_> {
-    /// The grey image of one camera at one shot, row by row.
-    fn image(&self, shot: usize, camera: usize, scratch: &mut Scratch) -> Vec<u8> {
-        let session = &self.visit.session;
-        let stamp = session.stamps[shot];
-        let moving = self
-            .scene
-            .walkers_at(&self.visit.walkers, session.seconds(stamp));
-        render(
-            &self.scene,
-            &moving,
-            &self.lenses[camera],
-            &session.map_from_vehicle(stamp),
-            &self.exposure,
-            self.noise_seed(shot, camera),
-            scratch,
-        )
-    }
-
-    /// What a camera without light sees: the noise of its sensor.
-    fn darkness(&self, shot: usize, camera: usize) -> Vec<u8> {
-        let mut rng = ChaCha8Rng::seed_from_u64(self.noise_seed(shot, camera));
-        let deviation = f64::from(self.exposure.noise_at(0.0));
-        let black = f64::from(self.exposure.black);
-        (0..self.lenses[camera].pixels())
-            .map(|_| (black + deviation * normal(&mut rng)).clamp(0.0, 255.0) as u8)
-            .collect()
-    }
-
-    fn noise_seed(&self, shot: usize, camera: usize) -> u64 {
-        let index = self.visit.session.index as u64;
-        let place = index << 40 | (shot as u64) << 8 | camera as u64;
-        scramble(scramble(self.params.seed) ^ place)
     }
 }

@@ -3,62 +3,83 @@
 use super::rig::CAMERAS;
 use crate::WorldError;
 use crate::error::check;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Parameters of the simulated car park. The same parameters give byte-identical files.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CarPark {
     /// Everything random is drawn from this number.
     pub seed: u64,
     /// Sessions after the initial one, each with other cars parked, other light and a walker or
     /// two.
+    #[schemars(range(min = 0, max = 1000))]
     pub revisits: usize,
     /// Image width, pixels. The lens spans 180° across it.
+    #[schemars(range(min = 32, max = 4096))]
     pub width_px: u32,
     /// Image height, pixels.
+    #[schemars(range(min = 32, max = 4096))]
     pub height_px: u32,
     /// Rate of each camera, images per second.
+    #[schemars(range(min = 0.1, max = 100.0))]
     pub rate_hz: f64,
     /// Rate of the wheel odometry, messages per second.
+    #[schemars(range(min = 1.0, max = 1000.0))]
     pub odometry_rate_hz: f64,
     /// Bays side by side in each row of the western island.
+    #[schemars(range(min = 1, max = 40))]
     pub west_bays: usize,
     /// Bays side by side in each row of the eastern island.
+    #[schemars(range(min = 1, max = 40))]
     pub east_bays: usize,
-    /// Share of the bays that are taken, 0 to 1.
+    /// Share of the bays that are taken.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub occupancy: f64,
-    /// Share of the parked cars that never leave, 0 to 1.
+    /// Share of the parked cars that never leave.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub residents: f64,
     /// Walkers in each revisit (the initial drive meets nobody).
+    #[schemars(range(min = 0, max = 20))]
     pub walkers: usize,
     /// Rise of the floor per metre away from the drain in its middle.
+    #[schemars(range(min = 0.0, max = 0.1))]
     pub floor_slope: f64,
     /// Speed on straight lanes, m/s; bends are taken slower.
+    #[schemars(range(min = 0.5, max = 10.0))]
     pub speed_mps: f64,
     /// Loops driven per session. One loop is half of the session's round trip, and two loops
     /// cover every aisle; a fraction stops on the way.
+    #[schemars(range(min = 0.02, max = 100.0))]
     pub loops: f64,
     /// Distance ahead on the round trip at which sessions start, metres.
+    #[schemars(range(min = 0.0, max = 10_000.0))]
     pub start_m: f64,
     /// Relative error of the odometry's distances in every session, beside the small ones that
     /// each session draws.
+    #[schemars(range(min = -0.5, max = 0.5))]
     pub odometry_scale_error: f64,
     /// Distance of the published principal points from the true ones, pixels, in a direction that
     /// each camera draws.
+    #[schemars(range(min = 0.0, max = 20.0))]
     pub calibration_error_px: f64,
-    /// A camera (`front`, `left`, `rear`, `right`) that sees nothing but the noise of its sensor.
+    /// A camera that sees nothing but the noise of its sensor.
+    #[schemars(extend("enum" = CAMERAS))]
     pub dark_camera: Option<String>,
     /// Sessions at the beginning that are not written, because they were before. The others stay
     /// what they are.
     pub skip: usize,
-    /// JPEG quality, 1 to 100.
+    /// JPEG quality.
+    #[schemars(range(min = 1, max = 100))]
     pub jpeg_quality: u8,
     /// Sharpness of the painted floor, texels per metre. Memory grows with its square: 100 MB
     /// at 160.
+    #[schemars(range(min = 10.0, max = 400.0))]
     pub floor_texels_per_m: f64,
     /// Nanoseconds since the epoch at which the initial session starts; revisits follow a day
     /// apart.
+    #[schemars(range(min = 0, max = 4_000_000_000_000_000_000_u64))]
     pub start_ns: u64,
 }
 
@@ -92,49 +113,14 @@ impl Default for CarPark {
 }
 
 impl CarPark {
-    /// The names of the sessions in order: `initial`, `revisit_1`, …
-    pub fn session_names(&self) -> Vec<String> {
-        let revisits = (1..=self.revisits).map(|k| format!("revisit_{k}"));
-        std::iter::once("initial".to_owned())
-            .chain(revisits)
-            .collect()
-    }
-
     /// Refuses values that make no world, all at once.
     ///
     /// # Errors
     /// [`WorldError::Parameters`] with one line for each unusable value.
     pub fn check(&self) -> Result<(), WorldError> {
-        let known = CAMERAS.join(", ");
-        let dark = self.dark_camera.iter();
-        let unknown = dark.filter(|name| !CAMERAS.contains(&name.as_str()));
-        let limits = [
-            ("revisits", self.revisits as f64, 0.0, 1000.0),
-            ("width_px", f64::from(self.width_px), 32.0, 4096.0),
-            ("height_px", f64::from(self.height_px), 32.0, 4096.0),
-            ("rate_hz", self.rate_hz, 0.1, 100.0),
-            ("odometry_rate_hz", self.odometry_rate_hz, 1.0, 1000.0),
-            ("west_bays", self.west_bays as f64, 1.0, 40.0),
-            ("east_bays", self.east_bays as f64, 1.0, 40.0),
-            ("occupancy", self.occupancy, 0.0, 1.0),
-            ("residents", self.residents, 0.0, 1.0),
-            ("walkers", self.walkers as f64, 0.0, 20.0),
-            ("speed_mps", self.speed_mps, 0.5, 10.0),
-            ("loops", self.loops, 0.02, 100.0),
-            ("floor_slope", self.floor_slope, 0.0, 0.1),
-            ("start_m", self.start_m, 0.0, 10_000.0),
-            ("odometry_scale_error", self.odometry_scale_error, -0.5, 0.5),
-            ("calibration_error_px", self.calibration_error_px, 0.0, 20.0),
-            ("skip", self.skip as f64, 0.0, self.revisits as f64),
-            ("jpeg_quality", f64::from(self.jpeg_quality), 1.0, 100.0),
-            ("floor_texels_per_m", self.floor_texels_per_m, 10.0, 400.0),
-            ("start_ns", self.start_ns as f64, 0.0, 4e18),
-        ];
-        check(
-            &limits,
-            unknown.map(|name| {
-                format!("dark_camera: expected one of {known}, found {name}; choose one of them")
-            }),
-        )
+        let (skip, revisits) = (self.skip, self.revisits);
+        let skipped = (skip > revisits)
+            .then(|| format!("skip: expected at most {revisits} (revisits), found {skip}"));
+        check(self, [skipped])
     }
 }

@@ -2,11 +2,10 @@
 
 use super::CarPark;
 use crate::random::{normal, stream};
-use crate::record::camera_matrix;
+use crate::record::CameraTopics;
 use crate::render::{Lens, looking};
 use evermap_algorithms::geometry::camera::{Camera, KannalaBrandt, Model};
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_messages::ros2::Calibration;
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::Rng;
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -19,41 +18,19 @@ pub const CIRCLE_RAD: f64 = 95.0 * PI / 180.0;
 pub struct RigCamera {
     /// `front`, `left`, `rear` or `right`.
     pub name: &'static str,
-    /// Its optical frame.
-    pub frame_id: String,
-    /// Focal lengths, pixels.
-    pub focal: [f64; 2],
-    /// Principal point, pixels; (0, 0) is the centre of the top-left pixel.
-    pub centre: [f64; 2],
-    /// Principal point as published, pixels.
-    pub published_centre: [f64; 2],
-    /// Kannala–Brandt coefficients k1 to k4.
-    pub k: [f64; 4],
-    /// Lens and image size.
+    /// The true lens; pixel (0, 0) is the centre of the top-left pixel.
+    pub optics: KannalaBrandt,
+    /// The lens, and the image's size.
     pub camera: Camera,
-    /// Where it sits; optical frame: z forward, x right, y down.
-    pub vehicle_from_camera: Pose,
+    /// Where it sits (optical frame: z forward, x right, y down), and what is published of its lens.
+    pub topics: CameraTopics,
 }
 
 impl RigCamera {
     /// Its rays, tile by tile.
     pub fn lens(&self) -> Lens {
-        Lens::new(
-            &self.camera,
-            &self.vehicle_from_camera,
-            self.focal,
-            CIRCLE_RAD,
-        )
-    }
-
-    /// What is published of it: `equidistant`, D = [k1, k2, k3, k4].
-    pub fn published(&self) -> Calibration<'_> {
-        Calibration {
-            size: [self.camera.width, self.camera.height],
-            model: "equidistant",
-            distortion: &self.k,
-            k: camera_matrix(self.focal, self.published_centre),
-        }
+        let place = &self.topics.vehicle_from_camera;
+        Lens::new(&self.camera, place, self.optics.focal(), CIRCLE_RAD)
     }
 }
 
@@ -91,17 +68,23 @@ pub fn rig(world: &CarPark) -> Vec<RigCamera> {
         let nudge = Vector3::new(draw(0.008), draw(0.008), draw(0.008));
         let rotation = looking(yaw, tilt) * UnitQuaternion::from_scaled_axis(nudge);
         let shift = Vector3::new(draw(0.008), draw(0.008), draw(0.008));
-        let lens = KannalaBrandt::new(focal, centre, k);
-        let camera = Camera::new(Model::KannalaBrandt(lens), world.width_px, world.height_px);
+        let optics = KannalaBrandt::new(focal, centre, k);
+        let size = [world.width_px, world.height_px];
+        let camera = Camera::new(Model::KannalaBrandt(optics), size[0], size[1]);
         cameras.push(RigCamera {
             name,
-            frame_id: format!("{name}_optical_frame"),
-            focal,
-            centre,
-            published_centre: off(world, index, centre),
-            k,
+            optics,
             camera: camera.with_max_angle(CIRCLE_RAD),
-            vehicle_from_camera: Pose::new(Vector3::from(place) + shift, rotation),
+            topics: CameraTopics {
+                namespace: format!("/camera/{name}"),
+                frame_id: format!("{name}_optical_frame"),
+                vehicle_from_camera: Pose::new(Vector3::from(place) + shift, rotation),
+                size,
+                model: "equidistant",
+                distortion: k.to_vec(),
+                focal,
+                centre: off(world, index, centre),
+            },
         });
     }
     cameras
@@ -131,13 +114,13 @@ mod tests {
         let rig = rig(&CarPark::default());
         let ways = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]];
         for (camera, way) in rig.iter().zip(ways) {
-            let axis = camera.vehicle_from_camera.rotate(&Vector3::z());
+            let axis = camera.topics.vehicle_from_camera.rotate(&Vector3::z());
             assert!(axis.x * way[0] + axis.y * way[1] > 0.8, "{}", camera.name);
             assert!(axis.z < -0.2);
             let [u0, _] = camera.camera.project(&-Vector3::x()).unwrap();
             let [u1, _] = camera.camera.project(&Vector3::x()).unwrap();
             assert!((u1 - u0 - 1280.0).abs() < 16.0, "{}", u1 - u0);
         }
-        assert_ne!(rig[0].k, rig[1].k);
+        assert_ne!(rig[0].optics, rig[1].optics);
     }
 }

@@ -23,19 +23,12 @@ const BEND_M: f64 = 4.9;
 pub struct Route {
     /// Nodes of the round trip, in order; after the last comes the first.
     pub cycle: Vec<Node>,
-    /// Where the drive starts: the gate, or a fraction of the aisle that leads to the first node.
-    pub start: Start,
+    /// Nodes on the way to the round trip: the gate and what is behind it, or the round trip's last.
+    approach: Vec<Node>,
+    /// Share of the first aisle that is left out.
+    fraction: f64,
     /// Offset to the right of the usual lane, metres.
     pub offset_m: f64,
-}
-
-/// Where a drive starts.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Start {
-    /// At the gate.
-    Gate,
-    /// On the aisle from the last node of the cycle to the first, this fraction of the way.
-    OnAisle(f64),
 }
 
 /// Figure of eight (west loop anticlockwise, east loop clockwise), then the ring clockwise.
@@ -57,24 +50,33 @@ impl Route {
             rng.random_range(-0.3..0.3)
         };
         let fraction = rng.random_range(0.36..0.5);
-        let (cycle, start) = match session {
-            0 => (EIGHT_THEN_RING, Start::Gate),
-            k if k % 4 == 1 => (RING_THEN_EIGHT, Start::OnAisle(fraction)),
-            k if k % 4 == 2 => (OTHER_WAY, Start::OnAisle(fraction)),
-            k if k % 4 == 3 => (MIXED, Start::Gate),
-            _ => (EIGHT_THEN_RING, Start::OnAisle(fraction)),
+        let cycle = match session % 4 {
+            0 => EIGHT_THEN_RING,
+            1 => RING_THEN_EIGHT,
+            2 => OTHER_WAY,
+            _ => MIXED,
+        };
+        let (approach, fraction) = if session == 0 || session % 4 == 3 {
+            (vec![Gate, SC], 0.0)
+        } else {
+            (vec![cycle[cycle.len() - 1]], fraction)
         };
         Self {
             cycle: cycle.to_vec(),
-            start,
+            approach,
+            fraction,
             offset_m,
         }
     }
 
     /// The path of `loops` loops (two are the whole cycle and a little more) that starts `start_m`
     /// metres ahead on the round trip.
-    pub fn path_from(&self, layout: &Layout, start_m: f64, loops: f64) -> Vec<PathPoint> {
-        let mut path = self.path_of(layout, start_m, loops);
+    pub fn path(&self, layout: &Layout, start_m: f64, loops: f64) -> Vec<PathPoint> {
+        let one = self.corners(layout, 1);
+        let cycle_m: f64 = one.windows(2).map(|pair| distance(pair[0], pair[1])).sum();
+        let repeats = (loops / 2.0 + start_m / cycle_m).ceil() as usize + 1;
+        let wanted_m = start_m + (0.5 * loops * cycle_m).max(2.0);
+        let mut path = follow(&self.corners(layout, repeats), wanted_m).points;
         path.retain(|point| point.s >= start_m);
         let skipped = path.first().map_or(0.0, |point| point.s);
         for point in &mut path {
@@ -83,51 +85,20 @@ impl Route {
         path
     }
 
-    /// The path of `loops` loops from the usual start.
-    pub fn path(&self, layout: &Layout, loops: f64) -> Vec<PathPoint> {
-        self.path_of(layout, 0.0, loops)
-    }
-
-    /// The path of `loops` loops and `more_m` metres.
-    fn path_of(&self, layout: &Layout, more_m: f64, loops: f64) -> Vec<PathPoint> {
-        let one = self.corners(layout, 1);
-        let cycle_m: f64 = one.windows(2).map(|pair| distance(pair[0], pair[1])).sum();
-        let repeats = (loops / 2.0 + more_m / cycle_m).ceil() as usize + 1;
-        let mut path = Path::default();
-        let corners = self.corners(layout, repeats);
-        let wanted_m = more_m + (0.5 * loops * cycle_m).max(2.0);
-        follow(&corners, wanted_m, &mut path);
-        path.points
-    }
-
     /// Where the drive starts, and the meeting points of successive lanes after it.
     fn corners(&self, layout: &Layout, repeats: usize) -> Vec<[f64; 2]> {
         let lane = LANE_M + self.offset_m;
-        let last = self.cycle.len() - 1;
-        let mut nodes: Vec<Node> = match self.start {
-            Start::Gate => vec![Gate, SC],
-            Start::OnAisle(_) => vec![self.cycle[last]],
-        };
-        for _ in 0..repeats {
-            nodes.extend(&self.cycle);
-        }
-        let places: Vec<[f64; 2]> = nodes.iter().map(|node| layout.node(*node)).collect();
-        let mut corners = Vec::new();
+        let trips = std::iter::repeat_n(&self.cycle, repeats).flatten();
+        let nodes = self.approach.iter().chain(trips);
+        let places: Vec<[f64; 2]> = nodes.map(|node| layout.node(*node)).collect();
         let first = direction(places[0], places[1]);
-        let fraction = match self.start {
-            Start::Gate => 0.0,
-            Start::OnAisle(fraction) => fraction,
-        };
-        let way = distance(places[0], places[1]) * fraction;
-        corners.push([
+        let way = distance(places[0], places[1]) * self.fraction;
+        let mut corners = vec![[
             places[0][0] + way * first[0] + lane * first[1],
             places[0][1] + way * first[1] - lane * first[0],
-        ]);
+        ]];
         for triple in places.windows(3) {
-            let (a, b) = (
-                direction(triple[0], triple[1]),
-                direction(triple[1], triple[2]),
-            );
+            let [a, b] = [0, 1].map(|k| direction(triple[k], triple[k + 1]));
             if a[0] * b[0] + a[1] * b[1] < 0.5 {
                 corners.push([
                     triple[1][0] + lane * (a[1] + b[1]),
@@ -150,25 +121,25 @@ fn direction(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
 }
 
 /// Draws straight lanes and bends until `wanted_m` are driven.
-fn follow(corners: &[[f64; 2]], wanted_m: f64, path: &mut Path) {
-    let Some(mut at) = corners.first().copied() else {
-        return;
-    };
+fn follow(corners: &[[f64; 2]], wanted_m: f64) -> Path {
+    let mut path = Path::default();
+    let mut at = corners[0];
     for k in 1..corners.len() {
         let vertex = corners[k];
         let a = direction(at, vertex);
         let bend_start = [vertex[0] - BEND_M * a[0], vertex[1] - BEND_M * a[1]];
-        straight(at, bend_start, wanted_m, path);
+        straight(at, bend_start, wanted_m, &mut path);
         let Some(next) = corners.get(k + 1) else {
-            return;
+            break;
         };
         let b = direction(vertex, *next);
-        bend(vertex, a, b, wanted_m, path);
+        bend(vertex, a, b, wanted_m, &mut path);
         at = [vertex[0] + BEND_M * b[0], vertex[1] + BEND_M * b[1]];
         if path.length() >= wanted_m {
-            return;
+            break;
         }
     }
+    path
 }
 
 fn straight(from: [f64; 2], to: [f64; 2], wanted_m: f64, path: &mut Path) {
@@ -244,7 +215,7 @@ mod tests {
         let world = CarPark::default();
         let layout = Layout::new(&world);
         for session in 0..6 {
-            let path = Route::of_session(&world, session).path(&layout, 2.0);
+            let path = Route::of_session(&world, session).path(&layout, 0.0, 2.0);
             for pair in path.windows(2) {
                 let step = pair[1].s - pair[0].s;
                 assert!(step > 1e-4 && step < 2.0 * STEP_M, "{pair:?}");
@@ -272,10 +243,8 @@ mod tests {
         let layout = Layout::new(&world);
         for session in 0..5 {
             let route = Route::of_session(&world, session);
-            let (whole, rest) = (
-                route.path(&layout, 2.0),
-                route.path_from(&layout, 70.0, 1.0),
-            );
+            let whole = route.path(&layout, 0.0, 2.0);
+            let rest = route.path(&layout, 70.0, 1.0);
             let first = whole.iter().find(|point| point.s >= 70.0).unwrap();
             assert_eq!((rest[0].s, rest[0].pose.at()), (0.0, first.pose.at()));
             let half = 0.5 * whole.last().unwrap().s;
@@ -288,7 +257,7 @@ mod tests {
         let world = CarPark::default();
         let layout = Layout::new(&world);
         for session in 0..6 {
-            let path = Route::of_session(&world, session).path(&layout, 2.0);
+            let path = Route::of_session(&world, session).path(&layout, 0.0, 2.0);
             for (a, b) in AISLES.iter().filter(|(a, _)| *a != Gate) {
                 let (a, b) = (layout.node(*a), layout.node(*b));
                 let middle = [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])];

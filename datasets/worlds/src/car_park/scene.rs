@@ -2,11 +2,12 @@
 
 use super::CarPark;
 use super::canvas::Canvas;
-use super::cars::{CAR_SCALE, CarFaces, ParkedCar, car_solids, paint_car};
+use super::cars::{CAR_SCALE, CarViews, ParkedCar, car_solids, paint_car};
 use super::floor;
-use super::layout::{AISLE_M, CEILING_M, Layout};
+use super::layout::{AISLE_M, CEILING_M, Layout, Rect};
 use super::lighting::Lighting;
 use super::texture::Texture;
+use super::visit::Visit;
 use super::walkers::Walker;
 use super::walls::{
     WALL_SCALE, light_wall, paint_ceiling, paint_concrete, paint_pillar, paint_wall, roller_door,
@@ -55,64 +56,39 @@ fn axis(direction: [f64; 3], scale: f64, origin: [f64; 3]) -> [f32; 4] {
     [d[0] as f32, d[1] as f32, d[2] as f32, offset as f32]
 }
 
-/// A wall: where its lower left corner is and which way is right, as seen from inside the hall.
-#[derive(Clone, Copy)]
-struct WallPlace {
-    name: char,
-    corner: [f64; 2],
-    right: [f64; 2],
-    length: f64,
-}
-
-impl WallPlace {
-    fn new(name: char, corner: [f64; 2], right: [f64; 2], length: f64) -> Self {
-        Self {
-            name,
-            corner,
-            right,
-            length,
-        }
-    }
-}
+/// A wall: where its lower left corner is, which way is right as seen from inside the hall, and its length.
+type WallPlace = (char, [f64; 2], [f64; 2], f64);
 
 impl Scene {
     /// Builds the scene of a session on the floor of [`floor::paint_floor`].
-    pub fn build(
-        world: &CarPark,
-        layout: &Layout,
-        session: usize,
-        empty_floor: &Canvas,
-        parked: &[ParkedCar],
-        people: &[Walker],
-    ) -> Self {
+    pub fn build(world: &CarPark, layout: &Layout, empty_floor: &Canvas, visit: &Visit) -> Self {
+        let session = visit.session.index;
         let lighting = Lighting::of_session(world, layout, session);
+        let room = [layout.width_m, layout.depth_m, CEILING_M];
         let mut scene = Self {
             textures: Vec::new(),
             faces: Vec::new(),
             solids: Vec::new(),
-            room: [
-                layout.width_m as f32,
-                layout.depth_m as f32,
-                CEILING_M as f32,
-            ],
+            room: room.map(|side| side as f32),
             ground: layout.ground,
             walker_faces: Vec::new(),
         };
         let mut spots = stream(world.seed, "spots", session as u64);
         let mut ground = empty_floor.clone();
         floor::stains(&mut ground, layout, 14, &mut spots);
-        scene.add_level(lighting.on_floor(&ground, parked));
+        scene.add_level(lighting.on_floor(&ground, &visit.parked));
         let mut rng = stream(world.seed, "walls", 0);
         scene.add_level(paint_ceiling(layout, &lighting, &mut rng));
         scene.add_walls(layout, &lighting, &mut rng);
         scene.add_rooms(layout, &lighting, &mut rng);
         scene.add_pillars(layout, &lighting, &mut rng);
         scene.add_beams(layout, &mut rng);
-        for car in parked {
+        for car in &visit.parked {
             scene.add_car(car, &lighting);
         }
-        for person in people {
-            scene.add_walker(person);
+        for person in &visit.walkers {
+            let faces = person.greys.map(|grey| scene.plain(grey, 0.85));
+            scene.walker_faces.push(faces);
         }
         scene
     }
@@ -131,13 +107,19 @@ impl Scene {
     }
 
     fn face(&mut self, texture: u16, light: f64, u: [f32; 4], v: [f32; 4]) -> u16 {
+        let light = light as f32;
         self.faces.push(Face {
             texture,
-            light: light as f32,
+            light,
             u,
             v,
         });
         (self.faces.len() - 1) as u16
+    }
+
+    fn painted(&mut self, canvas: Canvas, light: f64, u: [f32; 4], v: [f32; 4]) -> u16 {
+        let texture = self.texture(canvas.into_texture());
+        self.face(texture, light, u, v)
     }
 
     fn plain(&mut self, grey: u8, light: f64) -> u16 {
@@ -145,68 +127,64 @@ impl Scene {
         self.face(texture, light, [0.0; 4], [0.0; 4])
     }
 
+    fn add_box(&mut self, low: [f64; 3], high: [f64; 3], faces: [u16; 6]) {
+        let solid = Solid::cuboid(&Pose::identity(), low, high, faces);
+        self.solids.push(solid);
+    }
+
     /// The floor or the ceiling: columns along x, rows along y.
     fn add_level(&mut self, canvas: Canvas) {
-        let scale = canvas.scale;
-        let texture = self.texture(canvas.into_texture());
-        let u = axis([1.0, 0.0, 0.0], scale, [0.0; 3]);
-        let v = axis([0.0, 1.0, 0.0], scale, [0.0; 3]);
-        self.face(texture, 1.0, u, v);
+        let u = axis([1.0, 0.0, 0.0], canvas.scale, [0.0; 3]);
+        let v = axis([0.0, 1.0, 0.0], canvas.scale, [0.0; 3]);
+        self.painted(canvas, 1.0, u, v);
     }
 
     fn add_walls(&mut self, layout: &Layout, lighting: &Lighting, rng: &mut ChaCha8Rng) {
         let (w, d) = (layout.width_m, layout.depth_m);
-        let places = [
-            WallPlace::new('S', [w, 0.0], [-1.0, 0.0], w),
-            WallPlace::new('N', [0.0, d], [1.0, 0.0], w),
-            WallPlace::new('W', [0.0, 0.0], [0.0, 1.0], d),
-            WallPlace::new('E', [w, d], [0.0, -1.0], d),
+        let places: [WallPlace; 4] = [
+            ('S', [w, 0.0], [-1.0, 0.0], w),
+            ('N', [0.0, d], [1.0, 0.0], w),
+            ('W', [0.0, 0.0], [0.0, 1.0], d),
+            ('E', [w, d], [0.0, -1.0], d),
         ];
         for place in places {
-            let mut canvas = paint_wall(place.length, place.name, rng);
-            if place.name == 'S' {
+            let (name, .., length) = place;
+            let mut canvas = paint_wall(length, name, rng);
+            if name == 'S' {
                 let gate = layout.islands[0].x1;
                 roller_door(&mut canvas, w - gate - AISLE_M + 0.6, w - gate - 0.6);
             }
-            self.add_wall(&canvas, &place, lighting);
+            self.add_wall(&canvas, place, lighting);
         }
     }
 
-    fn add_wall(&mut self, canvas: &Canvas, place: &WallPlace, lighting: &Lighting) -> u16 {
-        let [rx, ry] = place.right;
+    fn add_wall(&mut self, canvas: &Canvas, place: WallPlace, lighting: &Lighting) -> u16 {
+        let (_, [x, y], [rx, ry], _) = place;
         // Sampled half a metre inside the hall.
-        let inward = [-ry * 0.5, rx * 0.5].map(|part: f64| -part);
         let lit = light_wall(canvas, lighting, |m| {
-            [
-                place.corner[0] + m * rx + inward[0],
-                place.corner[1] + m * ry + inward[1],
-            ]
+            [x + m * rx + ry * 0.5, y + m * ry - rx * 0.5]
         });
-        let texture = self.texture(lit.into_texture());
-        let origin = [place.corner[0], place.corner[1], 0.0];
-        let u = axis([rx, ry, 0.0], WALL_SCALE, origin);
-        let v = axis([0.0, 0.0, 1.0], WALL_SCALE, origin);
-        self.face(texture, 1.0, u, v)
+        let u = axis([rx, ry, 0.0], WALL_SCALE, [x, y, 0.0]);
+        let v = axis([0.0, 0.0, 1.0], WALL_SCALE, [x, y, 0.0]);
+        self.painted(lit, 1.0, u, v)
     }
 
     fn add_rooms(&mut self, layout: &Layout, lighting: &Lighting, rng: &mut ChaCha8Rng) {
         for (room, top) in layout.rooms.iter().zip([false, true]) {
-            let side = room.y1 - room.y0;
-            let west = WallPlace::new('U', [room.x0, room.y1], [0.0, -1.0], side);
+            let Rect { x0, y0, x1, y1 } = *room;
+            let side = y1 - y0;
             let inner = if top {
-                WallPlace::new('V', [room.x0, room.y0], [1.0, 0.0], side)
+                ('V', [x0, y0], [1.0, 0.0], side)
             } else {
-                WallPlace::new('T', [room.x1, room.y1], [-1.0, 0.0], side)
+                ('T', [x1, y1], [-1.0, 0.0], side)
             };
-            let [west, inner] = [west, inner].map(|place| {
-                let canvas = paint_wall(place.length, place.name, rng);
-                self.add_wall(&canvas, &place, lighting)
+            let west = ('U', [x0, y1], [0.0, -1.0], side);
+            let [west, inner] = [west, inner].map(|place: WallPlace| {
+                let canvas = paint_wall(side, place.0, rng);
+                self.add_wall(&canvas, place, lighting)
             });
-            let low = Vector3::new(room.x0, room.y0, 0.0);
-            let high = Vector3::new(room.x1 + 0.1, room.y1, CEILING_M + 0.1);
-            let faces = [west, west, inner, inner, west, west];
-            self.solids
-                .push(Solid::cuboid(&Pose::identity(), low, high, faces));
+            let high = [x1 + 0.1, y1, CEILING_M + 0.1];
+            self.add_box([x0, y0, 0.0], high, [west, west, inner, inner, west, west]);
         }
     }
 
@@ -217,23 +195,14 @@ impl Scene {
             let texture = self.texture(canvas.into_texture());
             let up = axis([0.0, 0.0, 1.0], scale, [0.0; 3]);
             let [cx, cy] = pillar.centre();
-            let mut side = |nx: f64, ny: f64| {
-                let right = [-ny, nx, 0.0];
-                let left = [cx + 0.25 * ny, cy - 0.25 * nx, 0.0];
-                let light = 0.1 + 0.8 * lighting.at(cx + 0.6 * nx, cy + 0.6 * ny, 1.2);
-                self.face(texture, light, axis(right, scale, left), up)
-            };
-            let faces = [
-                side(1.0, 0.0),
-                side(-1.0, 0.0),
-                side(0.0, 1.0),
-                side(0.0, -1.0),
-            ];
-            let faces = [faces[0], faces[1], faces[2], faces[3], faces[0], faces[0]];
-            let low = Vector3::new(pillar.x0, pillar.y0, 0.0);
-            let high = Vector3::new(pillar.x1, pillar.y1, CEILING_M + 0.1);
-            self.solids
-                .push(Solid::cuboid(&Pose::identity(), low, high, faces));
+            let [a, b, c, d] =
+                [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]].map(|[nx, ny]| {
+                    let left = [cx + 0.25 * ny, cy - 0.25 * nx, 0.0];
+                    let light = 0.1 + 0.8 * lighting.at(cx + 0.6 * nx, cy + 0.6 * ny, 1.2);
+                    self.face(texture, light, axis([-ny, nx, 0.0], scale, left), up)
+                });
+            let high = [pillar.x1, pillar.y1, CEILING_M + 0.1];
+            self.add_box([pillar.x0, pillar.y0, 0.0], high, [a, b, c, d, a, a]);
         }
     }
 
@@ -242,17 +211,14 @@ impl Scene {
             let canvas = paint_concrete(layout.depth_m, 0.5, rng);
             let scale = canvas.scale;
             let texture = self.texture(canvas.into_texture());
-            let (low_x, high_x, low_z) = (x - 0.2, x + 0.2, CEILING_M - 0.38);
+            let low = [x - 0.2, -0.1, CEILING_M - 0.38];
+            let high = [x + 0.2, layout.depth_m + 0.1, CEILING_M + 0.1];
             let along = axis([0.0, 1.0, 0.0], scale, [0.0; 3]);
-            let up = axis([0.0, 0.0, 1.0], scale, [0.0, 0.0, low_z]);
-            let across = axis([1.0, 0.0, 0.0], scale, [low_x, 0.0, 0.0]);
+            let up = axis([0.0, 0.0, 1.0], scale, [0.0, 0.0, low[2]]);
+            let across = axis([1.0, 0.0, 0.0], scale, [low[0], 0.0, 0.0]);
             let side = self.face(texture, 0.75, along, up);
             let below = self.face(texture, 0.55, along, across);
-            let low = Vector3::new(low_x, -0.1, low_z);
-            let high = Vector3::new(high_x, layout.depth_m + 0.1, CEILING_M + 0.1);
-            let faces = [side, side, side, side, below, below];
-            self.solids
-                .push(Solid::cuboid(&Pose::identity(), low, high, faces));
+            self.add_box(low, high, [side, side, side, side, below, below]);
         }
     }
 
@@ -272,22 +238,13 @@ impl Scene {
             let [x, y] = car.pose.point([ahead, 0.0]);
             0.15 + 0.75 * lighting.at(x, y, 0.8)
         };
-        let mut add = |canvas: Canvas, light: f64, u: [f32; 4], v: [f32; 4]| {
-            let texture = self.texture(canvas.into_texture());
-            self.face(texture, light, u, v)
+        let faces = CarViews {
+            side: self.painted(paint.side, 0.8 * light(0.0), along, up),
+            front: self.painted(paint.front, 0.9 * light(2.0), across, up),
+            rear: self.painted(paint.rear, 0.9 * light(-2.0), across, up),
+            top: self.painted(paint.top, 1.05 * light(0.0), along, across),
         };
-        let faces = CarFaces {
-            side: add(paint.side, 0.8 * light(0.0), along, up),
-            front: add(paint.front, 0.9 * light(2.0), across, up),
-            rear: add(paint.rear, 0.9 * light(-2.0), across, up),
-            top: add(paint.top, 1.05 * light(0.0), along, across),
-            dark: self.plain(16, 1.0),
-        };
-        self.solids.extend(car_solids(car, &stand, &faces));
-    }
-
-    fn add_walker(&mut self, person: &Walker) {
-        let faces = person.greys.map(|grey| self.plain(grey, 0.85));
-        self.walker_faces.push(faces);
+        let dark = self.plain(16, 1.0);
+        self.solids.extend(car_solids(car, &stand, &faces, dark));
     }
 }

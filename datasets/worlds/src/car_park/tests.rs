@@ -8,8 +8,9 @@ use super::floor::paint_floor;
 use super::rig::{RigCamera, rig};
 use super::scene::Scene;
 use super::{Layout, Studio, Visit};
-use crate::render::{Lens, Scratch};
-use crate::{CarPark, WheelErrors, WorldError, car_park};
+use crate::render::Lens;
+use crate::vehicle::Wheels;
+use crate::{CarPark, WorldError, car_park};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::fs;
@@ -180,7 +181,7 @@ fn check_session(bytes: &[u8], stamps: &[u64], world: &CarPark) -> BTreeMap<Stri
 
 fn studio_parts(world: &CarPark, session: usize) -> (Layout, Visit, Vec<Lens>) {
     let layout = Layout::new(world);
-    let visit = Visit::new(world, &layout, session, "any");
+    let visit = Visit::new(world, &layout, session);
     let lenses = rig(world).iter().map(RigCamera::lens).collect();
     (layout, visit, lenses)
 }
@@ -206,22 +207,21 @@ fn floor_marks_appear_where_the_truth_projects_them() {
     for mark in &marks {
         floor.disc(*mark, 0.1, 220.0, 1.0);
     }
-    let scene = Scene::build(&world, &layout, 0, &floor, &[], &[]);
+    let scene = Scene::build(&world, &layout, &floor, &visit);
     let rig = rig(&world);
     let studio = Studio {
-        params: &world,
+        seed: world.seed,
         lenses: &lenses,
         visit: &visit,
         scene,
         exposure: Exposure::of_session(&world, 0),
     };
-    let mut scratch = Scratch::default();
     let mut errors = [Vec::new(), Vec::new(), Vec::new(), Vec::new()];
     for (shot, stamp) in visit.session.stamps.iter().enumerate().step_by(7) {
         let pose = visit.session.map_from_vehicle(*stamp);
         for (camera, lens) in rig.iter().enumerate() {
-            let image = studio.image(shot, camera, &mut scratch);
-            let camera_from_map = pose.compose(&lens.vehicle_from_camera).inverse();
+            let image = studio.image(shot, camera);
+            let camera_from_map = pose.compose(&lens.topics.vehicle_from_camera).inverse();
             for [x, y] in &marks {
                 let point = Vector3::new(*x, *y, layout.ground.height(*y));
                 let own = camera_from_map.transform(&point);
@@ -368,10 +368,10 @@ fn a_calibration_that_is_off_changes_what_is_published_and_no_image() {
         ..world.clone()
     };
     for (right, wrong) in rig(&world).iter().zip(rig(&off)) {
-        assert_eq!(right.published_centre, right.centre);
-        assert_eq!((right.centre, &right.camera), (wrong.centre, &wrong.camera));
-        let [u, v] = wrong.published_centre;
-        let apart = (u - wrong.centre[0]).hypot(v - wrong.centre[1]);
+        assert_eq!(right.topics.centre, right.optics.centre());
+        assert_eq!((right.optics, &right.camera), (wrong.optics, &wrong.camera));
+        let [u, v] = wrong.topics.centre;
+        let apart = (u - right.topics.centre[0]).hypot(v - right.topics.centre[1]);
         assert!((apart - 0.5).abs() < 1e-9);
     }
     let (right, wrong) = (simulated(&world, 2), simulated(&off, 2));
@@ -390,10 +390,8 @@ fn odometry_is_as_wrong_as_it_was_asked_to_be() {
         ..world.clone()
     };
     for session in 0..3 {
-        let (a, b) = (
-            WheelErrors::of_session(world.seed, session, world.odometry_scale_error),
-            WheelErrors::of_session(wrong.seed, session, wrong.odometry_scale_error),
-        );
+        let [a, b] = [&world, &wrong]
+            .map(|world| Wheels::new(50.0, world.seed, session, world.odometry_scale_error).errors);
         assert!((b.scale - a.scale - 0.05).abs() < 1e-12);
         assert_eq!((a.track, a.yaw_bias), (b.track, b.yaw_bias));
     }
@@ -409,19 +407,17 @@ fn pictures() {
     let (layout, _, lenses) = studio_parts(&world, 0);
     let floor = paint_floor(&world, &layout, &[]);
     let rig = rig(&world);
-    let mut scratch = Scratch::default();
     for (session, shot) in [(0, 10), (1, 60), (2, 400)] {
-        let visit = Visit::new(&world, &layout, session, "any");
-        let (parked, walkers) = (&visit.parked, &visit.walkers);
+        let visit = Visit::new(&world, &layout, session);
         let studio = Studio {
-            params: &world,
+            seed: world.seed,
             lenses: &lenses,
             visit: &visit,
-            scene: Scene::build(&world, &layout, session, &floor, parked, walkers),
+            scene: Scene::build(&world, &layout, &floor, &visit),
             exposure: Exposure::of_session(&world, session),
         };
         for (camera, lens) in rig.iter().enumerate() {
-            let image = studio.image(shot, camera, &mut scratch);
+            let image = studio.image(shot, camera);
             let path = Path::new(&folder).join(format!("{session}_{}.png", lens.name));
             let mut encoder = png::Encoder::new(fs::File::create(path).unwrap(), 1280, 960);
             encoder.set_color(png::ColorType::Grayscale);

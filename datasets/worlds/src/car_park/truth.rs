@@ -8,6 +8,7 @@ use super::canvas::Canvas;
 use super::layout::{AISLES, NODES, Node, Rect};
 use super::visit::Visit;
 use crate::WorldError;
+use crate::plane::Pose2;
 use crate::record::{Folder, grey_png};
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
@@ -60,39 +61,26 @@ impl Hall<'_> {
     }
 
     fn crossings(&self) -> Value {
-        let features = self.layout.crossings.iter().enumerate();
-        collection(
-            features
-                .map(|(index, crossing)| feature(json!({ "id": index }), &crossing.rect))
-                .collect(),
-        )
+        let crossings = self.layout.crossings.iter().enumerate();
+        let id = |index| json!({ "id": index });
+        let features = crossings.map(|(index, crossing)| feature(id(index), &crossing.rect));
+        collection(features.collect())
     }
 
     fn lane_graph(&self) -> Value {
-        let degree = |node: Node| {
+        let nodes = NODES.map(|node| {
+            let [x, y] = self.layout.node(node);
             let touches = |(a, b): &&(Node, Node)| *a == node || *b == node;
-            AISLES.iter().filter(touches).count()
-        };
-        let nodes: Vec<Value> = NODES
-            .iter()
-            .map(|node| {
-                let [x, y] = self.layout.node(*node);
-                let degree = degree(*node);
-                json!({
-                    "id": format!("{node:?}"), "x": x, "y": y,
-                    "degree": degree, "intersection": degree > 2,
-                })
+            let degree = AISLES.iter().filter(touches).count();
+            json!({
+                "id": format!("{node:?}"), "x": x, "y": y,
+                "degree": degree, "intersection": degree > 2,
             })
-            .collect();
-        let segments: Vec<Value> = AISLES
-            .iter()
-            .map(|(a, b)| {
-                let line = [self.layout.node(*a), self.layout.node(*b)];
-                json!({
-                    "from": format!("{a:?}"), "to": format!("{b:?}"), "centre_line": line,
-                })
-            })
-            .collect();
+        });
+        let segments = AISLES.map(|(a, b)| {
+            let line = [a, b].map(|node| self.layout.node(node));
+            json!({ "from": format!("{a:?}"), "to": format!("{b:?}"), "centre_line": line })
+        });
         json!({ "frame": "map, metres", "nodes": nodes, "segments": segments })
     }
 
@@ -103,17 +91,14 @@ impl Hall<'_> {
 
     fn description(&self, overhead_px_per_m: f64) -> Value {
         let sessions: Vec<Value> = self.visits.iter().map(Visit::description).collect();
-        let cameras: Vec<Value> = self
-            .rig
-            .iter()
-            .map(|camera| {
-                json!({
-                    "name": camera.name, "frame_id": camera.frame_id, "model": "equidistant",
-                    "fx_fy": camera.focal, "cx_cy": camera.centre, "published_cx_cy": camera.published_centre, "k1_k4": camera.k,
-                    "vehicle_from_camera": camera.vehicle_from_camera.to_array(),
-                })
+        let cameras = self.rig.iter().map(|camera| {
+            let (optics, topics) = (&camera.optics, &camera.topics);
+            json!({
+                "name": camera.name, "frame_id": topics.frame_id, "model": topics.model,
+                "fx_fy": optics.focal(), "cx_cy": optics.centre(), "published_cx_cy": topics.centre,
+                "k1_k4": optics.distortion(), "vehicle_from_camera": topics.vehicle_from_camera.to_array(),
             })
-            .collect();
+        });
         let rect = |r: &Rect| [r.x0, r.y0, r.x1, r.y1];
         json!({
             "world": "car_park",
@@ -125,7 +110,7 @@ impl Hall<'_> {
             "poses": "map_from_vehicle; TUM lines: stamp_s x y z qx qy qz qw",
             "pillars": self.layout.pillars.iter().map(rect).collect::<Vec<_>>(),
             "islands": self.layout.islands.iter().map(rect).collect::<Vec<_>>(),
-            "cameras": cameras,
+            "cameras": cameras.collect::<Vec<_>>(),
             "sessions": sessions,
         })
     }
@@ -174,12 +159,8 @@ fn walkers_csv(visit: &Visit) -> String {
         let stamp = session.start_ns + k * 100_000_000;
         for (id, walker) in visit.walkers.iter().enumerate() {
             let at = walker.state(session.seconds(stamp));
-            let walking = u8::from(at.walking);
-            let _ = writeln!(
-                text,
-                "{stamp},{id},{:.4},{:.4},{:.4},{walking}",
-                at.pose.x, at.pose.y, at.pose.yaw
-            );
+            let (walking, Pose2 { x, y, yaw }) = (u8::from(at.walking), at.pose);
+            let _ = writeln!(text, "{stamp},{id},{x:.4},{y:.4},{yaw:.4},{walking}");
         }
     }
     text

@@ -7,7 +7,7 @@ use super::route::Route;
 use super::walkers::{Walker, walkers};
 use crate::random::stream;
 use crate::record::{Session, shutter};
-use crate::vehicle::{Trajectory, WheelErrors, Wheels};
+use crate::vehicle::{Trajectory, Wheels};
 
 const DAY_NS: u64 = 86_400_000_000_000;
 
@@ -30,16 +30,17 @@ impl AsRef<Session> for Visit {
 }
 
 impl Visit {
-    /// The visit of this number and name.
-    pub fn new(world: &CarPark, layout: &Layout, index: usize, name: &str) -> Self {
+    /// The visit of this number: `initial`, `revisit_1`, …
+    pub fn new(world: &CarPark, layout: &Layout, index: usize) -> Self {
         let route = Route::of_session(world, index);
-        let path = route.path_from(layout, world.start_m, world.loops);
+        let path = route.path(layout, world.start_m, world.loops);
         let drive = Trajectory::new(path, world.speed_mps, layout.ground);
         let mut jitter = stream(world.seed, "shutter", index as u64);
-        let count = (drive.duration_s() * world.rate_hz).floor() as usize;
+        let shots = (drive.duration_s() * world.rate_hz).floor() as usize;
         let start_ns = world.start_ns + index as u64 * DAY_NS;
         let seconds = |k: usize| 0.02 / world.rate_hz + k as f64 / world.rate_hz;
-        let scale = world.odometry_scale_error;
+        let stamps = (0..=shots).map(|k| shutter(start_ns, seconds(k), &mut jitter));
+        let (rate_hz, scale_error) = (world.odometry_rate_hz, world.odometry_scale_error);
         Self {
             route,
             parked: parked_cars(world, layout, index),
@@ -47,16 +48,14 @@ impl Visit {
             session: Session {
                 seed: world.seed,
                 index,
-                name: name.to_owned(),
+                name: match index {
+                    0 => "initial".to_owned(),
+                    _ => format!("revisit_{index}"),
+                },
                 start_ns,
                 drive,
-                stamps: (0..=count)
-                    .map(|k| shutter(start_ns, seconds(k), &mut jitter))
-                    .collect(),
-                wheels: Wheels {
-                    rate_hz: world.odometry_rate_hz,
-                    errors: WheelErrors::of_session(world.seed, index as u64, scale),
-                },
+                stamps: stamps.collect(),
+                wheels: Wheels::new(rate_hz, world.seed, index, scale_error),
             },
         }
     }

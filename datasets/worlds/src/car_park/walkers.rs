@@ -64,9 +64,8 @@ pub fn walkers(
     }
     (0..world.walkers)
         .filter_map(|index| {
-            let crossing = layout
-                .crossings
-                .get((index + session) % layout.crossings.len())?;
+            let crossings = &layout.crossings;
+            let crossing = crossings.get((index + session) % crossings.len())?;
             Some(walker(world, session, index, crossing, drive))
         })
         .collect()
@@ -83,12 +82,10 @@ fn walker(
     let shift = [-0.42, 0.0, 0.42][index / 2 % 3] + rng.random_range(-0.1..0.1);
     let back = 0.7 * (index / 2) as f64;
     let away = (crossing.island[1] - crossing.wall[1]).signum();
+    let beside = |[x, y]: [f64; 2], on: f64| [x + shift, y + on];
     let mut ends = [
-        [crossing.island[0] + shift, crossing.island[1] + away * back],
-        [
-            crossing.wall[0] + shift,
-            crossing.wall[1] - away * 0.3 * back,
-        ],
+        beside(crossing.island, away * back),
+        beside(crossing.wall, -away * 0.3 * back),
     ];
     if rng.random_bool(0.5) {
         ends.swap(0, 1);
@@ -111,13 +108,9 @@ fn walker(
             now += 0.5;
         }
     }
-    let facing = heading(home, ends[1]);
+    let turned = if trips.len() % 2 == 0 { 0.0 } else { PI };
     Walker {
-        facing: if trips.len() % 2 == 0 {
-            facing
-        } else {
-            facing + PI
-        },
+        facing: heading(home, ends[1]) + turned,
         trips,
         home,
         height_m: rng.random_range(1.58..1.88),
@@ -172,48 +165,29 @@ impl Walker {
             0.0
         };
         let h = self.height_m;
-        let limb = |pivot: [f64; 3], pitch: f64, low: [f64; 3], high: [f64; 3], face: u16| {
-            let body = state.pose.upright(ground.height(state.pose.y));
-            let swung = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), pitch);
-            let pivot = body.transform(&Vector3::from(pivot));
-            let stand = Pose::new(pivot, body.rotation * swung);
-            Solid::cuboid(&stand, Vector3::from(low), Vector3::from(high), [face; 6])
-        };
         let (hip, shoulder) = (0.48 * h, 0.81 * h);
-        let leg = [-0.075, -0.075, -hip];
-        let arm = [-0.05, -0.045, -0.36 * h];
-        vec![
-            limb(
-                [0.0, 0.0, hip],
-                0.0,
-                [-0.12, -0.2, 0.0],
-                [0.12, 0.2, shoulder - hip],
-                faces[0],
-            ),
-            limb(
-                [0.0, 0.0, 0.85 * h],
-                0.0,
-                [-0.1, -0.085, 0.0],
-                [0.11, 0.085, 0.15 * h],
-                faces[2],
-            ),
-            limb([0.0, 0.1, hip], swing, leg, [0.075, 0.075, 0.0], faces[1]),
-            limb([0.0, -0.1, hip], -swing, leg, [0.075, 0.075, 0.0], faces[1]),
-            limb(
-                [0.0, 0.25, shoulder],
-                -0.8 * swing,
-                arm,
-                [0.05, 0.045, 0.0],
-                faces[0],
-            ),
-            limb(
-                [0.0, -0.25, shoulder],
-                0.8 * swing,
-                arm,
-                [0.05, 0.045, 0.0],
-                faces[0],
-            ),
-        ]
+        let [coat, trousers, skin] = faces;
+        let torso = ([-0.12, -0.2, 0.0], [0.12, 0.2, shoulder - hip]);
+        let head = ([-0.1, -0.085, 0.0], [0.11, 0.085, 0.15 * h]);
+        let leg = ([-0.075, -0.075, -hip], [0.075, 0.075, 0.0]);
+        let arm = ([-0.05, -0.045, -0.36 * h], [0.05, 0.045, 0.0]);
+        // Where it hangs (to the left and up), how far it swings, and the box around it there.
+        let limbs = [
+            ([0.0, hip], 0.0, torso, coat),
+            ([0.0, 0.85 * h], 0.0, head, skin),
+            ([0.1, hip], swing, leg, trousers),
+            ([-0.1, hip], -swing, leg, trousers),
+            ([0.25, shoulder], -0.8 * swing, arm, coat),
+            ([-0.25, shoulder], 0.8 * swing, arm, coat),
+        ];
+        let body = state.pose.upright(ground.height(state.pose.y));
+        let limb = |([left, up], pitch, (low, high), face): ([f64; 2], f64, _, u16)| {
+            let swung = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), pitch);
+            let pivot = body.transform(&Vector3::new(0.0, left, up));
+            let stand = Pose::new(pivot, body.rotation * swung);
+            Solid::cuboid(&stand, low, high, [face; 6])
+        };
+        limbs.map(limb).to_vec()
     }
 }
 
@@ -228,7 +202,7 @@ mod tests {
         let world = CarPark::default();
         let layout = Layout::new(&world);
         for session in 1..4 {
-            let path = Route::of_session(&world, session).path(&layout, 2.0);
+            let path = Route::of_session(&world, session).path(&layout, 0.0, 2.0);
             let drive = Trajectory::new(path, world.speed_mps, layout.ground);
             let people = walkers(&world, &layout, session, &drive);
             assert_eq!(people.len(), world.walkers);

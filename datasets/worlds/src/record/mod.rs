@@ -4,13 +4,12 @@
 //! in what order they are written, and how much is rendered at once is the same for all worlds.
 
 mod folder;
-mod log;
 mod picture;
 mod session;
 
 pub use folder::Folder;
 pub use picture::{deep_png, grey_png, jpeg};
-pub use session::{CameraTopics, Sensors, Session, camera_matrix, shutter};
+pub use session::{CameraTopics, Sensors, Session, shutter};
 
 use crate::WorldError;
 use std::path::{Path, PathBuf};
@@ -20,10 +19,6 @@ use std::path::{Path, PathBuf};
 pub struct Progress {
     /// The session being driven.
     pub session: String,
-    /// Images of that session written.
-    pub images: usize,
-    /// Images that session will have.
-    pub images_total: usize,
     /// Images of all sessions written.
     pub all_images: usize,
     /// Images all sessions will have.
@@ -67,19 +62,20 @@ pub trait World {
     fn visits(&self) -> &[Self::Visit];
 
     /// What is on the vehicle.
-    fn sensors(&self) -> Sensors<'_>;
+    fn sensors(&self) -> Sensors;
 
     /// Writes what is true of all sessions into a folder in `out`, and gives its path.
     fn write_truth(&self, out: &Path) -> Result<PathBuf, WorldError>;
 
     /// Writes one session into `out`; `tell` learns how many images are written.
-    fn record(
-        &self,
-        visit: &Self::Visit,
-        out: &Path,
-        tell: &mut dyn FnMut(usize),
-    ) -> Result<SessionSummary, WorldError>;
+    fn record(&self, visit: &Self::Visit, out: &Path, tell: &mut Tell<'_>) -> Recorded;
 }
+
+/// Learns how many images of a session are written.
+pub type Tell<'a> = dyn FnMut(usize) + 'a;
+
+/// A session as written, or why it was not.
+pub type Recorded = Result<SessionSummary, WorldError>;
 
 /// Writes a world's truth and sessions into `out`.
 pub fn simulate(
@@ -100,8 +96,6 @@ pub fn simulate(
         let written = world.record(visit, out, &mut |written| {
             progress(Progress {
                 session: session.name.clone(),
-                images: written,
-                images_total: images(session),
                 all_images: before + written,
                 all_images_total,
             });

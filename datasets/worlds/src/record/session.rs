@@ -1,15 +1,14 @@
 //! One drive, and how its log is written.
 
-use super::SessionSummary;
-use super::log::{LogWriter, Times};
+use super::{Recorded, SessionSummary, Tell};
 use crate::WorldError;
 use crate::random::{nanoseconds, normal, stream};
-use crate::render::Scratch;
 use crate::vehicle::{OdometrySample, Trajectory, Wheels};
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_messages::ros2::{
-    Calibration, CameraInfo, CompressedImage, Header, Odometry, StaticTransforms,
+    Calibration, CameraInfo, CompressedImage, Header, Message, Odometry, StaticTransforms,
 };
+use evermap_recording::{LogWriter, RecordingError, Times};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -40,9 +39,9 @@ pub struct Session {
 }
 
 /// What is on the vehicle besides its wheels.
-pub struct Sensors<'a> {
+pub struct Sensors {
     /// Cameras.
-    pub cameras: Vec<CameraTopics<'a>>,
+    pub cameras: Vec<CameraTopics>,
     /// What each camera makes of a shot: the rest of the image's topic, and its format.
     pub images: &'static [(&'static str, &'static str)],
     /// How long after a shot's stamp the recorder gets a camera's images, ns.
@@ -54,71 +53,52 @@ pub struct Sensors<'a> {
 }
 
 /// A camera as the log describes it.
-pub struct CameraTopics<'a> {
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraTopics {
     /// Its topics begin with this.
     pub namespace: String,
     /// Its optical frame.
-    pub frame_id: &'a str,
+    pub frame_id: String,
     /// Where it sits.
-    pub vehicle_from_camera: &'a Pose,
-    /// What is published of its lens.
-    pub calibration: Calibration<'a>,
+    pub vehicle_from_camera: Pose,
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// `distortion_model`.
+    pub model: &'static str,
+    /// D.
+    pub distortion: Vec<f64>,
+    /// Focal lengths, pixels; of a panorama, pixels per radian.
+    pub focal: [f64; 2],
+    /// Principal point, pixels.
+    pub centre: [f64; 2],
 }
 
 /// The images, encoded, of a shot and a camera (their indices), in the order of [`Sensors::images`].
-pub type Take<'a> =
-    dyn Fn(usize, usize, &mut Scratch) -> Result<Vec<Vec<u8>>, WorldError> + Sync + 'a;
+pub type Take<'a> = dyn Fn(usize, usize) -> Result<Vec<Vec<u8>>, WorldError> + Sync + 'a;
 
-/// What happens at one log time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Event {
-    Transforms,
-    Odometry(usize),
-    CameraInfo {
-        shot: usize,
-        camera: usize,
-    },
-    Image {
-        shot: usize,
-        camera: usize,
-        image: usize,
-    },
+/// A message of the log.
+struct Due {
+    channel: u16,
+    times: Times,
+    content: Content,
 }
 
-/// Channels of a log.
-struct Channels {
-    transforms: u16,
-    odometry: u16,
-    /// For each camera: calibration and images.
-    cameras: Vec<(u16, Vec<u16>)>,
+enum Content {
+    /// The payload.
+    Ready(Vec<u8>),
+    /// An image of a shot, a camera and a kind (their indices), rendered when it is due.
+    Image([usize; 3]),
 }
 
-impl Channels {
-    fn declare(log: &mut LogWriter, sensors: &Sensors<'_>) -> Result<Self, WorldError> {
-        let transforms = log.topic::<StaticTransforms>("/tf_static", true)?;
-        let odometry = log.topic::<Odometry>("/odom", false)?;
-        let mut cameras = Vec::with_capacity(sensors.cameras.len());
-        for camera in &sensors.cameras {
-            let topic = |leaf: &str| format!("{}/{leaf}", camera.namespace);
-            let info = log.topic::<CameraInfo>(&topic("camera_info"), false)?;
-            let images: Result<Vec<u16>, WorldError> = sensors
-                .images
-                .iter()
-                .map(|(leaf, _)| log.topic::<CompressedImage>(&topic(leaf), false))
-                .collect();
-            cameras.push((info, images?));
+impl Due {
+    fn ready(channel: u16, times: Times, message: &impl Message) -> Self {
+        let content = Content::Ready(message.encode());
+        Self {
+            channel,
+            times,
+            content,
         }
-        Ok(Self {
-            transforms,
-            odometry,
-            cameras,
-        })
     }
-}
-
-/// K, row by row, of focal lengths and a principal point, pixels.
-pub fn camera_matrix([fx, fy]: [f64; 2], [cx, cy]: [f64; 2]) -> [f64; 9] {
-    [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
 }
 
 /// When a shot wanted `seconds` after the start is taken, ns since the epoch: shutters are not exact.
@@ -148,59 +128,39 @@ impl Session {
     pub fn record(
         &self,
         folder: &Path,
-        sensors: &Sensors<'_>,
+        sensors: &Sensors,
         take: &Take<'_>,
-        tell: &mut dyn FnMut(usize),
-    ) -> Result<SessionSummary, WorldError> {
+        tell: &mut Tell<'_>,
+    ) -> Recorded {
         let path = folder.join(format!("{}.mcap", self.name));
-        let samples = self.odometry();
-        let mut log = LogWriter::create(&path)?;
-        let channels = Channels::declare(&mut log, sensors)?;
-        if !sensors.label_classes.is_empty() {
-            log.metadata("label_classes", sensors.label_classes.clone())?;
-        }
+        let mut log = LogWriter::create(&path, "evermap-worlds")?;
+        let schedule = self.schedule(sensors, &mut log)?;
+        log.label_classes(sensors.label_classes.clone())?;
         let mut darkroom = Darkroom {
-            session: self,
+            shots: self.stamps.len(),
             cameras: sensors.cameras.len(),
             take,
             rendered: 0,
             images: BTreeMap::new(),
         };
         let mut written = 0;
-        for (log_ns, event) in self.schedule(sensors, &samples) {
-            let at = |stamp_ns| Times { log_ns, stamp_ns };
-            match event {
-                Event::Transforms => {
-                    let message = sensors.transforms(self.start_ns);
-                    log.send(channels.transforms, at(self.start_ns), &message)?;
-                }
-                Event::Odometry(index) => {
-                    let sample = &samples[index];
-                    log.send(channels.odometry, at(sample.stamp_ns), &sample.message())?;
-                }
-                Event::CameraInfo { shot, camera } => {
-                    let stamp_ns = self.stamps[shot];
-                    let message = sensors.cameras[camera].info(stamp_ns);
-                    log.send(channels.cameras[camera].0, at(stamp_ns), &message)?;
-                }
-                Event::Image {
-                    shot,
-                    camera,
-                    image,
-                } => {
-                    let stamp_ns = self.stamps[shot];
-                    let message = CompressedImage {
-                        header: sensors.cameras[camera].header(stamp_ns),
-                        format: sensors.images[image].1,
-                        data: &darkroom.image(shot, camera, image)?,
-                    };
-                    log.send(channels.cameras[camera].1[image], at(stamp_ns), &message)?;
+        for due in schedule {
+            let payload = match due.content {
+                Content::Ready(payload) => payload,
+                Content::Image(wanted @ [shot, camera, image]) => {
                     written += 1;
                     if usize::is_multiple_of(written, sensors.images.len()) {
                         tell(written / sensors.images.len());
                     }
+                    let message = CompressedImage {
+                        header: sensors.cameras[camera].header(self.stamps[shot]),
+                        format: sensors.images[image].1,
+                        data: &darkroom.image(wanted)?,
+                    };
+                    message.encode()
                 }
-            }
+            };
+            log.send(due.channel, due.times, &payload)?;
         }
         let (messages, bytes) = log.finish()?;
         Ok(SessionSummary {
@@ -214,88 +174,94 @@ impl Session {
         })
     }
 
-    /// All events of the session in the order of their log times.
-    fn schedule(&self, sensors: &Sensors<'_>, samples: &[OdometrySample]) -> Vec<(u64, Event)> {
+    /// Declares the topics and gives all messages in the order of their log times.
+    fn schedule(&self, sensors: &Sensors, log: &mut LogWriter) -> Result<Vec<Due>, WorldError> {
         let mut rng = stream(self.seed, "recorder", self.index as u64);
-        let mut schedule = vec![(self.start_ns, Event::Transforms)];
-        for (index, sample) in samples.iter().enumerate() {
-            schedule.push((sample.log_ns, Event::Odometry(index)));
+        let transforms = log.topic::<StaticTransforms>("/tf_static", true)?;
+        let odometry = log.topic::<Odometry>("/odom", false)?;
+        let (log_ns, stamp_ns) = (self.start_ns, self.start_ns);
+        let cameras = sensors.cameras.iter().map(CameraTopics::place).collect();
+        let placed = StaticTransforms { stamp_ns, cameras };
+        let mut schedule = vec![Due::ready(transforms, Times { log_ns, stamp_ns }, &placed)];
+        for sample in self.odometry() {
+            schedule.push(Due::ready(odometry, sample.times, &sample.message()));
         }
-        for (shot, stamp) in self.stamps.iter().enumerate() {
-            for camera in 0..sensors.cameras.len() {
-                let first = stamp + rng.random_range(sensors.delay_ns.clone());
-                schedule.push((first - 200_000, Event::CameraInfo { shot, camera }));
-                for image in 0..sensors.images.len() {
+        let channels = sensors.cameras.iter().map(|camera| {
+            let topic = |leaf: &str| format!("{}/{leaf}", camera.namespace);
+            let info = log.topic::<CameraInfo>(&topic("camera_info"), false)?;
+            let images = sensors.images.iter();
+            let images = images.map(|(leaf, _)| log.topic::<CompressedImage>(&topic(leaf), false));
+            Ok((info, images.collect::<Result<Vec<u16>, RecordingError>>()?))
+        });
+        let channels: Vec<(u16, Vec<u16>)> = channels.collect::<Result<_, RecordingError>>()?;
+        for (shot, stamp_ns) in self.stamps.iter().copied().enumerate() {
+            for (camera, (info, images)) in channels.iter().enumerate() {
+                let first = stamp_ns + rng.random_range(sensors.delay_ns.clone());
+                let at = |log_ns| Times { log_ns, stamp_ns };
+                let message = sensors.cameras[camera].info(stamp_ns);
+                schedule.push(Due::ready(*info, at(first - 200_000), &message));
+                for (image, channel) in images.iter().enumerate() {
                     let later = match &sensors.spread_ns {
                         spread if spread.is_empty() => 0,
                         spread => rng.random_range(spread.clone()),
                     };
-                    let event = Event::Image {
-                        shot,
-                        camera,
-                        image,
-                    };
-                    schedule.push((first + later, event));
+                    schedule.push(Due {
+                        channel: *channel,
+                        times: at(first + later),
+                        content: Content::Image([shot, camera, image]),
+                    });
                 }
             }
         }
-        schedule.sort_unstable();
-        schedule
+        schedule.sort_by_key(|due| due.times.log_ns);
+        Ok(schedule)
     }
 }
 
-impl Sensors<'_> {
-    /// Where the cameras sit.
-    fn transforms(&self, stamp_ns: u64) -> StaticTransforms<'_> {
-        let placed = |camera: &CameraTopics<'_>| camera.vehicle_from_camera.to_array();
-        StaticTransforms {
-            stamp_ns,
-            cameras: self
-                .cameras
-                .iter()
-                .map(|camera| (camera.frame_id, placed(camera)))
-                .collect(),
-        }
+impl CameraTopics {
+    fn place(&self) -> (&str, evermap_messages::ros2::Pose) {
+        (&self.frame_id, self.vehicle_from_camera.to_array())
     }
-}
 
-impl CameraTopics<'_> {
     fn header(&self, stamp_ns: u64) -> Header<'_> {
         Header {
             stamp_ns,
-            frame_id: self.frame_id,
+            frame_id: &self.frame_id,
         }
     }
 
     fn info(&self, stamp_ns: u64) -> CameraInfo<'_> {
+        let ([fx, fy], [cx, cy]) = (self.focal, self.centre);
         CameraInfo {
             header: self.header(stamp_ns),
-            calibration: self.calibration,
+            calibration: Calibration {
+                size: self.size,
+                model: self.model,
+                distortion: &self.distortion,
+                k: [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+            },
         }
     }
 }
 
 /// Images rendered ahead of the log, a batch at a time, on all cores.
 struct Darkroom<'a> {
-    session: &'a Session,
+    shots: usize,
     cameras: usize,
     take: &'a Take<'a>,
     /// Shots rendered so far.
     rendered: usize,
     /// By shot, camera and image.
-    images: BTreeMap<(usize, usize, usize), Vec<u8>>,
+    images: BTreeMap<[usize; 3], Vec<u8>>,
 }
 
 impl Darkroom<'_> {
-    /// One image, which nobody asks for again.
-    fn image(&mut self, shot: usize, camera: usize, image: usize) -> Result<Vec<u8>, WorldError> {
-        if shot >= self.rendered {
-            self.render((shot + BATCH).min(self.session.stamps.len()))?;
+    /// One image (shot, camera, image), which nobody asks for again.
+    fn image(&mut self, wanted: [usize; 3]) -> Result<Vec<u8>, WorldError> {
+        if wanted[0] >= self.rendered {
+            self.render((wanted[0] + BATCH).min(self.shots))?;
         }
-        Ok(self
-            .images
-            .remove(&(shot, camera, image))
-            .unwrap_or_default())
+        Ok(self.images.remove(&wanted).unwrap_or_default())
     }
 
     /// Renders the shots before `to`.
@@ -305,14 +271,12 @@ impl Darkroom<'_> {
         let batch: Result<Vec<Vec<Vec<u8>>>, WorldError> = wanted
             .clone()
             .into_par_iter()
-            .map_init(Scratch::default, |scratch, index| {
-                take(index / cameras, index % cameras, scratch)
-            })
+            .map(|index| take(index / cameras, index % cameras))
             .collect();
         for (index, taken) in wanted.zip(batch?) {
             for (image, encoded) in taken.into_iter().enumerate() {
-                let key = (index / cameras, index % cameras, image);
-                self.images.insert(key, encoded);
+                self.images
+                    .insert([index / cameras, index % cameras, image], encoded);
             }
         }
         self.rendered = to;

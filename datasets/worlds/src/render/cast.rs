@@ -1,7 +1,7 @@
 //! Rays of a tile and the solids they meet.
 
 use super::lens::{Lanes, Lens, PIXELS, Window};
-use super::solid::{Extent, Solid};
+use super::solid::Solid;
 use evermap_algorithms::geometry::pose::Pose;
 use std::f32::consts::PI;
 
@@ -11,7 +11,9 @@ pub const FAR: f32 = 1e9;
 /// A solid as seen from one eye: planes it lies behind, and planes it lies in front of.
 pub struct Seen {
     /// Where it may show.
-    pub extent: Extent,
+    pub window: Window,
+    /// No point is nearer than this, metres.
+    pub near: f32,
     shape: Shape,
 }
 
@@ -44,42 +46,46 @@ impl Seen {
                 away.push((n, gap));
             }
         }
-        let extent = solid.extent(eye);
-        let shape = Shape::Convex { towards, away };
-        (!matches!(&shape, Shape::Convex { towards, .. } if towards.is_empty()))
-            .then_some(Self { extent, shape })
+        let (window, near) = solid.extent(eye);
+        let outside = !towards.is_empty();
+        outside.then_some(Self {
+            window,
+            near,
+            shape: Shape::Convex { towards, away },
+        })
     }
 
     /// An upright ellipsoid around `centre` (from the eye, metres) with `radii` (horizontal, vertical, metres);
     /// `None` when it surrounds the eye.
-    pub fn ellipsoid(centre: [f32; 3], radii: [f32; 2], face: u32) -> Option<Self> {
-        let [x, y, z] = centre;
+    pub fn ellipsoid([x, y, z]: [f32; 3], radii: [f32; 2], face: u32) -> Option<Self> {
         let scale = [1.0 / radii[0], 1.0 / radii[0], 1.0 / radii[1]];
-        let own = [x * scale[0], y * scale[1], z * scale[2]];
-        let outside = own.iter().map(|part| part * part).sum::<f32>() > 1.0;
+        let centre = [x * scale[0], y * scale[1], z * scale[2]];
+        let outside = centre.iter().map(|part| part * part).sum::<f32>() > 1.0;
         let level = x.hypot(y);
         let near = level - radii[0];
-        let around = near > 0.0;
         // Every point is at a level distance between these, and at a height between those.
         let (least, most) = (near.max(1e-3), level + radii[0]);
         let angle = |height: f32| [(height).atan2(least), (height).atan2(most)];
         let (low, high) = (angle(z - radii[1]), angle(z + radii[1]));
-        let extent = Extent {
+        let window = Window {
             azimuth: y.atan2(x),
-            half_azimuth: if around {
+            half_azimuth: if near > 0.0 {
                 (radii[0] / level).asin()
             } else {
                 PI
             },
             elevation: [low[0].min(low[1]), high[0].max(high[1])],
+        };
+        let face = face as f32;
+        outside.then_some(Self {
+            window,
             near: near.max(0.0),
-        };
-        let shape = Shape::Ellipsoid {
-            centre: own,
-            scale,
-            face: face as f32,
-        };
-        outside.then_some(Self { extent, shape })
+            shape: Shape::Ellipsoid {
+                centre,
+                scale,
+                face,
+            },
+        })
     }
 }
 
@@ -138,8 +144,17 @@ impl Eye {
 
     /// A ray of the vehicle's frame in the map frame.
     pub fn turned(&self, own: [f32; 3]) -> [f32; 3] {
-        self.turn
-            .map(|row| row[0] * own[0] + row[1] * own[1] + row[2] * own[2])
+        let along = |row: [f32; 3]| row[0] * own[0] + row[1] * own[1] + row[2] * own[2];
+        self.turn.map(along)
+    }
+
+    /// A tile's rays, likewise.
+    pub fn turn_rays(&self, own: &[Lanes; 3], rays: &mut [Lanes; 3]) {
+        for (row, out) in self.turn.iter().zip(rays) {
+            for i in 0..PIXELS {
+                out[i] = row[0] * own[0][i] + row[1] * own[1][i] + row[2] * own[2][i];
+            }
+        }
     }
 }
 
@@ -147,27 +162,20 @@ impl Eye {
 /// meet the solids of each layer (nearest first), and `met` is told the tile's index and the layer's.
 pub fn cast<const LAYERS: usize>(
     lens: &Lens,
-    turn: &[[f32; 3]; 3],
+    eye: &Eye,
     layers: [&[Seen]; LAYERS],
-    scratch: &mut Scratch,
     surround: impl Fn(&mut Scratch),
     mut met: impl FnMut(usize, usize, &mut Scratch),
 ) {
-    for block in &lens.blocks {
-        let Some(cone) = &block.cone else { continue };
-        let window = Window::of(cone, turn);
-        let within = |seen: &&Seen| window.meets(&seen.extent);
-        let layers = layers.map(|seen| seen.iter().filter(within).collect::<Vec<&Seen>>());
-        for index in &block.tiles {
-            let tile = &lens.tiles[*index];
-            let Some(cone) = &tile.cone else { continue };
-            turn_rays(&tile.rays, turn, &mut scratch.rays);
-            surround(scratch);
-            let window = Window::of(cone, turn);
-            for (layer, nearby) in layers.iter().enumerate() {
-                meet_solids(nearby, &window, scratch);
-                met(*index, layer, scratch);
-            }
+    let mut scratch = Scratch::default();
+    for (index, tile) in lens.tiles.iter().enumerate() {
+        let Some(cone) = &tile.cone else { continue };
+        eye.turn_rays(&tile.rays, &mut scratch.rays);
+        surround(&mut scratch);
+        let window = Window::of(cone, eye);
+        for (layer, solids) in layers.iter().enumerate() {
+            meet_solids(solids, &window, &mut scratch);
+            met(index, layer, &mut scratch);
         }
     }
 }
@@ -180,27 +188,18 @@ pub fn seen_from<'a>(eye: [f32; 3], solids: impl Iterator<Item = &'a Solid>) -> 
 
 /// Sorts by distance.
 pub fn nearest_first(mut seen: Vec<Seen>) -> Vec<Seen> {
-    seen.sort_by(|a, b| a.extent.near.total_cmp(&b.extent.near));
+    seen.sort_by(|a, b| a.near.total_cmp(&b.near));
     seen
 }
 
-/// Turns a tile's rays into the map frame.
-pub fn turn_rays(own: &[Lanes; 3], turn: &[[f32; 3]; 3], rays: &mut [Lanes; 3]) {
-    for (row, out) in turn.iter().zip(rays) {
-        for i in 0..PIXELS {
-            out[i] = row[0] * own[0][i] + row[1] * own[1][i] + row[2] * own[2][i];
-        }
-    }
-}
-
-/// Lets the rays of a tile end at the first of the solids; `nearby` is sorted by distance.
-pub fn meet_solids(nearby: &[&Seen], window: &Window, scratch: &mut Scratch) {
+/// Lets the rays of a tile end at the first of the solids, which are sorted by distance.
+pub fn meet_solids(solids: &[Seen], window: &Window, scratch: &mut Scratch) {
     let mut farthest = highest(&scratch.t);
-    for seen in nearby {
-        if seen.extent.near > farthest {
+    for seen in solids {
+        if seen.near > farthest {
             break;
         }
-        if window.meets(&seen.extent) {
+        if window.meets(&seen.window) {
             meet_solid(seen, scratch);
             farthest = highest(&scratch.t);
         }

@@ -1,6 +1,6 @@
 //! Rays of a camera, tile by tile, and which part of the surroundings a tile can see.
 
-use super::solid::Extent;
+use super::cast::Eye;
 use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::geometry::pose::Pose;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -10,8 +10,6 @@ use std::f32::consts::{FRAC_PI_2, PI};
 pub const TILE: usize = 16;
 /// Pixels of a tile.
 pub const PIXELS: usize = TILE * TILE;
-/// Tiles along the side of a block, the first step of culling.
-const BLOCK: usize = 8;
 
 /// One number for each pixel of a tile.
 pub type Lanes = [f32; PIXELS];
@@ -28,8 +26,6 @@ pub struct Lens {
     pub vehicle_from_camera: Pose,
     /// Tiles, row by row.
     pub tiles: Vec<LensTile>,
-    /// Blocks of tiles.
-    pub blocks: Vec<Block>,
     /// Solid angle of a pixel, steradian.
     pub omega: f32,
 }
@@ -40,14 +36,6 @@ pub struct LensTile {
     pub rays: Box<[Lanes; 3]>,
     /// Angle from the lens axis, radians; infinite where the image has no pixel or the pixel no ray.
     pub theta: Box<Lanes>,
-    /// Around the rays; `None` when no pixel sees anything.
-    pub cone: Option<Cone>,
-}
-
-/// Tiles side by side and the cone around their rays.
-pub struct Block {
-    /// Indices of its tiles that see something.
-    pub tiles: Vec<usize>,
     /// Around the rays; `None` when no pixel sees anything.
     pub cone: Option<Cone>,
 }
@@ -71,18 +59,21 @@ impl Cone {
     }
 }
 
-/// The part of the sky a turned cone lies in.
-#[derive(Debug, Clone, Copy)]
+/// A part of the surroundings, as directions from the eye.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Window {
-    azimuth: f32,
-    half_azimuth: f32,
-    elevation: [f32; 2],
+    /// Middle of the azimuth interval, radians.
+    pub azimuth: f32,
+    /// Half the azimuth interval, radians; π is everywhere.
+    pub half_azimuth: f32,
+    /// Lowest and highest elevation above the horizon, radians.
+    pub elevation: [f32; 2],
 }
 
 impl Window {
-    /// The window of a cone after the rotation `map_from_vehicle`.
-    pub fn of(cone: &Cone, turn: &[[f32; 3]; 3]) -> Self {
-        let axis = rotate(turn, [cone.axis.x, cone.axis.y, cone.axis.z]);
+    /// Contains a cone of the vehicle's frame.
+    pub fn of(cone: &Cone, eye: &Eye) -> Self {
+        let axis = eye.turned(cone.axis.into());
         let elevation = axis[2].clamp(-1.0, 1.0).asin();
         let half_azimuth = if elevation.abs() + cone.half >= FRAC_PI_2 - 1e-3 {
             PI
@@ -96,23 +87,19 @@ impl Window {
         }
     }
 
-    /// Whether something of this extent may show in the window.
-    pub fn meets(&self, extent: &Extent) -> bool {
-        if self.elevation[0] > extent.elevation[1] + 2e-3
-            || self.elevation[1] < extent.elevation[0] - 2e-3
+    /// Whether something that lies in another window may show in this one.
+    pub fn meets(&self, other: &Self) -> bool {
+        if self.elevation[0] > other.elevation[1] + 2e-3
+            || self.elevation[1] < other.elevation[0] - 2e-3
         {
             return false;
         }
-        let mut turn = (self.azimuth - extent.azimuth).abs();
+        let mut turn = (self.azimuth - other.azimuth).abs();
         while turn > PI {
             turn = (turn - 2.0 * PI).abs();
         }
-        turn <= self.half_azimuth + extent.half_azimuth + 2e-3
+        turn <= self.half_azimuth + other.half_azimuth + 2e-3
     }
-}
-
-fn rotate(turn: &[[f32; 3]; 3], v: [f32; 3]) -> [f32; 3] {
-    turn.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
 }
 
 impl Lens {
@@ -126,41 +113,16 @@ impl Lens {
     ) -> Self {
         let (width, height) = (camera.width as usize, camera.height as usize);
         let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
-        let mut tiles = Vec::with_capacity(columns * rows);
-        for index in 0..columns * rows {
-            tiles.push(LensTile::new(
-                camera,
-                vehicle_from_camera,
-                reach_rad as f32,
-                (index % columns * TILE, index / columns * TILE),
-            ));
-        }
-        let mut blocks = Vec::new();
-        for top in (0..rows).step_by(BLOCK) {
-            for left in (0..columns).step_by(BLOCK) {
-                let inside: Vec<usize> = (top..(top + BLOCK).min(rows))
-                    .flat_map(|row| {
-                        (left..(left + BLOCK).min(columns)).map(move |c| row * columns + c)
-                    })
-                    .filter(|index| tiles[*index].cone.is_some())
-                    .collect();
-                let rays: Vec<Vector3<f32>> = inside
-                    .iter()
-                    .flat_map(|index| tiles[*index].seeing_rays(reach_rad as f32))
-                    .collect();
-                blocks.push(Block {
-                    cone: Cone::around(&rays),
-                    tiles: inside,
-                });
-            }
-        }
+        let tiles = (0..columns * rows).map(|index| {
+            let corner = [index % columns * TILE, index / columns * TILE];
+            LensTile::new(camera, vehicle_from_camera, reach_rad as f32, corner)
+        });
         Self {
             width,
             height,
             columns,
             vehicle_from_camera: *vehicle_from_camera,
-            tiles,
-            blocks,
+            tiles: tiles.collect(),
             omega: (1.0 / (focal[0] * focal[1])) as f32,
         }
     }
@@ -197,7 +159,7 @@ impl LensTile {
         camera: &Camera,
         vehicle_from_camera: &Pose,
         reach_rad: f32,
-        (left, top): (usize, usize),
+        [left, top]: [usize; 2],
     ) -> Self {
         let mut rays = Box::new([[0.0; PIXELS]; 3]);
         let mut theta = Box::new([f32::INFINITY; PIXELS]);
@@ -205,34 +167,26 @@ impl LensTile {
         for i in 0..PIXELS {
             let (column, row) = (left + i % TILE, top + i / TILE);
             // Pixels that see nothing get some ray, so that no arithmetic goes astray.
-            rays[0][i] = 0.6;
-            rays[1][i] = 0.48;
-            rays[2][i] = -0.64;
-            if column >= width || row >= height {
-                continue;
-            }
-            if let Some(ray) = camera.unproject([column as f64, row as f64]) {
-                let own = vehicle_from_camera.rotate(&ray);
-                rays[0][i] = own.x as f32;
-                rays[1][i] = own.y as f32;
-                rays[2][i] = own.z as f32;
+            let mut own = Vector3::new(0.6, 0.48, -0.64);
+            let inside = column < width && row < height;
+            let ray = inside.then(|| camera.unproject([column as f64, row as f64]));
+            if let Some(ray) = ray.flatten() {
+                own = vehicle_from_camera.rotate(&ray);
                 theta[i] = ray.x.hypot(ray.y).atan2(ray.z) as f32;
             }
+            for axis in 0..3 {
+                rays[axis][i] = own[axis] as f32;
+            }
         }
-        let mut tile = Self {
+        let seeing = (0..PIXELS).filter(|i| theta[*i] < reach_rad);
+        let seeing: Vec<_> = seeing
+            .map(|i| Vector3::from(rays.each_ref().map(|parts| parts[i])))
+            .collect();
+        Self {
+            cone: Cone::around(&seeing),
             rays,
             theta,
-            cone: None,
-        };
-        tile.cone = Cone::around(&tile.seeing_rays(reach_rad));
-        tile
-    }
-
-    fn seeing_rays(&self, reach_rad: f32) -> Vec<Vector3<f32>> {
-        (0..PIXELS)
-            .filter(|i| self.theta[*i] < reach_rad)
-            .map(|i| Vector3::new(self.rays[0][i], self.rays[1][i], self.rays[2][i]))
-            .collect()
+        }
     }
 }
 

@@ -11,8 +11,8 @@ mod solid;
 
 pub use cast::{Eye, FAR, Scratch, Seen, cast, nearest_first, seen_from};
 #[cfg(test)]
-pub use cast::{meet_solid, meet_solids, turn_rays};
+pub use cast::{meet_solid, meet_solids};
 #[cfg(test)]
 pub use lens::Window;
 pub use lens::{Lanes, Lens, PIXELS, looking};
-pub use solid::{Side, Solid};
+pub use solid::{Side, Solid, box_sides};

@@ -1,7 +1,10 @@
 //! Convex solids: what stands in the hall is made of them.
 
+use super::lens::Window;
+use crate::plane::Pose2;
 use evermap_algorithms::geometry::pose::Pose;
 use nalgebra::Vector3;
+use std::f64::consts::PI;
 
 /// One side of a solid: the points `p` with `normal · p <= offset` are inside.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,10 +22,12 @@ pub struct Plane {
 pub struct Solid {
     /// Its sides.
     pub planes: Vec<Plane>,
-    /// Corners of a convex outline that contains it, seen from above, anticlockwise, metres.
-    pub outline: [[f32; 2]; 4],
-    /// Lowest and highest point, metres.
-    pub height: [f32; 2],
+    /// The middle, seen from above, of an upright box that contains it, and the direction of the box's x axis.
+    middle: Pose2,
+    /// Half the box's length and width, metres.
+    half: [f64; 2],
+    /// Its lowest and highest point, metres.
+    height: [f64; 2],
 }
 
 /// A side in the solid's own frame, before it stands somewhere.
@@ -43,129 +48,85 @@ impl Solid {
                 }
             })
             .collect();
-        let corners: Vec<Vector3<f64>> = (0..8_usize)
-            .map(|bits| {
-                let ends = [low, high];
-                let corner = Vector3::from_fn(|axis, _| ends[bits >> axis & 1][axis]);
-                stand.transform(&corner)
-            })
-            .collect();
-        let (outline, height) = surround(stand, &corners);
+        let frame = Pose2::new([0.0; 2], stand.yaw());
+        let (mut least, mut most) = ([f64::MAX; 3], [f64::MIN; 3]);
+        for bits in 0..8_usize {
+            let corner = Vector3::from_fn(|axis, _| [low, high][bits >> axis & 1][axis]);
+            let corner = stand.transform(&corner);
+            let [ahead, left] = frame.own([corner.x, corner.y]);
+            for (axis, part) in [ahead, left, corner.z].into_iter().enumerate() {
+                least[axis] = least[axis].min(part);
+                most[axis] = most[axis].max(part);
+            }
+        }
+        let middle = frame.point([0, 1].map(|axis| 0.5 * (least[axis] + most[axis])));
         Self {
             planes,
-            outline,
-            height,
+            middle: Pose2::new(middle, frame.yaw),
+            half: [0, 1].map(|axis| 0.5 * (most[axis] - least[axis])),
+            height: [least[2], most[2]],
         }
     }
 
-    /// A box; faces in the order +x, −x, +y, −y, +z, −z.
-    pub fn cuboid(stand: &Pose, low: Vector3<f64>, high: Vector3<f64>, faces: [u16; 6]) -> Self {
-        let sides: Vec<Side> = (0..6)
-            .map(|k| {
-                let (axis, sign) = (k / 2, if k % 2 == 0 { 1.0 } else { -1.0 });
-                let mut normal = Vector3::zeros();
-                normal[axis] = sign;
-                let offset = if k % 2 == 0 { high[axis] } else { -low[axis] };
-                (normal, offset, faces[k])
-            })
-            .collect();
-        Self::new(stand, &sides, low, high)
-    }
-}
-
-/// A rectangle in the direction of the stand's heading around the corners, and their heights.
-fn surround(stand: &Pose, corners: &[Vector3<f64>]) -> ([[f32; 2]; 4], [f32; 2]) {
-    let forward = stand.rotation * Vector3::x();
-    let yaw = forward.y.atan2(forward.x);
-    let (sin, cos) = yaw.sin_cos();
-    let mut low = [f64::MAX; 3];
-    let mut high = [f64::MIN; 3];
-    for p in corners {
-        let own = [cos * p.x + sin * p.y, cos * p.y - sin * p.x, p.z];
-        for axis in 0..3 {
-            low[axis] = low[axis].min(own[axis]);
-            high[axis] = high[axis].max(own[axis]);
+    /// A box; faces in the order of [`box_sides`].
+    pub fn cuboid(stand: &Pose, low: [f64; 3], high: [f64; 3], faces: [u16; 6]) -> Self {
+        let mut sides = box_sides(low, high);
+        for (side, face) in sides.iter_mut().zip(faces) {
+            side.2 = face;
         }
+        Self::new(stand, &sides, low.into(), high.into())
     }
-    let corner = |a: f64, b: f64| [(cos * a - sin * b) as f32, (sin * a + cos * b) as f32];
-    let outline = [
-        corner(low[0], low[1]),
-        corner(high[0], low[1]),
-        corner(high[0], high[1]),
-        corner(low[0], high[1]),
-    ];
-    (outline, [low[2] as f32, high[2] as f32])
 }
 
-/// How a solid may appear from a place: an interval of azimuth and of elevation that contains
-/// it, and a distance it cannot be nearer than.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Extent {
-    /// Middle of the azimuth interval, radians.
-    pub azimuth: f32,
-    /// Half the azimuth interval, radians; π is everywhere.
-    pub half_azimuth: f32,
-    /// Lowest and highest elevation above the horizon, radians.
-    pub elevation: [f32; 2],
-    /// No point is nearer than this, metres.
-    pub near: f32,
+/// The sides of a box, with faces 0 to 5: +x, −x, +y, −y, +z, −z.
+pub fn box_sides(low: [f64; 3], high: [f64; 3]) -> [Side; 6] {
+    [0, 1, 2, 3, 4, 5].map(|face: u16| {
+        let axis = usize::from(face / 2);
+        let (sign, offset) = if face.is_multiple_of(2) {
+            (1.0, high[axis])
+        } else {
+            (-1.0, -low[axis])
+        };
+        (sign * Vector3::ith(axis, 1.0), offset, face)
+    })
 }
 
 impl Solid {
-    /// How the solid appears from `eye` (map frame, metres).
-    pub fn extent(&self, eye: [f32; 3]) -> Extent {
-        let (near, far) = self.distances(eye);
-        let (azimuth, half_azimuth) = if near < 1e-3 {
-            (0.0, std::f32::consts::PI)
-        } else {
-            self.azimuths(eye)
-        };
-        let (below, above) = (self.height[0] - eye[2], self.height[1] - eye[2]);
+    /// From `eye` (map frame, metres): a window that contains the solid, and a distance (m) that it cannot be nearer
+    /// than.
+    pub fn extent(&self, eye: [f32; 3]) -> (Window, f32) {
+        let [x, y, z] = eye.map(f64::from);
+        let [ahead, left] = self.middle.own([x, y]);
+        let [a, b] = self.half;
+        let outside = |along: f64, half: f64| (along.abs() - half).max(0.0);
+        let near = outside(ahead, a).hypot(outside(left, b));
+        let far = (ahead.abs() + a).hypot(left.abs() + b);
+        let (below, above) = (self.height[0] - z, self.height[1] - z);
         let low = below.atan2(if below > 0.0 { far } else { near });
         let high = above.atan2(if above > 0.0 { near } else { far });
         let vertical = below.max(-above).max(0.0);
-        Extent {
-            azimuth,
-            half_azimuth,
-            elevation: [low, high],
-            near: near.hypot(vertical),
-        }
-    }
-
-    /// Smallest and largest horizontal distance of the outline.
-    fn distances(&self, eye: [f32; 3]) -> (f32, f32) {
-        let (mut near, mut far) = (f32::MAX, 0.0_f32);
-        let mut inside = true;
-        for k in 0..4 {
-            let (a, b) = (self.outline[k], self.outline[(k + 1) % 4]);
-            let (ex, ey) = (b[0] - a[0], b[1] - a[1]);
-            let (px, py) = (eye[0] - a[0], eye[1] - a[1]);
-            inside &= ex * py - ey * px >= 0.0;
-            let along = (px * ex + py * ey) / (ex * ex + ey * ey).max(1e-12);
-            let f = along.clamp(0.0, 1.0);
-            near = near.min((px - f * ex).hypot(py - f * ey));
-            far = far.max(px.hypot(py));
-        }
-        (if inside { 0.0 } else { near }, far)
-    }
-
-    fn azimuths(&self, eye: [f32; 3]) -> (f32, f32) {
-        let middle = [0, 1].map(|axis| {
-            0.25 * self.outline.iter().map(|corner| corner[axis]).sum::<f32>() - eye[axis]
+        // Azimuths of the corners, from that of the middle.
+        let corners = [[a, b], [a, -b], [-a, b], [-a, -b]].map(|[a, b]| {
+            let (dx, dy) = (a - ahead, b - left);
+            (left * dx - ahead * dy).atan2(-ahead * dx - left * dy)
         });
-        let (mut low, mut high) = (0.0_f32, 0.0_f32);
-        for corner in &self.outline {
-            let (dx, dy) = (corner[0] - eye[0], corner[1] - eye[1]);
-            let (dot, cross) = (
-                middle[0] * dx + middle[1] * dy,
-                middle[0] * dy - middle[1] * dx,
-            );
-            let angle = cross.atan2(dot);
-            low = low.min(angle);
-            high = high.max(angle);
-        }
-        let azimuth = middle[1].atan2(middle[0]) + 0.5 * (low + high);
-        (azimuth, 0.5 * (high - low))
+        let (least, most) = corners
+            .into_iter()
+            .fold((0.0_f64, 0.0_f64), |(least, most), angle| {
+                (least.min(angle), most.max(angle))
+            });
+        let azimuth = (-left).atan2(-ahead) + self.middle.yaw + 0.5 * (least + most);
+        let half_azimuth = if near < 1e-3 {
+            PI
+        } else {
+            0.5 * (most - least)
+        };
+        let window = Window {
+            azimuth: azimuth as f32,
+            half_azimuth: half_azimuth as f32,
+            elevation: [low as f32, high as f32],
+        };
+        (window, near.hypot(vertical) as f32)
     }
 }
 
@@ -187,7 +148,7 @@ mod tests {
             let turn = UnitQuaternion::from_scaled_axis(Vector3::from(turn));
             let stand = Pose::new(Vector3::from(place), turn);
             let size = Vector3::from(size);
-            let solid = Solid::cuboid(&stand, -size, size, [0; 6]);
+            let solid = Solid::cuboid(&stand, (-size).into(), size.into(), [0; 6]);
             let own = Vector3::from_fn(|k, _| size[k] * (2.0 * at[k] - 1.0));
             let point = stand.transform(&own);
             let p = [point.x as f32, point.y as f32, point.z as f32];
@@ -197,9 +158,9 @@ mod tests {
                 prop_assert!(side < 1e-4);
             }
             let d = [p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]];
-            let extent = solid.extent(eye);
+            let (extent, near) = solid.extent(eye);
             let level = d[0].hypot(d[1]);
-            prop_assert!(level.hypot(d[2]) > extent.near - 1e-4);
+            prop_assert!(level.hypot(d[2]) > near - 1e-4);
             let elevation = d[2].atan2(level);
             prop_assert!(elevation > extent.elevation[0] - 1e-3);
             prop_assert!(elevation < extent.elevation[1] + 1e-3);

@@ -4,7 +4,7 @@
 //! visits every quarter of every cell once: a closed walk that never meets itself and leaves room
 //! for houses on both sides. A cubic B-spline through the (displaced) quarters makes streets of it.
 
-use crate::plane::{between, distance};
+use crate::plane::{Pose2, between, distance};
 use crate::random::stream;
 use rand::Rng;
 use std::collections::BTreeMap;
@@ -70,13 +70,11 @@ impl Course {
         }
         let line = spline(&corners);
         let unscaled = closed_length(&line);
-        let line: Vec<[f64; 2]> = line
+        let line = line
             .iter()
-            .map(|p| p.map(|part| part * length_m / unscaled))
-            .collect();
-        let stations = stations(&line, length_m);
+            .map(|p| p.map(|part| part * length_m / unscaled));
         let mut course = Self {
-            stations,
+            stations: stations(&line.collect::<Vec<_>>(), length_m),
             length_m,
             corner: [0.0; 2],
             size: [0; 2],
@@ -97,13 +95,12 @@ impl Course {
         let place = s.rem_euclid(self.length_m) / self.step_m();
         let (a, f) = (place.floor() as usize % count, place.fract());
         let (a, b) = (&self.stations[a], &self.stations[(a + 1) % count]);
-        let mix = |a: f64, b: f64| a + f * (b - a);
-        let along = [mix(a.along[0], b.along[0]), mix(a.along[1], b.along[1])];
+        let along = between(a.along, b.along, f);
         let norm = along[0].hypot(along[1]);
         Station {
-            at: [mix(a.at[0], b.at[0]), mix(a.at[1], b.at[1])],
+            at: between(a.at, b.at, f),
             along: along.map(|part| part / norm),
-            curvature: mix(a.curvature, b.curvature),
+            curvature: a.curvature + f * (b.curvature - a.curvature),
         }
     }
 
@@ -117,6 +114,11 @@ impl Course {
     pub fn yaw(&self, s: f64) -> f64 {
         let along = self.station(s).along;
         along[1].atan2(along[0])
+    }
+
+    /// The point at a place, and the direction of the street there.
+    pub fn pose(&self, place: Frenet) -> Pose2 {
+        Pose2::new(self.point(place), self.yaw(place.s))
     }
 
     /// Distance between two places along the loop, metres, the shorter way.
@@ -146,10 +148,8 @@ impl Course {
     pub fn cell(&self, [x, y]: [f64; 2]) -> Option<usize> {
         let column = (x - self.corner[0]) / CELL_M;
         let row = (y - self.corner[1]) / CELL_M;
-        let inside = column >= 0.0
-            && row >= 0.0
-            && column < self.size[0] as f64
-            && row < self.size[1] as f64;
+        let within = |at: f64, size: usize| (0.0..size as f64).contains(&at);
+        let inside = within(column, self.size[0]) && within(row, self.size[1]);
         inside.then(|| row as usize * self.size[0] + column as usize)
     }
 
@@ -160,13 +160,9 @@ impl Course {
 
     /// Fills the map of nearest stations.
     fn survey(&mut self) {
-        let (mut low, mut high) = ([f64::MAX; 2], [f64::MIN; 2]);
-        for station in &self.stations {
-            for axis in 0..2 {
-                low[axis] = low[axis].min(station.at[axis] - REACH_M);
-                high[axis] = high[axis].max(station.at[axis] + REACH_M);
-            }
-        }
+        let parts = |axis: usize| self.stations.iter().map(move |station| station.at[axis]);
+        let low = [0, 1].map(|axis| parts(axis).fold(f64::MAX, f64::min) - REACH_M);
+        let high = [0, 1].map(|axis| parts(axis).fold(f64::MIN, f64::max) + REACH_M);
         self.corner = low;
         self.size = [0, 1].map(|axis| ((high[axis] - low[axis]) / CELL_M).ceil() as usize + 1);
         self.nearest = vec![u32::MAX; self.size[0] * self.size[1]];
@@ -296,23 +292,21 @@ fn stations(line: &[[f64; 2]], length_m: f64) -> Vec<Station> {
         }
         driven += long;
     }
-    let at = |k: usize| points[k % points.len()];
     let count = points.len();
-    (0..count)
-        .map(|k| {
-            let (before, here, after) = (at(k + count - 1), at(k), at(k + 1));
-            let (ax, ay) = (here[0] - before[0], here[1] - before[1]);
-            let (bx, by) = (after[0] - here[0], after[1] - here[1]);
-            let turn = (ax * by - ay * bx).atan2(ax * bx + ay * by);
-            let (tx, ty) = (after[0] - before[0], after[1] - before[1]);
-            let norm = tx.hypot(ty);
-            Station {
-                at: here,
-                along: [tx / norm, ty / norm],
-                curvature: turn / (0.5 * (ax.hypot(ay) + bx.hypot(by))),
-            }
-        })
-        .collect()
+    let at = |k: usize| points[k % count];
+    let way = |from: [f64; 2], to: [f64; 2]| [to[0] - from[0], to[1] - from[1]];
+    let station = |k: usize| {
+        let (before, here, after) = (at(k + count - 1), at(k), at(k + 1));
+        let ([ax, ay], [bx, by]) = (way(before, here), way(here, after));
+        let turn = (ax * by - ay * bx).atan2(ax * bx + ay * by);
+        let norm = distance(before, after);
+        Station {
+            at: here,
+            along: way(before, after).map(|part| part / norm),
+            curvature: turn / (0.5 * (ax.hypot(ay) + bx.hypot(by))),
+        }
+    };
+    (0..count).map(station).collect()
 }
 
 #[cfg(test)]

@@ -29,58 +29,28 @@ pub struct Land {
     pub course: Course,
     /// What the street is like along it.
     pub plan: Plan,
-    /// For each station, the stretch that it is on.
-    stretches: Vec<u32>,
-    /// For each station, the junction that it is near, if any.
-    junctions: Vec<u32>,
 }
 
-/// Junctions reach no farther along the street, metres.
+/// Junctions reach no farther along the street, metres; less than the least distance between two of them.
 const JUNCTION_M: f64 = 9.0;
 
 impl Land {
-    /// The land of a course and a plan.
-    pub fn new(course: Course, plan: Plan) -> Self {
-        let ways = (0..course.stations.len()).map(|index| index as f64 * course.step_m());
-        let stretches = ways.map(|s| {
-            let after = plan.stretches.partition_point(|stretch| stretch.to <= s);
-            after.min(plan.stretches.len() - 1) as u32
-        });
-        let count = course.stations.len();
-        let reach = (JUNCTION_M / course.step_m()).ceil() as usize;
-        let mut junctions = vec![u32::MAX; count];
-        for (index, junction) in plan.junctions.iter().enumerate() {
-            let middle = (junction.s / course.step_m()) as usize + count;
-            for station in middle - reach.min(count)..=middle + reach {
-                junctions[station % count] = index as u32;
-            }
-        }
-        Self {
-            stretches: stretches.collect(),
-            junctions,
-            course,
-            plan,
-        }
-    }
-
-    fn station(&self, s: f64) -> usize {
-        let station = (s.rem_euclid(self.course.length_m) / self.course.step_m()) as usize;
-        station.min(self.stretches.len() - 1)
-    }
-
     /// The stretch at a distance along the street, metres.
     pub fn stretch(&self, s: f64) -> &Stretch {
-        let stretches = &self.plan.stretches;
-        let index = self.stretches[self.station(s)] as usize;
-        let over = s.rem_euclid(self.course.length_m) >= stretches[index].to;
-        &stretches[(index + usize::from(over)) % stretches.len()]
+        let (s, stretches) = (s.rem_euclid(self.course.length_m), &self.plan.stretches);
+        let index = stretches.partition_point(|stretch| stretch.to <= s);
+        &stretches[index % stretches.len()]
     }
 
-    /// The junction near a place along the street.
-    fn junction(&self, s: f64) -> Option<&Junction> {
-        self.plan
-            .junctions
-            .get(self.junctions[self.station(s)] as usize)
+    /// The junction near a place along the street, and how far after it (negative: before it) that is, metres.
+    fn junction(&self, s: f64) -> Option<(&Junction, f64)> {
+        let length = self.course.length_m;
+        let from = (s - JUNCTION_M).rem_euclid(length);
+        let junctions = &self.plan.junctions;
+        let after = junctions.partition_point(|junction| junction.s < from);
+        let next = junctions.get(after).or(junctions.first())?;
+        let ahead = (s - next.s + 0.5 * length).rem_euclid(length) - 0.5 * length;
+        (ahead.abs() < JUNCTION_M).then_some((next, ahead))
     }
 
     /// The ground at a point, metres.
@@ -98,37 +68,29 @@ impl Land {
     }
 
     /// The class of the ground at a place.
-    pub fn class(&self, place: Frenet) -> Class {
+    fn class(&self, place: Frenet) -> Class {
         let stretch = self.stretch(place.s);
-        let side = &stretch.sides[usize::from(place.d < 0.0)];
+        let side = stretch.side(place);
         let out = place.d.abs() - stretch.half_m;
-        if out > side.parking_m {
-            let aside = self
-                .junction(place.s)
-                .and_then(|junction| self.side_street(junction, place, out - side.parking_m));
-            return aside.unwrap_or_else(|| beside(side, out));
+        if out <= side.parking_m {
+            return road(self.painted(stretch, place, out));
         }
-        self.carriageway(stretch, side, place, out)
-    }
-
-    /// How far a point along the street is before or after a junction, metres.
-    fn ahead(&self, junction: &Junction, s: f64) -> f64 {
-        let length = self.course.length_m;
-        (s - junction.s + 0.5 * length).rem_euclid(length) - 0.5 * length
+        let aside = self.side_street(place, out - side.parking_m);
+        aside.unwrap_or_else(|| beside(side, out))
     }
 
     /// Whether a place is on the roadway of a side street; with `margin` metres around it.
     pub fn in_side_street(&self, place: Frenet, margin: f64) -> bool {
-        self.junction(place.s).is_some_and(|junction| {
+        self.junction(place.s).is_some_and(|(junction, ahead)| {
             junction.arms[usize::from(place.d < 0.0)]
                 && place.d.abs() < SIDE_STREET_M + margin
-                && self.ahead(junction, place.s).abs() < junction.half_m + margin
+                && ahead.abs() < junction.half_m + margin
         })
     }
 
     /// The ground at a place `out` metres beyond the kerb, if it belongs to a side street.
-    fn side_street(&self, junction: &Junction, place: Frenet, out: f64) -> Option<Class> {
-        let ahead = self.ahead(junction, place.s);
+    fn side_street(&self, place: Frenet, out: f64) -> Option<Class> {
+        let (junction, ahead) = self.junction(place.s)?;
         let aside = ahead.abs();
         let reached = junction.arms[usize::from(place.d < 0.0)] && place.d.abs() < SIDE_STREET_M;
         if !reached || aside > junction.half_m + SIDE_WALK_M {
@@ -137,42 +99,42 @@ impl Land {
         if aside > junction.half_m {
             return Some(Class::Sidewalk);
         }
-        let zebra = junction.zebra && (1.0..3.6).contains(&out);
-        // On the right half, as one comes out of the side street.
-        let stop = !junction.zebra && (0.6..1.1).contains(&out) && ahead * place.d < 0.0;
-        let painted = if zebra { striped(aside) } else { stop };
-        Some(if painted {
-            Class::GroundSign
+        Some(road(if junction.zebra {
+            (1.0..3.6).contains(&out) && striped(aside)
         } else {
-            Class::Road
-        })
+            // On the right half, as one comes out of the side street.
+            (0.6..1.1).contains(&out) && ahead * place.d < 0.0
+        }))
     }
 
-    fn carriageway(&self, stretch: &Stretch, side: &Side, place: Frenet, out: f64) -> Class {
+    /// Whether the carriageway is painted at a place `out` metres beyond its edge.
+    fn painted(&self, stretch: &Stretch, place: Frenet, out: f64) -> bool {
+        let parking = stretch.side(place).parking_m > 0.0;
         let near_junction = self
             .junction(place.s)
-            .is_some_and(|junction| self.ahead(junction, place.s).abs() < junction.half_m + 2.0);
+            .is_some_and(|(junction, ahead)| ahead.abs() < junction.half_m + 2.0);
         let on_zebra = |zebra: &f64| self.course.apart(place.s, *zebra) < ZEBRA_M;
-        let painted = if stretch.zebras.iter().any(on_zebra) {
+        if stretch.zebras.iter().any(on_zebra) {
             striped(place.d)
-        } else if out > -0.5 * LINE_M && side.parking_m > 0.0 {
-            // Bays: a line along the lane and one across it every 6 m.
-            !near_junction && (out < 0.5 * LINE_M || place.s.rem_euclid(6.0) < LINE_M)
         } else if near_junction {
             false
+        } else if out > -0.5 * LINE_M && parking {
+            // Bays: a line along the lane and one across it every 6 m.
+            out < 0.5 * LINE_M || place.s.rem_euclid(6.0) < LINE_M
         } else {
-            let from_edge = -out - 0.25;
-            (stretch.edges && side.parking_m == 0.0 && (0.0..LINE_M).contains(&from_edge))
-                || centre_line(stretch.line, place)
-                || stretch.symbols.iter().any(|(at, left)| {
-                    symbol(place, *at, if *left { 1.0 } else { -1.0 }, stretch.half_m)
-                })
-        };
-        if painted {
-            Class::GroundSign
-        } else {
-            Class::Road
+            let on_edge = stretch.edges && !parking && (0.0..LINE_M).contains(&(-out - 0.25));
+            let mut symbols = stretch.symbols.iter();
+            let symbol = |(at, left): &(f64, bool)| symbol(place, *at, *left, stretch.half_m);
+            on_edge || centre_line(stretch.line, place) || symbols.any(symbol)
         }
+    }
+}
+
+fn road(painted: bool) -> Class {
+    if painted {
+        Class::GroundSign
+    } else {
+        Class::Road
     }
 }
 
@@ -190,7 +152,8 @@ fn centre_line(line: CentreLine, place: Frenet) -> bool {
 }
 
 /// An arrow in the middle of a lane that points where its traffic goes.
-fn symbol(place: Frenet, at: f64, side: f64, half_m: f64) -> bool {
+fn symbol(place: Frenet, at: f64, left: bool, half_m: f64) -> bool {
+    let side = if left { 1.0 } else { -1.0 };
     let ahead = -(place.s - at) * side;
     let across = (place.d - 0.5 * side * half_m).abs();
     let shaft = (-1.6..0.6).contains(&ahead) && across < 0.12;

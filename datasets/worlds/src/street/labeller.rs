@@ -9,9 +9,9 @@
 use super::classes::Class;
 use super::course::Frenet;
 use super::params::Street;
-use super::sight::{PanoramaCamera, Scenery, Sight};
-use crate::random::{lattice, noise2, noise3, scramble, smooth, stream};
-use crate::render::{FAR, Lens, Scratch};
+use super::sight::{Scenery, Sight, panorama_camera};
+use crate::random::{lattice, noise2, noise3, scramble, stream};
+use crate::render::{FAR, Lens};
 use evermap_algorithms::geometry::pose::Pose;
 use rand::Rng;
 
@@ -72,30 +72,25 @@ impl Labeller {
             height_px: (TRIAL_PX * world.height_px / world.width_px).max(16),
             ..world.clone()
         };
-        let camera = PanoramaCamera::new(&small);
+        let (lens, _) = panorama_camera(&small);
         let course = &scenery.land.course;
-        let trials: Vec<(Sight, Vec<Class>)> = (0..TRIALS)
-            .map(|k| {
-                let s = (k as f64 + 0.5) / TRIALS as f64 * course.length_m;
-                let [x, y] = course.point(Frenet::new(s, -1.5));
-                let pose = Pose::from_yaw(x, y, course.yaw(s));
-                let sight = scenery.look(&camera, &pose, &[], false, &mut Scratch::default());
-                let exact = scenery.classes(&camera.lens, &sight, false);
-                (sight, exact)
-            })
-            .collect();
+        let trials = (0..TRIALS).map(|k| {
+            let s = (k as f64 + 0.5) / TRIALS as f64 * course.length_m;
+            let [x, y] = course.point(Frenet::new(s, -1.5));
+            let sight = scenery.look(&lens, &Pose::from_yaw(x, y, course.yaw(s)), &[]);
+            let exact = scenery.classes(&sight, &sight.hits);
+            (sight, exact)
+        });
+        let trials: Vec<(Sight<'_>, Vec<Class>)> = trials.collect();
         let (mut low, mut high) = (0.0, 8.0);
         for _ in 0..10 {
             self.severity = 0.5 * (low + high);
-            let wrong: usize = trials
-                .iter()
-                .enumerate()
-                .map(|(k, (sight, exact))| {
-                    let noisy = self.noisy(&camera.lens, sight, exact, k as u64);
-                    noisy.iter().zip(exact).filter(|(a, b)| a != b).count()
-                })
-                .sum();
-            let pixels: usize = trials.iter().map(|(_, exact)| exact.len()).sum();
+            let (mut wrong, mut pixels) = (0, 0);
+            for (k, (sight, exact)) in trials.iter().enumerate() {
+                let noisy = self.noisy(sight, exact, k as u64);
+                wrong += noisy.iter().zip(exact).filter(|(a, b)| a != b).count();
+                pixels += exact.len();
+            }
             if (wrong as f64) < world.label_noise * pixels as f64 {
                 low = self.severity;
             } else {
@@ -108,11 +103,12 @@ impl Labeller {
     }
 
     /// The labels of one shot.
-    pub fn noisy(&self, lens: &Lens, sight: &Sight, exact: &[Class], shot: u64) -> Vec<Class> {
+    pub fn noisy(&self, sight: &Sight<'_>, exact: &[Class], shot: u64) -> Vec<Class> {
         if self.severity == 0.0 {
             return exact.to_vec();
         }
-        let scale = lens.width as f32 / 1024.0;
+        let width = sight.lens.width;
+        let scale = width as f32 / 1024.0;
         let shot = scramble(self.seed ^ scramble(shot.wrapping_add(1)));
         let limits = Limits {
             patch: quantile(&self.space, PATCHES * self.severity),
@@ -121,59 +117,47 @@ impl Labeller {
             pixel: PIXELS * self.severity,
             shift: SHIFT_PX * self.severity.min(2.0) * scale,
         };
-        let shifts = [1, 2].map(|axis| Field::new(lens, shot ^ axis, SHIFT_WAVE_PX * scale));
-        let blobs = Field::new(lens, shot ^ 5, BLOB_PX * scale);
-        let mut noisy = Vec::with_capacity(exact.len());
-        for row in 0..lens.height {
-            for column in 0..lens.width {
-                let at = [column, row];
-                let shift = shifts.each_ref().map(|field| field.at(at) - 0.5);
-                let from = shifted(lens, at, shift.map(|part| 2.0 * limits.shift * part));
-                let class = exact.get(from).copied().unwrap_or(Class::Other);
-                let class = self.misled(lens, sight, from, class, &limits);
-                let blob = blobs.at(at) > limits.blob;
+        let noise = |purpose: u64, at: [usize; 2], wave_px: f32| {
+            let place = at.map(|part| f64::from(part as f32 / (wave_px * scale)));
+            noise2(shot ^ purpose, place)
+        };
+        let label = |pixel: usize| {
+            let at = [pixel % width, pixel / width];
+            let shift = [1, 2].map(|axis| noise(axis, at, SHIFT_WAVE_PX) - 0.5);
+            let from = shifted(sight.lens, at, shift.map(|part| 2.0 * limits.shift * part));
+            let class = self.misled(sight, from, exact[from], &limits);
+            if noise(5, at, BLOB_PX) > limits.blob {
                 let coarse = at.map(|part| (part as f32 / (2.5 * BLOB_PX * scale)) as i64);
-                noisy.push(if blob {
-                    class.mistaken(lattice(shot ^ 6, coarse[0], coarse[1]))
-                } else {
-                    slip(class, at, shot, &limits)
-                });
+                return class.mistaken(lattice(shot ^ 6, coarse[0], coarse[1]));
             }
-        }
-        noisy
+            // Single pixels.
+            match lattice(shot ^ 8, at[0] as i64, at[1] as i64) {
+                chance if chance < limits.pixel => class.mistaken(chance / limits.pixel),
+                _ => class,
+            }
+        };
+        (0..exact.len()).map(label).collect()
     }
 
     /// What is out there misleads, from wherever it is seen.
-    fn misled(
-        &self,
-        lens: &Lens,
-        sight: &Sight,
-        pixel: usize,
-        class: Class,
-        limits: &Limits,
-    ) -> Class {
-        let range = sight.hits.range_m[pixel];
-        if let Some(surface) = sight.surface(sight.hits.face[pixel]) {
-            let chance = |number: i64| lattice(self.seed, i64::from(surface.seed), number);
+    fn misled(&self, sight: &Sight<'_>, pixel: usize, class: Class, limits: &Limits) -> Class {
+        let hit = sight.hit(&sight.hits, pixel);
+        if let Some(surface) = sight.surface(hit.face) {
+            let chance = |number| lattice(self.seed, i64::from(surface.thing.seed), number);
             if chance(1) < limits.thing {
                 return class.mistaken(chance(2));
             }
         }
-        let ray = sight.eye.turned(lens.ray(pixel));
-        let point = if range < FAR {
-            [0, 1, 2].map(|axis| sight.eye.at[axis] as f32 + range * ray[axis])
+        let point = if hit.range_m < FAR {
+            [0, 1, 2].map(|axis| sight.eye.at[axis] as f32 + hit.range_m * hit.ray[axis])
         } else {
-            ray.map(|part| 14.0 * part)
+            hit.ray.map(|part| 14.0 * part)
         };
         if noise3(self.seed, point.map(|part| part / PATCH_M)) <= limits.patch {
             return class;
         }
-        let coarse = point.map(|part| (part / (3.0 * PATCH_M)).floor() as i64);
-        class.mistaken(lattice(
-            self.seed ^ 3,
-            coarse[0] ^ coarse[2] << 40,
-            coarse[1],
-        ))
+        let [x, y, z] = point.map(|part| (part / (3.0 * PATCH_M)).floor() as i64);
+        class.mistaken(lattice(self.seed ^ 3, x ^ z << 40, y))
     }
 }
 
@@ -186,38 +170,6 @@ struct Limits {
     shift: f32,
 }
 
-/// Smooth noise over an image, as [`noise2`] makes it, with the lattice's values at hand.
-struct Field {
-    wave_px: f32,
-    columns: usize,
-    values: Vec<f32>,
-}
-
-impl Field {
-    fn new(lens: &Lens, seed: u64, wave_px: f32) -> Self {
-        let columns = (lens.width as f32 / wave_px) as usize + 2;
-        let rows = (lens.height as f32 / wave_px) as usize + 2;
-        let value = |k: usize| lattice(seed, (k % columns) as i64, (k / columns) as i64);
-        Self {
-            wave_px,
-            columns,
-            values: (0..columns * rows).map(value).collect(),
-        }
-    }
-
-    fn at(&self, pixel: [usize; 2]) -> f32 {
-        let place = pixel.map(|part| part as f32 / self.wave_px);
-        let [column, row] = place.map(|part| part as usize);
-        let f = place.map(|part| smooth(part.fract()));
-        let value = |k: usize| self.values.get(k).copied().unwrap_or(0.5);
-        let first = row * self.columns + column;
-        let mix = |a: f32, b: f32, f: f32| a + f * (b - a);
-        let upper = mix(value(first), value(first + 1), f[0]);
-        let next = first + self.columns;
-        mix(upper, mix(value(next), value(next + 1), f[0]), f[1])
-    }
-}
-
 /// The pixel whose label is written here.
 fn shifted(lens: &Lens, [column, row]: [usize; 2], shift: [f32; 2]) -> usize {
     let column = (column as f32 + shift[0]).round() as i64;
@@ -225,15 +177,6 @@ fn shifted(lens: &Lens, [column, row]: [usize; 2], shift: [f32; 2]) -> usize {
     let column = column.rem_euclid(lens.width as i64) as usize;
     let row = row.clamp(0, lens.height as i64 - 1) as usize;
     row * lens.width + column
-}
-
-/// Single pixels that are wrong.
-fn slip(class: Class, [column, row]: [usize; 2], shot: u64, limits: &Limits) -> Class {
-    let chance = lattice(shot ^ 8, column as i64, row as i64);
-    if chance < limits.pixel {
-        return class.mistaken(chance / limits.pixel);
-    }
-    class
 }
 
 /// The value that a share of the values is above.

@@ -31,14 +31,12 @@ pub use views::{LabelKind, LabelView, StreetLabels, street_labels};
 use crate::WorldError;
 use crate::random::{normal, stream};
 use crate::record::{
-    CameraTopics, Folder, Progress, Sensors, SessionSummary, Summary, World, deep_png, grey_png,
+    Folder, Progress, Recorded, Sensors, SessionSummary, Summary, Tell, World, deep_png, grey_png,
     jpeg, simulate,
 };
-use crate::render::Scratch;
 use classes::Class;
 use jpeg_encoder::ColorType;
 use paint::Light;
-use sight::{PANORAMA_FRAME, Sight};
 use std::path::{Path, PathBuf};
 use views::values;
 use visit::Visit;
@@ -72,16 +70,12 @@ impl World for StreetLabels {
         &self.visits
     }
 
-    fn sensors(&self) -> Sensors<'_> {
+    fn sensors(&self) -> Sensors {
         let names = STREET_CLASSES.iter().enumerate();
+        let images = if self.params.colour { 4 } else { 2 };
         Sensors {
-            cameras: vec![CameraTopics {
-                namespace: "/panorama".to_owned(),
-                frame_id: PANORAMA_FRAME,
-                vehicle_from_camera: &self.camera.lens.vehicle_from_camera,
-                calibration: self.camera.calibration(),
-            }],
-            images: IMAGES.get(..self.images()).unwrap_or(&IMAGES),
+            cameras: vec![self.camera.clone()],
+            images: &IMAGES[..images],
             delay_ns: 8_000_000..12_000_000,
             spread_ns: 0..6_000_000,
             label_classes: names
@@ -94,19 +88,12 @@ impl World for StreetLabels {
         truth::write_world(self, out)
     }
 
-    fn record(
-        &self,
-        visit: &Visit,
-        out: &Path,
-        tell: &mut dyn FnMut(usize),
-    ) -> Result<SessionSummary, WorldError> {
+    fn record(&self, visit: &Visit, out: &Path, tell: &mut Tell<'_>) -> Recorded {
         let session = &visit.session;
         let folder = Folder::create(out, &session.name)?;
         truth::write_visit(self, visit, &folder)?;
         let light = Light::new(&self.params, session.index);
-        let take = |shot: usize, _, scratch: &mut Scratch| {
-            self.take(visit, &light, shot, &folder, scratch)
-        };
+        let take = |shot: usize, _| self.take(session.index, &light, shot, &folder);
         let summary = session.record(folder.path(), &self.sensors(), &take, tell)?;
         let path = folder.finish()?.join(format!("{}.mcap", session.name));
         Ok(SessionSummary { path, ..summary })
@@ -114,57 +101,36 @@ impl World for StreetLabels {
 }
 
 impl StreetLabels {
-    /// How many of [`IMAGES`] are wanted.
-    fn images(&self) -> usize {
-        if self.params.colour { 4 } else { 2 }
-    }
-
     /// The images of a shot. What labels would be without cars is written into the folder.
     fn take(
         &self,
-        visit: &Visit,
+        visit: usize,
         light: &Light,
         shot: usize,
         folder: &Folder,
-        scratch: &mut Scratch,
     ) -> Result<Vec<Vec<u8>>, WorldError> {
-        let (index, size) = (visit.session.index, self.camera.size());
-        let sight = self.sight(index, shot, true, scratch);
-        let lens = &self.camera.lens;
-        let exact = self.scenery.classes(lens, &sight, false);
-        let bare = self.scenery.classes(lens, &sight, true);
-        let noisy = self.noisy(&sight, &exact, index, shot);
-        let name = format!("static_labels/{shot:06}.png");
-        folder.save(&name, &grey_png(size, &values(&bare))?)?;
-        let mut images = vec![
-            grey_png(size, &values(&exact))?,
-            grey_png(size, &values(&noisy))?,
-        ];
+        let size = self.camera.size;
+        let png = |classes: &[Class]| grey_png(size, &values(classes));
+        let sight = self.sight(visit, shot);
+        let exact = self.scenery.classes(&sight, &sight.hits);
+        let bare = self.scenery.classes(&sight, &sight.bare);
+        let noisy = self.noisy(&sight, &exact, visit, shot);
+        folder.save(&format!("static_labels/{shot:06}.png"), &png(&bare)?)?;
+        let mut images = vec![png(&exact)?, png(&noisy)?];
         if self.params.colour {
-            images.push(self.colour(light, &sight, &exact, index, shot)?);
-            let mut rng = stream(self.params.seed ^ index as u64, "depth", shot as u64);
+            let chance = |purpose| stream(self.params.seed ^ visit as u64, purpose, shot as u64);
+            let mut rgb = light.panorama(&self.scenery, &sight, &exact);
+            let mut rng = chance("sensor");
+            for value in &mut rgb {
+                let noise = f64::from(light.noise) * normal(&mut rng);
+                *value = (f64::from(*value) + noise).clamp(0.0, 255.0) as u8;
+            }
+            let quality = self.params.jpeg_quality;
+            images.push(jpeg(size, ColorType::Rgb, quality, &rgb)?);
+            let mut rng = chance("depth");
             let depth = sight.hits.depth(|| normal(&mut rng) as f32);
             images.push(deep_png(size, &depth)?);
         }
         Ok(images)
-    }
-
-    /// The colour image of a shot, with the sensor's noise.
-    fn colour(
-        &self,
-        light: &Light,
-        sight: &Sight,
-        exact: &[Class],
-        visit: usize,
-        shot: usize,
-    ) -> Result<Vec<u8>, WorldError> {
-        let mut rgb = light.panorama(&self.scenery, &self.camera.lens, sight, exact);
-        let mut rng = stream(self.params.seed ^ visit as u64, "sensor", shot as u64);
-        for value in &mut rgb {
-            let noise = f64::from(light.noise) * normal(&mut rng);
-            *value = (f64::from(*value) + noise).clamp(0.0, 255.0) as u8;
-        }
-        let quality = self.params.jpeg_quality;
-        jpeg(self.camera.size(), ColorType::Rgb, quality, &rgb)
     }
 }

@@ -4,10 +4,10 @@ use super::classes::Class;
 use super::course::Frenet;
 use super::ground::GroundPoint;
 use super::params::Street;
-use super::sight::{GROUND, SKY, Scenery, Sight};
-use super::things::{FACES, Finish, Surface, face_normal};
+use super::sight::{Hit, SKY, Scenery, Sight};
+use super::things::{FACES, Finish, Surface, Thing};
 use crate::random::{lattice, noise2, noise3, scramble, stream};
-use crate::render::Lens;
+use crate::render::box_sides;
 use nalgebra::Vector3;
 use rand::Rng;
 
@@ -51,20 +51,35 @@ impl Light {
     }
 
     /// The colours of a panorama, row by row, before the sensor's noise.
-    pub fn panorama(
-        &self,
-        scenery: &Scenery,
-        lens: &Lens,
-        sight: &Sight,
-        exact: &[Class],
-    ) -> Vec<u8> {
+    pub fn panorama(&self, scenery: &Scenery, sight: &Sight<'_>, exact: &[Class]) -> Vec<u8> {
         let colour = |pixel: usize| {
-            let (range_m, face) = (sight.hits.range_m[pixel], sight.hits.face[pixel]);
-            let ray = sight.eye.turned(lens.ray(pixel));
-            let lit = colour(scenery, self, sight, exact[pixel], (range_m, face, ray));
+            let lit = self.colour(scenery, sight, exact[pixel], &sight.hit(&sight.hits, pixel));
             lit.map(|value| value.clamp(0.0, 255.0) as u8)
         };
-        (0..lens.pixels()).flat_map(colour).collect()
+        (0..sight.lens.pixels()).flat_map(colour).collect()
+    }
+
+    /// The colour of a pixel, 8 bits a channel.
+    fn colour(&self, scenery: &Scenery, sight: &Sight<'_>, class: Class, hit: &Hit) -> Rgb {
+        let lit = if hit.face == SKY {
+            match class {
+                Class::Tree => [0.22, 0.3, 0.24],
+                _ => self.sky(&Vector3::from(hit.ray)),
+            }
+        } else {
+            let point = sight.point(hit);
+            let (albedo, normal) = match sight.surface(hit.face) {
+                Some(surface) => finished(surface, hit.face as u32 % FACES, point),
+                None => {
+                    let ground = scenery.land.at([point[0], point[1]]);
+                    (paving(&ground, point), Vector3::z())
+                }
+            };
+            let lit = self.on(albedo, &normal);
+            let haze = 1.0 - (-hit.range_m / self.haze_m).exp();
+            [0, 1, 2].map(|k| lit[k] * (1.0 - haze) + [0.66, 0.7, 0.76][k] * haze)
+        };
+        lit.map(|part| 255.0 * (part * self.gain).max(0.0).powf(0.8))
     }
 
     fn on(&self, albedo: Rgb, normal: &Vector3<f32>) -> Rgb {
@@ -83,38 +98,6 @@ impl Light {
         let blue = [0.42 + 0.25 * (1.0 - up), 0.6 + 0.17 * (1.0 - up), 0.85];
         [0, 1, 2].map(|k| (blue[k] * (1.0 - cloud) + 0.86 * cloud + glare) * self.warm[k])
     }
-}
-
-/// The colour of a pixel, 8 bits a channel, before the sensor's noise.
-fn colour(
-    scenery: &Scenery,
-    light: &Light,
-    sight: &Sight,
-    class: Class,
-    (range_m, face, ray): (f32, f32, [f32; 3]),
-) -> Rgb {
-    let way = Vector3::from(ray);
-    let lit = if face == SKY {
-        match class {
-            Class::Tree => [0.22, 0.3, 0.24],
-            _ => light.sky(&way),
-        }
-    } else {
-        let point = sight.point(range_m, ray);
-        let (albedo, normal) = if face == GROUND {
-            let ground = scenery.land.at([point[0], point[1]]);
-            (paving(&ground, point), Vector3::z())
-        } else {
-            match sight.surface(face) {
-                Some(surface) => finished(surface, face as u32 % FACES, point),
-                None => ([0.5; 3], Vector3::z()),
-            }
-        };
-        let lit = light.on(albedo, &normal);
-        let haze = 1.0 - (-range_m / light.haze_m).exp();
-        [0, 1, 2].map(|k| lit[k] * (1.0 - haze) + [0.66, 0.7, 0.76][k] * haze)
-    };
-    lit.map(|part| 255.0 * (part * light.gain).max(0.0).powf(0.8))
 }
 
 fn grain(seed: u64, point: [f64; 3], size_m: f64) -> f32 {
@@ -146,11 +129,7 @@ fn picked(seed: u32, palette: &[Rgb]) -> Rgb {
     let bits = scramble(u64::from(seed));
     let colour = palette[(bits % palette.len() as u64) as usize];
     let shift = |k: u32| ((bits >> (8 + 8 * k) & 255) as f32 / 255.0 - 0.5) * 0.1;
-    [
-        colour[0] + shift(0),
-        colour[1] + shift(1),
-        colour[2] + shift(2),
-    ]
+    [0, 1, 2].map(|k| colour[k as usize] + shift(k))
 }
 
 const WALLS: [Rgb; 7] = [
@@ -195,8 +174,9 @@ const PLAINS: [Rgb; 4] = [
 
 /// Albedo and normal of a thing's surface at a point.
 fn finished(surface: &Surface, face: u32, point: [f64; 3]) -> (Rgb, Vector3<f32>) {
-    let seed = surface.seed;
-    let own = own_frame(surface, point);
+    let Thing { pose, seed, .. } = surface.thing;
+    let [ahead, left] = pose.own([point[0], point[1]]);
+    let own = [ahead, left, point[2]];
     let normal = match surface.ball {
         Some((centre, radii)) => Vector3::new(
             (point[0] - centre[0]) / radii[0].powi(2),
@@ -204,9 +184,13 @@ fn finished(surface: &Surface, face: u32, point: [f64; 3]) -> (Rgb, Vector3<f32>
             (point[2] - centre[2]) / radii[1].powi(2),
         )
         .normalize(),
-        None => face_normal(surface, face),
-    };
-    let normal = Vector3::new(normal.x as f32, normal.y as f32, normal.z as f32);
+        None => {
+            let side = box_sides([0.0; 3], [0.0; 3]).into_iter().nth(face as usize);
+            let own = side.map_or(Vector3::z(), |(normal, ..)| normal);
+            pose.upright(0.0).rotate(&own)
+        }
+    }
+    .map(|part| part as f32);
     let (fine, broad) = (grain(21, point, 0.12) - 0.5, grain(22, point, 1.1) - 0.5);
     let albedo = match surface.finish {
         Finish::Facade => facade(seed, face, own, fine, broad),
@@ -229,11 +213,6 @@ fn finished(surface: &Surface, face: u32, point: [f64; 3]) -> (Rgb, Vector3<f32>
         Finish::Glass => [0.09, 0.1, 0.12].map(|c| c + 0.06 * broad),
     };
     (albedo, normal)
-}
-
-fn own_frame(surface: &Surface, point: [f64; 3]) -> [f64; 3] {
-    let [ahead, left] = surface.pose.own([point[0], point[1]]);
-    [ahead, left, point[2]]
 }
 
 /// Storeys of windows, and a door now and then.

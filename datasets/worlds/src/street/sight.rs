@@ -7,13 +7,11 @@ use super::params::Street;
 use super::stretch::Plan;
 use super::things::{FACES, Stage, Surface, Thing};
 use super::town::Town;
-use crate::plane::distance;
 use crate::random::{lattice, normal, stream};
-use crate::record::camera_matrix;
-use crate::render::{Eye, FAR, Lens, PIXELS, Scratch, cast, looking, nearest_first};
+use crate::record::CameraTopics;
+use crate::render::{Eye, FAR, Lens, PIXELS, Scratch, cast, looking};
 use evermap_algorithms::geometry::camera::{Camera, Equirectangular, Model};
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_messages::ros2::Calibration;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -26,51 +24,30 @@ const HORIZON_M: f32 = 300.0;
 const DEPTH_REACH_M: f32 = 65.0;
 /// Steps of inverse range, 1/m.
 const DEPTH_STEP: f32 = 2e-4;
-/// The optical frame.
-pub const PANORAMA_FRAME: &str = "panorama_optical_frame";
 
-/// A panorama camera.
-pub struct PanoramaCamera {
-    /// Rays.
-    pub lens: Lens,
-    /// Pixels per radian.
-    pub focal: f64,
-    /// Principal point, pixels.
-    pub centre: [f64; 2],
-}
-
-impl PanoramaCamera {
-    /// The camera of a world: the centre column looks forward.
-    pub fn new(world: &Street) -> Self {
-        let focal = f64::from(world.width_px) / TAU;
-        let centre = [world.width_px, world.height_px].map(|side| 0.5 * (f64::from(side) - 1.0));
-        let model = Model::Equirectangular(Equirectangular::new([focal; 2], centre));
-        let camera = Camera::new(model, world.width_px, world.height_px);
-        let mut rng = stream(world.seed, "mount", 0);
-        let mut draw = |sigma: f64| sigma * normal(&mut rng).clamp(-2.0, 2.0);
-        let place = Vector3::new(0.1 + draw(0.02), draw(0.02), 1.85 + draw(0.03));
-        let vehicle_from_camera = Pose::new(place, looking(draw(0.01), draw(0.004)));
-        Self {
-            lens: Lens::new(&camera, &vehicle_from_camera, [focal; 2], 4.0),
-            focal,
-            centre,
-        }
-    }
-
-    /// Width and height, pixels.
-    pub fn size(&self) -> [u32; 2] {
-        [self.lens.width, self.lens.height].map(|side| side as u32)
-    }
-
-    /// What is published of it.
-    pub fn calibration(&self) -> Calibration<'_> {
-        Calibration {
-            size: self.size(),
-            model: "equirectangular",
-            distortion: &[],
-            k: camera_matrix([self.focal; 2], self.centre),
-        }
-    }
+/// The panorama camera of a world, whose centre column looks forward: its rays, and what is published of it.
+pub fn panorama_camera(world: &Street) -> (Lens, CameraTopics) {
+    let size = [world.width_px, world.height_px];
+    let focal = [f64::from(world.width_px) / TAU; 2];
+    let centre = size.map(|side| 0.5 * (f64::from(side) - 1.0));
+    let model = Model::Equirectangular(Equirectangular::new(focal, centre));
+    let camera = Camera::new(model, world.width_px, world.height_px);
+    let mut rng = stream(world.seed, "mount", 0);
+    let mut draw = |sigma: f64| sigma * normal(&mut rng).clamp(-2.0, 2.0);
+    let place = Vector3::new(0.1 + draw(0.02), draw(0.02), 1.85 + draw(0.03));
+    let vehicle_from_camera = Pose::new(place, looking(draw(0.01), draw(0.004)));
+    let topics = CameraTopics {
+        namespace: "/panorama".to_owned(),
+        frame_id: "panorama_optical_frame".to_owned(),
+        vehicle_from_camera,
+        size,
+        model: "equirectangular",
+        distortion: Vec::new(),
+        focal,
+        centre,
+    };
+    let lens = Lens::new(&camera, &vehicle_from_camera, focal, 4.0);
+    (lens, topics)
 }
 
 /// All that stays, indexed by place.
@@ -87,20 +64,33 @@ pub struct Scenery {
 pub struct Hits {
     /// Distance along the ray, metres; [`FAR`] for the sky.
     pub range_m: Vec<f32>,
-    /// Number of the face; negative for ground and sky.
+    /// Number of the face, [`GROUND`] or [`SKY`].
     pub face: Vec<f32>,
 }
 
 /// What one panorama sees.
-pub struct Sight {
-    /// What is seen.
-    pub hits: Hits,
-    /// What would be seen without cars, if that was asked for.
-    pub bare: Option<Hits>,
-    /// What the faces are of.
-    pub surfaces: Vec<Surface>,
+pub struct Sight<'a> {
+    /// Through which lens.
+    pub lens: &'a Lens,
     /// From where.
     pub eye: Eye,
+    /// What is seen.
+    pub hits: Hits,
+    /// What would be seen without cars.
+    pub bare: Hits,
+    /// What the faces are of.
+    pub surfaces: Vec<Surface>,
+}
+
+/// What one ray meets.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hit {
+    /// The unit ray, map frame.
+    pub ray: [f32; 3],
+    /// Distance along it, metres; [`FAR`] for the sky.
+    pub range_m: f32,
+    /// Number of the face, [`GROUND`] or [`SKY`].
+    pub face: f32,
 }
 
 /// Face of the ground.
@@ -113,14 +103,12 @@ impl Scenery {
     pub fn new(world: &Street) -> Self {
         let course = Course::new(world.seed, world.length_m);
         let plan = Plan::new(world.seed, &course);
-        let land = Land::new(course, plan);
+        let land = Land { course, plan };
         let town = Town::new(world.seed, &land);
         let mut cells: BTreeMap<[i32; 2], Vec<u32>> = BTreeMap::new();
         for (index, thing) in town.things.iter().enumerate() {
-            cells
-                .entry(cell(thing.pose.at()))
-                .or_default()
-                .push(index as u32);
+            let here = cells.entry(cell(thing.pose.at())).or_default();
+            here.push(index as u32);
         }
         Self {
             land,
@@ -141,70 +129,45 @@ impl Scenery {
             .filter_map(|index| self.town.things.get(*index as usize))
     }
 
-    /// What is seen from a pose; with `bare`, also what would be seen without the cars.
-    pub fn look(
-        &self,
-        camera: &PanoramaCamera,
-        map_from_vehicle: &Pose,
-        cars: &[Thing],
-        bare: bool,
-        scratch: &mut Scratch,
-    ) -> Sight {
-        let lens = &camera.lens;
+    /// What is seen from a pose, among these cars.
+    pub fn look<'a>(&self, lens: &'a Lens, map_from_vehicle: &Pose, cars: &[Thing]) -> Sight<'a> {
         let eye = Eye::new(lens, map_from_vehicle);
-        let mut stage = Stage::default();
-        stand_all(self.near(eye.at), eye.at, &mut stage);
-        let still = nearest_first(std::mem::take(&mut stage.seen));
-        stand_all(cars.iter(), eye.at, &mut stage);
-        let moving = nearest_first(std::mem::take(&mut stage.seen));
-        let mut hits = Hits::new(lens);
-        let mut without = bare.then(|| Hits::new(lens));
+        let mut stage = Stage::new(eye.at);
+        let still = stage.with(self.near(eye.at));
+        let moving = stage.with(cars.iter());
+        let mut hits = [Hits::new(lens), Hits::new(lens)];
         let up = eye.at[2] as f32;
-        let surround = |scratch: &mut Scratch| meet_ground(up, scratch);
         cast(
             lens,
-            &eye.turn,
+            &eye,
             [&still, &moving],
-            scratch,
-            surround,
-            |tile, layer, scratch| match (&mut without, layer) {
-                (Some(without), 0) => without.put(lens, tile, scratch),
-                (None, 0) => {}
-                _ => hits.put(lens, tile, scratch),
-            },
+            |scratch| meet_ground(up, scratch),
+            |tile, layer, scratch| hits[layer].put(lens, tile, scratch),
         );
+        let [bare, hits] = hits;
         Sight {
-            hits,
-            bare: without,
-            surfaces: stage.surfaces,
+            lens,
             eye,
+            hits,
+            bare,
+            surfaces: stage.surfaces,
         }
     }
 
-    /// The classes of all pixels, row by row; with `bare`, of what would be seen without the cars.
-    pub fn classes(&self, lens: &Lens, sight: &Sight, bare: bool) -> Vec<Class> {
-        let hits = match &sight.bare {
-            Some(without) if bare => without,
-            _ => &sight.hits,
-        };
+    /// The classes of all pixels, row by row, where a panorama's rays meet this.
+    pub fn classes(&self, sight: &Sight<'_>, hits: &Hits) -> Vec<Class> {
         let class = |pixel: usize| {
-            let ray = sight.eye.turned(lens.ray(pixel));
-            self.class(sight, hits.range_m[pixel], hits.face[pixel], ray)
+            let hit = sight.hit(hits, pixel);
+            match sight.surface(hit.face) {
+                Some(surface) => surface.finish.class(),
+                None if hit.face == GROUND => {
+                    let [x, y, _] = sight.point(&hit);
+                    self.land.at([x, y]).class
+                }
+                None => self.sky(hit.ray),
+            }
         };
-        (0..lens.pixels()).map(class).collect()
-    }
-
-    /// The class of a pixel from its range, face and ray.
-    fn class(&self, sight: &Sight, range_m: f32, face: f32, ray: [f32; 3]) -> Class {
-        if face == GROUND {
-            let [x, y, _] = sight.point(range_m, ray);
-            return self.land.at([x, y]).class;
-        }
-        if face == SKY {
-            return self.sky(ray);
-        }
-        let surface = sight.surface(face);
-        surface.map_or(Class::Other, |surface| surface.class)
+        (0..sight.lens.pixels()).map(class).collect()
     }
 
     /// Woods stand at the horizon, endlessly far away.
@@ -242,9 +205,8 @@ impl Hits {
                 return 0;
             }
             let inverse = (1.0 / (range * DEPTH_STEP) + step).round().max(1.0);
-            (1000.0 / (inverse * DEPTH_STEP))
-                .round()
-                .clamp(0.0, 65_535.0) as u16
+            let range_mm = 1000.0 / (inverse * DEPTH_STEP);
+            range_mm.round().clamp(0.0, 65_535.0) as u16
         };
         self.range_m.iter().map(measured).collect()
     }
@@ -255,11 +217,20 @@ impl Hits {
     }
 }
 
-impl Sight {
-    /// Where a ray of this length ends, metres.
-    pub fn point(&self, range_m: f32, ray: [f32; 3]) -> [f64; 3] {
-        let far = f64::from(range_m);
-        [0, 1, 2].map(|axis| self.eye.at[axis] + far * f64::from(ray[axis]))
+impl Sight<'_> {
+    /// What the ray of a pixel meets, of all that the rays meet.
+    pub fn hit(&self, hits: &Hits, pixel: usize) -> Hit {
+        Hit {
+            ray: self.eye.turned(self.lens.ray(pixel)),
+            range_m: hits.range_m[pixel],
+            face: hits.face[pixel],
+        }
+    }
+
+    /// Where a ray ends, metres.
+    pub fn point(&self, hit: &Hit) -> [f64; 3] {
+        let far = f64::from(hit.range_m);
+        [0, 1, 2].map(|axis| self.eye.at[axis] + far * f64::from(hit.ray[axis]))
     }
 
     /// What a face is of; `None` for ground and sky.
@@ -271,16 +242,6 @@ impl Sight {
 
 fn cell(at: [f64; 2]) -> [i32; 2] {
     at.map(|part| (part / CELL_M).floor() as i32)
-}
-
-/// Puts the things on the stage that are near enough to be seen, but not the eye's own place.
-fn stand_all<'a>(things: impl Iterator<Item = &'a Thing>, eye: [f64; 3], stage: &mut Stage) {
-    for thing in things {
-        let away = distance([eye[0], eye[1]], thing.pose.at());
-        if away < thing.sight() + thing.reach() {
-            thing.stand(eye, stage);
-        }
-    }
 }
 
 fn meet_ground(eye_z: f32, scratch: &mut Scratch) {

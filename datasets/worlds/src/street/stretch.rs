@@ -1,8 +1,8 @@
 //! What the street is like along its way: stretches between junctions, each with its own width,
 //! sidewalks, markings, and kind of town on either side.
 
-use super::course::Course;
-use crate::random::stream;
+use super::course::{Course, Frenet};
+use crate::random::{maybe, stream};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
@@ -119,6 +119,13 @@ impl Side {
     }
 }
 
+impl Stretch {
+    /// The side that a place is on.
+    pub fn side(&self, place: Frenet) -> &Side {
+        &self.sides[usize::from(place.d < 0.0)]
+    }
+}
+
 impl Plan {
     /// The plan of a seed for a street of this length.
     pub fn new(seed: u64, course: &Course) -> Self {
@@ -212,29 +219,17 @@ fn side(quarter: Quarter, rng: &mut ChaCha8Rng) -> Side {
         Quarter::Park => (0.7, 0.5, 0.3, 0.5),
         Quarter::Meadow => (0.35, 0.6, 0.15, 0.4),
     };
-    let mut width = |chance: f64, low: f64, high: f64| {
-        if rng.random_bool(chance) {
-            rng.random_range(low..high)
-        } else {
-            0.0
-        }
-    };
-    let walk_m = width(walk, 1.4, 3.4);
-    let verge_m = width(verge, 0.9, 2.4);
-    let parking_m = width(parking, PARKING_M, PARKING_M + 1e-9);
-    let tree_step_m = width(trees, 7.0, 15.0);
-    let yard_m = match quarter {
-        Quarter::Shops => width(1.0, 7.0, 12.0),
-        Quarter::Terraces => width(0.3, 1.0, 3.0),
-        _ => 0.0,
-    };
     Side {
         quarter,
-        parking_m,
-        verge_m,
-        walk_m,
-        yard_m,
-        tree_step_m,
+        walk_m: maybe(rng, walk, 1.4..3.4),
+        verge_m: maybe(rng, verge, 0.9..2.4),
+        parking_m: maybe(rng, parking, PARKING_M..PARKING_M + 1e-9),
+        tree_step_m: maybe(rng, trees, 7.0..15.0),
+        yard_m: match quarter {
+            Quarter::Shops => maybe(rng, 1.0, 7.0..12.0),
+            Quarter::Terraces => maybe(rng, 0.3, 1.0..3.0),
+            _ => 0.0,
+        },
         species: rng.random_range(0..5),
         lamps: rng.random_bool(0.75),
     }

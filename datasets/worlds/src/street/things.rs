@@ -1,10 +1,10 @@
 //! Things that stand along the street, and what they are made of.
 
 use super::classes::Class;
-use crate::plane::Pose2;
-use crate::render::{Seen, Side, Solid};
-use evermap_algorithms::geometry::pose::Pose;
+use crate::plane::{Pose2, distance};
+use crate::render::{Seen, Side, Solid, box_sides, nearest_first};
 use nalgebra::Vector3;
+use std::f64::consts::FRAC_PI_3;
 
 /// What a surface looks like.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,6 +27,19 @@ pub enum Finish {
     Glass,
 }
 
+impl Finish {
+    /// What a surface that looks like this counts as.
+    pub fn class(self) -> Class {
+        match self {
+            Self::Facade | Self::Roof => Class::Building,
+            Self::Leaves | Self::Bark => Class::Tree,
+            Self::Plain => Class::Other,
+            Self::Board => Class::Sign,
+            Self::Body | Self::Glass => Class::Car,
+        }
+    }
+}
+
 /// The shape and size of a thing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Shape {
@@ -45,6 +58,8 @@ pub enum Shape {
     Hedge([f64; 3]),
     /// Anything box-shaped: half length, half width, from which height, to which height.
     Block([f64; 4]),
+    /// A board on a wall, likewise.
+    ShopSign([f64; 4]),
     /// A board on a post: half width, half height, height of its middle; the board faces along x.
     Post([f64; 3]),
     /// A lamp post: height and reach of its arm.
@@ -60,8 +75,6 @@ pub struct Thing {
     pub pose: Pose2,
     /// What it is.
     pub shape: Shape,
-    /// What most of it counts as.
-    pub class: Class,
     /// Chance's share in its look.
     pub seed: u32,
 }
@@ -69,28 +82,80 @@ pub struct Thing {
 /// A surface as a ray may meet it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Surface {
-    /// Its class.
-    pub class: Class,
     /// Its look.
     pub finish: Finish,
-    /// The thing's chance.
-    pub seed: u32,
-    /// Where the thing stands, and the direction of its x axis.
-    pub pose: Pose2,
-    /// Centre of an ellipsoid, metres, and its radii; for its normals.
+    /// What it is a part of.
+    pub thing: Thing,
+    /// Centre of an ellipsoid in the map, metres, and its radii; for its normals.
     pub ball: Option<([f64; 3], [f64; 2])>,
 }
 
 /// Faces of every convex part: ±x, ±y, ±z and two more.
 pub const FACES: u32 = 8;
 
-/// What surrounds one eye: solids to meet, and what their faces are.
-#[derive(Default)]
+/// A part of a thing, in the thing's frame, metres.
+enum Part {
+    /// Its sides, and the corners (low, high) of a box around it.
+    Convex(Vec<Side>, [f64; 3], [f64; 3]),
+    /// An upright ellipsoid: its centre, and its radii (horizontal, vertical).
+    Ball([f64; 3], [f64; 2]),
+}
+use Part::{Ball, Convex};
+
+/// What surrounds one eye (metres).
 pub struct Stage {
-    /// To be met.
-    pub seen: Vec<Seen>,
+    eye: [f64; 3],
     /// Face `f` is of surface `f / FACES`.
     pub surfaces: Vec<Surface>,
+}
+
+impl Stage {
+    /// An empty one.
+    pub fn new(eye: [f64; 3]) -> Self {
+        Self {
+            eye,
+            surfaces: Vec::new(),
+        }
+    }
+
+    /// The things that are near enough to be seen, but not the eye's own place, nearest first.
+    pub fn with<'a>(&mut self, things: impl Iterator<Item = &'a Thing>) -> Vec<Seen> {
+        let mut seen = Vec::new();
+        for thing in things {
+            let away = distance([self.eye[0], self.eye[1]], thing.pose.at());
+            if away < thing.sight() + thing.reach() {
+                self.put(thing, &mut seen);
+            }
+        }
+        nearest_first(seen)
+    }
+
+    fn put(&mut self, thing: &Thing, seen: &mut Vec<Seen>) {
+        let Pose2 { x, y, yaw } = thing.pose;
+        let [ex, ey, ez] = self.eye;
+        let stand = Pose2::new([x - ex, y - ey], yaw).upright(-ez);
+        for (finish, part) in thing.parts() {
+            let first = self.surfaces.len() as u32 * FACES;
+            let (part, ball) = match part {
+                Convex(sides, low, high) => {
+                    let solid = Solid::new(&stand, &sides, low.into(), high.into());
+                    (Seen::new(&solid, [0.0; 3], first), None)
+                }
+                Ball([ahead, left, up], radii) => {
+                    let [x, y] = thing.pose.point([ahead, left]);
+                    let from_eye = [x - ex, y - ey, up - ez].map(|part| part as f32);
+                    let part = Seen::ellipsoid(from_eye, radii.map(|radius| radius as f32), first);
+                    (part, Some(([x, y, up], radii)))
+                }
+            };
+            seen.extend(part);
+            self.surfaces.push(Surface {
+                finish,
+                thing: *thing,
+                ball,
+            });
+        }
+    }
 }
 
 impl Thing {
@@ -100,7 +165,8 @@ impl Thing {
             Shape::House([a, b, ..]) => a.hypot(b) + 0.6,
             Shape::Broadleaf([_, r, _]) | Shape::Poplar([_, r]) => 1.5 * r,
             Shape::Conifer([_, r]) | Shape::Bush([_, r]) => r,
-            Shape::Hedge([a, b, _]) | Shape::Block([a, b, ..]) => a.hypot(b),
+            Shape::Hedge([a, b, _]) => a.hypot(b),
+            Shape::Block([a, b, ..]) | Shape::ShopSign([a, b, ..]) => a.hypot(b),
             Shape::Post([w, ..]) => w + 0.1,
             Shape::Lamp([_, arm]) => arm + 0.3,
             Shape::Car([a, b, ..]) => 0.5 * a.hypot(b),
@@ -112,249 +178,135 @@ impl Thing {
         match self.shape {
             Shape::House(_) => 170.0,
             Shape::Broadleaf(_) | Shape::Poplar(_) | Shape::Conifer(_) => 130.0,
-            Shape::Hedge(_) | Shape::Block(_) | Shape::Car(_) => 90.0,
+            Shape::Hedge(_) | Shape::Block(_) | Shape::ShopSign(_) | Shape::Car(_) => 90.0,
             Shape::Bush(_) | Shape::Post(_) | Shape::Lamp(_) => 70.0,
         }
     }
 
-    /// Puts the thing on a stage around `eye`, metres.
-    pub fn stand(&self, eye: [f64; 3], stage: &mut Stage) {
-        let mut hands = Hands {
-            thing: self,
-            eye,
-            stage,
-        };
-        let class = self.class;
+    fn parts(&self) -> Vec<(Finish, Part)> {
+        use Finish::{Board, Leaves, Plain};
         match self.shape {
-            Shape::House(size) => hands.house(size),
-            Shape::Broadleaf(size) => hands.broadleaf(size),
+            Shape::House(size) => house(size),
+            Shape::Broadleaf(size) => broadleaf(size, self.seed),
             Shape::Poplar([height, radius]) => {
-                hands.trunk(0.12, 2.0);
                 let half = 0.5 * (height - 1.2);
-                hands.ball(
-                    class,
-                    Finish::Leaves,
-                    [0.0, 0.0, 1.2 + half],
-                    [radius, half],
-                );
+                let crown = Ball([0.0, 0.0, 1.2 + half], [radius, half]);
+                vec![trunk(0.12, 2.0), (Leaves, crown)]
             }
             Shape::Conifer([height, radius]) => {
-                hands.trunk(0.12, 1.4);
-                hands.cone(height, radius);
+                vec![trunk(0.12, 1.4), (Leaves, cone(height, radius))]
             }
             Shape::Bush([height, radius]) => {
-                let half = 0.55 * height;
-                hands.ball(
-                    class,
-                    Finish::Leaves,
-                    [0.0, 0.0, 0.45 * height],
-                    [radius, half],
-                );
+                let crown = Ball([0.0, 0.0, 0.45 * height], [radius, 0.55 * height]);
+                vec![(Leaves, crown)]
             }
             Shape::Hedge([a, b, height]) => {
-                hands.cuboid(class, Finish::Leaves, [-a, -b, 0.0], [a, b, height]);
+                vec![(Leaves, cuboid([-a, -b, 0.0], [a, b, height]))]
             }
-            Shape::Block([a, b, low, high]) => {
-                let finish = if class == Class::Sign {
-                    Finish::Board
-                } else {
-                    Finish::Plain
-                };
-                hands.cuboid(class, finish, [-a, -b, low], [a, b, high]);
+            Shape::Block([a, b, low, high]) => vec![(Plain, cuboid([-a, -b, low], [a, b, high]))],
+            Shape::ShopSign([a, b, low, high]) => {
+                vec![(Board, cuboid([-a, -b, low], [a, b, high]))]
             }
             Shape::Post([half, tall, middle]) => {
-                hands.cuboid(
-                    Class::Other,
-                    Finish::Plain,
-                    [-0.06, -0.04, 0.0],
-                    [0.02, 0.04, middle],
-                );
-                let (low, high) = ([0.02, -half, middle - tall], [0.05, half, middle + tall]);
-                hands.cuboid(class, Finish::Board, low, high);
+                let post = cuboid([-0.06, -0.04, 0.0], [0.02, 0.04, middle]);
+                let board = cuboid([0.02, -half, middle - tall], [0.05, half, middle + tall]);
+                vec![(Plain, post), (Board, board)]
             }
             Shape::Lamp([height, arm]) => {
-                hands.cuboid(
-                    class,
-                    Finish::Plain,
-                    [-0.08, -0.08, 0.0],
-                    [0.08, 0.08, height],
-                );
-                let (low, high) = ([0.0, -0.12, height - 0.2], [arm, 0.12, height]);
-                hands.cuboid(class, Finish::Plain, low, high);
+                let post = cuboid([-0.08, -0.08, 0.0], [0.08, 0.08, height]);
+                let arm = cuboid([0.0, -0.12, height - 0.2], [arm, 0.12, height]);
+                vec![(Plain, post), (Plain, arm)]
             }
-            Shape::Car(size) => hands.car(size),
+            Shape::Car(size) => car(size),
         }
     }
 }
 
-/// Puts parts of one thing on the stage.
-struct Hands<'a> {
-    thing: &'a Thing,
-    eye: [f64; 3],
-    stage: &'a mut Stage,
+fn cuboid(low: [f64; 3], high: [f64; 3]) -> Part {
+    Convex(box_sides(low, high).to_vec(), low, high)
 }
 
-impl Hands<'_> {
-    /// Declares a surface and gives the number of its first face.
-    fn surface(&mut self, class: Class, finish: Finish, ball: Option<([f64; 3], [f64; 2])>) -> u32 {
-        self.stage.surfaces.push(Surface {
-            class,
-            finish,
-            seed: self.thing.seed,
-            pose: self.thing.pose,
-            ball,
-        });
-        (self.stage.surfaces.len() as u32 - 1) * FACES
-    }
+fn trunk(half: f64, height: f64) -> (Finish, Part) {
+    let wood = cuboid([-half, -half, 0.0], [half, half, height]);
+    (Finish::Bark, wood)
+}
 
-    /// The thing's frame as seen from the eye.
-    fn frame(&self) -> Pose {
-        let Pose2 { x, y, yaw } = self.thing.pose;
-        let [ex, ey, ez] = self.eye;
-        Pose2::new([x - ex, y - ey], yaw).upright(-ez)
-    }
-
-    fn convex(
-        &mut self,
-        class: Class,
-        finish: Finish,
-        sides: &[Side],
-        low: [f64; 3],
-        high: [f64; 3],
-    ) {
-        let solid = Solid::new(&self.frame(), sides, low.into(), high.into());
-        let first = self.surface(class, finish, None);
-        self.stage.seen.extend(Seen::new(&solid, [0.0; 3], first));
-    }
-
-    fn cuboid(&mut self, class: Class, finish: Finish, low: [f64; 3], high: [f64; 3]) {
-        self.convex(class, finish, &box_sides(low, high), low, high);
-    }
-
-    /// An upright ellipsoid, placed in the thing's frame.
-    fn ball(&mut self, class: Class, finish: Finish, centre: [f64; 3], radii: [f64; 2]) {
-        let [x, y] = self.thing.pose.point([centre[0], centre[1]]);
-        let middle = [x, y, centre[2]];
-        let first = self.surface(class, finish, Some((middle, radii)));
-        let from_eye = [0, 1, 2].map(|axis| (middle[axis] - self.eye[axis]) as f32);
-        let radii = radii.map(|radius| radius as f32);
-        self.stage
-            .seen
-            .extend(Seen::ellipsoid(from_eye, radii, first));
-    }
-
-    fn trunk(&mut self, half: f64, height: f64) {
-        let (low, high) = ([-half, -half, 0.0], [half, half, height]);
-        self.cuboid(self.thing.class, Finish::Bark, low, high);
-    }
-
-    fn house(&mut self, [a, b, wall, roof]: [f64; 4]) {
-        let class = self.thing.class;
-        self.cuboid(class, Finish::Facade, [-a, -b, 0.0], [a, b, wall]);
-        if roof > 0.0 {
-            // A gable along the front: two slopes with eaves.
-            let (eave, half) = (0.35, b + 0.35);
-            let slope = Vector3::new(0.0, roof, half);
-            let other = Vector3::new(0.0, -roof, half);
-            let offset = half * (wall + roof);
-            let sides: [Side; 5] = [
-                (Vector3::x(), a + eave, 0),
-                (-Vector3::x(), a + eave, 1),
-                (slope, offset, 2),
-                (other, offset, 3),
-                (-Vector3::z(), -wall, 5),
-            ];
-            let (low, high) = ([-a - eave, -half, wall], [a + eave, half, wall + roof]);
-            self.convex(class, Finish::Roof, &sides, low, high);
-        }
-    }
-
-    fn broadleaf(&mut self, [height, radius, trunk]: [f64; 3]) {
-        let class = self.thing.class;
-        self.trunk(0.1 + 0.012 * height, trunk + 0.8);
-        let half = 0.5 * (height - trunk);
-        let middle = trunk + half;
-        self.ball(class, Finish::Leaves, [0.0, 0.0, middle], [radius, half]);
-        // Two or three smaller crowns beside the big one.
-        let chance = self.thing.seed;
-        for k in 0..2 + chance % 2 {
-            let turn = f64::from(chance >> (8 * k) & 255) / 40.0;
-            let (sin, cos) = turn.sin_cos();
-            let out = 0.62 * radius;
-            let up = middle + half * (0.5 * f64::from(k) - 0.45);
-            let radii = [0.62 * radius, 0.5 * half];
-            self.ball(class, Finish::Leaves, [out * cos, out * sin, up], radii);
-        }
-    }
-
-    /// A pyramid of six sides that begins a metre above the ground.
-    fn cone(&mut self, height: f64, radius: f64) {
-        let low = 0.9;
-        let mut sides: Vec<Side> = (0..6)
-            .map(|k| {
-                let turn = f64::from(k) * std::f64::consts::FRAC_PI_3;
-                let normal = Vector3::new(
-                    (height - low) * turn.cos(),
-                    (height - low) * turn.sin(),
-                    radius,
-                );
-                (normal, radius * height, 0)
-            })
-            .collect();
-        sides.push((-Vector3::z(), -low, 5));
-        let wide = 1.16 * radius;
-        let (from, to) = ([-wide, -wide, low], [wide, wide, height]);
-        self.convex(self.thing.class, Finish::Leaves, &sides, from, to);
-    }
-
-    fn car(&mut self, [length, width, height, cabin]: [f64; 4]) {
-        let class = self.thing.class;
-        let (a, b) = (0.5 * length, 0.5 * width);
-        let belt = 0.58 * height;
-        self.cuboid(class, Finish::Body, [-a, -b, 0.2], [a, b, belt]);
-        for end in [-0.62, 0.62] {
-            let (low, high) = (
-                [end * a - 0.31, -b - 0.02, 0.0],
-                [end * a + 0.31, b + 0.02, 0.62],
-            );
-            self.cuboid(class, Finish::Glass, low, high);
-        }
-        // The cabin: glass that leans in on all sides, from a little behind the middle.
-        let (half, back) = (cabin * a, -0.08 * length);
-        let lean = 0.55;
-        let rise = height - belt;
-        let sides: [Side; 5] = [
-            (Vector3::new(1.0, 0.0, lean), back + half + lean * belt, 0),
-            (Vector3::new(-1.0, 0.0, lean), -back + half + lean * belt, 1),
-            (Vector3::new(0.0, 1.0, 0.25), b - 0.04 + 0.25 * belt, 2),
-            (Vector3::new(0.0, -1.0, 0.25), b - 0.04 + 0.25 * belt, 3),
-            (Vector3::z(), belt + rise, 4),
+fn house([a, b, wall, roof]: [f64; 4]) -> Vec<(Finish, Part)> {
+    let mut parts = vec![(Finish::Facade, cuboid([-a, -b, 0.0], [a, b, wall]))];
+    if roof > 0.0 {
+        // A gable along the front: two slopes with eaves.
+        let (along, half) = (a + 0.35, b + 0.35);
+        let offset = half * (wall + roof);
+        let sides = vec![
+            (Vector3::x(), along, 0),
+            (-Vector3::x(), along, 1),
+            (Vector3::new(0.0, roof, half), offset, 2),
+            (Vector3::new(0.0, -roof, half), offset, 3),
+            (-Vector3::z(), -wall, 5),
         ];
-        let (low, high) = ([back - half, -b, belt], [back + half, b, height]);
-        self.convex(class, Finish::Glass, &sides, low, high);
+        let (low, high) = ([-along, -half, wall], [along, half, wall + roof]);
+        parts.push((Finish::Roof, Convex(sides, low, high)));
     }
+    parts
 }
 
-fn box_sides(low: [f64; 3], high: [f64; 3]) -> [Side; 6] {
-    [
-        (Vector3::x(), high[0], 0),
-        (-Vector3::x(), -low[0], 1),
-        (Vector3::y(), high[1], 2),
-        (-Vector3::y(), -low[1], 3),
-        (Vector3::z(), high[2], 4),
-        (-Vector3::z(), -low[2], 5),
-    ]
+fn broadleaf([height, radius, wood]: [f64; 3], chance: u32) -> Vec<(Finish, Part)> {
+    let half = 0.5 * (height - wood);
+    let middle = wood + half;
+    let crown = Ball([0.0, 0.0, middle], [radius, half]);
+    let mut parts = vec![
+        trunk(0.1 + 0.012 * height, wood + 0.8),
+        (Finish::Leaves, crown),
+    ];
+    // Two or three smaller crowns beside the big one.
+    for k in 0..2 + chance % 2 {
+        let turn = f64::from(chance >> (8 * k) & 255) / 40.0;
+        let (sin, cos) = turn.sin_cos();
+        let out = 0.62 * radius;
+        let up = middle + half * (0.5 * f64::from(k) - 0.45);
+        let crown = Ball([out * cos, out * sin, up], [out, 0.5 * half]);
+        parts.push((Finish::Leaves, crown));
+    }
+    parts
 }
 
-/// The outward normal of a box-like part's face in the map.
-pub fn face_normal(surface: &Surface, face: u32) -> Vector3<f64> {
-    let own = match face {
-        0 => Vector3::x(),
-        1 => -Vector3::x(),
-        2 => Vector3::y(),
-        3 => -Vector3::y(),
-        5 => -Vector3::z(),
-        _ => Vector3::z(),
+/// A pyramid of six sides that begins a metre above the ground.
+fn cone(height: f64, radius: f64) -> Part {
+    let low = 0.9;
+    let mut sides: Vec<Side> = (0..6)
+        .map(|k| {
+            let turn = f64::from(k) * FRAC_PI_3;
+            let (x, y) = ((height - low) * turn.cos(), (height - low) * turn.sin());
+            (Vector3::new(x, y, radius), radius * height, 0)
+        })
+        .collect();
+    sides.push((-Vector3::z(), -low, 5));
+    let wide = 1.16 * radius;
+    Convex(sides, [-wide, -wide, low], [wide, wide, height])
+}
+
+fn car([length, width, height, cabin]: [f64; 4]) -> Vec<(Finish, Part)> {
+    let (a, b) = (0.5 * length, 0.5 * width);
+    let belt = 0.58 * height;
+    let wheels = |end: f64| {
+        let (rear, front) = (end * a - 0.31, end * a + 0.31);
+        cuboid([rear, -b - 0.02, 0.0], [front, b + 0.02, 0.62])
     };
-    surface.pose.upright(0.0).rotate(&own)
+    // The cabin: glass that leans in on all sides, from a little behind the middle.
+    let (half, back) = (cabin * a, -0.08 * length);
+    let (lean, rise) = (0.55, height - belt);
+    let sides = vec![
+        (Vector3::new(1.0, 0.0, lean), back + half + lean * belt, 0),
+        (Vector3::new(-1.0, 0.0, lean), -back + half + lean * belt, 1),
+        (Vector3::new(0.0, 1.0, 0.25), b - 0.04 + 0.25 * belt, 2),
+        (Vector3::new(0.0, -1.0, 0.25), b - 0.04 + 0.25 * belt, 3),
+        (Vector3::z(), belt + rise, 4),
+    ];
+    let cabin = Convex(sides, [back - half, -b, belt], [back + half, b, height]);
+    vec![
+        (Finish::Body, cuboid([-a, -b, 0.2], [a, b, belt])),
+        (Finish::Glass, wheels(-0.62)),
+        (Finish::Glass, wheels(0.62)),
+        (Finish::Glass, cabin),
+    ]
 }

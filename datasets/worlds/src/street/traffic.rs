@@ -1,6 +1,5 @@
 //! The cars of one visit.
 
-use super::classes::Class;
 use super::course::Frenet;
 use super::ground::Land;
 use super::params::Street;
@@ -10,7 +9,6 @@ use crate::plane::Pose2;
 use crate::random::stream;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
-use serde::Serialize;
 use std::f64::consts::PI;
 
 /// Share of the cars that drive.
@@ -46,18 +44,6 @@ pub struct Traffic {
     pub drivers: Vec<Driver>,
 }
 
-/// A car as the truth tells it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct CarTruth {
-    /// Middle and heading; of a driving car when the visit starts.
-    #[serde(flatten)]
-    pub pose: Pose2,
-    /// Speed along the street, m/s.
-    pub speed: f64,
-    /// Length, width and height, metres.
-    pub size: [f64; 3],
-}
-
 impl Traffic {
     /// The cars of a visit.
     pub fn new(world: &Street, land: &Land, town: &Town, visit: usize) -> Self {
@@ -68,20 +54,11 @@ impl Traffic {
         let mut parked = Vec::new();
         for bay in &town.bays {
             // Both are asked for every bay, so that one bay's fate changes no other's.
-            let own = candidate(&mut residents);
+            let own = in_bay(bay, &mut residents);
             let stays = residents.random_bool(RESIDENTS * share);
-            let other = candidate(&mut rng);
-            let visitor = rng.random_bool(share);
-            let chosen = if stays {
-                own
-            } else if visitor {
-                other
-            } else {
-                continue;
-            };
-            let [ahead, aside, turn] = chosen.shift;
-            let pose = Pose2::new(bay.point([ahead, aside]), bay.yaw + turn);
-            parked.push(car(pose, chosen.model, chosen.seed));
+            let other = in_bay(bay, &mut rng);
+            let visited = rng.random_bool(share);
+            parked.extend(stays.then_some(own).or(visited.then_some(other)));
         }
         let drivers = (0..(DRIVING * wanted).round() as usize)
             .map(|_| Driver {
@@ -99,59 +76,28 @@ impl Traffic {
         self.drivers.iter().map(move |driver| {
             let s = (driver.s + driver.speed * t).rem_euclid(land.course.length_m);
             let d = 0.5 * land.stretch(s).half_m;
-            let at = land.course.point(Frenet::new(s, d));
-            let pose = Pose2::new(at, land.course.yaw(s) + PI);
+            let pose = land.course.pose(Frenet::new(s, d)).turned(PI);
             car(pose, driver.model, driver.seed)
         })
     }
 
-    /// All cars at the visit's start, the parked ones first.
-    pub fn truth(&self, land: &Land) -> Vec<CarTruth> {
+    /// All cars at the visit's start, the parked ones first, and how fast each is (m/s).
+    pub fn at_start<'a>(&'a self, land: &'a Land) -> impl Iterator<Item = (Thing, f64)> + 'a {
         let speeds = self.drivers.iter().map(|driver| driver.speed.abs());
-        let driving = self.driving(land, 0.0).zip(speeds);
         let parked = self.parked.iter().map(|car| (*car, 0.0));
-        parked
-            .chain(driving)
-            .map(|(car, speed)| {
-                let size = match car.shape {
-                    Shape::Car([length, width, height, _]) => [length, width, height],
-                    _ => [0.0; 3],
-                };
-                CarTruth {
-                    pose: car.pose,
-                    speed,
-                    size,
-                }
-            })
-            .collect()
+        parked.chain(self.driving(land, 0.0).zip(speeds))
     }
 }
 
 fn car(pose: Pose2, model: usize, seed: u32) -> Thing {
-    Thing {
-        pose,
-        shape: Shape::Car(MODELS[model]),
-        class: Class::Car,
-        seed,
-    }
+    let shape = Shape::Car(MODELS[model]);
+    Thing { pose, shape, seed }
 }
 
-/// A car that might stand in a bay.
-struct Candidate {
-    model: usize,
-    seed: u32,
-    /// Ahead, to the left (m), and turned (rad), from the bay's middle.
-    shift: [f64; 3],
-}
-
-fn candidate(rng: &mut ChaCha8Rng) -> Candidate {
-    Candidate {
-        model: rng.random_range(0..MODELS.len()),
-        seed: rng.random(),
-        shift: [
-            rng.random_range(-0.35..0.35),
-            rng.random_range(-0.12..0.12),
-            rng.random_range(-0.03..0.03),
-        ],
-    }
+/// A car as it might stand in a bay.
+fn in_bay(bay: &Pose2, rng: &mut ChaCha8Rng) -> Thing {
+    let (model, seed) = (rng.random_range(0..MODELS.len()), rng.random());
+    let [ahead, left, turn] = [0.35, 0.12, 0.03].map(|most| rng.random_range(-most..most));
+    let pose = Pose2::new(bay.point([ahead, left]), bay.yaw + turn);
+    car(pose, model, seed)
 }

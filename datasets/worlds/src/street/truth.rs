@@ -1,9 +1,11 @@
 //! The truth beside the sessions.
 
 use super::classes::{STREET_CLASSES, STREET_COLOURS};
+use super::things::{Shape, Thing};
 use super::views::StreetLabels;
 use super::visit::Visit;
 use crate::WorldError;
+use crate::plane::Pose2;
 use crate::record::Folder;
 use serde_json::{Value, json};
 use std::fmt::Write as _;
@@ -45,7 +47,7 @@ fn description(street: &StreetLabels) -> Value {
         "parameters": street.params,
         "length_m": land.course.length_m,
         "poses": "map_from_vehicle; TUM lines: stamp_s x y z qx qy qz qw",
-        "vehicle_from_panorama": street.camera.lens.vehicle_from_camera.to_array(),
+        "vehicle_from_panorama": street.camera.vehicle_from_camera.to_array(),
         "centre_line": line,
         "stretches": stretches.collect::<Vec<_>>(),
         "junctions_m": junctions.map(|junction| round(junction.s)).collect::<Vec<_>>(),
@@ -62,7 +64,7 @@ pub fn write_visit(
 ) -> Result<(), WorldError> {
     let session = &visit.session;
     let samples = session.odometry();
-    let fine = samples.iter().map(|sample| sample.stamp_ns);
+    let fine = samples.iter().map(|sample| sample.times.stamp_ns);
     folder.save_poses("trajectory.tum", session, session.stamps.iter().copied())?;
     folder.save_poses("trajectory_50hz.tum", session, fine)?;
     let mut csv = String::from("index,stamp_ns,static_labels\n");
@@ -70,9 +72,17 @@ pub fn write_visit(
         let _ = writeln!(csv, "{index},{stamp},static_labels/{index:06}.png");
     }
     folder.save("panoramas.csv", csv.as_bytes())?;
+    let car = |(car, speed): (Thing, f64)| {
+        let Pose2 { x, y, yaw } = car.pose;
+        let Shape::Car([length, width, height, _]) = car.shape else {
+            return Value::Null;
+        };
+        json!({ "x": x, "y": y, "yaw": yaw, "speed": speed, "size": [length, width, height] })
+    };
+    let cars = visit.traffic.at_start(&street.scenery.land).map(car);
     let cars = json!({
         "frame": "map, metres, radians; driving cars (speed > 0) where the visit starts",
-        "cars": visit.traffic.truth(&street.scenery.land),
+        "cars": cars.collect::<Vec<_>>(),
     });
     folder.save_json("cars.json", &cars)?;
     let description = json!({

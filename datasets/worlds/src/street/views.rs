@@ -3,10 +3,11 @@
 use super::classes::Class;
 use super::labeller::Labeller;
 use super::params::Street;
-use super::sight::{PanoramaCamera, Scenery, Sight};
+use super::sight::{Scenery, Sight, panorama_camera};
 use super::visit::Visit;
 use crate::WorldError;
-use crate::render::Scratch;
+use crate::record::CameraTopics;
+use crate::render::Lens;
 use evermap_algorithms::geometry::pose::Pose;
 use rayon::prelude::*;
 
@@ -46,7 +47,8 @@ pub enum LabelKind {
 pub struct StreetLabels {
     pub(super) params: Street,
     pub(super) scenery: Scenery,
-    pub(super) camera: PanoramaCamera,
+    pub(super) lens: Lens,
+    pub(super) camera: CameraTopics,
     pub(super) visits: Vec<Visit>,
     labeller: Labeller,
 }
@@ -58,15 +60,15 @@ pub struct StreetLabels {
 pub fn street_labels(world: &Street) -> Result<StreetLabels, WorldError> {
     world.check()?;
     let scenery = Scenery::new(world);
-    let visits = (0..world.visits)
-        .map(|index| Visit::new(world, &scenery, index))
-        .collect();
+    let visits = (0..world.visits).map(|index| Visit::new(world, &scenery, index));
+    let (lens, camera) = panorama_camera(world);
     Ok(StreetLabels {
         params: world.clone(),
-        camera: PanoramaCamera::new(world),
+        visits: visits.collect(),
         labeller: Labeller::new(world, &scenery),
+        lens,
+        camera,
         scenery,
-        visits,
     })
 }
 
@@ -92,78 +94,52 @@ impl StreetLabels {
 
     /// One view; `None` when there is no such visit or view.
     pub fn view(&self, visit: usize, index: usize, kind: LabelKind) -> Option<LabelView> {
-        self.view_with(visit, index, kind, &mut Scratch::default())
-    }
-
-    fn view_with(
-        &self,
-        visit: usize,
-        index: usize,
-        kind: LabelKind,
-        scratch: &mut Scratch,
-    ) -> Option<LabelView> {
         let (stamp_ns, map_from_vehicle) = self.pose(visit, index)?;
-        let (lens, bare) = (&self.camera.lens, kind == LabelKind::WithoutCars);
-        let sight = self.sight(visit, index, bare, scratch);
-        let exact = self.scenery.classes(lens, &sight, bare);
+        let sight = self.sight(visit, index);
+        let exact = || self.scenery.classes(&sight, &sight.hits);
         let labels = match kind {
-            LabelKind::Noisy => self.noisy(&sight, &exact, visit, index),
-            _ => exact,
+            LabelKind::Exact => exact(),
+            LabelKind::WithoutCars => self.scenery.classes(&sight, &sight.bare),
+            LabelKind::Noisy => self.noisy(&sight, &exact(), visit, index),
         };
         Some(LabelView {
             index,
             stamp_ns,
             map_from_vehicle,
-            width: lens.width as u32,
-            height: lens.height as u32,
+            width: self.params.width_px,
+            height: self.params.height_px,
             labels: values(&labels),
         })
     }
 
     /// The views of a visit in order, made in batches on all cores.
     pub fn views(&self, visit: usize, kind: LabelKind) -> impl Iterator<Item = LabelView> + '_ {
-        let count = if visit < self.visits.len() {
-            self.len()
-        } else {
-            0
-        };
-        (0..count).step_by(BATCH).flat_map(move |from| {
-            let batch: Vec<LabelView> = (from..(from + BATCH).min(count))
-                .into_par_iter()
-                .map_init(Scratch::default, |scratch, index| {
-                    self.view_with(visit, index, kind, scratch)
-                })
-                .flatten()
-                .collect();
-            batch
+        (0..self.len()).step_by(BATCH).flat_map(move |from| {
+            let batch = (from..from + BATCH).into_par_iter();
+            let views = batch.filter_map(|index| self.view(visit, index, kind));
+            views.collect::<Vec<LabelView>>()
         })
     }
 
-    /// What is seen in a view of a visit; with `bare`, also what would be seen without cars.
-    pub(super) fn sight(
-        &self,
-        visit: usize,
-        index: usize,
-        bare: bool,
-        scratch: &mut Scratch,
-    ) -> Sight {
+    /// What is seen in a view of a visit.
+    pub(super) fn sight(&self, visit: usize, index: usize) -> Sight<'_> {
         let visit = &self.visits[visit];
         let stamp = visit.session.stamps[index];
         let pose = visit.session.map_from_vehicle(stamp);
         let cars = visit.cars(&self.scenery, stamp);
-        self.scenery.look(&self.camera, &pose, &cars, bare, scratch)
+        self.scenery.look(&self.lens, &pose, &cars)
     }
 
     /// The labels of a labeller who errs.
     pub(super) fn noisy(
         &self,
-        sight: &Sight,
+        sight: &Sight<'_>,
         exact: &[Class],
         visit: usize,
         index: usize,
     ) -> Vec<Class> {
         let shot = (visit as u64) << 40 | index as u64;
-        self.labeller.noisy(&self.camera.lens, sight, exact, shot)
+        self.labeller.noisy(sight, exact, shot)
     }
 }
 

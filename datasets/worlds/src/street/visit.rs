@@ -8,7 +8,7 @@ use super::traffic::Traffic;
 use crate::plane::distance;
 use crate::random::stream;
 use crate::record::{Session, shutter};
-use crate::vehicle::{Ground, Path, PathPoint, Trajectory, WheelErrors, Wheels};
+use crate::vehicle::{Ground, Path, PathPoint, Trajectory, Wheels};
 use rand::Rng;
 
 /// Three years, ns.
@@ -33,7 +33,7 @@ impl AsRef<Session> for Visit {
 }
 
 impl Visit {
-    /// A visit of a world.
+    /// The visit of this number: `visit_a`, `visit_b`, …
     pub fn new(world: &Street, scenery: &Scenery, index: usize) -> Self {
         let mut rng = stream(world.seed, "visit", index as u64);
         let side = if index.is_multiple_of(2) { 1.0 } else { -1.0 };
@@ -50,21 +50,18 @@ impl Visit {
         let stamps = (0..world.views())
             .map(|k| shutter(start_ns, seconds(k), &mut rng))
             .collect();
-        let name = world.session_names().get(index).cloned();
+        let letter = char::from(b'a' + index as u8);
         Self {
             traffic: Traffic::new(world, &scenery.land, &scenery.town, index),
             offset_m,
             session: Session {
                 seed: world.seed,
                 index,
-                name: name.unwrap_or_default(),
+                name: format!("visit_{letter}"),
                 start_ns,
                 drive,
                 stamps,
-                wheels: Wheels {
-                    rate_hz: world.odometry_rate_hz,
-                    errors: WheelErrors::of_session(world.seed, index as u64, 0.0),
-                },
+                wheels: Wheels::new(world.odometry_rate_hz, world.seed, index, 0.0),
             },
         }
     }
@@ -88,8 +85,8 @@ fn path(world: &Street, scenery: &Scenery, begin: f64, offset_m: f64) -> Vec<Pat
     let mut path = Path::default();
     for k in 0..points {
         let s = begin + k as f64 * STEP_M;
-        let point = course.point(Frenet::new(s, -1.4 + offset_m));
-        path.push(point, course.yaw(s), course.station(s).curvature);
+        let pose = course.pose(Frenet::new(s, -1.4 + offset_m));
+        path.push(pose.at(), pose.yaw, course.station(s).curvature);
         if path.length() >= wanted {
             break;
         }

@@ -6,6 +6,6 @@ mod path;
 mod trajectory;
 
 pub use ground::Ground;
-pub use odometry::{OdometrySample, WheelErrors, Wheels};
+pub use odometry::{OdometrySample, Wheels};
 pub use path::{Path, PathPoint};
 pub use trajectory::Trajectory;

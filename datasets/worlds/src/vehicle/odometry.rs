@@ -5,6 +5,7 @@ use super::Trajectory;
 use crate::plane::Pose2;
 use crate::random::{nanoseconds, normal, stream};
 use evermap_messages::ros2::Odometry;
+use evermap_recording::Times;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
@@ -28,27 +29,11 @@ pub struct WheelErrors {
     pub yaw_bias: f64,
 }
 
-impl WheelErrors {
-    /// The errors of a session, whose distances are besides too long by `scale_error` (relative).
-    pub fn of_session(seed: u64, session: u64, scale_error: f64) -> Self {
-        let mut rng = stream(seed, "wheels", session);
-        let mut draw = |sigma: f64| sigma * normal(&mut rng).clamp(-2.0, 2.0);
-        Self {
-            scale: draw(0.008) + scale_error,
-            track: draw(0.008),
-            difference: draw(0.0004),
-            yaw_bias: draw(0.0003),
-        }
-    }
-}
-
 /// One odometry message, before it is written.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OdometrySample {
-    /// When it was measured, ns since the epoch.
-    pub stamp_ns: u64,
-    /// When the recorder got it, ns since the epoch.
-    pub log_ns: u64,
+    /// When it was measured, and when the recorder got it.
+    pub times: Times,
     /// Where the vehicle is in the odom frame.
     pub pose: Pose2,
     /// Forward speed, m/s.
@@ -69,6 +54,19 @@ pub struct Wheels {
 }
 
 impl Wheels {
+    /// The wheels of a session, whose distances are besides too long by `scale_error` (relative).
+    pub fn new(rate_hz: f64, seed: u64, session: usize, scale_error: f64) -> Self {
+        let mut rng = stream(seed, "wheels", session as u64);
+        let mut draw = |sigma: f64| sigma * normal(&mut rng).clamp(-2.0, 2.0);
+        let errors = WheelErrors {
+            scale: draw(0.008) + scale_error,
+            track: draw(0.008),
+            difference: draw(0.0004),
+            yaw_bias: draw(0.0003),
+        };
+        Self { rate_hz, errors }
+    }
+
     /// What they report during a drive. The odom frame starts at the first pose, (0, 0, 0).
     pub fn odometry(
         &self,
@@ -84,12 +82,11 @@ impl Wheels {
         let mut pose = Pose2::new([0.0; 2], 0.0);
         let (mut driven, mut lean) = (0.0, 1.0_f64);
         for k in 0..=count {
-            let jitter = if k == 0 {
-                0.0
-            } else {
-                1e-4 * normal(&mut rng).clamp(-3.0, 3.0)
-            };
-            let stamp = nanoseconds(k as f64 / self.rate_hz + jitter);
+            let mut due = k as f64 / self.rate_hz;
+            if k > 0 {
+                due += 1e-4 * normal(&mut rng).clamp(-3.0, 3.0);
+            }
+            let stamp = nanoseconds(due);
             let t = stamp as f64 * 1e-9;
             let at = drive.motion(t);
             let span = t - before.0;
@@ -107,9 +104,10 @@ impl Wheels {
             pose.yaw += rotated;
             driven += moved.abs();
             let rate = if span > 0.0 { 1.0 / span } else { 0.0 };
+            let stamp_ns = start_ns + stamp;
+            let log_ns = stamp_ns + rng.random_range(400_000..2_200_000);
             samples.push(OdometrySample {
-                stamp_ns: start_ns + stamp,
-                log_ns: start_ns + stamp + rng.random_range(400_000..2_200_000),
+                times: Times { log_ns, stamp_ns },
                 pose,
                 speed: moved * rate,
                 yaw_rate: rotated * rate,
@@ -160,7 +158,7 @@ impl OdometrySample {
         let place = 1e-4 + (0.01 * self.driven).powi(2);
         let turn = 1e-5 + (0.001 * self.driven).powi(2);
         Odometry {
-            stamp_ns: self.stamp_ns,
+            stamp_ns: self.times.stamp_ns,
             pose: self.pose.upright(0.0).to_array(),
             pose_variances: [place, place, 0.01, 1e-4, 1e-4, turn],
             twist: [self.speed, 0.0, 0.0, 0.0, 0.0, self.yaw_rate],
@@ -184,19 +182,16 @@ mod tests {
                 ..CarPark::default()
             };
             let layout = Layout::new(&world);
-            let path = Route::of_session(&world, 0).path(&layout, 2.0);
+            let path = Route::of_session(&world, 0).path(&layout, 0.0, 2.0);
             let drive = Trajectory::new(path, world.speed_mps, layout.ground);
-            let wheels = Wheels {
-                rate_hz: world.odometry_rate_hz,
-                errors: WheelErrors::of_session(seed, 0, 0.0),
-            };
+            let wheels = Wheels::new(world.odometry_rate_hz, seed, 0, 0.0);
             let samples = wheels.odometry(&drive, 0, stream(seed, "ticks", 0));
             let map_from_odom = drive.motion(0.0).pose.upright(0.0);
-            assert_eq!(samples[0].stamp_ns, 0);
+            assert_eq!(samples[0].times.stamp_ns, 0);
             assert_eq!(samples[0].pose, Pose2::new([0.0; 2], 0.0));
             let mut worst = 0.0_f64;
             for sample in &samples {
-                let truth = drive.motion(sample.stamp_ns as f64 * 1e-9);
+                let truth = drive.motion(sample.times.stamp_ns as f64 * 1e-9);
                 let there = map_from_odom.compose(&sample.pose.upright(0.0));
                 let there = [there.translation.x, there.translation.y];
                 let error = distance(there, truth.pose.at());

@@ -1,7 +1,7 @@
 //! The true motion of the vehicle: a path driven with bounded acceleration.
 
 use super::{Ground, PathPoint};
-use crate::plane::Pose2;
+use crate::plane::{Pose2, between};
 use evermap_algorithms::geometry::pose::Pose;
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -40,14 +40,10 @@ impl Trajectory {
     /// Drives a path of at least two points on `ground`, at most `top_speed` (m/s) fast.
     pub fn new(path: Vec<PathPoint>, top_speed: f64, ground: Ground) -> Self {
         let speed = speeds(&path, top_speed);
-        let mut time = Vec::with_capacity(path.len());
-        let mut now = STAND_S;
-        for k in 0..path.len() {
-            if k > 0 {
-                let mean = (0.5 * (speed[k] + speed[k - 1])).max(1e-3);
-                now += (path[k].s - path[k - 1].s) / mean;
-            }
-            time.push(now);
+        let mut time = vec![STAND_S];
+        for k in 1..path.len() {
+            let mean = (0.5 * (speed[k] + speed[k - 1])).max(1e-3);
+            time.push(time[k - 1] + (path[k].s - path[k - 1].s) / mean);
         }
         Self {
             ground,
@@ -69,11 +65,9 @@ impl Trajectory {
 
     /// When the vehicle has driven `s` metres, seconds after the session's start.
     pub fn time_at(&self, s: f64) -> f64 {
-        let after = self
-            .path
-            .partition_point(|point| point.s <= s)
-            .clamp(1, self.path.len() - 1);
-        let (a, b) = (after - 1, after);
+        let after = self.path.partition_point(|point| point.s <= s);
+        let b = after.clamp(1, self.path.len() - 1);
+        let a = b - 1;
         let way = (s - self.path[a].s).clamp(0.0, self.path[b].s - self.path[a].s);
         let span = self.time[b] - self.time[a];
         let gain = (self.speed[b] - self.speed[a]) / span;
@@ -90,10 +84,8 @@ impl Trajectory {
 
     /// Where the vehicle is `t` seconds after the session's start.
     pub fn motion(&self, t: f64) -> Motion {
-        let after = self
-            .time
-            .partition_point(|time| *time <= t)
-            .clamp(1, self.path.len() - 1);
+        let after = self.time.partition_point(|time| *time <= t);
+        let after = after.clamp(1, self.path.len() - 1);
         let before = after - 1;
         let (a, b) = (&self.path[before], &self.path[after]);
         let span = self.time[after] - self.time[before];
@@ -106,11 +98,10 @@ impl Trajectory {
         let moving = t > STAND_S && t < self.duration_s() - STAND_S;
         Motion {
             s: mix(a.s, b.s),
-            pose: Pose2 {
-                x: mix(a.pose.x, b.pose.x),
-                y: mix(a.pose.y, b.pose.y),
-                yaw: mix(a.pose.yaw, b.pose.yaw),
-            },
+            pose: Pose2::new(
+                between(a.pose.at(), b.pose.at(), f),
+                mix(a.pose.yaw, b.pose.yaw),
+            ),
             speed: if moving { speed } else { 0.0 },
             curvature: mix(a.curvature, b.curvature),
         }
@@ -167,7 +158,7 @@ mod tests {
     fn stands_accelerates_and_never_jumps() {
         let world = CarPark::default();
         let layout = Layout::new(&world);
-        let path = Route::of_session(&world, 0).path(&layout, 2.0);
+        let path = Route::of_session(&world, 0).path(&layout, 0.0, 2.0);
         let drive = Trajectory::new(path, world.speed_mps, layout.ground);
         let duration = drive.duration_s();
         assert!((45.0..90.0).contains(&duration), "{duration}");

@@ -1,10 +1,11 @@
 //! `evermap simulate`.
 
 use evermap_schemas::{Fault, LayerRow, batch, record};
-use evermap_worlds::{CarPark, Progress as Images, Street, Summary, WorldError, car_park, street};
-use serde::Serialize;
+use evermap_worlds::{
+    CarPark, Progress as Images, RecordingError, Street, Summary, WorldError, car_park, street,
+};
 use serde::de::DeserializeOwned;
-use serde_json::Value;
+use serde_json::{Map, Value};
 use std::path::Path;
 
 use crate::arguments::SimulateArgs;
@@ -42,12 +43,12 @@ impl LayerRow for Simulated {
 /// # Errors
 /// A user fault for parameters that make no world, a resource fault when files cannot be written.
 pub async fn simulate(args: &SimulateArgs) -> Ending {
-    let world = world(args)?;
+    let write = writer(args)?;
     let mut progress = Progress::new(args.progress, 0);
     let mut total = None;
     // Rendering keeps every core busy for minutes: the runtime must know that this thread is taken.
     let summary = tokio::task::block_in_place(|| {
-        world.write(&args.out, &mut |now| {
+        write(&args.out, &mut |now| {
             if total.replace(now.all_images_total) != Some(now.all_images_total) {
                 progress.expect(now.all_images_total as u64);
             }
@@ -71,77 +72,51 @@ pub async fn simulate(args: &SimulateArgs) -> Ending {
     DONE
 }
 
-/// A world that can be simulated.
-#[derive(Debug, PartialEq)]
-enum World {
-    CarPark(CarPark),
-    Street(Street),
-}
+/// Writes a world into a folder.
+type Writer = Box<dyn FnOnce(&Path, &mut dyn FnMut(Images)) -> Result<Summary, WorldError>>;
 
-impl World {
-    fn write(&self, out: &Path, progress: &mut dyn FnMut(Images)) -> Result<Summary, WorldError> {
-        match self {
-            Self::CarPark(world) => car_park(world, out, progress),
-            Self::Street(world) => street(world, out, progress),
-        }
-    }
-}
-
-/// The world of this name with its parameters.
-fn world(args: &SimulateArgs) -> Result<World, Failure> {
-    let world = if args.world == "street" {
-        World::Street(parameters(args)?)
+/// What writes the world of this name with its parameters.
+fn writer(args: &SimulateArgs) -> Result<Writer, Failure> {
+    Ok(if args.world == "street" {
+        let world: Street = parameters(args)?;
+        Box::new(move |out, progress| street(&world, out, progress))
     } else {
-        World::CarPark(parameters(args)?)
-    };
-    let checked = match &world {
-        World::CarPark(world) => world.check(),
-        World::Street(world) => world.check(),
-    };
-    checked.map_err(fault)?;
-    Ok(world)
+        let world: CarPark = parameters(args)?;
+        Box::new(move |out, progress| car_park(&world, out, progress))
+    })
 }
 
-/// A world's parameters: the defaults, with what the command line says in their place.
-fn parameters<W: Default + Serialize + DeserializeOwned>(
-    args: &SimulateArgs,
-) -> Result<W, Failure> {
-    let bug = |error: serde_json::Error| Fault::bug(error.to_string());
-    let mut parameters = serde_json::to_value(W::default()).map_err(bug)?;
-    let Some(fields) = parameters.as_object_mut() else {
-        return Err(Fault::bug("a world without parameters").into());
-    };
-    let mut given = Vec::new();
+/// A world's parameters: the defaults, with what the command line says in their place. The world itself holds the
+/// values to their ranges.
+fn parameters<W: DeserializeOwned>(args: &SimulateArgs) -> Result<W, Failure> {
+    let mut given = Map::new();
     for setting in &args.set {
         let (name, value) = setting.split_once('=').ok_or_else(|| {
             Fault::user(format!("--set {setting} sets nothing")).next("write --set parameter=value")
         })?;
         let value = serde_json::from_str(value).unwrap_or_else(|_| Value::String(value.to_owned()));
-        given.push((name, value));
+        given.insert(name.to_owned(), value);
     }
-    given.extend(args.seed.map(|seed| ("seed", seed.into())));
-    given.extend(args.revisits.map(|revisits| ("revisits", revisits.into())));
-    given.extend(args.visits.map(|visits| ("visits", visits.into())));
-    for (name, value) in given {
-        let Some(field) = fields.get_mut(name) else {
-            let known: Vec<_> = fields.keys().map(String::as_str).collect();
-            return Err(
-                Fault::user(format!("{} has no parameter {name}", args.world))
-                    .next(format!("it has {}", known.join(", ")))
-                    .into(),
-            );
-        };
-        *field = value;
+    let counts = [("revisits", args.revisits), ("visits", args.visits)];
+    let counts = counts.map(|(name, count)| (name, count.map(|count| count as u64)));
+    for (name, number) in counts.into_iter().chain([("seed", args.seed)]) {
+        given.extend(number.map(|number| (name.to_owned(), number.into())));
     }
-    let world = serde_json::from_value(parameters)
-        .map_err(|error| Fault::user(format!("parameters of {}: {error}", args.world)))?;
-    Ok(world)
+    // One by one, so that a fault tells which one is wrong.
+    for (name, value) in &given {
+        let alone = Map::from_iter([(name.clone(), value.clone())]);
+        serde_json::from_value::<W>(alone.into()).map_err(|error| {
+            Fault::user(error.to_string()).at(format!("{} of {}", name, args.world))
+        })?;
+    }
+    let world = serde_json::from_value(given.into());
+    Ok(world.map_err(|error| Fault::bug(error.to_string()))?)
 }
 
 fn fault(error: WorldError) -> Fault {
     match &error {
         WorldError::Parameters { .. } => Fault::user(error.to_string()),
-        WorldError::Io { .. } => Fault::resource(error.to_string()),
+        WorldError::File(RecordingError::Io { .. }) => Fault::resource(error.to_string()),
         _ => Fault::bug(error.to_string()),
     }
 }
@@ -166,61 +141,58 @@ mod tests {
 
     #[test]
     fn parameters_replace_the_defaults() {
-        let found = world(&args(&["loops=0.5", "width_px=320"])).unwrap();
-        assert_eq!(
-            found,
-            World::CarPark(CarPark {
-                seed: 7,
-                loops: 0.5,
-                width_px: 320,
-                ..CarPark::default()
-            })
-        );
+        let found: CarPark = parameters(&args(&["loops=0.5", "width_px=320"])).unwrap();
+        let expected = CarPark {
+            seed: 7,
+            loops: 0.5,
+            width_px: 320,
+            ..CarPark::default()
+        };
+        assert_eq!(found, expected);
     }
 
     #[test]
     fn each_world_has_parameters_of_its_own() {
-        let street = SimulateArgs {
-            world: "street".into(),
+        let three = SimulateArgs {
             visits: Some(3),
             ..args(&["length_m=120", "colour=false"])
         };
-        assert_eq!(
-            world(&street).unwrap(),
-            World::Street(Street {
-                seed: 7,
-                visits: 3,
-                length_m: 120.0,
-                colour: false,
-                ..Street::default()
-            })
-        );
-        let revisited = SimulateArgs {
-            revisits: Some(1),
-            ..street
+        let expected = Street {
+            seed: 7,
+            visits: 3,
+            length_m: 120.0,
+            colour: false,
+            ..Street::default()
         };
-        let Err(Failure::Fault(fault)) = world(&revisited) else {
+        assert_eq!(parameters::<Street>(&three).unwrap(), expected);
+        let revisited = SimulateArgs {
+            world: "street".into(),
+            revisits: Some(1),
+            ..three
+        };
+        let Err(Failure::Fault(fault)) = writer(&revisited) else {
             panic!()
         };
-        assert!(
-            fault
-                .to_string()
-                .contains("street has no parameter revisits")
-        );
+        let fault = fault.to_string();
+        assert!(fault.contains("unknown field `revisits`"), "{fault}");
     }
 
     #[test]
     fn parameters_that_make_no_sense_are_refused() {
         for (setting, says) in [
-            ("lops=1", "no parameter lops"),
+            ("lops=1", "unknown field `lops`, expected one of `seed`"),
             ("loops", "sets nothing"),
-            ("loops=x", "parameters of"),
+            ("loops=x", "expected f64 (at loops of car_park)"),
             ("occupancy=2", "expected 0 to 1"),
         ] {
-            let Err(Failure::Fault(fault)) = world(&args(&[setting])) else {
-                panic!("{setting}")
+            let folder = Path::new("nowhere");
+            let refused = match writer(&args(&[setting])) {
+                Err(Failure::Fault(fault)) => fault,
+                Ok(write) => fault(write(folder, &mut |_| {}).unwrap_err()),
+                Err(_) => panic!("{setting}"),
             };
-            assert!(fault.to_string().contains(says), "{fault}");
+            assert!(refused.to_string().contains(says), "{refused}");
+            assert!(!folder.exists());
         }
     }
 }

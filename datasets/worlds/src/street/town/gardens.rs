@@ -1,7 +1,7 @@
 //! What grows where nothing is built.
 
 use super::{Builder, Lot};
-use crate::street::classes::Class;
+use crate::plane::Pose2;
 use crate::street::course::Frenet;
 use crate::street::stretch::Quarter;
 use crate::street::things::Shape;
@@ -25,12 +25,10 @@ impl Builder<'_> {
             let s = lot.stretch.from + self.between(0.0, long);
             let out = self.between(1.2, 30.0);
             let place = Frenet::new(s, lot.sign * (lot.front() + lot.side.yard_m + out));
-            let at = self.land.course.point(place);
-            let inside = self
-                .land
-                .course
-                .frenet(at)
-                .is_some_and(|found| self.land.course.apart(found.s, s) < 8.0);
+            let course = &self.land.course;
+            let at = course.point(place);
+            let found = course.frenet(at);
+            let inside = found.is_some_and(|found| course.apart(found.s, s) < 8.0);
             if !inside || !self.free(at, 0.8) {
                 continue;
             }
@@ -45,7 +43,7 @@ impl Builder<'_> {
             } else {
                 self.tree(species, 1.0)
             };
-            self.add(at, 0.0, shape, Class::Tree);
+            self.add(Pose2::new(at, 0.0), shape);
         }
         let fence = lot.side.quarter == Quarter::Meadow || lot.side.quarter == Quarter::Park;
         if fence && self.often(0.5) {
@@ -57,17 +55,17 @@ impl Builder<'_> {
     fn long_edge(&mut self, lot: &Lot<'_>) {
         let hedge = self.often(0.5);
         let tall = self.between(0.8, 1.8);
+        let shape = if hedge {
+            Shape::Hedge([3.05, 0.4, tall])
+        } else {
+            Shape::Block([3.0, 0.05, 0.0, tall])
+        };
         let mut s = lot.stretch.from + 3.0;
         while s + 3.0 < lot.stretch.to {
             let place = Frenet::new(s, lot.sign * (lot.front() + 0.5));
-            let at = self.land.course.point(place);
-            if self.free(at, 0.1) && self.often(0.93) {
-                let yaw = self.land.course.yaw(s);
-                if hedge {
-                    self.add(at, yaw, Shape::Hedge([3.05, 0.4, tall]), Class::Tree);
-                } else {
-                    self.add(at, yaw, Shape::Block([3.0, 0.05, 0.0, tall]), Class::Other);
-                }
+            let pose = self.land.course.pose(place);
+            if self.free(pose.at(), 0.1) && self.often(0.93) {
+                self.add(pose, shape);
             }
             s += 6.0;
         }

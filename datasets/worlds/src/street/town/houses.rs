@@ -2,7 +2,7 @@
 
 use super::{Builder, Lot};
 use crate::plane::Pose2;
-use crate::street::classes::Class;
+use crate::random::maybe;
 use crate::street::course::Frenet;
 use crate::street::stretch::{Quarter, SIDE_STREET_M};
 use crate::street::things::Shape;
@@ -15,26 +15,20 @@ impl Builder<'_> {
         let [a, b, ..] = sizes;
         let sign = place.d.signum();
         let course = &self.land.course;
-        let station = course.station(place.s);
         // A straight front on a bend: back until no corner stands on the street.
-        let inward = (sign * station.curvature).min(0.0).abs() * a * a * 0.5;
-        let middle = Frenet::new(place.s, place.d + sign * (b + inward));
-        let (at, yaw) = (course.point(middle), course.yaw(place.s));
-        self.house_at(&Pose2::new(at, yaw), sizes, 0.0)
+        let bend = (sign * course.station(place.s).curvature).min(0.0).abs();
+        let back = b + bend * a * a * 0.5;
+        let middle = course.pose(Frenet::new(place.s, place.d + sign * back));
+        self.house_at(middle, sizes, 0.0)
     }
 
     /// Builds a house if there is room for it, and a margin (m) to the streets.
-    fn house_at(&mut self, middle: &Pose2, sizes: [f64; 4], margin: f64) -> bool {
-        let points = Self::footprint(middle, [sizes[0], sizes[1]]);
+    fn house_at(&mut self, middle: Pose2, sizes: [f64; 4], margin: f64) -> bool {
+        let points = Self::footprint(&middle, [sizes[0], sizes[1]]);
         let free = points.iter().all(|point| self.free(*point, margin));
         if free {
             points.into_iter().for_each(|point| self.take(point));
-            self.add(
-                middle.at(),
-                middle.yaw,
-                Shape::House(sizes),
-                Class::Building,
-            );
+            self.add(middle, Shape::House(sizes));
         }
         free
     }
@@ -49,9 +43,8 @@ impl Builder<'_> {
                     let a = junction.half_m + self.between(1.5, 6.0);
                     let wall = self.between(5.0, 13.0);
                     let roof = self.between(0.0, 4.0);
-                    let middle = land.course.point(Frenet::new(junction.s, d + sign * 2.5));
-                    let middle = Pose2::new(middle, land.course.yaw(junction.s));
-                    self.house_at(&middle, [a, 2.5, wall, roof], -1.7);
+                    let middle = land.course.pose(Frenet::new(junction.s, d + sign * 2.5));
+                    self.house_at(middle, [a, 2.5, wall, roof], -1.7);
                 }
             }
         }
@@ -101,28 +94,18 @@ impl Builder<'_> {
         match quarter {
             Quarter::Terraces => {
                 let wall = 3.1 * storeys + self.between(0.0, 1.0);
-                let roof = if self.often(0.6) {
-                    self.between(2.0, 4.5)
-                } else {
-                    0.0
-                };
+                let roof = maybe(&mut self.rng, 0.6, 2.0..4.5);
                 [half, self.between(4.0, 5.5), wall, roof]
             }
             Quarter::Villas => {
                 let wall = 3.0 * self.between(1.0, 2.9).floor() + 0.6;
-                let roof = if self.often(0.85) {
-                    self.between(2.2, 4.8)
-                } else {
-                    0.0
-                };
+                let roof = maybe(&mut self.rng, 0.85, 2.2..4.8);
                 [half, self.between(3.6, 5.2), wall, roof]
             }
-            Quarter::Slabs => [
-                half,
-                self.between(5.0, 6.5),
-                3.0 * storeys.max(3.0) + 4.0,
-                0.0,
-            ],
+            Quarter::Slabs => {
+                let wall = 3.0 * storeys.max(3.0) + 4.0;
+                [half, self.between(5.0, 6.5), wall, 0.0]
+            }
             _ => [half, self.between(6.0, 8.0), self.between(4.2, 8.5), 0.0],
         }
     }
@@ -176,17 +159,16 @@ impl Builder<'_> {
         };
         let station = Frenet::new(place.s + aside, place.d - lot.sign * 0.1);
         let course = &self.land.course;
-        let (at, yaw) = (course.point(station), course.yaw(place.s));
-        let shape = Shape::Block([long, 0.12, high, high + tall]);
-        self.add(at, yaw, shape, Class::Sign);
+        let sign = Pose2::new(course.point(station), course.yaw(place.s));
+        self.add(sign, Shape::ShopSign([long, 0.12, high, high + tall]));
     }
 
     /// A place for a car before the house, square to the street.
     fn bay_before(&mut self, lot: &Lot<'_>, s: f64) {
-        let course = &self.land.course;
-        let d = lot.sign * (lot.front() + 2.9);
-        let bay = Pose2::new(course.point(Frenet::new(s, d)), course.yaw(s) + FRAC_PI_2);
-        self.town.bays.push(bay);
+        let place = Frenet::new(s, lot.sign * (lot.front() + 2.9));
+        self.town
+            .bays
+            .push(self.land.course.pose(place).turned(FRAC_PI_2));
     }
 
     /// A hedge, a wall or nothing along the front of a garden, with a gap for the door.
@@ -198,22 +180,16 @@ impl Builder<'_> {
         let tall = self.between(0.7, 1.9);
         for way in [-1.0, 1.0] {
             let long = 0.5 * (half - 1.2);
-            let place = Frenet::new(s + way * (1.2 + long), lot.sign * (lot.front() + 0.4));
-            let at = self.land.course.point(place);
-            let yaw = self.land.course.yaw(place.s);
-            let ends = [-1.0, 0.0, 1.0].map(|end| {
-                self.land
-                    .course
-                    .point(Frenet::new(place.s + end * long, place.d))
-            });
-            if !ends.iter().all(|end| self.free(*end, 0.1)) {
-                continue;
-            }
-            if kind < 4 {
-                self.add(at, yaw, Shape::Hedge([long, 0.35, tall]), Class::Tree);
-            } else {
-                let shape = Shape::Block([long, 0.1, 0.0, 0.7 * tall]);
-                self.add(at, yaw, shape, Class::Other);
+            let (s, d) = (s + way * (1.2 + long), lot.sign * (lot.front() + 0.4));
+            let course = &self.land.course;
+            let ends = [-1.0, 0.0, 1.0].map(|end| course.point(Frenet::new(s + end * long, d)));
+            if ends.iter().all(|end| self.free(*end, 0.1)) {
+                let shape = if kind < 4 {
+                    Shape::Hedge([long, 0.35, tall])
+                } else {
+                    Shape::Block([long, 0.1, 0.0, 0.7 * tall])
+                };
+                self.add(course.pose(Frenet::new(s, d)), shape);
             }
         }
     }

@@ -2,7 +2,6 @@
 
 use super::{Builder, Lot};
 use crate::plane::Pose2;
-use crate::street::classes::Class;
 use crate::street::things::Shape;
 use rand::Rng;
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -31,7 +30,7 @@ impl Builder<'_> {
             let here = lot.beside_kerb(s + self.between(-0.5, 0.5), out);
             if !self.land.in_side_street(here, 2.0) && self.often(0.88) {
                 let shape = self.tree(side.species, 0.8);
-                self.add(self.land.course.point(here), 0.0, shape, Class::Tree);
+                self.add(Pose2::new(self.land.course.point(here), 0.0), shape);
             }
             s += side.tree_step_m;
         }
@@ -43,9 +42,9 @@ impl Builder<'_> {
         while s < lot.stretch.to {
             let here = lot.beside_kerb(s, 0.35);
             if !self.land.in_side_street(here, 0.5) {
-                let yaw = self.land.course.yaw(s) - lot.sign * FRAC_PI_2;
+                let pose = self.land.course.pose(here).turned(-lot.sign * FRAC_PI_2);
                 let shape = Shape::Lamp([self.between(4.5, 8.0), self.between(0.6, 1.8)]);
-                self.add(self.land.course.point(here), yaw, shape, Class::Other);
+                self.add(pose, shape);
             }
             s += step;
         }
@@ -56,16 +55,11 @@ impl Builder<'_> {
         let turned = if lot.sign > 0.0 { PI } else { 0.0 };
         let mut s = stretch.from + 3.0;
         while s < stretch.to - 3.0 {
-            let zebra = stretch
-                .zebras
-                .iter()
-                .any(|z| land.course.apart(*z, s) < 5.0);
+            let mut zebras = stretch.zebras.iter();
+            let zebra = zebras.any(|z| land.course.apart(*z, s) < 5.0);
             if !zebra && !land.in_side_street(lot.beside_kerb(s, 1.0), 5.0) {
                 let here = lot.beside_kerb(s, -0.5 * lot.side.parking_m);
-                let yaw = land.course.yaw(s) + turned;
-                self.town
-                    .bays
-                    .push(Pose2::new(land.course.point(here), yaw));
+                self.town.bays.push(land.course.pose(here).turned(turned));
             }
             s += 6.0;
         }
@@ -90,9 +84,7 @@ impl Builder<'_> {
                 2 => [0.55, 0.3, 0.0, 1.4],
                 _ => [1.3, 0.4, 0.0, 2.4],
             };
-            let at = self.land.course.point(place);
-            let yaw = self.land.course.yaw(s);
-            self.add(at, yaw, Shape::Block(size), Class::Other);
+            self.add(self.land.course.pose(place), Shape::Block(size));
         }
     }
 
@@ -125,9 +117,8 @@ impl Builder<'_> {
             };
             // Seen by those who drive on this side.
             let turned = if lot.sign > 0.0 { 0.0 } else { PI };
-            let yaw = self.land.course.yaw(s) + turned;
-            let at = self.land.course.point(place);
-            self.add(at, yaw, Shape::Post([half, tall, middle]), Class::Sign);
+            let pose = self.land.course.pose(place).turned(turned);
+            self.add(pose, Shape::Post([half, tall, middle]));
         }
     }
 }

@@ -6,7 +6,6 @@ mod kerb;
 
 use crate::plane::Pose2;
 use crate::random::stream;
-use crate::street::classes::Class;
 use crate::street::course::Frenet;
 use crate::street::ground::Land;
 use crate::street::stretch::{Side, Stretch};
@@ -95,14 +94,9 @@ impl Builder<'_> {
         self.rng.random_bool(chance)
     }
 
-    fn add(&mut self, at: [f64; 2], yaw: f64, shape: Shape, class: Class) {
+    fn add(&mut self, pose: Pose2, shape: Shape) {
         let seed = self.rng.random();
-        self.town.things.push(Thing {
-            pose: Pose2::new(at, yaw),
-            shape,
-            class,
-            seed,
-        });
+        self.town.things.push(Thing { pose, shape, seed });
     }
 
     /// Points of a rectangle around a place, at most 1.5 m apart.
@@ -125,8 +119,8 @@ impl Builder<'_> {
             return true;
         };
         let stretch = self.land.stretch(place.s);
-        let side = &stretch.sides[usize::from(place.d < 0.0)];
-        let private = place.d.abs() > stretch.half_m + side.kerb_to_front() + margin - 0.4;
+        let kerb = stretch.half_m + stretch.side(place).kerb_to_front();
+        let private = place.d.abs() > kerb + margin - 0.4;
         let cell = self.land.course.cell(point);
         let taken = cell.is_some_and(|cell| self.taken[cell]);
         private && !taken && !self.land.in_side_street(place, 1.7 + margin)

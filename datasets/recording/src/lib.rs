@@ -1,0 +1,154 @@
+//! Messages of ROS 2, recorded as MCAP: what imports and simulated worlds write.
+
+use evermap_messages::ros2::Message;
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{Compression, McapError, WriteOptions, Writer};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+/// How recorders of ROS 2 say that the topic's only message is for all who come later too.
+const LATCHED: (&str, &str) = (
+    "offered_qos_profiles",
+    "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n",
+);
+
+/// Why a log was not written.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// A file could not be written (a resource is missing).
+    #[error("cannot write {}: {source}; check the folder's rights and free space", path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The MCAP writer refused a message (a bug).
+    #[error("cannot write MCAP: {0}")]
+    Mcap(McapError),
+}
+
+/// A log being written. It appears under its name only when it is complete.
+pub struct LogWriter {
+    writer: Writer<BufWriter<File>>,
+    /// Messages so far, by channel.
+    sent: BTreeMap<u16, u32>,
+    partial: PathBuf,
+    target: PathBuf,
+}
+
+/// When something happened, ns since the epoch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Times {
+    /// When the recorder got it.
+    pub log_ns: u64,
+    /// When the sensor measured it.
+    pub stamp_ns: u64,
+}
+
+impl LogWriter {
+    /// Starts the file `target`, in place of an older one; `library` is named as its writer.
+    ///
+    /// # Errors
+    /// [`RecordingError`], as of all that is written.
+    pub fn create(target: &Path, library: &str) -> Result<Self, RecordingError> {
+        let partial = target.with_extension("mcap.part");
+        let file = File::create(&partial).map_err(|error| failed(&partial, error.into()))?;
+        let options = WriteOptions::new()
+            .profile("ros2")
+            .library(library)
+            .compression(Some(Compression::Zstd))
+            .compression_level(1)
+            .compression_threads(0)
+            .chunk_size(Some(1 << 20));
+        let writer = options.create(BufWriter::with_capacity(1 << 18, file));
+        Ok(Self {
+            writer: writer.map_err(|error| failed(&partial, error))?,
+            sent: BTreeMap::new(),
+            partial,
+            target: target.to_owned(),
+        })
+    }
+
+    /// Declares a topic and gives its channel; `latched` where its only message is for all who come later too.
+    ///
+    /// # Errors
+    /// [`RecordingError`].
+    pub fn topic<M: Message>(&mut self, topic: &str, latched: bool) -> Result<u16, RecordingError> {
+        let metadata = latched.then(|| (LATCHED.0.to_owned(), LATCHED.1.to_owned()));
+        let metadata = metadata.into_iter().collect();
+        let schema = self
+            .writer
+            .add_schema(M::NAME, "ros2msg", M::DEFINITION.as_bytes())
+            .map_err(|error| failed(&self.partial, error))?;
+        let channel = self.writer.add_channel(schema, topic, "cdr", &metadata);
+        channel.map_err(|error| failed(&self.partial, error))
+    }
+
+    /// Says what the values of label images mean, by value; nothing where there are none.
+    ///
+    /// # Errors
+    /// [`RecordingError`].
+    pub fn label_classes(
+        &mut self,
+        metadata: BTreeMap<String, String>,
+    ) -> Result<(), RecordingError> {
+        if metadata.is_empty() {
+            return Ok(());
+        }
+        let name = "label_classes".to_owned();
+        let written = self.writer.write_metadata(&Metadata { name, metadata });
+        written.map_err(|error| failed(&self.partial, error))
+    }
+
+    /// Writes one encoded message; the caller keeps log times in order.
+    ///
+    /// # Errors
+    /// [`RecordingError`].
+    pub fn send(
+        &mut self,
+        channel: u16,
+        times: Times,
+        payload: &[u8],
+    ) -> Result<(), RecordingError> {
+        let sent = self.sent.entry(channel).or_default();
+        let header = MessageHeader {
+            channel_id: channel,
+            sequence: *sent,
+            log_time: times.log_ns,
+            publish_time: times.stamp_ns,
+        };
+        *sent += 1;
+        let written = self.writer.write_to_known_channel(&header, payload);
+        written.map_err(|error| failed(&self.partial, error))
+    }
+
+    /// Completes the file, gives it its name, and says how many messages and bytes it holds.
+    ///
+    /// # Errors
+    /// [`RecordingError`].
+    pub fn finish(mut self) -> Result<(u64, u64), RecordingError> {
+        let fail = |error| failed(&self.partial, error);
+        self.writer.finish().map_err(fail)?;
+        let file = self.writer.into_inner().into_inner();
+        let file = file.map_err(|error| fail(error.into_error().into()))?;
+        let bytes = file.metadata().map_err(|error| fail(error.into()))?.len();
+        std::fs::rename(&self.partial, &self.target)
+            .map_err(|error| failed(&self.target, error.into()))?;
+        let messages = self.sent.values().map(|sent| u64::from(*sent)).sum();
+        Ok((messages, bytes))
+    }
+}
+
+/// A full disk is a missing resource, and what else the writer refuses is a bug.
+fn failed(path: &Path, error: McapError) -> RecordingError {
+    match error {
+        McapError::Io(source) => RecordingError::Io {
+            path: path.to_owned(),
+            source,
+        },
+        other => RecordingError::Mcap(other),
+    }
+}
