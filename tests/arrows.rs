@@ -476,13 +476,11 @@ fn one_plan_node_runs_every_operator() {
     assert_eq!(
         occurrences("Duty for "),
         [
-            // Shipping whole work units to a cluster is another matter than running an operator.
-            once("plans/engine/src/cluster/job.rs"),
             once("plans/engine/src/nodes/operator.rs"),
             once("plans/engine/src/nodes/pixels.rs"),
         ]
         .concat(),
-        "a node for units, one for operators, one for images"
+        "a node for operators, one for images"
     );
     let engine = |(path, _): &(PathBuf, usize)| path.starts_with("plans/engine");
     let mut jobs = occurrences("Job::new");

@@ -1,7 +1,7 @@
 //! Many machines: Ballista runs the units.
 //!
-//! A wave of ready units is one map-only job: a `UnitExec` over an in-memory manifest with one partition a unit.
-//! Nothing is shuffled, and Ballista's answer is not what counts: a unit is done when its receipt is in the map store.
+//! A wave of ready units is one map-only job: the SQL function `run_unit` over an in-memory manifest with one partition a
+//! unit. Nothing is shuffled, and Ballista's answer is not what counts: a unit is done when its receipt is in the map store.
 //! So a lost executor, a hung job or a restarted scheduler costs a resubmission of what is missing, and can never
 //! change an answer.
 //!

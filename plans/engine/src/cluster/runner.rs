@@ -10,7 +10,7 @@ use futures::StreamExt;
 use futures::stream::BoxStream;
 use tokio::sync::mpsc;
 
-use crate::cluster::job::{job, session_config, session_state, submit};
+use crate::cluster::job::{session_config, session_state, submit};
 use crate::error::remote_fault;
 use crate::map::receipt::Receipt;
 use crate::map::store::Store;
@@ -55,7 +55,7 @@ impl ClusterRunner {
         slots: usize,
         deadline: Duration,
     ) -> Result<Self, Fault> {
-        let state = session_state(session_config(&registry));
+        let state = session_state(session_config(), &registry);
         let address = ballista_scheduler::standalone::new_standalone_scheduler_from_state(&state)
             .await
             .map_err(|error| remote_fault(&error, "the scheduler does not start"))?;
@@ -127,7 +127,8 @@ impl Wave {
             registry,
             deadline,
         } = &self.cluster;
-        let mut job = std::pin::pin!(submit(scheduler, job(missing)?, registry));
+        let units = missing.clone();
+        let mut job = std::pin::pin!(submit(scheduler, &units, registry));
         let mut progress = Instant::now();
         let ended = loop {
             match tokio::time::timeout(POLL, &mut job).await {

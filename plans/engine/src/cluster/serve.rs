@@ -6,7 +6,6 @@ use std::sync::Arc;
 use ballista_core::config::TaskSchedulingPolicy;
 use ballista_core::extension::SessionConfigExt;
 use ballista_core::registry::BallistaFunctionRegistry;
-use ballista_core::serde::BallistaLogicalExtensionCodec;
 use ballista_executor::executor_process::{ExecutorProcessConfig, start_executor_process};
 use ballista_scheduler::cluster::BallistaCluster;
 use ballista_scheduler::config::SchedulerConfig;
@@ -14,7 +13,7 @@ use ballista_scheduler::scheduler_process::start_server;
 use evermap_contract::Registry;
 use evermap_schemas::Fault;
 
-use crate::cluster::job::{UnitCodec, session_config, session_state};
+use crate::cluster::job::{session_config, session_state};
 use crate::error::remote_fault;
 
 /// Serves as a scheduler until stopped.
@@ -25,17 +24,14 @@ pub async fn scheduler(host: &str, port: u16, registry: Registry) -> Result<(), 
     let address = format!("{host}:{port}")
         .parse()
         .map_err(|error| Fault::user(format!("{host}:{port}: {error}")))?;
-    let producer = registry.clone();
     let config = SchedulerConfig {
         bind_host: host.to_owned(),
         external_host: host.to_owned(),
         bind_port: port,
         scheduling_policy: TaskSchedulingPolicy::PullStaged,
-        override_logical_codec: Some(Arc::new(BallistaLogicalExtensionCodec::default())),
-        override_physical_codec: Some(Arc::new(UnitCodec::new(registry))),
-        override_config_producer: Some(Arc::new(move || session_config(&producer))),
-        override_session_builder: Some(Arc::new(|config| {
-            Ok(session_state(config.upgrade_for_ballista()))
+        override_config_producer: Some(Arc::new(session_config)),
+        override_session_builder: Some(Arc::new(move |config| {
+            Ok(session_state(config.upgrade_for_ballista(), &registry))
         })),
         executor_timeout_seconds: 12,
         expire_dead_executor_interval_seconds: 2,
@@ -72,8 +68,7 @@ pub struct ExecutorOptions {
 /// # Errors
 /// A resource fault when it cannot start or loses its scheduler for good.
 pub async fn executor(options: ExecutorOptions, registry: Registry) -> Result<(), Fault> {
-    let state = session_state(session_config(&registry));
-    let producer = registry.clone();
+    let state = session_state(session_config(), &registry);
     let config = ExecutorProcessConfig {
         bind_host: options.host.clone(),
         external_host: Some(options.host),
@@ -86,9 +81,7 @@ pub async fn executor(options: ExecutorOptions, registry: Registry) -> Result<()
         work_dir: Some(options.work_dir),
         task_scheduling_policy: TaskSchedulingPolicy::PullStaged,
         override_function_registry: Some(Arc::new(BallistaFunctionRegistry::from(&state))),
-        override_config_producer: Some(Arc::new(move || session_config(&producer))),
-        override_logical_codec: Some(Arc::new(BallistaLogicalExtensionCodec::default())),
-        override_physical_codec: Some(Arc::new(UnitCodec::new(registry))),
+        override_config_producer: Some(Arc::new(session_config)),
         executor_heartbeat_interval_seconds: 3,
         ..ExecutorProcessConfig::default()
     };
