@@ -56,6 +56,7 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
             Fault::user(error.strip_backtrace())
         }
         DataFusionError::ObjectStore(error) => Fault::resource(error.to_string()),
+        DataFusionError::IoError(error) => Fault::resource(error.to_string()),
         DataFusionError::Internal(message) => Fault::bug(message.clone()),
         _ => Fault::data(error.strip_backtrace()),
     }

@@ -63,14 +63,6 @@ impl<'a> Emit<'a> {
         }
     }
 
-    /// Emits a batch in the output layer's schema.
-    ///
-    /// # Errors
-    /// When the reader has gone.
-    pub fn batch(&mut self, batch: RecordBatch) -> Result<(), Fault> {
-        (self.rows)(batch)
-    }
-
     /// Counts `count` inputs as skipped for `reason` (a short phrase, such as `image does not decode`).
     pub fn skip(&mut self, reason: &str, count: u64) {
         self.losses.add(reason, count);

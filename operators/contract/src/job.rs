@@ -16,7 +16,7 @@ use serde_json::Value;
 use crate::fold::StateRow;
 use crate::kernel::{Folding, Kernel, Mapper, Prepare, Rows};
 use crate::sides::{runs_of_equal, same_group, site_of};
-use crate::{Emit, Entry, Key, Port, Reach, Shape, Sides};
+use crate::{Emit, Entry, Key, Port, Shape, Sides};
 
 /// Which part of an operator's work is done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -33,18 +33,12 @@ pub enum Phase {
 /// What drives a phase, and how its rows must come.
 #[derive(Debug, Clone)]
 pub struct Driving {
-    /// Port, as plans write it; `states` for a merge.
-    pub name: &'static str,
-    /// The columns that are read.
-    pub layer: Layer,
-    /// How much of the table goes with a unit.
-    pub reach: Reach,
+    /// The port; `states` for a merge.
+    pub port: Port,
     /// Columns whose equal values must come together; none where any split will do.
     pub group: &'static [&'static str],
     /// Columns that the rows are ordered by.
     pub sorting: Vec<&'static str>,
-    /// Columns whose images are wanted.
-    pub pixels: Vec<&'static str>,
 }
 
 /// The states of one key.
@@ -62,12 +56,9 @@ impl Entry {
             _ => (self.ports[0].clone(), None),
         };
         Driving {
-            name: port.name,
-            reach: port.reach,
             group: key.map_or(&[], |key| key.columns),
             sorting: key.map_or_else(Vec::new, |key| key.sorting(&port.layer)),
-            layer: port.layer,
-            pixels: port.pixels,
+            port,
         }
     }
 

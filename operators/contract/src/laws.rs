@@ -48,10 +48,16 @@ pub fn check(entry: &Entry) -> Result<(), Fault> {
     if let Some(text) = difference(&whole.rows, &example.output, PAGE_TOLERANCE)? {
         return Err(broken(entry, "example", &text));
     }
-    splits(entry, &params, &inputs, &whole)?;
-    shuffled(entry, &params, &inputs, &whole)?;
-    empty(entry, &params)?;
-    schema(entry, &whole.rows)?;
+    let trial = Trial {
+        entry,
+        params,
+        inputs,
+        whole,
+    };
+    trial.splits()?;
+    trial.shuffled()?;
+    trial.empty()?;
+    schema(entry, &trial.whole.rows)?;
     parameters(entry)
 }
 
@@ -79,82 +85,67 @@ fn broken(entry: &Entry, law: &str, text: &str) -> Fault {
     ))
 }
 
-fn same(
-    entry: &Entry,
-    law: &str,
-    how: &str,
-    whole: &Outcome,
-    other: &Outcome,
-) -> Result<(), Fault> {
-    if whole == other {
-        Ok(())
-    } else {
-        Err(broken(
-            entry,
-            law,
-            &format!("{how} gives {other:?}, not {whole:?}"),
-        ))
-    }
+/// The example of an operator's page, and what comes of it.
+struct Trial<'a> {
+    entry: &'a Entry,
+    params: Value,
+    inputs: BTreeMap<String, RecordBatch>,
+    whole: Outcome,
 }
 
-fn splits(
-    entry: &Entry,
-    params: &Value,
-    inputs: &BTreeMap<String, RecordBatch>,
-    whole: &Outcome,
-) -> Result<(), Fault> {
-    for batch_rows in [1, 2, 3, usize::MAX] {
-        for partitions in [1, 2, 3] {
-            for reverse in [false, true] {
-                let split = Split {
-                    batch_rows,
-                    partitions,
-                    reverse,
-                };
-                let law = if partitions == 1 {
-                    "batches"
-                } else {
-                    "partitions"
-                };
-                same(
-                    entry,
-                    law,
-                    &format!("{split:?}"),
-                    whole,
-                    &run(entry, params, inputs, split)?,
-                )?;
+impl Trial<'_> {
+    /// Whether the same comes of it when it is run in this way.
+    fn same(
+        &self,
+        law: &str,
+        how: &str,
+        inputs: &BTreeMap<String, RecordBatch>,
+        split: Split,
+    ) -> Result<(), Fault> {
+        let (whole, other) = (&self.whole, run(self.entry, &self.params, inputs, split)?);
+        if *whole == other {
+            return Ok(());
+        }
+        let text = format!("{how} gives {other:?}, not {whole:?}");
+        Err(broken(self.entry, law, &text))
+    }
+
+    fn splits(&self) -> Result<(), Fault> {
+        for batch_rows in [1, 2, 3, usize::MAX] {
+            for (partitions, law) in [(1, "batches"), (2, "partitions"), (3, "partitions")] {
+                for reverse in [false, true] {
+                    let split = Split {
+                        batch_rows,
+                        partitions,
+                        reverse,
+                    };
+                    self.same(law, &format!("{split:?}"), &self.inputs, split)?;
+                }
             }
         }
-    }
-    Ok(())
-}
-
-fn shuffled(
-    entry: &Entry,
-    params: &Value,
-    inputs: &BTreeMap<String, RecordBatch>,
-    whole: &Outcome,
-) -> Result<(), Fault> {
-    let reversed = inputs.iter().map(|(port, rows)| {
-        let order = UInt32Array::from_iter_values((0..rows.num_rows() as u32).rev());
-        Ok((port.clone(), take_record_batch(rows, &order)?))
-    });
-    let reversed = reversed.collect::<Result<BTreeMap<_, _>, Fault>>()?;
-    same(
-        entry,
-        "order of input",
-        "reversed input",
-        whole,
-        &run(entry, params, &reversed, Split::default())?,
-    )
-}
-
-fn empty(entry: &Entry, params: &Value) -> Result<(), Fault> {
-    let outcome = run(entry, params, &BTreeMap::new(), Split::default())?;
-    if outcome.rows.num_rows() == 0 {
         Ok(())
-    } else {
-        Err(broken(entry, "empty", "rows came out of nothing"))
+    }
+
+    fn shuffled(&self) -> Result<(), Fault> {
+        let reversed = self.inputs.iter().map(|(port, rows)| {
+            let order = UInt32Array::from_iter_values((0..rows.num_rows() as u32).rev());
+            Ok((port.clone(), take_record_batch(rows, &order)?))
+        });
+        let reversed = reversed.collect::<Result<_, Fault>>()?;
+        self.same(
+            "order of input",
+            "reversed input",
+            &reversed,
+            Split::default(),
+        )
+    }
+
+    fn empty(&self) -> Result<(), Fault> {
+        let outcome = run(self.entry, &self.params, &BTreeMap::new(), Split::default())?;
+        match outcome.rows.num_rows() {
+            0 => Ok(()),
+            _ => Err(broken(self.entry, "empty", "rows came out of nothing")),
+        }
     }
 }
 

@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 
 use arrow::array::{RecordBatch, UInt32Array};
 use arrow::compute::{SortColumn, concat_batches, lexsort_to_indices, take_record_batch};
-use evermap_schemas::{Fault, Layer, LayerRow};
+use evermap_schemas::{Fault, LayerRow};
 use serde_json::Value;
 
 use crate::sides::runs_of_equal;
 use crate::table::with_pixels;
-use crate::{Emit, Entry, Job, Losses, Phase, Shape, Sides};
+use crate::{Emit, Entry, Job, Losses, Phase, Port, Shape, Sides};
 
 /// How the naive engine cuts its input up; no operator's result may depend on it.
 #[derive(Debug, Clone, Copy)]
@@ -77,24 +77,19 @@ fn work(
     losses: &mut Losses,
 ) -> Result<RecordBatch, Fault> {
     let driving = entry.driving(phase);
-    let table = |name: &str, layer: &Layer, pixels: &[&str], order: &[&str]| {
-        let rows = match inputs.get(name) {
+    let table = |port: &Port, order: &[&str]| {
+        let rows = match inputs.get(port.name) {
             Some(rows) => rows.clone(),
-            None => RecordBatch::new_empty(layer.schema()),
+            None => RecordBatch::new_empty(port.layer.schema()),
         };
-        sort(&with_pixels(&rows, pixels)?, order)
+        sort(&with_pixels(&rows, port.pixels)?, order)
     };
     let sides = entry.sides(phase).iter().map(|port| {
-        let rows = table(port.name, &port.layer, &port.pixels, &port.sorting())?;
+        let rows = table(port, &port.sorting())?;
         Ok((port.name.to_owned(), vec![rows]))
     });
     let sides = Sides::new(sides.collect::<Result<_, Fault>>()?);
-    let input = table(
-        driving.name,
-        &driving.layer,
-        &driving.pixels,
-        &driving.sorting,
-    )?;
+    let input = table(&driving.port, &driving.sorting)?;
     let mut emitted = Vec::new();
     let mut collect = |batch: RecordBatch| {
         emitted.push(batch);

@@ -12,12 +12,18 @@ use serde_json::{Map, Value};
 /// What is wrong with one parameter.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ParamFault {
-    /// Its name, as the plan writes it.
+    /// Its name, as the plan writes it; empty where parameters do not make sense together.
     pub param: String,
     /// What was expected and what was found, in one sentence.
     pub message: String,
-    /// The names there are, where there is none of this name.
-    pub known: Vec<String>,
+}
+
+impl ParamFault {
+    /// Of parameters that do not make sense together.
+    pub(crate) fn together(message: String) -> Self {
+        let param = String::new();
+        Self { param, message }
+    }
 }
 
 /// One parameter, as its operator declares it.
@@ -65,35 +71,20 @@ where
         defaults.as_object().unwrap_or(&empty),
         given.as_object().unwrap_or(&empty),
     );
-    let faults: Vec<_> = given
-        .iter()
-        .filter_map(|(name, value)| {
-            let message = match defaults.contains_key(name) {
-                true => misfit::<P>(schema, defaults, name, value)?,
-                false => format!("no parameter `{name}`"),
-            };
-            let known = match defaults.contains_key(name) {
-                true => Vec::new(),
-                false => defaults.keys().cloned().collect(),
-            };
-            Some(ParamFault {
-                param: name.clone(),
-                message,
-                known,
-            })
-        })
-        .collect();
+    let fault = |(name, value): (&String, &Value)| {
+        let message = match defaults.contains_key(name) {
+            true => misfit::<P>(schema, defaults, name, value)?,
+            false => format!("no parameter `{name}`"),
+        };
+        let param = name.clone();
+        Some(ParamFault { param, message })
+    };
+    let faults: Vec<_> = given.iter().filter_map(fault).collect();
     if !faults.is_empty() {
         return Err(faults);
     }
     let all: Vec<_> = given.iter().collect();
-    with(defaults, &all).map_err(|error| {
-        vec![ParamFault {
-            param: String::new(),
-            message: error.to_string(),
-            known: Vec::new(),
-        }]
-    })
+    with(defaults, &all).map_err(|error| vec![ParamFault::together(error.to_string())])
 }
 
 /// All faults as one.

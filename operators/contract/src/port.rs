@@ -38,6 +38,11 @@ impl Key {
         columns: &["site", "session"],
         order: &["stamp"],
     };
+    /// One camera's rows of a session, by stamp.
+    pub const CAMERA: Key = Key {
+        columns: &["site", "session", "camera"],
+        order: &["stamp"],
+    };
     /// All rows of a site, in the order of the layer's key.
     pub const SITE: Key = Key {
         columns: &["site"],
@@ -79,9 +84,9 @@ pub struct Port {
     pub layer: Layer,
     /// How much of it goes with a unit of work.
     pub reach: Reach,
-    /// The [`evermap_schemas::ImageRef`] columns whose images are wanted too: their encoded bytes come in a `Binary`
-    /// column beside each, see [`pixels_column`]. An image that cannot be fetched is null there.
-    pub pixels: Vec<&'static str>,
+    /// The [`evermap_schemas::ImageRef`] column whose images are wanted too: their encoded bytes come in a `Binary` column
+    /// beside it, see [`pixels_column`]. An image that cannot be fetched is null there.
+    pub pixels: Option<&'static str>,
     /// Whether a plan may leave the port unconnected; the kernel then sees an empty table.
     pub optional: bool,
 }
@@ -97,12 +102,13 @@ impl Port {
         Self::of::<T>(name, Reach::Site)
     }
 
-    fn of<T: LayerRow>(name: &'static str, reach: Reach) -> Self {
+    /// A port that reads so much of a table of `T`.
+    pub fn of<T: LayerRow>(name: &'static str, reach: Reach) -> Self {
         Self {
             name,
             layer: T::layer(),
             reach,
-            pixels: Vec::new(),
+            pixels: None,
             optional: false,
         }
     }
@@ -110,7 +116,7 @@ impl Port {
     /// The images of this column are wanted, not only where they are.
     #[must_use]
     pub fn pixels(mut self, column: &'static str) -> Self {
-        self.pixels.push(column);
+        self.pixels = Some(column);
         self
     }
 

@@ -5,7 +5,7 @@ use std::fmt::Write;
 
 use evermap_schemas::{Column, Layer, type_name};
 
-use crate::{Entry, Key, Port, Reach, Shape};
+use crate::{Entry, Key, Reach, Shape};
 
 impl Entry {
     /// The page with tables of parameters, ports and columns, as Markdown.
@@ -46,23 +46,18 @@ impl Entry {
                 0 => format!("{}; drives", shape(self.shape, &port.layer)),
                 _ => reach(port.reach).to_owned(),
             };
+            let images = port
+                .pixels
+                .map(|column| format!(" with the images of `{column}`"));
+            let images = images.unwrap_or_default();
             let optional = if port.optional { "; optional" } else { "" };
             let _ = writeln!(
                 text,
-                "| `{}` | `{}`{} | {much}{optional} |",
-                port.name,
-                port.layer.name,
-                pixels(port)
+                "| `{}` | `{}`{images} | {much}{optional} |",
+                port.name, port.layer.name
             );
         }
         text
-    }
-}
-
-fn pixels(port: &Port) -> String {
-    match port.pixels.join("`, `") {
-        columns if columns.is_empty() => columns,
-        columns => format!(" with the images of `{columns}`"),
     }
 }
 

@@ -1,6 +1,7 @@
 //! The list of operators, without their types.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use evermap_schemas::{Fault, Layer, LayerRow};
 use serde_json::Value;
@@ -34,15 +35,14 @@ pub struct Entry {
 /// Parameters that were understood.
 struct Typed {
     normal: Value,
-    check: Result<(), Fault>,
     kernel: Box<dyn FnOnce() -> Kernel>,
 }
 
 fn typed<O: Operator>(schema: &Value, given: &Value) -> Result<Typed, Vec<ParamFault>> {
     let params = params::typed::<O::Params>(schema, given)?;
+    O::check(&params).map_err(|fault| vec![ParamFault::together(fault.message)])?;
     Ok(Typed {
         normal: serde_json::to_value(&params).unwrap_or_default(),
-        check: O::check(&params),
         kernel: Box::new(|| (O::work().kernel)(params)),
     })
 }
@@ -71,17 +71,8 @@ impl Entry {
 
     /// All that is wrong with parameters as a plan gives them.
     pub fn faults(&self, given: &Value) -> Vec<ParamFault> {
-        match (self.typed)(&self.params_schema, given) {
-            Err(faults) => faults,
-            Ok(Typed { check: Ok(()), .. }) => Vec::new(),
-            Ok(Typed {
-                check: Err(fault), ..
-            }) => vec![ParamFault {
-                param: String::new(),
-                message: fault.message,
-                known: Vec::new(),
-            }],
-        }
+        let typed = (self.typed)(&self.params_schema, given);
+        typed.err().unwrap_or_default()
     }
 
     /// The complete parameters, in declaration order: equal work has equal text.
@@ -98,15 +89,8 @@ impl Entry {
     }
 
     fn understood(&self, given: &Value) -> Result<Typed, Fault> {
-        let typed = (self.typed)(&self.params_schema, given)
-            .map_err(|faults| params::fault(self.name, faults))?;
-        match typed.check {
-            Ok(()) => Ok(Typed {
-                check: Ok(()),
-                ..typed
-            }),
-            Err(fault) => Err(fault.at(format!("operator {}", self.name))),
-        }
+        let typed = (self.typed)(&self.params_schema, given);
+        typed.map_err(|faults| params::fault(self.name, faults))
     }
 
     /// A port by name.
@@ -115,15 +99,15 @@ impl Entry {
     }
 }
 
-/// Operators by name.
+/// Operators by name. Clones share one list.
 #[derive(Clone, Default)]
-pub struct Registry(BTreeMap<&'static str, Entry>);
+pub struct Registry(Arc<BTreeMap<&'static str, Entry>>);
 
 impl Registry {
     /// A registry of these entries; the later of two with one name stays.
     pub fn new(entries: impl IntoIterator<Item = Entry>) -> Self {
         let named = entries.into_iter().map(|entry| (entry.name, entry));
-        Self(named.collect())
+        Self(Arc::new(named.collect()))
     }
 
     /// An operator by name.

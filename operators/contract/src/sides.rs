@@ -36,8 +36,9 @@ impl Sides {
     ///
     /// # Errors
     /// A bug fault where the port was not declared with pixels of that column.
-    pub fn pixels(&self, port: &str, column: &'static str) -> Result<Pixels, Fault> {
-        Pixels::of(self.batches(port), &[column]).map_err(|fault| fault.at(format!("port {port}")))
+    pub fn pixels(&self, port: &str, column: &str) -> Result<Pixels, Fault> {
+        Pixels::of(self.batches(port), Some(column))
+            .map_err(|fault| fault.at(format!("port {port}")))
     }
 
     fn batches(&self, port: &str) -> &[RecordBatch] {
@@ -104,47 +105,31 @@ impl Sides {
     }
 }
 
-/// The encoded images that came with rows, by row and column.
+/// The encoded images that came with rows, by row.
 #[derive(Debug, Clone, Default)]
 pub struct Pixels {
-    columns: Vec<&'static str>,
-    /// The first row of each batch, and its images by column.
-    batches: Vec<(usize, Vec<BinaryArray>)>,
+    /// The first row of each batch, and its images.
+    batches: Vec<(usize, BinaryArray)>,
 }
 
 impl Pixels {
-    pub(crate) fn of(batches: &[RecordBatch], columns: &[&'static str]) -> Result<Self, Fault> {
+    /// Of a column; there are none where no column is named.
+    pub(crate) fn of(batches: &[RecordBatch], column: Option<&str>) -> Result<Self, Fault> {
+        let mut pixels = Self::default();
         let mut first = 0;
-        let mut found = Vec::with_capacity(batches.len());
         for batch in batches {
-            let images = columns
-                .iter()
-                .map(|column| images(batch, column))
-                .collect::<Result<_, _>>()?;
-            found.push((first, images));
+            if let Some(column) = column {
+                pixels.batches.push((first, images(batch, column)?));
+            }
             first += batch.num_rows();
         }
-        Ok(Self {
-            columns: columns.to_vec(),
-            batches: found,
-        })
+        Ok(pixels)
     }
 
-    /// The image of a row, in the first column that was asked for; `None` where it could not be fetched.
+    /// The image of a row; `None` where it could not be fetched.
     pub fn get(&self, row: usize) -> Option<&[u8]> {
-        self.at(row, 0)
-    }
-
-    /// The image of a row in one of several columns.
-    pub fn column(&self, name: &str, row: usize) -> Option<&[u8]> {
-        let column = self.columns.iter().position(|column| *column == name)?;
-        self.at(row, column)
-    }
-
-    fn at(&self, row: usize, column: usize) -> Option<&[u8]> {
         let batch = self.batches.partition_point(|(first, _)| *first <= row);
         let (first, images) = self.batches.get(batch.checked_sub(1)?)?;
-        let images = images.get(column)?;
         let row = row - first;
         (row < images.len() && !images.is_null(row)).then(|| images.value(row))
     }

@@ -174,7 +174,7 @@ fn identity_rotation(mut value: Value) -> Value {
 
 /// The schema of a port's table as a person writes it: images are bytes in the place of their references.
 pub fn port_schema(port: &Port) -> SchemaRef {
-    let field = |column: &Column| match port.pixels.contains(&column.name) {
+    let field = |column: &Column| match port.pixels == Some(column.name) {
         true => Field::new(column.name, DataType::Binary, true),
         false => column.field(),
     };
@@ -183,33 +183,26 @@ pub fn port_schema(port: &Port) -> SchemaRef {
 }
 
 /// A port's table with its images beside their references. Images that stand in the place of references get empty ones.
-pub(crate) fn with_pixels(rows: &RecordBatch, pixels: &[&str]) -> Result<RecordBatch, Fault> {
-    let mut fields: Vec<_> = rows.schema_ref().fields().iter().cloned().collect();
-    let mut columns = rows.columns().to_vec();
-    for column in pixels {
-        let name = pixels_column(column);
-        let Ok(index) = rows.schema_ref().index_of(column) else {
-            continue;
-        };
-        if rows.column_by_name(&name).is_some() {
-            continue;
-        }
-        let reference = Field::new(*column, ImageRef::data_type(), false);
-        let bare: SchemaRef = Arc::new(Schema::new(vec![reference.clone()]));
-        let references = table(&bare, &vec![JsonRow::new(); rows.num_rows()])?;
-        let images = match rows.column(index).data_type() {
-            DataType::Binary => Arc::clone(rows.column(index)),
-            _ => new_null_array(&DataType::Binary, rows.num_rows()),
-        };
-        if *rows.column(index).data_type() == DataType::Binary {
-            fields[index] = Arc::new(reference);
-            columns[index] = Arc::clone(references.column(0));
-        }
-        fields.push(Arc::new(Field::new(name, DataType::Binary, true)));
-        columns.push(images);
+pub(crate) fn with_pixels(rows: &RecordBatch, pixels: Option<&str>) -> Result<RecordBatch, Fault> {
+    let place = |column| Some((column, rows.schema_ref().index_of(column).ok()?));
+    let Some((column, index)) = pixels.and_then(place) else {
+        return Ok(rows.clone());
+    };
+    let name = pixels_column(column);
+    if rows.column_by_name(&name).is_some() {
+        return Ok(rows.clone());
     }
-    Ok(RecordBatch::try_new(
-        Arc::new(Schema::new(fields)),
-        columns,
-    )?)
+    let mut fields = rows.schema_ref().fields().to_vec();
+    let mut columns = rows.columns().to_vec();
+    let mut images = new_null_array(&DataType::Binary, rows.num_rows());
+    if *fields[index].data_type() == DataType::Binary {
+        fields[index] = Arc::new(Field::new(column, ImageRef::data_type(), false));
+        let bare: SchemaRef = Arc::new(Schema::new(vec![Arc::clone(&fields[index])]));
+        let references = table(&bare, &vec![JsonRow::new(); rows.num_rows()])?;
+        images = std::mem::replace(&mut columns[index], Arc::clone(references.column(0)));
+    }
+    fields.push(Arc::new(Field::new(name, DataType::Binary, true)));
+    columns.push(images);
+    let schema = Arc::new(Schema::new(fields));
+    Ok(RecordBatch::try_new(schema, columns)?)
 }

@@ -68,9 +68,9 @@ impl<P: Clone + Send + Sync + 'static> Work<P> {
         Room: Default + 'static,
         I: IntoIterator<Item: LayerRow> + Send + 'static,
     {
-        let columns = driving.pixels.clone();
+        let column = driving.pixels;
         Self::map(driving, sides, prepare, move |prepared, batch, emit| {
-            let pixels = Pixels::of(std::slice::from_ref(batch), &columns)?;
+            let pixels = Pixels::of(std::slice::from_ref(batch), column)?;
             let made = rows::<T>(batch)?.into_par_iter().enumerate();
             let made = made.map_init(Room::default, |room, (row, value)| {
                 let image = pixels.get(row).ok_or("image is missing")?;
@@ -92,9 +92,9 @@ impl<P: Clone + Send + Sync + 'static> Work<P> {
         S: Send + Sync + 'static,
         T: Record + 'static,
     {
-        let columns = driving.pixels.clone();
+        let column = driving.pixels;
         Self::map(driving, sides, prepare, move |prepared, batch, emit| {
-            let pixels = Pixels::of(std::slice::from_ref(batch), &columns)?;
+            let pixels = Pixels::of(std::slice::from_ref(batch), column)?;
             work(prepared, rows::<T>(batch)?, &pixels, emit)
         })
     }
@@ -118,10 +118,10 @@ impl<P: Clone + Send + Sync + 'static> Work<P> {
 
     /// The rows of a key as they come, to rows at any time.
     pub fn stream<G: Stream<Params = P>>(driving: Port, key: Key, sides: Vec<Port>) -> Self {
-        Self::keyed(driving, key, sides, |params, sides, columns| {
+        Self::keyed(driving, key, sides, |params, sides, column| {
             Ok(Box::new(Streaming {
                 stream: G::open(params, sides)?,
-                columns: columns.to_vec(),
+                column,
             }))
         })
     }
@@ -161,17 +161,17 @@ impl<P: Clone + Send + Sync + 'static> Work<P> {
         mut driving: Port,
         key: Key,
         sides: Vec<Port>,
-        open: impl Fn(&P, &Sides, &[&'static str]) -> Result<Box<dyn Rows>, Fault>
+        open: impl Fn(&P, &Sides, Option<&'static str>) -> Result<Box<dyn Rows>, Fault>
         + Clone
         + Send
         + Sync
         + 'static,
     ) -> Self {
         driving.reach = key.reach();
-        let columns = driving.pixels.clone();
+        let column = driving.pixels;
         Self::new(Shape::Group(key), driving, sides, move |params: P| {
-            let (open, columns) = (open.clone(), columns.clone());
-            Kernel::Group(Box::new(move |sides| open(&params, sides, &columns)))
+            let open = open.clone();
+            Kernel::Group(Box::new(move |sides| open(&params, sides, column)))
         })
     }
 
@@ -242,12 +242,13 @@ pub trait Stream: Send + Sized + 'static {
 
 struct Streaming<G> {
     stream: G,
-    columns: Vec<&'static str>,
+    /// The column whose images are wanted.
+    column: Option<&'static str>,
 }
 
 impl<G: Stream> Rows for Streaming<G> {
     fn push(&mut self, batch: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        let pixels = Pixels::of(std::slice::from_ref(batch), &self.columns)?;
+        let pixels = Pixels::of(std::slice::from_ref(batch), self.column)?;
         self.stream.push(rows(batch)?, &pixels, emit)
     }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use arrow::array::{Array, ArrayRef, RecordBatch};
 use arrow::compute::{can_cast_types, cast};
 use arrow::datatypes::{DataType, Field, Schema, SchemaRef};
-use evermap_schemas::{Fault, Layer};
+use evermap_schemas::{Column, Fault, Layer, type_name};
 
 /// The batch with just the layer's columns, in its order and types.
 ///
@@ -47,21 +47,17 @@ pub fn convert(array: &ArrayRef, to: &DataType) -> Result<ArrayRef, Fault> {
     }
 }
 
-/// The batch with more columns behind its own, which may hold nulls.
+/// The batch with one more column behind its own, which may hold nulls.
 ///
 /// # Errors
-/// A bug fault for columns of another length.
-pub fn beside(batch: RecordBatch, columns: Vec<(String, ArrayRef)>) -> Result<RecordBatch, Fault> {
-    if columns.is_empty() {
-        return Ok(batch);
-    }
-    let mut fields: Vec<_> = batch.schema_ref().fields().iter().cloned().collect();
-    let mut arrays = batch.columns().to_vec();
-    for (name, array) in columns {
-        fields.push(Arc::new(Field::new(name, array.data_type().clone(), true)));
-        arrays.push(array);
-    }
-    Ok(RecordBatch::try_new(Arc::new(Schema::new(fields)), arrays)?)
+/// A bug fault for a column of another length.
+pub fn beside(batch: &RecordBatch, name: &str, column: ArrayRef) -> Result<RecordBatch, Fault> {
+    let mut fields = batch.schema_ref().fields().to_vec();
+    let mut columns = batch.columns().to_vec();
+    fields.push(Arc::new(Field::new(name, column.data_type().clone(), true)));
+    columns.push(column);
+    let schema = Arc::new(Schema::new(fields));
+    Ok(RecordBatch::try_new(schema, columns)?)
 }
 
 fn missing(name: &str, schema: &Schema) -> Fault {
@@ -78,15 +74,15 @@ fn missing(name: &str, schema: &Schema) -> Fault {
 
 /// What keeps a table from being given to a port, one sentence a column; none where it fits.
 pub fn misfits(table: &Schema, layer: &Layer) -> Vec<String> {
-    let misfit = |column: &evermap_schemas::Column| match table.field_with_name(column.name) {
+    let misfit = |column: &Column| match table.field_with_name(column.name) {
         Err(_) => Some(format!(
             "lacks the column {} ({})",
             column.name,
-            short(&column.data_type)
+            type_name(&column.data_type)
         )),
         Ok(field) if fits(field.data_type(), &column.data_type) => None,
         Ok(field) => {
-            let (found, expected) = (short(field.data_type()), short(&column.data_type));
+            let (found, expected) = (type_name(field.data_type()), type_name(&column.data_type));
             Some(format!(
                 "has {found} in the column {}, where {expected} is expected",
                 column.name
@@ -121,18 +117,6 @@ fn is_text(data_type: &DataType) -> bool {
         data_type,
         DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View
     )
-}
-
-/// A type as a person says it: long structs are cut.
-fn short(data_type: &DataType) -> String {
-    match data_type {
-        DataType::Struct(fields) => {
-            let names: Vec<_> = fields.iter().map(|field| field.name().as_str()).collect();
-            format!("a struct of {}", names.join(", "))
-        }
-        DataType::List(item) => format!("a list of {}", short(item.data_type())),
-        other => other.to_string(),
-    }
 }
 
 /// The same columns without metadata, every one nullable: what two tables that may be put together agree on.

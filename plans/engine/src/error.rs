@@ -1,32 +1,20 @@
 //! DataFusion's errors, and everything else that can go wrong below, as faults with a kind.
 
 use datafusion::error::DataFusionError;
-use evermap_schemas::{Fault, Kind};
+use evermap_schemas::Fault;
 
 /// The fault inside, or the best reading of what DataFusion says. A fault that crossed a process border as text is
 /// found again by its code.
 pub fn fault_of(error: &DataFusionError) -> Fault {
     let root = error.find_root();
-    if let DataFusionError::External(inner) = root
-        && let Some(fault) = inner.downcast_ref::<Fault>()
-    {
-        return fault.clone();
-    }
-    let text = root.to_string();
-    if let Some(fault) = Fault::parse(&text) {
-        return fault;
-    }
-    let kind = match root {
-        DataFusionError::SQL(..) | DataFusionError::Plan(_) | DataFusionError::SchemaError(..) => {
-            Kind::User
+    Fault::parse(&root.to_string()).unwrap_or_else(|| {
+        let fault = evermap_datasets::scan::fault_of(root);
+        let line = fault.message.lines().next().unwrap_or_default();
+        Fault {
+            message: line.to_owned(),
+            ..fault
         }
-        DataFusionError::ResourcesExhausted(_)
-        | DataFusionError::IoError(_)
-        | DataFusionError::ObjectStore(_) => Kind::Resource,
-        DataFusionError::Internal(_) => Kind::Bug,
-        _ => Kind::Data,
-    };
-    Fault::new(kind, text.lines().next().unwrap_or_default())
+    })
 }
 
 /// What DataFusion gives, with a fault in place of its error.

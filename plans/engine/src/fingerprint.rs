@@ -62,22 +62,14 @@ impl Fingerprint {
         files: Vec<FileState>,
         indexes: Vec<LogIndex>,
     ) -> Result<Self, Fault> {
-        let fingerprint = Self {
+        let seal = seal(&content, &indexes)?;
+        Ok(Self {
             content,
             rested,
             files,
             indexes,
-            seal: String::new(),
-        };
-        let seal = fingerprint.sealed()?;
-        Ok(Self {
             seal,
-            ..fingerprint
         })
-    }
-
-    fn sealed(&self) -> Result<String, Fault> {
-        digest_of(&(&self.content, &self.indexes))
     }
 
     /// Where it is remembered.
@@ -103,6 +95,11 @@ impl Fingerprint {
         };
         Ok((found.files == files).then_some(found))
     }
+}
+
+/// What binds indexes to a content.
+fn seal(content: &str, indexes: &[LogIndex]) -> Result<String, Fault> {
+    digest_of(&(content, indexes))
 }
 
 /// The names under which logs with these contents are remembered.
@@ -152,7 +149,7 @@ pub async fn open(
             Believe::Rested => found.rested && files.iter().all(|file| rests(file, now)),
             Believe::Content(content) => found.content == content,
         };
-        if believed && found.seal == found.sealed()? {
+        if believed && found.seal == seal(&found.content, &found.indexes)? {
             for (file, index) in recording.files.iter_mut().zip(found.indexes) {
                 file.index = Some(index);
             }

@@ -123,17 +123,17 @@ impl Bench<'_> {
         tables: &BTreeMap<Input, RecordBatch>,
     ) -> Result<RecordBatch, Fault> {
         match &step.body {
-            Body::Op { op, inputs, params } => {
+            Body::Op { op, params } => {
                 let entry = self.registry.get(op)?;
                 let mut rows = BTreeMap::new();
-                for (name, input) in inputs {
+                for (name, input) in &step.inputs {
                     if let (Some(port), Some(found)) = (entry.port(name), tables.get(input)) {
                         rows.insert(name.clone(), conform(found, &port.layer)?);
                     }
                 }
                 Ok(run(entry, params, &rows, Split::default())?.rows)
             }
-            Body::Sql { query, .. } => {
+            Body::Sql { query } => {
                 let frame = read_only(context, query).await?;
                 let schema = Arc::new(frame.schema().as_arrow().clone());
                 let batches = frame.collect().await.or_fault()?;

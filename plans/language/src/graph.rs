@@ -5,7 +5,7 @@ mod order;
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::fault::{Place, PlanFaults, Severity};
-use crate::plan::{Body, Input, Plan, PlanTest, Step};
+use crate::plan::{Input, Plan, PlanTest, Step};
 use crate::suggest::quoted;
 use crate::vocabulary::Vocabulary;
 use crate::written::{Named, Written, WrittenInput, WrittenStep, WrittenTest};
@@ -56,7 +56,7 @@ pub(crate) fn plan(
     }
     let mut steps: Vec<Option<Step>> = written
         .steps
-        .iter()
+        .into_iter()
         .zip(inputs)
         .map(|(step, inputs)| finished(step, inputs))
         .collect();
@@ -74,33 +74,27 @@ pub(crate) fn plan(
     })
 }
 
-/// Puts the resolved inputs into the body of a step.
-fn finished(step: &WrittenStep, resolved: Vec<Option<Input>>) -> Option<Step> {
-    let resolved: Vec<Input> = resolved.into_iter().collect::<Option<_>>()?;
-    let body = match step.body.clone()? {
-        Body::Op { op, params, .. } => {
-            let ports = step.inputs.iter().map(|input| input.port.clone());
-            let inputs = ports.zip(resolved).collect();
-            Body::Op { op, inputs, params }
-        }
-        Body::Sql { query, .. } => Body::Sql {
-            query,
-            inputs: resolved,
-        },
+/// The step with what its names stand for.
+fn finished(step: WrittenStep, resolved: Vec<Option<Input>>) -> Option<Step> {
+    let inputs = step.inputs.into_iter().zip(resolved);
+    let named = |(input, resolved): (WrittenInput, Option<Input>)| {
+        let name = input.port.unwrap_or(input.table.name);
+        Some((name, resolved?))
     };
     Some(Step {
-        name: step.name.name.clone(),
+        name: step.name.name,
         position: step.name.place.position(),
-        body,
+        inputs: inputs.map(named).collect::<Option<_>>()?,
+        body: step.body?,
     })
 }
 
 impl Names<'_> {
     fn inputs(&self, step: &WrittenStep, faults: &mut PlanFaults) -> Vec<Option<Input>> {
         let resolve = |input: &WrittenInput| {
-            let what = match input.port.as_str() {
-                "" => format!("the query of {}", quoted(&step.name.name)),
-                port => format!("port {}", quoted(port)),
+            let what = match &input.port {
+                Some(port) => format!("port {}", quoted(port)),
+                None => format!("the query of {}", quoted(&step.name.name)),
             };
             if input.is_implied && !self.has_table_for(input, step) {
                 let message = format!("{what} is not connected, and no other table has its name");

@@ -45,6 +45,8 @@ pub struct Step {
     pub name: String,
     /// Where the name is written.
     pub position: Position,
+    /// What it reads: by port; of a query, by the name that a table has there. Optional ports may be absent.
+    pub inputs: BTreeMap<String, Input>,
     /// What makes the layer.
     pub body: Body,
 }
@@ -56,8 +58,6 @@ pub enum Body {
     Op {
         /// Its name.
         op: String,
-        /// Port to layer. Optional ports may be absent.
-        inputs: BTreeMap<String, Input>,
         /// The parameters that the plan gives, an object; the others have the operator's defaults.
         params: Value,
     },
@@ -65,8 +65,6 @@ pub enum Body {
     Sql {
         /// Its text.
         query: String,
-        /// The tables it names, each once, in the order they were found.
-        inputs: Vec<Input>,
     },
 }
 
@@ -110,17 +108,6 @@ impl Input {
         match self {
             Self::Step(name) | Self::Source(name) => name.clone(),
             Self::Previous(name) => format!("{}{name}", Self::PREVIOUS),
-        }
-    }
-}
-
-impl Step {
-    /// The layers it reads; of an operator in the order of port names.
-    #[must_use]
-    pub fn inputs(&self) -> Vec<&Input> {
-        match &self.body {
-            Body::Op { inputs, .. } => inputs.values().collect(),
-            Body::Sql { inputs, .. } => inputs.iter().collect(),
         }
     }
 }

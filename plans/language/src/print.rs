@@ -33,9 +33,10 @@ impl fmt::Display for Plan {
 fn write_step(step: &Step, f: &mut fmt::Formatter<'_>) -> fmt::Result {
     writeln!(f, "  {}:", step.name)?;
     match &step.body {
-        Body::Op { op, inputs, params } => {
+        Body::Op { op, params } => {
             writeln!(f, "    op: {}", word(op))?;
-            let ports: Map<String, Value> = inputs
+            let ports: Map<String, Value> = step
+                .inputs
                 .iter()
                 .map(|(port, input)| (port.clone(), input.written().into()))
                 .collect();
@@ -46,7 +47,7 @@ fn write_step(step: &Step, f: &mut fmt::Formatter<'_>) -> fmt::Result {
             }
             Ok(())
         }
-        Body::Sql { query, .. } => writeln!(f, "    sql: {}", block(query, 6)),
+        Body::Sql { query } => writeln!(f, "    sql: {}", block(query, 6)),
     }
 }
 

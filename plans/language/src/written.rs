@@ -44,14 +44,14 @@ pub(crate) struct Written {
 pub(crate) struct WrittenStep {
     pub name: Named,
     pub inputs: Vec<WrittenInput>,
-    /// The step, its inputs to be filled in; `None` if at fault.
+    /// What it does; `None` if at fault.
     pub body: Option<Body>,
 }
 
 /// What a step reads.
 pub(crate) struct WrittenInput {
-    /// Under which port; empty for queries.
-    pub port: String,
+    /// Under which port; `None` for queries.
+    pub port: Option<String>,
     pub table: Named,
     /// Whether the port is not named, so that the table of its own name is meant.
     pub is_implied: bool,

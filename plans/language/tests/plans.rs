@@ -59,11 +59,11 @@ fn a_sound_plan_is_read_whole() {
     assert_eq!(order, ["keys", "tiles", "relabelled", "more"]);
     let tiles = plan.step("tiles").unwrap();
     assert_eq!((tiles.position.line, tiles.position.column), (7, 3));
-    let Body::Op { op, inputs, params } = &tiles.body else {
+    let Body::Op { op, params } = &tiles.body else {
         panic!("{tiles:?}")
     };
     assert_eq!(op, "overhead_tiles");
-    assert_eq!(inputs["patches"], Input::Step("keys".into()));
+    assert_eq!(tiles.inputs["patches"], Input::Step("keys".into()));
     let expected = json!({
         "camera": {"model": "pinhole", "fx_px": 1, "fy_px": 200.0},
         "grid": {"square": {"cell_m": 0.5}},
@@ -74,12 +74,13 @@ fn a_sound_plan_is_read_whole() {
         parameters.grid,
         Some(vocabulary::Grid::Square { cell_m: 0.5 })
     );
+    let relabelled = &plan.step("relabelled").unwrap().inputs;
     assert_eq!(
-        plan.step("relabelled").unwrap().inputs(),
+        relabelled.values().collect::<Vec<_>>(),
         [
-            &Input::Step("tiles".into()),
-            &Input::Previous("more".into()),
             &Input::Source("/odom".into()),
+            &Input::Previous("more".into()),
+            &Input::Step("tiles".into()),
         ]
     );
     let test = &plan.tests[0];

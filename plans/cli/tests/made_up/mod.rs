@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use evermap_engine::digest::digest;
-use evermap_engine::map::receipt::{Artifact, LogContent};
+use evermap_engine::map::receipt::{Artifact, Extent, LogContent};
 use evermap_engine::map::store::Store;
 use evermap_engine::map::version::{MappedSession, Previous, StoredLayer, Version};
 use evermap_schemas::layers::{Intersection, Lane, OverheadTile, VehiclePose};
@@ -134,8 +134,10 @@ fn stored<T: LayerRow>(
         content: digest(&bytes),
         rows: table.num_rows() as u64,
         bytes: bytes.len() as u64,
-        session: session.map(str::to_owned),
-        site: Some("lot".into()),
+        extent: Extent {
+            session: session.map(str::to_owned),
+            site: Some("lot".into()),
+        },
     };
     let path = folder.join(artifact.name());
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();

@@ -2,15 +2,58 @@
 
 use std::collections::BTreeMap;
 
+use evermap_contract::Reach;
 use evermap_schemas::{Fault, Kind};
 use serde::{Deserialize, Serialize};
 
 use crate::digest::digest_of;
 use crate::map::store::Store;
-use crate::program::Stage;
+use crate::program::{Scope, Stage};
 
 /// Raised when artifacts of the same recipe would come out differently for reasons no operator's version tells.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
+
+/// What rows are of and what a unit covers: a session, a site, or the map.
+#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Extent {
+    /// The session; null where it is more than one.
+    pub session: Option<String>,
+    /// The site; null where it is the map.
+    pub site: Option<String>,
+}
+
+impl Extent {
+    /// As much as a scope says of where a log belongs.
+    pub fn of(scope: Scope, log: &LogContent) -> Self {
+        Self {
+            session: (scope == Scope::Session).then(|| log.session.clone()),
+            site: (scope != Scope::Map).then(|| log.site.clone()),
+        }
+    }
+
+    /// What is read for it.
+    pub fn reached(&self, reach: Reach) -> Self {
+        let session = self.session.clone();
+        Self {
+            session: session.filter(|_| reach == Reach::Session),
+            site: self.site.clone(),
+        }
+    }
+
+    /// Whether a log belongs to it.
+    pub fn covers(&self, log: &LogContent) -> bool {
+        let within = |own: &Option<String>, of| own.as_ref().is_none_or(|own| own == of);
+        within(&self.session, &log.session) && within(&self.site, &log.site)
+    }
+
+    /// What a person calls the unit of a stage that covers it.
+    pub fn label(&self, stage: &str) -> String {
+        match self.session.as_ref().or(self.site.as_ref()) {
+            Some(of) => format!("{stage} of {of}"),
+            None => stage.to_owned(),
+        }
+    }
+}
 
 /// Rows that are kept: a Parquet file named by its content.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -21,10 +64,9 @@ pub struct Artifact {
     pub rows: u64,
     /// Bytes of it.
     pub bytes: u64,
-    /// The session that it covers; null where it covers more.
-    pub session: Option<String>,
-    /// The site that it covers; null where it covers the map.
-    pub site: Option<String>,
+    /// What they are of.
+    #[serde(flatten)]
+    pub extent: Extent,
 }
 
 impl Artifact {
@@ -32,6 +74,15 @@ impl Artifact {
     pub fn name(&self) -> String {
         format!("artifacts/{}.parquet", self.content)
     }
+}
+
+/// A layer of the version before, as far as a unit reads it.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct PreviousLayer {
+    /// The operator that makes the layer in this plan: gives the columns where there is no version before.
+    pub op: Option<String>,
+    /// The rows; none where there is no version before.
+    pub artifacts: Vec<Artifact>,
 }
 
 /// A session's log, as a recipe names it.
@@ -54,24 +105,23 @@ pub struct Recipe {
     pub format: u32,
     /// The stages: operators with versions and parameters, queries.
     pub stages: Vec<Stage>,
-    /// Contents of the stored stages that are read.
-    pub tables: BTreeMap<String, Vec<String>>,
-    /// Contents of the layers of the version before that are read.
-    pub previous: BTreeMap<String, Vec<String>>,
+    /// The rows of the stored stages that are read.
+    pub tables: BTreeMap<String, Vec<Artifact>>,
+    /// The layers of the version before that are read.
+    pub previous: BTreeMap<String, PreviousLayer>,
     /// Sessions whose rows of the version before are not read, as their logs have been replaced.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub replaced: Vec<String>,
     /// Logs that are read.
     pub logs: Vec<LogContent>,
-    /// The session that is covered.
-    pub session: Option<String>,
-    /// The site that is covered.
-    pub site: Option<String>,
+    /// What is covered.
+    #[serde(flatten)]
+    pub extent: Extent,
 }
 
 impl Recipe {
     /// An empty recipe for these stages.
-    pub fn new(stages: Vec<Stage>, session: Option<String>, site: Option<String>) -> Self {
+    pub fn new(stages: Vec<Stage>, extent: Extent) -> Self {
         let (tables, previous) = (BTreeMap::new(), BTreeMap::new());
         Self {
             format: FORMAT,
@@ -80,8 +130,7 @@ impl Recipe {
             previous,
             replaced: Vec::new(),
             logs: Vec::new(),
-            session,
-            site,
+            extent,
         }
     }
 

@@ -14,10 +14,8 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use bytes::Bytes;
-use futures::TryStreamExt;
 use object_store::path::Path as ObjectPath;
-use object_store::{ObjectStore, ObjectStoreExt, PutMode, PutOptions};
+use object_store::{ObjectStore, ObjectStoreExt, PutMode};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use url::Url;
@@ -79,11 +77,8 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn exists(&self, name: &str) -> Result<bool, Fault> {
-        match self.store.head(&self.path(name)).await {
-            Ok(_) => Ok(true),
-            Err(object_store::Error::NotFound { .. }) => Ok(false),
-            Err(error) => Err(store_fault(&error, name)),
-        }
+        let found = there(self.store.head(&self.path(name)).await, name)?;
+        Ok(found.is_some())
     }
 
     /// The JSON at a name; `None` where there is none.
@@ -91,14 +86,11 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not answer, a data fault for JSON of another shape.
     pub async fn read_json<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, Fault> {
-        let bytes = match self.store.get(&self.path(name)).await {
-            Ok(found) => found
-                .bytes()
-                .await
-                .map_err(|error| store_fault(&error, name))?,
-            Err(object_store::Error::NotFound { .. }) => return Ok(None),
-            Err(error) => return Err(store_fault(&error, name)),
+        let Some(found) = there(self.store.get(&self.path(name)).await, name)? else {
+            return Ok(None);
         };
+        let bytes = found.bytes().await;
+        let bytes = bytes.map_err(|error| store_fault(&error, name))?;
         serde_json::from_slice(&bytes).map(Some).map_err(|error| {
             Fault::data(format!(
                 "expected what evermap wrote, found other JSON: {error}"
@@ -107,16 +99,21 @@ impl Store {
         })
     }
 
-    /// Writes JSON, whole or not at all; replaces what was there.
+    /// Writes a file, whole or not at all; replaces what was there.
     ///
     /// # Errors
     /// A resource fault when the store does not take it.
-    pub async fn write_json<T: Serialize>(&self, name: &str, value: &T) -> Result<(), Fault> {
-        let put = self
-            .store
-            .put(&self.path(name), json_bytes(value)?.into())
-            .await;
+    pub async fn write(&self, name: &str, bytes: Vec<u8>) -> Result<(), Fault> {
+        let put = self.store.put(&self.path(name), bytes.into()).await;
         put.map(drop).map_err(|error| store_fault(&error, name))
+    }
+
+    /// As [`Store::write`], with JSON.
+    ///
+    /// # Errors
+    /// As [`Store::write`].
+    pub async fn write_json<T: Serialize>(&self, name: &str, value: &T) -> Result<(), Fault> {
+        self.write(name, json_bytes(value)?).await
     }
 
     /// Writes JSON where nothing was; `false` where something was.
@@ -124,15 +121,9 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not take it.
     pub async fn create_json<T: Serialize>(&self, name: &str, value: &T) -> Result<bool, Fault> {
-        let options = PutOptions {
-            mode: PutMode::Create,
-            ..PutOptions::default()
-        };
-        match self
-            .store
-            .put_opts(&self.path(name), json_bytes(value)?.into(), options)
-            .await
-        {
+        let (path, bytes) = (self.path(name), json_bytes(value)?.into());
+        let put = self.store.put_opts(&path, bytes, PutMode::Create.into());
+        match put.await {
             Ok(_) => Ok(true),
             Err(object_store::Error::AlreadyExists { .. }) => Ok(false),
             Err(error) => Err(store_fault(&error, name)),
@@ -155,10 +146,7 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not do it.
     pub async fn remove(&self, name: &str) -> Result<(), Fault> {
-        match self.store.delete(&self.path(name)).await {
-            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
-            Err(error) => Err(store_fault(&error, name)),
-        }
+        there(self.store.delete(&self.path(name)).await, name).map(drop)
     }
 
     /// The names in a folder with their sizes, sorted.
@@ -166,31 +154,32 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn list(&self, folder: &str) -> Result<Vec<(String, u64)>, Fault> {
-        let prefix = self.path(folder);
-        let found: Vec<_> = self
+        let found = self
             .store
-            .list(Some(&prefix))
-            .try_collect()
-            .await
-            .map_err(|error| store_fault(&error, folder))?;
-        let mut names: Vec<_> = found
-            .into_iter()
-            .filter_map(|object| {
-                Some((
-                    format!("{folder}/{}", object.location.filename()?),
-                    object.size,
-                ))
-            })
-            .collect();
+            .list_with_delimiter(Some(&self.path(folder)))
+            .await;
+        let found = found.map_err(|error| store_fault(&error, folder))?.objects;
+        let named = found.into_iter().filter_map(|object| {
+            let name = object.location.filename()?;
+            Some((format!("{folder}/{name}"), object.size))
+        });
+        let mut names: Vec<_> = named.collect();
         names.sort();
         Ok(names)
     }
 }
 
-fn json_bytes<T: Serialize>(value: &T) -> Result<Bytes, Fault> {
-    serde_json::to_vec_pretty(value)
-        .map(Bytes::from)
-        .map_err(|error| Fault::bug(error.to_string()))
+/// What a store answers; `None` where it has nothing of this name.
+fn there<T>(answer: object_store::Result<T>, name: &str) -> Result<Option<T>, Fault> {
+    match answer {
+        Ok(found) => Ok(Some(found)),
+        Err(object_store::Error::NotFound { .. }) => Ok(None),
+        Err(error) => Err(store_fault(&error, name)),
+    }
+}
+
+fn json_bytes<T: Serialize>(value: &T) -> Result<Vec<u8>, Fault> {
+    serde_json::to_vec_pretty(value).map_err(|error| Fault::bug(error.to_string()))
 }
 
 fn address_url(address: &str, create: bool) -> Result<Url, Fault> {

@@ -28,9 +28,7 @@ use datafusion::physical_plan::metrics::{
 };
 use datafusion::physical_plan::stream::RecordBatchReceiverStreamBuilder;
 use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties, Partitioning};
-use evermap_contract::{
-    Driving, Emit, Entry, Job, Layer, Losses, Phase, Port, Sides, pixels_column,
-};
+use evermap_contract::{Driving, Emit, Entry, Job, Losses, Phase, Port, Sides, pixels_column};
 use evermap_schemas::Fault;
 use futures::future::{BoxFuture, Shared};
 use futures::{FutureExt, StreamExt};
@@ -78,13 +76,18 @@ impl Operator {
             losses,
         }
     }
+
+    /// The ports of the children, in their order.
+    pub fn ports(&self) -> impl Iterator<Item = &Port> {
+        std::iter::once(&self.driving.port).chain(&self.sides)
+    }
 }
 
 impl fmt::Display for Operator {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (name, phase, params) = (self.entry.name, self.phase, &self.params);
         let sides: Vec<_> = self.sides.iter().map(|port| port.name).collect();
-        let (driving, sides) = (self.driving.name, sides.join(", "));
+        let (driving, sides) = (self.driving.port.name, sides.join(", "));
         write!(
             f,
             "operator={name}, phase={phase:?}, driving={driving}, sides=[{sides}], params={params}"
@@ -104,7 +107,7 @@ impl Duty for Operator {
             },
             sorting: self.driving.sorting.clone(),
             // Rows with images were dealt out before the images were fetched.
-            parallel: self.driving.pixels.is_empty(),
+            parallel: self.driving.port.pixels.is_none(),
         };
         let sides = self.sides.iter().map(|port| Need::whole(port.sorting()));
         std::iter::once(driving).chain(sides).collect()
@@ -216,13 +219,8 @@ async fn prepare(
     let timed = metrics.preparing;
     let job = in_pool(move || {
         let _timer = timed.timer();
-        let Operator {
-            entry,
-            params,
-            phase,
-            ..
-        } = operator.as_ref();
-        Job::new(entry, params, *phase, Sides::new(sides))
+        let Operator { entry, params, .. } = operator.as_ref();
+        Job::new(entry, params, operator.phase, Sides::new(sides))
     });
     Ok(Arc::new(Prepared {
         job: job.await?,
@@ -238,7 +236,7 @@ async fn collect(
     let mut rows = Vec::new();
     while let Some(batch) = table.next().await {
         let batch = batch.or_fault()?;
-        let batch = given(&batch, &port.layer, &port.pixels)?;
+        let batch = given(&batch, port)?;
         memory
             .try_grow(get_record_batch_memory_size(&batch))
             .or_fault()?;
@@ -248,17 +246,15 @@ async fn collect(
 }
 
 /// The batch with just what a port reads: the columns of its layer, and the images beside them.
-fn given(batch: &RecordBatch, layer: &Layer, pixels: &[&str]) -> Result<RecordBatch, Fault> {
-    let images = pixels.iter().map(|column| {
-        let name = pixels_column(column);
-        let images = batch.column_by_name(&name).cloned();
-        let images = images.ok_or_else(|| Fault::bug(format!("no column {name}")))?;
-        Ok((name, images))
-    });
-    beside(
-        conform(batch, layer)?,
-        images.collect::<Result<_, Fault>>()?,
-    )
+fn given(batch: &RecordBatch, port: &Port) -> Result<RecordBatch, Fault> {
+    let rows = conform(batch, &port.layer)?;
+    let Some(column) = port.pixels else {
+        return Ok(rows);
+    };
+    let name = pixels_column(column);
+    let images = batch.column_by_name(&name).cloned();
+    let images = images.ok_or_else(|| Fault::bug(format!("no column {name}")))?;
+    beside(&rows, &name, images)
 }
 
 /// Waits for the job, then hands on the driving rows as the kernel wants them.
@@ -274,10 +270,9 @@ async fn feed_rows(
     if ready.send(prepared).is_err() || failed {
         return Ok(());
     }
-    let Driving { layer, pixels, .. } = &operator.driving;
     while let Some(batch) = input.next().await {
         let batch = batch.or_fault();
-        let rows = batch.and_then(|batch| given(&batch, layer, pixels));
+        let rows = batch.and_then(|batch| given(&batch, &operator.driving.port));
         if feed.send(rows).await.is_err() {
             break;
         }

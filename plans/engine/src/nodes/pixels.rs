@@ -3,7 +3,7 @@
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use arrow::array::{ArrayRef, BinaryArray, BinaryBuilder, RecordBatch};
+use arrow::array::{BinaryBuilder, RecordBatch};
 use arrow::datatypes::{DataType, Field, Schema};
 use datafusion::error::Result as DataFusionResult;
 use datafusion::execution::{SendableRecordBatchStream, TaskContext};
@@ -28,13 +28,13 @@ const SLICE_BYTES: u64 = 8 << 20;
 /// Batches whose images are fetched ahead of the kernel.
 const AHEAD: usize = 2;
 
-/// Puts the images of some columns beside their references, in columns named by [`pixels_column`].
+/// Puts the images of a column beside their references, in a column named by [`pixels_column`].
 pub type PixelsExec = Node<Fetching>;
 
 /// Which images are fetched, and for whom.
 pub struct Fetching {
-    /// Columns of references.
-    pub columns: Vec<&'static str>,
+    /// The column of references.
+    pub column: &'static str,
     /// How the reader of the images needs the rows. They come so before their images are fetched, which are then
     /// neither sorted nor shuffled.
     pub need: Need,
@@ -46,7 +46,7 @@ pub struct Fetching {
 
 impl fmt::Display for Fetching {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "columns=[{}]", self.columns.join(", "))
+        write!(f, "column={}", self.column)
     }
 }
 
@@ -58,18 +58,16 @@ impl Duty for Fetching {
         vec![self.need.clone()]
     }
 
-    /// All that is known of the child's rows holds for these, which have columns more.
+    /// All that is known of the child's rows holds for these, which have a column more.
     fn output(
         &self,
         children: &[Arc<dyn ExecutionPlan>],
     ) -> DataFusionResult<(EquivalenceProperties, Partitioning)> {
         let child = first(children)?;
         let schema = child.schema();
-        let images = self
-            .columns
-            .iter()
-            .map(|column| Arc::new(Field::new(pixels_column(column), DataType::Binary, true)));
-        let fields: Vec<_> = schema.fields().iter().cloned().chain(images).collect();
+        let images = Field::new(pixels_column(self.column), DataType::Binary, true);
+        let mut fields = schema.fields().to_vec();
+        fields.push(Arc::new(images));
         let kept: Vec<usize> = (0..schema.fields().len()).collect();
         let same = ProjectionMapping::from_indices(&kept, &schema)?;
         let output = Arc::new(Schema::new(fields));
@@ -128,14 +126,9 @@ struct Fetcher {
 impl Fetcher {
     /// The batch cut so that no piece carries more than a few megabytes of images.
     fn slices(&self, batch: &RecordBatch) -> Result<Vec<RecordBatch>, Fault> {
-        let mut lengths = vec![0; batch.num_rows()];
-        for column in &self.fetching.columns {
-            for (length, image) in lengths.iter_mut().zip(references(batch, column)?) {
-                *length += image.length;
-            }
-        }
+        let images = references(batch, self.fetching.column)?;
         let (mut pieces, mut start, mut held) = (Vec::new(), 0, 0);
-        for (row, length) in lengths.iter().enumerate() {
+        for (row, ImageRef { length, .. }) in images.into_iter().enumerate() {
             if held > 0 && held + length > SLICE_BYTES {
                 pieces.push(batch.slice(start, row - start));
                 (start, held) = (row, 0);
@@ -146,23 +139,12 @@ impl Fetcher {
         Ok(pieces)
     }
 
-    /// The batch with the images beside it.
+    /// The batch with the images beside it; what cannot be fetched is null and counted.
     async fn fetch(&self, batch: RecordBatch) -> Result<RecordBatch, Fault> {
-        let mut columns: Vec<(String, ArrayRef)> = Vec::new();
-        for column in &self.fetching.columns {
-            let images = self.column(references(&batch, column)?).await?;
-            columns.push((pixels_column(column), Arc::new(images)));
-        }
-        Ok(beside(batch, columns)?.record_output(&self.baseline))
-    }
-
-    /// The images of a column; what cannot be fetched is null and counted.
-    async fn column(&self, images: Vec<ImageRef>) -> Result<BinaryArray, Fault> {
+        let images = references(&batch, self.fetching.column)?;
+        let fetched = self.fetching.reader.resolve(&images).await?;
         let mut bytes = BinaryBuilder::new();
-        for (image, fetched) in images
-            .iter()
-            .zip(self.fetching.reader.resolve(&images).await?)
-        {
+        for (image, fetched) in images.iter().zip(fetched) {
             match fetched {
                 Ok(fetched) => {
                     self.images.add(1);
@@ -179,7 +161,9 @@ impl Fetcher {
                 }
             }
         }
-        Ok(bytes.finish())
+        let name = pixels_column(self.fetching.column);
+        let batch = beside(&batch, &name, Arc::new(bytes.finish()))?;
+        Ok(batch.record_output(&self.baseline))
     }
 }
 

@@ -8,9 +8,9 @@ use async_trait::async_trait;
 use datafusion::catalog::{Session, TableProvider};
 use datafusion::error::Result;
 use datafusion::logical_expr::{Expr, TableType};
-use datafusion::physical_expr::expressions::Column;
+use datafusion::physical_expr::projection::ProjectionExprs;
+use datafusion::physical_plan::ExecutionPlan;
 use datafusion::physical_plan::projection::ProjectionExec;
-use datafusion::physical_plan::{ExecutionPlan, PhysicalExpr};
 
 /// The rows of a plan node.
 pub struct PlannedTable(Arc<dyn ExecutionPlan>);
@@ -48,17 +48,8 @@ impl TableProvider for PlannedTable {
         let Some(projection) = projection else {
             return Ok(Arc::clone(&self.0));
         };
-        let schema = self.0.schema();
-        let columns = projection.iter().map(|&index| {
-            let name = schema.field(index).name().clone();
-            (
-                Arc::new(Column::new(&name, index)) as Arc<dyn PhysicalExpr>,
-                name,
-            )
-        });
-        Ok(Arc::new(ProjectionExec::try_new(
-            columns.collect::<Vec<_>>(),
-            Arc::clone(&self.0),
-        )?))
+        let columns = ProjectionExprs::from_indices(projection, &self.0.schema());
+        let projected = ProjectionExec::try_new(columns.iter().cloned(), Arc::clone(&self.0));
+        Ok(Arc::new(projected?))
     }
 }

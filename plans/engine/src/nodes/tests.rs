@@ -168,7 +168,7 @@ async fn images_are_fetched_after_rows_are_sorted_and_dealt_out() {
     };
     let fetching = |need| {
         Arc::new(Fetching {
-            columns: vec!["image"],
+            column: "image",
             need,
             reader: Arc::new(ImageReader::new(&dataset, 1)),
             losses: Arc::default(),

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
-use datafusion::prelude::SessionContext;
-use evermap_contract::{Entry, Layer, Phase, Reach, Registry, Shape};
+use datafusion::prelude::{DataFrame, SessionContext};
+use evermap_contract::{Entry, Phase, Port, Reach, Registry, Shape};
 use evermap_language::{Body, Input, Place, Plan, PlanFaults, Step};
 use serde_json::Value;
 
@@ -86,8 +86,8 @@ impl Compiler<'_> {
     async fn step(&mut self, step: &Step) {
         self.check_previous(step);
         let schema = match &step.body {
-            Body::Op { op, inputs, params } => self.op(step, op, inputs, params).await,
-            Body::Sql { query, inputs } => self.sql(step, query, inputs).await,
+            Body::Op { op, params } => self.op(step, op, params).await,
+            Body::Sql { query } => self.sql(step, query).await,
         };
         let Some(schema) = schema else { return };
         self.put(Input::Step(step.name.clone()), Arc::clone(&schema));
@@ -102,8 +102,8 @@ impl Compiler<'_> {
             steps.any(|step| step.name == name && matches!(step.body, Body::Sql { .. }))
         };
         let faults: Vec<_> = step
-            .inputs()
-            .into_iter()
+            .inputs
+            .values()
             .filter(|input| matches!(input, Input::Previous(name) if is_query(name)))
             .map(|input| {
                 let (name, read) = (&step.name, input.written());
@@ -113,13 +113,7 @@ impl Compiler<'_> {
         faults.into_iter().for_each(|fault| self.fault(step, fault));
     }
 
-    async fn op(
-        &mut self,
-        step: &Step,
-        op: &str,
-        inputs: &BTreeMap<String, Input>,
-        params: &Value,
-    ) -> Option<SchemaRef> {
+    async fn op(&mut self, step: &Step, op: &str, params: &Value) -> Option<SchemaRef> {
         let entry = match self.registry.get(op) {
             Ok(entry) => entry.clone(),
             Err(fault) => {
@@ -127,11 +121,11 @@ impl Compiler<'_> {
                 return None;
             }
         };
-        for (port, input) in inputs {
+        for (port, input) in &step.inputs {
             self.check_port(step, &entry, port, input).await;
         }
         match entry.normalise(params) {
-            Ok(params) => self.add_operator(step, &entry, inputs, params),
+            Ok(params) => self.add_operator(step, &entry, params),
             Err(fault) => self.fault(step, format!("step `{}`: {}", step.name, fault.message)),
         }
         Some(entry.output.schema())
@@ -158,13 +152,7 @@ impl Compiler<'_> {
         table.ok().map(|table| table.schema())
     }
 
-    fn add_operator(
-        &mut self,
-        step: &Step,
-        entry: &Entry,
-        inputs: &BTreeMap<String, Input>,
-        params: Value,
-    ) {
+    fn add_operator(&mut self, step: &Step, entry: &Entry, params: Value) {
         let mut stage = |name: &str, phase, inputs: &BTreeMap<String, Input>| {
             let reads = operator_reads(entry, phase, inputs);
             let scope = self.widest(&reads).unwrap_or(Scope::Map);
@@ -183,49 +171,31 @@ impl Compiler<'_> {
         };
         if entry.shape == Shape::Fold {
             let lift = format!("{}{LIFT}", step.name);
-            stage(&lift, Phase::Lift, inputs);
-            let states = entry.driving(Phase::Merge).name.to_owned();
+            stage(&lift, Phase::Lift, &step.inputs);
+            let states = entry.driving(Phase::Merge).port.name.to_owned();
             let states = BTreeMap::from([(states, Input::Step(lift))]);
             stage(&step.name, Phase::Merge, &states);
         } else {
-            stage(&step.name, Phase::Run, inputs);
+            stage(&step.name, Phase::Run, &step.inputs);
         }
     }
 
-    async fn sql(&mut self, step: &Step, query: &str, inputs: &[Input]) -> Option<SchemaRef> {
+    async fn sql(&mut self, step: &Step, query: &str) -> Option<SchemaRef> {
+        let mut inputs = step.inputs.values();
         if inputs
-            .iter()
             .any(|input| matches!(input, Input::Step(name) if !self.schemas.contains_key(name)))
         {
             return None;
         }
-        let frame = match sql::read_only(self.context, query).await {
+        let frame = match self.planned(query).await {
             Ok(frame) => frame,
             Err(fault) => {
-                self.fault(
-                    step,
-                    format!(
-                        "the query of `{}` does not plan: {}",
-                        step.name, fault.message
-                    ),
-                );
+                self.fault(step, format!("the query of `{}` {fault}", step.name));
                 return None;
             }
         };
         let plan = frame.logical_plan();
-        let repeated = sql::repeated_columns(plan);
-        if !repeated.is_empty() {
-            self.fault(
-                step,
-                format!(
-                    "the query of `{}` gives two columns the name {}; name one with AS",
-                    step.name,
-                    repeated.join(", ")
-                ),
-            );
-            return None;
-        }
-        let reads: Vec<_> = inputs.iter().map(query_read).collect();
+        let reads: Vec<_> = step.inputs.values().map(query_read).collect();
         let widest = self.widest(&reads).unwrap_or(Scope::Map);
         // Rows of a table that covers a site are narrowed to those of a session where they are read.
         let scope = match widest {
@@ -247,6 +217,21 @@ impl Compiler<'_> {
             stored: false,
         });
         Some(schema)
+    }
+
+    /// The query planned, or what is wrong with it.
+    async fn planned(&self, query: &str) -> Result<DataFrame, String> {
+        let frame = sql::read_only(self.context, query).await;
+        let frame = frame.map_err(|fault| format!("does not plan: {}", fault.message))?;
+        match sql::repeated_columns(frame.logical_plan()).as_slice() {
+            [] => Ok(frame),
+            repeated => {
+                let repeated = repeated.join(", ");
+                Err(format!(
+                    "gives two columns the name {repeated}; name one with AS"
+                ))
+            }
+        }
     }
 
     /// How much of the map a unit covers at least that reads this.
@@ -306,29 +291,20 @@ fn is_whole(stage: &Stage, read: &Read) -> bool {
 
 /// What a phase of an operator reads of the tables that a plan gives to its ports.
 fn operator_reads(entry: &Entry, phase: Phase, inputs: &BTreeMap<String, Input>) -> Vec<Read> {
-    let driving = entry.driving(phase);
-    let read = |port: &str, role, reach, layer: &Layer, pixels: &[&str]| {
-        let columns = layer.columns.iter().map(|column| column.name.to_owned());
+    let read = |port: &Port, role| {
+        let columns = port.layer.columns.iter();
         Some(Read {
-            table: inputs.get(port)?.clone(),
+            table: inputs.get(port.name)?.clone(),
             role,
-            reach,
-            columns: columns.collect(),
-            pixels: pixels.iter().map(ToString::to_string).collect(),
+            reach: port.reach,
+            columns: columns.map(|column| column.name.to_owned()).collect(),
+            pixels: port.pixels.map(str::to_owned),
         })
     };
-    let (layer, pixels) = (&driving.layer, &driving.pixels);
-    let first = read(driving.name, Role::Driving, driving.reach, layer, pixels);
-    let sides = entry.sides(phase).iter().map(|port| {
-        let role = Role::Side(port.name.to_owned());
-        let reach = match inputs.get(port.name) {
-            // A log is its session's alone: a unit of one session opens no other's.
-            Some(Input::Source(_)) => Reach::Session,
-            _ => port.reach,
-        };
-        read(port.name, role, reach, &port.layer, &port.pixels)
-    });
-    std::iter::once(first).chain(sides).flatten().collect()
+    let driving = read(&entry.driving(phase).port, Role::Driving);
+    let sides = entry.sides(phase).iter();
+    let sides = sides.map(|port| read(port, Role::Side(port.name.to_owned())));
+    std::iter::once(driving).chain(sides).flatten().collect()
 }
 
 /// A table that a query names: what belongs to the unit, and the columns that the query turns out to use.
@@ -338,6 +314,6 @@ fn query_read(table: &Input) -> Read {
         role: Role::Query,
         reach: Reach::Session,
         columns: Vec::new(),
-        pixels: Vec::new(),
+        pixels: None,
     }
 }

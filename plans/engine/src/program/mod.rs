@@ -53,8 +53,8 @@ pub struct Read {
     pub reach: Reach,
     /// Which columns; whatever the query names, where there are none.
     pub columns: Vec<String>,
-    /// Columns whose images are fetched from the logs.
-    pub pixels: Vec<String>,
+    /// The column whose images are fetched from the logs.
+    pub pixels: Option<String>,
 }
 
 /// What a stage does with what it reads.

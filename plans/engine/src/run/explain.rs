@@ -4,12 +4,11 @@ use std::collections::BTreeMap;
 
 use evermap_schemas::{Fault, LayerRow, record};
 
-use crate::map::receipt::{Artifact, LogContent, Receipt, Recipe};
+use crate::map::receipt::{Artifact, Extent, LogContent, Receipt, Recipe};
 use crate::map::version::Previous;
 use crate::program::{Stage, Task};
 use crate::run::Run;
-use crate::run::instance::{Instance, Place};
-use crate::run::pending::Pending;
+use crate::run::pending::{Pending, Place};
 
 record! {
     /// What would become of one unit.
@@ -62,12 +61,7 @@ impl Run<'_> {
         for (name, layer) in self.base.iter().flat_map(|base| &base.layers) {
             for digest in &layer.recipes {
                 if let Some(receipt) = Receipt::find(self.store, digest).await? {
-                    let Recipe { session, site, .. } = &receipt.recipe;
-                    let place = Place {
-                        stage: name.clone(),
-                        instance: Instance::of(session.as_ref(), site.as_ref()),
-                    };
-                    receipts.insert(place, receipt);
+                    receipts.insert(receipt.recipe.extent.label(name), receipt);
                 }
             }
         }
@@ -75,8 +69,8 @@ impl Run<'_> {
     }
 }
 
-/// Receipts by unit.
-type Held = BTreeMap<Place, Receipt>;
+/// Receipts by what a person calls the unit.
+type Held = BTreeMap<String, Receipt>;
 
 /// What is known without running anything: the artifacts of the units that were done before.
 struct Known<'r, 'a> {
@@ -92,11 +86,11 @@ impl Known<'_, '_> {
         unit: &Pending,
         held: &Held,
     ) -> Result<Result<String, String>, Fault> {
-        let before = held.get(&unit.place);
+        let before = held.get(&unit.place.label());
         let mut inputs = unit.before.iter();
         if let Some(open) = inputs.find(|input| !self.artifacts.contains_key(input)) {
             let change = match before {
-                None => Some(new_reason(&unit.place.instance, held)),
+                None => Some(new_reason(&unit.place.extent, held)),
                 Some(before) => stage_change(&before.recipe, &unit.stages),
             };
             return Ok(Err(
@@ -115,7 +109,7 @@ impl Known<'_, '_> {
             return Ok(Ok(if same { "unchanged" } else { "done before" }.to_owned()));
         }
         Ok(Err(match before {
-            None => new_reason(&unit.place.instance, held),
+            None => new_reason(&unit.place.extent, held),
             Some(before) => recipe_change(&before.recipe, &recipe),
         }))
     }
@@ -160,17 +154,25 @@ fn recipe_change(then: &Recipe, now: &Recipe) -> String {
     "its rows are gone from the map".to_owned()
 }
 
-fn new_reason(instance: &Instance, before: &Held) -> String {
-    match instance {
-        _ if before.is_empty() => "nothing was computed before".to_owned(),
-        Instance::Session(name) if !before.keys().any(|held| held.instance == *instance) => {
-            format!("session {name} is new")
+fn new_reason(extent: &Extent, before: &Held) -> String {
+    let mut extents = before.values().map(|receipt| &receipt.recipe.extent);
+    let new = match extent {
+        _ if before.is_empty() => return "nothing was computed before".to_owned(),
+        Extent {
+            session: Some(name),
+            ..
+        } if extents.all(|of| of.session != extent.session) => {
+            format!("session {name}")
         }
-        Instance::Site(name) if !before.keys().any(|held| held.instance == *instance) => {
-            format!("site {name} is new")
+        Extent {
+            session: None,
+            site: Some(name),
+        } if extents.all(|of| of.site != extent.site) => {
+            format!("site {name}")
         }
-        _ => "the step is new".to_owned(),
-    }
+        _ => "the step".to_owned(),
+    };
+    format!("{new} is new")
 }
 
 /// How the stages differ from those that a unit was made with, in the words of the plan.

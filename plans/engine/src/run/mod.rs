@@ -6,7 +6,6 @@
 
 mod driver;
 pub mod explain;
-mod instance;
 mod pending;
 mod previous;
 pub mod record;

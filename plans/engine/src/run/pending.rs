@@ -1,16 +1,43 @@
 //! The units of a run: what each waits for, and how it is put together when that is done.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use evermap_language::Input;
 use evermap_schemas::Fault;
 
-use crate::map::receipt::{Artifact, Recipe};
+use crate::map::receipt::{Artifact, Extent, Recipe};
 use crate::map::version::Previous;
 use crate::program::Stage;
-use crate::run::instance::{Instance, Place};
 use crate::run::{Run, RunSession};
 use crate::unit::Unit;
+
+/// Which unit of a program.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Place {
+    /// Its stage.
+    pub stage: String,
+    /// What it covers.
+    pub extent: Extent,
+}
+
+impl Place {
+    /// The units of a stage on these sessions, sorted.
+    fn all<'s>(
+        stage: &Stage,
+        sessions: impl IntoIterator<Item = &'s RunSession>,
+    ) -> BTreeSet<Self> {
+        let place = |session: &RunSession| Self {
+            stage: stage.name.clone(),
+            extent: Extent::of(stage.scope, &session.log),
+        };
+        sessions.into_iter().map(place).collect()
+    }
+
+    /// What a person calls it.
+    pub fn label(&self) -> String {
+        self.extent.label(&self.stage)
+    }
+}
 
 /// A unit that cannot begin before others are done, as its recipe names the contents of what they make.
 pub struct Pending {
@@ -31,42 +58,31 @@ impl Run<'_> {
     /// A bug fault for a program that names a stage that there is not.
     pub fn units(&self) -> Result<Vec<Pending>, Fault> {
         let stored = self.program.stages.iter().filter(|stage| stage.stored);
-        let unit = |(stage, instance): (&Stage, Instance)| Pending::new(self, stage, instance);
         stored
-            .flat_map(|stage| {
-                let instances = Instance::all(stage.scope, &self.sessions);
-                instances.into_iter().map(move |instance| (stage, instance))
-            })
-            .map(unit)
+            .flat_map(|stage| Place::all(stage, &self.sessions))
+            .map(|place| Pending::new(self, place))
             .collect()
     }
 }
 
 impl Pending {
-    fn new(run: &Run<'_>, stage: &Stage, instance: Instance) -> Result<Self, Fault> {
-        let stages = run.program.fragment(&stage.name);
+    fn new(run: &Run<'_>, place: Place) -> Result<Self, Fault> {
+        let stages = run.program.fragment(&place.stage);
         let (mut before, mut logs) = (BTreeSet::new(), BTreeSet::new());
         for read in stages.iter().flat_map(|stage| &stage.reads) {
-            let sessions = instance.reached(read.reach, &run.sessions);
-            if matches!(read.table, Input::Source(_)) || !read.pixels.is_empty() {
-                let names = sessions.iter().map(|session| session.log.session.clone());
-                logs.extend(names);
+            let reached = place.extent.reached(read.reach);
+            let sessions = run.sessions.iter();
+            let sessions = sessions.filter(|session| reached.covers(&session.log));
+            if matches!(read.table, Input::Source(_)) || read.pixels.is_some() {
+                logs.extend(sessions.clone().map(|session| session.log.session.clone()));
             }
             if let Input::Step(name) = &read.table {
                 let made = run.program.stage(name)?;
                 if made.stored {
-                    let instances = Instance::all(made.scope, sessions);
-                    before.extend(instances.into_iter().map(|instance| Place {
-                        stage: name.clone(),
-                        instance,
-                    }));
+                    before.extend(Place::all(made, sessions));
                 }
             }
         }
-        let place = Place {
-            stage: stage.name.clone(),
-            instance,
-        };
         Ok(Self {
             place,
             stages,
@@ -85,37 +101,123 @@ impl Pending {
         previous: &Previous,
         artifact: impl Fn(&Place) -> Result<Artifact, Fault>,
     ) -> Result<Unit, Fault> {
-        let (session, site) = self.place.instance.names(&run.sessions);
-        let previous = previous.concerning(run.program, &self.stages, site.as_ref());
-        let mut recipe = Recipe::new(self.stages.clone(), session, site);
-        let mut tables: BTreeMap<String, Vec<Artifact>> = BTreeMap::new();
+        let extent = self.place.extent.clone();
+        let site = extent.site.as_ref();
+        let layers = previous.concerning(run.program, &self.stages, site);
+        let mut recipe = Recipe::new(self.stages.clone(), extent);
         for place in &self.before {
-            let rows = tables.entry(place.stage.clone()).or_default();
+            let rows = recipe.tables.entry(place.stage.clone()).or_default();
             rows.push(artifact(place)?);
         }
-        for (name, artifacts) in &tables {
-            recipe.tables.insert(name.clone(), contents(artifacts));
+        if !layers.is_empty() {
+            recipe.replaced.clone_from(&previous.replaced);
         }
-        for (name, layer) in &previous {
-            let contents = contents(&layer.artifacts);
-            recipe.previous.insert(name.clone(), contents);
-            recipe.replaced.clone_from(&layer.without);
-        }
+        recipe.previous = layers;
         let read = |session: &&RunSession| self.logs.contains(&session.log.session);
         let logs = run.sessions.iter().filter(read);
         recipe.logs = logs.clone().map(|session| session.log.clone()).collect();
         Ok(Unit {
             store: run.store.url().to_string(),
             recipe,
-            tables,
-            previous,
             logs: logs.map(|session| session.manifest.clone()).collect(),
             limits: run.limits,
         })
     }
 }
 
-fn contents(artifacts: &[Artifact]) -> Vec<String> {
-    let contents = artifacts.iter().map(|artifact| artifact.content.clone());
-    contents.collect()
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use datafusion::execution::runtime_env::RuntimeEnv;
+    use evermap_contract::{Entry, Operator, Port, Registry, Work};
+    use evermap_datasets::{Dataset, Manifest};
+    use evermap_language::Source;
+    use evermap_schemas::roles::{Frame, LabelClass};
+    use schemars::JsonSchema;
+    use serde::{Deserialize, Serialize};
+
+    use super::*;
+    use crate::map::receipt::LogContent;
+    use crate::map::store::Store;
+    use crate::prepare::{PlanText, check};
+    use crate::sql::Limits;
+
+    #[derive(Default, Clone, Serialize, Deserialize, JsonSchema)]
+    struct Params {}
+
+    /// Reads frames of a session beside the classes of its site.
+    struct Labels;
+    impl Operator for Labels {
+        const NAME: &'static str = "labels";
+        const VERSION: u32 = 1;
+        const PAGE: &'static str = "";
+        type Params = Params;
+        type Output = LabelClass;
+        fn work() -> Work<Params> {
+            Work::each_row(
+                Port::session::<Frame>("frames"),
+                vec![Port::site::<LabelClass>("classes")],
+                |_, _| Ok(()),
+                |_, _: Frame| Ok(None::<LabelClass>),
+            )
+        }
+    }
+
+    fn session(name: &str, site: &str) -> RunSession {
+        RunSession {
+            log: LogContent {
+                session: name.into(),
+                site: site.into(),
+                content: name.into(),
+                roles: String::new(),
+            },
+            manifest: Manifest::default(),
+        }
+    }
+
+    #[tokio::test]
+    async fn a_side_of_the_site_that_logs_feed_reads_those_of_all_its_sessions() {
+        let text = "plan: p\nsteps:\n  labels: { op: labels, in: { classes: label_classes } }\nwrite: [labels]";
+        let plan = PlanText {
+            source: Source {
+                origin: "p.yaml".into(),
+                text: text.into(),
+            },
+            find: |name, _| Err(format!("no plan {name}")),
+            settings: Vec::new(),
+        };
+        let registry = Registry::new([Entry::of::<Labels>()]);
+        let logs = Dataset::open(&RuntimeEnv::default(), &[], None).await;
+        let (_, program) = check(&plan, &registry, &logs.unwrap()).await.unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let run = Run {
+            program: &program,
+            registry: &registry,
+            store: &Store::open(folder.path().to_str().unwrap(), true).unwrap(),
+            sessions: vec![session("a", "s"), session("b", "s"), session("c", "t")],
+            base: None,
+            limits: Limits::one_partition(),
+        };
+        let no_rows = |place: &Place| Err(Fault::bug(place.label()));
+        let read: Vec<(String, Vec<String>)> = run
+            .units()
+            .unwrap()
+            .iter()
+            .map(|unit| {
+                let unit = unit.assemble(&run, &Previous::default(), no_rows).unwrap();
+                let logs = unit.recipe.logs.iter();
+                (unit.label(), logs.map(|log| log.session.clone()).collect())
+            })
+            .collect();
+        let expected = [
+            ("labels of a", vec!["a", "b"]),
+            ("labels of b", vec!["a", "b"]),
+            ("labels of c", vec!["c"]),
+        ];
+        let expected = expected.map(|(unit, logs)| {
+            let logs: Vec<String> = logs.into_iter().map(str::to_owned).collect();
+            (unit.to_owned(), logs)
+        });
+        assert_eq!(read, expected);
+    }
 }

@@ -8,11 +8,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use evermap_language::Input;
 use evermap_schemas::Fault;
 
-use crate::map::receipt::Artifact;
+use crate::map::receipt::{Artifact, Extent, PreviousLayer};
 use crate::map::version::{MappedSession, Previous, Version};
 use crate::program::{Program, Stage};
 use crate::run::RunSession;
-use crate::unit::PreviousLayer;
 
 impl Previous {
     /// What `previous` means for a program on these sessions, when the map is at `base`.
@@ -49,10 +48,10 @@ impl Previous {
         site: Option<&String>,
     ) -> BTreeMap<String, PreviousLayer> {
         let concerns = |artifact: &&Artifact| {
-            let of = artifact.site.as_ref();
-            let here = site.is_none() || of.is_none() || of == site;
-            let mut replaced = self.replaced.iter();
-            here && !replaced.any(|session| artifact.session.as_ref() == Some(session))
+            let Extent { session, site: of } = &artifact.extent;
+            let here = site.is_none() || of.is_none() || of.as_ref() == site;
+            let replaced = |session| self.replaced.contains(session);
+            here && !session.as_ref().is_some_and(replaced)
         };
         let layer = |name: &String| {
             let held = self.layers.get(name).map_or(&[][..], Vec::as_slice);
@@ -60,7 +59,6 @@ impl Previous {
             PreviousLayer {
                 op: made.and_then(Stage::op).map(str::to_owned),
                 artifacts: held.iter().filter(concerns).cloned().collect(),
-                without: self.replaced.clone(),
             }
         };
         let names = names(stages).into_iter();

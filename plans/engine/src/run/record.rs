@@ -1,10 +1,8 @@
 //! How the units of a run went, kept as the `runs` layer.
 
 use evermap_schemas::{Fault, Stamp, batch};
-use object_store::ObjectStoreExt;
 use parquet::arrow::ArrowWriter;
 
-use crate::error::store_fault;
 use crate::map::RunRow;
 use crate::map::receipt::Receipt;
 use crate::map::store::Store;
@@ -29,8 +27,7 @@ pub async fn record_run(store: &Store, result: &RunResult) -> Result<(), Fault> 
     };
     write(&mut file).map_err(|error| Fault::bug(error.to_string()))?;
     let name = format!("runs/{:06}-{run}.parquet", result.version.version);
-    let put = store.objects().put(&store.path(&name), file.into()).await;
-    put.map(drop).map_err(|error| store_fault(&error, &name))
+    store.write(&name, file).await
 }
 
 fn run_row(result: &RunResult, run: &str, step: &str, receipt: &Receipt, cached: bool) -> RunRow {
@@ -38,8 +35,8 @@ fn run_row(result: &RunResult, run: &str, step: &str, receipt: &Receipt, cached:
         version: result.version.version,
         run: run.to_owned(),
         step: step.to_owned(),
-        session: receipt.artifact.session.clone(),
-        site: receipt.artifact.site.clone(),
+        session: receipt.artifact.extent.session.clone(),
+        site: receipt.artifact.extent.site.clone(),
         cached,
         rows: receipt.artifact.rows,
         bytes: receipt.artifact.bytes,

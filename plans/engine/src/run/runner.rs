@@ -5,7 +5,7 @@ use std::sync::Arc;
 use evermap_contract::Registry;
 use evermap_schemas::{Fault, Kind};
 use futures::StreamExt;
-use futures::stream::BoxStream;
+use futures::stream::{BoxStream, FuturesUnordered};
 
 use crate::map::receipt::Receipt;
 use crate::unit::Unit;
@@ -22,27 +22,23 @@ pub trait Runner: Send + Sync {
 /// Runs units in this process, a few at a time.
 pub struct LocalRunner {
     registry: Registry,
-    width: usize,
     slots: Arc<tokio::sync::Semaphore>,
 }
 
 impl LocalRunner {
     /// Runs `width` units side by side.
     pub fn new(registry: Registry, width: usize) -> Self {
-        let width = width.max(1);
         Self {
             registry,
-            width,
-            slots: Arc::new(tokio::sync::Semaphore::new(width)),
+            slots: Arc::new(tokio::sync::Semaphore::new(width.max(1))),
         }
     }
 }
 
 impl Runner for LocalRunner {
     fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Outcome> {
-        let (registry, slots, width) = (self.registry.clone(), Arc::clone(&self.slots), self.width);
-        let running = units.into_iter().map(move |(index, unit)| {
-            let (registry, slots) = (registry.clone(), Arc::clone(&slots));
+        let run = |(index, unit): (usize, Unit)| {
+            let (registry, slots) = (self.registry.clone(), Arc::clone(&self.slots));
             async move {
                 let _slot = slots.acquire_owned().await;
                 let task = tokio::spawn(async move { unit.run(&registry).await });
@@ -52,9 +48,8 @@ impl Runner for LocalRunner {
                 });
                 (index, receipt)
             }
-        });
-        futures::stream::iter(running)
-            .buffer_unordered(width)
-            .boxed()
+        };
+        let running: FuturesUnordered<_> = units.into_iter().map(run).collect();
+        running.boxed()
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use arrow::datatypes::{DataType, Schema, SchemaRef};
+use arrow::datatypes::{DataType, Schema};
 use datafusion::execution::TaskContext;
 use datafusion::physical_optimizer::PhysicalOptimizerRule;
 use datafusion::physical_optimizer::ensure_requirements::EnsureRequirements;
@@ -11,7 +11,7 @@ use datafusion::physical_plan::coalesce_partitions::CoalescePartitionsExec;
 use datafusion::physical_plan::empty::EmptyExec;
 use datafusion::physical_plan::sorts::sort::SortExec;
 use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
-use evermap_contract::{Losses, Phase, Registry};
+use evermap_contract::{Losses, Phase, Port, Registry};
 use evermap_datasets::{Dataset, ImageReader, Recordings};
 use evermap_language::Input;
 use evermap_schemas::{Fault, Layer};
@@ -21,6 +21,7 @@ use serde_json::Value;
 
 use crate::error::OrFault;
 use crate::fingerprint::{self, Believe};
+use crate::map::receipt::Extent;
 use crate::map::store::Store;
 use crate::nodes::node::{Deal, Duty, Need, ordering};
 use crate::nodes::operator::{Operator, OperatorExec};
@@ -43,6 +44,7 @@ const IMAGE_CACHE_BYTES: u64 = 64 << 20;
 /// Builds a unit's plan and keeps what it needs while it runs.
 pub struct Builder<'a> {
     tables: Tables<'a>,
+    layer: Option<Layer>,
     opened: Vec<Dataset>,
     reader: Option<Arc<ImageReader>>,
     skipped: Arc<Mutex<Losses>>,
@@ -64,8 +66,8 @@ impl<'a> Builder<'a> {
         if unit.recipe.stages.iter().any(is_query) {
             limits.partitions = 1;
         }
-        let batch_rows = batch_rows(unit, &output_schema(unit.stage()?, registry));
-        let context = context_with(limits, batch_rows)?;
+        let layer = unit.stage()?.layer(registry);
+        let context = context_with(limits, batch_rows(unit, layer.as_ref()))?;
         context.register_object_store(store.url(), store.objects());
         let mut opened = Vec::new();
         for (manifest, log) in unit.logs.iter().zip(&unit.recipe.logs) {
@@ -89,6 +91,7 @@ impl<'a> Builder<'a> {
         };
         Ok(Self {
             tables,
+            layer,
             opened,
             reader,
             skipped: Arc::default(),
@@ -96,9 +99,13 @@ impl<'a> Builder<'a> {
     }
 
     /// The layer that the unit makes; `None` for a query's rows.
-    pub fn layer(&self) -> Option<Layer> {
-        let stage = self.tables.unit.stage().ok()?;
-        stage.layer(self.tables.registry)
+    pub fn layer(&self) -> Option<&Layer> {
+        self.layer.as_ref()
+    }
+
+    /// What the rows are of.
+    pub fn extent(&self) -> Extent {
+        self.tables.unit.recipe.extent.clone()
     }
 
     /// The context that the plan runs in.
@@ -169,41 +176,40 @@ impl<'a> Builder<'a> {
         reads: &[Read],
     ) -> Result<Arc<dyn ExecutionPlan>, Fault> {
         let entry = self.tables.registry.get(op)?;
-        let driving = entry.driving(phase);
-        let role = |role: &Role| reads.iter().find(|read| read.role == *role);
-        let mut tables = vec![match role(&Role::Driving) {
+        let read = |role: Role| reads.iter().find(|read| read.role == role);
+        let mut tables = vec![match read(Role::Driving) {
             Some(read) => self.table(read).await?,
-            None => Arc::new(EmptyExec::new(driving.layer.schema())),
+            None => Arc::new(EmptyExec::new(entry.driving(phase).port.layer.schema())),
         }];
-        let (mut images, mut sides) = (vec![driving.pixels], Vec::new());
+        let mut sides = Vec::new();
         for port in entry.sides(phase) {
-            if let Some(read) = role(&Role::Side(port.name.to_owned())) {
+            if let Some(read) = read(Role::Side(port.name.to_owned())) {
                 tables.push(self.table(read).await?);
-                images.push(port.pixels.clone());
                 sides.push(port.clone());
             }
         }
         let operator = Operator::new(entry, params, phase, sides, Arc::clone(&self.skipped));
-        let children = tables.into_iter().zip(images).zip(operator.needs());
-        let children = children.map(|((table, columns), need)| self.pixels(table, columns, need));
+        let ports = operator.ports().zip(operator.needs());
+        let children = tables.into_iter().zip(ports);
+        let children = children.map(|(table, (port, need))| self.pixels(table, port, need));
         let children = children.collect::<Result<_, _>>()?;
         let exec = OperatorExec::try_new(Arc::new(operator), children);
         self.ensure(Arc::new(exec.or_fault()?))
     }
 
-    /// The table with the images of these columns, for a reader that needs its rows so.
+    /// The table with the images that a port asks for, whose reader needs the rows so.
     fn pixels(
         &self,
         table: Arc<dyn ExecutionPlan>,
-        columns: Vec<&'static str>,
+        port: &Port,
         need: Need,
     ) -> Result<Arc<dyn ExecutionPlan>, Fault> {
-        if columns.is_empty() {
+        let Some(column) = port.pixels else {
             return Ok(table);
-        }
+        };
         let missing = || Fault::bug("images are asked for without logs");
         let fetching = Fetching {
-            columns,
+            column,
             need: Need {
                 parallel: need.deal != Deal::Single,
                 ..need
@@ -265,33 +271,20 @@ fn joined(opened: &[Dataset]) -> Option<Dataset> {
     Some(joined)
 }
 
-fn output_schema(stage: &Stage, registry: &Registry) -> SchemaRef {
-    let layer = stage.layer(registry);
-    layer.map_or_else(|| Arc::new(Schema::empty()), |layer| layer.schema())
-}
-
 /// Rows per batch: few of heavy rows, whether they are made or read, so that a batch has megabytes and no more.
-fn batch_rows(unit: &Unit, output: &Schema) -> usize {
-    if is_heavy(output) {
+fn batch_rows(unit: &Unit, output: Option<&Layer>) -> usize {
+    let mut columns = output.iter().flat_map(|layer| &layer.columns);
+    if columns.any(|column| column.data_type == DataType::Binary) {
         return HEAVY_BATCH_ROWS;
     }
-    let previous = unit.previous.values().flat_map(|layer| &layer.artifacts);
-    let row_bytes = unit
-        .tables
-        .values()
-        .flatten()
-        .chain(previous)
+    let previous = unit.recipe.previous.values();
+    let previous = previous.flat_map(|layer| &layer.artifacts);
+    let read = unit.recipe.tables.values().flatten().chain(previous);
+    let row_bytes = read
         .map(|artifact| artifact.bytes / artifact.rows.max(1))
         .max();
     let rows = BATCH_BYTES / row_bytes.unwrap_or_default().max(1);
     usize::try_from(rows).map_or(BATCH_ROWS, |rows| rows.clamp(HEAVY_BATCH_ROWS, BATCH_ROWS))
-}
-
-fn is_heavy(schema: &Schema) -> bool {
-    schema
-        .fields()
-        .iter()
-        .any(|field| *field.data_type() == DataType::Binary)
 }
 
 fn sorted(plan: Arc<dyn ExecutionPlan>, columns: &[String]) -> Arc<dyn ExecutionPlan> {

@@ -7,7 +7,7 @@ use datafusion::physical_plan::display::DisplayableExecutionPlan;
 use evermap_contract::Registry;
 use evermap_schemas::Fault;
 
-use crate::map::receipt::{Artifact, Receipt};
+use crate::map::receipt::Receipt;
 use crate::map::store::Store;
 use crate::unit::Unit;
 use crate::unit::build::Builder;
@@ -25,17 +25,13 @@ impl Unit {
         let plan = builder.plan().await?;
         let span = tracing::info_span!("unit", label = %self.label());
         let write = write(&store, Arc::clone(&plan), &builder);
-        let written = tracing::Instrument::instrument(write, span).await?;
+        let artifact = tracing::Instrument::instrument(write, span).await?;
         let ran = DisplayableExecutionPlan::with_metrics(plan.as_ref());
         tracing::debug!(unit = %self.label(), "\n{}", ran.indent(false));
         let receipt = Receipt {
             digest: self.recipe.digest()?,
             recipe: self.recipe.clone(),
-            artifact: Artifact {
-                session: self.recipe.session.clone(),
-                site: self.recipe.site.clone(),
-                ..written
-            },
+            artifact,
             skipped: builder.skipped(),
             log_losses: builder.log_losses(),
             started: started.timestamp_nanos_opt().unwrap_or_default(),

@@ -9,39 +9,21 @@ mod execute;
 mod tables;
 mod write;
 
-use std::collections::BTreeMap;
-
 use evermap_datasets::Manifest;
 use evermap_schemas::Fault;
 use serde::{Deserialize, Serialize};
 
-use crate::map::receipt::{Artifact, Recipe};
+use crate::map::receipt::Recipe;
 use crate::program::Stage;
 use crate::sql::Limits;
-
-/// A layer of the version before, as a unit reads it.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct PreviousLayer {
-    /// The operator that makes the layer in this plan: gives the columns where there is no version before.
-    pub op: Option<String>,
-    /// The rows; none where there is no version before.
-    pub artifacts: Vec<Artifact>,
-    /// Sessions whose rows are left out: their logs have been replaced.
-    #[serde(default)]
-    pub without: Vec<String>,
-}
 
 /// A unit of work.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Unit {
     /// URL of the map store.
     pub store: String,
-    /// What the result depends on.
+    /// What it reads and does, which is all that the result depends on.
     pub recipe: Recipe,
-    /// The rows of the stored stages that are read.
-    pub tables: BTreeMap<String, Vec<Artifact>>,
-    /// The layers of the version before that are read.
-    pub previous: BTreeMap<String, PreviousLayer>,
     /// The logs that are read, as manifests of one session each.
     pub logs: Vec<Manifest>,
     /// What it may use.
@@ -60,16 +42,10 @@ impl Unit {
             .ok_or_else(|| Fault::bug("a unit without stages"))
     }
 
-    /// What a person calls it: the stage and the session or site.
+    /// What a person calls it.
     pub fn label(&self) -> String {
-        let stage = self
-            .recipe
-            .stages
-            .last()
-            .map_or("", |stage| stage.name.as_str());
-        match self.recipe.session.as_ref().or(self.recipe.site.as_ref()) {
-            Some(of) => format!("{stage} of {of}"),
-            None => stage.to_owned(),
-        }
+        let stage = self.recipe.stages.last();
+        let stage = stage.map_or("", |stage| stage.name.as_str());
+        self.recipe.extent.label(stage)
     }
 }

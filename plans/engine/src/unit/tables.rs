@@ -14,13 +14,10 @@ use evermap_schemas::Fault;
 
 use crate::error::OrFault;
 use crate::map::artifact::read_artifacts;
-use crate::map::receipt::{Artifact, LogContent};
+use crate::map::receipt::{Artifact, Extent, PreviousLayer};
 use crate::map::store::Store;
-use crate::program::Read;
+use crate::program::{Read, Scope};
 use crate::unit::Unit;
-
-/// The session and the site that some rows are of, where they are of one.
-type Extent<'a> = (Option<&'a String>, Option<&'a String>);
 
 /// What a unit reads, in the context that it runs in.
 pub struct Tables<'a> {
@@ -42,52 +39,53 @@ impl Tables<'_> {
     /// # Errors
     /// A bug fault for a table that the unit was not given, or what keeps it from being opened.
     pub async fn rows(&self, read: &Read) -> Result<DataFrame, Fault> {
-        let (frame, extents, without): (_, Vec<Extent<'_>>, &[String]) = match &read.table {
+        let recipe = &self.unit.recipe;
+        let (frame, extents) = match &read.table {
             Input::Source(name) => {
                 let missing = || Fault::user(format!("expected logs with {name}, found none"));
                 let table = Arc::clone(self.logs.get(name).ok_or_else(missing)?);
-                let frame = self.context.read_table(table);
-                let frame = frame.or_fault()?;
-                (frame, extents_of_logs(&self.unit.recipe.logs), &[])
+                let frame = self.context.read_table(table).or_fault()?;
+                let logs = recipe.logs.iter();
+                let extents = logs.map(|log| Extent::of(Scope::Session, log));
+                (frame, extents.collect())
             }
             Input::Step(name) => {
-                let artifacts = self.unit.tables.get(name).map_or(&[][..], Vec::as_slice);
-                let frame = self.artifacts(artifacts, None).await?;
-                (frame, extents_of(artifacts), &[])
+                let artifacts = recipe.tables.get(name).map_or(&[][..], Vec::as_slice);
+                (self.artifacts(artifacts, None).await?, extents(artifacts))
             }
             Input::Previous(name) => {
                 let missing = || Fault::bug(format!("no previous {name}"));
-                let layer = self.unit.previous.get(name).ok_or_else(missing)?;
-                let frame = self.artifacts(&layer.artifacts, layer.op.as_deref());
-                (frame.await?, extents_of(&layer.artifacts), &layer.without)
+                let PreviousLayer { op, artifacts } =
+                    recipe.previous.get(name).ok_or_else(missing)?;
+                let frame = self.artifacts(artifacts, op.as_deref()).await?;
+                let frame = without_sessions(frame, &recipe.replaced)?;
+                (frame, extents(artifacts))
             }
         };
-        let frame = self.narrowed(frame, &extents, read.reach)?;
-        projected(without_sessions(frame, without)?, &read.columns)
+        projected(self.narrowed(frame, &extents, read.reach)?, &read.columns)
     }
 
     /// Rows of more than is wanted are filtered.
     fn narrowed(
         &self,
         frame: DataFrame,
-        extents: &[Extent<'_>],
+        extents: &[Extent],
         reach: Reach,
     ) -> Result<DataFrame, Fault> {
-        let recipe = &self.unit.recipe;
-        let many = extents.len() > 1;
-        let (column, value) = match (reach, &recipe.session, &recipe.site) {
-            (Reach::Session, Some(session), _)
-                if many || extents.iter().any(|extent| extent.0.is_none()) =>
-            {
-                ("session", session)
-            }
-            (_, _, Some(site)) if extents.iter().any(|extent| extent.1.is_none()) => ("site", site),
+        let wanted = self.unit.recipe.extent.reached(reach);
+        let no_more = |of: fn(&Extent) -> &Option<String>| {
+            let mut extents = extents.iter();
+            extents.all(|extent| of(extent) == of(&wanted))
+        };
+        let (column, value) = match (&wanted.session, &wanted.site) {
+            (Some(session), _) if !no_more(|of| &of.session) => ("session", session),
+            (None, Some(site)) if !no_more(|of| &of.site) => ("site", site),
             _ => return Ok(frame),
         };
         if !has(&frame, column) {
             return Ok(frame);
         }
-        let filtered = frame.filter(ident(column).eq(lit(value.clone())));
+        let filtered = frame.filter(ident(column).eq(lit(value)));
         filtered.or_fault()
     }
 
@@ -108,17 +106,9 @@ impl Tables<'_> {
     }
 }
 
-fn extents_of(artifacts: &[Artifact]) -> Vec<Extent<'_>> {
-    artifacts
-        .iter()
-        .map(|artifact| (artifact.session.as_ref(), artifact.site.as_ref()))
-        .collect()
-}
-
-fn extents_of_logs(logs: &[LogContent]) -> Vec<Extent<'_>> {
-    logs.iter()
-        .map(|log| (Some(&log.session), Some(&log.site)))
-        .collect()
+fn extents(artifacts: &[Artifact]) -> Vec<Extent> {
+    let extents = artifacts.iter().map(|artifact| artifact.extent.clone());
+    extents.collect()
 }
 
 fn has(frame: &DataFrame, column: &str) -> bool {

@@ -53,7 +53,7 @@ async fn write_to(
     builder: &Builder<'_>,
 ) -> Result<Artifact, Fault> {
     let file = Hashing::new(BufWriter::new(store.objects(), store.path(name)));
-    let properties = properties(builder.layer().as_ref());
+    let properties = properties(builder.layer());
     let mut writer =
         AsyncArrowWriter::try_new(file, plan.schema(), Some(properties)).map_err(parquet_fault)?;
     let mut rows = 0;
@@ -72,8 +72,7 @@ async fn write_to(
         content,
         rows,
         bytes,
-        session: None,
-        site: None,
+        extent: builder.extent(),
     })
 }
 

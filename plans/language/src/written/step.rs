@@ -1,6 +1,6 @@
 //! One step: an operator with ports and parameters, or a query.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use serde_json::{Map, Value};
 
@@ -47,9 +47,9 @@ pub(super) fn step(
 }
 
 impl WrittenStep {
-    fn reads(&mut self, port: &str, table: Named, is_implied: bool) {
+    fn reads(&mut self, port: Option<&str>, table: Named, is_implied: bool) {
         self.inputs.push(WrittenInput {
-            port: port.to_owned(),
+            port: port.map(str::to_owned),
             table,
             is_implied,
         });
@@ -78,7 +78,6 @@ fn operator(
     let params = parameters(spec, op, fields.get("with"), context, faults);
     step.body = params.map(|params| Body::Op {
         op: spec.name.clone(),
-        inputs: BTreeMap::new(),
         params,
     });
 }
@@ -105,7 +104,7 @@ fn ports(
         if let Some(name) = entry.value.text(&what, faults) {
             let name = name.to_owned();
             let place = entry.value.place;
-            step.reads(&entry.key, Named { name, place }, false);
+            step.reads(Some(&entry.key), Named { name, place }, false);
         }
     }
     let Some((spec, op)) = spec else {
@@ -118,7 +117,7 @@ fn ports(
         if named.clone().all(|entry| entry.key != port.name) {
             let name = port.name.clone();
             let place = given.map_or(op.value.place, |entry| entry.value.place);
-            step.reads(&port.name, Named { name, place }, true);
+            step.reads(Some(&port.name), Named { name, place }, true);
         }
     }
 }
@@ -209,12 +208,11 @@ fn query(
             for name in tables {
                 if seen.insert(name.clone()) {
                     let place = sql.value.place;
-                    step.reads("", Named { name, place }, false);
+                    step.reads(None, Named { name, place }, false);
                 }
             }
             step.body = Some(Body::Sql {
                 query: query.to_owned(),
-                inputs: Vec::new(),
             });
         }
         Err(error) => faults.error(sql.value.place, format!("SQL: {}", one_line(&error))),
