@@ -5,9 +5,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::ground::projection::{GrayView, GroundLut, GroundParams};
-use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reason, Sides, Work};
+use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::layers::{GroundPatch, PosedImage};
-use evermap_schemas::roles::{Calibration, Transform};
+use evermap_schemas::roles::Calibration;
 use evermap_schemas::{Bytes, Stamp};
 use evermap_vision::{Grey, decode_grey, image_size};
 use rayon::prelude::*;
@@ -26,10 +26,7 @@ impl Operator for GroundPatches {
 
     fn work() -> Work<Self::Params> {
         let images = Port::session::<PosedImage>("images").pixels("image");
-        let sides = vec![
-            Port::session::<Calibration>("calibration"),
-            Port::session::<Transform>("transforms"),
-        ];
+        let sides = rig::ports(Reach::Session).to_vec();
         Work::batches(images, sides, Projector::new, Projector::patches)
     }
 

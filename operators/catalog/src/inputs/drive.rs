@@ -8,9 +8,9 @@ use evermap_algorithms::metric_map::features::{
     DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures, KeyframeFeatures,
 };
 use evermap_contract::{Emit, Fault, Reason, Sides};
-use evermap_schemas::Stamp;
 use evermap_schemas::layers::{Features, Keyframe};
 use evermap_schemas::roles::{Calibration, Transform};
+use evermap_schemas::{Bytes, Stamp};
 
 use super::rig::{self, VehicleFrame, frame};
 
@@ -165,18 +165,20 @@ fn camera(rig: &rig::Rig, row: &Features, vehicle: &VehicleFrame) -> Result<RigC
 
 /// The features of a row: as many as all its lists have.
 pub(crate) fn image_features(row: &Features) -> ImageFeatures {
-    let descriptors = row.descriptors.0.chunks_exact(DESCRIPTOR_BYTES);
     let places = row.u.iter().zip(&row.v).zip(&row.size_px);
-    let features = places.zip(descriptors).map(|(((u, v), size_px), bytes)| {
-        let mut descriptor = [0; DESCRIPTOR_BYTES];
-        descriptor.copy_from_slice(bytes);
-        Feature {
-            pixel: [f64::from(*u), f64::from(*v)],
-            size_px: f64::from(*size_px),
-            descriptor: Descriptor(descriptor),
-        }
+    let features = places.zip(descriptors(&row.descriptors));
+    let features = features.map(|(((u, v), size_px), descriptor)| Feature {
+        pixel: [f64::from(*u), f64::from(*v)],
+        size_px: f64::from(*size_px),
+        descriptor,
     });
     ImageFeatures {
         features: features.collect(),
     }
+}
+
+/// Descriptors that lie one after the other; a torn one at the end is none.
+pub(crate) fn descriptors(bytes: &Bytes) -> impl Iterator<Item = Descriptor> {
+    let (whole, _) = bytes.0.as_chunks::<DESCRIPTOR_BYTES>();
+    whole.iter().copied().map(Descriptor)
 }

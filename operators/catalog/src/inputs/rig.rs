@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_contract::{Fault, Reason, Sides};
+use evermap_contract::{Fault, Port, Reach, Reason, Sides};
 use evermap_schemas::Stamp;
 use evermap_schemas::roles::{Calibration, Transform};
 use schemars::JsonSchema;
@@ -50,7 +50,15 @@ pub(crate) fn frame(name: &str) -> &str {
     name.trim_start_matches('/')
 }
 
-/// The rigs by session, from the ports `calibration` and `transforms`.
+/// The ports that [`sessions`] reads.
+pub(crate) fn ports(reach: Reach) -> [Port; 2] {
+    [
+        Port::of::<Calibration>("calibration", reach),
+        Port::of::<Transform>("transforms", reach),
+    ]
+}
+
+/// The rigs by session, from the tables of [`ports`].
 pub(crate) fn sessions(sides: &Sides) -> Result<BTreeMap<String, Rig>, Fault> {
     Ok(rigs(sides.rows("calibration")?, sides.rows("transforms")?))
 }

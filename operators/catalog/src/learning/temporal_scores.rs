@@ -5,10 +5,12 @@ use std::collections::VecDeque;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::trajectory::{StampedPose, pose_at};
 use evermap_algorithms::semantic_map::temporal_votes::{DepthView, ScoredView, VoteOptions, Voter};
-use evermap_contract::{Emit, Fault, Key, Operator, Pixels, Port, Reason, Sides, Stream, Work};
+use evermap_contract::{
+    Emit, Fault, Key, Operator, Pixels, Port, Reach, Reason, Sides, Stream, Work,
+};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{ClassScores, ScoredFrame};
-use evermap_schemas::roles::{Calibration, OdometryPose, Transform};
+use evermap_schemas::roles::OdometryPose;
 use evermap_vision::{Grey16, decode_depth};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -59,17 +61,10 @@ impl Operator for TemporalScores {
     type Output = ClassScores;
 
     fn work() -> Work<Self::Params> {
-        let camera = Key {
-            columns: &["site", "session", "camera"],
-            order: &["stamp"],
-        };
-        let sides = vec![
-            Port::session::<OdometryPose>("odometry"),
-            Port::session::<Calibration>("calibration"),
-            Port::session::<Transform>("transforms"),
-        ];
+        let mut sides = vec![Port::session::<OdometryPose>("odometry")];
+        sides.extend(rig::ports(Reach::Session));
         let scored = Port::session::<ScoredFrame>("scores").pixels("image");
-        Work::stream::<Window>(scored, camera, sides)
+        Work::stream::<Window>(scored, Key::CAMERA, sides)
     }
 
     fn check(params: &Self::Params) -> Result<(), Fault> {

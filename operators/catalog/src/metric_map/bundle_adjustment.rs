@@ -4,13 +4,12 @@ use std::collections::BTreeMap;
 
 use evermap_algorithms::metric_map::association::{FeatureRef, Landmark};
 use evermap_algorithms::metric_map::mapping::{Map, MapInput, MappingParams, map};
-use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{
     AdjustedPose, Features, GraphPose, Keyframe, Observation, Track, TrackPoint,
 };
-use evermap_schemas::roles::{Calibration, Transform};
 
-use crate::inputs::rig::OfVehicle;
+use crate::inputs::rig::{self, OfVehicle};
 use crate::inputs::survey::Survey;
 
 /// See the module's page.
@@ -25,14 +24,13 @@ impl Operator for BundleAdjustment {
 
     fn work() -> Work<Self::Params> {
         let poses = Port::site::<GraphPose>("poses");
-        let sides = vec![
+        let mut sides = vec![
             Port::site::<Keyframe>("keyframes"),
             Port::site::<Features>("features"),
             Port::site::<Track>("tracks"),
-            Port::site::<Calibration>("calibration"),
-            Port::site::<Transform>("transforms"),
-            Port::site::<AdjustedPose>("previous").optional(),
         ];
+        sides.extend(rig::ports(Reach::Site));
+        sides.push(Port::site::<AdjustedPose>("previous").optional());
         Work::group(poses, Key::SITE, sides, adjust)
     }
 }

@@ -1,20 +1,16 @@
 #![doc = include_str!("landmarks.md")]
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::metric_map::association::{
-    Appearance, FeatureRef, LandmarkPoint, Sight, appearances, mean_direction, ray_residual_rad,
-    triangulate,
-};
+use evermap_algorithms::metric_map::association::{FeatureRef, describe};
 use evermap_algorithms::metric_map::features::FeatureNoise;
-use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{AdjustedPose, Features, Keyframe, Landmark, Sighting, Sources};
-use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Bytes, Wkb};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::rig::OfVehicle;
+use crate::inputs::rig::{self, OfVehicle};
 use crate::inputs::survey::Survey;
 
 /// See the module's page.
@@ -50,11 +46,8 @@ impl Operator for Landmarks {
 
     fn work() -> Work<Self::Params> {
         let poses = Port::site::<AdjustedPose>("poses");
-        let sides = vec![
-            Port::site::<Features>("features"),
-            Port::site::<Calibration>("calibration"),
-            Port::site::<Transform>("transforms"),
-        ];
+        let mut sides = vec![Port::site::<Features>("features")];
+        sides.extend(rig::ports(Reach::Site));
         Work::group(poses, Key::SITE, sides, landmarks)
     }
 }
@@ -118,53 +111,28 @@ impl Maker<'_> {
     fn landmark(&self, landmark: u32, mut features: Vec<FeatureRef>) -> Option<Landmark> {
         features.sort_unstable();
         features.dedup();
-        let sights: Vec<Sight> = features
-            .iter()
-            .filter_map(|feature| self.survey.scene.sight(&self.cameras, *feature))
-            .collect();
-        let found = triangulate(&sights)?;
-        let views = self.views(&found, &features);
-        let view = mean_direction(&views);
-        let cosines = views.iter().map(|seen| seen.direction.dot(&view));
-        let ranges = || views.iter().map(|view| view.range_m);
-        let point = [found.point.x, found.point.y, found.point.z];
+        let looks = self.options.looks;
+        let found = describe(&self.survey.scene, &self.cameras, &features, looks)?;
+        let point: [f64; 3] = found.place.point.into();
+        let descriptors = found.descriptors.iter().flat_map(|look| look.0);
         Some(Landmark {
             site: self.site.to_owned(),
             landmark,
             x: point[0],
             y: point[1],
             z: point[2],
-            sigma_m: found.sigma_m() * self.options.features.sigma_px,
-            parallax_rad: found.parallax_rad,
-            rms_px: rms_px(&sights, &found),
-            view: [view.x, view.y, view.z],
-            view_cos: cosines.fold(1.0, f64::min),
-            near_m: ranges().fold(f64::INFINITY, f64::min),
-            far_m: ranges().fold(0.0, f64::max),
-            descriptors: self.descriptors(&views),
+            sigma_m: found.place.sigma_m() * self.options.features.sigma_px,
+            parallax_rad: found.place.parallax_rad,
+            rms_px: found.rms_px,
+            view: found.view.into(),
+            view_cos: found.view_cos,
+            near_m: found.near_m,
+            far_m: found.far_m,
+            descriptors: Bytes(descriptors.collect()),
             sightings: self.sightings(&features),
             sources: self.sources(&features),
             geometry: Wkb::point(point),
         })
-    }
-
-    fn views(&self, found: &LandmarkPoint, features: &[FeatureRef]) -> Vec<Appearance> {
-        let view = |feature: &FeatureRef| {
-            let away = self.cameras[feature.image as usize].translation - found.point;
-            let range_m = away.norm().max(1e-6);
-            Appearance {
-                direction: away / range_m,
-                range_m,
-                descriptor: self.survey.scene.feature(*feature).descriptor,
-                members: 1,
-            }
-        };
-        features.iter().map(view).collect()
-    }
-
-    fn descriptors(&self, views: &[Appearance]) -> Bytes {
-        let appearances = appearances(views).into_iter().take(self.options.looks);
-        Bytes(appearances.flat_map(|seen| seen.descriptor.0).collect())
     }
 
     fn sightings(&self, features: &[FeatureRef]) -> Vec<Sighting> {
@@ -195,13 +163,4 @@ impl Maker<'_> {
         }
         sources.into_rows()
     }
-}
-
-fn rms_px(sights: &[Sight<'_>], found: &LandmarkPoint) -> f64 {
-    let squares = sights.iter().filter_map(|sight| {
-        let in_camera = sight.map_from_camera.inverse().transform(&found.point);
-        let angles = ray_residual_rad(&sight.ray, &in_camera)?;
-        Some(angles.norm_squared() * sight.px_per_rad * sight.px_per_rad)
-    });
-    (squares.sum::<f64>() / sights.len().max(1) as f64).sqrt()
 }

@@ -3,18 +3,16 @@
 use std::collections::BTreeMap;
 
 use evermap_algorithms::geometry::rig::Rig;
-use evermap_algorithms::metric_map::features::{DESCRIPTOR_BYTES, Descriptor};
 use evermap_algorithms::metric_map::localisation::{
     DriveKeyframe, Fix, KeyframeLocalisation, LandmarkMap, LocalisationParams, Localiser,
     MapLandmark, Places, State,
 };
-use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::Pose;
 use evermap_schemas::layers::{Features, Keyframe, Landmark, Localisation as Row, Observation};
-use evermap_schemas::roles::{Calibration, Transform};
 
-use crate::inputs::drive::{Drive, drives};
-use crate::inputs::rig::OfVehicle;
+use crate::inputs::drive::{Drive, descriptors, drives};
+use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
 pub struct Localisation;
@@ -28,12 +26,9 @@ impl Operator for Localisation {
 
     fn work() -> Work<Self::Params> {
         let features = Port::session::<Features>("features");
-        let sides = vec![
-            Port::session::<Keyframe>("keyframes"),
-            Port::session::<Calibration>("calibration"),
-            Port::session::<Transform>("transforms"),
-            Port::site::<Landmark>("landmarks"),
-        ];
+        let mut sides = vec![Port::session::<Keyframe>("keyframes")];
+        sides.extend(rig::ports(Reach::Session));
+        sides.push(Port::site::<Landmark>("landmarks"));
         Work::group(features, Key::SESSION, sides, localise)
     }
 
@@ -104,21 +99,12 @@ fn landmarks(rows: Vec<Landmark>) -> (Vec<u32>, Vec<MapLandmark>) {
             view_cos: row.view_cos,
             near_m: row.near_m,
             far_m: row.far_m,
-            descriptors: descriptors(&row.descriptors.0),
+            descriptors: descriptors(&row.descriptors).collect(),
             seen_from,
         };
         (row.landmark, landmark)
     };
     rows.into_iter().map(of_row).unzip()
-}
-
-fn descriptors(bytes: &[u8]) -> Vec<Descriptor> {
-    let each = bytes.chunks_exact(DESCRIPTOR_BYTES).map(|bytes| {
-        let mut descriptor = [0; DESCRIPTOR_BYTES];
-        descriptor.copy_from_slice(bytes);
-        Descriptor(descriptor)
-    });
-    each.collect()
 }
 
 fn rows(

@@ -3,12 +3,11 @@
 use std::collections::BTreeMap;
 
 use evermap_algorithms::metric_map::places::{self, DriveTrack, Loop, LoopOptions};
-use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{Features, Keyframe, LoopClosure, Track};
-use evermap_schemas::roles::{Calibration, Transform};
 
 use crate::inputs::drive::{Drive, drives};
-use crate::inputs::rig::OfVehicle;
+use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
 pub struct LoopClosures;
@@ -22,12 +21,11 @@ impl Operator for LoopClosures {
 
     fn work() -> Work<Self::Params> {
         let features = Port::site::<Features>("features");
-        let sides = vec![
+        let mut sides = vec![
             Port::site::<Track>("tracks"),
             Port::site::<Keyframe>("keyframes"),
-            Port::site::<Calibration>("calibration"),
-            Port::site::<Transform>("transforms"),
         ];
+        sides.extend(rig::ports(Reach::Site));
         Work::group(features, Key::SITE, sides, loop_closures)
     }
 }

@@ -13,38 +13,15 @@ use evermap_schemas::layers::{
     AdjustedPose, GraphPose, Keyframe, Localisation, LoopClosure, LoopEdge,
 };
 use nalgebra::{Matrix6, Vector6};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 /// See the module's page.
 pub struct PoseGraph;
-
-/// How odometry and loops are believed.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(default)]
-pub struct PoseGraphParams {
-    /// Once they are edges.
-    #[serde(flatten)]
-    pub drives: DriveParams,
-    /// Keyframes farther apart than this (m) are not connected by odometry: it was restarted.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub gap_m: f64,
-}
-
-impl Default for PoseGraphParams {
-    fn default() -> Self {
-        Self {
-            drives: DriveParams::default(),
-            gap_m: 5.0,
-        }
-    }
-}
 
 impl Operator for PoseGraph {
     const NAME: &'static str = "pose_graph";
     const VERSION: u32 = 1;
     const PAGE: &'static str = include_str!("pose_graph.md");
-    type Params = PoseGraphParams;
+    type Params = DriveParams;
     type Output = GraphPose;
 
     fn work() -> Work<Self::Params> {
@@ -68,48 +45,36 @@ struct Stretches {
 
 impl Stretches {
     /// Of rows by session and stamp.
-    fn new(rows: Vec<Keyframe>, known: &Known, gap_m: f64, emit: &mut Emit<'_>) -> Self {
-        let mut stretches = Self::default();
-        let mut before: Option<(String, Pose)> = None;
-        for row in rows {
+    fn new(rows: Vec<Keyframe>, known: &Known, params: &DriveParams, emit: &mut Emit<'_>) -> Self {
+        let posed = rows.into_iter().filter_map(|row| {
             let Ok(odom_from_vehicle) = Pose::from_array(row.odom_from_vehicle.to_array()) else {
                 emit.skip("keyframe's pose is no rigid transform", 1);
-                continue;
+                return None;
             };
-            let follows = before.as_ref().is_some_and(|(session, pose)| {
-                let apart = (pose.translation - odom_from_vehicle.translation).norm();
-                *session == row.session && apart <= gap_m
-            });
-            before = Some((row.session.clone(), odom_from_vehicle));
-            let key = (row.session.clone(), row.stamp);
+            let path_m = Some(row.distance_m).filter(|path_m| path_m.is_finite());
             let at = DrivePose {
                 odom_from_vehicle,
-                path_m: if row.distance_m.is_finite() {
-                    row.distance_m
-                } else {
-                    0.0
-                },
-                known: known.get(&key).copied(),
+                path_m: path_m.unwrap_or(0.0),
+                known: known.get(&(row.session.clone(), row.stamp)).copied(),
             };
-            stretches.push(follows, row, at);
+            Some((row, at))
+        });
+        let posed: Vec<(Keyframe, DrivePose)> = posed.collect();
+        let goes_on = |(before, from): &(Keyframe, _), (row, to): &(Keyframe, _)| {
+            before.session == row.session && params.connects(from, to)
+        };
+        let mut stretches = Self::default();
+        for (drive, stretch) in posed.chunk_by(goes_on).enumerate() {
+            for (keyframe, (row, _)) in stretch.iter().enumerate() {
+                let key = (row.session.clone(), row.keyframe);
+                let place = KeyframeRef { drive, keyframe };
+                stretches.by_number.insert(key, place);
+            }
+            let (rows, poses) = stretch.iter().cloned().unzip();
+            stretches.keyframes.push(rows);
+            stretches.drives.push(poses);
         }
         stretches
-    }
-
-    fn push(&mut self, follows: bool, row: Keyframe, at: DrivePose) {
-        if !follows || self.drives.is_empty() {
-            self.keyframes.push(Vec::new());
-            self.drives.push(Vec::new());
-        }
-        let drive = self.drives.len() - 1;
-        let place = KeyframeRef {
-            drive,
-            keyframe: self.drives[drive].len(),
-        };
-        let key = (row.session.clone(), row.keyframe);
-        self.by_number.insert(key, place);
-        self.keyframes[drive].push(row);
-        self.drives[drive].push(at);
     }
 
     fn place(&self, session: &str, number: u32) -> Option<KeyframeRef> {
@@ -131,7 +96,7 @@ impl Stretches {
 type Known = BTreeMap<(String, Stamp), Pose>;
 
 fn relax(
-    params: &PoseGraphParams,
+    params: &DriveParams,
     keyframes: Vec<Keyframe>,
     sides: &Sides,
     emit: &mut Emit<'_>,
@@ -140,12 +105,12 @@ fn relax(
         return Ok(());
     };
     let known = known(sides.rows("previous")?);
-    let stretches = Stretches::new(keyframes, &known, params.gap_m, emit);
+    let stretches = Stretches::new(keyframes, &known, params, emit);
     let (rows, loops) = loops(sides.rows("loop_closures")?, &stretches, emit);
     let (localised, fixes) = fixes(sides.rows("localisations")?, &stretches, emit);
     let begins = known.is_empty() && !localised;
     let base = stretches.first().filter(|_| begins);
-    let joined = join(&stretches.drives, &loops, &fixes, base, &params.drives)
+    let joined = join(&stretches.drives, &loops, &fixes, base, params)
         .map_err(|error| Fault::resource(format!("pose graph of site {site}: {error}")))?;
     let edges = edges(&rows, &loops, &joined, emit);
     let rows = poses(&site, &stretches, &joined, edges, emit);

@@ -1,21 +1,14 @@
 #![doc = include_str!("tracks.md")]
 
 use evermap_algorithms::metric_map::tracking::{CameraFrame, TrackParams, tracks};
-use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{Features, Keyframe, Track, TrackPoint};
-use evermap_schemas::roles::{Calibration, Transform};
 
 use crate::inputs::drive::{Drive, drives};
-use crate::inputs::rig::OfVehicle;
+use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
 pub struct Tracks;
-
-/// One camera of a session.
-const CAMERA: Key = Key {
-    columns: &["site", "session", "camera"],
-    order: &["stamp"],
-};
 
 impl Operator for Tracks {
     const NAME: &'static str = "tracks";
@@ -26,12 +19,9 @@ impl Operator for Tracks {
 
     fn work() -> Work<Self::Params> {
         let features = Port::session::<Features>("features");
-        let sides = vec![
-            Port::session::<Keyframe>("keyframes"),
-            Port::session::<Calibration>("calibration"),
-            Port::session::<Transform>("transforms"),
-        ];
-        Work::group(features, CAMERA, sides, follow)
+        let mut sides = vec![Port::session::<Keyframe>("keyframes")];
+        sides.extend(rig::ports(Reach::Session));
+        Work::group(features, Key::CAMERA, sides, follow)
     }
 }
 

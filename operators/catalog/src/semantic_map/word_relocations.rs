@@ -1,6 +1,6 @@
 #![doc = include_str!("word_relocations.md")]
 
-use evermap_algorithms::metric_map::features::{DESCRIPTOR_BYTES, Descriptor};
+use evermap_algorithms::metric_map::features::Descriptor;
 use evermap_algorithms::metric_map::places::{Hit, PlaceIndex, Vocabulary, VocabularyOptions};
 use evermap_contract::{Fault, Operator, Port, Reason, Sides, Work};
 use evermap_schemas::layers::{Features, Relocation};
@@ -8,6 +8,8 @@ use evermap_schemas::{Bytes, Stamp, record};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::inputs::drive::descriptors;
 
 /// See the module's page.
 pub struct WordRelocations;
@@ -97,10 +99,8 @@ impl Described {
         }
     }
 
-    /// As many as there are; a torn one at the end is none.
     fn descriptors(&self) -> Vec<Descriptor> {
-        let (all, _) = self.descriptors.0.as_chunks::<DESCRIPTOR_BYTES>();
-        all.iter().copied().map(Descriptor).collect()
+        descriptors(&self.descriptors).collect()
     }
 }
 

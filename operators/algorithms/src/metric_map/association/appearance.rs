@@ -2,6 +2,8 @@
 
 use nalgebra::Vector3;
 
+use super::scene::{FeatureRef, Scene};
+use crate::geometry::pose::Pose;
 use crate::metric_map::features::Descriptor;
 
 /// Most appearances of one landmark.
@@ -11,6 +13,8 @@ const MOST_APPEARANCES: usize = 8;
 const ALIKE_COS: f64 = 0.94;
 /// An appearance is of ranges within this factor.
 const ALIKE_RANGE_FACTOR: f64 = 1.5;
+/// No camera is nearer to a landmark, metres.
+const NEAREST_M: f64 = 1e-3;
 /// Members of an appearance that the medoid is taken of, at most.
 const MOST_MEMBERS: usize = 24;
 
@@ -25,6 +29,26 @@ pub struct Appearance {
     pub descriptor: Descriptor,
     /// Sightings that look like this.
     pub members: u32,
+}
+
+/// How features show a landmark at a point, each an appearance of its own. `map_from_cameras` are the poses of all images.
+pub fn sightings(
+    scene: &Scene,
+    map_from_cameras: &[Pose],
+    point: &Vector3<f64>,
+    features: &[FeatureRef],
+) -> Vec<Appearance> {
+    let sighting = |feature: &FeatureRef| {
+        let away = map_from_cameras[feature.image as usize].translation - point;
+        let range_m = away.norm().max(NEAREST_M);
+        Appearance {
+            direction: away / range_m,
+            range_m,
+            descriptor: scene.feature(*feature).descriptor,
+            members: 1,
+        }
+    };
+    features.iter().map(sighting).collect()
 }
 
 /// Groups sightings of a landmark (each an appearance of its own: direction, range, descriptor) by direction and range,

@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-use super::point::{Sight, ray_residual_rad, triangulate};
+use super::point::{Sight, triangulate};
 use super::search::{Hit, Search};
 use super::{AssociationParams, FeatureRef, Landmark, Scene};
 use crate::geometry::pose::Pose;
@@ -138,11 +138,7 @@ impl<'a> Groups<'a> {
             .filter_map(|feature| self.scene.sight(&self.cameras, *feature))
             .collect();
         let found = triangulate(&sights)?;
-        let near = |sight: &&Sight| {
-            let in_camera = sight.map_from_camera.inverse().transform(&found.point);
-            ray_residual_rad(&sight.ray, &in_camera)
-                .is_some_and(|angles| angles.norm() * sight.px_per_rad <= self.explained_px)
-        };
+        let near = |sight: &&Sight| sight.off_px(&found.point) <= self.explained_px;
         let explained = sights.iter().filter(near).count();
         (explained as f64 >= LEAST_EXPLAINED * features.len() as f64).then_some(Landmark {
             id,

@@ -27,13 +27,15 @@
 //! Tardós 2015, V-D and VI-B); the ratio test is Lowe's (2004, 7.1).
 
 mod appearance;
+mod description;
 mod merge;
 mod point;
 mod resight;
 mod scene;
 mod search;
 
-pub use appearance::{Appearance, appearances, mean_direction};
+pub use appearance::{Appearance, appearances, mean_direction, sightings};
+pub use description::{Description, describe};
 pub use merge::associate;
 pub use point::{LandmarkPoint, Sight, ray_residual_rad, triangulate};
 pub use scene::{FeatureRef, Scene, SceneFeature, SceneImage, SceneKeyframe};

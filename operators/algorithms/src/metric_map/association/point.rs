@@ -22,6 +22,20 @@ pub struct Sight<'a> {
     pub px_per_rad: f64,
 }
 
+impl Sight<'_> {
+    /// How far off the ray a point of the map is, as two angles (radians); `None` for a point at the camera or behind.
+    pub fn residual_rad(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+        let in_camera = self.map_from_camera.inverse().transform(point);
+        ray_residual_rad(&self.ray, &in_camera)
+    }
+
+    /// The same as one distance, pixels at the middle of the image; infinite where there are no angles.
+    pub fn off_px(&self, point: &Vector3<f64>) -> f64 {
+        let angles = self.residual_rad(point);
+        angles.map_or(f64::INFINITY, |angles| angles.norm() * self.px_per_rad)
+    }
+}
+
 /// A point with its uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LandmarkPoint {

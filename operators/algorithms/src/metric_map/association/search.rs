@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use super::resight::{Resighting, agreed_pose};
 use super::{
     Appearance, AssociationParams, FeatureRef, Landmark, Scene, appearances, mean_direction,
+    sightings,
 };
 use crate::geometry::pose::Pose;
 use crate::metric_map::matching::FeatureGrid;
@@ -363,23 +364,10 @@ fn target(
     landmark: &Landmark,
     params: &AssociationParams,
 ) -> Target {
-    let mut sizes = Vec::with_capacity(landmark.features.len());
-    let sightings: Vec<Appearance> = landmark
-        .features
-        .iter()
-        .map(|feature| {
-            let away = cameras[feature.image as usize].translation - landmark.point;
-            let range_m = away.norm().max(1e-3);
-            let seen = scene.feature(*feature);
-            sizes.push(seen.size_px * range_m);
-            Appearance {
-                direction: away / range_m,
-                range_m,
-                descriptor: seen.descriptor,
-                members: 1,
-            }
-        })
-        .collect();
+    let sightings = sightings(scene, cameras, &landmark.point, &landmark.features);
+    let features = landmark.features.iter().zip(&sightings);
+    let sizes = features.map(|(feature, look)| scene.feature(*feature).size_px * look.range_m);
+    let mut sizes: Vec<f64> = sizes.collect();
     sizes.sort_by(f64::total_cmp);
     let view = mean_direction(&sightings);
     let ranges = || sightings.iter().map(|look| look.range_m);

@@ -2,14 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::{MapInput, MappingParams};
 use crate::geometry::pose::Pose;
-use crate::metric_map::association::{
-    FeatureRef, Landmark, Scene, Sight, ray_residual_rad, triangulate,
-};
+use crate::metric_map::association::{FeatureRef, Landmark, Scene, Sight, triangulate};
 
 /// The landmarks of the version before and the tracks, triangulated; and the first name that is new.
 pub(super) fn first(input: &MapInput<'_>, params: &MappingParams) -> (Vec<Landmark>, u32) {
@@ -95,17 +92,11 @@ fn pruned(
         landmark.point = point;
         landmark.features.retain(|feature| {
             let sight = scene.sight(cameras, *feature);
-            sight.is_some_and(|sight| off_px(&sight, &point) <= gate_px)
+            sight.is_some_and(|sight| sight.off_px(&point) <= gate_px)
         });
         if landmark.features.len() == before {
             return (found.parallax_rad >= params.min_parallax_rad).then_some(landmark);
         }
     }
     None
-}
-
-fn off_px(sight: &Sight<'_>, point: &Vector3<f64>) -> f64 {
-    let in_camera = sight.map_from_camera.inverse().transform(point);
-    ray_residual_rad(&sight.ray, &in_camera)
-        .map_or(f64::INFINITY, |angles| angles.norm() * sight.px_per_rad)
 }
