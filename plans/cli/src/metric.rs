@@ -202,6 +202,7 @@ mod tests {
             keyframe,
             map_from_vehicle: pose(f64::from(keyframe), 0.0, 0.0),
             loops,
+            optimality: "optimal".into(),
         };
         let edge = |keyframe, weight| LoopEdge {
             session: "a".into(),

@@ -157,6 +157,10 @@ record! {
         map_from_vehicle: Pose ["", "map"],
         /// Loop closures from this keyframe to earlier ones.
         loops: Vec<LoopEdge>,
+        /// Could other poses fit odometry and what was believed of the loop closures better, by more than a hundredth
+        /// of the cost? `optimal`: none, which is proven; `not_optimal`: such are known; `unknown`. One answer for all
+        /// keyframes of a site.
+        optimality: String,
     }
 }
 impl LayerRow for GraphPose {

@@ -9,14 +9,15 @@
 //! ```
 //!
 //! Blank lines and those that begin with `#` are skipped. The information of an edge is that of
-//! translation, then rotation, as here.
+//! translation, then rotation, as here. Real files have information with slightly negative eigenvalues: such an edge is
+//! read with the nearest matrix that has none, and its line is noted.
 
 use std::collections::BTreeMap;
 
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::metric_map::pose_graph::{Edge, Graph, Motion, g2o};
 use evermap_algorithms::solving::least_squares::Loss;
-use nalgebra::SMatrix;
+use nalgebra::{DMatrix, SMatrix};
 
 use crate::planar::{PlanarGraph, PlanarPose};
 
@@ -29,6 +30,8 @@ pub struct Numbered<M, const D: usize> {
     pub ids: Vec<u64>,
     /// By pose: did the file have a line for it?
     pub given: Vec<bool>,
+    /// Lines of edges whose information was not positive semidefinite, counted from 1.
+    pub indefinite: Vec<usize>,
 }
 
 /// A graph on the plane or in space, as the file has it.
@@ -86,8 +89,10 @@ pub enum Fault {
     /// A quaternion without length.
     #[error("expected a unit quaternion, found one that is nearly zero")]
     Quaternion,
-    /// An information matrix with a negative eigenvalue.
-    #[error("expected a positive semidefinite information matrix, found a negative eigenvalue")]
+    /// An information matrix that is no information at all.
+    #[error(
+        "expected an information matrix with a positive eigenvalue or zero, found only negative eigenvalues"
+    )]
     Information,
     /// A vertex that was there before.
     #[error("expected each vertex once, found {id} again")]
@@ -130,9 +135,9 @@ pub fn read(text: &str) -> Result<File, ReadError> {
             None => Ok(()),
             Some(tag) if tag.starts_with('#') => Ok(()),
             Some("VERTEX_SE2") => planar.vertex("VERTEX_SE2", words),
-            Some("EDGE_SE2") => planar.edge("EDGE_SE2", words),
+            Some("EDGE_SE2") => planar.edge("EDGE_SE2", line, words),
             Some("VERTEX_SE3:QUAT") => spatial.vertex("VERTEX_SE3:QUAT", words),
-            Some("EDGE_SE3:QUAT") => spatial.edge("EDGE_SE3:QUAT", words),
+            Some("EDGE_SE3:QUAT") => spatial.edge("EDGE_SE3:QUAT", line, words),
             Some("FIX") => words.try_for_each(|word| id(word).map(|id| fixed.push((line, id)))),
             Some(tag) => Err(Fault::Tag {
                 found: tag.chars().take(40).collect(),
@@ -181,6 +186,7 @@ impl Read<6> for Pose {
 struct Lines<M, const D: usize> {
     vertices: BTreeMap<u64, M>,
     edges: Vec<(u64, u64, Edge<M, D>)>,
+    indefinite: Vec<usize>,
 }
 
 impl<M, const D: usize> Default for Lines<M, D> {
@@ -188,6 +194,7 @@ impl<M, const D: usize> Default for Lines<M, D> {
         Self {
             vertices: BTreeMap::new(),
             edges: Vec::new(),
+            indefinite: Vec::new(),
         }
     }
 }
@@ -214,6 +221,7 @@ impl<M: Read<D>, const D: usize> Lines<M, D> {
     fn edge<'t>(
         &mut self,
         tag: &'static str,
+        line: usize,
         words: impl Iterator<Item = &'t str>,
     ) -> Result<(), Fault> {
         let words = counted(tag, 2 + M::NUMBERS + D * (D + 1) / 2, words)?;
@@ -223,11 +231,15 @@ impl<M: Read<D>, const D: usize> Lines<M, D> {
         }
         let numbers = numbers(&words[2..])?;
         let (pose, upper) = numbers.split_at(M::NUMBERS);
+        let (information, is_nearest) = information(upper)?;
+        if is_nearest {
+            self.indefinite.push(line);
+        }
         let edge = Edge {
             from: 0,
             to: 0,
             measured: M::from_numbers(pose)?,
-            information: information(upper)?,
+            information,
             loss: Loss::Quadratic,
         };
         self.edges.push((from, to, edge));
@@ -272,6 +284,7 @@ impl<M: Read<D>, const D: usize> Lines<M, D> {
             },
             given: known.values().map(Option::is_some).collect(),
             ids,
+            indefinite: self.indefinite,
         })
     }
 }
@@ -308,8 +321,10 @@ fn numbers(words: &[&str]) -> Result<Vec<f64>, Fault> {
     words.iter().map(number).collect()
 }
 
-/// A matrix of its upper triangle, row by row.
-fn information<const D: usize>(upper: &[f64]) -> Result<SMatrix<f64, D, D>, Fault> {
+/// A matrix of its upper triangle, row by row, and whether it is another one: the nearest (by Frobenius' norm) that is
+/// positive semidefinite, which has 0 for each negative eigenvalue. Source: Higham, *Computing a nearest symmetric
+/// positive semidefinite matrix* (1988), theorem 2.1.
+fn information<const D: usize>(upper: &[f64]) -> Result<(SMatrix<f64, D, D>, bool), Fault> {
     let mut matrix = SMatrix::<f64, D, D>::zeros();
     let places = (0..D).flat_map(|row| (row..D).map(move |column| (row, column)));
     for ((row, column), value) in places.zip(upper) {
@@ -319,10 +334,17 @@ fn information<const D: usize>(upper: &[f64]) -> Result<SMatrix<f64, D, D>, Faul
     // Rounding may have made a zero eigenvalue slightly negative.
     let slack = 1e-9 * matrix.trace().abs().max(f64::MIN_POSITIVE);
     let shifted = matrix + SMatrix::<f64, D, D>::identity() * slack;
-    match shifted.cholesky() {
-        Some(_) => Ok(matrix),
-        None => Err(Fault::Information),
+    if shifted.cholesky().is_some() {
+        return Ok((matrix, false));
     }
+    let eigen = DMatrix::from_column_slice(D, D, matrix.as_slice()).symmetric_eigen();
+    if eigen.eigenvalues.max() < 0.0 {
+        return Err(Fault::Information);
+    }
+    let values = DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0)));
+    let nearest = &eigen.eigenvectors * values * eigen.eigenvectors.transpose();
+    let symmetric = 0.5 * (&nearest + nearest.transpose());
+    Ok((SMatrix::from_column_slice(symmetric.as_slice()), true))
 }
 
 /// A planar graph as text; `ids` by pose.

@@ -7,6 +7,7 @@ use std::f64::consts::{PI, TAU};
 
 use evermap_algorithms::geometry::lie::coefficients::{angle_minus_sin, one_minus_cos};
 use evermap_algorithms::metric_map::pose_graph::Graph;
+use evermap_algorithms::metric_map::pose_graph::chordal::Chordal;
 use evermap_algorithms::metric_map::pose_graph::motion::{Linear, Motion};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
@@ -166,5 +167,25 @@ impl Motion<3> for PlanarPose {
         let by_to = right_jacobian_inverse(&r);
         let by_from = -by_to * inverse_adjoint(&motion);
         (r, by_from, by_to)
+    }
+}
+
+impl Chordal<3, 2, 3> for PlanarPose {
+    fn rotation_matrix(&self) -> Matrix2<f64> {
+        self.rotation()
+    }
+
+    fn position(&self) -> Vector2<f64> {
+        self.translation
+    }
+
+    fn nearest(matrix: &Matrix2<f64>, position: &Vector2<f64>) -> Option<Self> {
+        let (sin, cos) = (matrix.m21 - matrix.m12, matrix.m11 + matrix.m22);
+        let known = sin.hypot(cos) > 1e-9;
+        known.then(|| Self::new(position.x, position.y, sin.atan2(cos)))
+    }
+
+    fn hat(twist: &Vector3<f64>) -> Matrix2<f64> {
+        Matrix2::new(0.0, -twist.z, twist.z, 0.0)
     }
 }

@@ -19,7 +19,7 @@ pub struct PoseGraph;
 
 impl Operator for PoseGraph {
     const NAME: &'static str = "pose_graph";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("pose_graph.md");
     type Params = DriveParams;
     type Output = GraphPose;
@@ -256,6 +256,7 @@ fn poses(
                 keyframe: row.keyframe,
                 map_from_vehicle: evermap_schemas::Pose::from_array(pose.to_array()),
                 loops,
+                optimality: joined.optimality.name().to_owned(),
             });
         }
     }

@@ -147,6 +147,7 @@ fn graph_poses(drive: &Drive) -> Vec<GraphPose> {
             keyframe: keyframe as u32,
             map_from_vehicle: pose_row(&pose.compose(&Pose::from_yaw(off, -off, 0.1 * off))),
             loops: Vec::new(),
+            optimality: "optimal".into(),
         }
     };
     drive.truth.iter().enumerate().map(row).collect()

@@ -80,7 +80,7 @@ proptest! {
         let (mut graph, truth, is_false) = rounds(flat_block, 0.2, seed);
         let honest = honest(&graph, &is_false);
         let doubted: Vec<bool> = (0..graph.edges.len()).map(|edge| edge >= truth.len() - 1).collect();
-        let weights = relax_robustly(&mut graph, &doubted, CUTOFF, &options()).unwrap();
+        let weights = relax_robustly(&mut graph, &doubted, CUTOFF, &options()).unwrap().weights;
         let off = error(&graph.poses, &honest);
         let lost = weights.iter().zip(&is_false).filter(|(weight, lie)| !**lie && **weight < 0.5).count();
         let wrongly = weights.iter().zip(&is_false).filter(|(weight, lie)| **lie && **weight > 0.5).count();

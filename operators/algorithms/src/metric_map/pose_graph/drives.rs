@@ -18,6 +18,7 @@ use nalgebra::Matrix6;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::certificate::Optimality;
 use super::consensus::{Agreement, PoseVote, Rules, agree, places};
 use super::numbering::Numbering;
 use super::options;
@@ -158,6 +159,8 @@ pub struct Joined {
     pub loops: Vec<Option<Fit>>,
     /// By fix: its weight; 0 when its drive is not in the map.
     pub fixes: Vec<f64>,
+    /// Whether other poses of the placed drives could fit odometry and what was believed better.
+    pub optimality: Optimality,
 }
 
 /// Joins drives by loops and fixes. `base` starts the map where no pose is known and nothing is
@@ -183,6 +186,7 @@ pub fn join(
         is_base: vec![false; drives.len()],
         loop_weights: vec![0.0; loops.len()],
         fix_weights: vec![0.0; fixes.len()],
+        optimality: Optimality::Unknown,
     };
     if let Some(base) = base
         && joining.poses.iter().all(Option::is_none)
@@ -228,6 +232,7 @@ struct Joining<'a> {
     is_base: Vec<bool>,
     loop_weights: Vec<f64>,
     fix_weights: Vec<f64>,
+    optimality: Optimality,
 }
 
 impl Joining<'_> {
@@ -272,10 +277,11 @@ impl Joining<'_> {
             }
         }
         let doubted: Vec<bool> = (0..graph.edges.len()).map(|edge| edge >= chain).collect();
-        let weights = relax_robustly(&mut graph, &doubted, self.params.cutoff, &options())?;
+        let settled = relax_robustly(&mut graph, &doubted, self.params.cutoff, &options())?;
+        self.optimality = settled.optimality;
         self.loop_weights.fill(0.0);
         self.fix_weights.fill(0.0);
-        for (origin, weight) in origin.iter().zip(&weights[chain..]) {
+        for (origin, weight) in origin.iter().zip(&settled.weights[chain..]) {
             match origin {
                 Doubted::Loop(index) => self.loop_weights[*index] = *weight,
                 Doubted::Fix(index) => self.fix_weights[*index] = *weight,
@@ -406,6 +412,7 @@ impl Joining<'_> {
             loops: loops.collect(),
             fixes: self.fix_weights,
             poses: self.poses,
+            optimality: self.optimality,
         }
     }
 }

@@ -13,12 +13,18 @@
 //! | file | what it knows |
 //! |---|---|
 //! | [`motion`] | residual and Jacobians |
+//! | [`chordal`] | a start from all edges |
 //! | [`relaxation`] | the graph as a [`crate::solving::least_squares::Problem`] |
+//! | [`certificate`] | whether other poses could cost less |
 //! | [`robust`] | false loops, by graduated non-convexity |
 //! | [`consensus`] | where a drive lies in a map, from loops of which many may be false |
 //! | [`drives`] | odometry, loops and fixes of many drives joined into one map |
 //! | [`g2o`] | written in the text format of the field |
 
+mod anchors;
+pub mod certificate;
+pub mod chordal;
+mod chords;
 pub mod consensus;
 pub mod drives;
 pub mod g2o;
@@ -60,18 +66,25 @@ pub struct Graph<M, const D: usize> {
     /// Poses that are known and stay where they are. Each connected part should have one; where
     /// it has none, damping alone keeps it from floating away.
     pub fixed: Vec<bool>,
-    /// The measurements. Edges that name no pose are ignored.
+    /// The measurements. Edges that do not join two poses are ignored.
     pub edges: Vec<Edge<M, D>>,
 }
 
 /// A graph in space.
 pub type SpatialGraph = Graph<Pose, 6>;
 
+impl<M, const D: usize> Graph<M, D> {
+    /// Does an edge join two poses of the graph? Others are ignored.
+    fn joins(&self, edge: &Edge<M, D>) -> bool {
+        edge.from.max(edge.to) < self.poses.len() && edge.from != edge.to
+    }
+}
+
 impl<M: Motion<D>, const D: usize> Graph<M, D> {
-    /// Squared weighted residual of an edge, `rᵀ Ω r`; 0 when it names no pose.
+    /// Squared weighted residual of an edge, `rᵀ Ω r`; 0 when it does not join two poses.
     pub fn squared_residual(&self, edge: &Edge<M, D>) -> f64 {
         match (self.poses.get(edge.from), self.poses.get(edge.to)) {
-            (Some(from), Some(to)) => {
+            (Some(from), Some(to)) if edge.from != edge.to => {
                 let r = M::residual(&edge.measured, from, to);
                 r.dot(&(edge.information * r))
             }

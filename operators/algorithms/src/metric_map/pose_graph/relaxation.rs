@@ -87,10 +87,9 @@ impl<'g, M: Motion<D>, const D: usize> Relaxation<'g, M, D> {
                 })
             })
             .collect();
-        let named = |edge: &Edge<M, D>| edge.from < n && edge.to < n && edge.from != edge.to;
         let numbered = graph.edges.iter().enumerate();
         let (numbers, edges): (Vec<usize>, Vec<&Edge<M, D>>) =
-            numbered.filter(|(_, edge)| named(edge)).unzip();
+            numbered.filter(|(_, edge)| graph.joins(edge)).unzip();
         let pairs = edges
             .iter()
             .filter_map(|edge| Some((unknown[edge.from]?, unknown[edge.to]?)));

@@ -63,6 +63,11 @@ impl<const D: usize> BlockSystem<D> {
         self.gradient.fill(0.0);
     }
 
+    /// All entries of `g` become zero: the next right-hand side for one factor.
+    pub(crate) fn clear_gradient(&mut self) {
+        self.gradient.fill(0.0);
+    }
+
     /// `H[row, column] += block`, and its transpose across the diagonal. The slot is of
     /// [`Structure::slot`] for (row, column); on the diagonal use [`BlockSystem::add_diagonal`].
     pub fn add(&mut self, slot: Slot, block: &SMatrix<f64, D, D>) {
@@ -173,7 +178,7 @@ impl<const D: usize> BlockSystem<D> {
 
     /// Factorises `H + damping · D` and returns `D` in elimination order; `None` when the matrix
     /// is not positive definite.
-    fn factorise(&mut self, damping: f64) -> Option<Vec<f64>> {
+    pub(crate) fn factorise(&mut self, damping: f64) -> Option<Vec<f64>> {
         let diagonal = self.damp(damping);
         let structure = &self.structure;
         let n = self.step.len();
@@ -200,7 +205,7 @@ impl<const D: usize> BlockSystem<D> {
     }
 
     /// Solves for `δ` with the last factor and the present `g`; `None` when `δ` is not finite.
-    fn back_substitute(&mut self) -> Option<()> {
+    pub(crate) fn back_substitute(&mut self) -> Option<()> {
         let n = self.step.len();
         for (step, gradient) in self.step.iter_mut().zip(&self.gradient) {
             *step = -gradient;
