@@ -1,29 +1,19 @@
 //! The pose graph as g2o's text: a layer of keyframe poses, with odometry and loops between them.
 //!
 //! Vertices are numbered by session, then stamp, from 0; the first is fixed. `EDGE_SE3:QUAT` lines are first those
-//! between keyframes that follow each other in the odometry, then the loop closures.
+//! between keyframes that follow each other in the odometry, then the loop closures, as uncertain as the operator
+//! `pose_graph` takes them by default.
 
 use std::collections::BTreeMap;
 
 use arrow::array::RecordBatch;
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::metric_map::pose_graph::{Edge, SpatialGraph, g2o};
-use evermap_algorithms::solving::least_squares::Loss;
+use evermap_algorithms::metric_map::pose_graph::drives::{DriveParams, DrivePose};
+use evermap_algorithms::metric_map::pose_graph::{SpatialGraph, g2o};
 use evermap_schemas::layers::{Keyframe, LoopClosure, VehiclePose};
 use evermap_schemas::{Fault, Stamp};
-use nalgebra::{SMatrix, SVector};
 
 use crate::reader::{MapReader, one_site, typed};
-
-/// Standard deviations of odometry after one metre, growing with the root of the path, as the defaults of the operator
-/// `pose_graph`: position (m) and heading (rad).
-const WALK: [f64; 2] = [0.1, 0.01];
-/// The same for what wheels do not measure: height (m), roll and pitch (rad).
-const SLOPE: f64 = 0.02;
-/// The shortest path that counts, m: a vehicle that stands is not known exactly.
-const SHORTEST_M: f64 = 0.01;
-/// What loop closures are uncertain by beyond what they say: position (m), orientation (rad).
-const LOOP: [f64; 2] = [0.05, 0.01];
 
 /// The graph of a layer of poses.
 ///
@@ -57,18 +47,21 @@ fn graph(
     keyframes.sort_by(|a, b| (&a.session, a.stamp).cmp(&(&b.session, b.stamp)));
     keyframes.retain(|row| index.contains_key(&(row.session.clone(), row.stamp)));
     let mut edges = Vec::new();
+    let uncertain = DriveParams::default();
     for pair in keyframes.windows(2) {
         let [from, to] = [&pair[0], &pair[1]];
         if from.session == to.session {
             let ends = [from, to].map(|row| index[&(row.session.clone(), row.stamp)]);
-            edges.push(odometry(ends, [from, to])?);
+            edges.push(uncertain.odometry_edge(ends, [&driven(from)?, &driven(to)?]));
         }
     }
     for row in loops {
         let from = index.get(&(row.other_session.clone(), row.other_stamp));
         let to = index.get(&(row.session.clone(), row.stamp));
         if let (Some(&from), Some(&to)) = (from, to) {
-            edges.push(closure([from, to], row)?);
+            let measured = pose(&row.other_from_vehicle)?;
+            let sigmas = [row.sigma_m, row.sigma_rad];
+            edges.extend(uncertain.loop_edge([from, to], measured, sigmas));
         }
     }
     let count = poses.len();
@@ -88,30 +81,12 @@ fn pose(found: &evermap_schemas::Pose) -> Result<Pose, Fault> {
     Pose::from_array(found.to_array()).map_err(|error| Fault::data(error.to_string()))
 }
 
-fn odometry([from, to]: [usize; 2], rows: [&Keyframe; 2]) -> Result<Edge<Pose, 6>, Fault> {
-    let [a, b] = rows.map(|row| pose(&row.odom_from_vehicle));
-    let measured = a?.inverse().compose(&b?);
-    let root = measured.translation.norm().max(SHORTEST_M).sqrt();
-    let ([way, turn], slope) = (WALK.map(|walk| walk * root), SLOPE * root);
-    let sigmas = [way, way, slope, slope, slope, turn];
-    Ok(edge([from, to], measured, sigmas))
-}
-
-fn closure(ends: [usize; 2], row: &LoopClosure) -> Result<Edge<Pose, 6>, Fault> {
-    let (m, rad) = (row.sigma_m.hypot(LOOP[0]), row.sigma_rad.hypot(LOOP[1]));
-    let measured = pose(&row.other_from_vehicle)?;
-    Ok(edge(ends, measured, [m, m, m, rad, rad, rad]))
-}
-
-fn edge([from, to]: [usize; 2], measured: Pose, sigmas: [f64; 6]) -> Edge<Pose, 6> {
-    let weights = SVector::<f64, 6>::from_iterator(sigmas.iter().map(|sigma| sigma.powi(-2)));
-    Edge {
-        from,
-        to,
-        measured,
-        information: SMatrix::from_diagonal(&weights),
-        loss: Loss::Quadratic,
-    }
+fn driven(row: &Keyframe) -> Result<DrivePose, Fault> {
+    Ok(DrivePose {
+        odom_from_vehicle: pose(&row.odom_from_vehicle)?,
+        path_m: row.distance_m,
+        known: None,
+    })
 }
 
 #[cfg(test)]

@@ -58,7 +58,9 @@ impl Numbering {
                 .fixed
                 .extend(drive.iter().map(|at| at.known.is_some()));
             for (step, pair) in drive.windows(2).enumerate() {
-                graph.edges.push(odometry(first + step, pair, params));
+                let ends = [first + step, first + step + 1];
+                let edge = params.odometry_edge(ends, [&pair[0], &pair[1]]);
+                graph.edges.push(edge);
             }
         }
         graph
@@ -69,20 +71,12 @@ impl Numbering {
         given: &LoopConstraint,
         params: &DriveParams,
     ) -> Option<Edge<Pose, 6>> {
-        let (from, to) = (self.of(given.earlier)?, self.of(given.later)?);
-        let position = 1.0 / (given.sigma_m.powi(2) + params.loop_m.powi(2));
-        let turn = 1.0 / (given.sigma_rad.powi(2) + params.loop_rad.powi(2));
-        let diagonal = Vector6::new(position, position, position, turn, turn, turn);
-        if !diagonal.iter().all(|value| value.is_finite()) {
-            return None;
-        }
-        Some(Edge {
-            from,
-            to,
-            measured: given.earlier_from_later,
-            information: Matrix6::from_diagonal(&diagonal),
-            loss: Loss::Quadratic,
-        })
+        let ends = [self.of(given.earlier)?, self.of(given.later)?];
+        params.loop_edge(
+            ends,
+            given.earlier_from_later,
+            [given.sigma_m, given.sigma_rad],
+        )
     }
 
     pub(super) fn fix_edge(
@@ -114,24 +108,51 @@ impl Numbering {
     }
 }
 
-fn odometry(from: usize, pair: &[DrivePose], params: &DriveParams) -> Edge<Pose, 6> {
-    let [before, after] = [&pair[0], &pair[1]];
-    let measured = before
-        .odom_from_vehicle
-        .inverse()
-        .compose(&after.odom_from_vehicle);
-    let turn = se3::split(&se3::log(&measured)).1.norm();
-    let driven = (after.path_m - before.path_m).max(measured.translation.norm());
-    let step = driven.max(SHORTEST_STEP_M);
-    let position = 1.0 / (params.odometry.walk_m().powi(2) * step);
-    let upright = 1.0 / (params.slope.powi(2) * step);
-    let heading = 1.0 / (params.walk_rad.powi(2) * step + params.turn_rad.powi(2) * turn);
-    let diagonal = Vector6::new(position, position, upright, upright, upright, heading);
-    Edge {
-        from,
-        to: from + 1,
-        measured,
-        information: Matrix6::from_diagonal(&diagonal),
-        loss: Loss::Quadratic,
+impl DriveParams {
+    /// What the odometry says of a keyframe and the next one of its drive, given the indices of their poses.
+    pub fn odometry_edge(
+        &self,
+        [from, to]: [usize; 2],
+        [before, after]: [&DrivePose; 2],
+    ) -> Edge<Pose, 6> {
+        let measured = before
+            .odom_from_vehicle
+            .inverse()
+            .compose(&after.odom_from_vehicle);
+        let turn = se3::split(&se3::log(&measured)).1.norm();
+        let driven = (after.path_m - before.path_m).max(measured.translation.norm());
+        let step = driven.max(SHORTEST_STEP_M);
+        let position = 1.0 / (self.odometry.walk_m().powi(2) * step);
+        let upright = 1.0 / (self.slope.powi(2) * step);
+        let heading = 1.0 / (self.walk_rad.powi(2) * step + self.turn_rad.powi(2) * turn);
+        let diagonal = Vector6::new(position, position, upright, upright, upright, heading);
+        Edge {
+            from,
+            to,
+            measured,
+            information: Matrix6::from_diagonal(&diagonal),
+            loss: Loss::Quadratic,
+        }
+    }
+
+    /// What a loop closure says of its earlier and its later keyframe, with the standard deviations (m, rad) that it
+    /// gives itself; `None` where these are no numbers.
+    pub fn loop_edge(
+        &self,
+        [earlier, later]: [usize; 2],
+        earlier_from_later: Pose,
+        [sigma_m, sigma_rad]: [f64; 2],
+    ) -> Option<Edge<Pose, 6>> {
+        let position = 1.0 / (sigma_m.powi(2) + self.loop_m.powi(2));
+        let turn = 1.0 / (sigma_rad.powi(2) + self.loop_rad.powi(2));
+        let diagonal = Vector6::new(position, position, position, turn, turn, turn);
+        let sound = diagonal.iter().all(|value| value.is_finite());
+        sound.then(|| Edge {
+            from: earlier,
+            to: later,
+            measured: earlier_from_later,
+            information: Matrix6::from_diagonal(&diagonal),
+            loss: Loss::Quadratic,
+        })
     }
 }
