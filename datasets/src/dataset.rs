@@ -11,10 +11,11 @@ use evermap_schemas::Fault;
 use evermap_schemas::roles::{Role, Topic};
 use futures::{StreamExt, TryStreamExt};
 
+use crate::fault::OrFault;
 use crate::losses::LossLedger;
 use crate::manifest::{Manifest, Roles};
 use crate::recordings::{Recording, Recordings};
-use crate::scan::{FaultyTable, McapTable, TopicTable, WholeTable};
+use crate::scan::{FaultyTable, LogTable, McapTable, MessagesTable, RecordTable, TopicTable};
 use crate::session::{LogPart, Session};
 use crate::{listing, roles};
 
@@ -61,7 +62,7 @@ impl Dataset {
     /// Names of the tables that every dataset has, beside one for each topic: roles, and what a log says of itself.
     pub fn table_names() -> Vec<&'static str> {
         let roles = evermap_schemas::roles::ALL.iter().map(|role| role.name);
-        let whole = WholeTable::ALL.into_iter().map(WholeTable::table_name);
+        let whole = ["messages", "attachments", "metadata"];
         roles.chain(whole).chain(listing::NAMES).collect()
     }
 
@@ -81,9 +82,14 @@ impl Dataset {
             };
             tables.insert(topic, provider);
         }
-        for table in WholeTable::ALL {
-            let provider = McapTable::new(Arc::new(table), &parts);
-            tables.insert(table.table_name().to_owned(), Arc::new(provider));
+        let whole: [Arc<dyn LogTable>; 3] = [
+            Arc::new(MessagesTable),
+            Arc::new(RecordTable::attachments()),
+            Arc::new(RecordTable::metadata()),
+        ];
+        for table in whole {
+            let name = table.name().to_owned();
+            tables.insert(name, Arc::new(McapTable::new(table, &parts)));
         }
         for (name, table) in listing::tables(&self.sessions)? {
             tables.insert(name.to_owned(), table);
@@ -105,7 +111,8 @@ impl Dataset {
             context
                 .deregister_table(reference.clone())
                 .and_then(|_| context.register_table(reference, table))
-                .map_err(|error| crate::scan::fault_of(&error).at(format!("table {name}")))?;
+                .or_fault()
+                .map_err(|fault| fault.at(format!("table {name}")))?;
         }
         Ok(())
     }

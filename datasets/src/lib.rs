@@ -12,6 +12,7 @@
 //! start to make one. This crate knows no operators and no plans.
 
 mod dataset;
+pub mod fault;
 mod images;
 pub mod import;
 mod listing;

@@ -8,8 +8,9 @@ use datafusion::catalog::TableProvider;
 use datafusion::datasource::MemTable;
 use evermap_schemas::{Bytes, Fault, Record, Stamp, record};
 
+use crate::fault::OrFault;
 use crate::log::index::LogChannel;
-use crate::scan::{fault_of, schema_of};
+use crate::scan::schema_of;
 use crate::session::{LogPart, Session};
 
 record! {
@@ -82,7 +83,7 @@ pub(crate) fn tables(sessions: &[Session]) -> Result<[Named; 2], Fault> {
 fn table<T: Record>(rows: Vec<T>) -> Result<Arc<dyn TableProvider>, Fault> {
     let schema = schema_of(&T::columns());
     let batch = RecordBatch::try_new(schema.clone(), T::encode_columns(rows)?)?;
-    let table = MemTable::try_new(schema, vec![vec![batch]]).map_err(|e| fault_of(&e))?;
+    let table = MemTable::try_new(schema, vec![vec![batch]]).or_fault()?;
     Ok(Arc::new(table))
 }
 

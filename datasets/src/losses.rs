@@ -98,7 +98,7 @@ type Key = (Arc<str>, Reason, String, u64);
 /// was partitioned.
 #[derive(Debug, Clone, Default)]
 pub struct LossLedger {
-    entries: Arc<Mutex<BTreeMap<Key, (Loss, String)>>>,
+    entries: Arc<Mutex<BTreeMap<Key, Entry>>>,
 }
 
 impl LossLedger {
@@ -107,19 +107,19 @@ impl LossLedger {
         Self::default()
     }
 
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<Key, (Loss, String)>> {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<Key, Entry>> {
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Notes a loss. A second note about the same place keeps the larger numbers.
     pub fn note(&self, entry: Entry) {
-        let key = (entry.file, entry.reason, entry.topic, entry.offset);
+        let (file, topic) = (entry.file.clone(), entry.topic.clone());
+        let key = (file, entry.reason, topic, entry.offset);
+        let Loss { count, bytes } = entry.loss;
         let mut entries = self.lock();
-        let (loss, _) = entries
-            .entry(key)
-            .or_insert((Loss::default(), entry.detail));
-        loss.count = loss.count.max(entry.loss.count);
-        loss.bytes = loss.bytes.max(entry.loss.bytes);
+        let loss = &mut entries.entry(key).or_insert(entry).loss;
+        loss.count = loss.count.max(count);
+        loss.bytes = loss.bytes.max(bytes);
     }
 
     /// Whether nothing was lost.
@@ -129,26 +129,16 @@ impl LossLedger {
 
     /// Every entry, ordered by file, reason, topic and offset.
     pub fn entries(&self) -> Vec<Entry> {
-        self.lock()
-            .iter()
-            .map(|((file, reason, topic, offset), (loss, detail))| Entry {
-                file: file.clone(),
-                reason: *reason,
-                topic: topic.clone(),
-                offset: *offset,
-                loss: *loss,
-                detail: detail.clone(),
-            })
-            .collect()
+        self.lock().values().cloned().collect()
     }
 
     /// Sums by reason.
     pub fn losses(&self) -> BTreeMap<Reason, Loss> {
         let mut sums = BTreeMap::<Reason, Loss>::new();
-        for ((_, reason, _, _), (loss, _)) in self.lock().iter() {
-            let sum = sums.entry(*reason).or_default();
-            sum.count += loss.count;
-            sum.bytes += loss.bytes;
+        for entry in self.lock().values() {
+            let sum = sums.entry(entry.reason).or_default();
+            sum.count += entry.loss.count;
+            sum.bytes += entry.loss.bytes;
         }
         sums
     }

@@ -142,6 +142,23 @@ impl LogPart {
         channels.any(|channel| topics.contains(&channel.topic))
     }
 
+    /// The columns of a topic's messages on one of its channels.
+    ///
+    /// # Errors
+    /// A data fault with the topic when they cannot be decoded.
+    pub(crate) fn decodable(&self, channel: &LogChannel) -> Result<&MessageType, Fault> {
+        match self.message_type(channel.id) {
+            Some(Ok(message_type)) => Ok(message_type),
+            Some(Err(error)) => Err(Fault::data(error.to_string())
+                .at(format!("topic {}", channel.topic))
+                .at(&self.url)),
+            None => Err(Fault::bug(format!(
+                "channel {} is of another log",
+                channel.id
+            ))),
+        }
+    }
+
     /// The columns of a channel's messages, or why there are none. `None` for a channel that the log does not have.
     pub fn message_type(&self, channel: u16) -> Option<&Result<MessageType, SchemaError>> {
         let types = self.types.get_or_init(|| {

@@ -11,8 +11,9 @@ use common::{Log, context, count, files, in_memory, open_in, shared};
 use datafusion::catalog::TableProvider;
 use datafusion::physical_plan::collect;
 use datafusion::prelude::SessionContext;
+use evermap_datasets::fault::fault_of;
 use evermap_datasets::log::record::{FRAME, MAGIC, split};
-use evermap_datasets::scan::{McapTable, WholeTable, fault_of};
+use evermap_datasets::scan::{McapTable, MessagesTable};
 use evermap_datasets::{Dataset, LossLedger, Reason};
 use evermap_schemas::Kind;
 use mcap::records::op;
@@ -34,7 +35,7 @@ async fn messages(bytes: &[u8]) -> Option<(Vec<u32>, LossLedger)> {
     let context = context(1);
     let dataset = opened(&context, bytes).await?;
     let losses = dataset.losses.clone();
-    let table = McapTable::new(Arc::new(WholeTable::Messages), &dataset.parts());
+    let table = McapTable::new(Arc::new(MessagesTable), &dataset.parts());
     let plan = table.scan(&context.state(), None, &[], None).await.unwrap();
     let mut sequences = Vec::new();
     for batch in collect(plan, context.task_ctx()).await.unwrap() {

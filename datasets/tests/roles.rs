@@ -7,11 +7,12 @@ use common::{Log, context, in_memory, rows, text};
 use datafusion::prelude::SessionContext;
 use evermap_datasets::{Dataset, Manifest, Reason, Recordings};
 use evermap_schemas::roles::{self, FromMessage, Message, Messages, Role};
-use evermap_schemas::{Fault, LayerRow, Stamp, record, rows as typed};
+use evermap_schemas::{Fault, Stamp, record, rows as typed};
 use url::Url;
 
 record! {
     /// What somebody said on the way.
+    #[layer("remarks", key(site, session, stamp))]
     pub struct Remark {
         /// Site that the session belongs to.
         site: String,
@@ -22,11 +23,6 @@ record! {
         /// The words.
         words: String,
     }
-}
-impl LayerRow for Remark {
-    const NAME: &'static str = "remarks";
-    const DOC: &'static str = "What somebody said on the way.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp"];
 }
 impl FromMessage for Remark {
     const MEMBERS: &'static [&'static str] = &["data"];

@@ -37,20 +37,18 @@ impl Layer {
         Arc::new(Schema::new_with_metadata(fields, metadata))
     }
 
-    /// The schema with only names and types, as SQL engines see it.
+    /// The column of this name.
     pub fn column(&self, name: &str) -> Option<&Column> {
         self.columns.iter().find(|column| column.name == name)
     }
 }
 
-/// A record that is a layer's row.
+/// A record that is a layer's row. Declared by the attribute `layer` of [`record!`](crate::record).
 pub trait LayerRow: Record {
     /// Layer name: a plural noun.
     const NAME: &'static str;
     /// Raised when a column changes meaning.
     const VERSION: u32 = 1;
-    /// What one row is.
-    const DOC: &'static str;
     /// The columns that order a row.
     const KEY: &'static [&'static str];
     /// The WKB column, if there is one.

@@ -44,6 +44,7 @@ mod tests {
 
     record! {
         /// Everything a cell can be.
+        #[layer("samples", key(name))]
         pub struct Sample {
             /// Text.
             name: String,
@@ -60,11 +61,6 @@ mod tests {
             /// Text by text.
             notes: BTreeMap<String, String>,
         }
-    }
-    impl LayerRow for Sample {
-        const NAME: &'static str = "samples";
-        const DOC: &'static str = "Everything a cell can be.";
-        const KEY: &'static [&'static str] = &["name"];
     }
 
     fn samples() -> Vec<Sample> {

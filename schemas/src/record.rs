@@ -39,6 +39,9 @@ impl Column {
 
 /// A struct whose fields are columns. Declared with [`record!`](crate::record), never by hand.
 pub trait Record: Sized {
+    /// What one row is: the struct's documentation.
+    const DOC: &'static str;
+
     /// The columns, in order.
     fn columns() -> Vec<Column>;
 
@@ -101,9 +104,13 @@ pub fn decode_column<T: Cell>(
 
 /// Declares a record: a struct, its columns with units and frames, and its way into Arrow and back.
 ///
+/// The attribute `layer` makes it the row of a [layer](crate::LayerRow): it gives the layer's name, the columns that
+/// order a row and, where there is one, the column with the geometry. The struct's documentation becomes the layer's.
+///
 /// ```
 /// evermap_schemas::record! {
 ///     /// A place that was visited.
+///     #[layer("visits", key(session, distance_m))]
 ///     pub struct Visit {
 ///         /// Name of the session.
 ///         session: String,
@@ -118,6 +125,7 @@ pub fn decode_column<T: Cell>(
 macro_rules! record {
     (
         $(#[doc = $doc:literal])+
+        $(#[layer($layer:expr, key($($key:ident),+) $(, geometry($geometry:ident))?)])?
         pub struct $name:ident {
             $(
                 $(#[doc = $column_doc:literal])+
@@ -135,6 +143,8 @@ macro_rules! record {
         }
 
         impl $crate::Record for $name {
+            const DOC: &'static str = concat!($($doc),+).trim_ascii_start();
+
             fn columns() -> Vec<$crate::Column> {
                 vec![$($crate::Column {
                     name: stringify!($column),
@@ -162,5 +172,11 @@ macro_rules! record {
                 Ok(std::iter::from_fn(next).take(rows).collect())
             }
         }
+
+        $(impl $crate::LayerRow for $name {
+            const NAME: &'static str = $layer;
+            const KEY: &'static [&'static str] = &[$(stringify!($key)),+];
+            $(const GEOMETRY: Option<&'static str> = Some(stringify!($geometry));)?
+        })?
     };
 }

@@ -12,28 +12,45 @@
 use crate::DecodeError;
 use arrow::array::{ArrayData, ArrayRef, make_array};
 use arrow::buffer::{BooleanBuffer, MutableBuffer, NullBuffer};
-use arrow::datatypes::{DataType, Field, FieldRef};
+use arrow::datatypes::{DataType, Field, FieldRef, Fields, ToByteSlice};
 use arrow::error::ArrowError;
 
 /// Most elements or bytes under one 32-bit offset column.
-pub(crate) const OFFSET_LIMIT: usize = i32::MAX as usize;
+const OFFSET_LIMIT: usize = i32::MAX as usize;
 
 /// All buffers of a decoder.
 #[derive(Debug, Default)]
 pub(crate) struct Pool(pub(crate) Vec<MutableBuffer>);
 
-/// Where the values of one Arrow field live.
+/// Where the values of one Arrow field live, or nowhere: what is appended to a field that is left out is forgotten, so
+/// that readers need not know the projection.
 #[derive(Debug, Clone)]
 pub(crate) struct Node {
-    pub(crate) field: FieldRef,
+    data_type: DataType,
     /// One byte per row, 0 for null; only for nullable fields.
-    pub(crate) validity: Option<usize>,
-    pub(crate) layout: Layout,
+    validity: Option<usize>,
+    layout: Layout,
+}
+
+/// A field that is left out, and all fields within it.
+static LEFT_OUT: Node = Node {
+    data_type: DataType::Null,
+    validity: None,
+    layout: Layout::None,
+};
+
+/// Offsets and data buffer of a variable-length column.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Target {
+    pub(crate) offsets: usize,
+    pub(crate) data: usize,
 }
 
 /// The buffers behind one Arrow type.
 #[derive(Debug, Clone)]
-pub(crate) enum Layout {
+enum Layout {
+    /// None: the field is left out.
+    None,
     /// Native-endian values of `width` bytes; also fixed-size binary.
     Fixed { data: usize, width: usize },
     /// One byte per value, non-zero for true.
@@ -94,15 +111,107 @@ fn offset_at(buffer: &MutableBuffer, row: usize) -> usize {
 }
 
 impl Node {
-    /// Lays out `field` over buffers appended to `pool`.
-    pub(crate) fn new(field: &FieldRef, pool: &mut Pool) -> Node {
-        let validity = field.is_nullable().then(|| pool.bytes_buffer());
-        let layout = Layout::new(field.data_type(), pool);
-        Node {
-            field: field.clone(),
-            validity,
-            layout,
+    /// Lays out the members of a message over buffers appended to `pool`; those not in `projection` are left out.
+    pub(crate) fn message(members: &Fields, projection: &[usize], pool: &mut Pool) -> Node {
+        let mut children = vec![LEFT_OUT.clone(); members.len()];
+        for index in projection {
+            children[*index] = Node::new(&members[*index], pool);
         }
+        Node {
+            data_type: DataType::Struct(members.clone()),
+            validity: None,
+            layout: Layout::Struct { children },
+        }
+    }
+
+    fn new(field: &FieldRef, pool: &mut Pool) -> Node {
+        Node {
+            data_type: field.data_type().clone(),
+            validity: field.is_nullable().then(|| pool.bytes_buffer()),
+            layout: Layout::new(field.data_type(), pool),
+        }
+    }
+
+    /// A field that is left out.
+    pub(crate) fn left_out() -> &'static Node {
+        &LEFT_OUT
+    }
+
+    /// Whether what is appended is forgotten.
+    pub(crate) fn is_left_out(&self) -> bool {
+        matches!(self.layout, Layout::None)
+    }
+
+    /// The member of a struct.
+    pub(crate) fn member(&self, index: usize) -> &Node {
+        match &self.layout {
+            Layout::Struct { children } => children.get(index).unwrap_or(&LEFT_OUT),
+            _ => &LEFT_OUT,
+        }
+    }
+
+    /// The elements of a list.
+    pub(crate) fn element(&self) -> &Node {
+        match &self.layout {
+            Layout::List { child, .. } | Layout::FixedList { child, .. } => child,
+            _ => &LEFT_OUT,
+        }
+    }
+
+    /// The buffer of numbers, flags or fixed-size binary.
+    pub(crate) fn data(&self) -> Option<usize> {
+        match &self.layout {
+            Layout::Fixed { data, .. } | Layout::Bool { data } => Some(*data),
+            _ => None,
+        }
+    }
+
+    /// The offsets of a list.
+    pub(crate) fn offsets(&self) -> Option<usize> {
+        match &self.layout {
+            Layout::List { offsets, .. } => Some(*offsets),
+            _ => None,
+        }
+    }
+
+    /// Offsets and data of a string, of binary, or of a list of numbers.
+    pub(crate) fn target(&self) -> Option<Target> {
+        let (offsets, data) = match &self.layout {
+            Layout::Bytes { offsets, data } => (*offsets, *data),
+            Layout::List { offsets, child } => (*offsets, child.data()?),
+            _ => return None,
+        };
+        Some(Target { offsets, data })
+    }
+
+    /// Appends a number, or a flag as a byte.
+    pub(crate) fn append_value(&self, pool: &mut Pool, value: impl ToByteSlice) {
+        if let Some(data) = self.data() {
+            pool.0[data].push(value);
+        }
+    }
+
+    /// Appends a string or binary.
+    pub(crate) fn append_bytes(&self, pool: &mut Pool, bytes: &[u8]) -> Result<(), DecodeError> {
+        match &self.layout {
+            Layout::Bytes { offsets, data } => pool.append_bytes(*offsets, *data, bytes),
+            _ => Ok(()),
+        }
+    }
+
+    /// The elements of a list's rows so far.
+    pub(crate) fn elements(&self, pool: &Pool) -> usize {
+        self.offsets()
+            .map_or(0, |offsets| pool.last_offset(offsets))
+    }
+
+    /// Ends a row of a list: `count` elements were appended to it.
+    pub(crate) fn end_list(&self, pool: &mut Pool, count: usize) -> Result<(), DecodeError> {
+        if let Some(offsets) = self.offsets() {
+            let end = offset(pool.last_offset(offsets) + count)?;
+            pool.0[offsets].push(end);
+        }
+        Ok(())
     }
 
     /// Appends a row that the payload does not hold: null where allowed, else zero or empty.
@@ -111,6 +220,7 @@ impl Node {
             pool.0[validity].push(0_u8);
         }
         match &self.layout {
+            Layout::None => {}
             Layout::Fixed { data, width } => pool.0[*data].extend_zeros(*width),
             Layout::Bool { data } => pool.0[*data].push(0_u8),
             Layout::Bytes { offsets, .. } | Layout::List { offsets, .. } => {
@@ -143,6 +253,7 @@ impl Node {
             pool.0[validity].truncate(rows);
         }
         match &self.layout {
+            Layout::None => {}
             Layout::Fixed { data, width } => pool.0[*data].truncate(rows * width),
             Layout::Bool { data } => pool.0[*data].truncate(rows),
             Layout::Bytes { offsets, data } => {
@@ -172,10 +283,11 @@ impl Node {
             let bytes = pool.take(validity);
             NullBuffer::new(pack_bits(&bytes, rows))
         });
-        let array = ArrayData::builder(self.field.data_type().clone())
+        let array = ArrayData::builder(self.data_type.clone())
             .len(rows)
             .nulls(nulls.filter(|n| n.null_count() > 0));
         match &self.layout {
+            Layout::None => array,
             Layout::Fixed { data, .. } => array.add_buffer(pool.take(*data).into()),
             Layout::Bool { data } => {
                 let bytes = pool.take(*data);

@@ -36,7 +36,7 @@
 
 mod buffers;
 mod cdr;
-mod columns;
+mod decoder;
 mod error;
 mod idl;
 mod json;
@@ -46,13 +46,12 @@ pub mod ros2;
 mod rosmsg;
 mod wire;
 
+pub use decoder::Decoder;
 pub use error::{DecodeError, SchemaError};
 
-use arrow::array::ArrayRef;
 use arrow::datatypes::Fields;
-use arrow::error::ArrowError;
 use cdr::Serialisation;
-use columns::Rows;
+use decoder::Format;
 use std::ops::Range;
 use std::sync::Arc;
 use wire::StructType;
@@ -69,32 +68,6 @@ pub struct Located {
     pub range: Range<usize>,
     /// Whether the range holds base64 text (JSON) instead of the bytes themselves.
     pub base64: bool,
-}
-
-/// Appends messages as rows.
-pub trait Decoder: Send {
-    /// Appends one message as a row. On error nothing is appended, and the decoder can go on.
-    ///
-    /// # Errors
-    /// [`DecodeError`] when the payload does not fit the schema, or the batch is full.
-    fn push(&mut self, payload: &[u8]) -> Result<(), DecodeError>;
-
-    /// Rows so far.
-    fn len(&self) -> usize;
-
-    /// Whether there are no rows.
-    fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// Bytes held so far, roughly, so that batches can be bounded.
-    fn bytes(&self) -> usize;
-
-    /// The columns so far; the decoder is empty afterwards and can go on.
-    ///
-    /// # Errors
-    /// Arrow's, if the columns break its rules (a fault of this crate).
-    fn finish(&mut self) -> Result<Vec<ArrayRef>, ArrowError>;
 }
 
 /// The type of a channel's messages. Cheap to clone.
@@ -165,22 +138,15 @@ impl MessageType {
 
     /// A decoder of the members named by `projection` (indices into [`Self::fields`], in
     /// that order; none for all). Indices out of range, and repeats, are left out.
-    pub fn decoder(&self, projection: Option<&[usize]>) -> Box<dyn Decoder> {
-        let projection = self.distinct(projection);
-        match &self.kind {
+    pub fn decoder(&self, projection: Option<&[usize]>) -> Decoder {
+        let format: Box<dyn Format> = match &self.kind {
             Kind::Ros(serialisation, message) => {
-                let reader = cdr::Reader::new(*serialisation, message.clone());
-                Box::new(Rows::new(reader, &self.fields, &projection))
+                Box::new(cdr::Reader::new(*serialisation, message.clone()))
             }
-            Kind::Protobuf(plan) => {
-                let reader = protobuf::Reader::new(plan.clone());
-                Box::new(Rows::new(reader, &self.fields, &projection))
-            }
-            Kind::Json(plan) => {
-                let reader = json::Reader(plan.clone());
-                Box::new(Rows::new(reader, &self.fields, &projection))
-            }
-        }
+            Kind::Protobuf(plan) => Box::new(protobuf::Reader::new(plan.clone())),
+            Kind::Json(plan) => Box::new(json::Reader(plan.clone())),
+        };
+        Decoder::new(format, &self.fields, self.distinct(projection))
     }
 
     /// Where the bytes of the member at `path` (e.g. `["data"]`) lie in `payload`; none

@@ -211,19 +211,13 @@ fn candidates(name: &str, scope: &str, generation: Generation) -> Vec<String> {
 fn primitive(name: &str, generation: Generation) -> Option<Wire> {
     let scalar = match (name, generation) {
         ("bool", _) => Scalar::Bool,
-        ("int8", _) | ("byte", Generation::Ros1) => Scalar::Int8,
-        ("uint8" | "char", _) | ("byte", Generation::Ros2) => Scalar::UInt8,
-        ("int16", _) => Scalar::Int16,
-        ("uint16", _) => Scalar::UInt16,
-        ("int32", _) => Scalar::Int32,
-        ("uint32", _) => Scalar::UInt32,
-        ("int64", _) => Scalar::Int64,
-        ("uint64", _) => Scalar::UInt64,
+        ("byte", Generation::Ros1) => Scalar::Int8,
+        ("char", _) | ("byte", Generation::Ros2) => Scalar::UInt8,
         ("float32", _) => Scalar::Float32,
         ("float64", _) => Scalar::Float64,
         ("string", _) => return Some(Wire::Text),
         ("wstring", Generation::Ros2) => return Some(Wire::WideText),
-        _ => return None,
+        _ => Scalar::integer(name)?,
     };
     Some(Wire::Scalar(scalar))
 }

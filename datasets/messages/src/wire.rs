@@ -58,6 +58,21 @@ pub(crate) struct StructType {
 pub(crate) const EMPTY_MEMBER: &str = "structure_needs_at_least_one_member";
 
 impl Scalar {
+    /// The integer of this name, where messages and IDL name it alike.
+    pub(crate) fn integer(name: &str) -> Option<Scalar> {
+        Some(match name {
+            "int8" => Scalar::Int8,
+            "uint8" => Scalar::UInt8,
+            "int16" => Scalar::Int16,
+            "uint16" => Scalar::UInt16,
+            "int32" => Scalar::Int32,
+            "uint32" => Scalar::UInt32,
+            "int64" => Scalar::Int64,
+            "uint64" => Scalar::UInt64,
+            _ => return None,
+        })
+    }
+
     /// Bytes on the wire and in Arrow (a flag is one byte until the batch is finished).
     pub(crate) fn width(self) -> usize {
         match self {

@@ -270,7 +270,7 @@ fn shown(column: &ArrayRef, row: usize) -> Value {
     }
 }
 
-fn check(decoder: &mut dyn Decoder, expected: &[Vec<Value>], projection: &[usize]) {
+fn check(decoder: &mut Decoder, expected: &[Vec<Value>], projection: &[usize]) {
     assert_eq!(decoder.len(), expected.len());
     let columns = decoder.finish().unwrap();
     assert_eq!(columns.len(), projection.len());
@@ -326,7 +326,7 @@ proptest! {
                 feed(&bad, &mut expected);
             }
         }
-        check(whole.as_mut(), &expected, &all);
-        check(part.as_mut(), &expected, &some);
+        check(&mut whole, &expected, &all);
+        check(&mut part, &expected, &some);
     }
 }

@@ -38,7 +38,7 @@ fn logs_below(folder: &Path, found: &mut Vec<PathBuf>) {
 }
 
 struct Channel {
-    decoder: Result<Box<dyn Decoder>, String>,
+    decoder: Result<Decoder, String>,
     columns: usize,
     messages: usize,
     lost: Vec<String>,
@@ -61,7 +61,7 @@ fn open(channel: &mcap::Channel) -> Channel {
 }
 
 /// Pushes a payload, decompressed first where the recorder compressed each message.
-fn push(decoder: &mut dyn Decoder, payload: &[u8]) -> Result<(), DecodeError> {
+fn push(decoder: &mut Decoder, payload: &[u8]) -> Result<(), DecodeError> {
     match decoder.push(payload) {
         Err(DecodeError::Compressed) => decoder.push(&zstd::decode_all(payload).unwrap()),
         outcome => outcome,
@@ -95,7 +95,7 @@ fn every_message_of_every_log_decodes() {
                 .or_insert_with(|| open(&message.channel));
             channel.messages += 1;
             if let Ok(decoder) = &mut channel.decoder
-                && let Err(error) = push(decoder.as_mut(), &message.data)
+                && let Err(error) = push(decoder, &message.data)
             {
                 channel.lost.push(error.to_string());
             }

@@ -73,7 +73,7 @@ impl Kitti {
         let (_, first) = images
             .first()
             .ok_or_else(|| Fault::user("expected images, found none"))?;
-        let (width, height) = image_size(first)?;
+        let (_, (width, height)) = image_size(first)?;
         let path = self.calibration.as_ref();
         let path = path.ok_or_else(|| Fault::user("expected a calibration for the images"))?;
         let k = camera_matrix(&read(path)?).map_err(|fault| fault.at(path.display()))?;

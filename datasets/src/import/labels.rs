@@ -54,7 +54,11 @@ pub(super) fn of_images(
 ) -> Result<Vec<(u64, PathBuf)>, Fault> {
     let stamps = pair(images, stamps, &labels)?;
     if let Some(first) = labels.first() {
-        let found = log::png_image_size(first)?;
+        // JPEG would change values.
+        let (format, found) = log::image_size(first)?;
+        if format != "png" {
+            return Err(Fault::user("expected labels as PNG").at(first.display()));
+        }
         if found != size {
             return Err(Fault::user(format!(
                 "expected labels of the images' size, {} x {}, found {} x {}",

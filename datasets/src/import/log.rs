@@ -7,6 +7,7 @@ use evermap_messages::ros2::{
 };
 use evermap_recording::{LogWriter, RecordingError, Times};
 use evermap_schemas::Fault;
+use imagesize::ImageType;
 use nalgebra::Isometry3;
 
 use crate::import::Imported;
@@ -217,52 +218,18 @@ fn encoded(path: &Path) -> Result<(&'static str, Vec<u8>), Fault> {
     let bytes = std::fs::read(path).map_err(|error| {
         Fault::user(format!("expected an image, found {error}")).at(path.display())
     })?;
-    let format = if bytes.starts_with(b"\x89PNG\r\n\x1a\n") {
-        "png"
-    } else if bytes.starts_with(&[0xff, 0xd8, 0xff]) {
-        "jpeg"
-    } else {
-        return Err(Fault::user("expected a PNG or JPEG image").at(path.display()));
-    };
-    Ok((format, bytes))
-}
-
-/// Width and height, from the image's head.
-pub(super) fn image_size(path: &Path) -> Result<(u32, u32), Fault> {
-    let (format, bytes) = encoded(path)?;
-    let size = match format {
-        "png" => png_size(&bytes),
-        _ => jpeg_size(&bytes),
-    };
-    size.ok_or_else(|| Fault::user("expected an image with a size").at(path.display()))
-}
-
-/// Width and height of what must be a PNG, as label images must: JPEG changes values.
-pub(super) fn png_image_size(path: &Path) -> Result<(u32, u32), Fault> {
-    let (format, bytes) = encoded(path)?;
-    let size = if format == "png" {
-        png_size(&bytes)
-    } else {
-        None
-    };
-    size.ok_or_else(|| Fault::user("expected labels as PNG").at(path.display()))
-}
-
-/// PNG: the IHDR chunk comes first.
-fn png_size(bytes: &[u8]) -> Option<(u32, u32)> {
-    let number = |at: usize| Some(u32::from_be_bytes(*bytes.get(at..)?.first_chunk()?));
-    Some((number(16)?, number(20)?))
-}
-
-/// JPEG: the first start-of-frame segment (ITU T.81, B.2.2).
-fn jpeg_size(bytes: &[u8]) -> Option<(u32, u32)> {
-    let number = |at: usize| Some(u16::from_be_bytes(*bytes.get(at..)?.first_chunk()?));
-    let mut at = 2;
-    loop {
-        let marker = *bytes.get(at + 1)?;
-        if matches!(marker, 0xc0..=0xcf) && !matches!(marker, 0xc4 | 0xc8 | 0xcc) {
-            return Some((number(at + 7)?.into(), number(at + 5)?.into()));
-        }
-        at += 2 + usize::from(number(at + 2)?);
+    match imagesize::image_type(&bytes) {
+        Ok(ImageType::Png) => Ok(("png", bytes)),
+        Ok(ImageType::Jpeg) => Ok(("jpeg", bytes)),
+        _ => Err(Fault::user("expected a PNG or JPEG image").at(path.display())),
     }
+}
+
+/// Format, width and height, from the image's head.
+pub(super) fn image_size(path: &Path) -> Result<(&'static str, (u32, u32)), Fault> {
+    let (format, bytes) = encoded(path)?;
+    let size = imagesize::blob_size(&bytes).map_err(|error| {
+        Fault::user(format!("expected an image with a size, found {error}")).at(path.display())
+    })?;
+    Ok((format, (size.width as u32, size.height as u32)))
 }

@@ -226,7 +226,7 @@ impl ImageImport {
             .first()
             .ok_or_else(|| Fault::user("expected at least one image, found none"))?;
         let stamps = self.stamps(files.len())?;
-        let (width, height) = log::image_size(first)?;
+        let (_, (width, height)) = log::image_size(first)?;
         let intrinsics = match (&camera.calibration, &camera.intrinsics) {
             (Some(file), None) => Some(Intrinsics::read(
                 &self.folder.join(file),
@@ -319,21 +319,27 @@ impl Placement {
         let mut transform = match (&self.file, &self.matrix, &self.pose) {
             (Some(file), None, None) => rigid(&calibration::extrinsic(&folder.join(file))?)?,
             (None, Some(rows), None) => rigid(&matrix(rows)?)?,
-            (None, None, Some([x, y, z, qx, qy, qz, qw])) => {
-                let rotation = Quaternion::new(*qw, *qx, *qy, *qz);
-                if rotation.norm() < 1e-6 {
-                    return Err(Fault::user(
-                        "expected a rotation, found a quaternion of length 0",
-                    ));
-                }
-                let rotation = UnitQuaternion::from_quaternion(rotation);
-                Isometry3::from_parts(Translation3::new(*x, *y, *z), rotation)
-            }
+            (None, None, Some(pose)) => from_pose(pose)?,
             _ => return Err(Fault::user("expected one of file, matrix and pose")),
         };
         transform.translation.vector *= self.scale.unwrap_or(1.0);
         Ok(transform)
     }
+}
+
+/// The transform of `[x, y, z, qx, qy, qz, qw]`.
+fn from_pose([x, y, z, qx, qy, qz, qw]: &[f64; 7]) -> Result<Isometry3<f64>, Fault> {
+    let rotation = Quaternion::new(*qw, *qx, *qy, *qz);
+    if rotation.norm() < 1e-6 {
+        return Err(Fault::user(
+            "expected a rotation, found a quaternion of length 0",
+        ));
+    }
+    let rotation = UnitQuaternion::from_quaternion(rotation);
+    Ok(Isometry3::from_parts(
+        Translation3::new(*x, *y, *z),
+        rotation,
+    ))
 }
 
 /// A 4 by 4 matrix from its rows.

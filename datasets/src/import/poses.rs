@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use evermap_schemas::Fault;
-use nalgebra::{Isometry3, Matrix4, Quaternion, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Matrix4};
 use serde::Deserialize;
 
-use crate::import::{read, rigid};
+use crate::import::{from_pose, read, rigid};
 
 /// Format of a file of poses, one per line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -43,16 +43,9 @@ pub(super) fn read_file(path: &Path, format: PoseFormat) -> Result<Vec<Posed>, F
 fn pose(line: &str, format: PoseFormat) -> Result<Posed, Fault> {
     let numbers = numbers(line)?;
     match (format, numbers.as_slice()) {
-        (PoseFormat::Tum, [stamp, x, y, z, qx, qy, qz, qw]) => {
-            let rotation = Quaternion::new(*qw, *qx, *qy, *qz);
-            if rotation.norm() < 1e-6 {
-                return Err(Fault::user(
-                    "expected a rotation, found a quaternion of length 0",
-                ));
-            }
-            let rotation = UnitQuaternion::from_quaternion(rotation);
-            let pose = Isometry3::from_parts(Translation3::new(*x, *y, *z), rotation);
-            Ok((Some(nanoseconds(*stamp)?), pose))
+        (PoseFormat::Tum, &[stamp, x, y, z, qx, qy, qz, qw]) => {
+            let pose = from_pose(&[x, y, z, qx, qy, qz, qw])?;
+            Ok((Some(nanoseconds(stamp)?), pose))
         }
         (PoseFormat::Kitti, numbers) if numbers.len() == 12 => {
             let rows = [numbers, &[0.0, 0.0, 0.0, 1.0]].concat();

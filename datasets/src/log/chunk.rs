@@ -1,5 +1,7 @@
 //! Chunks: compressed runs of records, the unit in which a log is read.
 
+use std::io::Read;
+
 use bytes::Bytes;
 use mcap::records::{ChunkHeader, Record, op};
 
@@ -82,7 +84,6 @@ impl Block {
     /// # Errors
     /// When it does not decompress.
     pub fn unpack(&self, message: &Message) -> Result<Option<Self>, String> {
-        use std::io::Read;
         let payload = &self.bytes[message.start..message.end];
         if !payload.starts_with(&ZSTD_MAGIC) {
             return Ok(None);
@@ -205,8 +206,9 @@ pub fn decompress(compression: &str, data: Bytes, size: u64) -> Result<Bytes, Da
     }
     let bytes = match compression {
         "" => data,
-        "zstd" => unpack_zstd(&data, size as usize).map_err(bad)?,
-        "lz4" => unpack_lz4(&data, size as usize).map_err(bad)?,
+        "zstd" | "lz4" => unpack(compression, &data, size as usize)
+            .map_err(|error| bad(error.to_string()))?
+            .into(),
         other => return Err(bad(format!("the unknown compression {other:?}"))),
     };
     if bytes.len() as u64 != size {
@@ -218,26 +220,14 @@ pub fn decompress(compression: &str, data: Bytes, size: u64) -> Result<Bytes, Da
     Ok(bytes)
 }
 
-fn unpack_zstd(data: &[u8], size: usize) -> Result<Bytes, String> {
+fn unpack(compression: &str, data: &[u8], size: usize) -> std::io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    bytes
-        .try_reserve_exact(size)
-        .map_err(|error| error.to_string())?;
-    zstd::bulk::Decompressor::new()
-        .and_then(|mut zstd| zstd.decompress_to_buffer(data, &mut bytes))
-        .map_err(|error| error.to_string())?;
-    Ok(bytes.into())
-}
-
-fn unpack_lz4(data: &[u8], size: usize) -> Result<Bytes, String> {
-    use std::io::Read;
-    let mut bytes = Vec::new();
-    bytes
-        .try_reserve_exact(size)
-        .map_err(|error| error.to_string())?;
-    lz4_flex::frame::FrameDecoder::new(data)
-        .take(size as u64 + 1)
-        .read_to_end(&mut bytes)
-        .map_err(|error| error.to_string())?;
-    Ok(bytes.into())
+    bytes.try_reserve_exact(size)?;
+    if compression == "zstd" {
+        zstd::bulk::Decompressor::new()?.decompress_to_buffer(data, &mut bytes)?;
+    } else {
+        let lz4 = lz4_flex::frame::FrameDecoder::new(data);
+        lz4.take(size as u64 + 1).read_to_end(&mut bytes)?;
+    }
+    Ok(bytes)
 }

@@ -7,9 +7,10 @@ use evermap_schemas::roles::{Calibration, CameraNames, Messages, Role, calibrati
 use evermap_schemas::{Fault, LayerRow, rows};
 use futures::TryStreamExt;
 
+use crate::fault::OrFault;
 use crate::roles::Topics;
 use crate::roles::rows::RoleRows;
-use crate::scan::{Job, Wanted, fault_of, stream};
+use crate::scan::{Job, Wanted, stream};
 use crate::session::LogPart;
 
 /// The role that names cameras.
@@ -62,7 +63,7 @@ async fn first(
         pool: None,
         topic: topic.to_owned(),
     });
-    let batch = batches.try_next().await.map_err(|error| fault_of(&error))?;
+    let batch = batches.try_next().await.or_fault()?;
     match batch {
         Some(batch) => Ok(rows::<Calibration>(&batch)?.into_iter().next()),
         None => Ok(None),

@@ -17,14 +17,13 @@ use async_trait::async_trait;
 use datafusion::catalog::TableProvider;
 use datafusion::datasource::ViewTable;
 use datafusion::prelude::SessionContext;
-use evermap_schemas::roles::{CameraNames, Messages, Metadata, Role, Source};
+use evermap_schemas::roles::{CameraNames, Messages, Role, Source};
 use evermap_schemas::{Column, Fault, Layer};
 use futures::FutureExt;
-use mcap::records::Record;
 use tokio::sync::OnceCell;
 
-use crate::log::index::{LogIndex, Unit};
-use crate::scan::{LogTable, McapTable, RecordRows, RowBuilder, fault_of};
+use crate::fault::fault_of;
+use crate::scan::{LogTable, McapTable, RecordTable, RowBuilder};
 use crate::session::{LogPart, Session};
 use rows::RoleRows;
 
@@ -47,11 +46,16 @@ pub(crate) fn table(role: &Role, sessions: &[Session]) -> Result<Arc<dyn TablePr
                 names: OnceCell::new(),
             },
         }),
-        Source::Metadata(metadata) => Arc::new(MetadataRole {
-            name: role.name,
-            schema: layer.schema(),
-            metadata,
-        }),
+        Source::Metadata(played) => Arc::new(RecordTable::of_metadata(
+            role.name,
+            layer.schema(),
+            move |part, records| {
+                let records = records.filter(|found| found.name == played.record);
+                let rows =
+                    records.map(|found| (played.read)(&part.site, &part.session, &found.metadata));
+                joined(&rows.collect::<Result<Vec<_>, _>>()?)
+            },
+        )),
     };
     let table = Arc::new(McapTable::new(table, &parts));
     match role.messages() {
@@ -168,65 +172,11 @@ impl LogTable for MessageRole {
     }
 }
 
-/// A role that metadata records play.
-#[derive(Debug)]
-struct MetadataRole {
-    name: &'static str,
-    schema: SchemaRef,
-    metadata: Metadata,
-}
-
-#[async_trait]
-impl LogTable for MetadataRole {
-    fn name(&self) -> &str {
-        self.name
-    }
-
-    fn schema(&self) -> SchemaRef {
-        self.schema.clone()
-    }
-
-    fn is_in(&self, part: &LogPart) -> bool {
-        !part.index.metadata.is_empty()
-    }
-
-    fn records<'a>(&self, index: &'a LogIndex) -> Option<&'a [Unit]> {
-        Some(&index.metadata)
-    }
-
-    async fn rows(
-        &self,
-        part: &Arc<LogPart>,
-        projection: &[usize],
-    ) -> Result<Box<dyn RowBuilder>, Fault> {
-        let metadata = self.metadata;
-        let columns = move |part: &LogPart, records| columns(&metadata, part, records);
-        let schema = self.schema.clone();
-        let rows = RecordRows::new(part, schema, projection, Box::new(columns));
-        Ok(Box::new(rows))
-    }
-}
-
-/// The rows of the records that have the role's name.
-fn columns(
-    role: &Metadata,
-    part: &LogPart,
-    records: Vec<Record<'static>>,
-) -> Result<Vec<ArrayRef>, Fault> {
-    let mut found: Vec<Vec<ArrayRef>> = Vec::new();
-    for record in records {
-        if let Record::Metadata(record) = record
-            && record.name == role.record
-        {
-            found.push((role.read)(&part.site, &part.session, &record.metadata)?);
-        }
-    }
-    let width = found.first().map_or(0, Vec::len);
-    let column = |index: usize| -> Result<ArrayRef, Fault> {
-        let pieces: Vec<&dyn Array> = found
-            .iter()
-            .map(|columns| columns[index].as_ref())
-            .collect();
+/// Batches of the same columns, one below the other.
+fn joined(batches: &[Vec<ArrayRef>]) -> Result<Vec<ArrayRef>, Fault> {
+    let width = batches.first().map_or(0, Vec::len);
+    let column = |index: usize| {
+        let pieces: Vec<&dyn Array> = batches.iter().map(|b| b[index].as_ref()).collect();
         Ok(concat(&pieces)?)
     };
     (0..width).map(column).collect()

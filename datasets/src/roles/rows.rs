@@ -30,7 +30,7 @@ struct TopicMessages {
     topic: String,
     message_type: MessageType,
     names: Vec<String>,
-    decoder: Box<dyn Decoder>,
+    decoder: Decoder,
     taken: Vec<Taken>,
 }
 
@@ -57,18 +57,15 @@ impl RoleRows {
         let mut channels = BTreeMap::new();
         for topic in topics {
             for channel in part.index.channels_of(topic) {
-                let message_type = match part.message_type(channel.id) {
-                    Some(Ok(message_type)) => message_type.clone(),
-                    Some(Err(error)) => {
-                        return Err(Fault::data(error.to_string())
-                            .at(format!("topic {topic}"))
-                            .at(&part.url)
-                            .next("take the topic out of the roles in a session manifest"));
-                    }
-                    None => continue,
-                };
+                let message_type = part.decodable(channel).map_err(|fault| {
+                    fault.next("take the topic out of the roles in a session manifest")
+                })?;
                 channels.insert(channel.id, found.len());
-                found.push(TopicMessages::new(topic, message_type, role.members));
+                found.push(TopicMessages::new(
+                    topic,
+                    message_type.clone(),
+                    role.members,
+                ));
             }
         }
         Ok(Self {

@@ -4,29 +4,53 @@ use std::sync::Arc;
 
 use arrow::array::{ArrayRef, BinaryBuilder, RecordBatch, StringBuilder, UInt32Array};
 use arrow::datatypes::{DataType, Field, Schema, SchemaRef};
+use async_trait::async_trait;
 use evermap_schemas::{Cell, Fault, Stamp};
 
 use crate::log::record::MessageHead;
 use crate::scan::rows::{MessageAt, RowBuilder, projected};
+use crate::scan::table::LogTable;
 use crate::scan::topic::head_column;
 use crate::session::LogPart;
 
-/// Columns of `messages`.
-pub(crate) fn messages_schema() -> SchemaRef {
-    Arc::new(Schema::new(vec![
-        Field::new("session", DataType::Utf8, false),
-        Field::new("topic", DataType::Utf8, false),
-        Field::new("log_time", Stamp::data_type(), false),
-        Field::new("publish_time", Stamp::data_type(), false),
-        Field::new("sequence", DataType::UInt32, false),
-        Field::new("channel", DataType::UInt32, false),
-        Field::new("schema_name", DataType::Utf8, true),
-        Field::new("data", DataType::Binary, false),
-    ]))
+/// All messages of a log, with their payloads as bytes.
+#[derive(Debug, Clone, Copy)]
+pub struct MessagesTable;
+
+#[async_trait]
+impl LogTable for MessagesTable {
+    fn name(&self) -> &str {
+        "messages"
+    }
+
+    fn schema(&self) -> SchemaRef {
+        Arc::new(Schema::new(vec![
+            Field::new("session", DataType::Utf8, false),
+            Field::new("topic", DataType::Utf8, false),
+            Field::new("log_time", Stamp::data_type(), false),
+            Field::new("publish_time", Stamp::data_type(), false),
+            Field::new("sequence", DataType::UInt32, false),
+            Field::new("channel", DataType::UInt32, false),
+            Field::new("schema_name", DataType::Utf8, true),
+            Field::new("data", DataType::Binary, false),
+        ]))
+    }
+
+    fn is_in(&self, _: &LogPart) -> bool {
+        true
+    }
+
+    async fn rows(
+        &self,
+        part: &Arc<LogPart>,
+        projection: &[usize],
+    ) -> Result<Box<dyn RowBuilder>, Fault> {
+        Ok(Box::new(MessageRows::new(part, projection)))
+    }
 }
 
 /// Rows of `messages`.
-pub(crate) struct MessageRows {
+struct MessageRows {
     part: Arc<LogPart>,
     projection: Vec<usize>,
     heads: Vec<MessageHead>,
@@ -38,7 +62,7 @@ pub(crate) struct MessageRows {
 impl MessageRows {
     const DATA: usize = 7;
 
-    pub fn new(part: &Arc<LogPart>, projection: &[usize]) -> Self {
+    fn new(part: &Arc<LogPart>, projection: &[usize]) -> Self {
         Self {
             part: part.clone(),
             projection: projection.to_vec(),
@@ -92,7 +116,7 @@ impl RowBuilder for MessageRows {
         self.bytes = 0;
         let channels = &self.part.index.channels;
         let channel = |head: &MessageHead| channels.get(&head.channel);
-        let schema = messages_schema();
+        let schema = MessagesTable.schema();
         projected(
             &schema,
             &self.projection,

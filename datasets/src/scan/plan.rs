@@ -113,9 +113,10 @@ impl Known<'_> {
         Arc::new(texts.collect::<StringArray>())
     }
 
-    /// Columns with one value for all rows of a candidate.
-    fn constant(&self, column: &str) -> Option<ArrayRef> {
+    /// Of the log time this bound; of other columns their value, where it is one for all rows of a candidate.
+    fn bound(&self, column: &str, time: impl Fn(&Unit) -> i64) -> Option<ArrayRef> {
         match column {
+            "log_time" => Some(self.times(time)),
             "session" => Some(self.texts(|_| Some(self.part.session.to_string()))),
             "site" => Some(self.texts(|_| Some(self.part.site.to_string()))),
             "topic" => Some(self.texts(|channel| {
@@ -129,17 +130,11 @@ impl Known<'_> {
 
 impl PruningStatistics for Known<'_> {
     fn min_values(&self, column: &Column) -> Option<ArrayRef> {
-        match column.name.as_str() {
-            "log_time" => Some(self.times(|unit| unit.start_time)),
-            name => self.constant(name),
-        }
+        self.bound(&column.name, |unit| unit.start_time)
     }
 
     fn max_values(&self, column: &Column) -> Option<ArrayRef> {
-        match column.name.as_str() {
-            "log_time" => Some(self.times(|unit| unit.end_time)),
-            name => self.constant(name),
-        }
+        self.bound(&column.name, |unit| unit.end_time)
     }
 
     fn num_containers(&self) -> usize {

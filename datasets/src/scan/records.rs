@@ -1,16 +1,19 @@
 //! Tables of records that are no messages: `attachments`, `metadata`, and roles that metadata plays.
 
 use std::collections::BTreeMap;
+use std::fmt::{Debug, Formatter};
 use std::sync::Arc;
 
 use arrow::array::{ArrayRef, RecordBatch};
 use arrow::datatypes::SchemaRef;
+use async_trait::async_trait;
 use evermap_schemas::{Bytes, Fault, Record as _, Stamp, record};
 use mcap::records::Record;
 
-use crate::log::index::{Unit, UnitKind};
+use crate::log::index::{LogIndex, Unit, UnitKind};
 use crate::log::record::{nanoseconds, parse, split};
 use crate::scan::rows::{MessageAt, RowBuilder, projected};
+use crate::scan::table::{LogTable, schema_of};
 use crate::session::LogPart;
 
 record! {
@@ -46,72 +49,137 @@ record! {
 }
 
 /// The columns of a table, from some records of a file.
-pub(crate) type Columns =
-    Box<dyn Fn(&LogPart, Vec<Record<'static>>) -> Result<Vec<ArrayRef>, Fault> + Send>;
+type Columns =
+    Arc<dyn Fn(&LogPart, Vec<Record<'static>>) -> Result<Vec<ArrayRef>, Fault> + Send + Sync>;
 
-/// Columns of `attachments`.
-pub(crate) fn attachments(
-    part: &LogPart,
-    records: Vec<Record<'static>>,
-) -> Result<Vec<ArrayRef>, Fault> {
-    let rows = records.into_iter().filter_map(|record| match record {
-        Record::Attachment { header, data, .. } => Some(Attachment {
-            session: part.session.to_string(),
-            name: header.name,
-            media_type: header.media_type,
-            log_time: Stamp(nanoseconds(header.log_time)),
-            create_time: Stamp(nanoseconds(header.create_time)),
-            size: data.len() as u64,
-            data: Bytes(data.into_owned()),
-        }),
-        _ => None,
-    });
-    Attachment::encode_columns(rows.collect())
+/// A table of records that are no messages.
+#[derive(Clone)]
+pub(crate) struct RecordTable {
+    name: &'static str,
+    schema: SchemaRef,
+    /// Where the records lie.
+    units: fn(&LogIndex) -> &[Unit],
+    columns: Columns,
 }
 
-/// Columns of `metadata`.
-pub(crate) fn metadata(
-    part: &LogPart,
-    records: Vec<Record<'static>>,
-) -> Result<Vec<ArrayRef>, Fault> {
-    let rows = records.into_iter().filter_map(|record| match record {
-        Record::Metadata(found) => Some(Metadata {
-            session: part.session.to_string(),
-            name: found.name,
-            metadata: found.metadata,
-        }),
+impl RecordTable {
+    /// `attachments`.
+    pub fn attachments() -> Self {
+        Self {
+            name: "attachments",
+            schema: schema_of(&Attachment::columns()),
+            units: |index| &index.attachments,
+            columns: Arc::new(|part, records| {
+                let rows = records
+                    .into_iter()
+                    .filter_map(|found| attachment(part, found));
+                Attachment::encode_columns(rows.collect())
+            }),
+        }
+    }
+
+    /// `metadata`.
+    pub fn metadata() -> Self {
+        let schema = schema_of(&Metadata::columns());
+        Self::of_metadata("metadata", schema, |part, records| {
+            let rows = records.map(|found| Metadata {
+                session: part.session.to_string(),
+                name: found.name,
+                metadata: found.metadata,
+            });
+            Metadata::encode_columns(rows.collect())
+        })
+    }
+
+    /// A table that is made of metadata records.
+    pub fn of_metadata(
+        name: &'static str,
+        schema: SchemaRef,
+        columns: impl Fn(&LogPart, &mut MetadataRecords) -> Result<Vec<ArrayRef>, Fault>
+        + Send
+        + Sync
+        + 'static,
+    ) -> Self {
+        Self {
+            name,
+            schema,
+            units: |index| &index.metadata,
+            columns: Arc::new(move |part, records| columns(part, &mut metadata(records))),
+        }
+    }
+}
+
+/// Metadata records, one after the other.
+pub(crate) type MetadataRecords = dyn Iterator<Item = mcap::records::Metadata>;
+
+impl Debug for RecordTable {
+    fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name)
+    }
+}
+
+#[async_trait]
+impl LogTable for RecordTable {
+    fn name(&self) -> &str {
+        self.name
+    }
+
+    fn schema(&self) -> SchemaRef {
+        self.schema.clone()
+    }
+
+    fn is_in(&self, part: &LogPart) -> bool {
+        !(self.units)(&part.index).is_empty()
+    }
+
+    fn records<'a>(&self, index: &'a LogIndex) -> Option<&'a [Unit]> {
+        Some((self.units)(index))
+    }
+
+    async fn rows(
+        &self,
+        part: &Arc<LogPart>,
+        projection: &[usize],
+    ) -> Result<Box<dyn RowBuilder>, Fault> {
+        Ok(Box::new(RecordRows {
+            table: self.clone(),
+            part: part.clone(),
+            projection: projection.to_vec(),
+            records: Vec::new(),
+            bytes: 0,
+        }))
+    }
+}
+
+fn attachment(part: &LogPart, record: Record<'static>) -> Option<Attachment> {
+    let Record::Attachment { header, data, .. } = record else {
+        return None;
+    };
+    Some(Attachment {
+        session: part.session.to_string(),
+        name: header.name,
+        media_type: header.media_type,
+        log_time: Stamp(nanoseconds(header.log_time)),
+        create_time: Stamp(nanoseconds(header.create_time)),
+        size: data.len() as u64,
+        data: Bytes(data.into_owned()),
+    })
+}
+
+fn metadata(records: Vec<Record<'static>>) -> impl Iterator<Item = mcap::records::Metadata> {
+    records.into_iter().filter_map(|record| match record {
+        Record::Metadata(found) => Some(found),
         _ => None,
-    });
-    Metadata::encode_columns(rows.collect())
+    })
 }
 
 /// Builds rows from records that are no messages.
-pub(crate) struct RecordRows {
+struct RecordRows {
+    table: RecordTable,
     part: Arc<LogPart>,
-    schema: SchemaRef,
     projection: Vec<usize>,
-    columns: Columns,
     records: Vec<Record<'static>>,
     bytes: usize,
-}
-
-impl RecordRows {
-    /// A builder of the projected columns of a table.
-    pub fn new(
-        part: &Arc<LogPart>,
-        schema: SchemaRef,
-        projection: &[usize],
-        columns: Columns,
-    ) -> Self {
-        Self {
-            part: part.clone(),
-            schema,
-            projection: projection.to_vec(),
-            columns,
-            records: Vec::new(),
-            bytes: 0,
-        }
-    }
 }
 
 impl RowBuilder for RecordRows {
@@ -149,10 +217,11 @@ impl RowBuilder for RecordRows {
 
     fn finish(&mut self) -> Result<Vec<RecordBatch>, Fault> {
         self.bytes = 0;
-        let columns = (self.columns)(&self.part, std::mem::take(&mut self.records))?;
+        let records = std::mem::take(&mut self.records);
+        let columns = (self.table.columns)(&self.part, records)?;
         let rows = columns.first().map_or(0, |column| column.len());
-        projected(&self.schema, &self.projection, rows, |column| {
-            columns[column].clone()
+        projected(&self.table.schema, &self.projection, rows, |at| {
+            columns[at].clone()
         })
     }
 }

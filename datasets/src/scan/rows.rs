@@ -6,8 +6,8 @@ use arrow::array::{ArrayRef, RecordBatch, RecordBatchOptions};
 use arrow::datatypes::SchemaRef;
 use evermap_schemas::Fault;
 
-use crate::log::chunk::{Block, Message};
-use crate::log::index::{LogChannel, Unit};
+use crate::log::chunk::Block;
+use crate::log::index::Unit;
 use crate::log::record::MessageHead;
 use crate::session::LogPart;
 
@@ -17,50 +17,12 @@ pub struct MessageAt<'a> {
     pub part: &'a LogPart,
     /// The chunk, decompressed.
     pub block: &'a Block,
-    /// The channel.
-    pub channel: &'a LogChannel,
     /// Channel number, sequence and times.
     pub head: MessageHead,
     /// First byte of the payload in the block.
     pub start: usize,
     /// The payload.
     pub payload: &'a [u8],
-}
-
-impl<'a> MessageAt<'a> {
-    /// The message at a place in a block.
-    pub fn new(
-        part: &'a LogPart,
-        channel: &'a LogChannel,
-        block: &'a Block,
-        message: &Message,
-    ) -> Self {
-        Self {
-            part,
-            block,
-            channel,
-            head: message.head,
-            start: message.start,
-            payload: &block.bytes[message.start..message.end],
-        }
-    }
-
-    /// The message whose payload, compressed on its own, became a block of its own.
-    pub fn unpacked(
-        part: &'a LogPart,
-        channel: &'a LogChannel,
-        block: &'a Block,
-        message: &Message,
-    ) -> Self {
-        Self {
-            start: 0,
-            payload: &block.bytes,
-            part,
-            block,
-            channel,
-            head: message.head,
-        }
-    }
 }
 
 /// Turns the messages (or other records) of one file into the rows of one table.

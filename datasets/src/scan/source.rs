@@ -22,7 +22,7 @@ use evermap_schemas::Fault;
 use futures::FutureExt;
 use object_store::ObjectStore;
 
-use crate::scan::external;
+use crate::fault::external;
 use crate::scan::plan::{PlannedUnit, Wanted};
 use crate::scan::stream::{Job, stream};
 use crate::scan::table::LogTable;

@@ -15,11 +15,11 @@ use evermap_schemas::Fault;
 use futures::stream::BoxStream;
 use futures::{StreamExt, TryStreamExt};
 
+use crate::fault::external;
 use crate::log::chunk::{Block, Damage, Message};
 use crate::log::index::{Unit, UnitKind};
 use crate::log::window::fetch;
 use crate::losses::{Loss, Reason};
-use crate::scan::external;
 use crate::scan::plan::PlannedUnit;
 use crate::scan::rows::{MessageAt, RowBuilder};
 use crate::session::LogPart;
@@ -173,13 +173,21 @@ fn push(
     let Some(channel) = part.index.channels.get(&message.head.channel) else {
         return Ok(());
     };
-    if rows.decodes()
-        && channel.message_encoding == "cdr"
-        && let Some(own) = block.unpack(message)?
-    {
-        return rows.push(&MessageAt::unpacked(part, channel, &own, message));
-    }
-    rows.push(&MessageAt::new(part, channel, block, message))
+    let unpacked = match rows.decodes() && channel.message_encoding == "cdr" {
+        true => block.unpack(message)?,
+        false => None,
+    };
+    let (block, place) = match &unpacked {
+        Some(own) => (own, 0..own.bytes.len()),
+        None => (block, message.start..message.end),
+    };
+    rows.push(&MessageAt {
+        part,
+        block,
+        head: message.head,
+        start: place.start,
+        payload: &block.bytes[place],
+    })
 }
 
 /// A unit that is being read.

@@ -19,8 +19,8 @@ use datafusion::physical_plan::empty::EmptyExec;
 use datafusion::physical_plan::union::UnionExec;
 use evermap_schemas::{Column, Fault};
 
+use crate::fault::external;
 use crate::log::index::{LogIndex, Unit};
-use crate::scan::external;
 use crate::scan::rows::RowBuilder;
 use crate::scan::source::McapSource;
 use crate::scan::topic::head_fields;

@@ -98,7 +98,7 @@ fn topic_schema(topic: &str, parts: &[Arc<LogPart>]) -> Result<SchemaRef, Fault>
     let mut seen: Vec<Fields> = Vec::new();
     for part in parts {
         for channel in part.index.channels_of(topic) {
-            let fields = message_type(part, channel.id, topic)?.fields();
+            let fields = message_type(part, channel)?.fields();
             if !seen.contains(fields) {
                 merge(&mut columns, fields).map_err(|fault| {
                     fault.at(format!("topic {topic}")).at(&part.url).next(
@@ -117,19 +117,9 @@ fn topic_schema(topic: &str, parts: &[Arc<LogPart>]) -> Result<SchemaRef, Fault>
     Ok(Arc::new(Schema::new(head.chain(own).collect::<Fields>())))
 }
 
-fn message_type<'a>(
-    part: &'a LogPart,
-    channel: u16,
-    topic: &str,
-) -> Result<&'a MessageType, Fault> {
-    match part.message_type(channel) {
-        Some(Ok(message_type)) => Ok(message_type),
-        Some(Err(error)) => Err(Fault::data(error.to_string())
-            .at(format!("topic {topic}"))
-            .at(&part.url)
-            .next("its payloads are in the table messages, as bytes")),
-        None => Err(Fault::bug(format!("channel {channel} is not in the index"))),
-    }
+fn message_type<'a>(part: &'a LogPart, channel: &LogChannel) -> Result<&'a MessageType, Fault> {
+    let decodable = part.decodable(channel);
+    decodable.map_err(|fault| fault.next("its payloads are in the table messages, as bytes"))
 }
 
 fn merge(columns: &mut Vec<(FieldRef, usize)>, fields: &Fields) -> Result<(), Fault> {
@@ -172,7 +162,7 @@ struct TopicRows {
 
 /// One message type's decoder, and where its columns go.
 struct Columns {
-    decoder: Box<dyn Decoder>,
+    decoder: Decoder,
     /// For each projected table column: which of the decoder's columns it is; `None` where this type lacks it.
     places: Vec<Option<usize>>,
 }
@@ -194,7 +184,7 @@ impl TopicRows {
             let decoder = types.iter().position(same).unwrap_or(types.len());
             if decoder == types.len() {
                 types.push(channel);
-                let found = message_type(part, channel.id, topic)?;
+                let found = message_type(part, channel)?;
                 decoders.push(Columns::new(found, schema, projection));
             }
             channels.insert(channel.id, decoder);

@@ -18,7 +18,7 @@ use evermap_algorithms::geometry::pose::Pose;
 use evermap_bench::remap::Remap;
 use evermap_contract::{Emit, Job, Losses, Phase, Sides};
 use evermap_schemas::roles::{Calibration, Transform};
-use evermap_schemas::{Bytes, ImageRef, LayerRow, Stamp, batch, record};
+use evermap_schemas::{Bytes, ImageRef, Stamp, batch, record};
 use evermap_vision::{Grey, decode_grey};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde_json::json;
@@ -30,6 +30,7 @@ const REACH_M: f64 = 8.0;
 
 record! {
     /// A posed image as the kernel sees it.
+    #[layer("posed_images", key(site, session, stamp, camera))]
     pub struct Image {
         /// Site.
         site: String,
@@ -46,11 +47,6 @@ record! {
         /// JPEG.
         image_pixels: Option<Bytes>,
     }
-}
-impl LayerRow for Image {
-    const NAME: &'static str = "posed_images";
-    const DOC: &'static str = "A posed image as the kernel sees it.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
 }
 
 fn calibration() -> Calibration {

@@ -73,6 +73,7 @@ pub trait Fold: Send + Sync + Sized + 'static {
 
 record! {
     /// A fold's state on its way from one phase to the next.
+    #[layer("states", key(site, key))]
     pub struct StateRow {
         /// Site that the state belongs to.
         site: String,
@@ -81,11 +82,6 @@ record! {
         /// The state, serialised.
         state: Bytes,
     }
-}
-impl LayerRow for StateRow {
-    const NAME: &'static str = "states";
-    const DOC: &'static str = "A fold's state on its way from one phase to the next.";
-    const KEY: &'static [&'static str] = &["site", "key"];
 }
 
 /// A typed fold, prepared for a site.

@@ -200,23 +200,19 @@ mod tests {
     use super::*;
     use crate::{Emit, Fold, Key, Operator, Pixels, Port, Sides, Stream, Work};
     use evermap_schemas::layers::VehiclePose;
-    use evermap_schemas::{LayerRow, record};
+    use evermap_schemas::record;
     use schemars::JsonSchema;
     use serde::{Deserialize, Serialize};
 
     record! {
         /// Poses counted.
+        #[layer("counts", key(site))]
         pub struct Count {
             /// Site.
             site: String,
             /// How many.
             poses: u64,
         }
-    }
-    impl LayerRow for Count {
-        const NAME: &'static str = "counts";
-        const DOC: &'static str = "Poses counted.";
-        const KEY: &'static [&'static str] = &["site"];
     }
 
     #[derive(Clone, Default, Serialize, Deserialize, JsonSchema)]

@@ -1,10 +1,11 @@
 //! Tables and columns for people.
 
 use arrow::datatypes::Schema;
-use evermap_schemas::{Layer, LayerRow, record, type_name};
+use evermap_schemas::{Layer, record, type_name};
 
 record! {
     /// One column of a table.
+    #[layer("columns", key(column))]
     pub struct ColumnLine {
         /// Column.
         column: String,
@@ -20,14 +21,10 @@ record! {
         meaning: String,
     }
 }
-impl LayerRow for ColumnLine {
-    const NAME: &'static str = "columns";
-    const DOC: &'static str = "One column of a table.";
-    const KEY: &'static [&'static str] = &["column"];
-}
 
 record! {
     /// One table.
+    #[layer("tables", key(table))]
     pub struct TableLine {
         /// Table, as a query names it.
         table: String,
@@ -36,11 +33,6 @@ record! {
         /// What one row is.
         rows_are: String,
     }
-}
-impl LayerRow for TableLine {
-    const NAME: &'static str = "tables";
-    const DOC: &'static str = "One table.";
-    const KEY: &'static [&'static str] = &["table"];
 }
 
 /// The columns of a table; units and frames from its fields, or from the layer's declaration where it has one.
@@ -66,6 +58,7 @@ pub fn columns(schema: &Schema, declared: Option<&Layer>) -> Vec<ColumnLine> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use evermap_schemas::LayerRow;
     use evermap_schemas::layers::Keyframe;
 
     #[test]

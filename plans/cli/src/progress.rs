@@ -20,33 +20,23 @@ pub enum Show {
     None,
 }
 
-enum Form {
-    Bar(ProgressBar),
-    Lines,
-    Silent,
-}
-
 /// Progress of one piece of long work.
 pub struct Progress {
-    form: Form,
-    done: u64,
-    total: u64,
+    /// Counts; hidden where no person looks.
+    bar: ProgressBar,
+    /// Whether lines tell what the bar does not.
+    lines: bool,
     percent: u64,
     running: Vec<String>,
 }
 
 impl Progress {
-    /// Progress towards a total that may be set later.
-    pub fn new(show: Show, total: u64) -> Self {
-        let form = match show {
-            Show::None => Form::Silent,
-            Show::Auto if std::io::stderr().is_terminal() => Form::Bar(bar(total)),
-            Show::Auto | Show::Plain => Form::Lines,
-        };
+    /// Progress towards a total that is not known yet.
+    pub fn new(show: Show) -> Self {
+        let looks = show == Show::Auto && std::io::stderr().is_terminal();
         Self {
-            form,
-            done: 0,
-            total,
+            bar: if looks { bar() } else { ProgressBar::hidden() },
+            lines: !looks && show != Show::None,
             percent: 0,
             running: Vec::new(),
         }
@@ -54,85 +44,58 @@ impl Progress {
 
     /// Sets the total.
     pub fn expect(&mut self, total: u64) {
-        self.total = total;
-        if let Form::Bar(bar) = &self.form {
-            bar.set_length(total);
-        }
+        self.bar.set_length(total);
     }
 
     /// Notes what happens in a run.
     pub fn note(&mut self, event: &Event<'_>) {
         match event {
             Event::Planned { units } => self.expect(*units as u64),
-            Event::Started { label } => {
-                self.running.push((*label).to_owned());
-                self.message();
-            }
+            Event::Started { label } => self.running.push((*label).to_owned()),
             Event::Done {
                 label,
                 receipt,
                 cached,
             } => {
                 self.running.retain(|running| running != label);
-                let how = if *cached {
-                    "done before".to_owned()
-                } else {
-                    of_seconds(receipt.seconds)
-                };
-                self.step(&format!(
-                    "{label}: {}, {how}",
-                    of(receipt.artifact.rows, "row")
-                ));
-                self.message();
+                self.bar.inc(1);
+                if self.lines {
+                    let how = match cached {
+                        true => "done before".to_owned(),
+                        false => of_seconds(receipt.seconds),
+                    };
+                    let (done, total) = (self.bar.position(), self.total());
+                    let rows = of(receipt.artifact.rows, "row");
+                    line(&format!("[{done}/{total}] {label}: {rows}, {how}"));
+                }
             }
         }
-    }
-
-    /// One step is done.
-    pub fn step(&mut self, what: &str) {
-        self.done += 1;
-        match &self.form {
-            Form::Bar(bar) => bar.set_position(self.done),
-            Form::Lines => line(&format!("[{}/{}] {what}", self.done, self.total)),
-            Form::Silent => {}
-        }
+        self.bar.set_message(self.running.join(", "));
     }
 
     /// So much is done of work in many small steps; lines are printed for every tenth of it.
     pub fn at(&mut self, done: u64, what: &str) {
-        self.done = done;
-        match &self.form {
-            Form::Bar(bar) => {
-                bar.set_position(done);
-                bar.set_message(what.to_owned());
-            }
-            Form::Lines => {
-                let percent = 100 * done / self.total.max(1);
-                if percent / 10 > self.percent / 10 {
-                    self.percent = percent;
-                    line(&format!("{percent:3} % {what}"));
-                }
-            }
-            Form::Silent => {}
+        self.bar.set_position(done);
+        self.bar.set_message(what.to_owned());
+        let percent = 100 * done / self.total().max(1);
+        if self.lines && percent / 10 > self.percent / 10 {
+            self.percent = percent;
+            line(&format!("{percent:3} % {what}"));
         }
     }
 
-    fn message(&self) {
-        if let Form::Bar(bar) = &self.form {
-            bar.set_message(self.running.join(", "));
-        }
+    fn total(&self) -> u64 {
+        self.bar.length().unwrap_or_default()
     }
 
     /// Takes the bar away.
     pub fn finish(self) {
-        if let Form::Bar(bar) = self.form {
-            bar.finish_and_clear();
-        }
+        self.bar.finish_and_clear();
     }
 }
 
-fn bar(total: u64) -> ProgressBar {
-    let bar = ProgressBar::with_draw_target(Some(total), ProgressDrawTarget::stderr());
+fn bar() -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr());
     let style = ProgressStyle::with_template("{elapsed_precise} {bar:30} {pos}/{len} {wide_msg}");
     bar.set_style(
         style

@@ -10,13 +10,17 @@ use evermap_contract::Registry;
 use evermap_engine::conform::conform;
 use evermap_engine::error::OrFault;
 use evermap_engine::map::Map;
+use evermap_engine::sql::Limits;
 use evermap_schemas::{Fault, Layer, LayerRow, rows};
+use tokio::sync::OnceCell;
 
 /// A map with the operators that may have made its layers.
 pub struct MapReader {
     /// The map.
     pub map: Map,
     registry: Registry,
+    /// Its layers as tables, once a query was asked.
+    tables: OnceCell<SessionContext>,
 }
 
 impl MapReader {
@@ -28,7 +32,17 @@ impl MapReader {
         Ok(Self {
             map: Map::open(address, version).await?,
             registry: evermap_catalog::registry(),
+            tables: OnceCell::new(),
         })
+    }
+
+    /// The answer to a query on the map's layers.
+    ///
+    /// # Errors
+    /// As [`Map::context`] and [`answered`].
+    pub async fn ask(&self, query: &str) -> Result<Vec<RecordBatch>, Fault> {
+        let open = || self.map.context(Limits::default());
+        answered(self.tables.get_or_try_init(open).await?, query).await
     }
 
     /// The declaration of a layer's columns, where an operator makes it.

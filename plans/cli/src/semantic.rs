@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use evermap_datasets::{Dataset, ImageReader, Manifest};
+use evermap_datasets::ImageReader;
 use evermap_engine::map::Map;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::layers::{LabelImage, Relocation, SemanticGraph, View};
@@ -85,9 +85,8 @@ async fn labels(reader: &MapReader, view: &View) -> Result<Option<LabelImage>, F
     let Some(layer) = reader.layer_of::<LabelImage>() else {
         return Ok(None);
     };
-    let context = reader.map.context(Limits::default()).await?;
     let query = format!("SELECT * FROM \"{layer}\" WHERE {}", of_view(view));
-    let found = typed(&answered(&context, &query).await?)?;
+    let found = typed(&reader.ask(&query).await?)?;
     Ok(found.into_iter().next())
 }
 
@@ -166,14 +165,10 @@ async fn image(map: &Map, view: &View) -> Option<Vec<u8>> {
 }
 
 async fn fetched(map: &Map, view: &View) -> Result<Option<Vec<u8>>, Fault> {
-    let mut sessions = map.version.sessions.iter();
-    let Some(session) = sessions.find(|session| session.log.session == view.session) else {
+    let context = context(Limits::default())?;
+    let Some(dataset) = map.log(&view.session, &context.runtime_env()).await? else {
         return Ok(None);
     };
-    let manifest: Manifest = serde_json::from_value(session.manifest.clone())
-        .map_err(|error| Fault::data(format!("the session's manifest: {error}")))?;
-    let context = context(Limits::default())?;
-    let dataset = Dataset::open(&context.runtime_env(), &[], Some(&manifest)).await?;
     dataset.register(&context)?;
     let query = format!("SELECT image FROM frames WHERE {}", of_view(view));
     let batches = answered(&context, &query).await?;

@@ -5,12 +5,13 @@ use std::path::Path;
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
 use evermap_datasets::{Dataset, Manifest};
-use evermap_engine::prepare::{PlanText, Prepared};
+use evermap_engine::prepare::Prepared;
 use evermap_schemas::Fault;
 
-use crate::arguments::SessionArgs;
+use crate::arguments::{PlanArgs, SessionArgs};
 use crate::ending::{Failure, Lost};
 use crate::progress::line;
+use crate::shipped;
 
 /// The manifest that the command line names, with its site; `None` where it names neither.
 ///
@@ -35,15 +36,11 @@ pub fn manifest(args: &SessionArgs) -> Result<Option<Manifest>, Fault> {
 ///
 /// # Errors
 /// The plan's faults, or what is wrong with the sessions or the map.
-pub async fn prepare(
-    plan: &PlanText,
-    registry: &Registry,
-    map: &str,
-    args: &SessionArgs,
-) -> Result<Prepared, Failure> {
-    let manifest = manifest(args)?;
-    let prepared = Prepared::new(plan, registry, map, &args.sessions, manifest.as_ref());
-    Ok(prepared.await?)
+pub async fn prepare(args: &PlanArgs, registry: &Registry, map: &str) -> Result<Prepared, Failure> {
+    let plan = shipped::of(args)?;
+    let manifest = manifest(&args.sessions)?;
+    let sessions = &args.sessions.sessions;
+    Ok(Prepared::new(&plan, registry, map, sessions, manifest.as_ref()).await?)
 }
 
 /// Opens the sessions, and says on stderr what was chosen for the person.

@@ -1,9 +1,10 @@
 //! The columns of layers that a picture shows. A layer that a query made, or an older version, needs only these.
 
-use evermap_schemas::{Bytes, LayerRow, layers, record};
+use evermap_schemas::{Bytes, layers, record};
 
 record! {
     /// A tile, as far as it is shown.
+    #[layer(layers::OverheadTile::NAME, key(site, zoom, tile_x, tile_y))]
     pub struct Tile {
         /// Site of the map.
         site: String,
@@ -21,14 +22,10 @@ record! {
         png: Bytes,
     }
 }
-impl LayerRow for Tile {
-    const NAME: &'static str = layers::OverheadTile::NAME;
-    const DOC: &'static str = layers::OverheadTile::DOC;
-    const KEY: &'static [&'static str] = layers::OverheadTile::KEY;
-}
 
 record! {
     /// A lane, as far as it is shown.
+    #[layer(layers::Lane::NAME, key(site, lane))]
     pub struct Lane {
         /// Site of the map.
         site: String,
@@ -53,14 +50,9 @@ impl Lane {
     }
 }
 
-impl LayerRow for Lane {
-    const NAME: &'static str = layers::Lane::NAME;
-    const DOC: &'static str = layers::Lane::DOC;
-    const KEY: &'static [&'static str] = layers::Lane::KEY;
-}
-
 record! {
     /// An intersection, as far as it is shown.
+    #[layer(layers::Intersection::NAME, key(site, node))]
     pub struct Crossing {
         /// Site of the map.
         site: String,
@@ -74,14 +66,10 @@ record! {
         y: f64 ["m", "map"],
     }
 }
-impl LayerRow for Crossing {
-    const NAME: &'static str = layers::Intersection::NAME;
-    const DOC: &'static str = layers::Intersection::DOC;
-    const KEY: &'static [&'static str] = layers::Intersection::KEY;
-}
 
 record! {
     /// A landmark, as far as it is shown.
+    #[layer(layers::Landmark::NAME, key(site))]
     pub struct LandmarkPoint {
         /// Site of the map.
         site: String,
@@ -91,16 +79,11 @@ record! {
         y: f64 ["m", "map"],
     }
 }
-impl LayerRow for LandmarkPoint {
-    const NAME: &'static str = layers::Landmark::NAME;
-    const DOC: &'static str = layers::Landmark::DOC;
-    const KEY: &'static [&'static str] = &["site"];
-}
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use evermap_schemas::Layer;
+    use evermap_schemas::{Layer, LayerRow};
 
     #[test]
     fn what_is_shown_is_in_the_layers() {

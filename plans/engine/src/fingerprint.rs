@@ -13,14 +13,16 @@ use std::sync::Arc;
 
 use chrono::{DateTime, TimeDelta, Utc};
 use datafusion::execution::object_store::ObjectStoreUrl;
+use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_datasets::log::index::LogIndex;
-use evermap_datasets::{Dataset, LogFile, LogPart, Recordings, Session};
+use evermap_datasets::{Dataset, LogFile, LogPart, Manifest, Recordings, Session};
 use evermap_schemas::Fault;
 use object_store::path::Path as ObjectPath;
 use object_store::{ObjectMeta, ObjectStoreExt};
 use serde::{Deserialize, Serialize};
 
 use crate::digest::digest_of;
+use crate::map::receipt::LogContent;
 use crate::map::store::Store;
 
 /// How long a file must have rested for its times to be trusted.
@@ -158,6 +160,20 @@ pub async fn open(
     recordings.open().await
 }
 
+/// Opens the log of a session of a map, where it was when it was mapped and with the index that is remembered of it.
+///
+/// # Errors
+/// As [`open`], or a user fault for a log that is gone.
+pub async fn open_mapped(
+    store: &Store,
+    runtime: &RuntimeEnv,
+    manifest: &Manifest,
+    log: &LogContent,
+) -> Result<Dataset, Fault> {
+    let found = Recordings::find(runtime, &[], Some(manifest)).await?;
+    open(store, found, Believe::Content(&log.content)).await
+}
+
 /// The digest of a session's log, and what is worth remembering of it.
 ///
 /// # Errors
@@ -243,8 +259,6 @@ async fn unchanged(parts: &[Arc<LogPart>], files: &[FileState]) -> bool {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use datafusion::execution::runtime_env::RuntimeEnv;
-
     use super::*;
 
     /// A log without messages: magic, header, end of data, footer, magic.

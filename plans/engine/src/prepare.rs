@@ -17,10 +17,10 @@ use crate::digest::digest_of;
 use crate::fingerprint::{self, Believe, Fingerprint};
 use crate::map::receipt::LogContent;
 use crate::map::store::Store;
-use crate::map::version::{Previous, Version};
+use crate::map::version::{MappedSession, Previous, Version};
 use crate::program::Program;
 use crate::program::compile::compile;
-use crate::run::{Run, RunSession};
+use crate::run::Run;
 use crate::sql::{Limits, context, tables};
 
 /// What keeps a plan from running: its own faults, or something else.
@@ -139,7 +139,7 @@ pub struct Prepared {
     /// The program.
     pub program: Program,
     /// All sessions of the coming version, sorted by name: those of the version before, and the new ones.
-    pub sessions: Vec<RunSession>,
+    pub sessions: Vec<MappedSession>,
     /// The version before.
     pub base: Option<Version>,
     /// The map.
@@ -178,7 +178,7 @@ impl Prepared {
         let found = Recordings::find(&RuntimeEnv::default(), sessions, manifest).await?;
         let given = fingerprint::open(&store, found, Believe::Rested).await?;
         let program = compiled(&parsed, registry, &given).await?;
-        let mut by_name = mapped_sessions(base.as_ref())?;
+        let mut by_name = mapped_sessions(base.as_ref());
         let mut fresh = Vec::new();
         for session in &given.sessions {
             let sited = manifest.is_some_and(|manifest| {
@@ -243,29 +243,16 @@ fn beside(origin: &str, path: &str) -> PathBuf {
     }
 }
 
-fn mapped_sessions(base: Option<&Version>) -> Result<BTreeMap<String, RunSession>, Fault> {
-    let sessions = base
-        .into_iter()
-        .flat_map(|base| &base.sessions)
-        .map(|session| {
-            let manifest = serde_json::from_value(session.manifest.clone()).map_err(|error| {
-                Fault::data(format!("a session of the map does not read: {error}"))
-                    .at(&session.log.session)
-            })?;
-            Ok((
-                session.log.session.clone(),
-                RunSession {
-                    log: session.log.clone(),
-                    manifest,
-                },
-            ))
-        });
-    sessions.collect()
+fn mapped_sessions(base: Option<&Version>) -> BTreeMap<String, MappedSession> {
+    let sessions = base.into_iter().flat_map(|base| base.sessions.clone());
+    sessions
+        .map(|session| (session.log.session.clone(), session))
+        .collect()
 }
 
 /// The site of a session: what is said now, else what was said when it was mapped, else its own. Where nobody says
 /// that sessions are of one place, each is a place of its own: their odometry frames differ.
-fn site_of(session: &Session, sited: bool, mapped: &BTreeMap<String, RunSession>) -> String {
+fn site_of(session: &Session, sited: bool, mapped: &BTreeMap<String, MappedSession>) -> String {
     match mapped.get(&*session.name) {
         _ if sited => session.site.to_string(),
         Some(mapped) => mapped.log.site.clone(),
@@ -273,7 +260,7 @@ fn site_of(session: &Session, sited: bool, mapped: &BTreeMap<String, RunSession>
     }
 }
 
-fn run_session(session: &Session, site: String, content: String) -> Result<RunSession, Fault> {
+fn run_session(session: &Session, site: String, content: String) -> Result<MappedSession, Fault> {
     let manifest = manifest_of(session, &site);
     let log = LogContent {
         session: session.name.to_string(),
@@ -281,7 +268,7 @@ fn run_session(session: &Session, site: String, content: String) -> Result<RunSe
         content,
         roles: digest_of(&manifest.roles)?,
     };
-    Ok(RunSession { log, manifest })
+    Ok(MappedSession { log, manifest })
 }
 
 /// The manifest that opens just this session, with its topics as they were resolved.

@@ -1,10 +1,11 @@
 //! Layers of the metric map: features, tracks, loops, poses, landmarks.
 
 use super::Source;
-use crate::{Bytes, ImageRef, LayerRow, Pose, Stamp, Wkb, record};
+use crate::{Bytes, ImageRef, Pose, Stamp, Wkb, record};
 
 record! {
     /// One image of a keyframe, by reference.
+    #[layer("keyframe_images", key(site, session, stamp, camera))]
     pub struct FrameImage {
         /// Site that was driven.
         site: String,
@@ -20,14 +21,10 @@ record! {
         image: ImageRef,
     }
 }
-impl LayerRow for FrameImage {
-    const NAME: &'static str = "keyframe_images";
-    const DOC: &'static str = "One image of a keyframe, by reference.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
-}
 
 record! {
-    /// The features of one image: lists of equal length, one entry per feature.
+    /// The features of one image, where they are and what they look like: lists of equal length, one entry per feature.
+    #[layer("features", key(site, session, stamp, camera))]
     pub struct Features {
         /// Site that was driven.
         site: String,
@@ -53,11 +50,6 @@ record! {
         descriptors: Bytes,
     }
 }
-impl LayerRow for Features {
-    const NAME: &'static str = "features";
-    const DOC: &'static str = "The features of one image: where they are and what they look like.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
-}
 
 record! {
     /// One sighting of a track.
@@ -71,6 +63,7 @@ record! {
 
 record! {
     /// One point of the world followed through the images of one camera.
+    #[layer("tracks", key(site, session, camera, track))]
     pub struct Track {
         /// Site that was driven.
         site: String,
@@ -84,14 +77,10 @@ record! {
         points: Vec<TrackPoint>,
     }
 }
-impl LayerRow for Track {
-    const NAME: &'static str = "tracks";
-    const DOC: &'static str = "One point of the world followed through the images of one camera.";
-    const KEY: &'static [&'static str] = &["site", "session", "camera", "track"];
-}
 
 record! {
     /// Two keyframes that see the same place, and how the vehicle stood in one relative to the other.
+    #[layer("loop_closures", key(site, session, stamp, other_session, other_stamp))]
     pub struct LoopClosure {
         /// Site that both belong to.
         site: String,
@@ -119,12 +108,6 @@ record! {
         sigma_rad: f64 ["rad"],
     }
 }
-impl LayerRow for LoopClosure {
-    const NAME: &'static str = "loop_closures";
-    const DOC: &'static str = "Two keyframes that see the same place, and their relative pose.";
-    const KEY: &'static [&'static str] =
-        &["site", "session", "stamp", "other_session", "other_stamp"];
-}
 
 record! {
     /// A loop closure after relaxation.
@@ -143,7 +126,8 @@ record! {
 }
 
 record! {
-    /// A keyframe's pose after pose-graph relaxation.
+    /// A keyframe's pose after pose-graph relaxation, before bundle adjustment.
+    #[layer("graph_poses", key(site, session, stamp))]
     pub struct GraphPose {
         /// Site of the map.
         site: String,
@@ -163,12 +147,6 @@ record! {
         optimality: String,
     }
 }
-impl LayerRow for GraphPose {
-    const NAME: &'static str = "graph_poses";
-    const DOC: &'static str =
-        "A keyframe's pose after pose-graph relaxation, before bundle adjustment.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp"];
-}
 
 record! {
     /// A landmark as one image of a keyframe shows it.
@@ -187,7 +165,8 @@ record! {
 }
 
 record! {
-    /// A keyframe's pose after bundle adjustment, with what it sees.
+    /// A keyframe's pose after bundle adjustment, with the landmarks it sees.
+    #[layer("adjusted_poses", key(site, session, stamp))]
     pub struct AdjustedPose {
         /// Site of the map.
         site: String,
@@ -202,12 +181,6 @@ record! {
         /// The landmarks it sees.
         observations: Vec<Observation>,
     }
-}
-impl LayerRow for AdjustedPose {
-    const NAME: &'static str = "adjusted_poses";
-    const DOC: &'static str =
-        "A keyframe's pose after bundle adjustment, with the landmarks it sees.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp"];
 }
 
 record! {
@@ -226,6 +199,7 @@ record! {
 
 record! {
     /// A point of the world that cameras recognise.
+    #[layer("landmarks", key(site, landmark), geometry(geometry))]
     pub struct Landmark {
         /// Site of the map.
         site: String,
@@ -261,15 +235,10 @@ record! {
         geometry: Wkb ["m", "map"],
     }
 }
-impl LayerRow for Landmark {
-    const NAME: &'static str = "landmarks";
-    const DOC: &'static str = "A point of the world that cameras recognise.";
-    const KEY: &'static [&'static str] = &["site", "landmark"];
-    const GEOMETRY: Option<&'static str> = Some("geometry");
-}
 
 record! {
     /// A frame of the map, fixed from the version on that made it. Poses hang off it.
+    #[layer("map_frames", key(site, frame))]
     pub struct MapFrame {
         /// Site of the map.
         site: String,
@@ -283,14 +252,10 @@ record! {
         map_from_frame: Pose ["", "map"],
     }
 }
-impl LayerRow for MapFrame {
-    const NAME: &'static str = "map_frames";
-    const DOC: &'static str = "A frame of the map, fixed from the version on that made it.";
-    const KEY: &'static [&'static str] = &["site", "frame"];
-}
 
 record! {
-    /// A vehicle pose that hangs off a map frame: `map_from_frame * frame_from_vehicle` is `map_from_vehicle`.
+    /// A vehicle pose that hangs off a map frame nearby: `map_from_frame * frame_from_vehicle` is `map_from_vehicle`.
+    #[layer("frame_poses", key(site, session, stamp))]
     pub struct FramePose {
         /// Site of the map.
         site: String,
@@ -306,14 +271,10 @@ record! {
         map_from_vehicle: Pose ["", "map"],
     }
 }
-impl LayerRow for FramePose {
-    const NAME: &'static str = "frame_poses";
-    const DOC: &'static str = "A vehicle pose that hangs off a map frame nearby.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp"];
-}
 
 record! {
-    /// A keyframe localised against a map.
+    /// A keyframe localised against a map, or lost.
+    #[layer("localisations", key(site, session, stamp))]
     pub struct Localisation {
         /// Site of the map.
         site: String,
@@ -345,9 +306,4 @@ record! {
         /// The inliers.
         observations: Vec<Observation>,
     }
-}
-impl LayerRow for Localisation {
-    const NAME: &'static str = "localisations";
-    const DOC: &'static str = "A keyframe localised against a map, or lost.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp"];
 }

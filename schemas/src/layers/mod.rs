@@ -77,6 +77,7 @@ record! {
 
 record! {
     /// One frame set: the images of all cameras at one place of the drive.
+    #[layer("keyframes", key(site, session, stamp))]
     pub struct Keyframe {
         /// Site that was driven.
         site: String,
@@ -94,14 +95,10 @@ record! {
         images: Vec<KeyframeImage>,
     }
 }
-impl LayerRow for Keyframe {
-    const NAME: &'static str = "keyframes";
-    const DOC: &'static str = "One frame set: the images of all cameras at one place of the drive.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp"];
-}
 
 record! {
     /// The vehicle's pose in the map at one instant.
+    #[layer("poses", key(site, session, stamp))]
     pub struct VehiclePose {
         /// Site of the map.
         site: String,
@@ -113,14 +110,10 @@ record! {
         map_from_vehicle: Pose ["", "map"],
     }
 }
-impl LayerRow for VehiclePose {
-    const NAME: &'static str = "poses";
-    const DOC: &'static str = "The vehicle's pose in the map at one instant.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp"];
-}
 
 record! {
-    /// How fast the vehicle drove at the instant of an odometry message.
+    /// How fast the vehicle drove, along its path, at the instant of an odometry message.
+    #[layer("speeds", key(site, session, stamp))]
     pub struct Speed {
         /// Site.
         site: String,
@@ -134,14 +127,10 @@ record! {
         acceleration_mps2: f64 ["m/s²"],
     }
 }
-impl LayerRow for Speed {
-    const NAME: &'static str = "speeds";
-    const DOC: &'static str = "Speed and acceleration along the path.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp"];
-}
 
 record! {
     /// One image with the vehicle's pose at its exposure: what ground patches are made from.
+    #[layer("posed_images", key(site, session, stamp, camera))]
     pub struct PosedImage {
         /// Site of the map.
         site: String,
@@ -157,14 +146,10 @@ record! {
         image: ImageRef,
     }
 }
-impl LayerRow for PosedImage {
-    const NAME: &'static str = "posed_images";
-    const DOC: &'static str = "One image with the vehicle's pose at its exposure.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
-}
 
 record! {
     /// One image seen from above: the cells of the ground plane that it shows.
+    #[layer("ground_patches", key(site, session, stamp, camera))]
     pub struct GroundPatch {
         /// Site of the map.
         site: String,
@@ -190,15 +175,10 @@ record! {
         weights: Bytes,
     }
 }
-impl LayerRow for GroundPatch {
-    const NAME: &'static str = "ground_patches";
-    const DOC: &'static str =
-        "One image seen from above: the cells of the ground plane that it shows.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
-}
 
 record! {
-    /// One tile of the overhead image.
+    /// One tile of the overhead image: the weighted running mean of all images that show it.
+    #[layer("overhead_tiles", key(site, zoom, tile_x, tile_y), geometry(geometry))]
     pub struct OverheadTile {
         /// Site of the map.
         site: String,
@@ -224,16 +204,10 @@ record! {
         geometry: Wkb ["m", "map"],
     }
 }
-impl LayerRow for OverheadTile {
-    const NAME: &'static str = "overhead_tiles";
-    const DOC: &'static str =
-        "One tile of the overhead image: the weighted running mean of all images that show it.";
-    const KEY: &'static [&'static str] = &["site", "zoom", "tile_x", "tile_y"];
-    const GEOMETRY: Option<&'static str> = Some("geometry");
-}
 
 record! {
     /// One lane of the road network, from one intersection or dead end to the next.
+    #[layer("lanes", key(site, lane), geometry(geometry))]
     pub struct Lane {
         /// Site of the map.
         site: String,
@@ -265,16 +239,10 @@ record! {
         geometry: Wkb ["m", "map"],
     }
 }
-impl LayerRow for Lane {
-    const NAME: &'static str = "lanes";
-    const DOC: &'static str =
-        "One lane of the road network, from one intersection or dead end to the next.";
-    const KEY: &'static [&'static str] = &["site", "lane"];
-    const GEOMETRY: Option<&'static str> = Some("geometry");
-}
 
 record! {
     /// A place where more than two lane ends meet.
+    #[layer("intersections", key(site, node), geometry(geometry))]
     pub struct Intersection {
         /// Site of the map.
         site: String,
@@ -293,12 +261,6 @@ record! {
         /// Where it is, as a point.
         geometry: Wkb ["m", "map"],
     }
-}
-impl LayerRow for Intersection {
-    const NAME: &'static str = "intersections";
-    const DOC: &'static str = "A place where more than two lane ends meet.";
-    const KEY: &'static [&'static str] = &["site", "node"];
-    const GEOMETRY: Option<&'static str> = Some("geometry");
 }
 
 /// Every layer that operators yield or read, sorted by name; the reference page lists these.

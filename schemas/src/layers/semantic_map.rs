@@ -1,10 +1,11 @@
 //! Layers of the semantic map: labels of pixels, what labels them, graphs of views, and where views were found.
 
 use crate::layers::Source;
-use crate::{Bytes, ImageRef, LayerRow, Stamp, record};
+use crate::{Bytes, ImageRef, Stamp, record};
 
 record! {
     /// The classes of one image's pixels.
+    #[layer("label_images", key(site, session, stamp, camera))]
     pub struct LabelImage {
         /// Site that was driven.
         site: String,
@@ -24,14 +25,10 @@ record! {
         png: Bytes,
     }
 }
-impl LayerRow for LabelImage {
-    const NAME: &'static str = "label_images";
-    const DOC: &'static str = "The classes of one image's pixels.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
-}
 
 record! {
     /// An image with the classes of its pixels: what classifiers learn from.
+    #[layer("labelled_frames", key(site, session, stamp, camera))]
     pub struct LabelledFrame {
         /// Site that was driven.
         site: String,
@@ -49,15 +46,10 @@ record! {
         png: Bytes,
     }
 }
-impl LayerRow for LabelledFrame {
-    const NAME: &'static str = "labelled_frames";
-    const DOC: &'static str =
-        "An image with the classes of its pixels: what classifiers learn from.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
-}
 
 record! {
     /// Pixels of one image that a classifier learns from.
+    #[layer("pixel_samples", key(site, session, stamp, camera))]
     pub struct PixelSamples {
         /// Site that was driven.
         site: String,
@@ -81,11 +73,6 @@ record! {
         values: Bytes,
     }
 }
-impl LayerRow for PixelSamples {
-    const NAME: &'static str = "pixel_samples";
-    const DOC: &'static str = "Pixels of one image that a classifier learns from.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
-}
 
 record! {
     /// One node of a decision tree.
@@ -102,7 +89,8 @@ record! {
 }
 
 record! {
-    /// One tree of a random forest.
+    /// One tree of a random forest that classifies pixels.
+    #[layer("pixel_forest", key(site, tree))]
     pub struct DecisionTree {
         /// Site that it was learnt on.
         site: String,
@@ -122,14 +110,10 @@ record! {
         held_out: Vec<Source>,
     }
 }
-impl LayerRow for DecisionTree {
-    const NAME: &'static str = "pixel_forest";
-    const DOC: &'static str = "One tree of a random forest that classifies pixels.";
-    const KEY: &'static [&'static str] = &["site", "tree"];
-}
 
 record! {
     /// Probabilities of the classes over one image.
+    #[layer("class_scores", key(site, session, stamp, camera))]
     pub struct ClassScores {
         /// Site that was driven.
         site: String,
@@ -151,14 +135,10 @@ record! {
         probabilities: Bytes,
     }
 }
-impl LayerRow for ClassScores {
-    const NAME: &'static str = "class_scores";
-    const DOC: &'static str = "Probabilities of the classes over one image.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
-}
 
 record! {
     /// An image with the probabilities of the classes over it.
+    #[layer("scored_frames", key(site, session, stamp, camera))]
     pub struct ScoredFrame {
         /// Site that was driven.
         site: String,
@@ -182,14 +162,10 @@ record! {
         image: ImageRef,
     }
 }
-impl LayerRow for ScoredFrame {
-    const NAME: &'static str = "scored_frames";
-    const DOC: &'static str = "An image with the probabilities of the classes over it.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
-}
 
 record! {
     /// An image with the probabilities of the classes over it, and with the classes that are true.
+    #[layer("labelled_scores", key(site, session, stamp, camera))]
     pub struct LabelledScores {
         /// Site that was driven.
         site: String,
@@ -215,14 +191,10 @@ record! {
         png: Bytes,
     }
 }
-impl LayerRow for LabelledScores {
-    const NAME: &'static str = "labelled_scores";
-    const DOC: &'static str = "An image with the probabilities of the classes over it, and with the classes that are true.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
-}
 
 record! {
-    /// Parameters of the dense random field and how well they did.
+    /// Parameters of the dense random field and how well they did on held-out images.
+    #[layer("crf_settings", key(site, rank))]
     pub struct CrfSetting {
         /// Site that they were learnt on.
         site: String,
@@ -243,12 +215,6 @@ record! {
         /// Mean over the classes of the share of their pixels that are right.
         class_accuracy: f64,
     }
-}
-impl LayerRow for CrfSetting {
-    const NAME: &'static str = "crf_settings";
-    const DOC: &'static str =
-        "Parameters of the dense random field and how well they did on held-out images.";
-    const KEY: &'static [&'static str] = &["site", "rank"];
 }
 
 record! {
@@ -303,6 +269,7 @@ record! {
 
 record! {
     /// One view of a place, described by the graph of what is seen.
+    #[layer("views", key(site, session, stamp, camera))]
     pub struct View {
         /// Site that was driven.
         site: String,
@@ -318,11 +285,6 @@ record! {
         graph: SemanticGraph,
     }
 }
-impl LayerRow for View {
-    const NAME: &'static str = "views";
-    const DOC: &'static str = "One view of a place, described by the graph of what is seen.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
-}
 
 record! {
     /// How many areas of a class a view has.
@@ -336,6 +298,7 @@ record! {
 
 record! {
     /// One leaf of the class index: views with equal content.
+    #[layer("class_index", key(site, leaf))]
     pub struct ClassLeaf {
         /// Site of the views.
         site: String,
@@ -347,14 +310,10 @@ record! {
         views: Vec<String>,
     }
 }
-impl LayerRow for ClassLeaf {
-    const NAME: &'static str = "class_index";
-    const DOC: &'static str = "One leaf of the class index: views with equal content.";
-    const KEY: &'static [&'static str] = &["site", "leaf"];
-}
 
 record! {
-    /// A view of the map that a query view may show.
+    /// A view of the map that a query view may show, the best first.
+    #[layer("relocations", key(site, session, stamp, camera, rank))]
     pub struct Relocation {
         /// Site of the map.
         site: String,
@@ -383,9 +342,4 @@ record! {
         /// (paper 3); of words, the score again.
         similarity: f64,
     }
-}
-impl LayerRow for Relocation {
-    const NAME: &'static str = "relocations";
-    const DOC: &'static str = "A view of the map that a query view may show, the best first.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera", "rank"];
 }

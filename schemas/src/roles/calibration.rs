@@ -2,10 +2,11 @@
 
 use crate::roles::cameras::topic_camera;
 use crate::roles::{FromMessage, Message, Messages, Role};
-use crate::{LayerRow, Stamp, record};
+use crate::{Stamp, record};
 
 record! {
-    /// One camera's intrinsic calibration, valid from its stamp on.
+    /// One camera's intrinsic calibration, valid from its stamp on; repeats of an unchanged calibration are dropped.
+    #[layer("calibration", key(site, session, camera, stamp))]
     pub struct Calibration {
         /// Site that the session belongs to.
         site: String,
@@ -26,12 +27,6 @@ record! {
         /// Distortion coefficients of the model.
         distortion: Vec<f64>,
     }
-}
-impl LayerRow for Calibration {
-    const NAME: &'static str = "calibration";
-    const DOC: &'static str =
-        "One camera's intrinsic calibration; repeats of an unchanged calibration are dropped.";
-    const KEY: &'static [&'static str] = &["site", "session", "camera", "stamp"];
 }
 
 /// Topics with intrinsic calibrations.

@@ -1,10 +1,11 @@
 //! Frames: images by reference. Range images and label images are roles of their own with the same rows.
 
 use crate::roles::{FromMessage, Message, Messages, Role, Topic, every, in_words};
-use crate::{ImageRef, LayerRow, Stamp, record};
+use crate::{ImageRef, Stamp, record};
 
 record! {
     /// One image of one camera, by reference.
+    #[layer("frames", key(site, session, stamp, camera))]
     pub struct Frame {
         /// Site that the session belongs to.
         site: String,
@@ -21,11 +22,6 @@ record! {
         /// Where the pixels are.
         image: ImageRef,
     }
-}
-impl LayerRow for Frame {
-    const NAME: &'static str = "frames";
-    const DOC: &'static str = "One image of one camera, by reference.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
 }
 
 /// Topics with pictures.

@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 
 use crate::roles::{FromMetadata, Role};
-use crate::{LayerRow, record};
+use crate::record;
 
 record! {
-    /// What a value in the label images of a session means.
+    /// What a value in the label images of a session means: the log's metadata `label_classes`.
+    #[layer("label_classes", key(site, session, value))]
     pub struct LabelClass {
         /// Site that the session belongs to.
         site: String,
@@ -17,12 +18,6 @@ record! {
         /// Name of the class.
         class: String,
     }
-}
-impl LayerRow for LabelClass {
-    const NAME: &'static str = "label_classes";
-    const DOC: &'static str =
-        "What a value in the label images of a session means: the log's metadata `label_classes`.";
-    const KEY: &'static [&'static str] = &["site", "session", "value"];
 }
 
 /// Metadata records that name the classes of label images.

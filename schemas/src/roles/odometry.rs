@@ -3,10 +3,11 @@
 use std::cmp::Reverse;
 
 use crate::roles::{Choice, FromMessage, Message, Messages, Role, Topic, in_words};
-use crate::{LayerRow, Pose, Stamp, record};
+use crate::{Pose, Stamp, record};
 
 record! {
-    /// One odometry message.
+    /// One odometry message: the vehicle in the drifting odometry frame.
+    #[layer("odometry", key(site, session, stamp))]
     pub struct OdometryPose {
         /// Site that the session belongs to.
         site: String,
@@ -23,11 +24,6 @@ record! {
         /// Rate of turn about the vehicle's z axis; null where the log does not say it.
         yaw_rate_radps: Option<f64> ["rad/s", "vehicle"],
     }
-}
-impl LayerRow for OdometryPose {
-    const NAME: &'static str = "odometry";
-    const DOC: &'static str = "One odometry message: the vehicle in the drifting odometry frame.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp"];
 }
 
 const ODOMETRY: &str = "nav_msgs/Odometry";

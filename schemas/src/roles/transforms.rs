@@ -2,10 +2,11 @@
 
 use crate::roles::message::plain_frame;
 use crate::roles::{Fields, FromMessage, Message, Messages, Role};
-use crate::{LayerRow, Pose, Stamp, record};
+use crate::{Pose, Stamp, record};
 
 record! {
-    /// One transform between two frames.
+    /// One transform between two frames, as `/tf` and `/tf_static` publish them.
+    #[layer("transforms", key(site, session, parent, child, stamp))]
     pub struct Transform {
         /// Site that the session belongs to.
         site: String,
@@ -22,12 +23,6 @@ record! {
         /// True where it holds for all time (`/tf_static`).
         fixed: bool,
     }
-}
-impl LayerRow for Transform {
-    const NAME: &'static str = "transforms";
-    const DOC: &'static str =
-        "One transform between two frames, as `/tf` and `/tf_static` publish them.";
-    const KEY: &'static [&'static str] = &["site", "session", "parent", "child", "stamp"];
 }
 
 /// Topics with transforms.

@@ -7,8 +7,8 @@ mod program;
 mod run;
 mod writer;
 
-use crate::buffers::Pool;
-use crate::columns::{Columns, Format};
+use crate::buffers::{Node, Pool};
+use crate::decoder::Format;
 use crate::wire::StructType;
 use crate::{DecodeError, Located};
 use program::{Compiler, Dialect, Step};
@@ -120,14 +120,14 @@ impl Format for Reader {
     fn append(
         &mut self,
         payload: &[u8],
-        columns: &Columns,
+        message: &Node,
         _row: usize,
         pool: &mut Pool,
     ) -> Result<(), DecodeError> {
         let body = Body::open(payload, self.serialisation)?;
         let known = self.programs.iter().position(|(d, _)| *d == body.dialect);
         let program = known.unwrap_or_else(|| {
-            let steps = Compiler::message(body.dialect, &self.message, columns);
+            let steps = Compiler::message(body.dialect, &self.message, message);
             self.programs.push((body.dialect, steps));
             self.programs.len() - 1
         });

@@ -5,8 +5,7 @@
 //! [`Step::Block`]: one alignment, one bounds check, then plain copies. Members
 //! outside the projection leave no copies, so what is skipped costs an addition.
 
-use crate::buffers::{Layout, Node};
-use crate::columns::Columns;
+use crate::buffers::{Node, Target};
 use crate::wire::{Extensibility, StructType, Wire};
 
 /// How scalars and structs are laid out on the wire.
@@ -58,13 +57,6 @@ pub(crate) struct Move {
     pub(crate) buffer: usize,
 }
 
-/// Offsets and data buffer of a variable-length column.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Target {
-    pub(crate) offsets: usize,
-    pub(crate) data: usize,
-}
-
 /// One instruction.
 #[derive(Debug, Clone)]
 pub(crate) enum Step {
@@ -111,10 +103,10 @@ pub(crate) struct Compiler {
 }
 
 impl Compiler {
-    /// The steps for `message`, filling the columns of those members that have one.
-    pub(crate) fn message(dialect: Dialect, message: &StructType, columns: &Columns) -> Vec<Step> {
+    /// The steps for `message`, filling the columns of those members that are not left out.
+    pub(crate) fn message(dialect: Dialect, message: &StructType, to: &Node) -> Vec<Step> {
         let mut compiler = Compiler::new(dialect);
-        compiler.body(message, |index| columns.get(index));
+        compiler.body(message, to);
         compiler.steps
     }
 
@@ -145,7 +137,7 @@ impl Compiler {
         }
         for (member, wire) in &message.members {
             if member != name {
-                self.value(wire, None);
+                self.value(wire, Node::left_out());
                 continue;
             }
             return match wire {
@@ -173,7 +165,7 @@ impl Compiler {
         self.dialect.cdr2 && appendable
     }
 
-    fn body<'a>(&mut self, message: &StructType, column: impl Fn(usize) -> Option<&'a Node>) {
+    fn body(&mut self, message: &StructType, to: &Node) {
         let start = self
             .is_delimited(message)
             .then(|| self.enter(Step::Delimited { body: 0 }));
@@ -181,65 +173,54 @@ impl Compiler {
             self.block(1, 1, 1, None);
         }
         for (index, (_, wire)) in message.members.iter().enumerate() {
-            self.value(wire, column(index));
+            self.value(wire, to.member(index));
         }
         if let Some(start) = start {
             self.leave(start);
         }
     }
 
-    fn value(&mut self, wire: &Wire, to: Option<&Node>) {
-        let layout = to.map(|node| &node.layout);
+    fn value(&mut self, wire: &Wire, to: &Node) {
         match wire {
             Wire::Scalar(_) | Wire::Enumeration => {
                 let width = wire.fixed_width().unwrap_or(1);
-                self.block(width, width, 1, layout.and_then(Layout::data));
+                self.block(width, width, 1, to.data());
             }
-            Wire::Text => self.push(Step::Text {
-                to: layout.and_then(Layout::target),
-            }),
-            Wire::WideText => self.push(Step::WideText {
-                to: layout.and_then(Layout::target),
-            }),
-            Wire::Sequence(item) => self.sequence(item, layout),
-            Wire::Array(item, size) => self.array(item, *size, layout),
-            Wire::Struct(body) => self.body(body, |index| match layout {
-                Some(Layout::Struct { children }) => children.get(index),
-                _ => None,
-            }),
+            Wire::Text => self.push(Step::Text { to: to.target() }),
+            Wire::WideText => self.push(Step::WideText { to: to.target() }),
+            Wire::Sequence(item) => self.sequence(item, to),
+            Wire::Array(item, size) => self.array(item, *size, to),
+            Wire::Struct(body) => self.body(body, to),
         }
     }
 
-    fn sequence(&mut self, item: &Wire, layout: Option<&Layout>) {
+    fn sequence(&mut self, item: &Wire, to: &Node) {
         let around = self.enter_collection(item);
         if let (Some(width), None) = (item.fixed_width(), around) {
             self.push(Step::Run {
                 width,
                 align: width.min(self.dialect.max_align),
-                to: layout.and_then(Layout::target),
+                to: to.target(),
             });
             return;
         }
         let start = self.enter(Step::Sequence {
             body: 0,
             min_size: self.min_size(item),
-            offsets: layout.and_then(Layout::offsets),
+            offsets: to.offsets(),
         });
-        self.value(item, layout.and_then(Layout::element));
+        self.value(item, to.element());
         self.leave(start);
         if let Some(around) = around {
             self.leave(around);
         }
     }
 
-    fn array(&mut self, item: &Wire, size: usize, layout: Option<&Layout>) {
+    fn array(&mut self, item: &Wire, size: usize, to: &Node) {
         let around = self.enter_collection(item);
-        let element = layout.and_then(Layout::element);
         if let Some(width) = item.fixed_width() {
-            let data = match layout {
-                Some(Layout::Fixed { data, .. }) => Some(*data),
-                _ => element.and_then(|node| node.layout.data()),
-            };
+            // Octets are one value of fixed size, other numbers a list.
+            let data = to.data().or_else(|| to.element().data());
             self.block(width, width, size, data);
         } else {
             let start = self.enter(Step::Repeat {
@@ -247,7 +228,7 @@ impl Compiler {
                 min_size: self.min_size(item),
                 count: size,
             });
-            self.value(item, element);
+            self.value(item, to.element());
             self.leave(start);
         }
         if let Some(around) = around {
@@ -338,38 +319,5 @@ impl Compiler {
                 .iter()
                 .fold(0, |sum, (_, w)| sum.saturating_add(self.min_size(w))),
         }
-    }
-}
-
-impl Layout {
-    fn data(&self) -> Option<usize> {
-        match self {
-            Layout::Fixed { data, .. } | Layout::Bool { data } => Some(*data),
-            _ => None,
-        }
-    }
-
-    fn offsets(&self) -> Option<usize> {
-        match self {
-            Layout::List { offsets, .. } => Some(*offsets),
-            _ => None,
-        }
-    }
-
-    fn element(&self) -> Option<&Node> {
-        match self {
-            Layout::List { child, .. } | Layout::FixedList { child, .. } => Some(child),
-            _ => None,
-        }
-    }
-
-    /// Offsets and data of a string, of binary, or of a list of numbers.
-    fn target(&self) -> Option<Target> {
-        let (offsets, data) = match self {
-            Layout::Bytes { offsets, data } => (*offsets, *data),
-            Layout::List { offsets, child } => (*offsets, child.layout.data()?),
-            _ => return None,
-        };
-        Some(Target { offsets, data })
     }
 }

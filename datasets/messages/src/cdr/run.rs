@@ -1,8 +1,8 @@
 //! Runs a compiled message over a payload.
 
-use super::program::{Dialect, Move, Step, Target};
+use super::program::{Dialect, Move, Step};
 use crate::DecodeError;
-use crate::buffers::{Pool, offset};
+use crate::buffers::{Pool, Target, offset};
 use std::borrow::Cow;
 use std::ops::Range;
 

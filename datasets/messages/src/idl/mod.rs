@@ -408,16 +408,9 @@ impl Parser<'_> {
 fn scalar(name: &str) -> Option<Scalar> {
     Some(match name {
         "boolean" => Scalar::Bool,
-        "octet" | "uint8" | "char" => Scalar::UInt8,
-        "int8" => Scalar::Int8,
-        "int16" => Scalar::Int16,
-        "uint16" => Scalar::UInt16,
-        "int32" => Scalar::Int32,
-        "uint32" => Scalar::UInt32,
-        "int64" => Scalar::Int64,
-        "uint64" => Scalar::UInt64,
+        "octet" | "char" => Scalar::UInt8,
         "float" => Scalar::Float32,
         "double" => Scalar::Float64,
-        _ => return None,
+        _ => return Scalar::integer(name),
     })
 }

@@ -3,10 +3,12 @@
 use super::malformed;
 use super::plan::{Plan, Shape};
 use crate::{DecodeError, Located};
-use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde_json::value::RawValue;
 use std::borrow::Cow;
-use std::fmt;
-use std::ops::Range;
+use std::collections::HashMap;
+
+/// The members of an object, each as it is written; the last of a name counts.
+type Members<'a> = HashMap<Cow<'a, str>, &'a RawValue>;
 
 /// Where the text of the base64 property at `path` lies, between its quotes. None where the
 /// text is written with escapes, as its bytes are then not those of the base64.
@@ -18,12 +20,27 @@ pub(crate) fn locate(
     if !plan.is_base64(path) {
         return Ok(None);
     }
-    let mut deserializer = serde_json::Deserializer::from_slice(payload);
-    let text = At { payload, path }.deserialize(&mut deserializer);
-    let range = text.map_err(|error| malformed(&error))?;
-    Ok(range.map(|range| Located {
-        range,
-        base64: true,
+    let mut written = payload;
+    for name in path {
+        match serde_json::from_slice::<Members<'_>>(written) {
+            Ok(members) => match members.get(*name) {
+                Some(member) => written = member.get().as_bytes(),
+                None => return Ok(None),
+            },
+            Err(error) if error.is_data() => return Ok(None),
+            Err(error) => return Err(malformed(&error)),
+        }
+    }
+    let text = written
+        .strip_prefix(b"\"")
+        .and_then(|rest| rest.strip_suffix(b"\""));
+    let plain = text.filter(|text| !text.contains(&b'\\'));
+    Ok(plain.map(|text| {
+        let start = text.as_ptr() as usize - payload.as_ptr() as usize;
+        Located {
+            range: start..start + text.len(),
+            base64: true,
+        }
     }))
 }
 
@@ -40,81 +57,5 @@ impl Plan {
             };
         }
         shape == Some(&Shape::Base64)
-    }
-}
-
-/// Looks for the text at a path, as a range of the payload.
-#[derive(Clone, Copy)]
-struct At<'a> {
-    payload: &'a [u8],
-    path: &'a [&'a str],
-}
-
-impl<'de> DeserializeSeed<'de> for At<'de> {
-    type Value = Option<Range<usize>>;
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
-        deserializer.deserialize_any(self)
-    }
-}
-
-impl<'de> Visitor<'de> for At<'de> {
-    type Value = Option<Range<usize>>;
-
-    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str("any value")
-    }
-
-    /// The last member of the name counts, where there are several.
-    fn visit_map<A: MapAccess<'de>>(self, mut members: A) -> Result<Self::Value, A::Error> {
-        let mut found = None;
-        while let Some(name) = members.next_key::<Cow<'de, str>>()? {
-            match self.path {
-                [wanted, path @ ..] if name == *wanted => {
-                    found = members.next_value_seed(At { path, ..self })?;
-                }
-                _ => {
-                    members.next_value::<IgnoredAny>()?;
-                }
-            }
-        }
-        Ok(found)
-    }
-
-    /// Text without escapes is handed out as it lies in the payload.
-    fn visit_borrowed_str<E: Error>(self, text: &'de str) -> Result<Self::Value, E> {
-        let start = (text.as_ptr() as usize).checked_sub(self.payload.as_ptr() as usize);
-        Ok(start
-            .filter(|_| self.path.is_empty())
-            .map(|start| start..start + text.len()))
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Self::Value, A::Error> {
-        while items.next_element::<IgnoredAny>()?.is_some() {}
-        Ok(None)
-    }
-
-    fn visit_str<E: Error>(self, _: &str) -> Result<Self::Value, E> {
-        Ok(None)
-    }
-
-    fn visit_bool<E: Error>(self, _: bool) -> Result<Self::Value, E> {
-        Ok(None)
-    }
-
-    fn visit_i64<E: Error>(self, _: i64) -> Result<Self::Value, E> {
-        Ok(None)
-    }
-
-    fn visit_u64<E: Error>(self, _: u64) -> Result<Self::Value, E> {
-        Ok(None)
-    }
-
-    fn visit_f64<E: Error>(self, _: f64) -> Result<Self::Value, E> {
-        Ok(None)
-    }
-
-    fn visit_unit<E: Error>(self) -> Result<Self::Value, E> {
-        Ok(None)
     }
 }

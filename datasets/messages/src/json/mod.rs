@@ -9,8 +9,8 @@ mod locate;
 mod plan;
 
 use crate::DecodeError;
-use crate::buffers::{Layout, Node, OFFSET_LIMIT, Pool, offset};
-use crate::columns::{Columns, Format};
+use crate::buffers::{Node, Pool};
+use crate::decoder::Format;
 use base64::Engine;
 use base64::alphabet::STANDARD;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
@@ -33,62 +33,61 @@ impl Format for Reader {
     fn append(
         &mut self,
         payload: &[u8],
-        columns: &Columns,
+        message: &Node,
         _row: usize,
         pool: &mut Pool,
     ) -> Result<(), DecodeError> {
         let value: Value = serde_json::from_slice(payload).map_err(|error| malformed(&error))?;
         let Some(properties) = &self.0.properties else {
-            if let Some(node) = columns.get(0) {
-                let text = String::from_utf8_lossy(payload);
-                node.append_present(pool);
-                text_into(Some(node), text.trim(), pool)?;
-            }
-            return Ok(());
+            let node = message.member(0);
+            node.append_present(pool);
+            let text = String::from_utf8_lossy(payload);
+            return node.append_bytes(pool, text.trim().as_bytes());
         };
         let Value::Object(object) = &value else {
             return Err(mismatch("(the payload)", "an object", &value));
         };
-        members(properties, object, |index| columns.get(index), pool)
+        members(properties, object, message, pool)
     }
 }
 
-/// Checks `value`, and appends it where there is a column for it.
+/// Checks `value`, and appends it.
 fn append(
     name: &str,
     shape: &Shape,
     value: Option<&Value>,
-    node: Option<&Node>,
+    node: &Node,
     pool: &mut Pool,
 ) -> Result<(), DecodeError> {
     let Some(value) = value.filter(|value| !value.is_null()) else {
-        if let Some(node) = node {
-            node.append_absent(pool);
-        }
+        node.append_absent(pool);
         return Ok(());
     };
-    if let Some(node) = node {
-        node.append_present(pool);
-    }
+    node.append_present(pool);
     match (shape, value) {
-        (Shape::Boolean, Value::Bool(flag)) => flag_value(node, *flag, pool),
+        (Shape::Boolean, Value::Bool(flag)) => node.append_value(pool, u8::from(*flag)),
         (Shape::Integer, _) => match integer(value) {
-            Some(number) => fixed(node, number, pool),
+            Some(number) => node.append_value(pool, number),
             None => return Err(mismatch(name, "a whole number of 64 bits", value)),
         },
         (Shape::Number, _) => match number(value) {
-            Some(number) => fixed(node, number.to_bits() as i64, pool),
+            Some(number) => node.append_value(pool, number),
             None => return Err(mismatch(name, "a number", value)),
         },
-        (Shape::Text, Value::String(text)) => return text_into(node, text, pool),
+        (Shape::Text, Value::String(text)) => return node.append_bytes(pool, text.as_bytes()),
         (Shape::Base64, Value::String(text)) => match BASE64.decode(text) {
-            Ok(bytes) => return bytes_into(node, &bytes, pool),
+            Ok(bytes) => return node.append_bytes(pool, &bytes),
             Err(_) => return Err(mismatch(name, "base64", value)),
         },
-        (Shape::Json, _) => return text_into(node, &value.to_string(), pool),
-        (Shape::List(item), Value::Array(values)) => return list(name, item, values, node, pool),
+        (Shape::Json, _) => return node.append_bytes(pool, value.to_string().as_bytes()),
+        (Shape::List(item), Value::Array(values)) => {
+            for value in values {
+                append(name, item, Some(value), node.element(), pool)?;
+            }
+            return node.end_list(pool, values.len());
+        }
         (Shape::Object(properties), Value::Object(object)) => {
-            return object_into(properties, object, node, pool);
+            return members(properties, object, node, pool);
         }
         (Shape::Boolean, _) => return Err(mismatch(name, "true or false", value)),
         (Shape::Text | Shape::Base64, _) => return Err(mismatch(name, "a string", value)),
@@ -98,55 +97,15 @@ fn append(
     Ok(())
 }
 
-fn list(
-    name: &str,
-    item: &Shape,
-    values: &[Value],
-    node: Option<&Node>,
-    pool: &mut Pool,
-) -> Result<(), DecodeError> {
-    let target = match node.map(|node| &node.layout) {
-        Some(Layout::List { offsets, child }) => Some((*offsets, child.as_ref())),
-        _ => None,
-    };
-    for value in values {
-        append(
-            name,
-            item,
-            Some(value),
-            target.map(|(_, child)| child),
-            pool,
-        )?;
-    }
-    if let Some((offsets, _)) = target {
-        let end = offset(pool.last_offset(offsets) + values.len())?;
-        pool.0[offsets].push(end);
-    }
-    Ok(())
-}
-
-fn object_into(
+/// Appends each property to its column.
+fn members(
     properties: &[(String, Shape)],
     object: &Map<String, Value>,
-    node: Option<&Node>,
-    pool: &mut Pool,
-) -> Result<(), DecodeError> {
-    let children: &[Node] = match node.map(|node| &node.layout) {
-        Some(Layout::Struct { children }) => children,
-        _ => &[],
-    };
-    members(properties, object, |index| children.get(index), pool)
-}
-
-/// Appends each property to its column, where it has one.
-fn members<'a>(
-    properties: &[(String, Shape)],
-    object: &Map<String, Value>,
-    column: impl Fn(usize) -> Option<&'a Node>,
+    node: &Node,
     pool: &mut Pool,
 ) -> Result<(), DecodeError> {
     for (index, (name, shape)) in properties.iter().enumerate() {
-        append(name, shape, object.get(name), column(index), pool)?;
+        append(name, shape, object.get(name), node.member(index), pool)?;
     }
     Ok(())
 }
@@ -175,32 +134,6 @@ fn number(value: &Value) -> Option<f64> {
             _ => None,
         },
         _ => None,
-    }
-}
-
-fn flag_value(node: Option<&Node>, flag: bool, pool: &mut Pool) {
-    if let Some(Layout::Bool { data }) = node.map(|node| &node.layout) {
-        pool.0[*data].push(u8::from(flag));
-    }
-}
-
-fn fixed(node: Option<&Node>, bits: i64, pool: &mut Pool) {
-    if let Some(Layout::Fixed { data, .. }) = node.map(|node| &node.layout) {
-        pool.0[*data].push(bits);
-    }
-}
-
-fn text_into(node: Option<&Node>, text: &str, pool: &mut Pool) -> Result<(), DecodeError> {
-    bytes_into(node, text.as_bytes(), pool)
-}
-
-fn bytes_into(node: Option<&Node>, bytes: &[u8], pool: &mut Pool) -> Result<(), DecodeError> {
-    match node.map(|node| &node.layout) {
-        Some(Layout::Bytes { offsets, data }) => pool.append_bytes(*offsets, *data, bytes),
-        Some(_) => Err(DecodeError::Full {
-            limit: OFFSET_LIMIT,
-        }),
-        None => Ok(()),
     }
 }
 

@@ -11,8 +11,8 @@
 mod plan;
 mod wire;
 
-use crate::buffers::{Layout, Node, OFFSET_LIMIT, Pool, offset};
-use crate::columns::{Columns, Format};
+use crate::buffers::{Node, Pool, offset};
+use crate::decoder::Format;
 use crate::{DecodeError, Located};
 pub(crate) use plan::Plan;
 use plan::{Shape, Slot};
@@ -52,7 +52,7 @@ impl Format for Reader {
     fn append(
         &mut self,
         payload: &[u8],
-        columns: &Columns,
+        message: &Node,
         row: usize,
         pool: &mut Pool,
     ) -> Result<(), DecodeError> {
@@ -62,7 +62,7 @@ impl Format for Reader {
             met: &mut self.met,
             values_left: MIN_VALUES + VALUES_PER_BYTE.saturating_mul(payload.len()),
         };
-        sink.message(&self.plan, Targets::Some(columns), row, payload)
+        sink.message(&self.plan, message, row, payload)
     }
 }
 
@@ -74,36 +74,11 @@ struct Sink<'a> {
     values_left: usize,
 }
 
-/// The columns of a message, by place among its fields.
-#[derive(Clone, Copy)]
-enum Targets<'a> {
-    None,
-    All(&'a [Node]),
-    Some(&'a Columns),
-}
-
-impl<'a> Targets<'a> {
-    fn get(self, column: usize) -> Option<&'a Node> {
-        match self {
-            Targets::None => None,
-            Targets::All(nodes) => nodes.get(column),
-            Targets::Some(columns) => columns.get(column),
-        }
-    }
-
-    fn within(node: Option<&'a Node>) -> Self {
-        match node.map(|node| &node.layout) {
-            Some(Layout::Struct { children }) => Targets::All(children),
-            _ => Targets::None,
-        }
-    }
-}
-
 /// A message being read into row `row` of its columns.
 #[derive(Clone, Copy)]
 struct Open<'a> {
     plan: &'a Plan,
-    columns: Targets<'a>,
+    to: &'a Node,
     row: usize,
     data: &'a [u8],
     /// Start of its stretch of `met`.
@@ -115,7 +90,7 @@ impl Sink<'_> {
     fn message(
         &mut self,
         plan: &Plan,
-        columns: Targets,
+        to: &Node,
         row: usize,
         data: &[u8],
     ) -> Result<(), DecodeError> {
@@ -125,16 +100,14 @@ impl Sink<'_> {
         self.met.resize(base + plan.slots.len(), Met::default());
         let open = Open {
             plan,
-            columns,
+            to,
             row,
             data,
             base,
         };
         self.fields(open)?;
         for (index, slot) in plan.slots.iter().enumerate() {
-            if let Some(node) = columns.get(slot.column) {
-                self.complete(slot, node, base + index)?;
-            }
+            self.complete(slot, to.member(slot.column), base + index)?;
         }
         self.met.truncate(base);
         Ok(())
@@ -154,9 +127,9 @@ impl Sink<'_> {
             let slot = &open.plan.slots[index];
             guess = index + usize::from(!slot.repeated);
             if slot.repeated {
-                let node = open.columns.get(slot.column);
+                let list = open.to.member(slot.column);
                 let count = self.met[open.base + index].count;
-                self.met[open.base + index].count = self.elements(slot, node, count, value)?;
+                self.met[open.base + index].count = self.elements(slot, list, count, value)?;
             } else if slot.takes(&value) {
                 self.clear_siblings(open, index);
                 self.singular(open, index, value, at)?;
@@ -167,13 +140,11 @@ impl Sink<'_> {
     /// Ends a row of one field: closes a list, or appends what was not met.
     fn complete(&mut self, slot: &Slot, node: &Node, met: usize) -> Result<(), DecodeError> {
         let count = self.met[met].count;
-        match &node.layout {
-            Layout::List { offsets, .. } if slot.repeated => {
-                let end = offset(self.pool.last_offset(*offsets) + count)?;
-                self.pool.0[*offsets].push(end);
-            }
-            _ if count == 0 => node.append_absent(self.pool),
-            _ => {}
+        if slot.repeated {
+            return node.end_list(self.pool, count);
+        }
+        if count == 0 {
+            node.append_absent(self.pool);
         }
         Ok(())
     }
@@ -187,9 +158,8 @@ impl Sink<'_> {
             let met = &mut self.met[open.base + other];
             if other != index && slot.oneof == Some(oneof) && met.count > 0 {
                 *met = Met::default();
-                if let Some(node) = open.columns.get(slot.column) {
-                    node.truncate(self.pool, open.row);
-                }
+                let node = open.to.member(slot.column);
+                node.truncate(self.pool, open.row);
             }
         }
     }
@@ -202,18 +172,16 @@ impl Sink<'_> {
         at: usize,
     ) -> Result<(), DecodeError> {
         let slot = &open.plan.slots[index];
-        let node = open.columns.get(slot.column);
+        let node = open.to.member(slot.column);
         let met = self.met[open.base + index];
         if let (Shape::Message(plan), Some(bytes)) = (&slot.shape, value.bytes()) {
             return self.part(open, index, plan, bytes, at);
         }
-        if let Some(node) = node {
-            if met.count > 0 {
-                node.truncate(self.pool, open.row);
-            }
-            node.append_present(self.pool);
-            scalar(&slot.shape, node, value, self.pool)?;
+        if met.count > 0 {
+            node.truncate(self.pool, open.row);
         }
+        node.append_present(self.pool);
+        scalar(&slot.shape, node, value, self.pool)?;
         self.met[open.base + index].count = 1;
         Ok(())
     }
@@ -229,23 +197,21 @@ impl Sink<'_> {
         at: usize,
     ) -> Result<(), DecodeError> {
         let slot = &open.plan.slots[index];
-        let node = open.columns.get(slot.column);
+        let node = open.to.member(slot.column);
         let met = self.met[open.base + index];
         if met.count == 0 {
-            if let Some(node) = node {
-                node.append_present(self.pool);
-            }
-            self.message(plan, Targets::within(node), open.row, bytes)?;
+            node.append_present(self.pool);
+            self.message(plan, node, open.row, bytes)?;
             let met = &mut self.met[open.base + index];
             (met.count, met.first) = (1, at);
             return Ok(());
         }
-        self.message(plan, Targets::None, 0, bytes)?;
-        if let (Some(node), false) = (node, met.merged) {
+        self.message(plan, Node::left_out(), 0, bytes)?;
+        if !node.is_left_out() && !met.merged {
             let whole = joined(slot, &open.data[met.first..])?;
             node.truncate(self.pool, open.row);
             node.append_present(self.pool);
-            self.message(plan, Targets::within(Some(node)), open.row, &whole)?;
+            self.message(plan, node, open.row, &whole)?;
         }
         self.met[open.base + index].merged = true;
         Ok(())
@@ -255,39 +221,29 @@ impl Sink<'_> {
     fn elements(
         &mut self,
         slot: &Slot,
-        node: Option<&Node>,
+        list: &Node,
         mut count: usize,
         value: Value,
     ) -> Result<usize, DecodeError> {
-        let list = match node.map(|node| &node.layout) {
-            Some(Layout::List { offsets, child }) => {
-                Some((self.pool.last_offset(*offsets), child.as_ref()))
-            }
-            _ => None,
-        };
-        let child = list.map(|(_, child)| child);
+        let child = list.element();
         match (&slot.shape, value) {
             (Shape::Message(plan), _) if slot.takes(&value) => {
-                let row = list.map_or(0, |(start, _)| start) + count;
+                let row = list.elements(self.pool) + count;
                 offset(row)?;
                 let bytes = value.bytes().unwrap_or_default();
-                self.message(plan, Targets::within(child), row, bytes)?;
+                self.message(plan, child, row, bytes)?;
                 count += 1;
             }
             (shape, Value::Bytes { bytes, .. }) if shape.packs() => {
                 let mut packed = WireReader::new(bytes);
                 while !packed.is_empty() {
                     let element = shape.unpack(&mut packed)?;
-                    if let Some(child) = child {
-                        scalar(shape, child, element, self.pool)?;
-                    }
+                    scalar(shape, child, element, self.pool)?;
                     count += 1;
                 }
             }
             _ if slot.takes(&value) => {
-                if let Some(child) = child {
-                    scalar(&slot.shape, child, value, self.pool)?;
-                }
+                scalar(&slot.shape, child, value, self.pool)?;
                 count += 1;
             }
             _ => {}
@@ -339,38 +295,28 @@ impl Shape {
 
 /// Appends a value that is not a message to its column; its presence is noted already.
 fn scalar(shape: &Shape, node: &Node, value: Value, pool: &mut Pool) -> Result<(), DecodeError> {
-    match (&node.layout, shape, value) {
-        (Layout::Fixed { data, .. }, Shape::Varint32 { zigzag }, Value::Varint(v)) => {
+    if node.is_left_out() {
+        return Ok(());
+    }
+    match (shape, value) {
+        (Shape::Varint32 { zigzag }, Value::Varint(v)) => {
             let v = v as u32;
             let sign = if *zigzag { (v & 1).wrapping_neg() } else { 0 };
-            pool.0[*data].push(if *zigzag { (v >> 1) ^ sign } else { v });
+            node.append_value(pool, if *zigzag { (v >> 1) ^ sign } else { v });
         }
-        (Layout::Fixed { data, .. }, Shape::Varint64 { zigzag }, Value::Varint(v)) => {
+        (Shape::Varint64 { zigzag }, Value::Varint(v)) => {
             let sign = if *zigzag { (v & 1).wrapping_neg() } else { 0 };
-            pool.0[*data].push(if *zigzag { (v >> 1) ^ sign } else { v });
+            node.append_value(pool, if *zigzag { (v >> 1) ^ sign } else { v });
         }
-        (Layout::Fixed { data, .. }, _, Value::Fixed32(bytes)) => {
-            pool.0[*data].push(u32::from_le_bytes(bytes));
+        (_, Value::Varint(v)) => node.append_value(pool, u8::from(v != 0)),
+        (_, Value::Fixed32(bytes)) => node.append_value(pool, u32::from_le_bytes(bytes)),
+        (_, Value::Fixed64(bytes)) => node.append_value(pool, u64::from_le_bytes(bytes)),
+        (Shape::Text, Value::Bytes { bytes, .. }) => {
+            let text = String::from_utf8_lossy(bytes);
+            return node.append_bytes(pool, text.as_bytes());
         }
-        (Layout::Fixed { data, .. }, _, Value::Fixed64(bytes)) => {
-            pool.0[*data].push(u64::from_le_bytes(bytes));
-        }
-        (Layout::Bool { data }, _, Value::Varint(v)) => pool.0[*data].push(u8::from(v != 0)),
-        (
-            Layout::Bytes { offsets, data },
-            _,
-            Value::Bytes { bytes, .. } | Value::Group { bytes, .. },
-        ) => {
-            if matches!(shape, Shape::Text) {
-                let text = String::from_utf8_lossy(bytes);
-                return pool.append_bytes(*offsets, *data, text.as_bytes());
-            }
-            return pool.append_bytes(*offsets, *data, bytes);
-        }
-        _ => {
-            return Err(DecodeError::Full {
-                limit: OFFSET_LIMIT,
-            });
+        (_, Value::Bytes { bytes, .. } | Value::Group { bytes, .. }) => {
+            return node.append_bytes(pool, bytes);
         }
     }
     Ok(())

@@ -3,11 +3,12 @@
 use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_schemas::roles::{Calibration, Transform};
-use evermap_schemas::{Bytes, LayerRow, Stamp, record};
+use evermap_schemas::{Bytes, Stamp, record};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 record! {
     /// A posed image as a kernel sees it.
+    #[layer("posed_images", key(site, session, stamp, camera))]
     pub struct Image {
         /// Site.
         site: String,
@@ -22,11 +23,6 @@ record! {
         /// Encoded.
         image: Option<Bytes>,
     }
-}
-impl LayerRow for Image {
-    const NAME: &'static str = "posed_images";
-    const DOC: &'static str = "A posed image as a kernel sees it.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
 }
 
 /// Squares of half a metre.

@@ -3,7 +3,7 @@
 use evermap_contract::Losses;
 use evermap_contract::laws::inputs_of;
 use evermap_schemas::layers::{ClassScores, DecisionTree, PixelSamples};
-use evermap_schemas::{Bytes, LayerRow, Stamp, record};
+use evermap_schemas::{Bytes, Stamp, record};
 use evermap_vision::{Grey, encode_png};
 use serde_json::json;
 
@@ -15,6 +15,7 @@ const CLASSES: [&str; 3] = ["sky", "road", "sign"];
 
 record! {
     /// A labelled frame with its pixels.
+    #[layer("labelled_frames", key(site, session, stamp, camera))]
     pub struct Labelled {
         /// Site.
         site: String,
@@ -32,14 +33,10 @@ record! {
         png: Bytes,
     }
 }
-impl LayerRow for Labelled {
-    const NAME: &'static str = "labelled_frames";
-    const DOC: &'static str = "A labelled frame with its pixels.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
-}
 
 record! {
     /// A frame with its pixels.
+    #[layer("frames", key(site, session, stamp, camera))]
     pub struct Shot {
         /// Site.
         site: String,
@@ -56,11 +53,6 @@ record! {
         /// Encoded pixels.
         image: Bytes,
     }
-}
-impl LayerRow for Shot {
-    const NAME: &'static str = "frames";
-    const DOC: &'static str = "A frame with its pixels.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp", "camera"];
 }
 
 /// Class at a pixel of the n-th image: a horizon, and a sign before it that moves along.

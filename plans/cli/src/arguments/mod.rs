@@ -101,20 +101,28 @@ pub struct LimitArgs {
     pub memory: usize,
 }
 
-/// Arguments of `run`.
+/// A plan and its sessions: arguments of `check` and `test`.
 #[derive(Debug, Args)]
-pub struct RunArgs {
+pub struct PlanArgs {
     /// Plan file, `-` for standard input, or the name of a plan that ships (car_park, trajectory).
     pub plan: String,
-    /// Folder or URL of the map; made where there is none.
-    #[arg(long, value_name = "DIR")]
-    pub map: String,
-    /// Sessions that join those of the map.
-    #[command(flatten)]
-    pub sessions: SessionArgs,
     /// Parameter of a step, in place of the plan's.
     #[arg(long, value_name = "STEP.PARAM=VALUE")]
     pub set: Vec<String>,
+    /// Sessions; on a map, those that join it.
+    #[command(flatten)]
+    pub sessions: SessionArgs,
+}
+
+/// Arguments of `run`.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// What is run.
+    #[command(flatten)]
+    pub input: PlanArgs,
+    /// Folder or URL of the map; made where there is none.
+    #[arg(long, value_name = "DIR")]
+    pub map: String,
     /// How progress is shown.
     #[arg(long, default_value = "auto")]
     pub progress: Show,
@@ -136,33 +144,15 @@ pub struct RunArgs {
     pub limits: LimitArgs,
 }
 
-/// Arguments of `check` and `test`.
-#[derive(Debug, Args)]
-pub struct PlanArgs {
-    /// Plan file, `-` for standard input, or the name of a plan that ships.
-    pub plan: String,
-    /// Parameter of a step, in place of the plan's.
-    #[arg(long, value_name = "STEP.PARAM=VALUE")]
-    pub set: Vec<String>,
-    /// Sessions whose topics the plan reads.
-    #[command(flatten)]
-    pub sessions: SessionArgs,
-}
-
 /// Arguments of `explain`.
 #[derive(Debug, Args)]
 pub struct ExplainArgs {
-    /// Plan file, `-` for standard input, or the name of a plan that ships.
-    pub plan: String,
+    /// What is explained.
+    #[command(flatten)]
+    pub input: PlanArgs,
     /// Folder or URL of the map; without one, the plan is shown as it is composed.
     #[arg(long, value_name = "DIR")]
     pub map: Option<String>,
-    /// Sessions that would join those of the map.
-    #[command(flatten)]
-    pub sessions: SessionArgs,
-    /// Parameter of a step, in place of the plan's.
-    #[arg(long, value_name = "STEP.PARAM=VALUE")]
-    pub set: Vec<String>,
     /// How it is written.
     #[arg(long, default_value = "table")]
     pub format: Format,

@@ -17,8 +17,8 @@ fn sessions_and_settings_are_lists() {
     let Ok(Command::Run(args)) = read(line) else {
         panic!("{line}")
     };
-    assert_eq!(args.sessions.sessions, ["a.mcap", "b.mcap"]);
-    assert_eq!(args.set, ["x.y=1", "x.z=2"]);
+    assert_eq!(args.input.sessions.sessions, ["a.mcap", "b.mcap"]);
+    assert_eq!(args.input.set, ["x.y=1", "x.z=2"]);
     assert_eq!((args.limits.jobs, args.limits.memory), (Some(3), 2 << 30));
 }
 

@@ -3,9 +3,12 @@
 use std::io::Write;
 
 use datafusion::execution::runtime_env::RuntimeEnv;
+use evermap_contract::Registry;
+use evermap_datasets::Dataset;
 use evermap_engine::plan_test::run_tests;
 use evermap_engine::prepare::{self, vocabulary};
-use evermap_language::json_schema;
+use evermap_engine::program::Program;
+use evermap_language::{Plan, json_schema};
 use evermap_schemas::Fault;
 
 use crate::arguments::PlanArgs;
@@ -20,11 +23,7 @@ use crate::shipped;
 /// # Errors
 /// All its faults.
 pub async fn check(args: &PlanArgs) -> Ending {
-    let registry = evermap_catalog::registry();
-    let plan = shipped::read(&args.plan, args.set.clone())?;
-    prepare::parse(&plan, &registry).map_err(|faults| Failure::Plan(faults.pretty()))?;
-    let dataset = open(&RuntimeEnv::default(), &args.sessions).await?;
-    let (parsed, _) = prepare::check(&plan, &registry, &dataset).await?;
+    let (parsed, _, dataset) = checked(args, &evermap_catalog::registry()).await?;
     if !parsed.warnings.is_empty() {
         line(parsed.warnings.pretty().trim_end());
     }
@@ -40,16 +39,25 @@ pub async fn check(args: &PlanArgs) -> Ending {
     Ok(lost(&dataset))
 }
 
+/// The plan, its program, and the sessions that it was checked on; its own faults are told before any log is opened.
+async fn checked(
+    args: &PlanArgs,
+    registry: &Registry,
+) -> Result<(Plan, Program, Dataset), Failure> {
+    let plan = shipped::of(args)?;
+    prepare::parse(&plan, registry).map_err(|faults| Failure::Plan(faults.pretty()))?;
+    let dataset = open(&RuntimeEnv::default(), &args.sessions).await?;
+    let (parsed, program) = prepare::check(&plan, registry, &dataset).await?;
+    Ok((parsed, program, dataset))
+}
+
 /// Runs the tests of a plan.
 ///
 /// # Errors
 /// That one fails, or what keeps them from being run.
 pub async fn test(args: &PlanArgs) -> Ending {
     let registry = evermap_catalog::registry();
-    let plan = shipped::read(&args.plan, args.set.clone())?;
-    prepare::parse(&plan, &registry).map_err(|faults| Failure::Plan(faults.pretty()))?;
-    let dataset = open(&RuntimeEnv::default(), &args.sessions).await?;
-    let (parsed, program) = prepare::check(&plan, &registry, &dataset).await?;
+    let (parsed, program, dataset) = checked(args, &registry).await?;
     let outcomes = run_tests(&parsed, &program, &registry, &dataset).await?;
     let mut stdout = std::io::stdout().lock();
     for outcome in &outcomes {

@@ -19,14 +19,13 @@ use crate::shipped;
 /// The plan's faults, or what is wrong with the sessions or the map.
 pub async fn explain(args: &ExplainArgs) -> Ending {
     let registry = evermap_catalog::registry();
-    let plan = shipped::read(&args.plan, args.set.clone())?;
     let Some(map) = &args.map else {
-        let plan = prepare::parse(&plan, &registry);
+        let plan = prepare::parse(&shipped::of(&args.input)?, &registry);
         let plan = plan.map_err(|faults| Failure::Plan(faults.pretty()))?;
         write!(std::io::stdout(), "{plan}")?;
         return DONE;
     };
-    let prepared = sessions::prepare(&plan, &registry, map, &args.sessions).await?;
+    let prepared = sessions::prepare(&args.input, &registry, map).await?;
     let forecasts = prepared.run(&registry, Limits::default()).explain().await?;
     let count = forecasts
         .iter()

@@ -3,7 +3,7 @@
 use std::io::Write as _;
 
 use evermap_contract::Entry;
-use evermap_schemas::{LayerRow, record};
+use evermap_schemas::record;
 
 use crate::arguments::OperatorsArgs;
 use crate::ending::{DONE, Ending};
@@ -11,6 +11,7 @@ use crate::output::print_rows;
 
 record! {
     /// One operator.
+    #[layer("operators", key(operator))]
     pub struct OperatorLine {
         /// Name, as plans write it after `op:`.
         operator: String,
@@ -23,11 +24,6 @@ record! {
         /// What it yields, in a sentence.
         summary: String,
     }
-}
-impl LayerRow for OperatorLine {
-    const NAME: &'static str = "operators";
-    const DOC: &'static str = "One operator.";
-    const KEY: &'static [&'static str] = &["operator"];
 }
 
 /// Lists the operators, or prints the page of one with the columns of its ports.

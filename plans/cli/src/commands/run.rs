@@ -21,7 +21,6 @@ use crate::output::Format;
 use crate::progress::{Progress, line};
 use crate::quantity::{of, of_seconds};
 use crate::sessions;
-use crate::shipped;
 
 /// Runs a plan.
 ///
@@ -30,8 +29,7 @@ use crate::shipped;
 pub async fn run(args: &RunArgs) -> Ending {
     let begun = Instant::now();
     let registry = evermap_catalog::registry();
-    let plan = shipped::read(&args.plan, args.set.clone())?;
-    let prepared = sessions::prepare(&plan, &registry, &args.map, &args.sessions).await?;
+    let prepared = sessions::prepare(&args.input, &registry, &args.map).await?;
     prepared
         .program
         .warnings
@@ -42,7 +40,7 @@ pub async fn run(args: &RunArgs) -> Ending {
     let jobs = jobs(&args.limits);
     let run = prepared.run(&registry, limits(&args.limits, jobs));
     let runner = runner(args, &registry, jobs).await?;
-    let mut progress = Progress::new(args.progress, 0);
+    let mut progress = Progress::new(args.progress);
     let result = run
         .execute(runner.as_ref(), &mut |event| progress.note(&event))
         .await;

@@ -1,6 +1,6 @@
 //! `evermap simulate`.
 
-use evermap_schemas::{Fault, LayerRow, batch, record};
+use evermap_schemas::{Fault, batch, record};
 use evermap_worlds::{
     CarPark, Progress as Images, RecordingError, Street, Summary, WorldError, car_park, street,
 };
@@ -15,6 +15,7 @@ use crate::progress::{Progress, line};
 
 record! {
     /// One simulated session.
+    #[layer("simulated", key(session))]
     pub struct Simulated {
         /// Session.
         session: String,
@@ -32,11 +33,6 @@ record! {
         duration_s: f64 ["s"],
     }
 }
-impl LayerRow for Simulated {
-    const NAME: &'static str = "simulated";
-    const DOC: &'static str = "One simulated session.";
-    const KEY: &'static [&'static str] = &["session"];
-}
 
 /// Writes a world.
 ///
@@ -44,7 +40,7 @@ impl LayerRow for Simulated {
 /// A user fault for parameters that make no world, a resource fault when files cannot be written.
 pub async fn simulate(args: &SimulateArgs) -> Ending {
     let write = writer(args)?;
-    let mut progress = Progress::new(args.progress, 0);
+    let mut progress = Progress::new(args.progress);
     let mut total = None;
     // Rendering keeps every core busy for minutes: the runtime must know that this thread is taken.
     let summary = tokio::task::block_in_place(|| {

@@ -139,7 +139,7 @@ impl MapFromAbove<'_> {
 
     fn legend_width(&self) -> f64 {
         let names = self.legend.iter();
-        let widths = names.map(|(name, _)| strokes::width(name, strokes::LETTER_PX));
+        let widths = names.map(|(name, _)| strokes::width(name));
         widths.fold(0.0, f64::max) + 52.0
     }
 }
@@ -207,6 +207,6 @@ impl ScaleBar {
     }
 
     fn label_x(&self) -> f64 {
-        (self.bar_px - strokes::width(&self.label, strokes::LETTER_PX)) / 2.0
+        (self.bar_px - strokes::width(&self.label)) / 2.0
     }
 }

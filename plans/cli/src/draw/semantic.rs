@@ -128,7 +128,7 @@ fn legend(classes: &[String]) -> Vec<(String, String, f64)> {
     let mut names = Vec::new();
     for (index, class) in classes.iter().enumerate() {
         let name = strokes::name(class, 20);
-        let width = strokes::width(&name, strokes::LETTER_PX);
+        let width = strokes::width(&name);
         names.push((name, colours::class(index), x));
         x += strokes::LETTER_PX * 3.6 + width;
     }

@@ -3,8 +3,8 @@
 /// Height of letters in pictures, px.
 pub const LETTER_PX: f64 = 9.0;
 
-/// Height of a capital, in units of the glyph grid.
-const CAPITAL: f64 = 6.0;
+/// A unit of the glyph grid, of which a capital is 6 high.
+const UNIT_PX: f64 = LETTER_PX / 6.0;
 /// From one letter to the next, in units of the glyph grid.
 const ADVANCE: f64 = 5.6;
 
@@ -64,23 +64,17 @@ fn glyph(letter: char) -> &'static str {
     }
 }
 
-/// The width of a text whose capitals are this high, px.
-pub fn width(text: &str, height_px: f64) -> f64 {
+/// The width of a text, px.
+pub fn width(text: &str) -> f64 {
     let letters = text.chars().count() as f64;
-    ((letters * ADVANCE) - (ADVANCE - 4.0)).max(0.0) * height_px / CAPITAL
+    ((letters * ADVANCE) - (ADVANCE - 4.0)).max(0.0) * UNIT_PX
 }
 
-/// The path data of a text in the usual height, with its upper left corner at the origin.
+/// The path data of a text with its upper left corner at the origin. Only `m` has a small letter: give capitals.
 pub fn letters(text: &str) -> String {
-    path([0.0, 0.0], LETTER_PX, text)
-}
-
-/// The path data of a text with its upper left corner at a pixel. Only `m` has a small letter: give capitals.
-pub fn path([x, y]: [f64; 2], height_px: f64, text: &str) -> String {
-    let unit = height_px / CAPITAL;
     let mut path = String::new();
     for (index, letter) in text.chars().enumerate() {
-        let left = x + index as f64 * ADVANCE * unit;
+        let left = index as f64 * ADVANCE;
         for stroke in glyph(letter).split(';') {
             for (at, point) in stroke.split_whitespace().enumerate() {
                 let mut digits = point
@@ -92,8 +86,8 @@ pub fn path([x, y]: [f64; 2], height_px: f64, text: &str) -> String {
                 let command = if at == 0 { 'M' } else { 'L' };
                 path.push_str(&format!(
                     "{command}{:.1} {:.1}",
-                    left + column * unit,
-                    y + row * unit
+                    (left + column) * UNIT_PX,
+                    row * UNIT_PX
                 ));
             }
         }
@@ -145,7 +139,7 @@ mod tests {
     fn names_are_cut_and_capital() {
         assert_eq!(name("revisit_1", 20), "REVISIT_1");
         assert_eq!(name("abcdef", 4), "ABC…");
-        assert!(path([0.0, 0.0], 6.0, "L").contains("M0.0 0.0L0.0 6.0L4.0 6.0"));
-        assert_eq!(width("AB", 6.0), 9.6);
+        assert!(letters("L").contains("M0.0 0.0L0.0 9.0L6.0 9.0"));
+        assert!((width("AB") - 14.4).abs() < 1e-9);
     }
 }

@@ -5,8 +5,7 @@ use std::sync::Arc;
 use arrow::array::{Array, ArrayRef, AsArray, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Field, Schema};
 use arrow::error::ArrowError;
-use arrow::json::LineDelimitedWriter;
-use arrow::json::writer::{LineDelimited, WriterBuilder};
+use arrow::json::{EncoderOptions, writer::make_encoder};
 use arrow::util::display::{ArrayFormatter, FormatOptions};
 
 /// Characters of a cell that are shown.
@@ -72,23 +71,16 @@ pub fn short(text: &str) -> String {
 }
 
 fn json_texts(column: &ArrayRef) -> Result<StringArray, ArrowError> {
-    let field = Field::new("v", column.data_type().clone(), true);
-    let batch = RecordBatch::try_new(Arc::new(Schema::new(vec![field])), vec![Arc::clone(column)])?;
-    let mut bytes = Vec::new();
-    let mut writer: LineDelimitedWriter<_> = WriterBuilder::new()
-        .with_explicit_nulls(true)
-        .build::<_, LineDelimited>(&mut bytes);
-    writer.write(&batch)?;
-    writer.finish()?;
-    let text = String::from_utf8_lossy(&bytes);
-    let value = |line: &str| {
-        line.strip_prefix("{\"v\":")
-            .and_then(|line| line.strip_suffix('}'))
-            .map(str::to_owned)
+    let field = Arc::new(Field::new("value", column.data_type().clone(), true));
+    let options = EncoderOptions::default().with_explicit_nulls(true);
+    let mut encoder = make_encoder(&field, column.as_ref(), &options)?;
+    let text = |row| {
+        let mut json = Vec::new();
+        if column.is_null(row) {
+            return None;
+        }
+        encoder.encode(row, &mut json);
+        Some(String::from_utf8_lossy(&json).into_owned())
     };
-    let texts = text
-        .lines()
-        .map(value)
-        .map(|value| value.filter(|value| value != "null"));
-    Ok(texts.collect())
+    Ok((0..column.len()).map(text).collect())
 }

@@ -6,6 +6,7 @@ use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
 record! {
     /// A row of every kind.
+    #[layer("mixed", key(name))]
     pub struct Mixed {
         /// Text.
         name: String,
@@ -20,11 +21,6 @@ record! {
         /// Bytes.
         png: Bytes,
     }
-}
-impl LayerRow for Mixed {
-    const NAME: &'static str = "mixed";
-    const DOC: &'static str = "A row of every kind.";
-    const KEY: &'static [&'static str] = &["name"];
 }
 
 fn rows() -> RecordBatch {

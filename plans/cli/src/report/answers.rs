@@ -2,11 +2,9 @@
 
 use arrow::array::RecordBatch;
 use arrow::util::display::{ArrayFormatter, FormatOptions};
-use evermap_engine::map::Map;
-use evermap_engine::sql::Limits;
 use evermap_schemas::Fault;
 
-use crate::reader::answered;
+use crate::reader::MapReader;
 
 /// What is asked: the layer that it needs, what it is about, the query.
 pub type Question = (&'static str, &'static str, &'static str);
@@ -83,9 +81,9 @@ impl Answer {
 /// The answers to those questions whose layers the map has, and that have any rows.
 ///
 /// # Errors
-/// As [`Map::context`], or what a query says.
-pub async fn answers(map: &Map, questions: &[Question]) -> Result<Vec<Answer>, Fault> {
-    let context = map.context(Limits::default()).await?;
+/// As [`MapReader::ask`].
+pub async fn answers(reader: &MapReader, questions: &[Question]) -> Result<Vec<Answer>, Fault> {
+    let map = &reader.map;
     let mut answers = Vec::new();
     for &(layer, title, query) in questions {
         // Nothing comes before the first version: there, everything is lost.
@@ -93,8 +91,10 @@ pub async fn answers(map: &Map, questions: &[Question]) -> Result<Vec<Answer>, F
         if first || !map.has(layer) {
             continue;
         }
-        let found = answered(&context, query).await;
-        let batches = found.map_err(|fault| fault.at(format!("report: {title}")))?;
+        let batches = reader
+            .ask(query)
+            .await
+            .map_err(|fault| fault.at(format!("report: {title}")))?;
         if batches.iter().any(|batch| batch.num_rows() > 0) {
             answers.push(answer(title, query, &batches)?);
         }

@@ -3,14 +3,13 @@
 use std::collections::BTreeMap;
 
 use askama::Template;
-use evermap_engine::map::{LayerInfo, Map, RunRow, VersionInfo, versions};
-use evermap_engine::sql::Limits;
+use evermap_engine::map::{LayerInfo, RunRow, VersionInfo, versions};
 use evermap_schemas::Fault;
 
 use crate::draw::{Canvas, Picture, draw, matrix, views};
 use crate::metric::{Drift, metric_map};
 use crate::quantity;
-use crate::reader::{MapReader, answered, typed};
+use crate::reader::{MapReader, typed};
 use crate::report::answers::{Answer, OF_METRIC_MAPS, OF_SEMANTIC_MAPS, answers};
 use crate::scene::{scene, trajectories};
 use crate::semantic::{semantic_map, similarities};
@@ -139,7 +138,7 @@ impl Facts {
 /// Gathers what a report says.
 ///
 /// # Errors
-/// As [`Map::batches`], or a user fault for a site that is not in the map.
+/// As [`MapReader::rows`], or a user fault for a site that is not in the map.
 pub async fn gather(reader: &MapReader, site: Option<&str>) -> Result<Facts, Fault> {
     let (scene, sites) = scene(reader, site).await?;
     let canvas = Canvas {
@@ -162,7 +161,7 @@ pub async fn gather(reader: &MapReader, site: Option<&str>) -> Result<Facts, Fau
         semantic: semantic_facts(reader, site).await?,
         layers: reader.map.layers(),
         sessions: sessions(reader).await?,
-        units: units(&reader.map).await?,
+        units: units(reader).await?,
         losses: version.losses.clone(),
         versions: versions(&reader.map.store).await?,
         sites,
@@ -180,7 +179,7 @@ async fn metric_facts(
     Ok(Some(MetricFacts {
         picture: draw(&found.scene, canvas).ok(),
         drifts: found.drifts,
-        answers: answers(&reader.map, &OF_METRIC_MAPS).await?,
+        answers: answers(reader, &OF_METRIC_MAPS).await?,
     }))
 }
 
@@ -192,7 +191,7 @@ async fn semantic_facts(reader: &MapReader, site: &str) -> Result<Option<Semanti
     Ok(Some(SemanticFacts {
         views: views(&found).ok(),
         matrix: similarities.and_then(|found| matrix(&found, MATRIX_PX).ok()),
-        answers: answers(&reader.map, &OF_SEMANTIC_MAPS).await?,
+        answers: answers(reader, &OF_SEMANTIC_MAPS).await?,
     }))
 }
 
@@ -213,11 +212,11 @@ async fn sessions(reader: &MapReader) -> Result<Vec<SessionFact>, Fault> {
 }
 
 /// The units of the run that published the version: of its runs the one that computed most.
-async fn units(map: &Map) -> Result<Vec<RunRow>, Fault> {
-    let context = map.context(Limits::default()).await?;
-    let query = format!("SELECT * FROM runs WHERE version = {}", map.version.version);
+async fn units(reader: &MapReader) -> Result<Vec<RunRow>, Fault> {
+    let version = reader.map.version.version;
+    let query = format!("SELECT * FROM runs WHERE version = {version}");
     let mut runs: BTreeMap<String, Vec<RunRow>> = BTreeMap::new();
-    for row in typed::<RunRow>(&answered(&context, &query).await?)? {
+    for row in typed::<RunRow>(&reader.ask(&query).await?)? {
         runs.entry(row.run.clone()).or_default().push(row);
     }
     let computed = |units: &Vec<RunRow>| units.iter().filter(|unit| !unit.cached).count();

@@ -159,7 +159,7 @@ fn session(name: &str) -> MappedSession {
     };
     MappedSession {
         log,
-        manifest: serde_json::json!({}),
+        manifest: Default::default(),
     }
 }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use arrow::array::RecordBatch;
 use arrow::row::{RowConverter, SortField};
 use evermap_contract::Registry;
-use evermap_schemas::{Fault, LayerRow, record};
+use evermap_schemas::{Fault, record};
 use futures::StreamExt;
 
 use crate::error::OrFault;
@@ -16,6 +16,7 @@ use crate::map::version::{StoredLayer, Version};
 
 record! {
     /// What became of one layer between two versions.
+    #[layer("changes", key(layer))]
     pub struct LayerDiff {
         /// Layer.
         layer: String,
@@ -28,11 +29,6 @@ record! {
         /// Rows that are the same.
         same: u64,
     }
-}
-impl LayerRow for LayerDiff {
-    const NAME: &'static str = "changes";
-    const DOC: &'static str = "What became of one layer between two versions.";
-    const KEY: &'static [&'static str] = &["layer"];
 }
 
 /// Compares two versions, layer by layer. Rows are matched by the key of the operator's layer; rows of a query, which

@@ -10,13 +10,16 @@ pub mod version;
 
 use arrow::array::RecordBatch;
 use datafusion::common::TableReference;
+use datafusion::execution::runtime_env::RuntimeEnv;
 use datafusion::prelude::{DataFrame, SessionContext};
+use evermap_datasets::Dataset;
 use evermap_schemas::{Fault, LayerRow, batch};
 
 use crate::error::OrFault;
+use crate::fingerprint::open_mapped;
 use crate::map::artifact::{read_artifacts, read_files, read_in_order};
 use crate::map::store::Store;
-use crate::map::version::{StoredLayer, Version};
+use crate::map::version::{MappedSession, StoredLayer, Version};
 use crate::sql::{Limits, context};
 
 pub use diff::{LayerDiff, diff};
@@ -117,6 +120,20 @@ impl Map {
         })?;
         let rows = read_in_order(&self.store, &stored.artifacts).await?;
         rows.collect().await.or_fault()
+    }
+
+    /// The log of a session, opened where it was when it was mapped; `None` for a session that is not in the map.
+    ///
+    /// # Errors
+    /// A user fault for a log that is gone, or as [`Dataset::open`].
+    pub async fn log(&self, session: &str, runtime: &RuntimeEnv) -> Result<Option<Dataset>, Fault> {
+        let mut sessions = self.version.sessions.iter();
+        match sessions.find(|mapped| mapped.log.session == session) {
+            Some(MappedSession { log, manifest }) => Ok(Some(
+                open_mapped(&self.store, runtime, manifest, log).await?,
+            )),
+            None => Ok(None),
+        }
     }
 
     /// Whether the version has the layer.

@@ -1,9 +1,10 @@
 //! What a map says of itself, as rows.
 
-use evermap_schemas::{LayerRow, record};
+use evermap_schemas::record;
 
 record! {
     /// How one unit of one run went.
+    #[layer("runs", key(version, run, step, site, session))]
     pub struct RunRow {
         /// Version that the run ended at.
         version: u64,
@@ -33,14 +34,10 @@ record! {
         content: String,
     }
 }
-impl LayerRow for RunRow {
-    const NAME: &'static str = "runs";
-    const DOC: &'static str = "How one unit of one run went.";
-    const KEY: &'static [&'static str] = &["version", "run", "step", "site", "session"];
-}
 
 record! {
     /// One layer of one version.
+    #[layer("layers", key(layer))]
     pub struct LayerInfo {
         /// Layer name.
         layer: String,
@@ -56,14 +53,10 @@ record! {
         digest: String,
     }
 }
-impl LayerRow for LayerInfo {
-    const NAME: &'static str = "layers";
-    const DOC: &'static str = "One layer of one version.";
-    const KEY: &'static [&'static str] = &["layer"];
-}
 
 record! {
     /// One version of a map.
+    #[layer("versions", key(version))]
     pub struct VersionInfo {
         /// Counted from 1.
         version: u64,
@@ -78,9 +71,4 @@ record! {
         /// Inputs that were skipped or lost on the way.
         lost: u64,
     }
-}
-impl LayerRow for VersionInfo {
-    const NAME: &'static str = "versions";
-    const DOC: &'static str = "One version of a map.";
-    const KEY: &'static [&'static str] = &["version"];
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use evermap_datasets::Manifest;
 use evermap_schemas::Fault;
 use serde::{Deserialize, Serialize};
 
@@ -44,13 +45,13 @@ impl StoredLayer {
     }
 }
 
-/// A session that is in a map.
+/// A session of a map, or of a run that is to add it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MappedSession {
     /// The log, by content.
     pub log: LogContent,
-    /// Where the log was when it was mapped, as a manifest of one session.
-    pub manifest: serde_json::Value,
+    /// Where the log was when it was mapped, as a manifest of this one session.
+    pub manifest: Manifest,
 }
 
 /// The layers of the version before that a plan reads.

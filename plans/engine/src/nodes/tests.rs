@@ -27,6 +27,7 @@ use crate::sql::{Limits, context};
 
 record! {
     /// How many keyframes there are beside a pose.
+    #[layer("company", key(site, session, stamp))]
     pub struct Company {
         /// Site.
         site: String,
@@ -37,11 +38,6 @@ record! {
         /// Keyframes of the site.
         keyframes: u64,
     }
-}
-impl LayerRow for Company {
-    const NAME: &'static str = "company";
-    const DOC: &'static str = "How many keyframes there are beside a pose.";
-    const KEY: &'static [&'static str] = &["site", "session", "stamp"];
 }
 
 /// How often sides were prepared for site `s`.

@@ -7,11 +7,11 @@ use futures::StreamExt;
 use futures::stream::SelectAll;
 
 use crate::map::receipt::Receipt;
-use crate::map::version::{MappedSession, Previous, StoredLayer, Version};
+use crate::map::version::{Previous, StoredLayer, Version};
 use crate::program::Stage;
 use crate::run::pending::{Pending, Place};
 use crate::run::runner::Runner;
-use crate::run::{Event, Run, RunResult, RunSession};
+use crate::run::{Event, Run, RunResult};
 use crate::unit::Unit;
 
 /// A run under way, unit by unit.
@@ -66,7 +66,7 @@ impl Run<'_> {
             plan: self.program.plan.clone(),
             evermap: env!("CARGO_PKG_VERSION").to_owned(),
             published: chrono::Utc::now().to_rfc3339(),
-            sessions: self.sessions.iter().map(mapped).collect::<Result<_, _>>()?,
+            sessions: self.sessions.clone(),
             layers: driver.layers()?,
             losses: driver.losses(),
         };
@@ -83,15 +83,6 @@ impl Run<'_> {
             units: driver.done(),
         })
     }
-}
-
-fn mapped(session: &RunSession) -> Result<MappedSession, Fault> {
-    let manifest =
-        serde_json::to_value(&session.manifest).map_err(|error| Fault::bug(error.to_string()))?;
-    Ok(MappedSession {
-        log: session.log.clone(),
-        manifest,
-    })
 }
 
 impl<'r, 'a> Driver<'r, 'a> {

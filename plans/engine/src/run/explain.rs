@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use evermap_schemas::{Fault, LayerRow, record};
+use evermap_schemas::{Fault, record};
 
 use crate::map::receipt::{Artifact, Extent, LogContent, Receipt, Recipe};
 use crate::map::version::Previous;
@@ -12,6 +12,7 @@ use crate::run::pending::{Pending, Place};
 
 record! {
     /// What would become of one unit.
+    #[layer("forecasts", key(step, unit))]
     pub struct UnitForecast {
         /// Step that it belongs to.
         step: String,
@@ -22,11 +23,6 @@ record! {
         /// Why, or why not.
         why: String,
     }
-}
-impl LayerRow for UnitForecast {
-    const NAME: &'static str = "forecasts";
-    const DOC: &'static str = "What would become of one unit.";
-    const KEY: &'static [&'static str] = &["step", "unit"];
 }
 
 impl Run<'_> {

@@ -12,22 +12,12 @@ pub mod record;
 pub mod runner;
 
 use evermap_contract::Registry;
-use evermap_datasets::Manifest;
 
-use crate::map::receipt::{LogContent, Receipt};
+use crate::map::receipt::Receipt;
 use crate::map::store::Store;
-use crate::map::version::Version;
+use crate::map::version::{MappedSession, Version};
 use crate::program::Program;
 use crate::sql::Limits;
-
-/// A session as a run sees it.
-#[derive(Debug, Clone)]
-pub struct RunSession {
-    /// The log, by content.
-    pub log: LogContent,
-    /// How to open it: a manifest of this one session.
-    pub manifest: Manifest,
-}
 
 /// What happens during a run.
 #[derive(Debug)]
@@ -62,7 +52,7 @@ pub struct Run<'a> {
     /// The map.
     pub store: &'a Store,
     /// All sessions of the coming version, sorted by name.
-    pub sessions: Vec<RunSession>,
+    pub sessions: Vec<MappedSession>,
     /// The version before.
     pub base: Option<Version>,
     /// What one unit may use.

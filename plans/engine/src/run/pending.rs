@@ -6,9 +6,9 @@ use evermap_language::Input;
 use evermap_schemas::Fault;
 
 use crate::map::receipt::{Artifact, Extent, Recipe};
-use crate::map::version::Previous;
+use crate::map::version::{MappedSession, Previous};
 use crate::program::Stage;
-use crate::run::{Run, RunSession};
+use crate::run::Run;
 use crate::unit::Unit;
 
 /// Which unit of a program.
@@ -24,9 +24,9 @@ impl Place {
     /// The units of a stage on these sessions, sorted.
     fn all<'s>(
         stage: &Stage,
-        sessions: impl IntoIterator<Item = &'s RunSession>,
+        sessions: impl IntoIterator<Item = &'s MappedSession>,
     ) -> BTreeSet<Self> {
-        let place = |session: &RunSession| Self {
+        let place = |session: &MappedSession| Self {
             stage: stage.name.clone(),
             extent: Extent::of(stage.scope, &session.log),
         };
@@ -112,8 +112,7 @@ impl Pending {
         if !layers.is_empty() {
             recipe.replaced.clone_from(&previous.replaced);
         }
-        recipe.previous = layers;
-        let read = |session: &&RunSession| self.logs.contains(&session.log.session);
+        let read = |session: &&MappedSession| self.logs.contains(&session.log.session);
         let logs = run.sessions.iter().filter(read);
         recipe.logs = logs.clone().map(|session| session.log.clone()).collect();
         Ok(Unit {
@@ -163,8 +162,8 @@ mod tests {
         }
     }
 
-    fn session(name: &str, site: &str) -> RunSession {
-        RunSession {
+    fn session(name: &str, site: &str) -> MappedSession {
+        MappedSession {
             log: LogContent {
                 session: name.into(),
                 site: site.into(),

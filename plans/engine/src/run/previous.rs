@@ -11,7 +11,6 @@ use evermap_schemas::Fault;
 use crate::map::receipt::{Artifact, Extent, PreviousLayer};
 use crate::map::version::{MappedSession, Previous, Version};
 use crate::program::{Program, Stage};
-use crate::run::RunSession;
 
 impl Previous {
     /// What `previous` means for a program on these sessions, when the map is at `base`.
@@ -20,7 +19,7 @@ impl Previous {
     /// As [`Program::digest`].
     pub fn of(
         program: &Program,
-        sessions: &[RunSession],
+        sessions: &[MappedSession],
         base: Option<&Version>,
     ) -> Result<Self, Fault> {
         let Some(base) = base else {
@@ -85,12 +84,12 @@ fn names(stages: &[Stage]) -> BTreeSet<&String> {
 }
 
 /// Whether a version is made of just these logs, wherever they lie.
-fn same_logs(base: &Version, sessions: &[RunSession]) -> bool {
+fn same_logs(base: &Version, sessions: &[MappedSession]) -> bool {
     let held = base.sessions.iter().map(|session| &session.log);
     held.eq(sessions.iter().map(|session| &session.log))
 }
 
-fn replaced(base: &Version, sessions: &[RunSession]) -> Vec<String> {
+fn replaced(base: &Version, sessions: &[MappedSession]) -> Vec<String> {
     let other = |held: &&MappedSession| sessions.iter().all(|session| session.log != held.log);
     base.sessions
         .iter()

@@ -12,7 +12,7 @@ use datafusion::physical_plan::empty::EmptyExec;
 use datafusion::physical_plan::sorts::sort::SortExec;
 use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
 use evermap_contract::{Losses, Phase, Port, Registry};
-use evermap_datasets::{Dataset, ImageReader, Recordings};
+use evermap_datasets::{Dataset, ImageReader};
 use evermap_language::Input;
 use evermap_schemas::{Fault, Layer};
 use futures::FutureExt;
@@ -20,7 +20,7 @@ use futures::future::BoxFuture;
 use serde_json::Value;
 
 use crate::error::OrFault;
-use crate::fingerprint::{self, Believe};
+use crate::fingerprint::open_mapped;
 use crate::map::receipt::Extent;
 use crate::map::store::Store;
 use crate::nodes::node::{Deal, Duty, Need, ordering};
@@ -72,9 +72,7 @@ impl<'a> Builder<'a> {
         let mut opened = Vec::new();
         for (manifest, log) in unit.logs.iter().zip(&unit.recipe.logs) {
             let runtime = context.runtime_env();
-            let found = Recordings::find(&runtime, &[], Some(manifest)).await?;
-            let believe = Believe::Content(&log.content);
-            opened.push(fingerprint::open(store, found, believe).await?);
+            opened.push(open_mapped(store, &runtime, manifest, log).await?);
         }
         let (mut logs, mut reader) = (BTreeMap::new(), None);
         if let Some(dataset) = joined(&opened) {
