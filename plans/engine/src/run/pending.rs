@@ -112,6 +112,7 @@ impl Pending {
         if !layers.is_empty() {
             recipe.replaced.clone_from(&previous.replaced);
         }
+        recipe.previous = layers;
         let read = |session: &&MappedSession| self.logs.contains(&session.log.session);
         let logs = run.sessions.iter().filter(read);
         recipe.logs = logs.clone().map(|session| session.log.clone()).collect();
