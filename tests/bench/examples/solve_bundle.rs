@@ -7,7 +7,9 @@
 //!
 //! The first solves a BAL problem, for `tests/peers/bundle_adjustment.py`. The second simulates a
 //! drive of so many keyframes with four fisheyes and odometry, as the metric map has them, and
-//! adjusts it; it shows how time grows with length.
+//! adjusts it; it shows how time grows with length. With `--drives K` the road is driven K times, and
+//! each drive sees the landmarks of all; with `--reach N` a landmark is seen from N keyframes before it
+//! and after it (10 unless told otherwise). `--solver` forces how steps are found: `factorised` or `iterative`.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
 
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -16,7 +18,7 @@ use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::rig::{Rig, RigCamera};
 use evermap_algorithms::metric_map::bundle_adjustment::{
-    self, Keyframe, Observation, Odometry, Problem, Session,
+    self, Keyframe, LinearSolver, Observation, Odometry, Problem, Session,
 };
 use evermap_algorithms::solving::least_squares::{Options, Summary};
 use evermap_bench::timing::shortest;
@@ -26,6 +28,9 @@ use nalgebra::{UnitQuaternion, Vector3};
 struct Arguments {
     path: Option<String>,
     drive: usize,
+    drives: usize,
+    reach: usize,
+    solver: LinearSolver,
     threads: usize,
     repeat: usize,
 }
@@ -34,6 +39,9 @@ fn arguments() -> Result<Arguments, Failure> {
     let mut parsed = Arguments {
         path: None,
         drive: 0,
+        drives: 1,
+        reach: 10,
+        solver: LinearSolver::Cheaper,
         threads: 1,
         repeat: 1,
     };
@@ -43,6 +51,21 @@ fn arguments() -> Result<Arguments, Failure> {
         match word.as_str() {
             "--threads" => parsed.threads = value()?.parse()?,
             "--repeat" => parsed.repeat = value()?.parse()?,
+            "--drives" => parsed.drives = value()?.parse()?,
+            "--reach" => parsed.reach = value()?.parse()?,
+            "--solver" => {
+                parsed.solver = match value()?.as_str() {
+                    "cheaper" => LinearSolver::Cheaper,
+                    "factorised" => LinearSolver::Factorised,
+                    "iterative" => LinearSolver::Iterative,
+                    other => {
+                        return Err(format!(
+                            "--solver: expected cheaper, factorised or iterative, found {other}"
+                        )
+                        .into());
+                    }
+                }
+            }
             "--drive" => parsed.drive = value()?.parse()?,
             _ => parsed.path = Some(word),
         }
@@ -65,15 +88,18 @@ fn benchmark(arguments: &Arguments, path: &str) -> Result<(), Failure> {
     let initial = bal::read(&std::fs::read_to_string(path)?)?;
     let (seconds, summary) = shortest(arguments.repeat, || {
         let mut problem = initial.clone();
-        bal::solve(&mut problem, &Options::default())
+        bal::solve(&mut problem, &Options::default(), arguments.solver)
     });
     report(seconds, &summary?, initial.observations.len());
     Ok(())
 }
 
 fn drive(arguments: &Arguments) -> Result<(), Failure> {
-    let initial = simulated(arguments.drive);
-    let options = bundle_adjustment::Options::default();
+    let initial = simulated(arguments.drive, arguments.drives, arguments.reach);
+    let options = bundle_adjustment::Options {
+        linear_solver: arguments.solver,
+        ..bundle_adjustment::Options::default()
+    };
     let (seconds, result) = shortest(arguments.repeat, || {
         let mut problem = initial.clone();
         bundle_adjustment::solve(&mut problem, &options)
@@ -140,35 +166,45 @@ fn rig() -> Rig {
     }
 }
 
-/// A drive of 0.2 m steps along a winding road with points at both sides, 12 new ones per step,
-/// each followed within 4 m; noise of half a pixel, and a start that is off by centimetres.
-fn simulated(keyframes: usize) -> Problem {
+/// Drives of 0.2 m steps along one winding road with points at both sides, 12 new ones per step, each followed as far
+/// as `reach` steps by every drive; noise of half a pixel, and a start that is off by centimetres.
+fn simulated(keyframes: usize, drives: usize, reach: usize) -> Problem {
     let mut noise = Noise(1);
     let mut problem = Problem {
         rigs: vec![rig()],
-        sessions: vec![Session::new(0)],
+        sessions: vec![Session::new(0); drives],
         ..Problem::default()
     };
     let mut pose = Pose::identity();
-    let mut poses = Vec::with_capacity(keyframes);
+    let mut road = Vec::with_capacity(keyframes);
     for step in 0..keyframes {
-        poses.push(pose);
+        road.push(pose);
         pose = pose.compose(&Pose::from_yaw(0.2, 0.0, 0.02 * (step as f64 * 0.01).sin()));
     }
-    for (at, pose) in poses.iter().enumerate() {
+    let across = |drive: usize| 0.3 * (drive % 5) as f64 - 0.6 * f64::from(u8::from(drive > 0));
+    let driven = |drive| {
+        road.iter()
+            .map(move |pose| pose.compose(&Pose::from_yaw(0.0, across(drive), 0.0)))
+    };
+    let poses: Vec<Vec<Pose>> = (0..drives).map(|drive| driven(drive).collect()).collect();
+    for (at, pose) in road.iter().enumerate() {
         for _ in 0..12 {
             let side = if noise.uniform() < 0.5 { -1.0 } else { 1.0 };
             let across = side * (2.5 + 3.0 * noise.uniform());
             let point = Vector3::new(1.4, across, 2.5 * noise.uniform());
-            sight(
-                &mut problem,
-                &poses,
-                at,
-                &pose.transform(&point),
-                &mut noise,
-            );
+            let point = pose.transform(&point);
+            sight(&mut problem, &poses, (at, reach), &point, &mut noise);
         }
     }
+    for (session, poses) in poses.iter().enumerate() {
+        add_drive(&mut problem, session, poses, &mut noise);
+    }
+    problem
+}
+
+/// Adds the poses and the odometry of a drive.
+fn add_drive(problem: &mut Problem, session: usize, poses: &[Pose], noise: &mut Noise) {
+    let first = problem.poses.len();
     for (at, pair) in poses.windows(2).enumerate() {
         let motion = pair[0].inverse().compose(&pair[1]);
         let measured = Pose::from_yaw(
@@ -177,63 +213,62 @@ fn simulated(keyframes: usize) -> Problem {
             motion.yaw() + 0.001 * noise.normal(),
         );
         problem.odometry.push(Odometry {
-            from: at,
-            to: at + 1,
+            from: first + at,
+            to: first + at + 1,
             from_from_to: measured,
             length_m: 0.2,
             sigma: [0.005, 0.005, 0.02, 0.01, 0.01, 0.003],
         });
     }
-    problem.poses = poses
-        .iter()
-        .enumerate()
-        .map(|(at, pose)| Keyframe {
-            session: 0,
-            map_from_vehicle: if at == 0 {
-                *pose
-            } else {
-                let (x, y, yaw) = (noise.normal(), noise.normal(), noise.normal());
-                pose.compose(&Pose::from_yaw(0.02 * x, 0.02 * y, 0.002 * yaw))
-            },
-            fixed: at == 0,
-        })
-        .collect();
     problem
+        .poses
+        .extend(poses.iter().enumerate().map(|(at, pose)| {
+            let fixed = first + at == 0;
+            let (x, y, yaw) = (noise.normal(), noise.normal(), noise.normal());
+            let off = Pose::from_yaw(0.02 * x, 0.02 * y, 0.002 * yaw);
+            Keyframe {
+                session,
+                map_from_vehicle: if fixed { *pose } else { pose.compose(&off) },
+                fixed,
+            }
+        }));
 }
 
-/// Adds a landmark with its observations.
+/// Adds a landmark with its observations from `reach` steps of every drive before and after it.
 fn sight(
     problem: &mut Problem,
-    poses: &[Pose],
-    at: usize,
+    drives: &[Vec<Pose>],
+    (at, reach): (usize, usize),
     point: &Vector3<f64>,
     noise: &mut Noise,
 ) {
     let landmark = problem.landmarks.len();
-    problem
-        .landmarks
-        .push(point + Vector3::from_fn(|_, _| 0.05 * noise.normal()));
-    let near = at.saturating_sub(10)..(at + 10).min(poses.len());
-    for pose in near {
-        for (camera, mounted) in problem.rigs[0].cameras.iter().enumerate() {
-            let map_from_camera = poses[pose].compose(&mounted.vehicle_from_camera);
-            let seen = map_from_camera.inverse().transform(point);
-            // Tracks end: four of ten sights are missed.
-            let Some(pixel) = mounted
-                .camera
-                .project(&seen)
-                .filter(|_| seen.z > 0.3 * seen.norm())
-            else {
-                continue;
-            };
-            if mounted.camera.contains(pixel) && noise.uniform() < 0.6 {
-                problem.observations.push(Observation {
-                    pose,
-                    camera,
-                    landmark,
-                    pixel: pixel.map(|x| x + 0.5 * noise.normal()),
-                    sigma_px: 0.5,
-                });
+    let off = Vector3::from_fn(|_, _| 0.05 * noise.normal());
+    problem.landmarks.push(point + off);
+    let length = drives[0].len();
+    let near = at.saturating_sub(reach)..(at + reach).min(length);
+    for (drive, poses) in drives.iter().enumerate() {
+        for step in near.clone() {
+            for (camera, mounted) in problem.rigs[0].cameras.iter().enumerate() {
+                let map_from_camera = poses[step].compose(&mounted.vehicle_from_camera);
+                let seen = map_from_camera.inverse().transform(point);
+                // Tracks end: four of ten sights are missed.
+                let Some(pixel) = mounted
+                    .camera
+                    .project(&seen)
+                    .filter(|_| seen.z > 0.3 * seen.norm())
+                else {
+                    continue;
+                };
+                if mounted.camera.contains(pixel) && noise.uniform() < 0.6 {
+                    problem.observations.push(Observation {
+                        pose: drive * length + step,
+                        camera,
+                        landmark,
+                        pixel: pixel.map(|x| x + 0.5 * noise.normal()),
+                        sigma_px: 0.5,
+                    });
+                }
             }
         }
     }

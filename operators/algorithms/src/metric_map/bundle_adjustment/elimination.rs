@@ -7,8 +7,8 @@
 use pulp::Arch;
 use rayon::prelude::*;
 
-use super::reduced::Row;
-use super::schur::{Linear, Sight};
+use super::blocks::{Blocks, Row};
+use super::schur::{FIXED, Linear, Sight};
 use crate::solving::least_squares::damped_diagonal;
 
 /// One observation's numbers, in the order of landmarks.
@@ -16,7 +16,9 @@ use crate::solving::least_squares::damped_diagonal;
 pub(super) struct Sighted<const C: usize> {
     pub(super) linear: Linear<C>,
     /// `B = Jₗ L⁻ᵀ`.
-    eliminated: [[f64; 3]; 2],
+    pub(super) eliminated: [[f64; 3]; 2],
+    /// What a step of the camera side leaves of its motion when the landmark follows.
+    pub(super) moved: [f64; 2],
 }
 
 /// One landmark's numbers. Symmetric and triangular 3 × 3 are `[00, 10, 11, 20, 21, 22]`.
@@ -35,7 +37,7 @@ pub(super) struct Point {
 
 /// Who sees whom.
 pub(super) struct Layout {
-    /// By landmark, then by block.
+    /// By landmark, then by rank of the block; fixed ones last.
     pub(super) sights: Vec<Sight>,
     /// `first[l]..first[l + 1]` are the sights of landmark `l`.
     first: Vec<usize>,
@@ -44,8 +46,12 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    pub(super) fn new(blocks: usize, landmarks: usize, mut sights: Vec<Sight>) -> Self {
-        sights.par_sort_unstable();
+    /// Sights in the order of landmarks, and within one of `rank`, which is given for each block.
+    pub(super) fn new(landmarks: usize, mut sights: Vec<Sight>, rank: &[u32]) -> Self {
+        sights.par_sort_unstable_by_key(|sight| {
+            let rank = rank.get(sight.block as usize).unwrap_or(&FIXED);
+            (sight.landmark, *rank, sight.observation)
+        });
         let mut first = vec![0; landmarks + 1];
         for sight in &sights {
             first[sight.landmark as usize + 1] += 1;
@@ -53,7 +59,7 @@ impl Layout {
         for landmark in 0..landmarks {
             first[landmark + 1] += first[landmark];
         }
-        let mut by_block = vec![Vec::new(); blocks];
+        let mut by_block = vec![Vec::new(); rank.len()];
         for (place, sight) in sights.iter().enumerate() {
             if let Some(list) = by_block.get_mut(sight.block as usize) {
                 list.push(place as u32);
@@ -68,7 +74,7 @@ impl Layout {
 
     /// Places of the sights of one landmark.
     #[inline]
-    fn of_landmark(&self, landmark: u32) -> std::ops::Range<usize> {
+    pub(super) fn of_landmark(&self, landmark: u32) -> std::ops::Range<usize> {
         self.first[landmark as usize]..self.first[landmark as usize + 1]
     }
 
@@ -82,8 +88,16 @@ impl Layout {
         place - same..all.end
     }
 
-    /// Pairs of blocks that see a common landmark, and the given ones; smaller first, sorted.
-    pub(super) fn meeting(&self, pairs: &[(u32, u32)]) -> Vec<(u32, u32)> {
+    /// Pairs of observations of one landmark.
+    pub(super) fn pairs_of_sights(&self) -> f64 {
+        let counts = self.first.windows(2);
+        counts
+            .map(|range| 0.5 * ((range[1] - range[0]) as f64).powi(2))
+            .sum()
+    }
+
+    /// Pairs of blocks that see a common landmark or meet in `terms`; smaller first, sorted.
+    pub(super) fn meeting<const C: usize>(&self, terms: &Blocks<C>) -> Vec<(u32, u32)> {
         let blocks = self.by_block.len();
         let rows: Vec<Vec<(u32, u32)>> = (0..blocks as u32)
             .into_par_iter()
@@ -106,8 +120,8 @@ impl Layout {
                 },
             )
             .collect();
-        let given = pairs.iter().filter(|(a, b)| a != b);
-        let given = given.map(|(a, b)| (*a.min(b), *a.max(b)));
+        let given = terms.iter().filter(|(a, b, _)| a != b);
+        let given = given.map(|(a, b, _)| (a as u32, b as u32));
         let mut all: Vec<(u32, u32)> = rows.into_iter().flatten().chain(given).collect();
         all.par_sort_unstable();
         all.dedup();
@@ -173,6 +187,7 @@ impl<const C: usize> Sighted<C> {
     pub(super) const ZERO: Self = Self {
         linear: Linear::ZERO,
         eliminated: [[0.0; 3]; 2],
+        moved: [0.0; 2],
     };
 
     /// `B = Jₗ L⁻ᵀ`, row by row: `L bᵀ = jᵀ`.
@@ -237,6 +252,36 @@ impl Point {
         self.forward = forward(&self.factor, self.gradient);
     }
 
+    /// `J δ - B Σ Bᵀ J δ` into [`Sighted::moved`].
+    #[inline(always)]
+    pub(super) fn follow<const C: usize>(
+        sights: &[Sight],
+        sighted: &mut [Sighted<C>],
+        steps: &[[f64; C]],
+    ) {
+        let mut sum = [0.0; 3];
+        for (sight, sighted) in sights.iter().zip(sighted.iter_mut()) {
+            sighted.moved = [0.0; 2];
+            let Some(step) = steps.get(sight.block as usize) else {
+                // Fixed ones come last.
+                break;
+            };
+            for row in 0..2 {
+                let j = &sighted.linear.camera[row];
+                let moved = (0..C).fold(0.0, |sum, c| sum + j[c] * step[c]);
+                sighted.moved[row] = moved;
+                for (sum, b) in sum.iter_mut().zip(sighted.eliminated[row]) {
+                    *sum += b * moved;
+                }
+            }
+        }
+        for sighted in sighted {
+            for (moved, b) in sighted.moved.iter_mut().zip(&sighted.eliminated) {
+                *moved -= b[0] * sum[0] + b[1] * sum[1] + b[2] * sum[2];
+            }
+        }
+    }
+
     /// `δ = -L⁻ᵀ (L⁻¹ g + Σ Bᵀ J δ_block)`.
     pub(super) fn substitute<const C: usize>(
         &mut self,
@@ -264,40 +309,56 @@ impl Point {
     }
 }
 
-/// Fills one row of the reduced system and its right-hand side. `places` is scratch: for each
-/// block of this row its place in it.
+/// Fills one row of the reduced system, as far as it has columns. `places` is scratch, `u32::MAX` throughout before
+/// and after: for each block of this row its place in it.
 pub(super) fn fill_row<const C: usize>(
     block: u32,
     row: Row<'_, C>,
     places: &mut [u32],
     layout: &Layout,
     sighted: &[Sighted<C>],
-    points: &[Point],
 ) {
     for (place, column) in row.columns.iter().enumerate() {
         places[*column as usize] = place as u32;
     }
     row.blocks.fill([[0.0; C]; C]);
-    *row.right = [0.0; C];
     Arch::new().dispatch(
         #[inline(always)]
         || {
             for place in &layout.by_block[block as usize] {
                 let place = *place as usize;
                 let own = &sighted[place];
-                let point = &points[layout.sights[place].landmark as usize];
-                subtract_right(own, point, row.right);
                 for other in layout.onward_of_block(place) {
-                    let Some(slot) = places.get(layout.sights[other].block as usize) else {
-                        // Fixed ones come last.
+                    let slot = places.get(layout.sights[other].block as usize);
+                    // Fixed ones come last, and before them those of other groups.
+                    let Some(target) = slot.and_then(|slot| row.blocks.get_mut(*slot as usize))
+                    else {
                         break;
                     };
-                    let target = &mut row.blocks[*slot as usize];
                     subtract_pair(own, &sighted[other], other == place, target);
                 }
             }
         },
     );
+    for column in row.columns {
+        places[*column as usize] = u32::MAX;
+    }
+}
+
+/// The landmarks' part of the right-hand side for one block.
+pub(super) fn right_of_block<const C: usize>(
+    block: usize,
+    layout: &Layout,
+    sighted: &[Sighted<C>],
+    points: &[Point],
+) -> [f64; C] {
+    let mut right = [0.0; C];
+    for place in &layout.by_block[block] {
+        let place = *place as usize;
+        let point = &points[layout.sights[place].landmark as usize];
+        subtract_right(&sighted[place], point, &mut right);
+    }
+    right
 }
 
 /// `b -= Jᵀ (r - B L⁻¹ g)`.

@@ -17,16 +17,21 @@
 //! The metric scale thus comes from the rig, whose cameras stand a known distance apart, as much
 //! as from odometry. Without a fixed pose the whole may drift; fix one.
 //!
-//! The landmarks are eliminated first ([`schur`]), the rest is one sparse or dense Cholesky
-//! factorisation (`reduced`); the loop is [`crate::solving::least_squares::minimise`]. Cost per
-//! iteration: linear in the observations, times the mean number of sightings of a landmark, plus
-//! the factorisation. Results are the same to the bit on any
+//! The landmarks are eliminated first ([`schur`]). What is left, the reduced system of poses and sessions, is formed and
+//! factorised where drives hardly overlap (`reduced`), and solved by preconditioned conjugate gradients without being
+//! formed where they do (`iterative`): cost per iteration is then linear in the observations, however many drives go
+//! through a place. The loop is [`crate::solving::least_squares::minimise`]. Results are the same to the bit on any
 //! number of threads.
 
+mod blocks;
+mod clusters;
+mod coarse;
 mod elimination;
+mod iterative;
 mod odometry;
 mod reduced;
 pub mod schur;
+mod system;
 mod vehicle;
 
 #[cfg(test)]
@@ -37,6 +42,8 @@ use nalgebra::{Vector2, Vector3};
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::Rig;
 use crate::solving::least_squares::{self, Loss, Summary, SystemError};
+
+pub use schur::LinearSolver;
 
 /// A drive.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -131,6 +138,8 @@ pub struct Options {
     pub scale_sigma: f64,
     /// Standard deviation of a session's yaw drift about 0, rad/m.
     pub yaw_sigma_rad_per_m: f64,
+    /// How steps are found.
+    pub linear_solver: LinearSolver,
     /// Iterations and tolerances.
     pub least_squares: least_squares::Options,
 }
@@ -146,6 +155,7 @@ impl Default for Options {
             odometry_loss: Loss::Quadratic,
             scale_sigma: 0.03,
             yaw_sigma_rad_per_m: 0.003,
+            linear_solver: LinearSolver::Cheaper,
             least_squares: least_squares::Options {
                 max_iterations: 50,
                 ..least_squares::Options::default()

@@ -14,8 +14,10 @@
 
 use rayon::prelude::*;
 
-use super::elimination::{Layout, Point, Sighted, fill_row, pieces};
-use super::reduced::{Block, Reduced};
+use super::blocks::Blocks;
+use super::elimination::{Layout, Point, Sighted, pieces, right_of_block};
+pub use super::system::LinearSolver;
+use super::system::System;
 use crate::solving::least_squares::{
     Linearisation, Problem, SystemError, TrialStep, damped_diagonal,
 };
@@ -74,19 +76,27 @@ pub trait Bundle<const C: usize>: Sync {
 
     /// The estimate becomes the trial.
     fn accept(&mut self);
+
+    /// For each unknown, how it changes when all of its group (`groups[block]`) moves together: one column for each
+    /// of up to `C` motions. Unless told otherwise, all unknowns of a group change alike.
+    fn common_motions(&self, groups: &[u32]) -> Vec<[[f64; C]; C]> {
+        let identity =
+            std::array::from_fn(|r| std::array::from_fn(|c| f64::from(u8::from(r == c))));
+        vec![identity; groups.len()]
+    }
 }
 
 /// Hessian and gradient of the terms without landmarks.
 pub struct Terms<'a, const C: usize> {
-    reduced: &'a mut Reduced<C>,
+    matrix: &'a mut Blocks<C>,
     gradient: &'a mut [[f64; C]],
 }
 
 impl<const C: usize> Terms<'_, C> {
     /// `H[row, column] += block`, once for a pair; its mirror is implied.
     pub fn add(&mut self, row: usize, column: usize, block: impl Fn(usize, usize) -> f64) {
-        if let Some((place, transposed)) = self.reduced.find(row, column) {
-            for (r, entries) in self.reduced.blocks[place].iter_mut().enumerate() {
+        if let Some((place, transposed)) = self.matrix.find(row, column) {
+            for (r, entries) in self.matrix.entries[place].iter_mut().enumerate() {
                 for (c, entry) in entries.iter_mut().enumerate() {
                     *entry += if transposed { block(c, r) } else { block(r, c) };
                 }
@@ -104,6 +114,15 @@ impl<const C: usize> Terms<'_, C> {
     }
 }
 
+/// Pairs as [`Blocks`] wants them.
+pub(super) fn ordered(pairs: &[(u32, u32)]) -> Vec<(u32, u32)> {
+    let different = pairs.iter().filter(|(a, b)| a != b);
+    let mut ordered: Vec<_> = different.map(|(a, b)| (*a.min(b), *a.max(b))).collect();
+    ordered.sort_unstable();
+    ordered.dedup();
+    ordered
+}
+
 /// A bundle as the optimiser's loop sees it.
 pub struct Schur<const C: usize, B> {
     /// The camera side.
@@ -114,13 +133,12 @@ pub struct Schur<const C: usize, B> {
     sighted: Vec<Sighted<C>>,
     points: Vec<Point>,
     trial: Vec<[f64; 3]>,
-    reduced: Reduced<C>,
-    /// The blocks that terms without landmarks add to: place in `reduced` and value. All others
-    /// are made anew for each damping.
-    terms: Vec<(usize, Block<C>)>,
+    /// The terms without landmarks.
+    terms: Blocks<C>,
     terms_gradient: Vec<[f64; C]>,
     gradient: Vec<[f64; C]>,
     diagonal: Vec<[f64; C]>,
+    system: System<C>,
     steps: Vec<[f64; C]>,
 }
 
@@ -135,19 +153,11 @@ impl<const C: usize, B: Bundle<C>> Schur<C, B> {
         landmarks: Vec<[f64; 3]>,
         sights: Vec<Sight>,
         pairs: &[(u32, u32)],
+        solver: LinearSolver,
     ) -> Result<Self, SystemError> {
-        let layout = Layout::new(blocks, landmarks.len(), sights);
-        let reduced = Reduced::new(blocks, &layout.meeting(pairs))?;
-        let diagonal = (0..blocks as u32).map(|block| (block, block));
-        let mut places: Vec<usize> = pairs
-            .iter()
-            .copied()
-            .chain(diagonal)
-            .filter_map(|(a, b)| reduced.find(a as usize, b as usize))
-            .map(|(place, _)| place)
-            .collect();
-        places.sort_unstable();
-        places.dedup();
+        let terms = Blocks::new(blocks, &ordered(pairs));
+        let (layout, system) =
+            System::choose(blocks, landmarks.len(), sights, &terms, &bundle, solver)?;
         Ok(Self {
             bundle,
             sighted: vec![Sighted::ZERO; layout.sights.len()],
@@ -155,11 +165,11 @@ impl<const C: usize, B: Bundle<C>> Schur<C, B> {
             trial: landmarks.clone(),
             landmarks,
             layout,
-            reduced,
-            terms: places.into_iter().map(|p| (p, [[0.0; C]; C])).collect(),
+            terms,
             terms_gradient: vec![[0.0; C]; blocks],
             gradient: vec![[0.0; C]; blocks],
             diagonal: vec![[0.0; C]; blocks],
+            system,
             steps: vec![[0.0; C]; blocks],
         })
     }
@@ -184,23 +194,17 @@ impl<const C: usize, B: Bundle<C>> Schur<C, B> {
     }
 
     fn linearise_terms(&mut self) -> f64 {
-        for (place, _) in &self.terms {
-            self.reduced.blocks[*place] = [[0.0; C]; C];
-        }
+        self.terms.entries.fill([[0.0; C]; C]);
         self.terms_gradient.fill([0.0; C]);
-        let cost = self.bundle.add_terms(&mut Terms {
-            reduced: &mut self.reduced,
+        self.bundle.add_terms(&mut Terms {
+            matrix: &mut self.terms,
             gradient: &mut self.terms_gradient,
-        });
-        for (place, block) in &mut self.terms {
-            *block = self.reduced.blocks[*place];
-        }
-        cost
+        })
     }
 
     /// Gradient and diagonal of the camera side.
     fn gather_blocks(&mut self) {
-        let (sighted, reduced) = (&self.sighted, &self.reduced);
+        let (sighted, matrix) = (&self.sighted, &self.terms);
         let all = self.gradient.par_iter_mut().zip(&mut self.diagonal);
         let terms = self.terms_gradient.par_iter();
         all.zip(terms)
@@ -208,7 +212,7 @@ impl<const C: usize, B: Bundle<C>> Schur<C, B> {
             .enumerate()
             .for_each(|(block, (((gradient, diagonal), terms), sights))| {
                 *gradient = *terms;
-                let own = &reduced.blocks[reduced.starts[block]];
+                let own = &matrix.entries[matrix.starts[block]];
                 *diagonal = std::array::from_fn(|c| own[c][c]);
                 for place in sights {
                     let Linear {
@@ -224,8 +228,8 @@ impl<const C: usize, B: Bundle<C>> Schur<C, B> {
             });
     }
 
-    /// Forms the reduced system for a damping.
-    fn eliminate(&mut self, damping: f64) {
+    /// Solves for the camera side; `None` when the reduced system is not positive definite.
+    fn eliminate(&mut self, damping: f64) -> Option<()> {
         pieces(&self.layout, &mut self.points, &mut self.sighted)
             .into_par_iter()
             .for_each(|piece| {
@@ -235,30 +239,21 @@ impl<const C: usize, B: Bundle<C>> Schur<C, B> {
                 });
             });
         let (layout, sighted, points) = (&self.layout, &self.sighted, &self.points);
-        let blocks = self.diagonal.len();
-        self.reduced
-            .rows_mut()
-            .into_par_iter()
-            .enumerate()
-            .with_max_len(8)
-            .for_each_init(
-                || vec![0; blocks],
-                |places, (block, row)| fill_row(block as u32, row, places, layout, sighted, points),
-            );
-        for (place, block) in &self.terms {
-            let entries = self.reduced.blocks[*place].as_flattened_mut();
-            for (entry, term) in entries.iter_mut().zip(block.as_flattened()) {
-                *entry += term;
-            }
-        }
-        for block in 0..blocks {
-            let place = self.reduced.starts[block];
-            for c in 0..C {
-                let diagonal = damping * damped_diagonal(self.diagonal[block][c]);
-                self.reduced.blocks[place][c][c] += diagonal;
-                self.reduced.right[block][c] -= self.terms_gradient[block][c];
-            }
-        }
+        let right = self.steps.par_iter_mut().zip(&self.terms_gradient);
+        right.enumerate().for_each(|(block, (right, terms))| {
+            *right = right_of_block(block, layout, sighted, points);
+            (0..C).for_each(|c| right[c] -= terms[c]);
+        });
+        let added = self.diagonal.iter();
+        let added = added.map(|own| own.map(|entry| damping * damped_diagonal(entry)));
+        let added: Vec<[f64; C]> = added.collect();
+        self.system.solve(
+            &self.layout,
+            &mut self.sighted,
+            &mut self.points,
+            (&self.terms, &added),
+            &mut self.steps,
+        )
     }
 
     /// The landmarks' steps, from those of the camera side.
@@ -313,9 +308,7 @@ impl<const C: usize, B: Bundle<C>> Problem for Schur<C, B> {
     }
 
     fn solve(&mut self, damping: f64) -> Option<TrialStep> {
-        self.eliminate(damping);
-        self.reduced.solve()?;
-        self.steps.copy_from_slice(&self.reduced.right);
+        self.eliminate(damping)?;
         self.substitute();
         self.bundle.step(&self.steps);
         Some(self.trial_step(damping))

@@ -4,13 +4,13 @@
 //! [`crate::geometry::lie`] says, then one block for each session, of which two entries are used (scale, yaw
 //! drift) and four are idle.
 
-use nalgebra::{Matrix2x3, Matrix3, SMatrix, SVector, Vector3, Vector6};
+use nalgebra::{Matrix2x3, Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 
 use super::odometry::{self, StepLinear};
 use super::schur::{Bundle, FIXED, Linear, Schur, Sight, Terms};
 use super::{Keyframe, Observation, Odometry, Options, Problem, Session};
 use crate::geometry::camera::Camera;
-use crate::geometry::lie::se3;
+use crate::geometry::lie::{hat, se3};
 use crate::solving::least_squares::SystemError;
 
 /// An observation that the camera cannot see counts as one of this many standard deviations, and
@@ -94,7 +94,14 @@ pub(super) fn schur<'a>(
     let landmarks = problem.landmarks.iter().map(|p| (*p).into()).collect();
     let size = first_session + problem.sessions.len();
     let bundle = Vehicles::new(problem, options, blocks, first_session);
-    Schur::new(bundle, size, landmarks, sights, &pairs)
+    Schur::new(
+        bundle,
+        size,
+        landmarks,
+        sights,
+        &pairs,
+        options.linear_solver,
+    )
 }
 
 /// Blocks that meet in odometry.
@@ -336,6 +343,27 @@ impl Bundle<6> for Vehicles<'_> {
     fn accept(&mut self) {
         self.estimate.clone_from(&self.trial);
     }
+
+    /// A group of poses moves as one rigid body, about its middle along the map's axes.
+    fn common_motions(&self, groups: &[u32]) -> Vec<[[f64; 6]; 6]> {
+        let count = groups.iter().max().map_or(0, |last| *last as usize + 1);
+        let mut middles = vec![(Vector3::zeros(), 0.0); count];
+        let moving = || {
+            let poses = self.blocks.iter().zip(&self.estimate.placed);
+            poses.filter(|(block, _)| **block != FIXED)
+        };
+        for (block, placed) in moving() {
+            let (sum, members) = &mut middles[groups[*block as usize] as usize];
+            *sum += placed.origin;
+            *members += 1.0;
+        }
+        let mut motions = vec![Matrix6::identity().into(); groups.len()];
+        for (block, placed) in moving() {
+            let (sum, members) = middles[groups[*block as usize] as usize];
+            motions[*block as usize] = rigid_motion(placed, &(sum / members));
+        }
+        motions
+    }
 }
 
 impl Placed {
@@ -351,6 +379,19 @@ impl Placed {
     fn point(&self, landmark: &[f64; 3]) -> Vector3<f64> {
         self.rotation * (Vector3::from(*landmark) - self.origin)
     }
+}
+
+/// What a shift and a turn of the map about `middle` do to a pose, along and about its own axes: `φ = Rᵀ ω`,
+/// `ρ = Rᵀ (v + ω × (t - middle))`. Row by row.
+fn rigid_motion(placed: &Placed, middle: &Vector3<f64>) -> [[f64; 6]; 6] {
+    let turned = -placed.rotation * hat(&(placed.origin - middle));
+    std::array::from_fn(|row| {
+        std::array::from_fn(|column| match (row / 3, column / 3) {
+            (0, 0) | (1, 1) => placed.rotation[(row % 3, column % 3)],
+            (0, 1) => turned[(row, column - 3)],
+            _ => 0.0,
+        })
+    })
 }
 
 /// One row of the derivative by a pose moved along its own axes: the point in the vehicle frame

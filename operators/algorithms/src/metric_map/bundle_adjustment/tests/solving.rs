@@ -62,6 +62,86 @@ fn results_are_the_same_on_any_number_of_threads() {
     assert_eq!(one, run(5));
 }
 
+/// The same round driven several times.
+fn overlapping(drives: usize, steps: usize) -> Problem {
+    let mut all = Drive::new(steps, 300, 5);
+    let one = all.disturbed(0.5, 0.05);
+    let mut problem = one.clone();
+    for drive in 1..drives {
+        let own = all.disturbed(0.5, 0.05);
+        let first = problem.poses.len();
+        problem.sessions.extend(own.sessions);
+        problem.poses.extend(own.poses.iter().map(|pose| Keyframe {
+            session: drive,
+            fixed: false,
+            ..*pose
+        }));
+        problem
+            .observations
+            .extend(own.observations.iter().map(|seen| Observation {
+                pose: first + seen.pose,
+                ..*seen
+            }));
+        problem
+            .odometry
+            .extend(own.odometry.iter().map(|step| Odometry {
+                from: first + step.from,
+                to: first + step.to,
+                ..*step
+            }));
+    }
+    problem
+}
+
+#[test]
+fn conjugate_gradients_end_where_the_factorisation_does() {
+    let start = overlapping(3, 60);
+    let run = |linear_solver| {
+        let mut problem = start.clone();
+        let options = Options {
+            linear_solver,
+            ..Options::default()
+        };
+        let summary = solve(&mut problem, &options).unwrap().summary;
+        (problem, summary)
+    };
+    let (direct, exact) = run(LinearSolver::Factorised);
+    let (found, inexact) = run(LinearSolver::Iterative);
+    assert!(
+        inexact.final_cost <= exact.final_cost * (1.0 + 1e-6),
+        "{exact:?} {inexact:?}"
+    );
+    assert!(
+        inexact.accepted <= exact.accepted + 1,
+        "{exact:?} {inexact:?}"
+    );
+    for (a, b) in direct.poses.iter().zip(&found.poses) {
+        let off = a.map_from_vehicle.translation - b.map_from_vehicle.translation;
+        assert!(off.norm() < 1e-4, "{off}");
+    }
+}
+
+#[test]
+fn conjugate_gradients_are_the_same_on_any_number_of_threads() {
+    let start = overlapping(2, 60);
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        let mut problem = start.clone();
+        let options = Options {
+            linear_solver: LinearSolver::Iterative,
+            ..Options::default()
+        };
+        pool.install(|| solve(&mut problem, &options).unwrap());
+        problem
+    };
+    let one = run(1);
+    assert_eq!(one, run(2));
+    assert_eq!(one, run(5));
+}
+
 #[test]
 fn noise_gives_the_expected_chi_squared() {
     let mut drive = Drive::new(20, 150, 4);

@@ -1,0 +1,118 @@
+//! Unknowns that see the same landmarks, put together.
+//!
+//! Source: Kushal & Agarwal, *Visibility based preconditioning for bundle adjustment* (CVPR 2012). Theirs are found by
+//! clustering a graph of all pairs that see a common landmark, whose size grows with the square of the drives through a
+//! place; ours by leaders, in one pass over the observations: a pose joins the cluster of the leader with whom it
+//! shares most, or leads a new one.
+
+use super::elimination::Layout;
+
+/// A partition of the unknowns.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Clusters {
+    /// The cluster of each unknown.
+    pub(super) of: Vec<u32>,
+    /// How many there are.
+    pub(super) count: usize,
+}
+
+/// Shares of a leader's landmarks that are tried, from the finest clusters to the coarsest.
+const SHARES: [f64; 9] = [0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1];
+
+impl Clusters {
+    /// The finest clusters of at most `most`, or the coarsest there are.
+    pub(super) fn by_visibility(layout: &Layout, landmarks: usize, most: usize) -> Self {
+        let seen: Vec<Vec<u32>> = layout
+            .by_block
+            .iter()
+            .map(|own| distinct(layout, own))
+            .collect();
+        let mut clusters = Self::with_share(&seen, landmarks, SHARES[0]);
+        for share in &SHARES[1..] {
+            if clusters.count <= most {
+                break;
+            }
+            clusters = Self::with_share(&seen, landmarks, *share);
+        }
+        clusters
+    }
+
+    fn with_share(seen: &[Vec<u32>], landmarks: usize, share: f64) -> Self {
+        let mut leaders: Vec<Vec<u32>> = vec![Vec::new(); landmarks];
+        let mut common: Vec<u32> = Vec::new();
+        let mut of = Vec::with_capacity(seen.len());
+        for own in seen {
+            common.fill(0);
+            for landmark in own {
+                for leader in &leaders[*landmark as usize] {
+                    common[*leader as usize] += 1;
+                }
+            }
+            // Of equals the first.
+            let best = (0_u32..)
+                .zip(&common)
+                .max_by_key(|(at, count)| (**count, u32::MAX - at));
+            let joined = best
+                .filter(|(_, count)| **count > 0 && f64::from(**count) >= share * own.len() as f64);
+            let cluster = match joined {
+                Some((at, _)) => at,
+                None => {
+                    let cluster = common.len() as u32;
+                    common.push(0);
+                    own.iter()
+                        .for_each(|landmark| leaders[*landmark as usize].push(cluster));
+                    cluster
+                }
+            };
+            of.push(cluster);
+        }
+        Self {
+            of,
+            count: common.len(),
+        }
+    }
+
+    /// Each cluster cut into runs of at most `most` unknowns.
+    pub(super) fn cut(&self, most: usize) -> Self {
+        let mut open: Vec<Option<(u32, usize)>> = vec![None; self.count];
+        let mut count = 0;
+        let of = self.of.iter().map(|cluster| {
+            let run = &mut open[*cluster as usize];
+            match run {
+                Some((part, members)) if *members < most => {
+                    *members += 1;
+                    *part
+                }
+                _ => {
+                    let part = count;
+                    count += 1;
+                    *run = Some((part, 1));
+                    part
+                }
+            }
+        });
+        Self {
+            of: of.collect(),
+            count: count as usize,
+        }
+    }
+
+    /// The unknowns of each cluster, ascending.
+    pub(super) fn members(&self) -> Vec<Vec<u32>> {
+        let mut members = vec![Vec::new(); self.count];
+        for (block, cluster) in (0_u32..).zip(&self.of) {
+            members[*cluster as usize].push(block);
+        }
+        members
+    }
+}
+
+/// Landmarks of some sights of one unknown, each once.
+fn distinct(layout: &Layout, own: &[u32]) -> Vec<u32> {
+    let landmarks = own
+        .iter()
+        .map(|place| layout.sights[*place as usize].landmark);
+    let mut landmarks: Vec<u32> = landmarks.collect();
+    landmarks.dedup();
+    landmarks
+}
