@@ -23,12 +23,18 @@ steps:
     sql: >
       SELECT k.site, k.session, k.stamp, k.keyframe FROM keyframes k
       WHERE NOT EXISTS (SELECT 1 FROM previous.keyframes p WHERE p.session = k.session)
+  # Done in the run that brings the session, and kept.
+  joined:
+    once: true
+    sql: >
+      SELECT k.site, k.session, k.stamp, k.keyframe + 0 AS after
+      FROM keyframes k WHERE k.session NOT IN (SELECT session FROM previous.keyframes)
   known:
     sql: SELECT site, count(*) AS keyframes FROM previous.keyframes GROUP BY site
   lanes: { op: road_network, in: { poses: poses } }
   # A layer of the version before drives an operator.
   old_crossings: { op: intersections, in: { lanes: previous.lanes } }
-write: [keyframes, new_by_in, new_by_exists, known, lanes, old_crossings]
+write: [keyframes, new_by_in, new_by_exists, joined, known, lanes, old_crossings]
 ";
 
 struct World {
@@ -137,7 +143,7 @@ fn a_session_that_joins_is_new_and_the_others_are_known() {
     for unit in forecast {
         let (step, of, why) = (&unit["step"], unit["unit"].as_str().unwrap(), &unit["why"]);
         let expected = match step.as_str().unwrap() {
-            "keyframes" | "poses" => of.ends_with(" of b"),
+            "keyframes" | "poses" | "joined" => of.ends_with(" of b"),
             _ => true,
         };
         assert_eq!(unit["recompute"], expected, "{unit}");
@@ -145,6 +151,60 @@ fn a_session_that_joins_is_new_and_the_others_are_known() {
             assert_eq!(why, "previous.keyframes has changed", "{unit}");
         }
     }
+}
+
+#[test]
+fn what_is_done_once_is_kept_until_something_of_its_own_changes() {
+    let world = World::new();
+    let joined = || {
+        world.query("SELECT session, count(*) AS n FROM joined GROUP BY session ORDER BY session")
+    };
+    let (a, b, c) = (
+        world.drive("a", 20.0),
+        world.drive("b", 30.0),
+        world.drive("c", 40.0),
+    );
+    world.run(&[&a]);
+    world.run(&[&b]);
+    world.run(&[&c]);
+    let [a_rows, b_rows, c_rows] = [("a", 300), ("b", 400), ("c", 500)]
+        .map(|(session, n)| json!({ "session": session, "n": n }));
+    assert_eq!(joined(), json!([a_rows, b_rows, c_rows]));
+    for (version, session) in [(1, "a"), (2, "b"), (3, "c")] {
+        assert_eq!(
+            world.computed(version, "joined"),
+            json!([{ "of": session }])
+        );
+    }
+    // Its own log has changed: it joins anew, the others stay.
+    let b = world.drive("b", 20.0);
+    world.run(&[&b]);
+    assert_eq!(world.computed(4, "joined"), json!([{ "of": "b" }]));
+    assert_eq!(
+        joined(),
+        json!([a_rows, { "session": "b", "n": 300 }, c_rows])
+    );
+    // So has what it does: now all are known.
+    let other = PLAN.replace("AS after", "AS before_it");
+    std::fs::write(world.path("growth.yaml"), other).unwrap();
+    world.run(&[&a]);
+    assert_eq!(joined(), json!([]));
+}
+
+#[test]
+fn once_is_for_steps_of_one_session() {
+    let world = World::new();
+    let a = world.drive("a", 20.0);
+    let other = PLAN.replace("  lanes: { op", "  lanes: { once: true, op");
+    std::fs::write(world.path("growth.yaml"), other).unwrap();
+    let told = world.call("run", &[&a], &["--site", "lot", "--progress", "none"]);
+    let told = told.expect(1);
+    assert!(
+        told.stderr
+            .contains("step `lanes`: `once` is for steps of one session"),
+        "{}",
+        told.stderr
+    );
 }
 
 #[test]

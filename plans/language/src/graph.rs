@@ -86,6 +86,7 @@ fn finished(step: WrittenStep, resolved: Vec<Option<Input>>) -> Option<Step> {
         position: step.name.place.position(),
         inputs: inputs.map(named).collect::<Option<_>>()?,
         body: step.body?,
+        once: step.once,
     })
 }
 

@@ -49,6 +49,8 @@ pub struct Step {
     pub inputs: BTreeMap<String, Input>,
     /// What makes the layer.
     pub body: Body,
+    /// Whether a session that the version before has keeps its rows of that version, whatever else has changed there.
+    pub once: bool,
 }
 
 /// What a step does.

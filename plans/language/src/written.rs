@@ -16,7 +16,7 @@ const PLAN_KEYS: [&str; 9] = [
     "plan", "extends", "doc", "sessions", "defaults", "steps", "drop", "write", "tests",
 ];
 /// The keys of a step.
-const STEP_KEYS: [&str; 4] = ["op", "in", "with", "sql"];
+const STEP_KEYS: [&str; 5] = ["op", "in", "with", "sql", "once"];
 /// The keys of a test.
 const TEST_KEYS: [&str; 4] = ["name", "given", "expect", "tolerance"];
 /// More steps than this are refused; checking the graph takes time by its square at worst.
@@ -46,6 +46,8 @@ pub(crate) struct WrittenStep {
     pub inputs: Vec<WrittenInput>,
     /// What it does; `None` if at fault.
     pub body: Option<Body>,
+    /// Whether each session keeps what the step made when it came.
+    pub once: bool,
 }
 
 /// What a step reads.

@@ -134,6 +134,16 @@ impl Recipe {
         }
     }
 
+    /// The other recipe, if it differs only in what the version before was; else this one.
+    pub fn as_of(self, then: &Self) -> Self {
+        let with_then = Self {
+            previous: then.previous.clone(),
+            replaced: then.replaced.clone(),
+            ..self.clone()
+        };
+        if with_then == *then { with_then } else { self }
+    }
+
     /// The recipe's digest.
     ///
     /// # Errors

@@ -40,6 +40,10 @@ pub async fn compile(
         return Err(compiler.faults.settle());
     }
     compiler.decide_stored();
+    compiler.check_once();
+    if compiler.faults.error_count() > 0 {
+        return Err(compiler.faults.settle());
+    }
     Ok(Program {
         plan: plan.name.clone(),
         stages: compiler.stages,
@@ -167,6 +171,7 @@ impl Compiler<'_> {
                 reads,
                 scope,
                 stored: false,
+                once: step.once,
             });
         };
         if entry.shape == Shape::Fold {
@@ -215,6 +220,7 @@ impl Compiler<'_> {
             reads,
             scope,
             stored: false,
+            once: step.once,
         });
         Some(schema)
     }
@@ -273,6 +279,26 @@ impl Compiler<'_> {
         }
         for stage in &mut self.stages {
             stage.stored = stored.contains(&stage.name);
+        }
+    }
+}
+
+impl Compiler<'_> {
+    /// What covers more than a session changes with every session that comes.
+    fn check_once(&mut self) {
+        let wide = |step: &&Step| {
+            let mut stages = self.stages.iter().filter(|stage| stage.name == step.name);
+            step.once && stages.any(|stage| stage.scope != Scope::Session || !stage.stored)
+        };
+        let wide: Vec<&Step> = self.plan.steps.iter().filter(wide).collect();
+        for step in wide {
+            self.fault(
+                step,
+                format!(
+                    "step `{}`: `once` is for steps of one session that are written or read by steps of a site",
+                    step.name
+                ),
+            );
         }
     }
 }

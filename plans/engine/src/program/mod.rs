@@ -94,6 +94,14 @@ pub struct Stage {
     pub scope: Scope,
     /// Whether its rows are kept as artifacts.
     pub stored: bool,
+    /// Whether a session keeps what was made when it came, whatever the version before is by now.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub once: bool,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // as serde wants it
+fn is_false(value: &bool) -> bool {
+    !*value
 }
 
 impl Stage {

@@ -10,6 +10,7 @@ use crate::map::receipt::Receipt;
 use crate::map::version::{Previous, StoredLayer, Version};
 use crate::program::Stage;
 use crate::run::pending::{Pending, Place};
+use crate::run::previous::Held;
 use crate::run::runner::Runner;
 use crate::run::{Event, Run, RunResult};
 use crate::unit::Unit;
@@ -18,6 +19,8 @@ use crate::unit::Unit;
 struct Driver<'r, 'a> {
     run: &'r Run<'a>,
     previous: Previous,
+    /// What was done once, in the version before.
+    held: Held,
     units: Vec<Pending>,
     /// How many units each still waits for.
     waiting: Vec<usize>,
@@ -40,7 +43,8 @@ impl Run<'_> {
         if self.sessions.is_empty() {
             return Err(Fault::user("no sessions to map").next("give some with --sessions FILES"));
         }
-        let mut driver = Driver::new(self)?;
+        let once = |name: &str| self.program.stage(name).is_ok_and(|stage| stage.once);
+        let mut driver = Driver::new(self, self.receipts_before(once).await?)?;
         observe(Event::Planned {
             units: driver.units.len(),
         });
@@ -86,7 +90,7 @@ impl Run<'_> {
 }
 
 impl<'r, 'a> Driver<'r, 'a> {
-    fn new(run: &'r Run<'a>) -> Result<Self, Fault> {
+    fn new(run: &'r Run<'a>, held: Held) -> Result<Self, Fault> {
         let units = run.units()?;
         let mut dependents: BTreeMap<Place, Vec<usize>> = BTreeMap::new();
         for (index, unit) in units.iter().enumerate() {
@@ -97,6 +101,7 @@ impl<'r, 'a> Driver<'r, 'a> {
         Ok(Self {
             run,
             previous: run.previous()?,
+            held,
             waiting: units.iter().map(|unit| unit.before.len()).collect(),
             dependents,
             receipts: BTreeMap::new(),
@@ -175,7 +180,9 @@ impl<'r, 'a> Driver<'r, 'a> {
 
     fn unit(&self, index: usize) -> Result<Unit, Fault> {
         let artifact = |place: &Place| Ok(self.receipt(place)?.artifact.clone());
-        self.units[index].assemble(self.run, &self.previous, artifact)
+        let unit = &self.units[index];
+        let before = self.held.get(&unit.place.label());
+        unit.assemble(self.run, &self.previous, before, artifact)
     }
 
     fn receipt(&self, place: &Place) -> Result<&Receipt, Fault> {

@@ -9,6 +9,7 @@ use crate::map::version::Previous;
 use crate::program::{Stage, Task};
 use crate::run::Run;
 use crate::run::pending::{Pending, Place};
+use crate::run::previous::Held;
 
 record! {
     /// What would become of one unit.
@@ -32,7 +33,7 @@ impl Run<'_> {
     /// # Errors
     /// As [`Run::execute`], as far as it is not about running.
     pub async fn explain(&self) -> Result<Vec<UnitForecast>, Fault> {
-        let held = self.receipts_before().await?;
+        let held = self.receipts_before(|_| true).await?;
         let mut known = Known {
             run: self,
             previous: self.previous()?,
@@ -50,23 +51,7 @@ impl Run<'_> {
         }
         Ok(forecasts)
     }
-
-    /// The receipts of the version before.
-    async fn receipts_before(&self) -> Result<Held, Fault> {
-        let mut receipts = BTreeMap::new();
-        for (name, layer) in self.base.iter().flat_map(|base| &base.layers) {
-            for digest in &layer.recipes {
-                if let Some(receipt) = Receipt::find(self.store, digest).await? {
-                    receipts.insert(receipt.recipe.extent.label(name), receipt);
-                }
-            }
-        }
-        Ok(receipts)
-    }
 }
-
-/// Receipts by what a person calls the unit.
-type Held = BTreeMap<String, Receipt>;
 
 /// What is known without running anything: the artifacts of the units that were done before.
 struct Known<'r, 'a> {
@@ -93,7 +78,7 @@ impl Known<'_, '_> {
                 change.unwrap_or_else(|| format!("{} is recomputed", open.label()))
             ));
         }
-        let recipe = unit.assemble(self.run, &self.previous, |input| {
+        let recipe = unit.assemble(self.run, &self.previous, before, |input| {
             let found = self.artifacts.get(input).cloned();
             found.ok_or_else(|| Fault::bug(format!("{} is not known", input.label())))
         });

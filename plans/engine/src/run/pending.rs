@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use evermap_language::Input;
 use evermap_schemas::Fault;
 
-use crate::map::receipt::{Artifact, Extent, Recipe};
+use crate::map::receipt::{Artifact, Extent, Receipt, Recipe};
 use crate::map::version::{MappedSession, Previous};
 use crate::program::Stage;
 use crate::run::Run;
@@ -91,7 +91,8 @@ impl Pending {
         })
     }
 
-    /// The unit, which reads what `artifact` says that the units before it left.
+    /// The unit, which reads what `artifact` says that the units before it left. `before` is the receipt of the unit of
+    /// the same name in the version before: what is done once is done as it was then.
     ///
     /// # Errors
     /// What `artifact` says.
@@ -99,6 +100,7 @@ impl Pending {
         &self,
         run: &Run<'_>,
         previous: &Previous,
+        before: Option<&Receipt>,
         artifact: impl Fn(&Place) -> Result<Artifact, Fault>,
     ) -> Result<Unit, Fault> {
         let extent = self.place.extent.clone();
@@ -116,6 +118,11 @@ impl Pending {
         let read = |session: &&MappedSession| self.logs.contains(&session.log.session);
         let logs = run.sessions.iter().filter(read);
         recipe.logs = logs.clone().map(|session| session.log.clone()).collect();
+        if self.stages.last().is_some_and(|stage| stage.once)
+            && let Some(before) = before
+        {
+            recipe = recipe.as_of(&before.recipe);
+        }
         Ok(Unit {
             store: run.store.url().to_string(),
             recipe,
@@ -204,7 +211,9 @@ mod tests {
             .unwrap()
             .iter()
             .map(|unit| {
-                let unit = unit.assemble(&run, &Previous::default(), no_rows).unwrap();
+                let unit = unit
+                    .assemble(&run, &Previous::default(), None, no_rows)
+                    .unwrap();
                 let logs = unit.recipe.logs.iter();
                 (unit.label(), logs.map(|log| log.session.clone()).collect())
             })

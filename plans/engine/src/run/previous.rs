@@ -8,9 +8,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use evermap_language::Input;
 use evermap_schemas::Fault;
 
-use crate::map::receipt::{Artifact, Extent, PreviousLayer};
+use crate::map::receipt::{Artifact, Extent, PreviousLayer, Receipt};
 use crate::map::version::{MappedSession, Previous, Version};
 use crate::program::{Program, Stage};
+use crate::run::Run;
 
 impl Previous {
     /// What `previous` means for a program on these sessions, when the map is at `base`.
@@ -96,4 +97,26 @@ fn replaced(base: &Version, sessions: &[MappedSession]) -> Vec<String> {
         .filter(other)
         .map(|held| held.log.session.clone())
         .collect()
+}
+
+/// Receipts by what a person calls the unit.
+pub type Held = BTreeMap<String, Receipt>;
+
+impl Run<'_> {
+    /// The receipts of the version before, of the layers that are wanted.
+    ///
+    /// # Errors
+    /// As [`Receipt::find`].
+    pub async fn receipts_before(&self, wanted: impl Fn(&str) -> bool) -> Result<Held, Fault> {
+        let mut receipts = BTreeMap::new();
+        let layers = self.base.iter().flat_map(|base| &base.layers);
+        for (name, layer) in layers.filter(|(name, _)| wanted(name)) {
+            for digest in &layer.recipes {
+                if let Some(receipt) = Receipt::find(self.store, digest).await? {
+                    receipts.insert(receipt.recipe.extent.label(name), receipt);
+                }
+            }
+        }
+        Ok(receipts)
+    }
 }

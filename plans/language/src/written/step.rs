@@ -23,11 +23,15 @@ pub(super) fn step(
         },
         inputs: Vec::new(),
         body: None,
+        once: false,
     };
     let what = format!("step {}", quoted(&entry.key));
     let Some(fields) = Fields::of(&entry.value, &what, &STEP_KEYS, faults) else {
         return step;
     };
+    if let Some(once) = fields.get("once") {
+        step.once = once.value.boolean("`once`", faults).unwrap_or_default();
+    }
     match (fields.get("op"), fields.get("sql")) {
         (Some(op), None) => operator(&mut step, op, &fields, context, faults),
         (None, Some(sql)) => query(&mut step, sql, &fields, context, faults),

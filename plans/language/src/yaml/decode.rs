@@ -49,6 +49,14 @@ impl Node {
         }
     }
 
+    /// True or false.
+    pub(crate) fn boolean(&self, what: &str, faults: &mut PlanFaults) -> Option<bool> {
+        match self.kind {
+            Kind::Bool(value) => Some(value),
+            _ => self.expected(what, "true or false", faults),
+        }
+    }
+
     /// The items of a list.
     pub(crate) fn sequence(&self, what: &str, faults: &mut PlanFaults) -> Option<&[Node]> {
         match &self.kind {
