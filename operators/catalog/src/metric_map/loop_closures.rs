@@ -1,10 +1,10 @@
 #![doc = include_str!("loop_closures.md")]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::metric_map::places::{self, DriveTrack, Loop, LoopOptions};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
-use evermap_schemas::layers::{Features, Keyframe, LoopClosure, Track};
+use evermap_schemas::layers::{Features, Keyframe, LoopClosure, Track, VehiclePose};
 
 use crate::inputs::drive::{Drive, drives};
 use crate::inputs::rig::{self, OfVehicle};
@@ -24,6 +24,8 @@ impl Operator for LoopClosures {
         let mut sides = vec![
             Port::site::<Track>("tracks"),
             Port::site::<Keyframe>("keyframes"),
+            Port::site::<LoopClosure>("previous").optional(),
+            Port::site::<VehiclePose>("mapped").optional(),
         ];
         sides.extend(rig::ports(Reach::Site));
         Work::group(features, Key::SITE, sides, loop_closures)
@@ -32,16 +34,22 @@ impl Operator for LoopClosures {
 
 fn loop_closures(
     params: &OfVehicle<LoopOptions>,
-    features: Vec<Features>,
+    mut features: Vec<Features>,
     sides: &Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = features.first().map(|row| row.site.clone()) else {
         return Ok(());
     };
-    let keyframes = sides.rows("keyframes")?;
+    let mapped: BTreeSet<String> = sides.rows("mapped")?.into_iter().map(session).collect();
+    emit.rows(known(sides.rows("previous")?, &features, &mapped))?;
+    features.retain(|row| !mapped.contains(&row.session));
+    let mut keyframes: Vec<Keyframe> = sides.rows("keyframes")?;
+    keyframes.retain(|row| !mapped.contains(&row.session));
     let drives = drives(keyframes, features, sides, &params.vehicle, emit)?;
-    let mut tracks = tracks(sides.rows("tracks")?, &drives, emit);
+    let mut rows: Vec<Track> = sides.rows("tracks")?;
+    rows.retain(|row| !mapped.contains(&row.session));
+    let mut tracks = tracks(rows, &drives, emit);
     let searched: Vec<places::Drive<'_>> = drives
         .iter()
         .map(|(session, drive)| searched(drive, tracks.remove(session).unwrap_or_default()))
@@ -50,6 +58,24 @@ fn loop_closures(
     let drives: Vec<(&String, &Drive)> = drives.iter().collect();
     let rows = found.iter().map(|found| row(&site, found, &drives));
     emit.rows(rows.flatten().collect())
+}
+
+fn session(pose: VehiclePose) -> String {
+    pose.session
+}
+
+/// The loops of the version before between sessions of the map that are still there.
+fn known(
+    mut previous: Vec<LoopClosure>,
+    features: &[Features],
+    mapped: &BTreeSet<String>,
+) -> Vec<LoopClosure> {
+    let there: BTreeSet<&String> = features.iter().map(|row| &row.session).collect();
+    let both = |row: &LoopClosure| {
+        [&row.session, &row.other_session].map(|name| mapped.contains(name) && there.contains(name))
+    };
+    previous.retain(|row| both(row) == [true, true]);
+    previous
 }
 
 fn searched(drive: &Drive, tracks: Vec<DriveTrack>) -> places::Drive<'_> {
