@@ -75,7 +75,7 @@ mod tests {
     #[test]
     fn a_landmark_is_described_by_where_it_was_seen_from() {
         let k = [300.0, 300.0, 320.0, 240.0];
-        let camera = Camera::from_calibration("pinhole", 640, 480, &k, &[]).unwrap();
+        let camera = Camera::from_calibration("plumb_bob", 640, 480, &k, &[]).unwrap();
         let rig = Rig {
             cameras: vec![RigCamera {
                 name: "front".into(),
@@ -107,8 +107,10 @@ mod tests {
         assert!((found.view_cos - 4.0 / 17_f64.sqrt()).abs() < 1e-6);
         assert!((found.near_m - 4.0).abs() < 1e-6);
         assert!((found.far_m - 17_f64.sqrt()).abs() < 1e-6);
-        // Fourteen degrees and three per cent of range apart, they are one appearance.
-        assert_eq!(found.descriptors, [Descriptor([7; DESCRIPTOR_BYTES])]);
+        // The middle one looks like the first one, 14 degrees away; the last one, 28 degrees away, does not.
+        assert_eq!(found.descriptors, [Descriptor([7; DESCRIPTOR_BYTES]); 2]);
+        let found = describe(&scene, &cameras, &features, 1).unwrap();
+        assert_eq!(found.descriptors.len(), 1);
         assert!(describe(&scene, &cameras, &features[..1], 4).is_none());
     }
 }
