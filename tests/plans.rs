@@ -56,6 +56,8 @@ fn plans_share_the_steps_of_the_metric_map() {
             "localisations: localisations",
             "previous: previous.adjusted_poses",
             "previous: previous.map_frames",
+            "previous: previous.loop_closures",
+            "mapped: previous.adjusted_poses",
         ] {
             other = other.replace(port, "");
         }
