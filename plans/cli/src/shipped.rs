@@ -16,15 +16,12 @@ pub const PLANS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/plans.rs"
 /// Reads the plan that the command line names.
 ///
 /// # Errors
-/// As [`read`].
+/// A user fault that names the plans that ship, or the file's first byte that is no text.
 pub fn of(args: &PlanArgs) -> Result<PlanText, Failure> {
     read(&args.plan, args.set.clone())
 }
 
 /// Reads a plan: a file, `-` for standard input, or the name of a plan that ships.
-///
-/// # Errors
-/// A user fault that names the plans that ship, or the file's first byte that is no text.
 fn read(plan: &str, settings: Vec<String>) -> Result<PlanText, Failure> {
     let (origin, bytes) = match plan {
         "-" => (plan.to_owned(), standard_input()?),
