@@ -281,9 +281,7 @@ impl Compiler<'_> {
             stage.stored = stored.contains(&stage.name);
         }
     }
-}
 
-impl Compiler<'_> {
     /// What covers more than a session changes with every session that comes.
     fn check_once(&mut self) {
         let wide = |step: &&Step| {

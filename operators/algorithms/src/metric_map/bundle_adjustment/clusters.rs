@@ -8,7 +8,7 @@
 use super::elimination::Layout;
 
 /// A partition of the unknowns.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Clusters {
     /// The cluster of each unknown.
     pub(super) of: Vec<u32>,
@@ -27,35 +27,37 @@ impl Clusters {
             .iter()
             .map(|own| distinct(layout, own))
             .collect();
-        let mut clusters = Self::with_share(&seen, landmarks, SHARES[0]);
-        for share in &SHARES[1..] {
-            if clusters.count <= most {
-                break;
-            }
-            clusters = Self::with_share(&seen, landmarks, *share);
-        }
-        clusters
+        let [finer @ .., coarsest] = &SHARES;
+        finer
+            .iter()
+            .find_map(|share| Self::with_share(&seen, landmarks, *share, most))
+            .or_else(|| Self::with_share(&seen, landmarks, *coarsest, usize::MAX))
+            .unwrap_or_default()
     }
 
-    fn with_share(seen: &[Vec<u32>], landmarks: usize, share: f64) -> Self {
+    /// `None` when there are more than `most`: a landmark has no more leaders than there are clusters, so that trying
+    /// costs no more than `most` steps an observation.
+    fn with_share(seen: &[Vec<u32>], landmarks: usize, share: f64, most: usize) -> Option<Self> {
         let mut leaders: Vec<Vec<u32>> = vec![Vec::new(); landmarks];
         let mut common: Vec<u32> = Vec::new();
+        let mut met: Vec<u32> = Vec::new();
         let mut of = Vec::with_capacity(seen.len());
         for own in seen {
-            common.fill(0);
-            for landmark in own {
-                for leader in &leaders[*landmark as usize] {
-                    common[*leader as usize] += 1;
+            for leader in own.iter().flat_map(|landmark| &leaders[*landmark as usize]) {
+                if common[*leader as usize] == 0 {
+                    met.push(*leader);
                 }
+                common[*leader as usize] += 1;
             }
+            let counted = met.drain(..);
+            let counted =
+                counted.map(|leader| (std::mem::take(&mut common[leader as usize]), leader));
             // Of equals the first.
-            let best = (0_u32..)
-                .zip(&common)
-                .max_by_key(|(at, count)| (**count, u32::MAX - at));
-            let joined = best
-                .filter(|(_, count)| **count > 0 && f64::from(**count) >= share * own.len() as f64);
+            let best = counted.max_by_key(|(count, leader)| (*count, u32::MAX - leader));
+            let joined = best.filter(|(count, _)| f64::from(*count) >= share * own.len() as f64);
             let cluster = match joined {
-                Some((at, _)) => at,
+                Some((_, leader)) => leader,
+                None if common.len() == most => return None,
                 None => {
                     let cluster = common.len() as u32;
                     common.push(0);
@@ -66,10 +68,10 @@ impl Clusters {
             };
             of.push(cluster);
         }
-        Self {
+        Some(Self {
             of,
             count: common.len(),
-        }
+        })
     }
 
     /// Each cluster cut into runs of at most `most` unknowns.

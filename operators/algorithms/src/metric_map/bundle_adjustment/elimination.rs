@@ -311,7 +311,7 @@ impl Point {
 
 /// Fills one row of the reduced system, as far as it has columns. `places` is scratch, `u32::MAX` throughout before
 /// and after: for each block of this row its place in it.
-pub(super) fn fill_row<const C: usize>(
+fn fill_row<const C: usize>(
     block: u32,
     row: Row<'_, C>,
     places: &mut [u32],
@@ -343,6 +343,28 @@ pub(super) fn fill_row<const C: usize>(
     for column in row.columns {
         places[*column as usize] = u32::MAX;
     }
+}
+
+/// The part of the reduced system that a matrix has places for: what landmarks say, the terms without them, and what
+/// damping adds to the diagonal.
+pub(super) fn fill<const C: usize>(
+    matrix: &mut Blocks<C>,
+    layout: &Layout,
+    sighted: &[Sighted<C>],
+    (terms, damping): (&Blocks<C>, &[[f64; C]]),
+) {
+    let blocks = layout.by_block.len();
+    matrix
+        .rows_mut()
+        .into_par_iter()
+        .enumerate()
+        .with_max_len(8)
+        .for_each_init(
+            || vec![u32::MAX; blocks],
+            |places, (block, row)| fill_row(block as u32, row, places, layout, sighted),
+        );
+    matrix.add(terms);
+    matrix.add_diagonal(damping);
 }
 
 /// The landmarks' part of the right-hand side for one block.

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use super::blocks::{Block, Blocks, Dense};
 use super::clusters::Clusters;
 use super::coarse::Coarse;
-use super::elimination::{Layout, Point, Sighted, fill_row, pieces};
+use super::elimination::{Layout, Point, Sighted, fill, pieces};
 use super::schur::Bundle;
 use crate::solving::least_squares::SystemError;
 
@@ -142,23 +142,10 @@ impl<const C: usize> Iterative<C> {
     fn factorise(
         &mut self,
         layout: &Layout,
-        sighted: &mut [Sighted<C>],
+        sighted: &[Sighted<C>],
         own: (&Blocks<C>, &[[f64; C]]),
     ) -> Option<()> {
-        let (terms, damping) = own;
-        let blocks = layout.by_block.len();
-        let shared = &*sighted;
-        self.near
-            .rows_mut()
-            .into_par_iter()
-            .enumerate()
-            .with_max_len(8)
-            .for_each_init(
-                || vec![u32::MAX; blocks],
-                |places, (block, row)| fill_row(block as u32, row, places, layout, shared),
-            );
-        self.near.add(terms);
-        self.near.add_diagonal(damping);
+        fill(&mut self.near, layout, sighted, own);
         let near = &self.near;
         let factorised: Option<Vec<()>> = self
             .groups
@@ -167,7 +154,7 @@ impl<const C: usize> Iterative<C> {
             .collect();
         factorised?;
         if let Some(far) = &mut self.far
-            && far.factorise(layout, shared, own).is_none()
+            && far.factorise(layout, sighted, own).is_none()
         {
             self.far = None;
         }

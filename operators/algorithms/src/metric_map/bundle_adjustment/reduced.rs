@@ -5,10 +5,9 @@
 //! sees everything, else to the sparse one of [`BlockSystem`].
 
 use nalgebra::{SMatrix, SVector};
-use rayon::prelude::*;
 
 use super::blocks::{Blocks, Dense};
-use super::elimination::{Layout, Sighted, fill_row};
+use super::elimination::{Layout, Sighted, fill};
 use crate::solving::least_squares::{BlockSystem, Slot, Structure, SystemError};
 
 /// The sparse factor must have less than this part of the dense one's entries to be worth its
@@ -31,24 +30,11 @@ enum Solver<const C: usize> {
 }
 
 impl<const C: usize> Reduced<C> {
-    /// All zero, for `size` unknowns and the pairs of them (smaller first, sorted, unique, without
-    /// `(i, i)`) that meet.
-    pub(super) fn new(size: usize, pairs: &[(u32, u32)]) -> Result<Self, SystemError> {
-        let matrix = Blocks::new(size, pairs);
-        let pairs = pairs.iter().map(|(a, b)| (*a as usize, *b as usize));
-        let solver = Solver::new(Structure::new(size, pairs)?, &matrix)?;
+    /// All zero, for the pairs of unknowns (smaller first, sorted, unique, without `(i, i)`) that meet.
+    pub(super) fn new(structure: Structure<C>, pairs: &[(u32, u32)]) -> Result<Self, SystemError> {
+        let matrix = Blocks::new(structure.unknowns(), pairs);
+        let solver = Solver::new(structure, &matrix)?;
         Ok(Self { matrix, solver })
-    }
-
-    /// Products of two numbers in a factorisation, roughly: a factor of `e` entries in `n` columns of even length takes
-    /// `e² / n`.
-    pub(super) fn work(&self) -> f64 {
-        let n = (self.matrix.starts.len() - 1) as f64 * C as f64;
-        let entries = match &self.solver {
-            Solver::Dense(_) => 0.5 * n * n,
-            Solver::Sparse { system, .. } => system.structure().factor_entries() as f64,
-        };
-        entries * entries / n.max(1.0)
     }
 
     /// As [`super::system::System::solve`].
@@ -56,21 +42,10 @@ impl<const C: usize> Reduced<C> {
         &mut self,
         layout: &Layout,
         sighted: &[Sighted<C>],
-        (terms, damping): (&Blocks<C>, &[[f64; C]]),
+        own: (&Blocks<C>, &[[f64; C]]),
         right: &mut [[f64; C]],
     ) -> Option<()> {
-        let blocks = layout.by_block.len();
-        self.matrix
-            .rows_mut()
-            .into_par_iter()
-            .enumerate()
-            .with_max_len(8)
-            .for_each_init(
-                || vec![u32::MAX; blocks],
-                |places, (block, row)| fill_row(block as u32, row, places, layout, sighted),
-            );
-        self.matrix.add(terms);
-        self.matrix.add_diagonal(damping);
+        fill(&mut self.matrix, layout, sighted, own);
         match &mut self.solver {
             Solver::Dense(dense) => {
                 dense.clear();
@@ -94,14 +69,30 @@ impl<const C: usize> Reduced<C> {
     }
 }
 
+/// Products of two numbers in a factorisation, roughly: a factor of `e` entries in `n` columns of even length takes
+/// `e² / n`.
+pub(super) fn work<const C: usize>(structure: &Structure<C>) -> f64 {
+    let entries = if is_dense(structure) {
+        dense_entries(structure)
+    } else {
+        structure.factor_entries() as f64
+    };
+    entries * entries / ((structure.unknowns() * C) as f64).max(1.0)
+}
+
+fn is_dense<const C: usize>(structure: &Structure<C>) -> bool {
+    structure.factor_entries() as f64 > SPARSE_BELOW * dense_entries(structure)
+}
+
+fn dense_entries<const C: usize>(structure: &Structure<C>) -> f64 {
+    0.5 * ((structure.unknowns() * C) as f64).powi(2)
+}
+
 impl<const C: usize> Solver<C> {
     fn new(structure: Structure<C>, matrix: &Blocks<C>) -> Result<Self, SystemError> {
-        let n = structure.unknowns() * C;
-        let dense = 0.5 * n as f64 * n as f64;
-        if structure.factor_entries() as f64 > SPARSE_BELOW * dense {
-            return Ok(Solver::Dense(
-                Dense::new(n).ok_or(SystemError::OutOfMemory)?,
-            ));
+        if is_dense(&structure) {
+            let dense = Dense::new(structure.unknowns() * C);
+            return Ok(Solver::Dense(dense.ok_or(SystemError::OutOfMemory)?));
         }
         let slots = matrix.iter().map(|(row, column, _)| {
             let off = column != row;

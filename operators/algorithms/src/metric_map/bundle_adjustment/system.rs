@@ -7,9 +7,9 @@
 use super::blocks::Blocks;
 use super::elimination::{Layout, Point, Sighted};
 use super::iterative::Iterative;
-use super::reduced::Reduced;
+use super::reduced::{self, Reduced};
 use super::schur::{Bundle, Sight};
-use crate::solving::least_squares::SystemError;
+use crate::solving::least_squares::{Structure, SystemError};
 
 /// Work of an iterative step in products of two numbers, for each observation: passes, times what one costs while
 /// memory is what bounds it. Measured on drives that overlap (`solve_bundle --drive N --drives K`).
@@ -52,9 +52,13 @@ impl<const C: usize> System<C> {
         if solver == LinearSolver::Factorised
             || solver == LinearSolver::Cheaper && formed < iterative
         {
-            let reduced = Reduced::new(blocks, &layout.meeting(terms))?;
-            if solver == LinearSolver::Factorised || formed + reduced.work() < iterative {
-                return Ok((layout, Self::Direct(reduced)));
+            let pairs = layout.meeting(terms);
+            let named = pairs.iter().map(|(a, b)| (*a as usize, *b as usize));
+            let structure = Structure::new(blocks, named);
+            let cheaper = |found: &Structure<C>| formed + reduced::work(found) < iterative;
+            // A factor that does not fit is not the cheaper one.
+            if solver == LinearSolver::Factorised || structure.as_ref().is_ok_and(cheaper) {
+                return Ok((layout, Self::Direct(Reduced::new(structure?, &pairs)?)));
             }
         }
         let (layout, iterative) = Iterative::new(landmarks, layout, bundle)?;
