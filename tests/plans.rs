@@ -94,7 +94,7 @@ fn a_plan_extends_a_file_beside_it_which_extends_one_that_ships() {
          steps:\n  \
          keyframes:\n    op: keyframes\n    in: { odometry: odometry }\n    with: { baseline_m: 0.1 }\n  \
          poses:\n    sql: |\n      SELECT site, session, stamp, odom_from_vehicle AS map_from_vehicle FROM keyframes\n  \
-         lanes:\n    op: road_network\n    in: { poses: poses }\n    with: { connect_m: 3 }\n  \
+         lanes:\n    op: road_network\n    in: { keyframes: keyframes, poses: poses }\n    with: { connect_m: 3 }\n  \
          drives:\n    sql: |-\n      SELECT DISTINCT session FROM poses\n\
          write: [poses, lanes, drives]\n";
     assert_eq!(composed.stdout, expected);

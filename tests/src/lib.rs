@@ -6,6 +6,8 @@
 #![allow(clippy::expect_used, clippy::panic)]
 
 pub mod kitti;
+pub mod odometry;
+pub mod park;
 pub mod trajectories;
 
 use std::path::{Path, PathBuf};
@@ -145,7 +147,7 @@ pub fn write_drive(path: &Path, poses: impl IntoIterator<Item = DrivePose>) {
     writer.finish().expect("an MCAP file ends");
 }
 
-const POSE_SCHEMA: &str = r#"{
+pub(crate) const POSE_SCHEMA: &str = r#"{
   "type": "object",
   "properties": {
     "timestamp": { "type": "object", "properties": { "sec": { "type": "integer" }, "nsec": { "type": "integer" } } },

@@ -63,7 +63,7 @@ pub fn poses(map: &Path, version: Option<u32>, layer: &str, column: &str) -> Tra
     trajectories
 }
 
-fn pose(value: &Value) -> Pose {
+pub(crate) fn pose(value: &Value) -> Pose {
     let names = ["x", "y", "z", "qx", "qy", "qz", "qw"];
     let numbers = names.map(|name| value[name].as_f64().expect("a pose is seven numbers"));
     Pose::from_array(numbers).expect("a pose is a rigid motion")

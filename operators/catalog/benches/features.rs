@@ -75,6 +75,7 @@ fn benches(criterion: &mut Criterion) {
     let views: Vec<CameraFrame<'_>> = drive
         .iter()
         .map(|(pose, features)| CameraFrame {
+            stretch: 0,
             odom_from_camera: *pose,
             features,
         })

@@ -170,6 +170,7 @@ mod tests {
                 stamp: Stamp(i64::from(k)),
                 keyframe: k,
                 distance_m: 0.0,
+                stretch: 0,
                 // Odometry is 10 % too long.
                 odom_from_vehicle: pose(1.1 * f64::from(k), 0.0, 0.0),
                 images: vec![],

@@ -89,7 +89,10 @@ record! {
         keyframe: u32,
         /// Driven path from the session's start.
         distance_m: f64 ["m"],
-        /// The vehicle in the drifting odometry frame, interpolated to the stamp.
+        /// Stretches of unbroken odometry are counted from 0 along the session: how the vehicle moved from one to the next
+        /// is not known.
+        stretch: u32,
+        /// The vehicle in the frame that the stretch's odometry began in, drifting, interpolated to the stamp.
         odom_from_vehicle: Pose ["", "odom"],
         /// The frame set, ordered by camera; empty where no image was near in time.
         images: Vec<KeyframeImage>,

@@ -2,6 +2,7 @@
 
 use std::cmp::Reverse;
 
+use crate::roles::transforms::{self, Transform};
 use crate::roles::{Choice, FromMessage, Message, Messages, Role, Topic, in_words};
 use crate::{Pose, Stamp, record};
 
@@ -27,40 +28,76 @@ record! {
 }
 
 const ODOMETRY: &str = "nav_msgs/Odometry";
+const POSES: &[&str] = &["foxglove.PoseInFrame", "geometry_msgs/PoseStamped"];
 
 /// The one topic with wheel or visual odometry.
 pub const ROLE: Role = Role::of::<OdometryPose>(Messages {
     choose,
     single: true,
-    ..Messages::of::<OdometryPose>(&[
-        ODOMETRY,
-        "foxglove.PoseInFrame",
-        "geometry_msgs/PoseStamped",
-    ])
+    ..Messages::of::<OdometryPose>(TYPES)
 });
 
+const TYPES: &[&str] = &[
+    ODOMETRY,
+    POSES[0],
+    POSES[1],
+    transforms::TYPES[0],
+    transforms::TYPES[1],
+    transforms::TYPES[2],
+    transforms::TYPES[3],
+];
+
 /// One `nav_msgs/Odometry` topic: `/odom` if there is one, else that with most messages, else the first by name. Where
-/// there is none, a topic of poses whose name speaks of odometry.
+/// there is none, a topic of poses whose name speaks of odometry; where there is none either, `/tf` likewise.
 fn choose(topics: &[Topic]) -> Vec<Choice> {
-    let (odometry, poses): (Vec<&Topic>, Vec<&Topic>) = topics
-        .iter()
-        .partition(|topic| topic.message_type == ODOMETRY);
-    let named = |topic: &&Topic| in_words(&topic.name, &["odom"]);
-    let mut candidates: Vec<&Topic> = match odometry.is_empty() {
-        true => poses.into_iter().filter(named).collect(),
-        false => odometry,
+    let odometry = |topic: &&Topic| topic.message_type == ODOMETRY;
+    let poses = |topic: &&Topic| {
+        POSES.contains(&topic.message_type.as_str()) && in_words(&topic.name, &["odom"])
+    };
+    let moving = |topic: &&Topic| {
+        transforms::TYPES.contains(&topic.message_type.as_str())
+            && !transforms::is_static(&topic.name)
+    };
+    let kinds: [&dyn Fn(&&Topic) -> bool; 3] = [&odometry, &poses, &moving];
+    let kind = kinds.into_iter().find(|kind| topics.iter().any(|topic| kind(&topic)));
+    let mut candidates: Vec<&Topic> = match kind {
+        Some(kind) => topics.iter().filter(kind).collect(),
+        None => Vec::new(),
     };
     candidates.sort_by_key(|topic| {
-        let plain = topic.name.trim_start_matches('/') == "odom";
+        let plain = ["odom", "tf"].contains(&topic.name.trim_start_matches('/'));
         (!plain, Reverse(topic.messages), &topic.name)
     });
     Choice::first_of(candidates).into_iter().collect()
 }
 
+/// Whether a transform says where the vehicle is in the odometry frame, as REP 105 names the two: from `odom` (or
+/// `odom_combined` …) to `base_link` (or `base_footprint` …). Names with a prefix are those of one of several robots, and
+/// nobody says which one is meant.
+fn is_odometry(transform: &Transform) -> bool {
+    let Transform { parent, child, .. } = transform;
+    parent.starts_with("odom") && child.starts_with("base") && !child.contains('/')
+}
+
 impl FromMessage for OdometryPose {
-    const MEMBERS: &'static [&'static str] = &["header", "timestamp", "pose", "twist"];
+    const MEMBERS: &'static [&'static str] = &[
+        "header",
+        "timestamp",
+        "pose",
+        "twist",
+        "transforms",
+        "parent_frame_id",
+        "child_frame_id",
+        "translation",
+        "rotation",
+    ];
 
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
+        if let Some(transforms) = transforms::all(message) {
+            // Another transform that makes no sense is the business of the role that reads them all.
+            let found = transforms.into_iter().flatten().filter(is_odometry);
+            return Ok(found.map(|found| Self::of_transform(message, found)).collect());
+        }
         let fields = &message.fields;
         // nav_msgs/Odometry has a pose with covariance, PoseStamped and PoseInFrame a plain one.
         let nested = fields.number(&["pose", "pose", "position", "x"]).is_some();
@@ -85,5 +122,19 @@ impl FromMessage for OdometryPose {
             speed_mps: twist(["linear", "x"]),
             yaw_rate_radps: twist(["angular", "z"]),
         }])
+    }
+}
+
+impl OdometryPose {
+    fn of_transform(message: &Message<'_>, transform: Transform) -> Self {
+        Self {
+            site: transform.site,
+            session: transform.session,
+            stamp: transform.stamp,
+            topic: message.topic.to_owned(),
+            odom_from_vehicle: transform.parent_from_child,
+            speed_mps: None,
+            yaw_rate_radps: None,
+        }
     }
 }

@@ -93,6 +93,21 @@ fn one_odometry_topic_is_chosen_and_told() {
 }
 
 #[test]
+fn without_odometry_and_poses_the_moving_transforms_are_chosen() {
+    let tf = "tf2_msgs/msg/TFMessage";
+    let transforms = [("/tf_static", tf, 9), ("/robot/tf", tf, 9), ("/tf", tf, 5)];
+    let (chosen, passed_over) = inferred(&odometry::ROLE, &transforms);
+    assert_eq!(
+        (chosen, passed_over),
+        (vec!["/tf".into()], vec!["/robot/tf".into()])
+    );
+    assert!(inferred(&odometry::ROLE, &transforms[..1]).0.is_empty());
+    let pose = ("/odom_pose", "geometry_msgs/msg/PoseStamped", 1);
+    let with_pose = [transforms[2], pose];
+    assert_eq!(inferred(&odometry::ROLE, &with_pose).0, ["/odom_pose"]);
+}
+
+#[test]
 fn a_compressed_twin_is_preferred() {
     let compressed = "sensor_msgs/msg/CompressedImage";
     let topics = [

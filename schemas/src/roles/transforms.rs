@@ -26,12 +26,20 @@ record! {
 }
 
 /// Topics with transforms.
-pub const ROLE: Role = Role::of::<Transform>(Messages::of::<Transform>(&[
+pub const ROLE: Role = Role::of::<Transform>(Messages::of::<Transform>(TYPES));
+
+/// Message types of transforms.
+pub(super) const TYPES: &[&str] = &[
     "tf2_msgs/TFMessage",
     "tf/tfMessage",
     "foxglove.FrameTransform",
     "foxglove.FrameTransforms",
-]));
+];
+
+/// Whether transforms of this topic hold for all time.
+pub(super) fn is_static(topic: &str) -> bool {
+    topic.ends_with("tf_static")
+}
 
 impl FromMessage for Transform {
     const MEMBERS: &'static [&'static str] = &[
@@ -44,13 +52,19 @@ impl FromMessage for Transform {
     ];
 
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
-        match message.fields.list("transforms") {
-            Some(list) => Fields::all(&list)
-                .map(|fields| transform(message, fields))
-                .collect(),
-            None => Ok(vec![transform(message, message.fields)?]),
-        }
+        let all = all(message).ok_or("expected a transform")?;
+        all.into_iter().collect()
     }
+}
+
+/// The transforms of a message, or why they make no sense; `None` where it is no message of transforms.
+pub(super) fn all(message: &Message<'_>) -> Option<Vec<Result<Transform, String>>> {
+    if let Some(list) = message.fields.list("transforms") {
+        let of_list = Fields::all(&list).map(|fields| transform(message, fields));
+        return Some(of_list.collect());
+    }
+    let alone = message.fields.text(&["parent_frame_id"]).is_some();
+    alone.then(|| vec![transform(message, message.fields)])
 }
 
 /// One transform, as tf2_msgs (`header`, `transform`) or foxglove (`parent_frame_id`, `translation`) spell it.
@@ -73,6 +87,6 @@ fn transform(message: &Message<'_>, fields: Fields<'_>) -> Result<Transform, Str
         parent: plain_frame(&parent.ok_or("expected the name of the parent frame")?),
         child: plain_frame(&child.ok_or("expected the name of the child frame")?),
         parent_from_child: pose?,
-        fixed: message.topic.ends_with("tf_static"),
+        fixed: is_static(message.topic),
     })
 }

@@ -10,6 +10,8 @@
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
+use super::lie::se3;
+
 /// A quaternion shorter than this has no direction worth trusting.
 const MIN_QUATERNION_NORM: f64 = 1e-6;
 
@@ -130,14 +132,11 @@ impl Pose {
         self.rotation * direction
     }
 
-    /// The pose a fraction `t` of the way from `self` (0) to `other` (1): straight line for the
-    /// position, constant angular rate along the shorter arc for the rotation. `t` outside
-    /// [0, 1] extrapolates.
+    /// The pose a fraction `t` of the way from `self` (0) to `other` (1), moving with a constant twist: straight where
+    /// the two are turned alike, along an arc (in general a helix) by the shorter turn where not, as vehicles drive. `t`
+    /// outside [0, 1] extrapolates.
     pub fn interpolate(&self, other: &Pose, t: f64) -> Pose {
-        Pose::new(
-            self.translation.lerp(&other.translation, t),
-            slerp(&self.rotation, &other.rotation, t),
-        )
+        se3::plus(self, &(se3::minus(other, self) * t))
     }
 
     /// The pose at `stamp` (ns) between two stamped poses; the nearer one when `stamp` lies
@@ -153,17 +152,6 @@ impl Pose {
         let t = stamp.saturating_sub(before.0) as f64 / span as f64;
         before.1.interpolate(after.1, t)
     }
-}
-
-/// Along the shorter arc. Written as "turn by t times the relative rotation vector", which has no
-/// ambiguous case to panic on: two orientations half a turn apart still pick one axis.
-fn slerp(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>, t: f64) -> UnitQuaternion<f64> {
-    let mut relative = (from.inverse() * to).into_inner();
-    if relative.w < 0.0 {
-        relative = -relative;
-    }
-    let step = UnitQuaternion::new_normalize(relative).scaled_axis() * t;
-    UnitQuaternion::new_normalize((from * UnitQuaternion::from_scaled_axis(step)).into_inner())
 }
 
 #[cfg(test)]
@@ -239,6 +227,18 @@ mod tests {
         assert!(Pose::from_array([0.0; 7]).is_err());
         assert!(Pose::from_array([0.0, 0.0, f64::NAN, 0.0, 0.0, 0.0, 1.0]).is_err());
         assert!(Pose::from_array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -7.0]).is_ok());
+    }
+
+    #[test]
+    fn between_two_poses_of_a_bend_lies_the_bend() {
+        let bend = |yaw: f64| Pose::from_yaw(8.0 * yaw.sin(), 8.0 * (1.0 - yaw.cos()), yaw);
+        for t in [0.0, 0.3, 0.5, 1.0, 1.4] {
+            let found = bend(0.2).interpolate(&bend(1.4), t);
+            assert!(
+                distance(&found, &bend(0.2 + 1.2 * t)) < 1e-9,
+                "{t}: {found:?}"
+            );
+        }
     }
 
     #[test]

@@ -1,10 +1,12 @@
 #![doc = include_str!("road_network.md")]
 
+use std::collections::BTreeMap;
+
 use evermap_algorithms::ground::road_network::{
     EndKind, Passage, RoadNetworkParams, Trace, Travel, road_network,
 };
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
-use evermap_schemas::layers::{Lane, Source, Sources, VehiclePose};
+use evermap_schemas::layers::{Keyframe, Lane, Source, Sources, VehiclePose};
 use evermap_schemas::{Stamp, Wkb};
 
 /// See the module's page.
@@ -12,14 +14,15 @@ pub struct RoadNetwork;
 
 impl Operator for RoadNetwork {
     const NAME: &'static str = "road_network";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("road_network.md");
     type Params = RoadNetworkParams;
     type Output = Lane;
 
     fn work() -> Work<Self::Params> {
         let poses = Port::site::<VehiclePose>("poses");
-        Work::group(poses, Key::SITE, vec![], lanes)
+        let keyframes = Port::site::<Keyframe>("keyframes").optional();
+        Work::group(poses, Key::SITE, vec![keyframes], lanes)
     }
 
     fn check(params: &Self::Params) -> Result<(), Fault> {
@@ -31,13 +34,14 @@ impl Operator for RoadNetwork {
 fn lanes(
     params: &RoadNetworkParams,
     poses: Vec<VehiclePose>,
-    _: &Sides,
+    sides: &Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = poses.first().map(|pose| pose.site.clone()) else {
         return Ok(());
     };
-    let drives = drives(poses, emit);
+    let keyframes = sides.rows::<Keyframe>("keyframes")?;
+    let drives = drives(poses, &keyframes, emit);
     let driven: Vec<Trace<'_>> = drives.iter().map(Session::drive).collect();
     let network = road_network(&driven, params).map_err(|error| Fault::data(error.to_string()))?;
     let lanes = network.lanes.into_iter().zip(0_u32..);
@@ -63,23 +67,43 @@ fn lanes(
 }
 
 /// A session's positions in the order driven, each with its stamp.
+#[derive(Default)]
 struct Session {
     name: String,
     positions: Vec<[f64; 3]>,
     stamps: Vec<Stamp>,
+    /// Positions that the way to is not known.
+    breaks: Vec<usize>,
+    /// The stretch of the last keyframe.
+    stretch: Option<u32>,
 }
 
 impl Session {
+    fn add(&mut self, position: [f64; 3], stamp: Stamp, stretch: Option<u32>) {
+        let before = self.stretch;
+        self.stretch = stretch.or(before);
+        if before.is_some() && self.stretch != before {
+            self.breaks.push(self.positions.len());
+        }
+        self.positions.push(position);
+        self.stamps.push(stamp);
+    }
+
     fn drive(&self) -> Trace<'_> {
         Trace {
             key: &self.name,
             positions: &self.positions,
+            breaks: &self.breaks,
         }
     }
 }
 
-/// The sessions, ordered by name as the poses are.
-fn drives(poses: Vec<VehiclePose>, emit: &mut Emit<'_>) -> Vec<Session> {
+/// The sessions, ordered by name as the poses are; broken where the stretch of the keyframes that poses are of changes.
+fn drives(poses: Vec<VehiclePose>, keyframes: &[Keyframe], emit: &mut Emit<'_>) -> Vec<Session> {
+    let stretches: BTreeMap<(&str, Stamp), u32> = keyframes
+        .iter()
+        .map(|row| ((row.session.as_str(), row.stamp), row.stretch))
+        .collect();
     let mut drives: Vec<Session> = Vec::new();
     for VehiclePose {
         session,
@@ -93,16 +117,15 @@ fn drives(poses: Vec<VehiclePose>, emit: &mut Emit<'_>) -> Vec<Session> {
             emit.skip("position is not finite", 1);
             continue;
         }
-        match drives.last_mut() {
-            Some(last) if last.name == session => {
-                last.positions.push(position);
-                last.stamps.push(stamp);
-            }
-            _ => drives.push(Session {
+        let stretch = stretches.get(&(session.as_str(), stamp)).copied();
+        if drives.last().is_none_or(|last| last.name != session) {
+            drives.push(Session {
                 name: session,
-                positions: vec![position],
-                stamps: vec![stamp],
-            }),
+                ..Session::default()
+            });
+        }
+        if let Some(drive) = drives.last_mut() {
+            drive.add(position, stamp, stretch);
         }
     }
     drives

@@ -20,7 +20,9 @@ pub(crate) struct DriveKeyframe {
     pub(crate) stamp: Stamp,
     /// Its number within the session.
     pub(crate) number: u32,
-    /// The vehicle in the drifting odometry frame.
+    /// The stretch of unbroken odometry that it lies in.
+    pub(crate) stretch: u32,
+    /// The vehicle in the drifting odometry frame of that stretch.
     pub(crate) odom_from_vehicle: Pose,
     /// What its cameras saw, in the rig's order.
     pub(crate) features: KeyframeFeatures,
@@ -57,6 +59,7 @@ pub(crate) fn drives(
         drive.keyframes.push(DriveKeyframe {
             stamp: row.stamp,
             number: row.keyframe,
+            stretch: row.stretch,
             odom_from_vehicle,
             features: KeyframeFeatures::default(),
         });

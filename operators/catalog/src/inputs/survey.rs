@@ -21,7 +21,7 @@ pub(crate) struct SurveyKeyframe {
     pub(crate) stamp: Stamp,
 }
 
-/// Keyframes with poses, images and features of a site.
+/// Keyframes with poses, images and features of a site. Each stretch of unbroken odometry is a session of the scene.
 pub(crate) struct Survey {
     /// What was seen.
     pub(crate) scene: Scene,
@@ -76,7 +76,7 @@ impl Survey {
     }
 
     fn add(&mut self, session: String, drive: Drive, poses: &BTreeMap<u32, Pose>) {
-        let mut kept = Vec::new();
+        let mut stretches: Vec<(u32, Vec<_>)> = Vec::new();
         let numbers = self.numbers.entry(session.clone()).or_default();
         for keyframe in drive.keyframes {
             let Some(pose) = poses.get(&keyframe.number) else {
@@ -89,12 +89,18 @@ impl Survey {
                 number: keyframe.number,
                 stamp: keyframe.stamp,
             });
-            kept.push((keyframe.odom_from_vehicle, keyframe.features));
+            let kept = (keyframe.odom_from_vehicle, keyframe.features);
+            match stretches.last_mut() {
+                Some((stretch, all)) if *stretch == keyframe.stretch => all.push(kept),
+                _ => stretches.push((keyframe.stretch, vec![kept])),
+            }
         }
         let cameras = drive.rig.cameras.iter().zip(0_u32..);
         let cameras = cameras.map(|(camera, at)| (camera.name.clone(), at));
         self.cameras.insert(session, cameras.collect());
-        self.scene.add_session(&drive.rig, kept);
+        for (_, kept) in stretches {
+            self.scene.add_session(&drive.rig, kept);
+        }
     }
 
     /// The index of a keyframe.

@@ -12,7 +12,7 @@ pub struct Keyframes;
 
 impl Operator for Keyframes {
     const NAME: &'static str = "keyframes";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("keyframes.md");
     type Params = KeyframeParams;
     type Output = Keyframe;
@@ -116,6 +116,7 @@ impl Session {
             stamp: Stamp(keyframe.stamp),
             keyframe: keyframe.number,
             distance_m: keyframe.distance_m,
+            stretch: keyframe.stretch,
             odom_from_vehicle: evermap_schemas::Pose::from_array(
                 keyframe.odom_from_vehicle.to_array(),
             ),

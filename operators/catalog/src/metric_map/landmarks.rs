@@ -95,6 +95,7 @@ fn keyframe(row: &AdjustedPose) -> Keyframe {
         stamp: row.stamp,
         keyframe: row.keyframe,
         distance_m: 0.0,
+        stretch: 0,
         odom_from_vehicle: row.map_from_vehicle.clone(),
         images: Vec::new(),
     }

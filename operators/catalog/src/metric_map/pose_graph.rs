@@ -19,7 +19,7 @@ pub struct PoseGraph;
 
 impl Operator for PoseGraph {
     const NAME: &'static str = "pose_graph";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("pose_graph.md");
     type Params = DriveParams;
     type Output = GraphPose;
@@ -45,7 +45,7 @@ struct Stretches {
 
 impl Stretches {
     /// Of rows by session and stamp.
-    fn new(rows: Vec<Keyframe>, known: &Known, params: &DriveParams, emit: &mut Emit<'_>) -> Self {
+    fn new(rows: Vec<Keyframe>, known: &Known, emit: &mut Emit<'_>) -> Self {
         let posed = rows.into_iter().filter_map(|row| {
             let Ok(odom_from_vehicle) = Pose::from_array(row.odom_from_vehicle.to_array()) else {
                 emit.skip("keyframe's pose is no rigid transform", 1);
@@ -60,8 +60,8 @@ impl Stretches {
             Some((row, at))
         });
         let posed: Vec<(Keyframe, DrivePose)> = posed.collect();
-        let goes_on = |(before, from): &(Keyframe, _), (row, to): &(Keyframe, _)| {
-            before.session == row.session && params.connects(from, to)
+        let goes_on = |(before, _): &(Keyframe, _), (row, _): &(Keyframe, _)| {
+            (&before.session, before.stretch) == (&row.session, row.stretch)
         };
         let mut stretches = Self::default();
         for (drive, stretch) in posed.chunk_by(goes_on).enumerate() {
@@ -105,7 +105,7 @@ fn relax(
         return Ok(());
     };
     let known = known(sides.rows("previous")?);
-    let stretches = Stretches::new(keyframes, &known, params, emit);
+    let stretches = Stretches::new(keyframes, &known, emit);
     let (rows, loops) = loops(sides.rows("loop_closures")?, &stretches, emit);
     let (localised, fixes) = fixes(sides.rows("localisations")?, &stretches, emit);
     let begins = known.is_empty() && !localised;

@@ -26,7 +26,7 @@ impl Default for SpeedsParams {
 
 impl Operator for Speeds {
     const NAME: &'static str = "speeds";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("speeds.md");
     type Params = SpeedsParams;
     type Output = Speed;

@@ -12,7 +12,7 @@ pub struct Tracks;
 
 impl Operator for Tracks {
     const NAME: &'static str = "tracks";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("tracks.md");
     type Params = OfVehicle<TrackParams>;
     type Output = Track;
@@ -67,6 +67,7 @@ fn of_drive(drive: &Drive, params: &TrackParams) -> Vec<Vec<TrackPoint>> {
         .iter()
         .filter_map(|keyframe| {
             Some(CameraFrame {
+                stretch: keyframe.stretch,
                 odom_from_camera: keyframe
                     .odom_from_vehicle
                     .compose(&mounted.vehicle_from_camera),

@@ -210,14 +210,15 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
     #[test]
     fn whatever_is_driven_keyframes_are_ordered_unique_and_posed_on_the_path(
-        steps in prop::collection::vec((1..80_i64, -0.3..0.6_f64), 1..120),
+        // Milliseconds, and metres per second: no step is a jump.
+        steps in prop::collection::vec((1..80_i64, -1.0..3.0_f64), 1..120),
         exposures in prop::collection::vec((0..4_000_i64, 0..3_usize), 0..120),
     ) {
         let (mut stamp, mut x) = (0, 0.0);
         let mut rows = vec![odometry(0, 0.0)];
-        for (wait, step) in steps {
+        for (wait, speed_mps) in steps {
             stamp += wait * MS;
-            x += step;
+            x += speed_mps * wait as f64 * 1e-3;
             rows.push(odometry(stamp, x));
         }
         let frames = exposures.into_iter().map(|(at, camera)| frame(["a", "b", "c"][camera], at * MS)).collect();

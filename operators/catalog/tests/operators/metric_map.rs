@@ -130,6 +130,7 @@ fn keyframes(drive: &Drive) -> Vec<Keyframe> {
         stamp: Stamp(keyframe as i64),
         keyframe: keyframe as u32,
         distance_m: 0.0,
+        stretch: 0,
         odom_from_vehicle: pose_row(pose),
         images: Vec::new(),
     };

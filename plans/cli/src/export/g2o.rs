@@ -50,7 +50,7 @@ fn graph(
     let uncertain = DriveParams::default();
     for pair in keyframes.windows(2) {
         let [from, to] = [&pair[0], &pair[1]];
-        if from.session == to.session {
+        if (&from.session, from.stretch) == (&to.session, to.stretch) {
             let ends = [from, to].map(|row| index[&(row.session.clone(), row.stamp)]);
             edges.push(uncertain.odometry_edge(ends, [&driven(from)?, &driven(to)?]));
         }
@@ -109,6 +109,7 @@ mod tests {
             stamp: Stamp(i64::from(number)),
             keyframe: number,
             distance_m: x,
+            stretch: 0,
             odom_from_vehicle: at(x),
             images: vec![],
         }

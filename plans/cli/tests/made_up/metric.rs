@@ -36,6 +36,7 @@ pub fn keyframes(poses: &[VehiclePose]) -> Vec<Keyframe> {
             stamp: pose.stamp,
             keyframe: k,
             distance_m: 0.2 * f64::from(k),
+            stretch: 0,
             odom_from_vehicle: yawed(
                 x * turn.cos() - y * turn.sin(),
                 x * turn.sin() + y * turn.cos(),

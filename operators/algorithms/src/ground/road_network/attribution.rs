@@ -13,16 +13,17 @@ use super::graph::Graph;
 use super::thinning::Visit;
 use std::collections::BTreeMap;
 
-/// A drive by its place in the sorted list, with its first and last pose.
+/// A drive by its key, with its first and last pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Span {
-    drive: usize,
+struct Span<'a> {
+    drive: &'a str,
     first: u32,
     last: u32,
 }
 
 /// For each chain the drives that passed along it, in order; never empty. A chain that no drive
-/// followed only joins places that are near each other: it has the passages of its places.
+/// followed only joins places that are near each other: it has the passages of its places. `keys` says for each list of
+/// visits whose drive it is part of.
 pub(super) fn passages(
     graph: &Graph,
     chains: &[Chain],
@@ -30,9 +31,9 @@ pub(super) fn passages(
     drives: &[Vec<Visit>],
     keys: &[&str],
 ) -> Vec<Vec<Passage>> {
-    let mut spans: Vec<Vec<Span>> = vec![Vec::new(); chains.len()];
+    let mut spans: Vec<Vec<Span<'_>>> = vec![Vec::new(); chains.len()];
     let places = own_places(graph, chains);
-    for (drive, visits) in drives.iter().enumerate() {
+    for (drive, visits) in keys.iter().zip(drives) {
         let mut before: Option<(u32, Visit)> = None;
         for &visit in visits {
             let node = graph.standing_for(visit.node);
@@ -46,13 +47,13 @@ pub(super) fn passages(
             }
         }
     }
-    attribute_joints(graph, chains, drives, &mut spans);
-    let passage = |span: Span| Passage {
-        drive: keys.get(span.drive).copied().unwrap_or_default().to_owned(),
+    attribute_joints(graph, chains, drives, keys, &mut spans);
+    let passage = |span: Span<'_>| Passage {
+        drive: span.drive.to_owned(),
         first: span.first as usize,
         last: span.last as usize,
     };
-    let named = |spans: Vec<Span>| spans.into_iter().map(passage).collect();
+    let named = |spans: Vec<Span<'_>>| spans.into_iter().map(passage).collect();
     spans.into_iter().map(named).collect()
 }
 
@@ -67,11 +68,12 @@ fn own_places(graph: &Graph, chains: &[Chain]) -> BTreeMap<u32, usize> {
 }
 
 /// Gives chains without a passage those of all their nodes.
-fn attribute_joints(
+fn attribute_joints<'a>(
     graph: &Graph,
     chains: &[Chain],
     drives: &[Vec<Visit>],
-    spans: &mut [Vec<Span>],
+    keys: &[&'a str],
+    spans: &mut [Vec<Span<'a>>],
 ) {
     let mut joints: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
     for (lane, chain) in chains.iter().enumerate() {
@@ -82,7 +84,7 @@ fn attribute_joints(
     if joints.is_empty() {
         return;
     }
-    for (drive, visits) in drives.iter().enumerate() {
+    for (drive, visits) in keys.iter().zip(drives) {
         for visit in visits {
             let lanes = joints.get(&graph.standing_for(visit.node));
             for &lane in lanes.into_iter().flatten() {
@@ -93,7 +95,7 @@ fn attribute_joints(
 }
 
 /// Drives come one after the other, so that only the last span can be this drive's.
-fn extend(spans: &mut Vec<Span>, drive: usize, first: u32, last: u32) {
+fn extend<'a>(spans: &mut Vec<Span<'a>>, drive: &'a str, first: u32, last: u32) {
     match spans.last_mut() {
         Some(span) if span.drive == drive => {
             span.first = span.first.min(first);

@@ -84,13 +84,13 @@ impl Graph {
 
 /// Algorithm 1, lines 1–12: connect all within `connect_m`, but not what followed within the same
 /// drive while it stayed within `connect_m`; then connect in the order driven. `most_followers`
-/// bounds how far ahead the second step looks, for drives that stand and tremble for hours.
+/// bounds how far ahead the second step looks, for drives that stand and tremble for hours. Gives the visits, too.
 pub(super) fn connect(
     visits: Visits,
     connect_m: f64,
     most_followers: usize,
 ) -> (Graph, Vec<Vec<Visit>>) {
-    let Visits { nodes, drives } = visits;
+    let Visits { nodes, drives, .. } = visits;
     let followed = followers(&nodes, &drives, connect_m, most_followers);
     let mut graph = Graph::new(nodes);
     let mut index = CellIndex::new(connect_m);

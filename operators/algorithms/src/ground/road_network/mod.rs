@@ -54,6 +54,9 @@ pub struct Trace<'a> {
     pub key: &'a str,
     /// Positions in the map frame, metres. Those that are not finite are skipped.
     pub positions: &'a [[f64; 3]],
+    /// Indices of positions, ascending, that nobody knows the way to from the position before: what the drive went along
+    /// is cut there.
+    pub breaks: &'a [usize],
 }
 
 /// How passes become lanes.
@@ -238,17 +241,18 @@ pub fn road_network(
     check(drives, params)?;
     let mut sorted = drives.to_vec();
     sorted.sort_by(|a, b| a.key.cmp(b.key));
-    let (mut graph, visited) = if params.spacing_m() > 0.0 {
+    let (visits, most_followers) = if params.spacing_m() > 0.0 {
         let visits = thinning::thinned(&sorted, params.spacing_m(), params.connect_m);
-        graph::connect(visits, params.connect_m, MOST_FOLLOWERS)
+        (visits, MOST_FOLLOWERS)
     } else {
-        graph::connect(thinning::literal(&sorted), params.connect_m, usize::MAX)
+        (thinning::literal(&sorted), usize::MAX)
     };
+    let keys: Vec<&str> = visits.of.iter().map(|drive| sorted[*drive].key).collect();
+    let (mut graph, visited) = graph::connect(visits, params.connect_m, most_followers);
     prune(&mut graph, params);
     let chains = explore::chains(&graph);
     let steps = direction::steps(&graph, &chains);
     let driven = direction::replay(&graph, chains.len(), &steps, &visited, params.connect_m);
-    let keys: Vec<&str> = sorted.iter().map(|drive| drive.key).collect();
     let passages = attribution::passages(&graph, &chains, &steps, &visited, &keys);
     let names = Names::new(&graph);
     let lanes = chains

@@ -54,27 +54,45 @@ impl Visit {
     }
 }
 
-/// Nodes and, for every drive, the nodes it visits in order (no node twice in a row).
+/// Nodes and, for every unbroken part of a drive, the nodes it visits in order (no node twice in a row).
+#[derive(Default)]
 pub(super) struct Visits {
     pub(super) nodes: Vec<[f64; 3]>,
+    /// A drive's parts in order, drive after drive.
     pub(super) drives: Vec<Vec<Visit>>,
+    /// By part: the index of its drive.
+    pub(super) of: Vec<usize>,
+}
+
+impl Visits {
+    fn begin(&mut self, drive: usize) {
+        self.drives.push(Vec::new());
+        self.of.push(drive);
+    }
+
+    /// The drive's next sample lies at this node, between two poses.
+    fn visit(&mut self, node: u32, first: u32, last: u32) {
+        let Some(visited) = self.drives.last_mut() else {
+            return;
+        };
+        match visited.last_mut() {
+            Some(visit) if visit.node == node => (visit.leaving, visit.last) = (first, last),
+            _ => visited.push(Visit::new(node, first, last)),
+        }
+    }
 }
 
 /// Every pose is a node, as in the paper.
 pub(super) fn literal(drives: &[Trace<'_>]) -> Visits {
-    let mut visits = Visits {
-        nodes: Vec::new(),
-        drives: Vec::new(),
-    };
-    for drive in drives {
-        let poses = (0_u32..).zip(drive.positions);
-        let visited = poses.filter(|(_, position)| finite(position));
-        let visited = visited.map(|(at, position)| {
-            visits.nodes.push(*position);
-            Visit::new(visits.nodes.len() as u32 - 1, at, at)
-        });
-        let visited = visited.collect();
-        visits.drives.push(visited);
+    let mut visits = Visits::default();
+    for (number, drive) in drives.iter().enumerate() {
+        for part in parts(drive) {
+            visits.begin(number);
+            for (at, position) in part {
+                visits.nodes.push(position);
+                visits.visit(visits.nodes.len() as u32 - 1, at, at);
+            }
+        }
     }
     visits
 }
@@ -89,27 +107,37 @@ pub(super) fn thinned(drives: &[Trace<'_>], spacing_m: f64, connect_m: f64) -> V
         connect_m,
         fresh: Vec::new(),
     };
-    let drives = drives
-        .iter()
-        .map(|drive| {
-            let mut visited: Vec<Visit> = Vec::new();
+    let mut visits = Visits::default();
+    for (number, drive) in drives.iter().enumerate() {
+        for part in parts(drive) {
+            visits.begin(number);
             net.fresh.clear();
-            resample(drive.positions, spacing_m, |sample, first, last| {
-                let node = net.lay(sample);
-                match visited.last_mut() {
-                    Some(visit) if visit.node == node => {
-                        (visit.leaving, visit.last) = (first, last)
-                    }
-                    _ => visited.push(Visit::new(node, first, last)),
-                }
+            resample(&part, spacing_m, |sample, first, last| {
+                visits.visit(net.lay(sample), first, last);
             });
-            visited
-        })
-        .collect();
+        }
+    }
     Visits {
         nodes: net.nodes,
-        drives,
+        ..visits
     }
+}
+
+/// The unbroken parts of a drive: finite positions with their numbers.
+fn parts(drive: &Trace<'_>) -> Vec<Vec<(u32, [f64; 3])>> {
+    let mut parts = vec![Vec::new()];
+    let mut breaks = drive.breaks.iter().peekable();
+    for (at, position) in (0_u32..).zip(drive.positions) {
+        if breaks.next_if(|found| **found <= at as usize).is_some() {
+            parts.push(Vec::new());
+        }
+        if let Some(part) = parts.last_mut()
+            && finite(position)
+        {
+            part.push((at, *position));
+        }
+    }
+    parts
 }
 
 struct Net {
@@ -162,13 +190,13 @@ fn finite(position: &[f64; 3]) -> bool {
     position.iter().all(|x| x.is_finite())
 }
 
-/// The drive's poses, with samples between those that are far apart; each sample with the numbers
-/// of the poses that it lies between, which for a pose are its own.
-fn resample(positions: &[[f64; 3]], spacing_m: f64, mut sample: impl FnMut([f64; 3], u32, u32)) {
+/// The poses, with samples between those that are far apart; each sample with the numbers of the poses that it lies
+/// between, which for a pose are its own.
+fn resample(poses: &[(u32, [f64; 3])], spacing_m: f64, mut sample: impl FnMut([f64; 3], u32, u32)) {
     let mut before: Option<(u32, [f64; 3])> = None;
-    for (at, position) in (0_u32..).zip(positions).filter(|(_, p)| finite(p)) {
+    for (at, position) in poses.iter().copied() {
         if let Some((left, from)) = before {
-            let spacings = distance(&from, position) / spacing_m;
+            let spacings = distance(&from, &position) / spacing_m;
             if spacings <= LONGEST_FILLED_STEP {
                 let parts = (spacings * SAMPLES_PER_SPACING).ceil();
                 for part in 1..parts as u32 {
@@ -178,7 +206,7 @@ fn resample(positions: &[[f64; 3]], spacing_m: f64, mut sample: impl FnMut([f64;
                 }
             }
         }
-        sample(*position, at, at);
-        before = Some((at, *position));
+        sample(position, at, at);
+        before = Some((at, position));
     }
 }

@@ -30,10 +30,19 @@ impl<I> FrameSet<I> {
     }
 }
 
+/// A frame set that odometry has passed.
+#[derive(Debug, Clone)]
+pub(super) struct Placed<I> {
+    pub(super) set: FrameSet<I>,
+    pub(super) pose: Pose,
+    /// The stretch of odometry that it lies in.
+    pub(super) stretch: u32,
+}
+
 /// A session's frame sets: those that odometry has passed have a pose.
 #[derive(Debug, Clone)]
 pub(super) struct FrameSets<I> {
-    pub(super) placed: VecDeque<(FrameSet<I>, Pose)>,
+    pub(super) placed: VecDeque<Placed<I>>,
     pub(super) ahead: VecDeque<FrameSet<I>>,
     /// Exposures left out: the camera has another one with their stamp.
     pub(super) repeated: u64,
@@ -63,16 +72,16 @@ impl<I> FrameSets<I> {
         }
     }
 
-    /// Gives a pose to the frame sets up to `to`; those that lie before `from`, or before `to` where there is no
-    /// path between the two, have none and are dropped.
-    pub(super) fn place(&mut self, from: Option<(i64, &Pose)>, to: (i64, &Pose)) {
+    /// Gives a pose of this stretch to the frame sets up to `to`; those that lie before `from`, or before `to` where
+    /// there is no path between the two, have none and are dropped.
+    pub(super) fn place(&mut self, stretch: u32, from: Option<(i64, &Pose)>, to: (i64, &Pose)) {
         while let Some(set) = self.ahead.pop_front_if(|set| set.stamp <= to.0) {
             let from = from
                 .filter(|from| from.0 < set.stamp)
                 .or((set.stamp == to.0).then_some(to));
             if let Some(from) = from {
                 let pose = Pose::at_stamp(set.stamp, from, to);
-                self.placed.push_back((set, pose));
+                self.placed.push_back(Placed { set, pose, stretch });
             }
         }
     }
@@ -118,11 +127,11 @@ mod tests {
     fn sets_are_placed_on_the_path_or_dropped() {
         let mut sets = sets(&[("a", 0), ("a", 50), ("a", 150), ("a", 250), ("a", 400)]);
         let at = |x: f64| Pose::from_yaw(x, 0.0, 0.0);
-        sets.place(None, (50, &at(1.0)));
-        sets.place(Some((50, &at(1.0))), (250, &at(3.0)));
+        sets.place(0, None, (50, &at(1.0)));
+        sets.place(0, Some((50, &at(1.0))), (250, &at(3.0)));
         let placed = sets.placed.iter();
         let placed: Vec<_> = placed
-            .map(|(set, pose)| (set.stamp, pose.translation.x))
+            .map(|placed| (placed.set.stamp, placed.pose.translation.x))
             .collect();
         assert_eq!(placed, [(50, 1.0), (150, 2.0), (250, 3.0)]);
         assert_eq!(sets.ahead.len(), 1);

@@ -2,8 +2,10 @@
 
 use std::collections::VecDeque;
 
-use super::frame_sets::{FrameSet, FrameSets};
-use super::{DriveLosses, Due, Exposure, KeyframeParams, KeyframeSelector};
+use super::continuity::{Continued, Continuity};
+use super::frame_sets::{FrameSet, FrameSets, Placed};
+use super::selector::{Due, KeyframeSelector};
+use super::{DriveLosses, Exposure, KeyframeParams};
 use crate::geometry::pose::Pose;
 
 /// One keyframe.
@@ -13,9 +15,11 @@ pub struct Keyframe<I> {
     pub number: u32,
     /// That of its frame set; without images, when the path length was reached. ns UTC.
     pub stamp: i64,
-    /// Pose of the vehicle at that stamp, in the frame of the odometry.
+    /// The stretch of unbroken odometry that it lies in: 0, and one more behind each break.
+    pub stretch: u32,
+    /// Pose of the vehicle at that stamp, in the frame that the stretch's odometry began in.
     pub odom_from_vehicle: Pose,
-    /// Driven path since the start, without jumps, metres.
+    /// Driven path since the start, without breaks, metres.
     pub distance_m: f64,
     /// Its images, by camera; none where no frame set came in time.
     pub exposures: Vec<Exposure<I>>,
@@ -24,6 +28,7 @@ pub struct Keyframe<I> {
 /// One drive at work: odometry goes in, due points come up, and wait for their frame set.
 #[derive(Debug, Clone)]
 pub struct Keyframer<I> {
+    continuity: Continuity,
     path: Path,
     sets: FrameSets<I>,
     max_wait_ns: i64,
@@ -39,6 +44,7 @@ impl<I> Keyframer<I> {
     /// parameters have passed [`KeyframeParams::check`].
     pub fn new(params: KeyframeParams, exposures: Vec<Exposure<I>>) -> Self {
         Self {
+            continuity: Continuity::new(params.limits),
             path: Path::new(KeyframeSelector::new(params)),
             sets: FrameSets::new(exposures, nanoseconds(params.max_gap_s)),
             max_wait_ns: nanoseconds(params.max_wait_s),
@@ -50,17 +56,17 @@ impl<I> Keyframer<I> {
 
     /// Takes the next odometry message, and gives the keyframes that nothing which is still to come can change.
     pub fn push(&mut self, stamp: i64, odom_from_vehicle: &Pose) -> Vec<Keyframe<I>> {
-        let before = self.path.selector.losses();
-        let jumped = self.path.push(stamp, odom_from_vehicle);
-        let after = self.path.selector.losses();
-        let refused = |losses: DriveLosses| losses.out_of_order + losses.not_finite;
-        if refused(after) > refused(before) {
+        let Some(Continued { pose, anew }) = self.continuity.push(stamp, odom_from_vehicle) else {
             return Vec::new();
+        };
+        if anew {
+            self.path.selector.break_off();
         }
-        let from = self.previous.filter(|_| !jumped);
+        self.path.push(stamp, &pose);
+        let from = self.previous.filter(|_| !anew);
         let from = from.as_ref().map(|(stamp, pose)| (*stamp, pose));
-        self.sets.place(from, (stamp, odom_from_vehicle));
-        self.previous = Some((stamp, *odom_from_vehicle));
+        self.sets.place(self.path.stretch, from, (stamp, &pose));
+        self.previous = Some((stamp, pose));
         std::iter::from_fn(|| self.next(false)).collect()
     }
 
@@ -73,7 +79,7 @@ impl<I> Keyframer<I> {
     pub fn losses(&self) -> DriveLosses {
         DriveLosses {
             repeated_frames: self.sets.repeated,
-            ..self.path.selector.losses()
+            ..self.continuity.losses()
         }
     }
 
@@ -82,7 +88,7 @@ impl<I> Keyframer<I> {
         while self
             .sets
             .placed
-            .pop_front_if(|(set, _)| set.stamp < due.stamp)
+            .pop_front_if(|placed| placed.set.stamp < due.stamp)
             .is_some()
         {}
         let wait_ns = self.max_wait_ns;
@@ -91,36 +97,41 @@ impl<I> Keyframer<I> {
         {
             return None;
         }
-        let served = self.sets.placed.pop_front_if(|(set, _)| in_time(set));
-        let keyframe = match served {
-            Some((set, pose)) => self.of_set(set, pose),
-            None => self.keyframe(due.stamp, due.odom_from_vehicle, due.path_m, Vec::new()),
+        let serves = |placed: &mut Placed<I>| placed.stretch == due.stretch && in_time(&placed.set);
+        let keyframe = match self.sets.placed.pop_front_if(serves) {
+            Some(placed) => self.of_set(placed),
+            None => self.keyframe(due, Vec::new()),
         };
         self.path.due.pop_front();
         Some(keyframe)
     }
 
-    fn of_set(&mut self, mut set: FrameSet<I>, pose: Pose) -> Keyframe<I> {
+    fn of_set(&mut self, placed: Placed<I>) -> Keyframe<I> {
+        let Placed {
+            mut set,
+            pose,
+            stretch,
+        } = placed;
         set.exposures.sort_by(|a, b| a.camera.cmp(&b.camera));
-        let distance_m = self.path.distance_m(set.stamp, &pose);
-        self.keyframe(set.stamp, pose, distance_m, set.exposures)
+        let at = Due {
+            stamp: set.stamp,
+            odom_from_vehicle: pose,
+            path_m: self.path.distance_m(set.stamp, &pose),
+            stretch,
+        };
+        self.keyframe(at, set.exposures)
     }
 
-    fn keyframe(
-        &mut self,
-        stamp: i64,
-        odom_from_vehicle: Pose,
-        distance_m: f64,
-        exposures: Vec<Exposure<I>>,
-    ) -> Keyframe<I> {
+    fn keyframe(&mut self, at: Due, exposures: Vec<Exposure<I>>) -> Keyframe<I> {
         let number = self.given;
         self.given = self.given.saturating_add(1);
-        self.last = Some(stamp);
+        self.last = Some(at.stamp);
         Keyframe {
             number,
-            stamp,
-            odom_from_vehicle,
-            distance_m,
+            stamp: at.stamp,
+            stretch: at.stretch,
+            odom_from_vehicle: at.odom_from_vehicle,
+            distance_m: at.path_m,
             exposures,
         }
     }
@@ -130,13 +141,13 @@ fn nanoseconds(seconds: f64) -> i64 {
     (seconds * 1e9).round() as i64
 }
 
-/// The driven path, as due points that no frame set has served yet; their path goes on over runs.
+/// The driven path, as due points that no frame set has served yet; their path goes on over stretches.
 #[derive(Debug, Clone)]
 struct Path {
     selector: KeyframeSelector,
-    run: u32,
-    /// Path driven in the runs before this one.
-    before_run_m: f64,
+    stretch: u32,
+    /// Path driven in the stretches before this one.
+    before_stretch_m: f64,
     due: VecDeque<Due>,
     last_m: f64,
 }
@@ -145,26 +156,23 @@ impl Path {
     fn new(selector: KeyframeSelector) -> Self {
         Self {
             selector,
-            run: 0,
-            before_run_m: 0.0,
+            stretch: 0,
+            before_stretch_m: 0.0,
             due: VecDeque::new(),
             last_m: 0.0,
         }
     }
 
-    /// Whether this pose lies beyond a jump.
-    fn push(&mut self, stamp: i64, pose: &Pose) -> bool {
-        let before = self.run;
+    fn push(&mut self, stamp: i64, pose: &Pose) {
         for mut due in self.selector.push(stamp, pose) {
-            if due.run != self.run {
-                self.run = due.run;
-                self.before_run_m = self.last_m;
+            if due.stretch != self.stretch {
+                self.stretch = due.stretch;
+                self.before_stretch_m = self.last_m;
             }
-            due.path_m += self.before_run_m;
+            due.path_m += self.before_stretch_m;
             self.last_m = due.path_m;
             self.due.push_back(due);
         }
-        self.run != before
     }
 
     /// The next due point after an instant; those up to it are dropped.
@@ -239,8 +247,35 @@ mod tests {
 
     #[test]
     fn path_goes_on_over_a_jump_but_no_frame_set_lies_in_it() {
-        let odometry = [(0, 0.0), (2, 2.0), (4, 100.0), (5, 101.0)];
+        let odometry = [(0, 0.0), (2, 2.0), (4, 300.0), (5, 301.0)];
         let found = drive(&odometry, &[(3, "a"), (5, "a")]);
         assert_eq!(found, [(0, 0.0, 0), (1, 1.0, 0), (2, 2.0, 0), (5, 3.0, 1)]);
+    }
+
+    #[test]
+    fn no_frame_set_serves_a_due_point_of_another_stretch() {
+        let mut keyframer = Keyframer::new(
+            KeyframeParams {
+                baseline_m: 1.0,
+                ..KeyframeParams::default()
+            },
+            vec![Exposure {
+                stamp: 26 * S / 10,
+                camera: "a".into(),
+                image: (),
+            }],
+        );
+        let odometry = [(0, 0.0), (20, 2.0), (25, 300.0), (35, 301.0)];
+        let mut found = Vec::new();
+        for (tenth, x) in odometry {
+            let pose = Pose::from_yaw(x, 0.0, 0.0);
+            found.extend(keyframer.push(tenth * S / 10, &pose));
+        }
+        found.extend(keyframer.finish());
+        let short = found
+            .iter()
+            .map(|of| (of.stamp * 10 / S, of.stretch, of.exposures.len()));
+        let expected = [(0, 0, 0), (10, 0, 0), (20, 0, 0), (26, 1, 1), (35, 1, 0)];
+        assert_eq!(short.collect::<Vec<_>>(), expected);
     }
 }

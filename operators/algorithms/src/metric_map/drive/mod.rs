@@ -1,10 +1,10 @@
 //! Keyframes by driven path, not by time.
 //!
 //! ```text
-//! odometry ──► KeyframeSelector ──► due points ──┐
-//!    │                                           ├──► Keyframer ──► keyframes
-//!    └──► poses of ──► FrameSets ────────────────┘
-//! frames ──────────┘
+//! odometry ──► Continuity ──► KeyframeSelector ──► due points ──┐
+//!                  │                                          ├──► Keyframer ──► keyframes
+//!                  └──► poses of ──► FrameSets ───────────────┘
+//! frames ─────────────────────────┘
 //! ```
 //!
 //! A map wants a picture every so many metres: a car that waits adds nothing, a car that reverses
@@ -21,11 +21,12 @@
 //! * **Waiting, then leaving.** Inside a chord the stamp is that of the *last* time the distance
 //!   was passed on the way out, so a minute of standing is not smeared into the first metre.
 //!
-//! Reversing is driven path like any other. A step longer than `jump_m` is not: the odometry was
-//! reset, so a new run starts there with a keyframe of its own.
+//! Reversing is driven path like any other. A step that no vehicle can make is not: the odometry was
+//! set anew. It is continued, or a new stretch starts there with a keyframe of its own ([`MotionLimits`]).
 //!
 //! Where there are images, a keyframe is the first frame set at or after the due point.
 
+mod continuity;
 mod frame_sets;
 mod keyframer;
 mod selector;
@@ -34,9 +35,9 @@ mod speed;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use continuity::MotionLimits;
 pub use frame_sets::Exposure;
 pub use keyframer::{Keyframe, Keyframer};
-pub use selector::{Due, KeyframeSelector};
 pub use speed::{Speed, speeds};
 
 /// How keyframes are chosen.
@@ -51,10 +52,9 @@ pub struct KeyframeParams {
     /// enough to lose nothing on bends.
     #[schemars(range(min = 0.0))]
     pub deadband_m: f64,
-    /// A longer step between two messages (m) is a reset of the odometry, not driven path; a new keyframe is due there.
-    /// At 50 Hz no vehicle makes 10 m.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub jump_m: f64,
+    /// What tells driven path from odometry that was set anew.
+    #[serde(flatten)]
+    pub limits: MotionLimits,
     /// Spread of the stamps of one frame set (s). Half the period of paper 1's cameras (12.5 Hz), so that a frame is
     /// always nearer to its own set than to the next one.
     #[schemars(range(min = 0.0, max = 1e9))]
@@ -70,7 +70,7 @@ impl Default for KeyframeParams {
         Self {
             baseline_m: 0.2,
             deadband_m: 0.02,
-            jump_m: 10.0,
+            limits: MotionLimits::default(),
             max_gap_s: 0.04,
             max_wait_s: 1.0,
         }
@@ -80,8 +80,8 @@ impl Default for KeyframeParams {
 /// Lengths that do not go together.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error(
-    "expected deadband_m <= baseline_m and deadband_m < jump_m, found {deadband_m}, {baseline_m} and {jump_m}",
-    deadband_m = .found.deadband_m, baseline_m = .found.baseline_m, jump_m = .found.jump_m
+    "expected deadband_m <= baseline_m, found {deadband_m} and {baseline_m}",
+    deadband_m = .found.deadband_m, baseline_m = .found.baseline_m
 )]
 pub struct KeyframeParamsError {
     /// The parameters given.
@@ -94,7 +94,7 @@ impl KeyframeParams {
     /// # Errors
     /// [`KeyframeParamsError`] when the dead-band is longer than what it is part of.
     pub fn check(&self) -> Result<(), KeyframeParamsError> {
-        if self.deadband_m <= self.baseline_m && self.deadband_m < self.jump_m {
+        if self.deadband_m <= self.baseline_m {
             Ok(())
         } else {
             Err(KeyframeParamsError { found: *self })
@@ -109,7 +109,7 @@ pub struct DriveLosses {
     pub out_of_order: u64,
     /// Messages with a position that is not a number.
     pub not_finite: u64,
-    /// Steps longer than `jump_m`.
+    /// Steps that no vehicle can make.
     pub jumps: u64,
     /// Frames of a camera that has another one with their stamp.
     pub repeated_frames: u64,

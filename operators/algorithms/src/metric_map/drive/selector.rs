@@ -1,6 +1,6 @@
 //! Where the driven path reaches the next multiple of the baseline.
 
-use super::{DriveLosses, KeyframeParams};
+use super::KeyframeParams;
 use crate::geometry::pose::Pose;
 
 /// Where a keyframe is due.
@@ -10,10 +10,10 @@ pub struct Due {
     pub stamp: i64,
     /// Pose of the vehicle at that stamp, in the frame of the odometry.
     pub odom_from_vehicle: Pose,
-    /// Driven path since the start of the run, metres: a multiple of the baseline.
+    /// Driven path since the start of the stretch, metres: a multiple of the baseline.
     pub path_m: f64,
-    /// 0 for the first run; one more after each jump.
-    pub run: u32,
+    /// 0 for the first stretch; one more behind each break.
+    pub stretch: u32,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -37,13 +37,12 @@ pub struct KeyframeSelector {
     params: KeyframeParams,
     /// Path counted up to the anchor, metres.
     path_m: f64,
-    /// Number of due points given in this run.
+    /// Number of due points given in this stretch.
     given: u64,
-    run: u32,
+    stretch: u32,
     /// Since the anchor, in order of time and of distance; the first is the anchor, the last is
     /// the latest message. Empty before the first message.
     outward: Vec<Outward>,
-    losses: DriveLosses,
 }
 
 impl KeyframeSelector {
@@ -53,37 +52,23 @@ impl KeyframeSelector {
             params,
             path_m: 0.0,
             given: 0,
-            run: 0,
+            stretch: 0,
             outward: Vec::new(),
-            losses: DriveLosses::default(),
         }
     }
 
-    /// What was left out so far.
-    pub fn losses(&self) -> DriveLosses {
-        self.losses
+    /// The next pose begins a stretch: nobody knows how the vehicle came there.
+    pub fn break_off(&mut self) {
+        self.stretch += u32::from(!self.outward.is_empty());
+        self.outward.clear();
     }
 
-    /// Takes the next odometry message and gives the due points it reaches, mostly none.
+    /// Takes the next pose, later than the one before, and gives the due points it reaches, mostly none.
     pub fn push(&mut self, stamp: i64, odom_from_vehicle: &Pose) -> Vec<Due> {
-        if !odom_from_vehicle.translation.iter().all(|x| x.is_finite()) {
-            self.losses.not_finite += 1;
-            return Vec::new();
-        }
-        let Some((anchor, last)) = self.ends() else {
+        let Some(anchor) = self.outward.first() else {
             return vec![self.begin(stamp, odom_from_vehicle)];
         };
-        if stamp <= last.stamp {
-            self.losses.out_of_order += 1;
-            return Vec::new();
-        }
-        let position = odom_from_vehicle.translation;
-        if (position - last.pose.translation).norm() > self.params.jump_m {
-            self.losses.jumps += 1;
-            self.run += 1;
-            return vec![self.begin(stamp, odom_from_vehicle)];
-        }
-        let away_m = (position - anchor.pose.translation).norm();
+        let away_m = (odom_from_vehicle.translation - anchor.from.pose.translation).norm();
         self.extend(Sample {
             stamp,
             pose: *odom_from_vehicle,
@@ -95,12 +80,7 @@ impl KeyframeSelector {
         self.count_chord(away_m)
     }
 
-    /// Anchor and latest message.
-    fn ends(&self) -> Option<(Sample, Sample)> {
-        Some((self.outward.first()?.from, self.outward.last()?.from))
-    }
-
-    /// Starts a run: at its first pose a keyframe is due.
+    /// Starts a stretch: at its first pose a keyframe is due.
     fn begin(&mut self, stamp: i64, pose: &Pose) -> Due {
         self.path_m = 0.0;
         self.given = 1;
@@ -113,7 +93,7 @@ impl KeyframeSelector {
             stamp,
             odom_from_vehicle: *pose,
             path_m: 0.0,
-            run: self.run,
+            stretch: self.stretch,
         }
     }
 
@@ -161,13 +141,13 @@ impl KeyframeSelector {
                 stamp,
                 odom_from_vehicle,
                 path_m: due_m,
-                run: self.run,
+                stretch: self.stretch,
             });
             self.given += 1;
         }
         self.path_m = end_m;
-        if let Some((_, last)) = self.ends() {
-            self.anchor(last);
+        if let Some(last) = self.outward.last() {
+            self.anchor(last.from);
         }
         reached
     }
@@ -245,39 +225,29 @@ mod tests {
     }
 
     #[test]
-    fn a_reset_starts_a_new_run() {
+    fn a_break_starts_a_new_stretch() {
         let mut selector = KeyframeSelector::new(KeyframeParams::default());
-        assert_eq!(selector.push(0, &Pose::identity()).len(), 1);
-        let far = selector.push(1, &Pose::from_yaw(1e12, 0.0, 0.0));
-        assert_eq!((far.len(), far[0].run), (1, 1));
-        assert!(selector.push(1, &Pose::from_yaw(1e12, 1.0, 0.0)).is_empty());
-        assert!(
-            selector
-                .push(2, &Pose::from_yaw(f64::NAN, 1.0, 0.0))
-                .is_empty()
-        );
-        let expected = DriveLosses {
-            out_of_order: 1,
-            not_finite: 1,
-            jumps: 1,
-            repeated_frames: 0,
-        };
-        assert_eq!(selector.losses(), expected);
+        selector.break_off();
+        let first = selector.push(0, &Pose::identity());
+        selector.push(1, &Pose::from_yaw(0.5, 0.0, 0.0));
+        selector.break_off();
+        let far = selector.push(2, &Pose::from_yaw(1e12, 0.0, 0.0));
+        assert_eq!((first.len(), far.len()), (1, 1));
+        assert_eq!((first[0].stretch, far[0].stretch), (0, 1));
+        assert_eq!(far[0].path_m, 0.0);
     }
 
     #[test]
     fn senseless_parameters_are_refused() {
-        let refused = |baseline_m, deadband_m, jump_m| {
+        let refused = |baseline_m, deadband_m| {
             let params = KeyframeParams {
                 baseline_m,
                 deadband_m,
-                jump_m,
                 ..KeyframeParams::default()
             };
             params.check().is_err()
         };
-        assert!(refused(0.2, 0.3, 1.0) && refused(0.2, 0.02, 0.01));
-        assert!(refused(f64::NAN, 0.0, 1.0) && !refused(0.2, 0.02, 1.0));
+        assert!(refused(0.2, 0.3) && refused(f64::NAN, 0.0) && !refused(0.2, 0.02));
     }
 
     proptest! {

@@ -1,8 +1,18 @@
 //! Speed and acceleration along a driven path.
 
+use std::ops::Range;
+
 use nalgebra::{Matrix3, Vector3};
 
+use super::MotionLimits;
+use super::continuity::{Continued, Continuity};
 use crate::geometry::pose::Pose;
+
+/// A parabola needs so many points.
+const FEWEST: usize = 3;
+
+/// Messages farther away than this (s) say nothing of the speed: odometry at 1 Hz has the third one there at its ends.
+const LONGEST_S: f64 = 2.0;
 
 /// How fast a vehicle drove.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,39 +24,87 @@ pub struct Speed {
 }
 
 /// The speed at each message of a drive's odometry (stamp in ns, ascending, and pose): that of the parabola nearest to
-/// the path within half a window before and after it (Savitzky and Golay, 1964, for any spacing). None where the pose is
-/// no rigid transform, the stamp repeats, or fewer than three poses lie in the window.
+/// the path within half a window before and after it (Savitzky and Golay, 1964, for any spacing), or to the nearest three
+/// messages within two seconds where the window has fewer. None where the pose is no rigid transform, the stamp repeats,
+/// or there are no three. Nothing is laid across a jump that leaves open how the vehicle moved.
 pub fn speeds(odometry: &[(i64, [f64; 7])], window_s: f64) -> Vec<Option<Speed>> {
     let known = path(odometry);
-    let path: Vec<[f64; 2]> = known.iter().flatten().copied().collect();
-    let speeds = known.iter().map(|at| speed(&path, (*at)?, window_s / 2.0));
-    speeds.collect()
+    let path: Vec<Passed> = known.iter().flatten().copied().collect();
+    let mut here = 0..;
+    let mut at = |known: &Option<Passed>| {
+        let here = known.and_then(|_| here.next())?;
+        speed(&path, here, window_s / 2.0)
+    };
+    known.iter().map(&mut at).collect()
 }
 
-fn speed(path: &[[f64; 2]], [now_s, here_m]: [f64; 2], half_s: f64) -> Option<Speed> {
-    let first = path.partition_point(|[second, _]| *second < now_s - half_s);
-    let near = path[first..].iter();
-    let near = near.map(|[second, path_m]| [(second - now_s) / half_s, path_m - here_m]);
-    let [first, second] = derivatives(near.take_while(|[t, _]| *t <= 1.0))?;
+/// Where a message found the vehicle.
+#[derive(Debug, Clone, Copy)]
+struct Passed {
+    /// Since the first message.
+    second: f64,
+    /// Driven forward.
+    path_m: f64,
+    /// Stretch of unbroken odometry.
+    stretch: u32,
+}
+
+fn speed(path: &[Passed], here: usize, half_s: f64) -> Option<Speed> {
+    let window = window(path, here, half_s)?;
+    let Passed { second, path_m, .. } = path[here];
+    let near = &path[window];
+    let reach_s = near.iter().map(|at| (at.second - second).abs());
+    let scale_s = reach_s.fold(half_s, f64::max);
+    let points = near
+        .iter()
+        .map(|at| [(at.second - second) / scale_s, at.path_m - path_m]);
+    let [first, second] = derivatives(points)?;
     Some(Speed {
-        speed_mps: first / half_s,
-        acceleration_mps2: second / half_s.powi(2),
+        speed_mps: first / scale_s,
+        acceleration_mps2: second / scale_s.powi(2),
     })
 }
 
-/// By message: seconds since the first one, and metres driven forward.
-fn path(odometry: &[(i64, [f64; 7])]) -> Vec<Option<[f64; 2]>> {
-    let (mut before, mut path_m) = (None, 0.0);
+/// The messages of one stretch that are at most `half_s` from one of them, or else the nearest three.
+fn window(path: &[Passed], here: usize, half_s: f64) -> Option<Range<usize>> {
+    let away = |at: usize| {
+        let other = path.get(at).filter(|at| at.stretch == path[here].stretch)?;
+        Some((other.second - path[here].second).abs())
+    };
+    let (mut from, mut to) = (here, here + 1);
+    loop {
+        let before = from.checked_sub(1).and_then(away).unwrap_or(f64::INFINITY);
+        let after = away(to).unwrap_or(f64::INFINITY);
+        let nearest = before.min(after);
+        if nearest > half_s && (to - from >= FEWEST || nearest > LONGEST_S) {
+            return (to - from >= FEWEST).then_some(from..to);
+        }
+        if before < after {
+            from -= 1;
+        } else {
+            to += 1;
+        }
+    }
+}
+
+fn path(odometry: &[(i64, [f64; 7])]) -> Vec<Option<Passed>> {
+    let mut continuity = Continuity::new(MotionLimits::default());
+    let (mut last, mut path_m, mut stretch) = (None, 0.0, 0);
     let mut at = |(stamp, pose): &(i64, [f64; 7])| {
         let pose = Pose::from_array(*pose).ok()?;
-        let (last, last_pose) = before.unwrap_or((stamp.saturating_sub(1), pose));
-        if *stamp <= last {
-            return None;
+        let Continued { pose, anew } = continuity.push(*stamp, &pose)?;
+        let before: Pose = last.replace(pose).unwrap_or(pose);
+        if anew {
+            stretch += 1;
+        } else {
+            path_m += before.inverse().compose(&pose).translation.x;
         }
-        path_m += last_pose.inverse().compose(&pose).translation.x;
-        before = Some((*stamp, pose));
         let since = stamp.saturating_sub(odometry[0].0);
-        Some([since as f64 * 1e-9, path_m])
+        Some(Passed {
+            second: since as f64 * 1e-9,
+            path_m,
+            stretch,
+        })
     };
     odometry.iter().map(&mut at).collect()
 }
@@ -106,10 +164,26 @@ mod tests {
     }
 
     #[test]
+    fn a_hertz_is_enough_and_jumps_are_no_speed() {
+        let slow: Vec<_> = drive(|t| 3.0 * t, 20.0).into_iter().step_by(50).collect();
+        for found in speeds(&slow, 0.5) {
+            assert!((found.unwrap().speed_mps - 3.0).abs() < 0.05, "{found:?}");
+        }
+        let mut reset = drive(|t| 3.0 * t, 20.0);
+        let start = Pose::from_array(reset[100].1).unwrap();
+        for (_, pose) in &mut reset[100..] {
+            let here = Pose::from_array(*pose).unwrap();
+            *pose = start.inverse().compose(&here).to_array();
+        }
+        for found in speeds(&reset, 0.5) {
+            assert!((found.unwrap().speed_mps - 3.0).abs() < 0.05, "{found:?}");
+        }
+    }
+
+    #[test]
     fn what_has_no_speed() {
         let drive = drive(|t| t, 1e9);
         assert_eq!(speeds(&drive[..2], 0.5), [None, None]);
-        assert_eq!(speeds(&drive[..9], 0.03), [None; 9]);
         let mut broken = drive[..9].to_vec();
         broken[3].1 = [0.0; 7];
         broken[5].0 = broken[4].0;

@@ -12,6 +12,7 @@ use crate::metric_map::bundle_adjustment::{
 };
 use crate::metric_map::features::FeatureNoise;
 use crate::metric_map::odometry::OdometryScale;
+use crate::metric_map::pose_graph::robust::CUTOFF_SPATIAL;
 use crate::solving::least_squares::{self, Loss};
 
 /// Weights of adjustment.
@@ -37,9 +38,10 @@ pub struct AdjustParams {
     /// What a session's odometry scale is held by.
     #[serde(flatten)]
     pub odometry: OdometryScale,
-    /// Steps longer than this (m) are no odometry: it was reset.
+    /// Squared standard deviations of a step beyond which it counts less and less (dynamic covariance scaling): a wheel
+    /// slipped. χ² with six degrees of freedom, once in a thousand; below, a step counts fully.
     #[serde(skip)]
-    pub longest_step_m: f64,
+    pub odometry_cutoff: f64,
     /// Iterations of one adjustment between rounds.
     #[serde(skip)]
     pub iterations: usize,
@@ -56,7 +58,7 @@ impl Default for AdjustParams {
             odometry_sigma: [0.005, 0.005, 0.01, 0.01, 0.01, 0.003],
             odometry_sigma_per_m: [0.01, 0.01, 0.03, 0.02, 0.02, 0.006],
             odometry: OdometryScale::default(),
-            longest_step_m: 5.0,
+            odometry_cutoff: CUTOFF_SPATIAL,
             iterations: 8,
             last_iterations: 30,
         }
@@ -83,6 +85,7 @@ pub(super) fn adjust(
     let mut problem = problem(input, poses, landmarks, params);
     let options = Options {
         observation_loss: loss,
+        odometry_loss: Loss::DynamicCovarianceScaling(params.odometry_cutoff),
         scale_sigma: params.odometry.sigma,
         least_squares: least_squares::Options {
             max_iterations: iterations,
@@ -176,7 +179,7 @@ fn odometry(scene: &Scene, params: &AdjustParams) -> Vec<Odometry> {
             .inverse()
             .compose(&pair[1].odom_from_vehicle);
         let length_m = from_from_to.translation.norm();
-        if length_m.is_nan() || length_m > params.longest_step_m {
+        if !length_m.is_finite() {
             continue;
         }
         steps.push(Odometry {

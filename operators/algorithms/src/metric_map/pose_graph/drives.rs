@@ -109,17 +109,6 @@ pub struct DriveParams {
     /// about once in 10⁴, three practically never.
     #[schemars(range(min = 1))]
     pub places: usize,
-    /// Keyframes farther apart than this (m) are not connected by odometry: it was restarted.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub gap_m: f64,
-}
-
-impl DriveParams {
-    /// Whether odometry leads from one keyframe of a session to the next. Where it does not, another drive begins.
-    pub fn connects(&self, before: &DrivePose, after: &DrivePose) -> bool {
-        let [from, to] = [before, after].map(|at| at.odom_from_vehicle.translation);
-        (to - from).norm() <= self.gap_m
-    }
 }
 
 impl Default for DriveParams {
@@ -134,7 +123,6 @@ impl Default for DriveParams {
             cutoff: CUTOFF_SPATIAL,
             place_m: 1.0,
             places: 3,
-            gap_m: 5.0,
         }
     }
 }

@@ -58,7 +58,7 @@ pub struct TrackParams {
     /// not know: a third of a degree.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub turn_sigma_rad: f64,
-    /// Keyframes farther apart than this (m) are not matched: odometry was reset, or images are missing.
+    /// Keyframes farther apart than this (m) are not matched: images are missing.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_step_m: f64,
 }
@@ -82,6 +82,8 @@ impl Default for TrackParams {
 /// One image of a camera, and where odometry says that it was taken.
 #[derive(Debug, Clone)]
 pub struct CameraFrame<'a> {
+    /// The stretch of unbroken odometry that it lies in: nothing is followed from one to another.
+    pub stretch: u32,
     /// The camera in the drifting odometry frame.
     pub odom_from_camera: Pose,
     /// What it saw; nothing where there is no image.
@@ -183,11 +185,12 @@ impl<'a> Ready<'a> {
 }
 
 impl Tracker<'_> {
-    /// `b_from_a` by odometry; `None` where the step is too long to be matched.
+    /// `b_from_a` by odometry; `None` where it was broken, or the step is too long to be matched.
     fn odometry(&self, from: usize, to: usize) -> Option<Pose> {
         let (a, b) = (self.views.get(from)?, self.views.get(to)?);
         let b_from_a = b.odom_from_camera.inverse().compose(&a.odom_from_camera);
-        (b_from_a.translation.norm() <= self.params.max_step_m).then_some(b_from_a)
+        let near = b_from_a.translation.norm() <= self.params.max_step_m;
+        (a.stretch == b.stretch && near).then_some(b_from_a)
     }
 
     /// From the view before to this one: matches, and the motion that they refine.

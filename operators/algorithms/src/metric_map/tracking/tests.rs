@@ -115,6 +115,7 @@ fn followed(world: &World, moving: bool, drift: f64) -> Vec<Vec<usize>> {
                 0.0,
             ));
             CameraFrame {
+                stretch: 0,
                 odom_from_camera: Pose::new(scaled.translation, scaled.rotation * tilt),
                 features,
             }
@@ -172,6 +173,7 @@ fn the_order_is_that_of_first_sight_and_features_are_used_once() {
         .iter()
         .zip(&world.poses)
         .map(|(features, pose)| CameraFrame {
+            stretch: 0,
             odom_from_camera: *pose,
             features,
         })
@@ -200,6 +202,7 @@ fn nothing_gives_no_tracks() {
     let none = ImageFeatures::default();
     let pose = |x: f64| Pose::from_yaw(x, 0.0, 0.0);
     let view = |x: f64| CameraFrame {
+        stretch: 0,
         odom_from_camera: pose(x),
         features: &none,
     };
@@ -215,6 +218,7 @@ fn nothing_gives_no_tracks() {
     let world = World::new(2);
     let (features, _) = world.look(0, false);
     let far = [0.0, 50.0].map(|x| CameraFrame {
+        stretch: 0,
         odom_from_camera: pose(x),
         features: &features,
     });

@@ -60,6 +60,35 @@ fn a_step_without_poses_between_has_the_poses_around_it() {
     }
 }
 
+#[test]
+fn no_lane_goes_across_a_break() {
+    let mut drive = along(&[[0.0, 0.0], [30.0, 0.0]], 0.5, 0.0);
+    let second = drive.len();
+    drive.extend(along(&[[30.0, 20.0], [60.0, 20.0]], 0.5, 0.0));
+    for spacing_m in [0.0, 0.5] {
+        let params = RoadNetworkParams {
+            spacing_m: Some(spacing_m),
+            ..RoadNetworkParams::default()
+        };
+        let lanes = |breaks: &[usize]| {
+            let trace = Trace {
+                key: "a",
+                positions: &drive,
+                breaks,
+            };
+            road_network(&[trace], &params).unwrap().lanes
+        };
+        assert_eq!(lanes(&[]).len(), 1);
+        let found = lanes(&[second]);
+        let spans = found.iter().map(|lane| lane.passages.clone());
+        let last = drive.len() - 1;
+        assert_eq!(
+            spans.collect::<Vec<_>>(),
+            [[passage("a", 0, second - 1)], [passage("a", second, last)]]
+        );
+    }
+}
+
 /// What holds whatever was driven: passages are in order and within the drive, none is missing.
 pub(super) fn check(found: &RoadNetwork, drives: &[(&str, &[[f64; 3]])]) {
     for lane in &found.lanes {
@@ -97,7 +126,7 @@ proptest! {
         }
         let solve = |a: &[[f64; 3]]| {
             let drives = [("a", a), ("b", b)];
-            let borrowed = drives.map(|(key, positions)| Trace { key, positions });
+            let borrowed = drives.map(|(key, positions)| Trace { key, positions, breaks: &[] });
             let found = road_network(&borrowed, &params).unwrap();
             check(&found, &drives);
             found

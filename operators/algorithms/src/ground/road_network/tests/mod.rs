@@ -18,7 +18,11 @@ fn network(drives: &[Vec<[f64; 3]>], params: &RoadNetworkParams) -> RoadNetwork 
     let drives: Vec<Trace<'_>> = keys
         .iter()
         .zip(drives)
-        .map(|(key, positions)| Trace { key, positions })
+        .map(|(key, positions)| Trace {
+            key,
+            positions,
+            breaks: &[],
+        })
         .collect();
     road_network(&drives, params).unwrap()
 }
@@ -210,7 +214,7 @@ proptest! {
         let mut reference = Reference::new(&drives, 2.0);
         reference.prune(loops, 2.0);
         let borrowed: Vec<Trace<'_>> =
-            drives.iter().map(|positions| Trace { key: "", positions }).collect();
+            drives.iter().map(|positions| Trace { key: "", positions, breaks: &[] }).collect();
         let (mut graph, _) = graph::connect(thinning::literal(&borrowed), 2.0, usize::MAX);
         let rule = Rule { connect_m: 2.0, drops_dead_ends: true };
         prune::prune_cliques(&mut graph, loops, rule);
@@ -244,7 +248,7 @@ proptest! {
     ) {
         let params = RoadNetworkParams::default();
         let drives =
-            [("a", &a), ("b", &b), ("c", &c)].map(|(key, positions)| Trace { key, positions });
+            [("a", &a), ("b", &b), ("c", &c)].map(|(key, positions)| Trace { key, positions, breaks: &[] });
         let found = road_network(&drives, &params).unwrap();
         let [first, second, third] = drives;
         prop_assert_eq!(&road_network(&[third, first, second], &params).unwrap(), &found);

@@ -1,0 +1,158 @@
+//! Logs that are others but for their odometry.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::geometry::trajectory::StampedPose;
+use serde_json::{Value, json};
+
+use crate::trajectories::pose;
+use crate::{POSE_SCHEMA, evermap, text};
+
+/// How a log tells where the vehicle is.
+#[derive(Debug, Clone, Copy)]
+pub enum Told {
+    /// `/odom`, foxglove.PoseInFrame.
+    Poses,
+    /// `/tf` from `odom` to `base_link`, foxglove.FrameTransform, between the transforms of other frames.
+    Transforms,
+}
+
+/// The odometry of a log.
+///
+/// # Panics
+/// Where it cannot be read.
+pub fn odometry(log: &Path) -> Vec<StampedPose> {
+    let sql = "SELECT CAST(stamp AS BIGINT) AS stamp_ns, odom_from_vehicle AS pose FROM odometry ORDER BY stamp";
+    let rows = evermap(&["sql", "--sessions", text(log), "--format", "json", sql])
+        .expect(0)
+        .json();
+    let rows = rows.as_array().expect("rows are a list");
+    let row = |row: &Value| StampedPose {
+        stamp_ns: row["stamp_ns"].as_i64().expect("a stamp is a number"),
+        pose: pose(&row["pose"]),
+    };
+    rows.iter().map(row).collect()
+}
+
+/// Writes a log that says what another one says, but for its topic `/odom`: in its place it has these poses.
+///
+/// # Panics
+/// Where one cannot be read or the other not be written.
+pub fn with_odometry(source: &Path, target: &Path, poses: &[StampedPose], told: Told) {
+    let bytes = std::fs::read(source).expect("a log can be read");
+    let file = std::fs::File::create(target).expect("a log can be made");
+    let mut writer = mcap::Writer::new(std::io::BufWriter::new(file)).expect("a log begins");
+    let (topic, schema, definition) = match told {
+        Told::Poses => ("/odom", "foxglove.PoseInFrame", POSE_SCHEMA),
+        Told::Transforms => ("/tf", "foxglove.FrameTransform", TRANSFORM_SCHEMA),
+    };
+    let schema = writer
+        .add_schema(schema, "jsonschema", definition.as_bytes())
+        .expect("a schema fits");
+    let channel = writer
+        .add_channel(schema, topic, "json", &Default::default())
+        .expect("a channel fits");
+    let mut channels = BTreeMap::new();
+    let mut sequence = 0;
+    let mut send = |writer: &mut mcap::Writer<_>, stamp_ns: i64, message: &Value| {
+        let header = mcap::records::MessageHeader {
+            channel_id: channel,
+            sequence,
+            log_time: stamp_ns as u64,
+            publish_time: stamp_ns as u64,
+        };
+        sequence += 1;
+        let payload = message.to_string();
+        let written = writer.write_to_known_channel(&header, payload.as_bytes());
+        written.expect("a message fits");
+    };
+    let mut poses = poses.iter().peekable();
+    for message in mcap::MessageStream::new(&bytes).expect("a log is MCAP") {
+        let message = message.expect("a log is whole");
+        while let Some(next) = poses.next_if(|next| next.stamp_ns as u64 <= message.log_time) {
+            match told {
+                Told::Poses => send(&mut writer, next.stamp_ns, &pose_message(next)),
+                Told::Transforms => {
+                    let wheel = Pose::from_yaw(1.0, 0.8, 0.0);
+                    let wheel = transform_message(next.stamp_ns, ["base_link", "wheel"], &wheel);
+                    send(&mut writer, next.stamp_ns, &wheel);
+                    let odom = transform_message(next.stamp_ns, ["odom", "base_link"], &next.pose);
+                    send(&mut writer, next.stamp_ns, &odom);
+                }
+            }
+        }
+        if message.channel.topic != "/odom" {
+            let of = &message.channel;
+            let copied = channels.entry(of.id).or_insert_with(|| {
+                let schema = of.schema.as_ref().expect("messages have a schema");
+                let schema = writer.add_schema(&schema.name, &schema.encoding, &schema.data);
+                let schema = schema.expect("a schema fits");
+                let encoding = &of.message_encoding;
+                let channel = writer.add_channel(schema, &of.topic, encoding, &of.metadata);
+                channel.expect("a channel fits")
+            });
+            let header = mcap::records::MessageHeader {
+                channel_id: *copied,
+                sequence: message.sequence,
+                log_time: message.log_time,
+                publish_time: message.publish_time,
+            };
+            let written = writer.write_to_known_channel(&header, &message.data);
+            written.expect("a message fits");
+        }
+    }
+    writer.finish().expect("a log ends");
+}
+
+fn stamp(stamp_ns: i64) -> Value {
+    json!({ "sec": stamp_ns / 1_000_000_000, "nsec": stamp_ns % 1_000_000_000 })
+}
+
+fn parts(pose: &Pose) -> (Value, Value) {
+    let [x, y, z, qx, qy, qz, qw] = pose.to_array();
+    (
+        json!({ "x": x, "y": y, "z": z }),
+        json!({ "x": qx, "y": qy, "z": qz, "w": qw }),
+    )
+}
+
+fn pose_message(at: &StampedPose) -> Value {
+    let (position, orientation) = parts(&at.pose);
+    json!({
+        "timestamp": stamp(at.stamp_ns),
+        "frame_id": "odom",
+        "pose": { "position": position, "orientation": orientation },
+    })
+}
+
+fn transform_message(stamp_ns: i64, [parent, child]: [&str; 2], pose: &Pose) -> Value {
+    let (translation, rotation) = parts(pose);
+    json!({
+        "timestamp": stamp(stamp_ns),
+        "parent_frame_id": parent,
+        "child_frame_id": child,
+        "translation": translation,
+        "rotation": rotation,
+    })
+}
+
+const TRANSFORM_SCHEMA: &str = r#"{
+  "type": "object",
+  "properties": {
+    "timestamp": { "type": "object", "properties": { "sec": { "type": "integer" }, "nsec": { "type": "integer" } } },
+    "parent_frame_id": { "type": "string" },
+    "child_frame_id": { "type": "string" },
+    "translation": {
+      "type": "object",
+      "properties": { "x": { "type": "number" }, "y": { "type": "number" }, "z": { "type": "number" } }
+    },
+    "rotation": {
+      "type": "object",
+      "properties": {
+        "x": { "type": "number" }, "y": { "type": "number" }, "z": { "type": "number" }, "w": { "type": "number" }
+      }
+    }
+  }
+}"#;
