@@ -46,6 +46,7 @@ operators! {
         temporal_scores::TemporalScores,
     }
     metric_map {
+        body_masks::BodyMasks,
         bundle_adjustment::BundleAdjustment,
         features::Features,
         frame_poses::FramePoses,

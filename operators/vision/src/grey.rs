@@ -15,6 +15,16 @@ pub struct Grey {
 }
 
 impl Grey {
+    /// The value of the pixel nearest to `[u, v]`, (0, 0) being the centre of the first; `None` outside.
+    pub fn at(&self, pixel: [f64; 2]) -> Option<u8> {
+        let [column, row] = pixel.map(f64::round);
+        let inside = column >= 0.0 && column < f64::from(self.width) && row >= 0.0;
+        let index = || row as usize * self.width as usize + column as usize;
+        inside
+            .then(index)
+            .and_then(|index| self.data.get(index).copied())
+    }
+
     /// Resizes to black pixels. The buffer is kept where it is large enough.
     pub(crate) fn reset(&mut self, width: u32, height: u32) -> Result<(), ImageError> {
         let pixels = checked_pixels(width, height)?;

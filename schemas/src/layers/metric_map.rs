@@ -23,6 +23,29 @@ record! {
 }
 
 record! {
+    /// Which pixels of a camera show the vehicle that carries it.
+    #[layer("body_masks", key(site, session, camera))]
+    pub struct BodyMask {
+        /// Site that was driven.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// The camera.
+        camera: String,
+        /// Width of its images.
+        width: u32 ["px"],
+        /// Height of its images.
+        height: u32 ["px"],
+        /// Images that were compared; too few show nothing.
+        images: u32,
+        /// Share of the image that shows the vehicle.
+        share: f64,
+        /// An 8-bit grey PNG of the image's size: 255 where a pixel shows the vehicle, else 0.
+        png: Bytes,
+    }
+}
+
+record! {
     /// The features of one image, where they are and what they look like: lists of equal length, one entry per feature.
     #[layer("features", key(site, session, stamp, camera))]
     pub struct Features {

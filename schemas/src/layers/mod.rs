@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use crate::{Bytes, ImageRef, LayerRow, Pose, Stamp, Wkb, record};
 
 pub use metric_map::{
-    AdjustedPose, Features, FrameImage, FramePose, GraphPose, Landmark, Localisation, LoopClosure,
-    LoopEdge, MapFrame, Observation, Sighting, Track, TrackPoint,
+    AdjustedPose, BodyMask, Features, FrameImage, FramePose, GraphPose, Landmark, Localisation,
+    LoopClosure, LoopEdge, MapFrame, Observation, Sighting, Track, TrackPoint,
 };
 pub use semantic_map::{
     ClassCount, ClassLeaf, ClassScores, CrfSetting, DecisionTree, LabelImage, LabelledFrame,
@@ -270,6 +270,7 @@ record! {
 pub fn all() -> Vec<crate::Layer> {
     let mut layers = vec![
         AdjustedPose::layer(),
+        BodyMask::layer(),
         Features::layer(),
         FrameImage::layer(),
         FramePose::layer(),

@@ -3,6 +3,7 @@
 //! | module | what it knows |
 //! |---|---|
 //! | [`association`] | which features of which keyframes show the same landmark |
+//! | [`body`] | which pixels show the vehicle itself |
 //! | [`bundle_adjustment`] | poses and landmarks from all observations at once |
 //! | [`drive`] | keyframes at equal steps of driven path |
 //! | [`features`] | key points with binary descriptors |
@@ -15,6 +16,7 @@
 //! | [`tracking`] | features followed through a camera's keyframes |
 
 pub mod association;
+pub mod body;
 pub mod bundle_adjustment;
 pub mod drive;
 pub mod features;

@@ -6,12 +6,13 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::ground::projection::{GrayView, GroundLut, GroundParams};
 use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reach, Reason, Sides, Work};
-use evermap_schemas::layers::{GroundPatch, PosedImage};
+use evermap_schemas::layers::{BodyMask, GroundPatch, PosedImage};
 use evermap_schemas::roles::Calibration;
 use evermap_schemas::{Bytes, Stamp};
 use evermap_vision::{Grey, decode_grey, image_size};
 use rayon::prelude::*;
 
+use crate::inputs::bodies::bodies;
 use crate::inputs::rig::{self, OfVehicle, Rig, camera, frame};
 
 /// See the module's page.
@@ -19,14 +20,15 @@ pub struct GroundPatches;
 
 impl Operator for GroundPatches {
     const NAME: &'static str = "ground_patches";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("ground_patches.md");
     type Params = OfVehicle<GroundParams>;
     type Output = GroundPatch;
 
     fn work() -> Work<Self::Params> {
         let images = Port::session::<PosedImage>("images").pixels("image");
-        let sides = rig::ports(Reach::Session).to_vec();
+        let mut sides = rig::ports(Reach::Session).to_vec();
+        sides.push(Port::session::<BodyMask>("body_masks").optional());
         Work::batches(images, sides, Projector::new, Projector::patches)
     }
 
@@ -49,6 +51,8 @@ struct Projector {
     params: OfVehicle<GroundParams>,
     /// By session.
     rigs: BTreeMap<String, Rig>,
+    /// By session and camera.
+    bodies: BTreeMap<(String, String), Grey>,
     tables: Mutex<BTreeMap<TableName, Table>>,
 }
 
@@ -57,6 +61,7 @@ impl Projector {
         Ok(Self {
             params: params.clone(),
             rigs: rig::sessions(sides)?,
+            bodies: bodies(sides)?,
             tables: Mutex::default(),
         })
     }
@@ -110,7 +115,7 @@ impl Projector {
         );
         let known = self.known().get(&name).cloned();
         // Not under the lock: a thread that waits here for the table's parts may be given other rows to work on.
-        let table = known.unwrap_or_else(|| self.table(rig, calibration, size));
+        let table = known.unwrap_or_else(|| self.table(rig, calibration, size, &image.session));
         let mut tables = self.known();
         if tables.len() >= MOST_TABLES {
             tables.clear();
@@ -123,13 +128,17 @@ impl Projector {
         self.tables.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn table(&self, rig: &Rig, calibration: &Calibration, size: [u32; 2]) -> Table {
+    fn table(&self, rig: &Rig, calibration: &Calibration, size: [u32; 2], session: &str) -> Table {
         let vehicle = self.params.vehicle.name();
         let vehicle_from_camera = rig
             .vehicle_from_camera(vehicle, frame(&calibration.camera))
             .ok_or("no fixed transforms from camera to vehicle")?;
         let camera = camera(calibration, size)?;
-        GroundLut::new(&camera, &vehicle_from_camera, &self.params.options, None)
+        let named = (session.to_owned(), frame(&calibration.camera).to_owned());
+        let body = self.bodies.get(&named);
+        let body = body.filter(|body| [body.width, body.height] == size);
+        let mask = body.map(|body| body.data.as_slice());
+        GroundLut::new(&camera, &vehicle_from_camera, &self.params.options, mask)
             .map(Arc::new)
             .map_err(|_| "camera is not above the ground")
     }

@@ -1,5 +1,6 @@
 //! Typed rows as the algorithms want them: what several operators read in the same way.
 
+pub(crate) mod bodies;
 pub(crate) mod drive;
 pub(crate) mod frames;
 pub(crate) mod graphs;

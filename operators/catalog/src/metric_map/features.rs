@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 
 use evermap_contract::{Fault, Operator, Port, Reason, Sides, Work};
 use evermap_schemas::Bytes;
-use evermap_schemas::layers::{Features as FeaturesRow, FrameImage};
+use evermap_schemas::layers::{BodyMask, Features as FeaturesRow, FrameImage};
 use evermap_vision::{Blind, FeatureParams, Grey, decode_grey, features};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::bodies::bodies;
 use crate::inputs::rig::frame;
 
 /// See the module's page.
@@ -28,32 +29,44 @@ pub struct FeaturesParams {
 
 impl Operator for Features {
     const NAME: &'static str = "features";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("features.md");
     type Params = FeaturesParams;
     type Output = FeaturesRow;
 
     fn work() -> Work<Self::Params> {
         let images = Port::session::<FrameImage>("images").pixels("image");
-        Work::each_image(images, vec![], Finder::new, Finder::row)
+        let bodies = Port::session::<BodyMask>("body_masks").optional();
+        Work::each_image(images, vec![bodies], Finder::new, Finder::row)
     }
 }
 
 struct Finder {
     wanted: FeatureParams,
     /// By camera.
-    mask: BTreeMap<String, Blind>,
-    everywhere: Blind,
+    drawn: BTreeMap<String, Blind>,
+    /// By session and camera.
+    learnt: BTreeMap<(String, String), Blind>,
 }
 
 impl Finder {
-    fn new(params: &FeaturesParams, _: &Sides) -> Result<Self, Fault> {
-        let mask = params.mask.iter();
-        let mask = mask.map(|(camera, blind)| (frame(camera).to_owned(), blind.clone()));
+    fn new(params: &FeaturesParams, sides: &Sides) -> Result<Self, Fault> {
+        let drawn = params.mask.iter();
+        let drawn: BTreeMap<String, Blind> = drawn
+            .map(|(camera, blind)| (frame(camera).to_owned(), blind.clone()))
+            .collect();
+        let learnt = bodies(sides)?.into_iter().map(|((session, camera), body)| {
+            let polygons = blind(&drawn, &camera).map(|drawn| drawn.polygons.clone());
+            let both = Blind {
+                polygons: polygons.unwrap_or_default(),
+                mask: Some(body),
+            };
+            ((session, camera), both)
+        });
         Ok(Self {
             wanted: params.wanted,
-            mask: mask.collect(),
-            everywhere: Blind::default(),
+            learnt: learnt.collect(),
+            drawn,
         })
     }
 
@@ -64,10 +77,13 @@ impl Finder {
         grey: &mut Grey,
     ) -> Result<Option<FeaturesRow>, Reason> {
         decode_grey(bytes, grey).map_err(|_| "image does not decode")?;
-        let blind = [frame(&image.camera), "*"]
-            .into_iter()
-            .find_map(|name| self.mask.get(name));
-        let found = features(grey, &self.wanted, blind.unwrap_or(&self.everywhere))
+        let camera = frame(&image.camera);
+        let named = (image.session.clone(), camera.to_owned());
+        let fits = |mask: &Grey| (mask.width, mask.height) == (grey.width, grey.height);
+        let learnt = self.learnt.get(&named);
+        let learnt = learnt.filter(|blind| blind.mask.as_ref().is_some_and(fits));
+        let blind = learnt.or_else(|| blind(&self.drawn, camera));
+        let found = features(grey, &self.wanted, blind.unwrap_or(&Blind::default()))
             .map_err(|_| "no features can be found at this scale")?;
         Ok(Some(FeaturesRow {
             site: image.site,
@@ -83,4 +99,9 @@ impl Finder {
             descriptors: Bytes(found.descriptors),
         }))
     }
+}
+
+/// What is drawn for a camera.
+fn blind<'a>(drawn: &'a BTreeMap<String, Blind>, camera: &str) -> Option<&'a Blind> {
+    drawn.get(camera).or_else(|| drawn.get("*"))
 }

@@ -6,6 +6,7 @@
     clippy::print_stderr
 )]
 
+mod bodies;
 mod floor;
 mod keyframes;
 mod metric_map;

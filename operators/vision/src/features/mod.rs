@@ -98,18 +98,24 @@ impl KeyPoints {
     }
 }
 
-/// Where a feature must not lie: polygons in the full image's pixels, such as the outline of the vehicle's own body.
+/// Where a feature must not lie, in the full image's pixels: polygons, such as the outline of the vehicle's own body, and a
+/// mask.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(transparent)]
 pub struct Blind {
     /// Each a ring of `[u, v]`; fewer than three corners cover nothing.
     pub polygons: Vec<Vec<[f64; 2]>>,
+    /// An image of the same size, not 0 where no feature may lie.
+    #[serde(skip)]
+    pub mask: Option<Grey>,
 }
 
 impl Blind {
-    /// Whether a pixel lies in one of the polygons (even-odd rule).
+    /// Whether a pixel lies in one of the polygons (even-odd rule), or the mask covers it.
     pub fn covers(&self, pixel: [f64; 2]) -> bool {
+        let masked = |mask: &Grey| mask.at(pixel).is_some_and(|value| value > 0);
         self.polygons.iter().any(|ring| inside(ring, pixel))
+            || self.mask.as_ref().is_some_and(masked)
     }
 }
 

@@ -91,6 +91,7 @@ fn blind_polygons_and_the_outside_of_the_image_circle_stay_empty() {
         [100.0, 300.0],
     ];
     let blind = Blind {
+        mask: None,
         polygons: vec![body, vec![[0.0, 0.0], [1.0, 1.0]]],
     };
     for at in 0..400 * 300_u32 {
