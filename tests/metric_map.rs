@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 use evermap_bench::trajectory::{AbsoluteError, relative_error};
 use evermap_tests::kitti::Stretch;
-use evermap_tests::park::{Park, adjusted_error, run};
+use evermap_tests::park::{Park, adjusted_error, finished, run};
 use evermap_tests::trajectories::{
     Trajectories, error_in, pairs, poses, rows, truth, truth_from_map,
 };
@@ -249,30 +249,114 @@ fn a_dark_camera_and_a_strange_start_do_no_harm() {
     adjusted_error("with a strange start", &of_strange, None, &truths);
 }
 
+/// Asserts that a session did not join a copy of the map, and that none of its keyframes was localised in it.
+fn assert_not_merged(map: &Path, name: &str, session: &Path) {
+    let aside = copy(map, &format!("of_{name}"));
+    // Keyframes that are left out of the map are a loss.
+    finished("lifelong", &aside, &[session]).expect(3);
+    let count = |of: &str| {
+        let query = format!("SELECT count(*) AS n FROM {of} session = '{name}'");
+        rows(&aside, None, &query)[0]["n"].as_u64().unwrap()
+    };
+    let [driven, found, merged] = [
+        "localisations WHERE",
+        "localisations WHERE state != 'lost' AND",
+        "adjusted_poses WHERE",
+    ]
+    .map(count);
+    eprintln!("{name}: {found} of {driven} keyframes localised, {merged} merged");
+    assert!(driven > 0);
+    assert_eq!([found, merged], [0, 0], "{name}");
+}
+
+/// A simulated street of 90 m, driven once.
+fn street(folder: &Path) -> PathBuf {
+    let out = folder.join("world_street");
+    let mut arguments = vec![
+        "simulate",
+        "street",
+        "--progress",
+        "none",
+        "--out",
+        text(&out),
+    ];
+    for setting in [
+        "length_m=90",
+        "visits=1",
+        "spacing_m=0.75",
+        "width_px=768",
+        "height_px=250",
+    ] {
+        arguments.extend(["--set", setting]);
+    }
+    evermap(&arguments).expect(0);
+    let session = out.join("street.mcap");
+    std::fs::rename(out.join("visit_a").join("visit_a.mcap"), &session).unwrap();
+    session
+}
+
 #[test]
-#[ignore = "fails: car parks of two seeds share layout and much of their paint, and are taken for one place"]
 fn another_place_is_not_merged() {
     let folder = tempfile::tempdir().unwrap();
     let map = folder.path().join("map");
     let (initial, truths) = Park::new(folder.path(), 14).drive(0, "initial", &[]);
     run("metric_map", &map, &[&initial]);
     let first = adjusted_error("before another place", &map, None, &truths);
-    let (other, _) = Park::new(folder.path(), 99).drive(0, "other_place", &["loops=0.4"]);
-    run("lifelong", &map, &[&other]);
-    let merged = rows(
-        &map,
+    // Car parks of one drawing: they share layout and much of their paint, and the gate that the first drive begins at.
+    for (seed, index, name) in [(99, 0, "from_the_gate"), (77, 4, "from_the_aisle")] {
+        let (other, _) = Park::new(folder.path(), seed).drive(index, name, &["loops=0.4"]);
+        assert_not_merged(&map, name, &other);
+    }
+    assert_not_merged(&map, "street", &street(folder.path()));
+    let error = adjusted_error(
+        "beside another place",
+        &folder.path().join("of_street"),
         None,
-        "SELECT count(*) AS n FROM adjusted_poses WHERE session = 'other_place'",
+        &truths,
     );
-    assert_eq!(merged[0]["n"], 0);
-    let found = rows(
-        &map,
-        None,
-        "SELECT count(*) AS n FROM localisations WHERE session = 'other_place' AND state != 'lost'",
-    );
-    assert_eq!(found[0]["n"], 0);
-    let error = adjusted_error("beside another place", &map, None, &truths);
     assert!(error.position_m.rmse <= first.position_m.rmse + 0.01);
+    if let Some(stretch) = Stretch::find() {
+        let road = stretch.write(folder.path(), "road", 0, 1);
+        assert_not_merged(&map, "road", &road.session);
+    }
+}
+
+#[test]
+fn neither_a_car_park_nor_a_road_is_merged_into_a_street() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    run("metric_map", &map, &[&street(folder.path())]);
+    let (park, _) = Park::new(folder.path(), 14).drive(4, "park", &["loops=0.4"]);
+    assert_not_merged(&map, "park", &park);
+    if let Some(stretch) = Stretch::find() {
+        let road = stretch.write(folder.path(), "road", 0, 1);
+        assert_not_merged(&map, "road", &road.session);
+    }
+}
+
+#[test]
+fn a_drive_that_leaves_the_mapped_part_is_localised_until_then() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    let park = Park::new(folder.path(), 14);
+    let (initial, mut truths) = park.drive(0, "initial", &["loops=0.6"]);
+    run("metric_map", &map, &[&initial]);
+    // The western loop was mapped; after it the drive goes on to the eastern one.
+    let (leaving, truth) = park.drive(4, "leaving", &["loops=1"]);
+    truths.extend(truth);
+    run("lifelong", &map, &[&leaving]);
+    let localised = Localised::of(&map, 2, "leaving", &truths);
+    assert!(localised.is_never_silently_wrong());
+    let lost = "SELECT count(*) FILTER (WHERE part < 0.4 AND state = 'lost') AS before, \
+                count(*) FILTER (WHERE part < 0.4) AS all_before, \
+                count(*) FILTER (WHERE part > 0.9 AND state != 'lost') AS after FROM \
+                (SELECT state, percent_rank() OVER (ORDER BY stamp) AS part FROM localisations \
+                 WHERE session = 'leaving')";
+    let counted = rows(&map, Some(2), lost);
+    eprintln!("leaving: {}", counted[0]);
+    let [before, all_before, after] =
+        ["before", "all_before", "after"].map(|name| counted[0][name].as_f64().unwrap());
+    assert!(before < 0.1 * all_before && after == 0.0, "{counted:?}");
 }
 
 #[test]

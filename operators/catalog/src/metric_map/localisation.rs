@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use evermap_algorithms::geometry::rig::Rig;
 use evermap_algorithms::metric_map::localisation::{
-    DriveKeyframe, Fix, KeyframeLocalisation, LandmarkMap, LocalisationParams, Localiser,
+    Doubt, DriveKeyframe, Fix, KeyframeLocalisation, LandmarkMap, LocalisationParams, Localiser,
     MapLandmark, Places, State,
 };
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
@@ -19,7 +19,7 @@ pub struct Localisation;
 
 impl Operator for Localisation {
     const NAME: &'static str = "localisation";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("localisation.md");
     type Params = OfVehicle<LocalisationParams>;
     type Output = Row;
@@ -54,6 +54,10 @@ fn localise(
     let keyframes = sides.rows("keyframes")?;
     for (session, drive) in drives(keyframes, features, sides, &params.vehicle, emit)? {
         let found = localise_drive(&drive, &sound, params.options);
+        emit.skip(
+            "keyframe held back: of another place, laid out like this one",
+            of_another_place(&found) as u64,
+        );
         emit.rows(rows([&site, &session], &drive, found, &numbers))?;
     }
     Ok(())
@@ -81,6 +85,14 @@ fn localise_drive(
     }
     let places = Places::new(&drive.rig, map, &params);
     Localiser::new(&drive.rig, map, params).localise(&keyframes, &places)
+}
+
+/// How many poses agree with the map, and are of another place all the same.
+fn of_another_place(found: &[KeyframeLocalisation]) -> usize {
+    let fixes = found.iter().filter_map(|found| found.fix.as_ref());
+    fixes
+        .filter(|fix| fix.doubt == Some(Doubt::AnotherPlace))
+        .count()
 }
 
 /// The landmarks, and their numbers in the map.

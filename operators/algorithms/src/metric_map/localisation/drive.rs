@@ -1,6 +1,7 @@
 //! A whole drive: from keyframe to keyframe by odometry, lost and found, forwards and backwards.
 
-use super::fix::{Fix, Localiser};
+use super::evidence::{Evidence, Verdict};
+use super::fix::{Doubt, Fix, Localiser};
 use super::motion::{Guess, Odometer, difference};
 use crate::geometry::pose::Pose;
 use crate::metric_map::features::KeyframeFeatures;
@@ -60,6 +61,7 @@ struct Walk {
 
 struct DriveLocalisation<'a> {
     localiser: &'a Localiser<'a>,
+    evidence: Evidence<'a>,
     keyframes: &'a [DriveKeyframe<'a>],
     odometer: Odometer,
     found: Vec<KeyframeLocalisation>,
@@ -78,6 +80,7 @@ impl Localiser<'_> {
         };
         let mut drive = DriveLocalisation {
             localiser: self,
+            evidence: Evidence::new(self),
             keyframes,
             odometer: Odometer::new(),
             found: vec![lost; keyframes.len()],
@@ -97,15 +100,53 @@ impl DriveLocalisation<'_> {
                 next = self.further(next);
                 continue;
             };
-            let start = fix.pose;
+            let (start, learned) = (fix.pose, self.odometer);
             self.set(next, State::Recovered, fix);
+            let mut stretch = vec![next];
             let ahead = self.walk(next, start, false, usize::MAX);
             let last = ahead.fixes.last().map_or(next, |(index, _)| *index);
-            self.publish(ahead);
+            stretch.extend(self.publish(ahead));
             let behind = self.walk(next, start, true, usize::MAX);
-            self.publish(behind);
+            stretch.extend(self.publish(behind));
+            stretch.sort_unstable();
+            if let Some(doubt) = self.doubt(&stretch) {
+                self.hold_back(&stretch, doubt);
+                self.odometer = learned;
+            }
             next = last + 1;
         }
+    }
+
+    /// Why fixes that agree with each other are not to be believed all the same.
+    fn doubt(&self, stretch: &[usize]) -> Option<Doubt> {
+        let ahead = self.localiser.params.evidence_places;
+        if ahead == 0 {
+            return None;
+        }
+        let fix = |index: &usize| Some((*index, self.found[*index].fix.as_ref()?));
+        let fixes: Vec<_> = stretch.iter().filter_map(fix).collect();
+        match self.evidence.verdict(self.keyframes, &fixes, ahead) {
+            Verdict::Here => None,
+            Verdict::Elsewhere => Some(Doubt::AnotherPlace),
+            Verdict::Undecided => Some(Doubt::Undecided),
+        }
+    }
+
+    fn hold_back(&mut self, stretch: &[usize], doubt: Doubt) {
+        for index in stretch {
+            let held = &mut self.found[*index];
+            held.state = State::Lost;
+            if let Some(fix) = &mut held.fix {
+                fix.doubt = Some(doubt);
+            }
+        }
+    }
+
+    /// Whether the keyframe is part of a stretch: one that is localised, or one of another place.
+    fn is_settled(&self, index: usize) -> bool {
+        let found = &self.found[index];
+        let doubt = found.fix.as_ref().and_then(|fix| fix.doubt);
+        found.state != State::Lost || doubt == Some(Doubt::AnotherPlace)
     }
 
     /// The next keyframe that is far enough from this one for another try.
@@ -126,14 +167,17 @@ impl DriveLocalisation<'_> {
         };
     }
 
-    fn publish(&mut self, walk: Walk) {
+    /// Publishes a walk; gives the keyframes that have a fix.
+    fn publish(&mut self, walk: Walk) -> Vec<usize> {
         self.odometer = walk.odometer;
         for (index, fix) in walk.misses {
             self.found[index].fix = Some(fix);
         }
+        let fixed = walk.fixes.iter().map(|(index, _)| *index).collect();
         for (index, fix) in walk.fixes {
             self.set(index, State::Localised, fix);
         }
+        fixed
     }
 
     /// Tries to recognise a keyframe's place. Believed when no other place explains it nearly as well, and the
@@ -170,8 +214,8 @@ impl DriveLocalisation<'_> {
         })
     }
 
-    /// From a fix on, keyframe by keyframe, until the guess is too uncertain, too many have no fix, another walk's
-    /// keyframe is reached, or `most` were visited.
+    /// From a fix on, keyframe by keyframe, until the guess is too uncertain, too many have no fix, a keyframe is reached
+    /// that is settled, or `most` were visited.
     fn walk(&self, start: usize, at: Guess, backwards: bool, most: usize) -> Walk {
         let params = &self.localiser.params;
         let mut walk = Walk {
@@ -189,7 +233,7 @@ impl DriveLocalisation<'_> {
             let guess = walk.odometer.guess(&at, odometry, backwards, params);
             // Also where it is no number.
             let near = guess.sigma_m() <= params.give_up_m;
-            if self.found[index].state != State::Lost || !near || missed > MOST_MISSES {
+            if self.is_settled(index) || !near || missed > MOST_MISSES {
                 break;
             }
             let fix = self.localiser.fix(&guess, self.keyframes[index].features);

@@ -33,6 +33,10 @@ pub enum Doubt {
     Uncertain,
     /// The pose is farther from the guess than odometry allows.
     FarFromGuess,
+    /// It is sound, but what the stretch that it is of shows does not tell this place from another one like it.
+    Undecided,
+    /// It is sound, but the stretch that it is of shows another place, laid out like this one.
+    AnotherPlace,
 }
 
 /// A landmark, once for each camera, with the feature that shows it.

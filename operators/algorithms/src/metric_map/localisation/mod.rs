@@ -15,6 +15,9 @@
 //!   fixes that agree with each other by odometry. A start, a gap too long for odometry, or a
 //!   kidnapping is bridged by recognising the place, and such a pose counts only when the keyframes
 //!   beside it confirm it and no second place explains them as well.
+//! * **This place, or one like it** (`evidence`). A run of fixes that agree may still be of another car park that was
+//!   built from the same drawing. It counts when, along the run, more of what is recognised in the whole map lies where
+//!   it is seen than elsewhere.
 //! * **Both ways.** The whole drive is there, so what lies before a confirmed pose is localised
 //!   backwards from it.
 //!
@@ -23,6 +26,7 @@
 
 mod association;
 mod drive;
+mod evidence;
 mod fix;
 mod map;
 mod motion;

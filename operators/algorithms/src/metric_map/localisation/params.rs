@@ -67,6 +67,11 @@ pub struct LocalisationParams {
     /// Keyframes, of the next six or the six before, that must be localised from a recovered one before it counts.
     #[schemars(range(min = 1))]
     pub confirmations: usize,
+    /// By how many places, 2 m apart, those of a stretch that are for the map must outnumber those against it: a place is
+    /// for it where more of what is recognised lies here than elsewhere. Each is worth a factor of 3: seven are odds of
+    /// 1000 to 1, and the shortest stretch that is believed is 12 m long. 0: another place of the same layout is taken
+    /// for this one.
+    pub evidence_places: usize,
     /// Landmarks farther than this are not looked for (m): at 127 px/rad a metre is three pixels.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub reach_m: f64,
@@ -99,6 +104,7 @@ impl Default for LocalisationParams {
             tilt_rad_per_m: 0.03,
             give_up_m: 0.5,
             confirmations: 4,
+            evidence_places: 7,
             reach_m: 40.0,
             view_slack_rad: 0.35,
             range_slack: 1.5,

@@ -1,7 +1,7 @@
 //! The pose that explains the matches, by robust least squares.
 
 use super::motion::{Guess, difference, moved};
-use super::view::eyes;
+use super::view::{direction, eyes};
 use super::{LandmarkMap, LocalisationParams};
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::Rig;
@@ -16,9 +16,6 @@ pub(super) const INLIER: f64 = 9.21;
 const MOST_STEPS: usize = 15;
 /// A step shorter than this (m, rad) ends the iteration: far below any noise.
 const SMALL: f64 = 1e-5;
-/// Matches within a cell of this angle, seen from the vehicle, share their errors: a corner found at two scales or by
-/// two cameras, a landmark triangulated twice, one leaf of a poster. Radians; a dozen pixels of a 127 px/rad fisheye.
-const SHARED_RAD: f64 = 0.1;
 
 /// A landmark and the feature that is taken for it.
 #[derive(Debug, Clone, Copy)]
@@ -203,9 +200,7 @@ impl Refinement<'_> {
             if let Some(found) = residual.as_ref().filter(|found| found.units() <= INLIER) {
                 let ray = pose.rotation.inverse()
                     * (self.map.landmarks()[pair.landmark].position - pose.translation);
-                let up = ray.z.atan2(ray.x.hypot(ray.y));
-                let cell =
-                    [ray.y.atan2(ray.x), up].map(|angle| (angle / SHARED_RAD).floor() as i64);
+                let cell = direction(&ray);
                 let gradient =
                     found.by_pose.transpose() * found.offset * (found.weight() / found.variance);
                 *cells.entry(cell).or_insert_with(Vector6::zeros) += gradient;

@@ -11,6 +11,9 @@ use rayon::prelude::*;
 /// Of the depth's standard deviation this much is always taken to lie across the line of sight: landmarks are less
 /// certain across too, by about the tangent of their parallax.
 const ACROSS_SHARE: f64 = 0.2;
+/// What lies within a cell of this angle, seen from the vehicle, errs together: a corner found at two scales or by two
+/// cameras, a landmark triangulated twice, one leaf of a poster. Radians; a dozen pixels of a 127 px/rad fisheye.
+const SHARED_RAD: f64 = 0.1;
 
 /// A landmark where a camera should see it.
 #[derive(Debug, Clone, Copy)]
@@ -37,6 +40,12 @@ pub(super) struct Eye<'a> {
     camera_from_map: Pose,
     vehicle: Vector3<f64>,
     pub(super) centre: Vector3<f64>,
+}
+
+/// The cell of directions, by azimuth and elevation, that a ray in the vehicle's frame lies in.
+pub(super) fn direction(ray: &Vector3<f64>) -> [i64; 2] {
+    let up = ray.z.atan2(ray.x.hypot(ray.y));
+    [ray.y.atan2(ray.x), up].map(|angle| (angle / SHARED_RAD).floor() as i64)
 }
 
 /// The cameras of a rig at a pose, in the rig's order.

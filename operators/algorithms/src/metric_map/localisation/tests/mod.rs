@@ -1,5 +1,6 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod drawing;
 pub(super) mod world;
 
 use super::*;
@@ -198,18 +199,18 @@ fn few_landmarks_are_either_enough_or_not_used() {
 #[test]
 fn a_kidnapped_vehicle_is_found_again() {
     let mut case = Case::new(7, World::new(7, 2500), Imaging::default(), 0.99, 0.1);
-    // Keyframes 40 to 69 are cut out, and odometry does not know: it goes on where it was.
+    // Keyframes 45 to 64 are cut out, and odometry does not know: it goes on where it was.
     let steps: Vec<Pose> = case
         .odometry
         .windows(2)
         .map(|pair| pair[0].inverse().compose(&pair[1]))
         .collect();
-    case.truth.drain(40..70);
-    case.features.drain(40..70);
-    case.odometry.truncate(40);
-    for index in 40..case.truth.len() {
+    case.truth.drain(45..65);
+    case.features.drain(45..65);
+    case.odometry.truncate(45);
+    for index in 45..case.truth.len() {
         let on =
-            case.odometry[index - 1].compose(&steps[if index == 40 { 38 } else { index + 29 }]);
+            case.odometry[index - 1].compose(&steps[if index == 45 { 43 } else { index + 19 }]);
         case.odometry.push(on);
     }
     let (found, score) = run("kidnapped", &case, &case.told(&mut Random(7)));

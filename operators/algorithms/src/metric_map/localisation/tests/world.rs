@@ -138,6 +138,23 @@ impl World {
         Self { points, rig: rig() }
     }
 
+    /// A room built from one drawing: most of its points are where any such room has them, and look like one of 20 kinds
+    /// but for their wear; the others are its own.
+    pub(super) fn drawn(seed: u64) -> Self {
+        let mut drawing = Random(77);
+        let kinds: Vec<_> = (0..20).map(|_| drawing.descriptor()).collect();
+        let mut wear = Random(seed);
+        let drawn: Vec<Point> = (0..1500)
+            .map(|index| {
+                let descriptor = wear.turned(&kinds[index % kinds.len()], 0.03);
+                surface_point(&mut drawing, descriptor)
+            })
+            .collect();
+        let mut world = Self::new(seed, 1000);
+        world.points.extend(drawn);
+        world
+    }
+
     /// The same room where every stretch of `period` metres along x shows the same points.
     pub(super) fn repeated(mut self, period: f64, share: f64) -> Self {
         let mut random = Random(99);
