@@ -23,6 +23,14 @@ steps:
     sql: >
       SELECT k.site, k.session, k.stamp, k.keyframe FROM keyframes k
       WHERE NOT EXISTS (SELECT 1 FROM previous.keyframes p WHERE p.session = k.session)
+  new_by_name:
+    sql: SELECT site, session, stamp, keyframe FROM new.keyframes
+  # A step of a site reads new sessions alone.
+  new_lanes: { op: road_network, in: { poses: new_poses } }
+  new_poses:
+    sql: SELECT site, session, stamp, odom_from_vehicle AS map_from_vehicle FROM new.keyframes
+  new_keyframes:
+    sql: SELECT site, count(*) AS keyframes FROM new.keyframes GROUP BY site
   # Done in the run that brings the session, and kept.
   joined:
     once: true
@@ -34,7 +42,8 @@ steps:
   lanes: { op: road_network, in: { poses: poses } }
   # A layer of the version before drives an operator.
   old_crossings: { op: intersections, in: { lanes: previous.lanes } }
-write: [keyframes, new_by_in, new_by_exists, joined, known, lanes, old_crossings]
+write:
+  [keyframes, new_by_in, new_by_exists, new_by_name, new_lanes, new_keyframes, joined, known, lanes, old_crossings]
 ";
 
 struct World {
@@ -90,14 +99,14 @@ impl World {
         .json()
     }
 
-    /// Sessions that both ways of asking found to be new.
+    /// Sessions that all ways of asking found to be new.
     fn new_sessions(&self) -> Value {
-        let [a, b] = ["new_by_in", "new_by_exists"].map(|layer| {
+        let [a, b, c] = ["new_by_in", "new_by_exists", "new_by_name"].map(|layer| {
             self.query(&format!(
                 "SELECT session, count(*) AS n FROM {layer} GROUP BY session ORDER BY session"
             ))
         });
-        assert_eq!(a, b);
+        assert_eq!((&a, &a), (&b, &c));
         a
     }
 
@@ -189,6 +198,53 @@ fn what_is_done_once_is_kept_until_something_of_its_own_changes() {
     std::fs::write(world.path("growth.yaml"), other).unwrap();
     world.run(&[&a]);
     assert_eq!(joined(), json!([]));
+}
+
+#[test]
+fn a_step_of_a_site_reads_new_sessions_alone() {
+    let world = World::new();
+    let keyframes = || world.query("SELECT keyframes FROM new_keyframes");
+    let (a, b, c) = (
+        world.drive("a", 20.0),
+        world.drive("b", 30.0),
+        world.drive("c", 40.0),
+    );
+    world.run(&[&a]);
+    assert_eq!(keyframes(), json!([{ "keyframes": 300 }]));
+    world.run(&[&b, &c]);
+    assert_eq!(keyframes(), json!([{ "keyframes": 900 }]));
+    // A log that was replaced is that of a new session.
+    let b = world.drive("b", 20.0);
+    world.run(&[&b]);
+    assert_eq!(keyframes(), json!([{ "keyframes": 300 }]));
+    let other = PLAN.replace("AS after", "AS later");
+    std::fs::write(world.path("growth.yaml"), other).unwrap();
+    world.run(&[&a]);
+    assert_eq!(keyframes(), json!([]));
+    assert_eq!(world.query("SELECT * FROM new_lanes"), json!([]));
+}
+
+#[test]
+fn new_sessions_alone_are_those_of_an_operator_of_one_session() {
+    let world = World::new();
+    let a = world.drive("a", 20.0);
+    let told = |from: &str, to: &str| {
+        std::fs::write(world.path("growth.yaml"), PLAN.replace(from, to)).unwrap();
+        let told = world.call("run", &[&a], &["--site", "lot", "--progress", "none"]);
+        told.expect(1).stderr
+    };
+    let of_query = told("in: { poses: new_poses }", "in: { poses: new.poses }");
+    assert!(
+        of_query.contains("`new.poses` is made by a query"),
+        "{of_query}"
+    );
+    let of_site = told("in: { lanes: previous.lanes }", "in: { lanes: new.lanes }");
+    assert!(
+        of_site.contains("one unit of `lanes` covers more than a session"),
+        "{of_site}"
+    );
+    let of_nothing = told("FROM new.keyframes", "FROM new.keyframe");
+    assert!(of_nothing.contains("keyframe"), "{of_nothing}");
 }
 
 #[test]

@@ -79,6 +79,8 @@ pub fn context_with(limits: Limits, batch_rows: usize) -> Result<SessionContext,
     if let Some(catalog) = context.catalog("datafusion") {
         let previous = Arc::new(MemorySchemaProvider::new());
         catalog.register_schema("previous", previous).or_fault()?;
+        let new = Arc::new(MemorySchemaProvider::new());
+        catalog.register_schema("new", new).or_fault()?;
     }
     evermap_functions::register(&context);
     Ok(context)
@@ -89,6 +91,7 @@ pub fn reference(input: &Input) -> TableReference {
     match input {
         Input::Step(name) | Input::Source(name) => TableReference::bare(name.clone()),
         Input::Previous(name) => TableReference::partial("previous", name.clone()),
+        Input::New(name) => TableReference::partial("new", name.clone()),
     }
 }
 

@@ -195,7 +195,7 @@ fn adopt(schema: &mut Value, operator: &str) {
 fn input(vocabulary: &Vocabulary) -> Value {
     json!({
         "type": ["string", "null"],
-        "description": "A step, a source, or `previous.LAYER` of the version of the map before.",
+        "description": "A step, a source, `previous.LAYER` of the version of the map before, or `new.STEP`: the rows of sessions that it did not have.",
         "examples": vocabulary.sources,
     })
 }

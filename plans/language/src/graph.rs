@@ -120,6 +120,15 @@ impl Names<'_> {
         if let Some(layer) = name.strip_prefix(Input::PREVIOUS) {
             return self.previous(layer, named.place, faults);
         }
+        if let Some(step) = name.strip_prefix(Input::NEW) {
+            let place = named.place;
+            let named = Named {
+                name: step.to_owned(),
+                place,
+            };
+            self.step(&named, "`new.`", faults)?;
+            return Some(Input::New(step.to_owned()));
+        }
         if self.steps.contains_key(name) {
             return Some(Input::Step(name.to_owned()));
         }
@@ -160,7 +169,7 @@ impl Names<'_> {
     /// The steps a step reads, by index.
     fn reads(&self, inputs: &[Option<Input>]) -> Vec<usize> {
         let step = |input: &Option<Input>| match input {
-            Some(Input::Step(name)) => self.steps.get(name.as_str()).copied(),
+            Some(Input::Step(name) | Input::New(name)) => self.steps.get(name.as_str()).copied(),
             _ => None,
         };
         let indices: BTreeSet<usize> = inputs.iter().filter_map(step).collect();

@@ -80,6 +80,9 @@ pub enum Input {
     Source(String),
     /// The layer of this name in the version of the map before, written `previous.NAME`.
     Previous(String),
+    /// The rows of the layer another step makes that are of sessions which the version before did not have, written
+    /// `new.NAME`.
+    New(String),
 }
 
 /// A test that a plan carries: rows in, rows out.
@@ -103,6 +106,8 @@ pub type Row = Map<String, Value>;
 impl Input {
     /// The prefix that names a layer of the version before.
     pub const PREVIOUS: &'static str = "previous.";
+    /// The prefix that names the rows of new sessions.
+    pub const NEW: &'static str = "new.";
 
     /// The name as written in a plan.
     #[must_use]
@@ -110,6 +115,7 @@ impl Input {
         match self {
             Self::Step(name) | Self::Source(name) => name.clone(),
             Self::Previous(name) => format!("{}{name}", Self::PREVIOUS),
+            Self::New(name) => format!("{}{name}", Self::NEW),
         }
     }
 }

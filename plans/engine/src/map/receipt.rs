@@ -76,12 +76,12 @@ impl Artifact {
     }
 }
 
-/// A layer of the version before, as far as a unit reads it.
+/// A layer of the version before, or of new sessions, as far as a unit reads it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct PreviousLayer {
-    /// The operator that makes the layer in this plan: gives the columns where there is no version before.
+pub struct LayerRows {
+    /// The operator that makes the layer in this plan: gives the columns where there are no rows.
     pub op: Option<String>,
-    /// The rows; none where there is no version before.
+    /// The rows; none where there is no version before, or no new session.
     pub artifacts: Vec<Artifact>,
 }
 
@@ -108,7 +108,10 @@ pub struct Recipe {
     /// The rows of the stored stages that are read.
     pub tables: BTreeMap<String, Vec<Artifact>>,
     /// The layers of the version before that are read.
-    pub previous: BTreeMap<String, PreviousLayer>,
+    pub previous: BTreeMap<String, LayerRows>,
+    /// The layers that are read of sessions alone which the version before did not have.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub new: BTreeMap<String, LayerRows>,
     /// Sessions whose rows of the version before are not read, as their logs have been replaced.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub replaced: Vec<String>,
@@ -122,12 +125,12 @@ pub struct Recipe {
 impl Recipe {
     /// An empty recipe for these stages.
     pub fn new(stages: Vec<Stage>, extent: Extent) -> Self {
-        let (tables, previous) = (BTreeMap::new(), BTreeMap::new());
         Self {
             format: FORMAT,
             stages,
-            tables,
-            previous,
+            tables: BTreeMap::new(),
+            previous: BTreeMap::new(),
+            new: BTreeMap::new(),
             replaced: Vec::new(),
             logs: Vec::new(),
             extent,

@@ -63,6 +63,9 @@ pub struct Previous {
     pub layers: BTreeMap<String, Vec<Artifact>>,
     /// Sessions whose logs have been replaced since: their rows are no longer read. Sorted.
     pub replaced: Vec<String>,
+    /// Sessions that the version had, of the logs that they still have. Sorted.
+    #[serde(default)]
+    pub sessions: Vec<String>,
 }
 
 /// One version of a map.

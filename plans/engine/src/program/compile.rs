@@ -88,19 +88,20 @@ impl Compiler<'_> {
     }
 
     async fn step(&mut self, step: &Step) {
-        self.check_previous(step);
+        self.check_versions(step);
         let schema = match &step.body {
             Body::Op { op, params } => self.op(step, op, params).await,
             Body::Sql { query } => self.sql(step, query).await,
         };
         let Some(schema) = schema else { return };
         self.put(Input::Step(step.name.clone()), Arc::clone(&schema));
+        self.put(Input::New(step.name.clone()), Arc::clone(&schema));
         self.schemas.insert(step.name.clone(), schema);
     }
 
     /// The columns of a query are known once it is planned, which may need those of the version before: only layers
-    /// of operators can be read from there.
-    fn check_previous(&mut self, step: &Step) {
+    /// of operators can be read from there. Nor are they known where there is no new session.
+    fn check_versions(&mut self, step: &Step) {
         let is_query = |name: &str| {
             let mut steps = self.plan.steps.iter();
             steps.any(|step| step.name == name && matches!(step.body, Body::Sql { .. }))
@@ -108,10 +109,14 @@ impl Compiler<'_> {
         let faults: Vec<_> = step
             .inputs
             .values()
-            .filter(|input| matches!(input, Input::Previous(name) if is_query(name)))
-            .map(|input| {
+            .filter_map(|input| {
                 let (name, read) = (&step.name, input.written());
-                format!("step `{name}`: `{read}` is made by a query; of the version before, only layers of operators can be read")
+                match input {
+                    Input::Previous(of) if is_query(of) => Some(format!("step `{name}`: `{read}` is made by a query; of the version before, only layers of operators can be read")),
+                    Input::New(of) if is_query(of) => Some(format!("step `{name}`: `{read}` is made by a query; of new sessions alone, only layers of operators can be read")),
+                    Input::New(of) if self.scope_of(input) != Scope::Session => Some(format!("step `{name}`: `{read}` is not of new sessions alone: one unit of `{of}` covers more than a session")),
+                    _ => None,
+                }
             })
             .collect();
         faults.into_iter().for_each(|fault| self.fault(step, fault));
@@ -255,7 +260,7 @@ impl Compiler<'_> {
         match table {
             Input::Source(_) => Scope::Session,
             Input::Previous(_) => Scope::Site,
-            Input::Step(name) => {
+            Input::Step(name) | Input::New(name) => {
                 let made = self.stages.iter().find(|stage| stage.name == *name);
                 made.map_or(Scope::Map, |stage| stage.scope)
             }
@@ -268,11 +273,16 @@ impl Compiler<'_> {
         let mut stored: BTreeSet<String> = self.plan.write.iter().cloned().collect();
         for stage in &self.stages {
             for read in &stage.reads {
-                let Input::Step(name) = &read.table else {
+                let (Input::Step(name) | Input::New(name)) = &read.table else {
                     continue;
                 };
+                let apart = matches!(read.table, Input::New(_));
                 let again = !read_once.insert(name);
-                if again || is_whole(stage, read) || self.scope_of(&read.table) != stage.scope {
+                if again
+                    || apart
+                    || is_whole(stage, read)
+                    || self.scope_of(&read.table) != stage.scope
+                {
                     stored.insert(name.clone());
                 }
             }

@@ -124,6 +124,11 @@ fn recipe_change(then: &Recipe, now: &Recipe) -> String {
             _ => return format!("{name} is made of other units"),
         }
     }
+    for (name, contents) in &now.new {
+        if then.new.get(name) != Some(contents) {
+            return format!("{name} of new sessions is another");
+        }
+    }
     for (name, contents) in &now.previous {
         if then.previous.get(name) != Some(contents) {
             return format!("previous.{name} has changed");

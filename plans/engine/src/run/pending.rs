@@ -1,11 +1,11 @@
 //! The units of a run: what each waits for, and how it is put together when that is done.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_language::Input;
 use evermap_schemas::Fault;
 
-use crate::map::receipt::{Artifact, Extent, Receipt, Recipe};
+use crate::map::receipt::{Artifact, Extent, LayerRows, Receipt, Recipe};
 use crate::map::version::{MappedSession, Previous};
 use crate::program::Stage;
 use crate::run::Run;
@@ -47,6 +47,8 @@ pub struct Pending {
     pub stages: Vec<Stage>,
     /// The units whose rows it reads.
     pub before: BTreeSet<Place>,
+    /// The same, by the table that they are read as.
+    tables: BTreeMap<Input, BTreeSet<Place>>,
     /// The sessions whose logs it reads.
     logs: BTreeSet<String>,
 }
@@ -57,18 +59,20 @@ impl Run<'_> {
     /// # Errors
     /// A bug fault for a program that names a stage that there is not.
     pub fn units(&self) -> Result<Vec<Pending>, Fault> {
+        let previous = self.previous()?;
         let stored = self.program.stages.iter().filter(|stage| stage.stored);
         stored
             .flat_map(|stage| Place::all(stage, &self.sessions))
-            .map(|place| Pending::new(self, place))
+            .map(|place| Pending::new(self, &previous, place))
             .collect()
     }
 }
 
 impl Pending {
-    fn new(run: &Run<'_>, place: Place) -> Result<Self, Fault> {
+    fn new(run: &Run<'_>, previous: &Previous, place: Place) -> Result<Self, Fault> {
         let stages = run.program.fragment(&place.stage);
-        let (mut before, mut logs) = (BTreeSet::new(), BTreeSet::new());
+        let mut tables: BTreeMap<Input, BTreeSet<Place>> = BTreeMap::new();
+        let mut logs = BTreeSet::new();
         for read in stages.iter().flat_map(|stage| &stage.reads) {
             let reached = place.extent.reached(read.reach);
             let sessions = run.sessions.iter();
@@ -76,17 +80,27 @@ impl Pending {
             if matches!(read.table, Input::Source(_)) || read.pixels.is_some() {
                 logs.extend(sessions.clone().map(|session| session.log.session.clone()));
             }
-            if let Input::Step(name) = &read.table {
-                let made = run.program.stage(name)?;
-                if made.stored {
-                    before.extend(Place::all(made, sessions));
+            let places = match &read.table {
+                Input::Step(name) => {
+                    let made = run.program.stage(name)?;
+                    if !made.stored {
+                        continue;
+                    }
+                    Place::all(made, sessions)
                 }
-            }
+                Input::New(name) => {
+                    let new = sessions.filter(|session| previous.is_new(&session.log.session));
+                    Place::all(run.program.stage(name)?, new)
+                }
+                Input::Source(_) | Input::Previous(_) => continue,
+            };
+            tables.entry(read.table.clone()).or_default().extend(places);
         }
         Ok(Self {
             place,
             stages,
-            before,
+            before: tables.values().flatten().cloned().collect(),
+            tables,
             logs,
         })
     }
@@ -107,9 +121,14 @@ impl Pending {
         let site = extent.site.as_ref();
         let layers = previous.concerning(run.program, &self.stages, site);
         let mut recipe = Recipe::new(self.stages.clone(), extent);
-        for place in &self.before {
-            let rows = recipe.tables.entry(place.stage.clone()).or_default();
-            rows.push(artifact(place)?);
+        for (table, places) in &self.tables {
+            let artifacts = places.iter().map(&artifact).collect::<Result<_, _>>()?;
+            if let Input::New(name) = table {
+                let op = run.program.stage(name)?.op().map(str::to_owned);
+                recipe.new.insert(name.clone(), LayerRows { op, artifacts });
+            } else {
+                recipe.tables.insert(table.written(), artifacts);
+            }
         }
         if !layers.is_empty() {
             recipe.replaced.clone_from(&previous.replaced);

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use evermap_language::Input;
 use evermap_schemas::Fault;
 
-use crate::map::receipt::{Artifact, Extent, PreviousLayer, Receipt};
+use crate::map::receipt::{Artifact, Extent, LayerRows, LogContent, Receipt};
 use crate::map::version::{MappedSession, Previous, Version};
 use crate::program::{Program, Stage};
 use crate::run::Run;
@@ -36,7 +36,8 @@ impl Previous {
         Ok(Self {
             version: base.version,
             layers: layers.collect(),
-            replaced: replaced(base, sessions),
+            replaced: sessions_of(base, |log| !holds(sessions, log)),
+            sessions: sessions_of(base, |log| holds(sessions, log)),
         })
     }
 
@@ -46,7 +47,7 @@ impl Previous {
         program: &Program,
         stages: &[Stage],
         site: Option<&String>,
-    ) -> BTreeMap<String, PreviousLayer> {
+    ) -> BTreeMap<String, LayerRows> {
         let concerns = |artifact: &&Artifact| {
             let Extent { session, site: of } = &artifact.extent;
             let here = site.is_none() || of.is_none() || of.as_ref() == site;
@@ -56,13 +57,18 @@ impl Previous {
         let layer = |name: &String| {
             let held = self.layers.get(name).map_or(&[][..], Vec::as_slice);
             let made = program.stage(name).ok();
-            PreviousLayer {
+            LayerRows {
                 op: made.and_then(Stage::op).map(str::to_owned),
                 artifacts: held.iter().filter(concerns).cloned().collect(),
             }
         };
         let names = names(stages).into_iter();
         names.map(|name| (name.clone(), layer(name))).collect()
+    }
+
+    /// Whether the version before did not have a session, or had another log of it.
+    pub fn is_new(&self, session: &str) -> bool {
+        !self.sessions.iter().any(|held| held == session)
     }
 
     /// Layers that the program reads of the version before, which that version does not have.
@@ -90,13 +96,14 @@ fn same_logs(base: &Version, sessions: &[MappedSession]) -> bool {
     held.eq(sessions.iter().map(|session| &session.log))
 }
 
-fn replaced(base: &Version, sessions: &[MappedSession]) -> Vec<String> {
-    let other = |held: &&MappedSession| sessions.iter().all(|session| session.log != held.log);
-    base.sessions
-        .iter()
-        .filter(other)
-        .map(|held| held.log.session.clone())
-        .collect()
+fn holds(sessions: &[MappedSession], log: &LogContent) -> bool {
+    sessions.iter().any(|session| session.log == *log)
+}
+
+fn sessions_of(base: &Version, wanted: impl Fn(&LogContent) -> bool) -> Vec<String> {
+    let logs = base.sessions.iter().map(|held| &held.log);
+    let wanted = logs.filter(|log| wanted(log));
+    wanted.map(|log| log.session.clone()).collect()
 }
 
 /// Receipts by what a person calls the unit.

@@ -275,9 +275,10 @@ fn batch_rows(unit: &Unit, output: Option<&Layer>) -> usize {
     if columns.any(|column| column.data_type == DataType::Binary) {
         return HEAVY_BATCH_ROWS;
     }
-    let previous = unit.recipe.previous.values();
-    let previous = previous.flat_map(|layer| &layer.artifacts);
-    let read = unit.recipe.tables.values().flatten().chain(previous);
+    let recipe = &unit.recipe;
+    let layers = recipe.previous.values().chain(recipe.new.values());
+    let layers = layers.flat_map(|layer| &layer.artifacts);
+    let read = recipe.tables.values().flatten().chain(layers);
     let row_bytes = read
         .map(|artifact| artifact.bytes / artifact.rows.max(1))
         .max();

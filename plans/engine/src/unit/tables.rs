@@ -14,7 +14,7 @@ use evermap_schemas::Fault;
 
 use crate::error::OrFault;
 use crate::map::artifact::read_artifacts;
-use crate::map::receipt::{Artifact, Extent, PreviousLayer};
+use crate::map::receipt::{Artifact, Extent, LayerRows};
 use crate::map::store::Store;
 use crate::program::{Read, Scope};
 use crate::unit::Unit;
@@ -55,10 +55,15 @@ impl Tables<'_> {
             }
             Input::Previous(name) => {
                 let missing = || Fault::bug(format!("no previous {name}"));
-                let PreviousLayer { op, artifacts } =
-                    recipe.previous.get(name).ok_or_else(missing)?;
+                let LayerRows { op, artifacts } = recipe.previous.get(name).ok_or_else(missing)?;
                 let frame = self.artifacts(artifacts, op.as_deref()).await?;
                 let frame = without_sessions(frame, &recipe.replaced)?;
+                (frame, extents(artifacts))
+            }
+            Input::New(name) => {
+                let missing = || Fault::bug(format!("no new {name}"));
+                let LayerRows { op, artifacts } = recipe.new.get(name).ok_or_else(missing)?;
+                let frame = self.artifacts(artifacts, op.as_deref()).await?;
                 (frame, extents(artifacts))
             }
         };
