@@ -25,6 +25,9 @@ pub struct GroundParams {
     /// above the ground and 8 m away a pixel is 0.16 m deep, more than a painted line.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub reach_m: f64,
+    /// Height of the ground in the vehicle frame (m): 0 where the frame stands on it, minus the wheel's radius where it is
+    /// the axle's.
+    pub plane_m: f64,
     /// Looks flatter than this cosine of the angle ψ to the ground's normal are not used; 0 uses all within reach. The
     /// default is 85.4°, where one degree of pitch moves the ground by 15 %.
     #[schemars(range(min = 0.0, max = 1.0))]
@@ -44,6 +47,7 @@ impl Default for GroundParams {
         Self {
             cell_m: 0.05,
             reach_m: 8.0,
+            plane_m: 0.0,
             min_cos: 0.08,
             weight_power: 2.0,
             max_angle_rad: FRAC_PI_2,
@@ -82,9 +86,11 @@ pub enum GroundParamsError {
         cell_m: f64,
     },
     /// The camera is in or below the ground.
-    #[error("expected a camera above the vehicle's ground plane z = 0, found it at z = {z_m} m")]
+    #[error(
+        "expected a camera above the ground (`plane_m` in the vehicle frame), found it {z_m} m above"
+    )]
     BelowGround {
-        /// Height found, metres.
+        /// Height above the ground found, metres.
         z_m: f64,
     },
     /// The image is too small to interpolate in, or too large for fixed point.
@@ -121,6 +127,8 @@ pub struct GroundLut {
     pub(super) width: u32,
     pub(super) height: u32,
     pub(super) node_m: f64,
+    /// Height of the plane in the vehicle frame, metres.
+    pub(super) plane_m: f64,
     /// Height of the camera above the plane, metres.
     pub(super) height_m: f64,
     /// Node (column 0, row 0) is at `first * node_m` in the vehicle frame.
@@ -142,11 +150,12 @@ impl GroundLut {
         mask: Option<PixelMask<'_>>,
     ) -> Result<Self, GroundParamsError> {
         params.check()?;
-        check(camera, vehicle_from_camera, mask)?;
+        let plane_from_camera = above(-params.plane_m).compose(vehicle_from_camera);
+        check(camera, &plane_from_camera, mask)?;
         let view = GroundCamera {
             camera: &within(camera, params.max_angle_rad),
-            camera_from_vehicle: vehicle_from_camera.inverse(),
-            eye: vehicle_from_camera.translation,
+            camera_from_vehicle: plane_from_camera.inverse(),
+            eye: plane_from_camera.translation,
             params,
             mask,
         };
@@ -166,6 +175,7 @@ impl GroundLut {
             width: camera.width,
             height: camera.height,
             node_m: params.cell_m,
+            plane_m: params.plane_m,
             height_m: view.eye.z,
             first,
             columns: side,
@@ -244,6 +254,14 @@ impl GroundLut {
         }
         Some(out)
     }
+}
+
+/// A frame without a turn, so much higher.
+pub(super) fn above(height_m: f64) -> Pose {
+    Pose::new(
+        Vector3::z() * height_m,
+        nalgebra::UnitQuaternion::identity(),
+    )
 }
 
 /// The camera without what it shows too far from its axis.

@@ -17,8 +17,8 @@
 //! looks into the table the pixel moves in equal steps, over spans so short that no cell is put
 //! off by more than a tenth of itself. (A mask finer than a span may therefore be stepped over.)
 //!
-//! **Which plane.** The ground is taken to be the vehicle's own z = 0 plane, the one its wheels
-//! stand on, at whatever attitude the pose gives it. A map cell is a vertical line; where it meets
+//! **Which plane.** The ground is taken to be a plane of the vehicle's own, the one its wheels
+//! stand on ([`GroundParams::plane_m`]), at whatever attitude the pose gives it. A map cell is a vertical line; where it meets
 //! that plane is an affine function of the cell for *every* six-degree pose, so slopes and ramps
 //! cost nothing and nothing is approximated. What is not modelled is ground that bends within
 //! reach of the camera.

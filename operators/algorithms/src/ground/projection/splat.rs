@@ -1,5 +1,6 @@
 //! The inner loop: one image, one pose, rows of map cells.
 
+use super::lut::above;
 use super::{GrayView, GroundLut};
 use crate::geometry::pose::Pose;
 
@@ -51,7 +52,8 @@ impl GroundLut {
         if (image.width(), image.height()) != (self.width, self.height) {
             return;
         }
-        let Some(grid) = GridFromMap::new(self, map_from_vehicle, cell_m) else {
+        let map_from_plane = map_from_vehicle.compose(&above(self.plane_m));
+        let Some(grid) = GridFromMap::new(self, &map_from_plane, cell_m) else {
             return;
         };
         // One compiled loop for each length of span.

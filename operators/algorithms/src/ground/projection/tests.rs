@@ -240,3 +240,30 @@ fn nanoseconds_per_cell() {
         eprintln!("nodes every {cell_m} m: {visited} cells, {best:.2} ns each, checksum {sum}");
     }
 }
+
+#[test]
+fn the_frame_of_an_axle_stands_above_the_ground() {
+    let (camera, vehicle_from_camera) = rig();
+    let params = GroundParams::default();
+    let axle = GroundParams {
+        plane_m: -0.25,
+        ..params
+    };
+    let height = Pose::new(Vector3::z() * 0.25, UnitQuaternion::identity());
+    let axle_from_camera = height.inverse().compose(&vehicle_from_camera);
+    let pixels = picture(&camera);
+    let image = GrayView::new(400, 300, &pixels).unwrap();
+    let of_ground = GroundLut::new(&camera, &vehicle_from_camera, &params, None).unwrap();
+    let of_axle = GroundLut::new(&camera, &axle_from_camera, &axle, None).unwrap();
+    // On a slope, so that the two frames stand above different cells.
+    let rotation = UnitQuaternion::from_euler_angles(0.1, 0.2, 0.7);
+    let pose = Pose::new(Vector3::new(-2.0, 1.0, 0.5), rotation);
+    let expected = cells(&of_ground, &image, &pose, 0.1);
+    let found = cells(&of_axle, &image, &pose.compose(&height), 0.1);
+    let both = expected.keys().filter(|cell| found.contains_key(cell));
+    let both: Vec<_> = both.collect();
+    assert!(both.len() + 20 > expected.len().max(found.len()));
+    for cell in both {
+        assert!(expected[cell].0.abs_diff(found[cell].0) <= 1, "{cell:?}");
+    }
+}
