@@ -51,7 +51,7 @@ struct Localised {
 impl Localised {
     /// Of the newest version of a map, against the version before.
     fn of(map: &Path, version: u32, session: &str, truths: &Trajectories) -> Self {
-        let before = poses(map, Some(version - 1), "adjusted_poses", "map_from_vehicle");
+        let before = poses(map, Some(version - 1), "poses", "map_from_vehicle");
         let mut found = poses(map, Some(version), "localisations", "map_from_vehicle");
         found.retain(|name, _| name == session);
         let error = error_in(&found, truths, &truth_from_map(&before, truths));
@@ -369,7 +369,7 @@ fn one_camera_on_the_road_halves_the_odometrys_turning_and_finds_its_way_again()
     let all = stretch.write(folder.path(), "all", 0, 1);
     run("metric_map", &map, &[&all.session]);
     let truths: Trajectories = [("all".to_owned(), all.truth)].into();
-    let estimates = poses(&map, None, "adjusted_poses", "map_from_vehicle");
+    let estimates = poses(&map, None, "poses", "map_from_vehicle");
     let odometry: Trajectories = [("all".to_owned(), all.odometry)].into();
     let drift =
         |estimates: &Trajectories| relative_error(&pairs(estimates, &truths)["all"], 10.0).unwrap();

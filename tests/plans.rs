@@ -51,13 +51,14 @@ fn plans_share_the_steps_of_the_metric_map() {
     }
     // The first drive is a lifelong map without a version before.
     for (name, step) in steps("metric_map") {
-        let mut other = lifelong[&name].clone();
+        let mut other = lifelong[&name].replace("new.", "");
         for port in [
             "localisations: localisations",
             "previous: previous.adjusted_poses",
-            "previous: previous.map_frames",
+            "previous: previous.frame_poses",
             "previous: previous.loop_closures",
-            "mapped: previous.adjusted_poses",
+            "previous: previous.map_frames",
+            "previous_frames: previous.map_frames",
         ] {
             other = other.replace(port, "");
         }

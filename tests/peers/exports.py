@@ -66,9 +66,9 @@ def main():
         out = Path(folder)
         export(evermap, map_folder, "adjusted_poses", "colmap", out / "model")
         colmap(out / "model")
-        for layer in ("adjusted_poses", "keyframes"):
+        for layer in ("poses", "keyframes"):
             export(evermap, map_folder, layer, "tum", out / f"{layer}.tum", "--session", session)
-        evo(out / "adjusted_poses.tum", out / "keyframes.tum")
+        evo(out / "poses.tum", out / "keyframes.tum")
 
 
 if __name__ == "__main__":

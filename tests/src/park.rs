@@ -112,10 +112,7 @@ pub fn adjusted_error(
     version: Option<u32>,
     truths: &Trajectories,
 ) -> AbsoluteError {
-    let error = map_error(
-        &poses(map, version, "adjusted_poses", "map_from_vehicle"),
-        truths,
-    );
+    let error = map_error(&poses(map, version, "poses", "map_from_vehicle"), truths);
     let odometry = error_by_session(
         &poses(map, version, "keyframes", "odom_from_vehicle"),
         truths,

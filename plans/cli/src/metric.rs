@@ -49,15 +49,10 @@ pub async fn metric_map(reader: &MapReader, site: &str) -> Result<Option<MetricM
     if adjusted.is_empty() {
         return Ok(None);
     }
-    let poses = adjusted.into_iter().map(|row| VehiclePose {
-        site: row.site,
-        session: row.session,
-        stamp: row.stamp,
-        map_from_vehicle: row.map_from_vehicle,
-    });
+    let poses: Vec<VehiclePose> = reader.rows(site).await?;
     let keyframes: Vec<Keyframe> = reader.rows(site).await?;
     let landmarks: Vec<LandmarkPoint> = reader.rows(site).await?;
-    let mut found = compared(&poses.collect::<Vec<_>>(), &keyframes);
+    let mut found = compared(&poses, &keyframes);
     found.scene.landmarks = landmarks.iter().map(|row| [row.x, row.y]).collect();
     found.scene.loops = loops(&reader.rows(site).await?);
     Ok(Some(found))

@@ -178,6 +178,12 @@ record! {
         camera: String,
         /// The feature's index in the image's lists.
         feature: u32,
+        /// The feature's column in the full image; 0 is the centre of the first pixel.
+        u: f32 ["px"],
+        /// The feature's row in the full image; 0 is the centre of the first pixel.
+        v: f32 ["px"],
+        /// Diameter of the feature's neighbourhood in the full image.
+        size_px: f32 ["px"],
         /// The landmark.
         landmark: u32,
         /// Distance in the image between the feature and the projected landmark.
@@ -188,7 +194,20 @@ record! {
 }
 
 record! {
-    /// A keyframe's pose after bundle adjustment, with the landmarks it sees.
+    /// The size of a camera's images.
+    pub struct ImageSize {
+        /// The camera.
+        camera: String,
+        /// Width of its images.
+        width: u32 ["px"],
+        /// Height of its images.
+        height: u32 ["px"],
+    }
+}
+
+record! {
+    /// A keyframe that holds the map up: its pose after bundle adjustment, with the landmarks it sees, and what of it a
+    /// later adjustment needs.
     #[layer("adjusted_poses", key(site, session, stamp))]
     pub struct AdjustedPose {
         /// Site of the map.
@@ -201,8 +220,16 @@ record! {
         keyframe: u32,
         /// The vehicle in the map.
         map_from_vehicle: Pose ["", "map"],
-        /// The landmarks it sees.
+        /// The stretch of unbroken odometry that it belongs to; see `keyframes`.
+        stretch: u32,
+        /// The vehicle in the session's drifting odometry frame.
+        odom_from_vehicle: Pose,
+        /// The landmarks it sees, ordered by camera and feature.
         observations: Vec<Observation>,
+        /// The observations' descriptors, 64 bytes for each, one after the other.
+        descriptors: Bytes,
+        /// The sizes of its images, ordered by camera.
+        images: Vec<ImageSize>,
     }
 }
 
@@ -260,7 +287,7 @@ record! {
 }
 
 record! {
-    /// A frame of the map, fixed from the version on that made it. Poses hang off it.
+    /// A frame of the map: a keyframe that stays in it. Poses hang off it, and move with it.
     #[layer("map_frames", key(site, frame))]
     pub struct MapFrame {
         /// Site of the map.
@@ -273,11 +300,16 @@ record! {
         stamp: Stamp ["ns"],
         /// The frame in the map.
         map_from_frame: Pose ["", "map"],
+        /// How far it has moved since the version before; null in the version that made it.
+        moved_m: Option<f64> ["m"],
+        /// How far it has turned since the version before; null in the version that made it.
+        moved_rad: Option<f64> ["rad"],
     }
 }
 
 record! {
-    /// A vehicle pose that hangs off a map frame nearby: `map_from_frame * frame_from_vehicle` is `map_from_vehicle`.
+    /// A vehicle pose that hangs off a map frame nearby: `map_from_frame * frame_from_vehicle` is `map_from_vehicle`, but
+    /// for what a map that has settled does not follow.
     #[layer("frame_poses", key(site, session, stamp))]
     pub struct FramePose {
         /// Site of the map.

@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use crate::{Bytes, ImageRef, LayerRow, Pose, Stamp, Wkb, record};
 
 pub use metric_map::{
-    AdjustedPose, BodyMask, Features, FrameImage, FramePose, GraphPose, Landmark, Localisation,
-    LoopClosure, LoopEdge, MapFrame, Observation, Sighting, Track, TrackPoint,
+    AdjustedPose, BodyMask, Features, FrameImage, FramePose, GraphPose, ImageSize, Landmark,
+    Localisation, LoopClosure, LoopEdge, MapFrame, Observation, Sighting, Track, TrackPoint,
 };
 pub use semantic_map::{
     ClassCount, ClassLeaf, ClassScores, CrfSetting, DecisionTree, LabelImage, LabelledFrame,

@@ -39,6 +39,8 @@ impl Frames {
             session: pose.session,
             stamp: pose.stamp,
             map_from_frame: pose.map_from_vehicle,
+            moved_m: None,
+            moved_rad: None,
         });
     }
 

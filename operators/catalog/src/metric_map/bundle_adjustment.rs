@@ -1,29 +1,36 @@
 #![doc = include_str!("bundle_adjustment.md")]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::geometry::rig::RigCamera;
 use evermap_algorithms::metric_map::association::{FeatureRef, Landmark};
-use evermap_algorithms::metric_map::mapping::{Map, MapInput, MappingParams, map};
+use evermap_algorithms::metric_map::mapping::{
+    Candidate, Map, MapInput, MapObservation, MappingParams, SummaryParams, Touch, map, summary,
+    touched,
+};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{
-    AdjustedPose, Features, GraphPose, Keyframe, Observation, Track, TrackPoint,
+    AdjustedPose, Features, ImageSize, Keyframe, MapFrame, Observation, Track, TrackPoint,
+    VehiclePose,
 };
+use evermap_schemas::{Bytes, Stamp};
 
 use crate::inputs::rig::{self, OfVehicle};
-use crate::inputs::survey::Survey;
+use crate::inputs::survey::{NewDrives, Survey};
 
 /// See the module's page.
 pub struct BundleAdjustment;
 
 impl Operator for BundleAdjustment {
     const NAME: &'static str = "bundle_adjustment";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: &'static str = include_str!("bundle_adjustment.md");
     type Params = OfVehicle<MappingParams>;
     type Output = AdjustedPose;
 
     fn work() -> Work<Self::Params> {
-        let poses = Port::site::<GraphPose>("poses");
+        let poses = Port::site::<VehiclePose>("poses");
         let mut sides = vec![
             Port::site::<Keyframe>("keyframes"),
             Port::site::<Features>("features"),
@@ -31,84 +38,196 @@ impl Operator for BundleAdjustment {
         ];
         sides.extend(rig::ports(Reach::Site));
         sides.push(Port::site::<AdjustedPose>("previous").optional());
+        sides.push(Port::site::<MapFrame>("previous_frames").optional());
         Work::group(poses, Key::SITE, sides, adjust)
     }
 }
 
 fn adjust(
     params: &OfVehicle<MappingParams>,
-    mut poses: Vec<GraphPose>,
+    poses: Vec<VehiclePose>,
     sides: &Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = poses.first().map(|pose| pose.site.clone()) else {
         return Ok(());
     };
-    let previous = sides.rows::<AdjustedPose>("previous")?;
-    let base = base(&poses, &previous);
-    keep_previous(&mut poses, &previous);
-    let guesses = poses.iter().map(|row| {
-        let pose = row.map_from_vehicle.to_array();
-        (row.session.as_str(), row.keyframe, pose)
-    });
-    let keyframes = sides.rows::<Keyframe>("keyframes")?;
-    let survey = Survey::new(guesses, keyframes, sides, &params.vehicle, emit)?;
-    let landmarks = landmarks(&survey, &previous);
+    let frames = sides.rows::<MapFrame>("previous_frames")?;
+    let summary = &params.options.summary;
+    let previous = kept(sides.rows("previous")?, &frames, summary);
+    let keyframes: Vec<Keyframe> = sides.rows("keyframes")?;
+    let first_new = first_new(&previous);
+    let base = base(&previous, &frames);
+    let Known {
+        rows: known,
+        holding,
+        untouched,
+    } = Known::new(previous, &new_places(&poses, &keyframes), summary);
+    let new = NewDrives {
+        poses,
+        keyframes,
+        features: sides.rows("features")?,
+    };
+    let survey = Survey::new(&known, new, sides, &params.vehicle, emit)?;
+    let landmarks = landmarks(&survey, &known);
     let tracks = tracks(&survey, sides.rows("tracks")?, emit);
-    let fixed = base
-        .and_then(|(session, keyframe)| survey.keyframe(&session, keyframe))
-        .unwrap_or(0);
     let found = map(
         &MapInput {
             scene: &survey.scene,
             poses: &survey.poses,
             landmarks: &landmarks,
             tracks: &tracks,
-            fixed,
+            fixed: &fixed(&survey, base.as_ref(), &holding),
+            first_new,
         },
         &params.options,
     );
-    emit.rows(rows(&survey, &found, &site))
+    let mut rows = rows(&survey, &found, &site);
+    rows.extend(untouched);
+    rows.sort_by(|a, b| (&a.session, a.stamp).cmp(&(&b.session, b.stamp)));
+    emit.rows(rows)
 }
 
-/// The keyframe whose pose stays: the earliest of the version before, or of all.
-fn base(poses: &[GraphPose], previous: &[AdjustedPose]) -> Option<(String, u32)> {
-    let known = previous
-        .iter()
-        .map(|row| (row.stamp, &row.session, row.keyframe))
-        .min();
-    let first = || {
-        poses
+/// A keyframe by its session and instant.
+type KeyframeName = (String, Stamp);
+
+/// The keyframes of the version before that hold the map up.
+struct Known {
+    /// Those that new drives have to do with.
+    rows: Vec<AdjustedPose>,
+    /// Which of them stay where they are.
+    holding: BTreeSet<KeyframeName>,
+    /// The others.
+    untouched: Vec<AdjustedPose>,
+}
+
+impl Known {
+    fn new(previous: Vec<AdjustedPose>, new: &[[f64; 3]], params: &SummaryParams) -> Self {
+        let places: Vec<[f64; 3]> = previous
             .iter()
-            .map(|row| (row.stamp, &row.session, row.keyframe))
-            .min()
-    };
-    known
-        .or_else(first)
-        .map(|(_, session, keyframe)| (session.clone(), keyframe))
-}
-
-/// Poses of the version before are taken as they were.
-fn keep_previous(poses: &mut [GraphPose], previous: &[AdjustedPose]) {
-    let known: BTreeMap<(&str, u32), &AdjustedPose> = previous
-        .iter()
-        .map(|row| ((row.session.as_str(), row.keyframe), row))
-        .collect();
-    for row in poses {
-        if let Some(known) = known.get(&(row.session.as_str(), row.keyframe)) {
-            row.map_from_vehicle = known.map_from_vehicle.clone();
+            .map(|row| place(&row.map_from_vehicle))
+            .collect();
+        let mut known = Self {
+            rows: Vec::new(),
+            holding: BTreeSet::new(),
+            untouched: Vec::new(),
+        };
+        for (row, touch) in previous.into_iter().zip(touched(&places, new, params)) {
+            if touch == Touch::Untouched {
+                known.untouched.push(row);
+                continue;
+            }
+            if touch == Touch::Holding {
+                known.holding.insert((row.session.clone(), row.stamp));
+            }
+            known.rows.push(row);
         }
+        known
     }
 }
 
+fn place(pose: &evermap_schemas::Pose) -> [f64; 3] {
+    [pose.x, pose.y, pose.z]
+}
+
+/// Where the keyframes of new drives are.
+fn new_places(poses: &[VehiclePose], keyframes: &[Keyframe]) -> Vec<[f64; 3]> {
+    let new: BTreeSet<&str> = keyframes.iter().map(|row| row.session.as_str()).collect();
+    let poses = poses
+        .iter()
+        .filter(|row| new.contains(row.session.as_str()));
+    let places = poses.map(|row| place(&row.map_from_vehicle));
+    places
+        .filter(|place| place.iter().all(|at| at.is_finite()))
+        .collect()
+}
+
+/// The first name that no landmark of the version before has.
+fn first_new(previous: &[AdjustedPose]) -> u32 {
+    let seen = previous.iter().flat_map(|row| &row.observations);
+    let last = seen.map(|seen| seen.landmark).max();
+    last.map_or(0, |last| last.saturating_add(1))
+}
+
+/// The keyframe of the version before that stays: that of the map's first frame, or the earliest.
+fn base(previous: &[AdjustedPose], frames: &[MapFrame]) -> Option<KeyframeName> {
+    let frames: BTreeMap<(&str, Stamp), u32> = frames
+        .iter()
+        .map(|frame| ((frame.session.as_str(), frame.stamp), frame.frame))
+        .collect();
+    let order = |row: &&AdjustedPose| {
+        let frame = frames.get(&(row.session.as_str(), row.stamp));
+        (
+            frame.copied().unwrap_or(u32::MAX),
+            row.stamp,
+            row.session.clone(),
+        )
+    };
+    let base = previous.iter().min_by_key(order)?;
+    Some((base.session.clone(), base.stamp))
+}
+
+/// The keyframes that stay: the base, and those that hold the others; where there are none, the earliest.
+fn fixed(
+    survey: &Survey,
+    base: Option<&KeyframeName>,
+    holding: &BTreeSet<KeyframeName>,
+) -> Vec<usize> {
+    let names = survey.keyframes.iter();
+    let names: Vec<KeyframeName> = names
+        .map(|keyframe| (keyframe.session.clone(), keyframe.stamp))
+        .collect();
+    let stays = |name: &KeyframeName| Some(name) == base || holding.contains(name);
+    let fixed: Vec<usize> = (0..names.len()).filter(|at| stays(&names[*at])).collect();
+    if !fixed.is_empty() {
+        return fixed;
+    }
+    let earliest = (0..names.len()).min_by_key(|at| (names[*at].1, &names[*at].0));
+    earliest.into_iter().collect()
+}
+
+/// The keyframes of the version before that go on holding the map up; those of map frames do.
+fn kept(
+    previous: Vec<AdjustedPose>,
+    frames: &[MapFrame],
+    params: &SummaryParams,
+) -> Vec<AdjustedPose> {
+    let frames: BTreeSet<(&str, Stamp)> = frames
+        .iter()
+        .map(|frame| (frame.session.as_str(), frame.stamp))
+        .collect();
+    let mut seen_by: BTreeMap<u32, BTreeSet<&str>> = BTreeMap::new();
+    for row in &previous {
+        for seen in &row.observations {
+            let sessions = seen_by.entry(seen.landmark).or_default();
+            sessions.insert(&row.session);
+        }
+    }
+    let candidate = |row: &AdjustedPose| {
+        let landmarks = row.observations.iter().map(|seen| &seen_by[&seen.landmark]);
+        Candidate {
+            // One without a pose is left out, and counted, where poses are read.
+            pose: Pose::from_array(row.map_from_vehicle.to_array())
+                .unwrap_or_else(|_| Pose::identity()),
+            held: frames.contains(&(row.session.as_str(), row.stamp)),
+            shared: landmarks.filter(|sessions| sessions.len() > 1).count(),
+            seen: row.observations.len(),
+        }
+    };
+    let candidates: Vec<Candidate> = previous.iter().map(candidate).collect();
+    let kept = summary(&candidates, params);
+    let rows = previous.into_iter().zip(kept);
+    rows.filter_map(|(row, kept)| kept.then_some(row)).collect()
+}
+
 /// The landmarks of the version before, by name.
-fn landmarks(survey: &Survey, previous: &[AdjustedPose]) -> Vec<Landmark> {
+fn landmarks(survey: &Survey, known: &[AdjustedPose]) -> Vec<Landmark> {
     let landmark = |(id, features)| Landmark {
         id,
         point: Default::default(),
         features,
     };
-    let landmarks = survey.landmarks(previous).into_iter();
+    let landmarks = survey.landmarks(known).into_iter();
     landmarks.map(landmark).collect()
 }
 
@@ -131,32 +250,59 @@ fn tracks(survey: &Survey, rows: Vec<Track>, emit: &mut Emit<'_>) -> Vec<Vec<Fea
 }
 
 fn rows(survey: &Survey, found: &Map, site: &str) -> Vec<AdjustedPose> {
-    let mut seen: Vec<Vec<Observation>> = vec![Vec::new(); survey.scene.keyframes.len()];
+    let mut seen: Vec<Vec<&MapObservation>> = vec![Vec::new(); survey.scene.keyframes.len()];
     for observation in &found.observations {
-        let image = observation.feature.image;
-        let keyframe = survey.scene.images[image as usize].keyframe;
-        seen[keyframe as usize].push(Observation {
-            camera: survey.scene.camera(image).name.clone(),
-            feature: observation.feature.feature,
-            landmark: found.landmarks[observation.landmark as usize].id,
-            residual_px: observation.residual_px as f32,
-            weight: observation.weight as f32,
-        });
+        let image = &survey.scene.images[observation.feature.image as usize];
+        seen[image.keyframe as usize].push(observation);
     }
-    let keyframes = survey.keyframes.iter().zip(&found.poses).zip(seen);
-    let mut rows: Vec<AdjustedPose> = keyframes
-        .map(|((keyframe, pose), mut observations)| {
-            observations.sort_by(|a, b| (&a.camera, a.feature).cmp(&(&b.camera, b.feature)));
+    let keyframes = survey.keyframes.iter().zip(&survey.scene.keyframes);
+    let keyframes = keyframes.zip(&found.poses).zip(seen);
+    keyframes
+        .map(|(((keyframe, of_scene), pose), mut seen)| {
+            // Images stand in the order of the cameras' names, their features in that of their numbers.
+            seen.sort_by_key(|seen| seen.feature);
+            let observations = seen.iter();
+            let observations = observations.map(|seen| observation(survey, found, seen));
+            let descriptors = seen.iter();
+            let descriptors =
+                descriptors.flat_map(|seen| survey.scene.feature(seen.feature).descriptor.0);
+            let rig = &survey.scene.rigs[of_scene.session as usize];
             AdjustedPose {
                 site: site.to_owned(),
                 session: keyframe.session.clone(),
                 stamp: keyframe.stamp,
                 keyframe: keyframe.number,
+                stretch: keyframe.stretch,
                 map_from_vehicle: evermap_schemas::Pose::from_array(pose.to_array()),
-                observations,
+                odom_from_vehicle: evermap_schemas::Pose::from_array(
+                    of_scene.odom_from_vehicle.to_array(),
+                ),
+                observations: observations.collect(),
+                descriptors: Bytes(descriptors.collect()),
+                images: rig.cameras.iter().map(image_size).collect(),
             }
         })
-        .collect();
-    rows.sort_by(|a, b| (&a.session, a.stamp).cmp(&(&b.session, b.stamp)));
-    rows
+        .collect()
+}
+
+fn observation(survey: &Survey, found: &Map, seen: &MapObservation) -> Observation {
+    let feature = survey.scene.feature(seen.feature);
+    Observation {
+        camera: survey.scene.camera(seen.feature.image).name.clone(),
+        feature: survey.number(seen.feature),
+        u: feature.pixel[0] as f32,
+        v: feature.pixel[1] as f32,
+        size_px: feature.size_px as f32,
+        landmark: found.landmarks[seen.landmark as usize].id,
+        residual_px: seen.residual_px as f32,
+        weight: seen.weight as f32,
+    }
+}
+
+fn image_size(camera: &RigCamera) -> ImageSize {
+    ImageSize {
+        camera: camera.name.clone(),
+        width: camera.camera.width,
+        height: camera.camera.height,
+    }
 }

@@ -4,14 +4,14 @@ use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::metric_map::association::{FeatureRef, describe};
 use evermap_algorithms::metric_map::features::FeatureNoise;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
-use evermap_schemas::layers::{AdjustedPose, Features, Keyframe, Landmark, Sighting, Sources};
+use evermap_schemas::layers::{AdjustedPose, Landmark, Sighting, Sources};
 use evermap_schemas::{Bytes, Wkb};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::rig::{self, OfVehicle};
-use crate::inputs::survey::Survey;
+use crate::inputs::survey::{NewDrives, Survey};
 
 /// See the module's page.
 pub struct Landmarks;
@@ -39,16 +39,14 @@ impl Default for LandmarkOptions {
 
 impl Operator for Landmarks {
     const NAME: &'static str = "landmarks";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("landmarks.md");
     type Params = OfVehicle<LandmarkOptions>;
     type Output = Landmark;
 
     fn work() -> Work<Self::Params> {
         let poses = Port::site::<AdjustedPose>("poses");
-        let mut sides = vec![Port::site::<Features>("features")];
-        sides.extend(rig::ports(Reach::Site));
-        Work::group(poses, Key::SITE, sides, landmarks)
+        Work::group(poses, Key::SITE, rig::ports(Reach::Site).into(), landmarks)
     }
 }
 
@@ -61,12 +59,8 @@ fn landmarks(
     let Some(site) = poses.first().map(|row| row.site.clone()) else {
         return Ok(());
     };
-    let known = poses.iter().map(|row| {
-        let pose = row.map_from_vehicle.to_array();
-        (row.session.as_str(), row.keyframe, pose)
-    });
-    let keyframes = poses.iter().map(keyframe).collect();
-    let survey = Survey::new(known, keyframes, sides, &params.vehicle, emit)?;
+    let new = NewDrives::default();
+    let survey = Survey::new(&poses, new, sides, &params.vehicle, emit)?;
     let seen: Vec<_> = survey.landmarks(&poses).into_iter().collect();
     let all = seen.len();
     let maker = Maker {
@@ -85,20 +79,6 @@ fn landmarks(
         (all - found.len()) as u64,
     );
     emit.rows(found)
-}
-
-/// A keyframe as far as landmarks need it.
-fn keyframe(row: &AdjustedPose) -> Keyframe {
-    Keyframe {
-        site: row.site.clone(),
-        session: row.session.clone(),
-        stamp: row.stamp,
-        keyframe: row.keyframe,
-        distance_m: 0.0,
-        stretch: 0,
-        odom_from_vehicle: row.map_from_vehicle.clone(),
-        images: Vec::new(),
-    }
 }
 
 struct Maker<'a> {
@@ -145,7 +125,7 @@ impl Maker<'_> {
                 session: keyframe.session.clone(),
                 keyframe: keyframe.number,
                 camera: scene.camera(feature.image).name.clone(),
-                feature: feature.feature,
+                feature: self.survey.number(*feature),
             }
         };
         let mut sightings: Vec<Sighting> = features.iter().map(sighting).collect();

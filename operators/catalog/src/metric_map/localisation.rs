@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use evermap_algorithms::geometry::rig::Rig;
+use evermap_algorithms::metric_map::features::KeyframeFeatures;
 use evermap_algorithms::metric_map::localisation::{
     Doubt, DriveKeyframe, Fix, KeyframeLocalisation, LandmarkMap, LocalisationParams, Localiser,
     MapLandmark, Places, State,
@@ -151,7 +152,9 @@ fn rows(
             matches: tried(|fix| fix.matches),
             inliers: tried(|fix| fix.inliers.len()),
             rms_px: known.and_then(Fix::rms_px),
-            observations: known.map_or_else(Vec::new, |fix| observations(fix, &drive.rig, numbers)),
+            observations: known.map_or_else(Vec::new, |fix| {
+                observations(fix, &drive.rig, &keyframe.features, numbers)
+            }),
         }
     });
     rows.collect()
@@ -165,13 +168,24 @@ fn state(state: State) -> &'static str {
     }
 }
 
-fn observations(fix: &Fix, rig: &Rig, numbers: &[u32]) -> Vec<Observation> {
-    let seen = fix.inliers.iter().map(|found| Observation {
-        camera: rig.cameras[found.camera].name.clone(),
-        feature: found.feature as u32,
-        landmark: numbers[found.landmark],
-        residual_px: found.residual_px as f32,
-        weight: found.weight as f32,
+fn observations(
+    fix: &Fix,
+    rig: &Rig,
+    features: &KeyframeFeatures,
+    numbers: &[u32],
+) -> Vec<Observation> {
+    let seen = fix.inliers.iter().map(|found| {
+        let feature = &features.images[found.camera].features[found.feature];
+        Observation {
+            camera: rig.cameras[found.camera].name.clone(),
+            feature: found.feature as u32,
+            u: feature.pixel[0] as f32,
+            v: feature.pixel[1] as f32,
+            size_px: feature.size_px as f32,
+            landmark: numbers[found.landmark],
+            residual_px: found.residual_px as f32,
+            weight: found.weight as f32,
+        }
     });
     seen.collect()
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::metric_map::places::{self, DriveTrack, Loop, LoopOptions};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
-use evermap_schemas::layers::{Features, Keyframe, LoopClosure, Track, VehiclePose};
+use evermap_schemas::layers::{Features, Keyframe, LoopClosure, Track};
 
 use crate::inputs::drive::{Drive, drives};
 use crate::inputs::rig::{self, OfVehicle};
@@ -14,42 +14,38 @@ pub struct LoopClosures;
 
 impl Operator for LoopClosures {
     const NAME: &'static str = "loop_closures";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("loop_closures.md");
     type Params = OfVehicle<LoopOptions>;
     type Output = LoopClosure;
 
     fn work() -> Work<Self::Params> {
-        let features = Port::site::<Features>("features");
+        let keyframes = Port::site::<Keyframe>("keyframes");
         let mut sides = vec![
+            Port::site::<Features>("features"),
             Port::site::<Track>("tracks"),
-            Port::site::<Keyframe>("keyframes"),
             Port::site::<LoopClosure>("previous").optional(),
-            Port::site::<VehiclePose>("mapped").optional(),
         ];
         sides.extend(rig::ports(Reach::Site));
-        Work::group(features, Key::SITE, sides, loop_closures)
+        Work::group(keyframes, Key::SITE, sides, loop_closures)
     }
 }
 
 fn loop_closures(
     params: &OfVehicle<LoopOptions>,
-    mut features: Vec<Features>,
+    mut keyframes: Vec<Keyframe>,
     sides: &Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(site) = features.first().map(|row| row.site.clone()) else {
+    let Some(site) = keyframes.first().map(|row| row.site.clone()) else {
         return Ok(());
     };
-    let mapped: BTreeSet<String> = sides.rows("mapped")?.into_iter().map(session).collect();
-    emit.rows(known(sides.rows("previous")?, &features, &mapped))?;
-    features.retain(|row| !mapped.contains(&row.session));
-    let mut keyframes: Vec<Keyframe> = sides.rows("keyframes")?;
-    keyframes.retain(|row| !mapped.contains(&row.session));
+    let features: Vec<Features> = sides.rows("features")?;
+    let new: BTreeSet<String> = features.iter().map(|row| row.session.clone()).collect();
+    emit.rows(known(sides.rows("previous")?, &keyframes, &new))?;
+    keyframes.retain(|row| new.contains(&row.session));
     let drives = drives(keyframes, features, sides, &params.vehicle, emit)?;
-    let mut rows: Vec<Track> = sides.rows("tracks")?;
-    rows.retain(|row| !mapped.contains(&row.session));
-    let mut tracks = tracks(rows, &drives, emit);
+    let mut tracks = tracks(sides.rows("tracks")?, &drives, emit);
     let searched: Vec<places::Drive<'_>> = drives
         .iter()
         .map(|(session, drive)| searched(drive, tracks.remove(session).unwrap_or_default()))
@@ -60,21 +56,15 @@ fn loop_closures(
     emit.rows(rows.flatten().collect())
 }
 
-fn session(pose: VehiclePose) -> String {
-    pose.session
-}
-
-/// The loops of the version before between sessions of the map that are still there.
+/// The loops of the version before between sessions that are there and are not searched again.
 fn known(
     mut previous: Vec<LoopClosure>,
-    features: &[Features],
-    mapped: &BTreeSet<String>,
+    keyframes: &[Keyframe],
+    new: &BTreeSet<String>,
 ) -> Vec<LoopClosure> {
-    let there: BTreeSet<&String> = features.iter().map(|row| &row.session).collect();
-    let both = |row: &LoopClosure| {
-        [&row.session, &row.other_session].map(|name| mapped.contains(name) && there.contains(name))
-    };
-    previous.retain(|row| both(row) == [true, true]);
+    let there: BTreeSet<&String> = keyframes.iter().map(|row| &row.session).collect();
+    let is_known = |session: &String| there.contains(session) && !new.contains(session);
+    previous.retain(|row| is_known(&row.session) && is_known(&row.other_session));
     previous
 }
 

@@ -1,7 +1,10 @@
 #![doc = include_str!("map_frames.md")]
 
+use std::collections::BTreeMap;
+
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_schemas::Stamp;
 use evermap_schemas::layers::{MapFrame, VehiclePose};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -29,7 +32,7 @@ impl Default for MapFramesParams {
 
 impl Operator for MapFrames {
     const NAME: &'static str = "map_frames";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("map_frames.md");
     type Params = MapFramesParams;
     type Output = MapFrame;
@@ -41,7 +44,7 @@ impl Operator for MapFrames {
     }
 }
 
-/// The frames of the version before, then those of the base session if there were none, then those in the gaps.
+/// The frames of the version before where their keyframes are now, then those in the gaps.
 fn frames(
     params: &MapFramesParams,
     mut poses: Vec<VehiclePose>,
@@ -51,16 +54,16 @@ fn frames(
     poses.retain(|pose| Pose::from_array(pose.map_from_vehicle.to_array()).is_ok());
     poses.sort_by(|a, b| (a.stamp, &a.session).cmp(&(b.stamp, &b.session)));
     let previous = sides.rows::<MapFrame>("previous")?;
-    let base = match poses.first() {
-        Some(first) if previous.is_empty() => Some(first.session.clone()),
-        _ => None,
-    };
-    let (of_base, others): (Vec<VehiclePose>, Vec<VehiclePose>) = poses
-        .into_iter()
-        .partition(|pose| base.as_ref() == Some(&pose.session));
-    let mut frames: Frames = previous.into_iter().collect();
-    of_base.into_iter().for_each(|pose| frames.push_pose(pose));
-    for pose in others {
+    let now: BTreeMap<(&str, Stamp), &evermap_schemas::Pose> = poses
+        .iter()
+        .map(|pose| ((pose.session.as_str(), pose.stamp), &pose.map_from_vehicle))
+        .collect();
+    let moved = previous.into_iter().map(|frame| {
+        let now = now.get(&(frame.session.as_str(), frame.stamp)).copied();
+        moved(frame, now)
+    });
+    let mut frames: Frames = moved.collect();
+    for pose in poses {
         let at = &pose.map_from_vehicle;
         let nearest = frames.nearest([at.x, at.y, at.z]);
         if nearest.is_none_or(|(_, away_m)| away_m > params.gap_m) {
@@ -68,4 +71,20 @@ fn frames(
         }
     }
     emit.rows(frames.into_rows())
+}
+
+/// The frame where its keyframe is now; where it was, if that is not known.
+fn moved(frame: MapFrame, now: Option<&evermap_schemas::Pose>) -> MapFrame {
+    let map_from_frame = now.unwrap_or(&frame.map_from_frame).clone();
+    let poses = [&frame.map_from_frame, &map_from_frame];
+    let [before, after] = poses.map(|pose| Pose::from_array(pose.to_array()).ok());
+    let motion = before
+        .zip(after)
+        .map(|(before, after)| before.inverse().compose(&after));
+    MapFrame {
+        map_from_frame,
+        moved_m: motion.map(|motion| motion.translation.norm()),
+        moved_rad: motion.map(|motion| motion.rotation.angle()),
+        ..frame
+    }
 }

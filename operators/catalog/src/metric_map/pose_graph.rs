@@ -10,7 +10,7 @@ use evermap_algorithms::metric_map::pose_graph::drives::{
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Stamp;
 use evermap_schemas::layers::{
-    AdjustedPose, GraphPose, Keyframe, Localisation, LoopClosure, LoopEdge,
+    GraphPose, Keyframe, Localisation, LoopClosure, LoopEdge, VehiclePose,
 };
 use nalgebra::{Matrix6, Vector6};
 
@@ -29,7 +29,7 @@ impl Operator for PoseGraph {
         let sides = vec![
             Port::site::<LoopClosure>("loop_closures"),
             Port::site::<Localisation>("localisations").optional(),
-            Port::site::<AdjustedPose>("previous").optional(),
+            Port::site::<VehiclePose>("previous").optional(),
         ];
         Work::group(keyframes, Key::SITE, sides, relax)
     }
@@ -117,7 +117,7 @@ fn relax(
     emit.rows(rows)
 }
 
-fn known(rows: Vec<AdjustedPose>) -> Known {
+fn known(rows: Vec<VehiclePose>) -> Known {
     rows.into_iter()
         .filter_map(|row| {
             let pose = Pose::from_array(row.map_from_vehicle.to_array()).ok()?;

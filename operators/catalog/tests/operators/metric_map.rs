@@ -1,10 +1,12 @@
 //! From features and rough poses to an accurate map, through the operators.
 
+use std::collections::BTreeSet;
+
 use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_contract::laws::inputs_of;
 use evermap_schemas::layers::{
-    AdjustedPose, Features, GraphPose, Keyframe, Landmark, Track, TrackPoint,
+    AdjustedPose, Features, Keyframe, Landmark, MapFrame, Track, TrackPoint, VehiclePose,
 };
 use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Bytes, Stamp};
@@ -17,6 +19,7 @@ const K: [f64; 9] = [127.0, 0.0, 199.5, 0.0, 127.0, 149.5, 0.0, 0.0, 1.0];
 
 /// A camera that looks to the left of a vehicle that drives along x, at marks on a wall.
 struct Drive {
+    session: String,
     truth: Vec<Pose>,
     features: Vec<Features>,
     tracks: Vec<Track>,
@@ -63,9 +66,10 @@ fn pose_row(pose: &Pose) -> evermap_schemas::Pose {
     evermap_schemas::Pose::from_array(pose.to_array())
 }
 
-fn drive() -> Drive {
+/// Of the same way, in the same noise, past the same marks; `off_m` to the side.
+fn drive(session: &str, off_m: f64) -> Drive {
     let truth: Vec<Pose> = (0..20)
-        .map(|at| Pose::from_yaw(0.4 * f64::from(at), 0.1 * f64::from(at).sin(), 0.02))
+        .map(|at| Pose::from_yaw(0.4 * f64::from(at), 0.1 * f64::from(at).sin() + off_m, 0.02))
         .collect();
     let (camera, marks) = (camera(), marks());
     let mut seen: Vec<Vec<TrackPoint>> = vec![Vec::new(); marks.len()];
@@ -74,7 +78,7 @@ fn drive() -> Drive {
         let camera_from_map = pose.compose(&left()).inverse();
         let mut row = Features {
             site: "lot".into(),
-            session: "a".into(),
+            session: session.into(),
             stamp: Stamp(keyframe as i64),
             keyframe: keyframe as u32,
             camera: "left".into(),
@@ -111,12 +115,13 @@ fn drive() -> Drive {
     let tracks = parts.filter(|points| points.len() > 1).zip(0..);
     let tracks = tracks.map(|(points, track)| Track {
         site: "lot".into(),
-        session: "a".into(),
+        session: session.into(),
         camera: "left".into(),
         track,
         points,
     });
     Drive {
+        session: session.to_owned(),
         tracks: tracks.collect(),
         truth,
         features,
@@ -124,9 +129,10 @@ fn drive() -> Drive {
 }
 
 fn keyframes(drive: &Drive) -> Vec<Keyframe> {
+    let session = drive.session.as_str();
     let row = |(keyframe, pose): (usize, &Pose)| Keyframe {
         site: "lot".into(),
-        session: "a".into(),
+        session: session.into(),
         stamp: Stamp(keyframe as i64),
         keyframe: keyframe as u32,
         distance_m: 0.0,
@@ -138,26 +144,23 @@ fn keyframes(drive: &Drive) -> Vec<Keyframe> {
 }
 
 /// Off by some centimetres, but for the first.
-fn graph_poses(drive: &Drive) -> Vec<GraphPose> {
+fn graph_poses(drive: &Drive) -> Vec<VehiclePose> {
     let row = |(keyframe, pose): (usize, &Pose)| {
         let off = 0.05 * (keyframe as f64 * 0.7).sin();
-        GraphPose {
+        VehiclePose {
             site: "lot".into(),
-            session: "a".into(),
+            session: drive.session.clone(),
             stamp: Stamp(keyframe as i64),
-            keyframe: keyframe as u32,
             map_from_vehicle: pose_row(&pose.compose(&Pose::from_yaw(off, -off, 0.1 * off))),
-            loops: Vec::new(),
-            optimality: "optimal".into(),
         }
     };
     drive.truth.iter().enumerate().map(row).collect()
 }
 
 fn calibration() -> Vec<Calibration> {
-    vec![Calibration {
+    let of = |session: &str| Calibration {
         site: "lot".into(),
-        session: "a".into(),
+        session: session.into(),
         stamp: Stamp(0),
         camera: "left".into(),
         width: 400,
@@ -165,50 +168,81 @@ fn calibration() -> Vec<Calibration> {
         model: "equidistant".into(),
         intrinsics: K.to_vec(),
         distortion: vec![0.0; 4],
-    }]
+    };
+    vec![of("a"), of("b")]
 }
 
 fn transforms() -> Vec<Transform> {
-    vec![Transform {
+    let of = |session: &str| Transform {
         site: "lot".into(),
-        session: "a".into(),
+        session: session.into(),
         stamp: Stamp(0),
         parent: "base_link".into(),
         child: "left".into(),
         parent_from_child: pose_row(&left()),
         fixed: true,
-    }]
+    };
+    vec![of("a"), of("b")]
 }
 
-fn adjusted(drive: &Drive, previous: Vec<AdjustedPose>) -> Vec<AdjustedPose> {
-    let mut inputs = vec![
+/// What `bundle_adjustment` makes of a drive, of which these frames of the map are held.
+fn adjusted(
+    drive: &Drive,
+    previous: Vec<AdjustedPose>,
+    previous_frames: Vec<MapFrame>,
+    params: serde_json::Value,
+) -> Vec<AdjustedPose> {
+    let inputs = [
         inputs_of("poses", graph_poses(drive)).unwrap(),
         inputs_of("keyframes", keyframes(drive)).unwrap(),
         inputs_of("features", drive.features.clone()).unwrap(),
         inputs_of("tracks", drive.tracks.clone()).unwrap(),
         inputs_of("calibration", calibration()).unwrap(),
         inputs_of("transforms", transforms()).unwrap(),
+        inputs_of("previous", previous).unwrap(),
+        inputs_of("previous_frames", previous_frames).unwrap(),
     ];
-    if !previous.is_empty() {
-        inputs.push(inputs_of("previous", previous).unwrap());
-    }
-    let (rows, losses) = yields("bundle_adjustment", json!({}), inputs);
+    let (rows, losses) = yields("bundle_adjustment", params, inputs);
     assert!(losses.is_empty(), "{losses:?}");
     rows
 }
 
 fn farthest_m(rows: &[AdjustedPose], drive: &Drive) -> f64 {
-    let off = |(row, truth): (&AdjustedPose, &Pose)| {
-        let pose = &row.map_from_vehicle;
+    let of_drive = rows.iter().filter(|row| row.session == drive.session);
+    let off = |row: &AdjustedPose| {
+        let (pose, truth) = (&row.map_from_vehicle, &drive.truth[row.keyframe as usize]);
         (Vector3::new(pose.x, pose.y, pose.z) - truth.translation).norm()
     };
-    rows.iter().zip(&drive.truth).map(off).fold(0.0, f64::max)
+    of_drive.map(off).fold(0.0, f64::max)
+}
+
+fn of_session(rows: &[AdjustedPose], session: &str) -> usize {
+    rows.iter().filter(|row| row.session == session).count()
+}
+
+/// The landmarks that a session sees, by number.
+fn seen_by(rows: &[AdjustedPose], session: &str) -> BTreeSet<u32> {
+    let of_session = rows.iter().filter(|row| row.session == session);
+    let seen = of_session.flat_map(|row| &row.observations);
+    seen.map(|seen| seen.landmark).collect()
+}
+
+fn map_frame(of: &AdjustedPose) -> MapFrame {
+    MapFrame {
+        site: of.site.clone(),
+        frame: 0,
+        session: of.session.clone(),
+        stamp: of.stamp,
+        map_from_frame: of.map_from_vehicle.clone(),
+        moved_m: None,
+        moved_rad: None,
+    }
 }
 
 #[test]
-fn rough_poses_become_exact_and_stay_where_they_are() {
-    let drive = drive();
-    let first = adjusted(&drive, Vec::new());
+fn rough_poses_become_exact_and_landmarks_are_described() {
+    let drive = drive("a", 0.0);
+    let first = adjusted(&drive, Vec::new(), Vec::new(), json!({}));
     assert_eq!(first.len(), drive.truth.len());
     assert!(
         farthest_m(&first, &drive) < 0.01,
@@ -216,28 +250,17 @@ fn rough_poses_become_exact_and_stay_where_they_are() {
         farthest_m(&first, &drive)
     );
     assert_eq!(first[0].map_from_vehicle, pose_row(&drive.truth[0]));
-    let numbers = |rows: &[AdjustedPose]| {
-        let seen = rows.iter().flat_map(|row| &row.observations);
-        seen.map(|seen| seen.landmark)
-            .collect::<std::collections::BTreeSet<u32>>()
-    };
+    let seen = seen_by(&first, "a");
     // The two tracks of a mark are one landmark.
-    assert!(numbers(&first).len() <= marks().len());
-    // The version after starts from this one: nothing new, so nothing moves, and landmarks keep their numbers.
-    let again = adjusted(&drive, first.clone());
-    assert_eq!(again[0].map_from_vehicle, first[0].map_from_vehicle);
-    assert!(farthest_m(&again, &drive) < 0.01);
-    let (before, after) = (numbers(&first), numbers(&again));
-    assert!(after.intersection(&before).count() * 10 >= 9 * before.len());
+    assert!(seen.len() <= marks().len());
     let inputs = [
         inputs_of("poses", first).unwrap(),
-        inputs_of("features", drive.features).unwrap(),
         inputs_of("calibration", calibration()).unwrap(),
         inputs_of("transforms", transforms()).unwrap(),
     ];
     let (landmarks, losses) = yields::<Landmark>("landmarks", json!({}), inputs);
     assert!(losses.is_empty(), "{losses:?}");
-    assert_eq!(landmarks.len(), before.len());
+    assert_eq!(landmarks.len(), seen.len());
     for landmark in &landmarks {
         let place = Vector3::new(landmark.x, landmark.y, landmark.z);
         let nearest = marks()
@@ -247,5 +270,47 @@ fn rough_poses_become_exact_and_stay_where_they_are() {
         assert!(nearest < 0.1, "{landmark:?}");
         assert!(landmark.near_m <= landmark.far_m && landmark.view_cos <= 1.0);
         assert!(landmark.descriptors.0.len() % 64 == 0 && !landmark.descriptors.0.is_empty());
+        for sighting in &landmark.sightings {
+            let row = &drive.features[sighting.keyframe as usize];
+            assert!((sighting.feature as usize) < row.u.len());
+        }
     }
+}
+
+#[test]
+fn a_new_drive_is_added_to_what_is_kept_of_those_before() {
+    let (a, b) = (drive("a", 0.0), drive("b", 0.2));
+    let first = adjusted(&a, Vec::new(), Vec::new(), json!({}));
+    let both = adjusted(&b, first.clone(), Vec::new(), json!({}));
+    assert_eq!(both.len(), a.truth.len() + b.truth.len());
+    assert_eq!(both[0].map_from_vehicle, first[0].map_from_vehicle);
+    for drive in [&a, &b] {
+        let farthest_m = farthest_m(&both, drive);
+        assert!(farthest_m < 0.01, "{}: {farthest_m}", drive.session);
+    }
+    // Landmarks keep their numbers, and the new drive sees the same ones.
+    let before = seen_by(&first, "a");
+    for session in ["a", "b"] {
+        let seen = seen_by(&both, session);
+        let kept = seen.intersection(&before).count();
+        assert!(
+            kept * 10 >= 9 * before.len(),
+            "{session}: {kept} of {}",
+            before.len()
+        );
+    }
+    // What shows nothing more is not kept, what a map frame stands on is.
+    let last = map_frame(&first[19]);
+    let thinned = adjusted(&b, first, vec![last], json!({ "spot_keyframes": 1 }));
+    let kept: Vec<u32> = thinned
+        .iter()
+        .filter(|row| row.session == "a")
+        .map(|row| row.keyframe)
+        .collect();
+    assert!(
+        (8..=16).contains(&kept.len()) && kept.contains(&19),
+        "{kept:?}"
+    );
+    assert_eq!(of_session(&thinned, "b"), b.truth.len());
+    assert!(farthest_m(&thinned, &a) < 0.02 && farthest_m(&thinned, &b) < 0.02);
 }

@@ -98,6 +98,9 @@ pub fn adjusted_poses(poses: &[VehiclePose]) -> Vec<AdjustedPose> {
         let seen = |feature: u32| Observation {
             camera: CAMERA.into(),
             feature,
+            u: 100.0 + feature as f32,
+            v: 50.0,
+            size_px: 8.0,
             landmark: k / 3 * SEEN + feature,
             residual_px: 0.25 * (feature + 1) as f32,
             weight: if feature == 2 { 0.1 } else { 1.0 },
@@ -108,7 +111,11 @@ pub fn adjusted_poses(poses: &[VehiclePose]) -> Vec<AdjustedPose> {
             stamp: pose.stamp,
             keyframe: k,
             map_from_vehicle: pose.map_from_vehicle.clone(),
+            stretch: 0,
+            odom_from_vehicle: pose.map_from_vehicle.clone(),
             observations: (0..SEEN).map(seen).collect(),
+            descriptors: Default::default(),
+            images: vec![],
         }
     };
     (0..).zip(poses).map(row).collect()

@@ -195,6 +195,7 @@ fn metric_layers(folder: &Path) -> BTreeMap<String, StoredLayer> {
                 metric::adjusted_poses(&path),
             ),
         ),
+        keep("poses", stored(folder, None, session, path.clone())),
         keep(
             "features",
             stored(folder, Some("features"), session, metric::features(&path)),

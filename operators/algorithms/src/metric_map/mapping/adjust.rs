@@ -136,7 +136,7 @@ fn problem(
     )| Keyframe {
         session: keyframe.session as usize,
         map_from_vehicle: *pose,
-        fixed: at == input.fixed,
+        fixed: input.fixed.binary_search(&at).is_ok(),
     };
     let keyframes = scene.keyframes.iter().zip(poses).enumerate();
     Problem {
@@ -167,6 +167,22 @@ fn observations(scene: &Scene, landmarks: &[Landmark], params: &AdjustParams) ->
     all
 }
 
+/// Standard deviations of an odometry step. A turn that is missed evenly along the way leads aside by half of it times the
+/// way, which counts where the keyframes between two have been dropped.
+fn odometry_sigma(length_m: f64, params: &AdjustParams) -> [f64; 6] {
+    let AdjustParams {
+        odometry_sigma,
+        odometry_sigma_per_m,
+        ..
+    } = params;
+    let mut sigma: [f64; 6] =
+        std::array::from_fn(|axis| odometry_sigma[axis] + odometry_sigma_per_m[axis] * length_m);
+    for (axis, turn) in [(1, 5), (2, 4)] {
+        sigma[axis] += 0.5 * odometry_sigma_per_m[turn] * length_m * length_m;
+    }
+    sigma
+}
+
 /// From each keyframe to the next of its session.
 fn odometry(scene: &Scene, params: &AdjustParams) -> Vec<Odometry> {
     let mut steps = Vec::new();
@@ -187,9 +203,7 @@ fn odometry(scene: &Scene, params: &AdjustParams) -> Vec<Odometry> {
             to: from + 1,
             from_from_to,
             length_m,
-            sigma: std::array::from_fn(|axis| {
-                params.odometry_sigma[axis] + params.odometry_sigma_per_m[axis] * length_m
-            }),
+            sigma: odometry_sigma(length_m, params),
         });
     }
     steps

@@ -19,6 +19,7 @@
 
 mod adjust;
 mod prune;
+mod summary;
 #[cfg(test)]
 mod tests;
 
@@ -29,6 +30,7 @@ use crate::geometry::pose::Pose;
 use crate::metric_map::association::{AssociationParams, FeatureRef, Landmark, Scene, associate};
 
 pub use adjust::AdjustParams;
+pub use summary::{Candidate, SummaryParams, Touch, summary, touched};
 
 /// How maps are made.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -57,6 +59,9 @@ pub struct MappingParams {
     /// Weights of adjustment.
     #[serde(flatten)]
     pub adjust: AdjustParams,
+    /// What is kept of the drives before.
+    #[serde(flatten)]
+    pub summary: SummaryParams,
 }
 
 impl Default for MappingParams {
@@ -70,6 +75,7 @@ impl Default for MappingParams {
             min_features: 3,
             min_parallax_rad: 0.03,
             adjust: AdjustParams::default(),
+            summary: SummaryParams::default(),
         }
     }
 }
@@ -85,8 +91,10 @@ pub struct MapInput<'a> {
     pub landmarks: &'a [Landmark],
     /// Features that show one point each, sorted by image. Those that landmarks have already are left to them.
     pub tracks: &'a [Vec<FeatureRef>],
-    /// The keyframe whose pose stays.
-    pub fixed: usize,
+    /// The keyframes whose poses stay, sorted.
+    pub fixed: &'a [usize],
+    /// New landmarks are named from here on.
+    pub first_new: u32,
 }
 
 /// A feature as the adjusted map explains it.
@@ -107,7 +115,7 @@ pub struct MapObservation {
 pub struct Map {
     /// `map_from_vehicle` of the scene's keyframes.
     pub poses: Vec<Pose>,
-    /// The landmarks, those of the version before first. New names follow the largest name of those.
+    /// The landmarks, those of the version before first.
     pub landmarks: Vec<Landmark>,
     /// Their features, in the order of landmarks and images.
     pub observations: Vec<MapObservation>,
@@ -119,7 +127,7 @@ pub struct Map {
 pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
     let MapInput { scene, .. } = *input;
     let mut poses = input.poses.to_vec();
-    let (mut landmarks, first_new) = prune::first(input, params);
+    let mut landmarks = prune::first(input, params);
     for round in 0..params.rounds {
         let radius_px = radius_px(params, round);
         let association = AssociationParams {
@@ -134,7 +142,7 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
         let drop_px = params.drop_sigmas * params.adjust.features.sigma_px;
         landmarks = prune::prune(scene, &poses, landmarks, drop_px, params);
     }
-    prune::name(&mut landmarks, first_new);
+    prune::name(&mut landmarks, input.first_new);
     let last = adjust::adjust(
         input,
         &poses,

@@ -8,17 +8,15 @@ use super::{MapInput, MappingParams};
 use crate::geometry::pose::Pose;
 use crate::metric_map::association::{FeatureRef, Landmark, Scene, Sight, triangulate};
 
-/// The landmarks of the version before and the tracks, triangulated; and the first name that is new.
-pub(super) fn first(input: &MapInput<'_>, params: &MappingParams) -> (Vec<Landmark>, u32) {
-    let names = input.landmarks.iter().map(|landmark| landmark.id);
-    let first_new = names.max().map_or(0, |last| last.saturating_add(1));
+/// The landmarks of the version before and the tracks, triangulated.
+pub(super) fn first(input: &MapInput<'_>, params: &MappingParams) -> Vec<Landmark> {
     let mut taken: BTreeSet<FeatureRef> = BTreeSet::new();
     let mut landmarks = Vec::with_capacity(input.landmarks.len() + input.tracks.len());
     let known = input
         .landmarks
         .iter()
         .map(|known| (known.id, &known.features));
-    let new = input.tracks.iter().map(|track| (first_new, track));
+    let new = input.tracks.iter().map(|track| (input.first_new, track));
     for (id, features) in known.chain(new) {
         let mut features = features.clone();
         features.sort_unstable();
@@ -38,8 +36,7 @@ pub(super) fn first(input: &MapInput<'_>, params: &MappingParams) -> (Vec<Landma
         min_features: 2,
         ..*params
     };
-    let landmarks = prune(input.scene, input.poses, landmarks, gate_px, &params);
-    (landmarks, first_new)
+    prune(input.scene, input.poses, landmarks, gate_px, &params)
 }
 
 /// Gives new landmarks names, from `first_new` on.

@@ -34,6 +34,9 @@ fn parts() -> Parts {
     let seen = Observation {
         camera: "front".into(),
         feature: 1,
+        u: 199.5,
+        v: 149.5,
+        size_px: 1.0,
         landmark: 0,
         residual_px: 0.1,
         weight: 1.0,
@@ -47,7 +50,11 @@ fn parts() -> Parts {
             x: 10.0,
             ..evermap_schemas::Pose::IDENTITY
         },
+        stretch: 0,
+        odom_from_vehicle: evermap_schemas::Pose::IDENTITY,
         observations: vec![seen],
+        descriptors: Default::default(),
+        images: vec![],
     };
     let landmark = Landmark {
         site,

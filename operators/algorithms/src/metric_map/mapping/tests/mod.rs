@@ -128,7 +128,8 @@ fn mapped(hall: &Hall) -> (f64, Map, Simulated) {
         poses: &guess,
         landmarks: &[],
         tracks: &tracks,
-        fixed: 0,
+        fixed: &[0],
+        first_new: 0,
     };
     let found = map(&input, &MappingParams::default());
     assert_eq!(found.poses[0], guess[0]);
@@ -174,8 +175,88 @@ fn nothing_seen_leaves_poses_where_they_are() {
         poses: &guess,
         landmarks: &[],
         tracks: &[],
-        fixed: 0,
+        fixed: &[0],
+        first_new: 0,
     };
     let found = map(&input, &MappingParams::default());
     assert!(found.landmarks.is_empty() && found.poses[0] == guess[0]);
+}
+
+/// The poses with a turn added at each step, so that the last one is `off_m` beside where it was.
+fn bent(poses: &[Pose], off_m: f64) -> Vec<Pose> {
+    let chain = |turn_rad: f64| {
+        let mut bent = vec![poses[0]];
+        for pair in poses.windows(2) {
+            let step = pair[0].inverse().compose(&pair[1]);
+            let turned = step.compose(&Pose::from_yaw(0.0, 0.0, turn_rad));
+            bent.push(bent[bent.len() - 1].compose(&turned));
+        }
+        bent
+    };
+    let last = poses.len() - 1;
+    let little = 1e-4;
+    let moved = (chain(little)[last].translation - poses[last].translation).norm();
+    chain(little * off_m / moved)
+}
+
+#[test]
+fn a_bent_map_is_straightened_by_a_revisit() {
+    let hall = Hall {
+        points: 2000,
+        keyframes: 100,
+        loops: 0.9,
+        ..Hall::default()
+    };
+    let base = simulate(&hall);
+    let mut scene = Scene::default();
+    let tracks = base.add_to(&mut scene);
+    let guess = base.guess(0.0, 0.0);
+    let input = MapInput {
+        scene: &scene,
+        poses: &guess,
+        landmarks: &[],
+        tracks: &tracks,
+        fixed: &[0],
+        first_new: 0,
+    };
+    let straight = map(&input, &MappingParams::default());
+    let mut poses = bent(&straight.poses, 1.0);
+    let off_m = |poses: &[Pose]| {
+        let off = poses.iter().zip(&straight.poses);
+        let off = off.map(|(pose, straight)| (pose.translation - straight.translation).norm());
+        off.fold(0.0, f64::max)
+    };
+    assert!(off_m(&poses) > 0.9);
+    // The revisit finds its way in the bent map.
+    let revisit = simulate(&Hall {
+        seed: 8,
+        yaw_bias_rad_per_m: 0.0,
+        ..hall
+    });
+    let tracks = revisit.add_to(&mut scene);
+    let localised = revisit.truth.iter().map(|truth| {
+        let away = |at: &usize| (base.truth[*at].translation - truth.translation).norm();
+        let nearest = (0..base.truth.len()).min_by(|a, b| away(a).total_cmp(&away(b)));
+        let nearest = nearest.unwrap();
+        let from_base = base.truth[nearest].inverse().compose(truth);
+        poses[nearest].compose(&from_base)
+    });
+    let localised: Vec<Pose> = localised.collect();
+    poses.extend(localised);
+    let input = MapInput {
+        scene: &scene,
+        poses: &poses,
+        landmarks: &straight.landmarks,
+        tracks: &tracks,
+        fixed: &[0],
+        first_new: straight
+            .landmarks
+            .iter()
+            .map(|one| one.id + 1)
+            .max()
+            .unwrap(),
+    };
+    let found = map(&input, &MappingParams::default());
+    let left_m = off_m(&found.poses[..base.truth.len()]);
+    assert!(left_m < 0.05, "{left_m} m");
 }
