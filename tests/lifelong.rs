@@ -366,10 +366,17 @@ fn a_session_given_again_stays_at_its_site() {
 fn another_plan_between_is_told() {
     let world = World::new();
     let a = world.drive("a", 20.0);
-    let map = world.path("map");
+    let (map, other) = (world.path("map"), world.path("other.yaml"));
+    let lines = [
+        "plan: other",
+        "steps:",
+        "  drive: { op: keyframes, in: { odometry: odometry } }",
+        "write: [drive]",
+    ];
+    std::fs::write(&other, lines.join("\n")).unwrap();
     evermap(&[
         "run",
-        "trajectory",
+        text(&other),
         "--map",
         text(&map),
         "--sessions",

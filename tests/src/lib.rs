@@ -170,10 +170,14 @@ pub(crate) const POSE_SCHEMA: &str = r#"{
   }
 }"#;
 
-/// A drive around a rectangle, `loops` times, at 2 m/s and 10 Hz.
+/// Seconds that a corner of [`rectangle`] takes: a quarter turn, at less than what a vehicle can do.
+const CORNER_S: f64 = 0.5;
+
+/// A drive around a rectangle, `loops` times, at 2 m/s and 10 Hz; at corners the vehicle turns on the spot.
 pub fn rectangle(width_m: f64, height_m: f64, loops: f64) -> Vec<DrivePose> {
     let around = 2.0 * (width_m + height_m);
     let steps = (around * loops / 0.2) as usize;
+    let (mut seconds, mut before) = (0.0, 0.0);
     (0..=steps)
         .map(|step| {
             let along = (step as f64 * 0.2) % around;
@@ -190,7 +194,11 @@ pub fn rectangle(width_m: f64, height_m: f64, loops: f64) -> Vec<DrivePose> {
             } else {
                 (0.0, around - along, -std::f64::consts::FRAC_PI_2)
             };
-            (step as f64 * 0.1, x, y, yaw)
+            if step > 0 {
+                seconds += if yaw == before { 0.1 } else { CORNER_S };
+            }
+            before = yaw;
+            (seconds, x, y, yaw)
         })
         .collect()
 }
