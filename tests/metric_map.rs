@@ -441,12 +441,12 @@ fn threads_and_partitions_do_not_change_the_map() {
     let (initial, _) = park.drive(
         0,
         "initial",
-        &["loops=0.2", "width_px=320", "height_px=240"],
+        &["loops=0.4", "width_px=320", "height_px=240"],
     );
     let (revisit, _) = park.drive(
         4,
         "revisit",
-        &["loops=0.2", "width_px=320", "height_px=240"],
+        &["loops=0.4", "width_px=320", "height_px=240"],
     );
     let digests = |jobs: &str| {
         let map = folder.path().join(format!("map_{jobs}"));

@@ -112,9 +112,26 @@ impl DriveLocalisation<'_> {
             if let Some(doubt) = self.doubt(&stretch) {
                 self.hold_back(&stretch, doubt);
                 self.odometer = learned;
+            } else {
+                let ends = self.loose_ends(&stretch);
+                self.hold_back(&ends, Doubt::Undecided);
             }
             next = last + 1;
         }
+    }
+
+    /// The keyframes of a believed stretch for which nothing but their own fixes speaks.
+    fn loose_ends(&self, stretch: &[usize]) -> Vec<usize> {
+        if self.localiser.params.evidence_places == 0 {
+            return Vec::new();
+        }
+        self.evidence
+            .loose_ends(self.keyframes, &self.fixes(stretch))
+    }
+
+    fn fixes(&self, stretch: &[usize]) -> Vec<(usize, &Fix)> {
+        let fix = |index: &usize| Some((*index, self.found[*index].fix.as_ref()?));
+        stretch.iter().filter_map(fix).collect()
     }
 
     /// Why fixes that agree with each other are not to be believed all the same.
@@ -123,8 +140,7 @@ impl DriveLocalisation<'_> {
         if ahead == 0 {
             return None;
         }
-        let fix = |index: &usize| Some((*index, self.found[*index].fix.as_ref()?));
-        let fixes: Vec<_> = stretch.iter().filter_map(fix).collect();
+        let fixes = self.fixes(stretch);
         match self.evidence.verdict(self.keyframes, &fixes, ahead) {
             Verdict::Here => None,
             Verdict::Elsewhere => Some(Doubt::AnotherPlace),

@@ -22,6 +22,9 @@
 //! until that is reached. Measured on simulated car parks: at home 30 of 30 and 26 of 28 places were for the map, the
 //! latter driven the other way; in car parks of the same drawing 6 of 24, all at the gate, and none of 28.
 //!
+//! **Its ends.** A drive may leave the mapped part, or come into it: there a few landmarks, seen from far, make fixes that
+//! are off by half a metre. So a stretch that is believed is believed from its first place that is for the map to its last.
+//!
 //! [`LocalisationParams::evidence_places`]: super::LocalisationParams::evidence_places
 
 use std::borrow::Cow;
@@ -109,6 +112,30 @@ impl<'a> Evidence<'a> {
         } else {
             Verdict::Elsewhere
         }
+    }
+
+    /// The keyframes before the first place of a stretch that is for the map, and after its last.
+    pub(super) fn loose_ends(
+        &self,
+        keyframes: &[DriveKeyframe<'_>],
+        fixes: &[(usize, &Fix)],
+    ) -> Vec<usize> {
+        let backwards: Vec<(usize, &Fix)> = fixes.iter().rev().copied().collect();
+        let [first, last] = [fixes, &backwards].map(|fixes| {
+            let mut places = places(keyframes, fixes).into_iter();
+            let is_here = |(keyframe, fix): &(usize, &Fix)| {
+                let (here, elsewhere) = self.at_place(&keyframes[*keyframe], fix);
+                here > elsewhere
+            };
+            places.find(is_here).map(|(keyframe, _)| keyframe)
+        });
+        let sure = first
+            .zip(last)
+            .map_or(0..0, |(first, last)| first..last + 1);
+        let keyframes = fixes.iter().map(|(keyframe, _)| *keyframe);
+        keyframes
+            .filter(|keyframe| !sure.contains(keyframe))
+            .collect()
     }
 
     /// Directions in which features are recognised here, and elsewhere.
