@@ -244,7 +244,10 @@ fn new_sessions_alone_are_those_of_an_operator_of_one_session() {
         "{of_site}"
     );
     let of_nothing = told("FROM new.keyframes", "FROM new.keyframe");
-    assert!(of_nothing.contains("keyframe"), "{of_nothing}");
+    assert!(
+        of_nothing.contains("names `keyframe`, which is no step"),
+        "{of_nothing}"
+    );
 }
 
 #[test]

@@ -19,7 +19,7 @@ use evermap_tests::park::{Park, adjusted_error, finished, run};
 use evermap_tests::trajectories::{
     Trajectories, error_in, pairs, poses, rows, truth, truth_from_map,
 };
-use evermap_tests::{evermap, shared, text};
+use evermap_tests::{evermap, plan_command, shared, simulate, text};
 
 /// A copy of a map, to try something on.
 fn copy(map: &Path, name: &str) -> PathBuf {
@@ -272,24 +272,14 @@ fn assert_not_merged(map: &Path, name: &str, session: &Path) {
 /// A simulated street of 90 m, driven once.
 fn street(folder: &Path) -> PathBuf {
     let out = folder.join("world_street");
-    let mut arguments = vec![
-        "simulate",
-        "street",
-        "--progress",
-        "none",
-        "--out",
-        text(&out),
-    ];
-    for setting in [
+    let small = [
         "length_m=90",
         "visits=1",
         "spacing_m=0.75",
         "width_px=768",
         "height_px=250",
-    ] {
-        arguments.extend(["--set", setting]);
-    }
-    evermap(&arguments).expect(0);
+    ];
+    simulate("street", &out, &small);
     let session = out.join("street.mcap");
     std::fs::rename(out.join("visit_a").join("visit_a.mcap"), &session).unwrap();
     session
@@ -451,21 +441,8 @@ fn threads_and_partitions_do_not_change_the_map() {
     let digests = |jobs: &str| {
         let map = folder.path().join(format!("map_{jobs}"));
         for (plan, session) in [("metric_map", &initial), ("lifelong", &revisit)] {
-            let arguments = [
-                "run",
-                plan,
-                "--map",
-                text(&map),
-                "--progress",
-                "none",
-                "--site",
-                "park",
-                "--jobs",
-                jobs,
-                "--sessions",
-                text(session),
-            ];
-            let mut command = evermap_tests::command(&arguments);
+            let more = ["--jobs", jobs, "--sessions", text(session)];
+            let mut command = plan_command(plan, &map, "park", &more);
             let done = command.env("RAYON_NUM_THREADS", jobs).output().unwrap();
             evermap_tests::Finished::from(done).expect(0);
         }

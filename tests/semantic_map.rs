@@ -13,23 +13,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use evermap_tests::trajectories::{rows, truth};
-use evermap_tests::{Finished, evermap, shared, text};
+use evermap_tests::{Finished, evermap, plan_command, shared, simulate, text};
 use serde_json::Value;
 
 /// Runs a plan on sessions of one site.
 fn run(plan: &str, map: &Path, more: &[&str]) -> Finished {
-    let mut arguments = vec![
-        "run",
-        plan,
-        "--map",
-        text(map),
-        "--progress",
-        "none",
-        "--site",
-        "street",
-    ];
-    arguments.extend(more);
-    evermap(&arguments)
+    let run = plan_command(plan, map, "street", more).output();
+    run.unwrap().into()
 }
 
 /// A manifest of one visit, with its labels from this topic.
@@ -192,18 +182,7 @@ fn a_simulated_street_is_mapped_from_its_labels() {
         "height_px=166",
         "colour=false",
     ];
-    let mut arguments = vec![
-        "simulate",
-        "street",
-        "--out",
-        text(&street),
-        "--progress",
-        "none",
-    ];
-    for setting in &small {
-        arguments.extend(["--set", setting]);
-    }
-    evermap(&arguments).expect(0);
+    simulate("street", &street, &small);
     for visit in ["visit_a", "visit_b"] {
         let log = street.join(format!("{visit}/{visit}.mcap"));
         run("relocate", &map, &["--sessions", text(&log)]).expect(0);
@@ -244,24 +223,14 @@ fn labels_are_learnt_and_given_to_frames() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let street = path("street");
-    let mut arguments = vec![
-        "simulate",
-        "street",
-        "--out",
-        text(&street),
-        "--progress",
-        "none",
-    ];
-    for setting in [
+    let small = [
         "length_m=120",
         "spacing_m=5",
         "width_px=512",
         "height_px=166",
         "visits=1",
-    ] {
-        arguments.extend(["--set", setting]);
-    }
-    evermap(&arguments).expect(0);
+    ];
+    simulate("street", &street, &small);
     let log = street.join("visit_a/visit_a.mcap");
     let (given, learnt) = (path("given"), path("learnt"));
     run("semantic_map", &given, &["--sessions", text(&log)]).expect(0);

@@ -14,19 +14,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
+use evermap_tests::park::SMALL;
 use evermap_tests::trajectories::truth_from_map;
 use evermap_tests::trajectories::{Trajectories, error_in, map_error, poses, rows, truth};
-use evermap_tests::{command, text};
+use evermap_tests::{plan_command, simulate, text};
 
-/// Small images at a small rate, so that thirty drives fit into two hours.
-const USUAL: [&str; 6] = [
-    "width_px=400",
-    "height_px=300",
-    "rate_hz=6.25",
-    "speed_mps=3",
-    "loops=0.5",
-    "floor_texels_per_m=100",
-];
 /// Of Linux on all machines that evermap is built for.
 const TICKS_PER_S: f64 = 100.0;
 /// How often a run is looked at.
@@ -40,7 +32,7 @@ fn main() {
     let plan = arguments.next().unwrap_or_else(|| "lifelong".to_owned());
     let world = folder.join("world");
     if !world.exists() {
-        simulate(&world, drives);
+        simulate_drives(&world, drives);
     }
     let map = folder.join("map");
     println!(
@@ -68,20 +60,11 @@ fn main() {
     }
 }
 
-fn simulate(world: &Path, drives: usize) {
+/// Thirty drives of it fit into two hours.
+fn simulate_drives(world: &Path, drives: usize) {
     let revisits = format!("revisits={}", drives - 1);
-    let mut simulate = command(&[
-        "simulate",
-        "car_park",
-        "--out",
-        text(world),
-        "--set",
-        &revisits,
-    ]);
-    for setting in USUAL {
-        simulate.args(["--set", setting]);
-    }
-    assert!(simulate.status().unwrap().success());
+    let settings: Vec<&str> = SMALL.into_iter().chain(["loops=0.5", &revisits]).collect();
+    simulate("car_park", world, &settings);
 }
 
 /// How many versions the map has.
@@ -95,20 +78,8 @@ fn versions(map: &Path) -> usize {
 /// Adds a session to the map: seconds, those of the CPU, peak memory, bytes read, size of the map.
 fn add(plan: &str, map: &Path, session: &Path) -> String {
     let begun = Instant::now();
-    let run = command(&[
-        "run",
-        plan,
-        "--map",
-        text(map),
-        "--site",
-        "park",
-        "--progress",
-        "none",
-        "--sessions",
-        text(session),
-    ])
-    .stdout(Stdio::null())
-    .spawn();
+    let mut run = plan_command(plan, map, "park", &["--sessions", text(session)]);
+    let run = run.stdout(Stdio::null()).spawn();
     let Watched {
         cpu_ticks,
         peak_kib,

@@ -100,6 +100,27 @@ pub fn evermap(arguments: &[&str]) -> Finished {
     command(arguments).output().expect("evermap starts").into()
 }
 
+/// `evermap run` of a plan on sessions of one site, not yet started.
+pub fn plan_command(plan: &str, map: &Path, site: &str, more: &[&str]) -> Command {
+    let map = text(map);
+    let mut run = command(&["run", plan, "--map", map, "--progress", "none", "--site"]);
+    run.arg(site).args(more);
+    run
+}
+
+/// Simulates a world, with these settings.
+///
+/// # Panics
+/// Where it cannot be simulated.
+pub fn simulate(world: &str, out: &Path, settings: &[&str]) {
+    let mut simulate = command(&["simulate", world, "--progress", "none", "--out", text(out)]);
+    for setting in settings {
+        simulate.args(["--set", setting]);
+    }
+    let ended: Finished = simulate.output().expect("evermap starts").into();
+    ended.expect(0);
+}
+
 /// The text of a path.
 ///
 /// # Panics

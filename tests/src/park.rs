@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use evermap_bench::trajectory::{AbsoluteError, Statistics};
 
 use crate::trajectories::{Trajectories, error_by_session, map_error, poses, truth};
-use crate::{Finished, evermap, text};
+use crate::{Finished, plan_command, simulate, text};
 
 /// Runs a plan on sessions of one site, without loss.
 ///
@@ -22,20 +22,20 @@ pub fn run(plan: &str, map: &Path, sessions: &[&Path]) {
 /// # Panics
 /// Where it does not start.
 pub fn finished(plan: &str, map: &Path, sessions: &[&Path]) -> Finished {
-    let mut arguments = vec![
-        "run",
-        plan,
-        "--map",
-        text(map),
-        "--progress",
-        "none",
-        "--site",
-        "park",
-        "--sessions",
-    ];
-    arguments.extend(sessions.iter().map(|path| text(path)));
-    evermap(&arguments)
+    let mut more = vec!["--sessions"];
+    more.extend(sessions.iter().map(|path| text(path)));
+    let run = plan_command(plan, map, "park", &more).output();
+    run.expect("evermap starts").into()
 }
+
+/// Small images at a small rate: a drive is mapped within a minute.
+pub const SMALL: [&str; 5] = [
+    "width_px=400",
+    "height_px=300",
+    "rate_hz=6.25",
+    "speed_mps=3",
+    "floor_texels_per_m=100",
+];
 
 /// A simulated car park: a drive around the western island, small images.
 pub struct Park {
@@ -64,31 +64,13 @@ impl Park {
             format!("skip={index}"),
             format!("revisits={index}"),
         ];
-        let usual = [
-            "width_px=400",
-            "height_px=300",
-            "rate_hz=6.25",
-            "speed_mps=3",
-            "loops=0.8",
-            "floor_texels_per_m=100",
-        ];
-        let mut arguments = vec![
-            "simulate",
-            "car_park",
-            "--progress",
-            "none",
-            "--out",
-            text(&out),
-        ];
-        for setting in own
-            .iter()
-            .map(String::as_str)
-            .chain(usual)
+        let own = own.iter().map(String::as_str);
+        let settings: Vec<&str> = own
+            .chain(SMALL)
+            .chain(["loops=0.8"])
             .chain(more.iter().copied())
-        {
-            arguments.extend(["--set", setting]);
-        }
-        evermap(&arguments).expect(0);
+            .collect();
+        simulate("car_park", &out, &settings);
         let usual = if index == 0 {
             "initial".to_owned()
         } else {

@@ -78,7 +78,8 @@ struct Grid {
 
 impl Grid {
     fn new(size: [u32; 2]) -> Self {
-        let cell = (size[0].div_ceil(COLUMNS)).max(1) as usize;
+        let cell = size[0].div_ceil(COLUMNS).max(size[1].div_ceil(COLUMNS));
+        let cell = cell.max(1) as usize;
         let [columns, rows] = size.map(|side| (side as usize).div_ceil(cell));
         Self {
             size,

@@ -184,7 +184,8 @@ impl Survey {
     /// A feature's number in its image.
     pub(crate) fn number(&self, feature: FeatureRef) -> u32 {
         let kept = self.kept.get(&feature.image);
-        kept.map_or(feature.feature, |kept| kept[feature.feature as usize])
+        let number = kept.and_then(|kept| kept.get(feature.feature as usize));
+        number.copied().unwrap_or(feature.feature)
     }
 }
 

@@ -57,7 +57,7 @@ fn adjust(
     let previous = kept(sides.rows("previous")?, &frames, summary);
     let keyframes: Vec<Keyframe> = sides.rows("keyframes")?;
     let first_new = first_new(&previous);
-    let base = base(&previous, &frames);
+    let mut staying = BTreeSet::from_iter(base(&previous, &frames));
     let Known {
         rows: known,
         holding,
@@ -68,6 +68,7 @@ fn adjust(
         keyframes,
         features: sides.rows("features")?,
     };
+    staying.extend(holding);
     let survey = Survey::new(&known, new, sides, &params.vehicle, emit)?;
     let landmarks = landmarks(&survey, &known);
     let tracks = tracks(&survey, sides.rows("tracks")?, emit);
@@ -77,7 +78,7 @@ fn adjust(
             poses: &survey.poses,
             landmarks: &landmarks,
             tracks: &tracks,
-            fixed: &fixed(&survey, base.as_ref(), &holding),
+            fixed: &fixed(&survey, &staying),
             first_new,
         },
         &params.options,
@@ -168,17 +169,13 @@ fn base(previous: &[AdjustedPose], frames: &[MapFrame]) -> Option<KeyframeName> 
 }
 
 /// The keyframes that stay: the base, and those that hold the others; where there are none, the earliest.
-fn fixed(
-    survey: &Survey,
-    base: Option<&KeyframeName>,
-    holding: &BTreeSet<KeyframeName>,
-) -> Vec<usize> {
+fn fixed(survey: &Survey, staying: &BTreeSet<KeyframeName>) -> Vec<usize> {
     let names = survey.keyframes.iter();
     let names: Vec<KeyframeName> = names
         .map(|keyframe| (keyframe.session.clone(), keyframe.stamp))
         .collect();
-    let stays = |name: &KeyframeName| Some(name) == base || holding.contains(name);
-    let fixed: Vec<usize> = (0..names.len()).filter(|at| stays(&names[*at])).collect();
+    let stays = |at: &usize| staying.contains(&names[*at]);
+    let fixed: Vec<usize> = (0..names.len()).filter(stays).collect();
     if !fixed.is_empty() {
         return fixed;
     }

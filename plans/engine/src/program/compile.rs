@@ -110,13 +110,19 @@ impl Compiler<'_> {
             .inputs
             .values()
             .filter_map(|input| {
-                let (name, read) = (&step.name, input.written());
-                match input {
-                    Input::Previous(of) if is_query(of) => Some(format!("step `{name}`: `{read}` is made by a query; of the version before, only layers of operators can be read")),
-                    Input::New(of) if is_query(of) => Some(format!("step `{name}`: `{read}` is made by a query; of new sessions alone, only layers of operators can be read")),
-                    Input::New(of) if self.scope_of(input) != Scope::Session => Some(format!("step `{name}`: `{read}` is not of new sessions alone: one unit of `{of}` covers more than a session")),
-                    _ => None,
-                }
+                let why = match input {
+                    Input::Previous(of) if is_query(of) => {
+                        "is made by a query; of the version before, only layers of operators can be read".to_owned()
+                    }
+                    Input::New(of) if is_query(of) => {
+                        "is made by a query; of new sessions alone, only layers of operators can be read".to_owned()
+                    }
+                    Input::New(of) if self.scope_of(input) != Scope::Session => {
+                        format!("is not of new sessions alone: one unit of `{of}` covers more than a session")
+                    }
+                    _ => return None,
+                };
+                Some(format!("step `{}`: `{}` {why}", step.name, input.written()))
             })
             .collect();
         faults.into_iter().for_each(|fault| self.fault(step, fault));

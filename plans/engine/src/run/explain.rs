@@ -126,7 +126,7 @@ fn recipe_change(then: &Recipe, now: &Recipe) -> String {
     }
     for (name, contents) in &now.new {
         if then.new.get(name) != Some(contents) {
-            return format!("{name} of new sessions is another");
+            return format!("new.{name} has changed");
         }
     }
     for (name, contents) in &now.previous {

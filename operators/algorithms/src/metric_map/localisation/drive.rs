@@ -1,6 +1,8 @@
 //! A whole drive: from keyframe to keyframe by odometry, lost and found, forwards and backwards.
 
-use super::evidence::{Evidence, Verdict};
+use std::ops::Range;
+
+use super::evidence::Evidence;
 use super::fix::{Doubt, Fix, Localiser};
 use super::motion::{Guess, Odometer, difference};
 use crate::geometry::pose::Pose;
@@ -109,43 +111,29 @@ impl DriveLocalisation<'_> {
             let behind = self.walk(next, start, true, usize::MAX);
             stretch.extend(self.publish(behind));
             stretch.sort_unstable();
-            if let Some(doubt) = self.doubt(&stretch) {
-                self.hold_back(&stretch, doubt);
-                self.odometer = learned;
-            } else {
-                let ends = self.loose_ends(&stretch);
-                self.hold_back(&ends, Doubt::Undecided);
+            match self.believed(&stretch) {
+                Ok(sure) => {
+                    stretch.retain(|index| !sure.contains(index));
+                    self.hold_back(&stretch, Doubt::Undecided);
+                }
+                Err(doubt) => {
+                    self.hold_back(&stretch, doubt);
+                    self.odometer = learned;
+                }
             }
             next = last + 1;
         }
     }
 
-    /// The keyframes of a believed stretch for which nothing but their own fixes speaks.
-    fn loose_ends(&self, stretch: &[usize]) -> Vec<usize> {
-        if self.localiser.params.evidence_places == 0 {
-            return Vec::new();
-        }
-        self.evidence
-            .loose_ends(self.keyframes, &self.fixes(stretch))
-    }
-
-    fn fixes(&self, stretch: &[usize]) -> Vec<(usize, &Fix)> {
-        let fix = |index: &usize| Some((*index, self.found[*index].fix.as_ref()?));
-        stretch.iter().filter_map(fix).collect()
-    }
-
-    /// Why fixes that agree with each other are not to be believed all the same.
-    fn doubt(&self, stretch: &[usize]) -> Option<Doubt> {
+    /// The keyframes of a stretch that are believed, or why fixes that agree with each other are not all the same.
+    fn believed(&self, stretch: &[usize]) -> Result<Range<usize>, Doubt> {
         let ahead = self.localiser.params.evidence_places;
         if ahead == 0 {
-            return None;
+            return Ok(0..self.keyframes.len());
         }
-        let fixes = self.fixes(stretch);
-        match self.evidence.verdict(self.keyframes, &fixes, ahead) {
-            Verdict::Here => None,
-            Verdict::Elsewhere => Some(Doubt::AnotherPlace),
-            Verdict::Undecided => Some(Doubt::Undecided),
-        }
+        let fix = |index: &usize| Some((*index, self.found[*index].fix.as_ref()?));
+        let fixes: Vec<(usize, &Fix)> = stretch.iter().filter_map(fix).collect();
+        self.evidence.believed(self.keyframes, &fixes, ahead)
     }
 
     fn hold_back(&mut self, stretch: &[usize], doubt: Doubt) {

@@ -28,13 +28,15 @@
 //! [`LocalisationParams::evidence_places`]: super::LocalisationParams::evidence_places
 
 use std::borrow::Cow;
-use std::collections::BTreeSet;
+use std::cmp::Ordering;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 
 use nalgebra::Vector2;
 use pulp::Arch;
 use rayon::prelude::*;
 
-use super::fix::{Fix, Localiser};
+use super::fix::{Doubt, Fix, Localiser};
 use super::view::{direction, eyes, sighted};
 use super::{DriveKeyframe, LandmarkMap};
 use crate::metric_map::features::{Feature, Words, distance, words};
@@ -54,17 +56,6 @@ const MOST_ELSEWHERE: usize = 65_536;
 
 /// A descriptor, and the landmark that looks like it.
 type Look = (Words, u32);
-
-/// What a stretch says.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Verdict {
-    /// It is of this place.
-    Here,
-    /// It is of another one.
-    Elsewhere,
-    /// Too little is known.
-    Undecided,
-}
 
 /// All looks of a map, to be searched as a whole.
 pub(super) struct Evidence<'a> {
@@ -89,57 +80,45 @@ impl<'a> Evidence<'a> {
         }
     }
 
-    /// Whether a stretch, fixes in order of driving with their keyframes, is of this place: `ahead` more places are for
-    /// it than against it, or as many more against it than for it; [`Verdict::Undecided`] where it has too few.
-    pub(super) fn verdict(
+    /// The keyframes of a stretch, fixes in order of driving with their keyframes, that are of this place: `ahead` more
+    /// places are for it than against it, and the ends have places that are for it.
+    ///
+    /// # Errors
+    /// [`Doubt::AnotherPlace`] where as many more are against it, [`Doubt::Undecided`] where too few are either.
+    pub(super) fn believed(
         &self,
         keyframes: &[DriveKeyframe<'_>],
         fixes: &[(usize, &Fix)],
         ahead: usize,
-    ) -> Verdict {
+    ) -> Result<Range<usize>, Doubt> {
+        let mut asked = BTreeMap::new();
+        let mut ask = |(keyframe, fix): (usize, &Fix)| -> Ordering {
+            let ask = || self.at_place(&keyframes[keyframe], fix);
+            *asked.entry(keyframe).or_insert_with(ask)
+        };
         let (need, mut sum) = (ahead as i64, 0);
-        for (keyframe, fix) in spread(places(keyframes, fixes)) {
-            let (here, elsewhere) = self.at_place(&keyframes[keyframe], fix);
-            sum += here.cmp(&elsewhere) as i64;
+        for place in spread(places(keyframes, fixes)) {
+            sum += ask(place) as i64;
             if sum.abs() >= need {
                 break;
             }
         }
-        if sum.abs() < need {
-            Verdict::Undecided
-        } else if sum > 0 {
-            Verdict::Here
-        } else {
-            Verdict::Elsewhere
+        if sum <= -need {
+            return Err(Doubt::AnotherPlace);
+        } else if sum < need {
+            return Err(Doubt::Undecided);
         }
-    }
-
-    /// The keyframes before the first place of a stretch that is for the map, and after its last.
-    pub(super) fn loose_ends(
-        &self,
-        keyframes: &[DriveKeyframe<'_>],
-        fixes: &[(usize, &Fix)],
-    ) -> Vec<usize> {
         let backwards: Vec<(usize, &Fix)> = fixes.iter().rev().copied().collect();
-        let [first, last] = [fixes, &backwards].map(|fixes| {
+        let mut end = |fixes: &[(usize, &Fix)]| {
             let mut places = places(keyframes, fixes).into_iter();
-            let is_here = |(keyframe, fix): &(usize, &Fix)| {
-                let (here, elsewhere) = self.at_place(&keyframes[*keyframe], fix);
-                here > elsewhere
-            };
-            places.find(is_here).map(|(keyframe, _)| keyframe)
-        });
-        let sure = first
-            .zip(last)
-            .map_or(0..0, |(first, last)| first..last + 1);
-        let keyframes = fixes.iter().map(|(keyframe, _)| *keyframe);
-        keyframes
-            .filter(|keyframe| !sure.contains(keyframe))
-            .collect()
+            let first = places.find(|place| ask(*place) == Ordering::Greater);
+            first.map(|(keyframe, _)| keyframe).ok_or(Doubt::Undecided)
+        };
+        Ok(end(fixes)?..end(&backwards)? + 1)
     }
 
-    /// Directions in which features are recognised here, and elsewhere.
-    fn at_place(&self, keyframe: &DriveKeyframe<'_>, fix: &Fix) -> (usize, usize) {
+    /// Directions in which features are recognised here, against those in which they are elsewhere.
+    fn at_place(&self, keyframe: &DriveKeyframe<'_>, fix: &Fix) -> Ordering {
         let Localiser { rig, map, params } = self.localiser;
         let known = self.with_those_in_view(fix);
         let eyes = eyes(rig, &fix.pose.pose);
@@ -157,7 +136,7 @@ impl<'a> Evidence<'a> {
         });
         let votes: BTreeSet<(bool, [i64; 2])> = votes.collect();
         let here = votes.iter().filter(|(agrees, _)| *agrees).count();
-        (here, votes.len() - here)
+        here.cmp(&(votes.len() - here))
     }
 
     /// What is known of the whole map, and of what should be in view all.

@@ -100,6 +100,22 @@ fn aligned(source: &[Vector3<f64>], target: &[Vector3<f64>]) -> Pose {
 }
 
 /// Root mean square distance after the best rigid alignment.
+/// A first drive: there are no landmarks yet.
+fn nothing_mapped<'a>(
+    scene: &'a Scene,
+    poses: &'a [Pose],
+    tracks: &'a [Vec<FeatureRef>],
+) -> MapInput<'a> {
+    MapInput {
+        scene,
+        poses,
+        landmarks: &[],
+        tracks,
+        fixed: &[0],
+        first_new: 0,
+    }
+}
+
 fn error_m(found: &[Pose], truth: &[Pose]) -> f64 {
     let points = |poses: &[Pose]| {
         poses
@@ -123,14 +139,7 @@ fn mapped(hall: &Hall) -> (f64, Map, Simulated) {
     let tracks = session.add_to(&mut scene);
     let guess = session.guess(0.25, 0.03);
     assert!(error_m(&guess, &session.truth) > 0.2);
-    let input = MapInput {
-        scene: &scene,
-        poses: &guess,
-        landmarks: &[],
-        tracks: &tracks,
-        fixed: &[0],
-        first_new: 0,
-    };
+    let input = nothing_mapped(&scene, &guess, &tracks);
     let found = map(&input, &MappingParams::default());
     assert_eq!(found.poses[0], guess[0]);
     (error_m(&found.poses, &session.truth), found, session)
@@ -170,14 +179,7 @@ fn nothing_seen_leaves_poses_where_they_are() {
     let mut scene = Scene::default();
     session.add_to(&mut scene);
     let guess = session.guess(0.25, 0.03);
-    let input = MapInput {
-        scene: &scene,
-        poses: &guess,
-        landmarks: &[],
-        tracks: &[],
-        fixed: &[0],
-        first_new: 0,
-    };
+    let input = nothing_mapped(&scene, &guess, &[]);
     let found = map(&input, &MappingParams::default());
     assert!(found.landmarks.is_empty() && found.poses[0] == guess[0]);
 }
@@ -211,14 +213,7 @@ fn a_bent_map_is_straightened_by_a_revisit() {
     let mut scene = Scene::default();
     let tracks = base.add_to(&mut scene);
     let guess = base.guess(0.0, 0.0);
-    let input = MapInput {
-        scene: &scene,
-        poses: &guess,
-        landmarks: &[],
-        tracks: &tracks,
-        fixed: &[0],
-        first_new: 0,
-    };
+    let input = nothing_mapped(&scene, &guess, &tracks);
     let straight = map(&input, &MappingParams::default());
     let mut poses = bent(&straight.poses, 1.0);
     let off_m = |poses: &[Pose]| {
