@@ -32,8 +32,10 @@
 //! Whether a payload is a row never depends on the projection, so counts agree
 //! whichever columns are read.
 //!
-//! The other way, from values to payloads, goes [`ros2`], for the few messages that evermap records itself.
+//! The other way, from values to payloads, go [`ros2`] and [`annotation`], for the few messages that evermap records
+//! itself.
 
+pub mod annotation;
 mod buffers;
 mod cdr;
 mod decoder;

@@ -1,4 +1,6 @@
-//! Messages of ROS 2, recorded as MCAP: what imports and simulated worlds write.
+//! Messages recorded as MCAP: those of ROS 2 that imports and simulated worlds write, and what people say about maps.
+
+pub mod annotations;
 
 use evermap_messages::ros2::Message;
 use mcap::records::{MessageHeader, Metadata};

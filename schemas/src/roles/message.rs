@@ -181,9 +181,9 @@ impl<'a> Fields<'a> {
         self.stamp_at(&["header", "stamp"]).or_else(own)
     }
 
-    /// A stamp of seconds and nanoseconds, as ROS 1, ROS 2, protobuf and JSON spell them. `None` where it is missing
+    /// The stamp at a path: seconds and nanoseconds, as ROS 1, ROS 2, protobuf and JSON spell them. `None` where it is missing
     /// or zero, as senders leave it that do not know the time.
-    fn stamp_at(&self, path: &[&str]) -> Option<Stamp> {
+    pub fn stamp_at(&self, path: &[&str]) -> Option<Stamp> {
         let part = |names: [&str; 3]| {
             let of = |name: &&str| self.number(&[path, &[*name]].concat());
             names.iter().find_map(of)

@@ -29,6 +29,7 @@ macro_rules! roles {
 
 // Sorted; a test compares the list with the tables' names.
 roles! {
+    annotations,
     calibration,
     depth_frames,
     frames,
@@ -38,6 +39,7 @@ roles! {
     transforms,
 }
 
+pub use annotations::{Anchor, Annotation};
 pub use calibration::Calibration;
 pub use frames::Frame;
 pub use label_classes::LabelClass;

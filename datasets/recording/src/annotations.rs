@@ -1,0 +1,141 @@
+//! Logs of what people say about a map: every act is on the disk before the next one begins.
+//!
+//! A log is only ever added to. Its messages stand outside chunks, so that what a killed program leaves is read up to its
+//! last whole message; a log that has ended, or that is torn, is never opened for writing again: the next sitting makes the
+//! next *part*, `labels_2.mcap` beside `labels.mcap`.
+
+use std::collections::BTreeMap;
+use std::fs::{File, OpenOptions};
+use std::io::{BufWriter, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+use evermap_messages::annotation::{Annotation, NAME, SCHEMA};
+use mcap::records::MessageHeader;
+use mcap::{WriteOptions, Writer};
+
+use crate::{RecordingError, failed};
+
+/// The topic of annotations.
+pub const TOPIC: &str = "/annotations";
+
+/// A log of annotations being written.
+pub struct AnnotationLog {
+    writer: Writer<BufWriter<File>>,
+    file: File,
+    path: PathBuf,
+    channel: u16,
+    sent: u32,
+}
+
+impl AnnotationLog {
+    /// Begins the next part of a log: the file `target` where there is none, else the first free one of `target_2`,
+    /// `target_3` …; `library` is named as its writer.
+    ///
+    /// # Errors
+    /// [`RecordingError`], as of all that is written.
+    pub fn begin(target: &Path, library: &str) -> Result<Self, RecordingError> {
+        let (file, path) = create(target)?;
+        let fail = |error| failed(&path, error);
+        let writing = file.try_clone().map_err(|error| fail(error.into()))?;
+        let options = WriteOptions::new().library(library).use_chunks(false);
+        let mut writer = options.create(BufWriter::new(writing)).map_err(fail)?;
+        let schema = writer.add_schema(NAME, "jsonschema", SCHEMA.as_bytes());
+        let channel = schema
+            .and_then(|schema| writer.add_channel(schema, TOPIC, "json", &BTreeMap::new()))
+            .map_err(fail)?;
+        sync_folder(&path)?;
+        Ok(Self {
+            writer,
+            file,
+            path,
+            channel,
+            sent: 0,
+        })
+    }
+
+    /// Writes an act. When this returns, the act is on the disk.
+    ///
+    /// # Errors
+    /// [`RecordingError`]; the act may then be lost, those before it are not.
+    pub fn say(&mut self, act: &Annotation) -> Result<(), RecordingError> {
+        let header = MessageHeader {
+            channel_id: self.channel,
+            sequence: self.sent,
+            log_time: act.stamp_ns,
+            publish_time: act.stamp_ns,
+        };
+        let written = self
+            .writer
+            .write_to_known_channel(&header, &act.encode())
+            .and_then(|()| self.writer.flush());
+        written.map_err(|error| failed(&self.path, error))?;
+        self.sent += 1;
+        sync(&self.file, &self.path)
+    }
+
+    /// Where it is written.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Ends the part.
+    ///
+    /// # Errors
+    /// [`RecordingError`].
+    pub fn finish(mut self) -> Result<PathBuf, RecordingError> {
+        let fail = |error| failed(&self.path, error);
+        self.writer.finish().map_err(fail)?;
+        let flushed = self.writer.into_inner().flush();
+        flushed.map_err(|error| fail(error.into()))?;
+        sync(&self.file, &self.path)?;
+        Ok(self.path)
+    }
+}
+
+fn sync(file: &File, path: &Path) -> Result<(), RecordingError> {
+    let synced = file.sync_data();
+    synced.map_err(|error| failed(path, error.into()))
+}
+
+/// The part of a log with this number, counted from 1: `labels.mcap`, `labels_2.mcap`, …
+fn part(target: &Path, number: u32) -> PathBuf {
+    if number == 1 {
+        return target.to_owned();
+    }
+    let stem = target.file_stem().unwrap_or_default().to_string_lossy();
+    let extension = target.extension().unwrap_or_default().to_string_lossy();
+    target.with_file_name(format!("{stem}_{number}.{extension}"))
+}
+
+/// The parts of a log that there are, in the order they were written; none where there is no such log.
+pub fn parts(target: &Path) -> Vec<PathBuf> {
+    let numbered = (1..).map(|number| part(target, number));
+    numbered.take_while(|path| path.exists()).collect()
+}
+
+/// A new file for the next part. Of two programs that ask at once, each gets one of its own.
+fn create(target: &Path) -> Result<(File, PathBuf), RecordingError> {
+    let mut number = 1;
+    loop {
+        let path = part(target, number);
+        let made = OpenOptions::new().write(true).create_new(true).open(&path);
+        match made {
+            Ok(file) => return Ok((file, path)),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => number += 1,
+            Err(error) => return Err(failed(&path, error.into())),
+        }
+    }
+}
+
+/// The file's name is on the disk too, where the system can say so.
+fn sync_folder(path: &Path) -> Result<(), RecordingError> {
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    let folder = folder.unwrap_or(Path::new("."));
+    if cfg!(unix) {
+        let synced = File::open(folder).and_then(|folder| folder.sync_all());
+        synced.map_err(|error| failed(folder, error.into()))?;
+    }
+    Ok(())
+}
