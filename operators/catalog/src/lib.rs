@@ -11,6 +11,8 @@ use evermap_contract::{Entry, Registry};
 mod inputs;
 
 pub use inputs::drive::rigs;
+pub use inputs::labels as annotated;
+pub use inputs::rig::OfVehicle;
 
 macro_rules! operators {
     ($($family:ident { $($file:ident::$operator:ident),+ $(,)? })+) => {
@@ -35,6 +37,10 @@ operators! {
         intersections::Intersections,
         overhead_tiles::OverheadTiles,
         road_network::RoadNetwork,
+    }
+    labels {
+        label_anchors::LabelAnchors,
+        placed_labels::PlacedLabels,
     }
     learning {
         class_scores::ClassScoring,

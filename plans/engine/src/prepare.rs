@@ -8,9 +8,9 @@ use evermap_contract::{ParamFault, Registry};
 use evermap_datasets::manifest::SessionFiles;
 use evermap_datasets::{Dataset, Manifest, Recordings, Session};
 use evermap_language::{
-    Host, OperatorSpec, ParameterFault, Plan, PlanFaults, PortSpec, Source, Vocabulary,
+    Host, Input, OperatorSpec, ParameterFault, Plan, PlanFaults, PortSpec, Source, Vocabulary,
 };
-use evermap_schemas::Fault;
+use evermap_schemas::{Fault, roles};
 use serde_json::Value;
 
 use crate::digest::digest_of;
@@ -146,6 +146,8 @@ pub struct Prepared {
     pub store: Store,
     /// What the plan reads of the version before, though that version does not have it.
     pub missing: Vec<String>,
+    /// Roles that the plan reads and that no session plays: their tables are empty.
+    pub unplayed: Vec<&'static str>,
     /// Logs that were read, to be remembered.
     fresh: Vec<Fingerprint>,
 }
@@ -200,6 +202,7 @@ impl Prepared {
             None => Vec::new(),
         };
         Ok(Self {
+            unplayed: unplayed(&program, &sessions),
             program,
             sessions,
             base,
@@ -231,6 +234,21 @@ impl Prepared {
             limits,
         }
     }
+}
+
+/// The roles that a program reads and that none of the sessions plays.
+fn unplayed(program: &Program, sessions: &[MappedSession]) -> Vec<&'static str> {
+    let reads = |name: &str| {
+        let mut reads = program.stages.iter().flat_map(|stage| &stage.reads);
+        reads.any(|read| matches!(&read.table, Input::Source(table) if table == name))
+    };
+    let played = |name: &str| {
+        let mut sessions = sessions.iter();
+        sessions.any(|session| session.manifest.roles.contains_key(name))
+    };
+    let of_messages = roles::ALL.iter().filter(|role| role.messages().is_some());
+    let names = of_messages.map(|role| role.name);
+    names.filter(|name| reads(name) && !played(name)).collect()
 }
 
 /// A path as a plan writes it: relative to the working folder, or, where there is no such file, to the plan.

@@ -1,5 +1,6 @@
 //! The map's layers: what operators yield, and what SQL users read.
 
+mod labels;
 mod metric_map;
 mod semantic_map;
 
@@ -7,6 +8,7 @@ use std::collections::BTreeMap;
 
 use crate::{Bytes, ImageRef, LayerRow, Pose, Stamp, Wkb, record};
 
+pub use labels::{LabelAnchor, PlacedLabel};
 pub use metric_map::{
     AdjustedPose, BodyMask, Features, FrameImage, FramePose, GraphPose, ImageSize, Landmark,
     Localisation, LoopClosure, LoopEdge, MapFrame, Observation, Sighting, Track, TrackPoint,
@@ -284,6 +286,7 @@ pub fn all() -> Vec<crate::Layer> {
         ClassScores::layer(),
         CrfSetting::layer(),
         DecisionTree::layer(),
+        LabelAnchor::layer(),
         LabelImage::layer(),
         LabelledFrame::layer(),
         PixelSamples::layer(),
@@ -296,6 +299,7 @@ pub fn all() -> Vec<crate::Layer> {
         Keyframe::layer(),
         Lane::layer(),
         OverheadTile::layer(),
+        PlacedLabel::layer(),
         PosedImage::layer(),
         VehiclePose::layer(),
     ];

@@ -4,6 +4,7 @@ pub(crate) mod bodies;
 pub(crate) mod drive;
 pub(crate) mod frames;
 pub(crate) mod graphs;
+pub mod labels;
 pub(crate) mod pixels;
 pub(crate) mod rig;
 pub(crate) mod survey;

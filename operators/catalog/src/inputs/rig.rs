@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::geometry::rig::{Rig as MountedCameras, RigCamera};
 use evermap_contract::{Fault, Port, Reach, Reason, Sides};
 use evermap_schemas::Stamp;
 use evermap_schemas::roles::{Calibration, Transform};
@@ -114,6 +115,22 @@ impl Rig {
         let of_camera = self.calibrations.get(camera)?;
         let after = of_camera.partition_point(|calibration| calibration.stamp <= stamp);
         of_camera.get(after.saturating_sub(1))
+    }
+
+    /// The cameras as they were first calibrated, for images of the size that they were calibrated for; those that cannot
+    /// be used are left out.
+    pub(crate) fn cameras(&self, vehicle: &VehicleFrame) -> MountedCameras {
+        let mounted = |(name, calibrations): (&String, &Vec<Arc<Calibration>>)| {
+            let first = calibrations.first()?;
+            Some(RigCamera {
+                name: name.clone(),
+                camera: camera(first, [first.width, first.height]).ok()?,
+                vehicle_from_camera: self.vehicle_from_camera(vehicle.name(), name)?,
+            })
+        };
+        MountedCameras {
+            cameras: self.calibrations.iter().filter_map(mounted).collect(),
+        }
     }
 
     /// A frame and its ancestors, each with its own pose: `(ancestor, ancestor_from_frame)`.

@@ -9,6 +9,7 @@
 mod bodies;
 mod floor;
 mod keyframes;
+mod labels;
 mod metric_map;
 mod mosaic;
 mod parameters;

@@ -36,6 +36,7 @@ pub async fn run(args: &RunArgs) -> Ending {
         .iter()
         .for_each(|warning| line(&format!("warning: {warning}")));
     warn_of_missing(&prepared);
+    tell_of_unplayed(&prepared);
     prepared.remember().await?;
     let jobs = jobs(&args.limits);
     let run = prepared.run(&registry, limits(&args.limits, jobs));
@@ -63,6 +64,16 @@ fn warn_of_missing(prepared: &Prepared) {
     for layer in &prepared.missing {
         line(&format!(
             "warning: version {version} has no layer {layer}, which the plan reads as previous.{layer}; it reads as empty"
+        ));
+    }
+}
+
+/// A plan makes what it can of what the logs hold; what they do not hold reads as empty.
+fn tell_of_unplayed(prepared: &Prepared) {
+    if !prepared.unplayed.is_empty() {
+        line(&format!(
+            "note: no session has {}: what the plan makes of it is empty",
+            prepared.unplayed.join(", ")
         ));
     }
 }

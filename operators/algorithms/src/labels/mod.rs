@@ -1,0 +1,6 @@
+//! What people say about a map: acts that come together to labels, their outlines, and the vehicle poses that they are
+//! tied to, so that they move with the map.
+
+pub mod anchors;
+pub mod folding;
+pub mod shapes;

@@ -1,0 +1,117 @@
+//! Where labels are in a version of a map: composed again under its poses.
+
+use std::collections::BTreeMap;
+
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::labels::shapes::size;
+use evermap_schemas::layers::{LabelAnchor, MapFrame, PlacedLabel, VehiclePose};
+use evermap_schemas::roles::Anchor;
+use evermap_schemas::{Stamp, Wkb};
+use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::Tell;
+
+/// Between which poses a label may hang.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct PlacingParams {
+    /// Where the map has no pose at a label's instant any more (its keyframes were chosen anew), the pose between the two
+    /// before and after it, if these are no farther apart than this (m): five keyframes.
+    #[schemars(range(min = 0.0))]
+    pub gap_m: f64,
+}
+
+impl Default for PlacingParams {
+    fn default() -> Self {
+        Self { gap_m: 1.0 }
+    }
+}
+
+/// The poses and frames of one version of a site's map.
+pub struct Placer {
+    gap_m: f64,
+    poses: BTreeMap<String, BTreeMap<Stamp, Pose>>,
+    frames: BTreeMap<u32, Pose>,
+}
+
+impl Placer {
+    /// Of a map's rows; poses and frames that are no rigid transform are left out.
+    pub fn new(poses: Vec<VehiclePose>, frames: Vec<MapFrame>, params: &PlacingParams) -> Self {
+        let mut sessions: BTreeMap<String, BTreeMap<Stamp, Pose>> = BTreeMap::new();
+        for row in poses {
+            if let Some(pose) = rigid(&row.map_from_vehicle) {
+                let of_session = sessions.entry(row.session).or_default();
+                of_session.insert(row.stamp, pose);
+            }
+        }
+        let frame = |row: MapFrame| Some((row.frame, rigid(&row.map_from_frame)?));
+        Self {
+            gap_m: params.gap_m,
+            poses: sessions,
+            frames: frames.into_iter().filter_map(frame).collect(),
+        }
+    }
+
+    /// A label where it is now; `None` where its own pose is no rigid transform.
+    pub fn placed(&self, row: LabelAnchor, tell: Tell<'_>) -> Option<PlacedLabel> {
+        let anchor = row.anchor.as_ref();
+        let by_pose = anchor.and_then(|anchor| self.by_pose(anchor));
+        let by_frame = || self.by_frame(&row).map(|pose| (pose, "frame"));
+        let (map_from_label, placed_by) = match by_pose {
+            Some(pose) => (pose, "pose"),
+            None => by_frame().or_else(|| Some((rigid(&row.map_from_label)?, "drawing")))?,
+        };
+        match (placed_by, anchor) {
+            ("frame", Some(_)) => tell("label whose session is gone, placed by its frame", 1),
+            ("drawing", _) => tell(
+                "label that nothing of the map holds, placed as it was drawn",
+                1,
+            ),
+            _ => {}
+        }
+        let point = |point: &[f64; 3]| map_from_label.transform(&Vector3::from(*point)).into();
+        let points: Vec<[f64; 3]> = row.points.iter().map(point).collect();
+        let size = (row.shape == "box").then(|| size(&row.points)).flatten();
+        Some(PlacedLabel {
+            geometry: match row.shape.as_str() {
+                "polyline" => Wkb::line_string(&points),
+                _ => Wkb::polygon(&points.iter().map(|[x, y, _]| [*x, *y]).collect::<Vec<_>>()),
+            },
+            site: row.site,
+            label: row.label,
+            kind: row.kind,
+            standing: row.standing,
+            author: row.author,
+            said: row.said,
+            placed_by: placed_by.to_owned(),
+            anchor: row.anchor,
+            shape: row.shape,
+            map_from_label: evermap_schemas::Pose::from_array(map_from_label.to_array()),
+            length_m: size.map(|[length, _]| length),
+            width_m: size.map(|[_, width]| width),
+            points,
+        })
+    }
+
+    fn by_pose(&self, anchor: &Anchor) -> Option<Pose> {
+        let of_session = self.poses.get(&anchor.session)?;
+        let before = of_session.range(..=anchor.stamp).next_back()?;
+        let after = of_session.range(anchor.stamp..).next()?;
+        let apart_m = (before.1.translation - after.1.translation).norm();
+        let between = (before.0.0, before.1);
+        let pose = Pose::at_stamp(anchor.stamp.0, between, (after.0.0, after.1));
+        let vehicle_from_label = rigid(&anchor.vehicle_from_label)?;
+        (apart_m <= self.gap_m).then(|| pose.compose(&vehicle_from_label))
+    }
+
+    fn by_frame(&self, row: &LabelAnchor) -> Option<Pose> {
+        let map_from_frame = self.frames.get(&row.frame?)?;
+        Some(map_from_frame.compose(&rigid(row.frame_from_label.as_ref()?)?))
+    }
+}
+
+fn rigid(pose: &evermap_schemas::Pose) -> Option<Pose> {
+    Pose::from_array(pose.to_array()).ok()
+}

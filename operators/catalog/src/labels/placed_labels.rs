@@ -1,0 +1,44 @@
+#![doc = include_str!("placed_labels.md")]
+
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_schemas::layers::{LabelAnchor, MapFrame, PlacedLabel, VehiclePose};
+
+use crate::inputs::labels::{Placer, PlacingParams};
+
+/// See the module's page.
+pub struct PlacedLabels;
+
+impl Operator for PlacedLabels {
+    const NAME: &'static str = "placed_labels";
+    const VERSION: u32 = 1;
+    const PAGE: &'static str = include_str!("placed_labels.md");
+    type Params = PlacingParams;
+    type Output = PlacedLabel;
+
+    fn work() -> Work<Self::Params> {
+        let labels = Port::site::<LabelAnchor>("labels");
+        let sides = vec![
+            Port::site::<VehiclePose>("poses"),
+            Port::site::<MapFrame>("frames").optional(),
+        ];
+        Work::group(labels, Key::SITE, sides, place)
+    }
+}
+
+fn place(
+    params: &PlacingParams,
+    labels: Vec<LabelAnchor>,
+    sides: &Sides,
+    emit: &mut Emit<'_>,
+) -> Result<(), Fault> {
+    let placer = Placer::new(sides.rows("poses")?, sides.rows("frames")?, params);
+    let mut placed = Vec::with_capacity(labels.len());
+    for label in labels {
+        let found = placer.placed(label, &mut |reason, count| emit.skip(reason, count));
+        match found {
+            Some(label) => placed.push(label),
+            None => emit.skip("label whose pose is no rigid transform", 1),
+        }
+    }
+    emit.rows(placed)
+}

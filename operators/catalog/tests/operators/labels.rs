@@ -1,0 +1,358 @@
+//! Labels: folded, tied to poses, and placed again when the map has moved.
+
+use evermap_contract::Losses;
+use evermap_contract::laws::inputs_of;
+use evermap_schemas::layers::{LabelAnchor, Landmark, MapFrame, PlacedLabel, VehiclePose};
+use evermap_schemas::roles::{Anchor, Annotation, Calibration, Transform};
+use evermap_schemas::{Bytes, Pose, Stamp, Wkb};
+use serde_json::json;
+
+use crate::yields;
+
+fn at(x: f64, y: f64, yaw: f64) -> Pose {
+    Pose {
+        x,
+        y,
+        qz: (yaw / 2.0).sin(),
+        qw: (yaw / 2.0).cos(),
+        ..Pose::IDENTITY
+    }
+}
+
+/// A drive along the x axis, a pose a metre, of which the one at second `s` was at `x = s`; all moved by so much.
+fn drive(session: &str, moved: [f64; 2]) -> Vec<VehiclePose> {
+    let pose = |second: i64| VehiclePose {
+        site: "lot".into(),
+        session: session.into(),
+        stamp: Stamp(second),
+        map_from_vehicle: at(second as f64 + moved[0], moved[1], 0.0),
+    };
+    (0..20).map(pose).collect()
+}
+
+fn drawn(label: &str, x: f64, y: f64) -> Annotation {
+    Annotation {
+        site: "lot".into(),
+        session: "ada_1".into(),
+        stamp: Stamp(100),
+        author: "ada".into(),
+        sequence: 0,
+        id: label.into(),
+        kind: "parking_space".into(),
+        act: "drawn".into(),
+        map_version: Some(1),
+        shape: Some("box".into()),
+        points: vec![
+            [2.0, 1.0, 0.0],
+            [-2.0, 1.0, 0.0],
+            [-2.0, -1.0, 0.0],
+            [2.0, -1.0, 0.0],
+        ],
+        map_from_label: Some(at(x, y, 0.5)),
+        anchor: None,
+    }
+}
+
+fn frame(frame: u32, x: f64) -> MapFrame {
+    MapFrame {
+        site: "lot".into(),
+        frame,
+        session: "a".into(),
+        stamp: Stamp(0),
+        map_from_frame: at(x, 0.0, 0.0),
+        moved_m: None,
+        moved_rad: None,
+    }
+}
+
+/// The map of one version.
+#[derive(Default, Clone)]
+struct Version {
+    poses: Vec<VehiclePose>,
+    frames: Vec<MapFrame>,
+}
+
+impl Version {
+    fn of(poses: Vec<VehiclePose>, frames: Vec<MapFrame>) -> Self {
+        Self { poses, frames }
+    }
+}
+
+fn anchors(
+    annotations: Vec<Annotation>,
+    now: &Version,
+    before: &Version,
+    held: Vec<LabelAnchor>,
+) -> (Vec<LabelAnchor>, Losses) {
+    yields(
+        "label_anchors",
+        json!({}),
+        [
+            inputs_of("annotations", annotations).unwrap(),
+            inputs_of("poses", now.poses.clone()).unwrap(),
+            inputs_of("frames", now.frames.clone()).unwrap(),
+            inputs_of("previous_poses", before.poses.clone()).unwrap(),
+            inputs_of("previous_frames", before.frames.clone()).unwrap(),
+            inputs_of("previous", held).unwrap(),
+        ],
+    )
+}
+
+fn placed(labels: Vec<LabelAnchor>, now: &Version) -> (Vec<PlacedLabel>, Losses) {
+    yields(
+        "placed_labels",
+        json!({}),
+        [
+            inputs_of("labels", labels).unwrap(),
+            inputs_of("poses", now.poses.clone()).unwrap(),
+            inputs_of("frames", now.frames.clone()).unwrap(),
+        ],
+    )
+}
+
+fn place(label: &PlacedLabel) -> [f64; 2] {
+    [label.map_from_label.x, label.map_from_label.y].map(|value| (value * 1e9).round() / 1e9)
+}
+
+#[test]
+fn a_label_is_tied_once_to_the_version_that_was_looked_at_and_follows_it() {
+    let first = Version::of(drive("a", [0.0, 0.0]), vec![frame(0, 0.0)]);
+    let second = Version::of(drive("a", [0.5, -0.25]), vec![frame(0, 0.5)]);
+    // Said on the first version, read in the run that makes the second.
+    let (held, losses) = anchors(vec![drawn("one", 7.2, 3.0)], &second, &first, vec![]);
+    assert!(losses.is_empty(), "{losses:?}");
+    let anchor = held[0].anchor.clone().unwrap();
+    assert_eq!((&*anchor.session, anchor.stamp), ("a", Stamp(7)));
+    let (now, _) = placed(held.clone(), &second);
+    assert_eq!((place(&now[0]), &*now[0].placed_by), ([7.7, 2.75], "pose"));
+    assert_eq!((now[0].length_m, now[0].width_m), (Some(4.0), Some(2.0)));
+    // In the next version the label is said to be where it was drawn: it stays tied to its pose.
+    let third = Version::of(drive("a", [-1.0, 0.0]), vec![frame(0, -1.0)]);
+    let (kept, _) = anchors(vec![drawn("one", 7.2, 3.0)], &third, &second, held.clone());
+    assert_eq!(kept, held);
+    assert_eq!(place(&placed(kept, &third).0[0]), [6.2, 3.0]);
+    // Drawn elsewhere, it is tied anew, to the version before.
+    let (anew, _) = anchors(vec![drawn("one", 12.4, 3.0)], &third, &second, held);
+    let stamp = anew[0].anchor.as_ref().unwrap().stamp;
+    assert_eq!(stamp, Stamp(12), "the pose at 12.5 m of the second version");
+}
+
+#[test]
+fn a_label_whose_session_is_gone_is_counted_and_goes_with_its_frame() {
+    let first = Version::of(drive("a", [0.0, 0.0]), vec![frame(3, 5.0)]);
+    let (held, _) = anchors(
+        vec![drawn("one", 7.0, 3.0)],
+        &first,
+        &Version::default(),
+        vec![],
+    );
+    let gone = Version::of(drive("b", [0.0, 0.0]), vec![frame(3, 6.0)]);
+    let (now, losses) = placed(held.clone(), &gone);
+    assert_eq!((place(&now[0]), &*now[0].placed_by), ([8.0, 3.0], "frame"));
+    assert_eq!(
+        losses.0["label whose session is gone, placed by its frame"],
+        1
+    );
+    let (now, losses) = placed(held, &Version::of(drive("b", [0.0, 0.0]), vec![]));
+    assert_eq!(
+        (place(&now[0]), &*now[0].placed_by),
+        ([7.0, 3.0], "drawing")
+    );
+    assert_eq!(losses.total(), 1);
+}
+
+#[test]
+fn poses_chosen_anew_hold_labels_in_between_but_not_across_gaps() {
+    let version = |seconds: &[i64]| {
+        let mut poses = drive("a", [0.0, 1.0]);
+        poses.retain(|pose| seconds.contains(&pose.stamp.0));
+        Version::of(poses, vec![])
+    };
+    let anchor = Anchor {
+        session: "a".into(),
+        stamp: Stamp(7),
+        camera: None,
+        vehicle_from_label: at(0.0, 2.0, 0.0),
+    };
+    let (held, _) = anchors(
+        vec![Annotation {
+            anchor: Some(anchor.clone()),
+            ..drawn("one", 0.0, 0.0)
+        }],
+        &version(&[7]),
+        &Version::default(),
+        vec![],
+    );
+    assert_eq!(held[0].anchor, Some(anchor), "what was said holds");
+    let by = |seconds: &[i64]| {
+        placed(held.clone(), &version(seconds)).0[0]
+            .placed_by
+            .clone()
+    };
+    assert_eq!(by(&[7]), "pose");
+    assert_eq!(by(&[6, 8]), "drawing", "two metres are too far");
+    let params = json!({ "gap_m": 2.0 });
+    let inputs = [
+        inputs_of("labels", held.clone()).unwrap(),
+        inputs_of("poses", version(&[6, 8]).poses).unwrap(),
+    ];
+    let (now, _) = yields::<PlacedLabel>("placed_labels", params, inputs);
+    assert_eq!(place(&now[0]), [7.0, 3.0]);
+}
+
+#[test]
+fn bad_annotations_are_counted_and_the_others_kept() {
+    let tie = Annotation {
+        shape: Some("polygon".into()),
+        points: vec![
+            [0.0, 0.0, 0.0],
+            [2.0, 2.0, 0.0],
+            [2.0, 0.0, 0.0],
+            [0.0, 2.0, 0.0],
+        ],
+        ..drawn("tie", 3.0, 3.0)
+    };
+    let skew = Annotation {
+        points: vec![
+            [2.0, 1.0, 0.0],
+            [-2.0, 1.5, 0.0],
+            [-2.0, -1.0, 0.0],
+            [2.0, -1.0, 0.0],
+        ],
+        ..drawn("skew", 3.0, 3.0)
+    };
+    let copy = Annotation {
+        session: "copy_of_ada_1".into(),
+        ..drawn("one", 4.0, 3.0)
+    };
+    let other = Annotation {
+        author: "bob".into(),
+        session: "bob_1".into(),
+        stamp: Stamp(200),
+        ..drawn("one", 5.0, 3.0)
+    };
+    let stray = Annotation {
+        act: "removed".into(),
+        ..drawn("never drawn", 0.0, 0.0)
+    };
+    let twice_at_once = Annotation {
+        sequence: 0,
+        kind: "heliport".into(),
+        ..drawn("two", 8.0, 3.0)
+    };
+    let said = vec![
+        tie,
+        skew,
+        drawn("one", 4.0, 3.0),
+        copy,
+        other,
+        stray,
+        twice_at_once,
+        drawn("far", 90.0, 0.0),
+    ];
+    let first = Version::of(drive("a", [0.0, 0.0]), vec![frame(0, 0.0)]);
+    let (held, losses) = anchors(said, &first, &Version::default(), vec![]);
+    let labels: Vec<_> = held
+        .iter()
+        .map(|row| (&*row.label, &*row.author, &*row.kind))
+        .collect();
+    let expected = [
+        ("far", "ada", "parking_space"),
+        ("one", "bob", "parking_space"),
+        ("two", "ada", "heliport"),
+    ];
+    assert_eq!(labels, expected);
+    assert!(held[0].anchor.is_none() && held[0].frame == Some(0));
+    for (reason, count) in [
+        ("label whose outline crosses itself", 1),
+        ("box that is no rectangle about its frame", 1),
+        (
+            "annotation that contradicts another person's; the later holds",
+            1,
+        ),
+        ("annotation of a label that nobody had drawn", 1),
+        ("label out of reach of every vehicle pose", 1),
+    ] {
+        assert_eq!(losses.0[reason], count, "{reason}: {losses:?}");
+    }
+    assert_eq!(losses.total(), 5);
+}
+
+/// The camera of session a, 1 m above the ground, looks ahead.
+fn camera() -> (Calibration, Transform) {
+    let calibration = Calibration {
+        site: "lot".into(),
+        session: "a".into(),
+        stamp: Stamp(0),
+        camera: "ahead".into(),
+        width: 640,
+        height: 480,
+        model: "plumb_bob".into(),
+        intrinsics: vec![320.0, 0.0, 319.5, 0.0, 320.0, 239.5, 0.0, 0.0, 1.0],
+        distortion: vec![],
+    };
+    let mount = Transform {
+        site: "lot".into(),
+        session: "a".into(),
+        stamp: Stamp(0),
+        parent: "base_link".into(),
+        child: "ahead".into(),
+        parent_from_child: Pose {
+            z: 1.0,
+            qx: -0.5,
+            qy: 0.5,
+            qz: -0.5,
+            qw: 0.5,
+            ..Pose::IDENTITY
+        },
+        fixed: true,
+    };
+    (calibration, mount)
+}
+
+fn landmark(number: u32, x: f64, y: f64, z: f64) -> Landmark {
+    Landmark {
+        site: "lot".into(),
+        landmark: number,
+        x,
+        y,
+        z,
+        sigma_m: 0.0,
+        parallax_rad: 0.0,
+        rms_px: 0.0,
+        view: [0.0; 3],
+        view_cos: 0.0,
+        near_m: 0.0,
+        far_m: 0.0,
+        descriptors: Bytes(vec![]),
+        sightings: vec![],
+        sources: vec![],
+        geometry: Wkb::point([x, y, z]),
+    }
+}
+
+#[test]
+fn the_camera_that_sees_a_label_most_centrally_and_freely_holds_it() {
+    let (calibration, mount) = camera();
+    let tied = |landmarks: Vec<Landmark>| {
+        let inputs = [
+            inputs_of("annotations", vec![drawn("one", 12.0, 2.0)]).unwrap(),
+            inputs_of("poses", drive("a", [0.0, 0.0])).unwrap(),
+            inputs_of("calibration", vec![calibration.clone()]).unwrap(),
+            inputs_of("transforms", vec![mount.clone()]).unwrap(),
+            inputs_of("landmarks", landmarks).unwrap(),
+        ];
+        let (held, _) = yields::<LabelAnchor>("label_anchors", json!({}), inputs);
+        let anchor = held[0].anchor.clone().unwrap();
+        (anchor.stamp.0, anchor.camera)
+    };
+    // Of the poses within 8 m, the farthest looks along the ray best.
+    let ahead = Some("ahead".to_owned());
+    assert_eq!(tied(vec![]), (5, ahead.clone()));
+    // A post 2 m ahead of that pose, on its ray, and near that of the next.
+    let post = landmark(0, 7.0, 2.0 * 2.0 / 7.0, 0.8);
+    assert_eq!(tied(vec![post]), (7, ahead));
+    // A wall.
+    let wall = (0..40).map(|at| landmark(at + 1, 11.3, f64::from(at) * 0.1, 0.5));
+    assert_eq!(tied(wall.collect()), (12, None), "the nearest pose");
+}
