@@ -53,15 +53,56 @@ pub struct Feature {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct FeatureNoise {
-    /// Standard deviation of the smallest features' places in the image (px): corners of a few pixels, odometry that
-    /// does not know the vehicle's nodding. Where sizes count, that of larger ones grows with the 0.75th power of them.
+    /// Standard deviation of the smallest features' places in the image (px); that of larger ones grows with the 0.75th
+    /// power of their size. Half a pixel: residuals of maps have 0.42 px on a real camera (KITTI), 0.31 to 0.35 px on
+    /// simulated fisheyes that others made, and are a fifth smaller than the noise where four features show a landmark;
+    /// under true poses it is 0.45 px.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub sigma_px: f64,
 }
 
 impl Default for FeatureNoise {
     fn default() -> Self {
-        Self { sigma_px: 1.0 }
+        Self { sigma_px: 0.5 }
+    }
+}
+
+/// Growth of a feature's standard deviation with its size.
+const BLUR_POWER: f64 = 0.75;
+/// Features larger than this many times the smallest ones are placed no worse.
+const MOST_BLUR: f64 = 8.0;
+
+/// How inexactly the features of a camera are placed, in units of the smallest ones' standard deviation. A corner found
+/// at a coarse scale is placed to a part of that scale's pixels, so nearly in proportion to its size. Measured on
+/// renderings with truth: 1.6 at twice the smallest size, 2.3 at three times; on a real camera 2.1 and 2.8.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Blur {
+    smallest_px: f64,
+}
+
+impl Blur {
+    /// Of a camera, by the sizes of its features (px). The small ones are the first decile.
+    pub fn new(sizes_px: impl IntoIterator<Item = f64>) -> Self {
+        let sizes = sizes_px.into_iter();
+        let mut sizes: Vec<f64> = sizes
+            .filter(|size| *size > 0.0 && size.is_finite())
+            .collect();
+        sizes.sort_by(f64::total_cmp);
+        Self {
+            smallest_px: sizes.get(sizes.len() / 10).copied().unwrap_or(1.0),
+        }
+    }
+
+    /// Of one image.
+    pub fn of_image(image: &ImageFeatures) -> Self {
+        Self::new(image.features.iter().map(|feature| feature.size_px))
+    }
+
+    /// Of a feature of this size (px): 1 or more.
+    pub fn of(&self, size_px: f64) -> f64 {
+        (size_px / self.smallest_px)
+            .clamp(1.0, MOST_BLUR)
+            .powf(BLUR_POWER)
     }
 }
 

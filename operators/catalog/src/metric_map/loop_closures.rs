@@ -14,7 +14,7 @@ pub struct LoopClosures;
 
 impl Operator for LoopClosures {
     const NAME: &'static str = "loop_closures";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: &'static str = include_str!("loop_closures.md");
     type Params = OfVehicle<LoopOptions>;
     type Output = LoopClosure;

@@ -60,17 +60,17 @@ fn senseless_parameters_are_refused() {
     assert_eq!(
         faults(
             "localisation",
-            json!({ "feature_px": 0, "min_inlier_share": 1.5, "min_inliers": 5 })
+            json!({ "sigma_px": 0, "min_inlier_share": 1.5, "min_inliers": 5 })
         ),
         [
-            "expected `feature_px` above 0, found 0",
+            "expected `sigma_px` above 0, found 0",
             "expected `min_inlier_share` from 0 to 1, found 1.5",
             "expected `min_inliers` of at least 6, found 5",
         ]
     );
     assert_eq!(
-        faults("localisation", json!({ "feature_px": 4 })),
-        ["expected verify_px of at least 4 times feature_px (4 px), found 12"]
+        faults("localisation", json!({ "sigma_px": 4 })),
+        ["expected verify_px of at least 4 times sigma_px (4 px), found 12"]
     );
     assert_eq!(
         faults("features", json!({ "scale": 9, "min_contrast": 0 })),

@@ -29,6 +29,11 @@ impl Sight<'_> {
         ray_residual_rad(&self.ray, &in_camera)
     }
 
+    /// How inexactly the point is seen, in units of the smallest features' standard deviation.
+    pub fn blur(&self) -> f64 {
+        self.sigma_rad * self.px_per_rad
+    }
+
     /// The same as one distance, pixels at the middle of the image; infinite where there are no angles.
     pub fn off_px(&self, point: &Vector3<f64>) -> f64 {
         let angles = self.residual_rad(point);

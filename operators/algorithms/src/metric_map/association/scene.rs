@@ -7,12 +7,7 @@ use nalgebra::Vector3;
 use super::point::Sight;
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::{Rig, RigCamera};
-use crate::metric_map::features::{Descriptor, KeyframeFeatures};
-
-/// Growth of a feature's standard deviation with its size.
-const BLUR_POWER: f64 = 0.75;
-/// Features larger than this many times the smallest ones are placed no worse.
-const MOST_BLUR: f64 = 8.0;
+use crate::metric_map::features::{Blur, Descriptor, KeyframeFeatures};
 
 /// A feature of an image of a [`Scene`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -67,8 +62,8 @@ pub struct Scene {
     pub cameras: Vec<RigCamera>,
     /// Pixels per radian at the middle of each camera's image.
     pub px_per_rad: Vec<f64>,
-    /// Size of each camera's small features, pixels: the first decile.
-    pub smallest_px: Vec<f64>,
+    /// How inexactly each camera's features are placed.
+    pub blurs: Vec<Blur>,
     /// Session after session, in driven order.
     pub keyframes: Vec<SceneKeyframe>,
     /// Keyframe after keyframe.
@@ -117,7 +112,7 @@ impl Scene {
                 images: first..self.images.len() as u32,
             });
         }
-        self.smallest_px.extend(sizes.into_iter().map(first_decile));
+        self.blurs.extend(sizes.into_iter().map(Blur::new));
         session
     }
 
@@ -159,14 +154,10 @@ impl Scene {
         })
     }
 
-    /// How inexactly a feature is placed, in units of the smallest ones' standard deviation. A corner found at a
-    /// coarse scale is placed to a part of that scale's pixels, so in proportion to its size; measured on renderings
-    /// with truth: 1.6 at twice the smallest size, 2.3 at three times.
+    /// How inexactly a feature is placed, in units of the smallest ones' standard deviation.
     pub fn blur(&self, at: FeatureRef) -> f64 {
-        let smallest = self.smallest_px[self.images[at.image as usize].camera as usize];
-        (self.feature(at).size_px / smallest)
-            .clamp(1.0, MOST_BLUR)
-            .powf(BLUR_POWER)
+        let camera = self.images[at.image as usize].camera as usize;
+        self.blurs[camera].of(self.feature(at).size_px)
     }
 
     /// `map_from_camera` of every image.
@@ -175,11 +166,4 @@ impl Scene {
             .map(|image| self.map_from_camera(poses, image))
             .collect()
     }
-}
-
-/// 1 where there is nothing.
-fn first_decile(mut sizes: Vec<f64>) -> f64 {
-    sizes.retain(|size| *size > 0.0 && size.is_finite());
-    sizes.sort_by(f64::total_cmp);
-    sizes.get(sizes.len() / 10).copied().unwrap_or(1.0)
 }

@@ -2,8 +2,8 @@
 
 use super::view::Sighted;
 use super::{LandmarkMap, LocalisationParams};
-use crate::metric_map::features::{Feature, ImageFeatures, KeyframeFeatures};
-use nalgebra::Vector2;
+use crate::metric_map::features::{Blur, Feature, FeatureNoise, ImageFeatures, KeyframeFeatures};
+use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 
 /// Squared Mahalanobis distance that 99.9 % of true features in a plane stay below.
@@ -40,6 +40,8 @@ pub(super) enum Search {
 /// Features of one image by cells.
 struct Cells<'a> {
     features: &'a [Feature],
+    /// By feature: how much larger than the smallest ones' the variance of its place is, px².
+    excess_px2: Vec<f64>,
     columns: usize,
     rows: usize,
     /// Features by cell; those of cell `c` are `order[starts[c]..starts[c + 1]]`.
@@ -48,8 +50,11 @@ struct Cells<'a> {
 }
 
 impl<'a> Cells<'a> {
-    fn new(image: &'a ImageFeatures) -> Self {
+    fn new(image: &'a ImageFeatures, noise: &FeatureNoise) -> Self {
         let features = &image.features[..];
+        let blur = Blur::of_image(image);
+        let excess_px2 =
+            |feature: &Feature| noise.sigma_px.powi(2) * (blur.of(feature.size_px).powi(2) - 1.0);
         let sound = |feature: &&Feature| feature.pixel.iter().all(|x| (-1.0..1e5).contains(x));
         let extent = |axis: usize| {
             let largest = features
@@ -73,6 +78,7 @@ impl<'a> Cells<'a> {
         (1..starts.len()).for_each(|cell| starts[cell] += starts[cell - 1]);
         Self {
             features,
+            excess_px2: features.iter().map(excess_px2).collect(),
             columns,
             rows,
             starts,
@@ -123,7 +129,7 @@ pub(super) fn claims(
             let Some(image) = features.images.get(camera) else {
                 return Vec::new();
             };
-            let cells = Cells::new(image);
+            let cells = Cells::new(image, &params.features);
             let all = candidates(map, of_camera, start, &cells, search, params);
             mutual(all, sighted, image, params.limits.match_ratio)
         })
@@ -140,13 +146,21 @@ fn candidates(
     params: &LocalisationParams,
 ) -> Vec<Claim> {
     let mut found = Vec::new();
+    let most_excess = cells.excess_px2.iter().copied().fold(0.0, f64::max);
     for (offset, seen) in sighted.iter().enumerate() {
-        let (radius, inverse) = match search {
-            Search::Radius(radius) => (radius, None),
+        let radius = match search {
+            Search::Radius(radius) => radius,
             Search::Covariance => {
                 let widest = seen.covariance.symmetric_eigenvalues().max().max(0.0);
-                let radius = (GATE * widest).sqrt().min(params.search_px);
-                (radius, seen.covariance.try_inverse())
+                (GATE * (widest + most_excess)).sqrt().min(params.search_px)
+            }
+        };
+        let units = |offset_px: &Vector2<f64>, excess_px2: f64| match search {
+            Search::Radius(_) => 0.0,
+            Search::Covariance => {
+                let covariance = seen.covariance + Matrix2::identity() * excess_px2;
+                let inverse = covariance.try_inverse().unwrap_or_default();
+                offset_px.dot(&(inverse * offset_px))
             }
         };
         let descriptors = &map.landmarks()[seen.landmark].descriptors;
@@ -155,7 +169,7 @@ fn candidates(
             if offset_px.norm_squared() > radius * radius {
                 return;
             }
-            let units = inverse.map_or(0.0, |inverse| offset_px.dot(&(inverse * offset_px)));
+            let units = units(&offset_px, cells.excess_px2[index]);
             if units > GATE {
                 return;
             }

@@ -6,7 +6,7 @@ use super::refinement::{Pair, Refined, Refinement};
 use super::view::{Sighted, eyes, sighted};
 use super::{LandmarkMap, LocalisationParams};
 use crate::geometry::rig::Rig;
-use crate::metric_map::features::KeyframeFeatures;
+use crate::metric_map::features::{Blur, KeyframeFeatures};
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
 
@@ -144,9 +144,10 @@ impl<'a> Localiser<'a> {
         found: &[Claim],
         features: &KeyframeFeatures,
     ) -> Option<Refined> {
+        let blurs: Vec<Blur> = features.images.iter().map(Blur::of_image).collect();
         let pairs: Vec<Pair> = found
             .iter()
-            .map(|claim| pair(claim, seen, features))
+            .map(|claim| pair(claim, seen, features, &blurs))
             .collect();
         let problem = Refinement {
             rig: self.rig,
@@ -241,7 +242,7 @@ impl<'a> Localiser<'a> {
     }
 }
 
-fn pair(claim: &Claim, seen: &[Sighted], features: &KeyframeFeatures) -> Pair {
+fn pair(claim: &Claim, seen: &[Sighted], features: &KeyframeFeatures, blurs: &[Blur]) -> Pair {
     let Sighted {
         landmark, camera, ..
     } = seen[claim.sighted];
@@ -250,5 +251,6 @@ fn pair(claim: &Claim, seen: &[Sighted], features: &KeyframeFeatures) -> Pair {
         landmark,
         camera,
         pixel: feature.pixel.into(),
+        blur: blurs[camera].of(feature.size_px),
     }
 }

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::metric_map::features::FeatureNoise;
 use crate::metric_map::matching::MatchLimits;
 use crate::metric_map::odometry::OdometryScale;
 
@@ -10,16 +11,15 @@ use crate::metric_map::odometry::OdometryScale;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct LocalisationParams {
-    /// Standard deviation of a feature's place in the image (px): a corner rounded to a pixel (0.3), and what its
-    /// neighbourhood shifts between two views. Covariances are scaled by the residuals found; this weighs features
-    /// against landmarks' own uncertainty and odometry.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub feature_px: f64,
+    /// How exactly features lie. Covariances are scaled by the residuals found; this weighs features against landmarks'
+    /// own uncertainty and odometry.
+    #[serde(flatten)]
+    pub features: FeatureNoise,
     /// Which descriptors are of one landmark; the next best one is that of the next landmark or feature of another
     /// spot.
     #[serde(flatten)]
     pub limits: MatchLimits,
-    /// Radius in which a pose is verified (px), at least four times `feature_px`: four radii of inliers, so that chance
+    /// Radius in which a pose is verified (px), at least four times `sigma_px`: four radii of inliers, so that chance
     /// gives one match in sixteen as inlier.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub verify_px: f64,
@@ -88,7 +88,7 @@ pub struct LocalisationParams {
 impl Default for LocalisationParams {
     fn default() -> Self {
         Self {
-            feature_px: 0.7,
+            features: FeatureNoise::default(),
             limits: MatchLimits::default(),
             verify_px: 12.0,
             search_px: 40.0,
@@ -114,12 +114,12 @@ impl Default for LocalisationParams {
 
 /// A verification so narrow that chance would not fill it evenly.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("expected verify_px of at least 4 times feature_px ({feature_px} px), found {verify_px}")]
+#[error("expected verify_px of at least 4 times sigma_px ({sigma_px} px), found {verify_px}")]
 pub struct NarrowVerification {
     /// The radius.
     pub verify_px: f64,
     /// The features' standard deviation.
-    pub feature_px: f64,
+    pub sigma_px: f64,
 }
 
 impl LocalisationParams {
@@ -130,15 +130,15 @@ impl LocalisationParams {
     pub fn check(&self) -> Result<(), NarrowVerification> {
         let Self {
             verify_px,
-            feature_px,
+            features: FeatureNoise { sigma_px },
             ..
         } = *self;
-        if verify_px >= 4.0 * feature_px {
+        if verify_px >= 4.0 * sigma_px {
             return Ok(());
         }
         Err(NarrowVerification {
             verify_px,
-            feature_px,
+            sigma_px,
         })
     }
 }

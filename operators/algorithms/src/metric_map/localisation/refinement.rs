@@ -23,6 +23,8 @@ pub(super) struct Pair {
     pub(super) landmark: usize,
     pub(super) camera: usize,
     pub(super) pixel: Vector2<f64>,
+    /// How inexactly the feature is placed.
+    pub(super) blur: f64,
 }
 
 /// How well a pair fits a pose.
@@ -96,7 +98,8 @@ impl Refinement<'_> {
             let landmark = self.map.landmarks().get(pair.landmark)?;
             let eye = eyes.get(pair.camera)?;
             let px_per_m = eye.projection(&landmark.position)?.px_per_m;
-            Some(eye.noise_px2(landmark, px_per_m, self.params.feature_px))
+            let feature_px = self.params.features.sigma_px * pair.blur;
+            Some(eye.noise_px2(landmark, px_per_m, feature_px))
         };
         self.pairs
             .iter()
@@ -125,7 +128,7 @@ impl Refinement<'_> {
     /// A pair whose landmark leaves the lens costs as much as one at the edge of the search.
     fn cost(&self, pose: &Pose, prior: &Matrix6<f64>, variances: &[f64]) -> f64 {
         let c2 = CAUCHY * CAUCHY;
-        let unseen = (self.params.search_px / self.params.feature_px).powi(2);
+        let unseen = (self.params.search_px / self.params.features.sigma_px).powi(2);
         let eyes = eyes(self.rig, pose);
         let pairs = self
             .pairs

@@ -126,7 +126,7 @@ pub(super) fn sighted(
                     known.visible_from(&eye.centre, params.view_slack_rad, params.range_slack);
                 let inside = visible && eye.pixel(&known.position).is_some();
                 let projection = inside.then(|| eye.projection(&known.position)).flatten()?;
-                let noise_px2 = eye.noise_px2(known, projection.px_per_m, params.feature_px);
+                let noise_px2 = eye.noise_px2(known, projection.px_per_m, params.features.sigma_px);
                 let by_pose = projection.by_pose;
                 Some(Sighted {
                     landmark,

@@ -139,8 +139,7 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
         landmarks = prune::prune(scene, &poses, found, gate_px, params);
         let iterations = params.adjust.iterations;
         poses = adjust::adjust(input, &poses, &landmarks, &params.adjust, iterations).poses;
-        let drop_px = params.drop_sigmas * params.adjust.features.sigma_px;
-        landmarks = prune::prune(scene, &poses, landmarks, drop_px, params);
+        landmarks = prune::prune(scene, &poses, landmarks, params.drop_px(), params);
     }
     prune::name(&mut landmarks, input.first_new);
     let last = adjust::adjust(
@@ -162,6 +161,13 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
 }
 
 /// From the first to the last radius in equal factors.
+impl MappingParams {
+    /// How far off the smallest features are dropped, pixels.
+    fn drop_px(&self) -> f64 {
+        self.drop_sigmas * self.adjust.features.sigma_px
+    }
+}
+
 fn radius_px(params: &MappingParams, round: u32) -> f64 {
     let steps = params.rounds.saturating_sub(1).max(1);
     let factor = params.last_radius_px / params.first_radius_px;

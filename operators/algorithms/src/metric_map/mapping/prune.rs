@@ -49,8 +49,8 @@ pub(super) fn name(landmarks: &mut [Landmark], first_new: u32) {
     }
 }
 
-/// Triangulates every landmark; drops the features that are farther than `gate_px` from it, and the landmarks that
-/// have too few left or are seen along rays too much alike.
+/// Triangulates every landmark; drops the features that are farther than `gate_px` from it, large ones that are farther
+/// by more than their size explains, and the landmarks that have too few left or are seen along rays too much alike.
 pub(super) fn prune(
     scene: &Scene,
     poses: &[Pose],
@@ -73,6 +73,7 @@ fn pruned(
     gate_px: f64,
     params: &MappingParams,
 ) -> Option<Landmark> {
+    let drop_px2 = params.drop_px().powi(2);
     // Dropping the worst moves the point, which may free others; twice is nearly always enough.
     for _ in 0..3 {
         if landmark.features.len() < params.min_features {
@@ -89,7 +90,10 @@ fn pruned(
         landmark.point = point;
         landmark.features.retain(|feature| {
             let sight = scene.sight(cameras, *feature);
-            sight.is_some_and(|sight| sight.off_px(&point) <= gate_px)
+            sight.is_some_and(|sight| {
+                let excess = drop_px2 * (sight.blur().powi(2) - 1.0);
+                sight.off_px(&point).powi(2) <= gate_px * gate_px + excess
+            })
         });
         if landmark.features.len() == before {
             return (found.parallax_rad >= params.min_parallax_rad).then_some(landmark);

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::Rig;
-use crate::metric_map::features::KeyframeFeatures;
+use crate::metric_map::features::{Blur, Feature, KeyframeFeatures};
 
 /// One session.
 #[derive(Debug, Clone)]
@@ -64,10 +64,12 @@ impl<'a> Surveyed<'a> {
         let bearings = drive.keyframes.par_iter().map(|keyframe| {
             let images = drive.rig.cameras.iter().zip(&keyframe.features.images);
             let of_image = images.map(|(camera, image)| {
-                let pixels = image.features.iter().map(|feature| feature.pixel);
-                pixels
-                    .map(|pixel| bearing(&camera.camera, pixel, sigma_px))
-                    .collect()
+                let blur = Blur::of_image(image);
+                let bearing = |feature: &Feature| {
+                    let sigma_px = sigma_px * blur.of(feature.size_px);
+                    bearing(&camera.camera, feature.pixel, sigma_px)
+                };
+                image.features.iter().map(bearing).collect()
             });
             of_image.collect()
         });

@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
-use crate::metric_map::features::ImageFeatures;
+use crate::metric_map::features::{Blur, FeatureNoise, ImageFeatures};
 use crate::metric_map::matching::{ImageIndex, MatchLimits};
 use pair::{Pair, match_pair};
 
@@ -47,10 +47,9 @@ pub struct TrackParams {
     pub min_points: u32,
     /// Tracks are cut after this many sightings, so that a vehicle that hardly moves gives no endless ones.
     pub max_points: u32,
-    /// Standard deviation of where an image's smallest features lie (px), as measured under true poses; large ones lie
-    /// less exactly.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub noise_px: f64,
+    /// How exactly features lie.
+    #[serde(flatten)]
+    pub features: FeatureNoise,
     /// Standard deviation of odometry's way between two keyframes: share of the way.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub way_sigma: f64,
@@ -71,7 +70,7 @@ impl Default for TrackParams {
             gap: 2,
             min_points: 3,
             max_points: 100,
-            noise_px: 0.5,
+            features: FeatureNoise::default(),
             way_sigma: 0.03,
             turn_sigma_rad: 0.006,
             max_step_m: 3.0,
@@ -119,10 +118,6 @@ struct Tracker<'a> {
     ready: Vec<Ready<'a>>,
 }
 
-/// How a feature's noise grows with its size. Measured on simulated drives under true poses: 0.45 px at the smallest
-/// size, 0.75 px at twice, 1.0 px at three times that size.
-const GROWTH: f64 = 0.75;
-
 /// Tracks of two or more sightings each, in the order of first sight. A feature belongs to one track
 /// at most.
 ///
@@ -156,14 +151,8 @@ pub fn tracks(
 impl<'a> Ready<'a> {
     fn new(camera: &Camera, view: &CameraFrame<'a>, params: &TrackParams, rad_per_px: f64) -> Self {
         let features = &view.features.features;
-        let smallest = features
-            .iter()
-            .map(|feature| feature.size_px)
-            .fold(f64::INFINITY, f64::min);
-        let sigma = |size_px: f64| {
-            let growth = (size_px / smallest.max(1.0)).max(1.0).powf(GROWTH);
-            params.noise_px * rad_per_px * growth.min(4.0)
-        };
+        let blur = Blur::of_image(view.features);
+        let sigma_rad = params.features.sigma_px * rad_per_px;
         Self {
             features: view.features,
             index: ImageIndex::new(view.features),
@@ -173,9 +162,14 @@ impl<'a> Ready<'a> {
                 .collect(),
             sigmas_rad: features
                 .iter()
-                .map(|feature| sigma(feature.size_px))
+                .map(|feature| sigma_rad * blur.of(feature.size_px))
                 .collect(),
         }
+    }
+
+    /// The largest standard deviation of its rays (rad).
+    fn widest_rad(&self) -> f64 {
+        self.sigmas_rad.iter().copied().fold(0.0, f64::max)
     }
 
     fn ray(&self, feature: u32) -> Option<(Vector3<f64>, f64)> {

@@ -124,7 +124,7 @@ impl Search<'_> {
                 .ray(to)
                 .is_some_and(|(ray, sigma)| arc.distance(&ray) <= SIGMAS * other.hypot(sigma))
         };
-        let widest = SIGMAS * other.hypot(4.0 * tracker.params.noise_px * tracker.rad_per_px);
+        let widest = SIGMAS * other.hypot(self.b.widest_rad());
         let (pixel, radius_px) = self.circle(&arc, widest)?;
         let descriptor = &self.a.features.features.get(from as usize)?.descriptor;
         let found = self.b.index.nearest(pixel, radius_px, descriptor, accept)?;

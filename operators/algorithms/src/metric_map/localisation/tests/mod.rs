@@ -5,7 +5,7 @@ pub(super) mod world;
 
 use super::*;
 use crate::geometry::pose::Pose;
-use crate::metric_map::features::KeyframeFeatures;
+use crate::metric_map::features::{FeatureNoise, KeyframeFeatures};
 use std::cell::Cell;
 use world::{Imaging, Random, World};
 
@@ -289,7 +289,7 @@ fn nothing_breaks_it() {
         odometry.len()
     );
     let senseless = LocalisationParams {
-        feature_px: 4.0,
+        features: FeatureNoise { sigma_px: 4.0 },
         ..LocalisationParams::default()
     };
     assert!(senseless.check().is_err());
