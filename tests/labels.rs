@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use evermap_messages::annotation::{Annotation, Geometry};
 use evermap_recording::annotations::AnnotationLog;
 use evermap_tests::{DrivePose, Finished, evermap, text, write_drive};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 /// A straight drive at 2 m/s whose odometry measures a metre as so many.
 fn straight(scale: f64) -> Vec<DrivePose> {
@@ -43,6 +43,26 @@ impl Lot {
         let sessions: Vec<PathBuf> = sessions.iter().map(|name| self.path(name)).collect();
         arguments.extend(sessions.iter().map(|path| text(path)));
         evermap(&arguments)
+    }
+
+    /// What a person imports into the log `NAME.mcap`.
+    fn import(&self, author: &str, labels: &Value, more: &[&str]) -> Finished {
+        let (file, log) = (
+            self.path("labels.json"),
+            self.path(&format!("{author}.mcap")),
+        );
+        std::fs::write(&file, labels.to_string()).unwrap();
+        let map = self.path("map");
+        let mut arguments = vec!["annotate", "--map", text(&map), "--author", author];
+        arguments.extend(["--import", text(&file), "--out", text(&log)]);
+        arguments.extend(more);
+        evermap(&arguments)
+    }
+
+    fn export(&self) -> Value {
+        let (map, file) = (self.path("map"), self.path("export.json"));
+        evermap(&["annotate", "--map", text(&map), "--export", text(&file)]).expect(0);
+        serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap()
     }
 
     fn ask(&self, query: &str) -> Value {
@@ -141,4 +161,319 @@ fn labels_are_drawn_once_and_move_with_the_poses_of_every_version() {
     );
     let kept = lot.ask("SELECT count(*) AS n FROM label_anchors WHERE anchor['session'] = 'a'");
     assert_eq!(kept[0]["n"], 2);
+}
+
+const SPACE: [&str; 2] = ["--kind", "parking_space"];
+
+/// Features with these outlines and names.
+fn collection(features: &[(&str, Value)]) -> Value {
+    let feature = |(label, geometry): &(&str, Value)| json!({ "type": "Feature", "id": label, "properties": {}, "geometry": geometry });
+    let features: Vec<Value> = features.iter().map(feature).collect();
+    json!({ "type": "FeatureCollection", "features": features })
+}
+
+/// A space 5 m by 2.4 m that begins there.
+fn space(x: f64, y: f64) -> Value {
+    let (far_x, far_y) = (x + 5.0, y + 2.4);
+    let ring = [[x, y], [far_x, y], [far_x, far_y], [x, far_y], [x, y]];
+    json!({ "type": "Polygon", "coordinates": [ring] })
+}
+
+fn line(points: &[[f64; 2]]) -> Value {
+    json!({ "type": "LineString", "coordinates": points })
+}
+
+#[test]
+fn what_is_drawn_moved_and_removed_with_other_programs_comes_back() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let arrow = line(&[[8.0, 0.0], [10.0, 0.0]]);
+    let drawn = collection(&[
+        ("one", space(5.0, 2.0)),
+        ("two", space(10.0, 2.0)),
+        ("arrow", arrow),
+    ]);
+    let said = lot.import("ada", &drawn, &SPACE).expect(0);
+    assert!(said.stderr.contains("ada.mcap: 3 drawn"), "{}", said.stderr);
+    // What a log says counts before a run has it, and nothing is said twice.
+    let again = lot.import("ada", &drawn, &SPACE).expect(0);
+    assert!(
+        again.stderr.contains("nothing new to say, 3 as they were"),
+        "{}",
+        again.stderr
+    );
+    assert!(!lot.path("ada_2.mcap").exists());
+
+    lot.run(&["ada.mcap"]).expect(0);
+    let pose = |label: &str, x, y| (label.to_owned(), x, y, "pose".to_owned());
+    let expected = [
+        pose("arrow", 900, 0),
+        pose("one", 750, 320),
+        pose("two", 1250, 320),
+    ];
+    assert_eq!(lot.labels(), expected);
+    let sizes = lot.ask("SELECT round(length_m, 6) AS length_m, round(width_m, 6) AS width_m, shape FROM placed_labels WHERE label = 'one'");
+    assert_eq!(
+        sizes[0],
+        json!({ "length_m": 5.0, "width_m": 2.4, "shape": "box" })
+    );
+    let tied =
+        lot.ask("SELECT anchor['session'] AS session, log FROM label_anchors WHERE label = 'one'");
+    assert_eq!(tied[0], json!({ "session": "a", "log": "ada" }));
+
+    // Exported, as it is, it says nothing new; edited, it says just what was edited.
+    let mut exported = lot.export();
+    assert_eq!(exported["features"].as_array().unwrap().len(), 3);
+    let same = lot.import("ada", &exported, &[]).expect(0);
+    assert!(same.stderr.contains("3 as they were"), "{}", same.stderr);
+    for feature in exported["features"].as_array_mut().unwrap() {
+        match feature["properties"]["label"].as_str().unwrap() {
+            "arrow" => feature["properties"]["standing"] = "removed".into(),
+            "one" => feature["geometry"] = space(4.0, 2.0),
+            _ => feature["properties"]["standing"] = "accepted".into(),
+        }
+    }
+    let edited = lot.import("ada", &exported, &[]).expect(0);
+    let told = "ada_2.mcap: 1 accepted, 1 moved, 1 removed";
+    assert!(edited.stderr.contains(told), "{}", edited.stderr);
+    lot.run(&["ada_2.mcap"]).expect(0);
+    assert_eq!(
+        lot.labels(),
+        [pose("one", 650, 320), pose("two", 1250, 320)]
+    );
+    let standing = lot.ask("SELECT standing FROM placed_labels ORDER BY label");
+    assert_eq!(
+        standing,
+        json!([{ "standing": "drawn" }, { "standing": "accepted" }])
+    );
+    // The versions before are as they were.
+    let map = lot.path("map");
+    let before = [
+        "sql",
+        "--map",
+        text(&map),
+        "--version",
+        "2",
+        "--format",
+        "json",
+    ];
+    let before = [&before[..], &["SELECT count(*) AS n FROM placed_labels"]].concat();
+    assert_eq!(evermap(&before).expect(0).json()[0]["n"], 3);
+}
+
+#[test]
+fn two_people_who_disagree_are_counted_and_the_later_holds() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let mut labels = collection(&[("one", space(5.0, 2.0)), ("two", space(10.0, 2.0))]);
+    lot.import("ada", &labels, &SPACE).expect(0);
+    lot.run(&["ada.mcap"]).expect(0);
+    labels["features"][0]["properties"]["standing"] = "accepted".into();
+    lot.import("ada", &labels, &[]).expect(0);
+    labels["features"][0]["properties"]["standing"] = "rejected".into();
+    let bob = lot.import("bob", &labels, &[]).expect(0);
+    assert!(
+        bob.stderr.contains("bob.mcap: 1 rejected, 1 as they were"),
+        "{}",
+        bob.stderr
+    );
+    // The order in which logs are given says nothing.
+    let run = lot.run(&["bob.mcap", "ada_2.mcap"]).expect(3);
+    let told = "1  annotation that contradicts another person's; the later holds";
+    assert!(run.stderr.contains(told), "{}", run.stderr);
+    let standing = lot.ask("SELECT label, standing, author FROM placed_labels ORDER BY label");
+    let expected = json!([
+        { "label": "one", "standing": "rejected", "author": "bob" },
+        { "label": "two", "standing": "drawn", "author": "ada" },
+    ]);
+    assert_eq!(standing, expected);
+}
+
+#[test]
+fn what_makes_no_sense_is_counted_and_said_and_the_rest_is_kept() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let tie =
+        json!({ "type": "Polygon", "coordinates": [[[0, 2], [2, 4], [2, 2], [0, 4], [0, 2]]] });
+    let hole = json!({ "type": "Polygon", "coordinates": [space(0.0, 2.0)["coordinates"][0], [[1, 3], [2, 3], [2, 4]]] });
+    let bad = collection(&[
+        ("good", space(5.0, 2.0)),
+        ("point", json!({ "type": "Point", "coordinates": [1, 2] })),
+        ("tie", tie),
+        ("hole", hole),
+        (
+            "text",
+            json!({ "type": "LineString", "coordinates": ["a", "b"] }),
+        ),
+        ("short", line(&[[1.0, 1.0]])),
+        ("far", space(900.0, 2.0)),
+        ("empty", Value::Null),
+    ]);
+    let said = lot.import("ada", &bad, &SPACE).expect(3);
+    for told in [
+        "feature 1, label point: geometry that is neither polygon nor line",
+        "feature 2, label tie: polygon that crosses itself",
+        "feature 3, label hole: polygon with holes",
+        "feature 4, label text: feature with a position that is no list of numbers",
+        "feature 5, label short: line of less than two points",
+        "feature 6, label far: label out of reach of every vehicle pose",
+        "feature 7, label empty: label that is not there",
+        "ada.mcap: 2 drawn",
+    ] {
+        assert!(said.stderr.contains(told), "{told}: {}", said.stderr);
+    }
+    // A label out of reach is kept, on its map frame.
+    let run = lot.run(&["ada.mcap"]).expect(3);
+    assert!(
+        run.stderr
+            .contains("1  label out of reach of every vehicle pose"),
+        "{}",
+        run.stderr
+    );
+    let placed = |label: &str, x, by: &str| (label.to_owned(), x, 320, by.to_owned());
+    assert_eq!(
+        lot.labels(),
+        [placed("far", 90250, "frame"), placed("good", 750, "pose")]
+    );
+    let no_kind = lot
+        .import("ada", &collection(&[("new", space(6.0, -4.0))]), &[])
+        .expect(3);
+    assert!(
+        no_kind.stderr.contains("feature without a kind"),
+        "{}",
+        no_kind.stderr
+    );
+    let pixels = lot
+        .import("ada", &json!({ "images": [] }), &SPACE)
+        .expect(1);
+    assert!(pixels.stderr.contains("--mosaic"), "{}", pixels.stderr);
+    lot.import("ada", &json!({ "some": "thing" }), &SPACE)
+        .expect(1);
+}
+
+#[test]
+fn a_torn_log_is_read_as_far_as_it_goes_and_gone_on_from() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let labels = collection(&[("one", space(5.0, 2.0)), ("two", space(10.0, 2.0))]);
+    lot.import("ada", &labels, &SPACE).expect(0);
+    let whole = std::fs::read(lot.path("ada.mcap")).unwrap();
+    let second = whole
+        .windows(5)
+        .rposition(|bytes| bytes == b"\"two\"")
+        .unwrap();
+    std::fs::write(lot.path("ada.mcap"), &whole[..second]).unwrap();
+    // The second label is said again, in a part of its own.
+    let again = lot.import("ada", &labels, &SPACE).expect(3);
+    assert!(
+        again.stderr.contains("ada_2.mcap: 1 drawn, 1 as they were"),
+        "{}",
+        again.stderr
+    );
+    assert!(
+        again.stderr.contains("1  logs without an end"),
+        "{}",
+        again.stderr
+    );
+    assert_eq!(std::fs::read(lot.path("ada.mcap")).unwrap().len(), second);
+    lot.run(&["ada.mcap", "ada_2.mcap"]).expect(3);
+    let placed = |label: &str, x| (label.to_owned(), x, 320, "pose".to_owned());
+    assert_eq!(lot.labels(), [placed("one", 750), placed("two", 1250)]);
+}
+
+#[test]
+fn labels_of_a_session_that_the_map_does_not_have_are_counted_and_kept() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let labels = collection(&[("one", space(5.0, 2.0))]);
+    lot.import("ada", &labels, &SPACE).expect(0);
+    // Another map of the same place, without the session that the label is tied to.
+    std::fs::rename(lot.path("map"), lot.path("older")).unwrap();
+    write_drive(&lot.path("b.mcap"), straight(1.0));
+    let run = lot.run(&["b.mcap", "ada.mcap"]).expect(3);
+    let told = "1  label whose session is gone, placed by its frame";
+    assert!(run.stderr.contains(told), "{}", run.stderr);
+    assert_eq!(
+        lot.labels(),
+        [("one".to_owned(), 750, 320, "frame".to_owned())]
+    );
+}
+
+/// A picture of 400 by 200 pixels of 5 cm whose upper left corner is at x = 0, y = 10.
+fn mosaic(lot: &Lot) -> PathBuf {
+    let world = "0.05\n0\n0\n-0.05\n0.025\n9.975\n";
+    std::fs::write(lot.path("mosaic.pgw"), world).unwrap();
+    lot.path("mosaic.png")
+}
+
+#[test]
+fn boxes_drawn_on_a_mosaic_are_where_they_were_drawn() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let mosaic = mosaic(&lot);
+    let coco = json!({
+        "images": [{ "id": 7, "file_name": "mosaic.png", "width": 400, "height": 200 }],
+        "categories": [{ "id": 1, "name": "parking_space" }],
+        "annotations": [
+            { "image_id": 7, "category_id": 1, "bbox": [100, 100, 100, 48], "segmentation": [] },
+            { "image_id": 7, "category_id": 1, "bbox": [200, 76, 100, 48], "attributes": { "rotation": 90.0 } },
+            { "image_id": 7, "category_id": 1, "bbox": [0, 0, 1, 1], "segmentation": [[20, 60, 60, 60, 40, 100]] },
+            { "image_id": 8, "category_id": 1, "bbox": [0, 0, 9, 9] },
+            { "image_id": 7, "category_id": 1, "segmentation": { "counts": "abc" } },
+        ],
+    });
+    let said = lot
+        .import("coco", &coco, &["--mosaic", text(&mosaic)])
+        .expect(3);
+    assert!(
+        said.stderr.contains("coco.mcap: 3 drawn"),
+        "{}",
+        said.stderr
+    );
+    assert!(
+        said.stderr.contains("1  annotation of another picture"),
+        "{}",
+        said.stderr
+    );
+    assert!(
+        said.stderr
+            .contains("1  annotation that is neither box nor outline"),
+        "{}",
+        said.stderr
+    );
+    // 10 % of 400 px is 2 m. Turned by 90 degrees, clockwise, about its upper left corner.
+    let result = |value: Value, kind: &str| {
+        json!({
+            "type": kind, "original_width": 400, "original_height": 200, "value": value,
+        })
+    };
+    let turned = json!({ "x": 50, "y": 40, "width": 25, "height": 24, "rotation": 90.0, "rectanglelabels": ["arrow"] });
+    let brush = json!({ "rle": [], "brushlabels": ["arrow"] });
+    let results = [
+        result(turned, "rectanglelabels"),
+        result(brush, "brushlabels"),
+    ];
+    let studio = json!([{ "id": 1, "annotations": [{ "result": results }] }]);
+    let said = lot
+        .import("studio", &studio, &["--mosaic", text(&mosaic)])
+        .expect(3);
+    assert!(
+        said.stderr.contains("studio.mcap: 1 drawn"),
+        "{}",
+        said.stderr
+    );
+    lot.run(&["coco.mcap", "studio.mcap"]).expect(0);
+    let rows = lot.ask(
+        "SELECT kind, shape, round(map_from_label['x'], 3) AS x, round(map_from_label['y'], 3) AS y,
+                round(length_m, 3) AS length_m, round(abs(sin(2 * atan2(map_from_label['qz'], map_from_label['qw']))), 3) AS north
+         FROM placed_labels ORDER BY kind, x",
+    );
+    let found = |kind, shape, x: f64, y: f64, length_m: Value, north: f64| json!({ "kind": kind, "shape": shape, "x": x, "y": y, "length_m": length_m, "north": north });
+    let expected = json!([
+        found("arrow", "box", 8.8, 3.5, 5.0.into(), 1.0),
+        found("parking_space", "polygon", 2.0, 6.333, Value::Null, 0.0),
+        found("parking_space", "box", 7.5, 3.8, 5.0.into(), 0.0),
+        found("parking_space", "box", 12.5, 5.0, 5.0.into(), 1.0),
+    ]);
+    assert_eq!(rows, expected);
 }

@@ -26,6 +26,7 @@ pub mod session;
 mod stores;
 
 pub use dataset::Dataset;
+pub use evermap_recording::annotations;
 pub use images::ImageReader;
 pub use losses::{Loss, LossLedger, Reason};
 pub use manifest::{Manifest, Roles};

@@ -9,11 +9,14 @@ use std::fs::{File, OpenOptions};
 use std::io::{BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-use evermap_messages::annotation::{Annotation, NAME, SCHEMA};
+use evermap_messages::annotation::{NAME, SCHEMA};
 use mcap::records::MessageHeader;
 use mcap::{WriteOptions, Writer};
 
-use crate::{RecordingError, failed};
+use crate::failed;
+
+pub use crate::RecordingError;
+pub use evermap_messages::annotation::{Anchor, Annotation, Geometry};
 
 /// The topic of annotations.
 pub const TOPIC: &str = "/annotations";

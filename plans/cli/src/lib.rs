@@ -4,6 +4,7 @@
 //!   arguments ──► commands ──► engine, datasets, worlds, catalog
 //!                    │
 //!                    ├──► output    rows as table, CSV, JSON, Parquet
+//!                    ├──► annotate  labels of other programs, as logs of annotations
 //!                    ├──► reader    rows of a map by what they are
 //!                    │      ├──► draw, report   pictures and the page, as `templates` lay them out
 //!                    │      └──► export         other programs' formats
@@ -11,6 +12,7 @@
 //! ```
 //! Only this crate knows which operators there are; the engine is handed the registry.
 
+pub mod annotate;
 pub mod arguments;
 pub mod commands;
 pub mod contents;

@@ -351,7 +351,7 @@ fn the_questions_in_the_readme_have_answers() {
         .skip(1)
         .map(|rest| rest.split('"').next().unwrap())
         .collect();
-    assert_eq!(queries.len(), 3);
+    assert_eq!(queries.len(), 4);
     for query in queries {
         let answer = done(&["sql", "--map", &map, "--format", "json", query]);
         let rows: Value = serde_json::from_str(&answer).unwrap();

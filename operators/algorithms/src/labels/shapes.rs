@@ -12,6 +12,9 @@ use crate::geometry::pose::Pose;
 /// left of a rectangle that was written in pixels.
 const BOX_SHARE: f64 = 0.01;
 
+/// Outlines of more points than this are left out: to find out whether they cross themselves takes the square of it.
+pub const MOST_POINTS: usize = 4096;
+
 /// An outline in a frame of its own.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outline {

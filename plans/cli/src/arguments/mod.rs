@@ -1,5 +1,6 @@
 //! The command line, as clap reads it.
 
+mod annotate;
 mod sql;
 
 use std::path::PathBuf;
@@ -11,6 +12,7 @@ use crate::output::Format;
 use crate::progress::Show;
 use crate::quantity;
 
+pub use annotate::AnnotateArgs;
 pub use sql::SqlArgs;
 
 const EXITS: &str = "Exit status: 0 done, 1 failed, 2 wrong usage, 3 done with loss (skipped or lost inputs are counted on \
@@ -54,6 +56,8 @@ pub enum Command {
     Gc(GcArgs),
     /// Write a layer in the format of another program.
     Export(ExportArgs),
+    /// Say what is where in a map, as a log of annotations; or write what was said.
+    Annotate(AnnotateArgs),
     /// Draw a map.
     Render(RenderArgs),
     /// Write one self-contained HTML page about a map.

@@ -1,5 +1,6 @@
 //! One file a command.
 
+pub mod annotate;
 pub mod changes;
 pub mod check;
 #[cfg(feature = "cluster")]
@@ -40,6 +41,7 @@ pub async fn dispatch(command: &Command) -> Ending {
         Command::Diff(args) => changes::diff(args).await,
         Command::Gc(args) => changes::gc(args).await,
         Command::Export(args) => export::export(args).await,
+        Command::Annotate(args) => annotate::annotate(args).await,
         Command::Render(args) => render::render(args).await,
         Command::Report(args) => report::report(args).await,
         Command::Simulate(args) => simulate::simulate(args).await,

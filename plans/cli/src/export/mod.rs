@@ -10,7 +10,7 @@ use std::path::Path;
 
 use arrow::array::RecordBatch;
 use clap::{Args, ValueEnum};
-use evermap_schemas::Fault;
+use evermap_schemas::{Fault, Layer};
 
 use crate::ending::Failure;
 use crate::output::{Format, Sink, write, write_file};
@@ -79,14 +79,7 @@ async fn written(
     match format {
         ExportFormat::Geojson => {
             let title = format!("{layer}, version {}", reader.map.version.version);
-            let mut sink = Sink::file(out)?;
-            geo::write(
-                &batches,
-                reader.declaration(layer).as_ref(),
-                &title,
-                &mut sink,
-            )?;
-            sink.finish()
+            geojson(&batches, reader.declaration(layer).as_ref(), &title, out)
         }
         ExportFormat::Tum => write_file(out, tum::text(&batches)?.as_bytes()),
         ExportFormat::G2o => {
@@ -102,6 +95,21 @@ async fn written(
         ExportFormat::Csv => rows(Format::Csv, batches, out).await,
         ExportFormat::Parquet => rows(Format::Parquet, batches, out).await,
     }
+}
+
+/// Writes rows with a geometry as a GeoJSON file.
+///
+/// # Errors
+/// A user fault for rows without a geometry, a resource fault for a file that cannot be written.
+pub fn geojson(
+    batches: &[RecordBatch],
+    layer: Option<&Layer>,
+    title: &str,
+    out: &Path,
+) -> Result<(), Failure> {
+    let mut sink = Sink::file(out)?;
+    geo::write(batches, layer, title, &mut sink)?;
+    sink.finish()
 }
 
 async fn rows(format: Format, batches: Vec<RecordBatch>, out: &Path) -> Result<(), Failure> {

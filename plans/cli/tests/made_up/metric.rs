@@ -3,7 +3,7 @@
 
 use evermap_schemas::layers::{
     AdjustedPose, Features, GraphPose, Keyframe, Landmark, Localisation, LoopClosure, LoopEdge,
-    Observation, Sighting, Source, VehiclePose,
+    Observation, PlacedLabel, Sighting, Source, VehiclePose,
 };
 use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Bytes, Pose, Stamp, Wkb};
@@ -236,5 +236,26 @@ pub fn mounts(session: &str) -> Vec<Transform> {
             qw: 0.5,
         },
         fixed: true,
+    }]
+}
+
+/// A crossing that somebody drew.
+pub fn placed_labels() -> Vec<PlacedLabel> {
+    let points = vec![[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, -2.0, 0.0]];
+    vec![PlacedLabel {
+        site: "lot".into(),
+        label: "crossing_1".into(),
+        kind: "crossing".into(),
+        standing: "drawn".into(),
+        author: "ada".into(),
+        said: Stamp(0),
+        placed_by: "drawing".into(),
+        anchor: None,
+        shape: "polygon".into(),
+        map_from_label: Pose::IDENTITY,
+        length_m: None,
+        width_m: None,
+        geometry: Wkb::polygon(&[[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]),
+        points,
     }]
 }

@@ -221,6 +221,10 @@ fn metric_layers(folder: &Path) -> BTreeMap<String, StoredLayer> {
             "mounts",
             stored(folder, None, session, metric::mounts(name)),
         ),
+        keep(
+            "placed_labels",
+            stored(folder, Some("placed_labels"), None, metric::placed_labels()),
+        ),
     ])
 }
 

@@ -7,16 +7,13 @@ mod placing;
 use std::collections::BTreeMap;
 
 use evermap_algorithms::labels::folding::{Act, Folded, Said, folded};
-use evermap_algorithms::labels::shapes::{crossing, is_box};
+use evermap_algorithms::labels::shapes::{MOST_POINTS, crossing, is_box};
 use evermap_contract::Reason;
 use evermap_schemas::layers::LabelAnchor;
 use evermap_schemas::roles::Annotation;
 
 pub use holds::{Holds, MapRows};
 pub use placing::{Placer, PlacingParams};
-
-/// Outlines of more points than this are left out: to find out whether they cross themselves takes the square of it.
-const MOST_POINTS: usize = 4096;
 
 /// Counts what is left out, or does not fit together, by reason.
 pub type Tell<'t> = &'t mut dyn FnMut(Reason, u64);

@@ -1,0 +1,115 @@
+//! Drawn features, whatever program drew them.
+
+use std::path::Path;
+
+use evermap_algorithms::labels::shapes::{self, Outline, crossing};
+use evermap_schemas::Fault;
+use serde_json::Value;
+
+use super::mosaic::Georeference;
+use super::{Losses, geojson, pixels};
+
+/// One feature of a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Feature {
+    /// Which one, for people.
+    pub place: String,
+    /// The label that it is, where it says so.
+    pub label: Option<String>,
+    /// What it marks, where it says so.
+    pub kind: Option<String>,
+    /// `drawn`, `accepted`, `rejected` or `removed`, where it says so.
+    pub standing: Option<String>,
+    /// Its outline; `None` for one that only says something of a label.
+    pub geometry: Option<Geometry>,
+}
+
+/// An outline in the map, m; without a height where the file has none.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Geometry {
+    /// Corners of a closed outline, each once.
+    Closed(Vec<Point>),
+    /// Points of a line.
+    Open(Vec<Point>),
+}
+
+/// x, y and, where it is known, z.
+pub type Point = ([f64; 2], Option<f64>);
+
+/// The features of a file. What makes no sense is noted and left out.
+///
+/// # Errors
+/// A user fault for a file that is none of the formats, or of pixels without a georeference.
+pub fn read(
+    path: &Path,
+    mosaic: Option<&Georeference>,
+    losses: &mut Losses,
+) -> Result<Vec<Feature>, Fault> {
+    let at = |fault: Fault| fault.at(path.display());
+    let bytes = std::fs::read(path)
+        .map_err(|error| at(Fault::user(format!("expected labels, found {error}"))))?;
+    let value: Value = serde_json::from_slice(&bytes)
+        .map_err(|error| at(Fault::user(format!("expected JSON, found {error}"))))?;
+    let referenced = || {
+        mosaic.ok_or_else(|| {
+            at(Fault::user("these annotations are in pixels of a picture")
+                .next("name it with --mosaic, with its world file (.pgw) beside it"))
+        })
+    };
+    match &value {
+        Value::Array(tasks) => Ok(pixels::label_studio(tasks, referenced()?, losses)),
+        Value::Object(members) if members.contains_key("images") => {
+            Ok(pixels::coco(&value, referenced()?, losses))
+        }
+        Value::Object(members) if members.contains_key("type") => {
+            Ok(geojson::features(&value, losses))
+        }
+        _ => Err(at(Fault::user(
+            "expected GeoJSON, COCO annotations or an export of Label Studio (JSON), found other JSON",
+        ))),
+    }
+}
+
+impl Geometry {
+    /// `box`, `polygon` or `polyline` with its outline about its middle; heights that are not known are those of `ground`.
+    ///
+    /// # Errors
+    /// In words, for what is no outline.
+    pub fn outline(
+        &self,
+        ground: impl Fn([f64; 2]) -> f64,
+    ) -> Result<(&'static str, Outline), &'static str> {
+        let (Self::Closed(points) | Self::Open(points)) = self;
+        let finite = |(at, z): &Point| at.iter().chain(z).all(|value| value.is_finite());
+        if !points.iter().all(finite) {
+            return Err("feature with a coordinate that is no finite number");
+        }
+        let raised = |(at, z): &Point| [at[0], at[1], z.unwrap_or_else(|| ground(*at))];
+        let mut points: Vec<[f64; 3]> = points.iter().map(raised).collect();
+        points.dedup();
+        if points.len() > shapes::MOST_POINTS {
+            return Err("feature with more than 4096 points");
+        }
+        match self {
+            Self::Open(_) if points.len() < 2 => Err("line of less than two points"),
+            Self::Open(_) => Ok(("polyline", shapes::polyline(&points))),
+            Self::Closed(_) => closed(points),
+        }
+    }
+}
+
+fn closed(mut corners: Vec<[f64; 3]>) -> Result<(&'static str, Outline), &'static str> {
+    if corners.len() > 1 && corners.first() == corners.last() {
+        corners.pop();
+    }
+    if corners.len() < 3 {
+        return Err("polygon of less than three corners");
+    }
+    if crossing(&corners).is_some() {
+        return Err("polygon that crosses itself");
+    }
+    Ok(match shapes::oriented_box(&corners) {
+        Some(found) => ("box", found),
+        None => ("polygon", shapes::polygon(&corners)),
+    })
+}

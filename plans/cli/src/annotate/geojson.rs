@@ -1,0 +1,82 @@
+//! Features of GeoJSON whose coordinates are the map's metres.
+
+use serde_json::Value;
+
+use super::Losses;
+use super::features::{Feature, Geometry, Point};
+
+/// The features of a collection, of one feature, or of a bare geometry.
+pub(super) fn features(value: &Value, losses: &mut Losses) -> Vec<Feature> {
+    let all = match value["type"].as_str() {
+        Some("FeatureCollection") => value["features"].as_array().cloned().unwrap_or_default(),
+        Some("Feature") => vec![value.clone()],
+        _ => vec![serde_json::json!({ "type": "Feature", "geometry": value })],
+    };
+    let mut found = Vec::with_capacity(all.len());
+    for (number, value) in all.iter().enumerate() {
+        let label = text(&value["id"]).or_else(|| text(&value["properties"]["label"]));
+        let place = match &label {
+            Some(label) => format!("feature {number}, label {label}"),
+            None => format!("feature {number}"),
+        };
+        match geometry(&value["geometry"]) {
+            Ok(geometry) => found.push(Feature {
+                place,
+                label,
+                kind: text(&value["properties"]["kind"]),
+                standing: text(&value["properties"]["standing"]),
+                geometry,
+            }),
+            Err(reason) => losses.note(reason, &place),
+        }
+    }
+    found
+}
+
+/// A text that is not empty, or a number as text.
+pub(super) fn text(value: &Value) -> Option<String> {
+    match value {
+        Value::String(text) if !text.is_empty() => Some(text.clone()),
+        Value::Number(number) => Some(number.to_string()),
+        _ => None,
+    }
+}
+
+/// The outline of a geometry; `None` for a feature that has none.
+fn geometry(value: &Value) -> Result<Option<Geometry>, &'static str> {
+    let coordinates = &value["coordinates"];
+    let only = |parts: &Value| match parts.as_array().map(Vec::as_slice) {
+        Some([one]) => Ok(one.clone()),
+        _ => Err("geometry of several parts"),
+    };
+    Ok(Some(match value["type"].as_str() {
+        None if value.is_null() => return Ok(None),
+        Some("LineString") => Geometry::Open(points(coordinates)?),
+        Some("MultiLineString") => Geometry::Open(points(&only(coordinates)?)?),
+        Some("Polygon") => ring(coordinates)?,
+        Some("MultiPolygon") => ring(&only(coordinates)?)?,
+        _ => return Err("geometry that is neither polygon nor line"),
+    }))
+}
+
+fn ring(rings: &Value) -> Result<Geometry, &'static str> {
+    match rings.as_array().map(Vec::as_slice) {
+        Some([outer]) => Ok(Geometry::Closed(points(outer)?)),
+        Some([_, ..]) => Err("polygon with holes"),
+        _ => Err("polygon without a ring"),
+    }
+}
+
+fn points(positions: &Value) -> Result<Vec<Point>, &'static str> {
+    let bad = "feature with a position that is no list of numbers";
+    let point = |position: &Value| {
+        let numbers: Option<Vec<f64>> = position.as_array()?.iter().map(Value::as_f64).collect();
+        match numbers?.as_slice() {
+            [x, y] => Some(([*x, *y], None)),
+            [x, y, z, ..] => Some(([*x, *y], Some(*z))),
+            _ => None,
+        }
+    };
+    let points: Option<Vec<Point>> = positions.as_array().ok_or(bad)?.iter().map(point).collect();
+    points.ok_or(bad)
+}

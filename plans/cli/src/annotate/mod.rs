@@ -1,0 +1,55 @@
+//! Labels to and from other programs.
+//!
+//! ```text
+//!   GeoJSON ─────────────────► features ─┐
+//!   COCO, Label Studio ─ mosaic ─► ──────┴─► saying ──► acts ──► a log of annotations
+//!                                               ▲
+//!   a map's version, logs ──► state: labels placed in it ──► GeoJSON
+//! ```
+
+pub mod features;
+mod geojson;
+pub mod mosaic;
+mod pixels;
+pub mod saying;
+pub mod state;
+
+use std::collections::BTreeMap;
+
+use crate::progress::line;
+
+/// Lines about single losses; more are only counted.
+const MOST_LINES: usize = 20;
+
+/// What was left out, and why.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Losses {
+    /// Counts by reason.
+    pub counts: BTreeMap<String, u64>,
+    /// Where, and what was found, one line each.
+    pub lines: Vec<String>,
+}
+
+impl Losses {
+    /// One thing that was left out, or does not fit; `place` says which.
+    pub fn note(&mut self, reason: &str, place: &str) {
+        self.count(reason, 1);
+        self.lines.push(format!("{place}: {reason}"));
+    }
+
+    /// Counts without a place.
+    pub fn count(&mut self, reason: &str, count: u64) {
+        if count > 0 {
+            *self.counts.entry(reason.to_owned()).or_default() += count;
+        }
+    }
+
+    /// Tells the person, on stderr, the first of them.
+    pub fn tell(&self) {
+        let shown = self.lines.iter().take(MOST_LINES);
+        shown.for_each(|text| line(text));
+        if self.lines.len() > MOST_LINES {
+            line(&format!("… and {} more", self.lines.len() - MOST_LINES));
+        }
+    }
+}

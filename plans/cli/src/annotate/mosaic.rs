@@ -1,0 +1,79 @@
+//! Where the pixels of a mosaic are in the map, as its world file says.
+
+use std::path::Path;
+
+use evermap_schemas::Fault;
+
+/// An affine map from pixels to metres. Pixel coordinates begin at the corner of the picture, as annotation programs have
+/// them; a world file is about the centres of pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Georeference {
+    /// x = a · column + b · row + c, m.
+    x: [f64; 3],
+    /// y = d · column + e · row + f, m.
+    y: [f64; 3],
+}
+
+impl Georeference {
+    /// Of the world file beside a picture, or the world file itself.
+    ///
+    /// # Errors
+    /// A user fault where there is none, or it is not six numbers that make sense.
+    pub fn read(picture: &Path) -> Result<Self, Fault> {
+        let path = picture.with_extension("pgw");
+        let at = |fault: Fault| fault.at(path.display());
+        let text = std::fs::read_to_string(&path).map_err(|error| {
+            at(Fault::user(format!("expected a world file, found {error}"))
+                .next("`evermap export overhead_tiles --format png` writes it beside the picture"))
+        })?;
+        Self::parse(&text).ok_or_else(|| {
+            at(Fault::user(
+                "expected the six numbers of a world file, of pixels that have a size",
+            ))
+        })
+    }
+
+    /// Six numbers, one a line: a, d, b, e, and the centre of the first pixel.
+    fn parse(text: &str) -> Option<Self> {
+        let numbers: Option<Vec<f64>> = text
+            .split_whitespace()
+            .map(|word| word.parse().ok())
+            .collect();
+        let [a, d, b, e, c, f]: [f64; 6] = numbers?.try_into().ok()?;
+        let sound = [a, d, b, e, c, f].iter().all(|number| number.is_finite());
+        (sound && a * e - b * d != 0.0).then_some(Self {
+            x: [a, b, c],
+            y: [d, e, f],
+        })
+    }
+
+    /// The place of pixel coordinates, m.
+    pub fn place(&self, [column, row]: [f64; 2]) -> [f64; 2] {
+        let (column, row) = (column - 0.5, row - 0.5);
+        [self.x, self.y].map(|[by_column, by_row, first]| by_column * column + by_row * row + first)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn corners_of_pixels_are_half_a_pixel_from_their_centres() {
+        let found = Georeference::parse("0.05\n0\n0\n-0.05\n10.025\n19.975\n").unwrap();
+        let [x, y] = found.place([0.0, 0.0]);
+        assert!((x - 10.0).abs() < 1e-12 && (y - 20.0).abs() < 1e-12);
+        let [x, y] = found.place([100.0, 40.0]);
+        assert!((x - 15.0).abs() < 1e-12 && (y - 18.0).abs() < 1e-12);
+        for text in [
+            "",
+            "1 0 0 1 2",
+            "1 0 0 x 2 3",
+            "0 0 0 1 2 3",
+            "1 0 0 inf 2 3",
+        ] {
+            assert_eq!(Georeference::parse(text), None, "{text}");
+        }
+    }
+}

@@ -1,0 +1,110 @@
+//! The labels of a site as they are in one version of its map, from what the map and logs say.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use datafusion::prelude::SessionContext;
+use evermap_catalog::OfVehicle;
+use evermap_catalog::annotated::{Holds, MapRows, Placer, PlacingParams, anchored};
+use evermap_catalog::labels::label_anchors::Obstacle;
+use evermap_datasets::{Dataset, Manifest};
+use evermap_schemas::layers::{LabelAnchor, MapFrame, PlacedLabel, VehiclePose};
+use evermap_schemas::roles::{Annotation, Calibration, Transform};
+use evermap_schemas::{Fault, LayerRow};
+
+use super::Losses;
+use crate::reader::{MapReader, answered, one_site, only, typed};
+use crate::sessions;
+
+/// The layer in which a map keeps what was said: a step of the plan `labels`.
+const SAID: &str = "said";
+
+/// The labels of a site, and what can hold new ones.
+pub struct State {
+    /// Site.
+    pub site: String,
+    /// The version that is looked at.
+    pub version: u64,
+    /// The labels that there are, by name.
+    pub labels: BTreeMap<String, PlacedLabel>,
+    /// The poses and frames of the version.
+    pub holds: Holds,
+}
+
+impl State {
+    /// What the map says, and these logs; what does not fit together is noted.
+    ///
+    /// # Errors
+    /// A user fault for a site that there is not, or logs that cannot be read.
+    pub async fn read(
+        reader: &MapReader,
+        site: Option<&str>,
+        logs: &[PathBuf],
+        losses: &mut Losses,
+    ) -> Result<Self, Fault> {
+        let poses: Vec<VehiclePose> = reader.rows(None).await?;
+        let site = one_site(poses.iter().map(|pose| pose.site.as_str()), site)?;
+        let mut acts: Vec<Annotation> = layer(reader, SAID, &site).await?;
+        acts.extend(from_logs(logs, &site, losses).await?);
+        let frames: Vec<MapFrame> = reader.rows(Some(&site)).await?;
+        let landmarks: Vec<Obstacle> = reader.rows(Some(&site)).await?;
+        let mut map = MapRows {
+            poses,
+            frames,
+            calibration: layer::<Calibration>(reader, "cameras", &site).await?,
+            transforms: layer::<Transform>(reader, "mounts", &site).await?,
+            landmarks: landmarks.iter().map(|row| [row.x, row.y, row.z]).collect(),
+        };
+        map.poses.retain(|pose| pose.site == site);
+        let placer = Placer::new(
+            map.poses.clone(),
+            map.frames.clone(),
+            &PlacingParams::default(),
+        );
+        let holds = Holds::new(map, &OfVehicle::default());
+        let before: Vec<LabelAnchor> = reader.rows(Some(&site)).await?;
+        let mut tell = |reason: &str, count| losses.count(reason, count);
+        let labels = anchored(acts, before, &holds, &mut tell);
+        let placed = labels.into_iter();
+        let placed = placed.filter_map(|label| placer.placed(label, &mut tell));
+        Ok(Self {
+            site,
+            version: reader.map.version.version,
+            labels: placed.map(|label| (label.label.clone(), label)).collect(),
+            holds,
+        })
+    }
+}
+
+/// The rows of a layer of this name; none where the map has no such layer.
+async fn layer<T: LayerRow>(reader: &MapReader, name: &str, site: &str) -> Result<Vec<T>, Fault> {
+    match reader.map.has(name) {
+        true => typed(&only(&reader.map.batches(name).await?, "site", site)?)
+            .map_err(|fault| fault.at(format!("layer {name}"))),
+        false => Ok(Vec::new()),
+    }
+}
+
+/// What logs say, as read by a run; what of them is lost is noted.
+async fn from_logs(
+    logs: &[PathBuf],
+    site: &str,
+    losses: &mut Losses,
+) -> Result<Vec<Annotation>, Fault> {
+    if logs.is_empty() {
+        return Ok(Vec::new());
+    }
+    let context = SessionContext::new();
+    let manifest = Manifest {
+        site: Some(site.to_owned()),
+        ..Manifest::default()
+    };
+    let paths: Vec<String> = logs.iter().map(|path| path.display().to_string()).collect();
+    let dataset = Dataset::open(&context.runtime_env(), &paths, Some(&manifest)).await?;
+    dataset.register(&context)?;
+    let rows = answered(&context, "SELECT * FROM annotations").await?;
+    for (reason, count) in sessions::lost(&dataset).0 {
+        losses.count(&reason, count);
+    }
+    typed(&rows)
+}

@@ -1,0 +1,46 @@
+//! The command line of `annotate`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::arguments::MapArgs;
+
+/// Arguments of `annotate`.
+#[derive(Debug, Args)]
+#[command(group = clap::ArgGroup::new("what").args(["import", "export"]).required(true))]
+pub struct AnnotateArgs {
+    /// The map that is looked at.
+    #[command(flatten)]
+    pub map: MapArgs,
+    /// Site of the labels [default: the only one].
+    #[arg(long, value_name = "NAME")]
+    pub site: Option<String>,
+    /// What the labels mark: any word, as `parking_space` [default: what each says itself]. With --export, only these.
+    #[arg(long, value_name = "WORD")]
+    pub kind: Option<String>,
+    /// Labels to say: GeoJSON in the map's metres, or COCO or Label Studio annotations of a mosaic.
+    #[arg(long, value_name = "FILE", requires = "out")]
+    pub import: Option<PathBuf>,
+    /// The mosaic that COCO or Label Studio annotations are of, as `evermap export --format png` wrote it with its world
+    /// file beside it.
+    #[arg(long, value_name = "PNG", requires = "import")]
+    pub mosaic: Option<PathBuf>,
+    /// Who says so [default: the user's name].
+    #[arg(long, value_name = "NAME")]
+    pub author: Option<String>,
+    /// Log of annotations. What it says already counts; what is new is written to its next part.
+    #[arg(long, value_name = "LOG", value_parser = log)]
+    pub out: Option<PathBuf>,
+    /// GeoJSON file to write: the labels that there are, where they are in this version of the map.
+    #[arg(long, value_name = "FILE")]
+    pub export: Option<PathBuf>,
+}
+
+fn log(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    match path.extension() {
+        Some(extension) if extension == "mcap" => Ok(path),
+        _ => Err(format!("expected a file that ends in .mcap, found {text}")),
+    }
+}
