@@ -122,6 +122,22 @@ async fn a_killed_program_leaves_all_that_was_said_and_is_gone_on_from() {
 }
 
 #[tokio::test]
+async fn one_who_speaks_twice_at_once_writes_two_parts() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("labels.mcap");
+    let begin = || AnnotationLog::begin(&target, "a test").unwrap();
+    let mut logs = [begin(), begin()];
+    for number in 0..4 {
+        logs[number % 2].say(&drawn(number as u64)).unwrap();
+    }
+    for log in logs {
+        let (found, lost) = read(&log.finish().unwrap()).await;
+        assert_eq!((found.len(), lost), (2, vec![]));
+    }
+    assert_eq!(parts(&target).len(), 2);
+}
+
+#[tokio::test]
 async fn messages_that_make_no_sense_are_counted_and_the_others_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("labels.mcap");

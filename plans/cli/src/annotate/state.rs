@@ -43,6 +43,10 @@ impl State {
         losses: &mut Losses,
     ) -> Result<Self, Fault> {
         let poses: Vec<VehiclePose> = reader.rows(None).await?;
+        if poses.is_empty() {
+            return Err(Fault::user("the map has no poses to tie labels to")
+                .next("make it with the plan labels, lifelong or car_park"));
+        }
         let site = one_site(poses.iter().map(|pose| pose.site.as_str()), site)?;
         let mut acts: Vec<Annotation> = layer(reader, SAID, &site).await?;
         acts.extend(from_logs(logs, &site, losses).await?);
