@@ -144,7 +144,10 @@ fn labels_are_drawn_once_and_move_with_the_poses_of_every_version() {
         lot.labels(),
         [pose("one", 1000, 300), pose("two", 2000, -300)]
     );
-    // Nothing is done twice.
+    // What is said makes nothing of the drive anew, and nothing is done twice.
+    let of_drive = lot
+        .ask("SELECT DISTINCT step FROM runs WHERE version = 2 AND session = 'a' AND NOT cached");
+    assert_eq!(of_drive, json!([]));
     let again = lot.run(&["ada.mcap"]).expect(0);
     assert!(
         again.stderr.contains("nothing has changed"),
