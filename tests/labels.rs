@@ -116,7 +116,7 @@ fn drawn(label: &str, x: f64, y: f64) -> Annotation {
 }
 
 fn say(path: &Path, acts: &[Annotation]) {
-    let mut log = AnnotationLog::begin(path, "a test").unwrap();
+    let mut log = AnnotationLog::begin(path, |_| false, "a test").unwrap();
     acts.iter().for_each(|act| log.say(act).unwrap());
     log.finish().unwrap();
 }
@@ -249,6 +249,15 @@ fn what_is_drawn_moved_and_removed_with_other_programs_comes_back() {
         standing,
         json!([{ "standing": "drawn" }, { "standing": "accepted" }])
     );
+    // At another machine, where the logs are not: the map knows what they said, and has their names.
+    std::fs::remove_file(lot.path("ada.mcap")).unwrap();
+    std::fs::remove_file(lot.path("ada_2.mcap")).unwrap();
+    let more = collection(&[("one", space(4.0, 2.0)), ("three", space(15.0, 2.0))]);
+    let elsewhere = lot.import("ada", &more, &SPACE).expect(0);
+    let told = "ada_3.mcap: 1 drawn, 1 as they were";
+    assert!(elsewhere.stderr.contains(told), "{}", elsewhere.stderr);
+    lot.run(&["ada_3.mcap"]).expect(0);
+    assert_eq!(lot.labels().len(), 3);
     // The versions before are as they were.
     let map = lot.path("map");
     let before = [

@@ -65,7 +65,7 @@ async fn read(path: &Path) -> (Vec<roles::Annotation>, Vec<Reason>) {
 async fn what_was_said_is_read_back() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("labels.mcap");
-    let mut log = AnnotationLog::begin(&target, "a test").unwrap();
+    let mut log = AnnotationLog::begin(&target, |_| false, "a test").unwrap();
     log.say(&drawn(0)).unwrap();
     log.say(&removed(1)).unwrap();
     assert_eq!(log.finish().unwrap(), target);
@@ -94,7 +94,7 @@ async fn what_was_said_is_read_back() {
 async fn a_killed_program_leaves_all_that_was_said_and_is_gone_on_from() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("labels.mcap");
-    let mut log = AnnotationLog::begin(&target, "a test").unwrap();
+    let mut log = AnnotationLog::begin(&target, |_| false, "a test").unwrap();
     log.say(&drawn(0)).unwrap();
     let one = fs::metadata(&target).unwrap().len();
     log.say(&drawn(1)).unwrap();
@@ -113,7 +113,7 @@ async fn a_killed_program_leaves_all_that_was_said_and_is_gone_on_from() {
     }
 
     // The next sitting has a part of its own, and leaves the first one alone.
-    let mut log = AnnotationLog::begin(&target, "a test").unwrap();
+    let mut log = AnnotationLog::begin(&target, |_| false, "a test").unwrap();
     log.say(&drawn(2)).unwrap();
     let second = log.finish().unwrap();
     assert_eq!(second.file_name().unwrap(), "labels_2.mcap");
@@ -125,7 +125,7 @@ async fn a_killed_program_leaves_all_that_was_said_and_is_gone_on_from() {
 async fn one_who_speaks_twice_at_once_writes_two_parts() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("labels.mcap");
-    let begin = || AnnotationLog::begin(&target, "a test").unwrap();
+    let begin = || AnnotationLog::begin(&target, |_| false, "a test").unwrap();
     let mut logs = [begin(), begin()];
     for number in 0..4 {
         logs[number % 2].say(&drawn(number as u64)).unwrap();
@@ -137,11 +137,29 @@ async fn one_who_speaks_twice_at_once_writes_two_parts() {
     assert_eq!(parts(&target).len(), 2);
 }
 
+#[test]
+fn a_name_that_the_map_has_is_not_taken_again_and_parts_may_be_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("labels.mcap");
+    let taken = |name: &str| ["labels", "labels_2"].contains(&name);
+    let log = AnnotationLog::begin(&target, taken, "a test").unwrap();
+    assert_eq!(log.path(), folder.path().join("labels_3.mcap"));
+    for other in [
+        "labels_x.mcap",
+        "labels_04.mcap",
+        "labels_5.json",
+        "label.mcap",
+    ] {
+        fs::write(folder.path().join(other), "").unwrap();
+    }
+    assert_eq!(parts(&target), [log.path()]);
+}
+
 #[tokio::test]
 async fn messages_that_make_no_sense_are_counted_and_the_others_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("labels.mcap");
-    let mut log = AnnotationLog::begin(&path, "a test").unwrap();
+    let mut log = AnnotationLog::begin(&path, |_| false, "a test").unwrap();
     let changed = |number, change: fn(&mut Annotation)| {
         let mut act = drawn(number);
         change(&mut act);

@@ -32,12 +32,17 @@ pub struct AnnotationLog {
 
 impl AnnotationLog {
     /// Begins the next part of a log: the file `target` where there is none, else the first free one of `target_2`,
-    /// `target_3` …; `library` is named as its writer.
+    /// `target_3` …; never one whose name, without its extension, is `taken` by a session of the map. `library` is named
+    /// as its writer.
     ///
     /// # Errors
     /// [`RecordingError`], as of all that is written.
-    pub fn begin(target: &Path, library: &str) -> Result<Self, RecordingError> {
-        let (file, path) = create(target)?;
+    pub fn begin(
+        target: &Path,
+        taken: impl Fn(&str) -> bool,
+        library: &str,
+    ) -> Result<Self, RecordingError> {
+        let (file, path) = create(target, taken)?;
         let fail = |error| failed(&path, error);
         let writing = file.try_clone().map_err(|error| fail(error.into()))?;
         let options = WriteOptions::new().library(library).use_chunks(false);
@@ -100,31 +105,66 @@ fn sync(file: &File, path: &Path) -> Result<(), RecordingError> {
     synced.map_err(|error| failed(path, error.into()))
 }
 
-/// The part of a log with this number, counted from 1: `labels.mcap`, `labels_2.mcap`, …
-fn part(target: &Path, number: u32) -> PathBuf {
-    if number == 1 {
-        return target.to_owned();
+/// A file's name without its extension.
+fn stem(path: &Path) -> String {
+    path.file_stem()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned()
+}
+
+/// The name of a log's part with this number, counted from 1: `labels`, `labels_2`, …
+fn part(target: &Path, number: u32) -> String {
+    match number {
+        1 => stem(target),
+        _ => format!("{}_{number}", stem(target)),
     }
-    let stem = target.file_stem().unwrap_or_default().to_string_lossy();
-    let extension = target.extension().unwrap_or_default().to_string_lossy();
-    target.with_file_name(format!("{stem}_{number}.{extension}"))
 }
 
 /// The parts of a log that there are, in the order they were written; none where there is no such log.
 pub fn parts(target: &Path) -> Vec<PathBuf> {
-    let numbered = (1..).map(|number| part(target, number));
-    numbered.take_while(|path| path.exists()).collect()
+    let number = |path: &Path| {
+        let (own, name) = (stem(target), stem(path));
+        let number = match name.strip_prefix(&own)? {
+            "" => 1,
+            rest => rest.strip_prefix('_')?.parse().ok()?,
+        };
+        (path.extension() == target.extension() && part(target, number) == name).then_some(number)
+    };
+    let entries = std::fs::read_dir(folder(target)).into_iter().flatten();
+    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    let mut found: Vec<(u32, PathBuf)> = paths
+        .filter_map(|path| Some((number(&path)?, path)))
+        .collect();
+    found.sort();
+    found.into_iter().map(|(_, path)| path).collect()
+}
+
+/// The folder that a file is in.
+fn folder(path: &Path) -> &Path {
+    let parent = path
+        .parent()
+        .filter(|parent| !parent.as_os_str().is_empty());
+    parent.unwrap_or(Path::new("."))
 }
 
 /// A new file for the next part. Of two programs that ask at once, each gets one of its own.
-fn create(target: &Path) -> Result<(File, PathBuf), RecordingError> {
-    let mut number = 1;
+fn create(target: &Path, taken: impl Fn(&str) -> bool) -> Result<(File, PathBuf), RecordingError> {
+    let mut number = 0;
     loop {
-        let path = part(target, number);
+        number += 1;
+        let mut name = part(target, number);
+        if taken(&name) {
+            continue;
+        }
+        if let Some(extension) = target.extension() {
+            name = format!("{name}.{}", extension.to_string_lossy());
+        }
+        let path = target.with_file_name(name);
         let made = OpenOptions::new().write(true).create_new(true).open(&path);
         match made {
             Ok(file) => return Ok((file, path)),
-            Err(error) if error.kind() == ErrorKind::AlreadyExists => number += 1,
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
             Err(error) => return Err(failed(&path, error.into())),
         }
     }
@@ -132,10 +172,7 @@ fn create(target: &Path) -> Result<(File, PathBuf), RecordingError> {
 
 /// The file's name is on the disk too, where the system can say so.
 fn sync_folder(path: &Path) -> Result<(), RecordingError> {
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty());
-    let folder = folder.unwrap_or(Path::new("."));
+    let folder = folder(path);
     if cfg!(unix) {
         let synced = File::open(folder).and_then(|folder| folder.sync_all());
         synced.map_err(|error| failed(folder, error.into()))?;

@@ -9,6 +9,9 @@ use serde_json::Value;
 use super::mosaic::Georeference;
 use super::{Losses, geojson, pixels};
 
+/// Coordinates beyond this are none of a map, m: more than around the Earth.
+const MOST_M: f64 = 1e8;
+
 /// One feature of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Feature {
@@ -83,6 +86,12 @@ impl Geometry {
         let finite = |(at, z): &Point| at.iter().chain(z).all(|value| value.is_finite());
         if !points.iter().all(finite) {
             return Err("feature with a coordinate that is no finite number");
+        }
+        if points
+            .iter()
+            .any(|(at, _)| at[0].abs().max(at[1].abs()) > MOST_M)
+        {
+            return Err("feature with a coordinate that is no metres of a map");
         }
         let raised = |(at, z): &Point| [at[0], at[1], z.unwrap_or_else(|| ground(*at))];
         let mut points: Vec<[f64; 3]> = points.iter().map(raised).collect();

@@ -1,6 +1,6 @@
 //! `evermap annotate`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use evermap_datasets::annotations::{Annotation, AnnotationLog, RecordingError, parts};
@@ -28,7 +28,13 @@ pub async fn annotate(args: &AnnotateArgs) -> Ending {
     let mut losses = Losses::default();
     let state = State::read(&reader, args.site.as_deref(), &logs, &mut losses).await?;
     match (&args.import, &args.out, &args.export) {
-        (Some(file), Some(log), _) => import(args, file, log, &state, &mut losses)?,
+        (Some(file), Some(log), _) => {
+            let sessions = reader.map.version.sessions.iter();
+            let names: BTreeSet<_> = sessions
+                .map(|session| session.log.session.as_str())
+                .collect();
+            import(args, file, log, (&state, &names), &mut losses)?;
+        }
         (_, _, Some(file)) => export(args, file, state)?,
         _ => {}
     }
@@ -40,7 +46,7 @@ fn import(
     args: &AnnotateArgs,
     file: &Path,
     log: &Path,
-    state: &State,
+    (state, sessions): (&State, &BTreeSet<&str>),
     losses: &mut Losses,
 ) -> Result<(), Failure> {
     let mosaic = args.mosaic.as_deref().map(Georeference::read).transpose()?;
@@ -60,7 +66,7 @@ fn import(
         line(&format!("nothing new to say{unchanged}"));
         return Ok(());
     }
-    let written = write(log, &said.acts).map_err(fault)?;
+    let written = write(log, sessions, &said.acts).map_err(fault)?;
     let counts = counts(&said.acts);
     line(&format!("{}: {counts}{unchanged}", written.display()));
     line(&format!(
@@ -91,9 +97,14 @@ fn counts(acts: &[Annotation]) -> String {
     counts.collect::<Vec<_>>().join(", ")
 }
 
-fn write(log: &Path, acts: &[Annotation]) -> Result<std::path::PathBuf, RecordingError> {
+/// Writes a part of a log whose name no session of the map has: it would take that one's place.
+fn write(
+    log: &Path,
+    sessions: &BTreeSet<&str>,
+    acts: &[Annotation],
+) -> Result<std::path::PathBuf, RecordingError> {
     let library = concat!("evermap ", env!("CARGO_PKG_VERSION"));
-    let mut writing = AnnotationLog::begin(log, library)?;
+    let mut writing = AnnotationLog::begin(log, |name| sessions.contains(name), library)?;
     for act in acts {
         writing.say(act)?;
     }
