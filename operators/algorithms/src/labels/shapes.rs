@@ -58,8 +58,8 @@ pub fn is_box(corners: &[[f64; 3]]) -> bool {
     length > 0.0 && width > 0.0 && !corners.iter().zip(&expected).any(wrong)
 }
 
-/// The box with these corners, in turn around it in either sense; `None` where they are no rectangle. Its length is the
-/// longer side.
+/// The box with these corners, in turn around it in either sense; `None` where they are no rectangle from above. Its length
+/// is the longer side; it lies flat, at their mean height.
 pub fn oriented_box(corners: &[[f64; 3]]) -> Option<Outline> {
     let [a, b, c, d]: [Vector3<f64>; 4] = corners
         .iter()
@@ -69,34 +69,31 @@ pub fn oriented_box(corners: &[[f64; 3]]) -> Option<Outline> {
         .ok()?;
     let middle = (a + b + c + d) / 4.0;
     // Half the mean of opposite sides.
-    let (one, other) = ((b - a + c - d) / 4.0, (c - b + d - a) / 4.0);
+    let (one, other) = ((b - a + c - d).xy() / 4.0, (c - b + d - a).xy() / 4.0);
     let (along, across) = if one.norm() >= other.norm() {
         (one, other)
     } else {
         (other, one)
     };
     let yaw_rad = along.y.atan2(along.x);
-    let across_m = across.norm();
-    if !(across_m > 0.0 && across_m.is_finite()) {
+    let (forward, left) = (along.norm(), across.norm());
+    if !(left > 0.0 && forward.is_finite()) {
         return None;
     }
-    let (forward, left) = (along.xy().norm(), across_m);
-    let outline = |z: f64| {
-        [
-            [forward, left, z],
-            [-forward, left, z],
-            [-forward, -left, z],
-            [forward, -left, z],
-        ]
-    };
+    let points = [
+        [forward, left],
+        [-forward, left],
+        [-forward, -left],
+        [forward, -left],
+    ];
     let found = Outline {
-        points: outline(0.0).to_vec(),
+        points: points.map(|[x, y]| [x, y, 0.0]).to_vec(),
         ..Outline::about(middle, yaw_rad, &[])
     };
     let off = |corner: &Vector3<f64>| {
         let distances = found.points.iter().map(|point| {
             let point = found.map_from_label.transform(&Vector3::from(*point));
-            (point - corner).norm()
+            (point - corner).xy().norm()
         });
         distances.fold(f64::INFINITY, f64::min)
     };
@@ -248,6 +245,18 @@ mod tests {
         assert!(oriented_box(&skew).is_none());
         assert!(oriented_box(&[[1.0, 1.0, 0.0]; 4]).is_none());
         assert!(!is_box(&[[1.0, 1.0, 0.0]; 4]) && !is_box(&skew));
+    }
+
+    #[test]
+    fn a_box_on_a_slope_is_as_large_as_it_is_from_above() {
+        let mut drawn = corners(5.0, 2.4, Pose::from_yaw(3.0, 4.0, 0.7));
+        drawn
+            .iter_mut()
+            .for_each(|corner| corner[2] = 0.15 * corner[0]);
+        let found = oriented_box(&drawn).unwrap();
+        let [length, width] = size(&found.points).unwrap();
+        assert!((length - 5.0).abs() < 1e-9 && (width - 2.4).abs() < 1e-9);
+        assert!((found.map_from_label.translation.z - 0.45).abs() < 1e-9);
     }
 
     #[test]

@@ -74,7 +74,8 @@ pub fn read(
 }
 
 impl Geometry {
-    /// `box`, `polygon` or `polyline` with its outline about its middle; heights that are not known are those of `ground`.
+    /// `box`, `polygon` or `polyline` with its outline about its middle; heights that are not known are that of `ground` in
+    /// the middle.
     ///
     /// # Errors
     /// In words, for what is no outline.
@@ -93,7 +94,10 @@ impl Geometry {
         {
             return Err("feature with a coordinate that is no metres of a map");
         }
-        let raised = |(at, z): &Point| [at[0], at[1], z.unwrap_or_else(|| ground(*at))];
+        let count = points.len().max(1) as f64;
+        let middle = [0, 1].map(|axis| points.iter().map(|(at, _)| at[axis]).sum::<f64>() / count);
+        let height = ground(middle);
+        let raised = |(at, z): &Point| [at[0], at[1], z.unwrap_or(height)];
         let mut points: Vec<[f64; 3]> = points.iter().map(raised).collect();
         points.dedup();
         if points.len() > shapes::MOST_POINTS {

@@ -60,6 +60,23 @@ mod tests {
     use super::*;
 
     #[test]
+    fn an_exported_mosaic_lies_where_its_world_file_says() {
+        let mosaic = crate::mosaic::Mosaic {
+            cell_m: 0.1,
+            west: -12.8,
+            north: 25.6,
+            width: 4,
+            height: 2,
+            cells: vec![[0, 0]; 8],
+        };
+        let found = Georeference::parse(&mosaic.world_file()).unwrap();
+        for (pixel, place) in [([0.0, 0.0], [-12.8, 25.6]), ([4.0, 2.0], [-12.4, 25.4])] {
+            let [x, y] = found.place(pixel);
+            assert!((x - place[0]).abs() < 1e-9 && (y - place[1]).abs() < 1e-9);
+        }
+    }
+
+    #[test]
     fn corners_of_pixels_are_half_a_pixel_from_their_centres() {
         let found = Georeference::parse("0.05\n0\n0\n-0.05\n10.025\n19.975\n").unwrap();
         let [x, y] = found.place([0.0, 0.0]);
