@@ -24,7 +24,7 @@ pub struct BundleAdjustment;
 
 impl Operator for BundleAdjustment {
     const NAME: &'static str = "bundle_adjustment";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const PAGE: &'static str = include_str!("bundle_adjustment.md");
     type Params = OfVehicle<MappingParams>;
     type Output = AdjustedPose;
@@ -200,19 +200,16 @@ fn kept(
             sessions.insert(&row.session);
         }
     }
-    let candidate = |row: &AdjustedPose| {
-        let landmarks = row.observations.iter().map(|seen| &seen_by[&seen.landmark]);
-        Candidate {
-            // One without a pose is left out, and counted, where poses are read.
-            pose: Pose::from_array(row.map_from_vehicle.to_array())
-                .unwrap_or_else(|_| Pose::identity()),
-            held: frames.contains(&(row.session.as_str(), row.stamp)),
-            shared: landmarks.filter(|sessions| sessions.len() > 1).count(),
-            seen: row.observations.len(),
-        }
+    let candidate = |row: &AdjustedPose| Candidate {
+        // One without a pose is left out, and counted, where poses are read.
+        pose: Pose::from_array(row.map_from_vehicle.to_array())
+            .unwrap_or_else(|_| Pose::identity()),
+        held: frames.contains(&(row.session.as_str(), row.stamp)),
+        landmarks: row.observations.iter().map(|seen| seen.landmark).collect(),
     };
     let candidates: Vec<Candidate> = previous.iter().map(candidate).collect();
-    let kept = summary(&candidates, params);
+    let drives = |landmark: u32| seen_by.get(&landmark).map_or(0, BTreeSet::len);
+    let kept = summary(&candidates, &drives, params);
     let rows = previous.into_iter().zip(kept);
     rows.filter_map(|(row, kept)| kept.then_some(row)).collect()
 }
