@@ -66,19 +66,33 @@ impl AnnotationLog {
     /// # Errors
     /// [`RecordingError`]; the act may then be lost, those before it are not.
     pub fn say(&mut self, act: &Annotation) -> Result<(), RecordingError> {
+        self.say_all(std::slice::from_ref(act))
+    }
+
+    /// Writes acts that are said together. When this returns, all are on the disk.
+    ///
+    /// # Errors
+    /// [`RecordingError`]; these acts may then be lost, those before them are not.
+    pub fn say_all(&mut self, acts: &[Annotation]) -> Result<(), RecordingError> {
+        for act in acts {
+            self.add(act)?;
+        }
+        let flushed = self.writer.flush();
+        flushed.map_err(|error| failed(&self.path, error))?;
+        sync(&self.file, &self.path)
+    }
+
+    fn add(&mut self, act: &Annotation) -> Result<(), RecordingError> {
         let header = MessageHeader {
             channel_id: self.channel,
             sequence: self.sent,
             log_time: act.stamp_ns,
             publish_time: act.stamp_ns,
         };
-        let written = self
-            .writer
-            .write_to_known_channel(&header, &act.encode())
-            .and_then(|()| self.writer.flush());
+        let written = self.writer.write_to_known_channel(&header, &act.encode());
         written.map_err(|error| failed(&self.path, error))?;
         self.sent += 1;
-        sync(&self.file, &self.path)
+        Ok(())
     }
 
     /// Where it is written.

@@ -105,9 +105,7 @@ fn write(
 ) -> Result<std::path::PathBuf, RecordingError> {
     let library = concat!("evermap ", env!("CARGO_PKG_VERSION"));
     let mut writing = AnnotationLog::begin(log, |name| sessions.contains(name), library)?;
-    for act in acts {
-        writing.say(act)?;
-    }
+    writing.say_all(acts)?;
     writing.finish()
 }
 
