@@ -395,6 +395,19 @@ fn another_plan_between_is_told() {
 }
 
 #[test]
+fn what_another_plan_wrote_under_a_steps_name_is_told() {
+    let world = World::new();
+    let a = world.drive("a", 20.0);
+    let other = "plan: growth\nsteps: { lanes: { op: keyframes, in: { odometry: odometry } } }\nwrite: [lanes]\n";
+    std::fs::write(world.path("growth.yaml"), other).unwrap();
+    world.run(&[&a]);
+    std::fs::write(world.path("growth.yaml"), PLAN).unwrap();
+    let told = world.call("run", &[&a], &["--progress", "none"]).expect(1);
+    let sentence = "`previous.lanes` lacks the column lane (u32): another plan, or another version of evermap, wrote the layer lanes of this map; map its sessions into a new folder";
+    assert!(told.stderr.contains(sentence), "{}", told.stderr);
+}
+
+#[test]
 fn a_log_is_read_again_only_when_its_file_has_changed() {
     let world = World::new();
     let a = world.drive("a", 20.0);

@@ -134,6 +134,17 @@ mod tests {
     }
 
     #[test]
+    fn every_layer_is_declared_where_tables_are_looked_up_by_name() {
+        let declared: Vec<&str> = evermap_schemas::layers::all()
+            .iter()
+            .map(|it| it.name)
+            .collect();
+        for entry in registry().entries() {
+            assert!(declared.contains(&entry.output.name), "{}", entry.name);
+        }
+    }
+
+    #[test]
     fn pages_leave_ports_and_parameters_to_their_declarations() {
         for entry in registry().entries() {
             let (name, page) = (entry.name, entry.page.0);

@@ -301,6 +301,7 @@ pub fn all() -> Vec<crate::Layer> {
         OverheadTile::layer(),
         PlacedLabel::layer(),
         PosedImage::layer(),
+        Speed::layer(),
         VehiclePose::layer(),
     ];
     layers.extend(crate::roles::ALL.iter().map(crate::roles::Role::layer));

@@ -12,6 +12,7 @@ use evermap_contract::{Reach, Registry};
 use evermap_language::Input;
 use evermap_schemas::Fault;
 
+use crate::conform::misfits;
 use crate::error::OrFault;
 use crate::map::artifact::read_artifacts;
 use crate::map::receipt::{Artifact, Extent, LayerRows};
@@ -57,6 +58,7 @@ impl Tables<'_> {
                 let missing = || Fault::bug(format!("no previous {name}"));
                 let LayerRows { op, artifacts } = recipe.previous.get(name).ok_or_else(missing)?;
                 let frame = self.artifacts(artifacts, op.as_deref()).await?;
+                self.check_stored(name, &frame, op.as_deref())?;
                 let frame = without_sessions(frame, &recipe.replaced)?;
                 (frame, extents(artifacts))
             }
@@ -92,6 +94,20 @@ impl Tables<'_> {
         }
         let filtered = frame.filter(ident(column).eq(lit(value)));
         filtered.or_fault()
+    }
+
+    /// What another plan, or another version of evermap, wrote under a step's name.
+    fn check_stored(&self, name: &str, frame: &DataFrame, op: Option<&str>) -> Result<(), Fault> {
+        let Some(op) = op else {
+            return Ok(());
+        };
+        let misfits = misfits(frame.schema().as_arrow(), &self.registry.get(op)?.output);
+        let Some(misfit) = misfits.first() else {
+            return Ok(());
+        };
+        Err(Fault::user(format!(
+            "`previous.{name}` {misfit}: another plan, or another version of evermap, wrote the layer {name} of this map; map its sessions into a new folder"
+        )))
     }
 
     async fn artifacts(
