@@ -235,6 +235,12 @@ record! {
         backward_passes: u32,
         /// Length along the centre line.
         length_m: f64 ["m"],
+        /// The vehicle's width and what its passes scatter by.
+        width_m: f64 ["m"],
+        /// Lanes that drives went on to from the end, ascending.
+        next_lanes: Vec<u32>,
+        /// Lanes that drives went on to from the start, having come from the end; ascending.
+        next_lanes_backward: Vec<u32>,
         /// The centre line, from start to end.
         points: Vec<[f64; 3]> ["m", "map"],
         /// Who drove it: per session, from the first to the last pose on it; ordered by session. For a lane that only

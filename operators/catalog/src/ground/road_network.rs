@@ -14,7 +14,7 @@ pub struct RoadNetwork;
 
 impl Operator for RoadNetwork {
     const NAME: &'static str = "road_network";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("road_network.md");
     type Params = RoadNetworkParams;
     type Output = Lane;
@@ -58,6 +58,9 @@ fn lanes(
                 forward_passes: lane.forward_passes,
                 backward_passes: lane.reverse_passes,
                 length_m: lane.length_m,
+                width_m: lane.width_m,
+                next_lanes: lane.next,
+                next_lanes_backward: lane.next_backward,
                 sources: sources(&lane.passages, &drives),
                 geometry: Wkb::line_string(&lane.points),
                 points: lane.points,

@@ -4,6 +4,7 @@ mod colmap;
 mod g2o;
 mod geo;
 mod ground;
+mod lanelet2;
 mod tum;
 
 use std::path::Path;
@@ -21,6 +22,8 @@ use crate::reader::{MapReader, only};
 pub enum ExportFormat {
     /// A GeoJSON feature collection; coordinates are the map's metres, as the file says.
     Geojson,
+    /// Lanes as a Lanelet2 map (OSM) in local metres, for Autoware's projector `Local`.
+    Lanelet2,
     /// A trajectory: `seconds x y z qx qy qz qw`, one pose a line.
     Tum,
     /// A pose graph: keyframe poses, odometry and loop closures between them.
@@ -80,6 +83,10 @@ async fn written(
         ExportFormat::Geojson => {
             let title = format!("{layer}, version {}", reader.map.version.version);
             geojson(&batches, reader.declaration(layer).as_ref(), &title, out)
+        }
+        ExportFormat::Lanelet2 => {
+            let version = reader.map.version.version;
+            write_file(out, lanelet2::text(&batches, site, version)?.as_bytes())
         }
         ExportFormat::Tum => write_file(out, tum::text(&batches)?.as_bytes()),
         ExportFormat::G2o => {

@@ -5,22 +5,20 @@
 //! left; the skeleton's chains are lanes and its branch points intersections.
 //!
 //! ```text
-//! drives ─▶ thinning ─▶ graph ─▶ prune ─▶ explore ─▶ direction, attribution ─▶ lanes, intersections
-//!           (ours)      Alg. 1   Alg. 1   Alg. 2     (ours)
+//!          ┌▶ headings: samples, laying, bending, crossings ─┐
+//! drives ──┤  (ours)                                         ├▶ explore ─▶ direction, attribution, succession
+//!          └▶ thinning ─▶ graph ─▶ prune, positions alone ───┘  Alg. 2     (ours)            ─▶ lanes, intersections
+//!             (ours)      Alg. 1   Alg. 1
 //! ```
 //!
-//! With `spacing_m = 0` the first step is skipped and the paper is followed to the letter (a test
-//! compares it with an all-pairs transcription). That is exponential in the number of passes, so
-//! by default drives are thinned first: see `thinning.rs` for what that means, `prune.rs` for the
-//! two clean-ups it makes necessary and `explore.rs` for the one ambiguity resolved.
+//! By default headings join positions: see `headings/mod.rs` for what Algorithm 1 becomes then. `headings: false` is the
+//! paper's way. With `spacing_m = 0` as well the paper is followed to the letter (a test compares it with an all-pairs
+//! transcription). That is exponential in the number of passes, so drives are thinned first otherwise: see `thinning.rs`
+//! for what that means, `prune.rs` for the two clean-ups it makes necessary and `explore.rs` for the one ambiguity
+//! resolved.
 //!
 //! The answer depends on the positions and on the drives' keys alone: drives are sorted by key,
 //! every tie is broken by node number, and nodes are numbered in driven order.
-//!
-//! *Defaults.* `connect_m` = 2 m: half of the narrowest pair of opposite lanes (2 × 2.5 m apart
-//! in car parks, more on roads), more than the lateral scatter of repeated passes (paper 1 and our
-//! car park: ± 0.5 m) plus pose errors. Lanes that cross at 45° or more share less than
-//! 2 `connect_m`, and bends are followed within centimetres at a spacing of `connect_m` / 4.
 
 mod attribution;
 mod cells;
@@ -28,17 +26,20 @@ mod cliques;
 mod direction;
 mod explore;
 mod graph;
+mod headings;
+mod params;
 mod prune;
+mod succession;
 #[cfg(test)]
 mod tests;
 mod thinning;
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+pub use params::{RoadNetworkError, RoadNetworkParams};
 
 use explore::Chain;
 use graph::Graph;
 use prune::Rule;
+use thinning::Visit;
 
 /// Clean-up rounds at most; each removes a node, and a handful suffices.
 const MOST_CLEANUPS: u32 = 64;
@@ -57,91 +58,6 @@ pub struct Trace<'a> {
     /// Indices of positions, ascending, that nobody knows the way to from the position before: what the drive went along
     /// is cut there.
     pub breaks: &'a [usize],
-}
-
-/// How passes become lanes.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default)]
-pub struct RoadNetworkParams {
-    /// d: passes nearer than this are the same lane (m). Half of the narrowest pair of opposite lanes, and more than the
-    /// scatter of repeated passes.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub connect_m: f64,
-    /// P: rounds of pruning; null goes on until nothing is left to prune, which takes a few.
-    pub prune_loops: Option<u32>,
-    /// Distance between representative poses, at most `connect_m` (m); null is `connect_m` / 4, which follows any bend
-    /// that a vehicle can drive. 0 takes every pose, as the paper does; that is exponential in the number of passes.
-    #[schemars(range(min = 0.0))]
-    pub spacing_m: Option<f64>,
-    /// Loops shorter than this around are artefacts (m); null is 6 `connect_m`, half of the tightest circle of a car.
-    /// Only when thinning.
-    #[schemars(range(min = 0.0))]
-    pub min_loop_m: Option<f64>,
-    /// Shorter lanes between two intersections, or between one and a dead end, are part of the intersection (m); null is
-    /// 2 `connect_m`. Only when thinning.
-    #[schemars(range(min = 0.0))]
-    pub min_link_m: Option<f64>,
-}
-
-impl Default for RoadNetworkParams {
-    fn default() -> Self {
-        Self {
-            connect_m: 2.0,
-            prune_loops: None,
-            spacing_m: None,
-            min_loop_m: None,
-            min_link_m: None,
-        }
-    }
-}
-
-impl RoadNetworkParams {
-    /// Whether the lengths make sense together.
-    ///
-    /// # Errors
-    /// [`RoadNetworkError::Lengths`].
-    pub fn check(&self) -> Result<(), RoadNetworkError> {
-        let connect_m = self.connect_m;
-        let sound = connect_m > 0.0 && connect_m.is_finite();
-        if sound && (0.0..=connect_m).contains(&self.spacing_m()) {
-            return Ok(());
-        }
-        Err(RoadNetworkError::Lengths {
-            connect_m,
-            spacing_m: self.spacing_m(),
-        })
-    }
-
-    fn spacing_m(&self) -> f64 {
-        self.spacing_m.unwrap_or(0.25 * self.connect_m)
-    }
-
-    fn min_loop_m(&self) -> f64 {
-        self.min_loop_m.unwrap_or(6.0 * self.connect_m)
-    }
-
-    fn min_link_m(&self) -> f64 {
-        self.min_link_m.unwrap_or(2.0 * self.connect_m)
-    }
-}
-
-/// Input that gives no road network.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum RoadNetworkError {
-    /// Lengths that make no sense together.
-    #[error("expected `spacing_m` from 0 to `connect_m`, found {spacing_m} m and {connect_m} m")]
-    Lengths {
-        /// The connecting distance given, metres.
-        connect_m: f64,
-        /// The spacing given or derived, metres.
-        spacing_m: f64,
-    },
-    /// More poses than node numbers.
-    #[error("expected at most {} poses in one site, found {found}", u32::MAX)]
-    TooMany {
-        /// Number of poses.
-        found: usize,
-    },
 }
 
 /// What a lane's end is.
@@ -205,6 +121,12 @@ pub struct Lane {
     pub reverse_passes: u32,
     /// Length of the points' polyline, metres.
     pub length_m: f64,
+    /// The vehicle's width and what its passes scatter by, metres.
+    pub width_m: f64,
+    /// Lanes, by their index, that drives went on to from the end; ascending.
+    pub next: Vec<u32>,
+    /// The same from the start, for drives that came from the end.
+    pub next_backward: Vec<u32>,
     /// The drives that the lane was made from, in the order of their keys; at least one. A lane
     /// that no drive followed has those that came by its ends.
     pub passages: Vec<Passage>,
@@ -241,32 +163,77 @@ pub fn road_network(
     check(drives, params)?;
     let mut sorted = drives.to_vec();
     sorted.sort_by(|a, b| a.key.cmp(b.key));
-    let (visits, most_followers) = if params.spacing_m() > 0.0 {
-        let visits = thinning::thinned(&sorted, params.spacing_m(), params.connect_m);
-        (visits, MOST_FOLLOWERS)
+    let Skeleton {
+        graph,
+        visits: visited,
+        of,
+        scatter_m,
+    } = if params.headings {
+        headings::skeleton(&sorted, params)
     } else {
-        (thinning::literal(&sorted), usize::MAX)
+        positions_alone(&sorted, params)
     };
-    let keys: Vec<&str> = visits.of.iter().map(|drive| sorted[*drive].key).collect();
-    let (mut graph, visited) = graph::connect(visits, params.connect_m, most_followers);
-    prune(&mut graph, params);
+    let keys: Vec<&str> = of.iter().map(|drive| sorted[*drive].key).collect();
     let chains = explore::chains(&graph);
     let steps = direction::steps(&graph, &chains);
     let driven = direction::replay(&graph, chains.len(), &steps, &visited, params.connect_m);
     let passages = attribution::passages(&graph, &chains, &steps, &visited, &keys);
+    let next = succession::next(&graph, chains.len(), &steps, &visited);
     let names = Names::new(&graph);
+    let about = driven.into_iter().zip(passages).zip(next);
     let lanes = chains
         .iter()
-        .zip(driven)
-        .zip(passages)
-        .map(|((chain, driven), passages)| Lane {
+        .zip(about)
+        .map(|(chain, ((driven, passages), next))| Lane {
             passages,
+            width_m: params.vehicle_width_m + median_scatter(chain, &scatter_m),
+            next: next.from_end.into_iter().collect(),
+            next_backward: next.from_start.into_iter().collect(),
             ..lane(&graph, &names, chain, driven)
         });
     Ok(RoadNetwork {
         lanes: lanes.collect(),
         intersections: intersections(&graph, &names),
     })
+}
+
+/// The skeleton, what each unbroken part of a drive visited of it, and whose part it is.
+struct Skeleton {
+    graph: Graph,
+    visits: Vec<Vec<Visit>>,
+    of: Vec<usize>,
+    /// By node: how far the passes there scatter sideways, metres.
+    scatter_m: Vec<f64>,
+}
+
+/// Algorithm 1 as the paper has it.
+fn positions_alone(drives: &[Trace<'_>], params: &RoadNetworkParams) -> Skeleton {
+    let (visits, most_followers) = if params.spacing_m() > 0.0 {
+        let visits = thinning::thinned(drives, params.spacing_m(), params.connect_m);
+        (visits, MOST_FOLLOWERS)
+    } else {
+        (thinning::literal(drives), usize::MAX)
+    };
+    let of = visits.of.clone();
+    let (mut graph, visits) = graph::connect(visits, params.connect_m, most_followers);
+    prune(&mut graph, params);
+    Skeleton {
+        scatter_m: vec![0.0; graph.positions.len()],
+        graph,
+        visits,
+        of,
+    }
+}
+
+/// How far the passes of a lane scatter in the middle of its places.
+fn median_scatter(chain: &Chain, scatter_m: &[f64]) -> f64 {
+    let mut scatter: Vec<f64> = chain
+        .nodes
+        .iter()
+        .map(|&node| scatter_m[node as usize])
+        .collect();
+    scatter.sort_unstable_by(f64::total_cmp);
+    scatter.get(scatter.len() / 2).copied().unwrap_or_default()
 }
 
 fn check(drives: &[Trace<'_>], params: &RoadNetworkParams) -> Result<(), RoadNetworkError> {
@@ -363,6 +330,9 @@ fn lane(graph: &Graph, names: &Names, chain: &Chain, driven: direction::Driven) 
         forward_passes,
         reverse_passes,
         length_m,
+        width_m: 0.0,
+        next: Vec::new(),
+        next_backward: Vec::new(),
         passages: Vec::new(),
     }
 }

@@ -21,7 +21,7 @@ use super::Trace;
 use super::cells::{CellIndex, distance};
 
 /// Steps longer than this many spacings are not filled with samples: nothing is known between.
-const LONGEST_FILLED_STEP: f64 = 64.0;
+pub(super) const LONGEST_FILLED_STEP: f64 = 64.0;
 
 /// Samples per spacing along the path.
 const SAMPLES_PER_SPACING: f64 = 2.0;
@@ -65,13 +65,13 @@ pub(super) struct Visits {
 }
 
 impl Visits {
-    fn begin(&mut self, drive: usize) {
+    pub(super) fn begin(&mut self, drive: usize) {
         self.drives.push(Vec::new());
         self.of.push(drive);
     }
 
     /// The drive's next sample lies at this node, between two poses.
-    fn visit(&mut self, node: u32, first: u32, last: u32) {
+    pub(super) fn visit(&mut self, node: u32, first: u32, last: u32) {
         let Some(visited) = self.drives.last_mut() else {
             return;
         };
@@ -124,7 +124,7 @@ pub(super) fn thinned(drives: &[Trace<'_>], spacing_m: f64, connect_m: f64) -> V
 }
 
 /// The unbroken parts of a drive: finite positions with their numbers.
-fn parts(drive: &Trace<'_>) -> Vec<Vec<(u32, [f64; 3])>> {
+pub(super) fn parts(drive: &Trace<'_>) -> Vec<Vec<(u32, [f64; 3])>> {
     let mut parts = vec![Vec::new()];
     let mut breaks = drive.breaks.iter().peekable();
     for (at, position) in (0_u32..).zip(drive.positions) {

@@ -53,6 +53,7 @@ fn a_step_without_poses_between_has_the_poses_around_it() {
     for spacing_m in [0.0, 0.5] {
         let params = RoadNetworkParams {
             spacing_m: Some(spacing_m),
+            headings: spacing_m > 0.0,
             ..RoadNetworkParams::default()
         };
         let found = network(std::slice::from_ref(&long), &params);
@@ -68,6 +69,7 @@ fn no_lane_goes_across_a_break() {
     for spacing_m in [0.0, 0.5] {
         let params = RoadNetworkParams {
             spacing_m: Some(spacing_m),
+            headings: spacing_m > 0.0,
             ..RoadNetworkParams::default()
         };
         let lanes = |breaks: &[usize]| {
@@ -123,6 +125,7 @@ proptest! {
         let mut params = RoadNetworkParams::default();
         if !thinned {
             params.spacing_m = Some(0.0);
+            params.headings = false;
         }
         let solve = |a: &[[f64; 3]]| {
             let drives = [("a", a), ("b", b)];

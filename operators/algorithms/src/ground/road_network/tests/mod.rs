@@ -6,6 +6,7 @@
 )]
 
 mod attribution;
+mod laws;
 mod real;
 mod reference;
 
@@ -244,9 +245,9 @@ proptest! {
 
     #[test]
     fn lanes_stay_near_and_the_order_of_drives_does_not_matter(
-        a in wandering(60), b in wandering(60), c in wandering(60)
+        a in wandering(60), b in wandering(60), c in wandering(60), headings in any::<bool>(),
     ) {
-        let params = RoadNetworkParams::default();
+        let params = RoadNetworkParams { headings, ..RoadNetworkParams::default() };
         let drives =
             [("a", &a), ("b", &b), ("c", &c)].map(|(key, positions)| Trace { key, positions, breaks: &[] });
         let found = road_network(&drives, &params).unwrap();
@@ -256,7 +257,8 @@ proptest! {
         attribution::check(&found, &[("a", &a), ("b", &b), ("c", &c)]);
         for point in found.lanes.iter().flat_map(|lane| &lane.points) {
             let off = driven.iter().map(|p| cells::distance(p, point)).fold(f64::INFINITY, f64::min);
-            prop_assert!(off < 0.1);
+            let most = if headings { params.connect_m } else { 0.1 };
+            prop_assert!(off < most);
         }
         for lane in &found.lanes {
             prop_assert!(lane.points.len() >= 2 && lane.start.node <= lane.end.node);

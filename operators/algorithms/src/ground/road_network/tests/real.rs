@@ -115,7 +115,11 @@ fn check_passages(path: &[[f64; 3]], found: &RoadNetwork) {
 
 fn check_kitti(name: &str, intersections: usize) {
     let Some(path) = kitti(name) else { return };
-    let found = network(std::slice::from_ref(&path), &RoadNetworkParams::default());
+    let positions_alone = RoadNetworkParams {
+        headings: false,
+        ..RoadNetworkParams::default()
+    };
+    let found = network(std::slice::from_ref(&path), &positions_alone);
     for lane in &found.lanes {
         let worst = dense(&lane.points, 0.5)
             .iter()
@@ -169,6 +173,31 @@ fn kitti_07_comes_home_once() {
 #[test]
 fn kitti_00_meets_itself_where_it_should() {
     check_kitti("00", 8);
+}
+
+/// KITTI drives some streets again half a lane aside; nowhere is it farther than a lane's width off, and hardly anywhere
+/// farther than 0.3 m.
+#[test]
+fn driven_metres_are_near_lanes_of_their_direction() {
+    for (name, share) in [("00", 0.95), ("07", 0.99)] {
+        let Some(path) = kitti(name) else { return };
+        let path = resampled(&path);
+        let found = network(std::slice::from_ref(&path), &RoadNetworkParams::default());
+        let (driven, lanes) = (laws::directed(&path), laws::lane_ways(&found));
+        let some: Vec<laws::Directed> = driven.iter().step_by(10).copied().collect();
+        let off = laws::nearest_ways(&some, &lanes);
+        let near = off.iter().filter(|off| **off <= 0.3).count() as f64 / off.len() as f64;
+        let worst = off.into_iter().fold(0.0, f64::max);
+        assert!(
+            near >= share && worst < 2.0,
+            "{name}: {near} within 0.3 m, worst {worst} m"
+        );
+        let some: Vec<laws::Directed> = lanes.iter().step_by(10).copied().collect();
+        let invented = laws::nearest_ways(&some, &driven)
+            .into_iter()
+            .fold(0.0, f64::max);
+        assert!(invented < 1.0, "{name}: a lane {invented} m from any drive");
+    }
 }
 
 /// A trajectory as TUM lines: stamp, then position.
