@@ -353,6 +353,8 @@ fn the_camera_that_sees_a_label_most_centrally_and_freely_holds_it() {
     let post = landmark(0, 7.0, 2.0 * 2.0 / 7.0, 0.8);
     assert_eq!(tied(vec![post]), (7, ahead));
     // A wall.
-    let wall = (0..40).map(|at| landmark(at + 1, 11.3, f64::from(at) * 0.1, 0.5));
+    let wall = [0.35, 0.6].into_iter().zip([1, 41]).flat_map(|(z, first)| {
+        (0..40).map(move |at| landmark(first + at, 11.3, f64::from(at) * 0.1, z))
+    });
     assert_eq!(tied(wall.collect()), (12, None), "the nearest pose");
 }
