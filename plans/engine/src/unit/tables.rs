@@ -58,7 +58,7 @@ impl Tables<'_> {
                 let missing = || Fault::bug(format!("no previous {name}"));
                 let LayerRows { op, artifacts } = recipe.previous.get(name).ok_or_else(missing)?;
                 let frame = self.artifacts(artifacts, op.as_deref()).await?;
-                self.check_stored(name, &frame, op.as_deref())?;
+                self.check_stored(name, &frame, op.as_deref(), &read.columns)?;
                 let frame = without_sessions(frame, &recipe.replaced)?;
                 (frame, extents(artifacts))
             }
@@ -96,12 +96,22 @@ impl Tables<'_> {
         filtered.or_fault()
     }
 
-    /// What another plan, or another version of evermap, wrote under a step's name.
-    fn check_stored(&self, name: &str, frame: &DataFrame, op: Option<&str>) -> Result<(), Fault> {
+    /// Refuses what another plan, or another version of evermap, wrote under a step's name where a port cannot read it.
+    /// Queries name no columns here: planning them says which one is not there.
+    fn check_stored(
+        &self,
+        name: &str,
+        frame: &DataFrame,
+        op: Option<&str>,
+        columns: &[String],
+    ) -> Result<(), Fault> {
         let Some(op) = op else {
             return Ok(());
         };
-        let misfits = misfits(frame.schema().as_arrow(), &self.registry.get(op)?.output);
+        let mut layer = self.registry.get(op)?.output.clone();
+        let is_read = |name: &str| columns.iter().any(|read| read == name);
+        layer.columns.retain(|column| is_read(column.name));
+        let misfits = misfits(frame.schema().as_arrow(), &layer);
         let Some(misfit) = misfits.first() else {
             return Ok(());
         };

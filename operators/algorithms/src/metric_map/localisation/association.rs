@@ -38,8 +38,10 @@ pub(super) enum Search {
 }
 
 /// Features of one image by cells.
-struct Cells<'a> {
-    features: &'a [Feature],
+pub(super) struct Cells<'a> {
+    pub(super) features: &'a [Feature],
+    /// How inexactly they are placed.
+    pub(super) blur: Blur,
     /// By feature: how much larger than the smallest ones' the variance of its place is, px².
     excess_px2: Vec<f64>,
     columns: usize,
@@ -50,6 +52,12 @@ struct Cells<'a> {
 }
 
 impl<'a> Cells<'a> {
+    /// Of all images of a keyframe.
+    pub(super) fn of_keyframe(features: &'a KeyframeFeatures, noise: &FeatureNoise) -> Vec<Self> {
+        let images = features.images.iter();
+        images.map(|image| Self::new(image, noise)).collect()
+    }
+
     fn new(image: &'a ImageFeatures, noise: &FeatureNoise) -> Self {
         let features = &image.features[..];
         let blur = Blur::of_image(image);
@@ -78,6 +86,7 @@ impl<'a> Cells<'a> {
         (1..starts.len()).for_each(|cell| starts[cell] += starts[cell - 1]);
         Self {
             features,
+            blur,
             excess_px2: features.iter().map(excess_px2).collect(),
             columns,
             rows,
@@ -112,7 +121,7 @@ impl<'a> Cells<'a> {
 pub(super) fn claims(
     map: &LandmarkMap,
     sighted: &[Sighted],
-    features: &KeyframeFeatures,
+    cells: &[Cells<'_>],
     search: Search,
     params: &LocalisationParams,
 ) -> Vec<Claim> {
@@ -126,12 +135,11 @@ pub(super) fn claims(
         .into_par_iter()
         .map(|(start, of_camera)| {
             let camera = of_camera.first().map_or(usize::MAX, |first| first.camera);
-            let Some(image) = features.images.get(camera) else {
+            let Some(cells) = cells.get(camera) else {
                 return Vec::new();
             };
-            let cells = Cells::new(image, &params.features);
-            let all = candidates(map, of_camera, start, &cells, search, params);
-            mutual(all, sighted, image, params.limits.match_ratio)
+            let all = candidates(map, of_camera, start, cells, search, params);
+            mutual(all, sighted, cells.features, params.limits.match_ratio)
         })
         .collect();
     held.into_iter().flatten().collect()
@@ -191,8 +199,8 @@ fn candidates(
 }
 
 /// Of one image's claims, those that are best on both sides without a rival.
-fn mutual(all: Vec<Claim>, sighted: &[Sighted], image: &ImageFeatures, ratio: f64) -> Vec<Claim> {
-    let feature_place = |claim: &Claim| Vector2::from(image.features[claim.feature].pixel);
+fn mutual(all: Vec<Claim>, sighted: &[Sighted], features: &[Feature], ratio: f64) -> Vec<Claim> {
+    let feature_place = |claim: &Claim| Vector2::from(features[claim.feature].pixel);
     let landmark_place = |claim: &Claim| sighted[claim.sighted].pixel;
     let by_landmark = best(all.clone(), |claim| claim.sighted, feature_place, ratio);
     let by_feature = best(all, |claim| claim.feature, landmark_place, ratio);

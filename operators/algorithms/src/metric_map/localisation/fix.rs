@@ -1,12 +1,12 @@
 //! The pose of one keyframe from a guess, and whether to believe it.
 
-use super::association::{Claim, Search, claims};
+use super::association::{Cells, Claim, Search, claims};
 use super::motion::{Guess, difference};
 use super::refinement::{Pair, Refined, Refinement};
 use super::view::{Sighted, eyes, sighted};
 use super::{LandmarkMap, LocalisationParams};
 use crate::geometry::rig::Rig;
-use crate::metric_map::features::{Blur, KeyframeFeatures};
+use crate::metric_map::features::KeyframeFeatures;
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
 
@@ -103,16 +103,17 @@ impl<'a> Localiser<'a> {
     /// The pose of a keyframe near a guess: matched as far as the guess's covariance reaches, refined, matched
     /// and refined again from the better pose, and verified.
     pub fn fix(&self, guess: &Guess, features: &KeyframeFeatures) -> Fix {
+        let cells = Cells::of_keyframe(features, &self.params.features);
         let mut best = *guess;
         for _ in 0..2 {
             let seen = sighted(self.rig, self.map, &best, &self.params);
-            let found = claims(self.map, &seen, features, Search::Covariance, &self.params);
-            match self.refine(guess, &best, &seen, &found, features) {
+            let found = claims(self.map, &seen, &cells, Search::Covariance, &self.params);
+            match self.refine(guess, &best, &seen, &found, &cells) {
                 Some(refined) => best = refined.guess,
                 None => break,
             }
         }
-        self.verify(guess, &best, features)
+        self.verify(guess, &best, &cells)
     }
 
     /// The same from a recognised place, whose pose comes from the image alone: it holds nothing back.
@@ -142,13 +143,9 @@ impl<'a> Localiser<'a> {
         start: &Guess,
         seen: &[Sighted],
         found: &[Claim],
-        features: &KeyframeFeatures,
+        cells: &[Cells<'_>],
     ) -> Option<Refined> {
-        let blurs: Vec<Blur> = features.images.iter().map(Blur::of_image).collect();
-        let pairs: Vec<Pair> = found
-            .iter()
-            .map(|claim| pair(claim, seen, features, &blurs))
-            .collect();
+        let pairs: Vec<Pair> = found.iter().map(|claim| pair(claim, seen, cells)).collect();
         let problem = Refinement {
             rig: self.rig,
             map: self.map,
@@ -160,10 +157,10 @@ impl<'a> Localiser<'a> {
     }
 
     /// Matches once more in a radius that chance would fill evenly, and judges what comes out.
-    fn verify(&self, guess: &Guess, best: &Guess, features: &KeyframeFeatures) -> Fix {
+    fn verify(&self, guess: &Guess, best: &Guess, cells: &[Cells<'_>]) -> Fix {
         let seen = sighted(self.rig, self.map, best, &self.params);
         let radius = Search::Radius(self.params.verify_px);
-        let found = claims(self.map, &seen, features, radius, &self.params);
+        let found = claims(self.map, &seen, cells, radius, &self.params);
         let mut fix = Fix {
             pose: *best,
             candidates: seen.len(),
@@ -173,7 +170,7 @@ impl<'a> Localiser<'a> {
         };
         if seen.is_empty() {
             fix.doubt = Some(Doubt::NothingInView);
-        } else if let Some(refined) = self.refine(guess, best, &seen, &found, features) {
+        } else if let Some(refined) = self.refine(guess, best, &seen, &found, cells) {
             fix.pose = refined.guess;
             for axis in 0..6 {
                 let sigma = if axis < 3 {
@@ -242,15 +239,15 @@ impl<'a> Localiser<'a> {
     }
 }
 
-fn pair(claim: &Claim, seen: &[Sighted], features: &KeyframeFeatures, blurs: &[Blur]) -> Pair {
+fn pair(claim: &Claim, seen: &[Sighted], cells: &[Cells<'_>]) -> Pair {
     let Sighted {
         landmark, camera, ..
     } = seen[claim.sighted];
-    let feature = &features.images[camera].features[claim.feature];
+    let feature = &cells[camera].features[claim.feature];
     Pair {
         landmark,
         camera,
         pixel: feature.pixel.into(),
-        blur: blurs[camera].of(feature.size_px),
+        blur: cells[camera].blur.of(feature.size_px),
     }
 }

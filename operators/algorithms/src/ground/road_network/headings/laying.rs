@@ -3,7 +3,8 @@
 //! A drive that comes within `connect_m` of an earlier one that goes its way has not joined it yet, it may cross or
 //! still be coming: it follows the earlier one from where the distance between the two stops changing until where it
 //! begins to change again. Before and after it lays its own representatives, and so forks and merges bend as they were
-//! driven. Drives that only cross, but at so small an angle that they are on one line for `connect_m`, are together there. Drives towards each other are on one line where they are within `same_line_m` in the mean.
+//! driven. Drives that only cross, but at so small an angle that they are on one line for `connect_m`, are together there.
+//! Drives towards each other are on one line where they are within `same_line_m` in the mean.
 
 use std::ops::Range;
 
