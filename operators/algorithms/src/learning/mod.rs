@@ -3,12 +3,14 @@
 //! | module | what it knows |
 //! |---|---|
 //! | [`dense_crf`] | labels that follow an image's edges: the fully connected random field |
+//! | [`gaussian_process`] | a linear function and how surely it is known, from a few answers |
 //! | [`permutohedral`] | Gaussian filters in many dimensions |
 //! | [`pixel_classifier`] | scores of classes over an image, by a random forest |
 //! | [`pixel_features`] | what a classifier of pixels sees: dense SIFT, colour, context |
 //! | [`random_forest`] | decision trees over bytes, learnt and read fast |
 
 pub mod dense_crf;
+pub mod gaussian_process;
 pub mod permutohedral;
 pub mod pixel_classifier;
 pub mod pixel_features;

@@ -1,0 +1,348 @@
+//! A linear Gaussian process on answers of +1 and -1, in closed form.
+//!
+//! The function is `f(x) = wᵀx` with `w ~ N(0, s² I)`; an answer is `f(x)` with noise of variance `ρ s²`. Both are
+//! those that make the answers likeliest (*marginal likelihood*): nothing is tuned. With the eigenvalues of `Xᵀ X` the
+//! likelihood of every `ρ` costs no more than a sum, and the best `s²` for it is known.
+//!
+//! A classifier proper has no closed form; regression on ±1 has, and ranks as well where it is used here. The probability
+//! of an answer is `Φ(μ / √(1 + σ²))`, a probit of the mean softened by what is not known of it.
+//!
+//! Source: Rasmussen & Williams, *Gaussian processes for machine learning* (2006), sections 2.1, 2.3, 3.7 and 5.4.
+
+use faer::{Mat, Side};
+
+/// Values of `ρ` that are tried, relative to the mean eigenvalue: from almost no noise to almost nothing else.
+const NOISE_DECADES: [i32; 2] = [-4, 2];
+/// Values by decade.
+const STEPS: i32 = 8;
+
+/// Why nothing was learnt.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum LearningError {
+    /// There is nothing to learn from.
+    #[error("expected examples, found none")]
+    NoExamples,
+    /// Samples of different lengths, not as many answers as samples, or numbers that are none.
+    #[error("expected finite samples of one length with an answer each")]
+    Misshapen,
+    /// The decomposition did not converge.
+    #[error("the samples' products have no eigenvalues")]
+    NoEigenvalues,
+}
+
+/// What was learnt.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LinearProcess {
+    /// Mean of `w`.
+    weights: Vec<f64>,
+    /// `s²`.
+    scale: f64,
+    /// `ρ s²`.
+    noise: f64,
+    /// A root of the covariance of `w`, row by row.
+    spread: Vec<Vec<f64>>,
+}
+
+/// What is known of `f` at a sample.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Posterior {
+    /// Mean.
+    pub mean: f64,
+    /// Variance, without the noise of an answer.
+    pub variance: f64,
+    /// A root of the variance: products of two are covariances.
+    spread: Vec<f64>,
+}
+
+impl Posterior {
+    /// Probability that the answer is +1.
+    pub fn probability(&self) -> f64 {
+        normal_cdf(self.mean / (1.0 + self.variance).sqrt())
+    }
+}
+
+impl LinearProcess {
+    /// Learns from samples (all of one length) with answers of +1 and -1.
+    ///
+    /// # Errors
+    /// [`LearningError`].
+    pub fn learn(samples: Vec<Vec<f32>>, answers: &[f64]) -> Result<Self, LearningError> {
+        let count = samples.len();
+        let length = samples.first().ok_or(LearningError::NoExamples)?.len();
+        let finite = |sample: &Vec<f32>| sample.iter().all(|value| value.is_finite());
+        let sound = samples.iter().all(|it| it.len() == length && finite(it));
+        if !sound || answers.len() != count || answers.iter().any(|it| !it.is_finite()) {
+            return Err(LearningError::Misshapen);
+        }
+        let columns = Mat::from_fn(count, length, |row, at| f64::from(samples[row][at]));
+        let eigen = (columns.transpose() * &columns).self_adjoint_eigen(Side::Lower);
+        let eigen = eigen.map_err(|_| LearningError::NoEigenvalues)?;
+        let values = eigen.S().column_vector();
+        let values: Vec<f64> = (0..length).map(|at| values[at].max(0.0)).collect();
+        let axes: Vec<Vec<f64>> = (0..length)
+            .map(|at| eigen.U().col(at).iter().copied().collect())
+            .collect();
+        let answer = |at: usize| -> f64 {
+            let answers = samples.iter().zip(answers);
+            answers
+                .map(|(sample, answer)| answer * f64::from(sample[at]))
+                .sum()
+        };
+        let pull: Vec<f64> = (0..length).map(answer).collect();
+        let pull: Vec<f64> = axes.iter().map(|axis| product(axis, &pull)).collect();
+        let evidence = Evidence {
+            count,
+            squares: answers.iter().map(|answer| answer * answer).sum(),
+            values: &values,
+            pull: &pull,
+        };
+        let (ratio, scale) = evidence.likeliest();
+        let mut weights = vec![0.0; length];
+        for ((axis, value), pull) in axes.iter().zip(&values).zip(&pull) {
+            for (weight, part) in weights.iter_mut().zip(axis) {
+                *weight += part * pull / (value + ratio);
+            }
+        }
+        let noise = ratio * scale;
+        let root = |value: f64| (noise / (value + ratio)).sqrt();
+        let spread = |(axis, value): (Vec<f64>, &f64)| -> Vec<f64> {
+            axis.into_iter().map(|part| part * root(*value)).collect()
+        };
+        Ok(Self {
+            weights,
+            scale,
+            noise,
+            spread: axes.into_iter().zip(&values).map(spread).collect(),
+        })
+    }
+
+    /// Mean of `w`: the mean of `f` at a sample is their product.
+    pub fn weights(&self) -> &[f64] {
+        &self.weights
+    }
+
+    /// What is known of `f` at a sample.
+    pub fn at(&self, sample: &[f32]) -> Posterior {
+        let sample: Vec<f64> = sample.iter().map(|value| f64::from(*value)).collect();
+        let spread: Vec<f64> = self
+            .spread
+            .iter()
+            .map(|row| product(row, &sample))
+            .collect();
+        Posterior {
+            mean: product(&self.weights, &sample),
+            variance: product(&spread, &spread),
+            spread,
+        }
+    }
+
+    /// How much an answer about each of these samples would teach about all of them: what the change of `f` that it may
+    /// bring moves their probabilities by, in the mean of squares.
+    pub fn gains(&self, samples: &[Vec<f32>]) -> Vec<f64> {
+        let known: Vec<Posterior> = samples.iter().map(|sample| self.at(sample)).collect();
+        let slope = |one: &Posterior| {
+            let softened = (1.0 + one.variance).sqrt();
+            normal_density(one.mean / softened) / softened
+        };
+        let slopes: Vec<f64> = known.iter().map(slope).collect();
+        let covariance = |a: usize, b: usize| product(&known[a].spread, &known[b].spread);
+        let gain = |asked: usize| {
+            let moved = (0..samples.len()).map(|at| (slopes[at] * covariance(asked, at)).powi(2));
+            moved.sum::<f64>() / (known[asked].variance + self.noise).max(f64::MIN_POSITIVE)
+        };
+        (0..samples.len()).map(gain).collect()
+    }
+}
+
+/// What the answers say of noise and scale.
+struct Evidence<'a> {
+    count: usize,
+    /// The answers' sum of squares.
+    squares: f64,
+    /// Eigenvalues of `Xᵀ X`.
+    values: &'a [f64],
+    /// `Xᵀ y` along its eigenvectors.
+    pull: &'a [f64],
+}
+
+impl Evidence<'_> {
+    /// The ratio of noise to scale, and the scale, that make the answers likeliest (Rasmussen & Williams, equation 5.8).
+    fn likeliest(&self) -> (f64, f64) {
+        let count = self.count as f64;
+        let mean = (self.values.iter().sum::<f64>() / self.values.len() as f64).max(1e-12);
+        let tried = (NOISE_DECADES[0] * STEPS..=NOISE_DECADES[1] * STEPS).map(|step| {
+            let ratio = mean * 10_f64.powf(f64::from(step) / f64::from(STEPS));
+            let pairs = self.values.iter().zip(self.pull);
+            let told: f64 = pairs
+                .map(|(value, pull)| pull * pull / (value + ratio))
+                .sum();
+            let scale = ((self.squares - told) / ratio / count).max(1e-12);
+            let above = self
+                .values
+                .iter()
+                .map(|value| (value / ratio).ln_1p())
+                .sum::<f64>();
+            (-0.5 * (count * (scale * ratio).ln() + above), ratio, scale)
+        });
+        let best = tried.max_by(|a, b| a.0.total_cmp(&b.0));
+        best.map_or((1.0, 1.0), |(_, ratio, scale)| (ratio, scale))
+    }
+}
+
+fn product(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+fn normal_density(x: f64) -> f64 {
+    (-0.5 * x * x).exp() / std::f64::consts::TAU.sqrt()
+}
+
+fn normal_cdf(x: f64) -> f64 {
+    0.5 * libm::erfc(-x / std::f64::consts::SQRT_2)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::solving::random::SplitMix64;
+    use nalgebra::{DMatrix, DVector};
+
+    /// Samples of four numbers, and answers that a plane gives with some noise.
+    fn examples(count: usize) -> (Vec<Vec<f32>>, Vec<f64>) {
+        let mut random = SplitMix64(7);
+        let mut unit = move || (random.next() >> 11) as f64 / (1_u64 << 53) as f64 - 0.5;
+        let sample = |_| -> Vec<f32> { (0..4).map(|_| unit() as f32).collect() };
+        let samples: Vec<Vec<f32>> = (0..count).map(sample).collect();
+        let plane = [1.0, -2.0, 0.5, 0.0];
+        let answer = |sample: &Vec<f32>| {
+            let noise = 0.3 * (37.0 * f64::from(sample[3])).sin();
+            let products = sample.iter().zip(plane);
+            let told: f64 = products.map(|(x, w)| f64::from(*x) * w).sum();
+            (told + noise).signum()
+        };
+        let answers = samples.iter().map(answer).collect();
+        (samples, answers)
+    }
+
+    fn matrix(samples: &[Vec<f32>]) -> DMatrix<f64> {
+        DMatrix::from_fn(samples.len(), samples[0].len(), |row, at| {
+            f64::from(samples[row][at])
+        })
+    }
+
+    /// The textbook's way: kernel matrix between samples, inverted (equations 2.25, 2.26 and 5.8).
+    struct Dense {
+        samples: DMatrix<f64>,
+        answers: DVector<f64>,
+        scale: f64,
+        noise: f64,
+    }
+
+    impl Dense {
+        fn kernel(&self) -> DMatrix<f64> {
+            let count = self.samples.nrows();
+            self.scale * &self.samples * self.samples.transpose()
+                + self.noise * DMatrix::identity(count, count)
+        }
+
+        fn at(&self, sample: &[f32]) -> (f64, f64) {
+            let sample = DVector::from_iterator(sample.len(), sample.iter().map(|x| f64::from(*x)));
+            let inverse = self.kernel().try_inverse().unwrap();
+            let near = self.scale * &self.samples * &sample;
+            let mean = (near.transpose() * &inverse * &self.answers)[0];
+            let known = (near.transpose() * inverse * &near)[0];
+            (mean, self.scale * sample.norm_squared() - known)
+        }
+
+        fn log_likelihood(&self) -> f64 {
+            let kernel = self.kernel();
+            let fit = self
+                .answers
+                .dot(&(kernel.clone().try_inverse().unwrap() * &self.answers));
+            let root = kernel.cholesky().unwrap();
+            let half_log: f64 = root.l().diagonal().iter().map(|x| x.ln()).sum();
+            -0.5 * fit - half_log
+        }
+    }
+
+    fn dense(learnt: &LinearProcess, samples: &[Vec<f32>], answers: &[f64]) -> Dense {
+        Dense {
+            samples: matrix(samples),
+            answers: DVector::from_column_slice(answers),
+            scale: learnt.scale,
+            noise: learnt.noise,
+        }
+    }
+
+    #[test]
+    fn mean_and_variance_are_those_of_the_dense_formula() {
+        let (samples, answers) = examples(30);
+        let learnt = LinearProcess::learn(samples.clone(), &answers).unwrap();
+        let dense = dense(&learnt, &samples, &answers);
+        for sample in &examples(40).0 {
+            let (mean, variance) = dense.at(sample);
+            let found = learnt.at(sample);
+            assert!((found.mean - mean).abs() < 1e-9, "{} {mean}", found.mean);
+            assert!((found.variance - variance).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn no_other_noise_or_scale_makes_the_answers_likelier() {
+        let (samples, answers) = examples(30);
+        let learnt = LinearProcess::learn(samples.clone(), &answers).unwrap();
+        let best = dense(&learnt, &samples, &answers).log_likelihood();
+        // Less than a step of the noise that is tried may be won.
+        for (scale, noise) in [
+            (1.0, 2.0),
+            (1.0, 0.5),
+            (2.0, 1.0),
+            (0.5, 1.0),
+            (2.0, 2.0),
+            (0.5, 0.5),
+        ] {
+            let mut other = dense(&learnt, &samples, &answers);
+            other.scale *= scale;
+            other.noise *= noise;
+            assert!(other.log_likelihood() < best, "{scale} {noise}");
+        }
+    }
+
+    #[test]
+    fn an_answer_where_nothing_is_known_teaches_most() {
+        let samples = vec![
+            vec![1.0, 0.0, 0.0],
+            vec![-1.0, 0.0, 0.0],
+            vec![0.9, 0.1, 0.0],
+        ];
+        let learnt = LinearProcess::learn(samples, &[1.0, -1.0, 1.0]).unwrap();
+        let asked = [
+            vec![1.0, 0.0, 0.0],
+            vec![0.0, 1.0, 0.2],
+            vec![0.0, 0.0, 1.0],
+        ];
+        let gains = learnt.gains(&asked);
+        assert!(gains[1] > gains[0] && gains[2] > gains[0], "{gains:?}");
+        assert!(learnt.at(&asked[0]).probability() > 0.7);
+        assert!((learnt.at(&asked[2]).probability() - 0.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn what_cannot_be_learnt_from_is_told() {
+        let learn = |samples: &[Vec<f32>], answers: &[f64]| {
+            LinearProcess::learn(samples.to_vec(), answers).unwrap_err()
+        };
+        assert_eq!(learn(&[], &[]), LearningError::NoExamples);
+        let one = vec![1.0_f32];
+        assert_eq!(learn(&[one.clone()], &[]), LearningError::Misshapen);
+        assert_eq!(
+            learn(&[one.clone(), vec![]], &[1.0, 1.0]),
+            LearningError::Misshapen
+        );
+        assert_eq!(learn(&[vec![f32::NAN]], &[1.0]), LearningError::Misshapen);
+        assert_eq!(learn(&[one], &[f64::NAN]), LearningError::Misshapen);
+        let nothing = LinearProcess::learn(vec![vec![0.0; 3]; 4], &[1.0; 4]).unwrap();
+        assert!(nothing.at(&[1.0, 1.0, 1.0]).mean.abs() < 1e-9);
+    }
+}
