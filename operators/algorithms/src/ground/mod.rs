@@ -1,12 +1,14 @@
-//! What lies on the ground: images projected onto it, tiles of it, roads on it.
+//! What lies on the ground: images projected onto it, tiles of it, roads on it, boxes painted on it.
 //!
 //! | module | what it knows |
 //! |---|---|
+//! | [`boxes`] | boxes that look alike: parking spaces, crossings, arrows |
 //! | [`patch`] | what one image shows of the ground |
 //! | [`projection`] | images projected to cells of the ground plane |
 //! | [`road_network`] | lanes and intersections from driven positions |
 //! | [`tiles`] | tile addressing and exact integer sums |
 
+pub mod boxes;
 pub mod patch;
 pub mod projection;
 pub mod road_network;

@@ -4,12 +4,13 @@
 //! those that make the answers likeliest (*marginal likelihood*): nothing is tuned. With the eigenvalues of `Xᵀ X` the
 //! likelihood of every `ρ` costs no more than a sum, and the best `s²` for it is known.
 //!
-//! A classifier proper has no closed form; regression on ±1 has, and ranks as well where it is used here. The probability
-//! of an answer is `Φ(μ / √(1 + σ²))`, a probit of the mean softened by what is not known of it.
+//! A classifier proper has no closed form; regression on ±1 has, and ranks as well where it is used here.
 //!
 //! Source: Rasmussen & Williams, *Gaussian processes for machine learning* (2006), sections 2.1, 2.3, 3.7 and 5.4.
 
 use faer::{Mat, Side};
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 /// Values of `ρ` that are tried, relative to the mean eigenvalue: from almost no noise to almost nothing else.
 const NOISE_DECADES: [i32; 2] = [-4, 2];
@@ -54,19 +55,12 @@ pub struct Posterior {
     spread: Vec<f64>,
 }
 
-impl Posterior {
-    /// Probability that the answer is +1.
-    pub fn probability(&self) -> f64 {
-        normal_cdf(self.mean / (1.0 + self.variance).sqrt())
-    }
-}
-
 impl LinearProcess {
     /// Learns from samples (all of one length) with answers of +1 and -1.
     ///
     /// # Errors
     /// [`LearningError`].
-    pub fn learn(samples: Vec<Vec<f32>>, answers: &[f64]) -> Result<Self, LearningError> {
+    pub fn learn(samples: &[Vec<f32>], answers: &[f64]) -> Result<Self, LearningError> {
         let count = samples.len();
         let length = samples.first().ok_or(LearningError::NoExamples)?.len();
         let finite = |sample: &Vec<f32>| sample.iter().all(|value| value.is_finite());
@@ -121,6 +115,11 @@ impl LinearProcess {
         &self.weights
     }
 
+    /// Variance of the noise of an answer.
+    pub fn noise(&self) -> f64 {
+        self.noise
+    }
+
     /// What is known of `f` at a sample.
     pub fn at(&self, sample: &[f32]) -> Posterior {
         let sample: Vec<f64> = sample.iter().map(|value| f64::from(*value)).collect();
@@ -136,21 +135,66 @@ impl LinearProcess {
         }
     }
 
-    /// How much an answer about each of these samples would teach about all of them: what the change of `f` that it may
-    /// bring moves their probabilities by, in the mean of squares.
-    pub fn gains(&self, samples: &[Vec<f32>]) -> Vec<f64> {
-        let known: Vec<Posterior> = samples.iter().map(|sample| self.at(sample)).collect();
-        let slope = |one: &Posterior| {
-            let softened = (1.0 + one.variance).sqrt();
-            normal_density(one.mean / softened) / softened
-        };
-        let slopes: Vec<f64> = known.iter().map(slope).collect();
+    /// Which samples to ask about, the first the one whose answer would teach most about all, each next one that would teach
+    /// most when those before are answered; with what each teaches: by how much the change of `f` that it may bring moves
+    /// the probabilities, all squares added up. `slopes`: by how much a probability changes with `f`.
+    ///
+    /// What an answer changes of the covariance does not depend on the answer (equation 2.26), so a whole list is made at
+    /// once.
+    pub fn questions(&self, known: &[Posterior], slopes: &[f64], most: usize) -> Vec<(usize, f64)> {
         let covariance = |a: usize, b: usize| product(&known[a].spread, &known[b].spread);
-        let gain = |asked: usize| {
-            let moved = (0..samples.len()).map(|at| (slopes[at] * covariance(asked, at)).powi(2));
-            moved.sum::<f64>() / (known[asked].variance + self.noise).max(f64::MIN_POSITIVE)
+        let count = known.len();
+        let row = |a: usize| -> Vec<f64> { (0..count).map(|b| covariance(a, b)).collect() };
+        let mut covariances: Vec<Vec<f64>> = (0..count).into_par_iter().map(row).collect();
+        let mut open: Vec<usize> = (0..count).collect();
+        let mut questions = Vec::new();
+        while questions.len() < most && !open.is_empty() {
+            let gain = |asked: &usize| {
+                let row = &covariances[*asked];
+                let moved = slopes
+                    .iter()
+                    .zip(row)
+                    .map(|(slope, with)| (slope * with).powi(2));
+                moved.sum::<f64>() / (row[*asked] + self.noise).max(f64::MIN_POSITIVE)
+            };
+            let gains: Vec<f64> = open.par_iter().map(gain).collect();
+            let best =
+                (0..open.len()).reduce(|best, at| if gains[at] > gains[best] { at } else { best });
+            let Some(best) = best else { break };
+            let (asked, gain) = (open.remove(best), gains[best]);
+            questions.push((asked, gain));
+            let told = covariances[asked].clone();
+            let spread = (told[asked] + self.noise).max(f64::MIN_POSITIVE);
+            covariances
+                .par_iter_mut()
+                .enumerate()
+                .for_each(|(at, row)| {
+                    let part = told[at] / spread;
+                    row.iter_mut()
+                        .zip(&told)
+                        .for_each(|(value, told)| *value -= part * told);
+                });
+        }
+        questions
+    }
+
+    /// What would be held of some samples that it learnt from, had it not seen them and their answers: means, with the same
+    /// noise and scale (equation 5.12, for more than one).
+    pub fn left_out(&self, samples: &[&[f32]], answers: &[f64]) -> Vec<f64> {
+        let known: Vec<Posterior> = samples.iter().map(|sample| self.at(sample)).collect();
+        let count = samples.len();
+        let rest = |row: usize, column: usize| {
+            let own = if row == column { 1.0 } else { 0.0 };
+            own - product(&known[row].spread, &known[column].spread) / self.noise
         };
-        (0..samples.len()).map(gain).collect()
+        let rest = DMatrix::from_fn(count, count, rest);
+        let short = DVector::from_fn(count, |at, _| answers[at] - known[at].mean);
+        let short = rest.lu().solve(&short).unwrap_or(DVector::zeros(count));
+        answers
+            .iter()
+            .zip(short.iter())
+            .map(|(answer, short)| answer - short)
+            .collect()
     }
 }
 
@@ -193,20 +237,11 @@ fn product(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
-fn normal_density(x: f64) -> f64 {
-    (-0.5 * x * x).exp() / std::f64::consts::TAU.sqrt()
-}
-
-fn normal_cdf(x: f64) -> f64 {
-    0.5 * libm::erfc(-x / std::f64::consts::SQRT_2)
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::solving::random::SplitMix64;
-    use nalgebra::{DMatrix, DVector};
 
     /// Samples of four numbers, and answers that a plane gives with some noise.
     fn examples(count: usize) -> (Vec<Vec<f32>>, Vec<f64>) {
@@ -278,7 +313,7 @@ mod tests {
     #[test]
     fn mean_and_variance_are_those_of_the_dense_formula() {
         let (samples, answers) = examples(30);
-        let learnt = LinearProcess::learn(samples.clone(), &answers).unwrap();
+        let learnt = LinearProcess::learn(&samples, &answers).unwrap();
         let dense = dense(&learnt, &samples, &answers);
         for sample in &examples(40).0 {
             let (mean, variance) = dense.at(sample);
@@ -291,7 +326,7 @@ mod tests {
     #[test]
     fn no_other_noise_or_scale_makes_the_answers_likelier() {
         let (samples, answers) = examples(30);
-        let learnt = LinearProcess::learn(samples.clone(), &answers).unwrap();
+        let learnt = LinearProcess::learn(&samples, &answers).unwrap();
         let best = dense(&learnt, &samples, &answers).log_likelihood();
         // Less than a step of the noise that is tried may be won.
         for (scale, noise) in [
@@ -311,38 +346,57 @@ mod tests {
 
     #[test]
     fn an_answer_where_nothing_is_known_teaches_most() {
-        let samples = vec![
-            vec![1.0, 0.0, 0.0],
-            vec![-1.0, 0.0, 0.0],
-            vec![0.9, 0.1, 0.0],
-        ];
-        let learnt = LinearProcess::learn(samples, &[1.0, -1.0, 1.0]).unwrap();
+        let samples = [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.9, 0.0, 0.0]];
+        let samples = samples.map(|sample| sample.to_vec()).to_vec();
+        let learnt = LinearProcess::learn(&samples, &[1.0, -1.0, 0.9]).unwrap();
         let asked = [
-            vec![1.0, 0.0, 0.0],
-            vec![0.0, 1.0, 0.2],
-            vec![0.0, 0.0, 1.0],
+            [1.0_f32, 0.0, 0.0],
+            [0.0, 1.0, 0.2],
+            [0.0, 1.0, 0.21],
+            [0.0, 0.0, 1.0],
         ];
-        let gains = learnt.gains(&asked);
-        assert!(gains[1] > gains[0] && gains[2] > gains[0], "{gains:?}");
-        assert!(learnt.at(&asked[0]).probability() > 0.7);
-        assert!((learnt.at(&asked[2]).probability() - 0.5).abs() < 1e-9);
+        let known = asked.map(|sample| learnt.at(&sample));
+        let questions = learnt.questions(&known, &[1.0; 4], 4);
+        let order: Vec<usize> = questions.iter().map(|(at, _)| *at).collect();
+        // The third says almost what the second does: once one of them is answered, the fourth teaches more.
+        assert_eq!((order[0], order[1]), (2, 3), "{questions:?}");
+        assert!(questions.windows(2).all(|pair| pair[0].1 >= pair[1].1));
+        assert!(known[0].mean > 0.5 && known[3].mean.abs() < 1e-9);
+    }
+
+    #[test]
+    fn what_is_left_out_is_as_if_it_had_never_been_there() {
+        let (samples, answers) = examples(30);
+        let learnt = LinearProcess::learn(&samples, &answers).unwrap();
+        let left_out: Vec<&[f32]> = samples[4..7].iter().map(Vec::as_slice).collect();
+        let found = learnt.left_out(&left_out, &answers[4..7]);
+        let kept = |at: &usize| !(4..7).contains(at);
+        let others: Vec<usize> = (0..30).filter(kept).collect();
+        let rest = Dense {
+            samples: matrix(&samples).select_rows(&others),
+            answers: DVector::from_column_slice(&answers).select_rows(&others),
+            ..dense(&learnt, &samples, &answers)
+        };
+        for (sample, found) in left_out.into_iter().zip(found) {
+            assert!((rest.at(sample).0 - found).abs() < 1e-9);
+        }
     }
 
     #[test]
     fn what_cannot_be_learnt_from_is_told() {
         let learn = |samples: &[Vec<f32>], answers: &[f64]| {
-            LinearProcess::learn(samples.to_vec(), answers).unwrap_err()
+            LinearProcess::learn(samples, answers).unwrap_err()
         };
         assert_eq!(learn(&[], &[]), LearningError::NoExamples);
         let one = vec![1.0_f32];
-        assert_eq!(learn(&[one.clone()], &[]), LearningError::Misshapen);
+        assert_eq!(learn(std::slice::from_ref(&one), &[]), LearningError::Misshapen);
         assert_eq!(
             learn(&[one.clone(), vec![]], &[1.0, 1.0]),
             LearningError::Misshapen
         );
         assert_eq!(learn(&[vec![f32::NAN]], &[1.0]), LearningError::Misshapen);
         assert_eq!(learn(&[one], &[f64::NAN]), LearningError::Misshapen);
-        let nothing = LinearProcess::learn(vec![vec![0.0; 3]; 4], &[1.0; 4]).unwrap();
+        let nothing = LinearProcess::learn(&vec![vec![0.0; 3]; 4], &[1.0; 4]).unwrap();
         assert!(nothing.at(&[1.0, 1.0, 1.0]).mean.abs() < 1e-9);
     }
 }

@@ -1,0 +1,120 @@
+//! Boxes on the ground that look alike: parking spaces, crossings, arrows. A person draws a few, the rest is found.
+//!
+//! | module | what it knows |
+//! |---|---|
+//! | [`mosaic`] | an overhead image of any extent, by tiles |
+//! | [`overhead`] | the overhead image as gradients, brighter and darker floors alike |
+//! | [`description`] | what is in a box: histograms of gradients by cell |
+//! | [`scan`] | the places of an image where a description fits |
+//! | [`template`] | where exactly a box lies |
+//! | [`teaching`] | examples in, hypotheses with their probability and questions out |
+//! | [`calibration`] | what the score of a box is worth, from answers |
+//!
+//! Source: *Integrating metric and semantic maps for vision-only automated parking*, section V-A2: linear
+//! Gaussian-process classifier on histograms of gradients, non-maximum suppression, introspective questions.
+
+pub mod calibration;
+pub mod description;
+pub mod mosaic;
+pub mod overhead;
+pub mod scan;
+pub mod teaching;
+pub mod template;
+
+#[cfg(test)]
+mod tests;
+
+/// A box on the ground.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GroundBox {
+    /// Middle, in the map (m).
+    pub centre: [f64; 2],
+    /// Direction of its length from the map's x axis, anticlockwise (rad).
+    pub yaw: f64,
+    /// Side along `yaw` (m).
+    pub length_m: f64,
+    /// Side across it (m).
+    pub width_m: f64,
+}
+
+impl GroundBox {
+    /// The same box with its ends exchanged.
+    pub fn turned(&self) -> Self {
+        Self {
+            yaw: self.yaw + std::f64::consts::PI,
+            ..*self
+        }
+    }
+
+    /// A point of the box's frame (x along its length, y to its left; m), in the map.
+    pub fn point(&self, [along, left]: [f64; 2]) -> [f64; 2] {
+        let (sin, cos) = self.yaw.sin_cos();
+        [
+            self.centre[0] + cos * along - sin * left,
+            self.centre[1] + sin * along + cos * left,
+        ]
+    }
+
+    /// A point of the map in the box's frame.
+    pub fn inside(&self, point: [f64; 2]) -> [f64; 2] {
+        let (sin, cos) = self.yaw.sin_cos();
+        let [x, y] = [point[0] - self.centre[0], point[1] - self.centre[1]];
+        [cos * x + sin * y, cos * y - sin * x]
+    }
+
+    /// Corners, anticlockwise, from the right rear one.
+    pub fn corners(&self) -> [[f64; 2]; 4] {
+        let (half_length, half_width) = (0.5 * self.length_m, 0.5 * self.width_m);
+        [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
+            .map(|[x, y]| self.point([x * half_length, y * half_width]))
+    }
+
+    /// Area (m²).
+    pub fn area_m2(&self) -> f64 {
+        self.length_m * self.width_m
+    }
+
+    /// Intersection over union, 0 to 1.
+    pub fn overlap(&self, other: &Self) -> f64 {
+        let apart = (self.centre[0] - other.centre[0]).hypot(self.centre[1] - other.centre[1]);
+        let reach = |one: &Self| 0.5 * one.length_m.hypot(one.width_m);
+        if apart >= reach(self) + reach(other) {
+            return 0.0;
+        }
+        let mut polygon: Vec<[f64; 2]> =
+            other.corners().iter().map(|at| self.inside(*at)).collect();
+        for (axis, half) in [(0, 0.5 * self.length_m), (1, 0.5 * self.width_m)] {
+            for sign in [1.0, -1.0] {
+                polygon = clipped(&polygon, |point| half - sign * point[axis]);
+            }
+        }
+        let both = area_m2(&polygon);
+        both / (self.area_m2() + other.area_m2() - both).max(f64::MIN_POSITIVE)
+    }
+}
+
+/// The part of a convex polygon where `inside` is not negative (Sutherland & Hodgman 1974).
+fn clipped(polygon: &[[f64; 2]], inside: impl Fn(&[f64; 2]) -> f64) -> Vec<[f64; 2]> {
+    let mut kept = Vec::with_capacity(polygon.len() + 1);
+    for (at, to) in polygon.iter().enumerate() {
+        let from = &polygon[(at + polygon.len() - 1) % polygon.len()];
+        let (a, b) = (inside(from), inside(to));
+        if (a < 0.0) != (b < 0.0) {
+            let share = a / (a - b);
+            kept.push([0, 1].map(|axis| from[axis] + share * (to[axis] - from[axis])));
+        }
+        if b >= 0.0 {
+            kept.push(*to);
+        }
+    }
+    kept
+}
+
+fn area_m2(polygon: &[[f64; 2]]) -> f64 {
+    let next = polygon.iter().cycle().skip(1);
+    let twice = polygon
+        .iter()
+        .zip(next)
+        .map(|(a, b)| a[0] * b[1] - a[1] * b[0]);
+    0.5 * twice.sum::<f64>().abs()
+}

@@ -1,0 +1,109 @@
+//! An overhead image of any extent, by tiles, looked at in parts.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::overhead::{Gradients, LEVEL_M, Overhead};
+use crate::ground::tiles::TILE_CELLS;
+
+/// Tiles along a part's side: with cells of 0.05 m a part is 102 m wide, and what is seen beyond its borders to describe
+/// boxes on them is a third more.
+const PART_TILES: i64 = 8;
+
+/// A pixel: grey, and alpha, which is 0 where nothing was seen.
+pub type Pixel = [u8; 2];
+
+/// Tiles of one zoom level.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mosaic {
+    /// Side of a cell (m).
+    cell_m: f64,
+    /// By column (east) and row (north), as in [`crate::ground::tiles::TileKey`]: pixels, the northernmost row first.
+    tiles: BTreeMap<[i64; 2], Vec<Pixel>>,
+}
+
+/// A square of tiles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Part([i64; 2]);
+
+impl Mosaic {
+    /// Without tiles, of cells of this side (m).
+    pub fn new(cell_m: f64) -> Self {
+        Self {
+            cell_m,
+            tiles: BTreeMap::new(),
+        }
+    }
+
+    /// Adds a tile; false, and nothing is added, where there are more or fewer pixels than a tile has.
+    pub fn add(&mut self, tile: [i64; 2], pixels: Vec<Pixel>) -> bool {
+        let is_whole = pixels.len() == TILE_CELLS * TILE_CELLS;
+        if is_whole {
+            self.tiles.insert(tile, pixels);
+        }
+        is_whole
+    }
+
+    /// The parts that have tiles, in order.
+    pub fn parts(&self) -> BTreeSet<Part> {
+        let part = |tile: &[i64; 2]| Part(tile.map(|at| at.div_euclid(PART_TILES)));
+        self.tiles.keys().map(part).collect()
+    }
+
+    /// The part that a point of the map is in.
+    pub fn part(&self, point: [f64; 2]) -> Part {
+        let side_m = PART_TILES as f64 * self.tile_m();
+        Part(point.map(|at| (at / side_m).floor() as i64))
+    }
+
+    /// What was seen (m²).
+    pub fn covered_m2(&self) -> f64 {
+        let pixels = self.tiles.values().flatten();
+        pixels.filter(|[_, alpha]| *alpha > 0).count() as f64 * self.cell_m * self.cell_m
+    }
+
+    /// Gradients of a part, and beyond its borders as far as boxes that reach this far (m) from a point in it need them.
+    pub fn gradients(&self, part: Part, reach_m: f64) -> Gradients {
+        let beyond = ((reach_m + LEVEL_M) / self.tile_m()).ceil() as i64;
+        let first = part.0.map(|at| at * PART_TILES - beyond);
+        let last = part.0.map(|at| (at + 1) * PART_TILES + beyond);
+        let columns = self.tiles.range([first[0], i64::MIN]..[last[0], i64::MIN]);
+        let near = columns.filter(|([_, row], _)| (first[1]..last[1]).contains(row));
+        Gradients::new(&self.image(&near.collect::<Vec<_>>()))
+    }
+
+    fn tile_m(&self) -> f64 {
+        self.cell_m * TILE_CELLS as f64
+    }
+
+    /// The smallest image that has these tiles.
+    fn image(&self, tiles: &[(&[i64; 2], &Vec<Pixel>)]) -> Overhead {
+        let bound = |axis: usize| {
+            let at = tiles.iter().map(|(tile, _)| tile[axis]);
+            (at.clone().min().unwrap_or(0), at.max().unwrap_or(-1) + 1)
+        };
+        let ((west, east), (south, north)) = (bound(0), bound(1));
+        let columns = (east - west) as usize * TILE_CELLS;
+        let rows = (north - south) as usize * TILE_CELLS;
+        let mut image = Overhead {
+            columns,
+            rows,
+            cell_m: self.cell_m,
+            west_m: west as f64 * self.tile_m(),
+            north_m: north as f64 * self.tile_m(),
+            grey: vec![0; columns * rows],
+            covered: vec![false; columns * rows],
+        };
+        for ([x, y], pixels) in tiles {
+            let corner =
+                (north - 1 - y) as usize * TILE_CELLS * columns + (x - west) as usize * TILE_CELLS;
+            for (row, pixels) in pixels.chunks(TILE_CELLS).enumerate() {
+                let from = corner + row * columns;
+                for (at, [grey, alpha]) in pixels.iter().enumerate() {
+                    image.grey[from + at] = *grey;
+                    image.covered[from + at] = *alpha > 0;
+                }
+            }
+        }
+        image
+    }
+}

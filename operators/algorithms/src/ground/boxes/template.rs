@@ -1,0 +1,71 @@
+//! Where exactly a box lies: its gradients laid over those of the boxes that were drawn.
+//!
+//! A description knows of cells half a metre wide, so it finds a box to a decimetre or two. Here the mean of what the drawn
+//! boxes show, at four times the resolution, is moved over the image until it correlates best.
+
+use super::GroundBox;
+use super::description::{ACROSS, ALONG, reach_m};
+use super::overhead::Gradients;
+use super::scan::best_near;
+
+/// Samples along a box and across it: a decimetre for a parking space.
+const SIDES: [usize; 2] = [5 * ALONG, 5 * ACROSS];
+
+/// What boxes of a kind show, in the mean.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Template {
+    /// Gradients with their direction doubled, in the box's frame, along its length and then across.
+    values: Vec<[f32; 2]>,
+}
+
+/// The gradients in a box, of one strength all together; `None` where there are none. Those of the box turned round are
+/// the same in the opposite order.
+pub(super) fn laid_out(gradients: &Gradients, of: &GroundBox) -> Option<Vec<[f32; 2]>> {
+    let reach = reach_m(of);
+    let (sin, cos) = (2.0 * of.yaw).sin_cos();
+    let (sin, cos) = (sin as f32, cos as f32);
+    let at = |at: usize, axis: usize| ((at as f64 + 0.5) / SIDES[axis] as f64 - 0.5) * reach[axis];
+    let sample = |place: usize| {
+        let point = [at(place / SIDES[1], 0), at(place % SIDES[1], 1)];
+        let [x, y] = gradients.at(of.point(point)).unwrap_or_default();
+        [cos * x + sin * y, cos * y - sin * x]
+    };
+    let mut values: Vec<[f32; 2]> = (0..SIDES[0] * SIDES[1]).map(sample).collect();
+    let squares: f32 = values.iter().map(|[x, y]| x * x + y * y).sum();
+    let norm = squares.sqrt();
+    values
+        .iter_mut()
+        .for_each(|value| *value = value.map(|it| it / norm));
+    (norm > 0.0).then_some(values)
+}
+
+impl Template {
+    /// Of what the boxes that were drawn show ([`laid_out`]), each the way round that looks more like those before.
+    pub(super) fn learn(drawn: impl Iterator<Item = Vec<[f32; 2]>>) -> Self {
+        let mut sums = vec![[0.0; 2]; SIDES[0] * SIDES[1]];
+        for mut values in drawn {
+            let ahead = correlation(sums.iter(), &values);
+            if correlation(sums.iter().rev(), &values) > ahead {
+                values.reverse();
+            }
+            for (sum, value) in sums.iter_mut().zip(values) {
+                (0..2).for_each(|axis| sum[axis] += value[axis]);
+            }
+        }
+        Self { values: sums }
+    }
+
+    /// The box moved and turned to where it correlates best, within a few decimetres.
+    pub fn laid_on(&self, gradients: &Gradients, place: GroundBox) -> GroundBox {
+        let step_m = place.width_m / 24.0;
+        let found = best_near(place, step_m, 0.04, 3, |place| {
+            let values = laid_out(gradients, place)?;
+            Some(f64::from(correlation(values.iter(), &self.values)))
+        });
+        found.map_or(place, |found| found.place)
+    }
+}
+
+fn correlation<'a>(one: impl Iterator<Item = &'a [f32; 2]>, other: &[[f32; 2]]) -> f32 {
+    one.zip(other).map(|([x, y], [a, b])| x * a + y * b).sum()
+}

@@ -1,0 +1,435 @@
+//! Boxes by hand, spaces painted on made-up floors, and a floor that others made.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stderr
+)]
+
+use std::path::Path;
+
+use super::GroundBox;
+use super::mosaic::{Mosaic, Pixel};
+use super::teaching::{Example, Hypothesis, Said, Taught, TeachingParams};
+use crate::ground::tiles::TILE_CELLS;
+use crate::solving::random::SplitMix64;
+use crate::tests::shared_data;
+
+/// Side of a cell of all floors here (m).
+const CELL_M: f64 = 0.05;
+
+/// A picture of a floor whose south-western corner lies at the origin.
+struct Picture {
+    columns: usize,
+    rows: usize,
+    /// Row by row from the north.
+    pixels: Vec<Pixel>,
+}
+
+impl Picture {
+    /// An image file, grey with or without alpha.
+    fn read(path: &Path) -> Self {
+        let file = std::io::BufReader::new(std::fs::File::open(path).unwrap());
+        let mut decoder = png::Decoder::new(file);
+        decoder.set_transformations(png::Transformations::EXPAND | png::Transformations::STRIP_16);
+        let mut reader = decoder.read_info().unwrap();
+        let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+        let info = reader.next_frame(&mut bytes).unwrap();
+        let samples = info.color_type.samples();
+        let alpha = |pixel: &[u8]| match samples.is_multiple_of(2) {
+            true => pixel[samples - 1],
+            false => 255,
+        };
+        Self {
+            columns: info.width as usize,
+            rows: info.height as usize,
+            pixels: bytes
+                .chunks_exact(samples)
+                .map(|pixel| [pixel[0], alpha(pixel)])
+                .collect(),
+        }
+    }
+
+    /// As tiles; what is beyond its borders was not seen.
+    fn mosaic(&self) -> Mosaic {
+        let mut mosaic = Mosaic::new(CELL_M);
+        for y in 0..self.rows.div_ceil(TILE_CELLS) {
+            for x in 0..self.columns.div_ceil(TILE_CELLS) {
+                let pixel = |at: usize| {
+                    let column = x * TILE_CELLS + at % TILE_CELLS;
+                    let north = y * TILE_CELLS + TILE_CELLS - 1 - at / TILE_CELLS;
+                    if column < self.columns && north < self.rows {
+                        self.pixels[(self.rows - 1 - north) * self.columns + column]
+                    } else {
+                        [0, 0]
+                    }
+                };
+                let pixels = (0..TILE_CELLS * TILE_CELLS).map(pixel).collect();
+                assert!(mosaic.add([x as i64, y as i64], pixels));
+            }
+        }
+        mosaic
+    }
+}
+
+/// The boxes of `truth/bays.geojson`.
+fn bays(path: &Path) -> Vec<GroundBox> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let all: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let bays = all["features"].as_array().unwrap().iter();
+    bays.map(|bay| {
+        let number = |name: &str| bay["properties"][name].as_f64().unwrap();
+        GroundBox {
+            centre: [number("cx"), number("cy")],
+            yaw: number("entry_yaw"),
+            length_m: number("length"),
+            width_m: number("width"),
+        }
+    })
+    .collect()
+}
+
+/// A row of spaces side by side: from where, towards where (degrees), how the spaces lie to it (degrees), how many.
+fn row(
+    from: [f64; 2],
+    towards: f64,
+    lie: f64,
+    count: usize,
+    [length_m, width_m]: [f64; 2],
+) -> Vec<GroundBox> {
+    let (towards, lie) = (towards.to_radians(), lie.to_radians());
+    let pitch_m = width_m / lie.sin().abs();
+    let space = |at: usize| {
+        let along = (at as f64 + 0.5) * pitch_m;
+        GroundBox {
+            centre: [
+                from[0] + along * towards.cos(),
+                from[1] + along * towards.sin(),
+            ],
+            yaw: towards + lie,
+            length_m,
+            width_m,
+        }
+    };
+    (0..count).map(space).collect()
+}
+
+/// A floor with spaces: grain and stains, worn white lines along both sides and across the closed end of each space, cars
+/// on half of them smeared away from the lane as the projection does, arrows, and a crossing.
+fn painted(spaces: &[GroundBox], [columns, rows]: [usize; 2], seed: u64) -> Picture {
+    let mut random = SplitMix64(seed);
+    let mut unit = move || (random.next() >> 11) as f64 / (1_u64 << 53) as f64;
+    let stains: Vec<([f64; 2], f64, f64)> = (0..columns * rows / 8000)
+        .map(|_| {
+            let at = [
+                unit() * columns as f64 * CELL_M,
+                unit() * rows as f64 * CELL_M,
+            ];
+            (at, 0.3 + 3.0 * unit(), 30.0 * (unit() - 0.6))
+        })
+        .collect();
+    let mut grey = vec![0.0; columns * rows];
+    let point = |at: usize| {
+        [
+            (at % columns) as f64 + 0.5,
+            (rows - 1 - at / columns) as f64 + 0.5,
+        ]
+        .map(|cells| cells * CELL_M)
+    };
+    for (at, grey) in grey.iter_mut().enumerate() {
+        *grey = 90.0 + 24.0 * (unit() - 0.5);
+        if unit() < 0.01 {
+            *grey += 60.0;
+        }
+        let [x, y] = point(at);
+        *grey += 10.0 * (0.2 * x).sin() * (0.17 * y).cos();
+    }
+    let mut over = |middle: [f64; 2], reach_m: f64, paint: &mut dyn FnMut([f64; 2], f64) -> f64| {
+        let cells = |at: f64, count: usize| {
+            let range = [(at - reach_m) / CELL_M, (at + reach_m) / CELL_M];
+            let [first, last] = range.map(|at| at.clamp(0.0, count as f64) as usize);
+            first..last
+        };
+        for y in cells(middle[1], rows) {
+            for x in cells(middle[0], columns) {
+                let at = (rows - 1 - y) * columns + x;
+                grey[at] = paint(point(at), grey[at]);
+            }
+        }
+    };
+    for (middle, radius_m, change) in stains {
+        over(middle, radius_m, &mut |[x, y], grey| {
+            let far = (x - middle[0]).hypot(y - middle[1]) / radius_m;
+            grey + change * (1.0 - far).max(0.0)
+        });
+    }
+    for space in spaces {
+        let (long, wide) = (0.5 * space.length_m, 0.5 * space.width_m);
+        let wear = 0.4 + 0.6 * unit();
+        over(space.centre, long + wide, &mut |at, grey| {
+            let [ahead, left] = space.inside(at);
+            let side = (left.abs() - wide).abs() < 0.06 && ahead.abs() < long;
+            let end = (ahead - long).abs() < 0.06 && left.abs() < wide;
+            if side || end {
+                grey + wear * 90.0
+            } else {
+                grey
+            }
+        });
+        if unit() < 0.5 {
+            let dark = unit() < 0.5;
+            over(space.centre, long + 2.0 * wide, &mut |at, grey| {
+                let [ahead, left] = space.inside(at);
+                let is_car =
+                    left.abs() < 0.4 * wide * 2.0 && ahead > -0.8 * long && ahead < 1.3 * long;
+                match (is_car, dark) {
+                    (true, true) => 35.0 + 0.1 * grey + 10.0 * (3.0 * left).sin(),
+                    (true, false) => 150.0 + 0.2 * grey + 15.0 * (4.0 * left).sin(),
+                    _ => grey,
+                }
+            });
+        }
+    }
+    // A crossing and arrows, which are no spaces.
+    for stripe in 0..8 {
+        let middle = [2.0, 3.0 + f64::from(stripe)];
+        over(middle, 2.0, &mut |[x, y], grey| {
+            let is_on = (x - middle[0]).abs() < 1.5 && (y - middle[1]).abs() < 0.25;
+            if is_on { grey + 80.0 } else { grey }
+        });
+    }
+    Picture {
+        columns,
+        rows,
+        pixels: grey
+            .iter()
+            .map(|grey| [grey.clamp(0.0, 255.0) as u8, 255])
+            .collect(),
+    }
+}
+
+/// How a person picks what to answer.
+#[derive(Clone, Copy, PartialEq)]
+enum Picks {
+    /// The questions, in their order.
+    Questions,
+    /// Hypotheses at random.
+    Anything,
+}
+
+/// A person who knows the truth, and what came of asking.
+struct Oracle<'a> {
+    truth: &'a [GroundBox],
+    examples: Vec<Example>,
+    answers: usize,
+}
+
+impl Oracle<'_> {
+    /// Draws the box that is farthest from all that is known.
+    fn draw(&mut self) {
+        let away = |one: &&GroundBox| {
+            let known = self.examples.iter().filter(|example| example.is_one());
+            let away = known.map(|known| {
+                let [x, y] = [0, 1].map(|axis| known.place.centre[axis] - one.centre[axis]);
+                x.hypot(y)
+            });
+            away.fold(f64::INFINITY, f64::min)
+        };
+        let place = *self
+            .truth
+            .iter()
+            .max_by(|a, b| away(a).total_cmp(&away(b)))
+            .unwrap();
+        self.examples.push(Example {
+            place,
+            said: Said::Drawn,
+        });
+    }
+
+    /// Accepts what lies on a box, moves what lies beside one onto it, rejects the rest.
+    fn answer(&mut self, found: &[Hypothesis], picks: Picks, count: usize) {
+        let mut random = SplitMix64(self.answers as u64);
+        let mut picked: Vec<(u64, &Hypothesis)> = match picks {
+            Picks::Questions => found
+                .iter()
+                .filter_map(|one| Some((one.question?.number as u64, one)))
+                .collect(),
+            Picks::Anything => found.iter().map(|one| (random.next(), one)).collect(),
+        };
+        picked.sort_by_key(|(order, _)| *order);
+        for (_, one) in picked.into_iter().take(count) {
+            let overlap = |bay: &&GroundBox| bay.overlap(&one.place);
+            let nearest = self
+                .truth
+                .iter()
+                .max_by(|a, b| overlap(a).total_cmp(&overlap(b)));
+            let bay = nearest.unwrap();
+            let (place, said) = match bay.overlap(&one.place) {
+                0.8.. => (one.place, Said::Accepted),
+                0.5.. => (*bay, Said::Drawn),
+                _ => (one.place, Said::Rejected),
+            };
+            self.examples.push(Example { place, said });
+            self.answers += 1;
+        }
+    }
+}
+
+/// What is held for one of the kind, by a person or by what was learnt, against the truth.
+struct Judged {
+    precision: f64,
+    recall: f64,
+    /// Median distance of what was learnt (m).
+    median_m: f64,
+}
+
+fn judged(found: &[Hypothesis], truth: &[GroundBox], examples: &[Example]) -> Judged {
+    let known = examples
+        .iter()
+        .filter(|one| one.is_one())
+        .map(|one| one.place);
+    let likely = found
+        .iter()
+        .filter(|one| one.probability > 0.5)
+        .map(|one| one.place);
+    let held: Vec<GroundBox> = known.chain(likely.clone()).collect();
+    let is_right = |one: &&GroundBox| truth.iter().any(|bay| bay.overlap(one) >= 0.7);
+    let is_found = |bay: &&GroundBox| held.iter().any(|one| bay.overlap(one) >= 0.7);
+    let off_m = likely.filter_map(|one| {
+        let bay = truth.iter().find(|bay| bay.overlap(&one) >= 0.7)?;
+        let [x, y] = [0, 1].map(|axis| one.centre[axis] - bay.centre[axis]);
+        Some(x.hypot(y))
+    });
+    let mut off_m: Vec<f64> = off_m.collect();
+    off_m.sort_by(f64::total_cmp);
+    Judged {
+        precision: held.iter().filter(is_right).count() as f64 / held.len().max(1) as f64,
+        recall: truth.iter().filter(is_found).count() as f64 / truth.len() as f64,
+        median_m: off_m.get(off_m.len() / 2).copied().unwrap_or(0.0),
+    }
+}
+
+/// Eight boxes are drawn in all, two at a time, and twenty questions answered each time: what is held after each round.
+fn rounds(name: &str, picture: &Picture, truth: &[GroundBox], picks: Picks) -> Vec<Judged> {
+    let mosaic = picture.mosaic();
+    let mut oracle = Oracle {
+        truth,
+        examples: Vec::new(),
+        answers: 0,
+    };
+    let mut round = |round: usize| {
+        if round < 4 {
+            oracle.draw();
+            oracle.draw();
+        }
+        let begun = std::time::Instant::now();
+        let params = TeachingParams::default();
+        let taught = Taught::learn(&mosaic, &oracle.examples, &params);
+        let found = taught.unwrap().unwrap().find(&mosaic, &oracle.examples);
+        let took = begun.elapsed();
+        let judged = judged(&found, truth, &oracle.examples);
+        eprintln!(
+            "{name}, round {round}, {} answers: precision {:.3}, recall {:.3}, median {:.3} m; {took:?}",
+            oracle.answers, judged.precision, judged.recall, judged.median_m
+        );
+        if round < 4 {
+            oracle.answer(&found, picks, 20);
+        }
+        judged
+    };
+    (0..5).map(&mut round).collect()
+}
+
+/// Sides of a space (m).
+const SPACE_M: [f64; 2] = [5.0, 2.4];
+
+/// Rows at an angle to the lane, and one across it.
+fn angled() -> (Picture, Vec<GroundBox>) {
+    let rows = [
+        row([8.0, 22.0], 0.0, 60.0, 20, SPACE_M),
+        row([8.0, 6.0], 0.0, -60.0, 20, SPACE_M),
+        row([70.0, 5.0], 80.0, -90.0, 10, SPACE_M),
+    ];
+    let spaces = rows.concat();
+    (painted(&spaces, [1800, 700], 2), spaces)
+}
+
+/// Spaces along a kerb, and others across the lane from it.
+fn kerb() -> (Picture, Vec<GroundBox>) {
+    let along = (0..12).map(|at| GroundBox {
+        centre: [8.0 + 6.0 * f64::from(at), 4.0],
+        yaw: 0.0,
+        length_m: 6.0,
+        width_m: 2.2,
+    });
+    let across = row([8.0, 16.0], 0.0, 90.0, 20, SPACE_M);
+    let spaces: Vec<GroundBox> = along.chain(across).collect();
+    (painted(&spaces, [1700, 500], 4), spaces)
+}
+
+#[test]
+fn spaces_of_made_up_floors_are_found() {
+    let floors = [("angled", angled(), 0.97), ("kerb", kerb(), 0.95)];
+    for (name, (picture, truth), least) in floors {
+        let rounds = rounds(name, &picture, &truth, Picks::Questions);
+        let last = rounds.last().unwrap();
+        assert!(last.precision >= least && last.recall >= 0.95);
+        assert!(last.median_m < 0.1);
+    }
+}
+
+#[test]
+fn spaces_of_a_strangers_floor_are_found() {
+    let world = shared_data::find("worlds/carpark_small/truth").unwrap();
+    let truth = bays(&world.join("bays.geojson"));
+    let picture = Picture::read(&world.join("overhead_20ppm.png"));
+    let rounds = rounds("carpark_small", &picture, &truth, Picks::Questions);
+    let last = rounds.last().unwrap();
+    assert!(last.precision >= 0.97 && last.recall >= 0.95 && last.median_m < 0.1);
+}
+
+#[test]
+fn questions_teach_more_than_answers_at_random() {
+    let (picture, truth) = angled();
+    let wrong = |picks| -> f64 {
+        let rounds = rounds("angled", &picture, &truth, picks);
+        let wrong = |one: &Judged| (1.0 - one.precision) + (1.0 - one.recall);
+        rounds[2..].iter().map(wrong).sum()
+    };
+    let (asked, random) = (wrong(Picks::Questions), wrong(Picks::Anything));
+    assert!(asked < random, "{asked} {random}");
+}
+
+#[test]
+fn nothing_is_learnt_where_nothing_was_seen() {
+    let params = TeachingParams::default();
+    let mosaic = Mosaic::new(CELL_M);
+    let place = GroundBox {
+        centre: [1e9, -1e9],
+        yaw: 0.0,
+        length_m: 5.0,
+        width_m: 2.4,
+    };
+    let said = [Said::Drawn, Said::Rejected].map(|said| Example { place, said });
+    assert_eq!(Taught::learn(&mosaic, &said, &params), Ok(None));
+    assert_eq!(Taught::learn(&mosaic, &[], &params), Ok(None));
+}
+
+#[test]
+fn boxes_overlap_as_squares_of_a_grid_do() {
+    let square = |x: f64, yaw: f64| GroundBox {
+        centre: [x, 0.0],
+        yaw,
+        length_m: 2.0,
+        width_m: 2.0,
+    };
+    let one = square(0.0, 0.3);
+    assert!((one.overlap(&one.turned()) - 1.0).abs() < 1e-12);
+    assert!((square(0.0, 0.0).overlap(&square(1.0, 0.0)) - 1.0 / 3.0).abs() < 1e-12);
+    assert_eq!(square(0.0, 0.0).overlap(&square(2.0, 0.0)), 0.0);
+    // A square and the same turned by an eighth share a regular octagon.
+    let octagon = 8.0 * (2.0_f64.sqrt() - 1.0);
+    let expected = octagon / (8.0 - octagon);
+    let turned = square(0.0, std::f64::consts::FRAC_PI_4);
+    assert!((square(0.0, 0.0).overlap(&turned) - expected).abs() < 1e-12);
+}
