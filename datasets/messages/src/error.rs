@@ -62,7 +62,7 @@ pub enum SchemaError {
 impl SchemaError {
     pub(crate) fn refused(schema: &str, reason: String) -> Self {
         SchemaError::Refused {
-            schema: schema.to_owned(),
+            schema: schema.chars().take(200).collect(),
             reason,
         }
     }
@@ -96,11 +96,19 @@ pub enum DecodeError {
         /// The representation identifier found.
         identifier: u16,
     },
-    /// The batch cannot grow: 32-bit offsets are used up, or one message expands out of proportion.
+    /// The batch cannot grow: 32-bit offsets are used up.
     #[error(
         "batch is full: one column would exceed {limit} bytes or elements; finish the batch before this message"
     )]
     Full {
+        /// The bound that was met.
+        limit: usize,
+    },
+    /// The message stands for far more than it holds: absent fields, elements without bytes.
+    #[error(
+        "expected a payload that yields at most {limit} bytes or elements for its size, found one that yields more"
+    )]
+    Unfolds {
         /// The bound that was met.
         limit: usize,
     },

@@ -36,6 +36,7 @@
 //! itself.
 
 pub mod annotation;
+mod budget;
 mod buffers;
 mod cdr;
 mod decoder;

@@ -1,8 +1,9 @@
 //! From declarations that name each other to one finite message type.
 
+use crate::budget::SchemaBudget;
 use crate::wire::{Extensibility, Scalar, StructType, Wire};
-use crate::{MAX_COLUMNS, MAX_DEPTH, SchemaError};
-use std::collections::HashMap;
+use crate::{MAX_DEPTH, SchemaError};
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 /// Bytes of one fixed-size member.
@@ -13,7 +14,7 @@ const MAX_FIXED_BYTES: u64 = i32::MAX as u64;
 pub(crate) enum Declared {
     Wire(Wire),
     /// Full names to try, best first.
-    Named(Vec<String>),
+    Named(Arc<[String]>),
     Sequence(Box<Declared>),
     Array(Box<Declared>, u64),
 }
@@ -70,6 +71,9 @@ impl Declaration {
 /// All declarations of a schema.
 pub(crate) struct Library {
     schema: String,
+    pub(crate) budget: SchemaBudget,
+    /// Members of all structs.
+    members: usize,
     structs: HashMap<String, Declaration>,
     aliases: HashMap<String, Declared>,
     done: HashMap<String, Arc<StructType>>,
@@ -77,14 +81,23 @@ pub(crate) struct Library {
 }
 
 impl Library {
-    pub(crate) fn new(schema: &str) -> Self {
-        Library {
+    /// An empty library for the definition `text`.
+    pub(crate) fn new(schema: &str, text: &[u8]) -> Result<Self, SchemaError> {
+        Ok(Library {
             schema: schema.to_owned(),
+            budget: SchemaBudget::of_text(schema, text)?,
+            members: 0,
             structs: HashMap::new(),
             aliases: HashMap::new(),
             done: HashMap::new(),
             open: Vec::new(),
-        }
+        })
+    }
+
+    /// Counts a member, before it is kept.
+    pub(crate) fn count_member(&mut self) -> Result<(), SchemaError> {
+        self.members += 1;
+        self.budget.check_columns(self.members)
     }
 
     /// Adds a struct; the first of a name stays, as recorders repeat definitions.
@@ -111,14 +124,7 @@ impl Library {
         if !self.structs.contains_key(root) {
             return Err(self.unknown(root));
         }
-        let message = self.structure(root)?;
-        if message.columns > MAX_COLUMNS {
-            return Err(self.refused(format!(
-                "expected at most {MAX_COLUMNS} columns, found {}",
-                message.columns
-            )));
-        }
-        Ok(message)
+        self.structure(root)
     }
 
     fn structure(&mut self, name: &str) -> Result<Arc<StructType>, SchemaError> {
@@ -130,8 +136,9 @@ impl Library {
             return Err(self.unknown(name));
         };
         let mut members: Vec<(String, Wire)> = Vec::with_capacity(declaration.members.len());
+        let mut names = HashSet::with_capacity(declaration.members.len());
         for member in &declaration.members {
-            if members.iter().any(|(known, _)| *known == member.name) {
+            if !names.insert(member.name.as_str()) {
                 return Err(self.refused(format!(
                     "expected distinct member names, found '{}' twice in '{name}'",
                     member.name
@@ -141,6 +148,7 @@ impl Library {
         }
         self.open.pop();
         let built = StructType::new(members, declaration.extensibility);
+        self.budget.check_columns(built.columns)?;
         if built.depth > MAX_DEPTH {
             return Err(self.too_deep());
         }
@@ -178,6 +186,7 @@ impl Library {
 
     fn named(&mut self, names: &[String]) -> Result<Wire, SchemaError> {
         for name in names {
+            self.budget.spend(name.len())?;
             if let Some(alias) = self.aliases.get(name).cloned() {
                 self.enter(name)?;
                 let wire = self.wire(&alias)?;
@@ -219,20 +228,5 @@ impl Library {
 
     fn refused(&self, reason: String) -> SchemaError {
         SchemaError::refused(&self.schema, reason)
-    }
-}
-
-impl Wire {
-    /// Bytes this type occupies in Arrow per value, not counting what sequences hold.
-    fn fixed_bytes(&self) -> u64 {
-        match self {
-            Wire::Scalar(scalar) => scalar.width() as u64,
-            Wire::Enumeration | Wire::Text | Wire::WideText | Wire::Sequence(_) => 4,
-            Wire::Array(item, size) => item.fixed_bytes().saturating_mul(*size as u64),
-            Wire::Struct(body) => body
-                .members
-                .iter()
-                .fold(1, |sum, (_, w)| sum.saturating_add(w.fixed_bytes())),
-        }
     }
 }

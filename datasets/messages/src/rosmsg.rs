@@ -58,7 +58,7 @@ pub(crate) fn parse(
     text: &str,
 ) -> Result<Arc<StructType>, SchemaError> {
     let root = short_name(schema_name);
-    let mut library = Library::new(schema_name);
+    let mut library = Library::new(schema_name, text.as_bytes())?;
     let mut current = Declaration::new(&root, Extensibility::Unstated);
     let mut at_header = false;
     for (index, line) in text.lines().enumerate() {
@@ -84,6 +84,9 @@ pub(crate) fn parse(
         } else if at_header && !line.is_empty() {
             return Err(place.fault("'MSG: package/Type' after the separator", line));
         } else if let Some(member) = member(line, &current.name, place)? {
+            library.count_member()?;
+            // Its type's name was looked for in this scope.
+            library.budget.spend(line.len() + current.name.len())?;
             current.members.push(member);
         }
     }
@@ -125,7 +128,7 @@ fn begin_response(mut request: Declaration, library: &mut Library) -> Option<Dec
 }
 
 fn named(name: &str) -> Declared {
-    Declared::Named(vec![name.to_owned()])
+    Declared::Named([name.to_owned()].into())
 }
 
 fn is_separator(line: &str) -> bool {
@@ -186,7 +189,9 @@ fn base_type(base: &str, scope: &str, place: Place) -> Result<Declared, SchemaEr
     if name.is_empty() || name != base || !name.chars().all(legal) {
         return Err(place.fault("a type name", base));
     }
-    Ok(Declared::Named(candidates(name, scope, place.generation)))
+    Ok(Declared::Named(
+        candidates(name, scope, place.generation).into(),
+    ))
 }
 
 /// Where a type name may be defined, best first.

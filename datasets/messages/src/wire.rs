@@ -52,6 +52,8 @@ pub(crate) struct StructType {
     pub(crate) columns: usize,
     /// Levels of nesting below, itself included.
     pub(crate) depth: usize,
+    /// Bytes in Arrow of one value, not counting what sequences hold.
+    pub(crate) fixed_bytes: u64,
 }
 
 /// ROS 2 gives an empty message this one member, as IDL knows no empty struct.
@@ -131,6 +133,16 @@ impl Wire {
         }
     }
 
+    /// Bytes in Arrow of one value, not counting what sequences hold.
+    pub(crate) fn fixed_bytes(&self) -> u64 {
+        match self {
+            Wire::Scalar(scalar) => scalar.width() as u64,
+            Wire::Enumeration | Wire::Text | Wire::WideText | Wire::Sequence(_) => 4,
+            Wire::Array(item, size) => item.fixed_bytes().saturating_mul(*size as u64),
+            Wire::Struct(body) => body.fixed_bytes,
+        }
+    }
+
     pub(crate) fn data_type(&self) -> DataType {
         match self {
             Wire::Scalar(scalar) => scalar.data_type(),
@@ -157,11 +169,13 @@ impl StructType {
         let wires = || members.iter().map(|(_, wire)| wire);
         let columns = wires().fold(1, |sum: usize, w| sum.saturating_add(w.columns()));
         let depth = 1 + wires().map(Wire::depth).max().unwrap_or(0);
+        let fixed_bytes = wires().fold(1, |sum: u64, w| sum.saturating_add(w.fixed_bytes()));
         StructType {
             members,
             extensibility,
             columns,
             depth,
+            fixed_bytes,
         }
     }
 

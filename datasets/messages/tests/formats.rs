@@ -215,3 +215,222 @@ fn json_follows_its_schema() {
         "[1, 2]"
     );
 }
+
+/// Protobuf on the wire: a varint, a field of bytes, a field of a number.
+fn varint(mut value: u64) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    while value >= 128 {
+        bytes.push(value as u8 | 128);
+        value >>= 7;
+    }
+    bytes.push(value as u8);
+    bytes
+}
+fn lengthed(number: u64, body: &[u8]) -> Vec<u8> {
+    [
+        varint(number << 3 | 2),
+        varint(body.len() as u64),
+        body.to_vec(),
+    ]
+    .concat()
+}
+fn numbered(number: u64, value: u64) -> Vec<u8> {
+    [varint(number << 3), varint(value)].concat()
+}
+/// A field's descriptor; `rest` are further fields of it.
+fn field(name: &str, number: u64, kind: u64, rest: &[Vec<u8>]) -> Vec<u8> {
+    let parts = [
+        lengthed(1, name.as_bytes()),
+        numbered(3, number),
+        numbered(5, kind),
+        rest.concat(),
+    ];
+    lengthed(2, &parts.concat())
+}
+fn message(name: &str, parts: &[Vec<u8>]) -> Vec<u8> {
+    lengthed(4, &[lengthed(1, name.as_bytes()), parts.concat()].concat())
+}
+fn file(parts: &[Vec<u8>]) -> Vec<u8> {
+    lengthed(1, &[lengthed(1, b"a.proto"), parts.concat()].concat())
+}
+
+#[test]
+fn an_edition_of_protobuf_decodes_as_its_features_say() {
+    // FieldOptions.features (21): presence IMPLICIT (1: 2), message encoding DELIMITED (5: 2).
+    let implicit = lengthed(8, &lengthed(21, &numbered(1, 2)));
+    let delimited = lengthed(8, &lengthed(21, &numbered(5, 2)));
+    let set = file(&[
+        lengthed(2, b"p"),
+        message("Inner", &[field("n", 1, 5, &[])]),
+        message(
+            "M",
+            &[
+                field("explicit", 1, 5, &[]),
+                field("implicit", 2, 5, &[implicit]),
+                field("group", 3, 11, &[delimited, lengthed(6, b".p.Inner")]),
+                field("relative", 4, 11, &[lengthed(6, b"Inner")]),
+            ],
+        ),
+        lengthed(12, b"editions"),
+        numbered(14, 1000),
+    ]);
+    let message = MessageType::parse("protobuf", "protobuf", "p.M", &set).unwrap();
+    let nullable: Vec<bool> = message.fields().iter().map(|f| f.is_nullable()).collect();
+    assert_eq!(nullable, [true, false, true, true]);
+    // The group lies between tags 3 and 4, the relative message behind a length.
+    let columns = decode(&message, &[0x1B, 0x08, 7, 0x1C, 0x22, 2, 0x08, 9]);
+    assert!(columns[0].is_null(0));
+    assert_eq!(columns[1].as_primitive::<Int32Type>().value(0), 0);
+    let n = |column: usize| columns[column].as_struct().column(0).clone();
+    assert_eq!(n(2).as_primitive::<Int32Type>().value(0), 7);
+    assert_eq!(n(3).as_primitive::<Int32Type>().value(0), 9);
+}
+
+#[test]
+fn hostile_descriptors_are_read_or_refused() {
+    let parse = |set: &[u8], name| MessageType::parse("protobuf", "protobuf", name, set);
+    let plain = message("M", &[field("x", 1, 5, &[])]);
+    // A public import of itself, and options that are redefined, are nothing to decoding.
+    let own = file(&[lengthed(3, b"a.proto"), numbered(10, 0), plain.clone()]);
+    assert_eq!(parse(&own, "M").unwrap().fields().len(), 1);
+    let redefined = file(&[
+        lengthed(2, b"google.protobuf"),
+        message("MessageOptions", &[field("map_entry", 7, 9, &[])]),
+        message(
+            "M",
+            &[field("x", 1, 5, &[]), lengthed(7, &lengthed(7, b"x"))],
+        ),
+    ]);
+    assert_eq!(
+        parse(&redefined, "google.protobuf.M")
+            .unwrap()
+            .fields()
+            .len(),
+        1
+    );
+    let nested = (0..100).fold(plain, |inner, _| {
+        let mut inner = inner;
+        inner[0] = 3 << 3 | 2;
+        message("N", &[inner])
+    });
+    parse(&file(&[nested]), "M").unwrap_err();
+    // Messages that hold each other twice: 2^30 columns.
+    let doubling: Vec<Vec<u8>> = (0..30)
+        .map(|n| {
+            let next = [lengthed(6, format!(".T{}", n + 1).as_bytes())];
+            let fields = [field("a", 1, 11, &next), field("b", 2, 11, &next)];
+            message(&format!("T{n}"), &fields)
+        })
+        .collect();
+    let last = message("T30", &[field("x", 1, 5, &[])]);
+    let refused = parse(&file(&[doubling.concat(), last]), "T0").unwrap_err();
+    assert!(refused.to_string().contains("columns"), "{refused}");
+    for cut in 0..own.len() {
+        let _ = parse(&own[..cut], "M");
+    }
+}
+
+/// Members, lines and scopes by the ten thousand: each is refused, or read in time that follows its length.
+#[test]
+fn definitions_out_of_proportion_are_refused() {
+    let ros = |text: &str| MessageType::parse("cdr", "ros2msg", "a/msg/X", text.as_bytes());
+    let members = |n: usize| (0..n).map(|n| format!("int8 a{n}\n")).collect::<String>();
+    assert_eq!(ros(&members(20_000 - 1)).unwrap().fields().len(), 19_999);
+    ros(&members(30_000)).unwrap_err();
+    ros(&"# nothing\n".repeat(200_000)).unwrap_err();
+    let doubling: String = (0..50)
+        .map(|n| format!("================\nMSG: a/T{n}\nT{0}[2] x\nT{0} y\n", n + 1))
+        .collect();
+    ros(&format!(
+        "T0[2] t\n{doubling}================\nMSG: a/T50\nint8 z\n"
+    ))
+    .unwrap_err();
+    // A name is looked for in every scope: 40 of 1,000 letters, 10,000 times.
+    let scopes: Vec<String> = (0..40)
+        .map(|n| format!("m{n}{}", "x".repeat(1_000)))
+        .collect();
+    let idl = [
+        scopes.iter().map(|s| format!("module {s} {{\n")).collect(),
+        "struct S {\n".to_owned(),
+        (0..10_000).map(|n| format!("T a{n};\n")).collect(),
+        "};\n".to_owned(),
+        "};\n".repeat(40),
+    ]
+    .concat();
+    let refused = MessageType::parse("cdr", "ros2idl", "a/msg/S", idl.as_bytes()).unwrap_err();
+    assert!(refused.to_string().contains("steps"), "{refused}");
+}
+
+/// Few bytes that stand for many columns' worth of nothing.
+#[test]
+fn messages_that_unfold_out_of_proportion_are_refused_and_others_are_not() {
+    let unfolds = |message: &MessageType, payload: &[u8]| {
+        let mut decoder = message.decoder(None);
+        let refused = decoder.push(payload).unwrap_err();
+        assert!(matches!(refused, DecodeError::Unfolds { .. }), "{refused}");
+        assert!(decoder.is_empty());
+    };
+    // ROS 1: arrays of arrays of messages without members.
+    let text = "Z[] z\n================\nMSG: my/Z\nA[16000] a\n================\nMSG: my/A\n\
+        B[65536] b\n================\nMSG: my/B\nEmpty[1] e\n================\nMSG: my/Empty\n";
+    let ros1 = MessageType::parse("ros1", "ros1msg", "my/R", text.as_bytes()).unwrap();
+    unfolds(&ros1, &65_536_u32.to_le_bytes());
+    // Protobuf: two bytes for sixty absent numbers.
+    let numbers: Vec<Vec<u8>> = (1..=60)
+        .map(|n| field(&format!("f{n}"), n, 3, &[]))
+        .collect();
+    let repeated = [numbered(4, 3), lengthed(6, b".I")];
+    let set = file(&[
+        message("I", &numbers),
+        message("M", &[field("a", 1, 11, &repeated)]),
+    ]);
+    let protobuf = MessageType::parse("protobuf", "protobuf", "M", &set).unwrap();
+    unfolds(&protobuf, &[0x0A, 0].repeat(100_000));
+    assert_eq!(decode(&protobuf, &[0x0A, 0].repeat(10_000))[0].len(), 1);
+    // JSON: three bytes for two hundred absent properties.
+    let properties: Vec<String> = (0..200)
+        .map(|n| format!("\"p{n}\":{{\"type\":\"integer\"}}"))
+        .collect();
+    let schema = format!(
+        "{{\"properties\":{{\"a\":{{\"type\":\"array\",\"items\":{{\"properties\":{{{}}}}}}}}}}}",
+        properties.join(",")
+    );
+    let json = MessageType::parse("json", "jsonschema", "T", schema.as_bytes()).unwrap();
+    unfolds(
+        &json,
+        format!("{{\"a\":[{}{{}}]}}", "{},".repeat(100_000)).as_bytes(),
+    );
+    assert_eq!(
+        decode(&json, br#"{"a":[{},{}]}"#)[0]
+            .as_list::<i32>()
+            .value_length(0),
+        2
+    );
+}
+
+#[test]
+fn the_last_of_equal_json_names_counts() {
+    let schema = br#"{"properties":{"n":{"type":"integer"},"l":{"type":"array","items":
+        {"properties":{"x":{"type":"string"},"m":{"properties":{"k":{"type":"number"}}}}}}}}"#;
+    let message = MessageType::parse("json", "jsonschema", "T", schema).unwrap();
+    let payload = br#"{"n":1,"l":[{"x":"a"}],"other":{"n":[7]},"n":2,
+        "l":[{"x":"b","m":{"k":1},"m":null},{"m":{},"m":{"k":3}}]}"#;
+    let columns = decode(&message, payload);
+    assert_eq!(columns[0].as_primitive::<Int64Type>().value(0), 2);
+    let list = columns[1].as_list::<i32>().value(0);
+    let items = list.as_struct();
+    assert_eq!(items.len(), 2);
+    assert_eq!(
+        items
+            .column(0)
+            .as_string::<i32>()
+            .iter()
+            .collect::<Vec<_>>(),
+        [Some("b"), None]
+    );
+    let inner = items.column(1);
+    assert!(inner.is_null(0) && inner.is_valid(1));
+    let k = inner.as_struct().column(0).as_primitive::<Float64Type>();
+    assert_eq!(k.value(1), 3.0);
+    columns[1].to_data().validate_full().unwrap();
+}

@@ -6,14 +6,17 @@ use crate::buffers::{Pool, Target, offset};
 use std::borrow::Cow;
 use std::ops::Range;
 
-/// Elements that take no bytes (empty ROS 1 messages) are believed up to this many.
-const MAX_SIZELESS: u64 = 65_536;
+/// Elements that take no bytes (empty ROS 1 messages) are believed up to this many in a payload, and as many more as it
+/// has bytes.
+const SIZELESS: u64 = 65_536;
 
 /// Reads `steps` from `data`. `SWAP`: the payload's byte order is not this machine's.
 pub(crate) struct Runner<'a, const SWAP: bool> {
     data: &'a [u8],
     position: usize,
     dialect: Dialect,
+    /// Elements that take no bytes and are still believed.
+    sizeless: u64,
     found: Option<Range<usize>>,
 }
 
@@ -24,6 +27,7 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
             data,
             position: 0,
             dialect,
+            sizeless: SIZELESS + data.len() as u64,
             found: None,
         }
     }
@@ -58,7 +62,7 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
                         pool.0[offsets].push(end);
                     }
                     let inner = &steps[next..next + body];
-                    self.repeat(inner, count, *min_size, pool)?;
+                    self.repeat(inner, count, pool)?;
                     next += body;
                 }
                 Step::Repeat {
@@ -67,7 +71,8 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
                     count,
                 } => {
                     let inner = &steps[next..next + body];
-                    self.repeat(inner, *count as u64, *min_size, pool)?;
+                    self.check_count(*count as u64, *min_size)?;
+                    self.repeat(inner, *count as u64, pool)?;
                     next += body;
                 }
                 Step::Delimited { body } => {
@@ -88,14 +93,7 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
         Ok(())
     }
 
-    fn repeat(
-        &mut self,
-        body: &[Step],
-        count: u64,
-        min_size: u64,
-        pool: &mut Pool,
-    ) -> Result<(), DecodeError> {
-        self.check_count(count, min_size)?;
+    fn repeat(&mut self, body: &[Step], count: u64, pool: &mut Pool) -> Result<(), DecodeError> {
         if body.is_empty() {
             return Ok(());
         }
@@ -133,11 +131,17 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
     }
 
     /// Refuses counts that the rest of the payload cannot hold, before anything is appended.
-    fn check_count(&self, count: u64, min_size: u64) -> Result<(), DecodeError> {
+    fn check_count(&mut self, count: u64, min_size: u64) -> Result<(), DecodeError> {
         let available = self.data.len().saturating_sub(self.position);
         let needed = count.saturating_mul(min_size);
-        if needed > available as u64 || (min_size == 0 && count > MAX_SIZELESS) {
-            return Err(self.truncated(needed.max(count)));
+        if needed > available as u64 {
+            return Err(self.truncated(needed));
+        }
+        if min_size == 0 {
+            let left = self.sizeless.checked_sub(count);
+            self.sizeless = left.ok_or(DecodeError::Unfolds {
+                limit: self.data.len() + SIZELESS as usize,
+            })?;
         }
         Ok(())
     }

@@ -20,11 +20,11 @@ const MAX_NESTING: usize = 64;
 pub(crate) fn parse(schema_name: &str, text: &str) -> Result<Arc<StructType>, SchemaError> {
     let mut parser = Parser {
         schema: schema_name,
+        library: Library::new(schema_name, text.as_bytes())?,
         tokens: tokens(text),
         next: 0,
         scope: Vec::new(),
         constants: HashMap::new(),
-        library: Library::new(schema_name),
     };
     while parser.peek().is_some() {
         parser.definition()?;
@@ -59,15 +59,15 @@ struct Annotations {
 
 struct Parser<'a> {
     schema: &'a str,
-    tokens: Vec<(Token, usize)>,
+    tokens: Vec<(Token<'a>, u32)>,
     next: usize,
     scope: Vec<String>,
     constants: HashMap<String, u64>,
     library: Library,
 }
 
-impl Parser<'_> {
-    fn peek(&self) -> Option<&Token> {
+impl<'a> Parser<'a> {
+    fn peek(&self) -> Option<&Token<'a>> {
         self.tokens.get(self.next).map(|(token, _)| token)
     }
 
@@ -77,7 +77,7 @@ impl Parser<'_> {
         SchemaError::Syntax {
             language: "ros2idl",
             schema: self.schema.to_owned(),
-            line: here.map_or(last, |(_, line)| *line),
+            line: here.map_or(last, |(_, line)| *line) as usize,
             expected: expected.to_owned(),
             found: here.map_or("the end of the text".to_owned(), |(t, _)| t.shown()),
         }
@@ -108,7 +108,7 @@ impl Parser<'_> {
     fn name(&mut self, what: &str) -> Result<String, SchemaError> {
         match self.peek() {
             Some(Token::Name(name)) => {
-                let name = name.clone();
+                let name = (*name).to_owned();
                 self.next += 1;
                 Ok(name)
             }
@@ -116,26 +116,35 @@ impl Parser<'_> {
         }
     }
 
-    fn full_name(&self, name: &str) -> String {
+    /// Letters of the names of all open modules.
+    fn scope_length(&self) -> usize {
+        self.scope.iter().map(|part| part.len() + 1).sum()
+    }
+
+    fn full_name(&mut self, name: &str) -> Result<String, SchemaError> {
+        self.library
+            .budget
+            .spend(self.scope_length() + name.len())?;
         let mut parts = self.scope.clone();
         parts.push(name.to_owned());
-        parts.join("/")
+        Ok(parts.join("/"))
     }
 
     /// Full names that `name` may mean here, innermost scope first.
-    fn candidates(&self, name: &str) -> Vec<String> {
+    fn candidates(&mut self, name: &str) -> Result<Vec<String>, SchemaError> {
         let path = name.replace("::", "/");
         if let Some(absolute) = path.strip_prefix('/') {
-            return vec![absolute.to_owned()];
+            return Ok(vec![absolute.to_owned()]);
         }
-        (0..=self.scope.len())
-            .rev()
-            .map(|depth| {
-                let mut parts = self.scope[..depth].to_vec();
-                parts.push(path.clone());
-                parts.join("/")
-            })
-            .collect()
+        let depths = self.scope.len() + 1;
+        let letters = depths.saturating_mul(self.scope_length() + path.len());
+        self.library.budget.spend(letters)?;
+        let names = (0..depths).rev().map(|depth| {
+            let mut parts = self.scope[..depth].to_vec();
+            parts.push(path.clone());
+            parts.join("/")
+        });
+        Ok(names.collect())
     }
 
     fn definition(&mut self) -> Result<(), SchemaError> {
@@ -191,7 +200,7 @@ impl Parser<'_> {
             )));
         }
         let extensibility = annotations.extensibility.unwrap_or(Extensibility::Unstated);
-        let mut declaration = Declaration::new(&self.full_name(&name), extensibility);
+        let mut declaration = Declaration::new(&self.full_name(&name)?, extensibility);
         self.expect('{')?;
         while !self.eat('}') {
             let annotations = self.annotations()?;
@@ -202,6 +211,7 @@ impl Parser<'_> {
                         "expected members that are always there, found @optional '{name}'"
                     )));
                 }
+                self.library.count_member()?;
                 declaration.members.push(Member { name, declared });
             }
         }
@@ -212,7 +222,8 @@ impl Parser<'_> {
     fn typedef(&mut self) -> Result<(), SchemaError> {
         let declared = self.declared_type(0)?;
         for (name, declared) in self.declarators(declared)? {
-            self.library.add_alias(self.full_name(&name), declared);
+            let name = self.full_name(&name)?;
+            self.library.add_alias(name, declared);
         }
         self.next -= 1; // the ';' that `definition` expects
         Ok(())
@@ -229,7 +240,8 @@ impl Parser<'_> {
             }
         }
         let declared = Declared::Wire(Wire::Enumeration);
-        self.library.add_alias(self.full_name(&name), declared);
+        let name = self.full_name(&name)?;
+        self.library.add_alias(name, declared);
         Ok(())
     }
 
@@ -246,29 +258,31 @@ impl Parser<'_> {
         }
         // Only whole numbers matter, as sizes.
         if self.next == start + 1
-            && let Some(value) = self.value_at(start)
+            && let Some(value) = self.value_at(start)?
         {
-            self.constants.insert(self.full_name(&name), value);
+            let name = self.full_name(&name)?;
+            self.constants.insert(name, value);
         }
         Ok(())
     }
 
-    fn value_at(&self, index: usize) -> Option<u64> {
-        match &self.tokens.get(index)?.0 {
-            Token::Number(text) => match text.strip_prefix("0x") {
-                Some(hex) => u64::from_str_radix(hex, 16).ok(),
-                None => text.parse().ok(),
-            },
-            Token::Name(name) => {
-                let names = self.candidates(name);
-                names.iter().find_map(|n| self.constants.get(n).copied())
+    fn value_at(&mut self, index: usize) -> Result<Option<u64>, SchemaError> {
+        let name = match self.tokens.get(index) {
+            Some((Token::Number(text), _)) => {
+                return Ok(match text.strip_prefix("0x") {
+                    Some(hex) => u64::from_str_radix(hex, 16).ok(),
+                    None => text.parse().ok(),
+                });
             }
-            _ => None,
-        }
+            Some((Token::Name(name), _)) => *name,
+            _ => return Ok(None),
+        };
+        let names = self.candidates(name)?;
+        Ok(names.iter().find_map(|n| self.constants.get(n).copied()))
     }
 
     fn size(&mut self) -> Result<u64, SchemaError> {
-        let value = self.value_at(self.next);
+        let value = self.value_at(self.next)?;
         match value {
             Some(value) => {
                 self.next += 1;
@@ -308,7 +322,7 @@ impl Parser<'_> {
                 None => return Err(self.fault("')'")),
                 Some(Token::Sign('(')) => depth += 1,
                 Some(Token::Sign(')')) => depth -= 1,
-                Some(Token::Name(name)) => names.push(name.clone()),
+                Some(Token::Name(name)) => names.push((*name).to_owned()),
                 Some(_) => {}
             }
             self.next += 1;
@@ -377,7 +391,7 @@ impl Parser<'_> {
             "short" => Scalar::Int16,
             other => match scalar(other) {
                 Some(scalar) => scalar,
-                None => return Ok(Declared::Named(self.candidates(&name))),
+                None => return Ok(Declared::Named(self.candidates(&name)?.into())),
             },
         };
         Ok(Declared::Wire(Wire::Scalar(scalar)))
@@ -387,9 +401,9 @@ impl Parser<'_> {
     fn long_type(&mut self, first: &str) -> Result<Scalar, SchemaError> {
         let mut words = vec![first.to_owned()];
         while let Some(Token::Name(word)) = self.peek()
-            && matches!(word.as_str(), "long" | "short" | "double")
+            && matches!(*word, "long" | "short" | "double")
         {
-            words.push(word.clone());
+            words.push((*word).to_owned());
             self.next += 1;
         }
         match words.join(" ").as_str() {

@@ -2,21 +2,21 @@
 
 /// One word, name, literal or sign.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Token {
+pub(super) enum Token<'a> {
     /// A name, scoped with `::` or not, or a keyword.
-    Name(String),
+    Name(&'a str),
     /// A number as written.
-    Number(String),
+    Number(&'a str),
     /// A string or character literal, without quotes.
     Literal,
     Sign(char),
 }
 
-impl Token {
+impl Token<'_> {
     /// As a message shows it.
     pub(super) fn shown(&self) -> String {
         match self {
-            Token::Name(text) | Token::Number(text) => text.clone(),
+            Token::Name(text) | Token::Number(text) => text.chars().take(80).collect(),
             Token::Literal => "a literal".to_owned(),
             Token::Sign(sign) => sign.to_string(),
         }
@@ -24,9 +24,9 @@ impl Token {
 }
 
 /// Splits `text`; comments, preprocessor lines, and the lines between files are dropped.
-pub(super) fn tokens(text: &str) -> Vec<(Token, usize)> {
+pub(super) fn tokens(text: &str) -> Vec<(Token<'_>, u32)> {
     let mut rest = text;
-    let mut line = 1;
+    let mut line = 1_u32;
     let mut found = Vec::new();
     let mut line_start = true;
     while let Some(first) = rest.chars().next() {
@@ -37,7 +37,7 @@ pub(super) fn tokens(text: &str) -> Vec<(Token, usize)> {
         };
         let (taken, tail) = rest.split_at(length.clamp(first.len_utf8(), rest.len()));
         found.extend(token.map(|token| (token, line)));
-        line += taken.matches('\n').count();
+        line += taken.matches('\n').count() as u32;
         line_start = taken.ends_with('\n') || (line_start && taken.trim().is_empty());
         rest = tail;
     }
@@ -55,7 +55,7 @@ fn is_directive(text: &str) -> bool {
         .any(|prefix| text.starts_with(prefix))
 }
 
-fn next(text: &str, first: char) -> (Option<Token>, usize) {
+fn next(text: &str, first: char) -> (Option<Token<'_>>, usize) {
     if text.starts_with("//") {
         return (None, line_length(text));
     }
@@ -66,15 +66,15 @@ fn next(text: &str, first: char) -> (Option<Token>, usize) {
         '"' | '\'' => (Some(Token::Literal), literal_length(text, first)),
         c if c.is_ascii_digit() => {
             let length = span(text, |c| c.is_ascii_alphanumeric() || c == '.');
-            (Some(Token::Number(text[..length].to_owned())), length)
+            (Some(Token::Number(&text[..length])), length)
         }
         c if c.is_ascii_alphabetic() || c == '_' => {
             let length = name_length(text);
-            (Some(Token::Name(text[..length].to_owned())), length)
+            (Some(Token::Name(&text[..length])), length)
         }
         ':' if text.starts_with("::") => {
             let length = 2 + name_length(&text[2..]);
-            (Some(Token::Name(text[..length].to_owned())), length)
+            (Some(Token::Name(&text[..length])), length)
         }
         c if c.is_whitespace() => (None, c.len_utf8()),
         c => (Some(Token::Sign(c)), c.len_utf8()),

@@ -3,12 +3,9 @@
 use super::malformed;
 use super::plan::{Plan, Shape};
 use crate::{DecodeError, Located};
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Visitor};
 use serde_json::value::RawValue;
-use std::borrow::Cow;
-use std::collections::HashMap;
-
-/// The members of an object, each as it is written; the last of a name counts.
-type Members<'a> = HashMap<Cow<'a, str>, &'a RawValue>;
+use std::fmt;
 
 /// Where the text of the base64 property at `path` lies, between its quotes. None where the
 /// text is written with escapes, as its bytes are then not those of the base64.
@@ -22,11 +19,11 @@ pub(crate) fn locate(
     }
     let mut written = payload;
     for name in path {
-        match serde_json::from_slice::<Members<'_>>(written) {
-            Ok(members) => match members.get(*name) {
-                Some(member) => written = member.get().as_bytes(),
-                None => return Ok(None),
-            },
+        let mut reader = serde_json::Deserializer::from_slice(written);
+        let member = Member(name).deserialize(&mut reader);
+        match member.and_then(|member| reader.end().map(|()| member)) {
+            Ok(Some(member)) => written = member.get().as_bytes(),
+            Ok(None) => return Ok(None),
             Err(error) if error.is_data() => return Ok(None),
             Err(error) => return Err(malformed(&error)),
         }
@@ -44,18 +41,73 @@ pub(crate) fn locate(
     }))
 }
 
+/// The member of this name of an object, as it is written; the last of a name counts.
+#[derive(Clone, Copy)]
+struct Member<'n>(&'n str);
+
+impl<'de> DeserializeSeed<'de> for Member<'_> {
+    type Value = Option<&'de RawValue>;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
+        deserializer.deserialize_map(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Member<'_> {
+    type Value = Option<&'de RawValue>;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("an object")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut members: A) -> Result<Self::Value, A::Error> {
+        let mut found = None;
+        while let Some(wanted) = members.next_key_seed(IsName(self.0))? {
+            if wanted {
+                found = Some(members.next_value()?);
+            } else {
+                members.next_value::<IgnoredAny>()?;
+            }
+        }
+        Ok(found)
+    }
+}
+
+/// Whether a member has this name.
+struct IsName<'n>(&'n str);
+
+impl<'de> DeserializeSeed<'de> for IsName<'_> {
+    type Value = bool;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<bool, D::Error> {
+        deserializer.deserialize_str(self)
+    }
+}
+
+impl Visitor<'_> for IsName<'_> {
+    type Value = bool;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("a name")
+    }
+
+    fn visit_str<E: Error>(self, name: &str) -> Result<bool, E> {
+        Ok(name == self.0)
+    }
+}
+
 impl Plan {
     fn is_base64(&self, path: &[&str]) -> bool {
-        let mut properties = self.properties.as_deref().unwrap_or_default();
-        let mut shape = None;
+        let mut object = self.object.as_ref();
+        let mut base64 = false;
         for name in path {
-            let found = properties.iter().find(|(known, _)| known == name);
-            shape = found.map(|(_, shape)| shape);
-            properties = match shape {
-                Some(Shape::Object(inner)) => inner,
-                _ => &[],
+            let shape = object.and_then(|object| Some(&object.properties[object.place(name)?].1));
+            base64 = matches!(shape, Some(Shape::Base64));
+            object = match shape {
+                Some(Shape::Object(inner)) => Some(inner),
+                _ => None,
             };
         }
-        shape == Some(&Shape::Base64)
+        base64
     }
 }

@@ -1,12 +1,14 @@
 //! A JSON Schema as column shapes.
 
-use crate::{MAX_COLUMNS, MAX_DEPTH, SchemaError};
+use crate::budget::SchemaBudget;
+use crate::{MAX_DEPTH, SchemaError};
 use arrow::datatypes::{DataType, Field, Fields};
 use serde_json::Value;
+use std::collections::HashMap;
 use std::sync::Arc;
 
 /// How a JSON value becomes a column.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub(super) enum Shape {
     Boolean,
     Integer,
@@ -17,19 +19,31 @@ pub(super) enum Shape {
     /// Anything, kept as JSON text.
     Json,
     List(Box<Shape>),
-    Object(Vec<(String, Shape)>),
+    Object(Object),
+}
+
+/// The properties of an object that are columns.
+#[derive(Debug, Clone)]
+pub(super) struct Object {
+    pub(super) properties: Vec<(String, Shape)>,
+    places: HashMap<String, usize>,
+    /// Bytes of a row's own columns, without those of objects within.
+    pub(super) own_bytes: usize,
+    /// Bytes of a row that is null.
+    pub(super) absent_bytes: usize,
 }
 
 /// The columns of a JSON channel.
 #[derive(Debug, Clone)]
 pub(crate) struct Plan {
     /// None where the whole payload is one column of text.
-    pub(super) properties: Option<Vec<(String, Shape)>>,
+    pub(super) object: Option<Object>,
     fields: Fields,
 }
 
 struct Builder<'a> {
     root: &'a Value,
+    budget: SchemaBudget,
     /// References being followed.
     open: Vec<String>,
     columns: usize,
@@ -40,7 +54,7 @@ impl Plan {
     /// One column, `json`, with each payload as it stands.
     pub(crate) fn untyped() -> Arc<Plan> {
         Arc::new(Plan {
-            properties: None,
+            object: None,
             fields: Fields::from(vec![Field::new("json", DataType::Utf8, true)]),
         })
     }
@@ -50,6 +64,7 @@ impl Plan {
         if schema.iter().all(u8::is_ascii_whitespace) {
             return Ok(Plan::untyped());
         }
+        let budget = SchemaBudget::of_text(schema_name, schema)?;
         let root: Value = serde_json::from_slice(schema).map_err(|error| SchemaError::Syntax {
             language: "jsonschema",
             schema: schema_name.to_owned(),
@@ -59,21 +74,17 @@ impl Plan {
         })?;
         let mut builder = Builder {
             root: &root,
+            budget,
             open: Vec::new(),
             columns: 0,
             depth: 0,
         };
-        let shape = builder.shape(&root);
-        if builder.columns > MAX_COLUMNS {
-            let reason = format!("expected at most {MAX_COLUMNS} columns, found more");
-            return Err(SchemaError::refused(schema_name, reason));
-        }
-        let Shape::Object(properties) = shape else {
+        let Shape::Object(object) = builder.shape(&root)? else {
             return Ok(Plan::untyped());
         };
-        let fields = fields(&properties);
+        let fields = fields(&object.properties);
         Ok(Arc::new(Plan {
-            properties: Some(properties),
+            object: Some(object),
             fields,
         }))
     }
@@ -100,17 +111,57 @@ impl Shape {
             Shape::Text | Shape::Json => DataType::Utf8,
             Shape::Base64 => DataType::Binary,
             Shape::List(item) => DataType::new_list(item.data_type(), true),
-            Shape::Object(properties) => DataType::Struct(fields(properties)),
+            Shape::Object(object) => DataType::Struct(fields(&object.properties)),
         }
+    }
+
+    /// Bytes that a value takes in its own column at least, with its validity.
+    pub(super) fn own_bytes(&self) -> usize {
+        match self {
+            Shape::Object(_) => 1,
+            other => other.fixed_bytes(),
+        }
+    }
+
+    /// As [`Shape::own_bytes`]; of an object, those of its columns too.
+    pub(super) fn fixed_bytes(&self) -> usize {
+        1 + match self {
+            Shape::Boolean => 1,
+            Shape::Integer | Shape::Number => 8,
+            Shape::Text | Shape::Json | Shape::Base64 | Shape::List(_) => 4,
+            Shape::Object(object) => object.absent_bytes,
+        }
+    }
+}
+
+impl Object {
+    fn new(properties: Vec<(String, Shape)>) -> Self {
+        let names = properties.iter().enumerate();
+        let places = names
+            .map(|(place, (name, _))| (name.clone(), place))
+            .collect();
+        let shapes = || properties.iter().map(|(_, shape)| shape);
+        Self {
+            places,
+            own_bytes: shapes().map(Shape::own_bytes).sum(),
+            absent_bytes: shapes().map(Shape::fixed_bytes).sum(),
+            properties,
+        }
+    }
+
+    /// The place of a property.
+    pub(super) fn place(&self, name: &str) -> Option<usize> {
+        self.places.get(name).copied()
     }
 }
 
 impl Builder<'_> {
     /// The shape of a schema; [`Shape::Json`] for all that has no single type.
-    fn shape(&mut self, schema: &Value) -> Shape {
+    fn shape(&mut self, schema: &Value) -> Result<Shape, SchemaError> {
         self.columns += 1;
-        if self.depth >= MAX_DEPTH || self.columns > MAX_COLUMNS {
-            return Shape::Json;
+        self.budget.check_columns(self.columns)?;
+        if self.depth >= MAX_DEPTH {
+            return Ok(Shape::Json);
         }
         self.depth += 1;
         let shape = self.shape_within(schema);
@@ -118,52 +169,75 @@ impl Builder<'_> {
         shape
     }
 
-    fn shape_within(&mut self, schema: &Value) -> Shape {
+    fn shape_within(&mut self, schema: &Value) -> Result<Shape, SchemaError> {
         if let Some(reference) = schema.get("$ref").and_then(Value::as_str) {
             return self.referenced(reference);
         }
-        match single_type(schema) {
+        Ok(match single_type(schema) {
             Some("boolean") => Shape::Boolean,
             Some("integer") => Shape::Integer,
             Some("number") => Shape::Number,
             Some("string") if is_base64(schema) => Shape::Base64,
             Some("string") => Shape::Text,
             Some("array") => match schema.get("items") {
-                Some(items) if items.is_object() => Shape::List(Box::new(self.shape(items))),
+                Some(items) if items.is_object() => Shape::List(Box::new(self.shape(items)?)),
                 _ => Shape::Json,
             },
-            Some("object") => self.object(schema),
+            Some("object") => self.object(schema)?,
             Some(_) => Shape::Json,
-            None if schema.get("properties").is_some() => self.object(schema),
-            None => constants(schema),
-        }
+            None if schema.get("properties").is_some() => self.object(schema)?,
+            None => self.constants(schema)?,
+        })
     }
 
-    fn object(&mut self, schema: &Value) -> Shape {
+    fn object(&mut self, schema: &Value) -> Result<Shape, SchemaError> {
         let properties = match schema.get("properties").and_then(Value::as_object) {
             Some(properties) if !properties.is_empty() => properties,
-            _ => return Shape::Json,
+            _ => return Ok(Shape::Json),
         };
-        let shapes = properties
-            .iter()
-            .map(|(name, property)| (name.clone(), self.shape(property)));
-        Shape::Object(shapes.collect())
+        let mut shapes = Vec::new();
+        for (name, property) in properties {
+            self.budget.spend(name.len())?;
+            shapes.push((name.clone(), self.shape(property)?));
+        }
+        Ok(Shape::Object(Object::new(shapes)))
     }
 
-    fn referenced(&mut self, reference: &str) -> Shape {
+    fn referenced(&mut self, reference: &str) -> Result<Shape, SchemaError> {
+        self.budget.spend(reference.len())?;
         let target = reference
             .strip_prefix('#')
             .and_then(|pointer| self.root.pointer(pointer));
         let Some(target) = target else {
-            return Shape::Json;
+            return Ok(Shape::Json);
         };
         if reference == "#" || self.open.iter().any(|open| open == reference) {
-            return Shape::Json;
+            return Ok(Shape::Json);
         }
         self.open.push(reference.to_owned());
         let shape = self.shape(target);
         self.open.pop();
         shape
+    }
+
+    /// An untyped schema that lists constants has their type.
+    fn constants(&mut self, schema: &Value) -> Result<Shape, SchemaError> {
+        let options = ["oneOf", "anyOf"].iter().find_map(|key| schema.get(*key));
+        let listed = match (options, schema.get("enum")) {
+            (Some(Value::Array(values)), _) | (None, Some(Value::Array(values))) => values,
+            _ => return Ok(Shape::Json),
+        };
+        self.budget.spend(listed.len())?;
+        let value = |listed| match options {
+            Some(_) => Value::get(listed, "const"),
+            None => Some(listed),
+        };
+        let all = |kind: fn(&Value) -> bool| listed.iter().all(|l| value(l).is_some_and(kind));
+        Ok(match listed.is_empty() {
+            false if all(Value::is_i64) => Shape::Integer,
+            false if all(Value::is_string) => Shape::Text,
+            _ => Shape::Json,
+        })
     }
 }
 
@@ -186,20 +260,4 @@ fn single_type(schema: &Value) -> Option<&str> {
 fn is_base64(schema: &Value) -> bool {
     let encoding = schema.get("contentEncoding").and_then(Value::as_str);
     encoding.is_some_and(|encoding| encoding.eq_ignore_ascii_case("base64"))
-}
-
-/// An untyped schema that lists constants has their type.
-fn constants(schema: &Value) -> Shape {
-    let options = ["oneOf", "anyOf"].iter().find_map(|key| schema.get(*key));
-    let values: Option<Vec<&Value>> = match (options, schema.get("enum")) {
-        (Some(Value::Array(options)), _) => options.iter().map(|o| o.get("const")).collect(),
-        (None, Some(Value::Array(values))) => Some(values.iter().collect()),
-        _ => None,
-    };
-    match values {
-        Some(values) if values.is_empty() => Shape::Json,
-        Some(values) if values.iter().all(|v| v.is_i64()) => Shape::Integer,
-        Some(values) if values.iter().all(|v| v.is_string()) => Shape::Text,
-        _ => Shape::Json,
-    }
 }

@@ -8,9 +8,11 @@
 //! Maps are lists of `{key, value}`, in wire order. A message inside itself is kept as
 //! its bytes. Source: protobuf.dev, "Encoding".
 
+mod descriptors;
 mod plan;
 mod wire;
 
+use crate::budget::MessageBudget;
 use crate::buffers::{Node, Pool, offset};
 use crate::decoder::Format;
 use crate::{DecodeError, Located};
@@ -18,12 +20,6 @@ pub(crate) use plan::Plan;
 use plan::{Shape, Slot};
 use std::sync::Arc;
 use wire::{Value, WireReader};
-
-/// Values one message may yield: this many, and [`VALUES_PER_BYTE`] for each of its bytes.
-/// Two bytes can stand for a message of thousands of absent fields; thus they cannot for
-/// gigabytes.
-const MIN_VALUES: usize = 1 << 20;
-const VALUES_PER_BYTE: usize = 64;
 
 /// What was met of a slot in the message at hand.
 #[derive(Debug, Clone, Copy, Default)]
@@ -60,7 +56,7 @@ impl Format for Reader {
         let mut sink = Sink {
             pool,
             met: &mut self.met,
-            values_left: MIN_VALUES + VALUES_PER_BYTE.saturating_mul(payload.len()),
+            budget: MessageBudget::of(payload),
         };
         sink.message(&self.plan, message, row, payload)
     }
@@ -71,7 +67,7 @@ struct Sink<'a> {
     pool: &'a mut Pool,
     /// A stack: one stretch for each message that is open.
     met: &'a mut Vec<Met>,
-    values_left: usize,
+    budget: MessageBudget,
 }
 
 /// A message being read into row `row` of its columns.
@@ -94,8 +90,7 @@ impl Sink<'_> {
         row: usize,
         data: &[u8],
     ) -> Result<(), DecodeError> {
-        let left = self.values_left.checked_sub(plan.slots.len());
-        self.values_left = left.ok_or(DecodeError::Full { limit: MIN_VALUES })?;
+        self.budget.spend(plan.own_bytes)?;
         let base = self.met.len();
         self.met.resize(base + plan.slots.len(), Met::default());
         let open = Open {
@@ -131,7 +126,7 @@ impl Sink<'_> {
                 let count = self.met[open.base + index].count;
                 self.met[open.base + index].count = self.elements(slot, list, count, value)?;
             } else if slot.takes(&value) {
-                self.clear_siblings(open, index);
+                self.clear_siblings(open, index)?;
                 self.singular(open, index, value, at)?;
             }
         }
@@ -144,16 +139,21 @@ impl Sink<'_> {
             return node.end_list(self.pool, count);
         }
         if count == 0 {
+            if let Shape::Message(plan) = &slot.shape {
+                self.budget.spend(plan.absent_bytes)?;
+            }
             node.append_absent(self.pool);
         }
         Ok(())
     }
 
     /// Of a `oneof`, only the last member met stands.
-    fn clear_siblings(&mut self, open: Open, index: usize) {
+    fn clear_siblings(&mut self, open: Open, index: usize) -> Result<(), DecodeError> {
         let Some(oneof) = open.plan.slots[index].oneof else {
-            return;
+            return Ok(());
         };
+        // Each of them is looked at.
+        self.budget.spend(open.plan.slots.len())?;
         for (other, slot) in open.plan.slots.iter().enumerate() {
             let met = &mut self.met[open.base + other];
             if other != index && slot.oneof == Some(oneof) && met.count > 0 {
@@ -162,6 +162,7 @@ impl Sink<'_> {
                 node.truncate(self.pool, open.row);
             }
         }
+        Ok(())
     }
 
     fn singular(
@@ -238,11 +239,13 @@ impl Sink<'_> {
                 let mut packed = WireReader::new(bytes);
                 while !packed.is_empty() {
                     let element = shape.unpack(&mut packed)?;
+                    self.budget.spend(shape.fixed_bytes())?;
                     scalar(shape, child, element, self.pool)?;
                     count += 1;
                 }
             }
             _ if slot.takes(&value) => {
+                self.budget.spend(slot.shape.fixed_bytes())?;
                 scalar(&slot.shape, child, value, self.pool)?;
                 count += 1;
             }

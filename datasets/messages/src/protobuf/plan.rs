@@ -1,8 +1,9 @@
 //! A protobuf message type as slots by field number, and its Arrow fields.
 
-use crate::{MAX_COLUMNS, MAX_DEPTH, SchemaError};
+use super::descriptors::{Descriptors, FieldDescriptor, Named};
+use crate::{MAX_DEPTH, SchemaError};
 use arrow::datatypes::{DataType, Field, Fields};
-use prost_reflect::{DescriptorPool, FieldDescriptor, Kind, MessageDescriptor};
+use std::collections::HashSet;
 use std::sync::Arc;
 
 /// How one value lies on the wire.
@@ -26,6 +27,19 @@ pub(super) enum Shape {
     Message(Arc<Plan>),
 }
 
+/// What a field's type makes of it.
+struct Kind {
+    shape: Shape,
+    data_type: DataType,
+    is_message: bool,
+    /// Lies between tags, not behind a length.
+    group: bool,
+}
+
+/// `TYPE_GROUP` and `TYPE_MESSAGE` of `FieldDescriptorProto.Type`.
+const GROUP: u64 = 10;
+const MESSAGE: u64 = 11;
+
 /// One field.
 #[derive(Debug, Clone)]
 pub(super) struct Slot {
@@ -46,33 +60,33 @@ pub(crate) struct Plan {
     /// By field number.
     pub(super) slots: Vec<Slot>,
     pub(super) fields: Fields,
+    /// Bytes of a row's own columns: numbers, offsets and validity, without those of messages within.
+    pub(super) own_bytes: usize,
+    /// Bytes of a row that holds nothing.
+    pub(super) absent_bytes: usize,
 }
 
 /// Where a plan is being built.
 struct Builder<'a> {
     schema: &'a str,
-    open: Vec<String>,
+    types: Descriptors<'a>,
+    /// Messages that are being built, outermost first.
+    open: Vec<usize>,
     columns: usize,
 }
 
 impl Plan {
     /// The message `schema_name` of a serialised `FileDescriptorSet`.
     pub(crate) fn parse(schema_name: &str, set: &[u8]) -> Result<Arc<Plan>, SchemaError> {
-        let pool = DescriptorPool::decode(set).map_err(|error| {
-            let reason = format!("expected a complete FileDescriptorSet, found: {error}");
-            SchemaError::refused(schema_name, reason)
-        })?;
-        let message = pool.get_message_by_name(schema_name.trim_start_matches('.'));
-        let message = message.ok_or_else(|| SchemaError::UnknownType {
-            schema: schema_name.to_owned(),
-            missing: schema_name.to_owned(),
-        })?;
+        let mut types = Descriptors::read(schema_name, set)?;
+        let message = types.message_named(schema_name.trim_start_matches('.'))?;
         let mut builder = Builder {
             schema: schema_name,
+            types,
             open: Vec::new(),
             columns: 0,
         };
-        builder.message(&message)
+        builder.message(message)
     }
 
     /// The Arrow fields, in declaration order.
@@ -92,95 +106,170 @@ impl Plan {
     }
 }
 
-impl Builder<'_> {
+impl Shape {
+    /// Bytes that a value takes in its column at least; of a message, those of its columns.
+    pub(super) fn fixed_bytes(&self) -> usize {
+        match self {
+            Shape::Bool => 1,
+            Shape::Varint32 { .. } | Shape::Fixed32 | Shape::Text | Shape::Bytes => 4,
+            Shape::Varint64 { .. } | Shape::Fixed64 => 8,
+            Shape::Message(plan) => plan.absent_bytes,
+        }
+    }
+}
+
+impl<'a> Builder<'a> {
     fn refused(&self, reason: String) -> SchemaError {
         SchemaError::refused(self.schema, reason)
     }
 
-    fn message(&mut self, message: &MessageDescriptor) -> Result<Arc<Plan>, SchemaError> {
+    fn message(&mut self, place: usize) -> Result<Arc<Plan>, SchemaError> {
         if self.open.len() >= MAX_DEPTH {
             return Err(self.refused(format!("expected at most {MAX_DEPTH} levels of nesting")));
         }
-        self.open.push(message.full_name().to_owned());
-        let mut slots = Vec::new();
-        let mut fields = Vec::new();
-        for (column, field) in message.fields().enumerate() {
+        let Some(message) = self.types.message_at(place) else {
+            return Err(self.refused("expected a message, found something else".to_owned()));
+        };
+        self.open.push(place);
+        let mut declared = Vec::new();
+        for field in self.types.fields(message) {
             self.columns += 1;
-            if self.columns > MAX_COLUMNS {
-                return Err(self.refused(format!("expected at most {MAX_COLUMNS} columns")));
-            }
-            let (slot, arrow) = self.field(&field, column, message.is_map_entry())?;
+            self.types.budget.check_columns(self.columns)?;
+            declared.push(field?);
+        }
+        self.check_distinct(&declared)?;
+        let mut slots = Vec::with_capacity(declared.len());
+        let mut fields = Vec::with_capacity(declared.len());
+        for (column, field) in declared.iter().enumerate() {
+            let (slot, arrow) = self.field(place, field, column, message.map_entry)?;
             slots.push(slot);
             fields.push(arrow);
         }
         slots.sort_by_key(|slot| slot.number);
         self.open.pop();
+        let own = |slot: &Slot, field: &Field| match (&slot.shape, slot.repeated) {
+            (_, true) => 4,
+            (Shape::Message(_), false) => 1,
+            (shape, false) => shape.fixed_bytes() + usize::from(field.is_nullable()),
+        };
+        let within = |slot: &Slot| match (&slot.shape, slot.repeated) {
+            (Shape::Message(plan), false) => plan.absent_bytes,
+            _ => 0,
+        };
+        let own_bytes = slots.iter().map(|slot| own(slot, &fields[slot.column]));
+        let own_bytes: usize = own_bytes.sum();
         Ok(Arc::new(Plan {
+            own_bytes,
+            absent_bytes: own_bytes + slots.iter().map(within).sum::<usize>(),
             slots,
             fields: fields.into(),
         }))
     }
 
+    fn check_distinct(&self, fields: &[FieldDescriptor<'a>]) -> Result<(), SchemaError> {
+        let mut names = HashSet::new();
+        let mut numbers = HashSet::new();
+        for field in fields {
+            if !names.insert(field.name) || !numbers.insert(field.number) {
+                return Err(self.refused(format!(
+                    "expected fields of distinct names and numbers, found '{}' = {} twice",
+                    field.name, field.number
+                )));
+            }
+        }
+        Ok(())
+    }
+
     fn field(
         &mut self,
-        field: &FieldDescriptor,
+        place: usize,
+        field: &FieldDescriptor<'a>,
         column: usize,
         in_map: bool,
     ) -> Result<(Slot, Field), SchemaError> {
-        let repeated = field.is_list() || field.is_map();
-        let (shape, mut data_type) = self.shape(&field.kind())?;
-        let is_message = matches!(field.kind(), Kind::Message(_));
-        let mut nullable =
-            (field.supports_presence() || field.is_required()) && (is_message || !in_map);
-        if repeated {
+        let Kind {
+            shape,
+            mut data_type,
+            is_message,
+            group,
+        } = self.kind(place, field)?;
+        let mut nullable = is_message || (field.presence && !in_map);
+        if field.repeated {
             let item = Field::new(Field::LIST_FIELD_DEFAULT_NAME, data_type, false);
             data_type = DataType::List(Arc::new(item));
             nullable = false;
         }
-        let oneof = field.containing_oneof().and_then(|oneof| {
-            let name = oneof.full_name().to_owned();
-            field
-                .parent_message()
-                .oneofs()
-                .position(|known| known.full_name() == name)
-        });
         let slot = Slot {
-            name: field.name().to_owned(),
-            number: field.number(),
+            name: field.name.to_owned(),
+            number: field.number,
             column,
             shape,
-            repeated,
-            group: field.is_group(),
-            oneof,
+            repeated: field.repeated,
+            group: group && !in_map,
+            oneof: field.oneof,
         };
-        Ok((slot, Field::new(field.name(), data_type, nullable)))
+        Ok((slot, Field::new(field.name, data_type, nullable)))
     }
 
-    fn shape(&mut self, kind: &Kind) -> Result<(Shape, DataType), SchemaError> {
-        Ok(match kind {
-            Kind::Double => (Shape::Fixed64, DataType::Float64),
-            Kind::Float => (Shape::Fixed32, DataType::Float32),
-            Kind::Int32 | Kind::Enum(_) => (Shape::Varint32 { zigzag: false }, DataType::Int32),
-            Kind::Int64 => (Shape::Varint64 { zigzag: false }, DataType::Int64),
-            Kind::Uint32 => (Shape::Varint32 { zigzag: false }, DataType::UInt32),
-            Kind::Uint64 => (Shape::Varint64 { zigzag: false }, DataType::UInt64),
-            Kind::Sint32 => (Shape::Varint32 { zigzag: true }, DataType::Int32),
-            Kind::Sint64 => (Shape::Varint64 { zigzag: true }, DataType::Int64),
-            Kind::Fixed32 => (Shape::Fixed32, DataType::UInt32),
-            Kind::Fixed64 => (Shape::Fixed64, DataType::UInt64),
-            Kind::Sfixed32 => (Shape::Fixed32, DataType::Int32),
-            Kind::Sfixed64 => (Shape::Fixed64, DataType::Int64),
-            Kind::Bool => (Shape::Bool, DataType::Boolean),
-            Kind::String => (Shape::Text, DataType::Utf8),
-            Kind::Bytes => (Shape::Bytes, DataType::Binary),
-            Kind::Message(message) => {
-                if self.open.iter().any(|open| open == message.full_name()) {
-                    return Ok((Shape::Bytes, DataType::Binary));
-                }
-                let plan = self.message(message)?;
-                let data_type = DataType::Struct(plan.fields.clone());
-                (Shape::Message(plan), data_type)
+    /// By the numbers of `FieldDescriptorProto.Type`.
+    fn kind(&mut self, place: usize, field: &FieldDescriptor<'a>) -> Result<Kind, SchemaError> {
+        let (shape, data_type) = match field.kind {
+            1 => (Shape::Fixed64, DataType::Float64),
+            2 => (Shape::Fixed32, DataType::Float32),
+            3 => (Shape::Varint64 { zigzag: false }, DataType::Int64),
+            4 => (Shape::Varint64 { zigzag: false }, DataType::UInt64),
+            5 | 14 => (Shape::Varint32 { zigzag: false }, DataType::Int32),
+            6 => (Shape::Fixed64, DataType::UInt64),
+            7 => (Shape::Fixed32, DataType::UInt32),
+            8 => (Shape::Bool, DataType::Boolean),
+            9 => (Shape::Text, DataType::Utf8),
+            12 => (Shape::Bytes, DataType::Binary),
+            13 => (Shape::Varint32 { zigzag: false }, DataType::UInt32),
+            15 => (Shape::Fixed32, DataType::Int32),
+            16 => (Shape::Fixed64, DataType::Int64),
+            17 => (Shape::Varint32 { zigzag: true }, DataType::Int32),
+            18 => (Shape::Varint64 { zigzag: true }, DataType::Int64),
+            0 | GROUP | MESSAGE => return self.named(place, field),
+            other => {
+                return Err(self.refused(format!(
+                    "expected a type from 1 to 18 for the field '{}', found {other}",
+                    field.name
+                )));
             }
+        };
+        Ok(Kind {
+            shape,
+            data_type,
+            is_message: false,
+            group: false,
+        })
+    }
+
+    fn named(&mut self, place: usize, field: &FieldDescriptor<'a>) -> Result<Kind, SchemaError> {
+        let target = match self.types.resolve(place, field.type_name)? {
+            Named::Message(target) => target,
+            Named::Enumeration => {
+                return Ok(Kind {
+                    shape: Shape::Varint32 { zigzag: false },
+                    data_type: DataType::Int32,
+                    is_message: false,
+                    group: false,
+                });
+            }
+        };
+        let of_map = self.types.message_at(target).is_some_and(|m| m.map_entry);
+        let (shape, data_type) = if self.open.contains(&target) {
+            (Shape::Bytes, DataType::Binary)
+        } else {
+            let plan = self.message(target)?;
+            let data_type = DataType::Struct(plan.fields.clone());
+            (Shape::Message(plan), data_type)
+        };
+        Ok(Kind {
+            shape,
+            data_type,
+            is_message: true,
+            group: field.kind == GROUP || (field.delimited && !of_map),
         })
     }
 }
