@@ -7,15 +7,15 @@ use datafusion::catalog::TableProvider;
 use datafusion::common::TableReference;
 use datafusion::execution::runtime_env::RuntimeEnv;
 use datafusion::prelude::SessionContext;
-use evermap_schemas::Fault;
 use evermap_schemas::roles::{Role, Topic};
-use futures::{StreamExt, TryStreamExt};
+use evermap_schemas::{Fault, Kind};
+use futures::{FutureExt, StreamExt, TryStreamExt};
 
 use crate::fault::OrFault;
-use crate::losses::LossLedger;
+use crate::losses::{Loss, LossLedger, Reason};
 use crate::manifest::{Manifest, Roles};
 use crate::recordings::{Recording, Recordings};
-use crate::scan::{FaultyTable, LogTable, McapTable, MessagesTable, RecordTable, TopicTable};
+use crate::scan::{LazyTable, LogTable, McapTable, MessagesTable, RecordTable, TopicTable};
 use crate::session::{LogPart, Session};
 use crate::{listing, roles};
 
@@ -75,12 +75,14 @@ impl Dataset {
     pub fn tables(&self) -> Result<BTreeMap<String, Arc<dyn TableProvider>>, Fault> {
         let parts = self.parts();
         let mut tables = BTreeMap::<String, Arc<dyn TableProvider>>::new();
+        let shared: Arc<[Arc<LogPart>]> = parts.clone().into();
         for topic in self.topics() {
-            let provider: Arc<dyn TableProvider> = match TopicTable::new(&topic, &parts) {
-                Ok(table) => Arc::new(McapTable::new(Arc::new(table), &parts)),
-                Err(fault) => Arc::new(FaultyTable::new(fault)),
-            };
-            tables.insert(topic, provider);
+            let (name, parts) = (topic.clone(), shared.clone());
+            let table = LazyTable::new(move || {
+                let table = TopicTable::new(&name, &parts)?;
+                Ok(Arc::new(McapTable::new(Arc::new(table), &parts)))
+            });
+            tables.insert(topic, Arc::new(table));
         }
         let whole: [Arc<dyn LogTable>; 3] = [
             Arc::new(MessagesTable),
@@ -91,7 +93,7 @@ impl Dataset {
             let name = table.name().to_owned();
             tables.insert(name, Arc::new(McapTable::new(table, &parts)));
         }
-        for (name, table) in listing::tables(&self.sessions)? {
+        for (name, table) in listing::tables(&self.sessions) {
             tables.insert(name.to_owned(), table);
         }
         for role in self.roles {
@@ -129,24 +131,34 @@ impl Recordings {
     /// Reads the indexes that are not known yet.
     ///
     /// # Errors
-    /// A user fault when the manifest names a role that there is not or that nothing plays; a data fault when a file is
-    /// no MCAP file. A damaged file is no error: see [`Dataset::losses`].
+    /// A user fault when the manifest names a role that there is not or that nothing plays; a data fault when no file
+    /// is an MCAP file. A damaged file is no error, nor one among others that cannot be read: see [`Dataset::losses`].
     pub async fn open(self) -> Result<Dataset, Fault> {
         let (roles, topics) = (self.roles, &self.topics);
         check_roles(roles, topics)?;
         let losses = LossLedger::new();
+        let alone = self.sessions.iter().map(|s| s.files.len()).sum::<usize>() <= 1;
         let mut opened = futures::stream::iter(self.sessions)
             .map(|recording| open_session(recording, roles, topics, &losses))
             .buffered(OPEN_AT_ONCE)
             .try_collect::<Vec<_>>()
             .await?;
-        let notes = opened.iter().flat_map(|(session, said)| {
+        let mut unreadable = None;
+        for (_, _, faults) in &mut opened {
+            unreadable = unreadable.or(faults.pop());
+        }
+        let nothing = opened.iter().all(|(session, ..)| session.parts.is_empty());
+        if let Some(fault) = unreadable.filter(|_| alone || nothing) {
+            return Err(fault);
+        }
+        opened.retain(|(session, ..)| !session.parts.is_empty());
+        let notes = opened.iter().flat_map(|(session, said, _)| {
             said.iter()
                 .map(move |note| format!("session {}: {note}", session.name))
         });
         let notes = notes.collect();
-        opened.sort_by(|(a, _), (b, _)| a.name.cmp(&b.name));
-        let sessions: Vec<Session> = opened.into_iter().map(|(session, _)| session).collect();
+        opened.sort_by(|(a, ..), (b, ..)| a.name.cmp(&b.name));
+        let sessions: Vec<Session> = opened.into_iter().map(|(session, ..)| session).collect();
         check_topics(topics, &sessions)?;
         Ok(Dataset {
             sessions,
@@ -157,18 +169,37 @@ impl Recordings {
     }
 }
 
+/// A session of those of its files that can be read, what was chosen for the person, and why files cannot be read.
+type Opened = (Session, Vec<String>, Vec<Fault>);
+
 async fn open_session(
     recording: Recording,
     roles: &[Role],
     given: &BTreeMap<String, Vec<String>>,
     losses: &LossLedger,
-) -> Result<(Session, Vec<String>), Fault> {
+) -> Result<Opened, Fault> {
     let (name, site): (Arc<str>, Arc<str>) = (recording.name.into(), recording.site.into());
-    let mut parts = futures::stream::iter(recording.files)
-        .map(|file| LogPart::open(file, name.clone(), site.clone(), losses))
-        .buffered(OPEN_AT_ONCE)
-        .try_collect::<Vec<_>>()
-        .await?;
+    let mut opened = futures::stream::iter(recording.files)
+        .map(|file| {
+            let (url, size) = (file.url(), file.meta.size);
+            let part = LogPart::open(file, name.clone(), site.clone(), losses);
+            part.map(move |part| (part, url, size))
+        })
+        .buffered(OPEN_AT_ONCE);
+    let (mut parts, mut faults) = (Vec::new(), Vec::new());
+    while let Some((part, url, size)) = opened.next().await {
+        match part {
+            Ok(part) => parts.push(part),
+            Err(fault) if fault.kind == Kind::Bug => return Err(fault),
+            Err(fault) => {
+                let losses = losses.of_file(url);
+                let said = fault.to_string();
+                losses.note(Reason::Unreadable, 0, Loss::one(size), said);
+                faults.push(fault);
+            }
+        }
+    }
+    drop(opened);
     parts.sort_by_key(|part| part.index.time_range().map_or(i64::MAX, |(start, _)| start));
     for (number, part) in parts.iter_mut().enumerate() {
         part.part = number as u32;
@@ -181,7 +212,7 @@ async fn open_session(
         parts,
         roles,
     };
-    Ok((session, notes))
+    Ok((session, notes, faults))
 }
 
 /// The topics of a session, by name.

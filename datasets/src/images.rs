@@ -11,7 +11,7 @@ use futures::{StreamExt, TryStreamExt};
 use tokio::sync::OnceCell;
 
 use crate::dataset::Dataset;
-use crate::log::chunk::{LARGEST_CHUNK, decompress};
+use crate::log::unpack::{LARGEST_CHUNK, unpack};
 use crate::log::window::fetch;
 use crate::session::LogPart;
 
@@ -176,9 +176,16 @@ async fn read(part: &LogPart, place: &Place) -> Result<Bytes, Fault> {
         return Ok(bytes);
     };
     let size = place.size;
-    let opened = tokio::task::spawn_blocking(move || decompress(&compression, bytes, size)).await;
+    let opened = tokio::task::spawn_blocking(move || unpack(&compression, bytes, size)).await;
     let opened = opened.map_err(|error| Fault::bug(error.to_string()))?;
-    opened.map_err(|(reason, detail)| at(Fault::data(format!("{reason}: {detail}"))))
+    // The size is what the scan got out of the chunk, whatever the chunk claims.
+    match opened {
+        Ok((bytes, None)) => Ok(bytes),
+        Ok((bytes, Some(_))) if bytes.len() as u64 == size => Ok(bytes),
+        Ok((_, Some((reason, detail)))) | Err((reason, detail)) => {
+            Err(at(Fault::data(format!("{reason}: {detail}"))))
+        }
+    }
 }
 
 fn image_bytes(chunk: &Bytes, image: &ImageRef) -> Result<Bytes, Fault> {

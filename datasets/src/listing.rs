@@ -10,7 +10,7 @@ use evermap_schemas::{Bytes, Fault, Record, Stamp, record};
 
 use crate::fault::OrFault;
 use crate::log::index::LogChannel;
-use crate::scan::schema_of;
+use crate::scan::{LazyTable, schema_of};
 use crate::session::{LogPart, Session};
 
 record! {
@@ -67,17 +67,23 @@ pub(crate) const NAMES: [&str; 2] = ["sessions", "channels"];
 type Named = (&'static str, Arc<dyn TableProvider>);
 
 /// The tables, by name.
-pub(crate) fn tables(sessions: &[Session]) -> Result<[Named; 2], Fault> {
-    let parts = sessions.iter().flat_map(|session| &session.parts);
-    let channels = parts.flat_map(|part| {
-        let channels = part.index.channels.values();
-        channels.map(|channel| channel_row(part, channel))
-    });
+pub(crate) fn tables(sessions: &[Session]) -> [Named; 2] {
     let [first, second] = NAMES;
-    Ok([
-        (first, table(sessions.iter().map(session_row).collect())?),
-        (second, table(channels.collect())?),
-    ])
+    let sessions: Arc<[Session]> = sessions.into();
+    let listed = sessions.clone();
+    let rows = move || table(listed.iter().map(session_row).collect());
+    let channels = move || {
+        let parts = sessions.iter().flat_map(|session| &session.parts);
+        let channels = parts.flat_map(|part| {
+            let channels = part.index.channels.values();
+            channels.map(|channel| channel_row(part, channel))
+        });
+        table(channels.collect())
+    };
+    [
+        (first, Arc::new(LazyTable::new(rows))),
+        (second, Arc::new(LazyTable::new(channels))),
+    ]
 }
 
 fn table<T: Record>(rows: Vec<T>) -> Result<Arc<dyn TableProvider>, Fault> {

@@ -32,6 +32,14 @@ pub enum Reason {
     Senseless,
     /// An attachment or metadata record that does not match its checksum, or cannot be parsed.
     BadAttachment,
+    /// The summary leaves out what the file holds, or holds what the file does not.
+    BadSummary,
+    /// Messages of a topic that cannot be decoded, as its schema is unsound or nobody knows its language.
+    BadSchema,
+    /// Definitions or places of records beyond what an index has room for; what lies behind is not read.
+    NoRoom,
+    /// A file that is no log at all, or cannot be read, among others that are.
+    Unreadable,
 }
 
 impl Reason {
@@ -39,7 +47,7 @@ impl Reason {
     pub fn text(self) -> &'static str {
         match self {
             Reason::Torn => "logs without an end",
-            Reason::BadRecord => "stretches that are no records",
+            Reason::BadRecord => "records that are cut or out of place",
             Reason::BadChecksum => "chunks with a wrong checksum",
             Reason::BadCompression => "chunks that do not decompress",
             Reason::BadIndex => "chunks that are not where the index says",
@@ -47,6 +55,10 @@ impl Reason {
             Reason::Undecodable => "messages that do not fit their schema",
             Reason::Senseless => "messages whose values make no sense",
             Reason::BadAttachment => "damaged attachments or metadata",
+            Reason::BadSummary => "summaries that contradict their file",
+            Reason::BadSchema => "messages of topics that cannot be decoded",
+            Reason::NoRoom => "logs with more definitions and records than an index holds",
+            Reason::Unreadable => "files that cannot be read",
         }
     }
 }
@@ -71,6 +83,12 @@ impl Loss {
     pub fn one(bytes: u64) -> Self {
         Self { count: 1, bytes }
     }
+
+    /// One more, of so many bytes, where there is one.
+    pub(crate) fn add(&mut self, bytes: Option<u64>) {
+        self.count += u64::from(bytes.is_some());
+        self.bytes = self.bytes.saturating_add(bytes.unwrap_or(0));
+    }
 }
 
 /// One line of the ledger: all losses of one kind at one place of one file.
@@ -92,6 +110,12 @@ pub struct Entry {
 
 type Key = (Arc<str>, Reason, String, u64);
 
+/// Places that are told apart. Losses at further places are summed up by file, reason and topic.
+const MAX_PLACES: usize = 10_000;
+
+/// The place that stands for all further ones.
+const ELSEWHERE: u64 = u64::MAX;
+
 /// The losses of a dataset, shared by all that read it.
 ///
 /// Entries are keyed by place, so a chunk that is read twice is lost once, and the sums do not depend on how a scan
@@ -111,12 +135,21 @@ impl LossLedger {
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Notes a loss. A second note about the same place keeps the larger numbers.
+    /// Notes a loss. A second note about the same place keeps the larger numbers. (Of more than 10,000 places that are
+    /// damaged, the sums say how much at least was lost: what is read twice may count twice.)
     pub fn note(&self, entry: Entry) {
         let (file, topic) = (entry.file.clone(), entry.topic.clone());
-        let key = (file, entry.reason, topic, entry.offset);
+        let mut key = (file, entry.reason, topic, entry.offset);
         let Loss { count, bytes } = entry.loss;
         let mut entries = self.lock();
+        if entries.len() >= MAX_PLACES && !entries.contains_key(&key) {
+            key.3 = ELSEWHERE;
+            if let Some(known) = entries.get_mut(&key) {
+                known.loss.count += count;
+                known.loss.bytes = known.loss.bytes.saturating_add(bytes);
+                return;
+            }
+        }
         let loss = &mut entries.entry(key).or_insert(entry).loss;
         loss.count = loss.count.max(count);
         loss.bytes = loss.bytes.max(bytes);
@@ -138,7 +171,7 @@ impl LossLedger {
         for entry in self.lock().values() {
             let sum = sums.entry(entry.reason).or_default();
             sum.count += entry.loss.count;
-            sum.bytes += entry.loss.bytes;
+            sum.bytes = sum.bytes.saturating_add(entry.loss.bytes);
         }
         sums
     }
@@ -207,6 +240,21 @@ impl FileLosses {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn places_beyond_those_told_apart_are_summed_up() {
+        let ledger = LossLedger::new();
+        let file = ledger.of_file("a.mcap");
+        for offset in 0..2 * MAX_PLACES as u64 {
+            file.note(Reason::BadRecord, offset, Loss::one(2), "x");
+        }
+        assert_eq!(ledger.entries().len(), MAX_PLACES + 1);
+        let expected = Loss {
+            count: 2 * MAX_PLACES as u64,
+            bytes: 4 * MAX_PLACES as u64,
+        };
+        assert_eq!(ledger.losses()[&Reason::BadRecord], expected);
+    }
 
     #[test]
     fn a_place_that_is_read_twice_is_lost_once() {

@@ -1,17 +1,20 @@
 //! Sessions: one drive each, one MCAP file or the ordered parts of a split recording.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
+use arrow::datatypes::{DataType, FieldRef, Fields};
 use datafusion::execution::object_store::ObjectStoreUrl;
 use evermap_messages::{MessageType, SchemaError};
 use evermap_schemas::Fault;
 use futures::StreamExt;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 
+use crate::log::heads::{self, AttachmentHead};
 use crate::log::index::{LogChannel, LogIndex};
 use crate::log::window::store_fault;
-use crate::losses::{FileLosses, LossLedger};
+use crate::losses::{FileLosses, Loss, LossLedger, Reason};
 use crate::manifest::Roles;
 use crate::stores::LogFile;
 
@@ -81,10 +84,18 @@ pub struct LogPart {
     pub index: LogIndex,
     /// Where its losses are noted.
     pub losses: FileLosses,
-    types: OnceLock<ChannelTypes>,
+    /// Channels by topic.
+    topics: BTreeMap<String, Vec<u16>>,
+    /// The message type of each channel, by its place in `types`.
+    places: BTreeMap<u16, usize>,
+    /// Message types: one for channels that share a schema.
+    types: Vec<OnceLock<Result<MessageType, SchemaError>>>,
+    /// Columns that further message types may have.
+    columns_left: AtomicUsize,
 }
 
-type ChannelTypes = BTreeMap<u16, Result<MessageType, SchemaError>>;
+/// Columns that all message types of a log may have together: a thousand types of two hundred each.
+const LOG_COLUMNS: usize = 200_000;
 
 impl std::fmt::Debug for LogPart {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -122,6 +133,18 @@ impl LogPart {
         };
         let losses = ledger.of_file(url.as_str());
         index.losses.iter().for_each(|lost| losses.note_again(lost));
+        let mut topics = BTreeMap::<String, Vec<u16>>::new();
+        let mut places = BTreeMap::new();
+        let mut shared = BTreeMap::new();
+        for channel in index.channels.values() {
+            let of_topic = topics.entry(channel.topic.clone()).or_default();
+            of_topic.push(channel.id);
+            let schema = channel.schema.as_ref().map(Arc::as_ptr);
+            let next = shared.len();
+            let key = (channel.message_encoding.as_str(), schema);
+            places.insert(channel.id, *shared.entry(key).or_insert(next));
+        }
+        let types = shared.iter().map(|_| OnceLock::new()).collect();
         Ok(Self {
             session,
             site,
@@ -132,14 +155,48 @@ impl LogPart {
             meta: file.meta,
             index,
             losses,
-            types: OnceLock::new(),
+            topics,
+            places,
+            types,
+            columns_left: AtomicUsize::new(LOG_COLUMNS),
         })
+    }
+
+    /// Channels of a topic.
+    pub fn channels_of(&self, topic: &str) -> impl Iterator<Item = &Arc<LogChannel>> {
+        let channels = self.topics.get(topic).into_iter().flatten();
+        channels.filter_map(|id| self.index.channels.get(id))
     }
 
     /// Whether it has messages of one of these topics.
     pub(crate) fn has_any(&self, topics: &[String]) -> bool {
-        let mut channels = self.index.channels.values();
-        channels.any(|channel| topics.contains(&channel.topic))
+        topics.iter().any(|topic| self.topics.contains_key(topic))
+    }
+
+    /// Reads the whole file, and notes what is damaged, and which schemas are unsound: what it really holds.
+    ///
+    /// # Errors
+    /// A resource fault when the store fails.
+    pub async fn survey(&self) -> Result<LogIndex, Fault> {
+        let (store, meta) = (&self.store, &self.meta);
+        let found = self.index.survey(store, meta, &self.losses).await?;
+        for channel in self.index.channels.values() {
+            if let Some(Err(error)) = self.message_type(channel.id)
+                && !matches!(error, SchemaError::Unsupported { .. })
+            {
+                self.lose_topic(channel, error.to_string());
+            }
+        }
+        Ok(found)
+    }
+
+    /// Notes that the messages of a channel cannot be decoded.
+    pub(crate) fn lose_topic(&self, channel: &LogChannel, why: String) {
+        let count = self.index.channel_messages(channel.id).unwrap_or(1).max(1);
+        let (topic, place) = (&channel.topic, u64::from(channel.id));
+        let loss = Loss { count, bytes: 0 };
+        let losses = &self.losses;
+        losses.note_topic(Reason::BadSchema, topic, place, loss, why);
     }
 
     /// The columns of a topic's messages on one of its channels.
@@ -161,26 +218,60 @@ impl LogPart {
 
     /// The columns of a channel's messages, or why there are none. `None` for a channel that the log does not have.
     pub fn message_type(&self, channel: u16) -> Option<&Result<MessageType, SchemaError>> {
-        let types = self.types.get_or_init(|| {
-            let channels = self.index.channels.values();
-            channels
-                .map(|channel| (channel.id, message_type(channel)))
-                .collect()
-        });
-        types.get(&channel)
+        let known = self.index.channels.get(&channel)?;
+        let made = self.types.get(*self.places.get(&channel)?)?;
+        Some(made.get_or_init(|| self.make_type(known)))
+    }
+
+    /// The attachments, without their bytes.
+    ///
+    /// # Errors
+    /// A resource fault when the store fails.
+    pub async fn attachments(&self) -> Result<Vec<AttachmentHead>, Fault> {
+        heads::attachments(self).await
+    }
+
+    /// Names of the metadata records.
+    ///
+    /// # Errors
+    /// A resource fault when the store fails.
+    pub async fn metadata_names(&self) -> Result<Vec<String>, Fault> {
+        heads::metadata_names(self).await
+    }
+
+    fn make_type(&self, channel: &LogChannel) -> Result<MessageType, SchemaError> {
+        let schema = channel.schema.as_deref();
+        let (encoding, name, data) = match schema {
+            Some(schema) => (&*schema.encoding, &*schema.name, &*schema.data),
+            None => ("", "", &[][..]),
+        };
+        let made = MessageType::parse(&channel.message_encoding, encoding, name, data)?;
+        let columns = columns(made.fields());
+        let left = |left: usize| left.checked_sub(columns);
+        let order = Ordering::Relaxed;
+        match self.columns_left.fetch_update(order, order, left) {
+            Ok(_) => Ok(made),
+            Err(_) => Err(SchemaError::Refused {
+                schema: name.to_owned(),
+                reason: format!(
+                    "expected at most {LOG_COLUMNS} columns over all message types of a log, found more"
+                ),
+            }),
+        }
     }
 }
 
-fn message_type(channel: &LogChannel) -> Result<MessageType, SchemaError> {
-    match &channel.schema {
-        Some(schema) => MessageType::parse(
-            &channel.message_encoding,
-            &schema.encoding,
-            &schema.name,
-            &schema.data,
-        ),
-        None => MessageType::parse(&channel.message_encoding, "", "", &[]),
-    }
+/// Columns and columns within them.
+fn columns(fields: &Fields) -> usize {
+    let within = |field: &FieldRef| match field.data_type() {
+        DataType::Struct(fields) => columns(fields),
+        DataType::List(item) | DataType::FixedSizeList(item, _) => match item.data_type() {
+            DataType::Struct(fields) => columns(fields),
+            _ => 0,
+        },
+        _ => 0,
+    };
+    fields.iter().map(|field| 1 + within(field)).sum()
 }
 
 /// A file's name without its last extension.

@@ -113,6 +113,7 @@ async fn local(runtime: &RuntimeEnv, name: &str) -> Result<Vec<LogFile>, Fault> 
         .map_err(|error| Fault::resource(error.to_string()))?;
     let mut files = Vec::new();
     for path in local_paths(name)? {
+        check_file(&path)?;
         let path =
             plain_path(&path).map_err(|error| Fault::user(error.to_string()).at(path.display()))?;
         let location = Path::from_absolute_path(&path)
@@ -124,6 +125,35 @@ async fn local(runtime: &RuntimeEnv, name: &str) -> Result<Vec<LogFile>, Fault> 
         files.push(LogFile::new(&store, &url, meta));
     }
     Ok(files)
+}
+
+/// Refuses what is there and is no file: reading a pipe would wait for ever, and a device has no end.
+fn check_file(path: &FilePath) -> Result<(), Fault> {
+    let Ok(found) = std::fs::metadata(path) else {
+        return Ok(());
+    };
+    if found.is_file() || found.is_dir() {
+        return Ok(());
+    }
+    let kind = special(found.file_type());
+    Err(Fault::user(format!("expected a file, found {kind}"))
+        .next("record it to a file first")
+        .at(path.display()))
+}
+
+#[cfg(unix)]
+fn special(kind: std::fs::FileType) -> &'static str {
+    use std::os::unix::fs::FileTypeExt;
+    match () {
+        () if kind.is_fifo() => "a named pipe",
+        () if kind.is_socket() => "a socket",
+        () => "a device",
+    }
+}
+
+#[cfg(not(unix))]
+fn special(_: std::fs::FileType) -> &'static str {
+    "something else"
 }
 
 /// The absolute path without `..`; a link to a file keeps its own name.

@@ -117,8 +117,11 @@ async fn a_log_cut_at_any_byte_gives_every_message_of_every_complete_chunk() {
                 assert!(length < MAGIC.len(), "refused at {length}");
                 continue;
             };
-            let expected: Vec<u32> = (0..expected(&ends, length) as u32).collect();
-            assert_eq!(sequences, expected, "cut at {length}");
+            // Of a chunk that is cut, the messages before its end are salvaged.
+            let expected = expected(&ends, length);
+            assert!(sequences.len() >= expected, "cut at {length}");
+            let first: Vec<u32> = (0..sequences.len() as u32).collect();
+            assert_eq!(sequences, first, "cut at {length}");
             if length <= data_end {
                 assert!(!losses.is_empty(), "no loss told at {length}");
             }
@@ -148,12 +151,8 @@ async fn real_logs_are_cut_at_random_bytes() {
             let length = MAGIC.len() + (state >> 33) as usize % (log.len() - MAGIC.len());
             let (sequences, _) = read(&log[..length]).await.unwrap();
             let expected = expected(&ends, length);
-            assert_eq!(
-                sequences.len(),
-                expected,
-                "{} cut at {length}",
-                path.display()
-            );
+            let complete = sequences.len() >= expected;
+            assert!(complete, "{} cut at {length}", path.display());
         }
     }
 }

@@ -36,9 +36,10 @@ async fn every_real_log_has_the_rows_that_its_statistics_promise() {
     for log in logs {
         let (context, dataset) = open(&[log.display().to_string()], 2).await;
         let refused = refused(&context).await;
-        let index = &dataset.parts()[0].index;
+        let part = &dataset.parts()[0];
+        let index = &part.index;
         for topic in dataset.topics() {
-            let promised: Option<u64> = index
+            let promised: Option<u64> = part
                 .channels_of(&topic)
                 .map(|channel| index.channel_messages(channel.id))
                 .sum();

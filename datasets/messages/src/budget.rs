@@ -16,9 +16,9 @@ const SCHEMA_STEPS_PER_BYTE: usize = 32;
 
 /// Bytes of columns that any message may yield.
 const MESSAGE_BYTES: usize = 16 << 20;
-/// Further bytes of columns for each of its bytes. Packed numbers take eight for one, the rest leaves room for absent
-/// fields.
-const MESSAGE_BYTES_PER_BYTE: usize = 16;
+/// Further bytes of columns for each of its bytes: packed numbers take eight for one. Absent fields beyond that have the
+/// bytes of any message.
+const MESSAGE_BYTES_PER_BYTE: usize = 8;
 
 /// Steps that a schema may still take: letters that are compared or copied, members that are made.
 #[derive(Debug)]
@@ -127,7 +127,7 @@ mod tests {
         );
         SchemaBudget::of_text("T", &vec![b' '; MAX_TEXT + 1]).unwrap_err();
         let mut message = MessageBudget::of(&[0; 10]);
-        message.spend(MESSAGE_BYTES + 160).unwrap();
+        message.spend(MESSAGE_BYTES + 80).unwrap();
         message.spend(1).unwrap_err();
     }
 }

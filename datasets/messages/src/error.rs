@@ -62,7 +62,7 @@ pub enum SchemaError {
 impl SchemaError {
     pub(crate) fn refused(schema: &str, reason: String) -> Self {
         SchemaError::Refused {
-            schema: schema.chars().take(200).collect(),
+            schema: shown(schema),
             reason,
         }
     }
@@ -144,4 +144,9 @@ impl DecodeError {
             available: data.len().saturating_sub(offset),
         }
     }
+}
+
+/// A name as a message shows it.
+pub(crate) fn shown(name: &str) -> String {
+    name.chars().take(200).collect()
 }

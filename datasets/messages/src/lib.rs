@@ -61,6 +61,8 @@ use wire::StructType;
 
 /// Columns one schema may unfold to; beyond it a definition is refused.
 const MAX_COLUMNS: usize = 20_000;
+/// Bytes of the name of a message type.
+const MAX_NAME: usize = 4096;
 /// Levels of nesting one schema may have.
 const MAX_DEPTH: usize = 64;
 
@@ -101,6 +103,11 @@ impl MessageType {
         schema_name: &str,
         schema: &[u8],
     ) -> Result<MessageType, SchemaError> {
+        if schema_name.len() > MAX_NAME {
+            let found = schema_name.len();
+            let reason = format!("expected a name of at most {MAX_NAME} B, found {found} B");
+            return Err(SchemaError::refused(schema_name, reason));
+        }
         let kind = match (message_encoding, schema_encoding) {
             ("cdr", "ros2msg") => {
                 let text = String::from_utf8_lossy(schema);
@@ -121,8 +128,8 @@ impl MessageType {
             ("json", "") => Kind::Json(json::Plan::untyped()),
             _ => {
                 return Err(SchemaError::Unsupported {
-                    message_encoding: message_encoding.to_owned(),
-                    schema_encoding: schema_encoding.to_owned(),
+                    message_encoding: error::shown(message_encoding),
+                    schema_encoding: error::shown(schema_encoding),
                 });
             }
         };

@@ -1,6 +1,7 @@
 //! From declarations that name each other to one finite message type.
 
 use crate::budget::SchemaBudget;
+use crate::error::shown;
 use crate::wire::{Extensibility, Scalar, StructType, Wire};
 use crate::{MAX_DEPTH, SchemaError};
 use std::collections::{HashMap, HashSet};
@@ -161,7 +162,7 @@ impl Library {
         if self.open.iter().any(|open| open == name) {
             return Err(SchemaError::Recursive {
                 schema: self.schema.clone(),
-                recursive: name.to_owned(),
+                recursive: shown(name),
             });
         }
         if self.open.len() >= MAX_DEPTH {
@@ -216,7 +217,7 @@ impl Library {
     fn unknown(&self, missing: &str) -> SchemaError {
         SchemaError::UnknownType {
             schema: self.schema.clone(),
-            missing: missing.to_owned(),
+            missing: shown(missing),
         }
     }
 

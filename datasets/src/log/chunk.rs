@@ -3,16 +3,19 @@
 use std::io::Read;
 
 use bytes::Bytes;
-use mcap::records::{ChunkHeader, Record, op};
+use mcap::records::op;
 
-use crate::log::record::{FRAME, MESSAGE_HEAD, MessageHead, frame, parse, split};
-use crate::losses::Reason;
-
-/// Chunks that claim to be larger than this after decompression are not believed.
-pub const LARGEST_CHUNK: u64 = 2 << 30;
+use crate::log::record::{FRAME, MESSAGE_HEAD, MessageHead, frame, split};
+use crate::log::unpack::unpack;
+use crate::losses::{Loss, Reason};
 
 /// First bytes of a zstd frame.
 const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
+/// Bytes that come out of any message that was compressed on its own, and further ones for each of its bytes: such a
+/// message says nothing of its size, so it cannot be reserved.
+const MESSAGE_BYTES: u64 = 64 << 20;
+const MESSAGE_RATIO: u64 = 64;
 
 /// A decompressed chunk, or a run of records that lie outside any chunk.
 #[derive(Debug, Clone)]
@@ -25,6 +28,8 @@ pub struct Block {
     pub packing: Option<Packing>,
     /// Whether a place in the block can be told by a file offset and one decompression.
     pub addressable: bool,
+    /// What is wrong with the chunk: then the records are those that lie before the damage.
+    pub damage: Option<Damage>,
 }
 
 /// How a chunk lies in its file.
@@ -40,31 +45,28 @@ pub struct Packing {
 pub type Damage = (Reason, String);
 
 impl Block {
-    /// Opens a chunk record that starts at `offset` of its file: checks it, decompresses it, compares its checksum.
+    /// Opens a chunk record that starts at `offset` of its file: checks it, decompresses it, compares its checksum. Of
+    /// a record that is cut, or does not decompress, the records before the damage are kept.
     ///
     /// # Errors
-    /// When the bytes are no chunk record, do not decompress, or fail their checksum.
+    /// When the bytes are no chunk record, are compressed in an unknown way, or fail their checksum.
     pub fn open(record: &Bytes, offset: u64) -> Result<Self, Damage> {
-        let (header, data, data_start) = chunk_parts(record)?;
-        let bytes = decompress(&header.compression, data, header.uncompressed_size)?;
-        if header.uncompressed_crc != 0 {
-            let found = crc32fast::hash(&bytes);
-            if found != header.uncompressed_crc {
-                let detail = format!(
-                    "expected the checksum {:08x}, found {found:08x}",
-                    header.uncompressed_crc
-                );
-                return Err((Reason::BadChecksum, detail));
-            }
+        let head = ChunkHead::parse(record)?;
+        let (data, cut) = head.data(record)?;
+        let (bytes, damage) = unpack(&head.compression, data, head.size)?;
+        let damage = cut.or(damage);
+        if damage.is_none() {
+            head.check(crc32fast::hash(&bytes))?;
         }
         Ok(Self {
             bytes,
-            file_offset: offset + data_start as u64,
+            file_offset: offset + head.start as u64,
             packing: Some(Packing {
-                compression: header.compression,
-                compressed_size: header.compressed_size,
+                compression: head.compression,
+                compressed_size: head.packed.min((record.len() - head.start) as u64),
             }),
             addressable: true,
+            damage,
         })
     }
 
@@ -75,6 +77,7 @@ impl Block {
             file_offset: offset,
             packing: None,
             addressable: true,
+            damage: None,
         }
     }
 
@@ -88,10 +91,17 @@ impl Block {
         if !payload.starts_with(&ZSTD_MAGIC) {
             return Ok(None);
         }
+        let most = MESSAGE_BYTES + MESSAGE_RATIO * payload.len() as u64;
         let mut bytes = Vec::new();
         zstd::Decoder::new(payload)
-            .and_then(|zstd| zstd.take(LARGEST_CHUNK).read_to_end(&mut bytes))
+            .and_then(|zstd| zstd.take(most + 1).read_to_end(&mut bytes))
             .map_err(|error| format!("a payload that does not decompress: {error}"))?;
+        if bytes.len() as u64 > most {
+            let found = payload.len();
+            return Err(format!(
+                "expected at most {most} B out of a payload of {found} B, found more"
+            ));
+        }
         let plain = self
             .packing
             .as_ref()
@@ -104,6 +114,7 @@ impl Block {
                 compressed_size: payload.len() as u64,
             }),
             addressable: plain,
+            damage: None,
         }))
     }
 
@@ -116,15 +127,18 @@ impl Block {
     }
 
     /// The messages of the channels that `wanted` says yes to, ordered by log time; equal times keep the order of
-    /// the file. Beside them, the number of bytes at the end that are no complete record.
-    pub fn messages(&self, mut wanted: impl FnMut(u16) -> bool) -> (Vec<Message>, u64) {
+    /// the file. Beside them, what of the block is no record that can be in one.
+    pub fn messages(&self, mut wanted: impl FnMut(u16) -> bool) -> (Vec<Message>, Loss) {
         let mut messages = Vec::new();
+        let mut lost = Loss::default();
         let mut records = self.records();
         for (opcode, start, body) in records.by_ref() {
             if opcode != op::MESSAGE {
+                lost.add(stray(opcode, body.len() as u64));
                 continue;
             }
             let Some(head) = MessageHead::parse(body) else {
+                lost.add(Some(FRAME + body.len() as u64));
                 continue;
             };
             if wanted(head.channel) {
@@ -136,11 +150,21 @@ impl Block {
             }
         }
         let rest = (self.bytes.len() - records.offset) as u64;
+        if self.damage.is_none() {
+            lost.add((rest > 0).then_some(rest));
+        }
         if !messages.is_sorted_by_key(|message| message.head.log_time) {
             messages.sort_by_key(|message| message.head.log_time);
         }
-        (messages, rest)
+        (messages, lost)
     }
+}
+
+/// Bytes of a record that is skipped though it may not lie in a chunk; none for one that may, or that nobody knows.
+pub(crate) fn stray(opcode: u8, length: u64) -> Option<u64> {
+    let known = (op::HEADER..=op::DATA_END).contains(&opcode);
+    let fits = matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE);
+    (known && !fits).then_some(FRAME.saturating_add(length))
 }
 
 /// A message within a block.
@@ -174,60 +198,98 @@ impl<'a> Iterator for Records<'a> {
     }
 }
 
-fn chunk_parts(record: &Bytes) -> Result<(ChunkHeader, Bytes, usize), Damage> {
-    let no_chunk = |detail: &str| (Reason::BadIndex, detail.to_owned());
-    if frame(record).is_none_or(|(opcode, _)| opcode != op::CHUNK) {
-        return Err(no_chunk("expected a chunk record, found something else"));
-    }
-    let (opcode, body, _) = split(record).ok_or_else(|| no_chunk("a chunk record that is cut"))?;
-    match parse(opcode, body) {
-        Ok(Record::Chunk { header, .. }) => {
-            let data_start = FRAME as usize + 8 + 8 + 8 + 4 + 4 + header.compression.len() + 8;
-            let data_end = usize::try_from(header.compressed_size)
-                .ok()
-                .and_then(|size| size.checked_add(data_start))
-                .filter(|end| *end <= record.len())
-                .ok_or_else(|| no_chunk("a chunk longer than its record"))?;
-            Ok((header, record.slice(data_start..data_end), data_start))
+/// What stands before a chunk's data.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct ChunkHead {
+    /// Bytes that it claims to hold.
+    pub size: u64,
+    /// Checksum of what it holds; 0 for none.
+    pub crc: u32,
+    /// `zstd`, `lz4` or empty.
+    pub compression: String,
+    /// Bytes of its data.
+    pub packed: u64,
+    /// Where its data start in the record.
+    pub start: usize,
+}
+
+/// Bytes of a chunk record before the name of its compression: frame, two times, size, checksum, length of the name.
+const BEFORE_NAME: usize = FRAME as usize + 8 + 8 + 8 + 4 + 4;
+/// Bytes of the longest name of a compression that is read.
+const LONGEST_NAME: usize = 256;
+
+/// Bytes that certainly hold the head of a chunk.
+pub(crate) const HEAD: u64 = (BEFORE_NAME + LONGEST_NAME + 8) as u64;
+
+impl ChunkHead {
+    /// Of a chunk record, of which at least the first [`HEAD`] bytes are there, or all.
+    ///
+    /// # Errors
+    /// When it is no chunk record, or cut before its data.
+    pub fn parse(record: &[u8]) -> Result<Self, Damage> {
+        let bad = |detail: String| (Reason::BadIndex, detail);
+        match frame(record) {
+            Some((op::CHUNK, _)) => {}
+            Some((opcode, _)) => {
+                return Err(bad(format!(
+                    "expected a chunk record, found opcode {opcode}"
+                )));
+            }
+            None => return Err(bad("expected a chunk record, found nothing".to_owned())),
         }
-        Ok(_) => Err(no_chunk("expected a chunk record")),
-        Err(detail) => Err((Reason::BadCompression, detail)),
+        let parsed = || {
+            let number = |at: usize| Some(u64::from_le_bytes(*record.get(at..)?.first_chunk()?));
+            let short = |at: usize| Some(u32::from_le_bytes(*record.get(at..)?.first_chunk()?));
+            let name = short(BEFORE_NAME - 4)? as usize;
+            let name = record.get(BEFORE_NAME..)?.get(..name.min(LONGEST_NAME))?;
+            let start = BEFORE_NAME + name.len() + 8;
+            Some(Self {
+                size: number(FRAME as usize + 16)?,
+                crc: short(FRAME as usize + 24)?,
+                compression: String::from_utf8_lossy(name).into_owned(),
+                packed: number(start - 8)?,
+                start,
+            })
+        };
+        parsed().ok_or_else(|| {
+            let found = record.len();
+            bad(format!(
+                "expected the head of a chunk record, found {found} B of one"
+            ))
+        })
     }
-}
 
-/// Decompresses a chunk's data to exactly `size` bytes. An uncompressed chunk is not copied.
-///
-/// # Errors
-/// When the compression is not known, the data are damaged, or the size is wrong.
-pub fn decompress(compression: &str, data: Bytes, size: u64) -> Result<Bytes, Damage> {
-    let bad = |detail: String| (Reason::BadCompression, detail);
-    if size > LARGEST_CHUNK {
-        return Err(bad(format!("a chunk that claims to hold {size} B")));
+    /// The chunk's data, as far as they are there; beside them, that they are cut.
+    fn data(&self, record: &Bytes) -> Result<(Bytes, Option<Damage>), Damage> {
+        let claimed = frame(record).map_or(0, |(_, length)| length.saturating_add(FRAME));
+        let end = self.packed.saturating_add(self.start as u64);
+        if end > claimed {
+            let detail =
+                format!("expected data of at most {claimed} B in a chunk record, found {end} B");
+            return Err((Reason::BadIndex, detail));
+        }
+        let found = record.len() as u64;
+        let data = record.slice(self.start..end.min(found) as usize);
+        let cut = (end > found).then(|| (Reason::Torn, self.cut(found)));
+        Ok((data, cut))
     }
-    let bytes = match compression {
-        "" => data,
-        "zstd" | "lz4" => unpack(compression, &data, size as usize)
-            .map_err(|error| bad(error.to_string()))?
-            .into(),
-        other => return Err(bad(format!("the unknown compression {other:?}"))),
-    };
-    if bytes.len() as u64 != size {
-        return Err(bad(format!(
-            "expected {size} B after decompression, found {}",
-            bytes.len()
-        )));
-    }
-    Ok(bytes)
-}
 
-fn unpack(compression: &str, data: &[u8], size: usize) -> std::io::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    bytes.try_reserve_exact(size)?;
-    if compression == "zstd" {
-        zstd::bulk::Decompressor::new()?.decompress_to_buffer(data, &mut bytes)?;
-    } else {
-        let lz4 = lz4_flex::frame::FrameDecoder::new(data);
-        lz4.take(size as u64 + 1).read_to_end(&mut bytes)?;
+    /// What is wrong with a record of which only so many bytes are there.
+    pub fn cut(&self, found: u64) -> String {
+        let end = self.packed.saturating_add(self.start as u64);
+        format!("expected a chunk record of {end} B, found its first {found}")
     }
-    Ok(bytes)
+
+    /// Compares the checksum.
+    ///
+    /// # Errors
+    /// Where it is another one.
+    pub fn check(&self, found: u32) -> Result<(), Damage> {
+        if self.crc == 0 || self.crc == found {
+            return Ok(());
+        }
+        let expected = self.crc;
+        let detail = format!("expected the checksum {expected:08x}, found {found:08x}");
+        Err((Reason::BadChecksum, detail))
+    }
 }

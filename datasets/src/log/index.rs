@@ -6,13 +6,20 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use evermap_schemas::Fault;
-use mcap::records::{ChunkIndex, Statistics, op};
+use mcap::records::{ChunkIndex, Statistics};
 use object_store::{ObjectMeta, ObjectStore};
 use serde::{Deserialize, Serialize};
 
 use crate::log::record::{MAGIC, nanoseconds};
 use crate::log::{linear, summary};
-use crate::losses::{Entry, LossLedger};
+use crate::losses::{Entry, FileLosses, Loss, LossLedger, Reason};
+
+/// Bytes that an index may hold: of schemas and channels, and of the places of records. A recording of ten hours with a
+/// thousand topics takes a tenth of it.
+const INDEX_BYTES: usize = 64 << 20;
+
+/// Bytes that a note of a channel's metadata takes beside its text.
+const NOTE_BYTES: usize = 112;
 
 /// A schema record.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -178,8 +185,12 @@ impl LogIndex {
         check_kind(store, meta).await?;
         let ledger = LossLedger::new();
         let losses = ledger.of_file(meta.location.as_ref());
-        let index = match summary::read(store, meta).await? {
+        let indexed = match summary::read(store, meta).await? {
             Some(found) => linear::with_gaps(store, meta, found, &losses).await?,
+            None => None,
+        };
+        let index = match indexed {
+            Some(index) => index,
             None => linear::read(store, meta, &losses).await?,
         };
         Ok(Self {
@@ -187,6 +198,40 @@ impl LogIndex {
             losses: ledger.entries(),
             ..index
         })
+    }
+
+    /// Reads the whole file, also where it has a sound summary: what it really holds, beside whose losses those of the
+    /// summary are noted, where it says other things. Memory does not grow with the file or its chunks.
+    ///
+    /// # Errors
+    /// A resource fault when the store fails.
+    pub(crate) async fn survey(
+        &self,
+        store: &Arc<dyn ObjectStore>,
+        meta: &ObjectMeta,
+        losses: &FileLosses,
+    ) -> Result<Self, Fault> {
+        if !self.indexed {
+            return Ok(self.clone());
+        }
+        let found = linear::read(store, meta, losses).await?;
+        for (id, channel) in &found.channels {
+            if !self.channels.contains_key(id) {
+                let count = found.channel_messages(*id).unwrap_or(0).max(1);
+                let detail = format!("expected channel {id} in the summary, found none");
+                let loss = Loss { count, bytes: 0 };
+                let topic = &channel.topic;
+                losses.note_topic(Reason::BadSummary, topic, u64::from(*id), loss, detail);
+            }
+        }
+        let (said, counted) = (self.message_count(), found.message_count());
+        if let (Some(said), Some(counted)) = (said, counted)
+            && said != counted
+        {
+            let detail = format!("expected {said} messages as the summary says, found {counted}");
+            losses.note(Reason::BadSummary, meta.size, Loss::one(0), detail);
+        }
+        Ok(found)
     }
 
     /// Whether it can be the index of a file of this size, as far as it says itself: it was read from one, its
@@ -231,13 +276,6 @@ impl LogIndex {
         let channels = self.counts.as_ref()?.channels.as_ref()?;
         Some(channels.get(&channel).copied().unwrap_or(0))
     }
-
-    /// Channels of a topic.
-    pub fn channels_of<'a>(&'a self, topic: &'a str) -> impl Iterator<Item = &'a Arc<LogChannel>> {
-        self.channels
-            .values()
-            .filter(move |channel| channel.topic == topic)
-    }
 }
 
 /// Refuses what is no MCAP file, and says what to do instead.
@@ -268,37 +306,81 @@ async fn check_kind(store: &Arc<dyn ObjectStore>, meta: &ObjectMeta) -> Result<(
 }
 
 /// Collects what a file holds while its records go by.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct Collector {
     pub index: LogIndex,
     /// What the recorder counted.
     pub statistics: Option<Statistics>,
+    /// Bytes that the index may still hold.
+    pub room: usize,
+    /// Whether something found no room.
+    pub full: bool,
     schemas: BTreeMap<u16, Arc<LogSchema>>,
     pending: BTreeMap<u16, mcap::records::Channel>,
 }
 
+impl Default for Collector {
+    fn default() -> Self {
+        Self {
+            index: LogIndex::default(),
+            statistics: None,
+            room: INDEX_BYTES,
+            full: false,
+            schemas: BTreeMap::new(),
+            pending: BTreeMap::new(),
+        }
+    }
+}
+
 impl Collector {
-    /// Takes a schema or channel record; other records are ignored.
-    pub fn add_definition(&mut self, opcode: u8, body: &[u8]) {
-        use mcap::records::Record;
-        if !matches!(opcode, op::SCHEMA | op::CHANNEL) {
+    /// Whether there is room for so many bytes; they are taken.
+    fn take(&mut self, bytes: usize) -> bool {
+        match self.room.checked_sub(bytes) {
+            Some(room) => self.room = room,
+            None => self.full = true,
+        }
+        !self.full
+    }
+
+    /// Takes a stretch of messages, an attachment or a metadata record.
+    pub fn add_unit(&mut self, unit: Unit) {
+        let channels = unit.channels.as_ref().map_or(0, Vec::len);
+        if !self.take(size_of::<Unit>() + size_of::<u16>() * channels) {
             return;
         }
+        let units = match unit.kind {
+            UnitKind::Chunk | UnitKind::Loose => &mut self.index.units,
+            UnitKind::Attachment => &mut self.index.attachments,
+            UnitKind::Metadata => &mut self.index.metadata,
+        };
+        units.push(unit);
+    }
+
+    /// Takes a schema or channel record; whether it is sound.
+    pub fn add_definition(&mut self, opcode: u8, body: &[u8]) -> bool {
+        use mcap::records::Record;
         match super::record::parse(opcode, body) {
             Ok(Record::Schema { header, data }) => {
+                if self.schemas.contains_key(&header.id) || !self.take(body.len()) {
+                    return true;
+                }
                 let schema = LogSchema {
                     name: header.name,
                     encoding: header.encoding,
                     data: Bytes::copy_from_slice(&data),
                 };
-                let schemas = &mut self.schemas;
-                schemas.entry(header.id).or_insert_with(|| schema.into());
+                self.schemas.insert(header.id, schema.into());
             }
-            Ok(Record::Channel(channel)) => {
-                self.pending.entry(channel.id).or_insert(channel);
+            Ok(Record::Channel(channel))
+                if !self.pending.contains_key(&channel.id)
+                    && self.take(2 * body.len() + NOTE_BYTES * channel.metadata.len()) =>
+            {
+                self.pending.insert(channel.id, channel);
             }
-            _ => {}
+            Ok(Record::Channel(_)) => {}
+            _ => return false,
         }
+        true
     }
 
     /// Whether every channel refers to a schema that was seen, and `ids` are all channels that were seen.

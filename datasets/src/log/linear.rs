@@ -9,7 +9,8 @@ use evermap_schemas::Fault;
 use mcap::records::{Record, op};
 use object_store::{ObjectMeta, ObjectStore};
 
-use crate::log::chunk::Block;
+use crate::log::census::{Census, Pieces, census, longest};
+use crate::log::chunk::{ChunkHead, Damage, HEAD};
 use crate::log::index::{Collector, Counts, LogIndex, Unit, UnitKind};
 use crate::log::record::{FRAME, MAGIC, MESSAGE_HEAD, MessageHead, frame, parse};
 use crate::log::summary::Summary;
@@ -18,6 +19,10 @@ use crate::losses::{FileLosses, Loss, Reason};
 
 /// Messages outside chunks are read in runs of this many bytes.
 const RUN: u64 = 1 << 20;
+/// Chunks are decompressed in pieces of so many bytes, while further ones are fetched.
+const PIECE: u64 = 1 << 20;
+/// Pieces that wait to be decompressed.
+const WAITING: usize = 2;
 
 /// Reads a whole file.
 pub(crate) async fn read(
@@ -28,10 +33,12 @@ pub(crate) async fn read(
     let mut scan = Scan::new(Collector::default(), store, meta, meta.size, losses);
     let ended = scan.run(MAGIC.len() as u64, meta.size).await?;
     if let Ended::Early(at) = ended {
+        scan.torn_chunk(at, meta.size).await?;
         let rest = meta.size - at.min(meta.size);
         let loss = Loss::one(rest);
         losses.note(Reason::Torn, at, loss, "no end record");
     }
+    scan.note_full();
     let mut index = scan.collector.finish();
     for (channel, count) in &scan.counts {
         if !index.channels.contains_key(channel) {
@@ -51,13 +58,13 @@ pub(crate) async fn read(
 }
 
 /// Completes the index of a file with a sound summary by what lies between the entries of its index: messages
-/// outside chunks, and records that the summary does not list.
+/// outside chunks, and records that the summary does not list. `None` where they contradict the summary.
 pub(crate) async fn with_gaps(
     store: &Arc<dyn ObjectStore>,
     meta: &ObjectMeta,
     summary: Summary,
     losses: &FileLosses,
-) -> Result<LogIndex, Fault> {
+) -> Result<Option<LogIndex>, Fault> {
     let end = summary.gaps.iter().map(|gap| gap.1).max().unwrap_or(0);
     let mut scan = Scan::new(summary.collector, store, meta, end, losses);
     for (start, end) in summary.gaps {
@@ -68,7 +75,12 @@ pub(crate) async fn with_gaps(
             losses.note(Reason::BadRecord, at, loss, "between indexed records");
         }
     }
-    Ok(scan.collector.finish())
+    scan.note_full();
+    if scan.contradicts(summary.indexed) {
+        tracing::warn!(file = %meta.location, "the summary contradicts the file: reading the file from its start");
+        return Ok(None);
+    }
+    Ok(Some(scan.collector.finish()))
 }
 
 enum Ended {
@@ -84,6 +96,12 @@ struct Scan<'a> {
     losses: &'a FileLosses,
     counts: BTreeMap<u16, u64>,
     run: Option<Run>,
+    /// Messages that are too short, one behind the other: where the first is, and how many.
+    short: Option<(u64, Loss)>,
+    /// The summary lists the channels of chunks.
+    listed: bool,
+    /// There are message indexes that no chunk of the summary has.
+    stray_indexes: bool,
 }
 
 /// A growing stretch of messages outside chunks.
@@ -103,12 +121,43 @@ impl<'a> Scan<'a> {
         end: u64,
         losses: &'a FileLosses,
     ) -> Self {
+        let mut units = collector.index.units.iter();
+        let listed = units.any(|unit| unit.channels.is_some());
         Self {
+            listed,
             collector,
             window: Window::new(store.clone(), meta.location.clone(), end),
             losses,
             counts: BTreeMap::new(),
             run: None,
+            short: None,
+            stray_indexes: false,
+        }
+    }
+
+    /// Whether the file has other messages than the summary says, as far as that can be told without reading chunks.
+    fn contradicts(&self, indexed: Option<u64>) -> bool {
+        let Some(statistics) = &self.collector.statistics else {
+            return self.stray_indexes;
+        };
+        let loose: u64 = self.counts.values().sum();
+        let total = indexed.map(|indexed| indexed.saturating_add(loose));
+        let units = || self.collector.index.units.iter();
+        let listed: BTreeSet<u16> = units()
+            .flat_map(|unit| unit.channels.iter().flatten().copied())
+            .collect();
+        let unlisted = statistics.channel_message_counts.iter();
+        let mut unlisted = unlisted.filter(|(id, count)| **count > 0 && !listed.contains(id));
+        self.stray_indexes
+            || total.is_some_and(|total| total != statistics.message_count)
+            || (unlisted.next().is_some() && units().all(|unit| unit.channels.is_some()))
+    }
+
+    /// Says that not everything found room.
+    fn note_full(&self) {
+        if self.collector.full {
+            let detail = "expected at most 64 MiB of schemas, channels and places of records";
+            self.losses.note(Reason::NoRoom, 0, Loss::one(0), detail);
         }
     }
 
@@ -118,6 +167,9 @@ impl<'a> Scan<'a> {
         let mut position = start;
         let mut data_ended = false;
         while let Some((opcode, length, next)) = self.next_frame(position, end).await? {
+            if opcode != op::MESSAGE {
+                self.close_short();
+            }
             match opcode {
                 op::DATA_END => data_ended = true,
                 op::FOOTER => break,
@@ -128,6 +180,7 @@ impl<'a> Scan<'a> {
             position = next;
         }
         self.close_run();
+        self.close_short();
         Ok(match data_ended {
             true => Ended::AtEnd,
             false => Ended::Early(position),
@@ -153,42 +206,65 @@ impl<'a> Scan<'a> {
     async fn record(&mut self, opcode: u8, offset: u64, length: u64) -> Result<(), Fault> {
         match opcode {
             op::MESSAGE => self.message(offset, length).await,
-            op::CHUNK => self.chunk(offset, length).await,
+            op::CHUNK => self.chunk(offset, FRAME + length, None).await,
+            op::MESSAGE_INDEX => {
+                self.stray_indexes |= self.listed;
+                Ok(())
+            }
             op::ATTACHMENT => {
                 self.close_run();
                 // Log time, the first field, is all that the index needs.
-                let head = self.body(offset, length.min(8)).await?;
+                let head = self.body(opcode, offset, length.min(8)).await?;
                 let time = head
                     .first_chunk()
                     .map_or(0, |time| i64::from_le_bytes(*time));
                 let unit = Unit::of_record(UnitKind::Attachment, offset, length + FRAME, time);
-                self.collector.index.attachments.push(unit);
+                self.collector.add_unit(unit);
                 Ok(())
             }
             op::METADATA => {
                 self.close_run();
                 let unit = Unit::of_record(UnitKind::Metadata, offset, length + FRAME, 0);
-                self.collector.index.metadata.push(unit);
+                self.collector.add_unit(unit);
                 Ok(())
             }
             op::HEADER => {
-                let body = self.body(offset, length).await?;
-                if let Ok(Record::Header(header)) = parse(opcode, &body) {
-                    self.collector.index.profile = header.profile;
-                    self.collector.index.library = header.library;
+                let body = self.body(opcode, offset, length).await?;
+                match parse(opcode, &body) {
+                    Ok(Record::Header(header)) => {
+                        self.collector.index.profile = header.profile;
+                        self.collector.index.library = header.library;
+                    }
+                    _ => self.malformed("header", offset, length),
                 }
                 Ok(())
             }
             op::SCHEMA | op::CHANNEL => {
-                let body = self.body(offset, length).await?;
-                self.collector.add_definition(opcode, &body);
+                let body = self.body(opcode, offset, length).await?;
+                if !self.collector.add_definition(opcode, &body) {
+                    self.malformed("definition", offset, length);
+                }
                 Ok(())
             }
             _ => Ok(()),
         }
     }
 
-    async fn body(&mut self, offset: u64, length: u64) -> Result<Bytes, Fault> {
+    fn malformed(&self, expected: &str, offset: u64, length: u64) {
+        let detail = format!("expected a {expected}, found a record that is cut or malformed");
+        let loss = Loss::one(FRAME + length);
+        self.losses.note(Reason::BadRecord, offset, loss, detail);
+    }
+
+    /// The body of a header or definition; of one that is longer than any, nothing.
+    async fn body(&mut self, opcode: u8, offset: u64, length: u64) -> Result<Bytes, Fault> {
+        let most = longest(opcode);
+        if length > most {
+            let detail = format!("expected a definition of at most {most} B, found {length} B");
+            let loss = Loss::one(FRAME + length);
+            self.losses.note(Reason::BadRecord, offset, loss, detail);
+            return Ok(Bytes::new());
+        }
         Ok(self
             .window
             .get(offset + FRAME, length)
@@ -197,7 +273,10 @@ impl<'a> Scan<'a> {
     }
 
     async fn message(&mut self, offset: u64, length: u64) -> Result<(), Fault> {
-        let body = self.body(offset, length.min(MESSAGE_HEAD as u64)).await?;
+        let body = self
+            .window
+            .get(offset + FRAME, length.min(MESSAGE_HEAD as u64));
+        let body = body.await?.unwrap_or_default();
         let end = offset + FRAME + length;
         if self
             .run
@@ -207,15 +286,11 @@ impl<'a> Scan<'a> {
             self.close_run();
         }
         let Some(head) = MessageHead::parse(&body) else {
-            let loss = Loss::one(FRAME + length);
-            self.losses.note(
-                Reason::BadRecord,
-                offset,
-                loss,
-                "a message that is too short",
-            );
+            let (_, lost) = self.short.get_or_insert((offset, Loss::default()));
+            lost.add(Some(FRAME + length));
             return Ok(());
         };
+        self.close_short();
         *self.counts.entry(head.channel).or_default() += 1;
         let run = self.run.get_or_insert_with(|| Run {
             start: offset,
@@ -231,10 +306,18 @@ impl<'a> Scan<'a> {
         Ok(())
     }
 
+    fn close_short(&mut self) {
+        if let Some((offset, lost)) = self.short.take() {
+            let detail =
+                format!("expected messages of at least {MESSAGE_HEAD} B, found shorter ones");
+            self.losses.note(Reason::BadRecord, offset, lost, detail);
+        }
+    }
+
     fn close_run(&mut self) {
         let Some(run) = self.run.take() else { return };
         let length = run.end - run.start;
-        self.collector.index.units.push(Unit {
+        self.collector.add_unit(Unit {
             kind: UnitKind::Loose,
             offset: run.start,
             length,
@@ -245,72 +328,97 @@ impl<'a> Scan<'a> {
         });
     }
 
-    async fn chunk(&mut self, offset: u64, length: u64) -> Result<(), Fault> {
-        self.close_run();
-        let Some(record) = self.window.get(offset, FRAME + length).await? else {
-            return Ok(());
-        };
-        let opened = tokio::task::spawn_blocking(move || census(&record, offset))
-            .await
-            .map_err(|error| Fault::bug(error.to_string()))?;
-        match opened {
-            Ok(census) => {
-                for (opcode, body) in &census.definitions {
-                    self.collector.add_definition(*opcode, body);
-                }
-                for (channel, count) in &census.counts {
-                    *self.counts.entry(*channel).or_default() += count;
-                }
-                self.collector.index.units.push(census.unit);
+    /// What is there of a chunk at the end of a file that was cut.
+    async fn torn_chunk(&mut self, offset: u64, end: u64) -> Result<(), Fault> {
+        let present = end.saturating_sub(offset);
+        let head = self.window.get(offset, present.min(HEAD)).await?;
+        let head = ChunkHead::parse(&head.unwrap_or_default());
+        match head {
+            Ok(head) => {
+                let cut = (Reason::Torn, head.cut(present));
+                self.chunk(offset, present, Some(cut)).await
             }
+            Err(_) => Ok(()),
+        }
+    }
+
+    /// Reads the chunk record at `offset`, of which so many bytes are there.
+    async fn chunk(&mut self, offset: u64, present: u64, cut: Option<Damage>) -> Result<(), Fault> {
+        self.close_run();
+        let lost = Loss::one(present);
+        let head = self.window.get(offset, present.min(HEAD)).await?;
+        let census = match ChunkHead::parse(&head.unwrap_or_default()) {
+            Ok(head) => self.census(offset, present, head, cut).await?,
+            Err(damage) => Err(damage),
+        };
+        let census = match census {
+            Ok(census) => census,
             Err((reason, detail)) => {
-                let loss = Loss::one(FRAME + length);
-                self.losses.note(reason, offset, loss, detail);
+                self.losses.note(reason, offset, lost, detail);
+                return Ok(());
+            }
+        };
+        if let Some((reason, detail)) = &census.damage {
+            self.losses.note(*reason, offset, lost, detail);
+        }
+        if census.lost.count > 0 {
+            let detail = "inside a chunk";
+            self.losses
+                .note(Reason::BadRecord, offset, census.lost, detail);
+        }
+        for ((opcode, _), body) in &census.definitions {
+            if !self.collector.add_definition(*opcode, body) {
+                self.malformed("definition", offset, body.len() as u64);
             }
         }
+        for (channel, count) in &census.counts {
+            *self.counts.entry(*channel).or_default() += count;
+        }
+        let (start_time, end_time) = census.times.unwrap_or_default();
+        self.collector.add_unit(Unit {
+            kind: UnitKind::Chunk,
+            offset,
+            length: present,
+            size: census.size,
+            channels: Some(census.counts.keys().copied().collect()),
+            start_time,
+            end_time,
+        });
         Ok(())
     }
-}
 
-struct Census {
-    unit: Unit,
-    definitions: Vec<(u8, Bytes)>,
-    counts: BTreeMap<u16, u64>,
-}
-
-/// Opens a chunk and counts what is in it.
-fn census(record: &Bytes, offset: u64) -> Result<Census, crate::log::chunk::Damage> {
-    let block = Block::open(record, offset)?;
-    let mut counts = BTreeMap::<u16, u64>::new();
-    let mut times: Option<(i64, i64)> = None;
-    let mut definitions = Vec::new();
-    for (opcode, _, body) in block.records() {
-        match opcode {
-            op::SCHEMA | op::CHANNEL => definitions.push((opcode, Bytes::copy_from_slice(body))),
-            op::MESSAGE => {
-                let Some(head) = MessageHead::parse(body) else {
-                    continue;
-                };
-                *counts.entry(head.channel).or_default() += 1;
-                let (start, end) = times.unwrap_or((head.log_time, head.log_time));
-                times = Some((start.min(head.log_time), end.max(head.log_time)));
-            }
-            _ => {}
+    /// Counts what is in a chunk while it is fetched.
+    async fn census(
+        &mut self,
+        offset: u64,
+        present: u64,
+        head: ChunkHead,
+        cut: Option<Damage>,
+    ) -> Result<Result<Census, Damage>, Fault> {
+        let start = offset + head.start as u64;
+        let end = start.saturating_add(head.packed);
+        if end > offset + present && cut.is_none() {
+            let damage = (Reason::BadIndex, head.cut(present));
+            return Ok(Err(damage));
         }
+        let end = end.min(offset + present);
+        let (sender, pieces) = tokio::sync::mpsc::channel(WAITING);
+        let room = self.collector.room;
+        let task = tokio::task::spawn_blocking(move || {
+            let piece = Bytes::new();
+            census(&head, cut, room, Pieces { pieces, piece })
+        });
+        let mut position = start;
+        while position < end {
+            let length = PIECE.min(end - position);
+            let piece = self.window.get(position, length).await?;
+            // Who counts may have seen enough.
+            if sender.send(piece.unwrap_or_default()).await.is_err() {
+                break;
+            }
+            position += length;
+        }
+        drop(sender);
+        task.await.map_err(|error| Fault::bug(error.to_string()))
     }
-    let (start_time, end_time) = times.unwrap_or_default();
-    let unit = Unit {
-        kind: UnitKind::Chunk,
-        offset,
-        length: record.len() as u64,
-        size: block.bytes.len() as u64,
-        channels: Some(counts.keys().copied().collect()),
-        start_time,
-        end_time,
-    };
-    Ok(Census {
-        unit,
-        definitions,
-        counts,
-    })
 }

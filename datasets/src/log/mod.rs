@@ -1,8 +1,11 @@
 //! One MCAP file: its records, its index, its chunks. Knows object stores, not tables.
 
+mod census;
 pub mod chunk;
+pub mod heads;
 pub mod index;
 mod linear;
 pub mod record;
 mod summary;
+pub mod unpack;
 pub(crate) mod window;

@@ -32,27 +32,72 @@ pub fn frame(bytes: &[u8]) -> Option<(u8, u64)> {
 /// # Errors
 /// In words, where the body is malformed or an attachment does not match its checksum.
 pub fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
-    if opcode == op::ATTACHMENT {
-        check_attachment(body)?;
+    if skip(layout(opcode), body).is_none() {
+        let found = body.len();
+        return Err(format!("expected a longer record, found {found} B"));
     }
     mcap::parse_record(opcode, body).map_err(|error| error.to_string())
 }
 
-/// The `mcap` crate slices attachment bodies by lengths that it has not compared with the body.
-fn check_attachment(body: &[u8]) -> Result<(), String> {
-    let sound = || {
-        // Two times, name, media type, data with its length, checksum.
-        let rest = skip_text(skip_text(body.get(16..)?)?)?;
-        let length = u64::from_le_bytes(*rest.first_chunk()?);
-        let end = length.checked_add(8 + 4)?;
-        (end <= rest.len() as u64).then_some(())
-    };
-    sound().ok_or_else(|| "an attachment whose length is wrong".to_owned())
+/// A part of a record's body.
+enum Part {
+    /// So many bytes.
+    Fixed(usize),
+    /// Bytes behind their length in 32 bits.
+    Text,
+    /// Texts behind the length of all in 32 bits.
+    Texts,
+    /// Bytes behind their length in 64 bits.
+    Data,
 }
 
-fn skip_text(bytes: &[u8]) -> Option<&[u8]> {
-    let length = u32::from_le_bytes(*bytes.first_chunk()?) as usize;
-    bytes.get(4..)?.get(length..)
+/// The parts of a record as far as they hold lengths. The `mcap` crate allocates what a length says, or slices by it,
+/// before it has compared the length with the body.
+fn layout(opcode: u8) -> &'static [Part] {
+    use Part::{Data, Fixed, Text, Texts};
+    match opcode {
+        op::HEADER => &[Text, Text],
+        op::SCHEMA => &[Fixed(2), Text, Text, Text],
+        op::CHANNEL => &[Fixed(4), Text, Text, Texts],
+        op::CHUNK => &[Fixed(28), Text, Data],
+        op::MESSAGE_INDEX => &[Fixed(2), Text],
+        op::CHUNK_INDEX => &[Fixed(32), Text, Fixed(8), Text, Fixed(16)],
+        op::ATTACHMENT => &[Fixed(16), Text, Text, Data, Fixed(4)],
+        op::ATTACHMENT_INDEX => &[Fixed(40), Text, Text],
+        op::STATISTICS => &[Fixed(42), Text],
+        op::METADATA => &[Text, Texts],
+        op::METADATA_INDEX => &[Fixed(16), Text],
+        _ => &[],
+    }
+}
+
+/// What lies behind these parts; `None` where one of them is not all there.
+fn skip<'a>(parts: &[Part], body: &'a [u8]) -> Option<&'a [u8]> {
+    let mut rest = body;
+    for part in parts {
+        rest = match part {
+            Part::Fixed(length) => rest.get(*length..)?,
+            Part::Text => text(rest)?.1,
+            Part::Texts => {
+                let (mut texts, behind) = text(rest)?;
+                while !texts.is_empty() {
+                    texts = text(texts)?.1;
+                }
+                behind
+            }
+            Part::Data => {
+                let (length, behind) = rest.split_first_chunk::<8>()?;
+                behind.get(usize::try_from(u64::from_le_bytes(*length)).ok()?..)?
+            }
+        };
+    }
+    Some(rest)
+}
+
+/// Bytes behind their length in 32 bits, and what lies behind them.
+fn text(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = bytes.split_first_chunk::<4>()?;
+    rest.split_at_checked(u32::from_le_bytes(*length) as usize)
 }
 
 /// A message record, without its payload.
@@ -89,6 +134,33 @@ pub fn nanoseconds(time: u64) -> i64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lengths_are_compared_with_the_body_before_it_is_parsed() {
+        let claim = [&[0; 4][..], &[0xFF; 4], &[b'x'; 60]].concat();
+        for opcode in op::HEADER..=op::DATA_END {
+            for start in 0..48 {
+                let mut body = vec![0; start];
+                body.extend(&claim);
+                // Whatever it says, it does not allocate four gigabytes for it.
+                let _ = parse(opcode, &body);
+            }
+            for length in 0..80 {
+                let _ = parse(opcode, &vec![0xFF; length]);
+            }
+        }
+        assert!(parse(op::HEADER, &claim).is_err());
+        assert!(parse(op::HEADER, &[0; 8]).is_ok());
+        let names = [
+            &[0; 4][..],
+            &[0; 8],
+            &[9, 0, 0, 0, 1, 0, 0, 0, b'a', 0, 0, 0, 0],
+        ]
+        .concat();
+        assert!(parse(op::CHANNEL, &names).is_ok());
+        let torn = [&names[..16], &[0xFF; 4], &names[20..]].concat();
+        assert!(parse(op::CHANNEL, &torn).is_err());
+    }
 
     #[test]
     fn a_record_is_split_only_when_it_is_complete() {

@@ -1,15 +1,17 @@
 //! The summary at the end of a file that was closed properly.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use bytes::Bytes;
 use evermap_schemas::Fault;
-use mcap::records::{Footer, Record, op};
+use mcap::records::{ChunkIndex, Footer, Record, op};
 use object_store::{ObjectMeta, ObjectStore};
 
+use crate::log::census::longest;
 use crate::log::index::{Collector, Unit, UnitKind};
-use crate::log::record::{FOOTER, FRAME, MAGIC, nanoseconds, parse, split};
-use crate::log::window::fetch;
+use crate::log::record::{FOOTER, FRAME, MAGIC, frame, nanoseconds, parse, split};
+use crate::log::window::{Window, fetch};
 
 /// Bytes fetched from the end of a file at first: most summaries fit.
 const TAIL: u64 = 64 << 10;
@@ -18,6 +20,8 @@ const TAIL: u64 = 64 << 10;
 pub(crate) struct Summary {
     pub collector: Collector,
     pub gaps: Vec<(u64, u64)>,
+    /// Messages of all chunks, by the lengths of their message indexes; `None` where a chunk has none.
+    pub indexed: Option<u64>,
 }
 
 /// Reads the summary; `None` where there is none, where it is damaged, where it contradicts the file's size, or where
@@ -42,18 +46,17 @@ pub(crate) async fn read(
     if footer.summary_start < magic || footer.summary_start >= footer_start {
         return Ok(None);
     }
-    let section = if footer.summary_start >= tail_start {
-        tail.slice((footer.summary_start - tail_start) as usize..)
-    } else {
-        fetch(store, &meta.location, footer.summary_start..meta.size).await?
+    let window = Window::new(store.clone(), meta.location.clone(), meta.size);
+    let mut window = window.holding(tail_start, tail);
+    let section = footer.summary_start..footer_start;
+    let Some(found) = Section::read(&mut window, section.clone()).await? else {
+        return Ok(None);
     };
-    if !checksum_fits(&footer, &section) {
+    if !checksum_fits(&footer, &mut window, section).await? {
         tracing::warn!(file = %meta.location, "the summary does not match its checksum: reading the file from its start");
         return Ok(None);
     }
-    let records = section.slice(..(footer_start - footer.summary_start) as usize);
-    Ok(collect(&records)
-        .and_then(|(collector, indexes)| believe(collector, indexes, footer.summary_start)))
+    Ok(found.believed(footer.summary_start))
 }
 
 fn footer(tail: &Bytes) -> Option<Footer> {
@@ -66,71 +69,150 @@ fn footer(tail: &Bytes) -> Option<Footer> {
 }
 
 /// The checksum covers the summary and the footer up to the checksum itself.
-fn checksum_fits(footer: &Footer, section: &[u8]) -> bool {
-    let covered = section.len().saturating_sub(MAGIC.len() + 4);
-    footer.summary_crc == 0 || crc32fast::hash(&section[..covered]) == footer.summary_crc
+async fn checksum_fits(
+    footer: &Footer,
+    window: &mut Window,
+    section: Range<u64>,
+) -> Result<bool, Fault> {
+    const PIECE: u64 = 1 << 20;
+    if footer.summary_crc == 0 {
+        return Ok(true);
+    }
+    let end = section.end + FOOTER - 4;
+    let mut crc = crc32fast::Hasher::new();
+    let mut position = section.start;
+    while position < end {
+        let length = PIECE.min(end - position);
+        let Some(piece) = window.get(position, length).await? else {
+            return Ok(false);
+        };
+        crc.update(&piece);
+        position += length;
+    }
+    Ok(crc.finalize() == footer.summary_crc)
 }
 
 /// The summary's records, and the stretches that hold the message indexes of chunks.
-fn collect(records: &Bytes) -> Option<(Collector, Vec<(u64, u64)>)> {
-    let mut collector = Collector::default();
-    let mut message_indexes = Vec::new();
-    let mut offset = 0;
-    while offset < records.len() {
-        let (opcode, body, used) = split(&records[offset..])?;
-        offset += used;
-        if matches!(opcode, op::SCHEMA | op::CHANNEL) {
-            collector.add_definition(opcode, body);
-            continue;
+#[derive(Default)]
+struct Section {
+    collector: Collector,
+    message_indexes: Vec<(u64, u64)>,
+    /// Messages of the chunks so far; `None` once one does not say.
+    indexed: Option<u64>,
+}
+
+impl Section {
+    /// Record by record; `None` where one is cut, malformed, or there are more than an index holds.
+    async fn read(window: &mut Window, section: Range<u64>) -> Result<Option<Self>, Fault> {
+        let mut found = Self {
+            indexed: Some(0),
+            ..Self::default()
+        };
+        let mut position = section.start;
+        while position < section.end {
+            let head = window.get(position, FRAME).await?.unwrap_or_default();
+            let next = |length: u64| position.checked_add(FRAME)?.checked_add(length);
+            let sized = frame(&head).and_then(|(op, length)| Some((op, length, next(length)?)));
+            let Some((opcode, length, end)) =
+                sized.filter(|(op, _, end)| *op != 0 && *end <= section.end)
+            else {
+                return Ok(None);
+            };
+            if is_summary(opcode) {
+                if length > longest(opcode) {
+                    return Ok(None);
+                }
+                let body = window.get(position + FRAME, length).await?;
+                if !found.add(opcode, &body.unwrap_or_default()) {
+                    return Ok(None);
+                }
+            }
+            position = end;
         }
-        let index = &mut collector.index;
-        match parse(opcode, body).ok()? {
-            Record::ChunkIndex(chunk) => {
+        Ok(Some(found))
+    }
+
+    /// Takes a record; whether it made sense and there was room.
+    fn add(&mut self, opcode: u8, body: &[u8]) -> bool {
+        let collector = &mut self.collector;
+        if matches!(opcode, op::SCHEMA | op::CHANNEL) {
+            return collector.add_definition(opcode, body) && !collector.full;
+        }
+        match parse(opcode, body) {
+            Ok(Record::ChunkIndex(chunk)) => {
                 let unit = Unit::of_chunk(&chunk);
                 let end = unit.end().saturating_add(chunk.message_index_length);
-                message_indexes.push((unit.end(), end));
-                index.units.push(unit);
+                self.message_indexes.push((unit.end(), end));
+                let messages = message_count(&chunk);
+                self.indexed = self.indexed.zip(messages).map(|(sum, more)| sum + more);
+                collector.add_unit(unit);
             }
-            Record::AttachmentIndex(entry) => index.attachments.push(Unit::of_record(
+            Ok(Record::AttachmentIndex(entry)) => collector.add_unit(Unit::of_record(
                 UnitKind::Attachment,
                 entry.offset,
                 entry.length,
                 nanoseconds(entry.log_time),
             )),
-            Record::MetadataIndex(entry) => index.metadata.push(Unit::of_record(
+            Ok(Record::MetadataIndex(entry)) => collector.add_unit(Unit::of_record(
                 UnitKind::Metadata,
                 entry.offset,
                 entry.length,
                 0,
             )),
-            Record::Statistics(statistics) => collector.statistics = Some(statistics),
-            _ => {}
+            Ok(Record::Statistics(statistics)) => collector.statistics = Some(statistics),
+            Ok(_) => {}
+            Err(_) => return false,
         }
+        !collector.full
     }
-    Some((collector, message_indexes))
+
+    /// The summary, if it can be used, and what of the data section it leaves out.
+    fn believed(mut self, summary_start: u64) -> Option<Summary> {
+        let collector = &self.collector;
+        let units = &collector.index.units;
+        let known = units.iter().flat_map(|unit| unit.channels.iter().flatten());
+        let statistics = collector.statistics.as_ref();
+        let promised = statistics.map_or(0, |found| found.channel_count) as usize;
+        let silent =
+            collector.channel_count() == 0 && statistics.is_none_or(|s| s.message_count > 0);
+        // Where neither chunks nor statistics say what channels there are, the definitions may be any part of them.
+        let unsaid = statistics.is_none() && units.iter().any(|unit| unit.channels.is_none());
+        let counted = statistics.map(|found| found.channel_message_counts.keys());
+        let known = known.chain(counted.into_iter().flatten()).copied();
+        if silent || unsaid || collector.channel_count() < promised || !collector.describes(known) {
+            return None;
+        }
+        let gaps = gaps(collector, self.message_indexes, summary_start)?;
+        self.collector.index.indexed = true;
+        Some(Summary {
+            collector: self.collector,
+            gaps,
+            indexed: self.indexed,
+        })
+    }
 }
 
-/// Whether the summary can be used, and what of the data section it leaves out.
-fn believe(
-    mut collector: Collector,
-    message_indexes: Vec<(u64, u64)>,
-    summary_start: u64,
-) -> Option<Summary> {
-    let known: Vec<u16> = collector
-        .index
-        .units
-        .iter()
-        .flat_map(|unit| unit.channels.iter().flatten().copied())
-        .collect();
-    let statistics = collector.statistics.as_ref();
-    let promised = statistics.map_or(0, |found| found.channel_count) as usize;
-    let silent = collector.channel_count() == 0 && statistics.is_none_or(|s| s.message_count > 0);
-    if silent || collector.channel_count() < promised || !collector.describes(known.into_iter()) {
-        return None;
-    }
-    let gaps = gaps(&collector, message_indexes, summary_start)?;
-    collector.index.indexed = true;
-    Some(Summary { collector, gaps })
+fn is_summary(opcode: u8) -> bool {
+    matches!(
+        opcode,
+        op::SCHEMA
+            | op::CHANNEL
+            | op::CHUNK_INDEX
+            | op::ATTACHMENT_INDEX
+            | op::METADATA_INDEX
+            | op::STATISTICS
+    )
+}
+
+/// Messages of a chunk, by the length of its message indexes: a record for each channel, with its number, the bytes of
+/// its entries, and 16 B for each entry. `None` where it has none, or they are of another length.
+fn message_count(chunk: &ChunkIndex) -> Option<u64> {
+    const ENTRY: u64 = 16;
+    let channels = chunk.message_index_offsets.len() as u64;
+    let entries = chunk
+        .message_index_length
+        .checked_sub(channels * (FRAME + 2 + 4))?;
+    (channels > 0 && entries.is_multiple_of(ENTRY)).then_some(entries / ENTRY)
 }
 
 /// The stretches between the file's first bytes and its summary that no index entry covers; `None` where entries

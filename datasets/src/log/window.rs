@@ -31,6 +31,15 @@ impl Window {
         }
     }
 
+    /// With bytes that are known already, those at `start`.
+    pub fn holding(self, start: u64, bytes: Bytes) -> Self {
+        Self {
+            start,
+            bytes,
+            ..self
+        }
+    }
+
     /// The bytes at `offset`; `None` where fewer than `length` are left.
     ///
     /// # Errors

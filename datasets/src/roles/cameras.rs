@@ -50,7 +50,7 @@ async fn first(
     let units = Wanted {
         part,
         range: (0, u64::MAX),
-        channels: part.index.channels_of(topic).map(|c| c.id).collect(),
+        channels: part.channels_of(topic).map(|c| c.id).collect(),
         predicate: None,
         schema: &schema,
     }

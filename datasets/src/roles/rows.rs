@@ -55,18 +55,25 @@ impl RoleRows {
     ) -> Result<Self, Fault> {
         let mut found = Vec::new();
         let mut channels = BTreeMap::new();
+        let mut refused = Vec::new();
         for topic in topics {
-            for channel in part.index.channels_of(topic) {
-                let message_type = part.decodable(channel).map_err(|fault| {
-                    fault.next("take the topic out of the roles in a session manifest")
-                })?;
-                channels.insert(channel.id, found.len());
-                found.push(TopicMessages::new(
-                    topic,
-                    message_type.clone(),
-                    role.members,
-                ));
+            for channel in part.channels_of(topic) {
+                match part.decodable(channel) {
+                    Ok(message_type) => {
+                        channels.insert(channel.id, found.len());
+                        let members = role.members;
+                        found.push(TopicMessages::new(topic, message_type.clone(), members));
+                    }
+                    Err(fault) => refused.push((channel, fault)),
+                }
             }
+        }
+        // Others play the role: then a topic that cannot be decoded is lost alone.
+        for (channel, fault) in refused {
+            if found.is_empty() {
+                return Err(fault.next("take the topic out of the roles in a session manifest"));
+            }
+            part.lose_topic(channel, fault.to_string());
         }
         Ok(Self {
             role,

@@ -29,5 +29,5 @@ pub(crate) use plan::Wanted;
 pub(crate) use records::RecordTable;
 pub(crate) use rows::projected;
 pub(crate) use stream::{Job, stream};
-pub(crate) use table::schema_of;
+pub(crate) use table::{LazyTable, schema_of};
 pub(crate) use topic::TopicTable;

@@ -1,7 +1,8 @@
 //! The stream of one partition's rows from one file: fetch a unit, open it, fill a batch, and so on.
 //!
 //! Fetching is asynchronous and one unit ahead; everything that costs CPU time runs on the blocking pool. At any
-//! moment a stream holds one opened unit, one fetched one and one batch, and has reserved that much.
+//! moment a stream holds one opened unit, one fetched one and one batch, and has reserved that much before it fetches
+//! or decompresses.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -16,8 +17,9 @@ use futures::stream::BoxStream;
 use futures::{StreamExt, TryStreamExt};
 
 use crate::fault::external;
-use crate::log::chunk::{Block, Damage, Message};
+use crate::log::chunk::{Block, ChunkHead, Damage, Message};
 use crate::log::index::{Unit, UnitKind};
+use crate::log::unpack::LARGEST_CHUNK;
 use crate::log::window::fetch;
 use crate::losses::{Loss, Reason};
 use crate::scan::plan::PlannedUnit;
@@ -105,18 +107,26 @@ impl Scan {
     /// Awaits the unit that is being fetched, and starts to fetch the one behind it.
     async fn next_unit(&mut self) -> Result<Option<(PlannedUnit, Bytes)>> {
         if self.fetched.is_none() {
+            self.reserve(None, 0)?;
             self.fetch_ahead();
         }
         let Some((unit, task)) = self.fetched.take() else {
             return Ok(None);
         };
+        self.reserve(Some(&unit.unit), unit.unit.size)?;
         self.fetch_ahead();
-        self.reserve(&unit.unit)?;
         let bytes = task
             .join()
             .await
-            .map_err(|error| external(Fault::bug(error.to_string())))?;
-        Ok(Some((unit, bytes.map_err(external)?)))
+            .map_err(|error| external(Fault::bug(error.to_string())))?
+            .map_err(external)?;
+        // What the chunk itself claims counts, if the index is too modest.
+        if let Ok(head) = ChunkHead::parse(&bytes)
+            && head.size > unit.unit.size
+        {
+            self.reserve(Some(&unit.unit), head.size)?;
+        }
+        Ok(Some((unit, bytes)))
     }
 
     fn fetch_ahead(&mut self) {
@@ -130,18 +140,16 @@ impl Scan {
         self.fetched = Some((unit, task));
     }
 
-    /// Reserves the memory for this unit, opened, for the one that is being fetched, and for a batch.
-    fn reserve(&mut self, unit: &Unit) -> Result<()> {
-        let ahead = self
-            .fetched
-            .as_ref()
-            .map_or(0, |(planned, _)| planned.unit.length);
-        let batch = unit.size.min(BATCH_BYTES as u64);
+    /// Reserves the memory for a unit of which so many bytes come out, for the one that is fetched next, and for a batch.
+    fn reserve(&mut self, unit: Option<&Unit>, size: u64) -> Result<()> {
+        let (held, units) = (&self.fetched, &self.units);
+        let ahead = held.as_ref().map(|(planned, _)| planned).or(units.front());
+        let opened = size.min(LARGEST_CHUNK);
         let bytes = [
-            unit.length,
-            unit.size.min(crate::log::chunk::LARGEST_CHUNK),
-            ahead,
-            batch,
+            unit.map_or(0, |unit| unit.length),
+            opened,
+            ahead.map_or(0, |planned| planned.unit.length),
+            opened.min(BATCH_BYTES as u64),
         ]
         .into_iter()
         .fold(0u64, u64::saturating_add);
@@ -190,6 +198,57 @@ fn push(
     })
 }
 
+/// Messages that the index does not know of, in a unit that is read for others.
+struct Strays<'a> {
+    part: &'a LogPart,
+    unit: &'a Unit,
+    /// The last channel that was seen to be known.
+    known: Option<u16>,
+    /// Messages of channels that are described nowhere.
+    unknown: u64,
+    /// Messages of channels that the index does not list here.
+    unlisted: u64,
+}
+
+impl<'a> Strays<'a> {
+    fn new(part: &'a LogPart, unit: &'a Unit) -> Self {
+        Self {
+            part,
+            unit,
+            known: None,
+            unknown: 0,
+            unlisted: 0,
+        }
+    }
+
+    fn see(&mut self, channel: u16) {
+        if self.known == Some(channel) {
+            return;
+        }
+        if !self.part.index.channels.contains_key(&channel) {
+            self.unknown += 1;
+        } else if !self.unit.may_hold(channel) {
+            self.unlisted += 1;
+        } else {
+            self.known = Some(channel);
+        }
+    }
+
+    fn note(self) {
+        let (losses, offset) = (&self.part.losses, self.unit.offset);
+        let loss = |count| Loss { count, bytes: 0 };
+        // An index that was made by reading the file has told of its channels already.
+        if self.unknown > 0 && self.part.index.indexed {
+            let detail = "expected messages of the channels in the summary, found others";
+            losses.note(Reason::UnknownChannel, offset, loss(self.unknown), detail);
+        }
+        if self.unlisted > 0 {
+            let detail = "expected messages of the channels that the summary lists for the chunk, found others";
+            losses.note(Reason::BadSummary, offset, loss(self.unlisted), detail);
+        }
+    }
+}
+
 /// A unit that is being read.
 struct Open {
     unit: Unit,
@@ -233,17 +292,22 @@ impl Worker {
                 return;
             }
         };
+        if let Some(damage) = block.damage.clone() {
+            self.lose_unit(&unit, damage);
+        }
+        let mut strays = Strays::new(&self.part, &unit);
         let rows = &self.rows;
-        let (messages, rest) = block.messages(|channel| match &planned.channels {
-            Some(channels) => channels.binary_search(&channel).is_ok(),
-            None => rows.wants(channel),
+        let (messages, lost) = block.messages(|channel| {
+            strays.see(channel);
+            match &planned.channels {
+                Some(channels) => channels.binary_search(&channel).is_ok(),
+                None => rows.wants(channel),
+            }
         });
-        if rest > 0 {
-            let loss = Loss::one(rest);
-            let detail = "inside a chunk";
-            self.part
-                .losses
-                .note(Reason::BadRecord, unit.offset, loss, detail);
+        strays.note();
+        if lost.count > 0 {
+            let losses = &self.part.losses;
+            losses.note(Reason::BadRecord, unit.offset, lost, "inside a chunk");
         }
         self.current = Some(Open {
             unit,

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use arrow::datatypes::{Field, Schema, SchemaRef};
 use async_trait::async_trait;
@@ -144,6 +144,60 @@ impl TableProvider for McapTable {
                 Ok(Arc::new(EmptyExec::new(schema)))
             }
         }
+    }
+}
+
+/// Makes a table.
+type Make = dyn Fn() -> Result<Arc<dyn TableProvider>, Fault> + Send + Sync;
+
+/// A table that is made when it is asked for: of the topics of a log, a query names few. Where it cannot be made,
+/// scanning it yields the fault.
+pub(crate) struct LazyTable {
+    make: Box<Make>,
+    made: OnceLock<Arc<dyn TableProvider>>,
+}
+
+impl LazyTable {
+    /// A table that this makes.
+    pub fn new(
+        make: impl Fn() -> Result<Arc<dyn TableProvider>, Fault> + Send + Sync + 'static,
+    ) -> Self {
+        Self {
+            make: Box::new(make),
+            made: OnceLock::new(),
+        }
+    }
+
+    fn table(&self) -> &Arc<dyn TableProvider> {
+        self.made
+            .get_or_init(|| (self.make)().unwrap_or_else(|fault| Arc::new(FaultyTable::new(fault))))
+    }
+}
+
+impl Debug for LazyTable {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.made.fmt(f)
+    }
+}
+
+#[async_trait]
+impl TableProvider for LazyTable {
+    fn schema(&self) -> SchemaRef {
+        self.table().schema()
+    }
+
+    fn table_type(&self) -> TableType {
+        TableType::Base
+    }
+
+    async fn scan(
+        &self,
+        state: &dyn Session,
+        projection: Option<&Vec<usize>>,
+        filters: &[Expr],
+        limit: Option<usize>,
+    ) -> Result<Arc<dyn ExecutionPlan>> {
+        self.table().scan(state, projection, filters, limit).await
     }
 }
 

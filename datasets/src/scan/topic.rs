@@ -1,6 +1,6 @@
 //! A topic's messages as a table: four columns that every message has, then the message's own fields.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::Arc;
 
 use arrow::array::{
@@ -32,15 +32,34 @@ const HEAD: usize = 4;
 /// Column names of a message's fields: their own, with `_` appended until they differ from the four columns of every
 /// message and from each other.
 fn column_names(fields: &Fields) -> Vec<String> {
-    let mut taken: Vec<String> = head_fields().iter().map(|f| f.name().clone()).collect();
+    let mut taken: HashSet<String> = head_fields().iter().map(|f| f.name().clone()).collect();
+    let mut names = Vec::with_capacity(fields.len());
     for field in fields {
         let mut name = field.name().clone();
-        while taken.contains(&name) {
+        while !taken.insert(name.clone()) {
             name.push('_');
         }
-        taken.push(name);
+        names.push(name);
     }
-    taken.split_off(HEAD)
+    names
+}
+
+/// Bytes of the largest value of fixed size that messages may lack. A null takes as much, though nothing is there.
+const LARGEST_LACKING: usize = 64 << 10;
+
+/// Bytes that any value of a type takes, also a null.
+fn fixed_bytes(data_type: &DataType) -> usize {
+    match data_type {
+        DataType::FixedSizeBinary(size) => *size as usize,
+        DataType::FixedSizeList(item, size) => {
+            fixed_bytes(item.data_type()).saturating_mul(*size as usize)
+        }
+        DataType::Struct(fields) => {
+            let members = fields.iter().map(|field| fixed_bytes(field.data_type()));
+            members.fold(0, usize::saturating_add)
+        }
+        other => other.primitive_width().unwrap_or(4),
+    }
 }
 
 /// The messages of one topic, decoded.
@@ -94,25 +113,35 @@ impl LogTable for TopicTable {
 /// The schema of a topic over several files: the union of its channels' fields by name. A field that some channels
 /// lack is nullable.
 fn topic_schema(topic: &str, parts: &[Arc<LogPart>]) -> Result<SchemaRef, Fault> {
-    let mut columns: Vec<(FieldRef, usize)> = Vec::new();
-    let mut seen: Vec<Fields> = Vec::new();
+    let at_topic = |fault: Fault| {
+        let next = "scan the sessions apart, or read the payloads from the table messages";
+        fault.at(format!("topic {topic}")).next(next)
+    };
+    let mut columns = Columned::default();
+    let mut seen: HashSet<Fields> = HashSet::new();
     for part in parts {
-        for channel in part.index.channels_of(topic) {
+        for channel in part.channels_of(topic) {
             let fields = message_type(part, channel)?.fields();
             if !seen.contains(fields) {
-                merge(&mut columns, fields).map_err(|fault| {
-                    fault.at(format!("topic {topic}")).at(&part.url).next(
-                        "scan the sessions apart, or read the payloads from the table messages",
-                    )
-                })?;
-                seen.push(fields.clone());
+                let merged = columns.merge(fields);
+                merged.map_err(|fault| at_topic(fault).at(&part.url))?;
+                seen.insert(fields.clone());
             }
         }
     }
-    let own = columns.into_iter().map(|(field, count)| {
-        let nullable = field.is_nullable() || count < seen.len();
-        Arc::new(field.as_ref().clone().with_nullable(nullable))
-    });
+    let mut own = Vec::with_capacity(columns.columns.len());
+    for (field, count) in columns.columns {
+        let lacking = count < seen.len();
+        let bytes = fixed_bytes(field.data_type());
+        if lacking && bytes > LARGEST_LACKING {
+            return Err(at_topic(Fault::data(format!(
+                "expected a field of at most {LARGEST_LACKING} B where some channels lack it, found {} of {bytes} B",
+                field.name()
+            ))));
+        }
+        let nullable = field.is_nullable() || lacking;
+        own.push(Arc::new(field.as_ref().clone().with_nullable(nullable)));
+    }
     let head = head_fields().into_iter().map(Arc::new);
     Ok(Arc::new(Schema::new(head.chain(own).collect::<Fields>())))
 }
@@ -122,28 +151,39 @@ fn message_type<'a>(part: &'a LogPart, channel: &LogChannel) -> Result<&'a Messa
     decodable.map_err(|fault| fault.next("its payloads are in the table messages, as bytes"))
 }
 
-fn merge(columns: &mut Vec<(FieldRef, usize)>, fields: &Fields) -> Result<(), Fault> {
-    for (field, name) in fields.iter().zip(column_names(fields)) {
-        let field = Arc::new(field.as_ref().clone().with_name(name));
-        match columns.iter_mut().find(|(f, _)| f.name() == field.name()) {
-            None => columns.push((field, 1)),
-            Some((known, count)) if known.data_type() == field.data_type() => {
-                *count += 1;
-                if field.is_nullable() {
-                    *known = field;
+/// Columns so far, each with the number of message types that have it.
+#[derive(Default)]
+struct Columned {
+    columns: Vec<(FieldRef, usize)>,
+    places: HashMap<String, usize>,
+}
+
+impl Columned {
+    fn merge(&mut self, fields: &Fields) -> Result<(), Fault> {
+        for (field, name) in fields.iter().zip(column_names(fields)) {
+            let next = self.columns.len();
+            let place = *self.places.entry(name.clone()).or_insert(next);
+            let field = Arc::new(field.as_ref().clone().with_name(name));
+            match self.columns.get_mut(place) {
+                None => self.columns.push((field, 1)),
+                Some((known, count)) if known.data_type() == field.data_type() => {
+                    *count += 1;
+                    if field.is_nullable() {
+                        *known = field;
+                    }
+                }
+                Some((known, _)) => {
+                    return Err(Fault::data(format!(
+                        "expected one type for the field {}, found {} and {}",
+                        field.name(),
+                        known.data_type(),
+                        field.data_type()
+                    )));
                 }
             }
-            Some((known, _)) => {
-                return Err(Fault::data(format!(
-                    "expected one type for the field {}, found {} and {}",
-                    field.name(),
-                    known.data_type(),
-                    field.data_type()
-                )));
-            }
         }
+        Ok(())
     }
-    Ok(())
 }
 
 /// Builds the rows of one topic from one file.
@@ -165,6 +205,8 @@ struct Columns {
     decoder: Decoder,
     /// For each projected table column: which of the decoder's columns it is; `None` where this type lacks it.
     places: Vec<Option<usize>>,
+    /// Bytes of a row in the columns that this type lacks.
+    lacking_bytes: usize,
 }
 
 impl TopicRows {
@@ -177,7 +219,7 @@ impl TopicRows {
         let mut types: Vec<&LogChannel> = Vec::new();
         let mut decoders = Vec::new();
         let mut channels = BTreeMap::new();
-        for channel in part.index.channels_of(topic) {
+        for channel in part.channels_of(topic) {
             let same = |other: &&LogChannel| {
                 other.schema == channel.schema && other.message_encoding == channel.message_encoding
             };
@@ -255,16 +297,21 @@ pub(crate) fn head_column(column: usize, session: &str, heads: &[MessageHead]) -
 
 impl Columns {
     fn new(message_type: &MessageType, schema: &SchemaRef, projection: &[usize]) -> Self {
-        let names = column_names(message_type.fields());
+        let names = column_names(message_type.fields()).into_iter();
+        let names: HashMap<String, usize> =
+            names.enumerate().map(|(at, name)| (name, at)).collect();
         let fields: Vec<Option<usize>> = projection
             .iter()
             .map(|column| match *column < HEAD {
                 true => None,
-                false => names
-                    .iter()
-                    .position(|name| name == schema.field(*column).name()),
+                false => names.get(schema.field(*column).name()).copied(),
             })
             .collect();
+        let lacking = projection.iter().zip(&fields);
+        let lacking_bytes = lacking
+            .filter(|(column, field)| **column >= HEAD && field.is_none())
+            .map(|(column, _)| fixed_bytes(schema.field(*column).data_type()))
+            .fold(0, usize::saturating_add);
         let mut wanted: Vec<usize> = fields.iter().flatten().copied().collect();
         wanted.sort_unstable();
         wanted.dedup();
@@ -275,6 +322,7 @@ impl Columns {
         Self {
             decoder: message_type.decoder(Some(&wanted)),
             places,
+            lacking_bytes,
         }
     }
 }
@@ -310,8 +358,14 @@ impl RowBuilder for TopicRows {
     fn bytes(&self) -> usize {
         let decoder = self.decoders.get(self.current);
         let decoded = decoder.map_or(0, |columns| columns.decoder.bytes());
+        let lacking = decoder.map_or(0, |columns| columns.lacking_bytes);
         let head = size_of::<MessageHead>() + self.session.len();
-        self.done_bytes + decoded + self.heads.len() * head
+        self.done_bytes
+            + decoded
+            + self
+                .heads
+                .len()
+                .saturating_mul(head.saturating_add(lacking))
     }
 
     fn finish(&mut self) -> Result<Vec<RecordBatch>, Fault> {

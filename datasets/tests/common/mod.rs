@@ -188,3 +188,90 @@ fn noise(seed: u32, length: usize) -> Vec<u8> {
     };
     (0..length).map(|_| next()).collect()
 }
+
+/// MCAP written by hand, so that it can say what no writer would.
+pub mod by_hand {
+    use evermap_datasets::log::record::MAGIC;
+
+    /// A text or bytes behind their length.
+    pub fn text(bytes: &[u8]) -> Vec<u8> {
+        [&(bytes.len() as u32).to_le_bytes(), bytes].concat()
+    }
+
+    pub fn record(opcode: u8, body: &[u8]) -> Vec<u8> {
+        [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat()
+    }
+
+    pub fn schema(id: u16, name: &str, encoding: &str, data: &[u8]) -> Vec<u8> {
+        let (name, encoding) = (text(name.as_bytes()), text(encoding.as_bytes()));
+        record(
+            3,
+            &[&id.to_le_bytes()[..], &name, &encoding, &text(data)].concat(),
+        )
+    }
+
+    pub fn channel(id: u16, schema: u16, topic: &str, encoding: &str) -> Vec<u8> {
+        let ids = [id.to_le_bytes(), schema.to_le_bytes()].concat();
+        let (topic, encoding) = (text(topic.as_bytes()), text(encoding.as_bytes()));
+        record(4, &[ids, topic, encoding, text(b"")].concat())
+    }
+
+    pub fn message(channel: u16, sequence: u32, data: &[u8]) -> Vec<u8> {
+        let time = u64::from(sequence + 1).to_le_bytes();
+        let (channel, sequence) = (channel.to_le_bytes(), sequence.to_le_bytes());
+        record(5, &[&channel[..], &sequence, &time, &time, data].concat())
+    }
+
+    /// A chunk that claims to hold `size` bytes.
+    pub fn chunk(size: u64, compression: &str, data: &[u8]) -> Vec<u8> {
+        let times = [1_u64.to_le_bytes(), 9_u64.to_le_bytes()].concat();
+        let head = [&times[..], &size.to_le_bytes(), &[0; 4]].concat();
+        let packed = (data.len() as u64).to_le_bytes();
+        let name = text(compression.as_bytes());
+        record(6, &[&head[..], &name, &packed, data].concat())
+    }
+
+    /// The entry of the chunk at `offset` in an index, with the channels that it lists.
+    pub fn chunk_index(offset: u64, length: u64, size: u64, listed: &[(u16, u64)]) -> Vec<u8> {
+        let number = |n: u64| n.to_le_bytes().to_vec();
+        let offsets: Vec<u8> = listed
+            .iter()
+            .flat_map(|(channel, _)| [channel.to_le_bytes().to_vec(), number(offset)].concat())
+            .collect();
+        let indexes: u64 = listed.iter().map(|(_, messages)| 15 + 16 * messages).sum();
+        let parts = [
+            number(1),
+            number(9),
+            number(offset),
+            number(length),
+            text(&offsets),
+            number(indexes),
+            text(b""),
+            number(length),
+            number(size),
+        ];
+        record(8, &parts.concat())
+    }
+
+    pub fn footer(summary_start: u64) -> Vec<u8> {
+        record(2, &[&summary_start.to_le_bytes()[..], &[0; 12]].concat())
+    }
+
+    /// A file of these records, with a summary of those where there are any.
+    pub fn file(records: &[Vec<u8>], summary: &[Vec<u8>]) -> Vec<u8> {
+        let header = record(1, &[text(b""), text(b"by hand")].concat());
+        let end = record(15, &[0; 4]);
+        let data = [MAGIC.to_vec(), header, records.concat(), end].concat();
+        let start = if summary.is_empty() {
+            0
+        } else {
+            data.len() as u64
+        };
+        [data, summary.concat(), footer(start), MAGIC.to_vec()].concat()
+    }
+
+    /// Bytes before the first record of [`file`].
+    pub fn first() -> u64 {
+        (MAGIC.len() + 9 + 4 + 4 + 7) as u64
+    }
+}

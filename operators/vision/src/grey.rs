@@ -81,7 +81,7 @@ pub(crate) fn checked_pixels(width: u32, height: u32) -> Result<usize, ImageErro
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ImageError {
     /// The bytes start like no image that is read.
-    #[error("expected a jpeg, png, webp, bmp, tiff or pnm image, found {found}")]
+    #[error("expected a jpeg, png or pnm image, found {found}; record images as JPEG or PNG")]
     Format {
         /// What was found instead.
         found: String,

@@ -108,13 +108,13 @@ pub struct LossLine {
 impl Contents {
     fn length(&self) -> String {
         let (start, end) = (self.start_ns.unwrap_or(0), self.end_ns.unwrap_or(0));
-        quantity::of_seconds((end - start) as f64 * 1e-9)
+        quantity::of_seconds((end as f64 - start as f64) * 1e-9)
     }
 
-    /// Letters of the longest topic.
+    /// Letters of the longest topic, of those that fit on a line.
     fn widest(&self) -> usize {
         let topics = self.channels.iter();
         let widths = topics.map(|channel| channel.topic.chars().count());
-        widths.max().unwrap_or(0)
+        widths.filter(|width| *width <= 80).max().unwrap_or(0)
     }
 }

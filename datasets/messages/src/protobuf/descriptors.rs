@@ -8,6 +8,7 @@
 
 use super::wire::{Value, WireReader};
 use crate::budget::SchemaBudget;
+use crate::error::shown;
 use crate::{DecodeError, SchemaError};
 use std::collections::HashMap;
 
@@ -343,7 +344,7 @@ impl<'a> Descriptors<'a> {
     fn unknown(&self, missing: &str) -> SchemaError {
         SchemaError::UnknownType {
             schema: self.schema.clone(),
-            missing: missing.to_owned(),
+            missing: shown(missing),
         }
     }
 }

@@ -1,11 +1,9 @@
 //! `evermap inspect`.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::io::Write;
 
-use arrow::array::AsArray;
-use arrow::datatypes::{TimestampNanosecondType, UInt64Type};
-use datafusion::prelude::SessionContext;
+use askama::Template;
 use evermap_datasets::log::index::{LogIndex, UnitKind};
 use evermap_datasets::{Dataset, LogPart};
 use evermap_engine::sql::{Limits, context};
@@ -15,10 +13,10 @@ use object_store::ObjectStoreExt;
 use crate::arguments::InspectArgs;
 use crate::contents::{Attachment, Channel, Chunks, Contents, LossLine};
 use crate::ending::Ending;
-use crate::reader::{answered, texts};
 use crate::sessions::lost;
 
-/// Says what a file holds. Every chunk is read, so that damage is found, unless only the index is asked for.
+/// Says what a file holds. Every chunk is read, so that damage is found, unless only the index is asked for. Memory
+/// does not grow with the file.
 ///
 /// # Errors
 /// A data fault for a file that is no MCAP, a user fault for one that is not there.
@@ -30,7 +28,6 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
         None,
     )
     .await?;
-    dataset.register(&context)?;
     let parts = dataset.parts();
     let [part] = parts.as_slice() else {
         return Err(Fault::user(format!(
@@ -40,72 +37,33 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
         ))
         .into());
     };
-    let counted = if args.quick {
-        None
-    } else {
-        Some(read_all(&context).await?)
+    let read = match args.quick {
+        true => part.index.clone(),
+        false => part.survey().await?,
     };
-    let (attachments, metadata) = (attachments(&context).await?, metadata(&context).await?);
-    let contents = contents(&dataset, part, counted.as_ref(), attachments, metadata).await;
-    let mut stdout = std::io::stdout().lock();
+    let contents = contents(&dataset, part, &read).await?;
+    let mut stdout = std::io::BufWriter::new(std::io::stdout().lock());
     if args.json {
-        let text = serde_json::to_string_pretty(&contents)
-            .map_err(|error| Fault::bug(error.to_string()))?;
-        writeln!(stdout, "{text}")?;
+        serde_json::to_writer_pretty(&mut stdout, &contents).map_err(std::io::Error::from)?;
+        writeln!(stdout)?;
     } else {
-        stdout.write_all(contents.to_string().as_bytes())?;
+        contents.write_into(&mut stdout)?;
     }
+    stdout.flush()?;
     Ok(lost(&dataset))
 }
 
-/// Reads every message; how many there are of each topic.
-async fn read_all(context: &SessionContext) -> Result<BTreeMap<String, u64>, Fault> {
-    let query = "SELECT topic, CAST(count(*) AS BIGINT UNSIGNED) AS n FROM messages GROUP BY topic";
-    let mut counts = BTreeMap::new();
-    for batch in answered(context, query).await? {
-        let (topics, numbers) = (
-            batch.column(0).as_string::<i32>(),
-            batch.column(1).as_primitive::<UInt64Type>(),
-        );
-        for (topic, number) in topics.iter().flatten().zip(numbers.values()) {
-            *counts.entry(topic.to_owned()).or_default() += number;
-        }
-    }
-    Ok(counts)
-}
-
-async fn attachments(context: &SessionContext) -> Result<Vec<Attachment>, Fault> {
-    let query = "SELECT name, media_type, size, log_time FROM attachments ORDER BY log_time, name";
-    let mut found = Vec::new();
-    for batch in answered(context, query).await? {
-        let [names, types] = [0, 1].map(|column| batch.column(column).as_string::<i32>());
-        let sizes = batch.column(2).as_primitive::<UInt64Type>();
-        let times = batch.column(3).as_primitive::<TimestampNanosecondType>();
-        found.extend((0..batch.num_rows()).map(|row| Attachment {
-            name: names.value(row).to_owned(),
-            media_type: types.value(row).to_owned(),
-            bytes: sizes.value(row),
-            log_time_ns: times.value(row),
-        }));
-    }
-    Ok(found)
-}
-
-async fn metadata(context: &SessionContext) -> Result<Vec<String>, Fault> {
-    let batches = answered(context, "SELECT name FROM metadata ORDER BY name").await?;
-    let names = batches.iter().filter_map(|batch| texts(batch, "name"));
-    Ok(names.flatten().flatten().map(str::to_owned).collect())
-}
-
-async fn contents(
-    dataset: &Dataset,
-    part: &LogPart,
-    counted: Option<&BTreeMap<String, u64>>,
-    attachments: Vec<Attachment>,
-    metadata: Vec<String>,
-) -> Contents {
-    let index = &part.index;
-    let range = index.time_range();
+/// What the index says, and what `read` found: the same, or more.
+async fn contents(dataset: &Dataset, part: &LogPart, read: &LogIndex) -> Result<Contents, Fault> {
+    let range = read.time_range();
+    let channels = channels(part, read);
+    let attachments = part.attachments().await?.into_iter();
+    let attachments = attachments.map(|found| Attachment {
+        name: found.name,
+        media_type: found.media_type,
+        bytes: found.bytes,
+        log_time_ns: found.log_time,
+    });
     let losses = dataset.losses.entries().into_iter().map(|entry| LossLine {
         reason: entry.reason.text().to_owned(),
         topic: entry.topic,
@@ -114,38 +72,31 @@ async fn contents(
         bytes: entry.loss.bytes,
         detail: entry.detail,
     });
-    Contents {
+    Ok(Contents {
         file: part.url.clone(),
         bytes: part.meta.size,
-        profile: index.profile.clone(),
-        library: index.library.clone(),
-        indexed: index.indexed,
-        messages: counted
-            .map(|counts| counts.values().sum())
-            .or_else(|| index.message_count()),
+        profile: read.profile.clone(),
+        library: read.library.clone(),
+        indexed: part.index.indexed,
+        messages: channels.iter().map(|channel| channel.messages).sum(),
         start_ns: range.map(|(start, _)| start),
         end_ns: range.map(|(_, end)| end),
         start: range.map(|(start, _)| instant(start)),
         end: range.map(|(_, end)| instant(end)),
-        chunks: chunks(part).await,
-        channels: channels(part, counted),
-        attachments,
-        metadata,
+        chunks: chunks(part, read).await,
+        channels,
+        attachments: attachments.collect(),
+        metadata: part.metadata_names().await?,
         losses: losses.collect(),
-    }
+    })
 }
 
 fn instant(nanoseconds: i64) -> String {
     chrono::DateTime::from_timestamp_nanos(nanoseconds).to_rfc3339()
 }
 
-fn channels(part: &LogPart, counted: Option<&BTreeMap<String, u64>>) -> Vec<Channel> {
-    let index: &LogIndex = &part.index;
-    let channels = index.channels.values().map(|channel| {
-        let alone = index.channels_of(&channel.topic).count() == 1;
-        let read = counted
-            .filter(|_| alone)
-            .map(|counts| counts.get(&channel.topic).copied().unwrap_or(0));
+fn channels(part: &LogPart, read: &LogIndex) -> Vec<Channel> {
+    let channels = read.channels.values().map(|channel| {
         let schema = channel.schema.as_deref();
         let undecodable = match part.message_type(channel.id) {
             Some(Err(error)) => Some(error.to_string()),
@@ -159,7 +110,7 @@ fn channels(part: &LogPart, counted: Option<&BTreeMap<String, u64>>) -> Vec<Chan
                 .map(|schema| schema.encoding.clone())
                 .unwrap_or_default(),
             message_encoding: channel.message_encoding.clone(),
-            messages: read.or_else(|| index.channel_messages(channel.id)),
+            messages: read.channel_messages(channel.id),
             undecodable,
         }
     });
@@ -171,9 +122,8 @@ fn channels(part: &LogPart, counted: Option<&BTreeMap<String, u64>>) -> Vec<Chan
 /// Chunks whose heads are read to learn how they are compressed.
 const HEADS: usize = 16;
 
-async fn chunks(part: &LogPart) -> Chunks {
-    let chunks: Vec<_> = part
-        .index
+async fn chunks(part: &LogPart, read: &LogIndex) -> Chunks {
+    let chunks: Vec<_> = read
         .units
         .iter()
         .filter(|unit| unit.kind == UnitKind::Chunk)
@@ -188,7 +138,9 @@ async fn chunks(part: &LogPart) -> Chunks {
     Chunks {
         count: chunks.len(),
         bytes: chunks.iter().map(|chunk| chunk.length).sum(),
-        uncompressed_bytes: chunks.iter().map(|chunk| chunk.size).sum(),
+        uncompressed_bytes: chunks
+            .iter()
+            .fold(0, |sum, chunk| chunk.size.saturating_add(sum)),
         compression,
     }
 }

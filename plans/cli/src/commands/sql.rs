@@ -75,6 +75,19 @@ impl Tables {
             .unwrap_or_default()
     }
 
+    /// A table that is not there may be a topic that damage took.
+    fn after_damage(&self, fault: Fault) -> Fault {
+        let lost = self.dataset.as_ref().map(|dataset| &dataset.losses);
+        match lost {
+            Some(lost) if !lost.is_empty() && fault.to_string().contains("not found") => fault
+                .next(format!(
+                    "the logs are torn or damaged, and it may be in what was lost ({}): see evermap inspect",
+                    lost.lines().join(", ")
+                )),
+            _ => fault,
+        }
+    }
+
     /// Runs one statement and writes its rows; how many there were.
     ///
     /// # Errors
@@ -86,7 +99,8 @@ impl Tables {
         sink: &mut Sink,
     ) -> Result<u64, Failure> {
         let state = self.context.state();
-        let plan = state.statement_to_plan(statement).await.or_fault()?;
+        let plan = state.statement_to_plan(statement).await.or_fault();
+        let plan = plan.map_err(|fault| self.after_damage(fault))?;
         let frame = self.context.execute_logical_plan(plan).await.or_fault()?;
         let schema = Arc::new(frame.schema().as_arrow().clone());
         let rows = frame.execute_stream().await.or_fault()?;

@@ -1,0 +1,117 @@
+//! What attachments and metadata records are called, without what they hold.
+
+use evermap_schemas::Fault;
+use mcap::records::op;
+
+use crate::log::index::Unit;
+use crate::log::record::{FRAME, frame, nanoseconds};
+use crate::log::window::fetch;
+use crate::losses::{Loss, Reason};
+use crate::session::LogPart;
+
+/// Bytes from the start of a record that are read.
+const HEAD: u64 = 4 << 10;
+/// Letters of a name that are kept.
+const LONGEST_NAME: usize = 256;
+
+/// What stands before an attachment's bytes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AttachmentHead {
+    /// Name of the attachment.
+    pub name: String,
+    /// What the bytes are.
+    pub media_type: String,
+    /// How many.
+    pub bytes: u64,
+    /// When it was recorded, ns since the epoch.
+    pub log_time: i64,
+}
+
+/// The attachments of a file, by time and name. What is malformed, or fails its checksum, is noted as lost.
+pub(crate) async fn attachments(part: &LogPart) -> Result<Vec<AttachmentHead>, Fault> {
+    let mut found = Vec::new();
+    for unit in &part.index.attachments {
+        let record = head(part, unit).await?;
+        let parsed = || {
+            let mut rest = body(&record, op::ATTACHMENT)?;
+            let log_time = nanoseconds(u64::from_le_bytes(*rest.first_chunk()?));
+            rest = rest.get(16..)?;
+            let name = text(&mut rest)?;
+            let media_type = text(&mut rest)?;
+            let bytes = u64::from_le_bytes(*rest.first_chunk()?);
+            (bytes <= unit.length).then_some(AttachmentHead {
+                name,
+                media_type,
+                bytes,
+                log_time,
+            })
+        };
+        match parsed() {
+            Some(attachment) if checksum_fits(part, unit).await? => found.push(attachment),
+            _ => lose(part, unit),
+        }
+    }
+    found.sort_by(|a, b| (a.log_time, &a.name).cmp(&(b.log_time, &b.name)));
+    Ok(found)
+}
+
+/// The names of a file's metadata records, sorted. What is malformed is noted as lost.
+pub(crate) async fn metadata_names(part: &LogPart) -> Result<Vec<String>, Fault> {
+    let mut found = Vec::new();
+    for unit in &part.index.metadata {
+        let record = head(part, unit).await?;
+        match body(&record, op::METADATA).and_then(|mut rest| text(&mut rest)) {
+            Some(name) => found.push(name),
+            None => lose(part, unit),
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// Reads an attachment's body in pieces: its last four bytes are the checksum of all before, or zero.
+async fn checksum_fits(part: &LogPart, unit: &Unit) -> Result<bool, Fault> {
+    const PIECE: u64 = 1 << 20;
+    let (start, end) = (unit.offset + FRAME, unit.end());
+    let location = &part.meta.location;
+    let mut crc = crc32fast::Hasher::new();
+    let mut position = start;
+    while position < end - 4 {
+        let next = (position + PIECE).min(end - 4);
+        crc.update(&fetch(&part.store, location, position..next).await?);
+        position = next;
+    }
+    let expected = fetch(&part.store, location, end - 4..end).await?;
+    let expected = expected
+        .first_chunk()
+        .map_or(0, |crc| u32::from_le_bytes(*crc));
+    Ok(expected == 0 || expected == crc.finalize())
+}
+
+async fn head(part: &LogPart, unit: &Unit) -> Result<bytes::Bytes, Fault> {
+    let range = unit.offset..unit.end().min(unit.offset + HEAD);
+    fetch(&part.store, &part.meta.location, range).await
+}
+
+fn lose(part: &LogPart, unit: &Unit) {
+    let detail =
+        format!("expected a name in the first {HEAD} B and a right checksum, found others");
+    let loss = Loss::one(unit.length);
+    part.losses
+        .note(Reason::BadAttachment, unit.offset, loss, detail);
+}
+
+/// The body of a record of this kind.
+fn body(record: &[u8], opcode: u8) -> Option<&[u8]> {
+    let (found, _) = frame(record)?;
+    record.get(FRAME as usize..).filter(|_| found == opcode)
+}
+
+/// A text behind its length.
+fn text(rest: &mut &[u8]) -> Option<String> {
+    let (length, behind) = rest.split_first_chunk::<4>()?;
+    let (text, behind) = behind.split_at_checked(u32::from_le_bytes(*length) as usize)?;
+    *rest = behind;
+    let text = String::from_utf8_lossy(text);
+    Some(text.chars().take(LONGEST_NAME).collect())
+}

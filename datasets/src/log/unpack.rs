@@ -1,0 +1,284 @@
+//! Decompression that goes as far as the data are sound, whole or piece by piece.
+//!
+//! What a chunk claims to hold is not believed beyond what its bytes can make likely: memory grows with what comes out.
+
+use std::io::{self, ErrorKind, Read};
+
+use bytes::Bytes;
+use zstd::stream::raw::{DParameter, Decoder, InBuffer, Operation, OutBuffer};
+
+use crate::log::chunk::Damage;
+use crate::losses::Reason;
+
+/// Chunks that claim to be larger than this after decompression are not believed.
+pub const LARGEST_CHUNK: u64 = 2 << 30;
+
+/// A claim of so many bytes for each compressed one is believed at once: real chunks shrink less.
+const LIKELY_RATIO: u64 = 64;
+/// And of this many for any chunk.
+const LIKELY_BYTES: u64 = 1 << 20;
+
+/// Bytes that zstd may look back, 2^26: its levels up to 19 look back less.
+const WINDOW_LOG: u32 = 26;
+
+/// Bytes out of a reader at once.
+const PIECE: usize = 64 << 10;
+
+/// Decompresses a chunk's data; an uncompressed chunk is not copied. Beside what came out, what was wrong where that is
+/// not what the chunk claims: then it is as much as came out before the damage.
+///
+/// # Errors
+/// When the compression is not known, or the claim is beyond any chunk.
+pub fn unpack(
+    compression: &str,
+    data: Bytes,
+    size: u64,
+) -> Result<(Bytes, Option<Damage>), Damage> {
+    check_claim(compression, size)?;
+    if compression.is_empty() {
+        let bytes = data.slice(..data.len().min(size as usize));
+        let damage = wrong_size(bytes.len() as u64, size);
+        return Ok((bytes, damage));
+    }
+    let likely = LIKELY_BYTES + LIKELY_RATIO * data.len() as u64;
+    if size <= likely
+        && let Ok(bytes) = at_once(compression, &data, size as usize)
+    {
+        return Ok((bytes.into(), None));
+    }
+    let mut bytes = Vec::new();
+    let mut reader = reader(compression, &data[..])?.take(size + 1);
+    let damage = match copy(&mut reader, &mut bytes) {
+        Ok(()) => wrong_size(bytes.len() as u64, size),
+        Err(error) => Some((Reason::BadCompression, error.to_string())),
+    };
+    bytes.truncate(size as usize);
+    Ok((bytes.into(), damage))
+}
+
+/// Whether a chunk may be what it says.
+///
+/// # Errors
+/// As [`unpack`].
+pub(crate) fn check_claim(compression: &str, size: u64) -> Result<(), Damage> {
+    let bad = |detail| Err((Reason::BadCompression, detail));
+    if !matches!(compression, "" | "zstd" | "lz4") {
+        let shown: String = compression.chars().take(40).collect();
+        return bad(format!(
+            "expected zstd, lz4 or no compression, found {shown:?}"
+        ));
+    }
+    if size > LARGEST_CHUNK {
+        return bad(format!(
+            "expected a chunk of at most {LARGEST_CHUNK} B, found one that claims to hold {size} B"
+        ));
+    }
+    Ok(())
+}
+
+fn wrong_size(found: u64, claimed: u64) -> Option<Damage> {
+    (found != claimed).then(|| {
+        let detail = format!("expected {claimed} B after decompression, found {found}");
+        (Reason::BadCompression, detail)
+    })
+}
+
+/// The fast way, where nothing is wrong.
+fn at_once(compression: &str, data: &[u8], size: usize) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    bytes.try_reserve_exact(size)?;
+    if compression == "zstd" {
+        zstd::bulk::Decompressor::new()?.decompress_to_buffer(data, &mut bytes)?;
+    } else {
+        let lz4 = lz4_flex::frame::FrameDecoder::new(data);
+        lz4.take(size as u64 + 1).read_to_end(&mut bytes)?;
+    }
+    match bytes.len() == size {
+        true => Ok(bytes),
+        false => Err(ErrorKind::InvalidData.into()),
+    }
+}
+
+/// Appends what a reader gives; on error, what it gave before.
+fn copy(reader: &mut impl Read, bytes: &mut Vec<u8>) -> io::Result<()> {
+    let mut piece = vec![0; PIECE];
+    loop {
+        let read = reader.read(&mut piece)?;
+        if read == 0 {
+            return Ok(());
+        }
+        bytes.try_reserve(read)?;
+        bytes.extend_from_slice(&piece[..read]);
+    }
+}
+
+/// The decompressed bytes of a reader. Where the data are damaged it fails only after all that lies before.
+///
+/// # Errors
+/// When the compression is not known, or its library fails.
+pub(crate) fn reader<'a>(
+    compression: &str,
+    data: impl Read + Send + 'a,
+) -> Result<Box<dyn Read + Send + 'a>, Damage> {
+    Ok(match compression {
+        "" => Box::new(data),
+        "lz4" => Box::new(lz4_flex::frame::FrameDecoder::new(data)),
+        _ => {
+            Box::new(Zstd::new(data).map_err(|error| (Reason::BadCompression, error.to_string()))?)
+        }
+    })
+}
+
+/// zstd frames, block by block: whatever a decoder is given with a damaged block, it does not hand out.
+struct Zstd<R> {
+    data: R,
+    decoder: Decoder<'static>,
+    /// Bytes read that the decoder has not taken yet.
+    input: Vec<u8>,
+    taken: usize,
+    /// Bytes that the decoder asks for next; 0 between frames.
+    wanted: usize,
+    /// The decoder may hold more than it has handed out.
+    full: bool,
+}
+
+impl<R: Read> Zstd<R> {
+    fn new(data: R) -> io::Result<Self> {
+        let mut decoder = Decoder::new()?;
+        decoder.set_parameter(DParameter::WindowLogMax(WINDOW_LOG))?;
+        Ok(Self {
+            data,
+            decoder,
+            input: Vec::new(),
+            taken: 0,
+            wanted: 0,
+            full: false,
+        })
+    }
+
+    /// Reads what the decoder asks for. It asks for a block with the head of the next one: that is read apart, so that
+    /// a damaged head costs nothing that lies before it.
+    fn refill(&mut self) -> io::Result<bool> {
+        const HEAD: usize = 3;
+        let wanted = match self.wanted {
+            0 => 1,
+            few @ 1..=HEAD => few,
+            many => many - HEAD,
+        };
+        self.taken = 0;
+        self.input.resize(wanted, 0);
+        let mut filled = 0;
+        while filled < wanted {
+            match self.data.read(&mut self.input[filled..]) {
+                Ok(0) => break,
+                Ok(read) => filled += read,
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        self.input.truncate(filled);
+        Ok(filled > 0)
+    }
+}
+
+impl<R: Read> Read for Zstd<R> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        if bytes.is_empty() {
+            return Ok(0);
+        }
+        loop {
+            if self.taken == self.input.len() && !self.full && !self.refill()? {
+                return match self.wanted {
+                    0 => Ok(0),
+                    more => Err(io::Error::new(
+                        ErrorKind::UnexpectedEof,
+                        format!("expected {more} more B of a zstd frame, found its end"),
+                    )),
+                };
+            }
+            let mut input = InBuffer::around(&self.input[self.taken..]);
+            let mut output = OutBuffer::around(&mut bytes[..]);
+            self.wanted = self.decoder.run(&mut input, &mut output)?;
+            self.taken += input.pos();
+            let written = output.pos();
+            // At the end of a frame there is nothing left: asked for more, the decoder would begin another one.
+            self.full = written == bytes.len() && self.wanted > 0;
+            if written > 0 {
+                return Ok(written);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    /// Words that compress a little, and do not come again.
+    fn text() -> Vec<u8> {
+        let mut state = 7_u64;
+        let words = (0..120_000).map(|_| {
+            state = state
+                .wrapping_mul(6364136223846793005)
+                .wrapping_add(1442695040888963407);
+            format!("{} ", (state >> 33) % 99_991)
+        });
+        words.collect::<String>().into_bytes()
+    }
+
+    fn packed(compression: &str, text: &[u8]) -> Vec<u8> {
+        if compression == "zstd" {
+            return zstd::bulk::compress(text, 3).unwrap();
+        }
+        let blocks =
+            lz4_flex::frame::FrameInfo::new().block_size(lz4_flex::frame::BlockSize::Max64KB);
+        let mut lz4 = lz4_flex::frame::FrameEncoder::with_frame_info(blocks, Vec::new());
+        io::Write::write_all(&mut lz4, text).unwrap();
+        lz4.finish().unwrap()
+    }
+
+    #[test]
+    fn what_lies_before_the_damage_comes_out() {
+        let text = text();
+        for compression in ["zstd", "lz4"] {
+            let whole = packed(compression, &text);
+            let size = text.len() as u64;
+            let open = |data: &[u8]| unpack(compression, Bytes::copy_from_slice(data), size);
+            let (bytes, damage) = open(&whole).unwrap();
+            assert!(bytes == text && damage.is_none(), "{damage:?}");
+            let mut longest = 0;
+            for parts in 0..40 {
+                let cut = whole.len() * parts / 40;
+                let (bytes, damage) = open(&whole[..cut]).unwrap();
+                assert!(damage.is_some(), "{compression} cut at {cut}");
+                assert!(text.starts_with(&bytes) && bytes.len() >= longest);
+                longest = bytes.len();
+            }
+            assert!(
+                longest > text.len() / 2,
+                "{compression}: {longest} B before the last cut"
+            );
+            let mut flipped = whole.clone();
+            let middle = flipped.len() * 3 / 4;
+            flipped[middle..middle + 40].fill(0xFF);
+            let (bytes, _) = open(&flipped).unwrap();
+            assert!(bytes.len() > text.len() / 3 && text.starts_with(&bytes[..text.len() / 3]));
+        }
+    }
+
+    #[test]
+    fn a_claim_is_not_allocated_and_an_overflow_is_cut() {
+        let data = Bytes::from(packed("zstd", b"few"));
+        let (bytes, damage) = unpack("zstd", data.clone(), LARGEST_CHUNK).unwrap();
+        assert_eq!(&bytes[..], b"few");
+        assert!(damage.unwrap().1.contains("expected 2147483648 B"));
+        unpack("zstd", data.clone(), LARGEST_CHUNK + 1).unwrap_err();
+        unpack("rar", data, 3).unwrap_err();
+        let zeros = Bytes::from(packed("zstd", &vec![0; 8 << 20]));
+        let (bytes, damage) = unpack("zstd", zeros.clone(), 8 << 20).unwrap();
+        assert!(bytes.len() == 8 << 20 && damage.is_none());
+        let (bytes, _) = unpack("zstd", zeros, 1000).unwrap();
+        assert_eq!(bytes.len(), 1000);
+    }
+}

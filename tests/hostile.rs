@@ -1,0 +1,226 @@
+//! The program on logs that were made to break it: it says what was expected, what was found and where, within its
+//! memory, and ends with the exit code that fits.
+//!
+//! The logs are made by a script that lies beside the repository, and are no part of it. The script has to be there.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use evermap_tests::{Finished, program, repository, text};
+
+/// Bytes of memory that `inspect` may map to write to.
+const INSPECT: u64 = 256 << 20;
+/// Bytes of addresses that queries and plans may use.
+const QUERY: u64 = 4 << 30;
+/// Seconds after which a run counts as one that never ends. Those here take less than a tenth.
+const FOR_EVER: &str = "300";
+
+/// Makes the logs.
+fn logs(folder: &Path) {
+    let root = std::env::var_os("EVERMAP_SHARED");
+    let root = root.map_or(repository().join("../shared"), PathBuf::from);
+    let script = root.join("hostile/make.py");
+    assert!(
+        script.is_file(),
+        "expected {}, found none",
+        script.display()
+    );
+    let made = Command::new("python3").arg(script).arg(folder).output();
+    let made: Finished = made.expect("python3 starts").into();
+    made.expect(0);
+}
+
+/// Runs the program under a limit of `prlimit`.
+fn limited(limit: &str, bytes: u64, arguments: &[&str]) -> Finished {
+    let mut command = Command::new("timeout");
+    command.args([FOR_EVER, "prlimit", &format!("--{limit}={bytes}")]);
+    command.arg(program()).args(arguments);
+    let ended: Finished = command.output().expect("prlimit starts").into();
+    assert!(
+        !ended.stderr.contains("panicked") && !ended.stderr.contains("bug:"),
+        "{arguments:?}: {}",
+        ended.stderr
+    );
+    ended
+}
+
+/// A log, what `inspect` and a query of all of a topic end with, and words that they say.
+struct Case {
+    log: &'static str,
+    inspect: (i32, &'static str),
+    topic: &'static str,
+    query: (i32, &'static str),
+}
+
+const fn case(
+    log: &'static str,
+    inspect: (i32, &'static str),
+    topic: &'static str,
+    query: (i32, &'static str),
+) -> Case {
+    Case {
+        log,
+        inspect,
+        topic,
+        query,
+    }
+}
+
+const UNFOLDED: (i32, &str) = (3, "messages that do not fit their schema");
+
+const CASES: [Case; 19] = [
+    case("01_protobuf_editions", (0, "protobuf"), "/t", (0, "\n1")),
+    case(
+        "02_protobuf_public_self_import",
+        (0, "protobuf"),
+        "/t",
+        (0, "\n1"),
+    ),
+    case(
+        "03_protobuf_redefined_options",
+        (0, "protobuf"),
+        "/t",
+        (0, "\n1"),
+    ),
+    case(
+        "04_ros2msg_array_of_doubling_structs",
+        (3, "expected at most 20000 columns, found"),
+        "/t",
+        (
+            1,
+            "schema of 'a/msg/R': expected at most 20000 columns, found",
+        ),
+    ),
+    case(
+        "05_ros1_elements_without_bytes",
+        (0, "ros1"),
+        "/t",
+        UNFOLDED,
+    ),
+    case(
+        "06_null_column_of_2GB_cells",
+        (0, "cdr"),
+        "/t",
+        (
+            1,
+            "expected a field of at most 65536 B where some channels lack it, found d of 2000000000 B",
+        ),
+    ),
+    case("07_json_absent_properties", (0, "json"), "/t", UNFOLDED),
+    case("08_json_400MB_of_zeros", (0, "json"), "/t", (0, "1")),
+    case(
+        "09_zstd_chunk_of_2GiB",
+        (0, "zstd"),
+        "/t",
+        (1, "resource: "),
+    ),
+    case(
+        "10_idl_long_scopes",
+        (3, "expected a definition that is resolved in"),
+        "/t",
+        (1, "expected a definition that is resolved in"),
+    ),
+    case(
+        "11_ros2msg_400k_members",
+        (
+            3,
+            "expected a definition of at most 1048576 B, found 5200000 B",
+        ),
+        "/t",
+        (
+            1,
+            "expected a definition of at most 1048576 B, found 5200000 B",
+        ),
+    ),
+    case("12_65534_topics", (0, "/t65534"), "/t5", (0, "0")),
+    case(
+        "13_short_message_in_chunk",
+        (3, "1 records that are cut or out of place"),
+        "/t",
+        (3, "records that are cut or out of place"),
+    ),
+    case("14_summary_leaves_a_channel_out", (0, "/b"), "/b", (0, "5")),
+    case(
+        "15_sparse_64GiB_summary_at_8",
+        (3, "at byte 8: 1 logs without an end"),
+        "/t",
+        (1, "the logs are torn or damaged"),
+    ),
+    case(
+        "16_header_claims_4GiB_string",
+        (3, "at byte 8: 1 records that are cut or out of place"),
+        "/t",
+        (1, "the logs are torn or damaged"),
+    ),
+    case(
+        "17_8M_messages_without_body",
+        (3, "8000000 records that are cut or out of place"),
+        "/t",
+        (3, "8000000"),
+    ),
+    case("18_protobuf_absent_fields", (0, "protobuf"), "/t", UNFOLDED),
+    case("19_index_of_huge_sizes", (0, "/a"), "/a", (0, "1")),
+];
+
+fn check(what: &str, case: &Case, ended: Finished, (code, words): (i32, &str)) {
+    let said = format!("{}\n{}", ended.stdout, ended.stderr);
+    let start: String = said.chars().take(2_000).collect();
+    assert_eq!(ended.code, code, "{what} {}: {start}", case.log);
+    assert!(
+        said.contains(words),
+        "{what} {}: expected {words:?}, found {start}",
+        case.log
+    );
+}
+
+#[test]
+fn hostile_logs_are_read_counted_or_refused_within_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    logs(folder.path());
+    for case in &CASES {
+        let log = folder.path().join(case.log).with_extension("mcap");
+        let log = text(&log);
+        let inspected = limited("data", INSPECT, &["inspect", log]);
+        check("inspect", case, inspected, case.inspect);
+        // Every column is decoded, and printed short.
+        let query = format!("SELECT * FROM \"{}\"", case.topic);
+        let counted = format!("SELECT count(*) AS n FROM ({query})");
+        let asked = match case.query.0 {
+            0 => limited(
+                "as",
+                QUERY,
+                &["sql", "--format", "csv", "--sessions", log, "--", &counted],
+            ),
+            _ => limited(
+                "as",
+                QUERY,
+                &["sql", "--memory", "1GiB", "--sessions", log, "--", &query],
+            ),
+        };
+        check("sql", case, asked, case.query);
+        if case.log.contains("64GiB") {
+            // A run begins with the digest of every byte.
+            continue;
+        }
+        let map = folder.path().join("map").join(case.log);
+        let run = [
+            "run",
+            "trajectory",
+            "--map",
+            text(&map),
+            "--progress",
+            "none",
+            "--sessions",
+            log,
+        ];
+        let ran = limited("as", QUERY, &run);
+        assert!(
+            [0, 1, 3].contains(&ran.code),
+            "run {}: {} {}",
+            case.log,
+            ran.code,
+            ran.stderr
+        );
+    }
+}
