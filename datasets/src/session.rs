@@ -1,5 +1,6 @@
 //! Sessions: one drive each, one MCAP file or the ordered parts of a split recording.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -177,7 +178,7 @@ impl LogPart {
     ///
     /// # Errors
     /// A resource fault when the store fails.
-    pub async fn survey(&self) -> Result<LogIndex, Fault> {
+    pub async fn survey(&self) -> Result<Cow<'_, LogIndex>, Fault> {
         let (store, meta) = (&self.store, &self.meta);
         let found = self.index.survey(store, meta, &self.losses).await?;
         for channel in self.index.channels.values() {
@@ -187,7 +188,7 @@ impl LogPart {
                 self.lose_topic(channel, error.to_string());
             }
         }
-        Ok(found)
+        Ok(found.map_or(Cow::Borrowed(&self.index), Cow::Owned))
     }
 
     /// Notes that the messages of a channel cannot be decoded.

@@ -115,7 +115,8 @@ async fn what_a_summary_leaves_out_is_found_or_counted() {
         (5, vec![(Reason::UnknownChannel, 5)])
     );
     let (_, dataset) = opened(&log).await;
-    let found = dataset.parts()[0].survey().await.unwrap();
+    let part = dataset.parts().remove(0);
+    let found = part.survey().await.unwrap();
     assert_eq!((found.channels.len(), found.message_count()), (2, Some(10)));
     assert!(dataset.losses.losses().contains_key(&Reason::BadSummary));
 }

@@ -5,7 +5,7 @@ use mcap::records::op;
 
 use crate::log::index::Unit;
 use crate::log::record::{FRAME, frame, nanoseconds};
-use crate::log::window::fetch;
+use crate::log::window::Window;
 use crate::losses::{Loss, Reason};
 use crate::session::LogPart;
 
@@ -30,8 +30,9 @@ pub struct AttachmentHead {
 /// The attachments of a file, by time and name. What is malformed, or fails its checksum, is noted as lost.
 pub(crate) async fn attachments(part: &LogPart) -> Result<Vec<AttachmentHead>, Fault> {
     let mut found = Vec::new();
+    let mut window = window(part);
     for unit in &part.index.attachments {
-        let record = head(part, unit).await?;
+        let record = head(&mut window, unit).await?;
         let parsed = || {
             let mut rest = body(&record, op::ATTACHMENT)?;
             let log_time = nanoseconds(u64::from_le_bytes(*rest.first_chunk()?));
@@ -47,7 +48,7 @@ pub(crate) async fn attachments(part: &LogPart) -> Result<Vec<AttachmentHead>, F
             })
         };
         match parsed() {
-            Some(attachment) if checksum_fits(part, unit).await? => found.push(attachment),
+            Some(attachment) if checksum_fits(&mut window, unit).await? => found.push(attachment),
             _ => lose(part, unit),
         }
     }
@@ -58,8 +59,9 @@ pub(crate) async fn attachments(part: &LogPart) -> Result<Vec<AttachmentHead>, F
 /// The names of a file's metadata records, sorted. What is malformed is noted as lost.
 pub(crate) async fn metadata_names(part: &LogPart) -> Result<Vec<String>, Fault> {
     let mut found = Vec::new();
+    let mut window = window(part);
     for unit in &part.index.metadata {
-        let record = head(part, unit).await?;
+        let record = head(&mut window, unit).await?;
         match body(&record, op::METADATA).and_then(|mut rest| text(&mut rest)) {
             Some(name) => found.push(name),
             None => lose(part, unit),
@@ -70,27 +72,31 @@ pub(crate) async fn metadata_names(part: &LogPart) -> Result<Vec<String>, Fault>
 }
 
 /// Reads an attachment's body in pieces: its last four bytes are the checksum of all before, or zero.
-async fn checksum_fits(part: &LogPart, unit: &Unit) -> Result<bool, Fault> {
+async fn checksum_fits(window: &mut Window, unit: &Unit) -> Result<bool, Fault> {
     const PIECE: u64 = 1 << 20;
     let (start, end) = (unit.offset + FRAME, unit.end());
-    let location = &part.meta.location;
     let mut crc = crc32fast::Hasher::new();
     let mut position = start;
     while position < end - 4 {
-        let next = (position + PIECE).min(end - 4);
-        crc.update(&fetch(&part.store, location, position..next).await?);
-        position = next;
+        let length = PIECE.min(end - 4 - position);
+        crc.update(&window.get(position, length).await?.unwrap_or_default());
+        position += length;
     }
-    let expected = fetch(&part.store, location, end - 4..end).await?;
+    let expected = window.get(end - 4, 4).await?.unwrap_or_default();
     let expected = expected
         .first_chunk()
         .map_or(0, |crc| u32::from_le_bytes(*crc));
     Ok(expected == 0 || expected == crc.finalize())
 }
 
-async fn head(part: &LogPart, unit: &Unit) -> Result<bytes::Bytes, Fault> {
-    let range = unit.offset..unit.end().min(unit.offset + HEAD);
-    fetch(&part.store, &part.meta.location, range).await
+fn window(part: &LogPart) -> Window {
+    let (store, path) = (part.store.clone(), part.meta.location.clone());
+    Window::new(store, path, part.meta.size)
+}
+
+async fn head(window: &mut Window, unit: &Unit) -> Result<bytes::Bytes, Fault> {
+    let head = window.get(unit.offset, unit.length.min(HEAD)).await?;
+    Ok(head.unwrap_or_default())
 }
 
 fn lose(part: &LogPart, unit: &Unit) {

@@ -15,8 +15,8 @@ use crate::log::{linear, summary};
 use crate::losses::{Entry, FileLosses, Loss, LossLedger, Reason};
 
 /// Bytes that an index may hold: of schemas and channels, and of the places of records. A recording of ten hours with a
-/// thousand topics takes a tenth of it.
-const INDEX_BYTES: usize = 64 << 20;
+/// thousand topics takes a fifth of it.
+const INDEX_BYTES: usize = 48 << 20;
 
 /// Bytes that a note of a channel's metadata takes beside its text.
 const NOTE_BYTES: usize = 112;
@@ -201,7 +201,8 @@ impl LogIndex {
     }
 
     /// Reads the whole file, also where it has a sound summary: what it really holds, beside whose losses those of the
-    /// summary are noted, where it says other things. Memory does not grow with the file or its chunks.
+    /// summary are noted, where it says other things. `None` where the index comes from reading the whole file already.
+    /// Memory does not grow with the file or its chunks.
     ///
     /// # Errors
     /// A resource fault when the store fails.
@@ -210,9 +211,9 @@ impl LogIndex {
         store: &Arc<dyn ObjectStore>,
         meta: &ObjectMeta,
         losses: &FileLosses,
-    ) -> Result<Self, Fault> {
+    ) -> Result<Option<Self>, Fault> {
         if !self.indexed {
-            return Ok(self.clone());
+            return Ok(None);
         }
         let found = linear::read(store, meta, losses).await?;
         for (id, channel) in &found.channels {
@@ -231,7 +232,7 @@ impl LogIndex {
             let detail = format!("expected {said} messages as the summary says, found {counted}");
             losses.note(Reason::BadSummary, meta.size, Loss::one(0), detail);
         }
-        Ok(found)
+        Ok(Some(found))
     }
 
     /// Whether it can be the index of a file of this size, as far as it says itself: it was read from one, its

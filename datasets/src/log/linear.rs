@@ -156,7 +156,7 @@ impl<'a> Scan<'a> {
     /// Says that not everything found room.
     fn note_full(&self) {
         if self.collector.full {
-            let detail = "expected at most 64 MiB of schemas, channels and places of records";
+            let detail = "expected at most 48 MiB of schemas, channels and places of records";
             self.losses.note(Reason::NoRoom, 0, Loss::one(0), detail);
         }
     }

@@ -82,6 +82,7 @@ impl Scan {
                 return Ok(None);
             }
             let next = if self.worker.current.is_some() {
+                self.reserve_largest()?;
                 None
             } else {
                 self.next_unit().await?
@@ -157,6 +158,20 @@ impl Scan {
             Some(reservation) => {
                 reservation.try_resize(usize::try_from(bytes).unwrap_or(usize::MAX))
             }
+            None => Ok(()),
+        }
+    }
+}
+
+impl Scan {
+    /// Reserves the memory for the row of the largest message of a unit that was opened, where that is beyond a batch.
+    fn reserve_largest(&mut self) -> Result<()> {
+        let Some(open) = self.worker.current.as_mut().filter(|open| open.waits) else {
+            return Ok(());
+        };
+        open.waits = false;
+        match &mut self.reservation {
+            Some(reservation) => reservation.try_grow(open.largest()),
             None => Ok(()),
         }
     }
@@ -257,6 +272,19 @@ struct Open {
     next: usize,
     lost: Loss,
     example: String,
+    /// Its largest message waits for memory to be reserved.
+    waits: bool,
+}
+
+impl Open {
+    /// Bytes of the largest payload.
+    fn largest(&self) -> usize {
+        let sizes = self
+            .messages
+            .iter()
+            .map(|message| message.end - message.start);
+        sizes.max().unwrap_or(0)
+    }
 }
 
 impl Worker {
@@ -268,6 +296,9 @@ impl Worker {
     ) -> Result<Vec<RecordBatch>, Fault> {
         if let Some((planned, bytes)) = next {
             self.open(planned, bytes);
+        }
+        if self.current.as_ref().is_some_and(|open| open.waits) {
+            return Ok(Vec::new());
         }
         self.fill();
         let full = self.rows.rows() >= self.batch_rows || self.rows.bytes() >= BATCH_BYTES;
@@ -309,14 +340,17 @@ impl Worker {
             let losses = &self.part.losses;
             losses.note(Reason::BadRecord, unit.offset, lost, "inside a chunk");
         }
-        self.current = Some(Open {
+        let mut open = Open {
             unit,
             block,
             messages,
             next: 0,
             lost: Loss::default(),
             example: String::new(),
-        });
+            waits: false,
+        };
+        open.waits = open.largest() > BATCH_BYTES;
+        self.current = Some(open);
     }
 
     fn lose_unit(&self, unit: &Unit, (reason, detail): Damage) {

@@ -1,5 +1,6 @@
 //! `evermap inspect`.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::io::Write;
 
@@ -38,7 +39,7 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
         .into());
     };
     let read = match args.quick {
-        true => part.index.clone(),
+        true => Cow::Borrowed(&part.index),
         false => part.survey().await?,
     };
     let contents = contents(&dataset, part, &read).await?;

@@ -5,6 +5,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use datafusion::error::DataFusionError;
+use datafusion::execution::context::SQLOptions;
+use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::SessionContext;
 use datafusion::sql::parser::{DFParserBuilder, Statement};
 use datafusion::sql::sqlparser::dialect::GenericDialect;
@@ -101,12 +103,27 @@ impl Tables {
         let state = self.context.state();
         let plan = state.statement_to_plan(statement).await.or_fault();
         let plan = plan.map_err(|fault| self.after_damage(fault))?;
+        read_only(&plan)?;
         let frame = self.context.execute_logical_plan(plan).await.or_fault()?;
         let schema = Arc::new(frame.schema().as_arrow().clone());
         let rows = frame.execute_stream().await.or_fault()?;
         let rows = rows.map_err(|error| fault_of(&error));
         write(format, schema, rows.boxed(), sink).await
     }
+}
+
+/// Queries read: they make no tables, write no files, and change no settings. Output goes where `--out` says.
+fn read_only(plan: &LogicalPlan) -> Result<(), Fault> {
+    let allowed = SQLOptions::new()
+        .with_allow_ddl(false)
+        .with_allow_dml(false)
+        .with_allow_statements(false);
+    allowed.verify_plan(plan).map_err(|error| {
+        let found = error.strip_backtrace();
+        let found = found.rsplit(": ").next().unwrap_or_default();
+        Fault::user(format!("expected a query that only reads, found {found}"))
+            .next("name sessions or a map on the command line, write results with --out, limit memory with --memory")
+    })
 }
 
 /// The statements of a text; semicolons inside quotes and comments are none.
@@ -193,6 +210,33 @@ mod tests {
                 .to_string()
                 .starts_with("user: ")
         );
+    }
+
+    #[tokio::test]
+    async fn queries_only_read() {
+        let tables = Tables {
+            context: context(Limits::default()).unwrap(),
+            reader: None,
+            dataset: None,
+        };
+        for (query, reads) in [
+            ("COPY (SELECT 1) TO '/nowhere/a.json'", false),
+            (
+                "CREATE EXTERNAL TABLE t (a TEXT) STORED AS CSV LOCATION '/etc/passwd'",
+                false,
+            ),
+            ("CREATE TABLE t AS SELECT 1", false),
+            ("SET datafusion.runtime.memory_limit = '1T'", false),
+            ("SELECT * FROM '/etc/passwd'", false),
+            ("EXPLAIN SELECT 1", true),
+            ("SHOW TABLES", true),
+            ("WITH a AS (SELECT 1 AS x) SELECT x FROM a", true),
+        ] {
+            let mut sink = Sink::Memory(Vec::new());
+            let statement = statements(query).unwrap().remove(0);
+            let ran = tables.run(statement, Format::Csv, &mut sink).await;
+            assert_eq!(ran.is_ok(), reads, "{query}: {ran:?}");
+        }
     }
 
     #[tokio::test]
