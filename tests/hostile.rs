@@ -224,3 +224,33 @@ fn hostile_logs_are_read_counted_or_refused_within_memory() {
         );
     }
 }
+
+#[test]
+fn a_run_counts_the_file_that_it_cannot_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let logs = folder.path().join("logs");
+    std::fs::create_dir(&logs).unwrap();
+    evermap_tests::write_drive(
+        &logs.join("good.mcap"),
+        evermap_tests::rectangle(30.0, 20.0, 1.0),
+    );
+    std::fs::write(logs.join("bad.mcap"), "no log at all").unwrap();
+    let map = folder.path().join("map");
+    let run = [
+        "run",
+        "trajectory",
+        "--map",
+        text(&map),
+        "--progress",
+        "none",
+        "--sessions",
+        text(&logs),
+    ];
+    let ran = limited("as", QUERY, &run);
+    assert_eq!(ran.code, 3, "{}", ran.stderr);
+    assert!(
+        ran.stderr.contains("bad.mcap: files that cannot be read"),
+        "{}",
+        ran.stderr
+    );
+}

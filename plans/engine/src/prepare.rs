@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::{ParamFault, Registry};
 use evermap_datasets::manifest::SessionFiles;
-use evermap_datasets::{Dataset, Manifest, Recordings, Session};
+use evermap_datasets::{Dataset, Manifest, Reason, Recordings, Session};
 use evermap_language::{
     Host, Input, OperatorSpec, ParameterFault, Plan, PlanFaults, PortSpec, Source, Vocabulary,
 };
@@ -148,6 +148,8 @@ pub struct Prepared {
     pub missing: Vec<String>,
     /// Roles that the plan reads and that no session plays: their tables are empty.
     pub unplayed: Vec<&'static str>,
+    /// Files among those given that cannot be read, with a reason each: they take no part.
+    pub unreadable: BTreeMap<String, u64>,
     /// Logs that were read, to be remembered.
     fresh: Vec<Fingerprint>,
 }
@@ -203,6 +205,7 @@ impl Prepared {
         };
         Ok(Self {
             unplayed: unplayed(&program, &sessions),
+            unreadable: unreadable(&given),
             program,
             sessions,
             base,
@@ -234,6 +237,20 @@ impl Prepared {
             limits,
         }
     }
+}
+
+/// Files that no session has, as they cannot be read.
+fn unreadable(given: &Dataset) -> BTreeMap<String, u64> {
+    let entries = given.losses.entries().into_iter();
+    entries
+        .filter(|entry| entry.reason == Reason::Unreadable)
+        .map(|entry| {
+            (
+                format!("{}: {}", entry.file, entry.reason),
+                entry.loss.count,
+            )
+        })
+        .collect()
 }
 
 /// The roles that a program reads and that none of the sessions plays.

@@ -49,7 +49,8 @@ pub async fn run(args: &RunArgs) -> Ending {
     let result = result?;
     record_run(&prepared.store, &result).await?;
     line(&summary(&result, begun.elapsed()));
-    let lost = Lost(result.version.losses.clone());
+    let mut lost = Lost(result.version.losses.clone());
+    lost.0.extend(prepared.unreadable.clone());
     let map = Map {
         store: prepared.store,
         version: result.version,
