@@ -39,7 +39,10 @@ operators! {
         road_network::RoadNetwork,
     }
     labels {
+        box_hypotheses::BoxHypotheses,
+        box_models::BoxModels,
         label_anchors::LabelAnchors,
+        parking_spaces::ParkingSpaces,
         placed_labels::PlacedLabels,
     }
     learning {

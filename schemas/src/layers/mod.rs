@@ -1,5 +1,6 @@
 //! The map's layers: what operators yield, and what SQL users read.
 
+mod boxes;
 mod labels;
 mod metric_map;
 mod semantic_map;
@@ -8,6 +9,7 @@ use std::collections::BTreeMap;
 
 use crate::{Bytes, ImageRef, LayerRow, Pose, Stamp, Wkb, record};
 
+pub use boxes::{BoxHypothesis, BoxModel, ParkingSpace};
 pub use labels::{LabelAnchor, PlacedLabel};
 pub use metric_map::{
     AdjustedPose, BodyMask, Features, FrameImage, FramePose, GraphPose, ImageSize, Landmark,
@@ -279,6 +281,8 @@ pub fn all() -> Vec<crate::Layer> {
     let mut layers = vec![
         AdjustedPose::layer(),
         BodyMask::layer(),
+        BoxHypothesis::layer(),
+        BoxModel::layer(),
         Features::layer(),
         FrameImage::layer(),
         FramePose::layer(),
@@ -305,6 +309,7 @@ pub fn all() -> Vec<crate::Layer> {
         Keyframe::layer(),
         Lane::layer(),
         OverheadTile::layer(),
+        ParkingSpace::layer(),
         PlacedLabel::layer(),
         PosedImage::layer(),
         Speed::layer(),

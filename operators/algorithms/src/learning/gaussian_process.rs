@@ -110,6 +110,34 @@ impl LinearProcess {
         })
     }
 
+    /// From what [`Self::weights`], [`Self::scale`], [`Self::noise`] and [`Self::spread`] gave; `None` where they do not fit
+    /// each other or are no numbers.
+    pub fn from_parts(weights: Vec<f64>, [scale, noise]: [f64; 2], spread: &[f32]) -> Option<Self> {
+        let is_whole = !weights.is_empty() && spread.len().is_multiple_of(weights.len());
+        let is_finite = spread.iter().all(|value| value.is_finite())
+            && weights.iter().all(|value| value.is_finite());
+        let is_variance = |value: f64| value >= 0.0 && value.is_finite();
+        let is_sound = is_whole && is_finite && is_variance(scale) && is_variance(noise);
+        let row = |row: &[f32]| row.iter().map(|value| f64::from(*value)).collect();
+        is_sound.then(|| Self {
+            spread: spread.chunks(weights.len()).map(row).collect(),
+            weights,
+            scale,
+            noise,
+        })
+    }
+
+    /// Variance of each weight before any answer.
+    pub fn scale(&self) -> f64 {
+        self.scale
+    }
+
+    /// A root of the covariance of `w`, row by row: `covariance = spreadᵀ spread`.
+    pub fn spread(&self) -> Vec<f32> {
+        let values = self.spread.iter().flatten();
+        values.map(|value| *value as f32).collect()
+    }
+
     /// Mean of `w`: the mean of `f` at a sample is their product.
     pub fn weights(&self) -> &[f64] {
         &self.weights
@@ -389,7 +417,10 @@ mod tests {
         };
         assert_eq!(learn(&[], &[]), LearningError::NoExamples);
         let one = vec![1.0_f32];
-        assert_eq!(learn(std::slice::from_ref(&one), &[]), LearningError::Misshapen);
+        assert_eq!(
+            learn(std::slice::from_ref(&one), &[]),
+            LearningError::Misshapen
+        );
         assert_eq!(
             learn(&[one.clone(), vec![]], &[1.0, 1.0]),
             LearningError::Misshapen

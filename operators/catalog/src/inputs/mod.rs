@@ -1,6 +1,7 @@
 //! Typed rows as the algorithms want them: what several operators read in the same way.
 
 pub(crate) mod bodies;
+pub(crate) mod boxes;
 pub(crate) mod drive;
 pub(crate) mod frames;
 pub(crate) mod graphs;

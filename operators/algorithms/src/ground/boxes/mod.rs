@@ -8,6 +8,7 @@
 //! | [`scan`] | the places of an image where a description fits |
 //! | [`template`] | where exactly a box lies |
 //! | [`teaching`] | examples in, hypotheses with their probability and questions out |
+//! | [`rows`] | parking spaces in rows, with numbers and lanes |
 //! | [`calibration`] | what the score of a box is worth, from answers |
 //!
 //! Source: *Integrating metric and semantic maps for vision-only automated parking*, section V-A2: linear
@@ -17,6 +18,7 @@ pub mod calibration;
 pub mod description;
 pub mod mosaic;
 pub mod overhead;
+pub mod rows;
 pub mod scan;
 pub mod teaching;
 pub mod template;

@@ -34,6 +34,11 @@ impl Mosaic {
         }
     }
 
+    /// Side of a cell (m).
+    pub fn cell_m(&self) -> f64 {
+        self.cell_m
+    }
+
     /// Adds a tile; false, and nothing is added, where there are more or fewer pixels than a tile has.
     pub fn add(&mut self, tile: [i64; 2], pixels: Vec<Pixel>) -> bool {
         let is_whole = pixels.len() == TILE_CELLS * TILE_CELLS;

@@ -90,7 +90,8 @@ pub fn apart<T>(mut found: Vec<T>, scored: impl Fn(&T) -> Scored) -> Vec<T> {
 pub struct BoxIndex {
     /// Side of a square: no box reaches farther from its middle than half of it.
     side_m: f64,
-    squares: BTreeMap<[i64; 2], Vec<GroundBox>>,
+    squares: BTreeMap<[i64; 2], Vec<(usize, GroundBox)>>,
+    count: usize,
 }
 
 impl BoxIndex {
@@ -100,6 +101,7 @@ impl BoxIndex {
         Self {
             side_m: reach.fold(f64::MIN_POSITIVE, f64::max),
             squares: BTreeMap::new(),
+            count: 0,
         }
     }
 
@@ -117,11 +119,13 @@ impl BoxIndex {
     /// One more.
     pub fn add(&mut self, place: GroundBox) {
         let square = self.square(&place);
-        self.squares.entry(square).or_default().push(place);
+        let boxes = self.squares.entry(square).or_default();
+        boxes.push((self.count, place));
+        self.count += 1;
     }
 
-    /// All boxes that may overlap this one, and some others.
-    pub fn near(&self, place: &GroundBox) -> impl Iterator<Item = &GroundBox> {
+    /// All boxes that may overlap this one or touch it, and some others: which one it was that was added, and the box.
+    fn numbered_near(&self, place: &GroundBox) -> impl Iterator<Item = &(usize, GroundBox)> {
         let [x, y] = self.square(place);
         let reach_m = 0.5 * (self.side_m + place.length_m.hypot(place.width_m));
         let reach = (reach_m / self.side_m).ceil() as i64;
@@ -130,6 +134,16 @@ impl BoxIndex {
         columns
             .filter(move |([_, row], _)| row.abs_diff(y) <= reach.unsigned_abs())
             .flat_map(|(_, boxes)| boxes)
+    }
+
+    /// All boxes that may overlap this one, and some others.
+    pub fn near(&self, place: &GroundBox) -> impl Iterator<Item = &GroundBox> {
+        self.numbered_near(place).map(|(_, other)| other)
+    }
+
+    /// Of all boxes that touch this one, and some others, which they were of those that were added.
+    pub fn indices_near(&self, place: &GroundBox) -> impl Iterator<Item = usize> {
+        self.numbered_near(place).map(|(number, _)| *number)
     }
 
     /// The most that any of them overlaps this one.

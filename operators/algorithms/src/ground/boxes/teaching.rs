@@ -115,6 +115,10 @@ pub struct Taught {
     pub template: Template,
     /// Lengths and widths of such boxes (m).
     pub sizes_m: Vec<[f64; 2]>,
+    /// Examples of the kind that the image shows.
+    pub accepted: u32,
+    /// Examples of what is not that it shows.
+    pub rejected: u32,
 }
 
 impl Taught {
@@ -134,17 +138,21 @@ impl Taught {
             return Ok(None);
         }
         let process = LinearProcess::learn(&lesson.samples, &lesson.answers)?;
-        let untaught = Calibration {
-            middle: 0.0,
-            slope: PROBIT / process.noise().sqrt().max(f64::MIN_POSITIVE),
-        };
-        let calibration = Calibration::learn(&lesson.left_out(&process));
+        let held = lesson.left_out(&process);
+        let calibration = Calibration::learn(&held).unwrap_or_else(|| untaught(&held, &process));
         Ok(Some(Self {
-            calibration: calibration.unwrap_or(untaught),
+            calibration,
             process,
             template,
             sizes_m: lesson.sizes.iter().map(|sizes| mean(sizes)).collect(),
+            accepted: lesson.count(true),
+            rejected: lesson.count(false),
         }))
+    }
+
+    /// Whether it knows as many numbers as a description has.
+    pub fn is_sound(&self) -> bool {
+        self.process.weights().len() == LENGTH
     }
 
     /// Boxes that look like the examples, apart from each other and from those that are known: the likeliest first, no more
@@ -222,6 +230,18 @@ impl Taught {
                 gain,
             });
         }
+    }
+}
+
+/// Before anything was rejected nothing tells what a mean is worth: as likely as not is what looks like the boxes of the kind
+/// do to those who have not seen them, at the median.
+fn untaught(held: &[(f64, bool)], process: &LinearProcess) -> Calibration {
+    let ones = held.iter().filter(|(_, is_one)| *is_one);
+    let mut means: Vec<f64> = ones.map(|(mean, _)| *mean).collect();
+    means.sort_by(f64::total_cmp);
+    Calibration {
+        middle: means.get(means.len() / 2).map_or(0.0, |mean| mean.max(0.0)),
+        slope: PROBIT / process.noise().sqrt().max(f64::MIN_POSITIVE),
     }
 }
 
@@ -382,6 +402,13 @@ impl Lesson {
         empty[LENGTH - 1] = 1.0;
         lesson.add(empty, -1.0);
         lesson
+    }
+
+    fn count(&self, are_ones: bool) -> u32 {
+        let examples = self.examples.iter();
+        examples
+            .filter(|(_, _, is_one)| *is_one == are_ones)
+            .count() as u32
     }
 
     fn add(&mut self, sample: Vec<f32>, answer: f64) {

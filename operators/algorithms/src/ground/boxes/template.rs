@@ -40,6 +40,18 @@ pub(super) fn laid_out(gradients: &Gradients, of: &GroundBox) -> Option<Vec<[f32
 }
 
 impl Template {
+    /// From what [`Self::values`] gave, or from nothing, which moves no box; `None` where that is not as many finite numbers.
+    pub fn from_values(values: Vec<[f32; 2]>) -> Option<Self> {
+        let is_sound = [0, SIDES[0] * SIDES[1]].contains(&values.len())
+            && values.iter().flatten().all(|value| value.is_finite());
+        is_sound.then_some(Self { values })
+    }
+
+    /// The gradients.
+    pub fn values(&self) -> &[[f32; 2]] {
+        &self.values
+    }
+
     /// Of what the boxes that were drawn show ([`laid_out`]), each the way round that looks more like those before.
     pub(super) fn learn(drawn: impl Iterator<Item = Vec<[f32; 2]>>) -> Self {
         let mut sums = vec![[0.0; 2]; SIDES[0] * SIDES[1]];
@@ -57,6 +69,9 @@ impl Template {
 
     /// The box moved and turned to where it correlates best, within a few decimetres.
     pub fn laid_on(&self, gradients: &Gradients, place: GroundBox) -> GroundBox {
+        if self.values.is_empty() {
+            return place;
+        }
         let step_m = place.width_m / 24.0;
         let found = best_near(place, step_m, 0.04, 3, |place| {
             let values = laid_out(gradients, place)?;

@@ -1,0 +1,66 @@
+#![doc = include_str!("box_models.md")]
+
+use evermap_algorithms::ground::boxes::teaching::{Taught, TeachingParams};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_schemas::layers::{BoxModel, OverheadTile, PlacedLabel};
+
+use crate::inputs::boxes::{boxes, mosaic};
+
+/// See the module's page.
+pub struct BoxModels;
+
+impl Operator for BoxModels {
+    const NAME: &'static str = "box_models";
+    const VERSION: u32 = 1;
+    const PAGE: &'static str = include_str!("box_models.md");
+    type Params = TeachingParams;
+    type Output = BoxModel;
+
+    fn work() -> Work<Self::Params> {
+        let labels = Port::site::<PlacedLabel>("labels");
+        let tiles = Port::site::<OverheadTile>("tiles");
+        Work::group(labels, Key::SITE, vec![tiles], models)
+    }
+}
+
+fn models(
+    params: &TeachingParams,
+    labels: Vec<PlacedLabel>,
+    sides: &Sides,
+    emit: &mut Emit<'_>,
+) -> Result<(), Fault> {
+    let Some(site) = labels.first().map(|label| label.site.clone()) else {
+        return Ok(());
+    };
+    let mut skip = |reason, count| emit.skip(reason, count);
+    let mosaic = mosaic(sides.rows("tiles")?, &mut skip);
+    let kinds = boxes(&labels, mosaic.cell_m(), &mut skip);
+    for (kind, said) in kinds {
+        let taught = Taught::learn(&mosaic, &said.examples, params);
+        let taught = taught.map_err(|error| Fault::data(error.to_string()))?;
+        let ones = said.examples.iter().filter(|one| one.is_one()).count();
+        let Some(taught) = taught else {
+            emit.skip(
+                "drawn box that the overhead image does not show",
+                ones as u64,
+            );
+            continue;
+        };
+        emit.rows(vec![BoxModel {
+            site: site.clone(),
+            kind,
+            accepted: taught.accepted,
+            rejected: taught.rejected,
+            sizes_m: taught.sizes_m,
+            height_m: said.height_sum_m / ones.max(1) as f64,
+            weights: taught.process.weights().to_vec(),
+            scale: taught.process.scale(),
+            noise: taught.process.noise(),
+            spread: taught.process.spread(),
+            middle: taught.calibration.middle,
+            slope: taught.calibration.slope,
+            template: taught.template.values().to_vec(),
+        }])?;
+    }
+    Ok(())
+}

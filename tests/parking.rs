@@ -1,0 +1,204 @@
+//! Parking spaces of a stranger's car park, taught by a person who knows the truth.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stderr
+)]
+
+use std::path::{Path, PathBuf};
+
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::ground::boxes::GroundBox;
+use evermap_messages::annotation::{Annotation, Geometry};
+use evermap_recording::annotations::AnnotationLog;
+use evermap_tests::park::{finished, run};
+use evermap_tests::shared;
+use evermap_tests::trajectories::{Trajectories, poses, rows, truth, truth_from_map};
+use serde_json::Value;
+
+/// Spaces that are drawn in each of the first four rounds.
+const DRAWN: usize = 2;
+/// Questions that are answered in each.
+const ANSWERED: usize = 20;
+
+/// The true spaces, in the frame of a map of this world's first session.
+fn spaces(world: &Path, map: &Path) -> Vec<GroundBox> {
+    let session = world.join("initial");
+    let truths: Trajectories =
+        [("initial".to_owned(), truth(&session.join("trajectory.tum")))].into();
+    let found = poses(map, None, "poses", "map_from_vehicle");
+    let map_from_truth = truth_from_map(&found, &truths).inverse();
+    let text = std::fs::read(world.join("truth/bays.geojson")).unwrap();
+    let all: Value = serde_json::from_slice(&text).unwrap();
+    let space = |bay: &Value| {
+        let number = |name: &str| bay["properties"][name].as_f64().unwrap();
+        let there = Pose::from_yaw(number("cx"), number("cy"), number("entry_yaw"));
+        let here = map_from_truth.compose(&there);
+        GroundBox {
+            centre: [here.translation.x, here.translation.y],
+            yaw: here.yaw(),
+            length_m: number("length"),
+            width_m: number("width"),
+        }
+    };
+    all["features"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(space)
+        .collect()
+}
+
+/// The boxes of a query's rows, which have a pose and sides.
+fn boxes(rows: &[Value]) -> Vec<GroundBox> {
+    let found = |row: &Value| {
+        let number = |name: &str| row[name].as_f64().unwrap();
+        let pose = |name: &str| row["pose"][name].as_f64().unwrap();
+        let (qz, qw) = (pose("qz"), pose("qw"));
+        GroundBox {
+            centre: [pose("x"), pose("y")],
+            yaw: 2.0 * qz.atan2(qw),
+            length_m: number("length_m"),
+            width_m: number("width_m"),
+        }
+    };
+    rows.iter().map(found).collect()
+}
+
+/// A person who knows the truth.
+struct Person {
+    folder: PathBuf,
+    truth: Vec<GroundBox>,
+    acts: Vec<(&'static str, GroundBox)>,
+    said: usize,
+}
+
+impl Person {
+    /// Draws the space that is farthest from all that were drawn or accepted.
+    fn draw(&mut self) {
+        let known = |one: &&(&str, GroundBox)| one.0 != "rejected";
+        let away = |one: &&GroundBox| {
+            let known = self.acts.iter().filter(known);
+            let away = known.map(|(_, known)| {
+                (known.centre[0] - one.centre[0]).hypot(known.centre[1] - one.centre[1])
+            });
+            away.fold(f64::INFINITY, f64::min)
+        };
+        let farthest = self.truth.iter().max_by(|a, b| away(a).total_cmp(&away(b)));
+        let place = *farthest.unwrap();
+        self.acts.push(("drawn", place));
+    }
+
+    /// Accepts what lies on a space, draws the space where it lies beside one, rejects the rest.
+    fn answer(&mut self, asked: Vec<GroundBox>) {
+        for place in asked {
+            let overlap = |space: &&GroundBox| space.overlap(&place);
+            let nearest = self
+                .truth
+                .iter()
+                .max_by(|a, b| overlap(a).total_cmp(&overlap(b)));
+            let space = *nearest.unwrap();
+            self.acts.push(match space.overlap(&place) {
+                0.8.. => ("accepted", place),
+                0.5.. => ("drawn", space),
+                _ => ("rejected", place),
+            });
+        }
+    }
+
+    /// What was not said yet, as a log.
+    fn log(&mut self) -> PathBuf {
+        let path = self.folder.join(format!("ada_{}.mcap", self.said));
+        let mut log = AnnotationLog::begin(&path, |_| false, "a test").unwrap();
+        for (number, (act, place)) in self.acts.iter().enumerate().skip(self.said) {
+            let (x, y) = (0.5 * place.length_m, 0.5 * place.width_m);
+            let corners = [[x, y], [-x, y], [-x, -y], [x, -y]];
+            let pose = Pose::from_yaw(place.centre[0], place.centre[1], place.yaw);
+            let act = Annotation {
+                stamp_ns: 1_800_000_000_000_000_000 + number as u64,
+                author: "ada".into(),
+                sequence: number as u64,
+                id: format!("box {number}"),
+                kind: "parking_space".into(),
+                act: (*act).into(),
+                map_version: None,
+                geometry: Some(Geometry {
+                    shape: "box".into(),
+                    points: corners.map(|[x, y]| [x, y, 0.0]).to_vec(),
+                    map_from_label: pose.to_array(),
+                }),
+                anchor: None,
+            };
+            log.say(&act).unwrap();
+        }
+        log.finish().unwrap();
+        self.said = self.acts.len();
+        path
+    }
+}
+
+#[test]
+fn a_few_drawn_spaces_and_some_answers_find_the_others() {
+    let world = shared("worlds/carpark_small").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    run("parking", &map, &[&world.join("initial/initial.mcap")]);
+    let none = rows(&map, None, "SELECT count(*) AS n FROM parking_spaces");
+    assert_eq!(none[0]["n"], 0);
+    let truth = spaces(&world, &map);
+    let mut person = Person {
+        folder: folder.path().to_owned(),
+        truth: truth.clone(),
+        acts: Vec::new(),
+        said: 0,
+    };
+    let mut last = (0.0, 0.0);
+    for round in 0..5 {
+        if round < 4 {
+            (0..DRAWN).for_each(|_| person.draw());
+        }
+        let log = person.log();
+        // What is said of boxes that no vehicle came near is counted, and kept.
+        let run = finished("parking", &map, &[&log]);
+        let told = run
+            .stderr
+            .contains("label out of reach of every vehicle pose");
+        run.expect(if told { 3 } else { 0 });
+        let found = boxes(&rows(
+            &map,
+            None,
+            "SELECT map_from_space AS pose, length_m, width_m FROM parking_spaces",
+        ));
+        let is_right = |one: &&GroundBox| truth.iter().any(|space| space.overlap(one) >= 0.7);
+        let is_found = |space: &&GroundBox| found.iter().any(|one| space.overlap(one) >= 0.7);
+        let precision = found.iter().filter(is_right).count() as f64 / found.len() as f64;
+        let recall = truth.iter().filter(is_found).count() as f64 / truth.len() as f64;
+        let answers = person.acts.len();
+        eprintln!("round {round}: {answers} acts; precision {precision:.3}, recall {recall:.3}");
+        last = (precision, recall);
+        let asked = format!(
+            "SELECT map_from_label AS pose, length_m, width_m FROM questions
+             WHERE question <= {ANSWERED} ORDER BY question"
+        );
+        if round < 4 {
+            person.answer(boxes(&rows(&map, None, &asked)));
+        }
+    }
+    assert!(last.0 >= 0.97 && last.1 >= 0.95, "{last:?}");
+    // Each space is in a row of four or eight, and entered from a lane that was driven.
+    let alone = rows(
+        &map,
+        None,
+        "SELECT row, count(*) AS n, count(lane) AS entered FROM parking_spaces GROUP BY row ORDER BY row",
+    );
+    let numbers = |name: &str| {
+        alone
+            .iter()
+            .map(|row| row[name].as_i64().unwrap())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(numbers("n"), [4; 6], "{alone:?}");
+    assert_eq!(numbers("entered"), numbers("n"), "{alone:?}");
+}
