@@ -33,10 +33,15 @@ macro_rules! operators {
 // Sorted; a test compares the list with the folders.
 operators! {
     ground {
+        danger_map::DangerMap,
+        danger_settings::DangerSettings,
+        exposure::ExposureOfGround,
         ground_patches::GroundPatches,
         intersections::Intersections,
+        lane_speeds::LaneSpeeds,
         overhead_tiles::OverheadTiles,
         road_network::RoadNetwork,
+        speed_map::SpeedMap,
     }
     labels {
         box_hypotheses::BoxHypotheses,

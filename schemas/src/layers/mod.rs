@@ -3,6 +3,7 @@
 mod boxes;
 mod labels;
 mod metric_map;
+mod people;
 mod semantic_map;
 
 use std::collections::BTreeMap;
@@ -14,6 +15,9 @@ pub use labels::{LabelAnchor, PlacedLabel};
 pub use metric_map::{
     AdjustedPose, BodyMask, Features, FrameImage, FramePose, GraphPose, ImageSize, Landmark,
     Localisation, LoopClosure, LoopEdge, MapFrame, Observation, Sighting, Track, TrackPoint,
+};
+pub use people::{
+    Danger, DangerSetting, Exposure, GroundPrior, LaneSpeed, PersonOnGround, SpeedCell,
 };
 pub use semantic_map::{
     ClassCount, ClassLeaf, ClassScores, CrfSetting, DecisionTree, LabelImage, LabelledFrame,
@@ -292,6 +296,12 @@ pub fn all() -> Vec<crate::Layer> {
         LoopClosure::layer(),
         MapFrame::layer(),
         Track::layer(),
+        Danger::layer(),
+        DangerSetting::layer(),
+        Exposure::layer(),
+        LaneSpeed::layer(),
+        PersonOnGround::layer(),
+        SpeedCell::layer(),
         ClassLeaf::layer(),
         ClassScores::layer(),
         CrfSetting::layer(),

@@ -3,12 +3,14 @@
 //! | module | what it knows |
 //! |---|---|
 //! | [`boxes`] | boxes that look alike: parking spaces, crossings, arrows |
+//! | [`danger`] | where people are, how often anybody looked, how fast to drive there |
 //! | [`patch`] | what one image shows of the ground |
 //! | [`projection`] | images projected to cells of the ground plane |
 //! | [`road_network`] | lanes and intersections from driven positions |
 //! | [`tiles`] | tile addressing and exact integer sums |
 
 pub mod boxes;
+pub mod danger;
 pub mod patch;
 pub mod projection;
 pub mod road_network;

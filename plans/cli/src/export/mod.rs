@@ -5,6 +5,7 @@ mod g2o;
 mod geo;
 mod ground;
 mod lanelet2;
+mod nav2;
 mod tum;
 
 use std::path::Path;
@@ -24,6 +25,8 @@ pub enum ExportFormat {
     Geojson,
     /// Lanes as a Lanelet2 map (OSM) in local metres, for Autoware's projector `Local`.
     Lanelet2,
+    /// A speed map as a mask of Nav2's speed filter: the map's YAML, and beside it its picture (PGM).
+    Nav2,
     /// A trajectory: `seconds x y z qx qy qz qw`, one pose a line.
     Tum,
     /// A pose graph: keyframe poses, odometry and loop closures between them.
@@ -87,6 +90,13 @@ async fn written(
         ExportFormat::Lanelet2 => {
             let version = reader.map.version.version;
             write_file(out, lanelet2::text(&batches, site, version)?.as_bytes())
+        }
+        ExportFormat::Nav2 => {
+            let picture = out.with_extension("pgm");
+            let name = picture.file_name().unwrap_or_default().to_string_lossy();
+            let mask = nav2::mask(&batches, site, &name)?;
+            write_file(&picture, &mask.picture)?;
+            write_file(out, mask.yaml.as_bytes())
         }
         ExportFormat::Tum => write_file(out, tum::text(&batches)?.as_bytes()),
         ExportFormat::G2o => {

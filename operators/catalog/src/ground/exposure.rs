@@ -1,0 +1,136 @@
+#![doc = include_str!("exposure.md")]
+
+use std::collections::BTreeMap;
+
+use evermap_algorithms::geometry::camera::Camera;
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::ground::danger::exposure::{ExposureParams, Looks, Standing};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Reason, Sides, Work};
+use evermap_schemas::Stamp;
+use evermap_schemas::layers::{BodyMask, Exposure, Landmark, PosedImage};
+use evermap_vision::Grey;
+
+use crate::inputs::bodies::bodies;
+use crate::inputs::rig::{self, OfVehicle, Rig, frame};
+
+/// See the module's page.
+pub struct ExposureOfGround;
+
+impl Operator for ExposureOfGround {
+    const NAME: &'static str = "exposure";
+    const VERSION: u32 = 1;
+    const PAGE: &'static str = include_str!("exposure.md");
+    type Params = OfVehicle<ExposureParams>;
+    type Output = Exposure;
+
+    fn work() -> Work<Self::Params> {
+        let images = Port::session::<PosedImage>("images");
+        let mut sides = rig::ports(Reach::Session).to_vec();
+        sides.push(Port::session::<BodyMask>("body_masks").optional());
+        sides.push(Port::site::<Landmark>("landmarks").optional());
+        Work::group(images, Key::SESSION, sides, exposure)
+    }
+}
+
+fn exposure(
+    params: &OfVehicle<ExposureParams>,
+    images: Vec<PosedImage>,
+    sides: &Sides,
+    emit: &mut Emit<'_>,
+) -> Result<(), Fault> {
+    let Some(first) = images.first() else {
+        return Ok(());
+    };
+    let (site, session) = (first.site.clone(), first.session.clone());
+    let bodies = bodies(sides)?;
+    let standing = standing(sides.rows("landmarks")?, &session);
+    let rigs = rig::sessions(sides)?;
+    let mut cameras = Cameras::new(rigs.get(&session), params);
+    let mut looks = Looks::default();
+    for image in images {
+        let pose = Pose::from_array(image.map_from_vehicle.to_array());
+        let camera = cameras.at(frame(&image.camera), image.stamp);
+        let (Ok(pose), Ok(camera)) = (&pose, &camera) else {
+            let reason = camera.err().unwrap_or("pose is no rigid transform");
+            emit.skip(reason, 1);
+            continue;
+        };
+        let name = (session.clone(), frame(&image.camera).to_owned());
+        let body = bodies.get(&name);
+        let body = |pixel: [f64; 2]| body.is_some_and(|mask| shows(mask, &camera.0, pixel));
+        let camera = (&camera.0, &camera.1);
+        looks.add(
+            image.stamp.0,
+            pose,
+            camera,
+            &standing,
+            body,
+            &params.options,
+        );
+    }
+    let row = |([column, row], looked): ([i32; 2], _)| {
+        let looked: evermap_algorithms::ground::danger::exposure::Looked = looked;
+        Exposure {
+            site: site.clone(),
+            session: session.clone(),
+            column,
+            row,
+            cell_m: params.options.cell_m,
+            look_s: params.options.look_s,
+            looks: looked.looks,
+            first_stamp: Stamp(looked.first_stamp),
+        }
+    };
+    emit.rows(looks.into_cells().into_iter().map(row).collect())
+}
+
+/// What the session itself saw standing: in another one cars may have stood elsewhere.
+fn standing(landmarks: Vec<Landmark>, session: &str) -> Standing {
+    let seen = |landmark: &Landmark| landmark.sources.iter().any(|from| from.session == session);
+    let points = landmarks.into_iter().filter(seen);
+    Standing::new(points.map(|landmark| [landmark.x, landmark.y, landmark.z]))
+}
+
+/// Whether the mask has the vehicle itself at a pixel of the camera; masks of smaller images are stretched.
+fn shows(mask: &Grey, camera: &Camera, [u, v]: [f64; 2]) -> bool {
+    let at = |pixel: f64, size: u32, masked: u32| {
+        let scaled = (pixel + 0.5) * f64::from(masked) / f64::from(size);
+        (scaled.max(0.0) as u32).min(masked.saturating_sub(1)) as usize
+    };
+    let column = at(u, camera.width, mask.width);
+    let row = at(v, camera.height, mask.height);
+    let pixel = mask.data.get(row * mask.width as usize + column);
+    pixel.is_some_and(|value| *value != 0)
+}
+
+/// Cameras of a session and where they are mounted, by name and by the stamp of the calibration that holds.
+struct Cameras<'a> {
+    rig: Option<&'a Rig>,
+    vehicle: &'a str,
+    known: BTreeMap<(String, Stamp), Result<(Camera, Pose), Reason>>,
+}
+
+impl<'a> Cameras<'a> {
+    fn new(rig: Option<&'a Rig>, params: &'a OfVehicle<ExposureParams>) -> Self {
+        Self {
+            rig,
+            vehicle: params.vehicle.name(),
+            known: BTreeMap::new(),
+        }
+    }
+
+    fn at(&mut self, name: &str, stamp: Stamp) -> Result<(Camera, Pose), Reason> {
+        let rig = self.rig.ok_or("camera has no calibration")?;
+        let calibration = rig
+            .calibration(name, stamp)
+            .ok_or("camera has no calibration")?;
+        let made = || {
+            let mounted = rig.vehicle_from_camera(self.vehicle, name);
+            let mounted = mounted.ok_or("no fixed transforms from camera to vehicle")?;
+            let size = [calibration.width, calibration.height];
+            Ok((rig::camera(calibration, size)?, mounted))
+        };
+        let known = self.known.entry((name.to_owned(), calibration.stamp));
+        known.or_insert_with(made).clone()
+    }
+}

@@ -1,0 +1,173 @@
+//! Where people are and how fast to drive: a stranger's car park, with what its truth says of people as detections.
+
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
+use std::path::{Path, PathBuf};
+
+use evermap_algorithms::geometry::trajectory::StampedPose;
+use evermap_tests::trajectories::{rows, truth};
+use evermap_tests::{Finished, evermap, plan_command, shared, text};
+use serde_json::Value;
+
+/// A first visit without people, and two in which they use one crossing.
+const SESSIONS: [&str; 3] = ["initial", "revisit_1", "revisit_2"];
+
+/// People at least half of whom a camera shows, at most 7.5 m away: rows of SQL.
+fn people_seen(world: &Path, session: &str) -> String {
+    let boxes = world.join(session).join("ped_boxes.jsonl");
+    let boxes = std::fs::read_to_string(boxes).unwrap();
+    let mut values = Vec::new();
+    for line in boxes.lines() {
+        let person: Value = serde_json::from_str(line).unwrap();
+        let number = |name: &str| person[name].as_f64().unwrap_or(0.0);
+        let shown = number("visible_px") >= 0.5 * number("full_px").max(1.0);
+        if shown && number("range") <= 7.5 {
+            let (stamp, camera) = (&person["stamp_ns"], person["camera"].as_str().unwrap());
+            let place = ["id", "x", "y", "range"].map(|name| number(name).to_string());
+            values.push(format!(
+                "('{session}', {stamp}, '{camera}', {})",
+                place.join(", ")
+            ));
+        }
+    }
+    assert!(values.len() > 50, "{session}: {} people", values.len());
+    values.join(", ")
+}
+
+/// True poses at the images: rows of SQL.
+fn poses(world: &Path, session: &str) -> String {
+    let row = |pose: StampedPose| {
+        let values = pose.pose.to_array().map(|value| value.to_string());
+        format!("('{session}', {}, {})", pose.stamp_ns, values.join(", "))
+    };
+    let poses = truth(&world.join(session).join("trajectory.tum"));
+    let rows: Vec<String> = poses.into_iter().map(row).collect();
+    rows.join(", ")
+}
+
+/// From true poses and people to speeds: what `speed` does with those of a map.
+fn plan(world: &Path, folder: &Path) -> PathBuf {
+    let of = |rows: fn(&Path, &str) -> String, sessions: &[&str]| {
+        let rows: Vec<String> = sessions.iter().map(|it| rows(world, it)).collect();
+        rows.join(", ")
+    };
+    let plan = format!(
+        "plan: watched
+steps:
+  posed_images:
+    sql: >
+      SELECT f.site, f.session, f.stamp, f.camera, f.image,
+             named_struct('x', x, 'y', y, 'z', z, 'qx', qx, 'qy', qy, 'qz', qz, 'qw', qw) AS map_from_vehicle
+      FROM frames f JOIN (VALUES {}) AS v(session, stamp, x, y, z, qx, qy, qz, qw)
+      ON f.session = v.session AND CAST(f.stamp AS BIGINT) = v.stamp
+  poses:
+    sql: SELECT DISTINCT site, session, stamp, map_from_vehicle FROM posed_images
+  people_on_ground:
+    sql: >
+      SELECT i.site, i.session, i.stamp, i.camera, v.person, v.x, v.y, 0.0 AS z,
+             0.04 AS var_x_m2, 0.0 AS cov_xy_m2, 0.04 AS var_y_m2, v.range_m, 1.0 AS probability
+      FROM posed_images i JOIN (VALUES {}) AS v(session, stamp, camera, person, x, y, range_m)
+      ON i.session = v.session AND CAST(i.stamp AS BIGINT) = v.stamp AND i.camera LIKE concat('%', v.camera, '%')
+  lanes: {{ op: road_network }}
+  exposure: {{ op: exposure, in: {{ images: posed_images }} }}
+  danger_settings: {{ op: danger_settings, in: {{ people_on_ground: people_on_ground, lanes: lanes }} }}
+  danger_map:
+    op: danger_map
+    in: {{ people_on_ground: people_on_ground, lanes: lanes, settings: danger_settings }}
+  speed_map: {{ op: speed_map }}
+  lane_speeds: {{ op: lane_speeds }}
+write: [people_on_ground, exposure, danger_settings, danger_map, speed_map, lane_speeds]
+",
+        of(poses, &SESSIONS),
+        of(people_seen, &SESSIONS[1..])
+    );
+    let path = folder.join("watched.yaml");
+    std::fs::write(&path, plan).unwrap();
+    path
+}
+
+fn number(rows: &[Value], name: &str) -> f64 {
+    rows[0][name]
+        .as_f64()
+        .unwrap_or_else(|| panic!("{name}: {rows:?}"))
+}
+
+#[test]
+fn a_strangers_car_park_is_driven_slowly_where_people_walk() {
+    let Some(world) = shared("worlds/carpark_small") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    let plan = plan(&world, folder.path());
+    let logs = SESSIONS.map(|name| world.join(name).join(format!("{name}.mcap")));
+    let mut arguments = vec!["--sessions"];
+    arguments.extend(logs.iter().map(|log| text(log)));
+    let ended = plan_command(text(&plan), &map, "park", &arguments).output();
+    let ended: Finished = ended.unwrap().into();
+    assert!([0, 3].contains(&ended.code), "{}", ended.stderr);
+
+    // What was found there: the cells where anybody stood were looked at, and nobody else's were.
+    let people = rows(
+        &map,
+        None,
+        "SELECT count(*) AS people, count(e.looks) AS looked_at FROM people_on_ground p
+         LEFT JOIN exposure e ON e.session = p.session
+           AND e.column = floor(p.x / 0.5) AND e.row = floor(p.y / 0.5)",
+    );
+    let share = number(&people, "looked_at") / number(&people, "people");
+    eprintln!(
+        "{} people, {share:.3} of them where a camera looked",
+        number(&people, "people")
+    );
+    assert!(share > 0.9);
+
+    let settings = rows(&map, None, "SELECT * FROM danger_settings");
+    eprintln!("{settings:#?}");
+    assert_eq!(number(&settings, "visits"), 3.0);
+    assert_eq!(number(&settings, "visits_with_people"), 2.0);
+    let foretold = number(&settings, "log_likelihood");
+    for other in ["expected", "kinds", "counts"] {
+        let other = number(&settings, &format!("log_likelihood_of_{other}"));
+        assert!(foretold > other, "{foretold} is not above {other}");
+    }
+
+    // They walk on one crossing, the right one: there it is dangerous, and slow, and nowhere else.
+    let danger = rows(
+        &map,
+        None,
+        "WITH at AS (SELECT DISTINCT CAST(floor(x / 0.5) AS INT) AS c, CAST(floor(y / 0.5) AS INT) AS r FROM people_on_ground)
+         SELECT avg(danger) FILTER (WHERE c IS NOT NULL) AS there, avg(danger) FILTER (WHERE c IS NULL) AS elsewhere,
+                avg(speed_mps) FILTER (WHERE c IS NOT NULL) AS slow, avg(speed_mps) FILTER (WHERE c IS NULL) AS fast,
+                min(danger) AS least, max(danger) AS most, count(*) AS cells
+         FROM speed_map s LEFT JOIN at ON at.c = s.column AND at.r = s.row",
+    );
+    eprintln!("{danger:#?}");
+    assert!(number(&danger, "there") > 20.0 * number(&danger, "elsewhere"));
+    assert!(number(&danger, "slow") < 2.2 && number(&danger, "fast") > 2.7);
+    assert!(number(&danger, "least") >= 0.0 && number(&danger, "most") <= 1.0);
+    let lanes = "SELECT min(speed_mps) AS slowest, max(speed_mps) AS fastest FROM lane_speeds";
+    let lanes = rows(&map, None, lanes);
+    eprintln!("{lanes:?}");
+    assert!(number(&lanes, "slowest") < 2.0 && number(&lanes, "fastest") > 2.5);
+
+    let mask = folder.path().join("mask.yaml");
+    let export = [
+        "export",
+        "speed_map",
+        "--map",
+        text(&map),
+        "--format",
+        "nav2",
+        "--out",
+        text(&mask),
+    ];
+    evermap(&export).expect(0);
+    let yaml = std::fs::read_to_string(&mask).unwrap();
+    assert!(yaml.contains("image: \"mask.pgm\"") && yaml.contains("mode: raw"));
+    assert!(
+        std::fs::read(mask.with_extension("pgm"))
+            .unwrap()
+            .starts_with(b"P5\n")
+    );
+}
