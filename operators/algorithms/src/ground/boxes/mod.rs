@@ -5,7 +5,9 @@
 //! | [`mosaic`] | an overhead image of any extent, by tiles |
 //! | [`overhead`] | the overhead image as gradients, brighter and darker floors alike |
 //! | [`description`] | what is in a box: histograms of gradients by cell |
+//! | [`box_index`] | which boxes are near one |
 //! | [`scan`] | the places of an image where a description fits |
+//! | `lesson` | what there is to learn from |
 //! | [`template`] | where exactly a box lies |
 //! | [`teaching`] | examples in, hypotheses with their probability and questions out |
 //! | [`rows`] | parking spaces in rows, with numbers and lanes |
@@ -14,8 +16,10 @@
 //! Source: *Integrating metric and semantic maps for vision-only automated parking*, section V-A2: linear
 //! Gaussian-process classifier on histograms of gradients, non-maximum suppression, introspective questions.
 
+pub mod box_index;
 pub mod calibration;
 pub mod description;
+mod lesson;
 pub mod mosaic;
 pub mod overhead;
 pub mod rows;

@@ -4,7 +4,7 @@
 //! a space, neighbours lie one behind the other. What neighbours join is a row.
 
 use super::GroundBox;
-use super::scan::BoxIndex;
+use super::box_index::BoxIndex;
 use rayon::prelude::*;
 
 /// Neighbours look the same way within this angle (rad), or the opposite one: what a row bends by from one to the next.
