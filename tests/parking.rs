@@ -14,8 +14,8 @@ use evermap_algorithms::ground::boxes::GroundBox;
 use evermap_messages::annotation::{Annotation, Geometry};
 use evermap_recording::annotations::AnnotationLog;
 use evermap_tests::park::{finished, run};
-use evermap_tests::shared;
 use evermap_tests::trajectories::{Trajectories, poses, rows, truth, truth_from_map};
+use evermap_tests::{repository, shared};
 use serde_json::Value;
 
 /// Spaces that are drawn in each of the first four rounds.
@@ -201,4 +201,15 @@ fn a_few_drawn_spaces_and_some_answers_find_the_others() {
     };
     assert_eq!(numbers("n"), [4; 6], "{alone:?}");
     assert_eq!(numbers("entered"), numbers("n"), "{alone:?}");
+    // The README's questions to a map that somebody taught.
+    let readme = std::fs::read_to_string(repository().join("README.md")).unwrap();
+    let queries = readme.split("evermap sql --map lot \"").skip(1);
+    let queries = queries.map(|rest| rest.split('"').next().unwrap());
+    let ours: Vec<&str> = queries
+        .filter(|query| query.contains("parking_space"))
+        .collect();
+    assert_eq!(ours.len(), 2);
+    for query in ours {
+        assert!(!rows(&map, None, query).is_empty(), "{query}");
+    }
 }

@@ -350,6 +350,8 @@ fn the_questions_in_the_readme_have_answers() {
         .split("evermap sql --map lot \"")
         .skip(1)
         .map(|rest| rest.split('"').next().unwrap())
+        // Of a map that somebody taught: asked by the test of parking spaces.
+        .filter(|query| !query.contains("parking_space"))
         .collect();
     assert_eq!(queries.len(), 4);
     for query in queries {
