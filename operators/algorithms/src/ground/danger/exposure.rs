@@ -2,7 +2,7 @@
 //!
 //! A person in a cell is found when feet and head are in the image, when neither the vehicle's own body nor something that
 //! the map knows stands before the feet, and when they are near enough. An image has one line of sight for each
-//! direction: [`Horizon`] keeps how far the ground is free there.
+//! direction: `Horizon` keeps how far the ground is free there.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
