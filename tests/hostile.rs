@@ -31,6 +31,13 @@ fn logs(folder: &Path) {
     made.expect(0);
 }
 
+/// Runs the plan `trajectory` on a log, or a folder of them.
+fn trajectory(map: &Path, sessions: &str) -> Finished {
+    let to = ["run", "trajectory", "--map", text(map)];
+    let from = ["--progress", "none", "--sessions", sessions];
+    limited("as", QUERY, &[to, from].concat())
+}
+
 /// Runs the program under a limit of `prlimit`.
 fn limited(limit: &str, bytes: u64, arguments: &[&str]) -> Finished {
     let mut command = Command::new("timeout");
@@ -204,17 +211,7 @@ fn hostile_logs_are_read_counted_or_refused_within_memory() {
             continue;
         }
         let map = folder.path().join("map").join(case.log);
-        let run = [
-            "run",
-            "trajectory",
-            "--map",
-            text(&map),
-            "--progress",
-            "none",
-            "--sessions",
-            log,
-        ];
-        let ran = limited("as", QUERY, &run);
+        let ran = trajectory(&map, log);
         assert!(
             [0, 1, 3].contains(&ran.code),
             "run {}: {} {}",
@@ -236,17 +233,7 @@ fn a_run_counts_the_file_that_it_cannot_read() {
     );
     std::fs::write(logs.join("bad.mcap"), "no log at all").unwrap();
     let map = folder.path().join("map");
-    let run = [
-        "run",
-        "trajectory",
-        "--map",
-        text(&map),
-        "--progress",
-        "none",
-        "--sessions",
-        text(&logs),
-    ];
-    let ran = limited("as", QUERY, &run);
+    let ran = trajectory(&map, text(&logs));
     assert_eq!(ran.code, 3, "{}", ran.stderr);
     assert!(
         ran.stderr.contains("bad.mcap: files that cannot be read"),

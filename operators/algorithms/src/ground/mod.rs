@@ -7,6 +7,7 @@
 //! | [`patch`] | what one image shows of the ground |
 //! | [`projection`] | images projected to cells of the ground plane |
 //! | [`road_network`] | lanes and intersections from driven positions |
+//! | [`segment`] | pieces of lines |
 //! | [`tiles`] | tile addressing and exact integer sums |
 
 pub mod boxes;
@@ -14,4 +15,5 @@ pub mod danger;
 pub mod patch;
 pub mod projection;
 pub mod road_network;
+pub mod segment;
 pub mod tiles;

@@ -274,7 +274,7 @@ mod tests {
     /// Samples of four numbers, and answers that a plane gives with some noise.
     fn examples(count: usize) -> (Vec<Vec<f32>>, Vec<f64>) {
         let mut random = SplitMix64(7);
-        let mut unit = move || (random.next() >> 11) as f64 / (1_u64 << 53) as f64 - 0.5;
+        let mut unit = move || random.unit() - 0.5;
         let sample = |_| -> Vec<f32> { (0..4).map(|_| unit() as f32).collect() };
         let samples: Vec<Vec<f32>> = (0..count).map(sample).collect();
         let plane = [1.0, -2.0, 0.5, 0.0];

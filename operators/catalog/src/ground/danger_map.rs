@@ -6,11 +6,11 @@ use evermap_algorithms::ground::danger::cells::middle;
 use evermap_algorithms::ground::danger::field::Weights;
 use evermap_algorithms::solving::least_squares::SystemError;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
-use evermap_schemas::layers::{Danger, DangerSetting, Exposure};
+use evermap_schemas::layers::{Danger, DangerSetting, Exposure, GroundPrior};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::danger::{ports, site_ground, too_large};
+use crate::inputs::danger::{OTHER, ports, site_ground, too_large};
 
 /// See the module's page.
 pub struct DangerMap;
@@ -48,11 +48,18 @@ fn danger(
         prior_looks: settings.prior_looks,
         tie_looks: settings.tie_looks,
     };
-    let kinds = settings.priors.iter();
-    let expected: BTreeMap<String, f64> = kinds
-        .map(|prior| (prior.kind.clone(), prior.expected))
+    let by_kind = settings.priors.into_iter();
+    let by_kind: BTreeMap<String, GroundPrior> =
+        by_kind.map(|prior| (prior.kind.clone(), prior)).collect();
+    if !by_kind.contains_key(OTHER) {
+        let fault = format!("expected settings with a prior of {OTHER}, found none");
+        return Err(Fault::data(fault).next("connect danger_settings"));
+    }
+    let priors: Vec<f64> = by_kind.values().map(|prior| prior.probability).collect();
+    let expected = by_kind.into_iter();
+    let expected: BTreeMap<String, f64> = expected
+        .map(|(kind, prior)| (kind, prior.expected))
         .collect();
-    let priors: Vec<f64> = settings.priors.iter().map(|it| it.probability).collect();
     let Some(mut of_site) = site_ground(&expected, exposure, sides, emit)? else {
         return Ok(());
     };

@@ -7,7 +7,8 @@ use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::ground::danger::exposure::{ExposureParams, Looks, Standing};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::Stamp;
-use evermap_schemas::layers::{BodyMask, Exposure, Landmark, PosedImage};
+use evermap_schemas::layers::{BodyMask, Exposure, PosedImage, Source};
+use evermap_schemas::record;
 use evermap_vision::Grey;
 
 use crate::inputs::bodies::bodies;
@@ -15,6 +16,25 @@ use crate::inputs::rig::{self, OfVehicle, Rig, frame};
 
 /// See the module's page.
 pub struct ExposureOfGround;
+
+record! {
+    /// What may stand before people: of a landmark, where it is and who saw it.
+    #[layer("landmarks", key(site, landmark))]
+    pub struct StandingPoint {
+        /// Site of the map.
+        site: String,
+        /// Number of the landmark.
+        landmark: u32,
+        /// Where it is.
+        x: f64 ["m", "map"],
+        /// Where it is.
+        y: f64 ["m", "map"],
+        /// Where it is.
+        z: f64 ["m", "map"],
+        /// Who saw it.
+        sources: Vec<Source>,
+    }
+}
 
 impl Operator for ExposureOfGround {
     const NAME: &'static str = "exposure";
@@ -27,7 +47,7 @@ impl Operator for ExposureOfGround {
         let images = Port::session::<PosedImage>("images");
         let mut sides = rig::ports(Reach::Session).to_vec();
         sides.push(Port::session::<BodyMask>("body_masks").optional());
-        sides.push(Port::site::<Landmark>("landmarks").optional());
+        sides.push(Port::site::<StandingPoint>("landmarks").optional());
         Work::group(images, Key::SESSION, sides, exposure)
     }
 }
@@ -85,8 +105,9 @@ fn exposure(
 }
 
 /// What the session itself saw standing: in another one cars may have stood elsewhere.
-fn standing(landmarks: Vec<Landmark>, session: &str) -> Standing {
-    let seen = |landmark: &Landmark| landmark.sources.iter().any(|from| from.session == session);
+fn standing(landmarks: Vec<StandingPoint>, session: &str) -> Standing {
+    let seen =
+        |landmark: &StandingPoint| landmark.sources.iter().any(|from| from.session == session);
     let points = landmarks.into_iter().filter(seen);
     Standing::new(points.map(|landmark| [landmark.x, landmark.y, landmark.z]))
 }

@@ -13,7 +13,7 @@ use evermap_schemas::layers::{OverheadTile, PlacedLabel};
 /// Boxes are described by cells of the image: a side of fewer cells than this is too short.
 const LEAST_CELLS: f64 = 4.0;
 /// No box is longer (m): an image is looked at in parts of a hundred metres.
-const LONGEST_M: f64 = 50.0;
+pub(crate) const LONGEST_M: f64 = 50.0;
 
 /// The tiles of the finest zoom.
 pub(crate) fn mosaic(tiles: Vec<OverheadTile>, skip: &mut impl FnMut(Reason, u64)) -> Mosaic {

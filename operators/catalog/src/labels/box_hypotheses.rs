@@ -10,7 +10,7 @@ use evermap_schemas::layers::{BoxHypothesis, BoxModel, OverheadTile, PlacedLabel
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::boxes::{boxes, mosaic, pose};
+use crate::inputs::boxes::{LONGEST_M, boxes, mosaic, pose};
 
 /// See the module's page.
 pub struct BoxHypotheses;
@@ -77,7 +77,7 @@ fn hypotheses(
 fn taught(row: BoxModel) -> Option<Taught> {
     let is_size = |[length_m, width_m]: &[f64; 2]| {
         let sides = [*length_m, *width_m];
-        sides.iter().all(|side| (0.01..=50.0).contains(side))
+        sides.iter().all(|side| (0.01..=LONGEST_M).contains(side))
     };
     let is_sound = !row.sizes_m.is_empty()
         && row.sizes_m.iter().all(is_size)

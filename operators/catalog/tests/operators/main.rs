@@ -7,6 +7,7 @@
 )]
 
 mod bodies;
+mod danger;
 mod floor;
 mod keyframes;
 mod labels;

@@ -11,7 +11,7 @@ struct Noise(SplitMix64);
 
 impl Noise {
     fn uniform(&mut self) -> f64 {
-        (self.0.next() >> 11) as f64 / (1u64 << 53) as f64
+        self.0.unit()
     }
 
     fn normal(&mut self) -> f64 {

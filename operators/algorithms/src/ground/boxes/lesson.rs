@@ -18,6 +18,7 @@ use crate::solving::random::SplitMix64;
 const ONE_SIZE: f64 = 0.15;
 /// A random box that overlaps a known one by more than this is no example of the floor.
 const CLEAR: f64 = 0.1;
+
 /// How far the largest of boxes is described from its middle (m).
 pub(super) fn reach_of(sizes_m: &[[f64; 2]]) -> f64 {
     let reach = sizes_m.iter().map(|[length_m, width_m]| {
@@ -275,10 +276,9 @@ fn random_boxes(
         return Vec::new();
     }
     let mut random = SplitMix64(1);
-    let mut unit = move || (random.next() >> 11) as f64 / (1_u64 << 53) as f64;
     let mut tried = (0..20 * count).map(|at| GroundBox {
-        centre: gradients.within([unit(), unit()]),
-        yaw: std::f64::consts::TAU * unit(),
+        centre: gradients.within([random.unit(), random.unit()]),
+        yaw: std::f64::consts::TAU * random.unit(),
         ..ones[at % ones.len()]
     });
     let mut found = Vec::new();

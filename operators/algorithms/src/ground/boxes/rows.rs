@@ -5,6 +5,7 @@
 
 use super::GroundBox;
 use super::box_index::BoxIndex;
+use crate::ground::segment::nearest_share;
 use rayon::prelude::*;
 
 /// Neighbours look the same way within this angle (rad), or the opposite one: what a row bends by from one to the next.
@@ -96,10 +97,7 @@ fn entry(place: &GroundBox, lanes: &[LaneLine], reach_m: f64) -> Option<Entry> {
     });
     let found = segments.map(|(lane, from, to)| {
         let along = [to[0] - from[0], to[1] - from[1]];
-        let off = [place.centre[0] - from[0], place.centre[1] - from[1]];
-        let squared = along[0] * along[0] + along[1] * along[1];
-        let share = (along[0] * off[0] + along[1] * off[1]) / squared.max(f64::MIN_POSITIVE);
-        let share = share.clamp(0.0, 1.0);
+        let share = nearest_share(place.centre, [from, to]);
         let point = [0, 1].map(|axis| from[axis] + share * along[axis]);
         Entry {
             lane,

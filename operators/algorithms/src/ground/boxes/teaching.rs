@@ -20,7 +20,7 @@ use super::calibration::Calibration;
 use super::description::{LENGTH, describe};
 use super::lesson::{Lesson, reach_of};
 use super::mosaic::{Mosaic, Part};
-use super::scan::{Scored, apart, scan};
+use super::scan::{SAME, Scored, apart, scan};
 use super::template::Template;
 use crate::learning::gaussian_process::{LearningError, LinearProcess, Posterior};
 
@@ -153,10 +153,11 @@ impl Taught {
     pub fn find(&self, mosaic: &Mosaic, examples: &[Example]) -> Vec<Hypothesis> {
         let room = self.sizes_m.iter().map(|[length, width]| length * width);
         let room = mosaic.covered_m2() / room.fold(f64::INFINITY, f64::min);
+        let known = Known::new(examples);
         let found = mosaic
             .parts()
             .into_iter()
-            .flat_map(|part| self.find_in(mosaic, part, examples, room as usize));
+            .flat_map(|part| self.find_in(mosaic, part, &known, room as usize));
         let mut found = apart(found.collect(), |one: &Described| one.scored);
         found.truncate(room as usize);
         let known = found.par_iter().map(|one| {
@@ -175,26 +176,15 @@ impl Taught {
     }
 
     /// Those whose middle is in a part of the image.
-    fn find_in(
-        &self,
-        mosaic: &Mosaic,
-        part: Part,
-        examples: &[Example],
-        most: usize,
-    ) -> Vec<Described> {
+    fn find_in(&self, mosaic: &Mosaic, part: Part, known: &Known, most: usize) -> Vec<Described> {
         let gradients = mosaic.gradients(part, reach_of(&self.sizes_m));
         let is_here = |point: [f64; 2]| mosaic.part(point) == part;
         let weights = self.process.weights();
         let found = scan(&gradients, weights, &self.sizes_m, is_here, most);
-        let boxes = |is_one: bool| {
-            let boxes = examples.iter().filter(|one| one.is_one() == is_one);
-            BoxIndex::of(&boxes.map(|one| one.place).collect::<Vec<_>>())
-        };
-        let (ones, others) = (boxes(true), boxes(false));
-        let is_open = |one: &Scored| {
-            ones.overlap(&one.place) <= super::scan::SAME && others.overlap(&one.place) <= ANSWERED
-        };
-        let open: Vec<Scored> = found.into_iter().filter(is_open).collect();
+        let open = found
+            .into_iter()
+            .filter(|one| known.leaves_open(&one.place));
+        let open: Vec<Scored> = open.collect();
         let described = open.into_par_iter().filter_map(|found| {
             let place = self.template.laid_on(&gradients, found.place);
             let sample = describe(&gradients, &place)?;
@@ -240,6 +230,30 @@ fn untaught(held: &[(f64, bool)], process: &LinearProcess) -> Calibration {
 
 /// Slope of the logistic curve that is closest to the normal distribution's.
 const PROBIT: f64 = 1.702;
+
+/// Boxes that a person said something of.
+struct Known {
+    ones: BoxIndex,
+    others: BoxIndex,
+}
+
+impl Known {
+    fn new(examples: &[Example]) -> Self {
+        let boxes = |is_one: bool| {
+            let boxes = examples.iter().filter(|one| one.is_one() == is_one);
+            BoxIndex::of(&boxes.map(|one| one.place).collect::<Vec<_>>())
+        };
+        Self {
+            ones: boxes(true),
+            others: boxes(false),
+        }
+    }
+
+    /// Whether nothing was said of a box.
+    fn leaves_open(&self, place: &GroundBox) -> bool {
+        self.ones.overlap(place) <= SAME && self.others.overlap(place) <= ANSWERED
+    }
+}
 
 struct Described {
     scored: Scored,

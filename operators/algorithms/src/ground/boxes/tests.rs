@@ -118,7 +118,7 @@ fn row(
 /// on half of them smeared away from the lane as the projection does, arrows, and a crossing.
 fn painted(spaces: &[GroundBox], [columns, rows]: [usize; 2], seed: u64) -> Picture {
     let mut random = SplitMix64(seed);
-    let mut unit = move || (random.next() >> 11) as f64 / (1_u64 << 53) as f64;
+    let mut unit = move || random.unit();
     let stains: Vec<([f64; 2], f64, f64)> = (0..columns * rows / 8000)
         .map(|_| {
             let at = [

@@ -2,6 +2,8 @@
 
 use std::ops::RangeInclusive;
 
+use crate::ground::segment::nearest_share;
+
 /// Column and row: cell (i, j) covers `[i, i + 1) * cell_m` along x and `[j, j + 1) * cell_m` along y.
 pub type Cell = [i32; 2];
 
@@ -104,14 +106,8 @@ fn inside(corners: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
 }
 
 /// From a place to a piece of a line.
-fn distance([x, y]: [f64; 2], [[ax, ay], [bx, by]]: [[f64; 2]; 2]) -> f64 {
-    let (dx, dy) = (bx - ax, by - ay);
-    let squared = dx * dx + dy * dy;
-    let along = ((x - ax) * dx + (y - ay) * dy) / squared;
-    let along = if squared > 0.0 {
-        along.clamp(0.0, 1.0)
-    } else {
-        0.0
-    };
-    (x - ax - along * dx).hypot(y - ay - along * dy)
+fn distance([x, y]: [f64; 2], ends: [[f64; 2]; 2]) -> f64 {
+    let along = nearest_share([x, y], ends);
+    let [[ax, ay], [bx, by]] = ends;
+    (x - ax - along * (bx - ax)).hypot(y - ay - along * (by - ay))
 }
