@@ -635,3 +635,34 @@ fn the_walks_lead_through_what_there_is() {
     }
     assert!(lengths[1] <= 12 && lengths[2] <= 30, "{lengths:?}");
 }
+
+#[test]
+fn every_promise_names_a_test_that_there_is() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let page = std::fs::read_to_string(root.join("docs/promises.md")).unwrap();
+    let tables = page.split("| promise | held by |\n|---|---|\n").skip(1);
+    let rows = tables.flat_map(|table| table.lines().take_while(|line| line.starts_with('|')));
+    let mut held = 0;
+    for row in rows {
+        let by = row
+            .trim_end_matches(['|', ' '])
+            .rsplit(" | ")
+            .next()
+            .unwrap();
+        let (mut text, mut tests) = (String::new(), 0);
+        for name in by.split('`').skip(1).step_by(2) {
+            if name.ends_with(".rs") {
+                text = std::fs::read_to_string(root.join(name)).unwrap();
+            } else {
+                assert!(
+                    text.contains(&format!("fn {name}(")),
+                    "there is no test {name}: {by}"
+                );
+                tests += 1;
+            }
+        }
+        assert!(tests > 0, "nothing holds: {row}");
+        held += 1;
+    }
+    assert!(held > 10);
+}

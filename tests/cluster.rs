@@ -1,11 +1,19 @@
 //! One machine or many: the same layers, digest for digest, even when executors die.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stderr
+)]
 
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 use evermap_tests::{command, evermap, rectangle, text, write_drive};
 
@@ -136,53 +144,144 @@ fn a_pool_a_cluster_within_and_a_cluster_of_processes_make_equal_layers() {
     assert_eq!(layers(&apart), layers(&local));
 }
 
+fn signal(process: &Process, signal: &str) {
+    let id = process.0.id().to_string();
+    let sent = std::process::Command::new("kill")
+        .args([signal, &id])
+        .status();
+    assert!(sent.unwrap().success());
+}
+
+/// A run on the cluster, with its outputs.
+fn on_cluster(map: &Path, sessions: &[PathBuf], cluster: &Cluster, deadline_s: &str) -> Child {
+    let (url, mut run) = (cluster.url(), arguments(map, sessions));
+    run.extend(["--cluster", &url, "--deadline-s", deadline_s]);
+    let mut run = command(&run);
+    let run = run.stdout(Stdio::null()).stderr(Stdio::piped());
+    run.spawn().unwrap()
+}
+
 #[test]
-fn executors_that_die_and_a_scheduler_that_restarts_change_nothing() {
+fn a_cluster_that_is_not_there_or_has_nobody_to_work_is_named() {
     let folder = tempfile::tempdir().unwrap();
-    let sessions = sessions(folder.path(), 16, 40.0);
+    let sessions = sessions(folder.path(), 1, 1.0);
+    let cluster = Cluster {
+        scheduler: free_port(),
+    };
+    let refused = |name: &str| {
+        let run = on_cluster(&folder.path().join(name), &sessions, &cluster, "2");
+        let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
+        let stderr = ended.expect(1).stderr;
+        assert!(stderr.contains("no unit has ended for 2 s"), "{stderr}");
+        stderr
+    };
+    let nobody = refused("nowhere");
+    assert!(nobody.contains(&cluster.scheduler.to_string()), "{nobody}");
+    let _scheduler = cluster.scheduler();
+    let idle = refused("idle");
+    assert!(idle.contains("no executor is connected"), "{idle}");
+}
+
+#[test]
+fn an_executor_that_stops_answering_is_given_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = sessions(folder.path(), 8, 40.0);
+    let local = folder.path().join("local");
+    evermap(&arguments(&local, &sessions)).expect(0);
+    let cluster = Cluster {
+        scheduler: free_port(),
+    };
+    let _scheduler = cluster.scheduler();
+    let executors = [cluster.executor(), cluster.executor()];
+    let map = folder.path().join("map");
+    let mut run = on_cluster(&map, &sessions, &cluster, "120");
+    // When units are there, both executors have joined: the first answer may be of either.
+    while !map.join("receipts").is_dir() {
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    signal(&executors[0], "-STOP");
+    assert!(run.try_wait().unwrap().is_none(), "the run was over before");
+    let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
+    ended.expect(0);
+    assert_eq!(layers(&map), layers(&local));
+}
+
+/// Disturbances of a cluster, one after another: executors die, stop answering for a while, come and go; now and then the
+/// scheduler is started anew.
+struct Chaos<'a> {
+    cluster: &'a Cluster,
+    random: ChaCha8Rng,
+    scheduler: Option<Process>,
+    executors: Vec<Process>,
+    paused: Vec<Process>,
+}
+
+impl Chaos<'_> {
+    fn disturb(&mut self) {
+        match self.random.random_range(0..10) {
+            0 => {
+                drop(self.scheduler.take());
+                self.scheduler = Some(self.cluster.scheduler());
+            }
+            1..=3 => drop(self.executors.remove(0)),
+            4..=5 => {
+                let executor = self.executors.remove(0);
+                signal(&executor, "-STOP");
+                self.paused.push(executor);
+            }
+            6..=7 if !self.paused.is_empty() => {
+                let executor = self.paused.remove(0);
+                signal(&executor, "-CONT");
+                self.executors.push(executor);
+            }
+            _ => self.executors.push(self.cluster.executor()),
+        }
+        while self.executors.len() < 2 {
+            self.executors.push(self.cluster.executor());
+        }
+        self.executors.truncate(4);
+    }
+}
+
+/// Disturbances in the chaos test.
+const DISTURBANCES: usize = 50;
+
+#[test]
+fn fifty_random_disturbances_change_nothing() {
+    let seed = std::env::var("EVERMAP_TEST_SEED").map_or_else(
+        |_| SystemTime::UNIX_EPOCH.elapsed().unwrap().as_secs(),
+        |seed| seed.parse().unwrap(),
+    );
+    eprintln!("seed: EVERMAP_TEST_SEED={seed}");
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = sessions(folder.path(), 40, 20.0);
     let local = folder.path().join("local");
     evermap(&arguments(&local, &sessions)).expect(0);
 
     let cluster = Cluster {
         scheduler: free_port(),
     };
-    let mut scheduler = Some(cluster.scheduler());
-    let mut executors = vec![cluster.executor(), cluster.executor()];
-    let map = folder.path().join("map");
-    let (url, mut disturbed) = (cluster.url(), arguments(&map, &sessions));
-    disturbed.extend(["--cluster", &url, "--deadline-s", "10"]);
-    let mut run = command(&disturbed)
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let begun = Instant::now();
-    let mut disturbance = 0;
-    while run.try_wait().unwrap().is_none() {
-        assert!(begun.elapsed() < Duration::from_secs(240), "the run hangs");
-        std::thread::sleep(Duration::from_millis(400));
-        disturbance += 1;
-        match disturbance {
-            1 | 3 => {
-                drop(executors.remove(0));
-                executors.push(cluster.executor());
+    let mut chaos = Chaos {
+        cluster: &cluster,
+        random: ChaCha8Rng::seed_from_u64(seed),
+        scheduler: Some(cluster.scheduler()),
+        executors: vec![cluster.executor(), cluster.executor()],
+        paused: Vec::new(),
+    };
+    let mut disturbances = 0;
+    // Where one run is over too soon, another one begins.
+    while disturbances < DISTURBANCES {
+        let map = folder.path().join(format!("after_{disturbances}"));
+        let mut run = on_cluster(&map, &sessions, &cluster, "120");
+        while run.try_wait().unwrap().is_none() {
+            std::thread::sleep(Duration::from_millis(300));
+            if disturbances < DISTURBANCES {
+                chaos.disturb();
+                disturbances += 1;
             }
-            2 => {
-                drop(scheduler.take());
-                scheduler = Some(cluster.scheduler());
-            }
-            _ => {}
         }
+        let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
+        ended.expect(0);
+        assert_eq!(layers(&map), layers(&local));
     }
-    assert!(
-        disturbance >= 3,
-        "the run was over before anything could be disturbed"
-    );
-    let output = run.wait_with_output().unwrap();
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    assert_eq!(layers(&map), layers(&local));
 }

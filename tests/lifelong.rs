@@ -250,17 +250,56 @@ fn new_sessions_alone_are_those_of_an_operator_of_one_session() {
     );
 }
 
+/// A log whose odometry said nothing: a session that brings no rows of any layer.
+fn silent(world: &World, name: &str) -> PathBuf {
+    let path = world.path(&format!("{name}.mcap"));
+    write_drive(&path, []);
+    path
+}
+
 #[test]
-fn once_is_for_steps_of_one_session() {
+fn a_session_without_rows_computes_nothing_of_its_site() {
+    let world = World::new();
+    let (a, b) = (world.drive("a", 20.0), world.drive("b", 30.0));
+    let once = "new_keyframes:\n    once: true";
+    let plan = PLAN.replace("new_keyframes:", once);
+    std::fs::write(world.path("growth.yaml"), plan).unwrap();
+    let kept = || world.query("SELECT keyframes FROM new_keyframes");
+    world.run(&[&a]);
+    world.run(&[&b]);
+    assert_eq!(kept(), json!([{ "keyframes": 400 }]));
+    let ada = silent(&world, "ada");
+    world.run(&[&ada]);
+    assert_eq!(world.computed(3, "keyframes"), json!([{ "of": "ada" }]));
+    for step in ["lanes", "new_keyframes"] {
+        assert_eq!(world.computed(3, step), json!([]), "{step}");
+    }
+    assert_eq!(kept(), json!([{ "keyframes": 400 }]));
+    // What reads the version before without `once` reads the newest.
+    assert_eq!(world.computed(3, "new_lanes"), json!([{ "of": "lot" }]));
+    // A drive that is gone is not kept by what was done once.
+    std::fs::remove_file(&b).unwrap();
+    std::fs::rename(silent(&world, "b_said"), &b).unwrap();
+    world.run(&[&b]);
+    assert_eq!(kept(), json!([]));
+}
+
+#[test]
+fn once_is_for_steps_that_are_stored() {
     let world = World::new();
     let a = world.drive("a", 20.0);
-    let other = PLAN.replace("  lanes: { op", "  lanes: { once: true, op");
+    let copy = "  copy: { once: true, sql: SELECT * FROM keyframes }\n  new_by_exists:";
+    let other = PLAN.replace("  new_by_exists:", copy);
+    let other = other.replace(
+        "FROM keyframes k\n      WHERE NOT",
+        "FROM copy k\n      WHERE NOT",
+    );
     std::fs::write(world.path("growth.yaml"), other).unwrap();
     let told = world.call("run", &[&a], &["--site", "lot", "--progress", "none"]);
     let told = told.expect(1);
     assert!(
         told.stderr
-            .contains("step `lanes`: `once` is for steps of one session"),
+            .contains("step `copy`: `once` is for steps that are stored"),
         "{}",
         told.stderr
     );

@@ -34,15 +34,19 @@ fn people_seen(world: &Path, session: &str) -> String {
     values.join(", ")
 }
 
-/// True poses at the images: rows of SQL.
-fn poses(world: &Path, session: &str) -> String {
+/// True poses at every image of so many: rows of SQL.
+fn poses_of(world: &Path, session: &str, every: usize) -> String {
     let row = |pose: StampedPose| {
         let values = pose.pose.to_array().map(|value| value.to_string());
         format!("('{session}', {}, {})", pose.stamp_ns, values.join(", "))
     };
     let poses = truth(&world.join(session).join("trajectory.tum"));
-    let rows: Vec<String> = poses.into_iter().map(row).collect();
+    let rows: Vec<String> = poses.into_iter().step_by(every).map(row).collect();
     rows.join(", ")
+}
+
+fn poses(world: &Path, session: &str) -> String {
+    poses_of(world, session, 1)
 }
 
 /// From true poses and people to speeds: what `speed` does with those of a map.
@@ -150,6 +154,13 @@ fn a_strangers_car_park_is_driven_slowly_where_people_walk() {
     let lanes = rows(&map, None, lanes);
     eprintln!("{lanes:?}");
     assert!(number(&lanes, "slowest") < 2.0 && number(&lanes, "fastest") > 2.5);
+    // The README's question to a map of people.
+    let readme = std::fs::read_to_string(evermap_tests::repository().join("README.md")).unwrap();
+    let mut queries = readme
+        .split('"')
+        .filter(|text| text.contains("FROM lane_speeds"));
+    let slowest = rows(&map, None, queries.next().unwrap());
+    assert!(!slowest.is_empty());
 
     let mask = folder.path().join("mask.yaml");
     let export = [
@@ -170,4 +181,161 @@ fn a_strangers_car_park_is_driven_slowly_where_people_walk() {
             .unwrap()
             .starts_with(b"P5\n")
     );
+}
+
+/// A person in an image.
+struct Standing {
+    image: (String, i64, String),
+    at: [f64; 2],
+    range_m: f64,
+    /// Part of them that the image shows.
+    shown: f64,
+}
+
+impl Standing {
+    fn apart_m(&self, other: &Self) -> f64 {
+        (self.at[0] - other.at[0]).hypot(self.at[1] - other.at[1])
+    }
+}
+
+/// Everybody who is in an image, as the truth says.
+fn in_images(world: &Path, session: &str) -> Vec<Standing> {
+    let boxes = std::fs::read_to_string(world.join(session).join("ped_boxes.jsonl")).unwrap();
+    let standing = |line: &str| {
+        let person: Value = serde_json::from_str(line).unwrap();
+        let number = |name: &str| person[name].as_f64().unwrap_or(0.0);
+        Standing {
+            image: (
+                session.to_owned(),
+                person["stamp_ns"].as_i64().unwrap(),
+                person["camera"].as_str().unwrap().to_owned(),
+            ),
+            at: [number("x"), number("y")],
+            range_m: number("range"),
+            shown: number("visible_px") / number("full_px").max(1.0),
+        }
+    };
+    boxes.lines().map(standing).collect()
+}
+
+/// Those of one list who have somebody of the other in the same image, less than 1.5 m away, and how far; a person 8 m away is
+/// placed to half a metre along the line of sight.
+fn matched<'a>(
+    ones: &'a [Standing],
+    others: &'a [Standing],
+) -> impl Iterator<Item = (&'a Standing, Option<f64>)> {
+    ones.iter().map(|one| {
+        let near = others.iter().filter(|other| other.image == one.image);
+        let apart = near.map(|other| one.apart_m(other)).min_by(f64::total_cmp);
+        (one, apart.filter(|apart| *apart < 1.5))
+    })
+}
+
+#[test]
+fn people_are_found_in_a_strangers_car_park_before_anybody_taught() {
+    let Some(world) = shared("worlds/carpark_small") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    let shown = [16, 4, 4];
+    let poses: Vec<String> = SESSIONS
+        .iter()
+        .zip(shown)
+        .map(|(session, every)| poses_of(&world, session, every))
+        .collect();
+    let plan = format!(
+        "plan: found
+steps:
+  images:
+    sql: >
+      SELECT f.site, f.session, f.stamp, CAST(0 AS INT UNSIGNED) AS keyframe, f.camera, f.image,
+             named_struct('x', x, 'y', y, 'z', z, 'qx', qx, 'qy', qy, 'qz', qz, 'qw', qw) AS map_from_vehicle
+      FROM frames f JOIN (VALUES {}) AS v(session, stamp, x, y, z, qx, qy, qz, qw)
+      ON f.session = v.session AND CAST(f.stamp AS BIGINT) = v.stamp
+  poses:
+    sql: SELECT DISTINCT site, session, stamp, map_from_vehicle FROM images
+  people: {{ op: people, in: {{ images: images }} }}
+  people_on_ground: {{ op: people_on_ground }}
+write: [poses, people, people_on_ground]
+",
+        poses.join(", "),
+    );
+    let path = folder.path().join("found.yaml");
+    std::fs::write(&path, plan).unwrap();
+    let logs = SESSIONS.map(|name| world.join(name).join(format!("{name}.mcap")));
+    let mut arguments = vec!["--sessions"];
+    arguments.extend(logs.iter().map(|log| text(log)));
+    let ended = plan_command(text(&path), &map, "park", &arguments).output();
+    let ended: Finished = ended.unwrap().into();
+    assert!([0, 3].contains(&ended.code), "{}", ended.stderr);
+
+    let looked = rows(
+        &map,
+        None,
+        "SELECT session, CAST(stamp AS BIGINT) AS at FROM poses",
+    );
+    let stamp = |row: &Value| row["at"].as_i64().unwrap();
+    let looked: std::collections::BTreeSet<i64> = looked.iter().map(stamp).collect();
+    let found = rows(
+        &map,
+        None,
+        "SELECT session, CAST(stamp AS BIGINT) AS at, camera, x, y, range_m FROM people_on_ground",
+    );
+    let found: Vec<Standing> = found
+        .iter()
+        .map(|row| {
+            let number = |name: &str| row[name].as_f64().unwrap();
+            let camera = row["camera"].as_str().unwrap();
+            let known = ["front", "left", "rear", "right"];
+            let camera = known.into_iter().find(|it| camera.contains(it)).unwrap();
+            Standing {
+                image: (
+                    row["session"].as_str().unwrap().to_owned(),
+                    stamp(row),
+                    camera.to_owned(),
+                ),
+                at: [number("x"), number("y")],
+                range_m: number("range_m"),
+                shown: 1.0,
+            }
+        })
+        .collect();
+    let mut there = Vec::new();
+    for session in SESSIONS {
+        there.extend(in_images(&world, session));
+    }
+    there.retain(|one| looked.contains(&one.image.1));
+
+    let (mut seen, mut known) = ([0.0; 2], [0.0; 2]);
+    let mut off: Vec<f64> = Vec::new();
+    for (near, far) in [(1.5, 4.0), (4.0, 6.0), (6.0, 8.0)] {
+        let here = |one: &Standing| (near..far).contains(&one.range_m);
+        let visible = matched(&there, &found).filter(|(one, _)| here(one) && one.shown >= 0.5);
+        let recall: Vec<Option<f64>> = visible.map(|(_, apart)| apart).collect();
+        let right = matched(&found, &there).filter(|(one, _)| here(one));
+        let right: Vec<bool> = right.map(|(_, apart)| apart.is_some()).collect();
+        let mut apart: Vec<f64> = recall.iter().copied().flatten().collect();
+        apart.sort_by(f64::total_cmp);
+        let hits = [apart.len(), right.iter().filter(|right| **right).count()];
+        let of = [recall.len(), right.len()];
+        eprintln!(
+            "{near} to {far} m: {} of {} people found, {} of {} found are people, median {:.2} m off, {:.2} within 0.5 m",
+            hits[0],
+            of[0],
+            hits[1],
+            of[1],
+            apart[apart.len() / 2],
+            apart.iter().filter(|apart| **apart < 0.5).count() as f64 / apart.len() as f64,
+        );
+        for (sum, at) in [(&mut seen, 0), (&mut known, 1)] {
+            *sum = [sum[0] + hits[at] as f64, sum[1] + of[at] as f64];
+        }
+        off.extend(apart);
+    }
+    off.sort_by(f64::total_cmp);
+    let (recall, precision) = (seen[0] / seen[1], known[0] / known[1]);
+    let median_m = off[off.len() / 2];
+    eprintln!("recall {recall:.3}, precision {precision:.3}, median {median_m:.2} m off");
+    assert!(recall > 0.6 && precision > 0.75 && median_m < 0.3);
 }

@@ -102,7 +102,6 @@ fn layers_of_a_map() {
             partitions: 1,
             ..Limits::default()
         })
-        .await
         .unwrap()
     });
     check("layers.slt", context);
@@ -129,4 +128,149 @@ fn tables_of_logs() {
         context
     });
     check("logs.slt", context);
+}
+
+/// A small map, with the folder that holds it.
+fn mapped() -> (tempfile::TempDir, std::path::PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let (drives, map) = (drives(folder.path()), folder.path().join("map"));
+    let run = [
+        "run",
+        "trajectory",
+        "--map",
+        text(&map),
+        "--sessions",
+        text(&drives[0]),
+    ];
+    evermap(&run).expect(0);
+    (folder, map)
+}
+
+/// Queries that nest by these many terms, for each way to nest without brackets: sums, unions, tables of tables.
+fn nested([sums, unions, tables]: [usize; 3]) -> [String; 3] {
+    let unions = (0..unions).map(|n| format!("SELECT {n} AS a"));
+    let chain = (1..tables).map(|n| format!("c{n} AS (SELECT a + 1 AS a FROM c{})", n - 1));
+    let chain = chain.collect::<Vec<_>>().join(", ");
+    [
+        format!("SELECT {} AS a", vec!["1"; sums].join(" + ")),
+        unions.collect::<Vec<_>>().join(" UNION ALL "),
+        format!(
+            "WITH c0 AS (SELECT 1 AS a), {chain} SELECT a FROM c{}",
+            tables - 1
+        ),
+    ]
+}
+
+#[test]
+fn queries_of_many_terms_are_answered_and_larger_ones_refused_in_plans_too() {
+    let (folder, map) = mapped();
+    for query in nested([700, 700, 700]) {
+        evermap(&["sql", "--map", text(&map), &query]).expect(0);
+    }
+    for query in nested([11_000, 2_600, 1_200]) {
+        let refused = evermap(&["sql", "--map", text(&map), &query]).expect(1);
+        assert!(
+            refused.stderr.contains("words and operators"),
+            "{}",
+            refused.stderr
+        );
+        let plan = folder.path().join("large.yaml");
+        let lines = format!("plan: large\nsteps:\n  t: {{ sql: '{query}' }}\nwrite: [t]\n");
+        std::fs::write(&plan, lines).unwrap();
+        let refused = evermap(&["check", text(&plan)]).expect(1);
+        assert!(
+            refused.stderr.contains("words and operators"),
+            "{}",
+            refused.stderr
+        );
+    }
+}
+
+/// Waits until a process has computed for a second, so that it is at work and no more beginning.
+#[cfg(target_os = "linux")]
+fn computes(process: &std::process::Child) {
+    let stat = format!("/proc/{}/stat", process.id());
+    loop {
+        let stat = std::fs::read_to_string(&stat).unwrap();
+        let fields: Vec<&str> = stat
+            .rsplit(')')
+            .next()
+            .unwrap()
+            .split_whitespace()
+            .collect();
+        // Hundredths of a second in user code, counted behind the name.
+        if fields[11].parse::<u64>().unwrap() > 100 {
+            return;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn queries_are_interrupted_while_they_run_and_while_they_are_planned() {
+    let (_folder, map) = mapped();
+    let counting =
+        "SELECT count(*) FROM generate_series(1, 1000000) a, generate_series(1, 1000000) b";
+    let joined = (1..800).map(|n| format!("JOIN poses p{n} ON p0.stamp = p{n}.stamp"));
+    let joined = joined.collect::<Vec<_>>().join(" ");
+    let planning = format!("SELECT count(*) FROM poses p0 {joined}");
+    for query in [counting, &planning] {
+        let mut asked = evermap_tests::command(&["sql", "--map", text(&map), query]);
+        let asked = asked.stderr(std::process::Stdio::piped()).spawn().unwrap();
+        computes(&asked);
+        let interrupt = ["-INT", &asked.id().to_string()];
+        assert!(
+            std::process::Command::new("kill")
+                .args(interrupt)
+                .status()
+                .unwrap()
+                .success()
+        );
+        let ended: evermap_tests::Finished = asked.wait_with_output().unwrap().into();
+        let ended = ended.expect(1);
+        assert!(ended.stderr.contains("stopped"), "{}", ended.stderr);
+    }
+}
+
+#[test]
+fn sorts_windows_and_groups_larger_than_memory_are_answered_from_disk() {
+    let (folder, map) = mapped();
+    let out = folder.path().join("answer.csv");
+    let ask = |query: &str| {
+        let small = [
+            "sql",
+            "--map",
+            text(&map),
+            "--memory",
+            "64MiB",
+            "--format",
+            "csv",
+        ];
+        evermap(&[&small[..], &["--out", text(&out), query]].concat())
+    };
+    // 500 MB of texts each time.
+    let texts =
+        "(SELECT value AS n, repeat('a', 1000) || value AS t FROM generate_series(1, 500000))";
+    for (query, lines) in [
+        (format!("SELECT t FROM {texts} ORDER BY t DESC"), 500_001),
+        (
+            format!("SELECT lag(t) OVER (PARTITION BY n % 10 ORDER BY n) FROM {texts}"),
+            500_001,
+        ),
+        (
+            format!("SELECT count(*) FROM (SELECT t, count(*) FROM {texts} GROUP BY t)"),
+            2,
+        ),
+    ] {
+        ask(&query).expect(0);
+        let answer = std::fs::read(&out).unwrap();
+        assert_eq!(
+            answer.iter().filter(|byte| **byte == b'\n').count(),
+            lines,
+            "{query}"
+        );
+    }
+    let refused = ask(&format!("SELECT length(string_agg(t, '')) FROM {texts}")).expect(1);
+    assert!(refused.stderr.contains("resource: "), "{}", refused.stderr);
 }

@@ -1,5 +1,6 @@
 //! DataFusion's errors as faults with a kind, and faults on their way through DataFusion.
 
+use arrow::error::ArrowError;
 use datafusion::error::DataFusionError;
 use evermap_schemas::{Fault, Kind};
 
@@ -22,12 +23,23 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
         DataFusionError::ObjectStore(error) => (Kind::Resource, error.to_string()),
         DataFusionError::IoError(error) => (Kind::Resource, error.to_string()),
         DataFusionError::Internal(message) => (Kind::Bug, message.clone()),
-        DataFusionError::SQL(..) | DataFusionError::Plan(_) | DataFusionError::SchemaError(..) => {
-            (Kind::User, root.strip_backtrace())
-        }
+        DataFusionError::Plan(message) => (Kind::User, message.clone()),
+        DataFusionError::SchemaError(error, _) => (Kind::User, error.to_string()),
+        DataFusionError::SQL(..) => (Kind::User, root.strip_backtrace()),
+        DataFusionError::ArrowError(error, _) => (kind_of(error), error.to_string()),
         _ => (Kind::Data, root.strip_backtrace()),
     };
     Fault::new(kind, message.lines().next().unwrap_or_default())
+}
+
+/// Whose fault it is when computing with values fails: a query says what is computed.
+fn kind_of(error: &ArrowError) -> Kind {
+    match error {
+        ArrowError::DivideByZero | ArrowError::ArithmeticOverflow(_) | ArrowError::CastError(_) => {
+            Kind::User
+        }
+        _ => Kind::Data,
+    }
 }
 
 /// What DataFusion gives, with a fault in place of its error.

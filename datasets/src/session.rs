@@ -45,6 +45,20 @@ impl Session {
             .collect()
     }
 
+    /// Message types of its topics, as their logs spell them.
+    pub fn message_types(&self) -> BTreeMap<String, String> {
+        let channels = self
+            .parts
+            .iter()
+            .flat_map(|part| part.index.channels.values());
+        let typed = channels.map(|channel| {
+            let schema = channel.schema.as_deref();
+            let name = schema.map_or_else(|| "no schema".to_owned(), |schema| schema.name.clone());
+            (channel.topic.clone(), name)
+        });
+        typed.collect()
+    }
+
     /// The digest of its bytes: BLAKE3 over the contents of its files in order, each preceded by its length.
     ///
     /// # Errors

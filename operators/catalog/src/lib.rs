@@ -40,6 +40,8 @@ operators! {
         intersections::Intersections,
         lane_speeds::LaneSpeeds,
         overhead_tiles::OverheadTiles,
+        people::People,
+        people_on_ground::PeopleOnGround,
         road_network::RoadNetwork,
         speed_map::SpeedMap,
     }
@@ -49,6 +51,7 @@ operators! {
         label_anchors::LabelAnchors,
         parking_spaces::ParkingSpaces,
         placed_labels::PlacedLabels,
+        space_occupancy::SpacesOccupied,
     }
     learning {
         class_scores::ClassScoring,
@@ -71,13 +74,20 @@ operators! {
         map_frames::MapFrames,
         pose_graph::PoseGraph,
         speeds::Speeds,
+        surface_points::SurfacePoints,
         tracks::Tracks,
     }
     semantic_map {
         class_index::ClassIndex,
+        inferred_labels::InferredLabelImages,
+        occlusion_counts::OcclusionCounts,
+        occlusion_samples::OcclusionSamples,
         recorded_labels::RecordedLabels,
+        registrations::Registrations,
         relocations::Relocations,
+        spheres::Spheres,
         views::Views,
+        warped_labels::WarpedLabelImages,
         word_relocations::WordRelocations,
     }
 }

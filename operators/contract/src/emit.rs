@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use arrow::array::RecordBatch;
 use evermap_schemas::{Fault, LayerRow, batch};
 
+use crate::Reason;
+
 /// What was left out, and why: reason to count. Bad input is counted and skipped, never silently dropped.
 #[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Losses(pub BTreeMap<String, u64>);
@@ -61,6 +63,24 @@ impl<'a> Emit<'a> {
         } else {
             (self.rows)(batch(rows)?)
         }
+    }
+
+    /// Emits the rows that inputs were made into, in order, and counts each input of which none could be made as skipped.
+    ///
+    /// # Errors
+    /// As [`Emit::rows`].
+    pub fn made<I>(&mut self, made: Vec<Result<I, Reason>>) -> Result<(), Fault>
+    where
+        I: IntoIterator<Item: LayerRow>,
+    {
+        let mut kept = Vec::with_capacity(made.len());
+        for made in made {
+            match made {
+                Ok(rows) => kept.extend(rows),
+                Err(reason) => self.skip(reason, 1),
+            }
+        }
+        self.rows(kept)
     }
 
     /// Counts `count` inputs as skipped for `reason` (a short phrase, such as `image does not decode`).

@@ -50,7 +50,7 @@ impl<P: Clone + Send + Sync + 'static> Work<P> {
     {
         Self::map(driving, sides, prepare, move |prepared, batch, emit| {
             let made = rows::<T>(batch)?.into_par_iter();
-            emit_made(made.map(|row| each(prepared, row)).collect(), emit)
+            emit.made(made.map(|row| each(prepared, row)).collect())
         })
     }
 
@@ -76,7 +76,7 @@ impl<P: Clone + Send + Sync + 'static> Work<P> {
                 let image = pixels.get(row).ok_or("image is missing")?;
                 each(prepared, value, image, room)
             });
-            emit_made(made.collect(), emit)
+            emit.made(made.collect())
         })
     }
 
@@ -192,21 +192,6 @@ impl<P: Clone + Send + Sync + 'static> Work<P> {
             kernel: Box::new(kernel),
         }
     }
-}
-
-/// Emits what was made, in order, and counts what was not.
-fn emit_made<I>(made: Vec<Result<I, Reason>>, emit: &mut Emit<'_>) -> Result<(), Fault>
-where
-    I: IntoIterator<Item: LayerRow>,
-{
-    let mut kept = Vec::with_capacity(made.len());
-    for made in made {
-        match made {
-            Ok(rows) => kept.extend(rows),
-            Err(reason) => emit.skip(reason, 1),
-        }
-    }
-    emit.rows(kept)
 }
 
 /// A Group that emits while it reads. Rows arrive in order, in batches of any size.

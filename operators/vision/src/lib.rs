@@ -5,6 +5,7 @@
 //!   jpeg, png, ppm … ──► decode_colour ───────────► Rgb
 //!   depth: png, pgm ───► decode_depth ────────────► Grey16, the values as stored
 //!   labels: png, pgm ──► decode_labels ───────────► Grey, the values as stored ──► encode_png
+//!   Grey ──────────────► PeopleDetector ──────────► windows that show people
 //! ```
 //! Bytes come from logs, so they may be torn or hostile. Nothing here panics on them, and nothing is allocated for a
 //! size that a header merely claims: [`MAX_PIXELS`] is checked first. OpenCV's exceptions become [`ImageError`]s, and
@@ -13,9 +14,11 @@
 mod decode;
 mod features;
 mod grey;
+mod people;
 mod stored;
 
 pub use decode::{decode_colour, decode_grey, image_size};
 pub use features::{Blind, DESCRIPTOR_BYTES, FeatureParams, KeyPoints, Vignette, features};
 pub use grey::{Grey, Grey16, ImageError, MAX_PIXELS, Rgb};
+pub use people::PeopleDetector;
 pub use stored::{decode_depth, decode_labels, encode_png};

@@ -1,8 +1,9 @@
 //! What an MCAP file holds, for people (as text) and for programs.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use askama::Template;
+use evermap_engine::preflight::in_words;
 use serde::Serialize;
 
 use crate::quantity;
@@ -35,6 +36,10 @@ pub struct Contents {
     pub chunks: Chunks,
     /// Its channels, by topic.
     pub channels: Vec<Channel>,
+    /// Topics by the role that they play.
+    pub roles: Vec<RoleLine>,
+    /// The plans that ship, and what each lacks to make something of this file.
+    pub plans: Vec<PlanLine>,
     /// Its attachments.
     pub attachments: Vec<Attachment>,
     /// Names of its metadata records.
@@ -75,6 +80,24 @@ pub struct Channel {
     pub undecodable: Option<String>,
 }
 
+/// A role, and who plays it.
+#[derive(Debug, Serialize)]
+pub struct RoleLine {
+    /// Its name.
+    pub role: String,
+    /// The topics, ascending.
+    pub topics: Vec<String>,
+}
+
+/// A plan that ships.
+#[derive(Debug, Serialize)]
+pub struct PlanLine {
+    /// Its name.
+    pub plan: String,
+    /// Roles that it lacks, each with the step that cannot do without; null where it makes something of the file.
+    pub lacks: Option<BTreeMap<String, String>>,
+}
+
 /// An attachment.
 #[derive(Debug, Serialize)]
 pub struct Attachment {
@@ -103,6 +126,15 @@ pub struct LossLine {
     pub bytes: u64,
     /// An example in words.
     pub detail: String,
+}
+
+impl PlanLine {
+    fn state(&self) -> String {
+        match &self.lacks {
+            None => "can run on this file".to_owned(),
+            Some(lacks) => format!("lacks {}", in_words(lacks)),
+        }
+    }
 }
 
 impl Contents {

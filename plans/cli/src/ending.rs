@@ -12,7 +12,7 @@ use std::io::Write;
 
 use arrow::error::ArrowError;
 use evermap_engine::prepare::Refusal;
-use evermap_schemas::Fault;
+use evermap_schemas::{Fault, Kind};
 
 /// Why a command failed.
 #[derive(Debug)]
@@ -68,6 +68,13 @@ impl From<ArrowError> for Failure {
             other => Self::Fault(other.into()),
         }
     }
+}
+
+/// A command, or a query of a prompt, that panicked.
+pub fn panicked(error: &tokio::task::JoinError) -> Failure {
+    Fault::new(Kind::Bug, format!("the command panicked: {error}"))
+        .next("please report it")
+        .into()
 }
 
 /// Tells the person, on `stderr`, how it ended; the exit code.

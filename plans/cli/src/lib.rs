@@ -38,21 +38,25 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use clap::Parser;
-use evermap_schemas::{Fault, Kind};
+use evermap_engine::sql::STACK_BYTES;
+use evermap_schemas::Fault;
 
 use crate::arguments::{Arguments, Command};
+use crate::commands::sql::is_prompt;
 #[cfg(feature = "cluster")]
 use crate::ending::DONE;
-use crate::ending::{Ending, Failure, tell};
+use crate::ending::{Ending, panicked, tell};
 
 /// Reads the command line, does what it says, and tells how it ended.
 pub fn main() -> std::process::ExitCode {
     let arguments = Arguments::parse();
     log();
-    let runtime = match tokio::runtime::Builder::new_multi_thread()
-        .enable_all()
-        .build()
-    {
+    let mut threads = tokio::runtime::Builder::new_multi_thread();
+    if !matches!(arguments.command, Command::Inspect(_)) {
+        // Queries are planned as deep as they nest.
+        threads.thread_stack_size(STACK_BYTES);
+    }
+    let runtime = match threads.enable_all().build() {
         Ok(runtime) => runtime,
         Err(error) => {
             let fault = Fault::resource(format!("cannot start threads: {error}"));
@@ -70,7 +74,7 @@ pub fn main() -> std::process::ExitCode {
 /// it was, and what was computed is found again.
 async fn until_interrupted(command: Command) -> Ending {
     let command = Arc::new(command);
-    let own_interrupts = matches!(&*command, Command::Sql(_));
+    let own_interrupts = matches!(&*command, Command::Sql(args) if is_prompt(args));
     let mut work = tokio::spawn({
         let command = Arc::clone(&command);
         async move { commands::dispatch(&command).await }
@@ -113,12 +117,6 @@ fn stopping(command: &Command) -> Ending {
             .into()),
         _ => Err(fault.into()),
     }
-}
-
-fn panicked(error: &tokio::task::JoinError) -> Failure {
-    Fault::new(Kind::Bug, format!("the command panicked: {error}"))
-        .next("please report it")
-        .into()
 }
 
 fn log() {

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::io::Write;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use datafusion::common::utils::quote_identifier;
 use evermap_engine::error::OrFault;
@@ -14,7 +15,7 @@ use reedline::{
 
 use crate::commands::sql::{Tables, statements};
 use crate::describe::{TableLine, columns};
-use crate::ending::{Failure, Lost, tell};
+use crate::ending::{Failure, Lost, panicked, tell};
 use crate::output::{Format, Sink, print_rows};
 use crate::progress::line;
 use crate::quantity::{of, of_seconds};
@@ -130,7 +131,7 @@ fn editor() -> Reedline {
 ///
 /// # Errors
 /// When the terminal fails.
-pub async fn run(tables: &Tables, format: Format) -> Result<(), Failure> {
+pub async fn run(tables: &Arc<Tables>, format: Format) -> Result<(), Failure> {
     let mut editor = editor();
     line("\\d lists the tables, \\? helps, \\q leaves");
     loop {
@@ -139,7 +140,7 @@ pub async fn run(tables: &Tables, format: Format) -> Result<(), Failure> {
         match signal {
             Signal::Success(text) => match Input::of(&text) {
                 Input::Quit => return Ok(()),
-                input => answer(tables, input, format).await,
+                _ => answer(tables, text, format).await,
             },
             Signal::CtrlD => return Ok(()),
             _ => {}
@@ -147,11 +148,14 @@ pub async fn run(tables: &Tables, format: Format) -> Result<(), Failure> {
     }
 }
 
-/// Answers one input; Ctrl-C stops a query and comes back to the prompt.
-async fn answer(tables: &Tables, input: Input<'_>, format: Format) {
+/// Answers one input; Ctrl-C stops a query and comes back to the prompt, also while the query is being planned.
+async fn answer(tables: &Arc<Tables>, text: String, format: Format) {
+    let tables = Arc::clone(tables);
+    let mut asked = tokio::spawn(async move { respond(&tables, Input::of(&text), format).await });
     let ending = tokio::select! {
-        ending = respond(tables, input, format) => ending,
+        ending = &mut asked => ending.unwrap_or_else(|error| Err(panicked(&error))),
         _ = tokio::signal::ctrl_c() => {
+            asked.abort();
             line("stopped");
             return;
         }

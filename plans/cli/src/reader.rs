@@ -41,7 +41,7 @@ impl MapReader {
     /// # Errors
     /// As [`Map::context`] and [`answered`].
     pub async fn ask(&self, query: &str) -> Result<Vec<RecordBatch>, Fault> {
-        let open = || self.map.context(Limits::default());
+        let open = async || self.map.context(Limits::default());
         answered(self.tables.get_or_try_init(open).await?, query).await
     }
 

@@ -2,11 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use evermap_algorithms::geometry::pose::Pose;
 use evermap_schemas::layers::{Keyframe, VehiclePose};
 use evermap_schemas::{Fault, Stamp};
+use nalgebra::Vector3;
 
-use crate::draw::{Scene, Trajectory};
+use crate::draw::{Mark, Outline, Scene, SlowCell, Trajectory};
 use crate::reader::MapReader;
+use crate::shown::{Hypothesis, Label, LaneSpeed, PersonSeen, Space, SpaceState, SpeedCell};
 
 /// Where a vehicle was, and when.
 type Passed = (Stamp, [f64; 2]);
@@ -19,7 +22,22 @@ pub async fn trajectories(
     reader: &MapReader,
     site: Option<&str>,
 ) -> Result<Vec<Trajectory>, Fault> {
-    let mut sessions: BTreeMap<(String, String), Vec<Passed>> = BTreeMap::new();
+    Ok(lines(driven(reader, site).await?))
+}
+
+fn lines(driven: Driven) -> Vec<Trajectory> {
+    let line = |((_, session), passed): (_, Vec<Passed>)| Trajectory {
+        session,
+        points: passed.into_iter().map(|(_, point)| point).collect(),
+    };
+    driven.into_iter().map(line).collect()
+}
+
+/// Where vehicles were by site and session, in the order of time.
+type Driven = BTreeMap<(String, String), Vec<Passed>>;
+
+async fn driven(reader: &MapReader, site: Option<&str>) -> Result<Driven, Fault> {
+    let mut sessions = Driven::new();
     for row in reader.rows::<VehiclePose>(site).await? {
         let points = sessions.entry((row.site, row.session)).or_default();
         points.push((row.stamp, [row.map_from_vehicle.x, row.map_from_vehicle.y]));
@@ -33,14 +51,79 @@ pub async fn trajectories(
             ));
         }
     }
-    let trajectory = |((_, session), mut points): (_, Vec<Passed>)| {
+    for points in sessions.values_mut() {
         points.sort_by_key(|(stamp, _)| *stamp);
-        Trajectory {
-            session,
-            points: points.into_iter().map(|(_, point)| point).collect(),
+    }
+    Ok(sessions)
+}
+
+/// Parking spaces as they were last seen, labels of other things, and what a person is asked about; what was rejected is not
+/// there.
+async fn outlines(
+    reader: &MapReader,
+    site: Option<&str>,
+    driven: &Driven,
+) -> Result<Vec<Outline>, Fault> {
+    let spaces: Vec<Space> = reader.rows(site).await?;
+    let states = last_states(reader.rows(site).await?, driven);
+    let known: BTreeSet<String> = spaces.iter().filter_map(|it| it.label.clone()).collect();
+    let of_space = |space: Space| {
+        let state = states.get(&space.space).map_or("unseen", String::as_str);
+        Outline {
+            mark: Mark::of_state(state),
+            title: format!("space {}: {}, {state}", space.space, space.standing),
+            said: space.standing != "found",
+            closed: true,
+            points: corners(&space.map_from_space, [space.length_m, space.width_m]),
         }
     };
-    Ok(sessions.into_iter().map(trajectory).collect())
+    let mut outlines: Vec<Outline> = spaces.into_iter().map(of_space).collect();
+    let labels: Vec<Label> = reader.rows(site).await?;
+    let is_shown = |label: &Label| label.standing != "rejected" && !known.contains(&label.label);
+    outlines.extend(labels.into_iter().filter(is_shown).map(|label| Outline {
+        mark: Mark::Label,
+        title: format!("{} {}: {}", label.kind, label.label, label.standing),
+        said: true,
+        closed: label.shape != "polyline",
+        points: label.points.iter().map(|[x, y, _]| [*x, *y]).collect(),
+    }));
+    let asked: Vec<Hypothesis> = reader.rows(site).await?;
+    outlines.extend(asked.into_iter().filter_map(|one| {
+        let (question, likely) = (one.question?, 100.0 * one.probability);
+        Some(Outline {
+            mark: Mark::Asked,
+            title: format!("question {question}: {}? {likely:.0} % likely", one.kind),
+            said: false,
+            closed: true,
+            points: corners(&one.map_from_label, [one.length_m, one.width_m]),
+        })
+    }));
+    Ok(outlines)
+}
+
+/// By space: its state when it was last seen.
+fn last_states(mut seen: Vec<SpaceState>, driven: &Driven) -> BTreeMap<u32, String> {
+    seen.retain(|row| row.state != "unseen");
+    let last = |row: &SpaceState| {
+        let passed = driven.get(&(row.site.clone(), row.session.clone()))?;
+        passed.last().map(|(stamp, _)| *stamp)
+    };
+    seen.sort_by_key(last);
+    let states = seen.into_iter().map(|row| (row.space, row.state));
+    states.collect()
+}
+
+/// Of a box by its frame, length and width (m); none where the frame is no rigid transform.
+fn corners(map_from_box: &evermap_schemas::Pose, sides_m: [f64; 2]) -> Vec<[f64; 2]> {
+    let Ok(map_from_box) = Pose::from_array(map_from_box.to_array()) else {
+        return Vec::new();
+    };
+    let [x, y] = sides_m.map(|side| 0.5 * side);
+    let corner = |[x, y]: [f64; 2]| {
+        let point = map_from_box.transform(&Vector3::new(x, y, 0.0));
+        [point.x, point.y]
+    };
+    [[x, y], [-x, y], [-x, -y], [x, -y]].map(corner).to_vec()
 }
 
 /// One site's scene: the one asked for, else the first by name. Also says the names of all sites.
@@ -60,11 +143,22 @@ pub async fn scene(reader: &MapReader, site: Option<&str>) -> Result<(Scene, Vec
         )));
     }
     let site = site.or(sites.first().map(String::as_str));
+    let driven = driven(reader, site).await?;
+    let speeds: Vec<LaneSpeed> = reader.rows(site).await?;
+    let speeds = speeds
+        .into_iter()
+        .filter_map(|row| Some((row.lane, [row.speed_mps?, row.mean_mps?])));
+    let cells: Vec<SpeedCell> = reader.rows(site).await?;
+    let people: Vec<PersonSeen> = reader.rows(site).await?;
     let scene = Scene {
         tiles: reader.rows(site).await?,
         lanes: reader.rows(site).await?,
         intersections: reader.rows(site).await?,
-        trajectories: trajectories(reader, site).await?,
+        lane_speeds: speeds.collect(),
+        slow: SlowCell::of(&cells),
+        people: people.iter().map(|person| [person.x, person.y]).collect(),
+        outlines: outlines(reader, site, &driven).await?,
+        trajectories: lines(driven),
         ..Scene::default()
     };
     Ok((scene, sites))

@@ -21,6 +21,22 @@ pub fn of(args: &PlanArgs) -> Result<PlanText, Failure> {
     read(&args.plan, args.set.clone())
 }
 
+/// A plan that ships, as it is.
+pub fn plain((name, text): &(&str, &str)) -> PlanText {
+    PlanText {
+        source: Source {
+            origin: origin(name),
+            text: (*text).to_owned(),
+        },
+        find,
+        settings: Vec::new(),
+    }
+}
+
+fn origin(shipped: &str) -> String {
+    format!("plans/library/{shipped}.yaml")
+}
+
 /// Reads a plan: a file, `-` for standard input, or the name of a plan that ships.
 fn read(plan: &str, settings: Vec<String>) -> Result<PlanText, Failure> {
     let (origin, bytes) = match plan {
@@ -60,10 +76,7 @@ fn standard_input() -> Result<Vec<u8>, Fault> {
 fn file_or_shipped(file: &Path, name: &str) -> Result<(String, Vec<u8>), Fault> {
     let shipped = PLANS.iter().find(|(shipped, _)| *shipped == name);
     if let (Some((name, text)), false) = (shipped, file.is_file()) {
-        return Ok((
-            format!("plans/library/{name}.yaml"),
-            text.as_bytes().to_vec(),
-        ));
+        return Ok((origin(name), text.as_bytes().to_vec()));
     }
     let bytes = std::fs::read(file).map_err(|error| {
         let names: Vec<_> = PLANS.iter().map(|(name, _)| *name).collect();

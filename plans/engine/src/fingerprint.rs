@@ -30,7 +30,7 @@ const REST: TimeDelta = TimeDelta::seconds(2);
 
 /// What tells one state of a file from another without reading it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-struct FileState {
+pub struct FileState {
     store: String,
     location: String,
     size: u64,
@@ -38,6 +38,31 @@ struct FileState {
     e_tag: Option<String>,
     /// Seconds and nanoseconds; null where the store has none.
     status_changed: Option<(i64, i64)>,
+}
+
+impl FileState {
+    /// The state of a file, as its store tells it.
+    pub fn of(store: &str, meta: &ObjectMeta) -> Self {
+        Self {
+            store: store.to_owned(),
+            location: meta.location.to_string(),
+            size: meta.size,
+            modified: meta.last_modified,
+            e_tag: meta.e_tag.clone(),
+            status_changed: status_changed(store, meta.location.as_ref()),
+        }
+    }
+
+    /// Whether it has been like this for long enough: what changes it now makes it look different.
+    pub fn rests(&self, now: DateTime<Utc>) -> bool {
+        let changed = self
+            .status_changed
+            .and_then(|(seconds, nanoseconds)| {
+                DateTime::from_timestamp(seconds, u32::try_from(nanoseconds).ok()?)
+            })
+            .unwrap_or(self.modified);
+        now - self.modified.max(changed) > REST
+    }
 }
 
 /// A log's digest and its index, and what its files were like when it was read.
@@ -142,13 +167,13 @@ pub async fn open(
     for recording in &mut recordings.sessions {
         let files = &mut recording.files;
         files.sort_by_key(|file| place(&file.store_url, &file.meta));
-        let state_of = |file: &LogFile| state(file.store_url.as_str(), &file.meta);
+        let state_of = |file: &LogFile| FileState::of(file.store_url.as_str(), &file.meta);
         let files: Vec<FileState> = files.iter().map(state_of).collect();
         let Some(found) = Fingerprint::find(store, &files).await? else {
             continue;
         };
         let believed = match believe {
-            Believe::Rested => found.rested && files.iter().all(|file| rests(file, now)),
+            Believe::Rested => found.rested && files.iter().all(|file| file.rests(now)),
             Believe::Content(content) => found.content == content,
         };
         if believed && found.seal == seal(&found.content, &found.indexes)? {
@@ -185,9 +210,9 @@ pub async fn fingerprint(
     let begun = Utc::now();
     let mut parts = session.parts.clone();
     parts.sort_by_key(|part| place(&part.store_url, &part.meta));
-    let state_of = |part: &Arc<LogPart>| state(part.store_url.as_str(), &part.meta);
+    let state_of = |part: &Arc<LogPart>| FileState::of(part.store_url.as_str(), &part.meta);
     let files: Vec<FileState> = parts.iter().map(state_of).collect();
-    let rested = files.iter().all(|file| rests(file, begun));
+    let rested = files.iter().all(|file| file.rests(begun));
     if rested
         && let Some(found) = Fingerprint::find(store, &files).await?
         && found.rested
@@ -208,17 +233,6 @@ fn place(store: &ObjectStoreUrl, meta: &ObjectMeta) -> (String, ObjectPath) {
     (store.as_str().to_owned(), meta.location.clone())
 }
 
-fn state(store: &str, meta: &ObjectMeta) -> FileState {
-    FileState {
-        store: store.to_owned(),
-        location: meta.location.to_string(),
-        size: meta.size,
-        modified: meta.last_modified,
-        e_tag: meta.e_tag.clone(),
-        status_changed: status_changed(store, meta.location.as_ref()),
-    }
-}
-
 /// When a local file's status last changed: unlike the time of modification, nobody sets it back.
 #[cfg(unix)]
 fn status_changed(store: &str, location: &str) -> Option<(i64, i64)> {
@@ -234,21 +248,11 @@ fn status_changed(_: &str, _: &str) -> Option<(i64, i64)> {
     None
 }
 
-fn rests(file: &FileState, now: DateTime<Utc>) -> bool {
-    let changed = file
-        .status_changed
-        .and_then(|(seconds, nanoseconds)| {
-            DateTime::from_timestamp(seconds, u32::try_from(nanoseconds).ok()?)
-        })
-        .unwrap_or(file.modified);
-    now - file.modified.max(changed) > REST
-}
-
 /// Whether the files are now what they were before they were read.
 async fn unchanged(parts: &[Arc<LogPart>], files: &[FileState]) -> bool {
     for (part, before) in parts.iter().zip(files) {
         let now = part.store.head(&part.meta.location).await;
-        let same = now.is_ok_and(|now| state(part.store_url.as_str(), &now) == *before);
+        let same = now.is_ok_and(|now| FileState::of(part.store_url.as_str(), &now) == *before);
         if !same {
             return false;
         }
@@ -322,13 +326,13 @@ mod tests {
             e_tag: None,
             status_changed: None,
         };
-        assert!(rests(&file(2001), now));
-        assert!(!rests(&file(1999), now));
-        assert!(!rests(&file(-60_000), now));
+        assert!(file(2001).rests(now));
+        assert!(!file(1999).rests(now));
+        assert!(!file(-60_000).rests(now));
         let touched = FileState {
             status_changed: Some((now.timestamp(), 0)),
             ..file(1_000_000)
         };
-        assert!(!rests(&touched, now), "its status changed just now");
+        assert!(!touched.rests(now), "its status changed just now");
     }
 }

@@ -25,6 +25,7 @@ mod fingerprint;
 pub mod map;
 pub mod nodes;
 pub mod plan_test;
+pub mod preflight;
 pub mod prepare;
 pub mod program;
 pub mod run;

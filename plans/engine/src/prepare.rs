@@ -10,7 +10,8 @@ use evermap_datasets::{Dataset, Manifest, Reason, Recordings, Session};
 use evermap_language::{
     Host, Input, OperatorSpec, ParameterFault, Plan, PlanFaults, PortSpec, Source, Vocabulary,
 };
-use evermap_schemas::{Fault, roles};
+use evermap_schemas::Fault;
+use evermap_schemas::roles;
 use serde_json::Value;
 
 use crate::digest::digest_of;
@@ -18,6 +19,7 @@ use crate::fingerprint::{self, Believe, Fingerprint};
 use crate::map::receipt::LogContent;
 use crate::map::store::Store;
 use crate::map::version::{MappedSession, Previous, Version};
+use crate::preflight::{Lacks, Needs, idle};
 use crate::program::Program;
 use crate::program::compile::compile;
 use crate::run::Run;
@@ -134,6 +136,17 @@ async fn compiled(plan: &Plan, registry: &Registry, dataset: &Dataset) -> Result
     Ok(compile(plan, registry, &context).await?)
 }
 
+/// A session whose name another log has had so far.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Replaced {
+    /// Its name.
+    pub session: String,
+    /// Where the log is that the map was made from.
+    pub before: String,
+    /// Where the log is that was given.
+    pub now: String,
+}
+
 /// A run, ready to be explained or executed.
 pub struct Prepared {
     /// The program.
@@ -148,6 +161,12 @@ pub struct Prepared {
     pub missing: Vec<String>,
     /// Roles that the plan reads and that no session plays: their tables are empty.
     pub unplayed: Vec<&'static str>,
+    /// Names of the sessions that were given.
+    pub given: Vec<String>,
+    /// Sessions of which the plan makes nothing, and what they lack.
+    pub idle: Vec<(String, Lacks)>,
+    /// Sessions that take the place of another log of the same name, at another place.
+    pub replaced: Vec<Replaced>,
     /// Files among those given that cannot be read, with a reason each: they take no part.
     pub unreadable: BTreeMap<String, u64>,
     /// Logs that were read, to be remembered.
@@ -159,7 +178,7 @@ impl Prepared {
     /// map has; one of the same name takes its place.
     ///
     /// # Errors
-    /// All faults of the plan, or what is wrong with a session or the map.
+    /// All faults of the plan, or what is wrong with a session or the map; that the plan makes nothing of any session.
     pub async fn new(
         plan: &PlanText,
         registry: &Registry,
@@ -183,7 +202,7 @@ impl Prepared {
         let given = fingerprint::open(&store, found, Believe::Rested).await?;
         let program = compiled(&parsed, registry, &given).await?;
         let mut by_name = mapped_sessions(base.as_ref());
-        let mut fresh = Vec::new();
+        let (mut fresh, mut replaced) = (Vec::new(), Vec::new());
         for session in &given.sessions {
             let sited = manifest.is_some_and(|manifest| {
                 let mut named = manifest.sessions.iter();
@@ -193,12 +212,19 @@ impl Prepared {
             let site = site_of(session, sited, &by_name);
             let (content, read) = fingerprint::fingerprint(&store, session).await?;
             fresh.extend(read);
-            by_name.insert(
-                session.name.to_string(),
-                run_session(session, site, content)?,
+            let now = run_session(session, site, content)?;
+            replaced.extend(
+                by_name
+                    .get(&*session.name)
+                    .and_then(|before| replaces(&now, before)),
             );
+            by_name.insert(session.name.to_string(), now);
         }
         let sessions: Vec<_> = by_name.into_values().collect();
+        let mapped = sessions
+            .iter()
+            .flat_map(|session| session.manifest.roles.keys());
+        let idle = idle(&Needs::of_program(&program, registry), &given, mapped)?;
         let missing = match &base {
             Some(base) => Previous::of(&program, &sessions, Some(base))?.missing(&program),
             None => Vec::new(),
@@ -206,6 +232,13 @@ impl Prepared {
         Ok(Self {
             unplayed: unplayed(&program, &sessions),
             unreadable: unreadable(&given),
+            idle,
+            replaced,
+            given: given
+                .sessions
+                .iter()
+                .map(|session| session.name.to_string())
+                .collect(),
             program,
             sessions,
             base,
@@ -213,6 +246,34 @@ impl Prepared {
             missing,
             fresh,
         })
+    }
+
+    /// That nothing which was published since `before` was prepared takes the place of what was given then: a session of
+    /// the same name, of another log.
+    ///
+    /// # Errors
+    /// A user fault that names the session.
+    pub fn agrees_with(&self, before: &Self) -> Result<(), Fault> {
+        let of = |version: &Option<Version>, name: &str| {
+            let mut sessions = version.iter().flat_map(|version| &version.sessions);
+            let found = sessions.find(|session| session.log.session == name);
+            found.map(|session| session.log.content.clone())
+        };
+        for name in &before.given {
+            let given = before
+                .sessions
+                .iter()
+                .find(|session| session.log.session == *name);
+            let given = given.map(|session| session.log.content.clone());
+            let now = of(&self.base, name);
+            if now != of(&before.base, name) && now != given {
+                return Err(Fault::user(format!(
+                    "another run mapped another log as session {name} while this one was at work"
+                ))
+                .next("run again if this one's is to take its place"));
+            }
+        }
+        Ok(())
     }
 
     /// Remembers the logs that were read, so that neither this run's units nor the next run need read them.
@@ -266,6 +327,26 @@ fn unplayed(program: &Program, sessions: &[MappedSession]) -> Vec<&'static str> 
     let of_messages = roles::ALL.iter().filter(|role| role.messages().is_some());
     let names = of_messages.map(|role| role.name);
     names.filter(|name| reads(name) && !played(name)).collect()
+}
+
+/// That a log takes the place of another one.
+fn replaces(now: &MappedSession, before: &MappedSession) -> Option<Replaced> {
+    let files = |session: &MappedSession| -> Vec<String> {
+        let files = session
+            .manifest
+            .sessions
+            .iter()
+            .flat_map(|session| &session.files);
+        files.cloned().collect()
+    };
+    let (there, here) = (files(before), files(now));
+    let same =
+        now.log.content == before.log.content || there.iter().any(|file| here.contains(file));
+    (!same).then(|| Replaced {
+        session: now.log.session.clone(),
+        before: there.join(", "),
+        now: here.join(", "),
+    })
 }
 
 /// A path as a plan writes it: relative to the working folder, or, where there is no such file, to the plan.

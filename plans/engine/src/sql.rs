@@ -1,5 +1,9 @@
 //! Contexts that queries run in, and what the engine must know of a query before running it.
 
+mod bounded;
+mod pool;
+mod size;
+
 use std::collections::HashSet;
 use std::sync::Arc;
 
@@ -7,15 +11,19 @@ use arrow::array::RecordBatch;
 use datafusion::catalog::{MemorySchemaProvider, TableProvider};
 use datafusion::common::TableReference;
 use datafusion::datasource::MemTable;
-use datafusion::execution::memory_pool::FairSpillPool;
 use datafusion::execution::runtime_env::RuntimeEnvBuilder;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SQLOptions, SessionConfig, SessionContext};
+use datafusion::sql::sqlparser::dialect::GenericDialect;
 use evermap_language::Input;
 use evermap_schemas::Fault;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{OrFault, fault_of};
+use crate::sql::bounded::bound_functions;
+use crate::sql::pool::SharedPool;
+
+pub use size::{QUERY_WORDS, STACK_BYTES, check_size};
 
 /// What an engine process may use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -46,16 +54,32 @@ impl Limits {
     }
 }
 
-/// Rows per batch, unless rows are heavy.
+/// Rows per batch, unless rows are heavy or memory is short.
 pub const BATCH_ROWS: usize = 8192;
 
+/// Rows per batch at least.
+const MIN_BATCH_ROWS: usize = 64;
+
+/// Memory for each row of a batch: operators hold many batches, and a sort merges dozens of them, so that rows of a few
+/// kilobytes fit.
+const BYTES_PER_BATCH_ROW: usize = 256 << 10;
+
 /// A DataFusion context as all of evermap uses it: plain string types, a bounded memory pool, the functions on
-/// map layers.
+/// map layers. Where memory is short, batches are small and joins merge; units, whose results must not depend on it,
+/// take [`context_with`].
 ///
 /// # Errors
 /// A resource fault when the runtime cannot be set up.
 pub fn context(limits: Limits) -> Result<SessionContext, Fault> {
-    context_with(limits, BATCH_ROWS)
+    let rows = limits.memory_bytes / BYTES_PER_BATCH_ROW;
+    let context = context_with(limits, rows.clamp(MIN_BATCH_ROWS, BATCH_ROWS))?;
+    if rows < BATCH_ROWS {
+        // Joins by hashing keep one side whole; by merging they spill.
+        let state = context.state_ref();
+        let mut state = state.write();
+        state.config_mut().options_mut().optimizer.prefer_hash_join = false;
+    }
+    Ok(context)
 }
 
 /// As [`context`], with so many rows per batch.
@@ -68,11 +92,14 @@ pub fn context_with(limits: Limits, batch_rows: usize) -> Result<SessionContext,
         .with_information_schema(true)
         .with_batch_size(batch_rows);
     let options = config.options_mut();
+    let merging = &mut options.execution.sort_spill_reservation_bytes;
+    *merging = (*merging).min(limits.memory_bytes / (8 * limits.partitions.max(1)));
+    let pool = SharedPool::new(limits.memory_bytes, limits.partitions);
     options.execution.parquet.schema_force_view_types = false;
     options.execution.parquet.pushdown_filters = true;
     options.sql_parser.map_string_types_to_utf8view = false;
     let runtime = RuntimeEnvBuilder::new()
-        .with_memory_pool(Arc::new(FairSpillPool::new(limits.memory_bytes)))
+        .with_memory_pool(Arc::new(pool))
         .build_arc()
         .or_fault()?;
     let context = SessionContext::new_with_config_rt(config, runtime);
@@ -83,6 +110,7 @@ pub fn context_with(limits: Limits, batch_rows: usize) -> Result<SessionContext,
         catalog.register_schema("new", new).or_fault()?;
     }
     evermap_functions::register(&context);
+    bound_functions(&context, limits.memory_bytes).or_fault()?;
     Ok(context)
 }
 
@@ -124,8 +152,9 @@ pub fn put_rows(context: &SessionContext, input: &Input, rows: RecordBatch) -> R
 /// Plans a query. Only queries: nothing that would change a table, a file or a setting.
 ///
 /// # Errors
-/// A user fault for what is no query or does not plan.
+/// A user fault for what is no query, is too large or does not plan.
 pub async fn read_only(context: &SessionContext, query: &str) -> Result<DataFrame, Fault> {
+    check_size(query, &GenericDialect {})?;
     let options = SQLOptions::new()
         .with_allow_ddl(false)
         .with_allow_dml(false)
@@ -139,6 +168,7 @@ pub async fn read_only(context: &SessionContext, query: &str) -> Result<DataFram
 /// # Errors
 /// The parser's sentence.
 pub fn tables(query: &str) -> Result<Vec<String>, String> {
+    check_size(query, &GenericDialect {}).map_err(|fault| fault.message)?;
     let state = SessionContext::new().state();
     let dialect = state.config().options().sql_parser.dialect;
     let statement = state

@@ -112,7 +112,7 @@ fn step(vocabulary: &Vocabulary) -> Value {
             },
             "with": {"type": ["object", "null"], "description": "Parameters of the operator."},
             "sql": {"type": "string", "minLength": 1, "description": "The query."},
-            "once": {"type": "boolean", "description": "Done when a session comes; later versions keep what came out. For steps of one session that read the version before."},
+            "once": {"type": "boolean", "description": "Done when something comes that it reads; until then, later versions keep what came out. For steps that read the version before."},
         },
         "allOf": conditions,
     })

@@ -53,6 +53,7 @@ mod yaml;
 pub use editor::json_schema;
 pub use fault::{Place, PlanFault, PlanFaults, Position, Severity, Source};
 pub use plan::{Body, DEFAULT_TOLERANCE, Input, ManifestPath, Plan, PlanTest, Row, Step};
+pub use suggest::{listed, nearest};
 pub use vocabulary::{Host, OperatorSpec, ParameterFault, PortSpec, Vocabulary};
 
 /// Reads and checks a plan, with all that it extends.

@@ -49,7 +49,7 @@ pub struct Step {
     pub inputs: BTreeMap<String, Input>,
     /// What makes the layer.
     pub body: Body,
-    /// Whether a session that the version before has keeps its rows of that version, whatever else has changed there.
+    /// Whether its rows of the version before are kept until something else that it reads than that version has changed.
     pub once: bool,
 }
 

@@ -7,10 +7,8 @@ const LONGEST_SHOWN: usize = 60;
 /// The candidate nearest to `name` by edit distance, if it is near enough to be meant:
 /// at most a third of the letters wrong. Upper case and `-` for `_` cost nothing.
 /// The first of equally near candidates wins.
-pub(crate) fn nearest<'k>(
-    name: &str,
-    candidates: impl IntoIterator<Item = &'k str>,
-) -> Option<&'k str> {
+#[must_use]
+pub fn nearest<'k>(name: &str, candidates: impl IntoIterator<Item = &'k str>) -> Option<&'k str> {
     let length = name.chars().count();
     if length == 0 || length > LONGEST_COMPARED {
         return None;
@@ -63,7 +61,8 @@ pub(crate) fn one_line(text: &str) -> String {
 }
 
 /// The names quoted and listed with commas: "`a`, `b`"; "none" when there are none.
-pub(crate) fn listed<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
+#[must_use]
+pub fn listed<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
     const MOST_LISTED: usize = 12;
     let names: Vec<&str> = names.into_iter().collect();
     let mut shown: Vec<String> = names

@@ -99,3 +99,24 @@ record! {
         geometry: Wkb ["m", "map"],
     }
 }
+
+record! {
+    /// Whether a parking space was free during a session.
+    #[layer("space_occupancy", key(site, session, space))]
+    pub struct SpaceOccupancy {
+        /// Site of the map.
+        site: String,
+        /// Session that drove past.
+        session: String,
+        /// The space's number, as `parking_spaces` of this version has it.
+        space: u32,
+        /// `free`, `taken`, or `unseen` where not enough was seen of it to say.
+        state: String,
+        /// Probability that it was taken; null where unseen.
+        taken: Option<f64>,
+        /// Points that were seen to stand on it.
+        standing: u32,
+        /// Part of it that was looked at, 0 to 1.
+        looked: f64,
+    }
+}

@@ -102,6 +102,33 @@ record! {
 }
 
 record! {
+    /// A point of what stood around one drive: what was parked there during it, and what always is.
+    #[layer("surface_points", key(site, session, point))]
+    pub struct SurfacePoint {
+        /// Site of the map.
+        site: String,
+        /// Session that saw it.
+        session: String,
+        /// Counted from 0 within the session.
+        point: u32,
+        /// Where it is.
+        x: f64 ["m", "map"],
+        /// Where it is.
+        y: f64 ["m", "map"],
+        /// Where it is.
+        z: f64 ["m", "map"],
+        /// Above the plane that the wheels stood on where it was seen from nearest.
+        height_m: f64 ["m"],
+        /// Root of the sum of the variances along three axes, the poses taken for exact.
+        sigma_m: f64 ["m"],
+        /// Instant of the first keyframe that saw it.
+        first_stamp: Stamp ["ns"],
+        /// Instant of the last keyframe that saw it.
+        last_stamp: Stamp ["ns"],
+    }
+}
+
+record! {
     /// Two keyframes that see the same place, and how the vehicle stood in one relative to the other.
     #[layer("loop_closures", key(site, session, stamp, other_session, other_stamp))]
     pub struct LoopClosure {

@@ -5,24 +5,30 @@ mod labels;
 mod metric_map;
 mod people;
 mod semantic_map;
+mod stable_map;
 
 use std::collections::BTreeMap;
 
 use crate::{Bytes, ImageRef, LayerRow, Pose, Stamp, Wkb, record};
 
-pub use boxes::{BoxHypothesis, BoxModel, ParkingSpace};
+pub use boxes::{BoxHypothesis, BoxModel, ParkingSpace, SpaceOccupancy};
 pub use labels::{LabelAnchor, PlacedLabel};
 pub use metric_map::{
     AdjustedPose, BodyMask, Features, FrameImage, FramePose, GraphPose, ImageSize, Landmark,
-    Localisation, LoopClosure, LoopEdge, MapFrame, Observation, Sighting, Track, TrackPoint,
+    Localisation, LoopClosure, LoopEdge, MapFrame, Observation, Sighting, SurfacePoint, Track,
+    TrackPoint,
 };
 pub use people::{
-    Danger, DangerSetting, Exposure, GroundPrior, LaneSpeed, PersonOnGround, SpeedCell,
+    Danger, DangerSetting, Exposure, GroundPrior, LaneSpeed, Person, PersonOnGround, SpeedCell,
 };
 pub use semantic_map::{
     ClassCount, ClassLeaf, ClassScores, CrfSetting, DecisionTree, LabelImage, LabelledFrame,
     LabelledScores, PixelSamples, Relocation, ScoredFrame, SemanticArea, SemanticEdge,
     SemanticGraph, TreeNode, View,
+};
+pub use stable_map::{
+    InferredArea, InferredLabels, Occluded, OcclusionCount, OcclusionProbability, SphereView,
+    ViewRegistration, WarpedLabels,
 };
 
 record! {
@@ -300,6 +306,7 @@ pub fn all() -> Vec<crate::Layer> {
         DangerSetting::layer(),
         Exposure::layer(),
         LaneSpeed::layer(),
+        Person::layer(),
         PersonOnGround::layer(),
         SpeedCell::layer(),
         ClassLeaf::layer(),
@@ -314,6 +321,12 @@ pub fn all() -> Vec<crate::Layer> {
         ScoredFrame::layer(),
         LabelledScores::layer(),
         View::layer(),
+        SphereView::layer(),
+        ViewRegistration::layer(),
+        WarpedLabels::layer(),
+        OcclusionCount::layer(),
+        OcclusionProbability::layer(),
+        InferredLabels::layer(),
         GroundPatch::layer(),
         Intersection::layer(),
         Keyframe::layer(),
@@ -322,7 +335,9 @@ pub fn all() -> Vec<crate::Layer> {
         ParkingSpace::layer(),
         PlacedLabel::layer(),
         PosedImage::layer(),
+        SpaceOccupancy::layer(),
         Speed::layer(),
+        SurfacePoint::layer(),
         VehiclePose::layer(),
     ];
     layers.extend(crate::roles::ALL.iter().map(crate::roles::Role::layer));

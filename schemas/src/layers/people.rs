@@ -3,6 +3,44 @@
 use crate::{Stamp, Wkb, record};
 
 record! {
+    /// A person that an image shows.
+    #[layer("people", key(site, session, stamp, camera, person))]
+    pub struct Person {
+        /// Site of the map.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant of the image.
+        stamp: Stamp ["ns"],
+        /// Camera that took it.
+        camera: String,
+        /// Counted from 0 within the image, the likeliest first.
+        person: u32,
+        /// Where the feet are on the plane that the vehicle stands on.
+        x: f64 ["m", "vehicle"],
+        /// Where the feet are.
+        y: f64 ["m", "vehicle"],
+        /// Height of that plane.
+        z: f64 ["m", "vehicle"],
+        /// Variance of `x`.
+        var_x_m2: f64 ["m²", "vehicle"],
+        /// Covariance of `x` and `y`.
+        cov_xy_m2: f64 ["m²", "vehicle"],
+        /// Variance of `y`.
+        var_y_m2: f64 ["m²", "vehicle"],
+        /// Distance from the camera along the ground.
+        range_m: f64 ["m"],
+        /// Rectangle of the image around the person: least column and row, largest column and row; (0, 0) is the centre of
+        /// the first pixel.
+        rectangle: Vec<f64> ["px", "image"],
+        /// Score of the detector's window.
+        score: f64,
+        /// How probably it is a person.
+        probability: f64,
+    }
+}
+
+record! {
     /// Where on the ground a person stood when an image was taken.
     #[layer("people_on_ground", key(site, session, stamp, camera, person))]
     pub struct PersonOnGround {

@@ -28,7 +28,14 @@ record! {
 }
 
 const ODOMETRY: &str = "nav_msgs/Odometry";
-const POSES: &[&str] = &["foxglove.PoseInFrame", "geometry_msgs/PoseStamped"];
+const POSES: &[&str] = &[
+    "foxglove.PoseInFrame",
+    "geometry_msgs/PoseStamped",
+    "geometry_msgs/PoseWithCovarianceStamped",
+];
+
+/// Words in the names of topics whose poses are where the vehicle shall go, or was put.
+const WISHES: &[&str] = &["goal", "target", "initial"];
 
 /// The one topic with wheel or visual odometry.
 pub const ROLE: Role = Role::of::<OdometryPose>(Messages {
@@ -41,6 +48,7 @@ const TYPES: &[&str] = &[
     ODOMETRY,
     POSES[0],
     POSES[1],
+    POSES[2],
     transforms::TYPES[0],
     transforms::TYPES[1],
     transforms::TYPES[2],
@@ -48,7 +56,8 @@ const TYPES: &[&str] = &[
 ];
 
 /// One `nav_msgs/Odometry` topic: `/odom` if there is one, else that with most messages, else the first by name. Where
-/// there is none, a topic of poses whose name speaks of odometry; where there is none either, `/tf` likewise.
+/// there is none, a topic of poses whose name speaks of odometry; where there is none either, `/tf` likewise; at last a
+/// topic of other poses, but of goals.
 fn choose(topics: &[Topic]) -> Vec<Choice> {
     let odometry = |topic: &&Topic| topic.message_type == ODOMETRY;
     let poses = |topic: &&Topic| {
@@ -58,7 +67,10 @@ fn choose(topics: &[Topic]) -> Vec<Choice> {
         transforms::TYPES.contains(&topic.message_type.as_str())
             && !transforms::is_static(&topic.name)
     };
-    let kinds: [&dyn Fn(&&Topic) -> bool; 3] = [&odometry, &poses, &moving];
+    let other_poses = |topic: &&Topic| {
+        POSES.contains(&topic.message_type.as_str()) && !in_words(&topic.name, WISHES)
+    };
+    let kinds: [&dyn Fn(&&Topic) -> bool; 4] = [&odometry, &poses, &moving, &other_poses];
     let kind = kinds.into_iter().find(|kind| topics.iter().any(|topic| kind(&topic)));
     let mut candidates: Vec<&Topic> = match kind {
         Some(kind) => topics.iter().filter(kind).collect(),
@@ -99,7 +111,7 @@ impl FromMessage for OdometryPose {
             return Ok(found.map(|found| Self::of_transform(message, found)).collect());
         }
         let fields = &message.fields;
-        // nav_msgs/Odometry has a pose with covariance, PoseStamped and PoseInFrame a plain one.
+        // nav_msgs/Odometry and PoseWithCovarianceStamped have a pose with covariance, PoseStamped and PoseInFrame a plain one.
         let nested = fields.number(&["pose", "pose", "position", "x"]).is_some();
         let pose = match nested {
             true => fields.pose(

@@ -108,6 +108,16 @@ fn without_odometry_and_poses_the_moving_transforms_are_chosen() {
 }
 
 #[test]
+fn other_poses_are_odometry_where_there_is_nothing_else_and_goals_never() {
+    let pose = ("/ego", "geometry_msgs/msg/PoseWithCovarianceStamped", 9);
+    let goal = ("/goal_pose", "geometry_msgs/msg/PoseStamped", 99);
+    assert_eq!(inferred(&odometry::ROLE, &[goal, pose]).0, ["/ego"]);
+    assert!(inferred(&odometry::ROLE, &[goal]).0.is_empty());
+    let tf = ("/tf", "tf2_msgs/msg/TFMessage", 5);
+    assert_eq!(inferred(&odometry::ROLE, &[pose, tf]).0, ["/tf"]);
+}
+
+#[test]
 fn a_compressed_twin_is_preferred() {
     let compressed = "sensor_msgs/msg/CompressedImage";
     let topics = [

@@ -5,6 +5,7 @@
 //! | [`boxes`] | boxes that look alike: parking spaces, crossings, arrows |
 //! | [`danger`] | where people are, how often anybody looked, how fast to drive there |
 //! | [`patch`] | what one image shows of the ground |
+//! | [`people`] | people in images, upright, and where they stand |
 //! | [`projection`] | images projected to cells of the ground plane |
 //! | [`road_network`] | lanes and intersections from driven positions |
 //! | [`segment`] | pieces of lines |
@@ -13,6 +14,7 @@
 pub mod boxes;
 pub mod danger;
 pub mod patch;
+pub mod people;
 pub mod projection;
 pub mod road_network;
 pub mod segment;

@@ -5,9 +5,11 @@
 //! | [`class_scores`] | probabilities of classes over an image |
 //! | [`relocation`] | where in a map a view was taken, by the graph of what it shows |
 //! | [`semantic_graph`] | label images as areas that touch, and where they lie of one another |
+//! | [`stable`] | what a place looks like without what moves, from several visits |
 //! | [`temporal_votes`] | what neighbouring views say about a view's pixels |
 
 pub mod class_scores;
 pub mod relocation;
 pub mod semantic_graph;
+pub mod stable;
 pub mod temporal_votes;

@@ -7,8 +7,7 @@ use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::ground::danger::exposure::{ExposureParams, Looks, Standing};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::Stamp;
-use evermap_schemas::layers::{BodyMask, Exposure, PosedImage, Source};
-use evermap_schemas::record;
+use evermap_schemas::layers::{BodyMask, Exposure, PosedImage, SurfacePoint};
 use evermap_vision::Grey;
 
 use crate::inputs::bodies::bodies;
@@ -17,28 +16,9 @@ use crate::inputs::rig::{self, OfVehicle, Rig, frame};
 /// See the module's page.
 pub struct ExposureOfGround;
 
-record! {
-    /// What may stand before people: of a landmark, where it is and who saw it.
-    #[layer("landmarks", key(site, landmark))]
-    pub struct StandingPoint {
-        /// Site of the map.
-        site: String,
-        /// Number of the landmark.
-        landmark: u32,
-        /// Where it is.
-        x: f64 ["m", "map"],
-        /// Where it is.
-        y: f64 ["m", "map"],
-        /// Where it is.
-        z: f64 ["m", "map"],
-        /// Who saw it.
-        sources: Vec<Source>,
-    }
-}
-
 impl Operator for ExposureOfGround {
     const NAME: &'static str = "exposure";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("exposure.md");
     type Params = OfVehicle<ExposureParams>;
     type Output = Exposure;
@@ -47,7 +27,7 @@ impl Operator for ExposureOfGround {
         let images = Port::session::<PosedImage>("images");
         let mut sides = rig::ports(Reach::Session).to_vec();
         sides.push(Port::session::<BodyMask>("body_masks").optional());
-        sides.push(Port::site::<StandingPoint>("landmarks").optional());
+        sides.push(Port::session::<SurfacePoint>("points").optional());
         Work::group(images, Key::SESSION, sides, exposure)
     }
 }
@@ -63,7 +43,8 @@ fn exposure(
     };
     let (site, session) = (first.site.clone(), first.session.clone());
     let bodies = bodies(sides)?;
-    let standing = standing(sides.rows("landmarks")?, &session);
+    let points: Vec<SurfacePoint> = sides.rows("points")?;
+    let standing = Standing::new(points.iter().map(|point| [point.x, point.y, point.z]));
     let rigs = rig::sessions(sides)?;
     let mut cameras = Cameras::new(rigs.get(&session), params);
     let mut looks = Looks::default();
@@ -102,14 +83,6 @@ fn exposure(
         }
     };
     emit.rows(looks.into_cells().into_iter().map(row).collect())
-}
-
-/// What the session itself saw standing: in another one cars may have stood elsewhere.
-fn standing(landmarks: Vec<StandingPoint>, session: &str) -> Standing {
-    let seen =
-        |landmark: &StandingPoint| landmark.sources.iter().any(|from| from.session == session);
-    let points = landmarks.into_iter().filter(seen);
-    Standing::new(points.map(|landmark| [landmark.x, landmark.y, landmark.z]))
 }
 
 /// Whether the mask has the vehicle itself at a pixel of the camera; masks of smaller images are stretched.

@@ -78,21 +78,13 @@ impl Projector {
             .enumerate()
             .map(|(row, image)| (self.plan(&image, pixels.get(row)), image))
             .collect();
-        let patches: Vec<Result<GroundPatch, Reason>> = planned
+        let patches = planned
             .into_par_iter()
             .map_init(Grey::default, |grey, (plan, image)| {
                 let (bytes, table) = plan?;
-                self.patch(image, bytes, &table, grey)
-            })
-            .collect();
-        let mut found = Vec::with_capacity(patches.len());
-        for patch in patches {
-            match patch {
-                Ok(patch) => found.push(patch),
-                Err(reason) => emit.skip(reason, 1),
-            }
-        }
-        emit.rows(found)
+                Ok([self.patch(image, bytes, &table, grey)?])
+            });
+        emit.made(patches.collect())
     }
 
     fn plan<'a>(

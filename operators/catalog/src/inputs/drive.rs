@@ -7,8 +7,9 @@ use evermap_algorithms::geometry::rig::{Rig, RigCamera};
 use evermap_algorithms::metric_map::features::{
     DESCRIPTOR_BYTES, Descriptor, Feature, ImageFeatures, KeyframeFeatures,
 };
+use evermap_algorithms::metric_map::places::{self, DriveTrack};
 use evermap_contract::{Emit, Fault, Reason, Sides};
-use evermap_schemas::layers::{Features, Keyframe};
+use evermap_schemas::layers::{Features, Keyframe, Track};
 use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Bytes, Stamp};
 
@@ -149,6 +150,47 @@ impl Drive {
             .binary_search_by_key(&number, |keyframe| keyframe.number)
             .ok()
     }
+}
+
+/// A drive with its tracks.
+pub(crate) fn with_tracks(drive: &Drive, tracks: Vec<DriveTrack>) -> places::Drive<'_> {
+    let keyframes = drive
+        .keyframes
+        .iter()
+        .map(|keyframe| places::DriveKeyframe {
+            stamp: keyframe.stamp.0,
+            odom_from_vehicle: keyframe.odom_from_vehicle,
+            features: &keyframe.features,
+        });
+    places::Drive {
+        rig: &drive.rig,
+        keyframes: keyframes.collect(),
+        tracks,
+    }
+}
+
+/// Tracks by session, with keyframes by index. A track of a camera that cannot be used is left out.
+pub(crate) fn tracks(
+    rows: Vec<Track>,
+    drives: &BTreeMap<String, Drive>,
+    emit: &mut Emit<'_>,
+) -> BTreeMap<String, Vec<DriveTrack>> {
+    let mut tracks: BTreeMap<String, Vec<DriveTrack>> = BTreeMap::new();
+    for row in rows {
+        let drive = drives.get(&row.session);
+        let camera = drive.and_then(|drive| Some((drive, drive.rig.index(&row.camera)?)));
+        let Some((drive, camera)) = camera else {
+            emit.skip("track of a camera that cannot be used", 1);
+            continue;
+        };
+        let indexed = row.points.iter();
+        let points = indexed
+            .filter_map(|point| Some((drive.index(point.keyframe)? as u32, point.feature)))
+            .collect();
+        let of_session = tracks.entry(row.session).or_default();
+        of_session.push(DriveTrack { camera, points });
+    }
+    tracks
 }
 
 fn camera(rig: &rig::Rig, row: &Features, vehicle: &VehicleFrame) -> Result<RigCamera, Reason> {

@@ -21,7 +21,7 @@ pub struct BoxHypothesesParams {}
 
 impl Operator for BoxHypotheses {
     const NAME: &'static str = "box_hypotheses";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("box_hypotheses.md");
     type Params = BoxHypothesesParams;
     type Output = BoxHypothesis;

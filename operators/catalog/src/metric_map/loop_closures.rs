@@ -1,12 +1,12 @@
 #![doc = include_str!("loop_closures.md")]
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
-use evermap_algorithms::metric_map::places::{self, DriveTrack, Loop, LoopOptions};
+use evermap_algorithms::metric_map::places::{self, Loop, LoopOptions};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{Features, Keyframe, LoopClosure, Track};
 
-use crate::inputs::drive::{Drive, drives};
+use crate::inputs::drive::{Drive, drives, tracks, with_tracks};
 use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
@@ -48,7 +48,7 @@ fn loop_closures(
     let mut tracks = tracks(sides.rows("tracks")?, &drives, emit);
     let searched: Vec<places::Drive<'_>> = drives
         .iter()
-        .map(|(session, drive)| searched(drive, tracks.remove(session).unwrap_or_default()))
+        .map(|(session, drive)| with_tracks(drive, tracks.remove(session).unwrap_or_default()))
         .collect();
     let found = places::loops(&searched, &params.options);
     let drives: Vec<(&String, &Drive)> = drives.iter().collect();
@@ -66,46 +66,6 @@ fn known(
     let is_known = |session: &String| there.contains(session) && !new.contains(session);
     previous.retain(|row| is_known(&row.session) && is_known(&row.other_session));
     previous
-}
-
-fn searched(drive: &Drive, tracks: Vec<DriveTrack>) -> places::Drive<'_> {
-    let keyframes = drive
-        .keyframes
-        .iter()
-        .map(|keyframe| places::DriveKeyframe {
-            stamp: keyframe.stamp.0,
-            odom_from_vehicle: keyframe.odom_from_vehicle,
-            features: &keyframe.features,
-        });
-    places::Drive {
-        rig: &drive.rig,
-        keyframes: keyframes.collect(),
-        tracks,
-    }
-}
-
-/// Tracks by session, with keyframes by index. A track of a camera that cannot be used is left out.
-fn tracks(
-    rows: Vec<Track>,
-    drives: &BTreeMap<String, Drive>,
-    emit: &mut Emit<'_>,
-) -> BTreeMap<String, Vec<DriveTrack>> {
-    let mut tracks: BTreeMap<String, Vec<DriveTrack>> = BTreeMap::new();
-    for row in rows {
-        let drive = drives.get(&row.session);
-        let camera = drive.and_then(|drive| Some((drive, drive.rig.index(&row.camera)?)));
-        let Some((drive, camera)) = camera else {
-            emit.skip("track of a camera that cannot be used", 1);
-            continue;
-        };
-        let indexed = row.points.iter();
-        let points = indexed
-            .filter_map(|point| Some((drive.index(point.keyframe)? as u32, point.feature)))
-            .collect();
-        let of_session = tracks.entry(row.session).or_default();
-        of_session.push(DriveTrack { camera, points });
-    }
-    tracks
 }
 
 fn row(site: &str, found: &Loop, drives: &[(&String, &Drive)]) -> Option<LoopClosure> {

@@ -2,6 +2,7 @@
 
 mod annotate;
 mod sql;
+mod versions;
 
 use std::path::PathBuf;
 
@@ -14,6 +15,7 @@ use crate::quantity;
 
 pub use annotate::AnnotateArgs;
 pub use sql::SqlArgs;
+pub use versions::{DiffArgs, GcArgs, VerifyArgs, VersionsArgs};
 
 const EXITS: &str = "Exit status: 0 done, 1 failed, 2 wrong usage, 3 done with loss (skipped or lost inputs are counted on \
                      stderr). Results go to stdout, everything else to stderr. EVERMAP_LOG=info,evermap=debug logs more.";
@@ -54,6 +56,8 @@ pub enum Command {
     Diff(DiffArgs),
     /// Forget old versions of a map, and every file that only they need.
     Gc(GcArgs),
+    /// Read all of a map, and say what is missing, damaged or left over.
+    Verify(VerifyArgs),
     /// Write a layer in the format of another program.
     Export(ExportArgs),
     /// Say what is where in a map, as a log of annotations; or write what was said.
@@ -127,6 +131,9 @@ pub struct RunArgs {
     /// Folder or URL of the map; made where there is none.
     #[arg(long, value_name = "DIR")]
     pub map: String,
+    /// Let a log take the place of another one of the same name that the map has.
+    #[arg(long)]
+    pub replace: bool,
     /// How progress is shown.
     #[arg(long, default_value = "auto")]
     pub progress: Show,
@@ -134,7 +141,7 @@ pub struct RunArgs {
     #[cfg(feature = "cluster")]
     #[arg(long, value_name = "URL")]
     pub cluster: Option<String>,
-    /// Seconds without any finished unit after which a job on the cluster counts as hung.
+    /// Give up when no unit has ended on the cluster for so many seconds: more than the longest takes.
     #[cfg(feature = "cluster")]
     #[arg(
         long,
@@ -205,46 +212,12 @@ pub struct LayersArgs {
     /// How the list is written.
     #[arg(long, default_value = "table")]
     pub format: Format,
-}
-
-/// Arguments of `versions`.
-#[derive(Debug, Args)]
-pub struct VersionsArgs {
-    /// Folder or URL of the map.
-    #[arg(long, value_name = "DIR")]
-    pub map: String,
-    /// How the list is written.
-    #[arg(long, default_value = "table")]
-    pub format: Format,
-}
-
-/// Arguments of `diff`.
-#[derive(Debug, Args)]
-pub struct DiffArgs {
-    /// The earlier version.
-    pub before: u64,
-    /// The later version.
-    pub after: u64,
-    /// Folder or URL of the map.
-    #[arg(long, value_name = "DIR")]
-    pub map: String,
-    /// How the list is written.
-    #[arg(long, default_value = "table")]
-    pub format: Format,
-}
-
-/// Arguments of `gc`.
-#[derive(Debug, Args)]
-pub struct GcArgs {
-    /// Folder or URL of the map. No run may be writing to it.
-    #[arg(long, value_name = "DIR")]
-    pub map: String,
-    /// Newest versions to keep.
-    #[arg(long, value_name = "N")]
-    pub keep: usize,
-    /// Only say what would be removed.
+    /// List the Parquet files of each layer instead, for other programs.
     #[arg(long)]
-    pub dry_run: bool,
+    pub files: bool,
+    /// Print DuckDB's views of the layers instead: `evermap layers --map M --duckdb > map.sql; duckdb -init map.sql`.
+    #[arg(long, conflicts_with = "files")]
+    pub duckdb: bool,
 }
 
 /// Arguments of `export`.

@@ -1,14 +1,16 @@
-//! `evermap diff` and `evermap gc`.
+//! `evermap diff`, `evermap gc` and `evermap verify`.
 
 use std::io::Write;
 
 use evermap_engine::map;
 use evermap_engine::map::store::Store;
 use evermap_engine::map::version::Version;
+use evermap_schemas::Fault;
 
-use crate::arguments::{DiffArgs, GcArgs};
+use crate::arguments::{DiffArgs, GcArgs, VerifyArgs};
 use crate::ending::{DONE, Ending};
-use crate::output::print_rows;
+use crate::output::{Format, print_rows};
+use crate::progress::line;
 use crate::quantity::{of, of_bytes};
 
 /// Compares two versions.
@@ -45,4 +47,33 @@ pub async fn gc(args: &GcArgs) -> Ending {
         of_bytes(found.bytes)
     )?;
     DONE
+}
+
+/// Reads all of a map, or of a version, and says what is not as it should be.
+///
+/// # Errors
+/// A data fault when something is missing, damaged or does not read; a user fault where there is no such map or version.
+pub async fn verify(args: &VerifyArgs) -> Ending {
+    let store = Store::open(&args.map.map, false)?;
+    let verified = map::verify(&store, args.map.version).await?;
+    let lost = verified.findings.iter().filter(|finding| finding.is_loss());
+    let lost = lost.count() as u64;
+    line(&format!(
+        "read {}, {}, {}",
+        of(verified.versions, "version"),
+        of(verified.receipts, "receipt"),
+        of(verified.artifacts, "artifact")
+    ));
+    if args.format != Format::Table || !verified.findings.is_empty() {
+        print_rows(args.format, verified.findings).await?;
+    }
+    if lost == 0 {
+        return DONE;
+    }
+    let found = of(lost, "file");
+    Err(
+        Fault::data(format!("{found} missing, damaged or unreadable"))
+            .next("run the same plan again: it makes anew what is damaged in the newest version")
+            .into(),
+    )
 }

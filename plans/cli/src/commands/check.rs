@@ -6,6 +6,7 @@ use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
 use evermap_datasets::Dataset;
 use evermap_engine::plan_test::run_tests;
+use evermap_engine::preflight::{Needs, idle, in_words};
 use evermap_engine::prepare::{self, vocabulary};
 use evermap_engine::program::Program;
 use evermap_language::{Plan, json_schema};
@@ -23,7 +24,15 @@ use crate::shipped;
 /// # Errors
 /// All its faults.
 pub async fn check(args: &PlanArgs) -> Ending {
-    let (parsed, _, dataset) = checked(args, &evermap_catalog::registry()).await?;
+    let registry = evermap_catalog::registry();
+    let (parsed, program, dataset) = checked(args, &registry).await?;
+    let needs = Needs::of_program(&program, &registry);
+    for (session, lacks) in idle(&needs, &dataset, std::iter::empty())? {
+        let lacks = in_words(&lacks);
+        line(&format!(
+            "warning: the plan makes nothing of session {session}: it lacks {lacks}"
+        ));
+    }
     if !parsed.warnings.is_empty() {
         line(parsed.warnings.pretty().trim_end());
     }

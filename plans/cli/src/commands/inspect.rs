@@ -7,14 +7,17 @@ use std::io::Write;
 use askama::Template;
 use evermap_datasets::log::index::{LogIndex, UnitKind};
 use evermap_datasets::{Dataset, LogPart};
+use evermap_engine::preflight::{Needs, played};
+use evermap_engine::prepare::parse;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::Fault;
 use object_store::ObjectStoreExt;
 
 use crate::arguments::InspectArgs;
-use crate::contents::{Attachment, Channel, Chunks, Contents, LossLine};
+use crate::contents::{Attachment, Channel, Chunks, Contents, LossLine, PlanLine, RoleLine};
 use crate::ending::Ending;
 use crate::sessions::lost;
+use crate::shipped;
 
 /// Says what a file holds. Every chunk is read, so that damage is found, unless only the index is asked for. Memory
 /// does not grow with the file.
@@ -86,10 +89,37 @@ async fn contents(dataset: &Dataset, part: &LogPart, read: &LogIndex) -> Result<
         end: range.map(|(_, end)| instant(end)),
         chunks: chunks(part, read).await,
         channels,
+        roles: roles(dataset),
+        plans: plans(dataset)?,
         attachments: attachments.collect(),
         metadata: part.metadata_names().await?,
         losses: losses.collect(),
     })
+}
+
+fn roles(dataset: &Dataset) -> Vec<RoleLine> {
+    let roles = dataset.sessions.iter().flat_map(|session| {
+        evermap_schemas::roles::ALL.iter().map(|role| RoleLine {
+            role: role.name.to_owned(),
+            topics: session.roles.topics(role.name).to_vec(),
+        })
+    });
+    roles.filter(|role| !role.topics.is_empty()).collect()
+}
+
+/// What each plan that ships lacks to make something of the file alone.
+fn plans(dataset: &Dataset) -> Result<Vec<PlanLine>, Fault> {
+    let registry = evermap_catalog::registry();
+    let plays = dataset.sessions.iter().flat_map(played).collect();
+    let line = |shipped: &(&str, &str)| {
+        let plan = parse(&shipped::plain(shipped), &registry);
+        let plan = plan.map_err(|faults| Fault::bug(faults.to_string()))?;
+        Ok(PlanLine {
+            plan: plan.name.clone(),
+            lacks: Needs::of_plan(&plan, &registry).lacks(&plays, &plays),
+        })
+    };
+    shipped::PLANS.iter().map(line).collect()
 }
 
 fn instant(nanoseconds: i64) -> String {

@@ -1,21 +1,47 @@
 //! `evermap layers` and `evermap versions`.
 
+use std::collections::BTreeMap;
+use std::io::Write;
+
 use evermap_engine::map::store::Store;
-use evermap_engine::map::{Map, versions as versions_of};
+use evermap_engine::map::{LayerFile, Map, versions as versions_of};
 
 use crate::arguments::{LayersArgs, VersionsArgs};
-use crate::ending::{DONE, Ending, Failure};
+use crate::ending::{DONE, Ending, Failure, Lost};
 use crate::output::{Format, print_rows};
 use crate::quantity::short_digest;
 
-/// Lists the layers of a map.
+/// Lists the layers of a map; what is missing or damaged counts as lost.
 ///
 /// # Errors
 /// A user fault where there is no such map or version.
 pub async fn layers(args: &LayersArgs) -> Ending {
     let map = Map::open(&args.map.map, args.map.version).await?;
-    print_layers(&map, args.format).await?;
-    DONE
+    match (args.files, args.duckdb) {
+        (true, _) => print_rows(args.format, map.files()?).await?,
+        (_, true) => std::io::stdout().write_all(duckdb_views(&map.files()?).as_bytes())?,
+        _ => print_layers(&map, args.format).await?,
+    }
+    let damages = map.damages().await?.into_iter();
+    Ok(Lost(
+        damages.map(|damage| (damage.to_string(), 1)).collect(),
+    ))
+}
+
+/// Statements that make a view of each layer.
+fn duckdb_views(files: &[LayerFile]) -> String {
+    let mut layers: BTreeMap<&str, Vec<String>> = BTreeMap::new();
+    for file in files {
+        let quoted = format!("'{}'", file.file.replace('\'', "''"));
+        layers.entry(&file.layer).or_default().push(quoted);
+    }
+    let view = |(layer, files): (&str, Vec<String>)| {
+        let files = files.join(",\n  ");
+        format!(
+            "CREATE OR REPLACE VIEW \"{layer}\" AS SELECT * FROM read_parquet([\n  {files}]);\n"
+        )
+    };
+    layers.into_iter().map(view).collect()
 }
 
 /// Prints the layers of a map; in a table for people digests are short.

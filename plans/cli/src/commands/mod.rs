@@ -40,6 +40,7 @@ pub async fn dispatch(command: &Command) -> Ending {
         Command::Versions(args) => layers::versions(args).await,
         Command::Diff(args) => changes::diff(args).await,
         Command::Gc(args) => changes::gc(args).await,
+        Command::Verify(args) => changes::verify(args).await,
         Command::Export(args) => export::export(args).await,
         Command::Annotate(args) => annotate::annotate(args).await,
         Command::Render(args) => render::render(args).await,

@@ -6,10 +6,11 @@ use evermap_contract::Registry;
 #[cfg(feature = "cluster")]
 use evermap_engine::cluster::ClusterRunner;
 use evermap_engine::map::Map;
-use evermap_engine::prepare::Prepared;
-use evermap_engine::run::RunResult;
+use evermap_engine::preflight::in_words;
+use evermap_engine::prepare::{Prepared, Replaced};
 use evermap_engine::run::record::record_run;
 use evermap_engine::run::runner::{LocalRunner, Runner};
+use evermap_engine::run::{RunEnd, RunResult};
 use evermap_engine::sql::Limits;
 
 use evermap_schemas::Fault;
@@ -29,7 +30,10 @@ use crate::sessions;
 pub async fn run(args: &RunArgs) -> Ending {
     let begun = Instant::now();
     let registry = evermap_catalog::registry();
-    let prepared = sessions::prepare(&args.input, &registry, &args.map).await?;
+    let mut prepared = sessions::prepare(&args.input, &registry, &args.map).await?;
+    if let (Some(replaced), false) = (prepared.replaced.first(), args.replace) {
+        return Err(is_another_log(replaced).into());
+    }
     prepared
         .program
         .warnings
@@ -37,26 +41,65 @@ pub async fn run(args: &RunArgs) -> Ending {
         .for_each(|warning| line(&format!("warning: {warning}")));
     warn_of_missing(&prepared);
     tell_of_unplayed(&prepared);
-    prepared.remember().await?;
     let jobs = jobs(&args.limits);
-    let run = prepared.run(&registry, limits(&args.limits, jobs));
     let runner = runner(args, &registry, jobs).await?;
-    let mut progress = Progress::new(args.progress);
-    let result = run
-        .execute(runner.as_ref(), &mut |event| progress.note(&event))
-        .await;
-    progress.finish();
-    let result = result?;
+    let result = loop {
+        prepared.remember().await?;
+        let run = prepared.run(&registry, limits(&args.limits, jobs));
+        let mut progress = Progress::new(args.progress);
+        let ended = run
+            .execute(runner.as_ref(), &mut |event| progress.note(&event))
+            .await;
+        progress.finish();
+        let by = match ended? {
+            RunEnd::Done(result) => break *result,
+            RunEnd::Overtaken { by } => by,
+        };
+        line(&format!(
+            "another run published version {by} while this one was at work: it goes on from there"
+        ));
+        let anew = sessions::prepare(&args.input, &registry, &args.map).await?;
+        anew.agrees_with(&prepared)?;
+        prepared = anew;
+    };
     record_run(&prepared.store, &result).await?;
     line(&summary(&result, begun.elapsed()));
     let mut lost = Lost(result.version.losses.clone());
     lost.0.extend(prepared.unreadable.clone());
+    let idle = prepared.idle.iter();
+    lost.0.extend(
+        idle.map(|(session, lacks)| (format!("session without {}: {session}", in_words(lacks)), 1)),
+    );
+    if result
+        .version
+        .layers
+        .values()
+        .all(|layer| layer.rows() == 0)
+    {
+        lost.0.insert(
+            "run of which nothing came out: no layer has rows".to_owned(),
+            1,
+        );
+    }
     let map = Map {
         store: prepared.store,
         version: result.version,
     };
     print_layers(&map, Format::Table).await?;
     Ok(lost)
+}
+
+/// Two logs of one name are most often two drives, in two folders.
+fn is_another_log(replaced: &Replaced) -> Fault {
+    let Replaced {
+        session,
+        before,
+        now,
+    } = replaced;
+    Fault::user(format!(
+        "the map has a session {session} of another log: expected {before}, found {now}"
+    ))
+    .next("give the session another name in a manifest or rename the file; --replace puts it in the place of the other")
 }
 
 /// A layer of the version before that is not there reads as empty: right for a new step, a surprise after another plan.

@@ -13,14 +13,16 @@ use datafusion::sql::sqlparser::dialect::GenericDialect;
 use evermap_datasets::Dataset;
 use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::map::{LayerInfo, RunRow, VersionInfo};
-use evermap_engine::sql::{Limits, context};
+use evermap_engine::sql::{Limits, check_size, context};
 use evermap_functions::use_class_index;
+use evermap_language::{listed, nearest};
 use evermap_schemas::{Fault, Layer, LayerRow};
 use futures::{StreamExt, TryStreamExt};
 
 use crate::arguments::{SessionArgs, SqlArgs};
 use crate::ending::{Ending, Failure, Lost};
 use crate::output::{Format, Sink, write};
+use crate::progress::line;
 use crate::prompt;
 use crate::reader::MapReader;
 use crate::sessions;
@@ -41,9 +43,12 @@ impl Tables {
         };
         if let Some(address) = &args.map {
             let reader = MapReader::open(address, args.version).await?;
-            let context = reader.map.context(limits).await?;
-            let indexed = use_class_index(&context).await;
-            indexed.or_fault()?;
+            let context = reader.map.context(limits)?;
+            if let Err(fault) = use_class_index(&context).await.or_fault() {
+                line(&format!(
+                    "warning: queries read graphs without the class index: {fault}"
+                ));
+            }
             return Ok(Self {
                 context,
                 reader: Some(reader),
@@ -77,17 +82,31 @@ impl Tables {
             .unwrap_or_default()
     }
 
-    /// A table that is not there may be a topic that damage took.
-    fn after_damage(&self, fault: Fault) -> Fault {
-        let lost = self.dataset.as_ref().map(|dataset| &dataset.losses);
-        match lost {
-            Some(lost) if !lost.is_empty() && fault.to_string().contains("not found") => fault
-                .next(format!(
-                    "the logs are torn or damaged, and it may be in what was lost ({}): see evermap inspect",
-                    lost.lines().join(", ")
-                )),
-            _ => fault,
+    /// A fault of planning, in our words where a table is not there: it may be misspelt, or a topic that damage took.
+    fn explained(&self, fault: Fault) -> Fault {
+        let Some(table) = missing_table(&fault.message) else {
+            return fault;
+        };
+        let names = self.names();
+        let meant = nearest(table, names.iter().map(String::as_str));
+        let meant = meant.map_or_else(String::new, |name| format!("; did you mean `{name}`?"));
+        let fault = Fault::user(format!("there is no table `{table}`{meant}"));
+        match self.dataset.as_ref().map(|dataset| &dataset.losses) {
+            Some(lost) if !lost.is_empty() => fault.next(format!(
+                "the logs are torn or damaged, and it may be in what was lost ({}): see evermap inspect",
+                lost.lines().join(", ")
+            )),
+            _ => fault.next(format!("there are {}", listed(names.iter().map(String::as_str)))),
         }
+    }
+
+    /// Names of the tables, ascending.
+    fn names(&self) -> Vec<String> {
+        let catalog = self.context.catalog("datafusion");
+        let schema = catalog.and_then(|catalog| catalog.schema("public"));
+        let mut names = schema.map_or_else(Vec::new, |schema| schema.table_names());
+        names.sort();
+        names
     }
 
     /// Runs one statement and writes its rows; how many there were.
@@ -102,7 +121,7 @@ impl Tables {
     ) -> Result<u64, Failure> {
         let state = self.context.state();
         let plan = state.statement_to_plan(statement).await.or_fault();
-        let plan = plan.map_err(|fault| self.after_damage(fault))?;
+        let plan = plan.map_err(|fault| self.explained(fault))?;
         read_only(&plan)?;
         let frame = self.context.execute_logical_plan(plan).await.or_fault()?;
         let schema = Arc::new(frame.schema().as_arrow().clone());
@@ -110,6 +129,13 @@ impl Tables {
         let rows = rows.map_err(|error| fault_of(&error));
         write(format, schema, rows.boxed(), sink).await
     }
+}
+
+/// The table that DataFusion did not find.
+fn missing_table(message: &str) -> Option<&str> {
+    let (_, behind) = message.split_once("table '")?;
+    let (name, _) = behind.split_once("' not found")?;
+    Some(name.strip_prefix("datafusion.public.").unwrap_or(name))
 }
 
 /// Queries read: they make no tables, write no files, and change no settings. Output goes where `--out` says.
@@ -129,8 +155,9 @@ fn read_only(plan: &LogicalPlan) -> Result<(), Fault> {
 /// The statements of a text; semicolons inside quotes and comments are none.
 ///
 /// # Errors
-/// A user fault with what the parser says.
+/// A user fault with what the parser says, or for a statement that is too large.
 pub fn statements(text: &str) -> Result<Vec<Statement>, Fault> {
+    check_size(text, &GenericDialect {})?;
     let parsed = DFParserBuilder::new(text)
         .with_dialect(&GenericDialect {})
         .build()
@@ -151,18 +178,22 @@ pub fn statements(text: &str) -> Result<Vec<Statement>, Fault> {
     Ok(parsed?.into_iter().collect())
 }
 
+/// Whether queries are asked for at a prompt, which has its own way with interrupts.
+pub fn is_prompt(args: &SqlArgs) -> bool {
+    let (_, query) = args.split();
+    query.is_none() && std::io::stdin().is_terminal() && args.out.is_none()
+}
+
 /// Runs a query, those of standard input, or a prompt.
 ///
 /// # Errors
 /// The first statement's fault; at a prompt faults are shown and the prompt goes on.
 pub async fn sql(args: &SqlArgs) -> Ending {
     let (sessions, query) = args.split();
-    let tables = Tables::open(args, &sessions).await?;
+    let tables = Arc::new(Tables::open(args, &sessions).await?);
     match query {
         Some(query) => all(&tables, &query, args).await?,
-        None if std::io::stdin().is_terminal() && args.out.is_none() => {
-            prompt::run(&tables, args.format).await?
-        }
+        None if is_prompt(args) => prompt::run(&tables, args.format).await?,
         None => {
             let text = std::io::read_to_string(std::io::stdin())
                 .map_err(|error| Fault::resource(format!("cannot read queries: {error}")))?;

@@ -13,6 +13,22 @@ pub const ARROW: &str = "#f0f9ff";
 /// Intersections.
 pub const INTERSECTION: &str = "#fde047";
 
+/// Parking spaces that are free, and those that are taken: apart for people with any kind of colour vision.
+pub const FREE: &str = "#34d3a0";
+/// See [`FREE`].
+pub const TAKEN: &str = "#ff7a45";
+/// Parking spaces of which nobody knows.
+pub const UNSEEN: &str = "#9aa5b5";
+/// Labels of other kinds.
+pub const LABEL: &str = "#e9c5ff";
+
+/// Boxes that a person is asked about.
+pub const ASKED: &str = "#ffe14d";
+/// Cells to be driven over slowly, and lanes with such cells: the slower, the denser.
+pub const SLOW: &str = "#ff3b6b";
+/// People who were seen.
+pub const PERSON: &str = "#ffffff";
+
 /// Landmarks.
 pub const LANDMARK: &str = "#c7d2e0";
 /// Loop closures that the map agrees with.

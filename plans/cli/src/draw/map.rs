@@ -1,12 +1,15 @@
 //! A scene from above.
 
+use std::collections::BTreeSet;
+
 use askama::Template;
 use evermap_schemas::Fault;
 
-use crate::draw::line::{chevrons, path, simplified};
+use crate::draw::line::{along, chevrons, length, path, simplified};
 use crate::draw::pixels::data_url;
+use crate::draw::slowness::SHADES;
 use crate::draw::viewport::{Viewport, round_length, union};
-use crate::draw::{Canvas, Picture, Scene, Trajectory, colours, strokes};
+use crate::draw::{Canvas, Outline, Picture, Scene, Trajectory, colours, strokes};
 use crate::mosaic::Mosaic;
 use crate::shown::Lane;
 
@@ -14,8 +17,8 @@ use crate::shown::Lane;
 const LANE_WIDTH_M: f64 = 2.4;
 /// Radius of the marker of an intersection, m.
 const MARKER_M: f64 = 1.1;
-/// More landmarks than this are thinned out evenly: a picture has no room for them.
-const MOST_LANDMARKS: usize = 40_000;
+/// More landmarks, or people, than this are thinned out evenly: a picture has no room for them.
+const MOST_DOTS: usize = 40_000;
 /// Sessions that the legend names; the rest are counted.
 const MOST_NAMED: usize = 12;
 /// From one line of the legend to the next, px.
@@ -38,7 +41,7 @@ pub fn draw(scene: &Scene, canvas: Canvas) -> Result<Picture, Fault> {
     let map = MapFromAbove {
         scene,
         ground: ground.transpose()?,
-        legend: legend(&scene.trajectories),
+        legend: legend(scene),
         scale: ScaleBar::of(&viewport),
         viewport,
     };
@@ -80,6 +83,56 @@ impl MapFromAbove<'_> {
         ))
     }
 
+    /// How fast to drive on a lane, as its title ends.
+    fn lane_speed(&self, lane: &Lane) -> String {
+        let speed = self.scene.lane_speeds.get(&lane.lane);
+        speed.map_or(String::new(), |[least, mean]| {
+            format!(", {least:.1} m/s at the slowest, {mean:.1} m/s in the mean")
+        })
+    }
+
+    /// The lowest speed of each lane beside its middle: where, and in letters (m/s). Lanes too short for the letters have none.
+    fn lane_signs(&self) -> impl Iterator<Item = ([f64; 2], String)> {
+        self.scene.lanes.iter().filter_map(|lane| {
+            let [least, _] = self.scene.lane_speeds.get(&lane.lane)?;
+            let text = format!("{least:.1}");
+            let line = self.viewport.line(lane.from_above());
+            let length = length(&line);
+            let ([x, y], [dx, dy]) = along(&line, 0.5 * length)?;
+            let aside = self.lane_px() + strokes::LETTER_PX;
+            let middle = [x - dy * aside, y + dx * aside];
+            let corner = [
+                middle[0] - 0.5 * strokes::width(&text),
+                middle[1] - 0.5 * strokes::LETTER_PX,
+            ];
+            (length > 3.0 * strokes::width(&text)).then_some((corner, text))
+        })
+    }
+
+    /// Cells to be driven over slowly by shade: how much of what lies below each hides, and its outlines.
+    fn slow(&self) -> impl Iterator<Item = (f64, String)> {
+        (1..=SHADES).filter_map(|shade| {
+            let cells = self.scene.slow.iter().filter(|cell| cell.shade == shade);
+            let squares = cells.map(|cell| {
+                let ([x, y], side) = (cell.corner, cell.side_m);
+                let corners = [[x, y], [x + side, y], [x + side, y + side], [x, y + side]];
+                path(&self.viewport.line(corners)) + "Z"
+            });
+            let squares: String = squares.collect();
+            let opacity = 0.65 * f64::from(shade) / f64::from(SHADES);
+            (!squares.is_empty()).then_some((opacity, squares))
+        })
+    }
+
+    fn people(&self) -> String {
+        self.dots(&self.scene.people)
+    }
+
+    fn outline(&self, outline: &Outline) -> String {
+        let line = path(&self.viewport.line(outline.points.iter().copied()));
+        if outline.closed { line + "Z" } else { line }
+    }
+
     fn arrows(&self) -> String {
         let size = (self.lane_px() * 0.3).clamp(3.0, 6.0);
         let of = |lane: &Lane| {
@@ -91,10 +144,14 @@ impl MapFromAbove<'_> {
 
     /// Landmarks within the picture, as dots of one path.
     fn landmarks(&self) -> String {
-        let landmarks = &self.scene.landmarks;
-        let every = landmarks.len().div_ceil(MOST_LANDMARKS).max(1);
+        self.dots(&self.scene.landmarks)
+    }
+
+    /// Dots at points of the map.
+    fn dots(&self, points: &[[f64; 2]]) -> String {
+        let every = points.len().div_ceil(MOST_DOTS).max(1);
         let (width, height) = (self.viewport.width_px, self.viewport.height_px);
-        let places = self.viewport.line(landmarks.iter().step_by(every).copied());
+        let places = self.viewport.line(points.iter().step_by(every).copied());
         let inside = |[x, y]: &[f64; 2]| (0.0..=width).contains(x) && (0.0..=height).contains(y);
         let dots = places.into_iter().filter(inside);
         dots.map(|[x, y]| format!("M{x:.1} {y:.1}h0")).collect()
@@ -144,8 +201,9 @@ impl MapFromAbove<'_> {
     }
 }
 
-/// The sessions' names in their colours.
-fn legend(driven: &[Trajectory]) -> Vec<(String, Option<String>)> {
+/// The sessions' names in their colours, what outlines are of, and what speeds are made of.
+fn legend(scene: &Scene) -> Vec<(String, Option<String>)> {
+    let driven = &scene.trajectories;
     let named = driven.iter().take(MOST_NAMED).enumerate();
     let mut lines: Vec<_> = named
         .map(|(index, driven)| {
@@ -156,6 +214,22 @@ fn legend(driven: &[Trajectory]) -> Vec<(String, Option<String>)> {
     if driven.len() > MOST_NAMED {
         lines.push((format!("+ {} MORE", driven.len() - MOST_NAMED), None));
     }
+    let marks: BTreeSet<_> = scene.outlines.iter().map(|outline| outline.mark).collect();
+    lines.extend(marks.into_iter().map(|mark| {
+        let name = strokes::name(mark.name(), 28);
+        (name, Some(mark.colour().to_owned()))
+    }));
+    let speeds = [
+        (scene.slow.is_empty(), "DRIVE SLOWLY", colours::SLOW),
+        (scene.people.is_empty(), "PEOPLE SEEN", colours::PERSON),
+        (
+            scene.lane_speeds.is_empty(),
+            "LANE, LOWEST SPEED, m/S",
+            colours::LANE,
+        ),
+    ];
+    let speeds = speeds.into_iter().filter(|(is_empty, ..)| !is_empty);
+    lines.extend(speeds.map(|(_, name, colour)| (name.to_owned(), Some(colour.to_owned()))));
     lines
 }
 

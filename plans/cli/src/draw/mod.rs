@@ -2,7 +2,9 @@
 //!
 //! ```text
 //!   tiles ─► mosaic ─┐
+//!   speeds, people ──┤
 //!   lanes, arrows ───┤
+//!   spaces, labels ──┤
 //!   landmarks, loops ┤
 //!   trajectories ────┼──► SVG ──► PNG (resvg)
 //!   intersections ───┤
@@ -13,17 +15,23 @@
 mod colours;
 mod line;
 mod map;
+mod outline;
 mod pixels;
 mod semantic;
+mod slowness;
 mod strokes;
 mod trajectory;
 mod viewport;
 
+use std::collections::BTreeMap;
+
 use evermap_schemas::Fault;
 
 pub use map::draw;
+pub use outline::{Mark, Outline};
 pub use pixels::{decoded, encoded, png};
 pub use semantic::{matrix, views};
+pub use slowness::SlowCell;
 pub use trajectory::Trajectory;
 use viewport::{Bounds, Viewport, bounds_of, union};
 
@@ -37,8 +45,16 @@ pub struct Scene {
     pub tiles: Vec<Tile>,
     /// Lanes; may be empty.
     pub lanes: Vec<Lane>,
+    /// How fast to drive on them, by number (m/s): the lowest speed, and the mean; may be empty.
+    pub lane_speeds: BTreeMap<u32, [f64; 2]>,
+    /// Where to drive more slowly than elsewhere; may be empty.
+    pub slow: Vec<SlowCell>,
+    /// Where people were seen, m; may be empty.
+    pub people: Vec<[f64; 2]>,
     /// Intersections; may be empty.
     pub intersections: Vec<Crossing>,
+    /// Parking spaces and labels; may be empty.
+    pub outlines: Vec<Outline>,
     /// Where sessions drove; may be empty.
     pub trajectories: Vec<Trajectory>,
     /// The trajectories as odometry had them, in the same order; may be empty.
@@ -95,7 +111,9 @@ impl Scene {
         // Landmarks reach as far as cameras see, and a bad one farther: the trajectories say what is shown.
         let driven = self.trajectories.iter().chain(&self.odometry);
         let driven = driven.flat_map(|driven| driven.points.iter().copied());
-        bounds_of(lanes.chain(meetings).chain(driven))
+        let outlines = self.outlines.iter();
+        let outlines = outlines.flat_map(|outline| outline.points.iter().copied());
+        bounds_of(lanes.chain(meetings).chain(driven).chain(outlines))
     }
 
     /// What the finest tiles cover; coarser ones reach far beyond what was seen.

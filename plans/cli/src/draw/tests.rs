@@ -77,6 +77,39 @@ pub(crate) fn scene() -> Scene {
     }
 }
 
+#[test]
+fn spaces_are_filled_by_what_was_last_seen_and_what_was_found_is_dashed() {
+    let square = |x: f64| [[x, 10.0], [x + 5.0, 10.0], [x + 5.0, 15.0], [x, 15.0]].to_vec();
+    let outline = |mark, title: &str, said, points| Outline {
+        mark,
+        title: title.into(),
+        said,
+        closed: true,
+        points,
+    };
+    let with = Scene {
+        outlines: vec![
+            outline(Mark::Free, "space 1: drawn, free", true, square(10.0)),
+            outline(Mark::Taken, "space 2: found, taken", false, square(20.0)),
+        ],
+        ..scene()
+    };
+    let svg = draw(&with, Canvas::default()).unwrap().svg;
+    for text in ["space 1: drawn, free", colours::FREE, colours::TAKEN] {
+        assert!(svg.contains(text), "{text}");
+    }
+    let outlines = svg.split("<g id=\"outlines\"").nth(1).unwrap();
+    let outlines = outlines.split("</g>").next().unwrap();
+    let dashed: Vec<bool> = outlines
+        .split("<path")
+        .skip(1)
+        .map(|path| path.contains("stroke-dasharray"))
+        .collect();
+    assert_eq!(dashed, [false, true]);
+    let without = draw(&scene(), Canvas::default()).unwrap().svg;
+    assert!(!without.contains("outlines"));
+}
+
 fn pixel(png: &[u8], x: usize, y: usize) -> ([u8; 4], (u32, u32)) {
     let mut reader = png::Decoder::new(std::io::Cursor::new(png))
         .read_info()
@@ -164,6 +197,36 @@ fn a_map_without_tiles_or_lanes_is_drawn_too() {
         ..Scene::default()
     };
     super::png(&draw(&standing, Canvas::default()).unwrap()).unwrap();
+}
+
+#[test]
+fn slow_cells_people_and_lane_speeds_are_drawn_and_explained() {
+    let plain = draw(&scene(), Canvas::default()).unwrap().svg;
+    let lane = scene().lanes[0].lane;
+    let cell = |x: f64, shade| SlowCell {
+        corner: [x, 4.0],
+        side_m: 0.5,
+        shade,
+    };
+    let with = Scene {
+        lane_speeds: [(lane, [1.44, 2.66])].into(),
+        slow: vec![cell(4.0, 5), cell(4.5, 1), cell(5.0, 5)],
+        people: vec![[4.2, 4.2], [5.1, 4.4]],
+        ..scene()
+    };
+    let svg = draw(&with, Canvas::default()).unwrap().svg;
+    for part in ["id=\"slow\"", "id=\"people\"", "id=\"lane-speeds\""] {
+        assert!(svg.contains(part) && !plain.contains(part), "{part}");
+    }
+    assert!(svg.contains("1.4 m/s at the slowest, 2.7 m/s in the mean"));
+    assert!(svg.contains("people seen 2 times"));
+    let slow = svg.split("id=\"slow\"").nth(1).unwrap();
+    let slow = slow.split("</g>").next().unwrap();
+    // Faint cells first; the two slowest are one path, as dense as it gets.
+    let paths: Vec<&str> = slow.lines().filter(|line| line.contains("<path")).collect();
+    let squares: Vec<usize> = paths.iter().map(|path| path.matches('M').count()).collect();
+    assert_eq!(squares, [1, 2], "{slow}");
+    assert!(paths[0].contains("\"0.13\"") && paths[1].contains("\"0.65\""));
 }
 
 #[test]

@@ -8,32 +8,30 @@ use std::sync::Arc;
 use arrow::array::{ArrayRef, AsArray, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Field, Schema};
 use async_trait::async_trait;
-use ballista_core::config::BallistaConfig;
-use ballista_core::execution_plans::execute_physical_plan;
 use ballista_core::extension::SessionConfigExt;
-use ballista_core::serde::BallistaPhysicalExtensionCodec;
 use datafusion::datasource::MemTable;
-use datafusion::error::{DataFusionError, Result as DataFusionResult};
+use datafusion::error::Result as DataFusionResult;
 use datafusion::execution::{FunctionRegistry, SessionState, SessionStateBuilder};
 use datafusion::logical_expr::async_udf::{AsyncScalarUDF, AsyncScalarUDFImpl};
 use datafusion::logical_expr::{
     ColumnarValue, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl, Signature, Volatility,
 };
+use datafusion::physical_plan::ExecutionPlan;
 use datafusion::prelude::{SessionConfig, SessionContext, col};
-use datafusion_proto::protobuf::PhysicalPlanNode;
 use evermap_contract::Registry;
 use evermap_schemas::{Fault, Kind};
-use futures::TryStreamExt;
 
-use crate::error::{OrFault, external, remote_fault};
+use crate::error::{OrFault, external};
 use crate::unit::Unit;
 
-/// Runs units on a cluster to the end of the job; the units that failed for reasons of their own.
-pub async fn submit(
-    scheduler: &str,
+/// The plan of a job that runs units.
+///
+/// # Errors
+/// A fault of ours.
+pub async fn units_plan(
     units: &BTreeMap<usize, Unit>,
     registry: &Registry,
-) -> Result<Vec<(usize, Fault)>, Fault> {
+) -> Result<Arc<dyn ExecutionPlan>, Fault> {
     let query = manifest(units)?;
     // One partition a unit is what the manifest has: nothing is dealt out anew.
     let config = session_config().with_target_partitions(1);
@@ -41,30 +39,7 @@ pub async fn submit(
     let query = context.read_table(Arc::new(query)).or_fault()?;
     let done = run_unit(registry).call(vec![col("text")]);
     let query = query.select(vec![col("unit"), done]).or_fault()?;
-    let lost = |error: DataFusionError| {
-        remote_fault(error.find_root(), &format!("the cluster of {scheduler}"))
-    };
-    let stream = execute_physical_plan::<PhysicalPlanNode>(
-        scheduler.to_owned(),
-        &BallistaConfig::default(),
-        query.create_physical_plan().await.or_fault()?,
-        &BallistaPhysicalExtensionCodec::default(),
-        uuid::Uuid::new_v4().to_string(),
-        session_config(),
-    )
-    .await
-    .map_err(lost)?;
-    let batches: Vec<RecordBatch> = stream.try_collect().await.map_err(lost)?;
-    let mut failed = Vec::new();
-    for batch in &batches {
-        let column = |index: usize| batch.column(index).as_string::<i32>().iter().flatten();
-        for (unit, fault) in column(0).zip(column(1)) {
-            if let (Ok(unit), Ok(fault)) = (unit.parse(), serde_json::from_str(fault)) {
-                failed.push((unit, fault));
-            }
-        }
-    }
-    Ok(failed)
+    query.create_physical_plan().await.or_fault()
 }
 
 /// The units, each with its number in a partition of its own.

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
+use ballista_core::serde::protobuf::PartitionLocation;
 use ballista_core::serde::protobuf::scheduler_grpc_client::SchedulerGrpcClient;
 use evermap_contract::Registry;
 use evermap_schemas::Fault;
@@ -10,7 +11,8 @@ use futures::StreamExt;
 use futures::stream::BoxStream;
 use tokio::sync::mpsc;
 
-use crate::cluster::job::{session_config, session_state, submit};
+use crate::cluster::job::{session_config, session_state};
+use crate::cluster::scheduler::{Job, JobState, Scheduler, failures};
 use crate::error::remote_fault;
 use crate::map::receipt::Receipt;
 use crate::map::store::Store;
@@ -20,8 +22,15 @@ use crate::unit::Unit;
 /// How often the map store is asked for receipts.
 const POLL: Duration = Duration::from_millis(300);
 
-/// How often a wave is submitted before what is missing is given up.
-const ATTEMPTS: usize = 6;
+/// How often jobs may fail one after another, without a unit ending, before what is missing is given up.
+const FAILURES: usize = 6;
+
+/// Longest pause before what is missing is submitted anew.
+const PAUSE: Duration = Duration::from_secs(5);
+
+/// Bytes of units in one job, unless one unit has more. Each task of a job is sent all of its units, so large jobs cost
+/// the square; a message may have 16 MiB.
+const JOB_BYTES: usize = 1 << 20;
 
 /// Runs units on a Ballista cluster.
 #[derive(Clone)]
@@ -32,8 +41,8 @@ pub struct ClusterRunner {
 }
 
 impl ClusterRunner {
-    /// Runs units on the cluster of the scheduler at `url` (`http://host:port`). A job in which no unit ends for
-    /// `deadline` counts as hung: what is missing is submitted anew.
+    /// Runs units on the cluster of the scheduler at `url` (`http://host:port`), and gives up when none has ended for as
+    /// long as the deadline.
     pub fn new(url: &str, registry: Registry, deadline: Duration) -> Self {
         let scheduler = match url.split_once("://") {
             Some((_, address)) => format!("http://{address}"),
@@ -94,78 +103,168 @@ struct Wave {
 
 type Missing = BTreeMap<usize, Unit>;
 
+/// Why an attempt has not done everything.
+enum Lost {
+    /// The cluster cannot be reached, or has nobody to work: that may change.
+    Cluster(Fault),
+    /// A job failed.
+    Job(Fault),
+    /// No unit has ended for as long as the deadline.
+    Deadline,
+}
+
+impl From<Fault> for Lost {
+    fn from(fault: Fault) -> Self {
+        Self::Cluster(fault)
+    }
+}
+
 impl Wave {
     async fn run(self, units: Vec<(usize, Unit)>) {
         let mut missing: Missing = units.into_iter().collect();
-        let mut reason = Fault::resource("the cluster did nothing");
-        for attempt in 0..ATTEMPTS {
-            if missing.is_empty() {
-                return;
+        let (mut progress, mut failures, mut pause) = (Instant::now(), 0, POLL);
+        let mut reason = None;
+        while !missing.is_empty() {
+            let before = missing.len();
+            let lost = match self.attempt(&mut missing, &mut progress).await {
+                Ok(()) => continue,
+                Err(lost) => lost,
+            };
+            if missing.len() < before {
+                (failures, pause) = (0, POLL);
             }
-            if attempt > 0 {
+            match lost {
+                Lost::Cluster(fault) => reason = Some(fault),
+                Lost::Job(fault) => {
+                    failures += 1;
+                    reason = Some(fault);
+                }
+                Lost::Deadline => {}
+            }
+            if failures == FAILURES || progress.elapsed() >= self.cluster.deadline {
+                let fault = self.given_up(failures, reason);
+                return self.give_up(missing, &fault);
+            }
+            if let Some(reason) = &reason {
                 tracing::warn!(missing = missing.len(), %reason, "submitting anew what is missing");
-                tokio::time::sleep(POLL * (1 << attempt.min(5))).await;
             }
-            if let Err(fault) = self.attempt(&mut missing).await {
-                reason = fault;
-            }
-        }
-        for (index, _) in missing {
-            let fault = Fault::new(
-                reason.kind,
-                format!("{}, after {ATTEMPTS} attempts", reason.message),
-            )
-            .next("look at the executors' logs, then run again: what was computed is kept");
-            let _ = self.outcomes.send((index, Err(fault)));
+            tokio::time::sleep(pause).await;
+            pause = (pause * 2).min(PAUSE);
         }
     }
 
-    /// Submits one job and follows it until it ends, or nothing has ended for as long as the deadline.
-    async fn attempt(&self, missing: &mut Missing) -> Result<(), Fault> {
-        let ClusterRunner {
-            scheduler,
-            registry,
-            deadline,
-        } = &self.cluster;
-        let units = missing.clone();
-        let mut job = std::pin::pin!(submit(scheduler, &units, registry));
-        let mut progress = Instant::now();
-        let ended = loop {
-            match tokio::time::timeout(POLL, &mut job).await {
-                Ok(ended) => break ended,
-                Err(_) => {
-                    if self.collect(missing).await? > 0 {
-                        progress = Instant::now();
+    fn given_up(&self, failures: usize, reason: Option<Fault>) -> Fault {
+        let waited = format!(
+            "no unit has ended for {} s",
+            self.cluster.deadline.as_secs()
+        );
+        let fault = match reason {
+            Some(fault) if failures == FAILURES => Fault::new(
+                fault.kind,
+                format!("{}, {FAILURES} times in a row", fault.message),
+            ),
+            Some(fault) => Fault::resource(format!("{waited}: {}", fault.message)),
+            None => Fault::resource(waited),
+        };
+        fault.next("look at the executors' logs, or allow more with --deadline-s, then run again: what was computed is kept")
+    }
+
+    fn give_up(&self, missing: Missing, fault: &Fault) {
+        for (index, _) in missing {
+            let _ = self.outcomes.send((index, Err(fault.clone())));
+        }
+    }
+
+    /// Submits jobs and follows them until they end, or nothing has ended for as long as the deadline. Those that are
+    /// open then are cancelled.
+    async fn attempt(&self, missing: &mut Missing, progress: &mut Instant) -> Result<(), Lost> {
+        let mut scheduler = Scheduler::connect(&self.cluster.scheduler).await?;
+        let mut jobs = Vec::new();
+        let mut ended = Ok(());
+        for units in portions(missing)? {
+            match scheduler.submit(&units, &self.cluster.registry).await {
+                Ok(job) => jobs.push(job),
+                Err(fault) => {
+                    ended = Err(fault.into());
+                    break;
+                }
+            }
+        }
+        if ended.is_ok() {
+            ended = self
+                .follow(&mut scheduler, &mut jobs, missing, progress)
+                .await;
+        }
+        for job in jobs {
+            scheduler.cancel(job).await;
+        }
+        ended
+    }
+
+    /// Follows jobs; those that have ended are taken out.
+    async fn follow(
+        &self,
+        scheduler: &mut Scheduler,
+        jobs: &mut Vec<Job>,
+        missing: &mut Missing,
+        progress: &mut Instant,
+    ) -> Result<(), Lost> {
+        while !jobs.is_empty() {
+            tokio::time::sleep(POLL).await;
+            let mut index = 0;
+            while let Some(job) = jobs.get(index) {
+                let state = scheduler.state(job).await?;
+                if self.collect(&job.units, missing).await? > 0 {
+                    *progress = Instant::now();
+                }
+                match state {
+                    JobState::Open => {
+                        index += 1;
+                        continue;
                     }
-                    if missing.is_empty() {
-                        return Ok(());
-                    }
-                    if progress.elapsed() > *deadline {
-                        let waited = deadline.as_secs();
-                        return Err(Fault::resource(format!(
-                            "no unit of a job ended for {waited} s"
-                        )));
+                    JobState::Failed(fault) => return Err(Lost::Job(fault)),
+                    JobState::Ended(answer) => {
+                        self.end(&jobs.remove(index), answer, missing).await?
                     }
                 }
             }
-        };
-        self.collect(missing).await?;
-        for (index, fault) in ended? {
-            if missing.remove(&index).is_some() {
-                let _ = self.outcomes.send((index, Err(fault)));
+            if progress.elapsed() >= self.cluster.deadline && !jobs.is_empty() {
+                return Err(Lost::Deadline);
             }
         }
-        if missing.is_empty() {
-            Ok(())
-        } else {
-            Err(Fault::resource("a job ended without all its receipts"))
+        Ok(())
+    }
+
+    /// Takes what failed in a job that has ended.
+    async fn end(
+        &self,
+        job: &Job,
+        answer: Vec<PartitionLocation>,
+        missing: &mut Missing,
+    ) -> Result<(), Lost> {
+        if job.units.iter().all(|unit| !missing.contains_key(unit)) {
+            return Ok(());
+        }
+        for (unit, fault) in failures(answer).await.map_err(Lost::Job)? {
+            if missing.remove(&unit).is_some() {
+                let _ = self.outcomes.send((unit, Err(fault)));
+            }
+        }
+        match job.units.iter().any(|unit| missing.contains_key(unit)) {
+            true => Err(Lost::Job(Fault::resource(
+                "a job ended without all its receipts",
+            ))),
+            false => Ok(()),
         }
     }
 
-    /// Takes the receipts that have come in; how many there were.
-    async fn collect(&self, missing: &mut Missing) -> Result<usize, Fault> {
+    /// Takes the receipts of these units that have come in; how many there were.
+    async fn collect(&self, units: &[usize], missing: &mut Missing) -> Result<usize, Fault> {
         let mut found = Vec::new();
-        for (index, unit) in missing.iter() {
+        for (index, unit) in units
+            .iter()
+            .filter_map(|index| missing.get_key_value(index))
+        {
             let store = Store::open(&unit.store, false)?;
             if let Some(receipt) = Receipt::find(&store, &unit.recipe.digest()?).await? {
                 found.push((*index, receipt));
@@ -178,4 +277,22 @@ impl Wave {
         }
         Ok(count)
     }
+}
+
+/// Units in jobs of [`JOB_BYTES`].
+fn portions(units: &Missing) -> Result<Vec<Missing>, Fault> {
+    let mut portions: Vec<Missing> = vec![Missing::new()];
+    let mut bytes = 0;
+    for (index, unit) in units {
+        let text = serde_json::to_vec(unit).map_err(|error| Fault::bug(error.to_string()))?;
+        if bytes > 0 && bytes + text.len() > JOB_BYTES {
+            portions.push(Missing::new());
+            bytes = 0;
+        }
+        bytes += text.len();
+        if let Some(portion) = portions.last_mut() {
+            portion.insert(*index, unit.clone());
+        }
+    }
+    Ok(portions)
 }

@@ -1,22 +1,23 @@
 //! The processes of a cluster.
 
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use ballista_core::config::TaskSchedulingPolicy;
 use ballista_core::extension::SessionConfigExt;
 use ballista_core::registry::BallistaFunctionRegistry;
 use ballista_executor::executor_process::{ExecutorProcessConfig, start_executor_process};
-use ballista_scheduler::cluster::BallistaCluster;
+use ballista_scheduler::cluster::{BallistaCluster, ClusterState};
 use ballista_scheduler::config::SchedulerConfig;
 use ballista_scheduler::scheduler_process::start_server;
 use evermap_contract::Registry;
 use evermap_schemas::Fault;
 
 use crate::cluster::job::{session_config, session_state};
-use crate::error::remote_fault;
+use crate::error::{external, remote_fault};
 
-/// Serves as a scheduler until stopped.
+/// Serves as a scheduler until stopped. A job that comes while no executor is connected is refused: it would wait in
+/// silence.
 ///
 /// # Errors
 /// A resource fault when the address is taken, a user fault when it is none.
@@ -24,6 +25,8 @@ pub async fn scheduler(host: &str, port: u16, registry: Registry) -> Result<(), 
     let address = format!("{host}:{port}")
         .parse()
         .map_err(|error| Fault::user(format!("{host}:{port}: {error}")))?;
+    let executors: Arc<OnceLock<Arc<dyn ClusterState>>> = Arc::default();
+    let connected = Arc::clone(&executors);
     let config = SchedulerConfig {
         bind_host: host.to_owned(),
         external_host: host.to_owned(),
@@ -31,6 +34,10 @@ pub async fn scheduler(host: &str, port: u16, registry: Registry) -> Result<(), 
         scheduling_policy: TaskSchedulingPolicy::PullStaged,
         override_config_producer: Some(Arc::new(session_config)),
         override_session_builder: Some(Arc::new(move |config| {
+            let heartbeats = connected.get().map(|cluster| cluster.executor_heartbeats());
+            if heartbeats.is_none_or(|executors| executors.is_empty()) {
+                return Err(external(Fault::resource("no executor is connected")));
+            }
             Ok(session_state(config.upgrade_for_ballista(), &registry))
         })),
         executor_timeout_seconds: 12,
@@ -41,6 +48,7 @@ pub async fn scheduler(host: &str, port: u16, registry: Registry) -> Result<(), 
     let cluster = BallistaCluster::new_from_config(&config)
         .await
         .map_err(|error| failed(&error))?;
+    let _ = executors.set(cluster.cluster_state());
     start_server(cluster, address, Arc::new(config))
         .await
         .map_err(|error| failed(&error))

@@ -5,7 +5,7 @@ use evermap_schemas::Fault;
 
 use crate::error::OrFault;
 use crate::map::receipt::Artifact;
-use crate::map::store::Store;
+use crate::map::store::{Store, each};
 use crate::sql::{Limits, context};
 
 /// The rows of some Parquet files of a map, as one table.
@@ -30,12 +30,16 @@ pub async fn read_files(
 /// The rows of artifacts, as one table.
 ///
 /// # Errors
-/// As [`read_files`].
+/// As [`read_files`], and a data fault where one is missing or not as large as it was written.
 pub async fn read_artifacts(
     context: &SessionContext,
     store: &Store,
     artifacts: &[Artifact],
 ) -> Result<DataFrame, Fault> {
+    let damages = each(artifacts.iter().map(|artifact| artifact.size_damage(store))).await?;
+    if let Some(damage) = damages.into_iter().flatten().next() {
+        return Err(damage.into());
+    }
     read_files(context, store, artifacts.iter().map(Artifact::name)).await
 }
 

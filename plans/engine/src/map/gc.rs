@@ -2,11 +2,14 @@
 
 use std::collections::BTreeSet;
 
-use evermap_schemas::Fault;
+use evermap_schemas::{Fault, Kind};
 use serde::Serialize;
+use serde::de::IgnoredAny;
 
 use crate::fingerprint;
+use crate::map::lease::{self, Lease};
 use crate::map::receipt::{Artifact, Receipt};
+use crate::map::sound::Sound;
 use crate::map::store::Store;
 use crate::map::version::Version;
 
@@ -21,19 +24,43 @@ pub struct Collected {
     pub bytes: u64,
 }
 
-/// Forgets all but the newest `keep` versions, and every file that none of those needs. Must not run beside a run.
+/// Forgets all but the newest `keep` versions, and every file that none of those needs.
 ///
 /// # Errors
-/// A user fault for `keep` 0, a resource fault when the store does not do it.
+/// A user fault for `keep` 0, a resource fault beside a run or when the store does not do it.
 pub async fn gc(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fault> {
     if keep == 0 {
         return Err(Fault::user("a map keeps at least one version").next("use --keep 1 or more"));
     }
-    let numbers = Version::numbers(store).await?;
-    let (forgotten, kept) = numbers.split_at(numbers.len().saturating_sub(keep));
+    let lease = match dry {
+        true => None,
+        false => Some(Lease::of_gc(store).await?),
+    };
+    let collected = collect(store, keep, dry).await;
+    if let Some(lease) = lease {
+        lease.end().await;
+    }
+    collected
+}
+
+async fn collect(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fault> {
+    let mut versions = Vec::new();
+    let mut torn = Vec::new();
+    for number in Version::numbers(store).await? {
+        match Version::find(store, number).await {
+            Err(fault) if fault.kind == Kind::Data => {
+                if !is_torn(store, number).await? {
+                    return Err(unread(number, &fault));
+                }
+                torn.push(Version::name(number));
+            }
+            found => versions.extend(found?),
+        }
+    }
+    let kept = versions.split_off(versions.len().saturating_sub(keep));
+    let forgotten = versions;
     let (mut needed, mut logs) = (BTreeSet::new(), BTreeSet::new());
-    for &number in kept {
-        let version = Version::read(store, number).await?;
+    for version in kept {
         // What `previous` meant is kept too: the version can then be made again.
         let previous = version.previous.layers.values().flatten();
         needed.extend(previous.map(Artifact::name));
@@ -46,22 +73,43 @@ pub async fn gc(store: &Store, keep: usize, dry: bool) -> Result<Collected, Faul
     }
     needed.extend(fingerprint::names_of(store, &logs).await?);
     let mut collected = Collected::default();
-    for number in forgotten {
+    for version in forgotten {
         collected.versions += 1;
         if !dry {
-            store.remove(&format!("versions/{number}.json")).await?;
+            store.remove(&Version::name(version.version)).await?;
         }
     }
-    for folder in ["receipts", "artifacts", fingerprint::FOLDER, "tmp"] {
-        for (name, bytes) in store.list(folder).await? {
-            if !needed.contains(&name) {
-                collected.files += 1;
-                collected.bytes += bytes;
-                if !dry {
-                    store.remove(&name).await?;
-                }
-            }
+    if !dry {
+        Sound::forget_all_but(store, &needed).await?;
+    }
+    let mut left_over: Vec<(String, u64)> = torn.into_iter().map(|name| (name, 0)).collect();
+    for folder in ["receipts", "artifacts", fingerprint::FOLDER] {
+        let listed = store.list(folder).await?.into_iter();
+        left_over.extend(listed.filter(|(name, _)| !needed.contains(name)));
+    }
+    // Those of just now may be of a run that is about to begin or has just ended.
+    left_over.extend(store.temporary(lease::TERM).await?);
+    for (name, bytes) in left_over {
+        collected.files += 1;
+        collected.bytes += bytes;
+        if !dry {
+            store.remove(&name).await?;
         }
     }
     Ok(collected)
+}
+
+/// Whether a version is no JSON at all: it was never whole, and needs nothing.
+async fn is_torn(store: &Store, number: u64) -> Result<bool, Fault> {
+    match store.read_json::<IgnoredAny>(&Version::name(number)).await {
+        Err(fault) if fault.kind == Kind::Data => Ok(true),
+        read => read.map(|_| false),
+    }
+}
+
+/// A version that is whole and does not read, as of another evermap, may need what it does not tell: a person decides.
+fn unread(number: u64, fault: &Fault) -> Fault {
+    let name = Version::name(number);
+    let next = format!("use the evermap that wrote it, or remove {name} and what only it needs");
+    Fault::data(format!("version {number} does not read: {}", fault.message)).next(next)
 }

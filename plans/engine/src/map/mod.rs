@@ -1,30 +1,43 @@
 //! A map as its readers see it: layers as tables, versions, what changed between two, what may be forgotten.
 
 pub mod artifact;
+mod catalog;
+pub mod damage;
 mod diff;
 mod gc;
+pub mod lease;
+mod local;
 pub mod receipt;
 mod rows;
+pub mod sound;
 pub mod store;
+mod tables;
+mod verify;
 pub mod version;
 
+use std::sync::Arc;
+
 use arrow::array::RecordBatch;
-use datafusion::common::TableReference;
 use datafusion::execution::runtime_env::RuntimeEnv;
-use datafusion::prelude::{DataFrame, SessionContext};
+use datafusion::prelude::SessionContext;
 use evermap_datasets::Dataset;
-use evermap_schemas::{Fault, LayerRow, batch};
+use evermap_schemas::{Fault, Kind, LayerRow};
+use url::Url;
 
 use crate::error::OrFault;
 use crate::fingerprint::open_mapped;
-use crate::map::artifact::{read_artifacts, read_files, read_in_order};
-use crate::map::store::Store;
+use crate::map::artifact::read_in_order;
+use crate::map::catalog::Catalog;
+use crate::map::damage::Damage;
+use crate::map::store::{Store, each};
+use crate::map::tables::Tables;
 use crate::map::version::{MappedSession, StoredLayer, Version};
 use crate::sql::{Limits, context};
 
 pub use diff::{LayerDiff, diff};
 pub use gc::{Collected, gc};
-pub use rows::{LayerInfo, RunRow, VersionInfo};
+pub use rows::{LayerFile, LayerInfo, RunRow, VersionInfo};
+pub use verify::{Finding, Verified, verify};
 
 /// A map opened at a version.
 #[derive(Debug, Clone)]
@@ -41,15 +54,29 @@ impl Map {
     /// # Errors
     /// A user fault where there is no map or no such version.
     pub async fn open(address: &str, version: Option<u64>) -> Result<Self, Fault> {
-        let store = Store::open(address, false)?;
+        Self::at(Store::open(address, false)?, version).await
+    }
+
+    async fn at(store: Store, version: Option<u64>) -> Result<Self, Fault> {
         let version = match version {
             Some(number) => Version::read(&store, number).await?,
             None => Version::latest(&store).await?.ok_or_else(|| {
-                Fault::user(format!("the map at {address} has no version yet"))
+                Fault::user(format!("the map at {} has no version yet", store.url()))
                     .next("finish a run of `evermap run`")
             })?,
         };
         Ok(Self { store, version })
+    }
+
+    /// What is missing or damaged of the published layers, as far as sizes tell.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn damages(&self) -> Result<Vec<Damage>, Fault> {
+        let layers = self.version.published().map(|(_, layer)| layer);
+        let artifacts = layers.flat_map(|layer| &layer.artifacts);
+        let damages = each(artifacts.map(|artifact| artifact.size_damage(&self.store))).await?;
+        Ok(damages.into_iter().flatten().collect())
     }
 
     /// The published layers.
@@ -58,36 +85,41 @@ impl Map {
         published.map(|(name, layer)| info(name, layer)).collect()
     }
 
-    /// A context in which every published layer is a table, beside `layers`, `versions` and `runs`.
+    /// The Parquet files of each published layer, in the order of their rows.
     ///
     /// # Errors
-    /// When an artifact is missing.
-    pub async fn context(&self, limits: Limits) -> Result<SessionContext, Fault> {
-        let (context, store) = (context(limits)?, &self.store);
-        context.register_object_store(store.url(), store.objects());
-        let register = |name: &str, rows: DataFrame| {
-            let registered = context.register_table(TableReference::bare(name), rows.into_view());
-            registered.map(drop).or_fault()
-        };
-        for (name, layer) in self.version.published() {
-            register(
-                name,
-                read_artifacts(&context, store, &layer.artifacts).await?,
-            )?;
+    /// A fault of ours.
+    pub fn files(&self) -> Result<Vec<LayerFile>, Fault> {
+        let published = self.version.published();
+        let files = published
+            .flat_map(|(name, layer)| layer.artifacts.iter().map(move |artifact| (name, artifact)));
+        files
+            .map(|(name, artifact)| {
+                Ok(LayerFile {
+                    layer: name.clone(),
+                    file: place(&self.store.url_of(&artifact.name())?),
+                    rows: artifact.rows,
+                    bytes: artifact.bytes,
+                })
+            })
+            .collect()
+    }
+
+    /// A context in which every published layer is a table, beside `layers`, `versions` and `runs`; those of another
+    /// version are `v1.lanes`. A table is opened when a query names it, and then it is that a missing or damaged artifact
+    /// shows.
+    ///
+    /// # Errors
+    /// A resource fault when the context cannot be set up.
+    pub fn context(&self, limits: Limits) -> Result<SessionContext, Fault> {
+        let context = context(limits)?;
+        context.register_object_store(self.store.url(), self.store.objects());
+        if let Some(catalog) = context.catalog("datafusion") {
+            let tables = Arc::new(Tables::new(self.clone(), &context));
+            catalog.register_schema("public", tables).or_fault()?;
+            let catalog = Catalog::new(catalog, &self.store, &context);
+            context.register_catalog("datafusion", Arc::new(catalog));
         }
-        let layers = context.read_batch(batch(self.layers())?);
-        register("layers", layers.or_fault()?)?;
-        let versions = context.read_batch(batch(versions(store).await?)?);
-        register("versions", versions.or_fault()?)?;
-        let files = store.list("runs").await?.into_iter().map(|(name, _)| name);
-        let runs = if files.len() == 0 {
-            context
-                .read_batch(batch::<RunRow>(Vec::new())?)
-                .or_fault()?
-        } else {
-            read_files(&context, store, files).await?
-        };
-        register("runs", runs)?;
         Ok(context)
     }
 
@@ -149,6 +181,12 @@ impl Map {
     }
 }
 
+/// A path on this machine, or a URL.
+fn place(url: &Url) -> String {
+    let path = url.to_file_path().ok();
+    path.map_or_else(|| url.to_string(), |path| path.display().to_string())
+}
+
 fn info(name: &str, layer: &StoredLayer) -> LayerInfo {
     LayerInfo {
         layer: name.to_owned(),
@@ -160,14 +198,20 @@ fn info(name: &str, layer: &StoredLayer) -> LayerInfo {
     }
 }
 
-/// The versions of a map, ascending.
+/// The versions of a map, ascending. Those that do not read are told and left out.
 ///
 /// # Errors
-/// As [`Version::read`].
+/// A resource fault when the store does not answer.
 pub async fn versions(store: &Store) -> Result<Vec<VersionInfo>, Fault> {
     let mut infos = Vec::new();
     for number in Version::numbers(store).await? {
-        let version = Version::read(store, number).await?;
+        let version = match Version::read(store, number).await {
+            Err(fault) if fault.kind == Kind::Data => {
+                tracing::warn!("version {number} is ignored: {fault}");
+                continue;
+            }
+            read => read?,
+        };
         let sessions = version.sessions.iter();
         infos.push(VersionInfo {
             layers: version.published().count() as u32,

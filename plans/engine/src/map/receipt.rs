@@ -72,7 +72,32 @@ pub struct Artifact {
 impl Artifact {
     /// Its name in the map store.
     pub fn name(&self) -> String {
-        format!("artifacts/{}.parquet", self.content)
+        Self::name_of(&self.content)
+    }
+
+    /// The name of the rows with this content.
+    pub fn name_of(content: &str) -> String {
+        format!("artifacts/{content}.parquet")
+    }
+
+    /// Those that have rows. What has none says nothing to who reads it, so a session that brings no rows of a layer
+    /// changes no recipe of what reads the layer.
+    pub fn with_rows(mut artifacts: Vec<Self>) -> Vec<Self> {
+        artifacts.retain(|artifact| artifact.rows > 0);
+        artifacts
+    }
+
+    /// Those that have rows; where none has, one without rows, which has the columns, as if it were of `extent`.
+    pub fn with_rows_or_columns(artifacts: Vec<Self>, extent: &Extent) -> Vec<Self> {
+        let columns = artifacts.first().map(|first| Self {
+            extent: extent.clone(),
+            ..first.clone()
+        });
+        let filled = Self::with_rows(artifacts);
+        if filled.is_empty() {
+            return columns.into_iter().collect();
+        }
+        filled
     }
 }
 
@@ -137,11 +162,19 @@ impl Recipe {
         }
     }
 
-    /// The other recipe, if it differs only in what the version before was; else this one.
-    pub fn as_of(self, then: &Self) -> Self {
+    /// The other recipe, if it differs only in what the version before was, and in what was new then where nothing is
+    /// now; else this one. `gone`: whether a session of the version before is not what it was, so that what reads new
+    /// ones alone must do without it.
+    pub fn as_of(self, then: &Self, gone: bool) -> Self {
+        let mut new = self.new.values();
+        let is_due = !new.all(|layer| layer.artifacts.is_empty()) || gone && !self.new.is_empty();
+        if is_due {
+            return self;
+        }
         let with_then = Self {
             previous: then.previous.clone(),
             replaced: then.replaced.clone(),
+            new: then.new.clone(),
             ..self.clone()
         };
         if with_then == *then { with_then } else { self }
@@ -181,17 +214,35 @@ impl Receipt {
         format!("receipts/{digest}.json")
     }
 
-    /// The receipt of a recipe that was done before, if it reads and its rows are still there.
+    /// The receipt of a recipe that was done before. One that does not read, as a crash may leave it, is none: it is
+    /// told, and the work is done again.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn read(store: &Store, digest: &str) -> Result<Option<Self>, Fault> {
+        let name = Self::name(digest);
+        match store.read_json::<Self>(&name).await {
+            Ok(Some(receipt)) if receipt.digest != digest => {
+                tracing::warn!("{name} is ignored: it is the receipt of {}", receipt.digest);
+                Ok(None)
+            }
+            Err(fault) if fault.kind == Kind::Data => {
+                tracing::warn!("{name} is ignored: {fault}");
+                Ok(None)
+            }
+            found => found,
+        }
+    }
+
+    /// As [`Receipt::read`], if the rows are still there, as far as their size tells.
     ///
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn find(store: &Store, digest: &str) -> Result<Option<Self>, Fault> {
-        let receipt = match store.read_json::<Self>(&Self::name(digest)).await {
-            Ok(Some(receipt)) => receipt,
-            Err(fault) if fault.kind != Kind::Data => return Err(fault),
-            Ok(None) | Err(_) => return Ok(None),
+        let Some(receipt) = Self::read(store, digest).await? else {
+            return Ok(None);
         };
-        let there = store.exists(&receipt.artifact.name()).await?;
-        Ok(there.then_some(receipt))
+        let damage = receipt.artifact.size_damage(store).await?;
+        Ok(damage.is_none().then_some(receipt))
     }
 }

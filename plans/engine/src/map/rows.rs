@@ -36,6 +36,21 @@ record! {
 }
 
 record! {
+    /// One file of one layer of one version.
+    #[layer("layer_files", key(layer, file))]
+    pub struct LayerFile {
+        /// Name of the layer.
+        layer: String,
+        /// The Parquet file: a path on this machine, or a URL.
+        file: String,
+        /// Its rows.
+        rows: u64,
+        /// Its size.
+        bytes: u64 ["B"],
+    }
+}
+
+record! {
     /// One layer of one version.
     #[layer("layers", key(layer))]
     pub struct LayerInfo {

@@ -4,8 +4,10 @@
 //!   artifacts/CONTENT.parquet   rows, named by the digest of the file
 //!   receipts/RECIPE.json        a unit that was done: its recipe's digest → its artifact, rows, losses
 //!   versions/N.json             what version N of the map is made of; created only if absent
+//!   sound.json                  which artifacts were read and found right, by what their files were like
 //!   logs/STATE.json             the digest of a log, by what its files were like: saves reading it again
 //!   runs/N-ID.parquet           how each unit of a run went
+//!   leases/ID.json              who is at work: a run, or gc
 //!   tmp/                        files on their way; a killed run leaves some, gc removes them
 //! ```
 //! Every name is either the digest of what it holds or never written twice, so a reader sees a version whole or not
@@ -13,14 +15,17 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::time::{Duration, SystemTime};
 
+use futures::{StreamExt, TryStreamExt};
 use object_store::path::Path as ObjectPath;
-use object_store::{ObjectStore, ObjectStoreExt, PutMode};
+use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutMode};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use url::Url;
 
 use crate::error::store_fault;
+use crate::map::local::{Folder, TEMPORARY};
 use evermap_schemas::Fault;
 
 /// Where a map is kept.
@@ -29,6 +34,8 @@ pub struct Store {
     url: Url,
     root: ObjectPath,
     store: Arc<dyn ObjectStore>,
+    /// The map's folder, where it is a local one: object stores neither sync files nor do without hard links.
+    folder: Option<Folder>,
 }
 
 impl Store {
@@ -40,7 +47,9 @@ impl Store {
         let url = address_url(address, create)?;
         let (store, root) = object_store::parse_url_opts(&url, std::env::vars())
             .map_err(|error| Fault::user(format!("{address} is no place for a map: {error}")))?;
+        let local = (url.scheme() == "file").then(|| url.to_file_path().ok());
         Ok(Self {
+            folder: local.flatten().map(Folder::new),
             url,
             root,
             store: Arc::from(store),
@@ -72,13 +81,12 @@ impl Store {
             .map_err(|error| Fault::bug(format!("{name} is no name in a map: {error}")))
     }
 
-    /// Whether a name is there.
+    /// What the store says of a name: its size, its times; `None` where there is none.
     ///
     /// # Errors
     /// A resource fault when the store does not answer.
-    pub async fn exists(&self, name: &str) -> Result<bool, Fault> {
-        let found = there(self.store.head(&self.path(name)).await, name)?;
-        Ok(found.is_some())
+    pub async fn meta(&self, name: &str) -> Result<Option<ObjectMeta>, Fault> {
+        there(self.store.head(&self.path(name)).await, name)
     }
 
     /// The JSON at a name; `None` where there is none.
@@ -99,11 +107,18 @@ impl Store {
         })
     }
 
-    /// Writes a file, whole or not at all; replaces what was there.
+    /// Writes a file, whole or not at all; replaces what was there. When it returns, a power failure cannot undo it: so
+    /// it is with all that gives a file its name here.
     ///
     /// # Errors
     /// A resource fault when the store does not take it.
     pub async fn write(&self, name: &str, bytes: Vec<u8>) -> Result<(), Fault> {
+        if let Some(folder) = &self.folder {
+            let owned = name.to_owned();
+            return folder
+                .with(name, move |folder| folder.put(&owned, &bytes))
+                .await;
+        }
         let put = self.store.put(&self.path(name), bytes.into()).await;
         put.map(drop).map_err(|error| store_fault(&error, name))
     }
@@ -121,8 +136,16 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not take it.
     pub async fn create_json<T: Serialize>(&self, name: &str, value: &T) -> Result<bool, Fault> {
-        let (path, bytes) = (self.path(name), json_bytes(value)?.into());
-        let put = self.store.put_opts(&path, bytes, PutMode::Create.into());
+        let (path, bytes) = (self.path(name), json_bytes(value)?);
+        if let Some(folder) = &self.folder {
+            let owned = name.to_owned();
+            return folder
+                .with(name, move |folder| folder.create(&owned, &bytes))
+                .await;
+        }
+        let put = self
+            .store
+            .put_opts(&path, bytes.into(), PutMode::Create.into());
         match put.await {
             Ok(_) => Ok(true),
             Err(object_store::Error::AlreadyExists { .. }) => Ok(false),
@@ -135,6 +158,12 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not do it.
     pub async fn settle(&self, from: &str, to: &str) -> Result<(), Fault> {
+        if let Some(folder) = &self.folder {
+            let (from, owned) = (from.to_owned(), to.to_owned());
+            return folder
+                .with(to, move |folder| folder.settle(&from, &owned))
+                .await;
+        }
         self.store
             .rename(&self.path(from), &self.path(to))
             .await
@@ -146,7 +175,34 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not do it.
     pub async fn remove(&self, name: &str) -> Result<(), Fault> {
+        if let Some(folder) = &self.folder {
+            let owned = name.to_owned();
+            return folder.with(name, move |folder| folder.remove(&owned)).await;
+        }
         there(self.store.delete(&self.path(name)).await, name).map(drop)
+    }
+
+    /// Removes a name in a local folder at once; elsewhere nothing happens. What cannot wait for [`Store::remove`] calls it.
+    pub fn remove_if_local(&self, name: &str) {
+        if let Some(Err(error)) = self.folder.as_ref().map(|folder| folder.remove(name)) {
+            tracing::debug!("{name} is not removed: {error}");
+        }
+    }
+
+    /// The files on their way, with their sizes, that have not changed for so long: also those that an object store hides
+    /// in a folder.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn temporary(&self, rested: Duration) -> Result<Vec<(String, u64)>, Fault> {
+        let before = SystemTime::now() - rested;
+        if let Some(folder) = &self.folder {
+            let list = move |folder: &Folder| folder.temporary(before);
+            return folder.with(TEMPORARY, list).await;
+        }
+        let mut found = self.objects_in(TEMPORARY).await?;
+        found.retain(|object| SystemTime::from(object.last_modified) <= before);
+        Ok(names(TEMPORARY, found))
     }
 
     /// The names in a folder with their sizes, sorted.
@@ -154,19 +210,41 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn list(&self, folder: &str) -> Result<Vec<(String, u64)>, Fault> {
-        let found = self
-            .store
-            .list_with_delimiter(Some(&self.path(folder)))
-            .await;
-        let found = found.map_err(|error| store_fault(&error, folder))?.objects;
-        let named = found.into_iter().filter_map(|object| {
-            let name = object.location.filename()?;
-            Some((format!("{folder}/{name}"), object.size))
-        });
-        let mut names: Vec<_> = named.collect();
-        names.sort();
-        Ok(names)
+        Ok(names(folder, self.objects_in(folder).await?))
     }
+
+    async fn objects_in(&self, folder: &str) -> Result<Vec<ObjectMeta>, Fault> {
+        let path = self.path(folder);
+        let found = self.store.list_with_delimiter(Some(&path)).await;
+        Ok(found.map_err(|error| store_fault(&error, folder))?.objects)
+    }
+}
+
+/// The names of objects in a folder with their sizes, sorted.
+fn names(folder: &str, objects: Vec<ObjectMeta>) -> Vec<(String, u64)> {
+    let named = objects.into_iter().filter_map(|object| {
+        let name = object.location.filename()?;
+        Some((format!("{folder}/{name}"), object.size))
+    });
+    let mut names: Vec<_> = named.collect();
+    names.sort();
+    names
+}
+
+/// Files of a map that are asked for or read side by side.
+const SIDE_BY_SIDE: usize = 16;
+
+/// Asks a store for many things, some at a time; the answers in order.
+///
+/// # Errors
+/// The first fault.
+pub async fn each<F: Future<Output = Result<T, Fault>>, T>(
+    asked: impl IntoIterator<Item = F>,
+) -> Result<Vec<T>, Fault> {
+    // They are made before any is waited for: a stream of futures that borrow cannot be sent to other threads.
+    let asked: Vec<F> = asked.into_iter().collect();
+    let answers = futures::stream::iter(asked).buffered(SIDE_BY_SIDE);
+    answers.try_collect().await
 }
 
 /// What a store answers; `None` where it has nothing of this name.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use evermap_datasets::Manifest;
-use evermap_schemas::Fault;
+use evermap_schemas::{Fault, Kind};
 use serde::{Deserialize, Serialize};
 
 use crate::digest::digest;
@@ -96,7 +96,8 @@ pub struct Version {
 }
 
 impl Version {
-    fn name(version: u64) -> String {
+    /// Its name in the map store.
+    pub fn name(version: u64) -> String {
         format!("versions/{version}.json")
     }
 
@@ -117,12 +118,27 @@ impl Version {
         Ok(numbers)
     }
 
+    /// A version by number; `None` where there is none.
+    ///
+    /// # Errors
+    /// A data fault for one that is torn or does not read.
+    pub async fn find(store: &Store, version: u64) -> Result<Option<Self>, Fault> {
+        let name = Self::name(version);
+        let found: Option<Self> = store.read_json(&name).await?;
+        match found.as_ref().map(|found| found.version) {
+            Some(found) if found != version => Err(Fault::data(format!(
+                "{name}: expected version {version}, found version {found}"
+            ))),
+            _ => Ok(found),
+        }
+    }
+
     /// A version by number.
     ///
     /// # Errors
-    /// A user fault that names the versions there are.
+    /// A user fault that names the versions there are, a data fault for one that is torn or does not read.
     pub async fn read(store: &Store, version: u64) -> Result<Self, Fault> {
-        match store.read_json(&Self::name(version)).await? {
+        match Self::find(store, version).await? {
             Some(found) => Ok(found),
             None => {
                 let numbers = Self::numbers(store).await?;
@@ -135,14 +151,36 @@ impl Version {
         }
     }
 
-    /// The newest version; `None` for a map without any.
+    /// The newest version that reads; `None` for a map without any. Those that a crash has torn are told and ignored.
     ///
     /// # Errors
-    /// As [`Version::read`].
+    /// A resource fault when the store does not answer.
     pub async fn latest(store: &Store) -> Result<Option<Self>, Fault> {
-        match Self::numbers(store).await?.last() {
-            Some(&version) => Self::read(store, version).await.map(Some),
-            None => Ok(None),
+        'listed: loop {
+            for number in Self::numbers(store).await?.into_iter().rev() {
+                match Self::find(store, number).await {
+                    Ok(None) => continue 'listed, // It was forgotten since, as there is a newer one.
+                    Err(fault) if fault.kind == Kind::Data => {
+                        tracing::warn!("version {number} is ignored: {fault}");
+                    }
+                    found => return found,
+                }
+            }
+            return Ok(None);
+        }
+    }
+
+    /// The number that follows a version: the next one, but for those that are torn and so nobody's.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn number_after(store: &Store, version: u64) -> Result<u64, Fault> {
+        let mut number = version + 1;
+        loop {
+            match Self::find(store, number).await {
+                Err(fault) if fault.kind == Kind::Data => number += 1,
+                found => return found.map(|_| number),
+            }
         }
     }
 
@@ -156,18 +194,12 @@ impl Version {
         self.plan == other.plan && self.sessions == other.sessions && self.layers == other.layers
     }
 
-    /// Publishes this version: all its layers change together, or, when another run was faster, not at all.
+    /// Publishes this version: all its layers change together, or, when another run was faster, not at all, which is
+    /// `false`.
     ///
     /// # Errors
-    /// A user fault when the number is taken.
-    pub async fn publish(&self, store: &Store) -> Result<(), Fault> {
-        if store.create_json(&Self::name(self.version), self).await? {
-            return Ok(());
-        }
-        Err(Fault::user(format!(
-            "another run published version {} while this one ran",
-            self.version
-        ))
-        .next("run again: what was computed is kept, so it takes seconds"))
+    /// A resource fault when the store does not take it.
+    pub async fn publish(&self, store: &Store) -> Result<bool, Fault> {
+        store.create_json(&Self::name(self.version), self).await
     }
 }

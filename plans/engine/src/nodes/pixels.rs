@@ -19,8 +19,8 @@ use futures::{StreamExt, TryStreamExt};
 
 use crate::conform::{beside, convert};
 use crate::error::{OrFault, external};
-use crate::nodes::netpbm::netpbm;
 use crate::nodes::node::{Duty, Need, Node, first};
+use crate::nodes::raw::as_file;
 
 /// Encoded image bytes that one batch may carry: bounds memory, whatever the batch size.
 const SLICE_BYTES: u64 = 8 << 20;
@@ -145,18 +145,23 @@ impl Fetcher {
         let fetched = self.fetching.reader.resolve(&images).await?;
         let mut bytes = BinaryBuilder::new();
         for (image, fetched) in images.iter().zip(fetched) {
-            match fetched {
-                Ok(fetched) => {
+            let file = match &fetched {
+                Ok(fetched) => as_file(image, fetched)
+                    .map_err(|reason| format!("image of session {}: {reason}", image.session)),
+                Err(fault) => Err(format!("image not fetched: {}", fault.message)),
+            };
+            match file {
+                Ok(file) => {
                     self.images.add(1);
-                    self.bytes.add(fetched.len());
-                    bytes.append_value(netpbm(image, &fetched));
+                    self.bytes.add(file.len());
+                    bytes.append_value(file);
                 }
-                Err(fault) => {
+                Err(reason) => {
                     self.failures.add(1);
                     let losses = self.fetching.losses.lock();
                     losses
                         .unwrap_or_else(PoisonError::into_inner)
-                        .add(format!("image not fetched: {}", fault.message), 1);
+                        .add(reason, 1);
                     bytes.append_null();
                 }
             }

@@ -12,6 +12,7 @@ use serde_json::Value;
 
 use crate::conform::{bare, misfits};
 use crate::program::locality::is_local;
+use crate::program::volatile::volatile_functions;
 use crate::program::{LIFT, Program, Read, Role, Scope, Stage, Task};
 use crate::sql;
 
@@ -240,15 +241,20 @@ impl Compiler<'_> {
     async fn planned(&self, query: &str) -> Result<DataFrame, String> {
         let frame = sql::read_only(self.context, query).await;
         let frame = frame.map_err(|fault| format!("does not plan: {}", fault.message))?;
-        match sql::repeated_columns(frame.logical_plan()).as_slice() {
-            [] => Ok(frame),
-            repeated => {
-                let repeated = repeated.join(", ");
-                Err(format!(
-                    "gives two columns the name {repeated}; name one with AS"
-                ))
-            }
+        let plan = frame.logical_plan();
+        let repeated = sql::repeated_columns(plan).join(", ");
+        if !repeated.is_empty() {
+            return Err(format!(
+                "gives two columns the name {repeated}; name one with AS"
+            ));
         }
+        let volatile = volatile_functions(plan).join(", ");
+        if !volatile.is_empty() {
+            return Err(format!(
+                "calls {volatile}, whose answer changes from run to run; order by columns, and take instants from the rows"
+            ));
+        }
+        Ok(frame)
     }
 
     /// How much of the map a unit covers at least that reads this.
@@ -298,18 +304,18 @@ impl Compiler<'_> {
         }
     }
 
-    /// What covers more than a session changes with every session that comes.
+    /// What is not kept cannot be as it was.
     fn check_once(&mut self) {
-        let wide = |step: &&Step| {
+        let lost = |step: &&Step| {
             let mut stages = self.stages.iter().filter(|stage| stage.name == step.name);
-            step.once && stages.any(|stage| stage.scope != Scope::Session || !stage.stored)
+            step.once && stages.any(|stage| !stage.stored)
         };
-        let wide: Vec<&Step> = self.plan.steps.iter().filter(wide).collect();
-        for step in wide {
+        let lost: Vec<&Step> = self.plan.steps.iter().filter(lost).collect();
+        for step in lost {
             self.fault(
                 step,
                 format!(
-                    "step `{}`: `once` is for steps of one session that are written or read by steps of a site",
+                    "step `{}`: `once` is for steps that are stored: those that are written, or read by steps of more sessions",
                     step.name
                 ),
             );

@@ -6,6 +6,7 @@
 
 pub mod compile;
 mod locality;
+mod volatile;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -94,7 +95,7 @@ pub struct Stage {
     pub scope: Scope,
     /// Whether its rows are kept as artifacts.
     pub stored: bool,
-    /// Whether a session keeps what was made when it came, whatever the version before is by now.
+    /// Whether what was made stays until something else that it reads than the version before has changed.
     #[serde(default, skip_serializing_if = "is_false")]
     pub once: bool,
 }

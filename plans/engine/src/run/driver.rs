@@ -6,21 +6,27 @@ use evermap_schemas::Fault;
 use futures::StreamExt;
 use futures::stream::SelectAll;
 
+use crate::map::damage::Damage;
 use crate::map::receipt::Receipt;
-use crate::map::version::{Previous, StoredLayer, Version};
+use crate::map::sound::Sound;
+use crate::map::store::each;
+use crate::map::version::{Previous, StoredLayer};
 use crate::program::Stage;
 use crate::run::pending::{Pending, Place};
 use crate::run::previous::Held;
 use crate::run::runner::Runner;
-use crate::run::{Event, Run, RunResult};
+use crate::run::{Event, Run};
 use crate::unit::Unit;
 
 /// A run under way, unit by unit.
-struct Driver<'r, 'a> {
+pub struct Driver<'r, 'a> {
     run: &'r Run<'a>,
-    previous: Previous,
+    /// What `previous` means in it.
+    pub previous: Previous,
     /// What was done once, in the version before.
     held: Held,
+    /// Which artifacts are what was written.
+    pub sound: Sound<'r>,
     units: Vec<Pending>,
     /// How many units each still waits for.
     waiting: Vec<usize>,
@@ -30,67 +36,12 @@ struct Driver<'r, 'a> {
     receipts: BTreeMap<Place, (Receipt, bool)>,
 }
 
-impl Run<'_> {
-    /// Runs everything, then publishes.
-    ///
-    /// # Errors
-    /// The first unit's fault, after the units that were under way have ended; what was done stays done.
-    pub async fn execute(
-        &self,
-        runner: &dyn Runner,
-        observe: &mut (dyn FnMut(Event<'_>) + Send),
-    ) -> Result<RunResult, Fault> {
-        if self.sessions.is_empty() {
-            return Err(Fault::user("no sessions to map").next("give some with --sessions FILES"));
-        }
-        let once = |name: &str| self.program.stage(name).is_ok_and(|stage| stage.once);
-        let mut driver = Driver::new(self, self.receipts_before(once).await?)?;
-        observe(Event::Planned {
-            units: driver.units.len(),
-        });
-        driver.drive(runner, observe).await?;
-        self.publish(&driver).await
-    }
-
-    /// What `previous` means in this run.
-    ///
-    /// # Errors
-    /// As [`Previous::of`].
-    pub fn previous(&self) -> Result<Previous, Fault> {
-        Previous::of(self.program, &self.sessions, self.base.as_ref())
-    }
-
-    async fn publish(&self, driver: &Driver<'_, '_>) -> Result<RunResult, Fault> {
-        let parent = self.base.as_ref().map_or(0, |base| base.version);
-        let version = Version {
-            version: parent + 1,
-            parent,
-            program: self.program.digest()?,
-            previous: driver.previous.clone(),
-            plan: self.program.plan.clone(),
-            evermap: env!("CARGO_PKG_VERSION").to_owned(),
-            published: chrono::Utc::now().to_rfc3339(),
-            sessions: self.sessions.clone(),
-            layers: driver.layers()?,
-            losses: driver.losses(),
-        };
-        let (version, published) = match &self.base {
-            Some(base) if base.same_content(&version) => (base.clone(), false),
-            _ => {
-                version.publish(self.store).await?;
-                (version, true)
-            }
-        };
-        Ok(RunResult {
-            version,
-            published,
-            units: driver.done(),
-        })
-    }
-}
-
 impl<'r, 'a> Driver<'r, 'a> {
-    fn new(run: &'r Run<'a>, held: Held) -> Result<Self, Fault> {
+    /// A run of which nothing has been looked at yet.
+    ///
+    /// # Errors
+    /// As [`Run::units`] and [`Run::previous`].
+    pub fn new(run: &'r Run<'a>, held: Held, sound: Sound<'r>) -> Result<Self, Fault> {
         let units = run.units()?;
         let mut dependents: BTreeMap<Place, Vec<usize>> = BTreeMap::new();
         for (index, unit) in units.iter().enumerate() {
@@ -102,6 +53,7 @@ impl<'r, 'a> Driver<'r, 'a> {
             run,
             previous: run.previous()?,
             held,
+            sound,
             waiting: units.iter().map(|unit| unit.before.len()).collect(),
             dependents,
             receipts: BTreeMap::new(),
@@ -109,7 +61,16 @@ impl<'r, 'a> Driver<'r, 'a> {
         })
     }
 
-    async fn drive(
+    /// How many units there are.
+    pub fn units(&self) -> usize {
+        self.units.len()
+    }
+
+    /// Runs all units that were not done before.
+    ///
+    /// # Errors
+    /// The first unit's fault, after the units that were under way have ended.
+    pub async fn drive(
         &mut self,
         runner: &dyn Runner,
         observe: &mut (dyn FnMut(Event<'_>) + Send),
@@ -121,14 +82,17 @@ impl<'r, 'a> Driver<'r, 'a> {
         let mut first_fault: Option<Fault> = None;
         loop {
             let mut fresh = Vec::new();
-            while let Some(index) = ready.pop() {
-                let unit = self.unit(index)?;
-                match Receipt::find(self.run.store, &unit.recipe.digest()?).await? {
-                    Some(receipt) => ready.extend(self.finish(index, receipt, true, observe)),
-                    None => fresh.push((index, unit)),
+            while !ready.is_empty() {
+                let units = std::mem::take(&mut ready);
+                for (index, unit, receipt) in self.done_before(&units).await? {
+                    match receipt {
+                        Some(receipt) => ready.extend(self.finish(index, receipt, true, observe)),
+                        None => fresh.push((index, unit)),
+                    }
                 }
             }
             fresh.sort_by_key(|(index, _)| *index);
+            self.check_previous(&fresh).await?;
             if !fresh.is_empty() && first_fault.is_none() {
                 for (index, _) in &fresh {
                     let label = &self.label(*index);
@@ -147,6 +111,41 @@ impl<'r, 'a> Driver<'r, 'a> {
             }
         }
         first_fault.map_or(Ok(()), Err)
+    }
+
+    /// These units, each with its receipt where it was done before and its rows are what was written then.
+    async fn done_before(
+        &self,
+        units: &[usize],
+    ) -> Result<Vec<(usize, Unit, Option<Receipt>)>, Fault> {
+        each(units.iter().map(|index| self.found_before(*index))).await
+    }
+
+    async fn found_before(&self, index: usize) -> Result<(usize, Unit, Option<Receipt>), Fault> {
+        let unit = self.unit(index)?;
+        let digest = unit.recipe.digest()?;
+        let receipt = match self.sound.receipt(&digest).await? {
+            Some((_, Some(damage))) => {
+                tracing::warn!("{damage}; {} is made anew", self.label(index));
+                // Nobody else is to take it for done.
+                self.run.store.remove(&Receipt::name(&digest)).await?;
+                None
+            }
+            found => found.map(|(receipt, _)| receipt),
+        };
+        Ok((index, unit, receipt))
+    }
+
+    /// That what these units read of the version before is what was written then.
+    async fn check_previous(&self, units: &[(usize, Unit)]) -> Result<(), Fault> {
+        let layers = units
+            .iter()
+            .flat_map(|(_, unit)| unit.recipe.previous.values());
+        let artifacts = layers.flat_map(|layer| &layer.artifacts);
+        match self.sound.damages(artifacts).await?.into_iter().next() {
+            Some(damage) => Err(damage.into()),
+            None => Ok(()),
+        }
     }
 
     /// Notes a unit's receipt; the units that waited only for it are ready now.
@@ -191,7 +190,26 @@ impl<'r, 'a> Driver<'r, 'a> {
         Ok(receipt)
     }
 
-    fn done(&self) -> Vec<(String, Receipt, bool)> {
+    /// What of the units that are done is no longer there, as far as sizes tell. Receipts that have vanished are written
+    /// again.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn gone(&self) -> Result<Vec<Damage>, Fault> {
+        let store = self.run.store;
+        let receipts = self.receipts.values();
+        let gone = receipts.map(async |(receipt, _)| {
+            let name = Receipt::name(&receipt.digest);
+            if store.meta(&name).await?.is_none() {
+                store.write_json(&name, receipt).await?;
+            }
+            receipt.artifact.size_damage(store).await
+        });
+        Ok(each(gone).await?.into_iter().flatten().collect())
+    }
+
+    /// Every unit that is done: its stage, its receipt, whether it had been done before.
+    pub fn done(&self) -> Vec<(String, Receipt, bool)> {
         let done = |unit: &Pending| {
             let (receipt, cached) = self.receipts.get(&unit.place)?.clone();
             Some((unit.place.stage.clone(), receipt, cached))
@@ -199,7 +217,11 @@ impl<'r, 'a> Driver<'r, 'a> {
         self.units.iter().filter_map(done).collect()
     }
 
-    fn layers(&self) -> Result<BTreeMap<String, StoredLayer>, Fault> {
+    /// The layers of the version that comes of it.
+    ///
+    /// # Errors
+    /// A bug fault for a unit that was not run.
+    pub fn layers(&self) -> Result<BTreeMap<String, StoredLayer>, Fault> {
         let mut layers: BTreeMap<String, StoredLayer> = BTreeMap::new();
         for unit in &self.units {
             let (stage, receipt) = (&unit.place.stage, self.receipt(&unit.place)?);
@@ -215,7 +237,7 @@ impl<'r, 'a> Driver<'r, 'a> {
     }
 
     /// What was skipped or lost: operators' counts summed, a log's counted once however many units read it.
-    fn losses(&self) -> BTreeMap<String, u64> {
+    pub fn losses(&self) -> BTreeMap<String, u64> {
         let mut losses: BTreeMap<String, u64> = BTreeMap::new();
         for (receipt, _) in self.receipts.values() {
             for (reason, count) in &receipt.skipped {

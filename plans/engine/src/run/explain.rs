@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use evermap_schemas::{Fault, record};
 
-use crate::map::receipt::{Artifact, Extent, LogContent, Receipt, Recipe};
+use crate::map::receipt::{Artifact, Extent, LogContent, Recipe};
+use crate::map::sound::Sound;
 use crate::map::version::Previous;
 use crate::program::{Stage, Task};
 use crate::run::Run;
@@ -37,6 +38,7 @@ impl Run<'_> {
         let mut known = Known {
             run: self,
             previous: self.previous()?,
+            sound: Sound::load(self.store).await?,
             artifacts: BTreeMap::new(),
         };
         let mut forecasts = Vec::new();
@@ -57,6 +59,7 @@ impl Run<'_> {
 struct Known<'r, 'a> {
     run: &'r Run<'a>,
     previous: Previous,
+    sound: Sound<'r>,
     artifacts: BTreeMap<Place, Artifact>,
 }
 
@@ -84,10 +87,14 @@ impl Known<'_, '_> {
         });
         let recipe = recipe?.recipe;
         let digest = recipe.digest()?;
-        if let Some(receipt) = Receipt::find(self.run.store, &digest).await? {
-            self.artifacts.insert(unit.place.clone(), receipt.artifact);
-            let same = before.is_some_and(|before| before.digest == digest);
-            return Ok(Ok(if same { "unchanged" } else { "done before" }.to_owned()));
+        match self.sound.receipt(&digest).await? {
+            Some((_, Some(damage))) => return Ok(Err(damage.to_string())),
+            Some((receipt, None)) => {
+                self.artifacts.insert(unit.place.clone(), receipt.artifact);
+                let same = before.is_some_and(|before| before.digest == digest);
+                return Ok(Ok(if same { "unchanged" } else { "done before" }.to_owned()));
+            }
+            None => {}
         }
         Ok(Err(match before {
             None => new_reason(&unit.place.extent, held),

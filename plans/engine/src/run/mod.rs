@@ -5,6 +5,7 @@
 //! was killed. An unchanged result has an unchanged digest and stops everything downstream.
 
 mod driver;
+mod execute;
 pub mod explain;
 mod pending;
 mod previous;
@@ -57,6 +58,19 @@ pub struct Run<'a> {
     pub base: Option<Version>,
     /// What one unit may use.
     pub limits: Limits,
+}
+
+/// How a run ended.
+#[derive(Debug, Clone)]
+pub enum RunEnd {
+    /// It did everything.
+    Done(Box<RunResult>),
+    /// Another run published this version while it was at work: it is to be prepared anew on that one. What was
+    /// computed is kept.
+    Overtaken {
+        /// The version.
+        by: u64,
+    },
 }
 
 /// What a run did.

@@ -125,8 +125,10 @@ impl Pending {
             let artifacts = places.iter().map(&artifact).collect::<Result<_, _>>()?;
             if let Input::New(name) = table {
                 let op = run.program.stage(name)?.op().map(str::to_owned);
+                let artifacts = Artifact::with_rows(artifacts);
                 recipe.new.insert(name.clone(), LayerRows { op, artifacts });
             } else {
+                let artifacts = Artifact::with_rows_or_columns(artifacts, &recipe.extent);
                 recipe.tables.insert(table.written(), artifacts);
             }
         }
@@ -140,7 +142,7 @@ impl Pending {
         if self.stages.last().is_some_and(|stage| stage.once)
             && let Some(before) = before
         {
-            recipe = recipe.as_of(&before.recipe);
+            recipe = recipe.as_of(&before.recipe, !previous.replaced.is_empty());
         }
         Ok(Unit {
             store: run.store.url().to_string(),

@@ -59,7 +59,7 @@ impl Previous {
             let made = program.stage(name).ok();
             LayerRows {
                 op: made.and_then(Stage::op).map(str::to_owned),
-                artifacts: held.iter().filter(concerns).cloned().collect(),
+                artifacts: Artifact::with_rows(held.iter().filter(concerns).cloned().collect()),
             }
         };
         let names = names(stages).into_iter();

@@ -26,6 +26,16 @@ impl Equirectangular {
         Self { focal, centre }
     }
 
+    /// `[fx, fy]` in pixels per radian.
+    pub fn focal(&self) -> [f64; 2] {
+        self.focal
+    }
+
+    /// `[cx, cy]` in pixels.
+    pub fn centre(&self) -> [f64; 2] {
+        self.centre
+    }
+
     pub(super) fn project(&self, point: &Vector3<f64>) -> Option<[f64; 2]> {
         let latitude = point.y.atan2(point.x.hypot(point.z));
         let longitude = point.x.atan2(point.z);

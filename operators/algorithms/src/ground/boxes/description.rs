@@ -30,13 +30,14 @@ pub(super) fn reach_m(of: &GroundBox) -> [f64; 2] {
     [of.length_m + margin_m, of.width_m + margin_m]
 }
 
-/// The two bins that a gradient belongs to, with its share of each; its direction is in half turns from the box's length.
+/// The two bins that a gradient belongs to, with its share of each; its direction is in half turns from the box's length,
+/// -1 to 1.
 pub(super) fn votes(strength: f32, direction: f32) -> [(usize, f32); 2] {
-    let place = direction * BINS as f32;
-    let bin = place as usize % BINS;
-    let share = place - place.floor();
+    let place = (direction + 1.0) * BINS as f32;
+    let bin = place as usize;
+    let share = place - bin as f32;
     [
-        (bin, strength * (1.0 - share)),
+        (bin % BINS, strength * (1.0 - share)),
         ((bin + 1) % BINS, strength * share),
     ]
 }
@@ -45,19 +46,20 @@ pub(super) fn votes(strength: f32, direction: f32) -> [(usize, f32); 2] {
 pub fn describe(gradients: &Gradients, of: &GroundBox) -> Option<Vec<f32>> {
     let [long_m, wide_m] = reach_m(of);
     let (columns, rows) = (ALONG * SAMPLES, ACROSS * SAMPLES);
-    let half_turns = (of.yaw / std::f64::consts::PI) as f32;
+    let half_turns = (of.yaw / std::f64::consts::PI).rem_euclid(1.0) as f32;
     let mut cells = vec![0.0_f32; LENGTH];
     let mut seen = 0;
+    let to_map = of.to_map();
     for column in 0..columns {
         let along = ((column as f64 + 0.5) / columns as f64 - 0.5) * long_m;
         for row in 0..rows {
             let left = ((row as f64 + 0.5) / rows as f64 - 0.5) * wide_m;
-            let Some([strength, direction]) = gradients.near(of.point([along, left])) else {
+            let Some([strength, direction]) = gradients.near(to_map([along, left])) else {
                 continue;
             };
             seen += 1;
             let cell = (column / SAMPLES * ACROSS + row / SAMPLES) * BINS;
-            for (bin, share) in votes(strength, (direction - half_turns).rem_euclid(1.0)) {
+            for (bin, share) in votes(strength, direction - half_turns) {
                 cells[cell + bin] += share / (SAMPLES * SAMPLES) as f32;
             }
         }

@@ -74,7 +74,8 @@ fn described(mosaic: &Mosaic, examples: &[Example], params: &TeachingParams) -> 
             Some((at, described_example(&gradients, example, &index)?))
         });
         seen.extend(found.collect::<Vec<_>>());
-        let floor = random_boxes(&gradients, &index, &ones, random).into_iter();
+        let is_here = |place: &GroundBox| mosaic.part(place.centre) == part;
+        let floor = random_boxes(&gradients, &index, &ones, random, is_here).into_iter();
         let floor = floor.map(|sample| Seen {
             example: None,
             ways: vec![sample],
@@ -265,12 +266,14 @@ fn beside_of(place: &GroundBox) -> Vec<GroundBox> {
     moved.chain(turned).collect()
 }
 
-/// Descriptions of boxes anywhere in the image, clear of those of the kind; the same for the same image.
+/// Descriptions of boxes anywhere in the part of the image that is asked for, clear of those of the kind; the same for the
+/// same image. Images of parts overlap: a box that counted in each would make the answers look more exact than they are.
 fn random_boxes(
     gradients: &Gradients,
     index: &BoxIndex,
     ones: &[GroundBox],
     count: usize,
+    is_here: impl Fn(&GroundBox) -> bool,
 ) -> Vec<Vec<f32>> {
     if ones.is_empty() {
         return Vec::new();
@@ -285,7 +288,8 @@ fn random_boxes(
     while found.len() < count
         && let Some(place) = tried.next()
     {
-        if index.overlap(&place) < CLEAR
+        if is_here(&place)
+            && index.overlap(&place) < CLEAR
             && let Some(described) = describe(gradients, &place)
         {
             found.push(described);

@@ -11,6 +11,7 @@
 //! | [`template`] | where exactly a box lies |
 //! | [`teaching`] | examples in, hypotheses with their probability and questions out |
 //! | [`rows`] | parking spaces in rows, with numbers and lanes |
+//! | [`occupancy`] | which spaces were taken during a drive |
 //! | [`calibration`] | what the score of a box is worth, from answers |
 //!
 //! Source: *Integrating metric and semantic maps for vision-only automated parking*, section V-A2: linear
@@ -21,6 +22,7 @@ pub mod calibration;
 pub mod description;
 mod lesson;
 pub mod mosaic;
+pub mod occupancy;
 pub mod overhead;
 pub mod rows;
 pub mod scan;
@@ -52,13 +54,16 @@ impl GroundBox {
         }
     }
 
-    /// A point of the box's frame (x along its length, y to its left; m), in the map.
-    pub fn point(&self, [along, left]: [f64; 2]) -> [f64; 2] {
+    /// From points of the box's frame (x along its length, y to its left; m) to points of the map.
+    pub fn to_map(&self) -> impl Fn([f64; 2]) -> [f64; 2] + use<> {
         let (sin, cos) = self.yaw.sin_cos();
-        [
-            self.centre[0] + cos * along - sin * left,
-            self.centre[1] + sin * along + cos * left,
-        ]
+        let [x, y] = self.centre;
+        move |[along, left]| [x + cos * along - sin * left, y + sin * along + cos * left]
+    }
+
+    /// A point of the box's frame, in the map.
+    pub fn point(&self, point: [f64; 2]) -> [f64; 2] {
+        self.to_map()(point)
     }
 
     /// A point of the map in the box's frame.
@@ -71,8 +76,9 @@ impl GroundBox {
     /// Corners, anticlockwise, from the right rear one.
     pub fn corners(&self) -> [[f64; 2]; 4] {
         let (half_length, half_width) = (0.5 * self.length_m, 0.5 * self.width_m);
+        let to_map = self.to_map();
         [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
-            .map(|[x, y]| self.point([x * half_length, y * half_width]))
+            .map(|[x, y]| to_map([x * half_length, y * half_width]))
     }
 
     /// Area (m²).

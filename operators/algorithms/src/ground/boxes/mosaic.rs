@@ -17,6 +17,8 @@ pub type Pixel = [u8; 2];
 pub struct Mosaic {
     /// Side of a cell (m).
     cell_m: f64,
+    /// The westernmost column and the southernmost row of tiles: parts are counted from there, so that a small image is one.
+    first: [i64; 2],
     /// By column (east) and row (north), as in [`crate::ground::tiles::TileKey`]: pixels, the northernmost row first.
     tiles: BTreeMap<[i64; 2], Vec<Pixel>>,
 }
@@ -30,6 +32,7 @@ impl Mosaic {
     pub fn new(cell_m: f64) -> Self {
         Self {
             cell_m,
+            first: [i64::MAX; 2],
             tiles: BTreeMap::new(),
         }
     }
@@ -43,6 +46,7 @@ impl Mosaic {
     pub fn add(&mut self, tile: [i64; 2], pixels: Vec<Pixel>) -> bool {
         let is_whole = pixels.len() == TILE_CELLS * TILE_CELLS;
         if is_whole {
+            self.first = [0, 1].map(|axis| self.first[axis].min(tile[axis]));
             self.tiles.insert(tile, pixels);
         }
         is_whole
@@ -50,14 +54,17 @@ impl Mosaic {
 
     /// The parts that have tiles, in order.
     pub fn parts(&self) -> BTreeSet<Part> {
-        let part = |tile: &[i64; 2]| Part(tile.map(|at| at.div_euclid(PART_TILES)));
-        self.tiles.keys().map(part).collect()
+        self.tiles.keys().map(|tile| self.part_of(*tile)).collect()
+    }
+
+    fn part_of(&self, tile: [i64; 2]) -> Part {
+        let count = |axis: usize| tile[axis].saturating_sub(self.first[axis]);
+        Part([0, 1].map(|axis| count(axis).div_euclid(PART_TILES)))
     }
 
     /// The part that a point of the map is in.
     pub fn part(&self, point: [f64; 2]) -> Part {
-        let side_m = PART_TILES as f64 * self.tile_m();
-        Part(point.map(|at| (at / side_m).floor() as i64))
+        self.part_of(point.map(|at| (at / self.tile_m()).floor() as i64))
     }
 
     /// What was seen (m²).
@@ -69,8 +76,9 @@ impl Mosaic {
     /// Gradients of a part, and beyond its borders as far as boxes that reach this far (m) from a point in it need them.
     pub fn gradients(&self, part: Part, reach_m: f64) -> Gradients {
         let beyond = ((reach_m + LEVEL_M) / self.tile_m()).ceil() as i64;
-        let first = part.0.map(|at| at * PART_TILES - beyond);
-        let last = part.0.map(|at| (at + 1) * PART_TILES + beyond);
+        let at = |axis: usize| self.first[axis] + part.0[axis] * PART_TILES;
+        let first = [0, 1].map(|axis| at(axis) - beyond);
+        let last = [0, 1].map(|axis| at(axis) + PART_TILES + beyond);
         let columns = self.tiles.range([first[0], i64::MIN]..[last[0], i64::MIN]);
         let near = columns.filter(|([_, row], _)| (first[1]..last[1]).contains(row));
         Gradients::new(&self.image(&near.collect::<Vec<_>>()))

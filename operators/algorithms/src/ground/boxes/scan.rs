@@ -191,16 +191,17 @@ impl Turned {
         let half_turns = (yaw / std::f64::consts::PI) as f32;
         let mut histograms = vec![[0.0; BINS]; columns * rows];
         let mut seen = vec![[0.0]; columns * rows];
+        let centre = turned.centre();
         for place in 0..columns * rows {
-            let at = turned.place(place % columns, place / columns).centre;
+            let at = centre(place % columns, place / columns);
             if let Some([strength, direction]) = gradients.near(at) {
                 seen[place] = [1.0];
-                for (bin, share) in votes(strength, (direction - half_turns).rem_euclid(1.0)) {
+                for (bin, share) in votes(strength, direction - half_turns) {
                     histograms[place][bin] += share;
                 }
             }
         }
-        let reach = reach_m(&turned.place(0, 0));
+        let reach = reach_m(&turned.middle());
         let cell = [reach[0] / ALONG as f64, reach[1] / ACROSS as f64];
         turned.cells = turned.means(histograms, cell);
         turned.seen = turned
@@ -211,21 +212,29 @@ impl Turned {
         turned
     }
 
-    /// The box about a place.
-    fn place(&self, column: usize, row: usize) -> GroundBox {
-        let from_middle = |at: usize, count: usize| (at as f64 - 0.5 * count as f64) * self.step_m;
-        let frame = GroundBox {
+    /// The box about the image's middle.
+    fn middle(&self) -> GroundBox {
+        GroundBox {
             centre: self.middle,
             yaw: self.yaw,
             length_m: self.size_m[0],
             width_m: self.size_m[1],
-        };
+        }
+    }
+
+    /// Places by column and row, in the map.
+    fn centre(&self) -> impl Fn(usize, usize) -> [f64; 2] + use<> {
+        let to_map = self.middle().to_map();
+        let (columns, rows, step_m) = (self.columns, self.rows, self.step_m);
+        let from_middle = move |at: usize, count: usize| (at as f64 - 0.5 * count as f64) * step_m;
+        move |column, row| to_map([from_middle(column, columns), from_middle(row, rows)])
+    }
+
+    /// The box about a place.
+    fn place(&self, column: usize, row: usize) -> GroundBox {
         GroundBox {
-            centre: frame.point([
-                from_middle(column, self.columns),
-                from_middle(row, self.rows),
-            ]),
-            ..frame
+            centre: self.centre()(column, row),
+            ..self.middle()
         }
     }
 
@@ -243,7 +252,7 @@ impl Turned {
             .chunks_exact(BINS)
             .map(|cell| std::array::from_fn(|bin| cell[bin] as f32))
             .collect();
-        let [long, wide] = reach_m(&self.place(0, 0));
+        let [long, wide] = reach_m(&self.middle());
         let half = [long, wide].map(|reach| (0.5 * reach / self.step_m).ceil() as usize);
         let range = |half: usize, count: usize| {
             (half..count.saturating_sub(half))
@@ -270,7 +279,7 @@ impl Turned {
         columns: &[usize],
         rows: &[usize],
     ) -> [Vec<f64>; 2] {
-        let reach = reach_m(&self.place(0, 0));
+        let reach = reach_m(&self.middle());
         let offset = |at: usize, count: usize, reach: f64| {
             (((at as f64 + 0.5) / count as f64 - 0.5) * reach / self.step_m).round() as isize
         };

@@ -25,9 +25,10 @@ pub(super) fn laid_out(gradients: &Gradients, of: &GroundBox) -> Option<Vec<[f32
     let (sin, cos) = (2.0 * of.yaw).sin_cos();
     let (sin, cos) = (sin as f32, cos as f32);
     let at = |at: usize, axis: usize| ((at as f64 + 0.5) / SIDES[axis] as f64 - 0.5) * reach[axis];
+    let to_map = of.to_map();
     let sample = |place: usize| {
         let point = [at(place / SIDES[1], 0), at(place % SIDES[1], 1)];
-        let [x, y] = gradients.at(of.point(point)).unwrap_or_default();
+        let [x, y] = gradients.at(to_map(point)).unwrap_or_default();
         [cos * x + sin * y, cos * y - sin * x]
     };
     let mut values: Vec<[f32; 2]> = (0..SIDES[0] * SIDES[1]).map(sample).collect();

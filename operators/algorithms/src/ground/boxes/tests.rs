@@ -6,9 +6,11 @@
     clippy::print_stderr
 )]
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use super::GroundBox;
+use super::lesson::Lesson;
 use super::mosaic::{Mosaic, Pixel};
 use super::teaching::{Example, Hypothesis, Said, Taught, TeachingParams};
 use crate::ground::tiles::TILE_CELLS;
@@ -399,6 +401,25 @@ fn questions_teach_more_than_answers_at_random() {
     };
     let (asked, random) = (wrong(Picks::Questions), wrong(Picks::Anything));
     assert!(asked < random, "{asked} {random}");
+}
+
+#[test]
+fn parts_of_a_floor_teach_no_random_box_twice() {
+    let spaces = row([8.0, 6.0], 0.0, 90.0, 60, SPACE_M);
+    let mosaic = painted(&spaces, [3200, 300], 3).mosaic();
+    assert_eq!(mosaic.parts().len(), 2);
+    let examples = [0, 58].map(|at| Example {
+        place: spaces[at],
+        said: Said::Drawn,
+    });
+    let lesson = Lesson::new(&mosaic, &examples, &TeachingParams::default());
+    let samples: Vec<Vec<u32>> = lesson
+        .samples
+        .iter()
+        .map(|sample| sample.iter().map(|value| value.to_bits()).collect())
+        .collect();
+    let distinct: BTreeSet<&Vec<u32>> = samples.iter().collect();
+    assert_eq!(distinct.len(), samples.len());
 }
 
 #[test]

@@ -58,16 +58,16 @@ pub fn look_ns(look_s: f64) -> i64 {
 /// Height of a person, m.
 const PERSON_M: f64 = 1.7;
 
-/// Landmarks at these heights above the ground hide a person's legs and body; lower ones do not, higher ones are the ceiling.
+/// Points at these heights above the ground hide a person's legs and body; lower ones do not, higher ones are the ceiling.
 const HIDING_M: (f64, f64) = (0.4, 1.7);
 
-/// As many landmarks in one direction as it takes to hide what is behind them: one alone may be wrong.
+/// As many points in one direction as it takes to hide what is behind them: one alone may be wrong.
 const HIDE: usize = 2;
 
 /// Directions of a horizon: half a person's width at 8 m.
 const DIRECTIONS: usize = 200;
 
-/// What stands behind the surface that landmarks are on, m: a person there may still be before it.
+/// What stands behind the surface that points are on, m: a person there may still be before it.
 const BEHIND_M: f64 = 0.5;
 
 /// Points that may stand before people, from above, each with its height.

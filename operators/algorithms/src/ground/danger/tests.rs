@@ -177,7 +177,7 @@ fn what_an_image_would_show_counts_once_a_look() {
         let [x, y] = middle(*cell, params.cell_m);
         x > 0.0 && x.hypot(y) <= params.range_m
     }));
-    // A post of two landmarks hides what is behind it, and a lamp nothing.
+    // A post of two points hides what is behind it, and a lamp nothing.
     let post = vec![
         [4.0, 0.16, 1.0],
         [4.0, 0.165, 0.6],

@@ -36,10 +36,10 @@ pub(super) struct PointLimits {
 }
 
 /// A sighting, in the odometry frame.
-struct Ray {
-    keyframe: usize,
+pub(super) struct Ray {
+    pub(super) keyframe: usize,
     feature: u32,
-    origin: Vector3<f64>,
+    pub(super) origin: Vector3<f64>,
     direction: Vector3<f64>,
     variance: f64,
 }
@@ -100,7 +100,7 @@ fn of_track(
 }
 
 /// The track's sightings that have a ray, by keyframe.
-fn rays(drive: &Surveyed<'_>, track: &DriveTrack) -> Vec<Ray> {
+pub(super) fn rays(drive: &Surveyed<'_>, track: &DriveTrack) -> Vec<Ray> {
     let Some(mount) = drive.mounts.get(track.camera) else {
         return Vec::new();
     };
@@ -124,14 +124,14 @@ fn rays(drive: &Surveyed<'_>, track: &DriveTrack) -> Vec<Ray> {
     rays
 }
 
-struct Triangulated {
-    position: Vector3<f64>,
-    covariance: Matrix3<f64>,
+pub(super) struct Triangulated {
+    pub(super) position: Vector3<f64>,
+    pub(super) covariance: Matrix3<f64>,
 }
 
 /// The point nearest to all rays, in angles: linear least squares of the distances across the rays, each divided by
 /// its range.
-fn triangulated(rays: &[Ray], limits: &PointLimits) -> Option<Triangulated> {
+pub(super) fn triangulated(rays: &[Ray], limits: &PointLimits) -> Option<Triangulated> {
     if rays.len() < 2 {
         return None;
     }

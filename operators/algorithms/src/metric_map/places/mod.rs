@@ -9,6 +9,7 @@ mod drive;
 mod index;
 mod local_points;
 mod loops;
+mod surface;
 #[cfg(test)]
 mod tests;
 mod verification;
@@ -17,4 +18,5 @@ mod vocabulary;
 pub use drive::{Drive, DriveKeyframe, DriveTrack};
 pub use index::{Hit, PlaceIndex};
 pub use loops::{Loop, LoopOptions, loops};
+pub use surface::{SurfaceOptions, SurfacePoint, surface_points};
 pub use vocabulary::{Bag, Vocabulary, VocabularyOptions};

@@ -153,6 +153,30 @@ impl Graph {
     /// # Errors
     /// [`GraphError`]. An image without pixels has a graph without areas.
     pub fn from_labels(labels: &Labels<'_>, options: &GraphOptions) -> Result<Self, GraphError> {
+        Ok(Self::build(labels, options)?.0)
+    }
+
+    /// As [`Graph::from_labels`], with the area that each pixel is in, row by row; `None` for pixels of no area.
+    ///
+    /// # Errors
+    /// [`GraphError`].
+    pub fn with_pixels(
+        labels: &Labels<'_>,
+        options: &GraphOptions,
+    ) -> Result<(Self, Vec<Option<u16>>), GraphError> {
+        let (graph, runs, area_of_run) = Self::build(labels, options)?;
+        let mut pixels = Vec::with_capacity(labels.values.len());
+        for (run, area) in runs.runs().iter().zip(area_of_run) {
+            pixels.resize(pixels.len() + run.len() as usize, area);
+        }
+        Ok((graph, pixels))
+    }
+
+    /// The graph, and the area of each run.
+    fn build(
+        labels: &Labels<'_>,
+        options: &GraphOptions,
+    ) -> Result<(Self, Runs, Vec<Option<u16>>), GraphError> {
         let Labels {
             width,
             height,
@@ -171,7 +195,8 @@ impl Graph {
         let joints = runs.connect(wraps);
         let mut boundaries = Boundaries::new(&runs, &joints);
         boundaries.absorb(options.min_px);
-        Self::from_runs(&runs, &boundaries, [width, height], wraps)
+        let (graph, area_of_run) = Self::from_runs(&runs, &boundaries, [width, height], wraps)?;
+        Ok((graph, runs, area_of_run))
     }
 
     fn from_runs(
@@ -179,7 +204,7 @@ impl Graph {
         boundaries: &Boundaries,
         [width, height]: [u32; 2],
         wraps: bool,
-    ) -> Result<Self, GraphError> {
+    ) -> Result<(Self, Vec<Option<u16>>), GraphError> {
         let mut kept = boundaries.kept();
         kept.sort_by_key(|region| (region.class, Reverse(region.pixels), region.id));
         if kept.len() > usize::from(u16::MAX) {
@@ -198,13 +223,14 @@ impl Graph {
         for (area, region) in areas.iter_mut().zip(&kept) {
             area.class = region.class;
         }
-        Ok(Self {
+        let graph = Self {
             width,
             height,
             wraps,
             areas,
             edges: boundaries.edges(&area_of),
-        })
+        };
+        Ok((graph, area_of_run))
     }
 
     /// Number of areas of a class.

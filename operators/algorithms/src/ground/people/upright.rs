@@ -1,0 +1,227 @@
+//! Images as they would be if every person in them stood upright and had one size.
+
+use std::f64::consts::{PI, TAU};
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use super::PeopleParams;
+use crate::geometry::camera::Camera;
+use crate::geometry::pose::Pose;
+use crate::ground::projection::GrayView;
+
+/// Width and height of a window, pixels.
+pub const WINDOW: [usize; 2] = [64, 128];
+/// Height of a person in it, in the middle.
+pub const PERSON_PX: f64 = 96.0;
+/// Rows below the feet, and above the head.
+const MARGIN: f64 = 16.0;
+/// Rows by which a window may be moved up and down in a strip: feet a hand's breadth off the plane.
+const PLAY: usize = 8;
+/// Range of a strip over that of the one before: a window of a person in between is off by 6 % in size at most, half of what
+/// people differ by.
+const STEP: f64 = 1.12;
+/// A camera lower than this above the ground sees no range, m.
+const LOWEST_M: f64 = 0.2;
+
+/// A grey image: rows from the top, 0 where nothing was seen.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Picture {
+    /// Pixels per row.
+    pub width: usize,
+    /// Values, row by row.
+    pub values: Vec<u8>,
+}
+
+/// Where a person is that may be in an image: upright, `range_m` from the camera.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stance {
+    /// Direction from the camera, anticlockwise from the vehicle's x axis (rad).
+    pub azimuth: f64,
+    /// Distance from the camera along the ground (m).
+    pub range_m: f64,
+    /// Height of the feet above the vehicle's plane (m).
+    pub foot_m: f64,
+    /// Height of the person (m).
+    pub height_m: f64,
+}
+
+/// One camera on its vehicle, and where in its image upright people of one size are.
+#[derive(Debug, Clone)]
+pub struct Upright {
+    camera: Camera,
+    camera_from_plane: Pose,
+    eye: Vector3<f64>,
+    strips: Vec<Strip>,
+}
+
+/// The part of a cylinder about the camera that it sees.
+#[derive(Debug, Clone)]
+struct Strip {
+    range_m: f64,
+    px_per_m: f64,
+    /// Of the first column's left edge; columns turn clockwise.
+    azimuth: f64,
+    columns: usize,
+    /// Pixel of the image, row by row; not a number where nothing is seen.
+    pixels: Vec<[f32; 2]>,
+}
+
+impl Upright {
+    /// `vehicle_from_camera` is the optical frame's pose on the vehicle. `None` where the camera is not above the ground.
+    pub fn new(camera: Camera, vehicle_from_camera: &Pose, params: &PeopleParams) -> Option<Self> {
+        let mut plane_from_camera = *vehicle_from_camera;
+        plane_from_camera.translation.z -= params.plane_m;
+        let mut upright = Self {
+            eye: plane_from_camera.translation,
+            camera_from_plane: plane_from_camera.inverse(),
+            camera,
+            strips: Vec::new(),
+        };
+        let steps = (params.farthest_m / params.nearest_m).ln() / STEP.ln();
+        let ranges: Vec<f64> = (0..=steps.max(0.0).ceil() as i32)
+            .map(|step| params.nearest_m * STEP.powi(step))
+            .collect();
+        let strip = |range_m: f64| upright.strip(range_m, PERSON_PX / params.height_m);
+        let strips = ranges.into_par_iter().filter_map(strip).collect();
+        upright.strips = strips;
+        (upright.eye.z > LOWEST_M).then_some(upright)
+    }
+
+    /// Height of the camera above the ground, m.
+    pub fn eye_m(&self) -> f64 {
+        self.eye.z
+    }
+
+    /// Pixels per radian in the middle of the image.
+    pub fn px_per_rad(&self) -> f64 {
+        self.camera.px_per_rad()
+    }
+
+    /// A point on the ground in the vehicle frame, m, in a direction from the camera.
+    pub fn on_ground(&self, azimuth: f64, range_m: f64) -> [f64; 2] {
+        let (sin, cos) = azimuth.sin_cos();
+        [self.eye.x + range_m * cos, self.eye.y + range_m * sin]
+    }
+
+    /// The pixel of a point of a cylinder, by direction, range and height above the ground.
+    fn pixel(&self, azimuth: f64, range_m: f64, height_m: f64) -> Option<[f64; 2]> {
+        let [x, y] = self.on_ground(azimuth, range_m);
+        let point = Vector3::new(x, y, height_m);
+        let pixel = self
+            .camera
+            .project(&self.camera_from_plane.transform(&point))?;
+        self.camera.contains(pixel).then_some(pixel)
+    }
+
+    fn strip(&self, range_m: f64, px_per_m: f64) -> Option<Strip> {
+        let axis = self.camera_from_plane.inverse().rotate(&Vector3::z());
+        let behind = axis.y.atan2(axis.x) + PI;
+        let per_column = 1.0 / (range_m * px_per_m);
+        let around = (TAU / per_column) as usize;
+        let azimuth = |column: usize| behind - (column as f64 + 0.5) * per_column;
+        let middle_m = 0.5 * PERSON_PX / px_per_m;
+        let seen = |column: &usize| self.pixel(azimuth(*column), range_m, middle_m).is_some();
+        let first = (0..around).find(seen)?;
+        let last = (0..around).rev().find(seen)?;
+        let columns = last - first + 1;
+        let rows = WINDOW[1] + 2 * PLAY;
+        let height = |row: usize| {
+            let below = (rows - PLAY) as f64 - MARGIN - (row as f64 + 0.5);
+            below / px_per_m
+        };
+        let pixel = |at: usize| {
+            let (row, column) = (at / columns, at % columns);
+            let pixel = self.pixel(azimuth(first + column), range_m, height(row));
+            pixel.map_or([f32::NAN; 2], |pixel| pixel.map(|at| at as f32))
+        };
+        (columns >= WINDOW[0]).then(|| Strip {
+            range_m,
+            px_per_m,
+            azimuth: behind - first as f64 * per_column,
+            columns,
+            pixels: (0..columns * rows).map(pixel).collect(),
+        })
+    }
+
+    /// What an image shows on each cylinder, with what turns windows of it into where a person is.
+    pub fn strips<'a>(
+        &'a self,
+        image: &'a GrayView<'a>,
+    ) -> impl Iterator<Item = (Picture, impl Fn([usize; 2]) -> Stance)> {
+        self.strips.iter().map(|strip| {
+            let values = strip.pixels.iter().map(|pixel| sampled(image, *pixel));
+            let picture = Picture {
+                width: strip.columns,
+                values: values.collect(),
+            };
+            (picture, |window| strip.stance(window))
+        })
+    }
+
+    /// The window of a person that an image shows.
+    pub fn window(&self, image: &GrayView<'_>, of: &Stance) -> Picture {
+        let per_px = of.height_m / PERSON_PX;
+        let [width, height] = WINDOW;
+        let value = |at: usize| {
+            let (row, column) = ((at / width) as f64 + 0.5, (at % width) as f64 + 0.5);
+            let azimuth = of.azimuth - (column - 0.5 * width as f64) * per_px / of.range_m;
+            let above = of.foot_m + (height as f64 - MARGIN - row) * per_px;
+            let pixel = self.pixel(azimuth, of.range_m, above);
+            pixel.map_or(0, |pixel| sampled(image, pixel.map(|at| at as f32)))
+        };
+        Picture {
+            width,
+            values: (0..width * height).map(value).collect(),
+        }
+    }
+
+    /// The rectangle of the image around a person of this width: least column and row, largest column and row; `None` where
+    /// the image shows neither feet nor head.
+    pub fn rectangle(&self, of: &Stance, width_m: f64) -> Option<[f64; 4]> {
+        let aside = 0.5 * width_m / of.range_m;
+        let heights = [of.foot_m, of.foot_m + of.height_m];
+        let corners = heights.into_iter().flat_map(|height| {
+            [-aside, aside].map(|by| self.pixel(of.azimuth + by, of.range_m, height))
+        });
+        corners.flatten().fold(None, |around, [u, v]| {
+            let [left, top, right, bottom] = around.unwrap_or([u, v, u, v]);
+            Some([left.min(u), top.min(v), right.max(u), bottom.max(v)])
+        })
+    }
+}
+
+impl Strip {
+    /// Who a window would show that is as high as the strip's people.
+    fn stance(&self, [column, row]: [usize; 2]) -> Stance {
+        let middle = column as f64 + 0.5 * WINDOW[0] as f64;
+        Stance {
+            azimuth: self.azimuth - middle / (self.range_m * self.px_per_m),
+            range_m: self.range_m,
+            foot_m: (PLAY as f64 - row as f64) / self.px_per_m,
+            height_m: PERSON_PX / self.px_per_m,
+        }
+    }
+}
+
+/// The value between four pixels; 0 outside.
+fn sampled(image: &GrayView<'_>, [u, v]: [f32; 2]) -> u8 {
+    if u.is_nan() {
+        return 0;
+    }
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let split = |at: f32, size: usize| {
+        let at = at.clamp(0.0, size.saturating_sub(1) as f32);
+        let low = at as usize;
+        (low, (low + 1).min(size.saturating_sub(1)), at - low as f32)
+    };
+    let (left, right, across) = split(u, width);
+    let (upper, lower, down) = split(v, height);
+    let at = |row: usize, column: usize| {
+        let value = image.pixels().get(row * width + column);
+        f32::from(value.copied().unwrap_or(0))
+    };
+    let between = |row| at(row, left) + across * (at(row, right) - at(row, left));
+    let (above, below) = (between(upper), between(lower));
+    (above + down * (below - above) + 0.5) as u8
+}

@@ -1,0 +1,319 @@
+//! One panorama laid onto another at one size: Gauss–Newton on brightness and inverse range.
+
+use nalgebra::{Matrix6, SMatrix, SVector, Vector3, Vector6};
+
+use super::pyramid::Level;
+use crate::geometry::lie::se3;
+use crate::geometry::pose::Pose;
+use crate::solving::least_squares::Loss;
+
+/// Six of the motion, then gain and offset of brightness.
+type Normal = SMatrix<f64, 8, 8>;
+type Unknowns = SVector<f64, 8>;
+
+/// Of normal residuals this Geman–McClure loss loses a fifth of the precision of least squares, and one of ten standard
+/// deviations counts a six-hundredth. Huber's, which the paper has, does not do: things that moved are on one side of where
+/// they were, and pull together.
+const LOSS: Loss = Loss::GemanMcClure(2.0);
+/// The median of a normal variable's size is this share of its standard deviation.
+const MEDIAN: f64 = 0.674_490;
+
+/// Residuals of inverse range scatter by at least so many pixels' worth of it, which is `1/d` per radian on a plane at a
+/// distance d, of 1 m here: most are of the ground, which fits wherever along the street one is, and says nothing.
+const LEAST: f64 = 0.05;
+/// Inverse ranges of one surface differ by at most so many of these deviations.
+const SAME: f64 = 3.0;
+/// And those of brightness by one step of it.
+const LEAST_GREY: f64 = 1.0;
+/// What brightness counts where it is not asked: enough to know gain and offset.
+const FAINT: f64 = 1e-6;
+
+/// A point of the reference.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Point {
+    /// In the reference's optical frame (m).
+    pub at: Vector3<f64>,
+    pub grey: f32,
+    /// Number of the tile of the image that it is in.
+    pub tile: u16,
+}
+
+/// Tiles along each side of an image.
+const TILES: usize = 16;
+
+/// Points of a level, at most about `most`: at equal steps of columns and rows.
+pub(super) fn points(level: &Level, most: usize) -> Vec<Point> {
+    let (width, height) = (level.lens.width, level.lens.height);
+    let step = ((width * height) as f64 / most.max(1) as f64)
+        .sqrt()
+        .ceil()
+        .max(1.0) as usize;
+    let mut points = Vec::new();
+    for row in (step / 2..height).step_by(step) {
+        for column in (step / 2..width).step_by(step) {
+            let pixel = row * width + column;
+            let inverse = level.inverse[pixel];
+            if inverse > 0.0 {
+                let tile = row * TILES / height * TILES + column * TILES / width;
+                points.push(Point {
+                    at: level.lens.ray(column, row) / f64::from(inverse),
+                    grey: level.grey[pixel],
+                    tile: tile as u16,
+                });
+            }
+        }
+    }
+    points
+}
+
+/// Where the other panorama is thought to be.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Estimate {
+    pub other_from_reference: Pose,
+    /// Brightness there is the first times brightness here, and the second.
+    pub brightness: [f64; 2],
+}
+
+/// A point as the other panorama sees it.
+struct Seen {
+    /// In the other's optical frame (m).
+    at: Vector3<f64>,
+    /// Derivatives of the residuals by that point.
+    brighter: Vector3<f64>,
+    nearer: Vector3<f64>,
+    /// Residuals: brightness, inverse range (1/m).
+    grey: f64,
+    inverse: f64,
+    reference_grey: f64,
+    tile: u16,
+}
+
+/// What residuals are like at an estimate.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Fit {
+    /// Points that the other sees, of all.
+    pub overlap: f64,
+    /// Of what those tell of the place on the ground, the share that is as it should be: each counts by how much its
+    /// inverse range would change per metre, which for a wall is the more the nearer it is, and for the ground nothing.
+    pub inliers: f64,
+    /// Standard deviations of most residuals: brightness, inverse range (1/m).
+    deviations: [f64; 2],
+}
+
+impl Fit {
+    /// How well an estimate fits.
+    pub fn share(&self) -> f64 {
+        self.overlap * self.inliers
+    }
+}
+
+/// Room that is used again, and what is asked for.
+pub(super) struct Aligner<'a> {
+    points: &'a [Point],
+    other: &'a Level,
+    by_brightness: bool,
+    seen: Vec<Seen>,
+    sizes: Vec<f64>,
+}
+
+impl<'a> Aligner<'a> {
+    pub fn new(points: &'a [Point], other: &'a Level, by_brightness: bool) -> Self {
+        Self {
+            points,
+            other,
+            by_brightness,
+            seen: Vec::with_capacity(points.len()),
+            sizes: Vec::with_capacity(points.len()),
+        }
+    }
+
+    /// Looks every point up.
+    fn look(&mut self, estimate: &Estimate) -> Option<Fit> {
+        let (rotation, translation) = (
+            estimate.other_from_reference.rotation.to_rotation_matrix(),
+            estimate.other_from_reference.translation,
+        );
+        let [gain, offset] = estimate.brightness;
+        let [fx, fy] = self.other.lens.focal;
+        self.seen.clear();
+        let least = LEAST * self.other.lens.pixel_rad();
+        let (mut told, mut right) = (0.0, 0.0);
+        for point in self.points {
+            let at = rotation * point.at + translation;
+            let level2 = at.x * at.x + at.z * at.z;
+            let range2 = level2 + at.y * at.y;
+            if level2 < 1e-12 {
+                continue;
+            }
+            let Some(sample) = self.other.sample(self.other.lens.pixel(&at)) else {
+                continue;
+            };
+            let (level, range) = (level2.sqrt(), range2.sqrt());
+            let around = Vector3::new(at.z, 0.0, -at.x) * (fx / level2);
+            let up =
+                Vector3::new(-at.y * at.x / level, level, -at.y * at.z / level) * (fy / range2);
+            let along = |[_, du, dv]: [f32; 3]| around * f64::from(du) + up * f64::from(dv);
+            let inverse = f64::from(sample.inverse[0]) - 1.0 / range;
+            let nearer = along(sample.inverse) + at / (range2 * range);
+            let tells = nearer.x.hypot(nearer.z);
+            told += tells;
+            right += if inverse.abs() <= SAME * least {
+                tells
+            } else {
+                0.0
+            };
+            let reference_grey = f64::from(point.grey);
+            self.seen.push(Seen {
+                at,
+                brighter: along(sample.grey),
+                nearer,
+                grey: f64::from(sample.grey[0]) - gain * reference_grey - offset,
+                inverse,
+                reference_grey,
+                tile: point.tile,
+            });
+        }
+        let deviations = [
+            self.deviation(|seen| seen.grey)?.max(LEAST_GREY),
+            self.deviation(|seen| seen.inverse)?.max(least),
+        ];
+        Some(Fit {
+            overlap: self.seen.len() as f64 / self.points.len().max(1) as f64,
+            inliers: right / told.max(f64::MIN_POSITIVE),
+            deviations,
+        })
+    }
+
+    /// The standard deviation of a residual, from the median of its size.
+    fn deviation(&mut self, residual: impl Fn(&Seen) -> f64) -> Option<f64> {
+        self.sizes.clear();
+        self.sizes
+            .extend(self.seen.iter().map(|seen| residual(seen).abs()));
+        let middle = self.sizes.len() / 2;
+        if self.sizes.len() < 16 {
+            return None;
+        }
+        let (_, median, _) = self.sizes.select_nth_unstable_by(middle, f64::total_cmp);
+        Some((*median / MEDIAN).max(1e-9))
+    }
+
+    /// Both residuals of a point with their derivatives: `(row, residual, weight)`.
+    fn rows(&self, seen: &Seen, deviations: [f64; 2]) -> [(Unknowns, f64, f64); 2] {
+        let row = |by_point: &Vector3<f64>, by_brightness: [f64; 2]| {
+            let turn = seen.at.cross(by_point);
+            let [gain, offset] = by_brightness;
+            Unknowns::from([
+                by_point.x, by_point.y, by_point.z, turn.x, turn.y, turn.z, gain, offset,
+            ])
+        };
+        let weight = |residual: f64, deviation: f64| {
+            let scaled = residual / deviation;
+            LOSS.weight(scaled * scaled) / (deviation * deviation)
+        };
+        let brightness = if self.by_brightness { 1.0 } else { FAINT };
+        [
+            (
+                row(&seen.brighter, [-seen.reference_grey, -1.0]),
+                seen.grey,
+                brightness * weight(seen.grey, deviations[0]),
+            ),
+            (
+                row(&seen.nearer, [0.0, 0.0]),
+                seen.inverse,
+                weight(seen.inverse, deviations[1]),
+            ),
+        ]
+    }
+
+    fn normal(&self, deviations: [f64; 2]) -> (Normal, Unknowns) {
+        let (mut normal, mut right) = (Normal::zeros(), Unknowns::zeros());
+        for seen in &self.seen {
+            for (row, residual, weight) in self.rows(seen, deviations) {
+                let weighted = row * weight;
+                normal.ger(1.0, &weighted, &row, 1.0);
+                right -= weighted * residual;
+            }
+        }
+        (normal, right)
+    }
+
+    /// Moves an estimate until it rests, at most so many times. Says how it fits then, and whether it rests; `None` where
+    /// too little is seen.
+    pub fn align(&mut self, mut estimate: Estimate, steps: usize) -> Option<(Estimate, Fit, bool)> {
+        // A tenth of a pixel at 1 m.
+        let still = 0.1 * self.other.lens.pixel_rad();
+        for _ in 0..steps {
+            let fit = self.look(&estimate)?;
+            let (normal, right) = self.normal(fit.deviations);
+            let step = solved(normal, &right)?;
+            let motion = Vector6::from_fn(|row, _| step[row]);
+            let moved = se3::exp(&motion);
+            estimate.other_from_reference = moved.compose(&estimate.other_from_reference);
+            estimate.brightness[0] += step[6];
+            estimate.brightness[1] += step[7];
+            let (rho, phi) = se3::split(&motion);
+            if rho.norm() < still && phi.norm() < 0.1 * still {
+                let fit = self.look(&estimate)?;
+                return Some((estimate, fit, true));
+            }
+        }
+        let fit = self.look(&estimate)?;
+        Some((estimate, fit, false))
+    }
+
+    /// The covariance of `reference_from_other` along the axes of the other (m, rad), at an estimate where it was just
+    /// aligned. Residuals hang together within tiles of the image, as they are of the same things: what tiles say apart is
+    /// what is independent (the "sandwich" of White 1980 and Liang & Zeger 1986).
+    pub fn covariance(&self, fit: &Fit) -> Option<Matrix6<f64>> {
+        let (normal, _) = self.normal(fit.deviations);
+        let mut of_tile = vec![Unknowns::zeros(); TILES * TILES];
+        for seen in &self.seen {
+            for (row, residual, weight) in self.rows(seen, fit.deviations) {
+                of_tile[usize::from(seen.tile)] += row * (weight * residual);
+            }
+        }
+        let mut scatter = Normal::zeros();
+        for sum in &of_tile {
+            scatter.ger(1.0, sum, sum, 1.0);
+        }
+        let bread = inverse(normal)?;
+        let all = bread * scatter * bread;
+        let covariance = all.fixed_view::<6, 6>(0, 0).into_owned();
+        Some((covariance + covariance.transpose()) * 0.5)
+    }
+}
+
+/// Units apart by orders of magnitude: scaled to ones on the diagonal first. A brightness without any structure leaves gain
+/// and offset undetermined; a millionth keeps them.
+fn scaled(normal: &Normal) -> Option<(Normal, Unknowns)> {
+    let scale = Unknowns::from_fn(|row, _| {
+        let diagonal = normal[(row, row)];
+        if diagonal > 0.0 {
+            1.0 / diagonal.sqrt()
+        } else {
+            1.0
+        }
+    });
+    let mut ones =
+        Normal::from_fn(|row, column| normal[(row, column)] * scale[row] * scale[column]);
+    for row in 0..8 {
+        ones[(row, row)] += 1e-6;
+    }
+    ones.iter()
+        .all(|value| value.is_finite())
+        .then_some((ones, scale))
+}
+
+fn solved(normal: Normal, right: &Unknowns) -> Option<Unknowns> {
+    let (ones, scale) = scaled(&normal)?;
+    let step = ones.cholesky()?.solve(&right.component_mul(&scale));
+    Some(step.component_mul(&scale))
+}
+
+fn inverse(normal: Normal) -> Option<Normal> {
+    let (ones, scale) = scaled(&normal)?;
+    let inverse = ones.cholesky()?.inverse();
+    Some(Normal::from_fn(|row, column| {
+        inverse[(row, column)] * scale[row] * scale[column]
+    }))
+}

@@ -1,0 +1,184 @@
+#![doc = include_str!("people.md")]
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use evermap_algorithms::ground::people::search::people;
+use evermap_algorithms::ground::people::upright::{Picture, Upright};
+use evermap_algorithms::ground::people::{PeopleParams, WindowDetector};
+use evermap_algorithms::ground::projection::GrayView;
+use evermap_contract::{Fault, Operator, Port, Reach, Reason, Sides, Work};
+use evermap_schemas::Stamp;
+use evermap_schemas::layers::{FrameImage, Person};
+use evermap_vision::{Grey, PeopleDetector, decode_grey};
+
+use crate::inputs::rig::{self, OfVehicle, Rig, camera, frame};
+
+/// See the module's page.
+pub struct People;
+
+impl Operator for People {
+    const NAME: &'static str = "people";
+    const VERSION: u32 = 1;
+    const PAGE: &'static str = include_str!("people.md");
+    type Params = OfVehicle<PeopleParams>;
+    type Output = Person;
+
+    fn work() -> Work<Self::Params> {
+        let images = Port::session::<FrameImage>("images").pixels("image");
+        let sides = rig::ports(Reach::Session).to_vec();
+        Work::each_image(images, sides, Finder::new, Finder::people)
+    }
+
+    fn check(params: &Self::Params) -> Result<(), Fault> {
+        let PeopleParams {
+            nearest_m,
+            farthest_m,
+            ..
+        } = params.options;
+        if nearest_m < farthest_m {
+            return Ok(());
+        }
+        Err(Fault::user(format!(
+            "expected `nearest_m` below `farthest_m`, found {nearest_m} m and {farthest_m} m"
+        )))
+    }
+}
+
+/// What a view depends on: the calibration (session, camera, stamp) and the size of the image.
+type ViewName = (String, String, Stamp, [u32; 2]);
+
+/// A camera that looks at people, or why it cannot.
+type View = Result<Arc<Upright>, Reason>;
+
+/// Cameras kept at most, each with tables of some 20 MB: one whose calibration changes with every image must not fill the
+/// memory.
+const MOST_VIEWS: usize = 16;
+
+struct Finder {
+    params: OfVehicle<PeopleParams>,
+    /// By session.
+    rigs: BTreeMap<String, Rig>,
+    views: Mutex<BTreeMap<ViewName, View>>,
+}
+
+/// What a thread keeps from image to image.
+#[derive(Default)]
+struct Room {
+    grey: Grey,
+    detector: Option<Detector>,
+}
+
+impl Finder {
+    fn new(params: &OfVehicle<PeopleParams>, sides: &Sides) -> Result<Self, Fault> {
+        Ok(Self {
+            params: params.clone(),
+            rigs: rig::sessions(sides)?,
+            views: Mutex::default(),
+        })
+    }
+
+    fn people(
+        &self,
+        image: FrameImage,
+        bytes: &[u8],
+        room: &mut Room,
+    ) -> Result<Vec<Person>, Reason> {
+        decode_grey(bytes, &mut room.grey).map_err(|_| "image does not decode")?;
+        let Grey {
+            width,
+            height,
+            ref data,
+        } = room.grey;
+        let view = GrayView::new(width, height, data).ok_or("image does not decode")?;
+        let upright = self.view(&image, [width, height])?;
+        if room.detector.is_none() {
+            let detector = PeopleDetector::new().map_err(|_| "detector does not work")?;
+            room.detector = Some(Detector {
+                detector,
+                image: Grey::default(),
+            });
+        }
+        let detector = room.detector.as_mut().ok_or("detector does not work")?;
+        let found = people(&upright, &view, detector, &self.params.options);
+        let rows = (0..).zip(found).map(|(person, found)| Person {
+            site: image.site.clone(),
+            session: image.session.clone(),
+            stamp: image.stamp,
+            camera: image.camera.clone(),
+            person,
+            x: found.position[0],
+            y: found.position[1],
+            z: self.params.options.plane_m,
+            var_x_m2: found.covariance[0],
+            cov_xy_m2: found.covariance[1],
+            var_y_m2: found.covariance[2],
+            range_m: found.range_m,
+            rectangle: found.rectangle.to_vec(),
+            score: found.score,
+            probability: found.probability,
+        });
+        Ok(rows.collect())
+    }
+
+    fn view(&self, image: &FrameImage, size: [u32; 2]) -> View {
+        let name = frame(&image.camera);
+        let rig = self.rigs.get(&image.session);
+        let (rig, calibration) = rig
+            .and_then(|rig| Some((rig, rig.calibration(name, image.stamp)?)))
+            .ok_or("camera has no calibration")?;
+        let key = (
+            image.session.clone(),
+            name.to_owned(),
+            calibration.stamp,
+            size,
+        );
+        let views = || self.views.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = views().get(&key) {
+            return known.clone();
+        }
+        // Not under the lock: a thread that waits here for the tables' parts may be given other rows to work on.
+        let made = || {
+            let mounted = rig.vehicle_from_camera(self.params.vehicle.name(), name);
+            let mounted = mounted.ok_or("no fixed transforms from camera to vehicle")?;
+            let made = Upright::new(camera(calibration, size)?, &mounted, &self.params.options);
+            made.map(Arc::new).ok_or("camera is not above the ground")
+        };
+        let made: View = made();
+        let mut views = views();
+        if views.len() >= MOST_VIEWS {
+            views.clear();
+        }
+        views.entry(key).or_insert(made).clone()
+    }
+}
+
+/// OpenCV's detector on pictures.
+struct Detector {
+    detector: PeopleDetector,
+    image: Grey,
+}
+
+impl Detector {
+    fn take(&mut self, picture: &Picture) -> &Grey {
+        let height = picture.values.len() / picture.width.max(1);
+        self.image.width = picture.width as u32;
+        self.image.height = height as u32;
+        self.image.data.clone_from(&picture.values);
+        &self.image
+    }
+}
+
+impl WindowDetector for Detector {
+    fn scan(&mut self, image: &Picture, least: f64) -> Vec<([usize; 2], f64)> {
+        self.take(image);
+        let found = self.detector.scan(&self.image, least).unwrap_or_default();
+        let place = |(at, score): ([u32; 2], f64)| (at.map(|at| at as usize), score);
+        found.into_iter().map(place).collect()
+    }
+
+    fn score(&mut self, window: &Picture) -> f64 {
+        self.take(window);
+        self.detector.score(&self.image).unwrap_or(f64::NAN)
+    }
+}

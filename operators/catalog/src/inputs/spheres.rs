@@ -1,0 +1,136 @@
+//! Panoramas with range and labels between rows and algorithms.
+
+use std::collections::BTreeMap;
+
+use evermap_algorithms::semantic_map::stable::classes::Kinds;
+use evermap_algorithms::semantic_map::stable::sphere::Lens;
+use evermap_contract::{Fault, Reason, Sides};
+use evermap_schemas::Stamp;
+use evermap_schemas::layers::{LabelImage, SphereView};
+use evermap_vision::{Grey, decode_depth, decode_grey, decode_labels};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// What classes are like: a parameter of all that tell what moves from what stays.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct MovingClasses {
+    /// Classes whose things may be elsewhere the next time, by name. Names that no label has are of no consequence.
+    pub dynamic: Vec<String>,
+    /// Classes that are too far away to have a range, by name.
+    pub far: Vec<String>,
+}
+
+impl Default for MovingClasses {
+    fn default() -> Self {
+        let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect();
+        Self {
+            dynamic: owned(&[
+                "car",
+                "truck",
+                "bus",
+                "van",
+                "trailer",
+                "motorcycle",
+                "bicycle",
+                "bicyclist",
+                "pedestrian",
+                "person",
+            ]),
+            far: owned(&["sky"]),
+        }
+    }
+}
+
+impl MovingClasses {
+    /// Of a list of classes.
+    pub(crate) fn kinds(&self, classes: &[String]) -> Result<Kinds, Reason> {
+        let kinds = Kinds::new(classes, &self.dynamic, &self.far);
+        kinds.map_err(|_| "label image has more than 256 classes")
+    }
+}
+
+/// What a forest reads that tells what is behind moving things, as JSON: classes are numbers there.
+pub(crate) fn surroundings(classes: &[String]) -> String {
+    serde_json::json!({ "surroundings": classes }).to_string()
+}
+
+/// A view's name in a table: session, camera, instant.
+pub(crate) type ViewKey = (String, String, Stamp);
+
+/// Panoramas with range of a site, as they are in the table.
+pub(crate) struct Spheres {
+    rows: BTreeMap<ViewKey, SphereView>,
+    labels: BTreeMap<ViewKey, LabelImage>,
+}
+
+/// A panorama that was opened: brightness is empty where it was not asked for.
+pub(crate) struct OpenSphere {
+    pub lens: Lens,
+    pub grey: Vec<u8>,
+    pub range: Vec<u16>,
+    pub unit_m: f64,
+}
+
+impl Spheres {
+    /// From the ports `spheres` and `label_images`.
+    pub(crate) fn new(sides: &Sides) -> Result<Self, Fault> {
+        let rows = sides.rows::<SphereView>("spheres")?.into_iter();
+        let labels = sides.rows::<LabelImage>("label_images")?.into_iter();
+        Ok(Self {
+            rows: rows
+                .map(|row| ((row.session.clone(), row.camera.clone(), row.stamp), row))
+                .collect(),
+            labels: labels
+                .map(|row| ((row.session.clone(), row.camera.clone(), row.stamp), row))
+                .collect(),
+        })
+    }
+
+    /// A view's panorama, with its brightness if that is asked for.
+    pub(crate) fn open(&self, view: &ViewKey, with_grey: bool) -> Result<OpenSphere, Reason> {
+        let row = self
+            .rows
+            .get(view)
+            .ok_or("view has no panorama with range")?;
+        let range = decode_depth(&row.range.0).map_err(|_| "range image does not decode")?;
+        let mut grey = Grey::default();
+        if with_grey {
+            decode_grey(&row.image.0, &mut grey).map_err(|_| "image does not decode")?;
+        }
+        let size = [row.width, row.height];
+        let sized = |width, height| [width, height] == size;
+        if !sized(range.width, range.height) || with_grey && !sized(grey.width, grey.height) {
+            return Err("image has another size than its row says");
+        }
+        let (&[fx, fy], &[cx, cy]) = (row.focal.as_slice(), row.centre.as_slice()) else {
+            return Err("panorama has no lens");
+        };
+        let lens = Lens::new(size.map(|side| side as usize), [fx, fy], [cx, cy]);
+        Ok(OpenSphere {
+            lens: lens.ok_or("panorama has no lens")?,
+            grey: grey.data,
+            range: range.data,
+            unit_m: row.unit_m,
+        })
+    }
+
+    /// A view's label image; `None` where there is none.
+    pub(crate) fn labels(&self, view: &ViewKey) -> Option<&LabelImage> {
+        self.labels.get(view)
+    }
+}
+
+/// The values of a row's label image.
+pub(crate) fn labels(row: &LabelImage) -> Result<Vec<u8>, Reason> {
+    values(&row.png.0, [row.width, row.height])
+}
+
+/// The values of an image of labels, of this size.
+pub(crate) fn values(png: &[u8], size: [u32; 2]) -> Result<Vec<u8>, Reason> {
+    let labels = decode_labels(png).map_err(|_| "label image does not decode")?;
+    match [labels.width, labels.height] == size {
+        true => Ok(labels.data),
+        false => Err("label image has another size than its row says"),
+    }
+}

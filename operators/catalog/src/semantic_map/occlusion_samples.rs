@@ -1,0 +1,113 @@
+#![doc = include_str!("occlusion_samples.md")]
+
+use std::collections::BTreeMap;
+
+use evermap_algorithms::semantic_map::semantic_graph::Labels;
+use evermap_algorithms::semantic_map::stable::surroundings::{DIMENSIONS, features};
+use evermap_contract::{Fault, Operator, Port, Reason, Sides, Work};
+use evermap_schemas::Bytes;
+use evermap_schemas::layers::{LabelImage, PixelSamples, WarpedLabels};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::inputs::spheres::{MovingClasses, ViewKey, labels, surroundings, values};
+
+/// See the module's page.
+pub struct OcclusionSamples;
+
+/// Which pixels are taken.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct OcclusionSamplesParams {
+    /// Pixels of each view, at most: at equal steps of those that qualify.
+    #[schemars(range(min = 1))]
+    pub samples: u32,
+    /// Whether images are full panoramas, whose last column is next to the first.
+    pub panorama: bool,
+    /// What moves.
+    #[serde(flatten)]
+    pub classes: MovingClasses,
+}
+
+impl Default for OcclusionSamplesParams {
+    fn default() -> Self {
+        Self {
+            samples: 1000,
+            panorama: true,
+            classes: MovingClasses::default(),
+        }
+    }
+}
+
+impl Operator for OcclusionSamples {
+    const NAME: &'static str = "occlusion_samples";
+    const VERSION: u32 = 1;
+    const PAGE: &'static str = include_str!("occlusion_samples.md");
+    type Params = OcclusionSamplesParams;
+    type Output = PixelSamples;
+
+    fn work() -> Work<Self::Params> {
+        let warped = Port::session::<WarpedLabels>("warped_labels");
+        let before = Port::site::<LabelImage>("label_images");
+        Work::each_row(warped, vec![before], Site::new, Site::samples)
+    }
+}
+
+struct Site {
+    params: OcclusionSamplesParams,
+    before: BTreeMap<ViewKey, LabelImage>,
+}
+
+impl Site {
+    fn new(params: &OcclusionSamplesParams, sides: &Sides) -> Result<Self, Fault> {
+        let before = sides.rows::<LabelImage>("label_images")?.into_iter();
+        let before = before.map(|row| ((row.session.clone(), row.camera.clone(), row.stamp), row));
+        Ok(Self {
+            params: params.clone(),
+            before: before.collect(),
+        })
+    }
+
+    fn samples(&self, row: WarpedLabels) -> Result<Option<PixelSamples>, Reason> {
+        let size = [row.width, row.height];
+        let after = values(&row.png.0, size)?;
+        let key = (row.session, row.camera, row.stamp);
+        let before = self.before.get(&key).ok_or("view has no label image")?;
+        if before.classes != row.classes || [before.width, before.height] != size {
+            return Err("label image is another one than was warped");
+        }
+        let before = labels(before)?;
+        let kinds = self.params.classes.kinds(&row.classes)?;
+        let seen: Vec<usize> = (0..before.len())
+            .filter(|pixel| kinds.is_dynamic(before[*pixel]) && kinds.is_static(after[*pixel]))
+            .collect();
+        if seen.is_empty() {
+            return Ok(None);
+        }
+        let mut class_pixels = vec![0; row.classes.len()];
+        for pixel in &seen {
+            class_pixels[usize::from(after[*pixel])] += 1;
+        }
+        let step = seen.len().div_ceil(self.params.samples as usize);
+        let taken: Vec<usize> = seen.into_iter().step_by(step).collect();
+        let image = Labels {
+            width: row.width,
+            height: row.height,
+            values: &before,
+        };
+        let found = features(&image, self.params.panorama, &kinds, &taken);
+        let (session, camera, stamp) = key;
+        Ok(Some(PixelSamples {
+            site: row.site,
+            session,
+            stamp,
+            camera,
+            features: surroundings(&row.classes),
+            classes: row.classes,
+            class_pixels,
+            dimensions: DIMENSIONS as u32,
+            labels: taken.iter().map(|pixel| after[*pixel]).collect(),
+            values: Bytes(found),
+        }))
+    }
+}

@@ -1,0 +1,161 @@
+#![doc = include_str!("registrations.md")]
+
+use evermap_algorithms::semantic_map::stable::registration::{
+    Options, Pyramid, Registration, State, register,
+};
+use evermap_algorithms::semantic_map::stable::sphere::Sphere;
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Reason, Sides, Work};
+use evermap_schemas::Pose;
+use evermap_schemas::layers::{LabelImage, Relocation, SphereView, ViewRegistration};
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::inputs::spheres::{MovingClasses, Spheres, ViewKey, labels};
+
+/// See the module's page.
+pub struct Registrations;
+
+/// How views are registered.
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct RegistrationsParams {
+    /// How two panoramas are laid onto each other.
+    #[serde(flatten)]
+    pub options: Options,
+    /// What moves: its range has no say.
+    #[serde(flatten)]
+    pub classes: MovingClasses,
+}
+
+impl Operator for Registrations {
+    const NAME: &'static str = "registrations";
+    const VERSION: u32 = 2;
+    const PAGE: &'static str = include_str!("registrations.md");
+    type Params = RegistrationsParams;
+    type Output = ViewRegistration;
+
+    fn work() -> Work<Self::Params> {
+        let relocations = Port::session::<Relocation>("relocations");
+        let sides = vec![
+            Port::site::<SphereView>("spheres"),
+            Port::site::<LabelImage>("label_images").optional(),
+        ];
+        Work::group(relocations, Key::CAMERA, sides, registrations)
+    }
+}
+
+fn registrations(
+    params: &RegistrationsParams,
+    relocations: Vec<Relocation>,
+    sides: &Sides,
+    emit: &mut Emit<'_>,
+) -> Result<(), Fault> {
+    let site = Site {
+        params,
+        spheres: Spheres::new(sides)?,
+    };
+    let views: Vec<&[Relocation]> = relocations.chunk_by(|a, b| a.stamp == b.stamp).collect();
+    let made = views.into_par_iter().map(|view| site.of_view(view));
+    emit.made(made.collect())
+}
+
+struct Site<'a> {
+    params: &'a RegistrationsParams,
+    spheres: Spheres,
+}
+
+impl Site<'_> {
+    /// A view's registrations with all its candidates, the best first.
+    fn of_view(&self, candidates: &[Relocation]) -> Result<Vec<ViewRegistration>, Reason> {
+        let Some(first) = candidates.first() else {
+            return Ok(Vec::new());
+        };
+        let key = |row: &Relocation| (row.session.clone(), row.camera.clone(), row.stamp);
+        let view = self.pyramid(&key(first))?;
+        let mut found: Vec<(Option<Registration>, &Relocation)> = candidates
+            .iter()
+            .map(|row| (self.with(row, &view), row))
+            .collect();
+        found.sort_by(|(a, first), (b, second)| {
+            order(b.as_ref())
+                .partial_cmp(&order(a.as_ref()))
+                .unwrap_or(std::cmp::Ordering::Equal)
+                .then(first.rank.cmp(&second.rank))
+        });
+        let rows = found.into_iter().zip(0..);
+        Ok(rows
+            .map(|((found, row), rank)| line(row, rank, found.as_ref()))
+            .collect())
+    }
+
+    /// `None` where the map's view has no panorama, or hardly any range.
+    fn with(&self, row: &Relocation, view: &Pyramid) -> Option<Registration> {
+        let key = (
+            row.map_session.clone(),
+            row.map_camera.clone(),
+            row.map_stamp,
+        );
+        let map_view = self.pyramid(&key).ok()?;
+        register(&map_view, view, None, &self.params.options)
+    }
+
+    fn pyramid(&self, view: &ViewKey) -> Result<Pyramid, Reason> {
+        let mut sphere = self.spheres.open(view, true)?;
+        if let Some(row) = self.spheres.labels(view) {
+            let kinds = self.params.classes.kinds(&row.classes)?;
+            for (range, label) in sphere.range.iter_mut().zip(labels(row)?) {
+                if kinds.is_dynamic(label) {
+                    *range = 0;
+                }
+            }
+        }
+        let sphere = Sphere {
+            lens: &sphere.lens,
+            grey: &sphere.grey,
+            range: &sphere.range,
+            unit_m: sphere.unit_m,
+        };
+        Pyramid::new(&sphere, &self.params.options).ok_or("panorama has no range")
+    }
+}
+
+/// The larger the better: whether it converged, then the share of points that fit.
+fn order(found: Option<&Registration>) -> (bool, f64) {
+    found.map_or((false, -1.0), |found| {
+        (
+            found.state == State::Converged,
+            found.overlap * found.inliers,
+        )
+    })
+}
+
+fn line(row: &Relocation, rank: u32, found: Option<&Registration>) -> ViewRegistration {
+    let sigma = |found: &Registration| {
+        let position = found.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        position.symmetric_eigenvalues().max().max(0.0).sqrt()
+    };
+    ViewRegistration {
+        site: row.site.clone(),
+        session: row.session.clone(),
+        stamp: row.stamp,
+        camera: row.camera.clone(),
+        rank,
+        relocation_rank: row.rank,
+        map_session: row.map_session.clone(),
+        map_stamp: row.map_stamp,
+        map_camera: row.map_camera.clone(),
+        state: found
+            .map_or("no range", |found| found.state.name())
+            .to_owned(),
+        map_view_from_view: found
+            .map(|found| Pose::from_array(found.reference_from_other.to_array())),
+        covariance: found.map_or_else(Vec::new, |found| {
+            found.covariance.transpose().iter().copied().collect()
+        }),
+        sigma_m: found.map(sigma),
+        overlap: found.map_or(0.0, |found| found.overlap),
+        inliers: found.map_or(0.0, |found| found.inliers),
+        gain: found.map(|found| found.brightness[0]),
+    }
+}

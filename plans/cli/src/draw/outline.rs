@@ -1,0 +1,75 @@
+//! What is on the ground by its outline: parking spaces as they were last seen, what people said is there, and what they are
+//! asked about.
+
+use crate::draw::colours;
+
+/// What an outline is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Mark {
+    /// A space that was free when it was last seen.
+    Free,
+    /// A space that was taken when it was last seen.
+    Taken,
+    /// A space that nobody has seen well enough to say.
+    Unseen,
+    /// A label of another kind.
+    Label,
+    /// A box that a person is asked about.
+    Asked,
+}
+
+impl Mark {
+    /// Of a space in this state.
+    pub fn of_state(state: &str) -> Self {
+        match state {
+            "free" => Self::Free,
+            "taken" => Self::Taken,
+            _ => Self::Unseen,
+        }
+    }
+
+    /// As the legend has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Free => "SPACE, FREE WHEN LAST SEEN",
+            Self::Taken => "SPACE, TAKEN WHEN LAST SEEN",
+            Self::Unseen => "SPACE, NOT SEEN",
+            Self::Label => "LABEL",
+            Self::Asked => "ASKED ABOUT",
+        }
+    }
+
+    /// Its colour.
+    pub fn colour(self) -> &'static str {
+        match self {
+            Self::Free => colours::FREE,
+            Self::Taken => colours::TAKEN,
+            Self::Unseen => colours::UNSEEN,
+            Self::Label => colours::LABEL,
+            Self::Asked => colours::ASKED,
+        }
+    }
+
+    /// How much of what lies below it hides.
+    pub fn opacity(self) -> f64 {
+        match self {
+            Self::Free | Self::Taken => 0.3,
+            Self::Unseen | Self::Label | Self::Asked => 0.0,
+        }
+    }
+}
+
+/// An outline on the ground.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outline {
+    /// What it is of.
+    pub mark: Mark,
+    /// What a person reads who points at it.
+    pub title: String,
+    /// Whether a person said that it is there; else it was found.
+    pub said: bool,
+    /// Whether it is an area, rather than a line.
+    pub closed: bool,
+    /// Its corners in the map (m).
+    pub points: Vec<[f64; 2]>,
+}

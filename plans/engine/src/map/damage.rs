@@ -1,0 +1,113 @@
+//! What can be wrong with a file of a map, and how it is found: by its size wherever it is opened, by its content
+//! before anything is built on it.
+
+use std::fmt;
+
+use evermap_schemas::Fault;
+use object_store::{GetResult, GetResultPayload, ObjectMeta, ObjectStoreExt};
+
+use crate::error::store_fault;
+use crate::map::receipt::Artifact;
+use crate::map::store::Store;
+
+/// A file of a map that is not what was written.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Damage {
+    /// Its name in the map.
+    pub file: String,
+    /// What was expected.
+    pub expected: String,
+    /// What was found; `None` where there is no such file.
+    pub found: Option<String>,
+}
+
+impl fmt::Display for Damage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let found = self.found.as_deref().unwrap_or("no file");
+        write!(
+            f,
+            "{}: expected {}, found {found}",
+            self.file, self.expected
+        )
+    }
+}
+
+impl From<Damage> for Fault {
+    fn from(damage: Damage) -> Self {
+        Fault::data(damage.to_string())
+            .next("run the same plan again, which makes anew what is damaged; `evermap verify` lists it all")
+    }
+}
+
+impl Artifact {
+    /// What is wrong with it as far as its size tells.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn size_damage(&self, store: &Store) -> Result<Option<Damage>, Fault> {
+        Ok(self.size_differs(store.meta(&self.name()).await?.as_ref()))
+    }
+
+    /// As [`Artifact::size_damage`], given what the store says of the file.
+    pub fn size_differs(&self, found: Option<&ObjectMeta>) -> Option<Damage> {
+        let found = found.map(|found| found.size);
+        (found != Some(self.bytes)).then(|| Damage {
+            file: self.name(),
+            expected: format!("{} bytes", self.bytes),
+            found: found.map(|size| format!("{size} bytes")),
+        })
+    }
+
+    /// What is wrong with it as far as its content tells. Reads all of it.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn content_damage(&self, store: &Store) -> Result<Option<Damage>, Fault> {
+        content_damage(store, &self.name(), self.content.clone()).await
+    }
+}
+
+/// Whether the file at a name has another content than this digest says.
+///
+/// # Errors
+/// A resource fault when the store does not answer.
+pub async fn content_damage(
+    store: &Store,
+    name: &str,
+    content: String,
+) -> Result<Option<Damage>, Fault> {
+    let found = match store.objects().get(&store.path(name)).await {
+        Ok(found) => Some(digest(found, name).await?),
+        Err(object_store::Error::NotFound { .. }) => None,
+        Err(error) => return Err(store_fault(&error, name)),
+    };
+    Ok((found.as_ref() != Some(&content)).then(|| Damage {
+        file: name.to_owned(),
+        expected: format!("the digest {content}"),
+        found,
+    }))
+}
+
+/// The BLAKE3 of an object, read in pieces.
+async fn digest(object: GetResult, name: &str) -> Result<String, Fault> {
+    use futures::TryStreamExt;
+    if let GetResultPayload::File(file, _) = object.payload {
+        let hashed = tokio::task::spawn_blocking(move || {
+            let mut hasher = blake3::Hasher::new();
+            hasher.update_reader(file).map(|hasher| hasher.finalize())
+        });
+        let hashed = hashed.await.map_err(std::io::Error::other).flatten();
+        let hash = hashed.map_err(|error| Fault::resource(format!("{name}: {error}")))?;
+        return Ok(hash.to_hex().to_string());
+    }
+    let mut hasher = blake3::Hasher::new();
+    let mut pieces = object.into_stream();
+    while let Some(piece) = pieces
+        .try_next()
+        .await
+        .map_err(|error| store_fault(&error, name))?
+    {
+        hasher.update(&piece);
+    }
+    Ok(hasher.finalize().to_hex().to_string())
+}

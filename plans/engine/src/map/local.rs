@@ -1,0 +1,241 @@
+//! Files of a map in a local folder, as they must be written to outlive a power failure: whole and synced before they
+//! have their name, and their name synced before another file may mention it.
+
+use std::fs::File;
+use std::io::{ErrorKind, Result, Write};
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use evermap_schemas::Fault;
+
+/// Where files are on their way.
+pub const TEMPORARY: &str = "tmp";
+
+/// A map's folder.
+#[derive(Debug, Clone)]
+pub struct Folder {
+    root: PathBuf,
+    /// Gives a file a second name, unless that is taken: `std::fs::hard_link`, but for tests.
+    link: fn(&Path, &Path) -> Result<()>,
+}
+
+impl Folder {
+    /// The folder at a path; it need not be there yet.
+    pub fn new(root: PathBuf) -> Self {
+        Self {
+            root,
+            link: |from, to| std::fs::hard_link(from, to),
+        }
+    }
+
+    /// The path of a name within the map.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.root.join(name)
+    }
+
+    /// Does something with files off the async threads.
+    ///
+    /// # Errors
+    /// A resource fault with what went wrong at which name.
+    pub async fn with<T: Send + 'static>(
+        &self,
+        name: &str,
+        work: impl FnOnce(&Self) -> Result<T> + Send + 'static,
+    ) -> std::result::Result<T, Fault> {
+        let folder = self.clone();
+        let done = tokio::task::spawn_blocking(move || work(&folder)).await;
+        let done = done.map_err(std::io::Error::other).flatten();
+        done.map_err(|error| Fault::resource(format!("{}: {error}", self.path(name).display())))
+    }
+
+    /// Writes a file, in place of what was there.
+    ///
+    /// # Errors
+    /// What the file system says; nothing was changed.
+    pub fn put(&self, name: &str, bytes: &[u8]) -> Result<()> {
+        let temporary = self.staged(bytes)?;
+        self.renamed(&temporary, &self.path(name))
+            .inspect_err(|_| drop(std::fs::remove_file(&temporary)))
+    }
+
+    /// Writes a file where none was; `false` where there is one.
+    ///
+    /// # Errors
+    /// What the file system says.
+    pub fn create(&self, name: &str, bytes: &[u8]) -> Result<bool> {
+        let (temporary, to) = (self.staged(bytes)?, self.path(name));
+        let created = self.created(&temporary, &to);
+        // Where it was renamed, it is gone.
+        let _ = std::fs::remove_file(&temporary);
+        created
+    }
+
+    fn created(&self, from: &Path, to: &Path) -> Result<bool> {
+        make_parent(to)?;
+        let created = match (self.link)(from, to) {
+            Ok(()) => true,
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => false,
+            Err(_) => create_by_lock(from, to)?,
+        };
+        sync_parent(to)?;
+        Ok(created)
+    }
+
+    /// Gives a file that is written its lasting name, in place of what had it.
+    ///
+    /// # Errors
+    /// What the file system says.
+    pub fn settle(&self, from: &str, to: &str) -> Result<()> {
+        let (from, to) = (self.path(from), self.path(to));
+        sync(&from)?;
+        self.renamed(&from, &to)
+    }
+
+    /// Removes a file; one that is not there is fine.
+    ///
+    /// # Errors
+    /// What the file system says.
+    pub fn remove(&self, name: &str) -> Result<()> {
+        match std::fs::remove_file(self.path(name)) {
+            Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+            _ => Ok(()),
+        }
+    }
+
+    /// The files on their way that have not changed since, with their sizes, sorted.
+    ///
+    /// # Errors
+    /// What the file system says.
+    pub fn temporary(&self, since: SystemTime) -> Result<Vec<(String, u64)>> {
+        let entries = match std::fs::read_dir(self.path(TEMPORARY)) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+            entries => entries?,
+        };
+        let mut files = Vec::new();
+        for entry in entries {
+            let entry = entry?;
+            // It may have its lasting name by now.
+            if let Ok(meta) = entry.metadata()
+                && meta.modified()? <= since
+            {
+                let name = entry.file_name();
+                files.push((format!("{TEMPORARY}/{}", name.display()), meta.len()));
+            }
+        }
+        files.sort();
+        Ok(files)
+    }
+
+    fn renamed(&self, from: &Path, to: &Path) -> Result<()> {
+        make_parent(to)?;
+        std::fs::rename(from, to)?;
+        sync_parent(to)
+    }
+
+    /// A file under a name of its own, synced.
+    fn staged(&self, bytes: &[u8]) -> Result<PathBuf> {
+        let path = self.path(TEMPORARY).join(uuid::Uuid::new_v4().to_string());
+        make_parent(&path)?;
+        let mut file = File::create_new(&path)?;
+        let written = file.write_all(bytes).and_then(|()| sync(&path));
+        written.inspect_err(|_| drop(std::fs::remove_file(&path)))?;
+        Ok(path)
+    }
+}
+
+/// As linking does, on file systems without hard links: whoever holds the lock on the folder looks whether the name is
+/// taken. A crash gives the lock back.
+fn create_by_lock(from: &Path, to: &Path) -> Result<bool> {
+    let folder = File::open(parent(to))?;
+    folder.lock()?;
+    if to.try_exists()? {
+        return Ok(false);
+    }
+    std::fs::rename(from, to)?;
+    Ok(true)
+}
+
+fn parent(path: &Path) -> &Path {
+    path.parent().unwrap_or(Path::new("/"))
+}
+
+/// Makes the folder that a file is to be in, and those above it, each synced into the one above.
+fn make_parent(path: &Path) -> Result<()> {
+    let folder = parent(path);
+    if folder.is_dir() {
+        return Ok(());
+    }
+    make_parent(folder)?;
+    match std::fs::create_dir(folder) {
+        Err(error) if error.kind() != ErrorKind::AlreadyExists => Err(error),
+        _ => sync_parent(folder),
+    }
+}
+
+fn sync(path: &Path) -> Result<()> {
+    File::open(path)?.sync_all()?;
+    tracing::trace!(path = %path.display(), "synced");
+    Ok(())
+}
+
+/// Syncs the names in a file's folder, where folders can be synced.
+fn sync_parent(path: &Path) -> Result<()> {
+    match sync(parent(path)) {
+        Err(error) if cfg!(unix) && error.kind() != ErrorKind::InvalidInput => Err(error),
+        _ => {
+            tracing::trace!(path = %path.display(), "named");
+            Ok(())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    /// A folder on a file system without hard links.
+    fn unlinked(root: &Path) -> Folder {
+        Folder {
+            root: root.to_owned(),
+            link: |_, _| Err(ErrorKind::Unsupported.into()),
+        }
+    }
+
+    #[test]
+    fn of_many_that_create_a_name_one_does_with_hard_links_and_without() {
+        for make in [|root: &Path| Folder::new(root.to_owned()), unlinked] {
+            let root = tempfile::tempdir().unwrap();
+            for round in 0..20 {
+                let name = format!("versions/{round}.json");
+                let create = |by: u8| make(root.path()).create(&name, &[by; 1000]).unwrap();
+                let winners: Vec<u8> = std::thread::scope(|scope| {
+                    let threads: Vec<_> = (0..8)
+                        .map(|by| scope.spawn(move || create(by).then_some(by)))
+                        .collect();
+                    let ended = threads.into_iter().map(|thread| thread.join().unwrap());
+                    ended.flatten().collect()
+                });
+                assert_eq!(winners.len(), 1);
+                let found = std::fs::read(root.path().join(&name)).unwrap();
+                assert_eq!(found, [winners[0]; 1000]);
+            }
+            let left = std::fs::read_dir(root.path().join("tmp")).unwrap();
+            assert_eq!(left.count(), 0);
+        }
+    }
+
+    #[test]
+    fn a_file_is_replaced_whole() {
+        let root = tempfile::tempdir().unwrap();
+        for folder in [Folder::new(root.path().to_owned()), unlinked(root.path())] {
+            folder.put("receipts/a.json", b"before").unwrap();
+            folder.put("tmp/a.parquet", b"after").unwrap();
+            folder.settle("tmp/a.parquet", "receipts/a.json").unwrap();
+            assert_eq!(
+                std::fs::read(folder.path("receipts/a.json")).unwrap(),
+                b"after"
+            );
+        }
+    }
+}

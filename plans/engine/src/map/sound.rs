@@ -1,0 +1,180 @@
+//! Which artifacts are known to be what was written, so that none is read over again in every run.
+//!
+//! An artifact whose content was found right is remembered by what its file was like (`FileState`); while that stays,
+//! it is not read again. Files of just now are not remembered: they may change without looking different. What a run
+//! itself writes was hashed on its way out; the next run reads it back once.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Mutex, PoisonError};
+
+use chrono::Utc;
+use evermap_schemas::{Fault, Kind};
+
+use crate::fingerprint::FileState;
+use crate::map::damage::Damage;
+use crate::map::receipt::{Artifact, Receipt};
+use crate::map::store::{Store, each};
+
+/// Where it is remembered.
+pub const NAME: &str = "sound.json";
+
+type States = BTreeMap<String, FileState>;
+
+/// The artifacts of a map that are known to be sound.
+#[derive(Debug)]
+pub struct Sound<'s> {
+    store: &'s Store,
+    /// What the file of a content was like when it was found right.
+    states: Mutex<States>,
+}
+
+impl<'s> Sound<'s> {
+    /// What is remembered of a map. Where that does not read, nothing is.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn load(store: &'s Store) -> Result<Self, Fault> {
+        let states = match store.read_json::<States>(NAME).await {
+            Ok(states) => states.unwrap_or_default(),
+            Err(fault) if fault.kind == Kind::Data => States::new(),
+            Err(fault) => return Err(fault),
+        };
+        Ok(Self {
+            store,
+            states: Mutex::new(states),
+        })
+    }
+
+    /// What is wrong with an artifact: it is read unless its file is as it was when it was last found right.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn damage(&self, artifact: &Artifact) -> Result<Option<Damage>, Fault> {
+        let meta = self.store.meta(&artifact.name()).await?;
+        let damage = artifact.size_differs(meta.as_ref());
+        let (None, Some(meta)) = (&damage, &meta) else {
+            return Ok(damage);
+        };
+        let state = FileState::of(self.store.url().as_str(), meta);
+        let rested = state.rests(Utc::now());
+        let known = |states: &States| states.get(&artifact.content) == Some(&state);
+        if known(&self.states.lock().unwrap_or_else(PoisonError::into_inner)) {
+            return Ok(None);
+        }
+        let damage = artifact.content_damage(self.store).await?;
+        let mut states = self.states.lock().unwrap_or_else(PoisonError::into_inner);
+        if damage.is_none() && rested {
+            states.insert(artifact.content.clone(), state);
+        } else {
+            states.remove(&artifact.content);
+        }
+        Ok(damage)
+    }
+
+    /// What is wrong with any of these artifacts.
+    ///
+    /// # Errors
+    /// As [`Sound::damage`].
+    pub async fn damages<'a>(
+        &self,
+        artifacts: impl IntoIterator<Item = &'a Artifact>,
+    ) -> Result<Vec<Damage>, Fault> {
+        let once: BTreeMap<&str, &Artifact> = artifacts
+            .into_iter()
+            .map(|artifact| (artifact.content.as_str(), artifact))
+            .collect();
+        let found = each(once.into_values().map(|artifact| self.damage(artifact))).await?;
+        Ok(found.into_iter().flatten().collect())
+    }
+
+    /// The receipt of a recipe that was done before, with what is wrong with its rows.
+    ///
+    /// # Errors
+    /// As [`Receipt::read`].
+    pub async fn receipt(&self, digest: &str) -> Result<Option<(Receipt, Option<Damage>)>, Fault> {
+        let Some(receipt) = Receipt::read(self.store, digest).await? else {
+            return Ok(None);
+        };
+        let damage = self.damage(&receipt.artifact).await?;
+        Ok(Some((receipt, damage)))
+    }
+
+    /// Remembers what was found.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not take it.
+    pub async fn remember(&self) -> Result<(), Fault> {
+        let states = self
+            .states
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone();
+        self.store.write_json(NAME, &states).await
+    }
+
+    /// Forgets artifacts that are no more.
+    ///
+    /// # Errors
+    /// As [`Sound::load`] and [`Sound::remember`].
+    pub async fn forget_all_but(store: &'s Store, needed: &BTreeSet<String>) -> Result<(), Fault> {
+        let mut sound = Self::load(store).await?;
+        let states = sound
+            .states
+            .get_mut()
+            .unwrap_or_else(PoisonError::into_inner);
+        let before = states.len();
+        states.retain(|content, _| needed.contains(&Artifact::name_of(content)));
+        if states.len() < before {
+            sound.remember().await?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::digest::digest;
+    use crate::map::receipt::Extent;
+
+    #[tokio::test]
+    async fn what_was_found_right_is_not_read_again_until_its_file_changes() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        let artifact = |content: String| Artifact {
+            content,
+            rows: 1,
+            bytes: 4,
+            extent: Extent::default(),
+        };
+        let (right, wrong) = (artifact(digest(b"rows")), artifact(digest(b"ROWS")));
+        for artifact in [&right, &wrong] {
+            store
+                .write(&artifact.name(), b"rows".to_vec())
+                .await
+                .unwrap();
+            let path = folder.path().join(artifact.name());
+            let old = std::fs::File::options().append(true).open(path).unwrap();
+            old.set_modified(std::time::SystemTime::UNIX_EPOCH).unwrap();
+        }
+        let sound = Sound::load(&store).await.unwrap();
+        assert_eq!(sound.damage(&right).await.unwrap(), None);
+        let damage = sound.damage(&wrong).await.unwrap().unwrap();
+        assert_eq!(damage.found, Some(right.content.clone()));
+
+        // Were it read, it would be found wrong.
+        let meta = store.meta(&wrong.name()).await.unwrap().unwrap();
+        let state = FileState::of(store.url().as_str(), &meta);
+        let states = States::from([(wrong.content.clone(), state)]);
+        store.write_json(NAME, &states).await.unwrap();
+        let sound = Sound::load(&store).await.unwrap();
+        assert_eq!(sound.damage(&wrong).await.unwrap(), None);
+        store.write(&wrong.name(), b"ROWs".to_vec()).await.unwrap();
+        assert!(sound.damage(&wrong).await.unwrap().is_some());
+        store.write(&wrong.name(), b"ROW".to_vec()).await.unwrap();
+        let damage = sound.damage(&wrong).await.unwrap().unwrap();
+        assert_eq!(damage.expected, "4 bytes");
+        assert_eq!(damage.found.as_deref(), Some("3 bytes"));
+    }
+}

@@ -1,0 +1,133 @@
+//! A map's layers as tables of a context. A layer is opened when a query names it: one that is damaged takes no query
+//! with it that does not read it.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use async_trait::async_trait;
+use datafusion::catalog::{SchemaProvider, TableProvider};
+use datafusion::datasource::TableType;
+use datafusion::error::{DataFusionError, Result};
+use datafusion::prelude::{DataFrame, SessionContext};
+use evermap_schemas::{Fault, LayerRow, batch};
+use object_store::ObjectStoreExt;
+use tokio::sync::OnceCell;
+
+use crate::error::{OrFault, external};
+use crate::map::artifact::{read_artifacts, read_files};
+use crate::map::store::{Store, each};
+use crate::map::{LayerInfo, Map, RunRow, VersionInfo, versions};
+
+/// The last bytes of a Parquet file that was written to its end.
+const PARQUET_END: &[u8] = b"PAR1";
+
+/// The tables of a map: its published layers, and what it says of itself.
+pub struct Tables {
+    map: Map,
+    /// Opens tables; it has none itself.
+    reading: SessionContext,
+    /// The tables by name, those open that were asked for.
+    tables: BTreeMap<String, OnceCell<Arc<dyn TableProvider>>>,
+}
+
+impl std::fmt::Debug for Tables {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Tables").field("map", &self.map).finish()
+    }
+}
+
+impl Tables {
+    /// The tables of a map, opened with the settings and limits of a context.
+    pub fn new(map: Map, context: &SessionContext) -> Self {
+        let reading =
+            SessionContext::new_with_config_rt(context.copied_config(), context.runtime_env());
+        let layers = map.version.published().map(|(name, _)| name.as_str());
+        let own = [LayerInfo::NAME, VersionInfo::NAME, RunRow::NAME];
+        let tables = layers.chain(own);
+        Self {
+            tables: tables
+                .map(|name| (name.to_owned(), OnceCell::new()))
+                .collect(),
+            reading,
+            map,
+        }
+    }
+
+    async fn open(&self, name: &str) -> Result<Arc<dyn TableProvider>, Fault> {
+        let (store, context) = (&self.map.store, &self.reading);
+        let rows = match name {
+            LayerInfo::NAME => context.read_batch(batch(self.map.layers())?).or_fault()?,
+            VersionInfo::NAME => context
+                .read_batch(batch(versions(store).await?)?)
+                .or_fault()?,
+            RunRow::NAME => self.runs().await?,
+            _ => {
+                let layer = self.map.published(name);
+                let artifacts = layer.map_or(&[][..], |layer| &layer.artifacts);
+                let rows = read_artifacts(context, store, artifacts).await;
+                rows.map_err(|fault| fault.at(format!("layer {name}")))?
+            }
+        };
+        Ok(rows.into_view())
+    }
+
+    async fn runs(&self) -> Result<DataFrame, Fault> {
+        let (store, context) = (&self.map.store, &self.reading);
+        let files = store.list("runs").await?;
+        let are_whole = files
+            .iter()
+            .map(|(name, bytes)| is_whole(store, name, *bytes));
+        let are_whole = each(are_whole).await?;
+        let mut whole = Vec::new();
+        for ((name, _), is_whole) in files.into_iter().zip(are_whole) {
+            if is_whole {
+                whole.push(name);
+            } else {
+                tracing::warn!(
+                    "{name} is ignored: expected a Parquet file, found one that is torn"
+                );
+            }
+        }
+        if whole.is_empty() {
+            return context.read_batch(batch::<RunRow>(Vec::new())?).or_fault();
+        }
+        read_files(context, store, whole).await
+    }
+}
+
+/// Whether a Parquet file was written to its end.
+///
+/// # Errors
+/// A resource fault when the store does not answer.
+pub async fn is_whole(store: &Store, name: &str, bytes: u64) -> Result<bool, Fault> {
+    let Some(end) = bytes.checked_sub(PARQUET_END.len() as u64) else {
+        return Ok(false);
+    };
+    let path = store.path(name);
+    let found = store.objects().get_range(&path, end..bytes).await;
+    let found = found.map_err(|error| crate::error::store_fault(&error, name))?;
+    Ok(found == PARQUET_END)
+}
+
+#[async_trait]
+impl SchemaProvider for Tables {
+    fn table_names(&self) -> Vec<String> {
+        self.tables.keys().cloned().collect()
+    }
+
+    async fn table(&self, name: &str) -> Result<Option<Arc<dyn TableProvider>>, DataFusionError> {
+        let Some(cell) = self.tables.get(name) else {
+            return Ok(None);
+        };
+        let opened = cell.get_or_try_init(|| self.open(name)).await;
+        opened.cloned().map(Some).map_err(external)
+    }
+
+    async fn table_type(&self, name: &str) -> Result<Option<TableType>> {
+        Ok(self.table_exist(name).then_some(TableType::View))
+    }
+
+    fn table_exist(&self, name: &str) -> bool {
+        self.tables.contains_key(name)
+    }
+}

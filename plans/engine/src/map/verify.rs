@@ -1,0 +1,285 @@
+//! Whether a map is what was written: every version, receipt and artifact read and held against the others.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use evermap_schemas::{Fault, Kind, record};
+
+use crate::map::damage::{Damage, content_damage};
+use crate::map::receipt::{Artifact, Receipt};
+use crate::map::store::{Store, each};
+use crate::map::tables::is_whole;
+use crate::map::version::Version;
+
+record! {
+    /// A file of a map that is not as it should be.
+    #[layer("findings", key(file))]
+    pub struct Finding {
+        /// `missing`, `damaged` (it has another size or content), `unreadable` (it is torn, or not what evermap writes),
+        /// or `unreferenced`: no version needs it, and `evermap gc` removes it.
+        state: String,
+        /// The file, within the map.
+        file: String,
+        /// What was expected; null where nothing was.
+        expected: Option<String>,
+        /// What was found; null where there is no such file.
+        found: Option<String>,
+        /// A version and layer that needs it; null where none does.
+        needed_by: Option<String>,
+    }
+}
+
+impl Finding {
+    /// Whether something is lost: unreferenced files are merely left over.
+    pub fn is_loss(&self) -> bool {
+        self.state != "unreferenced"
+    }
+}
+
+/// What [`verify`] has read, and what it found.
+#[derive(Debug, Clone, Default)]
+pub struct Verified {
+    /// Versions that were read.
+    pub versions: u64,
+    /// Receipts that were read.
+    pub receipts: u64,
+    /// Artifacts that were read.
+    pub artifacts: u64,
+    /// What is not as it should be, by file.
+    pub findings: Vec<Finding>,
+}
+
+/// What versions need.
+#[derive(Default)]
+struct Needed {
+    artifacts: BTreeMap<String, (Artifact, String)>,
+    /// Receipts by digest: the content that they must lead to.
+    receipts: BTreeMap<String, (String, String)>,
+}
+
+impl Needed {
+    fn add(&mut self, version: &Version) {
+        let number = version.version;
+        for (name, layer) in &version.layers {
+            let by = format!("version {number}: {name}");
+            for artifact in &layer.artifacts {
+                self.artifact(artifact, &by);
+            }
+            for (digest, artifact) in layer.recipes.iter().zip(&layer.artifacts) {
+                let content = artifact.content.clone();
+                let receipts = &mut self.receipts;
+                receipts
+                    .entry(digest.clone())
+                    .or_insert((content, by.clone()));
+            }
+        }
+        for (name, artifacts) in &version.previous.layers {
+            for artifact in artifacts {
+                self.artifact(artifact, &format!("version {number}: previous.{name}"));
+            }
+        }
+    }
+
+    fn artifact(&mut self, artifact: &Artifact, by: &str) {
+        let name = artifact.name();
+        let needed = || (artifact.clone(), by.to_owned());
+        self.artifacts.entry(name).or_insert_with(needed);
+    }
+}
+
+/// Reads all of a map, or of one version of it, and says what is missing, damaged, unreadable or unreferenced.
+///
+/// # Errors
+/// A user fault for a version that there is not, a resource fault when the store does not answer.
+pub async fn verify(store: &Store, version: Option<u64>) -> Result<Verified, Fault> {
+    let mut verified = Verified::default();
+    let mut needed = Needed::default();
+    let numbers = match version {
+        Some(number) => vec![number],
+        None => Version::numbers(store).await?,
+    };
+    for number in numbers {
+        match Version::read(store, number).await {
+            Ok(version) => needed.add(&version),
+            Err(fault) if fault.kind == Kind::Data => {
+                let file = Version::name(number);
+                verified.findings.push(unreadable(&file, &fault, None));
+            }
+            Err(fault) => return Err(fault),
+        }
+        verified.versions += 1;
+    }
+    let all = version.is_none();
+    verified.artifacts(store, &needed, all).await?;
+    verified.receipts(store, &needed, all).await?;
+    if all {
+        verified.others(store).await?;
+    }
+    verified.findings.sort_by(|a, b| a.file.cmp(&b.file));
+    Ok(verified)
+}
+
+impl Verified {
+    /// Reads the artifacts that are needed, and, for `all`, the others: every name is the digest of its file.
+    async fn artifacts(&mut self, store: &Store, needed: &Needed, all: bool) -> Result<(), Fault> {
+        let listed = store.list("artifacts").await?;
+        let there: BTreeSet<&String> = listed.iter().map(|(name, _)| name).collect();
+        let wanted = listed.iter().map(|(name, _)| name);
+        let wanted = wanted.filter(|name| all || needed.artifacts.contains_key(*name));
+        let wanted: Vec<&String> = wanted.collect();
+        let content = |name: &str| -> String {
+            let stem = name.strip_prefix("artifacts/").unwrap_or(name);
+            stem.strip_suffix(".parquet").unwrap_or(stem).to_owned()
+        };
+        let damages = wanted
+            .iter()
+            .map(|name| content_damage(store, name, content(name)));
+        let damages = each(damages).await?;
+        self.artifacts = damages.len() as u64;
+        for (name, damage) in wanted.into_iter().zip(damages) {
+            let by = needed.artifacts.get(name).map(|(_, by)| by.clone());
+            match damage {
+                Some(damage) => self.findings.push(damaged(damage, by)),
+                None if by.is_none() => self.findings.push(unreferenced(name)),
+                None => {}
+            }
+        }
+        let gone = needed.artifacts.iter();
+        for (name, (artifact, by)) in gone.filter(|(name, _)| !there.contains(name)) {
+            let expected = format!("{} bytes", artifact.bytes);
+            self.findings
+                .push(missing(name, Some(expected), by.clone()));
+        }
+        Ok(())
+    }
+
+    async fn receipts(&mut self, store: &Store, needed: &Needed, all: bool) -> Result<(), Fault> {
+        let mut digests: BTreeSet<String> = needed.receipts.keys().cloned().collect();
+        let listed = store.list("receipts").await?;
+        for (name, _) in listed.iter().filter(|_| all) {
+            let stem = name.strip_prefix("receipts/");
+            match stem.and_then(|name| name.strip_suffix(".json")) {
+                Some(digest) => drop(digests.insert(digest.to_owned())),
+                None => self.findings.push(unreferenced(name)),
+            }
+        }
+        let found = each(
+            digests
+                .into_iter()
+                .map(|digest| read_receipt(store, digest)),
+        )
+        .await?;
+        self.receipts = found.len() as u64;
+        for (digest, found) in found {
+            let finding = self.receipt(&digest, found, needed.receipts.get(&digest))?;
+            self.findings.extend(finding);
+        }
+        Ok(())
+    }
+
+    /// What is wrong with the receipt of this name, whose layer needs it to lead to a content.
+    fn receipt(
+        &self,
+        digest: &str,
+        found: ReadReceipt,
+        needed: Option<&(String, String)>,
+    ) -> Result<Option<Finding>, Fault> {
+        let name = Receipt::name(digest);
+        let by = needed.map(|(_, by)| by.clone());
+        let receipt = match found {
+            Ok(Some(receipt)) => receipt,
+            Ok(None) => {
+                // Removed while this looked, where nobody needs it.
+                return Ok(by.map(|by| missing(&name, None, by)));
+            }
+            Err(fault) => return Ok(Some(unreadable(&name, &fault, by))),
+        };
+        let of = receipt.recipe.digest()?;
+        let differs = |expected: &str, found: &str| Damage {
+            file: name.clone(),
+            expected: expected.to_owned(),
+            found: Some(found.to_owned()),
+        };
+        let content = &receipt.artifact.content;
+        let damage = match needed {
+            _ if of != digest || receipt.digest != digest => Some(differs(
+                &format!("the recipe {digest}"),
+                &format!("the recipe {of}"),
+            )),
+            Some((wanted, _)) if wanted != content => Some(differs(
+                &format!("the rows {wanted}"),
+                &format!("the rows {content}"),
+            )),
+            _ => None,
+        };
+        Ok(match (damage, needed) {
+            (Some(damage), _) => Some(damaged(damage, by)),
+            (None, None) => Some(unreferenced(&name)),
+            (None, Some(_)) => None,
+        })
+    }
+
+    /// What is neither a version nor a receipt nor an artifact.
+    async fn others(&mut self, store: &Store) -> Result<(), Fault> {
+        for (name, _) in store.temporary(Duration::ZERO).await? {
+            self.findings.push(unreferenced(&name));
+        }
+        for (name, bytes) in store.list("runs").await? {
+            if !is_whole(store, &name, bytes).await? {
+                let fault = Fault::data("expected a Parquet file, found one that is torn");
+                self.findings.push(unreadable(&name, &fault, None));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A receipt, or none, or why it does not read.
+type ReadReceipt = Result<Option<Receipt>, Fault>;
+
+async fn read_receipt(store: &Store, digest: String) -> Result<(String, ReadReceipt), Fault> {
+    match store.read_json(&Receipt::name(&digest)).await {
+        Err(fault) if fault.kind != Kind::Data => Err(fault),
+        found => Ok((digest, found)),
+    }
+}
+
+fn missing(file: &str, expected: Option<String>, by: String) -> Finding {
+    Finding {
+        state: "missing".into(),
+        file: file.to_owned(),
+        expected,
+        found: None,
+        needed_by: Some(by),
+    }
+}
+
+fn damaged(damage: Damage, needed_by: Option<String>) -> Finding {
+    Finding {
+        state: "damaged".into(),
+        file: damage.file,
+        expected: Some(damage.expected),
+        found: damage.found,
+        needed_by,
+    }
+}
+
+fn unreadable(file: &str, fault: &Fault, needed_by: Option<String>) -> Finding {
+    Finding {
+        state: "unreadable".into(),
+        file: file.to_owned(),
+        expected: None,
+        found: Some(fault.message.clone()),
+        needed_by,
+    }
+}
+
+fn unreferenced(file: &str) -> Finding {
+    Finding {
+        state: "unreferenced".into(),
+        file: file.to_owned(),
+        expected: None,
+        found: None,
+        needed_by: None,
+    }
+}

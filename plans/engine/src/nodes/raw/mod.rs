@@ -1,0 +1,172 @@
+//! Raw images as files that any decoder reads.
+
+mod bayer;
+mod yuv;
+
+use std::borrow::Cow;
+
+use evermap_schemas::ImageRef;
+
+use bayer::Mosaic;
+use yuv::Packing;
+
+/// How a raw encoding lays pixels out.
+enum Layout {
+    /// Each pixel has its samples side by side: bytes of a pixel, and the bytes of the file's sample in order.
+    Plain(usize, &'static [usize]),
+    /// One colour a pixel, in a mosaic of two by two; one or two bytes each.
+    Bayer(Mosaic, usize),
+    /// Luma and chroma.
+    Yuv(Packing),
+}
+
+/// The layout of an encoding as ROS (`sensor_msgs/image_encodings.hpp`) and Foxglove name it, and its largest value.
+fn layout(encoding: &str) -> Option<(Layout, u32)> {
+    use Layout::{Bayer, Plain, Yuv};
+    let eight = |layout| Some((layout, 255));
+    // Samples of two bytes are little endian; the file wants them big endian.
+    let sixteen = |layout| Some((layout, 65_535));
+    if let Some((mosaic, bytes)) = Mosaic::named(encoding) {
+        return match bytes {
+            1 => eight(Bayer(mosaic, 1)),
+            _ => sixteen(Bayer(mosaic, 2)),
+        };
+    }
+    match encoding {
+        "mono8" | "8UC1" => eight(Plain(1, &[0])),
+        "rgb8" | "8UC3" => eight(Plain(3, &[0, 1, 2])),
+        "bgr8" => eight(Plain(3, &[2, 1, 0])),
+        "rgba8" => eight(Plain(4, &[0, 1, 2])),
+        "bgra8" | "8UC4" => eight(Plain(4, &[2, 1, 0])),
+        "mono16" | "16UC1" => sixteen(Plain(2, &[1, 0])),
+        "rgb16" | "16UC3" => sixteen(Plain(6, &[1, 0, 3, 2, 5, 4])),
+        "bgr16" => sixteen(Plain(6, &[5, 4, 3, 2, 1, 0])),
+        "rgba16" => sixteen(Plain(8, &[1, 0, 3, 2, 5, 4])),
+        "bgra16" | "16UC4" => sixteen(Plain(8, &[5, 4, 3, 2, 1, 0])),
+        "uyvy" | "yuv422" => eight(Yuv(Packing::Uyvy)),
+        "yuyv" | "yuv422_yuy2" => eight(Yuv(Packing::Yuyv)),
+        "nv12" => eight(Yuv(Packing::Nv12)),
+        "nv21" => eight(Yuv(Packing::Nv21)),
+        "nv24" => eight(Yuv(Packing::Nv24)),
+        _ => None,
+    }
+}
+
+/// An image as a file that any decoder reads: a raw one as netpbm (colour RGB, rows without padding), JPEG and PNG as
+/// they are.
+///
+/// # Errors
+/// In words: for an encoding that nobody here reads, or fewer bytes than the size asks for.
+pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, String> {
+    let encoding = image.format.as_str();
+    if ["jpeg", "png"].contains(&encoding) {
+        return Ok(bytes.into());
+    }
+    let Some((layout, maximum)) = layout(encoding) else {
+        return Err(format!(
+            "expected jpeg, png or a raw encoding of ROS or Foxglove, found {encoding:?}"
+        ));
+    };
+    let (Some(width), Some(height), Some(step)) = (image.width, image.height, image.step) else {
+        return Err(format!("{encoding} without width, height and step"));
+    };
+    let (width, height, step) = (width as usize, height as usize, step as usize);
+    let (row, lines, samples) = match &layout {
+        Layout::Plain(pixel, order) => (width.saturating_mul(*pixel), height, order.len()),
+        Layout::Bayer(_, bytes) => (width.saturating_mul(*bytes), height, 3 * bytes),
+        Layout::Yuv(packing) => (packing.row(width), packing.lines(height), 3),
+    };
+    let expected = step.saturating_mul(lines);
+    if row == 0 || step < row || bytes.len() < expected {
+        return Err(format!(
+            "{encoding} of {width} × {height}: expected rows of {row} B and {expected} B in all, found rows of {step} B and {} B",
+            bytes.len()
+        ));
+    }
+    let magic = if samples < 3 { "P5" } else { "P6" };
+    let mut file = format!("{magic}\n{width} {height}\n{maximum}\n").into_bytes();
+    file.reserve(width * height * samples);
+    match layout {
+        Layout::Plain(pixel, order) => {
+            for line in bytes.chunks(step).take(height) {
+                for pixel in line[..row].chunks_exact(pixel) {
+                    file.extend(order.iter().map(|&sample| pixel[sample]));
+                }
+            }
+        }
+        Layout::Bayer(mosaic, bytes_each) => {
+            mosaic.write(bytes, [width, height], step, bytes_each, &mut file);
+        }
+        Layout::Yuv(packing) => packing.write(bytes, [width, height], step, &mut file),
+    }
+    Ok(file.into())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    pub fn raw(format: &str, width: u32, height: u32, step: u32) -> ImageRef {
+        ImageRef {
+            session: String::new(),
+            part: 0,
+            chunk: None,
+            chunk_length: 0,
+            chunk_size: 0,
+            compression: String::new(),
+            offset: 0,
+            length: 0,
+            format: format.into(),
+            width: Some(width),
+            height: Some(height),
+            step: Some(step),
+        }
+    }
+
+    #[test]
+    fn raw_images_become_netpbm_without_padding() {
+        let padded = [1, 2, 0, 3, 4, 0];
+        for (image, bytes, file) in [
+            (
+                raw("mono8", 2, 2, 3),
+                &padded[..],
+                &b"P5\n2 2\n255\n\x01\x02\x03\x04"[..],
+            ),
+            (
+                raw("bgr8", 1, 1, 3),
+                &[1, 2, 3],
+                b"P6\n1 1\n255\n\x03\x02\x01",
+            ),
+            (raw("mono16", 1, 1, 2), &[1, 2], b"P5\n1 1\n65535\n\x02\x01"),
+            (
+                raw("bgr16", 1, 1, 6),
+                &[1, 2, 3, 4, 5, 6],
+                b"P6\n1 1\n65535\n\x06\x05\x04\x03\x02\x01",
+            ),
+        ] {
+            assert_eq!(
+                as_file(&image, bytes).unwrap().as_ref(),
+                file,
+                "{}",
+                image.format
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_not_read_is_named() {
+        let unknown = as_file(&raw("h264", 9, 9, 9), &[1, 2]).unwrap_err();
+        assert!(unknown.contains("h264"), "{unknown}");
+        let short = as_file(&raw("mono8", 9, 9, 9), &[1, 2]).unwrap_err();
+        assert!(
+            short.contains("81 B in all") && short.contains("2 B"),
+            "{short}"
+        );
+        for (width, height, step) in [(u32::MAX, u32::MAX, u32::MAX), (0, 1, 1), (2, 2, 1)] {
+            for encoding in ["rgba16", "nv12", "bayer_rggb16", "yuyv"] {
+                as_file(&raw(encoding, width, height, step), &[0; 64]).unwrap_err();
+            }
+        }
+    }
+}

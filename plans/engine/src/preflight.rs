@@ -1,0 +1,309 @@
+//! What the steps of a plan need of logs, and what logs bring: told before anything runs.
+//!
+//! A step is *fed* where everything that it must read is there: roles that a session plays, and steps that are fed. A
+//! query is fed by one of its tables, as an outer join or a union may be content with that. What a plan reads of the
+//! version before, topics by name and roles of metadata are there or not as they please.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use evermap_contract::Registry;
+use evermap_datasets::{Dataset, Session};
+use evermap_language::{Body, Input, Plan, Step};
+use evermap_schemas::{Fault, roles};
+
+use crate::program::{LIFT, Program, Role, Scope, Stage, Task};
+
+/// A step, as far as it matters here.
+struct Need {
+    step: String,
+    inputs: Vec<Input>,
+    is_query: bool,
+    /// Whether it works on one session at a time.
+    of_session: bool,
+}
+
+/// What the steps of a plan need, each after all it reads.
+pub struct Needs(Vec<Need>);
+
+/// Names of roles.
+pub type Roles = BTreeSet<String>;
+
+/// Roles that are missing, each with the first step that cannot do without.
+pub type Lacks = BTreeMap<String, String>;
+
+impl Needs {
+    /// The needs of a compiled plan.
+    pub fn of_program(program: &Program, registry: &Registry) -> Self {
+        let need = |stage: &Stage| {
+            let reads = stage.reads.iter().filter(|read| match &read.role {
+                Role::Side(port) => !is_optional(registry, stage.op().unwrap_or_default(), port),
+                Role::Driving | Role::Query => true,
+            });
+            Need {
+                step: stage.name.clone(),
+                inputs: reads.map(|read| read.table.clone()).collect(),
+                is_query: matches!(stage.task, Task::Sql { .. }),
+                of_session: stage.scope == Scope::Session,
+            }
+        };
+        Self(program.stages.iter().map(need).collect())
+    }
+
+    /// The needs of a plan for a session that is alone.
+    pub fn of_plan(plan: &Plan, registry: &Registry) -> Self {
+        let need = |step: &Step| {
+            let inputs = step.inputs.iter().filter(|(port, _)| match &step.body {
+                Body::Op { op, .. } => !is_optional(registry, op, port),
+                Body::Sql { .. } => true,
+            });
+            Need {
+                step: step.name.clone(),
+                inputs: inputs.map(|(_, input)| input.clone()).collect(),
+                is_query: matches!(step.body, Body::Sql { .. }),
+                of_session: true,
+            }
+        };
+        Self(plan.steps.iter().map(need).collect())
+    }
+
+    /// What a session that plays some roles lacks, beside sessions that together play `all`; `None` where a step makes
+    /// something of it.
+    pub fn lacks(&self, plays: &Roles, all: &Roles) -> Option<Lacks> {
+        let (mut own, mut any) = (BTreeMap::new(), BTreeMap::new());
+        let (mut of_its_own, mut of_any) = (Lacks::new(), Lacks::new());
+        for need in &self.0 {
+            let together = need.lacks(all, &any);
+            let lacks = match need.of_session {
+                true => need.lacks(plays, &own),
+                false => together.clone(),
+            };
+            match &lacks {
+                None if need.reads_of(plays) => return None,
+                Some(found) if need.reads_of(plays) => merge(&mut of_its_own, found),
+                Some(found) => merge(&mut of_any, found),
+                None => {}
+            }
+            own.insert(need.step.as_str(), lacks);
+            any.insert(need.step.as_str(), together);
+        }
+        Some(match of_its_own.is_empty() {
+            true => of_any,
+            false => of_its_own,
+        })
+    }
+}
+
+impl Need {
+    /// What it lacks where these roles are played; `None` where it is fed.
+    fn lacks(&self, plays: &Roles, missing: &BTreeMap<&str, Option<Lacks>>) -> Option<Lacks> {
+        let step = || self.step.trim_end_matches(LIFT).to_owned();
+        let mut lacks: Vec<Lacks> = Vec::new();
+        let mut known = 0;
+        for input in &self.inputs {
+            match input {
+                Input::Source(name) if is_role(name) => {
+                    known += 1;
+                    if !plays.contains(name) {
+                        lacks.push(Lacks::from([(name.clone(), step())]));
+                    }
+                }
+                Input::Step(name) => {
+                    known += 1;
+                    lacks.extend(missing.get(name.as_str()).cloned().flatten());
+                }
+                Input::Source(_) | Input::Previous(_) | Input::New(_) => {}
+            }
+        }
+        let fed = match self.is_query {
+            true => known == 0 || lacks.len() < known,
+            false => lacks.is_empty(),
+        };
+        let all = lacks.iter().fold(Lacks::new(), |mut all, found| {
+            merge(&mut all, found);
+            all
+        });
+        (!fed).then_some(all)
+    }
+
+    /// Whether it reads a role that is played, or a topic by its name.
+    fn reads_of(&self, plays: &Roles) -> bool {
+        let mut inputs = self.inputs.iter();
+        inputs.any(|input| matches!(input, Input::Source(name) if plays.contains(name) || name.starts_with('/')))
+    }
+}
+
+fn merge(all: &mut Lacks, found: &Lacks) {
+    for (role, step) in found {
+        all.entry(role.clone()).or_insert_with(|| step.clone());
+    }
+}
+
+/// Whether a table is a role that messages play.
+fn is_role(name: &str) -> bool {
+    let mut roles = roles::ALL.iter();
+    roles.any(|role| role.name == name && role.messages().is_some())
+}
+
+fn is_optional(registry: &Registry, op: &str, port: &str) -> bool {
+    let entry = registry.get(op).ok();
+    entry.is_some_and(|entry| entry.port(port).is_some_and(|port| port.optional))
+}
+
+/// The roles that topics of a session play.
+pub fn played(session: &Session) -> Roles {
+    session.roles.to_manifest().into_keys().collect()
+}
+
+/// The sessions given of which a plan makes nothing, beside the roles that sessions of the map play.
+///
+/// # Errors
+/// A user fault when that is all of them.
+pub fn idle<'a>(
+    needs: &Needs,
+    given: &Dataset,
+    mapped: impl Iterator<Item = &'a String>,
+) -> Result<Vec<(String, Lacks)>, Fault> {
+    let played: Vec<Roles> = given.sessions.iter().map(played).collect();
+    let mut all: Roles = played.iter().flatten().cloned().collect();
+    all.extend(mapped.cloned());
+    let sessions = given.sessions.iter().zip(&played);
+    let idle = sessions.filter_map(|(session, plays)| Some((session, needs.lacks(plays, &all)?)));
+    let idle: Vec<_> = idle.collect();
+    match idle.as_slice() {
+        [(session, lacks), ..] if idle.len() == given.sessions.len() => {
+            Err(nothing_to_make(session, lacks, idle.len() - 1))
+        }
+        _ => Ok(idle
+            .into_iter()
+            .map(|(session, lacks)| (session.name.to_string(), lacks))
+            .collect()),
+    }
+}
+
+/// That a plan makes nothing of a session and `others`: what is lacking, what is there, what would help.
+fn nothing_to_make(session: &Session, lacks: &Lacks, others: usize) -> Fault {
+    let name = &session.name;
+    let others = match others {
+        0 => String::new(),
+        others => format!(", nor of {others} more"),
+    };
+    let topics = session.message_types();
+    let mut topics: Vec<_> = topics
+        .iter()
+        .map(|(topic, kind)| format!("{topic} ({kind})"))
+        .collect();
+    if topics.len() > 8 {
+        let left = topics.len() - 8;
+        topics.truncate(8);
+        topics.push(format!("{left} more"));
+    }
+    let plays = |role: &&roles::Role| lacks.contains_key(role.name);
+    let types = roles::ALL.iter().filter(plays).map(|role| {
+        let types = role.messages().map(|messages| messages.types.join(", "));
+        format!("{}: {}", role.name, types.unwrap_or_default())
+    });
+    let types: Vec<_> = types.collect();
+    Fault::user(format!(
+        "the plan makes nothing of session {name}{others}: expected {}, found topics {}",
+        in_words(lacks),
+        match topics.is_empty() {
+            true => "none".to_owned(),
+            false => topics.join(", "),
+        }
+    ))
+    .next(format!(
+        "give logs that have them, or say in a manifest which topic plays the role; message types that do: {}",
+        types.join("; ")
+    ))
+}
+
+/// What is lacking, for people: `odometry (step keyframes)`.
+pub fn in_words(lacks: &Lacks) -> String {
+    let words = lacks
+        .iter()
+        .map(|(role, step)| format!("{role} (step {step})"));
+    words.collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn need(step: &str, inputs: &[Input], of_session: bool) -> Need {
+        Need {
+            step: step.to_owned(),
+            inputs: inputs.to_vec(),
+            is_query: false,
+            of_session,
+        }
+    }
+
+    fn source(name: &str) -> Input {
+        Input::Source(name.to_owned())
+    }
+
+    fn step(name: &str) -> Input {
+        Input::Step(name.to_owned())
+    }
+
+    fn roles(names: &[&str]) -> Roles {
+        names.iter().map(ToString::to_string).collect()
+    }
+
+    fn lifelong() -> Needs {
+        Needs(vec![
+            need("keyframes", &[source("odometry")], true),
+            need("features", &[step("keyframes"), source("frames")], true),
+            need("poses", &[step("features")], false),
+            need("labels", &[step("poses"), source("annotations")], false),
+        ])
+    }
+
+    #[test]
+    fn a_session_is_of_use_where_a_step_that_reads_it_is_fed() {
+        let drive = roles(&["odometry", "frames"]);
+        assert_eq!(lifelong().lacks(&drive, &drive), None);
+        // Keyframes are made of odometry alone.
+        let blind = roles(&["odometry"]);
+        assert_eq!(lifelong().lacks(&blind, &blind), None);
+        let images = roles(&["frames"]);
+        let lacks = Lacks::from([("odometry".to_owned(), "keyframes".to_owned())]);
+        assert_eq!(lifelong().lacks(&images, &images), Some(lacks.clone()));
+        assert_eq!(lifelong().lacks(&images, &drive), Some(lacks));
+    }
+
+    #[test]
+    fn what_people_said_is_of_use_beside_a_drive_and_not_alone() {
+        let said = roles(&["annotations"]);
+        let all = roles(&["annotations", "odometry", "frames"]);
+        assert_eq!(lifelong().lacks(&said, &all), None);
+        let alone = lifelong().lacks(&said, &said).unwrap_or_default();
+        assert_eq!(
+            in_words(&alone),
+            "frames (step features), odometry (step keyframes)"
+        );
+    }
+
+    #[test]
+    fn a_log_that_plays_nothing_is_told_all_that_is_lacking() {
+        let lacks = lifelong()
+            .lacks(&Roles::new(), &Roles::new())
+            .unwrap_or_default();
+        assert_eq!(lacks.len(), 3);
+    }
+
+    #[test]
+    fn a_query_is_content_with_one_table_and_topics_are_taken_at_their_word() {
+        let needs = |inputs: &[Input]| {
+            Needs(vec![Need {
+                is_query: true,
+                ..need("rows", inputs, false)
+            }])
+        };
+        let odometry = roles(&["odometry"]);
+        let either = needs(&[source("odometry"), source("frames")]);
+        assert_eq!(either.lacks(&odometry, &odometry), None);
+        let topic = needs(&[source("/battery")]);
+        assert_eq!(topic.lacks(&Roles::new(), &Roles::new()), None);
+    }
+}

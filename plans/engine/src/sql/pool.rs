@@ -1,0 +1,169 @@
+//! The memory that the operators of a query share.
+
+use std::fmt::{Display, Formatter};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use datafusion::common::{Result, resources_datafusion_err};
+use datafusion::execution::memory_pool::{
+    MemoryConsumer, MemoryLimit, MemoryPool, MemoryReservation, human_readable_size,
+};
+
+/// Memory for operators that spill, in equal shares, and for those that do not, first come, first served; as
+/// DataFusion's `FairSpillPool`, but for a part that only small reservations may take. A sort needs a little memory that
+/// cannot spill, to merge what it spills, and asks for it time and again while rows arrive; by then the shares of other
+/// sorts, or one that merges as many files as it finds memory for, may have taken all there is.
+#[derive(Debug)]
+pub struct SharedPool {
+    bytes: usize,
+    /// Bytes that only small reservations which cannot spill may take.
+    held: usize,
+    /// Bytes of a small reservation at most.
+    small: usize,
+    used: Mutex<Used>,
+}
+
+#[derive(Debug, Default)]
+struct Used {
+    spillers: usize,
+    spillable: usize,
+    unspillable: usize,
+}
+
+impl Used {
+    fn of(&mut self, consumer: &MemoryConsumer) -> &mut usize {
+        match consumer.can_spill() {
+            true => &mut self.spillable,
+            false => &mut self.unspillable,
+        }
+    }
+}
+
+impl SharedPool {
+    /// A pool of so many bytes for operators that work in so many partitions, half of it for small reservations.
+    ///
+    /// To merge what it has sorted, a sort copies the keys of its share, which may be all of it; the share was counted
+    /// twice. So two sorts in a row, in each partition, find what they need.
+    pub fn new(bytes: usize, partitions: usize) -> Self {
+        Self {
+            bytes,
+            held: bytes / 2,
+            small: bytes / (4 * partitions.max(1)),
+            used: Mutex::default(),
+        }
+    }
+
+    fn used(&self) -> MutexGuard<'_, Used> {
+        self.used.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Bytes by which a reservation may grow.
+    fn free(&self, used: &Used, reservation: &MemoryReservation) -> usize {
+        let size = reservation.size();
+        if reservation.consumer().can_spill() {
+            let shared = self.bytes.saturating_sub(used.unspillable.max(self.held));
+            return (shared / used.spillers.max(1)).saturating_sub(size);
+        }
+        let free = self.bytes.saturating_sub(used.spillable + used.unspillable);
+        let small = free.min(self.small.saturating_sub(size));
+        small.max(free.saturating_sub(self.held))
+    }
+}
+
+impl MemoryPool for SharedPool {
+    fn name(&self) -> &str {
+        "shared"
+    }
+
+    fn register(&self, consumer: &MemoryConsumer) {
+        self.used().spillers += usize::from(consumer.can_spill());
+    }
+
+    fn unregister(&self, consumer: &MemoryConsumer) {
+        self.used().spillers -= usize::from(consumer.can_spill());
+    }
+
+    fn grow(&self, reservation: &MemoryReservation, additional: usize) {
+        *self.used().of(reservation.consumer()) += additional;
+    }
+
+    fn shrink(&self, reservation: &MemoryReservation, shrink: usize) {
+        *self.used().of(reservation.consumer()) -= shrink;
+    }
+
+    fn try_grow(&self, reservation: &MemoryReservation, additional: usize) -> Result<()> {
+        let mut used = self.used();
+        let free = self.free(&used, reservation);
+        if additional > free {
+            return Err(resources_datafusion_err!(
+                "{} needs {} more beside its {}, expected at most {} (all operators together: {})",
+                reservation.consumer().name(),
+                human_readable_size(additional),
+                human_readable_size(reservation.size()),
+                human_readable_size(free),
+                human_readable_size(self.bytes)
+            ));
+        }
+        *used.of(reservation.consumer()) += additional;
+        Ok(())
+    }
+
+    fn reserved(&self) -> usize {
+        let used = self.used();
+        used.spillable + used.unspillable
+    }
+
+    fn memory_limit(&self) -> MemoryLimit {
+        MemoryLimit::Finite(self.bytes)
+    }
+}
+
+impl Display for SharedPool {
+    fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
+        write!(f, "shared({})", human_readable_size(self.bytes))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::sync::Arc;
+
+    use super::*;
+
+    #[test]
+    fn a_small_reservation_finds_memory_however_much_the_others_took() {
+        let pool: Arc<dyn MemoryPool> = Arc::new(SharedPool::new(80, 2));
+        let [first, second] = ["first", "second"].map(|name| {
+            let consumer = MemoryConsumer::new(name).with_can_spill(true);
+            consumer.register(&pool)
+        });
+        first.try_grow(20).unwrap();
+        first.try_grow(1).unwrap_err();
+        second.try_grow(20).unwrap();
+        let greedy = MemoryConsumer::new("greedy").register(&pool);
+        greedy.try_grow(10).unwrap();
+        greedy.try_grow(1).unwrap_err();
+        let merge = MemoryConsumer::new("merge").register(&pool);
+        merge.try_grow(10).unwrap();
+        let refused = merge.try_grow(1).unwrap_err().to_string();
+        assert!(refused.contains("merge needs 1.0 B more"), "{refused}");
+        drop((first, second));
+        greedy.try_grow(20).unwrap();
+        greedy.try_grow(1).unwrap_err();
+        assert_eq!(pool.reserved(), 40);
+        drop((merge, greedy));
+        assert_eq!(pool.reserved(), 0);
+    }
+
+    #[test]
+    fn shares_shrink_by_what_cannot_spill_beyond_its_part() {
+        let pool: Arc<dyn MemoryPool> = Arc::new(SharedPool::new(100, 1));
+        let build = MemoryConsumer::new("build").register(&pool);
+        build.try_grow(50).unwrap();
+        let sort = MemoryConsumer::new("sort").with_can_spill(true);
+        let sort = sort.register(&pool);
+        sort.try_grow(51).unwrap_err();
+        sort.try_grow(50).unwrap();
+        build.try_grow(1).unwrap_err();
+    }
+}

@@ -1,0 +1,205 @@
+//! The targets of the fuzzer: each takes any bytes, and must come back.
+//!
+//! ```text
+//!   corpus/TARGET/* ──► tests/corpus.rs: replayed and mutated in every test run
+//!          ▲ └────────► guided/: the same targets under cargo-fuzz, led by coverage
+//!          └─ what it finds that reaches new code
+//! ```
+
+use std::str::from_utf8;
+
+use arrow::array::StructArray;
+use arrow::datatypes::Field;
+use evermap_language::{
+    Host, OperatorSpec, ParameterFault, PortSpec, Source, Vocabulary, parse, utf8,
+};
+use evermap_messages::{Decoder, MessageType};
+use evermap_schemas::Stamp;
+use evermap_schemas::roles::{self, CameraNames, Fields, Message};
+use serde_json::{Value, json};
+
+/// A target.
+pub type Target = fn(&[u8]);
+
+/// All targets by name; each has a folder in `corpus` and a file in `guided/targets`.
+pub const TARGETS: [(&str, Target); 4] = [
+    ("definitions", definitions),
+    ("payloads", payloads),
+    ("roles", roles),
+    ("plans", plans),
+];
+
+/// Encodings of messages and of their definitions, and a name that a definition may have.
+const ENCODINGS: [(&str, &str, &str); 6] = [
+    ("cdr", "ros2msg", "a/msg/B"),
+    ("cdr", "ros2idl", "a/msg/B"),
+    ("ros1", "ros1msg", "a/B"),
+    ("protobuf", "protobuf", "a.B"),
+    ("json", "jsonschema", "a.B"),
+    ("json", "", ""),
+];
+
+/// One byte for the encodings, then a definition.
+fn definitions(bytes: &[u8]) {
+    if let Some((first, schema)) = bytes.split_first() {
+        let _ = message_type(*first, schema);
+    }
+}
+
+fn message_type(kind: u8, schema: &[u8]) -> Option<MessageType> {
+    let (messages, schemas, name) = ENCODINGS[usize::from(kind) % ENCODINGS.len()];
+    MessageType::parse(messages, schemas, name, schema).ok()
+}
+
+/// A definition with its payloads: encodings (one byte), length of the definition (two), the definition, payloads of a
+/// length (two) each.
+fn channel(bytes: &[u8]) -> Option<(MessageType, Vec<&[u8]>)> {
+    let (first, rest) = bytes.split_first()?;
+    let (schema, mut rest) = counted(rest)?;
+    let message_type = message_type(*first, schema)?;
+    let mut payloads = Vec::new();
+    while let Some((payload, behind)) = counted(rest) {
+        payloads.push(payload);
+        rest = behind;
+    }
+    Some((message_type, payloads))
+}
+
+/// Bytes behind their length, as many as there are, and what follows.
+fn counted(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = bytes.split_first_chunk::<2>()?;
+    let length = usize::from(u16::from_le_bytes(*length));
+    Some(rest.split_at(length.min(rest.len())))
+}
+
+/// Decodes payloads by their own definition: whole, one member alone, and the place of a member.
+fn payloads(bytes: &[u8]) {
+    let Some((message_type, payloads)) = channel(bytes) else {
+        return;
+    };
+    let mut whole = message_type.decoder(None);
+    let mut first = message_type.decoder(Some(&[0]));
+    for payload in payloads {
+        let rows = (whole.push(payload).is_ok(), first.push(payload).is_ok());
+        // Whether a payload is a row does not depend on what is read of it.
+        assert_eq!(rows.0, rows.1);
+        for member in message_type.fields().iter().take(4) {
+            let found = message_type.locate(payload, &[member.name()]);
+            if let Ok(Some(place)) = found {
+                assert!(place.range.end <= payload.len());
+            }
+        }
+    }
+    finished(&mut whole, &message_type, usize::MAX);
+    finished(&mut first, &message_type, 1);
+}
+
+/// What was decoded, of so many members.
+fn finished(decoder: &mut Decoder, message_type: &MessageType, members: usize) -> StructArray {
+    let rows = decoder.len();
+    #[allow(clippy::expect_used)] // a fault of the decoder is what is sought
+    let arrays = decoder.finish().expect("decoded columns fit");
+    let fields = message_type.fields().iter().take(members);
+    let named = fields.zip(&arrays);
+    let fields: Vec<Field> = named
+        .map(|(field, array)| Field::new(field.name(), array.data_type().clone(), true))
+        .collect();
+    #[allow(clippy::expect_used)]
+    StructArray::try_new_with_length(fields.into(), arrays, None, rows).expect("columns are alike")
+}
+
+/// Has every role read messages of a definition of their own.
+fn roles(bytes: &[u8]) {
+    let Some((message_type, payloads)) = channel(bytes) else {
+        return;
+    };
+    let mut decoder = message_type.decoder(None);
+    for payload in payloads {
+        let _ = decoder.push(payload);
+    }
+    let members = finished(&mut decoder, &message_type, usize::MAX);
+    let cameras = CameraNames::default();
+    let messages: Vec<Message<'_>> = Fields::all(&members)
+        .map(|fields| Message {
+            site: "site",
+            session: "session",
+            topic: "/topic",
+            log_time: Stamp(1),
+            fields,
+            image: None,
+            cameras: &cameras,
+        })
+        .collect();
+    for role in roles::ALL.iter().filter_map(|role| role.messages()) {
+        if role.image.is_none() {
+            let _ = (role.read)(&messages);
+        }
+    }
+}
+
+struct Anywhere;
+
+impl Host for Anywhere {
+    fn tables(&self, query: &str) -> Result<Vec<String>, String> {
+        Ok(query.split_whitespace().map(str::to_owned).collect())
+    }
+
+    fn parameter_faults(&self, _: &str, _: &Value) -> Vec<ParameterFault> {
+        Vec::new()
+    }
+
+    fn plan(&self, name: &str, _: &str) -> Result<Source, String> {
+        match name {
+            "base" => Ok(Source {
+                origin: "base".to_owned(),
+                text: "plan: base\nsteps:\n  a: { op: filter, rows: poses }\nwrite: [a]".to_owned(),
+            }),
+            _ => Err("there is no such plan".to_owned()),
+        }
+    }
+}
+
+/// A line of settings, then a plan; a plan that is right is right again.
+fn plans(bytes: &[u8]) {
+    let Ok(text) = utf8(bytes, "plan") else {
+        return;
+    };
+    let (settings, text) = text.split_once('\n').unwrap_or(("", text));
+    let settings: Vec<String> = settings.split_whitespace().map(str::to_owned).collect();
+    let vocabulary = Vocabulary {
+        operators: vec![OperatorSpec {
+            name: "filter".to_owned(),
+            ports: ["rows", "beside"]
+                .map(|name| PortSpec {
+                    name: name.to_owned(),
+                    optional: name == "beside",
+                })
+                .to_vec(),
+            params: json!({ "properties": { "size_m": { "type": "number" } } }),
+        }],
+        sources: vec!["poses".to_owned()],
+        open_sources: true,
+    };
+    let source = Source {
+        origin: "plan".to_owned(),
+        text: text.to_owned(),
+    };
+    match parse(&source, &settings, &vocabulary, &Anywhere) {
+        Ok(plan) => {
+            let names: Vec<_> = plan.steps.iter().map(|step| &step.name).collect();
+            assert!(plan.write.iter().all(|name| names.contains(&name)));
+        }
+        Err(faults) => assert!(from_utf8(faults.pretty().as_bytes()).is_ok()),
+    }
+}
+
+/// Runs the target of this name.
+///
+/// # Panics
+/// Where there is none, or where it has found something.
+pub fn run(name: &str, bytes: &[u8]) {
+    let found = TARGETS.iter().find(|(target, _)| *target == name);
+    #[allow(clippy::panic)]
+    let (_, target) = found.unwrap_or_else(|| panic!("no target {name}"));
+    target(bytes);
+}

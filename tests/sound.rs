@@ -1,0 +1,282 @@
+//! A map whose files were damaged, torn or lost: it is noticed, said, and made anew.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::{Path, PathBuf};
+
+use evermap_tests::{Finished, command, evermap, rectangle, text, write_drive};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+/// A map of two versions, the second with a drive more than the first.
+struct Mapped {
+    folder: TempDir,
+    map: PathBuf,
+}
+
+impl Mapped {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let map = folder.path().join("map");
+        let mapped = Self { folder, map };
+        for (name, width_m) in [("a", 20.0), ("b", 30.0)] {
+            write_drive(&mapped.log(name), rectangle(width_m, 15.0, 1.0));
+            mapped.run(name).expect(0);
+        }
+        mapped
+    }
+
+    fn log(&self, name: &str) -> PathBuf {
+        self.folder.path().join(format!("{name}.mcap"))
+    }
+
+    fn run(&self, session: &str) -> Finished {
+        let log = self.log(session);
+        let run = [
+            "run",
+            "trajectory",
+            "--map",
+            text(&self.map),
+            "--progress",
+            "none",
+        ];
+        let mut run = command(&run);
+        run.args(["--sessions", text(&log)])
+            .output()
+            .unwrap()
+            .into()
+    }
+
+    fn evermap(&self, command: &str, more: &[&str]) -> Finished {
+        let mut arguments = vec![command, "--map", text(&self.map)];
+        arguments.extend(more);
+        evermap(&arguments)
+    }
+
+    fn query(&self, sql: &str) -> Value {
+        self.evermap("sql", &["--format", "json", sql])
+            .expect(0)
+            .json()
+    }
+
+    /// The artifacts of a layer of version 2.
+    fn artifacts(&self, layer: &str) -> Vec<PathBuf> {
+        let version = std::fs::read(self.map.join("versions/2.json")).unwrap();
+        let version: Value = serde_json::from_slice(&version).unwrap();
+        let artifacts = version["layers"][layer]["artifacts"].as_array().unwrap();
+        let path = |artifact: &Value| {
+            let content = artifact["content"].as_str().unwrap();
+            self.map.join(format!("artifacts/{content}.parquet"))
+        };
+        artifacts.iter().map(path).collect()
+    }
+}
+
+fn name(path: &Path) -> &str {
+    path.file_name().unwrap().to_str().unwrap()
+}
+
+/// Turns 200 bytes over in the middle of a file; its size stays.
+fn flip(path: &Path) {
+    let mut bytes = std::fs::read(path).unwrap();
+    let middle = bytes.len() / 2;
+    let many = 200.min(middle);
+    for byte in &mut bytes[middle - many / 2..middle + many / 2] {
+        *byte ^= 0xff;
+    }
+    std::fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn an_artifact_that_was_emptied_is_said_and_made_anew() {
+    let mapped = Mapped::new();
+    let poses = mapped.query("SELECT count(*) AS n FROM poses");
+    let emptied = &mapped.artifacts("poses")[0];
+    let bytes = std::fs::metadata(emptied).unwrap().len();
+    std::fs::write(emptied, "").unwrap();
+    let said = format!("{}: expected {bytes} bytes, found 0 bytes", name(emptied));
+
+    let asked = mapped
+        .evermap("sql", &["SELECT count(*) FROM poses"])
+        .expect(1);
+    assert!(asked.stderr.contains(&said), "{}", asked.stderr);
+    let exported = [
+        "export",
+        "poses",
+        "--map",
+        text(&mapped.map),
+        "--format",
+        "csv",
+        "--out",
+    ];
+    let out = mapped.folder.path().join("poses.csv");
+    let exported: Finished = command(&exported).arg(&out).output().unwrap().into();
+    assert!(exported.expect(1).stderr.contains(&said) && !out.exists());
+    let listed = mapped.evermap("layers", &[]).expect(3);
+    assert!(listed.stderr.contains(&said), "{}", listed.stderr);
+    // What does not read it is as before.
+    mapped.query("SELECT count(*) FROM lanes");
+    mapped.query("SELECT layer FROM layers");
+
+    let ran = mapped.run("b").expect(0);
+    assert!(ran.stderr.contains(&said), "{}", ran.stderr);
+    assert!(ran.stderr.contains("1 unit computed"), "{}", ran.stderr);
+    assert_eq!(mapped.query("SELECT count(*) AS n FROM poses"), poses);
+    mapped.evermap("verify", &[]).expect(0);
+}
+
+#[test]
+fn flipped_bytes_are_not_built_upon() {
+    let mapped = Mapped::new();
+    let layers = mapped.evermap("layers", &[]).expect(0).stdout;
+    // What was found right once is not read again, so it is turned over afterwards.
+    mapped.run("b").expect(0);
+    let flipped = mapped.artifacts("keyframes");
+    flipped.iter().for_each(|path| flip(path));
+
+    let log = mapped.log("b");
+    let more = [
+        "--format",
+        "json",
+        "--sessions",
+        text(&log),
+        "--map",
+        text(&mapped.map),
+    ];
+    let explain = evermap(&[&["explain", "trajectory"][..], &more].concat());
+    let explain = explain.expect(0).json();
+    let units = explain.as_array().unwrap().iter();
+    let anew: Vec<&Value> = units.filter(|unit| unit["recompute"] == true).collect();
+    assert!(
+        anew.iter()
+            .any(|unit| unit["why"].as_str().unwrap().contains(name(&flipped[0]))),
+        "{explain}"
+    );
+
+    let found = mapped
+        .evermap("verify", &["--format", "json"])
+        .expect(1)
+        .json();
+    let findings = found.as_array().unwrap();
+    assert_eq!(findings.len(), flipped.len(), "{found}");
+    for finding in findings {
+        assert_eq!(finding["state"], "damaged", "{finding}");
+        let by = finding["needed_by"].as_str().unwrap();
+        assert!(by.contains("keyframes"), "{finding}");
+    }
+
+    let ran = mapped.run("b").expect(0);
+    for path in &flipped {
+        let said = format!("{}: expected the digest", name(path));
+        assert!(ran.stderr.contains(&said), "{}", ran.stderr);
+    }
+    mapped.evermap("verify", &[]).expect(0);
+    assert_eq!(mapped.evermap("layers", &[]).expect(0).stdout, layers);
+}
+
+#[test]
+fn torn_receipts_versions_and_records_of_runs_are_ignored_and_said() {
+    let mapped = Mapped::new();
+    for (index, receipt) in std::fs::read_dir(mapped.map.join("receipts"))
+        .unwrap()
+        .enumerate()
+    {
+        let path = receipt.unwrap().path();
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &bytes[..[0, bytes.len() / 2][index % 2]]).unwrap();
+    }
+    std::fs::write(mapped.map.join("versions/2.json"), "").unwrap();
+    let runs = std::fs::read_dir(mapped.map.join("runs")).unwrap();
+    let run = runs.map(|run| run.unwrap().path()).max().unwrap();
+    std::fs::write(&run, "PAR1 and no more").unwrap();
+
+    let sessions = mapped.evermap(
+        "sql",
+        &["--format", "json", "SELECT DISTINCT session FROM poses"],
+    );
+    let sessions = sessions.expect(0);
+    assert_eq!(sessions.json(), json!([{ "session": "a" }]));
+    assert!(
+        sessions.stderr.contains("version 2 is ignored"),
+        "{}",
+        sessions.stderr
+    );
+    let runs = mapped.evermap(
+        "sql",
+        &["--format", "json", "SELECT DISTINCT version FROM runs"],
+    );
+    assert!(runs.stderr.contains(name(&run)), "{}", runs.stderr);
+    assert_eq!(runs.expect(0).json(), json!([{ "version": 1 }]));
+    let found = mapped
+        .evermap("verify", &["--format", "json"])
+        .expect(1)
+        .json();
+    let unreadable = found.as_array().unwrap().iter();
+    let unreadable = unreadable.filter(|finding| finding["state"] == "unreadable");
+    let receipts = std::fs::read_dir(mapped.map.join("receipts"))
+        .unwrap()
+        .count();
+    assert_eq!(unreadable.count(), receipts + 2, "{found}");
+
+    // A number that a torn version has is not used again.
+    mapped.run("b").expect(0);
+    assert_eq!(
+        mapped.query("SELECT version FROM versions"),
+        json!([{ "version": 1 }, { "version": 3 }])
+    );
+    let sessions = mapped.query("SELECT DISTINCT session FROM poses ORDER BY session");
+    assert_eq!(sessions, json!([{ "session": "a" }, { "session": "b" }]));
+    mapped.evermap("gc", &["--keep", "1"]).expect(0);
+    std::fs::remove_file(&run).unwrap();
+    mapped.evermap("verify", &[]).expect(0);
+    assert!(!mapped.map.join("versions/2.json").exists());
+}
+
+/// What is on the disk before what, as the trace of a run tells it.
+#[test]
+fn an_artifact_is_on_the_disk_before_its_receipt_and_receipts_before_the_version() {
+    let folder = tempfile::tempdir().unwrap();
+    let (log, map) = (folder.path().join("a.mcap"), folder.path().join("map"));
+    write_drive(&log, rectangle(20.0, 10.0, 1.0));
+    let run = [
+        "run",
+        "trajectory",
+        "--progress",
+        "none",
+        "--map",
+        text(&map),
+        "--jobs",
+        "1",
+    ];
+    let mut run = command(&run);
+    run.args(["--sessions", text(&log)])
+        .env("EVERMAP_LOG", "evermap_engine::map=trace");
+    let traced: Finished = run.output().unwrap().into();
+    let traced = traced.expect(0).stderr;
+    let lines: Vec<&str> = traced.lines().collect();
+    let named = |what: &str| {
+        let ends = |line: &&str| line.contains("named") && line.contains(what);
+        lines
+            .iter()
+            .position(ends)
+            .unwrap_or_else(|| panic!("{what}: {traced}"))
+    };
+    let version = named("versions/1.json");
+    // Whatever has a name was synced under its temporary one, and its folder after.
+    for (place, line) in lines
+        .iter()
+        .enumerate()
+        .filter(|(_, line)| line.contains("named"))
+    {
+        assert!(place >= 1 && lines[place - 1].contains("synced"), "{line}");
+    }
+    let receipts = std::fs::read_dir(map.join("receipts")).unwrap();
+    let receipts: Vec<_> = receipts.map(|receipt| receipt.unwrap().path()).collect();
+    assert!(receipts.len() > 3);
+    for path in receipts {
+        let receipt: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        let artifact = receipt["artifact"]["content"].as_str().unwrap();
+        let receipt = named(name(&path));
+        assert!(named(artifact) < receipt && receipt < version, "{traced}");
+    }
+}

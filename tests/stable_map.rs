@@ -1,0 +1,456 @@
+//! The stable map on streets with exact truth: where views were taken, what is behind cars, and what that is good for.
+//!
+//! Figures are printed with `-- --nocapture`.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stderr
+)]
+
+use std::collections::{BTreeMap, VecDeque};
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::semantic_map::semantic_graph::Labels;
+use evermap_algorithms::semantic_map::stable::classes::Kinds;
+use evermap_algorithms::semantic_map::stable::inference::{Options, Teller, infer};
+use evermap_algorithms::semantic_map::stable::occlusion::{Model, Occlusion};
+use evermap_tests::trajectories::{rows, truth};
+use evermap_tests::{Finished, evermap, plan_command, shared, simulate, text};
+use serde_json::Value;
+
+const VISITS: [&str; 2] = ["visit_a", "visit_b"];
+
+/// Maps both visits of a world, with labels of this topic; runs end with this code.
+fn mapped(world: &Path, folder: &Path, labels: &str, code: i32) -> PathBuf {
+    let map = folder.join("map");
+    for visit in VISITS {
+        let log = world.join(format!("{visit}/{visit}.mcap"));
+        let yaml = format!(
+            "sessions: [{{ name: {visit}, files: ['{}'] }}]\nroles: {{ label_frames: ['{labels}'] }}\n",
+            log.display()
+        );
+        let manifest = folder.join(format!("{visit}.yaml"));
+        std::fs::write(&manifest, yaml).unwrap();
+        // All that is inferred, however unsure: what is sure is chosen here.
+        let all = "inferred_labels.min_probability=0";
+        let arguments = ["--manifest", text(&manifest), "--set", all];
+        let run = plan_command("stable_map", &map, "street", &arguments).output();
+        let ended = Finished::from(run.unwrap());
+        ended.expect(if visit == VISITS[0] { 0 } else { code });
+    }
+    map
+}
+
+fn pose(value: &Value) -> Pose {
+    let number = |name: &str| value[name].as_f64().unwrap();
+    Pose::from_array(["x", "y", "z", "qx", "qy", "qz", "qw"].map(number)).unwrap()
+}
+
+/// Where each panorama was taken, by visit and stamp.
+fn cameras(world: &Path) -> BTreeMap<(String, i64), Pose> {
+    let mut cameras = BTreeMap::new();
+    for visit in VISITS {
+        let log = world.join(format!("{visit}/{visit}.mcap"));
+        let query = "SELECT parent_from_child AS mount FROM transforms";
+        let mounts = evermap(&["sql", "--format", "json", "--sessions", text(&log), query]);
+        let mount = pose(&mounts.expect(0).json()[0]["mount"]);
+        for at in truth(&world.join(format!("{visit}/trajectory.tum"))) {
+            cameras.insert((visit.to_owned(), at.stamp_ns), at.pose.compose(&mount));
+        }
+    }
+    cameras
+}
+
+fn middle(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// Registrations beside the truth, of which right ones are within 10 cm: how many there are, how many within 5 m, how many
+/// of those converged, and how many of all converged at a wrong place.
+fn registrations(world: &Path, map: &Path, name: &str) -> (usize, usize, usize, usize) {
+    let cameras = cameras(world);
+    let query = "SELECT session, CAST(stamp AS BIGINT) AS at, map_session, CAST(map_stamp AS BIGINT) AS map_at, rank, \
+                 state, map_view_from_view AS found, sigma_m FROM registrations ORDER BY stamp, rank";
+    let (mut near, mut converged, mut wrong, mut first) = (0, 0, 0, 0);
+    let (mut away_m, mut away_deg) = (Vec::new(), Vec::new());
+    let found = rows(map, None, query);
+    for row in &found {
+        let camera = |session: &str, stamp: &str| {
+            let session = row[session].as_str().unwrap().to_owned();
+            cameras[&(session, row[stamp].as_i64().unwrap())]
+        };
+        let truth = camera("map_session", "map_at").inverse();
+        let truth = truth.compose(&camera("session", "at"));
+        let is_near = truth.translation.norm() <= 5.0;
+        near += usize::from(is_near);
+        if row["state"] != "converged" {
+            continue;
+        }
+        let off = truth.inverse().compose(&pose(&row["found"]));
+        let off_m = off.translation.norm();
+        wrong += usize::from(off_m > 0.1);
+        converged += usize::from(is_near);
+        first += usize::from(row["rank"] == 0 && off_m <= 0.1);
+        if is_near {
+            away_m.push(off_m);
+            away_deg.push(off.rotation.angle().to_degrees());
+        }
+    }
+    let (away_m, away_deg) = (middle(away_m), middle(away_deg));
+    eprintln!(
+        "{name}: of {near} pairs within 5 m {converged} converged, {wrong} of all {} wrongly; median {away_m:.4} m, \
+         {away_deg:.4} degrees; {first} views end in a pose",
+        found.len()
+    );
+    assert!(away_m <= 0.03 && away_deg <= 0.2);
+    (found.len(), near, converged, wrong)
+}
+
+fn check_registrations(world: &Path, map: &Path, name: &str) {
+    let (found, near, converged, wrong) = registrations(world, map, name);
+    assert!(near > 0 && converged as f64 >= 0.9 * near as f64);
+    assert!(wrong as f64 <= 0.01 * found as f64);
+}
+
+fn decoded(bytes: &[u8]) -> Vec<u8> {
+    let mut image = png::Decoder::new(Cursor::new(bytes)).read_info().unwrap();
+    let mut pixels = vec![0; image.output_buffer_size().unwrap()];
+    image.next_frame(&mut pixels).unwrap();
+    pixels
+}
+
+fn image(hex: &Value) -> Vec<u8> {
+    let hex = hex.as_str().unwrap();
+    let bytes = (0..hex.len()).step_by(2);
+    let bytes: Vec<u8> = bytes
+        .map(|at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap())
+        .collect();
+    decoded(&bytes)
+}
+
+/// A view of the first visit: labels as given, with what others saw, as they are by the plan, and without cars in truth.
+struct View {
+    before: Vec<u8>,
+    warped: Vec<u8>,
+    stable: Vec<u8>,
+    certainty: Vec<u8>,
+    truth: Vec<u8>,
+    occlusions: Vec<Occlusion>,
+    size: [u32; 2],
+    classes: Vec<String>,
+}
+
+fn views(world: &Path, map: &Path) -> Vec<View> {
+    let query = "SELECT encode(l.png, 'hex') AS before, encode(w.png, 'hex') AS warped, encode(i.png, 'hex') AS stable, \
+                 encode(i.certainty, 'hex') AS certainty, \
+                 w.occlusions, w.width, w.height, w.classes \
+                 FROM label_images l JOIN warped_labels w ON l.session = w.session AND l.stamp = w.stamp \
+                 JOIN inferred_labels i ON l.session = i.session AND l.stamp = i.stamp \
+                 WHERE l.session = 'visit_a' ORDER BY l.stamp";
+    let view = |(number, row): (usize, &Value)| {
+        let classes: Vec<String> = serde_json::from_value(row["classes"].clone()).unwrap();
+        let class = |name: &Value| classes.iter().position(|class| name == class).unwrap() as u8;
+        let occlusions = row["occlusions"].as_array().unwrap().iter();
+        let occlusions = occlusions.map(|seen| Occlusion {
+            dynamic: class(&seen["dynamic"]),
+            class: class(&seen["class"]),
+            pixels: seen["pixels"].as_u64().unwrap(),
+        });
+        let path = world.join(format!("visit_a/static_labels/{number:06}.png"));
+        View {
+            before: image(&row["before"]),
+            warped: image(&row["warped"]),
+            stable: image(&row["stable"]),
+            certainty: image(&row["certainty"]),
+            truth: decoded(&std::fs::read(path).unwrap()),
+            occlusions: occlusions.collect(),
+            size: ["width", "height"].map(|side| row[side].as_u64().unwrap() as u32),
+            classes,
+        }
+    };
+    rows(map, None, query)
+        .iter()
+        .enumerate()
+        .map(view)
+        .collect()
+}
+
+/// Pixels by true class, then by the one that was given.
+#[derive(Default)]
+struct Score(BTreeMap<(u8, u8), u64>);
+
+impl Score {
+    fn add(&mut self, truth: u8, given: u8) {
+        *self.0.entry((truth, given)).or_default() += 1;
+    }
+
+    fn sum(&self, which: impl Fn(u8, u8) -> bool) -> f64 {
+        let counted = self
+            .0
+            .iter()
+            .filter(|((truth, given), _)| which(*truth, *given));
+        counted.map(|(_, pixels)| *pixels as f64).sum()
+    }
+
+    fn precision(&self) -> f64 {
+        self.sum(|truth, given| truth == given) / self.sum(|_, _| true)
+    }
+
+    fn told(&self, name: &str, classes: &[String]) {
+        eprintln!(
+            "  {name}: precision {:.3} of {} pixels",
+            self.precision(),
+            self.sum(|_, _| true)
+        );
+        for (class, number) in classes.iter().zip(0..) {
+            let right = self.sum(|truth, given| truth == number && given == number);
+            let given = self.sum(|_, given| given == number);
+            let there = self.sum(|truth, _| truth == number);
+            if given + there > 0.0 {
+                let (precision, recall) = (right / given.max(1.0), right / there.max(1.0));
+                eprintln!(
+                    "    {class}: precision {precision:.3}, recall {recall:.3}, {there} pixels"
+                );
+            }
+        }
+    }
+}
+
+/// Labels of pixels, each with whether it is right and how sure it is: what is said, precisely or much.
+#[derive(Default)]
+struct Claims(Vec<(f64, bool)>);
+
+impl Claims {
+    fn sort(&mut self) {
+        self.0.sort_by(|a, b| b.0.total_cmp(&a.0));
+    }
+
+    /// Of the surest ones that are this share of all: how many are right.
+    fn precision_at(&self, recall: f64) -> f64 {
+        let count = ((self.0.len() as f64 * recall) as usize).max(1);
+        let right = self.0.iter().take(count).filter(|(_, right)| *right);
+        right.count() as f64 / count as f64
+    }
+
+    /// Precision and share of those that are at least this sure.
+    fn surer(&self, than: f64) -> (f64, f64) {
+        let claimed = self.0.iter().filter(|(sure, _)| *sure >= than).count();
+        let share = claimed as f64 / self.0.len() as f64;
+        (self.precision_at(share), share)
+    }
+}
+
+/// Each dynamic pixel gets the class of the static one that is nearest in the picture (city blocks, across the seam), and
+/// how far away that is.
+fn nearest(labels: &[u8], width: usize, dynamic: u8) -> (Vec<u8>, Vec<u32>) {
+    let mut found = labels.to_vec();
+    let mut steps = vec![0; labels.len()];
+    let mut ahead: VecDeque<usize> = (0..labels.len())
+        .filter(|at| labels[*at] != dynamic)
+        .collect();
+    while let Some(at) = ahead.pop_front() {
+        let (column, row) = (at % width, at - at % width);
+        let beside = [
+            row + (column + 1) % width,
+            row + (column + width - 1) % width,
+        ];
+        let above = at.checked_sub(width);
+        let below = Some(at + width).filter(|at| *at < labels.len());
+        for next in beside.into_iter().chain(above).chain(below) {
+            if found[next] == dynamic {
+                found[next] = found[at];
+                steps[next] = steps[at] + 1;
+                ahead.push_back(next);
+            }
+        }
+    }
+    (found, steps)
+}
+
+/// What is behind cars: as others saw it, and as it is inferred for views whose stretch of street the model does not know.
+fn check_labels(world: &Path, map: &Path, name: &str) {
+    const STRETCHES: usize = 6;
+    let views = views(world, map);
+    let classes = &views[0].classes;
+    let number = |name: &str| classes.iter().position(|class| class == name).unwrap() as u8;
+    let (car, road) = (number("car"), number("road"));
+    let kinds = Kinds::new(classes, &["car".to_owned()], &["sky".to_owned()]).unwrap();
+    let stretch = |view: usize| view * STRETCHES / views.len();
+    let [mut seen, mut inferred, mut ellipses, mut always, mut beside] =
+        [(); 5].map(|()| Score::default());
+    let [mut claims, mut near_claims] = [(); 2].map(|()| Claims::default());
+    let mut cars = 0;
+    for (index, view) in views.iter().enumerate() {
+        let known = views
+            .iter()
+            .enumerate()
+            .filter(|(other, _)| stretch(*other) != stretch(index));
+        let counts = known.flat_map(|(_, other)| other.occlusions.iter().copied());
+        let model = Model::new(classes.len(), counts);
+        let [width, height] = view.size;
+        let labels = Labels {
+            width,
+            height,
+            values: &view.warped,
+        };
+        let teller = Teller::Ellipses(&model);
+        let all = Options {
+            min_probability: 0.0,
+            ..Options::default()
+        };
+        let found = infer(&labels, true, &kinds, teller, &all).unwrap();
+        let (near, steps) = nearest(&view.warped, width as usize, car);
+        for (at, truth) in view
+            .truth
+            .iter()
+            .enumerate()
+            .filter(|(at, _)| view.before[*at] == car)
+        {
+            cars += 1;
+            assert_ne!(view.stable[at], car, "something that moves is left");
+            if view.warped[at] != car {
+                seen.add(*truth, view.warped[at]);
+                assert_eq!(view.stable[at], view.warped[at]);
+            } else {
+                inferred.add(*truth, view.stable[at]);
+                let sure = f64::from(view.certainty[at]) / 255.0;
+                claims.0.push((sure, view.stable[at] == *truth));
+                near_claims
+                    .0
+                    .push((-f64::from(steps[at]), near[at] == *truth));
+                ellipses.add(*truth, found.labels[at]);
+                always.add(*truth, road);
+                beside.add(*truth, near[at]);
+            }
+        }
+        for (at, before) in view
+            .before
+            .iter()
+            .enumerate()
+            .filter(|(_, before)| **before != car)
+        {
+            assert_eq!(view.stable[at], *before, "what stays was changed");
+        }
+    }
+    eprintln!(
+        "{name}: of {cars} pixels behind cars {:.3} were seen",
+        seen.sum(|_, _| true) / f64::from(cars)
+    );
+    for (score, what) in [
+        (&seen, "seen"),
+        (
+            &inferred,
+            "inferred, however unsure, cross-validated by stretches",
+        ),
+        (&ellipses, "by the paper's equations"),
+        (&always, "always road"),
+        (&beside, "nearest static neighbour"),
+    ] {
+        score.told(what, classes);
+    }
+    assert!(seen.sum(|_, _| true) > 0.3 * f64::from(cars));
+    assert!(seen.precision() > 0.93, "{}", seen.precision());
+    claims.sort();
+    near_claims.sort();
+    for sure in [0.5, 0.7, 0.8, 0.9, 0.95] {
+        let (precision, share) = claims.surer(sure);
+        eprintln!("  at least {sure} sure: precision {precision:.3} of {share:.3}");
+    }
+    for recall in [0.2, 0.4, 0.6, 0.8, 1.0] {
+        let (own, near) = (
+            claims.precision_at(recall),
+            near_claims.precision_at(recall),
+        );
+        eprintln!("  of {recall} of the pixels, precision {own:.3}; nearest neighbour {near:.3}");
+        assert!(own > near && own > always.precision());
+    }
+    let (precision, share) = claims.surer(f64::from(230_u8) / 255.0);
+    assert!(precision >= 0.975 && share > 0.2, "{precision} of {share}");
+    assert!(inferred.precision() > ellipses.precision());
+    let query = "SELECT class, pixels, probability, deviation FROM occlusion_model WHERE dynamic = 'car' ORDER BY probability DESC";
+    let mut sum = 0.0;
+    for row in rows(map, None, query) {
+        let number = |name: &str| row[name].as_f64().unwrap();
+        eprintln!(
+            "  car hides {}: {:.3} ± {:.3}",
+            row["class"],
+            number("probability"),
+            number("deviation")
+        );
+        sum += number("probability");
+        assert!((0.0..0.5).contains(&number("deviation")));
+    }
+    assert!((sum - 1.0).abs() < 1e-9);
+    // What was inferred says so, as many pixels as were left.
+    let query = "SELECT sum(pixels) AS pixels, min(probability) AS low, max(probability) AS high FROM inferred_areas";
+    let areas = &rows(map, None, query)[0];
+    let left = &rows(
+        map,
+        None,
+        "SELECT sum(unseen_px) AS pixels FROM warped_labels",
+    )[0];
+    assert_eq!(areas["pixels"], left["pixels"]);
+    assert!(areas["low"].as_f64().unwrap() > 0.0 && areas["high"].as_f64().unwrap() <= 1.0);
+}
+
+#[test]
+fn a_street_without_its_cars() {
+    let Some(world) = shared("worlds/street_small") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let map = mapped(&world, folder.path(), "/panorama/labels", 0);
+    check_registrations(&world, &map, "street_small");
+    check_labels(&world, &map, "street_small");
+}
+
+#[test]
+fn noisy_labels_and_another_street() {
+    let folder = tempfile::tempdir().unwrap();
+    let street = folder.path().join("street");
+    simulate("street", &street, &["length_m=150", "seed=7"]);
+    let map = mapped(&street, folder.path(), "/panorama/labels_noisy", 0);
+    check_registrations(&street, &map, "a simulated street, noisy labels");
+}
+
+/// Little but the ground is in range: most pairs fit metres away too, and must not be believed.
+#[test]
+fn what_fits_anywhere_is_ambiguous() {
+    let folder = tempfile::tempdir().unwrap();
+    let street = folder.path().join("street");
+    simulate("street", &street, &["length_m=90", "seed=7"]);
+    let map = mapped(&street, folder.path(), "/panorama/labels", 0);
+    let (found, _, _, wrong) = registrations(&street, &map, "a bare loop");
+    assert!(wrong as f64 <= 0.03 * found as f64, "{wrong} of {found}");
+}
+
+#[test]
+fn views_without_range_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let street = folder.path().join("street");
+    let small = [
+        "length_m=90",
+        "width_px=256",
+        "height_px=83",
+        "colour=false",
+    ];
+    simulate("street", &street, &small);
+    // 3: views that relocation found have no panorama with range, which is counted.
+    let map = mapped(&street, folder.path(), "/panorama/labels", 3);
+    let count = |of: &str| {
+        rows(&map, None, &format!("SELECT count(*) AS rows FROM {of}"))[0]["rows"].clone()
+    };
+    assert_eq!(
+        (count("spheres"), count("registrations")),
+        (0.into(), 0.into())
+    );
+    assert_eq!(count("occlusion_model"), 0);
+    // Nothing is known of what is behind cars, and nothing is made up: no car is left in the graphs.
+    assert_eq!(count("stable_views"), count("views"));
+    assert_eq!(count("stable_views WHERE contains(graph, 'car')"), 0);
+}
