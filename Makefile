@@ -40,7 +40,8 @@ release: packages
 	cargo build --release --locked --package evermap
 
 test: packages .venv/complete
-	cargo test --workspace --locked
+	cargo test --workspace --locked --lib --bins --tests
+	cargo test --workspace --locked --doc
 
 # A macro declares the files of operators, so that cargo fmt does not find them.
 lint: packages

@@ -30,7 +30,16 @@ struct Wall {
 }
 
 const ENGINE_LINE: &[&str] = &["datafusion*", "ballista*"];
-const OURS: &[&str] = &["schemas", "operators/*", "datasets*", "plans/*", "tests*"];
+/// All but `tests/data`, which finds data for the tests of every crate.
+const OURS: &[&str] = &[
+    "schemas",
+    "operators/*",
+    "datasets*",
+    "plans/*",
+    "tests",
+    "tests/bench",
+    "tests/fuzz",
+];
 
 const WALLS: &[Wall] = &[
     Wall {

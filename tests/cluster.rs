@@ -1,16 +1,11 @@
 //! One machine or many: the same layers, digest for digest, even when executors die.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stderr
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -248,11 +243,7 @@ const DISTURBANCES: usize = 50;
 
 #[test]
 fn fifty_random_disturbances_change_nothing() {
-    let seed = std::env::var("EVERMAP_TEST_SEED").map_or_else(
-        |_| SystemTime::UNIX_EPOCH.elapsed().unwrap().as_secs(),
-        |seed| seed.parse().unwrap(),
-    );
-    eprintln!("seed: EVERMAP_TEST_SEED={seed}");
+    let seed = evermap_test_data::seed();
     let folder = tempfile::tempdir().unwrap();
     let sessions = sessions(folder.path(), 40, 20.0);
     let local = folder.path().join("local");

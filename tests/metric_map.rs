@@ -12,125 +12,33 @@
 )]
 
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
-use evermap_bench::trajectory::{AbsoluteError, relative_error};
+use evermap_bench::trajectory::relative_error;
 use evermap_tests::kitti::Stretch;
-use evermap_tests::park::{Park, adjusted_error, finished, run};
-use evermap_tests::trajectories::{
-    Trajectories, error_in, pairs, poses, rows, truth, truth_from_map,
-};
-use evermap_tests::{evermap, plan_command, shared, simulate, text};
+use evermap_tests::park::{Localised, Park, adjusted_error, copy, finished, made_once, run};
+use evermap_tests::trajectories::{Trajectories, pairs, poses, rows};
+use evermap_tests::{evermap, plan_command, simulate, text};
 
-/// A copy of a map, to try something on.
-fn copy(map: &Path, name: &str) -> PathBuf {
-    let target = map.with_file_name(name);
-    copy_folder(map, &target);
-    target
+/// The map of a first drive around the western island of one car park, which tests of other drives share.
+struct FirstDrive {
+    map: PathBuf,
+    truths: Trajectories,
 }
 
-fn copy_folder(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let path = entry.unwrap().path();
-        let target = to.join(path.file_name().unwrap());
-        if path.is_dir() {
-            copy_folder(&path, &target);
-        } else {
-            std::fs::copy(&path, &target).unwrap();
-        }
-    }
-}
+impl FirstDrive {
+    const SEED: u64 = 14;
 
-/// How a session was localised in the version before.
-struct Localised {
-    error: Option<AbsoluteError>,
-    keyframes: u64,
-    lost: u64,
-}
-
-impl Localised {
-    /// Of the newest version of a map, against the version before.
-    fn of(map: &Path, version: u32, session: &str, truths: &Trajectories) -> Self {
-        let before = poses(map, Some(version - 1), "poses", "map_from_vehicle");
-        let mut found = poses(map, Some(version), "localisations", "map_from_vehicle");
-        found.retain(|name, _| name == session);
-        let error = error_in(&found, truths, &truth_from_map(&before, truths));
-        let count = format!(
-            "SELECT count(*) AS n, count(*) FILTER (WHERE state = 'lost') AS lost FROM localisations \
-             WHERE session = '{session}'"
-        );
-        let counted = rows(map, Some(version), &count);
-        let localised = Self {
-            error,
-            keyframes: counted[0]["n"].as_u64().unwrap(),
-            lost: counted[0]["lost"].as_u64().unwrap(),
-        };
-        eprintln!("{session}: {localised}");
-        localised
-    }
-
-    /// Nothing is off by more than half a metre without being called lost.
-    fn is_never_silently_wrong(&self) -> bool {
-        self.error.is_none_or(|error| error.position_m.max <= 0.5)
-    }
-
-    fn lost_share(&self) -> f64 {
-        self.lost as f64 / self.keyframes as f64
-    }
-}
-
-impl std::fmt::Display for Localised {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} of {} keyframes lost", self.lost, self.keyframes)?;
-        let Some(error) = self.error else {
-            return Ok(());
-        };
-        let (position, rotation) = (error.position_m, error.rotation_rad);
-        write!(
-            f,
-            "; median {:.1} cm, p99 {:.1}, max {:.1}; median {:.3} deg",
-            100.0 * position.median,
-            100.0 * position.p99,
-            100.0 * position.max,
-            rotation.median.to_degrees()
-        )
-    }
-}
-
-#[test]
-fn a_strangers_car_park_gets_sharper_with_every_drive() {
-    let Some(world) = shared("worlds/carpark_small") else {
-        return;
-    };
-    let folder = tempfile::tempdir().unwrap();
-    let map = folder.path().join("map");
-    let names = ["initial", "revisit_1", "revisit_2"];
-    let truths: Trajectories = names
-        .map(|name| {
-            (
-                name.to_owned(),
-                truth(&world.join(name).join("trajectory.tum")),
-            )
+    fn get() -> &'static Self {
+        static FIRST: OnceLock<FirstDrive> = OnceLock::new();
+        FIRST.get_or_init(|| {
+            let folder = made_once(env!("CARGO_TARGET_TMPDIR"), "metric_map");
+            let map = folder.join("map");
+            let (initial, truths) = Park::new(&folder, Self::SEED).drive(0, "initial", &[]);
+            run("metric_map", &map, &[&initial]);
+            Self { map, truths }
         })
-        .into();
-    let session = |name: &str| world.join(name).join(format!("{name}.mcap"));
-    run("metric_map", &map, &[&session("initial")]);
-    let first = adjusted_error("initial", &map, None, &truths);
-    assert!(first.position_m.rmse <= 0.05);
-
-    let aside = copy(&map, "aside");
-    run("lifelong", &aside, &[&session("revisit_2")]);
-    run("lifelong", &map, &[&session("revisit_1")]);
-    for (map, name) in [(&map, "revisit_1"), (&aside, "revisit_2")] {
-        let localised = Localised::of(map, 2, name, &truths);
-        let error = localised.error.unwrap();
-        assert!(localised.is_never_silently_wrong() && localised.lost_share() < 0.02);
-        assert!(error.position_m.median <= 0.03 && error.position_m.p99 <= 0.13);
-        assert!(error.rotation_rad.median <= 0.3_f64.to_radians());
     }
-    run("lifelong", &map, &[&session("revisit_2")]);
-    let last = adjusted_error("all three", &map, None, &truths);
-    assert!(last.position_m.rmse <= 0.03);
 }
 
 #[test]
@@ -223,15 +131,14 @@ fn false_loop_closures_are_found_out() {
 #[test]
 fn a_dark_camera_and_a_strange_start_do_no_harm() {
     let folder = tempfile::tempdir().unwrap();
-    let map = folder.path().join("map");
-    let park = Park::new(folder.path(), 14);
-    let (initial, mut truths) = park.drive(0, "initial", &[]);
-    run("metric_map", &map, &[&initial]);
-    adjusted_error("before the trials", &map, None, &truths);
+    let first = FirstDrive::get();
+    let mut truths = first.truths.clone();
+    let park = Park::new(folder.path(), FirstDrive::SEED);
+    adjusted_error("before the trials", &first.map, None, &truths);
 
     let (dark, truth) = park.drive(4, "dark", &["loops=0.5", "dark_camera=left"]);
     truths.extend(truth);
-    let of_dark = copy(&map, "of_dark");
+    let of_dark = copy(&first.map, folder.path(), "of_dark");
     run("lifelong", &of_dark, &[&dark]);
     let localised = Localised::of(&of_dark, 2, "dark", &truths);
     assert!(localised.is_never_silently_wrong() && localised.lost_share() < 0.1);
@@ -241,7 +148,7 @@ fn a_dark_camera_and_a_strange_start_do_no_harm() {
     // The eastern loop was never mapped; the drive comes from there.
     let (strange, truth) = park.drive(4, "strange", &["start_m=90", "loops=1"]);
     truths.extend(truth);
-    let of_strange = copy(&map, "of_strange");
+    let of_strange = copy(&first.map, folder.path(), "of_strange");
     run("lifelong", &of_strange, &[&strange]);
     let localised = Localised::of(&of_strange, 2, "strange", &truths);
     assert!(localised.is_never_silently_wrong());
@@ -250,8 +157,8 @@ fn a_dark_camera_and_a_strange_start_do_no_harm() {
 }
 
 /// Asserts that a session did not join a copy of the map, and that none of its keyframes was localised in it.
-fn assert_not_merged(map: &Path, name: &str, session: &Path) {
-    let aside = copy(map, &format!("of_{name}"));
+fn assert_not_merged(map: &Path, folder: &Path, name: &str, session: &Path) -> PathBuf {
+    let aside = copy(map, folder, &format!("of_{name}"));
     // Keyframes that are left out of the map are a loss.
     finished("lifelong", &aside, &[session]).expect(3);
     let count = |of: &str| {
@@ -267,6 +174,7 @@ fn assert_not_merged(map: &Path, name: &str, session: &Path) {
     eprintln!("{name}: {found} of {driven} keyframes localised, {merged} merged");
     assert!(driven > 0);
     assert_eq!([found, merged], [0, 0], "{name}");
+    aside
 }
 
 /// A simulated street of 90 m, driven once.
@@ -288,26 +196,19 @@ fn street(folder: &Path) -> PathBuf {
 #[test]
 fn another_place_is_not_merged() {
     let folder = tempfile::tempdir().unwrap();
-    let map = folder.path().join("map");
-    let (initial, truths) = Park::new(folder.path(), 14).drive(0, "initial", &[]);
-    run("metric_map", &map, &[&initial]);
-    let first = adjusted_error("before another place", &map, None, &truths);
+    let FirstDrive { map, truths } = FirstDrive::get();
+    let first = adjusted_error("before another place", map, None, truths);
     // Car parks of one drawing: they share layout and much of their paint, and the gate that the first drive begins at.
     for (seed, index, name) in [(99, 0, "from_the_gate"), (77, 4, "from_the_aisle")] {
         let (other, _) = Park::new(folder.path(), seed).drive(index, name, &["loops=0.4"]);
-        assert_not_merged(&map, name, &other);
+        assert_not_merged(map, folder.path(), name, &other);
     }
-    assert_not_merged(&map, "street", &street(folder.path()));
-    let error = adjusted_error(
-        "beside another place",
-        &folder.path().join("of_street"),
-        None,
-        &truths,
-    );
+    let beside = assert_not_merged(map, folder.path(), "street", &street(folder.path()));
+    let error = adjusted_error("beside another place", &beside, None, truths);
     assert!(error.position_m.rmse <= first.position_m.rmse + 0.01);
     if let Some(stretch) = Stretch::find() {
         let road = stretch.write(folder.path(), "road", 0, 1);
-        assert_not_merged(&map, "road", &road.session);
+        assert_not_merged(map, folder.path(), "road", &road.session);
     }
 }
 
@@ -317,20 +218,20 @@ fn neither_a_car_park_nor_a_road_is_merged_into_a_street() {
     let map = folder.path().join("map");
     run("metric_map", &map, &[&street(folder.path())]);
     let (park, _) = Park::new(folder.path(), 14).drive(4, "park", &["loops=0.4"]);
-    assert_not_merged(&map, "park", &park);
+    assert_not_merged(&map, folder.path(), "park", &park);
     if let Some(stretch) = Stretch::find() {
         let road = stretch.write(folder.path(), "road", 0, 1);
-        assert_not_merged(&map, "road", &road.session);
+        assert_not_merged(&map, folder.path(), "road", &road.session);
     }
 }
 
 #[test]
 fn a_drive_that_leaves_the_mapped_part_is_localised_until_then() {
     let folder = tempfile::tempdir().unwrap();
-    let map = folder.path().join("map");
-    let park = Park::new(folder.path(), 14);
-    let (initial, mut truths) = park.drive(0, "initial", &["loops=0.6"]);
-    run("metric_map", &map, &[&initial]);
+    let first = FirstDrive::get();
+    let mut truths = first.truths.clone();
+    let map = copy(&first.map, folder.path(), "map");
+    let park = Park::new(folder.path(), FirstDrive::SEED);
     // The western loop was mapped; after it the drive goes on to the eastern one.
     let (leaving, truth) = park.drive(4, "leaving", &["loops=1"]);
     truths.extend(truth);

@@ -13,7 +13,7 @@ pub mod trajectories;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-pub use evermap_bench::shared;
+pub use evermap_test_data::shared;
 
 /// The repository.
 pub fn repository() -> &'static Path {

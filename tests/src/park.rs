@@ -1,12 +1,14 @@
-//! Drives through a simulated car park, and maps of them.
+//! Drives through a car park, and maps of them.
 
-#![allow(clippy::print_stderr)]
+#![allow(clippy::print_stderr, clippy::expect_used)]
 
 use std::path::{Path, PathBuf};
 
 use evermap_bench::trajectory::{AbsoluteError, Statistics};
 
-use crate::trajectories::{Trajectories, error_by_session, map_error, poses, truth};
+use crate::trajectories::{
+    Trajectories, error_by_session, error_in, map_error, poses, rows, truth, truth_from_map,
+};
 use crate::{Finished, plan_command, simulate, text};
 
 /// Runs a plan on sessions of one site, without loss.
@@ -116,4 +118,101 @@ pub fn adjusted_error(
         100.0 * odometry.rmse
     );
     error
+}
+
+/// A copy of a map, to try something on.
+///
+/// # Panics
+/// Where it cannot be copied.
+pub fn copy(map: &Path, folder: &Path, name: &str) -> PathBuf {
+    let target = folder.join(name);
+    copy_folder(map, &target);
+    target
+}
+
+/// An empty folder below the one that Cargo gives to integration tests, for what several tests of a program share.
+///
+/// # Panics
+/// Where it cannot be made.
+pub fn made_once(below: &str, name: &str) -> PathBuf {
+    let folder = Path::new(below).join(name);
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).expect("the target folder can be written");
+    folder
+}
+
+fn copy_folder(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).expect("a folder can be made");
+    for entry in std::fs::read_dir(from).expect("a map can be read") {
+        let entry = entry.expect("a map can be read");
+        let (path, target) = (entry.path(), to.join(entry.file_name()));
+        if path.is_dir() {
+            copy_folder(&path, &target);
+        } else {
+            std::fs::copy(&path, &target).expect("a map can be copied");
+        }
+    }
+}
+
+/// How a session was localised in the version before.
+pub struct Localised {
+    /// Of what was not lost; `None` where all was.
+    pub error: Option<AbsoluteError>,
+    keyframes: u64,
+    /// Keyframes that were lost.
+    pub lost: u64,
+}
+
+impl Localised {
+    /// Of this version of a map, against the version before.
+    ///
+    /// # Panics
+    /// Where there are no such versions.
+    pub fn of(map: &Path, version: u32, session: &str, truths: &Trajectories) -> Self {
+        let before = poses(map, Some(version - 1), "poses", "map_from_vehicle");
+        let mut found = poses(map, Some(version), "localisations", "map_from_vehicle");
+        found.retain(|name, _| name == session);
+        let error = error_in(&found, truths, &truth_from_map(&before, truths));
+        let count = format!(
+            "SELECT count(*) AS n, count(*) FILTER (WHERE state = 'lost') AS lost FROM localisations \
+             WHERE session = '{session}'"
+        );
+        let counted = rows(map, Some(version), &count);
+        let number = |name: &str| counted[0][name].as_u64().expect("a count is a number");
+        let localised = Self {
+            error,
+            keyframes: number("n"),
+            lost: number("lost"),
+        };
+        eprintln!("{session}: {localised}");
+        localised
+    }
+
+    /// Nothing is off by more than half a metre without being called lost.
+    pub fn is_never_silently_wrong(&self) -> bool {
+        self.error.is_none_or(|error| error.position_m.max <= 0.5)
+    }
+
+    /// Share of the keyframes that were lost.
+    pub fn lost_share(&self) -> f64 {
+        self.lost as f64 / self.keyframes as f64
+    }
+}
+
+impl std::fmt::Display for Localised {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} of {} keyframes lost", self.lost, self.keyframes)?;
+        let Some(error) = self.error else {
+            return Ok(());
+        };
+        let (position, rotation) = (error.position_m, error.rotation_rad);
+        write!(
+            f,
+            "; median {:.1} cm, p99 {:.1}, max {:.1}; median {:.3} deg",
+            100.0 * position.median,
+            100.0 * position.p99,
+            100.0 * position.max,
+            rotation.median.to_degrees()
+        )
+    }
 }

@@ -13,19 +13,6 @@ use std::path::{Path, PathBuf};
 /// Recordings made to be refused.
 const REFUSED: &[(&str, &str)] = &[("wrong_rmw_test_0.mcap", "wrong_format")];
 
-fn shared() -> Option<PathBuf> {
-    let root = match std::env::var_os("EVERMAP_SHARED") {
-        Some(root) => PathBuf::from(root),
-        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"),
-    };
-    let logs = root.join("data/mcap_real");
-    if logs.is_dir() {
-        return Some(logs);
-    }
-    eprintln!("SKIPPED: no recordings at {}", logs.display());
-    None
-}
-
 fn logs_below(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -70,7 +57,9 @@ fn push(decoder: &mut Decoder, payload: &[u8]) -> Result<(), DecodeError> {
 
 #[test]
 fn every_message_of_every_log_decodes() {
-    let Some(folder) = shared() else { return };
+    let Some(folder) = evermap_test_data::shared("data/mcap_real") else {
+        return;
+    };
     let mut logs = Vec::new();
     logs_below(&folder, &mut logs);
     logs.sort();

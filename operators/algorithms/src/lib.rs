@@ -20,6 +20,3 @@ pub mod learning;
 pub mod metric_map;
 pub mod semantic_map;
 pub mod solving;
-
-#[cfg(test)]
-mod tests;

@@ -456,17 +456,7 @@ fn a_map_is_drawn_and_reported() {
 
 /// A real log, where the data that is not in the repository is at hand.
 fn real_log() -> Option<PathBuf> {
-    let shared = std::env::var_os("EVERMAP_SHARED").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"),
-        PathBuf::from,
-    );
-    let log = shared.join("data/mcap_real/evo/nav2_turtlebot.mcap");
-    if log.exists() {
-        return Some(log);
-    }
-    let said = format!("SKIPPED: no real log at {}\n", log.display());
-    std::io::Write::write_all(&mut std::io::stderr(), said.as_bytes()).unwrap();
-    None
+    evermap_test_data::shared("data/mcap_real/evo/nav2_turtlebot.mcap")
 }
 
 #[test]

@@ -362,7 +362,9 @@ mod tests {
     /// The optimum that Ceres and others report for this problem.
     #[test]
     fn the_benchmarks_smallest_problem_is_solved() {
-        let Some(path) = crate::shared("data/bundle_adjustment/bal/problem-49-7776-pre.txt") else {
+        let Some(path) =
+            evermap_test_data::shared("data/bundle_adjustment/bal/problem-49-7776-pre.txt")
+        else {
             return;
         };
         let initial = read(&std::fs::read_to_string(path).unwrap()).unwrap();

@@ -11,9 +11,6 @@
 //! | [`trajectory`] | alignment and errors of trajectories |
 //!
 //! The programs in `examples/` are what `tests/peers` and `BENCHMARKS.md` run.
-//!
-//! Data that others made (`../shared` beside the repository, or `EVERMAP_SHARED`) is never part of the project: see
-//! [`shared`].
 
 pub mod bal;
 pub mod g2o;
@@ -24,23 +21,5 @@ pub mod remap;
 pub mod timing;
 pub mod trajectory;
 
-use std::path::{Path, PathBuf};
-
 /// Why an example ends early.
 pub type Failure = Box<dyn std::error::Error + Send + Sync>;
-
-/// A path in the shared data; `None`, loudly, where it is not there. A test that needs it passes then.
-#[allow(clippy::print_stderr)]
-pub fn shared(path: &str) -> Option<PathBuf> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
-    let root = std::env::var_os("EVERMAP_SHARED").map_or(beside, PathBuf::from);
-    let full = root.join(path);
-    if full.exists() {
-        return Some(full);
-    }
-    eprintln!(
-        "SKIPPED: {} is not there; set EVERMAP_SHARED",
-        full.display()
-    );
-    None
-}

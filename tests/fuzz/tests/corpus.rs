@@ -1,9 +1,8 @@
 //! Every input of the corpus, and many that are like it. The seed is printed; `EVERMAP_TEST_SEED` sets it.
 
-#![allow(clippy::unwrap_used, clippy::print_stderr)]
+#![allow(clippy::unwrap_used)]
 
 use std::path::Path;
-use std::time::SystemTime;
 
 use evermap_fuzz::TARGETS;
 use rand::{Rng, SeedableRng};
@@ -54,11 +53,7 @@ fn mutated(inputs: &[Vec<u8>], random: &mut ChaCha8Rng) -> Vec<u8> {
 
 #[test]
 fn every_target_comes_back_from_the_corpus_and_what_is_like_it() {
-    let seed = std::env::var("EVERMAP_TEST_SEED").map_or_else(
-        |_| SystemTime::UNIX_EPOCH.elapsed().unwrap().as_secs(),
-        |seed| seed.parse().unwrap(),
-    );
-    eprintln!("seed: EVERMAP_TEST_SEED={seed}");
+    let seed = evermap_test_data::seed();
     for (name, target) in TARGETS {
         let inputs = corpus(name);
         inputs.iter().for_each(|input| target(input));

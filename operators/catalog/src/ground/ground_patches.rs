@@ -1,19 +1,19 @@
 #![doc = include_str!("ground_patches.md")]
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::ground::projection::{GrayView, GroundLut, GroundParams};
 use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reach, Reason, Sides, Work};
+use evermap_schemas::Bytes;
 use evermap_schemas::layers::{BodyMask, GroundPatch, PosedImage};
-use evermap_schemas::roles::Calibration;
-use evermap_schemas::{Bytes, Stamp};
 use evermap_vision::{Grey, decode_grey, image_size};
 use rayon::prelude::*;
 
 use crate::inputs::bodies::bodies;
-use crate::inputs::rig::{self, OfVehicle, Rig, camera, frame};
+use crate::inputs::calibrated::{Calibrated, Mounted};
+use crate::inputs::rig::{self, OfVehicle, frame};
 
 /// See the module's page.
 pub struct GroundPatches;
@@ -38,31 +38,22 @@ impl Operator for GroundPatches {
     }
 }
 
-/// What a table depends on: the calibration (session, camera, stamp) and the size of the image.
-type TableName = (String, String, Stamp, [u32; 2]);
-
-/// A table, or why there is none.
-type Table = Result<Arc<GroundLut>, Reason>;
-
-/// Tables kept at most: a camera whose calibration changes with every image must not fill the memory.
+/// Tables kept at most.
 const MOST_TABLES: usize = 256;
 
 struct Projector {
     params: OfVehicle<GroundParams>,
-    /// By session.
-    rigs: BTreeMap<String, Rig>,
     /// By session and camera.
     bodies: BTreeMap<(String, String), Grey>,
-    tables: Mutex<BTreeMap<TableName, Table>>,
+    tables: Calibrated<GroundLut>,
 }
 
 impl Projector {
     fn new(params: &OfVehicle<GroundParams>, sides: &Sides) -> Result<Self, Fault> {
         Ok(Self {
             params: params.clone(),
-            rigs: rig::sessions(sides)?,
             bodies: bodies(sides)?,
-            tables: Mutex::default(),
+            tables: Calibrated::new(sides, &params.vehicle, MOST_TABLES)?,
         })
     }
 
@@ -94,45 +85,21 @@ impl Projector {
     ) -> Result<(&'a [u8], Arc<GroundLut>), Reason> {
         let bytes = bytes.ok_or("image is missing")?;
         let size = image_size(bytes).map_err(|_| "image does not decode")?;
-        let camera = frame(&image.camera);
-        let rig = self.rigs.get(&image.session);
-        let (rig, calibration) = rig
-            .and_then(|rig| Some((rig, rig.calibration(camera, image.stamp)?)))
-            .ok_or("camera has no calibration")?;
-        let name = (
-            image.session.clone(),
-            camera.to_owned(),
-            calibration.stamp,
-            size,
-        );
-        let known = self.known().get(&name).cloned();
-        // Not under the lock: a thread that waits here for the table's parts may be given other rows to work on.
-        let table = known.unwrap_or_else(|| self.table(rig, calibration, size, &image.session));
-        let mut tables = self.known();
-        if tables.len() >= MOST_TABLES {
-            tables.clear();
-        }
-        let table = tables.entry(name).or_insert(table).clone()?;
+        let named = (&*image.session, &*image.camera, image.stamp);
+        let table = self.tables.get(named, size, |mounted| {
+            let body = self
+                .bodies
+                .get(&(image.session.clone(), frame(&image.camera).to_owned()));
+            let body = body.filter(|body| [body.width, body.height] == size);
+            let mask = body.map(|body| body.data.as_slice());
+            let Mounted {
+                camera,
+                vehicle_from_camera,
+            } = mounted;
+            GroundLut::new(&camera, &vehicle_from_camera, &self.params.options, mask)
+                .map_err(|_| "camera is not above the ground")
+        })?;
         Ok((bytes, table))
-    }
-
-    fn known(&self) -> MutexGuard<'_, BTreeMap<TableName, Table>> {
-        self.tables.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn table(&self, rig: &Rig, calibration: &Calibration, size: [u32; 2], session: &str) -> Table {
-        let vehicle = self.params.vehicle.name();
-        let vehicle_from_camera = rig
-            .vehicle_from_camera(vehicle, frame(&calibration.camera))
-            .ok_or("no fixed transforms from camera to vehicle")?;
-        let camera = camera(calibration, size)?;
-        let named = (session.to_owned(), frame(&calibration.camera).to_owned());
-        let body = self.bodies.get(&named);
-        let body = body.filter(|body| [body.width, body.height] == size);
-        let mask = body.map(|body| body.data.as_slice());
-        GroundLut::new(&camera, &vehicle_from_camera, &self.params.options, mask)
-            .map(Arc::new)
-            .map_err(|_| "camera is not above the ground")
     }
 
     fn patch(

@@ -1,18 +1,17 @@
 #![doc = include_str!("people.md")]
 
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use evermap_algorithms::ground::people::search::people;
 use evermap_algorithms::ground::people::upright::{Picture, Upright};
 use evermap_algorithms::ground::people::{PeopleParams, WindowDetector};
 use evermap_algorithms::ground::projection::GrayView;
 use evermap_contract::{Fault, Operator, Port, Reach, Reason, Sides, Work};
-use evermap_schemas::Stamp;
 use evermap_schemas::layers::{FrameImage, Person};
 use evermap_vision::{Grey, PeopleDetector, decode_grey};
 
-use crate::inputs::rig::{self, OfVehicle, Rig, camera, frame};
+use crate::inputs::calibrated::{Calibrated, Mounted};
+use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
 pub struct People;
@@ -45,21 +44,12 @@ impl Operator for People {
     }
 }
 
-/// What a view depends on: the calibration (session, camera, stamp) and the size of the image.
-type ViewName = (String, String, Stamp, [u32; 2]);
-
-/// A camera that looks at people, or why it cannot.
-type View = Result<Arc<Upright>, Reason>;
-
-/// Cameras kept at most, each with tables of some 20 MB: one whose calibration changes with every image must not fill the
-/// memory.
+/// Cameras kept at most, each with tables of some 20 MB.
 const MOST_VIEWS: usize = 16;
 
 struct Finder {
     params: OfVehicle<PeopleParams>,
-    /// By session.
-    rigs: BTreeMap<String, Rig>,
-    views: Mutex<BTreeMap<ViewName, View>>,
+    cameras: Calibrated<Upright>,
 }
 
 /// What a thread keeps from image to image.
@@ -73,8 +63,7 @@ impl Finder {
     fn new(params: &OfVehicle<PeopleParams>, sides: &Sides) -> Result<Self, Fault> {
         Ok(Self {
             params: params.clone(),
-            rigs: rig::sessions(sides)?,
-            views: Mutex::default(),
+            cameras: Calibrated::new(sides, &params.vehicle, MOST_VIEWS)?,
         })
     }
 
@@ -91,7 +80,7 @@ impl Finder {
             ref data,
         } = room.grey;
         let view = GrayView::new(width, height, data).ok_or("image does not decode")?;
-        let upright = self.view(&image, [width, height])?;
+        let upright = self.upright(&image, [width, height])?;
         if room.detector.is_none() {
             let detector = PeopleDetector::new().map_err(|_| "detector does not work")?;
             room.detector = Some(Detector {
@@ -121,35 +110,16 @@ impl Finder {
         Ok(rows.collect())
     }
 
-    fn view(&self, image: &FrameImage, size: [u32; 2]) -> View {
-        let name = frame(&image.camera);
-        let rig = self.rigs.get(&image.session);
-        let (rig, calibration) = rig
-            .and_then(|rig| Some((rig, rig.calibration(name, image.stamp)?)))
-            .ok_or("camera has no calibration")?;
-        let key = (
-            image.session.clone(),
-            name.to_owned(),
-            calibration.stamp,
-            size,
-        );
-        let views = || self.views.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = views().get(&key) {
-            return known.clone();
-        }
-        // Not under the lock: a thread that waits here for the tables' parts may be given other rows to work on.
-        let made = || {
-            let mounted = rig.vehicle_from_camera(self.params.vehicle.name(), name);
-            let mounted = mounted.ok_or("no fixed transforms from camera to vehicle")?;
-            let made = Upright::new(camera(calibration, size)?, &mounted, &self.params.options);
-            made.map(Arc::new).ok_or("camera is not above the ground")
-        };
-        let made: View = made();
-        let mut views = views();
-        if views.len() >= MOST_VIEWS {
-            views.clear();
-        }
-        views.entry(key).or_insert(made).clone()
+    fn upright(&self, image: &FrameImage, size: [u32; 2]) -> Result<Arc<Upright>, Reason> {
+        let named = (&*image.session, &*image.camera, image.stamp);
+        self.cameras.get(named, size, |mounted| {
+            let Mounted {
+                camera,
+                vehicle_from_camera,
+            } = mounted;
+            Upright::new(camera, &vehicle_from_camera, &self.params.options)
+                .ok_or("camera is not above the ground")
+        })
     }
 }
 

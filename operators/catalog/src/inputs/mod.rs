@@ -2,6 +2,7 @@
 
 pub(crate) mod bodies;
 pub(crate) mod boxes;
+pub(crate) mod calibrated;
 pub(crate) mod danger;
 pub(crate) mod drive;
 pub(crate) mod forest;

@@ -115,13 +115,6 @@ fn a_lane_without_points_is_counted() {
     assert_eq!((places[0].degree, losses.total()), (3, 1));
 }
 
-fn shared() -> PathBuf {
-    std::env::var_os("EVERMAP_SHARED").map_or_else(
-        || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")),
-        PathBuf::from,
-    )
-}
-
 /// The first poses file of KITTI 07 below a folder: 3 × 4 matrices, camera axes, so that x and z are horizontal.
 fn kitti(folder: &std::path::Path) -> Option<Vec<VehiclePose>> {
     let mut entries: Vec<_> = std::fs::read_dir(folder)
@@ -152,11 +145,10 @@ fn kitti(folder: &std::path::Path) -> Option<Vec<VehiclePose>> {
 
 #[test]
 fn a_real_drive_stays_on_its_lanes() {
-    let folder = shared().join("data/kitti_poses");
-    let Some(poses) = kitti(&folder) else {
-        eprintln!("SKIPPED: no KITTI poses below {}", folder.display());
+    let Some(folder) = evermap_test_data::shared("data/kitti_poses") else {
         return;
     };
+    let poses = kitti(&folder).unwrap();
     let (found, losses) = lanes(poses.clone());
     assert!(losses.is_empty() && !found.is_empty());
     for lane in &found {

@@ -24,12 +24,23 @@ use evermap_schemas::{Fault, Kind};
 use crate::error::{OrFault, external};
 use crate::unit::Unit;
 
+/// The texts of units by their numbers.
+pub type UnitTexts = BTreeMap<usize, String>;
+
+/// The text of a unit, as [`RunUnit`] reads it.
+///
+/// # Errors
+/// A fault of ours.
+pub fn unit_text(unit: &Unit) -> Result<String, Fault> {
+    serde_json::to_string(unit).map_err(|error| Fault::bug(error.to_string()))
+}
+
 /// The plan of a job that runs units.
 ///
 /// # Errors
 /// A fault of ours.
 pub async fn units_plan(
-    units: &BTreeMap<usize, Unit>,
+    units: UnitTexts,
     registry: &Registry,
 ) -> Result<Arc<dyn ExecutionPlan>, Fault> {
     let query = manifest(units)?;
@@ -43,18 +54,20 @@ pub async fn units_plan(
 }
 
 /// The units, each with its number in a partition of its own.
-fn manifest(units: &BTreeMap<usize, Unit>) -> Result<MemTable, Fault> {
+fn manifest(units: UnitTexts) -> Result<MemTable, Fault> {
     let schema = Arc::new(Schema::new(vec![
         Field::new("unit", DataType::Utf8, false),
         Field::new("text", DataType::Utf8, false),
     ]));
-    let partition = |(index, unit): (&usize, &Unit)| {
-        let text = serde_json::to_string(unit).map_err(|error| Fault::bug(error.to_string()))?;
+    let partition = |(index, text): (usize, String)| {
         let column = |text: String| -> ArrayRef { Arc::new(StringArray::from(vec![text])) };
         let columns = vec![column(index.to_string()), column(text)];
         Ok(vec![RecordBatch::try_new(Arc::clone(&schema), columns)?])
     };
-    let partitions = units.iter().map(partition).collect::<Result<_, Fault>>()?;
+    let partitions = units
+        .into_iter()
+        .map(partition)
+        .collect::<Result<_, Fault>>()?;
     MemTable::try_new(Arc::clone(&schema), partitions).or_fault()
 }
 

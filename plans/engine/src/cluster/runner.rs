@@ -11,7 +11,7 @@ use futures::StreamExt;
 use futures::stream::BoxStream;
 use tokio::sync::mpsc;
 
-use crate::cluster::job::{session_config, session_state};
+use crate::cluster::job::{UnitTexts, session_config, session_state, unit_text};
 use crate::cluster::scheduler::{Job, JobState, Scheduler, failures};
 use crate::error::remote_fault;
 use crate::map::receipt::Receipt;
@@ -175,14 +175,17 @@ impl Wave {
         }
     }
 
-    /// Submits jobs and follows them until they end, or nothing has ended for as long as the deadline. Those that are
-    /// open then are cancelled.
+    /// Submits jobs of what has no receipt yet and follows them until they end, or nothing has ended for as long as the
+    /// deadline. Those that are open then are cancelled.
     async fn attempt(&self, missing: &mut Missing, progress: &mut Instant) -> Result<(), Lost> {
+        // Units that ran when an attempt was given up may have ended since.
+        let all: Vec<usize> = missing.keys().copied().collect();
+        self.collect(&all, missing, progress).await?;
         let mut scheduler = Scheduler::connect(&self.cluster.scheduler).await?;
         let mut jobs = Vec::new();
         let mut ended = Ok(());
         for units in portions(missing)? {
-            match scheduler.submit(&units, &self.cluster.registry).await {
+            match scheduler.submit(units, &self.cluster.registry).await {
                 Ok(job) => jobs.push(job),
                 Err(fault) => {
                     ended = Err(fault.into());
@@ -214,9 +217,7 @@ impl Wave {
             let mut index = 0;
             while let Some(job) = jobs.get(index) {
                 let state = scheduler.state(job).await?;
-                if self.collect(&job.units, missing).await? > 0 {
-                    *progress = Instant::now();
-                }
+                self.collect(&job.units, missing, progress).await?;
                 match state {
                     JobState::Open => {
                         index += 1;
@@ -258,8 +259,13 @@ impl Wave {
         }
     }
 
-    /// Takes the receipts of these units that have come in; how many there were.
-    async fn collect(&self, units: &[usize], missing: &mut Missing) -> Result<usize, Fault> {
+    /// Takes the receipts of these units that have come in.
+    async fn collect(
+        &self,
+        units: &[usize],
+        missing: &mut Missing,
+        progress: &mut Instant,
+    ) -> Result<(), Fault> {
         let mut found = Vec::new();
         for (index, unit) in units
             .iter()
@@ -270,29 +276,30 @@ impl Wave {
                 found.push((*index, receipt));
             }
         }
-        let count = found.len();
         for (index, receipt) in found {
+            *progress = Instant::now();
             missing.remove(&index);
             let _ = self.outcomes.send((index, Ok(receipt)));
         }
-        Ok(count)
+        Ok(())
     }
 }
 
 /// Units in jobs of [`JOB_BYTES`].
-fn portions(units: &Missing) -> Result<Vec<Missing>, Fault> {
-    let mut portions: Vec<Missing> = vec![Missing::new()];
-    let mut bytes = 0;
+fn portions(units: &Missing) -> Result<Vec<UnitTexts>, Fault> {
+    let mut portions = Vec::new();
+    let (mut portion, mut bytes) = (UnitTexts::new(), 0);
     for (index, unit) in units {
-        let text = serde_json::to_vec(unit).map_err(|error| Fault::bug(error.to_string()))?;
+        let text = unit_text(unit)?;
         if bytes > 0 && bytes + text.len() > JOB_BYTES {
-            portions.push(Missing::new());
+            portions.push(std::mem::take(&mut portion));
             bytes = 0;
         }
         bytes += text.len();
-        if let Some(portion) = portions.last_mut() {
-            portion.insert(*index, unit.clone());
-        }
+        portion.insert(*index, text);
+    }
+    if !portion.is_empty() {
+        portions.push(portion);
     }
     Ok(portions)
 }

@@ -1,6 +1,5 @@
 //! The scheduler as a run sees it: jobs submitted, followed and cancelled.
 
-use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::time::Duration;
 
@@ -24,9 +23,8 @@ use evermap_schemas::Fault;
 use futures::TryStreamExt;
 use tonic::transport::Channel;
 
-use crate::cluster::job::{session_config, units_plan};
+use crate::cluster::job::{UnitTexts, session_config, units_plan};
 use crate::error::{OrFault, remote_fault};
-use crate::unit::Unit;
 
 /// How long a call may take, until the scheduler counts as lost.
 const CALL: Duration = Duration::from_secs(10);
@@ -87,11 +85,8 @@ impl Scheduler {
     ///
     /// # Errors
     /// A resource fault when the scheduler does not answer or has no executors.
-    pub async fn submit(
-        &mut self,
-        units: &BTreeMap<usize, Unit>,
-        registry: &Registry,
-    ) -> Result<Job, Fault> {
+    pub async fn submit(&mut self, units: UnitTexts, registry: &Registry) -> Result<Job, Fault> {
+        let numbers = units.keys().copied().collect();
         let plan = units_plan(units, registry).await?;
         let codec = BallistaPhysicalExtensionCodec::default();
         let node = PhysicalPlanNode::try_from_physical_plan(plan, &codec).or_fault()?;
@@ -115,7 +110,7 @@ impl Scheduler {
         match answer.into_inner().result {
             Some(Submitted::Success(job)) => Ok(Job {
                 id: job.job_id,
-                units: units.keys().copied().collect(),
+                units: numbers,
             }),
             refused => Err(lost(&format!("{refused:?}"), &self.url)),
         }

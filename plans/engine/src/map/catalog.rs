@@ -1,17 +1,15 @@
 //! A map as a catalog: its layers at the version that was asked for, and those of every other version as schemas `v1`,
 //! `v2` …
 
-use std::sync::Arc;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use async_trait::async_trait;
 use datafusion::catalog::{CatalogProvider, SchemaProvider, TableProvider};
 use datafusion::error::Result;
-use datafusion::prelude::SessionContext;
 use tokio::sync::OnceCell;
 
 use crate::error::external;
-use crate::map::Map;
-use crate::map::store::Store;
 use crate::map::tables::Tables;
 
 /// The schemas of a map.
@@ -19,31 +17,31 @@ use crate::map::tables::Tables;
 pub struct Catalog {
     /// The schemas that have names of their own.
     named: Arc<dyn CatalogProvider>,
-    store: Store,
-    reading: Reading,
-}
-
-/// Opens tables; it has none itself.
-#[derive(Clone)]
-struct Reading(SessionContext);
-
-impl std::fmt::Debug for Reading {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Reading")
-    }
+    tables: Arc<Tables>,
+    /// The versions that queries named.
+    versions: Mutex<BTreeMap<u64, Arc<VersionTables>>>,
 }
 
 impl Catalog {
-    /// The catalog of a map, beside the schemas of another one.
-    pub fn new(named: Arc<dyn CatalogProvider>, store: &Store, context: &SessionContext) -> Self {
+    /// The catalog of the map of these tables, beside the schemas of another one.
+    pub fn new(named: Arc<dyn CatalogProvider>, tables: Arc<Tables>) -> Self {
         Self {
             named,
-            store: store.clone(),
-            reading: Reading(SessionContext::new_with_config_rt(
-                context.copied_config(),
-                context.runtime_env(),
-            )),
+            tables,
+            versions: Mutex::default(),
         }
+    }
+
+    fn version(&self, number: u64) -> Arc<VersionTables> {
+        let mut versions = self.versions.lock().unwrap_or_else(PoisonError::into_inner);
+        let version = versions.entry(number).or_insert_with(|| {
+            Arc::new(VersionTables {
+                number,
+                beside: Arc::clone(&self.tables),
+                opened: OnceCell::new(),
+            })
+        });
+        Arc::clone(version)
     }
 }
 
@@ -53,24 +51,19 @@ impl CatalogProvider for Catalog {
     }
 
     fn schema(&self, name: &str) -> Option<Arc<dyn SchemaProvider>> {
-        let version = || -> Option<Arc<dyn SchemaProvider>> {
-            Some(Arc::new(VersionTables {
-                version: name.strip_prefix('v')?.parse().ok()?,
-                store: self.store.clone(),
-                reading: self.reading.clone(),
-                opened: OnceCell::new(),
-            }))
-        };
-        self.named.schema(name).or_else(version)
+        self.named.schema(name).or_else(|| {
+            let number = name.strip_prefix('v')?.parse().ok()?;
+            Some(self.version(number))
+        })
     }
 }
 
 /// The tables of one version, which is read when a query names one of them.
 #[derive(Debug)]
 struct VersionTables {
-    version: u64,
-    store: Store,
-    reading: Reading,
+    number: u64,
+    /// Those of the version that the map is open at.
+    beside: Arc<Tables>,
     opened: OnceCell<Tables>,
 }
 
@@ -83,10 +76,7 @@ impl SchemaProvider for VersionTables {
     }
 
     async fn table(&self, name: &str) -> Result<Option<Arc<dyn TableProvider>>> {
-        let open = || async {
-            let map = Map::at(self.store.clone(), Some(self.version)).await?;
-            Ok(Tables::new(map, &self.reading.0))
-        };
+        let open = || self.beside.at(self.number);
         let opened = self.opened.get_or_try_init(open).await.map_err(external)?;
         opened.table(name).await
     }

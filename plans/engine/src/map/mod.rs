@@ -116,8 +116,9 @@ impl Map {
         context.register_object_store(self.store.url(), self.store.objects());
         if let Some(catalog) = context.catalog("datafusion") {
             let tables = Arc::new(Tables::new(self.clone(), &context));
-            catalog.register_schema("public", tables).or_fault()?;
-            let catalog = Catalog::new(catalog, &self.store, &context);
+            let public = Arc::clone(&tables);
+            catalog.register_schema("public", public).or_fault()?;
+            let catalog = Catalog::new(catalog, tables);
             context.register_catalog("datafusion", Arc::new(catalog));
         }
         Ok(context)

@@ -53,6 +53,15 @@ impl Tables {
         }
     }
 
+    /// The tables of another version of the same map.
+    ///
+    /// # Errors
+    /// As [`Map::at`].
+    pub async fn at(&self, version: u64) -> Result<Self, Fault> {
+        let map = Map::at(self.map.store.clone(), Some(version)).await?;
+        Ok(Self::new(map, &self.reading))
+    }
+
     async fn open(&self, name: &str) -> Result<Arc<dyn TableProvider>, Fault> {
         let (store, context) = (&self.map.store, &self.reading);
         let rows = match name {

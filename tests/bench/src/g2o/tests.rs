@@ -96,7 +96,7 @@ fn indefinite_information_becomes_the_nearest_that_is_not() {
 /// Without their vertices, the graphs end where they end with them, or better.
 #[test]
 fn edges_alone_lead_to_the_known_minima() {
-    let Some(folder) = crate::shared("data/pose_graph/g2o") else {
+    let Some(folder) = evermap_test_data::shared("data/pose_graph/g2o") else {
         return;
     };
     for (name, after, proven) in [
@@ -134,7 +134,7 @@ where
 
 #[test]
 fn the_valley_that_a_files_poses_lie_in_is_told_to_be_wrong() {
-    let Some(folder) = crate::shared("data/pose_graph/g2o") else {
+    let Some(folder) = evermap_test_data::shared("data/pose_graph/g2o") else {
         return;
     };
     let text = std::fs::read_to_string(folder.join("MIT.g2o")).unwrap();
@@ -149,7 +149,7 @@ fn the_valley_that_a_files_poses_lie_in_is_told_to_be_wrong() {
 /// covariance is on average. Costs: Rosen et al., *SE-Sync* (IJRR 2019), tables 1 and 2.
 #[test]
 fn certificates_agree_with_published_optima() {
-    let Some(folder) = crate::shared("data/pose_graph/g2o") else {
+    let Some(folder) = evermap_test_data::shared("data/pose_graph/g2o") else {
         return;
     };
     for (name, published) in [
@@ -207,7 +207,7 @@ where
 /// Costs that GTSAM 4.3 reports for these files, at the file's poses and at its minimum.
 #[test]
 fn the_fields_graphs_relax_to_known_minima() {
-    let Some(folder) = crate::shared("data/pose_graph/g2o") else {
+    let Some(folder) = evermap_test_data::shared("data/pose_graph/g2o") else {
         return;
     };
     for (name, before, after) in [

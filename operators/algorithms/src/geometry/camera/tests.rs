@@ -290,8 +290,7 @@ proptest! {
 /// toolbox's inverse polynomial, images are 1280 × 960.
 #[test]
 fn real_omnidirectional_calibrations_give_their_pixels_back() {
-    let Some(folder) =
-        crate::tests::shared_data::find("data/avm_fisheye/pjlab/ocam_samples/intrinsic")
+    let Some(folder) = evermap_test_data::shared("data/avm_fisheye/pjlab/ocam_samples/intrinsic")
     else {
         return;
     };

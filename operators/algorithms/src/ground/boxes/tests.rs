@@ -15,7 +15,7 @@ use super::mosaic::{Mosaic, Pixel};
 use super::teaching::{Example, Hypothesis, Said, Taught, TeachingParams};
 use crate::ground::tiles::TILE_CELLS;
 use crate::solving::random::SplitMix64;
-use crate::tests::shared_data;
+use evermap_test_data::shared;
 
 /// Side of a cell of all floors here (m).
 const CELL_M: f64 = 0.05;
@@ -383,7 +383,7 @@ fn spaces_of_made_up_floors_are_found() {
 
 #[test]
 fn spaces_of_a_strangers_floor_are_found() {
-    let world = shared_data::find("worlds/carpark_small/truth").unwrap();
+    let world = shared("worlds/carpark_small/truth").unwrap();
     let truth = bays(&world.join("bays.geojson"));
     let picture = Picture::read(&world.join("overhead_20ppm.png"));
     let rounds = rounds("carpark_small", &picture, &truth, Picks::Questions);

@@ -30,14 +30,14 @@ use serde::{Deserialize, Serialize};
 pub struct PeopleParams {
     /// People nearer to the camera than this are not looked for (m): from 1 m above the ground a fisheye no longer shows
     /// feet and head of one who is nearer.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
+    #[schemars(range(min = 0.1, max = 100.0))]
     pub nearest_m: f64,
     /// People farther from the camera than this are left out (m). On a fisheye of 127 px per radian a person of 10 m is
     /// 22 px high, a quarter of what the detector was taught with.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
+    #[schemars(range(min = 0.1, max = 100.0))]
     pub farthest_m: f64,
     /// Height of a person (m): the mean of adults, in shoes.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 10.0))]
+    #[schemars(range(min = 0.1, max = 10.0))]
     pub height_m: f64,
     /// Its standard deviation among people (m).
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 10.0))]

@@ -12,6 +12,8 @@ pub(super) struct Arc {
     far: Vector3<f64>,
     /// Unit vector at right angles to `far`, towards nearer points.
     towards: Vector3<f64>,
+    /// Unit vector at right angles to both: the pole of the arc's circle.
+    pole: Vector3<f64>,
     /// Angle from `far` to the nearest point.
     length_rad: f64,
 }
@@ -26,6 +28,7 @@ impl Arc {
         Self {
             far,
             towards,
+            pole: far.cross(&towards),
             length_rad: length_rad.clamp(0.0, std::f64::consts::PI),
         }
     }
@@ -37,6 +40,12 @@ impl Arc {
     /// The direction at an angle from the point at infinity.
     pub(super) fn at(&self, angle_rad: f64) -> Vector3<f64> {
         self.far * angle_rad.cos() + self.towards * angle_rad.sin()
+    }
+
+    /// Whether a direction (a unit vector) is no farther from the nearest one of the arc than this angle.
+    pub(super) fn is_within(&self, ray: &Vector3<f64>, angle_rad: f64) -> bool {
+        // No direction is nearer to the arc than the sine of its angle to the whole circle: most are told without angles.
+        ray.dot(&self.pole).abs() <= angle_rad && self.distance(ray) <= angle_rad
     }
 
     /// Angle between a direction (a unit vector) and the nearest one of the arc.

@@ -122,7 +122,7 @@ impl Search<'_> {
         let accept = |to: u32| {
             self.b
                 .ray(to)
-                .is_some_and(|(ray, sigma)| arc.distance(&ray) <= SIGMAS * other.hypot(sigma))
+                .is_some_and(|(ray, sigma)| arc.is_within(&ray, SIGMAS * other.hypot(sigma)))
         };
         let widest = SIGMAS * other.hypot(self.b.widest_rad());
         let (pixel, radius_px) = self.circle(&arc, widest)?;

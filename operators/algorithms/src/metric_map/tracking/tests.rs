@@ -245,4 +245,18 @@ proptest! {
         let beside = (seen + normal.normalize() * off).normalize();
         prop_assert!((arc.distance(&beside) - off.atan()).abs() < 1e-6);
     }
+
+    #[test]
+    fn what_is_within_an_angle_is_as_near(
+        t in prop::array::uniform3(-0.5..0.5_f64), turn in prop::array::uniform3(-0.3..0.3_f64),
+        rays in prop::array::uniform2(prop::array::uniform3(-1.0..1.0_f64)), angle in 0.0..1.5_f64
+    ) {
+        prop_assume!(rays.iter().all(|ray| Vector3::from(*ray).norm() > 0.1));
+        let [ray, other] = rays.map(|ray| Vector3::from(ray).normalize());
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::from(turn));
+        for scale in [0.0, 1e-13, 1.0] {
+            let arc = Arc::new(&Pose::new(Vector3::from(t) * scale, turn), &ray, 0.4);
+            prop_assert_eq!(arc.is_within(&other, angle), arc.distance(&other) <= angle);
+        }
+    }
 }

@@ -1,11 +1,11 @@
 //! Real and simulated drives, judged by geometry that shares nothing with the algorithm.
 
 use super::*;
-use crate::tests::shared_data;
+use evermap_test_data::shared;
 
 /// KITTI odometry ground truth: rows of 3×4 camera poses; the ground plane is x and z.
 fn kitti(name: &str) -> Option<Vec<[f64; 3]>> {
-    let path = shared_data::find(&format!("data/kitti_poses/{name}.txt"))?;
+    let path = shared(&format!("data/kitti_poses/{name}.txt"))?;
     let text = std::fs::read_to_string(path).unwrap();
     let row = |line: &str| {
         let n: Vec<f64> = line
@@ -219,7 +219,7 @@ fn tum(path: &std::path::Path) -> Vec<[f64; 3]> {
 
 #[test]
 fn car_park_lanes_follow_the_aisles() {
-    let Some(world) = shared_data::find("worlds/carpark_small") else {
+    let Some(world) = shared("worlds/carpark_small") else {
         return;
     };
     let sessions = ["initial", "revisit_1", "revisit_2"];

@@ -10,7 +10,7 @@
 use std::path::Path;
 
 use super::super::{ColourView, Kernels, RandomField, Unary};
-use crate::tests::shared_data;
+use evermap_test_data::shared;
 
 /// The reference itself, given the coordinates in another order, agrees with its own results on this much: the
 /// lattice is not the same from all sides. (Measured: 99.87 %.)
@@ -70,7 +70,7 @@ fn agreement(folder: &Path, image: &str, annotation: &str, expected: &str) -> f6
 
 #[test]
 fn the_references_examples_come_out_as_theirs_do() {
-    let Some(folder) = shared_data::find("data/densecrf") else {
+    let Some(folder) = shared("data/densecrf") else {
         return;
     };
     for [image, annotation, expected] in [

@@ -12,7 +12,7 @@ use super::super::*;
 use crate::geometry::camera::Camera;
 use crate::geometry::trajectory::{StampedPose, pose_at};
 use crate::learning::dense_crf::Confusion;
-use crate::tests::shared_data;
+use evermap_test_data::shared;
 use nalgebra::{Quaternion, UnitQuaternion};
 
 const CLASSES: usize = 9;
@@ -221,7 +221,7 @@ fn accuracy(visit: &Visit, views: usize, options: &VoteOptions) -> Confusion {
 
 #[test]
 fn neighbours_correct_noisy_labels() {
-    let Some(path) = shared_data::find("worlds/street_small/visit_a/visit_a.mcap") else {
+    let Some(path) = shared("worlds/street_small/visit_a/visit_a.mcap") else {
         return;
     };
     let visit = read(&path);

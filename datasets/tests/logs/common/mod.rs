@@ -14,17 +14,7 @@ use object_store::path::Path;
 use object_store::{ObjectStore, ObjectStoreExt};
 use url::Url;
 
-/// The folder of real data, if this machine has it.
-pub fn shared(folder: &str) -> Option<PathBuf> {
-    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared");
-    let shared = std::env::var("EVERMAP_SHARED").unwrap_or_else(|_| beside.to_owned());
-    let path = PathBuf::from(shared).join(folder);
-    if !path.exists() {
-        eprintln!("SKIPPED: no {}", path.display());
-        return None;
-    }
-    Some(path)
-}
+pub use evermap_test_data::shared;
 
 /// All files below a folder with this extension, in order.
 pub fn files(folder: &std::path::Path, extension: &str) -> Vec<PathBuf> {

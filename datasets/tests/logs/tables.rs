@@ -1,11 +1,9 @@
 //! Logs as tables: what real recordings hold is what SQL finds.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
-mod common;
-
+use crate::common::{Log, context, count, files, in_memory, open, open_in, rows, shared, text};
 use arrow::array::AsArray;
 use arrow::datatypes::Int64Type;
-use common::{Log, context, count, files, in_memory, open, open_in, rows, shared, text};
 use evermap_datasets::{Dataset, Reason};
 
 /// Logs of which some topic cannot be decoded, with the reason.

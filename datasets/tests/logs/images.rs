@@ -1,10 +1,8 @@
 //! References of frames lead to the very bytes that the log holds.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
-
+use crate::common::{open, rows, shared};
 use arrow::array::{Array, AsArray, RecordBatch};
-use common::{open, rows, shared};
 use evermap_datasets::ImageReader;
 use evermap_schemas::roles::Frame;
 

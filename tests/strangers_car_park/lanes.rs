@@ -1,11 +1,11 @@
-//! The program on worlds with exact truth, made by somebody else.
-
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+//! The lanes of perfect poses.
 
 use std::path::{Path, PathBuf};
 
-use evermap_tests::{evermap, shared, text, write_drive};
+use evermap_tests::{evermap, text, write_drive};
 use serde_json::Value;
+
+use crate::world;
 
 type Point = [f64; 2];
 
@@ -73,7 +73,7 @@ fn true_session(world: &Path, folder: &Path) -> PathBuf {
 
 #[test]
 fn lanes_of_true_poses_follow_the_aisles() {
-    let Some(world) = shared("worlds/carpark_small") else {
+    let Some(world) = world() else {
         return;
     };
     let folder = tempfile::tempdir().unwrap();
@@ -111,71 +111,4 @@ fn lanes_of_true_poses_follow_the_aisles() {
             .fold(f64::INFINITY, f64::min);
         assert!(nearest < 2.5, "{point:?} is {nearest:.2} m from any aisle");
     }
-}
-
-#[test]
-fn the_car_park_is_mapped_from_its_own_odometry() {
-    let Some(world) = shared("worlds/carpark_small") else {
-        return;
-    };
-    let folder = tempfile::tempdir().unwrap();
-    let map = folder.path().join("map");
-    let session = world.join("initial/initial.mcap");
-    evermap(&[
-        "run",
-        "car_park",
-        "--map",
-        text(&map),
-        "--sessions",
-        text(&session),
-    ])
-    .expect(0);
-    let query = "SELECT (SELECT count(*) FROM keyframes) AS keyframes, (SELECT count(*) FROM overhead_tiles WHERE zoom = 0) \
-                 AS tiles, (SELECT sum(covered) FROM overhead_tiles WHERE zoom = 0) AS covered, \
-                 (SELECT count(*) FROM lanes) AS lanes";
-    let counted = evermap(&["sql", "--map", text(&map), "--format", "json", query])
-        .expect(0)
-        .json();
-    let number = |name: &str| counted[0][name].as_f64().unwrap();
-    // 459 shots at most 0.48 m apart over 188 m: nearly every shot is a keyframe.
-    assert!(
-        number("keyframes") > 380.0 && number("keyframes") <= 459.0,
-        "{counted}"
-    );
-    // The room is 39.6 by 24.8 m, of which the aisles and bays are seen.
-    let covered_m2 = number("covered") * 0.05 * 0.05;
-    assert!(covered_m2 > 500.0, "{covered_m2} m² of floor were seen");
-    assert!(
-        number("tiles") >= 6.0 && number("lanes") >= 3.0,
-        "{counted}"
-    );
-    let picture = folder.path().join("map.png");
-    evermap(&["render", "--map", text(&map), "--out", text(&picture)]).expect(0);
-    evermap(&[
-        "report",
-        "--map",
-        text(&map),
-        "--out",
-        text(&folder.path().join("map.html")),
-    ])
-    .expect(0);
-    assert!(std::fs::metadata(&picture).unwrap().len() > 20_000);
-
-    // The first drive's features stay; its floor is drawn anew, because the revisit makes its poses better.
-    let revisit = world.join("revisit_1/revisit_1.mcap");
-    evermap(&[
-        "run",
-        "car_park",
-        "--map",
-        text(&map),
-        "--sessions",
-        text(&revisit),
-    ])
-    .expect(0);
-    let query = "SELECT DISTINCT session FROM runs WHERE version = 2 AND NOT cached \
-                 AND step IN ('keyframes', 'features', 'tracks')";
-    let computed = evermap(&["sql", "--map", text(&map), "--format", "json", query])
-        .expect(0)
-        .json();
-    assert_eq!(computed, serde_json::json!([{ "session": "revisit_1" }]));
 }

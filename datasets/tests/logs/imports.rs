@@ -1,11 +1,9 @@
 //! Imports are logs like any other: their roles read back as they were given.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
-
 use std::path::Path;
 
-use common::{open, rows, shared};
+use crate::common::{open, rows, shared};
 use evermap_datasets::ImageReader;
 use evermap_datasets::import::{ImageImport, Kitti};
 use evermap_schemas::roles::{Calibration, Frame, LabelClass, OdometryPose, Transform};

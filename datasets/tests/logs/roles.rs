@@ -1,9 +1,7 @@
 //! A role is one descriptor: one that is made up here has a key in manifests, inference and a table like any other.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
-
-use common::{Log, context, in_memory, rows, text};
+use crate::common::{Log, context, in_memory, rows, text};
 use datafusion::prelude::SessionContext;
 use evermap_datasets::{Dataset, Manifest, Reason, Recordings};
 use evermap_schemas::roles::{self, FromMessage, Message, Messages, Role};

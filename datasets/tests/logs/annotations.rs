@@ -1,12 +1,10 @@
 //! What people say is on the disk when it was said, whatever happens then, and is read like any other log.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
-
 use std::fs;
 use std::path::Path;
 
-use common::{open, rows};
+use crate::common::{open, rows};
 use evermap_datasets::Reason;
 use evermap_messages::annotation::{Anchor, Annotation, Geometry, NAME, SCHEMA};
 use evermap_recording::annotations::{AnnotationLog, parts};

@@ -1,10 +1,8 @@
 //! The conformance suite once more, through the tables: whatever indexes a file has or lacks, its messages are rows.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
-
+use crate::common::{context, files, shared};
 use arrow::array::RecordBatch;
-use common::{context, files, shared};
 use datafusion::physical_plan::collect;
 use evermap_datasets::Dataset;
 use serde_json::Value;

@@ -1,13 +1,11 @@
 //! Torn and corrupt logs are read as far as they are sound, and never panic.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
-
 use std::sync::Arc;
 
+use crate::common::{Log, context, count, files, in_memory, open_in, shared};
 use arrow::array::AsArray;
 use arrow::datatypes::UInt32Type;
-use common::{Log, context, count, files, in_memory, open_in, shared};
 use datafusion::catalog::TableProvider;
 use datafusion::physical_plan::collect;
 use datafusion::prelude::SessionContext;

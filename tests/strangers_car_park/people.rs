@@ -1,13 +1,13 @@
-//! Where people are and how fast to drive: a stranger's car park, with what its truth says of people as detections.
-
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+//! Where people are and how fast to drive, with what its truth says of people as detections.
 
 use std::path::{Path, PathBuf};
 
 use evermap_algorithms::geometry::trajectory::StampedPose;
 use evermap_tests::trajectories::{rows, truth};
-use evermap_tests::{Finished, evermap, plan_command, shared, text};
+use evermap_tests::{Finished, evermap, plan_command, text};
 use serde_json::Value;
+
+use crate::{session, world};
 
 /// A first visit without people, and two in which they use one crossing.
 const SESSIONS: [&str; 3] = ["initial", "revisit_1", "revisit_2"];
@@ -97,14 +97,14 @@ fn number(rows: &[Value], name: &str) -> f64 {
 }
 
 #[test]
-fn a_strangers_car_park_is_driven_slowly_where_people_walk() {
-    let Some(world) = shared("worlds/carpark_small") else {
+fn it_is_driven_slowly_where_people_walk() {
+    let Some(world) = world() else {
         return;
     };
     let folder = tempfile::tempdir().unwrap();
     let map = folder.path().join("map");
     let plan = plan(&world, folder.path());
-    let logs = SESSIONS.map(|name| world.join(name).join(format!("{name}.mcap")));
+    let logs = SESSIONS.map(|name| session(&world, name));
     let mut arguments = vec!["--sessions"];
     arguments.extend(logs.iter().map(|log| text(log)));
     let ended = plan_command(text(&plan), &map, "park", &arguments).output();
@@ -232,8 +232,8 @@ fn matched<'a>(
 }
 
 #[test]
-fn people_are_found_in_a_strangers_car_park_before_anybody_taught() {
-    let Some(world) = shared("worlds/carpark_small") else {
+fn people_are_found_before_anybody_taught() {
+    let Some(world) = world() else {
         return;
     };
     let folder = tempfile::tempdir().unwrap();
@@ -263,7 +263,7 @@ write: [poses, people, people_on_ground]
     );
     let path = folder.path().join("found.yaml");
     std::fs::write(&path, plan).unwrap();
-    let logs = SESSIONS.map(|name| world.join(name).join(format!("{name}.mcap")));
+    let logs = SESSIONS.map(|name| session(&world, name));
     let mut arguments = vec!["--sessions"];
     arguments.extend(logs.iter().map(|log| text(log)));
     let ended = plan_command(text(&path), &map, "park", &arguments).output();

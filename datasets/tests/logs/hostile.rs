@@ -2,12 +2,12 @@
 //! without being counted, and what is bad takes nothing else with it.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
-
 use std::sync::Arc;
 
-use common::by_hand::{channel, chunk, chunk_index, file, first, message, record, schema, text};
-use common::{context, count, in_memory, open_in};
+use crate::common::by_hand::{
+    channel, chunk, chunk_index, file, first, message, record, schema, text,
+};
+use crate::common::{context, count, in_memory, open_in};
 use datafusion::execution::memory_pool::GreedyMemoryPool;
 use datafusion::execution::runtime_env::RuntimeEnvBuilder;
 use datafusion::prelude::{SessionConfig, SessionContext};

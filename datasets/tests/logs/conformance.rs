@@ -1,12 +1,10 @@
 //! The conformance suite of the MCAP project: each file's records are exactly those that the JSON beside it lists.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
-
 use std::collections::BTreeMap;
 
+use crate::common::{files, shared};
 use bytes::Bytes;
-use common::{files, shared};
 use evermap_datasets::log::chunk::Block;
 use evermap_datasets::log::record::{MAGIC, parse, split};
 use mcap::records::{Record, op};

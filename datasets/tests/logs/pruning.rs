@@ -1,16 +1,14 @@
 //! A scan fetches only the chunks that may matter: proven by counting bytes.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
-
 use std::fmt;
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use crate::common::{Log, count, in_memory, open_in};
 use async_trait::async_trait;
 use bytes::Bytes;
-use common::{Log, count, in_memory, open_in};
 use futures::stream::BoxStream;
 use object_store::path::Path;
 use object_store::{

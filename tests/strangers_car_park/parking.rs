@@ -1,11 +1,4 @@
-//! Parking spaces of a stranger's car park, taught by a person who knows the truth.
-
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stderr
-)]
+//! Its parking spaces, taught by a person who knows the truth.
 
 use std::path::{Path, PathBuf};
 
@@ -13,10 +6,13 @@ use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::ground::boxes::GroundBox;
 use evermap_messages::annotation::{Annotation, Geometry};
 use evermap_recording::annotations::AnnotationLog;
-use evermap_tests::park::{finished, run};
+use evermap_tests::park::finished;
+use evermap_tests::repository;
 use evermap_tests::trajectories::{Trajectories, poses, rows, truth, truth_from_map};
-use evermap_tests::{repository, shared};
 use serde_json::Value;
+
+use crate::mapped::first_drive;
+use crate::{session, world};
 
 /// Spaces that are drawn in each of the first four rounds.
 const DRAWN: usize = 2;
@@ -181,10 +177,9 @@ fn occupied_as_in(world: &Path, map: &Path, session: &str) {
 
 #[test]
 fn a_few_drawn_spaces_and_some_answers_find_the_others() {
-    let world = shared("worlds/carpark_small").unwrap();
+    let Some(world) = world() else { return };
     let folder = tempfile::tempdir().unwrap();
-    let map = folder.path().join("map");
-    run("parking", &map, &[&world.join("initial/initial.mcap")]);
+    let map = first_drive(&world, folder.path());
     let none = rows(&map, None, "SELECT count(*) AS n FROM parking_spaces");
     assert_eq!(none[0]["n"], 0);
     let truth = spaces(&world, &map);
@@ -241,8 +236,7 @@ fn a_few_drawn_spaces_and_some_answers_find_the_others() {
     );
     assert_eq!(numbers("entered"), numbers("n"), "{alone:?}");
     // What each drive saw of them: a second one comes when all is taught.
-    let revisit = world.join("revisit_1/revisit_1.mcap");
-    grown(&map, &revisit);
+    grown(&map, &session(&world, "revisit_1"));
     for session in ["initial", "revisit_1"] {
         occupied_as_in(&world, &map, session);
     }

@@ -1,11 +1,9 @@
 //! An index that was kept spares reading the file again, and is believed only where it fits.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-mod common;
-
 use std::path::Path;
 
-use common::{Log, context, count, in_memory};
+use crate::common::{Log, context, count, in_memory};
 use datafusion::prelude::SessionContext;
 use evermap_datasets::log::index::LogIndex;
 use evermap_datasets::{Dataset, Reason, Recordings};

@@ -1,0 +1,15 @@
+//! Logs as tables: of every format, whole, damaged and forged; each part in its own file.
+
+mod common;
+
+mod annotations;
+mod conformance;
+mod conformance_tables;
+mod damage;
+mod hostile;
+mod images;
+mod imports;
+mod indexes;
+mod pruning;
+mod roles;
+mod tables;

@@ -1,3 +1,0 @@
-//! What the tests of several families share.
-
-pub(crate) mod shared_data;

@@ -1,0 +1,62 @@
+//! What tests of all crates are given from outside: data of others, and seeds.
+//!
+//! Data that others made (`../shared` beside the repository, or `EVERMAP_SHARED`) is never part of the project. A test
+//! that needs what is not there says so and passes; where `EVERMAP_SKIP=never` is set, as in CI, it fails.
+
+#![allow(clippy::print_stderr, clippy::panic)]
+
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+/// A path in the shared data; `None` where it is not there, and the test is to be skipped.
+///
+/// # Panics
+/// As [`skipped`].
+pub fn shared(path: &str) -> Option<PathBuf> {
+    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
+    let root = std::env::var_os("EVERMAP_SHARED").map_or(beside, PathBuf::from);
+    there(root.join(path), "set EVERMAP_SHARED")
+}
+
+/// A path; `None` where nothing is there, and the test is to be skipped. `next` says how it gets there.
+///
+/// # Panics
+/// As [`skipped`].
+pub fn there(path: PathBuf, next: &str) -> Option<PathBuf> {
+    if path.exists() {
+        return Some(path);
+    }
+    skipped(&format!("{} is not there; {next}", path.display()));
+    None
+}
+
+/// Says that a test is skipped, and why.
+///
+/// # Panics
+/// Where `EVERMAP_SKIP` is `never`.
+pub fn skipped(why: &str) {
+    let never = std::env::var("EVERMAP_SKIP").is_ok_and(|skip| skip == "never");
+    assert!(!never, "EVERMAP_SKIP is never, and {why}");
+    eprintln!("SKIPPED: {why}");
+}
+
+/// The seed of a random test: `EVERMAP_TEST_SEED`, or another one in every run. It is printed.
+///
+/// # Panics
+/// Where `EVERMAP_TEST_SEED` is no number.
+pub fn seed() -> u64 {
+    let now = || {
+        SystemTime::UNIX_EPOCH
+            .elapsed()
+            .map_or(0, |now| now.as_secs())
+    };
+    let seed = match std::env::var("EVERMAP_TEST_SEED") {
+        Ok(text) => match text.parse() {
+            Ok(seed) => seed,
+            Err(_) => panic!("EVERMAP_TEST_SEED: expected a whole number, found {text}"),
+        },
+        Err(_) => now(),
+    };
+    eprintln!("seed: EVERMAP_TEST_SEED={seed}");
+    seed
+}

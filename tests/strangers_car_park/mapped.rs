@@ -1,0 +1,83 @@
+//! The map of its first drive, which the tests share, and what revisits make of it.
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use evermap_tests::park::{Localised, adjusted_error, copy, made_once, run};
+use evermap_tests::trajectories::{Trajectories, rows, truth};
+use evermap_tests::{evermap, text};
+
+use crate::{session, world};
+
+/// A copy, in this folder, of the map that the plan `parking` makes of the first drive.
+pub(crate) fn first_drive(world: &Path, folder: &Path) -> PathBuf {
+    static MAP: OnceLock<PathBuf> = OnceLock::new();
+    let map = MAP.get_or_init(|| {
+        let map = made_once(env!("CARGO_TARGET_TMPDIR"), "strangers_car_park").join("map");
+        run("parking", &map, &[&session(world, "initial")]);
+        map
+    });
+    copy(map, folder, "map")
+}
+
+#[test]
+fn it_gets_sharper_with_every_drive() {
+    let Some(world) = world() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let map = first_drive(&world, folder.path());
+    let true_path = |name: &str| {
+        let path = world.join(name).join("trajectory.tum");
+        (name.to_owned(), truth(&path))
+    };
+    let truths: Trajectories = ["initial", "revisit_1", "revisit_2"].map(true_path).into();
+    let first = adjusted_error("initial", &map, None, &truths);
+    assert!(first.position_m.rmse <= 0.05);
+
+    let aside = copy(&map, folder.path(), "aside");
+    run("lifelong", &aside, &[&session(&world, "revisit_2")]);
+    run("car_park", &map, &[&session(&world, "revisit_1")]);
+    for (map, name) in [(&map, "revisit_1"), (&aside, "revisit_2")] {
+        let localised = Localised::of(map, 2, name, &truths);
+        let error = localised.error.unwrap();
+        assert!(localised.is_never_silently_wrong() && localised.lost_share() < 0.02);
+        assert!(error.position_m.median <= 0.03 && error.position_m.p99 <= 0.13);
+        assert!(error.rotation_rad.median <= 0.3_f64.to_radians());
+    }
+    drawn(&map, folder.path());
+    run("lifelong", &map, &[&session(&world, "revisit_2")]);
+    let last = adjusted_error("all three", &map, None, &truths);
+    assert!(last.position_m.rmse <= 0.03);
+}
+
+/// What the plan `car_park` has drawn of two drives, the second of which was added to a map of the first.
+fn drawn(map: &Path, folder: &Path) {
+    let query = "SELECT (SELECT count(*) FROM keyframes WHERE session = 'initial') AS keyframes, \
+                 (SELECT count(*) FROM overhead_tiles WHERE zoom = 0) AS tiles, \
+                 (SELECT sum(covered) FROM overhead_tiles WHERE zoom = 0) AS covered, \
+                 (SELECT count(*) FROM lanes) AS lanes";
+    let counted = rows(map, None, query);
+    let number = |name: &str| counted[0][name].as_f64().unwrap();
+    // 459 shots at most 0.48 m apart over 188 m: nearly every shot is a keyframe.
+    assert!(
+        (380.0..=459.0).contains(&number("keyframes")),
+        "{counted:?}"
+    );
+    // The room is 39.6 by 24.8 m, of which the aisles and bays are seen.
+    let covered_m2 = number("covered") * 0.05 * 0.05;
+    assert!(covered_m2 > 500.0, "{covered_m2} m² of floor were seen");
+    assert!(
+        number("tiles") >= 6.0 && number("lanes") >= 3.0,
+        "{counted:?}"
+    );
+    let picture = folder.join("map.png");
+    evermap(&["render", "--map", text(map), "--out", text(&picture)]).expect(0);
+    let report = folder.join("map.html");
+    evermap(&["report", "--map", text(map), "--out", text(&report)]).expect(0);
+    assert!(std::fs::metadata(&picture).unwrap().len() > 20_000);
+
+    // The first drive's features stay; its floor is drawn anew, because the revisit makes its poses better.
+    let query = "SELECT DISTINCT session FROM runs WHERE version = 2 AND NOT cached \
+                 AND step IN ('keyframes', 'features', 'tracks')";
+    let computed = rows(map, None, query);
+    assert_eq!(computed, [serde_json::json!({ "session": "revisit_1" })]);
+}
