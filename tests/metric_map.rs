@@ -16,7 +16,9 @@ use std::sync::OnceLock;
 
 use evermap_bench::trajectory::relative_error;
 use evermap_tests::kitti::Stretch;
-use evermap_tests::park::{Localised, Park, adjusted_error, copy, finished, made_once, run};
+use evermap_tests::park::{
+    FEWER, Localised, Park, adjusted_error, copy, finished, made_once, run, run_small,
+};
 use evermap_tests::trajectories::{Trajectories, pairs, poses, rows};
 use evermap_tests::{evermap, plan_command, simulate, text};
 
@@ -35,7 +37,7 @@ impl FirstDrive {
             let folder = made_once(env!("CARGO_TARGET_TMPDIR"), "metric_map");
             let map = folder.join("map");
             let (initial, truths) = Park::new(&folder, Self::SEED).drive(0, "initial", &[]);
-            run("metric_map", &map, &[&initial]);
+            run_small("metric_map", &map, &[&initial]);
             Self { map, truths }
         })
     }
@@ -44,16 +46,16 @@ impl FirstDrive {
 #[test]
 fn a_simulated_car_park_is_mapped_and_found_again_from_the_other_direction() {
     let folder = tempfile::tempdir().unwrap();
-    let map = folder.path().join("map");
-    let park = Park::new(folder.path(), 11);
-    let (initial, mut truths) = park.drive(0, "initial", &["loops=1"]);
-    run("metric_map", &map, &[&initial]);
+    let first = FirstDrive::get();
+    let mut truths = first.truths.clone();
+    let map = copy(&first.map, folder.path(), "map");
+    let park = Park::new(folder.path(), FirstDrive::SEED);
     let first = adjusted_error("simulated, initial", &map, None, &truths);
     assert!(first.position_m.rmse <= 0.05);
     for (version, index, name) in [(2, 4, "same_way"), (3, 1, "other_way")] {
         let (session, truth) = park.drive(index, name, &["loops=0.5"]);
         truths.extend(truth);
-        run("lifelong", &map, &[&session]);
+        run_small("lifelong", &map, &[&session]);
         assert!(Localised::of(&map, version, name, &truths).is_never_silently_wrong());
     }
     let last = adjusted_error("simulated, three drives", &map, None, &truths);
@@ -64,9 +66,12 @@ fn a_simulated_car_park_is_mapped_and_found_again_from_the_other_direction() {
 fn odometry_that_is_wrong_by_5_percent_does_not_set_the_maps_scale() {
     let folder = tempfile::tempdir().unwrap();
     let map = folder.path().join("map");
-    let (session, truths) =
-        Park::new(folder.path(), 12).drive(0, "initial", &["odometry_scale_error=0.05"]);
-    run("metric_map", &map, &[&session]);
+    let (session, truths) = Park::new(folder.path(), 12).drive(
+        0,
+        "initial",
+        &["loops=0.6", "odometry_scale_error=0.05"],
+    );
+    run_small("metric_map", &map, &[&session]);
     let error = adjusted_error("odometry 5 % long", &map, None, &truths);
     assert!(error.position_m.rmse <= 0.10);
 }
@@ -75,9 +80,12 @@ fn odometry_that_is_wrong_by_5_percent_does_not_set_the_maps_scale() {
 fn a_calibration_that_is_off_by_half_a_pixel_costs_centimetres() {
     let folder = tempfile::tempdir().unwrap();
     let map = folder.path().join("map");
-    let (session, truths) =
-        Park::new(folder.path(), 13).drive(0, "initial", &["calibration_error_px=0.5"]);
-    run("metric_map", &map, &[&session]);
+    let (session, truths) = Park::new(folder.path(), 13).drive(
+        0,
+        "initial",
+        &["loops=0.6", "calibration_error_px=0.5"],
+    );
+    run_small("metric_map", &map, &[&session]);
     let error = adjusted_error("calibration off by half a pixel", &map, None, &truths);
     assert!(error.position_m.rmse <= 0.10);
 }
@@ -115,7 +123,7 @@ fn false_loop_closures_are_found_out() {
     );
     std::fs::write(&plan, FALSE_LOOPS).unwrap();
     let (session, truths) = Park::new(folder.path(), 16).drive(0, "initial", &["loops=1"]);
-    run(text(&plan), &map, &[&session]);
+    run_small(text(&plan), &map, &[&session]);
     let counted = rows(
         &map,
         None,
@@ -139,7 +147,7 @@ fn a_dark_camera_and_a_strange_start_do_no_harm() {
     let (dark, truth) = park.drive(4, "dark", &["loops=0.5", "dark_camera=left"]);
     truths.extend(truth);
     let of_dark = copy(&first.map, folder.path(), "of_dark");
-    run("lifelong", &of_dark, &[&dark]);
+    run_small("lifelong", &of_dark, &[&dark]);
     let localised = Localised::of(&of_dark, 2, "dark", &truths);
     assert!(localised.is_never_silently_wrong() && localised.lost_share() < 0.1);
     let error = adjusted_error("with one camera dark", &of_dark, None, &truths);
@@ -149,7 +157,7 @@ fn a_dark_camera_and_a_strange_start_do_no_harm() {
     let (strange, truth) = park.drive(4, "strange", &["start_m=90", "loops=1"]);
     truths.extend(truth);
     let of_strange = copy(&first.map, folder.path(), "of_strange");
-    run("lifelong", &of_strange, &[&strange]);
+    run_small("lifelong", &of_strange, &[&strange]);
     let localised = Localised::of(&of_strange, 2, "strange", &truths);
     assert!(localised.is_never_silently_wrong());
     assert!(localised.lost > 0 && localised.lost_share() < 0.9);
@@ -160,7 +168,7 @@ fn a_dark_camera_and_a_strange_start_do_no_harm() {
 fn assert_not_merged(map: &Path, folder: &Path, name: &str, session: &Path) -> PathBuf {
     let aside = copy(map, folder, &format!("of_{name}"));
     // Keyframes that are left out of the map are a loss.
-    finished("lifelong", &aside, &[session]).expect(3);
+    finished("lifelong", &aside, &[session], &FEWER).expect(3);
     let count = |of: &str| {
         let query = format!("SELECT count(*) AS n FROM {of} session = '{name}'");
         rows(&aside, None, &query)[0]["n"].as_u64().unwrap()
@@ -216,7 +224,7 @@ fn another_place_is_not_merged() {
 fn neither_a_car_park_nor_a_road_is_merged_into_a_street() {
     let folder = tempfile::tempdir().unwrap();
     let map = folder.path().join("map");
-    run("metric_map", &map, &[&street(folder.path())]);
+    run_small("metric_map", &map, &[&street(folder.path())]);
     let (park, _) = Park::new(folder.path(), 14).drive(4, "park", &["loops=0.4"]);
     assert_not_merged(&map, folder.path(), "park", &park);
     if let Some(stretch) = Stretch::find() {
@@ -235,7 +243,7 @@ fn a_drive_that_leaves_the_mapped_part_is_localised_until_then() {
     // The western loop was mapped; after it the drive goes on to the eastern one.
     let (leaving, truth) = park.drive(4, "leaving", &["loops=1"]);
     truths.extend(truth);
-    run("lifelong", &map, &[&leaving]);
+    run_small("lifelong", &map, &[&leaving]);
     let localised = Localised::of(&map, 2, "leaving", &truths);
     assert!(localised.is_never_silently_wrong());
     let lost = "SELECT count(*) FILTER (WHERE part < 0.4 AND state = 'lost') AS before, \
@@ -342,7 +350,7 @@ fn threads_and_partitions_do_not_change_the_map() {
     let digests = |jobs: &str| {
         let map = folder.path().join(format!("map_{jobs}"));
         for (plan, session) in [("metric_map", &initial), ("lifelong", &revisit)] {
-            let more = ["--jobs", jobs, "--sessions", text(session)];
+            let more = [&FEWER[..], &["--jobs", jobs, "--sessions", text(session)]].concat();
             let mut command = plan_command(plan, &map, "park", &more);
             let done = command.env("RAYON_NUM_THREADS", jobs).output().unwrap();
             evermap_tests::Finished::from(done).expect(0);

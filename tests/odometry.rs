@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::trajectory::StampedPose;
 use evermap_tests::odometry::{Told, odometry, with_odometry};
-use evermap_tests::park::{Park, adjusted_error, finished};
+use evermap_tests::park::{FEWER, Park, adjusted_error, finished};
 use evermap_tests::trajectories::{Trajectories, rows};
 use evermap_tests::{evermap, shared, text};
 use nalgebra::Vector3;
@@ -47,7 +47,7 @@ impl Driven {
         let session = folder.join("drive.mcap");
         with_odometry(&self.session, &session, poses, told);
         let map = folder.join("map");
-        finished("metric_map", &map, &[&session]).expect(code);
+        finished("metric_map", &map, &[&session], &FEWER).expect(code);
         map
     }
 
@@ -119,14 +119,14 @@ fn mapped_stretches(map: &Path) -> Vec<(u64, u64, u64)> {
 
 #[test]
 fn a_message_a_second_is_enough() {
-    let drive = Driven::new(21, "loops=0.8");
+    let drive = Driven::new(21, "loops=0.5");
     let map = drive.mapped("slow", &at_a_hertz(&drive.odometry), Told::Poses, 0);
     assert!(drive.error_m("odometry at 1 Hz", &map) <= 0.05);
 }
 
 #[test]
 fn a_reset_and_slipping_wheels_are_survived() {
-    let drive = Driven::new(21, "loops=1.2");
+    let drive = Driven::new(21, "loops=0.9");
     let reset = reset(&drive.odometry, drive.after(0.35));
     let disturbed = slip(&reset, drive.after(0.6));
     let map = drive.mapped("disturbed", &disturbed, Told::Poses, 3);
@@ -141,7 +141,7 @@ fn a_reset_and_slipping_wheels_are_survived() {
 
 #[test]
 fn what_a_reset_at_a_hertz_leaves_open_is_closed_by_sight_or_left_out() {
-    let drive = Driven::new(22, "loops=1.6");
+    let drive = Driven::new(22, "loops=1.3");
     let disturbed = reset(&at_a_hertz(&drive.odometry), drive.after(0.5));
     let map = drive.mapped("disturbed", &disturbed, Told::Poses, 3);
     let error_m = drive.error_m("a reset at 1 Hz", &map);

@@ -413,7 +413,7 @@ fn a_street_without_its_cars() {
 fn noisy_labels_and_another_street() {
     let folder = tempfile::tempdir().unwrap();
     let street = folder.path().join("street");
-    simulate("street", &street, &["length_m=150", "seed=7"]);
+    simulate("street", &street, &["length_m=110", "seed=7"]);
     let map = mapped(&street, folder.path(), "/panorama/labels_noisy", 0);
     check_registrations(&street, &map, "a simulated street, noisy labels");
 }

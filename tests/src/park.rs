@@ -16,15 +16,27 @@ use crate::{Finished, plan_command, simulate, text};
 /// # Panics
 /// Where it fails.
 pub fn run(plan: &str, map: &Path, sessions: &[&Path]) {
-    finished(plan, map, sessions).expect(0);
+    finished(plan, map, sessions, &[]).expect(0);
 }
 
-/// Runs a plan on sessions of one site, however that ends.
+/// Runs a plan on small images of a simulated car park, without loss: they need fewer features.
+///
+/// # Panics
+/// Where it fails.
+pub fn run_small(plan: &str, map: &Path, sessions: &[&Path]) {
+    finished(plan, map, sessions, &FEWER).expect(0);
+}
+
+/// Options of a run on small images.
+pub const FEWER: [&str; 2] = ["--set", "features.count=300"];
+
+/// Runs a plan with options on sessions of one site, however that ends.
 ///
 /// # Panics
 /// Where it does not start.
-pub fn finished(plan: &str, map: &Path, sessions: &[&Path]) -> Finished {
-    let mut more = vec!["--sessions"];
+pub fn finished(plan: &str, map: &Path, sessions: &[&Path], options: &[&str]) -> Finished {
+    let mut more = options.to_vec();
+    more.push("--sessions");
     more.extend(sessions.iter().map(|path| text(path)));
     let run = plan_command(plan, map, "park", &more).output();
     run.expect("evermap starts").into()

@@ -1,6 +1,5 @@
 //! Lanes and intersections, by hand and on a real drive.
 
-
 use evermap_contract::Losses;
 use evermap_contract::laws::inputs_of;
 use evermap_schemas::layers::{Intersection, Lane, Source, VehiclePose};

@@ -87,20 +87,36 @@ impl Needed {
     }
 }
 
-/// Reads all of a map, or of one version of it, and says what is missing, damaged, unreadable or unreferenced.
+/// Reads all of a map, or of one version of it, and says what is missing, damaged, unreadable or unreferenced. Where `gc`
+/// forgets a version meanwhile, it begins anew: what only that needed is not lost.
 ///
 /// # Errors
 /// A user fault for a version that there is not, a resource fault when the store does not answer.
 pub async fn verify(store: &Store, version: Option<u64>) -> Result<Verified, Fault> {
+    loop {
+        let numbers = match version {
+            Some(number) => vec![number],
+            None => Version::numbers(store).await?,
+        };
+        let verified = verify_versions(store, &numbers, version.is_none()).await?;
+        let there = Version::numbers(store).await?;
+        if numbers.iter().all(|number| there.contains(number)) {
+            return Ok(verified);
+        }
+    }
+}
+
+async fn verify_versions(store: &Store, numbers: &[u64], all: bool) -> Result<Verified, Fault> {
     let mut verified = Verified::default();
     let mut needed = Needed::default();
-    let numbers = match version {
-        Some(number) => vec![number],
-        None => Version::numbers(store).await?,
-    };
-    for number in numbers {
-        match Version::read(store, number).await {
-            Ok(version) => needed.add(&version),
+    for &number in numbers {
+        let found = match all {
+            true => Version::find(store, number).await,
+            false => Version::read(store, number).await.map(Some),
+        };
+        match found {
+            Ok(Some(version)) => needed.add(&version),
+            Ok(None) => continue, // It was forgotten since.
             Err(fault) if fault.kind == Kind::Data => {
                 let file = Version::name(number);
                 verified.findings.push(unreadable(&file, &fault, None));
@@ -109,7 +125,6 @@ pub async fn verify(store: &Store, version: Option<u64>) -> Result<Verified, Fau
         }
         verified.versions += 1;
     }
-    let all = version.is_none();
     verified.artifacts(store, &needed, all).await?;
     verified.receipts(store, &needed, all).await?;
     if all {
