@@ -230,3 +230,143 @@ fn queries_that_cannot_be_answered_say_what_was_meant() {
         assert!(told.contains(said), "{query}: {told}");
     }
 }
+
+#[test]
+fn versions_are_compared_in_metres() {
+    let folder = tempfile::tempdir().unwrap();
+    let (drive, map) = (folder.path().join("drive.mcap"), folder.path().join("map"));
+    write_drive(&drive, rectangle(30.0, 20.0, 1.0));
+    run("trajectory", &map, &[&drive], &[]).expect(0);
+    write_drive(&drive, rectangle(32.0, 20.0, 1.0));
+    run("trajectory", &map, &[&drive], &[]).expect(0);
+
+    let ask = |query: &str| {
+        let asked = ["sql", "--map", text(&map), "--format", "json", query];
+        evermap(&asked).expect(0).json()
+    };
+    // The far side of the lap is two metres farther.
+    let lanes = ask("SELECT site, lane, change, moved_m, moved_rad FROM diff('lanes', 1, 2)");
+    assert_eq!(lanes.as_array().unwrap().len(), 1, "{lanes}");
+    assert_eq!(lanes[0]["change"], "changed");
+    let moved_m = lanes[0]["moved_m"].as_f64().unwrap();
+    assert!((moved_m - 2.0).abs() < 0.2, "{lanes}");
+    assert!(lanes[0]["moved_rad"].is_null());
+    // The same drive until the first corner, which comes two metres later; longer by twenty keyframes.
+    let poses = ask("SELECT count(*) FILTER (WHERE change = 'added') AS added,
+                            count(*) FILTER (WHERE change <> 'added') AS rows,
+                            count(*) FILTER (WHERE change = 'same') AS same,
+                            max(moved_m) AS moved_m, max(moved_rad) AS moved_rad FROM diff('poses', 1, 2)");
+    let old = ask("SELECT count(*) AS rows FROM v1.poses");
+    assert_eq!(poses[0]["rows"], old[0]["rows"], "{poses}");
+    assert!(poses[0]["same"].as_u64().unwrap() > 100, "{poses}");
+    assert!(poses[0]["moved_m"].as_f64().unwrap() > 1.0, "{poses}");
+    let turned = poses[0]["moved_rad"].as_f64().unwrap();
+    assert!((1.0..=3.2).contains(&turned), "{poses}");
+    // Backwards, what came goes.
+    let back = ask("SELECT count(*) AS rows FROM diff('poses', 2, 1) WHERE change = 'removed'");
+    assert_eq!(back[0]["rows"], poses[0]["added"]);
+    let none = ask("SELECT count(*) AS rows FROM diff('lanes', 2, 2) WHERE moved_m > 0");
+    assert_eq!(none[0]["rows"], 0);
+
+    let summary = [
+        "diff",
+        "--map",
+        text(&map),
+        "--layer",
+        "lanes",
+        "1",
+        "2",
+        "--format",
+        "json",
+    ];
+    let summary = evermap(&summary).expect(0).json();
+    assert_eq!(summary[0]["changed"], 1, "{summary}");
+    assert_eq!(summary[0]["max_moved_m"], lanes[0]["moved_m"], "{summary}");
+    let all = ["diff", "--map", text(&map), "1", "2", "--format", "json"];
+    let all = evermap(&all).expect(0).json();
+    assert_eq!(all.as_array().unwrap().len(), 3, "{all}");
+
+    for (query, said) in [
+        ("diff('lane', 1, 2)", "no layer lane in either version"),
+        (
+            "diff('lanes', 1, 7)",
+            "no version 7 in this map; there are: 1, 2",
+        ),
+        ("diff('lanes', 1)", "diff expects (layer, before, after)"),
+        (
+            "diff('lanes', 1, 'two')",
+            "diff expects the number of a version",
+        ),
+    ] {
+        let refused = [
+            "sql",
+            "--map",
+            text(&map),
+            &format!("SELECT * FROM {query}"),
+        ];
+        let told = evermap(&refused).expect(1).stderr;
+        assert!(told.contains(said), "{query}: {told}");
+    }
+}
+
+#[test]
+fn functions_are_listed_and_work_on_layers_and_logs() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = folder.path().join("drive.mcap");
+    let map = folder.path().join("map");
+    write_drive(&drive, rectangle(30.0, 20.0, 1.0));
+    run("trajectory", &map, &[&drive], &[]).expect(0);
+
+    let listed = evermap(&["functions", "--format", "json"]).expect(0).json();
+    let listed = listed.as_array().unwrap();
+    for name in [
+        "diff(",
+        "yaw(",
+        "st_distance(",
+        "related(",
+        "distance_along(",
+    ] {
+        let line = listed
+            .iter()
+            .find(|line| line["function"].as_str().unwrap().starts_with(name))
+            .unwrap();
+        assert!(!line["example"].as_str().unwrap().is_empty(), "{name}");
+    }
+    for (query, on_map, expected) in [
+        (
+            "SELECT count(*) > 0 AS yes FROM poses WHERE abs(abs(yaw(map_from_vehicle)) - pi() / 2) < 0.01",
+            true,
+            "true",
+        ),
+        (
+            "SELECT abs(st_length(geometry) - length_m) < 0.01 AS yes FROM lanes",
+            true,
+            "true",
+        ),
+        (
+            "SELECT count(*) = 0 AS yes FROM poses, lanes WHERE st_distance(geometry,
+                st_point(map_from_vehicle['x'], map_from_vehicle['y'])) > 1.5",
+            true,
+            "true",
+        ),
+        (
+            "SELECT bool_and(distance_along(geometry, map_from_vehicle['x'], map_from_vehicle['y'])
+                BETWEEN 0 AND length_m + 0.001) AS yes FROM poses, lanes",
+            true,
+            "true",
+        ),
+        (
+            "SELECT max(yaw(pose)) > 1.5 AS yes FROM \"/odom\"",
+            false,
+            "true",
+        ),
+    ] {
+        let source = match on_map {
+            true => ["--map", text(&map)],
+            false => ["--sessions", text(&drive)],
+        };
+        let asked = ["sql", source[0], source[1], "--format", "csv", "-q", query];
+        let answer = evermap(&asked).expect(0).stdout;
+        assert_eq!(answer, format!("yes\n{expected}\n"), "{query}");
+    }
+}

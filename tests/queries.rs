@@ -98,11 +98,11 @@ fn layers_of_a_map() {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let context = runtime.block_on(async {
         let map = Map::open(text(&map), None).await.unwrap();
-        map.context(Limits {
+        let limits = Limits {
             partitions: 1,
             ..Limits::default()
-        })
-        .unwrap()
+        };
+        map.context(limits, &evermap_catalog::registry()).unwrap()
     });
     check("layers.slt", context);
 }

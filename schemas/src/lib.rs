@@ -14,6 +14,7 @@
 
 mod cell;
 mod fault;
+mod geometry;
 mod layer;
 pub mod layers;
 mod record;
@@ -24,6 +25,7 @@ mod wkb;
 
 pub use cell::Cell;
 pub use fault::{Fault, Kind};
+pub use geometry::{Geometry, Position};
 pub use layer::{Layer, LayerRow, batch, rows};
 #[doc(hidden)]
 pub use record::decode_column;

@@ -5,9 +5,9 @@
 
 use arrow::array::ArrayRef;
 use arrow::datatypes::DataType;
-use serde_json::{Value, json};
+use serde_json::Value;
 
-use crate::{Bytes, Cell, Fault};
+use crate::{Bytes, Cell, Fault, Geometry, Position};
 
 /// A geometry as well-known binary (ISO WKB, little endian), in local metres: GeoParquet with `"crs": null`.
 #[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -41,23 +41,64 @@ impl Wkb {
         wkb
     }
 
-    /// The geometry as GeoJSON: points, line strings and polygons in either byte order, flat or with heights, and
-    /// collections of them.
+    /// What it holds: points, line strings and polygons in either byte order, flat or with heights, and collections of
+    /// them.
     ///
     /// # Errors
     /// A data fault for bytes that are none of these.
+    pub fn geometry(&self) -> Result<Geometry, Fault> {
+        Geometry::from_wkb(&self.0)
+    }
+
+    /// The geometry as GeoJSON.
+    ///
+    /// # Errors
+    /// As [`Wkb::geometry`].
     pub fn geojson(&self) -> Result<Value, Fault> {
-        let bytes = self.0.as_slice();
-        let mut cursor = Cursor {
-            bytes,
-            little: true,
+        Ok(self.geometry()?.geojson())
+    }
+
+    /// A geometry, with heights where its first point has one.
+    pub(crate) fn of(geometry: &Geometry) -> Self {
+        let mut wkb = Self::default();
+        let first = geometry.paths().into_iter().flatten().next();
+        wkb.write(geometry, first.is_some_and(|point| point.z.is_some()));
+        wkb
+    }
+
+    fn write(&mut self, geometry: &Geometry, has_heights: bool) {
+        let dimensions = if has_heights { 1000 } else { 0 };
+        self.0.push(1);
+        self.0
+            .extend((geometry.number() + dimensions).to_le_bytes());
+        let position = |wkb: &mut Self, point: &Position| {
+            let [x, y, z] = point.to_array();
+            let numbers = [x, y, z];
+            wkb.numbers(if has_heights { &numbers } else { &numbers[..2] });
         };
-        cursor.geometry(0).ok_or_else(|| {
-            Fault::data(format!(
-                "expected a point, line string or polygon as WKB, found {} other bytes",
-                bytes.len()
-            ))
-        })
+        let line = |wkb: &mut Self, points: &[Position]| {
+            wkb.count(points.len());
+            points.iter().for_each(|point| position(wkb, point));
+        };
+        match geometry {
+            Geometry::Point(point) => position(self, point),
+            Geometry::LineString(points) => line(self, points),
+            Geometry::Polygon(rings) => {
+                self.count(rings.len());
+                rings.iter().for_each(|ring| line(self, ring));
+            }
+            Geometry::MultiPoint(parts)
+            | Geometry::MultiLineString(parts)
+            | Geometry::MultiPolygon(parts)
+            | Geometry::GeometryCollection(parts) => {
+                self.count(parts.len());
+                parts.iter().for_each(|part| self.write(part, has_heights));
+            }
+        }
+    }
+
+    fn count(&mut self, count: usize) {
+        self.0.extend((count as u32).to_le_bytes());
     }
 
     fn header(kind: u32) -> Self {
@@ -88,89 +129,12 @@ impl Cell for Wkb {
     }
 }
 
-struct Cursor<'b> {
-    bytes: &'b [u8],
-    little: bool,
-}
-
-impl Cursor<'_> {
-    /// The next bytes, little endian.
-    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let (head, rest) = self.bytes.split_first_chunk::<N>()?;
-        self.bytes = rest;
-        let mut head = *head;
-        if !self.little {
-            head.reverse();
-        }
-        Some(head)
-    }
-
-    fn number(&mut self) -> Option<u32> {
-        self.take().map(u32::from_le_bytes)
-    }
-
-    fn real(&mut self) -> Option<f64> {
-        self.take().map(f64::from_le_bytes)
-    }
-
-    fn geometry(&mut self, depth: u8) -> Option<Value> {
-        self.little = match self.take::<1>()? {
-            [0] => false,
-            [1] => true,
-            _ => return None,
-        };
-        let kind = self.number()?;
-        let dimensions = match kind / 1000 {
-            0 => 2,
-            1 => 3,
-            _ => return None,
-        };
-        let nested = |name: &str, parts: Option<Vec<Value>>| {
-            let coordinates = parts?
-                .into_iter()
-                .map(|mut part| part["coordinates"].take());
-            Some(json!({ "type": name, "coordinates": coordinates.collect::<Vec<_>>() }))
-        };
-        match kind % 1000 {
-            1 => Some(json!({ "type": "Point", "coordinates": self.position(dimensions)? })),
-            2 => Some(json!({ "type": "LineString", "coordinates": self.positions(dimensions)? })),
-            3 => Some(json!({ "type": "Polygon", "coordinates": self.rings(dimensions)? })),
-            4 => nested("MultiPoint", self.parts(depth)),
-            5 => nested("MultiLineString", self.parts(depth)),
-            6 => nested("MultiPolygon", self.parts(depth)),
-            7 => Some(json!({ "type": "GeometryCollection", "geometries": self.parts(depth)? })),
-            _ => None,
-        }
-    }
-
-    fn position(&mut self, dimensions: usize) -> Option<Vec<f64>> {
-        (0..dimensions).map(|_| self.real()).collect()
-    }
-
-    fn positions(&mut self, dimensions: usize) -> Option<Vec<Vec<f64>>> {
-        let count = self.number()?;
-        (0..count).map(|_| self.position(dimensions)).collect()
-    }
-
-    fn rings(&mut self, dimensions: usize) -> Option<Vec<Vec<Vec<f64>>>> {
-        let count = self.number()?;
-        (0..count).map(|_| self.positions(dimensions)).collect()
-    }
-
-    fn parts(&mut self, depth: u8) -> Option<Vec<Value>> {
-        let count = self.number()?;
-        if depth >= 4 {
-            return None;
-        }
-        (0..count).map(|_| self.geometry(depth + 1)).collect()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use proptest::prelude::*;
+    use serde_json::json;
 
     #[test]
     fn geometries_read_back() {
@@ -210,6 +174,18 @@ mod tests {
         );
         many.truncate(20);
         assert!(geojson(&many).is_err());
+    }
+
+    #[test]
+    fn what_is_read_is_written_again() {
+        let line = Wkb::line_string(&[[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
+        let square = Wkb::polygon(&[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]);
+        for wkb in [line, square, Wkb::point([1.0, 2.0, 3.0])] {
+            let geometry = wkb.geometry().unwrap();
+            let both = Geometry::GeometryCollection(vec![geometry.clone(), geometry.clone()]);
+            assert_eq!(geometry.to_wkb(), wkb);
+            assert_eq!(both.to_wkb().geometry().unwrap(), both);
+        }
     }
 
     fn geojson(bytes: &[u8]) -> Result<Value, Fault> {

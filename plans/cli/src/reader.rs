@@ -36,12 +36,20 @@ impl MapReader {
         })
     }
 
+    /// A context in which the map's layers are tables.
+    ///
+    /// # Errors
+    /// As [`Map::context`].
+    pub fn context(&self, limits: Limits) -> Result<SessionContext, Fault> {
+        self.map.context(limits, &self.registry)
+    }
+
     /// The answer to a query on the map's layers.
     ///
     /// # Errors
     /// As [`Map::context`] and [`answered`].
     pub async fn ask(&self, query: &str) -> Result<Vec<RecordBatch>, Fault> {
-        let open = async || self.map.context(Limits::default());
+        let open = async || self.context(Limits::default());
         answered(self.tables.get_or_try_init(open).await?, query).await
     }
 

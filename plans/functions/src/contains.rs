@@ -7,7 +7,8 @@ use arrow::datatypes::{DataType, Int64Type};
 use datafusion::common::{Result, plan_err};
 use datafusion::functions::string;
 use datafusion::logical_expr::{
-    ColumnarValue, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl, Signature, Volatility,
+    ColumnarValue, DocSection, Documentation, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl,
+    Signature, Volatility,
 };
 
 use crate::graphs::{Graphs, is_graph, no_graph};
@@ -17,6 +18,7 @@ use crate::graphs::{Graphs, is_graph, no_graph};
 pub(crate) struct Contains {
     signature: Signature,
     text: Arc<ScalarUDF>,
+    documentation: Documentation,
 }
 
 impl Default for Contains {
@@ -24,6 +26,7 @@ impl Default for Contains {
         Self {
             signature: Signature::user_defined(Volatility::Immutable),
             text: string::contains(),
+            documentation: documentation(),
         }
     }
 }
@@ -75,6 +78,24 @@ impl ScalarUDFImpl for Contains {
         let found = contains(graphs, classes, counts.first())?;
         Ok(ColumnarValue::Array(Arc::new(found)))
     }
+
+    fn documentation(&self) -> Option<&Documentation> {
+        Some(&self.documentation)
+    }
+}
+
+fn documentation() -> Documentation {
+    let about = "Whether a view shows areas of a class, so many at least → bool";
+    Documentation::builder(DocSection::default(), about, "contains(graph, class)")
+        .with_alternative_syntax("contains(graph, class, count)")
+        .with_alternative_syntax("contains(text, part)")
+        .with_argument("graph", "the graph of a view")
+        .with_argument("class", "a class of the graph's areas")
+        .with_argument("count", "areas at least; 1 where it is not given")
+        .with_argument("text", "a text")
+        .with_argument("part", "a text that may be in it")
+        .with_sql_example("SELECT contains('a red car', 'car') -- true")
+        .build()
 }
 
 fn contains(

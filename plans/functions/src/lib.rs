@@ -1,30 +1,52 @@
-//! SQL functions on map layers.
+//! SQL functions on map layers and logs.
 //!
-//! | function | true where |
+//! | module | functions |
 //! |---|---|
-//! | `contains(graph, class [, count])` | the view shows at least so many areas of the class (1) |
-//! | `related(graph, class, relation, class)` | an area of the first class is so related to one of the second |
+//! | [`poses`] | of poses: `yaw`, `pitch`, `roll`, `transform`, `compose`, `inverse` … |
+//! | [`geometries`] | of geometries: `st_*` as PostGIS names them, `distance_along` |
+//! | [`contains`], [`related`] | of the graphs of views |
 //!
-//! `graph` is the graph column of a layer like `views`; both functions are null where it is. `contains` on text is
-//! DataFusion's own. Relations are those of [`evermap_algorithms::semantic_map::semantic_graph::Relation`]: eight directions, `on`
-//! and `touches`.
+//! Each is declared once, with its arguments, its result and an example: [`documented`] lists them.
 //!
 //! With [`use_class_index`], `contains` on `views` is answered by the layer `class_index`, and graphs are not read.
 
 mod contains;
+mod function;
+mod geometries;
 mod graphs;
 mod index;
+mod poses;
 mod related;
 #[cfg(test)]
 mod tests;
 
-use datafusion::logical_expr::ScalarUDF;
+use datafusion::logical_expr::{Documentation, ScalarUDF};
 use datafusion::prelude::SessionContext;
+
+use crate::function::Function;
 
 pub use index::use_class_index;
 
 /// Adds the functions to a context.
 pub fn register(context: &SessionContext) {
-    context.register_udf(ScalarUDF::from(contains::Contains::default()));
-    context.register_udf(ScalarUDF::from(related::Related::default()));
+    for function in functions() {
+        context.register_udf(function);
+    }
+}
+
+fn functions() -> Vec<ScalarUDF> {
+    let declared = poses::DECLARATIONS.iter().chain(&geometries::DECLARATIONS);
+    let declared = declared.map(|declared| ScalarUDF::from(Function::new(declared)));
+    let graphs = [
+        ScalarUDF::from(contains::Contains::default()),
+        ScalarUDF::from(related::Related::default()),
+    ];
+    declared.chain(graphs).collect()
+}
+
+/// What each function is, by name.
+pub fn documented() -> Vec<Documentation> {
+    let functions = functions().into_iter();
+    let documented = functions.filter_map(|function| function.documentation().cloned());
+    documented.collect()
 }

@@ -6,7 +6,8 @@ use arrow::array::{Array, ArrayRef, AsArray, BooleanArray, StringArray};
 use arrow::datatypes::DataType;
 use datafusion::common::{DataFusionError, Result, plan_err};
 use datafusion::logical_expr::{
-    ColumnarValue, ScalarFunctionArgs, ScalarUDFImpl, Signature, Volatility,
+    ColumnarValue, DocSection, Documentation, ScalarFunctionArgs, ScalarUDFImpl, Signature,
+    Volatility,
 };
 use evermap_algorithms::semantic_map::semantic_graph::{Relation, offset};
 
@@ -16,12 +17,14 @@ use crate::graphs::{Geometry, Graphs, is_graph, no_graph};
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Related {
     signature: Signature,
+    documentation: Documentation,
 }
 
 impl Default for Related {
     fn default() -> Self {
         Self {
             signature: Signature::user_defined(Volatility::Immutable),
+            documentation: documentation(),
         }
     }
 }
@@ -64,6 +67,23 @@ impl ScalarUDFImpl for Related {
         };
         Ok(ColumnarValue::Array(Arc::new(asked.related(graphs)?)))
     }
+
+    fn documentation(&self) -> Option<&Documentation> {
+        Some(&self.documentation)
+    }
+}
+
+fn documentation() -> Documentation {
+    let about = "Whether an area of one class is so related to an area of another → bool";
+    let call = "related(graph, class, relation, other)";
+    let relations = "where the first is from the second: `left of`, `right of`, `above` … (eight directions), `on`, `touches`";
+    Documentation::builder(DocSection::default(), about, call)
+        .with_argument("graph", "the graph of a view")
+        .with_argument("class", "the first class")
+        .with_argument("relation", relations)
+        .with_argument("other", "the second class")
+        .with_sql_example("SELECT view FROM views WHERE related(graph, 'car', 'on', 'road') -- car")
+        .build()
 }
 
 /// What is asked of each row.

@@ -219,3 +219,77 @@ async fn an_index_of_other_views_is_not_used() {
     let query = "SELECT view FROM views WHERE NOT contains(graph, 'car')";
     assert_eq!(rows(&context, query).await.unwrap().len(), 3);
 }
+
+#[tokio::test]
+async fn every_function_is_documented_and_its_example_is_true() {
+    let documented = crate::documented();
+    assert_eq!(documented.len(), crate::functions().len());
+    let context = context();
+    for function in documented {
+        let example = function.sql_example.unwrap();
+        let (query, answer) = example.rsplit_once(" -- ").unwrap();
+        assert_eq!(rows(&context, query).await.unwrap(), [answer], "{example}");
+        assert!(
+            function.description.contains(" → "),
+            "{}",
+            function.description
+        );
+        let name = function.syntax_example.split('(').next().unwrap();
+        assert!(query.contains(&format!("{name}(")), "{example}");
+    }
+}
+
+#[tokio::test]
+async fn poses_of_messages_are_poses_and_nulls_are_null() {
+    let context = context();
+    let message = "named_struct('position', named_struct('x', 1.0, 'y', 2.0, 'z', 0.0),
+        'orientation', named_struct('x', 0.0, 'y', 0.0, 'z', 1.0, 'w', 1.0))";
+    for (query, expected) in [
+        (format!("round(yaw({message}), 4)"), "1.5708"),
+        (
+            format!("round(transform({message}, 3, 0, 0)['y'], 4)"),
+            "5.0",
+        ),
+        ("yaw(NULL)".to_owned(), ""),
+        ("transform(pose(0, 0, 0, 0), NULL, 0, 0)".to_owned(), ""),
+        ("pose(NULL, 0, 0, 0)".to_owned(), ""),
+        ("compose(pose(0, 0, 0, 0), NULL)".to_owned(), ""),
+        ("st_length(NULL)".to_owned(), ""),
+        ("st_distance(st_point(0, 0), NULL)".to_owned(), ""),
+        ("st_x(st_geomfromtext('LINESTRING(0 0, 1 1)'))".to_owned(), ""),
+        (
+            "st_astext(st_geomfromtext('GEOMETRYCOLLECTION(POINT(1 2),MULTIPOLYGON(((0 0,1 0,1 1,0 0))))'))"
+                .to_owned(),
+            "GEOMETRYCOLLECTION(POINT(1 2),MULTIPOLYGON(((0 0,1 0,1 1,0 0))))",
+        ),
+    ] {
+        let answer = rows(&context, &format!("SELECT {query}")).await.unwrap();
+        assert_eq!(answer, [expected], "{query}");
+    }
+}
+
+#[tokio::test]
+async fn what_is_no_pose_or_geometry_is_refused() {
+    let context = context();
+    let brackets = "(".repeat(100_000);
+    for (call, says) in [
+        ("yaw('north')", "yaw expects (pose: a pose), found (text)"),
+        ("yaw(pose(0, 0, 0, 0), 1)", "yaw expects (pose: a pose)"),
+        ("pose(1, 2)", "or (x: a number"),
+        (
+            "yaw(pose(0, 0, 0, 0, 0, 0, 0))",
+            "expected a unit quaternion",
+        ),
+        ("st_length(X'0102')", "found 2 other bytes"),
+        ("st_geomfromtext('POINT(1')", "well-known text"),
+        ("st_geomfromtext('POINT EMPTY')", "an empty point"),
+        (
+            &format!("st_geomfromtext('GEOMETRYCOLLECTION{brackets}')"),
+            "too many brackets",
+        ),
+        ("st_area(st_point('NaN'::double, 0))", "finite numbers"),
+    ] {
+        let said = rows(&context, &format!("SELECT {call}")).await.unwrap_err();
+        assert!(said.contains(says), "{call}: {said}");
+    }
+}

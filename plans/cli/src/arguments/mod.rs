@@ -14,7 +14,7 @@ use crate::progress::Show;
 use crate::quantity;
 
 pub use annotate::AnnotateArgs;
-pub use sql::SqlArgs;
+pub use sql::{FunctionsArgs, SqlArgs};
 pub use versions::{DiffArgs, GcArgs, VerifyArgs, VersionsArgs};
 
 const EXITS: &str = "Exit status: 0 done, 1 failed, 2 wrong usage, 3 done with loss (skipped or lost inputs are counted on \
@@ -44,6 +44,8 @@ pub enum Command {
     Schema,
     /// Query a map or logs with SQL.
     Sql(SqlArgs),
+    /// List the functions that queries have beyond those of SQL, with examples.
+    Functions(FunctionsArgs),
     /// Say what an MCAP file holds, and whether it is sound.
     Inspect(InspectArgs),
     /// List the operators, or print the page of one.

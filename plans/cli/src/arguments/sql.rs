@@ -42,6 +42,14 @@ pub struct SqlArgs {
     pub named_query: Option<String>,
 }
 
+/// Arguments of `functions`.
+#[derive(Debug, Args)]
+pub struct FunctionsArgs {
+    /// How the list is written.
+    #[arg(long, default_value = "table")]
+    pub format: Format,
+}
+
 impl SqlArgs {
     /// The sessions and the query. The shell gives both in one row, as in `--sessions a.mcap b.mcap 'SELECT 1'`: a last
     /// session that reads like a query and is no file is the query.

@@ -23,6 +23,9 @@ pub struct DiffArgs {
     pub before: u64,
     /// The later version.
     pub after: u64,
+    /// Only this layer [default: each].
+    #[arg(long, value_name = "NAME")]
+    pub layer: Option<String>,
     /// Folder or URL of the map.
     #[arg(long, value_name = "DIR")]
     pub map: String,

@@ -1,10 +1,11 @@
 //! `evermap diff`, `evermap gc` and `evermap verify`.
 
+use std::collections::BTreeSet;
 use std::io::Write;
 
-use evermap_engine::map;
 use evermap_engine::map::store::Store;
-use evermap_engine::map::version::Version;
+use evermap_engine::map::{self, Comparison, Map};
+use evermap_engine::sql::{Limits, context};
 use evermap_schemas::Fault;
 
 use crate::arguments::{DiffArgs, GcArgs, VerifyArgs};
@@ -13,17 +14,24 @@ use crate::output::{Format, print_rows};
 use crate::progress::line;
 use crate::quantity::{of, of_bytes};
 
-/// Compares two versions.
+/// Compares two versions, layer by layer.
 ///
 /// # Errors
-/// A user fault where there is no such map or version.
+/// A user fault where there is no such map, version or layer.
 pub async fn diff(args: &DiffArgs) -> Ending {
-    let store = Store::open(&args.map, false)?;
-    let (before, after) = (
-        Version::read(&store, args.before).await?,
-        Version::read(&store, args.after).await?,
-    );
-    let diffs = map::diff(&store, &before, &after, &evermap_catalog::registry()).await?;
+    let map = Map::open(&args.map, Some(args.after)).await?;
+    let context = context(Limits::default())?;
+    let versions = [args.before, args.after];
+    let compared = Comparison::open(&map, versions, &evermap_catalog::registry(), &context).await?;
+    let layers = match &args.layer {
+        Some(layer) => BTreeSet::from([layer.clone()]),
+        None => compared.layers(),
+    };
+    let mut diffs = Vec::new();
+    for layer in &layers {
+        let summary = compared.summary(layer).await;
+        diffs.push(summary.map_err(|fault| fault.at(format!("layer {layer}")))?);
+    }
     print_rows(args.format, diffs).await?;
     DONE
 }

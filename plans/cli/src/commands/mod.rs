@@ -7,6 +7,7 @@ pub mod check;
 pub mod cluster;
 pub mod explain;
 pub mod export;
+pub mod functions;
 pub mod import;
 pub mod inspect;
 pub mod layers;
@@ -38,6 +39,7 @@ pub async fn dispatch(command: &Command) -> Ending {
         Command::Operators(args) => operators::operators(args).await,
         Command::Layers(args) => layers::layers(args).await,
         Command::Versions(args) => layers::versions(args).await,
+        Command::Functions(args) => functions::functions(args).await,
         Command::Diff(args) => changes::diff(args).await,
         Command::Gc(args) => changes::gc(args).await,
         Command::Verify(args) => changes::verify(args).await,

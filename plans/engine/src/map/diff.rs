@@ -1,18 +1,27 @@
-//! What changed between two versions.
+//! What changed between two versions: row by row, as the table function `diff`, and added up.
+//!
+//! Rows are matched by the key of their layer. Of rows that are in both, a geometry or else a pose says how far they
+//! moved. One query does it, so that layers larger than memory are compared from disk.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
+mod function;
+mod row_digest;
 
-use arrow::array::RecordBatch;
-use arrow::row::{RowConverter, SortField};
+use std::collections::BTreeSet;
+
+use arrow::datatypes::{DataType, Field, Schema};
+use datafusion::catalog::SchemaProvider;
+use datafusion::logical_expr::ScalarUDF;
+use datafusion::prelude::{DataFrame, SessionContext};
 use evermap_contract::Registry;
-use evermap_schemas::{Fault, record};
-use futures::StreamExt;
+use evermap_schemas::{Cell, Fault, LayerRow, Pose, record, rows};
 
+use crate::conform::conform;
 use crate::error::OrFault;
-use crate::map::artifact::read_in_order;
-use crate::map::store::Store;
-use crate::map::version::{StoredLayer, Version};
+use crate::map::Map;
+use crate::map::diff::row_digest::RowDigest;
+use crate::map::tables::Tables;
+
+pub use function::{DiffFunction, documentation};
 
 record! {
     /// What became of one layer between two versions.
@@ -28,104 +37,258 @@ record! {
         changed: u64,
         /// Rows that are the same.
         same: u64,
+        /// How far changed rows moved, the median; null where none has, or where they have neither geometry nor pose.
+        median_moved_m: Option<f64> ["m"],
+        /// How far changed rows moved at most; null as above.
+        max_moved_m: Option<f64> ["m"],
+        /// How far the poses of changed rows turned at most; null where there are none.
+        max_moved_rad: Option<f64> ["rad"],
     }
 }
 
-/// Compares two versions, layer by layer. Rows are matched by the key of the operator's layer; rows of a query, which
-/// have no key, are only added or removed.
-///
-/// # Errors
-/// When an artifact is missing.
-pub async fn diff(
-    store: &Store,
-    before: &Version,
-    after: &Version,
-    registry: &Registry,
-) -> Result<Vec<LayerDiff>, Fault> {
-    let mut names: BTreeSet<&String> = before.published().map(|(name, _)| name).collect();
-    names.extend(after.published().map(|(name, _)| name));
-    let mut diffs = Vec::new();
-    for layer in names {
-        let (old, new) = (before.layers.get(layer), after.layers.get(layer));
-        diffs.push(diff_layer(store, layer, old, new, registry).await?);
-    }
-    Ok(diffs)
+/// Two versions of a map beside each other.
+pub struct Comparison {
+    before: Tables,
+    after: Tables,
+    context: SessionContext,
 }
 
-async fn diff_layer(
-    store: &Store,
-    name: &str,
-    old: Option<&StoredLayer>,
-    new: Option<&StoredLayer>,
-    registry: &Registry,
-) -> Result<LayerDiff, Fault> {
-    let mut diff = LayerDiff {
-        layer: name.to_owned(),
-        added: 0,
-        removed: 0,
-        changed: 0,
-        same: 0,
-    };
-    if let (Some(old), Some(new)) = (old, new)
-        && old.digest() == new.digest()
-    {
-        diff.same = new.rows();
-        return Ok(diff);
-    }
-    let made = new.or(old).and_then(|layer| layer.op.as_deref());
-    let made = made.and_then(|op| registry.get(op).ok());
-    let key: &[&str] = made.map_or(&[], |entry| entry.output.key);
-    let mut before = digests(store, old, key).await?;
-    for (row, content) in digests(store, new, key).await? {
-        match before.remove(&row) {
-            None => diff.added += content.1,
-            Some(held) if held.0 == content.0 => {
-                diff.same += held.1.min(content.1);
-                diff.added += content.1.saturating_sub(held.1);
-                diff.removed += held.1.saturating_sub(content.1);
-            }
-            Some(_) => diff.changed += 1,
-        }
-    }
-    diff.removed += before.into_values().map(|(_, count)| count).sum::<u64>();
-    Ok(diff)
-}
-
-type RowDigests = BTreeMap<Vec<u8>, (blake3::Hash, u64)>;
-
-/// The digest and the number of rows with each key; the whole row is the key where there is none.
-async fn digests(
-    store: &Store,
-    layer: Option<&StoredLayer>,
-    key: &[&str],
-) -> Result<RowDigests, Fault> {
-    let mut found = RowDigests::new();
-    let Some(layer) = layer else { return Ok(found) };
-    let rows = read_in_order(store, &layer.artifacts).await?;
-    let mut stream = rows.execute_stream().await.or_fault()?;
-    while let Some(batch) = stream.next().await {
-        let batch = batch.or_fault()?;
-        let whole = row_bytes(&batch, &[])?;
-        for (key, whole) in row_bytes(&batch, key)?.into_iter().zip(whole) {
-            let held = found.entry(key);
-            held.or_insert_with(|| (blake3::hash(&whole), 0)).1 += 1;
-        }
-    }
-    Ok(found)
-}
-
-/// Each row's values of these columns as bytes that compare; of all columns where none are named.
-fn row_bytes(batch: &RecordBatch, names: &[&str]) -> Result<Vec<Vec<u8>>, Fault> {
-    let fields = batch.schema_ref().fields().iter().zip(batch.columns());
-    let (fields, columns): (Vec<_>, Vec<_>) = fields
-        .filter(|(field, _)| names.is_empty() || names.contains(&field.name().as_str()))
-        .map(|(field, column)| {
-            (
-                SortField::new(field.data_type().clone()),
-                Arc::clone(column),
-            )
+impl Comparison {
+    /// Of versions of a map, read with the settings and limits of a context.
+    ///
+    /// # Errors
+    /// A user fault that names the versions there are.
+    pub async fn open(
+        map: &Map,
+        [before, after]: [u64; 2],
+        registry: &Registry,
+        reading: &SessionContext,
+    ) -> Result<Self, Fault> {
+        let config = reading.copied_config();
+        let context = SessionContext::new_with_config_rt(config, reading.runtime_env());
+        context.register_object_store(map.store.url(), map.store.objects());
+        evermap_functions::register(&context);
+        context.register_udf(ScalarUDF::from(RowDigest::default()));
+        let before = Map::at(map.store.clone(), Some(before)).await?;
+        let after = Map::at(map.store.clone(), Some(after)).await?;
+        Ok(Self {
+            before: Tables::new(before, &context, registry),
+            after: Tables::new(after, &context, registry),
+            context,
         })
-        .unzip();
-    let rows = RowConverter::new(fields)?.convert_columns(&columns)?;
-    Ok(rows.iter().map(|row| row.as_ref().to_vec()).collect())
+    }
+
+    /// The layers of either version, ascending.
+    pub fn layers(&self) -> BTreeSet<String> {
+        let published = |tables: &Tables| {
+            let layers = tables.map().layers().into_iter();
+            layers.map(|info| info.layer).collect::<Vec<_>>()
+        };
+        let before = published(&self.before).into_iter();
+        before.chain(published(&self.after)).collect()
+    }
+
+    /// The rows of a layer in either version: their key, all columns where the layer has none; `change`: `added`,
+    /// `removed`, `changed` or `same`; `moved_m` and `moved_rad`, null where a row is in one version only or has nothing
+    /// that tells it.
+    ///
+    /// # Errors
+    /// A user fault for a layer that neither version has; what reading says.
+    pub async fn rows(&self, layer: &str) -> Result<DataFrame, Fault> {
+        let (before, after) = (self.before.table(layer), self.after.table(layer));
+        let (before, after) = (before.await.or_fault()?, after.await.or_fault()?);
+        let Some(one) = after.as_ref().or(before.as_ref()) else {
+            let known: Vec<_> = self.layers().into_iter().collect();
+            let known = known.join(", ");
+            return Err(Fault::user(format!("no layer {layer} in either version"))
+                .next(format!("there are {known}")));
+        };
+        let schemas = [&before, &after].map(|side| side.as_ref().unwrap_or(one).schema());
+        let columns = Compared::of(
+            layer,
+            [&self.before, &self.after],
+            [&schemas[0], &schemas[1]],
+        );
+        let sides = [("before", &before), ("after", &after)];
+        for ((name, table), schema) in sides.into_iter().zip(&schemas) {
+            let empty = || datafusion::datasource::empty::EmptyTable::new(schema.clone());
+            let table = table
+                .clone()
+                .unwrap_or_else(|| std::sync::Arc::new(empty()));
+            self.context.deregister_table(name).or_fault()?;
+            self.context.register_table(name, table).or_fault()?;
+        }
+        self.context.sql(&columns.query(&schemas)).await.or_fault()
+    }
+
+    /// What became of a layer. One that is the same, byte for byte, is not read.
+    ///
+    /// # Errors
+    /// As [`Comparison::rows`].
+    pub async fn summary(&self, layer: &str) -> Result<LayerDiff, Fault> {
+        let stored = |tables: &Tables| {
+            let layer = tables.map().published(layer);
+            layer.map(|layer| (layer.digest(), layer.rows()))
+        };
+        let (before, after) = (stored(&self.before), stored(&self.after));
+        if let (Some(before), Some((digest, same))) = (before, after)
+            && before.0 == digest
+        {
+            return Ok(LayerDiff {
+                layer: layer.to_owned(),
+                added: 0,
+                removed: 0,
+                changed: 0,
+                same,
+                median_moved_m: None,
+                max_moved_m: None,
+                max_moved_rad: None,
+            });
+        }
+        let rows_of_layer = self.rows(layer).await?.into_view();
+        self.context.deregister_table("rows").or_fault()?;
+        self.context
+            .register_table("rows", rows_of_layer)
+            .or_fault()?;
+        let query = format!(
+            "SELECT '{}' AS layer,
+                    count(*) FILTER (WHERE change = 'added') AS added,
+                    count(*) FILTER (WHERE change = 'removed') AS removed,
+                    count(*) FILTER (WHERE change = 'changed') AS changed,
+                    count(*) FILTER (WHERE change = 'same') AS same,
+                    median(moved_m) FILTER (WHERE change = 'changed') AS median_moved_m,
+                    max(moved_m) FILTER (WHERE change = 'changed') AS max_moved_m,
+                    max(moved_rad) FILTER (WHERE change = 'changed') AS max_moved_rad
+             FROM rows",
+            layer.replace('\'', "''")
+        );
+        let found = self.context.sql(&query).await.or_fault()?;
+        let found = found.collect().await.or_fault()?;
+        let mut found = found.iter().flat_map(|batch| {
+            let batch = conform(batch, &LayerDiff::layer());
+            batch.and_then(|batch| rows::<LayerDiff>(&batch))
+        });
+        let summary = found.next().and_then(|rows| rows.into_iter().next());
+        summary.ok_or_else(|| Fault::bug("a query without groups has no row"))
+    }
+}
+
+/// What two versions of a layer are compared by.
+struct Compared {
+    /// Columns that match rows; none where the whole row does.
+    key: Vec<String>,
+    /// A column of geometries.
+    geometry: Option<String>,
+    /// A column of poses, of those in the map's frame where there is one.
+    pose: Option<String>,
+}
+
+impl Compared {
+    fn of(layer: &str, tables: [&Tables; 2], schemas: [&Schema; 2]) -> Self {
+        let [before, after] = tables.map(|tables| tables.declaration(layer));
+        let declared = after.or(before);
+        let both = |name: &str| schemas.iter().all(|schema| schema.index_of(name).is_ok());
+        let key = declared.as_ref().map_or(&[][..], |layer| layer.key);
+        let key = key.iter().filter(|_| key.iter().all(|name| both(name)));
+        let geometry = declared.as_ref().and_then(|layer| layer.geometry);
+        let frame = |name: &str| {
+            let column = declared.as_ref().and_then(|layer| layer.column(name));
+            column.map(|column| column.frame)
+        };
+        let poses: Vec<_> = schemas[1]
+            .fields()
+            .iter()
+            .filter(|field| is_pose(field) && both(field.name()))
+            .map(|field| field.name().clone())
+            .collect();
+        let in_map = poses.iter().find(|name| frame(name) == Some("map"));
+        Self {
+            key: key.map(|name| (*name).to_owned()).collect(),
+            geometry: geometry.filter(|name| both(name)).map(str::to_owned),
+            pose: in_map.or(poses.first()).cloned(),
+        }
+    }
+
+    fn query(&self, schemas: &[arrow::datatypes::SchemaRef; 2]) -> String {
+        let whole = schemas[1].fields().iter().map(|field| field.name().clone());
+        let shown = match self.key.as_slice() {
+            [] => whole.collect(),
+            key => key.to_vec(),
+        };
+        let keys = || (0..shown.len()).map(|index| format!("k{index}"));
+        let columns = shown.iter().zip(keys());
+        let columns =
+            columns.map(|(name, key)| format!("coalesce(b.{key}, a.{key}) AS {}", quoted(name)));
+        let matched = match self.key.as_slice() {
+            [] => vec!["b.content = a.content".to_owned()],
+            _ => keys()
+                .map(|key| format!("(b.{key} IS NOT DISTINCT FROM a.{key})"))
+                .collect(),
+        };
+        let same = "CASE WHEN b.content = a.content THEN 0.0 ELSE";
+        let moved_m = match (&self.geometry, &self.pose) {
+            (Some(_), _) => {
+                format!("{same} st_hausdorffdistance(b.geometry, a.geometry) END")
+            }
+            (None, Some(_)) => format!("{same} pose_distance(b.pose, a.pose) END"),
+            (None, None) => "CAST(NULL AS DOUBLE)".to_owned(),
+        };
+        let moved_rad = match &self.pose {
+            Some(_) => format!("{same} pose_angle(b.pose, a.pose) END"),
+            None => "CAST(NULL AS DOUBLE)".to_owned(),
+        };
+        format!(
+            "SELECT {}, CASE WHEN b.content IS NULL THEN 'added' WHEN a.content IS NULL THEN 'removed'
+                    WHEN a.content = b.content THEN 'same' ELSE 'changed' END AS change,
+                    {moved_m} AS moved_m, {moved_rad} AS moved_rad
+             FROM ({}) b FULL JOIN ({}) a ON {} AND b.nth = a.nth",
+            columns.collect::<Vec<_>>().join(", "),
+            self.side("before", &schemas[0], &shown),
+            self.side("after", &schemas[1], &shown),
+            matched.join(" AND ")
+        )
+    }
+
+    /// The columns of one version; `nth` tells rows of one key apart.
+    fn side(&self, table: &str, schema: &Schema, shown: &[String]) -> String {
+        let keys = shown.iter().enumerate().map(|(index, name)| {
+            let column = match schema.index_of(name) {
+                Ok(_) => quoted(name),
+                Err(_) => "NULL".to_owned(),
+            };
+            format!("{column} AS k{index}")
+        });
+        let named = [("geometry", &self.geometry), ("pose", &self.pose)];
+        let named = named.iter().filter_map(|(alias, column)| {
+            let column = column.as_deref()?;
+            Some(format!("{} AS {alias}", quoted(column)))
+        });
+        let all = schema.fields().iter().map(|field| quoted(field.name()));
+        let content = format!(
+            "row_digest({}) AS content",
+            all.collect::<Vec<_>>().join(", ")
+        );
+        let columns = keys.chain(named).chain([content]);
+        let columns = columns.collect::<Vec<_>>().join(", ");
+        let groups = match self.key.as_slice() {
+            [] => "content".to_owned(),
+            key => (0..key.len())
+                .map(|index| format!("k{index}"))
+                .collect::<Vec<_>>()
+                .join(", "),
+        };
+        format!(
+            "SELECT *, row_number() OVER (PARTITION BY {groups} ORDER BY content
+                 ROWS BETWEEN UNBOUNDED PRECEDING AND CURRENT ROW) AS nth
+             FROM (SELECT {columns} FROM {table})"
+        )
+    }
+}
+
+fn quoted(name: &str) -> String {
+    format!("\"{}\"", name.replace('"', "\"\""))
+}
+
+fn is_pose(field: &Field) -> bool {
+    DataType::equals_datatype(field.data_type(), &Pose::data_type())
 }

@@ -20,6 +20,7 @@ use std::sync::Arc;
 use arrow::array::RecordBatch;
 use datafusion::execution::runtime_env::RuntimeEnv;
 use datafusion::prelude::SessionContext;
+use evermap_contract::Registry;
 use evermap_datasets::Dataset;
 use evermap_schemas::{Fault, Kind, LayerRow};
 use url::Url;
@@ -29,12 +30,13 @@ use crate::fingerprint::open_mapped;
 use crate::map::artifact::read_in_order;
 use crate::map::catalog::Catalog;
 use crate::map::damage::Damage;
+use crate::map::diff::DiffFunction;
 use crate::map::store::{Store, each};
 use crate::map::tables::Tables;
 use crate::map::version::{MappedSession, StoredLayer, Version};
 use crate::sql::{Limits, context};
 
-pub use diff::{LayerDiff, diff};
+pub use diff::{Comparison, LayerDiff, documentation as diff_documentation};
 pub use gc::{Collected, gc};
 pub use rows::{LayerFile, LayerInfo, RunRow, VersionInfo};
 pub use verify::{Finding, Verified, verify};
@@ -106,21 +108,27 @@ impl Map {
     }
 
     /// A context in which every published layer is a table, beside `layers`, `versions` and `runs`; those of another
-    /// version are `v1.lanes`. A table is opened when a query names it, and then it is that a missing or damaged artifact
+    /// version are `v1.lanes`, and `diff` compares them. A table is opened when a query names it, and then it is that a missing or damaged artifact
     /// shows.
     ///
     /// # Errors
     /// A resource fault when the context cannot be set up.
-    pub fn context(&self, limits: Limits) -> Result<SessionContext, Fault> {
+    pub fn context(&self, limits: Limits, registry: &Registry) -> Result<SessionContext, Fault> {
         let context = context(limits)?;
         context.register_object_store(self.store.url(), self.store.objects());
         if let Some(catalog) = context.catalog("datafusion") {
-            let tables = Arc::new(Tables::new(self.clone(), &context));
+            let tables = Arc::new(Tables::new(self.clone(), &context, registry));
             let public = Arc::clone(&tables);
             catalog.register_schema("public", public).or_fault()?;
             let catalog = Catalog::new(catalog, tables);
             context.register_catalog("datafusion", Arc::new(catalog));
         }
+        let diff = DiffFunction {
+            map: self.clone(),
+            registry: registry.clone(),
+            reading: beside(&context),
+        };
+        context.register_udtf("diff", Arc::new(diff));
         Ok(context)
     }
 
@@ -180,6 +188,11 @@ impl Map {
             .get(layer)
             .filter(|stored| stored.published)
     }
+}
+
+/// A context with the settings and limits of another, and without its tables.
+fn beside(context: &SessionContext) -> SessionContext {
+    SessionContext::new_with_config_rt(context.copied_config(), context.runtime_env())
 }
 
 /// A path on this machine, or a URL.

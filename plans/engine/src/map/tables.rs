@@ -9,14 +9,15 @@ use datafusion::catalog::{SchemaProvider, TableProvider};
 use datafusion::datasource::TableType;
 use datafusion::error::{DataFusionError, Result};
 use datafusion::prelude::{DataFrame, SessionContext};
-use evermap_schemas::{Fault, LayerRow, batch};
+use evermap_contract::Registry;
+use evermap_schemas::{Fault, Layer, LayerRow, batch};
 use object_store::ObjectStoreExt;
 use tokio::sync::OnceCell;
 
 use crate::error::{OrFault, external};
 use crate::map::artifact::{read_artifacts, read_files};
 use crate::map::store::{Store, each};
-use crate::map::{LayerInfo, Map, RunRow, VersionInfo, versions};
+use crate::map::{LayerInfo, Map, RunRow, VersionInfo, beside, versions};
 
 /// The last bytes of a Parquet file that was written to its end.
 const PARQUET_END: &[u8] = b"PAR1";
@@ -24,6 +25,8 @@ const PARQUET_END: &[u8] = b"PAR1";
 /// The tables of a map: its published layers, and what it says of itself.
 pub struct Tables {
     map: Map,
+    /// The operators that may have made its layers.
+    registry: Registry,
     /// Opens tables; it has none itself.
     reading: SessionContext,
     /// The tables by name, those open that were asked for.
@@ -38,9 +41,8 @@ impl std::fmt::Debug for Tables {
 
 impl Tables {
     /// The tables of a map, opened with the settings and limits of a context.
-    pub fn new(map: Map, context: &SessionContext) -> Self {
-        let reading =
-            SessionContext::new_with_config_rt(context.copied_config(), context.runtime_env());
+    pub fn new(map: Map, context: &SessionContext, registry: &Registry) -> Self {
+        let reading = beside(context);
         let layers = map.version.published().map(|(name, _)| name.as_str());
         let own = [LayerInfo::NAME, VersionInfo::NAME, RunRow::NAME];
         let tables = layers.chain(own);
@@ -48,9 +50,28 @@ impl Tables {
             tables: tables
                 .map(|name| (name.to_owned(), OnceCell::new()))
                 .collect(),
+            registry: registry.clone(),
             reading,
             map,
         }
+    }
+
+    /// The map.
+    pub fn map(&self) -> &Map {
+        &self.map
+    }
+
+    /// The declaration of a table's columns, where there is one: of the operator that made it, else by name.
+    pub fn declaration(&self, table: &str) -> Option<Layer> {
+        let made = self
+            .map
+            .published(table)
+            .and_then(|layer| layer.op.as_deref());
+        let made = made.and_then(|op| self.registry.get(op).ok());
+        let own = [LayerInfo::layer(), VersionInfo::layer(), RunRow::layer()];
+        let known = || evermap_schemas::layers::all().into_iter().chain(own);
+        let made = made.map(|entry| entry.output.clone());
+        made.or_else(|| known().find(|layer| layer.name == table))
     }
 
     /// The tables of another version of the same map.
@@ -59,7 +80,7 @@ impl Tables {
     /// As [`Map::at`].
     pub async fn at(&self, version: u64) -> Result<Self, Fault> {
         let map = Map::at(self.map.store.clone(), Some(version)).await?;
-        Ok(Self::new(map, &self.reading))
+        Ok(Self::new(map, &self.reading, &self.registry))
     }
 
     async fn open(&self, name: &str) -> Result<Arc<dyn TableProvider>, Fault> {

@@ -1,0 +1,237 @@
+//! Functions on geometries: well-known binary, in a map's metres. Names and meanings are PostGIS's, so `st_*` look from
+//! above; where heights count, it is said.
+
+mod lines;
+mod shapes;
+mod text;
+
+use std::sync::Arc;
+
+use arrow::array::{Array, ArrayRef, AsArray, BinaryArray};
+use arrow::datatypes::{DataType, Float64Type};
+use datafusion::common::{DataFusionError, Result};
+use evermap_schemas::{Cell, Geometry, Position, Wkb};
+
+use crate::function::{Argument, Declaration, Kind, numbers};
+
+const GEOMETRY: Argument = ("geometry", Kind::Geometry, "a geometry, such as lanes have");
+const A: Argument = ("a", Kind::Geometry, "a geometry");
+const B: Argument = ("b", Kind::Geometry, "another geometry");
+const X: Argument = ("x", Kind::Number, "a place along x, m");
+const Y: Argument = ("y", Kind::Number, "a place along y, m");
+const Z: Argument = ("z", Kind::Number, "its height, m");
+
+/// The functions.
+pub(crate) const DECLARATIONS: [Declaration; 14] = [
+    Declaration {
+        name: "st_point",
+        about: "The point at a place",
+        calls: &[&[X, Y], &[X, Y, Z]],
+        result: <Wkb as Cell>::data_type,
+        example: ["SELECT st_x(st_point(3, 4))", "3.0"],
+        evaluate: point,
+    },
+    Declaration {
+        name: "st_x",
+        about: "Where a point is along x, m; null for other geometries",
+        calls: &[&[GEOMETRY]],
+        result: || DataType::Float64,
+        example: ["SELECT st_x(st_point(3, 4))", "3.0"],
+        evaluate: |columns| of_point(columns, |point| Some(point.x)),
+    },
+    Declaration {
+        name: "st_y",
+        about: "Where a point is along y, m; null for other geometries",
+        calls: &[&[GEOMETRY]],
+        result: || DataType::Float64,
+        example: ["SELECT st_y(st_point(3, 4))", "4.0"],
+        evaluate: |columns| of_point(columns, |point| Some(point.y)),
+    },
+    Declaration {
+        name: "st_z",
+        about: "The height of a point, m; null for other geometries and flat ones",
+        calls: &[&[GEOMETRY]],
+        result: || DataType::Float64,
+        example: ["SELECT st_z(st_point(3, 4, 5))", "5.0"],
+        evaluate: |columns| of_point(columns, |point| point.z),
+    },
+    Declaration {
+        name: "st_geomfromtext",
+        about: "The geometry that a well-known text says",
+        calls: &[&[("text", Kind::Text, "well-known text, such as POINT(1 2)")]],
+        result: <Wkb as Cell>::data_type,
+        example: ["SELECT st_y(st_geomfromtext('POINT(1 2)'))", "2.0"],
+        evaluate: text::read,
+    },
+    Declaration {
+        name: "st_astext",
+        about: "The geometry as well-known text",
+        calls: &[&[GEOMETRY]],
+        result: || DataType::Utf8,
+        example: ["SELECT st_astext(st_point(1, 2, 3))", "POINT Z(1 2 3)"],
+        evaluate: text::written,
+    },
+    Declaration {
+        name: "st_length",
+        about: "Length of the lines of a geometry from above, m; 0 for points and polygons",
+        calls: &[&[GEOMETRY]],
+        result: || DataType::Float64,
+        example: [
+            "SELECT st_length(st_geomfromtext('LINESTRING(0 0, 3 4, 3 10)'))",
+            "11.0",
+        ],
+        evaluate: |columns| shapes::each(columns, shapes::length_m),
+    },
+    Declaration {
+        name: "st_area",
+        about: "Area of the polygons of a geometry from above, m²; 0 for points and lines",
+        calls: &[&[GEOMETRY]],
+        result: || DataType::Float64,
+        example: [
+            "SELECT st_area(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'))",
+            "12.0",
+        ],
+        evaluate: |columns| shapes::each(columns, shapes::area_m2),
+    },
+    Declaration {
+        name: "st_distance",
+        about: "Smallest distance between two geometries from above, m; 0 where they touch, null where one is empty",
+        calls: &[&[A, B]],
+        result: || DataType::Float64,
+        example: [
+            "SELECT st_distance(st_point(5, 3), st_geomfromtext('LINESTRING(0 0, 10 0)'))",
+            "3.0",
+        ],
+        evaluate: shapes::distances,
+    },
+    Declaration {
+        name: "st_intersects",
+        about: "Whether two geometries have a point in common from above",
+        calls: &[&[A, B]],
+        result: || DataType::Boolean,
+        example: [
+            "SELECT st_intersects(st_geomfromtext('LINESTRING(0 0, 2 2)'), st_geomfromtext('LINESTRING(0 2, 2 0)'))",
+            "true",
+        ],
+        evaluate: |columns| shapes::relation(columns, shapes::intersect),
+    },
+    Declaration {
+        name: "st_contains",
+        about: "Whether the second geometry lies in the first from above, and not on its border alone",
+        calls: &[&[A, B]],
+        result: || DataType::Boolean,
+        example: [
+            "SELECT st_contains(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_point(1, 1))",
+            "true",
+        ],
+        evaluate: |columns| shapes::relation(columns, shapes::contains),
+    },
+    Declaration {
+        name: "st_within",
+        about: "Whether the first geometry lies in the second from above, and not on its border alone",
+        calls: &[&[A, B]],
+        result: || DataType::Boolean,
+        example: [
+            "SELECT st_within(st_point(9, 1), st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'))",
+            "false",
+        ],
+        evaluate: |columns| shapes::relation(columns, |a, b| shapes::contains(b, a)),
+    },
+    Declaration {
+        name: "st_hausdorffdistance",
+        about: "How far two geometries differ: the largest distance of a corner of either from the other's points and lines, m, with heights; null where one has no point",
+        calls: &[&[A, B]],
+        result: || DataType::Float64,
+        example: [
+            "SELECT st_hausdorffdistance(st_point(0, 0), st_point(3, 4))",
+            "5.0",
+        ],
+        evaluate: |columns| {
+            let (a, b) = (Geometries::of(columns, 0)?, Geometries::of(columns, 1)?);
+            numbers(a.0.len(), |row| {
+                let pair = a.get(row)?.zip(b.get(row)?);
+                Ok(pair.and_then(|(a, b)| lines::hausdorff_m(&a, &b)))
+            })
+        },
+    },
+    Declaration {
+        name: "distance_along",
+        about: "Length along a line, with heights, from its start to where it is nearest to a place from above, m; null for geometries that are no line",
+        calls: &[&[GEOMETRY, X, Y]],
+        result: || DataType::Float64,
+        example: [
+            "SELECT distance_along(st_geomfromtext('LINESTRING(0 0, 10 0, 10 10)'), 12, 5)",
+            "15.0",
+        ],
+        evaluate: along,
+    },
+];
+
+/// A column of geometries.
+pub(crate) struct Geometries<'a>(pub &'a BinaryArray);
+
+impl<'a> Geometries<'a> {
+    pub(crate) fn of(columns: &'a [ArrayRef], index: usize) -> Result<Self> {
+        let column = columns.get(index).and_then(|column| column.as_binary_opt());
+        column.map(Self).ok_or_else(|| {
+            DataFusionError::Execution("expected a geometry as well-known binary".to_owned())
+        })
+    }
+
+    pub(crate) fn get(&self, row: usize) -> Result<Option<Geometry>> {
+        let read = |bytes| Geometry::from_wkb(bytes);
+        let read = self.0.is_valid(row).then(|| read(self.0.value(row)));
+        let read = read.transpose();
+        read.map_err(|fault| DataFusionError::Execution(fault.message))
+    }
+}
+
+fn of_point(columns: &[ArrayRef], of: fn(Position) -> Option<f64>) -> Result<ArrayRef> {
+    let geometries = Geometries::of(columns, 0)?;
+    numbers(geometries.0.len(), |row| {
+        Ok(match geometries.get(row)? {
+            Some(Geometry::Point(point)) => of(point),
+            _ => None,
+        })
+    })
+}
+
+fn point(columns: &[ArrayRef]) -> Result<ArrayRef> {
+    let numbers: Vec<_> = columns
+        .iter()
+        .map(|column| column.as_primitive::<Float64Type>())
+        .collect();
+    let point = |row: usize| {
+        let known = numbers.iter().all(|column| column.is_valid(row));
+        let at = |index: usize| numbers.get(index).map(|column| column.value(row));
+        known.then(|| {
+            let (x, y) = (at(0).unwrap_or(f64::NAN), at(1).unwrap_or(f64::NAN));
+            Geometry::Point(Position { x, y, z: at(2) }).to_wkb().0
+        })
+    };
+    let rows = columns.first().map_or(0, |column| column.len());
+    let points: BinaryArray = (0..rows).map(point).collect();
+    Ok(Arc::new(points))
+}
+
+fn along(columns: &[ArrayRef]) -> Result<ArrayRef> {
+    let geometries = Geometries::of(columns, 0)?;
+    let [_, x, y] = columns else {
+        return Err(DataFusionError::Execution(
+            "expected a geometry and a place".to_owned(),
+        ));
+    };
+    let (x, y) = (
+        x.as_primitive::<Float64Type>(),
+        y.as_primitive::<Float64Type>(),
+    );
+    numbers(geometries.0.len(), |row| {
+        let known = x.is_valid(row) && y.is_valid(row);
+        Ok(match geometries.get(row)? {
+            Some(Geometry::LineString(line)) if known => {
+                lines::distance_along_m(&line, [x.value(row), y.value(row)])
+            }
+            _ => None,
+        })
+    })
+}

@@ -1,0 +1,115 @@
+//! What the crate `geo` says of geometries from above.
+
+use std::sync::Arc;
+
+use arrow::array::{Array, ArrayRef, BooleanArray};
+use datafusion::common::{DataFusionError, Result};
+use evermap_schemas::{Geometry, Position};
+use geo::{
+    Area, Contains, Coord, CoordsIter, Distance, Euclidean, Intersects, Length, LineString, Point,
+    Polygon,
+};
+
+use crate::function::numbers;
+use crate::geometries::Geometries;
+
+/// A geometry from above.
+type Shape = geo::Geometry<f64>;
+
+fn line(points: &[Position]) -> LineString {
+    let coords = points.iter().map(|point| Coord {
+        x: point.x,
+        y: point.y,
+    });
+    coords.collect()
+}
+
+/// A geometry as `geo` has it, without heights.
+fn shape(geometry: &Geometry) -> Shape {
+    match geometry {
+        Geometry::Point(point) => Shape::Point(Point::new(point.x, point.y)),
+        Geometry::LineString(points) => Shape::LineString(line(points)),
+        Geometry::Polygon(rings) => {
+            let mut rings = rings.iter().map(|ring| line(ring));
+            let outline = rings.next().unwrap_or_else(|| LineString::new(Vec::new()));
+            Shape::Polygon(Polygon::new(outline, rings.collect()))
+        }
+        Geometry::MultiPoint(parts)
+        | Geometry::MultiLineString(parts)
+        | Geometry::MultiPolygon(parts)
+        | Geometry::GeometryCollection(parts) => {
+            Shape::GeometryCollection(parts.iter().map(shape).collect())
+        }
+    }
+}
+
+fn finite_shape(geometry: &Geometry) -> Result<Shape> {
+    let mut points = geometry.paths().into_iter().flatten();
+    match points.find(|point| !(point.x.is_finite() && point.y.is_finite())) {
+        None => Ok(shape(geometry)),
+        Some(point) => Err(DataFusionError::Execution(format!(
+            "expected a geometry of finite numbers, found a point at {}, {}",
+            point.x, point.y
+        ))),
+    }
+}
+
+fn get(geometries: &Geometries<'_>, row: usize) -> Result<Option<Shape>> {
+    let geometry = geometries.get(row)?;
+    geometry.as_ref().map(finite_shape).transpose()
+}
+
+/// A number of each geometry.
+pub(super) fn each(columns: &[ArrayRef], of: fn(&Shape) -> f64) -> Result<ArrayRef> {
+    let geometries = Geometries::of(columns, 0)?;
+    numbers(geometries.0.len(), |row| {
+        Ok(get(&geometries, row)?.as_ref().map(of))
+    })
+}
+
+pub(super) fn length_m(shape: &Shape) -> f64 {
+    match shape {
+        Shape::LineString(line) => Euclidean.length(line),
+        Shape::GeometryCollection(parts) => parts.iter().map(length_m).sum(),
+        _ => 0.0,
+    }
+}
+
+pub(super) fn area_m2(shape: &Shape) -> f64 {
+    shape.unsigned_area()
+}
+
+fn pair(columns: &[ArrayRef], row: usize) -> Result<Option<[Shape; 2]>> {
+    let (a, b) = (Geometries::of(columns, 0)?, Geometries::of(columns, 1)?);
+    let pair = get(&a, row)?.zip(get(&b, row)?);
+    Ok(pair.map(|(a, b)| [a, b]))
+}
+
+/// The distances of pairs.
+pub(super) fn distances(columns: &[ArrayRef]) -> Result<ArrayRef> {
+    let rows = columns.first().map_or(0, |column| column.len());
+    numbers(rows, |row| {
+        let pair = pair(columns, row)?;
+        let whole = pair.filter(|pair| pair.iter().all(|shape| shape.coords_count() > 0));
+        Ok(whole.map(|[a, b]| Euclidean.distance(&a, &b)))
+    })
+}
+
+/// Whether pairs stand to each other in some way.
+pub(super) fn relation(
+    columns: &[ArrayRef],
+    holds: fn(&Shape, &Shape) -> bool,
+) -> Result<ArrayRef> {
+    let rows = columns.first().map_or(0, |column| column.len());
+    let row = |row| Ok(pair(columns, row)?.map(|[a, b]| holds(&a, &b)));
+    let found = (0..rows).map(row).collect::<Result<BooleanArray>>()?;
+    Ok(Arc::new(found))
+}
+
+pub(super) fn intersect(a: &Shape, b: &Shape) -> bool {
+    a.intersects(b)
+}
+
+pub(super) fn contains(a: &Shape, b: &Shape) -> bool {
+    a.contains(b)
+}
