@@ -2,9 +2,9 @@
 //!
 //! | module | functions |
 //! |---|---|
-//! | [`poses`] | of poses: `yaw`, `pitch`, `roll`, `transform`, `compose`, `inverse` … |
-//! | [`geometries`] | of geometries: `st_*` as PostGIS names them, `distance_along` |
-//! | [`contains`], [`related`] | of the graphs of views |
+//! | `poses` | of poses: `yaw`, `pitch`, `roll`, `transform`, `compose`, `inverse` … |
+//! | `geometries` | of geometries: `st_*` as PostGIS names them, `distance_along` |
+//! | `contains`, `related` | of the graphs of views |
 //!
 //! Each is declared once, with its arguments, its result and an example: [`documented`] lists them.
 //!
