@@ -17,9 +17,9 @@ use evermap_schemas::{Cell, Fault, LayerRow, Pose, record, rows};
 
 use crate::conform::conform;
 use crate::error::OrFault;
-use crate::map::Map;
 use crate::map::diff::row_digest::RowDigest;
 use crate::map::tables::Tables;
+use crate::map::{Map, beside};
 
 pub use function::{DiffFunction, documentation};
 
@@ -64,8 +64,7 @@ impl Comparison {
         registry: &Registry,
         reading: &SessionContext,
     ) -> Result<Self, Fault> {
-        let config = reading.copied_config();
-        let context = SessionContext::new_with_config_rt(config, reading.runtime_env());
+        let context = beside(reading);
         context.register_object_store(map.store.url(), map.store.objects());
         evermap_functions::register(&context);
         context.register_udf(ScalarUDF::from(RowDigest::default()));

@@ -108,8 +108,8 @@ impl Map {
     }
 
     /// A context in which every published layer is a table, beside `layers`, `versions` and `runs`; those of another
-    /// version are `v1.lanes`, and `diff` compares them. A table is opened when a query names it, and then it is that a missing or damaged artifact
-    /// shows.
+    /// version are `v1.lanes`, and `diff` compares them. A table is opened when a query names it, and then it is that a
+    /// missing or damaged artifact shows.
     ///
     /// # Errors
     /// A resource fault when the context cannot be set up.
