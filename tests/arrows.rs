@@ -63,6 +63,7 @@ const WALLS: &[Wall] = &[
             "operators/vision",
             "plans/language",
             "datasets/messages",
+            "datasets/video",
         ],
         to: OURS,
         reach: Named,
@@ -105,6 +106,22 @@ const WALLS: &[Wall] = &[
         to: &["opencv"],
         reach: Named,
         why: "OpenCV is linked, configured and replaced in one crate, operators/vision",
+    },
+    Wall {
+        from: &[
+            "schemas",
+            "operators/*",
+            "datasets",
+            "datasets/messages",
+            "datasets/recording",
+            "datasets/worlds",
+            "plans/*",
+            "tests",
+            "tests/*",
+        ],
+        to: &["ffmpeg*"],
+        reach: Named,
+        why: "FFmpeg is linked, configured and replaced in one crate, datasets/video",
     },
     Wall {
         from: &[

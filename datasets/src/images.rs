@@ -1,5 +1,7 @@
 //! From the references of frames to image bytes.
 
+mod video;
+
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -7,10 +9,13 @@ use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use bytes::Bytes;
 use evermap_schemas::{Fault, ImageRef};
+use evermap_video::Codec;
 use futures::{StreamExt, TryStreamExt};
 use tokio::sync::OnceCell;
 
 use crate::dataset::Dataset;
+use crate::log::chunk::Block;
+use crate::log::index::{Unit, UnitKind};
 use crate::log::unpack::{LARGEST_CHUNK, unpack};
 use crate::log::window::fetch;
 use crate::session::LogPart;
@@ -27,6 +32,7 @@ const OPEN_AT_ONCE: usize = 2;
 pub struct ImageReader {
     parts: BTreeMap<(Arc<str>, u32), Arc<LogPart>>,
     cache: Mutex<Cache>,
+    tracks: video::Tracks,
 }
 
 /// A chunk, or what stands in for one: the bytes of an image outside any chunk.
@@ -37,7 +43,18 @@ struct Place {
     offset: u64,
     length: u64,
     size: u64,
-    compression: Option<String>,
+    opening: Opening,
+}
+
+/// What is done with the bytes of a [`Place`].
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+enum Opening {
+    /// They are taken as they are.
+    Plain,
+    /// The data of a chunk: they are decompressed.
+    Unpack(String),
+    /// A whole chunk record.
+    Chunk,
 }
 
 type Slot = Arc<OnceCell<Result<Bytes, Fault>>>;
@@ -83,7 +100,7 @@ impl Place {
                 offset,
                 length: image.chunk_length,
                 size: image.chunk_size,
-                compression: Some(image.compression.clone()),
+                opening: Opening::Unpack(image.compression.clone()),
             },
             None => Self {
                 session: image.session.clone(),
@@ -91,7 +108,21 @@ impl Place {
                 offset: image.offset,
                 length: image.length,
                 size: image.length,
-                compression: None,
+                opening: Opening::Plain,
+            },
+        }
+    }
+
+    fn of_unit(part: &LogPart, unit: &Unit) -> Self {
+        Self {
+            session: part.session.to_string(),
+            part: part.part,
+            offset: unit.offset,
+            length: unit.length,
+            size: unit.size,
+            opening: match unit.kind {
+                UnitKind::Chunk => Opening::Chunk,
+                _ => Opening::Plain,
             },
         }
     }
@@ -111,18 +142,24 @@ impl ImageReader {
                 bytes: 0,
                 limit: cache_bytes,
             }),
+            tracks: video::Tracks::default(),
         }
     }
 
-    /// The bytes of each image, in order: encoded as [`ImageRef::format`] says, with base64 already undone.
+    /// The bytes of each image, in order: encoded as [`ImageRef::format`] says, with base64 already undone. A frame of
+    /// video is decoded, from the last key frame of its topic on: its bytes are a netpbm file.
     ///
     /// # Errors
     /// A user fault when a reference names a session that the dataset does not have. What is wrong with one image, or
     /// with its chunk, is that image's own fault.
     pub async fn resolve(&self, images: &[ImageRef]) -> Result<Vec<Result<Bytes, Fault>>, Fault> {
         let mut places = BTreeMap::<Place, Vec<usize>>::new();
+        let mut videos = Vec::new();
         for (index, image) in images.iter().enumerate() {
-            places.entry(Place::of(image)).or_default().push(index);
+            match Codec::named(&image.format) {
+                Some(codec) => videos.push((index, image, codec)),
+                None => places.entry(Place::of(image)).or_default().push(index),
+            }
         }
         let missing = || Err(Fault::bug("an image was not resolved"));
         let mut resolved: Vec<Result<Bytes, Fault>> = images.iter().map(|_| missing()).collect();
@@ -140,18 +177,23 @@ impl ImageReader {
                 };
             }
         }
+        for (index, decoded) in self.video(&videos).await? {
+            resolved[index] = decoded;
+        }
         Ok(resolved)
     }
 
-    async fn open(&self, place: &Place) -> Result<Result<Bytes, Fault>, Fault> {
-        let key = (place.session.as_str().into(), place.part);
-        let part = self.parts.get(&key).ok_or_else(|| {
+    fn part(&self, session: &str, part: u32) -> Result<&Arc<LogPart>, Fault> {
+        self.parts.get(&(session.into(), part)).ok_or_else(|| {
             Fault::user(format!(
-                "expected the log of session {}, part {}, found no such file",
-                place.session, place.part
+                "expected the log of session {session}, part {part}, found no such file"
             ))
             .next("give the sessions that the frames come from")
-        })?;
+        })
+    }
+
+    async fn open(&self, place: &Place) -> Result<Result<Bytes, Fault>, Fault> {
+        let part = self.part(&place.session, place.part)?;
         let slot = self
             .cache
             .lock()
@@ -172,11 +214,13 @@ async fn read(part: &LogPart, place: &Place) -> Result<Bytes, Fault> {
         )));
     }
     let bytes = fetch(&part.store, &part.meta.location, place.offset..end).await?;
-    let Some(compression) = place.compression.clone() else {
-        return Ok(bytes);
-    };
-    let size = place.size;
-    let opened = tokio::task::spawn_blocking(move || unpack(&compression, bytes, size)).await;
+    let (place, size) = (place.clone(), place.size);
+    let opened = tokio::task::spawn_blocking(move || match &place.opening {
+        Opening::Plain => Ok((bytes, None)),
+        Opening::Unpack(compression) => unpack(compression, bytes, size),
+        Opening::Chunk => Block::open(&bytes, place.offset).map(|block| (block.bytes, None)),
+    });
+    let opened = opened.await;
     let opened = opened.map_err(|error| Fault::bug(error.to_string()))?;
     // The size is what the scan got out of the chunk, whatever the chunk claims.
     match opened {

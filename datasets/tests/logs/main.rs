@@ -13,3 +13,4 @@ mod indexes;
 mod pruning;
 mod roles;
 mod tables;
+mod video;

@@ -27,15 +27,20 @@ record! {
 /// Topics with pictures.
 pub const ROLE: Role = Role::of::<Frame>(IMAGES);
 
+/// The member of every message with an image that holds its bytes.
+pub const IMAGE_MEMBER: &str = "data";
+
 /// Images of any meaning.
 pub(super) const IMAGES: Messages = Messages {
     choose: |topics| every(&of_content(topics, Content::Picture)),
-    image: Some("data"),
+    image: Some(IMAGE_MEMBER),
     ..Messages::of::<Frame>(&[
         "sensor_msgs/CompressedImage",
         "sensor_msgs/Image",
         "foxglove.CompressedImage",
+        "foxglove.CompressedVideo",
         "foxglove.RawImage",
+        "ffmpeg_image_transport_msgs/FFMPEGPacket",
     ])
 };
 
@@ -51,7 +56,7 @@ pub(super) enum Content {
 pub(super) const LABELS: [&str; 3] = ["label", "segmentation", "semantic"];
 
 /// The image topics whose names speak of this content. Where a topic and its `/compressed` twin are both there, the
-/// compressed one counts; `/compressedDepth` never does.
+/// compressed one counts; a `/ffmpeg` twin counts where it is alone; `/compressedDepth` never does.
 pub(super) fn of_content(topics: &[Topic], content: Content) -> Vec<Topic> {
     let found = |topic: &Topic| {
         if in_words(&topic.name, &LABELS) {
@@ -63,8 +68,10 @@ pub(super) fn of_content(topics: &[Topic], content: Content) -> Vec<Topic> {
         }
     };
     let counts = |topic: &&Topic| {
-        let twin = format!("{}/compressed", topic.name);
-        let has_twin = topics.iter().any(|other| other.name == twin);
+        let has = |name: &str| topics.iter().any(|other| other.name == name);
+        let compressed = |name: &str| format!("{name}/compressed");
+        let has_twin = has(&compressed(&topic.name))
+            || topic.name.strip_suffix("/ffmpeg").is_some_and(|name| has(name) || has(&compressed(name)));
         !has_twin && !topic.name.ends_with("/compressedDepth") && found(topic) == content
     };
     topics.iter().filter(counts).cloned().collect()
@@ -91,10 +98,12 @@ impl FromMessage for Frame {
             number.map(|number| number as u32)
         };
         let (width, height, step) = (size("width"), size("height"), size("step"));
-        let format = encoding.unwrap_or_else(|| {
-            let format = fields.text(&["format"]).unwrap_or_default();
-            plain_format(&format, &image.magic)
-        });
+        let text = |name: &str| fields.text(&[name]).unwrap_or_default();
+        let format = match encoding {
+            // A packet of video names its codec where a raw image names its layout.
+            Some(encoding) => video_format(&encoding).unwrap_or(encoding),
+            None => plain_format(&text("format"), &image.magic),
+        };
         Ok(vec![Self {
             site: message.site.to_owned(),
             session: message.session.to_owned(),
@@ -128,7 +137,20 @@ fn plain_format(format: &str, magic: &[u8; 8]) -> String {
     } else if text.contains("png") {
         "png".to_owned()
     } else {
-        text.trim().to_owned()
+        video_format(&text).unwrap_or_else(|| text.trim().to_owned())
+    }
+}
+
+/// `h264` or `h265` where a format or an encoder's name says so: `video/h264`, `hevc`, `libx264;yuv420p`, `hevc_nvenc`.
+fn video_format(text: &str) -> Option<String> {
+    let text = text.to_lowercase();
+    let found = |names: &[&str]| names.iter().any(|name| text.contains(name));
+    if found(&["h264", "h.264", "x264", "avc"]) {
+        Some("h264".to_owned())
+    } else if found(&["h265", "h.265", "x265", "hevc"]) {
+        Some("h265".to_owned())
+    } else {
+        None
     }
 }
 
@@ -142,5 +164,11 @@ mod tests {
         assert_eq!(plain_format("image/png", &[0; 8]), "png");
         assert_eq!(plain_format("", b"\xff\xd8\xff\xe0\0\0\0\0"), "jpeg");
         assert_eq!(plain_format("webp", b"RIFF\0\0\0\0"), "webp");
+        for (said, plain) in [("H264", "h264"), ("video/h.264", "h264"), ("hevc", "h265")] {
+            assert_eq!(plain_format(said, b"\0\0\0\x01\x67\0\0\0"), plain);
+        }
+        assert_eq!(video_format("libx264;yuv420p").as_deref(), Some("h264"));
+        assert_eq!(video_format("hevc_nvenc").as_deref(), Some("h265"));
+        assert_eq!(video_format("bayer_rggb8"), None);
     }
 }

@@ -41,7 +41,7 @@ roles! {
 
 pub use annotations::{Anchor, Annotation};
 pub use calibration::Calibration;
-pub use frames::Frame;
+pub use frames::{Frame, IMAGE_MEMBER};
 pub use label_classes::LabelClass;
 pub use odometry::OdometryPose;
 pub use transforms::Transform;

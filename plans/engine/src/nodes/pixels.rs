@@ -15,6 +15,7 @@ use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
 use evermap_contract::{Losses, pixels_column};
 use evermap_datasets::ImageReader;
 use evermap_schemas::{Cell, Fault, ImageRef};
+use evermap_video::Codec;
 use futures::{StreamExt, TryStreamExt};
 
 use crate::conform::{beside, convert};
@@ -24,6 +25,9 @@ use crate::nodes::raw::as_file;
 
 /// Encoded image bytes that one batch may carry: bounds memory, whatever the batch size.
 const SLICE_BYTES: u64 = 8 << 20;
+
+/// What a frame of video counts as: a picture of 1280 by 960 pixels comes out of a few thousand bytes.
+const VIDEO_BYTES: u64 = 4 << 20;
 
 /// Batches whose images are fetched ahead of the kernel.
 const AHEAD: usize = 2;
@@ -128,7 +132,11 @@ impl Fetcher {
     fn slices(&self, batch: &RecordBatch) -> Result<Vec<RecordBatch>, Fault> {
         let images = references(batch, self.fetching.column)?;
         let (mut pieces, mut start, mut held) = (Vec::new(), 0, 0);
-        for (row, ImageRef { length, .. }) in images.into_iter().enumerate() {
+        for (row, image) in images.into_iter().enumerate() {
+            let length = match Codec::named(&image.format) {
+                Some(_) => VIDEO_BYTES,
+                None => image.length,
+            };
             if held > 0 && held + length > SLICE_BYTES {
                 pieces.push(batch.slice(start, row - start));
                 (start, held) = (row, 0);

@@ -6,6 +6,7 @@ mod yuv;
 use std::borrow::Cow;
 
 use evermap_schemas::ImageRef;
+use evermap_video::Codec;
 
 use bayer::Mosaic;
 use yuv::Packing;
@@ -53,18 +54,18 @@ fn layout(encoding: &str) -> Option<(Layout, u32)> {
 }
 
 /// An image as a file that any decoder reads: a raw one as netpbm (colour RGB, rows without padding), JPEG and PNG as
-/// they are.
+/// they are, as a frame of video, which the reader of images has decoded.
 ///
 /// # Errors
 /// In words: for an encoding that nobody here reads, or fewer bytes than the size asks for.
 pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, String> {
     let encoding = image.format.as_str();
-    if ["jpeg", "png"].contains(&encoding) {
+    if ["jpeg", "png"].contains(&encoding) || Codec::named(encoding).is_some() {
         return Ok(bytes.into());
     }
     let Some((layout, maximum)) = layout(encoding) else {
         return Err(format!(
-            "expected jpeg, png or a raw encoding of ROS or Foxglove, found {encoding:?}"
+            "expected jpeg, png, h264, h265 or a raw encoding of ROS or Foxglove, found {encoding:?}"
         ));
     };
     let (Some(width), Some(height), Some(step)) = (image.width, image.height, image.step) else {
@@ -156,8 +157,8 @@ mod tests {
 
     #[test]
     fn what_is_not_read_is_named() {
-        let unknown = as_file(&raw("h264", 9, 9, 9), &[1, 2]).unwrap_err();
-        assert!(unknown.contains("h264"), "{unknown}");
+        let unknown = as_file(&raw("av1", 9, 9, 9), &[1, 2]).unwrap_err();
+        assert!(unknown.contains("av1"), "{unknown}");
         let short = as_file(&raw("mono8", 9, 9, 9), &[1, 2]).unwrap_err();
         assert!(
             short.contains("81 B in all") && short.contains("2 B"),

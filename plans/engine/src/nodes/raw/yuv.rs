@@ -1,4 +1,6 @@
-//! Luma and chroma, as cameras and video have them: ITU-R BT.601, limited range (luma 16 to 235).
+//! Luma and chroma, as cameras have them: ITU-R BT.601, limited range (luma 16 to 235).
+
+use evermap_video::Colours;
 
 /// Where the samples lie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,39 +57,15 @@ impl Packing {
                         [line + x, block, block + 1]
                     }
                 };
-                file.extend(rgb([bytes[luma], bytes[u], bytes[v]]));
+                file.extend(Colours::USUAL.rgb([bytes[luma], bytes[u], bytes[v]]));
             }
         }
     }
 }
 
-/// RGB of luma and chroma, in integers (ITU-R BT.601, 8 bits of fraction), so that bytes are equal everywhere.
-fn rgb([luma, u, v]: [u8; 3]) -> [u8; 3] {
-    let luma = 298 * (i32::from(luma) - 16) + 128;
-    let (u, v) = (i32::from(u) - 128, i32::from(v) - 128);
-    [luma + 409 * v, luma - 100 * u - 208 * v, luma + 516 * u]
-        .map(|value| (value >> 8).clamp(0, 255) as u8)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_colours_of_the_standard() {
-        // Values of the 75 % bars of ITU-R BT.601.
-        for (yuv, expected) in [
-            ([16, 128, 128], [0, 0, 0]),
-            ([235, 128, 128], [255, 255, 255]),
-            ([65, 100, 212], [191, 0, 0]),
-            ([112, 72, 58], [0, 191, 0]),
-            ([35, 212, 114], [0, 0, 191]),
-        ] {
-            let found = rgb(yuv);
-            let near = found.iter().zip(expected).all(|(a, b)| a.abs_diff(b) <= 2);
-            assert!(near, "{yuv:?}: {found:?}");
-        }
-    }
 
     #[test]
     fn every_packing_gives_the_same_pixels() {
@@ -107,6 +85,7 @@ mod tests {
                 [&luma[..], &[lu, lv, lu, lv, ru, rv, ru, rv].repeat(2)].concat(),
             ),
         ];
+        let rgb = |yuv| Colours::USUAL.rgb(yuv);
         let expected = [rgb(red), rgb(red), rgb(blue), rgb(blue)]
             .concat()
             .repeat(2);

@@ -1,0 +1,110 @@
+//! What the bytes of a frame say without being decoded (ITU-T H.264 and H.265, Annex B and table 7-1 of each).
+
+use ffmpeg_next::codec::Id;
+
+/// A video format that is decoded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Codec {
+    /// ITU-T H.264, AVC.
+    H264,
+    /// ITU-T H.265, HEVC.
+    H265,
+}
+
+/// What a unit of the bytes is, as far as it matters where decoding can begin.
+#[derive(PartialEq, Eq)]
+enum Part {
+    /// A sequence parameter set: size and profile.
+    Parameters,
+    /// Pixels of a picture that refers to none before it.
+    Key,
+    /// Pixels of any other picture.
+    Other,
+    /// Whatever else: picture parameters, delimiters, notes.
+    Aside,
+}
+
+impl Codec {
+    /// The codec that a reference's format names: `h264` or `h265`.
+    pub fn named(format: &str) -> Option<Self> {
+        match format {
+            "h264" => Some(Self::H264),
+            "h265" => Some(Self::H265),
+            _ => None,
+        }
+    }
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::H264 => "h264",
+            Self::H265 => "h265",
+        }
+    }
+
+    pub(crate) fn id(self) -> Id {
+        match self {
+            Self::H264 => Id::H264,
+            Self::H265 => Id::HEVC,
+        }
+    }
+
+    /// Whether decoding can begin with this frame: a key frame with its parameter set before it.
+    pub fn begins(self, frame: &[u8]) -> bool {
+        let mut parameters = false;
+        for head in heads(frame) {
+            match self.part(head) {
+                Part::Parameters => parameters = true,
+                Part::Key => return parameters,
+                Part::Other => return false,
+                Part::Aside => {}
+            }
+        }
+        false
+    }
+
+    fn part(self, head: u8) -> Part {
+        match self {
+            Self::H264 => match head & 0x1f {
+                7 => Part::Parameters,
+                5 => Part::Key,
+                1..=4 => Part::Other,
+                _ => Part::Aside,
+            },
+            Self::H265 => match (head >> 1) & 0x3f {
+                33 => Part::Parameters,
+                16..=21 => Part::Key,
+                0..=31 => Part::Other,
+                _ => Part::Aside,
+            },
+        }
+    }
+}
+
+/// The first byte of each unit: what follows a start code, 00 00 01.
+fn heads(bytes: &[u8]) -> impl Iterator<Item = u8> {
+    let quads = bytes.windows(4);
+    quads
+        .filter(|quad| quad[..3] == [0, 0, 1])
+        .map(|quad| quad[3])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn decoding_begins_where_parameters_and_a_key_frame_are() {
+        let (sets, idr) = ([0, 0, 0, 1, 0x67, 9, 0, 0, 1, 0x68, 9], [0, 0, 1, 0x65, 9]);
+        assert!(Codec::H264.begins(&[&sets[..], &idr].concat()));
+        assert!(!Codec::H264.begins(&idr));
+        assert!(!Codec::H264.begins(&sets));
+        assert!(!Codec::H264.begins(&[&sets[..], &[0, 0, 1, 0x41, 9], &idr].concat()));
+        let (sets, cra) = ([0, 0, 1, 0x42, 1], [0, 0, 1, 0x2a, 1]);
+        assert!(Codec::H265.begins(&[sets, cra].concat()));
+        assert!(!Codec::H265.begins(&[sets, [0, 0, 1, 0x02, 1], cra].concat()));
+        for hostile in [&[][..], &[0, 0, 1], &[0, 0], &[0xff; 9]] {
+            assert!(!Codec::H264.begins(hostile) && !Codec::H265.begins(hostile));
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! What is encoded comes back, from any key frame on, and what is broken is told.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use evermap_video::{Codec, Decoder, Encoder};
+
+const SIZE: [u32; 2] = [64, 48];
+const KEY_EVERY: u32 = 5;
+
+/// A square that moves over a slope.
+fn picture(time: u32) -> Vec<u8> {
+    let mut rgb = Vec::new();
+    for y in 0..SIZE[1] {
+        for x in 0..SIZE[0] {
+            let inside = (8..24).contains(&y) && (time..time + 16).contains(&x);
+            rgb.extend(if inside {
+                [200, 60, 40]
+            } else {
+                [2 * x as u8, 3 * y as u8, 90]
+            });
+        }
+    }
+    rgb
+}
+
+fn stream(codec: Codec, frames: u32) -> Vec<Vec<u8>> {
+    let mut encoder = Encoder::new(codec, SIZE, KEY_EVERY, 10).unwrap();
+    let frames = (0..frames).map(|time| encoder.encode(&picture(time)).unwrap());
+    frames.collect()
+}
+
+/// The files of frames that are decoded one after the other.
+fn decoded(codec: Codec, frames: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, String> {
+    let mut decoder = Decoder::new(codec)?;
+    let mut files = Vec::new();
+    for (index, frame) in frames.iter().enumerate() {
+        for picture in decoder.push(index as i64, frame)? {
+            assert_eq!(picture.index, index as i64);
+            files.push(picture.file()?);
+        }
+    }
+    for picture in decoder.drain()? {
+        files.push(picture.file()?);
+    }
+    Ok(files)
+}
+
+#[test]
+fn what_is_encoded_comes_back() {
+    for codec in [Codec::H264, Codec::H265] {
+        let frames = stream(codec, 12);
+        let begins: Vec<usize> = (0..12).filter(|at| codec.begins(&frames[*at])).collect();
+        assert_eq!(begins, [0, 5, 10], "{codec:?}");
+        let files = decoded(codec, &frames).unwrap();
+        assert_eq!(files.len(), 12, "{codec:?}");
+        for (time, file) in files.iter().enumerate() {
+            let pixels = file.strip_prefix(b"P6\n64 48\n255\n").unwrap();
+            let expected = picture(time as u32);
+            let apart = pixels
+                .iter()
+                .zip(&expected)
+                .map(|(a, b)| u64::from(a.abs_diff(*b)));
+            let mean = apart.sum::<u64>() as f64 / expected.len() as f64;
+            assert!(
+                mean < 4.0,
+                "{codec:?}, frame {time}: {mean} grey levels apart"
+            );
+        }
+        assert_eq!(
+            decoded(codec, &frames[5..]).unwrap(),
+            files[5..],
+            "{codec:?}"
+        );
+    }
+}
+
+#[test]
+fn broken_frames_are_told_or_decode() {
+    for codec in [Codec::H264, Codec::H265] {
+        let frames = stream(codec, 3);
+        for length in (0..frames[0].len()).step_by(7) {
+            let cut = [frames[0][..length].to_vec(), frames[1].clone()];
+            decoded(codec, &cut).ok();
+            let mut forged = frames.clone();
+            forged[0][length] ^= 0x55;
+            decoded(codec, &forged).ok();
+        }
+        let cut = frames[0][..frames[0].len() / 2].to_vec();
+        assert!(decoded(codec, &[cut]).is_err(), "{codec:?}: half a frame");
+    }
+}
