@@ -2,9 +2,10 @@
 //!
 //! Most of its mistakes hang together and many of them come back in the next shot, because what
 //! misleads it is out there: things that look like something else, patches of wall or ground that
-//! do. Others are the shot's own: boundaries a few pixels off, blobs, single pixels. How much of
-//! each there is follows from one number, the severity, which is found so that the wanted share of
-//! pixels is wrong on average over views along the street; single views are better or worse.
+//! do. Some of that misleads at every visit, some only in the light of one. Others are the shot's
+//! own: boundaries a few pixels off, blobs, single pixels. How much of each there is follows from
+//! one number, the severity, which is found so that the wanted share of pixels is wrong on average
+//! over views along the street; single views are better or worse.
 
 use super::classes::Class;
 use super::course::Frenet;
@@ -40,6 +41,8 @@ const TRIAL_PX: u32 = 192;
 pub struct Labeller {
     seed: u64,
     severity: f32,
+    /// Share of what misleads that does so at every visit.
+    repeated: f32,
     /// Sorted values of the noise in space and in the image: quantiles.
     space: Vec<f32>,
     image: Vec<f32>,
@@ -59,6 +62,7 @@ impl Labeller {
         let mut labeller = Self {
             seed: scramble(world.seed ^ 0x1abe1),
             severity: 0.0,
+            repeated: world.repeated_mistakes as f32,
             space: sample(&|p| noise3(7, p)),
             image: sample(&|[x, y, _]| noise2(7, [x, y].map(f64::from))),
         };
@@ -87,7 +91,7 @@ impl Labeller {
             self.severity = 0.5 * (low + high);
             let (mut wrong, mut pixels) = (0, 0);
             for (k, (sight, exact)) in trials.iter().enumerate() {
-                let noisy = self.noisy(sight, exact, k as u64);
+                let noisy = self.noisy(sight, exact, [0, k]);
                 wrong += noisy.iter().zip(exact).filter(|(a, b)| a != b).count();
                 pixels += exact.len();
             }
@@ -102,18 +106,23 @@ impl Labeller {
         }
     }
 
-    /// The labels of one shot.
-    pub fn noisy(&self, sight: &Sight<'_>, exact: &[Class], shot: u64) -> Vec<Class> {
+    /// The labels of one shot: of which visit, and its number there.
+    pub fn noisy(
+        &self,
+        sight: &Sight<'_>,
+        exact: &[Class],
+        [visit, index]: [usize; 2],
+    ) -> Vec<Class> {
         if self.severity == 0.0 {
             return exact.to_vec();
         }
         let width = sight.lens.width;
         let scale = width as f32 / 1024.0;
+        let shot = (visit as u64) << 40 | index as u64;
         let shot = scramble(self.seed ^ scramble(shot.wrapping_add(1)));
         let limits = Limits {
-            patch: quantile(&self.space, PATCHES * self.severity),
+            misleads: self.misleads(visit),
             blob: quantile(&self.image, BLOBS * self.severity),
-            thing: THINGS * self.severity,
             pixel: PIXELS * self.severity,
             shift: SHIFT_PX * self.severity.min(2.0) * scale,
         };
@@ -125,7 +134,10 @@ impl Labeller {
             let at = [pixel % width, pixel / width];
             let shift = [1, 2].map(|axis| noise(axis, at, SHIFT_WAVE_PX) - 0.5);
             let from = shifted(sight.lens, at, shift.map(|part| 2.0 * limits.shift * part));
-            let class = self.misled(sight, from, exact[from], &limits);
+            let misleads = limits.misleads.iter();
+            let mut mistaken =
+                misleads.filter_map(|misleads| misleads.class(sight, from, exact[from]));
+            let class = mistaken.next().unwrap_or(exact[from]);
             if noise(5, at, BLOB_PX) > limits.blob {
                 let coarse = at.map(|part| (part as f32 / (2.5 * BLOB_PX * scale)) as i64);
                 return class.mistaken(lattice(shot ^ 6, coarse[0], coarse[1]));
@@ -139,13 +151,35 @@ impl Labeller {
         (0..exact.len()).map(label).collect()
     }
 
-    /// What is out there misleads, from wherever it is seen.
-    fn misled(&self, sight: &Sight<'_>, pixel: usize, class: Class, limits: &Limits) -> Class {
+    /// What misleads at every visit, and what does at this one.
+    fn misleads(&self, visit: usize) -> [Misleading; 2] {
+        let of = |seed: u64, share: f32| Misleading {
+            seed,
+            patch: quantile(&self.space, PATCHES * self.severity * share),
+            thing: THINGS * self.severity * share,
+        };
+        let own = scramble(self.seed ^ scramble(visit as u64 ^ 0x5eed));
+        [of(self.seed, self.repeated), of(own, 1.0 - self.repeated)]
+    }
+}
+
+/// What is out there and misleads, from wherever it is seen.
+struct Misleading {
+    seed: u64,
+    /// From which value of the noise in space on a patch misleads.
+    patch: f32,
+    /// Share of the things that mislead as a whole.
+    thing: f32,
+}
+
+impl Misleading {
+    /// What a pixel is taken for; `None` for what it is.
+    fn class(&self, sight: &Sight<'_>, pixel: usize, class: Class) -> Option<Class> {
         let hit = sight.hit(&sight.hits, pixel);
         if let Some(surface) = sight.surface(hit.face) {
             let chance = |number| lattice(self.seed, i64::from(surface.thing.seed), number);
-            if chance(1) < limits.thing {
-                return class.mistaken(chance(2));
+            if chance(1) < self.thing {
+                return Some(class.mistaken(chance(2)));
             }
         }
         let point = if hit.range_m < FAR {
@@ -153,19 +187,18 @@ impl Labeller {
         } else {
             hit.ray.map(|part| 14.0 * part)
         };
-        if noise3(self.seed, point.map(|part| part / PATCH_M)) <= limits.patch {
-            return class;
+        if noise3(self.seed, point.map(|part| part / PATCH_M)) <= self.patch {
+            return None;
         }
         let [x, y, z] = point.map(|part| (part / (3.0 * PATCH_M)).floor() as i64);
-        class.mistaken(lattice(self.seed ^ 3, x ^ z << 40, y))
+        Some(class.mistaken(lattice(self.seed ^ 3, x ^ z << 40, y)))
     }
 }
 
 /// From which values of the noises on there are mistakes.
 struct Limits {
-    patch: f32,
+    misleads: [Misleading; 2],
     blob: f32,
-    thing: f32,
     pixel: f32,
     shift: f32,
 }

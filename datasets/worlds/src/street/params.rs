@@ -33,6 +33,10 @@ pub struct Street {
     /// Share of wrong pixels in the noisy labels.
     #[schemars(range(min = 0.0, max = 0.6))]
     pub label_noise: f64,
+    /// Of what misleads the labeller for a whole visit, the share that does so in every visit: the rest is another in each,
+    /// as light and seasons are.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub repeated_mistakes: f64,
     /// Whether colour and depth panoramas are made too; without them 13,000 views take minutes.
     pub colour: bool,
     /// Speed on straight streets, m/s; bends are taken slower.
@@ -61,6 +65,7 @@ impl Default for Street {
             height_px: 333,
             cars: 9.0,
             label_noise: 0.18,
+            repeated_mistakes: 0.5,
             colour: true,
             speed_mps: 2.5,
             odometry_rate_hz: 50.0,

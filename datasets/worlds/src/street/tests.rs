@@ -351,3 +351,30 @@ fn pictures() {
         }
     }
 }
+
+#[test]
+fn mistakes_come_back_in_another_visit_as_much_as_is_asked() {
+    // Of the pixels that are wrong in both visits, how many more than by chance.
+    let both = |repeated_mistakes: f64| {
+        let labels = labels_of(&Street {
+            repeated_mistakes,
+            width_px: 512,
+            height_px: 166,
+            ..Street::default()
+        });
+        let (mut both, mut by_chance) = (0, 0.0);
+        for index in (0..200).step_by(20) {
+            let wrong = [0, 1].map(|visit| wrong(&labels, visit, index));
+            let [a, b] = [0, 1].map(|visit| wrong[visit].iter().filter(|wrong| **wrong).count());
+            by_chance += (a * b) as f64 / wrong[0].len() as f64;
+            let pairs = wrong[0].iter().zip(&wrong[1]);
+            both += pairs.filter(|(a, b)| **a && **b).count();
+        }
+        both as f64 / by_chance
+    };
+    let [none, half, all] = [0.0, 0.5, 1.0].map(both);
+    assert!(
+        none < half && half < all && all > 1.2 * none,
+        "{none} {half} {all}"
+    );
+}

@@ -138,8 +138,7 @@ impl StreetLabels {
         visit: usize,
         index: usize,
     ) -> Vec<Class> {
-        let shot = (visit as u64) << 40 | index as u64;
-        self.labeller.noisy(sight, exact, shot)
+        self.labeller.noisy(sight, exact, [visit, index])
     }
 }
 
