@@ -15,8 +15,9 @@
 
 use std::path::Path;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
+use bytes::Bytes;
 use futures::{StreamExt, TryStreamExt};
 use object_store::path::Path as ObjectPath;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt, PutMode};
@@ -86,7 +87,8 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn meta(&self, name: &str) -> Result<Option<ObjectMeta>, Fault> {
-        there(self.store.head(&self.path(name)).await, name)
+        let path = self.path(name);
+        there(answered(|| self.store.head(&path)).await, name)
     }
 
     /// The JSON at a name; `None` where there is none.
@@ -94,17 +96,22 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not answer, a data fault for JSON of another shape.
     pub async fn read_json<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, Fault> {
-        let Some(found) = there(self.store.get(&self.path(name)).await, name)? else {
+        let Some(bytes) = self.read(name).await? else {
             return Ok(None);
         };
-        let bytes = found.bytes().await;
-        let bytes = bytes.map_err(|error| store_fault(&error, name))?;
         serde_json::from_slice(&bytes).map(Some).map_err(|error| {
             Fault::data(format!(
                 "expected what evermap wrote, found other JSON: {error}"
             ))
             .at(format!("{}{name}", self.url))
         })
+    }
+
+    /// The bytes at a name; `None` where there is none.
+    async fn read(&self, name: &str) -> Result<Option<Bytes>, Fault> {
+        let path = self.path(name);
+        let read = || async { self.store.get(&path).await?.bytes().await };
+        there(answered(read).await, name)
     }
 
     /// Writes a file, whole or not at all; replaces what was there. When it returns, a power failure cannot undo it: so
@@ -131,7 +138,8 @@ impl Store {
         self.write(name, json_bytes(value)?).await
     }
 
-    /// Writes JSON where nothing was; `false` where something was.
+    /// Writes JSON where nothing was; `false` where something else was. Of several that write the same bytes at once, each
+    /// may be told that it did.
     ///
     /// # Errors
     /// A resource fault when the store does not take it.
@@ -143,13 +151,21 @@ impl Store {
                 .with(name, move |folder| folder.create(&owned, &bytes))
                 .await;
         }
-        let put = self
-            .store
-            .put_opts(&path, bytes.into(), PutMode::Create.into());
-        match put.await {
-            Ok(_) => Ok(true),
-            Err(object_store::Error::AlreadyExists { .. }) => Ok(false),
-            Err(error) => Err(store_fault(&error, name)),
+        let bytes = Bytes::from(bytes);
+        let mut tries = 1;
+        loop {
+            let put = self
+                .store
+                .put_opts(&path, bytes.clone().into(), PutMode::Create.into());
+            let Err(error) = put.await else {
+                return Ok(true);
+            };
+            // The answer to the first try may have been lost: then it is these bytes that are there.
+            match self.read(name).await? {
+                Some(found) => return Ok(found == bytes),
+                None if tries == TRIES => return Err(store_fault(&error, name)),
+                None => tries += 1,
+            }
         }
     }
 
@@ -164,10 +180,13 @@ impl Store {
                 .with(to, move |folder| folder.settle(&from, &owned))
                 .await;
         }
-        self.store
-            .rename(&self.path(from), &self.path(to))
-            .await
-            .map_err(|error| store_fault(&error, to))
+        let copied = self.store.copy(&self.path(from), &self.path(to)).await;
+        copied.map_err(|error| store_fault(&error, to))?;
+        // It has its name; what is left of the other one is `gc`'s.
+        if let Err(fault) = self.remove(from).await {
+            tracing::debug!("{from} is not removed: {fault}");
+        }
+        Ok(())
     }
 
     /// Removes a name; a name that is not there is fine.
@@ -179,7 +198,8 @@ impl Store {
             let owned = name.to_owned();
             return folder.with(name, move |folder| folder.remove(&owned)).await;
         }
-        there(self.store.delete(&self.path(name)).await, name).map(drop)
+        let path = self.path(name);
+        there(answered(|| self.store.delete(&path)).await, name).map(drop)
     }
 
     /// Removes a name in a local folder at once; elsewhere nothing happens. What cannot wait for [`Store::remove`] calls it.
@@ -215,7 +235,7 @@ impl Store {
 
     async fn objects_in(&self, folder: &str) -> Result<Vec<ObjectMeta>, Fault> {
         let path = self.path(folder);
-        let found = self.store.list_with_delimiter(Some(&path)).await;
+        let found = answered(|| self.store.list_with_delimiter(Some(&path))).await;
         Ok(found.map_err(|error| store_fault(&error, folder))?.objects)
     }
 }
@@ -245,6 +265,32 @@ pub async fn each<F: Future<Output = Result<T, Fault>>, T>(
     let asked: Vec<F> = asked.into_iter().collect();
     let answers = futures::stream::iter(asked).buffered(SIDE_BY_SIDE);
     answers.try_collect().await
+}
+
+/// How often something is asked of a store that does not answer whole.
+const TRIES: usize = 3;
+
+/// How long something is asked again. Object stores try by themselves, for minutes, what they know to be safe; what is
+/// left are answers that were lost on their way, and these are soon told.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Asks a store for something that can be asked twice, and again where the answer was lost.
+async fn answered<T, F: Future<Output = object_store::Result<T>>>(
+    ask: impl Fn() -> F,
+) -> object_store::Result<T> {
+    let begun = Instant::now();
+    let mut tries = 1;
+    loop {
+        match ask().await {
+            Err(object_store::Error::Generic { source, .. })
+                if tries < TRIES && begun.elapsed() < PATIENCE =>
+            {
+                tracing::debug!("asked again: {source}");
+                tries += 1;
+            }
+            answer => return answer,
+        }
+    }
 }
 
 /// What a store answers; `None` where it has nothing of this name.
