@@ -6,6 +6,9 @@
 //!          └─ what it finds that reaches new code
 //! ```
 
+mod logs;
+mod queries;
+
 use std::str::from_utf8;
 
 use arrow::array::StructArray;
@@ -16,17 +19,23 @@ use evermap_language::{
 use evermap_messages::{Decoder, MessageType};
 use evermap_schemas::Stamp;
 use evermap_schemas::roles::{self, CameraNames, Fields, Message};
+use evermap_vision::{Grey, Rgb};
+use evermap_vision::{decode_colour, decode_depth, decode_grey, decode_labels, image_size};
 use serde_json::{Value, json};
 
 /// A target.
 pub type Target = fn(&[u8]);
 
 /// All targets by name; each has a folder in `corpus` and a file in `guided/targets`.
-pub const TARGETS: [(&str, Target); 4] = [
+pub const TARGETS: [(&str, Target); 8] = [
     ("definitions", definitions),
     ("payloads", payloads),
     ("roles", roles),
     ("plans", plans),
+    ("logs", logs::logs),
+    ("summaries", logs::summaries),
+    ("images", images),
+    ("queries", queries::queries),
 ];
 
 /// Encodings of messages and of their definitions, and a name that a definition may have.
@@ -134,6 +143,40 @@ fn roles(bytes: &[u8]) {
         if role.image.is_none() {
             let _ = (role.read)(&messages);
         }
+    }
+}
+
+/// Pixels of the largest image that is decoded: larger ones take time and show nothing else.
+const PIXELS: u64 = 1 << 16;
+
+/// Decodes an image in every way that there is.
+fn images(bytes: &[u8]) {
+    let Ok([width, height]) = image_size(bytes) else {
+        return;
+    };
+    let pixels = u64::from(width) * u64::from(height);
+    if pixels > PIXELS {
+        return;
+    }
+    let mut grey = Grey::default();
+    if decode_grey(bytes, &mut grey).is_ok() {
+        assert_eq!(
+            grey.data.len() as u64,
+            u64::from(grey.width) * u64::from(grey.height)
+        );
+    }
+    let mut rgb = Rgb::default();
+    if decode_colour(bytes, &mut rgb).is_ok() {
+        assert_eq!(
+            rgb.data.len() as u64,
+            3 * u64::from(rgb.width) * u64::from(rgb.height)
+        );
+    }
+    if let Ok(depth) = decode_depth(bytes) {
+        assert_eq!(depth.data.len() as u64, pixels);
+    }
+    if let Ok(labels) = decode_labels(bytes) {
+        assert_eq!(labels.data.len() as u64, pixels);
     }
 }
 

@@ -8,8 +8,10 @@ use evermap_fuzz::TARGETS;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Mutated inputs of each target.
+/// Mutated inputs of each target, and of those that take longer.
 const MUTATED: usize = 20_000;
+const MUTATED_SLOWLY: usize = 2_000;
+const SLOW: [&str; 2] = ["images", "queries"];
 
 fn corpus(target: &str) -> Vec<Vec<u8>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -58,7 +60,12 @@ fn every_target_comes_back_from_the_corpus_and_what_is_like_it() {
         let inputs = corpus(name);
         inputs.iter().for_each(|input| target(input));
         let mut random = ChaCha8Rng::seed_from_u64(seed);
-        for _ in 0..MUTATED {
+        let many = if SLOW.contains(&name) {
+            MUTATED_SLOWLY
+        } else {
+            MUTATED
+        };
+        for _ in 0..many {
             target(&mutated(&inputs, &mut random));
         }
     }
