@@ -2,9 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::{Duration, Instant};
 
 use rand::{Rng, SeedableRng};
@@ -32,12 +34,18 @@ fn start(arguments: &[&str]) -> Process {
     )
 }
 
+/// A port that nothing listens on, and the next one neither. The system gives none of these to whoever asks for just any
+/// port, and no two tests get the same.
 fn free_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap()
-        .port()
+    static NEXT: AtomicU16 = AtomicU16::new(0);
+    let begin = u16::try_from(std::process::id() % 100).unwrap() * 200;
+    loop {
+        let port = 10_000 + begin + 2 * (NEXT.fetch_add(1, Ordering::Relaxed) % 100);
+        let free = |port| TcpListener::bind(("127.0.0.1", port)).is_ok();
+        if free(port) && free(port + 1) {
+            return port;
+        }
+    }
 }
 
 fn listening(port: u16) {
@@ -199,6 +207,94 @@ fn an_executor_that_stops_answering_is_given_up() {
     let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
     ended.expect(0);
     assert_eq!(layers(&map), layers(&local));
+}
+
+/// Units of a map that are done.
+fn receipts(map: &Path) -> usize {
+    std::fs::read_dir(map.join("receipts")).map_or(0, Iterator::count)
+}
+
+fn until_one_is_done(map: &Path) {
+    while receipts(map) == 0 {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// How many units have ended by the time that none does any more: long after one would have, were others begun.
+fn receipts_in_the_end(map: &Path) -> usize {
+    let mut found = receipts(map);
+    loop {
+        std::thread::sleep(Duration::from_secs(4));
+        match receipts(map) {
+            now if now == found => return now,
+            now => found = now,
+        }
+    }
+}
+
+#[test]
+fn what_a_stopped_or_killed_run_has_not_begun_is_not_begun_any_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = sessions(folder.path(), 12, 40.0);
+    let cluster = Cluster {
+        scheduler: free_port(),
+    };
+    let _scheduler = cluster.scheduler();
+    let _executor = cluster.executor();
+
+    let stopped = folder.path().join("stopped");
+    let run = Process(on_cluster(&stopped, &sessions, &cluster, "120"));
+    until_one_is_done(&stopped);
+    signal(&run, "-TERM");
+    let mut run = run;
+    assert_eq!(run.0.wait().unwrap().code(), Some(1));
+    let done = receipts(&stopped);
+    let ended = receipts_in_the_end(&stopped);
+    // The executor has one slot: what it was at may end.
+    assert!(
+        ended <= done + 1 && ended < sessions.len(),
+        "{done} {ended}"
+    );
+
+    let killed = folder.path().join("killed");
+    let run = Process(on_cluster(&killed, &sessions, &cluster, "120"));
+    until_one_is_done(&killed);
+    drop(run);
+    // A minute passes.
+    std::fs::remove_dir_all(killed.join("leases")).unwrap();
+    let done = receipts(&killed);
+    let ended = receipts_in_the_end(&killed);
+    assert!(
+        ended <= done + 1 && ended < sessions.len(),
+        "{done} {ended}"
+    );
+}
+
+#[test]
+fn a_run_whose_executors_have_all_died_says_so_and_goes_on_with_the_next() {
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = sessions(folder.path(), 6, 40.0);
+    let cluster = Cluster {
+        scheduler: free_port(),
+    };
+    let _scheduler = cluster.scheduler();
+    let executor = cluster.executor();
+    let map = folder.path().join("map");
+    let mut run = on_cluster(&map, &sessions, &cluster, "120");
+    until_one_is_done(&map);
+    drop(executor);
+    let begun = Instant::now();
+    let mut said = BufReader::new(run.stderr.take().unwrap()).lines();
+    let found = said.find(|line| line.as_ref().unwrap().contains("no executor is connected"));
+    assert!(found.is_some(), "the run ended without an executor");
+    assert!(
+        begun.elapsed() < Duration::from_secs(40),
+        "{:?}",
+        begun.elapsed()
+    );
+    let _executor = cluster.executor();
+    let rest: Vec<String> = said.map(Result::unwrap).collect();
+    assert!(run.wait().unwrap().success(), "{rest:?}");
 }
 
 /// Disturbances of a cluster, one after another: executors die, stop answering for a while, come and go; now and then the

@@ -174,6 +174,70 @@ fn flipped_bytes_are_not_built_upon() {
     assert_eq!(mapped.evermap("layers", &[]).expect(0).stdout, layers);
 }
 
+/// A plan that reads a layer of the version before.
+const GROWN: &str = "plan: grown
+extends: trajectory
+steps:
+  met: { sql: 'SELECT count(*) AS lanes, sum(length_m) AS length_m FROM previous.lanes' }
+write: [met]
+";
+
+#[test]
+fn what_is_damaged_of_the_version_before_is_made_anew_by_its_own_recipe() {
+    let mapped = Mapped::new();
+    let plan = mapped.folder.path().join("grown.yaml");
+    std::fs::write(&plan, GROWN).unwrap();
+    // Other parameters, so that this run itself makes nothing that the version before has.
+    let run = || -> Finished {
+        let run = [
+            "run",
+            text(&plan),
+            "--map",
+            text(&mapped.map),
+            "--progress",
+            "none",
+        ];
+        let mut run = command(&run);
+        run.args(["--set", "keyframes.baseline_m=0.7", "--sessions"]);
+        run.arg(mapped.log("b")).output().unwrap().into()
+    };
+    let lanes = mapped.query("SELECT count(*) AS lanes, sum(length_m) AS length_m FROM lanes");
+    let damaged: Vec<PathBuf> = ["keyframes", "poses", "lanes"]
+        .iter()
+        .flat_map(|layer| mapped.artifacts(layer))
+        .collect();
+    let before: Vec<Vec<u8>> = damaged
+        .iter()
+        .map(|path| std::fs::read(path).unwrap())
+        .collect();
+    damaged.iter().for_each(|path| flip(path));
+    std::fs::remove_file(&damaged[0]).unwrap();
+
+    let receipts = mapped.map.join("receipts");
+    let kept = mapped.folder.path().join("receipts");
+    std::fs::rename(&receipts, &kept).unwrap();
+    let refused = run().expect(1).stderr;
+    assert!(refused.contains("cannot be made anew"), "{refused}");
+    assert!(
+        damaged.iter().any(|path| refused.contains(name(path))),
+        "{refused}"
+    );
+    let _ = std::fs::remove_dir_all(&receipts);
+    std::fs::rename(&kept, &receipts).unwrap();
+
+    let told = run().expect(0).stderr;
+    assert_eq!(mapped.query("SELECT lanes, length_m FROM met"), lanes);
+    for (path, before) in damaged.iter().zip(before) {
+        assert!(told.contains(name(path)), "{told}");
+        assert!(
+            std::fs::read(path).unwrap() == before,
+            "{} differs",
+            path.display()
+        );
+    }
+    mapped.evermap("verify", &[]).expect(0);
+}
+
 #[test]
 fn torn_receipts_versions_and_records_of_runs_are_ignored_and_said() {
     let mapped = Mapped::new();

@@ -34,6 +34,7 @@ mod sessions;
 pub mod shipped;
 pub mod shown;
 
+use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -75,16 +76,21 @@ pub fn main() -> std::process::ExitCode {
 async fn until_interrupted(command: Command) -> Ending {
     let command = Arc::new(command);
     let own_interrupts = matches!(&*command, Command::Sql(args) if is_prompt(args));
+    let (unfinished, mut all_finished) = tokio::sync::mpsc::channel::<Infallible>(1);
     let mut work = tokio::spawn({
         let command = Arc::clone(&command);
-        async move { commands::dispatch(&command).await }
+        async move { commands::dispatch(&command, &unfinished).await }
     });
     tokio::select! {
         ending = &mut work => ending.unwrap_or_else(|error| Err(panicked(&error))),
         () = stopped(), if !own_interrupts => {
             work.abort();
             // Temporary files go when the work is dropped; a kernel that is busy is not waited for.
-            let _ = tokio::time::timeout(Duration::from_secs(1), work).await;
+            let ended = tokio::time::timeout(Duration::from_secs(1), work).await;
+            // A run on a cluster cancels its jobs.
+            if ended.is_ok() {
+                let _ = tokio::time::timeout(Duration::from_secs(5), all_finished.recv()).await;
+            }
             stopping(&command)
         }
     }

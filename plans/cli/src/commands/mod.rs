@@ -19,17 +19,18 @@ pub mod simulate;
 pub mod sql;
 
 use clap::CommandFactory;
+use evermap_engine::run::runner::Unfinished;
 
 use crate::arguments::{Arguments, Command};
 use crate::ending::{DONE, Ending};
 
-/// Does what the command line says.
+/// Does what the command line says. `unfinished` is held by what goes on where the command was stopped.
 ///
 /// # Errors
 /// Why it failed.
-pub async fn dispatch(command: &Command) -> Ending {
+pub async fn dispatch(command: &Command, unfinished: &Unfinished) -> Ending {
     match command {
-        Command::Run(args) => run::run(args).await,
+        Command::Run(args) => run::run(args, unfinished).await,
         Command::Check(args) => check::check(args).await,
         Command::Test(args) => check::test(args).await,
         Command::Explain(args) => explain::explain(args).await,

@@ -9,7 +9,7 @@ use evermap_engine::map::Map;
 use evermap_engine::preflight::in_words;
 use evermap_engine::prepare::{Prepared, Replaced};
 use evermap_engine::run::record::record_run;
-use evermap_engine::run::runner::{LocalRunner, Runner};
+use evermap_engine::run::runner::{LocalRunner, Runner, Unfinished};
 use evermap_engine::run::{RunEnd, RunResult};
 use evermap_engine::sql::Limits;
 
@@ -27,7 +27,7 @@ use crate::sessions;
 ///
 /// # Errors
 /// The plan's faults before anything runs; then the first unit's.
-pub async fn run(args: &RunArgs) -> Ending {
+pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
     let begun = Instant::now();
     let registry = evermap_catalog::registry();
     let mut prepared = sessions::prepare(&args.input, &registry, &args.map).await?;
@@ -42,7 +42,7 @@ pub async fn run(args: &RunArgs) -> Ending {
     warn_of_missing(&prepared);
     tell_of_unplayed(&prepared);
     let jobs = jobs(&args.limits);
-    let runner = runner(args, &registry, jobs).await?;
+    let runner = runner(args, &registry, jobs, unfinished).await?;
     let result = loop {
         prepared.remember().await?;
         let run = prepared.run(&registry, limits(&args.limits, jobs));
@@ -145,18 +145,26 @@ async fn runner(
     args: &RunArgs,
     registry: &Registry,
     jobs: usize,
+    unfinished: &Unfinished,
 ) -> Result<Box<dyn Runner>, Fault> {
     let deadline = Duration::from_secs(args.deadline_s);
     let registry = registry.clone();
     Ok(match args.cluster.as_deref() {
-        Some(IN_PROCESS) => Box::new(ClusterRunner::in_process(registry, jobs, deadline).await?),
-        Some(url) => Box::new(ClusterRunner::new(url, registry, deadline)),
+        Some(IN_PROCESS) => {
+            Box::new(ClusterRunner::in_process(registry, jobs, deadline, unfinished).await?)
+        }
+        Some(url) => Box::new(ClusterRunner::new(url, registry, deadline, unfinished)),
         None => Box::new(LocalRunner::new(registry, jobs)),
     })
 }
 
 #[cfg(not(feature = "cluster"))]
-async fn runner(_: &RunArgs, registry: &Registry, jobs: usize) -> Result<Box<dyn Runner>, Fault> {
+async fn runner(
+    _: &RunArgs,
+    registry: &Registry,
+    jobs: usize,
+    _: &Unfinished,
+) -> Result<Box<dyn Runner>, Fault> {
     Ok(Box::new(LocalRunner::new(registry.clone(), jobs)))
 }
 

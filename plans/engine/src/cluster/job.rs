@@ -91,6 +91,10 @@ impl RunUnit {
             Fault::bug(format!("a unit does not read: {error}"))
                 .next("run the same evermap everywhere")
         })?;
+        if !unit.is_wanted().await.map_err(|fault| coded(&fault))? {
+            let fault = Fault::resource(format!("the run that {} is for has ended", unit.label()));
+            return Err(coded(&fault));
+        }
         match unit.run(&self.registry).await {
             Ok(_) => Ok(String::new()),
             // What the machine was short of may be there on another one: let the task fail and be tried again.

@@ -16,7 +16,7 @@ use crate::cluster::scheduler::{Job, JobState, Scheduler, failures};
 use crate::error::remote_fault;
 use crate::map::receipt::Receipt;
 use crate::map::store::Store;
-use crate::run::runner::{Outcome, Runner};
+use crate::run::runner::{Outcome, Runner, Unfinished};
 use crate::unit::Unit;
 
 /// How often the map store is asked for receipts.
@@ -32,18 +32,20 @@ const PAUSE: Duration = Duration::from_secs(5);
 /// the square; a message may have 16 MiB.
 const JOB_BYTES: usize = 1 << 20;
 
-/// Runs units on a Ballista cluster.
+/// Runs units on a Ballista cluster. When nobody waits for them any more, their jobs are cancelled.
 #[derive(Clone)]
 pub struct ClusterRunner {
     scheduler: String,
     registry: Registry,
     deadline: Duration,
+    /// Held while jobs are open.
+    _unfinished: Unfinished,
 }
 
 impl ClusterRunner {
     /// Runs units on the cluster of the scheduler at `url` (`http://host:port`), and gives up when none has ended for as
     /// long as the deadline.
-    pub fn new(url: &str, registry: Registry, deadline: Duration) -> Self {
+    pub fn new(url: &str, registry: Registry, deadline: Duration, unfinished: &Unfinished) -> Self {
         let scheduler = match url.split_once("://") {
             Some((_, address)) => format!("http://{address}"),
             None => format!("http://{url}"),
@@ -52,6 +54,7 @@ impl ClusterRunner {
             scheduler,
             registry,
             deadline,
+            _unfinished: unfinished.clone(),
         }
     }
 
@@ -63,6 +66,7 @@ impl ClusterRunner {
         registry: Registry,
         slots: usize,
         deadline: Duration,
+        unfinished: &Unfinished,
     ) -> Result<Self, Fault> {
         let state = session_state(session_config(), &registry);
         let address = ballista_scheduler::standalone::new_standalone_scheduler_from_state(&state)
@@ -79,6 +83,7 @@ impl ClusterRunner {
             scheduler: url,
             registry,
             deadline,
+            _unfinished: unfinished.clone(),
         })
     }
 }
@@ -111,6 +116,8 @@ enum Lost {
     Job(Fault),
     /// No unit has ended for as long as the deadline.
     Deadline,
+    /// Nobody waits for the outcomes any more: the run was stopped.
+    Run,
 }
 
 impl From<Fault> for Lost {
@@ -140,6 +147,7 @@ impl Wave {
                     reason = Some(fault);
                 }
                 Lost::Deadline => {}
+                Lost::Run => return,
             }
             if failures == FAILURES || progress.elapsed() >= self.cluster.deadline {
                 let fault = self.given_up(failures, reason);
@@ -148,7 +156,10 @@ impl Wave {
             if let Some(reason) = &reason {
                 tracing::warn!(missing = missing.len(), %reason, "submitting anew what is missing");
             }
-            tokio::time::sleep(pause).await;
+            tokio::select! {
+                () = tokio::time::sleep(pause) => {}
+                () = self.outcomes.closed() => return,
+            }
             pause = (pause * 2).min(PAUSE);
         }
     }
@@ -175,8 +186,8 @@ impl Wave {
         }
     }
 
-    /// Submits jobs of what has no receipt yet and follows them until they end, or nothing has ended for as long as the
-    /// deadline. Those that are open then are cancelled.
+    /// Submits jobs of what has no receipt yet and follows them until they end, nothing has ended for as long as the
+    /// deadline, or the run was stopped. Those that are open then are cancelled.
     async fn attempt(&self, missing: &mut Missing, progress: &mut Instant) -> Result<(), Lost> {
         // Units that ran when an attempt was given up may have ended since.
         let all: Vec<usize> = missing.keys().copied().collect();
@@ -194,9 +205,10 @@ impl Wave {
             }
         }
         if ended.is_ok() {
-            ended = self
-                .follow(&mut scheduler, &mut jobs, missing, progress)
-                .await;
+            ended = tokio::select! {
+                ended = self.follow(&mut scheduler, &mut jobs, missing, progress) => ended,
+                () = self.outcomes.closed() => Err(Lost::Run),
+            };
         }
         for job in jobs {
             scheduler.cancel(job).await;

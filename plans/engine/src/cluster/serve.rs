@@ -1,23 +1,33 @@
 //! The processes of a cluster.
 
+use std::convert::Infallible;
 use std::fmt;
 use std::sync::{Arc, OnceLock};
+use std::time::Duration;
 
 use ballista_core::config::TaskSchedulingPolicy;
 use ballista_core::extension::SessionConfigExt;
 use ballista_core::registry::BallistaFunctionRegistry;
+use ballista_core::serde::protobuf::job_status::Status;
 use ballista_executor::executor_process::{ExecutorProcessConfig, start_executor_process};
-use ballista_scheduler::cluster::{BallistaCluster, ClusterState};
+use ballista_scheduler::cluster::{BallistaCluster, ClusterState, JobState};
 use ballista_scheduler::config::SchedulerConfig;
-use ballista_scheduler::scheduler_process::start_server;
+use ballista_scheduler::scheduler_process::{create_scheduler, start_grpc_service};
+use ballista_scheduler::scheduler_server::SchedulerServer;
+use datafusion_proto::protobuf::{LogicalPlanNode, PhysicalPlanNode};
 use evermap_contract::Registry;
 use evermap_schemas::Fault;
 
 use crate::cluster::job::{session_config, session_state};
 use crate::error::{external, remote_fault};
 
-/// Serves as a scheduler until stopped. A job that comes while no executor is connected is refused: it would wait in
-/// silence.
+/// How often is looked whether executors are left.
+const WATCH: Duration = Duration::from_secs(2);
+
+type Server = SchedulerServer<LogicalPlanNode, PhysicalPlanNode>;
+
+/// Serves as a scheduler until stopped. A job that comes while no executor is connected is refused, and cancelled when
+/// the last one has gone: it would wait in silence.
 ///
 /// # Errors
 /// A resource fault when the address is taken, a user fault when it is none.
@@ -48,10 +58,41 @@ pub async fn scheduler(host: &str, port: u16, registry: Registry) -> Result<(), 
     let cluster = BallistaCluster::new_from_config(&config)
         .await
         .map_err(|error| failed(&error))?;
-    let _ = executors.set(cluster.cluster_state());
-    start_server(cluster, address, Arc::new(config))
+    let (state, jobs) = (cluster.cluster_state(), cluster.job_state());
+    let _ = executors.set(Arc::clone(&state));
+    config.validate().map_err(|error| failed(&error))?;
+    let server: Server = create_scheduler(cluster, Arc::new(config))
         .await
-        .map_err(|error| failed(&error))
+        .map_err(|error| failed(&error))?;
+    tokio::select! {
+        ended = start_grpc_service(address, server.clone()) => ended.map_err(|error| failed(&error)),
+        never = cancel_abandoned(&server, state.as_ref(), jobs.as_ref()) => match never {},
+    }
+}
+
+/// Cancels the jobs that are open while no executor is left. Whoever follows one hears of it, and of the reason when it
+/// submits anew.
+async fn cancel_abandoned(
+    server: &Server,
+    executors: &dyn ClusterState,
+    jobs: &dyn JobState,
+) -> Infallible {
+    loop {
+        tokio::time::sleep(WATCH).await;
+        if !executors.executor_heartbeats().is_empty() {
+            continue;
+        }
+        for job in jobs.get_all_jobs().await.unwrap_or_default() {
+            let status = jobs.get_job_status(&job).await.ok().flatten();
+            let status = status.and_then(|job| job.status);
+            if !matches!(status, Some(Status::Queued(_) | Status::Running(_))) {
+                continue;
+            }
+            if let Err(error) = server.cancel_job(job).await {
+                tracing::warn!(%error, "a job without executors is not cancelled");
+            }
+        }
+    }
 }
 
 /// Where an executor listens, and for whom it works.

@@ -71,6 +71,11 @@ impl Lease {
         Ok(lease)
     }
 
+    /// Its name in the map.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
     /// A lease for `gc`.
     ///
     /// # Errors
@@ -125,6 +130,15 @@ async fn renew(store: Store, name: String, work: Work) {
     }
 }
 
+/// Whether the lease of this name is held still.
+///
+/// # Errors
+/// A resource fault when the store does not answer, a data fault for a lease that does not read.
+pub async fn is_held(store: &Store, name: &str) -> Result<bool, Fault> {
+    let lease = store.read_json::<Written>(name).await?;
+    Ok(lease.is_some_and(|lease| lease.until >= Utc::now()))
+}
+
 /// Whether somebody holds a lease for this work. Leases that have ended are removed.
 async fn is_at(store: &Store, work: Work) -> Result<bool, Fault> {
     let mut found = false;
@@ -150,7 +164,10 @@ mod tests {
         let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
         let run = Lease::of_run(&store).await.unwrap();
         let another = Lease::of_run(&store).await.unwrap();
+        let name = another.name().to_owned();
+        assert!(is_held(&store, &name).await.unwrap());
         another.end().await;
+        assert!(!is_held(&store, &name).await.unwrap());
         let fault = Lease::of_gc(&store).await.unwrap_err();
         assert!(fault.to_string().contains("a run is at work"), "{fault}");
         drop(run);
@@ -178,6 +195,7 @@ mod tests {
             until: Utc::now() - TERM,
         };
         store.write_json("leases/dead.json", &ended).await.unwrap();
+        assert!(!is_held(&store, "leases/dead.json").await.unwrap());
         store.write("leases/torn.json", Vec::new()).await.unwrap();
         Lease::of_gc(&store).await.unwrap().end().await;
         assert_eq!(store.list(FOLDER).await.unwrap(), []);

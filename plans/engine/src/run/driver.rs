@@ -1,17 +1,20 @@
 //! A run at work: ready units are begun, what they leave makes others ready.
 
 use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
 
 use evermap_schemas::Fault;
 use futures::StreamExt;
 use futures::stream::SelectAll;
 
 use crate::map::damage::Damage;
+use crate::map::lease::Lease;
 use crate::map::receipt::Receipt;
 use crate::map::sound::Sound;
 use crate::map::store::each;
 use crate::map::version::{Previous, StoredLayer};
 use crate::program::Stage;
+use crate::run::mend::{Makers, Mending};
 use crate::run::pending::{Pending, Place};
 use crate::run::previous::Held;
 use crate::run::runner::Runner;
@@ -21,6 +24,7 @@ use crate::unit::Unit;
 /// A run under way, unit by unit.
 pub struct Driver<'r, 'a> {
     run: &'r Run<'a>,
+    lease: &'r Lease,
     /// What `previous` means in it.
     pub previous: Previous,
     /// What was done once, in the version before.
@@ -34,6 +38,8 @@ pub struct Driver<'r, 'a> {
     dependents: BTreeMap<Place, Vec<usize>>,
     /// What was done, and whether it had been done before.
     receipts: BTreeMap<Place, (Receipt, bool)>,
+    /// Receipts that were taken away, as their rows are damaged.
+    damaged: Mutex<Makers>,
 }
 
 impl<'r, 'a> Driver<'r, 'a> {
@@ -41,7 +47,12 @@ impl<'r, 'a> Driver<'r, 'a> {
     ///
     /// # Errors
     /// As [`Run::units`] and [`Run::previous`].
-    pub fn new(run: &'r Run<'a>, held: Held, sound: Sound<'r>) -> Result<Self, Fault> {
+    pub fn new(
+        run: &'r Run<'a>,
+        lease: &'r Lease,
+        held: Held,
+        sound: Sound<'r>,
+    ) -> Result<Self, Fault> {
         let units = run.units()?;
         let mut dependents: BTreeMap<Place, Vec<usize>> = BTreeMap::new();
         for (index, unit) in units.iter().enumerate() {
@@ -51,12 +62,14 @@ impl<'r, 'a> Driver<'r, 'a> {
         }
         Ok(Self {
             run,
+            lease,
             previous: run.previous()?,
             held,
             sound,
             waiting: units.iter().map(|unit| unit.before.len()).collect(),
             dependents,
             receipts: BTreeMap::new(),
+            damaged: Mutex::default(),
             units,
         })
     }
@@ -92,7 +105,7 @@ impl<'r, 'a> Driver<'r, 'a> {
                 }
             }
             fresh.sort_by_key(|(index, _)| *index);
-            self.check_previous(&fresh).await?;
+            self.mend_previous(&fresh, runner).await?;
             if !fresh.is_empty() && first_fault.is_none() {
                 for (index, _) in &fresh {
                     let label = &self.label(*index);
@@ -125,10 +138,14 @@ impl<'r, 'a> Driver<'r, 'a> {
         let unit = self.unit(index)?;
         let digest = unit.recipe.digest()?;
         let receipt = match self.sound.receipt(&digest).await? {
-            Some((_, Some(damage))) => {
+            Some((receipt, Some(damage))) => {
                 tracing::warn!("{damage}; {} is made anew", self.label(index));
                 // Nobody else is to take it for done.
                 self.run.store.remove(&Receipt::name(&digest)).await?;
+                self.damaged
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .insert(damage.file, receipt);
                 None
             }
             found => found.map(|(receipt, _)| receipt),
@@ -136,16 +153,29 @@ impl<'r, 'a> Driver<'r, 'a> {
         Ok((index, unit, receipt))
     }
 
-    /// That what these units read of the version before is what was written then.
-    async fn check_previous(&self, units: &[(usize, Unit)]) -> Result<(), Fault> {
+    /// Makes anew what these units read of the version before, where it is not what was written then.
+    async fn mend_previous(
+        &self,
+        units: &[(usize, Unit)],
+        runner: &dyn Runner,
+    ) -> Result<(), Fault> {
         let layers = units
             .iter()
             .flat_map(|(_, unit)| unit.recipe.previous.values());
         let artifacts = layers.flat_map(|layer| &layer.artifacts);
-        match self.sound.damages(artifacts).await?.into_iter().next() {
-            Some(damage) => Err(damage.into()),
-            None => Ok(()),
-        }
+        let damaged = self.sound.damages(artifacts).await?;
+        let makers = self
+            .damaged
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone();
+        let mending = Mending {
+            run: self.run,
+            lease: self.lease,
+            sound: &self.sound,
+            runner,
+        };
+        mending.mend(damaged, makers).await
     }
 
     /// Notes a unit's receipt; the units that waited only for it are ready now.
@@ -181,7 +211,11 @@ impl<'r, 'a> Driver<'r, 'a> {
         let artifact = |place: &Place| Ok(self.receipt(place)?.artifact.clone());
         let unit = &self.units[index];
         let before = self.held.get(&unit.place.label());
-        unit.assemble(self.run, &self.previous, before, artifact)
+        let unit = unit.assemble(self.run, &self.previous, before, artifact)?;
+        Ok(Unit {
+            lease: self.lease.name().to_owned(),
+            ..unit
+        })
     }
 
     fn receipt(&self, place: &Place) -> Result<&Receipt, Fault> {

@@ -26,7 +26,7 @@ impl Run<'_> {
             return Err(Fault::user("no sessions to map").next("give some with --sessions FILES"));
         }
         let lease = Lease::of_run(self.store).await?;
-        let ended = self.rounds(runner, observe).await;
+        let ended = self.rounds(&lease, runner, observe).await;
         lease.end().await;
         match ended {
             // What a version needs may go when a newer one is there, so that is looked for first.
@@ -49,6 +49,7 @@ impl Run<'_> {
     /// Runs the units, and those anew whose rows have vanished since, until all are there at once.
     async fn rounds(
         &self,
+        lease: &Lease,
         runner: &dyn Runner,
         observe: &mut (dyn FnMut(Event<'_>) + Send),
     ) -> Result<RunEnd, Fault> {
@@ -56,7 +57,7 @@ impl Run<'_> {
         let mut round = 1;
         loop {
             let held = self.receipts_before(once).await?;
-            let mut driver = Driver::new(self, held, Sound::load(self.store).await?)?;
+            let mut driver = Driver::new(self, lease, held, Sound::load(self.store).await?)?;
             observe(Event::Planned {
                 units: driver.units(),
             });

@@ -149,6 +149,7 @@ impl Pending {
             recipe,
             logs: logs.map(|session| session.manifest.clone()).collect(),
             limits: run.limits,
+            lease: String::new(),
         })
     }
 }

@@ -110,16 +110,16 @@ fn sessions_of(base: &Version, wanted: impl Fn(&LogContent) -> bool) -> Vec<Stri
 pub type Held = BTreeMap<String, Receipt>;
 
 impl Run<'_> {
-    /// The receipts of the version before, of the layers that are wanted.
+    /// The receipts of the version before, of the layers that are wanted, whatever has become of their rows since.
     ///
     /// # Errors
-    /// As [`Receipt::find`].
+    /// As [`Receipt::read`].
     pub async fn receipts_before(&self, wanted: impl Fn(&str) -> bool) -> Result<Held, Fault> {
         let mut receipts = BTreeMap::new();
         let layers = self.base.iter().flat_map(|base| &base.layers);
         for (name, layer) in layers.filter(|(name, _)| wanted(name)) {
             for digest in &layer.recipes {
-                if let Some(receipt) = Receipt::find(self.store, digest).await? {
+                if let Some(receipt) = Receipt::read(self.store, digest).await? {
                     receipts.insert(receipt.recipe.extent.label(name), receipt);
                 }
             }

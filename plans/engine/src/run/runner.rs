@@ -1,5 +1,6 @@
 //! Who runs the ready units: this process, or a cluster.
 
+use std::convert::Infallible;
 use std::sync::Arc;
 
 use evermap_contract::Registry;
@@ -12,6 +13,9 @@ use crate::unit::Unit;
 
 /// A unit's number in its run, and what came of it.
 pub type Outcome = (usize, Result<Receipt, Fault>);
+
+/// Held by what must end before the process does, though nobody waits for what comes of it.
+pub type Unfinished = tokio::sync::mpsc::Sender<Infallible>;
 
 /// Runs units that are ready, in any order.
 pub trait Runner: Send + Sync {

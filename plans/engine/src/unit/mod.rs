@@ -13,7 +13,9 @@ use evermap_datasets::Manifest;
 use evermap_schemas::Fault;
 use serde::{Deserialize, Serialize};
 
+use crate::map::lease;
 use crate::map::receipt::Recipe;
+use crate::map::store::Store;
 use crate::program::Stage;
 use crate::sql::Limits;
 
@@ -28,6 +30,8 @@ pub struct Unit {
     pub logs: Vec<Manifest>,
     /// What it may use.
     pub limits: Limits,
+    /// The lease of the run that it is for.
+    pub lease: String,
 }
 
 impl Unit {
@@ -40,6 +44,14 @@ impl Unit {
             .stages
             .last()
             .ok_or_else(|| Fault::bug("a unit without stages"))
+    }
+
+    /// Whether the run that it is for is at work still, as far as its lease says.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn is_wanted(&self) -> Result<bool, Fault> {
+        lease::is_held(&Store::open(&self.store, false)?, &self.lease).await
     }
 
     /// What a person calls it.
