@@ -22,9 +22,13 @@ pub type Makers = BTreeMap<String, Receipt>;
 
 /// Mends files of a map on behalf of a run.
 pub struct Mending<'m, 'a> {
+    /// The run that needs them.
     pub run: &'m Run<'a>,
+    /// Its lease.
     pub lease: &'m Lease,
+    /// Which artifacts are what was written.
     pub sound: &'m Sound<'m>,
+    /// Who makes them anew.
     pub runner: &'m dyn Runner,
 }
 
