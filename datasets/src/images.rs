@@ -183,6 +183,12 @@ impl ImageReader {
         Ok(resolved)
     }
 
+    /// The topic that an image was recorded on; `None` where the log that the reference names does not say.
+    pub async fn topic(&self, image: &ImageRef) -> Option<String> {
+        let found = self.topic_and_unit(image).await.ok()?;
+        found.ok().map(|(topic, _)| topic)
+    }
+
     fn part(&self, session: &str, part: u32) -> Result<&Arc<LogPart>, Fault> {
         self.parts.get(&(session.into(), part)).ok_or_else(|| {
             Fault::user(format!(

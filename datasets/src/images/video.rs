@@ -158,14 +158,14 @@ impl ImageReader {
     }
 
     /// The topic that an image was recorded on, and the unit of its file that holds it.
-    async fn topic_and_unit(
+    pub(super) async fn topic_and_unit(
         &self,
         image: &ImageRef,
     ) -> Result<Result<(String, usize), Fault>, Fault> {
         let part = self.part(&image.session, image.part)?;
         let lost = || {
             let place = image.chunk.unwrap_or(image.offset);
-            let fault = "expected a video frame where the reference says, found none";
+            let fault = "expected an image where the reference says, found none";
             Fault::data(fault).at(format!("{} at {place}", part.url))
         };
         let place = image.chunk.unwrap_or(image.offset);

@@ -166,13 +166,13 @@ impl Picture {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::Encoder;
+    use crate::{Encoder, Style};
 
     #[test]
     fn a_picture_beyond_the_limit_is_refused_whatever_its_frame_claims() {
         for codec in [Codec::H264, Codec::H265] {
-            let mut encoder = Encoder::new(codec, [320, 320], 5, 20).unwrap();
-            let frame = encoder.encode(&[90; 3 * 320 * 320]).unwrap();
+            let mut encoder = Encoder::new(codec, [320, 320], Style::usual(5, 20)).unwrap();
+            let frame = encoder.encode(&[90; 3 * 320 * 320]).unwrap().unwrap();
             let pictures = |pixels| Decoder::up_to(codec, pixels).unwrap().push(0, &frame);
             assert_eq!(pictures(200_000).unwrap().len(), 1, "{codec:?}");
             assert!(pictures(100_000).is_err(), "{codec:?}");

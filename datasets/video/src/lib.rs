@@ -11,7 +11,7 @@ mod encoder;
 pub use codec::Codec;
 pub use colour::{Colours, Matrix, Scale};
 pub use decoder::{Decoder, LARGEST_PICTURE, Picture};
-pub use encoder::Encoder;
+pub use encoder::{Encoder, Samples, Style};
 
 /// Sets FFmpeg up. It prints nothing by itself: what is wrong with a frame is told by the results.
 fn prepare() -> Result<(), String> {

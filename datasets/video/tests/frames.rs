@@ -1,7 +1,7 @@
 //! What is encoded comes back, from any key frame on, and what is broken is told.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use evermap_video::{Codec, Decoder, Encoder};
+use evermap_video::{Codec, Decoder, Encoder, Samples, Style};
 
 const SIZE: [u32; 2] = [64, 48];
 const KEY_EVERY: u32 = 5;
@@ -23,9 +23,19 @@ fn picture(time: u32) -> Vec<u8> {
 }
 
 fn stream(codec: Codec, frames: u32) -> Vec<Vec<u8>> {
-    let mut encoder = Encoder::new(codec, SIZE, KEY_EVERY, 10).unwrap();
-    let frames = (0..frames).map(|time| encoder.encode(&picture(time)).unwrap());
-    frames.collect()
+    styled(codec, frames, Style::usual(KEY_EVERY, 10))
+}
+
+/// In the order in which they decode.
+fn styled(codec: Codec, frames: u32, style: Style) -> Vec<Vec<u8>> {
+    let mut encoder = Encoder::new(codec, SIZE, style).unwrap();
+    let pictures = (0..frames).map(picture);
+    let mut encoded: Vec<Vec<u8>> = pictures
+        .filter_map(|picture| encoder.encode(&picture).unwrap())
+        .collect();
+    encoded.extend(encoder.finish().unwrap());
+    assert_eq!(encoded.len(), frames as usize);
+    encoded
 }
 
 /// The files of frames that are decoded one after the other.
@@ -86,5 +96,20 @@ fn broken_frames_are_told_or_decode() {
         }
         let cut = frames[0][..frames[0].len() / 2].to_vec();
         assert!(decoded(codec, &[cut]).is_err(), "{codec:?}: half a frame");
+    }
+}
+
+#[test]
+fn samples_of_more_than_8_bits_are_told() {
+    for codec in [Codec::H264, Codec::H265] {
+        let style = Style {
+            samples: Samples::Ten,
+            ..Style::usual(KEY_EVERY, 10)
+        };
+        let reason = decoded(codec, &styled(codec, 3, style)).unwrap_err();
+        assert!(
+            reason.contains("8 bits, found YUV420P10"),
+            "{codec:?}: {reason}"
+        );
     }
 }

@@ -154,9 +154,8 @@ impl Fetcher {
         let mut bytes = BinaryBuilder::new();
         for (image, fetched) in images.iter().zip(fetched) {
             let file = match &fetched {
-                Ok(fetched) => as_file(image, fetched)
-                    .map_err(|reason| format!("image of session {}: {reason}", image.session)),
-                Err(fault) => Err(format!("image not fetched: {}", fault.message)),
+                Ok(fetched) => as_file(image, fetched),
+                Err(fault) => Err(fault.message.clone()),
             };
             match file {
                 Ok(file) => {
@@ -166,6 +165,7 @@ impl Fetcher {
                 }
                 Err(reason) => {
                     self.failures.add(1);
+                    let reason = self.named(image, &reason).await;
                     let losses = self.fetching.losses.lock();
                     losses
                         .unwrap_or_else(PoisonError::into_inner)
@@ -177,6 +177,15 @@ impl Fetcher {
         let name = pixels_column(self.fetching.column);
         let batch = beside(&batch, &name, Arc::new(bytes.finish()))?;
         Ok(batch.record_output(&self.baseline))
+    }
+
+    /// Why an image is lost, with its topic, encoding and session.
+    async fn named(&self, image: &ImageRef, reason: &str) -> String {
+        let (encoding, session) = (&image.format, &image.session);
+        match self.fetching.reader.topic(image).await {
+            Some(topic) => format!("image of {topic} ({encoding}) in session {session}: {reason}"),
+            None => format!("image ({encoding}) in session {session}: {reason}"),
+        }
     }
 }
 

@@ -1,0 +1,152 @@
+//! A drive whose cameras record video maps as its JPEG twin does; frames that are lost say where and why.
+//!
+//! Figures are printed with `-- --nocapture`.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stderr
+)]
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use evermap_messages::ros2::{CompressedImage, Header, Message};
+use evermap_tests::park::{FEWER, Park, finished};
+use evermap_tests::text;
+use evermap_tests::trajectories::{map_error, poses};
+use evermap_video::{Codec, Encoder, Style};
+use evermap_vision::{Rgb, decode_colour};
+
+/// A camera's frames, from JPEG to video.
+struct Camera {
+    encoder: Encoder,
+    frames: usize,
+}
+
+/// `sensor_msgs/msg/CompressedImage`, read from its CDR.
+fn compressed_image(cdr: &[u8]) -> CompressedImage<'_> {
+    let number = |at: usize| u32::from_le_bytes(cdr[at..at + 4].try_into().unwrap()) as usize;
+    let (stamp_ns, at) = (number(4) as u64 * 1_000_000_000 + number(8) as u64, 12);
+    // A text has its length, with a zero byte at its end, and what comes next begins at a multiple of four.
+    let string = |at: usize| {
+        let end = at + 4 + number(at);
+        let string = std::str::from_utf8(&cdr[at + 4..end - 1]).unwrap();
+        (string, end.next_multiple_of(4))
+    };
+    let (frame_id, at) = string(at);
+    let (format, at) = string(at);
+    CompressedImage {
+        header: Header { stamp_ns, frame_id },
+        format,
+        data: &cdr[at + 4..][..number(at)],
+    }
+}
+
+/// Writes a log that says what another one says, its images as video with a key frame every 25. Frames of which
+/// `lost` is true, by topic and number, are left out. Gives the number of frames of each camera.
+fn as_video(
+    source: &Path,
+    target: &Path,
+    codec: Codec,
+    lost: impl Fn(&str, usize) -> bool,
+) -> Vec<usize> {
+    let bytes = std::fs::read(source).expect("a log can be read");
+    let file = std::fs::File::create(target).expect("a log can be made");
+    let mut log = mcap::Writer::new(std::io::BufWriter::new(file)).expect("a log begins");
+    let mut cameras = BTreeMap::<String, Camera>::new();
+    let mut rgb = Rgb::default();
+    for message in mcap::MessageStream::new(&bytes).expect("a log is MCAP") {
+        let mut message = message.expect("a log is whole");
+        let schema = message.channel.schema.as_ref();
+        if schema.is_some_and(|schema| schema.name == CompressedImage::NAME) {
+            let topic = message.channel.topic.clone();
+            let image = compressed_image(&message.data);
+            decode_colour(image.data, &mut rgb).expect("a simulated image decodes");
+            let camera = cameras.entry(topic.clone()).or_insert_with(|| Camera {
+                encoder: Encoder::new(codec, [rgb.width, rgb.height], Style::usual(25, 12))
+                    .unwrap(),
+                frames: 0,
+            });
+            let data = camera.encoder.encode(&rgb.data).unwrap().expect("a frame");
+            camera.frames += 1;
+            if lost(&topic, camera.frames - 1) {
+                continue;
+            }
+            let (format, data) = (codec.name(), &data);
+            let video = CompressedImage {
+                format,
+                data,
+                ..image
+            };
+            message.data = Cow::Owned(video.encode());
+        }
+        log.write(&message).expect("a message fits");
+    }
+    log.finish().expect("a log ends");
+    cameras.values().map(|camera| camera.frames).collect()
+}
+
+#[test]
+fn video_maps_as_its_jpeg_twin_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let (jpeg, _) = Park::new(folder.path(), 14).drive(0, "drive", &["loops=0.25"]);
+    let twin = folder.path().join("twin");
+    std::fs::create_dir(&twin).unwrap();
+    let video = twin.join("drive.mcap");
+    let frames = as_video(&jpeg, &video, Codec::H264, |_, _| false);
+    assert!(frames.iter().sum::<usize>() >= 200, "{frames:?}");
+    let size = |path: &Path| std::fs::metadata(path).unwrap().len();
+    let maps = [("jpeg", &jpeg), ("video", &video)].map(|(name, session)| {
+        let map = folder.path().join(name);
+        finished("metric_map", &map, &[session], &FEWER).expect(0);
+        poses(&map, None, "poses", "map_from_vehicle")
+    });
+    let counts = maps.each_ref().map(|map| map["drive"].len());
+    assert_eq!(counts[0], counts[1]);
+    let apart = map_error(&maps[1], &maps[0]);
+    eprintln!(
+        "{frames:?} frames, {} kB of JPEG, {} kB of video: {} poses, rmse {:.2} cm, max {:.2} cm, {:.3} deg",
+        size(&jpeg) / 1000,
+        size(&video) / 1000,
+        counts[0],
+        100.0 * apart.position_m.rmse,
+        100.0 * apart.position_m.max,
+        apart.rotation_rad.rmse.to_degrees(),
+    );
+    assert!(apart.position_m.rmse <= 0.01);
+}
+
+const SEEN: &str = "
+plan: seen
+steps:
+  keyframes: { op: keyframes, in: { frames: frames } }
+  images:
+    sql: >
+      SELECT site, session, stamp, keyframe, image['camera'] AS camera, image['image'] AS image
+      FROM (SELECT site, session, stamp, keyframe, unnest(images) AS image FROM keyframes)
+  features: { op: features, in: { images: images }, with: { count: 50 } }
+write: [features]
+";
+
+#[test]
+fn lost_frames_say_topic_encoding_and_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let (jpeg, _) = Park::new(folder.path(), 15).drive(0, "drive", &["loops=0.05"]);
+    let video = folder.path().join("headless.mcap");
+    // One camera begins without its first key frame.
+    let topic = "/camera/front/image/compressed";
+    as_video(&jpeg, &video, Codec::H265, |name, at| {
+        name == topic && at == 0
+    });
+    let map = folder.path().join("map");
+    let plan = folder.path().join("seen.yaml");
+    std::fs::write(&plan, SEEN).unwrap();
+    let ended = finished(text(&plan), &map, &[&video], &[]).expect(3);
+    let told = format!(
+        "image of {topic} (h265) in session headless: video frame without a key frame before it"
+    );
+    assert!(ended.stderr.contains(&told), "{}", ended.stderr);
+}
