@@ -66,6 +66,7 @@ impl Site {
             },
             find: |name, _| Err(format!("no plan {name}")),
             settings: settings.to_vec(),
+            manifest: None,
         };
         let logs = [text(log).to_owned()];
         let prepared = Prepared::new(&plan, &self.registry, text(&self.map()), &logs, None).await;

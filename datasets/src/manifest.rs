@@ -1,4 +1,4 @@
-//! Session manifests: which files are which session, and which topics play which role.
+//! Session manifests: which files are which session, which topics play which role, and what holds for the vehicle.
 //!
 //! ```yaml
 //! site: car_park
@@ -9,33 +9,48 @@
 //!   frames: ["/camera/*/image_raw/compressed"]
 //!   odometry: /odom
 //!   transforms: [/tf, /tf_static]
+//! defaults:
+//!   vehicle_frame: base_footprint
 //! ```
 //!
 //! Everything is optional. Roles ([`evermap_schemas::roles`]) that are not given are inferred from message types.
+//! `docs/manifests.md` is for people.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use evermap_schemas::Fault;
-use evermap_schemas::roles::{Choice, Role, Topic};
+use evermap_schemas::roles::{self, Choice, Role, Topic};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::{Map, Value, json};
 
 /// A session manifest.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
+#[schemars(title = "evermap session manifest")]
 pub struct Manifest {
-    /// Site of every session that names none itself.
+    /// Site of every session that names none itself. Sessions of one site make one map; where nobody says a site, each
+    /// session is a site of its own.
     pub site: Option<String>,
     /// Sessions, in addition to those given on the command line.
     pub sessions: Vec<SessionFiles>,
     /// Topics by role, for all sessions. A topic may be a pattern, in which `*` stands for anything.
     #[serde(deserialize_with = "topics_by_role")]
+    #[schemars(schema_with = "roles_schema")]
     pub roles: BTreeMap<String, Vec<String>>,
+    /// What holds for the vehicle: parameters of all steps that have them, in place of the plan's own `defaults`. What a
+    /// plan says of a step holds.
+    #[serde(
+        deserialize_with = "nothing_or",
+        skip_serializing_if = "BTreeMap::is_empty"
+    )]
+    pub defaults: BTreeMap<String, Value>,
 }
 
 /// One session of a manifest.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SessionFiles {
     /// Name, unique in the manifest.
@@ -68,7 +83,38 @@ fn topics_by_role<'de, D: Deserializer<'de>>(
     Ok(topics.collect())
 }
 
+/// `defaults:` without anything is none.
+fn nothing_or<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<BTreeMap<String, Value>, D::Error> {
+    Ok(Option::deserialize(deserializer)?.unwrap_or_default())
+}
+
+/// The roles that messages play, each with a topic or a list of topics.
+fn roles_schema(_: &mut SchemaGenerator) -> Schema {
+    let played = roles::ALL.iter().filter(|role| role.messages().is_some());
+    let role = |role: &Role| {
+        let topics = json!({
+            "description": role.doc,
+            "type": ["string", "array", "null"],
+            "items": {"type": "string"},
+        });
+        (role.name.to_owned(), topics)
+    };
+    json_schema!({
+        "description": "Topics by role, for all sessions; what is left out is inferred from message types. A topic may be a pattern, in which `*` stands for anything.",
+        "type": "object",
+        "properties": played.map(role).collect::<Map<String, Value>>(),
+        "additionalProperties": false,
+    })
+}
+
 impl Manifest {
+    /// The JSON Schema (draft 2020-12) of manifests. Which parameters there are for `defaults` is not known here.
+    pub fn json_schema() -> Value {
+        schemars::schema_for!(Self).to_value()
+    }
+
     /// Reads a manifest's text.
     ///
     /// # Errors
@@ -86,12 +132,7 @@ impl Manifest {
     /// A user fault when the file cannot be read or is no manifest.
     pub fn load(path: &Path) -> Result<Self, Fault> {
         let at = |fault: Fault| fault.at(path.display());
-        let text = std::fs::read_to_string(path).map_err(|error| {
-            at(Fault::user(format!(
-                "expected a session manifest, found {error}"
-            )))
-        })?;
-        let mut manifest = Self::parse(&text).map_err(at)?;
+        let mut manifest = Self::parse(&Self::text(path)?).map_err(at)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         for file in manifest.sessions.iter_mut().flat_map(|s| &mut s.files) {
             if !file.contains("://") && !Path::new(file).is_absolute() {
@@ -99,6 +140,17 @@ impl Manifest {
             }
         }
         Ok(manifest)
+    }
+
+    /// The text of a manifest file.
+    ///
+    /// # Errors
+    /// A user fault when it cannot be read.
+    pub fn text(path: &Path) -> Result<String, Fault> {
+        std::fs::read_to_string(path).map_err(|error| {
+            let fault = format!("expected a session manifest, found {error}");
+            Fault::user(fault).at(path.display())
+        })
     }
 }
 

@@ -8,6 +8,7 @@ use mcap::records::op;
 use tokio::sync::mpsc::Receiver;
 
 use crate::log::chunk::{ChunkHead, Damage, stray};
+use crate::log::pace::{Pace, add};
 use crate::log::record::{FRAME, MESSAGE_HEAD, MessageHead, frame};
 use crate::log::unpack::{check_claim, reader};
 use crate::losses::{Loss, Reason};
@@ -30,8 +31,8 @@ pub(crate) fn longest(opcode: u8) -> u64 {
 pub(crate) struct Census {
     /// Bytes after decompression.
     pub size: u64,
-    /// Messages by channel.
-    pub counts: BTreeMap<u16, u64>,
+    /// When messages came, by channel.
+    pub paces: BTreeMap<u16, Pace>,
     /// Earliest and latest log time of a message.
     pub times: Option<(i64, i64)>,
     /// Schema and channel records: opcode and number, body.
@@ -199,7 +200,7 @@ impl<R: Read> Records<R> {
         let census = &mut self.census;
         match head {
             Some(head) => {
-                *census.counts.entry(head.channel).or_default() += 1;
+                add(&mut census.paces, head.channel, Pace::of(head.log_time));
                 let (start, end) = census.times.unwrap_or((head.log_time, head.log_time));
                 census.times = Some((start.min(head.log_time), end.max(head.log_time)));
             }

@@ -10,6 +10,7 @@ use mcap::records::{ChunkIndex, Statistics};
 use object_store::{ObjectMeta, ObjectStore};
 use serde::{Deserialize, Serialize};
 
+use crate::log::pace::Pace;
 use crate::log::record::{MAGIC, nanoseconds};
 use crate::log::{linear, summary};
 use crate::losses::{Entry, FileLosses, Loss, LossLedger, Reason};
@@ -168,6 +169,9 @@ pub struct LogIndex {
     /// Messages, as the recorder counted them or, where there is no sound summary, as they were found; `None` where
     /// nobody counted.
     pub counts: Option<Counts>,
+    /// When messages came, by channel, where the whole file was read.
+    #[serde(default)]
+    pub paces: BTreeMap<u16, Pace>,
     /// Whether the file's own summary was used.
     pub indexed: bool,
     /// What was lost while the index was read.

@@ -12,6 +12,7 @@ use object_store::{ObjectMeta, ObjectStore};
 use crate::log::census::{Census, Pieces, census, longest};
 use crate::log::chunk::{ChunkHead, Damage, HEAD};
 use crate::log::index::{Collector, Counts, LogIndex, Unit, UnitKind};
+use crate::log::pace::{Pace, add};
 use crate::log::record::{FRAME, MAGIC, MESSAGE_HEAD, MessageHead, frame, parse};
 use crate::log::summary::Summary;
 use crate::log::window::Window;
@@ -39,21 +40,25 @@ pub(crate) async fn read(
         losses.note(Reason::Torn, at, loss, "no end record");
     }
     scan.note_full();
+    let messages = scan.messages();
     let mut index = scan.collector.finish();
-    for (channel, count) in &scan.counts {
+    for (channel, pace) in &scan.paces {
         if !index.channels.contains_key(channel) {
             let loss = Loss {
-                count: *count,
+                count: pace.messages,
                 bytes: 0,
             };
             let detail = format!("channel {channel}");
             losses.note(Reason::UnknownChannel, u64::from(*channel), loss, detail);
         }
     }
+    let counts = scan.paces.iter();
+    let counts = counts.map(|(channel, pace)| (*channel, pace.messages));
     index.counts = Some(Counts {
-        messages: scan.counts.values().sum(),
-        channels: Some(scan.counts),
+        messages,
+        channels: Some(counts.collect()),
     });
+    index.paces = scan.paces;
     Ok(index)
 }
 
@@ -94,7 +99,7 @@ struct Scan<'a> {
     collector: Collector,
     window: Window,
     losses: &'a FileLosses,
-    counts: BTreeMap<u16, u64>,
+    paces: BTreeMap<u16, Pace>,
     run: Option<Run>,
     /// Messages that are too short, one behind the other: where the first is, and how many.
     short: Option<(u64, Loss)>,
@@ -128,11 +133,15 @@ impl<'a> Scan<'a> {
             collector,
             window: Window::new(store.clone(), meta.location.clone(), end),
             losses,
-            counts: BTreeMap::new(),
+            paces: BTreeMap::new(),
             run: None,
             short: None,
             stray_indexes: false,
         }
+    }
+
+    fn messages(&self) -> u64 {
+        self.paces.values().map(|pace| pace.messages).sum()
     }
 
     /// Whether the file has other messages than the summary says, as far as that can be told without reading chunks.
@@ -140,7 +149,7 @@ impl<'a> Scan<'a> {
         let Some(statistics) = &self.collector.statistics else {
             return self.stray_indexes;
         };
-        let loose: u64 = self.counts.values().sum();
+        let loose = self.messages();
         let total = indexed.map(|indexed| indexed.saturating_add(loose));
         let units = || self.collector.index.units.iter();
         let listed: BTreeSet<u16> = units()
@@ -291,7 +300,7 @@ impl<'a> Scan<'a> {
             return Ok(());
         };
         self.close_short();
-        *self.counts.entry(head.channel).or_default() += 1;
+        add(&mut self.paces, head.channel, Pace::of(head.log_time));
         let run = self.run.get_or_insert_with(|| Run {
             start: offset,
             end: offset,
@@ -371,8 +380,8 @@ impl<'a> Scan<'a> {
                 self.malformed("definition", offset, body.len() as u64);
             }
         }
-        for (channel, count) in &census.counts {
-            *self.counts.entry(*channel).or_default() += count;
+        for (channel, pace) in &census.paces {
+            add(&mut self.paces, *channel, *pace);
         }
         let (start_time, end_time) = census.times.unwrap_or_default();
         self.collector.add_unit(Unit {
@@ -380,7 +389,7 @@ impl<'a> Scan<'a> {
             offset,
             length: present,
             size: census.size,
-            channels: Some(census.counts.keys().copied().collect()),
+            channels: Some(census.paces.keys().copied().collect()),
             start_time,
             end_time,
         });

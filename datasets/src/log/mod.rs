@@ -5,6 +5,7 @@ pub mod chunk;
 pub mod heads;
 pub mod index;
 mod linear;
+pub mod pace;
 pub mod record;
 mod summary;
 pub mod unpack;

@@ -6,6 +6,7 @@ use askama::Template;
 use evermap_engine::preflight::in_words;
 use serde::Serialize;
 
+use crate::coordinate_frames::CoordinateFrames;
 use crate::quantity;
 
 /// What a file holds.
@@ -38,6 +39,8 @@ pub struct Contents {
     pub channels: Vec<Channel>,
     /// Topics by the role that they play.
     pub roles: Vec<RoleLine>,
+    /// Coordinate frames; null where only the index was read.
+    pub frames: Option<CoordinateFrames>,
     /// The plans that ship, and what each lacks to make something of this file.
     pub plans: Vec<PlanLine>,
     /// Its attachments.
@@ -76,6 +79,13 @@ pub struct Channel {
     pub message_encoding: String,
     /// Messages; null where nobody counted them.
     pub messages: Option<u64>,
+    /// Messages a second between the first and the last, by log time; null for fewer than two, and where only the index
+    /// was read.
+    pub rate_hz: Option<f64>,
+    /// The longest time between two messages, seconds; null as `rate_hz`.
+    pub longest_gap_s: Option<f64>,
+    /// When that began, seconds after the file's first message.
+    pub gap_after_s: Option<f64>,
     /// Why its messages are not decoded; null where they are.
     pub undecodable: Option<String>,
 }
@@ -134,6 +144,26 @@ impl PlanLine {
             None => "can run on this file".to_owned(),
             Some(lacks) => format!("lacks {}", in_words(lacks)),
         }
+    }
+}
+
+/// A gap is worth saying that is this many times as long as messages are apart on average.
+const NOTABLE: f64 = 3.0;
+
+impl Channel {
+    fn rate(&self) -> String {
+        match self.rate_hz {
+            Some(rate) if rate >= 10.0 => format!("{rate:.0} Hz"),
+            Some(rate) => format!("{rate:.2} Hz"),
+            None => String::new(),
+        }
+    }
+
+    /// The longest gap, where it stands out.
+    fn gap(&self) -> Option<String> {
+        let (rate, gap, after) = (self.rate_hz?, self.longest_gap_s?, self.gap_after_s?);
+        let stands_out = gap * rate > NOTABLE && self.messages.is_some_and(|count| count > 2);
+        stands_out.then(|| format!("nothing for {gap:.2} s after {after:.2} s"))
     }
 }
 

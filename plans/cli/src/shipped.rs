@@ -3,6 +3,7 @@
 use std::io::Read;
 use std::path::Path;
 
+use evermap_datasets::Manifest;
 use evermap_engine::prepare::PlanText;
 use evermap_language::{PlanFaults, Source, utf8};
 use evermap_schemas::Fault;
@@ -18,7 +19,15 @@ pub const PLANS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/plans.rs"
 /// # Errors
 /// A user fault that names the plans that ship, or the file's first byte that is no text.
 pub fn of(args: &PlanArgs) -> Result<PlanText, Failure> {
-    read(&args.plan, args.set.clone())
+    let manifest = args.sessions.manifest.as_ref().map(|origin| {
+        let text = Manifest::text(Path::new(origin))?;
+        let origin = origin.clone();
+        Ok::<_, Fault>(Source { origin, text })
+    });
+    Ok(PlanText {
+        manifest: manifest.transpose()?,
+        ..read(&args.plan, args.set.clone())?
+    })
 }
 
 /// A plan that ships, as it is.
@@ -30,6 +39,7 @@ pub fn plain((name, text): &(&str, &str)) -> PlanText {
         },
         find,
         settings: Vec::new(),
+        manifest: None,
     }
 }
 
@@ -48,6 +58,7 @@ fn read(plan: &str, settings: Vec<String>) -> Result<PlanText, Failure> {
         source,
         find,
         settings,
+        manifest: None,
     })
 }
 

@@ -55,6 +55,8 @@ pub struct PlanText {
     pub find: fn(&str, &str) -> Result<Source, String>,
     /// `step.param=value` options.
     pub settings: Vec<String>,
+    /// The session manifest, whose `defaults` hold for the plan; where there is none, the one that the plan names.
+    pub manifest: Option<Source>,
 }
 
 /// Everything plans can be written with.
@@ -103,6 +105,10 @@ impl Host for Surroundings<'_> {
 
     fn plan(&self, name: &str, extended_by: &str) -> Result<Source, String> {
         (self.plan.find)(name, extended_by)
+    }
+
+    fn manifest(&self) -> Option<Source> {
+        self.plan.manifest.clone()
     }
 }
 
@@ -186,11 +192,21 @@ impl Prepared {
         sessions: &[String],
         manifest: Option<&Manifest>,
     ) -> Result<Self, Refusal> {
-        let parsed = parse(plan, registry)?;
+        let mut parsed = parse(plan, registry)?;
         let read;
         let manifest = match (manifest, &parsed.sessions) {
             (None, Some(named)) => {
-                read = Manifest::load(&beside(&named.origin, &named.path))?;
+                let path = beside(&named.origin, &named.path);
+                read = Manifest::load(&path)?;
+                let manifest = Some(Source {
+                    origin: path.display().to_string(),
+                    text: Manifest::text(&path)?,
+                });
+                let plan = PlanText {
+                    manifest,
+                    ..plan.clone()
+                };
+                parsed = parse(&plan, registry)?;
                 Some(&read)
             }
             (manifest, _) => manifest,
@@ -397,5 +413,6 @@ fn manifest_of(session: &Session, site: &str) -> Manifest {
             site: Some(site.to_owned()),
         }],
         roles: session.roles.to_manifest(),
+        defaults: BTreeMap::new(),
     }
 }

@@ -1,7 +1,7 @@
 //! Plans: YAML text to a checked graph of steps, with all faults at once.
 //!
 //! ```text
-//! text ──yaml──▶ tree with positions ──extends──▶ composed ──set──▶ ──written──▶ names ──graph──▶ Plan
+//! text ──yaml──▶ tree with positions ──extends──▶ composed ──manifest, set──▶ ──written──▶ names ──graph──▶ Plan
 //!                └────────────── every stage records faults and goes on ──────────────▶ PlanFaults
 //! ```
 //!
@@ -42,6 +42,7 @@ mod editor;
 mod extends;
 mod fault;
 mod graph;
+mod manifest;
 mod plan;
 mod print;
 mod setting;
@@ -56,7 +57,7 @@ pub use plan::{Body, DEFAULT_TOLERANCE, Input, ManifestPath, Plan, PlanTest, Row
 pub use suggest::{listed, nearest};
 pub use vocabulary::{Host, OperatorSpec, ParameterFault, PortSpec, Vocabulary};
 
-/// Reads and checks a plan, with all that it extends.
+/// Reads and checks a plan, with all that it extends, and the `defaults` of the session manifest that the host has.
 ///
 /// `settings` are `step.param=value` options that replace parameters before checking.
 ///
@@ -72,6 +73,9 @@ pub fn parse(
     let mut faults = PlanFaults::default().with_settings(settings);
     let context = written::Context { vocabulary, host };
     let plan = extends::read(source, host, &mut faults).and_then(|mut root| {
+        if let Some(manifest) = host.manifest() {
+            manifest::lay(&mut root, &manifest, vocabulary, &mut faults);
+        }
         setting::set(&mut root, settings, &mut faults);
         let written = written::plan(&root, &context, &mut faults)?;
         graph::plan(written, vocabulary, &mut faults)

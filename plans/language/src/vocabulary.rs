@@ -64,6 +64,11 @@ pub trait Host {
     /// # Errors
     /// One sentence.
     fn plan(&self, name: &str, extended_by: &str) -> Result<Source, String>;
+
+    /// The session manifest whose `defaults` are laid over those of the plan.
+    fn manifest(&self) -> Option<Source> {
+        None
+    }
 }
 
 impl Vocabulary {

@@ -40,8 +40,12 @@ pub enum Command {
     Test(PlanArgs),
     /// Show a plan as it is composed, or, on a map, what a run would recompute, and why.
     Explain(ExplainArgs),
-    /// Print the JSON Schema of plans, for editors.
-    Schema,
+    /// Print the JSON Schema of plans or session manifests, for editors.
+    Schema {
+        /// What is described.
+        #[arg(default_value = "plan")]
+        of: Described,
+    },
     /// Query a map or logs with SQL.
     Sql(SqlArgs),
     /// List the functions that queries have beyond those of SQL, with examples.
@@ -174,14 +178,27 @@ pub struct ExplainArgs {
 /// Arguments of `inspect`.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// MCAP file or URL.
-    pub file: String,
+    /// MCAP file or URL; with --manifest, any number of files, folders and patterns.
+    #[arg(required = true, value_name = "FILE")]
+    pub files: Vec<String>,
     /// Print JSON.
     #[arg(long)]
     pub json: bool,
+    /// Print a session manifest, ready to edit, instead.
+    #[arg(long, conflicts_with_all = ["json", "quick"])]
+    pub manifest: bool,
     /// Read only the index; damage inside chunks is not found.
     #[arg(long)]
     pub quick: bool,
+}
+
+/// What has a JSON Schema.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Described {
+    /// Plans.
+    Plan,
+    /// Session manifests.
+    Manifest,
 }
 
 /// Arguments of `operators`.

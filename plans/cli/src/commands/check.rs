@@ -4,15 +4,16 @@ use std::io::Write;
 
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
-use evermap_datasets::Dataset;
+use evermap_datasets::{Dataset, Manifest};
 use evermap_engine::plan_test::run_tests;
 use evermap_engine::preflight::{Needs, idle, in_words};
 use evermap_engine::prepare::{self, vocabulary};
 use evermap_engine::program::Program;
 use evermap_language::{Plan, json_schema};
 use evermap_schemas::Fault;
+use serde_json::Value;
 
-use crate::arguments::PlanArgs;
+use crate::arguments::{Described, PlanArgs};
 use crate::ending::{DONE, Ending, Failure};
 use crate::progress::line;
 use crate::quantity::of;
@@ -92,14 +93,29 @@ pub async fn test(args: &PlanArgs) -> Ending {
     DONE
 }
 
-/// Prints the JSON Schema of plans.
+/// Prints the JSON Schema of plans, or of session manifests.
 ///
 /// # Errors
 /// That the output is closed.
-pub fn schema() -> Ending {
-    let schema = json_schema(&vocabulary(&evermap_catalog::registry()));
+pub fn schema(of: Described) -> Ending {
+    let mut schema = json_schema(&vocabulary(&evermap_catalog::registry()));
+    if of == Described::Manifest {
+        schema = manifest_schema(&schema);
+    }
     let text =
         serde_json::to_string_pretty(&schema).map_err(|error| Fault::bug(error.to_string()))?;
     writeln!(std::io::stdout(), "{text}")?;
     DONE
+}
+
+/// The JSON Schema of manifests, with the parameters that the schema of plans has.
+fn manifest_schema(plans: &Value) -> Value {
+    let mut schema = Manifest::json_schema();
+    let parameters = &plans["properties"]["defaults"]["properties"];
+    schema["properties"]["defaults"]["properties"] = parameters.clone();
+    schema["properties"]["defaults"]["additionalProperties"] = Value::Bool(false);
+    for (name, definition) in plans["$defs"].as_object().into_iter().flatten() {
+        schema["$defs"][name] = definition.clone();
+    }
+    schema
 }

@@ -6,6 +6,7 @@ use std::io::Write;
 
 use askama::Template;
 use evermap_datasets::log::index::{LogIndex, UnitKind};
+use evermap_datasets::log::pace::Pace;
 use evermap_datasets::{Dataset, LogPart};
 use evermap_engine::preflight::{Needs, played};
 use evermap_engine::prepare::parse;
@@ -15,37 +16,47 @@ use object_store::ObjectStoreExt;
 
 use crate::arguments::InspectArgs;
 use crate::contents::{Attachment, Channel, Chunks, Contents, LossLine, PlanLine, RoleLine};
+use crate::coordinate_frames::CoordinateFrames;
 use crate::ending::Ending;
+use crate::manifest::written;
 use crate::sessions::lost;
 use crate::shipped;
 
-/// Says what a file holds. Every chunk is read, so that damage is found, unless only the index is asked for. Memory
+/// Says what a file holds, or writes a manifest of several. Every chunk is read, so that damage is found, unless only the index is asked for. Memory
 /// does not grow with the file.
 ///
 /// # Errors
 /// A data fault for a file that is no MCAP, a user fault for one that is not there.
 pub async fn inspect(args: &InspectArgs) -> Ending {
-    let context = context(Limits::default())?;
-    let dataset = Dataset::open(
-        &context.runtime_env(),
-        std::slice::from_ref(&args.file),
-        None,
-    )
-    .await?;
+    let context = context(Limits::one_partition())?;
+    let dataset = Dataset::open(&context.runtime_env(), &args.files, None).await?;
+    dataset.register(&context)?;
+    if args.manifest {
+        let frames = CoordinateFrames::read(&context).await?;
+        writeln!(std::io::stdout(), "{}", written(&dataset, &frames)?)?;
+        return Ok(lost(&dataset));
+    }
     let parts = dataset.parts();
     let [part] = parts.as_slice() else {
         return Err(Fault::user(format!(
             "expected one file, found {} at {}",
             parts.len(),
-            args.file
+            args.files.join(" ")
         ))
         .into());
+    };
+    let frames = match args.quick {
+        true => None,
+        false => Some(CoordinateFrames::read(&context).await?),
     };
     let read = match args.quick {
         true => Cow::Borrowed(&part.index),
         false => part.survey().await?,
     };
-    let contents = contents(&dataset, part, &read).await?;
+    let contents = Contents {
+        frames,
+        ..contents(&dataset, part, &read).await?
+    };
     let mut stdout = std::io::BufWriter::new(std::io::stdout().lock());
     if args.json {
         serde_json::to_writer_pretty(&mut stdout, &contents).map_err(std::io::Error::from)?;
@@ -90,6 +101,7 @@ async fn contents(dataset: &Dataset, part: &LogPart, read: &LogIndex) -> Result<
         chunks: chunks(part, read).await,
         channels,
         roles: roles(dataset),
+        frames: None,
         plans: plans(dataset)?,
         attachments: attachments.collect(),
         metadata: part.metadata_names().await?,
@@ -127,7 +139,10 @@ fn instant(nanoseconds: i64) -> String {
 }
 
 fn channels(part: &LogPart, read: &LogIndex) -> Vec<Channel> {
+    let start = read.time_range().map_or(0, |(start, _)| start);
     let channels = read.channels.values().map(|channel| {
+        let pace = read.paces.get(&channel.id);
+        let paced = pace.filter(|pace| pace.messages > 1);
         let schema = channel.schema.as_deref();
         let undecodable = match part.message_type(channel.id) {
             Some(Err(error)) => Some(error.to_string()),
@@ -142,6 +157,9 @@ fn channels(part: &LogPart, read: &LogIndex) -> Vec<Channel> {
                 .unwrap_or_default(),
             message_encoding: channel.message_encoding.clone(),
             messages: read.channel_messages(channel.id),
+            rate_hz: pace.and_then(Pace::rate_hz),
+            longest_gap_s: paced.map(|pace| pace.longest_gap as f64 * 1e-9),
+            gap_after_s: paced.map(|pace| pace.gap_from.saturating_sub(start) as f64 * 1e-9),
             undecodable,
         }
     });

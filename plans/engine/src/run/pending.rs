@@ -214,6 +214,7 @@ mod tests {
             },
             find: |name, _| Err(format!("no plan {name}")),
             settings: Vec::new(),
+            manifest: None,
         };
         let registry = Registry::new([Entry::of::<Labels>()]);
         let logs = Dataset::open(&RuntimeEnv::default(), &[], None).await;

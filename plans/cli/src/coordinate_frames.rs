@@ -1,0 +1,237 @@
+//! The coordinate frames of logs: what moves in what, and what each camera is mounted on.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+
+use arrow::array::RecordBatch;
+use arrow::util::display::array_value_to_string;
+use datafusion::prelude::SessionContext;
+use evermap_engine::error::OrFault;
+use evermap_schemas::Fault;
+use serde::Serialize;
+
+/// Frames are known after so many transforms, and cameras after so many images.
+const TRANSFORMS: usize = 20_000;
+const IMAGES: usize = 2_000;
+
+/// The frame that poses are of where nobody says, as operators have it.
+const USUAL_VEHICLE: &str = "base_link";
+
+/// The coordinate frames of logs, from their first transforms and images.
+#[derive(Debug, Serialize)]
+pub struct CoordinateFrames {
+    /// Fixed ones first.
+    pub transforms: Vec<Transform>,
+    /// Cameras, by name.
+    pub cameras: Vec<Camera>,
+}
+
+/// One frame in another.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Transform {
+    /// Frame that points come out in.
+    pub parent: String,
+    /// Frame that points are given in.
+    pub child: String,
+    /// Whether it holds for all time.
+    pub fixed: bool,
+}
+
+/// A camera.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Camera {
+    /// Its name.
+    pub camera: String,
+    /// Topic of its images.
+    pub topic: String,
+    /// The frame that fixed transforms lead to from the camera; null where none begins at it.
+    pub mounted_on: Option<String>,
+}
+
+impl CoordinateFrames {
+    /// Reads them from the tables of the sessions that are registered with a context.
+    ///
+    /// # Errors
+    /// A resource fault when a log cannot be read.
+    pub async fn read(context: &SessionContext) -> Result<Self, Fault> {
+        let transforms = format!(
+            "SELECT DISTINCT parent, child, fixed FROM (SELECT parent, child, fixed FROM transforms LIMIT {TRANSFORMS}) \
+             ORDER BY fixed DESC, parent, child"
+        );
+        let frame = |name: &str| name.trim_start_matches('/').to_owned();
+        let transforms = rows(context, &transforms).await?.into_iter();
+        let transforms: Vec<Transform> = transforms
+            .map(|[parent, child, fixed]| Transform {
+                parent: frame(&parent),
+                child: frame(&child),
+                fixed: fixed == "true",
+            })
+            .collect();
+        let cameras = format!(
+            "SELECT DISTINCT camera, topic FROM (SELECT camera, topic FROM frames LIMIT {IMAGES}) ORDER BY camera, topic"
+        );
+        let cameras = rows(context, &cameras).await?.into_iter();
+        let cameras = cameras.map(|[camera, topic]| Camera {
+            mounted_on: mounted_on(&transforms, &frame(&camera)),
+            camera,
+            topic,
+        });
+        Ok(Self {
+            cameras: cameras.collect(),
+            transforms,
+        })
+    }
+
+    /// The frame that poses are of, as far as the transforms say: what most cameras are mounted on, else what moves and
+    /// has nothing moving in it. `base_link` where that is a frame on the way.
+    pub fn vehicle(&self) -> Option<&str> {
+        let named = |name: &str| {
+            let mut transforms = self.transforms.iter();
+            transforms.any(|transform| transform.parent == name || transform.child == name)
+        };
+        if named(USUAL_VEHICLE) {
+            return Some(USUAL_VEHICLE);
+        }
+        let mut mounts = BTreeMap::<&str, usize>::new();
+        for mount in self
+            .cameras
+            .iter()
+            .filter_map(|camera| camera.mounted_on.as_deref())
+        {
+            *mounts.entry(mount).or_default() += 1;
+        }
+        let most = mounts.into_iter().rev().max_by_key(|(_, cameras)| *cameras);
+        most.map(|(frame, _)| frame).or_else(|| {
+            let moving = || self.transforms.iter().filter(|transform| !transform.fixed);
+            let mut ends = moving().filter(|end| moving().all(|other| other.parent != end.child));
+            ends.next().map(|transform| transform.child.as_str())
+        })
+    }
+
+    /// All names of frames.
+    pub fn names(&self) -> BTreeSet<&str> {
+        let transforms = self.transforms.iter();
+        transforms
+            .flat_map(|transform| [transform.parent.as_str(), transform.child.as_str()])
+            .collect()
+    }
+}
+
+impl fmt::Display for Transform {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let state = if self.fixed { "fixed" } else { "moving" };
+        write!(f, "{} -> {} ({state})", self.parent, self.child)
+    }
+}
+
+impl fmt::Display for Camera {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} ({}): ", self.camera, self.topic)?;
+        match &self.mounted_on {
+            Some(frame) => write!(f, "mounted on {frame}"),
+            None => f.write_str("no fixed transform says where it is mounted"),
+        }
+    }
+}
+
+/// Where fixed transforms lead from a frame.
+fn mounted_on(transforms: &[Transform], frame: &str) -> Option<String> {
+    let parent = |child: &str| {
+        let mut fixed = transforms.iter().filter(|transform| transform.fixed);
+        fixed.find(|transform| transform.child == child)
+    };
+    let mut seen = BTreeSet::from([frame]);
+    let mut at = parent(frame)?;
+    // Forged transforms may go round in circles.
+    while seen.insert(&at.parent)
+        && let Some(next) = parent(&at.parent)
+    {
+        at = next;
+    }
+    Some(at.parent.clone())
+}
+
+/// The rows of a query, as text.
+async fn rows<const N: usize>(
+    context: &SessionContext,
+    query: &str,
+) -> Result<Vec<[String; N]>, Fault> {
+    let batches = context.sql(query).await.or_fault()?.collect().await;
+    let mut rows = Vec::new();
+    for batch in batches.or_fault()? {
+        for row in 0..batch.num_rows() {
+            rows.push(texts(&batch, row)?);
+        }
+    }
+    Ok(rows)
+}
+
+fn texts<const N: usize>(batch: &RecordBatch, row: usize) -> Result<[String; N], Fault> {
+    let columns = batch.columns().iter();
+    let texts = columns.map(|column| array_value_to_string(column, row));
+    let texts = texts.collect::<Result<Vec<String>, _>>();
+    let texts = texts.map_err(|error| Fault::bug(error.to_string()))?;
+    let found = texts.len();
+    texts
+        .try_into()
+        .map_err(|_| Fault::bug(format!("expected {N} columns, found {found}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn transform(parent: &str, child: &str, fixed: bool) -> Transform {
+        let (parent, child) = (parent.to_owned(), child.to_owned());
+        Transform {
+            parent,
+            child,
+            fixed,
+        }
+    }
+
+    fn frames(transforms: Vec<Transform>, cameras: &[&str]) -> CoordinateFrames {
+        let cameras = cameras.iter().map(|camera| Camera {
+            camera: (*camera).to_owned(),
+            topic: String::new(),
+            mounted_on: mounted_on(&transforms, camera),
+        });
+        CoordinateFrames {
+            cameras: cameras.collect(),
+            transforms,
+        }
+    }
+
+    #[test]
+    fn the_vehicle_is_what_cameras_are_mounted_on() {
+        let fixed = vec![
+            transform("chassis", "bumper", true),
+            transform("bumper", "front", true),
+            transform("chassis", "rear", true),
+            transform("gimbal", "up", true),
+            transform("odom", "chassis", false),
+        ];
+        let rig = frames(fixed, &["front", "rear", "up", "free"]);
+        let mounts = rig
+            .cameras
+            .iter()
+            .map(|camera| camera.mounted_on.as_deref());
+        let expected = [Some("chassis"), Some("chassis"), Some("gimbal"), None];
+        assert_eq!(mounts.collect::<Vec<_>>(), expected);
+        assert_eq!(rig.vehicle(), Some("chassis"));
+    }
+
+    #[test]
+    fn without_cameras_it_is_what_moves_last_and_circles_end() {
+        let moving = vec![
+            transform("map", "odom", false),
+            transform("odom", "footprint", false),
+        ];
+        assert_eq!(frames(moving, &[]).vehicle(), Some("footprint"));
+        let named = vec![transform("base_link", "wheel", false)];
+        assert_eq!(frames(named, &[]).vehicle(), Some("base_link"));
+        let circle = vec![transform("a", "b", true), transform("b", "a", true)];
+        assert!(frames(circle, &["a"]).vehicle().is_some());
+        assert_eq!(frames(Vec::new(), &["a"]).vehicle(), None);
+    }
+}

@@ -1,0 +1,67 @@
+//! `defaults` of a session manifest: parameters of a vehicle, laid over those of the plan before anything is checked.
+
+use crate::fault::{PlanFaults, Source};
+use crate::suggest::quoted;
+use crate::vocabulary::{OperatorSpec, Vocabulary};
+use crate::yaml::{self, Entry, Kind, Node, merge};
+
+/// Lays a manifest's `defaults` over those of a plan. A step's own value holds. A manifest serves many plans: its
+/// parameters are of some operator, not of a step of this plan.
+pub(crate) fn lay(
+    plan: &mut Node,
+    manifest: &Source,
+    vocabulary: &Vocabulary,
+    faults: &mut PlanFaults,
+) {
+    if manifest.text.trim().is_empty() {
+        return;
+    }
+    let Some(mut tree) = yaml::read(manifest, faults) else {
+        return;
+    };
+    let Some(given) = tree.take("defaults") else {
+        return;
+    };
+    let Kind::Mapping(given) = given.value.kind else {
+        if given.value.kind != Kind::Null {
+            given.value.mapping("`defaults`", faults);
+        }
+        return;
+    };
+    check(&given, vocabulary, faults);
+    let Some(entries) = plan.entries_mut() else {
+        return;
+    };
+    let Some(index) = entries.iter().position(|entry| entry.key == "defaults") else {
+        let Some(place) = given.first().map(|entry| entry.place) else {
+            return;
+        };
+        entries.push(Entry {
+            key: "defaults".to_owned(),
+            place,
+            value: Node {
+                place,
+                kind: Kind::Mapping(given),
+            },
+        });
+        return;
+    };
+    match entries.get_mut(index).map(|entry| &mut entry.value.kind) {
+        Some(Kind::Mapping(defaults)) => merge(defaults, given),
+        Some(nothing @ Kind::Null) => *nothing = Kind::Mapping(given),
+        // The plan is at fault, and is found to be when it is checked.
+        _ => {}
+    }
+}
+
+fn check(given: &[Entry], vocabulary: &Vocabulary, faults: &mut PlanFaults) {
+    let operators = || vocabulary.operators.iter();
+    let known = || operators().flat_map(OperatorSpec::parameter_names);
+    for entry in given {
+        if !known().any(|known| known == entry.key) {
+            let name = quoted(&entry.key);
+            let message = format!("`defaults` sets {name}, which is a parameter of no operator");
+            faults.unknown(entry.place, message, &entry.key, known());
+        }
+    }
+}

@@ -1,0 +1,310 @@
+//! What `evermap inspect` says of a log, word by word, and the manifest that it writes.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::Path;
+
+use evermap_tests::{Finished, command, evermap, text};
+use serde_json::{Value, json};
+
+/// Writes a log of ten seconds: odometry at 10 Hz with nothing between 4 and 6 s, two mounted cameras of which the
+/// rear one records nothing, one image a second, a topic that nobody reads.
+fn write(path: &Path) {
+    let mut log = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
+    let mut topic = |log: &mut mcap::Writer<_>, topic: &str, schema: &str, members: Value| {
+        let schema_text = json!({ "type": "object", "properties": members }).to_string();
+        let schema = log.add_schema(schema, "jsonschema", schema_text.as_bytes());
+        log.add_channel(schema.unwrap(), topic, "json", &Default::default())
+            .unwrap()
+    };
+    let (number, string) = (json!({"type": "number"}), json!({"type": "string"}));
+    let object = |names: &[&str]| {
+        let members = names
+            .iter()
+            .map(|name| ((*name).to_owned(), number.clone()));
+        json!({"type": "object", "properties": members.collect::<serde_json::Map<_, _>>()})
+    };
+    let stamp = json!({"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}});
+    let (xyz, xyzw) = (object(&["x", "y", "z"]), object(&["x", "y", "z", "w"]));
+    let pose = json!({"type": "object", "properties": {"position": xyz, "orientation": xyzw}});
+    let odometry = topic(
+        &mut log,
+        "/odom",
+        "foxglove.PoseInFrame",
+        json!({"timestamp": stamp, "frame_id": string, "pose": pose}),
+    );
+    let transform = json!({
+        "timestamp": stamp, "parent_frame_id": string, "child_frame_id": string, "translation": xyz, "rotation": xyzw,
+    });
+    let fixed = topic(
+        &mut log,
+        "/tf_static",
+        "foxglove.FrameTransform",
+        transform.clone(),
+    );
+    let moving = topic(&mut log, "/tf", "foxglove.FrameTransform", transform);
+    let images = topic(
+        &mut log,
+        "/front/image",
+        "foxglove.CompressedImage",
+        json!({
+            "timestamp": stamp, "frame_id": string, "format": string,
+            "data": {"type": "string", "contentEncoding": "base64"},
+        }),
+    );
+    let battery = topic(
+        &mut log,
+        "/battery",
+        "our.Battery",
+        json!({"volts": number}),
+    );
+
+    let start = 1_700_000_000_000_000_000_u64;
+    let mut send = |log: &mut mcap::Writer<_>, channel_id: u16, tenth: u64, message: Value| {
+        let time = start + tenth * 100_000_000;
+        let header = mcap::records::MessageHeader {
+            channel_id,
+            sequence: 0,
+            log_time: time,
+            publish_time: time,
+        };
+        let mut message = message;
+        message["timestamp"] = json!({"sec": time / 1_000_000_000, "nsec": time % 1_000_000_000});
+        log.write_to_known_channel(&header, message.to_string().as_bytes())
+            .unwrap();
+    };
+    let nowhere = json!({"x": 0.0, "y": 0.0, "z": 0.0});
+    let ahead = json!({"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0});
+    let between = |parent: &str, child: &str| {
+        json!({
+            "parent_frame_id": parent, "child_frame_id": child, "translation": nowhere, "rotation": ahead,
+        })
+    };
+    send(&mut log, fixed, 0, between("chassis", "bumper"));
+    send(&mut log, fixed, 0, between("bumper", "front"));
+    send(&mut log, fixed, 0, between("chassis", "rear"));
+    send(&mut log, battery, 0, json!({"volts": 12.5}));
+    for tenth in 0..=100 {
+        send(&mut log, moving, tenth, between("odom", "chassis"));
+        if !(41..60).contains(&tenth) {
+            let position = json!({"x": 0.1 * tenth as f64, "y": 0.0, "z": 0.0});
+            let pose = json!({"position": position, "orientation": ahead});
+            send(
+                &mut log,
+                odometry,
+                tenth,
+                json!({"frame_id": "odom", "pose": pose}),
+            );
+        }
+        if tenth % 10 == 0 {
+            let image = json!({"frame_id": "front", "format": "jpeg", "data": "/9j/4AAQ"});
+            send(&mut log, images, tenth, image);
+        }
+    }
+    log.finish().unwrap();
+}
+
+fn run_in(folder: &Path, arguments: &[&str]) -> Finished {
+    let mut command = command(arguments);
+    let output = command.current_dir(folder).output();
+    output.expect("evermap starts").into()
+}
+
+/// Lines that say what the test is about, without the figures of the file's own bytes.
+const SAID: &str = "\
+messages     198
+start        2023-11-14T22:13:20+00:00
+end          2023-11-14T22:13:30+00:00  (10.0 s)
+
+channels
+         1            /battery      our.Battery [json, jsonschema]
+        11   1.00 Hz  /front/image  foxglove.CompressedImage [json, jsonschema]
+        82   8.10 Hz  /odom         foxglove.PoseInFrame [json, jsonschema]  nothing for 2.00 s after 4.00 s
+       101     10 Hz  /tf           foxglove.FrameTransform [json, jsonschema]
+         3            /tf_static    foxglove.FrameTransform [json, jsonschema]
+
+roles
+  frames       /front/image
+  odometry     /odom
+  transforms   /tf, /tf_static
+
+frames
+  bumper -> front (fixed)
+  chassis -> bumper (fixed)
+  chassis -> rear (fixed)
+  odom -> chassis (moving)
+
+cameras
+  front (/front/image): mounted on chassis
+
+plans
+";
+
+#[test]
+fn inspect_lists_rates_gaps_frames_roles_and_plans() {
+    let folder = tempfile::tempdir().unwrap();
+    write(&folder.path().join("drive.mcap"));
+    let said = run_in(folder.path(), &["inspect", "drive.mcap"])
+        .expect(0)
+        .stdout;
+    let lines = said.lines().filter(|line| {
+        let own = [
+            "file ", "size ", "profile ", "library ", "index ", "chunks ",
+        ];
+        !own.iter().any(|own| line.starts_with(own))
+    });
+    let lines = lines.collect::<Vec<_>>().join("\n");
+    let (before, plans) = lines.split_at(SAID.len().min(lines.len()));
+    assert_eq!(before, SAID, "{said}");
+    assert!(
+        plans.contains("  trajectory   can run on this file"),
+        "{plans}"
+    );
+    assert!(
+        plans.contains("label_frames (step label_images)"),
+        "{plans}"
+    );
+    let json = run_in(folder.path(), &["inspect", "--json", "drive.mcap"]);
+    let json = json.expect(0).json();
+    let odometry = json["channels"].as_array().unwrap().iter();
+    let odometry = odometry.clone().find(|channel| channel["topic"] == "/odom");
+    assert_eq!(odometry.unwrap()["longest_gap_s"], 2.0);
+    let quick = run_in(
+        folder.path(),
+        &["inspect", "--quick", "--json", "drive.mcap"],
+    );
+    let quick = quick.expect(0).json();
+    assert!(quick["frames"].is_null() && quick["channels"][0]["rate_hz"].is_null());
+}
+
+const WRITTEN: &str = "\
+# Sessions of one site make one map. Without a site, each session is a site of its own.
+site: drive
+
+# The files of a session are the parts of one recording; relative paths begin at this file's folder.
+sessions:
+  - name: drive
+    files: [FOLDER/drive.mcap]
+
+# Which topics play which role, in all sessions. In a pattern, `*` stands for anything.
+roles:
+";
+
+#[test]
+fn the_manifest_that_inspect_writes_runs_and_is_edited() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write(&at("drive.mcap"));
+    let written = run_in(folder.path(), &["inspect", "--manifest", "drive.mcap"]);
+    let written = written.expect(0).stdout;
+    let expected = WRITTEN.replace("FOLDER", text(&folder.path().canonicalize().unwrap()));
+    assert!(written.contains(&expected), "{written}");
+    for line in [
+        "\n  odometry: /odom  # foxglove.PoseInFrame\n",
+        "\n  frames:\n    - /front/image  # foxglove.CompressedImage\n",
+        "\n    - /tf_static  # foxglove.FrameTransform\n",
+        "\n  # annotations:  # none found; evermap.Annotation\n",
+        "\n  vehicle_frame: chassis  # frames of the logs: bumper, chassis, front, odom, rear\n",
+        "\n  # odometry_scale_sigma: 0.01\n",
+        "\n  # mask: {",
+    ] {
+        assert!(written.contains(line), "{line}: {written}");
+    }
+    let manifest = at("drive.yaml");
+    std::fs::write(&manifest, &written).unwrap();
+    let map = at("map");
+    let run = |map: &Path, manifest: &Path| {
+        let (map, manifest) = (text(map), text(manifest));
+        let run = [
+            "run",
+            "trajectory",
+            "--map",
+            map,
+            "--manifest",
+            manifest,
+            "--progress",
+            "none",
+        ];
+        evermap(&run)
+    };
+    run(&map, &manifest).expect(0);
+    let sites = evermap(&[
+        "sql",
+        "--map",
+        text(&map),
+        "--format",
+        "csv",
+        "SELECT DISTINCT site FROM lanes",
+    ]);
+    assert_eq!(sites.expect(0).stdout, "site\ndrive\n");
+
+    // All that is commented out is what is meant where it is commented out: with it, the plan is checked as before.
+    let without = |text: &str| {
+        let lines = text.lines().map(|line| match line.strip_prefix("  # ") {
+            Some(rest)
+                if rest.starts_with(|c: char| c.is_lowercase())
+                    && rest.contains(": ")
+                    && !rest.contains("#") =>
+            {
+                format!("  {rest}\n")
+            }
+            _ => format!("{line}\n"),
+        });
+        lines.collect::<String>()
+    };
+    let all = without(&written);
+    assert!(
+        all.contains("\n  odometry_scale_sigma: 0.01\n") && all.contains("\n  mask: {"),
+        "{all}"
+    );
+    std::fs::write(&manifest, &all).unwrap();
+    let explained = evermap(&["explain", "lifelong", "--manifest", text(&manifest)]);
+    let explained = explained.expect(0).stdout;
+    assert!(explained.contains("vehicle_frame: chassis"), "{explained}");
+    assert!(
+        explained.contains("odometry_scale_sigma: 0.01"),
+        "{explained}"
+    );
+
+    for (edit, said) in [
+        ("vehicle_frame: [1]", "vehicle_frame"),
+        ("vehicle_frme: chassis", "did you mean `vehicle_frame`?"),
+        ("odometry_scale_sigma: -1", "odometry_scale_sigma"),
+    ] {
+        std::fs::write(&manifest, format!("defaults:\n  {edit}\n")).unwrap();
+        let refused = evermap(&["check", "metric_map", "--manifest", text(&manifest)]);
+        let refused = refused.expect(1).stderr;
+        assert!(
+            refused.contains("drive.yaml:2") && refused.contains(said),
+            "{edit}: {refused}"
+        );
+    }
+}
+
+#[test]
+fn the_schema_of_manifests_has_every_role_and_every_parameter() {
+    let schema = evermap(&["schema", "manifest"]).expect(0).json();
+    let properties = &schema["properties"];
+    for role in [
+        "odometry",
+        "frames",
+        "depth_frames",
+        "calibration",
+        "transforms",
+    ] {
+        let role = &properties["roles"]["properties"][role];
+        assert!(role["description"].is_string(), "{role}");
+    }
+    let defaults = &properties["defaults"]["properties"];
+    let reference = defaults["vehicle_frame"]["anyOf"][0]["$ref"]
+        .as_str()
+        .unwrap();
+    let described = schema.pointer(reference.trim_start_matches('#')).unwrap();
+    assert!(described["description"].is_string(), "{described}");
+    assert_eq!(schema["additionalProperties"], false);
+    let session = schema["properties"]["sessions"]["items"]["$ref"]
+        .as_str()
+        .unwrap();
+    let session = schema.pointer(session.trim_start_matches('#')).unwrap();
+    assert_eq!(session["required"], json!(["name", "files"]));
+}
