@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 /// rear one records nothing, one image a second, a topic that nobody reads.
 fn write(path: &Path) {
     let mut log = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
-    let mut topic = |log: &mut mcap::Writer<_>, topic: &str, schema: &str, members: Value| {
+    let topic = |log: &mut mcap::Writer<_>, topic: &str, schema: &str, members: Value| {
         let schema_text = json!({ "type": "object", "properties": members }).to_string();
         let schema = log.add_schema(schema, "jsonschema", schema_text.as_bytes());
         log.add_channel(schema.unwrap(), topic, "json", &Default::default())
@@ -60,7 +60,7 @@ fn write(path: &Path) {
     );
 
     let start = 1_700_000_000_000_000_000_u64;
-    let mut send = |log: &mut mcap::Writer<_>, channel_id: u16, tenth: u64, message: Value| {
+    let send = |log: &mut mcap::Writer<_>, channel_id: u16, tenth: u64, message: Value| {
         let time = start + tenth * 100_000_000;
         let header = mcap::records::MessageHeader {
             channel_id,
