@@ -199,6 +199,7 @@ mod tests {
             map_view: format!("a/c/{map_stamp}"),
             score: similarity,
             similarity,
+            yaw_rad: None,
         }
     }
 

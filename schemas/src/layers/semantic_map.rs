@@ -341,5 +341,8 @@ record! {
         /// Of graphs, σ = exp(1 - N/Nm) with N areas in the query and Nm matched, 1 at best and 0 without a match
         /// (paper 3); of words, the score again.
         similarity: f64,
+        /// By how much the query looks farther to the left than the map's view, counter-clockwise seen from above, in
+        /// [-π, π); null of words, which do not know it.
+        yaw_rad: Option<f64> ["rad"],
     }
 }

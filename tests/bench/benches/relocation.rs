@@ -46,7 +46,7 @@ fn rendered(visit: usize) -> Vec<Graph> {
             let options = GraphOptions {
                 classes: CLASSES,
                 wraps: true,
-                min_px: GraphOptions::share_px(0.001, view.width, view.height),
+                min_px: GraphOptions::share_px(0.0001, view.width, view.height),
             };
             Graph::from_labels(&image, &options).expect("a graph")
         })
@@ -61,6 +61,7 @@ fn disturbed(graph: &Graph, turn: f32, random: &mut ChaCha8Rng) -> Graph {
         u: (area.u + (turn + around(0.2)) * px_per_rad).rem_euclid(graph.width as f32),
         v: area.v + around(0.05) * px_per_rad,
         pixels: (area.pixels as f32 * around(0.5).exp()) as u32,
+        major_px: area.major_px * around(0.3).exp(),
         eccentricity: (area.eccentricity + around(0.1)).clamp(0.0, 0.99),
         orientation_rad: area.orientation_rad + around(0.3),
         ..*area
@@ -125,6 +126,18 @@ fn relocation(criterion: &mut Criterion) {
         let mut next = queries.iter().cycle();
         group.bench_function(BenchmarkId::new("tree", views), |bencher| {
             bencher.iter(|| next.next().map(|(query, _)| map.search(query, 1, |_| true)));
+        });
+        let ahead = Options {
+            headings: 1,
+            ..Options::default()
+        };
+        let map_ahead = ViewMap::new(graphs.iter(), ahead);
+        let mut next = queries.iter().cycle();
+        group.bench_function(BenchmarkId::new("tree, heading known", views), |bencher| {
+            bencher.iter(|| {
+                let (query, _) = next.next()?;
+                Some(map_ahead.search(query, 1, |_| true))
+            });
         });
         let mut next = queries.iter().cycle();
         group.bench_function(BenchmarkId::new("index and tree", views), |bencher| {

@@ -17,7 +17,8 @@ use rayon::prelude::*;
 
 /// Of views 0.123 m apart every 20th: the database and the queries between in turn.
 const SPACING_M: f64 = 0.123 * 20.0;
-const MIN_AREA_SHARE: f64 = 0.001;
+/// As in the plan `relocate`.
+const MIN_AREA_SHARE: f64 = 0.0001;
 /// Class of cars.
 const CAR: u8 = 7;
 
@@ -155,6 +156,8 @@ fn experiments<'a>(first: &'a [Seen], second: &'a [Seen]) -> Vec<Experiment<'a>>
         max_bearing_rad: 4.0,
         direction_steps: 1,
         size_power: 0.0,
+        headings: 1,
+        candidates: 0,
         ..plain.clone()
     };
     vec![

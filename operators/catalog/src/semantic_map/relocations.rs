@@ -46,7 +46,7 @@ impl Default for RelocationsParams {
 
 impl Operator for Relocations {
     const NAME: &'static str = "relocations";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("relocations.md");
     type Params = RelocationsParams;
     type Output = Relocation;
@@ -146,6 +146,7 @@ impl Place {
                 map_view: view.view.clone(),
                 score: hit.score,
                 similarity: hit.similarity,
+                yaw_rad: Some(0.0 - hit.turn_rad),
             }
         };
         Ok(hits.iter().zip(0..).map(row).collect())

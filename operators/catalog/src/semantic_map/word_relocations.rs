@@ -62,7 +62,7 @@ impl WordRelocationsParams {
 
 impl Operator for WordRelocations {
     const NAME: &'static str = "word_relocations";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("word_relocations.md");
     type Params = WordRelocationsParams;
     type Output = Relocation;
@@ -176,6 +176,7 @@ impl Finder {
                 map_view: view.name(),
                 score,
                 similarity: score,
+                yaw_rad: None,
             }
         };
         Ok((0..).zip(hits).map(relocation).collect())

@@ -24,7 +24,7 @@ pub fn estimate_scales(pairs: &[[&Graph; 2]], options: &Options) -> Option<Scale
     wide.scales.bearing_rad *= WIDER;
     wide.scales.elevation_rad *= WIDER;
     wide.scales.log_size *= WIDER;
-    wide.scales.eccentricity *= WIDER;
+    wide.scales.log_elongation *= WIDER;
     wide.scales.orientation_rad *= WIDER;
     let mut sums = [0.0_f64; 5];
     let mut number = 0;
@@ -43,7 +43,7 @@ pub fn estimate_scales(pairs: &[[&Graph; 2]], options: &Options) -> Option<Scale
         bearing_rad: mean(sums[0]),
         elevation_rad: mean(sums[1]),
         log_size: mean(sums[2]),
-        eccentricity: mean(sums[3]),
+        log_elongation: mean(sums[3]),
         orientation_rad: mean(sums[4]),
     })
 }
@@ -53,6 +53,7 @@ struct Seen {
     bearing: f32,
     elevation: f32,
     log_size: f32,
+    log_elongation: f32,
     eccentricity: f32,
     orientation: f32,
 }
@@ -63,6 +64,7 @@ fn seen(graph: &Graph, area: &Area, options: &Options) -> Seen {
         bearing: (area.u - (graph.width as f32 - 1.0) / 2.0) * rad_per_px,
         elevation: (area.v - (graph.height as f32 - 1.0) / 2.0) * rad_per_px,
         log_size: (area.pixels.max(1) as f32 * rad_per_px * rad_per_px).ln(),
+        log_elongation: area.log_elongation(),
         eccentricity: area.eccentricity,
         orientation: area.orientation_rad,
     }
@@ -78,7 +80,7 @@ fn rad_per_px(graph: &Graph, options: &Options) -> f32 {
     range / graph.width.max(1) as f32
 }
 
-/// Bearing, elevation, size, eccentricity, orientation.
+/// Bearing, elevation, size, elongation, orientation.
 fn apart([a, b]: &[Seen; 2]) -> [f32; 5] {
     let turn = (a.bearing - b.bearing).rem_euclid(TAU);
     let tilt = (a.orientation - b.orientation).rem_euclid(PI);
@@ -86,7 +88,7 @@ fn apart([a, b]: &[Seen; 2]) -> [f32; 5] {
         turn.min(TAU - turn),
         (a.elevation - b.elevation).abs(),
         (a.log_size - b.log_size).abs(),
-        (a.eccentricity - b.eccentricity).abs(),
+        (a.log_elongation - b.log_elongation).abs(),
         tilt.min(PI - tilt) * a.eccentricity.min(b.eccentricity).powi(2),
     ]
 }

@@ -110,7 +110,7 @@ fn scales_are_those_that_views_were_disturbed_with() {
     assert!((scales.bearing_rad - 0.1).abs() < 0.02, "{scales:?}");
     assert!((scales.elevation_rad - 0.03).abs() < 0.006, "{scales:?}");
     assert!(
-        scales.log_size < 0.01 && scales.eccentricity < 0.01,
+        scales.log_size < 0.01 && scales.log_elongation < 0.01,
         "{scales:?}"
     );
     assert_eq!(estimate_scales(&pairs[..1], &Options::default()), None);

@@ -1,6 +1,7 @@
 //! What each view could at best be worth, from all views' areas sorted by class and bearing.
 
 use super::description::{AreaCode, Areas, Description, LANES, Measure, NO_CLASS};
+use super::tree::Pair;
 
 /// Bearings are sorted into as many bins.
 const BINS: usize = 256;
@@ -51,9 +52,8 @@ impl Bounds {
     /// nothing takes most of the time and rules hardly a view out. No interpretation is worth more.
     #[inline(always)]
     pub(super) fn of(&self, query: &Description, turn: u16, measure: &Measure) -> Vec<u32> {
-        let floor = measure.limit / 4;
-        let measure = measure.above(floor);
-        let mut bounds = vec![query.weight() * u32::from(floor); self.number];
+        let (floor, measure) = above_floor(measure);
+        let mut bounds = vec![query.weight() * floor; self.number];
         let mut best = vec![0; self.number];
         for (area, weight) in query.weights.iter().enumerate() {
             let mut code = query.areas.at(area);
@@ -118,6 +118,26 @@ impl Bounds {
             }
         }
     }
+}
+
+/// The same for one view.
+pub(super) fn of_pair(pair: &Pair<'_>, measure: &Measure) -> u32 {
+    let (floor, measure) = above_floor(measure);
+    let areas = pair.query.weights.iter().enumerate();
+    let best = areas.map(|(area, weight)| {
+        let mut code = pair.query.areas.at(area);
+        code.bearing = code.bearing.wrapping_add(pair.turn);
+        let blocks = pair.map.areas.blocks[pair.blocks.clone()].iter();
+        let evidence = blocks.flat_map(|block| measure.evidence(&code, block));
+        u32::from(evidence.max().unwrap_or(0)) * weight
+    });
+    pair.query.weight() * floor + best.sum::<u32>()
+}
+
+/// What is taken for granted of each area, and the measure of what is above it.
+fn above_floor(measure: &Measure) -> (u32, Measure) {
+    let floor = measure.limit / 4;
+    (u32::from(floor), measure.above(floor))
 }
 
 /// Class and bearing.

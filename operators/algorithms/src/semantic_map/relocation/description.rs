@@ -24,7 +24,7 @@ pub(super) struct Block {
     pub(super) bearing: [u16; LANES],
     pub(super) elevation: [u16; LANES],
     pub(super) size: [u16; LANES],
-    pub(super) eccentricity: [u16; LANES],
+    pub(super) elongation: [u16; LANES],
     /// `2^16` is half a turn.
     pub(super) orientation: [u16; LANES],
     /// The squared eccentricity: `2^16` is 1.
@@ -37,7 +37,7 @@ impl Block {
         bearing: [0; LANES],
         elevation: [0; LANES],
         size: [0; LANES],
-        eccentricity: [0; LANES],
+        elongation: [0; LANES],
         orientation: [0; LANES],
         stretch: [0; LANES],
     };
@@ -58,7 +58,7 @@ pub(super) struct AreaCode {
     pub(super) bearing: u16,
     pub(super) elevation: u16,
     pub(super) size: u16,
-    pub(super) eccentricity: u16,
+    pub(super) elongation: u16,
     pub(super) orientation: u16,
     pub(super) stretch: u16,
 }
@@ -79,7 +79,7 @@ impl Areas {
         block.bearing[lane] = area.bearing;
         block.elevation[lane] = area.elevation;
         block.size[lane] = area.size;
-        block.eccentricity[lane] = area.eccentricity;
+        block.elongation[lane] = area.elongation;
         block.orientation[lane] = area.orientation;
         block.stretch[lane] = area.stretch;
         self.number += 1;
@@ -99,7 +99,7 @@ impl Areas {
             bearing: block.bearing[lane],
             elevation: block.elevation[lane],
             size: block.size[lane],
-            eccentricity: block.eccentricity[lane],
+            elongation: block.elongation[lane],
             orientation: block.orientation[lane],
             stretch: block.stretch[lane],
         }
@@ -155,7 +155,7 @@ impl Measure {
             let difference = share(turn, self.bearing)
                 .saturating_add(a.elevation.abs_diff(block.elevation[lane]))
                 .saturating_add(a.size.abs_diff(block.size[lane]))
-                .saturating_add(a.eccentricity.abs_diff(block.eccentricity[lane]))
+                .saturating_add(a.elongation.abs_diff(block.elongation[lane]))
                 .saturating_add(share(tilt, a.stretch.min(block.stretch[lane])));
             // Without a branch, so that all lanes are one instruction.
             let near = (turn <= self.max_bearing) & (a.class == block.class[lane]);
@@ -184,10 +184,17 @@ pub(super) fn rad_per_px(graph: &Graph, options: &Options) -> f32 {
 /// The areas that take part, the largest first: not small ones, nor those of ignored classes, nor those whose numbers are
 /// not finite.
 pub(super) fn order(graph: &Graph, options: &Options) -> Vec<usize> {
-    let image = f64::from(graph.width) * f64::from(graph.height);
-    let least = (options.min_area_share * image).ceil();
+    let around = f64::from(TAU) / f64::from(rad_per_px(graph, options));
+    let least = (options.min_area_share * around * f64::from(graph.height)).ceil();
     let takes_part = |area: &Area| {
-        let numbers = [area.u, area.v, area.eccentricity, area.orientation_rad];
+        let numbers = [
+            area.u,
+            area.v,
+            area.major_px,
+            area.minor_px,
+            area.eccentricity,
+            area.orientation_rad,
+        ];
         numbers.iter().all(|number| number.is_finite())
             && f64::from(area.pixels) >= least
             && !options.ignored.contains(&area.class)
@@ -243,7 +250,7 @@ impl Description {
                     (pixels * rad_per_px * rad_per_px).ln(),
                     scales.log_size,
                 )),
-                eccentricity: signed(units(area.eccentricity, scales.eccentricity)),
+                elongation: signed(units(area.log_elongation(), scales.log_elongation)),
                 orientation: modular(area.orientation_rad, PI),
                 stretch: (area.eccentricity.clamp(0.0, 1.0).powi(2) * 65535.0) as u16,
             });

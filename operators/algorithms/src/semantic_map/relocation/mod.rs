@@ -10,9 +10,11 @@
 //! is matched already. Searching all views ([`ViewMap::search`]) gives the same answer as comparing with each, but most
 //! are ruled out by a bound: what each area of the query could at best be matched with, regardless of all others.
 
+mod again;
 mod bounds;
 mod class_index;
 mod description;
+mod level;
 mod options;
 mod tree;
 mod view_map;

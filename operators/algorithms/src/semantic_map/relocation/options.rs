@@ -22,9 +22,10 @@ pub struct Scales {
     /// Scale of differences of the natural logarithm of the size. 0 leaves it out.
     #[schemars(range(min = 0.0))]
     pub log_size: f64,
-    /// Scale of differences of eccentricity. 0 leaves it out.
+    /// Scale of differences of the natural logarithm of length over width, which still tells long areas apart where the
+    /// eccentricity of all is nearly 1. 0 leaves it out.
     #[schemars(range(min = 0.0))]
-    pub eccentricity: f64,
+    pub log_elongation: f64,
     /// Scale of differences of the longer axis's orientation (rad), which count as much as the rounder area's squared
     /// eccentricity says that it has one. 0 leaves it out.
     #[schemars(range(min = 0.0))]
@@ -32,13 +33,14 @@ pub struct Scales {
 }
 
 impl Default for Scales {
-    /// Rounded from what areas differ by between views of a simulated street some 3 m apart, its labels 18 % wrong.
+    /// Rounded from what areas differ by between views of a simulated street some 3 m apart, its labels 18 % wrong; of
+    /// bearing two thirds, as the heading is fitted first.
     fn default() -> Self {
         Self {
-            bearing_rad: 0.25,
+            bearing_rad: 0.15,
             elevation_rad: 0.06,
             log_size: 0.6,
-            eccentricity: 0.15,
+            log_elongation: 0.5,
             orientation_rad: 0.5,
         }
     }
@@ -72,16 +74,21 @@ pub struct Options {
     /// An area counts as much as its size to this power. 0 makes all equal, as in the paper.
     #[schemars(range(min = 0.0, max = 2.0))]
     pub size_power: f64,
-    /// Headings of the query relative to the map's views that are tried, at equal steps of the full turn: 1 expects views
-    /// to look the same way, 2 also the opposite one, 24 any.
+    /// Headings of the query relative to the map's views that are tried, at equal steps of the full turn: 24 finds any, 1
+    /// expects views to look the same way, 2 also the opposite one.
     #[schemars(range(min = 1, max = 360))]
     pub headings: u32,
     /// Horizontal field of view of images that are no full panorama (rad).
     #[schemars(range(min = 0.0, max = TAU))]
     pub field_of_view_rad: f64,
-    /// Areas that cover less of the image than this share take no part: they are the first to be seen differently.
+    /// Areas that cover less of the image than this share take no part in the search: they are the first to be seen
+    /// differently.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_area_share: f64,
+    /// Of the views that the search finds, the best so many are compared again with areas of any size, which tell places
+    /// apart, at the heading at which their areas fit best. 0: the search alone decides.
+    #[schemars(range(min = 0, max = 10_000))]
+    pub candidates: u32,
     /// Views with fewer matched areas are not given.
     pub min_matched: u32,
     /// Classes that are left out.
@@ -93,14 +100,15 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             scales: Scales::default(),
-            limit: 6.0,
+            limit: 4.0,
             max_bearing_rad: 0.75,
             boundary_factor: 8.0,
             direction_steps: 4,
-            size_power: 0.25,
-            headings: 1,
+            size_power: 0.15,
+            headings: 24,
             field_of_view_rad: FRAC_PI_2,
             min_area_share: 0.002,
+            candidates: 32,
             min_matched: 1,
             ignored: Vec::new(),
         }
@@ -114,6 +122,14 @@ impl Options {
         let turn = move |heading: u32| f64::from(heading) * step;
         let wrapped = |turn: f64| if turn > PI { turn - TAU } else { turn };
         (0..self.headings).map(turn).map(wrapped)
+    }
+
+    /// With areas of any size.
+    pub(super) fn of_any_size(&self) -> Self {
+        Self {
+            min_area_share: 0.0,
+            ..self.clone()
+        }
     }
 
     /// For the views of a map: areas of no class can be a query's, which nothing is like, but nobody's match.

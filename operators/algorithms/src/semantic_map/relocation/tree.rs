@@ -29,6 +29,7 @@ pub(super) struct Tree {
 }
 
 /// What a tree compares: a query turned by `turn` (`2^16` is a full turn) and one view of a map.
+#[derive(Clone)]
 pub(super) struct Pair<'a> {
     pub(super) query: &'a Description,
     pub(super) turn: u16,
@@ -36,6 +37,32 @@ pub(super) struct Pair<'a> {
     pub(super) map: &'a Description,
     /// Which of their blocks are the view's.
     pub(super) blocks: Range<usize>,
+}
+
+impl Pair<'_> {
+    /// The turn at which matched areas are as often to the left of their matches as to the right, by their weights.
+    pub(super) fn fitted_turn(&self, found: &Interpretation) -> u16 {
+        let mut apart: Vec<(i16, u32)> = found
+            .pairs
+            .iter()
+            .map(|[mine, other]| {
+                let mine = usize::from(*mine);
+                let other = self.blocks.start * LANES + usize::from(*other);
+                let bearing = self.query.areas.at(mine).bearing.wrapping_add(self.turn);
+                let apart = self.map.areas.at(other).bearing.wrapping_sub(bearing);
+                (apart as i16, self.query.weights[mine])
+            })
+            .collect();
+        apart.sort_unstable();
+        let all: u32 = apart.iter().map(|(_, weight)| weight).sum();
+        let mut left = 0;
+        let median = apart.iter().find(|(_, weight)| {
+            left += weight;
+            2 * left >= all
+        });
+        self.turn
+            .wrapping_add(median.map_or(0, |(apart, _)| *apart as u16))
+    }
 }
 
 /// Which pairs of pairs fit.

@@ -4,13 +4,15 @@ use std::cmp::Reverse;
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
+use super::again::Again;
 use super::bounds::Bounds;
-use super::description::{Description, Measure, order};
+use super::description::{Description, order};
+use super::level::{Found, Level};
 use super::options::Options;
 use super::similarity;
-use super::tree::{Constraints, Interpretation, Pair, Tree};
+use super::tree::Tree;
 use crate::semantic_map::semantic_graph::Graph;
 
 /// Candidates are sorted and looked at in as many rounds, by their bounds.
@@ -19,29 +21,32 @@ const ROUNDS: u32 = 16;
 /// The views of a map, ready to be searched.
 #[derive(Debug, Clone)]
 pub struct ViewMap {
-    options: Options,
-    measure: Measure,
-    rules: Constraints,
-    turns: Vec<u16>,
-    /// The areas of all views, one view after the other.
-    described: Description,
-    /// Where each view's blocks of areas begin, and the number of all.
-    offsets: Vec<u32>,
+    pub(super) options: Options,
+    pub(super) turns: Vec<u16>,
+    /// What is searched.
+    pub(super) large: Level,
     bounds: Bounds,
-    arch: Arch,
+    /// What candidates are compared by again; `None` where the search alone decides.
+    all: Option<Level>,
 }
 
 /// A view that is looked for.
 #[derive(Debug, Clone)]
 pub struct Query {
-    described: Description,
-    weight: u32,
+    pub(super) large: Description,
+    /// With areas of any size; `None` where the search alone decides.
+    all: Option<Description>,
 }
 
 impl Query {
     /// Areas that take part: those of classes that are not ignored.
     pub fn areas(&self) -> usize {
-        self.described.areas.len()
+        self.decisive().areas.len()
+    }
+
+    /// What a hit's score is of.
+    fn decisive(&self) -> &Description {
+        self.all.as_ref().unwrap_or(&self.large)
     }
 }
 
@@ -50,7 +55,8 @@ impl Query {
 pub struct Hit {
     /// Its number in the map.
     pub view: u32,
-    /// Heading of the query relative to the view that fits best, one of [`Options::headings`] (rad).
+    /// Heading of the query relative to the view at which they fit best (rad), in (-π, π]. Of the search alone one of
+    /// [`Options::headings`].
     pub turn_rad: f64,
     /// Areas of the query that were matched.
     pub matched: u32,
@@ -61,50 +67,24 @@ pub struct Hit {
     pub similarity: f64,
 }
 
-/// A hit before it is reported; the best first.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Found {
-    rank: (Reverse<u32>, Reverse<u32>),
-    view: u32,
-    turn: usize,
-}
-
-impl Found {
-    fn evidence(&self) -> u32 {
-        self.rank.0.0
-    }
-
-    fn matched(&self) -> u32 {
-        self.rank.1.0
-    }
-}
-
 impl ViewMap {
     /// A map of views, numbered in their order.
-    pub fn new<'a>(graphs: impl Iterator<Item = &'a Graph>, options: Options) -> Self {
-        let mut described = Description::default();
-        let mut offsets = vec![0];
-        let of_map = options.of_map();
-        for graph in graphs {
-            described.append(Description::new(graph, &of_map));
-            offsets.push(described.areas.blocks.len() as u32);
-        }
+    pub fn new<'a>(graphs: impl Iterator<Item = &'a Graph> + Clone, options: Options) -> Self {
         let code = |turn: f64| ((turn / TAU * 65536.0).round() as i64).rem_euclid(65536) as u16;
+        let large = Level::new(graphs.clone(), &options);
+        let again = options.candidates > 0;
         Self {
-            measure: Measure::new(&options),
-            rules: Constraints::new(&options),
             turns: options.turns_rad().map(code).collect(),
-            bounds: Bounds::new(&described, &offsets),
-            described,
-            offsets,
+            bounds: Bounds::new(&large.described, &large.offsets),
+            large,
+            all: again.then(|| Level::new(graphs, &options.of_any_size())),
             options,
-            arch: Arch::new(),
         }
     }
 
     /// Number of views.
     pub fn len(&self) -> usize {
-        self.offsets.len() - 1
+        self.large.offsets.len() - 1
     }
 
     /// True without views.
@@ -114,20 +94,28 @@ impl ViewMap {
 
     /// Prepares a view to be looked for.
     pub fn query(&self, graph: &Graph) -> Query {
-        let described = Description::new(graph, &self.options);
+        let again = self.options.candidates > 0;
         Query {
-            weight: described.weight(),
-            described,
+            large: Description::new(graph, &self.options),
+            all: again.then(|| Description::new(graph, &self.options.of_any_size())),
         }
     }
 
     /// The `top` views that the query fits best, the best first (by score, then by number of matched areas, then by
-    /// number), of those that `allowed` lets pass. Exactly those that comparing with every view would give.
+    /// number), of those that `allowed` lets pass. Where the search alone decides, exactly those that comparing with every
+    /// view would give; else those of [`Options::candidates`].
     pub fn search(&self, query: &Query, top: usize, allowed: impl Fn(u32) -> bool) -> Vec<Hit> {
-        let bounds = self.arch.dispatch(Bounding { map: self, query });
+        let bounds = self.large.arch.dispatch(Bounding { map: self, query });
+        if let Some(again) = self.again(query) {
+            let views = (0..self.len() as u32).filter(|view| allowed(*view));
+            let bounded = views.filter_map(|view| {
+                let bounds = bounds.iter().map(|of_turn| of_turn[view as usize]);
+                again.bounded(view, bounds)
+            });
+            return again.best(bounded.collect(), top);
+        }
         let most = bounds.iter().flatten().max().copied().unwrap_or(0);
-        let mut best = Best::new(top, &self.options);
-        let mut tree = Tree::default();
+        let (mut best, mut tree) = (Best::new(top, &self.options), Tree::default());
         let mut end = u32::MAX;
         for round in 1..=ROUNDS {
             // Bounds from `start` up to those of the round before.
@@ -137,7 +125,8 @@ impl ViewMap {
                     return best.hits(self, query);
                 }
                 if allowed(candidate.view) {
-                    best.add(self.found(query, candidate.view, candidate.turn, &mut tree));
+                    let turn = self.turns[candidate.turn];
+                    best.add(self.found(query, candidate.view, turn, &mut tree));
                 }
             }
             if start == 0 || best.are_above(start) {
@@ -151,11 +140,14 @@ impl ViewMap {
     /// Of the given views the `top` that the query fits best, as [`ViewMap::search`]. Views that there are not are passed
     /// over.
     pub fn among(&self, query: &Query, views: &[u32], top: usize) -> Vec<Hit> {
-        let mut best = Best::new(top, &self.options);
-        let mut tree = Tree::default();
+        if let Some(again) = self.again(query) {
+            let bounded = views.iter().filter_map(|view| again.bound(*view));
+            return again.best(bounded.collect(), top);
+        }
+        let (mut best, mut tree) = (Best::new(top, &self.options), Tree::default());
         for view in views {
-            for turn in 0..self.turns.len() {
-                best.add(self.found(query, *view, turn, &mut tree));
+            for turn in &self.turns {
+                best.add(self.found(query, *view, *turn, &mut tree));
             }
         }
         best.hits(self, query)
@@ -165,47 +157,42 @@ impl ViewMap {
     /// view that there is not.
     pub fn compare(&self, query: &Query, view: u32) -> Option<Hit> {
         let mut tree = Tree::default();
-        let turns = 0..self.turns.len();
-        let found = turns.filter_map(|turn| self.found(query, view, turn, &mut tree));
+        if let Some(again) = self.again(query) {
+            let found = again.compared(&again.bound(view)?, &mut tree)?;
+            return Some(self.hit(query, &found));
+        }
+        let turns = self.turns.iter();
+        let found = turns.filter_map(|turn| self.found(query, view, *turn, &mut tree));
         let few = |found: &Found| found.matched() < self.options.min_matched;
         let best = found.min_by_key(|found| (few(found), *found));
         best.map(|found| self.hit(query, &found))
     }
 
-    fn blocks(&self, view: u32) -> Option<Range<usize>> {
-        let bounds = self.offsets.get(view as usize..)?.get(..2)?;
-        Some(bounds[0] as usize..bounds[1] as usize)
-    }
-
-    fn pair<'a>(&'a self, query: &'a Query, view: u32, turn: u16) -> Option<Pair<'a>> {
-        Some(Pair {
-            query: &query.described,
-            turn,
-            map: &self.described,
-            blocks: self.blocks(view)?,
+    /// `None` where the search alone decides.
+    fn again<'a>(&'a self, query: &'a Query) -> Option<Again<'a>> {
+        Some(Again {
+            map: self,
+            query,
+            level: self.all.as_ref()?,
+            all: query.all.as_ref()?,
         })
     }
 
-    fn found(&self, query: &Query, view: u32, turn: usize, tree: &mut Tree) -> Option<Found> {
-        let pair = self.pair(query, view, self.turns[turn])?;
-        let rules = &self.rules;
-        let grown = self.arch.dispatch(Growing { pair, rules, tree });
-        Some(Found {
-            rank: (Reverse(grown.evidence), Reverse(grown.pairs.len() as u32)),
-            view,
-            turn,
-        })
+    fn found(&self, query: &Query, view: u32, turn: u16, tree: &mut Tree) -> Option<Found> {
+        let pair = self.large.pair(&query.large, view, turn)?;
+        Some(self.large.found(pair, view, tree))
     }
 
     fn hit(&self, query: &Query, found: &Found) -> Hit {
         let matched = found.matched();
-        let most = f64::from(query.weight) * f64::from(self.measure.limit);
+        let weight = query.decisive().weight();
+        let most = f64::from(weight) * f64::from(self.large.measure.limit);
         Hit {
             view: found.view,
-            turn_rad: self.options.turns_rad().nth(found.turn).unwrap_or(0.0),
+            turn_rad: f64::from(found.turn as i16) / 65536.0 * TAU,
             matched,
             score: if most > 0.0 {
-                found.evidence() as f64 / most
+                f64::from(found.evidence()) / most
             } else {
                 0.0
             },
@@ -243,14 +230,14 @@ fn candidates(bounds: &[Vec<u32>], range: Range<u32>) -> Vec<Candidate> {
 }
 
 /// The best views so far, sorted, each once.
-struct Best {
+pub(super) struct Best {
     found: Vec<Found>,
     top: usize,
     min_matched: u32,
 }
 
 impl Best {
-    fn new(top: usize, options: &Options) -> Self {
+    pub(super) fn new(top: usize, options: &Options) -> Self {
         Self {
             found: Vec::new(),
             top,
@@ -268,7 +255,7 @@ impl Best {
                     .is_some_and(|worst| worst.evidence() > bound)
     }
 
-    fn add(&mut self, found: Option<Found>) {
+    pub(super) fn add(&mut self, found: Option<Found>) {
         let Some(found) = found.filter(|found| found.matched() >= self.min_matched) else {
             return;
         };
@@ -283,11 +270,9 @@ impl Best {
         self.found.truncate(self.top);
     }
 
-    fn hits(&self, map: &ViewMap, query: &Query) -> Vec<Hit> {
-        self.found
-            .iter()
-            .map(|found| map.hit(query, found))
-            .collect()
+    pub(super) fn hits(&self, map: &ViewMap, query: &Query) -> Vec<Hit> {
+        let hits = self.found.iter().map(|found| map.hit(query, found));
+        hits.collect()
     }
 }
 
@@ -304,24 +289,8 @@ impl WithSimd for Bounding<'_> {
     fn with_simd<S: Simd>(self, _: S) -> Self::Output {
         let Self { map, query } = self;
         let turns = map.turns.iter();
-        let bounds = turns.map(|turn| map.bounds.of(&query.described, *turn, &map.measure));
+        let bounds = turns.map(|turn| map.bounds.of(&query.large, *turn, &map.large.measure));
         bounds.collect()
-    }
-}
-
-/// As [`Bounding`].
-struct Growing<'a> {
-    pair: Pair<'a>,
-    rules: &'a Constraints,
-    tree: &'a mut Tree,
-}
-
-impl<'a> WithSimd for Growing<'a> {
-    type Output = &'a Interpretation;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Self::Output {
-        self.tree.grow(&self.pair, self.rules)
     }
 }
 
@@ -331,11 +300,11 @@ pub fn matched_areas(query: &Graph, view: &Graph, options: &Options) -> Vec<[usi
     let map = ViewMap::new(std::iter::once(view), options.clone());
     let (asked, mut tree) = (map.query(query), Tree::default());
     let turn = map.turns.first();
-    let Some(pair) = turn.and_then(|turn| map.pair(&asked, 0, *turn)) else {
+    let Some(pair) = turn.and_then(|turn| map.large.pair(&asked.large, 0, *turn)) else {
         return Vec::new();
     };
     let orders = [order(query, options), order(view, &options.of_map())];
-    let matched = tree.grow(&pair, &map.rules).pairs.iter();
+    let matched = map.large.grown(&pair, &mut tree).pairs.iter();
     matched
         .map(|[a, b]| [orders[0][usize::from(*a)], orders[1][usize::from(*b)]])
         .collect()

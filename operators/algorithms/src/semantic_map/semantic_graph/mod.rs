@@ -91,6 +91,15 @@ pub struct Area {
     pub eccentricity: f32,
 }
 
+impl Area {
+    /// The natural logarithm of length over width, where neither is less than a pixel's.
+    pub fn log_elongation(&self) -> f32 {
+        // Half an axis of the ellipse of a lone row of pixels, 2 · √(1/12).
+        let least = 1.0 / 3.0_f32.sqrt();
+        (self.major_px.max(least) / self.minor_px.max(least)).ln()
+    }
+}
+
 /// Two areas that touch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Edge {

@@ -19,8 +19,10 @@ fn options() -> impl Strategy<Value = Options> {
         0.1_f64..4.0,
         prop_oneof![Just(0.0_f64), Just(0.5)],
     );
-    (pairs, turns, unary, any::<bool>(), 1_u32..4).prop_map(
-        |((boundary_factor, direction_steps), headings, (limit, bearing, power), ignore, least)| {
+    let again = (1_u32..4, prop_oneof![Just(0_u32), Just(100)]);
+    (pairs, turns, unary, any::<bool>(), again).prop_map(
+        |((boundary_factor, direction_steps), headings, (limit, bearing, power), ignore, again)| {
+            let (least, candidates) = again;
             Options {
                 boundary_factor,
                 direction_steps,
@@ -30,6 +32,7 @@ fn options() -> impl Strategy<Value = Options> {
                 size_power: power,
                 ignored: if ignore { vec![2] } else { Vec::new() },
                 min_matched: least,
+                candidates,
                 ..Options::default()
             }
         },
