@@ -23,6 +23,9 @@ const WAITING: usize = 4;
 /// Where a frame stands in its session: file, unit of the file, place among the topic's frames in the unit.
 type At = (u32, usize, usize);
 
+/// The frames of a topic in a unit.
+type Frames = Arc<Vec<Found>>;
+
 /// The topics whose frames were asked for, by session and topic.
 #[derive(Debug, Default)]
 pub struct Tracks(Mutex<BTreeMap<(String, String), Arc<Track>>>);
@@ -30,7 +33,7 @@ pub struct Tracks(Mutex<BTreeMap<(String, String), Arc<Track>>>);
 /// What is known of the frames of one topic.
 #[derive(Debug, Default)]
 struct Track {
-    units: Mutex<BTreeMap<(u32, usize), Arc<Vec<Found>>>>,
+    units: Mutex<BTreeMap<(u32, usize), Frames>>,
     /// No frame up to this unit is a key frame.
     barren: Mutex<Option<(u32, usize)>>,
     runs: Mutex<Vec<Run>>,
@@ -362,7 +365,7 @@ impl ImageReader {
         topic: &str,
         unit: usize,
         codec: Codec,
-    ) -> Result<Result<Arc<Vec<Found>>, Fault>, Fault> {
+    ) -> Result<Result<Frames, Fault>, Fault> {
         let track = self.track(&part.session, topic);
         let known = held(&track.units).get(&(part.part, unit)).cloned();
         if let Some(known) = known {

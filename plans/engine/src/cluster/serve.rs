@@ -1,5 +1,6 @@
 //! The processes of a cluster.
 
+use std::collections::BTreeSet;
 use std::convert::Infallible;
 use std::fmt;
 use std::sync::{Arc, OnceLock};
@@ -82,7 +83,8 @@ async fn cancel_abandoned(
         if !executors.executor_heartbeats().is_empty() {
             continue;
         }
-        for job in jobs.get_all_jobs().await.unwrap_or_default() {
+        let open = jobs.get_all_jobs().await.unwrap_or_default();
+        for job in open.into_iter().collect::<BTreeSet<_>>() {
             let status = jobs.get_job_status(&job).await.ok().flatten();
             let status = status.and_then(|job| job.status);
             if !matches!(status, Some(Status::Queued(_) | Status::Running(_))) {
