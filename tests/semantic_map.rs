@@ -135,7 +135,7 @@ fn another_visit_is_found_where_it_was_with_true_and_with_noisy_labels() {
     let Some(world) = shared("worlds/street_small") else {
         return;
     };
-    for (labels, least) in [("/panorama/labels", 0.9), ("/panorama/labels_noisy", 0.8)] {
+    for (labels, least) in [("/panorama/labels", 0.97), ("/panorama/labels_noisy", 0.95)] {
         let folder = tempfile::tempdir().unwrap();
         let map = folder.path().join("map");
         for visit in ["visit_a", "visit_b"] {
