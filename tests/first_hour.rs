@@ -212,7 +212,7 @@ fn queries_that_cannot_be_answered_say_what_was_meant() {
     for (query, said) in [
         (
             "SELECT * FROM pose",
-            "error: user: there is no table `pose`; did you mean `poses`?; there are `intersections`, `lanes`",
+            "error: user: there is no table `pose`; did you mean `poses`?; there are `columns`, `intersections`, `lanes`",
         ),
         (
             "SELECT stmp FROM poses",
@@ -369,4 +369,49 @@ fn functions_are_listed_and_work_on_layers_and_logs() {
         let answer = evermap(&asked).expect(0).stdout;
         assert_eq!(answer, format!("yes\n{expected}\n"), "{query}");
     }
+}
+
+#[test]
+fn every_column_of_a_map_is_explained() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = folder.path().join("drive.mcap");
+    write_drive(&drive, rectangle(30.0, 20.0, 1.0));
+    let map = folder.path().join("map");
+    run("trajectory", &map, &[&drive], &[]).expect(0);
+    let sql = |query: &str| {
+        let asked = evermap(&["sql", "--map", text(&map), "--format", "json", query]);
+        asked.expect(0).json().as_array().unwrap().clone()
+    };
+    let lanes = sql(
+        "SELECT \"column\", kind, unit, frame, meaning FROM columns WHERE layer = 'lanes' AND \"column\" = 'length_m'",
+    );
+    assert_eq!(
+        (&lanes[0]["kind"], &lanes[0]["unit"]),
+        (&"f64".into(), &"m".into())
+    );
+    assert!(!lanes[0]["meaning"].as_str().unwrap().is_empty());
+    // Every table has its columns there, under the names that queries use, and itself too.
+    let unexplained = sql("SELECT layer FROM layers EXCEPT SELECT layer FROM columns");
+    assert!(unexplained.is_empty(), "{unexplained:?}");
+    let own = sql("SELECT count(*) AS n FROM columns WHERE layer = 'columns' AND meaning <> ''");
+    assert_eq!(own[0]["n"], 8);
+    let within =
+        sql("SELECT unit FROM columns WHERE layer = 'poses' AND \"column\" = 'map_from_vehicle.x'");
+    assert_eq!(within[0]["unit"], "m");
+    let nulls = sql(
+        "SELECT \"column\" FROM columns WHERE nullable AND null_meaning IS NULL AND layer <> 'poses'",
+    );
+    assert!(nulls.is_empty(), "{nulls:?}");
+
+    let listed = evermap(&["layers", "--map", text(&map), "lanes"])
+        .expect(0)
+        .stdout;
+    assert!(
+        listed.contains("length_m") && listed.contains("| m "),
+        "{listed}"
+    );
+    let refused = evermap(&["layers", "--map", text(&map), "lane"])
+        .expect(1)
+        .stderr;
+    assert!(refused.contains("did you mean `lanes`?"), "{refused}");
 }

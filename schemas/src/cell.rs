@@ -11,7 +11,7 @@ use arrow::buffer::OffsetBuffer;
 use arrow::compute::{filter, is_not_null, take};
 use arrow::datatypes::{ArrowPrimitiveType, DataType, Field, Fields};
 
-use crate::Fault;
+use crate::{Column, Fault};
 
 /// A value that knows its Arrow column. Nulls exist only as `Option`.
 pub trait Cell: Sized {
@@ -20,6 +20,11 @@ pub trait Cell: Sized {
 
     /// The Arrow type of the column.
     fn data_type() -> DataType;
+
+    /// The columns within the column: of a record, or of the records that it lists.
+    fn members() -> Vec<Column> {
+        Vec::new()
+    }
 
     /// The column of these values.
     ///
@@ -111,6 +116,10 @@ impl<T: Cell> Cell for Option<T> {
         T::data_type()
     }
 
+    fn members() -> Vec<Column> {
+        T::members()
+    }
+
     fn encode(values: Vec<Self>) -> Result<ArrayRef, Fault> {
         let mut next = 0;
         let index: UInt32Array = values
@@ -151,6 +160,10 @@ impl<T: Cell> Cell for Vec<T> {
         DataType::List(item::<T>())
     }
 
+    fn members() -> Vec<Column> {
+        T::members()
+    }
+
     fn encode(values: Vec<Self>) -> Result<ArrayRef, Fault> {
         let lengths: Vec<usize> = values.iter().map(Vec::len).collect();
         if lengths.iter().sum::<usize>() > i32::MAX as usize {
@@ -186,6 +199,10 @@ impl<T: Cell> Cell for Vec<T> {
 impl<T: Cell + Copy + Default, const N: usize> Cell for [T; N] {
     fn data_type() -> DataType {
         DataType::FixedSizeList(item::<T>(), N as i32)
+    }
+
+    fn members() -> Vec<Column> {
+        T::members()
     }
 
     fn encode(values: Vec<Self>) -> Result<ArrayRef, Fault> {

@@ -13,6 +13,7 @@
 //! This crate knows Arrow and nothing above it: no operators, no engine, no files.
 
 mod cell;
+pub mod dictionary;
 mod fault;
 mod geometry;
 mod layer;

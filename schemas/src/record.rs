@@ -23,6 +23,8 @@ pub struct Column {
     pub frame: &'static str,
     /// One or two sentences for the reference page.
     pub doc: String,
+    /// The columns within it: of a struct, or of a list's items.
+    pub members: Vec<Column>,
 }
 
 impl Column {
@@ -70,6 +72,10 @@ fn struct_fields<T: Record>() -> Fields {
 impl<T: Record> Cell for T {
     fn data_type() -> DataType {
         DataType::Struct(struct_fields::<T>())
+    }
+
+    fn members() -> Vec<Column> {
+        T::columns()
     }
 
     fn encode(values: Vec<Self>) -> Result<ArrayRef, Fault> {
@@ -153,6 +159,7 @@ macro_rules! record {
                     unit: concat!($($unit)?),
                     frame: concat!($($($frame)?)?),
                     doc: [$($column_doc.trim()),+].join(" "),
+                    members: <$type as $crate::Cell>::members(),
                 }),+]
             }
 

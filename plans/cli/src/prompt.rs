@@ -8,13 +8,14 @@ use std::sync::Arc;
 use datafusion::common::utils::quote_identifier;
 use evermap_engine::error::OrFault;
 use evermap_schemas::Fault;
+use evermap_schemas::dictionary::columns;
 use reedline::{
     FileBackedHistory, Prompt, PromptEditMode, PromptHistorySearch, Reedline, Signal,
     ValidationResult, Validator,
 };
 
 use crate::commands::sql::{Tables, statements};
-use crate::describe::{TableLine, columns};
+use crate::describe::TableLine;
 use crate::ending::{Failure, Lost, panicked, tell};
 use crate::output::{Format, Sink, print_rows};
 use crate::progress::line;
@@ -216,7 +217,8 @@ async fn describe(tables: &Tables, name: &str) -> Result<(), Failure> {
     let reference = datafusion::common::TableReference::bare(name);
     let table = tables.context.table_provider(reference).await.or_fault()?;
     let declared = tables.declaration(name);
-    print_rows(Format::Table, columns(&table.schema(), declared.as_ref())).await
+    let columns = columns(name, &table.schema(), declared.as_ref());
+    print_rows(Format::Table, columns).await
 }
 
 #[cfg(test)]

@@ -128,11 +128,11 @@ record! {
         foretold_looks: f64,
         /// Logarithm of the likelihood of these visits, each foretold from those before it; null where there is none.
         log_likelihood: Option<f64> ["nat"],
-        /// The same, foretold by what was expected of each kind of ground before any visit.
+        /// The same, foretold by what was expected of each kind of ground before any visit; null where that is.
         log_likelihood_of_expected: Option<f64> ["nat"],
-        /// The same, foretold by the rate of each kind of ground in the visits before.
+        /// The same, foretold by the rate of each kind of ground in the visits before; null where that is.
         log_likelihood_of_kinds: Option<f64> ["nat"],
-        /// The same, foretold by counting people in each cell alone.
+        /// The same, foretold by counting people in each cell alone; null where that is.
         log_likelihood_of_counts: Option<f64> ["nat"],
     }
 }

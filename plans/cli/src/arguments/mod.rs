@@ -225,6 +225,9 @@ pub struct MapArgs {
 /// Arguments of `layers`.
 #[derive(Debug, Args)]
 pub struct LayersArgs {
+    /// Layer whose columns are listed, with types, units, frames and meanings.
+    #[arg(conflicts_with_all = ["files", "duckdb"])]
+    pub layer: Option<String>,
     /// The map.
     #[command(flatten)]
     pub map: MapArgs,

@@ -4,22 +4,29 @@ use std::collections::BTreeMap;
 use std::io::Write;
 
 use evermap_engine::map::store::Store;
+use evermap_engine::map::tables::Tables;
 use evermap_engine::map::{LayerFile, Map, versions as versions_of};
+use evermap_engine::sql::{Limits, context};
 
 use crate::arguments::{LayersArgs, VersionsArgs};
 use crate::ending::{DONE, Ending, Failure, Lost};
 use crate::output::{Format, print_rows};
 use crate::quantity::short_digest;
 
-/// Lists the layers of a map; what is missing or damaged counts as lost.
+/// Lists the layers of a map, or the columns of one; what is missing or damaged counts as lost.
 ///
 /// # Errors
 /// A user fault where there is no such map or version.
 pub async fn layers(args: &LayersArgs) -> Ending {
     let map = Map::open(&args.map.map, args.map.version).await?;
-    match (args.files, args.duckdb) {
-        (true, _) => print_rows(args.format, map.files()?).await?,
-        (_, true) => std::io::stdout().write_all(duckdb_views(&map.files()?).as_bytes())?,
+    match (args.files, args.duckdb, &args.layer) {
+        (_, _, Some(layer)) => {
+            let context = context(Limits::default())?;
+            let tables = Tables::new(map.clone(), &context, &evermap_catalog::registry());
+            print_rows(args.format, tables.columns_of(layer).await?).await?;
+        }
+        (true, _, _) => print_rows(args.format, map.files()?).await?,
+        (_, true, _) => std::io::stdout().write_all(duckdb_views(&map.files()?).as_bytes())?,
         _ => print_layers(&map, args.format).await?,
     }
     let damages = map.damages().await?.into_iter();

@@ -16,6 +16,7 @@ use evermap_engine::map::{LayerInfo, RunRow, VersionInfo};
 use evermap_engine::sql::{Limits, check_size, context};
 use evermap_functions::use_class_index;
 use evermap_language::{listed, nearest};
+use evermap_schemas::dictionary::ColumnInfo;
 use evermap_schemas::{Fault, Layer, LayerRow};
 use futures::{StreamExt, TryStreamExt};
 
@@ -69,7 +70,12 @@ impl Tables {
     pub fn declaration(&self, table: &str) -> Option<Layer> {
         let reader = self.reader.as_ref();
         let made = reader.and_then(|reader| reader.declaration(table));
-        let listed = [LayerInfo::layer(), VersionInfo::layer(), RunRow::layer()];
+        let listed = [
+            LayerInfo::layer(),
+            VersionInfo::layer(),
+            RunRow::layer(),
+            ColumnInfo::layer(),
+        ];
         let known = || evermap_schemas::layers::all().into_iter().chain(listed);
         made.or_else(|| known().find(|layer| layer.name == table))
     }

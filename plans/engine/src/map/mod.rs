@@ -11,7 +11,7 @@ pub mod receipt;
 mod rows;
 pub mod sound;
 pub mod store;
-mod tables;
+pub mod tables;
 mod verify;
 pub mod version;
 

@@ -10,6 +10,8 @@ use datafusion::datasource::TableType;
 use datafusion::error::{DataFusionError, Result};
 use datafusion::prelude::{DataFrame, SessionContext};
 use evermap_contract::Registry;
+use evermap_language::{listed, nearest};
+use evermap_schemas::dictionary::{ColumnInfo, columns};
 use evermap_schemas::{Fault, Layer, LayerRow, batch};
 use object_store::ObjectStoreExt;
 use tokio::sync::OnceCell;
@@ -33,6 +35,17 @@ pub struct Tables {
     tables: BTreeMap<String, OnceCell<Arc<dyn TableProvider>>>,
 }
 
+/// What a map says of itself.
+fn own() -> impl Iterator<Item = Layer> {
+    [
+        LayerInfo::layer(),
+        VersionInfo::layer(),
+        RunRow::layer(),
+        ColumnInfo::layer(),
+    ]
+    .into_iter()
+}
+
 impl std::fmt::Debug for Tables {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Tables").field("map", &self.map).finish()
@@ -44,8 +57,7 @@ impl Tables {
     pub fn new(map: Map, context: &SessionContext, registry: &Registry) -> Self {
         let reading = beside(context);
         let layers = map.version.published().map(|(name, _)| name.as_str());
-        let own = [LayerInfo::NAME, VersionInfo::NAME, RunRow::NAME];
-        let tables = layers.chain(own);
+        let tables = layers.chain(own().map(|layer| layer.name));
         Self {
             tables: tables
                 .map(|name| (name.to_owned(), OnceCell::new()))
@@ -68,8 +80,7 @@ impl Tables {
             .published(table)
             .and_then(|layer| layer.op.as_deref());
         let made = made.and_then(|op| self.registry.get(op).ok());
-        let own = [LayerInfo::layer(), VersionInfo::layer(), RunRow::layer()];
-        let known = || evermap_schemas::layers::all().into_iter().chain(own);
+        let known = || evermap_schemas::layers::all().into_iter().chain(own());
         let made = made.map(|entry| entry.output.clone());
         made.or_else(|| known().find(|layer| layer.name == table))
     }
@@ -77,7 +88,7 @@ impl Tables {
     /// The tables of another version of the same map.
     ///
     /// # Errors
-    /// As [`Map::at`].
+    /// As `Map::at`.
     pub async fn at(&self, version: u64) -> Result<Self, Fault> {
         let map = Map::at(self.map.store.clone(), Some(version)).await?;
         Ok(Self::new(map, &self.reading, &self.registry))
@@ -91,6 +102,10 @@ impl Tables {
                 .read_batch(batch(versions(store).await?)?)
                 .or_fault()?,
             RunRow::NAME => self.runs().await?,
+            ColumnInfo::NAME => {
+                let rows = batch(self.dictionary().await)?;
+                context.read_batch(rows).or_fault()?
+            }
             _ => {
                 let layer = self.map.published(name);
                 let artifacts = layer.map_or(&[][..], |layer| &layer.artifacts);
@@ -99,6 +114,46 @@ impl Tables {
             }
         };
         Ok(rows.into_view())
+    }
+
+    /// The columns of all layers that can be opened, and of what the map says of itself.
+    async fn dictionary(&self) -> Vec<ColumnInfo> {
+        let mut rows = Vec::new();
+        for (name, _) in self.map.version.published() {
+            match self.columns_of(name).await {
+                Ok(columns) => rows.extend(columns),
+                Err(fault) => tracing::warn!("layer {name} is not among the columns: {fault}"),
+            }
+        }
+        rows.extend(own().flat_map(|own| columns(own.name, &own.schema(), Some(&own))));
+        rows
+    }
+
+    /// The columns of a published layer.
+    ///
+    /// # Errors
+    /// A user fault where there is no such layer; a data fault where it does not open.
+    pub async fn columns_of(&self, layer: &str) -> std::result::Result<Vec<ColumnInfo>, Fault> {
+        let table = match self.map.published(layer) {
+            Some(_) => self.table(layer).await.or_fault()?,
+            None => None,
+        };
+        let Some(table) = table else {
+            let names: Vec<&str> = self
+                .map
+                .version
+                .published()
+                .map(|(name, _)| name.as_str())
+                .collect();
+            let meant = nearest(layer, names.iter().copied());
+            let meant = meant.map_or_else(String::new, |name| format!("; did you mean `{name}`?"));
+            let fault = format!("the map has no layer `{layer}`{meant}");
+            return Err(
+                Fault::user(fault).next(format!("there are {}", listed(names.iter().copied())))
+            );
+        };
+        let declared = self.declaration(layer);
+        Ok(columns(layer, &table.schema(), declared.as_ref()))
     }
 
     async fn runs(&self) -> Result<DataFrame, Fault> {
