@@ -102,7 +102,8 @@ fn layers_of_a_map() {
             partitions: 1,
             ..Limits::default()
         };
-        map.context(limits, &evermap_catalog::registry()).unwrap()
+        map.context(context(limits).unwrap(), &evermap_catalog::registry())
+            .unwrap()
     });
     check("layers.slt", context);
 }

@@ -8,6 +8,7 @@
 //!                    ├──► reader    rows of a map by what they are
 //!                    │      ├──► draw, report   pictures and the page, as `templates` lay them out
 //!                    │      └──► export         other programs' formats
+//!                    ├──► serve     the same rows, pictures and formats by network
 //!                    └──► ending    exit status, losses, faults
 //! ```
 //! Only this crate knows which operators there are; the engine is handed the registry.
@@ -32,6 +33,7 @@ pub mod reader;
 pub mod report;
 pub mod scene;
 pub mod semantic;
+pub mod serve;
 mod sessions;
 pub mod shipped;
 pub mod shown;
@@ -46,9 +48,10 @@ use evermap_schemas::Fault;
 
 use crate::arguments::{Arguments, Command};
 use crate::commands::sql::is_prompt;
-#[cfg(feature = "cluster")]
-use crate::ending::DONE;
-use crate::ending::{Ending, panicked, tell};
+use crate::ending::{DONE, Ending, panicked, tell};
+
+/// Threads of a server, beside those that read files.
+const SERVING_THREADS: usize = 16;
 
 /// Reads the command line, does what it says, and tells how it ended.
 pub fn main() -> std::process::ExitCode {
@@ -58,6 +61,10 @@ pub fn main() -> std::process::ExitCode {
     if !matches!(arguments.command, Command::Inspect(_)) {
         // Queries are planned as deep as they nest.
         threads.thread_stack_size(STACK_BYTES);
+    }
+    if matches!(arguments.command, Command::Serve(_)) {
+        // A query that computes for long without a pause keeps its thread; others answer meanwhile.
+        threads.worker_threads(SERVING_THREADS);
     }
     let runtime = match threads.enable_all().build() {
         Ok(runtime) => runtime,
@@ -120,6 +127,7 @@ fn stopping(command: &Command) -> Ending {
     match command {
         #[cfg(feature = "cluster")]
         Command::Scheduler(_) | Command::Executor(_) => DONE,
+        Command::Serve(_) => DONE,
         Command::Run(_) => Err(fault
             .next("the map is as it was; the same command goes on where this one stopped")
             .into()),

@@ -10,7 +10,7 @@ use evermap_contract::Registry;
 use evermap_engine::conform::conform;
 use evermap_engine::error::OrFault;
 use evermap_engine::map::Map;
-use evermap_engine::sql::Limits;
+use evermap_engine::sql::{Limits, context};
 use evermap_schemas::{Fault, Layer, LayerRow, rows};
 use tokio::sync::OnceCell;
 
@@ -36,12 +36,12 @@ impl MapReader {
         })
     }
 
-    /// A context in which the map's layers are tables.
+    /// A new context, in which the map's layers are tables.
     ///
     /// # Errors
     /// As [`Map::context`].
-    pub fn context(&self, limits: Limits) -> Result<SessionContext, Fault> {
-        self.map.context(limits, &self.registry)
+    pub fn context(&self, context: SessionContext) -> Result<SessionContext, Fault> {
+        self.map.context(context, &self.registry)
     }
 
     /// The answer to a query on the map's layers.
@@ -49,7 +49,7 @@ impl MapReader {
     /// # Errors
     /// As [`Map::context`] and [`answered`].
     pub async fn ask(&self, query: &str) -> Result<Vec<RecordBatch>, Fault> {
-        let open = async || self.context(Limits::default());
+        let open = async || self.context(context(Limits::default())?);
         answered(self.tables.get_or_try_init(open).await?, query).await
     }
 

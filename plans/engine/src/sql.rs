@@ -11,7 +11,7 @@ use arrow::array::RecordBatch;
 use datafusion::catalog::{MemorySchemaProvider, TableProvider};
 use datafusion::common::TableReference;
 use datafusion::datasource::MemTable;
-use datafusion::execution::runtime_env::RuntimeEnvBuilder;
+use datafusion::execution::runtime_env::{RuntimeEnv, RuntimeEnvBuilder};
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SQLOptions, SessionConfig, SessionContext};
 use datafusion::sql::sqlparser::dialect::GenericDialect;
@@ -71,8 +71,17 @@ const BYTES_PER_BATCH_ROW: usize = 256 << 10;
 /// # Errors
 /// A resource fault when the runtime cannot be set up.
 pub fn context(limits: Limits) -> Result<SessionContext, Fault> {
+    context_on(runtime(limits)?, limits)
+}
+
+/// As [`context`], in memory that it shares with the other contexts of a runtime.
+///
+/// # Errors
+/// As [`context`].
+pub fn context_on(runtime: Arc<RuntimeEnv>, limits: Limits) -> Result<SessionContext, Fault> {
     let rows = limits.memory_bytes / BYTES_PER_BATCH_ROW;
-    let context = context_with(limits, rows.clamp(MIN_BATCH_ROWS, BATCH_ROWS))?;
+    let rows_per_batch = rows.clamp(MIN_BATCH_ROWS, BATCH_ROWS);
+    let context = context_of(runtime, limits, rows_per_batch)?;
     if rows < BATCH_ROWS {
         // Joins by hashing keep one side whole; by merging they spill.
         let state = context.state_ref();
@@ -87,6 +96,24 @@ pub fn context(limits: Limits) -> Result<SessionContext, Fault> {
 /// # Errors
 /// As [`context`].
 pub fn context_with(limits: Limits, batch_rows: usize) -> Result<SessionContext, Fault> {
+    context_of(runtime(limits)?, limits, batch_rows)
+}
+
+/// The memory that queries share.
+///
+/// # Errors
+/// A resource fault when the runtime cannot be set up.
+pub fn runtime(limits: Limits) -> Result<Arc<RuntimeEnv>, Fault> {
+    let pool = SharedPool::new(limits.memory_bytes, limits.partitions);
+    let runtime = RuntimeEnvBuilder::new().with_memory_pool(Arc::new(pool));
+    runtime.build_arc().or_fault()
+}
+
+fn context_of(
+    runtime: Arc<RuntimeEnv>,
+    limits: Limits,
+    batch_rows: usize,
+) -> Result<SessionContext, Fault> {
     let mut config = SessionConfig::new()
         .with_target_partitions(limits.partitions.max(1))
         .with_information_schema(true)
@@ -94,14 +121,9 @@ pub fn context_with(limits: Limits, batch_rows: usize) -> Result<SessionContext,
     let options = config.options_mut();
     let merging = &mut options.execution.sort_spill_reservation_bytes;
     *merging = (*merging).min(limits.memory_bytes / (8 * limits.partitions.max(1)));
-    let pool = SharedPool::new(limits.memory_bytes, limits.partitions);
     options.execution.parquet.schema_force_view_types = false;
     options.execution.parquet.pushdown_filters = true;
     options.sql_parser.map_string_types_to_utf8view = false;
-    let runtime = RuntimeEnvBuilder::new()
-        .with_memory_pool(Arc::new(pool))
-        .build_arc()
-        .or_fault()?;
     let context = SessionContext::new_with_config_rt(config, runtime);
     if let Some(catalog) = context.catalog("datafusion") {
         let previous = Arc::new(MemorySchemaProvider::new());

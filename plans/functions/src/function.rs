@@ -25,6 +25,8 @@ pub(crate) enum Kind {
     Number,
     /// A text.
     Text,
+    /// A value of any type.
+    Any,
 }
 
 impl Kind {
@@ -34,6 +36,7 @@ impl Kind {
             Self::Geometry => "a geometry",
             Self::Number => "a number",
             Self::Text => "a text",
+            Self::Any => "a value",
         }
     }
 
@@ -45,6 +48,7 @@ impl Kind {
             Self::Geometry => (found.is_null() || found.is_binary()).then(<Wkb as Cell>::data_type),
             Self::Number => (found.is_null() || found.is_numeric()).then_some(DataType::Float64),
             Self::Text => (found.is_null() || found.is_string()).then_some(DataType::Utf8),
+            Self::Any => Some(found.clone()),
         }
     }
 }

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `poses` | of poses: `yaw`, `pitch`, `roll`, `transform`, `compose`, `inverse` … |
 //! | `geometries` | of geometries: `st_*` as PostGIS names them, `distance_along` |
+//! | `json` | `to_json` |
 //! | `contains`, `related` | of the graphs of views |
 //!
 //! Each is declared once, with its arguments, its result and an example: [`documented`] lists them.
@@ -15,6 +16,7 @@ mod function;
 mod geometries;
 mod graphs;
 mod index;
+mod json;
 mod poses;
 mod related;
 #[cfg(test)]
@@ -26,6 +28,7 @@ use datafusion::prelude::SessionContext;
 use crate::function::Function;
 
 pub use index::use_class_index;
+pub use json::{json_texts, to_json};
 
 /// Adds the functions to a context.
 pub fn register(context: &SessionContext) {
@@ -36,6 +39,7 @@ pub fn register(context: &SessionContext) {
 
 fn functions() -> Vec<ScalarUDF> {
     let declared = poses::DECLARATIONS.iter().chain(&geometries::DECLARATIONS);
+    let declared = declared.chain(&json::DECLARATIONS);
     let declared = declared.map(|declared| ScalarUDF::from(Function::new(declared)));
     let graphs = [
         ScalarUDF::from(contains::Contains::default()),

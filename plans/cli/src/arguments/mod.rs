@@ -1,6 +1,7 @@
 //! The command line, as clap reads it.
 
 mod annotate;
+mod serve;
 mod sql;
 mod versions;
 
@@ -14,6 +15,7 @@ use crate::progress::Show;
 use crate::quantity;
 
 pub use annotate::AnnotateArgs;
+pub use serve::ServeArgs;
 pub use sql::{FunctionsArgs, SqlArgs};
 pub use versions::{DiffArgs, GcArgs, VerifyArgs, VersionsArgs};
 
@@ -72,6 +74,8 @@ pub enum Command {
     Render(RenderArgs),
     /// Write one self-contained HTML page about a map.
     Report(ReportArgs),
+    /// Serve maps: a page, HTTP, Flight SQL, and the protocol of Postgres.
+    Serve(ServeArgs),
     /// Write a simulated world as MCAP, with its exact truth.
     Simulate(SimulateArgs),
     /// Turn other recordings into MCAP.

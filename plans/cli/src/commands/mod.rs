@@ -48,6 +48,7 @@ pub async fn dispatch(command: &Command, unfinished: &Unfinished) -> Ending {
         Command::Annotate(args) => annotate::annotate(args).await,
         Command::Render(args) => render::render(args).await,
         Command::Report(args) => report::report(args).await,
+        Command::Serve(args) => crate::serve::serve(args).await,
         Command::Simulate(args) => simulate::simulate(args).await,
         Command::Import(args) => import::import(args).await,
         #[cfg(feature = "cluster")]

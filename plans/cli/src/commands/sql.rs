@@ -44,7 +44,7 @@ impl Tables {
         };
         if let Some(address) = &args.map {
             let reader = MapReader::open(address, args.version).await?;
-            let context = reader.context(limits)?;
+            let context = reader.context(context(limits)?)?;
             if let Err(fault) = use_class_index(&context).await.or_fault() {
                 line(&format!(
                     "warning: queries read graphs without the class index: {fault}"

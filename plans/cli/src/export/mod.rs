@@ -129,6 +129,20 @@ pub fn geojson(
     sink.finish()
 }
 
+/// Rows with a geometry as GeoJSON.
+///
+/// # Errors
+/// A user fault for rows without a geometry.
+pub fn geojson_text(
+    batches: &[RecordBatch],
+    layer: Option<&Layer>,
+    title: &str,
+) -> Result<Vec<u8>, Failure> {
+    let mut text = Vec::new();
+    geo::write(batches, layer, title, &mut text)?;
+    Ok(text)
+}
+
 async fn rows(format: Format, batches: Vec<RecordBatch>, out: &Path) -> Result<(), Failure> {
     let nothing = || Fault::user("there is nothing to export");
     let schema = batches.first().ok_or_else(nothing)?.schema();

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use arrow::array::{Array, ArrayRef, AsArray, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Field, Schema};
 use arrow::error::ArrowError;
-use arrow::json::{EncoderOptions, writer::make_encoder};
 use arrow::util::display::{ArrayFormatter, FormatOptions};
+use evermap_functions::json_texts;
 
 /// Characters of a cell that are shown.
 const WIDEST: usize = 60;
@@ -68,19 +68,4 @@ pub fn short(text: &str) -> String {
         return line.collect();
     }
     line.take(WIDEST - 1).chain(['…']).collect()
-}
-
-fn json_texts(column: &ArrayRef) -> Result<StringArray, ArrowError> {
-    let field = Arc::new(Field::new("value", column.data_type().clone(), true));
-    let options = EncoderOptions::default().with_explicit_nulls(true);
-    let mut encoder = make_encoder(&field, column.as_ref(), &options)?;
-    let text = |row| {
-        let mut json = Vec::new();
-        if column.is_null(row) {
-            return None;
-        }
-        encoder.encode(row, &mut json);
-        Some(String::from_utf8_lossy(&json).into_owned())
-    };
-    Ok((0..column.len()).map(text).collect())
 }

@@ -56,6 +56,14 @@ impl CatalogProvider for Catalog {
             Some(self.version(number))
         })
     }
+
+    fn register_schema(
+        &self,
+        name: &str,
+        schema: Arc<dyn SchemaProvider>,
+    ) -> Result<Option<Arc<dyn SchemaProvider>>> {
+        self.named.register_schema(name, schema)
+    }
 }
 
 /// The tables of one version, which is read when a query names one of them.

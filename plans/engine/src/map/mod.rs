@@ -34,7 +34,6 @@ use crate::map::diff::DiffFunction;
 use crate::map::store::{Store, each};
 use crate::map::tables::Tables;
 use crate::map::version::{MappedSession, StoredLayer, Version};
-use crate::sql::{Limits, context};
 
 pub use diff::{Comparison, LayerDiff, documentation as diff_documentation};
 pub use gc::{Collected, gc};
@@ -107,14 +106,17 @@ impl Map {
             .collect()
     }
 
-    /// A context in which every published layer is a table, beside `layers`, `versions` and `runs`; those of another
+    /// Makes every published layer a table of a new context, beside `layers`, `versions` and `runs`; those of another
     /// version are `v1.lanes`, and `diff` compares them. A table is opened when a query names it, and then it is that a
     /// missing or damaged artifact shows.
     ///
     /// # Errors
-    /// A resource fault when the context cannot be set up.
-    pub fn context(&self, limits: Limits, registry: &Registry) -> Result<SessionContext, Fault> {
-        let context = context(limits)?;
+    /// A fault of ours.
+    pub fn context(
+        &self,
+        context: SessionContext,
+        registry: &Registry,
+    ) -> Result<SessionContext, Fault> {
         context.register_object_store(self.store.url(), self.store.objects());
         if let Some(catalog) = context.catalog("datafusion") {
             let tables = Arc::new(Tables::new(self.clone(), &context, registry));

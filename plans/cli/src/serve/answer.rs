@@ -1,0 +1,179 @@
+//! Answers to queries, within bounds.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use arrow::array::RecordBatch;
+use arrow::datatypes::SchemaRef;
+use evermap_engine::error::{OrFault, fault_of};
+use evermap_engine::sql::read_only;
+use evermap_schemas::Fault;
+use futures::stream::BoxStream;
+use futures::{Stream, StreamExt};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::{Instant, timeout_at};
+
+use crate::serve::maps::Opened;
+
+/// What a query may take.
+#[derive(Clone)]
+pub struct Bounds {
+    /// Until its answer is read.
+    pub timeout: Duration,
+    /// Rows of its answer.
+    pub rows: u64,
+    /// Queries side by side.
+    pub queries: Arc<Semaphore>,
+}
+
+/// The time that a query has, and its place among those that run.
+pub struct Turn {
+    deadline: Instant,
+    timeout: Duration,
+    rows: u64,
+    _place: OwnedSemaphorePermit,
+}
+
+impl Bounds {
+    /// Waits for a place among the queries that run.
+    ///
+    /// # Errors
+    /// A resource fault when none is free before the query's time is over.
+    pub async fn turn(&self) -> Result<Arc<Turn>, Fault> {
+        let deadline = Instant::now() + self.timeout;
+        let place = timeout_at(deadline, Arc::clone(&self.queries).acquire_owned()).await;
+        let busy = || Fault::resource("too many queries run").next("try again later");
+        let place = place.map_err(|_| busy())?.map_err(|_| busy())?;
+        Ok(Arc::new(Turn {
+            deadline,
+            timeout: self.timeout,
+            rows: self.rows,
+            _place: place,
+        }))
+    }
+}
+
+impl Turn {
+    /// What work says, if it ends in time.
+    ///
+    /// # Errors
+    /// What it says, or a resource fault when the time is over.
+    pub async fn within<T>(&self, work: impl Future<Output = T>) -> Result<T, Fault> {
+        let done = timeout_at(self.deadline, work).await;
+        done.map_err(|_| self.too_long())
+    }
+
+    fn too_long(&self) -> Fault {
+        Fault::resource(format!("the query took longer than {:?}", self.timeout))
+            .next("ask for less, or start the server with a larger --timeout-s")
+    }
+
+    fn too_many(&self) -> Fault {
+        Fault::user(format!("the answer has more than {} rows", self.rows))
+            .next("add a LIMIT, or start the server with a larger --rows")
+    }
+
+    /// Items of an answer, until time or rows are used up, which is an error in the stream. `rows` counts an item's,
+    /// `error` says a fault as the stream does.
+    pub fn bounded<T, E>(
+        self: Arc<Self>,
+        items: impl Stream<Item = Result<T, E>> + Send + 'static,
+        rows: fn(&T) -> usize,
+        error: fn(Fault) -> E,
+    ) -> BoxStream<'static, Result<T, E>>
+    where
+        T: Send + 'static,
+        E: Send + 'static,
+    {
+        let state = Some((items.boxed(), 0, self));
+        let next = move |state: Option<(BoxStream<'static, Result<T, E>>, u64, Arc<Self>)>| async move {
+            let (mut items, mut count, turn) = state?;
+            match turn.within(items.next()).await {
+                Err(fault) => Some((Err(error(fault)), None)),
+                Ok(None) => None,
+                Ok(Some(Err(error))) => Some((Err(error), None)),
+                Ok(Some(Ok(item))) => {
+                    count += rows(&item) as u64;
+                    if count > turn.rows {
+                        return Some((Err(error(turn.too_many())), None));
+                    }
+                    Some((Ok(item), Some((items, count, turn))))
+                }
+            }
+        };
+        futures::stream::unfold(state, next).boxed()
+    }
+}
+
+/// The rows of a query on a version.
+pub struct Answer {
+    /// Their columns.
+    pub schema: SchemaRef,
+    /// They, within bounds.
+    pub rows: BoxStream<'static, Result<RecordBatch, Fault>>,
+}
+
+/// Answers a query that only reads.
+///
+/// # Errors
+/// What is wrong with the query; a resource fault when it has to wait too long.
+pub async fn answer(opened: &Opened, query: &str, bounds: &Bounds) -> Result<Answer, Fault> {
+    let turn = bounds.turn().await?;
+    let stream = async {
+        let frame = read_only(&opened.context, query).await?;
+        frame.execute_stream().await.or_fault()
+    };
+    let stream = turn.within(stream).await??;
+    let schema = stream.schema();
+    let rows = stream.map(|batch| batch.map_err(|error| fault_of(&error)));
+    Ok(Answer {
+        schema,
+        rows: turn.bounded(rows, RecordBatch::num_rows, |fault| fault),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn bounds(timeout: Duration, rows: u64) -> Bounds {
+        Bounds {
+            timeout,
+            rows,
+            queries: Arc::new(Semaphore::new(1)),
+        }
+    }
+
+    #[tokio::test]
+    async fn an_answer_ends_with_what_it_used_up_and_leaves_its_place() {
+        let long = Duration::from_secs(100);
+        let numbers = || futures::stream::iter((0..5).map(Ok::<usize, Fault>));
+        let all = async |rows: u64| {
+            let bounds = bounds(long, rows);
+            let turn = bounds.turn().await.unwrap();
+            let found = turn.bounded(numbers(), |_| 2, |fault| fault);
+            let found: Vec<_> = found.collect().await;
+            assert_eq!(bounds.queries.available_permits(), 1);
+            found
+        };
+        assert!(all(10).await.iter().all(Result::is_ok));
+        let found = all(9).await;
+        let fault = found.last().unwrap().as_ref().unwrap_err().to_string();
+        assert!(
+            found.len() == 5 && fault.contains("more than 9 rows"),
+            "{fault}"
+        );
+    }
+
+    #[tokio::test]
+    async fn time_goes_on_while_a_query_waits_and_while_it_is_read() {
+        let bounds = bounds(Duration::from_millis(20), 10);
+        let turn = bounds.turn().await.unwrap();
+        let busy = bounds.turn().await.err().unwrap().to_string();
+        assert!(busy.contains("too many queries"), "{busy}");
+        let late = turn.within(std::future::pending::<()>()).await;
+        let late = late.unwrap_err().to_string();
+        assert!(late.contains("longer than 20ms"), "{late}");
+    }
+}

@@ -1,0 +1,202 @@
+//! Maps by HTTP. `docs/serving.md` lists the addresses.
+
+mod formats;
+mod metrics;
+mod page;
+mod pictures;
+mod rows;
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::extract::{FromRequestParts, RawPathParams, Request, State};
+use axum::http::request::Parts;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::middleware::{Next, from_fn_with_state};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use evermap_schemas::{Fault, Kind};
+use serde_json::json;
+use tokio::net::TcpListener;
+
+use crate::ending::Failure;
+use crate::serve::access::Access;
+use crate::serve::answer::Bounds;
+use crate::serve::flight;
+use crate::serve::http::metrics::Counts;
+use crate::serve::maps::{Maps, ServedMap};
+use crate::serve::tls::PrivateListener;
+
+/// What handlers answer from.
+#[derive(Clone)]
+pub struct App {
+    maps: Maps,
+    bounds: Bounds,
+    counts: Arc<Counts>,
+}
+
+/// Serves maps until the listener fails.
+///
+/// # Errors
+/// A resource fault when it does.
+pub async fn serve(
+    listener: TcpListener,
+    maps: Maps,
+    access: Access,
+    bounds: Bounds,
+) -> Result<(), Fault> {
+    let tls = access.tls.clone();
+    let router = router(maps, access, bounds);
+    let ended = match tls {
+        None => axum::serve(listener, router).await,
+        Some(acceptor) => match PrivateListener::new(listener, acceptor) {
+            Ok(listener) => axum::serve(listener, router).await,
+            Err(error) => Err(error),
+        },
+    };
+    ended.map_err(|error| Fault::resource(format!("the server ended: {error}")))
+}
+
+fn router(maps: Maps, access: Access, bounds: Bounds) -> Router {
+    let flight = flight::service(maps.clone(), bounds.clone());
+    let app = App {
+        maps,
+        bounds,
+        counts: Arc::default(),
+    };
+    Router::new()
+        .merge(of_map())
+        .nest("/maps/{map}", of_map())
+        .route("/maps/{map}/", get(page::page))
+        .route("/maps", get(rows::maps))
+        .route("/health", get(|| async { "ok\n" }))
+        .route("/metrics", get(metrics::metrics))
+        .route_service(flight::PATH, flight)
+        .layer(from_fn_with_state(app.clone(), metrics::counted))
+        .layer(from_fn_with_state(access, guarded))
+        .with_state(app)
+}
+
+/// What there is of each map: under its name, and at the root where it is the only one.
+fn of_map() -> Router<App> {
+    Router::new()
+        .route("/", get(page::page))
+        .route("/page/{*file}", get(page::file))
+        .route("/sql", get(rows::get_sql).post(rows::post_sql))
+        .route("/layers", get(rows::layers))
+        .route("/layers/{layer}", get(rows::layer))
+        .route("/versions", get(rows::versions))
+        .route(
+            "/tiles/{site}/{version}/{zoom}/{x}/{y}",
+            get(pictures::tile),
+        )
+        .route("/images", get(pictures::image))
+}
+
+/// Answers nothing to those who may not come in, and adds what keeps a browser careful.
+async fn guarded(State(access): State<Access>, request: Request, next: Next) -> Response {
+    if !may_come_in(&access, &request) {
+        let asks = [(header::WWW_AUTHENTICATE, "Basic realm=\"evermap\"")];
+        return match access.users() {
+            Some(_) => (StatusCode::UNAUTHORIZED, asks).into_response(),
+            None => StatusCode::FORBIDDEN.into_response(),
+        };
+    }
+    let mut response = next.run(request).await;
+    for (name, value) in CAREFUL {
+        response
+            .headers_mut()
+            .insert(name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+fn may_come_in(access: &Access, request: &Request) -> bool {
+    let text = |name: header::HeaderName| {
+        let value = request.headers().get(name)?;
+        value.to_str().ok()
+    };
+    // Of HTTP/2, the host is part of the address.
+    let host = text(header::HOST).or_else(|| request.uri().authority().map(|host| host.as_str()));
+    access.lets_in(text(header::AUTHORIZATION), host)
+}
+
+const CAREFUL: [(header::HeaderName, &str); 4] = [
+    (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    (header::X_FRAME_OPTIONS, "DENY"),
+    (header::REFERRER_POLICY, "no-referrer"),
+    (
+        header::CONTENT_SECURITY_POLICY,
+        "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; worker-src 'self' blob:",
+    ),
+];
+
+/// The map that a path names, or the only one.
+pub struct MapOf(Arc<ServedMap>);
+
+impl FromRequestParts<App> for MapOf {
+    type Rejection = Refusal;
+
+    async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, Refusal> {
+        let params = RawPathParams::from_request_parts(parts, app).await;
+        let params = params.map_err(|error| Refusal(Fault::user(error.to_string())))?;
+        let named = params.iter().find(|(name, _)| *name == "map");
+        let map = match named {
+            Some((_, name)) => app.maps.get(name)?,
+            None => app
+                .maps
+                .only()
+                .ok_or_else(|| Fault::user("there are several maps here").next("see /maps"))?,
+        };
+        Ok(Self(Arc::clone(map)))
+    }
+}
+
+/// Why a request has no answer.
+pub struct Refusal(Fault);
+
+impl From<Fault> for Refusal {
+    fn from(fault: Fault) -> Self {
+        Self(fault)
+    }
+}
+
+impl From<Failure> for Refusal {
+    fn from(failure: Failure) -> Self {
+        Self(match failure {
+            Failure::Fault(fault) => fault,
+            Failure::Plan(text) => Fault::user(text),
+            Failure::Said | Failure::Closed => Fault::bug("nothing was written"),
+        })
+    }
+}
+
+impl IntoResponse for Refusal {
+    fn into_response(self) -> Response {
+        let Self(fault) = self;
+        let status = match fault.kind {
+            Kind::User => StatusCode::BAD_REQUEST,
+            Kind::Data => StatusCode::UNPROCESSABLE_ENTITY,
+            Kind::Resource => StatusCode::SERVICE_UNAVAILABLE,
+            Kind::Bug => StatusCode::INTERNAL_SERVER_ERROR,
+        };
+        let place = (!fault.place.is_empty()).then_some(&fault.place);
+        let next = (!fault.next.is_empty()).then_some(&fault.next);
+        let body = json!({ "error": fault.message, "place": place, "next": next });
+        (status, axum::Json(body)).into_response()
+    }
+}
+
+/// An answer that a browser keeps, and asks for again by its tag: it stays right when a map is made anew.
+pub fn tagged(headers: &HeaderMap, tag: &str, kind: &'static str, body: Vec<u8>) -> Response {
+    let tag = format!("\"{tag}\"");
+    let known = headers.get(header::IF_NONE_MATCH);
+    let kept = [
+        (header::ETAG, tag.clone()),
+        (header::CACHE_CONTROL, "private, no-cache".to_owned()),
+    ];
+    if known.is_some_and(|known| known.as_bytes() == tag.as_bytes()) {
+        return (StatusCode::NOT_MODIFIED, kept).into_response();
+    }
+    (kept, [(header::CONTENT_TYPE, kind)], body).into_response()
+}

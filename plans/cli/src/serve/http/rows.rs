@@ -1,0 +1,135 @@
+//! Rows of maps: queries, layers, versions.
+
+use axum::extract::{Path, Query, State};
+use axum::response::Response;
+use axum::{Json, body::Bytes};
+use evermap_schemas::Fault;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::serve::answer::answer;
+use crate::serve::http::formats::{Form, body};
+use crate::serve::http::{App, MapOf, Refusal};
+use crate::serve::maps::ServedMap;
+
+/// What is asked, of which version, and how it is sent.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Asked {
+    #[serde(default)]
+    query: Option<String>,
+    #[serde(default)]
+    version: Option<u64>,
+    #[serde(default)]
+    format: Form,
+}
+
+/// `GET /maps`: names and paths.
+pub async fn maps(State(app): State<App>) -> Json<Vec<Value>> {
+    let maps = app.maps.all();
+    let listed =
+        maps.map(|map| json!({ "name": map.name, "path": format!("/maps/{}/", map.name) }));
+    Json(listed.collect())
+}
+
+/// `GET /sql?query=…`
+///
+/// # Errors
+/// What is wrong with the query.
+pub async fn get_sql(
+    State(app): State<App>,
+    MapOf(map): MapOf,
+    Query(asked): Query<Asked>,
+) -> Result<Response, Refusal> {
+    let query = asked.query.as_deref().unwrap_or_default();
+    answered(&app, &map, query, asked.version, asked.format).await
+}
+
+/// `POST /sql` with the query as its body.
+///
+/// # Errors
+/// What is wrong with the query.
+pub async fn post_sql(
+    State(app): State<App>,
+    MapOf(map): MapOf,
+    Query(asked): Query<Asked>,
+    query: Bytes,
+) -> Result<Response, Refusal> {
+    let query = std::str::from_utf8(&query)
+        .map_err(|_| Fault::user("expected a query in UTF-8, found other bytes"))?;
+    answered(&app, &map, query, asked.version, asked.format).await
+}
+
+async fn answered(
+    app: &App,
+    map: &ServedMap,
+    query: &str,
+    version: Option<u64>,
+    form: Form,
+) -> Result<Response, Refusal> {
+    if query.trim().is_empty() {
+        return Err(Fault::user("expected a query, found none")
+            .next("/sql?query=SELECT …")
+            .into());
+    }
+    let opened = map.version(version).await?;
+    let answer = answer(&opened, query, &app.bounds).await?;
+    body(answer, form, None).await
+}
+
+/// `GET /layers`: the layers of a version.
+///
+/// # Errors
+/// For a version that is not there.
+pub async fn layers(
+    State(app): State<App>,
+    MapOf(map): MapOf,
+    Query(asked): Query<Asked>,
+) -> Result<Response, Refusal> {
+    answered(
+        &app,
+        &map,
+        "SELECT * FROM layers ORDER BY layer",
+        asked.version,
+        asked.format,
+    )
+    .await
+}
+
+/// `GET /versions`: the versions there are.
+///
+/// # Errors
+/// When the map is not there.
+pub async fn versions(
+    State(app): State<App>,
+    MapOf(map): MapOf,
+    Query(asked): Query<Asked>,
+) -> Result<Response, Refusal> {
+    answered(
+        &app,
+        &map,
+        "SELECT * FROM versions ORDER BY version",
+        asked.version,
+        asked.format,
+    )
+    .await
+}
+
+/// `GET /layers/{layer}`: all rows of a layer.
+///
+/// # Errors
+/// For a layer or version that is not there.
+pub async fn layer(
+    State(app): State<App>,
+    MapOf(map): MapOf,
+    Path(path): Path<std::collections::BTreeMap<String, String>>,
+    Query(asked): Query<Asked>,
+) -> Result<Response, Refusal> {
+    let name = path.get("layer").map_or("", String::as_str);
+    let opened = map.version(asked.version).await?;
+    let quoted = name.replace('"', "\"\"");
+    let query = format!("SELECT * FROM \"{quoted}\"");
+    let answer = answer(&opened, &query, &app.bounds).await?;
+    let declared = opened.reader.declaration(name);
+    body(answer, asked.format, declared.as_ref()).await
+}

@@ -1,0 +1,203 @@
+//! The maps that are served, each at the versions that are asked for.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use datafusion::execution::runtime_env::RuntimeEnv;
+use datafusion::prelude::SessionContext;
+use datafusion_postgres::DfSessionService;
+use datafusion_postgres::datafusion_pg_catalog::pg_catalog::context::EmptyContextProvider;
+use datafusion_postgres::datafusion_pg_catalog::setup_pg_catalog;
+use evermap_engine::error::OrFault;
+use evermap_engine::map::store::Store;
+use evermap_engine::map::version::Version;
+use evermap_engine::sql::{Limits, context_on, runtime};
+use evermap_functions::use_class_index;
+use evermap_language::{listed, nearest};
+use evermap_schemas::Fault;
+use tokio::sync::Mutex;
+
+use crate::reader::MapReader;
+use crate::serve::postgres::hooks;
+
+/// Versions of a map that are open at once; the newest is one of them.
+const MOST_OPEN: usize = 4;
+
+/// The maps that are served.
+#[derive(Clone)]
+pub struct Maps(Arc<BTreeMap<String, Arc<ServedMap>>>);
+
+/// A map that is served.
+pub struct ServedMap {
+    /// The last part of its address.
+    pub name: String,
+    address: String,
+    store: Store,
+    limits: Limits,
+    runtime: Arc<RuntimeEnv>,
+    /// The newest version when it was last looked for.
+    newest: AtomicU64,
+    /// Versions that were asked for, the last of them last.
+    open: Mutex<Vec<Arc<Opened>>>,
+}
+
+/// A version of a map with its layers as tables.
+pub struct Opened {
+    /// The map at this version.
+    pub reader: MapReader,
+    /// Its layers as tables.
+    pub context: SessionContext,
+    /// The same to clients of Postgres.
+    pub postgres: DfSessionService,
+}
+
+impl Opened {
+    /// The version's number.
+    pub fn version(&self) -> u64 {
+        self.reader.map.version.version
+    }
+}
+
+impl Maps {
+    /// Opens maps by their addresses. They share the memory of the limits.
+    ///
+    /// # Errors
+    /// A user fault for a place without a map, or for two maps of one name.
+    pub async fn open(addresses: &[String], limits: Limits) -> Result<Self, Fault> {
+        let runtime = runtime(limits)?;
+        let mut maps = BTreeMap::new();
+        for address in addresses {
+            let store = Store::open(address, false)?;
+            let name = name_of(&store)?;
+            let map = ServedMap {
+                name: name.clone(),
+                address: address.clone(),
+                store,
+                limits,
+                runtime: Arc::clone(&runtime),
+                newest: AtomicU64::new(0),
+                open: Mutex::default(),
+            };
+            map.newest().await?;
+            if maps.insert(name.clone(), Arc::new(map)).is_some() {
+                return Err(Fault::user(format!("two maps are called {name}"))
+                    .next("name their folders apart, or serve them from two processes"));
+            }
+        }
+        Ok(Self(Arc::new(maps)))
+    }
+
+    /// The maps by name.
+    pub fn all(&self) -> impl Iterator<Item = &Arc<ServedMap>> {
+        self.0.values()
+    }
+
+    /// The only map; `None` where there are several.
+    pub fn only(&self) -> Option<&Arc<ServedMap>> {
+        self.all().next().filter(|_| self.0.len() == 1)
+    }
+
+    /// The map of a name.
+    ///
+    /// # Errors
+    /// A user fault that names the maps.
+    pub fn get(&self, name: &str) -> Result<&Arc<ServedMap>, Fault> {
+        self.0.get(name).ok_or_else(|| {
+            let names: Vec<&str> = self.0.keys().map(String::as_str).collect();
+            let meant = nearest(name, names.iter().copied());
+            let meant = meant.map_or_else(String::new, |name| format!("; did you mean `{name}`?"));
+            Fault::user(format!("no map `{name}` is served{meant}"))
+                .next(format!("there are {}", listed(names)))
+        })
+    }
+}
+
+impl ServedMap {
+    /// The newest version, as it is at this moment.
+    ///
+    /// # Errors
+    /// A user fault for a map without a version, a resource fault when the store does not answer.
+    pub async fn newest(&self) -> Result<Arc<Opened>, Fault> {
+        let mut number = self.newest.load(Ordering::Acquire);
+        if number == 0 {
+            let latest = Version::latest(&self.store).await?;
+            number = latest.map_or(0, |version| version.version);
+        }
+        while Version::find(&self.store, number + 1).await?.is_some() {
+            number += 1;
+        }
+        self.newest.fetch_max(number, Ordering::AcqRel);
+        match number {
+            0 => self.at(None).await,
+            number => self.at(Some(number)).await,
+        }
+    }
+
+    /// A version; the newest where none is named.
+    ///
+    /// # Errors
+    /// As [`ServedMap::newest`], and a user fault for a version that is not there.
+    pub async fn version(&self, number: Option<u64>) -> Result<Arc<Opened>, Fault> {
+        match number {
+            Some(number) => self.at(Some(number)).await,
+            None => self.newest().await,
+        }
+    }
+
+    async fn at(&self, number: Option<u64>) -> Result<Arc<Opened>, Fault> {
+        let mut open = self.open.lock().await;
+        let place = open
+            .iter()
+            .position(|opened| Some(opened.version()) == number);
+        let opened = match place {
+            Some(place) => open.remove(place),
+            None => Arc::new(self.opened(number).await?),
+        };
+        open.push(Arc::clone(&opened));
+        let newest = self.newest.load(Ordering::Acquire);
+        while open.len() > MOST_OPEN {
+            let oldest = open.iter().position(|opened| opened.version() != newest);
+            open.remove(oldest.unwrap_or_default());
+        }
+        Ok(opened)
+    }
+
+    async fn opened(&self, number: Option<u64>) -> Result<Opened, Fault> {
+        let reader = MapReader::open(&self.address, number).await?;
+        let context = reader.context(context_on(Arc::clone(&self.runtime), self.limits)?)?;
+        if let Err(fault) = use_class_index(&context).await.or_fault() {
+            tracing::warn!("queries read graphs without the class index: {fault}");
+        }
+        setup_pg_catalog(&context, "datafusion", EmptyContextProvider)
+            .map_err(|error| Fault::bug(format!("no catalog for Postgres: {error}")))?;
+        let postgres = DfSessionService::new_with_hooks(Arc::new(context.clone()), hooks());
+        Ok(Opened {
+            reader,
+            context,
+            postgres,
+        })
+    }
+
+    /// What opens logs of the map.
+    pub fn runtime(&self) -> &RuntimeEnv {
+        &self.runtime
+    }
+}
+
+/// The last part of a map's address.
+fn name_of(store: &Store) -> Result<String, Fault> {
+    let url = store.url();
+    let path = url.path().trim_end_matches('/');
+    let last = path.rsplit('/').next().unwrap_or_default();
+    let last = match last {
+        "" => url.host_str().unwrap_or_default(),
+        last => last,
+    };
+    let name = last.replace("%20", " ");
+    match name.is_empty() {
+        true => Err(Fault::user(format!("a map at {url} has no name"))
+            .next("put it into a folder of its own")),
+        false => Ok(name),
+    }
+}

@@ -1,0 +1,92 @@
+//! Maps by network: one process beside them, for people and programs.
+//!
+//! ```text
+//!   access ── who may come in, and by which door
+//!      │
+//!   http ──── the page, tiles, pictures, rows as JSON, CSV, Arrow, Parquet, GeoJSON; metrics
+//!   flight ── Flight SQL, at the same address
+//!   postgres ─ the protocol of Postgres
+//!      │
+//!   answer ── queries that only read, within time, rows and memory
+//!   maps ──── the versions of maps that are open
+//! ```
+//! A server only reads. What a run publishes is in the answer to the next query, whole or not at all, as versions are.
+
+mod access;
+mod answer;
+mod flight;
+mod http;
+mod maps;
+mod postgres;
+mod tls;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use evermap_engine::sql::Limits;
+use evermap_schemas::Fault;
+use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
+
+use crate::arguments::ServeArgs;
+use crate::ending::{DONE, Ending};
+use crate::progress::line;
+use crate::serve::access::Access;
+use crate::serve::answer::Bounds;
+use crate::serve::maps::Maps;
+
+/// Serves maps until it is stopped.
+///
+/// # Errors
+/// A user fault for maps or files that are not there, or a door that would stand open; a resource fault for an address
+/// that is taken.
+pub async fn serve(args: &ServeArgs) -> Ending {
+    let access = Access::new(args)?;
+    let limits = Limits {
+        memory_bytes: args.memory,
+        ..Limits::default()
+    };
+    let maps = Maps::open(&args.maps, limits).await?;
+    let bounds = Bounds {
+        timeout: Duration::from_secs(args.timeout_s),
+        rows: args.rows,
+        queries: Arc::new(Semaphore::new(args.queries as usize)),
+    };
+    let (web, web_address) = listen(args.http).await?;
+    let (postgres, postgres_address) = listen(args.postgres).await?;
+    let scheme = access.tls.as_ref().map_or("http", |_| "https");
+    let names = maps.all().map(|map| map.name.as_str());
+    let names = names.collect::<Vec<_>>().join(", ");
+    line(&format!("serving {names}, to be read"));
+    line(&format!("page and HTTP: {scheme}://{web_address}/"));
+    line(&format!("Flight SQL:    grpc://{web_address}"));
+    let first = maps.all().next().map_or("", |map| map.name.as_str());
+    line(&format!(
+        "Postgres:      postgresql://{postgres_address}/{first}"
+    ));
+    let connections = args.connections as usize;
+    let spoken = postgres::serve(
+        postgres,
+        maps.clone(),
+        access.clone(),
+        bounds.clone(),
+        connections,
+    );
+    tokio::select! {
+        ended = http::serve(web, maps, access, bounds) => ended?,
+        () = spoken => {}
+    }
+    DONE
+}
+
+/// Listens; the address with the port that the system chose, where 0 is asked for.
+async fn listen(address: SocketAddr) -> Result<(TcpListener, SocketAddr), Fault> {
+    let taken = |error: std::io::Error| {
+        Fault::resource(format!("cannot listen on {address}: {error}"))
+            .next("choose another one with --http or --postgres")
+    };
+    let listener = TcpListener::bind(address).await.map_err(taken)?;
+    let bound = listener.local_addr().map_err(taken)?;
+    Ok((listener, bound))
+}

@@ -1,0 +1,237 @@
+//! What clients of Postgres may say: queries, and what drivers say around them. All else is refused by name.
+
+use std::sync::Arc;
+
+use async_trait::async_trait;
+use datafusion::common::ParamValues;
+use datafusion::execution::context::SQLOptions;
+use datafusion::logical_expr::LogicalPlan;
+use datafusion::prelude::{DataFrame, SessionContext};
+use datafusion::sql::parser::Statement as Parsed;
+use datafusion::sql::sqlparser::ast::{Query, Set, Statement};
+use datafusion_postgres::QueryHook;
+use datafusion_postgres::arrow_pg::datatypes::df::encode_dataframe;
+use datafusion_postgres::hooks::HookClient;
+use datafusion_postgres::hooks::cursor::CursorStatementHook;
+use datafusion_postgres::hooks::set_show::SetShowHook;
+use datafusion_postgres::hooks::transactions::TransactionStatementHook;
+use evermap_engine::error::fault_of;
+use pgwire::api::ClientInfo;
+use pgwire::api::portal::Format;
+use pgwire::api::results::{Response, Tag};
+use pgwire::error::{PgWireError, PgWireResult};
+use pgwire::types::format::FormatOptions;
+
+use crate::serve::postgres::nested::as_json;
+use crate::serve::postgres::{error, said};
+
+/// What handles statements, in this order.
+pub fn hooks() -> Vec<Arc<dyn QueryHook>> {
+    vec![
+        Arc::new(Gate),
+        Arc::new(CursorStatementHook),
+        Arc::new(SetShowHook),
+        Arc::new(TransactionStatementHook),
+        Arc::new(Reading),
+    ]
+}
+
+/// What becomes of a statement.
+enum Verdict {
+    /// The hooks behind the gate have an answer.
+    Passes,
+    /// It means nothing here, and is done.
+    Done(&'static str),
+    /// It is not for a server that only reads.
+    Refused(PgWireError),
+}
+
+/// Lets nothing through but what reads.
+#[derive(Debug)]
+struct Gate;
+
+impl Gate {
+    async fn verdict(statement: &Statement, context: &SessionContext) -> Verdict {
+        match statement {
+            Statement::Query(_)
+            | Statement::Explain { .. }
+            | Statement::ExplainTable { .. }
+            | Statement::ShowTables { .. }
+            | Statement::ShowColumns { .. }
+            | Statement::ShowVariable { .. }
+            | Statement::ShowStatus { .. }
+            | Statement::ShowCatalogs { .. }
+            | Statement::StartTransaction { .. }
+            | Statement::Commit { .. }
+            | Statement::Rollback {
+                savepoint: None, ..
+            }
+            | Statement::Fetch { .. }
+            | Statement::Close { .. } => Verdict::Passes,
+            Statement::Declare { stmts } => {
+                for query in stmts
+                    .iter()
+                    .filter_map(|declared| declared.for_query.as_ref())
+                {
+                    if let Err(error) = cursor_reads(query, context).await {
+                        return Verdict::Refused(error);
+                    }
+                }
+                Verdict::Passes
+            }
+            Statement::Set(set) if is_of_a_client(set) => Verdict::Passes,
+            Statement::Savepoint { .. } => Verdict::Done("SAVEPOINT"),
+            Statement::ReleaseSavepoint { .. } => Verdict::Done("RELEASE"),
+            Statement::Rollback { .. } => Verdict::Done("ROLLBACK"),
+            Statement::Discard { .. } => Verdict::Done("DISCARD ALL"),
+            Statement::Deallocate { .. } => Verdict::Done("DEALLOCATE"),
+            other => {
+                let text = other.to_string();
+                let verb = text.split_whitespace().next().unwrap_or_default();
+                let message = format!("cannot execute {verb}: maps are served to be read");
+                Verdict::Refused(error("ERROR", "25006", &message))
+            }
+        }
+    }
+}
+
+/// Whether a setting is one that drivers make for themselves, and none of the engine's, which all clients share.
+fn is_of_a_client(set: &Set) -> bool {
+    match set {
+        Set::SingleAssignment { variable, .. } => {
+            let name = variable.to_string();
+            !name.contains('.')
+        }
+        Set::SetTimeZone { .. }
+        | Set::SetTransaction { .. }
+        | Set::SetSessionParam(_)
+        | Set::SetNames { .. }
+        | Set::SetNamesDefault {} => true,
+        _ => false,
+    }
+}
+
+/// That a cursor's query only reads, and that its rows have a form.
+async fn cursor_reads(query: &Query, context: &SessionContext) -> PgWireResult<()> {
+    let statement = Statement::Query(Box::new(query.clone()));
+    reading(&statement, context).await.map(drop)
+}
+
+#[async_trait]
+impl QueryHook for Gate {
+    async fn handle_simple_query(
+        &self,
+        statement: &Statement,
+        context: &SessionContext,
+        _: &mut dyn HookClient,
+    ) -> Option<PgWireResult<Response>> {
+        match Self::verdict(statement, context).await {
+            Verdict::Passes => None,
+            Verdict::Done(tag) => Some(Ok(Response::Execution(Tag::new(tag)))),
+            Verdict::Refused(error) => Some(Err(error)),
+        }
+    }
+
+    async fn handle_extended_parse_query(
+        &self,
+        statement: &Statement,
+        context: &SessionContext,
+        _: &(dyn ClientInfo + Send + Sync),
+    ) -> Option<PgWireResult<LogicalPlan>> {
+        match Self::verdict(statement, context).await {
+            Verdict::Passes => None,
+            Verdict::Done(_) => Some(Ok(nothing())),
+            Verdict::Refused(error) => Some(Err(error)),
+        }
+    }
+
+    async fn handle_extended_query(
+        &self,
+        statement: &Statement,
+        _: &LogicalPlan,
+        _: &ParamValues,
+        context: &SessionContext,
+        client: &mut dyn HookClient,
+    ) -> Option<PgWireResult<Response>> {
+        self.handle_simple_query(statement, context, client).await
+    }
+}
+
+/// The plan of a statement without rows.
+fn nothing() -> LogicalPlan {
+    LogicalPlan::EmptyRelation(datafusion::logical_expr::EmptyRelation {
+        produce_one_row: false,
+        schema: Arc::new(datafusion::common::DFSchema::empty()),
+    })
+}
+
+/// Plans queries that only read, structs and the like as JSON.
+#[derive(Debug)]
+struct Reading;
+
+async fn reading(statement: &Statement, context: &SessionContext) -> PgWireResult<LogicalPlan> {
+    let parsed = Parsed::Statement(Box::new(statement.clone()));
+    let plan = context.state().statement_to_plan(parsed).await;
+    let allowed = SQLOptions::new()
+        .with_allow_ddl(false)
+        .with_allow_dml(false)
+        .with_allow_statements(false);
+    let plan = plan.and_then(|plan| {
+        allowed.verify_plan(&plan)?;
+        as_json(plan)
+    });
+    plan.map_err(|error| said(&fault_of(&error)))
+}
+
+#[async_trait]
+impl QueryHook for Reading {
+    async fn handle_simple_query(
+        &self,
+        statement: &Statement,
+        context: &SessionContext,
+        client: &mut dyn HookClient,
+    ) -> Option<PgWireResult<Response>> {
+        let answered = async {
+            let plan = reading(statement, context).await?;
+            let frame = DataFrame::new(context.state(), plan);
+            let options = Arc::new(FormatOptions::from_client_metadata(client.metadata()));
+            let rows = encode_dataframe(frame, &Format::UnifiedText, Some(options)).await;
+            rows.map(Response::Query).map_err(in_our_words)
+        };
+        Some(answered.await)
+    }
+
+    async fn handle_extended_parse_query(
+        &self,
+        statement: &Statement,
+        context: &SessionContext,
+        _: &(dyn ClientInfo + Send + Sync),
+    ) -> Option<PgWireResult<LogicalPlan>> {
+        Some(reading(statement, context).await)
+    }
+
+    /// The plan is run as it was made, in the format that the client asks for.
+    async fn handle_extended_query(
+        &self,
+        _: &Statement,
+        _: &LogicalPlan,
+        _: &ParamValues,
+        _: &SessionContext,
+        _: &mut dyn HookClient,
+    ) -> Option<PgWireResult<Response>> {
+        None
+    }
+}
+
+/// An error of the engine as a fault.
+fn in_our_words(error: PgWireError) -> PgWireError {
+    match error {
+        PgWireError::ApiError(inner) => {
+            match inner.downcast::<datafusion::error::DataFusionError>() {
+                Ok(error) => said(&fault_of(&error)),
+                Err(inner) => PgWireError::ApiError(inner),
+            }
+        }
+        other => other,
+    }
+}

@@ -1,0 +1,278 @@
+//! The protocol of Postgres, as `datafusion-postgres` speaks it, with what it leaves open shut: who comes in, what may be
+//! said, what an answer may take. The database that a client names is the map; where one map is served, any name is.
+
+mod hooks;
+mod nested;
+mod startup;
+
+use std::sync::{Arc, LazyLock};
+
+use async_trait::async_trait;
+use datafusion::logical_expr::LogicalPlan;
+use datafusion::prelude::SessionContext;
+use datafusion::sql::sqlparser::ast::Statement;
+use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
+use datafusion_postgres::DfSessionService;
+use evermap_engine::sql::check_size;
+use evermap_schemas::{Fault, Kind};
+use futures::Sink;
+use pgwire::api::auth::StartupHandler;
+use pgwire::api::cancel::{CancelHandler, DefaultCancelHandler};
+use pgwire::api::portal::{Format, Portal};
+use pgwire::api::query::{ExtendedQueryHandler, SimpleQueryHandler};
+use pgwire::api::results::{FieldInfo, QueryResponse, Response};
+use pgwire::api::stmt::QueryParser;
+use pgwire::api::store::PortalStore;
+use pgwire::api::{
+    ClientInfo, ClientPortalStore, ConnectionManager, METADATA_DATABASE, PgWireServerHandlers, Type,
+};
+use pgwire::error::{ErrorInfo, PgWireError, PgWireResult};
+use pgwire::messages::PgWireBackendMessage;
+use pgwire::tokio::process_socket;
+use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
+
+use crate::serve::access::Access;
+use crate::serve::answer::{Bounds, Turn};
+use crate::serve::maps::{Maps, Opened};
+use crate::serve::postgres::startup::{Startup, is_in};
+
+pub use hooks::hooks;
+
+/// A statement of a client with its plan, as `datafusion-postgres` has it.
+type Prepared = (String, Option<(Statement, LogicalPlan)>);
+
+/// Serves maps until the listener fails for good. So many connections at once; more are closed.
+pub async fn serve(
+    listener: TcpListener,
+    maps: Maps,
+    access: Access,
+    bounds: Bounds,
+    connections: usize,
+) {
+    let manager = Arc::new(ConnectionManager::new());
+    let places = Arc::new(Semaphore::new(connections));
+    loop {
+        let Ok((socket, _)) = listener.accept().await else {
+            // Out of file descriptors, mostly: those that are open may be closed by then.
+            tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+            continue;
+        };
+        let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
+            continue;
+        };
+        let handlers = Arc::new(Handlers::new(&maps, &access, &bounds, &manager));
+        let tls = access.tls.clone();
+        tokio::spawn(async move {
+            let _place = place;
+            if let Err(error) = process_socket(socket, tls, handlers).await {
+                tracing::debug!("a connection ended: {error}");
+            }
+        });
+    }
+}
+
+/// What answers one connection.
+struct Handlers {
+    startup: Arc<Startup>,
+    queries: Arc<Queries>,
+    cancel: Arc<DefaultCancelHandler>,
+}
+
+impl Handlers {
+    fn new(
+        maps: &Maps,
+        access: &Access,
+        bounds: &Bounds,
+        manager: &Arc<ConnectionManager>,
+    ) -> Self {
+        Self {
+            startup: Arc::new(Startup::new(access, Arc::clone(manager))),
+            queries: Arc::new(Queries {
+                parser: Arc::new(Parser { maps: maps.clone() }),
+                bounds: bounds.clone(),
+            }),
+            cancel: Arc::new(DefaultCancelHandler::new(Arc::clone(manager))),
+        }
+    }
+}
+
+impl PgWireServerHandlers for Handlers {
+    fn startup_handler(&self) -> Arc<impl StartupHandler> {
+        Arc::clone(&self.startup)
+    }
+
+    fn simple_query_handler(&self) -> Arc<impl SimpleQueryHandler> {
+        Arc::clone(&self.queries)
+    }
+
+    fn extended_query_handler(&self) -> Arc<impl ExtendedQueryHandler> {
+        Arc::clone(&self.queries)
+    }
+
+    fn cancel_handler(&self) -> Arc<impl CancelHandler> {
+        Arc::clone(&self.cancel)
+    }
+}
+
+/// Answers queries by the newest version of a map, and within bounds.
+struct Queries {
+    parser: Arc<Parser>,
+    bounds: Bounds,
+}
+
+impl Queries {
+    async fn within<T>(
+        &self,
+        work: impl Future<Output = PgWireResult<T>>,
+    ) -> PgWireResult<(T, Arc<Turn>)> {
+        let turn = self.bounds.turn().await.map_err(|fault| said(&fault))?;
+        let done = turn.within(work).await.map_err(|fault| said(&fault))?;
+        Ok((done?, turn))
+    }
+}
+
+/// A response whose rows end when time or number are used up.
+fn bounded(response: Response, turn: &Arc<Turn>) -> Response {
+    match response {
+        Response::Query(query) => {
+            let QueryResponse {
+                command_tag,
+                row_schema,
+                data_rows,
+                ..
+            } = query;
+            let rows = Arc::clone(turn).bounded(data_rows, |_| 1, |fault| said(&fault));
+            let mut bounded = QueryResponse::new(row_schema, rows);
+            bounded.set_command_tag(&command_tag);
+            Response::Query(bounded)
+        }
+        other => other,
+    }
+}
+
+#[async_trait]
+impl SimpleQueryHandler for Queries {
+    async fn do_query<C>(&self, client: &mut C, query: &str) -> PgWireResult<Vec<Response>>
+    where
+        C: ClientInfo + ClientPortalStore + Sink<PgWireBackendMessage> + Unpin + Send + Sync,
+        C::PortalStore: PortalStore,
+        C::Error: std::fmt::Debug,
+        PgWireError: From<<C as Sink<PgWireBackendMessage>>::Error>,
+    {
+        let opened = self.parser.opened(client, query).await?;
+        let service = &opened.postgres;
+        let work = SimpleQueryHandler::do_query(service, client, query);
+        let (responses, turn) = self.within(work).await?;
+        let responses = responses.into_iter();
+        Ok(responses.map(|response| bounded(response, &turn)).collect())
+    }
+}
+
+#[async_trait]
+impl ExtendedQueryHandler for Queries {
+    type Statement = Prepared;
+    type QueryParser = Parser;
+
+    fn query_parser(&self) -> Arc<Parser> {
+        Arc::clone(&self.parser)
+    }
+
+    async fn do_query<C>(
+        &self,
+        client: &mut C,
+        portal: &Portal<Prepared>,
+        max_rows: usize,
+    ) -> PgWireResult<Response>
+    where
+        C: ClientInfo + ClientPortalStore + Sink<PgWireBackendMessage> + Unpin + Send + Sync,
+        C::PortalStore: PortalStore<Statement = Self::Statement>,
+        C::Error: std::fmt::Debug,
+        PgWireError: From<<C as Sink<PgWireBackendMessage>>::Error>,
+    {
+        let opened = self.parser.opened(client, "").await?;
+        let service = &opened.postgres;
+        let work = ExtendedQueryHandler::do_query(service, client, portal, max_rows);
+        let (response, turn) = self.within(work).await?;
+        Ok(bounded(response, &turn))
+    }
+}
+
+/// Plans queries on the newest version of a map.
+struct Parser {
+    maps: Maps,
+}
+
+/// What says the types of plans, which are the same on every map.
+static TYPES: LazyLock<Arc<datafusion_postgres::Parser>> =
+    LazyLock::new(|| DfSessionService::new(Arc::new(SessionContext::new())).query_parser());
+
+impl Parser {
+    /// The map that a client asks, if it may.
+    async fn opened<C: ClientInfo>(&self, client: &C, query: &str) -> PgWireResult<Arc<Opened>> {
+        if !is_in(client) {
+            return Err(error("FATAL", "28000", "expected a password first"));
+        }
+        check_size(query, &PostgreSqlDialect {}).map_err(|fault| said(&fault))?;
+        let named = client.metadata().get(METADATA_DATABASE);
+        let map = match (self.maps.only(), named) {
+            (Some(map), _) => map,
+            (None, named) => {
+                let named = named.map_or("", String::as_str);
+                let map = self.maps.get(named);
+                map.map_err(|fault| error("FATAL", "3D000", &fault.to_string()))?
+            }
+        };
+        map.newest().await.map_err(|fault| said(&fault))
+    }
+}
+
+#[async_trait]
+impl QueryParser for Parser {
+    type Statement = Prepared;
+
+    async fn parse_sql<C>(
+        &self,
+        client: &C,
+        query: &str,
+        types: &[Option<Type>],
+    ) -> PgWireResult<Option<Prepared>>
+    where
+        C: ClientInfo + Unpin + Send + Sync,
+    {
+        let opened = self.opened(client, query).await?;
+        let parser = opened.postgres.query_parser();
+        parser.parse_sql(client, query, types).await
+    }
+
+    fn get_parameter_types(&self, prepared: &Prepared) -> PgWireResult<Vec<Type>> {
+        TYPES.get_parameter_types(prepared)
+    }
+
+    fn get_result_schema(
+        &self,
+        prepared: &Prepared,
+        format: Option<&Format>,
+    ) -> PgWireResult<Vec<FieldInfo>> {
+        TYPES.get_result_schema(prepared, format)
+    }
+}
+
+/// A fault as clients of Postgres read it.
+fn said(fault: &Fault) -> PgWireError {
+    let code = match fault.kind {
+        Kind::User => "42000",
+        Kind::Data => "22000",
+        Kind::Resource => "53000",
+        Kind::Bug => "XX000",
+    };
+    let mut info = ErrorInfo::new("ERROR".to_owned(), code.to_owned(), fault.message.clone());
+    info.detail = (!fault.place.is_empty()).then(|| fault.place.clone());
+    info.hint = (!fault.next.is_empty()).then(|| fault.next.clone());
+    PgWireError::UserError(Box::new(info))
+}
+
+fn error(severity: &str, code: &str, message: &str) -> PgWireError {
+    let info = ErrorInfo::new(severity.to_owned(), code.to_owned(), message.to_owned());
+    PgWireError::UserError(Box::new(info))
+}

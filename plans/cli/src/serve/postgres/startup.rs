@@ -1,0 +1,101 @@
+//! How a client of Postgres comes in.
+
+use std::fmt::Debug;
+use std::sync::Arc;
+
+use async_trait::async_trait;
+use futures::Sink;
+use pgwire::api::auth::noop::NoopStartupHandler;
+use pgwire::api::auth::sasl::SASLAuthStartupHandler;
+use pgwire::api::auth::sasl::scram::ScramAuth;
+use pgwire::api::auth::{DefaultServerParameterProvider, StartupHandler};
+use pgwire::api::{ClientInfo, ConnectionManager, PgWireConnectionState};
+use pgwire::error::{ErrorInfo, PgWireError, PgWireResult};
+use pgwire::messages::{PgWireBackendMessage, PgWireFrontendMessage};
+
+use crate::serve::access::Access;
+use crate::serve::postgres::error;
+
+/// Lets one client in: with a password by SCRAM where there are users, as it is where everybody may come in.
+pub struct Startup {
+    by: By,
+    needs_tls: bool,
+}
+
+enum By {
+    Anybody(Anybody),
+    Password(SASLAuthStartupHandler<DefaultServerParameterProvider>),
+}
+
+struct Anybody(Arc<ConnectionManager>);
+
+impl NoopStartupHandler for Anybody {
+    fn connection_manager(&self) -> Option<Arc<ConnectionManager>> {
+        Some(Arc::clone(&self.0))
+    }
+}
+
+/// That a client was let in. The library tells by the state of a connection, which an error changes as well.
+struct In;
+
+/// Whether the client was let in.
+pub fn is_in<C: ClientInfo>(client: &C) -> bool {
+    client.session_extensions().get::<In>().is_some()
+}
+
+impl Startup {
+    /// For one connection.
+    pub fn new(access: &Access, manager: Arc<ConnectionManager>) -> Self {
+        let by = match access.users() {
+            None => By::Anybody(Anybody(manager)),
+            Some(users) => {
+                let parameters = Arc::new(DefaultServerParameterProvider::default());
+                let handler = SASLAuthStartupHandler::new(parameters);
+                let handler = handler.with_scram(ScramAuth::new(users));
+                By::Password(handler.with_connection_manager(manager))
+            }
+        };
+        Self {
+            by,
+            needs_tls: access.tls.is_some(),
+        }
+    }
+}
+
+#[async_trait]
+impl StartupHandler for Startup {
+    async fn on_startup<C>(
+        &self,
+        client: &mut C,
+        message: PgWireFrontendMessage,
+    ) -> PgWireResult<()>
+    where
+        C: ClientInfo + Sink<PgWireBackendMessage> + Unpin + Send + Sync,
+        C::Error: Debug,
+        PgWireError: From<<C as Sink<PgWireBackendMessage>>::Error>,
+    {
+        if self.needs_tls && !client.is_secure() {
+            return Err(error(
+                "FATAL",
+                "28000",
+                "expected TLS: connect with sslmode=require",
+            ));
+        }
+        let done = match &self.by {
+            By::Anybody(handler) => handler.on_startup(client, message).await,
+            By::Password(handler) => handler.on_startup(client, message).await,
+        };
+        done.map_err(fatal)?;
+        if matches!(client.state(), PgWireConnectionState::ReadyForQuery) {
+            client.session_extensions().insert(In);
+        }
+        Ok(())
+    }
+}
+
+/// Whatever goes wrong before a client is in ends the connection.
+fn fatal(error: PgWireError) -> PgWireError {
+    let mut info = ErrorInfo::from(error);
+    info.severity = "FATAL".to_owned();
+    PgWireError::UserError(Box::new(info))
+}

@@ -1,0 +1,262 @@
+"""Tries what a server that only reads must refuse.
+
+    attack.py open HTTP POSTGRES        a server that lets everybody in
+    attack.py closed HTTP POSTGRES      one with the user `ada`, password `byron-1815`, and the token `t0ken-t0ken`
+    attack.py private HTTP POSTGRES CA  the same with TLS, by a certificate of CA
+"""
+
+import socket
+import ssl
+import struct
+import sys
+import urllib.error
+import urllib.request
+
+import adbc_driver_flightsql.dbapi
+import psycopg
+
+WRONG = []
+
+
+def check(right, what):
+    if not right:
+        WRONG.append(what)
+
+
+def connect(postgres, **more):
+    host, port = postgres.split(":")
+    given = {"host": host, "port": port, "dbname": "map", "user": "ada", "autocommit": True}
+    return psycopg.connect(**(given | more), connect_timeout=20)
+
+
+def status(address, headers=None, data=None, scheme="http", context=None):
+    request = urllib.request.Request(f"{scheme}://{address}", headers=headers or {}, data=data)
+    try:
+        with urllib.request.urlopen(request, context=context) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read()
+
+
+STATEMENTS = [
+    "COPY (SELECT 1) TO '/tmp/evermap-attack.csv'",
+    "COPY poses TO '/tmp/evermap-attack.parquet' STORED AS PARQUET",
+    "COPY poses FROM '/etc/passwd'",
+    "COPY poses TO STDOUT",
+    "CREATE TABLE mine AS SELECT 1",
+    "CREATE EXTERNAL TABLE passwords (line TEXT) STORED AS CSV LOCATION '/etc/passwd'",
+    "CREATE VIEW mine AS SELECT 1",
+    "CREATE FUNCTION mine(INT) RETURNS INT RETURN $1",
+    "SELECT 1 AS a INTO mine",
+    "DROP TABLE poses",
+    "DROP SCHEMA public CASCADE",
+    "INSERT INTO poses SELECT * FROM poses",
+    "DELETE FROM poses",
+    "UPDATE poses SET session = 'mine'",
+    "TRUNCATE poses",
+    "ALTER TABLE poses ADD COLUMN mine INT",
+    "EXPLAIN ANALYZE INSERT INTO poses SELECT * FROM poses",
+    "WITH gone AS (DELETE FROM poses RETURNING *) SELECT * FROM gone",
+    "PREPARE mine AS SELECT 1",
+    "SET datafusion.runtime.memory_limit = '1T'",
+    "SET datafusion.catalog.information_schema = false",
+    "DECLARE mine CURSOR FOR DELETE FROM poses",
+    "SELECT * FROM '/etc/passwd'",
+    "SELECT * FROM read_csv('/etc/passwd')",
+    "SELECT pg_read_file('/etc/passwd')",
+    "SELECT lo_import('/etc/passwd')",
+    "SELECT repeat('a', 2000000000)",
+    "SELECT " + " + ".join(["1"] * 20000),
+    "SELECT " + "(" * 5000 + "1" + ")" * 5000,
+    "VACUUM",
+    "LISTEN mine",
+    "CALL mine()",
+    "LOAD 'mine'",
+    "GRANT ALL ON poses TO ada",
+    "KILL 1",
+]
+
+
+def refused(postgres):
+    """What would write, or read what is not served, by both ways to say it."""
+    for statement in STATEMENTS:
+        for prepare in [False, True]:
+            with connect(postgres) as connection:
+                try:
+                    if prepare:
+                        connection.cursor(binary=True).execute(statement, prepare=True)
+                    else:
+                        # Without parameters and in one text with another: the simple protocol.
+                        connection.pgconn.exec_(b"BEGIN")
+                        result = connection.pgconn.exec_(statement.encode())
+                        if result.error_message:
+                            raise psycopg.Error(result.error_message.decode())
+                    check(False, f"not refused: {statement:.80}")
+                except psycopg.Error as error:
+                    text = str(error)
+                    check("panic" not in text and "server closed" not in text, f"{statement:.80}: {text}")
+    with connect(postgres) as connection:
+        rows = connection.execute("SELECT count(*) FROM poses").fetchone()
+        check(rows[0] > 0, "the map lost its poses")
+        names = connection.execute("SELECT table_name FROM information_schema.tables").fetchall()
+        check("mine" not in [name for (name,) in names], "a table was made")
+
+
+def bounded(postgres):
+    """A query ends when its time, its rows or its client say so, and the next is answered."""
+    long = "SELECT count(*) FROM generate_series(1, 3000000) a, generate_series(1, 3000000) b"
+    for what in [long, "SELECT * FROM generate_series(1, 1000000)"]:
+        with connect(postgres) as connection:
+            try:
+                connection.execute(what).fetchall()
+                check(False, f"not bounded: {what}")
+            except psycopg.Error as error:
+                check("took longer" in str(error) or "more than" in str(error), str(error))
+    with connect(postgres) as connection:
+        connection.execute("SET statement_timeout = 0")
+        import threading
+
+        threading.Timer(0.3, connection.cancel_safe).start()
+        try:
+            connection.execute(long).fetchall()
+            check(False, "not cancelled")
+        except psycopg.Error as error:
+            check("cancel" in str(error), f"cancelled: {error}")
+        check(connection.execute("SELECT 1").fetchone() == (1,), "no answer after cancelling")
+
+
+def wire(postgres, message):
+    """What a server answers to bytes, until it closes or is silent."""
+    host, port = postgres.split(":")
+    with socket.create_connection((host, int(port)), timeout=5) as stream:
+        stream.sendall(message)
+        answer = b""
+        try:
+            while piece := stream.recv(65536):
+                answer += piece
+        except TimeoutError:
+            pass
+        return answer
+
+
+def said(kind, body):
+    return kind + struct.pack("!i", len(body) + 4) + body
+
+
+def start(**parameters):
+    body = struct.pack("!i", 196608)
+    for name, value in parameters.items():
+        body += name.encode() + b"\0" + value.encode() + b"\0"
+    return said(b"", body + b"\0")
+
+
+QUERY = said(b"Q", b"SELECT session FROM poses LIMIT 1\0")
+
+
+def before_a_password(postgres):
+    """Queries that come before a password, or after a wrong answer, have no answer."""
+    hello = start(user="ada", database="map")
+    for what, message in [
+        ("a query at once", QUERY),
+        ("a query in place of a password", hello + QUERY),
+        ("prepared", hello + said(b"P", b"\0SELECT 1\0\0\0") + said(b"S", b"")),
+        ("an unknown mechanism", hello + said(b"p", b"PLAIN\0" + struct.pack("!i", -1)) + QUERY),
+        ("no nonce", hello + said(b"p", b"SCRAM-SHA-256\0" + struct.pack("!i", 3) + b"abc") + QUERY),
+        ("a plain password", hello + said(b"p", b"byron-1815\0") + QUERY),
+        ("a long message", hello + b"p" + struct.pack("!i", 2**31 - 1) + b"x" * 100),
+        ("a negative length", hello + b"p" + struct.pack("!i", -5) + QUERY),
+        ("as if one were in", start(user="ada", database="map", evermap_in="true") + QUERY),
+    ]:
+        answer = wire(postgres, message)
+        check(b"monday" not in answer and b"D\0" not in answer, f"{what}: {answer[:200]!r}")
+    for password in ["wrong-password", "", "byron-181"]:
+        for user in ["ada", "nobody", "robot"]:
+            try:
+                connect(postgres, user=user, password=password or None).close()
+                check(False, f"{user} came in with {password!r}")
+            except psycopg.Error:
+                pass
+
+
+def paths(http):
+    for path in [
+        "/page/../Cargo.toml",
+        "/page/..%2f..%2fCargo.toml",
+        "/page/%2e%2e/%2e%2e/etc/passwd",
+        "/layers/..%2f..%2fetc%2fpasswd",
+        "/layers/poses%22%20UNION%20SELECT",
+        "/tiles/lot/1/0/0/0",
+        "/tiles/lot/1/x/0/0",
+        "/tiles/lot'%20OR%201=1/1/0/0/0",
+        "/maps/..%2fmap/layers",
+        "/maps/other/layers",
+        "/images?session=../../etc/passwd&camera=a&stamp=1",
+        "/sql?query=COPY%20poses%20TO%20'/tmp/evermap-attack.csv'",
+        "/sql?query=SELECT%201&format=exe",
+        "/sql?query=SELECT%201&version=999",
+        "/sql",
+        "//etc/passwd",
+    ]:
+        code, body = status(http + path)
+        check(400 <= code < 500 and b"root:" not in body, f"{path}: {code} {body[:100]!r}")
+
+
+def main(kind, http, postgres, ca=None):
+    query = "/sql?query=SELECT%20count(*)%20AS%20n%20FROM%20poses"
+    if kind == "open":
+        refused(postgres)
+        bounded(postgres)
+        paths(http)
+        code, _ = status(http + query, {"Host": "evil.example"})
+        check(code == 403, f"a page of elsewhere: {code}")
+        code, _ = status(http + "/sql", data=b"DROP TABLE poses")
+        check(code == 400, f"DROP by HTTP: {code}")
+    if kind == "closed":
+        before_a_password(postgres)
+        with connect(postgres, password="byron-1815") as connection:
+            check(connection.execute("SELECT count(*) FROM poses").fetchone()[0] > 0, "ada reads")
+        for path in ["/", "/health", "/metrics", "/maps", "/page/index.html", query]:
+            for header in [{}, {"Authorization": "Bearer wrong"}, {"Authorization": "Basic YWRhOg=="}]:
+                code, _ = status(http + path, header)
+                check(code == 401, f"{path} with {header}: {code}")
+        code, _ = status(http + query, {"Authorization": "Bearer t0ken-t0ken"})
+        check(code == 200, f"with a token: {code}")
+        code, _ = status(http + query, {"Authorization": "Basic YWRhOmJ5cm9uLTE4MTU="})
+        check(code == 200, f"with a password: {code}")
+        header = "adbc.flight.sql.authorization_header"
+        for token, comes_in in [("Bearer t0ken-t0ken", True), ("Bearer wrong", False)]:
+            try:
+                with adbc_driver_flightsql.dbapi.connect(
+                    f"grpc://{http}", db_kwargs={header: token}, autocommit=True
+                ) as connection, connection.cursor() as cursor:
+                    cursor.execute("SELECT 1")
+                    check(comes_in, f"ADBC came in with {token}")
+            except adbc_driver_flightsql.dbapi.Error as error:
+                check(not comes_in, f"ADBC with {token}: {error}")
+    if kind == "private":
+        context = ssl.create_default_context(cafile=ca)
+        token = {"Authorization": "Bearer t0ken-t0ken"}
+        code, _ = status(http.replace("127.0.0.1", "localhost") + query, token, scheme="https", context=context)
+        check(code == 200, f"by TLS: {code}")
+        try:
+            status(http + query, token)
+            check(False, "HTTP without TLS")
+        except (urllib.error.URLError, ConnectionError, OSError):
+            pass
+        with connect(postgres, password="byron-1815", sslmode="require") as connection:
+            check(connection.execute("SELECT 1").fetchone() == (1,), "by TLS")
+        try:
+            connect(postgres, password="byron-1815", sslmode="disable").close()
+            check(False, "Postgres without TLS")
+        except psycopg.Error as error:
+            check("TLS" in str(error), str(error))
+        for bytes_ in [b"\x16\x03\x01\x00\x05hello", b"\0" * 100, b"GET / HTTP/1.1\r\n\r\n"]:
+            wire(postgres, bytes_)
+            wire(http, bytes_)
+    for what in WRONG:
+        print(what)
+    print(f"{len(WRONG)} attacks succeeded")
+    sys.exit(bool(WRONG))
+
+
+main(*sys.argv[1:])

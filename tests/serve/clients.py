@@ -1,0 +1,131 @@
+"""Asks a served map what `evermap sql` was asked, by psycopg, ADBC and HTTP, and compares the answers.
+
+    clients.py HTTP POSTGRES EXPECTED.json
+
+EXPECTED is a list of [query, rows]; rows are objects, as `--format json` prints them.
+"""
+
+import datetime
+import json
+import math
+import re
+import sys
+import urllib.parse
+import urllib.request
+
+import adbc_driver_flightsql.dbapi
+import psycopg
+import pyarrow
+
+
+INSTANT = re.compile(r"^(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(\.\d+)?(Z|\+00:00)$")
+
+
+def instant(text):
+    """An instant to the microsecond, which is as much as Postgres has."""
+    day, time, fraction, _ = INSTANT.match(text).groups()
+    return f"{day}T{time}{(fraction or '.')[:7]:0<7}"
+
+
+def plain(value):
+    """A value as JSON has it."""
+    if isinstance(value, datetime.datetime):
+        value = value.isoformat()
+    if isinstance(value, (bytes, bytearray, memoryview)):
+        return bytes(value).hex()
+    if isinstance(value, dict):
+        return {key: plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(inner) for inner in value]
+    if isinstance(value, bool) or value is None or isinstance(value, (int, float)):
+        return value
+    if isinstance(value, str) and INSTANT.match(value):
+        return instant(value)
+    if isinstance(value, str) and value[:1] in ("{", "["):
+        try:
+            return plain(json.loads(value))
+        except ValueError:
+            return value
+    return str(value) if not hasattr(value, "__float__") else float(value)
+
+
+def same(found, expected):
+    if isinstance(found, (int, float)) and isinstance(expected, (int, float)):
+        return math.isclose(found, expected, rel_tol=1e-12, abs_tol=1e-12)
+    if isinstance(found, list) and isinstance(expected, list):
+        return len(found) == len(expected) and all(map(same, found, expected))
+    if isinstance(found, dict) and isinstance(expected, dict):
+        return found.keys() == expected.keys() and all(
+            same(found[key], expected[key]) for key in found
+        )
+    return found == expected
+
+
+def by_postgres(connection, query, binary):
+    with connection.cursor(binary=binary) as cursor:
+        cursor.execute(query)
+        names = [column.name for column in cursor.description]
+        return [dict(zip(names, row)) for row in cursor.fetchall()]
+
+
+def in_microseconds(kind):
+    """A type whose instants Python has."""
+    if pyarrow.types.is_timestamp(kind):
+        return pyarrow.timestamp("us", kind.tz)
+    if pyarrow.types.is_list(kind):
+        return pyarrow.list_(in_microseconds(kind.value_type))
+    if pyarrow.types.is_struct(kind):
+        return pyarrow.struct([(field.name, in_microseconds(field.type)) for field in kind])
+    return kind
+
+
+def by_adbc(connection, query):
+    with connection.cursor() as cursor:
+        cursor.execute(query)
+        table = cursor.fetch_arrow_table()
+    fields = [(field.name, in_microseconds(field.type)) for field in table.schema]
+    return table.cast(pyarrow.schema(fields), safe=False).to_pylist()
+
+
+def by_http(address, query):
+    asked = f"http://{address}/sql?" + urllib.parse.urlencode({"query": query})
+    with urllib.request.urlopen(asked) as answer:
+        return json.load(answer)
+
+
+def main(http, postgres, expected):
+    host, port = postgres.split(":")
+    pg = psycopg.connect(host=host, port=port, dbname="map", user="me", autocommit=True)
+    adbc = adbc_driver_flightsql.dbapi.connect(f"grpc://{http}", autocommit=True)
+    wrong = 0
+    asked = json.load(open(expected))
+    for query, rows in asked:
+        rows = plain(rows)
+        for name, ask in [
+            ("psycopg", lambda: by_postgres(pg, query, False)),
+            ("psycopg, binary", lambda: by_postgres(pg, query, True)),
+            ("ADBC", lambda: by_adbc(adbc, query)),
+            ("HTTP", lambda: by_http(http, query)),
+        ]:
+            try:
+                found = plain(ask())
+            except Exception as error:  # what a driver raises differs
+                found = f"{type(error).__name__}: {error}"
+            if not same(found, rows):
+                wrong += 1
+                print(f"{name}: {query}\n  expected {rows!r:.400}\n  found    {found!r:.400}")
+    tables = adbc.adbc_get_objects(depth="tables").read_all().to_pylist()
+    names = [
+        table["table_name"]
+        for catalog in tables
+        for schema in catalog["catalog_db_schemas"]
+        for table in schema["db_schema_tables"]
+    ]
+    if "poses" not in names or "lanes" not in names:
+        wrong += 1
+        print(f"ADBC lists the tables {names}")
+    print(f"{len(asked)} queries, {wrong} wrong answers")
+    sys.exit(wrong > 0)
+
+
+main(*sys.argv[1:])

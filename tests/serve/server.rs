@@ -1,0 +1,87 @@
+//! A map to be served, and the server.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStderr, Command, Stdio};
+
+use evermap_tests::{Finished, command, plan_command, rectangle, repository, text, write_drive};
+
+/// A server of a map, stopped when it is dropped.
+pub struct Server {
+    program: Child,
+    /// Held, so that what it says later has somewhere to go.
+    _said: BufReader<ChildStderr>,
+    /// Address of HTTP and Flight SQL.
+    pub http: String,
+    /// Address of Postgres' protocol.
+    pub postgres: String,
+}
+
+impl Server {
+    pub fn start(map: &Path, more: &[&str]) -> Self {
+        let mut serve = command(&["serve", "--map", text(map)]);
+        serve.args(["--http", "127.0.0.1:0", "--postgres", "127.0.0.1:0"]);
+        let started = serve.args(more).stderr(Stdio::piped()).spawn();
+        let mut program = started.unwrap();
+        let mut said = BufReader::new(program.stderr.take().unwrap());
+        let mut text = String::new();
+        while !text.contains("Postgres:") {
+            let read = said.read_line(&mut text).unwrap();
+            assert!(read > 0, "the server ended: {text}");
+        }
+        let address = |before: &str| {
+            let behind = text.split_once(before).unwrap().1;
+            let address = behind.split_once("://").unwrap().1;
+            address.split(['/', '\n']).next().unwrap().to_owned()
+        };
+        Self {
+            http: address("page and HTTP:"),
+            postgres: address("Postgres:"),
+            program,
+            _said: said,
+        }
+    }
+
+    /// Bytes of memory that the server holds.
+    pub fn memory(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.program.id()));
+        let status = status.unwrap();
+        let line = status.lines().find(|line| line.starts_with("VmRSS:"));
+        let kilobytes = line.unwrap().split_whitespace().nth(1).unwrap();
+        kilobytes.parse::<u64>().unwrap() << 10
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.program.kill().unwrap();
+        self.program.wait().unwrap();
+    }
+}
+
+/// A map of two drives, `monday` and `tuesday`, two versions.
+pub fn map(folder: &Path) -> PathBuf {
+    let map = folder.join("map");
+    for (day, width_m) in [("monday", 30.0), ("tuesday", 32.0)] {
+        drive(folder, &map, day, width_m);
+    }
+    map
+}
+
+/// Adds a version with one more drive.
+pub fn drive(folder: &Path, map: &Path, day: &str, width_m: f64) {
+    let log = folder.join(format!("{day}.mcap"));
+    write_drive(&log, rectangle(width_m, 20.0, 1.0));
+    let ended = plan_command("trajectory", map, "lot", &["--sessions", text(&log)]).output();
+    Finished::from(ended.unwrap()).expect(0);
+}
+
+/// A Python script beside this file, with the programs that people have; `None` where they are not installed.
+pub fn script(name: &str, arguments: &[&str]) -> Option<Command> {
+    let python = repository().join(".venv/bin/python");
+    let python = evermap_test_data::there(python, "`make test` sets it up")?;
+    let mut script = Command::new(python);
+    script.arg(repository().join("tests/serve").join(name));
+    script.args(arguments);
+    Some(script)
+}
