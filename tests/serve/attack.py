@@ -5,6 +5,7 @@
     attack.py private HTTP POSTGRES CA  the same with TLS, by a certificate of CA
 """
 
+import http.client as http_client
 import socket
 import ssl
 import struct
@@ -241,7 +242,7 @@ def main(kind, http, postgres, ca=None):
         try:
             status(http + query, token)
             check(False, "HTTP without TLS")
-        except (urllib.error.URLError, ConnectionError, OSError):
+        except (http_client.HTTPException, OSError):
             pass
         with connect(postgres, password="byron-1815", sslmode="require") as connection:
             check(connection.execute("SELECT 1").fetchone() == (1,), "by TLS")

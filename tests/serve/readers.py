@@ -11,9 +11,9 @@ import urllib.request
 import psycopg
 
 QUERY = """
-SELECT (SELECT max(version) FROM versions) AS version,
+SELECT (SELECT count(DISTINCT session) FROM poses) AS version,
        (SELECT count(*) FROM poses) AS poses,
-       (SELECT count(DISTINCT session) FROM poses) AS sessions,
+       (SELECT count(*) FROM lanes) - (SELECT rows FROM layers WHERE layer = 'lanes') AS off,
        (SELECT rows FROM layers WHERE layer = 'poses') AS listed
 """
 CLIENTS = 20
@@ -22,10 +22,10 @@ SEEN, WRONG = {}, []
 LAST = [0]
 
 
-def hold(version, poses, sessions, listed):
-    """One drive a version: sessions are counted as versions are; a version has one number of poses."""
-    if poses != listed or sessions != version or SEEN.setdefault(version, poses) != poses:
-        WRONG.append((version, poses, sessions, listed))
+def hold(version, poses, off, listed):
+    """One drive a version: sessions are counted as versions are. A version has one number of poses."""
+    if poses != listed or off != 0 or SEEN.setdefault(version, poses) != poses:
+        WRONG.append((version, poses, off, listed))
 
 
 def by_postgres(postgres):

@@ -7,6 +7,7 @@ mod startup;
 
 use std::sync::{Arc, LazyLock};
 
+use arrow::datatypes::DataType;
 use async_trait::async_trait;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::SessionContext;
@@ -15,16 +16,19 @@ use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
 use datafusion_postgres::DfSessionService;
 use evermap_engine::sql::check_size;
 use evermap_schemas::{Fault, Kind};
-use futures::Sink;
+use futures::future::{BoxFuture, Shared};
+use futures::stream::BoxStream;
+use futures::{FutureExt, Sink, StreamExt};
 use pgwire::api::auth::StartupHandler;
 use pgwire::api::cancel::{CancelHandler, DefaultCancelHandler};
 use pgwire::api::portal::{Format, Portal};
 use pgwire::api::query::{ExtendedQueryHandler, SimpleQueryHandler};
 use pgwire::api::results::{FieldInfo, QueryResponse, Response};
-use pgwire::api::stmt::QueryParser;
+use pgwire::api::stmt::{QueryParser, StoredStatement};
 use pgwire::api::store::PortalStore;
 use pgwire::api::{
-    ClientInfo, ClientPortalStore, ConnectionManager, METADATA_DATABASE, PgWireServerHandlers, Type,
+    ClientInfo, ClientPortalStore, ConnectionHandle, ConnectionManager, METADATA_DATABASE,
+    PgWireServerHandlers, Type,
 };
 use pgwire::error::{ErrorInfo, PgWireError, PgWireResult};
 use pgwire::messages::PgWireBackendMessage;
@@ -132,8 +136,29 @@ impl Queries {
     }
 }
 
-/// A response whose rows end when time or number are used up.
-fn bounded(response: Response, turn: &Arc<Turn>) -> Response {
+/// Ends when a client cancels what it asked; never, where it asked for something else meanwhile.
+type Cancelled = Shared<BoxFuture<'static, ()>>;
+
+/// What ends when the client cancels. The library listens until an answer begins; from then on this does.
+async fn cancelled<C: ClientInfo>(client: &C) -> Cancelled {
+    let connection = client.session_extensions().get::<Arc<ConnectionHandle>>();
+    let receiver = match connection {
+        Some(connection) => Some(connection.start_query().await),
+        None => None,
+    };
+    let wait = async move {
+        if let Some(receiver) = receiver
+            && receiver.await.is_ok()
+        {
+            return;
+        }
+        std::future::pending().await
+    };
+    wait.boxed().shared()
+}
+
+/// A response whose rows end when time or number are used up, or the client cancels.
+fn bounded(response: Response, turn: &Arc<Turn>, cancelled: &Cancelled) -> Response {
     match response {
         Response::Query(query) => {
             let QueryResponse {
@@ -143,6 +168,15 @@ fn bounded(response: Response, turn: &Arc<Turn>) -> Response {
                 ..
             } = query;
             let rows = Arc::clone(turn).bounded(data_rows, |_| 1, |fault| said(&fault));
+            let state = Some((rows, cancelled.clone()));
+            let next = |state: Option<(BoxStream<'static, _>, Cancelled)>| async move {
+                let (mut rows, cancelled) = state?;
+                tokio::select! {
+                    row = rows.next() => row.map(|row| (row, Some((rows, cancelled)))),
+                    () = cancelled.clone() => Some((Err(PgWireError::QueryCanceled), None)),
+                }
+            };
+            let rows = futures::stream::unfold(state, next);
             let mut bounded = QueryResponse::new(row_schema, rows);
             bounded.set_command_tag(&command_tag);
             Response::Query(bounded)
@@ -164,8 +198,11 @@ impl SimpleQueryHandler for Queries {
         let service = &opened.postgres;
         let work = SimpleQueryHandler::do_query(service, client, query);
         let (responses, turn) = self.within(work).await?;
+        let cancelled = cancelled(client).await;
         let responses = responses.into_iter();
-        Ok(responses.map(|response| bounded(response, &turn)).collect())
+        Ok(responses
+            .map(|response| bounded(response, &turn, &cancelled))
+            .collect())
     }
 }
 
@@ -192,9 +229,11 @@ impl ExtendedQueryHandler for Queries {
     {
         let opened = self.parser.opened(client, "").await?;
         let service = &opened.postgres;
-        let work = ExtendedQueryHandler::do_query(service, client, portal, max_rows);
+        let portal = self.parser.of_newest(client, portal, &opened).await?;
+        let work = ExtendedQueryHandler::do_query(service, client, &portal, max_rows);
         let (response, turn) = self.within(work).await?;
-        Ok(bounded(response, &turn))
+        let cancelled = cancelled(client).await;
+        Ok(bounded(response, &turn, &cancelled))
     }
 }
 
@@ -227,6 +266,57 @@ impl Parser {
     }
 }
 
+/// A query with a note of the version that it was planned on.
+fn noted(query: &str, opened: &Opened) -> String {
+    format!("-- version {}\n{query}", opened.version())
+}
+
+impl Parser {
+    /// A portal as it is, or, where a version was published since it was planned, planned again: a statement that is
+    /// prepared once reads the newest version each time.
+    async fn of_newest<C>(
+        &self,
+        client: &C,
+        portal: &Portal<Prepared>,
+        newest: &Opened,
+    ) -> PgWireResult<Portal<Prepared>>
+    where
+        C: ClientInfo + Unpin + Send + Sync,
+    {
+        let old = &portal.statement;
+        let mut statement = Arc::clone(old);
+        let query = old
+            .statement
+            .0
+            .split_once('\n')
+            .map_or("", |(_, query)| query);
+        if old.statement.0 != noted(query, newest) {
+            let planned = self.parse_sql(client, query, &old.parameter_types).await?;
+            let planned = planned.unwrap_or_else(|| old.statement.clone());
+            if columns(&planned) != columns(&old.statement) {
+                let message = "cached plan must not change result type";
+                return Err(error("ERROR", "0A000", message));
+            }
+            let types = old.parameter_types.clone();
+            statement = Arc::new(StoredStatement::new(old.id.clone(), planned, types));
+        }
+        let mut again = Portal::new_cursor(portal.name.clone(), statement);
+        again.parameter_format = portal.parameter_format.clone();
+        again.parameters = portal.parameters.clone();
+        again.result_column_format = portal.result_column_format.clone();
+        again.state = portal.state();
+        Ok(again)
+    }
+}
+
+/// Names and types of the columns that a statement gives.
+fn columns((_, planned): &Prepared) -> Vec<(String, DataType)> {
+    let fields = planned.iter().flat_map(|(_, plan)| plan.schema().fields());
+    fields
+        .map(|field| (field.name().clone(), field.data_type().clone()))
+        .collect()
+}
+
 #[async_trait]
 impl QueryParser for Parser {
     type Statement = Prepared;
@@ -242,7 +332,8 @@ impl QueryParser for Parser {
     {
         let opened = self.opened(client, query).await?;
         let parser = opened.postgres.query_parser();
-        parser.parse_sql(client, query, types).await
+        let planned = parser.parse_sql(client, query, types).await?;
+        Ok(planned.map(|(query, plan)| (noted(&query, &opened), plan)))
     }
 
     fn get_parameter_types(&self, prepared: &Prepared) -> PgWireResult<Vec<Type>> {
