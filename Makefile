@@ -29,6 +29,7 @@ map: sessions/.complete
 	$(EVERMAP) report --map map --out map/report.html
 	@echo "pictures: $(CURDIR)/map/map.png $(CURDIR)/map/metric.png"
 	@echo "report:   $(CURDIR)/map/report.html"
+	@echo "page:     $(EVERMAP) serve --map map, then open http://127.0.0.1:8760/"
 
 # Made once, at a quarter of the pixels that a session has by default, for time. A simulation that was interrupted is
 # begun anew.

@@ -166,6 +166,25 @@ fn versions_are_read_side_by_side_and_files_by_other_programs() {
     let unknown = ask("SELECT * FROM v9.poses").expect(1).stderr;
     assert!(unknown.contains("version 9"), "{unknown}");
 
+    // The logs behind it are there by the names of their sessions; what reading them loses is counted.
+    let beside =
+        "SELECT count(*) > 0, count(o.stamp) = count(*) FROM poses p LEFT JOIN monday.odometry o
+        ON o.stamp BETWEEN p.stamp - INTERVAL '1 second' AND p.stamp WHERE p.session = 'monday'";
+    let beside = ask(beside).expect(0).stdout;
+    assert_eq!(beside.lines().nth(1), Some("true,true"));
+    let odom = ask("SELECT count(*) FROM monday.\"/odom\"")
+        .expect(0)
+        .stdout;
+    let other = ask("SELECT count(*) FROM monday.odometry").expect(0).stdout;
+    assert_eq!(odom, other);
+    let none = ask("SELECT * FROM monday.\"/nothing\"").expect(1).stderr;
+    assert!(none.contains("/nothing"), "{none}");
+    let whole = std::fs::read(&logs[0]).unwrap();
+    std::fs::write(&logs[0], &whole[..whole.len() / 2]).unwrap();
+    let torn = ask("SELECT count(*) FROM monday.odometry").expect(3).stderr;
+    assert!(torn.contains("logs without an end"), "{torn}");
+    std::fs::write(&logs[0], &whole).unwrap();
+
     let files = ["layers", "--map", text(&map), "--files", "--format", "json"];
     let files = evermap(&files).expect(0).json();
     let files = files.as_array().unwrap();

@@ -60,3 +60,6 @@ SELECT arrow_typeof(stamp) AS t FROM poses LIMIT 1;
 SELECT session FROM poses WHERE false;
 SELECT lane, list_max([length_m, width_m]) AS larger FROM lanes ORDER BY lane;
 SELECT lane, distance_along(geometry, 0, 0) AS along FROM lanes ORDER BY lane;
+SELECT count(*) AS n FROM monday."/odom";
+SELECT session, odom_from_vehicle['x'] AS x FROM tuesday.odometry ORDER BY stamp LIMIT 3;
+SELECT count(*) AS n FROM poses p JOIN monday.odometry o ON p.stamp = o.stamp WHERE p.session = 'monday';

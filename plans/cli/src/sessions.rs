@@ -1,5 +1,6 @@
 //! Sessions as the command line names them.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use datafusion::execution::runtime_env::RuntimeEnv;
@@ -58,11 +59,12 @@ pub async fn open(runtime: &RuntimeEnv, args: &SessionArgs) -> Result<Dataset, F
 }
 
 /// What reading logs has lost so far.
-pub fn lost(dataset: &Dataset) -> Lost {
-    let sums = dataset.losses.losses();
-    Lost(
-        sums.into_iter()
-            .map(|(reason, loss)| (reason.text().to_owned(), loss.count))
-            .collect(),
-    )
+pub fn lost<'d>(datasets: impl IntoIterator<Item = &'d Dataset>) -> Lost {
+    let mut sums = BTreeMap::new();
+    for dataset in datasets {
+        for (reason, loss) in dataset.losses.losses() {
+            *sums.entry(reason.text().to_owned()).or_default() += loss.count;
+        }
+    }
+    Lost(sums)
 }

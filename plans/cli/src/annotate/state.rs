@@ -107,7 +107,7 @@ async fn from_logs(
     let dataset = Dataset::open(&context.runtime_env(), &paths, Some(&manifest)).await?;
     dataset.register(&context)?;
     let rows = answered(&context, "SELECT * FROM annotations").await?;
-    for (reason, count) in sessions::lost(&dataset).0 {
+    for (reason, count) in sessions::lost([&dataset]).0 {
         losses.count(&reason, count);
     }
     typed(&rows)

@@ -12,7 +12,8 @@ use crate::quantity;
 #[derive(Debug, Args)]
 #[command(group(clap::ArgGroup::new("what").required(true).args(["map", "sessions", "manifest"]).multiple(true)))]
 pub struct SqlArgs {
-    /// Folder or URL of a map: its layers are tables, beside `layers`, `versions` and `runs`.
+    /// Folder or URL of a map: its layers are tables, beside `layers`, `versions`, `runs` and `columns`; so are the logs
+    /// behind it, by the names of their sessions: `monday."/odom"`.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["sessions", "manifest", "site"])]
     pub map: Option<String>,
     /// Version of the map [default: the newest].

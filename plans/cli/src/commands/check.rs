@@ -46,7 +46,7 @@ pub async fn check(args: &PlanArgs) -> Ending {
         "{}: {steps}, {layers}, no faults",
         parsed.name
     )?;
-    Ok(lost(&dataset))
+    Ok(lost([&dataset]))
 }
 
 /// The plan, its program, and the sessions that it was checked on; its own faults are told before any log is opened.

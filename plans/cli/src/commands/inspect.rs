@@ -34,7 +34,7 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
     if args.manifest {
         let frames = CoordinateFrames::read(&context).await?;
         writeln!(std::io::stdout(), "{}", written(&dataset, &frames)?)?;
-        return Ok(lost(&dataset));
+        return Ok(lost([&dataset]));
     }
     let parts = dataset.parts();
     let [part] = parts.as_slice() else {
@@ -65,7 +65,7 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
         contents.write_into(&mut stdout)?;
     }
     stdout.flush()?;
-    Ok(lost(&dataset))
+    Ok(lost([&dataset]))
 }
 
 /// What the index says, and what `read` found: the same, or more.

@@ -81,10 +81,7 @@ pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
             1,
         );
     }
-    let map = Map {
-        store: prepared.store,
-        version: result.version,
-    };
+    let map = Map::of(prepared.store, result.version);
     print_layers(&map, Format::Table).await?;
     Ok(lost)
 }

@@ -81,11 +81,12 @@ impl Tables {
     }
 
     /// What reading logs has lost so far.
-    pub fn lost(&self) -> Lost {
-        self.dataset
-            .as_ref()
-            .map(sessions::lost)
-            .unwrap_or_default()
+    pub async fn lost(&self) -> Lost {
+        let of_map = match &self.reader {
+            Some(reader) => reader.map.logs().await,
+            None => Vec::new(),
+        };
+        sessions::lost(self.dataset.iter().chain(&of_map))
     }
 
     /// A fault of planning, in our words where a table is not there: it may be misspelt, or a topic that damage took.
@@ -206,7 +207,7 @@ pub async fn sql(args: &SqlArgs) -> Ending {
             all(&tables, &text, args).await?;
         }
     }
-    Ok(tables.lost())
+    Ok(tables.lost().await)
 }
 
 async fn all(tables: &Tables, text: &str, args: &SqlArgs) -> Result<(), Failure> {

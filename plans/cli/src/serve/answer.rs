@@ -85,24 +85,36 @@ impl Turn {
         T: Send + 'static,
         E: Send + 'static,
     {
-        let state = Some((items.boxed(), 0, self));
-        let next = move |state: Option<(BoxStream<'static, Result<T, E>>, u64, Arc<Self>)>| async move {
-            let (mut items, mut count, turn) = state?;
-            match turn.within(items.next()).await {
+        let state = Some(Bounded {
+            items: items.boxed(),
+            count: 0,
+            turn: self,
+        });
+        let next = move |state: Option<Bounded<T, E>>| async move {
+            let mut bounded = state?;
+            match bounded.turn.within(bounded.items.next()).await {
                 Err(fault) => Some((Err(error(fault)), None)),
                 Ok(None) => None,
                 Ok(Some(Err(error))) => Some((Err(error), None)),
                 Ok(Some(Ok(item))) => {
-                    count += rows(&item) as u64;
-                    if count > turn.rows {
-                        return Some((Err(error(turn.too_many())), None));
+                    bounded.count += rows(&item) as u64;
+                    if bounded.count > bounded.turn.rows {
+                        return Some((Err(error(bounded.turn.too_many())), None));
                     }
-                    Some((Ok(item), Some((items, count, turn))))
+                    Some((Ok(item), Some(bounded)))
                 }
             }
         };
         futures::stream::unfold(state, next).boxed()
     }
+}
+
+/// An answer on its way.
+struct Bounded<T, E> {
+    items: BoxStream<'static, Result<T, E>>,
+    /// Rows so far.
+    count: u64,
+    turn: Arc<Turn>,
 }
 
 /// The rows of a query on a version.

@@ -1,5 +1,5 @@
-//! A map as a catalog: its layers at the version that was asked for, and those of every other version as schemas `v1`,
-//! `v2` …
+//! A map as a catalog: its layers at the version that was asked for, those of every other version as schemas `v1`, `v2` …,
+//! and the logs of its sessions as schemas of their names.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -51,10 +51,13 @@ impl CatalogProvider for Catalog {
     }
 
     fn schema(&self, name: &str) -> Option<Arc<dyn SchemaProvider>> {
-        self.named.schema(name).or_else(|| {
-            let number = name.strip_prefix('v')?.parse().ok()?;
-            Some(self.version(number))
-        })
+        self.named
+            .schema(name)
+            .or_else(|| {
+                let number = name.strip_prefix('v')?.parse().ok()?;
+                Some(self.version(number))
+            })
+            .or_else(|| Some(Arc::new(self.tables.log(name)?)))
     }
 
     fn register_schema(

@@ -7,6 +7,7 @@ mod diff;
 mod gc;
 pub mod lease;
 mod local;
+mod logs;
 pub mod receipt;
 mod rows;
 pub mod sound;
@@ -15,6 +16,7 @@ pub mod tables;
 mod verify;
 pub mod version;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
@@ -23,6 +25,7 @@ use datafusion::prelude::SessionContext;
 use evermap_contract::Registry;
 use evermap_datasets::Dataset;
 use evermap_schemas::{Fault, Kind, LayerRow};
+use tokio::sync::Mutex;
 use url::Url;
 
 use crate::error::OrFault;
@@ -47,6 +50,8 @@ pub struct Map {
     pub store: Store,
     /// The version.
     pub version: Version,
+    /// The logs that were opened, by session.
+    logs: Arc<Mutex<BTreeMap<String, Dataset>>>,
 }
 
 impl Map {
@@ -66,7 +71,16 @@ impl Map {
                     .next("finish a run of `evermap run`")
             })?,
         };
-        Ok(Self { store, version })
+        Ok(Self::of(store, version))
+    }
+
+    /// A version that was read.
+    pub fn of(store: Store, version: Version) -> Self {
+        Self {
+            store,
+            version,
+            logs: Arc::default(),
+        }
     }
 
     /// What is missing or damaged of the published layers, as far as sizes tell.
@@ -107,7 +121,7 @@ impl Map {
     }
 
     /// Makes every published layer a table of a new context, beside `layers`, `versions` and `runs`; those of another
-    /// version are `v1.lanes`, and `diff` compares them. A table is opened when a query names it, and then it is that a
+    /// version are `v1.lanes`, topics and roles of the log of a session `monday."/odom"`, and `diff` compares versions. A table is opened when a query names it, and then it is that a
     /// missing or damaged artifact shows.
     ///
     /// # Errors
@@ -165,18 +179,32 @@ impl Map {
         rows.collect().await.or_fault()
     }
 
-    /// The log of a session, opened where it was when it was mapped; `None` for a session that is not in the map.
+    /// The log of a session, opened once, where it was when it was mapped; `None` for a session that is not in the map.
     ///
     /// # Errors
     /// A user fault for a log that is gone, or as [`Dataset::open`].
     pub async fn log(&self, session: &str, runtime: &RuntimeEnv) -> Result<Option<Dataset>, Fault> {
-        let mut sessions = self.version.sessions.iter();
-        match sessions.find(|mapped| mapped.log.session == session) {
-            Some(MappedSession { log, manifest }) => Ok(Some(
-                open_mapped(&self.store, runtime, manifest, log).await?,
-            )),
-            None => Ok(None),
+        let mut logs = self.logs.lock().await;
+        if let Some(log) = logs.get(session) {
+            return Ok(Some(log.clone()));
         }
+        let Some(MappedSession { log, manifest }) = self.session(session) else {
+            return Ok(None);
+        };
+        let log = open_mapped(&self.store, runtime, manifest, log).await?;
+        log.register_stores(runtime);
+        logs.insert(session.to_owned(), log.clone());
+        Ok(Some(log))
+    }
+
+    fn session(&self, name: &str) -> Option<&MappedSession> {
+        let mut sessions = self.version.sessions.iter();
+        sessions.find(|mapped| mapped.log.session == name)
+    }
+
+    /// The logs that were opened so far, which know what reading them lost.
+    pub async fn logs(&self) -> Vec<Dataset> {
+        self.logs.lock().await.values().cloned().collect()
     }
 
     /// Whether the version has the layer.

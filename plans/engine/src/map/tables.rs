@@ -18,6 +18,7 @@ use tokio::sync::OnceCell;
 
 use crate::error::{OrFault, external};
 use crate::map::artifact::{read_artifacts, read_files};
+use crate::map::logs::LogTables;
 use crate::map::store::{Store, each};
 use crate::map::{LayerInfo, Map, RunRow, VersionInfo, beside, versions};
 
@@ -71,6 +72,16 @@ impl Tables {
     /// The map.
     pub fn map(&self) -> &Map {
         &self.map
+    }
+
+    /// The log of a session of the map.
+    pub fn log(&self, session: &str) -> Option<LogTables> {
+        self.map.session(session)?;
+        Some(LogTables {
+            map: self.map.clone(),
+            session: session.to_owned(),
+            runtime: self.reading.runtime_env(),
+        })
     }
 
     /// The declaration of a table's columns, where there is one: of the operator that made it, else by name.

@@ -10,6 +10,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use crate::serve::http::App;
+use crate::sessions;
 
 /// What was counted since the server began.
 #[derive(Debug, Default)]
@@ -74,14 +75,23 @@ pub async fn metrics(State(app): State<App>) -> Response {
         "Queries that may begin at once.",
         &[("evermap_queries_free".to_owned(), free)],
     );
-    let mut versions = Vec::new();
+    let (mut versions, mut lost) = (Vec::new(), Vec::new());
     for map in app.maps.all() {
         if let Ok(newest) = map.newest().await {
             let name = map.name.replace('\\', "\\\\").replace('"', "\\\"");
-            let sample = format!("evermap_map_version{{map=\"{name}\"}}");
-            versions.push((sample, newest.version().to_string()));
+            let sample = |family: &str| format!("{family}{{map=\"{name}\"}}");
+            versions.push((sample("evermap_map_version"), newest.version().to_string()));
+            let sums = sessions::lost(&newest.reader.map.logs().await).0;
+            let sum: u64 = sums.values().sum();
+            lost.push((sample("evermap_log_losses"), sum.to_string()));
         }
     }
+    family(
+        "evermap_log_losses",
+        "gauge",
+        "Messages and bytes that queries on logs of the newest version skipped or lost.",
+        &lost,
+    );
     family(
         "evermap_map_version",
         "gauge",
