@@ -92,6 +92,65 @@ fn a_server_is_read_and_nothing_else() {
     assert!(!Path::new("/tmp/evermap-attack.parquet").exists());
 }
 
+/// What Chromium makes of the page, once its scripts have done their work; `None` where it is not installed.
+fn page(address: &str, picture: Option<&Path>) -> Option<String> {
+    let chromium = evermap_test_data::there("/usr/bin/chromium", "`make test` installs it")?;
+    let profile = tempfile::tempdir().unwrap();
+    let mut browser = std::process::Command::new(chromium);
+    browser
+        .args(["--headless", "--no-sandbox", "--disable-gpu"])
+        .arg(format!("--user-data-dir={}", profile.path().display()))
+        .args(["--window-size=1400,900", "--virtual-time-budget=30000"]);
+    match picture {
+        Some(picture) => browser.arg(format!("--screenshot={}", picture.display())),
+        None => browser.arg("--dump-dom"),
+    };
+    let ended = Finished::from(browser.arg(address).output().unwrap()).expect(0);
+    Some(ended.stdout)
+}
+
+/// The text of elements with an id, as far as their first end tag.
+fn element<'p>(page: &'p str, id: &str) -> &'p str {
+    let behind = page.split_once(&format!("id=\"{id}\"")).unwrap().1;
+    let inner = behind.split_once('>').unwrap().1;
+    inner.split_once("</").unwrap().0
+}
+
+#[test]
+fn the_page_shows_a_map_and_answers_queries() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    let poses = sql(&map, "SELECT count(*) AS n FROM poses WHERE session = 'monday'");
+    let query = "SELECT+*+FROM+poses+WHERE+session+%3D+'monday'";
+    let shown = format!("http://{}/#query={query}", server.http);
+    let Some(text) = page(&shown, None) else {
+        return;
+    };
+    assert_eq!(element(&text, "version-name"), "2 of 2");
+    assert!(element(&text, "version-about").contains("monday, tuesday"));
+    assert!(text.contains("<option value=\"lot\">"), "no site");
+    for layer in ["poses", "lanes", "intersections"] {
+        assert!(text.contains(&format!("id=\"layer-{layer}\"")), "{layer} is not offered");
+    }
+    assert!(!text.contains("id=\"layer-landmarks\""), "the map has none");
+    let n = &poses[0]["n"];
+    assert_eq!(element(&text, "drawer-title"), format!("{n} drawn: {n} rows"));
+    assert_eq!(element(&text, "fault"), "");
+    assert!(element(&text, "moved").is_empty() || text.contains("changed by up to"));
+
+    let before = format!("http://{}/maps/map/#version=1&query=SELECT+nothing+FROM+poses", server.http);
+    let text = page(&before, None).unwrap();
+    assert_eq!(element(&text, "version-name"), "1 of 2");
+    assert!(element(&text, "fault").contains("No field named nothing"));
+
+    let look = std::env::var("EVERMAP_LOOK").ok();
+    let place = look.map_or_else(|| folder.path().to_owned(), Into::into);
+    let picture = place.join("page.png");
+    page(&shown, Some(&picture));
+    assert!(std::fs::metadata(&picture).unwrap().len() > 10_000);
+}
+
 /// A file that only its owner reads.
 fn private(path: &Path, written: &str) {
     std::fs::write(path, written).unwrap();

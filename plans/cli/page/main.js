@@ -1,0 +1,346 @@
+/** The page of a map: what is chosen, and what follows from it. */
+import * as address from "./address.js";
+import { VERMILION, faint } from "./colours.js";
+import { SHOWN } from "./layers.js";
+import * as drawn from "./map.js";
+import * as drawer from "./rows.js";
+import { literal, maps, sql } from "./server.js";
+import { anything } from "./shapes.js";
+
+/* global ol */
+
+const $ = (id) => document.getElementById(id);
+const state = { versions: [], version: undefined, site: undefined, on: new Set(), there: new Map(), query: "" };
+const map = drawn.create("map");
+/** What is drawn: the layers of OpenLayers by id, in the order of `SHOWN`. */
+const shown = new Map();
+const results = new ol.layer.Vector({ source: new ol.source.Vector(), zIndex: 100 });
+const moved = new ol.layer.Vector({ source: new ol.source.Vector(), zIndex: 90 });
+map.addLayer(moved);
+map.addLayer(results);
+window.evermap = { map, state };
+
+let working = 0;
+async function work(what, doing) {
+  working += 1;
+  $("busy").textContent = what;
+  try {
+    return await doing();
+  } catch (error) {
+    fault(error.message);
+    return undefined;
+  } finally {
+    working -= 1;
+    if (working === 0) $("busy").textContent = "";
+  }
+}
+
+function fault(text) {
+  $("fault").textContent = text;
+  $("fault").hidden = !text;
+}
+
+function said(step) {
+  const [x, y] = map.getView().getCenter().map((value) => Number(value.toFixed(2)));
+  address.write({
+    site: state.site, version: state.version === state.versions.at(-1)?.version ? undefined : state.version,
+    x, y, m_per_px: Number(map.getView().getResolution().toPrecision(4)), on: [...state.on], query: state.query,
+  }, step);
+}
+
+/** Reads what there is, and shows what the address says. */
+async function begin() {
+  const asked = address.read();
+  $("theme").addEventListener("click", theme);
+  document.documentElement.dataset.theme = localStorage.getItem("theme") ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+  const [versions, served] = await Promise.all([
+    work("versions", () => sql("SELECT version, published, plan, sessions FROM versions ORDER BY version")), maps().catch(() => []),
+  ]);
+  if (!versions) return;
+  state.versions = versions;
+  others(served);
+  const known = versions.some(({ version }) => version === asked.version);
+  state.version = known ? asked.version : versions.at(-1)?.version;
+  $("version").max = versions.length - 1;
+  $("version").value = versions.findIndex(({ version }) => version === state.version);
+  state.on = new Set(asked.on ?? SHOWN.filter((one) => one.on).map((one) => one.id));
+  await opened(asked.site);
+  if (asked.m_per_px) {
+    map.getView().setCenter([asked.x ?? 0, asked.y ?? 0]);
+    map.getView().setResolution(asked.m_per_px);
+  } else fit();
+  map.on("moveend", () => said(false));
+  if (asked.query) {
+    $("sql").value = asked.query;
+    run(false);
+  }
+}
+
+function others(served) {
+  $("maps-row").hidden = served.length < 2;
+  $("maps").replaceChildren(...served.map(({ name, path }) => new Option(name, path, false, location.pathname === path)));
+  $("maps").addEventListener("change", () => { location.href = $("maps").value; });
+}
+
+/** Shows the chosen version. */
+async function opened(wanted) {
+  const { version } = state;
+  const layers = await work("layers", () => sql("SELECT layer, rows, operator, digest FROM layers", version));
+  if (!layers || state.version !== version) return;
+  state.there = new Map(layers.map((row) => [row.layer, row]));
+  const from = ["poses", "overhead_tiles", "lanes", "views"].filter((layer) => state.there.get(layer)?.rows);
+  const union = from.map((layer) => `SELECT DISTINCT site FROM ${layer}`).join(" UNION ");
+  const sites = union ? await work("sites", () => sql(`SELECT site FROM (${union}) ORDER BY site`, version)) : [];
+  const names = (sites ?? []).map(({ site }) => site);
+  state.site = names.includes(wanted) ? wanted : names.includes(state.site) ? state.site : names[0];
+  $("sites").replaceChildren(...names.map((name) => new Option(name, name, false, name === state.site)));
+  about();
+  list();
+  for (const made of shown.values()) map.removeLayer(made);
+  shown.clear();
+  moved.getSource().clear();
+  await Promise.all([...SHOWN.filter((one) => state.on.has(one.id) && can(one)).map(draw), changes()]);
+}
+
+function about() {
+  const place = state.versions.findIndex(({ version }) => version === state.version);
+  const { version, published, plan, sessions } = state.versions[place] ?? {};
+  $("version-name").textContent = version === undefined ? "none" : `${version} of ${state.versions.at(-1).version}`;
+  $("version-about").textContent = version === undefined ? "" : `${published.slice(0, 16).replace("T", " ")}, ${plan}: ${sessions.join(", ")}`;
+}
+
+const can = (one) => [...one.needs, ...(one.needsToo ?? [])].every((layer) => state.there.has(layer));
+
+/** The list of what can be shown. */
+function list() {
+  const items = SHOWN.filter(can).map((one) => {
+    const [item, label, box, name, count] = ["li", "label", "input", "span", "span"].map((kind) => document.createElement(kind));
+    const { rows } = state.there.get(one.needs[0]);
+    Object.assign(box, { type: "checkbox", checked: state.on.has(one.id), id: `show-${one.id}` });
+    box.addEventListener("change", () => {
+      if (box.checked) state.on.add(one.id);
+      else state.on.delete(one.id);
+      if (box.checked) draw(one);
+      else hide(one.id);
+      said(true);
+    });
+    name.className = "name";
+    name.textContent = one.name;
+    count.className = "count";
+    count.textContent = rows === 0 ? "empty" : rows.toLocaleString("en");
+    label.append(box, legend(one.key), name, count);
+    item.append(label);
+    item.id = `layer-${one.id}`;
+    return item;
+  });
+  $("layers").replaceChildren(...items);
+}
+
+function legend([kind, colour]) {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  made.setAttribute("class", "key");
+  made.setAttribute("viewBox", "0 0 22 14");
+  const shapes = {
+    line: `M1 7H21`, dot: `M11 7h.01`, box: `M4 3H18V11H4Z`, fill: `M3 2H19V12H3Z`, ramp: `M1 7H21`,
+  };
+  const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
+  path.setAttribute("d", shapes[kind]);
+  path.setAttribute("fill", kind === "fill" ? colour : "none");
+  path.setAttribute("stroke", colour ?? "#21918c");
+  path.setAttribute("stroke-width", { dot: 8, ramp: 10 }[kind] ?? 2);
+  path.setAttribute("stroke-linecap", kind === "dot" ? "round" : "butt");
+  made.append(path);
+  if (kind === "ramp") {
+    const bright = path.cloneNode();
+    bright.setAttribute("d", "M12 7H21");
+    bright.setAttribute("stroke", "#fde725");
+    made.append(bright);
+  }
+  return made;
+}
+
+async function draw(one) {
+  const { site, version } = state;
+  const rows = state.there.get(one.needs[0])?.rows ? await work(one.name, () => sql(one.query(site), version)) : [];
+  if (!rows || state.site !== site || state.version !== version || !state.on.has(one.id)) return;
+  hide(one.id);
+  const found = one.draw(rows);
+  const made = drawn.layer(found, state, SHOWN.indexOf(one));
+  made.set("id", one.id);
+  shown.set(one.id, made);
+  map.addLayer(made);
+  if (rows.length > 0) {
+    $(`layer-${one.id}`).querySelector(".count").textContent = rows.length.toLocaleString("en");
+    note(one.id, found.note);
+  }
+}
+
+function note(id, said) {
+  const item = $(`layer-${id}`);
+  if (!item || !said) return;
+  const line = document.createElement("p");
+  line.className = "quiet note";
+  const parts = Array.isArray(said) ? said : [[said]];
+  for (const [text, colour] of parts) {
+    const part = document.createElement("span");
+    part.textContent = `${text} `;
+    if (colour) part.style.color = colour;
+    line.append(part);
+  }
+  item.append(line);
+}
+
+function hide(id) {
+  $(`layer-${id}`)?.querySelector(".note")?.remove();
+  const made = shown.get(id);
+  if (made) map.removeLayer(made);
+  shown.delete(id);
+}
+
+/** What moved since the version before. */
+async function changes() {
+  const place = state.versions.findIndex(({ version }) => version === state.version);
+  $("moved").replaceChildren();
+  if (place < 1) return;
+  const [before, { version, site } = state] = [state.versions[place - 1].version];
+  const layers = ["poses", "lanes", "intersections", "parking_spaces"].filter((layer) => state.there.get(layer)?.rows);
+  const query = layers.map((layer) => `SELECT '${layer}' AS layer, change, count(*) AS n, max(moved_m) AS most_m
+    FROM diff('${layer}', ${before}, ${version}) WHERE site = ${literal(site)} GROUP BY change`).join(" UNION ALL ");
+  if (!query) return;
+  const rows = await work("what moved", () => sql(`${query} ORDER BY layer, change`, version));
+  if (!rows || state.version !== version) return;
+  for (const layer of layers) {
+    const said = rows.filter((row) => row.layer === layer && row.change !== "same")
+      .map(({ change, n, most_m }) => `${n} ${change}${most_m ? ` by up to ${most_m.toFixed(2)} m` : ""}`);
+    if (said.length === 0) continue;
+    const line = $("moved").insertRow();
+    line.insertCell().textContent = layer.replaceAll("_", " ");
+    line.insertCell().textContent = said.join(", ");
+  }
+  if (!layers.includes("lanes")) return;
+  const lanes = await work("lanes that moved", () => sql(`SELECT l.lane, d.moved_m, l.points FROM diff('lanes', ${before}, ${version}) d
+    JOIN lanes l ON l.site = d.site AND l.lane = d.lane WHERE d.site = ${literal(site)} AND d.moved_m > 0.1`, version));
+  if (!lanes || state.version !== version) return;
+  const source = moved.getSource();
+  source.clear();
+  for (const row of lanes) {
+    const made = new ol.Feature(new ol.geom.LineString(row.points.map(([x, y]) => [x, y])));
+    made.setStyle(new ol.style.Style({ stroke: new ol.style.Stroke({ color: faint(VERMILION, 0.25), width: 12 }) }));
+    source.addFeature(made);
+  }
+}
+
+function fit() {
+  const all = [...shown.values()].map(drawn.covered).filter(Boolean);
+  if (all.length === 0) return;
+  const extent = all.reduce((a, b) => ol.extent.extend([...a], b));
+  const left = document.body.classList.contains("folded") || innerWidth <= 760 ? 30 : 320;
+  map.getView().fit(extent, { padding: [30, 60, 100, left] });
+}
+
+/** Runs the query in the box; what has a geometry is drawn. */
+async function run(step) {
+  const query = $("sql").value.trim();
+  fault("");
+  results.getSource().clear();
+  state.query = query;
+  said(step);
+  if (!query) return drawer.close();
+  const found = await work("query", () => sql(query, state.version));
+  if (!found) return;
+  const features = found.map((row) => anything(row, VERMILION)).filter(Boolean);
+  results.getSource().addFeatures(features);
+  drawer.rows(features.length ? `${features.length} drawn` : "answer", found, (row) => {
+    const [at] = features.filter((feature) => feature.get("row") === row);
+    if (at) map.getView().animate({ center: ol.extent.getCenter(at.getGeometry().getExtent()), duration: 250 });
+  });
+}
+
+async function choose(event) {
+  const hit = drawn.rowAt(map, shown, event.pixel);
+  if (hit?.id) return row(hit);
+  if (hit) return drawer.one("row of the answer", hit.row);
+  return place(event.coordinate);
+}
+
+/** A row with all its columns, and its layer. */
+async function row({ row, id }) {
+  const one = SHOWN.find((shown) => shown.id === id);
+  const layer = state.there.get(one.needs[0]);
+  const whole = one.where
+    ? await work("row", () => sql(`SELECT * FROM ${one.needs[0]} WHERE ${one.where(row, state.site)}`, state.version))
+    : undefined;
+  drawer.one(`${one.name}`, whole?.[0] ?? row, layer);
+}
+
+/** The camera images that saw a place: of each session and camera the nearest. */
+async function place([x, y]) {
+  const title = `at ${x.toFixed(2)} m, ${y.toFixed(2)} m`;
+  if (!["keyframes", "poses", "mounts"].every((layer) => state.there.has(layer))) return;
+  const query = `WITH frames AS (
+      SELECT site, session, stamp, unnest(images) AS i FROM keyframes WHERE site = ${literal(state.site)}),
+    cameras AS (
+      SELECT f.session, f.i['camera'] AS camera, CAST(CAST(f.i['stamp'] AS BIGINT) AS TEXT) AS stamp,
+        compose(p.map_from_vehicle, m.parent_from_child) AS pose
+      FROM frames f JOIN poses p ON p.site = f.site AND p.session = f.session AND p.stamp = f.stamp
+      JOIN (SELECT DISTINCT site, session, child, parent_from_child FROM mounts) m
+        ON m.site = f.site AND m.session = f.session AND m.child = f.i['camera']),
+    facing AS (
+      SELECT session, camera, stamp, pose['x'] AS cx, pose['y'] AS cy,
+        transform(pose, 0, 0, 1)['x'] - pose['x'] AS ax, transform(pose, 0, 0, 1)['y'] - pose['y'] AS ay FROM cameras),
+    ranged AS (
+      SELECT session, camera, stamp, sqrt(power(${x} - cx, 2) + power(${y} - cy, 2)) AS range_m,
+        ax * (${x} - cx) + ay * (${y} - cy) AS along FROM facing)
+    SELECT session, camera, stamp, range_m FROM (
+      SELECT *, row_number() OVER (PARTITION BY session, camera ORDER BY range_m) AS nth FROM ranged
+      WHERE range_m > 1 AND range_m < 25 AND along > 0.7 * range_m)
+    WHERE nth = 1 ORDER BY range_m LIMIT 12`;
+  const found = await work("images", () => sql(query, state.version));
+  if (found) drawer.images(title, found, state.version);
+}
+
+function theme() {
+  const root = document.documentElement.dataset;
+  root.theme = root.theme === "dark" ? "light" : "dark";
+  localStorage.setItem("theme", root.theme);
+}
+
+function folded(yes) {
+  document.body.classList.toggle("folded", yes);
+  $("panel").hidden = yes;
+  $("unfold").hidden = !yes;
+}
+
+function toVersion(place) {
+  const version = state.versions[Math.min(Math.max(place, 0), state.versions.length - 1)]?.version;
+  if (version === undefined || version === state.version) return;
+  state.version = version;
+  $("version").value = state.versions.findIndex((one) => one.version === version);
+  said(true);
+  opened();
+}
+
+const KEYS = {
+  d: theme, f: fit, l: () => folded(!document.body.classList.contains("folded")), "/": () => $("sql").focus(),
+  "[": () => toVersion(Number($("version").value) - 1), "]": () => toVersion(Number($("version").value) + 1),
+};
+
+$("version").addEventListener("input", () => toVersion(Number($("version").value)));
+$("sites").addEventListener("change", async () => { await opened($("sites").value); fit(); said(true); });
+$("fold").addEventListener("click", () => folded(true));
+$("unfold").addEventListener("click", () => folded(false));
+$("close").addEventListener("click", drawer.close);
+$("query").addEventListener("submit", (event) => { event.preventDefault(); run(true); });
+$("sql").addEventListener("keydown", (event) => {
+  if (event.key === "Enter" && (event.ctrlKey || event.metaKey)) { event.preventDefault(); run(true); }
+});
+addEventListener("keydown", (event) => {
+  if (event.key === "Escape") { drawer.close(); fault(""); $("map").focus(); return; }
+  const typing = ["TEXTAREA", "INPUT", "SELECT"].includes(event.target.tagName) && event.target.type !== "checkbox";
+  if (typing || event.ctrlKey || event.metaKey || event.altKey || !KEYS[event.key]) return;
+  event.preventDefault();
+  KEYS[event.key]();
+});
+addEventListener("popstate", () => location.reload());
+map.on("singleclick", choose);
+begin();

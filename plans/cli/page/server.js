@@ -1,0 +1,44 @@
+/** What the page asks the server. All addresses are relative to the page's own. */
+
+/** An error as the server says it. */
+export class Fault extends Error {
+  constructor({ error, next }) {
+    super(next ? `${error}; ${next}` : error);
+  }
+}
+
+/**
+ * The rows of a query.
+ * @param {string} query
+ * @param {number|undefined} version the newest where none is named
+ * @param {AbortSignal} [signal]
+ * @returns {Promise<object[]>}
+ */
+export async function sql(query, version, signal) {
+  const address = version === undefined ? "./sql" : `./sql?version=${version}`;
+  const answer = await fetch(address, { method: "POST", body: query, signal });
+  if (answer.ok) return answer.json();
+  const said = await answer.json().catch(() => ({ error: `the server answers ${answer.status}` }));
+  throw new Fault(said);
+}
+
+/** The maps that are served: `[{name, path}]`. */
+export async function maps() {
+  const answer = await fetch("/maps");
+  return answer.ok ? answer.json() : [];
+}
+
+/** The address of a tile, by the numbers of its row. */
+export function tile(site, version, zoom, x, y) {
+  return `./tiles/${encodeURIComponent(site)}/${version}/${zoom}/${x}/${y}`;
+}
+
+/** The address of a camera image that a keyframe names. */
+export function image(session, camera, stamp, version) {
+  return `./images?${new URLSearchParams({ session, camera, stamp, version })}`;
+}
+
+/** A text as a literal of SQL. */
+export function literal(text) {
+  return `'${String(text).replaceAll("'", "''")}'`;
+}
