@@ -14,7 +14,7 @@ export OPENCV_LINK_PATHS ?= /usr/lib/$(MULTIARCH)
 export OPENCV_INCLUDE_PATHS ?= /usr/include/opencv4,/usr/include/$(MULTIARCH)/opencv4
 endif
 
-.PHONY: map test lint deny docs bench bench-mosaic peers exports packages release
+.PHONY: map test lint deny docs bench bench-mosaic peers exports packages test-packages release
 .DEFAULT_GOAL := map
 
 # The life of a map: the first drive, then each revisit by a run of its own. Run again, it changes nothing.
@@ -40,7 +40,7 @@ sessions/.complete: | release
 release: packages
 	cargo build --release --locked --package evermap
 
-test: packages .venv/complete
+test: test-packages .venv/complete
 	cargo test --workspace --locked --lib --bins --tests
 	cargo test --workspace --locked --doc
 
@@ -80,8 +80,11 @@ exports: .venv/exports
 packages:
 	@.ci/packages
 
+test-packages:
+	@.ci/packages tests
+
 # The official Python readers that tests compare decoded values with.
-.venv/complete: tests/peers/requirements.txt | packages
+.venv/complete: tests/peers/requirements.txt | test-packages
 	python3 -m venv .venv
 	.venv/bin/pip install --quiet --disable-pip-version-check --requirement $<
 	@touch $@

@@ -94,7 +94,7 @@ fn a_server_is_read_and_nothing_else() {
 
 /// What Chromium makes of the page, once its scripts have done their work; `None` where it is not installed.
 fn page(address: &str, picture: Option<&Path>) -> Option<String> {
-    let chromium = evermap_test_data::there("/usr/bin/chromium", "`make test` installs it")?;
+    let chromium = evermap_test_data::there("/usr/bin/chromium".into(), "`make test` installs it")?;
     let profile = tempfile::tempdir().unwrap();
     let mut browser = std::process::Command::new(chromium);
     browser
@@ -121,7 +121,10 @@ fn the_page_shows_a_map_and_answers_queries() {
     let folder = tempfile::tempdir().unwrap();
     let map = map(folder.path());
     let server = Server::start(&map, &[]);
-    let poses = sql(&map, "SELECT count(*) AS n FROM poses WHERE session = 'monday'");
+    let poses = sql(
+        &map,
+        "SELECT count(*) AS n FROM poses WHERE session = 'monday'",
+    );
     let query = "SELECT+*+FROM+poses+WHERE+session+%3D+'monday'";
     let shown = format!("http://{}/#query={query}", server.http);
     let Some(text) = page(&shown, None) else {
@@ -131,15 +134,24 @@ fn the_page_shows_a_map_and_answers_queries() {
     assert!(element(&text, "version-about").contains("monday, tuesday"));
     assert!(text.contains("<option value=\"lot\">"), "no site");
     for layer in ["poses", "lanes", "intersections"] {
-        assert!(text.contains(&format!("id=\"layer-{layer}\"")), "{layer} is not offered");
+        assert!(
+            text.contains(&format!("id=\"layer-{layer}\"")),
+            "{layer} is not offered"
+        );
     }
     assert!(!text.contains("id=\"layer-landmarks\""), "the map has none");
     let n = &poses[0]["n"];
-    assert_eq!(element(&text, "drawer-title"), format!("{n} drawn: {n} rows"));
+    assert_eq!(
+        element(&text, "drawer-title"),
+        format!("{n} drawn: {n} rows")
+    );
     assert_eq!(element(&text, "fault"), "");
     assert!(element(&text, "moved").is_empty() || text.contains("changed by up to"));
 
-    let before = format!("http://{}/maps/map/#version=1&query=SELECT+nothing+FROM+poses", server.http);
+    let before = format!(
+        "http://{}/maps/map/#version=1&query=SELECT+nothing+FROM+poses",
+        server.http
+    );
     let text = page(&before, None).unwrap();
     assert_eq!(element(&text, "version-name"), "1 of 2");
     assert!(element(&text, "fault").contains("No field named nothing"));
