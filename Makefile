@@ -2,7 +2,7 @@
 #   make map     simulates a car park, maps one drive into ./map and then one revisit after the other, a version each,
 #                and says where pictures and report are
 #   make test    runs every test
-# The rest is for work on evermap: lint, deny, docs, bench, peers.
+# The rest is for work on evermap: format, lint, deny, docs, bench, peers.
 
 export PATH := $(PATH):$(HOME)/.cargo/bin
 EVERMAP := target/release/evermap
@@ -14,7 +14,7 @@ export OPENCV_LINK_PATHS ?= /usr/lib/$(MULTIARCH)
 export OPENCV_INCLUDE_PATHS ?= /usr/include/opencv4,/usr/include/$(MULTIARCH)/opencv4
 endif
 
-.PHONY: map test lint deny docs bench bench-mosaic peers exports packages test-packages release
+.PHONY: map test format lint deny docs bench bench-mosaic peers exports packages test-packages release
 .DEFAULT_GOAL := map
 
 # The life of a map: the first drive, then each revisit by a run of its own. Run again, it changes nothing.
@@ -45,9 +45,11 @@ test: test-packages .venv/complete
 	cargo test --workspace --locked --doc
 
 # A macro declares the files of operators, so that cargo fmt does not find them.
-lint: packages
+format:
 	cargo fmt --all --check
 	find operators/catalog/src -name '*.rs' -exec rustfmt --check --edition 2024 {} +
+
+lint: packages format
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 
 # Licences, sources and second versions of what is linked, as deny.toml allows them.

@@ -142,7 +142,10 @@ fn the_page_shows_a_map_and_answers_queries() {
     assert!(!text.contains("id=\"layer-landmarks\""), "the map has none");
     let n = &poses[0]["n"];
     let title = element(&text, "drawer-title");
-    assert!(title.starts_with(&format!("{n} drawn: {n} rows")), "{title}");
+    assert!(
+        title.starts_with(&format!("{n} drawn: {n} rows")),
+        "{title}"
+    );
     assert_eq!(element(&text, "fault"), "");
     assert!(element(&text, "moved").is_empty() || text.contains("changed by up to"));
 
