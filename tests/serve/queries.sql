@@ -63,3 +63,6 @@ SELECT lane, distance_along(geometry, 0, 0) AS along FROM lanes ORDER BY lane;
 SELECT count(*) AS n FROM monday."/odom";
 SELECT session, odom_from_vehicle['x'] AS x FROM tuesday.odometry ORDER BY stamp LIMIT 3;
 SELECT count(*) AS n FROM poses p JOIN monday.odometry o ON p.stamp = o.stamp WHERE p.session = 'monday';
+SELECT * FROM poses_flat ORDER BY session, stamp LIMIT 3;
+SELECT session, max(map_from_vehicle_x) AS east FROM poses_flat GROUP BY session ORDER BY session;
+SELECT count(*) AS n FROM v1.poses_flat;

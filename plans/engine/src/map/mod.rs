@@ -4,6 +4,7 @@ pub mod artifact;
 mod catalog;
 pub mod damage;
 mod diff;
+mod flat;
 mod gc;
 pub mod lease;
 mod local;
@@ -120,7 +121,8 @@ impl Map {
             .collect()
     }
 
-    /// Makes every published layer a table of a new context, beside `layers`, `versions` and `runs`; those of another
+    /// Makes every published layer a table of a new context, those with structs also with columns in their place
+    /// (`poses_flat`), beside `layers`, `versions` and `runs`; those of another
     /// version are `v1.lanes`, topics and roles of the log of a session `monday."/odom"`, and `diff` compares versions. A table is opened when a query names it, and then it is that a
     /// missing or damaged artifact shows.
     ///

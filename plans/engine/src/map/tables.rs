@@ -18,6 +18,7 @@ use tokio::sync::OnceCell;
 
 use crate::error::{OrFault, external};
 use crate::map::artifact::{read_artifacts, read_files};
+use crate::map::flat;
 use crate::map::logs::LogTables;
 use crate::map::store::{Store, each};
 use crate::map::{LayerInfo, Map, RunRow, VersionInfo, beside, versions};
@@ -47,6 +48,15 @@ fn own() -> impl Iterator<Item = Layer> {
     .into_iter()
 }
 
+/// The declaration of a table's columns, where there is one: of the operator that made it, else by name.
+fn declaration(map: &Map, registry: &Registry, table: &str) -> Option<Layer> {
+    let made = map.published(table).and_then(|layer| layer.op.as_deref());
+    let made = made.and_then(|op| registry.get(op).ok());
+    let known = || evermap_schemas::layers::all().into_iter().chain(own());
+    let made = made.map(|entry| entry.output.clone());
+    made.or_else(|| known().find(|layer| layer.name == table))
+}
+
 impl std::fmt::Debug for Tables {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Tables").field("map", &self.map).finish()
@@ -57,12 +67,18 @@ impl Tables {
     /// The tables of a map, opened with the settings and limits of a context.
     pub fn new(map: Map, context: &SessionContext, registry: &Registry) -> Self {
         let reading = beside(context);
-        let layers = map.version.published().map(|(name, _)| name.as_str());
-        let tables = layers.chain(own().map(|layer| layer.name));
+        let mut names = Vec::new();
+        for (layer, _) in map.version.published() {
+            let declared = declaration(&map, registry, layer);
+            if declared.is_some_and(|layer| flat::has_structs(&layer.schema())) {
+                names.push(format!("{layer}{}", flat::SUFFIX));
+            }
+            names.push(layer.clone());
+        }
+        names.extend(own().map(|layer| layer.name.to_owned()));
+        let tables = names.into_iter().map(|name| (name, OnceCell::new()));
         Self {
-            tables: tables
-                .map(|name| (name.to_owned(), OnceCell::new()))
-                .collect(),
+            tables: tables.collect(),
             registry: registry.clone(),
             reading,
             map,
@@ -86,14 +102,7 @@ impl Tables {
 
     /// The declaration of a table's columns, where there is one: of the operator that made it, else by name.
     pub fn declaration(&self, table: &str) -> Option<Layer> {
-        let made = self
-            .map
-            .published(table)
-            .and_then(|layer| layer.op.as_deref());
-        let made = made.and_then(|op| self.registry.get(op).ok());
-        let known = || evermap_schemas::layers::all().into_iter().chain(own());
-        let made = made.map(|entry| entry.output.clone());
-        made.or_else(|| known().find(|layer| layer.name == table))
+        declaration(&self.map, &self.registry, table)
     }
 
     /// The tables of another version of the same map.
@@ -117,14 +126,19 @@ impl Tables {
                 let rows = batch(self.dictionary().await)?;
                 context.read_batch(rows).or_fault()?
             }
-            _ => {
-                let layer = self.map.published(name);
-                let artifacts = layer.map_or(&[][..], |layer| &layer.artifacts);
-                let rows = read_artifacts(context, store, artifacts).await;
-                rows.map_err(|fault| fault.at(format!("layer {name}")))?
-            }
+            _ => match (self.map.published(name), name.strip_suffix(flat::SUFFIX)) {
+                (None, Some(layer)) => flat::flat(self.rows(layer).await?).or_fault()?,
+                _ => self.rows(name).await?,
+            },
         };
         Ok(rows.into_view())
+    }
+
+    async fn rows(&self, layer: &str) -> Result<DataFrame, Fault> {
+        let stored = self.map.published(layer);
+        let artifacts = stored.map_or(&[][..], |stored| &stored.artifacts);
+        let rows = read_artifacts(&self.reading, &self.map.store, artifacts).await;
+        rows.map_err(|fault| fault.at(format!("layer {layer}")))
     }
 
     /// The columns of all layers that can be opened, and of what the map says of itself.
