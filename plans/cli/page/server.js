@@ -17,9 +17,16 @@ export class Fault extends Error {
 export async function sql(query, version, signal) {
   const address = version === undefined ? "./sql" : `./sql?version=${version}`;
   const answer = await fetch(address, { method: "POST", body: query, signal });
-  if (answer.ok) return answer.json();
+  if (answer.ok) return exact(await answer.text());
   const said = await answer.json().catch(() => ({ error: `the server answers ${answer.status}` }));
   throw new Fault(said);
+}
+
+/** What a JSON text says; integers that a number of JavaScript cannot hold become text, digit by digit. */
+function exact(text) {
+  if (!/[[:,]\s*-?\d{16,}\s*[,\]}]/.test(text)) return JSON.parse(text);
+  return JSON.parse(text, (_, value, from) =>
+    (typeof value === "number" && Number.isInteger(value) && !Number.isSafeInteger(value) ? from?.source ?? value : value));
 }
 
 /** The maps that are served: `[{name, path}]`. */
