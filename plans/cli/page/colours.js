@@ -9,8 +9,11 @@ export const PURPLE = "#cc79a7";
 export const YELLOW = "#f0e442";
 export const GREY = "#8a8f98";
 
-/** One for each session, in turn. */
-export const SESSIONS = [BLUE, ORANGE, GREEN, PURPLE, VERMILION, SKY];
+/** How the line of a session is drawn, by its place among them: not as lanes and intersections are. */
+export function ofSession(place) {
+  const each = [BLUE, GREEN, PURPLE, SKY, YELLOW];
+  return { colour: each[place % each.length], dashed: Math.floor(place / each.length) % 2 === 1 };
+}
 
 /** A colour with transparency. */
 export function faint(hex, alpha) {

@@ -5,7 +5,7 @@
  * on one canvas, however many there are. `where` says which row of the layer a drawn one is.
  */
 import * as colours from "./colours.js";
-import { arrow, box, line, point } from "./shapes.js";
+import { arrow, box, line, outline, point } from "./shapes.js";
 import { literal } from "./server.js";
 
 const range = (rows, name) => rows.reduce((most, row) => Math.max(most, row[name] ?? 0), 0);
@@ -53,8 +53,8 @@ export const SHOWN = [
     draw: (rows) => {
       const sessions = Map.groupBy ? Map.groupBy(rows, (row) => row.session) : grouped(rows);
       const features = [...sessions].map(([session, drive], index) =>
-        line(drive.map(({ x, y }) => [x, y]), { row: { session, poses: drive.length }, colour: colours.SESSIONS[index % colours.SESSIONS.length], width: 1.6 }));
-      return { features, note: [...sessions.keys()].map((session, index) => [session, colours.SESSIONS[index % colours.SESSIONS.length]]) };
+        line(drive.map(({ x, y }) => [x, y]), { row: { session, poses: drive.length }, width: 2, ...colours.ofSession(index) }));
+      return { features, note: [...sessions.keys()].map((session, index) => ({ text: session, ...colours.ofSession(index) })) };
     },
   },
   {
@@ -72,7 +72,7 @@ export const SHOWN = [
     where: key("node"),
   },
   {
-    id: "loop_closures", name: "loop closures by residual", needs: ["graph_poses", "keyframes", "poses"], key: ["ramp"],
+    id: "loop_closures", name: "loop closures by residual", rowsOfLayer: false, needs: ["graph_poses", "keyframes", "poses"], key: ["ramp"],
     query: (site) => `WITH ${AT(site)}, loops AS (
         SELECT session, keyframe, unnest(loops) AS l FROM graph_poses WHERE site = ${literal(site)})
       SELECT o.session, o.keyframe, l['session'] AS other_session, l['keyframe'] AS other_keyframe,
@@ -86,11 +86,16 @@ export const SHOWN = [
   },
   {
     id: "parking_spaces", name: "parking spaces", needs: ["parking_spaces"], on: true, key: ["box", colours.GREEN],
-    query: (site) => `SELECT space, row, place, standing, probability, map_from_space, length_m, width_m,
-        (SELECT last_value(state ORDER BY session) FROM space_occupancy o
-         WHERE o.site = s.site AND o.space = s.space AND state <> 'unseen') AS state
-      FROM parking_spaces s WHERE site = ${literal(site)}`,
-    needsToo: ["space_occupancy"],
+    query: (site) => `WITH seen AS (
+        SELECT session, max(stamp) AS seen FROM poses WHERE site = ${literal(site)} GROUP BY session),
+      latest AS (
+        SELECT o.space, last_value(o.state ORDER BY seen.seen) AS state,
+          last_value(o.session ORDER BY seen.seen) AS seen_by
+        FROM space_occupancy o JOIN seen ON seen.session = o.session
+        WHERE o.site = ${literal(site)} AND o.state <> 'unseen' GROUP BY o.space)
+      SELECT s.space, s.row, s.place, s.standing, s.probability, s.map_from_space, s.length_m, s.width_m, state, seen_by
+      FROM parking_spaces s LEFT JOIN latest ON latest.space = s.space WHERE s.site = ${literal(site)}`,
+    needsToo: ["space_occupancy", "poses"],
     draw: (rows) => ({
       features: rows.map((row) => box(row.map_from_space, row.length_m, row.width_m, { row, colour: row.state === "taken" ? colours.VERMILION : colours.GREEN, dashed: row.standing === "found", fill: row.state ? 0.25 : 0 })),
       note: "filled: seen; orange-red: taken; dashed: found, not said",
@@ -101,7 +106,8 @@ export const SHOWN = [
     id: "placed_labels", name: "what people said", needs: ["placed_labels"], key: ["box", colours.PURPLE],
     query: (site) => `SELECT label, kind, standing, author, shape, map_from_label, length_m, width_m, points FROM placed_labels WHERE site = ${literal(site)}`,
     draw: (rows) => ({
-      features: rows.map((row) => (row.points?.length ? line(row.points, { row, colour: colours.PURPLE, width: 2 }) : box(row.map_from_label, row.length_m, row.width_m, { row, colour: colours.PURPLE }))),
+      features: rows.filter((row) => row.points?.length > 1).map((row) => outline(row.points, row.shape !== "polyline", { row, colour: colours.PURPLE, dashed: row.standing === "rejected" })),
+      note: "dashed: rejected",
     }),
     where: key("label"),
   },

@@ -1,20 +1,26 @@
 /** The page of a map: what is chosen, and what follows from it. */
 import * as address from "./address.js";
-import { VERMILION, faint } from "./colours.js";
+import { VERMILION } from "./colours.js";
 import { SHOWN } from "./layers.js";
 import * as drawn from "./map.js";
+import * as comparison from "./moved.js";
 import * as drawer from "./rows.js";
 import { literal, maps, sql } from "./server.js";
-import { anything } from "./shapes.js";
+import { anything, placed } from "./shapes.js";
 
 /* global ol */
 
 const $ = (id) => document.getElementById(id);
 const state = { versions: [], version: undefined, site: undefined, on: new Set(), there: new Map(), query: "" };
+/** What is asked of the server for the site and version that are shown; another choice ends it. */
+let asking = new AbortController();
+/** More points of a query than these are drawn as marks. */
+const MANY = 2000;
 const map = drawn.create("map");
 /** What is drawn: the layers of OpenLayers by id, in the order of `SHOWN`. */
 const shown = new Map();
-const results = new ol.layer.Vector({ source: new ol.source.Vector(), zIndex: 100 });
+/** What is drawn of the query's answer. */
+let results = drawn.layer({ features: [] }, state, 100);
 const moved = new ol.layer.Vector({ source: new ol.source.Vector(), zIndex: 90 });
 map.addLayer(moved);
 map.addLayer(results);
@@ -27,7 +33,7 @@ async function work(what, doing) {
   try {
     return await doing();
   } catch (error) {
-    fault(error.message);
+    if (error.name !== "AbortError") fault(error.message);
     return undefined;
   } finally {
     working -= 1;
@@ -61,6 +67,7 @@ async function begin() {
   others(served);
   const known = versions.some(({ version }) => version === asked.version);
   state.version = known ? asked.version : versions.at(-1)?.version;
+  folded(innerWidth <= 760);
   $("version").max = versions.length - 1;
   $("version").value = versions.findIndex(({ version }) => version === state.version);
   state.on = new Set(asked.on ?? SHOWN.filter((one) => one.on).map((one) => one.id));
@@ -84,13 +91,17 @@ function others(served) {
 
 /** Shows the chosen version. */
 async function opened(wanted) {
+  asking.abort();
+  asking = new AbortController();
+  const { signal } = asking;
   const { version } = state;
-  const layers = await work("layers", () => sql("SELECT layer, rows, operator, digest FROM layers", version));
-  if (!layers || state.version !== version) return;
+  const layers = await work("layers", () => sql("SELECT layer, rows, operator, digest FROM layers", version, signal));
+  if (!layers || signal.aborted) return;
   state.there = new Map(layers.map((row) => [row.layer, row]));
   const from = ["poses", "overhead_tiles", "lanes", "views"].filter((layer) => state.there.get(layer)?.rows);
   const union = from.map((layer) => `SELECT DISTINCT site FROM ${layer}`).join(" UNION ");
-  const sites = union ? await work("sites", () => sql(`SELECT site FROM (${union}) ORDER BY site`, version)) : [];
+  const sites = union ? await work("sites", () => sql(`SELECT site FROM (${union}) ORDER BY site`, version, signal)) : [];
+  if (signal.aborted) return;
   const names = (sites ?? []).map(({ site }) => site);
   state.site = names.includes(wanted) ? wanted : names.includes(state.site) ? state.site : names[0];
   $("sites").replaceChildren(...names.map((name) => new Option(name, name, false, name === state.site)));
@@ -99,14 +110,32 @@ async function opened(wanted) {
   for (const made of shown.values()) map.removeLayer(made);
   shown.clear();
   moved.getSource().clear();
-  await Promise.all([...SHOWN.filter((one) => state.on.has(one.id) && can(one)).map(draw), changes()]);
+  await Promise.all(SHOWN.filter((one) => state.on.has(one.id) && can(one)).map(draw));
+  await changes(signal);
+}
+
+/** Says and draws what moved since the version before. */
+async function changes(signal) {
+  $("moved").replaceChildren();
+  const before = state.versions[state.versions.findIndex(({ version }) => version === state.version) - 1]?.version;
+  if (before === undefined || signal.aborted) return;
+  const of = { site: state.site, version: state.version, there: state.there, before };
+  const found = await work("what moved", () => comparison.changes(of, signal));
+  for (const { layer, text } of found ?? []) {
+    const line = $("moved").insertRow();
+    line.insertCell().textContent = layer.replaceAll("_", " ");
+    line.insertCell().textContent = text;
+  }
+  if (signal.aborted || !state.there.get("lanes")?.rows) return;
+  const halos = await work("lanes that moved", () => comparison.lanes(of, signal));
+  if (halos && !signal.aborted) moved.getSource().addFeatures(halos);
 }
 
 function about() {
   const place = state.versions.findIndex(({ version }) => version === state.version);
   const { version, published, plan, sessions } = state.versions[place] ?? {};
   $("version-name").textContent = version === undefined ? "none" : `${version} of ${state.versions.at(-1).version}`;
-  $("version-about").textContent = version === undefined ? "" : `${published.slice(0, 16).replace("T", " ")}, ${plan}: ${sessions.join(", ")}`;
+  $("version-about").textContent = version === undefined ? "" : `${published.slice(0, 16).replace("T", " ")} UTC, ${plan}: ${sessions.join(", ")}`;
 }
 
 const can = (one) => [...one.needs, ...(one.needsToo ?? [])].every((layer) => state.there.has(layer));
@@ -127,7 +156,7 @@ function list() {
     name.className = "name";
     name.textContent = one.name;
     count.className = "count";
-    count.textContent = rows === 0 ? "empty" : rows.toLocaleString("en");
+    count.textContent = rows === 0 ? "empty" : one.rowsOfLayer === false ? "" : rows.toLocaleString("en");
     label.append(box, legend(one.key), name, count);
     item.append(label);
     item.id = `layer-${one.id}`;
@@ -136,7 +165,7 @@ function list() {
   $("layers").replaceChildren(...items);
 }
 
-function legend([kind, colour]) {
+function legend([kind, colour, dashed]) {
   const made = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   made.setAttribute("class", "key");
   made.setAttribute("viewBox", "0 0 22 14");
@@ -148,6 +177,7 @@ function legend([kind, colour]) {
   path.setAttribute("fill", kind === "fill" ? colour : "none");
   path.setAttribute("stroke", colour ?? "#21918c");
   path.setAttribute("stroke-width", { dot: 8, ramp: 10 }[kind] ?? 2);
+  if (dashed) path.setAttribute("stroke-dasharray", "5 3");
   path.setAttribute("stroke-linecap", kind === "dot" ? "round" : "butt");
   made.append(path);
   if (kind === "ramp") {
@@ -161,8 +191,9 @@ function legend([kind, colour]) {
 
 async function draw(one) {
   const { site, version } = state;
-  const rows = state.there.get(one.needs[0])?.rows ? await work(one.name, () => sql(one.query(site), version)) : [];
-  if (!rows || state.site !== site || state.version !== version || !state.on.has(one.id)) return;
+  const { signal } = asking;
+  const rows = state.there.get(one.needs[0])?.rows ? await work(one.name, () => sql(one.query(site), version, signal)) : [];
+  if (!rows || signal.aborted || !state.on.has(one.id)) return;
   hide(one.id);
   const found = one.draw(rows);
   const made = drawn.layer(found, state, SHOWN.indexOf(one));
@@ -180,11 +211,11 @@ function note(id, said) {
   if (!item || !said) return;
   const line = document.createElement("p");
   line.className = "quiet note";
-  const parts = Array.isArray(said) ? said : [[said]];
-  for (const [text, colour] of parts) {
+  for (const { text, colour, dashed } of Array.isArray(said) ? said : [{ text: said }]) {
     const part = document.createElement("span");
-    part.textContent = `${text} `;
-    if (colour) part.style.color = colour;
+    part.className = "entry";
+    if (colour) part.append(legend(["line", colour, dashed]));
+    part.append(text);
     line.append(part);
   }
   item.append(line);
@@ -195,39 +226,6 @@ function hide(id) {
   const made = shown.get(id);
   if (made) map.removeLayer(made);
   shown.delete(id);
-}
-
-/** What moved since the version before. */
-async function changes() {
-  const place = state.versions.findIndex(({ version }) => version === state.version);
-  $("moved").replaceChildren();
-  if (place < 1) return;
-  const [before, { version, site } = state] = [state.versions[place - 1].version];
-  const layers = ["poses", "lanes", "intersections", "parking_spaces"].filter((layer) => state.there.get(layer)?.rows);
-  const query = layers.map((layer) => `SELECT '${layer}' AS layer, change, count(*) AS n, max(moved_m) AS most_m
-    FROM diff('${layer}', ${before}, ${version}) WHERE site = ${literal(site)} GROUP BY change`).join(" UNION ALL ");
-  if (!query) return;
-  const rows = await work("what moved", () => sql(`${query} ORDER BY layer, change`, version));
-  if (!rows || state.version !== version) return;
-  for (const layer of layers) {
-    const said = rows.filter((row) => row.layer === layer && row.change !== "same")
-      .map(({ change, n, most_m }) => `${n} ${change}${most_m ? ` by up to ${most_m.toFixed(2)} m` : ""}`);
-    if (said.length === 0) continue;
-    const line = $("moved").insertRow();
-    line.insertCell().textContent = layer.replaceAll("_", " ");
-    line.insertCell().textContent = said.join(", ");
-  }
-  if (!layers.includes("lanes")) return;
-  const lanes = await work("lanes that moved", () => sql(`SELECT l.lane, d.moved_m, l.points FROM diff('lanes', ${before}, ${version}) d
-    JOIN lanes l ON l.site = d.site AND l.lane = d.lane WHERE d.site = ${literal(site)} AND d.moved_m > 0.1`, version));
-  if (!lanes || state.version !== version) return;
-  const source = moved.getSource();
-  source.clear();
-  for (const row of lanes) {
-    const made = new ol.Feature(new ol.geom.LineString(row.points.map(([x, y]) => [x, y])));
-    made.setStyle(new ol.style.Style({ stroke: new ol.style.Stroke({ color: faint(VERMILION, 0.25), width: 12 }) }));
-    source.addFeature(made);
-  }
 }
 
 function fit() {
@@ -242,22 +240,35 @@ function fit() {
 async function run(step) {
   const query = $("sql").value.trim();
   fault("");
-  results.getSource().clear();
+  answered(new Map());
+  drawer.close();
   state.query = query;
   said(step);
-  if (!query) return drawer.close();
+  if (!query) return;
   const found = await work("query", () => sql(query, state.version));
-  if (!found) return;
-  const features = found.map((row) => anything(row, VERMILION)).filter(Boolean);
-  results.getSource().addFeatures(features);
-  drawer.rows(features.length ? `${features.length} drawn` : "answer", found, (row) => {
-    const [at] = features.filter((feature) => feature.get("row") === row);
-    if (at) map.getView().animate({ center: ol.extent.getCenter(at.getGeometry().getExtent()), duration: 250 });
+  if (!found || state.query !== query) return;
+  const places = new Map(found.map((row) => [row, placed(row)]).filter(([, place]) => place));
+  answered(places);
+  drawer.rows(places.size ? `${places.size} drawn` : "answer", found, (row) => {
+    const { at, geometry } = places.get(row) ?? {};
+    const center = at ?? (geometry && ol.extent.getCenter(geometry.getExtent()));
+    if (center) map.getView().animate({ center, duration: 250 });
   });
 }
 
+/** Draws where the rows of an answer are. @param {Map<object, object>} places as `placed` gives them, by row */
+function answered(places) {
+  const all = [...places];
+  const areMarks = all.length > MANY && all.every(([, { at }]) => at);
+  map.removeLayer(results);
+  results = drawn.layer(areMarks
+    ? { points: all.map(([row, { at }]) => ({ row, at, colour: VERMILION })) }
+    : { features: all.map(([row, place]) => anything(place, { row, colour: VERMILION })) }, state, 100);
+  map.addLayer(results);
+}
+
 async function choose(event) {
-  const hit = drawn.rowAt(map, shown, event.pixel);
+  const hit = drawn.rowAt(map, new Map([...shown, ["", results]]), event.pixel);
   if (hit?.id) return row(hit);
   if (hit) return drawer.one("row of the answer", hit.row);
   return place(event.coordinate);
@@ -267,10 +278,11 @@ async function choose(event) {
 async function row({ row, id }) {
   const one = SHOWN.find((shown) => shown.id === id);
   const layer = state.there.get(one.needs[0]);
-  const whole = one.where
-    ? await work("row", () => sql(`SELECT * FROM ${one.needs[0]} WHERE ${one.where(row, state.site)}`, state.version))
-    : undefined;
-  drawer.one(`${one.name}`, whole?.[0] ?? row, layer);
+  const [whole, columns] = await work("row", () => Promise.all([
+    one.where ? sql(`SELECT * FROM ${one.needs[0]} WHERE ${one.where(row, state.site)}`, state.version) : [row],
+    sql(`SELECT "column", unit, meaning FROM columns WHERE layer = ${literal(one.needs[0])}`, state.version),
+  ])) ?? [[row], []];
+  drawer.one(one.name, { ...row, ...whole[0] }, layer, new Map(columns.map((known) => [known.column, known])));
 }
 
 /** The camera images that saw a place: of each session and camera the nearest. */
@@ -311,13 +323,17 @@ function folded(yes) {
   $("unfold").hidden = !yes;
 }
 
+let settling;
 function toVersion(place) {
   const version = state.versions[Math.min(Math.max(place, 0), state.versions.length - 1)]?.version;
   if (version === undefined || version === state.version) return;
   state.version = version;
   $("version").value = state.versions.findIndex((one) => one.version === version);
-  said(true);
-  opened();
+  about();
+  // A slider passes many versions on its way.
+  asking.abort();
+  clearTimeout(settling);
+  settling = setTimeout(() => { said(true); opened(); }, 120);
 }
 
 const KEYS = {
@@ -330,6 +346,7 @@ $("sites").addEventListener("change", async () => { await opened($("sites").valu
 $("fold").addEventListener("click", () => folded(true));
 $("unfold").addEventListener("click", () => folded(false));
 $("close").addEventListener("click", drawer.close);
+$("fault").addEventListener("click", () => fault(""));
 $("query").addEventListener("submit", (event) => { event.preventDefault(); run(true); });
 $("sql").addEventListener("keydown", (event) => {
   if (event.key === "Enter" && (event.ctrlKey || event.metaKey)) { event.preventDefault(); run(true); }

@@ -51,15 +51,16 @@ function tiles(rows, { site, version }, zIndex) {
 }
 
 /** Dots of two pixels, or squares of `cell_m`, on one canvas: 100,000 of them are drawn in some ten milliseconds. */
-function marks(items, areCells, zIndex) {
+function marks(given, areCells, zIndex) {
+  const items = given.map(({ row, colour, at = [row.x, row.y] }) => ({ row, colour, at }));
   const canvasFunction = ([west, , , north], resolution, ratio, [width, height]) => {
     const canvas = document.createElement("canvas");
     [canvas.width, canvas.height] = [width, height];
     const pen = canvas.getContext("2d");
     const scale = ratio / resolution;
-    for (const { row, colour } of items) {
+    for (const { row, colour, at } of items) {
       const side = areCells ? Math.max(row.cell_m * scale, 1) : 2 * ratio;
-      const [x, y] = [(row.x - west) * scale - side / 2, (north - row.y) * scale - side / 2];
+      const [x, y] = [(at[0] - west) * scale - side / 2, (north - at[1]) * scale - side / 2];
       if (x < -side || y < -side || x > width || y > height) continue;
       pen.fillStyle = colour;
       pen.fillRect(x, y, side, side);
@@ -69,7 +70,8 @@ function marks(items, areCells, zIndex) {
   const source = new ol.source.ImageCanvas({ canvasFunction, projection: METRES, ratio: 1.3 });
   const made = new ol.layer.Image({ source, zIndex });
   made.set("items", items);
-  made.set("extent_m", extent(items.map(({ row }) => [row.x, row.y])));
+  made.set("cells", areCells);
+  made.set("extent_m", extent(items.map(({ at }) => at)));
   return made;
 }
 
@@ -91,9 +93,10 @@ export function rowAt(map, shown, pixel) {
   const reach = map.getView().getResolution() * 6;
   for (const [id, made] of [...shown].reverse()) {
     let best = null;
-    for (const { row } of made.get("items") ?? []) {
-      const apart = Math.max(Math.abs(row.x - x), Math.abs(row.y - y)) - (row.cell_m ?? 0) / 2;
-      if (apart < (best?.apart ?? (row.cell_m ? 0 : reach))) best = { apart, row };
+    const areCells = made.get("cells");
+    for (const { row, at } of made.get("items") ?? []) {
+      const apart = Math.max(Math.abs(at[0] - x), Math.abs(at[1] - y)) - (areCells ? row.cell_m / 2 : 0);
+      if (apart < (best?.apart ?? (areCells ? 0 : reach))) best = { apart, row };
     }
     if (best) return { row: best.row, id };
   }

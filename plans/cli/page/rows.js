@@ -38,18 +38,26 @@ export function rows(title, found, chosen) {
   for (const row of found.slice(0, MOST)) {
     const line = body.insertRow();
     line.append(...names.map((name) => cell("td", row[name])));
+    line.tabIndex = 0;
     line.addEventListener("click", () => chosen?.(row));
+    line.addEventListener("keydown", ({ key }) => { if (key === "Enter") chosen?.(row); });
   }
   const more = found.length > MOST ? `, the first ${MOST} are listed` : "";
   show(`${title}: ${found.length} rows${more}`, table);
 }
 
-/** One row, a column a line, with what is known of its layer. */
-export function one(title, row, layer) {
+/**
+ * One row, a column a line, with what is known of its layer.
+ * @param {Map<string, {unit: string, meaning: string}>} [columns] what the map's dictionary says of its columns
+ */
+export function one(title, row, layer, columns = new Map()) {
   const table = document.createElement("table");
   const all = { ...row, ...(layer ? { "layer's operator": layer.operator ?? "a query", "layer's digest": layer.digest } : {}) };
   for (const [name, value] of Object.entries(all)) {
-    table.insertRow().append(cell("th", name), cell("td", value));
+    const { unit, meaning } = columns.get(name) ?? {};
+    const line = table.insertRow();
+    line.append(cell("th", name), cell("td", value), cell("td", unit), cell("td", meaning));
+    line.lastChild.className = "quiet";
   }
   show(title, table);
 }

@@ -63,28 +63,68 @@ export function box(pose, length_m, width_m, options) {
   return feature(new ol.geom.Polygon([ring]), style, options.row);
 }
 
+const finite = (value) => typeof value === "number" && Number.isFinite(value);
+
+/** `[x, y]` of a list or a struct, m; `null` where it is neither. */
+function position(value) {
+  if (Array.isArray(value)) return value.length > 1 && finite(value[0]) && finite(value[1]) ? [value[0], value[1]] : null;
+  return value && finite(value.x) && finite(value.y) ? [value.x, value.y] : null;
+}
+
+/** Well-known binary as hexadecimal, little-endian: points to collections, from above or with z. */
+const WKB = /^01(0[1-7]00|e[9a-f]03)0000/i;
+const WKT = /^\s*(MULTI)?(POINT|LINESTRING|POLYGON)/i;
+
+/** The geometry that a value writes down; `null` where it only begins like one. */
+function written(value) {
+  const format = WKT.test(value) ? new ol.format.WKT() : WKB.test(value) ? new ol.format.WKB({ hex: true }) : null;
+  try {
+    return format?.readGeometry(value) ?? null;
+  } catch {
+    return null;
+  }
+}
+
 /**
- * What is drawn of a row of any query: points in columns `x` and `y` or `x_m` and `y_m`, structs with `x` and `y` (with
- * an orientation: an arrow), lists of points, well-known text. `null` where there is none.
+ * Where a row of any query is: `{at, yaw?}` of columns `x` and `y`, `x_m` and `y_m`, a point or a pose; `{geometry}` of
+ * a list of points, well-known text or binary; `null` where it has none.
  */
-export function anything(row, colour) {
-  const number = (value) => typeof value === "number" && Number.isFinite(value);
+export function placed(row) {
   for (const [x, y] of [["x", "y"], ["x_m", "y_m"]]) {
-    if (number(row[x]) && number(row[y])) return point([row[x], row[y]], { row, colour, radius: 6 });
+    if (finite(row[x]) && finite(row[y])) return { at: [row[x], row[y]] };
   }
   for (const value of Object.values(row)) {
-    if (value && number(value.x) && number(value.y)) return point([value.x, value.y], { row, colour, radius: 6 });
-    const isLine = Array.isArray(value) && value.length > 1 && value.every((at) => Array.isArray(at) && number(at[0]) && number(at[1]));
-    if (isLine) return line(value, { row, colour, width: 4 });
-    if (typeof value === "string" && /^\s*(MULTI)?(POINT|LINESTRING|POLYGON)/i.test(value)) {
-      try {
-        const geometry = new ol.format.WKT().readGeometry(value);
-        const style = new ol.style.Style({ stroke: stroke({ colour, width: 4 }), fill: new ol.style.Fill({ color: faint(colour, 0.2) }) });
-        return feature(geometry, style, row);
-      } catch {
-        // A text that only begins like a geometry.
-      }
+    if (typeof value === "string") {
+      const geometry = written(value);
+      if (geometry) return { geometry };
+    } else if (Array.isArray(value) && value.length > 1) {
+      const points = value.map(position);
+      if (points.every(Boolean)) return { geometry: new ol.geom.LineString(points) };
+    } else if (position(value) && !Array.isArray(value)) {
+      return { at: position(value), yaw: finite(value.qw) ? yaw(value) : undefined };
     }
   }
   return null;
+}
+
+/** A feature of a row of any query, from where it is: a dot, an arrow for a pose, a line or an area. */
+export function anything({ at, yaw: heading, geometry }, { row, colour }) {
+  if (geometry) {
+    const dot = new ol.style.Circle({ radius: 6, fill: new ol.style.Fill({ color: colour }) });
+    return feature(geometry, new ol.style.Style({ image: dot, stroke: stroke({ colour, width: 4 }), fill: new ol.style.Fill({ color: faint(colour, 0.2) }) }), row);
+  }
+  if (heading === undefined) return point(at, { row, colour, radius: 6 });
+  const head = new ol.style.RegularShape({
+    points: 3, radius: 9, scale: [0.7, 1], rotation: Math.PI / 2 - heading, rotateWithView: true,
+    fill: new ol.style.Fill({ color: colour }), stroke: new ol.style.Stroke({ color: "#fffc", width: 1 }),
+  });
+  return feature(new ol.geom.Point(at), new ol.style.Style({ image: head }), row);
+}
+
+/** An outline: a line, or closed. `[x, y, …]` of each point, m. */
+export function outline(points, closed, options) {
+  if (!closed) return line(points, options);
+  const ring = [...points, points[0]].map(([x, y]) => [x, y]);
+  const style = new ol.style.Style({ stroke: stroke(options), fill: new ol.style.Fill({ color: faint(options.colour, 0.05) }) });
+  return feature(new ol.geom.Polygon([ring]), style, options.row);
 }
