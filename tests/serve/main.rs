@@ -3,14 +3,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod server;
-
 use std::path::Path;
 
+use evermap_tests::server::{Server, drive, map, script};
 use evermap_tests::{Finished, command, evermap, text};
 use serde_json::{Value, json};
-
-use server::{Server, drive, map, script};
 
 fn ended(name: &str, arguments: &[&str]) {
     if let Some(mut script) = script(name, arguments) {
@@ -38,7 +35,7 @@ fn programs_read_what_evermap_sql_prints() {
     std::fs::write(&expected, Value::from(asked).to_string()).unwrap();
     let server = Server::start(&map, &[]);
     ended(
-        "clients.py",
+        "serve/clients.py",
         &[&server.http, &server.postgres, text(&expected)],
     );
 }
@@ -50,7 +47,7 @@ fn clients_see_versions_whole_while_they_are_published() {
     let map = map(folder.path());
     let server = Server::start(&map, &[]);
     let arguments = [server.postgres.as_str(), server.http.as_str()];
-    let Some(mut readers) = script("readers.py", &arguments) else {
+    let Some(mut readers) = script("serve/readers.py", &arguments) else {
         return;
     };
     let mut readers = readers
@@ -84,7 +81,7 @@ fn a_server_is_read_and_nothing_else() {
     let folder = tempfile::tempdir().unwrap();
     let map = map(folder.path());
     let server = Server::start(&map, &["--rows", "100000", "--timeout-s", "3"]);
-    ended("attack.py", &["open", &server.http, &server.postgres]);
+    ended("serve/attack.py", &["open", &server.http, &server.postgres]);
     assert!(server.memory() < 1 << 30, "{} bytes", server.memory());
     drop(server);
     evermap(&["verify", "--map", text(&map)]).expect(0);
@@ -181,7 +178,10 @@ fn nobody_comes_in_without_a_password_where_there_are_users() {
     let users = folder.path().join("users.yaml");
     private(&users, USERS);
     let server = Server::start(&map, &["--users", text(&users)]);
-    ended("attack.py", &["closed", &server.http, &server.postgres]);
+    ended(
+        "serve/attack.py",
+        &["closed", &server.http, &server.postgres],
+    );
     drop(server);
 
     let (certificate, key) = (folder.path().join("it.pem"), folder.path().join("key.pem"));
@@ -206,7 +206,7 @@ fn nobody_comes_in_without_a_password_where_there_are_users() {
         &server.postgres,
         text(&certificate),
     ];
-    ended("attack.py", &arguments);
+    ended("serve/attack.py", &arguments);
 }
 
 #[test]

@@ -8,6 +8,7 @@
 pub mod kitti;
 pub mod odometry;
 pub mod park;
+pub mod server;
 pub mod trajectories;
 
 use std::path::{Path, PathBuf};

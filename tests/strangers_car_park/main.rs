@@ -10,6 +10,7 @@
 
 mod lanes;
 mod mapped;
+mod page;
 mod parking;
 mod people;
 

@@ -20,7 +20,7 @@ const DRAWN: usize = 2;
 const ANSWERED: usize = 20;
 
 /// The true spaces, in the frame of a map of this world's first session.
-fn spaces(world: &Path, map: &Path) -> Vec<GroundBox> {
+pub(crate) fn spaces(world: &Path, map: &Path) -> Vec<GroundBox> {
     let session = world.join("initial");
     let truths: Trajectories =
         [("initial".to_owned(), truth(&session.join("trajectory.tum")))].into();
@@ -144,6 +144,18 @@ fn grown(map: &Path, log: &Path) {
     run.expect(if told { 3 } else { 0 });
 }
 
+/// Which share of a map's spaces is right, and which share of the true ones it has.
+pub(crate) fn found(map: &Path, truth: &[GroundBox]) -> (f64, f64) {
+    let query = "SELECT map_from_space AS pose, length_m, width_m FROM parking_spaces";
+    let found = boxes(&rows(map, None, query));
+    let is_right = |one: &&GroundBox| truth.iter().any(|space| space.overlap(one) >= 0.7);
+    let is_found = |space: &&GroundBox| found.iter().any(|one| space.overlap(one) >= 0.7);
+    (
+        found.iter().filter(is_right).count() as f64 / found.len() as f64,
+        truth.iter().filter(is_found).count() as f64 / truth.len() as f64,
+    )
+}
+
 /// Of the spaces that a session saw, it knows which were free.
 fn occupied_as_in(world: &Path, map: &Path, session: &str) {
     let taken = std::fs::read(world.join(session).join("occupied.json")).unwrap();
@@ -196,15 +208,7 @@ fn a_few_drawn_spaces_and_some_answers_find_the_others() {
         }
         let log = person.log();
         grown(&map, &log);
-        let found = boxes(&rows(
-            &map,
-            None,
-            "SELECT map_from_space AS pose, length_m, width_m FROM parking_spaces",
-        ));
-        let is_right = |one: &&GroundBox| truth.iter().any(|space| space.overlap(one) >= 0.7);
-        let is_found = |space: &&GroundBox| found.iter().any(|one| space.overlap(one) >= 0.7);
-        let precision = found.iter().filter(is_right).count() as f64 / found.len() as f64;
-        let recall = truth.iter().filter(is_found).count() as f64 / truth.len() as f64;
+        let (precision, recall) = found(&map, &truth);
         let answers = person.acts.len();
         eprintln!("round {round}: {answers} acts; precision {precision:.3}, recall {recall:.3}");
         last = (precision, recall);

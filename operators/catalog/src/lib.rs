@@ -10,6 +10,7 @@ use evermap_contract::{Entry, Registry};
 
 mod inputs;
 
+pub use inputs::boxes::mosaic;
 pub use inputs::drive::rigs;
 pub use inputs::labels as annotated;
 pub use inputs::rig::OfVehicle;

@@ -7,6 +7,7 @@ import * as comparison from "./moved.js";
 import * as drawer from "./rows.js";
 import { literal, maps, sql } from "./server.js";
 import { anything, placed } from "./shapes.js";
+import * as teach from "./teach.js";
 
 /* global ol */
 
@@ -25,6 +26,9 @@ const moved = new ol.layer.Vector({ source: new ol.source.Vector(), zIndex: 90 }
 map.addLayer(moved);
 map.addLayer(results);
 window.evermap = { map, state };
+
+/** What is taught, where the server lets people teach. */
+let taught;
 
 let working = 0;
 async function work(what, doing) {
@@ -77,6 +81,8 @@ async function begin() {
     map.getView().setResolution(asked.m_per_px);
   } else fit();
   map.on("moveend", () => said(false));
+  taught = await teach.begin(map, state, { fault, images: place, clear: drawer.close });
+  window.evermap.taught = taught;
   if (asked.query) {
     $("sql").value = asked.query;
     run(false);
@@ -268,6 +274,7 @@ function answered(places) {
 }
 
 async function choose(event) {
+  if (taught?.clicked(event.pixel)) return undefined;
   const hit = drawn.rowAt(map, new Map([...shown, ["", results]]), event.pixel);
   if (hit?.id) return row(hit);
   if (hit) return drawer.one("row of the answer", hit.row);
@@ -308,7 +315,7 @@ async function place([x, y]) {
       WHERE range_m > 1 AND range_m < 25 AND along > 0.7 * range_m)
     WHERE nth = 1 ORDER BY range_m LIMIT 12`;
   const found = await work("images", () => sql(query, state.version));
-  if (found) drawer.images(title, found, state.version);
+  if (found && !taught?.drawing) drawer.images(title, found, state.version);
 }
 
 function theme() {
@@ -342,7 +349,7 @@ const KEYS = {
 };
 
 $("version").addEventListener("input", () => toVersion(Number($("version").value)));
-$("sites").addEventListener("change", async () => { await opened($("sites").value); fit(); said(true); });
+$("sites").addEventListener("change", async () => { await opened($("sites").value); fit(); said(true); taught?.open(); });
 $("fold").addEventListener("click", () => folded(true));
 $("unfold").addEventListener("click", () => folded(false));
 $("close").addEventListener("click", drawer.close);
@@ -352,11 +359,13 @@ $("sql").addEventListener("keydown", (event) => {
   if (event.key === "Enter" && (event.ctrlKey || event.metaKey)) { event.preventDefault(); run(true); }
 });
 addEventListener("keydown", (event) => {
-  if (event.key === "Escape") { drawer.close(); fault(""); $("map").focus(); return; }
+  if (event.key === "Escape") { taught?.stop(); drawer.close(); fault(""); $("map").focus(); return; }
   const typing = ["TEXTAREA", "INPUT", "SELECT"].includes(event.target.tagName) && event.target.type !== "checkbox";
-  if (typing || event.ctrlKey || event.metaKey || event.altKey || !KEYS[event.key]) return;
+  if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
+  const doing = KEYS[event.key] ?? taught?.keys[event.key];
+  if (!doing) return;
   event.preventDefault();
-  KEYS[event.key]();
+  doing();
 });
 addEventListener("popstate", () => location.reload());
 map.on("singleclick", choose);

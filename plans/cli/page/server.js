@@ -29,6 +29,20 @@ function exact(text) {
     (typeof value === "number" && Number.isInteger(value) && !Number.isSafeInteger(value) ? from?.source ?? value : value));
 }
 
+/**
+ * Asks a server that is taught: without a path who may teach, of `SITE` its labels, of `SITE/KIND` what may be of a kind.
+ * @param {string} [path]
+ * @param {object} [asked]
+ * @param {object} [said] what is said of the site
+ */
+export async function teaching(path, asked = {}, said = undefined) {
+  const address = path === undefined ? "./teach" : `./teach/${path.split("/").map(encodeURIComponent).join("/")}?${new URLSearchParams(asked)}`;
+  const how = said && { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(said) };
+  const answer = await fetch(address, how);
+  if (answer.ok) return answer.json();
+  throw new Fault(await answer.json().catch(() => ({ error: `the server answers ${answer.status}` })));
+}
+
 /** The maps that are served: `[{name, path}]`. */
 export async function maps() {
   const answer = await fetch("/maps");

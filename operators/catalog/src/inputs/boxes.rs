@@ -16,7 +16,7 @@ const LEAST_CELLS: f64 = 4.0;
 pub(crate) const LONGEST_M: f64 = 50.0;
 
 /// The tiles of the finest zoom.
-pub(crate) fn mosaic(tiles: Vec<OverheadTile>, skip: &mut impl FnMut(Reason, u64)) -> Mosaic {
+pub fn mosaic(tiles: Vec<OverheadTile>, skip: &mut impl FnMut(Reason, u64)) -> Mosaic {
     let finest = tiles.into_iter().filter(|tile| tile.zoom == 0);
     let mut tiles = finest.peekable();
     let cell_m = tiles.peek().map_or(1.0, |tile| tile.cell_m);

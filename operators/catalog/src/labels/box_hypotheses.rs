@@ -1,7 +1,8 @@
 #![doc = include_str!("box_hypotheses.md")]
 
 use evermap_algorithms::ground::boxes::calibration::Calibration;
-use evermap_algorithms::ground::boxes::teaching::{Hypothesis, Taught};
+use evermap_algorithms::ground::boxes::mosaic::Mosaic;
+use evermap_algorithms::ground::boxes::teaching::{Candidates, Example, Hypothesis, Taught};
 use evermap_algorithms::ground::boxes::template::Template;
 use evermap_algorithms::learning::gaussian_process::LinearProcess;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
@@ -21,7 +22,7 @@ pub struct BoxHypothesesParams {}
 
 impl Operator for BoxHypotheses {
     const NAME: &'static str = "box_hypotheses";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("box_hypotheses.md");
     type Params = BoxHypothesesParams;
     type Output = BoxHypothesis;
@@ -45,20 +46,52 @@ fn hypotheses(
     let mut skip = |reason, count| emit.skip(reason, count);
     let mosaic = mosaic(sides.rows("tiles")?, &mut skip);
     let labels: Vec<PlacedLabel> = sides.rows("labels")?;
-    let mut kinds = boxes(&labels, mosaic.cell_m(), &mut |_, _| {});
+    let mut found = Vec::new();
     for model in models {
-        let (site, kind, height_m) = (model.site.clone(), model.kind.clone(), model.height_m);
-        let Some(taught) = taught(model) else {
-            emit.skip("model does not have the numbers that it claims", 1);
-            continue;
-        };
-        let said = kinds.remove(&kind).unwrap_or_default();
-        let found = taught.find(&mosaic, &said.examples);
+        match Kind::new(model, &labels, mosaic.cell_m()) {
+            Some(kind) => found.extend(kind.weigh(&kind.search(&mosaic))),
+            None => skip("model does not have the numbers that it claims", 1),
+        }
+    }
+    emit.rows(found)
+}
+
+/// What was learnt of a kind, and what was said of its boxes.
+pub struct Kind {
+    model: BoxModel,
+    taught: Taught,
+    examples: Vec<Example>,
+}
+
+impl Kind {
+    /// Of a site's model and labels, on an image with cells of this side (m); `None` where the model does not have the
+    /// numbers that it claims.
+    pub fn new(model: BoxModel, labels: &[PlacedLabel], cell_m: f64) -> Option<Self> {
+        let said = boxes(labels, cell_m, &mut |_, _| {}).remove(&model.kind);
+        Some(Self {
+            taught: taught(&model)?,
+            examples: said.unwrap_or_default().examples,
+            model,
+        })
+    }
+
+    /// What of the overhead image may be of the kind, and of which nothing was said.
+    pub fn search(&self, mosaic: &Mosaic) -> Candidates {
+        self.taught.search(mosaic, &self.examples)
+    }
+
+    /// What is left of candidates that were found when less was known.
+    pub fn look_again(&self, candidates: &Candidates) -> Candidates {
+        self.taught.look_again(candidates, &self.examples)
+    }
+
+    /// Candidates with what they are worth.
+    pub fn weigh(&self, candidates: &Candidates) -> Vec<BoxHypothesis> {
         let row = |(number, one): (u32, Hypothesis)| BoxHypothesis {
-            site: site.clone(),
-            kind: kind.clone(),
+            site: self.model.site.clone(),
+            kind: self.model.kind.clone(),
             hypothesis: number,
-            map_from_label: pose(&one.place, height_m),
+            map_from_label: pose(&one.place, self.model.height_m),
             length_m: one.place.length_m,
             width_m: one.place.width_m,
             mean: one.mean,
@@ -66,15 +99,23 @@ fn hypotheses(
             probability: one.probability,
             question: one.question.map(|question| question.number as u32),
             gain: one.question.map(|question| question.gain),
+            reason: one.question.map(|_| reason(one.probability).to_owned()),
             geometry: Wkb::polygon(&one.place.corners()),
         };
-        emit.rows((0..).zip(found).map(row).collect())?;
+        (0..).zip(self.taught.weigh(candidates)).map(row).collect()
     }
-    Ok(())
+}
+
+/// Why something of this probability is asked.
+fn reason(probability: f64) -> &'static str {
+    match probability {
+        0.25..=0.75 => "uncertain",
+        _ => "unlike what was said",
+    }
 }
 
 /// What was learnt; `None` where the row's numbers contradict each other.
-fn taught(row: BoxModel) -> Option<Taught> {
+fn taught(row: &BoxModel) -> Option<Taught> {
     let is_size = |[length_m, width_m]: &[f64; 2]| {
         let sides = [*length_m, *width_m];
         sides.iter().all(|side| (0.01..=LONGEST_M).contains(side))
@@ -85,13 +126,17 @@ fn taught(row: BoxModel) -> Option<Taught> {
         && row.slope.is_finite()
         && row.height_m.is_finite();
     let taught = Taught {
-        process: LinearProcess::from_parts(row.weights, [row.scale, row.noise], &row.spread)?,
+        process: LinearProcess::from_parts(
+            row.weights.clone(),
+            [row.scale, row.noise],
+            &row.spread,
+        )?,
         calibration: Calibration {
             middle: row.middle,
             slope: row.slope,
         },
-        template: Template::from_values(row.template)?,
-        sizes_m: row.sizes_m,
+        template: Template::from_values(row.template.clone())?,
+        sizes_m: row.sizes_m.clone(),
         accepted: row.accepted,
         rejected: row.rejected,
     };

@@ -1,10 +1,12 @@
 #![doc = include_str!("box_models.md")]
 
+use evermap_algorithms::ground::boxes::mosaic::Mosaic;
 use evermap_algorithms::ground::boxes::teaching::{Taught, TeachingParams};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{BoxModel, OverheadTile, PlacedLabel};
 
 use crate::inputs::boxes::{boxes, mosaic};
+use crate::inputs::labels::Tell;
 
 /// See the module's page.
 pub struct BoxModels;
@@ -29,24 +31,39 @@ fn models(
     sides: &Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(site) = labels.first().map(|label| label.site.clone()) else {
-        return Ok(());
-    };
     let mut skip = |reason, count| emit.skip(reason, count);
     let mosaic = mosaic(sides.rows("tiles")?, &mut skip);
-    let kinds = boxes(&labels, mosaic.cell_m(), &mut skip);
+    let models = learnt(params, &mosaic, &labels, &mut skip)?;
+    emit.rows(models)
+}
+
+/// What the labels of a site teach about its overhead image: a model of each kind.
+///
+/// # Errors
+/// A data fault for descriptions that nothing can be learnt from.
+pub fn learnt(
+    params: &TeachingParams,
+    mosaic: &Mosaic,
+    labels: &[PlacedLabel],
+    mut skip: Tell<'_>,
+) -> Result<Vec<BoxModel>, Fault> {
+    let Some(site) = labels.first().map(|label| label.site.clone()) else {
+        return Ok(Vec::new());
+    };
+    let kinds = boxes(labels, mosaic.cell_m(), &mut skip);
+    let mut models = Vec::new();
     for (kind, said) in kinds {
-        let taught = Taught::learn(&mosaic, &said.examples, params);
+        let taught = Taught::learn(mosaic, &said.examples, params);
         let taught = taught.map_err(|error| Fault::data(error.to_string()))?;
         let ones = said.examples.iter().filter(|one| one.is_one()).count();
         let Some(taught) = taught else {
-            emit.skip(
+            skip(
                 "drawn box that the overhead image does not show",
                 ones as u64,
             );
             continue;
         };
-        emit.rows(vec![BoxModel {
+        models.push(BoxModel {
             site: site.clone(),
             kind,
             accepted: taught.accepted,
@@ -60,7 +77,7 @@ fn models(
             middle: taught.calibration.middle,
             slope: taught.calibration.slope,
             template: taught.template.values().to_vec(),
-        }])?;
+        });
     }
-    Ok(())
+    Ok(models)
 }

@@ -6,7 +6,7 @@ use super::Losses;
 use super::features::{Feature, Geometry, Point};
 
 /// The features of a collection, of one feature, or of a bare geometry.
-pub(super) fn features(value: &Value, losses: &mut Losses) -> Vec<Feature> {
+pub fn features(value: &Value, losses: &mut Losses) -> Vec<Feature> {
     let all = match value["type"].as_str() {
         Some("FeatureCollection") => value["features"].as_array().cloned().unwrap_or_default(),
         Some("Feature") => vec![value.clone()],

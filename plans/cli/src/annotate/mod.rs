@@ -8,13 +8,18 @@
 //! ```
 
 pub mod features;
-mod geojson;
+pub mod geojson;
 pub mod mosaic;
 mod pixels;
 pub mod saying;
 pub mod state;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use evermap_datasets::annotations::{AnnotationLog, RecordingError};
+use evermap_engine::map::version::Version;
+use evermap_schemas::Fault;
 
 use crate::progress::line;
 
@@ -51,5 +56,35 @@ impl Losses {
         if self.lines.len() > MOST_LINES {
             line(&format!("… and {} more", self.lines.len() - MOST_LINES));
         }
+    }
+}
+
+/// The name of the person at the machine.
+pub fn user() -> String {
+    let named = ["USER", "USERNAME"]
+        .into_iter()
+        .find_map(|name| std::env::var(name).ok());
+    let named = named.filter(|name| !name.is_empty());
+    named.unwrap_or_else(|| "unknown".to_owned())
+}
+
+/// Begins the next part of a log, of a name that no session of the map has: it would take that one's place.
+///
+/// # Errors
+/// A resource fault where it cannot be written.
+pub fn begin(log: &Path, map: &Version) -> Result<AnnotationLog, Fault> {
+    let library = concat!("evermap ", env!("CARGO_PKG_VERSION"));
+    let sessions = map.sessions.iter();
+    let sessions: BTreeSet<&str> = sessions
+        .map(|session| session.log.session.as_str())
+        .collect();
+    AnnotationLog::begin(log, |name| sessions.contains(name), library).map_err(unwritten)
+}
+
+/// Why a log was not written.
+pub fn unwritten(error: RecordingError) -> Fault {
+    match error {
+        RecordingError::Io { .. } => Fault::resource(error.to_string()),
+        RecordingError::Mcap(_) => Fault::bug(error.to_string()),
     }
 }

@@ -4,7 +4,7 @@ use evermap_algorithms::labels::shapes::Outline;
 use evermap_datasets::annotations::{Anchor, Annotation, Geometry};
 use evermap_engine::digest::digest_of;
 use evermap_schemas::layers::PlacedLabel;
-use evermap_schemas::{Fault, Pose, roles};
+use evermap_schemas::{Fault, Pose, Stamp, roles};
 use nalgebra::Vector3;
 
 use super::Losses;
@@ -120,6 +120,9 @@ fn acts(
         (Some(known), None) if known.kind != *kind => {
             return Ok(Err("feature that changes a kind and has no geometry"));
         }
+        (Some(known), Some(outline)) if standing == Some("drawn") && known.standing != "drawn" => {
+            vec![act("drawn", Some(placed(outline)))]
+        }
         (Some(known), outline) => {
             let same = |outline: &&_| known.kind == *kind && !differs(known, outline);
             let anew = outline.as_ref().filter(|outline| !same(outline));
@@ -158,6 +161,32 @@ fn message(anchor: roles::Anchor) -> Anchor {
         stamp_ns: anchor.stamp.0.max(0) as u64,
         camera: anchor.camera,
         vehicle_from_label: anchor.vehicle_from_label.to_array(),
+    }
+}
+
+/// An act as a run reads it from the log of a session.
+pub fn read_back(act: &Annotation, site: &str, session: &str) -> roles::Annotation {
+    let geometry = act.geometry.as_ref();
+    let held = |anchor: &Anchor| roles::Anchor {
+        session: anchor.session.clone(),
+        stamp: Stamp(anchor.stamp_ns as i64),
+        camera: anchor.camera.clone(),
+        vehicle_from_label: Pose::from_array(anchor.vehicle_from_label),
+    };
+    roles::Annotation {
+        site: site.to_owned(),
+        session: session.to_owned(),
+        stamp: Stamp(act.stamp_ns as i64),
+        author: act.author.clone(),
+        sequence: act.sequence,
+        id: act.id.clone(),
+        kind: act.kind.clone(),
+        act: act.act.clone(),
+        map_version: act.map_version,
+        shape: geometry.map(|geometry| geometry.shape.clone()),
+        points: geometry.map_or_else(Vec::new, |geometry| geometry.points.clone()),
+        map_from_label: geometry.map(|geometry| Pose::from_array(geometry.map_from_label)),
+        anchor: act.anchor.as_ref().map(held),
     }
 }
 

@@ -29,6 +29,9 @@ pub struct State {
     pub labels: BTreeMap<String, PlacedLabel>,
     /// The poses and frames of the version.
     pub holds: Holds,
+    placer: Placer,
+    acts: Vec<Annotation>,
+    before: Vec<LabelAnchor>,
 }
 
 impl State {
@@ -67,16 +70,27 @@ impl State {
         );
         let holds = Holds::new(map, &OfVehicle::default());
         let before: Vec<LabelAnchor> = reader.rows(Some(&site)).await?;
-        let mut tell = |reason: &str, count| losses.count(reason, count);
-        let labels = anchored(acts, before, &holds, &mut tell);
-        let placed = labels.into_iter();
-        let placed = placed.filter_map(|label| placer.placed(label, &mut tell));
-        Ok(Self {
+        let mut state = Self {
             site,
             version: reader.map.version.version,
-            labels: placed.map(|label| (label.label.clone(), label)).collect(),
+            labels: BTreeMap::new(),
             holds,
-        })
+            placer,
+            acts: Vec::new(),
+            before,
+        };
+        state.add(acts, losses);
+        Ok(state)
+    }
+
+    /// Takes in what was said meanwhile.
+    pub fn add(&mut self, acts: Vec<Annotation>, losses: &mut Losses) {
+        self.acts.extend(acts);
+        let mut tell = |reason: &str, count| losses.count(reason, count);
+        let (acts, before) = (self.acts.clone(), self.before.clone());
+        let labels = anchored(acts, before, &self.holds, &mut tell).into_iter();
+        let placed = labels.filter_map(|label| self.placer.placed(label, &mut tell));
+        self.labels = placed.map(|label| (label.label.clone(), label)).collect();
     }
 }
 

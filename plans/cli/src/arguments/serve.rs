@@ -28,6 +28,10 @@ pub struct ServeArgs {
     /// Private key of the certificate (PEM).
     #[arg(long, value_name = "FILE", requires = "certificate")]
     pub key: Option<PathBuf>,
+    /// Folder of annotation logs: people draw and answer on the page, and what they say is written there. Without it, the
+    /// server is only read.
+    #[arg(long, value_name = "DIR")]
+    pub teach: Option<PathBuf>,
     /// Memory for sorts, joins and hashes, all queries together.
     #[arg(long, value_name = "BYTES", default_value = "2GiB", value_parser = quantity::bytes)]
     pub memory: usize,

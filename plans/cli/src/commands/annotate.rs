@@ -1,17 +1,18 @@
 //! `evermap annotate`.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
-use evermap_datasets::annotations::{Annotation, AnnotationLog, RecordingError, parts};
+use evermap_datasets::annotations::{Annotation, parts};
+use evermap_engine::map::version::Version;
 use evermap_schemas::layers::PlacedLabel;
 use evermap_schemas::{Fault, LayerRow, batch};
 
-use crate::annotate::Losses;
 use crate::annotate::features::read;
 use crate::annotate::mosaic::Georeference;
 use crate::annotate::saying::{Speaker, said};
 use crate::annotate::state::State;
+use crate::annotate::{Losses, begin, unwritten, user};
 use crate::arguments::AnnotateArgs;
 use crate::ending::{Ending, Failure, Lost};
 use crate::export::geojson;
@@ -29,11 +30,7 @@ pub async fn annotate(args: &AnnotateArgs) -> Ending {
     let state = State::read(&reader, args.site.as_deref(), &logs, &mut losses).await?;
     match (&args.import, &args.out, &args.export) {
         (Some(file), Some(log), _) => {
-            let sessions = reader.map.version.sessions.iter();
-            let names: BTreeSet<_> = sessions
-                .map(|session| session.log.session.as_str())
-                .collect();
-            import(args, file, log, (&state, &names), &mut losses)?;
+            import(args, file, log, (&state, &reader.map.version), &mut losses)?;
         }
         (_, _, Some(file)) => export(args, file, state)?,
         _ => {}
@@ -46,7 +43,7 @@ fn import(
     args: &AnnotateArgs,
     file: &Path,
     log: &Path,
-    (state, sessions): (&State, &BTreeSet<&str>),
+    (state, version): (&State, &Version),
     losses: &mut Losses,
 ) -> Result<(), Failure> {
     let mosaic = args.mosaic.as_deref().map(Georeference::read).transpose()?;
@@ -66,7 +63,7 @@ fn import(
         line(&format!("nothing new to say{unchanged}"));
         return Ok(());
     }
-    let written = write(log, sessions, &said.acts).map_err(fault)?;
+    let written = write(log, version, &said.acts)?;
     let counts = counts(&said.acts);
     line(&format!("{}: {counts}{unchanged}", written.display()));
     line(&format!(
@@ -76,15 +73,6 @@ fn import(
         written.display()
     ));
     Ok(())
-}
-
-/// The name of the person at the machine.
-fn user() -> String {
-    let named = ["USER", "USERNAME"]
-        .into_iter()
-        .find_map(|name| std::env::var(name).ok());
-    let named = named.filter(|name| !name.is_empty());
-    named.unwrap_or_else(|| "unknown".to_owned())
 }
 
 /// Acts as people count them: `3 drawn, 1 moved`.
@@ -97,23 +85,11 @@ fn counts(acts: &[Annotation]) -> String {
     counts.collect::<Vec<_>>().join(", ")
 }
 
-/// Writes a part of a log whose name no session of the map has: it would take that one's place.
-fn write(
-    log: &Path,
-    sessions: &BTreeSet<&str>,
-    acts: &[Annotation],
-) -> Result<std::path::PathBuf, RecordingError> {
-    let library = concat!("evermap ", env!("CARGO_PKG_VERSION"));
-    let mut writing = AnnotationLog::begin(log, |name| sessions.contains(name), library)?;
-    writing.say_all(acts)?;
-    writing.finish()
-}
-
-fn fault(error: RecordingError) -> Fault {
-    match error {
-        RecordingError::Io { .. } => Fault::resource(error.to_string()),
-        RecordingError::Mcap(_) => Fault::bug(error.to_string()),
-    }
+/// Writes a part of a log.
+fn write(log: &Path, map: &Version, acts: &[Annotation]) -> Result<PathBuf, Fault> {
+    let mut writing = begin(log, map)?;
+    writing.say_all(acts).map_err(unwritten)?;
+    writing.finish().map_err(unwritten)
 }
 
 fn export(args: &AnnotateArgs, file: &Path, state: State) -> Result<(), Failure> {

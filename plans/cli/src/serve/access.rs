@@ -36,9 +36,13 @@ pub struct Access {
 pub struct Users {
     salt: Vec<u8>,
     salted: BTreeMap<String, Vec<u8>>,
-    /// Digests of tokens, and of `name:password`.
-    secrets: Vec<blake3::Hash>,
+    /// Digests of tokens, and of `name:password`, with the user's name.
+    secrets: Vec<(blake3::Hash, String)>,
 }
+
+/// Who asks: a user's name; `None` for somebody on this machine where no users are named.
+#[derive(Debug, Clone)]
+pub struct Who(pub Option<String>);
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -95,12 +99,14 @@ impl Access {
         .next("or listen on 127.0.0.1, and reach it through ssh"))
     }
 
-    /// Whether a request may be answered that has these headers `Authorization` and `Host`.
-    pub fn lets_in(&self, authorization: Option<&str>, host: Option<&str>) -> bool {
+    /// Who asks with these headers `Authorization` and `Host`; `None` for those who may not come in.
+    pub fn lets_in(&self, authorization: Option<&str>, host: Option<&str>) -> Option<Who> {
         match &self.users {
-            Some(users) => authorization.is_some_and(|header| users.know(header)),
+            Some(users) => users
+                .know(authorization?)
+                .map(|name| Who(Some(name.to_owned()))),
             // A page of elsewhere whose name was made to lead here would read maps through a person's browser.
-            None => host.is_none_or(is_this_machine),
+            None => host.is_none_or(is_this_machine).then_some(Who(None)),
         }
     }
 
@@ -168,11 +174,13 @@ impl Users {
             )));
         }
         if let Some(token) = user.token {
-            self.secrets.push(blake3::hash(token.as_bytes()));
+            self.secrets
+                .push((blake3::hash(token.as_bytes()), name.clone()));
         }
         if let Some(password) = user.password {
             let pair = format!("{name}:{password}");
-            self.secrets.push(blake3::hash(pair.as_bytes()));
+            self.secrets
+                .push((blake3::hash(pair.as_bytes()), name.clone()));
             let salted = gen_salted_password(&password, &self.salt, SCRAM_ITERATIONS);
             if self.salted.insert(name.clone(), salted).is_some() {
                 return Err(Fault::user(format!(
@@ -183,20 +191,18 @@ impl Users {
         Ok(())
     }
 
-    /// Whether an `Authorization` header has a token, or a name with its password. The time that it takes does not tell
+    /// The user whose token, or name with password, an `Authorization` header has. The time that it takes does not tell
     /// how much of it is right: digests are compared, each to its end.
-    fn know(&self, header: &str) -> bool {
-        let Some((scheme, value)) = header.split_once(' ') else {
-            return false;
-        };
+    fn know(&self, header: &str) -> Option<&str> {
+        let (scheme, value) = header.split_once(' ')?;
         let secret = match scheme.to_ascii_lowercase().as_str() {
             "bearer" => value.trim().as_bytes().to_vec(),
             "basic" => STANDARD.decode(value.trim()).unwrap_or_default(),
-            _ => return false,
+            _ => return None,
         };
         let found = blake3::hash(&secret);
-        let matches = self.secrets.iter().filter(|known| **known == found);
-        matches.count() > 0
+        let matches = self.secrets.iter().filter(|(known, _)| *known == found);
+        matches.last().map(|(_, name)| name.as_str())
     }
 }
 
@@ -261,8 +267,8 @@ mod tests {
         );
         let users = users.unwrap();
         let basic = |pair: &str| format!("Basic {}", STANDARD.encode(pair));
-        assert!(users.know(&basic("ada:byron-1815")));
-        assert!(users.know("Bearer t0ken-t0ken"));
+        assert_eq!(users.know(&basic("ada:byron-1815")), Some("ada"));
+        assert_eq!(users.know("Bearer t0ken-t0ken"), Some("robot"));
         for wrong in [
             "Bearer t0ken",
             "Bearer ",
@@ -273,7 +279,7 @@ mod tests {
             // What is right in one place opens no other.
             "Bearer byron-1815",
         ] {
-            assert!(!users.know(wrong), "{wrong}");
+            assert_eq!(users.know(wrong), None, "{wrong}");
         }
     }
 

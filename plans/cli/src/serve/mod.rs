@@ -9,8 +9,9 @@
 //!      │
 //!   answer ── queries that only read, within time, rows and memory
 //!   maps ──── the versions of maps that are open
+//!   teach ──── what people say of maps, in logs of their own; only where it is asked for
 //! ```
-//! A server only reads. What a run publishes is in the answer to the next query, whole or not at all, as versions are.
+//! A server only reads maps. What a run publishes is in the answer to the next query, whole or not at all, as versions are.
 
 mod access;
 mod answer;
@@ -18,6 +19,7 @@ mod flight;
 mod http;
 mod maps;
 mod postgres;
+mod teach;
 mod tls;
 
 use std::net::SocketAddr;
@@ -35,6 +37,7 @@ use crate::progress::line;
 use crate::serve::access::Access;
 use crate::serve::answer::Bounds;
 use crate::serve::maps::Maps;
+use crate::serve::teach::Teaching;
 
 /// Serves maps until it is stopped.
 ///
@@ -53,12 +56,18 @@ pub async fn serve(args: &ServeArgs) -> Ending {
         rows: args.rows,
         queries: Arc::new(Semaphore::new(args.queries as usize)),
     };
+    let teaching = args.teach.as_deref().map(Teaching::new).transpose()?;
+    let teaching = teaching.map(Arc::new);
     let (web, web_address) = listen(args.http).await?;
     let (postgres, postgres_address) = listen(args.postgres).await?;
     let scheme = access.tls.as_ref().map_or("http", |_| "https");
     let names = maps.all().map(|map| map.name.as_str());
     let names = names.collect::<Vec<_>>().join(", ");
-    line(&format!("serving {names}, to be read"));
+    let served = match &args.teach {
+        Some(folder) => format!("to be read, and taught into {}", folder.display()),
+        None => "to be read".to_owned(),
+    };
+    line(&format!("serving {names}, {served}"));
     line(&format!("page and HTTP: {scheme}://{web_address}/"));
     line(&format!("Flight SQL:    grpc://{web_address}"));
     let first = maps.all().next().map_or("", |map| map.name.as_str());
@@ -73,9 +82,16 @@ pub async fn serve(args: &ServeArgs) -> Ending {
         bounds.clone(),
         connections,
     );
+    let tidied = async {
+        match &teaching {
+            Some(teaching) => teaching.tidied().await,
+            None => std::future::pending().await,
+        }
+    };
     tokio::select! {
-        ended = http::serve(web, maps, access, bounds) => ended?,
+        ended = http::serve(web, maps, access, bounds, teaching.clone()) => ended?,
         () = spoken => {}
+        () = tidied => {}
     }
     DONE
 }

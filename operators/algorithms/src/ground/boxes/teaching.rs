@@ -151,6 +151,12 @@ impl Taught {
     /// Boxes that look like the examples, apart from each other and from those that are known: the likeliest first, no more
     /// than there is room for.
     pub fn find(&self, mosaic: &Mosaic, examples: &[Example]) -> Vec<Hypothesis> {
+        self.weigh(&self.search(mosaic, examples))
+    }
+
+    /// Boxes that look like the examples, anywhere in the image: the first half of [`Taught::find`], which takes most of its
+    /// time.
+    pub fn search(&self, mosaic: &Mosaic, examples: &[Example]) -> Candidates {
         let room = self.sizes_m.iter().map(|[length, width]| length * width);
         let room = mosaic.covered_m2() / room.fold(f64::INFINITY, f64::min);
         let known = Known::new(examples);
@@ -160,6 +166,29 @@ impl Taught {
             .flat_map(|part| self.find_in(mosaic, part, &known, room as usize));
         let mut found = apart(found.collect(), |one: &Described| one.scored);
         found.truncate(room as usize);
+        Candidates(found)
+    }
+
+    /// What is left of candidates that were found when less was known, the likeliest first: not moved, none added.
+    pub fn look_again(&self, Candidates(found): &Candidates, examples: &[Example]) -> Candidates {
+        let known = Known::new(examples);
+        let open = found
+            .par_iter()
+            .filter(|one| known.leaves_open(&one.scored.place));
+        let scored = open.map(|one| {
+            let score = self.process.at(&one.sample).mean;
+            let scored = Scored {
+                score,
+                ..one.scored
+            };
+            let sample = one.sample.clone();
+            Described { scored, sample }
+        });
+        Candidates(apart(scored.collect(), |one: &Described| one.scored))
+    }
+
+    /// What candidates are worth: the second half of [`Taught::find`].
+    pub fn weigh(&self, Candidates(found): &Candidates) -> Vec<Hypothesis> {
         let known = found.par_iter().map(|one| {
             let known = self.process.at(&one.sample);
             Hypothesis {
@@ -171,7 +200,7 @@ impl Taught {
             }
         });
         let mut hypotheses: Vec<Hypothesis> = known.collect();
-        self.ask(&mut hypotheses, &found);
+        self.ask(&mut hypotheses, found);
         hypotheses
     }
 
@@ -255,6 +284,11 @@ impl Known {
     }
 }
 
+/// Boxes with what the image shows in them.
+#[derive(Debug, Clone, Default)]
+pub struct Candidates(Vec<Described>);
+
+#[derive(Debug, Clone)]
 struct Described {
     scored: Scored,
     sample: Vec<f32>,

@@ -5,6 +5,7 @@ mod metrics;
 mod page;
 mod pictures;
 mod rows;
+mod teach;
 
 use std::sync::Arc;
 
@@ -20,11 +21,12 @@ use serde_json::json;
 use tokio::net::TcpListener;
 
 use crate::ending::Failure;
-use crate::serve::access::Access;
+use crate::serve::access::{Access, Who};
 use crate::serve::answer::Bounds;
 use crate::serve::flight;
 use crate::serve::http::metrics::Counts;
 use crate::serve::maps::{Maps, ServedMap};
+use crate::serve::teach::Teaching;
 use crate::serve::tls::PrivateListener;
 
 /// What handlers answer from.
@@ -33,6 +35,15 @@ pub struct App {
     maps: Maps,
     bounds: Bounds,
     counts: Arc<Counts>,
+    /// `None` where the server is only read.
+    teaching: Option<Arc<Teaching>>,
+}
+
+impl App {
+    /// What work says, as one of the queries that run.
+    async fn within<T>(&self, work: impl Future<Output = Result<T, Fault>>) -> Result<T, Fault> {
+        self.bounds.turn().await?.within(work).await?
+    }
 }
 
 /// Serves maps until the listener fails.
@@ -44,9 +55,10 @@ pub async fn serve(
     maps: Maps,
     access: Access,
     bounds: Bounds,
+    teaching: Option<Arc<Teaching>>,
 ) -> Result<(), Fault> {
     let tls = access.tls.clone();
-    let router = router(maps, access, bounds);
+    let router = router(maps, access, bounds, teaching);
     let ended = match tls {
         None => axum::serve(listener, router).await,
         Some(acceptor) => match PrivateListener::new(listener, acceptor) {
@@ -57,12 +69,13 @@ pub async fn serve(
     ended.map_err(|error| Fault::resource(format!("the server ended: {error}")))
 }
 
-fn router(maps: Maps, access: Access, bounds: Bounds) -> Router {
+fn router(maps: Maps, access: Access, bounds: Bounds, teaching: Option<Arc<Teaching>>) -> Router {
     let flight = flight::service(maps.clone(), bounds.clone());
     let app = App {
         maps,
         bounds,
         counts: Arc::default(),
+        teaching,
     };
     Router::new()
         .merge(of_map())
@@ -91,17 +104,21 @@ fn of_map() -> Router<App> {
             get(pictures::tile),
         )
         .route("/images", get(pictures::image))
+        .route("/teach", get(teach::may))
+        .route("/teach/{site}", get(teach::labels).post(teach::say))
+        .route("/teach/{site}/{kind}", get(teach::hypotheses))
 }
 
 /// Answers nothing to those who may not come in, and adds what keeps a browser careful.
-async fn guarded(State(access): State<Access>, request: Request, next: Next) -> Response {
-    if !may_come_in(&access, &request) {
+async fn guarded(State(access): State<Access>, mut request: Request, next: Next) -> Response {
+    let Some(who) = who(&access, &request) else {
         let asks = [(header::WWW_AUTHENTICATE, "Basic realm=\"evermap\"")];
         return match access.users() {
             Some(_) => (StatusCode::UNAUTHORIZED, asks).into_response(),
             None => StatusCode::FORBIDDEN.into_response(),
         };
-    }
+    };
+    request.extensions_mut().insert(who);
     let mut response = next.run(request).await;
     for (name, value) in CAREFUL {
         response
@@ -111,7 +128,7 @@ async fn guarded(State(access): State<Access>, request: Request, next: Next) -> 
     response
 }
 
-fn may_come_in(access: &Access, request: &Request) -> bool {
+fn who(access: &Access, request: &Request) -> Option<Who> {
     let text = |name: header::HeaderName| {
         let value = request.headers().get(name)?;
         value.to_str().ok()

@@ -124,10 +124,3 @@ pub async fn image(
     let digest = blake3::hash(&bytes).to_hex();
     Ok(tagged(&headers, &digest, kind, bytes.to_vec()))
 }
-
-impl App {
-    /// What work says, as one of the queries that run.
-    async fn within<T>(&self, work: impl Future<Output = Result<T, Fault>>) -> Result<T, Fault> {
-        self.bounds.turn().await?.within(work).await?
-    }
-}

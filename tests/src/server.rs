@@ -1,10 +1,10 @@
-//! A map to be served, and the server.
+//! Maps to be served, and the server.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Stdio};
 
-use evermap_tests::{Finished, command, plan_command, rectangle, repository, text, write_drive};
+use crate::{Finished, command, plan_command, rectangle, repository, text, write_drive};
 
 /// A server of a map, stopped when it is dropped.
 pub struct Server {
@@ -18,6 +18,7 @@ pub struct Server {
 }
 
 impl Server {
+    /// Starts it on ports that are free.
     pub fn start(map: &Path, more: &[&str]) -> Self {
         let mut serve = command(&["serve", "--map", text(map)]);
         serve.args(["--http", "127.0.0.1:0", "--postgres", "127.0.0.1:0"]);
@@ -76,12 +77,12 @@ pub fn drive(folder: &Path, map: &Path, day: &str, width_m: f64) {
     Finished::from(ended.unwrap()).expect(0);
 }
 
-/// A Python script beside this file, with the programs that people have; `None` where they are not installed.
+/// A Python script beside the tests, with the programs that people have; `None` where they are not installed.
 pub fn script(name: &str, arguments: &[&str]) -> Option<Command> {
     let python = repository().join(".venv/bin/python");
     let python = evermap_test_data::there(python, "`make test` sets it up")?;
     let mut script = Command::new(python);
-    script.arg(repository().join("tests/serve").join(name));
+    script.arg(repository().join("tests").join(name));
     script.args(arguments);
     Some(script)
 }

@@ -1,0 +1,510 @@
+//! What people say of maps while they are served. Every act is on the disk, in its author's log, before it is answered;
+//! what it teaches is there soon after.
+//!
+//! ```text
+//!   DIR/MAP/SITE/SITE_AUTHOR.mcap      a log; its next parts are SITE_AUTHOR_2.mcap …
+//! ```
+//! A log ends when its author has said nothing for a while, when a version of the map has it, or with the server: a run
+//! reads whole logs, and the next act begins the next part.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use evermap_algorithms::ground::boxes::mosaic::Mosaic;
+use evermap_algorithms::ground::boxes::teaching::{Candidates, TeachingParams};
+use evermap_catalog::labels::box_hypotheses::Kind;
+use evermap_catalog::labels::box_models::learnt;
+use evermap_datasets::annotations::{Annotation, AnnotationLog};
+use evermap_schemas::Fault;
+use evermap_schemas::layers::{BoxHypothesis, OverheadTile, PlacedLabel};
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use serde_json::{Value, json};
+use tokio::sync::Mutex;
+
+use crate::annotate::features::Feature;
+use crate::annotate::saying::{Speaker, read_back, said};
+use crate::annotate::state::State;
+use crate::annotate::{Losses, begin, unwritten, user};
+use crate::progress::line;
+use crate::serve::maps::{Opened, ServedMap};
+
+/// A log ends when its author has said nothing for so long.
+const SITTING: Duration = Duration::from_secs(60);
+
+/// The maps that are taught, by the name of the map and the site.
+#[derive(Default)]
+struct Sites(BTreeMap<(String, String), Arc<Site>>);
+
+/// Where people teach, and what they have said so far.
+pub struct Teaching {
+    folder: PathBuf,
+    /// Who speaks where nobody says a name.
+    pub author: String,
+    sites: Mutex<Sites>,
+    /// They search while people go on answering: all but one, so that an answer finds one that is free.
+    threads: Arc<ThreadPool>,
+}
+
+/// A site that is taught.
+pub struct Site {
+    told: Mutex<Told>,
+    learning: Mutex<()>,
+    searching: Mutex<()>,
+    threads: Arc<ThreadPool>,
+    learnt: std::sync::Mutex<BTreeMap<String, Arc<Learnt>>>,
+}
+
+/// A site with all that was said of it.
+struct Told {
+    opened: Arc<Opened>,
+    state: State,
+    mosaic: Arc<Mosaic>,
+    logs: BTreeMap<String, (AnnotationLog, Instant)>,
+    folder: PathBuf,
+    /// Counts what was said since the server knows the site.
+    revision: u64,
+    last_ns: u64,
+}
+
+/// What may be of a kind, as all that was said up to a revision teaches.
+#[derive(Debug)]
+pub struct Learnt {
+    /// What was known.
+    pub revision: u64,
+    /// The likeliest first.
+    pub hypotheses: Vec<BoxHypothesis>,
+    /// Whether the image was searched for them: else they are what was found before, weighed again.
+    pub is_searched: bool,
+    /// How long it took.
+    pub took: Duration,
+    /// The boxes that were weighed; `None` where nobody has drawn one yet.
+    candidates: Option<Arc<Candidates>>,
+}
+
+/// What was said and written.
+pub struct Saved {
+    /// Acts that are on the disk.
+    pub acts: usize,
+    /// What makes the labels as they were before, as GeoJSON to be said.
+    pub undo: Value,
+    /// What does not fit.
+    pub notes: Vec<String>,
+    /// Counts what was said.
+    pub revision: u64,
+    kinds: BTreeSet<String>,
+}
+
+/// The labels of a site.
+pub struct Labels {
+    /// The version that they are placed in.
+    pub version: u64,
+    /// Counts what was said.
+    pub revision: u64,
+    /// They, by name.
+    pub labels: Vec<PlacedLabel>,
+}
+
+impl Teaching {
+    /// Teaching into a folder, which is made where it is not there.
+    ///
+    /// # Errors
+    /// A resource fault for a folder that cannot be made.
+    pub fn new(folder: &Path) -> Result<Self, Fault> {
+        made(folder)?;
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let threads = ThreadPoolBuilder::new().num_threads((cores - 1).max(1));
+        let threads = threads.build();
+        let threads = threads.map_err(|error| Fault::resource(error.to_string()))?;
+        Ok(Self {
+            folder: folder.to_owned(),
+            author: user(),
+            sites: Mutex::default(),
+            threads: Arc::new(threads),
+        })
+    }
+
+    /// A site of a map as it is now.
+    ///
+    /// # Errors
+    /// A user fault for a site that there is not.
+    pub async fn site(&self, map: &ServedMap, site: &str) -> Result<Arc<Site>, Fault> {
+        let opened = map.newest().await?;
+        let mut sites = self.sites.lock().await;
+        let key = (map.name.clone(), site.to_owned());
+        if let Some(known) = sites.0.get(&key) {
+            let known = Arc::clone(known);
+            drop(sites);
+            known.at(opened).await?;
+            return Ok(known);
+        }
+        let folder = self.folder.join(word(&map.name)?).join(word(site)?);
+        let told = Told::read(opened, site, folder).await?;
+        let known = Arc::new(Site {
+            told: Mutex::new(told),
+            learning: Mutex::default(),
+            searching: Mutex::default(),
+            threads: Arc::clone(&self.threads),
+            learnt: std::sync::Mutex::default(),
+        });
+        sites.0.insert(key, Arc::clone(&known));
+        Ok(known)
+    }
+
+    /// Ends the logs of those who have said nothing for a while, for ever.
+    pub async fn tidied(&self) {
+        loop {
+            tokio::time::sleep(SITTING / 4).await;
+            let sites: Vec<Arc<Site>> = self.sites.lock().await.0.values().cloned().collect();
+            for site in sites {
+                site.told.lock().await.end(SITTING);
+            }
+        }
+    }
+}
+
+impl Site {
+    /// Places labels in a version of the map, if it is another one.
+    async fn at(&self, opened: Arc<Opened>) -> Result<(), Fault> {
+        let mut told = self.told.lock().await;
+        if told.opened.version() < opened.version() {
+            told.end(Duration::ZERO);
+            let site = told.state.site.clone();
+            let mut read = Told::read(opened, &site, told.folder.clone()).await?;
+            read.revision = told.revision + 1;
+            read.last_ns = told.last_ns;
+            *told = read;
+        }
+        Ok(())
+    }
+
+    /// The labels that there are.
+    pub async fn labels(&self) -> Labels {
+        let told = self.told.lock().await;
+        Labels {
+            version: told.state.version,
+            revision: told.revision,
+            labels: told.state.labels.values().cloned().collect(),
+        }
+    }
+
+    /// Says what features have drawn, and begins to learn from it.
+    ///
+    /// # Errors
+    /// A user fault for features that make no sense, a resource fault where they cannot be written. Nothing is said then.
+    pub async fn say(self: &Arc<Self>, author: &str, features: &[Feature]) -> Result<Saved, Fault> {
+        let author = word(author)?;
+        let saved = {
+            let mut told = self.told.lock().await;
+            tokio::task::block_in_place(|| told.say(author, features))?
+        };
+        for kind in saved.kinds.clone() {
+            let site = Arc::clone(self);
+            tokio::spawn(async move {
+                if let Err(fault) = site.learn(&kind).await {
+                    tracing::warn!("nothing was learnt of {kind}: {fault}");
+                }
+            });
+        }
+        Ok(saved)
+    }
+
+    /// What may be of a kind, as what was said up to a revision, or later, teaches; waits until it is learnt, and the image
+    /// searched where that is asked for.
+    ///
+    /// # Errors
+    /// As learning says.
+    pub async fn learnt(
+        self: &Arc<Self>,
+        kind: &str,
+        revision: u64,
+        searched: bool,
+    ) -> Result<Arc<Learnt>, Fault> {
+        let learnt = self.weighed(kind, revision).await?;
+        if searched && !learnt.is_searched {
+            self.search(kind).await;
+        }
+        Ok(self.known(kind).unwrap_or(learnt))
+    }
+
+    async fn weighed(self: &Arc<Self>, kind: &str, revision: u64) -> Result<Arc<Learnt>, Fault> {
+        match self.known(kind).filter(|known| known.revision >= revision) {
+            Some(known) => Ok(known),
+            None => self.learn(kind).await,
+        }
+    }
+
+    fn known(&self, kind: &str) -> Option<Arc<Learnt>> {
+        self.all().get(kind).cloned()
+    }
+
+    fn all(&self) -> MutexGuard<'_, BTreeMap<String, Arc<Learnt>>> {
+        self.learnt.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Learns what all that was said of a kind teaches, unless somebody else has done so meanwhile. Where candidates are
+    /// known they are weighed again at once, and others searched for later.
+    async fn learn(self: &Arc<Self>, kind: &str) -> Result<Arc<Learnt>, Fault> {
+        let _turn = self.learning.lock().await;
+        let lesson = self.lesson(kind).await;
+        let known = self.known(kind);
+        let new = |known: &Arc<Learnt>| known.revision < lesson.revision;
+        if let Some(known) = known.clone().filter(|known| !new(known)) {
+            return Ok(known);
+        }
+        let candidates = known.and_then(|known| known.candidates.clone());
+        let is_first = candidates.is_none();
+        let work = tokio::task::spawn_blocking(move || lesson.learn(candidates));
+        let learnt = work
+            .await
+            .map_err(|error| Fault::bug(error.to_string()))??;
+        if !is_first {
+            let site = Arc::clone(self);
+            let kind = kind.to_owned();
+            tokio::spawn(async move { site.search(&kind).await });
+        }
+        Ok(self.keep(kind, learnt))
+    }
+
+    fn keep(&self, kind: &str, learnt: Learnt) -> Arc<Learnt> {
+        let learnt = Arc::new(learnt);
+        self.all().insert(kind.to_owned(), Arc::clone(&learnt));
+        learnt
+    }
+
+    /// Searches the image for what the latest model finds, one search after the other.
+    async fn search(self: &Arc<Self>, kind: &str) {
+        let _turn = self.searching.lock().await;
+        if self.known(kind).is_some_and(|known| known.is_searched) {
+            return;
+        }
+        let lesson = self.lesson(kind).await;
+        let revision = lesson.revision;
+        let threads = Arc::clone(&self.threads);
+        let search = move || threads.install(|| lesson.learn(None));
+        let found = match tokio::task::spawn_blocking(search).await {
+            Ok(Ok(found)) => found,
+            Ok(Err(fault)) => return tracing::warn!("nothing was found of {kind}: {fault}"),
+            Err(error) => return tracing::warn!("nothing was found of {kind}: {error}"),
+        };
+        let _turn = self.learning.lock().await;
+        let lesson = self.lesson(kind).await;
+        let found = match lesson.revision == revision {
+            true => Ok(found),
+            // More was said meanwhile.
+            false => tokio::task::block_in_place(|| lesson.learn(found.candidates)),
+        };
+        if let Ok(found) = found {
+            self.keep(kind, found);
+        }
+    }
+
+    /// What there is to learn from.
+    async fn lesson(&self, kind: &str) -> Lesson {
+        let told = self.told.lock().await;
+        let labels = told.state.labels.values();
+        let labels = labels.filter(|label| label.kind == kind).cloned();
+        Lesson {
+            revision: told.revision,
+            mosaic: Arc::clone(&told.mosaic),
+            labels: labels.collect(),
+        }
+    }
+}
+
+/// What there is to learn of one kind.
+struct Lesson {
+    revision: u64,
+    mosaic: Arc<Mosaic>,
+    labels: Vec<PlacedLabel>,
+}
+
+impl Lesson {
+    /// Learns from what was said, and weighs candidates; searches for them where none are given.
+    fn learn(self, candidates: Option<Arc<Candidates>>) -> Result<Learnt, Fault> {
+        let begun = Instant::now();
+        let (params, cell_m) = (TeachingParams::default(), self.mosaic.cell_m());
+        let mut skip = |_, _| {};
+        let models = learnt(&params, &self.mosaic, &self.labels, &mut skip)?;
+        let kind = models.into_iter().next();
+        let kind = kind.and_then(|model| Kind::new(model, &self.labels, cell_m));
+        let is_searched = candidates.is_none();
+        let found = kind.map(|kind| {
+            let candidates = match candidates {
+                Some(known) => kind.look_again(&known),
+                None => kind.search(&self.mosaic),
+            };
+            (kind.weigh(&candidates), Arc::new(candidates))
+        });
+        let (hypotheses, candidates) = found.unzip();
+        Ok(Learnt {
+            revision: self.revision,
+            hypotheses: hypotheses.unwrap_or_default(),
+            is_searched,
+            took: begun.elapsed(),
+            candidates,
+        })
+    }
+}
+
+impl Told {
+    async fn read(opened: Arc<Opened>, site: &str, folder: PathBuf) -> Result<Self, Fault> {
+        let mut losses = Losses::default();
+        let state = State::read(&opened.reader, Some(site), &logs(&folder), &mut losses).await?;
+        losses.tell();
+        let tiles: Vec<OverheadTile> = opened.reader.rows(Some(site)).await?;
+        let mosaic = evermap_catalog::mosaic(tiles, &mut |_, _| {});
+        Ok(Self {
+            opened,
+            state,
+            mosaic: Arc::new(mosaic),
+            logs: BTreeMap::new(),
+            folder,
+            revision: 1,
+            last_ns: 0,
+        })
+    }
+
+    fn say(&mut self, author: &str, features: &[Feature]) -> Result<Saved, Fault> {
+        let now = chrono::Utc::now().timestamp_nanos_opt();
+        // Of two acts in one instant, the second is later.
+        self.last_ns = now.map_or(0, |now| now.max(0) as u64).max(self.last_ns + 1);
+        let speaker = Speaker {
+            author: author.to_owned(),
+            stamp_ns: self.last_ns,
+            kind: None,
+        };
+        let mut losses = Losses::default();
+        let said = said(features, &self.state, &speaker, &mut losses)?;
+        let refused = || Fault::user(losses.lines.join("; "));
+        if said.acts.is_empty() && !losses.lines.is_empty() {
+            return Err(refused().next("nothing was saved"));
+        }
+        let names: BTreeMap<&str, &str> = said
+            .acts
+            .iter()
+            .map(|act| (act.id.as_str(), act.kind.as_str()))
+            .collect();
+        let undo = names.iter().map(|(label, kind)| self.undo(label, kind));
+        let undo = json!({ "type": "FeatureCollection", "features": undo.collect::<Vec<_>>() });
+        let kinds = said.acts.iter().map(|act| act.kind.clone());
+        let kinds = kinds.chain(
+            names
+                .keys()
+                .filter_map(|label| Some(self.state.labels.get(*label)?.kind.clone())),
+        );
+        let kinds = kinds.collect();
+        if !said.acts.is_empty() {
+            let session = self.write(author, &said.acts)?;
+            let rows = said.acts.iter();
+            let rows = rows.map(|act| read_back(act, &self.state.site, &session));
+            let rows = rows.collect();
+            self.state.add(rows, &mut Losses::default());
+            self.revision += 1;
+        }
+        Ok(Saved {
+            acts: said.acts.len(),
+            undo,
+            notes: losses.counts.into_keys().collect(),
+            revision: self.revision,
+            kinds,
+        })
+    }
+
+    /// What makes a label as it is now.
+    fn undo(&self, label: &str, kind: &str) -> Value {
+        let feature = |geometry: Value, kind: &str, standing: &str| {
+            let properties = json!({ "kind": kind, "standing": standing });
+            json!({ "type": "Feature", "id": label, "geometry": geometry, "properties": properties })
+        };
+        let Some(known) = self.state.labels.get(label) else {
+            return feature(Value::Null, kind, "removed");
+        };
+        let geometry = match known.shape.as_str() {
+            "polyline" => json!({ "type": "LineString", "coordinates": known.points }),
+            _ => {
+                let ring = known.points.iter().chain(known.points.first());
+                json!({ "type": "Polygon", "coordinates": [ring.collect::<Vec<_>>()] })
+            }
+        };
+        feature(geometry, &known.kind, &known.standing)
+    }
+
+    /// Writes acts to their author's log; the name of its session.
+    fn write(&mut self, author: &str, acts: &[Annotation]) -> Result<String, Fault> {
+        let mut log = match self.logs.remove(author) {
+            Some((log, _)) => log,
+            None => self.begin(author)?,
+        };
+        // A log that cannot be written ends here: what follows is its next part.
+        log.say_all(acts).map_err(unwritten)?;
+        let session = log.path().file_stem().unwrap_or_default();
+        let session = session.to_string_lossy().into_owned();
+        self.logs.insert(author.to_owned(), (log, Instant::now()));
+        Ok(session)
+    }
+
+    fn begin(&self, author: &str) -> Result<AnnotationLog, Fault> {
+        made(&self.folder)?;
+        let name = format!("{}_{author}.mcap", self.state.site);
+        begin(&self.folder.join(name), &self.opened.reader.map.version)
+    }
+
+    /// Ends the logs of those who have said nothing for so long.
+    fn end(&mut self, silent: Duration) {
+        let all = std::mem::take(&mut self.logs);
+        for (author, (log, last)) in all {
+            if last.elapsed() < silent {
+                self.logs.insert(author, (log, last));
+                continue;
+            }
+            let site = &self.state.site;
+            match log.finish() {
+                Ok(path) => line(&format!(
+                    "{author} said something of {site}: {}; evermap run PLAN --site {site} --sessions {}",
+                    path.display(),
+                    path.display()
+                )),
+                Err(error) => tracing::warn!("a log of {author} has no end: {error}"),
+            }
+        }
+    }
+}
+
+impl Drop for Told {
+    fn drop(&mut self) {
+        self.end(Duration::ZERO);
+    }
+}
+
+/// The logs of a folder, by name.
+fn logs(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten();
+    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    let mut logs: Vec<PathBuf> = paths
+        .filter(|path| path.extension().is_some_and(|found| found == "mcap"))
+        .collect();
+    logs.sort();
+    logs
+}
+
+/// A name, if it can be part of a file's.
+fn word(name: &str) -> Result<&str, Fault> {
+    let is_plain = |letter: char| letter.is_alphanumeric() || "-_.@+ ".contains(letter);
+    let fits = (1..=64).contains(&name.chars().count()) && !name.starts_with('.');
+    match fits && name.chars().all(is_plain) {
+        true => Ok(name),
+        false => Err(Fault::user(format!(
+            "expected a name of at most 64 letters, digits, spaces and - _ . @ +, found {name:?}"
+        ))),
+    }
+}
+
+/// Makes a folder where it is not there.
+fn made(folder: &Path) -> Result<(), Fault> {
+    let made = std::fs::create_dir_all(folder);
+    made.map_err(|error| {
+        Fault::resource(format!("cannot write to it: {error}")).at(folder.display())
+    })
+}
