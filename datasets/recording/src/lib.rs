@@ -51,15 +51,16 @@ pub struct Times {
 }
 
 impl LogWriter {
-    /// Starts the file `target`, in place of an older one; `library` is named as its writer.
+    /// Starts the file `target`, in place of an older one; `library` is named as its writer, `profile` what its channels
+    /// keep to (`ros2`, or nothing).
     ///
     /// # Errors
     /// [`RecordingError`], as of all that is written.
-    pub fn create(target: &Path, library: &str) -> Result<Self, RecordingError> {
+    pub fn create(target: &Path, library: &str, profile: &str) -> Result<Self, RecordingError> {
         let partial = target.with_extension("mcap.part");
         let file = File::create(&partial).map_err(|error| failed(&partial, error.into()))?;
         let options = WriteOptions::new()
-            .profile("ros2")
+            .profile(profile)
             .library(library)
             .compression(Some(Compression::Zstd))
             .compression_level(1)
@@ -81,11 +82,33 @@ impl LogWriter {
     pub fn topic<M: Message>(&mut self, topic: &str, latched: bool) -> Result<u16, RecordingError> {
         let metadata = latched.then(|| (LATCHED.0.to_owned(), LATCHED.1.to_owned()));
         let metadata = metadata.into_iter().collect();
-        let schema = self
-            .writer
-            .add_schema(M::NAME, "ros2msg", M::DEFINITION.as_bytes())
-            .map_err(|error| failed(&self.partial, error))?;
-        let channel = self.writer.add_channel(schema, topic, "cdr", &metadata);
+        let schema = (M::NAME, "ros2msg", M::DEFINITION.as_bytes());
+        self.add(topic, schema, "cdr", &metadata)
+    }
+
+    /// Declares a topic of messages that the caller encodes, with the schema's name, encoding and text.
+    ///
+    /// # Errors
+    /// [`RecordingError`].
+    pub fn channel(
+        &mut self,
+        topic: &str,
+        schema: (&str, &str, &[u8]),
+        encoding: &str,
+    ) -> Result<u16, RecordingError> {
+        self.add(topic, schema, encoding, &BTreeMap::new())
+    }
+
+    fn add(
+        &mut self,
+        topic: &str,
+        (name, kind, text): (&str, &str, &[u8]),
+        encoding: &str,
+        metadata: &BTreeMap<String, String>,
+    ) -> Result<u16, RecordingError> {
+        let schema = self.writer.add_schema(name, kind, text);
+        let schema = schema.map_err(|error| failed(&self.partial, error))?;
+        let channel = self.writer.add_channel(schema, topic, encoding, metadata);
         channel.map_err(|error| failed(&self.partial, error))
     }
 

@@ -63,7 +63,7 @@ pub(super) fn write(
         events.extend(stamps.map(|(i, (stamp, _))| (*stamp, Event::Labels(c, i))));
     }
     events.sort();
-    let mut log = LogWriter::create(out, "evermap import").map_err(fault)?;
+    let mut log = LogWriter::create(out, "evermap import", "ros2").map_err(fault)?;
     let transforms = topic::<StaticTransforms>(&mut log, "/tf_static")?;
     let odometry = topic::<Odometry>(&mut log, "/odom")?;
     let channels: Result<Vec<Channels>, Fault> = cameras

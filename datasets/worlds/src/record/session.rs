@@ -133,7 +133,7 @@ impl Session {
         tell: &mut Tell<'_>,
     ) -> Recorded {
         let path = folder.join(format!("{}.mcap", self.name));
-        let mut log = LogWriter::create(&path, "evermap-worlds")?;
+        let mut log = LogWriter::create(&path, "evermap-worlds", "ros2")?;
         let schedule = self.schedule(sensors, &mut log)?;
         log.label_classes(sensors.label_classes.clone())?;
         let mut darkroom = Darkroom {

@@ -249,8 +249,8 @@ pub struct LayersArgs {
 /// Arguments of `export`.
 #[derive(Debug, Args)]
 pub struct ExportArgs {
-    /// Layer.
-    pub layer: String,
+    /// Layer; none for mcap, which is of the whole map.
+    pub layer: Option<String>,
     /// The map.
     #[command(flatten)]
     pub map: MapArgs,

@@ -13,7 +13,7 @@ pub async fn export(args: &ExportArgs) -> Ending {
     let reader = MapReader::open(&args.map.map, args.map.version).await?;
     write(
         &reader,
-        &args.layer,
+        args.layer.as_deref(),
         &args.selection,
         args.format,
         &args.out,

@@ -1,6 +1,7 @@
 //! Layers in the formats of other programs.
 
 mod colmap;
+mod foxglove;
 mod g2o;
 mod geo;
 mod ground;
@@ -33,6 +34,8 @@ pub enum ExportFormat {
     G2o,
     /// COLMAP's text model, a folder: cameras, adjusted poses with their features, landmarks.
     Colmap,
+    /// The whole map, with its drives and their camera images, as a recording for Foxglove, Lichtblick and Rerun.
+    Mcap,
     /// Overhead tiles as one picture with a world file beside it.
     Png,
     /// Comma separated; lists and structs are JSON.
@@ -55,17 +58,33 @@ pub struct Selection {
     pub zoom: Option<u32>,
 }
 
-/// Writes a layer to a file.
+/// Writes a layer, or of the format MCAP the map, to a file.
 ///
 /// # Errors
 /// A user fault for a layer that has not what the format needs, a data fault for rows that make no sense.
 pub async fn export(
     reader: &MapReader,
-    layer: &str,
+    layer: Option<&str>,
     selection: &Selection,
     format: ExportFormat,
     out: &Path,
 ) -> Result<(), Failure> {
+    let layer = match (layer, format) {
+        (None, ExportFormat::Mcap) => return foxglove::export(reader, selection, out).await,
+        (Some(layer), ExportFormat::Mcap) => {
+            let fault = Fault::user(format!(
+                "expected no layer beside --format mcap, found {layer}"
+            ));
+            return Err(fault
+                .next("leave it out: the recording is of the whole map")
+                .into());
+        }
+        (None, _) => {
+            let fault = Fault::user("expected the layer to export, found none");
+            return Err(fault.next("evermap layers --map MAP lists them").into());
+        }
+        (Some(layer), _) => layer,
+    };
     let written = written(reader, layer, selection, format, out).await;
     written.map_err(|failure| match failure {
         Failure::Fault(fault) => Failure::Fault(fault.at(format!("layer {layer}"))),
@@ -104,6 +123,7 @@ async fn written(
             write_file(out, graph.as_bytes())
         }
         ExportFormat::Colmap => colmap::export(reader, &batches, site, out).await,
+        ExportFormat::Mcap => return Err(Fault::bug("a layer is no recording").into()),
         ExportFormat::Png => {
             let picture = ground::picture(&batches, selection.zoom)?;
             write_file(out, &picture.png()?)?;

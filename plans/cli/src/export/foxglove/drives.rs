@@ -1,0 +1,241 @@
+//! What was driven: poses, mounts, calibrations, images and people in them.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use bytes::Bytes;
+use evermap_schemas::layers::{Keyframe, Person, VehiclePose};
+use evermap_schemas::roles::{Calibration, Transform};
+use evermap_schemas::{Fault, ImageRef, LayerRow, Pose};
+use foxglove::messages::points_annotation::Type as Outline;
+use foxglove::messages::{
+    CameraCalibration, CompressedImage, FrameTransform, ImageAnnotations, Point2, PointsAnnotation,
+    PosesInFrame,
+};
+
+use super::messages::{MAP, VERMILION, color, pose, rotation, time, vector};
+use super::{Said, What};
+use crate::reader::{MapReader, only, typed};
+
+/// The frame of a vehicle whose log names none.
+const VEHICLE: &str = "base_link";
+
+/// An image of a keyframe.
+pub(super) struct Image {
+    /// Session that it was taken in.
+    pub(super) session: String,
+    camera: String,
+    /// Where its bytes are.
+    pub(super) reference: ImageRef,
+}
+
+impl Image {
+    /// The message, with the image's bytes.
+    pub(super) fn message(&self, stamp: i64, bytes: Vec<u8>) -> CompressedImage {
+        let format = match bytes.get(..4) {
+            Some(b"\x89PNG") => "png",
+            Some(b"RIFF") => "webp",
+            _ => "jpeg",
+        };
+        CompressedImage {
+            timestamp: time(stamp),
+            frame_id: frame(&self.session, &self.camera),
+            data: Bytes::from(bytes),
+            format: format.to_owned(),
+        }
+    }
+}
+
+/// All of it.
+pub(super) async fn said(
+    reader: &MapReader,
+    site: &str,
+    poses: Vec<VehiclePose>,
+) -> Result<Vec<Said>, Fault> {
+    let mut sessions: BTreeMap<String, Vec<VehiclePose>> = BTreeMap::new();
+    for row in poses {
+        sessions.entry(row.session.clone()).or_default().push(row);
+    }
+    let mounts: Vec<Transform> = from_logs(reader, "mounts", site).await?;
+    let cameras: Vec<Calibration> = from_logs(reader, "cameras", site).await?;
+    let mut all = Vec::new();
+    let mut firsts = BTreeMap::new();
+    for (session, poses) in &mut sessions {
+        poses.sort_by_key(|row| row.stamp);
+        let first = poses.first().map_or(0, |row| row.stamp.0);
+        firsts.insert(session.clone(), first);
+        let mounts = mounts
+            .iter()
+            .filter(|row| row.session == *session && row.fixed);
+        let mounts: Vec<&Transform> = mounts.collect();
+        all.extend(driven(session, poses, vehicle(&mounts))?);
+        for mount in mounts {
+            let message = transform(
+                first,
+                frame(session, &mount.parent),
+                frame(session, &mount.child),
+                &mount.parent_from_child,
+            );
+            all.push(Said::new(first, "/tf", &message)?);
+        }
+    }
+    for row in first_of_each(cameras) {
+        if let Some(first) = firsts.get(&row.session)
+            && let Some(message) = calibration(&row, *first)
+        {
+            let topic = format!("{}/calibration", topic(&row.session, &row.camera));
+            all.push(Said::new(*first, topic, &message)?);
+        }
+    }
+    let is_driven = |session: &String| firsts.contains_key(session);
+    all.extend(images(reader.rows(Some(site)).await?, is_driven));
+    let people: Vec<Person> = reader.rows(Some(site)).await?;
+    all.extend(annotations(people, is_driven)?);
+    Ok(all)
+}
+
+/// The rows of a layer that a plan took from the logs; none where the map has none.
+async fn from_logs<T: LayerRow>(
+    reader: &MapReader,
+    layer: &str,
+    site: &str,
+) -> Result<Vec<T>, Fault> {
+    match reader.map.has(layer) {
+        true => typed(&only(&reader.map.batches(layer).await?, "site", site)?),
+        false => Ok(Vec::new()),
+    }
+}
+
+/// The frame that the others of a vehicle hang off.
+fn vehicle<'m>(mounts: &[&'m Transform]) -> &'m str {
+    let children: BTreeSet<&str> = mounts.iter().map(|mount| mount.child.as_str()).collect();
+    let parents = mounts.iter().map(|mount| mount.parent.as_str());
+    let mut roots = parents.filter(|parent| !children.contains(parent));
+    roots.next().unwrap_or(VEHICLE)
+}
+
+/// A frame of a session's vehicle.
+fn frame(session: &str, name: &str) -> String {
+    format!("{session}/{}", name.trim_start_matches('/'))
+}
+
+fn topic(session: &str, camera: &str) -> String {
+    format!("/camera/{}", frame(session, camera))
+}
+
+fn transform(stamp: i64, parent: String, child: String, of: &Pose) -> FrameTransform {
+    FrameTransform {
+        timestamp: time(stamp),
+        parent_frame_id: parent,
+        child_frame_id: child,
+        translation: vector(of.x, of.y, of.z),
+        rotation: rotation(of),
+    }
+}
+
+fn driven(session: &str, poses: &[VehiclePose], vehicle: &str) -> Result<Vec<Said>, Fault> {
+    let moved = |row: &VehiclePose| {
+        let child = frame(session, vehicle);
+        let message = transform(row.stamp.0, MAP.to_owned(), child, &row.map_from_vehicle);
+        Said::new(row.stamp.0, "/tf", &message)
+    };
+    let mut all = poses.iter().map(moved).collect::<Result<Vec<_>, _>>()?;
+    let first = poses.first().map_or(0, |row| row.stamp.0);
+    let trajectory = PosesInFrame {
+        timestamp: time(first),
+        frame_id: MAP.to_owned(),
+        poses: poses
+            .iter()
+            .map(|row| pose(&row.map_from_vehicle))
+            .collect(),
+    };
+    all.push(Said::new(
+        first,
+        format!("/trajectory/{session}"),
+        &trajectory,
+    )?);
+    Ok(all)
+}
+
+fn first_of_each(mut cameras: Vec<Calibration>) -> Vec<Calibration> {
+    cameras.sort_by(|a, b| (&a.session, &a.camera, a.stamp).cmp(&(&b.session, &b.camera, b.stamp)));
+    cameras.dedup_by(|next, kept| (&next.session, &next.camera) == (&kept.session, &kept.camera));
+    cameras
+}
+
+/// A camera's calibration; `None` for models that Foxglove does not know.
+fn calibration(row: &Calibration, stamp: i64) -> Option<CameraCalibration> {
+    let model = match row.model.as_str() {
+        "equidistant" => "kannala_brandt",
+        known @ ("plumb_bob" | "rational_polynomial") => known,
+        _ => return None,
+    };
+    let &[fx, skew, cx, _, fy, cy, _, _, one] = row.intrinsics.as_slice() else {
+        return None;
+    };
+    Some(CameraCalibration {
+        timestamp: time(stamp),
+        frame_id: frame(&row.session, &row.camera),
+        width: row.width,
+        height: row.height,
+        distortion_model: model.to_owned(),
+        d: row.distortion.clone(),
+        k: row.intrinsics.clone(),
+        r: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p: vec![fx, skew, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, one, 0.0],
+    })
+}
+
+fn images(keyframes: Vec<Keyframe>, is_driven: impl Fn(&String) -> bool) -> Vec<Said> {
+    let of_session = keyframes.into_iter().filter(|row| is_driven(&row.session));
+    let images = of_session.flat_map(|row| {
+        let session = row.session;
+        row.images.into_iter().map(move |image| Said {
+            stamp: image.stamp.0,
+            topic: topic(&session, &image.camera),
+            what: What::Image(Box::new(Image {
+                session: session.clone(),
+                camera: image.camera,
+                reference: image.image,
+            })),
+        })
+    });
+    images.collect()
+}
+
+/// People by image, as rectangles on it.
+fn annotations(
+    people: Vec<Person>,
+    is_driven: impl Fn(&String) -> bool,
+) -> Result<Vec<Said>, Fault> {
+    let mut images: BTreeMap<(String, String, i64), Vec<PointsAnnotation>> = BTreeMap::new();
+    for row in people.into_iter().filter(|row| is_driven(&row.session)) {
+        let key = (row.session, row.camera, row.stamp.0);
+        let &[left, top, right, bottom] = row.rectangle.as_slice() else {
+            continue;
+        };
+        let corners = [[left, top], [right, top], [right, bottom], [left, bottom]];
+        images.entry(key).or_default().push(PointsAnnotation {
+            timestamp: time(row.stamp.0),
+            r#type: Outline::LineLoop as i32,
+            points: corners.map(|[x, y]| Point2 { x, y }).to_vec(),
+            outline_color: color(VERMILION, row.probability.clamp(0.3, 1.0)),
+            thickness: 3.0,
+            ..PointsAnnotation::default()
+        });
+    }
+    let said = images
+        .into_iter()
+        .map(|((session, camera, stamp), points)| {
+            let message = ImageAnnotations {
+                timestamp: time(stamp),
+                points,
+                ..ImageAnnotations::default()
+            };
+            Said::new(
+                stamp,
+                format!("{}/people", topic(&session, &camera)),
+                &message,
+            )
+        });
+    said.collect()
+}
