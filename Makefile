@@ -2,7 +2,7 @@
 #   make map     simulates a car park, maps one drive into ./map and then one revisit after the other, a version each,
 #                and says where pictures and report are
 #   make test    runs every test
-# The rest is for work on evermap: format, lint, deny, docs, bench, peers.
+# `make wheel` builds the Python package. The rest is for work on evermap: format, lint, deny, docs, bench, peers.
 
 export PATH := $(PATH):$(HOME)/.cargo/bin
 EVERMAP := target/release/evermap
@@ -14,7 +14,7 @@ export OPENCV_LINK_PATHS ?= /usr/lib/$(MULTIARCH)
 export OPENCV_INCLUDE_PATHS ?= /usr/include/opencv4,/usr/include/$(MULTIARCH)/opencv4
 endif
 
-.PHONY: map test format lint deny docs bench bench-mosaic peers exports packages test-packages release
+.PHONY: map test wheel format lint deny docs bench bench-mosaic peers exports packages test-packages release
 .DEFAULT_GOAL := map
 
 # The life of a map: the first drive, then each revisit by a run of its own. Run again, it changes nothing.
@@ -40,9 +40,10 @@ sessions/.complete: | release
 release: packages
 	cargo build --release --locked --package evermap
 
+# The library for Python is built by its own tests, which load it from Python; a program of Rust cannot.
 test: test-packages .venv/complete
-	cargo test --workspace --locked --lib --bins --tests
-	cargo test --workspace --locked --doc
+	cargo test --workspace --exclude evermap-python --locked --lib --bins --tests
+	cargo test --workspace --exclude evermap-python --locked --doc
 
 # A macro declares the files of operators, so that cargo fmt does not find them.
 format:
@@ -51,6 +52,14 @@ format:
 
 lint: packages format
 	cargo clippy --workspace --all-targets --locked -- -D warnings
+
+# The Python package, for Python 3.10 and later: target/wheels.
+wheel: packages .venv/wheel
+	.venv/bin/maturin build --release --locked --manifest-path python/Cargo.toml
+
+.venv/wheel: .venv/complete
+	.venv/bin/pip install --quiet --disable-pip-version-check 'maturin>=1.9,<2'
+	@touch $@
 
 # Licences, sources and second versions of what is linked, as deny.toml allows them.
 deny: .venv/deny

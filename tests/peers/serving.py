@@ -46,7 +46,7 @@ def client(address, seconds, pause, found, wrong):
             time.sleep(random.uniform(0, 2 * pause))
 
 
-def publish(path, site, seconds, published):
+def publish(path, site, seconds, published, name):
     """Says something of the map, and runs the plan that takes it in, once a minute."""
     end = time.monotonic() + seconds
     with tempfile.TemporaryDirectory() as folder:
@@ -54,7 +54,7 @@ def publish(path, site, seconds, published):
             number = len(published)
             ring = [[number, 0], [number + 2, 0], [number + 2, 5], [number, 5], [number, 0]]
             feature = {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [ring]}, "properties": {"kind": "spot"}}
-            said, log = Path(folder) / f"said_{number}.json", Path(folder) / f"said_{number}.mcap"
+            said, log = Path(folder) / f"{name}_{number}.json", Path(folder) / f"{name}_{number}.mcap"
             said.write_text(json.dumps(feature))
             where = ["--map", path, "--site", site]
             for arguments in [["annotate", *where, "--import", said, "--out", log], ["run", "labels", *where, "--sessions", log]]:
@@ -69,7 +69,7 @@ def measured(address, path, site, seconds, clients, pause, server):
     found, wrong, published = [], [], []
     before = memory(server)
     threads = [threading.Thread(target=client, args=(address, seconds, pause, found, wrong)) for _ in range(clients)]
-    threads.append(threading.Thread(target=publish, args=(path, site, seconds, published)))
+    threads.append(threading.Thread(target=publish, args=(path, site, seconds, published, f"said_{pause:.0f}")))
     for thread in threads:
         thread.start()
     for thread in threads:

@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use evermap_tests::server::{Server, drive, map, script};
-use evermap_tests::{Finished, command, evermap, text};
+use evermap_tests::{Finished, command, evermap, plan_command, text};
 use serde_json::{Value, json};
 
 fn ended(name: &str, arguments: &[&str]) {
@@ -87,6 +87,72 @@ fn a_server_is_read_and_nothing_else() {
     evermap(&["verify", "--map", text(&map)]).expect(0);
     assert!(!Path::new("/tmp/evermap-attack.csv").exists());
     assert!(!Path::new("/tmp/evermap-attack.parquet").exists());
+}
+
+/// What people say is written as who they are, before it is answered, and nothing else is written by anybody.
+#[test]
+fn people_teach_by_http_and_everything_else_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let labels = folder.path().join("labels");
+    let server = Server::start(&map, &[]);
+    ended("serve/teach.py", &["read-only", &server.http]);
+    drop(server);
+    let server = Server::start(&map, &["--teach", text(&labels)]);
+    ended("serve/teach.py", &["taught", &server.http]);
+    let logs = || {
+        let logs = std::fs::read_dir(labels.join("map/lot")).unwrap();
+        let names = logs.map(|log| log.unwrap().file_name().into_string().unwrap());
+        let mut names: Vec<String> = names.collect();
+        names.sort();
+        names
+    };
+    assert_eq!(logs(), ["lot_ada.mcap", "lot_bob.mcap"]);
+
+    // A version that has the logs: what is said then is in the next part.
+    let log = |name: &str| labels.join("map/lot").join(name);
+    let said = ["lot_ada.mcap", "lot_bob.mcap"].map(log);
+    let sessions = ["--sessions", text(&said[0]), text(&said[1])];
+    let plan = folder.path().join("taught.yaml");
+    let taught = "plan: taught\nextends: trajectory\nsteps:\n  said: { sql: SELECT * FROM annotations }\nwrite: [said]\n";
+    std::fs::write(&plan, taught).unwrap();
+    let run = plan_command(text(&plan), &map, "lot", &sessions).output();
+    Finished::from(run.unwrap()).expect(3);
+    ended("serve/teach.py", &["later", &server.http]);
+    assert_eq!(logs().len(), 3, "{:?}", logs());
+    drop(server);
+    let export = folder.path().join("labels.geojson");
+    let log = log("lot_ada.mcap");
+    let annotate = [
+        "annotate",
+        "--map",
+        text(&map),
+        "--out",
+        text(&log),
+        "--export",
+        text(&export),
+    ];
+    let ended = evermap(&annotate);
+    assert!([0, 3].contains(&ended.code), "{}", ended.stderr);
+    let export: Value = serde_json::from_slice(&std::fs::read(export).unwrap()).unwrap();
+    let labels = export["features"].as_array().unwrap().iter();
+    let mut found: Vec<String> = labels
+        .map(|one| {
+            format!(
+                "{} {}",
+                one["properties"]["kind"], one["properties"]["author"]
+            )
+        })
+        .collect();
+    found.sort();
+    assert_eq!(
+        found,
+        [
+            "\"crossing\" \"bob\"",
+            "\"late\" \"ada\"",
+            "\"spot\" \"ada\""
+        ]
+    );
 }
 
 /// What Chromium makes of the page, once its scripts have done their work; `None` where it is not installed.

@@ -8,6 +8,7 @@
 pub mod kitti;
 pub mod odometry;
 pub mod park;
+pub mod recording;
 pub mod server;
 pub mod trajectories;
 

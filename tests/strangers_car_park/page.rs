@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use evermap_tests::park::finished;
+use evermap_tests::recording::is_read_as_the_map_says;
 use evermap_tests::server::{Server, script};
 use evermap_tests::{Finished, text};
 use serde_json::json;
@@ -47,5 +48,6 @@ fn a_park_is_taught_through_the_page_and_no_saved_act_is_lost() {
     assert!(run.stderr.contains("logs without an end"), "{}", run.stderr);
     let (precision, recall) = found(&map, &truth);
     eprintln!("{saved} labels: precision {precision:.3}, recall {recall:.3}");
+    is_read_as_the_map_says(&map, folder.path());
     assert!(precision >= 0.97 && recall >= 0.95, "{precision}, {recall}");
 }

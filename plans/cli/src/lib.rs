@@ -39,6 +39,7 @@ pub mod shipped;
 pub mod shown;
 
 use std::convert::Infallible;
+use std::ffi::OsString;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -78,6 +79,17 @@ pub fn main() -> std::process::ExitCode {
     // Kernels that still run are left behind: what they would write has no name yet.
     runtime.shutdown_background();
     code.into()
+}
+
+/// Does what a command line says, for a program that is not ours and tells how it ended itself.
+///
+/// # Errors
+/// Why it failed; a user fault for a line that makes no sense.
+pub async fn command(line: impl IntoIterator<Item = OsString>) -> Ending {
+    let arguments = Arguments::try_parse_from(line);
+    let arguments = arguments.map_err(|error| Fault::user(error.to_string()))?;
+    let (unfinished, _all_finished) = tokio::sync::mpsc::channel::<Infallible>(1);
+    commands::dispatch(&arguments.command, &unfinished).await
 }
 
 /// Runs a command, unless the person stops it. A map changes only by the last step of a run, so stopping leaves it as

@@ -77,6 +77,8 @@ record! {
         x: f64 ["m", "map"],
         /// Where it is.
         y: f64 ["m", "map"],
+        /// Where it is.
+        z: f64 ["m", "map"],
     }
 }
 

@@ -4,15 +4,17 @@ use std::io::IsTerminal;
 use std::path::Path;
 use std::sync::Arc;
 
+use arrow::array::RecordBatch;
+use arrow::datatypes::SchemaRef;
 use datafusion::error::DataFusionError;
 use datafusion::execution::context::SQLOptions;
 use datafusion::logical_expr::LogicalPlan;
-use datafusion::prelude::SessionContext;
+use datafusion::prelude::{DataFrame, SessionContext};
 use datafusion::sql::parser::{DFParserBuilder, Statement};
 use datafusion::sql::sqlparser::dialect::GenericDialect;
 use evermap_datasets::Dataset;
 use evermap_engine::error::{OrFault, fault_of};
-use evermap_engine::map::{LayerInfo, RunRow, VersionInfo};
+use evermap_engine::map::{LayerInfo, Map, RunRow, VersionInfo};
 use evermap_engine::sql::{Limits, check_size, context};
 use evermap_functions::use_class_index;
 use evermap_language::{listed, nearest};
@@ -37,25 +39,45 @@ pub struct Tables {
 }
 
 impl Tables {
-    async fn open(args: &SqlArgs, sessions: &SessionArgs) -> Result<Self, Failure> {
+    async fn open(args: &SqlArgs, sessions: &SessionArgs) -> Result<Self, Fault> {
         let limits = Limits {
             memory_bytes: args.memory,
             ..Limits::default()
         };
-        if let Some(address) = &args.map {
-            let reader = MapReader::open(address, args.version).await?;
-            let context = reader.context(context(limits)?)?;
-            if let Err(fault) = use_class_index(&context).await.or_fault() {
-                line(&format!(
-                    "warning: queries read graphs without the class index: {fault}"
-                ));
-            }
-            return Ok(Self {
-                context,
-                reader: Some(reader),
-                dataset: None,
-            });
+        match &args.map {
+            Some(address) => Self::of_map(address, args.version, limits).await,
+            None => Self::of_logs(sessions, limits).await,
         }
+    }
+
+    /// Those of a map, at the version asked for.
+    ///
+    /// # Errors
+    /// As [`MapReader::open`].
+    pub async fn of_map(
+        address: &str,
+        version: Option<u64>,
+        limits: Limits,
+    ) -> Result<Self, Fault> {
+        let reader = MapReader::open(address, version).await?;
+        let context = reader.context(context(limits)?)?;
+        if let Err(fault) = use_class_index(&context).await.or_fault() {
+            line(&format!(
+                "warning: queries read graphs without the class index: {fault}"
+            ));
+        }
+        Ok(Self {
+            context,
+            reader: Some(reader),
+            dataset: None,
+        })
+    }
+
+    /// Those of logs.
+    ///
+    /// # Errors
+    /// As [`sessions::open`].
+    pub async fn of_logs(sessions: &SessionArgs, limits: Limits) -> Result<Self, Fault> {
         let context = context(limits)?;
         let dataset = sessions::open(&context.runtime_env(), sessions).await?;
         dataset.register(&context)?;
@@ -64,6 +86,25 @@ impl Tables {
             reader: None,
             dataset: Some(dataset),
         })
+    }
+
+    /// The map, where they are of one.
+    pub fn map(&self) -> Option<&Map> {
+        self.reader.as_ref().map(|reader| &reader.map)
+    }
+
+    /// All rows of the answer to a query that only reads.
+    ///
+    /// # Errors
+    /// What is wrong with the query, or what reading says.
+    pub async fn ask(&self, query: &str) -> Result<(SchemaRef, Vec<RecordBatch>), Fault> {
+        let mut statements = statements(query)?;
+        let (Some(statement), None) = (statements.pop(), statements.pop()) else {
+            return Err(Fault::user("expected one query, found none or several"));
+        };
+        let frame = self.frame(statement).await?;
+        let schema = Arc::new(frame.schema().as_arrow().clone());
+        Ok((schema, frame.collect().await.or_fault()?))
     }
 
     /// The declaration of a table's columns, where there is one: of the operator that made it, else by name.
@@ -116,6 +157,15 @@ impl Tables {
         names
     }
 
+    /// Plans one statement, which only reads.
+    async fn frame(&self, statement: Statement) -> Result<DataFrame, Fault> {
+        let state = self.context.state();
+        let plan = state.statement_to_plan(statement).await.or_fault();
+        let plan = plan.map_err(|fault| self.explained(fault))?;
+        read_only(&plan)?;
+        self.context.execute_logical_plan(plan).await.or_fault()
+    }
+
     /// Runs one statement and writes its rows; how many there were.
     ///
     /// # Errors
@@ -126,11 +176,7 @@ impl Tables {
         format: Format,
         sink: &mut Sink,
     ) -> Result<u64, Failure> {
-        let state = self.context.state();
-        let plan = state.statement_to_plan(statement).await.or_fault();
-        let plan = plan.map_err(|fault| self.explained(fault))?;
-        read_only(&plan)?;
-        let frame = self.context.execute_logical_plan(plan).await.or_fault()?;
+        let frame = self.frame(statement).await?;
         let schema = Arc::new(frame.schema().as_arrow().clone());
         let rows = frame.execute_stream().await.or_fault()?;
         let rows = rows.map_err(|error| fault_of(&error));

@@ -7,6 +7,8 @@ mod geo;
 mod ground;
 mod lanelet2;
 mod nav2;
+mod nav2_route;
+mod ply;
 mod tum;
 
 use std::path::Path;
@@ -28,6 +30,10 @@ pub enum ExportFormat {
     Lanelet2,
     /// A speed map as a mask of Nav2's speed filter: the map's YAML, and beside it its picture (PGM).
     Nav2,
+    /// Lanes as a graph (GeoJSON) of Nav2's route server, with speeds where the map has lane_speeds.
+    Nav2Route,
+    /// Points, as landmarks and surface_points have them, as PLY.
+    Ply,
     /// A trajectory: `seconds x y z qx qy qz qw`, one pose a line.
     Tum,
     /// A pose graph: keyframe poses, odometry and loop closures between them.
@@ -117,6 +123,11 @@ async fn written(
             write_file(&picture, &mask.picture)?;
             write_file(out, mask.yaml.as_bytes())
         }
+        ExportFormat::Nav2Route => {
+            let graph = nav2_route::text(reader, &batches, site).await?;
+            write_file(out, graph.as_bytes())
+        }
+        ExportFormat::Ply => write_file(out, &ply::points(&batches)?),
         ExportFormat::Tum => write_file(out, tum::text(&batches)?.as_bytes()),
         ExportFormat::G2o => {
             let graph = g2o::text(reader, &batches, site).await?;

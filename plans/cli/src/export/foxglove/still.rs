@@ -2,7 +2,6 @@
 
 use bytes::Bytes;
 use evermap_algorithms::geometry::pose::Pose as Rigid;
-use evermap_catalog::labels::label_anchors::Obstacle;
 use evermap_schemas::{Fault, Pose};
 use foxglove::messages::packed_element_field::NumericType;
 use foxglove::messages::{Grid, PointCloud, SceneEntity, SpherePrimitive, Vector2};
@@ -13,7 +12,7 @@ use super::messages::{
 };
 use crate::mosaic::{Mosaic, level, zoom_for};
 use crate::reader::MapReader;
-use crate::shown::{Crossing, Label, Lane, Space, SpeedCell, Tile};
+use crate::shown::{Crossing, Label, LandmarkPoint, Lane, Space, SpeedCell, Tile};
 
 /// Cells of a grid are no finer than this (m): a viewer holds all of it as a texture.
 const FINEST_M: f64 = 0.05;
@@ -32,7 +31,7 @@ pub(super) async fn said(reader: &MapReader, site: &str, stamp: i64) -> Result<V
     if let Some(grid) = speeds(&reader.rows(site).await?, stamp) {
         all.push(Said::new(stamp, "/speed", &grid)?);
     }
-    let landmarks: Vec<Obstacle> = reader.rows(site).await?;
+    let landmarks: Vec<LandmarkPoint> = reader.rows(site).await?;
     if !landmarks.is_empty() {
         all.push(Said::new(stamp, "/landmarks", &cloud(&landmarks, stamp))?);
     }
@@ -126,7 +125,7 @@ fn speeds(cells: &[SpeedCell], stamp: i64) -> Option<Grid> {
     })
 }
 
-fn cloud(landmarks: &[Obstacle], stamp: i64) -> PointCloud {
+fn cloud(landmarks: &[LandmarkPoint], stamp: i64) -> PointCloud {
     let points = landmarks.iter().flat_map(|row| [row.x, row.y, row.z]);
     let bytes = points.flat_map(|value| (value as f32).to_le_bytes());
     PointCloud {

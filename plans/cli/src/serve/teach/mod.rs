@@ -7,28 +7,24 @@
 //! A log ends when its author has said nothing for a while, when a version of the map has it, or with the server: a run
 //! reads whole logs, and the next act begins the next part.
 
-use std::collections::{BTreeMap, BTreeSet};
+mod lesson;
+mod told;
+
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use evermap_algorithms::ground::boxes::mosaic::Mosaic;
-use evermap_algorithms::ground::boxes::teaching::{Candidates, TeachingParams};
-use evermap_catalog::labels::box_hypotheses::Kind;
-use evermap_catalog::labels::box_models::learnt;
-use evermap_datasets::annotations::{Annotation, AnnotationLog};
 use evermap_schemas::Fault;
-use evermap_schemas::layers::{BoxHypothesis, OverheadTile, PlacedLabel};
+use evermap_schemas::layers::PlacedLabel;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use serde_json::{Value, json};
 use tokio::sync::Mutex;
 
 use crate::annotate::features::Feature;
-use crate::annotate::saying::{Speaker, read_back, said};
-use crate::annotate::state::State;
-use crate::annotate::{Losses, begin, unwritten, user};
-use crate::progress::line;
+use crate::annotate::user;
 use crate::serve::maps::{Opened, ServedMap};
+use crate::serve::teach::lesson::{Learnt, Lesson};
+use crate::serve::teach::told::{Saved, Told};
 
 /// A log ends when its author has said nothing for so long.
 const SITTING: Duration = Duration::from_secs(60);
@@ -54,46 +50,6 @@ pub struct Site {
     searching: Mutex<()>,
     threads: Arc<ThreadPool>,
     learnt: std::sync::Mutex<BTreeMap<String, Arc<Learnt>>>,
-}
-
-/// A site with all that was said of it.
-struct Told {
-    opened: Arc<Opened>,
-    state: State,
-    mosaic: Arc<Mosaic>,
-    logs: BTreeMap<String, (AnnotationLog, Instant)>,
-    folder: PathBuf,
-    /// Counts what was said since the server knows the site.
-    revision: u64,
-    last_ns: u64,
-}
-
-/// What may be of a kind, as all that was said up to a revision teaches.
-#[derive(Debug)]
-pub struct Learnt {
-    /// What was known.
-    pub revision: u64,
-    /// The likeliest first.
-    pub hypotheses: Vec<BoxHypothesis>,
-    /// Whether the image was searched for them: else they are what was found before, weighed again.
-    pub is_searched: bool,
-    /// How long it took.
-    pub took: Duration,
-    /// The boxes that were weighed; `None` where nobody has drawn one yet.
-    candidates: Option<Arc<Candidates>>,
-}
-
-/// What was said and written.
-pub struct Saved {
-    /// Acts that are on the disk.
-    pub acts: usize,
-    /// What makes the labels as they were before, as GeoJSON to be said.
-    pub undo: Value,
-    /// What does not fit.
-    pub notes: Vec<String>,
-    /// Counts what was said.
-    pub revision: u64,
-    kinds: BTreeSet<String>,
 }
 
 /// The labels of a site.
@@ -248,6 +204,11 @@ impl Site {
     async fn learn(self: &Arc<Self>, kind: &str) -> Result<Arc<Learnt>, Fault> {
         let _turn = self.learning.lock().await;
         let lesson = self.lesson(kind).await;
+        if lesson.labels.is_empty() {
+            // Any word is a kind: what nobody has said anything of is not kept.
+            self.all().remove(kind);
+            return lesson.learn(None).map(Arc::new);
+        }
         let known = self.known(kind);
         let new = |known: &Arc<Learnt>| known.revision < lesson.revision;
         if let Some(known) = known.clone().filter(|known| !new(known)) {
@@ -311,182 +272,6 @@ impl Site {
             labels: labels.collect(),
         }
     }
-}
-
-/// What there is to learn of one kind.
-struct Lesson {
-    revision: u64,
-    mosaic: Arc<Mosaic>,
-    labels: Vec<PlacedLabel>,
-}
-
-impl Lesson {
-    /// Learns from what was said, and weighs candidates; searches for them where none are given.
-    fn learn(self, candidates: Option<Arc<Candidates>>) -> Result<Learnt, Fault> {
-        let begun = Instant::now();
-        let (params, cell_m) = (TeachingParams::default(), self.mosaic.cell_m());
-        let mut skip = |_, _| {};
-        let models = learnt(&params, &self.mosaic, &self.labels, &mut skip)?;
-        let kind = models.into_iter().next();
-        let kind = kind.and_then(|model| Kind::new(model, &self.labels, cell_m));
-        let is_searched = candidates.is_none();
-        let found = kind.map(|kind| {
-            let candidates = match candidates {
-                Some(known) => kind.look_again(&known),
-                None => kind.search(&self.mosaic),
-            };
-            (kind.weigh(&candidates), Arc::new(candidates))
-        });
-        let (hypotheses, candidates) = found.unzip();
-        Ok(Learnt {
-            revision: self.revision,
-            hypotheses: hypotheses.unwrap_or_default(),
-            is_searched,
-            took: begun.elapsed(),
-            candidates,
-        })
-    }
-}
-
-impl Told {
-    async fn read(opened: Arc<Opened>, site: &str, folder: PathBuf) -> Result<Self, Fault> {
-        let mut losses = Losses::default();
-        let state = State::read(&opened.reader, Some(site), &logs(&folder), &mut losses).await?;
-        losses.tell();
-        let tiles: Vec<OverheadTile> = opened.reader.rows(Some(site)).await?;
-        let mosaic = evermap_catalog::mosaic(tiles, &mut |_, _| {});
-        Ok(Self {
-            opened,
-            state,
-            mosaic: Arc::new(mosaic),
-            logs: BTreeMap::new(),
-            folder,
-            revision: 1,
-            last_ns: 0,
-        })
-    }
-
-    fn say(&mut self, author: &str, features: &[Feature]) -> Result<Saved, Fault> {
-        let now = chrono::Utc::now().timestamp_nanos_opt();
-        // Of two acts in one instant, the second is later.
-        self.last_ns = now.map_or(0, |now| now.max(0) as u64).max(self.last_ns + 1);
-        let speaker = Speaker {
-            author: author.to_owned(),
-            stamp_ns: self.last_ns,
-            kind: None,
-        };
-        let mut losses = Losses::default();
-        let said = said(features, &self.state, &speaker, &mut losses)?;
-        let refused = || Fault::user(losses.lines.join("; "));
-        if said.acts.is_empty() && !losses.lines.is_empty() {
-            return Err(refused().next("nothing was saved"));
-        }
-        let names: BTreeMap<&str, &str> = said
-            .acts
-            .iter()
-            .map(|act| (act.id.as_str(), act.kind.as_str()))
-            .collect();
-        let undo = names.iter().map(|(label, kind)| self.undo(label, kind));
-        let undo = json!({ "type": "FeatureCollection", "features": undo.collect::<Vec<_>>() });
-        let kinds = said.acts.iter().map(|act| act.kind.clone());
-        let kinds = kinds.chain(
-            names
-                .keys()
-                .filter_map(|label| Some(self.state.labels.get(*label)?.kind.clone())),
-        );
-        let kinds = kinds.collect();
-        if !said.acts.is_empty() {
-            let session = self.write(author, &said.acts)?;
-            let rows = said.acts.iter();
-            let rows = rows.map(|act| read_back(act, &self.state.site, &session));
-            let rows = rows.collect();
-            self.state.add(rows, &mut Losses::default());
-            self.revision += 1;
-        }
-        Ok(Saved {
-            acts: said.acts.len(),
-            undo,
-            notes: losses.counts.into_keys().collect(),
-            revision: self.revision,
-            kinds,
-        })
-    }
-
-    /// What makes a label as it is now.
-    fn undo(&self, label: &str, kind: &str) -> Value {
-        let feature = |geometry: Value, kind: &str, standing: &str| {
-            let properties = json!({ "kind": kind, "standing": standing });
-            json!({ "type": "Feature", "id": label, "geometry": geometry, "properties": properties })
-        };
-        let Some(known) = self.state.labels.get(label) else {
-            return feature(Value::Null, kind, "removed");
-        };
-        let geometry = match known.shape.as_str() {
-            "polyline" => json!({ "type": "LineString", "coordinates": known.points }),
-            _ => {
-                let ring = known.points.iter().chain(known.points.first());
-                json!({ "type": "Polygon", "coordinates": [ring.collect::<Vec<_>>()] })
-            }
-        };
-        feature(geometry, &known.kind, &known.standing)
-    }
-
-    /// Writes acts to their author's log; the name of its session.
-    fn write(&mut self, author: &str, acts: &[Annotation]) -> Result<String, Fault> {
-        let mut log = match self.logs.remove(author) {
-            Some((log, _)) => log,
-            None => self.begin(author)?,
-        };
-        // A log that cannot be written ends here: what follows is its next part.
-        log.say_all(acts).map_err(unwritten)?;
-        let session = log.path().file_stem().unwrap_or_default();
-        let session = session.to_string_lossy().into_owned();
-        self.logs.insert(author.to_owned(), (log, Instant::now()));
-        Ok(session)
-    }
-
-    fn begin(&self, author: &str) -> Result<AnnotationLog, Fault> {
-        made(&self.folder)?;
-        let name = format!("{}_{author}.mcap", self.state.site);
-        begin(&self.folder.join(name), &self.opened.reader.map.version)
-    }
-
-    /// Ends the logs of those who have said nothing for so long.
-    fn end(&mut self, silent: Duration) {
-        let all = std::mem::take(&mut self.logs);
-        for (author, (log, last)) in all {
-            if last.elapsed() < silent {
-                self.logs.insert(author, (log, last));
-                continue;
-            }
-            let site = &self.state.site;
-            match log.finish() {
-                Ok(path) => line(&format!(
-                    "{author} said something of {site}: {}; evermap run PLAN --site {site} --sessions {}",
-                    path.display(),
-                    path.display()
-                )),
-                Err(error) => tracing::warn!("a log of {author} has no end: {error}"),
-            }
-        }
-    }
-}
-
-impl Drop for Told {
-    fn drop(&mut self) {
-        self.end(Duration::ZERO);
-    }
-}
-
-/// The logs of a folder, by name.
-fn logs(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten();
-    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
-    let mut logs: Vec<PathBuf> = paths
-        .filter(|path| path.extension().is_some_and(|found| found == "mcap"))
-        .collect();
-    logs.sort();
-    logs
 }
 
 /// A name, if it can be part of a file's.

@@ -1,0 +1,61 @@
+//! What there is to learn of a kind, and what was learnt.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use evermap_algorithms::ground::boxes::mosaic::Mosaic;
+use evermap_algorithms::ground::boxes::teaching::{Candidates, TeachingParams};
+use evermap_catalog::labels::box_hypotheses::Kind;
+use evermap_catalog::labels::box_models::learnt;
+use evermap_schemas::Fault;
+use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
+
+/// What may be of a kind, as all that was said up to a revision teaches.
+#[derive(Debug)]
+pub struct Learnt {
+    /// What was known.
+    pub revision: u64,
+    /// The likeliest first.
+    pub hypotheses: Vec<BoxHypothesis>,
+    /// Whether the image was searched for them: else they are what was found before, weighed again.
+    pub is_searched: bool,
+    /// How long it took.
+    pub took: Duration,
+    /// The boxes that were weighed; `None` where nobody has drawn one yet.
+    pub(super) candidates: Option<Arc<Candidates>>,
+}
+
+/// What there is to learn of one kind.
+pub(super) struct Lesson {
+    pub(super) revision: u64,
+    pub(super) mosaic: Arc<Mosaic>,
+    pub(super) labels: Vec<PlacedLabel>,
+}
+
+impl Lesson {
+    /// Learns from what was said, and weighs candidates; searches for them where none are given.
+    pub(super) fn learn(self, candidates: Option<Arc<Candidates>>) -> Result<Learnt, Fault> {
+        let begun = Instant::now();
+        let (params, cell_m) = (TeachingParams::default(), self.mosaic.cell_m());
+        let mut skip = |_, _| {};
+        let models = learnt(&params, &self.mosaic, &self.labels, &mut skip)?;
+        let kind = models.into_iter().next();
+        let kind = kind.and_then(|model| Kind::new(model, &self.labels, cell_m));
+        let is_searched = candidates.is_none();
+        let found = kind.map(|kind| {
+            let candidates = match candidates {
+                Some(known) => kind.look_again(&known),
+                None => kind.search(&self.mosaic),
+            };
+            (kind.weigh(&candidates), Arc::new(candidates))
+        });
+        let (hypotheses, candidates) = found.unzip();
+        Ok(Learnt {
+            revision: self.revision,
+            hypotheses: hypotheses.unwrap_or_default(),
+            is_searched,
+            took: begun.elapsed(),
+            candidates,
+        })
+    }
+}

@@ -1,0 +1,190 @@
+//! A site with all that was said of it, and the logs that it is written to.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use evermap_algorithms::ground::boxes::mosaic::Mosaic;
+use evermap_datasets::annotations::{Annotation, AnnotationLog};
+use evermap_schemas::Fault;
+use evermap_schemas::layers::OverheadTile;
+use serde_json::{Value, json};
+
+use super::made;
+use crate::annotate::features::Feature;
+use crate::annotate::saying::{Speaker, read_back, said};
+use crate::annotate::state::State;
+use crate::annotate::{Losses, begin, unwritten};
+use crate::progress::line;
+use crate::serve::maps::Opened;
+
+/// A site with all that was said of it.
+pub(super) struct Told {
+    pub(super) opened: Arc<Opened>,
+    pub(super) state: State,
+    pub(super) mosaic: Arc<Mosaic>,
+    logs: BTreeMap<String, (AnnotationLog, Instant)>,
+    pub(super) folder: PathBuf,
+    /// Counts what was said since the server knows the site.
+    pub(super) revision: u64,
+    pub(super) last_ns: u64,
+}
+
+/// What was said and written.
+pub struct Saved {
+    /// Acts that are on the disk.
+    pub acts: usize,
+    /// What makes the labels as they were before, as GeoJSON to be said.
+    pub undo: Value,
+    /// What does not fit.
+    pub notes: Vec<String>,
+    /// Counts what was said.
+    pub revision: u64,
+    pub(super) kinds: BTreeSet<String>,
+}
+
+impl Told {
+    pub(super) async fn read(
+        opened: Arc<Opened>,
+        site: &str,
+        folder: PathBuf,
+    ) -> Result<Self, Fault> {
+        let mut losses = Losses::default();
+        let state = State::read(&opened.reader, Some(site), &logs(&folder), &mut losses).await?;
+        losses.tell();
+        let tiles: Vec<OverheadTile> = opened.reader.rows(Some(site)).await?;
+        let mosaic = evermap_catalog::mosaic(tiles, &mut |_, _| {});
+        Ok(Self {
+            opened,
+            state,
+            mosaic: Arc::new(mosaic),
+            logs: BTreeMap::new(),
+            folder,
+            revision: 1,
+            last_ns: 0,
+        })
+    }
+
+    pub(super) fn say(&mut self, author: &str, features: &[Feature]) -> Result<Saved, Fault> {
+        let now = chrono::Utc::now().timestamp_nanos_opt();
+        // Of two acts in one instant, the second is later.
+        self.last_ns = now.map_or(0, |now| now.max(0) as u64).max(self.last_ns + 1);
+        let speaker = Speaker {
+            author: author.to_owned(),
+            stamp_ns: self.last_ns,
+            kind: None,
+        };
+        let mut losses = Losses::default();
+        let said = said(features, &self.state, &speaker, &mut losses)?;
+        let refused = || Fault::user(losses.lines.join("; "));
+        if said.acts.is_empty() && !losses.lines.is_empty() {
+            return Err(refused().next("nothing was saved"));
+        }
+        let names: BTreeMap<&str, &str> = said
+            .acts
+            .iter()
+            .map(|act| (act.id.as_str(), act.kind.as_str()))
+            .collect();
+        let undo = names.iter().map(|(label, kind)| self.undo(label, kind));
+        let undo = json!({ "type": "FeatureCollection", "features": undo.collect::<Vec<_>>() });
+        let kinds = said.acts.iter().map(|act| act.kind.clone());
+        let kinds = kinds.chain(
+            names
+                .keys()
+                .filter_map(|label| Some(self.state.labels.get(*label)?.kind.clone())),
+        );
+        let kinds = kinds.collect();
+        if !said.acts.is_empty() {
+            let session = self.write(author, &said.acts)?;
+            let rows = said.acts.iter();
+            let rows = rows.map(|act| read_back(act, &self.state.site, &session));
+            let rows = rows.collect();
+            self.state.add(rows, &mut Losses::default());
+            self.revision += 1;
+        }
+        Ok(Saved {
+            acts: said.acts.len(),
+            undo,
+            notes: losses.counts.into_keys().collect(),
+            revision: self.revision,
+            kinds,
+        })
+    }
+
+    /// What makes a label as it is now.
+    fn undo(&self, label: &str, kind: &str) -> Value {
+        let feature = |geometry: Value, kind: &str, standing: &str| {
+            let properties = json!({ "kind": kind, "standing": standing });
+            json!({ "type": "Feature", "id": label, "geometry": geometry, "properties": properties })
+        };
+        let Some(known) = self.state.labels.get(label) else {
+            return feature(Value::Null, kind, "removed");
+        };
+        let geometry = match known.shape.as_str() {
+            "polyline" => json!({ "type": "LineString", "coordinates": known.points }),
+            _ => {
+                let ring = known.points.iter().chain(known.points.first());
+                json!({ "type": "Polygon", "coordinates": [ring.collect::<Vec<_>>()] })
+            }
+        };
+        feature(geometry, &known.kind, &known.standing)
+    }
+
+    /// Writes acts to their author's log; the name of its session.
+    fn write(&mut self, author: &str, acts: &[Annotation]) -> Result<String, Fault> {
+        let mut log = match self.logs.remove(author) {
+            Some((log, _)) => log,
+            None => self.begin(author)?,
+        };
+        // A log that cannot be written ends here: what follows is its next part.
+        log.say_all(acts).map_err(unwritten)?;
+        let session = log.path().file_stem().unwrap_or_default();
+        let session = session.to_string_lossy().into_owned();
+        self.logs.insert(author.to_owned(), (log, Instant::now()));
+        Ok(session)
+    }
+
+    fn begin(&self, author: &str) -> Result<AnnotationLog, Fault> {
+        made(&self.folder)?;
+        let name = format!("{}_{author}.mcap", self.state.site);
+        begin(&self.folder.join(name), &self.opened.reader.map.version)
+    }
+
+    /// Ends the logs of those who have said nothing for so long.
+    pub(super) fn end(&mut self, silent: Duration) {
+        let all = std::mem::take(&mut self.logs);
+        for (author, (log, last)) in all {
+            if last.elapsed() < silent {
+                self.logs.insert(author, (log, last));
+                continue;
+            }
+            let site = &self.state.site;
+            match log.finish() {
+                Ok(path) => line(&format!(
+                    "{author} said something of {site}: {}; evermap run PLAN --site {site} --sessions {}",
+                    path.display(),
+                    path.display()
+                )),
+                Err(error) => tracing::warn!("a log of {author} has no end: {error}"),
+            }
+        }
+    }
+}
+
+impl Drop for Told {
+    fn drop(&mut self) {
+        self.end(Duration::ZERO);
+    }
+}
+
+/// The logs of a folder, by name.
+fn logs(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten();
+    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    let mut logs: Vec<PathBuf> = paths
+        .filter(|path| path.extension().is_some_and(|found| found == "mcap"))
+        .collect();
+    logs.sort();
+    logs
+}
