@@ -3,7 +3,7 @@
 //! Data that others made (`../shared` beside the repository, or `EVERMAP_SHARED`) is never part of the project. A test
 //! that needs it asks [`shared`] and, where it is absent, says so on standard error and passes.
 
-#![allow(clippy::expect_used, clippy::panic)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 pub mod kitti;
 pub mod odometry;

@@ -134,7 +134,7 @@ async fn written(
             write_file(out, graph.as_bytes())
         }
         ExportFormat::Colmap => colmap::export(reader, &batches, site, out).await,
-        ExportFormat::Mcap => return Err(Fault::bug("a layer is no recording").into()),
+        ExportFormat::Mcap => Err(Fault::bug("a layer is no recording").into()),
         ExportFormat::Png => {
             let picture = ground::picture(&batches, selection.zoom)?;
             write_file(out, &picture.png()?)?;

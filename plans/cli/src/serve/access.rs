@@ -193,7 +193,7 @@ impl Users {
 
     /// The user whose token, or name with password, an `Authorization` header has. The time that it takes does not tell
     /// how much of it is right: digests are compared, each to its end.
-    fn know(&self, header: &str) -> Option<&str> {
+    fn know<'u>(&'u self, header: &str) -> Option<&'u str> {
         let (scheme, value) = header.split_once(' ')?;
         let secret = match scheme.to_ascii_lowercase().as_str() {
             "bearer" => value.trim().as_bytes().to_vec(),
@@ -201,8 +201,11 @@ impl Users {
             _ => return None,
         };
         let found = blake3::hash(&secret);
-        let matches = self.secrets.iter().filter(|(known, _)| *known == found);
-        matches.last().map(|(_, name)| name.as_str())
+        let compared = |user, (known, name): &'u (blake3::Hash, String)| match *known == found {
+            true => Some(name.as_str()),
+            false => user,
+        };
+        self.secrets.iter().fold(None, compared)
     }
 }
 
