@@ -55,7 +55,7 @@ lint: packages format
 
 # The Python package, for Python 3.10 and later: target/wheels.
 wheel: packages .venv/wheel
-	.venv/bin/maturin build --release --locked --manifest-path python/Cargo.toml
+	.venv/bin/maturin build --release --locked --compatibility linux --manifest-path python/Cargo.toml
 
 .venv/wheel: .venv/complete
 	.venv/bin/pip install --quiet --disable-pip-version-check 'maturin>=1.9,<2'

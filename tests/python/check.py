@@ -53,6 +53,13 @@ def main(path, log, queries, notebook):
     empty = lot.sql("SELECT session FROM poses WHERE false")
     assert len(empty) == 0 and empty.arrow().schema.names == ["session"]
 
+    lanes = lot.layer("lanes")
+    frame = lanes.pandas()
+    assert list(frame.columns) == lanes.columns and len(frame) == len(lanes)
+    assert lanes.polars()["lane"].to_list() == frame["lane"].to_list()
+    shapes = lanes.geopandas()
+    assert abs(shapes.geometry.length - frame["length_m"]).max() < 1e-9 and shapes.crs is None
+
     before = evermap.Map(path, version=1)
     assert before.version == 1 and len(before.layer("poses")) < len(rows)
 
