@@ -76,7 +76,7 @@ impl Tables {
     /// Those of logs.
     ///
     /// # Errors
-    /// As [`sessions::open`].
+    /// A log that cannot be opened, a manifest with a fault, or two sessions of one name.
     pub async fn of_logs(sessions: &SessionArgs, limits: Limits) -> Result<Self, Fault> {
         let context = context(limits)?;
         let dataset = sessions::open(&context.runtime_env(), sessions).await?;
