@@ -69,9 +69,14 @@ deny: .venv/deny
 docs: packages
 	RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps --locked
 
-# Criterion benches of our own code; `make bench-mosaic` is the one of the overhead image.
+# Criterion benches of our own code; `make bench-mosaic` is the one of the overhead image. With BASE=REV they are run at
+# that commit too, and a table says what moved.
 bench: packages
+ifdef BASE
+	python3 tests/bench/against.py $(BASE)
+else
 	cargo bench --workspace --benches --locked
+endif
 
 bench-mosaic: packages
 	cargo bench --package evermap-catalog --bench mosaic --locked

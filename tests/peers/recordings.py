@@ -112,11 +112,11 @@ def imus(noise):
         yield stamp, aligned(start, 8) + body.pack(*values)
 
 
-def odometries(noise):
+def odometries(noise, indices=range(MESSAGES)):
     """A vehicle that wanders; its covariances grow."""
     body = struct.Struct("<85d")
     x = y = 0.0
-    for index in range(MESSAGES):
+    for index in indices:
         stamp, start = opening(index, "odom", period_ns=20_000_000)
         x, y = x + noise.gauss(0.02, 0.001), y + noise.gauss(0, 0.001)
         pose = [x, y, 0, 0, 0, 0, 1] + [1e-6 * index] + [0] * 35
@@ -147,8 +147,8 @@ KINDS = {
 }
 
 
-def write(path, kind, compression):
-    """Writes a recording; it has its name only when it is complete."""
+def write(path, kind, compression, made=None):
+    """Writes a recording, of the messages that are given or those of its kind; it has its name only when it is complete."""
     topic, schema_name, schema, messages = KINDS[kind]
     partial = path.with_suffix(".part")
     with open(partial, "wb") as file:
@@ -156,7 +156,7 @@ def write(path, kind, compression):
         writer.start(profile="ros2", library="evermap peers")
         schema_id = writer.register_schema(schema_name, "ros2msg", schema.encode())
         channel = writer.register_channel(topic, "cdr", schema_id)
-        for sequence, (stamp, payload) in enumerate(messages(random.Random(1))):
+        for sequence, (stamp, payload) in enumerate(made or messages(random.Random(1))):
             writer.add_message(channel, stamp, payload, stamp, sequence)
         writer.finish()
     partial.rename(path)

@@ -10,17 +10,71 @@
 //! ```
 
 use crate::DecodeError;
-use arrow::array::{ArrayData, ArrayRef, make_array};
-use arrow::buffer::{BooleanBuffer, MutableBuffer, NullBuffer};
+use arrow::array::{ArrayData, ArrayRef, MAX_INLINE_VIEW_LEN, make_array, make_view};
+use arrow::buffer::{BooleanBuffer, Buffer, MutableBuffer, NullBuffer};
 use arrow::datatypes::{DataType, Field, FieldRef, Fields, ToByteSlice};
 use arrow::error::ArrowError;
+use bytes::Bytes;
 
 /// Most elements or bytes under one 32-bit offset column.
 const OFFSET_LIMIT: usize = i32::MAX as usize;
 
+/// Binary values of this many bytes and more are views into the block that they came from, where that may be kept; a
+/// shorter one is copied, which costs less than to keep account of it.
+const SHARED: usize = 1 << 10;
+
 /// All buffers of a decoder.
 #[derive(Debug, Default)]
-pub(crate) struct Pool(pub(crate) Vec<MutableBuffer>);
+pub(crate) struct Pool {
+    pub(crate) buffers: Vec<MutableBuffer>,
+    shared: Shared,
+}
+
+/// Blocks of payloads that values of the batch are views into.
+#[derive(Debug, Default)]
+struct Shared {
+    /// Where the current payload lies, if its values may keep it.
+    source: Option<Bytes>,
+    /// Whether the source is the last of the blocks.
+    listed: bool,
+    blocks: Vec<Buffer>,
+    /// Bytes of the values.
+    bytes: usize,
+}
+
+impl Shared {
+    fn set_source(&mut self, source: Option<&Bytes>) {
+        let place = |bytes: &Bytes| (bytes.as_ptr(), bytes.len());
+        if self.source.as_ref().map(place) != source.map(place) {
+            self.source = source.cloned();
+            self.listed = false;
+        }
+    }
+
+    /// Block and offset of bytes that lie in the source, and are worth a view.
+    fn place(&mut self, bytes: &[u8]) -> Option<(u32, u32)> {
+        let source = self.source.as_ref().filter(|_| bytes.len() >= SHARED)?;
+        let start = (bytes.as_ptr() as usize).checked_sub(source.as_ptr() as usize)?;
+        if start.checked_add(bytes.len())? > source.len() {
+            return None;
+        }
+        let start = u32::try_from(start).ok()?;
+        if !self.listed {
+            self.blocks.push(Buffer::from(source.clone()));
+            self.listed = true;
+        }
+        self.bytes += bytes.len();
+        // The first buffer of a column is its own.
+        Some((u32::try_from(self.blocks.len()).ok()?, start))
+    }
+
+    /// A new batch begins.
+    fn clear(&mut self) {
+        self.listed = false;
+        self.blocks.clear();
+        self.bytes = 0;
+    }
+}
 
 /// Where the values of one Arrow field live, or nowhere: what is appended to a field that is left out is forgotten, so
 /// that readers need not know the projection.
@@ -46,6 +100,16 @@ pub(crate) struct Target {
     pub(crate) data: usize,
 }
 
+/// Views of a binary column, and the bytes of those that are its own.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Views {
+    views: usize,
+    data: usize,
+}
+
+/// Bytes of one view.
+const VIEW: usize = size_of::<u128>();
+
 /// The buffers behind one Arrow type.
 #[derive(Debug, Clone)]
 enum Layout {
@@ -55,8 +119,10 @@ enum Layout {
     Fixed { data: usize, width: usize },
     /// One byte per value, non-zero for true.
     Bool { data: usize },
-    /// Utf8 or Binary.
+    /// Utf8.
     Bytes { offsets: usize, data: usize },
+    /// BinaryView; `data` holds what is no view into a block.
+    Views(Views),
     /// Lists; offsets count rows of `child`.
     List { offsets: usize, child: Box<Node> },
     /// Lists of `size` elements each.
@@ -66,28 +132,58 @@ enum Layout {
 }
 
 impl Pool {
-    /// Appends `bytes` as one value of a Utf8 or Binary column.
-    pub(crate) fn append_bytes(
+    /// Appends `bytes` as one value of a BinaryView column.
+    pub(crate) fn append_view(&mut self, to: Views, bytes: &[u8]) -> Result<(), DecodeError> {
+        let (block, start) = match self.shared.place(bytes) {
+            Some(place) => place,
+            None => {
+                let start = offset(self.buffers[to.data].len())?;
+                offset(bytes.len())?;
+                // Shorter values stand in their view.
+                if bytes.len() > MAX_INLINE_VIEW_LEN as usize {
+                    self.buffers[to.data].extend_from_slice(bytes);
+                }
+                (0, start as u32)
+            }
+        };
+        let view = make_view(bytes, block, start).to_ne_bytes();
+        self.buffers[to.views].extend_from_slice(&view);
+        Ok(())
+    }
+
+    /// Says where the next payload lies, if values may keep the whole of that.
+    pub(crate) fn set_source(&mut self, source: Option<&Bytes>) {
+        self.shared.set_source(source);
+    }
+
+    /// A new batch begins.
+    pub(crate) fn clear_shared(&mut self) {
+        self.shared.clear();
+    }
+
+    /// Appends `bytes` as one value of a Utf8 column.
+    pub(crate) fn append_text(
         &mut self,
         offsets: usize,
         data: usize,
         bytes: &[u8],
     ) -> Result<(), DecodeError> {
-        let total = self.0[data].len() + bytes.len();
+        let total = self.buffers[data].len() + bytes.len();
         let end = offset(total)?;
-        self.0[data].extend_from_slice(bytes);
-        self.0[offsets].push(end);
+        self.buffers[data].extend_from_slice(bytes);
+        self.buffers[offsets].push(end);
         Ok(())
     }
 
     /// The last value of an offsets buffer.
     pub(crate) fn last_offset(&self, offsets: usize) -> usize {
-        last_offset(&self.0[offsets])
+        last_offset(&self.buffers[offsets])
     }
 
-    /// Bytes in all buffers.
+    /// Bytes in all buffers, and of all values that are views.
     pub(crate) fn bytes(&self) -> usize {
-        self.0.iter().map(MutableBuffer::len).sum()
+        let own: usize = self.buffers.iter().map(MutableBuffer::len).sum();
+        own + self.shared.bytes
     }
 }
 
@@ -174,7 +270,15 @@ impl Node {
         }
     }
 
-    /// Offsets and data of a string, of binary, or of a list of numbers.
+    /// The buffers of a binary column.
+    pub(crate) fn views(&self) -> Option<Views> {
+        match &self.layout {
+            Layout::Views(views) => Some(*views),
+            _ => None,
+        }
+    }
+
+    /// Offsets and data of a string, or of a list of numbers.
     pub(crate) fn target(&self) -> Option<Target> {
         let (offsets, data) = match &self.layout {
             Layout::Bytes { offsets, data } => (*offsets, *data),
@@ -187,14 +291,15 @@ impl Node {
     /// Appends a number, or a flag as a byte.
     pub(crate) fn append_value(&self, pool: &mut Pool, value: impl ToByteSlice) {
         if let Some(data) = self.data() {
-            pool.0[data].push(value);
+            pool.buffers[data].push(value);
         }
     }
 
     /// Appends a string or binary.
     pub(crate) fn append_bytes(&self, pool: &mut Pool, bytes: &[u8]) -> Result<(), DecodeError> {
         match &self.layout {
-            Layout::Bytes { offsets, data } => pool.append_bytes(*offsets, *data, bytes),
+            Layout::Bytes { offsets, data } => pool.append_text(*offsets, *data, bytes),
+            Layout::Views(views) => pool.append_view(*views, bytes),
             _ => Ok(()),
         }
     }
@@ -209,7 +314,7 @@ impl Node {
     pub(crate) fn end_list(&self, pool: &mut Pool, count: usize) -> Result<(), DecodeError> {
         if let Some(offsets) = self.offsets() {
             let end = offset(pool.last_offset(offsets) + count)?;
-            pool.0[offsets].push(end);
+            pool.buffers[offsets].push(end);
         }
         Ok(())
     }
@@ -217,15 +322,16 @@ impl Node {
     /// Appends a row that the payload does not hold: null where allowed, else zero or empty.
     pub(crate) fn append_absent(&self, pool: &mut Pool) {
         if let Some(validity) = self.validity {
-            pool.0[validity].push(0_u8);
+            pool.buffers[validity].push(0_u8);
         }
         match &self.layout {
             Layout::None => {}
-            Layout::Fixed { data, width } => pool.0[*data].extend_zeros(*width),
-            Layout::Bool { data } => pool.0[*data].push(0_u8),
+            Layout::Fixed { data, width } => pool.buffers[*data].extend_zeros(*width),
+            Layout::Bool { data } => pool.buffers[*data].push(0_u8),
+            Layout::Views(to) => pool.buffers[to.views].extend_zeros(VIEW),
             Layout::Bytes { offsets, .. } | Layout::List { offsets, .. } => {
                 let end = pool.last_offset(*offsets) as i32;
-                pool.0[*offsets].push(end);
+                pool.buffers[*offsets].push(end);
             }
             Layout::FixedList { size, child } => {
                 for _ in 0..*size {
@@ -243,25 +349,27 @@ impl Node {
     /// Notes that the value about to be appended is there.
     pub(crate) fn append_present(&self, pool: &mut Pool) {
         if let Some(validity) = self.validity {
-            pool.0[validity].push(1_u8);
+            pool.buffers[validity].push(1_u8);
         }
     }
 
     /// Cuts the column back to `rows` rows.
     pub(crate) fn truncate(&self, pool: &mut Pool, rows: usize) {
         if let Some(validity) = self.validity {
-            pool.0[validity].truncate(rows);
+            pool.buffers[validity].truncate(rows);
         }
         match &self.layout {
             Layout::None => {}
-            Layout::Fixed { data, width } => pool.0[*data].truncate(rows * width),
-            Layout::Bool { data } => pool.0[*data].truncate(rows),
+            Layout::Fixed { data, width } => pool.buffers[*data].truncate(rows * width),
+            Layout::Bool { data } => pool.buffers[*data].truncate(rows),
             Layout::Bytes { offsets, data } => {
-                let end = cut_offsets(&mut pool.0[*offsets], rows);
-                pool.0[*data].truncate(end);
+                let end = cut_offsets(&mut pool.buffers[*offsets], rows);
+                pool.buffers[*data].truncate(end);
             }
+            // Bytes that no view is left of go with the batch.
+            Layout::Views(to) => pool.buffers[to.views].truncate(rows * VIEW),
             Layout::List { offsets, child } => {
-                let end = cut_offsets(&mut pool.0[*offsets], rows);
+                let end = cut_offsets(&mut pool.buffers[*offsets], rows);
                 child.truncate(pool, end);
             }
             Layout::FixedList { size, child } => child.truncate(pool, rows * size),
@@ -293,6 +401,10 @@ impl Node {
                 let bytes = pool.take(*data);
                 array.add_buffer(pack_bits(&bytes, rows).into_inner())
             }
+            Layout::Views(to) => array
+                .add_buffer(pool.take(to.views).into())
+                .add_buffer(pool.take(to.data).into())
+                .add_buffers(pool.shared.blocks.clone()),
             Layout::Bytes { offsets, data } => array
                 .add_buffer(pool.take_offsets(*offsets).into())
                 .add_buffer(pool.take(*data).into()),
@@ -322,10 +434,14 @@ impl Layout {
             DataType::Boolean => Layout::Bool {
                 data: pool.bytes_buffer(),
             },
-            DataType::Utf8 | DataType::Binary => Layout::Bytes {
+            DataType::Utf8 => Layout::Bytes {
                 offsets: pool.offsets_buffer(),
                 data: pool.bytes_buffer(),
             },
+            DataType::BinaryView => Layout::Views(Views {
+                views: pool.bytes_buffer(),
+                data: pool.bytes_buffer(),
+            }),
             DataType::List(item) => Layout::List {
                 offsets: pool.offsets_buffer(),
                 child: Box::new(Node::new(item, pool)),
@@ -351,28 +467,28 @@ impl Layout {
 
 impl Pool {
     fn bytes_buffer(&mut self) -> usize {
-        self.0.push(MutableBuffer::default());
-        self.0.len() - 1
+        self.buffers.push(MutableBuffer::default());
+        self.buffers.len() - 1
     }
 
     fn offsets_buffer(&mut self) -> usize {
         let id = self.bytes_buffer();
-        self.0[id].push(0_i32);
+        self.buffers[id].push(0_i32);
         id
     }
 
     /// The offsets so far; the buffer starts again at zero.
     fn take_offsets(&mut self, id: usize) -> MutableBuffer {
         let offsets = self.take(id);
-        self.0[id].push(0_i32);
+        self.buffers[id].push(0_i32);
         offsets
     }
 
     /// What a buffer holds so far. The next batch will be about as large: its memory is asked for at once, rather
     /// than grown by copying.
     fn take(&mut self, id: usize) -> MutableBuffer {
-        let next = MutableBuffer::with_capacity(self.0[id].len());
-        std::mem::replace(&mut self.0[id], next)
+        let next = MutableBuffer::with_capacity(self.buffers[id].len());
+        std::mem::replace(&mut self.buffers[id], next)
     }
 }
 

@@ -5,6 +5,7 @@ use crate::buffers::{Node, Pool};
 use arrow::array::ArrayRef;
 use arrow::datatypes::Fields;
 use arrow::error::ArrowError;
+use bytes::Bytes;
 
 /// How payloads of one message type are read.
 pub(crate) trait Format: Send {
@@ -40,11 +41,26 @@ impl Decoder {
         }
     }
 
+    /// Appends one message as a row; long binary values of it may be views that keep the whole of `block`, which the
+    /// payload lies in. On error nothing is appended, and the decoder can go on.
+    ///
+    /// # Errors
+    /// As [`Self::push`].
+    pub fn push_of(&mut self, block: &Bytes, payload: &[u8]) -> Result<(), DecodeError> {
+        self.pool.set_source(Some(block));
+        self.append(payload)
+    }
+
     /// Appends one message as a row. On error nothing is appended, and the decoder can go on.
     ///
     /// # Errors
     /// [`DecodeError`] when the payload does not fit the schema, or the batch is full.
     pub fn push(&mut self, payload: &[u8]) -> Result<(), DecodeError> {
+        self.pool.set_source(None);
+        self.append(payload)
+    }
+
+    fn append(&mut self, payload: &[u8]) -> Result<(), DecodeError> {
         let (message, pool) = (&self.message, &mut self.pool);
         let appended = self.format.append(payload, message, self.rows, pool);
         match appended {
@@ -76,8 +92,9 @@ impl Decoder {
     pub fn finish(&mut self) -> Result<Vec<ArrayRef>, ArrowError> {
         let rows = std::mem::take(&mut self.rows);
         let members = self.projection.iter().map(|at| self.message.member(*at));
-        members
-            .map(|member| member.finish(&mut self.pool, rows))
-            .collect()
+        let columns = members.map(|member| member.finish(&mut self.pool, rows));
+        let columns = columns.collect();
+        self.pool.clear_shared();
+        columns
     }
 }

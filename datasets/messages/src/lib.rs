@@ -15,10 +15,10 @@
 //! |---|---|
 //! | numbers, flags | the same type, not null |
 //! | strings (also wide) | `Utf8`; bytes that are not text become U+FFFD |
-//! | `uint8[]`, `byte[]`, `octet`, protobuf `bytes` | `Binary` |
-//! | JSON strings with `contentEncoding: base64` | `Binary` |
+//! | `uint8[]`, `byte[]`, `octet`, protobuf `bytes` | `BinaryView` |
+//! | JSON strings with `contentEncoding: base64` | `BinaryView` |
 //! | protobuf maps | `List` of `Struct` `{key, value}`, in wire order |
-//! | protobuf messages inside themselves | `Binary`, as on the wire |
+//! | protobuf messages inside themselves | `BinaryView`, as on the wire |
 //! | JSON without one declared type | `Utf8`, as JSON text; without any schema one column `json` |
 //! | `uint8[16]` | `FixedSizeBinary(16)` |
 //! | `float64[]`, `repeated` | `List` |

@@ -137,6 +137,7 @@ impl Wire {
     pub(crate) fn fixed_bytes(&self) -> u64 {
         match self {
             Wire::Scalar(scalar) => scalar.width() as u64,
+            Wire::Sequence(item) if item.is_octet() => 16,
             Wire::Enumeration | Wire::Text | Wire::WideText | Wire::Sequence(_) => 4,
             Wire::Array(item, size) => item.fixed_bytes().saturating_mul(*size as u64),
             Wire::Struct(body) => body.fixed_bytes,
@@ -148,7 +149,7 @@ impl Wire {
             Wire::Scalar(scalar) => scalar.data_type(),
             Wire::Enumeration => DataType::Int32,
             Wire::Text | Wire::WideText => DataType::Utf8,
-            Wire::Sequence(item) if item.is_octet() => DataType::Binary,
+            Wire::Sequence(item) if item.is_octet() => DataType::BinaryView,
             Wire::Sequence(item) => DataType::List(element(item)),
             Wire::Array(item, size) if item.is_octet() => DataType::FixedSizeBinary(*size as i32),
             Wire::Array(item, size) => DataType::FixedSizeList(element(item), *size as i32),

@@ -258,7 +258,7 @@ fn shown(column: &ArrayRef, row: usize) -> Value {
         )),
         DataType::Float64 => Value::Bits(column.as_primitive::<Float64Type>().value(row).to_bits()),
         DataType::Utf8 => Value::Text(column.as_string::<i32>().value(row).to_owned()),
-        DataType::Binary => octets(column.as_binary::<i32>().value(row)),
+        DataType::BinaryView => octets(column.as_binary_view().value(row)),
         DataType::FixedSizeBinary(_) => octets(column.as_fixed_size_binary().value(row)),
         DataType::List(_) => list(column.as_list::<i32>().value(row)),
         DataType::FixedSizeList(_, _) => list(column.as_fixed_size_list().value(row)),

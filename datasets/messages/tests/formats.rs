@@ -104,7 +104,7 @@ fn idl_modules_typedefs_enums_and_arrays() {
     let d = columns[2].as_fixed_size_list().value(0);
     assert_eq!(d.as_primitive::<Float64Type>().values(), &[1.0, 2.0, 3.0]);
     assert_eq!(columns[3].as_primitive::<Int32Type>().value(0), 1);
-    assert_eq!(columns[4].as_binary::<i32>().value(0), [7, 8]);
+    assert_eq!(columns[4].as_binary_view().value(0), [7, 8]);
     let inner = columns[5].as_list::<i32>().value(0);
     assert_eq!(inner.as_struct().column(1).as_string::<i32>().value(0), "k");
     assert_eq!(columns[7].as_string::<i32>().value(0), "hé");
@@ -197,7 +197,7 @@ fn json_follows_its_schema() {
     assert_eq!(stamp.column(0).as_primitive::<Int64Type>().value(0), 4);
     assert_eq!(columns[1].as_primitive::<Int64Type>().value(0), 7);
     assert_eq!(columns[2].as_primitive::<Float64Type>().value(0), 1.0);
-    assert_eq!(columns[3].as_binary::<i32>().value(0), b"hi");
+    assert_eq!(columns[3].as_binary_view().value(0), b"hi");
     assert_eq!(columns[4].as_string::<i32>().value(0), r#"{"b":[1]}"#);
     assert_eq!(columns[5].as_primitive::<Int64Type>().value(0), 1);
     assert_eq!(columns[6].as_list::<i32>().value(0).null_count(), 1);

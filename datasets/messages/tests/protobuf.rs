@@ -172,7 +172,7 @@ fn equal(column: &ArrayRef, row: usize, value: &Value) {
             assert_eq!(found.to_bits(), v.to_bits());
         }
         Value::String(v) => assert_eq!(column.as_string::<i32>().value(row), v),
-        Value::Bytes(v) => assert_eq!(column.as_binary::<i32>().value(row), &v[..]),
+        Value::Bytes(v) => assert_eq!(column.as_binary_view().value(row), &v[..]),
         Value::List(values) => {
             let list = column.as_list::<i32>().value(row);
             assert_eq!(list.len(), values.len());
@@ -259,9 +259,9 @@ fn bytes_are_found_where_they_lie_and_recursion_stays_bytes() {
     assert_eq!(&payload[nested.range], [7, 6]);
     assert_eq!(message.locate(&payload, &["text"]).unwrap(), None);
     let node = parse("t.Node");
-    assert_eq!(node.fields()[1].data_type(), &DataType::Binary);
+    assert_eq!(node.fields()[1].data_type(), &DataType::BinaryView);
     let mut decoder = node.decoder(None);
     decoder.push(&[0x08, 1, 0x12, 2, 0x08, 2]).unwrap();
     let columns = decoder.finish().unwrap();
-    assert_eq!(columns[1].as_binary::<i32>().value(0), [0x08, 2]);
+    assert_eq!(columns[1].as_binary_view().value(0), [0x08, 2]);
 }

@@ -71,7 +71,7 @@ fn every_member_lands_in_its_column() {
     assert_eq!(columns[1].as_string::<i32>().value(0), "hi");
     let pair = columns[2].as_fixed_size_list().value(0);
     assert_eq!(pair.as_primitive::<Float64Type>().values(), &[1.5, -2.5]);
-    assert_eq!(columns[3].as_binary::<i32>().value(0), [0xAA, 0xBB]);
+    assert_eq!(columns[3].as_binary_view().value(0), [0xAA, 0xBB]);
     let bounded = columns[4].as_list::<i32>().value(0);
     assert_eq!(bounded.as_primitive::<Float64Type>().values(), &[4.25]);
     assert!(columns[5].as_boolean().value(0));

@@ -2,9 +2,11 @@
 //!
 //! What a chunk claims to hold is not believed beyond what its bytes can make likely: memory grows with what comes out.
 
+use std::cell::RefCell;
 use std::io::{self, ErrorKind, Read};
 
 use bytes::Bytes;
+use zstd::bulk::Decompressor;
 use zstd::stream::raw::{DParameter, Decoder, InBuffer, Operation, OutBuffer};
 
 use crate::log::chunk::Damage;
@@ -83,12 +85,23 @@ fn wrong_size(found: u64, claimed: u64) -> Option<Damage> {
     })
 }
 
+thread_local! {
+    /// What zstd needs for itself, which is as large as some chunks.
+    static ZSTD: RefCell<Option<Decompressor<'static>>> = const { RefCell::new(None) };
+}
+
 /// The fast way, where nothing is wrong.
 fn at_once(compression: &str, data: &[u8], size: usize) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     bytes.try_reserve_exact(size)?;
     if compression == "zstd" {
-        zstd::bulk::Decompressor::new()?.decompress_to_buffer(data, &mut bytes)?;
+        ZSTD.with_borrow_mut(|kept| {
+            let zstd = match kept {
+                Some(zstd) => zstd,
+                None => kept.insert(Decompressor::new()?),
+            };
+            zstd.decompress_to_buffer(data, &mut bytes)
+        })?;
     } else {
         let lz4 = lz4_flex::frame::FrameDecoder::new(data);
         lz4.take(size as u64 + 1).read_to_end(&mut bytes)?;

@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
-use arrow::array::{ArrayRef, BinaryBuilder, RecordBatch, StringBuilder, UInt32Array};
+use arrow::array::{ArrayRef, BinaryViewBuilder, RecordBatch, StringBuilder, UInt32Array};
 use arrow::datatypes::{DataType, Field, Schema, SchemaRef};
 use async_trait::async_trait;
+use bytes::Bytes;
 use evermap_schemas::{Cell, Fault, Stamp};
 
 use crate::log::record::MessageHead;
@@ -32,7 +33,7 @@ impl LogTable for MessagesTable {
             Field::new("sequence", DataType::UInt32, false),
             Field::new("channel", DataType::UInt32, false),
             Field::new("schema_name", DataType::Utf8, true),
-            Field::new("data", DataType::Binary, false),
+            Field::new("data", DataType::BinaryView, false),
         ]))
     }
 
@@ -55,7 +56,9 @@ struct MessageRows {
     projection: Vec<usize>,
     heads: Vec<MessageHead>,
     with_data: bool,
-    data: BinaryBuilder,
+    data: BinaryViewBuilder,
+    /// The block that the last view is into, and its number in the column.
+    block: Option<(Bytes, u32)>,
     bytes: usize,
 }
 
@@ -68,9 +71,36 @@ impl MessageRows {
             projection: projection.to_vec(),
             heads: Vec::new(),
             with_data: projection.contains(&Self::DATA),
-            data: BinaryBuilder::new(),
+            data: BinaryViewBuilder::new(),
+            block: None,
             bytes: 0,
         }
+    }
+}
+
+impl MessageRows {
+    fn append(&mut self, message: &MessageAt<'_>) -> Result<(), String> {
+        let (whole, payload) = (&message.block.bytes, message.payload);
+        let place = (u32::try_from(message.start), u32::try_from(payload.len()));
+        let (Ok(start), Ok(length)) = place else {
+            return Err("a payload beyond 4 GiB".to_owned());
+        };
+        if !message.shares {
+            self.data.append_value(payload);
+            return Ok(());
+        }
+        let known = self.block.as_ref();
+        let known = known.filter(|(bytes, _)| bytes.as_ptr() == whole.as_ptr());
+        let number = match known {
+            Some((_, number)) => *number,
+            None => {
+                let number = self.data.append_block(whole.clone().into());
+                self.block = Some((whole.clone(), number));
+                number
+            }
+        };
+        let viewed = self.data.try_append_view(number, start, length);
+        viewed.map_err(|error| error.to_string())
     }
 }
 
@@ -91,10 +121,7 @@ impl RowBuilder for MessageRows {
 
     fn push(&mut self, message: &MessageAt<'_>) -> Result<(), String> {
         if self.with_data {
-            if self.bytes + message.payload.len() > i32::MAX as usize {
-                return Err("a payload beyond 2 GiB".to_owned());
-            }
-            self.data.append_value(message.payload);
+            self.append(message)?;
             self.bytes += message.payload.len();
         }
         self.heads.push(message.head);
@@ -114,6 +141,7 @@ impl RowBuilder for MessageRows {
         let heads = std::mem::take(&mut self.heads);
         let data: ArrayRef = Arc::new(self.data.finish());
         self.bytes = 0;
+        self.block = None;
         let channels = &self.part.index.channels;
         let channel = |head: &MessageHead| channels.get(&head.channel);
         let schema = MessagesTable.schema();

@@ -23,6 +23,8 @@ pub struct MessageAt<'a> {
     pub start: usize,
     /// The payload.
     pub payload: &'a [u8],
+    /// Whether values may be views that keep the block: at least half of it is messages of the table.
+    pub shares: bool,
 }
 
 /// Turns the messages (or other records) of one file into the rows of one table.

@@ -26,7 +26,8 @@ use crate::scan::plan::PlannedUnit;
 use crate::scan::rows::{MessageAt, RowBuilder};
 use crate::session::LogPart;
 
-/// A batch is handed on when it holds this many bytes, however few rows they are.
+/// A batch is handed on when it holds this many bytes, however few rows they are. What is a view keeps at most twice as
+/// much, and the rest of its last chunk.
 pub(crate) const BATCH_BYTES: usize = 8 << 20;
 
 /// What a stream is made from.
@@ -150,7 +151,7 @@ impl Scan {
             unit.map_or(0, |unit| unit.length),
             opened,
             ahead.map_or(0, |planned| planned.unit.length),
-            opened.min(BATCH_BYTES as u64),
+            opened.min(2 * BATCH_BYTES as u64),
         ]
         .into_iter()
         .fold(0u64, u64::saturating_add);
@@ -190,12 +191,13 @@ struct Worker {
 fn push(
     rows: &mut dyn RowBuilder,
     part: &LogPart,
-    block: &Block,
+    open: &Open,
     message: &Message,
 ) -> Result<(), String> {
     let Some(channel) = part.index.channels.get(&message.head.channel) else {
         return Ok(());
     };
+    let block = &open.block;
     let unpacked = match rows.decodes() && channel.message_encoding == "cdr" {
         true => block.unpack(message)?,
         false => None,
@@ -210,6 +212,7 @@ fn push(
         head: message.head,
         start: place.start,
         payload: &block.bytes[place],
+        shares: open.shares || unpacked.is_some(),
     })
 }
 
@@ -274,16 +277,24 @@ struct Open {
     example: String,
     /// Its largest message waits for memory to be reserved.
     waits: bool,
+    /// Whether values may keep the block.
+    shares: bool,
 }
 
 impl Open {
+    fn sizes(&self) -> impl Iterator<Item = usize> {
+        let messages = self.messages.iter();
+        messages.map(|message| message.end - message.start)
+    }
+
     /// Bytes of the largest payload.
     fn largest(&self) -> usize {
-        let sizes = self
-            .messages
-            .iter()
-            .map(|message| message.end - message.start);
-        sizes.max().unwrap_or(0)
+        self.sizes().max().unwrap_or(0)
+    }
+
+    /// Bytes of all payloads.
+    fn wanted(&self) -> usize {
+        self.sizes().sum()
     }
 }
 
@@ -348,8 +359,10 @@ impl Worker {
             lost: Loss::default(),
             example: String::new(),
             waits: false,
+            shares: false,
         };
         open.waits = open.largest() > BATCH_BYTES;
+        open.shares = open.wanted() >= open.block.bytes.len() / 2;
         self.current = Some(open);
     }
 
@@ -368,7 +381,7 @@ impl Worker {
                 return;
             }
             open.next += 1;
-            if let Err(detail) = push(self.rows.as_mut(), &self.part, &open.block, message) {
+            if let Err(detail) = push(self.rows.as_mut(), &self.part, &open, message) {
                 open.lost.count += 1;
                 open.lost.bytes += (message.end - message.start) as u64;
                 if open.example.is_empty() {

@@ -58,6 +58,7 @@ fn fixed_bytes(data_type: &DataType) -> usize {
             let members = fields.iter().map(|field| fixed_bytes(field.data_type()));
             members.fold(0, usize::saturating_add)
         }
+        DataType::BinaryView => 16,
         other => other.primitive_width().unwrap_or(4),
     }
 }
@@ -343,10 +344,12 @@ impl RowBuilder for TopicRows {
         let Some(columns) = self.decoders.get_mut(decoder) else {
             return Ok(());
         };
-        columns
-            .decoder
-            .push(message.payload)
-            .map_err(|error| error.to_string())?;
+        let decoder = &mut columns.decoder;
+        let pushed = match message.shares {
+            true => decoder.push_of(&message.block.bytes, message.payload),
+            false => decoder.push(message.payload),
+        };
+        pushed.map_err(|error| error.to_string())?;
         self.heads.push(message.head);
         Ok(())
     }

@@ -28,7 +28,7 @@ async fn column(log: &str, topic: &str) -> Vec<Vec<u8>> {
     let (context, _) = open(&[log.to_owned()], 1).await;
     let sql = format!("SELECT data FROM \"{topic}\" ORDER BY log_time");
     let cells = |batch: &RecordBatch| -> Vec<Vec<u8>> {
-        let column = batch.column(0).as_binary::<i32>();
+        let column = batch.column(0).as_binary_view();
         (0..column.len())
             .map(|row| column.value(row).to_vec())
             .collect()

@@ -1,15 +1,19 @@
 //! Encoded images to grey and to colour.
 //!
-//! OpenCV decodes straight into our own zeroed buffer. That saves a copy, and it keeps the result a function of the
-//! bytes alone: OpenCV's own buffers are not initialised, so a decoder that leaves pixels out would show what the
-//! memory held before.
+//! Images come from logs, so what reads them is Rust: a forged one can fail, but reach nothing. OpenCV's own readers
+//! would also load a hundred libraries, at every start, for formats that are no camera's.
 
-use std::sync::OnceLock;
+use std::io::Cursor;
 
 use imagesize::ImageType;
-use opencv::core::{DataType, Mat, MatTraitConst, MatTraitConstManual, Vec3b, set_num_threads};
-use opencv::imgcodecs::{IMREAD_COLOR, IMREAD_GRAYSCALE, IMREAD_IGNORE_ORIENTATION, imdecode_to};
+use png::{Limits, Transformations};
+use zune_jpeg::JpegDecoder;
+use zune_jpeg::zune_core::bytestream::ZCursor;
+use zune_jpeg::zune_core::colorspace::ColorSpace;
+use zune_jpeg::zune_core::options::DecoderOptions;
 
+use crate::grey::checked_pixels;
+use crate::stored::pnm;
 use crate::{Grey, ImageError, Rgb};
 
 /// Width and height (px) that the header claims; the rest of the bytes is not looked at.
@@ -33,8 +37,16 @@ pub fn image_size(bytes: &[u8]) -> Result<[u32; 2], ImageError> {
 pub fn decode_grey(bytes: &[u8], grey: &mut Grey) -> Result<(), ImageError> {
     let header = header(bytes)?;
     grey.reset(header.width, header.height)?;
-    [grey.width, grey.height] =
-        decode_onto::<u8>(bytes, &header, IMREAD_GRAYSCALE, &mut grey.data)?;
+    if header.format == "jpeg" && jpeg(bytes, &header, ColorSpace::Luma, &mut grey.data)? {
+        return Ok(());
+    }
+    for (grey, colour) in grey
+        .data
+        .iter_mut()
+        .zip(Pixels::of(bytes, &header)?.colours())
+    {
+        *grey = luma(colour);
+    }
     Ok(())
 }
 
@@ -45,46 +57,108 @@ pub fn decode_grey(bytes: &[u8], grey: &mut Grey) -> Result<(), ImageError> {
 pub fn decode_colour(bytes: &[u8], rgb: &mut Rgb) -> Result<(), ImageError> {
     let header = header(bytes)?;
     rgb.reset(header.width, header.height)?;
-    [rgb.width, rgb.height] = decode_onto::<Vec3b>(bytes, &header, IMREAD_COLOR, &mut rgb.data)?;
-    // OpenCV's order is blue, green, red.
-    for pixel in rgb.data.chunks_exact_mut(3) {
-        pixel.swap(0, 2);
+    if header.format == "jpeg" && jpeg(bytes, &header, ColorSpace::RGB, &mut rgb.data)? {
+        return Ok(());
+    }
+    let (pixels, _) = rgb.data.as_chunks_mut();
+    for (pixel, colour) in pixels.iter_mut().zip(Pixels::of(bytes, &header)?.colours()) {
+        *pixel = colour;
     }
     Ok(())
 }
 
-/// Decodes pixels of type `P` into a buffer of the header's size; the width and height of what was decoded.
-fn decode_onto<P: DataType>(
+/// Rec. 601's weights.
+fn luma([red, green, blue]: [u8; 3]) -> u8 {
+    let sum = 299 * u32::from(red) + 587 * u32::from(green) + 114 * u32::from(blue);
+    ((sum + 500) / 1000) as u8
+}
+
+/// Decodes a JPEG into a buffer of its size, as luma or in colour; whether it could. Luma is had of images that hold it:
+/// not of those in red, green and blue.
+fn jpeg(
     bytes: &[u8],
     header: &Header,
-    flags: i32,
-    buffer: &mut Vec<u8>,
-) -> Result<[u32; 2], ImageError> {
-    one_thread()?;
-    let (width, height) = (header.width, header.height);
+    wanted: ColorSpace,
+    buffer: &mut [u8],
+) -> Result<bool, ImageError> {
     let damaged = || header.damaged(bytes);
-    if header.format == "jpeg" && !ends_like_a_jpeg(bytes) {
+    if !ends_like_a_jpeg(bytes) {
         return Err(damaged());
     }
-    let source = Mat::from_slice(bytes)?;
-    let mut target =
-        Mat::new_rows_cols_with_bytes_mut::<P>(height as i32, width as i32, buffer.as_mut_slice())?;
-    let own = target.data();
-    // The pixels must stay where the calibration says they are, whatever the camera's idea of "up" was.
-    let flags = flags | IMREAD_IGNORE_ORIENTATION;
-    imdecode_to(&source, flags, &mut target).map_err(|_| damaged())?;
-    if target.empty() {
+    let (width, height) = (header.width as usize, header.height as usize);
+    let options = DecoderOptions::default()
+        .set_max_width(width)
+        .set_max_height(height)
+        .jpeg_set_out_colorspace(wanted);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    decoder.decode_headers().map_err(|_| damaged())?;
+    if decoder.dimensions() != Some((width, height)) {
         return Err(damaged());
     }
-    if target.data() == own {
-        return Ok([width, height]);
+    let holds_luma = matches!(
+        decoder.input_colorspace(),
+        Some(ColorSpace::YCbCr | ColorSpace::Luma)
+    );
+    if wanted == ColorSpace::Luma && !holds_luma {
+        return Ok(false);
     }
-    // The decoder saw another size than the header's first look: take what it made.
-    let size = [target.cols() as u32, target.rows() as u32];
-    let made = target.data_bytes()?.to_vec();
-    drop(target);
-    *buffer = made;
-    Ok(size)
+    let decoded = decoder.decode_into(buffer);
+    decoded.map_err(|_| damaged()).map(|()| true)
+}
+
+/// Values of 8 bits: grey, red, green and blue, or either with transparency behind it.
+struct Pixels {
+    channels: usize,
+    data: Vec<u8>,
+}
+
+impl Pixels {
+    fn of(bytes: &[u8], header: &Header) -> Result<Self, ImageError> {
+        match header.format {
+            "jpeg" => {
+                let mut data = vec![0; 3 * checked_pixels(header.width, header.height)?];
+                jpeg(bytes, header, ColorSpace::RGB, &mut data)?;
+                Ok(Self { channels: 3, data })
+            }
+            "png" => png(bytes, header),
+            _ => {
+                let (channels, stored) = pnm(bytes, header)?;
+                let data = stored.into_upper_eight();
+                Ok(Self { channels, data })
+            }
+        }
+    }
+
+    fn colours(&self) -> impl Iterator<Item = [u8; 3]> {
+        let pixels = self.data.chunks_exact(self.channels);
+        pixels.map(|pixel| match pixel {
+            [red, green, blue, ..] => [*red, *green, *blue],
+            [grey, ..] => [*grey; 3],
+            [] => [0; 3],
+        })
+    }
+}
+
+fn png(bytes: &[u8], header: &Header) -> Result<Pixels, ImageError> {
+    let damaged = || header.damaged(bytes);
+    // What a decoder may need: rows of four values of 16 bits, and as much again for tables.
+    let limits = Limits {
+        bytes: 8 * checked_pixels(header.width, header.height)? + (1 << 20),
+    };
+    let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), limits);
+    decoder.set_transformations(Transformations::EXPAND | Transformations::STRIP_16);
+    let mut reader = decoder.read_info().map_err(|_| damaged())?;
+    let info = reader.info();
+    if (info.width, info.height) != (header.width, header.height) {
+        return Err(damaged());
+    }
+    let mut data = vec![0; reader.output_buffer_size().ok_or_else(damaged)?];
+    reader.next_frame(&mut data).map_err(|_| damaged())?;
+    let (colour, _) = reader.output_color_type();
+    Ok(Pixels {
+        channels: colour.samples(),
+        data,
+    })
 }
 
 pub(crate) struct Header {
@@ -102,8 +176,7 @@ impl Header {
     }
 }
 
-/// What the first bytes say, checked against [`crate::MAX_PIXELS`] before OpenCV sees them. Images come from logs, so
-/// formats whose decoders nobody fuzzes in OpenCV's own build (WebP, BMP, TIFF and others) are refused.
+/// What the first bytes say, checked against [`crate::MAX_PIXELS`] before a decoder sees them.
 pub(crate) fn header(bytes: &[u8]) -> Result<Header, ImageError> {
     let unknown = |found: String| ImageError::Format { found };
     let kind = imagesize::image_type(bytes).map_err(|_| unknown(first_bytes(bytes)))?;
@@ -127,7 +200,7 @@ pub(crate) fn header(bytes: &[u8]) -> Result<Header, ImageError> {
     })
 }
 
-/// libjpeg fills what is cut off with grey and only warns; a map must not show that. The end-of-image marker may be
+/// Decoders fill what is cut off with grey; a map must not show that. The end-of-image marker may be
 /// followed by padding.
 fn ends_like_a_jpeg(bytes: &[u8]) -> bool {
     let end = bytes
@@ -142,10 +215,4 @@ fn first_bytes(bytes: &[u8]) -> String {
         [] => "no bytes".to_owned(),
         _ => format!("bytes that begin {:02x?}", &bytes[..bytes.len().min(4)]),
     }
-}
-
-/// Turns OpenCV's own threads off, once per process.
-pub(crate) fn one_thread() -> Result<(), ImageError> {
-    static SET: OnceLock<Result<(), ImageError>> = OnceLock::new();
-    SET.get_or_init(|| Ok(set_num_threads(1)?)).clone()
 }

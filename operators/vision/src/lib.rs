@@ -1,4 +1,4 @@
-//! Images, by OpenCV. This is the only crate that links it, and the only one that needs to.
+//! Images: decoded, and by OpenCV what they show. This is the only crate that links it, and the only one that needs to.
 //!
 //! ```text
 //!   jpeg, png, pgm … ──► decode_grey ─────────────► Grey (8 bits, rows without gaps)
@@ -16,6 +16,7 @@ mod features;
 mod grey;
 mod people;
 mod stored;
+mod threads;
 
 pub use decode::{decode_colour, decode_grey, image_size};
 pub use features::{Blind, DESCRIPTOR_BYTES, FeatureParams, KeyPoints, Vignette, features};

@@ -6,7 +6,7 @@
 use opencv::core::{Mat, Point, Size, Vector};
 use opencv::objdetect::{HOGDescriptor, HOGDescriptorTrait, HOGDescriptorTraitConst};
 
-use crate::decode::one_thread;
+use crate::threads::one_thread;
 use crate::{Grey, ImageError};
 
 /// Width and height of a window, pixels.

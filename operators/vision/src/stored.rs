@@ -68,7 +68,7 @@ pub fn encode_png(grey: &Grey) -> Result<Vec<u8>, ImageError> {
 }
 
 /// Values in as many bytes as they are stored in.
-enum Stored {
+pub(crate) enum Stored {
     Eight(Vec<u8>),
     Sixteen(Vec<u16>),
 }
@@ -94,6 +94,14 @@ impl Stored {
         }
     }
 
+    /// The upper eight bits.
+    pub(crate) fn into_upper_eight(self) -> Vec<u8> {
+        match self {
+            Self::Eight(values) => values,
+            Self::Sixteen(values) => values.into_iter().map(|value| (value >> 8) as u8).collect(),
+        }
+    }
+
     fn into_eight(self) -> Vec<u8> {
         match self {
             Self::Eight(values) => values,
@@ -109,7 +117,12 @@ impl Stored {
 fn stored(bytes: &[u8], header: &Header) -> Result<Stored, ImageError> {
     match header.format {
         "png" => png_values(bytes, header),
-        "pnm" => pgm_values(bytes, header),
+        "pnm" => match pnm(bytes, header)? {
+            (1, values) => Ok(values),
+            _ => Err(ImageError::Values {
+                found: "a pnm image in colour".to_owned(),
+            }),
+        },
         found => Err(ImageError::Values {
             found: format!("a {found} image"),
         }),
@@ -159,15 +172,19 @@ fn unpacked(data: &[u8], width: usize, bits: usize) -> Vec<u8> {
         .collect()
 }
 
-/// `P5`: width, height and largest value in decimals, one white space, then the values, big endian.
-fn pgm_values(bytes: &[u8], header: &Header) -> Result<Stored, ImageError> {
+/// Values a pixel, and the values, of `P5` (grey) and `P6` (red, green, blue): width, height and largest value in
+/// decimals, one white space, then the values, big endian.
+pub(crate) fn pnm(bytes: &[u8], header: &Header) -> Result<(usize, Stored), ImageError> {
     let damaged = || header.damaged(bytes);
-    let Some(rest) = bytes.strip_prefix(b"P5") else {
-        return Err(ImageError::Values {
-            found: "a pnm image that is no P5".to_owned(),
-        });
+    let (channels, mut rest) = match bytes {
+        [b'P', b'5', rest @ ..] => (1, rest),
+        [b'P', b'6', rest @ ..] => (3, rest),
+        _ => {
+            return Err(ImageError::Format {
+                found: "a pnm image that is no P5 and no P6".to_owned(),
+            });
+        }
     };
-    let mut rest = rest;
     let mut numbers = [0_u32; 3];
     for number in &mut numbers {
         (*number, rest) = pgm_number(rest).ok_or_else(damaged)?;
@@ -177,9 +194,10 @@ fn pgm_values(bytes: &[u8], header: &Header) -> Result<Stored, ImageError> {
         return Err(damaged());
     }
     let deep = most > 255;
-    let length = checked_pixels(width, height)? * if deep { 2 } else { 1 };
+    let values = channels * checked_pixels(width, height)?;
+    let length = values * if deep { 2 } else { 1 };
     let data = rest.get(1..=length).ok_or_else(damaged)?;
-    Ok(Stored::of(deep, data.to_vec()))
+    Ok((channels, Stored::of(deep, data.to_vec())))
 }
 
 /// The next number after white space and comments, and what follows it.

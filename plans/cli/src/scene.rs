@@ -114,7 +114,7 @@ fn last_states(mut seen: Vec<SpaceState>, driven: &Driven) -> BTreeMap<u32, Stri
 }
 
 /// Of a box by its frame, length and width (m); none where the frame is no rigid transform.
-fn corners(map_from_box: &evermap_schemas::Pose, sides_m: [f64; 2]) -> Vec<[f64; 2]> {
+pub fn corners(map_from_box: &evermap_schemas::Pose, sides_m: [f64; 2]) -> Vec<[f64; 2]> {
     let Ok(map_from_box) = Pose::from_array(map_from_box.to_array()) else {
         return Vec::new();
     };

@@ -5,7 +5,7 @@
 //! [`Step::Block`]: one alignment, one bounds check, then plain copies. Members
 //! outside the projection leave no copies, so what is skipped costs an addition.
 
-use crate::buffers::{Node, Target};
+use crate::buffers::{Node, Target, Views};
 use crate::wire::{Extensibility, StructType, Wire};
 
 /// How scalars and structs are laid out on the wire.
@@ -70,6 +70,8 @@ pub(crate) enum Step {
     Text { to: Option<Target> },
     /// A string of UTF-16 units.
     WideText { to: Option<Target> },
+    /// A counted run of bytes.
+    Octets { to: Option<Views> },
     /// A counted run of numbers of `width` bytes.
     Run {
         width: usize,
@@ -197,6 +199,9 @@ impl Compiler {
     fn sequence(&mut self, item: &Wire, to: &Node) {
         let around = self.enter_collection(item);
         if let (Some(width), None) = (item.fixed_width(), around) {
+            if item.is_octet() {
+                return self.push(Step::Octets { to: to.views() });
+            }
             self.push(Step::Run {
                 width,
                 align: width.min(self.dialect.max_align),

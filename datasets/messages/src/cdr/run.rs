@@ -2,7 +2,7 @@
 
 use super::program::{Dialect, Move, Step};
 use crate::DecodeError;
-use crate::buffers::{Pool, Target, offset};
+use crate::buffers::{Pool, Target, Views, offset};
 use std::borrow::Cow;
 use std::ops::Range;
 
@@ -49,6 +49,7 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
                 }
                 Step::Text { to } => self.text(*to, pool)?,
                 Step::WideText { to } => self.wide_text(*to, pool)?,
+                Step::Octets { to } => self.octets(*to, pool)?,
                 Step::Run { width, align, to } => self.numbers(*width, *align, *to, pool)?,
                 Step::Sequence {
                     body,
@@ -59,7 +60,7 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
                     self.check_count(count, *min_size)?;
                     if let Some(offsets) = *offsets {
                         let end = offset(pool.last_offset(offsets) + count as usize)?;
-                        pool.0[offsets].push(end);
+                        pool.buffers[offsets].push(end);
                     }
                     let inner = &steps[next..next + body];
                     self.repeat(inner, count, pool)?;
@@ -176,9 +177,15 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
         if let Some(Target { offsets, data }) = to {
             let end = offset(pool.last_offset(offsets) + count)?;
             copy_values::<SWAP>(bytes, width, data, pool);
-            pool.0[offsets].push(end);
+            pool.buffers[offsets].push(end);
         }
         Ok(())
+    }
+
+    fn octets(&mut self, to: Option<Views>, pool: &mut Pool) -> Result<(), DecodeError> {
+        let count = self.length()? as usize;
+        let bytes = self.take(count)?;
+        to.map_or(Ok(()), |to| pool.append_view(to, bytes))
     }
 
     fn text(&mut self, to: Option<Target>, pool: &mut Pool) -> Result<(), DecodeError> {
@@ -193,8 +200,8 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
         };
         // ROS never checks encodings; what is not UTF-8 is replaced, as a row is worth more.
         match String::from_utf8_lossy(bytes) {
-            Cow::Borrowed(text) => pool.append_bytes(offsets, data, text.as_bytes()),
-            Cow::Owned(text) => pool.append_bytes(offsets, data, text.as_bytes()),
+            Cow::Borrowed(text) => pool.append_text(offsets, data, text.as_bytes()),
+            Cow::Owned(text) => pool.append_text(offsets, data, text.as_bytes()),
         }
     }
 
@@ -215,7 +222,7 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
         let text: String = char::decode_utf16(units)
             .map(|unit| unit.unwrap_or(char::REPLACEMENT_CHARACTER))
             .collect();
-        pool.append_bytes(offsets, data, text.as_bytes())
+        pool.append_text(offsets, data, text.as_bytes())
     }
 
     fn wide_units(&mut self) -> Result<(usize, &'a [u8]), DecodeError> {
@@ -271,7 +278,7 @@ fn copy_block<const SWAP: bool>(block: &[u8], moves: &[Move], pool: &mut Pool) {
 
 #[inline]
 fn copy_one<const SWAP: bool>(source: &[u8], width: usize, buffer: usize, pool: &mut Pool) {
-    let buffer = &mut pool.0[buffer];
+    let buffer = &mut pool.buffers[buffer];
     match width {
         8 => {
             if let Some(bytes) = source.first_chunk::<8>() {
@@ -296,7 +303,7 @@ fn copy_one<const SWAP: bool>(source: &[u8], width: usize, buffer: usize, pool: 
 }
 
 fn copy_values<const SWAP: bool>(source: &[u8], width: usize, buffer: usize, pool: &mut Pool) {
-    let buffer = &mut pool.0[buffer];
+    let buffer = &mut pool.buffers[buffer];
     let start = buffer.len();
     buffer.extend_from_slice(source);
     if SWAP && width > 1 {

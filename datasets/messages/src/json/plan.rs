@@ -109,7 +109,7 @@ impl Shape {
             Shape::Integer => DataType::Int64,
             Shape::Number => DataType::Float64,
             Shape::Text | Shape::Json => DataType::Utf8,
-            Shape::Base64 => DataType::Binary,
+            Shape::Base64 => DataType::BinaryView,
             Shape::List(item) => DataType::new_list(item.data_type(), true),
             Shape::Object(object) => DataType::Struct(fields(&object.properties)),
         }
@@ -128,7 +128,8 @@ impl Shape {
         1 + match self {
             Shape::Boolean => 1,
             Shape::Integer | Shape::Number => 8,
-            Shape::Text | Shape::Json | Shape::Base64 | Shape::List(_) => 4,
+            Shape::Base64 => 16,
+            Shape::Text | Shape::Json | Shape::List(_) => 4,
             Shape::Object(object) => object.absent_bytes,
         }
     }

@@ -111,7 +111,8 @@ impl Shape {
     pub(super) fn fixed_bytes(&self) -> usize {
         match self {
             Shape::Bool => 1,
-            Shape::Varint32 { .. } | Shape::Fixed32 | Shape::Text | Shape::Bytes => 4,
+            Shape::Bytes => 16,
+            Shape::Varint32 { .. } | Shape::Fixed32 | Shape::Text => 4,
             Shape::Varint64 { .. } | Shape::Fixed64 => 8,
             Shape::Message(plan) => plan.absent_bytes,
         }
@@ -223,7 +224,7 @@ impl<'a> Builder<'a> {
             7 => (Shape::Fixed32, DataType::UInt32),
             8 => (Shape::Bool, DataType::Boolean),
             9 => (Shape::Text, DataType::Utf8),
-            12 => (Shape::Bytes, DataType::Binary),
+            12 => (Shape::Bytes, DataType::BinaryView),
             13 => (Shape::Varint32 { zigzag: false }, DataType::UInt32),
             15 => (Shape::Fixed32, DataType::Int32),
             16 => (Shape::Fixed64, DataType::Int64),
@@ -259,7 +260,7 @@ impl<'a> Builder<'a> {
         };
         let of_map = self.types.message_at(target).is_some_and(|m| m.map_entry);
         let (shape, data_type) = if self.open.contains(&target) {
-            (Shape::Bytes, DataType::Binary)
+            (Shape::Bytes, DataType::BinaryView)
         } else {
             let plan = self.message(target)?;
             let data_type = DataType::Struct(plan.fields.clone());

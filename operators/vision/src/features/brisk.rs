@@ -12,7 +12,7 @@ use opencv::imgproc::{INTER_AREA, INTER_CUBIC, resize};
 
 use super::spread::{Candidate, spread};
 use super::{Blind, DESCRIPTOR_BYTES, FeatureParams, KeyPoints, Vignette};
-use crate::decode::one_thread;
+use crate::threads::one_thread;
 use crate::{Grey, ImageError};
 
 /// The threshold is right when this many times the wanted key points are found: enough to choose from.

@@ -6,8 +6,9 @@ use evermap_algorithms::labels::shapes::{self, Outline, crossing};
 use evermap_schemas::Fault;
 use serde_json::Value;
 
-use super::mosaic::Georeference;
-use super::{Losses, geojson, pixels};
+use super::mosaic::Picture;
+use super::pixels::Program;
+use super::{Losses, geojson};
 
 /// Coordinates beyond this are none of a map, m: more than around the Earth.
 const MOST_M: f64 = 1e8;
@@ -45,30 +46,25 @@ pub type Point = ([f64; 2], Option<f64>);
 /// A user fault for a file that is none of the formats, or of pixels without a georeference.
 pub fn read(
     path: &Path,
-    mosaic: Option<&Georeference>,
+    mosaic: Option<&Picture>,
     losses: &mut Losses,
 ) -> Result<Vec<Feature>, Fault> {
     let at = |fault: Fault| fault.at(path.display());
-    let bytes = std::fs::read(path)
+    let text = std::fs::read_to_string(path)
         .map_err(|error| at(Fault::user(format!("expected labels, found {error}"))))?;
-    let value: Value = serde_json::from_slice(&bytes)
-        .map_err(|error| at(Fault::user(format!("expected JSON, found {error}"))))?;
-    let referenced = || {
-        mosaic.ok_or_else(|| {
+    if let Some(program) = Program::of(path, &text) {
+        let picture = mosaic.ok_or_else(|| {
             at(Fault::user("these annotations are in pixels of a picture")
                 .next("name it with --mosaic, with its world file (.pgw) beside it"))
-        })
-    };
-    match &value {
-        Value::Array(tasks) => Ok(pixels::label_studio(tasks, referenced()?, losses)),
-        Value::Object(members) if members.contains_key("images") => {
-            Ok(pixels::coco(&value, referenced()?, losses))
-        }
-        Value::Object(members) if members.contains_key("type") => {
-            Ok(geojson::features(&value, losses))
-        }
-        _ => Err(at(Fault::user(
-            "expected GeoJSON, COCO annotations or an export of Label Studio (JSON), found other JSON",
+        })?;
+        return program.read(path, &text, picture, losses).map_err(at);
+    }
+    let value: Value = serde_json::from_str(&text)
+        .map_err(|error| at(Fault::user(format!("expected JSON, found {error}"))))?;
+    match value.get("type") {
+        Some(_) => Ok(geojson::features(&value, losses)),
+        None => Err(at(Fault::user(
+            "expected GeoJSON, COCO, CVAT (XML), Label Studio (JSON) or YOLO's oriented boxes (.txt), found other JSON",
         ))),
     }
 }

@@ -2,15 +2,15 @@
 //!
 //! ```text
 //!   GeoJSON ─────────────────► features ─┐
-//!   COCO, Label Studio ─ mosaic ─► ──────┴─► saying ──► acts ──► a log of annotations
+//!   pixels of a mosaic ──────────────────┴─► saying ──► acts ──► a log of annotations
 //!                                               ▲
-//!   a map's version, logs ──► state: labels placed in it ──► GeoJSON
+//!   a map's version, logs ──► state: labels placed in it ──► GeoJSON, pixels of a mosaic
 //! ```
 
 pub mod features;
 pub mod geojson;
 pub mod mosaic;
-mod pixels;
+pub mod pixels;
 pub mod saying;
 pub mod state;
 

@@ -1,13 +1,62 @@
 //! Where the pixels of a mosaic are in the map, as its world file says.
 
+use std::fs::File;
+use std::io::BufReader;
 use std::path::Path;
 
 use evermap_schemas::Fault;
 
+/// A mosaic that annotations are of.
+#[derive(Debug, Clone)]
+pub struct Picture {
+    /// The name of its file.
+    pub name: String,
+    /// Width and height, px.
+    pub size: [u32; 2],
+    /// Where it is in the map.
+    reference: Georeference,
+    /// From metres to pixels.
+    inverse: Georeference,
+}
+
+impl Picture {
+    /// A PNG with its world file beside it.
+    ///
+    /// # Errors
+    /// A user fault where either is missing, or not what it is named.
+    pub fn read(path: &Path) -> Result<Self, Fault> {
+        let at = |fault: Fault| fault.at(path.display());
+        let file = File::open(path);
+        let file =
+            file.map_err(|error| at(Fault::user(format!("expected a mosaic, found {error}"))))?;
+        let header = png::Decoder::new(BufReader::new(file)).read_info();
+        let header =
+            header.map_err(|error| at(Fault::user(format!("expected a PNG, found {error}"))))?;
+        let name = path.file_name().unwrap_or_default();
+        let reference = Georeference::read(path)?;
+        Ok(Self {
+            name: name.to_string_lossy().into_owned(),
+            size: [header.info().width, header.info().height],
+            inverse: reference.inverse(),
+            reference,
+        })
+    }
+
+    /// The place of pixel coordinates, m.
+    pub fn place(&self, pixel: [f64; 2]) -> [f64; 2] {
+        self.reference.place(pixel)
+    }
+
+    /// The pixel coordinates of a place.
+    pub fn pixel(&self, place: [f64; 2]) -> [f64; 2] {
+        self.inverse.turned(place).map(|value| value + 0.5)
+    }
+}
+
 /// An affine map from pixels to metres. Pixel coordinates begin at the corner of the picture, as annotation programs have
 /// them; a world file is about the centres of pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Georeference {
+struct Georeference {
     /// x = a · column + b · row + c, m.
     x: [f64; 3],
     /// y = d · column + e · row + f, m.
@@ -19,7 +68,7 @@ impl Georeference {
     ///
     /// # Errors
     /// A user fault where there is none, or it is not six numbers that make sense.
-    pub fn read(picture: &Path) -> Result<Self, Fault> {
+    fn read(picture: &Path) -> Result<Self, Fault> {
         let path = picture.with_extension("pgw");
         let at = |fault: Fault| fault.at(path.display());
         let text = std::fs::read_to_string(&path).map_err(|error| {
@@ -48,9 +97,23 @@ impl Georeference {
     }
 
     /// The place of pixel coordinates, m.
-    pub fn place(&self, [column, row]: [f64; 2]) -> [f64; 2] {
-        let (column, row) = (column - 0.5, row - 0.5);
+    fn place(&self, pixel: [f64; 2]) -> [f64; 2] {
+        self.turned(pixel.map(|value| value - 0.5))
+    }
+
+    /// As the world file has it, of the centres of pixels.
+    fn turned(&self, [column, row]: [f64; 2]) -> [f64; 2] {
         [self.x, self.y].map(|[by_column, by_row, first]| by_column * column + by_row * row + first)
+    }
+
+    /// The way back. Its determinant is not zero.
+    fn inverse(&self) -> Self {
+        let ([a, b, c], [d, e, f]) = (self.x, self.y);
+        let by = 1.0 / (a * e - b * d);
+        Self {
+            x: [e * by, -b * by, (b * f - c * e) * by],
+            y: [-d * by, a * by, (c * d - a * f) * by],
+        }
     }
 }
 
@@ -73,6 +136,8 @@ mod tests {
         for (pixel, place) in [([0.0, 0.0], [-12.8, 25.6]), ([4.0, 2.0], [-12.4, 25.4])] {
             let [x, y] = found.place(pixel);
             assert!((x - place[0]).abs() < 1e-9 && (y - place[1]).abs() < 1e-9);
+            let [column, row] = found.inverse().turned(place).map(|value| value + 0.5);
+            assert!((column - pixel[0]).abs() < 1e-9 && (row - pixel[1]).abs() < 1e-9);
         }
     }
 

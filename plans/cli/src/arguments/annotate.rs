@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::annotate::pixels::Program;
 use crate::arguments::MapArgs;
 
 /// Arguments of `annotate`.
@@ -19,12 +20,11 @@ pub struct AnnotateArgs {
     /// What the labels mark: any word, as `parking_space` [default: what each says itself]. With --export, only these.
     #[arg(long, value_name = "WORD")]
     pub kind: Option<String>,
-    /// Labels to say: GeoJSON in the map's metres, or COCO or Label Studio annotations of a mosaic.
+    /// Labels to say: GeoJSON in the map's metres; or annotations of a mosaic by COCO, CVAT, Label Studio or YOLO.
     #[arg(long, value_name = "FILE", requires = "out")]
     pub import: Option<PathBuf>,
-    /// The mosaic that COCO or Label Studio annotations are of, as `evermap export --format png` wrote it with its world
-    /// file beside it.
-    #[arg(long, value_name = "PNG", requires = "import")]
+    /// The mosaic that annotations in pixels are of, as `evermap export --format png` wrote it with its world file beside it.
+    #[arg(long, value_name = "PNG")]
     pub mosaic: Option<PathBuf>,
     /// Who says so [default: the user's name].
     #[arg(long, value_name = "NAME")]
@@ -32,9 +32,12 @@ pub struct AnnotateArgs {
     /// Log of annotations. What it says already counts; what is new is written to its next part.
     #[arg(long, value_name = "LOG", value_parser = log)]
     pub out: Option<PathBuf>,
-    /// GeoJSON file to write: the labels that there are, where they are in this version of the map.
+    /// File to write: the labels that there are, where they are in this version of the map.
     #[arg(long, value_name = "FILE")]
     pub export: Option<PathBuf>,
+    /// In pixels of --mosaic, for another program, without what was rejected [default: GeoJSON in the map's metres].
+    #[arg(long, value_name = "PROGRAM", requires_all = ["export", "mosaic"])]
+    pub program: Option<Program>,
 }
 
 fn log(text: &str) -> Result<PathBuf, String> {

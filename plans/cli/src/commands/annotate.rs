@@ -5,17 +5,18 @@ use std::path::{Path, PathBuf};
 
 use evermap_datasets::annotations::{Annotation, parts};
 use evermap_engine::map::version::Version;
-use evermap_schemas::layers::PlacedLabel;
+use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
 use evermap_schemas::{Fault, LayerRow, batch};
 
 use crate::annotate::features::read;
-use crate::annotate::mosaic::Georeference;
+use crate::annotate::mosaic::Picture;
 use crate::annotate::saying::{Speaker, said};
 use crate::annotate::state::State;
 use crate::annotate::{Losses, begin, unwritten, user};
 use crate::arguments::AnnotateArgs;
 use crate::ending::{Ending, Failure, Lost};
 use crate::export::geojson;
+use crate::output::write_file;
 use crate::progress::line;
 use crate::reader::MapReader;
 
@@ -32,7 +33,7 @@ pub async fn annotate(args: &AnnotateArgs) -> Ending {
         (Some(file), Some(log), _) => {
             import(args, file, log, (&state, &reader.map.version), &mut losses)?;
         }
-        (_, _, Some(file)) => export(args, file, state)?,
+        (_, _, Some(file)) => export(args, file, (state, &reader), &mut losses).await?,
         _ => {}
     }
     losses.tell();
@@ -46,7 +47,7 @@ fn import(
     (state, version): (&State, &Version),
     losses: &mut Losses,
 ) -> Result<(), Failure> {
-    let mosaic = args.mosaic.as_deref().map(Georeference::read).transpose()?;
+    let mosaic = args.mosaic.as_deref().map(Picture::read).transpose()?;
     let features = read(file, mosaic.as_ref(), losses)?;
     let now = chrono::Utc::now().timestamp_nanos_opt();
     let speaker = Speaker {
@@ -92,13 +93,25 @@ fn write(log: &Path, map: &Version, acts: &[Annotation]) -> Result<PathBuf, Faul
     writing.finish().map_err(unwritten)
 }
 
-fn export(args: &AnnotateArgs, file: &Path, state: State) -> Result<(), Failure> {
-    let wanted = |label: &PlacedLabel| args.kind.as_ref().is_none_or(|kind| *kind == label.kind);
-    let labels: Vec<PlacedLabel> = state.labels.into_values().filter(wanted).collect();
+async fn export(
+    args: &AnnotateArgs,
+    file: &Path,
+    (state, reader): (State, &MapReader),
+    losses: &mut Losses,
+) -> Result<(), Failure> {
+    let wanted = |kind: &String| args.kind.as_ref().is_none_or(|wanted| wanted == kind);
+    let labels = state.labels.into_values();
+    let labels: Vec<PlacedLabel> = labels.filter(|label| wanted(&label.kind)).collect();
     if labels.is_empty() {
         line("there are no labels yet");
     }
-    let title = format!("labels of {}, version {}", state.site, state.version);
-    let rows = batch(labels)?;
-    geojson(&[rows], Some(&PlacedLabel::layer()), &title, file)
+    let (Some(program), Some(picture)) = (args.program, args.mosaic.as_deref()) else {
+        let title = format!("labels of {}, version {}", state.site, state.version);
+        let rows = batch(labels)?;
+        return geojson(&[rows], Some(&PlacedLabel::layer()), &title, file);
+    };
+    let mut proposed: Vec<BoxHypothesis> = reader.rows(Some(&state.site)).await?;
+    proposed.retain(|found| wanted(&found.kind));
+    let text = program.write(file, &Picture::read(picture)?, (&labels, &proposed), losses)?;
+    write_file(file, text.as_bytes())
 }

@@ -258,7 +258,7 @@ pub async fn sql(args: &SqlArgs) -> Ending {
 
 async fn all(tables: &Tables, text: &str, args: &SqlArgs) -> Result<(), Failure> {
     let statements = statements(text)?;
-    let to_one_file = args.out.is_some() || args.format == Format::Parquet;
+    let to_one_file = args.out.is_some() || args.format.is_binary();
     if statements.is_empty() || (statements.len() > 1 && to_one_file) {
         let expected = if to_one_file { "one query" } else { "a query" };
         return Err(Fault::user(format!("expected {expected}, found {}", statements.len())).into());

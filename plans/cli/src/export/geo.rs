@@ -61,7 +61,7 @@ fn features(batch: &RecordBatch, layer: Option<&Layer>) -> Result<Vec<Value>, Fa
 /// The rows as JSON objects, without columns of bytes.
 fn properties(batch: &RecordBatch) -> Result<Vec<Map<String, Value>>, Fault> {
     let kept: Vec<usize> = (0..batch.num_columns())
-        .filter(|&index| *batch.schema_ref().field(index).data_type() != DataType::Binary)
+        .filter(|&index| !batch.schema_ref().field(index).data_type().is_binary())
         .collect();
     let mut bytes = Vec::new();
     let mut writer = WriterBuilder::new()

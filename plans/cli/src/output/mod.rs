@@ -1,5 +1,6 @@
-//! Rows on their way out: a table for people, CSV, JSON or Parquet for programs.
+//! Rows on their way out: a table for people, CSV, JSON, Parquet or Arrow for programs.
 
+mod columnar;
 mod readable;
 mod sink;
 mod writers;
@@ -26,6 +27,15 @@ pub enum Format {
     Json,
     /// Parquet, as it is kept in the map.
     Parquet,
+    /// Arrow's file, as it lies in memory: read without decoding.
+    Arrow,
+}
+
+impl Format {
+    /// Whether an output is one file of bytes, rather than text.
+    pub fn is_binary(self) -> bool {
+        matches!(self, Self::Parquet | Self::Arrow)
+    }
 }
 
 /// Writes rows as they come; how many there were.
@@ -38,8 +48,8 @@ pub async fn write(
     rows: impl Stream<Item = Result<RecordBatch, Fault>>,
     sink: &mut Sink,
 ) -> Result<u64, Failure> {
-    if format == Format::Parquet && sink.is_terminal() {
-        return Err(Fault::user("Parquet is not for terminals")
+    if format.is_binary() && sink.is_terminal() {
+        return Err(Fault::user("Parquet and Arrow are not for terminals")
             .next("name a file with --out, or redirect")
             .into());
     }

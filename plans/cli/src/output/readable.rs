@@ -41,11 +41,11 @@ fn mapped(
 }
 
 fn short_texts(column: &ArrayRef) -> Result<StringArray, ArrowError> {
-    if *column.data_type() == DataType::Binary {
-        let sizes = column.as_binary::<i32>().iter();
-        return Ok(sizes
-            .map(|bytes| bytes.map(|bytes| format!("{} B", bytes.len())))
-            .collect());
+    let sizes = |bytes: Option<&[u8]>| bytes.map(|bytes| format!("{} B", bytes.len()));
+    match column.data_type() {
+        DataType::Binary => return Ok(column.as_binary::<i32>().iter().map(sizes).collect()),
+        DataType::BinaryView => return Ok(column.as_binary_view().iter().map(sizes).collect()),
+        _ => {}
     }
     let options = FormatOptions::default().with_null("");
     let formatter = ArrayFormatter::try_new(column.as_ref(), &options)?;

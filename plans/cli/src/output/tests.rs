@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used)]
 use super::*;
 use arrow::compute::concat_batches;
+use arrow::ipc::reader::FileReader;
 use evermap_schemas::{Bytes, Pose, Stamp, record};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
@@ -141,4 +142,19 @@ async fn parquet_reads_back_the_same() {
         format!("{:?}", rows().columns())
     );
     assert_eq!(found.schema().field(0).name(), "name");
+}
+
+#[tokio::test]
+async fn arrow_reads_back_the_same_also_without_rows() {
+    let read = |bytes| FileReader::try_new(std::io::Cursor::new(bytes), None).unwrap();
+    let bytes = written(Format::Arrow, vec![rows().slice(0, 2), rows().slice(2, 1)]).await;
+    let found: Vec<RecordBatch> = read(bytes).map(Result::unwrap).collect();
+    let found = concat_batches(&rows().schema(), &found).unwrap();
+    assert_eq!(found.schema(), rows().schema());
+    assert_eq!(
+        format!("{:?}", found.columns()),
+        format!("{:?}", rows().columns())
+    );
+    let empty = read(written(Format::Arrow, vec![]).await);
+    assert_eq!((empty.schema(), empty.count()), (rows().schema(), 0));
 }

@@ -5,15 +5,12 @@ use std::io::Write;
 use arrow::array::RecordBatch;
 use arrow::csv::WriterBuilder as CsvBuilder;
 use arrow::datatypes::SchemaRef;
+use arrow::ipc::writer::FileWriter;
 use arrow::json::writer::{JsonArray, Writer as JsonWriter, WriterBuilder as JsonBuilder};
 use arrow::util::pretty::pretty_format_batches;
-use evermap_schemas::Fault;
-use parquet::arrow::ArrowWriter;
-use parquet::basic::{Compression, ZstdLevel};
-use parquet::errors::ParquetError;
-use parquet::file::properties::{EnabledStatistics, WriterProperties};
 
 use crate::ending::Failure;
+use crate::output::columnar::Parquet;
 use crate::output::readable::{cells, flat};
 use crate::output::{Format, Sink};
 
@@ -53,16 +50,8 @@ pub fn open(
                 .with_explicit_nulls(true)
                 .build::<_, JsonArray>(Lines(sink)),
         ),
-        Format::Parquet => {
-            let level = ZstdLevel::try_new(1).unwrap_or_default();
-            let properties = WriterProperties::builder()
-                .set_compression(Compression::ZSTD(level))
-                // Messages are mostly numbers that do not repeat: looking for repeats costs more than it saves.
-                .set_dictionary_enabled(false)
-                .set_statistics_enabled(EnabledStatistics::Chunk)
-                .build();
-            Box::new(ArrowWriter::try_new(sink, schema, Some(properties)).map_err(parquet_failure)?)
-        }
+        Format::Parquet => Box::new(Parquet::open(&schema, sink)?),
+        Format::Arrow => Box::new(FileWriter::try_new(sink, &schema)?),
     })
 }
 
@@ -134,25 +123,5 @@ impl RowWriter for JsonWriter<Lines<'_>, JsonArray> {
     fn finish(mut self: Box<Self>) -> Result<(), Failure> {
         JsonWriter::finish(&mut self)?;
         Ok(self.into_inner().0.write_all(b"\n")?)
-    }
-}
-
-impl RowWriter for ArrowWriter<&mut Sink> {
-    fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
-        ArrowWriter::write(self, batch).map_err(parquet_failure)
-    }
-
-    fn finish(self: Box<Self>) -> Result<(), Failure> {
-        self.close().map(drop).map_err(parquet_failure)
-    }
-}
-
-fn parquet_failure(error: ParquetError) -> Failure {
-    match error {
-        ParquetError::External(inner) => match inner.downcast::<std::io::Error>() {
-            Ok(error) => (*error).into(),
-            Err(other) => Fault::resource(format!("cannot write Parquet: {other}")).into(),
-        },
-        other => Fault::data(format!("cannot write Parquet: {other}")).into(),
     }
 }

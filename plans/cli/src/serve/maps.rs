@@ -8,6 +8,7 @@ use datafusion::execution::runtime_env::RuntimeEnv;
 use datafusion::prelude::SessionContext;
 use datafusion_postgres::DfSessionService;
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::context::EmptyContextProvider;
+use datafusion_postgres::datafusion_pg_catalog::pg_catalog::create_pg_table_is_visible;
 use datafusion_postgres::datafusion_pg_catalog::setup_pg_catalog;
 use evermap_engine::error::OrFault;
 use evermap_engine::map::store::Store;
@@ -171,6 +172,8 @@ impl ServedMap {
         }
         setup_pg_catalog(&context, "datafusion", EmptyContextProvider)
             .map_err(|error| Fault::bug(format!("no catalog for Postgres: {error}")))?;
+        let visible = ["pg_function_is_visible", "pg_type_is_visible"];
+        context.register_udf(create_pg_table_is_visible().with_aliases(visible));
         let postgres = DfSessionService::new_with_hooks(Arc::new(context.clone()), hooks());
         Ok(Opened {
             reader,

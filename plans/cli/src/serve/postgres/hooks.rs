@@ -22,6 +22,7 @@ use pgwire::api::results::{Response, Tag};
 use pgwire::error::{PgWireError, PgWireResult};
 use pgwire::types::format::FormatOptions;
 
+use crate::serve::postgres::catalog::{is_of_catalog, no_rows, without_lists};
 use crate::serve::postgres::nested::as_json;
 use crate::serve::postgres::{error, said};
 
@@ -170,7 +171,15 @@ fn nothing() -> LogicalPlan {
 struct Reading;
 
 async fn reading(statement: &Statement, context: &SessionContext) -> PgWireResult<LogicalPlan> {
-    let parsed = Parsed::Statement(Box::new(statement.clone()));
+    if !is_of_catalog(statement) {
+        return planned(statement.clone(), context).await;
+    }
+    let plan = planned(without_lists(statement.clone()), context).await;
+    plan.or_else(|error| no_rows(statement).ok_or(error))
+}
+
+async fn planned(statement: Statement, context: &SessionContext) -> PgWireResult<LogicalPlan> {
+    let parsed = Parsed::Statement(Box::new(statement));
     let plan = context.state().statement_to_plan(parsed).await;
     let allowed = SQLOptions::new()
         .with_allow_ddl(false)

@@ -1,6 +1,7 @@
 //! The protocol of Postgres, as `datafusion-postgres` speaks it, with what it leaves open shut: who comes in, what may be
 //! said, what an answer may take. The database that a client names is the map; where one map is served, any name is.
 
+mod catalog;
 mod hooks;
 mod nested;
 mod startup;

@@ -1,0 +1,101 @@
+//! Common Objects in Context.
+
+use std::collections::BTreeSet;
+
+use serde_json::{Value, json};
+
+use super::{Drawn, Pixel, Rectangle, Shape, numbers};
+use crate::annotate::Losses;
+use crate::annotate::geojson::text;
+use crate::annotate::mosaic::Picture;
+
+/// The annotations of a file, all of one picture: segmentations of one outline, else boxes, turned by
+/// `attributes.rotation` (degrees, clockwise, about their centre) as CVAT writes them.
+pub(super) fn read(value: &Value, losses: &mut Losses) -> Vec<Drawn> {
+    let list = |name: &str| value[name].as_array().map_or(&[][..], Vec::as_slice);
+    let pictures = list("images");
+    let category = |id: &Value| {
+        let mut categories = list("categories").iter();
+        text(&categories.find(|category| category["id"] == *id)?["name"])
+    };
+    let mut found = Vec::new();
+    for (number, annotation) in list("annotations").iter().enumerate() {
+        let place = format!("annotation {number}");
+        if pictures
+            .first()
+            .is_some_and(|first| first["id"] != annotation["image_id"])
+        {
+            losses.note("annotation of another picture than the first", &place);
+            continue;
+        }
+        match shape(annotation) {
+            Some(shape) => found.push(Drawn {
+                place,
+                kind: category(&annotation["category_id"]),
+                shape,
+                probability: None,
+            }),
+            None => losses.note("annotation that is neither box nor outline", &place),
+        }
+    }
+    found
+}
+
+fn shape(annotation: &Value) -> Option<Shape> {
+    let outlines = annotation["segmentation"].as_array().map(Vec::as_slice);
+    if let Some([outline]) = outlines {
+        let numbers: Vec<f64> = numbers(outline)?;
+        let (pixels, []) = numbers.as_chunks::<2>() else {
+            return None;
+        };
+        return Some(Shape::Closed(pixels.to_vec()));
+    }
+    let [left, top, width, height]: [f64; 4] = numbers(&annotation["bbox"])?.try_into().ok()?;
+    let degrees = annotation["attributes"]["rotation"].as_f64().unwrap_or(0.0);
+    let found = Rectangle::about_middle([left, top], [width, height], degrees);
+    Some(Shape::Box(found))
+}
+
+/// Outlines, with the boxes around them.
+pub(super) fn write(drawn: &[Drawn], picture: &Picture) -> String {
+    let kinds: BTreeSet<&str> = drawn
+        .iter()
+        .filter_map(|drawn| drawn.kind.as_deref())
+        .collect();
+    let kinds: Vec<&str> = kinds.into_iter().collect();
+    let annotations = drawn.iter().enumerate().map(|(number, drawn)| {
+        let points = drawn.shape.points();
+        let [[left, top], [right, bottom]] = drawn.shape.bounds();
+        let kind = drawn.kind.as_deref().unwrap_or_default();
+        json!({
+            "id": number + 1,
+            "image_id": 1,
+            "category_id": kinds.binary_search(&kind).map_or(0, |at| at + 1),
+            "segmentation": [points.concat()],
+            "bbox": [left, top, right - left, bottom - top],
+            "area": area(&points),
+            "iscrowd": 0,
+        })
+    });
+    let annotations: Vec<Value> = annotations.collect();
+    let [width, height] = picture.size;
+    let categories = kinds.iter().enumerate();
+    let categories = categories.map(|(at, kind)| json!({ "id": at + 1, "name": kind }));
+    let whole = json!({
+        "images": [{ "id": 1, "file_name": picture.name, "width": width, "height": height }],
+        "categories": categories.collect::<Vec<_>>(),
+        "annotations": annotations,
+    });
+    format!("{whole:#}\n")
+}
+
+/// Pixels within an outline.
+fn area(points: &[Pixel]) -> f64 {
+    let next = points.iter().cycle().skip(1);
+    let twice: f64 = points
+        .iter()
+        .zip(next)
+        .map(|(a, b)| a[0] * b[1] - a[1] * b[0])
+        .sum();
+    twice.abs() / 2.0
+}

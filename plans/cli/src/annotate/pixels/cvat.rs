@@ -1,0 +1,128 @@
+//! CVAT for images 1.1.
+
+use std::fmt::Write;
+
+use evermap_schemas::Fault;
+use roxmltree::{Document, Node};
+
+use super::{Drawn, Pixel, Rectangle, Shape};
+use crate::annotate::Losses;
+use crate::annotate::mosaic::Picture;
+
+/// The shapes of the first picture: boxes, turned clockwise about their middle, polygons and polylines.
+///
+/// # Errors
+/// A user fault for what is no XML, or no annotations.
+pub(super) fn read(text: &str, losses: &mut Losses) -> Result<Vec<Drawn>, Fault> {
+    let document = Document::parse(text)
+        .map_err(|error| Fault::user(format!("expected XML of CVAT, found {error}")))?;
+    let root = document.root_element();
+    if !root.has_tag_name("annotations") {
+        let found = root.tag_name().name();
+        return Err(Fault::user(format!(
+            "expected annotations of CVAT for images 1.1, found XML of <{found}>"
+        )));
+    }
+    let mut found = Vec::new();
+    let pictures = root.children().filter(|node| node.has_tag_name("image"));
+    for (picture, image) in pictures.enumerate() {
+        let shapes = image.children().filter(Node::is_element);
+        for (number, node) in shapes.enumerate() {
+            let place = format!("{} {number}", node.tag_name().name());
+            if picture > 0 {
+                losses.note("annotation of another picture than the first", &place);
+                continue;
+            }
+            match shape(node) {
+                Some(shape) => found.push(Drawn {
+                    place,
+                    kind: node.attribute("label").map(str::to_owned),
+                    shape,
+                    probability: None,
+                }),
+                None => losses.note(
+                    "annotation that is neither box nor outline nor line",
+                    &place,
+                ),
+            }
+        }
+    }
+    Ok(found)
+}
+
+fn shape(node: Node<'_, '_>) -> Option<Shape> {
+    let number = |name: &str| node.attribute(name)?.parse::<f64>().ok();
+    match node.tag_name().name() {
+        "box" => {
+            let [left, top] = [number("xtl")?, number("ytl")?];
+            let size = [number("xbr")? - left, number("ybr")? - top];
+            let degrees = number("rotation").unwrap_or(0.0);
+            let found = Rectangle::about_middle([left, top], size, degrees);
+            Some(Shape::Box(found))
+        }
+        "polygon" => points(node).map(Shape::Closed),
+        "polyline" => points(node).map(Shape::Open),
+        _ => None,
+    }
+}
+
+/// `x,y;x,y`.
+fn points(node: Node<'_, '_>) -> Option<Vec<Pixel>> {
+    let pixel = |text: &str| {
+        let (x, y) = text.split_once(',')?;
+        Some([x.trim().parse().ok()?, y.trim().parse().ok()?])
+    };
+    node.attribute("points")?.split(';').map(pixel).collect()
+}
+
+/// One picture with its shapes.
+pub(super) fn write(drawn: &[Drawn], picture: &Picture) -> String {
+    let [width, height] = picture.size;
+    let mut text = String::from(
+        "<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<annotations>\n  <version>1.1</version>\n",
+    );
+    let name = escaped(&picture.name);
+    // Writing to a text does not fail.
+    let _ = writeln!(
+        text,
+        "  <image id=\"0\" name=\"{name}\" width=\"{width}\" height=\"{height}\">"
+    );
+    for drawn in drawn {
+        let kind = escaped(drawn.kind.as_deref().unwrap_or_default());
+        let shared = format!("label=\"{kind}\" source=\"manual\" occluded=\"0\"");
+        let _ = match &drawn.shape {
+            Shape::Box(found) => {
+                let ([left, top], [along, across]) = (found.turned_back(), found.size);
+                let turn = found.degrees.rem_euclid(360.0);
+                writeln!(
+                    text,
+                    "    <box {shared} xtl=\"{left}\" ytl=\"{top}\" xbr=\"{}\" ybr=\"{}\" rotation=\"{turn}\" z_order=\"0\"/>",
+                    left + along,
+                    top + across
+                )
+            }
+            Shape::Closed(points) => writeln!(
+                text,
+                "    <polygon {shared} {} z_order=\"0\"/>",
+                listed(points)
+            ),
+            Shape::Open(points) => writeln!(
+                text,
+                "    <polyline {shared} {} z_order=\"0\"/>",
+                listed(points)
+            ),
+        };
+    }
+    text.push_str("  </image>\n</annotations>\n");
+    text
+}
+
+fn listed(points: &[Pixel]) -> String {
+    let points = points.iter().map(|[x, y]| format!("{x},{y}"));
+    format!("points=\"{}\"", points.collect::<Vec<_>>().join(";"))
+}
+
+fn escaped(text: &str) -> String {
+    let escaped = text.replace('&', "&amp;").replace('<', "&lt;");
+    escaped.replace('>', "&gt;").replace('"', "&quot;")
+}

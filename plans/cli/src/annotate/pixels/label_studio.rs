@@ -1,0 +1,124 @@
+//! Label Studio's tasks.
+
+use serde_json::{Value, json};
+
+use super::{Drawn, Rectangle, Shape, numbers};
+use crate::annotate::Losses;
+use crate::annotate::geojson::text;
+use crate::annotate::mosaic::Picture;
+
+/// The results of tasks, all of one picture: rectangles, turned about their upper left corner, and polygons, in percent of
+/// the picture. Predictions are not read: nobody said them.
+pub(super) fn read(tasks: &Value, losses: &mut Losses) -> Vec<Drawn> {
+    let mut found = Vec::new();
+    for (task, value) in tasks.as_array().into_iter().flatten().enumerate() {
+        let annotations = ["annotations", "completions"].map(|name| &value[name]);
+        let annotations = annotations
+            .into_iter()
+            .filter_map(Value::as_array)
+            .flatten();
+        let held = annotations.filter(|annotation| annotation["was_cancelled"] != true);
+        let results = held.filter_map(|annotation| annotation["result"].as_array());
+        for (number, result) in results.flatten().enumerate() {
+            let place = format!("task {task}, result {number}");
+            match shape(result) {
+                Some((kind, shape)) => found.push(Drawn {
+                    place,
+                    kind,
+                    shape,
+                    probability: None,
+                }),
+                None => losses.note("annotation that is neither box nor outline", &place),
+            }
+        }
+    }
+    found
+}
+
+fn shape(result: &Value) -> Option<(Option<String>, Shape)> {
+    let size = [&result["original_width"], &result["original_height"]];
+    let [width_px, height_px] = size.map(Value::as_f64);
+    let (value, scale) = (&result["value"], [width_px? / 100.0, height_px? / 100.0]);
+    let number = |name: &str| value[name].as_f64();
+    match result["type"].as_str()? {
+        kind @ ("rectanglelabels" | "rectangle") => {
+            let found = Rectangle {
+                corner: [number("x")? * scale[0], number("y")? * scale[1]],
+                size: [number("width")? * scale[0], number("height")? * scale[1]],
+                degrees: number("rotation").unwrap_or(0.0),
+            };
+            Some((text(&value[kind][0]), Shape::Box(found)))
+        }
+        kind @ ("polygonlabels" | "polygon") => {
+            let pixel = |point: &Value| {
+                let [x, y]: [f64; 2] = numbers(point)?.try_into().ok()?;
+                Some([x * scale[0], y * scale[1]])
+            };
+            let outline: Option<_> = value["points"].as_array()?.iter().map(pixel).collect();
+            Some((text(&value[kind][0]), Shape::Closed(outline?)))
+        }
+        _ => None,
+    }
+}
+
+/// One task: labels as an annotation, proposals as a prediction with their probabilities as scores.
+pub(super) fn write(labels: &[Drawn], proposed: &[Drawn], picture: &Picture) -> String {
+    let results = |drawn: &[Drawn]| {
+        let results = drawn.iter().enumerate();
+        Value::Array(
+            results
+                .map(|(number, drawn)| result(number, drawn, picture))
+                .collect(),
+        )
+    };
+    let mut task = json!({
+        "data": { "image": picture.name },
+        "annotations": [{ "result": results(labels) }],
+        "predictions": [],
+    });
+    if !proposed.is_empty() {
+        let version = concat!("evermap ", env!("CARGO_PKG_VERSION"));
+        task["predictions"] = json!([{ "model_version": version, "result": results(proposed) }]);
+    }
+    format!("{:#}\n", json!([task]))
+}
+
+fn result(number: usize, drawn: &Drawn, picture: &Picture) -> Value {
+    let [width, height] = picture.size;
+    let percent = [100.0 / f64::from(width), 100.0 / f64::from(height)];
+    let kind = drawn.kind.as_deref().unwrap_or_default();
+    let (form, mut value) = match &drawn.shape {
+        Shape::Box(found) => (
+            "rectanglelabels",
+            json!({
+                "x": found.corner[0] * percent[0],
+                "y": found.corner[1] * percent[1],
+                "width": found.size[0] * percent[0],
+                "height": found.size[1] * percent[1],
+                "rotation": found.degrees.rem_euclid(360.0),
+            }),
+        ),
+        Shape::Closed(points) | Shape::Open(points) => {
+            let points = points.iter().map(|[x, y]| [x * percent[0], y * percent[1]]);
+            (
+                "polygonlabels",
+                json!({ "points": points.collect::<Vec<_>>(), "closed": true }),
+            )
+        }
+    };
+    value[form] = json!([kind]);
+    let mut result = json!({
+        "id": format!("{number}"),
+        "type": form,
+        "from_name": "label",
+        "to_name": "image",
+        "original_width": width,
+        "original_height": height,
+        "image_rotation": 0,
+        "value": value,
+    });
+    if let Some(probability) = drawn.probability {
+        result["score"] = json!(probability);
+    }
+    result
+}

@@ -1,0 +1,295 @@
+//! Boxes and outlines drawn on a mosaic with programs that know pixels, read and written.
+
+mod coco;
+mod cvat;
+mod label_studio;
+mod yolo;
+
+use std::path::Path;
+
+use clap::ValueEnum;
+use evermap_schemas::Fault;
+use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
+use serde_json::Value;
+
+use super::Losses;
+use super::features::{Feature, Geometry};
+use super::mosaic::Picture;
+use crate::scene::corners;
+
+/// A place in a picture, px from its upper left corner.
+type Pixel = [f64; 2];
+
+/// A program's way to write annotations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Program {
+    /// Common Objects in Context.
+    Coco,
+    /// CVAT for images 1.1.
+    Cvat,
+    /// A task of Label Studio, with what the map proposes as predictions.
+    LabelStudio,
+    /// YOLO's oriented boxes, with the names of their classes in classes.txt beside.
+    YoloObb,
+}
+
+impl Program {
+    /// That of a file, by what it holds; `None` where it is none of them.
+    pub(super) fn of(path: &Path, text: &str) -> Option<Self> {
+        if path.extension().is_some_and(|extension| extension == "txt") {
+            return Some(Self::YoloObb);
+        }
+        if text.trim_start().starts_with('<') {
+            return Some(Self::Cvat);
+        }
+        match serde_json::from_str(text).ok()? {
+            Value::Array(_) => Some(Self::LabelStudio),
+            Value::Object(members) if members.contains_key("images") => Some(Self::Coco),
+            _ => None,
+        }
+    }
+
+    /// The features of a file; what makes no sense is noted and left out.
+    ///
+    /// # Errors
+    /// A user fault for a file of another form.
+    pub(super) fn read(
+        self,
+        path: &Path,
+        text: &str,
+        picture: &Picture,
+        losses: &mut Losses,
+    ) -> Result<Vec<Feature>, Fault> {
+        let json = || {
+            serde_json::from_str(text)
+                .map_err(|error| Fault::user(format!("expected JSON, found {error}")))
+        };
+        let drawn = match self {
+            Self::Coco => coco::read(&json()?, losses),
+            Self::Cvat => cvat::read(text, losses)?,
+            Self::LabelStudio => label_studio::read(&json()?, losses),
+            Self::YoloObb => yolo::read(text, &yolo::classes(path)?, picture.size, losses),
+        };
+        Ok(drawn
+            .into_iter()
+            .map(|drawn| drawn.feature(picture))
+            .collect())
+    }
+
+    /// What the file of a picture says of these labels and, where the program knows such, of what was proposed. What it
+    /// has no form for is noted and left out.
+    ///
+    /// # Errors
+    /// A resource fault for the classes' file.
+    pub fn write(
+        self,
+        path: &Path,
+        picture: &Picture,
+        (labels, proposed): (&[PlacedLabel], &[BoxHypothesis]),
+        losses: &mut Losses,
+    ) -> Result<String, Fault> {
+        let labels = labels.iter().filter(|label| label.standing != "rejected");
+        let mut drawn = Vec::new();
+        for label in labels {
+            let seen = Drawn::of_label(label, picture);
+            match self.lacks(&seen.shape) {
+                None if seen.is_in(picture.size) => drawn.push(seen),
+                None => losses.note("label outside of the picture", &seen.place),
+                Some(reason) => losses.note(reason, &seen.place),
+            }
+        }
+        let proposed = proposed.iter();
+        let proposed = proposed.filter_map(|found| Drawn::of_hypothesis(found, picture));
+        let proposed: Vec<Drawn> = proposed.filter(|drawn| drawn.is_in(picture.size)).collect();
+        match self {
+            Self::Coco => Ok(coco::write(&drawn, picture)),
+            Self::Cvat => Ok(cvat::write(&drawn, picture)),
+            Self::LabelStudio => Ok(label_studio::write(&drawn, &proposed, picture)),
+            Self::YoloObb => yolo::write(&drawn, picture, path),
+        }
+    }
+
+    /// Why a shape cannot be said.
+    fn lacks(self, shape: &Shape) -> Option<&'static str> {
+        match (self, shape) {
+            (Self::YoloObb, Shape::Closed(_)) => {
+                Some("polygon, which YOLO's oriented boxes are not")
+            }
+            (Self::Cvat, Shape::Open(_)) | (_, Shape::Box(_) | Shape::Closed(_)) => None,
+            (_, Shape::Open(_)) => Some("line, which the format has no form for"),
+        }
+    }
+}
+
+/// What is drawn on a picture.
+#[derive(Debug, Clone, PartialEq)]
+struct Drawn {
+    /// Which one, for people.
+    place: String,
+    /// What it marks, where it says so.
+    kind: Option<String>,
+    shape: Shape,
+    /// How likely it is, where it is only proposed.
+    probability: Option<f64>,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+enum Shape {
+    Box(Rectangle),
+    /// Corners of an outline.
+    Closed(Vec<Pixel>),
+    /// Points of a line.
+    Open(Vec<Pixel>),
+}
+
+/// A rectangle that is turned clockwise, as seen (rows grow downward), about its first corner.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Rectangle {
+    corner: Pixel,
+    /// Along its own axes.
+    size: [f64; 2],
+    degrees: f64,
+}
+
+impl Rectangle {
+    /// As programs have it that turn about the middle.
+    fn about_middle([left, top]: Pixel, size: [f64; 2], degrees: f64) -> Self {
+        let middle = [left + size[0] / 2.0, top + size[1] / 2.0];
+        Self {
+            corner: turned([left, top], middle, degrees),
+            size,
+            degrees,
+        }
+    }
+
+    /// The upper left corner that it has when it is turned back about its middle.
+    fn turned_back(&self) -> Pixel {
+        turned(self.corner, self.middle(), -self.degrees)
+    }
+
+    fn middle(&self) -> Pixel {
+        let [x, y] = self.corner;
+        let opposite = [x + self.size[0] / 2.0, y + self.size[1] / 2.0];
+        turned(opposite, self.corner, self.degrees)
+    }
+
+    fn corners(&self) -> [Pixel; 4] {
+        let ([x, y], [width, height]) = (self.corner, self.size);
+        let corners = [
+            [x, y],
+            [x + width, y],
+            [x + width, y + height],
+            [x, y + height],
+        ];
+        corners.map(|at| turned(at, self.corner, self.degrees))
+    }
+
+    /// Of a label's corners: ahead left, behind left, behind right, ahead right. Its width is the label's length.
+    fn of([ahead_left, left, right, ahead_right]: [Pixel; 4]) -> Self {
+        let from = |a: Pixel, b: Pixel| [b[0] - a[0], b[1] - a[1]];
+        let (along, across) = (from(left, ahead_left), from(left, right));
+        // In a picture that is mirrored the right side is the left one.
+        let mirrored = along[0] * across[1] - along[1] * across[0] < 0.0;
+        let (corner, along) = match mirrored {
+            true => (right, from(right, ahead_right)),
+            false => (left, along),
+        };
+        Self {
+            corner,
+            size: [along, across].map(|[x, y]| x.hypot(y)),
+            degrees: along[1].atan2(along[0]).to_degrees(),
+        }
+    }
+}
+
+/// A pixel turned clockwise, as seen, about another: rows grow downward.
+fn turned(at: Pixel, about: Pixel, degrees: f64) -> Pixel {
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    let (x, y) = (at[0] - about[0], at[1] - about[1]);
+    [about[0] + cos * x - sin * y, about[1] + sin * x + cos * y]
+}
+
+impl Shape {
+    fn points(&self) -> Vec<Pixel> {
+        match self {
+            Self::Box(found) => found.corners().to_vec(),
+            Self::Closed(points) | Self::Open(points) => points.clone(),
+        }
+    }
+
+    /// Least and largest column and row.
+    fn bounds(&self) -> [Pixel; 2] {
+        let points = self.points();
+        let of = |axis: usize, fold: fn(f64, f64) -> f64| {
+            let values = points.iter().map(|point| point[axis]);
+            values.reduce(fold).unwrap_or(0.0)
+        };
+        [
+            [of(0, f64::min), of(1, f64::min)],
+            [of(0, f64::max), of(1, f64::max)],
+        ]
+    }
+}
+
+impl Drawn {
+    fn of_label(label: &PlacedLabel, picture: &Picture) -> Self {
+        let points = label.points.iter();
+        let points: Vec<Pixel> = points.map(|[x, y, _]| picture.pixel([*x, *y])).collect();
+        let shape = match (
+            label.shape.as_str(),
+            <[Pixel; 4]>::try_from(points.as_slice()),
+        ) {
+            ("box", Ok(corners)) => Shape::Box(Rectangle::of(corners)),
+            ("polyline", _) => Shape::Open(points),
+            _ => Shape::Closed(points),
+        };
+        Self {
+            place: format!("label {}", label.label),
+            kind: Some(label.kind.clone()),
+            shape,
+            probability: None,
+        }
+    }
+
+    fn of_hypothesis(found: &BoxHypothesis, picture: &Picture) -> Option<Self> {
+        let corners = corners(&found.map_from_label, [found.length_m, found.width_m]);
+        let corners: [Pixel; 4] = corners.try_into().ok()?;
+        let corners = corners.map(|place| picture.pixel(place));
+        Some(Self {
+            place: format!("hypothesis {}", found.hypothesis),
+            kind: Some(found.kind.clone()),
+            shape: Shape::Box(Rectangle::of(corners)),
+            probability: Some(found.probability),
+        })
+    }
+
+    /// Whether any point lies in a picture.
+    fn is_in(&self, [width, height]: [u32; 2]) -> bool {
+        let most = [f64::from(width), f64::from(height)];
+        let points = self.shape.points();
+        let mut points = points.iter();
+        points.any(|point| (0..2).all(|axis| (0.0..=most[axis]).contains(&point[axis])))
+    }
+
+    fn feature(self, picture: &Picture) -> Feature {
+        let points = self.shape.points().into_iter();
+        let points = points.map(|pixel| (picture.place(pixel), None)).collect();
+        Feature {
+            place: self.place,
+            label: None,
+            kind: self.kind,
+            standing: None,
+            geometry: Some(match self.shape {
+                Shape::Open(_) => Geometry::Open(points),
+                _ => Geometry::Closed(points),
+            }),
+        }
+    }
+}
+
+fn numbers(value: &Value) -> Option<Vec<f64>> {
+    value.as_array()?.iter().map(Value::as_f64).collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,225 @@
+#![allow(clippy::unwrap_used)]
+use evermap_schemas::{Pose, Stamp, Wkb};
+use proptest::prelude::*;
+
+use super::*;
+
+/// A picture of 400 × 300 px of 5 cm, whose upper left corner is at (10, 20) m.
+fn picture(folder: &Path) -> Picture {
+    let path = folder.join("lot.png");
+    let mut encoder = png::Encoder::new(std::fs::File::create(&path).unwrap(), 400, 300);
+    encoder.set_color(png::ColorType::Grayscale);
+    let mut writer = encoder.write_header().unwrap();
+    writer.write_image_data(&vec![0; 400 * 300]).unwrap();
+    std::fs::write(
+        path.with_extension("pgw"),
+        "0.05\n0\n0\n-0.05\n10.025\n19.975\n",
+    )
+    .unwrap();
+    Picture::read(&path).unwrap()
+}
+
+fn label(name: &str, shape: &str, points: &[[f64; 2]]) -> PlacedLabel {
+    PlacedLabel {
+        site: "lot".into(),
+        label: name.into(),
+        kind: "a <kind> & \"more\"".into(),
+        standing: "drawn".into(),
+        author: "ada".into(),
+        said: Stamp(1),
+        placed_by: "pose".into(),
+        anchor: None,
+        shape: shape.into(),
+        map_from_label: Pose::from_array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
+        length_m: None,
+        width_m: None,
+        points: points.iter().map(|[x, y]| [*x, *y, 0.0]).collect(),
+        geometry: Wkb::point([0.0; 3]),
+    }
+}
+
+/// Corners of a box as labels have them.
+fn of_box([x, y]: [f64; 2], yaw: f64, [length, width]: [f64; 2]) -> Vec<[f64; 2]> {
+    let (sin, cos) = yaw.sin_cos();
+    let sides = [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]];
+    let corner = |[ahead, left]: [f64; 2]| {
+        let (u, v) = (0.5 * length * ahead, 0.5 * width * left);
+        [x + cos * u - sin * v, y + sin * u + cos * v]
+    };
+    sides.map(corner).to_vec()
+}
+
+fn points(feature: &Feature) -> Vec<[f64; 2]> {
+    match feature.geometry.as_ref().unwrap() {
+        Geometry::Closed(points) | Geometry::Open(points) => {
+            points.iter().map(|(at, _)| *at).collect()
+        }
+    }
+}
+
+/// Whether the corners are the same, begun anywhere, in either sense.
+fn same(found: &[[f64; 2]], expected: &[[f64; 2]]) -> bool {
+    let near = |a: &[f64; 2], b: &[f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-6;
+    found.len() == expected.len() && expected.iter().all(|b| found.iter().any(|a| near(a, b)))
+}
+
+fn round_trip(program: Program, labels: &[PlacedLabel]) -> (Vec<Feature>, Losses) {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let path = folder.path().join(match program {
+        Program::Cvat => "labels.xml",
+        Program::YoloObb => "labels.txt",
+        _ => "labels.json",
+    });
+    let mut losses = Losses::default();
+    let text = program
+        .write(&path, &picture, (labels, &[]), &mut losses)
+        .unwrap();
+    assert_eq!(Program::of(&path, &text), Some(program), "{text}");
+    let found = program.read(&path, &text, &picture, &mut losses).unwrap();
+    (found, losses)
+}
+
+const ALL: [Program; 4] = [
+    Program::Coco,
+    Program::Cvat,
+    Program::LabelStudio,
+    Program::YoloObb,
+];
+
+proptest! {
+    #[test]
+    fn boxes_come_back_where_they_were(
+        at in (11.0..29.0, 6.0..19.0), yaw in -4.0..4.0_f64, size in (0.5..6.0, 0.5..6.0),
+    ) {
+        let corners = of_box([at.0, at.1], yaw, [size.0, size.1]);
+        for program in ALL {
+            let (found, losses) = round_trip(program, &[label("a", "box", &corners)]);
+            prop_assert!(losses.counts.is_empty() && found.len() == 1);
+            prop_assert_eq!(found[0].kind.as_deref(), Some("a <kind> & \"more\""));
+            let found = points(&found[0]);
+            prop_assert!(same(&found, &corners), "{:?}: {:?}", program, found);
+        }
+    }
+}
+
+#[test]
+fn what_a_program_has_no_form_for_is_counted() {
+    let inside = [[12.0, 12.0], [14.0, 12.0], [13.0, 15.0]];
+    let outside = inside.map(|[x, y]| [x + 100.0, y]);
+    let mut rejected = label("d", "polygon", &inside);
+    rejected.standing = "rejected".into();
+    let labels = [
+        label("a", "polygon", &inside),
+        label("b", "polyline", &inside),
+        label("c", "polygon", &outside),
+        rejected,
+    ];
+    for (program, kept, lost) in [
+        (Program::Coco, 1, 2),
+        (Program::Cvat, 2, 1),
+        (Program::LabelStudio, 1, 2),
+        (Program::YoloObb, 0, 3),
+    ] {
+        let (found, losses) = round_trip(program, &labels);
+        assert_eq!(found.len(), kept, "{program:?}");
+        assert_eq!(
+            losses.counts.values().sum::<u64>(),
+            lost,
+            "{program:?}: {losses:?}"
+        );
+        assert!(found.iter().all(|feature| same(&points(feature), &inside)));
+    }
+}
+
+/// As the programs' documentation shows them.
+#[test]
+fn what_the_programs_write_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    std::fs::write(folder.path().join("classes.txt"), "car\nspace\n").unwrap();
+    let cvat = r#"<?xml version="1.0" encoding="utf-8"?>
+<annotations><version>1.1</version><meta><task/></meta>
+  <image id="0" name="lot.png" width="400" height="300">
+    <box label="space" source="manual" occluded="0" xtl="80" ytl="90" xbr="120" ybr="110" rotation="90.00" z_order="0"></box>
+    <points label="space" points="1,2"></points>
+  </image>
+  <image id="1" name="other.png" width="4" height="3"><box label="space" xtl="0" ytl="0" xbr="1" ybr="1"/></image>
+</annotations>"#;
+    let yolo = "1 0.225 0.2666667 0.275 0.2666667 0.275 0.4 0.225 0.4\n1 0.1 0.2\n";
+    let expected = [[14.5, 16.0], [15.5, 16.0], [15.5, 14.0], [14.5, 14.0]];
+    for (name, text, lost) in [("a.xml", cvat, 2), ("a.txt", yolo, 1)] {
+        let path = folder.path().join(name);
+        let mut losses = Losses::default();
+        let program = Program::of(&path, text).unwrap();
+        let found = program.read(&path, text, &picture, &mut losses).unwrap();
+        assert_eq!(found.len(), 1, "{name}");
+        assert_eq!(found[0].kind.as_deref(), Some("space"));
+        let found = points(&found[0]);
+        let close = expected.iter().all(|b| {
+            found
+                .iter()
+                .any(|a| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-4)
+        });
+        assert!(close, "{name}: {found:?}");
+        assert_eq!(
+            losses.counts.values().sum::<u64>(),
+            lost,
+            "{name}: {losses:?}"
+        );
+    }
+    for (text, expected) in [
+        ("<a", "expected XML of CVAT"),
+        ("<svg/>", "found XML of <svg>"),
+    ] {
+        let path = Path::new("a.xml");
+        let fault = Program::Cvat
+            .read(path, text, &picture, &mut Losses::default())
+            .unwrap_err();
+        assert!(fault.to_string().contains(expected), "{fault}");
+    }
+}
+
+#[test]
+fn proposals_are_predictions_with_their_probability() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let proposal = BoxHypothesis {
+        site: "lot".into(),
+        kind: "space".into(),
+        hypothesis: 0,
+        map_from_label: Pose::from_array([15.0, 15.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
+        length_m: 2.0,
+        width_m: 1.0,
+        mean: 0.5,
+        variance: 0.1,
+        probability: 0.875,
+        question: None,
+        gain: None,
+        reason: None,
+        geometry: Wkb::point([0.0; 3]),
+    };
+    let path = folder.path().join("tasks.json");
+    let mut losses = Losses::default();
+    let text = Program::LabelStudio
+        .write(&path, &picture, (&[], &[proposal]), &mut losses)
+        .unwrap();
+    let tasks: Value = serde_json::from_str(&text).unwrap();
+    let result = &tasks[0]["predictions"][0]["result"][0];
+    assert_eq!(result["score"], 0.875);
+    let near = |name: &str, expected: f64| {
+        (result["value"][name].as_f64().unwrap() - expected).abs() < 1e-9
+    };
+    assert!(
+        near("x", 20.0) && near("y", 30.0) && near("width", 10.0),
+        "{result}"
+    );
+    let read = Program::LabelStudio
+        .read(&path, &text, &picture, &mut losses)
+        .unwrap();
+    assert_eq!(
+        (read.len(), losses.counts.len()),
+        (0, 0),
+        "nobody said a prediction"
+    );
+}

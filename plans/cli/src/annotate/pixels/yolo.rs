@@ -1,0 +1,93 @@
+//! Oriented boxes of YOLO: a line each, the number of a class and four corners as shares of the picture.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use evermap_schemas::Fault;
+
+use super::{Drawn, Pixel, Shape};
+use crate::annotate::Losses;
+use crate::annotate::mosaic::Picture;
+
+/// The names of the classes, a line each, beside the boxes.
+const CLASSES: &str = "classes.txt";
+
+/// The names of the classes; none where nobody wrote them.
+///
+/// # Errors
+/// A user fault for a file that cannot be read.
+pub(super) fn classes(path: &Path) -> Result<Vec<String>, Fault> {
+    let path = path.with_file_name(CLASSES);
+    match std::fs::read_to_string(&path) {
+        Ok(text) => Ok(text.lines().map(|line| line.trim().to_owned()).collect()),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Vec::new()),
+        Err(error) => {
+            Err(Fault::user(format!("expected names of classes, found {error}")).at(path.display()))
+        }
+    }
+}
+
+/// The boxes of a picture of this size. Of a class without a name its number is what it marks.
+pub(super) fn read(
+    text: &str,
+    classes: &[String],
+    size: [u32; 2],
+    losses: &mut Losses,
+) -> Vec<Drawn> {
+    let lines = text.lines().enumerate();
+    let lines = lines.filter(|(_, line)| !line.trim().is_empty());
+    let mut found = Vec::new();
+    for (number, line) in lines {
+        let place = format!("line {}", number + 1);
+        match corners(line, size) {
+            Some((class, corners)) => found.push(Drawn {
+                place,
+                kind: Some(
+                    classes
+                        .get(class)
+                        .cloned()
+                        .unwrap_or_else(|| class.to_string()),
+                ),
+                shape: Shape::Closed(corners),
+                probability: None,
+            }),
+            None => losses.note("line that is no class and four corners", &place),
+        }
+    }
+    found
+}
+
+fn corners(line: &str, [width, height]: [u32; 2]) -> Option<(usize, Vec<Pixel>)> {
+    let mut words = line.split_whitespace();
+    let class = words.next()?.parse().ok()?;
+    let shares: Option<Vec<f64>> = words.map(|word| word.parse().ok()).collect();
+    let shares: [f64; 8] = shares?.try_into().ok()?;
+    let (corners, _) = shares.as_chunks::<2>();
+    let pixel = |[x, y]: &[f64; 2]| [x * f64::from(width), y * f64::from(height)];
+    Some((class, corners.iter().map(pixel).collect()))
+}
+
+/// The boxes; their classes are written beside.
+///
+/// # Errors
+/// A resource fault where the classes cannot be written.
+pub(super) fn write(drawn: &[Drawn], picture: &Picture, path: &Path) -> Result<String, Fault> {
+    let kinds: BTreeSet<&str> = drawn
+        .iter()
+        .filter_map(|drawn| drawn.kind.as_deref())
+        .collect();
+    let kinds: Vec<&str> = kinds.into_iter().collect();
+    let beside = path.with_file_name(CLASSES);
+    let names: String = kinds.iter().map(|kind| format!("{kind}\n")).collect();
+    std::fs::write(&beside, names)
+        .map_err(|error| Fault::resource(format!("cannot write {}: {error}", beside.display())))?;
+    let [width, height] = picture.size.map(f64::from);
+    let line = |drawn: &Drawn| {
+        let kind = drawn.kind.as_deref().unwrap_or_default();
+        let class = kinds.binary_search(&kind).unwrap_or(0);
+        let corners = drawn.shape.points().into_iter();
+        let shares = corners.map(|[x, y]| format!(" {} {}", x / width, y / height));
+        format!("{class}{}\n", shares.collect::<String>())
+    };
+    Ok(drawn.iter().map(line).collect())
+}

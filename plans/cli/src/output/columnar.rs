@@ -1,0 +1,136 @@
+//! Rows for programs that read columns: Parquet, whose columns are encoded side by side, and Arrow's own file.
+
+use arrow::array::{ArrayRef, RecordBatch};
+use arrow::datatypes::{FieldRef, SchemaRef};
+use arrow::ipc::writer::FileWriter;
+use evermap_schemas::Fault;
+use parquet::arrow::ArrowWriter;
+use parquet::arrow::arrow_writer::{
+    ArrowColumnWriter, ArrowLeafColumn, ArrowRowGroupWriterFactory, compute_leaves,
+};
+use parquet::basic::{Compression, ZstdLevel};
+use parquet::errors::{ParquetError, Result as Encoded};
+use parquet::file::properties::{EnabledStatistics, WriterProperties};
+use parquet::file::writer::SerializedFileWriter;
+use rayon::prelude::*;
+
+use crate::ending::Failure;
+use crate::output::Sink;
+use crate::output::writers::RowWriter;
+
+/// Rows of a row group; fewer, where they take [`GROUP_BYTES`] before.
+const GROUP_ROWS: usize = 1 << 20;
+/// Encoded bytes that are held until they are written as a row group.
+const GROUP_BYTES: usize = 128 << 20;
+
+/// Writes Parquet, each column by whichever core is free.
+pub struct Parquet<'s> {
+    file: SerializedFileWriter<&'s mut Sink>,
+    factory: ArrowRowGroupWriterFactory,
+    fields: Vec<FieldRef>,
+    /// Of the row group that is being filled.
+    columns: Vec<ArrowColumnWriter>,
+    groups: usize,
+    rows: usize,
+}
+
+impl<'s> Parquet<'s> {
+    /// To a sink.
+    ///
+    /// # Errors
+    /// Columns that Parquet has no type for, or what the sink says.
+    pub fn open(schema: &SchemaRef, sink: &'s mut Sink) -> Result<Self, Failure> {
+        let level = ZstdLevel::try_new(1).unwrap_or_default();
+        let properties = WriterProperties::builder()
+            .set_compression(Compression::ZSTD(level))
+            // Messages are mostly numbers that do not repeat: looking for repeats costs more than it saves.
+            .set_dictionary_enabled(false)
+            .set_statistics_enabled(EnabledStatistics::Chunk)
+            .build();
+        let (file, factory) = ArrowWriter::try_new(sink, schema.clone(), Some(properties))
+            .and_then(ArrowWriter::into_serialized_writer)
+            .map_err(failure)?;
+        Ok(Self {
+            file,
+            factory,
+            fields: schema.fields().to_vec(),
+            columns: Vec::new(),
+            groups: 0,
+            rows: 0,
+        })
+    }
+
+    fn append(&mut self, columns: &[ArrayRef]) -> Encoded<()> {
+        if self.columns.is_empty() {
+            self.columns = self.factory.create_column_writers(self.groups)?;
+        }
+        let leaves = self.fields.par_iter().zip(columns);
+        let leaves = leaves.map(|(field, column)| compute_leaves(field, column));
+        let leaves: Vec<Vec<ArrowLeafColumn>> = leaves.collect::<Encoded<_>>()?;
+        let leaves: Vec<ArrowLeafColumn> = leaves.into_iter().flatten().collect();
+        let columns = self.columns.par_iter_mut().zip(&leaves);
+        columns.try_for_each(|(column, leaf)| column.write(leaf))
+    }
+
+    fn held(&self) -> usize {
+        self.columns
+            .iter()
+            .map(ArrowColumnWriter::memory_size)
+            .sum()
+    }
+
+    fn end_group(&mut self) -> Encoded<()> {
+        if self.rows == 0 {
+            return Ok(());
+        }
+        let columns = std::mem::take(&mut self.columns);
+        let chunks: Encoded<Vec<_>> = columns
+            .into_par_iter()
+            .map(ArrowColumnWriter::close)
+            .collect();
+        let mut group = self.file.next_row_group()?;
+        for chunk in chunks? {
+            chunk.append_to_row_group(&mut group)?;
+        }
+        group.close()?;
+        self.groups += 1;
+        self.rows = 0;
+        Ok(())
+    }
+}
+
+impl RowWriter for Parquet<'_> {
+    fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
+        self.append(batch.columns()).map_err(failure)?;
+        self.rows += batch.num_rows();
+        if self.rows >= GROUP_ROWS || self.held() >= GROUP_BYTES {
+            self.end_group().map_err(failure)?;
+        }
+        Ok(())
+    }
+
+    fn finish(mut self: Box<Self>) -> Result<(), Failure> {
+        self.end_group().map_err(failure)?;
+        self.file.close().map(drop).map_err(failure)
+    }
+}
+
+fn failure(error: ParquetError) -> Failure {
+    match error {
+        ParquetError::External(inner) => match inner.downcast::<std::io::Error>() {
+            Ok(error) => (*error).into(),
+            Err(other) => Fault::resource(format!("cannot write Parquet: {other}")).into(),
+        },
+        other => Fault::data(format!("cannot write Parquet: {other}")).into(),
+    }
+}
+
+impl RowWriter for FileWriter<&mut Sink> {
+    fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
+        Ok(FileWriter::write(self, batch)?)
+    }
+
+    fn finish(mut self: Box<Self>) -> Result<(), Failure> {
+        Ok(FileWriter::finish(&mut self)?)
+    }
+}
