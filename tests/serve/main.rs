@@ -3,6 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::io::Read;
 use std::path::Path;
 
 use evermap_tests::server::{Server, drive, map, script};
@@ -56,6 +57,9 @@ fn clients_see_versions_whole_while_they_are_published() {
         .stderr(std::process::Stdio::piped())
         .spawn()
         .unwrap();
+    let mut begun = [0; 8];
+    let said = readers.stdout.as_mut().unwrap().read_exact(&mut begun);
+    assert!(said.is_ok() && begun == *b"reading\n", "{begun:?}");
     for (day, width_m) in [("wednesday", 28.0), ("thursday", 34.0), ("friday", 30.0)] {
         drive(folder.path(), &map, day, width_m);
     }

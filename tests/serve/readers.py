@@ -6,6 +6,7 @@
 import json
 import sys
 import threading
+import time
 import urllib.request
 
 import psycopg
@@ -64,6 +65,9 @@ def main(postgres, http):
     threads = [threading.Thread(target=kept, args=client) for client in clients]
     for thread in threads:
         thread.start()
+    while not SEEN and not WRONG:
+        time.sleep(0.01)
+    print("reading", flush=True)
     sys.stdin.read()
     ENOUGH.set()
     for thread in threads:

@@ -47,6 +47,7 @@ mod protobuf;
 mod resolve;
 pub mod ros2;
 mod rosmsg;
+mod views;
 mod wire;
 
 pub use decoder::Decoder;

@@ -5,7 +5,8 @@
 //! [`Step::Block`]: one alignment, one bounds check, then plain copies. Members
 //! outside the projection leave no copies, so what is skipped costs an addition.
 
-use crate::buffers::{Node, Target, Views};
+use crate::buffers::{Node, Target};
+use crate::views::Views;
 use crate::wire::{Extensibility, StructType, Wire};
 
 /// How scalars and structs are laid out on the wire.

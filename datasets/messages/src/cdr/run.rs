@@ -2,7 +2,8 @@
 
 use super::program::{Dialect, Move, Step};
 use crate::DecodeError;
-use crate::buffers::{Pool, Target, Views, offset};
+use crate::buffers::{Pool, Target, offset};
+use crate::views::Views;
 use std::borrow::Cow;
 use std::ops::Range;
 
