@@ -238,10 +238,7 @@ fn queries_that_cannot_be_answered_say_what_was_meant() {
             "error: user: No field named stmp. Did you mean 'poses.stamp'?",
         ),
         ("SELECT 1 / 0", "error: user: Divide by zero"),
-        (
-            "SELECT * FROM v1.pose",
-            "there is no table `datafusion.v1.pose`",
-        ),
+        ("SELECT * FROM v1.pose", "there is no table `v1.pose`"),
     ] {
         let told = evermap(&["sql", "--map", text(&map), query])
             .expect(1)

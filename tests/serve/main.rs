@@ -41,6 +41,41 @@ fn programs_read_what_evermap_sql_prints() {
     );
 }
 
+/// What psql asks of Postgres' own tables, to list and describe.
+#[test]
+fn psql_describes_a_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    let (host, port) = server.postgres.split_once(':').unwrap();
+    for (asked, said) in [
+        ("\\d", "| lanes "),
+        ("\\dt+", "| lanes "),
+        ("\\d lanes", "length_m "),
+        ("\\d+ lanes", "length_m "),
+        ("\\dp lanes", "| lanes "),
+        ("\\dn+", "public "),
+        ("\\l", " map "),
+        ("\\l+", " map "),
+        ("\\conninfo", "database \"map\""),
+        ("\\di", "Did not find any relations."),
+        ("\\df", "List of functions"),
+        ("\\du", "List of roles"),
+        ("\\dT", "List of data types"),
+        ("SELECT current_database()", " map"),
+    ] {
+        let mut psql = std::process::Command::new("psql");
+        psql.args(["-X", "-h", host, "-p", port, "-U", "me", "-c", asked, "map"]);
+        let told = Finished::from(psql.output().expect("psql")).expect(0);
+        assert!(
+            told.stdout.contains(said) || told.stderr.contains(said),
+            "{asked}: {} {}",
+            told.stdout,
+            told.stderr
+        );
+    }
+}
+
 /// Each answer is of one version, the newest when it was asked for; many clients at once hold no more and more memory.
 #[test]
 fn clients_see_versions_whole_while_they_are_published() {

@@ -5,6 +5,8 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use arrow::datatypes::SchemaRef;
+use datafusion::common::TableReference;
 use datafusion::common::utils::quote_identifier;
 use evermap_engine::error::OrFault;
 use evermap_schemas::Fault;
@@ -189,36 +191,30 @@ async fn respond(tables: &Tables, input: Input<'_>, format: Format) -> Result<()
 }
 
 async fn list(tables: &Tables) -> Result<(), Failure> {
-    let mut names = Vec::new();
-    for catalog in tables.context.catalog_names() {
-        let Some(schema) = tables
-            .context
-            .catalog(&catalog)
-            .and_then(|catalog| catalog.schema("public"))
-        else {
-            continue;
-        };
-        for name in schema.table_names() {
-            let columns = schema.table(&name).await.or_fault()?;
-            let columns = columns.map_or(0, |table| table.schema().fields().len() as u32);
-            let declared = tables.declaration(&name);
-            names.push(TableLine {
-                table: quote_identifier(&name).into_owned(),
-                columns,
-                rows_are: declared.map_or(String::new(), |layer| layer.doc.to_owned()),
-            });
-        }
+    let mut lines = Vec::new();
+    for name in tables.names() {
+        let schema = schema(tables, &name).await?;
+        let declared = tables.declaration(&name);
+        lines.push(TableLine {
+            table: quote_identifier(&name).into_owned(),
+            columns: schema.fields().len() as u32,
+            rows_are: declared.map_or(String::new(), |layer| layer.doc.to_owned()),
+        });
     }
-    names.sort_by(|a, b| a.table.cmp(&b.table));
-    print_rows(Format::Table, names).await
+    print_rows(Format::Table, lines).await
 }
 
 async fn describe(tables: &Tables, name: &str) -> Result<(), Failure> {
-    let reference = datafusion::common::TableReference::bare(name);
-    let table = tables.context.table_provider(reference).await.or_fault()?;
+    let schema = schema(tables, name).await?;
     let declared = tables.declaration(name);
-    let columns = columns(name, &table.schema(), declared.as_ref());
+    let columns = columns(name, &schema, declared.as_ref());
     print_rows(Format::Table, columns).await
+}
+
+async fn schema(tables: &Tables, name: &str) -> Result<SchemaRef, Failure> {
+    let reference = TableReference::bare(name);
+    let table = tables.context.table_provider(reference).await.or_fault()?;
+    Ok(table.schema())
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
-use datafusion::catalog::{MemorySchemaProvider, TableProvider};
+use datafusion::catalog::{CatalogProvider, MemorySchemaProvider, TableProvider};
 use datafusion::common::TableReference;
 use datafusion::datasource::MemTable;
 use datafusion::execution::runtime_env::{RuntimeEnv, RuntimeEnvBuilder};
@@ -54,6 +54,12 @@ impl Limits {
     }
 }
 
+/// The catalog of the tables of a context that has no other name for it.
+const CATALOG: &str = "evermap";
+
+/// The schema of the tables that a query names without one.
+pub const TABLES: &str = "public";
+
 /// Rows per batch, unless rows are heavy or memory is short.
 pub const BATCH_ROWS: usize = 8192;
 
@@ -71,17 +77,22 @@ const BYTES_PER_BATCH_ROW: usize = 256 << 10;
 /// # Errors
 /// A resource fault when the runtime cannot be set up.
 pub fn context(limits: Limits) -> Result<SessionContext, Fault> {
-    context_on(runtime(limits)?, limits)
+    context_on(CATALOG, runtime(limits)?, limits)
 }
 
-/// As [`context`], in memory that it shares with the other contexts of a runtime.
+/// As [`context`], with a name for the catalog of its tables, in memory that it shares with the other contexts of a
+/// runtime.
 ///
 /// # Errors
 /// As [`context`].
-pub fn context_on(runtime: Arc<RuntimeEnv>, limits: Limits) -> Result<SessionContext, Fault> {
+pub fn context_on(
+    catalog: &str,
+    runtime: Arc<RuntimeEnv>,
+    limits: Limits,
+) -> Result<SessionContext, Fault> {
     let rows = limits.memory_bytes / BYTES_PER_BATCH_ROW;
     let rows_per_batch = rows.clamp(MIN_BATCH_ROWS, BATCH_ROWS);
-    let context = context_of(runtime, limits, rows_per_batch)?;
+    let context = context_of(catalog, runtime, limits, rows_per_batch)?;
     if rows < BATCH_ROWS {
         // Joins by hashing keep one side whole; by merging they spill.
         let state = context.state_ref();
@@ -96,7 +107,7 @@ pub fn context_on(runtime: Arc<RuntimeEnv>, limits: Limits) -> Result<SessionCon
 /// # Errors
 /// As [`context`].
 pub fn context_with(limits: Limits, batch_rows: usize) -> Result<SessionContext, Fault> {
-    context_of(runtime(limits)?, limits, batch_rows)
+    context_of(CATALOG, runtime(limits)?, limits, batch_rows)
 }
 
 /// The memory that queries share.
@@ -109,13 +120,31 @@ pub fn runtime(limits: Limits) -> Result<Arc<RuntimeEnv>, Fault> {
     runtime.build_arc().or_fault()
 }
 
+/// The catalog of a context's tables.
+///
+/// # Errors
+/// A fault of ours.
+pub fn catalog(context: &SessionContext) -> Result<Arc<dyn CatalogProvider>, Fault> {
+    let name = catalog_name(context);
+    let catalog = context.catalog(&name);
+    catalog.ok_or_else(|| Fault::bug(format!("there is no catalog `{name}`")))
+}
+
+/// What [`catalog`] is called.
+pub fn catalog_name(context: &SessionContext) -> String {
+    let config = context.copied_config();
+    config.options().catalog.default_catalog.clone()
+}
+
 fn context_of(
+    catalog_name: &str,
     runtime: Arc<RuntimeEnv>,
     limits: Limits,
     batch_rows: usize,
 ) -> Result<SessionContext, Fault> {
     let mut config = SessionConfig::new()
         .with_target_partitions(limits.partitions.max(1))
+        .with_default_catalog_and_schema(catalog_name, TABLES)
         .with_information_schema(true)
         .with_batch_size(batch_rows);
     let options = config.options_mut();
@@ -125,11 +154,10 @@ fn context_of(
     options.execution.parquet.pushdown_filters = true;
     options.sql_parser.map_string_types_to_utf8view = false;
     let context = SessionContext::new_with_config_rt(config, runtime);
-    if let Some(catalog) = context.catalog("datafusion") {
-        let previous = Arc::new(MemorySchemaProvider::new());
-        catalog.register_schema("previous", previous).or_fault()?;
-        let new = Arc::new(MemorySchemaProvider::new());
-        catalog.register_schema("new", new).or_fault()?;
+    let catalog = catalog(&context)?;
+    for schema in ["previous", "new"] {
+        let tables = Arc::new(MemorySchemaProvider::new());
+        catalog.register_schema(schema, tables).or_fault()?;
     }
     evermap_functions::register(&context);
     bound_functions(&context, limits.memory_bytes).or_fault()?;

@@ -15,7 +15,7 @@ use datafusion::sql::sqlparser::dialect::GenericDialect;
 use evermap_datasets::Dataset;
 use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::map::{LayerInfo, Map, RunRow, VersionInfo};
-use evermap_engine::sql::{Limits, check_size, context};
+use evermap_engine::sql::{Limits, TABLES, catalog, catalog_name, check_size, context};
 use evermap_functions::use_class_index;
 use evermap_language::{listed, nearest};
 use evermap_schemas::dictionary::ColumnInfo;
@@ -135,6 +135,9 @@ impl Tables {
         let Some(table) = missing_table(&fault.message) else {
             return fault;
         };
+        let catalog = format!("{}.", catalog_name(&self.context));
+        let table = table.strip_prefix(&catalog).unwrap_or(table);
+        let table = table.strip_prefix("public.").unwrap_or(table);
         let names = self.names();
         let meant = nearest(table, names.iter().map(String::as_str));
         let meant = meant.map_or_else(String::new, |name| format!("; did you mean `{name}`?"));
@@ -149,9 +152,9 @@ impl Tables {
     }
 
     /// Names of the tables, ascending.
-    fn names(&self) -> Vec<String> {
-        let catalog = self.context.catalog("datafusion");
-        let schema = catalog.and_then(|catalog| catalog.schema("public"));
+    pub fn names(&self) -> Vec<String> {
+        let catalog = catalog(&self.context).ok();
+        let schema = catalog.and_then(|catalog| catalog.schema(TABLES));
         let mut names = schema.map_or_else(Vec::new, |schema| schema.table_names());
         names.sort();
         names
@@ -188,7 +191,7 @@ impl Tables {
 fn missing_table(message: &str) -> Option<&str> {
     let (_, behind) = message.split_once("table '")?;
     let (name, _) = behind.split_once("' not found")?;
-    Some(name.strip_prefix("datafusion.public.").unwrap_or(name))
+    Some(name)
 }
 
 /// Queries read: they make no tables, write no files, and change no settings. Output goes where `--out` says.

@@ -27,7 +27,7 @@ use arrow_flight::{
 use async_trait::async_trait;
 use datafusion::catalog::SchemaProvider;
 use evermap_engine::error::OrFault;
-use evermap_engine::sql::read_only;
+use evermap_engine::sql::{TABLES, catalog, read_only};
 use evermap_schemas::{Fault, Kind};
 use futures::{Stream, StreamExt, TryStreamExt};
 use prost::Message;
@@ -36,9 +36,6 @@ use tonic::{Request, Response, Status, Streaming};
 
 use crate::serve::answer::{Bounds, answer};
 use crate::serve::maps::{Maps, Opened, ServedMap};
-
-/// The schema that a map's layers are in.
-const LAYERS: &str = "public";
 
 /// What a table is called here.
 const TABLE: &str = "TABLE";
@@ -152,8 +149,8 @@ fn one(batch: Result<RecordBatch, FlightError>) -> Got<Flight> {
 }
 
 fn layers(opened: &Opened) -> Result<Arc<dyn SchemaProvider>, Status> {
-    let catalog = opened.context.catalog("datafusion");
-    let layers = catalog.and_then(|catalog| catalog.schema(LAYERS));
+    let catalog = catalog(&opened.context).ok();
+    let layers = catalog.and_then(|catalog| catalog.schema(TABLES));
     layers.ok_or_else(|| Status::internal("the map has no tables"))
 }
 
@@ -290,7 +287,7 @@ impl FlightSqlService for Flight {
     async fn do_get_schemas(&self, command: CommandGetDbSchemas, _: Request<Ticket>) -> Got<Self> {
         let mut schemas = command.into_builder();
         for map in self.maps.all() {
-            schemas.append(&map.name, LAYERS);
+            schemas.append(&map.name, TABLES);
         }
         one(schemas.build())
     }
@@ -323,7 +320,7 @@ impl FlightSqlService for Flight {
                 false => None,
             };
             let columns = table.map_or_else(|| Arc::new(Schema::empty()), |table| table.schema());
-            let added = tables.append(&map.name, LAYERS, &name, TABLE, &columns);
+            let added = tables.append(&map.name, TABLES, &name, TABLE, &columns);
             added.map_err(Status::from)?;
         }
         one(tables.build())

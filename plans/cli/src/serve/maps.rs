@@ -8,7 +8,6 @@ use datafusion::execution::runtime_env::RuntimeEnv;
 use datafusion::prelude::SessionContext;
 use datafusion_postgres::DfSessionService;
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::context::EmptyContextProvider;
-use datafusion_postgres::datafusion_pg_catalog::pg_catalog::create_pg_table_is_visible;
 use datafusion_postgres::datafusion_pg_catalog::setup_pg_catalog;
 use evermap_engine::error::OrFault;
 use evermap_engine::map::store::Store;
@@ -20,7 +19,7 @@ use evermap_schemas::Fault;
 use tokio::sync::Mutex;
 
 use crate::reader::MapReader;
-use crate::serve::postgres::hooks;
+use crate::serve::postgres::{complete_catalog, hooks};
 
 /// Versions of a map that are open at once; the newest is one of them.
 const MOST_OPEN: usize = 4;
@@ -166,14 +165,14 @@ impl ServedMap {
 
     async fn opened(&self, number: Option<u64>) -> Result<Opened, Fault> {
         let reader = MapReader::open(&self.address, number).await?;
-        let context = reader.context(context_on(Arc::clone(&self.runtime), self.limits)?)?;
+        let runtime = Arc::clone(&self.runtime);
+        let context = reader.context(context_on(&self.name, runtime, self.limits)?)?;
         if let Err(fault) = use_class_index(&context).await.or_fault() {
             tracing::warn!("queries read graphs without the class index: {fault}");
         }
-        setup_pg_catalog(&context, "datafusion", EmptyContextProvider)
+        setup_pg_catalog(&context, &self.name, EmptyContextProvider)
             .map_err(|error| Fault::bug(format!("no catalog for Postgres: {error}")))?;
-        let visible = ["pg_function_is_visible", "pg_type_is_visible"];
-        context.register_udf(create_pg_table_is_visible().with_aliases(visible));
+        complete_catalog(&context);
         let postgres = DfSessionService::new_with_hooks(Arc::new(context.clone()), hooks());
         Ok(Opened {
             reader,

@@ -38,6 +38,7 @@ use crate::map::diff::DiffFunction;
 use crate::map::store::{Store, each};
 use crate::map::tables::Tables;
 use crate::map::version::{MappedSession, StoredLayer, Version};
+use crate::sql::{TABLES, catalog, catalog_name};
 
 pub use diff::{Comparison, LayerDiff, documentation as diff_documentation};
 pub use gc::{Collected, gc};
@@ -134,13 +135,12 @@ impl Map {
         registry: &Registry,
     ) -> Result<SessionContext, Fault> {
         context.register_object_store(self.store.url(), self.store.objects());
-        if let Some(catalog) = context.catalog("datafusion") {
-            let tables = Arc::new(Tables::new(self.clone(), &context, registry));
-            let public = Arc::clone(&tables);
-            catalog.register_schema("public", public).or_fault()?;
-            let catalog = Catalog::new(catalog, tables);
-            context.register_catalog("datafusion", Arc::new(catalog));
-        }
+        let catalog = catalog(&context)?;
+        let tables = Arc::new(Tables::new(self.clone(), &context, registry));
+        let public = Arc::clone(&tables);
+        catalog.register_schema(TABLES, public).or_fault()?;
+        let catalog = Arc::new(Catalog::new(catalog, tables));
+        context.register_catalog(catalog_name(&context), catalog);
         let diff = DiffFunction {
             map: self.clone(),
             registry: registry.clone(),

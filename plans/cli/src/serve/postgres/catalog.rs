@@ -7,43 +7,125 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use arrow::datatypes::{DataType, Field};
-use datafusion::common::{DFSchema, TableReference};
-use datafusion::logical_expr::{EmptyRelation, LogicalPlan};
+use datafusion::common::{DFSchema, ScalarValue, TableReference};
+use datafusion::error::DataFusionError;
+use datafusion::logical_expr::{
+    ColumnarValue, EmptyRelation, LogicalPlan, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl,
+    Signature, Volatility,
+};
+use datafusion::prelude::SessionContext;
 use datafusion::sql::parser::Statement as Parsed;
 use datafusion::sql::resolve::resolve_table_references;
 use datafusion::sql::sqlparser::ast::{
     ArrayElemTypeDef, CastKind, DataType as SqlType, Expr, FunctionArguments, Query, SelectItem,
     SetExpr, Statement, Value, visit_expressions_mut,
 };
+use datafusion_postgres::datafusion_pg_catalog::pg_catalog::create_pg_table_is_visible;
 
 /// Schemas of Postgres' own.
 const OWN: [&str; 2] = ["pg_catalog", "information_schema"];
 
-/// Whether a statement reads tables, and Postgres' own alone.
-pub fn is_of_catalog(statement: &Statement) -> bool {
-    let parsed = Parsed::Statement(Box::new(statement.clone()));
-    let Ok((tables, _)) = resolve_table_references(&parsed, true) else {
-        return false;
-    };
-    let own = |table: &TableReference| match table.schema() {
-        Some(schema) => OWN.contains(&schema),
-        None => table.table().starts_with("pg_"),
-    };
-    !tables.is_empty() && tables.iter().all(own)
+/// Those of its tables that have rows of a map: an answer without rows is no answer to what reads them alone.
+const FILLED: [&str; 7] = [
+    "pg_am",
+    "pg_attribute",
+    "pg_class",
+    "pg_database",
+    "pg_namespace",
+    "pg_type",
+    "unnest",
+];
+
+/// Columns of Postgres' tables that the library leaves out: lists of options and of rights, of which a map has none.
+const LISTS: [&str; 5] = ["datacl", "nspacl", "relacl", "reloptions", "typacl"];
+
+/// Functions of Postgres on what a map has none of: their answer is null.
+const OF_NOTHING: [&str; 7] = [
+    "col_description",
+    "obj_description",
+    "pg_database_size",
+    "pg_get_indexdef",
+    "pg_size_pretty",
+    "pg_table_size",
+    "shobj_description",
+];
+
+/// Names that clients have for one function, or that the library has no function for.
+pub fn complete_catalog(context: &SessionContext) {
+    let visible = ["pg_function_is_visible", "pg_type_is_visible"];
+    context.register_udf(create_pg_table_is_visible().with_aliases(visible));
+    for name in OF_NOTHING {
+        let signature = Signature::variadic_any(Volatility::Immutable);
+        context.register_udf(ScalarUDF::from(OfNothing { name, signature }));
+    }
 }
 
-/// The statement with lists of what a map has none of, `ARRAY(SELECT …)`, as null.
+/// A function whose answer is null.
+#[derive(Debug, PartialEq, Eq, Hash)]
+struct OfNothing {
+    name: &'static str,
+    signature: Signature,
+}
+
+impl ScalarUDFImpl for OfNothing {
+    fn name(&self) -> &str {
+        self.name
+    }
+
+    fn signature(&self) -> &Signature {
+        &self.signature
+    }
+
+    fn return_type(&self, _: &[DataType]) -> Result<DataType, DataFusionError> {
+        Ok(DataType::Utf8)
+    }
+
+    fn invoke_with_args(&self, _: ScalarFunctionArgs) -> Result<ColumnarValue, DataFusionError> {
+        Ok(ColumnarValue::Scalar(ScalarValue::Utf8(None)))
+    }
+}
+
+/// The tables of a statement where they are all of Postgres' own; none for any other.
+fn tables(statement: &Statement) -> Vec<TableReference> {
+    let parsed = Parsed::Statement(Box::new(statement.clone()));
+    let own = |table: &TableReference| match table.schema() {
+        Some(schema) => OWN.contains(&schema),
+        // `unnest` is a table in the grammar.
+        None => table.table().starts_with("pg_") || table.table() == "unnest",
+    };
+    match resolve_table_references(&parsed, true) {
+        Ok((tables, _)) if tables.iter().all(own) => tables,
+        _ => Vec::new(),
+    }
+}
+
+/// Whether a statement reads tables, and Postgres' own alone.
+pub fn is_of_catalog(statement: &Statement) -> bool {
+    !tables(statement).is_empty()
+}
+
+/// The statement with lists of what a map has none of as null: `ARRAY(SELECT …)`, and columns of options and rights.
 pub fn without_lists(mut statement: Statement) -> Statement {
     let _ = visit_expressions_mut(&mut statement, |found| {
-        if let Expr::Function(call) = found
-            && matches!(call.args, FunctionArguments::Subquery(_))
-            && call.name.to_string().eq_ignore_ascii_case("array")
-        {
+        if is_list(found) {
             *found = no_list();
         }
         ControlFlow::<()>::Continue(())
     });
     statement
+}
+
+fn is_list(found: &Expr) -> bool {
+    match found {
+        Expr::Function(call) => {
+            matches!(call.args, FunctionArguments::Subquery(_))
+                && call.name.to_string().eq_ignore_ascii_case("array")
+        }
+        Expr::CompoundIdentifier(parts) => parts
+            .last()
+            .is_some_and(|name| LISTS.contains(&name.value.as_str())),
+        _ => false,
+    }
 }
 
 /// `NULL::text[]`.
@@ -58,8 +140,12 @@ fn no_list() -> Expr {
     }
 }
 
-/// No rows, with the columns that a query names; none where it names not each.
+/// No rows, with the columns that a query names; none where it names not each, or reads nothing that is empty.
 pub fn no_rows(statement: &Statement) -> Option<LogicalPlan> {
+    let filled = |table: &TableReference| FILLED.contains(&table.table());
+    if tables(statement).iter().all(filled) {
+        return None;
+    }
     let Statement::Query(query) = statement else {
         return None;
     };
@@ -156,5 +242,6 @@ mod tests {
             ["rolname", "memberof", "?column?", "?column?", "?column?"]
         );
         assert!(no_rows(&parsed("SELECT * FROM pg_roles")).is_none());
+        assert!(no_rows(&parsed("SELECT relname FROM pg_class")).is_none());
     }
 }

@@ -175,7 +175,14 @@ async fn reading(statement: &Statement, context: &SessionContext) -> PgWireResul
         return planned(statement.clone(), context).await;
     }
     let plan = planned(without_lists(statement.clone()), context).await;
-    plan.or_else(|error| no_rows(statement).ok_or(error))
+    let runs = |plan: LogicalPlan| {
+        let made = context.state().optimize(&plan);
+        made.map_or_else(|error| Err(said(&fault_of(&error))), |_| Ok(plan))
+    };
+    plan.and_then(runs).or_else(|error| {
+        tracing::debug!("not planned: {error}: {statement}");
+        no_rows(statement).ok_or(error)
+    })
 }
 
 async fn planned(statement: Statement, context: &SessionContext) -> PgWireResult<LogicalPlan> {

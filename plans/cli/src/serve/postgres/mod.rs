@@ -42,6 +42,7 @@ use crate::serve::answer::{Bounds, Turn};
 use crate::serve::maps::{Maps, Opened};
 use crate::serve::postgres::startup::{Startup, is_in};
 
+pub use catalog::complete_catalog;
 pub use hooks::hooks;
 
 /// A statement of a client with its plan, as `datafusion-postgres` has it.
