@@ -2,7 +2,7 @@
 
 import json
 import sys
-from urllib.error import HTTPError
+from urllib.error import HTTPError, URLError
 from urllib.request import Request, urlopen
 
 
@@ -80,7 +80,11 @@ def main(what, host):
     for body, kind in [(b"{", "application/json"), (json.dumps({"features": feature("spot", [[30, 1], [33, 1], [33, 3]])}).encode(), "text/plain")]:
         assert ask(f"{here}/lot", body, kind)[0] in (400, 415), (body, kind)
     huge = json.dumps({"author": "ada", "features": feature("spot", [[k, k % 7] for k in range(400_000)])}).encode()
-    assert ask(f"{here}/lot", huge)[0] in (400, 413)
+    try:
+        assert ask(f"{here}/lot", huge)[0] in (400, 413)
+    except URLError as ended:
+        # The server need not read to the end what is too long.
+        assert isinstance(ended.reason, (BrokenPipeError, ConnectionResetError)), ended
     assert ask(f"{here}/lot", {"author": "ada", "features": feature("spot", BOX)}, Host="evil.example")[0] == 403
     assert ask(f"{here}/lot")[1]["labels"] == before["labels"]
 

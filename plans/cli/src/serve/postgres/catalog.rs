@@ -26,13 +26,12 @@ use datafusion_postgres::datafusion_pg_catalog::pg_catalog::create_pg_table_is_v
 const OWN: [&str; 2] = ["pg_catalog", "information_schema"];
 
 /// Those of its tables that have rows of a map: an answer without rows is no answer to what reads them alone.
-const FILLED: [&str; 7] = [
+const FILLED: [&str; 6] = [
     "pg_am",
     "pg_attribute",
     "pg_class",
     "pg_database",
     "pg_namespace",
-    "pg_type",
     "unnest",
 ];
 
