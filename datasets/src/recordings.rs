@@ -1,6 +1,6 @@
 //! From what a person names to sessions whose files are found, before any of them is read.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_schemas::Fault;
@@ -90,11 +90,11 @@ async fn find_all(runtime: &RuntimeEnv, names: &[String]) -> Result<Vec<LogFile>
 /// `metadata.yaml` are one, every other file is its own. A file that is named twice counts once.
 async fn grouped(files: Vec<LogFile>) -> Vec<(String, Vec<LogFile>)> {
     let mut folders = BTreeMap::<(String, String), Vec<LogFile>>::new();
+    let mut seen = HashSet::new();
     for file in files {
-        let siblings = folders.entry(file.folder()).or_default();
-        let same = |other: &LogFile| other.meta.location == file.meta.location;
-        if !siblings.iter().any(same) {
-            siblings.push(file);
+        let folder = file.folder();
+        if seen.insert((folder.clone(), file.meta.location.clone())) {
+            folders.entry(folder).or_default().push(file);
         }
     }
     let mut groups = Vec::new();

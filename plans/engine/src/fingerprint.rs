@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::digest::digest_of;
 use crate::map::receipt::LogContent;
-use crate::map::store::Store;
+use crate::map::store::{Store, each};
 
 /// How long a file must have rested for its times to be trusted.
 const REST: TimeDelta = TimeDelta::seconds(2);
@@ -164,12 +164,16 @@ pub async fn open(
     believe: Believe<'_>,
 ) -> Result<Dataset, Fault> {
     let now = Utc::now();
+    let mut states = Vec::with_capacity(recordings.sessions.len());
     for recording in &mut recordings.sessions {
         let files = &mut recording.files;
         files.sort_by_key(|file| place(&file.store_url, &file.meta));
         let state_of = |file: &LogFile| FileState::of(file.store_url.as_str(), &file.meta);
-        let files: Vec<FileState> = files.iter().map(state_of).collect();
-        let Some(found) = Fingerprint::find(store, &files).await? else {
+        states.push(files.iter().map(state_of).collect::<Vec<_>>());
+    }
+    let found = each(states.iter().map(|files| Fingerprint::find(store, files))).await?;
+    for ((recording, files), found) in recordings.sessions.iter_mut().zip(states).zip(found) {
+        let Some(found) = found else {
             continue;
         };
         let believed = match believe {

@@ -17,7 +17,7 @@ use serde_json::Value;
 use crate::digest::digest_of;
 use crate::fingerprint::{self, Believe, Fingerprint};
 use crate::map::receipt::LogContent;
-use crate::map::store::Store;
+use crate::map::store::{Store, each};
 use crate::map::version::{MappedSession, Previous, Version};
 use crate::preflight::{Lacks, Needs, idle};
 use crate::program::Program;
@@ -219,14 +219,15 @@ impl Prepared {
         let program = compiled(&parsed, registry, &given).await?;
         let mut by_name = mapped_sessions(base.as_ref());
         let (mut fresh, mut replaced) = (Vec::new(), Vec::new());
-        for session in &given.sessions {
+        let sessions = given.sessions.iter();
+        let read = each(sessions.map(|session| fingerprint::fingerprint(&store, session))).await?;
+        for (session, (content, read)) in given.sessions.iter().zip(read) {
             let sited = manifest.is_some_and(|manifest| {
                 let mut named = manifest.sessions.iter();
                 let sited = named.any(|named| named.name == *session.name && named.site.is_some());
                 manifest.site.is_some() || sited
             });
             let site = site_of(session, sited, &by_name);
-            let (content, read) = fingerprint::fingerprint(&store, session).await?;
             fresh.extend(read);
             let now = run_session(session, site, content)?;
             replaced.extend(
@@ -270,19 +271,12 @@ impl Prepared {
     /// # Errors
     /// A user fault that names the session.
     pub fn agrees_with(&self, before: &Self) -> Result<(), Fault> {
-        let of = |version: &Option<Version>, name: &str| {
-            let mut sessions = version.iter().flat_map(|version| &version.sessions);
-            let found = sessions.find(|session| session.log.session == name);
-            found.map(|session| session.log.content.clone())
-        };
+        let (now, then) = (contents(self.base.as_ref()), contents(before.base.as_ref()));
         for name in &before.given {
-            let given = before
-                .sessions
-                .iter()
-                .find(|session| session.log.session == *name);
-            let given = given.map(|session| session.log.content.clone());
-            let now = of(&self.base, name);
-            if now != of(&before.base, name) && now != given {
+            let given = MappedSession::named(&before.sessions, name);
+            let given = given.map(|session| session.log.content.as_str());
+            let now = now.get(name.as_str()).copied();
+            if now != then.get(name.as_str()).copied() && now != given {
                 return Err(Fault::user(format!(
                     "another run mapped another log as session {name} while this one was at work"
                 ))
@@ -373,6 +367,14 @@ fn beside(origin: &str, path: &str) -> PathBuf {
         Some(there) if !here.exists() && there.exists() => there,
         _ => here,
     }
+}
+
+/// The contents of the logs of a version, by session.
+fn contents(version: Option<&Version>) -> BTreeMap<&str, &str> {
+    let sessions = version.iter().flat_map(|version| &version.sessions);
+    sessions
+        .map(|session| (session.log.session.as_str(), session.log.content.as_str()))
+        .collect()
 }
 
 fn mapped_sessions(base: Option<&Version>) -> BTreeMap<String, MappedSession> {

@@ -54,6 +54,14 @@ pub struct MappedSession {
     pub manifest: Manifest,
 }
 
+impl MappedSession {
+    /// The session of a name among some that are sorted by name.
+    pub fn named<'s>(sorted: &'s [Self], name: &str) -> Option<&'s Self> {
+        let place = sorted.binary_search_by(|session| session.log.session.as_str().cmp(name));
+        place.ok().map(|place| &sorted[place])
+    }
+}
+
 /// The layers of the version before that a plan reads.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Previous {

@@ -60,23 +60,57 @@ impl Run<'_> {
     /// A bug fault for a program that names a stage that there is not.
     pub fn units(&self) -> Result<Vec<Pending>, Fault> {
         let previous = self.previous()?;
+        let sessions = Sessions::of(&self.sessions);
         let stored = self.program.stages.iter().filter(|stage| stage.stored);
         stored
             .flat_map(|stage| Place::all(stage, &self.sessions))
-            .map(|place| Pending::new(self, &previous, place))
+            .map(|place| Pending::new(self, &sessions, &previous, place))
             .collect()
     }
 }
 
+/// The sessions of a run, by what units cover: none looks at all of them for its own.
+struct Sessions<'r> {
+    sorted: &'r [MappedSession],
+    of_site: BTreeMap<&'r str, Vec<&'r MappedSession>>,
+}
+
+impl<'r> Sessions<'r> {
+    fn of(sorted: &'r [MappedSession]) -> Self {
+        let mut of_site: BTreeMap<&str, Vec<_>> = BTreeMap::new();
+        for session in sorted {
+            let site = of_site.entry(&session.log.site);
+            site.or_default().push(session);
+        }
+        Self { sorted, of_site }
+    }
+
+    /// Those that an extent covers, sorted by name.
+    fn within(&self, extent: &Extent) -> Vec<&'r MappedSession> {
+        match (&extent.session, &extent.site) {
+            (Some(name), _) => MappedSession::named(self.sorted, name)
+                .filter(|session| extent.covers(&session.log))
+                .into_iter()
+                .collect(),
+            (None, Some(site)) => self.of_site.get(site.as_str()).cloned().unwrap_or_default(),
+            (None, None) => self.sorted.iter().collect(),
+        }
+    }
+}
+
 impl Pending {
-    fn new(run: &Run<'_>, previous: &Previous, place: Place) -> Result<Self, Fault> {
+    fn new(
+        run: &Run<'_>,
+        sessions: &Sessions<'_>,
+        previous: &Previous,
+        place: Place,
+    ) -> Result<Self, Fault> {
         let stages = run.program.fragment(&place.stage);
         let mut tables: BTreeMap<Input, BTreeSet<Place>> = BTreeMap::new();
         let mut logs = BTreeSet::new();
         for read in stages.iter().flat_map(|stage| &stage.reads) {
             let reached = place.extent.reached(read.reach);
-            let sessions = run.sessions.iter();
-            let sessions = sessions.filter(|session| reached.covers(&session.log));
+            let sessions = sessions.within(&reached).into_iter();
             if matches!(read.table, Input::Source(_)) || read.pixels.is_some() {
                 logs.extend(sessions.clone().map(|session| session.log.session.clone()));
             }
@@ -136,8 +170,8 @@ impl Pending {
             recipe.replaced.clone_from(&previous.replaced);
         }
         recipe.previous = layers;
-        let read = |session: &&MappedSession| self.logs.contains(&session.log.session);
-        let logs = run.sessions.iter().filter(read);
+        let logs = self.logs.iter();
+        let logs = logs.filter_map(|name| MappedSession::named(&run.sessions, name));
         recipe.logs = logs.clone().map(|session| session.log.clone()).collect();
         if self.stages.last().is_some_and(|stage| stage.once)
             && let Some(before) = before

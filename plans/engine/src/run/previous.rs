@@ -97,7 +97,7 @@ fn same_logs(base: &Version, sessions: &[MappedSession]) -> bool {
 }
 
 fn holds(sessions: &[MappedSession], log: &LogContent) -> bool {
-    sessions.iter().any(|session| session.log == *log)
+    MappedSession::named(sessions, &log.session).is_some_and(|session| session.log == *log)
 }
 
 fn sessions_of(base: &Version, wanted: impl Fn(&LogContent) -> bool) -> Vec<String> {
