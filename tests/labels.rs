@@ -415,7 +415,12 @@ fn labels_of_a_session_that_the_map_does_not_have_are_counted_and_kept() {
 fn mosaic(lot: &Lot) -> PathBuf {
     let world = "0.05\n0\n0\n-0.05\n0.025\n9.975\n";
     std::fs::write(lot.path("mosaic.pgw"), world).unwrap();
-    lot.path("mosaic.png")
+    let picture = lot.path("mosaic.png");
+    let mut encoder = png::Encoder::new(std::fs::File::create(&picture).unwrap(), 400, 200);
+    encoder.set_color(png::ColorType::Grayscale);
+    let mut pixels = encoder.write_header().unwrap();
+    pixels.write_image_data(&[0; 400 * 200]).unwrap();
+    picture
 }
 
 #[test]
