@@ -86,6 +86,43 @@ fn a_second_session_recomputes_only_its_own() {
 }
 
 #[test]
+fn what_a_run_was_at_work_on_can_be_seen() {
+    let folder = tempfile::tempdir().unwrap();
+    let (a, map) = (folder.path().join("a.mcap"), folder.path().join("map"));
+    write_drive(&a, rectangle(20.0, 10.0, 1.0));
+    run(&map, &[&a]).expect(0);
+    let analyze = |plan| {
+        let words = ["explain", plan, "--map", text(&map), "--analyze"];
+        evermap(&[&words[..], &["--format", "json"]].concat())
+    };
+    let work = analyze(PLAN).expect(0).json();
+    let work = work.as_array().unwrap();
+    let of = |node: &str, of: Value| {
+        let found = work
+            .iter()
+            .find(|row| row["node"] == node && row["of"] == of);
+        found.unwrap_or_else(|| panic!("{node} of {of}: {work:?}"))
+    };
+    let scan = of("DataSourceExec", "odometry".into());
+    assert!(scan["bytes"].as_u64().unwrap() > 0 && scan["rows"].as_u64().unwrap() > 0);
+    assert!(
+        of("OperatorExec", "keyframes".into())["seconds"]
+            .as_f64()
+            .unwrap()
+            > 0.0
+    );
+    assert!(of("ParquetWriter", Value::Null)["bytes"].as_u64().unwrap() > 0);
+    let seconds = work.iter().map(|row| row["seconds"].as_f64().unwrap());
+    assert!(seconds.is_sorted_by(|before, after| before >= after));
+
+    let other = analyze("speed").expect(1).stderr;
+    assert!(
+        other.contains("plan speed made no version of this map"),
+        "{other}"
+    );
+}
+
+#[test]
 fn a_run_that_changes_nothing_publishes_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let (a, map) = (folder.path().join("a.mcap"), folder.path().join("map"));

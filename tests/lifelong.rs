@@ -457,6 +457,8 @@ fn a_log_is_read_again_only_when_its_file_has_changed() {
         let path = entries[0].as_ref().unwrap().path();
         let mut forged: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
         forged["content"] = json!("forged");
+        let sealed = serde_json::to_vec(&json!(["forged", forged["indexes"]])).unwrap();
+        forged["seal"] = json!(blake3::hash(&sealed).to_hex().as_str());
         std::fs::write(&path, forged.to_string()).unwrap();
     };
     // The file is of just now: what is remembered of it is for that run's units, and nobody believes it later.

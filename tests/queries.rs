@@ -147,6 +147,47 @@ fn mapped() -> (tempfile::TempDir, std::path::PathBuf) {
     (folder, map)
 }
 
+#[test]
+fn queries_compare_several_maps() {
+    let (folder, map) = mapped();
+    let other = folder.path().join("other");
+    let drive = folder.path().join("a.mcap");
+    let run = [
+        "run",
+        "trajectory",
+        "--map",
+        text(&other),
+        "--sessions",
+        text(&drive),
+    ];
+    evermap(&run).expect(0);
+    let named = format!("second={}", text(&other));
+    let ask = |maps: &[&str], query: &str| {
+        let maps = maps.iter().flat_map(|map| ["--map", map]);
+        let words: Vec<&str> = ["sql"].into_iter().chain(maps).collect();
+        evermap(&[&words[..], &["--format", "csv", query]].concat())
+    };
+    let joined = "SELECT count(*) AS n FROM poses JOIN other.poses AS o ON poses.session = o.session AND poses.stamp = o.stamp";
+    let both = [text(&map), text(&other)];
+    assert_eq!(ask(&both, joined).expect(0).stdout, "n\n300\n");
+    for (query, n) in [
+        ("SELECT count(*) AS n FROM second.poses", "300"),
+        ("SELECT count(*) AS n FROM second.v1.poses", "300"),
+        ("SELECT count(*) > 0 AS n FROM second.a.\"/odom\"", "true"),
+        ("SELECT max(version) AS n FROM second.versions", "1"),
+    ] {
+        let found = ask(&[text(&map), &named], query).expect(0).stdout;
+        assert_eq!(found, format!("n\n{n}\n"), "{query}");
+    }
+    let twice = ask(&[text(&map), text(&other), text(&other)], joined)
+        .expect(1)
+        .stderr;
+    assert!(
+        twice.contains("`other` is the name of several maps"),
+        "{twice}"
+    );
+}
+
 /// Queries that nest by these many terms, for each way to nest without brackets: sums, unions, tables of tables.
 fn nested([sums, unions, tables]: [usize; 3]) -> [String; 3] {
     let unions = (0..unions).map(|n| format!("SELECT {n} AS a"));

@@ -326,13 +326,19 @@ fn an_artifact_is_on_the_disk_before_its_receipt_and_receipts_before_the_version
             .unwrap_or_else(|| panic!("{what}: {traced}"))
     };
     let version = named("versions/1.json");
-    // Whatever has a name was synced under its temporary one, and its folder after.
-    for (place, line) in lines
-        .iter()
-        .enumerate()
-        .filter(|(_, line)| line.contains("named"))
-    {
-        assert!(place >= 1 && lines[place - 1].contains("synced"), "{line}");
+    // Whatever has a name was synced under its temporary one, and its folder after; several may be on their way at once.
+    let synced = |lines: &[&str], place: &str| {
+        let synced = lines.iter().filter(|line| line.contains("synced"));
+        synced.filter(|line| line.contains(place)).count()
+    };
+    let mut names = 0;
+    for (place, line) in lines.iter().enumerate().filter(|(_, line)| {
+        line.contains("named") && (line.contains(".json") || line.contains(".parquet"))
+    }) {
+        names += 1;
+        let temporary = synced(&lines[..place], "/map/tmp/");
+        let folders = synced(&lines[..place], "/map") - temporary;
+        assert!(temporary >= names && folders >= names, "{line}");
     }
     let receipts = std::fs::read_dir(map.join("receipts")).unwrap();
     let receipts: Vec<_> = receipts.map(|receipt| receipt.unwrap().path()).collect();

@@ -131,6 +131,7 @@ pub fn decode_column<T: Cell>(
 macro_rules! record {
     (
         $(#[doc = $doc:literal])+
+        $(#[derive($($derived:path),+)])?
         $(#[layer($layer:expr, key($($key:ident),+) $(, geometry($geometry:ident))?)])?
         pub struct $name:ident {
             $(
@@ -140,7 +141,7 @@ macro_rules! record {
         }
     ) => {
         $(#[doc = $doc])+
-        #[derive(Debug, Clone, PartialEq)]
+        #[derive(Debug, Clone, PartialEq $($(, $derived)+)?)]
         pub struct $name {
             $(
                 $(#[doc = $column_doc])+

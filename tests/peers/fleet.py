@@ -2,8 +2,9 @@
 
     fleet.py FOLDER [--sessions 10000] [--messages 130] [--evermap PROGRAM] [--cluster ADDRESS]
 
-Logs are made in FOLDER on first use. A table says, for a tenth, a third and all of them: the first run, the same run
-again, and one session more; then `layers`, `versions` and `explain` on the map.
+Logs are made in FOLDER on first use. A table says, for a tenth, a third and all of them: the first run, and what of it
+is beyond the units' own work (by the layer `runs`: the sum of their seconds, shared by the cores); the same run again,
+and one session more; then `layers`, `versions` and `explain` on the map.
 """
 
 import argparse
@@ -48,6 +49,15 @@ def run(command):
     return time.perf_counter() - start, used.ru_maxrss / 1024
 
 
+def worked(evermap, store):
+    """Seconds that the units of the newest version were at work, all together."""
+    query = "SELECT sum(seconds) AS seconds FROM runs WHERE NOT cached"
+    told = subprocess.run(
+        [evermap, "sql", "--map", str(store), "--format", "csv", query], check=True, capture_output=True, text=True
+    )
+    return float(told.stdout.split()[-1])
+
+
 def main():
     """Prints a row for each size of the fleet."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -60,8 +70,8 @@ def main():
     resource.setrlimit(resource.RLIMIT_NOFILE, (resource.getrlimit(resource.RLIMIT_NOFILE)[1],) * 2)
     paths = make(given.folder / "logs", given.sessions + 1, given.messages)
     cluster = ["--cluster", given.cluster] if given.cluster else []
-    print("| sessions | first run s | ms a session | MiB | again s | one more s | layers s | versions s | explain s | manifest kB |")
-    print("|---|---|---|---|---|---|---|---|---|---|")
+    print("| sessions | first run s | ms a session | beyond the work ms | MiB | again s | one more s | layers s | versions s | explain s | manifest kB |")
+    print("|---|---|---|---|---|---|---|---|---|---|---|")
     for count in sorted({given.sessions // 10, given.sessions // 3, given.sessions}):
         chosen, store = given.folder / "chosen", given.folder / "map"
         for old in (chosen, store):
@@ -72,6 +82,7 @@ def main():
         time.sleep(3)  # times within two seconds say nothing of a file
         program = [given.evermap, "run", "trajectory", "--map", str(store), "--sessions", f"{chosen}/*.mcap", *cluster]
         first, memory = run(program)
+        beyond = first - worked(given.evermap, store) / (os.cpu_count() if not cluster else 1)
         again, _ = run(program)
         os.link(paths[count], chosen / paths[count].name)
         more, _ = run(program)
@@ -80,7 +91,7 @@ def main():
         explain, _ = run([given.evermap, "explain", "trajectory", "--map", str(store), "--sessions", f"{chosen}/*.mcap"])
         manifest = max(path.stat().st_size for path in (store / "versions").iterdir()) / 1000
         print(
-            f"| {count} | {first:.1f} | {1000 * first / count:.2f} | {memory:.0f} | {again:.1f} | {more:.1f} "
+            f"| {count} | {first:.1f} | {1000 * first / count:.2f} | {1000 * beyond / count:.2f} | {memory:.0f} | {again:.1f} | {more:.1f} "
             f"| {layers:.2f} | {versions:.2f} | {explain:.2f} | {manifest:.0f} |",
             flush=True,
         )

@@ -1,8 +1,9 @@
 """Recordings to measure on, made from a seed: the same bytes every time, nothing to download.
 
-    recordings.py FOLDER      makes imu.mcap, odometry.mcap and images.mcap there, if they are not there yet
+    recordings.py FOLDER      makes imu.mcap, long_imu.mcap, odometry.mcap and images.mcap there, if they are not there yet
 
 - imu.mcap, odometry.mcap: 100,000 small CDR messages of one topic each, zstd chunks of 1 MiB, indexed.
+- long_imu.mcap: ten times as many.
 - images.mcap: 300 raw images of 640 × 480 grey pixels, the same way.
 - A file NAME.plain.mcap is the same without compression: what is left of reading it is decoding.
 """
@@ -101,11 +102,11 @@ def opening(index, frame, period_ns=1_000_000):
     return stamp, b"\0\1\0\0" + struct.pack("<iI", seconds, nanoseconds) + text(frame)
 
 
-def imus(noise):
+def imus(noise, indices=range(MESSAGES)):
     """Readings of a shaking sensor; its covariances never change."""
     covariance = [0.01, 0, 0, 0, 0.01, 0, 0, 0, 0.01]
     body = struct.Struct("<37d")
-    for index in range(MESSAGES):
+    for index in indices:
         stamp, start = opening(index, "imu_link")
         turn, push = [noise.gauss(0, 0.1) for _ in range(3)], [noise.gauss(0, 1) for _ in range(3)]
         values = [0, 0, 0, 1, *covariance, *turn, *covariance, *push, *covariance]
@@ -142,6 +143,7 @@ def images(noise):
 
 KINDS = {
     "imu": ("/imu", "sensor_msgs/msg/Imu", IMU, imus),
+    "long_imu": ("/imu", "sensor_msgs/msg/Imu", IMU, lambda noise: imus(noise, range(10 * MESSAGES))),
     "odometry": ("/odom", "nav_msgs/msg/Odometry", ODOMETRY, odometries),
     "images": ("/image", "sensor_msgs/msg/Image", IMAGE, images),
 }

@@ -1,7 +1,8 @@
 """Time from an MCAP file to a table that can be queried: `rerun mcap convert` against `evermap sql --format parquet`.
 
-Both are whole programs on all cores, start and disk included, and convert every topic of the file: rerun to one .rrd,
-ours to one Parquet file a topic, one program start each. By default rerun leaves fields out of the types that it knows
+All are whole programs on all cores, start and disk included, and convert every topic of the file: rerun to one .rrd,
+ours to one file a topic (Parquet, Arrow IPC), one program start each. The last row is what a query on the log itself
+takes, which needs no conversion. By default rerun leaves fields out of the types that it knows
 (an Imu's covariances); with its reflection decoder it keeps all of them, as we do.
 """
 
@@ -24,12 +25,12 @@ def topics(path):
     return sorted({channel.topic for channel in summary.channels.values()}), summary.statistics.message_count
 
 
-def ours(evermap, path, folder):
+def ours(evermap, path, folder, kind):
     """One `evermap sql` a topic, in one shell."""
     script = ["set -e"]
     for number, topic in enumerate(topics(path)[0]):
         query = f'SELECT * FROM "{topic}"'
-        script.append(f"'{evermap}' sql --sessions '{path}' --format parquet --out '{folder}/{number}.parquet' '{query}'")
+        script.append(f"'{evermap}' sql --sessions '{path}' --format {kind} --out '{folder}/{number}.{kind}' '{query}'")
     return ["sh", "-c", "\n".join(script)]
 
 
@@ -49,13 +50,17 @@ def main():
         # rerun reports usage to its makers unless told not to; it is told in a folder that goes away again.
         quiet = {"XDG_CONFIG_HOME": temporary, "HOME": temporary}
         subprocess.run([rerun, "analytics", "disable"], env={**os.environ, **quiet}, check=True, capture_output=True)
-        for path in [recording(given.folder, kind)[0] for kind in ("imu", "odometry")] + given.files:
+        for path in [recording(given.folder, kind)[0] for kind in ("imu", "odometry", "long_imu")] + given.files:
             convert = [str(rerun), "mcap", "convert", path, "-o", f"{output}/out.rrd"]
             all_fields = [*convert, "--decoder", "ros2_reflection"]
+            latest = f'SELECT max(header[\'stamp\']), count(*) FROM "{topics(path)[0][0]}"'
+            ask = [given.evermap, "sql", "--sessions", path, latest]
             contenders = [
-                Contender("evermap", ours(given.evermap, path, output), inner=False, fresh=fresh),
+                Contender("evermap, Parquet", ours(given.evermap, path, output, "parquet"), inner=False, fresh=fresh),
+                Contender("evermap, Arrow IPC", ours(given.evermap, path, output, "arrow"), inner=False, fresh=fresh),
                 Contender("rerun mcap convert", convert, inner=False, fresh=fresh, environment=quiet),
                 Contender("rerun mcap convert, all fields", all_fields, inner=False, fresh=fresh, environment=quiet),
+                Contender("evermap, a query on the log", ask, inner=False),
             ]
             race(contenders, given.runs)
             table(f"{Path(path).name} to a queryable table, all cores", contenders, topics(path)[1], "messages")

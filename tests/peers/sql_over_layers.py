@@ -77,6 +77,17 @@ QUERIES = [
         "SELECT session, camera, sum(array_length(u)) AS features FROM features GROUP BY session, camera",
         "SELECT session, camera, sum(len(u)) AS features FROM features GROUP BY session, camera",
     ),
+    (
+        "poses at what was seen (as-of join)",
+        """SELECT s.session, count(p.stamp) AS n, avg(s.x - p.map_from_vehicle['x']) AS ahead_m
+           FROM surface_points AS s ASOF JOIN poses AS p
+             MATCH_CONDITION (s.first_stamp >= p.stamp) ON s.session = p.session
+           GROUP BY s.session""",
+        """SELECT s.session, count(p.stamp) AS n, avg(s.x - p.map_from_vehicle['x']) AS ahead_m
+           FROM surface_points AS s ASOF LEFT JOIN poses AS p
+             ON s.session = p.session AND s.first_stamp >= p.stamp
+           GROUP BY s.session""",
+    ),
     ("a million rows", " UNION ALL ".join(["SELECT * FROM surface_points"] * 4)),
 ]
 
@@ -141,7 +152,7 @@ def main():
         theirs = other[0] if other else query
         medians, answers = race(
             lambda query=query: opened.sql(query).arrow(),
-            lambda theirs=theirs: peer.execute(theirs).to_arrow_table(),
+            lambda theirs=theirs: peer.sql(theirs).to_arrow_table(),
             given.runs,
         )
         found, expected = map(rows, answers)

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use datafusion::physical_plan::metrics::ExecutionPlanMetricsSet;
 use evermap_schemas::roles::{Calibration, CameraNames, Messages, Role, calibration};
 use evermap_schemas::{Fault, LayerRow, rows};
 use futures::TryStreamExt;
@@ -10,7 +11,7 @@ use futures::TryStreamExt;
 use crate::fault::OrFault;
 use crate::roles::Topics;
 use crate::roles::rows::RoleRows;
-use crate::scan::{Job, Wanted, stream};
+use crate::scan::{Job, ScanMetrics, Wanted, stream};
 use crate::session::LogPart;
 
 /// The role that names cameras.
@@ -62,6 +63,7 @@ async fn first(
         batch_rows: 1,
         pool: None,
         topic: topic.to_owned(),
+        metrics: ScanMetrics::new(&ExecutionPlanMetricsSet::new(), 0),
     });
     let batch = batches.try_next().await.or_fault()?;
     match batch {

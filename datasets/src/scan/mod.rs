@@ -23,11 +23,12 @@ mod topic;
 
 pub use messages::MessagesTable;
 pub use rows::{MessageAt, RowBuilder};
+pub use source::scanned;
 pub use table::{FaultyTable, LogTable, McapTable};
 
 pub(crate) use plan::Wanted;
 pub(crate) use records::RecordTable;
 pub(crate) use rows::projected;
-pub(crate) use stream::{Job, stream};
+pub(crate) use stream::{Job, ScanMetrics, stream};
 pub(crate) use table::{LazyTable, schema_of};
 pub(crate) use topic::TopicTable;

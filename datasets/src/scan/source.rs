@@ -10,6 +10,7 @@ use datafusion::datasource::physical_plan::{
     FileOpenFuture, FileOpener, FileScanConfig, FileSource,
 };
 use datafusion::datasource::projection::{ProjectionOpener, SplitProjection};
+use datafusion::datasource::source::DataSourceExec;
 use datafusion::datasource::table_schema::TableSchema;
 use datafusion::error::Result;
 use datafusion::execution::memory_pool::MemoryPool;
@@ -24,7 +25,7 @@ use object_store::ObjectStore;
 
 use crate::fault::external;
 use crate::scan::plan::{PlannedUnit, Wanted};
-use crate::scan::stream::{Job, stream};
+use crate::scan::stream::{Job, ScanMetrics, stream};
 use crate::scan::table::LogTable;
 use crate::session::LogPart;
 
@@ -71,15 +72,16 @@ impl FileSource for McapSource {
         &self,
         _object_store: Arc<dyn ObjectStore>,
         base_config: &FileScanConfig,
-        _partition: usize,
+        partition: usize,
     ) -> Result<Arc<dyn FileOpener>> {
         let mut source = self.clone();
         // No batch needs to be larger than the rows that are asked for.
         let limit = base_config.limit.unwrap_or(usize::MAX);
         source.batch_rows = source.batch_rows.min(limit);
+        let metrics = ScanMetrics::new(&self.metrics, partition);
         ProjectionOpener::try_new(
             self.projection.clone(),
-            Arc::new(McapOpener { source }),
+            Arc::new(McapOpener { source, metrics }),
             self.table_schema.file_schema(),
         )
     }
@@ -160,18 +162,28 @@ impl FileSource for McapSource {
     }
 }
 
+/// The table of a log that a plan node scans; `None` where it scans something else.
+pub fn scanned(scan: &DataSourceExec) -> Option<String> {
+    let (_, source) = scan.downcast_to_file_source::<McapSource>()?;
+    Some(source.table.name().to_owned())
+}
+
 /// Opens a file, or a byte range of one.
 struct McapOpener {
     source: McapSource,
+    metrics: ScanMetrics,
 }
 
 impl FileOpener for McapOpener {
     fn open(&self, file: PartitionedFile) -> Result<FileOpenFuture> {
-        let source = self.source.clone();
+        let (source, metrics) = (self.source.clone(), self.metrics.clone());
         let part = file.extension::<Arc<LogPart>>().cloned();
         let part = part.ok_or_else(|| external(Fault::bug("a file without its index")))?;
         Ok(async move {
-            let job = source.job(part, file.range()).await.map_err(external)?;
+            let job = source
+                .job(part, file.range(), metrics)
+                .await
+                .map_err(external)?;
             Ok(stream(job))
         }
         .boxed())
@@ -179,7 +191,12 @@ impl FileOpener for McapOpener {
 }
 
 impl McapSource {
-    async fn job(self, part: Arc<LogPart>, range: (u64, u64)) -> Result<Job, Fault> {
+    async fn job(
+        self,
+        part: Arc<LogPart>,
+        range: (u64, u64),
+        metrics: ScanMetrics,
+    ) -> Result<Job, Fault> {
         let columns = &self.projection.file_indices;
         let rows = self.table.rows(&part, columns).await?;
         let units = match self.table.records(&part.index) {
@@ -210,6 +227,7 @@ impl McapSource {
             rows,
             batch_rows: self.batch_rows,
             pool: Some(self.pool),
+            metrics,
         })
     }
 }

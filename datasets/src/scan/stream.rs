@@ -12,6 +12,7 @@ use bytes::Bytes;
 use datafusion::common::runtime::SpawnedTask;
 use datafusion::error::Result;
 use datafusion::execution::memory_pool::{MemoryConsumer, MemoryPool, MemoryReservation};
+use datafusion::physical_plan::metrics::{Count, ExecutionPlanMetricsSet, MetricBuilder, Time};
 use evermap_schemas::Fault;
 use futures::stream::BoxStream;
 use futures::{StreamExt, TryStreamExt};
@@ -40,6 +41,25 @@ pub(crate) struct Job {
     pub pool: Option<Arc<dyn MemoryPool>>,
     /// A table of one topic notes what it loses under the topic's name.
     pub topic: String,
+    /// What is counted.
+    pub metrics: ScanMetrics,
+}
+
+/// What scans of one partition count.
+#[derive(Clone)]
+pub(crate) struct ScanMetrics {
+    busy: Time,
+    bytes: Count,
+}
+
+impl ScanMetrics {
+    pub fn new(metrics: &ExecutionPlanMetricsSet, partition: usize) -> Self {
+        let builder = || MetricBuilder::new(metrics);
+        Self {
+            busy: builder().elapsed_compute(partition),
+            bytes: builder().counter("bytes_scanned", partition),
+        }
+    }
 }
 
 /// Runs a job.
@@ -55,6 +75,7 @@ pub(crate) fn stream(job: Job) -> BoxStream<'static, Result<RecordBatch>> {
             batch_rows: job.batch_rows.max(1),
             topic: job.topic,
             current: None,
+            metrics: job.metrics,
         },
         units: job.units.into(),
         fetched: None,
@@ -185,6 +206,7 @@ struct Worker {
     batch_rows: usize,
     topic: String,
     current: Option<Open>,
+    metrics: ScanMetrics,
 }
 
 /// Gives a message to the builder; a payload that is compressed on its own is decompressed first.
@@ -305,7 +327,10 @@ impl Worker {
         next: Option<(PlannedUnit, Bytes)>,
         ended: bool,
     ) -> Result<Vec<RecordBatch>, Fault> {
+        let busy = self.metrics.busy.clone();
+        let _timer = busy.timer();
         if let Some((planned, bytes)) = next {
+            self.metrics.bytes.add(bytes.len());
             self.open(planned, bytes);
         }
         if self.current.as_ref().is_some_and(|open| open.waits) {

@@ -1,5 +1,6 @@
 //! How far long work has come, on stderr: a bar where a person looks, lines where a log is kept.
 
+use std::collections::BTreeSet;
 use std::io::{IsTerminal, Write};
 
 use clap::ValueEnum;
@@ -27,7 +28,7 @@ pub struct Progress {
     /// Whether lines tell what the bar does not.
     lines: bool,
     percent: u64,
-    running: Vec<String>,
+    running: BTreeSet<String>,
 }
 
 impl Progress {
@@ -38,7 +39,7 @@ impl Progress {
             bar: if looks { bar() } else { ProgressBar::hidden() },
             lines: !looks && show != Show::None,
             percent: 0,
-            running: Vec::new(),
+            running: BTreeSet::new(),
         }
     }
 
@@ -51,13 +52,13 @@ impl Progress {
     pub fn note(&mut self, event: &Event<'_>) {
         match event {
             Event::Planned { units } => self.expect(*units as u64),
-            Event::Started { label } => self.running.push((*label).to_owned()),
+            Event::Started { label } => drop(self.running.insert((*label).to_owned())),
             Event::Done {
                 label,
                 receipt,
                 cached,
             } => {
-                self.running.retain(|running| running != label);
+                self.running.remove(*label);
                 self.bar.inc(1);
                 if self.lines {
                     let how = match cached {
@@ -70,7 +71,13 @@ impl Progress {
                 }
             }
         }
-        self.bar.set_message(self.running.join(", "));
+        self.bar.set_message(self.first_running());
+    }
+
+    /// The first of what runs, or waits for its turn: as many as a person reads.
+    fn first_running(&self) -> String {
+        let first: Vec<&str> = self.running.iter().take(4).map(String::as_str).collect();
+        first.join(", ")
     }
 
     /// So much is done of work in many small steps; lines are printed for every tenth of it.

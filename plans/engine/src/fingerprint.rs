@@ -7,7 +7,7 @@
 //! another log or damaged: then a unit reads the log's own index, and so it does on a machine where files look
 //! different.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -104,12 +104,12 @@ impl Fingerprint {
         Ok(format!("{FOLDER}/{}.json", digest_of(&files)?))
     }
 
-    /// Remembers it.
+    /// Remembers it. What is torn later does not fit its seal and is not believed.
     ///
     /// # Errors
     /// A resource fault when the store does not take it.
     pub async fn remember(&self, store: &Store) -> Result<(), Fault> {
-        store.write_json(&Self::name(&self.files)?, self).await
+        store.cache_json(&Self::name(&self.files)?, self).await
     }
 
     /// What is remembered of these files; nothing where somebody else wrote there.
@@ -154,6 +154,9 @@ pub enum Believe<'a> {
     Content(&'a str),
 }
 
+/// The digests of logs that are remembered, by session.
+pub type Contents = BTreeMap<String, String>;
+
 /// Opens recordings. Indexes of logs that are remembered, and whose files are what they were, are not read again.
 ///
 /// # Errors
@@ -162,7 +165,7 @@ pub async fn open(
     store: &Store,
     mut recordings: Recordings,
     believe: Believe<'_>,
-) -> Result<Dataset, Fault> {
+) -> Result<(Dataset, Contents), Fault> {
     let now = Utc::now();
     let mut states = Vec::with_capacity(recordings.sessions.len());
     for recording in &mut recordings.sessions {
@@ -172,6 +175,7 @@ pub async fn open(
         states.push(files.iter().map(state_of).collect::<Vec<_>>());
     }
     let found = each(states.iter().map(|files| Fingerprint::find(store, files))).await?;
+    let mut contents = Contents::new();
     for ((recording, files), found) in recordings.sessions.iter_mut().zip(states).zip(found) {
         let Some(found) = found else {
             continue;
@@ -184,9 +188,10 @@ pub async fn open(
             for (file, index) in recording.files.iter_mut().zip(found.indexes) {
                 file.index = Some(index);
             }
+            contents.insert(recording.name.clone(), found.content);
         }
     }
-    recordings.open().await
+    Ok((recordings.open().await?, contents))
 }
 
 /// Opens the log of a session of a map, where it was when it was mapped and with the index that is remembered of it.
@@ -200,29 +205,28 @@ pub async fn open_mapped(
     log: &LogContent,
 ) -> Result<Dataset, Fault> {
     let found = Recordings::find(runtime, &[], Some(manifest)).await?;
-    open(store, found, Believe::Content(&log.content)).await
+    let (opened, _) = open(store, found, Believe::Content(&log.content)).await?;
+    Ok(opened)
 }
 
-/// The digest of a session's log, and what is worth remembering of it.
+/// The digest of a session's log, and what is worth remembering of it; `remembered` are those that were when it was
+/// opened.
 ///
 /// # Errors
 /// A resource fault when a file cannot be read.
 pub async fn fingerprint(
-    store: &Store,
+    remembered: &Contents,
     session: &Session,
 ) -> Result<(String, Option<Fingerprint>), Fault> {
+    if let Some(content) = remembered.get(&*session.name) {
+        return Ok((content.clone(), None));
+    }
     let begun = Utc::now();
     let mut parts = session.parts.clone();
     parts.sort_by_key(|part| place(&part.store_url, &part.meta));
     let state_of = |part: &Arc<LogPart>| FileState::of(part.store_url.as_str(), &part.meta);
     let files: Vec<FileState> = parts.iter().map(state_of).collect();
     let rested = files.iter().all(|file| file.rests(begun));
-    if rested
-        && let Some(found) = Fingerprint::find(store, &files).await?
-        && found.rested
-    {
-        return Ok((found.content, None));
-    }
     let content = session.fingerprint().await?.to_hex().to_string();
     if !unchanged(&parts, &files).await {
         return Ok((content, None));
@@ -281,7 +285,7 @@ mod tests {
         let paths = [log.display().to_string()];
         let found = Recordings::find(&RuntimeEnv::default(), &paths, None).await;
         let opened = open(store, found.unwrap(), Believe::Content(content)).await;
-        opened.unwrap().parts()[0].index.library.clone()
+        opened.unwrap().0.parts()[0].index.library.clone()
     }
 
     #[tokio::test]
@@ -295,7 +299,9 @@ mod tests {
             .await
             .unwrap();
         assert!(dataset.losses.is_empty(), "{:?}", dataset.losses.lines());
-        let (content, fresh) = fingerprint(&store, &dataset.sessions[0]).await.unwrap();
+        let (content, fresh) = fingerprint(&Contents::new(), &dataset.sessions[0])
+            .await
+            .unwrap();
         let fresh = fresh.unwrap();
         // An index that the file does not have, to see which of both is used.
         let mut indexes = fresh.indexes;

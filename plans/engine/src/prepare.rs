@@ -215,12 +215,13 @@ impl Prepared {
         let base = Version::latest(&store).await?;
         // Topics are checked on the logs at hand; a map's earlier logs may be gone, their artifacts are not.
         let found = Recordings::find(&RuntimeEnv::default(), sessions, manifest).await?;
-        let given = fingerprint::open(&store, found, Believe::Rested).await?;
+        let (given, remembered) = fingerprint::open(&store, found, Believe::Rested).await?;
         let program = compiled(&parsed, registry, &given).await?;
         let mut by_name = mapped_sessions(base.as_ref());
         let (mut fresh, mut replaced) = (Vec::new(), Vec::new());
         let sessions = given.sessions.iter();
-        let read = each(sessions.map(|session| fingerprint::fingerprint(&store, session))).await?;
+        let read =
+            each(sessions.map(|session| fingerprint::fingerprint(&remembered, session))).await?;
         for (session, (content, read)) in given.sessions.iter().zip(read) {
             let sited = manifest.is_some_and(|manifest| {
                 let mut named = manifest.sessions.iter();
@@ -290,10 +291,9 @@ impl Prepared {
     ///
     /// # Errors
     /// A resource fault when the map's store does not take it.
-    pub async fn remember(&self) -> Result<(), Fault> {
-        for fingerprint in &self.fresh {
-            fingerprint.remember(&self.store).await?;
-        }
+    pub async fn remember(&mut self) -> Result<(), Fault> {
+        let fresh = std::mem::take(&mut self.fresh);
+        each(fresh.iter().map(|fresh| fresh.remember(&self.store))).await?;
         Ok(())
     }
 

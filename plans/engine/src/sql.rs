@@ -1,6 +1,8 @@
 //! Contexts that queries run in, and what the engine must know of a query before running it.
 
+pub mod as_of;
 mod bounded;
+mod members;
 mod pool;
 mod size;
 
@@ -11,9 +13,12 @@ use arrow::array::RecordBatch;
 use datafusion::catalog::{CatalogProvider, MemorySchemaProvider, TableProvider};
 use datafusion::common::TableReference;
 use datafusion::datasource::MemTable;
+use datafusion::error::Result as DataFusionResult;
 use datafusion::execution::runtime_env::{RuntimeEnv, RuntimeEnvBuilder};
+use datafusion::execution::{SessionState, SessionStateBuilder};
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SQLOptions, SessionConfig, SessionContext};
+use datafusion::sql::parser::Statement;
 use datafusion::sql::sqlparser::dialect::GenericDialect;
 use evermap_language::Input;
 use evermap_schemas::Fault;
@@ -21,6 +26,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{OrFault, fault_of};
 use crate::sql::bounded::bound_functions;
+use crate::sql::members::mask_members;
 use crate::sql::pool::SharedPool;
 
 pub use size::{QUERY_WORDS, STACK_BYTES, check_size};
@@ -153,7 +159,17 @@ fn context_of(
     options.execution.parquet.schema_force_view_types = false;
     options.execution.parquet.pushdown_filters = true;
     options.sql_parser.map_string_types_to_utf8view = false;
-    let context = SessionContext::new_with_config_rt(config, runtime);
+    // The rule fails where a join's key is made of a member (apache/datafusion#22895, #24241).
+    options.optimizer.enable_leaf_expression_pushdown = false;
+    let state = SessionStateBuilder::new()
+        .with_config(config)
+        .with_runtime_env(runtime)
+        .with_default_features()
+        .with_query_planner(as_of::query_planner());
+    let context = SessionContext::new_with_state(state.build());
+    context
+        .register_relation_planner(as_of::relations())
+        .or_fault()?;
     let catalog = catalog(&context)?;
     for schema in ["previous", "new"] {
         let tables = Arc::new(MemorySchemaProvider::new());
@@ -161,6 +177,7 @@ fn context_of(
     }
     evermap_functions::register(&context);
     bound_functions(&context, limits.memory_bytes).or_fault()?;
+    mask_members(&context).or_fault()?;
     Ok(context)
 }
 
@@ -209,8 +226,24 @@ pub async fn read_only(context: &SessionContext, query: &str) -> Result<DataFram
         .with_allow_ddl(false)
         .with_allow_dml(false)
         .with_allow_statements(false);
-    let frame = context.sql_with_options(query, options).await;
-    frame.or_fault()
+    let state = context.state();
+    let dialect = state.config().options().sql_parser.dialect;
+    let statement = state.sql_to_statement(query, &dialect).or_fault()?;
+    let plan = plan_of(&state, statement).await.or_fault()?;
+    options.verify_plan(&plan).or_fault()?;
+    context.execute_logical_plan(plan).await.or_fault()
+}
+
+/// The plan of a statement.
+///
+/// # Errors
+/// What is wrong with it.
+pub async fn plan_of(
+    state: &SessionState,
+    mut statement: Statement,
+) -> DataFusionResult<LogicalPlan> {
+    as_of::bracketed(&mut statement);
+    state.statement_to_plan(statement).await
 }
 
 /// The tables that a query reads, as a plan names its inputs: `poses`, `/odom`, `previous.lanes`.

@@ -5,12 +5,14 @@
 //! | `poses` | of poses: `yaw`, `pitch`, `roll`, `transform`, `compose`, `inverse` … |
 //! | `geometries` | of geometries: `st_*` as PostGIS names them, `distance_along` |
 //! | `json` | `to_json` |
+//! | `binary` | `octet_length` |
 //! | `contains`, `related` | of the graphs of views |
 //!
 //! Each is declared once, with its arguments, its result and an example: [`documented`] lists them.
 //!
 //! With [`use_class_index`], `contains` on `views` is answered by the layer `class_index`, and graphs are not read.
 
+mod binary;
 mod contains;
 mod function;
 mod geometries;
@@ -39,7 +41,9 @@ pub fn register(context: &SessionContext) {
 
 fn functions() -> Vec<ScalarUDF> {
     let declared = poses::DECLARATIONS.iter().chain(&geometries::DECLARATIONS);
-    let declared = declared.chain(&json::DECLARATIONS);
+    let declared = declared
+        .chain(&json::DECLARATIONS)
+        .chain(&binary::DECLARATIONS);
     let declared = declared.map(|declared| ScalarUDF::from(Function::new(declared)));
     let graphs = [
         ScalarUDF::from(contains::Contains::default()),

@@ -174,6 +174,9 @@ pub struct ExplainArgs {
     /// Folder or URL of the map; without one, the plan is shown as it is composed.
     #[arg(long, value_name = "DIR")]
     pub map: Option<String>,
+    /// Say where the time and the bytes went when the plan was last run on the map.
+    #[arg(long, requires = "map")]
+    pub analyze: bool,
     /// How it is written.
     #[arg(long, default_value = "table")]
     pub format: Format,

@@ -15,7 +15,7 @@ use datafusion::sql::sqlparser::dialect::GenericDialect;
 use evermap_datasets::Dataset;
 use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::map::{LayerInfo, Map, RunRow, VersionInfo};
-use evermap_engine::sql::{Limits, TABLES, catalog, catalog_name, check_size, context};
+use evermap_engine::sql::{Limits, TABLES, catalog, catalog_name, check_size, context, plan_of};
 use evermap_functions::use_class_index;
 use evermap_language::{listed, nearest};
 use evermap_schemas::dictionary::ColumnInfo;
@@ -29,6 +29,17 @@ use crate::progress::line;
 use crate::prompt;
 use crate::reader::MapReader;
 use crate::sessions;
+
+/// The name that a map is given, where it is, and its address.
+fn named(map: &str) -> (Option<&str>, &str) {
+    match map.split_once('=') {
+        // An address may have parameters, a folder's name an equals sign.
+        Some((name, address)) if !name.contains(['/', '.', ':']) && !Path::new(map).exists() => {
+            (Some(name), address)
+        }
+        _ => (None, map),
+    }
+}
 
 /// What queries run on.
 pub struct Tables {
@@ -44,10 +55,19 @@ impl Tables {
             memory_bytes: args.memory,
             ..Limits::default()
         };
-        match &args.map {
-            Some(address) => Self::of_map(address, args.version, limits).await,
-            None => Self::of_logs(sessions, limits).await,
+        let Some((first, others)) = args.map.split_first() else {
+            return Self::of_logs(sessions, limits).await;
+        };
+        let tables = Self::of_map(named(first).1, args.version, limits).await?;
+        for (name, address) in others.iter().map(|other| named(other)) {
+            let map = Map::open(address, None).await?;
+            let name = match name {
+                Some(name) => name.to_owned(),
+                None => map.store.name()?,
+            };
+            map.join(&name, &tables.context, &evermap_catalog::registry())?;
         }
+        Ok(tables)
     }
 
     /// Those of a map, at the version asked for.
@@ -163,7 +183,7 @@ impl Tables {
     /// Plans one statement, which only reads.
     async fn frame(&self, statement: Statement) -> Result<DataFrame, Fault> {
         let state = self.context.state();
-        let plan = state.statement_to_plan(statement).await.or_fault();
+        let plan = plan_of(&state, statement).await.or_fault();
         let plan = plan.map_err(|fault| self.explained(fault))?;
         read_only(&plan)?;
         self.context.execute_logical_plan(plan).await.or_fault()

@@ -22,6 +22,7 @@ fn unit(step: &str, cached: bool, seconds: f64) -> RunRow {
         lost: 0,
         recipe: "ab".into(),
         content: "cd".into(),
+        nodes: None,
     }
 }
 

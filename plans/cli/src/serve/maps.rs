@@ -69,7 +69,7 @@ impl Maps {
         let mut maps = BTreeMap::new();
         for address in addresses {
             let store = Store::open(address, false)?;
-            let name = name_of(&store)?;
+            let name = store.name()?;
             let map = ServedMap {
                 name: name.clone(),
                 address: address.clone(),
@@ -184,22 +184,5 @@ impl ServedMap {
     /// What opens logs of the map.
     pub fn runtime(&self) -> &RuntimeEnv {
         &self.runtime
-    }
-}
-
-/// The last part of a map's address.
-fn name_of(store: &Store) -> Result<String, Fault> {
-    let url = store.url();
-    let path = url.path().trim_end_matches('/');
-    let last = path.rsplit('/').next().unwrap_or_default();
-    let last = match last {
-        "" => url.host_str().unwrap_or_default(),
-        last => last,
-    };
-    let name = last.replace("%20", " ");
-    match name.is_empty() {
-        true => Err(Fault::user(format!("a map at {url} has no name"))
-            .next("put it into a folder of its own")),
-        false => Ok(name),
     }
 }

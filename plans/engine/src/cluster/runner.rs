@@ -15,7 +15,7 @@ use crate::cluster::job::{UnitTexts, session_config, session_state, unit_text};
 use crate::cluster::scheduler::{Job, JobState, Scheduler, failures};
 use crate::error::remote_fault;
 use crate::map::receipt::Receipt;
-use crate::map::store::Store;
+use crate::map::store::{Store, each};
 use crate::run::runner::{Outcome, Runner, Unfinished};
 use crate::unit::Unit;
 
@@ -278,17 +278,15 @@ impl Wave {
         missing: &mut Missing,
         progress: &mut Instant,
     ) -> Result<(), Fault> {
-        let mut found = Vec::new();
-        for (index, unit) in units
+        let asked = units
             .iter()
-            .filter_map(|index| missing.get_key_value(index))
-        {
+            .filter_map(|index| missing.get_key_value(index));
+        let found = each(asked.map(async |(index, unit)| {
             let store = Store::open(&unit.store, false)?;
-            if let Some(receipt) = Receipt::find(&store, &unit.recipe.digest()?).await? {
-                found.push((*index, receipt));
-            }
-        }
-        for (index, receipt) in found {
+            let receipt = Receipt::find(&store, &unit.recipe.digest()?).await?;
+            Ok(receipt.map(|receipt| (*index, receipt)))
+        }));
+        for (index, receipt) in found.await?.into_iter().flatten() {
             *progress = Instant::now();
             missing.remove(&index);
             let _ = self.outcomes.send((index, Ok(receipt)));

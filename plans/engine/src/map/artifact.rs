@@ -1,5 +1,6 @@
 //! The rows of a map's files.
 
+use arrow::datatypes::Schema;
 use datafusion::prelude::{DataFrame, ParquetReadOptions, SessionContext};
 use evermap_schemas::Fault;
 
@@ -8,7 +9,7 @@ use crate::map::receipt::Artifact;
 use crate::map::store::{Store, each};
 use crate::sql::{Limits, context};
 
-/// The rows of some Parquet files of a map, as one table.
+/// The rows of some Parquet files of a map, as one table: of this schema, or, where none is given, of the files' own.
 ///
 /// # Errors
 /// When a file is missing or is no Parquet.
@@ -16,6 +17,7 @@ pub async fn read_files(
     context: &SessionContext,
     store: &Store,
     names: impl IntoIterator<Item = String>,
+    schema: Option<&Schema>,
 ) -> Result<DataFrame, Fault> {
     let urls = names
         .into_iter()
@@ -23,7 +25,10 @@ pub async fn read_files(
     let mut urls = urls.collect::<Result<Vec<_>, Fault>>()?;
     urls.sort();
     urls.dedup();
-    let options = ParquetReadOptions::default();
+    let options = ParquetReadOptions {
+        schema,
+        ..ParquetReadOptions::default()
+    };
     context.read_parquet(urls, options).await.or_fault()
 }
 
@@ -40,7 +45,7 @@ pub async fn read_artifacts(
     if let Some(damage) = damages.into_iter().flatten().next() {
         return Err(damage.into());
     }
-    read_files(context, store, artifacts.iter().map(Artifact::name)).await
+    read_files(context, store, artifacts.iter().map(Artifact::name), None).await
 }
 
 /// As [`read_artifacts`], in the order that they are kept in.

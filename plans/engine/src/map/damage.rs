@@ -4,7 +4,7 @@
 use std::fmt;
 
 use evermap_schemas::Fault;
-use object_store::{GetResult, GetResultPayload, ObjectMeta, ObjectStoreExt};
+use object_store::{GetResult, GetResultPayload, ObjectStoreExt};
 
 use crate::error::store_fault;
 use crate::map::receipt::Artifact;
@@ -45,12 +45,12 @@ impl Artifact {
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn size_damage(&self, store: &Store) -> Result<Option<Damage>, Fault> {
-        Ok(self.size_differs(store.meta(&self.name()).await?.as_ref()))
+        let found = store.meta(&self.name()).await?;
+        Ok(self.size_differs(found.map(|found| found.size)))
     }
 
-    /// As [`Artifact::size_damage`], given what the store says of the file.
-    pub fn size_differs(&self, found: Option<&ObjectMeta>) -> Option<Damage> {
-        let found = found.map(|found| found.size);
+    /// As [`Artifact::size_damage`], given the size of the file that is there.
+    pub fn size_differs(&self, found: Option<u64>) -> Option<Damage> {
         (found != Some(self.bytes)).then(|| Damage {
             file: self.name(),
             expected: format!("{} bytes", self.bytes),

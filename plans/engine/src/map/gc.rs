@@ -8,7 +8,7 @@ use serde::de::IgnoredAny;
 
 use crate::fingerprint;
 use crate::map::lease::{self, Lease};
-use crate::map::receipt::{Artifact, Receipt};
+use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
 use crate::map::sound::Sound;
 use crate::map::store::Store;
 use crate::map::version::Version;
@@ -83,7 +83,7 @@ async fn collect(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fau
         Sound::forget_all_but(store, &needed).await?;
     }
     let mut left_over: Vec<(String, u64)> = torn.into_iter().map(|name| (name, 0)).collect();
-    for folder in ["receipts", "artifacts", fingerprint::FOLDER] {
+    for folder in [RECEIPTS, ARTIFACTS, fingerprint::FOLDER] {
         let listed = store.list(folder).await?.into_iter();
         left_over.extend(listed.filter(|(name, _)| !needed.contains(name)));
     }

@@ -58,6 +58,28 @@ impl Folder {
             .inspect_err(|_| drop(std::fs::remove_file(&temporary)))
     }
 
+    /// The bytes of a file; `None` where there is none.
+    ///
+    /// # Errors
+    /// What the file system says.
+    pub fn read(&self, name: &str) -> Result<Option<Vec<u8>>> {
+        match std::fs::read(self.path(name)) {
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+            read => read.map(Some),
+        }
+    }
+
+    /// As [`Folder::put`], for a file that a power failure may undo or tear.
+    ///
+    /// # Errors
+    /// What the file system says; nothing was changed.
+    pub fn cache(&self, name: &str, bytes: &[u8]) -> Result<()> {
+        let (temporary, to) = (self.written(bytes)?, self.path(name));
+        make_parent(&to)
+            .and_then(|()| std::fs::rename(&temporary, to))
+            .inspect_err(|_| drop(std::fs::remove_file(&temporary)))
+    }
+
     /// Writes a file where none was; `false` where there is one.
     ///
     /// # Errors
@@ -134,11 +156,18 @@ impl Folder {
 
     /// A file under a name of its own, synced.
     fn staged(&self, bytes: &[u8]) -> Result<PathBuf> {
+        let path = self.written(bytes)?;
+        sync(&path).inspect_err(|_| drop(std::fs::remove_file(&path)))?;
+        Ok(path)
+    }
+
+    /// A file under a name of its own.
+    fn written(&self, bytes: &[u8]) -> Result<PathBuf> {
         let path = self.path(TEMPORARY).join(uuid::Uuid::new_v4().to_string());
         make_parent(&path)?;
         let mut file = File::create_new(&path)?;
-        let written = file.write_all(bytes).and_then(|()| sync(&path));
-        written.inspect_err(|_| drop(std::fs::remove_file(&path)))?;
+        file.write_all(bytes)
+            .inspect_err(|_| drop(std::fs::remove_file(&path)))?;
         Ok(path)
     }
 }

@@ -21,6 +21,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
+use datafusion::catalog::{CatalogProvider, MemoryCatalogProvider};
 use datafusion::execution::runtime_env::RuntimeEnv;
 use datafusion::prelude::SessionContext;
 use evermap_contract::Registry;
@@ -150,6 +151,39 @@ impl Map {
         Ok(context)
     }
 
+    /// Puts the map's tables beside those of another one in a context: `name.lanes` in its catalog, and all that this map
+    /// has in a catalog of the name, `name.v1.lanes`, `name.monday."/odom"`.
+    ///
+    /// # Errors
+    /// A user fault where the name is taken.
+    pub fn join(
+        &self,
+        name: &str,
+        context: &SessionContext,
+        registry: &Registry,
+    ) -> Result<(), Fault> {
+        let beside = catalog(context)?;
+        if context.catalog(name).is_some() || beside.schema(name).is_some() {
+            return Err(
+                Fault::user(format!("`{name}` is the name of several maps or sessions"))
+                    .next("give the map another one: --map NAME=DIR"),
+            );
+        }
+        context.register_object_store(self.store.url(), self.store.objects());
+        let tables = Arc::new(Tables::new(self.clone(), context, registry));
+        let own = MemoryCatalogProvider::new();
+        for (catalog, schema) in [
+            (&own as &dyn CatalogProvider, TABLES),
+            (beside.as_ref(), name),
+        ] {
+            let public = Arc::clone(&tables);
+            catalog.register_schema(schema, public).or_fault()?;
+        }
+        let catalog = Arc::new(Catalog::new(Arc::new(own), tables));
+        context.register_catalog(name, catalog);
+        Ok(())
+    }
+
     /// All rows of a layer, in the order of its key within each artifact.
     ///
     /// # Errors
@@ -200,8 +234,7 @@ impl Map {
     }
 
     fn session(&self, name: &str) -> Option<&MappedSession> {
-        let mut sessions = self.version.sessions.iter();
-        sessions.find(|mapped| mapped.log.session == name)
+        MappedSession::named(&self.version.sessions, name)
     }
 
     /// The logs that were opened so far, which know what reading them lost.

@@ -1,6 +1,7 @@
 //! What a unit leaves behind: rows under their digest, and a receipt under the digest of what they depend on.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use evermap_contract::Reach;
 use evermap_schemas::{Fault, Kind};
@@ -9,9 +10,16 @@ use serde::{Deserialize, Serialize};
 use crate::digest::digest_of;
 use crate::map::store::Store;
 use crate::program::{Scope, Stage};
+use crate::unit::work::NodeWork;
 
 /// Raised when artifacts of the same recipe would come out differently for reasons no operator's version tells.
 const FORMAT: u32 = 3;
+
+/// The folder of a map that has artifacts.
+pub const ARTIFACTS: &str = "artifacts";
+
+/// The folder of a map that has receipts.
+pub const RECEIPTS: &str = "receipts";
 
 /// What rows are of and what a unit covers: a session, a site, or the map.
 #[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -77,7 +85,7 @@ impl Artifact {
 
     /// The name of the rows with this content.
     pub fn name_of(content: &str) -> String {
-        format!("artifacts/{content}.parquet")
+        format!("{ARTIFACTS}/{content}.parquet")
     }
 
     /// Those that have rows. What has none says nothing to who reads it, so a session that brings no rows of a layer
@@ -129,7 +137,7 @@ pub struct Recipe {
     /// Format of artifacts.
     pub format: u32,
     /// The stages: operators with versions and parameters, queries.
-    pub stages: Vec<Stage>,
+    pub stages: Arc<[Stage]>,
     /// The rows of the stored stages that are read.
     pub tables: BTreeMap<String, Vec<Artifact>>,
     /// The layers of the version before that are read.
@@ -149,7 +157,7 @@ pub struct Recipe {
 
 impl Recipe {
     /// An empty recipe for these stages.
-    pub fn new(stages: Vec<Stage>, extent: Extent) -> Self {
+    pub fn new(stages: Arc<[Stage]>, extent: Extent) -> Self {
         Self {
             format: FORMAT,
             stages,
@@ -204,14 +212,31 @@ pub struct Receipt {
     pub log_losses: BTreeMap<String, u64>,
     /// When it began; nanoseconds since the epoch, UTC.
     pub started: i64,
-    /// How long it took.
+    /// How long it took, without what it took to make it last.
     pub seconds: f64,
+    /// What the nodes of its plan did; none in receipts that are older than this.
+    #[serde(default)]
+    pub nodes: Vec<NodeWork>,
 }
 
 impl Receipt {
     /// Its name in the map store.
     pub fn name(digest: &str) -> String {
-        format!("receipts/{digest}.json")
+        format!("{RECEIPTS}/{digest}.json")
+    }
+
+    /// The digest of the recipe whose receipt has this name.
+    pub fn digest_of(name: &str) -> Option<&str> {
+        let file = name.strip_prefix(RECEIPTS)?.strip_prefix('/')?;
+        file.strip_suffix(".json")
+    }
+
+    /// Puts it into the map store.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not take it.
+    pub async fn write(&self, store: &Store) -> Result<(), Fault> {
+        store.write_json(&Self::name(&self.digest), self).await
     }
 
     /// The receipt of a recipe that was done before. One that does not read, as a crash may leave it, is none: it is

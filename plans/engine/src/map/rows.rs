@@ -2,6 +2,8 @@
 
 use evermap_schemas::record;
 
+use crate::unit::work::NodeWork;
+
 record! {
     /// How one unit of one run went.
     #[layer("runs", key(version, run, step, site, session))]
@@ -32,6 +34,8 @@ record! {
         recipe: String,
         /// Digest of what came out.
         content: String,
+        /// What the nodes of its plan did, when the work was done; null where an older evermap did it.
+        nodes: Option<Vec<NodeWork>>,
     }
 }
 

@@ -5,14 +5,16 @@
 //! itself writes was hashed on its way out; the next run reads it back once.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use chrono::Utc;
 use evermap_schemas::{Fault, Kind};
+use object_store::ObjectMeta;
+use object_store::path::Path as ObjectPath;
 
 use crate::fingerprint::FileState;
 use crate::map::damage::Damage;
-use crate::map::receipt::{Artifact, Receipt};
+use crate::map::receipt::{ARTIFACTS, Artifact, Receipt};
 use crate::map::store::{Store, each};
 
 /// Where it is remembered.
@@ -26,6 +28,13 @@ pub struct Sound<'s> {
     store: &'s Store,
     /// What the file of a content was like when it was found right.
     states: Mutex<States>,
+    /// The artifacts that were there when it was loaded: listed at once, not asked for one by one.
+    /// What was found damaged since is asked for again.
+    listed: Mutex<BTreeMap<ObjectPath, ObjectMeta>>,
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl<'s> Sound<'s> {
@@ -39,9 +48,12 @@ impl<'s> Sound<'s> {
             Err(fault) if fault.kind == Kind::Data => States::new(),
             Err(fault) => return Err(fault),
         };
+        let artifacts = store.objects_in(ARTIFACTS).await?.into_iter();
+        let listed = artifacts.map(|meta| (meta.location.clone(), meta));
         Ok(Self {
             store,
             states: Mutex::new(states),
+            listed: Mutex::new(listed.collect()),
         })
     }
 
@@ -50,19 +62,37 @@ impl<'s> Sound<'s> {
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn damage(&self, artifact: &Artifact) -> Result<Option<Damage>, Fault> {
-        let meta = self.store.meta(&artifact.name()).await?;
-        let damage = artifact.size_differs(meta.as_ref());
+        let place = self.store.path(&artifact.name());
+        let listed = locked(&self.listed).get(&place).cloned();
+        let meta = match listed {
+            None => self.store.meta(&artifact.name()).await?,
+            listed => listed,
+        };
+        let damage = self.damage_of(artifact, meta).await?;
+        if damage.is_some() {
+            locked(&self.listed).remove(&place);
+        }
+        Ok(damage)
+    }
+
+    /// What is wrong with an artifact of whose file the store says this.
+    async fn damage_of(
+        &self,
+        artifact: &Artifact,
+        meta: Option<ObjectMeta>,
+    ) -> Result<Option<Damage>, Fault> {
+        let damage = artifact.size_differs(meta.as_ref().map(|meta| meta.size));
         let (None, Some(meta)) = (&damage, &meta) else {
             return Ok(damage);
         };
         let state = FileState::of(self.store.url().as_str(), meta);
         let rested = state.rests(Utc::now());
         let known = |states: &States| states.get(&artifact.content) == Some(&state);
-        if known(&self.states.lock().unwrap_or_else(PoisonError::into_inner)) {
+        if known(&locked(&self.states)) {
             return Ok(None);
         }
         let damage = artifact.content_damage(self.store).await?;
-        let mut states = self.states.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut states = locked(&self.states);
         if damage.is_none() && rested {
             states.insert(artifact.content.clone(), state);
         } else {
@@ -104,12 +134,8 @@ impl<'s> Sound<'s> {
     /// # Errors
     /// A resource fault when the store does not take it.
     pub async fn remember(&self) -> Result<(), Fault> {
-        let states = self
-            .states
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clone();
-        self.store.write_json(NAME, &states).await
+        let states = locked(&self.states).clone();
+        self.store.cache_json(NAME, &states).await
     }
 
     /// Forgets artifacts that are no more.
@@ -171,8 +197,10 @@ mod tests {
         let sound = Sound::load(&store).await.unwrap();
         assert_eq!(sound.damage(&wrong).await.unwrap(), None);
         store.write(&wrong.name(), b"ROWs".to_vec()).await.unwrap();
+        let sound = Sound::load(&store).await.unwrap();
         assert!(sound.damage(&wrong).await.unwrap().is_some());
         store.write(&wrong.name(), b"ROW".to_vec()).await.unwrap();
+        let sound = Sound::load(&store).await.unwrap();
         let damage = sound.damage(&wrong).await.unwrap().unwrap();
         assert_eq!(damage.expected, "4 bytes");
         assert_eq!(damage.found.as_deref(), Some("3 bytes"));

@@ -62,6 +62,24 @@ impl Store {
         &self.url
     }
 
+    /// What a map is called to which nobody gave a name: the last part of its address.
+    ///
+    /// # Errors
+    /// A user fault where there is none.
+    pub fn name(&self) -> Result<String, Fault> {
+        let path = self.url.path().trim_end_matches('/');
+        let last = match path.rsplit('/').next().unwrap_or_default() {
+            "" => self.url.host_str().unwrap_or_default(),
+            last => last,
+        };
+        let name = last.replace("%20", " ");
+        match name.is_empty() {
+            true => Err(Fault::user(format!("a map at {} has no name", self.url))
+                .next("put it into a folder of its own")),
+            false => Ok(name),
+        }
+    }
+
     /// The object store beneath.
     pub fn objects(&self) -> Arc<dyn ObjectStore> {
         Arc::clone(&self.store)
@@ -109,6 +127,11 @@ impl Store {
 
     /// The bytes at a name; `None` where there is none.
     async fn read(&self, name: &str) -> Result<Option<Bytes>, Fault> {
+        if let Some(folder) = &self.folder {
+            let owned = name.to_owned();
+            let read = folder.with(name, move |folder| folder.read(&owned)).await?;
+            return Ok(read.map(Bytes::from));
+        }
         let path = self.path(name);
         let read = || async { self.store.get(&path).await?.bytes().await };
         there(answered(read).await, name)
@@ -136,6 +159,19 @@ impl Store {
     /// As [`Store::write`].
     pub async fn write_json<T: Serialize>(&self, name: &str, value: &T) -> Result<(), Fault> {
         self.write(name, json_bytes(value)?).await
+    }
+
+    /// As [`Store::write_json`], for what only saves work: a power failure may undo or tear it.
+    ///
+    /// # Errors
+    /// As [`Store::write`].
+    pub async fn cache_json<T: Serialize>(&self, name: &str, value: &T) -> Result<(), Fault> {
+        let Some(folder) = &self.folder else {
+            return self.write_json(name, value).await;
+        };
+        let (owned, bytes) = (name.to_owned(), json_bytes(value)?);
+        let cache = move |folder: &Folder| folder.cache(&owned, &bytes);
+        folder.with(name, cache).await
     }
 
     /// Writes JSON where nothing was; `false` where something else was. Of several that write the same bytes at once, each
@@ -233,7 +269,11 @@ impl Store {
         Ok(names(folder, self.objects_in(folder).await?))
     }
 
-    async fn objects_in(&self, folder: &str) -> Result<Vec<ObjectMeta>, Fault> {
+    /// What the store says of all that is in a folder.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn objects_in(&self, folder: &str) -> Result<Vec<ObjectMeta>, Fault> {
         let path = self.path(folder);
         let found = answered(|| self.store.list_with_delimiter(Some(&path))).await;
         Ok(found.map_err(|error| store_fault(&error, folder))?.objects)
@@ -303,7 +343,7 @@ fn there<T>(answer: object_store::Result<T>, name: &str) -> Result<Option<T>, Fa
 }
 
 fn json_bytes<T: Serialize>(value: &T) -> Result<Vec<u8>, Fault> {
-    serde_json::to_vec_pretty(value).map_err(|error| Fault::bug(error.to_string()))
+    serde_json::to_vec(value).map_err(|error| Fault::bug(error.to_string()))
 }
 
 fn address_url(address: &str, create: bool) -> Result<Url, Fault> {

@@ -159,6 +159,10 @@ impl Tables {
     /// # Errors
     /// A user fault where there is no such layer; a data fault where it does not open.
     pub async fn columns_of(&self, layer: &str) -> std::result::Result<Vec<ColumnInfo>, Fault> {
+        let of_itself = own().find(|own| own.name == layer);
+        if let (None, Some(own)) = (self.map.published(layer), of_itself) {
+            return Ok(columns(own.name, &own.schema(), Some(&own)));
+        }
         let table = match self.map.published(layer) {
             Some(_) => self.table(layer).await.or_fault()?,
             None => None,
@@ -198,10 +202,12 @@ impl Tables {
                 );
             }
         }
+        let none = batch::<RunRow>(Vec::new())?;
         if whole.is_empty() {
-            return context.read_batch(batch::<RunRow>(Vec::new())?).or_fault();
+            return context.read_batch(none).or_fault();
         }
-        read_files(context, store, whole).await
+        // Older files have fewer columns.
+        read_files(context, store, whole, Some(&none.schema())).await
     }
 }
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 use evermap_schemas::{Fault, Kind, record};
 
 use crate::map::damage::{Damage, content_damage};
-use crate::map::receipt::{Artifact, Receipt};
+use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
 use crate::map::store::{Store, each};
 use crate::map::tables::is_whole;
 use crate::map::version::Version;
@@ -137,14 +137,14 @@ async fn verify_versions(store: &Store, numbers: &[u64], all: bool) -> Result<Ve
 impl Verified {
     /// Reads the artifacts that are needed, and, for `all`, the others: every name is the digest of its file.
     async fn artifacts(&mut self, store: &Store, needed: &Needed, all: bool) -> Result<(), Fault> {
-        let listed = store.list("artifacts").await?;
+        let listed = store.list(ARTIFACTS).await?;
         let there: BTreeSet<&String> = listed.iter().map(|(name, _)| name).collect();
         let wanted = listed.iter().map(|(name, _)| name);
         let wanted = wanted.filter(|name| all || needed.artifacts.contains_key(*name));
         let wanted: Vec<&String> = wanted.collect();
         let content = |name: &str| -> String {
-            let stem = name.strip_prefix("artifacts/").unwrap_or(name);
-            stem.strip_suffix(".parquet").unwrap_or(stem).to_owned()
+            let file = name.rsplit('/').next().unwrap_or(name);
+            file.strip_suffix(".parquet").unwrap_or(file).to_owned()
         };
         let damages = wanted
             .iter()
@@ -172,7 +172,7 @@ impl Verified {
 
     async fn receipts(&mut self, store: &Store, needed: &Needed, all: bool) -> Result<(), Fault> {
         let mut digests: BTreeSet<String> = needed.receipts.keys().cloned().collect();
-        let listed = store.list("receipts").await?;
+        let listed = store.list(RECEIPTS).await?;
         for (name, _) in listed.iter().filter(|_| all) {
             let stem = name.strip_prefix("receipts/");
             match stem.and_then(|name| name.strip_suffix(".json")) {

@@ -104,7 +104,31 @@ pub trait Duty: fmt::Display + Send + Sync + Sized + 'static {
         children: &[Arc<dyn ExecutionPlan>],
     ) -> Result<(EquivalenceProperties, Partitioning)>;
 
-    /// Whether rows come out in the order of the only child's.
+    /// How the rows of all children must be dealt out.
+    fn distribution(&self, children: &[Arc<dyn ExecutionPlan>]) -> InputDistributionRequirements {
+        let needs = self.needs();
+        let children = needs.iter().zip(children);
+        let distributions = children.map(|(need, child)| need.distribution(&child.schema()));
+        InputDistributionRequirements::new(distributions.collect())
+    }
+
+    /// How the rows of each child must be ordered.
+    fn ordering(&self, children: &[Arc<dyn ExecutionPlan>]) -> Vec<Option<OrderingRequirements>> {
+        let needs = self.needs();
+        let children = needs.iter().zip(children);
+        let order = |(need, child): (&Need, &Arc<dyn ExecutionPlan>)| {
+            let sorting = need.sorting.iter().copied();
+            ordering(sorting, &child.schema()).map(OrderingRequirements::from)
+        };
+        children.map(order).collect()
+    }
+
+    /// What it evaluates.
+    fn expressions(&self) -> Vec<&Arc<dyn PhysicalExpr>> {
+        Vec::new()
+    }
+
+    /// Whether rows come out in the order of the first child's.
     fn keeps_order(&self) -> bool {
         false
     }
@@ -191,24 +215,20 @@ impl<D: Duty> ExecutionPlan for Node<D> {
     }
 
     fn input_distribution_requirements(&self) -> InputDistributionRequirements {
-        let needs = self.duty.needs();
-        let children = needs.iter().zip(&self.children);
-        let distributions = children.map(|(need, child)| need.distribution(&child.schema()));
-        InputDistributionRequirements::new(distributions.collect())
+        self.duty.distribution(&self.children)
     }
 
     fn required_input_ordering(&self) -> Vec<Option<OrderingRequirements>> {
-        let needs = self.duty.needs();
-        let children = needs.iter().zip(&self.children);
-        let order = |(need, child): (&Need, &Arc<dyn ExecutionPlan>)| {
-            let sorting = need.sorting.iter().copied();
-            ordering(sorting, &child.schema()).map(OrderingRequirements::from)
-        };
-        children.map(order).collect()
+        self.duty.ordering(&self.children)
     }
 
     fn maintains_input_order(&self) -> Vec<bool> {
-        vec![self.duty.keeps_order(); self.children.len()]
+        let mut keeps = vec![false; self.children.len()];
+        keeps
+            .iter_mut()
+            .take(1)
+            .for_each(|first| *first = self.duty.keeps_order());
+        keeps
     }
 
     fn benefits_from_input_partitioning(&self) -> Vec<bool> {
@@ -218,8 +238,13 @@ impl<D: Duty> ExecutionPlan for Node<D> {
 
     fn apply_expressions(
         &self,
-        _: &mut dyn FnMut(&Arc<dyn PhysicalExpr>) -> Result<TreeNodeRecursion>,
+        f: &mut dyn FnMut(&Arc<dyn PhysicalExpr>) -> Result<TreeNodeRecursion>,
     ) -> Result<TreeNodeRecursion> {
+        for expression in self.duty.expressions() {
+            if f(expression)? == TreeNodeRecursion::Stop {
+                return Ok(TreeNodeRecursion::Stop);
+            }
+        }
         Ok(TreeNodeRecursion::Continue)
     }
 

@@ -77,6 +77,11 @@ impl Operator {
         }
     }
 
+    /// The operator's name.
+    pub fn name(&self) -> &str {
+        self.entry.name
+    }
+
     /// The ports of the children, in their order.
     pub fn ports(&self) -> impl Iterator<Item = &Port> {
         std::iter::once(&self.driving.port).chain(&self.sides)

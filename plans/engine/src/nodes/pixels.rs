@@ -150,7 +150,9 @@ impl Fetcher {
     /// The batch with the images beside it; what cannot be fetched is null and counted.
     async fn fetch(&self, batch: RecordBatch) -> Result<RecordBatch, Fault> {
         let images = references(&batch, self.fetching.column)?;
+        let timer = self.baseline.elapsed_compute().timer();
         let fetched = self.fetching.reader.resolve(&images).await?;
+        timer.done();
         let mut bytes = BinaryBuilder::new();
         for (image, fetched) in images.iter().zip(fetched) {
             let file = match &fetched {

@@ -7,6 +7,8 @@ use datafusion::logical_expr::expr::{Exists, InSubquery};
 use datafusion::logical_expr::utils::split_conjunction;
 use datafusion::logical_expr::{BinaryExpr, Distinct, Expr, Join, LogicalPlan, Operator};
 
+use crate::sql::as_of::AsOfJoin;
+
 /// Whether every row of the result depends only on rows with the same value of `column` (`session`, `site`), so that
 /// the query may run on each value's rows apart and the results be put together. Errs on the side of no.
 pub fn is_local(plan: &LogicalPlan, column: &str) -> bool {
@@ -51,6 +53,11 @@ fn node_is_local(node: &LogicalPlan, column: &str) -> bool {
             distinct.on_expr.iter().any(|expr| passes(expr, column))
         }
         LogicalPlan::Join(join) => joins_on(join, column),
+        LogicalPlan::Extension(extension) => {
+            let join = extension.node.as_any().downcast_ref::<AsOfJoin>();
+            let mut keys = join.into_iter().flat_map(|join| &join.keys);
+            keys.any(|(left, right)| passes(left, column) && passes(right, column))
+        }
         _ => false,
     }
 }

@@ -9,14 +9,14 @@ use futures::stream::SelectAll;
 
 use crate::map::damage::Damage;
 use crate::map::lease::Lease;
-use crate::map::receipt::Receipt;
+use crate::map::receipt::{ARTIFACTS, RECEIPTS, Receipt};
 use crate::map::sound::Sound;
 use crate::map::store::each;
 use crate::map::version::{Previous, StoredLayer};
 use crate::program::Stage;
+use crate::run::held::Held;
 use crate::run::mend::{Makers, Mending};
 use crate::run::pending::{Pending, Place};
-use crate::run::previous::Held;
 use crate::run::runner::Runner;
 use crate::run::{Event, Run};
 use crate::unit::Unit;
@@ -27,8 +27,8 @@ pub struct Driver<'r, 'a> {
     lease: &'r Lease,
     /// What `previous` means in it.
     pub previous: Previous,
-    /// What was done once, in the version before.
-    held: Held,
+    /// The units of the version before.
+    held: Held<'r>,
     /// Which artifacts are what was written.
     pub sound: Sound<'r>,
     units: Vec<Pending>,
@@ -47,12 +47,7 @@ impl<'r, 'a> Driver<'r, 'a> {
     ///
     /// # Errors
     /// As [`Run::units`] and [`Run::previous`].
-    pub fn new(
-        run: &'r Run<'a>,
-        lease: &'r Lease,
-        held: Held,
-        sound: Sound<'r>,
-    ) -> Result<Self, Fault> {
+    pub fn new(run: &'r Run<'a>, lease: &'r Lease, sound: Sound<'r>) -> Result<Self, Fault> {
         let units = run.units()?;
         let mut dependents: BTreeMap<Place, Vec<usize>> = BTreeMap::new();
         for (index, unit) in units.iter().enumerate() {
@@ -64,7 +59,7 @@ impl<'r, 'a> Driver<'r, 'a> {
             run,
             lease,
             previous: run.previous()?,
-            held,
+            held: run.held(),
             sound,
             waiting: units.iter().map(|unit| unit.before.len()).collect(),
             dependents,
@@ -135,7 +130,7 @@ impl<'r, 'a> Driver<'r, 'a> {
     }
 
     async fn found_before(&self, index: usize) -> Result<(usize, Unit, Option<Receipt>), Fault> {
-        let unit = self.unit(index)?;
+        let mut unit = self.unit(index).await?;
         let digest = unit.recipe.digest()?;
         let receipt = match self.sound.receipt(&digest).await? {
             Some((receipt, Some(damage))) => {
@@ -148,7 +143,12 @@ impl<'r, 'a> Driver<'r, 'a> {
                     .insert(damage.file, receipt);
                 None
             }
-            found => found.map(|(receipt, _)| receipt),
+            // Of equal digest: one recipe is kept, and of its stages one for all units.
+            Some((receipt, None)) => Some(Receipt {
+                recipe: std::mem::replace(&mut unit.recipe, receipt.recipe),
+                ..receipt
+            }),
+            None => None,
         };
         Ok((index, unit, receipt))
     }
@@ -207,11 +207,11 @@ impl<'r, 'a> Driver<'r, 'a> {
         self.units[index].place.label()
     }
 
-    fn unit(&self, index: usize) -> Result<Unit, Fault> {
+    async fn unit(&self, index: usize) -> Result<Unit, Fault> {
         let artifact = |place: &Place| Ok(self.receipt(place)?.artifact.clone());
         let unit = &self.units[index];
-        let before = self.held.get(&unit.place.label());
-        let unit = unit.assemble(self.run, &self.previous, before, artifact)?;
+        let before = self.held.once(unit).await?;
+        let unit = unit.assemble(self.run, &self.previous, before.as_ref(), artifact)?;
         Ok(Unit {
             lease: self.lease.name().to_owned(),
             ..unit
@@ -231,24 +231,29 @@ impl<'r, 'a> Driver<'r, 'a> {
     /// A resource fault when the store does not answer.
     pub async fn gone(&self) -> Result<Vec<Damage>, Fault> {
         let store = self.run.store;
-        let receipts = self.receipts.values();
-        let gone = receipts.map(async |(receipt, _)| {
-            let name = Receipt::name(&receipt.digest);
-            if store.meta(&name).await?.is_none() {
-                store.write_json(&name, receipt).await?;
-            }
-            receipt.artifact.size_damage(store).await
+        let listed = async |folder| -> Result<BTreeMap<String, u64>, Fault> {
+            Ok(store.list(folder).await?.into_iter().collect())
+        };
+        let (there, sizes) = (listed(RECEIPTS).await?, listed(ARTIFACTS).await?);
+        let receipts = self.receipts.values().map(|(receipt, _)| receipt);
+        let vanished = |receipt: &&Receipt| !there.contains_key(&Receipt::name(&receipt.digest));
+        let vanished = receipts.clone().filter(vanished);
+        each(vanished.map(|receipt| receipt.write(store))).await?;
+        let artifacts = receipts.map(|receipt| &receipt.artifact);
+        let gone = artifacts.filter_map(|artifact| {
+            let size = sizes.get(&artifact.name()).copied();
+            artifact.size_differs(size)
         });
-        Ok(each(gone).await?.into_iter().flatten().collect())
+        Ok(gone.collect())
     }
 
     /// Every unit that is done: its stage, its receipt, whether it had been done before.
-    pub fn done(&self) -> Vec<(String, Receipt, bool)> {
-        let done = |unit: &Pending| {
-            let (receipt, cached) = self.receipts.get(&unit.place)?.clone();
-            Some((unit.place.stage.clone(), receipt, cached))
+    pub fn done(mut self) -> Vec<(String, Receipt, bool)> {
+        let done = |unit: Pending| {
+            let (receipt, cached) = self.receipts.remove(&unit.place)?;
+            Some((unit.place.stage, receipt, cached))
         };
-        self.units.iter().filter_map(done).collect()
+        self.units.into_iter().filter_map(done).collect()
     }
 
     /// The layers of the version that comes of it.

@@ -53,11 +53,9 @@ impl Run<'_> {
         runner: &dyn Runner,
         observe: &mut (dyn FnMut(Event<'_>) + Send),
     ) -> Result<RunEnd, Fault> {
-        let once = |name: &str| self.program.stage(name).is_ok_and(|stage| stage.once);
         let mut round = 1;
         loop {
-            let held = self.receipts_before(once).await?;
-            let mut driver = Driver::new(self, lease, held, Sound::load(self.store).await?)?;
+            let mut driver = Driver::new(self, lease, Sound::load(self.store).await?)?;
             observe(Event::Planned {
                 units: driver.units(),
             });
@@ -68,7 +66,7 @@ impl Run<'_> {
                 driven?;
                 return match gone.into_iter().next() {
                     Some(damage) => Err(damage.into()),
-                    None => self.publish(&driver).await,
+                    None => self.publish(driver).await,
                 };
             }
             for damage in gone {
@@ -78,7 +76,7 @@ impl Run<'_> {
         }
     }
 
-    async fn publish(&self, driver: &Driver<'_, '_>) -> Result<RunEnd, Fault> {
+    async fn publish(&self, driver: Driver<'_, '_>) -> Result<RunEnd, Fault> {
         let parent = self.parent();
         let version = Version {
             version: Version::number_after(self.store, parent).await?,

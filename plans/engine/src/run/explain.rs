@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 
 use evermap_schemas::{Fault, record};
 
-use crate::map::receipt::{Artifact, Extent, LogContent, Recipe};
+use crate::map::receipt::{Artifact, Extent, LogContent, Receipt, Recipe};
 use crate::map::sound::Sound;
+use crate::map::store::each;
 use crate::map::version::Previous;
 use crate::program::{Stage, Task};
 use crate::run::Run;
+use crate::run::held::Held;
 use crate::run::pending::{Pending, Place};
-use crate::run::previous::Held;
 
 record! {
     /// What would become of one unit.
@@ -34,24 +35,55 @@ impl Run<'_> {
     /// # Errors
     /// As [`Run::execute`], as far as it is not about running.
     pub async fn explain(&self) -> Result<Vec<UnitForecast>, Fault> {
-        let held = self.receipts_before(|_| true).await?;
         let mut known = Known {
             run: self,
             previous: self.previous()?,
             sound: Sound::load(self.store).await?,
+            held: self.held(),
             artifacts: BTreeMap::new(),
         };
         let mut forecasts = Vec::new();
-        for unit in self.units()? {
-            let reason = known.reason(&unit, &held).await?;
-            forecasts.push(UnitForecast {
-                unit: unit.place.label(),
-                step: unit.place.stage,
-                recompute: reason.is_err(),
-                why: reason.unwrap_or_else(|why| why),
-            });
+        let units = self.units()?;
+        // Those of a stage do not wait for each other.
+        for units in units.chunk_by(|one, next| one.place.stage == next.place.stage) {
+            let fates = each(units.iter().map(|unit| known.fate(unit))).await?;
+            for (unit, fate) in units.iter().zip(fates) {
+                forecasts.push(UnitForecast {
+                    step: unit.place.stage.clone(),
+                    unit: unit.place.label(),
+                    recompute: matches!(fate, Fate::Recomputed { .. }),
+                    why: fate.why().to_owned(),
+                });
+                if let Fate::Kept { artifact, .. } = fate {
+                    known.artifacts.insert(unit.place.clone(), artifact);
+                }
+            }
         }
         Ok(forecasts)
+    }
+}
+
+/// What would become of a unit, and why.
+enum Fate {
+    /// It has rows already.
+    Kept {
+        artifact: Artifact,
+        why: &'static str,
+    },
+    /// It would be computed.
+    Recomputed { why: String },
+}
+
+impl Fate {
+    fn recomputed(why: impl Into<String>) -> Self {
+        Self::Recomputed { why: why.into() }
+    }
+
+    fn why(&self) -> &str {
+        match self {
+            Self::Kept { why, .. } => why,
+            Self::Recomputed { why } => why,
+        }
     }
 }
 
@@ -60,46 +92,43 @@ struct Known<'r, 'a> {
     run: &'r Run<'a>,
     previous: Previous,
     sound: Sound<'r>,
+    held: Held<'r>,
     artifacts: BTreeMap<Place, Artifact>,
 }
 
 impl Known<'_, '_> {
-    /// Why a unit would not be computed, or, as the error, why it would.
-    async fn reason(
-        &mut self,
-        unit: &Pending,
-        held: &Held,
-    ) -> Result<Result<String, String>, Fault> {
-        let before = held.get(&unit.place.label());
+    async fn fate(&self, unit: &Pending) -> Result<Fate, Fault> {
         let mut inputs = unit.before.iter();
         if let Some(open) = inputs.find(|input| !self.artifacts.contains_key(input)) {
-            let change = match before {
-                None => Some(new_reason(&unit.place.extent, held)),
+            let change = match self.held.receipt(&unit.place).await? {
+                None => Some(new_reason(&unit.place.extent, &self.held)),
                 Some(before) => stage_change(&before.recipe, &unit.stages),
             };
-            return Ok(Err(
-                change.unwrap_or_else(|| format!("{} is recomputed", open.label()))
-            ));
+            let follows = || format!("{} is recomputed", open.label());
+            return Ok(Fate::recomputed(change.unwrap_or_else(follows)));
         }
-        let recipe = unit.assemble(self.run, &self.previous, before, |input| {
+        let once = self.held.once(unit).await?;
+        let assembled = unit.assemble(self.run, &self.previous, once.as_ref(), |input| {
             let found = self.artifacts.get(input).cloned();
             found.ok_or_else(|| Fault::bug(format!("{} is not known", input.label())))
         });
-        let recipe = recipe?.recipe;
+        let recipe = assembled?.recipe;
         let digest = recipe.digest()?;
         match self.sound.receipt(&digest).await? {
-            Some((_, Some(damage))) => return Ok(Err(damage.to_string())),
-            Some((receipt, None)) => {
-                self.artifacts.insert(unit.place.clone(), receipt.artifact);
-                let same = before.is_some_and(|before| before.digest == digest);
-                return Ok(Ok(if same { "unchanged" } else { "done before" }.to_owned()));
+            Some((_, Some(damage))) => return Ok(Fate::recomputed(damage.to_string())),
+            Some((Receipt { artifact, .. }, None)) => {
+                let same = self.held.has(&unit.place, &digest);
+                let why = if same { "unchanged" } else { "done before" };
+                return Ok(Fate::Kept { artifact, why });
             }
             None => {}
         }
-        Ok(Err(match before {
-            None => new_reason(&unit.place.extent, held),
-            Some(before) => recipe_change(&before.recipe, &recipe),
-        }))
+        Ok(Fate::recomputed(
+            match self.held.receipt(&unit.place).await? {
+                None => new_reason(&unit.place.extent, &self.held),
+                Some(before) => recipe_change(&before.recipe, &recipe),
+            },
+        ))
     }
 }
 
@@ -147,8 +176,8 @@ fn recipe_change(then: &Recipe, now: &Recipe) -> String {
     "its rows are gone from the map".to_owned()
 }
 
-fn new_reason(extent: &Extent, before: &Held) -> String {
-    let mut extents = before.values().map(|receipt| &receipt.recipe.extent);
+fn new_reason(extent: &Extent, before: &Held<'_>) -> String {
+    let mut extents = before.extents();
     let new = match extent {
         _ if before.is_empty() => return "nothing was computed before".to_owned(),
         Extent {
@@ -181,7 +210,7 @@ fn stage_change(held: &Recipe, now: &[Stage]) -> Option<String> {
             return Some(format!("{} reads other tables", stage.name));
         }
     }
-    (held.stages != now).then(|| "the plan is wired differently".to_owned())
+    (held.stages[..] != *now).then(|| "the plan is wired differently".to_owned())
 }
 
 fn task_change(then: &Task, now: &Task, name: &str) -> String {

@@ -10,7 +10,7 @@ use futures::StreamExt;
 
 use crate::map::damage::Damage;
 use crate::map::lease::Lease;
-use crate::map::receipt::{Artifact, LogContent, Receipt, Recipe};
+use crate::map::receipt::{Artifact, LogContent, RECEIPTS, Receipt, Recipe};
 use crate::map::sound::Sound;
 use crate::map::store::each;
 use crate::run::Run;
@@ -66,11 +66,10 @@ impl Mending<'_, '_> {
     /// These receipts, and those of the map.
     async fn makers(&self, mut makers: Makers) -> Result<Makers, Fault> {
         let store = self.run.store;
-        let names = store.list("receipts").await?;
-        let digests = names.iter().filter_map(|(name, _)| {
-            let digest = name.strip_prefix("receipts/")?;
-            digest.strip_suffix(".json")
-        });
+        let names = store.list(RECEIPTS).await?;
+        let digests = names
+            .iter()
+            .filter_map(|(name, _)| Receipt::digest_of(name));
         let receipts = each(digests.map(|digest| Receipt::read(store, digest))).await?;
         for receipt in receipts.into_iter().flatten() {
             makers.insert(receipt.artifact.name(), receipt);
@@ -104,7 +103,7 @@ impl Mending<'_, '_> {
             Some((_, Err(fault))) => fault.at(label),
             None => Fault::bug(format!("{label} had no outcome")),
         };
-        self.run.store.write_json(&receipt, maker).await?;
+        maker.write(self.run.store).await?;
         Err(fault)
     }
 

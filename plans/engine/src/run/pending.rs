@@ -1,6 +1,7 @@
 //! The units of a run: what each waits for, and how it is put together when that is done.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use evermap_language::Input;
 use evermap_schemas::Fault;
@@ -44,7 +45,7 @@ pub struct Pending {
     /// Which unit it is.
     pub place: Place,
     /// The stage and those that run inside it, in order.
-    pub stages: Vec<Stage>,
+    pub stages: Arc<[Stage]>,
     /// The units whose rows it reads.
     pub before: BTreeSet<Place>,
     /// The same, by the table that they are read as.
@@ -62,9 +63,13 @@ impl Run<'_> {
         let previous = self.previous()?;
         let sessions = Sessions::of(&self.sessions);
         let stored = self.program.stages.iter().filter(|stage| stage.stored);
-        stored
-            .flat_map(|stage| Place::all(stage, &self.sessions))
-            .map(|place| Pending::new(self, &sessions, &previous, place))
+        let units = stored.flat_map(|stage| {
+            let stages: Arc<[Stage]> = self.program.fragment(&stage.name).into();
+            let places = Place::all(stage, &self.sessions).into_iter();
+            places.map(move |place| (place, Arc::clone(&stages)))
+        });
+        units
+            .map(|(place, stages)| Pending::new(self, &sessions, &previous, place, stages))
             .collect()
     }
 }
@@ -99,13 +104,18 @@ impl<'r> Sessions<'r> {
 }
 
 impl Pending {
+    /// Whether what was done once stays as it was then.
+    pub fn is_done_once(&self) -> bool {
+        self.stages.last().is_some_and(|stage| stage.once)
+    }
+
     fn new(
         run: &Run<'_>,
         sessions: &Sessions<'_>,
         previous: &Previous,
         place: Place,
+        stages: Arc<[Stage]>,
     ) -> Result<Self, Fault> {
-        let stages = run.program.fragment(&place.stage);
         let mut tables: BTreeMap<Input, BTreeSet<Place>> = BTreeMap::new();
         let mut logs = BTreeSet::new();
         for read in stages.iter().flat_map(|stage| &stage.reads) {
@@ -154,7 +164,7 @@ impl Pending {
         let extent = self.place.extent.clone();
         let site = extent.site.as_ref();
         let layers = previous.concerning(run.program, &self.stages, site);
-        let mut recipe = Recipe::new(self.stages.clone(), extent);
+        let mut recipe = Recipe::new(Arc::clone(&self.stages), extent);
         for (table, places) in &self.tables {
             let artifacts = places.iter().map(&artifact).collect::<Result<_, _>>()?;
             if let Input::New(name) = table {
@@ -173,7 +183,7 @@ impl Pending {
         let logs = self.logs.iter();
         let logs = logs.filter_map(|name| MappedSession::named(&run.sessions, name));
         recipe.logs = logs.clone().map(|session| session.log.clone()).collect();
-        if self.stages.last().is_some_and(|stage| stage.once)
+        if self.is_done_once()
             && let Some(before) = before
         {
             recipe = recipe.as_of(&before.recipe, !previous.replaced.is_empty());

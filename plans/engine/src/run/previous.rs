@@ -8,10 +8,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use evermap_language::Input;
 use evermap_schemas::Fault;
 
-use crate::map::receipt::{Artifact, Extent, LayerRows, LogContent, Receipt};
+use crate::map::receipt::{Artifact, Extent, LayerRows, LogContent};
 use crate::map::version::{MappedSession, Previous, Version};
 use crate::program::{Program, Stage};
-use crate::run::Run;
 
 impl Previous {
     /// What `previous` means for a program on these sessions, when the map is at `base`.
@@ -104,26 +103,4 @@ fn sessions_of(base: &Version, wanted: impl Fn(&LogContent) -> bool) -> Vec<Stri
     let logs = base.sessions.iter().map(|held| &held.log);
     let wanted = logs.filter(|log| wanted(log));
     wanted.map(|log| log.session.clone()).collect()
-}
-
-/// Receipts by what a person calls the unit.
-pub type Held = BTreeMap<String, Receipt>;
-
-impl Run<'_> {
-    /// The receipts of the version before, of the layers that are wanted, whatever has become of their rows since.
-    ///
-    /// # Errors
-    /// As [`Receipt::read`].
-    pub async fn receipts_before(&self, wanted: impl Fn(&str) -> bool) -> Result<Held, Fault> {
-        let mut receipts = BTreeMap::new();
-        let layers = self.base.iter().flat_map(|base| &base.layers);
-        for (name, layer) in layers.filter(|(name, _)| wanted(name)) {
-            for digest in &layer.recipes {
-                if let Some(receipt) = Receipt::read(self.store, digest).await? {
-                    receipts.insert(receipt.recipe.extent.label(name), receipt);
-                }
-            }
-        }
-        Ok(receipts)
-    }
 }

@@ -49,5 +49,6 @@ fn run_row(result: &RunResult, run: &str, step: &str, receipt: &Receipt, cached:
             .sum(),
         recipe: receipt.digest.clone(),
         content: receipt.artifact.content.clone(),
+        nodes: Some(receipt.nodes.clone()),
     }
 }

@@ -7,6 +7,7 @@ use evermap_contract::Registry;
 use evermap_schemas::{Fault, Kind};
 use futures::StreamExt;
 use futures::stream::{BoxStream, FuturesUnordered};
+use tokio::sync::Semaphore;
 
 use crate::map::receipt::Receipt;
 use crate::unit::Unit;
@@ -26,15 +27,20 @@ pub trait Runner: Send + Sync {
 /// Runs units in this process, a few at a time.
 pub struct LocalRunner {
     registry: Registry,
-    slots: Arc<tokio::sync::Semaphore>,
+    computing: Arc<Semaphore>,
+    keeping: Arc<Semaphore>,
 }
+
+/// Units whose rows are on their way to the disk: file systems sync many files in little more time than one.
+const KEEPING: usize = 32;
 
 impl LocalRunner {
     /// Runs `width` units side by side.
     pub fn new(registry: Registry, width: usize) -> Self {
         Self {
             registry,
-            slots: Arc::new(tokio::sync::Semaphore::new(width.max(1))),
+            computing: Arc::new(Semaphore::new(width.max(1))),
+            keeping: Arc::new(Semaphore::new(KEEPING)),
         }
     }
 }
@@ -42,10 +48,16 @@ impl LocalRunner {
 impl Runner for LocalRunner {
     fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Outcome> {
         let run = |(index, unit): (usize, Unit)| {
-            let (registry, slots) = (self.registry.clone(), Arc::clone(&self.slots));
+            let registry = self.registry.clone();
+            let (computing, keeping) = (Arc::clone(&self.computing), Arc::clone(&self.keeping));
             async move {
-                let _slot = slots.acquire_owned().await;
-                let task = tokio::spawn(async move { unit.run(&registry).await });
+                let computes = computing.acquire_owned().await;
+                let task = tokio::spawn(async move {
+                    let computed = unit.compute(&registry).await?;
+                    let _keeps = keeping.acquire_owned().await;
+                    drop(computes);
+                    computed.keep().await
+                });
                 let receipt = task.await.unwrap_or_else(|error| {
                     Err(Fault::new(Kind::Bug, format!("a unit panicked: {error}"))
                         .next("please report it"))

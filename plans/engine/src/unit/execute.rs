@@ -11,6 +11,7 @@ use crate::map::receipt::Receipt;
 use crate::map::store::Store;
 use crate::unit::Unit;
 use crate::unit::build::Builder;
+use crate::unit::work::of_plan;
 use crate::unit::write::write;
 
 impl Unit {
@@ -19,13 +20,21 @@ impl Unit {
     /// # Errors
     /// Whatever stops it; nothing is left behind but, perhaps, a file in `tmp/`.
     pub async fn run(&self, registry: &Registry) -> Result<Receipt, Fault> {
+        self.compute(registry).await?.keep().await
+    }
+
+    /// The first part of [`Unit::run`]: what is left to do takes no cores, but waits for a disk.
+    ///
+    /// # Errors
+    /// As [`Unit::run`].
+    pub async fn compute(&self, registry: &Registry) -> Result<Computed, Fault> {
         let (started, clock) = (chrono::Utc::now(), Instant::now());
         let store = Store::open(&self.store, false)?;
         let builder = Builder::new(self, &store, registry).await?;
         let plan = builder.plan().await?;
         let span = tracing::info_span!("unit", label = %self.label());
         let write = write(&store, Arc::clone(&plan), &builder);
-        let artifact = tracing::Instrument::instrument(write, span).await?;
+        let (temporary, artifact, writing) = tracing::Instrument::instrument(write, span).await?;
         let ran = DisplayableExecutionPlan::with_metrics(plan.as_ref());
         tracing::debug!(unit = %self.label(), "\n{}", ran.indent(false));
         let receipt = Receipt {
@@ -36,10 +45,34 @@ impl Unit {
             log_losses: builder.log_losses(),
             started: started.timestamp_nanos_opt().unwrap_or_default(),
             seconds: clock.elapsed().as_secs_f64(),
+            nodes: std::iter::once(writing).chain(of_plan(&plan)).collect(),
         };
-        store
-            .write_json(&Receipt::name(&receipt.digest), &receipt)
-            .await?;
-        Ok(receipt)
+        drop(builder);
+        Ok(Computed {
+            store,
+            temporary,
+            receipt,
+        })
+    }
+}
+
+/// What a unit computed, on its way to its lasting names.
+#[derive(Debug)]
+pub struct Computed {
+    store: Store,
+    temporary: String,
+    receipt: Receipt,
+}
+
+impl Computed {
+    /// The second part of [`Unit::run`]: the artifact gets its name, then there is a receipt.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not take them.
+    pub async fn keep(self) -> Result<Receipt, Fault> {
+        let name = self.receipt.artifact.name();
+        self.store.settle(&self.temporary, &name).await?;
+        self.receipt.write(&self.store).await?;
+        Ok(self.receipt)
     }
 }

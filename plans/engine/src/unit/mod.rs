@@ -7,6 +7,7 @@
 pub mod build;
 mod execute;
 mod tables;
+pub mod work;
 mod write;
 
 use evermap_datasets::Manifest;

@@ -1,6 +1,7 @@
 //! Rows on their way into a Parquet file named by its content.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use datafusion::physical_plan::{ExecutionPlan, execute_stream};
@@ -20,11 +21,12 @@ use crate::error::OrFault;
 use crate::map::receipt::Artifact;
 use crate::map::store::Store;
 use crate::unit::build::Builder;
+use crate::unit::work::NodeWork;
 
 /// Encoded bytes after which a row group is closed: bounds the writer's memory.
 const ROW_GROUP_BYTES: usize = 64 << 20;
 
-/// Writes the rows of a plan's only partition and names the file by its digest.
+/// Writes the rows of a plan's only partition into a file that has a temporary name.
 ///
 /// # Errors
 /// Whatever the plan says, or a resource fault when the store does not take the file.
@@ -32,13 +34,10 @@ pub async fn write(
     store: &Store,
     plan: Arc<dyn ExecutionPlan>,
     builder: &Builder<'_>,
-) -> Result<Artifact, Fault> {
+) -> Result<(String, Artifact, NodeWork), Fault> {
     let temporary = format!("tmp/{}.parquet", uuid::Uuid::new_v4());
     match write_to(store, &temporary, plan, builder).await {
-        Ok(artifact) => {
-            store.settle(&temporary, &artifact.name()).await?;
-            Ok(artifact)
-        }
+        Ok((artifact, writing)) => Ok((temporary, artifact, writing)),
         Err(fault) => {
             store.remove(&temporary).await?;
             Err(fault)
@@ -51,29 +50,34 @@ async fn write_to(
     name: &str,
     plan: Arc<dyn ExecutionPlan>,
     builder: &Builder<'_>,
-) -> Result<Artifact, Fault> {
+) -> Result<(Artifact, NodeWork), Fault> {
     let file = Hashing::new(BufWriter::new(store.objects(), store.path(name)));
     let properties = properties(builder.layer());
     let mut writer =
         AsyncArrowWriter::try_new(file, plan.schema(), Some(properties)).map_err(parquet_fault)?;
-    let mut rows = 0;
+    let (mut rows, mut took) = (0, Duration::ZERO);
     let mut stream = execute_stream(plan, builder.task_context()).or_fault()?;
     while let Some(batch) = stream.next().await {
         let batch = batch.or_fault()?;
         rows += batch.num_rows() as u64;
+        let clock = Instant::now();
         writer.write(&batch).await.map_err(parquet_fault)?;
         if writer.in_progress_size() > ROW_GROUP_BYTES {
             writer.flush().await.map_err(parquet_fault)?;
         }
+        took += clock.elapsed();
     }
+    let clock = Instant::now();
     writer.finish().await.map_err(parquet_fault)?;
+    took += clock.elapsed();
     let (content, bytes) = writer.into_inner().finish();
-    Ok(Artifact {
+    let artifact = Artifact {
         content,
         rows,
         bytes,
         extent: builder.extent(),
-    })
+    };
+    Ok((artifact, NodeWork::writing(rows, bytes, took)))
 }
 
 fn parquet_fault(error: ParquetError) -> Fault {

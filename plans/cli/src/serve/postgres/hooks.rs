@@ -16,6 +16,7 @@ use datafusion_postgres::hooks::cursor::CursorStatementHook;
 use datafusion_postgres::hooks::set_show::SetShowHook;
 use datafusion_postgres::hooks::transactions::TransactionStatementHook;
 use evermap_engine::error::fault_of;
+use evermap_engine::sql::plan_of;
 use pgwire::api::ClientInfo;
 use pgwire::api::portal::Format;
 use pgwire::api::results::{Response, Tag};
@@ -187,7 +188,7 @@ async fn reading(statement: &Statement, context: &SessionContext) -> PgWireResul
 
 async fn planned(statement: Statement, context: &SessionContext) -> PgWireResult<LogicalPlan> {
     let parsed = Parsed::Statement(Box::new(statement));
-    let plan = context.state().statement_to_plan(parsed).await;
+    let plan = plan_of(&context.state(), parsed).await;
     let allowed = SQLOptions::new()
         .with_allow_ddl(false)
         .with_allow_dml(false)

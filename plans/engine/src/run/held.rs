@@ -1,0 +1,78 @@
+//! What the version before has of a run's units.
+
+use std::collections::BTreeMap;
+
+use evermap_schemas::Fault;
+
+use crate::map::receipt::{Extent, Receipt};
+use crate::map::store::Store;
+use crate::run::Run;
+use crate::run::pending::{Pending, Place};
+
+/// The units of the version before, by what a person calls them: a session may be of another site since.
+#[derive(Debug)]
+pub struct Held<'r> {
+    store: &'r Store,
+    /// What each covers, and the digest of its recipe.
+    units: BTreeMap<String, (&'r Extent, &'r str)>,
+}
+
+impl Held<'_> {
+    /// The receipt of a unit of the version before, whatever has become of its rows since; `None` where it had no such
+    /// unit or the receipt is gone.
+    ///
+    /// # Errors
+    /// As [`Receipt::read`].
+    pub async fn receipt(&self, place: &Place) -> Result<Option<Receipt>, Fault> {
+        match self.units.get(&place.label()) {
+            Some((_, digest)) => Receipt::read(self.store, digest).await,
+            None => Ok(None),
+        }
+    }
+
+    /// The receipt of a unit in the version before, where [`Pending::assemble`] needs it: what was done once stays as it
+    /// was then.
+    ///
+    /// # Errors
+    /// As [`Held::receipt`].
+    pub async fn once(&self, unit: &Pending) -> Result<Option<Receipt>, Fault> {
+        match unit.is_done_once() {
+            true => self.receipt(&unit.place).await,
+            false => Ok(None),
+        }
+    }
+
+    /// Whether a unit has this recipe's digest in the version before.
+    pub fn has(&self, place: &Place, digest: &str) -> bool {
+        let held = self.units.get(&place.label());
+        held.is_some_and(|(_, held)| *held == digest)
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.units.is_empty()
+    }
+
+    /// What the units cover.
+    pub fn extents(&self) -> impl Iterator<Item = &Extent> {
+        self.units.values().map(|(extent, _)| *extent)
+    }
+}
+
+impl Run<'_> {
+    /// The units of the version before.
+    pub fn held(&self) -> Held<'_> {
+        let layers = self.base.iter().flat_map(|base| &base.layers);
+        let units = layers.flat_map(|(stage, layer)| {
+            let units = layer.artifacts.iter().zip(&layer.recipes);
+            units.map(move |(artifact, digest)| {
+                let extent = &artifact.extent;
+                (extent.label(stage), (extent, digest.as_str()))
+            })
+        });
+        Held {
+            store: self.store,
+            units: units.collect(),
+        }
+    }
+}

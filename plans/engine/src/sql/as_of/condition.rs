@@ -1,0 +1,101 @@
+//! When rows match.
+
+use std::fmt;
+use std::sync::Arc;
+
+use arrow::compute::SortOptions;
+use datafusion::logical_expr::Operator;
+use datafusion::physical_expr::PhysicalExpr;
+
+/// Which row of the right table belongs to one of the left.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Matching {
+    /// The last whose time is not later.
+    NotLater,
+    /// The last whose time is earlier.
+    Earlier,
+    /// The first whose time is not earlier.
+    NotEarlier,
+    /// The first whose time is later.
+    Later,
+}
+
+impl Matching {
+    /// What `left op right` asks for; `None` for operators that order no times.
+    pub fn of(op: Operator) -> Option<Self> {
+        match op {
+            Operator::GtEq => Some(Self::NotLater),
+            Operator::Gt => Some(Self::Earlier),
+            Operator::LtEq => Some(Self::NotEarlier),
+            Operator::Lt => Some(Self::Later),
+            _ => None,
+        }
+    }
+
+    /// Whether times go down as rows are merged, so that the row that is wanted is the last one seen.
+    pub fn descends(self) -> bool {
+        matches!(self, Self::NotEarlier | Self::Later)
+    }
+
+    /// Whether rows of equal times match.
+    pub fn with_equal(self) -> bool {
+        matches!(self, Self::NotLater | Self::NotEarlier)
+    }
+}
+
+impl fmt::Display for Matching {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::NotLater => ">=",
+            Self::Earlier => ">",
+            Self::NotEarlier => "<=",
+            Self::Later => "<",
+        })
+    }
+}
+
+/// A value of the left table, and one of the right.
+pub type Pair = (Arc<dyn PhysicalExpr>, Arc<dyn PhysicalExpr>);
+
+/// When rows match.
+#[derive(Debug)]
+pub struct Condition {
+    /// Values that are equal.
+    pub keys: Vec<Pair>,
+    /// The times.
+    pub times: Pair,
+    /// Which time is wanted.
+    pub matching: Matching,
+    /// What must be true of the row that comes out.
+    pub limit: Option<Arc<dyn PhysicalExpr>>,
+}
+
+impl Condition {
+    /// How rows of equal keys are ordered by time.
+    pub fn time_order(&self) -> SortOptions {
+        SortOptions {
+            descending: self.matching.descends(),
+            nulls_first: true,
+        }
+    }
+}
+
+/// How rows are ordered by keys.
+pub const KEY_ORDER: SortOptions = SortOptions {
+    descending: false,
+    nulls_first: true,
+};
+
+impl fmt::Display for Condition {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (left, right) = &self.times;
+        write!(f, "{left} {} {right}", self.matching)?;
+        for (left, right) in &self.keys {
+            write!(f, ", {left} = {right}")?;
+        }
+        match &self.limit {
+            Some(limit) => write!(f, ", within {limit}"),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,183 @@
+//! An as-of join in a logical plan, and its way into a physical one.
+
+use std::cmp::Ordering;
+use std::collections::HashMap;
+use std::fmt;
+use std::sync::Arc;
+
+use async_trait::async_trait;
+use datafusion::catalog::Session;
+use datafusion::common::{DFSchema, DFSchemaRef, Result, internal_err};
+use datafusion::execution::context::QueryPlanner;
+use datafusion::logical_expr::physical_planning_context::PhysicalPlanningContext;
+use datafusion::logical_expr::{
+    Expr, LogicalPlan, UserDefinedLogicalNode, UserDefinedLogicalNodeCore,
+};
+use datafusion::physical_plan::ExecutionPlan;
+use datafusion::physical_planner::{DefaultPhysicalPlanner, ExtensionPlanner, PhysicalPlanner};
+
+use crate::nodes::node::Node;
+use crate::sql::as_of::condition::{Condition, Matching};
+use crate::sql::as_of::exec::AsOf;
+
+/// A join of each row of the left table with the nearest in time of the right.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct AsOfJoin {
+    left: LogicalPlan,
+    right: LogicalPlan,
+    /// Values that are equal in rows that match, of the left and of the right table.
+    pub keys: Vec<(Expr, Expr)>,
+    times: (Expr, Expr),
+    matching: Matching,
+    /// Where this is not true of the two rows, there is no match.
+    limit: Option<Expr>,
+    schema: DFSchemaRef,
+}
+
+impl AsOfJoin {
+    /// A join with the columns of both tables; those of the right may be null.
+    ///
+    /// # Errors
+    /// When both have a column of one name.
+    pub fn new(
+        left: LogicalPlan,
+        right: LogicalPlan,
+        keys: Vec<(Expr, Expr)>,
+        times: (Expr, Expr),
+        matching: Matching,
+        limit: Option<Expr>,
+    ) -> Result<Self> {
+        let of_left = left.schema().iter();
+        let of_left = of_left.map(|(table, field)| (table.cloned(), Arc::clone(field)));
+        let of_right = right.schema().iter().map(|(table, field)| {
+            let nullable = field.as_ref().clone().with_nullable(true);
+            (table.cloned(), Arc::new(nullable))
+        });
+        let fields = of_left.chain(of_right).collect();
+        let schema = Arc::new(DFSchema::new_with_metadata(fields, HashMap::new())?);
+        Ok(Self {
+            left,
+            right,
+            keys,
+            times,
+            matching,
+            limit,
+            schema,
+        })
+    }
+}
+
+impl PartialOrd for AsOfJoin {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        (self == other).then_some(Ordering::Equal)
+    }
+}
+
+impl UserDefinedLogicalNodeCore for AsOfJoin {
+    fn name(&self) -> &str {
+        "AsOfJoin"
+    }
+
+    fn inputs(&self) -> Vec<&LogicalPlan> {
+        vec![&self.left, &self.right]
+    }
+
+    fn schema(&self) -> &DFSchemaRef {
+        &self.schema
+    }
+
+    fn expressions(&self) -> Vec<Expr> {
+        let pairs = self.keys.iter().chain(std::iter::once(&self.times));
+        let values = pairs.flat_map(|(left, right)| [left, right]);
+        values.chain(&self.limit).cloned().collect()
+    }
+
+    fn fmt_for_explain(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (left, right) = &self.times;
+        write!(f, "AsOfJoin: {left} {} {right}", self.matching)?;
+        for (left, right) in &self.keys {
+            write!(f, ", {left} = {right}")?;
+        }
+        match &self.limit {
+            Some(limit) => write!(f, ", within {limit}"),
+            None => Ok(()),
+        }
+    }
+
+    fn with_exprs_and_inputs(&self, exprs: Vec<Expr>, inputs: Vec<LogicalPlan>) -> Result<Self> {
+        let mut exprs = exprs.into_iter();
+        let mut pair = || exprs.next().zip(exprs.next());
+        let pairs: Option<Vec<_>> = (0..=self.keys.len()).map(|_| pair()).collect();
+        let times_and_keys = pairs.and_then(|mut pairs| Some((pairs.pop()?, pairs)));
+        let mut inputs = inputs.into_iter();
+        let (Some((times, keys)), Some(left), Some(right)) =
+            (times_and_keys, inputs.next(), inputs.next())
+        else {
+            return internal_err!("an as-of join has two inputs and two values of each key");
+        };
+        Self::new(left, right, keys, times, self.matching, exprs.next())
+    }
+
+    fn necessary_children_exprs(&self, output_columns: &[usize]) -> Option<Vec<Vec<usize>>> {
+        let width = self.left.schema().fields().len();
+        let (left, right): (Vec<usize>, Vec<usize>) =
+            output_columns.iter().partition(|&&column| column < width);
+        let right = right.into_iter().map(|column| column - width).collect();
+        Some(vec![left, right])
+    }
+}
+
+/// Plans queries as DataFusion does, and as-of joins.
+#[derive(Debug)]
+pub struct Planner;
+
+#[async_trait]
+impl QueryPlanner for Planner {
+    async fn create_physical_plan(
+        &self,
+        plan: &LogicalPlan,
+        session: &dyn Session,
+    ) -> Result<Arc<dyn ExecutionPlan>> {
+        let planner = DefaultPhysicalPlanner::with_extension_planners(vec![Arc::new(Joins)]);
+        planner.create_physical_plan(plan, session).await
+    }
+}
+
+struct Joins;
+
+#[async_trait]
+impl ExtensionPlanner for Joins {
+    async fn plan_extension(
+        &self,
+        planner: &dyn PhysicalPlanner,
+        node: &dyn UserDefinedLogicalNode,
+        _: &[&LogicalPlan],
+        inputs: &[Arc<dyn ExecutionPlan>],
+        session: &dyn Session,
+        planning: &PhysicalPlanningContext,
+    ) -> Result<Option<Arc<dyn ExecutionPlan>>> {
+        let (Some(join), [left, right]) = (node.as_any().downcast_ref::<AsOfJoin>(), inputs) else {
+            return Ok(None);
+        };
+        let value = |expr: &Expr, schema: &DFSchema| {
+            planner.create_physical_expr(expr, schema, session, planning)
+        };
+        let pair = |(of_left, of_right): &(Expr, Expr)| {
+            let of_left = value(of_left, join.left.schema())?;
+            Ok((of_left, value(of_right, join.right.schema())?))
+        };
+        let limit = join.limit.as_ref();
+        let condition = Condition {
+            keys: join.keys.iter().map(pair).collect::<Result<_>>()?,
+            times: pair(&join.times)?,
+            matching: join.matching,
+            limit: limit.map(|limit| value(limit, &join.schema)).transpose()?,
+        };
+        let as_of = AsOf {
+            condition: Arc::new(condition),
+            schema: Arc::clone(join.schema.inner()),
+        };
+        let children = vec![Arc::clone(left), Arc::clone(right)];
+        Ok(Some(Arc::new(Node::try_new(Arc::new(as_of), children)?)))
+    }
+}
