@@ -14,6 +14,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
+use evermap_algorithms::geometry::geodesy::{Geodetic, Tangent};
+use evermap_algorithms::geometry::trajectory::pose_at;
 use evermap_bench::trajectory::relative_error;
 use evermap_tests::kitti::Stretch;
 use evermap_tests::park::{
@@ -21,6 +23,8 @@ use evermap_tests::park::{
 };
 use evermap_tests::trajectories::{Trajectories, pairs, poses, rows};
 use evermap_tests::{evermap, plan_command, simulate, text};
+use nalgebra::{Rotation3, Vector3};
+use serde_json::Value;
 
 /// The map of a first drive around the western island of one car park, which tests of other drives share.
 struct FirstDrive {
@@ -30,13 +34,15 @@ struct FirstDrive {
 
 impl FirstDrive {
     const SEED: u64 = 14;
+    const RECEIVER: [&str; 3] = ["gnss=true", "gnss_noise_m=1", "gnss_outage_s=5"];
 
     fn get() -> &'static Self {
         static FIRST: OnceLock<FirstDrive> = OnceLock::new();
         FIRST.get_or_init(|| {
             let folder = made_once(env!("CARGO_TARGET_TMPDIR"), "metric_map");
             let map = folder.join("map");
-            let (initial, truths) = Park::new(&folder, Self::SEED).drive(0, "initial", &[]);
+            let park = Park::new(&folder, Self::SEED);
+            let (initial, truths) = park.drive(0, "initial", &Self::RECEIVER);
             run_small("metric_map", &map, &[&initial]);
             Self { map, truths }
         })
@@ -60,6 +66,38 @@ fn a_simulated_car_park_is_mapped_and_found_again_from_the_other_direction() {
     }
     let last = adjusted_error("simulated, three drives", &map, None, &truths);
     assert!(last.position_m.rmse <= 0.03);
+}
+
+#[test]
+fn a_map_of_a_car_with_a_receiver_lies_where_it_is_on_earth() {
+    let first = FirstDrive::get();
+    let found = rows(&first.map, None, "SELECT * FROM georeference");
+    let [found] = found.as_slice() else {
+        panic!("{found:?}");
+    };
+    let number = |name: &str| found[name].as_f64().unwrap();
+    let place = |latitude: &str, longitude: &str, height: &str, of: &Value| Geodetic {
+        latitude_deg: of[latitude].as_f64().unwrap(),
+        longitude_deg: of[longitude].as_f64().unwrap(),
+        height_m: of[height].as_f64().unwrap(),
+    };
+    let of_earth = |of: &Value| place("latitude_deg", "longitude_deg", "height_m", of);
+    let world = first.map.parent().unwrap().join("world_initial/truth/world.json");
+    let world: Value = serde_json::from_slice(&std::fs::read(world).unwrap()).unwrap();
+    let truth = Tangent::at(of_earth(&world["origin"]));
+    let here = Tangent::at(of_earth(found));
+    let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), number("heading_rad"));
+    let mapped = poses(&first.map, None, "poses", "map_from_vehicle");
+    let mut worst = 0.0_f64;
+    for pose in &mapped["initial"] {
+        let there = pose_at(&first.truths["initial"], pose.stamp_ns, 500_000_000).unwrap();
+        let on_earth = truth.enu(here.geodetic(&(turn * pose.pose.translation)));
+        worst = worst.max((on_earth - there.translation).xy().norm());
+    }
+    eprintln!("on earth: at most {worst:.2} m off, {found}");
+    assert!(worst < 0.5, "{worst} m");
+    assert_eq!((number("outliers"), number("drift_m")), (0.0, 0.0));
+    assert!((0.8..1.2).contains(&number("noise_m")));
 }
 
 #[test]

@@ -122,6 +122,22 @@ impl Geometry {
         }
     }
 
+    /// The geometry with each of its points somewhere else.
+    #[must_use]
+    pub fn moved(&self, to: &impl Fn(Position) -> Position) -> Self {
+        let line = |points: &Vec<Position>| points.iter().map(|point| to(*point)).collect();
+        let all = |parts: &Vec<Self>| parts.iter().map(|part| part.moved(to)).collect();
+        match self {
+            Self::Point(point) => Self::Point(to(*point)),
+            Self::LineString(points) => Self::LineString(line(points)),
+            Self::Polygon(rings) => Self::Polygon(rings.iter().map(line).collect()),
+            Self::MultiPoint(parts) => Self::MultiPoint(all(parts)),
+            Self::MultiLineString(parts) => Self::MultiLineString(all(parts)),
+            Self::MultiPolygon(parts) => Self::MultiPolygon(all(parts)),
+            Self::GeometryCollection(parts) => Self::GeometryCollection(all(parts)),
+        }
+    }
+
     /// Its points part by part: a point alone, a polyline, each ring of a polygon; collections one after the other.
     pub fn paths(&self) -> Vec<&[Position]> {
         match self {

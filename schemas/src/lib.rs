@@ -16,6 +16,7 @@ mod cell;
 pub mod dictionary;
 mod fault;
 mod geometry;
+pub mod geoparquet;
 mod layer;
 pub mod layers;
 mod record;

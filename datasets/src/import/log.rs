@@ -130,7 +130,7 @@ fn placed(stamp_ns: u64, cameras: &[Camera]) -> StaticTransforms<'_> {
     });
     StaticTransforms {
         stamp_ns,
-        cameras: placed.collect(),
+        frames: placed.collect(),
     }
 }
 

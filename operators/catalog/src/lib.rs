@@ -68,6 +68,8 @@ operators! {
         bundle_adjustment::BundleAdjustment,
         features::Features,
         frame_poses::FramePoses,
+        georeference::Georeferences,
+        gnss_fixes::GnssFixes,
         keyframes::Keyframes,
         landmarks::Landmarks,
         localisation::Localisation,

@@ -7,7 +7,7 @@
 //!                    ├──► annotate  labels of other programs, as logs of annotations
 //!                    ├──► reader    rows of a map by what they are
 //!                    │      ├──► draw, report   pictures and the page, as `templates` lay them out
-//!                    │      └──► export         other programs' formats
+//!                    │      └──► export         other programs' formats, on earth by `earth`
 //!                    ├──► serve     the same rows, pictures and formats by network
 //!                    └──► ending    exit status, losses, faults
 //! ```
@@ -20,6 +20,7 @@ pub mod contents;
 pub mod coordinate_frames;
 pub mod describe;
 pub mod draw;
+mod earth;
 pub mod ending;
 pub mod export;
 mod manifest;

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use evermap_schemas::Fault;
 
 use crate::draw::{decoded, encoded};
+use crate::earth::Place;
 use crate::shown::Tile;
 
 /// Cells of the largest picture that is put together: a quarter of a gigabyte of grey and alpha.
@@ -190,16 +191,18 @@ impl Mosaic {
         encoded(width, height, grey, self.cells.as_flattened())
     }
 
-    /// The world file beside the PNG: cell sizes, rotation, the centre of the north-western cell.
-    pub fn world_file(&self) -> String {
+    /// The world file beside the PNG: what a step to the right and one down are along x and y, and the centre of the
+    /// first cell; of a site whose place on earth is known, along east and north.
+    pub fn world_file(&self, place: Option<&Place>) -> String {
+        let turned = |x, y| place.map_or([x, y], |place| place.turned(x, y));
         let half = self.cell_m / 2.0;
-        format!(
-            "{}\n0\n0\n{}\n{}\n{}\n",
-            self.cell_m,
-            -self.cell_m,
-            self.west + half,
-            self.north - half
-        )
+        let right = turned(self.cell_m, 0.0);
+        let down = turned(0.0, -self.cell_m);
+        let first = turned(self.west + half, self.north - half);
+        let lines = [right, down, first].concat();
+        // Adding zero writes minus zero as zero.
+        let lines = lines.iter().map(|number| format!("{}\n", number + 0.0));
+        lines.collect()
     }
 }
 

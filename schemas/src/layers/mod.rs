@@ -1,6 +1,7 @@
 //! The map's layers: what operators yield, and what SQL users read.
 
 mod boxes;
+mod earth;
 mod labels;
 mod metric_map;
 mod people;
@@ -12,6 +13,7 @@ use std::collections::BTreeMap;
 use crate::{Bytes, ImageRef, LayerRow, Pose, Stamp, Wkb, record};
 
 pub use boxes::{BoxHypothesis, BoxModel, ParkingSpace, SpaceOccupancy};
+pub use earth::{Georeference, GnssFix};
 pub use labels::{LabelAnchor, PlacedLabel};
 pub use metric_map::{
     AdjustedPose, BodyMask, Features, FrameImage, FramePose, GraphPose, ImageSize, Landmark,
@@ -327,6 +329,8 @@ pub fn all() -> Vec<crate::Layer> {
         OcclusionCount::layer(),
         OcclusionProbability::layer(),
         InferredLabels::layer(),
+        Georeference::layer(),
+        GnssFix::layer(),
         GroundPatch::layer(),
         Intersection::layer(),
         Keyframe::layer(),

@@ -32,6 +32,7 @@ roles! {
     annotations,
     calibration,
     depth_frames,
+    fixes,
     frames,
     label_classes,
     label_frames,
@@ -41,6 +42,7 @@ roles! {
 
 pub use annotations::{Anchor, Annotation};
 pub use calibration::Calibration;
+pub use fixes::Fix;
 pub use frames::{Frame, IMAGE_MEMBER};
 pub use label_classes::LabelClass;
 pub use odometry::OdometryPose;

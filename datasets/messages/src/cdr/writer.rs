@@ -23,6 +23,11 @@ impl CdrWriter {
         self.0.push(value);
     }
 
+    /// A `uint16`.
+    pub(crate) fn u16(&mut self, value: u16) {
+        self.aligned(&value.to_le_bytes());
+    }
+
     /// A `uint32`.
     pub(crate) fn u32(&mut self, value: u32) {
         self.aligned(&value.to_le_bytes());

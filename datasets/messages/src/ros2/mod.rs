@@ -159,13 +159,13 @@ fn diagonal(variances: [f64; 6]) -> [f64; 36] {
     matrix
 }
 
-/// `tf2_msgs/msg/TFMessage` that places cameras on the vehicle.
+/// `tf2_msgs/msg/TFMessage` that places sensors on the vehicle.
 #[derive(Debug, Clone)]
 pub struct StaticTransforms<'a> {
     /// Since when they are there, ns since the epoch.
     pub stamp_ns: u64,
-    /// Optical frame and `vehicle_from_camera` of each.
-    pub cameras: Vec<(&'a str, Pose)>,
+    /// Frame and `vehicle_from_frame` of each.
+    pub frames: Vec<(&'a str, Pose)>,
 }
 
 impl Message for StaticTransforms<'_> {
@@ -178,12 +178,42 @@ impl Message for StaticTransforms<'_> {
             frame_id: VEHICLE_FRAME,
         };
         let mut cdr = CdrWriter::new();
-        cdr.u32(self.cameras.len() as u32);
-        for (frame_id, vehicle_from_camera) in &self.cameras {
+        cdr.u32(self.frames.len() as u32);
+        for (frame_id, vehicle_from_frame) in &self.frames {
             header.write(&mut cdr);
             cdr.string(frame_id);
-            cdr.f64s(vehicle_from_camera);
+            cdr.f64s(vehicle_from_frame);
         }
+        cdr.finish()
+    }
+}
+
+/// `sensor_msgs/msg/NavSatFix`.
+#[derive(Debug, Clone, Copy)]
+pub struct NavSatFix<'a> {
+    /// When it was measured, and the antenna's frame.
+    pub header: Header<'a>,
+    /// Latitude and longitude (deg) and height above the ellipsoid (m); `None` where there is no fix.
+    pub place: Option<[f64; 3]>,
+    /// Variances along east, north and up, m².
+    pub variances: [f64; 3],
+}
+
+impl Message for NavSatFix<'_> {
+    const NAME: &'static str = "sensor_msgs/msg/NavSatFix";
+    const DEFINITION: &'static str = include_str!("definitions/NavSatFix.msg");
+
+    fn encode(&self) -> Vec<u8> {
+        let [east, north, up] = self.variances;
+        let mut cdr = CdrWriter::new();
+        self.header.write(&mut cdr);
+        // STATUS_FIX or STATUS_NO_FIX, of GPS.
+        cdr.u8(if self.place.is_some() { 0 } else { 0xff });
+        cdr.u16(1);
+        cdr.f64s(&self.place.unwrap_or([f64::NAN; 3]));
+        cdr.f64s(&[east, 0.0, 0.0, 0.0, north, 0.0, 0.0, 0.0, up]);
+        // COVARIANCE_TYPE_DIAGONAL_KNOWN.
+        cdr.u8(2);
         cdr.finish()
     }
 }

@@ -64,6 +64,17 @@ pub struct CarPark {
     /// each camera draws.
     #[schemars(range(min = 0.0, max = 20.0))]
     pub calibration_error_px: f64,
+    /// Whether the vehicle has a GNSS receiver. Where the car park lies on earth is in `truth/world.json`.
+    pub gnss: bool,
+    /// White noise of each fix along east and along north, metres.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub gnss_noise_m: f64,
+    /// Standard deviation of the part of the fixes' error that changes within a minute, metres.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub gnss_drift_m: f64,
+    /// Seconds in the middle of each session in which there is no fix.
+    #[schemars(range(min = 0.0, max = 10_000.0))]
+    pub gnss_outage_s: f64,
     /// A camera that sees nothing but the noise of its sensor.
     #[schemars(extend("enum" = CAMERAS))]
     pub dark_camera: Option<String>,
@@ -103,6 +114,10 @@ impl Default for CarPark {
             start_m: 0.0,
             odometry_scale_error: 0.0,
             calibration_error_px: 0.0,
+            gnss: false,
+            gnss_noise_m: 2.0,
+            gnss_drift_m: 0.0,
+            gnss_outage_s: 0.0,
             dark_camera: None,
             skip: 0,
             jpeg_quality: 85,

@@ -10,6 +10,7 @@ use super::visit::Visit;
 use crate::WorldError;
 use crate::plane::Pose2;
 use crate::record::{Folder, grey_png};
+use crate::vehicle::PLACE;
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -111,6 +112,11 @@ impl Hall<'_> {
             "pillars": self.layout.pillars.iter().map(rect).collect::<Vec<_>>(),
             "islands": self.layout.islands.iter().map(rect).collect::<Vec<_>>(),
             "cameras": cameras.collect::<Vec<_>>(),
+            "origin": {
+                "latitude_deg": PLACE.latitude_deg,
+                "longitude_deg": PLACE.longitude_deg,
+                "height_m": PLACE.height_m,
+            },
             "sessions": sessions,
         })
     }

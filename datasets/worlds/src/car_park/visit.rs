@@ -7,7 +7,7 @@ use super::route::Route;
 use super::walkers::{Walker, walkers};
 use crate::random::stream;
 use crate::record::{Session, shutter};
-use crate::vehicle::{Trajectory, Wheels};
+use crate::vehicle::{Receiver, Trajectory, Wheels};
 
 const DAY_NS: u64 = 86_400_000_000_000;
 
@@ -56,6 +56,11 @@ impl Visit {
                 drive,
                 stamps: stamps.collect(),
                 wheels: Wheels::new(rate_hz, world.seed, index, scale_error),
+                receiver: world.gnss.then_some(Receiver {
+                    noise_m: world.gnss_noise_m,
+                    drift_m: world.gnss_drift_m,
+                    outage_s: world.gnss_outage_s,
+                }),
             },
         }
     }

@@ -3,10 +3,11 @@
 use super::{Recorded, SessionSummary, Tell};
 use crate::WorldError;
 use crate::random::{nanoseconds, normal, stream};
-use crate::vehicle::{OdometrySample, Trajectory, Wheels};
+use crate::vehicle::{ANTENNA, OdometrySample, Receiver, Trajectory, Wheels};
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_messages::ros2::{
-    Calibration, CameraInfo, CompressedImage, Header, Message, Odometry, StaticTransforms,
+    Calibration, CameraInfo, CompressedImage, Header, Message, NavSatFix, Odometry,
+    StaticTransforms,
 };
 use evermap_recording::{LogWriter, RecordingError, Times};
 use rand::Rng;
@@ -36,6 +37,8 @@ pub struct Session {
     pub stamps: Vec<u64>,
     /// Who counts the way.
     pub wheels: Wheels,
+    /// Who listens to satellites, if anybody does.
+    pub receiver: Option<Receiver>,
 }
 
 /// What is on the vehicle besides its wheels.
@@ -180,11 +183,21 @@ impl Session {
         let transforms = log.topic::<StaticTransforms>("/tf_static", true)?;
         let odometry = log.topic::<Odometry>("/odom", false)?;
         let (log_ns, stamp_ns) = (self.start_ns, self.start_ns);
-        let cameras = sensors.cameras.iter().map(CameraTopics::place).collect();
-        let placed = StaticTransforms { stamp_ns, cameras };
+        let cameras = sensors.cameras.iter().map(CameraTopics::place);
+        let antenna = self.receiver.map(|_| (ANTENNA, Receiver::mount().to_array()));
+        let placed = StaticTransforms {
+            stamp_ns,
+            frames: cameras.chain(antenna).collect(),
+        };
         let mut schedule = vec![Due::ready(transforms, Times { log_ns, stamp_ns }, &placed)];
         for sample in self.odometry() {
             schedule.push(Due::ready(odometry, sample.times, &sample.message()));
+        }
+        if let Some(receiver) = &self.receiver {
+            let topic = log.topic::<NavSatFix<'_>>("/fix", false)?;
+            for sample in receiver.fixes(&self.drive, self.start_ns, self.seed, self.index) {
+                schedule.push(Due::ready(topic, sample.times, &sample.message()));
+            }
         }
         let channels = sensors.cameras.iter().map(|camera| {
             let topic = |leaf: &str| format!("{}/{leaf}", camera.namespace);

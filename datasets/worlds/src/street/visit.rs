@@ -62,6 +62,7 @@ impl Visit {
                 drive,
                 stamps,
                 wheels: Wheels::new(world.odometry_rate_hz, world.seed, index, 0.0),
+                receiver: None,
             },
         }
     }

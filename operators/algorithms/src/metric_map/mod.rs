@@ -7,6 +7,7 @@
 //! | [`bundle_adjustment`] | poses and landmarks from all observations at once |
 //! | [`drive`] | keyframes at equal steps of driven path |
 //! | [`features`] | key points with binary descriptors |
+//! | [`georeference`] | where a map lies on earth, from GNSS fixes |
 //! | [`localisation`] | a drive's poses in a map it did not make |
 //! | [`mapping`] | association, triangulation and adjustment in turns, until a map is accurate |
 //! | [`matching`] | descriptors to descriptors |
@@ -20,6 +21,7 @@ pub mod body;
 pub mod bundle_adjustment;
 pub mod drive;
 pub mod features;
+pub mod georeference;
 pub mod localisation;
 pub mod mapping;
 pub mod matching;

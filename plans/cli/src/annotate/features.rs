@@ -9,6 +9,7 @@ use serde_json::Value;
 use super::mosaic::Picture;
 use super::pixels::Program;
 use super::{Losses, geojson};
+use crate::export::ON_EARTH;
 
 /// Coordinates beyond this are none of a map, m: more than around the Earth.
 const MOST_M: f64 = 1e8;
@@ -61,6 +62,10 @@ pub fn read(
     }
     let value: Value = serde_json::from_str(&text)
         .map_err(|error| at(Fault::user(format!("expected JSON, found {error}"))))?;
+    if value["coordinates"] == ON_EARTH {
+        let fault = Fault::user("expected features in the map's metres, found longitude and latitude");
+        return Err(at(fault.next("`evermap export --format geojson --local` writes the former")));
+    }
     match value.get("type") {
         Some(_) => Ok(geojson::features(&value, losses)),
         None => Err(at(Fault::user(

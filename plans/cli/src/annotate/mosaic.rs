@@ -6,6 +6,8 @@ use std::path::Path;
 
 use evermap_schemas::Fault;
 
+use crate::earth::beside;
+
 /// A mosaic that annotations are of.
 #[derive(Debug, Clone)]
 pub struct Picture {
@@ -14,9 +16,9 @@ pub struct Picture {
     /// Width and height, px.
     pub size: [u32; 2],
     /// Where it is in the map.
-    reference: Georeference,
+    reference: WorldFile,
     /// From metres to pixels.
-    inverse: Georeference,
+    inverse: WorldFile,
 }
 
 impl Picture {
@@ -33,7 +35,7 @@ impl Picture {
         let header =
             header.map_err(|error| at(Fault::user(format!("expected a PNG, found {error}"))))?;
         let name = path.file_name().unwrap_or_default();
-        let reference = Georeference::read(path)?;
+        let reference = WorldFile::read(path)?;
         Ok(Self {
             name: name.to_string_lossy().into_owned(),
             size: [header.info().width, header.info().height],
@@ -56,19 +58,25 @@ impl Picture {
 /// An affine map from pixels to metres. Pixel coordinates begin at the corner of the picture, as annotation programs have
 /// them; a world file is about the centres of pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Georeference {
+struct WorldFile {
     /// x = a · column + b · row + c, m.
     x: [f64; 3],
     /// y = d · column + e · row + f, m.
     y: [f64; 3],
 }
 
-impl Georeference {
+impl WorldFile {
     /// Of the world file beside a picture, or the world file itself.
     ///
     /// # Errors
     /// A user fault where there is none, or it is not six numbers that make sense.
     fn read(picture: &Path) -> Result<Self, Fault> {
+        let earth = beside(picture);
+        if earth.exists() {
+            return Err(Fault::user("expected a mosaic in the map's metres, found one that lies on earth")
+                .at(earth.display())
+                .next("`evermap export overhead_tiles --format png --local` writes the former"));
+        }
         let path = picture.with_extension("pgw");
         let at = |fault: Fault| fault.at(path.display());
         let text = std::fs::read_to_string(&path).map_err(|error| {
@@ -132,7 +140,7 @@ mod tests {
             height: 2,
             cells: vec![[0, 0]; 8],
         };
-        let found = Georeference::parse(&mosaic.world_file()).unwrap();
+        let found = WorldFile::parse(&mosaic.world_file(None)).unwrap();
         for (pixel, place) in [([0.0, 0.0], [-12.8, 25.6]), ([4.0, 2.0], [-12.4, 25.4])] {
             let [x, y] = found.place(pixel);
             assert!((x - place[0]).abs() < 1e-9 && (y - place[1]).abs() < 1e-9);
@@ -143,7 +151,7 @@ mod tests {
 
     #[test]
     fn corners_of_pixels_are_half_a_pixel_from_their_centres() {
-        let found = Georeference::parse("0.05\n0\n0\n-0.05\n10.025\n19.975\n").unwrap();
+        let found = WorldFile::parse("0.05\n0\n0\n-0.05\n10.025\n19.975\n").unwrap();
         let [x, y] = found.place([0.0, 0.0]);
         assert!((x - 10.0).abs() < 1e-12 && (y - 20.0).abs() < 1e-12);
         let [x, y] = found.place([100.0, 40.0]);
@@ -155,7 +163,7 @@ mod tests {
             "0 0 0 1 2 3",
             "1 0 0 inf 2 3",
         ] {
-            assert_eq!(Georeference::parse(text), None, "{text}");
+            assert_eq!(WorldFile::parse(text), None, "{text}");
         }
     }
 }

@@ -15,7 +15,7 @@ use crate::annotate::state::State;
 use crate::annotate::{Losses, begin, unwritten, user};
 use crate::arguments::AnnotateArgs;
 use crate::ending::{Ending, Failure, Lost};
-use crate::export::geojson;
+use crate::export::{Head, geojson};
 use crate::output::write_file;
 use crate::progress::line;
 use crate::reader::MapReader;
@@ -108,7 +108,11 @@ async fn export(
     let (Some(program), Some(picture)) = (args.program, args.mosaic.as_deref()) else {
         let title = format!("labels of {}, version {}", state.site, state.version);
         let rows = batch(labels)?;
-        return geojson(&[rows], Some(&PlacedLabel::layer()), &title, file);
+        let head = Head {
+            title: &title,
+            on_earth: false,
+        };
+        return geojson(&[rows], Some(&PlacedLabel::layer()), head, file);
     };
     let mut proposed: Vec<BoxHypothesis> = reader.rows(Some(&state.site)).await?;
     proposed.retain(|found| wanted(&found.kind));

@@ -1,4 +1,4 @@
-//! GeoJSON. Its standard means longitude and latitude; a map has local metres, which the file says.
+//! GeoJSON. Its standard means longitude and latitude; where a map has local metres, the file says so.
 
 use std::io::Write;
 
@@ -10,16 +10,28 @@ use serde_json::{Map, Value, json};
 
 use crate::ending::Failure;
 
-const COORDINATES: &str = "local metres in the map frame (x, y, z up), not longitude and latitude";
+const LOCAL: &str = "local metres in the map frame (x, y, z up), not longitude and latitude";
+/// What a file says whose coordinates are longitude and latitude.
+pub const ON_EARTH: &str = "longitude and latitude (WGS 84), height above the ellipsoid in metres";
+
+/// What a file begins with.
+#[derive(Debug, Clone, Copy)]
+pub struct Head<'a> {
+    /// What it is of.
+    pub title: &'a str,
+    /// Whether its geometries are longitude and latitude.
+    pub on_earth: bool,
+}
 
 /// Writes a feature collection: one feature a row, all other columns as its properties.
 pub fn write(
     batches: &[RecordBatch],
     layer: Option<&Layer>,
-    title: &str,
+    head: Head<'_>,
     out: &mut impl Write,
 ) -> Result<(), Failure> {
-    let head = json!({ "name": title, "coordinates": COORDINATES }).to_string();
+    let coordinates = if head.on_earth { ON_EARTH } else { LOCAL };
+    let head = json!({ "name": head.title, "coordinates": coordinates }).to_string();
     let head = head
         .strip_prefix('{')
         .and_then(|head| head.strip_suffix('}'))
@@ -79,6 +91,11 @@ mod tests {
     use evermap_schemas::layers::Intersection;
     use evermap_schemas::{LayerRow, batch};
 
+    const LOT: Head<'_> = Head {
+        title: "places",
+        on_earth: false,
+    };
+
     #[test]
     fn features_have_shapes_and_properties() {
         let row = Intersection {
@@ -96,7 +113,7 @@ mod tests {
         write(
             &[rows.slice(0, 1), rows.slice(1, 1)],
             Some(&Intersection::layer()),
-            "places",
+            LOT,
             &mut text,
         )
         .unwrap();
@@ -118,7 +135,7 @@ mod tests {
         assert!(feature["properties"].get("geometry").is_none());
         let plain = rows.project(&[0, 1]).unwrap();
         assert!(matches!(
-            write(&[plain], None, "", &mut text),
+            write(&[plain], None, LOT, &mut text),
             Err(Failure::Fault(_))
         ));
     }

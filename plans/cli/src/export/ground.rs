@@ -7,18 +7,18 @@ use crate::mosaic::{Mosaic, level, zoom_for};
 use crate::reader::{one_site, typed};
 use crate::shown::Tile;
 
-/// The tiles of a zoom level, the finest that fits where none is given, of one site.
+/// The tiles of a zoom level, the finest that fits where none is given, of one site, and which site that is.
 ///
 /// # Errors
 /// A user fault for a layer that is no tiles, or of several sites.
-pub fn picture(batches: &[RecordBatch], zoom: Option<u32>) -> Result<Mosaic, Fault> {
+pub fn picture(batches: &[RecordBatch], zoom: Option<u32>) -> Result<(Mosaic, String), Fault> {
     let tiles: Vec<Tile> = typed(batches).map_err(|fault| {
         let what = fault.message;
         Fault::user(format!("a picture is made of overhead tiles: {what}"))
     })?;
-    one_site(tiles.iter().map(|tile| tile.site.as_str()), None)?;
+    let site = one_site(tiles.iter().map(|tile| tile.site.as_str()), None)?;
     let zoom = zoom
         .or_else(|| zoom_for(&tiles, 0.0))
         .ok_or_else(|| Fault::user("there are no tiles"))?;
-    Mosaic::of(&level(&tiles, zoom))
+    Ok((Mosaic::of(&level(&tiles, zoom))?, site))
 }

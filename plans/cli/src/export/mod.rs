@@ -11,20 +11,25 @@ mod nav2_route;
 mod ply;
 mod tum;
 
+use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
+use std::sync::Arc;
 
 use arrow::array::RecordBatch;
 use clap::{Args, ValueEnum};
 use evermap_schemas::{Fault, Layer};
 
+use crate::earth::{Coordinates, Earth, beside, on_earth};
 use crate::ending::Failure;
-use crate::output::{Format, Sink, write, write_file};
-use crate::reader::{MapReader, only};
+pub use crate::export::geo::{Head, ON_EARTH};
+use crate::output::{CRS, Format, GEOMETRY, Sink, write, write_file};
+use crate::reader::{MapReader, only, texts};
 
 /// What a layer is exported to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ExportFormat {
-    /// A GeoJSON feature collection; coordinates are the map's metres, as the file says.
+    /// A GeoJSON feature collection; longitude and latitude where the map has georeference, else the map's metres, as the
+    /// file says.
     Geojson,
     /// Lanes as a Lanelet2 map (OSM) in local metres, for Autoware's projector `Local`.
     Lanelet2,
@@ -42,11 +47,11 @@ pub enum ExportFormat {
     Colmap,
     /// The whole map, with its drives and their camera images, as a recording for Foxglove, Lichtblick and Rerun.
     Mcap,
-    /// Overhead tiles as one picture with a world file beside it.
+    /// Overhead tiles as one picture with a world file beside it, and where on earth that is.
     Png,
     /// Comma separated; lists and structs are JSON.
     Csv,
-    /// Parquet with the layer's columns.
+    /// GeoParquet with the layer's columns; its geometries lie on earth where the map has georeference.
     Parquet,
 }
 
@@ -62,6 +67,9 @@ pub struct Selection {
     /// Zoom level of tiles; 0 is the finest [default: the finest that fits].
     #[arg(long, value_name = "Z")]
     pub zoom: Option<u32>,
+    /// Geometries stay in the map's metres, wherever on earth it lies (geojson, parquet, png).
+    #[arg(long)]
+    pub local: bool,
 }
 
 /// Writes a layer, or of the format MCAP the map, to a file.
@@ -107,10 +115,20 @@ async fn written(
 ) -> Result<(), Failure> {
     let site = selection.site.as_deref();
     let batches = selected(reader.map.batches(layer).await?, selection)?;
+    let earth = match selection.local {
+        true => Earth::default(),
+        false => Earth::of(reader).await?,
+    };
+    let declared = reader.declaration(layer);
     match format {
         ExportFormat::Geojson => {
             let title = format!("{layer}, version {}", reader.map.version.version);
-            geojson(&batches, reader.declaration(layer).as_ref(), &title, out)
+            let placed = placed(batches, declared.as_ref(), &earth, Coordinates::Degrees)?;
+            let head = Head {
+                title: &title,
+                on_earth: !earth.is_empty(),
+            };
+            geojson(&placed, declared.as_ref(), head, out)
         }
         ExportFormat::Lanelet2 => {
             let version = reader.map.version.version;
@@ -136,13 +154,58 @@ async fn written(
         ExportFormat::Colmap => colmap::export(reader, &batches, site, out).await,
         ExportFormat::Mcap => Err(Fault::bug("a layer is no recording").into()),
         ExportFormat::Png => {
-            let picture = ground::picture(&batches, selection.zoom)?;
+            let (picture, site) = ground::picture(&batches, selection.zoom)?;
             write_file(out, &picture.png()?)?;
-            write_file(&out.with_extension("pgw"), picture.world_file().as_bytes())
+            let place = earth.place(&site);
+            match place {
+                Some(place) => write_file(&beside(out), place.pam_dataset().as_bytes())?,
+                // One of an earlier export would be believed.
+                None => drop(std::fs::remove_file(beside(out))),
+            }
+            let world = picture.world_file(place);
+            write_file(&out.with_extension("pgw"), world.as_bytes())
         }
         ExportFormat::Csv => rows(Format::Csv, batches, out).await,
-        ExportFormat::Parquet => rows(Format::Parquet, batches, out).await,
+        ExportFormat::Parquet => {
+            let batches = geoparquet(batches, declared.as_ref(), &earth)?;
+            rows(Format::Parquet, batches, out).await
+        }
     }
+}
+
+/// The rows of a layer, with its geometries on earth where anything is known of it.
+fn placed(
+    batches: Vec<RecordBatch>,
+    layer: Option<&Layer>,
+    earth: &Earth,
+    to: Coordinates,
+) -> Result<Vec<RecordBatch>, Fault> {
+    match layer.map_or(Some(GEOMETRY), |layer| layer.geometry) {
+        Some(geometry) if !earth.is_empty() => on_earth(&batches, geometry, earth, to),
+        _ => Ok(batches),
+    }
+}
+
+/// The rows of a layer with geometries on earth, and in which system. A file has one, and each site its own: rows of
+/// several sites stay in their metres.
+fn geoparquet(
+    batches: Vec<RecordBatch>,
+    layer: Option<&Layer>,
+    earth: &Earth,
+) -> Result<Vec<RecordBatch>, Fault> {
+    let sites = batches.iter().filter_map(|batch| texts(batch, "site"));
+    let sites: BTreeSet<String> = sites.flatten().flatten().map(str::to_owned).collect();
+    let site = sites.first().filter(|_| sites.len() == 1);
+    let Some(place) = site.and_then(|site| earth.place(site)) else {
+        return Ok(batches);
+    };
+    let metadata = HashMap::from([(CRS.to_owned(), place.projjson().to_string())]);
+    let placed = placed(batches, layer, earth, Coordinates::Metres)?.into_iter();
+    let said = placed.map(|batch| {
+        let schema = batch.schema().as_ref().clone();
+        Ok(batch.with_schema(Arc::new(schema.with_metadata(metadata.clone())))?)
+    });
+    said.collect()
 }
 
 /// Writes rows with a geometry as a GeoJSON file.
@@ -152,15 +215,15 @@ async fn written(
 pub fn geojson(
     batches: &[RecordBatch],
     layer: Option<&Layer>,
-    title: &str,
+    head: Head<'_>,
     out: &Path,
 ) -> Result<(), Failure> {
     let mut sink = Sink::file(out)?;
-    geo::write(batches, layer, title, &mut sink)?;
+    geo::write(batches, layer, head, &mut sink)?;
     sink.finish()
 }
 
-/// Rows with a geometry as GeoJSON.
+/// Rows with a geometry as GeoJSON, in the map's metres.
 ///
 /// # Errors
 /// A user fault for rows without a geometry.
@@ -170,7 +233,11 @@ pub fn geojson_text(
     title: &str,
 ) -> Result<Vec<u8>, Failure> {
     let mut text = Vec::new();
-    geo::write(batches, layer, title, &mut text)?;
+    let head = Head {
+        title,
+        on_earth: false,
+    };
+    geo::write(batches, layer, head, &mut text)?;
     Ok(text)
 }
 

@@ -51,7 +51,7 @@ fn tiles_lie_where_they_belong() {
     assert_eq!(mosaic.cells[4 * 8], [10, 255]);
     assert_eq!(mosaic.cells[0], [0, 0], "nothing was seen there");
     assert_eq!(mosaic.seen(), Some([-2.0, 0.0, 2.0, 4.0]));
-    assert_eq!(mosaic.world_file(), "0.5\n0\n0\n-0.5\n-1.75\n3.75\n");
+    assert_eq!(mosaic.world_file(None), "0.5\n0\n0\n-0.5\n-1.75\n3.75\n");
 }
 
 #[test]

@@ -4,15 +4,18 @@ use arrow::array::{ArrayRef, RecordBatch};
 use arrow::datatypes::{FieldRef, SchemaRef};
 use arrow::ipc::writer::FileWriter;
 use evermap_schemas::Fault;
+use evermap_schemas::geoparquet::{self, GeoColumn};
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_writer::{
     ArrowColumnWriter, ArrowLeafColumn, ArrowRowGroupWriterFactory, compute_leaves,
 };
 use parquet::basic::{Compression, ZstdLevel};
 use parquet::errors::{ParquetError, Result as Encoded};
+use parquet::file::metadata::KeyValue;
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use parquet::file::writer::SerializedFileWriter;
 use rayon::prelude::*;
+use serde_json::Value;
 
 use crate::ending::Failure;
 use crate::output::Sink;
@@ -32,7 +35,16 @@ pub struct Parquet<'s> {
     columns: Vec<ArrowColumnWriter>,
     groups: usize,
     rows: usize,
+    /// The column [`GEOMETRY`], if there is one.
+    geometries: GeoColumn,
+    /// Where its coordinates lie: PROJJSON, or null for local metres.
+    crs: Value,
 }
+
+/// Name of the column whose values are taken for geometries, where they are.
+pub const GEOMETRY: &str = "geometry";
+/// Key of a schema's metadata that says, as PROJJSON, where the geometries lie.
+pub const CRS: &str = "crs";
 
 impl<'s> Parquet<'s> {
     /// To a sink.
@@ -57,6 +69,8 @@ impl<'s> Parquet<'s> {
             columns: Vec::new(),
             groups: 0,
             rows: 0,
+            geometries: GeoColumn::new(GEOMETRY),
+            crs: crs(schema),
         })
     }
 
@@ -101,6 +115,7 @@ impl<'s> Parquet<'s> {
 
 impl RowWriter for Parquet<'_> {
     fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
+        self.geometries.add(batch);
         self.append(batch.columns()).map_err(failure)?;
         self.rows += batch.num_rows();
         if self.rows >= GROUP_ROWS || self.held() >= GROUP_BYTES {
@@ -111,8 +126,19 @@ impl RowWriter for Parquet<'_> {
 
     fn finish(mut self: Box<Self>) -> Result<(), Failure> {
         self.end_group().map_err(failure)?;
+        if !self.geometries.is_empty() {
+            let said = self.geometries.metadata(&self.crs);
+            let said = KeyValue::new(geoparquet::KEY.to_owned(), said);
+            self.file.append_key_value_metadata(said);
+        }
         self.file.close().map(drop).map_err(failure)
     }
+}
+
+fn crs(schema: &SchemaRef) -> Value {
+    let given = schema.metadata().get(CRS);
+    let read = given.and_then(|text| serde_json::from_str(text).ok());
+    read.unwrap_or(Value::Null)
 }
 
 fn failure(error: ParquetError) -> Failure {

@@ -11,6 +11,7 @@ use clap::ValueEnum;
 use evermap_schemas::{Fault, LayerRow, batch};
 use futures::{Stream, StreamExt};
 
+pub use columnar::{CRS, GEOMETRY};
 pub use sink::{Sink, write_file};
 
 use crate::ending::Failure;

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use datafusion::physical_plan::{ExecutionPlan, execute_stream};
+use evermap_schemas::geoparquet::{self, GeoColumn};
 use evermap_schemas::{Fault, Layer};
 use futures::StreamExt;
 use futures::future::BoxFuture;
@@ -55,12 +56,16 @@ async fn write_to(
     let properties = properties(builder.layer());
     let mut writer =
         AsyncArrowWriter::try_new(file, plan.schema(), Some(properties)).map_err(parquet_fault)?;
+    let mut geometries = builder.layer().and_then(|layer| layer.geometry).map(GeoColumn::new);
     let (mut rows, mut took) = (0, Duration::ZERO);
     let mut stream = execute_stream(plan, builder.task_context()).or_fault()?;
     while let Some(batch) = stream.next().await {
         let batch = batch.or_fault()?;
         rows += batch.num_rows() as u64;
         let clock = Instant::now();
+        if let Some(geometries) = &mut geometries {
+            geometries.add(&batch);
+        }
         writer.write(&batch).await.map_err(parquet_fault)?;
         if writer.in_progress_size() > ROW_GROUP_BYTES {
             writer.flush().await.map_err(parquet_fault)?;
@@ -68,6 +73,10 @@ async fn write_to(
         took += clock.elapsed();
     }
     let clock = Instant::now();
+    if let Some(geometries) = geometries {
+        let said = geometries.metadata(&serde_json::Value::Null);
+        writer.append_key_value_metadata(KeyValue::new(geoparquet::KEY.to_owned(), said));
+    }
     writer.finish().await.map_err(parquet_fault)?;
     took += clock.elapsed();
     let (content, bytes) = writer.into_inner().finish();
@@ -90,25 +99,12 @@ fn properties(layer: Option<&Layer>) -> WriterProperties {
     if let Some(layer) = layer {
         note("evermap.layer", layer.name.to_owned());
         note("evermap.layer_version", layer.version.to_string());
-        if let Some(column) = layer.geometry {
-            note("geo", geo(column));
-        }
     }
     WriterProperties::builder()
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(1).unwrap_or_default()))
         .set_created_by("evermap".into())
         .set_key_value_metadata(Some(metadata))
         .build()
-}
-
-/// GeoParquet 1.1 metadata: one WKB column in local metres. Without the `crs` key readers would assume WGS84.
-fn geo(column: &str) -> String {
-    serde_json::json!({
-        "version": "1.1.0",
-        "primary_column": column,
-        "columns": { column: { "encoding": "WKB", "geometry_types": [], "crs": null, "edges": "planar" } },
-    })
-    .to_string()
 }
 
 /// A file that is hashed as it is written.

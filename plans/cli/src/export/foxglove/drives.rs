@@ -8,12 +8,13 @@ use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Fault, ImageRef, LayerRow, Pose};
 use foxglove::messages::points_annotation::Type as Outline;
 use foxglove::messages::{
-    CameraCalibration, CompressedImage, FrameTransform, ImageAnnotations, Point2, PointsAnnotation,
-    PosesInFrame,
+    CameraCalibration, CompressedImage, FrameTransform, ImageAnnotations, LocationFix, Point2,
+    PointsAnnotation, PosesInFrame,
 };
 
 use super::messages::{MAP, VERMILION, color, pose, rotation, time, vector};
 use super::{Said, What};
+use crate::earth::{Earth, Place};
 use crate::reader::{MapReader, only, typed};
 
 /// The frame of a vehicle whose log names none.
@@ -57,6 +58,7 @@ pub(super) async fn said(
     }
     let mounts: Vec<Transform> = from_logs(reader, "mounts", site).await?;
     let cameras: Vec<Calibration> = from_logs(reader, "cameras", site).await?;
+    let earth = Earth::of(reader).await?;
     let mut all = Vec::new();
     let mut firsts = BTreeMap::new();
     for (session, poses) in &mut sessions {
@@ -68,6 +70,9 @@ pub(super) async fn said(
             .filter(|row| row.session == *session && row.fixed);
         let mounts: Vec<&Transform> = mounts.collect();
         all.extend(driven(session, poses, vehicle(&mounts))?);
+        if let Some(place) = earth.place(site) {
+            all.extend(locations(session, poses, vehicle(&mounts), place)?);
+        }
         for mount in mounts {
             let message = transform(
                 first,
@@ -154,6 +159,29 @@ fn driven(session: &str, poses: &[VehiclePose], vehicle: &str) -> Result<Vec<Sai
         &trajectory,
     )?);
     Ok(all)
+}
+
+/// Where on earth the vehicle was.
+fn locations(
+    session: &str,
+    poses: &[VehiclePose],
+    vehicle: &str,
+    place: &Place,
+) -> Result<Vec<Said>, Fault> {
+    let located = |row: &VehiclePose| {
+        let at = &row.map_from_vehicle;
+        let found = place.geodetic([at.x, at.y, at.z]);
+        let message = LocationFix {
+            timestamp: time(row.stamp.0),
+            frame_id: frame(session, vehicle),
+            latitude: found.latitude_deg,
+            longitude: found.longitude_deg,
+            altitude: found.height_m,
+            ..LocationFix::default()
+        };
+        Said::new(row.stamp.0, format!("/location/{session}"), &message)
+    };
+    poses.iter().map(located).collect()
 }
 
 fn first_of_each(mut cameras: Vec<Calibration>) -> Vec<Calibration> {

@@ -4,6 +4,7 @@
 //! ```text
 //!   /tf                        map → SESSION/base_link at each pose; from there to its cameras
 //!   /trajectory/SESSION        all its poses
+//!   /location/SESSION          where on earth each is, if the map has georeference
 //!   /camera/SESSION/CAMERA     images of keyframes, …/calibration, …/people
 //!   /ground, /speed            grids
 //!   /landmarks                 a point cloud

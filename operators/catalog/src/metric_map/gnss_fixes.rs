@@ -1,0 +1,154 @@
+#![doc = include_str!("gnss_fixes.md")]
+
+use std::collections::BTreeMap;
+
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Reason, Sides, Work};
+use evermap_schemas::layers::{GnssFix, Keyframe};
+use evermap_schemas::roles::Fix;
+use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::inputs::rig::{self, VehicleFrame, frame};
+
+/// See the module's page.
+pub struct GnssFixes;
+
+/// Where antennas are.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct GnssFixesParams {
+    /// The vehicle.
+    #[serde(flatten)]
+    pub vehicle: VehicleFrame,
+    /// Antennas that no transform places, by frame: `[x, y, z]` on the vehicle (m). The frame `*` stands for all that are not
+    /// named.
+    pub antennas: BTreeMap<String, [f64; 3]>,
+    /// Between keyframes farther apart than this (m) nobody knows well enough where the vehicle was.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub gap_m: f64,
+}
+
+impl Default for GnssFixesParams {
+    fn default() -> Self {
+        Self {
+            vehicle: VehicleFrame::default(),
+            antennas: BTreeMap::new(),
+            gap_m: 5.0,
+        }
+    }
+}
+
+impl Operator for GnssFixes {
+    const NAME: &'static str = "gnss_fixes";
+    const VERSION: u32 = 1;
+    const PAGE: &'static str = include_str!("gnss_fixes.md");
+    type Params = GnssFixesParams;
+    type Output = GnssFix;
+
+    fn work() -> Work<Self::Params> {
+        let keyframes = Port::session::<Keyframe>("keyframes");
+        let [_, transforms] = rig::ports(Reach::Session);
+        let sides = vec![
+            Port::session::<Fix>("fixes").optional(),
+            transforms.optional(),
+        ];
+        Work::group(keyframes, Key::SESSION, sides, hang)
+    }
+}
+
+/// A fix of an antenna that nothing places on the vehicle.
+const UNPLACED: Reason = "antenna without a transform, taken for the vehicle's origin";
+
+fn hang(
+    params: &GnssFixesParams,
+    keyframes: Vec<Keyframe>,
+    sides: &Sides,
+    emit: &mut Emit<'_>,
+) -> Result<(), Fault> {
+    let fixes: Vec<Fix> = sides.rows("fixes")?;
+    let mounts = rig::rigs(Vec::new(), sides.rows("transforms")?);
+    let mounts = mounts.into_values().next().unwrap_or_default();
+    let vehicle = params.vehicle.name();
+    let antenna = |name: &str| -> Option<Vector3<f64>> {
+        let placed = mounts.vehicle_from_camera(vehicle, name);
+        let given = || params.antennas.get(name).or(params.antennas.get("*"));
+        placed
+            .map(|pose| pose.translation)
+            .or_else(|| given().map(|place| Vector3::from(*place)))
+    };
+    let mut hung = Vec::with_capacity(fixes.len());
+    for fix in fixes {
+        let place = antenna(frame(&fix.frame));
+        if place.is_none() {
+            emit.skip(UNPLACED, 1);
+        }
+        match hook(&keyframes, &fix, params.gap_m) {
+            Ok(Some((keyframe, motion))) => {
+                hung.push(row(keyframe, &motion, place.unwrap_or_default(), fix));
+            }
+            Ok(None) => {}
+            Err(reason) => emit.skip(reason, 1),
+        }
+    }
+    emit.rows(hung)
+}
+
+/// The keyframe that a fix hangs on, and where the vehicle was from there; `None` outside of the drive, or where a
+/// keyframe's pose makes no sense, which those that place keyframes count.
+fn hook<'a>(
+    keyframes: &'a [Keyframe],
+    fix: &Fix,
+    gap_m: f64,
+) -> Result<Option<(&'a Keyframe, Pose)>, Reason> {
+    let after = keyframes.partition_point(|keyframe| keyframe.stamp <= fix.stamp);
+    let Some(before) = after.checked_sub(1).and_then(|at| keyframes.get(at)) else {
+        return Ok(None);
+    };
+    if before.stamp == fix.stamp {
+        return Ok(Some((before, Pose::identity())));
+    }
+    let Some(next) = keyframes.get(after) else {
+        return Ok(None);
+    };
+    if before.stretch != next.stretch || next.distance_m - before.distance_m > gap_m {
+        return Err("fix where odometry has a gap");
+    }
+    let poses = [before, next].map(|at| Pose::from_array(at.odom_from_vehicle.to_array()).ok());
+    let [Some(from), Some(to)] = poses else {
+        return Ok(None);
+    };
+    let between = Pose::at_stamp(fix.stamp.0, (before.stamp.0, &from), (next.stamp.0, &to));
+    Ok(Some((before, from.inverse().compose(&between))))
+}
+
+fn row(keyframe: &Keyframe, motion: &Pose, antenna: Vector3<f64>, fix: Fix) -> GnssFix {
+    let place = motion.transform(&antenna);
+    GnssFix {
+        site: fix.site,
+        session: fix.session,
+        stamp: fix.stamp,
+        keyframe_stamp: keyframe.stamp,
+        x: place.x,
+        y: place.y,
+        z: place.z,
+        latitude_deg: fix.latitude_deg,
+        longitude_deg: fix.longitude_deg,
+        height_m: fix.height_m,
+        horizontal_sd_m: fix.horizontal_sd_m,
+        vertical_sd_m: fix.vertical_sd_m,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use evermap_contract::{Entry, laws};
+
+    #[test]
+    fn the_example_and_the_laws_hold() {
+        laws::check(&Entry::of::<GnssFixes>()).unwrap();
+    }
+}

@@ -1,0 +1,314 @@
+//! Where the sites of a map lie on earth, and what that makes of its geometries.
+//!
+//! Layers are in the map's metres. A [`Place`] turns them to longitude and latitude, or to metres east and north of the
+//! map's origin. The latter are the coordinates of a transverse Mercator projection at the origin whose scale is
+//! `1 + height / radius`, which the plane that touches the earth there agrees with to 1.5 mm at 5 km.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use arrow::array::{Array, ArrayRef, AsArray, BinaryArray, RecordBatch};
+use arrow::datatypes::DataType;
+use evermap_algorithms::geometry::geodesy::{Geodetic, Tangent};
+use evermap_schemas::layers::Georeference;
+use evermap_schemas::{Fault, Geometry, Position};
+use nalgebra::{Rotation2, Vector2, Vector3};
+use serde_json::{Value, json};
+
+use crate::reader::{MapReader, texts};
+
+/// Where sites lie.
+#[derive(Debug, Default)]
+pub struct Earth(BTreeMap<String, Place>);
+
+impl Earth {
+    /// The sites of a map that are georeferenced.
+    ///
+    /// # Errors
+    /// As [`MapReader::rows`].
+    pub async fn of(reader: &MapReader) -> Result<Self, Fault> {
+        let rows: Vec<Georeference> = reader.rows(None).await?;
+        let placed = rows.into_iter().map(|row| (row.site.clone(), Place::of(&row)));
+        Ok(Self(placed.collect()))
+    }
+
+    /// Whether nothing is known of any site.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Where a site lies.
+    pub fn place(&self, site: &str) -> Option<&Place> {
+        self.0.get(site)
+    }
+}
+
+/// Where a site lies.
+#[derive(Debug, Clone)]
+pub struct Place {
+    site: String,
+    origin: Geodetic,
+    heading_rad: f64,
+    tangent: Tangent,
+}
+
+/// What coordinates become.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Coordinates {
+    /// Longitude and latitude (deg) and height above the ellipsoid (m): WGS 84, as GeoJSON wants it.
+    Degrees,
+    /// East and north of the origin and height above the ellipsoid (m): [`Place::projjson`].
+    Metres,
+}
+
+impl Place {
+    fn of(row: &Georeference) -> Self {
+        let origin = Geodetic {
+            latitude_deg: row.latitude_deg,
+            longitude_deg: row.longitude_deg,
+            height_m: row.height_m.unwrap_or_default(),
+        };
+        Self {
+            site: row.site.clone(),
+            origin,
+            heading_rad: row.heading_rad,
+            tangent: Tangent::at(origin),
+        }
+    }
+
+    /// East and north of the origin of a direction or point of the map, metres.
+    pub fn turned(&self, x: f64, y: f64) -> [f64; 2] {
+        (Rotation2::new(self.heading_rad) * Vector2::new(x, y)).into()
+    }
+
+    /// The place of a point of the map, metres.
+    pub fn geodetic(&self, [x, y, z]: [f64; 3]) -> Geodetic {
+        let [east, north] = self.turned(x, y);
+        self.tangent.geodetic(&Vector3::new(east, north, z))
+    }
+
+    fn position(&self, point: Position, to: Coordinates) -> Position {
+        let place = self.geodetic(point.to_array());
+        let z = point.z.map(|_| place.height_m);
+        match to {
+            Coordinates::Degrees => Position {
+                x: place.longitude_deg,
+                y: place.latitude_deg,
+                z,
+            },
+            Coordinates::Metres => {
+                let [x, y] = self.turned(point.x, point.y);
+                Position { x, y, z }
+            }
+        }
+    }
+
+    fn scale(&self) -> f64 {
+        1.0 + self.origin.height_m / self.origin.radius_m()
+    }
+
+    /// The reference system of [`Coordinates::Metres`].
+    pub fn projjson(&self) -> Value {
+        let parameter = |name: &str, value: f64, unit: &str, code: u32| {
+            json!({
+                "name": name,
+                "value": value,
+                "unit": unit,
+                "id": { "authority": "EPSG", "code": code },
+            })
+        };
+        let axis = |name: &str, abbreviation: &str, direction: &str, unit: &str| {
+            json!({ "name": name, "abbreviation": abbreviation, "direction": direction, "unit": unit })
+        };
+        json!({
+            "type": "ProjectedCRS",
+            "name": format!("evermap site {}", self.site),
+            "base_crs": {
+                "type": "GeographicCRS",
+                "name": "WGS 84",
+                "datum": {
+                    "type": "GeodeticReferenceFrame",
+                    "name": "World Geodetic System 1984",
+                    "ellipsoid": {
+                        "name": "WGS 84",
+                        "semi_major_axis": 6378137,
+                        "inverse_flattening": 298.257223563,
+                    },
+                },
+                "coordinate_system": {
+                    "subtype": "ellipsoidal",
+                    "axis": [
+                        axis("Geodetic latitude", "Lat", "north", "degree"),
+                        axis("Geodetic longitude", "Lon", "east", "degree"),
+                    ],
+                },
+                "id": { "authority": "EPSG", "code": 4326 },
+            },
+            "conversion": {
+                "name": "transverse Mercator at the map's origin",
+                "method": {
+                    "name": "Transverse Mercator",
+                    "id": { "authority": "EPSG", "code": 9807 },
+                },
+                "parameters": [
+                    parameter("Latitude of natural origin", self.origin.latitude_deg, "degree", 8801),
+                    parameter("Longitude of natural origin", self.origin.longitude_deg, "degree", 8802),
+                    parameter("Scale factor at natural origin", self.scale(), "unity", 8805),
+                    parameter("False easting", 0.0, "metre", 8806),
+                    parameter("False northing", 0.0, "metre", 8807),
+                ],
+            },
+            "coordinate_system": {
+                "subtype": "Cartesian",
+                "axis": [
+                    axis("Easting", "E", "east", "metre"),
+                    axis("Northing", "N", "north", "metre"),
+                ],
+            },
+        })
+    }
+
+    /// The same system as GDAL reads it beside a picture (`PAMDataset`): WKT 1.
+    pub fn pam_dataset(&self) -> String {
+        let Geodetic {
+            latitude_deg,
+            longitude_deg,
+            ..
+        } = self.origin;
+        let scale = self.scale();
+        let name = self.site.replace(['"', '<', '>', '&'], "_");
+        let wkt = format!(
+            "PROJCS[\"evermap site {name}\",\
+             GEOGCS[\"WGS 84\",DATUM[\"WGS_1984\",SPHEROID[\"WGS 84\",6378137,298.257223563]],\
+             PRIMEM[\"Greenwich\",0],UNIT[\"degree\",0.0174532925199433]],\
+             PROJECTION[\"Transverse_Mercator\"],\
+             PARAMETER[\"latitude_of_origin\",{latitude_deg}],\
+             PARAMETER[\"central_meridian\",{longitude_deg}],\
+             PARAMETER[\"scale_factor\",{scale}],\
+             PARAMETER[\"false_easting\",0],PARAMETER[\"false_northing\",0],\
+             UNIT[\"metre\",1],AXIS[\"Easting\",EAST],AXIS[\"Northing\",NORTH]]"
+        );
+        let escaped = wkt.replace('"', "&quot;");
+        format!("<PAMDataset><SRS>{escaped}</SRS></PAMDataset>\n")
+    }
+}
+
+/// The file beside a picture that says where on earth it is, as GDAL has it.
+pub fn beside(picture: &Path) -> PathBuf {
+    let mut name = picture.as_os_str().to_owned();
+    name.push(".aux.xml");
+    name.into()
+}
+
+/// Rows whose geometries lie on earth.
+///
+/// # Errors
+/// A user fault for a site of which nobody knows where it lies; a data fault for a geometry that is none.
+pub fn on_earth(
+    batches: &[RecordBatch],
+    geometry: &str,
+    earth: &Earth,
+    to: Coordinates,
+) -> Result<Vec<RecordBatch>, Fault> {
+    let moved = |batch: &RecordBatch| moved(batch, geometry, earth, to);
+    batches.iter().map(moved).collect()
+}
+
+fn moved(
+    batch: &RecordBatch,
+    geometry: &str,
+    earth: &Earth,
+    to: Coordinates,
+) -> Result<RecordBatch, Fault> {
+    let index = batch.schema_ref().index_of(geometry).ok();
+    let index = index.filter(|index| *batch.column(*index).data_type() == DataType::Binary);
+    let (Some(index), Some(sites)) = (index, texts(batch, "site")) else {
+        return Ok(batch.clone());
+    };
+    let mut values: Vec<Option<Vec<u8>>> = Vec::with_capacity(batch.num_rows());
+    for (bytes, site) in batch.column(index).as_binary::<i32>().iter().zip(sites) {
+        let site = site.unwrap_or_default();
+        let place = earth.place(site).ok_or_else(|| unplaced(site))?;
+        let value = bytes.map(|bytes| {
+            let moved = Geometry::from_wkb(bytes)?.moved(&|point| place.position(point, to));
+            Ok::<_, Fault>(moved.to_wkb().0)
+        });
+        values.push(value.transpose()?);
+    }
+    let mut columns: Vec<ArrayRef> = batch.columns().to_vec();
+    let values: Vec<Option<&[u8]>> = values.iter().map(Option::as_deref).collect();
+    columns[index] = Arc::new(BinaryArray::from(values));
+    Ok(RecordBatch::try_new(batch.schema(), columns)?)
+}
+
+fn unplaced(site: &str) -> Fault {
+    Fault::user(format!("nobody knows where site {site} lies on earth"))
+        .next("choose another with --site, or the map's own metres with --local")
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use evermap_schemas::Wkb;
+    use evermap_schemas::batch;
+    use evermap_schemas::layers::Intersection;
+
+    fn lot() -> Place {
+        Place::of(&Georeference {
+            site: "lot".into(),
+            latitude_deg: 52.25,
+            longitude_deg: 10.5,
+            height_m: Some(80.0),
+            heading_rad: std::f64::consts::FRAC_PI_2,
+            covariance: None,
+            height_sd_m: None,
+            fixes: 0,
+            outliers: 0,
+            noise_m: None,
+            drift_m: None,
+            drift_s: None,
+            sources: vec![],
+        })
+    }
+
+    fn rows() -> Vec<RecordBatch> {
+        let row = Intersection {
+            site: "lot".into(),
+            node: 4,
+            degree: 3,
+            x: 100.0,
+            y: 50.0,
+            z: 2.0,
+            sources: vec![],
+            geometry: Wkb::point([100.0, 50.0, 2.0]),
+        };
+        vec![batch(vec![row]).unwrap()]
+    }
+
+    fn point(batches: &[RecordBatch]) -> [f64; 3] {
+        let bytes = batches[0].column_by_name("geometry").unwrap();
+        let geometry = Geometry::from_wkb(bytes.as_binary::<i32>().value(0)).unwrap();
+        geometry.paths()[0][0].to_array()
+    }
+
+    #[test]
+    fn a_map_that_looks_north_has_its_x_axis_there() {
+        let earth = Earth(BTreeMap::from([("lot".to_owned(), lot())]));
+        let metres = on_earth(&rows(), "geometry", &earth, Coordinates::Metres).unwrap();
+        let [x, y, z] = point(&metres);
+        assert!((x + 50.0).abs() < 1e-9 && (y - 100.0).abs() < 1e-9 && (z - 82.0).abs() < 0.01);
+        let degrees = on_earth(&rows(), "geometry", &earth, Coordinates::Degrees).unwrap();
+        let [longitude, latitude, _] = point(&degrees);
+        // As the page of georeference has it.
+        assert!((longitude - 10.499_267_87).abs() < 1e-7, "{longitude}");
+        assert!((latitude - 52.250_898_68).abs() < 1e-7, "{latitude}");
+    }
+
+    #[test]
+    fn a_site_that_nobody_placed_is_named() {
+        let fault = on_earth(&rows(), "geometry", &Earth::default(), Coordinates::Metres);
+        assert!(fault.unwrap_err().message.contains("lot"));
+    }
+}

@@ -1,0 +1,111 @@
+//! GNSS fixes: where on earth an antenna is.
+
+use crate::roles::{Choice, FromMessage, Message, Messages, Role, Topic};
+use crate::{Stamp, record};
+use std::cmp::Reverse;
+
+record! {
+    /// One position of a GNSS receiver. Messages that say that there is no fix give no row.
+    #[layer("fixes", key(site, session, stamp))]
+    pub struct Fix {
+        /// Site that the session belongs to.
+        site: String,
+        /// Session that the fix belongs to.
+        session: String,
+        /// Instant of the fix.
+        stamp: Stamp ["ns"],
+        /// Topic that the fix was recorded on.
+        topic: String,
+        /// The antenna's frame; empty where the log does not say it.
+        frame: String,
+        /// Latitude in WGS 84, north is positive.
+        latitude_deg: f64 ["deg", "WGS 84"],
+        /// Longitude in WGS 84, east is positive.
+        longitude_deg: f64 ["deg", "WGS 84"],
+        /// Height above the ellipsoid; null where the receiver does not know it.
+        height_m: Option<f64> ["m", "WGS 84"],
+        /// Standard deviation along east and along north, their root mean square; null where the receiver does not know it.
+        horizontal_sd_m: Option<f64> ["m"],
+        /// Standard deviation of the height; null where the receiver does not know it.
+        vertical_sd_m: Option<f64> ["m"],
+    }
+}
+
+/// The one topic with fixes of a GNSS receiver.
+pub const ROLE: Role = Role::of::<Fix>(Messages {
+    choose,
+    single: true,
+    ..Messages::of::<Fix>(&["sensor_msgs/NavSatFix", "foxglove.LocationFix"])
+});
+
+/// The topic with most messages: two receivers have two antennas, and one is enough. The first by name, where several
+/// have as many.
+fn choose(topics: &[Topic]) -> Vec<Choice> {
+    let mut candidates: Vec<&Topic> = topics.iter().collect();
+    candidates.sort_by_key(|topic| (Reverse(topic.messages), &topic.name));
+    Choice::first_of(candidates).into_iter().collect()
+}
+
+/// `COVARIANCE_TYPE_UNKNOWN` of both messages.
+const UNKNOWN: f64 = 0.0;
+
+impl FromMessage for Fix {
+    const MEMBERS: &'static [&'static str] = &[
+        "header",
+        "timestamp",
+        "frame_id",
+        "status",
+        "latitude",
+        "longitude",
+        "altitude",
+        "position_covariance",
+        "position_covariance_type",
+    ];
+
+    fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
+        let fields = &message.fields;
+        // NavSatStatus: STATUS_NO_FIX is -1, and receivers that have not begun say -2.
+        if fields.number(&["status", "status"]).is_some_and(|status| status < 0.0) {
+            return Ok(Vec::new());
+        }
+        let angle = |name: &str, most: f64| {
+            let found = fields.number(&[name]).ok_or(format!("expected {name}"))?;
+            // Some receivers say it so that there is no fix.
+            if found.is_nan() {
+                return Ok(None);
+            }
+            match found.abs() <= most {
+                true => Ok(Some(found)),
+                false => Err(format!("expected {name} within {most}°, found {found}")),
+            }
+        };
+        let latitude = angle("latitude", 90.0)?;
+        // Some count it to 360.
+        let longitude = angle("longitude", 360.0)?;
+        let (Some(latitude_deg), Some(longitude)) = (latitude, longitude) else {
+            return Ok(Vec::new());
+        };
+        let known = fields.number(&["position_covariance_type"]) != Some(UNKNOWN);
+        let covariance = fields.numbers(&["position_covariance"]);
+        let sd = |entries: &[usize]| {
+            let sum = entries.iter().map(|entry| covariance.get(*entry).copied());
+            let sum: f64 = sum.sum::<Option<f64>>()?;
+            let sd = (sum / entries.len() as f64).sqrt();
+            (known && sd.is_finite() && sd > 0.0).then_some(sd)
+        };
+        Ok(vec![Self {
+            site: message.site.to_owned(),
+            session: message.session.to_owned(),
+            stamp: message.stamp(),
+            topic: message.topic.to_owned(),
+            frame: message.frame(),
+            latitude_deg,
+            longitude_deg: (longitude + 180.0).rem_euclid(360.0) - 180.0,
+            height_m: fields
+                .number(&["altitude"])
+                .filter(|height| height.is_finite()),
+            horizontal_sd_m: sd(&[0, 4]),
+            vertical_sd_m: sd(&[8]),
+        }])
+    }
+}
