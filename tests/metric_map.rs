@@ -82,7 +82,11 @@ fn a_map_of_a_car_with_a_receiver_lies_where_it_is_on_earth() {
         height_m: of[height].as_f64().unwrap(),
     };
     let of_earth = |of: &Value| place("latitude_deg", "longitude_deg", "height_m", of);
-    let world = first.map.parent().unwrap().join("world_initial/truth/world.json");
+    let world = first
+        .map
+        .parent()
+        .unwrap()
+        .join("world_initial/truth/world.json");
     let world: Value = serde_json::from_slice(&std::fs::read(world).unwrap()).unwrap();
     let truth = Tangent::at(of_earth(&world["origin"]));
     let here = Tangent::at(of_earth(found));

@@ -64,12 +64,12 @@ operators! {
         temporal_scores::TemporalScores,
     }
     metric_map {
+        antenna_positions::AntennaPositions,
         body_masks::BodyMasks,
         bundle_adjustment::BundleAdjustment,
         features::Features,
         frame_poses::FramePoses,
         georeference::Georeferences,
-        gnss_fixes::GnssFixes,
         keyframes::Keyframes,
         landmarks::Landmarks,
         localisation::Localisation,

@@ -1,6 +1,6 @@
 //! Where the sites of a map lie on earth, and what that makes of its geometries.
 //!
-//! Layers are in the map's metres. A [`Place`] turns them to longitude and latitude, or to metres east and north of the
+//! Layers are in the map's metres. A [`SiteOnEarth`] turns them to longitude and latitude, or to metres east and north of the
 //! map's origin. The latter are the coordinates of a transverse Mercator projection at the origin whose scale is
 //! `1 + height / radius`, which the plane that touches the earth there agrees with to 1.5 mm at 5 km.
 
@@ -20,7 +20,7 @@ use crate::reader::{MapReader, texts};
 
 /// Where sites lie.
 #[derive(Debug, Default)]
-pub struct Earth(BTreeMap<String, Place>);
+pub struct Earth(BTreeMap<String, SiteOnEarth>);
 
 impl Earth {
     /// The sites of a map that are georeferenced.
@@ -29,7 +29,9 @@ impl Earth {
     /// As [`MapReader::rows`].
     pub async fn of(reader: &MapReader) -> Result<Self, Fault> {
         let rows: Vec<Georeference> = reader.rows(None).await?;
-        let placed = rows.into_iter().map(|row| (row.site.clone(), Place::of(&row)));
+        let placed = rows
+            .into_iter()
+            .map(|row| (row.site.clone(), SiteOnEarth::of(&row)));
         Ok(Self(placed.collect()))
     }
 
@@ -39,14 +41,14 @@ impl Earth {
     }
 
     /// Where a site lies.
-    pub fn place(&self, site: &str) -> Option<&Place> {
+    pub fn place(&self, site: &str) -> Option<&SiteOnEarth> {
         self.0.get(site)
     }
 }
 
 /// Where a site lies.
 #[derive(Debug, Clone)]
-pub struct Place {
+pub struct SiteOnEarth {
     site: String,
     origin: Geodetic,
     heading_rad: f64,
@@ -58,11 +60,11 @@ pub struct Place {
 pub enum Coordinates {
     /// Longitude and latitude (deg) and height above the ellipsoid (m): WGS 84, as GeoJSON wants it.
     Degrees,
-    /// East and north of the origin and height above the ellipsoid (m): [`Place::projjson`].
+    /// East and north of the origin and height above the ellipsoid (m): [`SiteOnEarth::projjson`].
     Metres,
 }
 
-impl Place {
+impl SiteOnEarth {
     fn of(row: &Georeference) -> Self {
         let origin = Geodetic {
             latitude_deg: row.latitude_deg,
@@ -118,9 +120,7 @@ impl Place {
                 "id": { "authority": "EPSG", "code": code },
             })
         };
-        let axis = |name: &str, abbreviation: &str, direction: &str, unit: &str| {
-            json!({ "name": name, "abbreviation": abbreviation, "direction": direction, "unit": unit })
-        };
+        let axis = |name: &str, abbreviation: &str, direction: &str, unit: &str| json!({ "name": name, "abbreviation": abbreviation, "direction": direction, "unit": unit });
         json!({
             "type": "ProjectedCRS",
             "name": format!("evermap site {}", self.site),
@@ -255,8 +255,8 @@ mod tests {
     use evermap_schemas::batch;
     use evermap_schemas::layers::Intersection;
 
-    fn lot() -> Place {
-        Place::of(&Georeference {
+    fn lot() -> SiteOnEarth {
+        SiteOnEarth::of(&Georeference {
             site: "lot".into(),
             latitude_deg: 52.25,
             longitude_deg: 10.5,

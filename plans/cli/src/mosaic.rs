@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use evermap_schemas::Fault;
 
 use crate::draw::{decoded, encoded};
-use crate::earth::Place;
+use crate::earth::SiteOnEarth;
 use crate::shown::Tile;
 
 /// Cells of the largest picture that is put together: a quarter of a gigabyte of grey and alpha.
@@ -193,7 +193,7 @@ impl Mosaic {
 
     /// The world file beside the PNG: what a step to the right and one down are along x and y, and the centre of the
     /// first cell; of a site whose place on earth is known, along east and north.
-    pub fn world_file(&self, place: Option<&Place>) -> String {
+    pub fn world_file(&self, place: Option<&SiteOnEarth>) -> String {
         let turned = |x, y| place.map_or([x, y], |place| place.turned(x, y));
         let half = self.cell_m / 2.0;
         let right = turned(self.cell_m, 0.0);

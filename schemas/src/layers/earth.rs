@@ -4,9 +4,9 @@ use super::Source;
 use crate::{Stamp, record};
 
 record! {
-    /// One position of a GNSS antenna, hung on the keyframe before it.
-    #[layer("gnss_fixes", key(site, session, stamp))]
-    pub struct GnssFix {
+    /// Where a GNSS antenna was at a fix: on earth, and seen from the keyframe before.
+    #[layer("antenna_positions", key(site, session, stamp))]
+    pub struct AntennaPosition {
         /// Site that was driven.
         site: String,
         /// Session that was driven.

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use crate::{Bytes, ImageRef, LayerRow, Pose, Stamp, Wkb, record};
 
 pub use boxes::{BoxHypothesis, BoxModel, ParkingSpace, SpaceOccupancy};
-pub use earth::{Georeference, GnssFix};
+pub use earth::{AntennaPosition, Georeference};
 pub use labels::{LabelAnchor, PlacedLabel};
 pub use metric_map::{
     AdjustedPose, BodyMask, Features, FrameImage, FramePose, GraphPose, ImageSize, Landmark,
@@ -330,7 +330,7 @@ pub fn all() -> Vec<crate::Layer> {
         OcclusionProbability::layer(),
         InferredLabels::layer(),
         Georeference::layer(),
-        GnssFix::layer(),
+        AntennaPosition::layer(),
         GroundPatch::layer(),
         Intersection::layer(),
         Keyframe::layer(),

@@ -32,8 +32,8 @@ roles! {
     annotations,
     calibration,
     depth_frames,
-    fixes,
     frames,
+    gnss_fixes,
     label_classes,
     label_frames,
     odometry,
@@ -42,8 +42,8 @@ roles! {
 
 pub use annotations::{Anchor, Annotation};
 pub use calibration::Calibration;
-pub use fixes::Fix;
 pub use frames::{Frame, IMAGE_MEMBER};
+pub use gnss_fixes::GnssFix;
 pub use label_classes::LabelClass;
 pub use odometry::OdometryPose;
 pub use transforms::Transform;

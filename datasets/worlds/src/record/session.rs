@@ -184,7 +184,9 @@ impl Session {
         let odometry = log.topic::<Odometry>("/odom", false)?;
         let (log_ns, stamp_ns) = (self.start_ns, self.start_ns);
         let cameras = sensors.cameras.iter().map(CameraTopics::place);
-        let antenna = self.receiver.map(|_| (ANTENNA, Receiver::mount().to_array()));
+        let antenna = self
+            .receiver
+            .map(|_| (ANTENNA, Receiver::mount().to_array()));
         let placed = StaticTransforms {
             stamp_ns,
             frames: cameras.chain(antenna).collect(),

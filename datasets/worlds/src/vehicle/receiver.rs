@@ -54,7 +54,13 @@ impl Receiver {
     }
 
     /// What it says during a drive.
-    pub fn fixes(&self, drive: &Trajectory, start_ns: u64, seed: u64, index: usize) -> Vec<FixSample> {
+    pub fn fixes(
+        &self,
+        drive: &Trajectory,
+        start_ns: u64,
+        seed: u64,
+        index: usize,
+    ) -> Vec<FixSample> {
         let mut rng = stream(seed, "gnss", index as u64);
         let tangent = Tangent::at(PLACE);
         let mut draw = |sd: [f64; 3]| Vector3::from(sd.map(|sd| sd * normal(&mut rng)));
@@ -66,7 +72,9 @@ impl Receiver {
         let fix = |step: usize| {
             let seconds = step as f64 / RATE_HZ;
             drift = kept * drift + draw(spread(fresh));
-            let antenna = drive.map_from_vehicle(seconds).transform(&Vector3::from(MOUNT));
+            let antenna = drive
+                .map_from_vehicle(seconds)
+                .transform(&Vector3::from(MOUNT));
             let stamp_ns = start_ns + (seconds * 1e9) as u64;
             FixSample {
                 times: Times {

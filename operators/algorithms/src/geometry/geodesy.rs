@@ -47,8 +47,8 @@ impl Geodetic {
         }
         let (sin, cos) = latitude.sin_cos();
         // Of two formulas, one fails at the poles; this one nowhere.
-        let height_m = across * cos + point.z * sin
-            - EQUATOR_M * (1.0 - ECCENTRICITY_2 * sin * sin).sqrt();
+        let height_m =
+            across * cos + point.z * sin - EQUATOR_M * (1.0 - ECCENTRICITY_2 * sin * sin).sqrt();
         Self {
             latitude_deg: latitude.to_degrees(),
             longitude_deg: point.y.atan2(point.x).to_degrees(),

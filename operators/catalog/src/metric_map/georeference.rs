@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use evermap_algorithms::geometry::geodesy::Geodetic;
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::metric_map::georeference::{Fix, Placement, Refused, placement};
+use evermap_algorithms::metric_map::georeference::{AntennaFix, Placement, Refused, placement};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Stamp;
-use evermap_schemas::layers::{Georeference, GnssFix, Sources, VehiclePose};
+use evermap_schemas::layers::{AntennaPosition, Georeference, Sources, VehiclePose};
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -33,8 +33,8 @@ impl Operator for Georeferences {
 
     fn work() -> Work<Self::Params> {
         let poses = Port::site::<VehiclePose>("poses");
-        let fixes = Port::site::<GnssFix>("gnss_fixes");
-        Work::group(poses, Key::SITE, vec![fixes], place)
+        let positions = Port::site::<AntennaPosition>("antenna_positions");
+        Work::group(poses, Key::SITE, vec![positions], place)
     }
 
     fn check(params: &Self::Params) -> Result<(), Fault> {
@@ -64,7 +64,7 @@ fn place(
     if let Some(given) = params.origins.get(&site) {
         return emit.rows(vec![surveyed(site, *given)]);
     }
-    let rows: Vec<GnssFix> = sides.rows("gnss_fixes")?;
+    let rows: Vec<AntennaPosition> = sides.rows("antenna_positions")?;
     let (fixes, sources) = on_map(&poses, &rows);
     match placement(&fixes) {
         Ok(found) => emit.rows(vec![found_row(site, &found, fixes.len(), sources)]),
@@ -82,7 +82,7 @@ fn place(
 }
 
 /// The antennas on the map, by session and time, and the drives that they are of.
-fn on_map(poses: &[VehiclePose], rows: &[GnssFix]) -> (Vec<Fix>, Sources) {
+fn on_map(poses: &[VehiclePose], rows: &[AntennaPosition]) -> (Vec<AntennaFix>, Sources) {
     let by_stamp: BTreeMap<(&str, Stamp), &VehiclePose> = poses
         .iter()
         .map(|pose| ((pose.session.as_str(), pose.stamp), pose))
@@ -104,8 +104,8 @@ fn on_map(poses: &[VehiclePose], rows: &[GnssFix]) -> (Vec<Fix>, Sources) {
     (fixes, sources)
 }
 
-fn fix(session: usize, pose: &Pose, row: &GnssFix) -> Fix {
-    Fix {
+fn fix(session: usize, pose: &Pose, row: &AntennaPosition) -> AntennaFix {
+    AntennaFix {
         session,
         seconds: row.stamp.0 as f64 * 1e-9,
         map: pose.transform(&Vector3::new(row.x, row.y, row.z)),
@@ -137,7 +137,10 @@ fn found_row(site: String, found: &Placement, fixes: usize, sources: Sources) ->
     }
 }
 
-fn surveyed(site: String, [latitude_deg, longitude_deg, height_m, heading]: [f64; 4]) -> Georeference {
+fn surveyed(
+    site: String,
+    [latitude_deg, longitude_deg, height_m, heading]: [f64; 4],
+) -> Georeference {
     Georeference {
         site,
         latitude_deg,
@@ -169,9 +172,13 @@ mod tests {
     #[test]
     fn places_that_are_none_are_refused() {
         let mut params = GeoreferenceParams::default();
-        params.origins.insert("lot".into(), [52.0, 10.0, 80.0, 30.0]);
+        params
+            .origins
+            .insert("lot".into(), [52.0, 10.0, 80.0, 30.0]);
         assert!(Georeferences::check(&params).is_ok());
-        params.origins.insert("moon".into(), [91.0, 10.0, 80.0, 30.0]);
+        params
+            .origins
+            .insert("moon".into(), [91.0, 10.0, 80.0, 30.0]);
         assert!(Georeferences::check(&params).is_err());
     }
 }

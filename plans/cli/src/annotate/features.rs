@@ -63,8 +63,11 @@ pub fn read(
     let value: Value = serde_json::from_str(&text)
         .map_err(|error| at(Fault::user(format!("expected JSON, found {error}"))))?;
     if value["coordinates"] == ON_EARTH {
-        let fault = Fault::user("expected features in the map's metres, found longitude and latitude");
-        return Err(at(fault.next("`evermap export --format geojson --local` writes the former")));
+        let fault =
+            Fault::user("expected features in the map's metres, found longitude and latitude");
+        return Err(at(fault.next(
+            "`evermap export --format geojson --local` writes the former",
+        )));
     }
     match value.get("type") {
         Some(_) => Ok(geojson::features(&value, losses)),

@@ -73,9 +73,11 @@ impl WorldFile {
     fn read(picture: &Path) -> Result<Self, Fault> {
         let earth = beside(picture);
         if earth.exists() {
-            return Err(Fault::user("expected a mosaic in the map's metres, found one that lies on earth")
-                .at(earth.display())
-                .next("`evermap export overhead_tiles --format png --local` writes the former"));
+            return Err(Fault::user(
+                "expected a mosaic in the map's metres, found one that lies on earth",
+            )
+            .at(earth.display())
+            .next("`evermap export overhead_tiles --format png --local` writes the former"));
         }
         let path = picture.with_extension("pgw");
         let at = |fault: Fault| fault.at(path.display());

@@ -56,7 +56,10 @@ async fn write_to(
     let properties = properties(builder.layer());
     let mut writer =
         AsyncArrowWriter::try_new(file, plan.schema(), Some(properties)).map_err(parquet_fault)?;
-    let mut geometries = builder.layer().and_then(|layer| layer.geometry).map(GeoColumn::new);
+    let mut geometries = builder
+        .layer()
+        .and_then(|layer| layer.geometry)
+        .map(GeoColumn::new);
     let (mut rows, mut took) = (0, Duration::ZERO);
     let mut stream = execute_stream(plan, builder.task_context()).or_fault()?;
     while let Some(batch) = stream.next().await {

@@ -15,9 +15,9 @@ use crate::geometry::geodesy::{Geodetic, Tangent};
 use crate::solving::random::SplitMix64;
 use noise::{Fit, Linear, OUTLIER, Sample, fit, fitted, misfits};
 
-/// A fix whose antenna has a place in the map.
+/// A GNSS fix whose antenna has a place in the map.
 #[derive(Debug, Clone, Copy)]
-pub struct Fix {
+pub struct AntennaFix {
     /// Number of the session; fixes are given by session and time.
     pub session: usize,
     /// When it was made.
@@ -72,11 +72,11 @@ const GUESSES: usize = 500;
 ///
 /// # Errors
 /// [`Refused`] where they do not say where it is.
-pub fn placement(fixes: &[Fix]) -> Result<Placement, Refused> {
+pub fn placement(fixes: &[AntennaFix]) -> Result<Placement, Refused> {
     let middle = middle(fixes).ok_or(Refused::TooFew)?;
     let earth = middle.to_earth();
-    let near = |fix: &&Fix| (fix.earth.to_earth() - earth).norm() < FARTHEST_M;
-    let near: Vec<Fix> = fixes.iter().filter(near).copied().collect();
+    let near = |fix: &&AntennaFix| (fix.earth.to_earth() - earth).norm() < FARTHEST_M;
+    let near: Vec<AntennaFix> = fixes.iter().filter(near).copied().collect();
     let (kept, start) = believed(&near, middle)?;
     let samples = samples(&kept, 0);
     let ground = Ground::new(&kept, Tangent::at(middle));
@@ -88,7 +88,13 @@ pub fn placement(fixes: &[Fix]) -> Result<Placement, Refused> {
     for _ in 0..3 {
         let ground = Ground::new(&kept, Tangent::at(origin));
         let start = DVector::from_vec(vec![fit_now.state[0], 0.0, 0.0]);
-        let again = fit(&samples, start, fit_now.drift, &|state| ground.linear(state), 5);
+        let again = fit(
+            &samples,
+            start,
+            fit_now.drift,
+            &|state| ground.linear(state),
+            5,
+        );
         fit_now = again.ok_or(Refused::NoHeading)?;
         up = height(&kept, origin);
         origin = self::origin(origin, &fit_now, up.as_ref());
@@ -97,23 +103,33 @@ pub fn placement(fixes: &[Fix]) -> Result<Placement, Refused> {
 }
 
 /// The fixes that lie where most others say, before anything is known of drifts, and a state to begin with.
-fn believed(near: &[Fix], middle: Geodetic) -> Result<(Vec<Fix>, DVector<f64>), Refused> {
+fn believed(
+    near: &[AntennaFix],
+    middle: Geodetic,
+) -> Result<(Vec<AntennaFix>, DVector<f64>), Refused> {
     if near.len() < 3 {
         return Err(Refused::TooFew);
     }
     let ground = Ground::new(near, Tangent::at(middle));
     let start = ground.guess().ok_or(Refused::NoHeading)?;
-    let off = misfits(&samples(near, 0), start.clone(), &|state| ground.linear(state));
+    let off = misfits(&samples(near, 0), start.clone(), &|state| {
+        ground.linear(state)
+    });
     let off = off.ok_or(Refused::NoHeading)?;
     let fine = near.iter().zip(off).filter(|(_, off)| *off <= OUTLIER);
-    let kept: Vec<Fix> = fine.map(|(fix, _)| *fix).collect();
+    let kept: Vec<AntennaFix> = fine.map(|(fix, _)| *fix).collect();
     match kept.len() < 3 {
         true => Err(Refused::TooFew),
         false => Ok((kept, start)),
     }
 }
 
-fn placed(found: &Fit, origin: Geodetic, up: Option<&Fit>, far: usize) -> Result<Placement, Refused> {
+fn placed(
+    found: &Fit,
+    origin: Geodetic,
+    up: Option<&Fit>,
+    far: usize,
+) -> Result<Placement, Refused> {
     let of = |i: usize, j: usize| found.covariance[(i, j)];
     if of(0, 0).sqrt() > MOST_HEADING_SD {
         return Err(Refused::NoHeading);
@@ -124,8 +140,8 @@ fn placed(found: &Fit, origin: Geodetic, up: Option<&Fit>, far: usize) -> Result
         of(2, 1), of(2, 2), of(2, 0),
         of(0, 1), of(0, 2), of(0, 0),
     );
-    let drift = (found.drift.sd > 0.0)
-        .then_some([found.drift.sd * found.noise_m, found.drift.seconds]);
+    let drift =
+        (found.drift.sd > 0.0).then_some([found.drift.sd * found.noise_m, found.drift.seconds]);
     let off = found.misfits.iter().filter(|misfit| **misfit > OUTLIER);
     Ok(Placement {
         origin,
@@ -139,7 +155,7 @@ fn placed(found: &Fit, origin: Geodetic, up: Option<&Fit>, far: usize) -> Result
 }
 
 /// The place whose coordinates are the medians of all; `None` where there are none.
-fn middle(fixes: &[Fix]) -> Option<Geodetic> {
+fn middle(fixes: &[AntennaFix]) -> Option<Geodetic> {
     let earth: Vec<Vector3<f64>> = fixes.iter().map(|fix| fix.earth.to_earth()).collect();
     let median = |axis: usize| {
         let mut values: Vec<f64> = earth.iter().map(|point| point[axis]).collect();
@@ -154,9 +170,12 @@ fn middle(fixes: &[Fix]) -> Option<Geodetic> {
 fn origin(tangent: Geodetic, ground: &Fit, up: Option<&Fit>) -> Geodetic {
     let height_m = up.map_or(0.0, |up| up.state[0]);
     let [east, north] = [ground.state[1], ground.state[2]];
-    Tangent::at(Geodetic { height_m: 0.0, ..tangent })
-        .geodetic(&Vector3::new(east, north, 0.0))
-        .with_height(height_m)
+    Tangent::at(Geodetic {
+        height_m: 0.0,
+        ..tangent
+    })
+    .geodetic(&Vector3::new(east, north, 0.0))
+    .with_height(height_m)
 }
 
 impl Geodetic {
@@ -167,13 +186,13 @@ impl Geodetic {
 
 /// The samples of fixes: their receiver's standard deviations count beside those of the others, as receivers differ in
 /// what they call one. Where one of them does not know it, all count alike.
-fn samples(fixes: &[Fix], kind: usize) -> Vec<Sample> {
+fn samples(fixes: &[AntennaFix], kind: usize) -> Vec<Sample> {
     let known: Option<Vec<f64>> = fixes.iter().map(|fix| fix.sd_m[kind]).collect();
     let sds = known.unwrap_or_else(|| vec![1.0; fixes.len()]);
     let mut sorted = sds.clone();
     sorted.sort_by(f64::total_cmp);
     let median = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0);
-    let sample = |(fix, sd): (&Fix, &f64)| Sample {
+    let sample = |(fix, sd): (&AntennaFix, &f64)| Sample {
         session: fix.session,
         seconds: fix.seconds,
         // Ten times as sure as the others is nobody who shares their sky.
@@ -183,8 +202,8 @@ fn samples(fixes: &[Fix], kind: usize) -> Vec<Sample> {
 }
 
 /// Height of the map's origin above the ellipsoid, on a plane that touches the earth at `tangent`.
-fn height(fixes: &[Fix], tangent: Geodetic) -> Option<Fit> {
-    let known: Vec<Fix> = fixes.iter().filter(|fix| fix.has_height).copied().collect();
+fn height(fixes: &[AntennaFix], tangent: Geodetic) -> Option<Fit> {
+    let known: Vec<AntennaFix> = fixes.iter().filter(|fix| fix.has_height).copied().collect();
     let plane = Tangent::at(tangent.with_height(0.0));
     let rises: Vec<f64> = known
         .iter()
@@ -196,7 +215,10 @@ fn height(fixes: &[Fix], tangent: Geodetic) -> Option<Fit> {
     let model = |state: &DVector<f64>| Linear {
         axes: 1,
         width: 2,
-        rows: rises.iter().flat_map(|rise| [rise - state[0], 1.0]).collect(),
+        rows: rises
+            .iter()
+            .flat_map(|rise| [rise - state[0], 1.0])
+            .collect(),
     };
     fitted(&samples(&known, 1), DVector::from_vec(vec![start]), &model)
 }
@@ -209,7 +231,7 @@ struct Ground {
 }
 
 impl Ground {
-    fn new(fixes: &[Fix], plane: Tangent) -> Self {
+    fn new(fixes: &[AntennaFix], plane: Tangent) -> Self {
         Self {
             map: fixes.iter().map(|fix| fix.map.xy()).collect(),
             earth: fixes.iter().map(|fix| plane.enu(fix.earth).xy()).collect(),

@@ -74,7 +74,11 @@ pub(super) struct Fit {
 pub(super) type Model<'a> = &'a dyn Fn(&DVector<f64>) -> Linear;
 
 /// How far off each sample is, in its standard deviations, were there no drift.
-pub(super) fn misfits(samples: &[Sample], start: DVector<f64>, model: Model<'_>) -> Option<Vec<f64>> {
+pub(super) fn misfits(
+    samples: &[Sample],
+    start: DVector<f64>,
+    model: Model<'_>,
+) -> Option<Vec<f64>> {
     Some(fit(samples, start, NONE, model, ROUNDS)?.misfits)
 }
 

@@ -33,7 +33,7 @@ fn normal(random: &mut SplitMix64) -> f64 {
 }
 
 /// Fixes of drives of 300 m around a corner at 5 m/s, five a second; `heading` is the map's.
-fn drive(receiver: Receiver, sessions: usize, heading: f64, seed: u64) -> Vec<Fix> {
+fn drive(receiver: Receiver, sessions: usize, heading: f64, seed: u64) -> Vec<AntennaFix> {
     let mut random = SplitMix64(seed);
     let tangent = Tangent::at(ORIGIN);
     let turn = Rotation2::new(heading);
@@ -56,7 +56,7 @@ fn drive(receiver: Receiver, sessions: usize, heading: f64, seed: u64) -> Vec<Fi
             };
             let ground = turn * map.xy();
             let enu = Vector3::new(ground.x, ground.y, map.z) + white + drift;
-            fixes.push(Fix {
+            fixes.push(AntennaFix {
                 session,
                 seconds,
                 map,
@@ -121,8 +121,14 @@ fn white_noise_and_an_outage_are_averaged_out_and_the_covariance_says_how_far() 
         ..PERFECT
     };
     let ([all, turns], [metres, radians]) = over_seeds(receiver, 1);
-    assert!((0.6..1.6).contains(&all) && (0.5..1.7).contains(&turns), "{all} {turns}");
-    assert!(metres < 0.3 && radians.to_degrees() < 0.2, "{metres} {radians}");
+    assert!(
+        (0.6..1.6).contains(&all) && (0.5..1.7).contains(&turns),
+        "{all} {turns}"
+    );
+    assert!(
+        metres < 0.3 && radians.to_degrees() < 0.2,
+        "{metres} {radians}"
+    );
 }
 
 #[test]
@@ -134,11 +140,17 @@ fn a_drift_is_found_and_makes_the_answer_less_sure() {
         ..PERFECT
     };
     let ([all, turns], _) = over_seeds(receiver, 3);
-    assert!((0.5..2.0).contains(&all) && (0.4..2.2).contains(&turns), "{all} {turns}");
+    assert!(
+        (0.5..2.0).contains(&all) && (0.4..2.2).contains(&turns),
+        "{all} {turns}"
+    );
     let found = placement(&drive(receiver, 6, 1.0, 5)).unwrap();
     let [drift_m, drift_s] = found.drift.unwrap();
     assert!((0.7..1.3).contains(&found.noise_m), "{found:?}");
-    assert!((0.7..3.0).contains(&drift_m) && (2.0..101.0).contains(&drift_s), "{found:?}");
+    assert!(
+        (0.7..3.0).contains(&drift_m) && (2.0..101.0).contains(&drift_s),
+        "{found:?}"
+    );
 }
 
 #[test]
@@ -161,7 +173,10 @@ fn a_third_of_wild_fixes_does_no_harm_and_is_counted() {
     };
     let found = placement(&fixes).unwrap();
     let off = off(&found, 0.7);
-    assert!(off[0].hypot(off[1]) < 0.3 && off[3].abs() < 0.005, "{off:?}");
+    assert!(
+        off[0].hypot(off[1]) < 0.3 && off[3].abs() < 0.005,
+        "{off:?}"
+    );
     assert_eq!(found.outliers, wild as usize + 1);
 }
 
@@ -176,7 +191,7 @@ fn the_map_may_begin_far_from_the_fixes_and_beside_the_date_line() {
     let tangent = Tangent::at(origin);
     let moved = drive(PERFECT, 1, 0.0, 1).into_iter().map(|fix| {
         let map = fix.map + far;
-        Fix {
+        AntennaFix {
             map,
             earth: tangent.geodetic(&map),
             ..fix
@@ -193,12 +208,19 @@ fn what_does_not_say_where_the_map_is_places_nothing() {
     assert_eq!(placement(&[]), Err(Refused::TooFew));
     let fixes = drive(PERFECT, 1, 0.0, 1);
     assert_eq!(placement(&fixes[..2]), Err(Refused::TooFew));
-    let standing: Vec<Fix> = fixes
+    let standing: Vec<AntennaFix> = fixes
         .iter()
-        .map(|fix| Fix { map: fixes[0].map, earth: fixes[0].earth, ..*fix })
+        .map(|fix| AntennaFix {
+            map: fixes[0].map,
+            earth: fixes[0].earth,
+            ..*fix
+        })
         .collect();
     assert_eq!(placement(&standing), Err(Refused::NoHeading));
-    let receiver = Receiver { noise_m: 5.0, ..PERFECT };
+    let receiver = Receiver {
+        noise_m: 5.0,
+        ..PERFECT
+    };
     let short = drive(receiver, 1, 0.0, 1);
     assert_eq!(placement(&short[..10]), Err(Refused::NoHeading));
 }
@@ -213,5 +235,8 @@ fn without_heights_the_place_is_found_and_its_height_is_not() {
     let found = placement(&fixes).unwrap();
     assert_eq!(found.height_sd_m, None);
     let off = off(&found, 0.3);
-    assert!(off[0].hypot(off[1]) < 0.01 && off[3].abs() < 1e-4, "{off:?}");
+    assert!(
+        off[0].hypot(off[1]) < 0.01 && off[3].abs() < 1e-4,
+        "{off:?}"
+    );
 }

@@ -14,7 +14,7 @@ use foxglove::messages::{
 
 use super::messages::{MAP, VERMILION, color, pose, rotation, time, vector};
 use super::{Said, What};
-use crate::earth::{Earth, Place};
+use crate::earth::{Earth, SiteOnEarth};
 use crate::reader::{MapReader, only, typed};
 
 /// The frame of a vehicle whose log names none.
@@ -166,7 +166,7 @@ fn locations(
     session: &str,
     poses: &[VehiclePose],
     vehicle: &str,
-    place: &Place,
+    place: &SiteOnEarth,
 ) -> Result<Vec<Said>, Fault> {
     let located = |row: &VehiclePose| {
         let at = &row.map_from_vehicle;

@@ -6,8 +6,8 @@ use std::cmp::Reverse;
 
 record! {
     /// One position of a GNSS receiver. Messages that say that there is no fix give no row.
-    #[layer("fixes", key(site, session, stamp))]
-    pub struct Fix {
+    #[layer("gnss_fixes", key(site, session, stamp))]
+    pub struct GnssFix {
         /// Site that the session belongs to.
         site: String,
         /// Session that the fix belongs to.
@@ -32,10 +32,10 @@ record! {
 }
 
 /// The one topic with fixes of a GNSS receiver.
-pub const ROLE: Role = Role::of::<Fix>(Messages {
+pub const ROLE: Role = Role::of::<GnssFix>(Messages {
     choose,
     single: true,
-    ..Messages::of::<Fix>(&["sensor_msgs/NavSatFix", "foxglove.LocationFix"])
+    ..Messages::of::<GnssFix>(&["sensor_msgs/NavSatFix", "foxglove.LocationFix"])
 });
 
 /// The topic with most messages: two receivers have two antennas, and one is enough. The first by name, where several
@@ -49,7 +49,7 @@ fn choose(topics: &[Topic]) -> Vec<Choice> {
 /// `COVARIANCE_TYPE_UNKNOWN` of both messages.
 const UNKNOWN: f64 = 0.0;
 
-impl FromMessage for Fix {
+impl FromMessage for GnssFix {
     const MEMBERS: &'static [&'static str] = &[
         "header",
         "timestamp",

@@ -1,11 +1,11 @@
-#![doc = include_str!("gnss_fixes.md")]
+#![doc = include_str!("antenna_positions.md")]
 
 use std::collections::BTreeMap;
 
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Reason, Sides, Work};
-use evermap_schemas::layers::{GnssFix, Keyframe};
-use evermap_schemas::roles::Fix;
+use evermap_schemas::layers::{AntennaPosition, Keyframe};
+use evermap_schemas::roles::GnssFix;
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -13,12 +13,12 @@ use serde::{Deserialize, Serialize};
 use crate::inputs::rig::{self, VehicleFrame, frame};
 
 /// See the module's page.
-pub struct GnssFixes;
+pub struct AntennaPositions;
 
 /// Where antennas are.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
-pub struct GnssFixesParams {
+pub struct AntennaPositionsParams {
     /// The vehicle.
     #[serde(flatten)]
     pub vehicle: VehicleFrame,
@@ -30,7 +30,7 @@ pub struct GnssFixesParams {
     pub gap_m: f64,
 }
 
-impl Default for GnssFixesParams {
+impl Default for AntennaPositionsParams {
     fn default() -> Self {
         Self {
             vehicle: VehicleFrame::default(),
@@ -40,18 +40,18 @@ impl Default for GnssFixesParams {
     }
 }
 
-impl Operator for GnssFixes {
-    const NAME: &'static str = "gnss_fixes";
+impl Operator for AntennaPositions {
+    const NAME: &'static str = "antenna_positions";
     const VERSION: u32 = 1;
-    const PAGE: &'static str = include_str!("gnss_fixes.md");
-    type Params = GnssFixesParams;
-    type Output = GnssFix;
+    const PAGE: &'static str = include_str!("antenna_positions.md");
+    type Params = AntennaPositionsParams;
+    type Output = AntennaPosition;
 
     fn work() -> Work<Self::Params> {
         let keyframes = Port::session::<Keyframe>("keyframes");
         let [_, transforms] = rig::ports(Reach::Session);
         let sides = vec![
-            Port::session::<Fix>("fixes").optional(),
+            Port::session::<GnssFix>("gnss_fixes").optional(),
             transforms.optional(),
         ];
         Work::group(keyframes, Key::SESSION, sides, hang)
@@ -62,12 +62,12 @@ impl Operator for GnssFixes {
 const UNPLACED: Reason = "antenna without a transform, taken for the vehicle's origin";
 
 fn hang(
-    params: &GnssFixesParams,
+    params: &AntennaPositionsParams,
     keyframes: Vec<Keyframe>,
     sides: &Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let fixes: Vec<Fix> = sides.rows("fixes")?;
+    let fixes: Vec<GnssFix> = sides.rows("gnss_fixes")?;
     let mounts = rig::rigs(Vec::new(), sides.rows("transforms")?);
     let mounts = mounts.into_values().next().unwrap_or_default();
     let vehicle = params.vehicle.name();
@@ -99,7 +99,7 @@ fn hang(
 /// keyframe's pose makes no sense, which those that place keyframes count.
 fn hook<'a>(
     keyframes: &'a [Keyframe],
-    fix: &Fix,
+    fix: &GnssFix,
     gap_m: f64,
 ) -> Result<Option<(&'a Keyframe, Pose)>, Reason> {
     let after = keyframes.partition_point(|keyframe| keyframe.stamp <= fix.stamp);
@@ -123,9 +123,9 @@ fn hook<'a>(
     Ok(Some((before, from.inverse().compose(&between))))
 }
 
-fn row(keyframe: &Keyframe, motion: &Pose, antenna: Vector3<f64>, fix: Fix) -> GnssFix {
+fn row(keyframe: &Keyframe, motion: &Pose, antenna: Vector3<f64>, fix: GnssFix) -> AntennaPosition {
     let place = motion.transform(&antenna);
-    GnssFix {
+    AntennaPosition {
         site: fix.site,
         session: fix.session,
         stamp: fix.stamp,
@@ -149,6 +149,6 @@ mod tests {
 
     #[test]
     fn the_example_and_the_laws_hold() {
-        laws::check(&Entry::of::<GnssFixes>()).unwrap();
+        laws::check(&Entry::of::<AntennaPositions>()).unwrap();
     }
 }
