@@ -1,7 +1,7 @@
 //! A GNSS receiver: noise, a drift that changes within minutes, and a stretch without sky.
 
 use super::Trajectory;
-use crate::random::{normal, stream};
+use crate::random::{nanoseconds, normal, stream};
 use evermap_algorithms::geometry::geodesy::{Geodetic, Tangent};
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_messages::ros2::{Header, NavSatFix};
@@ -75,7 +75,7 @@ impl Receiver {
             let antenna = drive
                 .map_from_vehicle(seconds)
                 .transform(&Vector3::from(MOUNT));
-            let stamp_ns = start_ns + (seconds * 1e9) as u64;
+            let stamp_ns = start_ns + nanoseconds(seconds);
             FixSample {
                 times: Times {
                     log_ns: stamp_ns + DELAY_NS,

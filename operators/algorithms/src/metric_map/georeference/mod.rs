@@ -9,6 +9,8 @@ mod noise;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeSet;
+
 use nalgebra::{DVector, Matrix3, Rotation2, Vector2, Vector3};
 
 use crate::geometry::geodesy::{Geodetic, Tangent};
@@ -99,7 +101,29 @@ pub fn placement(fixes: &[AntennaFix]) -> Result<Placement, Refused> {
         up = height(&kept, origin);
         origin = self::origin(origin, &fit_now, up.as_ref());
     }
-    placed(&fit_now, origin, up.as_ref(), fixes.len() - kept.len())
+    let mut found = placed(&fit_now, origin, up.as_ref(), fixes.len() - kept.len())?;
+    let [ground_m2, height_m2] = [
+        hidden_m2(&kept, 0, Some(&fit_now)),
+        hidden_m2(&kept, 1, up.as_ref()),
+    ];
+    found.covariance[(0, 0)] += ground_m2;
+    found.covariance[(1, 1)] += ground_m2;
+    found.height_sd_m = found.height_sd_m.map(|sd| sd.hypot(height_m2.sqrt()));
+    Ok(found)
+}
+
+/// Variance of an error that fixes do not show among themselves, as it stays the same for a whole drive: what the receiver
+/// says of its errors beyond what was found, averaged over the drives.
+fn hidden_m2(fixes: &[AntennaFix], kind: usize, found: Option<&Fit>) -> f64 {
+    let said: Option<Vec<f64>> = fixes.iter().map(|fix| fix.sd_m[kind]).collect();
+    let (Some(mut said), Some(found)) = (said, found) else {
+        return 0.0;
+    };
+    said.sort_by(f64::total_cmp);
+    let said = said.get(said.len() / 2).copied().unwrap_or_default();
+    let shown = found.noise_m.powi(2) * (1.0 + found.drift.sd.powi(2));
+    let drives: BTreeSet<usize> = fixes.iter().map(|fix| fix.session).collect();
+    (said * said - shown).max(0.0) / drives.len().max(1) as f64
 }
 
 /// The fixes that lie where most others say, before anything is known of drifts, and a state to begin with.

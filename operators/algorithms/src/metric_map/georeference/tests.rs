@@ -240,3 +240,23 @@ fn without_heights_the_place_is_found_and_its_height_is_not() {
         "{off:?}"
     );
 }
+
+#[test]
+fn what_a_receiver_admits_and_does_not_show_is_a_bias_of_the_drive() {
+    let receiver = Receiver {
+        noise_m: 0.5,
+        ..PERFECT
+    };
+    let admitting = |sessions| {
+        let mut fixes = drive(receiver, sessions, 0.3, 1);
+        for fix in &mut fixes {
+            fix.sd_m = [Some(2.0), Some(3.0)];
+        }
+        placement(&fixes).unwrap()
+    };
+    let (one, four) = (admitting(1), admitting(4));
+    let sd = |found: &Placement| found.covariance[(0, 0)].sqrt();
+    assert!((1.7..2.2).contains(&sd(&one)), "{one:?}");
+    assert!((0.8..1.1).contains(&sd(&four)), "{four:?}");
+    assert!((2.7..3.2).contains(&one.height_sd_m.unwrap()), "{one:?}");
+}
