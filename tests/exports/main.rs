@@ -2,9 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::path::{Path, PathBuf};
+
 use evermap_tests::recording::is_read_as_the_map_says;
-use evermap_tests::server::map;
-use evermap_tests::{evermap, text};
+use evermap_tests::server::{map, script};
+use evermap_tests::{Finished, evermap, plan_command, simulate, text};
 
 #[test]
 fn a_recording_has_what_the_map_says() {
@@ -76,4 +78,73 @@ fn a_recording_is_of_the_whole_map_and_other_formats_of_a_layer() {
         let ended = evermap(&export).expect(1);
         assert!(ended.stderr.contains(says), "{}", ended.stderr);
     }
+}
+
+/// The roads of a simulated car with a receiver.
+fn on_earth(folder: &Path) -> PathBuf {
+    let world = folder.join("world");
+    let small = [
+        "gnss=true",
+        "revisits=0",
+        "width_px=32",
+        "height_px=32",
+        "rate_hz=1",
+        "floor_texels_per_m=10",
+    ];
+    simulate("car_park", &world, &small);
+    let roads = folder.join("roads");
+    let session = world.join("initial.mcap");
+    let more = ["--sessions", text(&session)];
+    let run = plan_command("georeference", &roads, "lot", &more).output();
+    Finished::from(run.expect("evermap starts")).expect(0);
+    roads
+}
+
+fn exported(map: &Path, out: &Path, what: &[&str]) {
+    let head = ["export", "--map", text(map), "--out", text(out)];
+    evermap(&[&head, what].concat()).expect(0);
+}
+
+#[test]
+fn a_map_of_a_car_with_a_receiver_opens_where_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let roads = on_earth(folder.path());
+    let file = |name: &str| folder.path().join(name);
+    let [parquet, geojson, local] = ["lanes.parquet", "lanes.geojson", "local.geojson"].map(file);
+    exported(&roads, &parquet, &["lanes", "--format", "parquet"]);
+    exported(&roads, &geojson, &["lanes", "--format", "geojson"]);
+    let as_it_is = ["lanes", "--format", "geojson", "--local"];
+    exported(&roads, &local, &as_it_is);
+    let files = [text(&parquet), text(&geojson), text(&local)];
+    if let Some(mut reader) = script("exports/earth.py", &files) {
+        let read = reader.output().expect("python starts");
+        Finished::from(read).expect(0);
+    }
+
+    // What lies on earth would lie elsewhere in the map.
+    let log = file("ada.mcap");
+    let import = [
+        "annotate",
+        "--map",
+        text(&roads),
+        "--kind",
+        "crossing",
+        "--import",
+        text(&geojson),
+        "--out",
+        text(&log),
+    ];
+    let ended = evermap(&import).expect(1);
+    let says = "expected features in the map's metres, found longitude and latitude";
+    assert!(ended.stderr.contains(says), "{}", ended.stderr);
+
+    // A recording says it, too.
+    let recording = file("roads.mcap");
+    exported(&roads, &recording, &["--format", "mcap"]);
+    let query = "SELECT count(*) AS n FROM gnss_fixes WHERE latitude_deg BETWEEN 52.2 AND 52.3";
+    let sessions = ["--sessions", text(&recording), "--format", "json", query];
+    let found = evermap(&[&["sql"], &sessions[..]].concat())
+        .expect(0)
+        .json();
+    assert!(found[0]["n"].as_u64().unwrap() > 100, "{found}");
 }
