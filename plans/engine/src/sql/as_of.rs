@@ -41,7 +41,7 @@ use crate::sql::as_of::node::Planner;
 
 pub use node::AsOfJoin;
 
-/// Gives each as-of join of a statement brackets of its own: where it stands in them, [`Relations`] is asked to plan it.
+/// Gives each as-of join of a statement brackets of its own: where it stands in them, `Relations` is asked to plan it.
 pub fn bracketed(statement: &mut Statement) {
     match statement {
         Statement::Statement(statement) => {
