@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_schemas::layers::{Keyframe, VehiclePose};
+use evermap_schemas::layers::{Georeference, Keyframe, VehiclePose};
 use evermap_schemas::{Fault, Stamp};
 use nalgebra::Vector3;
 
@@ -150,7 +150,9 @@ pub async fn scene(reader: &MapReader, site: Option<&str>) -> Result<(Scene, Vec
         .filter_map(|row| Some((row.lane, [row.speed_mps?, row.mean_mps?])));
     let cells: Vec<SpeedCell> = reader.rows(site).await?;
     let people: Vec<PersonSeen> = reader.rows(site).await?;
+    let placed: Vec<Georeference> = reader.rows(site).await?;
     let scene = Scene {
+        heading_rad: placed.first().map(|row| row.heading_rad),
         tiles: reader.rows(site).await?,
         lanes: reader.rows(site).await?,
         intersections: reader.rows(site).await?,

@@ -64,6 +64,11 @@ struct MapFromAbove<'s> {
 }
 
 impl MapFromAbove<'_> {
+    /// By how much an arrow that points up is turned to the right to point north (deg); `None` where nobody knows.
+    fn north(&self) -> Option<f64> {
+        self.scene.heading_rad.map(f64::to_degrees)
+    }
+
     fn lane_px(&self) -> f64 {
         (LANE_WIDTH_M * self.viewport.scale).clamp(4.0, 22.0)
     }

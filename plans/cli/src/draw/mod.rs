@@ -63,6 +63,8 @@ pub struct Scene {
     pub landmarks: Vec<[f64; 2]>,
     /// Loop closures; may be empty.
     pub loops: Vec<LoopLine>,
+    /// Direction of the map's x axis, counter-clockwise from east; `None` where nobody knows.
+    pub heading_rad: Option<f64>,
 }
 
 /// A loop closure, from one keyframe's position to the other's.

@@ -46,6 +46,7 @@ pub(crate) fn scene() -> Scene {
     let loop_points: Vec<_> = ring(1.0, 90).collect();
     Scene {
         tiles,
+        heading_rad: Some(0.5),
         lanes: vec![
             lane(0, "forward", three(loop_points[..46].to_vec())),
             lane(1, "forward", three(loop_points[45..].to_vec())),
@@ -146,6 +147,7 @@ fn the_picture_holds_everything() {
     ] {
         assert!(picture.svg.contains(&format!("id=\"{id}\"")), "{id}");
     }
+    assert!(picture.svg.contains("rotate(28.6 0 11)"), "north");
     assert_eq!(picture.svg.matches("<title>lane ").count(), 4);
     assert_eq!(picture.svg.matches("<title>intersection ").count(), 2);
     assert!(picture.svg.contains("revisit_1 &#38; &#60;co&#62;"));
