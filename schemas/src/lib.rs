@@ -32,7 +32,7 @@ pub use layer::{Layer, LayerRow, batch, rows};
 #[doc(hidden)]
 pub use record::decode_column;
 pub use record::{Column, Record};
-pub use type_name::type_name;
+pub use type_name::{type_name, type_named};
 pub use values::{Bytes, ImageRef, Pose, Stamp};
 pub use wkb::Wkb;
 

@@ -1,6 +1,10 @@
 //! What types are called.
 
-use arrow::datatypes::DataType;
+use std::sync::Arc;
+
+use arrow::datatypes::{DataType, Field};
+
+use crate::{Cell, Stamp};
 
 /// A type for people: `text`, `time`, `struct of x, y`.
 pub fn type_name(data_type: &DataType) -> String {
@@ -32,5 +36,73 @@ pub fn type_name(data_type: &DataType) -> String {
             format!("{sign}{}", number.to_string().trim_start_matches(bits))
         }
         other => other.to_string(),
+    }
+}
+
+/// No type has a longer name (bytes): lists of lists end.
+const LONGEST: usize = 64;
+
+/// The type that a person calls so; `None` for a name of none, and for structs, whose members say their types.
+pub fn type_named(name: &str) -> Option<DataType> {
+    let plain = [
+        DataType::Utf8,
+        DataType::Binary,
+        DataType::Boolean,
+        DataType::Float64,
+        DataType::Float32,
+        Stamp::data_type(),
+        DataType::Int8,
+        DataType::Int16,
+        DataType::Int32,
+        DataType::Int64,
+        DataType::UInt8,
+        DataType::UInt16,
+        DataType::UInt32,
+        DataType::UInt64,
+    ];
+    if name.len() > LONGEST {
+        return None;
+    }
+    let item = |named: &str| Some(Arc::new(Field::new_list_field(type_named(named)?, true)));
+    if let Some(named) = name.strip_prefix("list of ") {
+        return Some(DataType::List(item(named)?));
+    }
+    if let Some((length, named)) = name.split_once(' ') {
+        let length = length.parse().ok().filter(|length| *length > 0)?;
+        return Some(DataType::FixedSizeList(item(named)?, length));
+    }
+    plain.into_iter().find(|plain| type_name(plain) == name)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_type_is_found_by_its_name() {
+        for name in [
+            "text",
+            "bytes",
+            "bool",
+            "f64",
+            "time",
+            "u8",
+            "list of f32",
+            "3 list of i64",
+        ] {
+            assert_eq!(type_name(&type_named(name).unwrap()), name);
+        }
+        for name in [
+            "",
+            "double",
+            "list of",
+            "list of x",
+            "0 f64",
+            "-1 f64",
+            "f64 3",
+        ] {
+            assert_eq!(type_named(name), None, "{name}");
+        }
     }
 }

@@ -10,21 +10,29 @@ use evermap_schemas::{Column, Fault, Layer, type_name};
 /// The batch with just the layer's columns, in its order and types.
 ///
 /// # Errors
-/// A data fault for a column that is missing, of a type that does not convert, or null where it may not be.
+/// As [`conform_to`].
 pub fn conform(batch: &RecordBatch, layer: &Layer) -> Result<RecordBatch, Fault> {
-    let columns = layer
-        .columns
+    conform_to(batch, &layer.schema())
+}
+
+/// The batch with just these columns, in their order and types.
+///
+/// # Errors
+/// A data fault for a column that is missing, of a type that does not convert, or null where it may not be.
+pub fn conform_to(batch: &RecordBatch, schema: &SchemaRef) -> Result<RecordBatch, Fault> {
+    let columns = schema
+        .fields()
         .iter()
         .map(|column| {
+            let name = column.name();
             let found = batch
-                .column_by_name(column.name)
-                .ok_or_else(|| missing(column.name, batch.schema_ref()))?;
-            let array = convert(found, &column.data_type)
-                .map_err(|fault| fault.at(format!("column {}", column.name)))?;
-            if !column.nullable && array.null_count() > 0 {
+                .column_by_name(name)
+                .ok_or_else(|| missing(name, batch.schema_ref()))?;
+            let array = convert(found, column.data_type())
+                .map_err(|fault| fault.at(format!("column {name}")))?;
+            if !column.is_nullable() && array.null_count() > 0 {
                 return Err(Fault::data(format!(
-                    "column {} has {} nulls and may have none",
-                    column.name,
+                    "column {name} has {} nulls and may have none",
                     array.null_count()
                 ))
                 .next("filter them out in SQL, or give them a value with coalesce()"));
@@ -32,7 +40,7 @@ pub fn conform(batch: &RecordBatch, layer: &Layer) -> Result<RecordBatch, Fault>
             Ok(array)
         })
         .collect::<Result<Vec<_>, _>>()?;
-    Ok(RecordBatch::try_new(layer.schema(), columns)?)
+    Ok(RecordBatch::try_new(Arc::clone(schema), columns)?)
 }
 
 /// The column in another type.

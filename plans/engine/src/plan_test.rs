@@ -1,4 +1,7 @@
-//! The tests that a plan carries: rows in, rows out, on the naive engine for operators and on DataFusion for queries.
+//! The tests that a plan carries: rows in, rows out, on the naive engine for operators, on DataFusion for queries, and
+//! by an interpreter for functions in Python.
+
+mod function;
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -16,7 +19,7 @@ use evermap_schemas::Fault;
 
 use crate::conform::conform;
 use crate::error::OrFault;
-use crate::program::Program;
+use crate::program::{Program, Task};
 use crate::sql::{Limits, context, put_rows, read_only, reference};
 
 /// What became of one test: `None` where it passed.
@@ -139,6 +142,23 @@ impl Bench<'_> {
                     }
                 }
                 Ok(run(entry, params, &rows, Split::default())?.rows)
+            }
+            Body::Python(python) => {
+                let mut given = Vec::new();
+                for (port, input) in &step.inputs {
+                    let rows = match tables.get(input) {
+                        Some(found) => found.clone(),
+                        None => RecordBatch::new_empty(self.schema(context, input).await?),
+                    };
+                    given.push(match python.pixels.get(port) {
+                        Some(column) => function::without_images(&rows, column)?,
+                        None => rows,
+                    });
+                }
+                let Task::Python(task) = &self.program.stage(&step.name)?.task else {
+                    return Err(Fault::bug(format!("{} is no function", step.name)));
+                };
+                function::rows(task, self.registry, &given)
             }
             Body::Sql { query } => {
                 let frame = read_only(context, query).await?;

@@ -54,7 +54,7 @@ impl Needs {
         let need = |step: &Step| {
             let inputs = step.inputs.iter().filter(|(port, _)| match &step.body {
                 Body::Op { op, .. } => !is_optional(registry, op, port),
-                Body::Sql { .. } => true,
+                Body::Sql { .. } | Body::Python(_) => true,
             });
             Need {
                 step: step.name.clone(),

@@ -1,6 +1,7 @@
 //! From what a person asks for to a run: plan text, sessions and a map, checked together.
 
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use datafusion::execution::runtime_env::RuntimeEnv;
@@ -83,6 +84,9 @@ pub fn vocabulary(registry: &Registry) -> Vocabulary {
     }
 }
 
+/// The longest file of Python that is read (bytes).
+const LONGEST_CODE: u64 = 1 << 20;
+
 struct Surroundings<'a> {
     plan: &'a PlanText,
     registry: &'a Registry,
@@ -105,6 +109,22 @@ impl Host for Surroundings<'_> {
 
     fn plan(&self, name: &str, extended_by: &str) -> Result<Source, String> {
         (self.plan.find)(name, extended_by)
+    }
+
+    fn code(&self, path: &str, named_by: &str) -> Result<String, String> {
+        let folder = Path::new(named_by).parent().unwrap_or(Path::new(""));
+        let path = folder.join(path);
+        let failed = |error| format!("cannot read {}: {error}", path.display());
+        let file = std::fs::File::open(&path).map_err(failed)?;
+        let mut code = String::new();
+        let read = file.take(LONGEST_CODE + 1).read_to_string(&mut code);
+        match read.map_err(failed)? as u64 > LONGEST_CODE {
+            true => Err(format!(
+                "{} has more than {LONGEST_CODE} bytes",
+                path.display()
+            )),
+            false => Ok(code),
+        }
     }
 
     fn manifest(&self) -> Option<Source> {

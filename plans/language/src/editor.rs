@@ -2,8 +2,9 @@
 
 use serde_json::{Map, Value, json};
 
+use crate::plan::Grain;
 use crate::vocabulary::{OperatorSpec, Vocabulary};
-use crate::written::MOST_STEPS;
+use crate::written::{BODY_KEYS, MOST_STEPS};
 
 const NAME: &str = "^[a-z][a-z0-9_]{0,63}$";
 
@@ -22,7 +23,7 @@ pub fn json_schema(vocabulary: &Vocabulary) -> Value {
     definitions.insert("input".to_owned(), input(vocabulary));
     definitions.insert("test".to_owned(), test());
     definitions.insert("rows".to_owned(), rows());
-    let whole_step = json!({"anyOf": [{"required": ["op"]}, {"required": ["sql"]}]});
+    let whole_step = json!({"anyOf": BODY_KEYS.map(|key| json!({"required": [key]}))});
     json!({
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "evermap plan",
@@ -96,11 +97,22 @@ fn step(vocabulary: &Vocabulary) -> Value {
         _ => json!({"description": "The operator.", "oneOf": operators}),
     };
     let cases: Vec<Value> = vocabulary.operators.iter().map(operator_case).collect();
-    let query = json!({
-        "if": {"required": ["sql"]},
-        "then": {"not": {"anyOf": [{"required": ["op"]}, {"required": ["in"]}, {"required": ["with"]}]}},
-    });
-    let conditions: Vec<Value> = cases.into_iter().chain([query]).collect();
+    let alone = |key: &str, others: &[&str]| {
+        let others: Vec<Value> = others
+            .iter()
+            .map(|key| json!({"required": [key]}))
+            .collect();
+        json!({"if": {"required": [key]}, "then": {"not": {"anyOf": others}}})
+    };
+    let kinds = [
+        alone(
+            "sql",
+            &["op", "python", "in", "with", "grain", "output", "pixels"],
+        ),
+        alone("op", &["python", "grain", "output", "pixels"]),
+        json!({"if": {"required": ["python"]}, "then": {"required": ["in", "grain", "output"]}}),
+    ];
+    let conditions: Vec<Value> = cases.into_iter().chain(kinds).collect();
     json!({
         "type": "object",
         "additionalProperties": false,
@@ -110,8 +122,12 @@ fn step(vocabulary: &Vocabulary) -> Value {
                 "type": ["object", "null"],
                 "description": "Port to layer. A port that is not named takes the layer of its own name; an optional one stays open.",
             },
-            "with": {"type": ["object", "null"], "description": "Parameters of the operator."},
+            "with": {"type": ["object", "null"], "description": "Parameters of the operator or function."},
             "sql": {"type": "string", "minLength": 1, "description": "The query."},
+            "python": {"type": "string", "pattern": "^.+:.+$", "description": "A function: its file, relative to the plan, and its name, as `steps.py:speeds`."},
+            "grain": {"enum": Grain::NAMED.map(|(name, _)| name), "description": "How much the function is given at once."},
+            "output": {"type": ["string", "object"], "description": "The columns that the function makes: the name of a layer that has them, or their names and types."},
+            "pixels": {"type": ["object", "null"], "additionalProperties": {"type": "string"}, "description": "By argument, the column of references whose images the function is given."},
             "once": {"type": "boolean", "description": "Done when something comes that it reads; until then, later versions keep what came out. For steps that read the version before."},
         },
         "allOf": conditions,

@@ -5,7 +5,8 @@
 
 use crate::Host;
 use crate::fault::{PlanFaults, Source};
-use crate::suggest::{one_line, quoted};
+use crate::suggest::{listed, one_line, quoted};
+use crate::written::BODY_KEYS;
 use crate::yaml::{self, Entry, Kind, Node, merge};
 
 /// A chain of plans may be this long.
@@ -123,7 +124,7 @@ fn lay_entry(entry: &mut Entry, change: Entry, name: &str, faults: &mut PlanFaul
 
 fn lay_steps(steps: &mut Vec<Entry>, changes: Vec<Entry>, name: &str, faults: &mut PlanFaults) {
     for change in changes {
-        let is_whole = change.value.get("op").is_some() || change.value.get("sql").is_some();
+        let is_whole = BODY_KEYS.iter().any(|key| change.value.get(key).is_some());
         let is_part = !is_whole && matches!(change.value.kind, Kind::Mapping(_));
         match steps.iter_mut().find(|step| step.key == change.key) {
             Some(step) if is_part => change_step(&mut step.value, change.value),
@@ -131,7 +132,8 @@ fn lay_steps(steps: &mut Vec<Entry>, changes: Vec<Entry>, name: &str, faults: &m
             None if is_part => {
                 let (step, base) = (quoted(&change.key), quoted(name));
                 let message = format!(
-                    "step {step} has neither `op` nor `sql`, and there is none in {base} to change"
+                    "step {step} has none of {}, and there is none in {base} to change",
+                    listed(BODY_KEYS)
                 );
                 let known = steps.iter().map(|step| step.key.as_str());
                 faults.unknown(change.place, message, &change.key, known);

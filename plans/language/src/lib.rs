@@ -8,7 +8,7 @@
 //! This crate knows no operator, no table, no SQL and no file: a [`Vocabulary`] describes
 //! operators (ports, parameters as JSON Schema) and sources, and a [`Host`] is asked which
 //! tables a query names, what is wrong with parameters, and for the text of a plan that
-//! another extends. It depends on neither DataFusion nor Arrow.
+//! another extends or of a file of Python that a step names. It depends on neither DataFusion nor Arrow.
 //!
 //! ```
 //! use evermap_language::{Host, ParameterFault, Source, Vocabulary, parse};
@@ -53,7 +53,9 @@ mod yaml;
 
 pub use editor::json_schema;
 pub use fault::{Place, PlanFault, PlanFaults, Position, Severity, Source};
-pub use plan::{Body, DEFAULT_TOLERANCE, Input, ManifestPath, Plan, PlanTest, Row, Step};
+pub use plan::{
+    Body, DEFAULT_TOLERANCE, Grain, Input, ManifestPath, Plan, PlanTest, PythonStep, Row, Step,
+};
 pub use suggest::{listed, nearest};
 pub use vocabulary::{Host, OperatorSpec, ParameterFault, PortSpec, Vocabulary};
 

@@ -68,6 +68,58 @@ pub enum Body {
         /// Its text.
         query: String,
     },
+    /// A function in Python.
+    Python(Box<PythonStep>),
+}
+
+/// A function in Python, as a plan names it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PythonStep {
+    /// The file, as written: relative to the plan.
+    pub file: String,
+    /// The function in it.
+    pub function: String,
+    /// The text of the file.
+    pub code: String,
+    /// What it is given beside tables.
+    pub params: Map<String, Value>,
+    /// How much it is given at once.
+    pub grain: Grain,
+    /// Its columns: the name of a layer that has them, or an object from name to type.
+    pub output: Value,
+    /// By input, the column of references whose images it is given too.
+    pub pixels: BTreeMap<String, String>,
+}
+
+/// How much a function is given at once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Grain {
+    /// Any rows of its only table.
+    Rows,
+    /// All rows of one session.
+    Session,
+    /// All rows of one site.
+    Site,
+    /// All rows.
+    Map,
+}
+
+impl Grain {
+    /// All, as plans name them.
+    pub const NAMED: [(&'static str, Self); 4] = [
+        ("rows", Self::Rows),
+        ("session", Self::Session),
+        ("site", Self::Site),
+        ("map", Self::Map),
+    ];
+
+    /// Its name in plans.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        let named = Self::NAMED.iter().find(|(_, grain)| *grain == self);
+        named.map_or("rows", |(name, _)| name)
+    }
 }
 
 /// A layer that a step reads.

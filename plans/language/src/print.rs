@@ -2,9 +2,9 @@
 
 use std::fmt;
 
-use serde_json::{Map, Value};
+use serde_json::Value;
 
-use crate::plan::{Body, Plan, Step};
+use crate::plan::{Body, Input, Plan, Step};
 use crate::yaml::{Kind, plain};
 
 /// Longer texts are broken into lines.
@@ -35,20 +35,39 @@ fn write_step(step: &Step, f: &mut fmt::Formatter<'_>) -> fmt::Result {
     match &step.body {
         Body::Op { op, params } => {
             writeln!(f, "    op: {}", word(op))?;
-            let ports: Map<String, Value> = step
-                .inputs
-                .iter()
-                .map(|(port, input)| (port.clone(), input.written().into()))
-                .collect();
-            for (key, value) in [("in", &Value::Object(ports)), ("with", params)] {
-                if value.as_object().is_some_and(|entries| !entries.is_empty()) {
-                    writeln!(f, "    {key}: {}", flow(value))?;
-                }
-            }
-            Ok(())
+            write_mappings([("in", ports(step)), ("with", params.clone())], f)
+        }
+        Body::Python(python) => {
+            let text = format!("{}:{}", python.file, python.function);
+            writeln!(f, "    python: {}", word(&text))?;
+            let with = Value::Object(python.params.clone());
+            let pixels = python.pixels.iter();
+            let pixels = pixels.map(|(port, column)| (port.clone(), column.clone().into()));
+            let pixels = Value::Object(pixels.collect());
+            write_mappings([("in", ports(step)), ("with", with), ("pixels", pixels)], f)?;
+            writeln!(f, "    grain: {}", python.grain.name())?;
+            writeln!(f, "    output: {}", flow(&python.output))
         }
         Body::Sql { query } => writeln!(f, "    sql: {}", block(query, 6)),
     }
+}
+
+fn ports(step: &Step) -> Value {
+    let named = |(port, input): (&String, &Input)| (port.clone(), input.written().into());
+    Value::Object(step.inputs.iter().map(named).collect())
+}
+
+/// The mappings that are not empty.
+fn write_mappings<const N: usize>(
+    mappings: [(&str, Value); N],
+    f: &mut fmt::Formatter<'_>,
+) -> fmt::Result {
+    for (key, value) in mappings {
+        if value.as_object().is_some_and(|entries| !entries.is_empty()) {
+            writeln!(f, "    {key}: {}", flow(&value))?;
+        }
+    }
+    Ok(())
 }
 
 /// A value in one line.

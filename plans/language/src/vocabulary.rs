@@ -65,6 +65,15 @@ pub trait Host {
     /// One sentence.
     fn plan(&self, name: &str, extended_by: &str) -> Result<Source, String>;
 
+    /// The text of a file of Python, whose path is relative to the origin of the plan that names it.
+    ///
+    /// # Errors
+    /// One sentence.
+    fn code(&self, path: &str, named_by: &str) -> Result<String, String> {
+        let _ = named_by;
+        Err(format!("{path} is not read here"))
+    }
+
     /// The session manifest whose `defaults` are laid over those of the plan.
     fn manifest(&self) -> Option<Source> {
         None

@@ -1,5 +1,6 @@
 //! The plan as written: decoded from the tree, names not yet resolved.
 
+mod python;
 mod step;
 mod table;
 
@@ -16,7 +17,11 @@ const PLAN_KEYS: [&str; 9] = [
     "plan", "extends", "doc", "sessions", "defaults", "steps", "drop", "write", "tests",
 ];
 /// The keys of a step.
-const STEP_KEYS: [&str; 5] = ["op", "in", "with", "sql", "once"];
+const STEP_KEYS: [&str; 9] = [
+    "op", "in", "with", "sql", "python", "grain", "output", "pixels", "once",
+];
+/// The keys that say what a step does; it has one of them.
+pub(crate) const BODY_KEYS: [&str; 3] = ["op", "sql", "python"];
 /// The keys of a test.
 const TEST_KEYS: [&str; 4] = ["name", "given", "expect", "tolerance"];
 /// More steps than this are refused; checking the graph takes time by its square at worst.

@@ -25,7 +25,7 @@ fn read_set(text: &str, others: &[(&str, &str)], settings: &[&str]) -> Result<Pl
 fn params(plan: &Plan, step: &str) -> Value {
     match &plan.step(step).unwrap().body {
         Body::Op { params, .. } => params.clone(),
-        Body::Sql { .. } => panic!("{step} is a query"),
+        Body::Sql { .. } | Body::Python(_) => panic!("{step} is no operator"),
     }
 }
 

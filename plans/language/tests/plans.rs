@@ -100,7 +100,7 @@ fn settings_replace_parameters_and_are_checked_like_them() {
     let plan = read(PLAN, &settings).unwrap();
     let value = |step: &str, pointer: &str| match &plan.step(step).unwrap().body {
         Body::Op { params, .. } => params.pointer(pointer).cloned().unwrap(),
-        Body::Sql { .. } => panic!("{step} is a query"),
+        Body::Sql { .. } | Body::Python(_) => panic!("{step} is no operator"),
     };
     assert_eq!(value("keys", "/baseline_m"), json!(0.75));
     assert_eq!(value("tiles", "/camera/fx_px"), json!(7));

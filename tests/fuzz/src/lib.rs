@@ -200,6 +200,10 @@ impl Host for Anywhere {
             _ => Err("there is no such plan".to_owned()),
         }
     }
+
+    fn code(&self, _: &str, _: &str) -> Result<String, String> {
+        Ok("def made(rows):\n    return rows\n".to_owned())
+    }
 }
 
 /// A line of settings, then a plan; a plan that is right is right again.

@@ -4,6 +4,7 @@ pub mod node;
 pub mod operator;
 pub mod pixels;
 pub mod planned;
+pub mod python;
 mod raw;
 #[cfg(test)]
 mod tests;

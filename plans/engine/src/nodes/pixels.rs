@@ -38,7 +38,7 @@ pub type PixelsExec = Node<Fetching>;
 /// Which images are fetched, and for whom.
 pub struct Fetching {
     /// The column of references.
-    pub column: &'static str,
+    pub column: String,
     /// How the reader of the images needs the rows. They come so before their images are fetched, which are then
     /// neither sorted nor shuffled.
     pub need: Need,
@@ -69,7 +69,7 @@ impl Duty for Fetching {
     ) -> DataFusionResult<(EquivalenceProperties, Partitioning)> {
         let child = first(children)?;
         let schema = child.schema();
-        let images = Field::new(pixels_column(self.column), DataType::Binary, true);
+        let images = Field::new(pixels_column(&self.column), DataType::Binary, true);
         let mut fields = schema.fields().to_vec();
         fields.push(Arc::new(images));
         let kept: Vec<usize> = (0..schema.fields().len()).collect();
@@ -130,7 +130,7 @@ struct Fetcher {
 impl Fetcher {
     /// The batch cut so that no piece carries more than a few megabytes of images.
     fn slices(&self, batch: &RecordBatch) -> Result<Vec<RecordBatch>, Fault> {
-        let images = references(batch, self.fetching.column)?;
+        let images = references(batch, &self.fetching.column)?;
         let (mut pieces, mut start, mut held) = (Vec::new(), 0, 0);
         for (row, image) in images.into_iter().enumerate() {
             let length = match Codec::named(&image.format) {
@@ -149,7 +149,7 @@ impl Fetcher {
 
     /// The batch with the images beside it; what cannot be fetched is null and counted.
     async fn fetch(&self, batch: RecordBatch) -> Result<RecordBatch, Fault> {
-        let images = references(&batch, self.fetching.column)?;
+        let images = references(&batch, &self.fetching.column)?;
         let timer = self.baseline.elapsed_compute().timer();
         let fetched = self.fetching.reader.resolve(&images).await?;
         timer.done();
@@ -176,7 +176,7 @@ impl Fetcher {
                 }
             }
         }
-        let name = pixels_column(self.fetching.column);
+        let name = pixels_column(&self.fetching.column);
         let batch = beside(&batch, &name, Arc::new(bytes.finish()))?;
         Ok(batch.record_output(&self.baseline))
     }

@@ -164,7 +164,7 @@ async fn images_are_fetched_after_rows_are_sorted_and_dealt_out() {
     };
     let fetching = |need| {
         Arc::new(Fetching {
-            column: "image",
+            column: "image".to_owned(),
             need,
             reader: Arc::new(ImageReader::new(&dataset, 1)),
             losses: Arc::default(),

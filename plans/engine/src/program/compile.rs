@@ -4,14 +4,16 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
-use arrow::datatypes::SchemaRef;
+use arrow::datatypes::{Field, SchemaRef};
 use datafusion::prelude::{DataFrame, SessionContext};
 use evermap_contract::{Entry, Phase, Port, Reach, Registry, Shape};
-use evermap_language::{Body, Input, Place, Plan, PlanFaults, Step};
+use evermap_language::{Body, Input, Place, Plan, PlanFaults, PythonStep, Step};
+use evermap_schemas::{Cell, ImageRef};
 use serde_json::Value;
 
 use crate::conform::{bare, misfits};
 use crate::program::locality::is_local;
+use crate::program::python::PythonTask;
 use crate::program::volatile::volatile_functions;
 use crate::program::{LIFT, Program, Read, Role, Scope, Stage, Task};
 use crate::sql;
@@ -93,6 +95,7 @@ impl Compiler<'_> {
         let schema = match &step.body {
             Body::Op { op, params } => self.op(step, op, params).await,
             Body::Sql { query } => self.sql(step, query).await,
+            Body::Python(python) => self.python(step, python).await,
         };
         let Some(schema) = schema else { return };
         self.put(Input::Step(step.name.clone()), Arc::clone(&schema));
@@ -103,22 +106,25 @@ impl Compiler<'_> {
     /// The columns of a query are known once it is planned, which may need those of the version before: only layers
     /// of operators can be read from there. Nor are they known where there is no new session.
     fn check_versions(&mut self, step: &Step) {
-        let is_query = |name: &str| {
-            let mut steps = self.plan.steps.iter();
-            steps.any(|step| step.name == name && matches!(step.body, Body::Sql { .. }))
+        let made_by = |name: &str| match self.plan.step(name)?.body {
+            Body::Op { .. } => None,
+            Body::Sql { .. } => Some("a query"),
+            Body::Python(_) => Some("a function"),
         };
         let faults: Vec<_> = step
             .inputs
             .values()
             .filter_map(|input| {
-                let why = match input {
-                    Input::Previous(of) if is_query(of) => {
-                        "is made by a query; of the version before, only layers of operators can be read".to_owned()
+                let (of, rows) = match input {
+                    Input::Previous(of) => (of, "of the version before"),
+                    Input::New(of) => (of, "of new sessions alone"),
+                    Input::Step(_) | Input::Source(_) => return None,
+                };
+                let why = match (made_by(of), input) {
+                    (Some(maker), _) => {
+                        format!("is made by {maker}; {rows}, only layers of operators can be read")
                     }
-                    Input::New(of) if is_query(of) => {
-                        "is made by a query; of new sessions alone, only layers of operators can be read".to_owned()
-                    }
-                    Input::New(of) if self.scope_of(input) != Scope::Session => {
+                    (None, Input::New(_)) if self.scope_of(input) != Scope::Session => {
                         format!("is not of new sessions alone: one unit of `{of}` covers more than a session")
                     }
                     _ => return None,
@@ -197,11 +203,56 @@ impl Compiler<'_> {
         }
     }
 
+    /// Whether the columns of all tables that a step reads are known; those of a step at fault are not.
+    fn knows_inputs(&self, step: &Step) -> bool {
+        let is_known = |input: &Input| match input {
+            Input::Step(name) => self.schemas.contains_key(name),
+            _ => true,
+        };
+        step.inputs.values().all(is_known)
+    }
+
+    async fn python(&mut self, step: &Step, python: &PythonStep) -> Option<SchemaRef> {
+        for (port, column) in &python.pixels {
+            let schema = self.schema_of(step.inputs.get(port)?).await?;
+            let is_image = |field: &Field| *field.data_type() == ImageRef::data_type();
+            if !schema.field_with_name(column).is_ok_and(is_image) {
+                let name = &step.name;
+                let text = format!("step `{name}`: `{port}` has no column `{column}` of images");
+                self.fault(step, text);
+            }
+        }
+        let task = match PythonTask::of(step, python, self.registry).await {
+            Ok(task) if self.knows_inputs(step) => task,
+            Ok(_) => return None,
+            Err(fault) => {
+                let text = fault.to_string();
+                let text = text
+                    .trim_start_matches(fault.kind.code())
+                    .trim_start_matches(": ");
+                self.fault(step, format!("step `{}`: {text}", step.name));
+                return None;
+            }
+        };
+        let schema = task.schema(self.registry).ok()?;
+        let read = |(port, input): (&String, &Input)| Read {
+            role: Role::Side(port.clone()),
+            pixels: python.pixels.get(port).cloned(),
+            ..query_read(input)
+        };
+        self.stages.push(Stage {
+            name: step.name.clone(),
+            reads: step.inputs.iter().map(read).collect(),
+            scope: task.scope(),
+            task: Task::Python(Box::new(task)),
+            stored: false,
+            once: step.once,
+        });
+        Some(schema)
+    }
+
     async fn sql(&mut self, step: &Step, query: &str) -> Option<SchemaRef> {
-        let mut inputs = step.inputs.values();
-        if inputs
-            .any(|input| matches!(input, Input::Step(name) if !self.schemas.contains_key(name)))
-        {
+        if !self.knows_inputs(step) {
             return None;
         }
         let frame = match self.planned(query).await {
@@ -353,7 +404,7 @@ fn operator_reads(entry: &Entry, phase: Phase, inputs: &BTreeMap<String, Input>)
     std::iter::once(driving).chain(sides).flatten().collect()
 }
 
-/// A table that a query names: what belongs to the unit, and the columns that the query turns out to use.
+/// A table that a query names: what belongs to the unit, and whatever columns are used.
 fn query_read(table: &Input) -> Read {
     Read {
         table: table.clone(),

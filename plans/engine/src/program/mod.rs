@@ -6,6 +6,7 @@
 
 pub mod compile;
 mod locality;
+pub mod python;
 mod volatile;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -18,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::digest::digest_of;
+use crate::program::python::PythonTask;
 
 /// How much of a map one unit of a stage covers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -37,7 +39,7 @@ pub enum Scope {
 pub enum Role {
     /// Its rows drive an operator.
     Driving,
-    /// An operator is given it whole at this port.
+    /// An operator or a function is given it whole at this port.
     Side(String),
     /// A query names it.
     Query,
@@ -80,6 +82,8 @@ pub enum Task {
         /// Whether it orders its rows itself.
         ordered: bool,
     },
+    /// A function in Python.
+    Python(Box<PythonTask>),
 }
 
 /// One stage.
@@ -106,18 +110,19 @@ fn is_false(value: &bool) -> bool {
 }
 
 impl Stage {
-    /// The operator; `None` for a query.
+    /// The operator; `None` for a query or a function.
     pub fn op(&self) -> Option<&str> {
         match &self.task {
             Task::Op { op, .. } => Some(op),
-            Task::Sql { .. } => None,
+            Task::Sql { .. } | Task::Python(_) => None,
         }
     }
 
-    /// The layer whose rows it makes; `None` for a query.
+    /// The layer whose rows it makes; `None` for a query, and for a function of other columns.
     pub fn layer(&self, registry: &Registry) -> Option<Layer> {
         match &self.task {
             Task::Op { op, phase, .. } => Some(registry.get(op).ok()?.yields(*phase)),
+            Task::Python(python) => python.layer(registry),
             Task::Sql { .. } => None,
         }
     }

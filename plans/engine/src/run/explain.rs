@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use evermap_schemas::{Fault, record};
+use serde_json::Value;
 
 use crate::map::receipt::{Artifact, Extent, LogContent, Receipt, Recipe};
 use crate::map::sound::Sound;
@@ -225,21 +226,31 @@ fn task_change(then: &Task, now: &Task, name: &str) -> String {
             format!("the operator of {name} was version {a}, is {b}")
         }
         (Task::Op { params: a, .. }, Task::Op { params: b, .. }) if a != b => {
-            let changed = b
-                .as_object()
-                .into_iter()
-                .flatten()
-                .find(|(key, value)| a.get(key.as_str()) != Some(value));
-            changed.map_or_else(
-                || format!("the parameters of {name} have changed"),
-                |(key, value)| {
-                    let was = a
-                        .get(key)
-                        .map_or_else(|| "unset".to_owned(), ToString::to_string);
-                    format!("{name}.{key} was {was}, is {value}")
-                },
-            )
+            parameter_change(name, a, b)
+        }
+        (Task::Python(a), Task::Python(b)) if a.environment != b.environment => format!(
+            "the Python that {name} runs in, or a package there, was {}, is {}",
+            a.environment, b.environment
+        ),
+        (Task::Python(a), Task::Python(b)) if a.function.params != b.function.params => {
+            let (a, b) = (a.function.params.clone(), b.function.params.clone());
+            parameter_change(name, &Value::Object(a), &Value::Object(b))
+        }
+        (Task::Python(a), Task::Python(b)) if a.function.code != b.function.code => {
+            format!("the code of {name} in {} has changed", b.function.file)
         }
         _ => format!("{name} is another task"),
     }
+}
+
+fn parameter_change(name: &str, then: &Value, now: &Value) -> String {
+    let mut entries = now.as_object().into_iter().flatten();
+    let changed = entries.find(|(key, value)| then.get(key.as_str()) != Some(value));
+    let Some((key, value)) = changed else {
+        return format!("the parameters of {name} have changed");
+    };
+    let was = then
+        .get(key)
+        .map_or_else(|| "unset".to_owned(), ToString::to_string);
+    format!("{name}.{key} was {was}, is {value}")
 }

@@ -11,7 +11,7 @@ use datafusion::physical_plan::coalesce_partitions::CoalescePartitionsExec;
 use datafusion::physical_plan::empty::EmptyExec;
 use datafusion::physical_plan::sorts::sort::SortExec;
 use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
-use evermap_contract::{Losses, Phase, Port, Registry};
+use evermap_contract::{Losses, Phase, Registry};
 use evermap_datasets::{Dataset, ImageReader};
 use evermap_language::Input;
 use evermap_schemas::{Fault, Layer};
@@ -27,6 +27,8 @@ use crate::nodes::node::{Deal, Duty, Need, ordering};
 use crate::nodes::operator::{Operator, OperatorExec};
 use crate::nodes::pixels::{Fetching, PixelsExec};
 use crate::nodes::planned::PlannedTable;
+use crate::nodes::python::{Python, PythonExec};
+use crate::program::python::PythonTask;
 use crate::program::{Read, Role, Stage, Task};
 use crate::sql::{BATCH_ROWS, context_with, put, read_only};
 use crate::unit::Unit;
@@ -60,10 +62,11 @@ impl<'a> Builder<'a> {
         store: &'a Store,
         registry: &'a Registry,
     ) -> Result<Self, Fault> {
-        let is_query = |stage: &Stage| matches!(stage.task, Task::Sql { .. });
-        // Floating-point sums depend on how rows are dealt out: a query has one partition, the same everywhere.
+        let is_operator = |stage: &Stage| matches!(stage.task, Task::Op { .. });
+        // Floating-point sums depend on how rows are dealt out: a query or a function has one partition, the same
+        // everywhere.
         let mut limits = unit.limits;
-        if unit.recipe.stages.iter().any(is_query) {
+        if !unit.recipe.stages.iter().all(is_operator) {
             limits.partitions = 1;
         }
         let layer = unit.stage()?.layer(registry);
@@ -142,8 +145,10 @@ impl<'a> Builder<'a> {
         let stage = self.tables.unit.stage()?;
         let plan = self.stage(stage).await?;
         let order = match (&stage.task, self.layer()) {
-            (Task::Sql { ordered: true, .. }, _) => Vec::new(),
-            (Task::Op { .. }, Some(layer)) => layer.key.iter().map(ToString::to_string).collect(),
+            (Task::Op { .. } | Task::Python(_), Some(layer)) => {
+                layer.key.iter().map(ToString::to_string).collect()
+            }
+            (Task::Sql { ordered: true, .. } | Task::Python(_), _) => Vec::new(),
             _ => sortable_columns(&plan.schema()),
         };
         self.ensure(sorted(plan, &order))
@@ -160,6 +165,7 @@ impl<'a> Builder<'a> {
                     op, phase, params, ..
                 } => self.operator(op, *phase, params, reads).await,
                 Task::Sql { query, .. } => self.query(query, reads).await,
+                Task::Python(task) => self.python(task, reads).await,
             };
             plan.map_err(|fault| fault.at(format!("step {}", stage.name)))
         }
@@ -189,25 +195,44 @@ impl<'a> Builder<'a> {
         let operator = Operator::new(entry, params, phase, sides, Arc::clone(&self.skipped));
         let ports = operator.ports().zip(operator.needs());
         let children = tables.into_iter().zip(ports);
-        let children = children.map(|(table, (port, need))| self.pixels(table, port, need));
+        let children = children.map(|(table, (port, need))| self.pixels(table, port.pixels, need));
         let children = children.collect::<Result<_, _>>()?;
         let exec = OperatorExec::try_new(Arc::new(operator), children);
         self.ensure(Arc::new(exec.or_fault()?))
     }
 
-    /// The table with the images that a port asks for, whose reader needs the rows so.
+    async fn python(
+        &self,
+        task: &PythonTask,
+        reads: &[Read],
+    ) -> Result<Arc<dyn ExecutionPlan>, Fault> {
+        let mut children = Vec::new();
+        for read in reads {
+            let (table, need) = (self.table(read).await?, Need::whole(Vec::new()));
+            children.push(self.pixels(table, read.pixels.as_deref(), need)?);
+        }
+        let python = Python {
+            task: task.clone(),
+            schema: task.schema(self.tables.registry)?,
+            losses: Arc::clone(&self.skipped),
+        };
+        let exec = PythonExec::try_new(Arc::new(python), children);
+        self.ensure(Arc::new(exec.or_fault()?))
+    }
+
+    /// The table with the images of a column, where one is named, whose reader needs the rows so.
     fn pixels(
         &self,
         table: Arc<dyn ExecutionPlan>,
-        port: &Port,
+        column: Option<&str>,
         need: Need,
     ) -> Result<Arc<dyn ExecutionPlan>, Fault> {
-        let Some(column) = port.pixels else {
+        let Some(column) = column else {
             return Ok(table);
         };
         let missing = || Fault::bug("images are asked for without logs");
         let fetching = Fetching {
-            column,
+            column: column.to_owned(),
             need: Need {
                 parallel: need.deal != Deal::Single,
                 ..need

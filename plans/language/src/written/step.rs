@@ -1,10 +1,10 @@
-//! One step: an operator with ports and parameters, or a query.
+//! One step: an operator with ports and parameters, a query, or a function in Python.
 
 use std::collections::BTreeSet;
 
 use serde_json::{Map, Value};
 
-use super::{Named, STEP_KEYS, StepContext, WrittenInput, WrittenStep, is_null};
+use super::{BODY_KEYS, Named, STEP_KEYS, StepContext, WrittenInput, WrittenStep, is_null, python};
 use crate::fault::PlanFaults;
 use crate::plan::Body;
 use crate::suggest::{listed, one_line, quoted};
@@ -32,26 +32,53 @@ pub(super) fn step(
     if let Some(once) = fields.get("once") {
         step.once = once.value.boolean("`once`", faults).unwrap_or_default();
     }
-    match (fields.get("op"), fields.get("sql")) {
-        (Some(op), None) => operator(&mut step, op, &fields, context, faults),
-        (None, Some(sql)) => query(&mut step, sql, &fields, context, faults),
-        (Some(_), Some(sql)) => {
-            faults.error(
-                sql.place,
-                format!("{what} has both `op` and `sql`; it is one of them"),
-            );
+    let bodies: Vec<&Entry> = BODY_KEYS.iter().filter_map(|key| fields.get(key)).collect();
+    match bodies.as_slice() {
+        [body] => {
+            refuse_others(&fields, &body.key, faults);
+            match body.key.as_str() {
+                "op" => operator(&mut step, body, &fields, context, faults),
+                "sql" => query(&mut step, body, context, faults),
+                _ => python::step(&mut step, body, &fields, context.around.host, faults),
+            }
+        }
+        [] => {
+            let message = format!("{what} has none of {}", listed(BODY_KEYS));
+            faults.error(entry.place, message);
             ports(&mut step, None, fields.get("in"), faults);
         }
-        (None, None) => {
-            faults.error(entry.place, format!("{what} has neither `op` nor `sql`"));
+        [first, second, ..] => {
+            let (first, second, place) = (&first.key, &second.key, second.place);
+            let message = format!("{what} has both `{first}` and `{second}`; it is one of them");
+            faults.error(place, message);
             ports(&mut step, None, fields.get("in"), faults);
         }
     }
     step
 }
 
+/// Refuses keys that belong to a step of another kind.
+fn refuse_others(fields: &Fields<'_>, body: &str, faults: &mut PlanFaults) {
+    let (keys, why): (&[&str], _) = match body {
+        "sql" => (
+            &["in", "with", "grain", "output", "pixels"],
+            "a query names its tables and columns itself",
+        ),
+        "op" => (&["grain", "output", "pixels"], "an operator has its own"),
+        _ => return,
+    };
+    let owner = |key: &str| match key {
+        "in" | "with" => "`op` and `python`",
+        _ => "`python`",
+    };
+    for entry in keys.iter().filter_map(|key| fields.get(key)) {
+        let (key, owner) = (&entry.key, owner(&entry.key));
+        faults.error(entry.place, format!("`{key}` belongs to {owner}; {why}"));
+    }
+}
+
 impl WrittenStep {
-    fn reads(&mut self, port: Option<&str>, table: Named, is_implied: bool) {
+    pub(super) fn reads(&mut self, port: Option<&str>, table: Named, is_implied: bool) {
         self.inputs.push(WrittenInput {
             port: port.map(str::to_owned),
             table,
@@ -88,7 +115,7 @@ fn operator(
 
 /// Reads `in`. Without an operator the ports cannot be checked, but what they name can. A port
 /// that is not named, or given nothing, takes the table of its own name, unless it is optional.
-fn ports(
+pub(super) fn ports(
     step: &mut WrittenStep,
     spec: Option<(&OperatorSpec, &Entry)>,
     inputs: Option<&Entry>,
@@ -154,7 +181,7 @@ fn parameters(
         .chain(given)
         .collect();
     let before = faults.error_count();
-    let params = Value::Object(sound_values(&entries, faults));
+    let params = Value::Object(sound_values(entries.iter().copied(), faults));
     for fault in context.around.host.parameter_faults(&spec.name, &params) {
         let entry = entries.iter().find(|entry| entry.key == fault.parameter);
         match entry {
@@ -172,7 +199,10 @@ fn parameters(
 }
 
 /// The entries whose values are such that JSON has them.
-fn sound_values(entries: &[&Entry], faults: &mut PlanFaults) -> Map<String, Value> {
+pub(super) fn sound_values<'e>(
+    entries: impl IntoIterator<Item = &'e Entry>,
+    faults: &mut PlanFaults,
+) -> Map<String, Value> {
     let mut values = Map::new();
     for entry in entries {
         let before = faults.error_count();
@@ -184,21 +214,7 @@ fn sound_values(entries: &[&Entry], faults: &mut PlanFaults) -> Map<String, Valu
     values
 }
 
-fn query(
-    step: &mut WrittenStep,
-    sql: &Entry,
-    fields: &Fields<'_>,
-    context: &StepContext<'_>,
-    faults: &mut PlanFaults,
-) {
-    for key in ["in", "with"] {
-        if let Some(entry) = fields.get(key) {
-            faults.error(
-                entry.place,
-                format!("`{key}` belongs to `op`; a query names its tables itself"),
-            );
-        }
-    }
+fn query(step: &mut WrittenStep, sql: &Entry, context: &StepContext<'_>, faults: &mut PlanFaults) {
     let Some(query) = sql.value.text("`sql`", faults) else {
         return;
     };

@@ -163,6 +163,13 @@ impl Host for Plans<'_> {
         let (origin, text) = (format!("{name}.yaml"), (*text).to_owned());
         Ok(Source { origin, text })
     }
+
+    fn code(&self, path: &str, named_by: &str) -> Result<String, String> {
+        match path {
+            "steps.py" => Ok("def whole(poses):\n    return poses\n".to_owned()),
+            _ => Err(format!("cannot read {path} beside {named_by}")),
+        }
+    }
 }
 
 /// What a schema asks for that a value is not.

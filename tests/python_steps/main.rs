@@ -1,0 +1,300 @@
+//! Steps in Python: the same bytes as an operator's, done again when code, parameters or packages change, held to what
+//! operators are held to.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::{Path, PathBuf};
+
+use evermap_tests::{
+    Finished, command, plan_command, rectangle, repository, simulate, text, write_drive,
+};
+use serde_json::Value;
+
+/// The interpreter that `make test` sets up, which has pyarrow; `None` where it is not there.
+fn python() -> Option<PathBuf> {
+    evermap_test_data::there(repository().join(".venv/bin/python"), "run `make test`")
+}
+
+/// A folder with the plans and functions of this test, and a map that is to be.
+struct Bench {
+    folder: tempfile::TempDir,
+    python: PathBuf,
+}
+
+impl Bench {
+    fn new() -> Option<Self> {
+        let python = python()?;
+        let folder = tempfile::tempdir().unwrap();
+        let here = repository().join("tests/python_steps");
+        for name in ["steps.py", "frames.yaml"] {
+            std::fs::copy(here.join(name), folder.path().join(name)).unwrap();
+        }
+        Some(Self { folder, python })
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// A drive of this many times around.
+    fn drive(&self, name: &str, loops: f64) -> PathBuf {
+        let path = self.path(name);
+        write_drive(&path, rectangle(30.0, 20.0, loops));
+        path
+    }
+
+    /// A plan of one function that reads `speeds`, and of what follows it.
+    fn plan(&self, function: &str, step: &str, test: &str) -> PathBuf {
+        let text = format!(
+            "plan: made\nsteps:\n  speeds: {{ op: speeds }}\n  made:\n    python: steps.py:{function}\n    in: {{ speeds: speeds }}\n    {step}\nwrite: [made]\n{test}"
+        );
+        let path = self.path("made.yaml");
+        std::fs::write(&path, text).unwrap();
+        path
+    }
+
+    fn evermap(&self, arguments: &[&str]) -> Finished {
+        let mut command = command(arguments);
+        command.env("EVERMAP_PYTHON", &self.python);
+        command.output().unwrap().into()
+    }
+
+    fn run(&self, plan: &Path, session: &Path) -> Finished {
+        let more = ["--sessions", text(session)];
+        let mut command = plan_command(text(plan), &self.path("map"), "lot", &more);
+        command.env("EVERMAP_PYTHON", &self.python);
+        command.output().unwrap().into()
+    }
+
+    fn query(&self, sql: &str) -> Value {
+        let map = self.path("map");
+        let arguments = ["sql", "--map", text(&map), "--format", "json", sql];
+        self.evermap(&arguments).expect(0).json()
+    }
+
+    /// The steps that would be computed again, with why.
+    fn forecast(&self, plan: &Path) -> Vec<(String, String)> {
+        let map = self.path("map");
+        let arguments = [
+            "explain",
+            text(plan),
+            "--map",
+            text(&map),
+            "--format",
+            "json",
+        ];
+        let forecasts = self.evermap(&arguments).expect(0).json();
+        let said = |key: &str, row: &Value| row[key].as_str().unwrap().to_owned();
+        let rows = forecasts.as_array().unwrap().iter();
+        rows.filter(|row| row["recompute"] == true)
+            .map(|row| (said("step", row), said("why", row)))
+            .collect()
+    }
+}
+
+#[test]
+fn a_function_gives_the_bytes_of_its_operator() {
+    let Some(bench) = Bench::new() else { return };
+    let plan = bench.path("frames.yaml");
+    bench.evermap(&["test", text(&plan)]).expect(0);
+    bench.run(&plan, &bench.drive("monday.mcap", 1.3)).expect(0);
+    let version = std::fs::read(bench.path("map/versions/1.json")).unwrap();
+    let version: Value = serde_json::from_slice(&version).unwrap();
+    let contents = |layer: &str| {
+        let artifacts = version["layers"][layer]["artifacts"].as_array().unwrap();
+        let contents = artifacts.iter().map(|artifact| artifact["content"].clone());
+        contents.collect::<Vec<_>>()
+    };
+    let found = bench.query("SELECT count(*) AS n FROM by_python");
+    assert!(found[0]["n"].as_u64().unwrap() > 20, "{found}");
+    assert_eq!(contents("by_python"), contents("by_rust"));
+}
+
+#[test]
+fn what_changes_is_done_again_and_nothing_else() {
+    let Some(bench) = Bench::new() else { return };
+    let output = "output: { site: text, session: text, stamp: time, speed_kmh: f64 }";
+    let step = format!("grain: rows\n    {output}");
+    let plan = bench.plan("speeds_kmh", &step, "");
+    let drive = bench.drive("monday.mcap", 0.5);
+    bench.run(&plan, &drive).expect(0);
+    let most = "SELECT round(max(speed_kmh), 3) AS kmh, count(*) AS n FROM made";
+    let all = bench.query(most);
+    assert_eq!(all[0]["kmh"], 7.2);
+    assert_eq!(bench.forecast(&plan), []);
+
+    let steps = std::fs::read_to_string(bench.path("steps.py")).unwrap();
+    std::fs::write(bench.path("steps.py"), steps.replace("3.6", "3.5")).unwrap();
+    let again = |why: &str| vec![("made".to_owned(), why.to_owned())];
+    assert_eq!(
+        bench.forecast(&plan),
+        again("the code of made in steps.py has changed")
+    );
+
+    std::fs::write(bench.path("steps.py"), steps).unwrap();
+    let with = format!("with: {{ least_mps: 1.0 }}\n    {step}");
+    let plan = bench.plan("speeds_kmh", &with, "");
+    assert_eq!(
+        bench.forecast(&plan),
+        again("made.least_mps was unset, is 1.0")
+    );
+    // What the function left out is counted, and a run that left something out exits 3.
+    let lost = bench.run(&plan, &drive).expect(3).stderr;
+    assert!(lost.contains("speed of who stands"), "{lost}");
+    let fewer = bench.query(most);
+    assert!(fewer[0]["n"].as_u64() < all[0]["n"].as_u64(), "{fewer}");
+}
+
+#[test]
+fn a_test_finds_what_is_no_function_of_its_rows() {
+    let Some(bench) = Bench::new() else { return };
+    let test = "tests:
+  - name: two
+    given:
+      speeds:
+        - { site: s, session: a, stamp: 0, speed_mps: 1.0 }
+        - { site: s, session: a, stamp: 1, speed_mps: 2.0 }
+    expect: { made: [] }
+";
+    let cases = [
+        (
+            "drawn",
+            "grain: session",
+            "made other rows when it was called again",
+        ),
+        (
+            "numbered",
+            "grain: rows",
+            "made other rows of one row at a time",
+        ),
+        (
+            "nameless",
+            "grain: rows",
+            "expected a column x, found stamp",
+        ),
+    ];
+    for (function, grain, expected) in cases {
+        let plan = bench.plan(
+            function,
+            &format!("{grain}\n    output: {{ x: f64 }}"),
+            test,
+        );
+        let found = bench.evermap(&["test", text(&plan)]).stderr;
+        assert!(
+            found.contains(expected),
+            "expected {expected}\n   found {found}"
+        );
+    }
+}
+
+#[test]
+fn what_is_wrong_with_a_step_is_said_before_anything_runs() {
+    let Some(bench) = Bench::new() else { return };
+    let columns = "grain: session\n    output: { x: f64 }";
+    let cases = [
+        (
+            "drown",
+            columns,
+            "expected a function drown, found map_frames",
+        ),
+        (
+            "drawn",
+            "grain: session\n    output: lanez",
+            "`output` names lanez, no layer of an operator; did you mean lanes?",
+        ),
+        (
+            "drawn",
+            "grain: session\n    output: { x: double }",
+            "x: expected a type, such as `text`",
+        ),
+        (
+            "drawn",
+            "with: { n: 1 }\n    grain: session\n    output: { x: f64 }",
+            "got an unexpected keyword argument 'n'",
+        ),
+        (
+            "drawn",
+            "pixels: { speeds: stamp }\n    grain: rows\n    output: { x: f64 }",
+            "`speeds` has no column `stamp` of images",
+        ),
+    ];
+    for (function, step, expected) in cases {
+        let plan = bench.plan(function, step, "");
+        let found = bench.evermap(&["check", text(&plan)]).expect(1).stderr;
+        assert!(
+            found.contains(expected),
+            "expected {expected}\n   found {found}"
+        );
+    }
+    let plan = bench.plan("drawn", columns, "");
+    let mut command = command(&["check", text(&plan)]);
+    let nobody = Finished::from(
+        command
+            .env("EVERMAP_PYTHON", "/nobody/python")
+            .output()
+            .unwrap(),
+    );
+    assert!(
+        nobody.stderr.contains("cannot start /nobody/python"),
+        "{}",
+        nobody.stderr
+    );
+}
+
+#[test]
+fn a_function_is_given_images() {
+    let Some(bench) = Bench::new() else { return };
+    let world = bench.path("world");
+    let small = [
+        "length_m=80",
+        "visits=1",
+        "spacing_m=3",
+        "width_px=320",
+        "height_px=104",
+    ];
+    simulate("street", &world, &small);
+    let plan = bench.path("images.yaml");
+    let text = "plan: images
+steps:
+  files:
+    python: steps.py:image_files
+    in: { frames: frames }
+    pixels: { frames: image }
+    grain: rows
+    output: { site: text, session: text, camera: text, stamp: time, kind: text, file_bytes: i64 }
+write: [files]
+";
+    std::fs::write(&plan, text).unwrap();
+    bench
+        .run(&plan, &world.join("visit_a/visit_a.mcap"))
+        .expect(0);
+    let found = bench.query(
+        "SELECT count(*) AS n, min(file_bytes) AS least, max(kind) AS kind FROM files WHERE kind IS NOT NULL",
+    );
+    assert!(found[0]["n"].as_u64().unwrap() >= 8, "{found}");
+    assert!(found[0]["least"].as_u64().unwrap() > 500, "{found}");
+}
+
+/// The text between a fence of this language and its end.
+fn fenced<'t>(page: &'t str, language: &str) -> &'t str {
+    let after = page.split(&format!("```{language}\n")).nth(1).unwrap();
+    after.split("```").next().unwrap()
+}
+
+#[test]
+fn the_page_shows_a_plan_that_passes_its_test() {
+    let Some(bench) = Bench::new() else { return };
+    let page = std::fs::read_to_string(repository().join("docs/python.md")).unwrap();
+    let plan = bench.path("slow_places.yaml");
+    std::fs::write(&plan, fenced(&page, "yaml")).unwrap();
+    std::fs::write(bench.path("steps.py"), fenced(&page, "python")).unwrap();
+    let tested = bench.evermap(&["test", text(&plan)]).expect(0);
+    assert!(
+        tested.stdout.contains("one that stands for a second"),
+        "{}",
+        tested.stdout
+    );
+    bench.run(&plan, &bench.drive("monday.mcap", 0.5)).expect(0);
+    let found = bench.query("SELECT count(*) AS stops FROM slow");
+    assert!(found[0]["stops"].as_u64().unwrap() >= 1, "{found}");
+}
