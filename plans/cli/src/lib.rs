@@ -11,7 +11,8 @@
 //!                    ├──► serve     the same rows, pictures and formats by network
 //!                    └──► ending    exit status, losses, faults
 //! ```
-//! Only this crate knows which operators there are; the engine is handed the registry.
+//! Only this crate knows which operators there are (`operators`); the engine is handed the registry. A program with
+//! operators of its own calls [`main_with`].
 
 pub mod annotate;
 pub mod arguments;
@@ -26,6 +27,7 @@ pub mod export;
 mod manifest;
 pub mod metric;
 mod mosaic;
+mod operators;
 pub mod output;
 mod progress;
 mod prompt;
@@ -45,6 +47,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use clap::Parser;
+use evermap_contract::Entry;
 use evermap_engine::sql::STACK_BYTES;
 use evermap_schemas::Fault;
 
@@ -57,8 +60,17 @@ const SERVING_THREADS: usize = 16;
 
 /// Reads the command line, does what it says, and tells how it ended.
 pub fn main() -> std::process::ExitCode {
+    main_with([])
+}
+
+/// [`main`] of a program that has these operators beside the catalog's: they can be named in plans, and are listed and
+/// run as those are.
+pub fn main_with(own: impl IntoIterator<Item = Entry>) -> std::process::ExitCode {
     let arguments = Arguments::parse();
     log();
+    if let Err(fault) = operators::join(own) {
+        return tell(&Err(fault.into()), &mut std::io::stderr()).into();
+    }
     let mut threads = tokio::runtime::Builder::new_multi_thread();
     if !matches!(arguments.command, Command::Inspect(_)) {
         // Queries are planned as deep as they nest.

@@ -9,6 +9,7 @@ use evermap_datasets::{Dataset, Session};
 use evermap_schemas::{Fault, roles};
 
 use crate::coordinate_frames::CoordinateFrames;
+use crate::operators;
 
 /// Parameters that are about the vehicle and not about a plan, each with an example where its default is none.
 const OF_VEHICLE: [(&str, Option<&str>); 5] = [
@@ -71,7 +72,7 @@ impl Written {
 /// # Errors
 /// A bug fault, should it not be written.
 pub fn written(dataset: &Dataset, frames: &CoordinateFrames) -> Result<String, Fault> {
-    let registry = evermap_catalog::registry();
+    let registry = operators::registry();
     let named = |(name, example): (&'static str, Option<&str>)| {
         let (doc, default) = parameter(&registry, name)?;
         Some(Parameter {
@@ -202,7 +203,7 @@ mod tests {
 
     #[test]
     fn every_parameter_of_a_vehicle_is_one_of_an_operator() {
-        let registry = evermap_catalog::registry();
+        let registry = operators::registry();
         for (name, example) in OF_VEHICLE {
             let found = parameter(&registry, name);
             assert!(

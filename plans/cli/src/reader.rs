@@ -14,6 +14,8 @@ use evermap_engine::sql::{Limits, context};
 use evermap_schemas::{Fault, Layer, LayerRow, rows};
 use tokio::sync::OnceCell;
 
+use crate::operators;
+
 /// A map with the operators that may have made its layers.
 pub struct MapReader {
     /// The map.
@@ -31,7 +33,7 @@ impl MapReader {
     pub async fn open(address: &str, version: Option<u64>) -> Result<Self, Fault> {
         Ok(Self {
             map: Map::open(address, version).await?,
-            registry: evermap_catalog::registry(),
+            registry: operators::registry(),
             tables: OnceCell::new(),
         })
     }

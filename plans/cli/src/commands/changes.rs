@@ -10,6 +10,7 @@ use evermap_schemas::Fault;
 
 use crate::arguments::{DiffArgs, GcArgs, VerifyArgs};
 use crate::ending::{DONE, Ending};
+use crate::operators;
 use crate::output::{Format, print_rows};
 use crate::progress::line;
 use crate::quantity::{of, of_bytes};
@@ -22,7 +23,7 @@ pub async fn diff(args: &DiffArgs) -> Ending {
     let map = Map::open(&args.map, Some(args.after)).await?;
     let context = context(Limits::default())?;
     let versions = [args.before, args.after];
-    let compared = Comparison::open(&map, versions, &evermap_catalog::registry(), &context).await?;
+    let compared = Comparison::open(&map, versions, &operators::registry(), &context).await?;
     let layers = match &args.layer {
         Some(layer) => BTreeSet::from([layer.clone()]),
         None => compared.layers(),

@@ -15,6 +15,7 @@ use serde_json::Value;
 
 use crate::arguments::{Described, PlanArgs};
 use crate::ending::{DONE, Ending, Failure};
+use crate::operators;
 use crate::progress::line;
 use crate::quantity::of;
 use crate::sessions::{lost, open};
@@ -25,7 +26,7 @@ use crate::shipped;
 /// # Errors
 /// All its faults.
 pub async fn check(args: &PlanArgs) -> Ending {
-    let registry = evermap_catalog::registry();
+    let registry = operators::registry();
     let (parsed, program, dataset) = checked(args, &registry).await?;
     let needs = Needs::of_program(&program, &registry);
     for (session, lacks) in idle(&needs, &dataset, std::iter::empty())? {
@@ -66,7 +67,7 @@ async fn checked(
 /// # Errors
 /// That one fails, or what keeps them from being run.
 pub async fn test(args: &PlanArgs) -> Ending {
-    let registry = evermap_catalog::registry();
+    let registry = operators::registry();
     let (parsed, program, dataset) = checked(args, &registry).await?;
     let outcomes = run_tests(&parsed, &program, &registry, &dataset).await?;
     let mut stdout = std::io::stdout().lock();
@@ -98,7 +99,7 @@ pub async fn test(args: &PlanArgs) -> Ending {
 /// # Errors
 /// That the output is closed.
 pub fn schema(of: Described) -> Ending {
-    let mut schema = json_schema(&vocabulary(&evermap_catalog::registry()));
+    let mut schema = json_schema(&vocabulary(&operators::registry()));
     if of == Described::Manifest {
         schema = manifest_schema(&schema);
     }

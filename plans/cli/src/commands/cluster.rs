@@ -6,6 +6,7 @@ use evermap_schemas::Fault;
 
 use crate::arguments::{ExecutorArgs, SchedulerArgs};
 use crate::ending::{DONE, Ending};
+use crate::operators;
 use crate::progress::line;
 
 /// Serves as a scheduler until stopped.
@@ -15,7 +16,7 @@ use crate::progress::line;
 pub async fn scheduler(args: &SchedulerArgs) -> Ending {
     let (host, port) = &args.bind;
     line(&format!("scheduler on {host}:{port}"));
-    cluster::scheduler(host, *port, evermap_catalog::registry()).await?;
+    cluster::scheduler(host, *port, operators::registry()).await?;
     DONE
 }
 
@@ -46,6 +47,6 @@ pub async fn executor(args: &ExecutorArgs) -> Ending {
         slots,
         work_dir: work.path().display().to_string(),
     };
-    cluster::executor(options, evermap_catalog::registry()).await?;
+    cluster::executor(options, operators::registry()).await?;
     DONE
 }

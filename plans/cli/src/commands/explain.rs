@@ -9,6 +9,7 @@ use evermap_schemas::Fault;
 
 use crate::arguments::ExplainArgs;
 use crate::ending::{DONE, Ending, Failure};
+use crate::operators;
 use crate::output::{print_batch, print_rows};
 use crate::progress::line;
 use crate::quantity::of;
@@ -21,7 +22,7 @@ use crate::shipped;
 /// # Errors
 /// The plan's faults, or what is wrong with the sessions or the map.
 pub async fn explain(args: &ExplainArgs) -> Ending {
-    let registry = evermap_catalog::registry();
+    let registry = operators::registry();
     let Some(map) = &args.map else {
         let plan = prepare::parse(&shipped::of(&args.input)?, &registry);
         let plan = plan.map_err(|faults| Failure::Plan(faults.pretty()))?;
@@ -47,7 +48,7 @@ pub async fn explain(args: &ExplainArgs) -> Ending {
 
 /// What the units of the newest version that the plan made were at work on, those first that took longest.
 async fn analyze(args: &ExplainArgs, map: &str) -> Ending {
-    let registry = evermap_catalog::registry();
+    let registry = operators::registry();
     let plan = prepare::parse(&shipped::of(&args.input)?, &registry);
     let plan = plan.map_err(|faults| Failure::Plan(faults.pretty()))?.name;
     let reader = MapReader::open(map, None).await?;

@@ -19,6 +19,7 @@ use crate::contents::{Attachment, Channel, Chunks, Contents, LossLine, PlanLine,
 use crate::coordinate_frames::CoordinateFrames;
 use crate::ending::Ending;
 use crate::manifest::written;
+use crate::operators;
 use crate::sessions::lost;
 use crate::shipped;
 
@@ -121,7 +122,7 @@ fn roles(dataset: &Dataset) -> Vec<RoleLine> {
 
 /// What each plan that ships lacks to make something of the file alone.
 fn plans(dataset: &Dataset) -> Result<Vec<PlanLine>, Fault> {
-    let registry = evermap_catalog::registry();
+    let registry = operators::registry();
     let plays = dataset.sessions.iter().flat_map(played).collect();
     let line = |shipped: &(&str, &str)| {
         let plan = parse(&shipped::plain(shipped), &registry);

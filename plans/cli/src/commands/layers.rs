@@ -10,6 +10,7 @@ use evermap_engine::sql::{Limits, context};
 
 use crate::arguments::{LayersArgs, VersionsArgs};
 use crate::ending::{DONE, Ending, Failure, Lost};
+use crate::operators;
 use crate::output::{Format, print_rows};
 use crate::quantity::short_digest;
 
@@ -22,7 +23,7 @@ pub async fn layers(args: &LayersArgs) -> Ending {
     match (args.files, args.duckdb, &args.layer) {
         (_, _, Some(layer)) => {
             let context = context(Limits::default())?;
-            let tables = Tables::new(map.clone(), &context, &evermap_catalog::registry());
+            let tables = Tables::new(map.clone(), &context, &operators::registry());
             print_rows(args.format, tables.columns_of(layer).await?).await?;
         }
         (true, _, _) => print_rows(args.format, map.files()?).await?,

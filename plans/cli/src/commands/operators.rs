@@ -7,6 +7,7 @@ use evermap_schemas::record;
 
 use crate::arguments::OperatorsArgs;
 use crate::ending::{DONE, Ending};
+use crate::operators;
 use crate::output::print_rows;
 
 record! {
@@ -31,7 +32,7 @@ record! {
 /// # Errors
 /// A user fault that names the operators there are.
 pub async fn operators(args: &OperatorsArgs) -> Ending {
-    let registry = evermap_catalog::registry();
+    let registry = operators::registry();
     match &args.name {
         Some(name) => writeln!(
             std::io::stdout(),
@@ -62,9 +63,11 @@ fn line(entry: &Entry) -> OperatorLine {
 
 #[cfg(test)]
 mod tests {
+    use super::operators;
+
     #[test]
     fn a_reference_names_every_parameter_port_and_column() {
-        for entry in evermap_catalog::registry().entries() {
+        for entry in operators::registry().entries() {
             let text = entry.reference();
             assert!(text.starts_with(&format!("# {}", entry.name)));
             let columns = entry

@@ -18,6 +18,7 @@ use evermap_schemas::Fault;
 use crate::arguments::{LimitArgs, RunArgs};
 use crate::commands::layers::print_layers;
 use crate::ending::{Ending, Lost};
+use crate::operators;
 use crate::output::Format;
 use crate::progress::{Progress, line};
 use crate::quantity::{of, of_seconds};
@@ -29,7 +30,7 @@ use crate::sessions;
 /// The plan's faults before anything runs; then the first unit's.
 pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
     let begun = Instant::now();
-    let registry = evermap_catalog::registry();
+    let registry = operators::registry();
     let mut prepared = sessions::prepare(&args.input, &registry, &args.map).await?;
     if let (Some(replaced), false) = (prepared.replaced.first(), args.replace) {
         return Err(is_another_log(replaced).into());

@@ -24,6 +24,7 @@ use futures::{StreamExt, TryStreamExt};
 
 use crate::arguments::{SessionArgs, SqlArgs};
 use crate::ending::{Ending, Failure, Lost};
+use crate::operators;
 use crate::output::{Format, Sink, write};
 use crate::progress::line;
 use crate::prompt;
@@ -65,7 +66,7 @@ impl Tables {
                 Some(name) => name.to_owned(),
                 None => map.store.name()?,
             };
-            map.join(&name, &tables.context, &evermap_catalog::registry())?;
+            map.join(&name, &tables.context, &operators::registry())?;
         }
         Ok(tables)
     }

@@ -7,7 +7,7 @@ use arrow::array::RecordBatch;
 use arrow::datatypes::{Field, SchemaRef};
 use datafusion::prelude::{DataFrame, SessionContext};
 use evermap_contract::{Entry, Phase, Port, Reach, Registry, Shape};
-use evermap_language::{Body, Input, Place, Plan, PlanFaults, PythonStep, Step};
+use evermap_language::{Body, Grain, Input, Place, Plan, PlanFaults, PythonStep, Step};
 use evermap_schemas::{Cell, ImageRef};
 use serde_json::Value;
 
@@ -243,7 +243,11 @@ impl Compiler<'_> {
         self.stages.push(Stage {
             name: step.name.clone(),
             reads: step.inputs.iter().map(read).collect(),
-            scope: task.scope(),
+            scope: match python.grain {
+                Grain::Rows | Grain::Session => Scope::Session,
+                Grain::Site => Scope::Site,
+                Grain::Map => Scope::Map,
+            },
             task: Task::Python(Box::new(task)),
             stored: false,
             once: step.once,

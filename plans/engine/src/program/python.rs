@@ -10,8 +10,6 @@ use evermap_schemas::{Fault, Layer, type_named};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::program::Scope;
-
 /// A function with where it runs and what it makes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PythonTask {
@@ -47,15 +45,6 @@ impl PythonTask {
             grain: python.grain,
             output: python.output.clone(),
         })
-    }
-
-    /// How much of a map one unit of it covers.
-    pub fn scope(&self) -> Scope {
-        match self.grain {
-            Grain::Rows | Grain::Session => Scope::Session,
-            Grain::Site => Scope::Site,
-            Grain::Map => Scope::Map,
-        }
     }
 
     /// The layer whose columns it makes; `None` where the plan lists columns.
