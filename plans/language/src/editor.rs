@@ -44,6 +44,11 @@ pub fn json_schema(vocabulary: &Vocabulary) -> Value {
                 "properties": defaults(vocabulary),
                 "additionalProperties": false,
             },
+            "presets": {
+                "type": ["object", "null"],
+                "description": "Parameters by step under a name, which `--set NAME` lays over the steps.",
+                "additionalProperties": {"type": "object", "additionalProperties": {"type": "object"}},
+            },
             "steps": {
                 "type": "object",
                 "description": "Steps by name; each makes the layer of its name.",

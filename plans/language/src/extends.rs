@@ -5,6 +5,7 @@
 
 use crate::Host;
 use crate::fault::{PlanFaults, Source};
+use crate::preset;
 use crate::suggest::{listed, one_line, quoted};
 use crate::written::BODY_KEYS;
 use crate::yaml::{self, Entry, Kind, Node, merge};
@@ -106,6 +107,9 @@ fn lay_entry(entry: &mut Entry, change: Entry, name: &str, faults: &mut PlanFaul
             lay_steps(steps, changes, name, faults);
         }
         ("defaults", Kind::Mapping(defaults), Kind::Mapping(changes)) => merge(defaults, changes),
+        ("presets", Kind::Mapping(presets), Kind::Mapping(changes)) => {
+            preset::lay_over(presets, changes);
+        }
         ("write", Kind::Sequence(items), Kind::Sequence(added)) => {
             for item in added {
                 if items.iter().all(|written| written.kind != item.kind) {
@@ -114,7 +118,8 @@ fn lay_entry(entry: &mut Entry, change: Entry, name: &str, faults: &mut PlanFaul
             }
         }
         // The plan below is at fault, and is found to be when the composed plan is checked.
-        ("steps" | "defaults", _, Kind::Mapping(_)) | ("write", _, Kind::Sequence(_)) => {}
+        ("steps" | "defaults" | "presets", _, Kind::Mapping(_))
+        | ("write", _, Kind::Sequence(_)) => {}
         (_, _, kind) => {
             let place = change.value.place;
             entry.value = Node { place, kind };

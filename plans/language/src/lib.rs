@@ -44,6 +44,7 @@ mod fault;
 mod graph;
 mod manifest;
 mod plan;
+mod preset;
 mod print;
 mod setting;
 mod suggest;
@@ -61,7 +62,7 @@ pub use vocabulary::{Host, OperatorSpec, ParameterFault, PortSpec, Vocabulary};
 
 /// Reads and checks a plan, with all that it extends, and the `defaults` of the session manifest that the host has.
 ///
-/// `settings` are `step.param=value` options that replace parameters before checking.
+/// `settings` are options that replace parameters before checking: `step.param=value`, or the name of a preset.
 ///
 /// # Errors
 /// Every fault found, warnings included, if one of them is an error. Warnings alone are in

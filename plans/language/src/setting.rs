@@ -1,15 +1,21 @@
 //! `--set step.param=value`: parameters from the command line, laid over the tree before
-//! anything is checked, so that they are checked like written ones.
+//! anything is checked, so that they are checked like written ones. `--set NAME`: a preset.
 
 use crate::fault::{Place, PlanFaults};
+use crate::preset::Presets;
 use crate::suggest::quoted;
 use crate::yaml::{self, Entry, Kind, Node};
 
 /// Applies the settings in order; a later one wins. Deeper parameters are `step.camera.fx=3`.
 /// The value is YAML: `0.2`, `true`, `[1, 2]`, `'text'`. Faults name the option.
 pub(crate) fn set(root: &mut Node, settings: &[String], faults: &mut PlanFaults) {
+    let presets = Presets::take(root, faults);
     for (index, setting) in settings.iter().enumerate() {
         let place = Place::Setting(index);
+        if is_name(setting) {
+            presets.lay(setting, root, place, faults);
+            continue;
+        }
         let Some((path, value)) = parsed(setting, place, faults) else {
             continue;
         };
@@ -22,6 +28,12 @@ pub(crate) fn set(root: &mut Node, settings: &[String], faults: &mut PlanFaults)
     }
 }
 
+/// Whether a setting names a preset.
+fn is_name(setting: &str) -> bool {
+    let is_letter = |c: char| c.is_alphanumeric() || c == '_' || c == '-';
+    !setting.is_empty() && setting.chars().all(is_letter)
+}
+
 /// The path and the value of a setting, everything placed at the setting.
 fn parsed<'s>(
     setting: &'s str,
@@ -32,7 +44,11 @@ fn parsed<'s>(
     let path: Vec<&str> = path.trim().split('.').collect();
     let complete = path.len() >= 2 && path.iter().all(|part| !part.is_empty());
     if !complete || !setting.contains('=') {
-        faults.error_with(place, "this sets nothing", "write `step.parameter=value`");
+        faults.error_with(
+            place,
+            "this sets nothing",
+            "write `step.parameter=value`, or the name of a preset",
+        );
         return None;
     }
     if path.len() > yaml::DEEPEST {
@@ -54,7 +70,7 @@ fn nothing(place: Place) -> Node {
 
 /// The mapping under `with` of a step, made if absent. `None` if there is no such step or
 /// the plan is not in a shape to say; the latter is found when the plan is checked.
-fn parameters_of<'n>(
+pub(crate) fn parameters_of<'n>(
     root: &'n mut Node,
     step: &str,
     place: Place,

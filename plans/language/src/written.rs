@@ -12,9 +12,9 @@ use crate::suggest::quoted;
 use crate::vocabulary::{Host, OperatorSpec, Vocabulary};
 use crate::yaml::{Entry, Fields, Kind, Node};
 
-/// The keys of a plan. A composed one has no `extends` and no `drop` any more.
-const PLAN_KEYS: [&str; 9] = [
-    "plan", "extends", "doc", "sessions", "defaults", "steps", "drop", "write", "tests",
+/// The keys of a plan. A composed one has no `extends`, `drop` and `presets` any more.
+const PLAN_KEYS: [&str; 10] = [
+    "plan", "extends", "doc", "sessions", "defaults", "presets", "steps", "drop", "write", "tests",
 ];
 /// The keys of a step.
 const STEP_KEYS: [&str; 9] = [

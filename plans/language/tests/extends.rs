@@ -100,6 +100,46 @@ tests:
 }
 
 #[test]
+fn a_preset_is_laid_over_steps_where_it_is_named() {
+    let base = format!(
+        "{BASE}presets:\n  fast:\n    keys: {{ baseline_m: 2.0 }}\n    lanes: {{ prune_loops: 5, connect_m: 4.0 }}\n"
+    );
+    let others = [("base", base.as_str())];
+    let text = "\
+plan: own
+extends: base
+drop: [count]
+presets:
+  fast: { lanes: { connect_m: 3.0 } }
+  far: { keys: { baseline_m: 9.0 } }
+";
+    let set = |settings: &[&str]| {
+        let plan = read_set(text, &others, settings).unwrap();
+        (params(&plan, "keys"), params(&plan, "lanes"))
+    };
+    let plain = json!({"prune_loops": 2, "connect_m": 1.0});
+    assert_eq!(set(&[]), (json!({}), plain));
+    let fast = json!({"prune_loops": 5, "connect_m": 3.0});
+    assert_eq!(set(&["fast"]), (json!({"baseline_m": 2.0}), fast.clone()));
+    // A later setting wins.
+    assert_eq!(set(&["fast", "far"]).0, json!({"baseline_m": 9.0}));
+    assert_eq!(
+        set(&["fast", "keys.baseline_m=1"]).0,
+        json!({"baseline_m": 1})
+    );
+    assert_eq!(
+        set(&["keys.baseline_m=1", "fast"]).0,
+        json!({"baseline_m": 2.0})
+    );
+    // A preset of the base may be of a step that is dropped.
+    let dropped = text
+        .replace("[count]", "[lanes, count]")
+        .replace("fast: { lanes: { connect_m: 3.0 } }", "slow: {}");
+    let plan = read_set(&dropped, &others, &["fast"]).unwrap();
+    assert_eq!(params(&plan, "keys"), json!({"baseline_m": 2.0}));
+}
+
+#[test]
 fn the_manifest_of_an_extended_plan_stays_relative_to_it() {
     let base = "plan: base\nsessions: logs.yaml\nsteps: { a: { sql: SELECT 1 } }\nwrite: [a]\n";
     let plan = read("plan: p\nextends: base\n", &[("base", base)]).unwrap();

@@ -124,8 +124,8 @@ pub struct LimitArgs {
 pub struct PlanArgs {
     /// Plan file, `-` for standard input, or the name of a plan that ships (car_park, trajectory).
     pub plan: String,
-    /// Parameter of a step, in place of the plan's.
-    #[arg(long, value_name = "STEP.PARAM=VALUE")]
+    /// Parameter of a step, in place of the plan's; or a preset of the plan, such as `preview`.
+    #[arg(long, value_name = "STEP.PARAM=VALUE | PRESET")]
     pub set: Vec<String>,
     /// Sessions; on a map, those that join it.
     #[command(flatten)]
