@@ -53,7 +53,7 @@ fn a_log_of_which_a_plan_makes_nothing_is_refused_alone_and_counted_among_others
 
     let refused = run("trajectory", &map, &[&blind], &[]).expect(1).stderr;
     for said in [
-        "makes nothing of session blind",
+        "cannot use session blind",
         "odometry (step keyframes)",
         "/front (sensor_msgs/Image)",
         "nav_msgs/Odometry",
@@ -81,7 +81,7 @@ fn a_log_of_which_a_plan_makes_nothing_is_refused_alone_and_counted_among_others
         text(&blind),
     ];
     let warned = evermap(&warned).expect(0).stderr;
-    assert!(warned.contains("nothing of session blind"), "{warned}");
+    assert!(warned.contains("cannot use session blind"), "{warned}");
 }
 
 #[test]

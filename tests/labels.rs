@@ -326,9 +326,9 @@ fn what_makes_no_sense_is_counted_and_said_and_the_rest_is_kept() {
         "feature 1, label point: geometry that is neither polygon nor line",
         "feature 2, label tie: polygon that crosses itself",
         "feature 3, label hole: polygon with holes",
-        "feature 4, label text: feature with a position that is no list of numbers",
+        "feature 4, label text: feature with a position that is not a list of numbers",
         "feature 5, label short: line of less than two points",
-        "feature 6, label far: label out of reach of every vehicle pose",
+        "feature 6, label far: label too far from every vehicle pose",
         "feature 7, label empty: label that is not there",
         "ada.mcap: 2 drawn",
     ] {
@@ -338,7 +338,7 @@ fn what_makes_no_sense_is_counted_and_said_and_the_rest_is_kept() {
     let run = lot.run(&["ada.mcap"]).expect(3);
     assert!(
         run.stderr
-            .contains("1  label out of reach of every vehicle pose"),
+            .contains("1  label too far from every vehicle pose"),
         "{}",
         run.stderr
     );

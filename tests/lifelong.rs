@@ -245,7 +245,7 @@ fn new_sessions_alone_are_those_of_an_operator_of_one_session() {
     );
     let of_nothing = told("FROM new.keyframes", "FROM new.keyframe");
     assert!(
-        of_nothing.contains("names `keyframe`, which is no step"),
+        of_nothing.contains("names `keyframe`, which is not a step"),
         "{of_nothing}"
     );
 }

@@ -138,9 +138,7 @@ impl Person {
 /// Adds a log to a map. What is said of boxes that no vehicle came near is counted, and kept.
 fn grown(map: &Path, log: &Path) {
     let run = finished("parking", map, &[log], &[]);
-    let told = run
-        .stderr
-        .contains("label out of reach of every vehicle pose");
+    let told = run.stderr.contains("label too far from every vehicle pose");
     run.expect(if told { 3 } else { 0 });
 }
 

@@ -83,7 +83,7 @@ impl MessageRows {
         let (whole, payload) = (&message.block.bytes, message.payload);
         let place = (u32::try_from(message.start), u32::try_from(payload.len()));
         let (Ok(start), Ok(length)) = place else {
-            return Err("a payload beyond 4 GiB".to_owned());
+            return Err("a payload larger than 4 GiB".to_owned());
         };
         if !message.shares {
             self.data.append_value(payload);

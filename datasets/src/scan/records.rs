@@ -194,7 +194,7 @@ impl RowBuilder for RecordRows {
     fn push_record(&mut self, unit: &Unit, record: &[u8]) -> Result<(), String> {
         let (opcode, body, _) = split(record).ok_or("a record that is cut")?;
         if self.bytes + body.len() > i32::MAX as usize {
-            return Err("records beyond 2 GiB".to_owned());
+            return Err("records larger than 2 GiB".to_owned());
         }
         let record = parse(opcode, body)?.into_owned();
         match (unit.kind, &record) {

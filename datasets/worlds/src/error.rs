@@ -10,7 +10,7 @@ use std::path::Path;
 #[derive(Debug, thiserror::Error)]
 pub enum WorldError {
     /// Parameters that make no world (the user's to change).
-    #[error("these parameters make no world:\n{}", faults.join("\n"))]
+    #[error("invalid parameters:\n{}", faults.join("\n"))]
     Parameters {
         /// One line for each unusable value.
         faults: Vec<String>,

@@ -181,7 +181,7 @@ pub(crate) fn pnm(bytes: &[u8], header: &Header) -> Result<(usize, Stored), Imag
         [b'P', b'6', rest @ ..] => (3, rest),
         _ => {
             return Err(ImageError::Format {
-                found: "a pnm image that is no P5 and no P6".to_owned(),
+                found: "a PNM image that is neither P5 nor P6".to_owned(),
             });
         }
     };

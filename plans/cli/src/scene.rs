@@ -113,7 +113,7 @@ fn last_states(mut seen: Vec<SpaceState>, driven: &Driven) -> BTreeMap<u32, Stri
     states.collect()
 }
 
-/// Of a box by its frame, length and width (m); none where the frame is no rigid transform.
+/// Of a box by its frame, length and width (m); none where the frame is not a rigid transform.
 pub fn corners(map_from_box: &evermap_schemas::Pose, sides_m: [f64; 2]) -> Vec<[f64; 2]> {
     let Ok(map_from_box) = Pose::from_array(map_from_box.to_array()) else {
         return Vec::new();

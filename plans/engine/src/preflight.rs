@@ -204,7 +204,7 @@ fn nothing_to_make(session: &Session, lacks: &Lacks, others: usize) -> Fault {
     });
     let types: Vec<_> = types.collect();
     Fault::user(format!(
-        "the plan makes nothing of session {name}{others}: expected {}, found topics {}",
+        "the plan cannot use session {name}{others}: expected {}, found topics {}",
         in_words(lacks),
         match topics.is_empty() {
             true => "none".to_owned(),

@@ -156,7 +156,7 @@ pub(crate) const DECLARATIONS: [Declaration; 14] = [
     },
     Declaration {
         name: "distance_along",
-        about: "Length along a line, with heights, from its start to where it is nearest to a place from above, m; null for geometries that are no line",
+        about: "Length along a line, with heights, from its start to where it is nearest to a place from above, m; null for geometries that are not lines",
         calls: &[&[GEOMETRY, X, Y]],
         result: || DataType::Float64,
         example: [

@@ -189,7 +189,7 @@ impl Names<'_> {
                 quoted(name)
             )
         } else {
-            format!("{what} names {}, which is no step", quoted(name))
+            format!("{what} names {}, which is not a step", quoted(name))
         };
         faults.unknown(named.place, message, name, self.in_order.iter().copied());
         None

@@ -34,7 +34,7 @@
 //!     faults.to_string(),
 //!     "count.yaml:3:18: the query of `counts` reads `pose`, which is neither a step nor a \
 //!      source; did you mean `poses`?\n\
-//!      count.yaml:4:9: `write` names `count`, which is no step; did you mean `counts`?\n"
+//!      count.yaml:4:9: `write` names `count`, which is not a step; did you mean `counts`?\n"
 //! );
 //! ```
 

@@ -32,7 +32,7 @@ impl Presets {
                 step.value
                     .mapping(&format!("step {name} of {what}"), faults);
                 if !steps.contains(&step.key) {
-                    let message = format!("{what} names {name}, which is no step");
+                    let message = format!("{what} names {name}, which is not a step");
                     let known = steps.iter().map(String::as_str);
                     faults.unknown(step.place, message, &step.key, known);
                 }

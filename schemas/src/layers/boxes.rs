@@ -62,7 +62,7 @@ record! {
         /// What the answer would teach when those before are given: change of the probabilities of all, squares added up; null
         /// where `question` is.
         gain: Option<f64>,
-        /// Why it is asked: `uncertain`, or `unlike what was said`, whatever it is held for; null where `question` is.
+        /// Why it is asked: `uncertain`, or `unlike every label so far`, whatever it is held for; null where `question` is.
         reason: Option<String>,
         /// The box from above.
         geometry: Wkb ["m", "map"],

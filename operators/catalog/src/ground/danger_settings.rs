@@ -51,12 +51,12 @@ impl Operator for DangerSettings {
     fn check(params: &Self::Params) -> Result<(), Fault> {
         let wrong = |message: String| Err(Fault::user(message));
         if !params.expected.contains_key(OTHER) {
-            return wrong(format!("expected must have the kind {OTHER}"));
+            return wrong(format!("`expected` must have the kind {OTHER}"));
         }
         let outside = |probability: &f64| !(*probability > 0.0 && *probability < 1.0);
         match params.expected.iter().find(|(_, found)| outside(found)) {
             Some((kind, found)) => wrong(format!(
-                "expected of {kind} must be above 0 and below 1, found {found}"
+                "`expected.{kind}` must be above 0 and below 1, found {found}"
             )),
             None => Ok(()),
         }

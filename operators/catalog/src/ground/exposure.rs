@@ -52,7 +52,7 @@ fn exposure(
         let pose = Pose::from_array(image.map_from_vehicle.to_array());
         let camera = cameras.at(frame(&image.camera), image.stamp);
         let (Ok(pose), Ok(camera)) = (&pose, &camera) else {
-            let reason = camera.err().unwrap_or("pose is no rigid transform");
+            let reason = camera.err().unwrap_or("pose is not a rigid transform");
             emit.skip(reason, 1);
             continue;
         };

@@ -110,7 +110,7 @@ impl Projector {
         grey: &mut Grey,
     ) -> Result<GroundPatch, Reason> {
         let pose = Pose::from_array(image.map_from_vehicle.to_array())
-            .map_err(|_| "pose is no rigid transform")?;
+            .map_err(|_| "pose is not a rigid transform")?;
         decode_grey(bytes, grey).map_err(|_| "image does not decode")?;
         let view =
             GrayView::new(grey.width, grey.height, &grey.data).ok_or("image does not decode")?;

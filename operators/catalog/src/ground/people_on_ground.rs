@@ -82,7 +82,7 @@ impl Placing {
             person.var_y_m2,
         ];
         if numbers.iter().any(|number| !number.is_finite()) {
-            return Err("person is nowhere");
+            return Err("person without a position");
         }
         let [x, y, z, xx, xy, yy] = numbers;
         let at = pose.transform(&nalgebra::Vector3::new(x, y, z));

@@ -27,7 +27,7 @@ impl Operator for SpeedMap {
 
 fn speed(params: &SpeedParams, cell: Danger) -> Result<[SpeedCell; 1], &'static str> {
     if !(0.0..=1.0).contains(&cell.danger) {
-        return Err("danger is no probability");
+        return Err("danger outside of 0 to 1");
     }
     Ok([SpeedCell {
         speed_mps: params.speed(cell.danger, cell.cell_m),

@@ -68,7 +68,7 @@ pub(crate) fn site_ground(
     for (session, looks) in by_visit(exposure) {
         let of_session = sightings.remove(&session).unwrap_or_default();
         let (people, senseless) = presence(&of_session, cell_m, look_ns(look_s));
-        emit.skip("person without a sound position", senseless);
+        emit.skip("person without a finite position", senseless);
         visits.push(visit(&cells, &looks, &people));
     }
     let unseen = sightings.values().map(Vec::len).sum::<usize>();

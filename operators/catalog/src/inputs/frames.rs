@@ -20,7 +20,7 @@ impl FromIterator<MapFrame> for Frames {
 }
 
 impl Frames {
-    /// Adds a frame as it is; one whose pose is no rigid transform can never be the nearest.
+    /// Adds a frame as it is; one whose pose is not a rigid transform can never be the nearest.
     fn push(&mut self, frame: MapFrame) {
         let pose = &frame.map_from_frame;
         if pose.to_array().iter().all(|value| value.is_finite()) {

@@ -85,7 +85,7 @@ impl Survey {
                     let of_session = by_session.entry(session.clone()).or_default();
                     of_session.insert(stamp, pose);
                 }
-                Err(_) => emit.skip("pose is no rigid transform", 1),
+                Err(_) => emit.skip("pose is not a rigid transform", 1),
             }
         }
         let wanted = |session: &str| is_new(session) && by_session.contains_key(session);

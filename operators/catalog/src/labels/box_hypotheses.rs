@@ -22,7 +22,7 @@ pub struct BoxHypothesesParams {}
 
 impl Operator for BoxHypotheses {
     const NAME: &'static str = "box_hypotheses";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: &'static str = include_str!("box_hypotheses.md");
     type Params = BoxHypothesesParams;
     type Output = BoxHypothesis;
@@ -110,7 +110,7 @@ impl Kind {
 fn reason(probability: f64) -> &'static str {
     match probability {
         0.25..=0.75 => "uncertain",
-        _ => "unlike what was said",
+        _ => "unlike every label so far",
     }
 }
 

@@ -113,7 +113,7 @@ fn said(labels: Vec<PlacedLabel>, params: &ParkingSpacesParams, emit: &mut Emit<
         let place = place
             .and_then(|(length_m, width_m)| ground_box(&label.map_from_label, length_m, width_m));
         let Some(place) = place else {
-            emit.skip("parking space is no box", 1);
+            emit.skip("parking space is not a box", 1);
             continue;
         };
         held.push(Held {
@@ -138,7 +138,7 @@ fn found(
     let mut held = Vec::new();
     for one in hypotheses.into_iter().filter(ours) {
         let Some(place) = ground_box(&one.map_from_label, one.length_m, one.width_m) else {
-            emit.skip("hypothesis is no box", 1);
+            emit.skip("hypothesis is not a box", 1);
             continue;
         };
         held.push(Held {

@@ -37,7 +37,7 @@ fn place(
         let found = placer.placed(label, &mut |reason, count| emit.skip(reason, count));
         match found {
             Some(label) => placed.push(label),
-            None => emit.skip("label whose pose is no rigid transform", 1),
+            None => emit.skip("label whose pose is not a rigid transform", 1),
         }
     }
     emit.rows(placed)

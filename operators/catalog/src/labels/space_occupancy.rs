@@ -62,7 +62,7 @@ fn occupied(
                 numbers.push(space.space);
                 places.push(place);
             }
-            None => emit.skip("parking space is no box", 1),
+            None => emit.skip("parking space is not a box", 1),
         }
     }
     let found = occupancy(&places, &obstacles, cell_m, looked);

@@ -143,7 +143,7 @@ fn pose(of_row: &evermap_schemas::Pose) -> Option<Pose> {
 }
 
 fn hung(frames: &Frames, row: VehiclePose) -> Result<FramePose, Reason> {
-    let map_from_vehicle = pose(&row.map_from_vehicle).ok_or("pose is no rigid transform")?;
+    let map_from_vehicle = pose(&row.map_from_vehicle).ok_or("pose is not a rigid transform")?;
     let position = map_from_vehicle.translation.into();
     let (frame, map_from_frame) = frames
         .nearest(position)

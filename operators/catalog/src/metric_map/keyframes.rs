@@ -79,7 +79,7 @@ impl Stream for Session {
         let keyframes = self.keyframer.finish();
         let losses = self.keyframer.losses();
         let not_rigid = self.not_rigid + losses.not_finite;
-        emit.skip("odometry pose is no rigid transform", not_rigid);
+        emit.skip("odometry pose is not a rigid transform", not_rigid);
         emit.skip("odometry stamp repeats", losses.out_of_order);
         emit.skip("odometry jumped", losses.jumps);
         emit.skip(

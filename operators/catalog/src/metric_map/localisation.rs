@@ -51,12 +51,12 @@ fn localise(
     let (numbers, landmarks) = landmarks(sides.rows("landmarks")?);
     let sound = LandmarkMap::new(landmarks);
     let senseless = numbers.len() - sound.len();
-    emit.skip("landmark makes no sense", senseless as u64);
+    emit.skip("invalid landmark: a position or covariance is not finite", senseless as u64);
     let keyframes = sides.rows("keyframes")?;
     for (session, drive) in drives(keyframes, features, sides, &params.vehicle, emit)? {
         let found = localise_drive(&drive, &sound, params.options);
         emit.skip(
-            "keyframe held back: of another place, laid out like this one",
+            "keyframe held back: it may be of another place that looks alike",
             of_another_place(&found) as u64,
         );
         emit.rows(rows([&site, &session], &drive, found, &numbers))?;

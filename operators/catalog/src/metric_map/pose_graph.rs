@@ -48,7 +48,7 @@ impl Stretches {
     fn new(rows: Vec<Keyframe>, known: &Known, emit: &mut Emit<'_>) -> Self {
         let posed = rows.into_iter().filter_map(|row| {
             let Ok(odom_from_vehicle) = Pose::from_array(row.odom_from_vehicle.to_array()) else {
-                emit.skip("keyframe's pose is no rigid transform", 1);
+                emit.skip("keyframe's pose is not a rigid transform", 1);
                 return None;
             };
             let path_m = Some(row.distance_m).filter(|path_m| path_m.is_finite());

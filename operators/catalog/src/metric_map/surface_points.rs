@@ -80,7 +80,7 @@ fn place(drive: &mut Drive, poses: Vec<VehiclePose>, emit: &mut Emit<'_>) {
     for row in poses {
         match Pose::from_array(row.map_from_vehicle.to_array()) {
             Ok(pose) => drop(placed.insert(row.stamp, pose)),
-            Err(_) => emit.skip("pose is no rigid transform", 1),
+            Err(_) => emit.skip("pose is not a rigid transform", 1),
         }
     }
     drive.keyframes.retain_mut(|keyframe| {

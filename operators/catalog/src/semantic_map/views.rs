@@ -63,7 +63,7 @@ fn views(
         match view {
             Ok((view, unknown)) => {
                 if unknown > 0 {
-                    emit.skip("pixel's label is no class", unknown as u64);
+                    emit.skip("value of a pixel is not a class", unknown as u64);
                 }
                 found.push(view);
             }

@@ -183,7 +183,7 @@ fn bad_rows_are_counted() {
     let (found, losses) = keyframes(rows, frames);
     let expected = [
         ("odometry jumped", 1),
-        ("odometry pose is no rigid transform", 2),
+        ("odometry pose is not a rigid transform", 2),
         ("odometry stamp repeats", 1),
         ("second frame of one camera with one stamp", 1),
     ];

@@ -265,13 +265,13 @@ fn bad_annotations_are_counted_and_the_others_kept() {
     assert!(held[0].anchor.is_none() && held[0].frame == Some(0));
     for (reason, count) in [
         ("label whose outline crosses itself", 1),
-        ("box that is no rectangle about its frame", 1),
+        ("box that is not a rectangle around its frame", 1),
         (
             "annotation that contradicts another person's; the later holds",
             1,
         ),
-        ("annotation of a label that nobody had drawn", 1),
-        ("label out of reach of every vehicle pose", 1),
+        ("annotation of a label that was never drawn", 1),
+        ("label too far from every vehicle pose", 1),
     ] {
         assert_eq!(losses.0[reason], count, "{reason}: {losses:?}");
     }

@@ -236,7 +236,7 @@ fn an_image_without_what_it_needs_is_counted_by_reason() {
         ("image does not decode", 2),
         ("image has another shape than its calibration", 1),
         ("image is missing", 1),
-        ("pose is no rigid transform", 1),
+        ("pose is not a rigid transform", 1),
         ("pose is out of the map", 1),
     ];
     assert_eq!(found.len(), 1);

@@ -90,13 +90,13 @@ impl Geometry {
         let (Self::Closed(points) | Self::Open(points)) = self;
         let finite = |(at, z): &Point| at.iter().chain(z).all(|value| value.is_finite());
         if !points.iter().all(finite) {
-            return Err("feature with a coordinate that is no finite number");
+            return Err("feature with a coordinate that is not finite");
         }
         if points
             .iter()
             .any(|(at, _)| at[0].abs().max(at[1].abs()) > MOST_M)
         {
-            return Err("feature with a coordinate that is no metres of a map");
+            return Err("feature with a coordinate too large for metres");
         }
         let count = points.len().max(1) as f64;
         let middle = [0, 1].map(|axis| points.iter().map(|(at, _)| at[axis]).sum::<f64>() / count);

@@ -68,7 +68,7 @@ fn ring(rings: &Value) -> Result<Geometry, &'static str> {
 }
 
 fn points(positions: &Value) -> Result<Vec<Point>, &'static str> {
-    let bad = "feature with a position that is no list of numbers";
+    let bad = "feature with a position that is not a list of numbers";
     let point = |position: &Value| {
         let numbers: Option<Vec<f64>> = position.as_array()?.iter().map(Value::as_f64).collect();
         match numbers?.as_slice() {

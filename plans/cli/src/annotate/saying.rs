@@ -108,7 +108,7 @@ fn acts(
     let mut placed = |(shape, outline): &(&'static str, Outline)| {
         let place = held(shape, outline, state);
         if place.1.is_none() {
-            losses.note("label out of reach of every vehicle pose", &feature.place);
+            losses.note("label too far from every vehicle pose", &feature.place);
         }
         place
     };

@@ -32,7 +32,7 @@ pub async fn check(args: &PlanArgs) -> Ending {
     for (session, lacks) in idle(&needs, &dataset, std::iter::empty())? {
         let lacks = in_words(&lacks);
         line(&format!(
-            "warning: the plan makes nothing of session {session}: it lacks {lacks}"
+            "warning: the plan cannot use session {session}: it lacks {lacks}"
         ));
     }
     if !parsed.warnings.is_empty() {

@@ -31,10 +31,10 @@ pub const PERSON: &str = "#ffffff";
 
 /// Landmarks.
 pub const LANDMARK: &str = "#c7d2e0";
-/// Loop closures that the map agrees with.
-pub const ACCEPTED: &str = "#4ade80";
+/// Loop closures that the map agrees with; told apart from the others as [`FREE`] is from [`TAKEN`].
+pub const ACCEPTED: &str = FREE;
 /// Loop closures that it does not agree with.
-pub const REJECTED: &str = "#ff3b30";
+pub const REJECTED: &str = TAKEN;
 
 /// Told apart by people with any kind of colour vision (after Okabe and Ito), light enough for a dark ground.
 const SESSIONS: [&str; 8] = [

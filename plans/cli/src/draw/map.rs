@@ -206,7 +206,7 @@ impl MapFromAbove<'_> {
     }
 }
 
-/// The sessions' names in their colours, what outlines are of, and what speeds are made of.
+/// The sessions' names in their colours, what outlines are of, and every other symbol that is drawn.
 fn legend(scene: &Scene) -> Vec<(String, Option<String>)> {
     let driven = &scene.trajectories;
     let named = driven.iter().take(MOST_NAMED).enumerate();
@@ -217,24 +217,37 @@ fn legend(scene: &Scene) -> Vec<(String, Option<String>)> {
         })
         .collect();
     if driven.len() > MOST_NAMED {
-        lines.push((format!("+ {} MORE", driven.len() - MOST_NAMED), None));
+        lines.push((format!("+ {} more", driven.len() - MOST_NAMED), None));
     }
     let marks: BTreeSet<_> = scene.outlines.iter().map(|outline| outline.mark).collect();
     lines.extend(marks.into_iter().map(|mark| {
         let name = strokes::name(mark.name(), 28);
         (name, Some(mark.colour().to_owned()))
     }));
-    let speeds = [
-        (scene.slow.is_empty(), "DRIVE SLOWLY", colours::SLOW),
-        (scene.people.is_empty(), "PEOPLE SEEN", colours::PERSON),
+    let loops = |accepted| scene.loops.iter().any(|line| line.accepted == accepted);
+    let symbols = [
+        (!scene.lanes.is_empty(), "lane", colours::LANE),
         (
-            scene.lane_speeds.is_empty(),
-            "LANE, LOWEST SPEED, m/S",
+            !scene.intersections.is_empty(),
+            "intersection",
+            colours::INTERSECTION,
+        ),
+        (
+            !scene.lane_speeds.is_empty(),
+            "lane, lowest speed (m/s)",
             colours::LANE,
         ),
+        (!scene.slow.is_empty(), "drive slowly", colours::SLOW),
+        (!scene.people.is_empty(), "people seen", colours::PERSON),
+        (!scene.landmarks.is_empty(), "landmark", colours::LANDMARK),
+        (loops(true), "loop closure", colours::ACCEPTED),
+        (loops(false), "loop closure, rejected", colours::REJECTED),
     ];
-    let speeds = speeds.into_iter().filter(|(is_empty, ..)| !is_empty);
-    lines.extend(speeds.map(|(_, name, colour)| (name.to_owned(), Some(colour.to_owned()))));
+    let symbols = symbols.into_iter().filter(|(is_drawn, ..)| *is_drawn);
+    lines.extend(symbols.map(|(_, name, colour)| (name.to_owned(), Some(colour.to_owned()))));
+    if !scene.odometry.is_empty() {
+        lines.push(("dashed: by odometry".to_owned(), None));
+    }
     lines
 }
 

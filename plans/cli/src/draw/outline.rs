@@ -31,11 +31,11 @@ impl Mark {
     /// As the legend has it.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Free => "SPACE, FREE WHEN LAST SEEN",
-            Self::Taken => "SPACE, TAKEN WHEN LAST SEEN",
-            Self::Unseen => "SPACE, NOT SEEN",
-            Self::Label => "LABEL",
-            Self::Asked => "ASKED ABOUT",
+            Self::Free => "space, free when last seen",
+            Self::Taken => "space, taken when last seen",
+            Self::Unseen => "space, not seen",
+            Self::Label => "label",
+            Self::Asked => "asked about",
         }
     }
 

@@ -8,7 +8,8 @@ const UNIT_PX: f64 = LETTER_PX / 6.0;
 /// From one letter to the next, in units of the glyph grid.
 const ADVANCE: f64 = 5.6;
 
-/// Strokes of a glyph: points as two digits, column 0 to 4 and row 0 (top) to 6; strokes apart by a space.
+/// Strokes of a glyph: points as two digits, column 0 to 4 and row 0 (top) to 6, or 8 below the line; `;` between
+/// strokes.
 fn glyph(letter: char) -> &'static str {
     match letter {
         'A' => "06 02 20 42 46;04 44",
@@ -47,8 +48,32 @@ fn glyph(letter: char) -> &'static str {
         '7' => "00 40 16",
         '8' => "10 30 41 42 33 13 02 01 10;13 04 05 16 36 45 44 33",
         '9' => "05 16 36 45 41 30 10 01 02 13 43",
-        // The unit, the only small letter.
+        'a' => "43 32 12 03 05 16 36 45;42 46",
+        'b' => "00 06;03 12 32 43 45 36 16 05",
+        'c' => "43 32 12 03 05 16 36 45",
+        'd' => "40 46;43 32 12 03 05 16 36 45",
+        'e' => "04 44 43 32 12 03 05 16 36 45",
+        'f' => "30 20 11 16;02 32",
+        'g' => "43 32 12 03 05 16 36 45;42 47 38 18 07",
+        'h' => "00 06;03 12 32 43 46",
+        'i' => "22 26;20 21",
+        'j' => "22 27 18 08;20 21",
+        'k' => "00 06;42 04;23 46",
+        'l' => "10 15 26 36",
         'm' => "06 02;03 12 23 26;23 32 43 46",
+        'n' => "02 06;03 12 32 43 46",
+        'o' => "12 32 43 45 36 16 05 03 12",
+        'p' => "02 08;03 12 32 43 45 36 16 05",
+        'q' => "42 48;43 32 12 03 05 16 36 45",
+        'r' => "02 06;04 22 32 43",
+        's' => "43 32 12 03 14 34 45 36 16 05",
+        't' => "10 15 26 36;02 32",
+        'u' => "02 05 16 36 45;42 46",
+        'v' => "02 26 42",
+        'w' => "02 16 23 36 42",
+        'x' => "02 46;42 06",
+        'y' => "02 26;42 18",
+        'z' => "02 42 06 46",
         '-' => "13 33",
         '_' => "06 46",
         '.' => "25 26",
@@ -70,7 +95,7 @@ pub fn width(text: &str) -> f64 {
     ((letters * ADVANCE) - (ADVANCE - 4.0)).max(0.0) * UNIT_PX
 }
 
-/// The path data of a text with its upper left corner at the origin. Only `m` has a small letter: give capitals.
+/// The path data of a text with its upper left corner at the origin.
 pub fn letters(text: &str) -> String {
     let mut path = String::new();
     for (index, letter) in text.chars().enumerate() {
@@ -100,17 +125,13 @@ pub fn printable(text: &str) -> String {
     text.replace(char::is_control, " ")
 }
 
-/// A name in letters that there are, cut where it is longer than `most`.
+/// A name, cut where it is longer than `most` letters.
 pub fn name(text: &str, most: usize) -> String {
-    let capitals: Vec<char> = text.chars().flat_map(char::to_uppercase).collect();
-    if capitals.len() <= most {
-        return capitals.into_iter().collect();
+    if text.chars().count() <= most {
+        return text.to_owned();
     }
-    capitals
-        .into_iter()
-        .take(most.saturating_sub(1))
-        .chain(['…'])
-        .collect()
+    let kept = text.chars().take(most.saturating_sub(1));
+    kept.chain(['…']).collect()
 }
 
 #[cfg(test)]
@@ -119,7 +140,8 @@ mod tests {
 
     #[test]
     fn every_glyph_stays_in_its_box() {
-        for letter in ('A'..='Z').chain('0'..='9').chain("m-_.,:/+()… ?".chars()) {
+        let others = "-_.,:/+()… ?".chars();
+        for letter in ('A'..='Z').chain('a'..='z').chain('0'..='9').chain(others) {
             for point in glyph(letter)
                 .split([';', ' '])
                 .filter(|point| !point.is_empty())
@@ -128,7 +150,7 @@ mod tests {
                 assert!(
                     bytes.len() == 2
                         && (b'0'..=b'4').contains(&bytes[0])
-                        && (b'0'..=b'6').contains(&bytes[1]),
+                        && (b'0'..=b'8').contains(&bytes[1]),
                     "{letter}"
                 );
             }
@@ -136,9 +158,9 @@ mod tests {
     }
 
     #[test]
-    fn names_are_cut_and_capital() {
-        assert_eq!(name("revisit_1", 20), "REVISIT_1");
-        assert_eq!(name("abcdef", 4), "ABC…");
+    fn names_are_cut_and_else_as_they_are() {
+        assert_eq!(name("Revisit_1", 20), "Revisit_1");
+        assert_eq!(name("abcdef", 4), "abc…");
         assert!(letters("L").contains("M0.0 0.0L0.0 9.0L6.0 9.0"));
         assert!((width("AB") - 14.4).abs() < 1e-9);
     }

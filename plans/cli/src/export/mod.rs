@@ -152,7 +152,7 @@ async fn written(
             write_file(out, graph.as_bytes())
         }
         ExportFormat::Colmap => colmap::export(reader, &batches, site, out).await,
-        ExportFormat::Mcap => Err(Fault::bug("a layer is no recording").into()),
+        ExportFormat::Mcap => Err(Fault::bug("a layer cannot be exported as a recording").into()),
         ExportFormat::Png => {
             let (picture, site) = ground::picture(&batches, selection.zoom)?;
             write_file(out, &picture.png()?)?;

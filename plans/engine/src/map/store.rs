@@ -47,7 +47,7 @@ impl Store {
     pub fn open(address: &str, create: bool) -> Result<Self, Fault> {
         let url = address_url(address, create)?;
         let (store, root) = object_store::parse_url_opts(&url, std::env::vars())
-            .map_err(|error| Fault::user(format!("{address} is no place for a map: {error}")))?;
+            .map_err(|error| Fault::user(format!("{address} cannot hold a map: {error}")))?;
         let local = (url.scheme() == "file").then(|| url.to_file_path().ok());
         Ok(Self {
             folder: local.flatten().map(Folder::new),
@@ -97,7 +97,7 @@ impl Store {
     pub fn url_of(&self, name: &str) -> Result<Url, Fault> {
         self.url
             .join(name)
-            .map_err(|error| Fault::bug(format!("{name} is no name in a map: {error}")))
+            .map_err(|error| Fault::bug(format!("{name} is not a valid name in a map: {error}")))
     }
 
     /// What the store says of a name: its size, its times; `None` where there is none.
@@ -354,7 +354,7 @@ fn address_url(address: &str, create: bool) -> Result<Url, Fault> {
             format!("{address}/")
         };
         return Url::parse(&slashed)
-            .map_err(|error| Fault::user(format!("{address} is no URL: {error}")));
+            .map_err(|error| Fault::user(format!("{address} is not a URL: {error}")));
     }
     let folder = Path::new(address);
     if !create && !folder.is_dir() {
@@ -362,8 +362,8 @@ fn address_url(address: &str, create: bool) -> Result<Url, Fault> {
             .next("make one with `evermap run PLAN --map DIR --sessions FILES`"));
     }
     let full = std::path::absolute(folder)
-        .map_err(|error| Fault::user(format!("{address} is no folder: {error}")))?;
-    Url::from_directory_path(full).map_err(|()| Fault::user(format!("{address} is no folder")))
+        .map_err(|error| Fault::user(format!("{address} is not a folder: {error}")))?;
+    Url::from_directory_path(full).map_err(|()| Fault::user(format!("{address} is not a folder")))
 }
 
 #[cfg(test)]

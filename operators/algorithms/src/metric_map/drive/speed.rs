@@ -25,7 +25,7 @@ pub struct Speed {
 
 /// The speed at each message of a drive's odometry (stamp in ns, ascending, and pose): that of the parabola nearest to
 /// the path within half a window before and after it (Savitzky and Golay, 1964, for any spacing), or to the nearest three
-/// messages within two seconds where the window has fewer. None where the pose is no rigid transform, the stamp repeats,
+/// messages within two seconds where the window has fewer. None where the pose is not a rigid transform, the stamp repeats,
 /// or there are no three. Nothing is laid across a jump that leaves open how the vehicle moved.
 pub fn speeds(odometry: &[(i64, [f64; 7])], window_s: f64) -> Vec<Option<Speed>> {
     let known = path(odometry);

@@ -90,7 +90,7 @@ fn current<'a>(acts: &'a [Annotation], tell: Tell<'_>) -> Vec<Current<'a>> {
         "annotation that contradicts another person's; the later holds",
         conflicts,
     );
-    tell("annotation of a label that nobody had drawn", strays);
+    tell("annotation of a label that was never drawn", strays);
     let label = |label: evermap_algorithms::labels::folding::Label| Current {
         standing: label.standing,
         place: rows[label.place],
@@ -109,7 +109,7 @@ fn read(row: &Annotation) -> Result<Said<'_>, Reason> {
             return Err("label whose outline crosses itself");
         }
         Some("box") if !is_box(&row.points) => {
-            return Err("box that is no rectangle about its frame");
+            return Err("box that is not a rectangle around its frame");
         }
         _ => {}
     }
@@ -140,7 +140,7 @@ fn held(
     let chosen = || kept.or_else(|| holds.anchor(&drawn));
     let anchor = place.anchor.clone().or_else(chosen);
     if anchor.is_none() {
-        tell("label out of reach of every vehicle pose", 1);
+        tell("label too far from every vehicle pose", 1);
     }
     let framed = before.and_then(|row| Some((row.frame?, row.frame_from_label.clone()?)));
     let (frame, frame_from_label) = framed.or_else(|| holds.frame(&drawn)).unzip();

@@ -54,7 +54,7 @@ impl Placer {
         }
     }
 
-    /// A label where it is now; `None` where its own pose is no rigid transform.
+    /// A label where it is now; `None` where its own pose is not a rigid transform.
     pub fn placed(&self, row: LabelAnchor, tell: Tell<'_>) -> Option<PlacedLabel> {
         let anchor = row.anchor.as_ref();
         let by_pose = anchor.and_then(|anchor| self.by_pose(anchor));
@@ -66,7 +66,7 @@ impl Placer {
         match (placed_by, anchor) {
             ("frame", Some(_)) => tell("label whose session is gone, placed by its frame", 1),
             ("drawing", _) => tell(
-                "label that nothing of the map holds, placed as it was drawn",
+                "label not tied to any pose of the map, placed as it was drawn",
                 1,
             ),
             _ => {}

@@ -51,7 +51,7 @@ pub(super) fn read(
                 shape: Shape::Closed(corners),
                 probability: None,
             }),
-            None => losses.note("line that is no class and four corners", &place),
+            None => losses.note("line that is not a class and four corners", &place),
         }
     }
     found

@@ -162,7 +162,7 @@ fn crossing(row: &Crossing, stamp: i64) -> SceneEntity {
     }
 }
 
-/// A parking space; `None` where its pose is no rigid transform.
+/// A parking space; `None` where its pose is not a rigid transform.
 fn space(row: &Space, stamp: i64) -> Option<SceneEntity> {
     let corners = corners(&row.map_from_space, row.length_m, row.width_m)?;
     let known = [("standing", row.standing.clone())];
