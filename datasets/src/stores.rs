@@ -73,8 +73,7 @@ pub(crate) async fn resolve(runtime: &RuntimeEnv, name: &str) -> Result<Vec<LogF
     };
     if found.is_empty() {
         return Err(
-            Fault::user(format!("expected MCAP files, found none at {name}"))
-                .next("give a file, a folder, a glob in quotes, or a URL"),
+            Fault::user(format!("expected MCAP files, found none at {name}")).next(WHAT_TO_GIVE),
         );
     }
     found.sort_by_key(|file| natural_key(file.meta.location.as_ref()));
@@ -100,6 +99,9 @@ pub(crate) fn natural_key(text: &str) -> Vec<(String, u64)> {
     key.push((text.to_owned(), 0));
     key
 }
+
+/// What names logs.
+const WHAT_TO_GIVE: &str = "give a file, a folder, a glob in quotes, or a URL";
 
 fn is_mcap(path: &FilePath) -> bool {
     path.extension()
@@ -127,11 +129,17 @@ async fn local(runtime: &RuntimeEnv, name: &str) -> Result<Vec<LogFile>, Fault> 
     Ok(files)
 }
 
-/// Refuses what is there and is no file: reading a pipe would wait for ever, and a device has no end.
+/// Refuses what is not there, and what is no file: reading a pipe would wait for ever, and a device has no end.
 fn check_file(path: &FilePath) -> Result<(), Fault> {
-    let Ok(found) = std::fs::metadata(path) else {
-        return Ok(());
-    };
+    let found = std::fs::metadata(path).map_err(|error| {
+        match error.kind() {
+            std::io::ErrorKind::NotFound => {
+                Fault::user("expected a file, found nothing").next(WHAT_TO_GIVE)
+            }
+            _ => Fault::resource(format!("cannot read the file: {error}")),
+        }
+        .at(path.display())
+    })?;
     if found.is_file() || found.is_dir() {
         return Ok(());
     }

@@ -60,10 +60,22 @@ impl Bench {
     }
 
     fn run(&self, plan: &Path, session: &Path) -> Finished {
-        let more = ["--sessions", text(session)];
-        let mut command = plan_command(text(plan), &self.path("map"), "lot", &more);
+        self.run_into("map", plan, &["--sessions", text(session)])
+    }
+
+    fn run_into(&self, map: &str, plan: &Path, more: &[&str]) -> Finished {
+        let mut command = plan_command(text(plan), &self.path(map), "lot", more);
         command.env("EVERMAP_PYTHON", &self.python);
         command.output().unwrap().into()
+    }
+
+    /// The digests of a layer's files in the first version of a map.
+    fn contents(&self, map: &str, layer: &str) -> Vec<Value> {
+        let version = std::fs::read(self.path(map).join("versions/1.json")).unwrap();
+        let version: Value = serde_json::from_slice(&version).unwrap();
+        let artifacts = version["layers"][layer]["artifacts"].as_array().unwrap();
+        let contents = artifacts.iter().map(|artifact| artifact["content"].clone());
+        contents.collect()
     }
 
     fn query(&self, sql: &str) -> Value {
@@ -97,17 +109,17 @@ fn a_function_gives_the_bytes_of_its_operator() {
     let Some(bench) = Bench::new() else { return };
     let plan = bench.path("frames.yaml");
     bench.evermap(&["test", text(&plan)]).expect(0);
-    bench.run(&plan, &bench.drive("monday.mcap", 1.3)).expect(0);
-    let version = std::fs::read(bench.path("map/versions/1.json")).unwrap();
-    let version: Value = serde_json::from_slice(&version).unwrap();
-    let contents = |layer: &str| {
-        let artifacts = version["layers"][layer]["artifacts"].as_array().unwrap();
-        let contents = artifacts.iter().map(|artifact| artifact["content"].clone());
-        contents.collect::<Vec<_>>()
-    };
+    let session = bench.drive("monday.mcap", 1.3);
+    bench.run(&plan, &session).expect(0);
+    let [by_rust, by_python] = ["by_rust", "by_python"].map(|layer| bench.contents("map", layer));
     let found = bench.query("SELECT count(*) AS n FROM by_python");
     assert!(found[0]["n"].as_u64().unwrap() > 20, "{found}");
-    assert_eq!(contents("by_python"), contents("by_rust"));
+    assert_eq!(by_python, by_rust);
+
+    // Executors run it as this process does.
+    let more = ["--sessions", text(&session), "--cluster", "in-process"];
+    bench.run_into("distributed", &plan, &more).expect(0);
+    assert_eq!(bench.contents("distributed", "by_python"), by_rust);
 }
 
 #[test]

@@ -30,6 +30,7 @@ use crate::progress::line;
 use crate::prompt;
 use crate::reader::MapReader;
 use crate::sessions;
+use crate::units;
 
 /// The name that a map is given, where it is, and its address.
 fn named(map: &str) -> (Option<&str>, &str) {
@@ -201,7 +202,8 @@ impl Tables {
         sink: &mut Sink,
     ) -> Result<u64, Failure> {
         let frame = self.frame(statement).await?;
-        let schema = Arc::new(frame.schema().as_arrow().clone());
+        let declared = |table: &str| self.declaration(table);
+        let schema = units::described(frame.logical_plan(), declared);
         let rows = frame.execute_stream().await.or_fault()?;
         let rows = rows.map_err(|error| fault_of(&error));
         write(format, schema, rows.boxed(), sink).await

@@ -24,6 +24,7 @@ use crate::ending::Failure;
 pub use crate::export::geo::{Head, ON_EARTH};
 use crate::output::{CRS, Format, GEOMETRY, Sink, write, write_file};
 use crate::reader::{MapReader, only, texts};
+use crate::units;
 
 /// What a layer is exported to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -168,7 +169,12 @@ async fn written(
         ExportFormat::Csv => rows(Format::Csv, batches, out).await,
         ExportFormat::Parquet => {
             let batches = geoparquet(batches, declared.as_ref(), &earth)?;
-            rows(Format::Parquet, batches, out).await
+            rows(
+                Format::Parquet,
+                with_units(batches, declared.as_ref())?,
+                out,
+            )
+            .await
         }
     }
 }
@@ -206,6 +212,18 @@ fn geoparquet(
         Ok(batch.with_schema(Arc::new(schema.with_metadata(metadata.clone())))?)
     });
     said.collect()
+}
+
+/// The rows of a layer with its units and frames.
+fn with_units(batches: Vec<RecordBatch>, layer: Option<&Layer>) -> Result<Vec<RecordBatch>, Fault> {
+    let Some(layer) = layer else {
+        return Ok(batches);
+    };
+    let described = |batch: RecordBatch| {
+        let schema = units::of_layer(batch.schema_ref(), layer);
+        Ok(batch.with_schema(schema)?)
+    };
+    batches.into_iter().map(described).collect()
 }
 
 /// Writes rows with a geometry as a GeoJSON file.

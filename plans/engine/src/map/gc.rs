@@ -8,6 +8,7 @@ use serde::de::IgnoredAny;
 
 use crate::fingerprint;
 use crate::map::lease::{self, Lease};
+use crate::map::parts::PARTS;
 use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
 use crate::map::sound::Sound;
 use crate::map::store::Store;
@@ -61,6 +62,7 @@ async fn collect(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fau
     let forgotten = versions;
     let (mut needed, mut logs) = (BTreeSet::new(), BTreeSet::new());
     for version in kept {
+        needed.extend(Version::parts(store, version.version).await?);
         // What `previous` meant is kept too: the version can then be made again.
         let previous = version.previous.layers.values().flatten();
         needed.extend(previous.map(Artifact::name));
@@ -83,7 +85,7 @@ async fn collect(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fau
         Sound::forget_all_but(store, &needed).await?;
     }
     let mut left_over: Vec<(String, u64)> = torn.into_iter().map(|name| (name, 0)).collect();
-    for folder in [RECEIPTS, ARTIFACTS, fingerprint::FOLDER] {
+    for folder in [RECEIPTS, ARTIFACTS, PARTS, fingerprint::FOLDER] {
         let listed = store.list(folder).await?.into_iter();
         left_over.extend(listed.filter(|(name, _)| !needed.contains(name)));
     }

@@ -9,6 +9,7 @@ mod gc;
 pub mod lease;
 mod local;
 mod logs;
+mod parts;
 pub mod receipt;
 mod rows;
 pub mod sound;

@@ -4,6 +4,7 @@
 //!   artifacts/CONTENT.parquet   rows, named by the digest of the file
 //!   receipts/RECIPE.json        a unit that was done: its recipe's digest → its artifact, rows, losses
 //!   versions/N.json             what version N of the map is made of; created only if absent
+//!   parts/CONTENT.json          a part of a long list of versions, named by the digest of the file
 //!   sound.json                  which artifacts were read and found right, by what their files were like
 //!   logs/STATE.json             the digest of a log, by what its files were like: saves reading it again
 //!   runs/N-ID.parquet           how each unit of a run went
@@ -117,16 +118,16 @@ impl Store {
         let Some(bytes) = self.read(name).await? else {
             return Ok(None);
         };
-        serde_json::from_slice(&bytes).map(Some).map_err(|error| {
-            Fault::data(format!(
-                "expected what evermap wrote, found other JSON: {error}"
-            ))
-            .at(format!("{}{name}", self.url))
-        })
+        let read = serde_json::from_slice(&bytes);
+        read.map(Some)
+            .map_err(|error| other_json(&error).at(format!("{}{name}", self.url)))
     }
 
     /// The bytes at a name; `None` where there is none.
-    async fn read(&self, name: &str) -> Result<Option<Bytes>, Fault> {
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn read(&self, name: &str) -> Result<Option<Bytes>, Fault> {
         if let Some(folder) = &self.folder {
             let owned = name.to_owned();
             let read = folder.with(name, move |folder| folder.read(&owned)).await?;
@@ -340,6 +341,13 @@ fn there<T>(answer: object_store::Result<T>, name: &str) -> Result<Option<T>, Fa
         Err(object_store::Error::NotFound { .. }) => Ok(None),
         Err(error) => Err(store_fault(&error, name)),
     }
+}
+
+/// That a file of the map has another shape than what is written there.
+pub fn other_json(error: &serde_json::Error) -> Fault {
+    Fault::data(format!(
+        "expected what evermap wrote, found other JSON: {error}"
+    ))
 }
 
 fn json_bytes<T: Serialize>(value: &T) -> Result<Vec<u8>, Fault> {

@@ -6,6 +6,7 @@ use std::time::Duration;
 use evermap_schemas::{Fault, Kind, record};
 
 use crate::map::damage::{Damage, content_damage};
+use crate::map::parts::PARTS;
 use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
 use crate::map::store::{Store, each};
 use crate::map::tables::is_whole;
@@ -55,6 +56,8 @@ struct Needed {
     artifacts: BTreeMap<String, (Artifact, String)>,
     /// Receipts by digest: the content that they must lead to.
     receipts: BTreeMap<String, (String, String)>,
+    /// Names of parts of versions' lists, which were read with them.
+    parts: BTreeSet<String>,
 }
 
 impl Needed {
@@ -115,7 +118,10 @@ async fn verify_versions(store: &Store, numbers: &[u64], all: bool) -> Result<Ve
             false => Version::read(store, number).await.map(Some),
         };
         match found {
-            Ok(Some(version)) => needed.add(&version),
+            Ok(Some(version)) => {
+                needed.add(&version);
+                needed.parts.extend(Version::parts(store, number).await?);
+            }
             Ok(None) => continue, // It was forgotten since.
             Err(fault) if fault.kind == Kind::Data => {
                 let file = Version::name(number);
@@ -128,7 +134,7 @@ async fn verify_versions(store: &Store, numbers: &[u64], all: bool) -> Result<Ve
     verified.artifacts(store, &needed, all).await?;
     verified.receipts(store, &needed, all).await?;
     if all {
-        verified.others(store).await?;
+        verified.others(store, &needed).await?;
     }
     verified.findings.sort_by(|a, b| a.file.cmp(&b.file));
     Ok(verified)
@@ -237,7 +243,12 @@ impl Verified {
     }
 
     /// What is neither a version nor a receipt nor an artifact.
-    async fn others(&mut self, store: &Store) -> Result<(), Fault> {
+    async fn others(&mut self, store: &Store, needed: &Needed) -> Result<(), Fault> {
+        for (name, _) in store.list(PARTS).await? {
+            if !needed.parts.contains(&name) {
+                self.findings.push(unreferenced(&name));
+            }
+        }
         for (name, _) in store.temporary(Duration::ZERO).await? {
             self.findings.push(unreferenced(&name));
         }

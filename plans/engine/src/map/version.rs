@@ -5,10 +5,12 @@ use std::collections::BTreeMap;
 use evermap_datasets::Manifest;
 use evermap_schemas::{Fault, Kind};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::digest::digest;
+use crate::map::parts;
 use crate::map::receipt::{Artifact, LogContent};
-use crate::map::store::Store;
+use crate::map::store::{Store, other_json};
 
 /// A stored stage in a version: a published layer, or something that later runs build on.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -132,7 +134,13 @@ impl Version {
     /// A data fault for one that is torn or does not read.
     pub async fn find(store: &Store, version: u64) -> Result<Option<Self>, Fault> {
         let name = Self::name(version);
-        let found: Option<Self> = store.read_json(&name).await?;
+        let Some(mut found) = store.read_json::<Value>(&name).await? else {
+            return Ok(None);
+        };
+        let at = |fault: Fault| fault.at(&name);
+        parts::join(store, &mut found).await.map_err(at)?;
+        let read = serde_json::from_value(found);
+        let found: Option<Self> = read.map_err(|error| at(other_json(&error)))?;
         match found.as_ref().map(|found| found.version) {
             Some(found) if found != version => Err(Fault::data(format!(
                 "{name}: expected version {version}, found version {found}"
@@ -208,6 +216,18 @@ impl Version {
     /// # Errors
     /// A resource fault when the store does not take it.
     pub async fn publish(&self, store: &Store) -> Result<bool, Fault> {
-        store.create_json(&Self::name(self.version), self).await
+        let written = serde_json::to_value(self);
+        let mut written = written.map_err(|error| Fault::bug(error.to_string()))?;
+        parts::split(store, &mut written).await?;
+        store.create_json(&Self::name(self.version), &written).await
+    }
+
+    /// The names of the files that hold parts of a version's lists.
+    ///
+    /// # Errors
+    /// As [`Version::find`], but for what is wrong with a part.
+    pub async fn parts(store: &Store, version: u64) -> Result<Vec<String>, Fault> {
+        let found: Option<Value> = store.read_json(&Self::name(version)).await?;
+        Ok(found.iter().flat_map(parts::names).collect())
     }
 }

@@ -1,0 +1,207 @@
+//! Long lists of a version in parts that versions share, so that a commit writes what it changes.
+//!
+//! A version lists its sessions, and an artifact and a recipe of each unit: of ten thousand sessions 18 MB, of which one
+//! more session changes a few kilobytes. A list is cut where the digest of an element says so; an element that comes, goes
+//! or changes then changes its own part, wherever it stands. A part is a file named by its content, and checked against its
+//! name when it is read. Short lists stay where they are.
+
+use evermap_schemas::Fault;
+use serde_json::{Value, json};
+
+use crate::digest::digest;
+use crate::map::store::{Store, each};
+
+/// The folder of a map that has parts.
+pub const PARTS: &str = "parts";
+/// The member of a list that is kept in parts: their digests, in order.
+const MEMBER: &str = "parts";
+/// Lists of more elements are cut.
+const LONGEST: usize = 1024;
+/// Elements of a part, in the mean.
+const MEAN: u64 = 256;
+/// No part has more elements.
+const LARGEST: usize = 2048;
+
+/// The name of the part with this content.
+fn name(digest: &str) -> String {
+    format!("{PARTS}/{digest}.json")
+}
+
+/// Where a version has lists that may be long, as JSON pointers.
+fn places(version: &Value) -> Vec<String> {
+    let members = |of: &str| -> Vec<String> {
+        let found = version.pointer(of).and_then(Value::as_object);
+        found.map_or_else(Vec::new, |found| found.keys().cloned().collect())
+    };
+    let layers = members("/layers")
+        .into_iter()
+        .flat_map(|layer| ["artifacts", "recipes"].map(|list| format!("/layers/{layer}/{list}")));
+    let previous = members("/previous/layers").into_iter();
+    let previous = previous.map(|layer| format!("/previous/layers/{layer}"));
+    let sessions = ["/sessions", "/previous/sessions"].map(str::to_owned);
+    layers.chain(previous).chain(sessions).collect()
+}
+
+/// Cuts the long lists of a version and writes the parts that are not there yet.
+///
+/// # Errors
+/// A resource fault when the store does not take them.
+pub async fn split(store: &Store, version: &mut Value) -> Result<(), Fault> {
+    for place in places(version) {
+        let list = version.pointer_mut(&place);
+        let Some(list) =
+            list.filter(|list| list.as_array().is_some_and(|list| list.len() > LONGEST))
+        else {
+            continue;
+        };
+        let parts = cut(list.as_array().map_or(&[], Vec::as_slice))?;
+        let written = parts.iter().map(|(digest, text)| keep(store, digest, text));
+        each(written).await?;
+        let digests: Vec<String> = parts.into_iter().map(|(digest, _)| digest).collect();
+        *list = json!({ MEMBER: digests });
+    }
+    Ok(())
+}
+
+/// Puts the parts of a version's lists where they belong.
+///
+/// # Errors
+/// A data fault for a part that is missing or damaged.
+pub async fn join(store: &Store, version: &mut Value) -> Result<(), Fault> {
+    for place in places(version) {
+        let Some(list) = version.pointer_mut(&place) else {
+            continue;
+        };
+        if let Some(digests) = digests(list) {
+            let parts = each(digests.iter().map(|digest| part(store, digest))).await?;
+            *list = Value::Array(parts.into_iter().flatten().collect());
+        }
+    }
+    Ok(())
+}
+
+/// The names of the parts of a version as it is written.
+pub fn names(version: &Value) -> Vec<String> {
+    let lists = places(version).into_iter();
+    let lists = lists.filter_map(|place| digests(version.pointer(&place)?));
+    lists.flatten().map(name).collect()
+}
+
+/// The digests of a list that is kept in parts.
+fn digests(list: &Value) -> Option<Vec<&str>> {
+    let digests = list.get(MEMBER)?.as_array()?.iter();
+    Some(digests.filter_map(Value::as_str).collect())
+}
+
+/// The parts of a list: digest and text of each.
+fn cut(list: &[Value]) -> Result<Vec<(String, Vec<u8>)>, Fault> {
+    let failed = |error: serde_json::Error| Fault::bug(error.to_string());
+    let (mut parts, mut start) = (Vec::new(), 0);
+    for (index, element) in list.iter().enumerate() {
+        let text = serde_json::to_vec(element).map_err(failed)?;
+        let hash = blake3::hash(&text);
+        let [a, b, c, d, ..] = *hash.as_bytes();
+        let ends = u64::from(u32::from_le_bytes([a, b, c, d])) % MEAN == 0;
+        if ends || index + 1 - start == LARGEST || index + 1 == list.len() {
+            let text = serde_json::to_vec(&list[start..=index]).map_err(failed)?;
+            parts.push((digest(&text), text));
+            start = index + 1;
+        }
+    }
+    Ok(parts)
+}
+
+/// Writes a part, unless it is there and whole.
+async fn keep(store: &Store, digest: &str, text: &[u8]) -> Result<(), Fault> {
+    let name = name(digest);
+    match store.read(&name).await? {
+        Some(found) if found == text => Ok(()),
+        _ => store.write(&name, text.to_vec()).await,
+    }
+}
+
+async fn part(store: &Store, wanted: &str) -> Result<Vec<Value>, Fault> {
+    let name = name(wanted);
+    let text = store.read(&name).await?;
+    let text = text.ok_or_else(|| Fault::data(format!("expected {name}, found no such file")))?;
+    let found = digest(&text);
+    if found != wanted {
+        return Err(Fault::data(format!("expected the digest {wanted}, found {found}")).at(name));
+    }
+    let read = serde_json::from_slice(&text);
+    read.map_err(|error| Fault::data(format!("expected a list, found {error}")).at(name))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    fn version(sessions: impl IntoIterator<Item = u32>) -> Value {
+        let names: Vec<Value> = sessions
+            .into_iter()
+            .map(|number| json!(format!("drive_{number:05}")))
+            .collect();
+        json!({
+            "version": 1,
+            "sessions": names.clone(),
+            "layers": { "keyframes#lift": { "artifacts": names, "recipes": ["r"] } },
+            "previous": { "sessions": [], "layers": {} },
+        })
+    }
+
+    #[tokio::test]
+    async fn lists_come_back_and_one_more_element_changes_one_part() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        let before = version((0..20_000).step_by(2));
+        let mut written = before.clone();
+        split(&store, &mut written).await.unwrap();
+        let listed = store.list(PARTS).await.unwrap().len();
+        assert!(serde_json::to_vec(&written).unwrap().len() < 10_000);
+        assert!((20..80).contains(&listed), "{listed} parts");
+
+        let after = version((0..20_000).step_by(2).chain([7777]));
+        let mut sorted = after.clone();
+        for list in ["/sessions", "/layers/keyframes#lift/artifacts"] {
+            let list = sorted.pointer_mut(list).unwrap().as_array_mut().unwrap();
+            list.sort_by_key(|name| name.as_str().unwrap().to_owned());
+        }
+        let mut rewritten = sorted.clone();
+        split(&store, &mut rewritten).await.unwrap();
+        let [old, new] =
+            [&written, &rewritten].map(|v| names(v).into_iter().collect::<BTreeSet<_>>());
+        assert!(
+            new.difference(&old).count() <= 2,
+            "{:?}",
+            new.difference(&old)
+        );
+
+        join(&store, &mut rewritten).await.unwrap();
+        assert_eq!(rewritten, sorted);
+        join(&store, &mut written).await.unwrap();
+        assert_eq!(written, before);
+    }
+
+    #[tokio::test]
+    async fn short_lists_stay_and_damaged_parts_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        let mut short = version(0..10);
+        split(&store, &mut short).await.unwrap();
+        assert_eq!(short, version(0..10));
+
+        let mut long = version(0..5000);
+        split(&store, &mut long).await.unwrap();
+        let damaged = names(&long).remove(3);
+        std::fs::write(folder.path().join(&damaged), "[]").unwrap();
+        let fault = join(&store, &mut long.clone()).await.unwrap_err();
+        assert!(fault.to_string().contains(&damaged), "{fault}");
+        // Publishing the same list again mends it.
+        split(&store, &mut version(0..5000)).await.unwrap();
+        join(&store, &mut long).await.unwrap();
+        assert_eq!(long, version(0..5000));
+    }
+}
