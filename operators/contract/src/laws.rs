@@ -20,7 +20,7 @@ use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
 pub use crate::naive::{Outcome, Split, inputs_of, run, sort};
-pub use crate::table::{JsonRow, difference, json_rows, port_schema, table};
+pub use crate::table::{JsonRow, difference, json_rows, lacking, port_schema, table};
 use crate::{Entry, Example};
 
 /// How close floating-point results on a page must come.

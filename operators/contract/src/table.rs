@@ -61,27 +61,106 @@ pub fn difference(
     expected: &[JsonRow],
     tolerance: f64,
 ) -> Result<Option<String>, Fault> {
-    if found.num_rows() != expected.len() {
-        let rows = json_rows(found)?;
-        return Ok(Some(format!(
-            "expected {} rows, found {}: {}",
-            expected.len(),
-            found.num_rows(),
-            json!(rows)
-        )));
-    }
     let normal = json_rows(&table(&found.schema(), expected)?)?;
-    for (row, ((listed, normal), found)) in expected
-        .iter()
-        .zip(&normal)
-        .zip(&json_rows(found)?)
-        .enumerate()
-    {
-        if let Some(text) = differ_struct(listed, normal, found, tolerance) {
-            return Ok(Some(format!("row {row}: {text}")));
+    let found = json_rows(found)?;
+    let differs = |row: usize, found: &JsonRow| {
+        let (listed, normal) = (expected.get(row)?, normal.get(row)?);
+        differ_struct(listed, normal, found, tolerance)
+    };
+    let first = match found.len() == expected.len() {
+        true => found
+            .iter()
+            .enumerate()
+            .find_map(|(row, found)| Some(format!("row {row}: {}", differs(row, found)?))),
+        false => Some(format!(
+            "expected {} rows, found {}",
+            expected.len(),
+            found.len()
+        )),
+    };
+    let is_same = |row: usize, other: usize| differs(row, &found[other]).is_none();
+    Ok(first.map(|first| format!("{first}{}", diff(expected, &found, is_same))))
+}
+
+/// The rows that are not among those found, in any order; `None` where all are. As [`difference`] otherwise.
+///
+/// # Errors
+/// As [`difference`].
+pub fn lacking(
+    found: &RecordBatch,
+    expected: &[JsonRow],
+    tolerance: f64,
+) -> Result<Option<String>, Fault> {
+    let normal = json_rows(&table(&found.schema(), expected)?)?;
+    let found = json_rows(found)?;
+    let is_there = |listed, normal| {
+        let mut found = found.iter();
+        found.any(|found| differ_struct(listed, normal, found, tolerance).is_none())
+    };
+    let rows = expected.iter().zip(&normal);
+    let lacking: Vec<&JsonRow> = rows
+        .filter(|(listed, normal)| !is_there(listed, normal))
+        .map(|(listed, _)| listed)
+        .collect();
+    let Some(first) = lacking.first() else {
+        return Ok(None);
+    };
+    Ok(Some(format!(
+        "expected {}, found no such row among {}",
+        json!(first),
+        found.len()
+    )))
+}
+
+/// More rows than this are not compared line by line.
+const MOST_COMPARED: usize = 1000;
+/// Lines of a diff that are shown.
+const MOST_SHOWN: usize = 20;
+
+/// Rows that only one side has: `-` what was expected, `+` what was found, on the columns that are listed.
+fn diff(expected: &[JsonRow], found: &[JsonRow], is_same: impl Fn(usize, usize) -> bool) -> String {
+    let (m, n) = (expected.len(), found.len());
+    if m.max(n) > MOST_COMPARED {
+        return String::new();
+    }
+    // The longest common subsequence of what is left from here on.
+    let mut common = vec![vec![0_usize; n + 1]; m + 1];
+    for row in (0..m).rev() {
+        for other in (0..n).rev() {
+            common[row][other] = match is_same(row, other) {
+                true => common[row + 1][other + 1] + 1,
+                false => common[row + 1][other].max(common[row][other + 1]),
+            };
         }
     }
-    Ok(None)
+    let is_listed =
+        |name: &String| expected.is_empty() || expected.iter().any(|row| row.contains_key(name));
+    let shown = |row: &JsonRow| -> Value {
+        let listed = row.iter().filter(|(name, _)| is_listed(name));
+        Value::Object(
+            listed
+                .map(|(name, value)| (name.clone(), value.clone()))
+                .collect(),
+        )
+    };
+    let (mut lines, mut row, mut other) = (Vec::new(), 0, 0);
+    while row < m || other < n {
+        if row < m && other < n && is_same(row, other) {
+            (row, other) = (row + 1, other + 1);
+        } else if other == n || (row < m && common[row + 1][other] >= common[row][other + 1]) {
+            lines.push(format!("\n  - {}", json!(expected[row])));
+            row += 1;
+        } else {
+            lines.push(format!("\n  + {}", shown(&found[other])));
+            other += 1;
+        }
+    }
+    if lines.len() > MOST_SHOWN {
+        let more = lines.len() - MOST_SHOWN;
+        lines.truncate(MOST_SHOWN);
+        lines.push(format!("\n  … {more} more"));
+    }
+    lines.concat()
 }
 
 fn differ_struct(
@@ -205,4 +284,60 @@ pub(crate) fn with_pixels(rows: &RecordBatch, pixels: Option<&str>) -> Result<Re
     columns.push(images);
     let schema = Arc::new(Schema::new(fields));
     Ok(RecordBatch::try_new(schema, columns)?)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn rows(rows: Value) -> Vec<JsonRow> {
+        serde_json::from_value(rows).unwrap()
+    }
+
+    fn found() -> RecordBatch {
+        let columns = ["lane", "length_m"].map(|name| Field::new(name, DataType::Float64, true));
+        let schema = Arc::new(Schema::new(columns.to_vec()));
+        let found = json!([
+            { "lane": 0, "length_m": 10.0 },
+            { "lane": 1, "length_m": 20.0 },
+            { "lane": 2, "length_m": 30.0 },
+        ]);
+        table(&schema, &rows(found)).unwrap()
+    }
+
+    fn differs(expected: Value) -> Option<String> {
+        difference(&found(), &rows(expected), 1e-9).unwrap()
+    }
+
+    #[test]
+    fn a_difference_is_shown_line_by_line() {
+        assert_eq!(
+            differs(json!([{ "lane": 0 }, { "lane": 1 }, { "lane": 2 }])),
+            None
+        );
+        assert_eq!(
+            differs(json!([{ "lane": 0 }, { "lane": 2 }])).unwrap(),
+            "expected 2 rows, found 3\n  + {\"lane\":1.0}"
+        );
+        assert_eq!(
+            differs(json!([{ "lane": 0 }, { "lane": 1, "length_m": 21.0 }, { "lane": 2 }]))
+                .unwrap(),
+            "row 1: length_m: expected 21.0, found 20.0\n  - {\"lane\":1,\"length_m\":21.0}\n  + {\"lane\":1.0,\"length_m\":20.0}"
+        );
+        assert_eq!(differs(json!([])).unwrap().lines().count(), 4);
+    }
+
+    #[test]
+    fn some_rows_may_be_all_that_is_asked_for() {
+        let lacks = |expected: Value| lacking(&found(), &rows(expected), 1e-9).unwrap();
+        assert_eq!(
+            lacks(json!([{ "lane": 2 }, { "lane": 0, "length_m": 10.0 }])),
+            None
+        );
+        assert_eq!(
+            lacks(json!([{ "lane": 2 }, { "lane": 1, "length_m": 1.0 }])).unwrap(),
+            "expected {\"lane\":1,\"length_m\":1.0}, found no such row among 3"
+        );
+    }
 }

@@ -1,11 +1,11 @@
 //! Plans by path, or by name where they ship with the program.
 
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::Path;
 
 use evermap_datasets::Manifest;
 use evermap_engine::prepare::PlanText;
-use evermap_language::{PlanFaults, Source, utf8};
+use evermap_language::{PlanFaults, Source, nearest, utf8};
 use evermap_schemas::Fault;
 
 use crate::arguments::PlanArgs;
@@ -90,12 +90,18 @@ fn file_or_shipped(file: &Path, name: &str) -> Result<(String, Vec<u8>), Fault> 
         return Ok((origin(name), text.as_bytes().to_vec()));
     }
     let bytes = std::fs::read(file).map_err(|error| {
-        let names: Vec<_> = PLANS.iter().map(|(name, _)| *name).collect();
-        let file = file.display();
-        Fault::user(format!("cannot read the plan {file}: {error}")).next(format!(
-            "give a YAML file, or one of the plans that ship: {}",
-            names.join(", ")
-        ))
+        let names = || PLANS.iter().map(|(name, _)| *name);
+        let fault = match error.kind() {
+            ErrorKind::NotFound => Fault::user(format!("there is no plan {}", file.display())),
+            _ => Fault::user(format!("cannot read the plan {}: {error}", file.display())),
+        };
+        match nearest(name, names()) {
+            Some(near) => fault.next(format!("did you mean {near}?")),
+            None => fault.next(format!(
+                "give a YAML file, or one of the plans that ship: {}",
+                names().collect::<Vec<_>>().join(", ")
+            )),
+        }
     })?;
     Ok((file.display().to_string(), bytes))
 }

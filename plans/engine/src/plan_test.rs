@@ -12,7 +12,7 @@ use arrow::compute::concat_batches;
 use arrow::datatypes::SchemaRef;
 use datafusion::prelude::SessionContext;
 use evermap_contract::Registry;
-use evermap_contract::laws::{Split, difference, run, table};
+use evermap_contract::laws::{JsonRow, Split, difference, lacking, run, table};
 use evermap_datasets::Dataset;
 use evermap_language::{Body, Input, Plan, PlanTest, Step};
 use evermap_schemas::Fault;
@@ -68,7 +68,7 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    async fn run(&self, test: &PlanTest) -> Result<Option<String>, Fault> {
+    async fn run<'t>(&self, test: &'t PlanTest) -> Result<Option<String>, Fault> {
         let context = context(Limits::one_partition())?;
         self.dataset.register(&context)?;
         // What a test does not say of the version before is empty, as before the first version.
@@ -101,11 +101,16 @@ impl Bench<'_> {
                 }
             }
         }
-        for (step, expected) in &test.expect {
+        type Compare = fn(&RecordBatch, &[JsonRow], f64) -> Result<Option<String>, Fault>;
+        let tables_of = |tables: &'t [(String, Vec<JsonRow>)], compare: Compare| {
+            tables.iter().map(move |table| (table, compare))
+        };
+        let compared = tables_of(&test.expect, difference);
+        for ((step, rows), compare) in compared.chain(tables_of(&test.contains, lacking)) {
             let found = tables
                 .get(&Input::Step(step.clone()))
                 .ok_or_else(|| Fault::bug(format!("no step {step}")))?;
-            if let Some(text) = difference(found, expected, test.tolerance)? {
+            if let Some(text) = compare(found, rows, test.tolerance)? {
                 return Ok(Some(format!("{step}: {text}")));
             }
         }

@@ -228,11 +228,13 @@ fn test() -> Value {
     json!({
         "type": "object",
         "additionalProperties": false,
-        "required": ["name", "expect"],
+        "required": ["name"],
+        "anyOf": [{"required": ["expect"]}, {"required": ["contains"]}],
         "properties": {
             "name": {"type": "string"},
             "given": tables,
             "expect": expect,
+            "contains": expect,
             "tolerance": {"type": "number", "minimum": 0},
         },
     })

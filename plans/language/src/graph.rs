@@ -5,7 +5,7 @@ mod order;
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::fault::{Place, PlanFaults, Severity};
-use crate::plan::{Input, Plan, PlanTest, Step};
+use crate::plan::{Input, Plan, PlanTest, Row, Step};
 use crate::suggest::quoted;
 use crate::vocabulary::Vocabulary;
 use crate::written::{Named, Written, WrittenInput, WrittenStep, WrittenTest};
@@ -218,21 +218,27 @@ impl Names<'_> {
                 None => sound = false,
             }
         }
-        let mut expect = Vec::new();
-        for (named, rows) in &test.expect {
-            sound &= self.step(named, "`expect`", faults).is_some();
-            if test.given.iter().any(|(given, _)| given.name == named.name) {
-                let name = quoted(&named.name);
-                let message = format!("{name} is given, so that expecting it tests nothing");
-                faults.error(named.place, message);
+        let mut made = |key: &str, tables: &[(Named, Vec<Row>)]| {
+            let mut made = Vec::new();
+            for (named, rows) in tables {
+                sound &= self.step(named, key, faults).is_some();
+                if test.given.iter().any(|(given, _)| given.name == named.name) {
+                    let name = quoted(&named.name);
+                    let message = format!("{name} is given, so that expecting it tests nothing");
+                    faults.error(named.place, message);
+                }
+                made.push((named.name.clone(), rows.clone()));
             }
-            expect.push((named.name.clone(), rows.clone()));
-        }
+            made
+        };
+        let expect = made("`expect`", &test.expect);
+        let contains = made("`contains`", &test.contains);
         sound.then(|| PlanTest {
             name: test.name.name.clone(),
             position: test.name.place.position(),
             given,
             expect,
+            contains,
             tolerance: test.tolerance,
         })
     }

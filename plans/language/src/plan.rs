@@ -146,8 +146,10 @@ pub struct PlanTest {
     pub position: Position,
     /// Rows of sources, and of steps that are then not run. Tables not given are empty.
     pub given: Vec<(Input, Vec<Row>)>,
-    /// Rows that steps must make; only the columns listed are compared.
+    /// Rows that steps must make, and no others; only the columns listed are compared.
     pub expect: Vec<(String, Vec<Row>)>,
+    /// Rows that must be among those that steps make, in any order; only the columns listed are compared.
+    pub contains: Vec<(String, Vec<Row>)>,
     /// How far numbers may be apart, absolute, in the unit of the column.
     pub tolerance: f64,
 }

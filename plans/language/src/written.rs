@@ -23,7 +23,7 @@ const STEP_KEYS: [&str; 9] = [
 /// The keys that say what a step does; it has one of them.
 pub(crate) const BODY_KEYS: [&str; 3] = ["op", "sql", "python"];
 /// The keys of a test.
-const TEST_KEYS: [&str; 4] = ["name", "given", "expect", "tolerance"];
+const TEST_KEYS: [&str; 5] = ["name", "given", "expect", "contains", "tolerance"];
 /// More steps than this are refused; checking the graph takes time by its square at worst.
 pub(crate) const MOST_STEPS: usize = 4096;
 
@@ -68,6 +68,7 @@ pub(crate) struct WrittenTest {
     pub name: Named,
     pub given: Vec<(Named, Vec<Row>)>,
     pub expect: Vec<(Named, Vec<Row>)>,
+    pub contains: Vec<(Named, Vec<Row>)>,
     pub tolerance: f64,
 }
 

@@ -2,8 +2,9 @@
 
 use std::io::Write as _;
 
-use evermap_contract::Entry;
-use evermap_schemas::record;
+use evermap_contract::{Entry, Registry};
+use evermap_language::nearest;
+use evermap_schemas::{Fault, record};
 
 use crate::arguments::OperatorsArgs;
 use crate::ending::{DONE, Ending};
@@ -37,11 +38,21 @@ pub async fn operators(args: &OperatorsArgs) -> Ending {
         Some(name) => writeln!(
             std::io::stdout(),
             "{}",
-            registry.get(name)?.reference().trim_end()
+            entry(&registry, name)?.reference().trim_end()
         )?,
         None => print_rows(args.format, registry.entries().map(line).collect()).await?,
     }
     DONE
+}
+
+fn entry<'r>(registry: &'r Registry, name: &str) -> Result<&'r Entry, Fault> {
+    let near = nearest(name, registry.entries().map(|entry| entry.name));
+    registry.get(name).map_err(|fault| match near {
+        Some(near) => {
+            Fault::user(format!("no operator {name}")).next(format!("did you mean {near}?"))
+        }
+        None => fault,
+    })
 }
 
 fn line(entry: &Entry) -> OperatorLine {

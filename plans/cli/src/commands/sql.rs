@@ -152,8 +152,12 @@ impl Tables {
         sessions::lost(self.dataset.iter().chain(&of_map))
     }
 
-    /// A fault of planning, in our words where a table is not there: it may be misspelt, or a topic that damage took.
+    /// A fault of planning, in our words where a table or a function is not there: it may be misspelt, or a topic that
+    /// damage took.
     fn explained(&self, fault: Fault) -> Fault {
+        if let Some(function) = missing_function(&fault.message) {
+            return self.no_function(function);
+        }
         let Some(table) = missing_table(&fault.message) else {
             return fault;
         };
@@ -169,7 +173,21 @@ impl Tables {
                 "the logs are torn or damaged, and it may be in what was lost ({}): see evermap inspect",
                 lost.lines().join(", ")
             )),
+            _ if !meant.is_empty() => fault,
             _ => fault.next(format!("there are {}", listed(names.iter().map(String::as_str)))),
+        }
+    }
+
+    fn no_function(&self, function: &str) -> Fault {
+        let state = self.context.state();
+        let known = state.scalar_functions().keys();
+        let mut known: Vec<&String> = known.chain(state.aggregate_functions().keys()).collect();
+        known.sort();
+        let meant = nearest(function, known.into_iter().map(String::as_str));
+        let fault = Fault::user(format!("there is no function `{function}`"));
+        match meant {
+            Some(near) => fault.next(format!("did you mean `{near}`?")),
+            None => fault.next("`evermap functions` lists those of maps"),
         }
     }
 
@@ -210,6 +228,12 @@ impl Tables {
     }
 }
 
+/// The function that DataFusion did not find.
+fn missing_function(message: &str) -> Option<&str> {
+    let (_, behind) = message.split_once("Invalid function '")?;
+    behind.split_once('\'').map(|(name, _)| name)
+}
+
 /// The table that DataFusion did not find.
 fn missing_table(message: &str) -> Option<&str> {
     let (_, behind) = message.split_once("table '")?;
@@ -245,11 +269,14 @@ pub fn statements(text: &str) -> Result<Vec<Statement>, Fault> {
         DataFusionError::SQL(error, _) => {
             let text = error.to_string();
             let fault = Fault::user(text.trim_start_matches("sql parser error: "));
-            match text.contains("found: view") {
-                true => {
+            match () {
+                () if text.contains("found: view") => {
                     fault.next("VIEW is a word of SQL: after a comma, write the column as \"view\"")
                 }
-                false => fault,
+                () if text.contains("found: /") => {
+                    fault.next("write a topic in double quotes: FROM \"/odom\"")
+                }
+                () => fault,
             }
         }
         _ => fault_of(&error),

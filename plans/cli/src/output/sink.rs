@@ -30,7 +30,7 @@ impl Sink {
     /// A file. It appears, or is replaced, when [`Sink::finish`] is called.
     ///
     /// # Errors
-    /// A resource fault when the folder cannot be written to.
+    /// A user fault for a folder that is not there, a resource fault when it cannot be written to.
     pub fn file(path: &Path) -> Result<Self, Fault> {
         let fault = |error: std::io::Error| {
             Fault::resource(format!("cannot write {}: {error}", path.display()))
@@ -49,6 +49,14 @@ impl Sink {
             Some(folder) if folder != Path::new("") => folder,
             _ => Path::new("."),
         };
+        if !folder.is_dir() {
+            let fault = format!(
+                "cannot write {}: there is no folder {}",
+                path.display(),
+                folder.display()
+            );
+            return Err(Fault::user(fault));
+        }
         let mut builder = tempfile::Builder::new();
         builder.prefix(".evermap-");
         #[cfg(unix)]

@@ -14,6 +14,7 @@ use serde_json::Value;
 use crate::conform::{bare, misfits};
 use crate::program::locality::is_local;
 use crate::program::python::PythonTask;
+use crate::program::test_columns;
 use crate::program::volatile::volatile_functions;
 use crate::program::{LIFT, Program, Read, Role, Scope, Stage, Task};
 use crate::sql;
@@ -42,6 +43,7 @@ pub async fn compile(
     if compiler.faults.error_count() > 0 {
         return Err(compiler.faults.settle());
     }
+    compiler.check_tests().await;
     compiler.decide_stored();
     compiler.check_once();
     if compiler.faults.error_count() > 0 {
@@ -310,6 +312,26 @@ impl Compiler<'_> {
             ));
         }
         Ok(frame)
+    }
+
+    /// A misspelt column of a test would be compared with nothing.
+    async fn check_tests(&mut self) {
+        let plan = self.plan;
+        for test in &plan.tests {
+            let made = test.expect.iter().chain(&test.contains);
+            let made = made.map(|(step, rows)| (Input::Step(step.clone()), rows));
+            let given = test.given.iter().map(|(input, rows)| (input.clone(), rows));
+            for (input, rows) in given.chain(made) {
+                let Some(schema) = self.schema_of(&input).await else {
+                    continue;
+                };
+                for unknown in test_columns::unknown(schema.fields(), rows) {
+                    let (test_name, table) = (&test.name, input.written());
+                    let text = format!("test `{test_name}`: `{table}` has {unknown}");
+                    self.faults.error(Place::Text(test.position), text);
+                }
+            }
+        }
     }
 
     /// How much of the map a unit covers at least that reads this.

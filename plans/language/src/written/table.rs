@@ -37,14 +37,22 @@ fn test(node: &Node, faults: &mut PlanFaults) -> Option<WrittenTest> {
     });
     let given = fields.get("given");
     let given = given.map_or_else(Vec::new, |entry| tables("`given`", &entry.value, faults));
-    let expect = fields.require("expect", "the test", faults);
-    let expect = expect.map_or_else(Vec::new, |entry| {
-        let tables = tables("`expect`", &entry.value, faults);
+    let tables_of = |key: &str, faults: &mut PlanFaults| {
+        let entry = fields.get(key)?;
+        let what = format!("`{key}`");
         if matches!(&entry.value.kind, Kind::Mapping(entries) if entries.is_empty()) {
-            faults.error(entry.value.place, "`expect` must have at least one table");
+            faults.error(
+                entry.value.place,
+                format!("{what} must have at least one table"),
+            );
         }
-        tables
-    });
+        Some(tables(&what, &entry.value, faults))
+    };
+    let (expect, contains) = (tables_of("expect", faults), tables_of("contains", faults));
+    if expect.is_none() && contains.is_none() {
+        fields.require("expect", "the test", faults);
+    }
+    let (expect, contains) = (expect.unwrap_or_default(), contains.unwrap_or_default());
     let tolerance = tolerance(&fields, faults);
     // Without a name the tables are still checked; the missing name is already a fault.
     let name = name.unwrap_or(Named {
@@ -55,6 +63,7 @@ fn test(node: &Node, faults: &mut PlanFaults) -> Option<WrittenTest> {
         name,
         given,
         expect,
+        contains,
         tolerance,
     })
 }

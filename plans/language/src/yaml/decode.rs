@@ -167,6 +167,11 @@ impl<'n> Fields<'n> {
                 let key = quoted(&entry.key);
                 let keys = listed(known.iter().copied());
                 let message = format!("unknown key {key} in {what}; its keys are {keys}");
+                if entry.key.contains(char::is_whitespace) {
+                    let next = "between braces, quote a text that has a comma or a colon";
+                    faults.error_with(entry.place, message, next);
+                    continue;
+                }
                 faults.unknown(entry.place, message, &entry.key, known.iter().copied());
             }
         }
