@@ -231,7 +231,7 @@ fn queries_that_cannot_be_answered_say_what_was_meant() {
     for (query, said) in [
         (
             "SELECT * FROM pose",
-            "error: user: there is no table `pose`; did you mean `poses`?; there are `columns`, `intersections`, `lanes`",
+            "error: user: there is no table `pose`; did you mean `poses`?",
         ),
         (
             "SELECT stmp FROM poses",

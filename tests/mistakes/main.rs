@@ -111,6 +111,14 @@ fn words(line: &str) -> Vec<String> {
     words
 }
 
+/// A line that says how long a run took, without that.
+fn without_duration(line: &str) -> &str {
+    match line.starts_with("version ") {
+        true => line.split(", in ").next().unwrap_or(line),
+        false => line,
+    }
+}
+
 /// The golden text with what the program says now.
 fn told(golden: &str, folder: &Path) -> String {
     let mut told = String::new();
@@ -136,6 +144,8 @@ fn told(golden: &str, folder: &Path) -> String {
         };
         let said = format!("{stdout}{stderr}").replace(&folder.display().to_string(), "FOLDER");
         let said = said.replace(&program().display().to_string(), "evermap");
+        let lines = said.lines().map(without_duration);
+        let said = lines.collect::<Vec<_>>().join("\n");
         told.push_str(&format!(
             "\n{line}\nexit status {code}\n{}\n",
             said.trim_end()

@@ -110,8 +110,10 @@ fn misfit<P: DeserializeOwned>(
         range(&property)
     } else if let Err(error) = with::<P>(defaults, &[(&name.to_owned(), value)]) {
         match kind(schema, &property) {
-            kind if value.is_object() || value.is_array() => format!("to be {kind} ({error})"),
-            kind => format!("to be {kind}"),
+            kind if value.is_object() || value.is_array() => {
+                format!("to be of type {kind} ({error})")
+            }
+            kind => format!("to be of type {kind}"),
         }
     } else {
         return None;
@@ -291,13 +293,13 @@ mod tests {
                 "expected `share` from 0 to 1, found 1.5",
                 "expected `length_m` above 0, found 0",
                 "expected `count` from 1 to 9, found 0",
-                "expected `names` to be list of string, found 1",
+                "expected `names` to be of type list of string, found 1",
                 "no parameter `nonsense`",
             ]
         );
         assert_eq!(
             faults(&json!({ "count": 1.5 })),
-            ["expected `count` to be integer, found 1.5"]
+            ["expected `count` to be of type integer, found 1.5"]
         );
         assert!(faults(&json!({ "share": 1, "count": 9, "names": ["a"] })).is_empty());
     }

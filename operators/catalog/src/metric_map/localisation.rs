@@ -51,7 +51,10 @@ fn localise(
     let (numbers, landmarks) = landmarks(sides.rows("landmarks")?);
     let sound = LandmarkMap::new(landmarks);
     let senseless = numbers.len() - sound.len();
-    emit.skip("invalid landmark: a position or covariance is not finite", senseless as u64);
+    emit.skip(
+        "invalid landmark: a position or covariance is not finite",
+        senseless as u64,
+    );
     let keyframes = sides.rows("keyframes")?;
     for (session, drive) in drives(keyframes, features, sides, &params.vehicle, emit)? {
         let found = localise_drive(&drive, &sound, params.options);
