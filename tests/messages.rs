@@ -43,8 +43,8 @@ fn literals(source: &str) -> Vec<String> {
             &text[end + 1..]
         } else if token.starts_with("'\"'") || token.starts_with("'\\\"'") {
             &token[token[1..].find('\'').map_or(1, |end| end + 2)..]
-        } else if token.starts_with("'\\''") {
-            &token[4..]
+        } else if let Some(after) = token.strip_prefix("'\\''") {
+            after
         } else {
             &token[1..]
         };

@@ -216,7 +216,7 @@ fn message_count(chunk: &ChunkIndex) -> Option<u64> {
 }
 
 /// The stretches between the file's first bytes and its summary that no index entry covers; `None` where entries
-/// overlap or lie outside.
+/// overlap, lie outside, or are of no bytes.
 fn gaps(
     collector: &Collector,
     message_indexes: Vec<(u64, u64)>,
@@ -229,9 +229,11 @@ fn gaps(
         .chain(&index.attachments)
         .chain(&index.metadata)
         .map(|unit| (unit.offset, unit.end()))
-        .chain(message_indexes)
-        .filter(|(start, end)| start != end)
         .collect();
+    if covered.iter().any(|(start, end)| start == end) {
+        return None;
+    }
+    covered.extend(message_indexes.into_iter().filter(|(start, end)| start != end));
     covered.sort_unstable();
     let mut gaps = Vec::new();
     let mut position = MAGIC.len() as u64;

@@ -12,8 +12,11 @@ use datafusion::execution::memory_pool::GreedyMemoryPool;
 use datafusion::execution::runtime_env::RuntimeEnvBuilder;
 use datafusion::prelude::{SessionConfig, SessionContext};
 use evermap_datasets::fault::fault_of;
+use evermap_datasets::log::index::LogIndex;
 use evermap_datasets::{Dataset, Reason};
 use evermap_schemas::Kind;
+use object_store::ObjectStoreExt;
+use object_store::path::Path;
 use url::Url;
 
 async fn opened(log: &[u8]) -> (SessionContext, Dataset) {
@@ -252,6 +255,23 @@ async fn a_summary_that_is_most_of_a_file_of_zeros_is_no_summary() {
     footer[9..17].copy_from_slice(&8_u64.to_le_bytes());
     let (_, dataset) = opened(&[log, footer].concat()).await;
     assert_eq!(dataset.losses.losses()[&Reason::Torn].count, 1);
+}
+
+/// Records of no bytes, here the entry of a metadata record beyond the file's end, make the whole summary a lie.
+#[tokio::test]
+async fn a_summary_with_an_entry_of_no_bytes_is_not_believed() {
+    let data = [channel(1, 0, "/t", "json"), messages(&[1], 3)];
+    let beyond = [(1_u64 << 40).to_le_bytes(), 0_u64.to_le_bytes()].concat();
+    let summary = [
+        channel(1, 0, "/t", "json"),
+        record(13, &[beyond, text(b"calibration")].concat()),
+    ];
+    let log = file(&data, &summary);
+    let store = in_memory(&log).await;
+    let meta = store.head(&Path::from("log.mcap")).await.unwrap();
+    let index = LogIndex::read(&store, &meta).await.unwrap();
+    assert!(index.fits(log.len() as u64) && index.metadata.is_empty());
+    assert_eq!(rows(&log, "/t").await, (3, vec![]));
 }
 
 /// A channel that lacks a field has nulls for it, as long as nulls are small.

@@ -48,6 +48,7 @@ impl Worker {
             .env("PYTHONUTF8", "1")
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
+            .stderr(said_to_people())
             .spawn()
             .map_err(|error| {
                 let interpreter = interpreter.display();
@@ -165,6 +166,14 @@ impl Drop for Worker {
         // It may be at work still; nobody waits for what it makes.
         let _ = self.process.kill();
         let _ = self.process.wait();
+    }
+}
+
+/// Where what the function prints goes. Tests print nothing: their mistakes are meant.
+fn said_to_people() -> Stdio {
+    match cfg!(test) {
+        true => Stdio::null(),
+        false => Stdio::inherit(),
     }
 }
 

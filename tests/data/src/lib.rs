@@ -40,7 +40,8 @@ pub fn skipped(why: &str) {
     eprintln!("SKIPPED: {why}");
 }
 
-/// The seed of a random test: `EVERMAP_TEST_SEED`, or another one in every run. It is printed.
+/// The seed of a random test: `EVERMAP_TEST_SEED`, which `.cargo/config.toml` sets, or another one in every run where a
+/// test is not started by cargo. It is printed.
 ///
 /// # Panics
 /// Where `EVERMAP_TEST_SEED` is no number.
