@@ -233,7 +233,11 @@ fn gaps(
     if covered.iter().any(|(start, end)| start == end) {
         return None;
     }
-    covered.extend(message_indexes.into_iter().filter(|(start, end)| start != end));
+    covered.extend(
+        message_indexes
+            .into_iter()
+            .filter(|(start, end)| start != end),
+    );
     covered.sort_unstable();
     let mut gaps = Vec::new();
     let mut position = MAGIC.len() as u64;

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`boxes`] | boxes that look alike: parking spaces, crossings, arrows |
 //! | [`danger`] | where people are, how often anybody looked, how fast to drive there |
+//! | [`floor`] | the height of a floor that bends, by where vehicles stood |
 //! | [`patch`] | what one image shows of the ground |
 //! | [`people`] | people in images, upright, and where they stand |
 //! | [`projection`] | images projected to cells of the ground plane |
@@ -13,6 +14,7 @@
 
 pub mod boxes;
 pub mod danger;
+pub mod floor;
 pub mod patch;
 pub mod people;
 pub mod projection;

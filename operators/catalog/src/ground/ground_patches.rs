@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::ground::floor::Floor;
 use evermap_algorithms::ground::projection::{GrayView, GroundLut, GroundParams};
 use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::Bytes;
-use evermap_schemas::layers::{BodyMask, GroundPatch, PosedImage};
+use evermap_schemas::layers::{BodyMask, GroundPatch, PosedImage, VehiclePose};
 use evermap_vision::{Grey, decode_grey, image_size};
 use rayon::prelude::*;
 
@@ -20,7 +21,7 @@ pub struct GroundPatches;
 
 impl Operator for GroundPatches {
     const NAME: &'static str = "ground_patches";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("ground_patches.md");
     type Params = OfVehicle<GroundParams>;
     type Output = GroundPatch;
@@ -29,6 +30,7 @@ impl Operator for GroundPatches {
         let images = Port::session::<PosedImage>("images").pixels("image");
         let mut sides = rig::ports(Reach::Session).to_vec();
         sides.push(Port::session::<BodyMask>("body_masks").optional());
+        sides.push(Port::session::<VehiclePose>("poses").optional());
         Work::batches(images, sides, Projector::new, Projector::patches)
     }
 
@@ -46,6 +48,28 @@ struct Projector {
     /// By session and camera.
     bodies: BTreeMap<(String, String), Grey>,
     tables: Calibrated<GroundLut>,
+    /// By session.
+    floors: BTreeMap<String, Floor>,
+}
+
+/// How far beyond the reach of a camera heights are asked for, metres: it may sit so far from its vehicle's origin.
+const BESIDE_M: f64 = 5.0;
+
+/// The floor under each session's poses.
+fn floors(params: &GroundParams, sides: &Sides) -> Result<BTreeMap<String, Floor>, Fault> {
+    let mut poses: BTreeMap<String, Vec<Pose>> = BTreeMap::new();
+    for row in sides.rows::<VehiclePose>("poses")? {
+        // Poses that are none are counted where they place images.
+        if let Ok(pose) = Pose::from_array(row.map_from_vehicle.to_array()) {
+            poses.entry(row.session).or_default().push(pose);
+        }
+    }
+    let reach_m = params.reach_m + BESIDE_M;
+    let floor = |poses: Vec<Pose>| Floor::under(&poses, params.plane_m, reach_m);
+    Ok(poses
+        .into_iter()
+        .map(|(session, poses)| (session, floor(poses)))
+        .collect())
 }
 
 impl Projector {
@@ -54,6 +78,7 @@ impl Projector {
             params: params.clone(),
             bodies: bodies(sides)?,
             tables: Calibrated::new(sides, &params.vehicle, MOST_TABLES)?,
+            floors: floors(&params.options, sides)?,
         })
     }
 
@@ -116,7 +141,7 @@ impl Projector {
             GrayView::new(grey.width, grey.height, &grey.data).ok_or("image does not decode")?;
         let cell_m = self.params.options.cell_m;
         let patch = table
-            .patch(&view, &pose, cell_m)
+            .patch(&view, &pose, self.floors.get(&image.session), cell_m)
             .ok_or("image shows no ground")?;
         let place = |cell: i64| i32::try_from(cell).map_err(|_| "pose is out of the map");
         let size = |cells: usize| u32::try_from(cells).map_err(|_| "pose is out of the map");

@@ -129,6 +129,8 @@ pub struct GroundLut {
     pub(super) node_m: f64,
     /// Height of the plane in the vehicle frame, metres.
     pub(super) plane_m: f64,
+    /// Foot of the camera on the plane, in the vehicle frame, metres.
+    pub(super) eye: [f64; 2],
     /// Height of the camera above the plane, metres.
     pub(super) height_m: f64,
     /// Node (column 0, row 0) is at `first * node_m` in the vehicle frame.
@@ -176,6 +178,7 @@ impl GroundLut {
             height: camera.height,
             node_m: params.cell_m,
             plane_m: params.plane_m,
+            eye: [view.eye.x, view.eye.y],
             height_m: view.eye.z,
             first,
             columns: side,

@@ -20,8 +20,9 @@
 //! **Which plane.** The ground is taken to be a plane of the vehicle's own, the one its wheels
 //! stand on ([`GroundParams::plane_m`]), at whatever attitude the pose gives it. A map cell is a vertical line; where it meets
 //! that plane is an affine function of the cell for *every* six-degree pose, so slopes and ramps
-//! cost nothing and nothing is approximated. What is not modelled is ground that bends within
-//! reach of the camera.
+//! cost nothing and nothing is approximated. Where poses tell how the ground bends ([`crate::ground::floor`]), a cell is
+//! looked up where the line of sight to it meets that plane: with the camera at height H, a spot h above the plane is seen
+//! at H / (H − h) times its distance from the camera's foot.
 //!
 //! **Weight.** A look straight down shows more than a glance along the floor. With ψ the angle
 //! between the ray and the ground's normal, cos ψ = height / distance, a cell weighs

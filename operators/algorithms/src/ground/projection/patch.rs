@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use super::{GrayView, GroundLut};
 use crate::geometry::pose::Pose;
+use crate::ground::floor::Floor;
 use crate::ground::patch::Patch;
 
 impl GroundLut {
@@ -12,10 +13,11 @@ impl GroundLut {
         &self,
         image: &GrayView<'_>,
         map_from_vehicle: &Pose,
+        floor: Option<&Floor>,
         cell_m: f64,
     ) -> Option<Patch> {
         let mut cells = Cells::default();
-        self.splat(image, map_from_vehicle, cell_m, |run| {
+        self.splat(image, map_from_vehicle, floor, cell_m, |run| {
             let from = cells.values.len();
             cells.values.extend_from_slice(run.values);
             cells.weights.extend_from_slice(run.weights);

@@ -1,8 +1,11 @@
 //! The inner loop: one image, one pose, rows of map cells.
 
+use nalgebra::Vector3;
+
 use super::lut::above;
 use super::{GrayView, GroundLut};
 use crate::geometry::pose::Pose;
+use crate::ground::floor::{Floor, FloorPart};
 
 /// Fraction bits of a position in the table's grid. A row of 10⁶ cells drifts by less than 10⁻³
 /// of a node.
@@ -41,11 +44,13 @@ impl GroundLut {
     /// camera, the pose is not finite or the vehicle lies on its side.
     ///
     /// The value of a cell is the image bilinearly interpolated at the cell's *centre*, in fixed
-    /// point: the same bytes on every machine.
+    /// point: the same bytes on every machine. Without a `floor`, or where it has no height, the ground is the vehicle's
+    /// own plane.
     pub fn splat(
         &self,
         image: &GrayView<'_>,
         map_from_vehicle: &Pose,
+        floor: Option<&Floor>,
         cell_m: f64,
         mut visit: impl FnMut(GroundRow<'_>),
     ) {
@@ -56,6 +61,7 @@ impl GroundLut {
         let Some(grid) = GridFromMap::new(self, &map_from_plane, cell_m) else {
             return;
         };
+        let bend = floor.and_then(|floor| Bend::new(self, &map_from_plane, floor, &grid, cell_m));
         // One compiled loop for each length of span.
         let fill = match self.span_bits(cell_m) {
             0 => Self::sample_row::<0>,
@@ -74,8 +80,12 @@ impl GroundLut {
             fill(
                 self,
                 image,
-                grid.start(i, j),
-                grid.step,
+                &Row {
+                    at: grid.start(i, j),
+                    step: grid.step,
+                    first: [i, j],
+                    bend: bend.as_ref(),
+                },
                 &mut values,
                 &mut weights,
             );
@@ -105,37 +115,32 @@ impl GroundLut {
             .unwrap_or(0)
     }
 
-    /// Fills one row. `at` and `step` are positions in the table's grid, fixed point. The table
-    /// is read at the ends of spans, and the pixel moves in equal steps between.
+    /// Fills one row. The table is read at the ends of spans, and the pixel moves in equal steps between.
     fn sample_row<const SPAN_BITS: u32>(
         &self,
         image: &GrayView<'_>,
-        at: [i64; 2],
-        step: [i64; 2],
+        row: &Row<'_>,
         values: &mut [u8],
         weights: &mut [u8],
     ) {
-        let position = |cell: usize| {
-            let along = |k: usize| at[k].wrapping_add(step[k].wrapping_mul(cell as i64));
-            [along(0), along(1)]
-        };
+        let look = |cell: usize| self.pixel(row.position(cell)?);
         let size = 1 << SPAN_BITS;
         let spans = values.len().saturating_sub(1) / size;
-        let mut from = self.pixel(position(0));
+        let mut from = look(0);
         for (span, (values, weights)) in values
             .chunks_exact_mut(size)
             .zip(weights.chunks_exact_mut(size))
             .enumerate()
             .take(spans)
         {
-            let to = self.pixel(position((span + 1) * size));
+            let to = look((span + 1) * size);
             if let (Some(from), Some(to)) = (from, to) {
                 sample_span(image, (from, to, SPAN_BITS), values, weights);
             }
             from = to;
         }
         for cell in spans * size..values.len() {
-            if let Some(at) = self.pixel(position(cell)) {
+            if let Some(at) = look(cell) {
                 sample_span(
                     image,
                     (at, at, 0),
@@ -204,6 +209,100 @@ fn sample_span(
     }
 }
 
+/// A row of cells, and where its ground is in the table's grid.
+struct Row<'a> {
+    /// Grid position of the first cell on the vehicle's plane, fixed point.
+    at: [i64; 2],
+    /// From one cell to the next.
+    step: [i64; 2],
+    /// Column and row of the first cell.
+    first: [i64; 2],
+    bend: Option<&'a Bend>,
+}
+
+impl Row<'_> {
+    /// Grid position where the line of sight to a cell meets the vehicle's plane; `None` outside of the table.
+    #[inline(always)]
+    fn position(&self, cell: usize) -> Option<[i64; 2]> {
+        let along = |k: usize| self.at[k].wrapping_add(self.step[k].wrapping_mul(cell as i64));
+        let at = [along(0), along(1)];
+        match self.bend {
+            Some(bend) => bend.position(at, [self.first[0] + cell as i64, self.first[1]]),
+            None => Some(at),
+        }
+    }
+}
+
+/// What a floor that bends does to one image: the line of sight to a spot that is higher than the vehicle's plane meets
+/// that plane farther away.
+struct Bend {
+    floor: FloorPart,
+    cell_m: f64,
+    node_m: f64,
+    /// The plane's height at the map's origin, and its rise along x and y.
+    plane: [f64; 3],
+    /// The map's vertical in the vehicle's frame.
+    vertical: [f64; 3],
+    /// The camera, in the table's grid, and its height in metres.
+    eye: [f64; 2],
+    height_m: f64,
+    /// Nodes of the table.
+    size: [usize; 2],
+}
+
+impl Bend {
+    fn new(
+        lut: &GroundLut,
+        map_from_plane: &Pose,
+        floor: &Floor,
+        grid: &GridFromMap,
+        cell_m: f64,
+    ) -> Option<Self> {
+        let [x, y, z] = map_from_plane.translation.into();
+        let normal = map_from_plane.rotate(&Vector3::z());
+        let rise = [-normal.x / normal.z, -normal.y / normal.z];
+        let vertical = map_from_plane.rotation.inverse() * Vector3::z();
+        let [[west, east], [south, north]] =
+            [0, 1].map(|k| grid.extent(lut, k).map(|cell| cell * cell_m));
+        Some(Self {
+            floor: floor.within([west, south, east, north])?,
+            cell_m,
+            node_m: lut.node_m,
+            plane: [z - rise[0] * x - rise[1] * y, rise[0], rise[1]],
+            vertical: vertical.into(),
+            eye: [0, 1].map(|k| lut.eye[k] / lut.node_m - lut.first[k] as f64),
+            height_m: lut.height_m,
+            size: [lut.columns, lut.rows],
+        })
+    }
+
+    /// From the grid position of a cell on the vehicle's plane to that of its spot on the floor, as the camera sees it.
+    /// Floor above half of the camera's height hides itself.
+    fn position(&self, on_plane: [i64; 2], cell: [i64; 2]) -> Option<[i64; 2]> {
+        let [x, y] = cell.map(|number| (number as f64 + 0.5) * self.cell_m);
+        let plane = self.plane[0] + self.plane[1] * x + self.plane[2] * y;
+        let above = self
+            .floor
+            .height([x, y])
+            .map_or(0.0, |height| height - plane);
+        let up = above * self.vertical[2];
+        if !(up < self.height_m / 2.0) {
+            return None;
+        }
+        let farther = self.height_m / (self.height_m - up);
+        let mut position = [0; 2];
+        for k in 0..2 {
+            let spot = on_plane[k] as f64 / GRID_ONE + above * self.vertical[k] / self.node_m;
+            let seen = self.eye[k] + (spot - self.eye[k]) * farther;
+            if !(seen >= 0.0 && seen < (self.size[k] - 1) as f64) {
+                return None;
+            }
+            position[k] = (seen * GRID_ONE) as i64;
+        }
+        Some(position)
+    }
+}
+
 /// The affine map from cell numbers to positions in the table's grid.
 struct GridFromMap {
     /// Grid position of the centre of cell (0, 0).
@@ -250,13 +349,19 @@ impl GridFromMap {
         })
     }
 
-    /// Rows of the map that the table may touch.
-    fn rows(&self, lut: &GroundLut) -> std::ops::Range<i64> {
-        let [x, y, offset] = self.map_from_grid[1];
+    /// From where to where the table reaches in the map along an axis, in cells.
+    fn extent(&self, lut: &GroundLut, axis: usize) -> [f64; 2] {
+        let [x, y, offset] = self.map_from_grid[axis];
         let (columns, rows) = ((lut.columns - 1) as f64, (lut.rows - 1) as f64);
         let corners = [0.0, x * columns, y * rows, x * columns + y * rows];
         let low = corners.into_iter().fold(f64::INFINITY, f64::min) + offset;
         let high = corners.into_iter().fold(f64::NEG_INFINITY, f64::max) + offset;
+        [low, high]
+    }
+
+    /// Rows of the map that the table may touch.
+    fn rows(&self, lut: &GroundLut) -> std::ops::Range<i64> {
+        let [low, high] = self.extent(lut, 1);
         low.floor() as i64..high.ceil() as i64 + 1
     }
 

@@ -8,6 +8,7 @@
 use super::*;
 use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
+use crate::ground::floor::Floor;
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
@@ -68,8 +69,18 @@ fn cells(
     pose: &Pose,
     cell_m: f64,
 ) -> BTreeMap<(i64, i64), (u8, u8)> {
+    cells_on(None, lut, image, pose, cell_m)
+}
+
+fn cells_on(
+    floor: Option<&Floor>,
+    lut: &GroundLut,
+    image: &GrayView<'_>,
+    pose: &Pose,
+    cell_m: f64,
+) -> BTreeMap<(i64, i64), (u8, u8)> {
     let mut cells = BTreeMap::new();
-    lut.splat(image, pose, cell_m, |row| {
+    lut.splat(image, pose, floor, cell_m, |row| {
         for (k, (value, weight)) in row.values.iter().zip(row.weights).enumerate() {
             if *weight > 0 {
                 let twice = cells.insert((row.i + k as i64, row.j), (*value, *weight));
@@ -151,7 +162,7 @@ fn a_patch_holds_just_the_cells_that_are_seen() {
     let lut = GroundLut::new(&camera, &vehicle_from_camera, &params, None).unwrap();
     let pose = Pose::from_yaw(-2.0, 1.0, 0.7);
     let seen = cells(&lut, &image, &pose, 0.1);
-    let patch = lut.patch(&image, &pose, 0.1).unwrap();
+    let patch = lut.patch(&image, &pose, None, 0.1).unwrap();
     assert!(patch.is_sound());
     let looks = patch.values.iter().zip(&patch.weights).enumerate();
     let shown: BTreeMap<_, _> = looks
@@ -163,7 +174,7 @@ fn a_patch_holds_just_the_cells_that_are_seen() {
         .collect();
     assert_eq!(shown, seen);
     let nowhere = Pose::new(Vector3::repeat(f64::NAN), UnitQuaternion::identity());
-    assert_eq!(lut.patch(&image, &nowhere, 0.1), None);
+    assert_eq!(lut.patch(&image, &nowhere, None, 0.1), None);
 }
 
 #[test]
@@ -231,7 +242,7 @@ fn nanoseconds_per_cell() {
             let pose = Pose::from_yaw(0.3 * f64::from(k), 1.0, 0.1 * f64::from(k));
             visited = 0;
             let start = std::time::Instant::now();
-            lut.splat(&image, &pose, 0.05, |row| {
+            lut.splat(&image, &pose, None, 0.05, |row| {
                 visited += row.values.len();
                 sum += u64::from(row.values[0]);
             });
@@ -266,4 +277,54 @@ fn the_frame_of_an_axle_stands_above_the_ground() {
     for cell in both {
         assert!(expected[cell].0.abs_diff(found[cell].0) <= 1, "{cell:?}");
     }
+}
+
+/// A floor that rises by 5 % beyond x = 6 m, seen from before and from behind the bend.
+#[test]
+fn a_floor_that_bends_is_seen_where_it_is() {
+    let (camera, vehicle_from_camera) = rig();
+    let params = GroundParams {
+        reach_m: 5.0,
+        ..GroundParams::default()
+    };
+    let lut = GroundLut::new(&camera, &vehicle_from_camera, &params, None).unwrap();
+    let pixels = picture(&camera);
+    let image = GrayView::new(400, 300, &pixels).unwrap();
+    let rise = |x: f64| 0.05 * (x - 6.0).max(0.0);
+    let slope = |x: f64| if x > 6.0 { -(0.05_f64.atan()) } else { 0.0 };
+    let poses: Vec<_> = (-20..100)
+        .map(|at| 0.2 * f64::from(at))
+        .map(|x| {
+            let attitude = UnitQuaternion::from_euler_angles(0.0, slope(x), 0.0);
+            Pose::new(Vector3::new(x, 0.1, rise(x)), attitude)
+        })
+        .collect();
+    let floor = Floor::under(&poses, 0.0, 10.0);
+    let mut counted = 0;
+    for pose in [&poses[25], &poses[45], &poses[70]] {
+        let map_from_camera = pose.compose(&vehicle_from_camera);
+        let error = |floor: Option<&Floor>| {
+            let seen = cells_on(floor, &lut, &image, pose, 0.1);
+            let off = seen.iter().filter_map(|((i, j), (value, _))| {
+                let [x, y] = [*i, *j].map(|cell| (cell as f64 + 0.5) * 0.1);
+                let spot = Pose::new(Vector3::z() * rise(x), UnitQuaternion::identity());
+                let there = naive(
+                    &camera,
+                    &spot.inverse().compose(&map_from_camera),
+                    &Pose::identity(),
+                    &pixels,
+                    x,
+                    y,
+                );
+                Some((there? - f64::from(*value)).abs())
+            });
+            let off: Vec<f64> = off.collect();
+            (off.iter().sum::<f64>() / off.len() as f64, off.len())
+        };
+        let ((flat, _), (bent, seen)) = (error(None), error(Some(&floor)));
+        assert!(seen > 1500 && bent < 2.0, "{flat} {bent} {seen}");
+        counted += usize::from(flat > 2.0 * bent);
+    }
+    // On the slope far from the bend the vehicle's own plane does as well.
+    assert!(counted >= 2);
 }
