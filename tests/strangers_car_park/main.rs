@@ -8,6 +8,7 @@
     clippy::print_stderr
 )]
 
+mod floor;
 mod lanes;
 mod mapped;
 mod page;

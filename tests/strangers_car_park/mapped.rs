@@ -7,6 +7,7 @@ use evermap_tests::park::{Localised, adjusted_error, copy, made_once, run};
 use evermap_tests::trajectories::{Trajectories, rows, truth};
 use evermap_tests::{evermap, text};
 
+use crate::floor::{self, Likeness};
 use crate::{session, world};
 
 /// A copy, in this folder, of the map that the plan `parking` makes of the first drive.
@@ -32,12 +33,18 @@ fn it_gets_sharper_with_every_drive() {
     let truths: Trajectories = ["initial", "revisit_1", "revisit_2"].map(true_path).into();
     let first = adjusted_error("initial", &map, None, &truths);
     assert!(first.position_m.rmse <= 0.05);
+    let mut seen = vec![floor::likeness("initial", &world, &map, &truths)];
 
     run("car_park", &map, &[&session(&world, "revisit_1")]);
     is_localised(&map, 2, "revisit_1", &truths);
     drawn(&map, folder.path());
-    run("lifelong", &map, &[&session(&world, "revisit_2")]);
+    seen.push(floor::likeness("revisit_1", &world, &map, &truths));
+    run("parking", &map, &[&session(&world, "revisit_2")]);
     is_localised(&map, 3, "revisit_2", &truths);
+    seen.push(floor::likeness("revisit_2", &world, &map, &truths));
+    assert!(seen[0].aisles >= 0.88, "{seen:?}");
+    let gains = |pair: &[Likeness]| pair[1].aisles > pair[0].aisles && pair[1].bays > pair[0].bays;
+    assert!(seen.windows(2).all(gains), "{seen:?}");
     let last = adjusted_error("all three", &map, None, &truths);
     assert!(last.position_m.rmse <= 0.03);
 }

@@ -70,14 +70,15 @@ impl Footing {
     }
 }
 
-/// The mean footing of each cell of [`STEP_M`]: as many as the place is large, however often it was driven.
+/// The mean footing of each cell of [`STEP_M`] and storey: as many as the place is large, however often it was driven.
 fn footings(poses: &[Pose], plane_m: f64) -> Vec<Footing> {
-    let mut sums: BTreeMap<Cell, (Footing, f64)> = BTreeMap::new();
+    let mut sums: BTreeMap<(Cell, i64), (Footing, f64)> = BTreeMap::new();
     for footing in poses.iter().filter_map(|pose| Footing::of(pose, plane_m)) {
         let Some(cell) = cell_of([footing.at.x, footing.at.y], STEP_M) else {
             continue;
         };
-        let (sum, count) = sums.entry(cell).or_default();
+        let storey = (footing.at.z / STOREY_M).floor() as i64;
+        let (sum, count) = sums.entry((cell, storey)).or_default();
         sum.at += footing.at;
         sum.slope = [0, 1].map(|k| sum.slope[k] + footing.slope[k]);
         *count += 1.0;
@@ -88,6 +89,10 @@ fn footings(poses: &[Pose], plane_m: f64) -> Vec<Footing> {
     };
     sums.into_values().map(mean).collect()
 }
+
+/// Footings say nothing about the floor farther away than this, metres, whatever cameras see: at 64 m, one that bends may
+/// be 40 m elsewhere.
+const MOST_REACH_M: f64 = 64.0;
 
 /// Heights along a side of a block.
 const BLOCK: i32 = 16;
@@ -104,10 +109,11 @@ pub struct Floor {
 }
 
 impl Floor {
-    /// The floor within `reach_m` of where a vehicle stood; `plane_m` is its height in the vehicle frame.
+    /// The floor within `reach_m` of where a vehicle stood, 64 m at most; `plane_m` is its height in the vehicle frame.
     ///
     /// Where footings disagree by more than a metre, there are several storeys, and no height.
     pub fn under(map_from_vehicle: &[Pose], plane_m: f64, reach_m: f64) -> Self {
+        let reach_m = reach_m.min(MOST_REACH_M);
         let footings = footings(map_from_vehicle, plane_m);
         let blocks: BTreeSet<Cell> = footings
             .iter()
@@ -299,10 +305,7 @@ mod tests {
     #[test]
     fn storeys_and_what_was_never_driven_have_no_height() {
         let level = |z: f64| Pose::new(Vector3::new(0.0, 0.0, z), UnitQuaternion::identity());
-        let both = floor(&[
-            level(0.0),
-            Pose::new(Vector3::new(0.6, 0.0, 3.0), UnitQuaternion::identity()),
-        ]);
+        let both = floor(&[level(0.0), level(3.0)]);
         assert_eq!(both.height([0.0, 0.0]), None);
         let one = floor(&[level(3.0)]);
         assert_eq!(one.height([5.0, 5.0]), Some(3.0));
