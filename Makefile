@@ -1,6 +1,6 @@
 # Two commands do everything on a bare Debian or Ubuntu with Rust, their own set-up included:
-#   make map     simulates a car park, maps one drive into ./map and then one revisit after the other, a version each,
-#                and says where pictures and report are
+#   make map     simulates a car park, maps one drive into ./map, then what somebody says of it, and then one revisit after
+#                the other, a version each, and says where pictures and report are
 #   make test    runs every test
 # `make wheel` builds the Python package. The rest is for work on evermap: format, lint, deny, docs, bench, peers.
 
@@ -17,9 +17,10 @@ endif
 .PHONY: map test wheel format lint deny docs bench bench-mosaic peers exports packages test-packages release
 .DEFAULT_GOAL := map
 
-# The life of a map: the first drive, then each revisit by a run of its own. Run again, it changes nothing.
+# The life of a map: the first drive, what somebody says of it, and each revisit, by a run of its own. Run again, it changes
+# nothing.
 map: sessions/.complete
-	@for session in initial revisit_1 revisit_2; do \
+	@for session in initial annotations revisit_1 revisit_2; do \
 	  echo "== $$session"; \
 	  $(EVERMAP) run car_park --map map --site car_park --sessions sessions/$$session.mcap || exit; \
 	done
@@ -34,7 +35,7 @@ map: sessions/.complete
 # Made once, at a quarter of the pixels that a session has by default, for time. A simulation that was interrupted is
 # begun anew.
 sessions/.complete: | release
-	$(EVERMAP) simulate car_park --out sessions --set width_px=640 --set height_px=480
+	$(EVERMAP) simulate car_park --out sessions --set width_px=640 --set height_px=480 --set annotations=true
 	@touch $@
 
 release: packages

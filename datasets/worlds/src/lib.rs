@@ -12,7 +12,7 @@
 //!           ├───────────────────────────────┼─ vehicle   motion and odometry
 //! street ───┘                               └─ record    logs (MCAP) and truth
 //! ```
-//! Nothing here knows how maps are made; it only shares camera models and poses with the rest.
+//! Nothing here knows how maps are made; it only shares camera models, poses and boxes with the rest.
 
 mod car_park;
 mod error;

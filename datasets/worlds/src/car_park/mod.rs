@@ -3,9 +3,11 @@
 //! ```text
 //! layout ── route ── drive ─┬─ walkers ─┐
 //!    ├─ floor, walls, cars ─┴─ scene ───┴─ image
-//!    └─ truth
+//!    ├─ truth
+//!    └─ annotator
 //! ```
 
+mod annotator;
 mod canvas;
 mod cars;
 mod exposure;
@@ -46,7 +48,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Simulates a car park and writes into `out`: `initial.mcap`, `revisit_1.mcap`, … and the folder
-/// `truth`. Each file appears under its name only when it is complete.
+/// `truth`, and `annotations.mcap` where it is asked for. Each file appears under its name only when it is complete.
 ///
 /// # Errors
 /// [`WorldError::Parameters`] before anything is written; otherwise when a file cannot be.
@@ -56,7 +58,12 @@ pub fn car_park(
     progress: &mut dyn FnMut(Progress),
 ) -> Result<Summary, WorldError> {
     world.check()?;
-    simulate(&Hall::new(world), out, progress)
+    let hall = Hall::new(world);
+    let mut summary = simulate(&hall, out, progress)?;
+    if world.annotations {
+        summary.annotations = Some(annotator::write(&hall, out)?);
+    }
+    Ok(summary)
 }
 
 /// The car park as built.

@@ -78,6 +78,11 @@ pub struct CarPark {
     /// A camera that sees nothing but the noise of its sensor.
     #[schemars(extend("enum" = CAMERAS))]
     pub dark_camera: Option<String>,
+    /// Whether `annotations.mcap` is written beside the sessions: what somebody who knows the car park says of it, tied to
+    /// poses of the initial session. In six rounds 14 parking spaces are drawn, where the drive passes so many, and boxes
+    /// rejected that are none; crossings are drawn. Only where asked for, since a run that is given all logs of the folder
+    /// would be taught, too.
+    pub annotations: bool,
     /// Sessions at the beginning that are not written, because they were before. The others stay
     /// what they are.
     pub skip: usize,
@@ -119,6 +124,7 @@ impl Default for CarPark {
             gnss_drift_m: 0.0,
             gnss_outage_s: 0.0,
             dark_camera: None,
+            annotations: false,
             skip: 0,
             jpeg_quality: 85,
             floor_texels_per_m: 160.0,

@@ -51,6 +51,8 @@ pub struct Summary {
     pub sessions: Vec<SessionSummary>,
     /// The folder with the truth.
     pub truth: PathBuf,
+    /// The log of what somebody says of the world, where one was asked for.
+    pub annotations: Option<PathBuf>,
 }
 
 /// A world, built and ready to be driven through.
@@ -103,5 +105,9 @@ pub fn simulate(
         before += images(session);
         sessions.push(written);
     }
-    Ok(Summary { sessions, truth })
+    Ok(Summary {
+        sessions,
+        truth,
+        annotations: None,
+    })
 }

@@ -54,6 +54,9 @@ pub async fn simulate(args: &SimulateArgs) -> Ending {
     progress.finish();
     let summary = summary.map_err(fault)?;
     line(&format!("the truth is in {}", summary.truth.display()));
+    if let Some(annotations) = &summary.annotations {
+        line(&format!("the annotations are in {}", annotations.display()));
+    }
     let rows = summary.sessions.into_iter().map(|session| Simulated {
         session: session.name,
         path: session.path.display().to_string(),

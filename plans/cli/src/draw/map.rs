@@ -286,7 +286,7 @@ impl ScaleBar {
         Self {
             bar_px: metres * viewport.scale,
             label: if metres >= 1000.0 {
-                format!("{} Km", metres / 1000.0)
+                format!("{} km", metres / 1000.0)
             } else {
                 format!("{metres} m")
             },
