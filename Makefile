@@ -19,7 +19,7 @@ endif
 
 # The life of a map: the first drive, what somebody says of it, and each revisit, by a run of its own. Run again, it changes
 # nothing.
-map: sessions/.complete
+map: sessions/annotations.mcap
 	@for session in initial annotations revisit_1 revisit_2; do \
 	  echo "== $$session"; \
 	  $(EVERMAP) run car_park --map map --site car_park --sessions sessions/$$session.mcap || exit; \
@@ -32,11 +32,10 @@ map: sessions/.complete
 	@echo "report:   $(CURDIR)/map/report.html"
 	@echo "page:     $(EVERMAP) serve --map map, then open http://127.0.0.1:8760/"
 
-# Made once, at a quarter of the pixels that a session has by default, for time. A simulation that was interrupted is
-# begun anew.
-sessions/.complete: | release
+# Made once, at a quarter of the pixels that a session has by default, for time. What somebody says of it is written last,
+# so that a simulation that was interrupted is begun anew.
+sessions/annotations.mcap: | release
 	$(EVERMAP) simulate car_park --out sessions --set width_px=640 --set height_px=480 --set annotations=true
-	@touch $@
 
 release: packages
 	cargo build --release --locked --package evermap

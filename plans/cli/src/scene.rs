@@ -57,8 +57,11 @@ async fn driven(reader: &MapReader, site: Option<&str>) -> Result<Driven, Fault>
     Ok(sessions)
 }
 
-/// Parking spaces as they were last seen, labels of other things, and what a person is asked about; what was rejected is not
-/// there.
+/// Questions of a kind that are drawn: what somebody would answer at a sitting.
+const QUESTIONS: u32 = 10;
+
+/// Parking spaces as they were last seen, labels of other things, and what a person is asked about first; what was rejected is
+/// not there.
 async fn outlines(
     reader: &MapReader,
     site: Option<&str>,
@@ -89,7 +92,8 @@ async fn outlines(
     }));
     let asked: Vec<Hypothesis> = reader.rows(site).await?;
     outlines.extend(asked.into_iter().filter_map(|one| {
-        let (question, likely) = (one.question?, 100.0 * one.probability);
+        let question = one.question.filter(|place| *place <= QUESTIONS)?;
+        let likely = 100.0 * one.probability;
         Some(Outline {
             mark: Mark::Asked,
             title: format!("question {question}: {}? {likely:.0} % likely", one.kind),
