@@ -14,7 +14,7 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::semantic_map::semantic_graph::Labels;
+use evermap_algorithms::semantic_map::semantic_graph::{Labels, VOID};
 use evermap_algorithms::semantic_map::stable::classes::Kinds;
 use evermap_algorithms::semantic_map::stable::inference::{Options, Teller, infer};
 use evermap_algorithms::semantic_map::stable::occlusion::{Model, Occlusion};
@@ -24,8 +24,31 @@ use serde_json::Value;
 
 const VISITS: [&str; 2] = ["visit_a", "visit_b"];
 
+/// All that is inferred, however unsure: what is sure is chosen here.
+const ALL: [&str; 2] = ["--set", "inferred_labels.min_probability=0"];
+
 /// Maps both visits of a world, with labels of this topic; runs end with this code.
 fn mapped(world: &Path, folder: &Path, labels: &str, code: i32) -> PathBuf {
+    run("stable_map", world, folder, (labels, &ALL), code)
+}
+
+/// Only registers the views of the second visit.
+fn registered(world: &Path, folder: &Path, labels: &str) -> PathBuf {
+    const PLAN: &str = "plan: registered\nextends: relocate\nsteps:\n  spheres: { op: spheres, in: { depth: depth_frames } }\n  \
+                        registrations: { op: registrations, in: { label_images: label_images } }\n\
+                        write: [spheres, registrations]\n";
+    let plan = folder.join("registered.yaml");
+    std::fs::write(&plan, PLAN).unwrap();
+    run(text(&plan), world, folder, (labels, &[]), 0)
+}
+
+fn run(
+    plan: &str,
+    world: &Path,
+    folder: &Path,
+    (labels, more): (&str, &[&str]),
+    code: i32,
+) -> PathBuf {
     let map = folder.join("map");
     for visit in VISITS {
         let log = world.join(format!("{visit}/{visit}.mcap"));
@@ -35,10 +58,8 @@ fn mapped(world: &Path, folder: &Path, labels: &str, code: i32) -> PathBuf {
         );
         let manifest = folder.join(format!("{visit}.yaml"));
         std::fs::write(&manifest, yaml).unwrap();
-        // All that is inferred, however unsure: what is sure is chosen here.
-        let all = "inferred_labels.min_probability=0";
-        let arguments = ["--manifest", text(&manifest), "--set", all];
-        let run = plan_command("stable_map", &map, "street", &arguments).output();
+        let arguments = [&["--manifest", text(&manifest)], more].concat();
+        let run = plan_command(plan, &map, "street", &arguments).output();
         let ended = Finished::from(run.unwrap());
         ended.expect(if visit == VISITS[0] { 0 } else { code });
     }
@@ -198,21 +219,29 @@ impl Score {
     }
 
     fn precision(&self) -> f64 {
-        self.sum(|truth, given| truth == given) / self.sum(|_, _| true)
+        self.sum(|truth, given| truth == given) / self.sum(|_, given| given != VOID)
+    }
+
+    /// Precision and number of the pixels that were given a class.
+    fn of_class(&self, class: u8) -> (f64, f64) {
+        let given = self.sum(|_, given| given == class);
+        let right = self.sum(|truth, given| truth == class && given == class);
+        (right / given.max(1.0), given)
     }
 
     fn told(&self, name: &str, classes: &[String]) {
         eprintln!(
-            "  {name}: precision {:.3} of {} pixels",
+            "  {name}: precision {:.4}, recall {:.3} of {} pixels",
             self.precision(),
+            self.sum(|truth, given| truth == given) / self.sum(|_, _| true),
             self.sum(|_, _| true)
         );
         for (class, number) in classes.iter().zip(0..) {
             let right = self.sum(|truth, given| truth == number && given == number);
-            let given = self.sum(|_, given| given == number);
+            let (precision, given) = self.of_class(number);
             let there = self.sum(|truth, _| truth == number);
             if given + there > 0.0 {
-                let (precision, recall) = (right / given.max(1.0), right / there.max(1.0));
+                let recall = right / there.max(1.0);
                 eprintln!(
                     "    {class}: precision {precision:.3}, recall {recall:.3}, {there} pixels"
                 );
@@ -245,13 +274,14 @@ impl Claims {
     }
 }
 
-/// Each dynamic pixel gets the class of the static one that is nearest in the picture (city blocks, across the seam), and
-/// how far away that is.
+/// Each pixel that is dynamic or has no class gets that of the static one that is nearest in the picture (city blocks, across
+/// the seam), and how far away that is.
 fn nearest(labels: &[u8], width: usize, dynamic: u8) -> (Vec<u8>, Vec<u32>) {
     let mut found = labels.to_vec();
     let mut steps = vec![0; labels.len()];
+    let is_open = |class: u8| class == dynamic || class == VOID;
     let mut ahead: VecDeque<usize> = (0..labels.len())
-        .filter(|at| labels[*at] != dynamic)
+        .filter(|at| !is_open(labels[*at]))
         .collect();
     while let Some(at) = ahead.pop_front() {
         let (column, row) = (at % width, at - at % width);
@@ -262,7 +292,7 @@ fn nearest(labels: &[u8], width: usize, dynamic: u8) -> (Vec<u8>, Vec<u32>) {
         let above = at.checked_sub(width);
         let below = Some(at + width).filter(|at| *at < labels.len());
         for next in beside.into_iter().chain(above).chain(below) {
-            if found[next] == dynamic {
+            if is_open(found[next]) {
                 found[next] = found[at];
                 steps[next] = steps[at] + 1;
                 ahead.push_back(next);
@@ -273,7 +303,7 @@ fn nearest(labels: &[u8], width: usize, dynamic: u8) -> (Vec<u8>, Vec<u32>) {
 }
 
 /// What is behind cars: as others saw it, and as it is inferred for views whose stretch of street the model does not know.
-fn check_labels(world: &Path, map: &Path, name: &str) {
+fn check_labels(world: &Path, map: &Path, name: &str, least_of_class: f64) {
     const STRETCHES: usize = 6;
     let views = views(world, map);
     let classes = &views[0].classes;
@@ -281,10 +311,16 @@ fn check_labels(world: &Path, map: &Path, name: &str) {
     let (car, road) = (number("car"), number("road"));
     let kinds = Kinds::new(classes, &["car".to_owned()], &["sky".to_owned()]).unwrap();
     let stretch = |view: usize| view * STRETCHES / views.len();
-    let [mut seen, mut inferred, mut ellipses, mut always, mut beside] =
-        [(); 5].map(|()| Score::default());
+    let [
+        mut said,
+        mut seen,
+        mut inferred,
+        mut ellipses,
+        mut always,
+        mut beside,
+    ] = [(); 6].map(|()| Score::default());
     let [mut claims, mut near_claims] = [(); 2].map(|()| Claims::default());
-    let mut cars = 0;
+    let (mut cars, mut unclear) = (0, 0);
     for (index, view) in views.iter().enumerate() {
         let known = views
             .iter()
@@ -313,12 +349,18 @@ fn check_labels(world: &Path, map: &Path, name: &str) {
         {
             cars += 1;
             assert_ne!(view.stable[at], car, "something that moves is left");
-            if view.warped[at] != car {
+            let sure = f64::from(view.certainty[at]) / 255.0;
+            // As the plan ships: what is less sure is not said.
+            let is_said = sure >= Options::default().min_probability;
+            said.add(*truth, if is_said { view.stable[at] } else { VOID });
+            if view.warped[at] == VOID {
+                unclear += 1;
+                assert_eq!(view.stable[at], VOID);
+            } else if view.warped[at] != car {
                 seen.add(*truth, view.warped[at]);
                 assert_eq!(view.stable[at], view.warped[at]);
             } else {
                 inferred.add(*truth, view.stable[at]);
-                let sure = f64::from(view.certainty[at]) / 255.0;
                 claims.0.push((sure, view.stable[at] == *truth));
                 near_claims
                     .0
@@ -338,10 +380,12 @@ fn check_labels(world: &Path, map: &Path, name: &str) {
         }
     }
     eprintln!(
-        "{name}: of {cars} pixels behind cars {:.3} were seen",
-        seen.sum(|_, _| true) / f64::from(cars)
+        "{name}: of {cars} pixels behind cars {:.3} were seen, {:.3} are not clear",
+        seen.sum(|_, _| true) / f64::from(cars),
+        f64::from(unclear) / f64::from(cars)
     );
     for (score, what) in [
+        (&said, "all that is said"),
         (&seen, "seen"),
         (
             &inferred,
@@ -353,8 +397,16 @@ fn check_labels(world: &Path, map: &Path, name: &str) {
     ] {
         score.told(what, classes);
     }
-    assert!(seen.sum(|_, _| true) > 0.3 * f64::from(cars));
-    assert!(seen.precision() > 0.93, "{}", seen.precision());
+    assert!(seen.sum(|_, _| true) > 0.7 * f64::from(cars));
+    assert!(said.precision() >= 0.975, "{}", said.precision());
+    for (class, number) in classes.iter().zip(0..) {
+        let (precision, given) = said.of_class(number);
+        // Of a few pixels, a share says little.
+        assert!(
+            precision >= least_of_class || given < 1000.0,
+            "{class}: {precision}"
+        );
+    }
     claims.sort();
     near_claims.sort();
     for sure in [0.5, 0.7, 0.8, 0.9, 0.95] {
@@ -406,16 +458,27 @@ fn a_street_without_its_cars() {
     let folder = tempfile::tempdir().unwrap();
     let map = mapped(&world, folder.path(), "/panorama/labels", 0);
     check_registrations(&world, &map, "street_small");
-    check_labels(&world, &map, "street_small");
+    check_labels(&world, &map, "street_small", 0.96);
 }
 
 #[test]
-fn noisy_labels_and_another_street() {
+fn noisy_labels_do_not_mislead_registration() {
     let folder = tempfile::tempdir().unwrap();
     let street = folder.path().join("street");
     simulate("street", &street, &["length_m=110", "seed=7"]);
-    let map = mapped(&street, folder.path(), "/panorama/labels_noisy", 0);
+    let map = registered(&street, folder.path(), "/panorama/labels_noisy");
     check_registrations(&street, &map, "a simulated street, noisy labels");
+}
+
+/// None of the limits was chosen on it. The little sky that cars hide, and signs, are not as precise: what is far away others
+/// see past what is nearer.
+#[test]
+fn another_street_without_its_cars() {
+    let folder = tempfile::tempdir().unwrap();
+    let street = folder.path().join("street");
+    simulate("street", &street, &["length_m=70", "seed=7"]);
+    let map = mapped(&street, folder.path(), "/panorama/labels", 0);
+    check_labels(&street, &map, "a simulated street", 0.9);
 }
 
 /// Little but the ground is in range: most pairs fit metres away too, and must not be believed.
@@ -424,7 +487,7 @@ fn what_fits_anywhere_is_ambiguous() {
     let folder = tempfile::tempdir().unwrap();
     let street = folder.path().join("street");
     simulate("street", &street, &["length_m=90", "seed=7"]);
-    let map = mapped(&street, folder.path(), "/panorama/labels", 0);
+    let map = registered(&street, folder.path(), "/panorama/labels");
     let (found, _, _, wrong) = registrations(&street, &map, "a bare loop");
     assert!(wrong as f64 <= 0.03 * found as f64, "{wrong} of {found}");
 }

@@ -89,6 +89,7 @@ operators! {
         registrations::Registrations,
         relocations::Relocations,
         spheres::Spheres,
+        view_links::ViewLinks,
         views::Views,
         warped_labels::WarpedLabelImages,
         word_relocations::WordRelocations,

@@ -30,7 +30,7 @@ pub use semantic_map::{
 };
 pub use stable_map::{
     InferredArea, InferredLabels, Occluded, OcclusionCount, OcclusionProbability, SphereView,
-    ViewRegistration, WarpedLabels,
+    ViewLink, ViewRegistration, WarpedLabels,
 };
 
 record! {
@@ -325,6 +325,7 @@ pub fn all() -> Vec<crate::Layer> {
         View::layer(),
         SphereView::layer(),
         ViewRegistration::layer(),
+        ViewLink::layer(),
         WarpedLabels::layer(),
         OcclusionCount::layer(),
         OcclusionProbability::layer(),

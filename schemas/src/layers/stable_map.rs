@@ -74,6 +74,36 @@ record! {
 }
 
 record! {
+    /// A view that is linked with another one: where it was taken, seen from there.
+    #[layer("view_links", key(site, session, stamp, camera, kind, other_session, other_stamp, other_camera))]
+    pub struct ViewLink {
+        /// Site of both views.
+        site: String,
+        /// Session of the view.
+        session: String,
+        /// Exposure instant of the view.
+        stamp: Stamp ["ns"],
+        /// Camera of the view.
+        camera: String,
+        /// `driven`: the other one came before it in its drive; `registered`: relocation found the other one in the map.
+        kind: String,
+        /// Session of the other view.
+        other_session: String,
+        /// Exposure instant of the other view.
+        other_stamp: Stamp ["ns"],
+        /// Camera of the other view.
+        other_camera: String,
+        /// The view's camera in the camera of the other view.
+        other_view_from_view: Pose ["", "camera of the other view"],
+        /// Covariance of that pose, 6×6 row by row, along the axes of the view's camera: translation (m²), then rotation
+        /// (rad²).
+        covariance: Vec<f64>,
+        /// Standard deviation of the position along the axis that is known least.
+        sigma_m: f64 ["m"],
+    }
+}
+
+record! {
     /// Pixels of one class that turned out to hide another.
     pub struct Occluded {
         /// What is in front.
@@ -111,6 +141,8 @@ record! {
         occlusions: Vec<Occluded>,
         /// Pixels that still show what moves, as nobody saw what is behind them.
         unseen_px: u64 ["px"],
+        /// Pixels that have no class as what others saw behind what moves is not clear: where areas meet.
+        unclear_px: u64 ["px"],
     }
 }
 

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use evermap_algorithms::semantic_map::stable::classes::Kinds;
-use evermap_algorithms::semantic_map::stable::sphere::Lens;
+use evermap_algorithms::semantic_map::stable::registration::{Options, Pyramid, Registration};
+use evermap_algorithms::semantic_map::stable::sphere::{Lens, Sphere};
 use evermap_contract::{Fault, Reason, Sides};
 use evermap_schemas::Stamp;
 use evermap_schemas::layers::{LabelImage, SphereView};
@@ -75,8 +76,13 @@ pub(crate) struct OpenSphere {
 impl Spheres {
     /// From the ports `spheres` and `label_images`.
     pub(crate) fn new(sides: &Sides) -> Result<Self, Fault> {
-        let rows = sides.rows::<SphereView>("spheres")?.into_iter();
+        Self::of(sides.rows("spheres")?, sides)
+    }
+
+    /// Of these panoramas, with labels from the port `label_images`.
+    pub(crate) fn of(rows: Vec<SphereView>, sides: &Sides) -> Result<Self, Fault> {
         let labels = sides.rows::<LabelImage>("label_images")?.into_iter();
+        let rows = rows.into_iter();
         Ok(Self {
             rows: rows
                 .map(|row| ((row.session.clone(), row.camera.clone(), row.stamp), row))
@@ -85,6 +91,31 @@ impl Spheres {
                 .map(|row| ((row.session.clone(), row.camera.clone(), row.stamp), row))
                 .collect(),
         })
+    }
+
+    /// A view's panorama at all sizes, to be registered; what moves, where there are labels, has no range in it.
+    pub(crate) fn pyramid(
+        &self,
+        view: &ViewKey,
+        classes: &MovingClasses,
+        options: &Options,
+    ) -> Result<Pyramid, Reason> {
+        let mut sphere = self.open(view, true)?;
+        if let Some(row) = self.labels(view) {
+            let kinds = classes.kinds(&row.classes)?;
+            for (range, label) in sphere.range.iter_mut().zip(labels(row)?) {
+                if kinds.is_dynamic(label) {
+                    *range = 0;
+                }
+            }
+        }
+        let sphere = Sphere {
+            lens: &sphere.lens,
+            grey: &sphere.grey,
+            range: &sphere.range,
+            unit_m: sphere.unit_m,
+        };
+        Pyramid::new(&sphere, options).ok_or("panorama has no range")
     }
 
     /// A view's panorama, with its brightness if that is asked for.
@@ -133,4 +164,15 @@ pub(crate) fn values(png: &[u8], size: [u32; 2]) -> Result<Vec<u8>, Reason> {
         true => Ok(labels.data),
         false => Err("label image has another size than its row says"),
     }
+}
+
+/// The covariance of a registration as tables have it: 6×6, row by row.
+pub(crate) fn covariance(found: &Registration) -> Vec<f64> {
+    found.covariance.transpose().iter().copied().collect()
+}
+
+/// The standard deviation of its position along the axis that is known least (m).
+pub(crate) fn sigma_m(found: &Registration) -> f64 {
+    let position = found.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+    position.symmetric_eigenvalues().max().max(0.0).sqrt()
 }

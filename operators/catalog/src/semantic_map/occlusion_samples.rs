@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use evermap_algorithms::semantic_map::semantic_graph::Labels;
-use evermap_algorithms::semantic_map::stable::surroundings::{DIMENSIONS, features};
+use evermap_algorithms::semantic_map::stable::surroundings::{DIMENSIONS, examples};
 use evermap_contract::{Fault, Operator, Port, Reason, Sides, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{LabelImage, PixelSamples, WarpedLabels};
@@ -19,7 +19,8 @@ pub struct OcclusionSamples;
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct OcclusionSamplesParams {
-    /// Pixels of each view, at most: at equal steps of those that qualify.
+    /// Pixels of each view, at most: at equal steps of those that qualify, for each way that holes are
+    /// moved.
     #[schemars(range(min = 1))]
     pub samples: u32,
     /// Whether images are full panoramas, whose last column is next to the first.
@@ -41,7 +42,7 @@ impl Default for OcclusionSamplesParams {
 
 impl Operator for OcclusionSamples {
     const NAME: &'static str = "occlusion_samples";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("occlusion_samples.md");
     type Params = OcclusionSamplesParams;
     type Output = PixelSamples;
@@ -78,24 +79,23 @@ impl Site {
         }
         let before = labels(before)?;
         let kinds = self.params.classes.kinds(&row.classes)?;
-        let seen: Vec<usize> = (0..before.len())
-            .filter(|pixel| kinds.is_dynamic(before[*pixel]) && kinds.is_static(after[*pixel]))
-            .collect();
-        if seen.is_empty() {
-            return Ok(None);
-        }
+        let seen = before.iter().zip(&after);
+        let seen =
+            seen.filter(|(before, after)| kinds.is_dynamic(**before) && kinds.is_static(**after));
         let mut class_pixels = vec![0; row.classes.len()];
-        for pixel in &seen {
-            class_pixels[usize::from(after[*pixel])] += 1;
+        for (_, after) in seen {
+            class_pixels[usize::from(*after)] += 1;
         }
-        let step = seen.len().div_ceil(self.params.samples as usize);
-        let taken: Vec<usize> = seen.into_iter().step_by(step).collect();
         let image = Labels {
             width: row.width,
             height: row.height,
-            values: &before,
+            values: &after,
         };
-        let found = features(&image, self.params.panorama, &kinds, &taken);
+        let most = self.params.samples as usize;
+        let found = examples(&before, &image, self.params.panorama, &kinds, most);
+        if found.classes.is_empty() {
+            return Ok(None);
+        }
         let (session, camera, stamp) = key;
         Ok(Some(PixelSamples {
             site: row.site,
@@ -106,8 +106,8 @@ impl Site {
             classes: row.classes,
             class_pixels,
             dimensions: DIMENSIONS as u32,
-            labels: taken.iter().map(|pixel| after[*pixel]).collect(),
-            values: Bytes(found),
+            labels: found.classes,
+            values: Bytes(found.values),
         }))
     }
 }

@@ -3,7 +3,6 @@
 use evermap_algorithms::semantic_map::stable::registration::{
     Options, Pyramid, Registration, State, register,
 };
-use evermap_algorithms::semantic_map::stable::sphere::Sphere;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reason, Sides, Work};
 use evermap_schemas::Pose;
 use evermap_schemas::layers::{LabelImage, Relocation, SphereView, ViewRegistration};
@@ -11,7 +10,7 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::spheres::{MovingClasses, Spheres, ViewKey, labels};
+use crate::inputs::spheres::{MovingClasses, Spheres, ViewKey, covariance, sigma_m};
 
 /// See the module's page.
 pub struct Registrations;
@@ -101,22 +100,8 @@ impl Site<'_> {
     }
 
     fn pyramid(&self, view: &ViewKey) -> Result<Pyramid, Reason> {
-        let mut sphere = self.spheres.open(view, true)?;
-        if let Some(row) = self.spheres.labels(view) {
-            let kinds = self.params.classes.kinds(&row.classes)?;
-            for (range, label) in sphere.range.iter_mut().zip(labels(row)?) {
-                if kinds.is_dynamic(label) {
-                    *range = 0;
-                }
-            }
-        }
-        let sphere = Sphere {
-            lens: &sphere.lens,
-            grey: &sphere.grey,
-            range: &sphere.range,
-            unit_m: sphere.unit_m,
-        };
-        Pyramid::new(&sphere, &self.params.options).ok_or("panorama has no range")
+        let (classes, options) = (&self.params.classes, &self.params.options);
+        self.spheres.pyramid(view, classes, options)
     }
 }
 
@@ -131,10 +116,6 @@ fn order(found: Option<&Registration>) -> (bool, f64) {
 }
 
 fn line(row: &Relocation, rank: u32, found: Option<&Registration>) -> ViewRegistration {
-    let sigma = |found: &Registration| {
-        let position = found.covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        position.symmetric_eigenvalues().max().max(0.0).sqrt()
-    };
     ViewRegistration {
         site: row.site.clone(),
         session: row.session.clone(),
@@ -150,10 +131,8 @@ fn line(row: &Relocation, rank: u32, found: Option<&Registration>) -> ViewRegist
             .to_owned(),
         map_view_from_view: found
             .map(|found| Pose::from_array(found.reference_from_other.to_array())),
-        covariance: found.map_or_else(Vec::new, |found| {
-            found.covariance.transpose().iter().copied().collect()
-        }),
-        sigma_m: found.map(sigma),
+        covariance: found.map_or_else(Vec::new, covariance),
+        sigma_m: found.map(sigma_m),
         overlap: found.map_or(0.0, |found| found.overlap),
         inliers: found.map_or(0.0, |found| found.inliers),
         gain: found.map(|found| found.brightness[0]),

@@ -1,15 +1,18 @@
 #![doc = include_str!("warped_labels.md")]
 
 use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use evermap_algorithms::geometry::pose::Pose;
+use evermap_algorithms::semantic_map::semantic_graph::VOID;
+use evermap_algorithms::semantic_map::stable::links::Links;
 use evermap_algorithms::semantic_map::stable::occlusion;
-use evermap_algorithms::semantic_map::stable::registration::State;
-use evermap_algorithms::semantic_map::stable::warp::{LabelledView, replaced};
+use evermap_algorithms::semantic_map::stable::warp::{LabelledView, Options, replaced};
 use evermap_contract::{Fault, Operator, Port, Reason, Sides, Work};
 use evermap_schemas::Bytes;
-use evermap_schemas::layers::{LabelImage, Occluded, SphereView, ViewRegistration, WarpedLabels};
+use evermap_schemas::layers::{LabelImage, Occluded, SphereView, ViewLink, WarpedLabels};
 use evermap_vision::{Grey, encode_png};
+use nalgebra::Matrix6;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -22,12 +25,15 @@ pub struct WarpedLabelImages;
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct WarpedLabelsParams {
-    /// Other views that are looked through for each view, at most: those that fit best.
+    /// Views are looked through that were taken no farther away than this (m).
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub reach_m: f64,
+    /// Of those, so many at most: at equal steps from the nearest to the farthest.
     #[schemars(range(min = 1))]
     pub views: u32,
-    /// Inverse ranges that differ by no more than this are of one surface (1/m), as votes of neighbouring views have it.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub same_per_m: f64,
+    /// What is believed of what they saw.
+    #[serde(flatten)]
+    pub options: Options,
     /// What moves.
     #[serde(flatten)]
     pub classes: MovingClasses,
@@ -36,8 +42,9 @@ pub struct WarpedLabelsParams {
 impl Default for WarpedLabelsParams {
     fn default() -> Self {
         Self {
-            views: 4,
-            same_per_m: 0.005,
+            reach_m: 20.0,
+            views: 64,
+            options: Options::default(),
             classes: MovingClasses::default(),
         }
     }
@@ -45,7 +52,7 @@ impl Default for WarpedLabelsParams {
 
 impl Operator for WarpedLabelImages {
     const NAME: &'static str = "warped_labels";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("warped_labels.md");
     type Params = WarpedLabelsParams;
     type Output = WarpedLabels;
@@ -53,7 +60,7 @@ impl Operator for WarpedLabelImages {
     fn work() -> Work<Self::Params> {
         let labels = Port::session::<LabelImage>("labels");
         let sides = vec![
-            Port::site::<ViewRegistration>("registrations"),
+            Port::site::<ViewLink>("view_links"),
             Port::site::<SphereView>("spheres"),
             Port::site::<LabelImage>("label_images"),
         ];
@@ -61,54 +68,41 @@ impl Operator for WarpedLabelImages {
     }
 }
 
-/// Another view, as the view at hand sees it.
-struct Link {
-    other: ViewKey,
-    this_from_other: Pose,
-    /// Share of points that fit.
-    fits: f64,
-}
-
 struct Site {
     params: WarpedLabelsParams,
     spheres: Spheres,
-    /// The best first.
-    links: BTreeMap<ViewKey, Vec<Link>>,
+    links: Links<ViewKey>,
+    /// Views that were opened: those of a street are around many others.
+    opened: Mutex<BTreeMap<ViewKey, Arc<Seen>>>,
+}
+
+/// Views that are kept open at most: 1 MB each of 1024 × 333 px.
+const MOST_OPEN: usize = 128;
+
+/// Another view, opened.
+struct Seen {
+    sphere: OpenSphere,
+    labels: Vec<u8>,
 }
 
 impl Site {
-    /// Registrations go both ways; those that failed go neither.
     fn new(params: &WarpedLabelsParams, sides: &Sides) -> Result<Self, Fault> {
-        let mut links: BTreeMap<ViewKey, Vec<Link>> = BTreeMap::new();
-        for row in sides.rows::<ViewRegistration>("registrations")? {
-            let pose = row.map_view_from_view.as_ref();
-            let pose = pose.and_then(|pose| Pose::from_array(pose.to_array()).ok());
-            let Some(pose) = pose.filter(|_| row.state == State::Converged.name()) else {
+        let mut links = Links::new(params.reach_m);
+        for row in sides.rows::<ViewLink>("view_links")? {
+            let pose = Pose::from_array(row.other_view_from_view.to_array());
+            let (Ok(pose), 36) = (pose, row.covariance.len()) else {
                 continue;
             };
-            let here = (row.map_session, row.map_camera, row.map_stamp);
+            let covariance = Matrix6::from_row_slice(&row.covariance);
+            let here = (row.other_session, row.other_camera, row.other_stamp);
             let there = (row.session, row.camera, row.stamp);
-            let fits = row.overlap * row.inliers;
-            let both = [
-                (here.clone(), there.clone(), pose),
-                (there, here, pose.inverse()),
-            ];
-            for (this, other, this_from_other) in both {
-                links.entry(this).or_default().push(Link {
-                    other,
-                    this_from_other,
-                    fits,
-                });
-            }
-        }
-        for of_view in links.values_mut() {
-            of_view.sort_by(|a, b| b.fits.total_cmp(&a.fits).then(a.other.cmp(&b.other)));
-            of_view.truncate(params.views as usize);
+            links.add(here, there, pose, &covariance);
         }
         Ok(Self {
             params: params.clone(),
             spheres: Spheres::new(sides)?,
             links,
+            opened: Mutex::default(),
         })
     }
 
@@ -116,13 +110,10 @@ impl Site {
         let before = labels(&row)?;
         let kinds = self.params.classes.kinds(&row.classes)?;
         let key = (row.session.clone(), row.camera.clone(), row.stamp);
-        let links = self.links.get(&key).map_or(&[][..], Vec::as_slice);
-        let mut others = Vec::new();
-        for link in links {
-            if let Some((sphere, labels)) = self.seen(&link.other, &row.classes) {
-                others.push((sphere, labels, link.this_from_other));
-            }
-        }
+        let others = match before.iter().any(|label| kinds.is_dynamic(*label)) {
+            true => self.around(&key, &row.classes),
+            false => Vec::new(),
+        };
         let this = match others.is_empty() {
             true => None,
             false => Some(self.spheres.open(&key, false)?),
@@ -130,19 +121,22 @@ impl Site {
         let after = match &this {
             Some(sphere) => {
                 let this = view(sphere, &before);
-                let sized = others.iter().filter_map(|(sphere, labels, pose)| {
-                    let other = view(sphere, labels);
+                let sized = others.iter().filter_map(|(seen, pose)| {
+                    let other = view(&seen.sphere, &seen.labels);
                     other.is_sound().then_some((other, *pose))
                 });
                 let others: Vec<(LabelledView<'_>, Pose)> = sized.collect();
                 if !this.is_sound() {
                     return Err("label image has another size than its panorama");
                 }
-                replaced(&this, &others, &kinds, self.params.same_per_m)
+                replaced(&this, &others, &kinds, &self.params.options)
             }
             None => before.clone(),
         };
         let (counts, unseen_px) = occlusion::count(&before, &after, &kinds);
+        let pairs = before.iter().zip(&after);
+        let unclear_px = pairs.filter(|(before, after)| **after == VOID && **before != VOID);
+        let unclear_px = unclear_px.count() as u64;
         let name = |class: u8| row.classes[usize::from(class)].clone();
         let occlusions = counts.iter().map(|count| Occluded {
             dynamic: name(count.dynamic),
@@ -156,6 +150,7 @@ impl Site {
         };
         Ok([WarpedLabels {
             occlusions: occlusions.collect(),
+            unclear_px,
             unseen_px,
             views: others.len() as u32,
             png: Bytes(encode_png(&image).map_err(|_| "label image does not encode")?),
@@ -169,12 +164,41 @@ impl Site {
         }])
     }
 
+    /// The views to look through, with their poses in this one.
+    fn around(&self, view: &ViewKey, classes: &[String]) -> Vec<(Arc<Seen>, Pose)> {
+        let around = self.links.around(view);
+        let step = around.len().div_ceil(self.params.views as usize).max(1);
+        let taken = around.into_iter().step_by(step);
+        taken
+            .filter_map(|(other, this_from_other)| {
+                Some((self.seen(other, classes)?, this_from_other))
+            })
+            .collect()
+    }
+
     /// Another view with labels of the same classes; `None` where something of it is missing.
-    fn seen(&self, view: &ViewKey, classes: &[String]) -> Option<(OpenSphere, Vec<u8>)> {
-        let row = self.spheres.labels(view)?;
-        let alike = row.classes == classes;
-        let labels = labels(row).ok().filter(|_| alike)?;
-        Some((self.spheres.open(view, false).ok()?, labels))
+    fn seen(&self, view: &ViewKey, classes: &[String]) -> Option<Arc<Seen>> {
+        let row = self
+            .spheres
+            .labels(view)
+            .filter(|row| row.classes == classes)?;
+        if let Some(known) = self.opened().get(view) {
+            return Some(known.clone());
+        }
+        let seen = Arc::new(Seen {
+            labels: labels(row).ok()?,
+            sphere: self.spheres.open(view, false).ok()?,
+        });
+        let mut opened = self.opened();
+        if opened.len() >= MOST_OPEN {
+            opened.clear();
+        }
+        opened.insert(view.clone(), seen.clone());
+        Some(seen)
+    }
+
+    fn opened(&self) -> MutexGuard<'_, BTreeMap<ViewKey, Arc<Seen>>> {
+        self.opened.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -286,7 +286,7 @@ impl Bend {
             .height([x, y])
             .map_or(0.0, |height| height - plane);
         let up = above * self.vertical[2];
-        if !(up < self.height_m / 2.0) {
+        if up >= self.height_m / 2.0 {
             return None;
         }
         let farther = self.height_m / (self.height_m - up);

@@ -28,7 +28,7 @@ pub fn count(before: &[u8], after: &[u8], kinds: &Kinds) -> (Vec<Occlusion>, u64
     {
         if kinds.is_static(*after) {
             counts[usize::from(*before) * classes + usize::from(*after)] += 1;
-        } else {
+        } else if kinds.is_dynamic(*after) {
             left += 1;
         }
     }

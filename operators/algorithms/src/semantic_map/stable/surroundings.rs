@@ -49,6 +49,80 @@ pub fn features(labels: &Labels<'_>, wraps: bool, kinds: &Kinds, pixels: &[usize
     values
 }
 
+/// Examples of what is behind moving things: features of pixels, [`DIMENSIONS`] bytes each, and the class of each.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Examples {
+    /// Of all pixels, one after another.
+    pub values: Vec<u8>,
+    /// What is behind each.
+    pub classes: Vec<u8>,
+}
+
+/// How far holes are moved, as shares of the width: 6 to 22 degrees of a panorama, where other cars hide the same street.
+const MOVED: [f64; 6] = [
+    -1.0 / 16.0,
+    -1.0 / 32.0,
+    -1.0 / 64.0,
+    1.0 / 64.0,
+    1.0 / 32.0,
+    1.0 / 16.0,
+];
+
+/// What is left to infer is what nobody saw, amid what was seen. Examples have to be alike: the holes that are left in an
+/// image are moved to the side, and what was seen behind moving things (by `before`) is asked for where a hole lies then.
+/// At most so many, at equal steps.
+pub fn examples(
+    before: &[u8],
+    after: &Labels<'_>,
+    wraps: bool,
+    kinds: &Kinds,
+    most: usize,
+) -> Examples {
+    let width = after.width as usize;
+    let was_seen =
+        |pixel: &usize| kinds.is_dynamic(before[*pixel]) && kinds.is_static(after.values[*pixel]);
+    let mut examples = Examples::default();
+    for moved in MOVED {
+        let moved = (moved * width as f64).round() as isize;
+        let holed = with_holes(after, wraps, kinds, moved);
+        let hidden = (0..holed.len()).filter(|pixel| kinds.is_dynamic(holed[*pixel]));
+        let asked: Vec<usize> = hidden.filter(was_seen).collect();
+        let step = asked.len().div_ceil((most / MOVED.len()).max(1)).max(1);
+        let asked: Vec<usize> = asked.into_iter().step_by(step).collect();
+        let image = Labels {
+            values: &holed,
+            ..*after
+        };
+        examples
+            .values
+            .extend(features(&image, wraps, kinds, &asked));
+        let classes = asked.iter().map(|pixel| after.values[*pixel]);
+        examples.classes.extend(classes);
+    }
+    examples
+}
+
+/// The labels with their holes, the pixels that still show what moves, a second time so many columns to the right.
+fn with_holes(labels: &Labels<'_>, wraps: bool, kinds: &Kinds, moved: isize) -> Vec<u8> {
+    let width = labels.width as usize;
+    let mut holed = labels.values.to_vec();
+    let rows = labels.values.chunks_exact(width);
+    for (row, holed) in rows.zip(holed.chunks_exact_mut(width)) {
+        for (column, class) in row.iter().enumerate() {
+            let to = column.cast_signed() + moved;
+            let to = match wraps {
+                true => to.rem_euclid(width.cast_signed()),
+                false => to,
+            };
+            let there = usize::try_from(to).ok().and_then(|to| holed.get_mut(to));
+            if let Some(there) = there.filter(|_| kinds.is_dynamic(*class)) {
+                *there = *class;
+            }
+        }
+    }
+    holed
+}
+
 /// For each pixel the first static one in a direction, and how many steps away it is; [`VOID`] where there is none.
 fn first_static(
     labels: &Labels<'_>,

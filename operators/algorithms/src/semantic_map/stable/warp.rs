@@ -2,14 +2,41 @@
 //!
 //! Paper 3 (map update with an occlusion model), section II-C1. Its equation 3 lifts a pixel of the reference by the
 //! range that was measured there, which on a moving thing is the thing's own: under parallax it hits another place than
-//! the one behind the thing. Here the static points of the other view are projected into the reference instead, the
-//! nearest one that lies behind the moving thing is what it hides, and what nobody saw stays as it is.
+//! the one behind the thing. Here the static points of all other views, those of the same drive too, are projected into
+//! the reference. The nearest surface that lies behind the moving thing is what it hides, and points of that surface
+//! vote, the more the closer to the pixel's centre they fall. Where they do not agree, or one surface ends in front of
+//! another, the pixel has no class; what nobody saw stays as it is.
 
 use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use super::classes::Kinds;
 use super::sphere::Lens;
 use crate::geometry::pose::Pose;
+use crate::semantic_map::semantic_graph::VOID;
+
+/// What is believed of what other views saw.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct Options {
+    /// Inverse ranges that differ by no more than this are of one surface (1/m), as votes of neighbouring views have it.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub same_per_m: f64,
+    /// A pixel is not clear where the second class has more than this share of the votes of the first: where two areas
+    /// meet, while what a labeller mistakes now and then is spread over several classes.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub max_runner_up: f64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            same_per_m: 0.005,
+            max_runner_up: 0.2,
+        }
+    }
+}
 
 /// A view with its labels and ranges, of its lens's size, row by row.
 #[derive(Debug, Clone, Copy)]
@@ -42,21 +69,29 @@ impl LabelledView<'_> {
 /// A point's footprint is its pixel as seen from the reference, this much larger: neighbours then leave no gaps where the
 /// grid is turned or stretched by less than half.
 const FOOTPRINT: f64 = 1.5;
+/// Of a surface in front of another, a footprint is only this large, as all of its edge would otherwise be as much wider.
+/// Many views together leave few gaps, which are filled by the larger one.
+const FRONT: f64 = 0.5;
+/// Votes fall off from a pixel's centre with this standard deviation, in pixels as the other view sees them.
+const SPREAD: f64 = 0.35;
 /// What the other view saw so many times more coarsely than the reference would, as it was farther away or has fewer pixels,
 /// is too coarse to fill in. A footprint is never larger than this, whatever a lens claims.
 const COARSEST: f64 = 6.0;
 
-/// What is behind one pixel: one over its range (1/m, 0 for the sky), and its class.
+/// A static point of another view, in the reference.
 #[derive(Debug, Clone, Copy)]
-struct Behind {
+struct Point {
+    /// Where it appears (px).
+    at: [f32; 2],
+    /// One over its range (1/m), 0 for the sky.
     inverse: f32,
+    /// Pixels of the reference per pixel of the view that saw it, at least 1.
+    coarse: f32,
     class: u8,
 }
 
-/// The labels of a view with its moving things replaced by what other views saw behind them: by the class of the nearest
-/// surface, as most views that see it have it (of equal numbers, the first class). Static labels, and what nobody saw,
-/// stay. Each other view comes with its pose in the reference's frame; `same_per_m` is by how much inverse ranges of one
-/// surface may differ (1/m).
+/// The labels of a view with its moving things replaced by what other views saw behind them, [`VOID`] where that is not
+/// clear. Static labels, and what nobody saw, stay. Each other view comes with its pose in the reference's frame.
 ///
 /// A pixel of a far class without range, such as the sky, is at infinity; any other without range is a hole and says
 /// nothing, as does a far class where something was measured.
@@ -64,108 +99,247 @@ pub fn replaced(
     reference: &LabelledView<'_>,
     others: &[(LabelledView<'_>, Pose)],
     kinds: &Kinds,
-    same_per_m: f64,
+    options: &Options,
 ) -> Vec<u8> {
     let mut labels = reference.labels.to_vec();
-    let moving: Vec<bool> = labels
-        .iter()
-        .map(|label| kinds.is_dynamic(*label))
-        .collect();
-    if !moving.contains(&true) {
+    let hidden = Hidden::new(reference, kinds, options.same_per_m as f32);
+    let Some(hidden) = hidden else {
         return labels;
-    }
-    let seen: Vec<Vec<Option<Behind>>> = others
-        .iter()
-        .map(|(other, pose)| behind(reference, &moving, other, pose, kinds, same_per_m as f32))
+    };
+    let views = others.iter();
+    let seen: Vec<Point> = views
+        .flat_map(|(other, pose)| hidden.points(other, pose, kinds))
         .collect();
-    let mut votes = [0_u32; 256];
-    for (pixel, label) in labels
-        .iter_mut()
-        .enumerate()
-        .filter(|(pixel, _)| moving[*pixel])
-    {
-        let at = || seen.iter().filter_map(|view| view[pixel]);
-        let Some(nearest) = at().map(|behind| behind.inverse).reduce(f32::max) else {
-            continue;
-        };
-        votes.fill(0);
-        at().filter(|behind| nearest - behind.inverse <= same_per_m as f32)
-            .for_each(|behind| votes[usize::from(behind.class)] += 1);
-        let most = votes.iter().copied().max().unwrap_or(0);
-        if let Some(class) = votes.iter().position(|count| *count == most) {
-            *label = class as u8;
+    let surface = hidden.surface(&seen);
+    let told = hidden.told(&seen, &surface, kinds.len(), options.max_runner_up as f32);
+    let found = Found {
+        hidden: &hidden,
+        surface: &surface,
+        told: &told,
+    };
+    for (number, pixel) in hidden.pixels.iter().enumerate() {
+        if surface[number] >= 0.0 {
+            labels[*pixel] = if found.is_edge(number) {
+                VOID
+            } else {
+                told[number]
+            };
         }
     }
     labels
 }
 
-/// The other view's nearest static point at each pixel of the reference, behind the moving thing that is there.
-fn behind(
-    reference: &LabelledView<'_>,
-    moving: &[bool],
-    other: &LabelledView<'_>,
-    reference_from_other: &Pose,
-    kinds: &Kinds,
+/// The pixels of a view's moving things, numbered in order.
+struct Hidden<'a> {
+    reference: &'a LabelledView<'a>,
+    pixels: Vec<usize>,
+    /// Number of each pixel of the image; [`STATIC`] for those that do not move.
+    numbers: Vec<u32>,
+    /// One over the range (1/m) that what is behind each pixel has at most.
+    bounds: Vec<f32>,
     same_per_m: f32,
-) -> Vec<Option<Behind>> {
-    let mut nearest: Vec<Option<Behind>> = vec![None; moving.len()];
-    // Nothing nearer than this can be behind the thing.
-    let bounds: Vec<f32> = (0..moving.len())
-        .map(|pixel| {
-            reference
-                .inverse(pixel)
-                .map_or(f32::INFINITY, |inverse| inverse + same_per_m)
+    /// Tangent of the latitude of the highest of them, and of the lowest, with room for a footprint.
+    rows: [f64; 2],
+}
+
+const STATIC: u32 = u32::MAX;
+/// Of a pixel behind which nothing was seen.
+const UNSEEN: f32 = -1.0;
+
+impl<'a> Hidden<'a> {
+    /// `None` where nothing moves.
+    fn new(reference: &'a LabelledView<'a>, kinds: &Kinds, same_per_m: f32) -> Option<Self> {
+        let labels = reference.labels.iter().enumerate();
+        let moving = labels.filter(|(_, label)| kinds.is_dynamic(**label));
+        let pixels: Vec<usize> = moving.map(|(pixel, _)| pixel).collect();
+        let (first, last) = (*pixels.first()?, *pixels.last()?);
+        let mut numbers = vec![STATIC; reference.labels.len()];
+        for (pixel, number) in pixels.iter().zip(0..) {
+            numbers[*pixel] = number;
+        }
+        let bound = |pixel: &usize| {
+            let inverse = reference.inverse(*pixel);
+            inverse.map_or(f32::INFINITY, |inverse| inverse + same_per_m)
+        };
+        let lens = reference.lens;
+        let tangent = |row: f64| {
+            let latitude = (row - lens.centre[1]) / lens.focal[1];
+            let quarter = std::f64::consts::FRAC_PI_2;
+            match latitude.abs() < quarter {
+                true => latitude.tan(),
+                false => f64::INFINITY.copysign(latitude),
+            }
+        };
+        let rows = [
+            tangent((first / lens.width) as f64 - COARSEST),
+            tangent((last / lens.width) as f64 + COARSEST),
+        ];
+        Some(Self {
+            bounds: pixels.iter().map(bound).collect(),
+            reference,
+            pixels,
+            numbers,
+            same_per_m,
+            rows,
         })
-        .collect();
-    let rotation = reference_from_other.rotation.to_rotation_matrix();
-    let from = reference_from_other.translation;
-    let scale = reference.lens.focal[0] / other.lens.focal[0];
-    for row in 0..other.lens.height {
-        for column in 0..other.lens.width {
-            let pixel = row * other.lens.width + column;
-            let class = other.labels[pixel];
-            if !kinds.is_static(class) {
-                continue;
-            }
-            let ray: Vector3<f64> = rotation * other.lens.ray(column, row);
-            let (point, range, stretch) = match (other.inverse(pixel), kinds.is_far(class)) {
-                (Some(inverse), false) => {
-                    let range = 1.0 / f64::from(inverse);
-                    let point = ray * range + from;
-                    let here = point.norm();
-                    (point, here, range / here.max(1e-6))
+    }
+
+    /// The static points of another view that may be behind something.
+    fn points(
+        &self,
+        other: &LabelledView<'_>,
+        reference_from_other: &Pose,
+        kinds: &Kinds,
+    ) -> Vec<Point> {
+        let rotation = reference_from_other.rotation.to_rotation_matrix();
+        let from = reference_from_other.translation;
+        let scale = self.reference.lens.focal[0] / other.lens.focal[0];
+        let mut points = Vec::new();
+        for row in 0..other.lens.height {
+            for column in 0..other.lens.width {
+                let pixel = row * other.lens.width + column;
+                let class = other.labels[pixel];
+                if !kinds.is_static(class) {
+                    continue;
                 }
-                (None, true) => (ray, f64::INFINITY, 1.0),
-                _ => continue,
-            };
-            let coarse = scale * stretch.max(1.0);
-            if coarse > COARSEST {
-                continue;
+                let range_m = match (other.inverse(pixel), kinds.is_far(class)) {
+                    (Some(inverse), false) => Some(1.0 / f64::from(inverse)),
+                    (None, true) => None,
+                    _ => continue,
+                };
+                let ray: Vector3<f64> = rotation * other.lens.ray(column, row);
+                let point = range_m.map_or(ray, |range_m| ray * range_m + from);
+                let level = point.x.hypot(point.z);
+                if point.y < self.rows[0] * level || point.y > self.rows[1] * level {
+                    continue;
+                }
+                let here_m = level.hypot(point.y).max(1e-6);
+                let coarse = scale * range_m.map_or(1.0, |range_m| (range_m / here_m).max(1.0));
+                if coarse > COARSEST {
+                    continue;
+                }
+                let point = Point {
+                    at: self.reference.lens.pixel(&point).map(|x| x as f32),
+                    inverse: range_m.map_or(0.0, |_| (1.0 / here_m) as f32),
+                    coarse: coarse.max(1.0) as f32,
+                    class,
+                };
+                let mut is_behind = false;
+                self.splat(&point, FOOTPRINT, |_, _| is_behind = true);
+                if is_behind {
+                    points.push(point);
+                }
             }
-            let found = Behind {
-                inverse: (1.0 / range) as f32,
-                class,
-            };
-            let half = 0.5 * FOOTPRINT * coarse;
-            splat(reference.lens, reference.lens.pixel(&point), half, |at| {
-                let free = nearest[at].is_none_or(|known| known.inverse < found.inverse);
-                if moving[at] && free && found.inverse <= bounds[at] {
-                    nearest[at] = Some(found);
+        }
+        points
+    }
+
+    /// One over the range (1/m) of the nearest surface behind each pixel: as points close to its centre have it, or else
+    /// those not far off; [`UNSEEN`] where there are none.
+    fn surface(&self, seen: &[Point]) -> Vec<f32> {
+        let [close, around] = [FRONT, FOOTPRINT].map(|footprint| {
+            let mut nearest = vec![UNSEEN; self.pixels.len()];
+            for point in seen {
+                self.splat(point, footprint, |number, _| {
+                    nearest[number] = nearest[number].max(point.inverse);
+                });
+            }
+            nearest
+        });
+        let both = close.into_iter().zip(around);
+        both.map(|(close, around)| if close < 0.0 { around } else { close })
+            .collect()
+    }
+
+    /// What points of that surface say of each pixel; [`VOID`] where there are none, or the
+    /// second class has more than this share of the votes of the first.
+    fn told(&self, seen: &[Point], surface: &[f32], classes: usize, max_runner_up: f32) -> Vec<u8> {
+        let mut votes = vec![0.0_f32; self.pixels.len() * classes];
+        for point in seen {
+            let spread = SPREAD as f32 * point.coarse;
+            self.splat(point, FOOTPRINT, |number, squared_px| {
+                // Nothing is known at all where there is no surface, and all is in front of that.
+                let behind = surface[number] - point.inverse;
+                if surface[number] >= 0.0 && behind <= self.same_per_m {
+                    let vote = (-0.5 * squared_px / (spread * spread)).exp();
+                    votes[number * classes + usize::from(point.class)] +=
+                        vote / (point.coarse * point.coarse);
                 }
             });
         }
+        let winner = |votes: &[f32]| {
+            let (mut first, mut second, mut class) = (0.0, 0.0, VOID);
+            for (votes, of_class) in votes.iter().copied().zip(0..=u8::MAX) {
+                if votes > first {
+                    (second, first, class) = (first, votes, of_class);
+                } else {
+                    second = votes.max(second);
+                }
+            }
+            match second <= max_runner_up * first {
+                true => class,
+                false => VOID,
+            }
+        };
+        votes.chunks_exact(classes).map(winner).collect()
     }
-    nearest
+
+    /// The hidden pixels in a point's footprint, as far as the point can be behind what hides them, with the square of
+    /// their distance (px²).
+    fn splat(&self, point: &Point, footprint: f64, mut at: impl FnMut(usize, f32)) {
+        let half = (0.5 * footprint) as f32 * point.coarse;
+        let span = |x: f32| (x - half).ceil() as i64..=(x + half).floor() as i64;
+        let [u, v] = point.at;
+        for row in span(v) {
+            for column in span(u) {
+                let Some(pixel) = self.reference.lens.index(column, row) else {
+                    continue;
+                };
+                let number = self.numbers[pixel];
+                if number == STATIC || point.inverse > self.bounds[number as usize] {
+                    continue;
+                }
+                let (right, down) = (column as f32 - u, row as f32 - v);
+                at(number as usize, right * right + down * down);
+            }
+        }
+    }
 }
 
-/// The pixels around a place.
-fn splat(lens: &Lens, [u, v]: [f64; 2], half: f64, mut at: impl FnMut(usize)) {
-    let span = |x: f64| (x - half).ceil() as i64..=(x + half).floor() as i64;
-    for row in span(v) {
-        for column in span(u) {
-            if let Some(pixel) = lens.index(column, row) {
-                at(pixel);
-            }
+/// What is behind pixels, as far as points tell.
+struct Found<'a> {
+    hidden: &'a Hidden<'a>,
+    surface: &'a [f32],
+    told: &'a [u8],
+}
+
+impl Found<'_> {
+    /// Whether a surface ends here in front of another one: the neighbour to some side is of another class, and farther
+    /// away. Where exactly it ends, points do not tell to a pixel.
+    fn is_edge(&self, number: usize) -> bool {
+        let lens = self.hidden.reference.lens;
+        let pixel = self.hidden.pixels[number];
+        let (column, row) = ((pixel % lens.width) as i64, (pixel / lens.width) as i64);
+        let beside = [(1, 0), (-1, 0), (0, 1), (0, -1)];
+        beside.into_iter().any(|(right, down)| {
+            let Some(next) = lens.index(column + right, row + down) else {
+                return false;
+            };
+            let (class, inverse) = self.at(next);
+            let farther = self.surface[number] - inverse > self.hidden.same_per_m;
+            class != VOID && class != self.told[number] && farther
+        })
+    }
+
+    /// What is at a pixel when moving things are gone: its class, and one over its range (1/m).
+    fn at(&self, pixel: usize) -> (u8, f32) {
+        let reference = self.hidden.reference;
+        match self.hidden.numbers[pixel] {
+            STATIC => (
+                reference.labels[pixel],
+                reference.inverse(pixel).unwrap_or(0.0),
+            ),
+            number => (self.told[number as usize], self.surface[number as usize]),
         }
     }
 }
