@@ -24,6 +24,13 @@ use serde_json::Value;
 
 const VISITS: [&str; 2] = ["visit_a", "visit_b"];
 
+/// Those that this world has.
+fn visits(world: &Path) -> impl Iterator<Item = &'static str> {
+    VISITS
+        .into_iter()
+        .filter(|visit| world.join(visit).exists())
+}
+
 /// All that is inferred, however unsure: what is sure is chosen here.
 const ALL: [&str; 2] = ["--set", "inferred_labels.min_probability=0"];
 
@@ -50,7 +57,7 @@ fn run(
     code: i32,
 ) -> PathBuf {
     let map = folder.join("map");
-    for visit in VISITS {
+    for visit in visits(world) {
         let log = world.join(format!("{visit}/{visit}.mcap"));
         let yaml = format!(
             "sessions: [{{ name: {visit}, files: ['{}'] }}]\nroles: {{ label_frames: ['{labels}'] }}\n",
@@ -302,8 +309,18 @@ fn nearest(labels: &[u8], width: usize, dynamic: u8) -> (Vec<u8>, Vec<u32>) {
     (found, steps)
 }
 
+/// At least these shares.
+struct Least {
+    /// Of the pixels behind cars, those that were seen.
+    seen: f64,
+    /// Of those that are said, those that are right.
+    right: f64,
+    /// The same of each class.
+    right_of_class: f64,
+}
+
 /// What is behind cars: as others saw it, and as it is inferred for views whose stretch of street the model does not know.
-fn check_labels(world: &Path, map: &Path, name: &str, least_of_class: f64) {
+fn check_labels(world: &Path, map: &Path, name: &str, least: &Least) {
     const STRETCHES: usize = 6;
     let views = views(world, map);
     let classes = &views[0].classes;
@@ -397,13 +414,13 @@ fn check_labels(world: &Path, map: &Path, name: &str, least_of_class: f64) {
     ] {
         score.told(what, classes);
     }
-    assert!(seen.sum(|_, _| true) > 0.7 * f64::from(cars));
-    assert!(said.precision() >= 0.975, "{}", said.precision());
+    assert!(seen.sum(|_, _| true) > least.seen * f64::from(cars));
+    assert!(said.precision() >= least.right, "{}", said.precision());
     for (class, number) in classes.iter().zip(0..) {
         let (precision, given) = said.of_class(number);
         // Of a few pixels, a share says little.
         assert!(
-            precision >= least_of_class || given < 1000.0,
+            precision >= least.right_of_class || given < 1000.0,
             "{class}: {precision}"
         );
     }
@@ -458,7 +475,12 @@ fn a_street_without_its_cars() {
     let folder = tempfile::tempdir().unwrap();
     let map = mapped(&world, folder.path(), "/panorama/labels", 0);
     check_registrations(&world, &map, "street_small");
-    check_labels(&world, &map, "street_small", 0.96);
+    let least = Least {
+        seen: 0.8,
+        right: 0.985,
+        right_of_class: 0.96,
+    };
+    check_labels(&world, &map, "street_small", &least);
 }
 
 #[test]
@@ -470,15 +492,20 @@ fn noisy_labels_do_not_mislead_registration() {
     check_registrations(&street, &map, "a simulated street, noisy labels");
 }
 
-/// None of the limits was chosen on it. The little sky that cars hide, and signs, are not as precise: what is far away others
-/// see past what is nearer.
+/// One visit alone: driving past cars shows what they hide. None of the limits was chosen on this street. The little sky that
+/// cars hide, and signs, are not as precise: what is far away others see past what is nearer.
 #[test]
 fn another_street_without_its_cars() {
     let folder = tempfile::tempdir().unwrap();
     let street = folder.path().join("street");
-    simulate("street", &street, &["length_m=70", "seed=7"]);
+    simulate("street", &street, &["length_m=110", "seed=7", "visits=1"]);
     let map = mapped(&street, folder.path(), "/panorama/labels", 0);
-    check_labels(&street, &map, "a simulated street", 0.9);
+    let least = Least {
+        seen: 0.65,
+        right: 0.97,
+        right_of_class: 0.85,
+    };
+    check_labels(&street, &map, "a simulated street", &least);
 }
 
 /// Little but the ground is in range: most pairs fit metres away too, and must not be believed.
