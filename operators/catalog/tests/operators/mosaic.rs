@@ -162,7 +162,7 @@ fn each_lens_alone_sees_the_floor_where_it_is() {
         let width = i64::from(patch.width);
         let looks = patch.values.0.iter().zip(&patch.weights.0).enumerate();
         let errors: Vec<f64> = looks
-            .filter(|(_, (_, weight))| **weight > 30)
+            .filter(|(_, (_, weight))| **weight > 60)
             .map(|(at, (value, _))| {
                 let (i, j) = (at as i64 % width, at as i64 / width);
                 let x = (i + i64::from(patch.column)) as f64 * CELL_M + 0.5 * CELL_M;

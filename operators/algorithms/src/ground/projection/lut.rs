@@ -32,8 +32,8 @@ pub struct GroundParams {
     /// default is 85.4°, where one degree of pitch moves the ground by 15 %.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_cos: f64,
-    /// p in weight = 255 (cos ψ)^p. The default weighs a look by the pixels that an area of ground fills in it, as the mean
-    /// with the least noise does; 1 is foreshortening.
+    /// p in weight = 255 (cos ψ)^p. Between foreshortening (1) and pixels per area (3), which leaves too little of what
+    /// is only seen from afar.
     #[schemars(range(min = 0.0, max = 64.0))]
     pub weight_power: f64,
     /// Rays farther than this from a camera's axis are not used (rad): the nominal 180° of a fisheye, whose image circle
@@ -49,7 +49,7 @@ impl Default for GroundParams {
             reach_m: 8.0,
             plane_m: 0.0,
             min_cos: 0.08,
-            weight_power: 3.0,
+            weight_power: 2.0,
             max_angle_rad: FRAC_PI_2,
         }
     }

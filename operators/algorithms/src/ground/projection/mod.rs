@@ -29,8 +29,9 @@
 //! 255 (cos ψ)^p. p = 1 is Lambert's foreshortening, the usual weight of view blending (Debevec,
 //! Taylor & Malik 1996, section 6.2); p = 3 is proportional to the pixels that a square metre of
 //! ground fills in an equidistant image (solid angle per area is h / d³), the weight that
-//! minimises the variance of a mean, and the default. Eight bits hold what is only ever seen from a
-//! distance with a weight of 1. Weights are integers, so that sums are exact.
+//! minimises the variance of a mean. The default p = 2 lies between: p = 3 leaves nothing of what
+//! is only ever seen from a distance when 8 bits have to hold it. Weights are integers, so that
+//! sums are exact.
 //!
 //! Medians and modes of all looks were tried in place of the mean, against parked cars that smear
 //! (BENCHMARKS.md): they keep less of the floor, and no more of what cars hide.

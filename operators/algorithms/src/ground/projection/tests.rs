@@ -118,7 +118,7 @@ proptest! {
             let away = (spot.x - 3.6).hypot(spot.y - 0.02);
             prop_assert!(away <= 5.2);
             let cos = 0.95 / away.hypot(0.95);
-            prop_assert!((f64::from(weight) - (255.0 * cos.powi(3)).max(1.0)).abs() < 20.0);
+            prop_assert!((f64::from(weight) - (255.0 * cos * cos).max(1.0)).abs() < 20.0);
         }
         prop_assert!(worst < 4.0, "worst {worst}");
         prop_assert!(total / (seen.len() as f64) < 0.5);
