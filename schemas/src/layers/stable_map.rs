@@ -54,8 +54,8 @@ record! {
         map_stamp: Stamp ["ns"],
         /// Camera of the map's view.
         map_camera: String,
-        /// `converged`, or why it failed: `few seen`, `few inliers`, `ambiguous` (another place fits nearly as well),
-        /// `uncertain`, `restless`, `no range`.
+        /// `converged`, or why it failed: `few seen`, `few inliers`, `unlike` (other brightness), `ambiguous`
+        /// (another place fits nearly as well), `uncertain`, `restless`, `no range`.
         state: String,
         /// The view's camera in the camera of the map's view; null without range.
         map_view_from_view: Option<Pose> ["", "camera of the map's view"],
@@ -68,6 +68,9 @@ record! {
         overlap: f64,
         /// Of what those tell of the place, the share that is as it should be.
         inliers: f64,
+        /// Correlation of brightness over the points that are seen, within tiles of the image; null without range, or where an
+        /// image has no structure.
+        correlation: Option<f64>,
         /// Brightness of the view per brightness of the map's view; null without range.
         gain: Option<f64>,
     }

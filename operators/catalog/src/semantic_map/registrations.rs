@@ -1,11 +1,13 @@
 #![doc = include_str!("registrations.md")]
 
+use evermap_algorithms::geometry::pose;
 use evermap_algorithms::semantic_map::stable::registration::{
     Options, Pyramid, Registration, State, register,
 };
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reason, Sides, Work};
 use evermap_schemas::Pose;
 use evermap_schemas::layers::{LabelImage, Relocation, SphereView, ViewRegistration};
+use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -29,7 +31,7 @@ pub struct RegistrationsParams {
 
 impl Operator for Registrations {
     const NAME: &'static str = "registrations";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("registrations.md");
     type Params = RegistrationsParams;
     type Output = ViewRegistration;
@@ -96,13 +98,20 @@ impl Site<'_> {
             row.map_stamp,
         );
         let map_view = self.pyramid(&key).ok()?;
-        register(&map_view, view, None, &self.params.options)
+        register(&map_view, view, guess(row).as_ref(), &self.params.options)
     }
 
     fn pyramid(&self, view: &ViewKey) -> Result<Pyramid, Reason> {
         let (classes, options) = (&self.params.classes, &self.params.options);
         self.spheres.pyramid(view, classes, options)
     }
+}
+
+/// The heading that relocation tells, at the map's view; `None` where it tells none.
+fn guess(row: &Relocation) -> Option<pose::Pose> {
+    // Counter-clockwise seen from above; the optical frame's y looks down.
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -row.yaw_rad?);
+    Some(pose::Pose::new(Vector3::zeros(), turn))
 }
 
 /// The larger the better: whether it converged, then the share of points that fit.
@@ -135,6 +144,7 @@ fn line(row: &Relocation, rank: u32, found: Option<&Registration>) -> ViewRegist
         sigma_m: found.map(sigma_m),
         overlap: found.map_or(0.0, |found| found.overlap),
         inliers: found.map_or(0.0, |found| found.inliers),
+        correlation: found.and_then(|found| found.correlation),
         gain: found.map(|found| found.brightness[0]),
     }
 }

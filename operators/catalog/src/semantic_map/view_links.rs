@@ -1,5 +1,6 @@
 #![doc = include_str!("view_links.md")]
 
+use evermap_algorithms::geometry::pose;
 use evermap_algorithms::semantic_map::stable::registration::{Options, Pyramid, State, register};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Pose;
@@ -27,7 +28,7 @@ pub struct ViewLinksParams {
 
 impl Operator for ViewLinks {
     const NAME: &'static str = "view_links";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("view_links.md");
     type Params = ViewLinksParams;
     type Output = ViewLink;
@@ -83,7 +84,7 @@ fn driven(
     (view, here): &(&ViewKey, Option<Pyramid>),
     options: &Options,
 ) -> Option<ViewLink> {
-    let found = register(there.as_ref()?, here.as_ref()?, None, options)?;
+    let found = register(there.as_ref()?, here.as_ref()?, Some(&pose::Pose::identity()), options)?;
     let ((session, camera, stamp), (other_session, other_camera, other_stamp)) = (view, other);
     (found.state == State::Converged).then(|| ViewLink {
         site: site.to_owned(),

@@ -75,6 +75,17 @@ impl Lens {
         Vector3::new(level * sin, up, level * cos)
     }
 
+    /// The unit vector along a column at latitude zero.
+    pub(super) fn ahead(&self, column: usize) -> Vector3<f64> {
+        let [sin, cos] = self.longitudes[column];
+        Vector3::new(sin, 0.0, cos)
+    }
+
+    /// Sine and cosine of a row's latitude.
+    pub(super) fn latitude(&self, row: usize) -> [f64; 2] {
+        self.latitudes[row]
+    }
+
     /// Where a point or direction of the optical frame appears (px).
     pub fn pixel(&self, point: &Vector3<f64>) -> [f64; 2] {
         let latitude = point.y.atan2(point.x.hypot(point.z));

@@ -38,8 +38,10 @@ pub(super) struct Point {
     pub tile: u16,
 }
 
-/// Tiles along each side of an image.
+/// Tiles along each side of an image, at most.
 const TILES: usize = 16;
+/// A tile is at least so many pixels high: fewer have no structure of their own.
+const TILE_PX: usize = 8;
 
 /// Points of a level, at most about `most`: at equal steps of columns and rows.
 pub(super) fn points(level: &Level, most: usize) -> Vec<Point> {
@@ -48,13 +50,14 @@ pub(super) fn points(level: &Level, most: usize) -> Vec<Point> {
         .sqrt()
         .ceil()
         .max(1.0) as usize;
+    let tiles = (height / TILE_PX).clamp(1, TILES);
     let mut points = Vec::new();
     for row in (step / 2..height).step_by(step) {
         for column in (step / 2..width).step_by(step) {
             let pixel = row * width + column;
             let inverse = level.inverse[pixel];
             if inverse > 0.0 {
-                let tile = row * TILES / height * TILES + column * TILES / width;
+                let tile = row * tiles / height * tiles + column * tiles / width;
                 points.push(Point {
                     at: level.lens.ray(column, row) / f64::from(inverse),
                     grey: level.grey[pixel],
@@ -96,6 +99,9 @@ pub(super) struct Fit {
     /// Of what those tell of the place on the ground, the share that is as it should be: each counts by how much its
     /// inverse range would change per metre, which for a wall is the more the nearer it is, and for the ground nothing.
     pub inliers: f64,
+    /// Correlation of brightness over the points that the other sees, within tiles of the image: light and shade of large
+    /// things are alike in many places. `None` where an image has no structure.
+    pub correlation: Option<f64>,
     /// Standard deviations of most residuals: brightness, inverse range (1/m).
     deviations: [f64; 2],
 }
@@ -103,7 +109,7 @@ pub(super) struct Fit {
 impl Fit {
     /// How well an estimate fits.
     pub fn share(&self) -> f64 {
-        self.overlap * self.inliers
+        self.overlap * self.inliers * self.correlation.map_or(1.0, |alike| alike.max(0.0))
     }
 }
 
@@ -180,8 +186,33 @@ impl<'a> Aligner<'a> {
         Some(Fit {
             overlap: self.seen.len() as f64 / self.points.len().max(1) as f64,
             inliers: right / told.max(f64::MIN_POSITIVE),
+            correlation: self.correlation([gain, offset]),
             deviations,
         })
+    }
+
+    /// Correlation of brightness within the tiles of the reference; `None` where one of the two has no structure there.
+    fn correlation(&self, [gain, offset]: [f64; 2]) -> Option<f64> {
+        let mut tiles = vec![(0.0, [0.0; 2], [0.0; 3]); TILES * TILES];
+        for seen in &self.seen {
+            let here = seen.reference_grey;
+            let there = seen.grey + gain * here + offset;
+            let (count, sums, products) = &mut tiles[usize::from(seen.tile)];
+            *count += 1.0;
+            sums[0] += here;
+            sums[1] += there;
+            products[0] += here * here;
+            products[1] += there * there;
+            products[2] += here * there;
+        }
+        let [mut here, mut there, mut both] = [0.0; 3];
+        for (count, [first, second], products) in tiles.into_iter().filter(|tile| tile.0 > 1.0) {
+            here += products[0] - first * first / count;
+            there += products[1] - second * second / count;
+            both += products[2] - first * second / count;
+        }
+        let least = LEAST_GREY * LEAST_GREY * self.seen.len() as f64;
+        (here > least && there > least).then(|| both / (here * there).sqrt())
     }
 
     /// The standard deviation of a residual, from the median of its size.

@@ -7,7 +7,8 @@
 //! Paper 3 (map update with an occlusion model), equation 2, which is printed garbled: the photometric error of the
 //! reference warped by its range into the other panorama, coarse to fine. What is beyond it: inverse range is compared as
 //! well, which light does not change. It leads alone down to the finest size, where brightness, up to a gain and an
-//! offset, is asked too: years apart, shadows lie elsewhere, and textures fit anywhere once in a pixel's width. How far
+//! offset, is asked too: years apart, shadows lie elsewhere, and textures fit anywhere once in a pixel's width. Which of
+//! several places is the right one, brightness tells at every size, by its correlation within tiles of the image. How far
 //! residuals scatter is measured at every step, so that what is unreliable counts less; the loss is not Huber's but one
 //! that lets go of what moved; the covariance takes into account that neighbouring residuals are of one thing; and a
 //! registration says that it failed. What is known to move should have its range taken out: a car parked beside one of the
@@ -40,6 +41,9 @@ pub struct Registration {
     pub inliers: f64,
     /// How well the best other place fits, as a share of how well this one does; 0 where all starts came to this one.
     pub runner_up: f64,
+    /// Correlation of brightness over those points at the finest size, within tiles of the image; `None` where an image has
+    /// no structure.
+    pub correlation: Option<f64>,
     /// Brightness there is the first times brightness here, and the second (of 255).
     pub brightness: [f64; 2],
     /// Whether to believe it.
@@ -55,6 +59,8 @@ pub enum State {
     FewSeen,
     /// Too few of those are where they should be.
     FewInliers,
+    /// What is seen there is not as bright and dark as it should be.
+    Unlike,
     /// Another place fits nearly as well.
     Ambiguous,
     /// It does not say well enough where the other was.
@@ -70,6 +76,7 @@ impl State {
             Self::Converged => "converged",
             Self::FewSeen => "few seen",
             Self::FewInliers => "few inliers",
+            Self::Unlike => "unlike",
             Self::Ambiguous => "ambiguous",
             Self::Uncertain => "uncertain",
             Self::Restless => "restless",
@@ -86,6 +93,8 @@ pub struct Pyramid {
 
 /// Steps at each size, at most; at the two coarsest, where they cost little and the way is long, twice as many.
 const STEPS: usize = 10;
+/// Brightness has a valley of a pixel's width, in which a step is short.
+const FINEST_STEPS: usize = 25;
 /// The coarsest panoramas are at least this wide (px): 5.6 degrees a pixel.
 const COARSEST_PX: usize = 64;
 
@@ -122,7 +131,11 @@ pub fn register(
     for (size, (here, there)) in levels.enumerate().rev() {
         let points = points(here, options.points as usize);
         let mut aligner = Aligner::new(&points, there, size == 0);
-        let steps = if sizes - size <= 2 { 2 * STEPS } else { STEPS };
+        let steps = match size {
+            0 => FINEST_STEPS,
+            size if sizes - size <= 2 => 2 * STEPS,
+            _ => STEPS,
+        };
         let starts = candidates.iter();
         let mut aligned: Vec<Aligned> = starts
             .filter_map(|start| aligner.align(*start, steps))
@@ -145,6 +158,7 @@ pub fn register(
         overlap: fit.overlap,
         inliers: fit.inliers,
         runner_up,
+        correlation: fit.correlation,
         brightness: estimate.brightness,
     })
 }

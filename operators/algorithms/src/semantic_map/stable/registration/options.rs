@@ -23,10 +23,14 @@ pub struct Options {
     /// A registration failed where the other sees less than this share of the points.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_overlap: f64,
-    /// It failed where less than this share of what they tell of the place is as it should be. With what moves taken out,
-    /// 80 to 99 % is in views of one place, for all that changes in three years; in views of two mostly 60 to 75 %.
+    /// It failed where less than this share of what they tell of the place is as it should be: things that moved and are not
+    /// labelled so have a say in it.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_inliers: f64,
+    /// It failed where brightness, within tiles of the image, correlates less than this: 0.55 to 0.9 in views of one place
+    /// three years apart, mostly below 0.35 in views of two.
+    #[schemars(range(min = -1.0, max = 1.0))]
+    pub min_correlation: f64,
     /// It is ambiguous where another place fits more than this share as well as the best one.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_runner_up: f64,
@@ -42,7 +46,8 @@ impl Default for Options {
             nearest_m: 1.0,
             points: 20_000,
             min_overlap: 0.5,
-            min_inliers: 0.75,
+            min_inliers: 0.5,
+            min_correlation: 0.5,
             max_runner_up: 0.93,
             max_deviation_m: 0.2,
         }
@@ -63,6 +68,8 @@ impl Options {
             State::FewSeen
         } else if fit.inliers < self.min_inliers {
             State::FewInliers
+        } else if fit.correlation.is_some_and(|alike| alike < self.min_correlation) {
+            State::Unlike
         } else if runner_up > self.max_runner_up {
             State::Ambiguous
         } else if !(worst.is_finite() && worst.sqrt() <= self.max_deviation_m) {

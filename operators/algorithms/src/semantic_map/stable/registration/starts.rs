@@ -1,5 +1,7 @@
 //! Where to begin.
 
+use std::f64::consts::TAU;
+
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::Options;
@@ -14,18 +16,24 @@ const STEP_RAD: f64 = 0.35;
 /// An estimate, how it fits, and whether it rests.
 pub(super) type Aligned = (Estimate, Fit, bool);
 
-/// Estimates to begin with: the guess, and around it, as far as panoramas may be apart, places on the ground and a turn to
-/// either side.
+/// Estimates to begin with: around the guess, as far as panoramas may be apart, places on the ground and a turn to either
+/// side; without one, all headings.
 pub(super) fn starts(guess: Option<&Pose>, options: &Options) -> Vec<Estimate> {
+    let turns = if guess.is_some() {
+        (-1..=1).map(|turn| f64::from(turn) * STEP_RAD).collect()
+    } else {
+        let all = (TAU / STEP_RAD).ceil() as u32;
+        let turned = |turn| f64::from(turn) * TAU / f64::from(all);
+        (0..all).map(turned).collect::<Vec<f64>>()
+    };
     let guess = guess.copied().unwrap_or_else(Pose::identity);
     let places = (options.reach_m / STEP_M).floor() as i32;
     let mut starts = Vec::new();
     for right in -places..=places {
         for ahead in -places..=places {
-            for turn in -1..=1 {
+            for turn in &turns {
                 let away = Vector3::new(f64::from(right), 0.0, f64::from(ahead)) * STEP_M;
-                let turn =
-                    UnitQuaternion::from_axis_angle(&Vector3::y_axis(), f64::from(turn) * STEP_RAD);
+                let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), *turn);
                 let pose = Pose::new(guess.translation + away, guess.rotation * turn);
                 starts.push(Estimate {
                     other_from_reference: pose.inverse(),

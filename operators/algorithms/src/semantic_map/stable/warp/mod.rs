@@ -7,11 +7,14 @@
 //! vote, the more the closer to the pixel's centre they fall. Where they do not agree, or one surface ends in front of
 //! another, the pixel has no class; what nobody saw stays as it is.
 
+mod near;
+
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::classes::Kinds;
+use near::Near;
 use super::sphere::Lens;
 use crate::geometry::pose::Pose;
 use crate::semantic_map::semantic_graph::VOID;
@@ -78,6 +81,9 @@ const SPREAD: f64 = 0.35;
 /// is too coarse to fill in. A footprint is never larger than this, whatever a lens claims.
 const COARSEST: f64 = 6.0;
 
+/// From a pixel's centre no footprint reaches farther (px), nor by how much its place is estimated wrongly at first.
+const REACH_PX: usize = (0.5 * FOOTPRINT * COARSEST) as usize + 2;
+
 /// A static point of another view, in the reference.
 #[derive(Debug, Clone, Copy)]
 struct Point {
@@ -106,11 +112,12 @@ pub fn replaced(
     let Some(hidden) = hidden else {
         return labels;
     };
-    let views = others.iter();
-    let seen: Vec<Point> = views
-        .flat_map(|(other, pose)| hidden.points(other, pose, kinds))
-        .collect();
-    let surface = hidden.surface(&seen);
+    let mut surface = Surface::new(hidden.pixels.len());
+    let mut seen = Vec::new();
+    for (other, pose) in others {
+        hidden.look_through(other, pose, kinds, &mut surface, &mut seen);
+    }
+    let surface = surface.nearest();
     let told = hidden.told(&seen, &surface, kinds.len(), options.max_runner_up as f32);
     let found = Found {
         hidden: &hidden,
@@ -138,8 +145,8 @@ struct Hidden<'a> {
     /// One over the range (1/m) that what is behind each pixel has at most.
     bounds: Vec<f32>,
     same_per_m: f32,
-    /// Tangent of the latitude of the highest of them, and of the lowest, with room for a footprint.
-    rows: [f64; 2],
+    /// Whether a pixel is one of them or so near to one that a footprint may reach it.
+    around: Vec<bool>,
 }
 
 const STATIC: u32 = u32::MAX;
@@ -152,7 +159,7 @@ impl<'a> Hidden<'a> {
         let labels = reference.labels.iter().enumerate();
         let moving = labels.filter(|(_, label)| kinds.is_dynamic(**label));
         let pixels: Vec<usize> = moving.map(|(pixel, _)| pixel).collect();
-        let (first, last) = (*pixels.first()?, *pixels.last()?);
+        pixels.first()?;
         let mut numbers = vec![STATIC; reference.labels.len()];
         for (pixel, number) in pixels.iter().zip(0..) {
             numbers[*pixel] = number;
@@ -161,59 +168,38 @@ impl<'a> Hidden<'a> {
             let inverse = reference.inverse(*pixel);
             inverse.map_or(f32::INFINITY, |inverse| inverse + same_per_m)
         };
-        let lens = reference.lens;
-        let tangent = |row: f64| {
-            let latitude = (row - lens.centre[1]) / lens.focal[1];
-            let quarter = std::f64::consts::FRAC_PI_2;
-            match latitude.abs() < quarter {
-                true => latitude.tan(),
-                false => f64::INFINITY.copysign(latitude),
-            }
-        };
-        let rows = [
-            tangent((first / lens.width) as f64 - COARSEST),
-            tangent((last / lens.width) as f64 + COARSEST),
-        ];
+        let around = near::around(reference.lens, &pixels, REACH_PX);
         Some(Self {
             bounds: pixels.iter().map(bound).collect(),
             reference,
             pixels,
             numbers,
             same_per_m,
-            rows,
+            around,
         })
     }
 
-    /// The static points of another view that may be behind something.
-    fn points(
+    /// Adds the static points of another view that may be behind something, and the surfaces that they are of.
+    fn look_through(
         &self,
         other: &LabelledView<'_>,
         reference_from_other: &Pose,
         kinds: &Kinds,
-    ) -> Vec<Point> {
+        surface: &mut Surface,
+        seen: &mut Vec<Point>,
+    ) {
         let rotation = reference_from_other.rotation.to_rotation_matrix();
         let from = reference_from_other.translation;
         let scale = self.reference.lens.focal[0] / other.lens.focal[0];
-        let mut points = Vec::new();
+        let mut near = Near::new(other, reference_from_other, kinds);
         for row in 0..other.lens.height {
-            for column in 0..other.lens.width {
+            for column in near.columns(row, &self.reference.lens, &self.around) {
                 let pixel = row * other.lens.width + column;
                 let class = other.labels[pixel];
-                if !kinds.is_static(class) {
-                    continue;
-                }
-                let range_m = match (other.inverse(pixel), kinds.is_far(class)) {
-                    (Some(inverse), false) => Some(1.0 / f64::from(inverse)),
-                    (None, true) => None,
-                    _ => continue,
-                };
+                let range_m = other.inverse(pixel).map(|inverse| 1.0 / f64::from(inverse));
                 let ray: Vector3<f64> = rotation * other.lens.ray(column, row);
                 let point = range_m.map_or(ray, |range_m| ray * range_m + from);
-                let level = point.x.hypot(point.z);
-                if point.y < self.rows[0] * level || point.y > self.rows[1] * level {
-                    continue;
-                }
-                let here_m = level.hypot(point.y).max(1e-6);
+                let here_m = point.norm().max(1e-6);
                 let coarse = scale * range_m.map_or(1.0, |range_m| (range_m / here_m).max(1.0));
                 if coarse > COARSEST {
                     continue;
@@ -225,30 +211,15 @@ impl<'a> Hidden<'a> {
                     class,
                 };
                 let mut is_behind = false;
-                self.splat(&point, FOOTPRINT, |_, _| is_behind = true);
+                self.splat(&point, |number, away_px| {
+                    is_behind = true;
+                    surface.add(number, &point, away_px);
+                });
                 if is_behind {
-                    points.push(point);
+                    seen.push(point);
                 }
             }
         }
-        points
-    }
-
-    /// One over the range (1/m) of the nearest surface behind each pixel: as points close to its centre have it, or else
-    /// those not far off; [`UNSEEN`] where there are none.
-    fn surface(&self, seen: &[Point]) -> Vec<f32> {
-        let [close, around] = [FRONT, FOOTPRINT].map(|footprint| {
-            let mut nearest = vec![UNSEEN; self.pixels.len()];
-            for point in seen {
-                self.splat(point, footprint, |number, _| {
-                    nearest[number] = nearest[number].max(point.inverse);
-                });
-            }
-            nearest
-        });
-        let both = close.into_iter().zip(around);
-        both.map(|(close, around)| if close < 0.0 { around } else { close })
-            .collect()
     }
 
     /// What points of that surface say of each pixel; [`VOID`] where there are none, or the
@@ -257,7 +228,8 @@ impl<'a> Hidden<'a> {
         let mut votes = vec![0.0_f32; self.pixels.len() * classes];
         for point in seen {
             let spread = SPREAD as f32 * point.coarse;
-            self.splat(point, FOOTPRINT, |number, squared_px| {
+            self.splat(point, |number, [right, down]| {
+                let squared_px = right * right + down * down;
                 // Nothing is known at all where there is no surface, and all is in front of that.
                 let behind = surface[number] - point.inverse;
                 if surface[number] >= 0.0 && behind <= self.same_per_m {
@@ -284,10 +256,10 @@ impl<'a> Hidden<'a> {
         votes.chunks_exact(classes).map(winner).collect()
     }
 
-    /// The hidden pixels in a point's footprint, as far as the point can be behind what hides them, with the square of
-    /// their distance (px²).
-    fn splat(&self, point: &Point, footprint: f64, mut at: impl FnMut(usize, f32)) {
-        let half = (0.5 * footprint) as f32 * point.coarse;
+    /// The hidden pixels in a point's footprint, as far as the point can be behind what hides them, with how far to the right
+    /// and below it they are (px).
+    fn splat(&self, point: &Point, mut at: impl FnMut(usize, [f32; 2])) {
+        let half = (0.5 * FOOTPRINT) as f32 * point.coarse;
         let span = |x: f32| (x - half).ceil() as i64..=(x + half).floor() as i64;
         let [u, v] = point.at;
         for row in span(v) {
@@ -299,10 +271,41 @@ impl<'a> Hidden<'a> {
                 if number == STATIC || point.inverse > self.bounds[number as usize] {
                     continue;
                 }
-                let (right, down) = (column as f32 - u, row as f32 - v);
-                at(number as usize, right * right + down * down);
+                at(number as usize, [column as f32 - u, row as f32 - v]);
             }
         }
+    }
+}
+
+/// One over the range (1/m) of the nearest surface behind each pixel; [`UNSEEN`] where there is none.
+struct Surface {
+    /// Of points close to its centre.
+    close: Vec<f32>,
+    /// Of those not far off.
+    around: Vec<f32>,
+}
+
+impl Surface {
+    fn new(pixels: usize) -> Self {
+        Self {
+            close: vec![UNSEEN; pixels],
+            around: vec![UNSEEN; pixels],
+        }
+    }
+
+    fn add(&mut self, number: usize, point: &Point, away_px: [f32; 2]) {
+        let raise = |nearest: &mut f32| *nearest = nearest.max(point.inverse);
+        raise(&mut self.around[number]);
+        let half = (0.5 * FRONT) as f32 * point.coarse;
+        if away_px.iter().all(|away| away.abs() <= half) {
+            raise(&mut self.close[number]);
+        }
+    }
+
+    fn nearest(self) -> Vec<f32> {
+        let both = self.close.into_iter().zip(self.around);
+        both.map(|(close, around)| if close < 0.0 { around } else { close })
+            .collect()
     }
 }
 

@@ -1,0 +1,168 @@
+//! Which points of another view may appear near a hidden pixel, quickly: most do not.
+
+use std::f32::consts::{FRAC_PI_2, PI};
+
+use nalgebra::Vector3;
+
+use super::LabelledView;
+use crate::geometry::pose::Pose;
+use crate::semantic_map::stable::classes::Kinds;
+use crate::semantic_map::stable::sphere::Lens;
+
+/// What a class's pixels say.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Says {
+    Nothing,
+    /// Where a surface is, if its range was measured.
+    Surface,
+    /// That there is nothing, if no range was measured.
+    Far,
+}
+
+/// Points of another view, a row of its image at a time.
+pub(super) struct Near<'a> {
+    other: &'a LabelledView<'a>,
+    says: [Says; 256],
+    /// What each column looks along at latitude zero, and what is below, turned into the reference.
+    columns: Vec<Vector3<f32>>,
+    below: Vector3<f32>,
+    from: Vector3<f32>,
+    /// Range (m) of each column's point, 1 at infinity and 0 without any; and what the translation counts there.
+    ranges: Vec<[f32; 2]>,
+    /// Where each column's point appears (px), nearly.
+    pixels: Vec<[f32; 2]>,
+}
+
+impl<'a> Near<'a> {
+    pub(super) fn new(
+        other: &'a LabelledView<'a>,
+        reference_from_other: &Pose,
+        kinds: &Kinds,
+    ) -> Self {
+        let says = |class: u8| match (kinds.is_static(class), kinds.is_far(class)) {
+            (false, _) => Says::Nothing,
+            (true, false) => Says::Surface,
+            (true, true) => Says::Far,
+        };
+        let rotation = reference_from_other.rotation;
+        let lens = other.lens;
+        let ahead = |column| (rotation * lens.ahead(column)).cast();
+        Self {
+            other,
+            says: std::array::from_fn(|class| says(class as u8)),
+            columns: (0..lens.width).map(ahead).collect(),
+            below: (rotation * Vector3::y()).cast(),
+            from: reference_from_other.translation.cast(),
+            ranges: vec![[0.0; 2]; lens.width],
+            pixels: vec![[0.0; 2]; lens.width],
+        }
+    }
+
+    /// The columns of a row whose points appear, in an image of this lens, where `around` is true.
+    pub(super) fn columns(
+        &mut self,
+        row: usize,
+        lens: &Lens,
+        around: &[bool],
+    ) -> impl Iterator<Item = usize> {
+        self.measure(row);
+        self.place(row, lens);
+        let found = self.ranges.iter().zip(&self.pixels).enumerate();
+        found.filter_map(|(column, ([range, _], [u, v]))| {
+            if *range == 0.0 {
+                return None;
+            }
+            let pixel = lens.index(u.round() as i64, v.round() as i64)?;
+            around[pixel].then_some(column)
+        })
+    }
+
+    fn measure(&mut self, row: usize) {
+        let (view, width) = (self.other, self.other.lens.width);
+        let unit_m = view.unit_m as f32;
+        let pixels = row * width..(row + 1) * width;
+        let (labels, units) = (&view.labels[pixels.clone()], &view.range[pixels]);
+        for ((range, label), units) in self.ranges.iter_mut().zip(labels).zip(units) {
+            *range = match (self.says[usize::from(*label)], units) {
+                (Says::Surface, 1..) => [f32::from(*units) * unit_m, 1.0],
+                (Says::Far, 0) => [1.0, 0.0],
+                _ => [0.0, 0.0],
+            };
+        }
+    }
+
+    fn place(&mut self, row: usize, lens: &Lens) {
+        let [up, level] = self.other.lens.latitude(row).map(|x| x as f32);
+        let below = self.below * up;
+        let [cx, cy] = lens.centre.map(|x| x as f32);
+        let [fx, fy] = lens.focal.map(|x| x as f32);
+        let points = self.columns.iter().zip(&self.ranges).zip(&mut self.pixels);
+        for ((ahead, [range, counts]), pixel) in points {
+            let at = (ahead * level + below) * *range + self.from * *counts;
+            let away = (at.x * at.x + at.z * at.z).sqrt();
+            *pixel = [cx + fx * angle(at.x, at.z), cy + fy * angle(at.y, away)];
+        }
+    }
+}
+
+/// The angle whose tangent is `y` over `x`, in all four quadrants, to 10⁻⁴ rad: the odd polynomial of seventh degree that is
+/// least wrong at most, without a branch, so that several are computed at once.
+fn angle(y: f32, x: f32) -> f32 {
+    let (least, most) = (x.abs().min(y.abs()), x.abs().max(y.abs()));
+    let ratio = least / most.max(f32::MIN_POSITIVE);
+    let squared = ratio * ratio;
+    let eighth = ratio
+        * (0.999_214 + squared * (-0.321_175 + squared * (0.146_265 - squared * 0.038_987)));
+    let quarter = if y.abs() > x.abs() {
+        FRAC_PI_2 - eighth
+    } else {
+        eighth
+    };
+    let half = if x < 0.0 { PI - quarter } else { quarter };
+    half.copysign(y)
+}
+
+/// Whether each pixel is at most so many columns and rows from one of these.
+pub(super) fn around(lens: &Lens, pixels: &[usize], reach: usize) -> Vec<bool> {
+    let (width, height) = (lens.width, lens.height);
+    let mut beside = vec![false; width * height];
+    for pixel in pixels {
+        let (row, column) = (pixel / width, (pixel % width) as i64);
+        for column in column - reach as i64..=column + reach as i64 {
+            if let Some(pixel) = lens.index(column, row as i64) {
+                beside[pixel] = true;
+            }
+        }
+    }
+    let mut around = vec![false; width * height];
+    for row in 0..height {
+        let rows = row.saturating_sub(reach)..(row + reach + 1).min(height);
+        let here = &mut around[row * width..(row + 1) * width];
+        for other in rows {
+            let there = &beside[other * width..(other + 1) * width];
+            for (here, there) in here.iter_mut().zip(there) {
+                *here |= there;
+            }
+        }
+    }
+    around
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f32::consts::FRAC_PI_4;
+
+    use super::*;
+
+    #[test]
+    fn angles_are_nearly_those_of_the_arctangent() {
+        for step in -1000..=1000 {
+            let exact = step as f32 / 1000.0 * PI;
+            let found = angle(3.0 * exact.sin(), 3.0 * exact.cos());
+            let off = (found - exact).abs().min(2.0 * PI - (found - exact).abs());
+            assert!(off < 1e-4, "{exact}: {found}");
+        }
+        assert_eq!(angle(0.0, 0.0), 0.0);
+        assert!((angle(1.0, 1.0) - FRAC_PI_4).abs() < 1e-4);
+    }
+}
