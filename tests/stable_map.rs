@@ -19,7 +19,11 @@ use evermap_algorithms::semantic_map::stable::classes::Kinds;
 use evermap_algorithms::semantic_map::stable::inference::{Options, Teller, infer};
 use evermap_algorithms::semantic_map::stable::occlusion::{Model, Occlusion};
 use evermap_tests::trajectories::{rows, truth};
+use evermap_tests::turned::turned;
 use evermap_tests::{Finished, evermap, plan_command, shared, simulate, text};
+use nalgebra::{UnitQuaternion, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 
 const VISITS: [&str; 2] = ["visit_a", "visit_b"];
@@ -78,8 +82,17 @@ fn pose(value: &Value) -> Pose {
     Pose::from_array(["x", "y", "z", "qx", "qy", "qz", "qw"].map(number)).unwrap()
 }
 
+/// By how much views of a visit are turned to the right (rad), by stamp.
+type Turns = BTreeMap<&'static str, BTreeMap<i64, f64>>;
+
+/// A turn of the optical frame, whose y looks down.
+fn to_the_right(turn: f64) -> Pose {
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), turn);
+    Pose::new(Vector3::zeros(), turn)
+}
+
 /// Where each panorama was taken, by visit and stamp.
-fn cameras(world: &Path) -> BTreeMap<(String, i64), Pose> {
+fn cameras(world: &Path, turns: &Turns) -> BTreeMap<(String, i64), Pose> {
     let mut cameras = BTreeMap::new();
     for visit in VISITS {
         let log = world.join(format!("{visit}/{visit}.mcap"));
@@ -87,7 +100,10 @@ fn cameras(world: &Path) -> BTreeMap<(String, i64), Pose> {
         let mounts = evermap(&["sql", "--format", "json", "--sessions", text(&log), query]);
         let mount = pose(&mounts.expect(0).json()[0]["mount"]);
         for at in truth(&world.join(format!("{visit}/trajectory.tum"))) {
-            cameras.insert((visit.to_owned(), at.stamp_ns), at.pose.compose(&mount));
+            let of_visit = turns.get(visit).and_then(|turns| turns.get(&at.stamp_ns));
+            let turn = of_visit.map_or(Pose::identity(), |turn| to_the_right(*turn));
+            let camera = at.pose.compose(&mount).compose(&turn);
+            cameras.insert((visit.to_owned(), at.stamp_ns), camera);
         }
     }
     cameras
@@ -100,8 +116,13 @@ fn middle(mut values: Vec<f64>) -> f64 {
 
 /// Registrations beside the truth, of which right ones are within 10 cm: how many there are, how many within 5 m, how many
 /// of those converged, and how many of all converged at a wrong place.
-fn registrations(world: &Path, map: &Path, name: &str) -> (usize, usize, usize, usize) {
-    let cameras = cameras(world);
+fn registrations(
+    world: &Path,
+    map: &Path,
+    turns: &Turns,
+    name: &str,
+) -> (usize, usize, usize, usize) {
+    let cameras = cameras(world, turns);
     let query = "SELECT session, CAST(stamp AS BIGINT) AS at, map_session, CAST(map_stamp AS BIGINT) AS map_at, rank, \
                  state, map_view_from_view AS found, sigma_m FROM registrations ORDER BY stamp, rank";
     let (mut near, mut converged, mut wrong, mut first) = (0, 0, 0, 0);
@@ -140,7 +161,7 @@ fn registrations(world: &Path, map: &Path, name: &str) -> (usize, usize, usize, 
 }
 
 fn check_registrations(world: &Path, map: &Path, name: &str) {
-    let (found, near, converged, wrong) = registrations(world, map, name);
+    let (found, near, converged, wrong) = registrations(world, map, &Turns::new(), name);
     assert!(near > 0 && converged as f64 >= 0.9 * near as f64);
     assert!(wrong as f64 <= 0.01 * found as f64);
 }
@@ -508,14 +529,25 @@ fn another_street_without_its_cars() {
     check_labels(&street, &map, "a simulated street", &least);
 }
 
-/// Little but the ground is in range: most pairs fit metres away too, and must not be believed.
+/// Little but the ground is in range, so that range fits metres away too; labels are noisy, and every view of the second
+/// visit looks elsewhere.
 #[test]
-fn what_fits_anywhere_is_ambiguous() {
+fn views_that_look_elsewhere_end_in_a_pose_where_little_tells_places_apart() {
     let folder = tempfile::tempdir().unwrap();
     let street = folder.path().join("street");
     simulate("street", &street, &["length_m=90", "seed=7"]);
-    let map = registered(&street, folder.path(), "/panorama/labels");
-    let (found, _, _, wrong) = registrations(&street, &map, "a bare loop");
+    let log = street.join("visit_b/visit_b.mcap");
+    let straight = street.join("straight.mcap");
+    std::fs::rename(&log, &straight).unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let turns = turned(&straight, &log, || random.random_range(0.0..1.0));
+    let map = registered(&street, folder.path(), "/panorama/labels_noisy");
+    let turns = Turns::from([("visit_b", turns)]);
+    let (found, near, converged, wrong) = registrations(&street, &map, &turns, "a bare loop");
+    assert!(
+        converged as f64 >= 0.75 * near as f64,
+        "{converged} of {near}"
+    );
     assert!(wrong as f64 <= 0.03 * found as f64, "{wrong} of {found}");
 }
 

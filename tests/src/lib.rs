@@ -11,6 +11,7 @@ pub mod park;
 pub mod recording;
 pub mod server;
 pub mod trajectories;
+pub mod turned;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -84,7 +84,12 @@ fn driven(
     (view, here): &(&ViewKey, Option<Pyramid>),
     options: &Options,
 ) -> Option<ViewLink> {
-    let found = register(there.as_ref()?, here.as_ref()?, Some(&pose::Pose::identity()), options)?;
+    let found = register(
+        there.as_ref()?,
+        here.as_ref()?,
+        Some(&pose::Pose::identity()),
+        options,
+    )?;
     let ((session, camera, stamp), (other_session, other_camera, other_stamp)) = (view, other);
     (found.state == State::Converged).then(|| ViewLink {
         site: site.to_owned(),

@@ -68,7 +68,10 @@ impl Options {
             State::FewSeen
         } else if fit.inliers < self.min_inliers {
             State::FewInliers
-        } else if fit.correlation.is_some_and(|alike| alike < self.min_correlation) {
+        } else if fit
+            .correlation
+            .is_some_and(|alike| alike < self.min_correlation)
+        {
             State::Unlike
         } else if runner_up > self.max_runner_up {
             State::Ambiguous

@@ -36,7 +36,12 @@ fn with(more: &[Block]) -> Vec<Block> {
 fn a_panorama_is_registered_with_another_in_other_light() {
     let here = pose(0.0, 0.0, 0.0);
     let reference = View::new(&yard(), 512, &here, 1.0);
-    for (x, z, yaw) in [(0.3, 0.7, 0.1), (-1.0, 2.5, -0.3), (1.5, -3.0, 0.25), (0.5, 1.5, 2.6)] {
+    for (x, z, yaw) in [
+        (0.3, 0.7, 0.1),
+        (-1.0, 2.5, -0.3),
+        (1.5, -3.0, 0.25),
+        (0.5, 1.5, 2.6),
+    ] {
         let there = pose(x, z, yaw);
         let other = View::new(&yard(), 512, &there, 0.6);
         let found = registered(&reference, &other).unwrap();

@@ -14,10 +14,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::classes::Kinds;
-use near::Near;
 use super::sphere::Lens;
 use crate::geometry::pose::Pose;
 use crate::semantic_map::semantic_graph::VOID;
+use near::Near;
 
 /// What is believed of what other views saw.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]

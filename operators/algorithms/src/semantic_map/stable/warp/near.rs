@@ -19,18 +19,22 @@ enum Says {
     Far,
 }
 
-/// Points of another view, a row of its image at a time.
+/// Points of another view, a row of its image at a time: arrays by column, so that several are computed at once.
 pub(super) struct Near<'a> {
     other: &'a LabelledView<'a>,
     says: [Says; 256],
-    /// What each column looks along at latitude zero, and what is below, turned into the reference.
-    columns: Vec<Vector3<f32>>,
+    /// What each column looks along at latitude zero, turned into the reference: x, y, z.
+    ahead: [Vec<f32>; 3],
+    /// What is below, turned as well.
     below: Vector3<f32>,
     from: Vector3<f32>,
-    /// Range (m) of each column's point, 1 at infinity and 0 without any; and what the translation counts there.
-    ranges: Vec<[f32; 2]>,
-    /// Where each column's point appears (px), nearly.
-    pixels: Vec<[f32; 2]>,
+    /// Range of each column's point (m), 1 at infinity and 0 without any.
+    range: Vec<f32>,
+    /// What the translation counts there: 1, or 0 at infinity.
+    counts: Vec<f32>,
+    /// Where each column's point appears (px), nearly: column and row.
+    u: Vec<f32>,
+    v: Vec<f32>,
 }
 
 impl<'a> Near<'a> {
@@ -46,15 +50,20 @@ impl<'a> Near<'a> {
         };
         let rotation = reference_from_other.rotation;
         let lens = other.lens;
-        let ahead = |column| (rotation * lens.ahead(column)).cast();
+        let ahead: Vec<Vector3<f32>> = (0..lens.width)
+            .map(|column| (rotation * lens.ahead(column)).cast())
+            .collect();
+        let empty = || vec![0.0; lens.width];
         Self {
             other,
             says: std::array::from_fn(|class| says(class as u8)),
-            columns: (0..lens.width).map(ahead).collect(),
+            ahead: std::array::from_fn(|axis| ahead.iter().map(|ray| ray[axis]).collect()),
             below: (rotation * Vector3::y()).cast(),
             from: reference_from_other.translation.cast(),
-            ranges: vec![[0.0; 2]; lens.width],
-            pixels: vec![[0.0; 2]; lens.width],
+            range: empty(),
+            counts: empty(),
+            u: empty(),
+            v: empty(),
         }
     }
 
@@ -67,13 +76,19 @@ impl<'a> Near<'a> {
     ) -> impl Iterator<Item = usize> {
         self.measure(row);
         self.place(row, lens);
-        let found = self.ranges.iter().zip(&self.pixels).enumerate();
-        found.filter_map(|(column, ([range, _], [u, v]))| {
-            if *range == 0.0 {
-                return None;
+        let (width, height) = (lens.width as i32, lens.height as i32);
+        let around_end = if lens.wraps { width } else { 0 };
+        let found = self.range.iter().zip(&self.u).zip(&self.v).enumerate();
+        found.filter_map(move |(column, ((range, u), v))| {
+            let (mut right, down) = (nearest(*u), nearest(*v));
+            if right < 0 {
+                right += around_end;
+            } else if right >= width {
+                right -= around_end;
             }
-            let pixel = lens.index(u.round() as i64, v.round() as i64)?;
-            around[pixel].then_some(column)
+            let inside = (0..width).contains(&right) && (0..height).contains(&down);
+            let is_near = *range > 0.0 && inside && around[(down * width + right) as usize];
+            is_near.then_some(column)
         })
     }
 
@@ -81,28 +96,39 @@ impl<'a> Near<'a> {
         let (view, width) = (self.other, self.other.lens.width);
         let unit_m = view.unit_m as f32;
         let pixels = row * width..(row + 1) * width;
-        let (labels, units) = (&view.labels[pixels.clone()], &view.range[pixels]);
-        for ((range, label), units) in self.ranges.iter_mut().zip(labels).zip(units) {
-            *range = match (self.says[usize::from(*label)], units) {
-                (Says::Surface, 1..) => [f32::from(*units) * unit_m, 1.0],
-                (Says::Far, 0) => [1.0, 0.0],
-                _ => [0.0, 0.0],
+        let seen = view.labels[pixels.clone()].iter().zip(&view.range[pixels]);
+        let points = self.range.iter_mut().zip(&mut self.counts).zip(seen);
+        for ((range, counts), (label, units)) in points {
+            (*range, *counts) = match (self.says[usize::from(*label)], units) {
+                (Says::Surface, 1..) => (f32::from(*units) * unit_m, 1.0),
+                (Says::Far, 0) => (1.0, 0.0),
+                _ => (0.0, 0.0),
             };
         }
     }
 
     fn place(&mut self, row: usize, lens: &Lens) {
         let [up, level] = self.other.lens.latitude(row).map(|x| x as f32);
-        let below = self.below * up;
+        let (below, from) = (self.below * up, self.from);
         let [cx, cy] = lens.centre.map(|x| x as f32);
         let [fx, fy] = lens.focal.map(|x| x as f32);
-        let points = self.columns.iter().zip(&self.ranges).zip(&mut self.pixels);
-        for ((ahead, [range, counts]), pixel) in points {
-            let at = (ahead * level + below) * *range + self.from * *counts;
-            let away = (at.x * at.x + at.z * at.z).sqrt();
-            *pixel = [cx + fx * angle(at.x, at.z), cy + fy * angle(at.y, away)];
+        let [xs, ys, zs] = &self.ahead;
+        let rays = xs.iter().zip(ys).zip(zs);
+        let points = rays.zip(self.range.iter().zip(&self.counts));
+        let pixels = self.u.iter_mut().zip(&mut self.v);
+        for ((((x, y), z), (range, counts)), (u, v)) in points.zip(pixels) {
+            let x = (x * level + below.x) * range + from.x * counts;
+            let y = (y * level + below.y) * range + from.y * counts;
+            let z = (z * level + below.z) * range + from.z * counts;
+            *u = cx + fx * angle(x, z);
+            *v = cy + fy * angle(y, (x * x + z * z).sqrt());
         }
     }
+}
+
+/// The whole number nearest to one that is at least -1.5; some negative number below that.
+fn nearest(x: f32) -> i32 {
+    (x + 1.5) as i32 - 1
 }
 
 /// The angle whose tangent is `y` over `x`, in all four quadrants, to 10⁻⁴ rad: the odd polynomial of seventh degree that is
@@ -111,8 +137,8 @@ fn angle(y: f32, x: f32) -> f32 {
     let (least, most) = (x.abs().min(y.abs()), x.abs().max(y.abs()));
     let ratio = least / most.max(f32::MIN_POSITIVE);
     let squared = ratio * ratio;
-    let eighth = ratio
-        * (0.999_214 + squared * (-0.321_175 + squared * (0.146_265 - squared * 0.038_987)));
+    let eighth =
+        ratio * (0.999_214 + squared * (-0.321_175 + squared * (0.146_265 - squared * 0.038_987)));
     let quarter = if y.abs() > x.abs() {
         FRAC_PI_2 - eighth
     } else {
