@@ -62,7 +62,7 @@ class Browser:
         mouse("mouseReleased", pixels[-1], button="left", clickCount=1)
 
     def press(self, key):
-        text = {"Enter": "\r", "Escape": ""}.get(key, key)
+        text = "\r" if key == "Enter" else key if len(key) == 1 else ""
         for kind in ["keyDown", "keyUp"]:
             self.send("Input.dispatchKeyEvent", type=kind, key=key, text=text if kind == "keyDown" else "")
 

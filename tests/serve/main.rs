@@ -215,6 +215,15 @@ fn label_images(map: &Path, layer: &str) -> BTreeMap<i64, (Vec<String>, Grey)> {
     rows.as_array().unwrap().iter().map(image).collect()
 }
 
+/// As if the street's log had no labels of its own.
+const UNLABELLED: &str = "\
+plan: unlabelled
+extends: scene_labels
+steps:
+  nothing: { sql: SELECT * FROM label_frames WHERE stamp IS NULL }
+  recorded: { in: { labels: nothing } }
+";
+
 /// Nobody has labelled the street: what people paint on three of its images labels all of them in the next run.
 #[test]
 fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
@@ -228,13 +237,9 @@ fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
         "visits=1",
     ];
     simulate("street", &street, &small);
-    let manifest = folder.path().join("street.yaml");
     let log = street.join("visit_a/visit_a.mcap");
-    let said = format!(
-        "sessions: [{{ name: visit_a, files: ['{}'] }}]\nroles: {{ label_frames: }}\n",
-        log.display()
-    );
-    std::fs::write(&manifest, said).unwrap();
+    let plan = folder.path().join("unlabelled.yaml");
+    std::fs::write(&plan, UNLABELLED).unwrap();
     let run = |sessions: &[&str]| -> Finished {
         let mut more = sessions.to_vec();
         for setting in [
@@ -245,10 +250,15 @@ fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
         ] {
             more.extend(["--set", setting]);
         }
-        let run = plan_command("scene_labels", &map, "street", &more).output();
+        let run = plan_command(text(&plan), &map, "street", &more).output();
         run.unwrap().into()
     };
-    run(&["--manifest", text(&manifest)]).expect(0);
+    let first = run(&["--sessions", text(&log)]).expect(3);
+    assert!(
+        first.stderr.contains("site has no forest"),
+        "{}",
+        first.stderr
+    );
     let count =
         |layer: &str| sql(&map, &format!("SELECT count(*) AS n FROM {layer}"))[0]["n"].as_u64();
     let images = count("pictures").unwrap();

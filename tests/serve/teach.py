@@ -80,7 +80,7 @@ def painted(host):
     assert status == 400 and "session, camera and stamp" in said["error"], said
     for bad, text in [
         (region("sky", [[1, 1], [300, 1], [9, 9]]), "expected points within the image, 256 x 83 px, found (300, 1)"),
-        (region("sky", [[0, 0], [4, 4], [4, 0], [0, 4]]), "crosses itself"),
+        (region("sky", [[0, 0], [4, 4], [4, 0], [0, 4]]), "that does not cross itself, found that it does at (2, 2)"),
         (region("sky", [[1, 1], [9, 1]]), "expected 3 to 4096 points, found 2"),
         (region("sky", [[k % 250, k % 80] for k in range(5000)]), "expected 3 to 4096 points, found 5000"),
         (region("", [[1, 1], [9, 1], [9, 9]]), "expected a class as kind"),

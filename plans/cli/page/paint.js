@@ -140,17 +140,16 @@ export class Painting {
     const projection = new ol.proj.Projection({ code: "image", units: "pixels", extent });
     const still = (url, more) => new ol.layer.Image({ source: new ol.source.ImageStatic({ url, projection, imageExtent: extent, interpolate: false }), ...more });
     this.proposed = proposed && still(proposed, { opacity: Number($("paint-opacity").value) });
-    this.paint = new ol.layer.Vector({ source: new ol.source.Vector({ wrapX: false }), style: (feature) => this.style(feature) });
+    this.paint = new ol.layer.Vector({ source: new ol.source.Vector({ wrapX: false }), style: (feature) => this.style(feature, feature.get("row").shape === "polyline") });
     this.map.setLayers([still(picture), ...(this.proposed ? [this.proposed] : []), this.paint]);
     this.map.setView(new ol.View({ projection, center: [width / 2, height / 2], resolution: 1, showFullExtent: true, minResolution: 0.05, maxResolution: 40 }));
     this.map.getView().fit(extent, { padding: [20, 20, 20, 20] });
   }
 
-  /** How a label, or what is being drawn, looks. */
-  style(feature) {
+  /** How a label, or what is being drawn, looks: a line is as wide as its brush. */
+  style(feature, isLine) {
     const { kind = this.class, brush_px: brush } = feature.get("row") ?? {};
     const colour = ofClass(this.classes.indexOf(kind));
-    const isLine = feature.getGeometry().getType() === "LineString";
     const width = isLine ? (brush ?? this.brush) / this.map.getView().getResolution() : 2;
     return new ol.style.Style({
       stroke: new ol.style.Stroke({ color: isLine ? faint(colour, 0.7) : colour, width, lineCap: "round", lineJoin: "round" }),
@@ -214,7 +213,7 @@ export class Painting {
     $(`paint-${shape}`).classList.add("on");
     const isLine = shape === "stroke";
     const how = isLine ? { type: "LineString", freehand: true } : { type: "Polygon" };
-    const drawing = new ol.interaction.Draw({ ...how, style: (feature) => (feature.getGeometry().getType() === "Point" ? this.point(isLine) : this.style(feature)), stopClick: true });
+    const drawing = new ol.interaction.Draw({ ...how, style: (feature) => (feature.getGeometry().getType() === "Point" ? this.point(isLine) : this.style(feature, isLine)), stopClick: true });
     drawing.on("drawstart", () => { this.isDrawing = true; });
     drawing.on("drawabort", () => { this.isDrawing = false; });
     drawing.on("drawend", ({ feature }) => {
