@@ -112,6 +112,7 @@ fn drawn(label: &str, x: f64, y: f64) -> Annotation {
             map_from_label: [x, y, 0.0, 0.0, 0.0, 0.0, 1.0],
         }),
         anchor: None,
+        image: None,
     }
 }
 

@@ -3,11 +3,13 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::Path;
 
 use evermap_tests::server::{Server, drive, map, script};
-use evermap_tests::{Finished, command, evermap, plan_command, text};
+use evermap_tests::{Finished, command, evermap, plan_command, simulate, text};
+use evermap_vision::{Grey, decode_labels};
 use serde_json::{Value, json};
 
 fn ended(name: &str, arguments: &[&str]) {
@@ -191,6 +193,116 @@ fn people_teach_by_http_and_everything_else_is_refused() {
             "\"late\" \"ada\"",
             "\"spot\" \"ada\""
         ]
+    );
+}
+
+/// The labels of a layer: classes, width and pixels of each image, by stamp.
+fn label_images(map: &Path, layer: &str) -> BTreeMap<i64, (Vec<String>, Grey)> {
+    let query = format!(
+        "SELECT CAST(stamp AS BIGINT) AS at, classes, encode(png, 'hex') AS png FROM {layer}"
+    );
+    let image = |row: &Value| {
+        let hex = row["png"].as_str().unwrap();
+        let byte = |at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap();
+        let png: Vec<u8> = (0..hex.len()).step_by(2).map(byte).collect();
+        let classes = serde_json::from_value(row["classes"].clone()).unwrap();
+        (
+            row["at"].as_i64().unwrap(),
+            (classes, decode_labels(&png).unwrap()),
+        )
+    };
+    let rows = sql(map, &query);
+    rows.as_array().unwrap().iter().map(image).collect()
+}
+
+/// As if the street's log had no labels of its own.
+const UNLABELLED: &str = "\
+plan: unlabelled
+extends: scene_labels
+steps:
+  nothing: { sql: SELECT * FROM label_frames WHERE stamp IS NULL }
+  recorded: { in: { labels: nothing } }
+";
+
+/// Nobody has labelled the street: what people paint on three of its images labels all of them in the next run.
+#[test]
+fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let [map, labels, street] = ["map", "labels", "street"].map(|name| folder.path().join(name));
+    let small = [
+        "length_m=80",
+        "spacing_m=10",
+        "width_px=256",
+        "height_px=83",
+        "visits=1",
+    ];
+    simulate("street", &street, &small);
+    let log = street.join("visit_a/visit_a.mcap");
+    let plan = folder.path().join("unlabelled.yaml");
+    std::fs::write(&plan, UNLABELLED).unwrap();
+    let run = |sessions: &[&str]| -> Finished {
+        let mut more = sessions.to_vec();
+        for setting in [
+            "samples.samples=400",
+            "pixel_forest.trees=10",
+            "crf_settings.trials=1",
+            "crf_settings.images=1",
+        ] {
+            more.extend(["--set", setting]);
+        }
+        let run = plan_command(text(&plan), &map, "street", &more).output();
+        run.unwrap().into()
+    };
+    let first = run(&["--sessions", text(&log)]).expect(3);
+    assert!(
+        first.stderr.contains("site has no forest"),
+        "{}",
+        first.stderr
+    );
+    let count =
+        |layer: &str| sql(&map, &format!("SELECT count(*) AS n FROM {layer}"))[0]["n"].as_u64();
+    let images = count("pictures").unwrap();
+    assert!(images >= 8 && count("label_images") == Some(0));
+
+    let server = Server::start(&map, &["--teach", text(&labels)]);
+    ended("serve/teach.py", &["painted", &server.http]);
+    ended("serve/teach.py", &["page", &server.http]);
+    drop(server);
+    let logs = std::fs::read_dir(labels.join("map/street")).unwrap();
+    let mut logs: Vec<_> = logs.map(|log| log.unwrap().path()).collect();
+    logs.sort();
+    let mut sessions = vec!["--sessions"];
+    sessions.extend(logs.iter().map(|log| text(log)));
+    // The server was killed: its logs have no end.
+    run(&sessions).expect(3);
+
+    let painted = label_images(&map, "taught_labels");
+    let first = painted.values().next().unwrap();
+    assert_eq!(first.0, ["sky", "ground"]);
+    assert_eq!(
+        [10, 42, 60].map(|row| first.1.data[row * 256 + 7]),
+        [0, 255, 1]
+    );
+    let found = label_images(&map, "label_images");
+    assert_eq!(found.len() as u64, images);
+    let mut right = [0_usize; 2];
+    for (classes, labels) in found.values() {
+        let is = |row: usize, class: &str| {
+            let of_row = &labels.data[row * 256..][..256];
+            let named = |value: &&u8| {
+                classes
+                    .get(usize::from(**value))
+                    .is_some_and(|name| name == class)
+            };
+            of_row.iter().filter(named).count()
+        };
+        right[0] += is(5, "sky");
+        right[1] += is(78, "ground");
+    }
+    let all = 256 * found.len();
+    assert!(
+        right.iter().all(|right| *right > all * 4 / 5),
+        "{right:?} of {all}"
     );
 }
 

@@ -1,8 +1,10 @@
-"""Says things of a map by HTTP: read-only|taught|later ADDRESS."""
+"""Says things of a map by HTTP: read-only|taught|later|painted ADDRESS; by its page: page ADDRESS."""
 
 import json
 import sys
+from pathlib import Path
 from urllib.error import HTTPError, URLError
+from urllib.parse import urlencode
 from urllib.request import Request, urlopen
 
 
@@ -26,7 +28,122 @@ def feature(kind, ring, standing="drawn", shape="Polygon"):
 BOX = [[1, 1], [6, 1], [6, 3], [1, 3]]
 
 
+def pictures(host):
+    """The images that a map of one camera has, in the order of time."""
+    query = b"SELECT session, camera, CAST(CAST(stamp AS BIGINT) AS TEXT) AS stamp FROM pictures ORDER BY stamp"
+    return ask(f"http://{host}/sql", query, "text/plain")[1]
+
+
+def region(kind, ring, **more):
+    made = feature(kind, ring)
+    made["properties"].update(more)
+    return made
+
+
+def painted(host):
+    """Paints the upper part of a few images as sky, the lower as ground; all else is refused."""
+    here = f"http://{host}/teach/street"
+    images = pictures(host)
+    of = lambda one: f"{here}?{urlencode(one)}"
+    sky = region("sky", [[0, 0], [256, 0], [256, 34], [0, 34]])
+    ground = region("ground", [[0, 50], [256, 50], [256, 83], [0, 83]])
+    for one in images[:3]:
+        assert ask(of(one))[1]["labels"] == []
+        status, said = ask(of(one), {"author": "ada", "features": {"type": "FeatureCollection", "features": [sky, ground]}})
+        assert status == 200 and said["saved"] == 2, said
+        assert [label["kind"] for label in said["labels"]] == ["sky", "ground"], said
+        assert said["classes"] == ["ground", "sky"], said
+    # What is painted over lies on top, is taken back, and removed by another.
+    line = feature("kerb", [[0, 42], [256, 42]], shape="LineString")
+    line["properties"]["brush_px"] = 4
+    said = ask(of(one), {"author": "bob", "features": line})[1]
+    label = said["labels"][-1]
+    assert (label["kind"], label["author"], label["shape"], label["brush_px"]) == ("kerb", "bob", "polyline", 4), said
+    again = region("road", ground["geometry"]["coordinates"][0][:-1])
+    said = ask(of(one), {"author": "ada", "features": again})[1]
+    assert [label["kind"] for label in said["labels"]] == ["sky", "kerb", "road"], said
+    said = ask(of(one), {"author": "ada", "features": said["undo"]})[1]
+    assert sorted(label["kind"] for label in said["labels"]) == ["ground", "kerb", "sky"], said
+    removed = {"type": "Feature", "id": label["label"], "geometry": None, "properties": {"standing": "removed"}}
+    said = ask(of(one), {"author": "ada", "features": removed})[1]
+    assert [label["kind"] for label in said["labels"]] == ["sky", "ground"], said
+
+    good, before = region("sky", [[1, 1], [9, 1], [9, 9]]), ask(of(one))[1]
+    elsewhere = [
+        ({"session": "nobody"}, "the map has no session nobody"), ({"camera": "rear"}, "no image of rear"), ({"stamp": "7"}, "at 7 ns"),
+        ({"stamp": "x"}, None),
+    ]
+    for other, text in elsewhere:
+        status, said = ask(of({**one, **other}), {"author": "ada", "features": good})
+        assert status == 400 and (text is None or text in said["error"]), (other, said)
+    status, said = ask(f"{here}?session={one['session']}", {"author": "ada", "features": good})
+    assert status == 400 and "session, camera and stamp" in said["error"], said
+    for bad, text in [
+        (region("sky", [[1, 1], [300, 1], [9, 9]]), "expected points within the image, 256 x 83 px, found (300, 1)"),
+        (region("sky", [[0, 0], [4, 4], [4, 0], [0, 4]]), "that does not cross itself, found that it does at (2, 2)"),
+        (region("sky", [[1, 1], [9, 1]]), "expected 3 to 4096 points, found 2"),
+        (region("sky", [[k % 250, k % 80] for k in range(5000)]), "expected 3 to 4096 points, found 5000"),
+        (region("", [[1, 1], [9, 1], [9, 9]]), "expected a class as kind"),
+        (region("sky", [[1, 1], [9, 1], [9, 9]], standing="accepted"), "expected drawn or removed, found accepted"),
+        (feature("sky", [[1, 1], [9, 1]], shape="LineString"), "expected brush_px of a line"),
+        ({**line, "properties": {"kind": "sky", "brush_px": 1e9}}, "expected a brush of 1 to 256 px"),
+        ({**good, "geometry": None}, "expected a polygon or a line, found none"),
+        ({**removed, "id": "nothing"}, "expected a label of this image to remove"),
+    ]:
+        status, said = ask(of(one), {"author": "ada", "features": bad})
+        assert status == 400 and text in said["error"] and said["next"] == "nothing was saved", (bad, said)
+    assert ask(of(one))[1] == before
+    # There is nothing in the map that a label could be tied to, and none is there.
+    status, said = ask(here, {"author": "ada", "features": feature("spot", BOX)})
+    assert status == 400 and "no poses" in said["error"], said
+    assert ask(here)[1]["labels"] == []
+
+
+def page(host):
+    """Draws an area on an image, and a line by a brush, as a person does with the page."""
+    sys.path.append(str(Path(__file__).parents[1]))
+    from browser import Browser, until
+
+    one = pictures(host)[-1]
+    browser = Browser(f"http://{host}/")
+    try:
+        browser.said("document.getElementById('paint-open').click()")
+        until(lambda: browser.said("evermap.painting.isReady"))
+        browser.said("document.getElementById('paint-at').value = 1000; document.getElementById('paint-at').dispatchEvent(new Event('change'))")
+        until(lambda: browser.said(f"evermap.painting.at?.stamp === '{one['stamp']}' && evermap.painting.isReady"))
+        # The class that another image has is offered, the first one by its key.
+        assert browser.said("evermap.painting.classes") == ["ground", "sky"]
+        browser.press("2")
+        view = "evermap.painting.map"
+        corners = [[20, 10], [220, 10], [220, 30]]
+        for x, y in corners:
+            browser.click([x, 83 - y], view)
+        browser.press("Enter")
+        until(lambda: "saved; drawn on this image: 1" in browser.text("paint-saved"))
+        browser.press("1")
+        browser.press("b")
+        browser.drag([[x, 83 - 70] for x in range(30, 230, 20)], view)
+        until(lambda: "saved; drawn on this image: 2" in browser.text("paint-saved"))
+        # Escape ends a drawing, and nothing is said; undo takes the last act back.
+        browser.press("p")
+        browser.click([40, 40], view)
+        browser.press("Escape")
+        assert browser.said("evermap.painting.isOpen") and browser.text("fault") == ""
+        browser.press("u")
+        until(lambda: "drawn on this image: 1" in browser.text("paint-saved"))
+        browser.press("Escape")
+        assert not browser.said("evermap.painting.isOpen")
+    finally:
+        browser.close()
+    (label,) = ask(f"http://{host}/teach/street?{urlencode(one)}")[1]["labels"]
+    assert label["kind"] == "sky" and label["shape"] == "polygon" and len(label["points"]) == 3, label
+    off = [abs(a - b) for found, meant in zip(label["points"], corners) for a, b in zip(found, meant)]
+    assert max(off) < 0.5, label
+
+
 def main(what, host):
+    if what in ("painted", "page"):
+        return {"painted": painted, "page": page}[what](host)
     here = f"http://{host}/teach"
     status, may = ask(here)
     assert status == 200

@@ -5,75 +5,12 @@ LABELS must be there already. Prints what it did. TRUTH is a JSON list of boxes,
 
 import json
 import math
-import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
-from urllib.request import urlopen
 
-from websockets.sync.client import connect
-
-
-class Browser:
-    """A page in headless Chromium, by its own debugging protocol."""
-
-    def __init__(self, address):
-        self.profile = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
-        arguments = ["--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0", "--window-size=1400,900"]
-        self.program = subprocess.Popen(
-            ["/usr/bin/chromium", *arguments, f"--user-data-dir={self.profile.name}", "about:blank"], stderr=subprocess.DEVNULL
-        )
-        file = Path(self.profile.name) / "DevToolsActivePort"
-        port = until(lambda: file.exists() and file.read_text().split()[0])
-        pages = until(lambda: [one for one in json.load(urlopen(f"http://127.0.0.1:{port}/json")) if one["type"] == "page"])
-        self.socket = connect(pages[0]["webSocketDebuggerUrl"], max_size=None)
-        self.sent = 0
-        self.open(address)
-
-    def send(self, method, **params):
-        self.sent += 1
-        self.socket.send(json.dumps({"id": self.sent, "method": method, "params": params}))
-        while (answer := json.loads(self.socket.recv(timeout=60))).get("id") != self.sent:
-            pass
-        assert "error" not in answer, answer
-        return answer["result"]
-
-    def open(self, address):
-        self.send("Page.navigate", url=address)
-        until(lambda: self.said("window.evermap?.taught?.revision > 0 && document.getElementById('busy').textContent === ''"))
-
-    def said(self, expression):
-        answer = self.send("Runtime.evaluate", expression=expression, returnByValue=True)
-        assert "exceptionDetails" not in answer, answer
-        return answer["result"].get("value")
-
-    def text(self, name):
-        return self.said(f"document.getElementById('{name}').textContent")
-
-    def click(self, place):
-        x, y = self.said(f"evermap.map.getPixelFromCoordinate({json.dumps(place)})")
-        for kind in ["mouseMoved", "mousePressed", "mouseReleased"]:
-            button = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
-            self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, **button)
-        time.sleep(0.3)  # two clicks within a quarter of a second are one double click
-
-    def press(self, key):
-        for kind in ["keyDown", "keyUp"]:
-            self.send("Input.dispatchKeyEvent", type=kind, key=key, text=key if kind == "keyDown" else "")
-
-    def close(self):
-        self.program.kill()
-        self.program.wait()
-
-
-def until(what, seconds=60):
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if found := what():
-            return found
-        time.sleep(0.02)
-    raise TimeoutError(what)
+sys.path.append(str(Path(__file__).parents[1]))
+from browser import Browser, until  # noqa: E402
 
 
 def area(ring):

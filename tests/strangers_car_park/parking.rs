@@ -126,6 +126,7 @@ impl Person {
                     map_from_label: pose.to_array(),
                 }),
                 anchor: None,
+                image: None,
             };
             log.say(&act).unwrap();
         }

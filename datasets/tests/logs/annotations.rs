@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::common::{open, rows};
 use evermap_datasets::Reason;
-use evermap_messages::annotation::{Anchor, Annotation, Geometry, NAME, SCHEMA};
+use evermap_messages::annotation::{Anchor, Annotation, Drawn, Geometry, NAME, OnImage, SCHEMA};
 use evermap_recording::annotations::{AnnotationLog, parts};
 use evermap_schemas::roles::{self, Role};
 use evermap_schemas::rows as typed;
@@ -38,6 +38,7 @@ fn drawn(number: u64) -> Annotation {
             camera: None,
             vehicle_from_label: [0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 1.0],
         }),
+        image: None,
     }
 }
 
@@ -47,6 +48,26 @@ fn removed(number: u64) -> Annotation {
         map_version: None,
         geometry: None,
         anchor: None,
+        ..drawn(number)
+    }
+}
+
+/// Pixels of an image that are painted.
+fn painted(number: u64) -> Annotation {
+    Annotation {
+        kind: "road".into(),
+        geometry: None,
+        anchor: None,
+        image: Some(OnImage {
+            session: "monday".into(),
+            stamp_ns: 1_600_000_000_000_000_001,
+            camera: "front".into(),
+            drawn: Some(Drawn {
+                shape: "polyline".into(),
+                points: vec![[1.5, 2.0], [30.0, 4.25]],
+                brush_px: Some(12.0),
+            }),
+        }),
         ..drawn(number)
     }
 }
@@ -189,6 +210,79 @@ async fn messages_that_make_no_sense_are_counted_and_the_others_read() {
     assert_eq!(kinds, ["parking_space", "heliport"]);
     let lost = dataset.losses.losses();
     assert_eq!(lost[&Reason::Senseless].count, 6, "{lost:?}");
+}
+
+#[tokio::test]
+async fn what_is_said_of_images_is_a_table_of_its_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("labels.mcap");
+    let mut log = AnnotationLog::begin(&path, |_| false, "a test").unwrap();
+    let changed = |number, change: fn(&mut OnImage)| {
+        let mut act = painted(number);
+        act.image.iter_mut().for_each(change);
+        act
+    };
+    log.say(&drawn(0)).unwrap();
+    log.say(&painted(1)).unwrap();
+    let mut removed = changed(2, |image| image.drawn = None);
+    removed.act = "removed".into();
+    log.say(&removed).unwrap();
+    for bad in [
+        changed(3, |image| image.drawn = None),
+        changed(4, |image| image.stamp_ns = 0),
+        changed(5, |image| {
+            image
+                .drawn
+                .iter_mut()
+                .for_each(|drawn| drawn.shape = "box".into())
+        }),
+        changed(6, |image| {
+            image
+                .drawn
+                .iter_mut()
+                .for_each(|drawn| drawn.brush_px = None)
+        }),
+        Annotation {
+            act: "moved".into(),
+            ..painted(7)
+        },
+        Annotation {
+            kind: String::new(),
+            ..painted(8)
+        },
+    ] {
+        log.say(&bad).unwrap();
+    }
+    log.finish().unwrap();
+    let (in_map, lost) = read(&path).await;
+    assert_eq!((in_map.len(), lost), (1, vec![]));
+    let (context, dataset) = open(&[path.to_str().unwrap().to_owned()], 1).await;
+    let batches = rows(
+        &context,
+        "SELECT * FROM image_annotations ORDER BY sequence",
+    )
+    .await;
+    let found: Vec<roles::ImageAnnotation> =
+        batches.iter().flat_map(|b| typed(b).unwrap()).collect();
+    let [first, second] = found.as_slice() else {
+        panic!("{found:?}")
+    };
+    assert_eq!((&*first.class, &*first.act), ("road", "drawn"));
+    assert_eq!(
+        (&*first.image_session, &*first.image_camera),
+        ("monday", "front")
+    );
+    assert_eq!(first.image_stamp.0, 1_600_000_000_000_000_001);
+    assert_eq!(first.shape.as_deref(), Some("polyline"));
+    assert_eq!(
+        (&*first.points, first.brush_px),
+        (&[[1.5, 2.0], [30.0, 4.25]][..], Some(12.0))
+    );
+    assert_eq!(
+        (&*second.act, &second.shape, second.points.len()),
+        ("removed", &None, 0)
+    );
+    assert_eq!(dataset.losses.losses()[&Reason::Senseless].count, 6);
 }
 
 #[test]

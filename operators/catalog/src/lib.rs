@@ -10,9 +10,11 @@ use evermap_contract::{Entry, Registry};
 
 mod inputs;
 
+pub use evermap_vision::image_size;
 pub use inputs::boxes::mosaic;
 pub use inputs::drive::rigs;
 pub use inputs::labels as annotated;
+pub use inputs::painting as painted;
 pub use inputs::rig::OfVehicle;
 
 macro_rules! operators {
@@ -53,6 +55,7 @@ operators! {
         parking_spaces::ParkingSpaces,
         placed_labels::PlacedLabels,
         space_occupancy::SpacesOccupied,
+        taught_labels::TaughtLabels,
     }
     learning {
         class_scores::ClassScoring,

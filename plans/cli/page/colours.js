@@ -15,6 +15,12 @@ export function ofSession(place) {
   return { colour: each[place % each.length], dashed: Math.floor(place / each.length) % 2 === 1 };
 }
 
+/** How pixels of a class are drawn, by its place among the classes. */
+export function ofClass(place) {
+  const each = [GREEN, SKY, PURPLE, VERMILION, YELLOW, BLUE, ORANGE, "#00ffff", "#ff00ff", "#7fff00", "#8b4513", GREY];
+  return each[Math.max(place, 0) % each.length];
+}
+
 /** A colour with transparency. */
 export function faint(hex, alpha) {
   return hex + Math.round(alpha * 255).toString(16).padStart(2, "0");

@@ -4,6 +4,7 @@ import { VERMILION } from "./colours.js";
 import { SHOWN } from "./layers.js";
 import * as drawn from "./map.js";
 import * as comparison from "./moved.js";
+import * as paint from "./paint.js";
 import * as drawer from "./rows.js";
 import { literal, maps, sql } from "./server.js";
 import { anything, placed } from "./shapes.js";
@@ -27,8 +28,9 @@ map.addLayer(moved);
 map.addLayer(results);
 window.evermap = { map, state };
 
-/** What is taught, where the server lets people teach. */
+/** What is taught, where the server lets people teach, and what is painted on images. */
 let taught;
+let painting;
 
 let working = 0;
 async function work(what, doing) {
@@ -82,11 +84,18 @@ async function begin() {
   } else fit();
   map.on("moveend", () => said(false));
   taught = await teach.begin(map, state, { fault, images: place, clear: drawer.close });
-  window.evermap.taught = taught;
+  painting = taught && new paint.Painting(state, { fault, author: () => taught.author() });
+  Object.assign(window.evermap, { taught, painting });
+  paintable();
   if (asked.query) {
     $("sql").value = asked.query;
     run(false);
   }
+}
+
+/** Whether there are images that people may paint on. */
+function paintable() {
+  $("paint-open").hidden = !painting || !paint.can(state.there);
 }
 
 function others(served) {
@@ -104,7 +113,7 @@ async function opened(wanted) {
   const layers = await work("layers", () => sql("SELECT layer, rows, operator, digest FROM layers", version, signal));
   if (!layers || signal.aborted) return;
   state.there = new Map(layers.map((row) => [row.layer, row]));
-  const from = ["poses", "overhead_tiles", "lanes", "views"].filter((layer) => state.there.get(layer)?.rows);
+  const from = ["poses", "overhead_tiles", "lanes", "views", "pictures"].filter((layer) => state.there.get(layer)?.rows);
   const union = from.map((layer) => `SELECT DISTINCT site FROM ${layer}`).join(" UNION ");
   const sites = union ? await work("sites", () => sql(`SELECT site FROM (${union}) ORDER BY site`, version, signal)) : [];
   if (signal.aborted) return;
@@ -113,6 +122,7 @@ async function opened(wanted) {
   $("sites").replaceChildren(...names.map((name) => new Option(name, name, false, name === state.site)));
   about();
   list();
+  paintable();
   for (const made of shown.values()) map.removeLayer(made);
   shown.clear();
   moved.getSource().clear();
@@ -315,7 +325,7 @@ async function place([x, y]) {
       WHERE range_m > 1 AND range_m < 25 AND along > 0.7 * range_m)
     WHERE nth = 1 ORDER BY range_m LIMIT 12`;
   const found = await work("images", () => sql(query, state.version));
-  if (found && !taught?.drawing) drawer.images(title, found, state.version);
+  if (found && !taught?.drawing) drawer.images(title, found, state.version, painting && ((row) => painting.open(row)));
 }
 
 function theme() {
@@ -353,12 +363,14 @@ $("sites").addEventListener("change", async () => { await opened($("sites").valu
 $("fold").addEventListener("click", () => folded(true));
 $("unfold").addEventListener("click", () => folded(false));
 $("close").addEventListener("click", drawer.close);
+$("paint-open").addEventListener("click", () => painting.open());
 $("fault").addEventListener("click", () => fault(""));
 $("query").addEventListener("submit", (event) => { event.preventDefault(); run(true); });
 $("sql").addEventListener("keydown", (event) => {
   if (event.key === "Enter" && (event.ctrlKey || event.metaKey)) { event.preventDefault(); run(true); }
 });
 addEventListener("keydown", (event) => {
+  if (painting?.isOpen) { painted(event); return; }
   if (event.key === "Escape") { taught?.stop(); drawer.close(); fault(""); $("map").focus(); return; }
   const typing = ["TEXTAREA", "INPUT", "SELECT"].includes(event.target.tagName) && event.target.type !== "checkbox";
   if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
@@ -367,6 +379,15 @@ addEventListener("keydown", (event) => {
   event.preventDefault();
   doing();
 });
+/** A key while an image is painted on; what is typed in a field stays there. */
+function painted(event) {
+  const { tagName, type } = event.target;
+  const typing = tagName === "SELECT" || (tagName === "INPUT" && type !== "range");
+  if (event.ctrlKey || event.metaKey || event.altKey || (typing && event.key !== "Escape")) return;
+  if (typing) event.target.blur();
+  else if (painting.pressed(event.key)) event.preventDefault();
+}
+
 addEventListener("popstate", () => location.reload());
 map.on("singleclick", choose);
 begin();

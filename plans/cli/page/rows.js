@@ -62,8 +62,11 @@ export function one(title, row, layer, columns = new Map()) {
   show(title, table);
 }
 
-/** Camera images of a place: rows with session, camera, stamp (ns, text) and range_m. */
-export function images(title, found, version) {
+/**
+ * Camera images of a place: rows with session, camera, stamp (ns, text) and range_m.
+ * @param {(row: object) => void} [label] labels the pixels of an image, where people may
+ */
+export function images(title, found, version, label) {
   const note = document.createElement("p");
   note.className = "quiet";
   note.textContent = found.length ? "of each session and camera the nearest image whose camera faces the place" : "no keyframe's camera faces this place";
@@ -75,6 +78,13 @@ export function images(title, found, version) {
     picture.addEventListener("error", () => { caption.textContent += " (its log is not there)"; });
     caption.textContent = `${row.session}, ${row.camera}, ${row.range_m.toFixed(1)} m`;
     figure.append(picture, caption);
+    if (label) {
+      const button = document.createElement("button");
+      button.textContent = "label";
+      button.title = "say what its pixels are";
+      button.addEventListener("click", () => label(row));
+      caption.append(" ", button);
+    }
     return figure;
   });
   show(title, note, figures);

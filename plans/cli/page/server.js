@@ -30,10 +30,11 @@ function exact(text) {
 }
 
 /**
- * Asks a server that is taught: without a path who may teach, of `SITE` its labels, of `SITE/KIND` what may be of a kind.
+ * Asks a server that is taught: without a path who may teach, of `SITE` its labels, or those
+ * of an image that is asked for, of `SITE/KIND` what may be of a kind.
  * @param {string} [path]
  * @param {object} [asked]
- * @param {object} [said] what is said of the site
+ * @param {object} [said] what is said of the site, or of the image
  */
 export async function teaching(path, asked = {}, said = undefined) {
   const address = path === undefined ? "./teach" : `./teach/${path.split("/").map(encodeURIComponent).join("/")}?${new URLSearchParams(asked)}`;

@@ -1,6 +1,6 @@
 //! The columns of layers that a picture shows. A layer that a query made, or an older version, needs only these.
 
-use evermap_schemas::{Bytes, Pose, layers, record};
+use evermap_schemas::{Bytes, ImageRef, Pose, Stamp, layers, record};
 
 record! {
     /// A tile, as far as it is shown.
@@ -239,5 +239,22 @@ mod tests {
                 );
             }
         }
+    }
+}
+
+record! {
+    /// Where an image lies that people may choose.
+    #[layer("pictures", key(site, session, stamp, camera))]
+    pub struct Picture {
+        /// Site that was driven.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant.
+        stamp: Stamp ["ns"],
+        /// Camera that took the image.
+        camera: String,
+        /// Where the pixels are.
+        image: ImageRef,
     }
 }

@@ -158,6 +158,8 @@ fn context_of(
     *merging = (*merging).min(limits.memory_bytes / (8 * limits.partitions.max(1)));
     options.execution.parquet.schema_force_view_types = false;
     options.execution.parquet.pushdown_filters = true;
+    // A node that a query reads twice runs twice: of files that its partitions share, the second run would find none.
+    options.execution.enable_file_stream_work_stealing = false;
     options.sql_parser.map_string_types_to_utf8view = false;
     // The rule fails where a join's key is made of a member (apache/datafusion#22895, #24241).
     options.optimizer.enable_leaf_expression_pushdown = false;

@@ -187,7 +187,9 @@ record! {
         probabilities: Bytes,
         /// Where the pixels are, in colour.
         image: ImageRef,
-        /// The true labels as an 8-bit grey PNG, indices into the same classes; 255 where a pixel has no class.
+        /// Names of the true labels' classes, which may be others in another order.
+        label_classes: Vec<String>,
+        /// The true labels as an 8-bit grey PNG, indices into `label_classes`; 255 where a pixel has no class.
         png: Bytes,
     }
 }

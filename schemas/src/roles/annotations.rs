@@ -1,4 +1,5 @@
-//! Annotations: what people, or programs in their place, say about a map. Recorded like anything else.
+//! Annotations: what people, or programs in their place, say about a map. Recorded like anything else. Those on images have
+//! the same messages, and are rows of [`image_annotations`](crate::roles::image_annotations).
 
 use crate::roles::{Fields, FromMessage, Message, Messages, Role};
 use crate::{Pose, Stamp, record};
@@ -52,7 +53,10 @@ record! {
 }
 
 /// Topics with annotations.
-pub const ROLE: Role = Role::of::<Annotation>(Messages::of::<Annotation>(&["evermap.Annotation"]));
+pub const ROLE: Role = Role::of::<Annotation>(Messages::of::<Annotation>(MESSAGES));
+
+/// Messages of annotations, in the map and on images.
+pub(super) const MESSAGES: &[&str] = &["evermap.Annotation"];
 
 /// What may be said of a label.
 pub const ACTS: [&str; 5] = ["drawn", "accepted", "rejected", "moved", "removed"];
@@ -73,14 +77,15 @@ impl FromMessage for Annotation {
         "points",
         "map_from_label",
         "anchor",
+        "image",
     ];
 
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
         let fields = &message.fields;
-        let text = |name: &str| {
-            let found = fields.text(&[name]).filter(|text| !text.is_empty());
-            found.ok_or_else(|| format!("expected text in {name}"))
-        };
+        if is_on_image(fields) {
+            return Ok(Vec::new());
+        }
+        let text = |name: &str| text(fields, name);
         let act = one_of("act", &ACTS, text("act")?)?;
         let geometry = match fields.text(&["shape"]) {
             Some(shape) => Some(Geometry::read(fields, shape)?),
@@ -111,8 +116,19 @@ impl FromMessage for Annotation {
     }
 }
 
+/// Whether it is an annotation of the pixels of an image.
+pub(super) fn is_on_image(fields: &Fields<'_>) -> bool {
+    fields.text(&["image", "session"]).is_some()
+}
+
+/// A text that may not be empty.
+pub(super) fn text(fields: &Fields<'_>, name: &str) -> Result<String, String> {
+    let found = fields.text(&[name]).filter(|text| !text.is_empty());
+    found.ok_or_else(|| format!("expected text in {name}"))
+}
+
 /// The word, if it is one of these.
-fn one_of(what: &str, words: &[&str], found: String) -> Result<String, String> {
+pub(super) fn one_of(what: &str, words: &[&str], found: String) -> Result<String, String> {
     match words.contains(&found.as_str()) {
         true => Ok(found),
         false => Err(format!(
@@ -149,7 +165,7 @@ impl Geometry {
     }
 }
 
-fn points(fields: &Fields<'_>) -> Result<Vec<[f64; 3]>, String> {
+pub(super) fn points(fields: &Fields<'_>) -> Result<Vec<[f64; 3]>, String> {
     let Some(list) = fields.list("points") else {
         return Ok(Vec::new());
     };

@@ -34,6 +34,7 @@ roles! {
     depth_frames,
     frames,
     gnss_fixes,
+    image_annotations,
     label_classes,
     label_frames,
     odometry,
@@ -44,6 +45,7 @@ pub use annotations::{Anchor, Annotation};
 pub use calibration::Calibration;
 pub use frames::{Frame, IMAGE_MEMBER};
 pub use gnss_fixes::GnssFix;
+pub use image_annotations::ImageAnnotation;
 pub use label_classes::LabelClass;
 pub use odometry::OdometryPose;
 pub use transforms::Transform;

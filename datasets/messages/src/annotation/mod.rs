@@ -30,6 +30,8 @@ pub struct Annotation {
     pub geometry: Option<Geometry>,
     /// The vehicle pose that the label is tied to.
     pub anchor: Option<Anchor>,
+    /// The image that it is on; one in the map has none.
+    pub image: Option<OnImage>,
 }
 
 /// Where a label is, and its outline.
@@ -56,6 +58,30 @@ pub struct Anchor {
     pub vehicle_from_label: Pose,
 }
 
+/// The image whose pixels a label is of, and which pixels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OnImage {
+    /// Session that was driven.
+    pub session: String,
+    /// Exposure instant, ns since the epoch.
+    pub stamp_ns: u64,
+    /// Camera that took it.
+    pub camera: String,
+    /// What was drawn; `None` where the label is removed.
+    pub drawn: Option<Drawn>,
+}
+
+/// Pixels that were drawn on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Drawn {
+    /// `polygon` or `polyline`.
+    pub shape: String,
+    /// Columns and rows from the upper left corner, px.
+    pub points: Vec<[f64; 2]>,
+    /// Diameter of the brush, of a polyline.
+    pub brush_px: Option<f64>,
+}
+
 impl Annotation {
     /// The payload.
     pub fn encode(&self) -> Vec<u8> {
@@ -78,6 +104,14 @@ impl Annotation {
         if let Some(anchor) = &self.anchor {
             set("anchor", anchor.json());
         }
+        if let Some(image) = &self.image {
+            set("image", image.json());
+        }
+        if let Some(drawn) = self.image.as_ref().and_then(|image| image.drawn.as_ref()) {
+            set("shape", drawn.shape.as_str().into());
+            let points = drawn.points.iter().map(|[x, y]| point(&[*x, *y, 0.0]));
+            set("points", points.collect());
+        }
         Value::Object(message).to_string().into_bytes()
     }
 }
@@ -91,6 +125,20 @@ impl Anchor {
         });
         if let Some(camera) = &self.camera {
             value["camera"] = camera.as_str().into();
+        }
+        value
+    }
+}
+
+impl OnImage {
+    fn json(&self) -> Value {
+        let mut value = json!({
+            "session": self.session,
+            "stamp": time(self.stamp_ns),
+            "camera": self.camera,
+        });
+        if let Some(brush_px) = self.drawn.as_ref().and_then(|drawn| drawn.brush_px) {
+            value["brush_px"] = brush_px.into();
         }
         value
     }

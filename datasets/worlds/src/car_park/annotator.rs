@@ -270,6 +270,7 @@ impl<'a> Drive<'a> {
                 camera: None,
                 vehicle_from_label: vehicle_from_label.to_array(),
             }),
+            image: None,
         })
     }
 }

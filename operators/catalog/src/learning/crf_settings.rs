@@ -38,7 +38,7 @@ impl Default for CrfSettingsParams {
 
 impl Operator for CrfSettings {
     const NAME: &'static str = "crf_settings";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("crf_settings.md");
     type Params = CrfSettingsParams;
     type Output = CrfSetting;
@@ -132,7 +132,11 @@ impl Encoded {
         let image = self.image.as_ref().ok_or("image is missing")?;
         let mut rgb = Rgb::default();
         colours(image, &mut rgb)?;
-        let truth = decode_labels(&scores.png.0).map_err(|_| "labels do not decode")?;
+        let mut truth = decode_labels(&scores.png.0).map_err(|_| "labels do not decode")?;
+        let table = renumbered(&scores.label_classes, classes);
+        for value in &mut truth.data {
+            *value = table[usize::from(*value)];
+        }
         if [rgb.width, rgb.height] != size || [truth.width, truth.height] != size {
             return Err("image, labels and scores are not of one size");
         }
@@ -144,6 +148,17 @@ impl Encoded {
             truth: truth.data,
         })
     }
+}
+
+/// What values of one list of classes are in another; 255 for those that it does not have.
+fn renumbered(from: &[String], to: &[String]) -> [u8; 256] {
+    let mut table = [u8::MAX; 256];
+    for (entry, name) in table.iter_mut().zip(from) {
+        let found = to.iter().position(|class| class == name);
+        let found = found.and_then(|index| u8::try_from(index).ok());
+        *entry = found.unwrap_or(u8::MAX);
+    }
+    table
 }
 
 impl Decoded {

@@ -27,6 +27,8 @@ pub struct Feature {
     pub standing: Option<String>,
     /// Its outline; `None` for one that only says something of a label.
     pub geometry: Option<Geometry>,
+    /// Diameter of the brush that a line on an image was drawn with, px.
+    pub brush_px: Option<f64>,
 }
 
 /// An outline in the map, m; without a height where the file has none.

@@ -26,6 +26,7 @@ pub fn features(value: &Value, losses: &mut Losses) -> Vec<Feature> {
                 kind: text(&value["properties"]["kind"]),
                 standing: text(&value["properties"]["standing"]),
                 geometry,
+                brush_px: value["properties"]["brush_px"].as_f64(),
             }),
             Err(reason) => losses.note(reason, &place),
         }

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 
 use super::Losses;
 use super::features::Feature;
-use super::state::State;
+use super::state::{State, without_poses};
 
 /// A label has moved where a point of it has by more than this, m.
 const MOVED_M: f64 = 1e-3;
@@ -38,13 +38,16 @@ pub struct Said {
 /// sense is noted and left out; a label out of reach of the map is noted and said.
 ///
 /// # Errors
-/// A bug fault.
+/// A user fault for a map without poses, a bug fault.
 pub fn said(
     features: &[Feature],
     state: &State,
     speaker: &Speaker,
     losses: &mut Losses,
 ) -> Result<Said, Fault> {
+    if !state.has_poses {
+        return Err(without_poses());
+    }
     let mut said = Said::default();
     let mut names = std::collections::BTreeSet::new();
     for feature in features {
@@ -103,6 +106,7 @@ fn acts(
             map_version: Some(state.version),
             geometry,
             anchor: anchor.flatten(),
+            image: None,
         }
     };
     let mut placed = |(shape, outline): &(&'static str, Outline)| {

@@ -1,6 +1,6 @@
 //! The labels of a site as they are in one version of its map, from what the map and logs say.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use datafusion::prelude::SessionContext;
@@ -9,15 +9,18 @@ use evermap_catalog::annotated::{Holds, MapRows, Placer, PlacingParams, anchored
 use evermap_catalog::labels::label_anchors::Obstacle;
 use evermap_datasets::{Dataset, Manifest};
 use evermap_schemas::layers::{LabelAnchor, MapFrame, PlacedLabel, VehiclePose};
-use evermap_schemas::roles::{Annotation, Calibration, Transform};
+use evermap_schemas::roles::{Annotation, Calibration, ImageAnnotation, Transform};
 use evermap_schemas::{Fault, LayerRow};
 
 use super::Losses;
 use crate::reader::{MapReader, answered, one_site, only, typed};
 use crate::sessions;
+use crate::shown::Picture;
 
 /// The layer in which a map keeps what was said: a step of the plan `labels`.
 const SAID: &str = "said";
+/// The layer in which a map keeps what was painted: a step of the plan `scene_labels`.
+const PAINTED: &str = "painted";
 
 /// The labels of a site, and what can hold new ones.
 pub struct State {
@@ -27,6 +30,8 @@ pub struct State {
     pub version: u64,
     /// The labels that there are, by name.
     pub labels: BTreeMap<String, PlacedLabel>,
+    /// Whether there is anything that labels can be tied to; on images people paint without.
+    pub has_poses: bool,
     /// The poses and frames of the version.
     pub holds: Holds,
     placer: Placer,
@@ -46,11 +51,16 @@ impl State {
         losses: &mut Losses,
     ) -> Result<Self, Fault> {
         let poses: Vec<VehiclePose> = reader.rows(None).await?;
-        if poses.is_empty() {
-            return Err(Fault::user("the map has no poses to tie labels to")
-                .next("make it with the plan labels, lifelong or car_park"));
+        let pictures: Vec<Picture> = reader.rows(None).await?;
+        let sites = poses.iter().map(|pose| pose.site.as_str());
+        let sites: BTreeSet<&str> = match poses.is_empty() {
+            true => pictures.iter().map(|row| row.site.as_str()).collect(),
+            false => sites.collect(),
+        };
+        if sites.is_empty() {
+            return Err(without_poses());
         }
-        let site = one_site(poses.iter().map(|pose| pose.site.as_str()), site)?;
+        let site = one_site(sites, site)?;
         let mut acts: Vec<Annotation> = layer(reader, SAID, &site).await?;
         acts.extend(from_logs(logs, &site, losses).await?);
         let frames: Vec<MapFrame> = reader.rows(Some(&site)).await?;
@@ -63,6 +73,7 @@ impl State {
             landmarks: landmarks.iter().map(|row| [row.x, row.y, row.z]).collect(),
         };
         map.poses.retain(|pose| pose.site == site);
+        let has_poses = !map.poses.is_empty();
         let placer = Placer::new(
             map.poses.clone(),
             map.frames.clone(),
@@ -74,6 +85,7 @@ impl State {
             site,
             version: reader.map.version.version,
             labels: BTreeMap::new(),
+            has_poses,
             holds,
             placer,
             acts: Vec::new(),
@@ -94,6 +106,27 @@ impl State {
     }
 }
 
+/// Why there can be no labels.
+pub fn without_poses() -> Fault {
+    Fault::user("the map has no poses to tie labels to")
+        .next("make it with the plan labels, lifelong or car_park")
+}
+
+/// What was painted on the images of a site, as the map and these logs say.
+///
+/// # Errors
+/// A user fault for logs that cannot be read.
+pub async fn painted(
+    reader: &MapReader,
+    site: &str,
+    logs: &[PathBuf],
+) -> Result<Vec<ImageAnnotation>, Fault> {
+    let mut acts: Vec<ImageAnnotation> = layer(reader, PAINTED, site).await?;
+    // What logs lose is told where their other acts are read.
+    acts.extend(from_logs(logs, site, &mut Losses::default()).await?);
+    Ok(acts)
+}
+
 /// The rows of a layer of this name; none where the map has no such layer.
 async fn layer<T: LayerRow>(reader: &MapReader, name: &str, site: &str) -> Result<Vec<T>, Fault> {
     match reader.map.has(name) {
@@ -103,12 +136,12 @@ async fn layer<T: LayerRow>(reader: &MapReader, name: &str, site: &str) -> Resul
     }
 }
 
-/// What logs say, as read by a run; what of them is lost is noted.
-async fn from_logs(
+/// The rows of a role that logs have, as read by a run; what of them is lost is noted.
+async fn from_logs<T: LayerRow>(
     logs: &[PathBuf],
     site: &str,
     losses: &mut Losses,
-) -> Result<Vec<Annotation>, Fault> {
+) -> Result<Vec<T>, Fault> {
     if logs.is_empty() {
         return Ok(Vec::new());
     }
@@ -120,7 +153,7 @@ async fn from_logs(
     let paths: Vec<String> = logs.iter().map(|path| path.display().to_string()).collect();
     let dataset = Dataset::open(&context.runtime_env(), &paths, Some(&manifest)).await?;
     dataset.register(&context)?;
-    let rows = answered(&context, "SELECT * FROM annotations").await?;
+    let rows = answered(&context, &format!("SELECT * FROM {}", T::NAME)).await?;
     for (reason, count) in sessions::lost([&dataset]).0 {
         losses.count(&reason, count);
     }

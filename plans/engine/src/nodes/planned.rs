@@ -53,3 +53,31 @@ impl TableProvider for PlannedTable {
         Ok(Arc::new(projected?))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::sql::{Limits, context};
+    use datafusion::dataframe::DataFrameWriteOptions;
+    use datafusion::prelude::ParquetReadOptions;
+
+    #[tokio::test]
+    async fn a_node_that_a_query_reads_twice_gives_its_rows_twice() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("numbers.parquet");
+        let file = file.to_str().unwrap();
+        let context = context(Limits::default()).unwrap();
+        let numbers = context.sql("SELECT * FROM (VALUES (1), (2)) AS t(n)").await;
+        let options = DataFrameWriteOptions::new();
+        let written = numbers.unwrap().write_parquet(file, options, None).await;
+        written.unwrap();
+        let stored = context.read_parquet(file, ParquetReadOptions::default());
+        let plan = stored.await.unwrap().create_physical_plan().await.unwrap();
+        let table = Arc::new(PlannedTable::new(plan));
+        context.register_table("numbers", table).unwrap();
+        let twice = "SELECT n FROM numbers UNION ALL SELECT n + 10 FROM numbers";
+        let rows = context.sql(twice).await.unwrap().collect().await.unwrap();
+        assert_eq!(rows.iter().map(|batch| batch.num_rows()).sum::<usize>(), 4);
+    }
+}

@@ -283,6 +283,7 @@ impl Drawn {
                 Shape::Open(_) => Geometry::Open(points),
                 _ => Geometry::Closed(points),
             }),
+            brush_px: None,
         }
     }
 }

@@ -5,17 +5,19 @@ use std::collections::BTreeMap;
 use axum::extract::{Path, Query, State};
 use axum::http::HeaderMap;
 use axum::response::Response;
+use bytes::Bytes;
 use datafusion::prelude::{Expr, col, lit};
+use evermap_catalog::painted::ImageKey;
 use evermap_datasets::ImageReader;
 use evermap_engine::error::OrFault;
 use evermap_schemas::layers::{Keyframe, OverheadTile};
-use evermap_schemas::{Fault, Stamp};
+use evermap_schemas::{Fault, ImageRef, Stamp};
 use serde::Deserialize;
 
 use crate::reader::typed;
 use crate::serve::http::{App, MapOf, Refusal, tagged};
-use crate::serve::maps::Opened;
-use crate::shown::Tile;
+use crate::serve::maps::{Opened, ServedMap};
+use crate::shown::{Picture, Tile};
 
 /// `GET /tiles/{site}/{version}/{zoom}/{x}/{y}`: a tile as the layer has it.
 ///
@@ -80,10 +82,10 @@ pub struct AskedImage {
 /// Bytes of log that stay decompressed while images are asked for.
 const CACHE_BYTES: u64 = 64 << 20;
 
-/// `GET /images?session=…&camera=…&stamp=…`: the image of a camera that a keyframe names, out of its log.
+/// `GET /images?session=…&camera=…&stamp=…`: the image of a camera that the map names, out of its log.
 ///
 /// # Errors
-/// For an image that no keyframe names, or a log that is gone.
+/// As [`bytes`].
 pub async fn image(
     State(app): State<App>,
     MapOf(map): MapOf,
@@ -91,28 +93,8 @@ pub async fn image(
     headers: HeaderMap,
 ) -> Result<Response, Refusal> {
     let opened = map.version(asked.version).await?;
-    let found = app.within(async {
-        let layer = opened.reader.layer_of::<Keyframe>();
-        let layer = layer.ok_or_else(|| Fault::user("the map has no keyframes"))?;
-        let wanted = col("session").eq(lit(asked.session.as_str()));
-        let keyframes = typed::<Keyframe>(&rows(&opened, &layer, wanted).await?)?;
-        let mut images = keyframes.into_iter().flat_map(|keyframe| keyframe.images);
-        let image =
-            images.find(|image| image.camera == asked.camera && image.stamp == Stamp(asked.stamp));
-        let image = image.ok_or_else(|| {
-            Fault::user("no keyframe has such an image")
-                .next("SELECT session, unnest(images) FROM keyframes")
-        })?;
-        let log = opened.reader.map.log(&asked.session, map.runtime()).await?;
-        let log =
-            log.ok_or_else(|| Fault::user(format!("the map has no session {}", asked.session)))?;
-        let reader = ImageReader::new(&log, CACHE_BYTES);
-        let mut bytes = reader.resolve(&[image.image]).await?;
-        bytes
-            .pop()
-            .unwrap_or_else(|| Err(Fault::bug("an image was not answered")))
-    });
-    let bytes = found.await?;
+    let key = (asked.session, Stamp(asked.stamp), asked.camera);
+    let bytes = app.within(bytes(&opened, &map, &key)).await?;
     let kind = match bytes.get(..4) {
         Some([0xFF, 0xD8, ..]) => "image/jpeg",
         Some(b"\x89PNG") => "image/png",
@@ -123,4 +105,49 @@ pub async fn image(
     };
     let digest = blake3::hash(&bytes).to_hex();
     Ok(tagged(&headers, &digest, kind, bytes.to_vec()))
+}
+
+/// An image, out of its log.
+///
+/// # Errors
+/// For an image that neither pictures nor keyframes name, or a log that is gone.
+pub async fn bytes(opened: &Opened, map: &ServedMap, key: &ImageKey) -> Result<Bytes, Fault> {
+    let (session, ..) = key;
+    let log = opened.reader.map.log(session, map.runtime()).await?;
+    let log = log.ok_or_else(|| Fault::user(format!("the map has no session {session}")))?;
+    let image = reference(opened, key).await?;
+    let reader = ImageReader::new(&log, CACHE_BYTES);
+    let mut bytes = reader.resolve(&[image]).await?;
+    bytes
+        .pop()
+        .unwrap_or_else(|| Err(Fault::bug("an image was not answered")))
+}
+
+/// Where an image lies: as the layer of pictures has it, or a keyframe.
+async fn reference(
+    opened: &Opened,
+    (session, stamp, camera): &ImageKey,
+) -> Result<ImageRef, Fault> {
+    let wanted = || col("session").eq(lit(session.as_str()));
+    if let Some(layer) = opened.reader.layer_of::<Picture>() {
+        let wanted = wanted().and(col("camera").eq(lit(camera.as_str())));
+        let pictures = typed::<Picture>(&rows(opened, &layer, wanted).await?)?;
+        let found = pictures.into_iter().find(|row| row.stamp == *stamp);
+        if let Some(found) = found {
+            return Ok(found.image);
+        }
+    }
+    if let Some(layer) = opened.reader.layer_of::<Keyframe>() {
+        let keyframes = typed::<Keyframe>(&rows(opened, &layer, wanted()).await?)?;
+        let mut images = keyframes.into_iter().flat_map(|keyframe| keyframe.images);
+        let found = images.find(|image| image.camera == *camera && image.stamp == *stamp);
+        if let Some(found) = found {
+            return Ok(found.image);
+        }
+    }
+    Err(Fault::user(format!(
+        "the map has no image of {camera} in {session} at {} ns",
+        stamp.0
+    ))
+    .next("its pictures and the images of its keyframes are there: SELECT session, unnest(images) FROM keyframes"))
 }

@@ -6,15 +6,19 @@ use std::sync::Arc;
 use axum::Extension;
 use axum::extract::rejection::JsonRejection;
 use axum::extract::{Json, Path, Query, State};
-use evermap_schemas::Fault;
+use evermap_catalog::image_size;
+use evermap_catalog::painted::ImageKey;
 use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
+use evermap_schemas::roles::ImageAnnotation;
+use evermap_schemas::{Fault, Stamp};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::annotate::{Losses, geojson};
 use crate::serve::access::Who;
-use crate::serve::http::{App, MapOf, Refusal};
-use crate::serve::teach::{Site, Teaching};
+use crate::serve::http::{App, MapOf, Refusal, pictures};
+use crate::serve::maps::ServedMap;
+use crate::serve::teach::{Canvas, Site, Teaching};
 
 /// `GET /teach`: whether people may teach, and as whom.
 pub async fn may(
@@ -30,7 +34,33 @@ pub async fn may(
     }))
 }
 
-/// `GET /teach/{site}`: the labels that there are, as all logs have them.
+/// The image that is spoken of; the map, where nothing is said.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OfImage {
+    #[serde(default)]
+    session: Option<String>,
+    #[serde(default)]
+    camera: Option<String>,
+    /// Exposure instant, ns.
+    #[serde(default)]
+    stamp: Option<i64>,
+}
+
+impl OfImage {
+    fn key(self) -> Result<Option<ImageKey>, Fault> {
+        match (self.session, self.stamp, self.camera) {
+            (Some(session), Some(stamp), Some(camera)) => Ok(Some((session, Stamp(stamp), camera))),
+            (None, None, None) => Ok(None),
+            _ => Err(Fault::user(
+                "expected session, camera and stamp of an image, or none of them, found some",
+            )),
+        }
+    }
+}
+
+/// `GET /teach/{site}`: the labels that there are, as all logs have them; with `?session=…&camera=…&stamp=…` those of the
+/// pixels of an image.
 ///
 /// # Errors
 /// For a site that there is not, or a server that is not taught.
@@ -38,9 +68,13 @@ pub async fn labels(
     State(app): State<App>,
     MapOf(map): MapOf,
     Path(path): Path<BTreeMap<String, String>>,
+    Query(of): Query<OfImage>,
 ) -> Result<Json<Value>, Refusal> {
     let site = app.teaching()?.site(&map, text(&path, "site")).await?;
-    Ok(Json(labels_of(&site).await))
+    Ok(Json(match of.key()? {
+        Some(image) => paint_of(&site, &image).await,
+        None => labels_of(&site).await,
+    }))
 }
 
 /// From which revision on.
@@ -85,11 +119,12 @@ pub struct Saying {
     /// Who, where the server does not know.
     #[serde(default)]
     author: Option<String>,
-    /// GeoJSON, as `evermap annotate --import` reads it.
+    /// GeoJSON, as `evermap annotate --import` reads it; on an image, px from its upper left corner.
     features: Value,
 }
 
-/// `POST /teach/{site}`: says what features have drawn. What is answered is on the disk.
+/// `POST /teach/{site}`: says what features have drawn, in the map or, named as for [`labels`], on an image. What is
+/// answered is on the disk.
 ///
 /// # Errors
 /// As [`labels`], for features that make no sense, and where they cannot be written.
@@ -97,6 +132,7 @@ pub async fn say(
     State(app): State<App>,
     MapOf(map): MapOf,
     Path(path): Path<BTreeMap<String, String>>,
+    Query(of): Query<OfImage>,
     Extension(Who(user)): Extension<Who>,
     saying: Result<Json<Saying>, JsonRejection>,
 ) -> Result<Json<Value>, Refusal> {
@@ -112,8 +148,21 @@ pub async fn say(
             .next("nothing was saved")
             .into());
     }
-    let saved = site.say(author, &features).await?;
-    let mut answer = labels_of(&site).await;
+    let (saved, mut answer) = match of.key()? {
+        Some(image) => {
+            let size = app.within(size(&map, &image)).await?;
+            let canvas = Canvas {
+                image: &image,
+                size,
+            };
+            let saved = site.paint(author, &canvas, &features).await?;
+            (saved, paint_of(&site, &image).await)
+        }
+        None => {
+            let saved = site.say(author, &features).await?;
+            (saved, labels_of(&site).await)
+        }
+    };
     answer["saved"] = saved.acts.into();
     answer["undo"] = saved.undo;
     answer["notes"] = saved.notes.into();
@@ -138,6 +187,30 @@ async fn labels_of(site: &Site) -> Value {
     let found = site.labels().await;
     let labels: Vec<Value> = found.labels.iter().map(label).collect();
     json!({ "version": found.version, "revision": found.revision, "labels": labels })
+}
+
+/// Width and height of an image of the newest version.
+async fn size(map: &ServedMap, image: &ImageKey) -> Result<[u32; 2], Fault> {
+    let opened = map.newest().await?;
+    let bytes = pictures::bytes(&opened, map, image).await?;
+    image_size(&bytes).map_err(|error| Fault::data(error.to_string()))
+}
+
+async fn paint_of(site: &Site, image: &ImageKey) -> Value {
+    let found = site.painted(image).await;
+    let labels: Vec<Value> = found.lying.iter().map(painted).collect();
+    json!({ "version": found.version, "labels": labels, "classes": found.classes })
+}
+
+fn painted(act: &ImageAnnotation) -> Value {
+    json!({
+        "label": act.id,
+        "kind": act.class,
+        "author": act.author,
+        "shape": act.shape,
+        "points": act.points,
+        "brush_px": act.brush_px,
+    })
 }
 
 fn label(label: &PlacedLabel) -> Value {

@@ -8,6 +8,7 @@
 //! reads whole logs, and the next act begins the next part.
 
 mod lesson;
+mod painting;
 mod told;
 
 use std::collections::BTreeMap;
@@ -15,6 +16,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use evermap_catalog::painted::ImageKey;
 use evermap_schemas::Fault;
 use evermap_schemas::layers::PlacedLabel;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -25,6 +27,8 @@ use crate::annotate::user;
 use crate::serve::maps::{Opened, ServedMap};
 use crate::serve::teach::lesson::{Learnt, Lesson};
 use crate::serve::teach::told::{Saved, Told};
+
+pub use crate::serve::teach::painting::{Canvas, Painted};
 
 /// A log ends when its author has said nothing for so long.
 const SITTING: Duration = Duration::from_secs(60);
@@ -164,6 +168,27 @@ impl Site {
             });
         }
         Ok(saved)
+    }
+
+    /// What lies on an image.
+    pub async fn painted(&self, image: &ImageKey) -> Painted {
+        self.told.lock().await.painted(image)
+    }
+
+    /// Paints what features have drawn on an image.
+    ///
+    /// # Errors
+    /// A user fault for features that cannot be painted there, a resource fault where they cannot be written. Nothing is
+    /// said then.
+    pub async fn paint(
+        &self,
+        author: &str,
+        canvas: &Canvas<'_>,
+        features: &[Feature],
+    ) -> Result<Saved, Fault> {
+        let author = word(author)?;
+        let mut told = self.told.lock().await;
+        tokio::task::block_in_place(|| told.paint(author, canvas, features))
     }
 
     /// What may be of a kind, as what was said up to a revision, or later, teaches; waits until it is learnt, and the image

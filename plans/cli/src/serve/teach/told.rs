@@ -9,12 +9,13 @@ use evermap_algorithms::ground::boxes::mosaic::Mosaic;
 use evermap_datasets::annotations::{Annotation, AnnotationLog};
 use evermap_schemas::Fault;
 use evermap_schemas::layers::OverheadTile;
+use evermap_schemas::roles::ImageAnnotation;
 use serde_json::{Value, json};
 
 use super::made;
 use crate::annotate::features::Feature;
 use crate::annotate::saying::{Speaker, read_back, said};
-use crate::annotate::state::State;
+use crate::annotate::state::{State, painted};
 use crate::annotate::{Losses, begin, unwritten};
 use crate::progress::line;
 use crate::serve::maps::Opened;
@@ -24,6 +25,8 @@ pub(super) struct Told {
     pub(super) opened: Arc<Opened>,
     pub(super) state: State,
     pub(super) mosaic: Arc<Mosaic>,
+    /// All that was said of images.
+    pub(super) paint: Vec<ImageAnnotation>,
     logs: BTreeMap<String, (AnnotationLog, Instant)>,
     pub(super) folder: PathBuf,
     /// Counts what was said since the server knows the site.
@@ -51,7 +54,9 @@ impl Told {
         folder: PathBuf,
     ) -> Result<Self, Fault> {
         let mut losses = Losses::default();
-        let state = State::read(&opened.reader, Some(site), &logs(&folder), &mut losses).await?;
+        let logs = logs(&folder);
+        let state = State::read(&opened.reader, Some(site), &logs, &mut losses).await?;
+        let paint = painted(&opened.reader, site, &logs).await?;
         losses.tell();
         let tiles: Vec<OverheadTile> = opened.reader.rows(Some(site)).await?;
         let mosaic = evermap_catalog::mosaic(tiles, &mut |_, _| {});
@@ -59,6 +64,7 @@ impl Told {
             opened,
             state,
             mosaic: Arc::new(mosaic),
+            paint,
             logs: BTreeMap::new(),
             folder,
             revision: 1,
@@ -66,13 +72,17 @@ impl Told {
         })
     }
 
-    pub(super) fn say(&mut self, author: &str, features: &[Feature]) -> Result<Saved, Fault> {
+    /// The instant of an act: of two at once, the second is later.
+    pub(super) fn now(&mut self) -> u64 {
         let now = chrono::Utc::now().timestamp_nanos_opt();
-        // Of two acts in one instant, the second is later.
         self.last_ns = now.map_or(0, |now| now.max(0) as u64).max(self.last_ns + 1);
+        self.last_ns
+    }
+
+    pub(super) fn say(&mut self, author: &str, features: &[Feature]) -> Result<Saved, Fault> {
         let speaker = Speaker {
             author: author.to_owned(),
-            stamp_ns: self.last_ns,
+            stamp_ns: self.now(),
             kind: None,
         };
         let mut losses = Losses::default();
@@ -132,7 +142,7 @@ impl Told {
     }
 
     /// Writes acts to their author's log; the name of its session.
-    fn write(&mut self, author: &str, acts: &[Annotation]) -> Result<String, Fault> {
+    pub(super) fn write(&mut self, author: &str, acts: &[Annotation]) -> Result<String, Fault> {
         let mut log = match self.logs.remove(author) {
             Some((log, _)) => log,
             None => self.begin(author)?,

@@ -1,0 +1,169 @@
+#![doc = include_str!("taught_labels.md")]
+
+use std::collections::BTreeMap;
+
+use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reason, Sides, Work};
+use evermap_schemas::layers::LabelImage;
+use evermap_schemas::roles::ImageAnnotation;
+use evermap_schemas::{Bytes, ImageRef, Stamp, record};
+use evermap_vision::{Grey, decode_grey, decode_labels, encode_png};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::inputs::painting::{ImageKey, by_image, lying, paint};
+
+/// See the module's page.
+pub struct TaughtLabels;
+
+record! {
+    /// An image that somebody painted on, with the labels that it has otherwise.
+    #[layer("painted_frames", key(site, session, stamp, camera))]
+    pub struct PaintedFrame {
+        /// Site that was driven.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Exposure instant.
+        stamp: Stamp ["ns"],
+        /// Camera that took the image.
+        camera: String,
+        /// Where the pixels are.
+        image: ImageRef,
+        /// Names of the classes of its labels; null where it has none.
+        classes: Option<Vec<String>>,
+        /// Its labels as an 8-bit grey PNG, 255 where a pixel has no class; null where it has none.
+        png: Option<Bytes>,
+    }
+}
+
+/// Nothing can be set.
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct TaughtLabelsParams {}
+
+impl Operator for TaughtLabels {
+    const NAME: &'static str = "taught_labels";
+    const VERSION: u32 = 1;
+    const PAGE: &'static str = include_str!("taught_labels.md");
+    type Params = TaughtLabelsParams;
+    type Output = LabelImage;
+
+    fn work() -> Work<Self::Params> {
+        let frames = Port::session::<PaintedFrame>("frames").pixels("image");
+        let annotations = Port::site::<ImageAnnotation>("annotations");
+        Work::batches(frames, vec![annotations], Said::new, Said::images)
+    }
+}
+
+/// Values 0 to 254; 255 stands for no class.
+const NO_CLASS: u8 = 255;
+
+/// What was said of a site's images.
+struct Said(BTreeMap<ImageKey, Vec<ImageAnnotation>>);
+
+impl Said {
+    fn new(_: &TaughtLabelsParams, sides: &Sides) -> Result<Self, Fault> {
+        Ok(Self(by_image(sides.rows("annotations")?)))
+    }
+
+    fn images(
+        &self,
+        frames: Vec<PaintedFrame>,
+        pixels: &Pixels,
+        emit: &mut Emit<'_>,
+    ) -> Result<(), Fault> {
+        let mut room = Grey::default();
+        for (row, frame) in frames.into_iter().enumerate() {
+            let key = (frame.session.clone(), frame.stamp, frame.camera.clone());
+            let acts = self.0.get(&key).map_or(&[][..], Vec::as_slice);
+            let lying = lying(acts, &mut |reason, count| emit.skip(reason, count));
+            if lying.is_empty() {
+                continue;
+            }
+            let canvas = pixels
+                .get(row)
+                .ok_or("image is missing")
+                .and_then(|bytes| Canvas::of(&frame, bytes, &mut room));
+            let label = canvas.and_then(|mut canvas| {
+                canvas.lay_all(&lying, emit);
+                canvas.row(frame)
+            });
+            match label {
+                Ok(label) => emit.rows(vec![label])?,
+                Err(reason) => emit.skip(reason, 1),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The labels of an image while it is painted.
+struct Canvas {
+    classes: Vec<String>,
+    labels: Grey,
+}
+
+impl Canvas {
+    /// The labels that the image has otherwise; else none anywhere.
+    fn of(frame: &PaintedFrame, bytes: &[u8], room: &mut Grey) -> Result<Self, Reason> {
+        decode_grey(bytes, room).map_err(|_| "image does not decode")?;
+        let (Some(png), Some(classes)) = (&frame.png, &frame.classes) else {
+            let data = vec![NO_CLASS; room.data.len()];
+            return Ok(Self {
+                classes: Vec::new(),
+                labels: Grey { data, ..*room },
+            });
+        };
+        let labels = decode_labels(&png.0).map_err(|_| "labels do not decode")?;
+        if [labels.width, labels.height] != [room.width, room.height] {
+            return Err("labels are of another size than the image");
+        }
+        let classes = classes.clone();
+        Ok(Self { classes, labels })
+    }
+
+    /// Lays paint over paint; what cannot be painted is counted.
+    fn lay_all(&mut self, lying: &[&ImageAnnotation], emit: &mut Emit<'_>) {
+        for act in lying {
+            let size = [self.labels.width, self.labels.height].map(|side| side as usize);
+            let Ok(paint) = paint(act, size) else {
+                emit.skip(
+                    "paint outside of its image, or with an outline that cannot be filled",
+                    1,
+                );
+                continue;
+            };
+            match self.value(&act.class) {
+                Some(value) => paint.lay(&mut self.labels.data, size[0], value),
+                None => emit.skip("paint of one class more than labels have room for", 1),
+            }
+        }
+    }
+
+    /// The value of a class, which is new the first time.
+    fn value(&mut self, name: &str) -> Option<u8> {
+        let known = self.classes.iter().position(|class| class == name);
+        let value = known.unwrap_or(self.classes.len());
+        let value = u8::try_from(value)
+            .ok()
+            .filter(|value| *value != NO_CLASS)?;
+        if known.is_none() {
+            self.classes.push(name.to_owned());
+        }
+        Some(value)
+    }
+
+    fn row(self, frame: PaintedFrame) -> Result<LabelImage, Reason> {
+        let png = encode_png(&self.labels).map_err(|_| "labels do not encode")?;
+        Ok(LabelImage {
+            site: frame.site,
+            session: frame.session,
+            stamp: frame.stamp,
+            camera: frame.camera,
+            width: self.labels.width,
+            height: self.labels.height,
+            classes: self.classes,
+            png: Bytes(png),
+        })
+    }
+}
