@@ -193,7 +193,7 @@ impl<'a> Hidden<'a> {
         let scale = self.reference.lens.focal[0] / other.lens.focal[0];
         let mut near = Near::new(other, reference_from_other, kinds);
         for row in 0..other.lens.height {
-            for column in near.columns(row, &self.reference.lens, &self.around) {
+            for column in near.columns(row, self.reference.lens, &self.around) {
                 let pixel = row * other.lens.width + column;
                 let class = other.labels[pixel];
                 let range_m = other.inverse(pixel).map(|inverse| 1.0 / f64::from(inverse));
