@@ -67,7 +67,8 @@ impl<'a> Near<'a> {
         }
     }
 
-    /// The columns of a row whose points appear, in an image of this lens, where `around` is true.
+    /// The columns of a row whose points appear, in an image of this lens, where `around` is true; of points beyond its edge,
+    /// at the edge.
     pub(super) fn columns(
         &mut self,
         row: usize,
@@ -77,17 +78,17 @@ impl<'a> Near<'a> {
         self.measure(row);
         self.place(row, lens);
         let (width, height) = (lens.width as i32, lens.height as i32);
-        let around_end = if lens.wraps { width } else { 0 };
+        let round = if lens.wraps { width } else { 0 };
         let found = self.range.iter().zip(&self.u).zip(&self.v).enumerate();
         found.filter_map(move |(column, ((range, u), v))| {
-            let (mut right, down) = (nearest(*u), nearest(*v));
-            if right < 0 {
-                right += around_end;
-            } else if right >= width {
-                right -= around_end;
-            }
-            let inside = (0..width).contains(&right) && (0..height).contains(&down);
-            let is_near = *range > 0.0 && inside && around[(down * width + right) as usize];
+            let right = match nearest(*u) {
+                left @ ..0 => left + round,
+                right if right >= width => right - round,
+                right => right,
+            };
+            // A footprint reaches in from beyond the edge.
+            let (right, down) = (right.clamp(0, width - 1), nearest(*v).clamp(0, height - 1));
+            let is_near = *range > 0.0 && around[(down * width + right) as usize];
             is_near.then_some(column)
         })
     }
@@ -128,7 +129,7 @@ impl<'a> Near<'a> {
 
 /// The whole number nearest to one that is at least -1.5; some negative number below that.
 fn nearest(x: f32) -> i32 {
-    (x + 1.5) as i32 - 1
+    ((x + 1.5) as i32).saturating_sub(1)
 }
 
 /// The angle whose tangent is `y` over `x`, in all four quadrants, to 10⁻⁴ rad: the odd polynomial of seventh degree that is
@@ -176,9 +177,31 @@ pub(super) fn around(lens: &Lens, pixels: &[usize], reach: usize) -> Vec<bool> {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use std::f32::consts::FRAC_PI_4;
 
     use super::*;
+
+    /// Points of the first row appear a row above the image; and a forged lens shows them nowhere, without a panic.
+    #[test]
+    fn points_beyond_the_edge_may_reach_in() {
+        let lens = |cy: f64| Lens::new([8, 4], [1.27, 1.27], [3.5, cy]).unwrap();
+        let kinds = Kinds::new(&["wall".to_owned()], &[], &[]).unwrap();
+        let (labels, range) = ([0; 32], [2000; 32]);
+        let other = LabelledView {
+            lens: &lens(1.5),
+            labels: &labels,
+            range: &range,
+            unit_m: 0.001,
+        };
+        let mut near = Near::new(&other, &Pose::identity(), &kinds);
+        let top: Vec<bool> = (0..32).map(|pixel| pixel < 8).collect();
+        assert_eq!(near.columns(0, &lens(0.5), &top).count(), 8);
+        assert_eq!(near.columns(3, &lens(0.5), &top).count(), 0);
+        for centre in [-1e300, -1e30, 1e30, 1e300] {
+            assert_eq!(near.columns(0, &lens(centre), &[false; 32]).count(), 0);
+        }
+    }
 
     #[test]
     fn angles_are_nearly_those_of_the_arctangent() {
