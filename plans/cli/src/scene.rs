@@ -84,7 +84,7 @@ async fn outlines(
     let labels: Vec<Label> = reader.rows(site).await?;
     let is_shown = |label: &Label| label.standing != "rejected" && !known.contains(&label.label);
     outlines.extend(labels.into_iter().filter(is_shown).map(|label| Outline {
-        mark: Mark::Label,
+        mark: Mark::Label(label.kind.clone()),
         title: format!("{} {}: {}", label.kind, label.label, label.standing),
         said: true,
         closed: label.shape != "polyline",

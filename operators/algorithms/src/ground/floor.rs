@@ -20,7 +20,7 @@ use rstar::RTree;
 use rstar::primitives::GeomWithData;
 
 use crate::geometry::pose::Pose;
-use crate::ground::danger::cells::{Cell, cell_of, middle};
+use crate::ground::cells::{Cell, cell_of, middle};
 
 /// Distance between two heights, metres: a floor bends over metres, and between two heights it is taken to be straight.
 const STEP_M: f64 = 0.5;

@@ -3,6 +3,7 @@
 //! | module | what it knows |
 //! |---|---|
 //! | [`boxes`] | boxes that look alike: parking spaces, crossings, arrows |
+//! | [`cells`] | square cells by column and row, which are neighbours, which lie in an outline or along a line |
 //! | [`danger`] | where people are, how often anybody looked, how fast to drive there |
 //! | [`floor`] | the height of a floor that bends, by where vehicles stood |
 //! | [`patch`] | what one image shows of the ground |
@@ -13,6 +14,7 @@
 //! | [`tiles`] | tile addressing and exact integer sums |
 
 pub mod boxes;
+pub mod cells;
 pub mod danger;
 pub mod floor;
 pub mod patch;

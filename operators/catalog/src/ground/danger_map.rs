@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use evermap_algorithms::ground::danger::cells::middle;
+use evermap_algorithms::ground::cells::middle;
 use evermap_algorithms::ground::danger::field::Weights;
 use evermap_algorithms::solving::least_squares::SystemError;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use evermap_algorithms::ground::danger::cells::along;
+use evermap_algorithms::ground::cells::along;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{Lane, LaneSpeed, SpeedCell};
 use schemars::JsonSchema;

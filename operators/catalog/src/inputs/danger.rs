@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use evermap_algorithms::ground::danger::cells::{along, in_polygon};
+use evermap_algorithms::ground::cells::{Cell, along, in_polygon};
+use evermap_algorithms::ground::danger::DangerField;
 use evermap_algorithms::ground::danger::exposure::look_ns;
 use evermap_algorithms::ground::danger::field::Seen;
 use evermap_algorithms::ground::danger::foretelling::{Ground, Visit};
 use evermap_algorithms::ground::danger::presence::{Sighting, presence};
-use evermap_algorithms::ground::danger::{Cell, DangerField};
 use evermap_algorithms::solving::least_squares::SystemError;
 use evermap_contract::{Emit, Fault, Port, Sides};
 use evermap_schemas::Stamp;

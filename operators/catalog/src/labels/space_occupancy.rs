@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use evermap_algorithms::ground::boxes::occupancy::{
     Obstacles, Occupancy, OccupancyParams, occupancy,
 };
-use evermap_algorithms::ground::danger::cells::{Cell, cell_of};
+use evermap_algorithms::ground::cells::{Cell, cell_of};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{Exposure, ParkingSpace, SpaceOccupancy, SurfacePoint};
 

@@ -219,23 +219,22 @@ fn legend(scene: &Scene) -> Vec<(String, Option<String>)> {
     if driven.len() > MOST_NAMED {
         lines.push((format!("+ {} more", driven.len() - MOST_NAMED), None));
     }
-    let marks: BTreeSet<_> = scene.outlines.iter().map(|outline| outline.mark).collect();
+    let marks: BTreeSet<_> = scene.outlines.iter().map(|outline| &outline.mark).collect();
     lines.extend(marks.into_iter().map(|mark| {
-        let name = strokes::name(mark.name(), 28);
+        let name = strokes::name(&mark.name(), 28);
         (name, Some(mark.colour().to_owned()))
     }));
     let loops = |accepted| scene.loops.iter().any(|line| line.accepted == accepted);
+    let lane = match scene.lane_speeds.is_empty() {
+        true => "lane",
+        false => "lane, its lowest speed (m/s)",
+    };
     let symbols = [
-        (!scene.lanes.is_empty(), "lane", colours::LANE),
+        (!scene.lanes.is_empty(), lane, colours::LANE),
         (
             !scene.intersections.is_empty(),
             "intersection",
             colours::INTERSECTION,
-        ),
-        (
-            !scene.lane_speeds.is_empty(),
-            "lane, lowest speed (m/s)",
-            colours::LANE,
         ),
         (!scene.slow.is_empty(), "drive slowly", colours::SLOW),
         (!scene.people.is_empty(), "people seen", colours::PERSON),

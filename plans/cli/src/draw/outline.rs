@@ -1,10 +1,12 @@
 //! What is on the ground by its outline: parking spaces as they were last seen, what people said is there, and what they are
 //! asked about.
 
+use std::borrow::Cow;
+
 use crate::draw::colours;
 
 /// What an outline is of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Mark {
     /// A space that was free when it was last seen.
     Free,
@@ -12,8 +14,8 @@ pub enum Mark {
     Taken,
     /// A space that nobody has seen well enough to say.
     Unseen,
-    /// A label of another kind.
-    Label,
+    /// A label of another kind, this one.
+    Label(String),
     /// A box that a person is asked about.
     Asked,
 }
@@ -29,32 +31,32 @@ impl Mark {
     }
 
     /// As the legend has it.
-    pub fn name(self) -> &'static str {
+    pub fn name(&self) -> Cow<'static, str> {
         match self {
-            Self::Free => "space, free when last seen",
-            Self::Taken => "space, taken when last seen",
-            Self::Unseen => "space, not seen",
-            Self::Label => "label",
-            Self::Asked => "asked about",
+            Self::Free => "space, free when last seen".into(),
+            Self::Taken => "space, taken when last seen".into(),
+            Self::Unseen => "space, not seen".into(),
+            Self::Label(kind) => kind.replace('_', " ").into(),
+            Self::Asked => "asked about".into(),
         }
     }
 
     /// Its colour.
-    pub fn colour(self) -> &'static str {
+    pub fn colour(&self) -> &'static str {
         match self {
             Self::Free => colours::FREE,
             Self::Taken => colours::TAKEN,
             Self::Unseen => colours::UNSEEN,
-            Self::Label => colours::LABEL,
+            Self::Label(_) => colours::LABEL,
             Self::Asked => colours::ASKED,
         }
     }
 
     /// How much of what lies below it hides.
-    pub fn opacity(self) -> f64 {
+    pub fn opacity(&self) -> f64 {
         match self {
             Self::Free | Self::Taken => 0.3,
-            Self::Unseen | Self::Label | Self::Asked => 0.0,
+            Self::Unseen | Self::Label(_) | Self::Asked => 0.0,
         }
     }
 }

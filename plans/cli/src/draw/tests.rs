@@ -92,10 +92,13 @@ fn spaces_are_filled_by_what_was_last_seen_and_what_was_found_is_dashed() {
         outlines: vec![
             outline(Mark::Free, "space 1: drawn, free", true, square(10.0)),
             outline(Mark::Taken, "space 2: found, taken", false, square(20.0)),
+            outline(Mark::Label("stop_line".into()), "", true, square(30.0)),
         ],
         ..scene()
     };
     let svg = draw(&with, Canvas::default()).unwrap().svg;
+    let names: Vec<_> = with.outlines.iter().map(|one| one.mark.name()).collect();
+    assert_eq!(names[2], "stop line");
     for text in ["space 1: drawn, free", colours::FREE, colours::TAKEN] {
         assert!(svg.contains(text), "{text}");
     }
@@ -106,7 +109,7 @@ fn spaces_are_filled_by_what_was_last_seen_and_what_was_found_is_dashed() {
         .skip(1)
         .map(|path| path.contains("stroke-dasharray"))
         .collect();
-    assert_eq!(dashed, [false, true]);
+    assert_eq!(dashed, [false, true, false]);
     let without = draw(&scene(), Canvas::default()).unwrap().svg;
     assert!(!without.contains("outlines"));
 }

@@ -12,10 +12,10 @@ use rstar::RTree;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::cells::{Cell, between, middle};
 use super::presence::look;
 use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
+use crate::ground::cells::{Cell, between, middle};
 
 /// How the ground and time are cut up, and how far people are found.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]

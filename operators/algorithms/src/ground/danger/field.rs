@@ -2,7 +2,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::cells::{Cell, neighbours};
+use crate::ground::cells::{Cell, neighbours};
 use crate::solving::least_squares::{BlockSystem, Slot, Structure, SystemError};
 
 /// Weights of what is known beforehand, in looks.

@@ -17,14 +17,12 @@
 //!
 //! | module | what it knows |
 //! |---|---|
-//! | [`cells`] | cells by column and row, which are neighbours, which lie in an outline or along a line |
 //! | [`exposure`] | which cells an image would show a person in, counted once a look |
 //! | [`presence`] | in how many looks somebody was in a cell, from positions with covariance |
 //! | [`field`] | the exact solve |
 //! | [`foretelling`] | priors and weights by how well the visits before foretell each next one |
 //! | [`speed`] | metres per second, linear in the probability |
 
-pub mod cells;
 pub mod exposure;
 pub mod field;
 pub mod foretelling;
@@ -33,5 +31,4 @@ pub mod speed;
 #[cfg(test)]
 mod tests;
 
-pub use cells::Cell;
 pub use field::DangerField;

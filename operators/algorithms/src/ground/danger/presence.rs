@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use super::cells::{Cell, between, middle};
+use crate::ground::cells::{Cell, between, middle};
 
 /// A person found in one image.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -3,15 +3,15 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
-use super::cells::{along, cell_of, in_polygon, middle, neighbours};
+use super::DangerField;
 use super::exposure::{ExposureParams, Looks, Standing};
 use super::field::{Seen, Weights};
 use super::foretelling::{Ground, Visit};
 use super::presence::{Sighting, presence};
 use super::speed::SpeedParams;
-use super::{Cell, DangerField};
 use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
+use crate::ground::cells::{Cell, along, cell_of, in_polygon, middle, neighbours};
 use crate::solving::random::SplitMix64;
 
 /// Eq. 1 to 3 with weights, written down edge by edge and solved densely.
