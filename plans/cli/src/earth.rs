@@ -110,6 +110,21 @@ impl SiteOnEarth {
         1.0 + self.origin.height_m / self.origin.radius_m()
     }
 
+    /// The name of the reference system of [`Coordinates::Metres`].
+    pub fn name(&self) -> String {
+        format!("evermap site {}", self.site)
+    }
+
+    /// What that system is: a transverse Mercator projection of WGS 84 without false easting or northing, with the
+    /// latitude and longitude (deg) of its natural origin and its scale there.
+    pub fn transverse_mercator(&self) -> [f64; 3] {
+        [
+            self.origin.latitude_deg,
+            self.origin.longitude_deg,
+            self.scale(),
+        ]
+    }
+
     /// The reference system of [`Coordinates::Metres`].
     pub fn projjson(&self) -> Value {
         let parameter = |name: &str, value: f64, unit: &str, code: u32| {
@@ -123,7 +138,7 @@ impl SiteOnEarth {
         let axis = |name: &str, abbreviation: &str, direction: &str, unit: &str| json!({ "name": name, "abbreviation": abbreviation, "direction": direction, "unit": unit });
         json!({
             "type": "ProjectedCRS",
-            "name": format!("evermap site {}", self.site),
+            "name": self.name(),
             "base_crs": {
                 "type": "GeographicCRS",
                 "name": "WGS 84",
@@ -171,15 +186,10 @@ impl SiteOnEarth {
 
     /// The same system as GDAL reads it beside a picture (`PAMDataset`): WKT 1.
     pub fn pam_dataset(&self) -> String {
-        let Geodetic {
-            latitude_deg,
-            longitude_deg,
-            ..
-        } = self.origin;
-        let scale = self.scale();
-        let name = self.site.replace(['"', '<', '>', '&'], "_");
+        let [latitude_deg, longitude_deg, scale] = self.transverse_mercator();
+        let name = self.name().replace(['"', '<', '>', '&'], "_");
         let wkt = format!(
-            "PROJCS[\"evermap site {name}\",\
+            "PROJCS[\"{name}\",\
              GEOGCS[\"WGS 84\",DATUM[\"WGS_1984\",SPHEROID[\"WGS 84\",6378137,298.257223563]],\
              PRIMEM[\"Greenwich\",0],UNIT[\"degree\",0.0174532925199433]],\
              PROJECTION[\"Transverse_Mercator\"],\
@@ -248,14 +258,15 @@ fn unplaced(site: &str) -> Fault {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use evermap_schemas::Wkb;
     use evermap_schemas::batch;
     use evermap_schemas::layers::Intersection;
 
-    fn lot() -> SiteOnEarth {
+    /// A site at 52.25° N, 10.5° E, 80 m up, whose x axis points north.
+    pub(crate) fn lot() -> SiteOnEarth {
         SiteOnEarth::of(&Georeference {
             site: "lot".into(),
             latitude_deg: 52.25,

@@ -4,6 +4,7 @@ mod colmap;
 mod foxglove;
 mod g2o;
 mod geo;
+mod geotiff;
 mod ground;
 mod lanelet2;
 mod nav2;
@@ -50,6 +51,8 @@ pub enum ExportFormat {
     Mcap,
     /// Overhead tiles as one picture with a world file beside it, and where on earth that is.
     Png,
+    /// Overhead tiles as one tiled GeoTIFF with overviews, transparent where nothing was seen; it says itself where it is.
+    Geotiff,
     /// Comma separated; lists and structs are JSON.
     Csv,
     /// GeoParquet with the layer's columns; its geometries lie on earth where the map has georeference.
@@ -68,7 +71,7 @@ pub struct Selection {
     /// Zoom level of tiles; 0 is the finest [default: the finest that fits].
     #[arg(long, value_name = "Z")]
     pub zoom: Option<u32>,
-    /// Geometries stay in the map's metres, wherever on earth it lies (geojson, parquet, png).
+    /// Geometries stay in the map's metres, wherever on earth it lies (geojson, parquet, png, geotiff).
     #[arg(long)]
     pub local: bool,
 }
@@ -165,6 +168,11 @@ async fn written(
             }
             let world = picture.world_file(place);
             write_file(&out.with_extension("pgw"), world.as_bytes())
+        }
+        ExportFormat::Geotiff => {
+            let (picture, site) = ground::picture(&batches, selection.zoom)?;
+            let file = geotiff::bytes(&picture, earth.place(&site))?;
+            write_file(out, &file)
         }
         ExportFormat::Csv => rows(Format::Csv, batches, out).await,
         ExportFormat::Parquet => {

@@ -1,0 +1,48 @@
+"""Reads a GeoTIFF of two tiles with GDAL's eyes: earth|local FILE. The tiles, -1/0 and 0/1 of 400 cells of 0.5 m, have the
+grey (column + 3 row) mod 256; on earth the map's x axis points north."""
+
+import sys
+
+import numpy
+import rasterio
+import rasterio.warp
+
+SIDE, CELL_M = 400, 0.5
+
+
+def expected():
+    row, column = numpy.mgrid[0:SIDE, 0:SIDE]
+    tile = (column + 3 * row).astype("uint8")
+    grey, alpha = numpy.zeros((2, 2 * SIDE, 2 * SIDE), "uint8")
+    for rows, columns in ((slice(SIDE, None), slice(0, SIDE)), (slice(0, SIDE), slice(SIDE, None))):
+        grey[rows, columns], alpha[rows, columns] = tile, 255
+    return grey, alpha
+
+
+def main(where, path):
+    grey, alpha = expected()
+    with rasterio.open(path) as file:
+        assert (file.width, file.height, file.count) == (2 * SIDE, 2 * SIDE, 2)
+        assert file.block_shapes == [(256, 256)] * 2 and file.compression.name == "deflate"
+        assert [one.name for one in file.colorinterp] == ["gray", "alpha"]
+        assert (file.read(1) == grey).all() and (file.read(2) == alpha).all()
+        assert (file.dataset_mask() == alpha).all()
+        assert file.overviews(1) == [2, 4]
+        # Of the north-western cells of the north-eastern tile, 2 by 2: 0, 1, 3 and 4.
+        half = file.read(out_shape=(2, SIDE, SIDE))
+        assert half[:, 0, SIDE // 2].tolist() == [2, 255] and half[:, 0, 0].tolist() == [0, 0]
+        # The corner of the north-eastern tile is 0 m, 400 m in the map; a step to the right is 0.5 m along x.
+        corner, right = file.transform * (SIDE, 0), file.transform * (SIDE + 1, 0)
+        if where == "local":
+            assert numpy.allclose((*corner, *right), (0, 400, CELL_M, 400), atol=1e-9), (corner, right)
+            assert not file.crs.is_projected and not file.crs.is_geographic, file.crs
+            assert file.crs.units_factor == ("metre", 1.0), file.crs
+            return
+        assert numpy.allclose((*corner, *right), (-400, 0, -400, CELL_M), atol=1e-9), (corner, right)
+        assert file.crs.is_projected and "evermap site lot" in file.crs.to_wkt(), file.crs
+        ((longitude,), (latitude,)) = rasterio.warp.transform(file.crs, "EPSG:4326", [-50.0], [100.0])
+        # As the test of `earth.rs` has it of the point 100 m, 50 m of the map.
+        assert abs(longitude - 10.49926787) < 1e-7 and abs(latitude - 52.25089868) < 1e-7, (longitude, latitude)
+
+
+main(*sys.argv[1:])
