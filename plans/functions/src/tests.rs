@@ -36,6 +36,7 @@ fn view(name: &str, areas: &[(&str, f32, f32)], edges: &[(u16, u16)]) -> View {
             width: 100,
             height: 30,
             wraps: true,
+            field_of_view_rad: None,
             areas: areas.iter().map(area).collect(),
             edges: edges.iter().map(edge).collect(),
         },

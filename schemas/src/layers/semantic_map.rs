@@ -260,8 +260,11 @@ record! {
         width: u32 ["px"],
         /// Height of the view.
         height: u32 ["px"],
-        /// True where the last column is next to the first.
+        /// True where the last column is next to the first, as the calibration says.
         wraps: bool,
+        /// The angle from the left edge of the image to the right one along its middle row; null without a calibration, or
+        /// where the lens sees nothing at an edge.
+        field_of_view_rad: Option<f32> ["rad"],
         /// The areas, by class in the order of the class list, the largest first.
         areas: Vec<SemanticArea>,
         /// The edges, ordered by a and b.

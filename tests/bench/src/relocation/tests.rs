@@ -100,6 +100,7 @@ fn scales_are_those_that_views_were_disturbed_with() {
             width: 1024,
             height: 333,
             wraps: true,
+            field_of_view_rad: None,
             areas,
             edges: Vec::new(),
         };
