@@ -317,6 +317,26 @@ record! {
 }
 
 record! {
+    /// Views in which an area of one class is in a relation to an area of another.
+    #[layer("relation_index", key(site, class, relation, other))]
+    pub struct RelatedViews {
+        /// Site of the views.
+        site: String,
+        /// The first class.
+        class: String,
+        /// Where the first is from the second, or that they touch: the words of `related`.
+        relation: String,
+        /// The second class.
+        other: String,
+        /// One bit for each of the site's views in the order of their names (by bytes): view n is bit n modulo 8 of byte
+        /// n / 8, the lowest first; 1 where it is so.
+        views: Bytes,
+        /// Digest of those names, as an index of other views, however many they are, says nothing of these.
+        names: String,
+    }
+}
+
+record! {
     /// A view of the map that a query view may show, the best first.
     #[layer("relocations", key(site, session, stamp, camera, rank))]
     pub struct Relocation {
