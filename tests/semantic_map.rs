@@ -237,11 +237,9 @@ fn labels_are_learnt_and_given_to_frames() {
     let mut more = vec!["--sessions", text(&log)];
     for setting in [
         "samples.samples=500",
-        "samples.wraps=true",
         "pixel_forest.trees=10",
         "crf_settings.trials=1",
         "crf_settings.images=2",
-        "label_images.wraps=true",
     ] {
         more.extend(["--set", setting]);
     }

@@ -90,6 +90,7 @@ operators! {
         occlusion_samples::OcclusionSamples,
         recorded_labels::RecordedLabels,
         registrations::Registrations,
+        relation_index::RelationIndex,
         relocations::Relocations,
         spheres::Spheres,
         view_links::ViewLinks,

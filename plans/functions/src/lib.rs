@@ -10,7 +10,8 @@
 //!
 //! Each is declared once, with its arguments, its result and an example: [`documented`] lists them.
 //!
-//! With [`use_class_index`], `contains` on `views` is answered by the layer `class_index`, and graphs are not read.
+//! With [`use_indexes`], `contains` and `related` on `views` are answered by the layers `class_index` and
+//! `relation_index`, and graphs are not read.
 
 mod binary;
 mod contains;
@@ -29,7 +30,7 @@ use datafusion::prelude::SessionContext;
 
 use crate::function::Function;
 
-pub use index::use_class_index;
+pub use index::use_indexes;
 pub use json::{json_texts, to_json};
 
 /// Adds the functions to a context.

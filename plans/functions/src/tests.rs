@@ -1,16 +1,13 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use arrow::util::pretty::pretty_format_batches;
 use datafusion::prelude::SessionContext;
-use evermap_schemas::layers::{
-    ClassCount, ClassLeaf, SemanticArea, SemanticEdge, SemanticGraph, View,
-};
+use evermap_schemas::layers::{SemanticArea, SemanticEdge, SemanticGraph, View};
 use evermap_schemas::{LayerRow, Stamp, batch};
 
-use crate::{register, use_class_index};
+use crate::register;
 
 /// A view 100 px wide all around, with areas of these classes at these centres and these contacts.
-fn view(name: &str, areas: &[(&str, f32, f32)], edges: &[(u16, u16)]) -> View {
+pub(crate) fn view(name: &str, areas: &[(&str, f32, f32)], edges: &[(u16, u16)]) -> View {
     let area = |(class, u, v): &(&str, f32, f32)| SemanticArea {
         class: (*class).to_owned(),
         pixels: 50,
@@ -36,13 +33,14 @@ fn view(name: &str, areas: &[(&str, f32, f32)], edges: &[(u16, u16)]) -> View {
             width: 100,
             height: 30,
             wraps: true,
+            field_of_view_rad: None,
             areas: areas.iter().map(area).collect(),
             edges: edges.iter().map(edge).collect(),
         },
     }
 }
 
-fn views() -> Vec<View> {
+pub(crate) fn views() -> Vec<View> {
     vec![
         view(
             "car",
@@ -67,30 +65,7 @@ fn views() -> Vec<View> {
     ]
 }
 
-/// Leaves of the views above: one for each, as their contents differ.
-fn leaves() -> Vec<ClassLeaf> {
-    let contents: [&[(&str, u16)]; 4] = [
-        &[("car", 1), ("road", 1)],
-        &[("road", 1), ("sign", 1)],
-        &[("building", 2), ("tree", 1)],
-        &[],
-    ];
-    let leaf = |((leaf, view), counts): ((u32, View), &[(&str, u16)])| ClassLeaf {
-        site: view.site,
-        leaf,
-        counts: counts
-            .iter()
-            .map(|(class, areas)| ClassCount {
-                class: (*class).to_owned(),
-                areas: *areas,
-            })
-            .collect(),
-        views: vec![view.view],
-    };
-    (0..).zip(views()).zip(contents).map(leaf).collect()
-}
-
-fn context() -> SessionContext {
+pub(crate) fn context() -> SessionContext {
     let context = SessionContext::new();
     register(&context);
     context
@@ -99,7 +74,7 @@ fn context() -> SessionContext {
     context
 }
 
-async fn rows(context: &SessionContext, query: &str) -> Result<Vec<String>, String> {
+pub(crate) async fn rows(context: &SessionContext, query: &str) -> Result<Vec<String>, String> {
     let frame = context
         .sql(query)
         .await
@@ -175,49 +150,6 @@ async fn what_makes_no_sense_is_said() {
         let said = rows(&context, &query).await.unwrap_err();
         assert!(said.contains(says), "{condition}: {said}");
     }
-}
-
-#[tokio::test]
-async fn the_index_answers_as_the_graphs_do_and_they_are_not_read() {
-    let plain = context();
-    let indexed = context();
-    indexed
-        .register_batch(ClassLeaf::NAME, batch(leaves()).unwrap())
-        .unwrap();
-    use_class_index(&indexed).await.unwrap();
-    for query in [
-        "SELECT view FROM views WHERE contains(graph, 'building', 2)",
-        "SELECT view FROM views WHERE NOT contains(graph, 'car')",
-        "SELECT v.view FROM views AS v WHERE contains(v.graph, 'road') AND NOT contains(v.graph, 'car')",
-        "SELECT view FROM views WHERE contains(graph, 'road') OR contains(graph, 'tree') OR view = 'nothing'",
-        "SELECT a.view FROM views a JOIN views b ON a.site = b.site WHERE contains(a.graph, 'car') AND b.view = 'houses'",
-        "SELECT view FROM (SELECT * FROM views) WHERE contains(graph, 'sign')",
-        "SELECT contains(graph, 'sign') AS shown FROM views",
-    ] {
-        let answers = [rows(&plain, query).await, rows(&indexed, query).await];
-        assert_eq!(answers[0], answers[1], "{query}");
-        assert!(!answers[0].as_ref().unwrap().is_empty(), "{query}");
-    }
-    let explain = "EXPLAIN SELECT view FROM views WHERE NOT contains(graph, 'car')";
-    let plan = indexed.sql(explain).await.unwrap().collect().await.unwrap();
-    let plan = pretty_format_batches(&plan).unwrap().to_string();
-    assert!(
-        plan.contains("class_index") && !plan.contains("graph"),
-        "{plan}"
-    );
-}
-
-#[tokio::test]
-async fn an_index_of_other_views_is_not_used() {
-    let context = context();
-    let mut few = leaves();
-    few.pop();
-    context
-        .register_batch(ClassLeaf::NAME, batch(few).unwrap())
-        .unwrap();
-    use_class_index(&context).await.unwrap();
-    let query = "SELECT view FROM views WHERE NOT contains(graph, 'car')";
-    assert_eq!(rows(&context, query).await.unwrap().len(), 3);
 }
 
 #[tokio::test]

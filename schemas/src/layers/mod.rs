@@ -25,8 +25,8 @@ pub use people::{
 };
 pub use semantic_map::{
     ClassCount, ClassLeaf, ClassScores, CrfSetting, DecisionTree, LabelImage, LabelledFrame,
-    LabelledScores, PixelSamples, Relocation, ScoredFrame, SemanticArea, SemanticEdge,
-    SemanticGraph, TreeNode, View,
+    LabelledScores, PixelSamples, RelatedViews, Relocation, ScoredFrame, SemanticArea,
+    SemanticEdge, SemanticGraph, TreeNode, View,
 };
 pub use stable_map::{
     InferredArea, InferredLabels, Occluded, OcclusionCount, OcclusionProbability, SphereView,
@@ -319,6 +319,7 @@ pub fn all() -> Vec<crate::Layer> {
         LabelImage::layer(),
         LabelledFrame::layer(),
         PixelSamples::layer(),
+        RelatedViews::layer(),
         Relocation::layer(),
         ScoredFrame::layer(),
         LabelledScores::layer(),

@@ -260,8 +260,11 @@ record! {
         width: u32 ["px"],
         /// Height of the view.
         height: u32 ["px"],
-        /// True where the last column is next to the first.
+        /// True where the last column is next to the first, as the calibration says.
         wraps: bool,
+        /// The angle from the left edge of the image to the right one along its middle row; null without a calibration, or
+        /// where the lens sees nothing at an edge.
+        field_of_view_rad: Option<f32> ["rad"],
         /// The areas, by class in the order of the class list, the largest first.
         areas: Vec<SemanticArea>,
         /// The edges, ordered by a and b.
@@ -310,6 +313,26 @@ record! {
         counts: Vec<ClassCount>,
         /// The views, by name.
         views: Vec<String>,
+    }
+}
+
+record! {
+    /// Views in which an area of one class is in a relation to an area of another.
+    #[layer("relation_index", key(site, class, relation, other))]
+    pub struct RelatedViews {
+        /// Site of the views.
+        site: String,
+        /// The first class.
+        class: String,
+        /// Where the first is from the second, or that they touch: the words of `related`.
+        relation: String,
+        /// The second class.
+        other: String,
+        /// One bit for each of the site's views in the order of their names (by bytes): view n is bit n modulo 8 of byte
+        /// n / 8, the lowest first; 1 where it is so.
+        views: Bytes,
+        /// Digest of those names, as an index of other views, however many they are, says nothing of these.
+        names: String,
     }
 }
 

@@ -11,11 +11,12 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
+use evermap_algorithms::semantic_map::relation_index::RelationIndex;
 use evermap_algorithms::semantic_map::relocation::{ClassIndex, Options, Query, ViewMap};
 use evermap_algorithms::semantic_map::semantic_graph::{
     Area, Graph, GraphOptions, Labels, Relation,
 };
-use evermap_bench::relocation::{CountIndex, RelationIndex, like};
+use evermap_bench::relocation::{CountIndex, like};
 use evermap_worlds::{LabelKind, STREET_CLASSES, Street, street_labels};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

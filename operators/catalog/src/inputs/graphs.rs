@@ -74,6 +74,7 @@ impl ClassNames {
             width: row.width,
             height: row.height,
             wraps: row.wraps,
+            field_of_view_rad: row.field_of_view_rad.filter(|angle| *angle > 0.0),
             areas: row.areas.iter().map(area).collect(),
             edges: row.edges.iter().map(edge).collect(),
         })
@@ -104,6 +105,7 @@ pub(crate) fn row(graph: &Graph, classes: &[String]) -> SemanticGraph {
         width: graph.width,
         height: graph.height,
         wraps: graph.wraps,
+        field_of_view_rad: graph.field_of_view_rad,
         areas: graph.areas.iter().map(area).collect(),
         edges: graph.edges.iter().map(edge).collect(),
     }

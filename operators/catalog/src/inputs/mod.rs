@@ -9,6 +9,7 @@ pub(crate) mod forest;
 pub(crate) mod frames;
 pub(crate) mod graphs;
 pub mod labels;
+pub(crate) mod lenses;
 pub mod painting;
 pub(crate) mod pixels;
 pub(crate) mod rig;

@@ -4,12 +4,15 @@ use evermap_algorithms::learning::dense_crf::{
     ColourView, Example, MOST_CLASSES, SearchOptions, Trial, Unary, search,
 };
 use evermap_algorithms::semantic_map::class_scores::ScoresView;
-use evermap_contract::{Emit, Fault, Key, Operator, Pixels, Port, Reason, Sides, Stream, Work};
+use evermap_contract::{
+    Emit, Fault, Key, Operator, Pixels, Port, Reach, Reason, Sides, Stream, Work,
+};
 use evermap_schemas::layers::{CrfSetting, LabelledScores};
 use evermap_vision::{Rgb, decode_labels};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::lenses::{self, Lenses};
 use crate::inputs::pixels::colours;
 
 /// See the module's page.
@@ -38,14 +41,14 @@ impl Default for CrfSettingsParams {
 
 impl Operator for CrfSettings {
     const NAME: &'static str = "crf_settings";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("crf_settings.md");
     type Params = CrfSettingsParams;
     type Output = CrfSetting;
 
     fn work() -> Work<Self::Params> {
         let labelled = Port::site::<LabelledScores>("labelled").pixels("image");
-        Work::stream::<Collector>(labelled, Key::SITE, vec![])
+        Work::stream::<Collector>(labelled, Key::SITE, vec![lenses::port(Reach::Site)])
     }
 }
 
@@ -59,11 +62,13 @@ struct Encoded {
 struct Decoded {
     rgb: Rgb,
     unary: Unary,
+    wraps: bool,
     truth: Vec<u8>,
 }
 
 struct Collector {
     params: CrfSettingsParams,
+    lenses: Lenses,
     images: Vec<Encoded>,
 }
 
@@ -71,9 +76,10 @@ impl Stream for Collector {
     type Params = CrfSettingsParams;
     type Row = LabelledScores;
 
-    fn open(params: &CrfSettingsParams, _: &Sides) -> Result<Self, Fault> {
+    fn open(params: &CrfSettingsParams, sides: &Sides) -> Result<Self, Fault> {
         Ok(Self {
             params: params.clone(),
+            lenses: Lenses::new(sides)?,
             images: Vec::new(),
         })
     }
@@ -99,7 +105,7 @@ impl Stream for Collector {
         let step = self.images.len().div_ceil(self.params.images as usize);
         let mut decoded = Vec::new();
         for image in self.images.iter().step_by(step.max(1)) {
-            match image.decode(&first.classes, self.params.search.mean_field.wraps) {
+            match image.decode(&first.classes, &self.lenses) {
                 Ok(image) => decoded.push(image),
                 Err(reason) => emit.skip(reason, 1),
             }
@@ -120,7 +126,7 @@ impl Stream for Collector {
 }
 
 impl Encoded {
-    fn decode(&self, classes: &[String], wraps: bool) -> Result<Decoded, Reason> {
+    fn decode(&self, classes: &[String], lenses: &Lenses) -> Result<Decoded, Reason> {
         let scores = &self.scores;
         if scores.classes != classes || classes.len() > MOST_CLASSES {
             return Err("image has other classes than the first one");
@@ -140,11 +146,18 @@ impl Encoded {
         if [rgb.width, rgb.height] != size || [truth.width, truth.height] != size {
             return Err("image, labels and scores are not of one size");
         }
+        let taken = (
+            scores.session.as_str(),
+            scores.camera.as_str(),
+            scores.stamp,
+        );
+        let wraps = lenses.wraps(taken, size);
         let unary = Unary::from_scores(&view, wraps)
             .map_err(|_| "scores do not have the size that they claim")?;
         Ok(Decoded {
             rgb,
             unary,
+            wraps,
             truth: truth.data,
         })
     }
@@ -166,6 +179,7 @@ impl Decoded {
         Some(Example {
             image: ColourView::new(self.rgb.width, self.rgb.height, &self.rgb.data)?,
             unary: self.unary.clone(),
+            wraps: self.wraps,
             truth: &self.truth,
         })
     }

@@ -1,15 +1,16 @@
 #![doc = include_str!("pixel_samples.md")]
 
 use evermap_algorithms::learning::pixel_features::{
-    FeatureDescription, SamplingOptions, labelled_features,
+    FeatureDescription, FeatureOptions, SamplingOptions, labelled_features,
 };
-use evermap_contract::{Fault, Operator, Port, Reason, Sides, Work};
+use evermap_contract::{Fault, Operator, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{LabelledFrame, PixelSamples};
 use evermap_vision::{Rgb, decode_labels};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::lenses::{self, Lenses};
 use crate::inputs::pixels::colours;
 
 /// See the module's page.
@@ -24,39 +25,65 @@ pub struct PixelSamplingParams {
     pub sampling: SamplingOptions,
     /// What is seen of them.
     #[serde(flatten)]
-    pub features: FeatureDescription,
+    pub features: FeatureOptions,
 }
 
 impl Operator for PixelSampling {
     const NAME: &'static str = "pixel_samples";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("pixel_samples.md");
     type Params = PixelSamplingParams;
     type Output = PixelSamples;
 
     fn work() -> Work<Self::Params> {
         let labelled = Port::session::<LabelledFrame>("labelled_frames").pixels("image");
-        Work::each_image(labelled, vec![], Sampler::new, Sampler::samples)
+        let calibration = lenses::port(Reach::Session);
+        Work::each_image(labelled, vec![calibration], Sampler::new, Sampler::samples)
     }
 
     fn check(params: &Self::Params) -> Result<(), Fault> {
-        let checked = params.features.check();
+        // A plain image has a feature more than a panorama.
+        let checked = description(params, false).check();
         checked.map_err(|error| Fault::user(error.to_string()))
     }
 }
 
 struct Sampler {
-    params: PixelSamplingParams,
-    /// The features, as models carry them.
-    features: String,
+    sampling: SamplingOptions,
+    lenses: Lenses,
+    plain: Features,
+    panorama: Features,
+}
+
+/// What is seen of pixels, and how models carry it.
+struct Features {
+    description: FeatureDescription,
+    json: String,
+}
+
+fn description(params: &PixelSamplingParams, wraps: bool) -> FeatureDescription {
+    FeatureDescription {
+        options: params.features.clone(),
+        wraps,
+    }
+}
+
+impl Features {
+    fn new(params: &PixelSamplingParams, wraps: bool) -> Result<Self, Fault> {
+        let description = description(params, wraps);
+        let json = serde_json::to_string(&description);
+        let json = json.map_err(|error| Fault::bug(format!("features as JSON: {error}")))?;
+        Ok(Self { description, json })
+    }
 }
 
 impl Sampler {
-    fn new(params: &PixelSamplingParams, _: &Sides) -> Result<Self, Fault> {
-        let features = serde_json::to_string(&params.features);
+    fn new(params: &PixelSamplingParams, sides: &Sides) -> Result<Self, Fault> {
         Ok(Self {
-            params: params.clone(),
-            features: features.map_err(|error| Fault::bug(format!("features as JSON: {error}")))?,
+            sampling: params.sampling,
+            lenses: Lenses::new(sides)?,
+            plain: Features::new(params, false)?,
+            panorama: Features::new(params, true)?,
         })
     }
 
@@ -72,14 +99,19 @@ impl Sampler {
         if size != [image.width(), image.height()] {
             return Err("labels are of another size than the image");
         }
-        let PixelSamplingParams { sampling, features } = &self.params;
+        let taken = (frame.session.as_str(), frame.camera.as_str(), frame.stamp);
+        let Features { description, json } =
+            match self.lenses.wraps(taken, [labels.width, labels.height]) {
+                true => &self.panorama,
+                false => &self.plain,
+            };
         let sampling = SamplingOptions {
             // Other pixels of every image, and the same ones in every run.
-            seed: sampling.seed.wrapping_add(frame.stamp.0 as u64),
-            ..*sampling
+            seed: self.sampling.seed.wrapping_add(frame.stamp.0 as u64),
+            ..self.sampling
         };
         let classes = frame.classes.len().min(usize::from(u8::MAX));
-        let found = labelled_features(features, &image, &labels.data, classes, &sampling)
+        let found = labelled_features(description, &image, &labels.data, classes, &sampling)
             .map_err(|_| "features cannot be computed")?;
         if found.labels.is_empty() {
             return Err("image has no labelled pixels");
@@ -90,9 +122,9 @@ impl Sampler {
             stamp: frame.stamp,
             camera: frame.camera,
             classes: frame.classes,
-            features: self.features.clone(),
+            features: json.clone(),
             class_pixels: found.class_pixels,
-            dimensions: features.dimensions() as u32,
+            dimensions: description.dimensions() as u32,
             labels: found.labels,
             values: Bytes(found.values),
         }))

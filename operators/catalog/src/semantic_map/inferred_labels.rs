@@ -5,7 +5,7 @@ use evermap_algorithms::semantic_map::semantic_graph::{GraphError, Labels, VOID}
 use evermap_algorithms::semantic_map::stable::inference::{Options, Teller, infer};
 use evermap_algorithms::semantic_map::stable::occlusion::{Model, Occlusion};
 use evermap_algorithms::semantic_map::stable::surroundings::DIMENSIONS;
-use evermap_contract::{Fault, Operator, Port, Reason, Sides, Work};
+use evermap_contract::{Fault, Operator, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{
     DecisionTree, InferredArea, InferredLabels, OcclusionProbability, WarpedLabels,
@@ -15,6 +15,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::forest::{LearntForest, wrong};
+use crate::inputs::lenses::{self, Lenses};
 use crate::inputs::spheres::{MovingClasses, surroundings, values};
 
 /// See the module's page.
@@ -27,8 +28,6 @@ pub struct InferredLabelsParams {
     /// The equations, and how sure is sure.
     #[serde(flatten)]
     pub options: Options,
-    /// Whether images are full panoramas, whose last column is next to the first.
-    pub panorama: bool,
     /// What moves.
     #[serde(flatten)]
     pub classes: MovingClasses,
@@ -38,7 +37,6 @@ impl Default for InferredLabelsParams {
     fn default() -> Self {
         Self {
             options: Options::default(),
-            panorama: true,
             classes: MovingClasses::default(),
         }
     }
@@ -46,7 +44,7 @@ impl Default for InferredLabelsParams {
 
 impl Operator for InferredLabelImages {
     const NAME: &'static str = "inferred_labels";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("inferred_labels.md");
     type Params = InferredLabelsParams;
     type Output = InferredLabels;
@@ -55,13 +53,19 @@ impl Operator for InferredLabelImages {
         let warped = Port::session::<WarpedLabels>("warped_labels");
         let model = Port::site::<OcclusionProbability>("occlusion_model");
         let forest = Port::site::<DecisionTree>("forest").optional();
-        Work::each_row(warped, vec![model, forest], Site::new, Site::inferred)
+        Work::each_row(
+            warped,
+            vec![model, forest, lenses::port(Reach::Session)],
+            Site::new,
+            Site::inferred,
+        )
     }
 }
 
 struct Site {
     params: InferredLabelsParams,
     model: Vec<OcclusionProbability>,
+    lenses: Lenses,
     /// What was learnt from what was seen behind things, ready to predict.
     learnt: Option<(LearntForest, Forest)>,
 }
@@ -75,6 +79,7 @@ impl Site {
         Ok(Self {
             params: params.clone(),
             model: sides.rows("occlusion_model")?,
+            lenses: Lenses::new(sides)?,
             learnt: learnt.transpose()?,
         })
     }
@@ -117,7 +122,9 @@ impl Site {
             Some((learnt, forest)) => Teller::Forest(forest, learnt.block(&row.session, row.stamp)),
             None => Teller::Ellipses(&model),
         };
-        let stable = infer(&labels, self.params.panorama, &kinds, teller, options);
+        let taken = (row.session.as_str(), row.camera.as_str(), row.stamp);
+        let wraps = self.lenses.wraps(taken, [width, height]);
+        let stable = infer(&labels, wraps, &kinds, teller, options);
         let stable = stable.map_err(|error| match error {
             GraphError::Size { .. } => "label image does not decode",
             GraphError::TooLarge { .. } => "label image is too large for a graph",

@@ -4,12 +4,13 @@ use std::collections::BTreeMap;
 
 use evermap_algorithms::semantic_map::semantic_graph::Labels;
 use evermap_algorithms::semantic_map::stable::surroundings::{DIMENSIONS, examples};
-use evermap_contract::{Fault, Operator, Port, Reason, Sides, Work};
+use evermap_contract::{Fault, Operator, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{LabelImage, PixelSamples, WarpedLabels};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::lenses::{self, Lenses};
 use crate::inputs::spheres::{MovingClasses, ViewKey, labels, surroundings, values};
 
 /// See the module's page.
@@ -23,8 +24,6 @@ pub struct OcclusionSamplesParams {
     /// moved.
     #[schemars(range(min = 1))]
     pub samples: u32,
-    /// Whether images are full panoramas, whose last column is next to the first.
-    pub panorama: bool,
     /// What moves.
     #[serde(flatten)]
     pub classes: MovingClasses,
@@ -34,7 +33,6 @@ impl Default for OcclusionSamplesParams {
     fn default() -> Self {
         Self {
             samples: 1000,
-            panorama: true,
             classes: MovingClasses::default(),
         }
     }
@@ -42,7 +40,7 @@ impl Default for OcclusionSamplesParams {
 
 impl Operator for OcclusionSamples {
     const NAME: &'static str = "occlusion_samples";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("occlusion_samples.md");
     type Params = OcclusionSamplesParams;
     type Output = PixelSamples;
@@ -50,13 +48,19 @@ impl Operator for OcclusionSamples {
     fn work() -> Work<Self::Params> {
         let warped = Port::session::<WarpedLabels>("warped_labels");
         let before = Port::site::<LabelImage>("label_images");
-        Work::each_row(warped, vec![before], Site::new, Site::samples)
+        Work::each_row(
+            warped,
+            vec![before, lenses::port(Reach::Session)],
+            Site::new,
+            Site::samples,
+        )
     }
 }
 
 struct Site {
     params: OcclusionSamplesParams,
     before: BTreeMap<ViewKey, LabelImage>,
+    lenses: Lenses,
 }
 
 impl Site {
@@ -66,6 +70,7 @@ impl Site {
         Ok(Self {
             params: params.clone(),
             before: before.collect(),
+            lenses: Lenses::new(sides)?,
         })
     }
 
@@ -92,7 +97,8 @@ impl Site {
             values: &after,
         };
         let most = self.params.samples as usize;
-        let found = examples(&before, &image, self.params.panorama, &kinds, most);
+        let wraps = self.lenses.wraps((&key.0, &key.1, key.2), size);
+        let found = examples(&before, &image, wraps, &kinds, most);
         if found.classes.is_empty() {
             return Ok(None);
         }

@@ -46,7 +46,7 @@ impl Default for RelocationsParams {
 
 impl Operator for Relocations {
     const NAME: &'static str = "relocations";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("relocations.md");
     type Params = RelocationsParams;
     type Output = Relocation;

@@ -1,9 +1,10 @@
 #![doc = include_str!("views.md")]
 
+use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::semantic_map::semantic_graph::{
     Graph, GraphError, GraphOptions, Labels, VOID,
 };
-use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reason, Work};
+use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::layers::{LabelImage, View};
 use evermap_vision::decode_labels;
 use rayon::prelude::*;
@@ -11,6 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::graphs;
+use crate::inputs::lenses::{self, Lenses};
 
 /// See the module's page.
 pub struct Views;
@@ -23,57 +25,63 @@ pub struct ViewsParams {
     /// car 25 m away. On a simulated street it leaves 33 of 400 areas; of labels of which 18 % are wrong, 56 of 1800.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_area_share: f64,
-    /// Whether images are full panoramas, whose last column is next to the first.
-    pub panorama: bool,
 }
 
 impl Default for ViewsParams {
     fn default() -> Self {
         Self {
             min_area_share: 0.001,
-            panorama: true,
         }
     }
 }
 
 impl Operator for Views {
     const NAME: &'static str = "views";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("views.md");
     type Params = ViewsParams;
     type Output = View;
 
     fn work() -> Work<Self::Params> {
         let labels = Port::session::<LabelImage>("labels");
-        Work::batches(labels, vec![], |params, _| Ok(params.clone()), views)
+        let calibration = lenses::port(Reach::Session);
+        Work::batches(labels, vec![calibration], Site::new, Site::views)
     }
 }
 
-fn views(
-    params: &ViewsParams,
-    images: Vec<LabelImage>,
-    _: &Pixels,
-    emit: &mut Emit<'_>,
-) -> Result<(), Fault> {
-    let images = images.into_par_iter();
-    let views: Vec<Result<(View, usize), Reason>> =
-        images.map(|image| params.view(image)).collect();
-    let mut found = Vec::with_capacity(views.len());
-    for view in views {
-        match view {
-            Ok((view, unknown)) => {
-                if unknown > 0 {
-                    emit.skip("value of a pixel is not a class", unknown as u64);
+/// How views are made of a site's images.
+struct Site {
+    params: ViewsParams,
+    lenses: Lenses,
+}
+
+impl Site {
+    fn new(params: &ViewsParams, sides: &Sides) -> Result<Self, Fault> {
+        Ok(Self {
+            params: params.clone(),
+            lenses: Lenses::new(sides)?,
+        })
+    }
+
+    fn views(&self, images: Vec<LabelImage>, _: &Pixels, emit: &mut Emit<'_>) -> Result<(), Fault> {
+        let images = images.into_par_iter();
+        let views: Vec<Result<(View, usize), Reason>> =
+            images.map(|image| self.view(image)).collect();
+        let mut found = Vec::with_capacity(views.len());
+        for view in views {
+            match view {
+                Ok((view, unknown)) => {
+                    if unknown > 0 {
+                        emit.skip("value of a pixel is not a class", unknown as u64);
+                    }
+                    found.push(view);
                 }
-                found.push(view);
+                Err(reason) => emit.skip(reason, 1),
             }
-            Err(reason) => emit.skip(reason, 1),
         }
+        emit.rows(found)
     }
-    emit.rows(found)
-}
 
-impl ViewsParams {
     /// The view, and how many pixels have labels that are no class.
     fn view(&self, image: LabelImage) -> Result<(View, usize), Reason> {
         let labels = decode_labels(&image.png.0).map_err(|_| "label image does not decode")?;
@@ -90,16 +98,20 @@ impl ViewsParams {
             height,
             values: &labels.data,
         };
+        let taken = (image.session.as_str(), image.camera.as_str(), image.stamp);
+        let camera = self.lenses.camera(taken, [width, height]);
         let options = GraphOptions {
             classes,
-            wraps: self.panorama,
-            min_px: GraphOptions::share_px(self.min_area_share, width, height),
+            wraps: camera.as_ref().is_some_and(Camera::wraps),
+            min_px: GraphOptions::share_px(self.params.min_area_share, width, height),
         };
-        let graph = Graph::from_labels(&labels, &options).map_err(|error| match error {
+        let mut graph = Graph::from_labels(&labels, &options).map_err(|error| match error {
             GraphError::Size { .. } => "label image does not decode",
             GraphError::TooLarge { .. } => "label image is too large for a graph",
             GraphError::TooManyAreas(_) => "label image has too many areas for a graph",
         })?;
+        let field_of_view = camera.and_then(|camera| camera.horizontal_field_of_view_rad());
+        graph.field_of_view_rad = field_of_view.map(|angle| angle as f32);
         let view = View {
             view: format!("{}/{}/{}", image.session, image.camera, image.stamp.0),
             site: image.site,

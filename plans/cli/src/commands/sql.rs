@@ -16,7 +16,7 @@ use evermap_datasets::Dataset;
 use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::map::{LayerInfo, Map, RunRow, VersionInfo};
 use evermap_engine::sql::{Limits, TABLES, catalog, catalog_name, check_size, context, plan_of};
-use evermap_functions::use_class_index;
+use evermap_functions::use_indexes;
 use evermap_language::{listed, nearest};
 use evermap_schemas::dictionary::ColumnInfo;
 use evermap_schemas::{Fault, Layer, LayerRow};
@@ -83,9 +83,9 @@ impl Tables {
     ) -> Result<Self, Fault> {
         let reader = MapReader::open(address, version).await?;
         let context = reader.context(context(limits)?)?;
-        if let Err(fault) = use_class_index(&context).await.or_fault() {
+        if let Err(fault) = use_indexes(&context).await.or_fault() {
             line(&format!(
-                "warning: queries read graphs without the class index: {fault}"
+                "warning: queries read graphs, not their indexes: {fault}"
             ));
         }
         Ok(Self {

@@ -242,6 +242,7 @@ mod tests {
                     width: 40,
                     height: 20,
                     wraps: true,
+                    field_of_view_rad: None,
                     areas: vec![area("tree", 1.0), area("sky", 39.0)],
                     edges: vec![SemanticEdge {
                         a: 0,

@@ -13,7 +13,7 @@ use evermap_engine::error::OrFault;
 use evermap_engine::map::store::Store;
 use evermap_engine::map::version::Version;
 use evermap_engine::sql::{Limits, context_on, runtime};
-use evermap_functions::use_class_index;
+use evermap_functions::use_indexes;
 use evermap_language::{listed, nearest};
 use evermap_schemas::Fault;
 use tokio::sync::Mutex;
@@ -167,8 +167,8 @@ impl ServedMap {
         let reader = MapReader::open(&self.address, number).await?;
         let runtime = Arc::clone(&self.runtime);
         let context = reader.context(context_on(&self.name, runtime, self.limits)?)?;
-        if let Err(fault) = use_class_index(&context).await.or_fault() {
-            tracing::warn!("queries read graphs without the class index: {fault}");
+        if let Err(fault) = use_indexes(&context).await.or_fault() {
+            tracing::warn!("queries read graphs, not their indexes: {fault}");
         }
         setup_pg_catalog(&context, &self.name, EmptyContextProvider)
             .map_err(|error| Fault::bug(format!("no catalog for Postgres: {error}")))?;

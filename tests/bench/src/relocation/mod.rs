@@ -5,14 +5,10 @@
 
 mod count_index;
 mod evaluation;
-mod relation_index;
 mod scales;
 #[cfg(test)]
 mod tests;
-mod view_set;
 
 pub use count_index::{CountIndex, like};
 pub use evaluation::{Distances, Evaluation, EvaluationOptions, evaluate};
-pub use relation_index::RelationIndex;
 pub use scales::estimate_scales;
-pub use view_set::ViewSet;

@@ -72,12 +72,7 @@ fn seen(graph: &Graph, area: &Area, options: &Options) -> Seen {
 
 /// The angle between neighbouring columns (rad).
 fn rad_per_px(graph: &Graph, options: &Options) -> f32 {
-    let range = if graph.wraps {
-        TAU
-    } else {
-        options.field_of_view_rad as f32
-    };
-    range / graph.width.max(1) as f32
+    graph.rad_per_px(options.field_of_view_rad as f32)
 }
 
 /// Bearing, elevation, size, elongation, orientation.

@@ -4,7 +4,7 @@
 use std::f32::consts::TAU;
 
 use evermap_algorithms::semantic_map::relocation::{ClassIndex, Options};
-use evermap_algorithms::semantic_map::semantic_graph::{Area, Edge, Graph, Relation};
+use evermap_algorithms::semantic_map::semantic_graph::{Area, Edge, Graph};
 use proptest::prelude::*;
 
 use super::*;
@@ -37,35 +37,6 @@ proptest! {
         let asked = counts(&query);
         let classes = ClassIndex::new(graphs.iter(), 4);
         prop_assert_eq!(like(&classes, &asked), views(&|graph| counts(graph) == asked));
-    }
-
-    #[test]
-    fn the_relation_index_is_asking_each_graph(graphs in prop::collection::vec(graph(), 0..20)) {
-        let index = RelationIndex::new(graphs.iter());
-        for relation in Relation::ALL {
-            for (a, b) in (0..4).flat_map(|a| (0..4).map(move |b| (a, b))) {
-                let views = (0_u32..).zip(&graphs).filter(|(_, graph)| graph.holds(a, relation, b));
-                let expected: Vec<u32> = views.map(|(view, _)| view).collect();
-                prop_assert_eq!(index.views(a, relation, b).to_vec(), expected);
-            }
-        }
-    }
-
-    #[test]
-    fn sets_of_views_are_sets(views in 1_usize..300, a in prop::collection::btree_set(0_u32..320, 0..80), b in prop::collection::btree_set(0_u32..320, 0..80)) {
-        let set = |members: &std::collections::BTreeSet<u32>| {
-            let mut set = ViewSet::none(views);
-            members.iter().for_each(|view| set.insert(*view));
-            set
-        };
-        let known = |view: &u32| (*view as usize) < views;
-        let (one, other) = (set(&a), set(&b));
-        let both: Vec<u32> = a.intersection(&b).copied().filter(known).collect();
-        let only: Vec<u32> = a.difference(&b).copied().filter(known).collect();
-        prop_assert_eq!(one.clone().and(&other).to_vec(), both.clone());
-        prop_assert_eq!(one.clone().without(&other).to_vec(), only);
-        prop_assert_eq!(one.clone().and(&other).count(), both.len());
-        prop_assert!((0..330).all(|view| one.contains(view) == (a.contains(&view) && known(&view))));
     }
 }
 
@@ -100,6 +71,7 @@ fn scales_are_those_that_views_were_disturbed_with() {
             width: 1024,
             height: 333,
             wraps: true,
+            field_of_view_rad: None,
             areas,
             edges: Vec::new(),
         };

@@ -8,7 +8,7 @@
 //! pixels per radian. A panorama of width W that covers 360° has fx = W / 2π.
 
 use nalgebra::{Matrix2x3, Vector3};
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 /// Angles this much (radians) past the seam or the pole are rounding, not another place.
 const SLACK: f64 = 1e-9;
@@ -34,6 +34,11 @@ impl Equirectangular {
     /// `[cx, cy]` in pixels.
     pub fn centre(&self) -> [f64; 2] {
         self.centre
+    }
+
+    /// Whether the last column of an image of this width (px) is next to its first one, to half a pixel.
+    pub fn wraps(&self, width: usize) -> bool {
+        (TAU * self.focal[0] - width as f64).abs() < 0.5
     }
 
     pub(super) fn project(&self, point: &Vector3<f64>) -> Option<[f64; 2]> {

@@ -24,7 +24,7 @@ pub use kannala_brandt::KannalaBrandt;
 pub use ocam::{Ocam, OcamAffine, OcamCurve};
 
 use nalgebra::{Matrix2x3, Vector3};
-use std::f64::consts::PI;
+use std::f64::consts::{PI, TAU};
 
 /// A calibrated camera.
 #[derive(Debug, Clone, PartialEq)]
@@ -142,6 +142,27 @@ impl Camera {
                 .or(other)
                 .unwrap_or_else(|| f64::from(self.width.max(1)) / PI),
         }
+    }
+
+    /// Whether the last column is next to the first, as in a panorama that goes all around.
+    pub fn wraps(&self) -> bool {
+        match &self.model {
+            Model::Equirectangular(lens) => lens.wraps(self.width as usize),
+            Model::Pinhole(_) | Model::KannalaBrandt(_) | Model::Ocam(_) => false,
+        }
+    }
+
+    /// The angle from the left edge of the image to the right one along its middle row (rad), a full turn at most. `None`
+    /// where the lens sees nothing at an edge.
+    pub fn horizontal_field_of_view_rad(&self) -> Option<f64> {
+        let width = f64::from(self.width);
+        if let Model::Equirectangular(lens) = &self.model {
+            return Some((width / lens.focal()[0]).min(TAU));
+        }
+        let row = f64::from(self.height) / 2.0 - 0.5;
+        let ray = |column: f64| self.unproject([column - 0.5, row]);
+        let (left, middle, right) = (ray(0.0)?, ray(width / 2.0)?, ray(width)?);
+        Some(left.angle(&middle) + middle.angle(&right))
     }
 
     fn sees_angle(&self, ray: &Vector3<f64>) -> bool {

@@ -156,6 +156,28 @@ fn known_values() {
 }
 
 #[test]
+fn whole_panoramas_wrap_and_others_have_a_field_of_view() {
+    let made = |name, width, height, k: &[f64]| {
+        Camera::from_calibration(name, width, height, k, &[]).unwrap()
+    };
+    let f = 1024.0 / TAU;
+    let whole = made("equirectangular", 1024, 333, &[f, 511.5, f, 166.0]);
+    assert!(whole.wraps());
+    assert_eq!(whole.horizontal_field_of_view_rad(), Some(TAU));
+    // Cut off on the right, and of a few columns more than there are.
+    let cut = made("equirectangular", 512, 333, &[f, 511.5, f, 166.0]);
+    assert!(!cut.wraps());
+    assert!((cut.horizontal_field_of_view_rad().unwrap() - PI).abs() < 1e-12);
+    assert!(!made("equirectangular", 1026, 333, &[f, 511.5, f, 166.0]).wraps());
+    // 45° to the left, and less to the right, as the axis is not in the middle.
+    let k = [100.0, 0.0, 99.5, 0.0, 100.0, 49.5, 0.0, 0.0, 1.0];
+    let pinhole = made("plumb_bob", 160, 100, &k);
+    assert!(!pinhole.wraps());
+    let expected = PI / 4.0 + (60.0_f64 / 100.0).atan();
+    assert!((pinhole.horizontal_field_of_view_rad().unwrap() - expected).abs() < 1e-12);
+}
+
+#[test]
 fn calibrations_that_are_none() {
     let nine = [500.0, 0.0, 320.5, 0.0, 502.0, 239.0, 0.0, 0.0, 1.0];
     let err = |name: &str, k: &[f64], d: &[f64]| {

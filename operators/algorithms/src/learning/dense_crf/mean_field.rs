@@ -37,7 +37,9 @@ pub struct RandomField {
 }
 
 impl RandomField {
-    /// The field of an image. With `wraps`, its last column is next to its first one.
+    /// The field of an image. With `wraps`, its last column is next to its first one, as in a full panorama: the deviation
+    /// along the rows is then rounded, so that the panorama is a whole number of lattice cells wide, 84 for 80 px at a width
+    /// of 1024.
     ///
     /// # Errors
     /// [`CrfError`] for kernels that cannot be used, or that are too small for so large an image.

@@ -81,17 +81,11 @@ pub struct MeanField {
     /// Rounds of mean field. Paper, figure 3: the divergence hardly falls after ten.
     #[schemars(range(max = 1000))]
     pub iterations: u32,
-    /// Whether the last column of an image is next to its first one, as in a full panorama. The deviation along the rows is
-    /// then rounded, so that the panorama is a whole number of lattice cells wide: 84 for 80 px at a width of 1024.
-    pub wraps: bool,
 }
 
 impl Default for MeanField {
     fn default() -> Self {
-        Self {
-            iterations: 10,
-            wraps: false,
-        }
+        Self { iterations: 10 }
     }
 }
 

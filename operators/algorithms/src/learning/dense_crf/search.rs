@@ -16,6 +16,8 @@ pub struct Example<'a> {
     pub image: ColourView<'a>,
     /// What its pixels are by themselves.
     pub unary: Unary,
+    /// Whether its last column is next to its first one, as in a full panorama.
+    pub wraps: bool,
     /// The classes of its pixels, row by row; values that are no class (255) are not scored.
     pub truth: &'a [u8],
 }
@@ -200,8 +202,8 @@ fn evaluate(
     options: &SearchOptions,
     classes: usize,
 ) -> Result<Confusion, CrfError> {
-    let MeanField { iterations, wraps } = options.mean_field;
-    let field = RandomField::new(&example.image, kernels, wraps)?;
+    let MeanField { iterations } = options.mean_field;
+    let field = RandomField::new(&example.image, kernels, example.wraps)?;
     field.fits(field.pixels(), example.truth.len())?;
     let found = field.infer(&example.unary, iterations)?.labels();
     let mut confusion = Confusion::new(classes);
@@ -244,6 +246,7 @@ mod tests {
         let example = Example {
             image: ColourView::new(width as u32, height as u32, &colours).unwrap(),
             unary: Unary::from_labels(2, &noisy, 0.7).unwrap(),
+            wraps: false,
             truth: &truth,
         };
         let start = Kernels {

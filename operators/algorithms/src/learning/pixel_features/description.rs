@@ -29,17 +29,26 @@ impl From<Window> for (i32, i32, u32) {
     }
 }
 
-/// Which features a pixel has, in this order: SIFT at each bin size (128 values each), eight means of each window (L*,
-/// a*, b*, red and green chromaticity, gradients along both axes, deviation of L*), the row, and, unless the image wraps, the column.
+/// Which features pixels have, whatever the image.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
-pub struct FeatureDescription {
+pub struct FeatureOptions {
     /// Side of a SIFT bin (px), once per scale, 1 to 32; a descriptor has 4 × 4 bins.
     #[schemars(inner(range(min = 1, max = 32)))]
     pub sift_bins_px: Vec<u32>,
     /// Where colour and texture are averaged: columns away, rows away, and h of a window that is 2 h + 1 wide (px). By
     /// default 4 about the pixel, 24 around it.
     pub windows_px: Vec<Window>,
+}
+
+/// Which features a pixel has, in this order: SIFT at each bin size (128 values each), eight means of each window (L*,
+/// a*, b*, red and green chromaticity, gradients along both axes, deviation of L*), the row, and, unless the image wraps, the column.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct FeatureDescription {
+    /// What does not depend on the image.
+    #[serde(flatten)]
+    pub options: FeatureOptions,
     /// The last column is next to the first: full panoramas. The column is then no feature.
     pub wraps: bool,
 }
@@ -65,7 +74,7 @@ pub enum FeatureError {
     },
 }
 
-impl Default for FeatureDescription {
+impl Default for FeatureOptions {
     /// What paid for itself on street scenes of 480 × 360.
     fn default() -> Self {
         let mut windows_px = centred(&[0, 2, 6, 16]);
@@ -73,7 +82,6 @@ impl Default for FeatureDescription {
         Self {
             sift_bins_px: vec![4, 8],
             windows_px,
-            wraps: false,
         }
     }
 }
@@ -81,8 +89,12 @@ impl Default for FeatureDescription {
 impl FeatureDescription {
     /// Number of values of a pixel.
     pub fn dimensions(&self) -> usize {
-        self.sift_bins_px.len() * sift::DIMENSIONS
-            + self.windows_px.len() * CHANNELS
+        let FeatureOptions {
+            sift_bins_px,
+            windows_px,
+        } = &self.options;
+        sift_bins_px.len() * sift::DIMENSIONS
+            + windows_px.len() * CHANNELS
             + if self.wraps { 1 } else { 2 }
     }
 
@@ -95,7 +107,11 @@ impl FeatureDescription {
             true => Ok(()),
             false => Err(FeatureError::Range { what, found }),
         };
-        for bin in &self.sift_bins_px {
+        let FeatureOptions {
+            sift_bins_px,
+            windows_px,
+        } = &self.options;
+        for bin in sift_bins_px {
             // Sums of 32⁴ weights still fit 32 bits.
             range(
                 "SIFT bins of 1 to 32 px",
@@ -103,7 +119,7 @@ impl FeatureDescription {
                 (1..=32).contains(bin),
             )?;
         }
-        for window in &self.windows_px {
+        for window in windows_px {
             range(
                 "windows of at most 120 px to each side",
                 window.half.into(),
@@ -116,7 +132,7 @@ impl FeatureDescription {
                 furthest <= 65_535,
             )?;
         }
-        let most = self.sift_bins_px.len().max(self.windows_px.len());
+        let most = sift_bins_px.len().max(windows_px.len());
         range(
             "at most 1000 windows and scales each",
             most as u64,

@@ -18,7 +18,7 @@ mod smooth;
 mod tests;
 
 use boxes::Integrals;
-pub use description::{FeatureDescription, FeatureError, Window};
+pub use description::{FeatureDescription, FeatureError, FeatureOptions, Window};
 pub use sampling::{LabelledFeatures, SamplingOptions, labelled_features};
 use sift::DenseSift;
 use smooth::Edge;
@@ -50,7 +50,7 @@ impl PixelFeatures {
         let size = [image.width(), image.height()];
         let edge = Edge::of(description.wraps);
         let luma = colour::luma(image);
-        let sift = description.sift_bins_px.iter();
+        let sift = description.options.sift_bins_px.iter();
         Ok(Self {
             sift: sift
                 .map(|bin| DenseSift::new(&luma, size, *bin as usize, edge))
@@ -79,7 +79,7 @@ impl PixelFeatures {
             sift.write(u, v, part);
             rest = after;
         }
-        for window in &self.description.windows_px {
+        for window in &self.description.options.windows_px {
             let Some((part, after)) = rest.split_at_mut_checked(CHANNELS) else {
                 return;
             };

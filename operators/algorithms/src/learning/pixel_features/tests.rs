@@ -63,11 +63,11 @@ fn a_flat_image_has_its_colour_and_no_texture() {
     let what = FeatureDescription::default();
     let features = PixelFeatures::new(&what, &view(40, 30, &data)).unwrap();
     let found = values(&features, &what, 17, 12);
-    let sift = what.sift_bins_px.len() * sift::DIMENSIONS;
+    let sift = what.options.sift_bins_px.len() * sift::DIMENSIONS;
     assert!(found[..sift].iter().all(|value| *value == 0));
     for window in found[sift..]
         .chunks_exact(CHANNELS)
-        .take(what.windows_px.len())
+        .take(what.options.windows_px.len())
     {
         // L* of grey 200 is 80.6 of 100; a*, b* are in the middle; a third of the light each.
         assert_eq!(window, [206, 128, 128, 170, 170, 0, 0, 0]);
@@ -83,9 +83,11 @@ fn descriptors_keep_their_values_in_other_light() {
     let dim = picture(48, 48, 9);
     let bright: Vec<u8> = dim.iter().map(|value| value + 90).collect();
     let what = FeatureDescription {
-        sift_bins_px: vec![4],
-        windows_px: Vec::new(),
-        ..FeatureDescription::default()
+        options: FeatureOptions {
+            sift_bins_px: vec![4],
+            windows_px: Vec::new(),
+        },
+        wraps: false,
     };
     let [dim, bright] = [&dim, &bright].map(|data| {
         let features = PixelFeatures::new(&what, &view(48, 48, data)).unwrap();
@@ -104,9 +106,11 @@ fn an_edge_is_seen_in_its_direction() {
         .collect();
     let data = row.repeat(32);
     let what = FeatureDescription {
-        sift_bins_px: vec![3],
-        windows_px: Vec::new(),
-        ..FeatureDescription::default()
+        options: FeatureOptions {
+            sift_bins_px: vec![3],
+            windows_px: Vec::new(),
+        },
+        wraps: false,
     };
     let features = PixelFeatures::new(&what, &view(32, 32, &data)).unwrap();
     let found = values(&features, &what, 16, 16);
@@ -135,16 +139,21 @@ fn senseless_descriptions_are_refused() {
         change(&mut what);
         refused(&what)
     };
-    assert!(wrong(&|what| what.sift_bins_px = vec![0]));
-    assert!(wrong(&|what| what.sift_bins_px = vec![33]));
-    assert!(wrong(&|what| what.windows_px = vec![window(121, 0)]));
-    assert!(wrong(&|what| what.windows_px = vec![window(0, i32::MIN)]));
-    assert!(wrong(&|what| what.sift_bins_px = vec![1; 300]));
+    assert!(wrong(&|what| what.options.sift_bins_px = vec![0]));
+    assert!(wrong(&|what| what.options.sift_bins_px = vec![33]));
+    assert!(wrong(&|what| what.options.windows_px = vec![window(121, 0)]));
+    assert!(wrong(
+        &|what| what.options.windows_px = vec![window(0, i32::MIN)]
+    ));
+    assert!(wrong(&|what| what.options.sift_bins_px = vec![1; 300]));
 }
 
 #[test]
 fn a_description_survives_json() {
-    let what = FeatureDescription::default();
+    let what = FeatureDescription {
+        wraps: true,
+        ..FeatureDescription::default()
+    };
     let text = serde_json::to_string(&what).unwrap();
     assert_eq!(
         serde_json::from_str::<FeatureDescription>(&text).unwrap(),

@@ -173,12 +173,7 @@ fn share(value: u16, of: u16) -> u16 {
 
 /// The angle between neighbouring columns (rad).
 pub(super) fn rad_per_px(graph: &Graph, options: &Options) -> f32 {
-    let range = if graph.wraps {
-        TAU
-    } else {
-        options.field_of_view_rad as f32
-    };
-    range / graph.width.max(1) as f32
+    graph.rad_per_px(options.field_of_view_rad as f32)
 }
 
 /// The areas that take part, the largest first: not small ones, nor those of ignored classes, nor those whose numbers are

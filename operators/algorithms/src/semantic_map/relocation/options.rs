@@ -78,7 +78,7 @@ pub struct Options {
     /// expects views to look the same way, 2 also the opposite one.
     #[schemars(range(min = 1, max = 360))]
     pub headings: u32,
-    /// Horizontal field of view of images that are no full panorama (rad).
+    /// Horizontal field of view of views whose calibration is not known and that are no full panorama (rad).
     #[schemars(range(min = 0.0, max = TAU))]
     pub field_of_view_rad: f64,
     /// Areas that cover less of the image than this share take no part in the search: they are the first to be seen

@@ -20,6 +20,7 @@ mod shape;
 mod tests;
 
 use std::cmp::Reverse;
+use std::f32::consts::TAU;
 
 pub use relation::{Relation, UnknownRelation};
 use thiserror::Error;
@@ -120,6 +121,9 @@ pub struct Graph {
     pub height: u32,
     /// True where the last column is next to the first.
     pub wraps: bool,
+    /// The angle from the left edge of the image to the right one (rad); `None` where that is not known. Labels do not
+    /// say it.
+    pub field_of_view_rad: Option<f32>,
     /// By class, the largest first; of equal ones the one whose first pixel comes first.
     pub areas: Vec<Area>,
     /// By `a`, then `b`.
@@ -236,10 +240,21 @@ impl Graph {
             width,
             height,
             wraps,
+            field_of_view_rad: None,
             areas,
             edges: boundaries.edges(&area_of),
         };
         Ok((graph, area_of_run))
+    }
+
+    /// The angle between neighbouring columns (rad), on average: of a full turn where the image wraps, else of its field
+    /// of view, or of `unknown_rad` where that is not known.
+    pub fn rad_per_px(&self, unknown_rad: f32) -> f32 {
+        let range = match self.wraps {
+            true => TAU,
+            false => self.field_of_view_rad.unwrap_or(unknown_rad),
+        };
+        range / self.width.max(1) as f32
     }
 
     /// Number of areas of a class.

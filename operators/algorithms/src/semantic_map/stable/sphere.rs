@@ -1,10 +1,10 @@
 //! Panoramas with range: what a view looks like in every direction, and how far away it is.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::PI;
 
 use nalgebra::Vector3;
 
-use crate::geometry::camera::{Camera, Model};
+use crate::geometry::camera::{Camera, Equirectangular, Model};
 
 /// The lens of a panorama: columns are longitude, rows are latitude, as [`crate::geometry::camera::Equirectangular`] has
 /// it, with an image's size.
@@ -47,7 +47,7 @@ impl Lens {
             height,
             focal,
             centre,
-            wraps: (TAU * focal[0] - width as f64).abs() < 0.5,
+            wraps: Equirectangular::new(focal, centre).wraps(width),
             longitudes: angles(width, centre[0], focal[0]),
             latitudes: angles(height, centre[1], focal[1]),
         })

@@ -63,19 +63,9 @@ impl Voter {
     /// For the views of a camera. Depth is the distance along the ray; of a pinhole camera, along the optical axis, as
     /// is usual with each.
     pub fn new(camera: &Camera, options: &VoteOptions) -> Self {
-        let last = f64::from(camera.width) - 1.0;
-        let ray = |column: f64| camera.unproject([column, 0.5 * f64::from(camera.height)]);
-        let panorama = matches!(camera.model, Model::Equirectangular(_));
-        // From the last column to the first one is no farther than from one column to the next.
-        let wraps = match (ray(0.0), ray(1.0), ray(last)) {
-            (Some(first), Some(second), Some(last)) if panorama => {
-                first.angle(&last) < 1.5 * first.angle(&second)
-            }
-            _ => false,
-        };
         Self {
             camera: camera.clone(),
-            wraps,
+            wraps: camera.wraps(),
             along_axis: matches!(camera.model, Model::Pinhole(_)),
             options: *options,
         }

@@ -39,6 +39,7 @@ pub(super) fn graph() -> impl Strategy<Value = Graph> {
                 width: WIDTH,
                 height: 333,
                 wraps,
+                field_of_view_rad: None,
                 areas,
                 edges,
             }

@@ -148,6 +148,7 @@ fn what_is_no_number_takes_no_part() {
         width: 100,
         height: 50,
         wraps: true,
+        field_of_view_rad: None,
         areas: areas.to_vec(),
         edges: vec![Edge {
             a: 0,

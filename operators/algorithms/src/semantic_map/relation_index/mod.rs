@@ -1,10 +1,13 @@
-//! Views by pairs of classes and how they lie.
+//! Views by pairs of classes and how they lie, and what tells of which views an index is.
+
+#[cfg(test)]
+mod tests;
+mod view_set;
 
 use std::collections::BTreeMap;
 
-use evermap_algorithms::semantic_map::semantic_graph::{Graph, Relation};
-
-use super::view_set::ViewSet;
+use crate::semantic_map::semantic_graph::{Graph, Relation};
+pub use view_set::ViewSet;
 
 /// For each pair of classes and each relation the views in which it holds: 'car on road' is one look-up.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -31,6 +34,12 @@ impl RelationIndex {
             }
         }
         index
+    }
+
+    /// Which class is in which relation to which, and the views in which it is: the first class by number, then the
+    /// relation, then the other class.
+    pub fn iter(&self) -> impl Iterator<Item = ((u8, Relation, u8), &ViewSet)> {
+        self.sets.iter().map(|(related, views)| (*related, views))
     }
 
     /// The views in which some area of class `a` is in `relation` to some other area of class `b`; exactly those of
@@ -66,4 +75,16 @@ fn contacts(graph: &Graph) -> impl Iterator<Item = (u8, Relation, u8)> + '_ {
             let pairs = graph.related(relation);
             pairs.map(move |[a, b]| (graph.areas[a].class, relation, graph.areas[b].class))
         })
+}
+
+/// What tells views from others by their names, whatever their number: a digest of the names in the order given, 64
+/// hexadecimal digits.
+pub fn names_digest<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    let mut digest = blake3::Hasher::new();
+    for name in names {
+        // With its length: names may hold whatever would be put between them.
+        digest.update(&(name.len() as u64).to_le_bytes());
+        digest.update(name.as_bytes());
+    }
+    digest.finalize().to_hex().to_string()
 }

@@ -17,6 +17,28 @@ impl ViewSet {
         }
     }
 
+    /// As bytes: view n is bit n modulo 8 of byte n / 8, the lowest bit first.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let bytes = self.words.iter().flat_map(|word| word.to_le_bytes());
+        bytes.take(self.views.div_ceil(8)).collect()
+    }
+
+    /// Of `views` views, from what [`ViewSet::to_bytes`] gave; `None` for as many bytes as so many views do not have, and
+    /// where a view is among them that there is not.
+    pub fn from_bytes(bytes: &[u8], views: usize) -> Option<Self> {
+        let words = bytes.chunks(8).map(|chunk| {
+            let mut word = [0; 8];
+            word[..chunk.len()].copy_from_slice(chunk);
+            u64::from_le_bytes(word)
+        });
+        let words: Vec<u64> = words.collect();
+        let beyond = words.last().is_some_and(|last| match views % 64 {
+            0 => false,
+            used => last >> used != 0,
+        });
+        (bytes.len() == views.div_ceil(8) && !beyond).then_some(Self { words, views })
+    }
+
     /// Adds a view; one that there is not is passed over.
     pub fn insert(&mut self, view: u32) {
         if (view as usize) < self.views {

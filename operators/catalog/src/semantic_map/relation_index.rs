@@ -1,0 +1,72 @@
+#![doc = include_str!("relation_index.md")]
+
+use evermap_algorithms::semantic_map::relation_index::{self, ViewSet, names_digest};
+use evermap_algorithms::semantic_map::semantic_graph::{Graph, Relation, VOID};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_schemas::Bytes;
+use evermap_schemas::layers::{RelatedViews, View};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::inputs::graphs::ClassNames;
+
+/// See the module's page.
+pub struct RelationIndex;
+
+/// There is nothing to choose.
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
+pub struct RelationIndexParams {}
+
+impl Operator for RelationIndex {
+    const NAME: &'static str = "relation_index";
+    const VERSION: u32 = 1;
+    const PAGE: &'static str = include_str!("relation_index.md");
+    type Params = RelationIndexParams;
+    type Output = RelatedViews;
+
+    fn work() -> Work<Self::Params> {
+        Work::group(Port::site::<View>("views"), Key::SITE, vec![], related)
+    }
+}
+
+fn related(
+    _: &RelationIndexParams,
+    mut views: Vec<View>,
+    _: &Sides,
+    emit: &mut Emit<'_>,
+) -> Result<(), Fault> {
+    let Some(site) = views.first().map(|view| view.site.clone()) else {
+        return Ok(());
+    };
+    views.sort_by(|a, b| a.view.cmp(&b.view));
+    let classes = ClassNames::of(&views);
+    let mut names = Vec::with_capacity(views.len());
+    let mut graphs: Vec<Graph> = Vec::with_capacity(views.len());
+    for view in views {
+        match classes.graph(&view.graph) {
+            Ok(graph) => {
+                graphs.push(graph);
+                names.push(view.view);
+            }
+            Err(reason) => emit.skip(reason, 1),
+        }
+    }
+    let mut areas = graphs.iter().flat_map(|graph| &graph.areas);
+    if areas.any(|area| area.class == VOID) {
+        emit.skip("site has more than 255 classes", graphs.len() as u64);
+        return Ok(());
+    }
+    let digest = names_digest(names.iter().map(String::as_str));
+    let index = relation_index::RelationIndex::new(graphs.iter());
+    let row = |((class, relation, other), views): ((u8, Relation, u8), &ViewSet)| RelatedViews {
+        site: site.clone(),
+        class: classes.name(class.into()).to_owned(),
+        relation: relation.word().to_owned(),
+        other: classes.name(other.into()).to_owned(),
+        views: Bytes(views.to_bytes()),
+        names: digest.clone(),
+    };
+    let mut rows: Vec<RelatedViews> = index.iter().map(row).collect();
+    rows.sort_by(|a, b| (&a.class, &a.relation, &a.other).cmp(&(&b.class, &b.relation, &b.other)));
+    emit.rows(rows)
+}
