@@ -22,7 +22,7 @@ use crate::inputs::spheres::{MovingClasses, surroundings, values};
 pub struct InferredLabelImages;
 
 /// How what nobody saw is inferred.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[derive(Default, Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct InferredLabelsParams {
     /// The equations, and how sure is sure.
@@ -31,15 +31,6 @@ pub struct InferredLabelsParams {
     /// What moves.
     #[serde(flatten)]
     pub classes: MovingClasses,
-}
-
-impl Default for InferredLabelsParams {
-    fn default() -> Self {
-        Self {
-            options: Options::default(),
-            classes: MovingClasses::default(),
-        }
-    }
 }
 
 impl Operator for InferredLabelImages {
