@@ -126,7 +126,7 @@ fn block(level: &Patch, column: usize, row: usize) -> Vec<u8> {
 fn compressed(block: &[u8]) -> Result<Vec<u8>, TiffError> {
     let mut bytes = Vec::new();
     Deflate::default().write_to(&mut bytes, block)?;
-    if bytes.len() % 2 == 1 {
+    if !bytes.len().is_multiple_of(2) {
         bytes.push(0);
     }
     Ok(bytes)
@@ -199,7 +199,7 @@ fn describe<W: Write + Seek>(
     // The end of a text among several, and of an even length with its zero.
     text.push('|');
     let length = u16::try_from(text.len())?;
-    if text.len() % 2 == 0 {
+    if text.len().is_multiple_of(2) {
         text.push(' ');
     }
     // Key, tag that has the value (0: this one), how many, value or where it is.

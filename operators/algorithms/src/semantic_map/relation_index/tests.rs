@@ -6,12 +6,7 @@ use std::collections::BTreeSet;
 use proptest::prelude::*;
 
 use super::*;
-use crate::semantic_map::semantic_graph::{Area, Edge};
-
-#[path = "../relocation/tests/graphs.rs"]
-mod graphs;
-
-use graphs::graph;
+use crate::semantic_map::relocation::tests::graphs::graph;
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(128))]

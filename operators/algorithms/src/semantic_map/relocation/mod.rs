@@ -20,7 +20,7 @@ mod tree;
 mod view_map;
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 
 pub use class_index::ClassIndex;
 pub use options::{Options, Scales};

@@ -24,7 +24,7 @@ fn area() -> impl Strategy<Value = Area> {
     })
 }
 
-pub(super) fn graph() -> impl Strategy<Value = Graph> {
+pub(crate) fn graph() -> impl Strategy<Value = Graph> {
     let edges = prop::collection::vec((0_u16..40, 0_u16..40, 1_u32..400), 0..40);
     (prop::collection::vec(area(), 0..40), edges, any::<bool>()).prop_map(
         |(areas, edges, wraps)| {

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::semantic_map::semantic_graph::{Area, Edge, Graph};
 
-mod graphs;
+pub(in crate::semantic_map) mod graphs;
 
 use graphs::{WIDTH, graph};
 
