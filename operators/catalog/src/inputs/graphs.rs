@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use evermap_algorithms::semantic_map::semantic_graph::{Area, Edge, Graph, VOID};
-use evermap_contract::Reason;
+use evermap_contract::{Emit, Reason};
 use evermap_schemas::layers::{SemanticArea, SemanticEdge, SemanticGraph, View};
 
 /// Names of classes with their numbers.
@@ -78,6 +78,38 @@ impl ClassNames {
             areas: row.areas.iter().map(area).collect(),
             edges: row.edges.iter().map(edge).collect(),
         })
+    }
+}
+
+/// Views of a site as an index numbers them.
+pub(crate) struct NumberedViews {
+    /// What the numbers of classes in the graphs mean.
+    pub(crate) classes: ClassNames,
+    /// Names of the views, in the order of the alphabet.
+    pub(crate) names: Vec<String>,
+    /// What each shows.
+    pub(crate) graphs: Vec<Graph>,
+}
+
+impl NumberedViews {
+    /// Of rows; those that describe no graph are skipped.
+    pub(crate) fn of(mut views: Vec<View>, emit: &mut Emit<'_>) -> Self {
+        views.sort_by(|a, b| a.view.cmp(&b.view));
+        let mut numbered = Self {
+            classes: ClassNames::of(&views),
+            names: Vec::with_capacity(views.len()),
+            graphs: Vec::with_capacity(views.len()),
+        };
+        for view in views {
+            match numbered.classes.graph(&view.graph) {
+                Ok(graph) => {
+                    numbered.graphs.push(graph);
+                    numbered.names.push(view.view);
+                }
+                Err(reason) => emit.skip(reason, 1),
+            }
+        }
+        numbered
     }
 }
 

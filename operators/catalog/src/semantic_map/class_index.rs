@@ -1,13 +1,12 @@
 #![doc = include_str!("class_index.md")]
 
 use evermap_algorithms::semantic_map::relocation;
-use evermap_algorithms::semantic_map::semantic_graph::Graph;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{ClassCount, ClassLeaf, View};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::graphs::ClassNames;
+use crate::inputs::graphs::NumberedViews;
 
 /// See the module's page.
 pub struct ClassIndex;
@@ -30,24 +29,16 @@ impl Operator for ClassIndex {
 
 fn leaves(
     _: &ClassIndexParams,
-    mut views: Vec<View>,
+    views: Vec<View>,
     _: &Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let site = views.first().map(|view| view.site.clone());
-    views.sort_by(|a, b| a.view.cmp(&b.view));
-    let classes = ClassNames::of(&views);
-    let mut names = Vec::with_capacity(views.len());
-    let mut graphs: Vec<Graph> = Vec::with_capacity(views.len());
-    for view in views {
-        match classes.graph(&view.graph) {
-            Ok(graph) => {
-                graphs.push(graph);
-                names.push(view.view);
-            }
-            Err(reason) => emit.skip(reason, 1),
-        }
-    }
+    let NumberedViews {
+        classes,
+        names,
+        graphs,
+    } = NumberedViews::of(views, emit);
     let index = relocation::ClassIndex::new(graphs.iter(), classes.len());
     let rows = (0..index.len()).map(|leaf| {
         let (counts, views) = index.leaf(leaf);

@@ -22,7 +22,7 @@ use crate::inputs::spheres::{MovingClasses, surroundings, values};
 pub struct InferredLabelImages;
 
 /// How what nobody saw is inferred.
-#[derive(Default, Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct InferredLabelsParams {
     /// The equations, and how sure is sure.

@@ -1,14 +1,14 @@
 #![doc = include_str!("relation_index.md")]
 
 use evermap_algorithms::semantic_map::relation_index::{self, ViewSet, names_digest};
-use evermap_algorithms::semantic_map::semantic_graph::{Graph, Relation, VOID};
+use evermap_algorithms::semantic_map::semantic_graph::{Relation, VOID};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{RelatedViews, View};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::graphs::ClassNames;
+use crate::inputs::graphs::NumberedViews;
 
 /// See the module's page.
 pub struct RelationIndex;
@@ -31,26 +31,18 @@ impl Operator for RelationIndex {
 
 fn related(
     _: &RelationIndexParams,
-    mut views: Vec<View>,
+    views: Vec<View>,
     _: &Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = views.first().map(|view| view.site.clone()) else {
         return Ok(());
     };
-    views.sort_by(|a, b| a.view.cmp(&b.view));
-    let classes = ClassNames::of(&views);
-    let mut names = Vec::with_capacity(views.len());
-    let mut graphs: Vec<Graph> = Vec::with_capacity(views.len());
-    for view in views {
-        match classes.graph(&view.graph) {
-            Ok(graph) => {
-                graphs.push(graph);
-                names.push(view.view);
-            }
-            Err(reason) => emit.skip(reason, 1),
-        }
-    }
+    let NumberedViews {
+        classes,
+        names,
+        graphs,
+    } = NumberedViews::of(views, emit);
     let mut areas = graphs.iter().flat_map(|graph| &graph.areas);
     if areas.any(|area| area.class == VOID) {
         emit.skip("site has more than 255 classes", graphs.len() as u64);

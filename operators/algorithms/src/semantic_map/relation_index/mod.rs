@@ -9,6 +9,9 @@ use std::collections::BTreeMap;
 use crate::semantic_map::semantic_graph::{Graph, Relation};
 pub use view_set::ViewSet;
 
+/// Relations between areas that are collected before equal ones become one.
+const MANY: usize = 1 << 16;
+
 /// For each pair of classes and each relation the views in which it holds: 'car on road' is one look-up.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RelationIndex {
@@ -50,7 +53,8 @@ impl RelationIndex {
 }
 
 fn directions(graph: &Graph) -> Vec<(u8, Relation, u8)> {
-    let mut found = Vec::with_capacity(graph.areas.len().pow(2));
+    // No more is reserved than is kept: a graph of 65,535 areas has billions of pairs.
+    let mut found = Vec::with_capacity(graph.areas.len().pow(2).min(MANY));
     for (at, a) in graph.areas.iter().enumerate() {
         for (other, b) in graph.areas.iter().enumerate() {
             if at != other
@@ -60,7 +64,7 @@ fn directions(graph: &Graph) -> Vec<(u8, Relation, u8)> {
             }
         }
         // Many areas of few classes: most are the same.
-        if found.len() > 1 << 16 {
+        if found.len() > MANY {
             found.sort_unstable();
             found.dedup();
         }
