@@ -343,39 +343,6 @@ fn one_camera_on_the_road_halves_the_odometrys_turning_and_finds_its_way_again()
 }
 
 #[test]
-#[ignore = "an hour: five car parks of full size, three drives each"]
-fn five_seeds_reach_what_one_does() {
-    let folder = tempfile::tempdir().unwrap();
-    for seed in 1..=5 {
-        let map = folder.path().join(format!("map_{seed}"));
-        let park = Park::new(folder.path(), seed);
-        let mut truths = Trajectories::new();
-        for index in 0..3 {
-            let (session, truth) = park.drive(index, &format!("drive_{index}"), &["loops=2"]);
-            truths.extend(truth);
-            run(
-                if index == 0 { "metric_map" } else { "lifelong" },
-                &map,
-                &[&session],
-            );
-            let error = adjusted_error(
-                &format!("seed {seed}, {} drives", index + 1),
-                &map,
-                None,
-                &truths,
-            );
-            let most = if index == 2 { 0.03 } else { 0.05 };
-            assert!(error.position_m.rmse <= most);
-            if index > 0 {
-                let localised =
-                    Localised::of(&map, index as u32 + 1, &format!("drive_{index}"), &truths);
-                assert!(localised.is_never_silently_wrong());
-            }
-        }
-    }
-}
-
-#[test]
 fn threads_and_partitions_do_not_change_the_map() {
     let folder = tempfile::tempdir().unwrap();
     let park = Park::new(folder.path(), 15);

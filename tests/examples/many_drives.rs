@@ -1,23 +1,30 @@
 //! What a map costs as drives are added to it: many drives through one simulated car park, one run each, and for each
-//! version its seconds, memory, bytes read, size and accuracy.
+//! version its seconds, memory, bytes read, size and accuracy; of the parking spaces that somebody drew once, after the first
+//! drive, how far they are from where they truly are, and how far off a vehicle would stop that finds itself in the version
+//! before and drives to them from 20 m (paper 1, sections VI-A and VI-D).
 //!
 //! ```sh
 //! cargo build --release --package evermap
-//! cargo run --release --package evermap-tests --example many_drives -- FOLDER 30 [PLAN]
+//! cargo run --release --package evermap-tests --example many_drives -- FOLDER 30 [PLAN [SEED]]
 //! ```
 //!
 //! A folder that has a world and a map goes on with them.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout)]
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
+use evermap_bench::trajectory::Statistics;
 use evermap_tests::park::SMALL;
-use evermap_tests::trajectories::truth_from_map;
-use evermap_tests::trajectories::{Trajectories, error_in, map_error, poses, rows, truth};
+use evermap_tests::trajectories::{
+    Trajectories, error_in, map_error, pairs, poses, rows, truth, truth_from_map,
+};
 use evermap_tests::{plan_command, simulate, text};
+use nalgebra::Vector3;
+use serde_json::Value;
 
 /// Of Linux on all machines that evermap is built for.
 const TICKS_PER_S: f64 = 100.0;
@@ -29,18 +36,20 @@ fn main() {
     let usage = "expected FOLDER and a number of drives";
     let folder = PathBuf::from(arguments.next().expect(usage));
     let drives: usize = arguments.next().expect(usage).parse().expect(usage);
-    let plan = arguments.next().unwrap_or_else(|| "lifelong".to_owned());
+    let plan = arguments.next().unwrap_or_else(|| "labels".to_owned());
+    let seed = arguments.next().unwrap_or_else(|| "1".to_owned());
     let world = folder.join("world");
     if !world.exists() {
-        simulate_drives(&world, drives);
+        simulate_drives(&world, drives, &seed);
     }
     let map = folder.join("map");
+    let spaces = spaces(&world);
     println!(
-        "| drive | s | CPU s | peak MiB | read MiB | map MiB | keyframes kept | landmarks | ATE cm | lost % | median cm | frame moved mm |"
+        "| drive | s | CPU s | peak MiB | read MiB | map MiB | keyframes kept | landmarks | ATE cm | lost % | median cm | frame moved mm | spaces off cm, median, worst | parked off cm, median, worst |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
     let mut truths = Trajectories::new();
-    let done = versions(&map);
+    let done = drives_in(&map);
     for drive in 0..drives {
         let name = match drive {
             0 => "initial".to_owned(),
@@ -53,26 +62,57 @@ fn main() {
         }
         let cost = add(&plan, &map, &world.join(format!("{name}.mcap")));
         println!(
-            "| {} | {cost} | {} |",
+            "| {} | {cost} | {} | {} |",
             drive + 1,
-            found(&map, drive, &name, &truths)
+            found(&map, &name, &truths),
+            labels(&map, &name, &truths, &spaces)
         );
+        if drive == 0 && plan != "lifelong" {
+            add(&plan, &map, &world.join("annotations.mcap"));
+        }
     }
 }
 
 /// Thirty drives of it fit into two hours.
-fn simulate_drives(world: &Path, drives: usize) {
-    let revisits = format!("revisits={}", drives - 1);
-    let settings: Vec<&str> = SMALL.into_iter().chain(["loops=0.5", &revisits]).collect();
+fn simulate_drives(world: &Path, drives: usize, seed: &str) {
+    let (revisits, seed) = (format!("revisits={}", drives - 1), format!("seed={seed}"));
+    let own = ["loops=0.5", "annotations=true", &revisits, &seed];
+    let settings: Vec<&str> = SMALL.into_iter().chain(own).collect();
     simulate("car_park", world, &settings);
 }
 
-/// How many versions the map has.
-fn versions(map: &Path) -> usize {
-    let there = map
-        .exists()
-        .then(|| rows(map, None, "SELECT version FROM versions"));
-    there.map_or(0, |versions| versions.len())
+/// How many drives the map has.
+fn drives_in(map: &Path) -> usize {
+    let sql = "SELECT DISTINCT session FROM keyframes";
+    map.exists()
+        .then(|| rows(map, None, sql))
+        .map_or(0, |found| found.len())
+}
+
+/// Where the middles of the parking spaces truly are, by what the annotator calls them, m.
+fn spaces(world: &Path) -> BTreeMap<String, [f64; 2]> {
+    let text = std::fs::read_to_string(world.join("truth/bays.geojson")).unwrap();
+    let truth: Value = serde_json::from_str(&text).unwrap();
+    let space = |feature: &Value| {
+        let label = feature["properties"]["label"].as_str().unwrap();
+        let ring = feature["geometry"]["coordinates"][0].as_array().unwrap();
+        // The last point of a ring is the first one again.
+        let corners = &ring[1..];
+        let mean = |axis: usize| {
+            let sum: f64 = corners
+                .iter()
+                .map(|corner| corner[axis].as_f64().unwrap())
+                .sum();
+            sum / corners.len() as f64
+        };
+        (format!("space {label}"), [mean(0), mean(1)])
+    };
+    truth["features"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(space)
+        .collect()
 }
 
 /// Adds a session to the map: seconds, those of the CPU, peak memory, bytes read, size of the map.
@@ -151,7 +191,7 @@ fn size(folder: &Path) -> u64 {
 }
 
 /// What is in the newest version of the map, and how right it is.
-fn found(map: &Path, drive: usize, name: &str, truths: &Trajectories) -> String {
+fn found(map: &Path, name: &str, truths: &Trajectories) -> String {
     let count = |sql: &str| rows(map, None, sql)[0]["n"].as_f64().unwrap_or(0.0);
     let kept = count("SELECT count(*) AS n FROM adjusted_poses");
     let landmarks = count("SELECT count(*) AS n FROM landmarks");
@@ -161,8 +201,8 @@ fn found(map: &Path, drive: usize, name: &str, truths: &Trajectories) -> String 
     let lost = count(&format!(
         "SELECT avg(CASE WHEN state = 'lost' THEN 100.0 ELSE 0.0 END) AS n {of}"
     ));
-    let median_cm = (drive > 0).then(|| {
-        let before = poses(map, Some(drive as u32), "poses", "map_from_vehicle");
+    let median_cm = before(map).map(|before| {
+        let before = poses(map, Some(before), "poses", "map_from_vehicle");
         let mut found = poses(map, None, "localisations", "map_from_vehicle");
         found.retain(|session, _| session == name);
         let error = error_in(&found, truths, &truth_from_map(&before, truths));
@@ -173,4 +213,87 @@ fn found(map: &Path, drive: usize, name: &str, truths: &Trajectories) -> String 
         100.0 * error.position_m.rmse,
         median_cm.unwrap_or(f64::NAN)
     )
+}
+
+/// How far drawn spaces are from where they are, and from where a vehicle expects them that found itself in the version
+/// before: median and worst of each, cm.
+fn labels(
+    map: &Path,
+    name: &str,
+    truths: &Trajectories,
+    spaces: &BTreeMap<String, [f64; 2]>,
+) -> String {
+    let drawn = drawn(map, None, spaces);
+    let truth_from_map = truth_from_map(&poses(map, None, "poses", "map_from_vehicle"), truths);
+    let off = drawn.iter().map(|(label, space)| {
+        let found = truth_from_map.transform(label);
+        (found.xy() - space.xy()).norm()
+    });
+    let parked = before(map).map_or_else(Vec::new, |before| {
+        parked(map, name, truths, &self::drawn(map, Some(before), spaces))
+    });
+    format!("{} | {}", statistics(off.collect()), statistics(parked))
+}
+
+/// The version before the newest one.
+fn before(map: &Path) -> Option<u32> {
+    let newest = rows(map, None, "SELECT max(version) AS n FROM versions")[0]["n"].as_u64();
+    newest
+        .filter(|newest| *newest > 1)
+        .map(|newest| newest as u32 - 1)
+}
+
+/// Drawn spaces of a version: where the map has them, and where they truly are, m.
+fn drawn(
+    map: &Path,
+    version: Option<u32>,
+    spaces: &BTreeMap<String, [f64; 2]>,
+) -> Vec<(Vector3<f64>, Vector3<f64>)> {
+    let there = rows(
+        map,
+        version,
+        "SELECT layer FROM layers WHERE layer = 'placed_labels'",
+    );
+    if there.is_empty() {
+        return Vec::new();
+    }
+    let sql = "SELECT label, map_from_label['x'] AS x, map_from_label['y'] AS y, map_from_label['z'] AS z \
+               FROM placed_labels WHERE kind = 'parking_space' AND standing = 'drawn'";
+    let label = |row: &Value| {
+        let [x, y] = *spaces.get(row["label"].as_str()?)?;
+        let found = ["x", "y", "z"].map(|axis| row[axis].as_f64().unwrap());
+        Some((Vector3::from(found), Vector3::new(x, y, 0.0)))
+    };
+    rows(map, version, sql).iter().filter_map(label).collect()
+}
+
+/// Where a vehicle expects each space, against where it is, at each pose from 20 m on.
+fn parked(
+    map: &Path,
+    name: &str,
+    truths: &Trajectories,
+    drawn: &[(Vector3<f64>, Vector3<f64>)],
+) -> Vec<f64> {
+    let found = pairs(
+        &poses(map, None, "localisations", "map_from_vehicle"),
+        truths,
+    );
+    let found = found.get(name).map_or(&[][..], Vec::as_slice);
+    let mut off = Vec::new();
+    for pair in found {
+        for (label, space) in drawn {
+            let standing = Vector3::new(space.x, space.y, pair.truth.translation.z);
+            let truly = pair.truth.inverse().transform(&standing);
+            if truly.norm() <= 20.0 {
+                let expected = pair.estimate.inverse().transform(label);
+                off.push((expected.xy() - truly.xy()).norm());
+            }
+        }
+    }
+    off
+}
+
+fn statistics(metres: Vec<f64>) -> String {
+    let said = |found: Statistics| format!("{:.1}, {:.1}", 100.0 * found.median, 100.0 * found.max);
+    Statistics::of(metres).map_or_else(|| "none".to_owned(), said)
 }
