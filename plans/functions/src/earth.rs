@@ -1,7 +1,7 @@
 //! Places of a map's points on earth.
 
 use arrow::array::{Array, ArrayRef, AsArray};
-use arrow::datatypes::{DataType, Float64Type};
+use arrow::datatypes::Float64Type;
 use datafusion::common::{DataFusionError, Result};
 use evermap_algorithms::geometry::geodesy::{Geodetic, MapOnEarth};
 use evermap_schemas::Cell;

@@ -33,6 +33,7 @@ fn view(classes: usize) -> View {
             areas: (0..classes).map(area).collect(),
             edges: Vec::new(),
         },
+        map_from_view: None,
     }
 }
 
