@@ -15,7 +15,7 @@ use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::trajectory::StampedPose;
 use evermap_tests::odometry::{Told, odometry, with_odometry};
 use evermap_tests::park::{FEWER, Park, adjusted_error, finished};
-use evermap_tests::trajectories::{Trajectories, rows};
+use evermap_tests::trajectories::{Trajectories, pairs, poses, rows};
 use evermap_tests::{evermap, shared, text};
 use nalgebra::Vector3;
 
@@ -184,4 +184,40 @@ fn a_strangers_transforms_are_its_odometry() {
     let (odom, tf) = (read(&[]), read(&["--manifest", text(&manifest)]));
     assert!(odom.as_array().unwrap().len() > 100);
     assert_eq!(odom, tf);
+}
+
+/// Wheels see a flat floor, whatever it is like.
+#[test]
+fn an_imu_knows_what_is_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = [
+        "imu=true",
+        "floor_slope=0.06",
+        "width_px=32",
+        "height_px=32",
+        "rate_hz=1",
+        "floor_texels_per_m=10",
+    ];
+    let (session, truths) = Park::new(folder.path(), 5).drive(0, "drive", &settings);
+    let map = folder.path().join("roads");
+    finished("trajectory", &map, &[&session], &[]).expect(0);
+    let found = pairs(&poses(&map, None, "poses", "map_from_vehicle"), &truths);
+    let found = &found["drive"];
+    let start = &found[0];
+    let height = |pose: &Pose, start: &Pose| pose.translation.z - start.translation.z;
+    let up = |pose: &Pose| pose.rotation.inverse() * Vector3::z();
+    let (mut metres, mut radians, mut climbed) = (0.0_f64, 0.0_f64, 0.0_f64);
+    for pair in found {
+        let truth = height(&pair.truth, &start.truth);
+        metres = metres.max((height(&pair.estimate, &start.estimate) - truth).abs());
+        radians = radians.max(up(&pair.estimate).angle(&up(&pair.truth)));
+        climbed = climbed.max(truth.abs());
+    }
+    eprintln!(
+        "a floor of {climbed:.2} m: {metres:.2} m and {:.2}° off at most",
+        radians.to_degrees()
+    );
+    assert!(climbed > 0.5, "{climbed}");
+    // An accelerometer that is off by 0.04 m/s² has the vehicle lean by 0.23°, and climb 0.4 m in 100 m.
+    assert!(metres < 0.3 && radians.to_degrees() < 0.8);
 }

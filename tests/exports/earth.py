@@ -1,7 +1,9 @@
-"""Reads lanes of one map that lies on earth with GDAL's and PROJ's eyes: PARQUET GEOJSON LOCAL."""
+"""Reads lanes of one map that lies on earth with GDAL's and PROJ's eyes, from files and from a server: PARQUET GEOJSON LOCAL HTTP."""
 
 import json
 import sys
+import urllib.parse
+import urllib.request
 
 import geopandas
 
@@ -10,7 +12,7 @@ def coordinates(frame):
     return [point for line in frame.geometry for point in line.coords]
 
 
-def main(parquet, geojson, local):
+def main(parquet, geojson, local, http):
     metres = geopandas.read_parquet(parquet)
     assert metres.crs.is_projected and metres.crs.axis_info[0].direction == "east", metres.crs
     projected = coordinates(metres.to_crs(4326))
@@ -25,6 +27,24 @@ def main(parquet, geojson, local):
     lines = [feature["geometry"]["coordinates"] for feature in own["features"]]
     lengths = [geopandas.GeoSeries.from_wkt([text(line)]).length.iloc[0] for line in lines]
     assert all(abs(a - b) < 1e-6 for a, b in zip(lengths, metres.geometry.length)), "turned, not stretched"
+
+    def served(path):
+        return json.load(urllib.request.urlopen(f"http://{http}/{path}&format=geojson"))
+
+    def query(sql):
+        return served("sql?query=" + urllib.parse.quote(sql))
+
+    exported = json.load(open(geojson))
+    for found in [served("layers/lanes?version=1"), query("SELECT site, lane, geometry FROM lanes")]:
+        assert found["coordinates"] == exported["coordinates"], found["coordinates"]
+        assert lines_of(found) == lines_of(exported)
+    # Nobody knows where rows without a site lie.
+    for found in [served("layers/lanes?local=true"), query("SELECT lane, geometry FROM lanes")]:
+        assert found["coordinates"] == own["coordinates"] and lines_of(found) == lines
+
+
+def lines_of(collection):
+    return [feature["geometry"]["coordinates"] for feature in collection["features"]]
 
 
 def text(line):

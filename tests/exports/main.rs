@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use evermap_tests::recording::is_read_as_the_map_says;
-use evermap_tests::server::{map, script};
+use evermap_tests::server::{Server, map, script};
 use evermap_tests::{Finished, evermap, plan_command, simulate, text};
 
 #[test]
@@ -115,7 +115,8 @@ fn a_map_of_a_car_with_a_receiver_opens_where_it_is() {
     exported(&roads, &geojson, &["lanes", "--format", "geojson"]);
     let as_it_is = ["lanes", "--format", "geojson", "--local"];
     exported(&roads, &local, &as_it_is);
-    let files = [text(&parquet), text(&geojson), text(&local)];
+    let server = Server::start(&roads, &[]);
+    let files = [text(&parquet), text(&geojson), text(&local), &server.http];
     if let Some(mut reader) = script("exports/earth.py", &files) {
         let read = reader.output().expect("python starts");
         Finished::from(read).expect(0);

@@ -73,6 +73,7 @@ operators! {
         features::Features,
         frame_poses::FramePoses,
         georeference::Georeferences,
+        inertial_odometry::InertialOdometry,
         keyframes::Keyframes,
         landmarks::Landmarks,
         localisation::Localisation,

@@ -2,6 +2,7 @@
 import * as address from "./address.js";
 import { VERMILION } from "./colours.js";
 import { SHOWN } from "./layers.js";
+import * as earth from "./earth.js";
 import * as drawn from "./map.js";
 import * as comparison from "./moved.js";
 import * as paint from "./paint.js";
@@ -13,7 +14,7 @@ import * as teach from "./teach.js";
 /* global ol */
 
 const $ = (id) => document.getElementById(id);
-const state = { versions: [], version: undefined, site: undefined, on: new Set(), there: new Map(), query: "" };
+const state = { versions: [], version: undefined, site: undefined, origin: undefined, on: new Set(), there: new Map(), query: "" };
 /** What is asked of the server for the site and version that are shown; another choice ends it. */
 let asking = new AbortController();
 /** More points of a query than these are drawn as marks. */
@@ -123,6 +124,9 @@ async function opened(wanted) {
   about();
   list();
   paintable();
+  state.origin = await work("where it lies", () => earth.origin(state, signal));
+  if (signal.aborted) return;
+  earth.point($("north"), state.origin);
   for (const made of shown.values()) map.removeLayer(made);
   shown.clear();
   moved.getSource().clear();
@@ -304,7 +308,8 @@ async function row({ row, id }) {
 
 /** The camera images that saw a place: of each session and camera the nearest. */
 async function place([x, y]) {
-  const title = `at ${x.toFixed(2)} m, ${y.toFixed(2)} m`;
+  const onEarth = state.origin && await work("where it lies", () => earth.written(state.origin, [x, y], state.version));
+  const title = `at ${x.toFixed(2)} m, ${y.toFixed(2)} m${onEarth ? `: ${onEarth}` : ""}`;
   if (!["keyframes", "poses", "mounts"].every((layer) => state.there.has(layer))) return;
   const query = `WITH frames AS (
       SELECT site, session, stamp, unnest(images) AS i FROM keyframes WHERE site = ${literal(state.site)}),

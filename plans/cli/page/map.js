@@ -1,4 +1,4 @@
-/** The map itself: metres of the map frame, x to the right and y up; it has no north. */
+/** The map itself: metres of the map frame, x to the right and y up. */
 import { tile } from "./server.js";
 
 /* global ol */

@@ -10,13 +10,15 @@ use std::sync::Arc;
 
 use arrow::array::{Array, ArrayRef, AsArray, BinaryArray, RecordBatch};
 use arrow::datatypes::DataType;
-use evermap_algorithms::geometry::geodesy::{Geodetic, Tangent};
+use evermap_algorithms::geometry::geodesy::{Geodetic, MapOnEarth};
 use evermap_schemas::layers::Georeference;
 use evermap_schemas::{Fault, Geometry, Position};
-use nalgebra::{Rotation2, Vector2, Vector3};
 use serde_json::{Value, json};
 
 use crate::reader::{MapReader, texts};
+
+/// The column that says which site a row is of.
+const SITE: &str = "site";
 
 /// Where sites lie.
 #[derive(Debug, Default)]
@@ -40,6 +42,12 @@ impl Earth {
         self.0.is_empty()
     }
 
+    /// Whether [`on_earth`] moves the geometries of these rows.
+    pub fn moves(&self, batches: &[RecordBatch]) -> bool {
+        let say_site = |batch: &RecordBatch| texts(batch, SITE).is_some();
+        !self.is_empty() && batches.iter().all(say_site)
+    }
+
     /// Where a site lies.
     pub fn place(&self, site: &str) -> Option<&SiteOnEarth> {
         self.0.get(site)
@@ -51,8 +59,7 @@ impl Earth {
 pub struct SiteOnEarth {
     site: String,
     origin: Geodetic,
-    heading_rad: f64,
-    tangent: Tangent,
+    placed: MapOnEarth,
 }
 
 /// What coordinates become.
@@ -74,20 +81,18 @@ impl SiteOnEarth {
         Self {
             site: row.site.clone(),
             origin,
-            heading_rad: row.heading_rad,
-            tangent: Tangent::at(origin),
+            placed: MapOnEarth::new(origin, row.heading_rad),
         }
     }
 
     /// East and north of the origin of a direction or point of the map, metres.
     pub fn turned(&self, x: f64, y: f64) -> [f64; 2] {
-        (Rotation2::new(self.heading_rad) * Vector2::new(x, y)).into()
+        self.placed.turned(x, y)
     }
 
     /// The place of a point of the map, metres.
-    pub fn geodetic(&self, [x, y, z]: [f64; 3]) -> Geodetic {
-        let [east, north] = self.turned(x, y);
-        self.tangent.geodetic(&Vector3::new(east, north, z))
+    pub fn geodetic(&self, point: [f64; 3]) -> Geodetic {
+        self.placed.geodetic(point)
     }
 
     fn position(&self, point: Position, to: Coordinates) -> Position {
@@ -211,7 +216,7 @@ pub fn beside(picture: &Path) -> PathBuf {
     name.into()
 }
 
-/// Rows whose geometries lie on earth.
+/// Rows whose geometries lie on earth. Rows that do not say their site stay as they are.
 ///
 /// # Errors
 /// A user fault for a site of which nobody knows where it lies; a data fault for a geometry that is none.
@@ -233,7 +238,7 @@ fn moved(
 ) -> Result<RecordBatch, Fault> {
     let index = batch.schema_ref().index_of(geometry).ok();
     let index = index.filter(|index| *batch.column(*index).data_type() == DataType::Binary);
-    let (Some(index), Some(sites)) = (index, texts(batch, "site")) else {
+    let (Some(index), Some(sites)) = (index, texts(batch, SITE)) else {
         return Ok(batch.clone());
     };
     let mut values: Vec<Option<Vec<u8>>> = Vec::with_capacity(batch.num_rows());
@@ -253,8 +258,9 @@ fn moved(
 }
 
 fn unplaced(site: &str) -> Fault {
-    Fault::user(format!("nobody knows where site {site} lies on earth"))
-        .next("choose another with --site, or the map's own metres with --local")
+    Fault::user(format!("nobody knows where site {site} lies on earth")).next(
+        "choose another with --site, or the map's own metres with --local (by HTTP, local=true)",
+    )
 }
 
 #[cfg(test)]

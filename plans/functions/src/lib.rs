@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `poses` | of poses: `yaw`, `pitch`, `roll`, `transform`, `compose`, `inverse` … |
 //! | `geometries` | of geometries: `st_*` as PostGIS names them, `distance_along` |
+//! | `earth` | `geodetic`: where on earth a point of a map is |
 //! | `json` | `to_json` |
 //! | `binary` | `octet_length` |
 //! | `contains`, `related` | of the graphs of views |
@@ -15,6 +16,7 @@
 
 mod binary;
 mod contains;
+mod earth;
 mod function;
 mod geometries;
 mod graphs;
@@ -44,7 +46,8 @@ fn functions() -> Vec<ScalarUDF> {
     let declared = poses::DECLARATIONS.iter().chain(&geometries::DECLARATIONS);
     let declared = declared
         .chain(&json::DECLARATIONS)
-        .chain(&binary::DECLARATIONS);
+        .chain(&binary::DECLARATIONS)
+        .chain(&earth::DECLARATIONS);
     let declared = declared.map(|declared| ScalarUDF::from(Function::new(declared)));
     let graphs = [
         ScalarUDF::from(contains::Contains::default()),

@@ -37,6 +37,7 @@ pub(crate) fn view(name: &str, areas: &[(&str, f32, f32)], edges: &[(u16, u16)])
             areas: areas.iter().map(area).collect(),
             edges: edges.iter().map(edge).collect(),
         },
+        map_from_view: None,
     }
 }
 

@@ -288,6 +288,9 @@ record! {
         view: String,
         /// What is seen.
         graph: SemanticGraph,
+        /// The camera in the frame of the poses that the plan gives: the map's, or the odometry's of each session; null
+        /// where there are none around the instant, or nothing says where the camera is mounted.
+        map_from_view: Option<Pose>,
     }
 }
 

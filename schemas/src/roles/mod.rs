@@ -35,6 +35,7 @@ roles! {
     frames,
     gnss_fixes,
     image_annotations,
+    imu,
     label_classes,
     label_frames,
     odometry,
@@ -46,6 +47,7 @@ pub use calibration::Calibration;
 pub use frames::{Frame, IMAGE_MEMBER};
 pub use gnss_fixes::GnssFix;
 pub use image_annotations::ImageAnnotation;
+pub use imu::ImuMeasurement;
 pub use label_classes::LabelClass;
 pub use odometry::OdometryPose;
 pub use transforms::Transform;

@@ -188,6 +188,36 @@ impl Message for StaticTransforms<'_> {
     }
 }
 
+/// `sensor_msgs/msg/Imu` of a sensor that says nothing of its orientation.
+#[derive(Debug, Clone, Copy)]
+pub struct Imu<'a> {
+    /// When it was measured, and the sensor's frame.
+    pub header: Header<'a>,
+    /// Rates of turn about the sensor's axes, rad/s.
+    pub angular_velocity: [f64; 3],
+    /// Acceleration along them as it is felt, m/s².
+    pub linear_acceleration: [f64; 3],
+}
+
+impl Message for Imu<'_> {
+    const NAME: &'static str = "sensor_msgs/msg/Imu";
+    const DEFINITION: &'static str = include_str!("definitions/Imu.msg");
+
+    fn encode(&self) -> Vec<u8> {
+        let mut not_measured = [0.0; 9];
+        not_measured[0] = -1.0;
+        let mut cdr = CdrWriter::new();
+        self.header.write(&mut cdr);
+        cdr.f64s(&[0.0, 0.0, 0.0, 1.0]);
+        cdr.f64s(&not_measured);
+        for measured in [self.angular_velocity, self.linear_acceleration] {
+            cdr.f64s(&measured);
+            cdr.f64s(&[0.0; 9]);
+        }
+        cdr.finish()
+    }
+}
+
 /// `sensor_msgs/msg/NavSatFix`.
 #[derive(Debug, Clone, Copy)]
 pub struct NavSatFix<'a> {

@@ -75,6 +75,8 @@ pub struct CarPark {
     /// Seconds in the middle of each session in which there is no fix.
     #[schemars(range(min = 0.0, max = 10_000.0))]
     pub gnss_outage_s: f64,
+    /// Whether the vehicle has an IMU, as cars have them.
+    pub imu: bool,
     /// A camera that sees nothing but the noise of its sensor.
     #[schemars(extend("enum" = CAMERAS))]
     pub dark_camera: Option<String>,
@@ -123,6 +125,7 @@ impl Default for CarPark {
             gnss_noise_m: 2.0,
             gnss_drift_m: 0.0,
             gnss_outage_s: 0.0,
+            imu: false,
             dark_camera: None,
             annotations: false,
             skip: 0,

@@ -7,7 +7,7 @@ use super::route::Route;
 use super::walkers::{Walker, walkers};
 use crate::random::stream;
 use crate::record::{Session, shutter};
-use crate::vehicle::{Receiver, Trajectory, Wheels};
+use crate::vehicle::{Imu, Receiver, Trajectory, Wheels};
 
 const DAY_NS: u64 = 86_400_000_000_000;
 
@@ -61,6 +61,7 @@ impl Visit {
                     drift_m: world.gnss_drift_m,
                     outage_s: world.gnss_outage_s,
                 }),
+                imu: world.imu.then(|| Imu::new(world.seed, index)),
             },
         }
     }

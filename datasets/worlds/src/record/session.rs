@@ -3,10 +3,10 @@
 use super::{Recorded, SessionSummary, Tell};
 use crate::WorldError;
 use crate::random::{nanoseconds, normal, stream};
-use crate::vehicle::{ANTENNA, OdometrySample, Receiver, Trajectory, Wheels};
+use crate::vehicle::{ANTENNA, Imu, OdometrySample, Receiver, SENSOR, Trajectory, Wheels};
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_messages::ros2::{
-    Calibration, CameraInfo, CompressedImage, Header, Message, NavSatFix, Odometry,
+    self, Calibration, CameraInfo, CompressedImage, Header, Message, NavSatFix, Odometry,
     StaticTransforms,
 };
 use evermap_recording::{LogWriter, RecordingError, Times};
@@ -39,6 +39,8 @@ pub struct Session {
     pub wheels: Wheels,
     /// Who listens to satellites, if anybody does.
     pub receiver: Option<Receiver>,
+    /// What feels gravity and turns, if anything does.
+    pub imu: Option<Imu>,
 }
 
 /// What is on the vehicle besides its wheels.
@@ -187,9 +189,10 @@ impl Session {
         let antenna = self
             .receiver
             .map(|_| (ANTENNA, Receiver::mount().to_array()));
+        let imu = self.imu.map(|_| (SENSOR, Imu::mount().to_array()));
         let placed = StaticTransforms {
             stamp_ns,
-            frames: cameras.chain(antenna).collect(),
+            frames: cameras.chain(antenna).chain(imu).collect(),
         };
         let mut schedule = vec![Due::ready(transforms, Times { log_ns, stamp_ns }, &placed)];
         for sample in self.odometry() {
@@ -198,6 +201,12 @@ impl Session {
         if let Some(receiver) = &self.receiver {
             let topic = log.topic::<NavSatFix<'_>>("/fix", false)?;
             for sample in receiver.fixes(&self.drive, self.start_ns, self.seed, self.index) {
+                schedule.push(Due::ready(topic, sample.times, &sample.message()));
+            }
+        }
+        if let Some(imu) = &self.imu {
+            let topic = log.topic::<ros2::Imu<'_>>("/imu", false)?;
+            for sample in imu.samples(&self.drive, self.start_ns, self.seed, self.index) {
                 schedule.push(Due::ready(topic, sample.times, &sample.message()));
             }
         }

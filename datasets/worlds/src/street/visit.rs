@@ -63,6 +63,7 @@ impl Visit {
                 stamps,
                 wheels: Wheels::new(world.odometry_rate_hz, world.seed, index, 0.0),
                 receiver: None,
+                imu: None,
             },
         }
     }

@@ -1,6 +1,6 @@
 //! Places on earth: the ellipsoid WGS 84, and planes that touch it.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Rotation2, Vector2, Vector3};
 
 /// Half the equator's diameter, metres (NIMA TR8350.2).
 const EQUATOR_M: f64 = 6_378_137.0;
@@ -102,6 +102,34 @@ impl Tangent {
     pub fn geodetic(&self, enu: &Vector3<f64>) -> Geodetic {
         let earth = self.tangent_from_earth.transpose() * enu + self.earth_from_origin;
         Geodetic::from_earth(&earth)
+    }
+}
+
+/// Where a map lies on earth: its z axis is the plumb line at its origin.
+#[derive(Debug, Clone, Copy)]
+pub struct MapOnEarth {
+    tangent: Tangent,
+    east_north_from_map: Rotation2<f64>,
+}
+
+impl MapOnEarth {
+    /// By where the map's origin lies, and the direction of its x axis, counter-clockwise from east (rad).
+    pub fn new(origin: Geodetic, heading_rad: f64) -> Self {
+        Self {
+            tangent: Tangent::at(origin),
+            east_north_from_map: Rotation2::new(heading_rad),
+        }
+    }
+
+    /// East and north of the origin of a point of the map, metres.
+    pub fn turned(&self, x: f64, y: f64) -> [f64; 2] {
+        (self.east_north_from_map * Vector2::new(x, y)).into()
+    }
+
+    /// The place of a point of the map (m).
+    pub fn geodetic(&self, [x, y, z]: [f64; 3]) -> Geodetic {
+        let [east, north] = self.turned(x, y);
+        self.tangent.geodetic(&Vector3::new(east, north, z))
     }
 }
 

@@ -8,6 +8,7 @@
 //! | [`drive`] | keyframes at equal steps of driven path |
 //! | [`features`] | key points with binary descriptors |
 //! | [`georeference`] | where a map lies on earth, from GNSS fixes |
+//! | [`inertial`] | roll and pitch of odometry from an IMU |
 //! | [`localisation`] | a drive's poses in a map it did not make |
 //! | [`mapping`] | association, triangulation and adjustment in turns, until a map is accurate |
 //! | [`matching`] | descriptors to descriptors |
@@ -22,6 +23,7 @@ pub mod bundle_adjustment;
 pub mod drive;
 pub mod features;
 pub mod georeference;
+pub mod inertial;
 pub mod localisation;
 pub mod mapping;
 pub mod matching;

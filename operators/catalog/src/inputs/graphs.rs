@@ -92,8 +92,9 @@ pub(crate) struct NumberedViews {
 }
 
 impl NumberedViews {
-    /// Of rows; those that describe no graph are skipped.
-    pub(crate) fn of(mut views: Vec<View>, emit: &mut Emit<'_>) -> Self {
+    /// Of rows; those that describe no graph are skipped, and where there are more classes than numbers, all: an index
+    /// that knows no class would say that it is nowhere.
+    pub(crate) fn of(mut views: Vec<View>, emit: &mut Emit<'_>) -> Option<Self> {
         views.sort_by(|a, b| a.view.cmp(&b.view));
         let mut numbered = Self {
             classes: ClassNames::of(&views),
@@ -109,7 +110,15 @@ impl NumberedViews {
                 Err(reason) => emit.skip(reason, 1),
             }
         }
-        numbered
+        let mut areas = numbered.graphs.iter().flat_map(|graph| &graph.areas);
+        if areas.any(|area| area.class == VOID) {
+            emit.skip(
+                "site has more than 255 classes",
+                numbered.graphs.len() as u64,
+            );
+            return None;
+        }
+        Some(numbered)
     }
 }
 

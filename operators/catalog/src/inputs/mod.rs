@@ -3,6 +3,7 @@
 pub(crate) mod bodies;
 pub(crate) mod boxes;
 pub(crate) mod calibrated;
+pub(crate) mod camera_poses;
 pub(crate) mod danger;
 pub(crate) mod drive;
 pub(crate) mod forest;

@@ -17,7 +17,7 @@ pub struct ClassIndexParams {}
 
 impl Operator for ClassIndex {
     const NAME: &'static str = "class_index";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("class_index.md");
     type Params = ClassIndexParams;
     type Output = ClassLeaf;
@@ -34,11 +34,14 @@ fn leaves(
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let site = views.first().map(|view| view.site.clone());
-    let NumberedViews {
+    let Some(NumberedViews {
         classes,
         names,
         graphs,
-    } = NumberedViews::of(views, emit);
+    }) = NumberedViews::of(views, emit)
+    else {
+        return Ok(());
+    };
     let index = relocation::ClassIndex::new(graphs.iter(), classes.len());
     let rows = (0..index.len()).map(|leaf| {
         let (counts, views) = index.leaf(leaf);

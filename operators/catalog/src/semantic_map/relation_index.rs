@@ -1,7 +1,7 @@
 #![doc = include_str!("relation_index.md")]
 
 use evermap_algorithms::semantic_map::relation_index::{self, ViewSet, names_digest};
-use evermap_algorithms::semantic_map::semantic_graph::{Relation, VOID};
+use evermap_algorithms::semantic_map::semantic_graph::Relation;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{RelatedViews, View};
@@ -38,16 +38,14 @@ fn related(
     let Some(site) = views.first().map(|view| view.site.clone()) else {
         return Ok(());
     };
-    let NumberedViews {
+    let Some(NumberedViews {
         classes,
         names,
         graphs,
-    } = NumberedViews::of(views, emit);
-    let mut areas = graphs.iter().flat_map(|graph| &graph.areas);
-    if areas.any(|area| area.class == VOID) {
-        emit.skip("site has more than 255 classes", graphs.len() as u64);
+    }) = NumberedViews::of(views, emit)
+    else {
         return Ok(());
-    }
+    };
     let digest = names_digest(names.iter().map(String::as_str));
     let index = relation_index::RelationIndex::new(graphs.iter());
     let row = |((class, relation, other), views): ((u8, Relation, u8), &ViewSet)| RelatedViews {

@@ -5,14 +5,17 @@ use evermap_algorithms::semantic_map::semantic_graph::{
     Graph, GraphError, GraphOptions, Labels, VOID,
 };
 use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reach, Reason, Sides, Work};
+use evermap_schemas::Pose;
 use evermap_schemas::layers::{LabelImage, View};
 use evermap_vision::decode_labels;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::camera_poses::{self, CameraPoses};
 use crate::inputs::graphs;
 use crate::inputs::lenses::{self, Lenses};
+use crate::inputs::rig::VehicleFrame;
 
 /// See the module's page.
 pub struct Views;
@@ -25,27 +28,32 @@ pub struct ViewsParams {
     /// car 25 m away. On a simulated street it leaves 33 of 400 areas; of labels of which 18 % are wrong, 56 of 1800.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_area_share: f64,
+    /// The vehicle.
+    #[serde(flatten)]
+    pub vehicle: VehicleFrame,
 }
 
 impl Default for ViewsParams {
     fn default() -> Self {
         Self {
             min_area_share: 0.001,
+            vehicle: VehicleFrame::default(),
         }
     }
 }
 
 impl Operator for Views {
     const NAME: &'static str = "views";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("views.md");
     type Params = ViewsParams;
     type Output = View;
 
     fn work() -> Work<Self::Params> {
         let labels = Port::session::<LabelImage>("labels");
-        let calibration = lenses::port(Reach::Session);
-        Work::batches(labels, vec![calibration], Site::new, Site::views)
+        let mut sides = vec![lenses::port(Reach::Session)];
+        sides.extend(camera_poses::ports(Reach::Session));
+        Work::batches(labels, sides, Site::new, Site::views)
     }
 }
 
@@ -53,6 +61,7 @@ impl Operator for Views {
 struct Site {
     params: ViewsParams,
     lenses: Lenses,
+    poses: CameraPoses,
 }
 
 impl Site {
@@ -60,6 +69,7 @@ impl Site {
         Ok(Self {
             params: params.clone(),
             lenses: Lenses::new(sides)?,
+            poses: CameraPoses::new(sides)?,
         })
     }
 
@@ -112,7 +122,9 @@ impl Site {
         })?;
         let field_of_view = camera.and_then(|camera| camera.horizontal_field_of_view_rad());
         graph.field_of_view_rad = field_of_view.map(|angle| angle as f32);
+        let map_from_view = self.poses.at(taken, &self.params.vehicle);
         let view = View {
+            map_from_view: map_from_view.map(|pose| Pose::from_array(pose.to_array())),
             view: format!("{}/{}/{}", image.session, image.camera, image.stamp.0),
             site: image.site,
             session: image.session,

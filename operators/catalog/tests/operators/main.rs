@@ -9,6 +9,7 @@
 mod bodies;
 mod danger;
 mod floor;
+mod indexes;
 mod keyframes;
 mod labels;
 mod metric_map;

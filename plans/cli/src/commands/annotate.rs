@@ -14,9 +14,10 @@ use crate::annotate::saying::{Speaker, said};
 use crate::annotate::state::State;
 use crate::annotate::{Losses, begin, unwritten, user};
 use crate::arguments::AnnotateArgs;
+use crate::earth::Earth;
 use crate::ending::{Ending, Failure, Lost};
-use crate::export::{Head, geojson};
-use crate::output::write_file;
+use crate::export::geojson;
+use crate::output::{Sink, write_file};
 use crate::progress::line;
 use crate::reader::MapReader;
 
@@ -108,11 +109,16 @@ async fn export(
     let (Some(program), Some(picture)) = (args.program, args.mosaic.as_deref()) else {
         let title = format!("labels of {}, version {}", state.site, state.version);
         let rows = batch(labels)?;
-        let head = Head {
-            title: &title,
-            on_earth: false,
-        };
-        return geojson(&[rows], Some(&PlacedLabel::layer()), head, file);
+        let mut sink = Sink::file(file)?;
+        let layer = PlacedLabel::layer();
+        geojson(
+            vec![rows],
+            Some(&layer),
+            &title,
+            &Earth::default(),
+            &mut sink,
+        )?;
+        return sink.finish();
     };
     let mut proposed: Vec<BoxHypothesis> = reader.rows(Some(&state.site)).await?;
     proposed.retain(|found| wanted(&found.kind));

@@ -13,6 +13,7 @@ mod ply;
 mod tum;
 
 use std::collections::{BTreeSet, HashMap};
+use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -22,7 +23,8 @@ use evermap_schemas::{Fault, Layer};
 
 use crate::earth::{Coordinates, Earth, beside, on_earth};
 use crate::ending::Failure;
-pub use crate::export::geo::{Head, ON_EARTH};
+use crate::export::geo::Head;
+pub use crate::export::geo::ON_EARTH;
 use crate::output::{CRS, Format, GEOMETRY, Sink, write, write_file};
 use crate::reader::{MapReader, only, texts};
 use crate::units;
@@ -127,12 +129,9 @@ async fn written(
     match format {
         ExportFormat::Geojson => {
             let title = format!("{layer}, version {}", reader.map.version.version);
-            let placed = placed(batches, declared.as_ref(), &earth, Coordinates::Degrees)?;
-            let head = Head {
-                title: &title,
-                on_earth: !earth.is_empty(),
-            };
-            geojson(&placed, declared.as_ref(), head, out)
+            let mut sink = Sink::file(out)?;
+            geojson(batches, declared.as_ref(), &title, &earth, &mut sink)?;
+            sink.finish()
         }
         ExportFormat::Lanelet2 => {
             let version = reader.map.version.version;
@@ -234,37 +233,24 @@ fn with_units(batches: Vec<RecordBatch>, layer: Option<&Layer>) -> Result<Vec<Re
     batches.into_iter().map(described).collect()
 }
 
-/// Writes rows with a geometry as a GeoJSON file.
+/// Writes rows with a geometry as GeoJSON: in longitude and latitude where `earth` knows their site, else in the map's
+/// metres.
 ///
 /// # Errors
-/// A user fault for rows without a geometry, a resource fault for a file that cannot be written.
+/// A user fault for rows without a geometry, or of a site that lies nowhere.
 pub fn geojson(
-    batches: &[RecordBatch],
-    layer: Option<&Layer>,
-    head: Head<'_>,
-    out: &Path,
-) -> Result<(), Failure> {
-    let mut sink = Sink::file(out)?;
-    geo::write(batches, layer, head, &mut sink)?;
-    sink.finish()
-}
-
-/// Rows with a geometry as GeoJSON, in the map's metres.
-///
-/// # Errors
-/// A user fault for rows without a geometry.
-pub fn geojson_text(
-    batches: &[RecordBatch],
+    batches: Vec<RecordBatch>,
     layer: Option<&Layer>,
     title: &str,
-) -> Result<Vec<u8>, Failure> {
-    let mut text = Vec::new();
+    earth: &Earth,
+    out: &mut impl Write,
+) -> Result<(), Failure> {
     let head = Head {
         title,
-        on_earth: false,
+        on_earth: earth.moves(&batches),
     };
-    geo::write(batches, layer, head, &mut text)?;
-    Ok(text)
+    let placed = placed(batches, layer, earth, Coordinates::Degrees)?;
+    geo::write(&placed, layer, head, out)
 }
 
 async fn rows(format: Format, batches: Vec<RecordBatch>, out: &Path) -> Result<(), Failure> {

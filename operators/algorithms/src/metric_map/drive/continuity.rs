@@ -77,16 +77,16 @@ impl Default for MotionLimits {
 
 /// A message that goes on from those before it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Continued {
+pub(in crate::metric_map) struct Continued {
     /// The vehicle in the frame that the odometry began in, whatever it jumped to since.
-    pub(super) pose: Pose,
+    pub(in crate::metric_map) pose: Pose,
     /// Whether nobody knows how the vehicle came here from the message before.
-    pub(super) anew: bool,
+    pub(in crate::metric_map) anew: bool,
 }
 
 /// One session's odometry, made continuous.
 #[derive(Debug, Clone)]
-pub(super) struct Continuity {
+pub(in crate::metric_map) struct Continuity {
     limits: MotionLimits,
     /// Frame of the stretch's start from that of the messages.
     start_from_odom: Pose,
@@ -99,7 +99,7 @@ pub(super) struct Continuity {
 }
 
 impl Continuity {
-    pub(super) fn new(limits: MotionLimits) -> Self {
+    pub(in crate::metric_map) fn new(limits: MotionLimits) -> Self {
         Self {
             limits,
             start_from_odom: Pose::identity(),
@@ -110,12 +110,16 @@ impl Continuity {
     }
 
     /// Messages left out so far, and jumps.
-    pub(super) fn losses(&self) -> DriveLosses {
+    pub(in crate::metric_map) fn losses(&self) -> DriveLosses {
         self.losses
     }
 
     /// Takes the next message; `None` where it is left out.
-    pub(super) fn push(&mut self, stamp: i64, odom_from_vehicle: &Pose) -> Option<Continued> {
+    pub(in crate::metric_map) fn push(
+        &mut self,
+        stamp: i64,
+        odom_from_vehicle: &Pose,
+    ) -> Option<Continued> {
         if !odom_from_vehicle.translation.iter().all(|x| x.is_finite()) {
             self.losses.not_finite += 1;
             return None;

@@ -26,7 +26,7 @@
 //!
 //! Where there are images, a keyframe is the first frame set at or after the due point.
 
-mod continuity;
+pub(super) mod continuity;
 mod frame_sets;
 mod keyframer;
 mod selector;

@@ -12,8 +12,9 @@ use futures::{StreamExt, TryStreamExt};
 use serde::Deserialize;
 use tokio::sync::Mutex;
 
+use crate::earth::Earth;
 use crate::ending::Failure;
-use crate::export::geojson_text;
+use crate::export::geojson;
 use crate::output::{Format, Sink, write};
 use crate::serve::answer::Answer;
 use crate::serve::http::Refusal;
@@ -34,15 +35,20 @@ pub enum Form {
     Parquet,
     /// A stream of Arrow, as long as it gets.
     Arrow,
-    /// A feature collection, of rows with a geometry.
+    /// A feature collection, of rows with a geometry: on earth, where it is known where their site lies.
     Geojson,
 }
 
-/// The body of an answer. `layer` says which column is the geometry.
+/// The body of an answer. `layer` says which column is the geometry, `earth` where on earth GeoJSON puts it.
 ///
 /// # Errors
 /// What reading says; a user fault for an answer that is too large.
-pub async fn body(answer: Answer, form: Form, layer: Option<&Layer>) -> Result<Response, Refusal> {
+pub async fn body(
+    answer: Answer,
+    form: Form,
+    layer: Option<&Layer>,
+    earth: &Earth,
+) -> Result<Response, Refusal> {
     let (kind, bytes) = match form {
         Form::Json => ("application/json", written(answer, Format::Json).await?),
         Form::Csv => (
@@ -55,7 +61,8 @@ pub async fn body(answer: Answer, form: Form, layer: Option<&Layer>) -> Result<R
         ),
         Form::Geojson => {
             let batches: Vec<RecordBatch> = measured(answer).try_collect().await?;
-            let text = geojson_text(&batches, layer, "evermap")?;
+            let mut text = Vec::new();
+            geojson(batches, layer, "evermap", earth, &mut text)?;
             ("application/geo+json", text)
         }
         Form::Arrow => return Ok(arrow_stream(answer)?),

@@ -7,10 +7,11 @@ use evermap_schemas::Fault;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
+use crate::earth::Earth;
 use crate::serve::answer::answer;
 use crate::serve::http::formats::{Form, body};
 use crate::serve::http::{App, MapOf, Refusal};
-use crate::serve::maps::ServedMap;
+use crate::serve::maps::{Opened, ServedMap};
 
 /// What is asked, of which version, and how it is sent.
 #[derive(Debug, Deserialize)]
@@ -22,6 +23,19 @@ pub struct Asked {
     version: Option<u64>,
     #[serde(default)]
     format: Form,
+    /// GeoJSON in the map's metres, wherever on earth it lies.
+    #[serde(default)]
+    local: bool,
+}
+
+impl Asked {
+    /// Where on earth the sites of a version lie, if that is asked.
+    async fn earth(&self, of: &Opened) -> Result<Earth, Fault> {
+        match self.format {
+            Form::Geojson if !self.local => Earth::of(&of.reader).await,
+            _ => Ok(Earth::default()),
+        }
+    }
 }
 
 /// `GET /maps`: names and paths.
@@ -42,7 +56,7 @@ pub async fn get_sql(
     Query(asked): Query<Asked>,
 ) -> Result<Response, Refusal> {
     let query = asked.query.as_deref().unwrap_or_default();
-    answered(&app, &map, query, asked.version, asked.format).await
+    answered(&app, &map, query, &asked).await
 }
 
 /// `POST /sql` with the query as its body.
@@ -57,24 +71,24 @@ pub async fn post_sql(
 ) -> Result<Response, Refusal> {
     let query = std::str::from_utf8(&query)
         .map_err(|_| Fault::user("expected a query in UTF-8, found other bytes"))?;
-    answered(&app, &map, query, asked.version, asked.format).await
+    answered(&app, &map, query, &asked).await
 }
 
 async fn answered(
     app: &App,
     map: &ServedMap,
     query: &str,
-    version: Option<u64>,
-    form: Form,
+    asked: &Asked,
 ) -> Result<Response, Refusal> {
     if query.trim().is_empty() {
         return Err(Fault::user("expected a query, found none")
             .next("/sql?query=SELECT …")
             .into());
     }
-    let opened = map.version(version).await?;
+    let opened = map.version(asked.version).await?;
+    let earth = asked.earth(&opened).await?;
     let answer = answer(&opened, query, &app.bounds).await?;
-    body(answer, form, None).await
+    body(answer, asked.format, None, &earth).await
 }
 
 /// `GET /layers`: the layers of a version.
@@ -86,14 +100,7 @@ pub async fn layers(
     MapOf(map): MapOf,
     Query(asked): Query<Asked>,
 ) -> Result<Response, Refusal> {
-    answered(
-        &app,
-        &map,
-        "SELECT * FROM layers ORDER BY layer",
-        asked.version,
-        asked.format,
-    )
-    .await
+    answered(&app, &map, "SELECT * FROM layers ORDER BY layer", &asked).await
 }
 
 /// `GET /versions`: the versions there are.
@@ -109,8 +116,7 @@ pub async fn versions(
         &app,
         &map,
         "SELECT * FROM versions ORDER BY version",
-        asked.version,
-        asked.format,
+        &asked,
     )
     .await
 }
@@ -131,5 +137,6 @@ pub async fn layer(
     let query = format!("SELECT * FROM \"{quoted}\"");
     let answer = answer(&opened, &query, &app.bounds).await?;
     let declared = opened.reader.declaration(name);
-    body(answer, asked.format, declared.as_ref()).await
+    let earth = asked.earth(&opened).await?;
+    body(answer, asked.format, declared.as_ref(), &earth).await
 }
