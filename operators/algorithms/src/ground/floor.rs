@@ -94,6 +94,12 @@ fn footings(poses: &[Pose], plane_m: f64) -> Vec<Footing> {
 /// be 40 m elsewhere.
 const MOST_REACH_M: f64 = 64.0;
 
+/// A floor that bends meets a line of sight within this of where a flat one does, metres.
+const SIGHT_M: f64 = 8.0;
+/// Steps towards it, and the last one's length, metres.
+const MOST_STEPS: usize = 50;
+const SAME_M: f64 = 1e-3;
+
 /// Heights along a side of a block.
 const BLOCK: i32 = 16;
 
@@ -157,6 +163,32 @@ impl Floor {
             columns,
             heights: cells.map(|cell| self.of(cell)).collect(),
         })
+    }
+
+    /// Where a line of sight from above, through a point, meets the floor, metres; `None` where it does not, or where nobody
+    /// knows the floor within [`SIGHT_M`] of the point.
+    ///
+    /// Each step goes to where the sight has the height that the floor has here: it ends where floors rise less than sight
+    /// falls.
+    pub fn met_by(&self, eye: &Vector3<f64>, through: &Vector3<f64>) -> Option<Vector3<f64>> {
+        let [x, y] = [through.x, through.y];
+        let part = self.within([x - SIGHT_M, y - SIGHT_M, x + SIGHT_M, y + SIGHT_M])?;
+        let sight = through - eye;
+        let mut met = *through;
+        for _ in 0..MOST_STEPS {
+            let height = part.height([met.x, met.y])?;
+            let next = eye + sight * ((height - eye.z) / sight.z);
+            let falls = sight.z < 0.0 && height < eye.z;
+            if !falls || !next.iter().all(|metres| metres.is_finite()) {
+                return None;
+            }
+            let moved = (next - met).norm();
+            met = next;
+            if moved < SAME_M {
+                return Some(met);
+            }
+        }
+        None
     }
 
     fn of(&self, cell: Cell) -> f32 {
@@ -311,5 +343,28 @@ mod tests {
         assert_eq!(one.height([5.0, 5.0]), Some(3.0));
         assert_eq!(one.height([15.0, 0.0]), None);
         assert_eq!(floor(&[]).height([0.0, 0.0]), None);
+    }
+
+    #[test]
+    fn sight_meets_a_slope_where_it_is() {
+        let poses: Vec<_> = (0..40)
+            .map(|at| on_a_slope(0.3 * f64::from(at), 0.0, 0.0))
+            .collect();
+        let floor = Floor::under(&poses, 0.0, 16.0);
+        // 1.4 m above the floor at x = 5 m, and looking ahead: flat, it would end 8 m on.
+        let (eye, flat) = (Vector3::new(5.0, 0.5, 1.9), Vector3::new(13.0, 0.5, 0.5));
+        let met = floor.met_by(&eye, &flat).unwrap();
+        // 1.9 - 0.175 d = 0.5 + 0.1 d.
+        let ahead = 1.4 / 0.275;
+        assert!(
+            (met.x - 5.0 - ahead).abs() < 0.01 && (met.z - 0.5 - 0.1 * ahead).abs() < 0.01,
+            "{met:?}"
+        );
+        let up = Vector3::new(13.0, 0.5, 2.5);
+        assert_eq!(floor.met_by(&eye, &up), None);
+        let elsewhere = Vector3::new(500.0, 0.5, 0.5);
+        assert_eq!(floor.met_by(&eye, &elsewhere), None);
+        let nowhere = Vector3::repeat(f64::NAN);
+        assert_eq!(floor.met_by(&eye, &nowhere), None);
     }
 }

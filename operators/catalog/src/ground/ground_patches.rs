@@ -14,6 +14,7 @@ use rayon::prelude::*;
 
 use crate::inputs::bodies::bodies;
 use crate::inputs::calibrated::{Calibrated, Mounted};
+use crate::inputs::floors::floors;
 use crate::inputs::rig::{self, OfVehicle, frame};
 
 /// See the module's page.
@@ -55,30 +56,15 @@ struct Projector {
 /// How far beyond the reach of a camera heights are asked for, metres: it may sit so far from its vehicle's origin.
 const BESIDE_M: f64 = 5.0;
 
-/// The floor under each session's poses.
-fn floors(params: &GroundParams, sides: &Sides) -> Result<BTreeMap<String, Floor>, Fault> {
-    let mut poses: BTreeMap<String, Vec<Pose>> = BTreeMap::new();
-    for row in sides.rows::<VehiclePose>("poses")? {
-        // Poses that are none are counted where they place images.
-        if let Ok(pose) = Pose::from_array(row.map_from_vehicle.to_array()) {
-            poses.entry(row.session).or_default().push(pose);
-        }
-    }
-    let reach_m = params.reach_m + BESIDE_M;
-    let floor = |poses: Vec<Pose>| Floor::under(&poses, params.plane_m, reach_m);
-    Ok(poses
-        .into_iter()
-        .map(|(session, poses)| (session, floor(poses)))
-        .collect())
-}
-
 impl Projector {
     fn new(params: &OfVehicle<GroundParams>, sides: &Sides) -> Result<Self, Fault> {
+        let poses: Vec<VehiclePose> = sides.rows("poses")?;
+        let reach_m = params.options.reach_m + BESIDE_M;
         Ok(Self {
             params: params.clone(),
             bodies: bodies(sides)?,
             tables: Calibrated::new(sides, &params.vehicle, MOST_TABLES)?,
-            floors: floors(&params.options, sides)?,
+            floors: floors(&poses, params.options.plane_m, reach_m),
         })
     }
 

@@ -6,6 +6,7 @@ pub(crate) mod calibrated;
 pub(crate) mod camera_poses;
 pub(crate) mod danger;
 pub(crate) mod drive;
+pub(crate) mod floors;
 pub(crate) mod forest;
 pub(crate) mod frames;
 pub(crate) mod graphs;
