@@ -1,7 +1,7 @@
 //! Layers of the semantic map: labels of pixels, what labels them, graphs of views, and where views were found.
 
 use crate::layers::Source;
-use crate::{Bytes, ImageRef, Stamp, record};
+use crate::{Bytes, ImageRef, Pose, Stamp, record};
 
 record! {
     /// The classes of one image's pixels.

@@ -65,6 +65,10 @@ const LEG_S: f64 = 0.5;
 /// How far rates of turn of IMU and odometry may be apart, as a share of the odometry's: ten times what wheels are off by.
 const TURN_SHARE: f64 = 0.3;
 
+/// Gyroscopes are right at rest to this (rad/s): a thousandth of a radian in ten legs.
+const UNBIASED: f64 = 2e-4;
+const MOST_ROUNDS: usize = 8;
+
 /// Turns slower than this (rad/s, root mean square) tell nothing of a mount.
 const TURNS: f64 = 0.05;
 
@@ -80,16 +84,31 @@ pub fn upright(
     vehicle_from_imu: &Pose,
 ) -> Result<Vec<Pose>, Refused> {
     let path = Path::new(odometry);
-    let motions = motion::between(&path.stamps, imu, &vehicle_from_imu.rotation);
+    let samples = motion::on_vehicle(imu, &vehicle_from_imu.rotation);
+    let motions = motion::between(&path.stamps, &samples, &Vector3::zeros());
     let covered = motions.iter().flatten().count();
     if covered == 0 || 2 * covered < motions.len() {
         return Err(Refused::Silent);
     }
-    if path.turns_otherwise(&motions) {
+    let turns = path.turns(&motions);
+    if turns.differ() {
         return Err(Refused::TurnsOtherwise);
     }
-    let legs = path.legs(&motions, &vehicle_from_imu.translation);
-    let gravities = gravity::smoothed(&legs).ok_or(Refused::Silent)?;
+    // Legs are short, and made as if gyroscopes were right: what they say at rest is taken off until nothing is left.
+    let mut bias = Vector3::z() * turns.bias();
+    let mut rounds = 0;
+    let (legs, gravities, motions) = loop {
+        let motions = motion::between(&path.stamps, &samples, &bias);
+        let legs = path.legs(&motions, &vehicle_from_imu.translation);
+        let gravities = gravity::smoothed(&legs).ok_or(Refused::Silent)?;
+        let left: Vector3<f64> = gravities.iter().map(|(_, bias)| bias).sum();
+        let left = left / gravities.len() as f64;
+        rounds += 1;
+        if left.norm() < UNBIASED || rounds == MOST_ROUNDS {
+            break (legs, gravities, motions);
+        }
+        bias += left;
+    };
     let strength = gravities.iter().map(|(gravity, _)| gravity.norm());
     let strength = strength.sum::<f64>() / gravities.len() as f64;
     if (strength / GRAVITY_MPS2 - 1.0).abs() > GRAVITY_SHARE {
@@ -183,24 +202,15 @@ impl Path {
         found
     }
 
-    /// Whether the IMU's turns about the vehicle's own z axis are not the odometry's, whatever constant it adds to them.
-    fn turns_otherwise(&self, motions: &[Option<Motion>]) -> bool {
-        let turns = motions.iter().enumerate().filter_map(|(here, motion)| {
+    /// How both turn about the vehicle's own z axis, each between two messages.
+    fn turns(&self, motions: &[Option<Motion>]) -> Turns {
+        let turn = |(here, motion): (usize, &Option<Motion>)| {
             let motion = motion.as_ref()?;
             let wheels = step(&self.poses[here], &self.poses[here + 1]).rotation;
             let of = |rotation: &UnitQuaternion<f64>| so3::log(rotation).z / motion.seconds;
-            Some((of(&wheels), of(&motion.rotation), motion.seconds))
-        });
-        let turns: Vec<_> = turns.collect();
-        let seconds: f64 = turns.iter().map(|turn| turn.2).sum();
-        let mean = |value: &dyn Fn(&(f64, f64, f64)) -> f64| {
-            turns.iter().map(|turn| value(turn) * turn.2).sum::<f64>() / seconds
+            Some(([of(&wheels), of(&motion.rotation)], motion.seconds))
         };
-        // The slope of the line through both, by least squares: 1 where they agree; noise of either leaves it there.
-        let [wheels, imu] = [mean(&|turn| turn.0), mean(&|turn| turn.1)];
-        let variance = mean(&|turn| (turn.0 - wheels).powi(2));
-        let together = mean(&|turn| (turn.0 - wheels) * (turn.1 - imu));
-        variance > TURNS.powi(2) && (together / variance - 1.0).abs() > TURN_SHARE
+        Turns(motions.iter().enumerate().filter_map(turn).collect())
     }
 
     /// The drive in legs of half a second or more.
@@ -257,6 +267,35 @@ impl Path {
         ups.extend(gravities.last().map(|(gravity, _)| *gravity));
         let above = |up: &Vector3<f64>| up.try_normalize(f64::MIN_POSITIVE).unwrap_or(Vector3::z());
         ups.iter().map(above).collect()
+    }
+}
+
+/// Rates of turn by the odometry and by the IMU (rad/s), and for how long (s).
+struct Turns(Vec<([f64; 2], f64)>);
+
+impl Turns {
+    fn mean(&self, value: impl Fn([f64; 2]) -> f64) -> f64 {
+        let seconds: f64 = self.0.iter().map(|(_, seconds)| seconds).sum();
+        let sum: f64 = self
+            .0
+            .iter()
+            .map(|(turn, seconds)| value(*turn) * seconds)
+            .sum();
+        sum / seconds
+    }
+
+    /// What the IMU says more than the odometry, on the whole, rad/s.
+    fn bias(&self) -> f64 {
+        self.mean(|[wheels, imu]| imu - wheels)
+    }
+
+    /// Whether the IMU turns otherwise, whatever constant it adds: the slope of the line through both, by least squares, is
+    /// 1 where they agree; the IMU's noise leaves it there.
+    fn differ(&self) -> bool {
+        let [wheels, imu] = [0, 1].map(|who| self.mean(|turn| turn[who]));
+        let variance = self.mean(|turn| (turn[0] - wheels).powi(2));
+        let together = self.mean(|turn| (turn[0] - wheels) * (turn[1] - imu));
+        variance > TURNS.powi(2) && (together / variance - 1.0).abs() > TURN_SHARE
     }
 }
 

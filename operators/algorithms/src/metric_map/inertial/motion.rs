@@ -47,13 +47,11 @@ impl Motion {
     }
 }
 
-/// The motion between each two stamps in a row, along the vehicle's axes; `None` where the IMU was silent meanwhile, or no
-/// time passed.
-pub(super) fn between(
-    stamps: &[i64],
+/// Samples along the vehicle's axes, in order of time; those that are no numbers are left out.
+pub(super) fn on_vehicle(
     imu: &[ImuSample],
     vehicle_from_imu: &UnitQuaternion<f64>,
-) -> Vec<Option<Motion>> {
+) -> Vec<ImuSample> {
     let finite = |sample: &&ImuSample| {
         let numbers = sample
             .angular_velocity
@@ -69,8 +67,19 @@ pub(super) fn between(
     let mut samples: Vec<ImuSample> = imu.iter().filter(finite).map(turned).collect();
     samples.sort_by_key(|sample| sample.stamp);
     samples.dedup_by_key(|sample| sample.stamp);
+    samples
+}
+
+/// The motion between each two stamps in a row, by samples along the vehicle's axes; `None` where the IMU was silent
+/// meanwhile, or no time passed. `bias` is what its gyroscopes say at rest, rad/s.
+pub(super) fn between(
+    stamps: &[i64],
+    samples: &[ImuSample],
+    bias: &Vector3<f64>,
+) -> Vec<Option<Motion>> {
     let mut reader = Reader {
-        samples: &samples,
+        samples,
+        bias,
         next: 0,
     };
     stamps
@@ -82,6 +91,7 @@ pub(super) fn between(
 /// Reads samples once, from one interval to the next.
 struct Reader<'a> {
     samples: &'a [ImuSample],
+    bias: &'a Vector3<f64>,
     /// The first sample that is not before the interval.
     next: usize,
 }
@@ -111,9 +121,11 @@ impl Reader<'_> {
                 return None;
             }
             let until = second_sample.stamp.min(to);
-            let middle = (at - first_sample.stamp) as f64 + (until - at) as f64 / 2.0;
-            let of = mixed(first_sample, second_sample, middle / apart);
-            motion = motion.then(&Motion::short(&of, (until - at) as f64 * 1e-9));
+            let seconds = until.saturating_sub(at) as f64;
+            let middle = at.saturating_sub(first_sample.stamp) as f64 + seconds / 2.0;
+            let mut of = mixed(first_sample, second_sample, middle / apart);
+            of.angular_velocity -= self.bias;
+            motion = motion.then(&Motion::short(&of, seconds * 1e-9));
             at = until;
         }
         Some(motion)
