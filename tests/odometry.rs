@@ -195,7 +195,7 @@ fn an_imu_knows_what_is_up() {
         "floor_slope=0.06",
         "width_px=32",
         "height_px=32",
-        "rate_hz=1",
+        "rate_hz=5",
         "floor_texels_per_m=10",
     ];
     let (session, truths) = Park::new(folder.path(), 5).drive(0, "drive", &settings);
