@@ -1,5 +1,6 @@
 //! From the references of frames to image bytes.
 
+mod large;
 mod video;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -26,6 +27,8 @@ const OPEN_AT_ONCE: usize = 2;
 /// Fetches images by reference, chunk by chunk: a chunk that several images lie in is fetched and decompressed once,
 /// also when several threads ask for it at the same time, and kept for a while.
 ///
+/// A chunk larger than what is kept is gone through for its images instead.
+///
 /// The bytes of an image from a chunk share the chunk's memory. So a call holds the chunks of the references that it
 /// is given: give references in portions.
 #[derive(Debug)]
@@ -33,6 +36,9 @@ pub struct ImageReader {
     parts: BTreeMap<(Arc<str>, u32), Arc<LogPart>>,
     cache: Mutex<Cache>,
     tracks: video::Tracks,
+    /// Bytes of the largest chunk that is opened whole.
+    largest: u64,
+    walks: large::Walks,
 }
 
 /// A chunk, or what stands in for one: the bytes of an image outside any chunk.
@@ -92,8 +98,17 @@ impl Cache {
 }
 
 impl Place {
-    fn of(image: &ImageRef) -> Self {
+    /// Where an image lies, if of the chunks that are opened whole the largest has so many bytes.
+    fn of(image: &ImageRef, largest: u64) -> Self {
         match image.chunk {
+            Some(offset) if image.compression.is_empty() && image.chunk_size > largest => Self {
+                session: image.session.clone(),
+                part: image.part,
+                offset: offset.saturating_add(image.offset),
+                length: image.length,
+                size: image.length,
+                opening: Opening::Plain,
+            },
             Some(offset) => Self {
                 session: image.session.clone(),
                 part: image.part,
@@ -143,6 +158,8 @@ impl ImageReader {
                 limit: cache_bytes,
             }),
             tracks: video::Tracks::default(),
+            largest: cache_bytes,
+            walks: large::Walks::default(),
         }
     }
 
@@ -158,21 +175,32 @@ impl ImageReader {
         for (index, image) in images.iter().enumerate() {
             match Codec::named(&image.format) {
                 Some(codec) => videos.push((index, image, codec)),
-                None => places.entry(Place::of(image)).or_default().push(index),
+                None => {
+                    let place = Place::of(image, self.largest);
+                    places.entry(place).or_default().push(index);
+                }
             }
         }
         let missing = || Err(Fault::bug("an image was not resolved"));
         let mut resolved: Vec<Result<Bytes, Fault>> = images.iter().map(|_| missing()).collect();
+        let large = |place: &Place, _: &mut Vec<usize>| {
+            place.size > self.largest && matches!(place.opening, Opening::Unpack(_))
+        };
+        for (place, indexes) in places.extract_if(.., large) {
+            for (index, image) in self.large(&place, images, &indexes).await? {
+                resolved[index] = image;
+            }
+        }
         let mut opened = futures::stream::iter(places)
             .map(|(place, indexes)| async move {
                 let chunk = self.open(&place).await?;
-                Ok::<_, Fault>((chunk, indexes))
+                Ok::<_, Fault>((chunk, place, indexes))
             })
             .buffered(OPEN_AT_ONCE);
-        while let Some((chunk, indexes)) = opened.try_next().await? {
+        while let Some((chunk, place, indexes)) = opened.try_next().await? {
             for index in indexes {
                 resolved[index] = match &chunk {
-                    Ok(bytes) => image_bytes(bytes, &images[index]),
+                    Ok(bytes) => image_bytes(bytes, &place, &images[index]),
                     Err(fault) => Err(fault.clone()),
                 };
             }
@@ -238,19 +266,24 @@ async fn read(part: &LogPart, place: &Place) -> Result<Bytes, Fault> {
     }
 }
 
-fn image_bytes(chunk: &Bytes, image: &ImageRef) -> Result<Bytes, Fault> {
-    let start = if image.chunk.is_some() {
-        image.offset
-    } else {
-        0
+fn image_bytes(opened: &Bytes, place: &Place, image: &ImageRef) -> Result<Bytes, Fault> {
+    let start = match place.opening {
+        Opening::Plain => 0,
+        _ => image.offset,
     };
     let end = start.checked_add(image.length);
-    let Some(end) = end.filter(|end| *end <= chunk.len() as u64) else {
-        return Err(Fault::data(
-            "expected an image inside its chunk, found none there",
-        ));
+    let Some(end) = end.filter(|end| *end <= opened.len() as u64) else {
+        return Err(outside());
     };
-    let bytes = chunk.slice(start as usize..end as usize);
+    encoded(opened.slice(start as usize..end as usize), image)
+}
+
+fn outside() -> Fault {
+    Fault::data("expected an image inside its chunk, found none there")
+}
+
+/// The image in the bytes that a reference names.
+fn encoded(bytes: Bytes, image: &ImageRef) -> Result<Bytes, Fault> {
     if !is_base64(&bytes, image) {
         return Ok(bytes);
     }

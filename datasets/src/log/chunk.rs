@@ -20,8 +20,10 @@ const MESSAGE_RATIO: u64 = 64;
 /// A decompressed chunk, or a run of records that lie outside any chunk.
 #[derive(Debug, Clone)]
 pub struct Block {
-    /// The records.
+    /// The records; of a chunk that does not fit into memory, payloads of some of its messages.
     pub bytes: Bytes,
+    /// Bytes of all its records.
+    pub size: u64,
     /// Where the compressed bytes lie in the file; for records outside chunks, where the block lies.
     pub file_offset: u64,
     /// What the block was before it was decompressed; `None` for records outside chunks.
@@ -58,13 +60,12 @@ impl Block {
         if damage.is_none() {
             head.check(crc32fast::hash(&bytes))?;
         }
+        let size = bytes.len() as u64;
         Ok(Self {
             bytes,
+            size,
             file_offset: offset + head.start as u64,
-            packing: Some(Packing {
-                compression: head.compression,
-                compressed_size: head.packed.min((record.len() - head.start) as u64),
-            }),
+            packing: Some(head.packing(record.len() as u64)),
             addressable: true,
             damage,
         })
@@ -73,6 +74,7 @@ impl Block {
     /// A run of records outside any chunk.
     pub fn loose(bytes: Bytes, offset: u64) -> Self {
         Self {
+            size: bytes.len() as u64,
             bytes,
             file_offset: offset,
             packing: None,
@@ -107,8 +109,9 @@ impl Block {
             .as_ref()
             .is_none_or(|p| p.compression.is_empty());
         Ok(Some(Self {
+            size: bytes.len() as u64,
             bytes: bytes.into(),
-            file_offset: self.file_offset + message.start as u64,
+            file_offset: self.file_offset + message.at,
             packing: Some(Packing {
                 compression: "zstd".to_owned(),
                 compressed_size: payload.len() as u64,
@@ -142,10 +145,13 @@ impl Block {
                 continue;
             };
             if wanted(head.channel) {
+                let body_start = start + FRAME as usize;
+                let start = body_start + MESSAGE_HEAD;
                 messages.push(Message {
                     head,
-                    start: start + FRAME as usize + MESSAGE_HEAD,
-                    end: start + FRAME as usize + body.len(),
+                    at: start as u64,
+                    start,
+                    end: body_start + body.len(),
                 });
             }
         }
@@ -153,10 +159,15 @@ impl Block {
         if self.damage.is_none() {
             lost.add((rest > 0).then_some(rest));
         }
-        if !messages.is_sorted_by_key(|message| message.head.log_time) {
-            messages.sort_by_key(|message| message.head.log_time);
-        }
+        sort(&mut messages);
         (messages, lost)
+    }
+}
+
+/// Orders messages by log time; equal times keep their order.
+pub(crate) fn sort(messages: &mut [Message]) {
+    if !messages.is_sorted_by_key(|message| message.head.log_time) {
+        messages.sort_by_key(|message| message.head.log_time);
     }
 }
 
@@ -172,9 +183,11 @@ pub(crate) fn stray(opcode: u8, length: u64) -> Option<u64> {
 pub struct Message {
     /// Channel and times.
     pub head: MessageHead,
-    /// First byte of the payload, in the block.
+    /// First byte of the payload, in all records of the block.
+    pub at: u64,
+    /// First byte of the payload, in the block's bytes.
     pub start: usize,
-    /// Behind the last byte of the payload.
+    /// Behind the last byte of the payload, there.
     pub end: usize,
 }
 
@@ -211,6 +224,8 @@ pub(crate) struct ChunkHead {
     pub packed: u64,
     /// Where its data start in the record.
     pub start: usize,
+    /// Bytes that the record claims to have.
+    pub claimed: u64,
 }
 
 /// Bytes of a chunk record before the name of its compression: frame, two times, size, checksum, length of the name.
@@ -228,15 +243,15 @@ impl ChunkHead {
     /// When it is no chunk record, or cut before its data.
     pub fn parse(record: &[u8]) -> Result<Self, Damage> {
         let bad = |detail: String| (Reason::BadIndex, detail);
-        match frame(record) {
-            Some((op::CHUNK, _)) => {}
+        let claimed = match frame(record) {
+            Some((op::CHUNK, length)) => length.saturating_add(FRAME),
             Some((opcode, _)) => {
                 return Err(bad(format!(
                     "expected a chunk record, found opcode {opcode}"
                 )));
             }
             None => return Err(bad("expected a chunk record, found nothing".to_owned())),
-        }
+        };
         let parsed = || {
             let number = |at: usize| Some(u64::from_le_bytes(*record.get(at..)?.first_chunk()?));
             let short = |at: usize| Some(u32::from_le_bytes(*record.get(at..)?.first_chunk()?));
@@ -249,6 +264,7 @@ impl ChunkHead {
                 compression: String::from_utf8_lossy(name).into_owned(),
                 packed: number(start - 8)?,
                 start,
+                claimed,
             })
         };
         parsed().ok_or_else(|| {
@@ -261,17 +277,31 @@ impl ChunkHead {
 
     /// The chunk's data, as far as they are there; beside them, that they are cut.
     fn data(&self, record: &Bytes) -> Result<(Bytes, Option<Damage>), Damage> {
-        let claimed = frame(record).map_or(0, |(_, length)| length.saturating_add(FRAME));
-        let end = self.packed.saturating_add(self.start as u64);
+        let (end, cut) = self.end(record.len() as u64)?;
+        Ok((record.slice(self.start..end as usize), cut))
+    }
+
+    /// Where the chunk's data end in its record, of which so many bytes are there; beside it, that they are cut.
+    ///
+    /// # Errors
+    /// When they do not fit into the record.
+    pub fn end(&self, found: u64) -> Result<(u64, Option<Damage>), Damage> {
+        let (end, claimed) = (self.packed.saturating_add(self.start as u64), self.claimed);
         if end > claimed {
             let detail =
                 format!("expected data of at most {claimed} B in a chunk record, found {end} B");
             return Err((Reason::BadIndex, detail));
         }
-        let found = record.len() as u64;
-        let data = record.slice(self.start..end.min(found) as usize);
         let cut = (end > found).then(|| (Reason::Torn, self.cut(found)));
-        Ok((data, cut))
+        Ok((end.min(found), cut))
+    }
+
+    /// How the chunk lies in its file, of whose record so many bytes are there.
+    pub fn packing(&self, found: u64) -> Packing {
+        Packing {
+            compression: self.compression.clone(),
+            compressed_size: self.packed.min(found - self.start as u64),
+        }
     }
 
     /// What is wrong with a record of which only so many bytes are there.

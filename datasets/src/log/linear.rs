@@ -9,21 +9,18 @@ use evermap_schemas::Fault;
 use mcap::records::{Record, op};
 use object_store::{ObjectMeta, ObjectStore};
 
-use crate::log::census::{Census, Pieces, census, longest};
+use crate::log::census::{Census, census, longest};
 use crate::log::chunk::{ChunkHead, Damage, HEAD};
 use crate::log::index::{Collector, Counts, LogIndex, Unit, UnitKind};
 use crate::log::pace::{Pace, add};
 use crate::log::record::{FRAME, MAGIC, MESSAGE_HEAD, MessageHead, frame, parse};
 use crate::log::summary::Summary;
+use crate::log::walk::{Pieces, feed};
 use crate::log::window::Window;
 use crate::losses::{FileLosses, Loss, Reason};
 
 /// Messages outside chunks are read in runs of this many bytes.
 const RUN: u64 = 1 << 20;
-/// Chunks are decompressed in pieces of so many bytes, while further ones are fetched.
-const PIECE: u64 = 1 << 20;
-/// Pieces that wait to be decompressed.
-const WAITING: usize = 2;
 
 /// Reads a whole file.
 pub(crate) async fn read(
@@ -411,23 +408,10 @@ impl<'a> Scan<'a> {
             return Ok(Err(damage));
         }
         let end = end.min(offset + present);
-        let (sender, pieces) = tokio::sync::mpsc::channel(WAITING);
         let room = self.collector.room;
-        let task = tokio::task::spawn_blocking(move || {
-            let piece = Bytes::new();
-            census(&head, cut, room, Pieces { pieces, piece })
-        });
-        let mut position = start;
-        while position < end {
-            let length = PIECE.min(end - position);
-            let piece = self.window.get(position, length).await?;
-            // Who counts may have seen enough.
-            if sender.send(piece.unwrap_or_default()).await.is_err() {
-                break;
-            }
-            position += length;
-        }
-        drop(sender);
+        let (sender, pieces) = Pieces::channel();
+        let task = tokio::task::spawn_blocking(move || census(&head, cut, room, pieces));
+        feed(&mut self.window, start..end, sender).await?;
         task.await.map_err(|error| Fault::bug(error.to_string()))
     }
 }

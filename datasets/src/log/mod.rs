@@ -1,6 +1,6 @@
 //! One MCAP file: its records, its index, its chunks. Knows object stores, not tables.
 
-mod census;
+pub(crate) mod census;
 pub mod chunk;
 pub mod heads;
 pub mod index;
@@ -9,4 +9,5 @@ pub mod pace;
 pub mod record;
 mod summary;
 pub mod unpack;
+pub(crate) mod walk;
 pub(crate) mod window;

@@ -138,7 +138,7 @@ impl RowBuilder for RoleRows {
         source.taken.push(Taken {
             order: self.pushed,
             log_time: message.head.log_time,
-            place: message.block.file_offset + message.start as u64,
+            place: message.block.file_offset + message.at,
             length: message.payload.len() as u64,
             image,
         });
@@ -219,14 +219,14 @@ fn find_image(
     let mut magic = [0; 8];
     let known = bytes.len().min(magic.len());
     magic[..known].copy_from_slice(&bytes[..known]);
-    let within = (message.start + located.range.start) as u64;
+    let within = message.at + located.range.start as u64;
     let packing = block.packing.as_ref();
     let place = ImageRef {
         session: message.part.session.to_string(),
         part: message.part.part,
         chunk: packing.map(|_| block.file_offset),
         chunk_length: packing.map_or(0, |packing| packing.compressed_size),
-        chunk_size: packing.map_or(0, |_| block.bytes.len() as u64),
+        chunk_size: packing.map_or(0, |_| block.size),
         compression: packing.map_or_else(String::new, |packing| packing.compression.clone()),
         offset: match packing {
             Some(_) => within,

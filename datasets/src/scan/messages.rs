@@ -81,7 +81,7 @@ impl MessageRows {
 impl MessageRows {
     fn append(&mut self, message: &MessageAt<'_>) -> Result<(), String> {
         let (whole, payload) = (&message.block.bytes, message.payload);
-        let place = (u32::try_from(message.start), u32::try_from(payload.len()));
+        let place = (u32::try_from(message.at), u32::try_from(payload.len()));
         let (Ok(start), Ok(length)) = place else {
             return Err("a payload larger than 4 GiB".to_owned());
         };

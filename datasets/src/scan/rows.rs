@@ -15,15 +15,16 @@ use crate::session::LogPart;
 pub struct MessageAt<'a> {
     /// The file.
     pub part: &'a LogPart,
-    /// The chunk, decompressed.
+    /// The chunk, decompressed, or what of it is in memory.
     pub block: &'a Block,
     /// Channel number, sequence and times.
     pub head: MessageHead,
-    /// First byte of the payload in the block.
-    pub start: usize,
+    /// First byte of the payload in all records of the block.
+    pub at: u64,
     /// The payload.
     pub payload: &'a [u8],
-    /// Whether values may be views that keep the block: at least half of it is messages of the table.
+    /// Whether values may be views that keep the block: it is all in memory, and at least half of it is messages of the
+    /// table.
     pub shares: bool,
 }
 

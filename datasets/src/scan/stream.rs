@@ -1,8 +1,8 @@
 //! The stream of one partition's rows from one file: fetch a unit, open it, fill a batch, and so on.
 //!
-//! Fetching is asynchronous and one unit ahead; everything that costs CPU time runs on the blocking pool. At any
-//! moment a stream holds one opened unit, one fetched one and one batch, and has reserved that much before it fetches
-//! or decompresses.
+//! Fetching is asynchronous and, where there is memory for it, one unit ahead; everything that costs CPU time runs on
+//! the blocking pool. At any moment a stream holds one opened unit, one fetched one and one batch, and has reserved that
+//! much before it fetches or decompresses. A chunk that finds no memory is read by portions.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -18,13 +18,15 @@ use futures::stream::BoxStream;
 use futures::{StreamExt, TryStreamExt};
 
 use crate::fault::external;
-use crate::log::chunk::{Block, ChunkHead, Damage, Message};
+use crate::log::chunk::ChunkHead;
 use crate::log::index::{Unit, UnitKind};
 use crate::log::unpack::LARGEST_CHUNK;
+use crate::log::walk::{Feed, joined};
 use crate::log::window::fetch;
-use crate::losses::{Loss, Reason};
 use crate::scan::plan::PlannedUnit;
-use crate::scan::rows::{MessageAt, RowBuilder};
+use crate::scan::portions::{Portions, STREAMED_BYTES, begin};
+use crate::scan::rows::RowBuilder;
+use crate::scan::worker::{Next, Worker};
 use crate::session::LogPart;
 
 /// A batch is handed on when it holds this many bytes, however few rows they are. What is a view keeps at most twice as
@@ -48,8 +50,8 @@ pub(crate) struct Job {
 /// What scans of one partition count.
 #[derive(Clone)]
 pub(crate) struct ScanMetrics {
-    busy: Time,
-    bytes: Count,
+    pub busy: Time,
+    pub bytes: Count,
 }
 
 impl ScanMetrics {
@@ -75,10 +77,13 @@ pub(crate) fn stream(job: Job) -> BoxStream<'static, Result<RecordBatch>> {
             batch_rows: job.batch_rows.max(1),
             topic: job.topic,
             current: None,
+            portions: None,
             metrics: job.metrics,
         },
         units: job.units.into(),
         fetched: None,
+        feed: None,
+        pool: job.pool,
         reservation,
         ended: false,
     };
@@ -91,10 +96,16 @@ pub(crate) fn stream(job: Job) -> BoxStream<'static, Result<RecordBatch>> {
 struct Scan {
     worker: Worker,
     units: VecDeque<PlannedUnit>,
-    fetched: Option<(PlannedUnit, SpawnedTask<Result<Bytes, Fault>>)>,
+    fetched: Option<(PlannedUnit, Fetch)>,
+    /// What fetches the chunk that is read by portions.
+    feed: Option<Feed>,
+    pool: Option<Arc<dyn MemoryPool>>,
     reservation: Option<MemoryReservation>,
     ended: bool,
 }
+
+/// A unit on its way.
+type Fetch = SpawnedTask<Result<Bytes, Fault>>;
 
 impl Scan {
     /// The next batches, or the end.
@@ -103,23 +114,25 @@ impl Scan {
             if self.ended {
                 return Ok(None);
             }
-            let next = if self.worker.current.is_some() {
-                self.reserve_largest()?;
-                None
-            } else {
-                self.next_unit().await?
-            };
-            self.ended = next.is_none() && self.worker.current.is_none();
+            let next = self.next().await?;
+            let worker = &self.worker;
+            let idle = worker.current.is_none() && worker.portions.is_none();
+            self.ended = next.is_none() && idle;
             let ended = self.ended;
             let mut worker = self.worker;
-            let (returned, batches) = SpawnedTask::spawn_blocking(move || {
+            let (returned, batches) = joined(SpawnedTask::spawn_blocking(move || {
                 let batches = worker.work(next, ended);
                 (worker, batches)
-            })
-            .join()
+            }))
             .await
-            .map_err(|error| external(Fault::bug(error.to_string())))?;
+            .map_err(external)?;
             self.worker = returned;
+            if self.worker.portions.is_none()
+                && let Some(feed) = self.feed.take()
+            {
+                // What the store says comes before what a chunk seems to lack.
+                joined(feed).await.flatten().map_err(external)?;
+            }
             let batches = batches.map_err(external)?;
             if !batches.is_empty() {
                 return Ok(Some((batches, self)));
@@ -127,306 +140,143 @@ impl Scan {
         }
     }
 
-    /// Awaits the unit that is being fetched, and starts to fetch the one behind it.
-    async fn next_unit(&mut self) -> Result<Option<(PlannedUnit, Bytes)>> {
-        if self.fetched.is_none() {
-            self.reserve(None, 0)?;
-            self.fetch_ahead();
+    /// What there is to work on beside what the worker has; its memory is reserved.
+    async fn next(&mut self) -> Result<Option<Next>> {
+        match (&self.worker.current, &self.worker.portions) {
+            (Some(_), _) => self.reserve_largest().map(|()| None),
+            (None, Some(_)) => self.reserve_portion().map(|()| None),
+            (None, None) => self.next_unit().await,
         }
-        let Some((unit, task)) = self.fetched.take() else {
-            return Ok(None);
-        };
-        self.reserve(Some(&unit.unit), unit.unit.size)?;
-        self.fetch_ahead();
-        let bytes = task
-            .join()
-            .await
-            .map_err(|error| external(Fault::bug(error.to_string())))?
-            .map_err(external)?;
-        // What the chunk itself claims counts, if the index is too modest.
-        if let Ok(head) = ChunkHead::parse(&bytes)
-            && head.size > unit.unit.size
-        {
-            self.reserve(Some(&unit.unit), head.size)?;
-        }
-        Ok(Some((unit, bytes)))
     }
 
+    /// The next unit: whole, or by portions where it is a chunk that finds no memory.
+    async fn next_unit(&mut self) -> Result<Option<Next>> {
+        loop {
+            let (planned, fetch) = match self.fetched.take() {
+                Some((planned, fetch)) => (planned, Some(fetch)),
+                None => match self.units.pop_front() {
+                    Some(planned) => (planned, None),
+                    None => return Ok(None),
+                },
+            };
+            match self.whole(&planned.unit, fetch).await? {
+                Ok(bytes) => return Ok(Some(Next::Unit(planned, bytes))),
+                Err(refused) if planned.unit.kind != UnitKind::Chunk => return Err(refused),
+                Err(_) => {}
+            }
+            if let Some(portions) = self.portions(planned).await? {
+                return Ok(Some(Next::Chunk(Box::new(portions))));
+            }
+        }
+    }
+
+    /// All of a unit, while the one behind it is fetched; inside, that it finds no memory.
+    async fn whole(&mut self, unit: &Unit, fetch: Option<Fetch>) -> Result<Result<Bytes>> {
+        if let Err(refused) = self.reserve(unit, unit.size) {
+            return Ok(Err(refused));
+        }
+        let fetch = fetch.unwrap_or_else(|| self.fetch(unit));
+        self.fetch_ahead();
+        let bytes = joined(fetch).await.flatten().map_err(external)?;
+        // What the chunk itself claims counts, if the index is too modest.
+        if unit.kind == UnitKind::Chunk
+            && let Ok(head) = ChunkHead::parse(&bytes)
+            && head.size > unit.size
+            && let Err(refused) = self.reserve(unit, head.size)
+        {
+            return Ok(Err(refused));
+        }
+        Ok(Ok(bytes))
+    }
+
+    /// Begins to read a chunk by portions; none where nothing of it can be used.
+    async fn portions(&mut self, planned: PlannedUnit) -> Result<Option<Portions>> {
+        if let Some((ahead, _)) = self.fetched.take() {
+            self.units.push_front(ahead);
+        }
+        self.reserve_portion()?;
+        let PlannedUnit { unit, channels } = planned;
+        let (part, rows) = (&self.worker.part, &self.worker.rows);
+        let all = part.index.channels.keys().copied();
+        let channels = channels.unwrap_or_else(|| all.filter(|id| rows.wants(*id)).collect());
+        let begun = begin(part, &unit, channels, self.pool.clone()).await;
+        let (portions, damage) = match begun.map_err(external)? {
+            Ok(begun) => {
+                self.feed = Some(begun.feed);
+                (Some(begun.portions), begun.damage)
+            }
+            Err(damage) => (None, Some(damage)),
+        };
+        if let Some(damage) = damage {
+            self.worker.lose_unit(&unit, damage);
+        }
+        Ok(portions)
+    }
+
+    fn fetch(&self, unit: &Unit) -> Fetch {
+        let (part, range) = (Arc::clone(&self.worker.part), unit.offset..unit.end());
+        SpawnedTask::spawn(async move { fetch(&part.store, &part.meta.location, range).await })
+    }
+
+    /// Begins to fetch the next unit, where there is memory for it.
     fn fetch_ahead(&mut self) {
-        let Some(unit) = self.units.pop_front() else {
+        let Some(planned) = self.units.pop_front() else {
             return;
         };
-        let part = self.worker.part.clone();
-        let range = unit.unit.offset..unit.unit.end();
-        let task =
-            SpawnedTask::spawn(async move { fetch(&part.store, &part.meta.location, range).await });
-        self.fetched = Some((unit, task));
-    }
-
-    /// Reserves the memory for a unit of which so many bytes come out, for the one that is fetched next, and for a batch.
-    fn reserve(&mut self, unit: Option<&Unit>, size: u64) -> Result<()> {
-        let (held, units) = (&self.fetched, &self.units);
-        let ahead = held.as_ref().map(|(planned, _)| planned).or(units.front());
-        let opened = size.min(LARGEST_CHUNK);
-        let bytes = [
-            unit.map_or(0, |unit| unit.length),
-            opened,
-            ahead.map_or(0, |planned| planned.unit.length),
-            opened.min(2 * BATCH_BYTES as u64),
-        ]
-        .into_iter()
-        .fold(0u64, u64::saturating_add);
-        match &mut self.reservation {
-            Some(reservation) => {
-                reservation.try_resize(usize::try_from(bytes).unwrap_or(usize::MAX))
+        let length = usize::try_from(planned.unit.length).unwrap_or(usize::MAX);
+        match self.grow(length) {
+            Ok(()) => {
+                let fetch = self.fetch(&planned.unit);
+                self.fetched = Some((planned, fetch));
             }
-            None => Ok(()),
+            Err(_) => self.units.push_front(planned),
         }
     }
 }
 
+/// What is reserved.
 impl Scan {
+    /// Reserves the memory for a unit of which so many bytes come out, for the one that is fetched already, and for a
+    /// batch.
+    fn reserve(&mut self, unit: &Unit, size: u64) -> Result<()> {
+        let opened = size.min(LARGEST_CHUNK);
+        let ahead = self.fetched.as_ref();
+        let bytes = [
+            unit.length,
+            opened,
+            ahead.map_or(0, |(planned, _)| planned.unit.length),
+            opened.min(2 * BATCH_BYTES as u64),
+        ];
+        self.resize(bytes.into_iter().fold(0, u64::saturating_add))
+    }
+
+    /// Reserves the memory for a portion, and for a batch.
+    fn reserve_portion(&mut self) -> Result<()> {
+        self.resize(STREAMED_BYTES + 2 * BATCH_BYTES as u64)
+    }
+
     /// Reserves the memory for the row of the largest message of a unit that was opened, where that is beyond a batch.
     fn reserve_largest(&mut self) -> Result<()> {
         let Some(open) = self.worker.current.as_mut().filter(|open| open.waits) else {
             return Ok(());
         };
         open.waits = false;
+        let largest = open.largest();
+        self.grow(largest)
+    }
+
+    fn resize(&mut self, bytes: u64) -> Result<()> {
+        let bytes = usize::try_from(bytes).unwrap_or(usize::MAX);
         match &mut self.reservation {
-            Some(reservation) => reservation.try_grow(open.largest()),
+            Some(reservation) => reservation.try_resize(bytes),
             None => Ok(()),
         }
     }
-}
 
-/// The half that uses the CPU.
-struct Worker {
-    part: Arc<LogPart>,
-    rows: Box<dyn RowBuilder>,
-    batch_rows: usize,
-    topic: String,
-    current: Option<Open>,
-    metrics: ScanMetrics,
-}
-
-/// Gives a message to the builder; a payload that is compressed on its own is decompressed first.
-fn push(
-    rows: &mut dyn RowBuilder,
-    part: &LogPart,
-    open: &Open,
-    message: &Message,
-) -> Result<(), String> {
-    let Some(channel) = part.index.channels.get(&message.head.channel) else {
-        return Ok(());
-    };
-    let block = &open.block;
-    let unpacked = match rows.decodes() && channel.message_encoding == "cdr" {
-        true => block.unpack(message)?,
-        false => None,
-    };
-    let (block, place) = match &unpacked {
-        Some(own) => (own, 0..own.bytes.len()),
-        None => (block, message.start..message.end),
-    };
-    rows.push(&MessageAt {
-        part,
-        block,
-        head: message.head,
-        start: place.start,
-        payload: &block.bytes[place],
-        shares: open.shares || unpacked.is_some(),
-    })
-}
-
-/// Messages that the index does not know of, in a unit that is read for others.
-struct Strays<'a> {
-    part: &'a LogPart,
-    unit: &'a Unit,
-    /// The last channel that was seen to be known.
-    known: Option<u16>,
-    /// Messages of channels that are described nowhere.
-    unknown: u64,
-    /// Messages of channels that the index does not list here.
-    unlisted: u64,
-}
-
-impl<'a> Strays<'a> {
-    fn new(part: &'a LogPart, unit: &'a Unit) -> Self {
-        Self {
-            part,
-            unit,
-            known: None,
-            unknown: 0,
-            unlisted: 0,
-        }
-    }
-
-    fn see(&mut self, channel: u16) {
-        if self.known == Some(channel) {
-            return;
-        }
-        if !self.part.index.channels.contains_key(&channel) {
-            self.unknown += 1;
-        } else if !self.unit.may_hold(channel) {
-            self.unlisted += 1;
-        } else {
-            self.known = Some(channel);
-        }
-    }
-
-    fn note(self) {
-        let (losses, offset) = (&self.part.losses, self.unit.offset);
-        let loss = |count| Loss { count, bytes: 0 };
-        // An index that was made by reading the file has told of its channels already.
-        if self.unknown > 0 && self.part.index.indexed {
-            let detail = "expected messages of the channels in the summary, found others";
-            losses.note(Reason::UnknownChannel, offset, loss(self.unknown), detail);
-        }
-        if self.unlisted > 0 {
-            let detail = "expected messages of the channels that the summary lists for the chunk, found others";
-            losses.note(Reason::BadSummary, offset, loss(self.unlisted), detail);
-        }
-    }
-}
-
-/// A unit that is being read.
-struct Open {
-    unit: Unit,
-    block: Block,
-    messages: Vec<Message>,
-    next: usize,
-    lost: Loss,
-    example: String,
-    /// Its largest message waits for memory to be reserved.
-    waits: bool,
-    /// Whether values may keep the block.
-    shares: bool,
-}
-
-impl Open {
-    fn sizes(&self) -> impl Iterator<Item = usize> {
-        let messages = self.messages.iter();
-        messages.map(|message| message.end - message.start)
-    }
-
-    /// Bytes of the largest payload.
-    fn largest(&self) -> usize {
-        self.sizes().max().unwrap_or(0)
-    }
-
-    /// Bytes of all payloads.
-    fn wanted(&self) -> usize {
-        self.sizes().sum()
-    }
-}
-
-impl Worker {
-    /// Opens a unit if there is a new one, adds rows until the batch is full or the unit is done.
-    fn work(
-        &mut self,
-        next: Option<(PlannedUnit, Bytes)>,
-        ended: bool,
-    ) -> Result<Vec<RecordBatch>, Fault> {
-        let busy = self.metrics.busy.clone();
-        let _timer = busy.timer();
-        if let Some((planned, bytes)) = next {
-            self.metrics.bytes.add(bytes.len());
-            self.open(planned, bytes);
-        }
-        if self.current.as_ref().is_some_and(|open| open.waits) {
-            return Ok(Vec::new());
-        }
-        self.fill();
-        let full = self.rows.rows() >= self.batch_rows || self.rows.bytes() >= BATCH_BYTES;
-        if full || ended {
-            return self.rows.finish();
-        }
-        Ok(Vec::new())
-    }
-
-    fn open(&mut self, planned: PlannedUnit, bytes: Bytes) {
-        let unit = planned.unit;
-        let block = match unit.kind {
-            UnitKind::Chunk => match Block::open(&bytes, unit.offset) {
-                Ok(block) => block,
-                Err(damage) => return self.lose_unit(&unit, damage),
-            },
-            UnitKind::Loose => Block::loose(bytes, unit.offset),
-            UnitKind::Attachment | UnitKind::Metadata => {
-                if let Err(detail) = self.rows.push_record(&unit, &bytes) {
-                    self.lose_unit(&unit, (Reason::BadAttachment, detail));
-                }
-                return;
-            }
-        };
-        if let Some(damage) = block.damage.clone() {
-            self.lose_unit(&unit, damage);
-        }
-        let mut strays = Strays::new(&self.part, &unit);
-        let rows = &self.rows;
-        let (messages, lost) = block.messages(|channel| {
-            strays.see(channel);
-            match &planned.channels {
-                Some(channels) => channels.binary_search(&channel).is_ok(),
-                None => rows.wants(channel),
-            }
-        });
-        strays.note();
-        if lost.count > 0 {
-            let losses = &self.part.losses;
-            losses.note(Reason::BadRecord, unit.offset, lost, "inside a chunk");
-        }
-        let mut open = Open {
-            unit,
-            block,
-            messages,
-            next: 0,
-            lost: Loss::default(),
-            example: String::new(),
-            waits: false,
-            shares: false,
-        };
-        open.waits = open.largest() > BATCH_BYTES;
-        open.shares = open.wanted() >= open.block.bytes.len() / 2;
-        self.current = Some(open);
-    }
-
-    fn lose_unit(&self, unit: &Unit, (reason, detail): Damage) {
-        let loss = Loss::one(unit.length);
-        self.part.losses.note(reason, unit.offset, loss, detail);
-    }
-
-    fn fill(&mut self) {
-        let Some(mut open) = self.current.take() else {
-            return;
-        };
-        while let Some(message) = open.messages.get(open.next) {
-            if self.rows.rows() >= self.batch_rows || self.rows.bytes() >= BATCH_BYTES {
-                self.current = Some(open);
-                return;
-            }
-            open.next += 1;
-            if let Err(detail) = push(self.rows.as_mut(), &self.part, &open, message) {
-                open.lost.count += 1;
-                open.lost.bytes += (message.end - message.start) as u64;
-                if open.example.is_empty() {
-                    open.example = detail;
-                }
-            }
-        }
-        self.close(open);
-    }
-
-    /// Notes what was lost in a unit, once it is done.
-    fn close(&self, open: Open) {
-        if open.lost.count > 0 {
-            self.part.losses.note_topic(
-                Reason::Undecodable,
-                &self.topic,
-                open.unit.offset,
-                open.lost,
-                open.example,
-            );
+    fn grow(&mut self, bytes: usize) -> Result<()> {
+        match &mut self.reservation {
+            Some(reservation) => reservation.try_grow(bytes),
+            None => Ok(()),
         }
     }
 }

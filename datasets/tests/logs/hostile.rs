@@ -7,7 +7,7 @@ use std::sync::Arc;
 use crate::common::by_hand::{
     channel, chunk, chunk_index, file, first, message, record, schema, text,
 };
-use crate::common::{context, count, in_memory, open_in};
+use crate::common::{context, count, in_memory, open_in, packed};
 use datafusion::execution::memory_pool::GreedyMemoryPool;
 use datafusion::execution::runtime_env::RuntimeEnvBuilder;
 use datafusion::prelude::{SessionConfig, SessionContext};
@@ -209,17 +209,7 @@ async fn a_torn_chunk_gives_the_messages_before_its_end() {
     let each = each.collect::<Vec<_>>().concat();
     let inner = [channel(1, 0, "/t", "json"), each].concat();
     for compression in ["", "zstd", "lz4"] {
-        let packed = match compression {
-            "zstd" => zstd::bulk::compress(&inner, 1).unwrap(),
-            "lz4" => {
-                let blocks = lz4_flex::frame::FrameInfo::new()
-                    .block_size(lz4_flex::frame::BlockSize::Max64KB);
-                let mut lz4 = lz4_flex::frame::FrameEncoder::with_frame_info(blocks, Vec::new());
-                std::io::Write::write_all(&mut lz4, &inner).unwrap();
-                lz4.finish().unwrap()
-            }
-            _ => inner.clone(),
-        };
+        let packed = packed(compression, &inner);
         let log = file(&[chunk(inner.len() as u64, compression, &packed)], &[]);
         let body = first() as usize;
         for part in [4, 7] {

@@ -17,10 +17,22 @@ async fn frames(log: &str) -> Vec<(Frame, bytes::Bytes)> {
     let reader = ImageReader::new(&dataset, 16 << 20);
     let images: Vec<_> = frames.iter().map(|frame| frame.image.clone()).collect();
     let bytes = reader.resolve(&images).await.unwrap();
-    frames
-        .into_iter()
-        .zip(bytes.into_iter().map(Result::unwrap))
-        .collect()
+    let bytes: Vec<_> = bytes.into_iter().map(Result::unwrap).collect();
+    // A chunk that is larger than what is kept is gone through, forwards and anew.
+    let small = ImageReader::new(&dataset, 1);
+    for (image, bytes) in images
+        .iter()
+        .zip(&bytes)
+        .take(3)
+        .chain(images.iter().zip(&bytes).skip(1).take(2))
+    {
+        let again = small.resolve(std::slice::from_ref(image)).await.unwrap();
+        assert_eq!(again[0].as_ref().unwrap(), bytes);
+    }
+    let again = small.resolve(&images).await.unwrap();
+    let again: Vec<_> = again.into_iter().map(Result::unwrap).collect();
+    assert!(again == bytes, "{log}");
+    frames.into_iter().zip(bytes).collect()
 }
 
 /// The column `data` of a topic.

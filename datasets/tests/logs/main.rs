@@ -10,6 +10,7 @@ mod hostile;
 mod images;
 mod imports;
 mod indexes;
+mod large;
 mod pruning;
 mod roles;
 mod tables;

@@ -25,6 +25,7 @@ use evermap_schemas::Fault;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{OrFault, fault_of};
+use crate::nodes::light::LightBatches;
 use crate::sql::bounded::bound_functions;
 use crate::sql::members::mask_members;
 use crate::sql::pool::SharedPool;
@@ -167,7 +168,8 @@ fn context_of(
         .with_config(config)
         .with_runtime_env(runtime)
         .with_default_features()
-        .with_query_planner(as_of::query_planner());
+        .with_query_planner(as_of::query_planner())
+        .with_physical_optimizer_rule(Arc::new(LightBatches));
     let context = SessionContext::new_with_state(state.build());
     context
         .register_relation_planner(as_of::relations())

@@ -179,6 +179,21 @@ fn noise(seed: u32, length: usize) -> Vec<u8> {
     (0..length).map(|_| next()).collect()
 }
 
+/// Bytes as a chunk of this compression has them: `zstd`, `lz4` or none.
+pub fn packed(compression: &str, bytes: &[u8]) -> Vec<u8> {
+    match compression {
+        "zstd" => zstd::bulk::compress(bytes, 1).unwrap(),
+        "lz4" => {
+            let blocks =
+                lz4_flex::frame::FrameInfo::new().block_size(lz4_flex::frame::BlockSize::Max64KB);
+            let mut lz4 = lz4_flex::frame::FrameEncoder::with_frame_info(blocks, Vec::new());
+            std::io::Write::write_all(&mut lz4, bytes).unwrap();
+            lz4.finish().unwrap()
+        }
+        _ => bytes.to_vec(),
+    }
+}
+
 /// MCAP written by hand, so that it can say what no writer would.
 pub mod by_hand {
     use evermap_datasets::log::record::MAGIC;
@@ -207,15 +222,24 @@ pub mod by_hand {
     }
 
     pub fn message(channel: u16, sequence: u32, data: &[u8]) -> Vec<u8> {
-        let time = u64::from(sequence + 1).to_le_bytes();
+        message_at(channel, sequence, u64::from(sequence + 1), data)
+    }
+
+    pub fn message_at(channel: u16, sequence: u32, time: u64, data: &[u8]) -> Vec<u8> {
+        let time = time.to_le_bytes();
         let (channel, sequence) = (channel.to_le_bytes(), sequence.to_le_bytes());
         record(5, &[&channel[..], &sequence, &time, &time, data].concat())
     }
 
     /// A chunk that claims to hold `size` bytes.
     pub fn chunk(size: u64, compression: &str, data: &[u8]) -> Vec<u8> {
+        checked_chunk(size, 0, compression, data)
+    }
+
+    /// As [`chunk`], with a checksum.
+    pub fn checked_chunk(size: u64, crc: u32, compression: &str, data: &[u8]) -> Vec<u8> {
         let times = [1_u64.to_le_bytes(), 9_u64.to_le_bytes()].concat();
-        let head = [&times[..], &size.to_le_bytes(), &[0; 4]].concat();
+        let head = [&times[..], &size.to_le_bytes(), &crc.to_le_bytes()].concat();
         let packed = (data.len() as u64).to_le_bytes();
         let name = text(compression.as_bytes());
         record(6, &[&head[..], &name, &packed, data].concat())

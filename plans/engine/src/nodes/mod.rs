@@ -1,5 +1,6 @@
 //! The engine's own nodes of a DataFusion plan.
 
+pub mod light;
 pub mod node;
 pub mod operator;
 pub mod pixels;

@@ -23,6 +23,7 @@ use crate::error::OrFault;
 use crate::fingerprint::open_mapped;
 use crate::map::receipt::Extent;
 use crate::map::store::Store;
+use crate::nodes::light::LightBatches;
 use crate::nodes::node::{Deal, Duty, Need, ordering};
 use crate::nodes::operator::{Operator, OperatorExec};
 use crate::nodes::pixels::{Fetching, PixelsExec};
@@ -37,6 +38,9 @@ use crate::unit::tables::Tables;
 /// Rows per batch where rows carry bytes by the hundred kilobytes.
 const HEAVY_BATCH_ROWS: usize = 64;
 
+/// Rows that are written at once where each may have megabytes.
+const HEAVY_WRITTEN_ROWS: usize = 8;
+
 /// Stored bytes that a batch should hold at most.
 const BATCH_BYTES: u64 = 4 << 20;
 
@@ -50,6 +54,7 @@ pub struct Builder<'a> {
     opened: Vec<Dataset>,
     reader: Option<Arc<ImageReader>>,
     skipped: Arc<Mutex<Losses>>,
+    batch_rows: usize,
 }
 
 impl<'a> Builder<'a> {
@@ -70,7 +75,8 @@ impl<'a> Builder<'a> {
             limits.partitions = 1;
         }
         let layer = unit.stage()?.layer(registry);
-        let context = context_with(limits, batch_rows(unit, layer.as_ref()))?;
+        let batch_rows = batch_rows(unit, layer.as_ref());
+        let context = context_with(limits, batch_rows)?;
         context.register_object_store(store.url(), store.objects());
         let mut opened = Vec::new();
         for (manifest, log) in unit.logs.iter().zip(&unit.recipe.logs) {
@@ -96,6 +102,7 @@ impl<'a> Builder<'a> {
             opened,
             reader,
             skipped: Arc::default(),
+            batch_rows,
         })
     }
 
@@ -107,6 +114,14 @@ impl<'a> Builder<'a> {
     /// What the rows are of.
     pub fn extent(&self) -> Extent {
         self.tables.unit.recipe.extent.clone()
+    }
+
+    /// Rows that are written at once.
+    pub fn written_rows(&self) -> usize {
+        match self.layer().is_some_and(has_bytes) {
+            true => HEAVY_WRITTEN_ROWS,
+            false => self.batch_rows,
+        }
     }
 
     /// The context that the plan runs in.
@@ -278,9 +293,10 @@ impl<'a> Builder<'a> {
     /// Puts in front of operators the repartitioning and order that they need.
     fn ensure(&self, plan: Arc<dyn ExecutionPlan>) -> Result<Arc<dyn ExecutionPlan>, Fault> {
         let state = self.tables.context.state();
-        EnsureRequirements::new()
-            .optimize(plan, state.config_options())
-            .or_fault()
+        let options = state.config_options();
+        let ensured = EnsureRequirements::new().optimize(plan, options);
+        let light = ensured.and_then(|plan| LightBatches.optimize(plan, options));
+        light.or_fault()
     }
 }
 
@@ -296,8 +312,7 @@ fn joined(opened: &[Dataset]) -> Option<Dataset> {
 
 /// Rows per batch: few of heavy rows, whether they are made or read, so that a batch has megabytes and no more.
 fn batch_rows(unit: &Unit, output: Option<&Layer>) -> usize {
-    let mut columns = output.iter().flat_map(|layer| &layer.columns);
-    if columns.any(|column| column.data_type == DataType::Binary) {
+    if output.is_some_and(has_bytes) {
         return HEAVY_BATCH_ROWS;
     }
     let recipe = &unit.recipe;
@@ -309,6 +324,12 @@ fn batch_rows(unit: &Unit, output: Option<&Layer>) -> usize {
         .max();
     let rows = BATCH_BYTES / row_bytes.unwrap_or_default().max(1);
     usize::try_from(rows).map_or(BATCH_ROWS, |rows| rows.clamp(HEAVY_BATCH_ROWS, BATCH_ROWS))
+}
+
+/// Whether rows carry bytes, which may be many.
+fn has_bytes(layer: &Layer) -> bool {
+    let mut columns = layer.columns.iter();
+    columns.any(|column| column.data_type == DataType::Binary)
 }
 
 fn sorted(plan: Arc<dyn ExecutionPlan>, columns: &[String]) -> Arc<dyn ExecutionPlan> {

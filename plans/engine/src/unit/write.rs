@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use arrow::compute::BatchCoalescer;
 use bytes::Bytes;
 use datafusion::physical_plan::{ExecutionPlan, execute_stream};
 use evermap_schemas::geoparquet::{self, GeoColumn};
@@ -24,8 +25,8 @@ use crate::map::store::Store;
 use crate::unit::build::Builder;
 use crate::unit::work::NodeWork;
 
-/// Encoded bytes after which a row group is closed: bounds the writer's memory.
-const ROW_GROUP_BYTES: usize = 64 << 20;
+/// Encoded bytes after which a row group is closed: bounds the memory of the writer, and of readers.
+const ROW_GROUP_BYTES: usize = 16 << 20;
 
 /// Writes the rows of a plan's only partition into a file that has a temporary name.
 ///
@@ -61,19 +62,30 @@ async fn write_to(
         .and_then(|layer| layer.geometry)
         .map(GeoColumn::new);
     let (mut rows, mut took) = (0, Duration::ZERO);
+    // Where pages and row groups end depends on the batches that are written, and those that come on the memory.
+    let mut batches = BatchCoalescer::new(plan.schema(), builder.written_rows());
     let mut stream = execute_stream(plan, builder.task_context()).or_fault()?;
-    while let Some(batch) = stream.next().await {
-        let batch = batch.or_fault()?;
-        rows += batch.num_rows() as u64;
-        let clock = Instant::now();
-        if let Some(geometries) = &mut geometries {
-            geometries.add(&batch);
+    let mut ended = false;
+    while !ended {
+        match stream.next().await {
+            Some(batch) => batches.push_batch(batch.or_fault()?)?,
+            None => {
+                batches.finish_buffered_batch()?;
+                ended = true;
+            }
         }
-        writer.write(&batch).await.map_err(parquet_fault)?;
-        if writer.in_progress_size() > ROW_GROUP_BYTES {
-            writer.flush().await.map_err(parquet_fault)?;
+        while let Some(batch) = batches.next_completed_batch() {
+            rows += batch.num_rows() as u64;
+            let clock = Instant::now();
+            if let Some(geometries) = &mut geometries {
+                geometries.add(&batch);
+            }
+            writer.write(&batch).await.map_err(parquet_fault)?;
+            if writer.in_progress_size() > ROW_GROUP_BYTES {
+                writer.flush().await.map_err(parquet_fault)?;
+            }
+            took += clock.elapsed();
         }
-        took += clock.elapsed();
     }
     let clock = Instant::now();
     if let Some(geometries) = geometries {

@@ -1,0 +1,246 @@
+//! From the bytes of units to batches: the half of a stream that uses the CPU.
+
+use std::sync::Arc;
+
+use arrow::array::RecordBatch;
+use bytes::Bytes;
+use datafusion::execution::memory_pool::MemoryReservation;
+use evermap_schemas::Fault;
+
+use crate::log::chunk::{Block, Damage, Message};
+use crate::log::index::{Unit, UnitKind};
+use crate::losses::{Loss, Reason};
+use crate::scan::plan::PlannedUnit;
+use crate::scan::portions::{Portion, Portions};
+use crate::scan::rows::{MessageAt, RowBuilder};
+use crate::scan::strays::Strays;
+use crate::scan::stream::{BATCH_BYTES, ScanMetrics};
+use crate::session::LogPart;
+
+/// What is worked on next.
+pub(crate) enum Next {
+    /// All of a unit.
+    Unit(PlannedUnit, Bytes),
+    /// A chunk that does not fit into memory.
+    Chunk(Box<Portions>),
+}
+
+/// Opens units and builds rows of their messages.
+pub(crate) struct Worker {
+    pub part: Arc<LogPart>,
+    pub rows: Box<dyn RowBuilder>,
+    pub batch_rows: usize,
+    pub topic: String,
+    pub current: Option<Open>,
+    /// What is left of a chunk that does not fit into memory.
+    pub portions: Option<Box<Portions>>,
+    pub metrics: ScanMetrics,
+}
+
+/// Gives a message to the builder; a payload that is compressed on its own is decompressed first.
+fn push(
+    rows: &mut dyn RowBuilder,
+    part: &LogPart,
+    open: &Open,
+    message: &Message,
+) -> Result<(), String> {
+    let Some(channel) = part.index.channels.get(&message.head.channel) else {
+        return Ok(());
+    };
+    let block = &open.block;
+    let unpacked = match rows.decodes() && channel.message_encoding == "cdr" {
+        true => block.unpack(message)?,
+        false => None,
+    };
+    let (block, place) = match &unpacked {
+        Some(own) => (own, 0..own.bytes.len()),
+        None => (block, message.start..message.end),
+    };
+    rows.push(&MessageAt {
+        part,
+        block,
+        head: message.head,
+        at: unpacked.as_ref().map_or(message.at, |_| 0),
+        payload: &block.bytes[place],
+        shares: open.shares || unpacked.is_some(),
+    })
+}
+
+/// A unit that is being read, or a portion of one.
+pub(crate) struct Open {
+    unit: Unit,
+    block: Block,
+    messages: Vec<Message>,
+    next: usize,
+    lost: Loss,
+    example: String,
+    /// Its largest message waits for memory to be reserved.
+    pub waits: bool,
+    /// Whether values may keep the block.
+    shares: bool,
+    /// Memory that it holds beside what the scan has reserved.
+    _memory: Option<MemoryReservation>,
+}
+
+impl Open {
+    fn new(unit: Unit, block: Block, messages: Vec<Message>) -> Self {
+        let mut open = Self {
+            unit,
+            block,
+            messages,
+            next: 0,
+            lost: Loss::default(),
+            example: String::new(),
+            waits: false,
+            shares: false,
+            _memory: None,
+        };
+        open.waits = open.largest() > BATCH_BYTES;
+        open
+    }
+
+    fn sizes(&self) -> impl Iterator<Item = usize> {
+        let messages = self.messages.iter();
+        messages.map(|message| message.end - message.start)
+    }
+
+    /// Bytes of the largest payload.
+    pub fn largest(&self) -> usize {
+        self.sizes().max().unwrap_or(0)
+    }
+
+    /// Bytes of all payloads.
+    fn wanted(&self) -> usize {
+        self.sizes().sum()
+    }
+}
+
+impl Worker {
+    /// Opens a unit if there is a new one, adds rows until the batch is full or the unit is done.
+    ///
+    /// # Errors
+    /// As [`RowBuilder::finish`] and [`Portions::next`].
+    pub fn work(&mut self, next: Option<Next>, ended: bool) -> Result<Vec<RecordBatch>, Fault> {
+        let busy = self.metrics.busy.clone();
+        let _timer = busy.timer();
+        match next {
+            Some(Next::Unit(planned, bytes)) => {
+                self.metrics.bytes.add(bytes.len());
+                self.open(planned, bytes);
+            }
+            Some(Next::Chunk(portions)) => self.portions = Some(portions),
+            None => {}
+        }
+        if self.current.is_none() {
+            self.open_portion()?;
+        }
+        if self.current.as_ref().is_some_and(|open| open.waits) {
+            return Ok(Vec::new());
+        }
+        self.fill();
+        let full = self.rows.rows() >= self.batch_rows || self.rows.bytes() >= BATCH_BYTES;
+        if full || ended {
+            return self.rows.finish();
+        }
+        Ok(Vec::new())
+    }
+
+    fn open(&mut self, planned: PlannedUnit, bytes: Bytes) {
+        let unit = planned.unit;
+        let block = match unit.kind {
+            UnitKind::Chunk => match Block::open(&bytes, unit.offset) {
+                Ok(block) => block,
+                Err(damage) => return self.lose_unit(&unit, damage),
+            },
+            UnitKind::Loose => Block::loose(bytes, unit.offset),
+            UnitKind::Attachment | UnitKind::Metadata => {
+                if let Err(detail) = self.rows.push_record(&unit, &bytes) {
+                    self.lose_unit(&unit, (Reason::BadAttachment, detail));
+                }
+                return;
+            }
+        };
+        if let Some(damage) = block.damage.clone() {
+            self.lose_unit(&unit, damage);
+        }
+        let mut strays = Strays::new(&self.part, &unit);
+        let rows = &self.rows;
+        let (messages, lost) = block.messages(|channel| {
+            strays.see(channel);
+            match &planned.channels {
+                Some(channels) => channels.binary_search(&channel).is_ok(),
+                None => rows.wants(channel),
+            }
+        });
+        strays.note();
+        if lost.count > 0 {
+            let losses = &self.part.losses;
+            losses.note(Reason::BadRecord, unit.offset, lost, "inside a chunk");
+        }
+        let mut open = Open::new(unit, block, messages);
+        open.shares = open.wanted() >= open.block.bytes.len() / 2;
+        self.current = Some(open);
+    }
+
+    /// Opens the next portion of a chunk that does not fit into memory, if there is one.
+    fn open_portion(&mut self) -> Result<(), Fault> {
+        // After a fault nothing more of it is read.
+        let Some(mut portions) = self.portions.take() else {
+            return Ok(());
+        };
+        let Some(portion) = portions.next()? else {
+            return Ok(());
+        };
+        let Portion {
+            block,
+            messages,
+            memory,
+        } = portion;
+        self.current = Some(Open {
+            _memory: memory,
+            ..Open::new(portions.unit().clone(), block, messages)
+        });
+        self.portions = Some(portions);
+        Ok(())
+    }
+
+    /// Notes what is wrong with a unit.
+    pub fn lose_unit(&self, unit: &Unit, (reason, detail): Damage) {
+        let loss = Loss::one(unit.length);
+        self.part.losses.note(reason, unit.offset, loss, detail);
+    }
+
+    fn fill(&mut self) {
+        let Some(mut open) = self.current.take() else {
+            return;
+        };
+        while let Some(message) = open.messages.get(open.next) {
+            if self.rows.rows() >= self.batch_rows || self.rows.bytes() >= BATCH_BYTES {
+                self.current = Some(open);
+                return;
+            }
+            open.next += 1;
+            if let Err(detail) = push(self.rows.as_mut(), &self.part, &open, message) {
+                open.lost.count += 1;
+                open.lost.bytes += (message.end - message.start) as u64;
+                if open.example.is_empty() {
+                    open.example = detail;
+                }
+            }
+        }
+        self.close(open);
+    }
+
+    /// Notes what was lost in a unit, once it is done.
+    fn close(&self, open: Open) {
+        if open.lost.count > 0 {
+            self.part.losses.note_topic(
+                Reason::Undecodable,
+                &self.topic,
+                open.unit.offset,
+                open.lost,
+                open.example,
+            );
+        }
+    }
+}
