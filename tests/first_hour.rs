@@ -54,7 +54,7 @@ fn a_log_of_which_a_plan_makes_nothing_is_refused_alone_and_counted_among_others
     let refused = run("trajectory", &map, &[&blind], &[]).expect(1).stderr;
     for said in [
         "cannot use session blind",
-        "odometry (step keyframes)",
+        "odometry (step inertial_odometry)",
         "/front (sensor_msgs/Image)",
         "nav_msgs/Odometry",
     ] {
@@ -64,13 +64,16 @@ fn a_log_of_which_a_plan_makes_nothing_is_refused_alone_and_counted_among_others
     let checked = evermap(&["check", "trajectory", "--sessions", text(&blind)])
         .expect(1)
         .stderr;
-    assert!(checked.contains("odometry (step keyframes)"), "{checked}");
+    assert!(
+        checked.contains("odometry (step inertial_odometry)"),
+        "{checked}"
+    );
 
     let counted = run("trajectory", &map, &[&drive, &blind], &[])
         .expect(3)
         .stderr;
     assert!(
-        counted.contains("session without odometry (step keyframes): blind"),
+        counted.contains("session without odometry (step inertial_odometry): blind"),
         "{counted}"
     );
     let warned = [

@@ -93,7 +93,8 @@ fn a_plan_extends_a_file_beside_it_which_extends_one_that_ships() {
          doc: >\n  The road network of any log with odometry: where the vehicle drove, which lanes that makes, and\n  \
          where they meet. Needs no camera.\n\
          steps:\n  \
-         keyframes:\n    op: keyframes\n    in: { odometry: odometry }\n    with: { baseline_m: 0.1 }\n  \
+         inertial_odometry:\n    op: inertial_odometry\n    in: { imu: imu, odometry: odometry, transforms: transforms }\n  \
+         keyframes:\n    op: keyframes\n    in: { odometry: inertial_odometry }\n    with: { baseline_m: 0.1 }\n  \
          poses:\n    sql: |\n      SELECT site, session, stamp, odom_from_vehicle AS map_from_vehicle FROM keyframes\n  \
          lanes:\n    op: road_network\n    in: { keyframes: keyframes, poses: poses }\n    with: { connect_m: 3 }\n  \
          drives:\n    sql: |-\n      SELECT DISTINCT session FROM poses\n\
