@@ -111,7 +111,7 @@ pub struct SessionArgs {
 /// What the program may use.
 #[derive(Debug, Args)]
 pub struct LimitArgs {
-    /// Units that run side by side [default: one a core].
+    /// Units that run side by side [default: one a core, and one for 256 MiB of memory].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub jobs: Option<u32>,
     /// Memory for sorts, joins and decoded chunks, all units together.

@@ -120,10 +120,14 @@ fn tell_of_unplayed(prepared: &Prepared) {
     }
 }
 
+/// Memory without which no further unit runs beside others, unless it is asked for.
+const UNIT_BYTES: usize = 256 << 20;
+
 /// Units that run side by side.
 fn jobs(args: &LimitArgs) -> usize {
-    args.jobs
-        .map_or_else(|| Limits::default().partitions, |jobs| jobs as usize)
+    let cores = Limits::default().partitions;
+    let fit = (args.memory / UNIT_BYTES).max(1);
+    args.jobs.map_or(cores.min(fit), |jobs| jobs as usize)
 }
 
 /// What each of so many units may use.
@@ -193,11 +197,12 @@ mod tests {
             memory: 1 << 30,
         };
         assert_eq!(limits(&args, jobs(&args)).memory_bytes, 1 << 28);
-        assert!(
+        assert_eq!(
             jobs(&LimitArgs {
                 jobs: None,
-                memory: 1 << 30
-            }) >= 1
+                memory: UNIT_BYTES
+            }),
+            1
         );
     }
 }

@@ -8,6 +8,7 @@
 
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use arrow::array::{RecordBatch, UInt32Array};
 use arrow::compute::take_record_batch;
@@ -26,7 +27,7 @@ use datafusion::physical_plan::sorts::sort::SortExec;
 use datafusion::physical_plan::stream::RecordBatchStreamAdapter;
 use datafusion::physical_plan::streaming::{PartitionStream, StreamingTableExec};
 use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
-use futures::{StreamExt, TryStreamExt};
+use futures::{Stream, StreamExt, TryStreamExt};
 
 use crate::nodes::node::{Deal, Duty, Need, Node, first};
 
@@ -148,12 +149,15 @@ impl Duty for Sorting {
         partition: usize,
         context: Arc<TaskContext>,
     ) -> Result<SendableRecordBatchStream> {
-        let input = first(&node.children)?.execute(partition, Arc::clone(&context))?;
+        // What is below registers for memory when its rows are asked for: until then others may have its share.
+        let input = Arc::clone(first(&node.children)?);
         let (schema, order) = (node.schema(), node.duty.order.clone());
         let metrics = BaselineMetrics::new(&node.metrics, partition);
-        let begun = begin(input, order, context);
+        let begun = async move {
+            let input = input.execute(partition, Arc::clone(&context))?;
+            begin(input, order, context, metrics).await
+        };
         let batches = futures::stream::once(begun).try_flatten();
-        let batches = batches.map_ok(move |batch| batch.record_output(&metrics));
         Ok(Box::pin(RecordBatchStreamAdapter::new(schema, batches)))
     }
 }
@@ -163,7 +167,8 @@ async fn begin(
     input: SendableRecordBatchStream,
     order: LexOrdering,
     context: Arc<TaskContext>,
-) -> Result<SendableRecordBatchStream> {
+    metrics: BaselineMetrics,
+) -> Result<impl Stream<Item = Result<RecordBatch>> + Send> {
     let schema = input.schema();
     let mut pieces = input
         .map(|batch| Ok::<_, DataFusionError>(futures::stream::iter(pieces(&batch?))))
@@ -172,15 +177,22 @@ async fn begin(
     let first = pieces.try_next().await?;
     let rows = first.as_ref().map_or(usize::MAX, light_rows);
     let all = futures::stream::iter(first.map(Ok)).chain(pieces);
+    let all = RecordBatchStreamAdapter::new(Arc::clone(&schema), all);
     let once = Once {
         schema: Arc::clone(&schema),
-        rows: Mutex::new(Some(Box::pin(RecordBatchStreamAdapter::new(
-            Arc::clone(&schema),
-            all,
-        )))),
+        rows: Mutex::new(Some(Box::pin(all))),
     };
     let input = StreamingTableExec::try_new(schema, vec![Arc::new(once)], None, [], false, None)?;
-    SortExec::new(order, Arc::new(input)).execute(0, with_batch_rows(&context, rows))
+    let sort = SortExec::new(order, Arc::new(input));
+    let sorted = sort.execute(0, with_batch_rows(&context, rows))?;
+    let busy = metrics.elapsed_compute().clone();
+    let sorted = sorted.map_ok(move |batch| batch.record_output(&metrics));
+    let told = futures::stream::once(async move {
+        let took = sort.metrics().and_then(|metrics| metrics.elapsed_compute());
+        busy.add_duration(Duration::from_nanos(took.unwrap_or_default() as u64));
+    });
+    let nothing_more = told.filter_map(|()| std::future::ready(None));
+    Ok(sorted.chain(nothing_more))
 }
 
 /// The context with batches of at most so many rows.
@@ -257,5 +269,96 @@ impl PartitionStream for Once {
                 none,
             ))
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use arrow::array::{AsArray, BinaryArray, UInt64Array};
+    use arrow::datatypes::UInt64Type;
+    use datafusion::datasource::memory::MemorySourceConfig;
+    use datafusion::physical_plan::collect;
+    use datafusion::prelude::SessionContext;
+    use evermap_schemas::Kind;
+
+    use super::*;
+    use crate::error::fault_of;
+    use crate::nodes::node::ordering;
+    use crate::sql::{Limits, context};
+
+    /// Numbers, each with so many bytes, in no order and batches of 64.
+    fn heavy(rows: u64, bytes: usize) -> Arc<dyn ExecutionPlan> {
+        let numbers: Vec<u64> = (0..rows).map(|row| row * 7919 % rows).collect();
+        let batch = |numbers: &[u64]| {
+            let values = numbers.iter().map(|number| vec![*number as u8; bytes]);
+            let values = BinaryArray::from_iter_values(values);
+            let numbers = UInt64Array::from(numbers.to_vec());
+            let columns = [
+                ("number", Arc::new(numbers) as _),
+                ("bytes", Arc::new(values) as _),
+            ];
+            RecordBatch::try_from_iter(columns).unwrap()
+        };
+        let batches: Vec<_> = numbers.chunks(64).map(batch).collect();
+        let schema = batches[0].schema();
+        MemorySourceConfig::try_new_exec(&[batches], schema, None).unwrap()
+    }
+
+    fn small() -> SessionContext {
+        let memory_bytes = 24 << 20;
+        let partitions = 1;
+        context(Limits {
+            memory_bytes,
+            partitions,
+        })
+        .unwrap()
+    }
+
+    #[tokio::test]
+    async fn heavy_rows_are_sorted_where_a_batch_of_them_does_not_fit() {
+        let context = small();
+        let rows = heavy(300, 150_000);
+        let order = ordering(["number"], &rows.schema()).unwrap();
+        let plain: Arc<dyn ExecutionPlan> = Arc::new(SortExec::new(order, rows));
+        let refused = collect(Arc::clone(&plain), context.task_ctx()).await;
+        assert_eq!(fault_of(&refused.unwrap_err()).kind, Kind::Resource);
+
+        let state = context.state();
+        let light = LightBatches
+            .optimize(plain, state.config_options())
+            .unwrap();
+        let batches = collect(Arc::clone(&light), context.task_ctx())
+            .await
+            .unwrap();
+        let mut number = 0;
+        for batch in &batches {
+            assert!(batch.num_rows() <= 7, "{} rows", batch.num_rows());
+            let numbers = batch.column(0).as_primitive::<UInt64Type>();
+            for (row, found) in numbers.values().iter().enumerate() {
+                assert_eq!(*found, number);
+                let bytes = batch.column(1).as_binary::<i32>().value(row);
+                assert!(bytes.len() == 150_000 && bytes[0] == number as u8);
+                number += 1;
+            }
+        }
+        assert_eq!(number, 300);
+        let metrics = light.metrics().unwrap();
+        assert_eq!(metrics.output_rows(), Some(300));
+        assert!(metrics.elapsed_compute() > Some(1_000));
+    }
+
+    #[tokio::test]
+    async fn light_rows_are_sorted_as_many_at_a_time_as_the_context_says() {
+        let context = small();
+        let order = ordering(["number"], &heavy(1, 1).schema()).unwrap();
+        let sort = sorted(heavy(1000, 8), order).unwrap();
+        let batches = collect(sort, context.task_ctx()).await.unwrap();
+        let rows: Vec<_> = batches.iter().map(RecordBatch::num_rows).collect();
+        let most = context.copied_config().batch_size();
+        assert!(
+            rows[0] == most && rows.iter().sum::<usize>() == 1000,
+            "{rows:?}"
+        );
     }
 }

@@ -39,14 +39,15 @@ impl Used {
 }
 
 impl SharedPool {
-    /// A pool of so many bytes for operators that work in so many partitions, half of it for small reservations.
+    /// A pool of so many bytes for operators that work in so many partitions: half of it at most for those that spill,
+    /// a quarter for small reservations alone.
     ///
     /// To merge what it has sorted, a sort copies the keys of its share, which may be all of it; the share was counted
     /// twice. So two sorts in a row, in each partition, find what they need.
     pub fn new(bytes: usize, partitions: usize) -> Self {
         Self {
             bytes,
-            held: bytes / 2,
+            held: bytes / 4,
             small: bytes / (4 * partitions.max(1)),
             used: Mutex::default(),
         }
@@ -60,7 +61,9 @@ impl SharedPool {
     fn free(&self, used: &Used, reservation: &MemoryReservation) -> usize {
         let size = reservation.size();
         if reservation.consumer().can_spill() {
-            let shared = self.bytes.saturating_sub(used.unspillable.max(self.held));
+            // Where others hold much, half of what is held for small reservations is still left to them.
+            let others = (used.unspillable + self.held / 2).max(self.bytes / 2);
+            let shared = self.bytes.saturating_sub(others);
             return (shared / used.spillers.max(1)).saturating_sub(size);
         }
         let free = self.bytes.saturating_sub(used.spillable + used.unspillable);
@@ -141,16 +144,16 @@ mod tests {
         first.try_grow(1).unwrap_err();
         second.try_grow(20).unwrap();
         let greedy = MemoryConsumer::new("greedy").register(&pool);
-        greedy.try_grow(10).unwrap();
+        greedy.try_grow(20).unwrap();
         greedy.try_grow(1).unwrap_err();
         let merge = MemoryConsumer::new("merge").register(&pool);
         merge.try_grow(10).unwrap();
         let refused = merge.try_grow(1).unwrap_err().to_string();
         assert!(refused.contains("merge needs 1.0 B more"), "{refused}");
         drop((first, second));
-        greedy.try_grow(20).unwrap();
+        greedy.try_grow(30).unwrap();
         greedy.try_grow(1).unwrap_err();
-        assert_eq!(pool.reserved(), 40);
+        assert_eq!(pool.reserved(), 60);
         drop((merge, greedy));
         assert_eq!(pool.reserved(), 0);
     }
@@ -162,8 +165,10 @@ mod tests {
         build.try_grow(50).unwrap();
         let sort = MemoryConsumer::new("sort").with_can_spill(true);
         let sort = sort.register(&pool);
-        sort.try_grow(51).unwrap_err();
-        sort.try_grow(50).unwrap();
+        sort.try_grow(39).unwrap_err();
+        sort.try_grow(38).unwrap();
         build.try_grow(1).unwrap_err();
+        let merge = MemoryConsumer::new("merge").register(&pool);
+        merge.try_grow(12).unwrap();
     }
 }

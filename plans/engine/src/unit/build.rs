@@ -11,6 +11,7 @@ use datafusion::physical_plan::coalesce_partitions::CoalescePartitionsExec;
 use datafusion::physical_plan::empty::EmptyExec;
 use datafusion::physical_plan::sorts::sort::SortExec;
 use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
+use datafusion::prelude::SessionContext;
 use evermap_contract::{Losses, Phase, Registry};
 use evermap_datasets::{Dataset, ImageReader};
 use evermap_language::Input;
@@ -68,15 +69,19 @@ impl<'a> Builder<'a> {
         registry: &'a Registry,
     ) -> Result<Self, Fault> {
         let is_operator = |stage: &Stage| matches!(stage.task, Task::Op { .. });
+        let operators_only = unit.recipe.stages.iter().all(is_operator);
         // Floating-point sums depend on how rows are dealt out: a query or a function has one partition, the same
         // everywhere.
         let mut limits = unit.limits;
-        if !unit.recipe.stages.iter().all(is_operator) {
+        if !operators_only {
             limits.partitions = 1;
         }
         let layer = unit.stage()?.layer(registry);
         let batch_rows = batch_rows(unit, layer.as_ref());
         let context = context_with(limits, batch_rows)?;
+        if operators_only {
+            read_in_order(&context);
+        }
         context.register_object_store(store.url(), store.objects());
         let mut opened = Vec::new();
         for (manifest, log) in unit.logs.iter().zip(&unit.recipe.logs) {
@@ -298,6 +303,14 @@ impl<'a> Builder<'a> {
         let light = ensured.and_then(|plan| LightBatches.optimize(plan, options));
         light.or_fault()
     }
+}
+
+/// Has files that follow each other read one behind the other, so that rows which are stored in order are not sorted.
+fn read_in_order(context: &SessionContext) {
+    let state = context.state_ref();
+    let mut state = state.write();
+    let execution = &mut state.config_mut().options_mut().execution;
+    execution.split_file_groups_by_statistics = true;
 }
 
 /// The sessions of some datasets as one; what scans lose goes to the ledger of the first.

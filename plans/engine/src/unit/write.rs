@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use arrow::compute::BatchCoalescer;
+use arrow::datatypes::Schema;
 use bytes::Bytes;
 use datafusion::physical_plan::{ExecutionPlan, execute_stream};
 use evermap_schemas::geoparquet::{self, GeoColumn};
@@ -11,12 +12,13 @@ use evermap_schemas::{Fault, Layer};
 use futures::StreamExt;
 use futures::future::BoxFuture;
 use object_store::buffered::BufWriter;
-use parquet::arrow::AsyncArrowWriter;
 use parquet::arrow::async_writer::AsyncFileWriter;
+use parquet::arrow::{ArrowSchemaConverter, AsyncArrowWriter};
 use parquet::basic::{Compression, ZstdLevel};
 use parquet::errors::ParquetError;
-use parquet::file::metadata::KeyValue;
+use parquet::file::metadata::{KeyValue, SortingColumn};
 use parquet::file::properties::WriterProperties;
+use parquet::schema::types::ColumnDescPtr;
 use tokio::io::AsyncWriteExt;
 
 use crate::error::OrFault;
@@ -54,7 +56,7 @@ async fn write_to(
     builder: &Builder<'_>,
 ) -> Result<(Artifact, NodeWork), Fault> {
     let file = Hashing::new(BufWriter::new(store.objects(), store.path(name)));
-    let properties = properties(builder.layer());
+    let properties = properties(builder.layer(), &plan.schema())?;
     let mut writer =
         AsyncArrowWriter::try_new(file, plan.schema(), Some(properties)).map_err(parquet_fault)?;
     let mut geometries = builder
@@ -108,18 +110,38 @@ fn parquet_fault(error: ParquetError) -> Fault {
     Fault::resource(format!("cannot write an artifact: {error}"))
 }
 
-fn properties(layer: Option<&Layer>) -> WriterProperties {
+fn properties(layer: Option<&Layer>, schema: &Schema) -> Result<WriterProperties, Fault> {
     let mut metadata = Vec::new();
     let mut note = |key: &str, value| metadata.push(KeyValue::new(key.to_owned(), value));
     if let Some(layer) = layer {
         note("evermap.layer", layer.name.to_owned());
         note("evermap.layer_version", layer.version.to_string());
     }
-    WriterProperties::builder()
+    let sorting = layer.map(|layer| sorting(layer, schema)).transpose()?;
+    Ok(WriterProperties::builder()
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(1).unwrap_or_default()))
         .set_created_by("evermap".into())
         .set_key_value_metadata(Some(metadata))
-        .build()
+        .set_sorting_columns(sorting)
+        .build())
+}
+
+/// The order of a layer's rows, told so that who wants them in it need not sort them.
+fn sorting(layer: &Layer, schema: &Schema) -> Result<Vec<SortingColumn>, Fault> {
+    let parquet = ArrowSchemaConverter::new().convert(schema);
+    let parquet = parquet.map_err(parquet_fault)?;
+    let leaf = |name: &&str| {
+        let is_it = |leaf: &ColumnDescPtr| leaf.path().parts() == [(*name).to_owned()];
+        parquet.columns().iter().position(is_it)
+    };
+    // Rows are in the order of the columns before one that no file can name.
+    let leaves = layer.key.iter().map_while(leaf);
+    let sorting = leaves.map(|leaf| SortingColumn {
+        column_idx: leaf as i32,
+        descending: false,
+        nulls_first: true,
+    });
+    Ok(sorting.collect())
 }
 
 /// A file that is hashed as it is written.
