@@ -9,7 +9,7 @@ use std::sync::{Arc, LazyLock};
 
 use arrow::array::{ArrayRef, AsArray, Int32Array, RecordBatch, StringArray};
 use arrow::compute::{cast, concat_batches};
-use arrow::datatypes::{DataType, Int32Type, SchemaRef};
+use arrow::datatypes::{DataType, FieldRef, Int32Type, Schema, SchemaRef};
 use async_trait::async_trait;
 use datafusion::catalog::streaming::StreamingTable;
 use datafusion::catalog::{MemTable, SchemaProvider, TableProvider};
@@ -24,6 +24,7 @@ use datafusion::physical_plan::streaming::PartitionStream;
 use datafusion::prelude::SessionContext;
 use datafusion::scalar::ScalarValue;
 use datafusion::sql::sqlparser::ast::{ObjectNamePart, Statement, visit_relations_mut};
+use datafusion_postgres::datafusion_pg_catalog::pg_catalog::oid_field::{kind::REGPROC, oid_field};
 use pgwire::api::Type;
 
 use crate::output::GEOMETRY;
@@ -32,6 +33,9 @@ use crate::serve::postgres::geometry::OID;
 const CATALOG: &str = "pg_catalog";
 /// What clients take the types for. Of its functions a map has those that `evermap functions` lists.
 const VERSION: &str = "3.4 USE_GEOS=0 USE_PROJ=0 USE_STATS=0";
+
+/// The version of Postgres whose clients are understood, as the protocol says it too.
+const POSTGRES: &str = concat!("PostgreSQL 16.6 by evermap ", env!("CARGO_PKG_VERSION"));
 
 /// What reads the library's tables. A map's own context would hold itself, and never be dropped.
 static READER: LazyLock<SessionContext> = LazyLock::new(SessionContext::new);
@@ -48,7 +52,8 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
         return exec_err!("there is no schema {CATALOG}");
     };
     let types = with_geometry(read(&inner, "pg_type").await?)?;
-    let numbers = numbers(&types)?;
+    let types = by_number(types, &numbers(&read(&inner, "pg_proc").await?, "proname")?)?;
+    let numbers = numbers(&types, "typname")?;
     let types = MemTable::try_new(types.schema(), vec![vec![types]])?;
     let mut tables = Catalog {
         inner,
@@ -67,6 +72,7 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
         register(context, FormatType { inner });
     }
     for (name, version) in [
+        ("version", POSTGRES),
         ("postgis_version", VERSION),
         ("postgis_lib_version", "3.4.0"),
     ] {
@@ -128,7 +134,7 @@ fn with_geometry(types: RecordBatch) -> Result<RecordBatch> {
     };
     let like = types.slice(row, 1);
     let fields = types.schema().fields().clone();
-    let column = |(field, value): (&Arc<arrow::datatypes::Field>, &ArrayRef)| {
+    let column = |(field, value): (&FieldRef, &ArrayRef)| {
         let other: ArrayRef = match field.name().as_str() {
             "oid" => Arc::new(Int32Array::from(vec![OID.cast_signed()])),
             "typarray" => Arc::new(Int32Array::from(vec![0])),
@@ -143,14 +149,49 @@ fn with_geometry(types: RecordBatch) -> Result<RecordBatch> {
     Ok(concat_batches(&types.schema(), [&types, &row])?)
 }
 
-/// The numbers of types by their names.
-fn numbers(types: &RecordBatch) -> Result<BTreeMap<String, i32>> {
-    let Some(names) = types.column_by_name("typname") else {
-        return exec_err!("pg_type has no names");
+/// Columns of `pg_type` that name functions.
+const FUNCTIONS: [&str; 7] = [
+    "typinput",
+    "typoutput",
+    "typreceive",
+    "typsend",
+    "typmodin",
+    "typmodout",
+    "typanalyze",
+];
+
+/// The types with functions by their numbers, which the library has by name: clients compare them with numbers.
+fn by_number(types: RecordBatch, functions: &BTreeMap<String, i32>) -> Result<RecordBatch> {
+    let schema = types.schema();
+    let column = |(field, values): (&FieldRef, &ArrayRef)| {
+        if !FUNCTIONS.contains(&field.name().as_str()) || *values.data_type() != DataType::Utf8 {
+            return (Arc::clone(field), Arc::clone(values));
+        }
+        let number = |name: Option<&str>| Some(functions.get(name?).copied().unwrap_or(0));
+        let numbers: Int32Array = values.as_string::<i32>().iter().map(number).collect();
+        let field = oid_field(field.name(), REGPROC, field.is_nullable());
+        (Arc::new(field), Arc::new(numbers))
+    };
+    let (fields, columns): (Vec<FieldRef>, Vec<ArrayRef>) = schema
+        .fields()
+        .iter()
+        .zip(types.columns())
+        .map(column)
+        .unzip();
+    Ok(RecordBatch::try_new(
+        Arc::new(Schema::new(fields)),
+        columns,
+    )?)
+}
+
+/// The numbers of what a table names.
+fn numbers(table: &RecordBatch, names: &str) -> Result<BTreeMap<String, i32>> {
+    let Some(names) = table.column_by_name(names) else {
+        return exec_err!("there is no column {names}");
     };
     let names = cast(names, &DataType::Utf8)?;
     let names = names.as_string::<i32>().iter().flatten().map(str::to_owned);
-    let numbers = int32(types, "oid")?;
+    let numbers = int32(table, "oid")?;
     Ok(names.zip(numbers.iter().flatten()).collect())
 }
 

@@ -320,7 +320,7 @@ impl<'r> Viewer<'r> {
         let before = recording.lasting.iter().copied();
         for message in before.take_while(|message| *message < played) {
             if channel.is_none_or(|channel| recording.channel_of[message] == channel) {
-                self.tell(&[message]).await?;
+                self.tell(&[message], true).await?;
             }
         }
         Ok(())
@@ -334,15 +334,15 @@ impl<'r> Viewer<'r> {
         }
         let time = protocol::time(ns(self.recording.stamps[due.end - 1]));
         self.out.send(Message::Binary(time)).await?;
-        self.tell(&due.collect::<Vec<usize>>()).await?;
+        self.tell(&due.collect::<Vec<usize>>(), false).await?;
         match self.player.status() {
             Status::Ended => self.stands(false, None).await,
             _ => Ok(()),
         }
     }
 
-    /// Sends messages, those that are asked for, at the time that it is.
-    async fn tell(&mut self, messages: &[usize]) -> Result<(), Gone> {
+    /// Sends messages, those that are asked for; what comes again holds at the time that it is.
+    async fn tell(&mut self, messages: &[usize], again: bool) -> Result<(), Gone> {
         let recording = self.recording;
         let number = |message: &usize| self.subscriptions.get(&recording.channel_of[*message]);
         let asked: Vec<(usize, u32)> = messages
@@ -358,12 +358,8 @@ impl<'r> Viewer<'r> {
             Ok(payloads) => payloads,
             Err(fault) => return self.out.error(&fault.to_string()).await,
         };
-        for (((message, number), said), payload) in asked.iter().zip(&said).zip(payloads) {
-            // What comes again holds at the time that it is.
-            let stamp = match *message < self.player.played() && said.lasts {
-                true => said.stamp.max(time),
-                false => said.stamp,
-            };
+        for (((_, number), said), payload) in asked.iter().zip(&said).zip(payloads) {
+            let stamp = if again { time } else { said.stamp };
             let sent = protocol::message(*number, ns(stamp), &payload.bytes);
             self.out.send(Message::Binary(sent)).await?;
         }
