@@ -26,6 +26,7 @@ pub mod session;
 mod stores;
 
 pub use dataset::Dataset;
+pub use evermap_messages::ros2;
 pub use evermap_recording::{LogWriter, Times, annotations};
 pub use images::ImageReader;
 pub use losses::{Loss, LossLedger, Reason};

@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 
+use crate::wkb::{EXTENDED_HEIGHT, EXTENDED_SYSTEM};
 use crate::{Fault, Wkb};
 
 /// Collections within collections that are followed.
@@ -49,7 +50,7 @@ pub enum Geometry {
 }
 
 impl Geometry {
-    /// Reads well-known binary, ISO, in either byte order.
+    /// Reads well-known binary, ISO or as PostGIS extends it, in either byte order. A reference system is passed over.
     ///
     /// # Errors
     /// A data fault for bytes that are no geometry, or one of a kind that is none of these.
@@ -69,6 +70,11 @@ impl Geometry {
     /// The geometry as well-known binary, ISO, little endian; with heights where its first point has one.
     pub fn to_wkb(&self) -> Wkb {
         Wkb::of(self)
+    }
+
+    /// The geometry as extended well-known binary, which PostGIS has, without a reference system.
+    pub fn to_ewkb(&self) -> Vec<u8> {
+        Wkb::extended(self).0
     }
 
     /// The kind's number in well-known binary.
@@ -183,10 +189,14 @@ impl Cursor<'_> {
             [1] => true,
             _ => return None,
         };
-        let kind = self.number()?;
-        let dimensions = match kind / 1000 {
-            0 => 2,
-            1 => 3,
+        let said = self.number()?;
+        let kind = said & !(EXTENDED_HEIGHT | EXTENDED_SYSTEM);
+        if said & EXTENDED_SYSTEM != 0 {
+            self.number()?;
+        }
+        let dimensions = match (kind / 1000, said & EXTENDED_HEIGHT) {
+            (0, 0) => 2,
+            (0, _) | (1, 0) => 3,
             _ => return None,
         };
         match kind % 1000 {

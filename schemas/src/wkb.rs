@@ -9,6 +9,10 @@ use serde_json::Value;
 
 use crate::{Bytes, Cell, Fault, Geometry, Position};
 
+/// What PostGIS adds to the number of a kind whose points have heights, and where it names a reference system.
+pub(crate) const EXTENDED_HEIGHT: u32 = 0x8000_0000;
+pub(crate) const EXTENDED_SYSTEM: u32 = 0x2000_0000;
+
 /// A geometry as well-known binary (ISO WKB, little endian), in local metres: GeoParquet with `"crs": null`.
 #[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Wkb(pub Vec<u8>);
@@ -60,14 +64,26 @@ impl Wkb {
 
     /// A geometry, with heights where its first point has one.
     pub(crate) fn of(geometry: &Geometry) -> Self {
+        Self::with_heights(geometry, 1000)
+    }
+
+    /// The same as PostGIS has it.
+    pub(crate) fn extended(geometry: &Geometry) -> Self {
+        Self::with_heights(geometry, EXTENDED_HEIGHT)
+    }
+
+    /// A geometry whose kinds say by adding a number that there are heights.
+    fn with_heights(geometry: &Geometry, number: u32) -> Self {
         let mut wkb = Self::default();
         let first = geometry.paths().into_iter().flatten().next();
-        wkb.write(geometry, first.is_some_and(|point| point.z.is_some()));
+        let has_heights = first.is_some_and(|point| point.z.is_some());
+        wkb.write(geometry, if has_heights { number } else { 0 });
         wkb
     }
 
-    fn write(&mut self, geometry: &Geometry, has_heights: bool) {
-        let dimensions = if has_heights { 1000 } else { 0 };
+    /// `dimensions` is added to the number of each kind; 0 for what is flat.
+    fn write(&mut self, geometry: &Geometry, dimensions: u32) {
+        let has_heights = dimensions != 0;
         self.0.push(1);
         self.0
             .extend((geometry.number() + dimensions).to_le_bytes());
@@ -92,7 +108,7 @@ impl Wkb {
             | Geometry::MultiPolygon(parts)
             | Geometry::GeometryCollection(parts) => {
                 self.count(parts.len());
-                parts.iter().for_each(|part| self.write(part, has_heights));
+                parts.iter().for_each(|part| self.write(part, dimensions));
             }
         }
     }
@@ -186,6 +202,25 @@ mod tests {
             assert_eq!(geometry.to_wkb(), wkb);
             assert_eq!(both.to_wkb().geometry().unwrap(), both);
         }
+    }
+
+    #[test]
+    fn what_postgis_writes_is_read_and_the_other_way() {
+        let point = Wkb::point([1.0, 2.0, 3.0]).geometry().unwrap();
+        let flat = Wkb::polygon(&[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]);
+        assert_eq!(flat.geometry().unwrap().to_ewkb(), flat.0);
+        let extended = point.to_ewkb();
+        assert_eq!(extended[..5], [1, 1, 0, 0, 0x80]);
+        assert_eq!(Geometry::from_wkb(&extended).unwrap(), point);
+        // SELECT 'SRID=4326;POINT Z (1 2 3)'::geometry, in PostGIS 3.4.
+        let system = "01010000A0E6100000000000000000F03F00000000000000400000000000000840";
+        let digits = (0..system.len()).step_by(2);
+        let bytes: Vec<u8> = digits
+            .map(|at| u8::from_str_radix(&system[at..at + 2], 16).unwrap())
+            .collect();
+        assert_eq!(Geometry::from_wkb(&bytes).unwrap(), point);
+        let both = Geometry::GeometryCollection(vec![point.clone(), point]);
+        assert_eq!(Geometry::from_wkb(&both.to_ewkb()).unwrap(), both);
     }
 
     fn geojson(bytes: &[u8]) -> Result<Value, Fault> {

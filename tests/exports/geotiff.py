@@ -6,6 +6,7 @@ import sys
 import numpy
 import rasterio
 import rasterio.warp
+from rio_cogeo import cog_validate
 
 SIDE, CELL_M = 400, 0.5
 
@@ -21,6 +22,8 @@ def expected():
 
 def main(where, path):
     grey, alpha = expected()
+    sound, errors, warnings = cog_validate(path, strict=True, quiet=True)
+    assert sound, (errors, warnings)
     with rasterio.open(path) as file:
         assert (file.width, file.height, file.count) == (2 * SIDE, 2 * SIDE, 2)
         assert file.block_shapes == [(256, 256)] * 2 and file.compression.name == "deflate"

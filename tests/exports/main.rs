@@ -8,10 +8,38 @@ use evermap_tests::recording::is_read_as_the_map_says;
 use evermap_tests::server::{Server, map, script};
 use evermap_tests::{Finished, evermap, plan_command, simulate, text};
 
+/// Danger and speeds where the vehicle was, as cells of 2 m.
+const CELLS: &str = r#"
+plan: cells
+extends: trajectory
+steps:
+  danger_map:
+    sql: |
+      SELECT site, CAST(floor(map_from_vehicle['x'] / 2) AS INT) AS "column",
+             CAST(floor(map_from_vehicle['y'] / 2) AS INT) AS "row", CAST(2 AS DOUBLE) AS cell_m,
+             least(0.003 * count(*), 1.0) AS danger
+      FROM poses GROUP BY 1, 2, 3
+  speed_map:
+    sql: |
+      SELECT site, "column", "row", cell_m, 2.8 * greatest(1.0 - 20.0 * danger, 0.001) AS speed_mps, 2.8 AS max_mps
+      FROM danger_map
+write: [danger_map, speed_map]
+"#;
+
 #[test]
 fn a_recording_has_what_the_map_says() {
     let folder = tempfile::tempdir().unwrap();
     let map = map(folder.path());
+    let plan = folder.path().join("cells.yaml");
+    std::fs::write(&plan, CELLS).unwrap();
+    let monday = folder.path().join("monday.mcap");
+    let run = plan_command(text(&plan), &map, "lot", &["--sessions", text(&monday)]).output();
+    Finished::from(run.unwrap()).expect(0);
+    let cells =
+        "SELECT count(*) AS n FROM danger_map d JOIN speed_map s USING (\"column\", \"row\")";
+    let cells = ["sql", "--map", text(&map), "--format", "json", cells];
+    let cells = evermap(&cells).expect(0).json();
+    assert!(cells[0]["n"].as_u64().unwrap() > 20, "{cells}");
     is_read_as_the_map_says(&map, folder.path());
 
     // A recording is a log again.

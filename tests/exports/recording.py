@@ -7,16 +7,40 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from mcap_ros2.decoder import DecoderFactory as RosDecoderFactory
+
+ENCODINGS = {"foxglove": ("protobuf", "protobuf"), "nav_msgs": ("ros2msg", "cdr")}
+
+
+def occupied(messages, cells):
+    """Holds an occupancy grid to its cells: [column, row, side, least value, greatest value]; elsewhere nobody knows."""
+    if not cells:
+        assert not messages
+        return
+    (grid,) = messages
+    info = grid.info
+    assert grid.header.frame_id == "map" and len(grid.data) == info.width * info.height
+    assert (info.origin.orientation.w, info.origin.orientation.z) == (1, 0)
+    values = list(grid.data)
+    for column, row, side, least, greatest in cells:
+        assert abs(info.resolution - side) < 1e-6
+        x = ((column + 0.5) * side - info.origin.position.x) / side
+        y = ((row + 0.5) * side - info.origin.position.y) / side
+        at = int(y) * info.width + int(x)
+        assert 0 <= x < info.width and least <= values[at] <= greatest, (column, row, values[at], least, greatest)
+        values[at] = -1
+    assert all(value == -1 for value in values)
 
 
 def main(path, facts):
     facts = json.loads(Path(facts).read_text())
     counts, transforms, seen = Counter(), {}, defaultdict(list)
     with open(path, "rb") as file:
-        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory(), RosDecoderFactory()])
         last = 0
         for schema, channel, message, decoded in reader.iter_decoded_messages():
-            assert schema.encoding == channel.message_encoding == "protobuf"
+            package = schema.name.split(".")[0].split("/")[0]
+            assert (schema.encoding, channel.message_encoding) == ENCODINGS[package], schema.name
             assert message.log_time >= last
             last = message.log_time
             counts[schema.name] += 1
@@ -45,6 +69,9 @@ def main(path, facts):
             assert topic + "/calibration" in seen, topic
     for grid in seen["/ground"]:
         assert len(grid.data) % (4 * grid.column_count) == 0 and any(grid.data[3::4])
+    occupied(seen["/danger"], facts["danger"])
+    occupied(seen["/speed_mask"], facts["speeds"])
+    assert len(seen["/speed"]) == bool(facts["speeds"])
     print(json.dumps(counts))
 
 

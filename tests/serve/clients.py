@@ -1,21 +1,25 @@
-"""Asks a served map what `evermap sql` was asked, by psycopg, ADBC and HTTP, and compares the answers.
+"""Asks a served map what `evermap sql` was asked, by psycopg, ADBC, HTTP and JDBC, and compares the answers.
 
-    clients.py HTTP POSTGRES EXPECTED.json
+    clients.py HTTP POSTGRES EXPECTED.json [JDBC.jar]
 
-EXPECTED is a list of [query, rows]; rows are objects, as `--format json` prints them.
+EXPECTED is a list of [query, rows]; rows are objects, as `--format json` prints them. The last is the driver of JDBC.
 """
 
 import datetime
 import json
 import math
 import re
+import subprocess
 import sys
 import urllib.parse
 import urllib.request
+from pathlib import Path
 
 import adbc_driver_flightsql.dbapi
 import psycopg
 import pyarrow
+import shapely
+from psycopg.types import TypeInfo
 
 
 INSTANT = re.compile(r"^(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(\.\d+)?(Z|\+00:00)$")
@@ -61,11 +65,47 @@ def same(found, expected):
     return found == expected
 
 
-def by_postgres(connection, query, binary):
+def as_stored(geometry):
+    """A geometry as maps have it, from what PostGIS has."""
+    if geometry is None:
+        return None
+    return shapely.to_wkb(shapely.from_wkb(geometry), hex=True, flavor="iso").lower()
+
+
+def by_postgres(connection, geometry, query, binary):
     with connection.cursor(binary=binary) as cursor:
         cursor.execute(query)
         names = [column.name for column in cursor.description]
-        return [dict(zip(names, row)) for row in cursor.fetchall()]
+        forms = [as_stored if column.type_code == geometry else plain for column in cursor.description]
+        return [
+            {name: form(value) for name, form, value in zip(names, forms, row)} for row in cursor.fetchall()
+        ]
+
+
+def by_jdbc(jar, postgres, queries, more):
+    """All answers, and what the driver tells of a table's columns."""
+    program = Path(__file__).parent / "Jdbc.java"
+    url = f"jdbc:postgresql://{postgres}/map?{more}"
+    ran = subprocess.run(
+        ["java", "-cp", jar, program, url], input="\0".join(queries).encode(), capture_output=True
+    )
+    if ran.returncode:
+        sys.exit(f"JDBC: {ran.stderr.decode()}")
+    answers = []
+    for line in ran.stdout.decode().splitlines():
+        answer = json.loads(line)
+        if "error" in answer:
+            answers.append(answer["error"])
+            continue
+        forms = [as_stored if kind == "geometry" else plain for kind in answer["types"]]
+        answers.append(
+            [
+                {name: form(value) for name, form, value in zip(answer["names"], forms, row)}
+                for row in answer["rows"]
+            ]
+        )
+    *answers, columns = answers
+    return answers, columns
 
 
 def in_microseconds(kind):
@@ -93,17 +133,26 @@ def by_http(address, query):
         return json.load(answer)
 
 
-def main(http, postgres, expected):
+def main(http, postgres, expected, jar=None):
     host, port = postgres.split(":")
     pg = psycopg.connect(host=host, port=port, dbname="map", user="me", autocommit=True)
+    geometry = TypeInfo.fetch(pg, "geometry").oid
     adbc = adbc_driver_flightsql.dbapi.connect(f"grpc://{http}", autocommit=True)
     wrong = 0
     asked = json.load(open(expected))
-    for query, rows in asked:
+    jdbc = {}
+    for name, more in [("JDBC", ""), ("JDBC, binary", "prepareThreshold=-1")] if jar else []:
+        jdbc[name], columns = by_jdbc(jar, postgres, [query for query, _ in asked], more)
+        kinds = {column["COLUMN_NAME"]: column["TYPE_NAME"] for column in columns}
+        if (kinds.get("geometry"), kinds.get("length_m")) != ("geometry", "float8"):
+            wrong += 1
+            print(f"{name} tells the columns {columns!r:.400}")
+    for number, (query, rows) in enumerate(asked):
         rows = plain(rows)
         for name, ask in [
-            ("psycopg", lambda: by_postgres(pg, query, False)),
-            ("psycopg, binary", lambda: by_postgres(pg, query, True)),
+            *((name, lambda answers=answers: answers[number]) for name, answers in jdbc.items()),
+            ("psycopg", lambda: by_postgres(pg, geometry, query, False)),
+            ("psycopg, binary", lambda: by_postgres(pg, geometry, query, True)),
             ("ADBC", lambda: by_adbc(adbc, query)),
             ("HTTP", lambda: by_http(http, query)),
         ]:

@@ -1,4 +1,4 @@
-//! `evermap serve`: what psycopg, ADBC and HTTP read is what `evermap sql` prints, also while versions are published,
+//! `evermap serve`: what psycopg, JDBC, ADBC and HTTP read is what `evermap sql` prints, also while versions are published,
 //! and what must be refused is.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
@@ -11,6 +11,9 @@ use evermap_tests::server::{Server, drive, map, script};
 use evermap_tests::{Finished, command, evermap, plan_command, simulate, text};
 use evermap_vision::{Grey, decode_labels};
 use serde_json::{Value, json};
+
+/// The driver of JDBC, where Debian has it.
+const JDBC: &str = "/usr/share/java/postgresql.jar";
 
 fn ended(name: &str, arguments: &[&str]) {
     if let Some(mut script) = script(name, arguments) {
@@ -37,10 +40,19 @@ fn programs_read_what_evermap_sql_prints() {
     let expected = folder.path().join("expected.json");
     std::fs::write(&expected, Value::from(asked).to_string()).unwrap();
     let server = Server::start(&map, &[]);
-    ended(
-        "serve/clients.py",
-        &[&server.http, &server.postgres, text(&expected)],
-    );
+    let driver = evermap_test_data::there(JDBC.into(), "`make test` installs it");
+    let mut arguments = vec![&server.http, &server.postgres, text(&expected)];
+    arguments.extend(driver.as_deref().map(text));
+    ended("serve/clients.py", &arguments);
+}
+
+/// Geometries come as from PostGIS, to programs that know it.
+#[test]
+fn programs_read_geometries_as_from_postgis() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    ended("serve/postgis.py", &[&server.postgres]);
 }
 
 /// What psql asks of Postgres' own tables, to list and describe.
@@ -54,6 +66,7 @@ fn psql_describes_a_map() {
         ("\\d", "| lanes "),
         ("\\dt+", "| lanes "),
         ("\\d lanes", "length_m "),
+        ("\\d lanes", "| geometry "),
         ("\\d+ lanes", "length_m "),
         ("\\dp lanes", "| lanes "),
         ("\\dn+", "public "),
@@ -115,6 +128,31 @@ fn clients_see_versions_whole_while_they_are_published() {
         "{}",
         ended.stdout
     );
+}
+
+/// As Foxglove does it; those who take nothing cost the server nothing, and others are answered meanwhile.
+#[test]
+fn a_map_is_watched_live() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    ended("serve/live.py", &["watched", &server.http]);
+    let before = server.memory();
+    let Some(mut viewers) = script("serve/live.py", &["slow", &server.http]) else {
+        return;
+    };
+    let mut viewers = viewers
+        .stdin(std::process::Stdio::piped())
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut begun = [0; 9];
+    let said = viewers.stdout.as_mut().unwrap().read_exact(&mut begun);
+    assert!(said.is_ok() && begun == *b"watching\n", "{begun:?}");
+    let more = server.memory().saturating_sub(before);
+    assert!(more < 256 << 20, "{more} bytes more");
+    drop(viewers.stdin.take());
+    assert!(viewers.wait().unwrap().success());
 }
 
 #[test]
@@ -399,6 +437,7 @@ fn nobody_comes_in_without_a_password_where_there_are_users() {
         "serve/attack.py",
         &["closed", &server.http, &server.postgres],
     );
+    ended("serve/live.py", &["closed", &server.http]);
     drop(server);
 
     let (certificate, key) = (folder.path().join("it.pem"), folder.path().join("key.pem"));
@@ -424,6 +463,8 @@ fn nobody_comes_in_without_a_password_where_there_are_users() {
         text(&certificate),
     ];
     ended("serve/attack.py", &arguments);
+    let arguments = ["private", &server.http, text(&certificate)];
+    ended("serve/live.py", &arguments);
 }
 
 #[test]

@@ -180,6 +180,23 @@ record! {
 }
 
 record! {
+    /// A cell of the danger map, as far as it is shown.
+    #[layer(layers::Danger::NAME, key(site, column, row))]
+    pub struct DangerCell {
+        /// Site of the map.
+        site: String,
+        /// Column of the cell.
+        column: i32 ["", "map"],
+        /// Row of the cell.
+        row: i32 ["", "map"],
+        /// Side of a cell.
+        cell_m: f64 ["m"],
+        /// Probability that somebody is in the cell in one look.
+        danger: f64,
+    }
+}
+
+record! {
     /// How fast to drive on a lane, as far as it is shown.
     #[layer(layers::LaneSpeed::NAME, key(site, lane))]
     pub struct LaneSpeed {
@@ -214,7 +231,7 @@ mod tests {
 
     #[test]
     fn what_is_shown_is_in_the_layers() {
-        let pairs: [(Layer, Layer); 11] = [
+        let pairs: [(Layer, Layer); 12] = [
             (Tile::layer(), layers::OverheadTile::layer()),
             (Lane::layer(), layers::Lane::layer()),
             (Crossing::layer(), layers::Intersection::layer()),
@@ -224,6 +241,7 @@ mod tests {
             (Label::layer(), layers::PlacedLabel::layer()),
             (Hypothesis::layer(), layers::BoxHypothesis::layer()),
             (SpeedCell::layer(), layers::SpeedCell::layer()),
+            (DangerCell::layer(), layers::Danger::layer()),
             (LaneSpeed::layer(), layers::LaneSpeed::layer()),
             (PersonSeen::layer(), layers::PersonOnGround::layer()),
         ];

@@ -46,7 +46,7 @@ fn with_unit(field: &FieldRef, layer: &Layer, column: &str) -> FieldRef {
 }
 
 /// The table and column that a column of a plan's rows is; `None` where it is computed.
-fn origin(plan: &LogicalPlan, index: usize) -> Option<(TableReference, String)> {
+pub fn origin(plan: &LogicalPlan, index: usize) -> Option<(TableReference, String)> {
     let from = |input: &LogicalPlan, column: &Column| {
         origin(input, input.schema().maybe_index_of_column(column)?)
     };

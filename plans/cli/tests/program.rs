@@ -277,6 +277,37 @@ fn layers_are_exported() {
             .starts_with("0.2\n0\n0\n-0.2\n0.1\n51.1")
     );
     assert_eq!(
+        export("overhead_tiles", "geotiff", &path("floor.tif"), &[]).code,
+        Some(0)
+    );
+    let tiff = std::fs::File::open(path("floor.tif")).unwrap();
+    let mut tiff = tiff::decoder::Decoder::new(std::io::BufReader::new(tiff)).unwrap();
+    assert_eq!(tiff.dimensions().unwrap(), (width, height));
+    let tiff::decoder::DecodingResult::U8(cells) = tiff.read_image().unwrap() else {
+        panic!("expected cells of 8 bits");
+    };
+    // Grey and alpha, cell by cell, in both.
+    let picture = std::fs::File::open(path("floor.png")).unwrap();
+    let mut picture = png::Decoder::new(std::io::BufReader::new(picture))
+        .read_info()
+        .unwrap();
+    let mut expected = vec![0; picture.output_buffer_size().unwrap()];
+    picture.next_frame(&mut expected).unwrap();
+    assert_eq!(
+        picture.output_color_type().0,
+        png::ColorType::GrayscaleAlpha
+    );
+    assert!(cells == expected, "the GeoTIFF shows another floor");
+    for wrong in ["lanes", "poses"] {
+        let refused = export(wrong, "geotiff", &path("wrong.tif"), &[]);
+        assert!(
+            refused.err.contains("a picture is made of overhead tiles"),
+            "{}",
+            refused.err
+        );
+    }
+    assert!(!Path::new(&path("wrong.tif")).exists());
+    assert_eq!(
         export("lanes", "png", &path("lanes.png"), &[]).code,
         Some(1)
     );

@@ -33,6 +33,11 @@ impl CdrWriter {
         self.aligned(&value.to_le_bytes());
     }
 
+    /// A `float32`.
+    pub(crate) fn f32(&mut self, value: f32) {
+        self.aligned(&value.to_le_bytes());
+    }
+
     /// `float64`s one after the other, as fixed arrays and structs of them are.
     pub(crate) fn f64s(&mut self, values: &[f64]) {
         for value in values {

@@ -247,3 +247,39 @@ impl Message for NavSatFix<'_> {
         cdr.finish()
     }
 }
+
+/// `nav_msgs/msg/OccupancyGrid`: cells of the ground, in rows along y.
+#[derive(Debug, Clone, Copy)]
+pub struct OccupancyGrid<'a> {
+    /// When it holds, and the frame of the ground.
+    pub header: Header<'a>,
+    /// Side of a cell, m.
+    pub cell_m: f64,
+    /// Cells along x and along y.
+    pub size: [u32; 2],
+    /// The corner of the first cell, where x and y are least; its axes are those of the frame.
+    pub corner: [f64; 3],
+    /// Cells along x, row after row along y: 0 to 100, or -1 where nobody knows.
+    pub cells: &'a [i8],
+}
+
+impl Message for OccupancyGrid<'_> {
+    const NAME: &'static str = "nav_msgs/msg/OccupancyGrid";
+    const DEFINITION: &'static str = include_str!("definitions/OccupancyGrid.msg");
+
+    fn encode(&self) -> Vec<u8> {
+        let [width, height] = self.size;
+        let mut cdr = CdrWriter::new();
+        self.header.write(&mut cdr);
+        // When the map was loaded: never, as it comes out of a log.
+        (0..2).for_each(|_| cdr.u32(0));
+        cdr.f32(self.cell_m as f32);
+        cdr.u32(width);
+        cdr.u32(height);
+        cdr.f64s(&self.corner);
+        cdr.f64s(&[0.0, 0.0, 0.0, 1.0]);
+        let cells: Vec<u8> = self.cells.iter().map(|cell| cell.cast_unsigned()).collect();
+        cdr.octets(&cells);
+        cdr.finish()
+    }
+}

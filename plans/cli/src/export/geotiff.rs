@@ -1,13 +1,16 @@
-//! Overhead tiles as one GeoTIFF that says itself where it is: tiled, with an overview for each halving, grey with alpha.
+//! Overhead tiles as one Cloud Optimized GeoTIFF that says itself where it is: tiled, with an overview for each halving, grey
+//! with alpha.
 //!
 //! ```text
 //!                 on earth                                      in the map's metres
 //! CRS             transverse Mercator, as keys of its own       local, metres
 //! place           ModelTransformation (the map may be turned)   ModelTiepoint and ModelPixelScale
 //! ```
-//! It is not laid out as a Cloud Optimized GeoTIFF: the encoder writes directories behind what they name.
+//! The encoder writes directories behind what they name; `layout` puts them first.
 //!
 //! Format: OGC GeoTIFF 1.1 (19-008r4), TIFF 6.0.
+
+mod layout;
 
 use std::io::{Cursor, Seek, Write};
 
@@ -39,7 +42,8 @@ pub fn bytes(picture: &Mosaic, place: Option<&SiteOnEarth>) -> Result<Vec<u8>, F
     let mut file = Cursor::new(Vec::new());
     written(picture, place, &mut file)
         .map_err(|error| Fault::resource(format!("cannot encode the GeoTIFF: {error}")))?;
-    Ok(file.into_inner())
+    layout::cloud_optimized(&file.into_inner())
+        .ok_or_else(|| Fault::resource("the GeoTIFF would be larger than 4 GiB"))
 }
 
 fn written<W: Write + Seek>(

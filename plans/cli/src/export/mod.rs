@@ -1,7 +1,7 @@
 //! Layers in the formats of other programs.
 
 mod colmap;
-mod foxglove;
+pub(crate) mod foxglove;
 mod g2o;
 mod geo;
 mod geotiff;
@@ -10,6 +10,7 @@ mod lanelet2;
 mod nav2;
 mod nav2_route;
 mod ply;
+mod raster;
 mod tum;
 
 use std::collections::{BTreeSet, HashMap};
@@ -53,7 +54,7 @@ pub enum ExportFormat {
     Mcap,
     /// Overhead tiles as one picture with a world file beside it, and where on earth that is.
     Png,
-    /// Overhead tiles as one tiled GeoTIFF with overviews, transparent where nothing was seen; it says itself where it is.
+    /// Overhead tiles as one Cloud Optimized GeoTIFF with overviews, transparent where nothing was seen; it says itself where it is.
     Geotiff,
     /// Comma separated; lists and structs are JSON.
     Csv,

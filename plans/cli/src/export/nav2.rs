@@ -13,9 +13,10 @@
 
 use arrow::array::RecordBatch;
 use evermap_schemas::Fault;
-use evermap_schemas::layers::SpeedCell;
 
+use crate::export::raster::Raster;
 use crate::reader::{one_site, typed};
+use crate::shown::SpeedCell;
 
 /// Pixels of the largest mask.
 const MOST_PIXELS: i64 = 1 << 27;
@@ -29,6 +30,37 @@ pub struct Mask {
     pub yaml: String,
 }
 
+/// The limits of a speed map's cells in hundredths of its highest speed, 1 to 100, -1 where the map has no cell.
+///
+/// # Errors
+/// A user fault for no cells, a data fault for cells that make no raster.
+pub fn limits(cells: &[SpeedCell]) -> Result<(Raster, Vec<i8>), Fault> {
+    let first = cells.first();
+    let first = first.ok_or_else(|| Fault::user("the speed map has no cells"))?;
+    let (cell_m, max_mps) = (first.cell_m, first.max_mps);
+    let alike = |cell: &SpeedCell| cell.cell_m == cell_m && cell.max_mps == max_mps;
+    if !(cells.iter().all(alike) && cell_m > 0.0 && max_mps > 0.0) {
+        let message = "expected cells of one size and one max_mps above 0, found others";
+        return Err(Fault::data(message));
+    }
+    let raster = Raster::around(cells.iter().map(|cell| [cell.column, cell.row]));
+    let raster = raster.ok_or_else(|| Fault::bug("cells have no raster"))?;
+    let [width, height] = raster.size;
+    if raster.cells() > MOST_PIXELS {
+        return Err(Fault::data(format!(
+            "expected a mask of at most {MOST_PIXELS} pixels, found {width} x {height}"
+        )));
+    }
+    let mut limits = vec![-1; raster.cells() as usize];
+    for cell in cells {
+        // What rounding makes of a hundredth must not fall below it.
+        let value = (cell.speed_mps * 100.0 / max_mps + 1e-9).floor();
+        // What is no number is no licence to drive fast.
+        limits[raster.place([cell.column, cell.row])] = (value.min(100.0) as i8).max(1);
+    }
+    Ok((raster, limits))
+}
+
 /// The mask of the speed map of one site; `picture` is the name of the picture's file.
 ///
 /// # Errors
@@ -36,36 +68,13 @@ pub struct Mask {
 pub fn mask(batches: &[RecordBatch], site: Option<&str>, picture: &str) -> Result<Mask, Fault> {
     let cells: Vec<SpeedCell> = typed(batches).map_err(|fault| fault.next("export speed_map"))?;
     one_site(cells.iter().map(|cell| cell.site.as_str()), site)?;
-    let first = cells
-        .first()
-        .ok_or_else(|| Fault::user("the speed map has no cells"))?;
-    let (cell_m, max_mps) = (first.cell_m, first.max_mps);
-    let alike = |cell: &SpeedCell| cell.cell_m == cell_m && cell.max_mps == max_mps;
-    if !(cells.iter().all(alike) && cell_m > 0.0 && max_mps > 0.0) {
-        let message = "expected cells of one size and one max_mps above 0, found others";
-        return Err(Fault::data(message));
-    }
-    let [columns, rows] = [|cell: &SpeedCell| cell.column, |cell: &SpeedCell| cell.row].map(|of| {
-        let numbers = || cells.iter().map(|cell| i64::from(of(cell)));
-        (numbers().min().unwrap_or(0), numbers().max().unwrap_or(0))
-    });
-    let (width, height) = (columns.1 - columns.0 + 1, rows.1 - rows.0 + 1);
-    if width.saturating_mul(height) > MOST_PIXELS {
-        return Err(Fault::data(format!(
-            "expected a mask of at most {MOST_PIXELS} pixels, found {width} x {height}"
-        )));
-    }
-    let multiplier = max_mps / 100.0;
-    let mut pixels = vec![100_u8; (width * height) as usize];
-    for cell in &cells {
-        let at = (rows.1 - i64::from(cell.row)) * width + i64::from(cell.column) - columns.0;
-        // What rounding makes of a hundredth must not fall below it.
-        let value = (cell.speed_mps / multiplier + 1e-9).floor();
-        pixels[at as usize] = value.clamp(1.0, 100.0) as u8;
-    }
+    let (raster, limits) = limits(&cells)?;
+    let (cell_m, multiplier) = (cells[0].cell_m, cells[0].max_mps / 100.0);
+    let [width, height] = raster.size;
     let mut bytes = format!("P5\n{width} {height}\n255\n").into_bytes();
-    bytes.extend(pixels);
-    let [west, south] = [columns.0, rows.0].map(|cell| cell as f64 * cell_m);
+    let from_the_north = limits.chunks(width as usize).rev().flatten();
+    bytes.extend(from_the_north.map(|limit| u8::try_from(*limit).unwrap_or(100)));
+    let [west, south] = raster.corner(cell_m);
     let image = serde_json::Value::from(picture);
     let yaml = format!(
         "# Mask of Nav2's speed filter. Parameters of costmap_filter_info_server: type: 2 (m/s), base: 0.0, multiplier: {multiplier:?}\n\
@@ -83,6 +92,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use evermap_schemas::batch;
+    use evermap_schemas::layers::SpeedCell;
 
     fn cell(column: i32, row: i32, speed_mps: f64) -> SpeedCell {
         SpeedCell {

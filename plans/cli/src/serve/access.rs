@@ -116,8 +116,8 @@ impl Access {
     }
 }
 
-/// Whether a `Host` header names loopback.
-fn is_this_machine(host: &str) -> bool {
+/// Whether a host, with or without a port, is loopback.
+pub fn is_this_machine(host: &str) -> bool {
     let name = match host.rsplit_once(':') {
         Some((name, port)) if port.bytes().all(|digit| digit.is_ascii_digit()) => name,
         _ => host,

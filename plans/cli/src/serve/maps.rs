@@ -19,7 +19,8 @@ use evermap_schemas::Fault;
 use tokio::sync::Mutex;
 
 use crate::reader::MapReader;
-use crate::serve::postgres::{complete_catalog, hooks};
+use crate::serve::http::live::Recordings;
+use crate::serve::postgres::{complete_catalog, complete_types, hooks};
 
 /// Versions of a map that are open at once; the newest is one of them.
 const MOST_OPEN: usize = 4;
@@ -50,6 +51,8 @@ pub struct Opened {
     pub context: SessionContext,
     /// The same to clients of Postgres.
     pub postgres: DfSessionService,
+    /// What is played of it to those who watch.
+    pub recordings: Recordings,
 }
 
 impl Opened {
@@ -173,16 +176,18 @@ impl ServedMap {
         setup_pg_catalog(&context, &self.name, EmptyContextProvider)
             .map_err(|error| Fault::bug(format!("no catalog for Postgres: {error}")))?;
         complete_catalog(&context);
+        complete_types(&context, &self.name).await.or_fault()?;
         let postgres = DfSessionService::new_with_hooks(Arc::new(context.clone()), hooks());
         Ok(Opened {
             reader,
             context,
             postgres,
+            recordings: Recordings::default(),
         })
     }
 
     /// What opens logs of the map.
-    pub fn runtime(&self) -> &RuntimeEnv {
+    pub fn runtime(&self) -> &Arc<RuntimeEnv> {
         &self.runtime
     }
 }

@@ -3,7 +3,7 @@
 //! ```text
 //!   access ── who may come in, and by which door
 //!      │
-//!   http ──── the page, tiles, pictures, rows as JSON, CSV, Arrow, Parquet, GeoJSON; metrics
+//!   http ──── the page, tiles, pictures, rows as JSON, CSV, Arrow, Parquet, GeoJSON; live to Foxglove; metrics
 //!   flight ── Flight SQL, at the same address
 //!   postgres ─ the protocol of Postgres
 //!      │
@@ -70,6 +70,8 @@ pub async fn serve(args: &ServeArgs) -> Ending {
     line(&format!("serving {names}, {served}"));
     line(&format!("page and HTTP: {scheme}://{web_address}/"));
     line(&format!("Flight SQL:    grpc://{web_address}"));
+    let live = access.tls.as_ref().map_or("ws", |_| "wss");
+    line(&format!("Foxglove:      {live}://{web_address}/foxglove"));
     let first = maps.all().next().map_or("", |map| map.name.as_str());
     line(&format!(
         "Postgres:      postgresql://{postgres_address}/{first}"

@@ -12,13 +12,16 @@ use foxglove::messages::{
     PointsAnnotation, PosesInFrame,
 };
 
+use super::Said;
 use super::messages::{MAP, VERMILION, color, pose, rotation, time, vector};
-use super::{Said, What};
 use crate::earth::{Earth, SiteOnEarth};
 use crate::reader::{MapReader, only, typed};
 
 /// The frame of a vehicle whose log names none.
 const VEHICLE: &str = "base_link";
+
+/// What an image is recorded as.
+pub(super) type Picture = CompressedImage;
 
 /// An image of a keyframe.
 pub(super) struct Image {
@@ -31,7 +34,7 @@ pub(super) struct Image {
 
 impl Image {
     /// The message, with the image's bytes.
-    pub(super) fn message(&self, stamp: i64, bytes: Vec<u8>) -> CompressedImage {
+    pub(super) fn message(&self, stamp: i64, bytes: Vec<u8>) -> Picture {
         let format = match bytes.get(..4) {
             Some(b"\x89PNG") => "png",
             Some(b"RIFF") => "webp",
@@ -80,7 +83,7 @@ pub(super) async fn said(
                 frame(session, &mount.child),
                 &mount.parent_from_child,
             );
-            all.push(Said::new(first, "/tf", &message)?);
+            all.push(Said::new(first, "/tf", &message)?.for_good());
         }
     }
     for row in first_of_each(cameras) {
@@ -88,7 +91,7 @@ pub(super) async fn said(
             && let Some(message) = calibration(&row, *first)
         {
             let topic = format!("{}/calibration", topic(&row.session, &row.camera));
-            all.push(Said::new(*first, topic, &message)?);
+            all.push(Said::new(*first, topic, &message)?.for_good());
         }
     }
     let is_driven = |session: &String| firsts.contains_key(session);
@@ -153,11 +156,8 @@ fn driven(session: &str, poses: &[VehiclePose], vehicle: &str) -> Result<Vec<Sai
             .map(|row| pose(&row.map_from_vehicle))
             .collect(),
     };
-    all.push(Said::new(
-        first,
-        format!("/trajectory/{session}"),
-        &trajectory,
-    )?);
+    let topic = format!("/trajectory/{session}");
+    all.push(Said::new(first, topic, &trajectory)?.for_good());
     Ok(all)
 }
 
@@ -217,14 +217,14 @@ fn images(keyframes: Vec<Keyframe>, is_driven: impl Fn(&String) -> bool) -> Vec<
     let of_session = keyframes.into_iter().filter(|row| is_driven(&row.session));
     let images = of_session.flat_map(|row| {
         let session = row.session;
-        row.images.into_iter().map(move |image| Said {
-            stamp: image.stamp.0,
-            topic: topic(&session, &image.camera),
-            what: What::Image(Box::new(Image {
+        row.images.into_iter().map(move |image| {
+            let topic = topic(&session, &image.camera);
+            let picture = Image {
                 session: session.clone(),
                 camera: image.camera,
                 reference: image.image,
-            })),
+            };
+            Said::of_image(image.stamp.0, topic, picture)
         })
     });
     images.collect()

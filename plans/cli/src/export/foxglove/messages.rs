@@ -1,5 +1,6 @@
 //! Foxglove's messages, from what layers hold.
 
+use evermap_datasets::ros2;
 use evermap_schemas::{Fault, Pose as Placed};
 use foxglove::messages::line_primitive::Type as LineType;
 use foxglove::messages::packed_element_field::NumericType;
@@ -9,19 +10,40 @@ use foxglove::messages::{
 };
 use foxglove::{Encode, Schema};
 
-use super::Payload;
+use super::{MessageKind, Payload};
 
 /// The frame of the map.
 pub(super) const MAP: &str = "map";
+
+/// The kind of a message of Foxglove's.
+pub(super) fn kind<M: Encode>() -> Result<MessageKind, Fault> {
+    let schema: Option<Schema> = M::get_schema();
+    Ok(MessageKind {
+        schema: schema.ok_or_else(|| Fault::bug("a message has no schema"))?,
+        encoding: "protobuf",
+    })
+}
 
 /// A message as bytes, with its schema.
 pub(super) fn encoded<M: Encode>(message: &M) -> Result<Payload, Fault> {
     let mut bytes = Vec::with_capacity(message.encoded_len().unwrap_or_default());
     let encoded = message.encode(&mut bytes);
     encoded.map_err(|error| Fault::bug(format!("a message is not encoded: {error}")))?;
-    let schema: Option<Schema> = M::get_schema();
-    let schema = schema.ok_or_else(|| Fault::bug("a message has no schema"))?;
-    Ok(Payload { schema, bytes })
+    Ok(Payload {
+        kind: kind::<M>()?,
+        bytes,
+    })
+}
+
+/// A message of ROS 2 as bytes, with its schema.
+pub(super) fn encoded_ros<M: ros2::Message>(message: &M) -> Payload {
+    Payload {
+        kind: MessageKind {
+            schema: Schema::new(M::NAME, "ros2msg", M::DEFINITION.as_bytes()),
+            encoding: "cdr",
+        },
+        bytes: message.encode(),
+    }
 }
 
 /// An instant, ns since the epoch.

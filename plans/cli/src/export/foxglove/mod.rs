@@ -1,40 +1,44 @@
 //! A map as a recording that Foxglove, Lichtblick and Rerun show as it is: what was driven, with camera images, in the map
-//! that came of it. Messages are Foxglove's own, as protobuf.
+//! that came of it. Messages are Foxglove's own, as protobuf, and of what Foxglove has none for, those of ROS 2.
 //!
 //! ```text
 //!   /tf                        map → SESSION/base_link at each pose; from there to its cameras
 //!   /trajectory/SESSION        all its poses
 //!   /location/SESSION          where on earth each is, if the map has georeference
 //!   /camera/SESSION/CAMERA     images of keyframes, …/calibration, …/people
-//!   /ground, /speed            grids
+//!   /ground, /speed            grids: the overhead image, m/s
+//!   /danger, /speed_mask       occupancy grids, 0 to 100 and -1: how probably somebody is there, the mask of Nav2's speed filter
 //!   /landmarks                 a point cloud
 //!   /lanes, /intersections, /spaces, /labels       lines and boxes
 //! ```
 //! What does not move is said once, when the first session begins; each session is at the time that it was driven.
 
 mod drives;
+mod grids;
+mod images;
 mod messages;
 mod still;
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use datafusion::prelude::SessionContext;
 use evermap_datasets::annotations::RecordingError;
-use evermap_datasets::{ImageReader, LogWriter, Times};
+use evermap_datasets::{LogWriter, Times, ros2};
 use evermap_schemas::Fault;
 use evermap_schemas::layers::VehiclePose;
-use foxglove::Encode;
+use foxglove::{Encode, Schema};
 
 use crate::annotate::unwritten;
 use crate::ending::Failure;
 use crate::export::Selection;
 use crate::reader::{MapReader, one_site};
 
-use messages::encoded;
+pub use images::Images;
+use messages::{encoded, encoded_ros, kind};
 
-/// Bytes of logs that stay decompressed while images are copied.
-const CACHE_BYTES: u64 = 64 << 20;
-/// Images that are read together.
+/// Messages that are read and written together.
 const TOGETHER: usize = 64;
 
 /// Writes a site of a map, of one session where it is named.
@@ -42,6 +46,15 @@ const TOGETHER: usize = 64;
 /// # Errors
 /// A user fault for a map without poses, or of several sites; a data fault for logs that are gone or damaged.
 pub async fn export(reader: &MapReader, selection: &Selection, out: &Path) -> Result<(), Failure> {
+    let said = said(reader, selection).await?;
+    write(reader, &said, out).await
+}
+
+/// What there is to say of a site of a map, of one session where it is named, in the order of time.
+///
+/// # Errors
+/// A user fault for a map without poses, or of several sites.
+pub async fn said(reader: &MapReader, selection: &Selection) -> Result<Vec<Said>, Fault> {
     let mut poses: Vec<VehiclePose> = reader.needed(None).await?;
     let site = selection.site.as_deref();
     let site = one_site(poses.iter().map(|pose| pose.site.as_str()), site)?;
@@ -50,37 +63,98 @@ pub async fn export(reader: &MapReader, selection: &Selection, out: &Path) -> Re
     let first = poses.iter().map(|pose| pose.stamp.0).min();
     let first = first.ok_or_else(|| Fault::user("it has no poses of that session"))?;
     let mut said = drives::said(reader, &site, poses).await?;
-    said.extend(still::said(reader, &site, first).await?);
+    let still = still::said(reader, &site, first).await?;
+    said.extend(still.into_iter().map(Said::for_good));
     said.sort_by(|a, b| (a.stamp, &a.topic).cmp(&(b.stamp, &b.topic)));
-    write(reader, &said, out).await
+    Ok(said)
 }
 
 /// A message of a topic.
-struct Said {
-    stamp: i64,
-    topic: String,
+pub struct Said {
+    /// When, ns since the epoch.
+    pub stamp: i64,
+    /// Of which topic.
+    pub topic: String,
+    /// Whether it holds from then on: who comes later needs it too.
+    pub lasts: bool,
     what: What,
 }
 
 enum What {
     Message(Payload),
-    /// An image that a keyframe names: its bytes are read when they are written.
+    /// An image that a keyframe names: its bytes are read when they are asked for.
     Image(Box<drives::Image>),
 }
 
 /// An encoded message.
-struct Payload {
-    schema: foxglove::Schema,
-    bytes: Vec<u8>,
+#[derive(Clone)]
+pub struct Payload {
+    /// What it is made of.
+    pub kind: MessageKind,
+    /// It.
+    pub bytes: Vec<u8>,
+}
+
+/// Of which kind messages are, and how they are encoded.
+#[derive(Clone)]
+pub struct MessageKind {
+    /// The schema, with its name and encoding.
+    pub schema: Schema,
+    /// How messages are encoded.
+    pub encoding: &'static str,
 }
 
 impl Said {
     fn new<M: Encode>(stamp: i64, topic: impl Into<String>, message: &M) -> Result<Self, Fault> {
-        Ok(Self {
+        Ok(Self::of(stamp, topic, encoded(message)?))
+    }
+
+    fn of_ros<M: ros2::Message>(stamp: i64, topic: impl Into<String>, message: &M) -> Self {
+        Self::of(stamp, topic, encoded_ros(message))
+    }
+
+    fn of(stamp: i64, topic: impl Into<String>, payload: Payload) -> Self {
+        Self {
             stamp,
             topic: topic.into(),
-            what: What::Message(encoded(message)?),
-        })
+            lasts: false,
+            what: What::Message(payload),
+        }
+    }
+
+    fn of_image(stamp: i64, topic: String, image: drives::Image) -> Self {
+        Self {
+            stamp,
+            topic,
+            lasts: false,
+            what: What::Image(Box::new(image)),
+        }
+    }
+
+    /// The same, holding from then on.
+    fn for_good(mut self) -> Self {
+        self.lasts = true;
+        self
+    }
+
+    /// Of which kind it is.
+    ///
+    /// # Errors
+    /// A bug fault where the kind has no schema.
+    pub fn kind(&self) -> Result<Cow<'_, MessageKind>, Fault> {
+        match &self.what {
+            What::Message(payload) => Ok(Cow::Borrowed(&payload.kind)),
+            What::Image(_) => Ok(Cow::Owned(kind::<drives::Picture>()?)),
+        }
+    }
+
+    /// Bytes of memory that it takes, about.
+    pub fn size(&self) -> usize {
+        let what = match &self.what {
+            What::Message(payload) => payload.bytes.len(),
+            What::Image(_) => size_of::<drives::Image>(),
+        };
+        size_of::<Self>() + self.topic.len() + what
     }
 }
 
@@ -91,19 +165,11 @@ async fn write(reader: &MapReader, said: &[Said], out: &Path) -> Result<(), Fail
         log,
         channels: BTreeMap::new(),
     };
-    let mut images = Images::new(reader);
+    let mut images = Images::new(reader, SessionContext::default().runtime_env());
     for together in said.chunks(TOGETHER) {
-        let mut pictures = images.read(together).await?.into_iter();
-        for one in together {
-            let read;
-            let payload = match &one.what {
-                What::Message(payload) => payload,
-                What::Image(image) => {
-                    let bytes = pictures.next().unwrap_or_default();
-                    read = encoded(&image.message(one.stamp, bytes))?;
-                    &read
-                }
-            };
+        let together: Vec<&Said> = together.iter().collect();
+        let payloads = images.payloads(&together).await?;
+        for (one, payload) in together.iter().zip(&payloads) {
             file.write(one, payload).map_err(unwritten)?;
         }
     }
@@ -122,13 +188,9 @@ impl File {
         let channel = match self.channels.get(&said.topic) {
             Some(channel) => *channel,
             None => {
-                let foxglove::Schema {
-                    name,
-                    encoding,
-                    data,
-                } = &payload.schema;
-                let schema = (name.as_str(), encoding.as_str(), &data[..]);
-                let channel = self.log.channel(&said.topic, schema, "protobuf")?;
+                let MessageKind { schema, encoding } = &payload.kind;
+                let text = (&schema.name[..], &schema.encoding[..], &schema.data[..]);
+                let channel = self.log.channel(&said.topic, text, encoding)?;
                 self.channels.insert(said.topic.clone(), channel);
                 channel
             }
@@ -139,58 +201,5 @@ impl File {
             stamp_ns,
         };
         self.log.send(channel, times, &payload.bytes)
-    }
-}
-
-/// The images of a map's logs.
-struct Images<'r> {
-    reader: &'r MapReader,
-    context: datafusion::prelude::SessionContext,
-    logs: BTreeMap<String, ImageReader>,
-}
-
-impl<'r> Images<'r> {
-    fn new(reader: &'r MapReader) -> Self {
-        Self {
-            reader,
-            context: Default::default(),
-            logs: BTreeMap::new(),
-        }
-    }
-
-    /// The bytes of the images among these, in their order.
-    async fn read(&mut self, said: &[Said]) -> Result<Vec<Vec<u8>>, Fault> {
-        let mut asked: BTreeMap<&str, Vec<(usize, _)>> = BTreeMap::new();
-        let images = said.iter().filter_map(|one| match &one.what {
-            What::Image(image) => Some(image),
-            What::Message(_) => None,
-        });
-        let mut count = 0;
-        for (place, image) in images.enumerate() {
-            count += 1;
-            let of_session = asked.entry(image.session.as_str()).or_default();
-            of_session.push((place, image.reference.clone()));
-        }
-        let mut read = vec![Vec::new(); count];
-        for (session, images) in asked {
-            let (places, references): (Vec<usize>, Vec<_>) = images.into_iter().unzip();
-            let found = self.log(session).await?.resolve(&references).await?;
-            for (place, bytes) in places.into_iter().zip(found) {
-                read[place] = bytes?.to_vec();
-            }
-        }
-        Ok(read)
-    }
-
-    async fn log(&mut self, session: &str) -> Result<&ImageReader, Fault> {
-        if !self.logs.contains_key(session) {
-            let runtime = self.context.runtime_env();
-            let log = self.reader.map.log(session, &runtime).await?;
-            let gone = || Fault::data(format!("the map has no log of session {session}"));
-            let images = ImageReader::new(&log.ok_or_else(gone)?, CACHE_BYTES);
-            self.logs.insert(session.to_owned(), images);
-        }
-        let log = self.logs.get(session);
-        log.ok_or_else(|| Fault::bug("a log that was opened is not there"))
     }
 }

@@ -1,6 +1,7 @@
 //! Maps by HTTP. `docs/serving.md` lists the addresses.
 
 mod formats;
+pub mod live;
 mod metrics;
 mod page;
 mod pictures;
@@ -15,10 +16,11 @@ use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{any, get};
 use evermap_schemas::{Fault, Kind};
 use serde_json::json;
 use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
 
 use crate::ending::Failure;
 use crate::serve::access::{Access, Who};
@@ -37,6 +39,8 @@ pub struct App {
     counts: Arc<Counts>,
     /// `None` where the server is only read.
     teaching: Option<Arc<Teaching>>,
+    /// Places of those who watch a map live.
+    viewers: Arc<Semaphore>,
 }
 
 impl App {
@@ -76,6 +80,7 @@ fn router(maps: Maps, access: Access, bounds: Bounds, teaching: Option<Arc<Teach
         bounds,
         counts: Arc::default(),
         teaching,
+        viewers: live::viewers(),
     };
     Router::new()
         .merge(of_map())
@@ -104,6 +109,7 @@ fn of_map() -> Router<App> {
             get(pictures::tile),
         )
         .route("/images", get(pictures::image))
+        .route("/foxglove", any(live::watch))
         .route("/teach", get(teach::may))
         .route("/teach/{site}", get(teach::labels).post(teach::say))
         .route("/teach/{site}/{kind}", get(teach::hypotheses))
@@ -135,7 +141,9 @@ fn who(access: &Access, request: &Request) -> Option<Who> {
     };
     // Of HTTP/2, the host is part of the address.
     let host = text(header::HOST).or_else(|| request.uri().authority().map(|host| host.as_str()));
-    access.lets_in(text(header::AUTHORIZATION), host)
+    let token = live::token(request.uri()).map(|token| format!("Bearer {token}"));
+    let authorization = token.as_deref().or_else(|| text(header::AUTHORIZATION));
+    access.lets_in(authorization, host)
 }
 
 const CAREFUL: [(header::HeaderName, &str); 4] = [

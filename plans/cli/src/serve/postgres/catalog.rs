@@ -26,7 +26,8 @@ use datafusion_postgres::datafusion_pg_catalog::pg_catalog::create_pg_table_is_v
 const OWN: [&str; 2] = ["pg_catalog", "information_schema"];
 
 /// Those of its tables that have rows of a map: an answer without rows is no answer to what reads them alone.
-const FILLED: [&str; 6] = [
+const FILLED: [&str; 7] = [
+    "generate_series",
     "pg_am",
     "pg_attribute",
     "pg_class",
@@ -89,8 +90,11 @@ fn tables(statement: &Statement) -> Vec<TableReference> {
     let parsed = Parsed::Statement(Box::new(statement.clone()));
     let own = |table: &TableReference| match table.schema() {
         Some(schema) => OWN.contains(&schema),
-        // `unnest` is a table in the grammar.
-        None => table.table().starts_with("pg_") || table.table() == "unnest",
+        // Functions that make rows are tables in the grammar.
+        None => {
+            table.table().starts_with("pg_")
+                || ["generate_series", "unnest"].contains(&table.table())
+        }
     };
     match resolve_table_references(&parsed, true) {
         Ok((tables, _)) if tables.iter().all(own) => tables,
@@ -103,15 +107,29 @@ pub fn is_of_catalog(statement: &Statement) -> bool {
     !tables(statement).is_empty()
 }
 
-/// The statement with lists of what a map has none of as null: `ARRAY(SELECT …)`, and columns of options and rights.
+/// The statement with lists of what a map has none of as null: `ARRAY(SELECT …)`, and columns of options and rights; and
+/// with names of functions and types that are looked up as their tables have them, without a schema.
 pub fn without_lists(mut statement: Statement) -> Statement {
     let _ = visit_expressions_mut(&mut statement, |found| {
         if is_list(found) {
             *found = no_list();
         }
+        if let Expr::BinaryOp { left, right, .. } = found
+            && is_name(left)
+            && let Expr::Value(value) = right.as_mut()
+            && let Value::SingleQuotedString(name) = &mut value.value
+            && let Some(bare) = name.strip_prefix("pg_catalog.")
+        {
+            *name = bare.to_owned();
+        }
         ControlFlow::<()>::Continue(())
     });
     statement
+}
+
+/// Whether it is the name of a function or type, as where `'pg_catalog.array_in'::regproc` is looked up.
+fn is_name(found: &Expr) -> bool {
+    matches!(found, Expr::Identifier(name) if ["proname", "typname"].contains(&name.value.as_str()))
 }
 
 fn is_list(found: &Expr) -> bool {
@@ -210,6 +228,8 @@ mod tests {
                 true,
             ),
             ("WITH x AS (SELECT 1 FROM pg_class) SELECT * FROM x", true),
+            ("SELECT 1 FROM pg_class, generate_series(1, 2)", true),
+            ("SELECT 1 FROM lanes, generate_series(1, 2)", false),
             ("SELECT 1 FROM lanes", false),
             ("SELECT 1 FROM pg_class, lanes", false),
             (
@@ -229,6 +249,10 @@ mod tests {
         );
         let without = without_lists(query.clone()).to_string();
         assert!(without.contains("NULL::TEXT[] AS memberof"), "{without}");
+        let looked_up =
+            parsed("SELECT oid FROM pg_catalog.pg_proc WHERE proname = 'pg_catalog.array_in'");
+        let bare = without_lists(looked_up).to_string();
+        assert!(bare.ends_with("proname = 'array_in'"), "{bare}");
         let plan = no_rows(&query).unwrap();
         let names: Vec<_> = plan
             .schema()

@@ -19,12 +19,14 @@ use evermap_engine::error::fault_of;
 use evermap_engine::sql::plan_of;
 use pgwire::api::ClientInfo;
 use pgwire::api::portal::Format;
-use pgwire::api::results::{Response, Tag};
+use pgwire::api::results::{QueryResponse, Response, Tag};
 use pgwire::error::{PgWireError, PgWireResult};
 use pgwire::types::format::FormatOptions;
 
 use crate::serve::postgres::catalog::{is_of_catalog, no_rows, without_lists};
+use crate::serve::postgres::geometry::{as_extended, as_text, told};
 use crate::serve::postgres::nested::as_json;
+use crate::serve::postgres::postgis::with_views;
 use crate::serve::postgres::{error, said};
 
 /// What handles statements, in this order.
@@ -172,6 +174,7 @@ fn nothing() -> LogicalPlan {
 struct Reading;
 
 async fn reading(statement: &Statement, context: &SessionContext) -> PgWireResult<LogicalPlan> {
+    let statement = &with_views(statement.clone());
     if !is_of_catalog(statement) {
         return planned(statement.clone(), context).await;
     }
@@ -195,7 +198,7 @@ async fn planned(statement: Statement, context: &SessionContext) -> PgWireResult
         .with_allow_statements(false);
     let plan = plan.and_then(|plan| {
         allowed.verify_plan(&plan)?;
-        as_json(plan)
+        as_extended(as_json(plan)?)
     });
     plan.map_err(|error| said(&fault_of(&error)))
 }
@@ -210,10 +213,17 @@ impl QueryHook for Reading {
     ) -> Option<PgWireResult<Response>> {
         let answered = async {
             let plan = reading(statement, context).await?;
-            let frame = DataFrame::new(context.state(), plan);
+            let plan = as_text(plan, |_| true).map_err(|error| said(&fault_of(&error)))?;
+            let frame = DataFrame::new(context.state(), plan.clone());
             let options = Arc::new(FormatOptions::from_client_metadata(client.metadata()));
             let rows = encode_dataframe(frame, &Format::UnifiedText, Some(options)).await;
-            rows.map(Response::Query).map_err(in_our_words)
+            let rows = rows.map_err(in_our_words)?;
+            let columns = told(&plan, rows.row_schema().to_vec());
+            let QueryResponse { data_rows, .. } = rows;
+            Ok(Response::Query(QueryResponse::new(
+                Arc::new(columns),
+                data_rows,
+            )))
         };
         Some(answered.await)
     }

@@ -2,8 +2,10 @@
 //! said, what an answer may take. The database that a client names is the map; where one map is served, any name is.
 
 mod catalog;
+mod geometry;
 mod hooks;
 mod nested;
+mod postgis;
 mod startup;
 
 use std::sync::{Arc, LazyLock};
@@ -15,6 +17,7 @@ use datafusion::prelude::SessionContext;
 use datafusion::sql::sqlparser::ast::Statement;
 use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
 use datafusion_postgres::DfSessionService;
+use evermap_engine::error::fault_of;
 use evermap_engine::sql::check_size;
 use evermap_schemas::{Fault, Kind};
 use futures::future::{BoxFuture, Shared};
@@ -24,7 +27,7 @@ use pgwire::api::auth::StartupHandler;
 use pgwire::api::cancel::{CancelHandler, DefaultCancelHandler};
 use pgwire::api::portal::{Format, Portal};
 use pgwire::api::query::{ExtendedQueryHandler, SimpleQueryHandler};
-use pgwire::api::results::{FieldInfo, QueryResponse, Response};
+use pgwire::api::results::{FieldFormat, FieldInfo, QueryResponse, Response};
 use pgwire::api::stmt::{QueryParser, StoredStatement};
 use pgwire::api::store::PortalStore;
 use pgwire::api::{
@@ -44,6 +47,7 @@ use crate::serve::postgres::startup::{Startup, is_in};
 
 pub use catalog::complete_catalog;
 pub use hooks::hooks;
+pub use postgis::complete as complete_types;
 
 /// A statement of a client with its plan, as `datafusion-postgres` has it.
 type Prepared = (String, Option<(Statement, LogicalPlan)>);
@@ -232,6 +236,7 @@ impl ExtendedQueryHandler for Queries {
         let opened = self.parser.opened(client, "").await?;
         let service = &opened.postgres;
         let portal = self.parser.of_newest(client, portal, &opened).await?;
+        let portal = in_its_formats(portal)?;
         let work = ExtendedQueryHandler::do_query(service, client, &portal, max_rows);
         let (response, turn) = self.within(work).await?;
         let cancelled = cancelled(client).await;
@@ -302,13 +307,34 @@ impl Parser {
             let types = old.parameter_types.clone();
             statement = Arc::new(StoredStatement::new(old.id.clone(), planned, types));
         }
-        let mut again = Portal::new_cursor(portal.name.clone(), statement);
-        again.parameter_format = portal.parameter_format.clone();
-        again.parameters = portal.parameters.clone();
-        again.result_column_format = portal.result_column_format.clone();
-        again.state = portal.state();
-        Ok(again)
+        let again = Portal::new_cursor(portal.name.clone(), statement);
+        Ok(with_all_of(again, portal))
     }
+}
+
+/// A portal with what a client bound to another.
+fn with_all_of(mut again: Portal<Prepared>, portal: &Portal<Prepared>) -> Portal<Prepared> {
+    again.parameter_format = portal.parameter_format.clone();
+    again.parameters = portal.parameters.clone();
+    again.result_column_format = portal.result_column_format.clone();
+    again.state = portal.state();
+    again
+}
+
+/// A portal whose geometries are written as its client asks for them.
+fn in_its_formats(portal: Portal<Prepared>) -> PgWireResult<Portal<Prepared>> {
+    let old = &portal.statement;
+    let (query, Some((statement, plan))) = &old.statement else {
+        return Ok(portal);
+    };
+    let format = &portal.result_column_format;
+    let is_text = |column| format.format_for(column) == FieldFormat::Text;
+    let plan = geometry::as_text(plan.clone(), is_text).map_err(|error| said(&fault_of(&error)))?;
+    let prepared = (query.clone(), Some((statement.clone(), plan)));
+    let types = old.parameter_types.clone();
+    let statement = Arc::new(StoredStatement::new(old.id.clone(), prepared, types));
+    let again = Portal::new_cursor(portal.name.clone(), statement);
+    Ok(with_all_of(again, &portal))
 }
 
 /// Names and types of the columns that a statement gives.
@@ -347,7 +373,11 @@ impl QueryParser for Parser {
         prepared: &Prepared,
         format: Option<&Format>,
     ) -> PgWireResult<Vec<FieldInfo>> {
-        TYPES.get_result_schema(prepared, format)
+        let columns = TYPES.get_result_schema(prepared, format)?;
+        Ok(match prepared {
+            (_, Some((_, plan))) => geometry::told(plan, columns),
+            (_, None) => columns,
+        })
     }
 }
 

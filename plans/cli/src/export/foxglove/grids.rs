@@ -1,0 +1,150 @@
+//! What of a map lies in cells of the ground: the overhead image, speeds, and how probably somebody is there.
+//!
+//! Viewers show Foxglove's `Grid` with any quantity; robots read `nav_msgs/OccupancyGrid`: 0 to 100, or -1 where the map has
+//! no cell.
+
+use bytes::Bytes;
+use evermap_datasets::ros2::{Header, OccupancyGrid};
+use evermap_schemas::Fault;
+use foxglove::messages::packed_element_field::NumericType;
+use foxglove::messages::{Grid, Vector2};
+
+use super::Said;
+use super::messages::{MAP, field, place, time};
+use crate::export::nav2;
+use crate::export::raster::Raster;
+use crate::mosaic::{Mosaic, level, zoom_for};
+use crate::reader::MapReader;
+use crate::shown::{DangerCell, SpeedCell, Tile};
+
+/// Cells of a grid are no finer than this (m): a viewer holds all of it as a texture.
+const FINEST_M: f64 = 0.05;
+/// Grids of more cells than this are left out.
+const MOST_CELLS: i64 = 1 << 26;
+
+/// All of it, as said at one instant.
+pub(super) async fn said(reader: &MapReader, site: &str, stamp: i64) -> Result<Vec<Said>, Fault> {
+    let site = Some(site);
+    let mut all = Vec::new();
+    let tiles: Vec<Tile> = reader.rows(site).await?;
+    if let Some(zoom) = zoom_for(&tiles, FINEST_M) {
+        let ground = Mosaic::of(&level(&tiles, zoom))?;
+        all.push(Said::new(stamp, "/ground", &floor(&ground, stamp))?);
+    }
+    let cells: Vec<SpeedCell> = reader.rows(site).await?;
+    if let Some(grid) = speeds(&cells, stamp) {
+        all.push(Said::new(stamp, "/speed", &grid)?);
+    }
+    match nav2::limits(&cells) {
+        Ok((raster, limits)) if raster.cells() <= MOST_CELLS => {
+            all.push(occupancy(
+                stamp,
+                "/speed_mask",
+                raster,
+                cells[0].cell_m,
+                &limits,
+            ));
+        }
+        Ok(_) => {}
+        Err(_) if cells.is_empty() => {}
+        Err(fault) => tracing::warn!(%fault, "the speed map is recorded without its mask"),
+    }
+    let cells: Vec<DangerCell> = reader.rows(site).await?;
+    if let Some((raster, cell_m, percent)) = danger(&cells) {
+        all.push(occupancy(stamp, "/danger", raster, cell_m, &percent));
+    }
+    Ok(all)
+}
+
+fn occupancy(stamp: i64, topic: &str, raster: Raster, cell_m: f64, cells: &[i8]) -> Said {
+    let [x, y] = raster.corner(cell_m);
+    let header = Header {
+        stamp_ns: stamp.max(0) as u64,
+        frame_id: MAP,
+    };
+    let message = OccupancyGrid {
+        header,
+        cell_m,
+        size: raster.size.map(|cells| cells as u32),
+        corner: [x, y, 0.0],
+        cells,
+    };
+    Said::of_ros(stamp, topic, &message)
+}
+
+/// Probabilities that somebody is in a cell in one look, in percent; the side of a cell, m. `None` where there is no map of
+/// them, or it would be too large.
+fn danger(cells: &[DangerCell]) -> Option<(Raster, f64, Vec<i8>)> {
+    let cell_m = cells.first()?.cell_m;
+    let alike = || cells.iter().filter(|cell| cell.cell_m == cell_m);
+    let raster = Raster::around(alike().map(|cell| [cell.column, cell.row]))?;
+    if raster.cells() > MOST_CELLS {
+        return None;
+    }
+    let mut percent = vec![-1; raster.cells() as usize];
+    for cell in alike().filter(|cell| cell.danger.is_finite()) {
+        let probability = cell.danger.clamp(0.0, 1.0);
+        percent[raster.place([cell.column, cell.row])] = (100.0 * probability).round() as i8;
+    }
+    Some((raster, cell_m, percent))
+}
+
+/// The overhead image; nothing of it where nothing was seen.
+fn floor(ground: &Mosaic, stamp: i64) -> Grid {
+    let south = ground.north - ground.height as f64 * ground.cell_m;
+    let rows = ground.cells.chunks(ground.width.max(1)).rev();
+    let cells = rows
+        .flatten()
+        .flat_map(|[grey, alpha]| [*grey, *grey, *grey, *alpha]);
+    let channels = ["red", "green", "blue", "alpha"];
+    Grid {
+        timestamp: time(stamp),
+        frame_id: MAP.to_owned(),
+        // Below what is drawn on it.
+        pose: Some(place(ground.west, south, -0.05)),
+        column_count: ground.width as u32,
+        cell_size: Some(square(ground.cell_m)),
+        row_stride: 4 * ground.width as u32,
+        cell_stride: 4,
+        fields: (0..)
+            .zip(channels)
+            .map(|(at, name)| field(name, at, NumericType::Uint8))
+            .collect(),
+        data: Bytes::from_iter(cells),
+    }
+}
+
+/// Recommended speeds, m/s; not a number where the map has none. `None` where there is no map of them, or it would be too
+/// large.
+fn speeds(cells: &[SpeedCell], stamp: i64) -> Option<Grid> {
+    let cell_m = cells.first()?.cell_m;
+    let alike = || cells.iter().filter(|cell| cell.cell_m == cell_m);
+    let raster = Raster::around(alike().map(|cell| [cell.column, cell.row]))?;
+    if raster.cells() > MOST_CELLS {
+        return None;
+    }
+    let mut speeds = vec![f32::NAN; raster.cells() as usize];
+    for cell in alike() {
+        speeds[raster.place([cell.column, cell.row])] = cell.speed_mps as f32;
+    }
+    let [x, y] = raster.corner(cell_m);
+    let width = raster.size[0] as u32;
+    Some(Grid {
+        timestamp: time(stamp),
+        frame_id: MAP.to_owned(),
+        pose: Some(place(x, y, -0.02)),
+        column_count: width,
+        cell_size: Some(square(cell_m)),
+        row_stride: 4 * width,
+        cell_stride: 4,
+        fields: vec![field("speed_mps", 0, NumericType::Float32)],
+        data: Bytes::from_iter(speeds.iter().flat_map(|speed| speed.to_le_bytes())),
+    })
+}
+
+fn square(side_m: f64) -> Vector2 {
+    Vector2 {
+        x: side_m,
+        y: side_m,
+    }
+}

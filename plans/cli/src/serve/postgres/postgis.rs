@@ -1,0 +1,423 @@
+//! What clients of PostGIS look up: the type `geometry`, the columns that have it, and which PostGIS it is.
+//!
+//! The library's tables know Postgres' own types. Two of them are put right on their way out: `pg_type` has one row more, and
+//! in `pg_attribute` columns of geometries are not `bytea`.
+
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::sync::{Arc, LazyLock};
+
+use arrow::array::{ArrayRef, AsArray, Int32Array, RecordBatch, StringArray};
+use arrow::compute::{cast, concat_batches};
+use arrow::datatypes::{DataType, FieldRef, Int32Type, Schema, SchemaRef};
+use async_trait::async_trait;
+use datafusion::catalog::streaming::StreamingTable;
+use datafusion::catalog::{MemTable, SchemaProvider, TableProvider};
+use datafusion::common::exec_err;
+use datafusion::error::Result;
+use datafusion::execution::{FunctionRegistry, SendableRecordBatchStream, TaskContext};
+use datafusion::logical_expr::{
+    ColumnarValue, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl, Signature, Volatility,
+};
+use datafusion::physical_plan::stream::RecordBatchStreamAdapter;
+use datafusion::physical_plan::streaming::PartitionStream;
+use datafusion::prelude::SessionContext;
+use datafusion::scalar::ScalarValue;
+use datafusion::sql::sqlparser::ast::{ObjectNamePart, Statement, visit_relations_mut};
+use datafusion_postgres::datafusion_pg_catalog::pg_catalog::oid_field::{kind::REGPROC, oid_field};
+use pgwire::api::Type;
+
+use crate::output::GEOMETRY;
+use crate::serve::postgres::geometry::OID;
+
+const CATALOG: &str = "pg_catalog";
+/// What clients take the types for. Of its functions a map has those that `evermap functions` lists.
+const VERSION: &str = "3.4 USE_GEOS=0 USE_PROJ=0 USE_STATS=0";
+
+/// The version of Postgres whose clients are understood, as the protocol says it too.
+const POSTGRES: &str = concat!("PostgreSQL 16.6 by evermap ", env!("CARGO_PKG_VERSION"));
+
+/// What reads the library's tables. A map's own context would hold itself, and never be dropped.
+static READER: LazyLock<SessionContext> = LazyLock::new(SessionContext::new);
+
+/// Adds the type, its columns and the functions that ask for them to a context whose catalog has the library's tables.
+///
+/// # Errors
+/// What reading these says.
+pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
+    let Some(catalog) = context.catalog(name) else {
+        return exec_err!("there is no catalog {name}");
+    };
+    let Some(inner) = catalog.schema(CATALOG) else {
+        return exec_err!("there is no schema {CATALOG}");
+    };
+    let types = with_geometry(read(&inner, "pg_type").await?)?;
+    let types = by_number(types, &numbers(&read(&inner, "pg_proc").await?, "proname")?)?;
+    let numbers = numbers(&types, "typname")?;
+    let types = MemTable::try_new(types.schema(), vec![vec![types]])?;
+    let mut tables = Catalog {
+        inner,
+        types: Arc::new(types),
+        views: BTreeMap::new(),
+    };
+    catalog.register_schema(CATALOG, Arc::new(tables.clone()))?;
+    // These ask the tables that were just put right.
+    for (view, query) in VIEWS.into_iter().zip([columns(name), SYSTEMS.to_owned()]) {
+        let view_of = context.sql(&query).await?.into_view();
+        tables.views.insert(view, view_of);
+    }
+    catalog.register_schema(CATALOG, Arc::new(tables))?;
+    register(context, ToRegtype { numbers });
+    if let Ok(inner) = context.udf("format_type") {
+        register(context, FormatType { inner });
+    }
+    for (name, version) in [
+        ("version", POSTGRES),
+        ("postgis_version", VERSION),
+        ("postgis_lib_version", "3.4.0"),
+    ] {
+        register(context, Constant { name, version });
+    }
+    Ok(())
+}
+
+/// What PostGIS adds to the tables: in which of them there are geometries, and which reference systems they have.
+pub const VIEWS: [&str; 2] = ["geometry_columns", "spatial_ref_sys"];
+
+/// The statement with these views by their whole names: Postgres looks for them without being told where.
+pub fn with_views(mut statement: Statement) -> Statement {
+    let _ = visit_relations_mut(&mut statement, |name| {
+        if let [ObjectNamePart::Identifier(view)] = name.0.as_slice()
+            && VIEWS.contains(&view.value.as_str())
+        {
+            let catalog = ObjectNamePart::Identifier(CATALOG.into());
+            name.0.insert(0, catalog);
+        }
+        ControlFlow::<()>::Continue(())
+    });
+    statement
+}
+
+/// Geometries are in the metres of a site, which no reference system is.
+const SYSTEMS: &str = "SELECT CAST(0 AS INT) AS srid, '' AS auth_name, CAST(0 AS INT) AS auth_srid, '' AS srtext, \
+     '' AS proj4text WHERE false";
+
+fn columns(catalog: &str) -> String {
+    let catalog = catalog.replace('\'', "''");
+    format!(
+        "SELECT '{catalog}' AS f_table_catalog, n.nspname AS f_table_schema, c.relname AS f_table_name, \
+         a.attname AS f_geometry_column, CAST(3 AS INT) AS coord_dimension, CAST(0 AS INT) AS srid, 'GEOMETRY' AS type \
+         FROM pg_catalog.pg_attribute a JOIN pg_catalog.pg_class c ON a.attrelid = c.oid \
+         JOIN pg_catalog.pg_namespace n ON c.relnamespace = n.oid WHERE a.atttypid = {OID}"
+    )
+}
+
+async fn read(schema: &Arc<dyn SchemaProvider>, name: &str) -> Result<RecordBatch> {
+    let Some(table) = schema.table(name).await? else {
+        return exec_err!("there is no table {name}");
+    };
+    all(table).await
+}
+
+async fn all(table: Arc<dyn TableProvider>) -> Result<RecordBatch> {
+    let schema = table.schema();
+    let batches = READER.read_table(table)?.collect().await?;
+    Ok(concat_batches(&schema, &batches)?)
+}
+
+/// The types of Postgres, and one like `bytea` under another name and number.
+fn with_geometry(types: RecordBatch) -> Result<RecordBatch> {
+    let bytea = i32::try_from(Type::BYTEA.oid()).unwrap_or_default();
+    let numbers = int32(&types, "oid")?;
+    let Some(row) = numbers.iter().position(|number| number == Some(bytea)) else {
+        return exec_err!("pg_type has no bytea");
+    };
+    let like = types.slice(row, 1);
+    let fields = types.schema().fields().clone();
+    let column = |(field, value): (&FieldRef, &ArrayRef)| {
+        let other: ArrayRef = match field.name().as_str() {
+            "oid" => Arc::new(Int32Array::from(vec![OID.cast_signed()])),
+            "typarray" => Arc::new(Int32Array::from(vec![0])),
+            "typname" => Arc::new(StringArray::from(vec![GEOMETRY])),
+            "typcategory" => Arc::new(StringArray::from(vec!["U"])),
+            _ => return Ok(Arc::clone(value)),
+        };
+        cast(&other, field.data_type())
+    };
+    let columns = fields.iter().zip(like.columns()).map(column);
+    let row = RecordBatch::try_new(types.schema(), columns.collect::<Result<_, _>>()?)?;
+    Ok(concat_batches(&types.schema(), [&types, &row])?)
+}
+
+/// Columns of `pg_type` that name functions.
+const FUNCTIONS: [&str; 7] = [
+    "typinput",
+    "typoutput",
+    "typreceive",
+    "typsend",
+    "typmodin",
+    "typmodout",
+    "typanalyze",
+];
+
+/// The types with functions by their numbers, which the library has by name: clients compare them with numbers.
+fn by_number(types: RecordBatch, functions: &BTreeMap<String, i32>) -> Result<RecordBatch> {
+    let schema = types.schema();
+    let column = |(field, values): (&FieldRef, &ArrayRef)| {
+        if !FUNCTIONS.contains(&field.name().as_str()) || *values.data_type() != DataType::Utf8 {
+            return (Arc::clone(field), Arc::clone(values));
+        }
+        let number = |name: Option<&str>| Some(functions.get(name?).copied().unwrap_or(0));
+        let numbers: Int32Array = values.as_string::<i32>().iter().map(number).collect();
+        let field = oid_field(field.name(), REGPROC, field.is_nullable());
+        (Arc::new(field), Arc::new(numbers))
+    };
+    let (fields, columns): (Vec<FieldRef>, Vec<ArrayRef>) = schema
+        .fields()
+        .iter()
+        .zip(types.columns())
+        .map(column)
+        .unzip();
+    Ok(RecordBatch::try_new(
+        Arc::new(Schema::new(fields)),
+        columns,
+    )?)
+}
+
+/// The numbers of what a table names.
+fn numbers(table: &RecordBatch, names: &str) -> Result<BTreeMap<String, i32>> {
+    let Some(names) = table.column_by_name(names) else {
+        return exec_err!("there is no column {names}");
+    };
+    let names = cast(names, &DataType::Utf8)?;
+    let names = names.as_string::<i32>().iter().flatten().map(str::to_owned);
+    let numbers = int32(table, "oid")?;
+    Ok(names.zip(numbers.iter().flatten()).collect())
+}
+
+fn int32(batch: &RecordBatch, name: &str) -> Result<Int32Array> {
+    let Some(column) = batch.column_by_name(name) else {
+        return exec_err!("there is no column {name}");
+    };
+    let column = cast(column, &DataType::Int32)?;
+    Ok(column.as_primitive::<Int32Type>().clone())
+}
+
+/// The library's tables, two of them put right, and what PostGIS adds to them.
+#[derive(Debug, Clone)]
+struct Catalog {
+    inner: Arc<dyn SchemaProvider>,
+    types: Arc<MemTable>,
+    views: BTreeMap<&'static str, Arc<dyn TableProvider>>,
+}
+
+#[async_trait]
+impl SchemaProvider for Catalog {
+    fn table_names(&self) -> Vec<String> {
+        let views = self.views.keys().map(|name| (*name).to_owned());
+        self.inner.table_names().into_iter().chain(views).collect()
+    }
+
+    async fn table(&self, name: &str) -> Result<Option<Arc<dyn TableProvider>>> {
+        match name {
+            "pg_type" => Ok(Some(Arc::clone(&self.types) as Arc<dyn TableProvider>)),
+            "pg_attribute" => {
+                let Some(inner) = self.inner.table(name).await? else {
+                    return Ok(None);
+                };
+                let schema = inner.schema();
+                let rows = Arc::new(Attributes {
+                    inner,
+                    schema: Arc::clone(&schema),
+                });
+                let table = StreamingTable::try_new(schema, vec![rows])?;
+                Ok(Some(Arc::new(table)))
+            }
+            _ => match self.views.get(name) {
+                Some(view) => Ok(Some(Arc::clone(view))),
+                None => self.inner.table(name).await,
+            },
+        }
+    }
+
+    fn table_exist(&self, name: &str) -> bool {
+        self.views.contains_key(name) || self.inner.table_exist(name)
+    }
+}
+
+/// The columns of tables, those of geometries with their type.
+#[derive(Debug)]
+struct Attributes {
+    inner: Arc<dyn TableProvider>,
+    schema: SchemaRef,
+}
+
+impl PartitionStream for Attributes {
+    fn schema(&self) -> &SchemaRef {
+        &self.schema
+    }
+
+    fn execute(&self, _: Arc<TaskContext>) -> SendableRecordBatchStream {
+        let inner = Arc::clone(&self.inner);
+        let rows = async move { typed(all(inner).await?) };
+        let rows = futures::stream::once(rows);
+        Box::pin(RecordBatchStreamAdapter::new(
+            Arc::clone(&self.schema),
+            rows,
+        ))
+    }
+}
+
+fn typed(attributes: RecordBatch) -> Result<RecordBatch> {
+    let bytea = Type::BYTEA.oid().cast_signed();
+    let (Ok(index), Some(names)) = (
+        attributes.schema_ref().index_of("atttypid"),
+        attributes.column_by_name("attname"),
+    ) else {
+        return exec_err!("pg_attribute has no names or types");
+    };
+    let names = cast(names, &DataType::Utf8)?;
+    let names = names.as_string::<i32>().iter();
+    let types = int32(&attributes, "atttypid")?;
+    let types = names.zip(types.iter()).map(|(name, number)| match number {
+        Some(number) if name == Some(GEOMETRY) && number == bytea => Some(OID.cast_signed()),
+        number => number,
+    });
+    let mut columns = attributes.columns().to_vec();
+    columns[index] = Arc::new(types.collect::<Int32Array>());
+    Ok(RecordBatch::try_new(attributes.schema(), columns)?)
+}
+
+/// A function on types.
+trait OnTypes: std::fmt::Debug + Send + Sync + Eq + std::hash::Hash + 'static {
+    fn name(&self) -> &'static str;
+    fn signature(&self) -> Signature;
+    fn result(&self) -> DataType;
+    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue>;
+}
+
+#[derive(Debug, PartialEq, Eq, Hash)]
+struct Function<F> {
+    of: F,
+    signature: Signature,
+}
+
+fn register(context: &SessionContext, of: impl OnTypes) {
+    let signature = of.signature();
+    context.register_udf(ScalarUDF::from(Function { of, signature }));
+}
+
+impl<F: OnTypes> ScalarUDFImpl for Function<F> {
+    fn name(&self) -> &str {
+        self.of.name()
+    }
+
+    fn signature(&self) -> &Signature {
+        &self.signature
+    }
+
+    fn return_type(&self, _: &[DataType]) -> Result<DataType> {
+        Ok(self.of.result())
+    }
+
+    fn invoke_with_args(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        self.of.answer(args)
+    }
+}
+
+/// `to_regtype(name)`: the number of a type; null where there is none of that name.
+#[derive(Debug, PartialEq, Eq, Hash)]
+struct ToRegtype {
+    numbers: BTreeMap<String, i32>,
+}
+
+impl OnTypes for ToRegtype {
+    fn name(&self) -> &'static str {
+        "to_regtype"
+    }
+
+    fn signature(&self) -> Signature {
+        Signature::exact(vec![DataType::Utf8], Volatility::Immutable)
+    }
+
+    fn result(&self) -> DataType {
+        DataType::Int32
+    }
+
+    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        let columns = ColumnarValue::values_to_arrays(&args.args)?;
+        let [names] = columns.as_slice() else {
+            return exec_err!("expected one argument, found {}", columns.len());
+        };
+        let number = |name: Option<&str>| self.numbers.get(name?).copied();
+        let numbers = names.as_string::<i32>().iter().map(number);
+        Ok(ColumnarValue::Array(Arc::new(
+            numbers.collect::<Int32Array>(),
+        )))
+    }
+}
+
+/// `format_type(number, modifier)` of the library, with one type more.
+#[derive(Debug, PartialEq, Eq, Hash)]
+struct FormatType {
+    inner: Arc<ScalarUDF>,
+}
+
+impl OnTypes for FormatType {
+    fn name(&self) -> &'static str {
+        "format_type"
+    }
+
+    fn signature(&self) -> Signature {
+        self.inner.signature().clone()
+    }
+
+    fn result(&self) -> DataType {
+        DataType::Utf8
+    }
+
+    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        let numbers = match args.args.first() {
+            Some(numbers) => cast(&numbers.to_array(args.number_rows)?, &DataType::Int32)?,
+            None => return exec_err!("expected the number of a type, found none"),
+        };
+        let rows = args.number_rows;
+        let names = self.inner.invoke_with_args(args)?.to_array(rows)?;
+        let names = cast(&names, &DataType::Utf8)?;
+        let numbers = numbers.as_primitive::<Int32Type>().iter();
+        let named = numbers.zip(names.as_string::<i32>().iter());
+        let named = named.map(|(number, name)| match number == Some(OID.cast_signed()) {
+            true => Some(GEOMETRY),
+            false => name,
+        });
+        Ok(ColumnarValue::Array(Arc::new(
+            named.collect::<StringArray>(),
+        )))
+    }
+}
+
+/// A function that says which version there is.
+#[derive(Debug, PartialEq, Eq, Hash)]
+struct Constant {
+    name: &'static str,
+    version: &'static str,
+}
+
+impl OnTypes for Constant {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn signature(&self) -> Signature {
+        Signature::nullary(Volatility::Immutable)
+    }
+
+    fn result(&self) -> DataType {
+        DataType::Utf8
+    }
+
+    fn answer(&self, _: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        let version = ScalarValue::Utf8(Some(self.version.to_owned()));
+        Ok(ColumnarValue::Scalar(version))
+    }
+}

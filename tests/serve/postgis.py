@@ -1,0 +1,73 @@
+"""Reads the geometries of a served map as programs that know PostGIS do: postgis.py POSTGRES"""
+
+import sys
+import warnings
+
+import geopandas
+import psycopg
+import shapely
+import sqlalchemy
+from psycopg.types import TypeInfo
+from psycopg.types.shapely import register_shapely
+
+
+def main(postgres):
+    host, port = postgres.split(":")
+    client = psycopg.connect(host=host, port=port, dbname="map", user="me", autocommit=True)
+    info = TypeInfo.fetch(client, "geometry")
+    assert info and info.name == "geometry", info
+    query = "SELECT lane, geometry, geometry AS shape, st_length(geometry) AS metres FROM lanes ORDER BY lane"
+    for binary in (False, True):
+        with client.cursor(binary=binary) as cursor:
+            rows = cursor.execute(query).fetchall()
+            types = [column.type_code for column in cursor.description]
+            assert types[1] == types[2] == info.oid and info.oid not in (types[0], types[3]), types
+            assert rows
+            # A polyline with heights, as PostGIS marks it.
+            value = rows[0][1] if binary else bytes.fromhex(rows[0][1])
+            assert value[:5] == b"\1\2\0\0\x80", value[:5]
+    # What is prepared, described and bound says the same.
+    with client.cursor() as cursor:
+        cursor.execute(query + " LIMIT %s", [1], prepare=True)
+        assert cursor.description[1].type_code == info.oid
+    # What functions make is a geometry, and what they take may be as PostGIS writes it.
+    made = client.execute("SELECT st_point(1, 2, 3) AS made ORDER BY 1 LIMIT 1")
+    assert made.description[0].type_code == info.oid
+    (text,) = made.fetchone()
+    assert shapely.from_wkb(text) == shapely.Point(1, 2, 3)
+    ewkb = shapely.to_wkb(shapely.Point(4, 6, 0), include_srid=True)
+    (far,) = client.execute("SELECT st_distance(st_point(1, 2), %b)", [ewkb]).fetchone()
+    assert abs(far - 5) < 1e-9, far
+    # Null stays null, bytes of another name stay bytes.
+    nothing = client.execute("SELECT CASE WHEN false THEN geometry END AS geometry, geometry IS NULL AS gone FROM lanes LIMIT 1")
+    assert nothing.fetchone() == (None, False)
+
+    register_shapely(info, client)
+    for binary in (False, True):
+        with client.cursor(binary=binary) as cursor:
+            for _, line, _, metres in cursor.execute(query):
+                steps = shapely.get_coordinates(line, include_z=True)
+                assert line.has_z and abs(((steps[1:] - steps[:-1]) ** 2).sum(1) ** 0.5).sum() - metres < 1e-6
+
+    engine = sqlalchemy.create_engine(f"postgresql+psycopg://me@{postgres}/map", isolation_level="AUTOCOMMIT")
+    with engine.connect() as connection, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        lanes = geopandas.read_postgis(query, connection, geom_col="geometry")
+        assert len(lanes) == len(rows) and lanes.crs is None
+        assert set(lanes.geometry.geom_type) == {"LineString"}
+        assert abs(lanes.geometry.length.sum() - sum(row[3] for row in rows)) < 1
+
+    columns = client.execute("SELECT f_table_name, f_geometry_column, srid FROM geometry_columns").fetchall()
+    assert ("lanes", "geometry", 0) in columns and ("intersections", "geometry", 0) in columns, columns
+    assert client.execute("SELECT * FROM spatial_ref_sys").fetchall() == []
+    version = client.execute("SELECT postgis_version()").fetchone()[0]
+    assert version.startswith("3."), version
+    typed = client.execute(
+        "SELECT t.typname, format_type(a.atttypid, a.atttypmod) FROM pg_catalog.pg_attribute a"
+        " JOIN pg_catalog.pg_class c ON a.attrelid = c.oid JOIN pg_catalog.pg_type t ON t.oid = a.atttypid"
+        " WHERE c.relname = 'lanes' AND a.attname = 'geometry'"
+    )
+    assert typed.fetchall() == [("geometry", "geometry")]
+
+
+main(*sys.argv[1:])
