@@ -509,7 +509,7 @@ fn one_plan_node_runs_every_operator() {
             once("plans/engine/src/sql/as_of/exec.rs"),
         ]
         .concat(),
-        "a node for light batches, one for operators, one for images, one for functions in Python, one for as-of joins"
+        "a node for sorts, one for operators, one for images, one for functions in Python, one for as-of joins"
     );
     let engine = |(path, _): &(PathBuf, usize)| path.starts_with("plans/engine");
     let mut jobs = occurrences("Job::new");

@@ -1,6 +1,7 @@
 """Memory that the program takes beside `--memory`: ten queries and three plans.
 
-    memory.py FOLDER [--memory 256] [--evermap PROGRAM] [--width 320] [--height 240] [--revisits 2] [--only WORDS]
+    memory.py FOLDER [--memory 256] [--evermap PROGRAM] [--only WORDS]
+              [--width 320] [--height 240] [--revisits 2] [--loops 2]
 
 Sessions of a simulated car park are made in FOLDER on first use; plans come first, and queries on layers ask the map of
 `metric_map`. A row says how each ended and the most that it had resident. The goal is 256 MiB beyond the limit.
@@ -54,11 +55,12 @@ def run(command):
 
 def made(given):
     """The logs, simulated unless they are there."""
-    logs = given.folder / f"{given.width}x{given.height}x{given.revisits}"
+    logs = given.folder / f"{given.width}x{given.height}_{given.revisits}_{given.loops}"
     if not logs.exists():
         unfinished = logs.with_suffix(".unfinished")
         shutil.rmtree(unfinished, ignore_errors=True)
-        size = ["--set", f"width_px={given.width}", "--set", f"height_px={given.height}"]
+        world = {"width_px": given.width, "height_px": given.height, "loops": given.loops}
+        size = [word for name, value in world.items() for word in ("--set", f"{name}={value}")]
         subprocess.run(
             [given.evermap, "simulate", "car_park", "--out", unfinished, "--revisits", str(given.revisits), *size]
             + ["--progress", "none"],
@@ -77,6 +79,7 @@ def main():
     parser.add_argument("--width", type=int, default=320)
     parser.add_argument("--height", type=int, default=240)
     parser.add_argument("--revisits", type=int, default=2)
+    parser.add_argument("--loops", type=int, default=2)
     parser.add_argument("--only", default="", help="rows whose name has these words")
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)

@@ -10,9 +10,11 @@ use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use arrow::array::{RecordBatch, UInt32Array};
+use arrow::array::{
+    Array, ArrayRef, AsArray, RecordBatch, RecordBatchOptions, StructArray, UInt32Array,
+};
 use arrow::compute::take_record_batch;
-use arrow::datatypes::SchemaRef;
+use arrow::datatypes::{DataType, SchemaRef};
 use datafusion::common::config::ConfigOptions;
 use datafusion::common::tree_node::{Transformed, TreeNode};
 use datafusion::common::utils::memory::get_record_batch_memory_size;
@@ -186,7 +188,7 @@ async fn begin(
     let sort = SortExec::new(order, Arc::new(input));
     let sorted = sort.execute(0, with_batch_rows(&context, rows))?;
     let busy = metrics.elapsed_compute().clone();
-    let sorted = sorted.map_ok(move |batch| batch.record_output(&metrics));
+    let sorted = sorted.map(move |batch| Ok(compacted(&batch?)?.record_output(&metrics)));
     let told = futures::stream::once(async move {
         let took = sort.metrics().and_then(|metrics| metrics.elapsed_compute());
         busy.add_duration(Duration::from_nanos(took.unwrap_or_default() as u64));
@@ -213,13 +215,62 @@ fn with_batch_rows(context: &TaskContext, rows: usize) -> Arc<TaskContext> {
 
 /// Rows like those of a batch that have [`SORTED_BYTES`] together.
 fn light_rows(batch: &RecordBatch) -> usize {
-    let columns = batch.columns().iter();
-    let bytes = columns.map(|column| {
-        let sliced = column.to_data().get_slice_memory_size();
-        sliced.unwrap_or_else(|_| column.get_array_memory_size())
-    });
-    let row_bytes = bytes.sum::<usize>() / batch.num_rows().max(1);
+    let bytes: usize = batch.columns().iter().map(|column| bytes(column)).sum();
+    let row_bytes = bytes / batch.num_rows().max(1);
     (SORTED_BYTES / row_bytes.max(1)).max(1)
+}
+
+/// Bytes of the values of a column, of which it may be a slice.
+fn bytes(column: &dyn Array) -> usize {
+    let viewed: usize = match column.data_type() {
+        DataType::Utf8View => column
+            .as_string_view()
+            .lengths()
+            .map(|bytes| bytes as usize)
+            .sum(),
+        DataType::BinaryView => column
+            .as_binary_view()
+            .lengths()
+            .map(|bytes| bytes as usize)
+            .sum(),
+        DataType::Struct(_) => {
+            let members = column.as_struct().columns();
+            return members.iter().map(|member| bytes(member)).sum();
+        }
+        _ => 0,
+    };
+    let sliced = column.to_data().get_slice_memory_size();
+    viewed + sliced.unwrap_or_else(|_| column.get_array_memory_size())
+}
+
+/// The batch with nothing behind its views but what they show: rows that were sorted show parts of many batches.
+fn compacted(batch: &RecordBatch) -> Result<RecordBatch> {
+    let columns = batch.columns().iter().map(compact);
+    let columns = columns.collect::<Result<_>>()?;
+    let rows = RecordBatchOptions::new().with_row_count(Some(batch.num_rows()));
+    let batch = RecordBatch::try_new_with_options(batch.schema(), columns, &rows);
+    batch.map_err(DataFusionError::from)
+}
+
+fn compact(column: &ArrayRef) -> Result<ArrayRef> {
+    Ok(match column.data_type() {
+        DataType::Utf8View => Arc::new(column.as_string_view().gc()),
+        DataType::BinaryView => Arc::new(column.as_binary_view().gc()),
+        DataType::Struct(fields) => {
+            let column = column.as_struct();
+            let members = column
+                .columns()
+                .iter()
+                .map(compact)
+                .collect::<Result<_>>()?;
+            let (fields, nulls) = (fields.clone(), column.nulls().cloned());
+            let length = column.len();
+            Arc::new(StructArray::try_new_with_length(
+                fields, members, nulls, length,
+            )?)
+        }
+        _ => Arc::clone(column),
+    })
 }
 
 /// The batch in pieces of about [`SORTED_BYTES`], which share nothing where it is larger. There is none without rows.
@@ -234,7 +285,15 @@ fn pieces(batch: &RecordBatch) -> Vec<Result<RecordBatch>> {
     let starts = (0..rows).step_by(each);
     let piece = |start: usize| {
         let places = UInt32Array::from_iter_values(start as u32..(start + each).min(rows) as u32);
-        take_record_batch(batch, &places).map_err(DataFusionError::from)
+        let piece = take_record_batch(batch, &places)?;
+        let columns = piece.columns().iter().map(compact);
+        let columns = columns.collect::<Result<_>>()?;
+        let rows = RecordBatchOptions::new().with_row_count(Some(piece.num_rows()));
+        Ok(RecordBatch::try_new_with_options(
+            piece.schema(),
+            columns,
+            &rows,
+        )?)
     };
     starts.map(piece).collect()
 }
@@ -275,8 +334,8 @@ impl PartitionStream for Once {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use arrow::array::{AsArray, BinaryArray, UInt64Array};
-    use arrow::datatypes::UInt64Type;
+    use arrow::array::{BinaryArray, BinaryViewArray, UInt64Array};
+    use arrow::datatypes::{Field, UInt64Type};
     use datafusion::datasource::memory::MemorySourceConfig;
     use datafusion::physical_plan::collect;
     use datafusion::prelude::SessionContext;
@@ -287,18 +346,22 @@ mod tests {
     use crate::nodes::node::ordering;
     use crate::sql::{Limits, context};
 
-    /// Numbers, each with so many bytes, in no order and batches of 64.
-    fn heavy(rows: u64, bytes: usize) -> Arc<dyn ExecutionPlan> {
+    /// Numbers, each with so many bytes, in no order and batches of 64; views share what they show.
+    fn heavy(rows: u64, bytes: usize, views: bool) -> Arc<dyn ExecutionPlan> {
         let numbers: Vec<u64> = (0..rows).map(|row| row * 7919 % rows).collect();
         let batch = |numbers: &[u64]| {
             let values = numbers.iter().map(|number| vec![*number as u8; bytes]);
-            let values = BinaryArray::from_iter_values(values);
-            let numbers = UInt64Array::from(numbers.to_vec());
-            let columns = [
-                ("number", Arc::new(numbers) as _),
-                ("bytes", Arc::new(values) as _),
-            ];
-            RecordBatch::try_from_iter(columns).unwrap()
+            let values: ArrayRef = match views {
+                true => Arc::new(BinaryViewArray::from_iter_values(values)),
+                false => Arc::new(BinaryArray::from_iter_values(values)),
+            };
+            let numbers: ArrayRef = Arc::new(UInt64Array::from(numbers.to_vec()));
+            let members = [("bytes", values)].map(|(name, column)| {
+                let field = Field::new(name, column.data_type().clone(), false);
+                (Arc::new(field), column)
+            });
+            let values: ArrayRef = Arc::new(StructArray::from(members.to_vec()));
+            RecordBatch::try_from_iter([("number", numbers), ("values", values)]).unwrap()
         };
         let batches: Vec<_> = numbers.chunks(64).map(batch).collect();
         let schema = batches[0].schema();
@@ -315,44 +378,54 @@ mod tests {
         .unwrap()
     }
 
+    /// The bytes in a row, and the first of them.
+    fn value(batch: &RecordBatch, row: usize) -> (usize, u8) {
+        let values = batch.column(1).as_struct().column(0);
+        let bytes = match values.data_type() {
+            DataType::BinaryView => values.as_binary_view().value(row),
+            _ => values.as_binary::<i32>().value(row),
+        };
+        (bytes.len(), bytes[0])
+    }
+
     #[tokio::test]
     async fn heavy_rows_are_sorted_where_a_batch_of_them_does_not_fit() {
-        let context = small();
-        let rows = heavy(300, 150_000);
-        let order = ordering(["number"], &rows.schema()).unwrap();
-        let plain: Arc<dyn ExecutionPlan> = Arc::new(SortExec::new(order, rows));
-        let refused = collect(Arc::clone(&plain), context.task_ctx()).await;
-        assert_eq!(fault_of(&refused.unwrap_err()).kind, Kind::Resource);
-
-        let state = context.state();
-        let light = LightBatches
-            .optimize(plain, state.config_options())
-            .unwrap();
-        let batches = collect(Arc::clone(&light), context.task_ctx())
-            .await
-            .unwrap();
-        let mut number = 0;
-        for batch in &batches {
-            assert!(batch.num_rows() <= 7, "{} rows", batch.num_rows());
-            let numbers = batch.column(0).as_primitive::<UInt64Type>();
-            for (row, found) in numbers.values().iter().enumerate() {
-                assert_eq!(*found, number);
-                let bytes = batch.column(1).as_binary::<i32>().value(row);
-                assert!(bytes.len() == 150_000 && bytes[0] == number as u8);
-                number += 1;
+        for views in [false, true] {
+            let context = small();
+            let rows = heavy(300, 150_000, views);
+            let order = ordering(["number"], &rows.schema()).unwrap();
+            let plain: Arc<dyn ExecutionPlan> = Arc::new(SortExec::new(order, rows));
+            if !views {
+                let refused = collect(Arc::clone(&plain), context.task_ctx()).await;
+                assert_eq!(fault_of(&refused.unwrap_err()).kind, Kind::Resource);
             }
+
+            let state = context.state();
+            let light = LightBatches.optimize(plain, state.config_options());
+            let light = light.unwrap();
+            let batches = collect(Arc::clone(&light), context.task_ctx()).await;
+            let mut number = 0;
+            for batch in &batches.unwrap() {
+                assert!(batch.num_rows() <= 7, "{} rows", batch.num_rows());
+                let numbers = batch.column(0).as_primitive::<UInt64Type>();
+                for (row, found) in numbers.values().iter().enumerate() {
+                    assert_eq!(*found, number);
+                    assert_eq!(value(batch, row), (150_000, number as u8));
+                    number += 1;
+                }
+            }
+            assert_eq!(number, 300);
+            let metrics = light.metrics().unwrap();
+            assert_eq!(metrics.output_rows(), Some(300));
+            assert!(metrics.elapsed_compute() > Some(1_000));
         }
-        assert_eq!(number, 300);
-        let metrics = light.metrics().unwrap();
-        assert_eq!(metrics.output_rows(), Some(300));
-        assert!(metrics.elapsed_compute() > Some(1_000));
     }
 
     #[tokio::test]
     async fn light_rows_are_sorted_as_many_at_a_time_as_the_context_says() {
         let context = small();
-        let order = ordering(["number"], &heavy(1, 1).schema()).unwrap();
-        let sort = sorted(heavy(1000, 8), order).unwrap();
+        let order = ordering(["number"], &heavy(1, 1, false).schema()).unwrap();
+        let sort = sorted(heavy(1000, 8, false), order).unwrap();
         let batches = collect(sort, context.task_ctx()).await.unwrap();
         let rows: Vec<_> = batches.iter().map(RecordBatch::num_rows).collect();
         let most = context.copied_config().batch_size();
