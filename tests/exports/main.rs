@@ -108,6 +108,38 @@ fn a_recording_is_of_the_whole_map_and_other_formats_of_a_layer() {
     }
 }
 
+/// What was driven, with the images of its keyframes.
+const PICTURES: &str = "
+plan: pictures
+extends: trajectory
+steps:
+  keyframes: { in: { odometry: odometry, frames: frames } }
+  mounts: { sql: SELECT * FROM transforms WHERE fixed }
+  cameras: { sql: SELECT * FROM calibration }
+write: [keyframes, mounts, cameras]
+";
+
+fn pictures_are_recorded(folder: &Path, session: &Path) {
+    let plan = folder.join("pictures.yaml");
+    std::fs::write(&plan, PICTURES).unwrap();
+    let map = folder.join("pictures");
+    let run = plan_command(text(&plan), &map, "lot", &["--sessions", text(session)]).output();
+    Finished::from(run.unwrap()).expect(0);
+    is_read_as_the_map_says(&map, folder);
+    let recording = folder.join("recording.mcap");
+    let images = "SELECT count(*) AS n FROM frames";
+    let count = [
+        "sql",
+        "--sessions",
+        text(&recording),
+        "--format",
+        "json",
+        images,
+    ];
+    let found = evermap(&count).expect(0).json();
+    assert!(found[0]["n"].as_u64().unwrap() > 100, "{found}");
+}
+
 /// The roads of a simulated car with a receiver.
 fn on_earth(folder: &Path) -> PathBuf {
     let world = folder.join("world");
@@ -122,6 +154,7 @@ fn on_earth(folder: &Path) -> PathBuf {
     simulate("car_park", &world, &small);
     let roads = folder.join("roads");
     let session = world.join("initial.mcap");
+    pictures_are_recorded(folder, &session);
     let more = ["--sessions", text(&session)];
     let run = plan_command("georeference", &roads, "lot", &more).output();
     Finished::from(run.expect("evermap starts")).expect(0);

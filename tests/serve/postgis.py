@@ -68,6 +68,14 @@ def main(postgres):
         " WHERE c.relname = 'lanes' AND a.attname = 'geometry'"
     )
     assert typed.fetchall() == [("geometry", "geometry")]
+    typed = client.execute(
+        "SELECT column_name, data_type, udt_name FROM information_schema.columns WHERE table_name = 'lanes'"
+        " AND column_name IN ('geometry', 'length_m') ORDER BY columns.column_name"
+    ).fetchall()
+    assert typed == [
+        ("geometry", "USER-DEFINED", "geometry"),
+        ("length_m", "double precision", "float8"),
+    ], typed
 
 
 main(*sys.argv[1:])

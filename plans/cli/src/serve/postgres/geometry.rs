@@ -80,6 +80,12 @@ fn projected(
     LogicalPlanBuilder::from(plan).project(columns)?.build()
 }
 
+/// Whether a plan of [`as_extended`] has geometries.
+pub fn has_any(plan: &LogicalPlan) -> bool {
+    let mut fields = plan.schema().fields().iter();
+    fields.any(|field| is_marked(field))
+}
+
 /// What clients are told of columns, where these have the type that they have in Postgres.
 pub fn told(plan: &LogicalPlan, columns: Vec<FieldInfo>) -> Vec<FieldInfo> {
     let fields = plan.schema().fields().iter();

@@ -2,6 +2,7 @@
 //! said, what an answer may take. The database that a client names is the map; where one map is served, any name is.
 
 mod catalog;
+mod functions;
 mod geometry;
 mod hooks;
 mod nested;
@@ -324,7 +325,9 @@ fn with_all_of(mut again: Portal<Prepared>, portal: &Portal<Prepared>) -> Portal
 /// A portal whose geometries are written as its client asks for them.
 fn in_its_formats(portal: Portal<Prepared>) -> PgWireResult<Portal<Prepared>> {
     let old = &portal.statement;
-    let (query, Some((statement, plan))) = &old.statement else {
+    let (query, planned) = &old.statement;
+    let Some((statement, plan)) = planned.as_ref().filter(|(_, plan)| geometry::has_any(plan))
+    else {
         return Ok(portal);
     };
     let format = &portal.result_column_format;

@@ -16,18 +16,15 @@ use datafusion::catalog::{MemTable, SchemaProvider, TableProvider};
 use datafusion::common::exec_err;
 use datafusion::error::Result;
 use datafusion::execution::{FunctionRegistry, SendableRecordBatchStream, TaskContext};
-use datafusion::logical_expr::{
-    ColumnarValue, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl, Signature, Volatility,
-};
 use datafusion::physical_plan::stream::RecordBatchStreamAdapter;
 use datafusion::physical_plan::streaming::PartitionStream;
 use datafusion::prelude::SessionContext;
-use datafusion::scalar::ScalarValue;
 use datafusion::sql::sqlparser::ast::{ObjectNamePart, Statement, visit_relations_mut};
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::oid_field::{kind::REGPROC, oid_field};
 use pgwire::api::Type;
 
 use crate::output::GEOMETRY;
+use crate::serve::postgres::functions::{Constant, FormatType, ToRegtype, register};
 use crate::serve::postgres::geometry::OID;
 
 const CATALOG: &str = "pg_catalog";
@@ -62,7 +59,8 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
     };
     catalog.register_schema(CATALOG, Arc::new(tables.clone()))?;
     // These ask the tables that were just put right.
-    for (view, query) in VIEWS.into_iter().zip([columns(name), SYSTEMS.to_owned()]) {
+    let queries = [geometries(name), SYSTEMS.to_owned(), columns(name)];
+    for (view, query) in VIEWS.into_iter().zip(queries) {
         let view_of = context.sql(&query).await?.into_view();
         tables.views.insert(view, view_of);
     }
@@ -81,17 +79,22 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
     Ok(())
 }
 
-/// What PostGIS adds to the tables: in which of them there are geometries, and which reference systems they have.
-pub const VIEWS: [&str; 2] = ["geometry_columns", "spatial_ref_sys"];
+/// What PostGIS adds to the tables: in which of them there are geometries, and which reference systems they have; and
+/// `information_schema.columns`, whose types DataFusion calls by Arrow's names.
+const VIEWS: [&str; 3] = ["geometry_columns", "spatial_ref_sys", "columns"];
 
-/// The statement with these views by their whole names: Postgres looks for them without being told where.
+/// The statement with these views by their whole names: for the first two Postgres looks without being told where.
 pub fn with_views(mut statement: Statement) -> Statement {
     let _ = visit_relations_mut(&mut statement, |name| {
-        if let [ObjectNamePart::Identifier(view)] = name.0.as_slice()
-            && VIEWS.contains(&view.value.as_str())
-        {
-            let catalog = ObjectNamePart::Identifier(CATALOG.into());
-            name.0.insert(0, catalog);
+        let parts: Vec<_> = name.0.iter().map(ObjectNamePart::to_string).collect();
+        let catalog = ObjectNamePart::Identifier(CATALOG.into());
+        match parts.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+            [view] if VIEWS[..2].contains(&view) => name.0.insert(0, catalog),
+            [.., "information_schema", view] if view == VIEWS[2] => {
+                let schema = name.0.len() - 2;
+                name.0[schema] = catalog;
+            }
+            _ => {}
         }
         ControlFlow::<()>::Continue(())
     });
@@ -102,7 +105,31 @@ pub fn with_views(mut statement: Statement) -> Statement {
 const SYSTEMS: &str = "SELECT CAST(0 AS INT) AS srid, '' AS auth_name, CAST(0 AS INT) AS auth_srid, '' AS srtext, \
      '' AS proj4text WHERE false";
 
+/// The columns of all tables, as far as SQL's standard and Postgres agree on what is known of them here.
 fn columns(catalog: &str) -> String {
+    let catalog = catalog.replace('\'', "''");
+    let unknown = |name: &str, kind: &str| format!("CAST(NULL AS {kind}) AS {name}, ");
+    let unknown = [
+        unknown("column_default", "TEXT"),
+        unknown("character_maximum_length", "INT"),
+        unknown("numeric_precision", "INT"),
+        unknown("numeric_scale", "INT"),
+        unknown("datetime_precision", "INT"),
+    ]
+    .concat();
+    format!(
+        "SELECT '{catalog}' AS table_catalog, n.nspname AS table_schema, c.relname AS table_name, \
+         a.attname AS column_name, CAST(a.attnum AS INT) AS ordinal_position, \
+         CASE WHEN a.attnotnull THEN 'NO' ELSE 'YES' END AS is_nullable, \
+         CASE WHEN a.atttypid = {OID} THEN 'USER-DEFINED' WHEN t.typcategory = 'A' THEN 'ARRAY' \
+         ELSE format_type(a.atttypid, a.atttypmod) END AS data_type, {unknown}'{catalog}' AS udt_catalog, \
+         CASE WHEN a.atttypid = {OID} THEN 'public' ELSE 'pg_catalog' END AS udt_schema, t.typname AS udt_name \
+         FROM pg_catalog.pg_attribute a JOIN pg_catalog.pg_class c ON a.attrelid = c.oid \
+         JOIN pg_catalog.pg_namespace n ON c.relnamespace = n.oid JOIN pg_catalog.pg_type t ON t.oid = a.atttypid"
+    )
+}
+
+fn geometries(catalog: &str) -> String {
     let catalog = catalog.replace('\'', "''");
     format!(
         "SELECT '{catalog}' AS f_table_catalog, n.nspname AS f_table_schema, c.relname AS f_table_name, \
@@ -286,138 +313,4 @@ fn typed(attributes: RecordBatch) -> Result<RecordBatch> {
     let mut columns = attributes.columns().to_vec();
     columns[index] = Arc::new(types.collect::<Int32Array>());
     Ok(RecordBatch::try_new(attributes.schema(), columns)?)
-}
-
-/// A function on types.
-trait OnTypes: std::fmt::Debug + Send + Sync + Eq + std::hash::Hash + 'static {
-    fn name(&self) -> &'static str;
-    fn signature(&self) -> Signature;
-    fn result(&self) -> DataType;
-    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue>;
-}
-
-#[derive(Debug, PartialEq, Eq, Hash)]
-struct Function<F> {
-    of: F,
-    signature: Signature,
-}
-
-fn register(context: &SessionContext, of: impl OnTypes) {
-    let signature = of.signature();
-    context.register_udf(ScalarUDF::from(Function { of, signature }));
-}
-
-impl<F: OnTypes> ScalarUDFImpl for Function<F> {
-    fn name(&self) -> &str {
-        self.of.name()
-    }
-
-    fn signature(&self) -> &Signature {
-        &self.signature
-    }
-
-    fn return_type(&self, _: &[DataType]) -> Result<DataType> {
-        Ok(self.of.result())
-    }
-
-    fn invoke_with_args(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
-        self.of.answer(args)
-    }
-}
-
-/// `to_regtype(name)`: the number of a type; null where there is none of that name.
-#[derive(Debug, PartialEq, Eq, Hash)]
-struct ToRegtype {
-    numbers: BTreeMap<String, i32>,
-}
-
-impl OnTypes for ToRegtype {
-    fn name(&self) -> &'static str {
-        "to_regtype"
-    }
-
-    fn signature(&self) -> Signature {
-        Signature::exact(vec![DataType::Utf8], Volatility::Immutable)
-    }
-
-    fn result(&self) -> DataType {
-        DataType::Int32
-    }
-
-    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
-        let columns = ColumnarValue::values_to_arrays(&args.args)?;
-        let [names] = columns.as_slice() else {
-            return exec_err!("expected one argument, found {}", columns.len());
-        };
-        let number = |name: Option<&str>| self.numbers.get(name?).copied();
-        let numbers = names.as_string::<i32>().iter().map(number);
-        Ok(ColumnarValue::Array(Arc::new(
-            numbers.collect::<Int32Array>(),
-        )))
-    }
-}
-
-/// `format_type(number, modifier)` of the library, with one type more.
-#[derive(Debug, PartialEq, Eq, Hash)]
-struct FormatType {
-    inner: Arc<ScalarUDF>,
-}
-
-impl OnTypes for FormatType {
-    fn name(&self) -> &'static str {
-        "format_type"
-    }
-
-    fn signature(&self) -> Signature {
-        self.inner.signature().clone()
-    }
-
-    fn result(&self) -> DataType {
-        DataType::Utf8
-    }
-
-    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
-        let numbers = match args.args.first() {
-            Some(numbers) => cast(&numbers.to_array(args.number_rows)?, &DataType::Int32)?,
-            None => return exec_err!("expected the number of a type, found none"),
-        };
-        let rows = args.number_rows;
-        let names = self.inner.invoke_with_args(args)?.to_array(rows)?;
-        let names = cast(&names, &DataType::Utf8)?;
-        let numbers = numbers.as_primitive::<Int32Type>().iter();
-        let named = numbers.zip(names.as_string::<i32>().iter());
-        let named = named.map(|(number, name)| match number == Some(OID.cast_signed()) {
-            true => Some(GEOMETRY),
-            false => name,
-        });
-        Ok(ColumnarValue::Array(Arc::new(
-            named.collect::<StringArray>(),
-        )))
-    }
-}
-
-/// A function that says which version there is.
-#[derive(Debug, PartialEq, Eq, Hash)]
-struct Constant {
-    name: &'static str,
-    version: &'static str,
-}
-
-impl OnTypes for Constant {
-    fn name(&self) -> &'static str {
-        self.name
-    }
-
-    fn signature(&self) -> Signature {
-        Signature::nullary(Volatility::Immutable)
-    }
-
-    fn result(&self) -> DataType {
-        DataType::Utf8
-    }
-
-    fn answer(&self, _: ScalarFunctionArgs) -> Result<ColumnarValue> {
-        let version = ScalarValue::Utf8(Some(self.version.to_owned()));
-        Ok(ColumnarValue::Scalar(version))
-    }
 }

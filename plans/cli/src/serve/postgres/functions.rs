@@ -1,0 +1,164 @@
+//! Functions on types that clients of Postgres ask, and the library has not, or knows too few types for.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use arrow::array::{AsArray, Int32Array, StringArray};
+use arrow::compute::cast;
+use arrow::datatypes::{DataType, Int32Type};
+use datafusion::common::exec_err;
+use datafusion::error::Result;
+use datafusion::logical_expr::{
+    ColumnarValue, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl, Signature, Volatility,
+};
+use datafusion::prelude::SessionContext;
+use datafusion::scalar::ScalarValue;
+
+use crate::output::GEOMETRY;
+use crate::serve::postgres::geometry::OID;
+
+/// A function on types.
+pub trait OnTypes: std::fmt::Debug + Send + Sync + Eq + std::hash::Hash + 'static {
+    /// Its name.
+    fn name(&self) -> &'static str;
+    /// What it takes.
+    fn signature(&self) -> Signature;
+    /// What it gives.
+    fn result(&self) -> DataType;
+    /// Answers one call.
+    ///
+    /// # Errors
+    /// For arguments that it does not take.
+    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue>;
+}
+
+#[derive(Debug, PartialEq, Eq, Hash)]
+struct Function<F> {
+    of: F,
+    signature: Signature,
+}
+
+/// Adds a function to a context, in place of one of its name.
+pub fn register(context: &SessionContext, of: impl OnTypes) {
+    let signature = of.signature();
+    context.register_udf(ScalarUDF::from(Function { of, signature }));
+}
+
+impl<F: OnTypes> ScalarUDFImpl for Function<F> {
+    fn name(&self) -> &str {
+        self.of.name()
+    }
+
+    fn signature(&self) -> &Signature {
+        &self.signature
+    }
+
+    fn return_type(&self, _: &[DataType]) -> Result<DataType> {
+        Ok(self.of.result())
+    }
+
+    fn invoke_with_args(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        self.of.answer(args)
+    }
+}
+
+/// `to_regtype(name)`: the number of a type; null where there is none of that name.
+#[derive(Debug, PartialEq, Eq, Hash)]
+pub struct ToRegtype {
+    /// They, by name.
+    pub numbers: BTreeMap<String, i32>,
+}
+
+impl OnTypes for ToRegtype {
+    fn name(&self) -> &'static str {
+        "to_regtype"
+    }
+
+    fn signature(&self) -> Signature {
+        Signature::exact(vec![DataType::Utf8], Volatility::Immutable)
+    }
+
+    fn result(&self) -> DataType {
+        DataType::Int32
+    }
+
+    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        let columns = ColumnarValue::values_to_arrays(&args.args)?;
+        let [names] = columns.as_slice() else {
+            return exec_err!("expected one argument, found {}", columns.len());
+        };
+        let number = |name: Option<&str>| self.numbers.get(name?).copied();
+        let numbers = names.as_string::<i32>().iter().map(number);
+        Ok(ColumnarValue::Array(Arc::new(
+            numbers.collect::<Int32Array>(),
+        )))
+    }
+}
+
+/// `format_type(number, modifier)` of the library, with one type more.
+#[derive(Debug, PartialEq, Eq, Hash)]
+pub struct FormatType {
+    /// The library's.
+    pub inner: Arc<ScalarUDF>,
+}
+
+impl OnTypes for FormatType {
+    fn name(&self) -> &'static str {
+        "format_type"
+    }
+
+    fn signature(&self) -> Signature {
+        self.inner.signature().clone()
+    }
+
+    fn result(&self) -> DataType {
+        DataType::Utf8
+    }
+
+    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        let numbers = match args.args.first() {
+            Some(numbers) => cast(&numbers.to_array(args.number_rows)?, &DataType::Int32)?,
+            None => return exec_err!("expected the number of a type, found none"),
+        };
+        let rows = args.number_rows;
+        let names = self.inner.invoke_with_args(args)?.to_array(rows)?;
+        let names = cast(&names, &DataType::Utf8)?;
+        let numbers = numbers.as_primitive::<Int32Type>().iter();
+        let named = numbers.zip(names.as_string::<i32>().iter());
+        let named = named.map(|(number, name)| match number == Some(OID.cast_signed()) {
+            true => Some(GEOMETRY),
+            false => name,
+        });
+        Ok(ColumnarValue::Array(Arc::new(
+            named.collect::<StringArray>(),
+        )))
+    }
+}
+
+/// A function that says which version there is.
+#[derive(Debug, PartialEq, Eq, Hash)]
+pub struct Constant {
+    /// The function's name.
+    pub name: &'static str,
+    /// What it says.
+    pub version: &'static str,
+}
+
+impl OnTypes for Constant {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn signature(&self) -> Signature {
+        Signature::nullary(Volatility::Immutable)
+    }
+
+    fn result(&self) -> DataType {
+        DataType::Utf8
+    }
+
+    fn answer(&self, _: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        let version = ScalarValue::Utf8(Some(self.version.to_owned()));
+        Ok(ColumnarValue::Scalar(version))
+    }
+}
