@@ -43,7 +43,7 @@ impl Recording {
                 Some(number) => *number,
                 None => {
                     let number = channels.len();
-                    channels.push(protocol::channel(number, &one.topic, &*one.kind()?));
+                    channels.push(protocol::channel(number, &one.topic, &one.kind()?));
                     numbers.insert(&one.topic, number);
                     number
                 }
