@@ -161,10 +161,8 @@ pub(super) fn smoothed(legs: &[Leg]) -> Option<Vec<(Vector3<f64>, Vector3<f64>)>
     let mut later = legs.last()?.end;
     let mut found = vec![later];
     for leg in legs.iter().rev() {
-        let Some(inverse) = leg.end.covariance.cholesky().map(|factor| factor.inverse()) else {
-            return None;
-        };
-        let gain = leg.start.covariance * leg.slope.transpose() * inverse;
+        let factor = leg.end.covariance.cholesky()?;
+        let gain = leg.start.covariance * leg.slope.transpose() * factor.inverse();
         later = Belief {
             state: leg.start.state + gain * (later.state - leg.end.state),
             covariance: leg.start.covariance

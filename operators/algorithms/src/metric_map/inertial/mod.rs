@@ -253,12 +253,12 @@ impl Path {
             let [(start, bias), (end, _)] = [pair[0], pair[1]];
             let off = end - leg.carried(&start, &bias);
             let (mut turned, mut seconds) = (UnitQuaternion::identity(), 0.0);
-            for here in leg.from..leg.to {
+            for motion in &motions[leg.from..leg.to] {
                 let end_from_here = leg.motion.rotation.inverse() * turned;
                 let share = seconds / leg.motion.seconds.max(f64::MIN_POSITIVE);
                 let carried = so3::exp(&(seconds * bias)) * (turned.inverse() * start);
                 ups.push(carried + share * (end_from_here.inverse() * off));
-                if let Some(motion) = &motions[here] {
+                if let Some(motion) = motion {
                     turned *= motion.rotation;
                     seconds += motion.seconds;
                 }
