@@ -43,7 +43,8 @@ impl Recording {
                 Some(number) => *number,
                 None => {
                     let number = channels.len();
-                    channels.push(protocol::channel(number, &one.topic, &one.kind()?));
+                    let kind = one.kind()?;
+                    channels.push(protocol::channel(number, &one.topic, &kind));
                     numbers.insert(&one.topic, number);
                     number
                 }
