@@ -3,7 +3,7 @@
 //! ```text
 //!   jpeg, png, pgm … ──► decode_grey ─────────────► Grey (8 bits, rows without gaps)
 //!   jpeg, png, ppm … ──► decode_colour ───────────► Rgb
-//!   depth: png, pgm ───► decode_depth ────────────► Grey16, the values as stored
+//!   depth: png, pgm, pfm ► decode_depth ───────────► Grey16, the values as stored; metres in mm
 //!   labels: png, pgm ──► decode_labels ───────────► Grey, the values as stored ──► encode_png
 //!   Grey ──────────────► PeopleDetector ──────────► windows that show people
 //! ```

@@ -1,7 +1,8 @@
 //! Images whose values are data, not light: labels and depth. They are read exactly as they are stored, where a
 //! picture's decoder would scale 16 bits to 8 or look a palette's colours up.
 //!
-//! PNG is what maps and data sets hold them in; PGM (`P5`) is what raw images of a log arrive as.
+//! PNG is what maps and data sets hold them in; PGM (`P5`) is what raw images of a log arrive as, PFM (`Pf`) raw depth in
+//! metres.
 
 use std::io::Cursor;
 
@@ -12,19 +13,97 @@ use crate::grey::checked_pixels;
 use crate::{Grey, Grey16, ImageError};
 
 /// The values of a depth image: of 16 or fewer bits per pixel, as stored, not scaled. A palette's indices are its
-/// values.
+/// values. Metres become millimetres: floating-point numbers (PFM), and inverse depth as
+/// `compressed_depth_image_transport` stores it; 0 where nothing was measured, 65,535 beyond what 16 bits can say.
 ///
 /// # Errors
-/// [`ImageError`] for bytes that are no PNG or PGM, an image in colour or with transparency, one that is too large,
-/// cut off or damaged.
+/// [`ImageError`] for bytes that are no PNG, PGM or grey PFM, an image in colour or with transparency, one that is too
+/// large, cut off or damaged.
 pub fn decode_depth(bytes: &[u8]) -> Result<Grey16, ImageError> {
+    if let Some(numbers) = bytes.strip_prefix(b"Pf") {
+        return pfm_depth(numbers, bytes.len());
+    }
+    let (inverse, bytes) = InverseDepth::before(bytes);
     let header = header(bytes)?;
-    let stored = stored(bytes, &header)?;
+    let mut data = stored(bytes, &header)?.into_sixteen();
+    if let Some(inverse) = inverse {
+        for value in &mut data {
+            *value = inverse.millimetres(*value);
+        }
+    }
     Ok(Grey16 {
         width: header.width,
         height: header.height,
-        data: stored.into_sixteen(),
+        data,
     })
+}
+
+/// Depth as REP 118 has it: not a number, too near (-∞) and 0 are nothing measured, +∞ is beyond range.
+fn millimetres(metres: f32) -> u16 {
+    // A conversion of floating-point numbers saturates, and makes 0 of what is no number.
+    (1000.0 * metres).round() as u16
+}
+
+/// A portable float map of one channel, after its first two letters, in metres: width, height, a scale below zero where
+/// numbers are little endian, then rows from the lowest to the highest.
+fn pfm_depth(mut rest: &[u8], length: usize) -> Result<Grey16, ImageError> {
+    let damaged = || ImageError::Damaged {
+        format: "pfm",
+        bytes: length,
+    };
+    let mut size = [0; 2];
+    for side in &mut size {
+        (*side, rest) = pgm_number(rest).ok_or_else(damaged)?;
+    }
+    let [width, height] = size;
+    let pixels = checked_pixels(width, height)?;
+    let mut lines = rest.splitn(3, |byte| *byte == b'\n');
+    let (_, scale, metres) = (lines.next(), lines.next(), lines.next());
+    let metres = metres.and_then(|metres| metres.get(..4 * pixels));
+    let (Some(scale), Some(metres)) = (scale, metres) else {
+        return Err(damaged());
+    };
+    let number = match scale.starts_with(b"-") {
+        true => f32::from_le_bytes,
+        false => f32::from_be_bytes,
+    };
+    let rows = metres.chunks_exact(4 * width as usize).rev();
+    let metres = rows.flat_map(|row| row.as_chunks().0);
+    Ok(Grey16 {
+        width,
+        height,
+        data: metres.map(|metres| millimetres(number(*metres))).collect(),
+    })
+}
+
+/// Depth in metres as `compressed_depth_image_transport` quantises it: `a / (value - b)`, nothing measured where the value
+/// is 0.
+struct InverseDepth {
+    a: f32,
+    b: f32,
+}
+
+impl InverseDepth {
+    /// From a header of 12 bytes (the method, `a` and `b`), where a PNG follows it; and the image.
+    fn before(bytes: &[u8]) -> (Option<Self>, &[u8]) {
+        match bytes.split_first_chunk() {
+            Some((&[_, _, _, _, a0, a1, a2, a3, b0, b1, b2, b3], png))
+                if png.starts_with(b"\x89PNG\r\n\x1a\n") =>
+            {
+                let a = f32::from_le_bytes([a0, a1, a2, a3]);
+                let b = f32::from_le_bytes([b0, b1, b2, b3]);
+                (Some(Self { a, b }), png)
+            }
+            _ => (None, bytes),
+        }
+    }
+
+    fn millimetres(&self, value: u16) -> u16 {
+        match value {
+            0 => 0,
+            _ => millimetres(self.a / (f32::from(value) - self.b)),
+        }
+    }
 }
 
 /// The values of a label image, as stored: of a palette PNG the indices, of fewer than 8 bits the values themselves.

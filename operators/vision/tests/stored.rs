@@ -83,6 +83,42 @@ fn depth_keeps_all_sixteen_bits() {
 }
 
 #[test]
+fn metres_become_millimetres_and_what_is_not_measured_stays_so() {
+    let metres = [
+        1.5,
+        0.0005,
+        70.0,
+        f32::INFINITY,
+        f32::NAN,
+        f32::NEG_INFINITY,
+    ];
+    let expected = [1500, 1, 65_535, 65_535, 0, 0];
+    // Rows come from the lowest to the highest.
+    let (upper, lower) = metres.split_at(3);
+    let little = [lower, upper].concat();
+    let little = little.iter().flat_map(|metres| metres.to_le_bytes());
+    let pfm: Vec<u8> = b"Pf\n3 2\n-1.0\n".iter().copied().chain(little).collect();
+    let depth = decode_depth(&pfm).unwrap();
+    assert_eq!((depth.width, depth.height), (3, 2));
+    assert_eq!(depth.data, expected);
+    for length in 0..pfm.len() {
+        assert!(decode_depth(&pfm[..length]).is_err(), "{length}");
+    }
+    assert!(decode_depth(b"Pf\n4000000000 4000000000\n-1.0\n").is_err());
+
+    // The encoder's quantisation of 2 m, with its parameters as they come by default (z₀ = 100, at most 10 m).
+    let a = 100.0 * 101.0_f32;
+    let b = 1.0 - a / 10.0;
+    let value = (a / 2.0 + b) as u16;
+    let stored = [0_u16, value].map(u16::to_be_bytes).concat();
+    let png = png_of([2, 1], ColorType::Grayscale, BitDepth::Sixteen, &stored);
+    let header = [[0; 4], a.to_le_bytes(), b.to_le_bytes()].concat();
+    let depth = decode_depth(&[header, png].concat()).unwrap();
+    assert_eq!(depth.data[0], 0);
+    assert!(depth.data[1].abs_diff(2000) <= 1, "{:?}", depth.data);
+}
+
+#[test]
 fn labels_are_indices_whatever_colours_stand_for_them() {
     let packed = png_of(
         [5, 2],

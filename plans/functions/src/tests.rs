@@ -38,6 +38,7 @@ pub(crate) fn view(name: &str, areas: &[(&str, f32, f32)], edges: &[(u16, u16)])
             edges: edges.iter().map(edge).collect(),
         },
         map_from_view: None,
+        depth: None,
     }
 }
 

@@ -291,6 +291,8 @@ record! {
         /// The camera in the frame of the poses that the plan gives: the map's, or the odometry's of each session; null
         /// where there are none around the instant, or nothing says where the camera is mounted.
         map_from_view: Option<Pose>,
+        /// How far away things are: the range image of the same camera and instant, in the log; null where there is none.
+        depth: Option<ImageRef>,
     }
 }
 

@@ -1,4 +1,5 @@
-//! Range images: 16-bit, in units that the log's maker chose (mostly mm), 0 where there is none.
+//! Range images: of 16 bits in units that the log's maker chose (mostly mm), 0 where nothing was measured and 65,535 where
+//! all there is is beyond range; or of floating-point metres (REP 118), NaN where nothing was measured and +∞ beyond range.
 
 use crate::roles::frames::{Content, Frame, IMAGES, of_content};
 use crate::roles::{Messages, Role, every};

@@ -56,7 +56,7 @@ pub(super) enum Content {
 pub(super) const LABELS: [&str; 3] = ["label", "segmentation", "semantic"];
 
 /// The image topics whose names speak of this content. Where a topic and its `/compressed` twin are both there, the
-/// compressed one counts; a `/ffmpeg` twin counts where it is alone; `/compressedDepth` never does.
+/// compressed one counts; a `/ffmpeg` or `/compressedDepth` twin counts where it is alone.
 pub(super) fn of_content(topics: &[Topic], content: Content) -> Vec<Topic> {
     let found = |topic: &Topic| {
         if in_words(&topic.name, &LABELS) {
@@ -70,9 +70,12 @@ pub(super) fn of_content(topics: &[Topic], content: Content) -> Vec<Topic> {
     let counts = |topic: &&Topic| {
         let has = |name: &str| topics.iter().any(|other| other.name == name);
         let compressed = |name: &str| format!("{name}/compressed");
+        let mut plain = ["/ffmpeg", "/compressedDepth"]
+            .iter()
+            .filter_map(|suffix| topic.name.strip_suffix(suffix));
         let has_twin = has(&compressed(&topic.name))
-            || topic.name.strip_suffix("/ffmpeg").is_some_and(|name| has(name) || has(&compressed(name)));
-        !has_twin && !topic.name.ends_with("/compressedDepth") && found(topic) == content
+            || plain.any(|name| has(name) || has(&compressed(name)));
+        !has_twin && found(topic) == content
     };
     topics.iter().filter(counts).cloned().collect()
 }
@@ -134,10 +137,23 @@ fn plain_format(format: &str, magic: &[u8; 8]) -> String {
         "png".to_owned()
     } else if text.contains("jpeg") || text.contains("jpg") {
         "jpeg".to_owned()
+    } else if let Some(depth) = compressed_depth(&text) {
+        depth.to_owned()
     } else if text.contains("png") {
         "png".to_owned()
     } else {
         video_format(&text).unwrap_or_else(|| text.trim().to_owned())
+    }
+}
+
+/// What `compressed_depth_image_transport` says of its PNGs: `16UC1; compressedDepth png`, without `png` in older logs.
+fn compressed_depth(text: &str) -> Option<&'static str> {
+    let (encoding, transport) = text.split_once(';')?;
+    let is_png = transport.contains("compresseddepth") && !transport.contains("rvl");
+    match encoding.trim() {
+        "16uc1" if is_png => Some("compressedDepth 16UC1"),
+        "32fc1" if is_png => Some("compressedDepth 32FC1"),
+        _ => None,
     }
 }
 
@@ -164,6 +180,13 @@ mod tests {
         assert_eq!(plain_format("image/png", &[0; 8]), "png");
         assert_eq!(plain_format("", b"\xff\xd8\xff\xe0\0\0\0\0"), "jpeg");
         assert_eq!(plain_format("webp", b"RIFF\0\0\0\0"), "webp");
+        for (said, plain) in [
+            ("16UC1; compressedDepth png", "compressedDepth 16UC1"),
+            ("32FC1; compressedDepth", "compressedDepth 32FC1"),
+            ("16UC1; compressedDepth rvl", "16uc1; compresseddepth rvl"),
+        ] {
+            assert_eq!(plain_format(said, &[0; 8]), plain);
+        }
         for (said, plain) in [("H264", "h264"), ("video/h.264", "h264"), ("hevc", "h265")] {
             assert_eq!(plain_format(said, b"\0\0\0\x01\x67\0\0\0"), plain);
         }

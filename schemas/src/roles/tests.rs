@@ -127,4 +127,9 @@ fn a_compressed_twin_is_preferred() {
     ];
     assert_eq!(inferred(&frames::ROLE, &topics).0, ["/c/image/compressed"]);
     assert!(inferred(&depth_frames::ROLE, &topics).0.is_empty());
+    let depth = [("/c/depth/compressedDepth", compressed, 1)];
+    assert_eq!(
+        inferred(&depth_frames::ROLE, &depth).0,
+        ["/c/depth/compressedDepth"]
+    );
 }

@@ -141,7 +141,8 @@ impl Spheres {
         Ok(OpenSphere {
             lens: lens.ok_or("panorama has no lens")?,
             grey: grey.data,
-            range: range.data,
+            // Beyond range there is no point to register or to move, and so nothing was measured.
+            range: measured(range.data),
             unit_m: row.unit_m,
         })
     }
@@ -150,6 +151,14 @@ impl Spheres {
     pub(crate) fn labels(&self, view: &ViewKey) -> Option<&LabelImage> {
         self.labels.get(view)
     }
+}
+
+/// Range with 0 for what is beyond it.
+fn measured(mut range: Vec<u16>) -> Vec<u16> {
+    for value in &mut range {
+        *value = if *value == u16::MAX { 0 } else { *value };
+    }
+    range
 }
 
 /// The values of a row's label image.

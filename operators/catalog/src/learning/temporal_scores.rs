@@ -55,7 +55,7 @@ const MAX_GAP_NS: i64 = 1_000_000_000;
 
 impl Operator for TemporalScores {
     const NAME: &'static str = "temporal_scores";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("temporal_scores.md");
     type Params = TemporalScoresParams;
     type Output = ClassScores;

@@ -1,12 +1,15 @@
 #![doc = include_str!("views.md")]
 
+use std::collections::BTreeMap;
+
 use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::semantic_map::semantic_graph::{
     Graph, GraphError, GraphOptions, Labels, VOID,
 };
 use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reach, Reason, Sides, Work};
-use evermap_schemas::Pose;
 use evermap_schemas::layers::{LabelImage, View};
+use evermap_schemas::roles::Frame;
+use evermap_schemas::{ImageRef, Pose, Stamp};
 use evermap_vision::decode_labels;
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -44,7 +47,7 @@ impl Default for ViewsParams {
 
 impl Operator for Views {
     const NAME: &'static str = "views";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: &'static str = include_str!("views.md");
     type Params = ViewsParams;
     type Output = View;
@@ -53,6 +56,7 @@ impl Operator for Views {
         let labels = Port::session::<LabelImage>("labels");
         let mut sides = vec![lenses::port(Reach::Session)];
         sides.extend(camera_poses::ports(Reach::Session));
+        sides.push(Port::session::<Frame>("depth_frames").optional());
         Work::batches(labels, sides, Site::new, Site::views)
     }
 }
@@ -62,12 +66,18 @@ struct Site {
     params: ViewsParams,
     lenses: Lenses,
     poses: CameraPoses,
+    /// Range images, by session, camera and instant.
+    depth: BTreeMap<(String, String, Stamp), ImageRef>,
 }
 
 impl Site {
     fn new(params: &ViewsParams, sides: &Sides) -> Result<Self, Fault> {
+        let depth = sides.rows::<Frame>("depth_frames")?.into_iter();
         Ok(Self {
             params: params.clone(),
+            depth: depth
+                .map(|frame| ((frame.session, frame.camera, frame.stamp), frame.image))
+                .collect(),
             lenses: Lenses::new(sides)?,
             poses: CameraPoses::new(sides)?,
         })
@@ -123,13 +133,15 @@ impl Site {
         let field_of_view = camera.and_then(|camera| camera.horizontal_field_of_view_rad());
         graph.field_of_view_rad = field_of_view.map(|angle| angle as f32);
         let map_from_view = self.poses.at(taken, &self.params.vehicle);
+        let key = (image.session, image.camera, image.stamp);
         let view = View {
             map_from_view: map_from_view.map(|pose| Pose::from_array(pose.to_array())),
-            view: format!("{}/{}/{}", image.session, image.camera, image.stamp.0),
+            depth: self.depth.get(&key).cloned(),
+            view: format!("{}/{}/{}", key.0, key.1, key.2.0),
             site: image.site,
-            session: image.session,
-            stamp: image.stamp,
-            camera: image.camera,
+            session: key.0,
+            stamp: key.2,
+            camera: key.1,
             graph: graphs::row(&graph, &image.classes),
         };
         Ok((view, labels.unknown_px(classes)))

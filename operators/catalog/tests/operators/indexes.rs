@@ -34,6 +34,7 @@ fn view(classes: usize) -> View {
             edges: Vec::new(),
         },
         map_from_view: None,
+        depth: None,
     }
 }
 

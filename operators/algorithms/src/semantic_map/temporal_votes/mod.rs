@@ -9,8 +9,12 @@
 //! ```
 //! Each pixel of the view is lifted by its depth, moved into a neighbour's frame and projected. The neighbour has a say
 //! where its own depth there is that of the point: where something is in front of it, or where it has gone, the
-//! neighbour's pixel shows another thing. What is farther away than depth is measured (the sky) is at infinity: only the
-//! rotation matters, and the neighbour must see nothing nearer either.
+//! neighbour's pixel shows another thing. What is beyond range (the sky) is at infinity: only the rotation matters, and
+//! the neighbour must see nothing nearer either.
+//!
+//! A pixel where nothing was measured may be sky, or a hole in a near wall. Its neighbours tell: where as many of them
+//! measured something on its ray as see nothing in its direction, it is a hole and as far away as the nearest that they
+//! measured. Where none of them can tell, it keeps its own prediction.
 
 #[cfg(test)]
 mod tests;
@@ -24,6 +28,7 @@ use serde::{Deserialize, Serialize};
 use crate::geometry::camera::{Camera, Model};
 use crate::geometry::pose::Pose;
 use crate::semantic_map::class_scores::ScoresView;
+use view::Depth;
 pub use view::{DepthView, ScoredView};
 
 /// Cells that one task works on.
@@ -99,37 +104,114 @@ impl Voter {
                 })
             })
             .collect();
+        let measured: Vec<Vec<f32>> = neighbours
+            .par_iter()
+            .map(|neighbour| self.measured(scores, neighbour))
+            .collect();
         let mut votes = scores.probabilities().to_vec();
         let chunks = votes.par_chunks_mut(CHUNK * scores.classes()).enumerate();
         chunks.for_each(|(chunk, votes)| {
             let mut sums = vec![0; scores.classes()];
             for (cell, votes) in votes.chunks_exact_mut(scores.classes()).enumerate() {
-                let centre = scores.centre(chunk * CHUNK + cell);
-                self.gather(centre, &depth, &neighbours, &mut sums, votes);
+                let cell = chunk * CHUNK + cell;
+                let centre = scores.centre(cell);
+                let Some(ray) = self.camera.unproject(centre) else {
+                    continue;
+                };
+                let point = match depth.nearest(centre) {
+                    Depth::At(depth_m) => Some(Point::At(self.lift(&ray, depth_m))),
+                    Depth::Beyond => Some(Point::Towards(ray)),
+                    Depth::Unknown => {
+                        let measured = measured.iter().map(|there| there[cell]);
+                        self.unmeasured(&ray, measured, &neighbours)
+                    }
+                };
+                if let Some(point) = point {
+                    self.gather(&point, &neighbours, &mut sums, votes);
+                }
             }
         });
         votes
     }
 
-    /// Turns a cell's own probabilities into the mean of all.
+    /// What a neighbour measured, as it would be seen from here: by cell, the inverse distance of the nearest (1/m), 0 where
+    /// there is nothing.
+    fn measured(&self, scores: &ScoresView<'_>, neighbour: &Neighbour<'_>) -> Vec<f32> {
+        let cells = scores.columns() * scores.rows();
+        let here_from_there = neighbour.there_from_here.inverse();
+        let mut nearest = vec![0.0_f32; cells];
+        for centre in (0..cells).map(|cell| scores.centre(cell)) {
+            let Depth::At(depth_m) = neighbour.depth.nearest(centre) else {
+                continue;
+            };
+            let Some(ray) = self.camera.unproject(centre) else {
+                continue;
+            };
+            let point = here_from_there.transform(&self.lift(&ray, depth_m));
+            let pixel = self.camera.project(&point);
+            let [pixel, ..] = pixel.map_or([None; 4], |pixel| self.around(pixel));
+            if let Some(cell) = pixel.and_then(|pixel| scores.at(pixel)) {
+                nearest[cell] = nearest[cell].max(1.0 / self.depth_m(&point) as f32);
+            }
+        }
+        nearest
+    }
+
+    /// What a pixel sees where nothing was measured, by what each neighbour measured on its ray (1/m) and sees in its
+    /// direction; `None` where they do not tell.
+    fn unmeasured(
+        &self,
+        ray: &Vector3<f64>,
+        measured: impl Iterator<Item = f32>,
+        neighbours: &[Neighbour<'_>],
+    ) -> Option<Point> {
+        let (mut near, mut nearest) = (0, 0.0);
+        for inverse in measured.filter(|inverse| *inverse > 0.0) {
+            near += 1;
+            nearest = f32::max(nearest, inverse);
+        }
+        let sky = Point::Towards(*ray);
+        let see_nothing = neighbours
+            .iter()
+            .filter(|neighbour| self.look_up(&sky, neighbour).is_some())
+            .count();
+        match (near, see_nothing) {
+            (0, 0) => None,
+            _ if near >= see_nothing => Some(Point::At(self.lift(ray, 1.0 / f64::from(nearest)))),
+            _ => Some(sky),
+        }
+    }
+
+    /// The point of a ray that is so far away as depth images tell it.
+    fn lift(&self, ray: &Vector3<f64>, depth_m: f64) -> Vector3<f64> {
+        match self.along_axis {
+            true => ray * (depth_m / ray.z),
+            false => ray * depth_m,
+        }
+    }
+
+    /// How far away depth images say that a point is.
+    fn depth_m(&self, point: &Vector3<f64>) -> f64 {
+        match self.along_axis {
+            true => point.z,
+            false => point.norm(),
+        }
+    }
+
+    /// Turns a cell's own probabilities into the mean of all that see its point.
     fn gather(
         &self,
-        centre: [f64; 2],
-        depth: &DepthView<'_>,
+        point: &Point,
         neighbours: &[Neighbour<'_>],
         sums: &mut [u32],
         votes: &mut [u8],
     ) {
-        let Some(ray) = self.camera.unproject(centre) else {
-            return;
-        };
-        let point = self.lift(&ray, depth.nearest(centre));
         let mut views = 1;
         for (sum, own) in sums.iter_mut().zip(votes.iter()) {
             *sum = u32::from(*own);
         }
         for neighbour in neighbours {
-            let Some(seen) = self.look_up(&point, neighbour) else {
+            let Some(seen) = self.look_up(point, neighbour) else {
                 continue;
             };
             views += 1;
@@ -142,14 +224,6 @@ impl Voter {
         }
     }
 
-    fn lift(&self, ray: &Vector3<f64>, depth_m: Option<f64>) -> Point {
-        match depth_m {
-            Some(depth_m) if self.along_axis => Point::At(ray * (depth_m / ray.z)),
-            Some(depth_m) => Point::At(ray * depth_m),
-            None => Point::Towards(*ray),
-        }
-    }
-
     /// A neighbour's probabilities for a point, where it sees it.
     fn look_up<'a>(&self, point: &Point, neighbour: &Neighbour<'a>) -> Option<&'a [u8]> {
         let there = match point {
@@ -157,18 +231,17 @@ impl Voter {
             Point::Towards(ray) => neighbour.there_from_here.rotate(ray),
         };
         let expected = match point {
-            Point::At(_) if self.along_axis => 1.0 / there.z,
-            Point::At(_) => 1.0 / there.norm(),
+            Point::At(_) => 1.0 / self.depth_m(&there),
             Point::Towards(_) => 0.0,
         };
         let pixel = self.camera.project(&there)?;
         let mut best: Option<(f64, [f64; 2])> = None;
         for pixel in self.around(pixel).into_iter().flatten() {
-            let found = neighbour
-                .depth
-                .nearest(pixel)
-                .map_or(0.0, |depth_m| 1.0 / depth_m);
-            // Nothing measured is nothing near: a point far away may be beyond what is measured.
+            let found = match (neighbour.depth.nearest(pixel), point) {
+                (Depth::At(depth_m), _) => 1.0 / depth_m,
+                (Depth::Beyond, _) | (Depth::Unknown, Point::Towards(_)) => 0.0,
+                (Depth::Unknown, Point::At(_)) => continue,
+            };
             let apart = (found - expected).abs();
             if apart <= self.options.same_per_m && best.is_none_or(|(least, _)| apart < least) {
                 best = Some((apart, pixel));
@@ -209,7 +282,7 @@ impl Voter {
 /// What a pixel sees, in the view's frame.
 enum Point {
     At(Vector3<f64>),
-    /// Farther away than is measured.
+    /// Beyond range.
     Towards(Vector3<f64>),
 }
 

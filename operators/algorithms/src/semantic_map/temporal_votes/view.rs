@@ -4,6 +4,17 @@ use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
 use crate::semantic_map::class_scores::ScoresView;
 
+/// What a pixel of a depth image says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Depth {
+    /// Something is so far away (m).
+    At(f64),
+    /// Whatever is there is farther away than is measured, or nothing is there.
+    Beyond,
+    /// Nothing was measured, near or far: a hole.
+    Unknown,
+}
+
 /// A depth image.
 #[derive(Debug, Clone, Copy)]
 pub struct DepthView<'a> {
@@ -14,8 +25,9 @@ pub struct DepthView<'a> {
 }
 
 impl<'a> DepthView<'a> {
-    /// Values in units of `scale_m` metres, row by row; 0 where nothing was measured. `None` for another number of values
-    /// than the size asks for, none, or a scale that is not above zero.
+    /// Values in units of `scale_m` metres, row by row; 0 where nothing was measured, the largest value of 16 bits where all
+    /// there is is beyond range. `None` for another number of values than the size asks for, none, or a scale that is not
+    /// above zero.
     pub fn new([width, height]: [u32; 2], data: &'a [u16], scale_m: f64) -> Option<Self> {
         let (width, height) = (width as usize, height as usize);
         let fits = width.checked_mul(height) == Some(data.len()) && !data.is_empty();
@@ -32,15 +44,20 @@ impl<'a> DepthView<'a> {
         [self.width, self.height] == [camera.width as usize, camera.height as usize]
     }
 
-    /// The depth (m) at the nearest pixel; `None` where nothing was measured, and out of the image.
-    pub(super) fn nearest(&self, [u, v]: [f64; 2]) -> Option<f64> {
+    /// What the nearest pixel says; nothing out of the image.
+    pub(super) fn nearest(&self, [u, v]: [f64; 2]) -> Depth {
         let index = |x: f64, size: usize| {
             let inside = x >= -0.5 && x < size as f64 - 0.5;
             inside.then_some((x + 0.5) as usize)
         };
-        let (column, row) = (index(u, self.width)?, index(v, self.height)?);
-        let units = self.data[row * self.width + column];
-        (units > 0).then_some(f64::from(units) * self.scale_m)
+        let (Some(column), Some(row)) = (index(u, self.width), index(v, self.height)) else {
+            return Depth::Unknown;
+        };
+        match self.data[row * self.width + column] {
+            0 => Depth::Unknown,
+            u16::MAX => Depth::Beyond,
+            units => Depth::At(f64::from(units) * self.scale_m),
+        }
     }
 }
 

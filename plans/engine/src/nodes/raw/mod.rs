@@ -19,11 +19,13 @@ enum Layout {
     Bayer(Mosaic, usize),
     /// Luma and chroma.
     Yuv(Packing),
+    /// Numbers of 32 bits, one a pixel: depth in metres.
+    Float,
 }
 
 /// The layout of an encoding as ROS (`sensor_msgs/image_encodings.hpp`) and Foxglove name it, and its largest value.
 fn layout(encoding: &str) -> Option<(Layout, u32)> {
-    use Layout::{Bayer, Plain, Yuv};
+    use Layout::{Bayer, Float, Plain, Yuv};
     let eight = |layout| Some((layout, 255));
     // Samples of two bytes are little endian; the file wants them big endian.
     let sixteen = |layout| Some((layout, 65_535));
@@ -49,19 +51,24 @@ fn layout(encoding: &str) -> Option<(Layout, u32)> {
         "nv12" => eight(Yuv(Packing::Nv12)),
         "nv21" => eight(Yuv(Packing::Nv21)),
         "nv24" => eight(Yuv(Packing::Nv24)),
+        "32FC1" => Some((Float, 0)),
         _ => None,
     }
 }
 
-/// An image as a file that any decoder reads: a raw one as netpbm (colour RGB, rows without padding), JPEG and PNG as
-/// they are, as a frame of video, which the reader of images has decoded.
+/// An image as a file that any decoder reads: a raw one as netpbm (colour RGB, rows without padding), JPEG
+/// and PNG as they are, as a frame of video, which the reader of images has decoded. `compressedDepth` is a PNG behind a
+/// header, which only metres need, to be read by `decode_depth`.
 ///
 /// # Errors
 /// In words: for an encoding that nobody here reads, or fewer bytes than the size asks for.
 pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, String> {
     let encoding = image.format.as_str();
-    if ["jpeg", "png"].contains(&encoding) || Codec::named(encoding).is_some() {
-        return Ok(bytes.into());
+    match encoding {
+        "jpeg" | "png" | "compressedDepth 32FC1" => return Ok(bytes.into()),
+        "compressedDepth 16UC1" => return Ok(bytes.get(12..).unwrap_or_default().into()),
+        _ if Codec::named(encoding).is_some() => return Ok(bytes.into()),
+        _ => {}
     }
     let Some((layout, maximum)) = layout(encoding) else {
         return Err(format!(
@@ -76,6 +83,7 @@ pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, S
         Layout::Plain(pixel, order) => (width.saturating_mul(*pixel), height, order.len()),
         Layout::Bayer(_, bytes) => (width.saturating_mul(*bytes), height, 3 * bytes),
         Layout::Yuv(packing) => (packing.row(width), packing.lines(height), 3),
+        Layout::Float => (width.saturating_mul(4), height, 4),
     };
     let expected = step.saturating_mul(lines);
     if row == 0 || step < row || bytes.len() < expected {
@@ -84,8 +92,13 @@ pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, S
             bytes.len()
         ));
     }
-    let magic = if samples < 3 { "P5" } else { "P6" };
-    let mut file = format!("{magic}\n{width} {height}\n{maximum}\n").into_bytes();
+    let mut file = match &layout {
+        // Little endian, which a scale below zero says.
+        Layout::Float => format!("Pf\n{width} {height}\n-1.0\n"),
+        _ if samples < 3 => format!("P5\n{width} {height}\n{maximum}\n"),
+        _ => format!("P6\n{width} {height}\n{maximum}\n"),
+    }
+    .into_bytes();
     file.reserve(width * height * samples);
     match layout {
         Layout::Plain(pixel, order) => {
@@ -99,6 +112,11 @@ pub fn as_file<'a>(image: &ImageRef, bytes: &'a [u8]) -> Result<Cow<'a, [u8]>, S
             mosaic.write(bytes, [width, height], step, bytes_each, &mut file);
         }
         Layout::Yuv(packing) => packing.write(bytes, [width, height], step, &mut file),
+        // From the lowest row to the highest.
+        Layout::Float => {
+            let lines = bytes.chunks(step).take(height).rev();
+            lines.for_each(|line| file.extend_from_slice(&line[..row]));
+        }
     }
     Ok(file.into())
 }
@@ -141,6 +159,11 @@ mod tests {
             ),
             (raw("mono16", 1, 1, 2), &[1, 2], b"P5\n1 1\n65535\n\x02\x01"),
             (
+                raw("32FC1", 1, 2, 5),
+                &[1, 2, 3, 4, 0, 5, 6, 7, 8, 0],
+                b"Pf\n1 2\n-1.0\n\x05\x06\x07\x08\x01\x02\x03\x04",
+            ),
+            (
                 raw("bgr16", 1, 1, 6),
                 &[1, 2, 3, 4, 5, 6],
                 b"P6\n1 1\n65535\n\x06\x05\x04\x03\x02\x01",
@@ -165,7 +188,7 @@ mod tests {
             "{short}"
         );
         for (width, height, step) in [(u32::MAX, u32::MAX, u32::MAX), (0, 1, 1), (2, 2, 1)] {
-            for encoding in ["rgba16", "nv12", "bayer_rggb16", "yuyv"] {
+            for encoding in ["rgba16", "nv12", "bayer_rggb16", "yuyv", "32FC1"] {
                 as_file(&raw(encoding, width, height, step), &[0; 64]).unwrap_err();
             }
         }

@@ -129,41 +129,72 @@ proptest! {
     }
 }
 
-#[test]
-fn noise_of_single_views_is_voted_down() {
-    let views: Vec<Seen> = (0..7)
-        .map(|i| {
-            seen(
-                0.1 * f64::from(i),
-                0.15 * f64::from(i),
-                0.4 * f64::from(i),
-                false,
-            )
-        })
-        .collect();
+/// Seven views of the room by a vehicle that drives and turns, whose labels are wrong here and there, and the labels.
+fn drive() -> (Vec<Seen>, Vec<Vec<u8>>) {
+    let step = |i: i32| {
+        let i = f64::from(i);
+        seen(0.1 * i, 0.15 * i, 0.4 * i, false)
+    };
+    let views: Vec<Seen> = (0..7).map(step).collect();
     let noise = |view: usize| {
         move |i: usize| (i * 7919 + view * 104_729).wrapping_mul(2_654_435_761) >> 9 & 1023 < 200
     };
-    let bytes: Vec<Vec<u8>> = views
-        .iter()
-        .enumerate()
-        .map(|(i, seen)| scores(&seen.labels, noise(i)))
-        .collect();
-    let all: Vec<ScoredView<'_>> = views
-        .iter()
-        .zip(&bytes)
-        .map(|(seen, bytes)| view(seen, bytes))
-        .collect();
+    let views_with_noise = views.iter().enumerate();
+    let bytes = views_with_noise.map(|(i, seen)| scores(&seen.labels, noise(i)));
+    let bytes = bytes.collect();
+    (views, bytes)
+}
+
+/// What the view in the middle of the drive becomes by itself, and with the others.
+fn middle_of(views: &[Seen], bytes: &[Vec<u8>]) -> [Vec<u8>; 2] {
+    let all = views.iter().zip(bytes);
+    let mut others: Vec<ScoredView<'_>> = all.map(|(seen, bytes)| view(seen, bytes)).collect();
+    let middle = others.remove(3);
     let voter = Voter::new(&panorama(), &VoteOptions::default());
-    let alone = right(&voter.vote(&all[3], &[]), &views[3].labels);
-    let others: Vec<ScoredView<'_>> = all
-        .iter()
-        .enumerate()
-        .filter(|(i, _)| *i != 3)
-        .map(|(_, view)| *view)
-        .collect();
-    let together = right(&voter.vote(&all[3], &others), &views[3].labels);
+    [voter.vote(&middle, &[]), voter.vote(&middle, &others)]
+}
+
+#[test]
+fn noise_of_single_views_is_voted_down() {
+    let (views, bytes) = drive();
+    let [alone, together] = middle_of(&views, &bytes).map(|votes| right(&votes, &views[3].labels));
     assert!(alone < 0.83 && together > 0.96, "{alone} {together}");
+}
+
+/// A wall of which the view measured nothing is as far away as its neighbours say, and no sky.
+#[test]
+fn a_hole_is_where_neighbours_measured_something() {
+    let (mut views, bytes) = drive();
+    let is_hole = |i: usize| (40..80).contains(&(i % SIZE[0] as usize));
+    let is_wall: Vec<bool> = views[3].depth.iter().map(|depth| *depth > 0).collect();
+    for (i, depth) in views[3].depth.iter_mut().enumerate() {
+        *depth = if is_hole(i) { 0 } else { *depth };
+    }
+    let of_hole = |votes: &[u8]| {
+        let inside = (0..PIXELS).filter(|i| is_hole(*i) && is_wall[*i]);
+        let (votes, labels): (Vec<_>, Vec<_>) = inside
+            .map(|i| (&votes[4 * i..4 * i + 4], views[3].labels[i]))
+            .unzip();
+        right(&votes.concat(), &labels)
+    };
+    let [alone, together] = middle_of(&views, &bytes).map(|votes| of_hole(&votes));
+    assert!(alone < 0.83 && together > 0.94, "{alone} {together}");
+}
+
+/// What is said to be beyond range is where what was not measured may be.
+#[test]
+fn the_sky_may_be_measured() {
+    let (mut views, bytes) = drive();
+    let [_, unmeasured] = middle_of(&views, &bytes);
+    for depth in views.iter_mut().flat_map(|seen| &mut seen.depth) {
+        *depth = if *depth == 0 { u16::MAX } else { *depth };
+    }
+    let [_, beyond] = middle_of(&views, &bytes);
+    let [unmeasured, beyond] = [unmeasured, beyond].map(|votes| right(&votes, &views[3].labels));
+    assert!(
+        beyond >= unmeasured && unmeasured > 0.96,
+        "{beyond} {unmeasured}"
+    );
 }
 
 /// What stands in front of a wall here is not seen there, and says nothing of the wall.
