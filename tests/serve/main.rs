@@ -342,6 +342,10 @@ fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
         right.iter().all(|right| *right > all * 4 / 5),
         "{right:?} of {all}"
     );
+
+    // What the map has learnt is accepted where it is right.
+    let server = Server::start(&map, &["--teach", text(&labels)]);
+    ended("serve/teach.py", &["accepted", &server.http]);
 }
 
 /// What Chromium makes of the page, once its scripts have done their work; `None` where it is not installed.

@@ -1,4 +1,4 @@
-"""Says things of a map by HTTP: read-only|taught|later|painted ADDRESS; by its page: page ADDRESS."""
+"""Says things of a map by HTTP: read-only|taught|later|painted ADDRESS; by its page: page|accepted ADDRESS."""
 
 import json
 import sys
@@ -141,9 +141,49 @@ def page(host):
     assert max(off) < 0.5, label
 
 
+def accepted(host):
+    """Accepts what the map says of an image, one area or all; removes what another person paints there meanwhile."""
+    sys.path.append(str(Path(__file__).parents[1]))
+    from browser import Browser, until
+
+    one = pictures(host)[-2]
+    here = f"http://{host}/teach/street?{urlencode(one)}"
+    assert ask(here)[1]["labels"] == []
+    browser = Browser(f"http://{host}/")
+    lying = "evermap.painting.lying.length"
+    try:
+        browser.said(f"evermap.painting.open({json.dumps(one)}), 0")
+        until(lambda: browser.said("evermap.painting.isReady"))
+        browser.press("a")
+        until(lambda: "saved" in browser.text("paint-saved"))
+        said = ask(here)[1]["labels"]
+        assert {label["kind"] for label in said} == {"sky", "ground"}, said
+        assert browser.said(lying) == len(said) == browser.said("evermap.painting.areas().length")
+        # Later paint lies over earlier, so the largest area comes first.
+        xs, ys = ([at[axis] for at in said[0]["points"]] for axis in (0, 1))
+        assert (max(xs) - min(xs)) * (max(ys) - min(ys)) >= 0.3 * 256 * 83, said[0]
+        browser.press("u")
+        until(lambda: browser.said(lying) == 0)
+        browser.press("t")
+        browser.click([128, 83 - 2], "evermap.painting.map")
+        until(lambda: browser.said(lying) > 0)
+        assert ask(here)[1]["labels"][0]["kind"] == "sky"
+        before = browser.said(lying)
+        said = ask(here, {"author": "bob", "features": region("kerb", [[100, 30], [150, 30], [150, 60], [100, 60]])})
+        assert said[0] == 200, said
+        until(lambda: browser.said(lying) == before + 1)
+        browser.press("x")
+        browser.click([125, 83 - 45], "evermap.painting.map")
+        until(lambda: browser.said(lying) == before)
+        assert browser.text("fault") == ""
+    finally:
+        browser.close()
+    assert "kerb" not in {label["kind"] for label in ask(here)[1]["labels"]}
+
+
 def main(what, host):
-    if what in ("painted", "page"):
-        return {"painted": painted, "page": page}[what](host)
+    if what in ("painted", "page", "accepted"):
+        return {"painted": painted, "page": page, "accepted": accepted}[what](host)
     here = f"http://{host}/teach"
     status, may = ask(here)
     assert status == 200

@@ -1,12 +1,18 @@
 /** Painting: people say what the pixels of a camera image are. What the page calls saved is on the disk. */
 import { faint, ofClass } from "./colours.js";
-import { image, literal, sql, teaching } from "./server.js";
+import * as areas from "./regions.js";
+import { image, literal, OTHERS_MS, sql, teaching } from "./server.js";
 
 /* global ol */
 
 const $ = (id) => document.getElementById(id);
 /** A line drawn by hand keeps the points that are farther from it than this, px. */
 const KEPT_PX = 0.5;
+/** Areas of the map's labels that cover less of an image are not taken over: `views` gives them away too. */
+const LEAST_SHARE = 0.001;
+
+/** What a click on an image does. */
+const TOOLS = ["polygon", "stroke", "take", "remove"];
 
 /** The images that a map has: those of its layer of pictures, else those of its keyframes. */
 const images = (site, there) => {
@@ -32,13 +38,16 @@ export class Painting {
     Object.assign(this, { state, page, images: [], at: undefined, classes: [], lying: [], undone: [], isOpen: false });
     for (const [id, doing] of Object.entries({
       "paint-polygon": () => this.draw("polygon"), "paint-stroke": () => this.draw("stroke"), "paint-undo": () => this.undo(),
+      "paint-take": () => this.choosing("take"), "paint-remove": () => this.choosing("remove"), "paint-all": () => this.take(this.areas()),
       "paint-before": () => this.step(-1), "paint-next": () => this.step(1), "paint-close": () => this.close(),
     })) $(id).addEventListener("click", doing);
     $("paint-place").addEventListener("change", () => this.show(this.images.find((one) => place(one) === $("paint-place").value)));
     $("paint-at").addEventListener("change", () => this.show(this.here()[Number($("paint-at").value)]));
     $("paint-opacity").addEventListener("input", () => this.proposed?.setOpacity(Number($("paint-opacity").value)));
     $("paint-class").addEventListener("change", () => { this.known([this.class]); $("paint-class").blur(); });
+    setInterval(() => { if (this.isOpen && !document.hidden) this.look(); }, OTHERS_MS);
     this.keys = {
+      t: () => this.choosing("take"), x: () => this.choosing("remove"), Delete: () => this.choosing("remove"), a: () => this.take(this.areas()),
       p: () => this.draw("polygon"), b: () => this.draw("stroke"), u: () => this.undo(), Enter: () => this.drawing?.finishDrawing(),
       Escape: () => (this.isDrawing ? this.drawing.abortDrawing() : this.close()),
       ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1), "+": () => this.widen(1.25), "-": () => this.widen(0.8),
@@ -102,7 +111,7 @@ export class Painting {
 
   /** Shows an image with its labels, and what lies on it. */
   async show(one) {
-    Object.assign(this, { at: one, isReady: false, undone: [] });
+    Object.assign(this, { at: one, isReady: false, undone: [], labels: undefined });
     this.stop();
     const all = this.here();
     $("paint-place").value = place(one);
@@ -123,9 +132,11 @@ export class Painting {
       this.known([...(found[0]?.classes ?? []), ...said.classes, this.class]);
       const proposed = found[0] && (await overlay(found[0]));
       if (this.at !== one) return;
-      this.lay(picture.src, proposed);
+      this.labels = proposed && { ...proposed, classes: found[0].classes };
+      for (const id of ["paint-take", "paint-all"]) $(id).disabled = !proposed;
+      this.lay(picture.src, proposed?.url);
       this.lie(said.labels);
-      $("paint-note").textContent = found[0] ? "The colours are what the map says. Draw where it is wrong." : "The map says nothing of this image yet.";
+      $("paint-note").textContent = found[0] ? "The colours are what the map says. Draw where it is wrong, accept where it is right." : "The map says nothing of this image yet.";
       this.isReady = true;
       this.draw("polygon");
     } catch (error) {
@@ -155,6 +166,15 @@ export class Painting {
       stroke: new ol.style.Stroke({ color: isLine ? faint(colour, 0.7) : colour, width, lineCap: "round", lineJoin: "round" }),
       fill: new ol.style.Fill({ color: faint(colour, 0.6) }),
     });
+  }
+
+  /** Looks whether somebody else painted here. */
+  async look() {
+    const { at } = this;
+    if (!this.isReady || this.isDrawing || this.saving) return;
+    const said = await teaching(this.state.site, at).catch(() => undefined);
+    if (!said || this.at !== at || this.isDrawing || this.saving) return;
+    if (JSON.stringify(said.labels) !== JSON.stringify(this.lying)) this.lie(said.labels);
   }
 
   /** Shows what lies on the image, later paint over earlier. */
@@ -204,7 +224,7 @@ export class Painting {
   stop() {
     if (this.drawing) this.map.removeInteraction(this.drawing);
     Object.assign(this, { drawing: undefined, isDrawing: false });
-    for (const id of ["paint-polygon", "paint-stroke"]) $(id).classList.remove("on");
+    for (const id of TOOLS) $(`paint-${id}`).classList.remove("on");
   }
 
   draw(shape) {
@@ -222,6 +242,47 @@ export class Painting {
     });
     this.map.addInteraction(drawing);
     this.drawing = drawing;
+  }
+
+  /** The next clicks accept what the map says at a place, or remove what lies there. */
+  choosing(tool) {
+    this.stop();
+    if (!this.isReady || (tool === "take" && !this.labels)) return;
+    $(`paint-${tool}`).classList.add("on");
+    const handleEvent = ({ type, coordinate, pixel }) => {
+      if (type !== "click") return true;
+      if (tool === "take") this.take(areas.at(this.areas(), this.turned(coordinate)));
+      else this.remove(pixel);
+      return false;
+    };
+    this.drawing = new ol.interaction.Interaction({ handleEvent });
+    this.drawing.finishDrawing = this.drawing.abortDrawing = () => {};
+    this.map.addInteraction(this.drawing);
+  }
+
+  /** The areas of the map's labels, each before what it encloses. */
+  areas() {
+    if (!this.labels) return [];
+    const { values, classes } = this.labels;
+    const least = LEAST_SHARE * values.length;
+    this.labels.areas ??= areas.regions(values, this.size, (label) => label < classes.length, least);
+    return this.labels.areas;
+  }
+
+  /** Accepts areas as the map has them: from now on a person says so. */
+  take(found) {
+    if (!this.isReady || found.length === 0) return undefined;
+    return this.say(found.map(({ label, ring }) => ({
+      type: "Feature", geometry: { type: "Polygon", coordinates: [ring] },
+      properties: { kind: this.labels.classes[label], standing: "drawn" },
+    })));
+  }
+
+  /** Removes what lies on top at a pixel of the view, whoever painted it. */
+  remove(pixel) {
+    const row = this.map.forEachFeatureAtPixel(pixel, (found) => found.get("row"), { layerFilter: (made) => made === this.paint });
+    if (!row) return undefined;
+    return this.say([{ type: "Feature", id: row.label, geometry: null, properties: { kind: row.kind, standing: "removed" } }]);
   }
 
   /** The pointer: a brush is as large as what it covers. */
@@ -247,6 +308,7 @@ export class Painting {
   /** Says features; they are saved when this returns `true`. */
   async say(features, isUndo = false) {
     const { at } = this;
+    this.saving = true;
     $("paint-saved").textContent = "saving …";
     try {
       const answer = await teaching(this.state.site, at, { author: this.page.author(), features: { type: "FeatureCollection", features } });
@@ -260,6 +322,7 @@ export class Painting {
       this.page.fault(`not saved: ${error.message}`);
       return false;
     } finally {
+      this.saving = false;
       $("paint-undo").disabled = this.undone.length === 0;
     }
   }
@@ -275,7 +338,7 @@ export class Painting {
 const place = ({ session, camera }) => `${session}, ${camera}`;
 const same = (a, b) => place(a) === place(b) && a.stamp === b.stamp;
 
-/** Labels as a picture of the colours of their classes; clear where a pixel has none. */
+/** Labels by pixel, and as a picture of the colours of their classes; clear where a pixel has none. */
 async function overlay({ classes, png }) {
   const stored = new Image();
   stored.src = `data:image/png;base64,${png}`;
@@ -286,11 +349,12 @@ async function overlay({ classes, png }) {
   pen.drawImage(stored, 0, 0);
   const pixels = pen.getImageData(0, 0, canvas.width, canvas.height);
   const colours = classes.map((_, index) => [1, 3, 5].map((at) => Number.parseInt(ofClass(index).slice(at, at + 2), 16)));
+  const values = Uint8Array.from({ length: pixels.data.length / 4 }, (_, index) => pixels.data[4 * index]);
   for (let at = 0; at < pixels.data.length; at += 4) {
     const colour = colours[pixels.data[at]];
     if (colour) pixels.data.set(colour, at);
     else pixels.data[at + 3] = 0;
   }
   pen.putImageData(pixels, 0, 0);
-  return canvas.toDataURL();
+  return { values, url: canvas.toDataURL() };
 }

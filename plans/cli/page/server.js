@@ -1,5 +1,8 @@
 /** What the page asks the server. All addresses are relative to the page's own. */
 
+/** Others teach too: what they said is asked for this often, ms. */
+export const OTHERS_MS = 4000;
+
 /** An error as the server says it. */
 export class Fault extends Error {
   constructor({ error, next }) {

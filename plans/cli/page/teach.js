@@ -1,14 +1,12 @@
 /** Teaching: people draw boxes, areas and lines, and answer what the map asks. What the page calls saved is on the disk. */
 import { BLUE, GREEN, GREY, VERMILION, YELLOW, faint } from "./colours.js";
 import { box, outline } from "./shapes.js";
-import { teaching } from "./server.js";
+import { OTHERS_MS, teaching } from "./server.js";
 
 /* global ol */
 
 const $ = (id) => document.getElementById(id);
 const KINDS = ["parking_space", "crossing", "stop_line", "arrow"];
-/** Others teach too: what they said is asked for this often, ms. */
-const OTHERS = 4000;
 const STANDING = { drawn: { colour: GREEN }, accepted: { colour: GREEN }, rejected: { colour: GREY, dashed: true } };
 
 /**
@@ -27,7 +25,7 @@ export async function begin(map, state, page) {
   taught.author = () => (may.author_is_known ? undefined : $("author").value.trim() || undefined);
   $("author").addEventListener("change", () => localStorage.setItem("author", $("author").value.trim()));
   await taught.open();
-  setInterval(() => { if (!document.hidden) taught.look(); }, OTHERS);
+  setInterval(() => { if (!document.hidden) taught.look(); }, OTHERS_MS);
   return taught;
 }
 
