@@ -2,6 +2,8 @@
 //! above; where heights count, it is said.
 
 mod lines;
+pub(crate) mod made;
+pub(crate) mod parts;
 mod shapes;
 mod text;
 
@@ -11,6 +13,7 @@ use arrow::array::{Array, ArrayRef, AsArray, BinaryArray};
 use arrow::datatypes::{DataType, Float64Type};
 use datafusion::common::{DataFusionError, Result};
 use evermap_schemas::{Cell, Geometry, Position, Wkb};
+use geo::Relate;
 
 use crate::function::{Argument, Declaration, Kind, numbers};
 
@@ -22,7 +25,7 @@ const Y: Argument = ("y", Kind::Number, "a place along y, m");
 const Z: Argument = ("z", Kind::Number, "its height, m");
 
 /// The functions.
-pub(crate) const DECLARATIONS: [Declaration; 14] = [
+pub(crate) const DECLARATIONS: [Declaration; 20] = [
     Declaration {
         name: "st_point",
         about: "The point at a place",
@@ -136,6 +139,72 @@ pub(crate) const DECLARATIONS: [Declaration; 14] = [
             "false",
         ],
         evaluate: |columns| shapes::relation(columns, |a, b| shapes::contains(b, a)),
+    },
+    Declaration {
+        name: "st_disjoint",
+        about: "Whether two geometries have no point in common from above",
+        calls: &[&[A, B]],
+        result: || DataType::Boolean,
+        example: [
+            "SELECT st_disjoint(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_point(9, 1))",
+            "true",
+        ],
+        evaluate: |columns| shapes::relation(columns, |a, b| a.relate(b).is_disjoint()),
+    },
+    Declaration {
+        name: "st_touches",
+        about: "Whether two geometries have only points of their borders in common from above",
+        calls: &[&[A, B]],
+        result: || DataType::Boolean,
+        example: [
+            "SELECT st_touches(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_point(4, 1))",
+            "true",
+        ],
+        evaluate: |columns| shapes::relation(columns, |a, b| a.relate(b).is_touches()),
+    },
+    Declaration {
+        name: "st_crosses",
+        about: "Whether two geometries cross from above: a line another one, or the border of a polygon",
+        calls: &[&[A, B]],
+        result: || DataType::Boolean,
+        example: [
+            "SELECT st_crosses(st_geomfromtext('LINESTRING(0 0, 4 4)'), st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'))",
+            "true",
+        ],
+        evaluate: |columns| shapes::relation(columns, |a, b| a.relate(b).is_crosses()),
+    },
+    Declaration {
+        name: "st_overlaps",
+        about: "Whether two geometries of one kind cover a part of each other from above, and neither all of the other",
+        calls: &[&[A, B]],
+        result: || DataType::Boolean,
+        example: [
+            "SELECT st_overlaps(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_geomfromtext('POLYGON((2 1, 9 1, 9 9, 2 9, 2 1))'))",
+            "true",
+        ],
+        evaluate: |columns| shapes::relation(columns, |a, b| a.relate(b).is_overlaps()),
+    },
+    Declaration {
+        name: "st_equals",
+        about: "Whether two geometries cover the same from above, whatever the order of their points",
+        calls: &[&[A, B]],
+        result: || DataType::Boolean,
+        example: [
+            "SELECT st_equals(st_geomfromtext('LINESTRING(0 0, 4 4)'), st_geomfromtext('LINESTRING(4 4, 0 0)'))",
+            "true",
+        ],
+        evaluate: |columns| shapes::relation(columns, |a, b| a.relate(b).is_equal_topo()),
+    },
+    Declaration {
+        name: "st_dwithin",
+        about: "Whether two geometries are at most so far apart from above; null where one is empty",
+        calls: &[&[A, B, ("distance", Kind::Number, "a distance, m")]],
+        result: || DataType::Boolean,
+        example: [
+            "SELECT st_dwithin(st_point(5, 3), st_geomfromtext('LINESTRING(0 0, 10 0)'), 3)",
+            "true",
+        ],
+        evaluate: shapes::near,
     },
     Declaration {
         name: "st_hausdorffdistance",

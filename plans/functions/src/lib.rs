@@ -45,6 +45,8 @@ pub fn register(context: &SessionContext) {
 fn functions() -> Vec<ScalarUDF> {
     let declared = poses::DECLARATIONS.iter().chain(&geometries::DECLARATIONS);
     let declared = declared
+        .chain(&geometries::made::DECLARATIONS)
+        .chain(&geometries::parts::DECLARATIONS)
         .chain(&json::DECLARATIONS)
         .chain(&binary::DECLARATIONS)
         .chain(&earth::DECLARATIONS);

@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use arrow::array::{Array, ArrayRef, BooleanArray};
+use arrow::array::{Array, ArrayRef, AsArray, BooleanArray};
+use arrow::compute::kernels::cmp::lt_eq;
+use arrow::datatypes::Float64Type;
 use datafusion::common::{DataFusionError, Result};
 use evermap_schemas::{Geometry, Position};
 use geo::{
@@ -14,7 +16,7 @@ use crate::function::numbers;
 use crate::geometries::Geometries;
 
 /// A geometry from above.
-type Shape = geo::Geometry<f64>;
+pub(super) type Shape = geo::Geometry<f64>;
 
 fn line(points: &[Position]) -> LineString {
     let coords = points.iter().map(|point| Coord {
@@ -54,7 +56,7 @@ fn finite_shape(geometry: &Geometry) -> Result<Shape> {
     }
 }
 
-fn get(geometries: &Geometries<'_>, row: usize) -> Result<Option<Shape>> {
+pub(super) fn get(geometries: &Geometries<'_>, row: usize) -> Result<Option<Shape>> {
     let geometry = geometries.get(row)?;
     geometry.as_ref().map(finite_shape).transpose()
 }
@@ -79,7 +81,7 @@ pub(super) fn area_m2(shape: &Shape) -> f64 {
     shape.unsigned_area()
 }
 
-fn pair(columns: &[ArrayRef], row: usize) -> Result<Option<[Shape; 2]>> {
+pub(super) fn pair(columns: &[ArrayRef], row: usize) -> Result<Option<[Shape; 2]>> {
     let (a, b) = (Geometries::of(columns, 0)?, Geometries::of(columns, 1)?);
     let pair = get(&a, row)?.zip(get(&b, row)?);
     Ok(pair.map(|(a, b)| [a, b]))
@@ -93,6 +95,15 @@ pub(super) fn distances(columns: &[ArrayRef]) -> Result<ArrayRef> {
         let whole = pair.filter(|pair| pair.iter().all(|shape| shape.coords_count() > 0));
         Ok(whole.map(|[a, b]| Euclidean.distance(&a, &b)))
     })
+}
+
+/// Whether pairs are at most so far apart.
+pub(super) fn near(columns: &[ArrayRef]) -> Result<ArrayRef> {
+    let (found, most) = (distances(columns)?, columns.get(2));
+    let most = most.and_then(|column| column.as_primitive_opt::<Float64Type>());
+    let most = most.ok_or_else(|| DataFusionError::Execution("expected a distance".to_owned()))?;
+    let near = lt_eq(found.as_primitive::<Float64Type>(), most)?;
+    Ok(Arc::new(near))
 }
 
 /// Whether pairs stand to each other in some way.

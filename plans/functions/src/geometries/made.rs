@@ -1,0 +1,203 @@
+//! Geometries that are made of geometries, from above, by the crate `geo`: what comes out is flat.
+
+use std::sync::Arc;
+
+use arrow::array::{Array, ArrayRef, AsArray, BinaryArray};
+use arrow::datatypes::Float64Type;
+use datafusion::common::{DataFusionError, Result};
+use evermap_schemas::{Cell, Geometry, Position, Wkb};
+use geo::convex_hull::graham_hull;
+use geo::{
+    BooleanOps, BoundingRect, Buffer, Centroid, CoordsIter, LineString, MultiPolygon, Polygon,
+};
+
+use crate::function::{Argument, Declaration, Kind};
+use crate::geometries::shapes::{Shape, get, pair};
+use crate::geometries::{A, B, GEOMETRY, Geometries};
+
+const DISTANCE: Argument = (
+    "distance",
+    Kind::Number,
+    "how far, m; of a polygon also below 0",
+);
+
+/// The functions.
+pub(crate) const DECLARATIONS: [Declaration; 7] = [
+    Declaration {
+        name: "st_centroid",
+        about: "The middle of a geometry: of its areas, else of its lines, else of its points; null where it is empty",
+        calls: &[&[GEOMETRY]],
+        result: <Wkb as Cell>::data_type,
+        example: [
+            "SELECT st_astext(st_centroid(st_geomfromtext('LINESTRING(0 0, 4 2)')))",
+            "POINT(2 1)",
+        ],
+        evaluate: |columns| {
+            each(columns, |shape| {
+                let middle = shape.centroid()?;
+                Some(Geometry::Point(flat(middle.0)))
+            })
+        },
+    },
+    Declaration {
+        name: "st_envelope",
+        about: "The rectangle along the axes that a geometry fills, as a polygon; null where it is empty",
+        calls: &[&[GEOMETRY]],
+        result: <Wkb as Cell>::data_type,
+        example: [
+            "SELECT st_area(st_envelope(st_geomfromtext('LINESTRING(0 0, 4 2)')))",
+            "8.0",
+        ],
+        evaluate: |columns| {
+            each(columns, |shape| {
+                Some(polygon(&shape.bounding_rect()?.to_polygon()))
+            })
+        },
+    },
+    Declaration {
+        name: "st_convexhull",
+        about: "The smallest polygon without dents around a geometry; null where it is empty",
+        calls: &[&[GEOMETRY]],
+        result: <Wkb as Cell>::data_type,
+        example: [
+            "SELECT st_area(st_convexhull(st_geomfromtext('LINESTRING(0 0, 4 0, 4 2, 1 1)')))",
+            "5.0",
+        ],
+        evaluate: |columns| {
+            each(columns, |shape| {
+                let mut points: Vec<_> = shape.coords_iter().collect();
+                let hull = (!points.is_empty()).then(|| graham_hull(&mut points, false))?;
+                Some(polygon(&Polygon::new(hull, Vec::new())))
+            })
+        },
+    },
+    Declaration {
+        name: "st_buffer",
+        about: "All that is within a distance of a geometry, as polygons with rounded corners",
+        calls: &[&[GEOMETRY, DISTANCE]],
+        result: <Wkb as Cell>::data_type,
+        example: [
+            "SELECT st_contains(st_buffer(st_point(0, 0), 2), st_point(1, 1))",
+            "true",
+        ],
+        evaluate: buffers,
+    },
+    Declaration {
+        name: "st_intersection",
+        about: "What two geometries of polygons have in common",
+        calls: &[&[A, B]],
+        result: <Wkb as Cell>::data_type,
+        example: [
+            "SELECT st_area(st_intersection(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_geomfromtext('POLYGON((2 1, 9 1, 9 9, 2 9, 2 1))')))",
+            "4.0",
+        ],
+        evaluate: |columns| both(columns, MultiPolygon::intersection),
+    },
+    Declaration {
+        name: "st_union",
+        about: "All that either of two geometries of polygons covers",
+        calls: &[&[A, B]],
+        result: <Wkb as Cell>::data_type,
+        example: [
+            "SELECT st_area(st_union(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_geomfromtext('POLYGON((0 0, 1 0, 1 9, 0 9, 0 0))')))",
+            "18.0",
+        ],
+        evaluate: |columns| both(columns, MultiPolygon::union),
+    },
+    Declaration {
+        name: "st_difference",
+        about: "What the first of two geometries of polygons covers and the second does not",
+        calls: &[&[A, B]],
+        result: <Wkb as Cell>::data_type,
+        example: [
+            "SELECT st_area(st_difference(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_geomfromtext('POLYGON((0 0, 1 0, 1 9, 0 9, 0 0))')))",
+            "9.0",
+        ],
+        evaluate: |columns| both(columns, MultiPolygon::difference),
+    },
+];
+
+fn flat(point: geo::Coord) -> Position {
+    Position {
+        x: point.x,
+        y: point.y,
+        z: None,
+    }
+}
+
+fn polygon(shape: &Polygon) -> Geometry {
+    let ring = |ring: &LineString| ring.coords().map(|point| flat(*point)).collect();
+    let rings = std::iter::once(shape.exterior()).chain(shape.interiors());
+    Geometry::Polygon(rings.map(ring).collect())
+}
+
+/// One polygon as such; none and several as a geometry of polygons.
+fn polygons(found: &MultiPolygon) -> Geometry {
+    match found.0.as_slice() {
+        [one] => polygon(one),
+        all => Geometry::MultiPolygon(all.iter().map(polygon).collect()),
+    }
+}
+
+fn column(made: impl Iterator<Item = Result<Option<Geometry>>>) -> Result<ArrayRef> {
+    let bytes = made.map(|made| Ok(made?.map(|made| made.to_wkb().0)));
+    Ok(Arc::new(bytes.collect::<Result<BinaryArray>>()?))
+}
+
+fn each(columns: &[ArrayRef], make: fn(&Shape) -> Option<Geometry>) -> Result<ArrayRef> {
+    let geometries = Geometries::of(columns, 0)?;
+    column((0..geometries.0.len()).map(|row| Ok(get(&geometries, row)?.as_ref().and_then(make))))
+}
+
+fn buffers(columns: &[ArrayRef]) -> Result<ArrayRef> {
+    let geometries = Geometries::of(columns, 0)?;
+    let distances = columns
+        .get(1)
+        .and_then(|column| column.as_primitive_opt::<Float64Type>());
+    column((0..geometries.0.len()).map(|row| {
+        let distance = distances.filter(|column| column.is_valid(row));
+        let distance = distance.map(|column| column.value(row));
+        let Some((shape, distance)) = get(&geometries, row)?.zip(distance) else {
+            return Ok(None);
+        };
+        match distance.is_finite() {
+            true => Ok(Some(polygons(&shape.buffer(distance)))),
+            false => Err(DataFusionError::Execution(format!(
+                "expected a finite distance, found {distance}"
+            ))),
+        }
+    }))
+}
+
+fn both(
+    columns: &[ArrayRef],
+    make: fn(&MultiPolygon, &MultiPolygon) -> MultiPolygon,
+) -> Result<ArrayRef> {
+    let rows = columns.first().map_or(0, |column| column.len());
+    column((0..rows).map(|row| {
+        let Some([a, b]) = pair(columns, row)? else {
+            return Ok(None);
+        };
+        Ok(Some(polygons(&make(&areas(&a)?, &areas(&b)?))))
+    }))
+}
+
+/// The polygons of a geometry that has no other parts.
+fn areas(shape: &Shape) -> Result<MultiPolygon> {
+    Ok(match shape {
+        Shape::Polygon(one) => MultiPolygon::new(vec![one.clone()]),
+        Shape::GeometryCollection(parts) => {
+            let parts = parts.iter().map(areas).collect::<Result<Vec<_>>>()?;
+            parts.into_iter().flatten().collect()
+        }
+        other => {
+            let found = match other {
+                Shape::Point(_) => "a point",
+                _ => "a line",
+            };
+            return Err(DataFusionError::Execution(format!(
+                "expected polygons, found {found}; st_buffer makes polygons of points and lines"
+            )));
+        }
+    })
+}
