@@ -12,9 +12,9 @@
 //! neighbour's pixel shows another thing. What is beyond range (the sky) is at infinity: only the rotation matters, and
 //! the neighbour must see nothing nearer either.
 //!
-//! A pixel where nothing was measured may be sky, or a hole in a near wall. Its neighbours tell: where as many of them
-//! measured something on its ray as see nothing in its direction, it is a hole and as far away as the nearest that they
-//! measured. Where none of them can tell, it keeps its own prediction.
+//! A pixel where nothing was measured may be sky, or a hole in a near wall. Its neighbours tell: where two or more of them
+//! measured something on its ray, and no more see nothing in its direction, it is a hole and as far away as the nearest
+//! that they measured. Where they do not tell, it keeps its own prediction.
 
 #[cfg(test)]
 mod tests;
@@ -175,11 +175,11 @@ impl Voter {
             .iter()
             .filter(|neighbour| self.look_up(&sky, neighbour).is_some())
             .count();
-        match (near, see_nothing) {
-            (0, 0) => None,
-            _ if near >= see_nothing => Some(Point::At(self.lift(ray, 1.0 / f64::from(nearest)))),
-            _ => Some(sky),
+        if see_nothing > near {
+            return Some(sky);
         }
+        // What one neighbour alone measured may have moved since.
+        (near > 1).then(|| Point::At(self.lift(ray, 1.0 / f64::from(nearest))))
     }
 
     /// The point of a ray that is so far away as depth images tell it.
