@@ -166,7 +166,7 @@ impl Floor {
     }
 
     /// Where a line of sight from above, through a point, meets the floor, metres; `None` where it does not, or where nobody
-    /// knows the floor within [`SIGHT_M`] of the point.
+    /// knows the floor within 8 m of the point.
     ///
     /// Each step goes to where the sight has the height that the floor has here: it ends where floors rise less than sight
     /// falls.
@@ -270,6 +270,7 @@ impl FloorPart {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
     use nalgebra::UnitQuaternion;
     use proptest::prelude::*;
 

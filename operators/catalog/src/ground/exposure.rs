@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::ground::danger::exposure::{ExposureParams, Looks, Standing};
+use evermap_algorithms::ground::floor::Floor;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::Stamp;
 use evermap_schemas::layers::{BodyMask, Exposure, PosedImage, SurfacePoint};
@@ -18,7 +19,7 @@ pub struct ExposureOfGround;
 
 impl Operator for ExposureOfGround {
     const NAME: &'static str = "exposure";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("exposure.md");
     type Params = OfVehicle<ExposureParams>;
     type Output = Exposure;
@@ -45,6 +46,11 @@ fn exposure(
     let bodies = bodies(sides)?;
     let points: Vec<SurfacePoint> = sides.rows("points")?;
     let standing = Standing::new(points.iter().map(|point| [point.x, point.y, point.z]));
+    let poses = images.iter().map(|image| image.map_from_vehicle.to_array());
+    let poses: Vec<Pose> = poses
+        .filter_map(|pose| Pose::from_array(pose).ok())
+        .collect();
+    let floor = Floor::under(&poses, 0.0, params.options.range_m);
     let rigs = rig::sessions(sides)?;
     let mut cameras = Cameras::new(rigs.get(&session), params);
     let mut looks = Looks::default();
@@ -64,7 +70,7 @@ fn exposure(
             image.stamp.0,
             pose,
             camera,
-            &standing,
+            (&floor, &standing),
             body,
             &params.options,
         );

@@ -16,6 +16,7 @@ use super::presence::look;
 use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
 use crate::ground::cells::{Cell, between, middle};
+use crate::ground::floor::{Floor, FloorPart};
 
 /// How the ground and time are cut up, and how far people are found.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -87,7 +88,7 @@ impl Standing {
 struct Horizon([f64; DIRECTIONS]);
 
 impl Horizon {
-    fn new(eye: Vector3<f64>, ground: &Plane, standing: &Standing, range_m: f64) -> Self {
+    fn new(eye: Vector3<f64>, ground: &Ground, standing: &Standing, range_m: f64) -> Self {
         let mut nearest = vec![[f64::INFINITY; HIDE]; DIRECTIONS];
         let within = range_m * range_m + PERSON_M * PERSON_M;
         for point in standing.0.locate_within_distance(eye.into(), within) {
@@ -115,25 +116,31 @@ fn direction(dx: f64, dy: f64) -> usize {
     (turn * DIRECTIONS as f64) as usize % DIRECTIONS
 }
 
-/// The plane that the vehicle's wheels stand on, in the map.
-struct Plane {
+/// The ground around an image, in the map: the floor where somebody drove near, else the plane that the vehicle's wheels
+/// stand on.
+struct Ground {
+    floor: Option<FloorPart>,
     origin: Vector3<f64>,
     normal: Vector3<f64>,
 }
 
-impl Plane {
+impl Ground {
     /// `None` for a vehicle that lies on its side.
-    fn below(map_from_vehicle: &Pose) -> Option<Self> {
+    fn below(map_from_vehicle: &Pose, floor: Option<FloorPart>) -> Option<Self> {
         let normal = map_from_vehicle.rotate(&Vector3::z());
         (normal.z > 0.1).then_some(Self {
+            floor,
             origin: map_from_vehicle.translation,
             normal,
         })
     }
 
     fn height(&self, [x, y]: [f64; 2]) -> f64 {
-        let (dx, dy) = (x - self.origin.x, y - self.origin.y);
-        self.origin.z - (self.normal.x * dx + self.normal.y * dy) / self.normal.z
+        let of_floor = self.floor.as_ref().and_then(|floor| floor.height([x, y]));
+        of_floor.unwrap_or_else(|| {
+            let (dx, dy) = (x - self.origin.x, y - self.origin.y);
+            self.origin.z - (self.normal.x * dx + self.normal.y * dy) / self.normal.z
+        })
     }
 }
 
@@ -158,18 +165,19 @@ impl Looks {
         stamp: i64,
         map_from_vehicle: &Pose,
         (camera, vehicle_from_camera): (&Camera, &Pose),
-        standing: &Standing,
+        (floor, standing): (&Floor, &Standing),
         body: impl Fn([f64; 2]) -> bool,
         params: &ExposureParams,
     ) {
         let map_from_camera = map_from_vehicle.compose(vehicle_from_camera);
         let eye = map_from_camera.translation;
-        let Some(ground) = Plane::below(map_from_vehicle) else {
-            return;
-        };
         let range_m = params.range_m;
         let low = [eye.x - range_m, eye.y - range_m];
         let high = [eye.x + range_m, eye.y + range_m];
+        let around = floor.within([low[0], low[1], high[0], high[1]]);
+        let Some(ground) = Ground::below(map_from_vehicle, around) else {
+            return;
+        };
         let Some([columns, rows]) = between(low, high, params.cell_m) else {
             return;
         };

@@ -12,6 +12,7 @@ use super::speed::SpeedParams;
 use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
 use crate::ground::cells::{Cell, along, cell_of, in_polygon, middle, neighbours};
+use crate::ground::floor::Floor;
 use crate::solving::random::SplitMix64;
 
 /// Eq. 1 to 3 with weights, written down edge by edge and solved densely.
@@ -153,7 +154,7 @@ fn what_an_image_would_show_counts_once_a_look() {
                 *stamp,
                 &Pose::identity(),
                 (&camera, &mount),
-                &standing,
+                (&Floor::default(), &standing),
                 body,
                 &params,
             );
@@ -192,6 +193,40 @@ fn what_an_image_would_show_counts_once_a_look() {
     // The bonnet fills the lower quarter.
     let before_bonnet = looks(&[0], vec![], |[_, v]| v > 130.0);
     assert!(free.contains_key(&cell(2.1, 0.1)) && !before_bonnet.contains_key(&cell(2.1, 0.1)));
+}
+
+/// Up a ramp, heads are above the image before feet are.
+#[test]
+fn people_stand_on_the_floor_that_bends() {
+    let (camera, mount) = ahead();
+    let params = ExposureParams::default();
+    let level = |z: f64| {
+        move |x: i32| {
+            Pose::new(
+                Vector3::new(0.1 * f64::from(x), 0.0, z),
+                UnitQuaternion::identity(),
+            )
+        }
+    };
+    let seen = |floor: &Floor| {
+        let mut looks = Looks::default();
+        let (pose, standing) = (Pose::identity(), Standing::default());
+        looks.add(
+            0,
+            &pose,
+            (&camera, &mount),
+            (floor, &standing),
+            |_| false,
+            &params,
+        );
+        let cell = cell_of([3.1, 0.1], params.cell_m).unwrap();
+        looks.into_cells().contains_key(&cell)
+    };
+    let [same, above] = [0.0, 3.0].map(|z| {
+        let poses: Vec<Pose> = (20..40).map(level(z)).collect();
+        Floor::under(&poses, 0.0, params.range_m)
+    });
+    assert!(seen(&Floor::default()) && seen(&same) && !seen(&above));
 }
 
 #[test]
