@@ -57,6 +57,32 @@ def main(postgres):
         assert set(lanes.geometry.geom_type) == {"LineString"}
         assert abs(lanes.geometry.length.sum() - sum(row[3] for row in rows)) < 1
 
+    # By a cursor of the server's, as programs read what is large: geometries and nested columns are as elsewhere.
+    with psycopg.connect(host=host, port=port, dbname="map", user="me") as transaction:
+        register_shapely(info, transaction)
+        whole = client.execute("SELECT lane, geometry, sources FROM lanes ORDER BY lane").fetchall()
+        for binary in (False, True):
+            with transaction.cursor(name="mine", binary=binary) as cursor:
+                cursor.execute("SELECT lane, geometry, sources FROM lanes ORDER BY lane")
+                found = cursor.fetchmany(1) + cursor.fetchall()
+                assert cursor.description[1].type_code == info.oid
+            if not binary:
+                assert found == whole, (found[:1], whole[:1])
+            assert [row[0] for row in found] == [row[0] for row in whole]
+
+        # So many at once, and the end of a transaction closes them.
+        for _ in range(2):
+            for number in range(64):
+                transaction.execute(f"DECLARE c{number} CURSOR FOR SELECT * FROM lanes")
+            transaction.commit()
+        for number in range(64):
+            transaction.execute(f"DECLARE c{number} CURSOR FOR SELECT 1")
+        try:
+            transaction.execute("DECLARE more CURSOR FOR SELECT 1")
+            raise AssertionError("65 cursors are open")
+        except psycopg.errors.InsufficientResources as error:
+            assert "at most 64 open cursors" in str(error), error
+
     columns = client.execute("SELECT f_table_name, f_geometry_column, srid FROM geometry_columns").fetchall()
     assert ("lanes", "geometry", 0) in columns and ("intersections", "geometry", 0) in columns, columns
     assert client.execute("SELECT * FROM spatial_ref_sys").fetchall() == []

@@ -42,11 +42,22 @@ pub fn register(context: &SessionContext) {
     }
 }
 
-fn functions() -> Vec<ScalarUDF> {
-    let declared = poses::DECLARATIONS.iter().chain(&geometries::DECLARATIONS);
-    let declared = declared
+/// Functions on geometries.
+fn of_geometries() -> impl Iterator<Item = &'static function::Declaration> {
+    geometries::DECLARATIONS
+        .iter()
         .chain(&geometries::made::DECLARATIONS)
         .chain(&geometries::parts::DECLARATIONS)
+}
+
+/// Whether what the function of this name gives is a geometry.
+pub fn makes_geometry(name: &str) -> bool {
+    of_geometries().any(|declared| declared.name == name && (declared.result)().is_binary())
+}
+
+fn functions() -> Vec<ScalarUDF> {
+    let declared = poses::DECLARATIONS.iter().chain(of_geometries());
+    let declared = declared
         .chain(&json::DECLARATIONS)
         .chain(&binary::DECLARATIONS)
         .chain(&earth::DECLARATIONS);

@@ -8,7 +8,7 @@ use datafusion::common::{DataFusionError, Result};
 use evermap_schemas::{Cell, Geometry, Position, Wkb};
 use geo::convex_hull::graham_hull;
 use geo::{
-    BooleanOps, BoundingRect, Buffer, Centroid, CoordsIter, LineString, MultiPolygon, Polygon,
+    BooleanOps, BoundingRect, Buffer, Centroid, CoordsIter, LineString, MultiPolygon, Polygon, Rect,
 };
 
 use crate::function::{Argument, Declaration, Kind};
@@ -21,8 +21,26 @@ const DISTANCE: Argument = (
     "how far, m; of a polygon also below 0",
 );
 
+const SIDES: [Argument; 4] = [
+    ("west", Kind::Number, "the smallest x, m"),
+    ("south", Kind::Number, "the smallest y, m"),
+    ("east", Kind::Number, "the largest x, m"),
+    ("north", Kind::Number, "the largest y, m"),
+];
+
 /// The functions.
-pub(crate) const DECLARATIONS: [Declaration; 7] = [
+pub(crate) const DECLARATIONS: [Declaration; 8] = [
+    Declaration {
+        name: "st_makeenvelope",
+        about: "The rectangle along the axes between two corners, as a polygon",
+        calls: &[&SIDES],
+        result: <Wkb as Cell>::data_type,
+        example: [
+            "SELECT st_within(st_point(1, 2), st_makeenvelope(0, 0, 4, 3))",
+            "true",
+        ],
+        evaluate: rectangles,
+    },
     Declaration {
         name: "st_centroid",
         about: "The middle of a geometry: of its areas, else of its lines, else of its points; null where it is empty",
@@ -147,6 +165,27 @@ fn column(made: impl Iterator<Item = Result<Option<Geometry>>>) -> Result<ArrayR
 fn each(columns: &[ArrayRef], make: fn(&Shape) -> Option<Geometry>) -> Result<ArrayRef> {
     let geometries = Geometries::of(columns, 0)?;
     column((0..geometries.0.len()).map(|row| Ok(get(&geometries, row)?.as_ref().and_then(make))))
+}
+
+fn rectangles(columns: &[ArrayRef]) -> Result<ArrayRef> {
+    let sides = columns
+        .iter()
+        .filter_map(|side| side.as_primitive_opt::<Float64Type>());
+    let sides: Vec<_> = sides.collect();
+    let [west, south, east, north] = sides.as_slice() else {
+        return Err(DataFusionError::Execution(
+            "expected four numbers".to_owned(),
+        ));
+    };
+    let rectangle = |row: usize| {
+        let known = sides.iter().all(|side| side.is_valid(row));
+        known.then(|| {
+            let corner = |x: f64, y: f64| geo::Coord { x, y };
+            let low = corner(west.value(row), south.value(row));
+            polygon(&Rect::new(low, corner(east.value(row), north.value(row))).to_polygon())
+        })
+    };
+    column((0..west.len()).map(|row| Ok(rectangle(row))))
 }
 
 fn buffers(columns: &[ArrayRef]) -> Result<ArrayRef> {

@@ -27,7 +27,7 @@ pub(crate) const DECLARATIONS: [Declaration; 9] = [
         result: || DataType::Utf8,
         example: [
             "SELECT st_asgeojson(st_point(1, 2))",
-            r#"{"coordinates":[1.0,2.0],"type":"Point"}"#,
+            r#"{"type":"Point","coordinates":[1.0,2.0]}"#,
         ],
         evaluate: |columns| texts(columns, |geometry| geometry.geojson().to_string()),
     },

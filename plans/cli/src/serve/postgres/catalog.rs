@@ -17,8 +17,9 @@ use datafusion::prelude::SessionContext;
 use datafusion::sql::parser::Statement as Parsed;
 use datafusion::sql::resolve::resolve_table_references;
 use datafusion::sql::sqlparser::ast::{
-    ArrayElemTypeDef, CastKind, DataType as SqlType, Expr, FunctionArguments, Query, SelectItem,
-    SetExpr, Statement, Value, visit_expressions_mut,
+    AccessExpr, ArrayElemTypeDef, CastKind, DataType as SqlType, Expr, FunctionArg,
+    FunctionArgExpr, FunctionArguments, Query, SelectItem, SetExpr, Statement, Value,
+    visit_expressions_mut,
 };
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::create_pg_table_is_visible;
 
@@ -38,6 +39,9 @@ const FILLED: [&str; 7] = [
 
 /// Columns of Postgres' tables that the library leaves out: lists of options and of rights, of which a map has none.
 const LISTS: [&str; 5] = ["datacl", "nspacl", "relacl", "reloptions", "typacl"];
+
+/// Columns with the numbers of the columns that a constraint or an index is of.
+const KEYS: [&str; 3] = ["confkey", "conkey", "indkey"];
 
 /// Functions of Postgres on what a map has none of: their answer is null.
 const OF_NOTHING: [&str; 7] = [
@@ -108,11 +112,21 @@ pub fn is_of_catalog(statement: &Statement) -> bool {
 }
 
 /// The statement with lists of what a map has none of as null: `ARRAY(SELECT …)`, and columns of options and rights; and
-/// with names of functions and types that are looked up as their tables have them, without a schema.
+/// with names of functions and types that are looked up as their tables have them, without a schema. Names are texts, and of
+/// constraints and indexes, which a map has none of, nothing is a column.
 pub fn without_lists(mut statement: Statement) -> Statement {
     let _ = visit_expressions_mut(&mut statement, |found| {
         if is_list(found) {
             *found = no_list();
+        }
+        match &mut *found {
+            Expr::Cast {
+                data_type: data_type @ SqlType::Custom(..),
+                ..
+            } if data_type.to_string() == "name" => *data_type = SqlType::Text,
+            key if is_in_key(key) => *key = Expr::Value(Value::Boolean(false).into()),
+            key if is_of_key(key) => *key = null(SqlType::Int(None)),
+            _ => {}
         }
         if let Expr::BinaryOp { left, right, .. } = found
             && is_name(left)
@@ -138,20 +152,55 @@ fn is_list(found: &Expr) -> bool {
             matches!(call.args, FunctionArguments::Subquery(_))
                 && call.name.to_string().eq_ignore_ascii_case("array")
         }
-        Expr::CompoundIdentifier(parts) => parts
-            .last()
-            .is_some_and(|name| LISTS.contains(&name.value.as_str())),
-        _ => false,
+        column => is_column(column, &LISTS),
     }
+}
+
+/// Whether it is a column of a table, of one of these names.
+fn is_column(found: &Expr, names: &[&str]) -> bool {
+    let Expr::CompoundIdentifier(parts) = found else {
+        return false;
+    };
+    parts
+        .last()
+        .is_some_and(|name| names.contains(&name.value.as_str()))
+}
+
+/// Whether it asks if something is in a key; the library has made a function of `= ANY`.
+fn is_in_key(found: &Expr) -> bool {
+    let Expr::Function(call) = found else {
+        return false;
+    };
+    let FunctionArguments::List(list) = &call.args else {
+        return false;
+    };
+    let first = match list.args.first() {
+        Some(FunctionArg::Unnamed(FunctionArgExpr::Expr(first))) => first,
+        _ => return false,
+    };
+    call.name.to_string() == "array_contains" && is_column(first, &KEYS)
+}
+
+/// Whether it is one of the numbers in a key.
+fn is_of_key(found: &Expr) -> bool {
+    let Expr::CompoundFieldAccess { root, access_chain } = found else {
+        return false;
+    };
+    let is_key = |access: &AccessExpr| matches!(access, AccessExpr::Dot(Expr::Identifier(name)) if KEYS.contains(&name.value.as_str()));
+    is_column(root, &KEYS) || access_chain.iter().any(is_key)
 }
 
 /// `NULL::text[]`.
 fn no_list() -> Expr {
     let texts = ArrayElemTypeDef::SquareBracket(Box::new(SqlType::Text), None);
+    null(SqlType::Array(texts))
+}
+
+fn null(data_type: SqlType) -> Expr {
     Expr::Cast {
         kind: CastKind::DoubleColon,
         expr: Box::new(Expr::Value(Value::Null.into())),
-        data_type: SqlType::Array(texts),
+        data_type,
         array: false,
         format: None,
     }

@@ -9,7 +9,8 @@ use arrow::datatypes::{DataType, Int32Type};
 use datafusion::common::exec_err;
 use datafusion::error::Result;
 use datafusion::logical_expr::{
-    ColumnarValue, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl, Signature, Volatility,
+    ColumnarValue, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl, Signature, TypeSignature,
+    Volatility,
 };
 use datafusion::prelude::SessionContext;
 use datafusion::scalar::ScalarValue;
@@ -135,13 +136,13 @@ impl OnTypes for FormatType {
     }
 }
 
-/// A function that says which version there is.
+/// A function that says the same of everything: which version there is, or what all geometries are.
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub struct Constant {
     /// The function's name.
     pub name: &'static str,
     /// What it says.
-    pub version: &'static str,
+    pub value: ScalarValue,
 }
 
 impl OnTypes for Constant {
@@ -150,15 +151,15 @@ impl OnTypes for Constant {
     }
 
     fn signature(&self) -> Signature {
-        Signature::nullary(Volatility::Immutable)
+        let calls = vec![TypeSignature::Nullary, TypeSignature::VariadicAny];
+        Signature::one_of(calls, Volatility::Immutable)
     }
 
     fn result(&self) -> DataType {
-        DataType::Utf8
+        self.value.data_type()
     }
 
     fn answer(&self, _: ScalarFunctionArgs) -> Result<ColumnarValue> {
-        let version = ScalarValue::Utf8(Some(self.version.to_owned()));
-        Ok(ColumnarValue::Scalar(version))
+        Ok(ColumnarValue::Scalar(self.value.clone()))
     }
 }

@@ -15,6 +15,7 @@ use datafusion::logical_expr::{
     ColumnarValue, Expr, LogicalPlan, LogicalPlanBuilder, ReturnFieldArgs, ScalarFunctionArgs,
     ScalarUDF, ScalarUDFImpl, Signature, Volatility,
 };
+use evermap_functions::makes_geometry;
 use evermap_schemas::Geometry;
 use pgwire::api::Type;
 use pgwire::api::results::FieldInfo;
@@ -26,8 +27,6 @@ use crate::units::origin;
 pub const OID: u32 = 90_001;
 /// The key of the mark on a field.
 const MARK: &str = "evermap.geometry";
-/// Functions that make geometries.
-const MAKERS: [&str; 2] = ["st_geomfromtext", "st_point"];
 
 /// The type `geometry`.
 fn geometry_type() -> Type {
@@ -123,7 +122,7 @@ fn is_made(plan: &LogicalPlan, index: usize) -> bool {
     match plan {
         LogicalPlan::Projection(projection) => {
             let made = projection.expr.get(index).map(without_alias);
-            matches!(made, Some(Expr::ScalarFunction(call)) if MAKERS.contains(&call.func.name()))
+            matches!(made, Some(Expr::ScalarFunction(call)) if makes_geometry(call.func.name()))
         }
         LogicalPlan::Sort(sort) => is_made(&sort.input, index),
         LogicalPlan::Limit(limit) => is_made(&limit.input, index),

@@ -8,7 +8,7 @@ use datafusion::execution::context::SQLOptions;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SessionContext};
 use datafusion::sql::parser::Statement as Parsed;
-use datafusion::sql::sqlparser::ast::{Query, Set, Statement};
+use datafusion::sql::sqlparser::ast::{Set, Statement};
 use datafusion_postgres::QueryHook;
 use datafusion_postgres::arrow_pg::datatypes::df::encode_dataframe;
 use datafusion_postgres::hooks::HookClient;
@@ -19,20 +19,23 @@ use evermap_engine::error::fault_of;
 use evermap_engine::sql::plan_of;
 use pgwire::api::ClientInfo;
 use pgwire::api::portal::Format;
-use pgwire::api::results::{QueryResponse, Response, Tag};
+use pgwire::api::results::{FieldFormat, QueryResponse, Response, Tag};
 use pgwire::error::{PgWireError, PgWireResult};
 use pgwire::types::format::FormatOptions;
 
 use crate::serve::postgres::catalog::{is_of_catalog, no_rows, without_lists};
+use crate::serve::postgres::cursors::Cursors;
 use crate::serve::postgres::geometry::{as_extended, as_text, told};
 use crate::serve::postgres::nested::as_json;
 use crate::serve::postgres::postgis::with_views;
+use crate::serve::postgres::spatial::in_our_words;
 use crate::serve::postgres::{error, said};
 
 /// What handles statements, in this order.
 pub fn hooks() -> Vec<Arc<dyn QueryHook>> {
     vec![
         Arc::new(Gate),
+        Arc::new(Cursors),
         Arc::new(CursorStatementHook),
         Arc::new(SetShowHook),
         Arc::new(TransactionStatementHook),
@@ -55,7 +58,7 @@ enum Verdict {
 struct Gate;
 
 impl Gate {
-    async fn verdict(statement: &Statement, context: &SessionContext) -> Verdict {
+    fn verdict(statement: &Statement) -> Verdict {
         match statement {
             Statement::Query(_)
             | Statement::Explain { .. }
@@ -70,19 +73,10 @@ impl Gate {
             | Statement::Rollback {
                 savepoint: None, ..
             }
+            // A cursor's query is planned as any other.
+            | Statement::Declare { .. }
             | Statement::Fetch { .. }
             | Statement::Close { .. } => Verdict::Passes,
-            Statement::Declare { stmts } => {
-                for query in stmts
-                    .iter()
-                    .filter_map(|declared| declared.for_query.as_ref())
-                {
-                    if let Err(error) = cursor_reads(query, context).await {
-                        return Verdict::Refused(error);
-                    }
-                }
-                Verdict::Passes
-            }
             Statement::Set(set) if is_of_a_client(set) => Verdict::Passes,
             Statement::Savepoint { .. } => Verdict::Done("SAVEPOINT"),
             Statement::ReleaseSavepoint { .. } => Verdict::Done("RELEASE"),
@@ -115,21 +109,15 @@ fn is_of_a_client(set: &Set) -> bool {
     }
 }
 
-/// That a cursor's query only reads, and that its rows have a form.
-async fn cursor_reads(query: &Query, context: &SessionContext) -> PgWireResult<()> {
-    let statement = Statement::Query(Box::new(query.clone()));
-    reading(&statement, context).await.map(drop)
-}
-
 #[async_trait]
 impl QueryHook for Gate {
     async fn handle_simple_query(
         &self,
         statement: &Statement,
-        context: &SessionContext,
+        _: &SessionContext,
         _: &mut dyn HookClient,
     ) -> Option<PgWireResult<Response>> {
-        match Self::verdict(statement, context).await {
+        match Self::verdict(statement) {
             Verdict::Passes => None,
             Verdict::Done(tag) => Some(Ok(Response::Execution(Tag::new(tag)))),
             Verdict::Refused(error) => Some(Err(error)),
@@ -139,10 +127,10 @@ impl QueryHook for Gate {
     async fn handle_extended_parse_query(
         &self,
         statement: &Statement,
-        context: &SessionContext,
+        _: &SessionContext,
         _: &(dyn ClientInfo + Send + Sync),
     ) -> Option<PgWireResult<LogicalPlan>> {
-        match Self::verdict(statement, context).await {
+        match Self::verdict(statement) {
             Verdict::Passes => None,
             Verdict::Done(_) => Some(Ok(nothing())),
             Verdict::Refused(error) => Some(Err(error)),
@@ -173,8 +161,11 @@ fn nothing() -> LogicalPlan {
 #[derive(Debug)]
 struct Reading;
 
-async fn reading(statement: &Statement, context: &SessionContext) -> PgWireResult<LogicalPlan> {
-    let statement = &with_views(statement.clone());
+pub(super) async fn reading(
+    statement: &Statement,
+    context: &SessionContext,
+) -> PgWireResult<LogicalPlan> {
+    let statement = &with_views(in_our_words(statement.clone()));
     if !is_of_catalog(statement) {
         return planned(statement.clone(), context).await;
     }
@@ -203,6 +194,24 @@ async fn planned(statement: Statement, context: &SessionContext) -> PgWireResult
     plan.map_err(|error| said(&fault_of(&error)))
 }
 
+/// The rows of a query that [`reading`] planned.
+pub(super) async fn rows(
+    plan: LogicalPlan,
+    context: &SessionContext,
+    client: &dyn HookClient,
+    format: &Format,
+) -> PgWireResult<QueryResponse> {
+    let is_text = |column| format.format_for(column) == FieldFormat::Text;
+    let plan = as_text(plan, is_text).map_err(|error| said(&fault_of(&error)))?;
+    let frame = DataFrame::new(context.state(), plan.clone());
+    let options = Arc::new(FormatOptions::from_client_metadata(client.metadata()));
+    let rows = encode_dataframe(frame, format, Some(options)).await;
+    let rows = rows.map_err(fault_in_our_words)?;
+    let columns = told(&plan, rows.row_schema().to_vec());
+    let QueryResponse { data_rows, .. } = rows;
+    Ok(QueryResponse::new(Arc::new(columns), data_rows))
+}
+
 #[async_trait]
 impl QueryHook for Reading {
     async fn handle_simple_query(
@@ -213,19 +222,9 @@ impl QueryHook for Reading {
     ) -> Option<PgWireResult<Response>> {
         let answered = async {
             let plan = reading(statement, context).await?;
-            let plan = as_text(plan, |_| true).map_err(|error| said(&fault_of(&error)))?;
-            let frame = DataFrame::new(context.state(), plan.clone());
-            let options = Arc::new(FormatOptions::from_client_metadata(client.metadata()));
-            let rows = encode_dataframe(frame, &Format::UnifiedText, Some(options)).await;
-            let rows = rows.map_err(in_our_words)?;
-            let columns = told(&plan, rows.row_schema().to_vec());
-            let QueryResponse { data_rows, .. } = rows;
-            Ok(Response::Query(QueryResponse::new(
-                Arc::new(columns),
-                data_rows,
-            )))
+            rows(plan, context, client, &Format::UnifiedText).await
         };
-        Some(answered.await)
+        Some(answered.await.map(Response::Query))
     }
 
     async fn handle_extended_parse_query(
@@ -251,7 +250,7 @@ impl QueryHook for Reading {
 }
 
 /// An error of the engine as a fault.
-fn in_our_words(error: PgWireError) -> PgWireError {
+fn fault_in_our_words(error: PgWireError) -> PgWireError {
     match error {
         PgWireError::ApiError(inner) => {
             match inner.downcast::<datafusion::error::DataFusionError>() {

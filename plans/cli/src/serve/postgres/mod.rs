@@ -2,11 +2,13 @@
 //! said, what an answer may take. The database that a client names is the map; where one map is served, any name is.
 
 mod catalog;
+mod cursors;
 mod functions;
 mod geometry;
 mod hooks;
 mod nested;
 mod postgis;
+mod spatial;
 mod startup;
 
 use std::sync::{Arc, LazyLock};
@@ -238,6 +240,7 @@ impl ExtendedQueryHandler for Queries {
         let service = &opened.postgres;
         let portal = self.parser.of_newest(client, portal, &opened).await?;
         let portal = in_its_formats(portal)?;
+        cursors::bound(client, &portal);
         let work = ExtendedQueryHandler::do_query(service, client, &portal, max_rows);
         let (response, turn) = self.within(work).await?;
         let cancelled = cancelled(client).await;

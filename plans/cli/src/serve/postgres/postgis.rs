@@ -19,6 +19,7 @@ use datafusion::execution::{FunctionRegistry, SendableRecordBatchStream, TaskCon
 use datafusion::physical_plan::stream::RecordBatchStreamAdapter;
 use datafusion::physical_plan::streaming::PartitionStream;
 use datafusion::prelude::SessionContext;
+use datafusion::scalar::ScalarValue;
 use datafusion::sql::sqlparser::ast::{ObjectNamePart, Statement, visit_relations_mut};
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::oid_field::{kind::REGPROC, oid_field};
 use pgwire::api::Type;
@@ -69,12 +70,17 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
     if let Ok(inner) = context.udf("format_type") {
         register(context, FormatType { inner });
     }
-    for (name, version) in [
-        ("version", POSTGRES),
-        ("postgis_version", VERSION),
-        ("postgis_lib_version", "3.4.0"),
+    let text = |text: &str| ScalarValue::Utf8(Some(text.to_owned()));
+    for (name, value) in [
+        ("version", text(POSTGRES)),
+        ("postgis_version", text(VERSION)),
+        ("postgis_lib_version", text("3.4.0")),
+        ("postgis_typmod_dims", ScalarValue::Int32(Some(DIMENSIONS))),
+        ("postgis_typmod_srid", ScalarValue::Int32(Some(SYSTEM))),
+        ("postgis_typmod_type", text("Geometry")),
+        ("st_srid", ScalarValue::Int32(Some(SYSTEM))),
     ] {
-        register(context, Constant { name, version });
+        register(context, Constant { name, value });
     }
     Ok(())
 }
@@ -101,7 +107,13 @@ pub fn with_views(mut statement: Statement) -> Statement {
     statement
 }
 
-/// Geometries are in the metres of a site, which no reference system is.
+/// Points have heights, if they need not.
+const DIMENSIONS: i32 = 3;
+
+/// The number of the reference system: geometries are in the metres of a site, which none is.
+const SYSTEM: i32 = 0;
+
+/// No reference systems.
 const SYSTEMS: &str = "SELECT CAST(0 AS INT) AS srid, '' AS auth_name, CAST(0 AS INT) AS auth_srid, '' AS srtext, \
      '' AS proj4text WHERE false";
 
@@ -133,7 +145,7 @@ fn geometries(catalog: &str) -> String {
     let catalog = catalog.replace('\'', "''");
     format!(
         "SELECT '{catalog}' AS f_table_catalog, n.nspname AS f_table_schema, c.relname AS f_table_name, \
-         a.attname AS f_geometry_column, CAST(3 AS INT) AS coord_dimension, CAST(0 AS INT) AS srid, 'GEOMETRY' AS type \
+         a.attname AS f_geometry_column, CAST({DIMENSIONS} AS INT) AS coord_dimension, CAST({SYSTEM} AS INT) AS srid, 'GEOMETRY' AS type \
          FROM pg_catalog.pg_attribute a JOIN pg_catalog.pg_class c ON a.attrelid = c.oid \
          JOIN pg_catalog.pg_namespace n ON c.relnamespace = n.oid WHERE a.atttypid = {OID}"
     )

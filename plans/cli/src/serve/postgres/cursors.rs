@@ -1,0 +1,199 @@
+//! Cursors: a query whose rows are fetched by and by, with `DECLARE … CURSOR`. Its rows are those of the query itself,
+//! nested columns and geometries included; the library fetches them, and closes cursors.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use async_trait::async_trait;
+use datafusion::common::ParamValues;
+use datafusion::logical_expr::LogicalPlan;
+use datafusion::prelude::SessionContext;
+use datafusion::sql::sqlparser::ast::{CloseCursor, Declare, DeclareType, Statement};
+use datafusion_postgres::QueryHook;
+use datafusion_postgres::hooks::HookClient;
+use pgwire::api::ClientInfo;
+use pgwire::api::portal::{Format, Portal};
+use pgwire::api::results::{Response, Tag};
+use pgwire::api::stmt::StoredStatement;
+use pgwire::api::store::PortalStore;
+use pgwire::error::PgWireResult;
+
+use crate::serve::postgres::hooks::{reading, rows};
+use crate::serve::postgres::{Prepared, error};
+
+/// Cursors that one client has open at most: each holds a query that runs.
+const MOST: usize = 64;
+
+/// An open cursor.
+struct Cursor {
+    /// The query, as it is planned.
+    plan: LogicalPlan,
+    /// How its rows are written.
+    format: Format,
+    /// Whether it runs.
+    runs: bool,
+}
+
+/// The cursors of a connection: what fetches from one is described by it.
+#[derive(Default)]
+pub struct Open(Mutex<BTreeMap<String, Cursor>>);
+
+impl Open {
+    fn of(client: &(impl ClientInfo + ?Sized)) -> Arc<Self> {
+        client
+            .session_extensions()
+            .get_or_insert_with(Self::default)
+    }
+
+    fn held(&self) -> MutexGuard<'_, BTreeMap<String, Cursor>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Notes the format that a client who fetches binds, which goes before the one that the cursor was declared with.
+pub fn bound(client: &(impl ClientInfo + ?Sized), portal: &Portal<Prepared>) {
+    let (_, prepared) = &portal.statement.statement;
+    if let Some((Statement::Fetch { name, .. }, _)) = prepared
+        && let Some(cursor) = Open::of(client).held().get_mut(&name.value)
+    {
+        cursor.format = portal.result_column_format.clone();
+    }
+}
+
+/// Opens cursors, and forgets those that are closed, or whose transaction ends.
+#[derive(Debug)]
+pub struct Cursors;
+
+#[async_trait]
+impl QueryHook for Cursors {
+    async fn handle_simple_query(
+        &self,
+        statement: &Statement,
+        context: &SessionContext,
+        client: &mut dyn HookClient,
+    ) -> Option<PgWireResult<Response>> {
+        let open_ones = Open::of(client);
+        match statement {
+            Statement::Declare { stmts } => {
+                for declared in stmts {
+                    if let Err(error) = open(declared, context, client).await {
+                        return Some(Err(error));
+                    }
+                }
+                Some(Ok(Response::Execution(Tag::new("DECLARE CURSOR"))))
+            }
+            Statement::Fetch { name, .. } => match start(&name.value, context, client).await {
+                Ok(()) => None,
+                Err(error) => Some(Err(error)),
+            },
+            Statement::Close {
+                cursor: CloseCursor::Specific { name },
+            } => {
+                open_ones.held().remove(&name.value);
+                None
+            }
+            Statement::Close {
+                cursor: CloseCursor::All,
+            } => {
+                open_ones.held().clear();
+                None
+            }
+            Statement::Commit { .. }
+            | Statement::Rollback {
+                savepoint: None, ..
+            } => {
+                for name in std::mem::take(&mut *open_ones.held()).into_keys() {
+                    client.portal_store().rm_portal(&name);
+                }
+                None
+            }
+            _ => None,
+        }
+    }
+
+    async fn handle_extended_parse_query(
+        &self,
+        statement: &Statement,
+        _: &SessionContext,
+        client: &(dyn ClientInfo + Send + Sync),
+    ) -> Option<PgWireResult<LogicalPlan>> {
+        let Statement::Fetch { name, .. } = statement else {
+            return None;
+        };
+        let open_ones = Open::of(client);
+        let plan = open_ones
+            .held()
+            .get(&name.value)
+            .map(|cursor| cursor.plan.clone());
+        plan.map(Ok)
+    }
+
+    async fn handle_extended_query(
+        &self,
+        statement: &Statement,
+        _: &LogicalPlan,
+        _: &ParamValues,
+        context: &SessionContext,
+        client: &mut dyn HookClient,
+    ) -> Option<PgWireResult<Response>> {
+        self.handle_simple_query(statement, context, client).await
+    }
+}
+
+async fn open(
+    declared: &Declare,
+    context: &SessionContext,
+    client: &dyn HookClient,
+) -> PgWireResult<()> {
+    let (Some(DeclareType::Cursor), Some(name), Some(query)) = (
+        &declared.declare_type,
+        declared.names.first(),
+        &declared.for_query,
+    ) else {
+        let message = "expected DECLARE name CURSOR FOR a query";
+        return Err(error("ERROR", "42601", message));
+    };
+    let open_ones = Open::of(client);
+    if open_ones.held().len() >= MOST {
+        let message = format!("expected at most {MOST} open cursors; CLOSE one first");
+        return Err(error("ERROR", "53000", &message));
+    }
+    let format = match declared.binary {
+        Some(true) => Format::UnifiedBinary,
+        _ => Format::UnifiedText,
+    };
+    let statement = Statement::Query(query.clone());
+    let plan = reading(&statement, context).await?;
+    // Clients ask for the columns of the cursor, too.
+    let prepared = (query.to_string(), Some((statement, plan.clone())));
+    let stored = StoredStatement::new(name.value.clone(), prepared, vec![]);
+    let mut portal = Portal::new_cursor(name.value.clone(), Arc::new(stored));
+    portal.result_column_format = format.clone();
+    client.portal_store().put_portal(Arc::new(portal));
+    let cursor = Cursor {
+        plan,
+        format,
+        runs: false,
+    };
+    open_ones.held().insert(name.value.clone(), cursor);
+    Ok(())
+}
+
+/// Runs the query of a cursor from which nothing was fetched before.
+async fn start(name: &str, context: &SessionContext, client: &dyn HookClient) -> PgWireResult<()> {
+    let first = match Open::of(client).held().get_mut(name) {
+        Some(cursor) if !cursor.runs => {
+            cursor.runs = true;
+            Some((cursor.plan.clone(), cursor.format.clone()))
+        }
+        _ => None,
+    };
+    let portal = client.portal_store().get_portal(name);
+    let portal = portal.and_then(|portal| portal.value().cloned());
+    if let (Some((plan, format)), Some(portal)) = (first, portal) {
+        portal
+            .start(rows(plan, context, client, &format).await?)
+            .await;
+    }
+    Ok(())
+}

@@ -1,0 +1,143 @@
+//! What PostGIS's clients write that queries of maps say otherwise: casts to geometries, boxes, and the extent of a layer.
+
+use std::ops::ControlFlow;
+
+use datafusion::sql::sqlparser::ast::{
+    BinaryOperator, Expr, Function, FunctionArg, FunctionArgExpr, FunctionArguments, Statement,
+    Value, visit_expressions_mut,
+};
+use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
+use datafusion::sql::sqlparser::parser::Parser;
+
+use crate::output::GEOMETRY;
+
+/// The statement in words that queries of maps have.
+///
+/// - What is cast to a geometry is one: text is well-known text, and an empty one is null.
+/// - `ST_SetSRID` changes nothing, as there is no reference system.
+/// - `a && b` asks whether the rectangles of two geometries meet; `'BOX3D(…)'::box3d` is one.
+/// - `ST_Extent` is the rectangle of a whole layer, as the text `BOX(…)`.
+pub fn in_our_words(mut statement: Statement) -> Statement {
+    let _ = visit_expressions_mut(&mut statement, |found| {
+        if let Some(same) = same(found) {
+            *found = same;
+        }
+        ControlFlow::<()>::Continue(())
+    });
+    statement
+}
+
+fn same(found: &Expr) -> Option<Expr> {
+    match found {
+        Expr::Cast {
+            expr, data_type, ..
+        } => {
+            let name = data_type.to_string().to_lowercase();
+            match name.as_str() {
+                GEOMETRY => Some(geometry(expr)),
+                "box2d" | "box3d" => rectangle(text(expr)?),
+                _ => None,
+            }
+        }
+        Expr::Function(call) => match call.name.to_string().to_lowercase().as_str() {
+            "st_setsrid" => argument(call).cloned(),
+            "st_extent" => extent(argument(call)?),
+            _ => None,
+        },
+        Expr::BinaryOp {
+            left,
+            op: BinaryOperator::PGOverlap,
+            right,
+        } => parsed(&format!(
+            "st_intersects(st_envelope({left}), st_envelope({right}))"
+        )),
+        _ => None,
+    }
+}
+
+fn parsed(expression: &str) -> Option<Expr> {
+    let parser = Parser::new(&PostgreSqlDialect {}).try_with_sql(expression);
+    parser.ok()?.parse_expr().ok()
+}
+
+fn text(expression: &Expr) -> Option<&str> {
+    match expression {
+        Expr::Value(value) => match &value.value {
+            Value::SingleQuotedString(text) => Some(text),
+            _ => None,
+        },
+        _ => None,
+    }
+}
+
+fn argument(call: &Function) -> Option<&Expr> {
+    let FunctionArguments::List(list) = &call.args else {
+        return None;
+    };
+    match list.args.first()? {
+        FunctionArg::Unnamed(FunctionArgExpr::Expr(first)) => Some(first),
+        _ => None,
+    }
+}
+
+fn geometry(of: &Expr) -> Expr {
+    let made = text(of).and_then(|text| match text.trim_end().ends_with("EMPTY") {
+        true => Some(Expr::Value(Value::Null.into())),
+        false => parsed(&format!("st_geomfromtext({of})")),
+    });
+    made.unwrap_or_else(|| of.clone())
+}
+
+/// `BOX3D(1 2, 3 4)`, or with heights, as a geometry.
+fn rectangle(text: &str) -> Option<Expr> {
+    let (_, corners) = text.trim_end().strip_suffix(')')?.split_once('(')?;
+    let (low, high) = corners.split_once(',')?;
+    let corner = |corner: &str| -> Option<[f64; 2]> {
+        let mut numbers = corner.split_whitespace().map(str::parse);
+        Some([numbers.next()?.ok()?, numbers.next()?.ok()?])
+    };
+    let ([west, south], [east, north]) = (corner(low)?, corner(high)?);
+    parsed(&format!(
+        "st_makeenvelope({west:?}, {south:?}, {east:?}, {north:?})"
+    ))
+}
+
+fn extent(of: &Expr) -> Option<Expr> {
+    parsed(&format!(
+        "'BOX(' || min(st_xmin({of})) || ' ' || min(st_ymin({of})) || ',' || max(st_xmax({of})) || ' ' \
+         || max(st_ymax({of})) || ')'"
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn what_postgis_has_words_for_is_said_in_ours() {
+        for (theirs, ours) in [
+            (
+                "SELECT ST_SRID('POINT EMPTY'::GEOMETRY)",
+                "SELECT ST_SRID(NULL)",
+            ),
+            (
+                "SELECT geometry::geometry, 'POINT(1 2)'::geometry FROM lanes",
+                "SELECT geometry, st_geomfromtext('POINT(1 2)') FROM lanes",
+            ),
+            (
+                "SELECT 1 FROM lanes WHERE \"geometry\" && ST_SetSRID('BOX3D(-1 -1e6, 50 2)'::box3d, -2)",
+                "SELECT 1 FROM lanes WHERE st_intersects(st_envelope(\"geometry\"), \
+                 st_envelope(st_makeenvelope(-1.0, -1000000.0, 50.0, 2.0)))",
+            ),
+            (
+                "SELECT 1 && 2, 'BOX(forged)'::box3d, x::text FROM t",
+                "SELECT st_intersects(st_envelope(1), st_envelope(2)), 'BOX(forged)'::box3d, x::TEXT FROM t",
+            ),
+        ] {
+            let statement = Parser::parse_sql(&PostgreSqlDialect {}, theirs).unwrap();
+            let said = in_our_words(statement.into_iter().next().unwrap());
+            assert_eq!(said.to_string(), ours);
+        }
+    }
+}
