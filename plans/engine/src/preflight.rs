@@ -66,6 +66,15 @@ impl Needs {
         Self(plan.steps.iter().map(need).collect())
     }
 
+    /// The roles and topics that steps cannot do without.
+    pub fn sources(&self) -> impl Iterator<Item = &str> {
+        let inputs = self.0.iter().flat_map(|need| &need.inputs);
+        inputs.filter_map(|input| match input {
+            Input::Source(name) => Some(name.as_str()),
+            _ => None,
+        })
+    }
+
     /// What a session that plays some roles lacks, beside sessions that together play `all`; `None` where a step makes
     /// something of it.
     pub fn lacks(&self, plays: &Roles, all: &Roles) -> Option<Lacks> {

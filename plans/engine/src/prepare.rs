@@ -185,8 +185,10 @@ pub struct Prepared {
     pub store: Store,
     /// What the plan reads of the version before, though that version does not have it.
     pub missing: Vec<String>,
-    /// Roles that the plan reads and that no session plays: their tables are empty.
+    /// Roles that steps need and that no session plays: what is made of them is empty.
     pub unplayed: Vec<&'static str>,
+    /// Roles that steps would use, but do without, and that no session plays.
+    pub of_use: Vec<&'static str>,
     /// Names of the sessions that were given.
     pub given: Vec<String>,
     /// Sessions of which the plan makes nothing, and what they lack.
@@ -262,13 +264,16 @@ impl Prepared {
         let mapped = sessions
             .iter()
             .flat_map(|session| session.manifest.roles.keys());
-        let idle = idle(&Needs::of_program(&program, registry), &given, mapped)?;
+        let needs = Needs::of_program(&program, registry);
+        let idle = idle(&needs, &given, mapped)?;
+        let [unplayed, of_use] = unplayed(&program, &needs, &sessions);
         let missing = match &base {
             Some(base) => Previous::of(&program, &sessions, Some(base))?.missing(&program),
             None => Vec::new(),
         };
         Ok(Self {
-            unplayed: unplayed(&program, &sessions),
+            unplayed,
+            of_use,
             unreadable: unreadable(&given),
             idle,
             replaced,
@@ -344,8 +349,13 @@ fn unreadable(given: &Dataset) -> BTreeMap<String, u64> {
         .collect()
 }
 
-/// The roles that a program reads and that none of the sessions plays.
-fn unplayed(program: &Program, sessions: &[MappedSession]) -> Vec<&'static str> {
+/// The roles that a program reads and that none of the sessions plays: those that steps cannot do without, and the others.
+fn unplayed(
+    program: &Program,
+    needs: &Needs,
+    sessions: &[MappedSession],
+) -> [Vec<&'static str>; 2] {
+    let needed: Vec<&str> = needs.sources().collect();
     let reads = |name: &str| {
         let mut reads = program.stages.iter().flat_map(|stage| &stage.reads);
         reads.any(|read| matches!(&read.table, Input::Source(table) if table == name))
@@ -356,7 +366,9 @@ fn unplayed(program: &Program, sessions: &[MappedSession]) -> Vec<&'static str> 
     };
     let of_messages = roles::ALL.iter().filter(|role| role.messages().is_some());
     let names = of_messages.map(|role| role.name);
-    names.filter(|name| reads(name) && !played(name)).collect()
+    let unplayed = names.filter(|name| reads(name) && !played(name));
+    let (needed, others) = unplayed.partition(|name| needed.contains(name));
+    [needed, others]
 }
 
 /// That a log takes the place of another one.

@@ -118,6 +118,12 @@ fn tell_of_unplayed(prepared: &Prepared) {
             prepared.unplayed.join(", ")
         ));
     }
+    if !prepared.of_use.is_empty() {
+        line(&format!(
+            "note: no session has {}, which the plan would use",
+            prepared.of_use.join(", ")
+        ));
+    }
 }
 
 /// Memory without which no further unit runs beside others, unless it is asked for.
