@@ -57,8 +57,8 @@ def ours(folder, query):
 
 
 def theirs(query):
-    code = f"import duckdb, json; print(json.dumps(duckdb.sql({query!r}).fetchone()))"
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    code = f"import duckdb, json; print(json.dumps(duckdb.sql({query!r}).fetchall()[0]))"
+    done = subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.PIPE, text=True)
     return tuple(json.loads(done.stdout))
 
 
