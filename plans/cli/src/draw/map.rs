@@ -8,7 +8,7 @@ use evermap_schemas::Fault;
 use crate::draw::line::{along, chevrons, length, path, simplified};
 use crate::draw::pixels::data_url;
 use crate::draw::slowness::SHADES;
-use crate::draw::viewport::{Viewport, round_length, union};
+use crate::draw::viewport::{Bounds, Viewport, bounds_of, round_length, union};
 use crate::draw::{Canvas, Outline, Picture, Scene, Trajectory, colours, strokes};
 use crate::mosaic::Mosaic;
 use crate::shown::Lane;
@@ -23,6 +23,8 @@ const MOST_DOTS: usize = 40_000;
 const MOST_NAMED: usize = 12;
 /// From one line of the legend to the next, px.
 const LEGEND_LINE_PX: f64 = strokes::LETTER_PX * 2.1;
+/// Where what is below the arrow to north begins, px.
+const NORTH_PX: f64 = 90.0;
 /// What a drawn line may be off by, px.
 const TOLERANCE_PX: f64 = 0.25;
 
@@ -189,6 +191,43 @@ impl MapFromAbove<'_> {
             let places = self.viewport.line([[row.x, row.y]]);
             places.into_iter().map(move |at| (row.node, row.degree, at))
         })
+    }
+
+    /// Where the legend is: above to the left, or to the right or below there, where it covers less of what is drawn.
+    fn legend_at(&self) -> (f64, f64) {
+        let size = [self.legend_width(), self.legend_height()];
+        let right = self.viewport.width_px - size[0] - 2.0;
+        let below = self.viewport.height_px - size[1] - 2.0;
+        let under_north = self.scene.heading_rad.map_or(22.0, |_| NORTH_PX);
+        let corners = [[22.0, 22.0], [right, under_north], [right, below]];
+        let covered = corners.map(|corner| self.covered(corner, size));
+        let least = covered.iter().min();
+        let chosen = covered.iter().position(|count| Some(count) == least);
+        corners[chosen.unwrap_or(0)].into()
+    }
+
+    /// How many outlines, and points of lines, a panel covers.
+    fn covered(&self, [x, y]: [f64; 2], [width, height]: [f64; 2]) -> usize {
+        let panel = [x - 10.0, y - 10.0, x - 10.0 + width, y - 10.0 + height];
+        let meets = |[west, north, east, south]: Bounds| {
+            west < panel[2] && east > panel[0] && north < panel[3] && south > panel[1]
+        };
+        let outlines = self.scene.outlines.iter().filter(|outline| {
+            let points = self.viewport.line(outline.points.iter().copied());
+            bounds_of(points).is_some_and(meets)
+        });
+        let driven = self
+            .scene
+            .trajectories
+            .iter()
+            .flat_map(|driven| &driven.points);
+        let lanes = self.scene.lanes.iter().flat_map(Lane::from_above);
+        let points = self.viewport.line(driven.copied().chain(lanes));
+        outlines.count()
+            + points
+                .into_iter()
+                .filter(|[x, y]| meets([*x, *y, *x, *y]))
+                .count()
     }
 
     fn legend_y(&self, line: usize) -> f64 {

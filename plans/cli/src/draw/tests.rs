@@ -114,6 +114,31 @@ fn spaces_are_filled_by_what_was_last_seen_and_what_was_found_is_dashed() {
     assert!(!without.contains("outlines"));
 }
 
+/// The corner that nothing is drawn in; above to the left where all are alike.
+#[test]
+fn the_legend_covers_what_is_drawn_the_least() {
+    let legend = |scene: &Scene| {
+        let svg = draw(scene, Canvas::default()).unwrap().svg;
+        let placed = svg.split("<g id=\"legend\" transform=\"translate(").nth(1);
+        placed.unwrap().split(')').next().unwrap().to_owned()
+    };
+    assert_eq!(legend(&scene()), "22.0 22.0");
+    let bounds = scene().line_bounds().unwrap();
+    let [west, north] = [bounds[0], bounds[3]];
+    let space = |x: f64, y: f64| Outline {
+        mark: Mark::Free,
+        title: String::new(),
+        said: true,
+        closed: true,
+        points: vec![[x, y], [x + 5.0, y], [x + 5.0, y + 3.0], [x, y + 3.0]],
+    };
+    let with = Scene {
+        outlines: vec![space(west, north - 3.0)],
+        ..scene()
+    };
+    assert_ne!(legend(&with), "22.0 22.0");
+}
+
 fn pixel(png: &[u8], x: usize, y: usize) -> ([u8; 4], (u32, u32)) {
     let mut reader = png::Decoder::new(std::io::Cursor::new(png))
         .read_info()
