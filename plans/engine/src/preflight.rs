@@ -66,13 +66,27 @@ impl Needs {
         Self(plan.steps.iter().map(need).collect())
     }
 
-    /// The roles and topics that steps cannot do without.
-    pub fn sources(&self) -> impl Iterator<Item = &str> {
-        let inputs = self.0.iter().flat_map(|need| &need.inputs);
-        inputs.filter_map(|input| match input {
+    /// The roles that the program reads and that none of the sessions plays: those that steps cannot do without, and the
+    /// others.
+    pub fn unplayed(&self, program: &Program, played: &[Roles]) -> [Vec<&'static str>; 2] {
+        let is = |input: &Input, name: &str| matches!(input, Input::Source(table) if table == name);
+        let reads = program.stages.iter().flat_map(|stage| &stage.reads);
+        let of_logs = reads.filter_map(|read| match &read.table {
             Input::Source(name) => Some(name.as_str()),
             _ => None,
-        })
+        });
+        let read: BTreeSet<&str> = of_logs.collect();
+        let needed = |name: &&str| {
+            let mut inputs = self.0.iter().flat_map(|need| &need.inputs);
+            inputs.any(|input| is(input, name))
+        };
+        let names = roles::ALL.iter().map(|role| role.name);
+        let unplayed = names.filter(|name| {
+            let is_played = played.iter().any(|roles| roles.contains(*name));
+            is_role(name) && read.contains(name) && !is_played
+        });
+        let (needed, others) = unplayed.partition(needed);
+        [needed, others]
     }
 
     /// What a session that plays some roles lacks, beside sessions that together play `all`; `None` where a step makes

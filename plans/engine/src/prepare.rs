@@ -9,10 +9,9 @@ use evermap_contract::{ParamFault, Registry};
 use evermap_datasets::manifest::SessionFiles;
 use evermap_datasets::{Dataset, Manifest, Reason, Recordings, Session};
 use evermap_language::{
-    Host, Input, OperatorSpec, ParameterFault, Plan, PlanFaults, PortSpec, Source, Vocabulary,
+    Host, OperatorSpec, ParameterFault, Plan, PlanFaults, PortSpec, Source, Vocabulary,
 };
 use evermap_schemas::Fault;
-use evermap_schemas::roles;
 use serde_json::Value;
 
 use crate::digest::digest_of;
@@ -20,7 +19,7 @@ use crate::fingerprint::{self, Believe, Fingerprint};
 use crate::map::receipt::LogContent;
 use crate::map::store::{Store, each};
 use crate::map::version::{MappedSession, Previous, Version};
-use crate::preflight::{Lacks, Needs, idle};
+use crate::preflight::{Lacks, Needs, Roles, idle};
 use crate::program::Program;
 use crate::program::compile::compile;
 use crate::run::Run;
@@ -266,7 +265,9 @@ impl Prepared {
             .flat_map(|session| session.manifest.roles.keys());
         let needs = Needs::of_program(&program, registry);
         let idle = idle(&needs, &given, mapped)?;
-        let [unplayed, of_use] = unplayed(&program, &needs, &sessions);
+        let plays = |session: &MappedSession| session.manifest.roles.keys().cloned().collect();
+        let played: Vec<Roles> = sessions.iter().map(plays).collect();
+        let [unplayed, of_use] = needs.unplayed(&program, &played);
         let missing = match &base {
             Some(base) => Previous::of(&program, &sessions, Some(base))?.missing(&program),
             None => Vec::new(),
@@ -347,28 +348,6 @@ fn unreadable(given: &Dataset) -> BTreeMap<String, u64> {
             )
         })
         .collect()
-}
-
-/// The roles that a program reads and that none of the sessions plays: those that steps cannot do without, and the others.
-fn unplayed(
-    program: &Program,
-    needs: &Needs,
-    sessions: &[MappedSession],
-) -> [Vec<&'static str>; 2] {
-    let needed: Vec<&str> = needs.sources().collect();
-    let reads = |name: &str| {
-        let mut reads = program.stages.iter().flat_map(|stage| &stage.reads);
-        reads.any(|read| matches!(&read.table, Input::Source(table) if table == name))
-    };
-    let played = |name: &str| {
-        let mut sessions = sessions.iter();
-        sessions.any(|session| session.manifest.roles.contains_key(name))
-    };
-    let of_messages = roles::ALL.iter().filter(|role| role.messages().is_some());
-    let names = of_messages.map(|role| role.name);
-    let unplayed = names.filter(|name| reads(name) && !played(name));
-    let (needed, others) = unplayed.partition(|name| needed.contains(name));
-    [needed, others]
 }
 
 /// That a log takes the place of another one.

@@ -123,17 +123,22 @@ fn the_legend_covers_what_is_drawn_the_least() {
         placed.unwrap().split(')').next().unwrap().to_owned()
     };
     assert_eq!(legend(&scene()), "22.0 22.0");
-    let bounds = scene().line_bounds().unwrap();
-    let [west, north] = [bounds[0], bounds[3]];
-    let space = |x: f64, y: f64| Outline {
+    let [west, south, east, north] = scene().line_bounds().unwrap();
+    let (middle, low, high) = ((west + east) / 2.0, south - 20.0, north + 20.0);
+    let west_half = Outline {
         mark: Mark::Free,
         title: String::new(),
         said: true,
         closed: true,
-        points: vec![[x, y], [x + 5.0, y], [x + 5.0, y + 3.0], [x, y + 3.0]],
+        points: vec![
+            [west - 20.0, low],
+            [middle, low],
+            [middle, high],
+            [west - 20.0, high],
+        ],
     };
     let with = Scene {
-        outlines: vec![space(west, north - 3.0)],
+        outlines: vec![west_half],
         ..scene()
     };
     assert_ne!(legend(&with), "22.0 22.0");
