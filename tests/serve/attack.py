@@ -154,6 +154,18 @@ def start(**parameters):
 QUERY = said(b"Q", b"SELECT session FROM poses LIMIT 1\0")
 
 
+def formats(postgres):
+    """A format for each of two columns where there are three, of a query and of a cursor, is an error; the next is answered."""
+    sync, end = said(b"S", b""), said(b"X", b"")
+    two = struct.pack("!hhhhh", 0, 0, 2, 1, 1)
+    cursor = b"DECLARE mine CURSOR FOR SELECT 1, 2, 3\0"
+    for query in [b"SELECT 1, 2, 3", b"FETCH 1 FROM mine"]:
+        for describe in [b"", said(b"D", b"P\0")]:
+            bound = said(b"P", b"\0" + query + b"\0\0\0") + said(b"B", b"\0\0" + two) + describe + said(b"E", b"\0\0\0\0\0")
+            answer = wire(postgres, start(user="me", database="map") + said(b"Q", cursor) + bound + sync + QUERY + end)
+            check(b"08P01" in answer and b"SELECT 1\0" in answer, f"{query} {describe}: {answer[-300:]!r}")
+
+
 def before_a_password(postgres):
     """Queries that come before a password, or after a wrong answer, have no answer."""
     hello = start(user="ada", database="map")
@@ -207,6 +219,7 @@ def main(kind, http, postgres, ca=None):
     if kind == "open":
         refused(postgres)
         bounded(postgres)
+        formats(postgres)
         paths(http)
         code, _ = status(http + query, {"Host": "evil.example"})
         check(code == 403, f"a page of elsewhere: {code}")

@@ -70,6 +70,15 @@ def main(postgres):
                 assert found == whole, (found[:1], whole[:1])
             assert [row[0] for row in found] == [row[0] for row in whole]
 
+        # Rows that were written as text are not said to be binary.
+        transaction.execute("DECLARE mine CURSOR FOR SELECT lane, geometry FROM lanes")
+        transaction.execute("FETCH 1 FROM mine")
+        try:
+            transaction.cursor(binary=True).execute("FETCH 1 FROM mine")
+            raise AssertionError("fetched in another format")
+        except psycopg.errors.FeatureNotSupported as error:
+            assert "the format of the rows that were fetched before" in str(error), error
+        transaction.rollback()
         # So many at once, and the end of a transaction closes them.
         for _ in range(2):
             for number in range(64):

@@ -51,13 +51,27 @@ impl Open {
 }
 
 /// Notes the format that a client who fetches binds, which goes before the one that the cursor was declared with.
-pub fn bound(client: &(impl ClientInfo + ?Sized), portal: &Portal<Prepared>) {
+///
+/// # Errors
+/// For another format than that of rows that were fetched before: they are written by then.
+pub fn bound(client: &(impl ClientInfo + ?Sized), portal: &Portal<Prepared>) -> PgWireResult<()> {
     let (_, prepared) = &portal.statement.statement;
-    if let Some((Statement::Fetch { name, .. }, _)) = prepared
-        && let Some(cursor) = Open::of(client).held().get_mut(&name.value)
-    {
-        cursor.format = portal.result_column_format.clone();
+    let Some((Statement::Fetch { name, .. }, _)) = prepared else {
+        return Ok(());
+    };
+    let open_ones = Open::of(client);
+    let mut held = open_ones.held();
+    let Some(cursor) = held.get_mut(&name.value) else {
+        return Ok(());
+    };
+    let format = &portal.result_column_format;
+    let mut columns = 0..cursor.plan.schema().fields().len();
+    if cursor.runs && columns.any(|at| format.format_for(at) != cursor.format.format_for(at)) {
+        let message = "expected the format of the rows that were fetched before, found another";
+        return Err(error("ERROR", "0A000", message));
     }
+    cursor.format = format.clone();
+    Ok(())
 }
 
 /// Opens cursors, and forgets those that are closed, or whose transaction ends.

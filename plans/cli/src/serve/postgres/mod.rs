@@ -239,8 +239,9 @@ impl ExtendedQueryHandler for Queries {
         let opened = self.parser.opened(client, "").await?;
         let service = &opened.postgres;
         let portal = self.parser.of_newest(client, portal, &opened).await?;
+        fits(&portal.result_column_format, &portal.statement.statement)?;
         let portal = in_its_formats(portal)?;
-        cursors::bound(client, &portal);
+        cursors::bound(client, &portal)?;
         let work = ExtendedQueryHandler::do_query(service, client, &portal, max_rows);
         let (response, turn) = self.within(work).await?;
         let cancelled = cancelled(client).await;
@@ -325,6 +326,19 @@ fn with_all_of(mut again: Portal<Prepared>, portal: &Portal<Prepared>) -> Portal
     again
 }
 
+/// That there are as many formats as columns, where a client binds one for each: the library looks them up unseen.
+fn fits(format: &Format, prepared: &Prepared) -> PgWireResult<()> {
+    let count = columns(prepared).len();
+    match format {
+        Format::Individual(each) if each.len() != count && count > 0 => {
+            let found = each.len();
+            let message = format!("expected formats of {count} columns, found {found}");
+            Err(error("ERROR", "08P01", &message))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// A portal whose geometries are written as its client asks for them.
 fn in_its_formats(portal: Portal<Prepared>) -> PgWireResult<Portal<Prepared>> {
     let old = &portal.statement;
@@ -379,6 +393,7 @@ impl QueryParser for Parser {
         prepared: &Prepared,
         format: Option<&Format>,
     ) -> PgWireResult<Vec<FieldInfo>> {
+        format.map_or(Ok(()), |format| fits(format, prepared))?;
         let columns = TYPES.get_result_schema(prepared, format)?;
         Ok(match prepared {
             (_, Some((_, plan))) => geometry::told(plan, columns),
