@@ -255,6 +255,16 @@ impl<'a> Geometries<'a> {
     }
 }
 
+/// A geometry of each row.
+fn made_of(
+    rows: usize,
+    geometry: impl FnMut(usize) -> Result<Option<Geometry>>,
+) -> Result<ArrayRef> {
+    let made = (0..rows).map(geometry);
+    let bytes = made.map(|made| Ok(made?.map(|made| made.to_wkb().0)));
+    Ok(Arc::new(bytes.collect::<Result<BinaryArray>>()?))
+}
+
 fn of_point(columns: &[ArrayRef], of: fn(Position) -> Option<f64>) -> Result<ArrayRef> {
     let geometries = Geometries::of(columns, 0)?;
     numbers(geometries.0.len(), |row| {
@@ -275,12 +285,11 @@ fn point(columns: &[ArrayRef]) -> Result<ArrayRef> {
         let at = |index: usize| numbers.get(index).map(|column| column.value(row));
         known.then(|| {
             let (x, y) = (at(0).unwrap_or(f64::NAN), at(1).unwrap_or(f64::NAN));
-            Geometry::Point(Position { x, y, z: at(2) }).to_wkb().0
+            Geometry::Point(Position { x, y, z: at(2) })
         })
     };
     let rows = columns.first().map_or(0, |column| column.len());
-    let points: BinaryArray = (0..rows).map(point).collect();
-    Ok(Arc::new(points))
+    made_of(rows, |row| Ok(point(row)))
 }
 
 fn along(columns: &[ArrayRef]) -> Result<ArrayRef> {

@@ -1,8 +1,6 @@
 //! Geometries that are made of geometries, from above, by the crate `geo`: what comes out is flat.
 
-use std::sync::Arc;
-
-use arrow::array::{Array, ArrayRef, AsArray, BinaryArray};
+use arrow::array::{Array, ArrayRef, AsArray};
 use arrow::datatypes::Float64Type;
 use datafusion::common::{DataFusionError, Result};
 use evermap_schemas::{Cell, Geometry, Position, Wkb};
@@ -13,7 +11,7 @@ use geo::{
 
 use crate::function::{Argument, Declaration, Kind};
 use crate::geometries::shapes::{Shape, get, pair};
-use crate::geometries::{A, B, GEOMETRY, Geometries};
+use crate::geometries::{A, B, GEOMETRY, Geometries, made_of};
 
 const DISTANCE: Argument = (
     "distance",
@@ -157,14 +155,11 @@ fn polygons(found: &MultiPolygon) -> Geometry {
     }
 }
 
-fn column(made: impl Iterator<Item = Result<Option<Geometry>>>) -> Result<ArrayRef> {
-    let bytes = made.map(|made| Ok(made?.map(|made| made.to_wkb().0)));
-    Ok(Arc::new(bytes.collect::<Result<BinaryArray>>()?))
-}
-
 fn each(columns: &[ArrayRef], make: fn(&Shape) -> Option<Geometry>) -> Result<ArrayRef> {
     let geometries = Geometries::of(columns, 0)?;
-    column((0..geometries.0.len()).map(|row| Ok(get(&geometries, row)?.as_ref().and_then(make))))
+    made_of(geometries.0.len(), |row| {
+        Ok(get(&geometries, row)?.as_ref().and_then(make))
+    })
 }
 
 fn rectangles(columns: &[ArrayRef]) -> Result<ArrayRef> {
@@ -185,7 +180,7 @@ fn rectangles(columns: &[ArrayRef]) -> Result<ArrayRef> {
             polygon(&Rect::new(low, corner(east.value(row), north.value(row))).to_polygon())
         })
     };
-    column((0..west.len()).map(|row| Ok(rectangle(row))))
+    made_of(west.len(), |row| Ok(rectangle(row)))
 }
 
 fn buffers(columns: &[ArrayRef]) -> Result<ArrayRef> {
@@ -193,7 +188,7 @@ fn buffers(columns: &[ArrayRef]) -> Result<ArrayRef> {
     let distances = columns
         .get(1)
         .and_then(|column| column.as_primitive_opt::<Float64Type>());
-    column((0..geometries.0.len()).map(|row| {
+    made_of(geometries.0.len(), |row| {
         let distance = distances.filter(|column| column.is_valid(row));
         let distance = distance.map(|column| column.value(row));
         let Some((shape, distance)) = get(&geometries, row)?.zip(distance) else {
@@ -205,7 +200,7 @@ fn buffers(columns: &[ArrayRef]) -> Result<ArrayRef> {
                 "expected a finite distance, found {distance}"
             ))),
         }
-    }))
+    })
 }
 
 fn both(
@@ -213,12 +208,12 @@ fn both(
     make: fn(&MultiPolygon, &MultiPolygon) -> MultiPolygon,
 ) -> Result<ArrayRef> {
     let rows = columns.first().map_or(0, |column| column.len());
-    column((0..rows).map(|row| {
+    made_of(rows, |row| {
         let Some([a, b]) = pair(columns, row)? else {
             return Ok(None);
         };
         Ok(Some(polygons(&make(&areas(&a)?, &areas(&b)?))))
-    }))
+    })
 }
 
 /// The polygons of a geometry that has no other parts.

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use arrow::array::{Array, ArrayRef, BinaryArray, Int64Array, StringArray};
+use arrow::array::{Array, ArrayRef, Int64Array, StringArray};
 use arrow::datatypes::DataType;
 use datafusion::common::Result;
 use evermap_schemas::{Cell, Geometry, Position, Wkb};
 
 use crate::function::{Declaration, numbers};
-use crate::geometries::{GEOMETRY, Geometries};
+use crate::geometries::{GEOMETRY, Geometries, made_of};
 
 /// The functions.
 pub(crate) const DECLARATIONS: [Declaration; 9] = [
@@ -81,11 +81,7 @@ pub(crate) const DECLARATIONS: [Declaration; 9] = [
             "SELECT st_xmin(st_geomfromtext('LINESTRING(0 1, 3 4, 3 10)'))",
             "0.0",
         ],
-        evaluate: |columns| {
-            of(columns, |geometry| {
-                points(geometry).map(|at| at.x).reduce(f64::min)
-            })
-        },
+        evaluate: |columns| extreme(columns, |at| at.x, f64::min),
     },
     Declaration {
         name: "st_xmax",
@@ -96,11 +92,7 @@ pub(crate) const DECLARATIONS: [Declaration; 9] = [
             "SELECT st_xmax(st_geomfromtext('LINESTRING(0 1, 3 4, 3 10)'))",
             "3.0",
         ],
-        evaluate: |columns| {
-            of(columns, |geometry| {
-                points(geometry).map(|at| at.x).reduce(f64::max)
-            })
-        },
+        evaluate: |columns| extreme(columns, |at| at.x, f64::max),
     },
     Declaration {
         name: "st_ymin",
@@ -111,11 +103,7 @@ pub(crate) const DECLARATIONS: [Declaration; 9] = [
             "SELECT st_ymin(st_geomfromtext('LINESTRING(0 1, 3 4, 3 10)'))",
             "1.0",
         ],
-        evaluate: |columns| {
-            of(columns, |geometry| {
-                points(geometry).map(|at| at.y).reduce(f64::min)
-            })
-        },
+        evaluate: |columns| extreme(columns, |at| at.y, f64::min),
     },
     Declaration {
         name: "st_ymax",
@@ -126,11 +114,7 @@ pub(crate) const DECLARATIONS: [Declaration; 9] = [
             "SELECT st_ymax(st_geomfromtext('LINESTRING(0 1, 3 4, 3 10)'))",
             "10.0",
         ],
-        evaluate: |columns| {
-            of(columns, |geometry| {
-                points(geometry).map(|at| at.y).reduce(f64::max)
-            })
-        },
+        evaluate: |columns| extreme(columns, |at| at.y, f64::max),
     },
 ];
 
@@ -138,10 +122,16 @@ fn points(geometry: &Geometry) -> impl Iterator<Item = Position> {
     geometry.paths().into_iter().flatten().copied()
 }
 
-fn of(columns: &[ArrayRef], number: fn(&Geometry) -> Option<f64>) -> Result<ArrayRef> {
+/// The smallest or the largest coordinate of each geometry along an axis.
+fn extreme(
+    columns: &[ArrayRef],
+    along: fn(Position) -> f64,
+    better: fn(f64, f64) -> f64,
+) -> Result<ArrayRef> {
     let geometries = Geometries::of(columns, 0)?;
     numbers(geometries.0.len(), |row| {
-        Ok(geometries.get(row)?.as_ref().and_then(number))
+        let geometry = geometries.get(row)?;
+        Ok(geometry.and_then(|geometry| points(&geometry).map(along).reduce(better)))
     })
 }
 
@@ -155,14 +145,10 @@ fn texts(columns: &[ArrayRef], text: fn(&Geometry) -> String) -> Result<ArrayRef
 /// A point of each line.
 fn end(columns: &[ArrayRef], which: fn(&[Position]) -> Option<&Position>) -> Result<ArrayRef> {
     let geometries = Geometries::of(columns, 0)?;
-    let rows = 0..geometries.0.len();
-    let ends = rows.map(|row| {
+    made_of(geometries.0.len(), |row| {
         Ok(match geometries.get(row)? {
-            Some(Geometry::LineString(line)) => {
-                which(&line).map(|point| Geometry::Point(*point).to_wkb().0)
-            }
+            Some(Geometry::LineString(line)) => which(&line).copied().map(Geometry::Point),
             _ => None,
         })
-    });
-    Ok(Arc::new(ends.collect::<Result<BinaryArray>>()?))
+    })
 }

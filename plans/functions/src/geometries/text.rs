@@ -3,7 +3,7 @@
 use std::str::FromStr;
 use std::sync::Arc;
 
-use arrow::array::{Array, ArrayRef, AsArray, BinaryArray, StringArray};
+use arrow::array::{Array, ArrayRef, AsArray, StringArray};
 use datafusion::common::{DataFusionError, Result};
 use evermap_schemas::{Geometry, Position};
 use wkt::Wkt;
@@ -12,7 +12,7 @@ use wkt::types::{
     Point, Polygon,
 };
 
-use crate::geometries::Geometries;
+use crate::geometries::{Geometries, made_of};
 
 /// Brackets within brackets that are read: more than any geometry has, and few enough for any stack.
 const DEPTH: usize = 6;
@@ -23,12 +23,10 @@ pub(super) fn read(columns: &[ArrayRef]) -> Result<ArrayRef> {
         .first()
         .and_then(|column| column.as_string_opt::<i32>());
     let texts = texts.ok_or_else(|| refused("a text", "another column"))?;
-    let read = |text: Option<&str>| text.map(geometry).transpose();
-    let read = texts.iter().map(read).collect::<Result<Vec<_>>>()?;
-    let bytes = read
-        .into_iter()
-        .map(|geometry| geometry.map(|geometry| geometry.to_wkb().0));
-    Ok(Arc::new(bytes.collect::<BinaryArray>()))
+    made_of(texts.len(), |row| {
+        let text = texts.is_valid(row).then(|| texts.value(row));
+        text.map(geometry).transpose()
+    })
 }
 
 fn geometry(text: &str) -> Result<Geometry> {
