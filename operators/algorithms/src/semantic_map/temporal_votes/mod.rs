@@ -106,6 +106,7 @@ impl Voter {
             .collect();
         let measured: Vec<Vec<f32>> = neighbours
             .par_iter()
+            .filter(|_| depth.has_holes())
             .map(|neighbour| self.measured(scores, neighbour))
             .collect();
         let mut votes = scores.probabilities().to_vec();

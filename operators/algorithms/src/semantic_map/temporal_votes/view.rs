@@ -44,6 +44,11 @@ impl<'a> DepthView<'a> {
         [self.width, self.height] == [camera.width as usize, camera.height as usize]
     }
 
+    /// Whether there are pixels where nothing was measured.
+    pub(super) fn has_holes(&self) -> bool {
+        self.data.contains(&0)
+    }
+
     /// What the nearest pixel says; nothing out of the image.
     pub(super) fn nearest(&self, [u, v]: [f64; 2]) -> Depth {
         let index = |x: f64, size: usize| {
