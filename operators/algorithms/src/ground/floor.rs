@@ -166,7 +166,7 @@ impl Floor {
     }
 
     /// Where a line of sight from above, through a point, meets the floor, metres; `None` where it does not, or where nobody
-    /// knows the floor within 8 m of the point.
+    /// knows the floor around the point.
     ///
     /// Each step goes to where the sight has the height that the floor has here: it ends where floors rise less than sight
     /// falls.

@@ -23,7 +23,8 @@ enum Layout {
     Float,
 }
 
-/// The layout of an encoding as ROS (`sensor_msgs/image_encodings.hpp`) and Foxglove name it, and its largest value.
+/// The layout of an encoding as ROS (`sensor_msgs/image_encodings.hpp`) and Foxglove name it, and its largest value; 0 where
+/// values have none.
 fn layout(encoding: &str) -> Option<(Layout, u32)> {
     use Layout::{Bayer, Float, Plain, Yuv};
     let eight = |layout| Some((layout, 255));
