@@ -151,6 +151,20 @@ fn another_visit_is_found_where_it_was_with_true_and_with_noisy_labels() {
         let right = found.iter().filter(|distance| **distance <= 5.0).count() as f64 / 60.0;
         eprintln!("{labels}: recall@1 within 5 m {right:.3}");
         assert!(right >= least, "{labels}: recall@1 {right}");
+        // The drive of the first visit says what a hit is worth, and is not wrong where it is sure.
+        let certain = rows(
+            &map,
+            None,
+            "SELECT certainty FROM relocations WHERE rank = 0 ORDER BY stamp",
+        );
+        let certain: Vec<f64> = certain
+            .iter()
+            .map(|row| row["certainty"].as_f64().unwrap())
+            .collect();
+        let sure = certain.iter().zip(&found).filter(|(sure, _)| **sure >= 0.9);
+        let wrong = sure.clone().filter(|(_, distance)| **distance > 5.0);
+        eprintln!("{labels}: sure of {} of 60", sure.clone().count());
+        assert!(sure.count() >= 30 && wrong.count() == 0, "{certain:?}");
         let matrix = folder.path().join("matrix.png");
         evermap(&[
             "render",

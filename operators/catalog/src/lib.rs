@@ -92,6 +92,7 @@ operators! {
         recorded_labels::RecordedLabels,
         registrations::Registrations,
         relation_index::RelationIndex,
+        relocation_calibrations::RelocationCalibrations,
         relocations::Relocations,
         spheres::Spheres,
         view_links::ViewLinks,

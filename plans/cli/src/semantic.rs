@@ -200,6 +200,7 @@ mod tests {
             score: similarity,
             similarity,
             yaw_rad: None,
+            certainty: None,
         }
     }
 

@@ -25,8 +25,8 @@ pub use people::{
 };
 pub use semantic_map::{
     ClassCount, ClassLeaf, ClassScores, CrfSetting, DecisionTree, LabelImage, LabelledFrame,
-    LabelledScores, PixelSamples, RelatedViews, Relocation, ScoredFrame, SemanticArea,
-    SemanticEdge, SemanticGraph, TreeNode, View,
+    LabelledScores, PixelSamples, RelatedViews, Relocation, RelocationCalibration, ScoredFrame,
+    SemanticArea, SemanticEdge, SemanticGraph, TreeNode, View,
 };
 pub use stable_map::{
     InferredArea, InferredLabels, Occluded, OcclusionCount, OcclusionProbability, SphereView,
@@ -320,6 +320,7 @@ pub fn all() -> Vec<crate::Layer> {
         LabelledFrame::layer(),
         PixelSamples::layer(),
         RelatedViews::layer(),
+        RelocationCalibration::layer(),
         Relocation::layer(),
         ScoredFrame::layer(),
         LabelledScores::layer(),

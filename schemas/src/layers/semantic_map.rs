@@ -374,5 +374,33 @@ record! {
         /// By how much the query looks farther to the left than the map's view, counter-clockwise seen from above, in
         /// [-π, π); null of words, which do not know it.
         yaw_rad: Option<f64> ["rad"],
+        /// Probability that this view shows the query's place, which is as likely mapped as not: what
+        /// `relocation_calibrations` says of the map's drive; null but for the first, where that says nothing or where the
+        /// view was taken is not known, and of words.
+        certainty: Option<f64>,
+    }
+}
+
+record! {
+    /// What it is worth that a view of a drive is found.
+    #[layer("relocation_calibrations", key(site, session, camera))]
+    pub struct RelocationCalibration {
+        /// Site that was driven.
+        site: String,
+        /// Session that was driven.
+        session: String,
+        /// Camera that took the views.
+        camera: String,
+        /// Views no farther apart show one place, and those farther than twice as much two.
+        within_m: f64 ["m"],
+        /// Views that were looked for in their own drive.
+        queries: u32,
+        /// Share of them that were found where they were taken.
+        recall: f64,
+        /// The distinctness of a hit (1 less the score of the best view of another place, as a share of the hit's) that is
+        /// as likely right as wrong; null where distinctness tells nothing.
+        middle: Option<f64>,
+        /// Change of the logarithm of the odds with the distinctness; null with `middle`.
+        slope: Option<f64>,
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! | module | what it knows |
 //! |---|---|
+//! | [`calibration`] | what a score is worth: a probability, from answers |
 //! | [`dense_crf`] | labels that follow an image's edges: the fully connected random field |
 //! | [`gaussian_process`] | a linear function and how surely it is known, from a few answers |
 //! | [`permutohedral`] | Gaussian filters in many dimensions |
@@ -9,6 +10,7 @@
 //! | [`pixel_features`] | what a classifier of pixels sees: dense SIFT, colour, context |
 //! | [`random_forest`] | decision trees over bytes, learnt and read fast |
 
+pub mod calibration;
 pub mod dense_crf;
 pub mod gaussian_process;
 pub mod permutohedral;

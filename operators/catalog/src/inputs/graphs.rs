@@ -2,9 +2,13 @@
 
 use std::collections::BTreeSet;
 
+use evermap_algorithms::semantic_map::relocation::Options;
 use evermap_algorithms::semantic_map::semantic_graph::{Area, Edge, Graph, VOID};
 use evermap_contract::{Emit, Reason};
 use evermap_schemas::layers::{SemanticArea, SemanticEdge, SemanticGraph, View};
+use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 /// Names of classes with their numbers.
 #[derive(Default)]
@@ -79,6 +83,38 @@ impl ClassNames {
             edges: row.edges.iter().map(edge).collect(),
         })
     }
+}
+
+/// How two views are compared, by whatever compares them.
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct Comparison {
+    /// Classes that are left out, such as cars, which drive away.
+    pub ignore: Vec<String>,
+    /// How two views are compared.
+    #[serde(flatten)]
+    pub options: Options,
+}
+
+impl Comparison {
+    /// For graphs whose classes are numbered so.
+    pub(crate) fn options(&self, classes: &ClassNames) -> Options {
+        let ignored = self.ignore.iter();
+        Options {
+            ignored: ignored.filter_map(|name| classes.number(name)).collect(),
+            ..self.options.clone()
+        }
+    }
+}
+
+/// Where a view was taken, in the frame of its drive (m); `None` where that is not known, or no place.
+pub(crate) fn position(view: &View) -> Option<Vector3<f64>> {
+    let pose = view.map_from_view.as_ref()?;
+    let position = Vector3::new(pose.x, pose.y, pose.z);
+    position
+        .iter()
+        .all(|value| value.is_finite())
+        .then_some(position)
 }
 
 /// Views of a site as an index numbers them.

@@ -1,6 +1,6 @@
 #![doc = include_str!("box_hypotheses.md")]
 
-use evermap_algorithms::ground::boxes::calibration::Calibration;
+use evermap_algorithms::learning::calibration::Calibration;
 use evermap_algorithms::ground::boxes::mosaic::Mosaic;
 use evermap_algorithms::ground::boxes::teaching::{Candidates, Example, Hypothesis, Taught};
 use evermap_algorithms::ground::boxes::template::Template;

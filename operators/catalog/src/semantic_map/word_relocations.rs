@@ -177,6 +177,7 @@ impl Finder {
                 score,
                 similarity: score,
                 yaw_rad: None,
+                certainty: None,
             }
         };
         Ok((0..).zip(hits).map(relocation).collect())

@@ -12,13 +12,11 @@
 //! | [`teaching`] | examples in, hypotheses with their probability and questions out |
 //! | [`rows`] | parking spaces in rows, with numbers and lanes |
 //! | [`occupancy`] | which spaces were taken during a drive |
-//! | [`calibration`] | what the score of a box is worth, from answers |
 //!
 //! Source: *Integrating metric and semantic maps for vision-only automated parking*, section V-A2: linear
 //! Gaussian-process classifier on histograms of gradients, non-maximum suppression, introspective questions.
 
 pub mod box_index;
-pub mod calibration;
 pub mod description;
 mod lesson;
 pub mod mosaic;

@@ -16,12 +16,12 @@ use serde::{Deserialize, Serialize};
 
 use super::GroundBox;
 use super::box_index::BoxIndex;
-use super::calibration::Calibration;
 use super::description::{LENGTH, describe};
 use super::lesson::{Lesson, reach_of};
 use super::mosaic::{Mosaic, Part};
 use super::scan::{SAME, Scored, apart, scan};
 use super::template::Template;
+use crate::learning::calibration::Calibration;
 use crate::learning::gaussian_process::{LearningError, LinearProcess, Posterior};
 
 /// A hypothesis that overlaps a rejected box by more than this was answered.

@@ -12,6 +12,7 @@
 
 mod again;
 mod bounds;
+mod calibration;
 mod class_index;
 mod description;
 mod level;
@@ -22,6 +23,7 @@ mod view_map;
 #[cfg(test)]
 pub(super) mod tests;
 
+pub use calibration::{CalibrationOptions, SelfSearch, are_apart, distinctness, self_search};
 pub use class_index::ClassIndex;
 pub use options::{Options, Scales};
 pub use view_map::{Hit, Query, ViewMap, matched_areas};

@@ -2,6 +2,7 @@
 
 use std::f32::consts::{PI, TAU};
 
+use nalgebra::Vector3;
 use proptest::prelude::*;
 
 use super::*;
@@ -171,4 +172,45 @@ fn what_is_no_number_takes_no_part() {
     let map = ViewMap::new(graphs.iter(), unturned);
     assert_eq!(map.search(&map.query(&graphs[2]), 3, |_| true), []);
     assert_eq!(map.compare(&map.query(&graphs[2]), 2), None);
+}
+
+/// Places of one kind each, two views of every one: found in their own drive, and sure of it; places that all look the same
+/// are not told apart, and nothing is learnt from them.
+#[test]
+fn a_drive_says_what_finding_its_views_is_worth() {
+    let view = |class: u8| Graph {
+        width: WIDTH,
+        height: 333,
+        wraps: true,
+        areas: vec![Area {
+            class,
+            pixels: 5000,
+            u: 100.0,
+            v: 160.0,
+            major_px: 40.0,
+            minor_px: 40.0,
+            orientation_rad: 0.0,
+            eccentricity: 0.0,
+        }],
+        ..Graph::default()
+    };
+    let positions: Vec<_> = (0..40)
+        .map(|at| Vector3::new(f64::from(at / 2) * 40.0 + f64::from(at % 2) * 4.0, 0.0, 0.0))
+        .collect();
+    let learnt = |graphs: Vec<Graph>, positions: &[Vector3<f64>]| {
+        let map = ViewMap::new(graphs.iter(), Options::default());
+        self_search(&map, &graphs, positions, &CalibrationOptions::default())
+    };
+    // Two places that are alike are found for each other when the right one is not there, and no third is.
+    let of_a_kind = |kinds: u8| (0..40).map(|at| view(at / 2 % kinds)).collect();
+    let told_apart = learnt(of_a_kind(20), &positions).unwrap();
+    assert_eq!((told_apart.queries, told_apart.recall), (40, 1.0));
+    let all_alike = learnt(of_a_kind(1), &positions).unwrap();
+    assert!(all_alike.recall < 0.2, "{all_alike:?}");
+    assert_eq!(all_alike.calibration, None);
+    // A drive of one place, and one whose views are all far apart.
+    assert_eq!(learnt(of_a_kind(20), &positions[..2]), None);
+    let far: Vec<_> = positions.iter().map(|at| at * 100.0).collect();
+    assert_eq!(learnt(of_a_kind(20), &far), None);
+    assert_eq!(learnt(Vec::new(), &[]), None);
 }

@@ -1,8 +1,7 @@
-//! From a mean of the linear function to a probability.
+//! From a score to a probability.
 //!
-//! The function was learnt from a few boxes that were drawn and from floor at random; those that are asked about lie between.
-//! So what a mean is worth is learnt from the answers themselves, each left out of what its mean comes from: a logistic
-//! curve by maximum likelihood, with the targets that keep it from being surer than so many answers can make it.
+//! What a score is worth is learnt from answers, each left out of what its score comes from: a logistic curve by maximum
+//! likelihood, with the targets that keep it from being surer than so many answers can make it.
 //!
 //! Source: Platt, *Probabilistic outputs for support vector machines* (1999); Newton's method as by Lin, Lin & Weng (2007).
 
@@ -12,14 +11,14 @@ const ROUNDS: usize = 50;
 /// A logistic curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Calibration {
-    /// The mean that is as likely one of the kind as not.
+    /// The score that is as likely right as wrong.
     pub middle: f64,
-    /// Change of the logarithm of the odds with the mean; positive.
+    /// Change of the logarithm of the odds with the score; positive.
     pub slope: f64,
 }
 
 impl Calibration {
-    /// From means and whether they are of the kind; `None` where one sort is missing or a higher mean does not make it
+    /// From scores and whether they were right; `None` where either is missing or a higher score does not make it
     /// likelier.
     pub fn learn(known: &[(f64, bool)]) -> Option<Self> {
         let ones = known.iter().filter(|(_, is_one)| *is_one).count() as f64;
@@ -71,7 +70,7 @@ impl Calibration {
         (slope > 0.0 && middle.is_finite()).then_some(Self { middle, slope })
     }
 
-    /// The probability that a mean is worth.
+    /// The probability that a score is worth.
     pub fn probability(&self, mean: f64) -> f64 {
         logistic(self.slope * (mean - self.middle))
     }
