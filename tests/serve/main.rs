@@ -53,6 +53,7 @@ fn programs_read_geometries_as_from_postgis() {
     let map = map(folder.path());
     let server = Server::start(&map, &[]);
     ended("serve/postgis.py", &[&server.postgres]);
+    ended("serve/qgis.py", &[&server.postgres]);
     if evermap_test_data::there("/usr/bin/ogr2ogr".into(), "`make test` installs it").is_some() {
         ended("serve/gdal.py", &[&server.postgres]);
     }

@@ -393,10 +393,13 @@ record! {
         camera: String,
         /// Views no farther apart show one place, and those farther than twice as much two.
         within_m: f64 ["m"],
-        /// Views that were looked for in their own drive.
+        /// Views of which it is known where they were taken.
+        views: u32,
+        /// Those that were looked for in their own drive: 0 where none has a view of its place and one of another to be
+        /// compared with.
         queries: u32,
-        /// Share of them that were found where they were taken.
-        recall: f64,
+        /// Share of them that were found where they were taken; null without any.
+        recall: Option<f64>,
         /// The distinctness of a hit (1 less the score of the best view of another place, as a share of the hit's) that is
         /// as likely right as wrong; null where distinctness tells nothing.
         middle: Option<f64>,

@@ -1,6 +1,7 @@
 #![doc = include_str!("relocation_calibrations.md")]
 
 use evermap_algorithms::semantic_map::relocation::{CalibrationOptions, ViewMap, self_search};
+use evermap_algorithms::semantic_map::semantic_graph::Graph;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::layers::{RelocationCalibration, View};
 use schemars::JsonSchema;
@@ -42,37 +43,26 @@ fn calibration(
     _: &Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let classes = ClassNames::of(&views);
-    let (mut graphs, mut positions) = (Vec::new(), Vec::new());
-    for view in &views {
-        let taken = position(view).ok_or("nothing says where the view was taken");
-        match taken.and_then(|taken| Ok((taken, classes.graph(&view.graph)?))) {
-            Ok((taken, graph)) => {
-                positions.push(taken);
-                graphs.push(graph);
-            }
-            Err(reason) => emit.skip(reason, 1),
-        }
-    }
-    let map = ViewMap::new(graphs.iter(), params.comparison.options(&classes));
     let Some(first) = views.first() else {
         return Ok(());
     };
-    let Some(found) = self_search(&map, &graphs, &positions, &params.learning) else {
-        emit.skip(
-            "no view of the drive has one of its place and one of another to be compared with",
-            graphs.len() as u64,
-        );
-        return Ok(());
-    };
+    let classes = ClassNames::of(&views);
+    let placed = views
+        .iter()
+        .filter_map(|view| Some((position(view)?, classes.graph(&view.graph).ok()?)));
+    let (positions, graphs): (Vec<_>, Vec<Graph>) = placed.unzip();
+    let map = ViewMap::new(graphs.iter(), params.comparison.options(&classes));
+    let found = self_search(&map, &graphs, &positions, &params.learning);
+    let learnt = found.and_then(|found| found.calibration);
     emit.rows(vec![RelocationCalibration {
         site: first.site.clone(),
         session: first.session.clone(),
         camera: first.camera.clone(),
         within_m: params.learning.within_m,
-        queries: found.queries,
-        recall: found.recall,
-        middle: found.calibration.map(|learnt| learnt.middle),
-        slope: found.calibration.map(|learnt| learnt.slope),
+        views: positions.len() as u32,
+        queries: found.map_or(0, |found| found.queries),
+        recall: found.map(|found| found.recall),
+        middle: learnt.map(|learnt| learnt.middle),
+        slope: learnt.map(|learnt| learnt.slope),
     }])
 }

@@ -1,4 +1,4 @@
-//! What programs ask of Postgres' own tables, and a map has none of: keys, indexes, memberships, access lists.
+//! What programs ask of Postgres' own tables, and a map has none of: constraints, memberships, access lists.
 //!
 //! Drivers and psql ask for them all the same, in ways that the planner does not know. Of such tables alone an answer
 //! without rows is true, and keeps the program going; a query of a layer is never answered so.
@@ -21,6 +21,8 @@ use datafusion::sql::sqlparser::ast::{
     FunctionArgExpr, FunctionArguments, Query, SelectItem, SetExpr, Statement, Value,
     visit_expressions_mut,
 };
+use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
+use datafusion::sql::sqlparser::parser::Parser;
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::create_pg_table_is_visible;
 
 /// Schemas of Postgres' own.
@@ -40,7 +42,10 @@ const FILLED: [&str; 7] = [
 /// Columns of Postgres' tables that the library leaves out: lists of options and of rights, of which a map has none.
 const LISTS: [&str; 5] = ["datacl", "nspacl", "relacl", "reloptions", "typacl"];
 
-/// Columns with the numbers of the columns that a constraint or an index is of.
+/// Columns with the numbers of the columns that a constraint is of, of which there are none.
+const CONSTRAINTS: [&str; 2] = ["confkey", "conkey"];
+
+/// And that of an index, which has no places to be counted from 0.
 const KEYS: [&str; 3] = ["confkey", "conkey", "indkey"];
 
 /// Functions of Postgres on what a map has none of: their answer is null.
@@ -111,10 +116,15 @@ pub fn is_of_catalog(statement: &Statement) -> bool {
     !tables(statement).is_empty()
 }
 
-/// The statement with lists of what a map has none of as null: `ARRAY(SELECT …)`, and columns of options and rights; and
-/// with names of functions and types that are looked up as their tables have them, without a schema. Names are texts, and of
-/// constraints and indexes, which a map has none of, nothing is a column.
-pub fn without_lists(mut statement: Statement) -> Statement {
+/// The statement in words that the library's tables have: lists of what a map has none of are null (`ARRAY(SELECT …)`, columns
+/// of options and rights), names of functions and types that are looked up are without a schema, names are texts, and of
+/// constraints, which a map has none of, nothing is a column.
+pub fn in_its_words(mut statement: Statement) -> Statement {
+    if let Statement::Query(query) = &mut statement
+        && let SetExpr::Select(select) = query.body.as_mut()
+    {
+        select.projection.iter_mut().for_each(counted);
+    }
     let _ = visit_expressions_mut(&mut statement, |found| {
         if is_list(found) {
             *found = no_list();
@@ -124,7 +134,7 @@ pub fn without_lists(mut statement: Statement) -> Statement {
                 data_type: data_type @ SqlType::Custom(..),
                 ..
             } if data_type.to_string() == "name" => *data_type = SqlType::Text,
-            key if is_in_key(key) => *key = Expr::Value(Value::Boolean(false).into()),
+            key if is_in_constraint(key) => *key = Expr::Value(Value::Boolean(false).into()),
             key if is_of_key(key) => *key = null(SqlType::Int(None)),
             _ => {}
         }
@@ -139,6 +149,20 @@ pub fn without_lists(mut statement: Statement) -> Statement {
         ControlFlow::<()>::Continue(())
     });
     statement
+}
+
+/// `EXISTS (…)` as a column, which the planner has in conditions only, as `0 < (SELECT count(*) …)`.
+fn counted(column: &mut SelectItem) {
+    if let SelectItem::UnnamedExpr(found) | SelectItem::ExprWithAlias { expr: found, .. } = column
+        && let Expr::Exists { subquery, negated } = found
+    {
+        let sign = if *negated { "=" } else { "<" };
+        let count = format!("0 {sign} (SELECT count(*) FROM ({subquery}) AS found)");
+        let parser = Parser::new(&PostgreSqlDialect {}).try_with_sql(&count);
+        if let Ok(count) = parser.and_then(|mut parser| parser.parse_expr()) {
+            *found = count;
+        }
+    }
 }
 
 /// Whether it is the name of a function or type, as where `'pg_catalog.array_in'::regproc` is looked up.
@@ -166,8 +190,8 @@ fn is_column(found: &Expr, names: &[&str]) -> bool {
         .is_some_and(|name| names.contains(&name.value.as_str()))
 }
 
-/// Whether it asks if something is in a key; the library has made a function of `= ANY`.
-fn is_in_key(found: &Expr) -> bool {
+/// Whether it asks if something is in a constraint; the library has made a function of `= ANY`.
+fn is_in_constraint(found: &Expr) -> bool {
     let Expr::Function(call) = found else {
         return false;
     };
@@ -178,7 +202,7 @@ fn is_in_key(found: &Expr) -> bool {
         Some(FunctionArg::Unnamed(FunctionArgExpr::Expr(first))) => first,
         _ => return false,
     };
-    call.name.to_string() == "array_contains" && is_column(first, &KEYS)
+    call.name.to_string() == "array_contains" && is_column(first, &CONSTRAINTS)
 }
 
 /// Whether it is one of the numbers in a key.
@@ -259,8 +283,6 @@ fn name(item: &SelectItem) -> Option<String> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
-    use datafusion::sql::sqlparser::parser::Parser;
 
     fn parsed(text: &str) -> Statement {
         Parser::parse_sql(&PostgreSqlDialect {}, text)
@@ -296,11 +318,11 @@ mod tests {
         let query = parsed(
             "SELECT r.rolname, ARRAY(SELECT 1 FROM pg_roles b) AS memberof, NULL, NULL, f(1) FROM pg_roles r",
         );
-        let without = without_lists(query.clone()).to_string();
+        let without = in_its_words(query.clone()).to_string();
         assert!(without.contains("NULL::TEXT[] AS memberof"), "{without}");
         let looked_up =
             parsed("SELECT oid FROM pg_catalog.pg_proc WHERE proname = 'pg_catalog.array_in'");
-        let bare = without_lists(looked_up).to_string();
+        let bare = in_its_words(looked_up).to_string();
         assert!(bare.ends_with("proname = 'array_in'"), "{bare}");
         let plan = no_rows(&query).unwrap();
         let names: Vec<_> = plan

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use arrow::array::{AsArray, Int32Array, StringArray};
+use arrow::array::{ArrayRef, AsArray, Int32Array, StringArray};
 use arrow::compute::cast;
 use arrow::datatypes::{DataType, Int32Type};
 use datafusion::common::exec_err;
@@ -39,10 +39,15 @@ struct Function<F> {
     signature: Signature,
 }
 
+/// It, to be called.
+pub fn function(of: impl OnTypes) -> ScalarUDF {
+    let signature = of.signature();
+    ScalarUDF::from(Function { of, signature })
+}
+
 /// Adds a function to a context, in place of one of its name.
 pub fn register(context: &SessionContext, of: impl OnTypes) {
-    let signature = of.signature();
-    context.register_udf(ScalarUDF::from(Function { of, signature }));
+    context.register_udf(function(of));
 }
 
 impl<F: OnTypes> ScalarUDFImpl for Function<F> {
@@ -136,6 +141,84 @@ impl OnTypes for FormatType {
     }
 }
 
+/// `array_out(list)`: its elements as Postgres writes an array.
+#[derive(Debug, PartialEq, Eq, Hash)]
+pub struct ArrayOut;
+
+impl OnTypes for ArrayOut {
+    fn name(&self) -> &'static str {
+        "array_out"
+    }
+
+    fn signature(&self) -> Signature {
+        Signature::any(1, Volatility::Immutable)
+    }
+
+    fn result(&self) -> DataType {
+        DataType::Utf8
+    }
+
+    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        let columns = ColumnarValue::values_to_arrays(&args.args)?;
+        let lists = match columns.as_slice() {
+            [lists] if matches!(lists.data_type(), DataType::List(_)) => lists.as_list::<i32>(),
+            other => return exec_err!("expected a list, found {} values", other.len()),
+        };
+        let texts = lists.iter().map(|list| list.map(|list| literal(&list)));
+        let texts = texts
+            .map(Option::transpose)
+            .collect::<Result<StringArray>>();
+        Ok(ColumnarValue::Array(Arc::new(texts?)))
+    }
+}
+
+fn literal(list: &ArrayRef) -> Result<String> {
+    let values = cast(list, &DataType::Utf8)?;
+    let values = values.as_string::<i32>().iter();
+    let elements: Vec<String> = values
+        .map(|value| value.map_or_else(|| "NULL".to_owned(), element))
+        .collect();
+    Ok(format!("{{{}}}", elements.join(",")))
+}
+
+/// An element, between quotes where it would be read as something else.
+fn element(value: &str) -> String {
+    let is_plain = |letter: char| !letter.is_whitespace() && !"{},\"\\".contains(letter);
+    if !value.is_empty() && !value.eq_ignore_ascii_case("null") && value.chars().all(is_plain) {
+        return value.to_owned();
+    }
+    let escaped = value.replace('\\', "\\\\").replace('"', "\\\"");
+    format!("\"{escaped}\"")
+}
+
+/// `st_asbinary(geometry)`: well-known binary, as maps hold it, and no geometry any more.
+#[derive(Debug, PartialEq, Eq, Hash)]
+pub struct AsBinary;
+
+impl OnTypes for AsBinary {
+    fn name(&self) -> &'static str {
+        "st_asbinary"
+    }
+
+    fn signature(&self) -> Signature {
+        Signature::variadic_any(Volatility::Immutable)
+    }
+
+    fn result(&self) -> DataType {
+        DataType::Binary
+    }
+
+    /// The order of bytes that may be asked for, `NDR`, is the one that there is.
+    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        let mut columns = ColumnarValue::values_to_arrays(&args.args)?;
+        if columns.is_empty() {
+            return exec_err!("expected a geometry, found nothing");
+        }
+        let geometries = cast(&columns.swap_remove(0), &DataType::Binary)?;
+        Ok(ColumnarValue::Array(geometries))
+    }
+}
+
 /// A function that says the same of everything: which version there is, or what all geometries are.
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub struct Constant {
@@ -161,5 +244,32 @@ impl OnTypes for Constant {
 
     fn answer(&self, _: ScalarFunctionArgs) -> Result<ColumnarValue> {
         Ok(ColumnarValue::Scalar(self.value.clone()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_are_written_as_arrays() {
+        let texts = StringArray::from(vec![
+            Some("car"),
+            None,
+            Some("a \"b\" \\"),
+            Some("Null"),
+            Some(""),
+        ]);
+        let numbers: ArrayRef = Arc::new(Int32Array::from(vec![Some(1), None, Some(-3)]));
+        for (list, expected) in [
+            (
+                Arc::new(texts) as ArrayRef,
+                r#"{car,NULL,"a \"b\" \\","Null",""}"#,
+            ),
+            (Arc::clone(&numbers), "{1,NULL,-3}"),
+            (numbers.slice(0, 0), "{}"),
+        ] {
+            assert_eq!(literal(&list).ok().as_deref(), Some(expected));
+        }
     }
 }

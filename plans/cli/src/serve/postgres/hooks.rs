@@ -23,10 +23,10 @@ use pgwire::api::results::{FieldFormat, QueryResponse, Response, Tag};
 use pgwire::error::{PgWireError, PgWireResult};
 use pgwire::types::format::FormatOptions;
 
-use crate::serve::postgres::catalog::{is_of_catalog, no_rows, without_lists};
+use crate::serve::postgres::catalog::{in_its_words, is_of_catalog, no_rows};
 use crate::serve::postgres::cursors::Cursors;
 use crate::serve::postgres::geometry::{as_extended, as_text, told};
-use crate::serve::postgres::nested::as_json;
+use crate::serve::postgres::nested::{as_json, as_texts};
 use crate::serve::postgres::postgis::with_views;
 use crate::serve::postgres::spatial::in_our_words;
 use crate::serve::postgres::{error, said};
@@ -169,7 +169,7 @@ pub(super) async fn reading(
     if !is_of_catalog(statement) {
         return planned(statement.clone(), context).await;
     }
-    let plan = planned(without_lists(statement.clone()), context).await;
+    let plan = planned(in_its_words(statement.clone()), context).await;
     let runs = |plan: LogicalPlan| {
         let made = context.state().optimize(&plan);
         made.map_or_else(|error| Err(said(&fault_of(&error))), |_| Ok(plan))
@@ -189,7 +189,7 @@ async fn planned(statement: Statement, context: &SessionContext) -> PgWireResult
         .with_allow_statements(false);
     let plan = plan.and_then(|plan| {
         allowed.verify_plan(&plan)?;
-        as_extended(as_json(plan)?)
+        as_extended(as_json(as_texts(plan)?)?)
     });
     plan.map_err(|error| said(&fault_of(&error)))
 }

@@ -22,10 +22,13 @@ use datafusion::prelude::SessionContext;
 use datafusion::scalar::ScalarValue;
 use datafusion::sql::sqlparser::ast::{ObjectNamePart, Statement, visit_relations_mut};
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::oid_field::{kind::REGPROC, oid_field};
+use evermap_schemas::{Layer, layers};
 use pgwire::api::Type;
 
 use crate::output::GEOMETRY;
-use crate::serve::postgres::functions::{Constant, FormatType, ToRegtype, register};
+use crate::serve::postgres::functions::{
+    ArrayOut, AsBinary, Constant, FormatType, ToRegtype, register,
+};
 use crate::serve::postgres::geometry::OID;
 
 const CATALOG: &str = "pg_catalog";
@@ -60,13 +63,21 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
     };
     catalog.register_schema(CATALOG, Arc::new(tables.clone()))?;
     // These ask the tables that were just put right.
-    let queries = [geometries(name), SYSTEMS.to_owned(), columns(name)];
+    let queries = [
+        geometries(name),
+        GEOGRAPHIES.to_owned(),
+        SYSTEMS.to_owned(),
+        columns(name),
+        keys(),
+    ];
     for (view, query) in VIEWS.into_iter().zip(queries) {
         let view_of = context.sql(&query).await?.into_view();
         tables.views.insert(view, view_of);
     }
     catalog.register_schema(CATALOG, Arc::new(tables))?;
     register(context, ToRegtype { numbers });
+    register(context, ArrayOut);
+    register(context, AsBinary);
     if let Ok(inner) = context.udf("format_type") {
         register(context, FormatType { inner });
     }
@@ -75,6 +86,14 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
         ("version", text(POSTGRES)),
         ("postgis_version", text(VERSION)),
         ("postgis_lib_version", text("3.4.0")),
+        // QGIS takes null for a PostGIS that cannot select by place.
+        (
+            "postgis_geos_version",
+            text("none, but relations of geometries"),
+        ),
+        ("postgis_proj_version", ScalarValue::Utf8(None)),
+        // As of a server that is there to be read.
+        ("pg_is_in_recovery", ScalarValue::Boolean(Some(true))),
         ("postgis_typmod_dims", ScalarValue::Int32(Some(DIMENSIONS))),
         ("postgis_typmod_srid", ScalarValue::Int32(Some(SYSTEM))),
         ("postgis_typmod_type", text("Geometry")),
@@ -85,18 +104,24 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
     Ok(())
 }
 
-/// What PostGIS adds to the tables: in which of them there are geometries, and which reference systems they have; and
-/// `information_schema.columns`, whose types DataFusion calls by Arrow's names.
-const VIEWS: [&str; 3] = ["geometry_columns", "spatial_ref_sys", "columns"];
+/// What PostGIS adds to the tables: in which of them there are geometries, and which reference systems they have;
+/// `information_schema.columns`, whose types DataFusion calls by Arrow's names; and the keys of layers.
+const VIEWS: [&str; 5] = [
+    "geometry_columns",
+    "geography_columns",
+    "spatial_ref_sys",
+    "columns",
+    "pg_index",
+];
 
-/// The statement with these views by their whole names: for the first two Postgres looks without being told where.
+/// The statement with these views by their whole names: for the first three Postgres looks without being told where.
 pub fn with_views(mut statement: Statement) -> Statement {
     let _ = visit_relations_mut(&mut statement, |name| {
         let parts: Vec<_> = name.0.iter().map(ObjectNamePart::to_string).collect();
         let catalog = ObjectNamePart::Identifier(CATALOG.into());
         match parts.iter().map(String::as_str).collect::<Vec<_>>()[..] {
-            [view] if VIEWS[..2].contains(&view) => name.0.insert(0, catalog),
-            [.., "information_schema", view] if view == VIEWS[2] => {
+            [view] if VIEWS[..3].contains(&view) => name.0.insert(0, catalog),
+            [.., "information_schema", view] if view == VIEWS[3] => {
                 let schema = name.0.len() - 2;
                 name.0[schema] = catalog;
             }
@@ -116,6 +141,48 @@ const SYSTEM: i32 = 0;
 /// No reference systems.
 const SYSTEMS: &str = "SELECT CAST(0 AS INT) AS srid, '' AS auth_name, CAST(0 AS INT) AS auth_srid, '' AS srtext, \
      '' AS proj4text WHERE false";
+
+/// No places by longitude and latitude.
+const GEOGRAPHIES: &str = "SELECT '' AS f_table_catalog, '' AS f_table_schema, '' AS f_table_name, '' AS f_geography_column, \
+     CAST(0 AS INT) AS coord_dimension, CAST(0 AS INT) AS srid, '' AS type WHERE false";
+
+/// How far the number of a key is from that of its table: no table has one so high.
+const FROM_TABLE_TO_KEY: i32 = 1 << 30;
+
+/// The keys of tables that have all the columns of a layer's key, as the indexes that Postgres makes for them.
+fn keys() -> String {
+    let columns = |layer: Layer| {
+        let number = layer.key.len();
+        let columns = layer.key.iter().enumerate();
+        let row = |(place, column): (usize, &&str)| {
+            format!("('{}', '{column}', {place}, {number})", layer.name)
+        };
+        columns.map(row).collect::<Vec<_>>()
+    };
+    let rows: Vec<String> = layers::all().into_iter().flat_map(columns).collect();
+    let flags = |names: &str, value: bool| {
+        let flags = names.split(' ').map(|name| format!("{value} AS {name}, "));
+        flags.collect::<String>()
+    };
+    let always = flags(
+        "indisunique indisprimary indimmediate indisvalid indisready indislive",
+        true,
+    );
+    let never = flags(
+        "indnullsnotdistinct indisexclusion indisclustered indcheckxmin indisreplident",
+        false,
+    );
+    format!(
+        "SELECT CAST(c.oid + {FROM_TABLE_TO_KEY} AS INT) AS indexrelid, c.oid AS indrelid, \
+         CAST(count(*) AS SMALLINT) AS indnatts, CAST(count(*) AS SMALLINT) AS indnkeyatts, {always}{never}\
+         array_agg(a.attnum ORDER BY k.place) AS indkey, '' AS indcollation, '' AS indclass, '' AS indoption, \
+         CAST(NULL AS TEXT) AS indexprs, CAST(NULL AS TEXT) AS indpred \
+         FROM pg_catalog.pg_class c JOIN pg_catalog.pg_attribute a ON a.attrelid = c.oid \
+         JOIN (VALUES {}) AS k(layer, name, place, number) ON k.layer = c.relname AND k.name = a.attname \
+         GROUP BY c.oid, k.number HAVING count(*) = k.number",
+        rows.join(", ")
+    )
+}
 
 /// The columns of all tables, as far as SQL's standard and Postgres agree on what is known of them here.
 fn columns(catalog: &str) -> String {

@@ -14,9 +14,10 @@ use crate::output::GEOMETRY;
 /// The statement in words that queries of maps have.
 ///
 /// - What is cast to a geometry is one: text is well-known text, and an empty one is null.
-/// - `ST_SetSRID` changes nothing, as there is no reference system.
+/// - `ST_SetSRID` changes nothing, as there is no reference system; nor does that of `ST_MakeEnvelope`.
 /// - `a && b` asks whether the rectangles of two geometries meet; `'BOX3D(…)'::box3d` is one.
 /// - `ST_Extent` is the rectangle of a whole layer, as the text `BOX(…)`.
+/// - `GeometryType` and `ST_Zmflag` are asked of our functions.
 pub fn in_our_words(mut statement: Statement) -> Statement {
     let _ = visit_expressions_mut(&mut statement, |found| {
         if let Some(same) = same(found) {
@@ -41,7 +42,17 @@ fn same(found: &Expr) -> Option<Expr> {
         }
         Expr::Function(call) => match call.name.to_string().to_lowercase().as_str() {
             "st_setsrid" => argument(call).cloned(),
+            "st_makeenvelope" => without_system(call),
             "st_extent" => extent(argument(call)?),
+            "geometrytype" => parsed(&format!(
+                "upper(replace(st_geometrytype({}), 'ST_', ''))",
+                argument(call)?
+            )),
+            "st_zmflag" => parsed(&format!(
+                "CASE WHEN st_astext({}) LIKE '% Z(%' THEN 2 ELSE 0 END",
+                argument(call)?
+            )),
+            "regclass" => number_of_table(argument(call)?),
             _ => None,
         },
         Expr::BinaryOp {
@@ -78,6 +89,29 @@ fn argument(call: &Function) -> Option<&Expr> {
         FunctionArg::Unnamed(FunctionArgExpr::Expr(first)) => Some(first),
         _ => None,
     }
+}
+
+/// A rectangle whose reference system is said.
+fn without_system(call: &Function) -> Option<Expr> {
+    let mut call = call.clone();
+    let FunctionArguments::List(list) = &mut call.args else {
+        return None;
+    };
+    if list.args.len() != 5 {
+        return None;
+    }
+    list.args.pop();
+    Some(Expr::Function(call))
+}
+
+/// The number of a table, by its name with or without a schema.
+fn number_of_table(name: &Expr) -> Option<Expr> {
+    let part = |number: i8| format!("replace(split_part({name}, '.', {number}), '\"', '')");
+    let (schema, table) = (part(1), part(-1));
+    parsed(&format!(
+        "(SELECT min(c.oid) FROM pg_catalog.pg_class c JOIN pg_catalog.pg_namespace n ON c.relnamespace = n.oid \
+         WHERE c.relname = {table} AND (strpos({name}, '.') = 0 OR n.nspname = {schema}))"
+    ))
 }
 
 fn geometry(of: &Expr) -> Expr {
@@ -129,6 +163,11 @@ mod tests {
                 "SELECT 1 FROM lanes WHERE \"geometry\" && ST_SetSRID('BOX3D(-1 -1e6, 50 2)'::box3d, -2)",
                 "SELECT 1 FROM lanes WHERE st_intersects(st_envelope(\"geometry\"), \
                  st_envelope(st_makeenvelope(-1.0, -1000000.0, 50.0, 2.0)))",
+            ),
+            (
+                "SELECT geometrytype(geometry) FROM lanes WHERE geometry && st_makeenvelope(1, 2, 3, 4, 0)",
+                "SELECT upper(replace(st_geometrytype(geometry), 'ST_', '')) FROM lanes WHERE \
+                 st_intersects(st_envelope(geometry), st_envelope(st_makeenvelope(1, 2, 3, 4)))",
             ),
             (
                 "SELECT 1 && 2, 'BOX(forged)'::box3d, x::text FROM t",
