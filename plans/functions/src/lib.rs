@@ -20,6 +20,7 @@ mod earth;
 mod function;
 mod geometries;
 mod graphs;
+mod guard;
 mod index;
 mod json;
 mod poses;
@@ -32,6 +33,7 @@ use datafusion::prelude::SessionContext;
 
 use crate::function::Function;
 
+pub use guard::is_guarded;
 pub use index::use_indexes;
 pub use json::{json_texts, to_json};
 

@@ -6,6 +6,7 @@
 //!          └─ what it finds that reaches new code
 //! ```
 
+mod geometries;
 mod logs;
 mod queries;
 
@@ -27,7 +28,7 @@ use serde_json::{Value, json};
 pub type Target = fn(&[u8]);
 
 /// All targets by name; each has a folder in `corpus` and a file in `guided/targets`.
-pub const TARGETS: [(&str, Target); 8] = [
+pub const TARGETS: [(&str, Target); 9] = [
     ("definitions", definitions),
     ("payloads", payloads),
     ("roles", roles),
@@ -36,6 +37,7 @@ pub const TARGETS: [(&str, Target); 8] = [
     ("summaries", logs::summaries),
     ("images", images),
     ("queries", queries::queries),
+    ("geometries", geometries::geometries),
 ];
 
 /// Encodings of messages and of their definitions, and a name that a definition may have.
@@ -149,15 +151,26 @@ fn roles(bytes: &[u8]) {
 /// Pixels of the largest image that is decoded: larger ones take time and show nothing else.
 const PIXELS: u64 = 1 << 16;
 
+/// Pixels of an image that is not too large.
+fn small(bytes: &[u8]) -> Option<u64> {
+    let [width, height] = image_size(bytes).ok()?;
+    let pixels = u64::from(width) * u64::from(height);
+    (pixels <= PIXELS).then_some(pixels)
+}
+
 /// Decodes an image in every way that there is.
 fn images(bytes: &[u8]) {
-    let Ok([width, height]) = image_size(bytes) else {
+    // Depth stands behind 12 bytes as well, and as floating-point numbers.
+    let behind = bytes.get(12..).and_then(small);
+    if (bytes.starts_with(b"Pf") || behind.is_some())
+        && let Ok(depth) = decode_depth(bytes)
+    {
+        let pixels = u64::from(depth.width) * u64::from(depth.height);
+        assert_eq!(depth.data.len() as u64, pixels);
+    }
+    let Some(pixels) = small(bytes) else {
         return;
     };
-    let pixels = u64::from(width) * u64::from(height);
-    if pixels > PIXELS {
-        return;
-    }
     let mut grey = Grey::default();
     if decode_grey(bytes, &mut grey).is_ok() {
         assert_eq!(

@@ -1,9 +1,9 @@
 #![doc = include_str!("box_hypotheses.md")]
 
-use evermap_algorithms::learning::calibration::Calibration;
 use evermap_algorithms::ground::boxes::mosaic::Mosaic;
 use evermap_algorithms::ground::boxes::teaching::{Candidates, Example, Hypothesis, Taught};
 use evermap_algorithms::ground::boxes::template::Template;
+use evermap_algorithms::learning::calibration::Calibration;
 use evermap_algorithms::learning::gaussian_process::LinearProcess;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
 use evermap_schemas::Wkb;

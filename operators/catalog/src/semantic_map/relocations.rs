@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use evermap_algorithms::learning::calibration::Calibration;
 use evermap_algorithms::semantic_map::relocation::{
     ClassIndex, Hit, Query, ViewMap, are_apart, distinctness,
 };
-use evermap_algorithms::learning::calibration::Calibration;
 use evermap_algorithms::semantic_map::semantic_graph::{Graph, VOID};
 use evermap_contract::{Fault, Operator, Port, Reason, Sides, Work};
 use evermap_schemas::layers::{Relocation, RelocationCalibration, View};
@@ -58,7 +58,12 @@ impl Operator for Relocations {
         let views = Port::session::<View>("views");
         let map = Port::site::<View>("map");
         let calibrations = Port::site::<RelocationCalibration>("calibrations").optional();
-        Work::each_row(views, vec![map, calibrations], Place::new, Place::relocations)
+        Work::each_row(
+            views,
+            vec![map, calibrations],
+            Place::new,
+            Place::relocations,
+        )
     }
 }
 
@@ -113,9 +118,7 @@ impl Place {
         let ignored = options.ignored.clone();
         let map = ViewMap::new(graphs.iter(), options);
         let index = params.use_index.then(|| {
-            graphs
-                .iter_mut()
-                .for_each(|graph| forget(graph, &ignored));
+            graphs.iter_mut().for_each(|graph| forget(graph, &ignored));
             ClassIndex::new(graphs.iter(), classes.len())
         });
         Ok(Self {

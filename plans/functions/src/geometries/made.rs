@@ -10,8 +10,9 @@ use geo::{
 };
 
 use crate::function::{Argument, Declaration, Kind};
-use crate::geometries::shapes::{Shape, get, pair};
+use crate::geometries::shapes::{Shape, get, is_within_reach, pair};
 use crate::geometries::{A, B, GEOMETRY, Geometries, made_of};
+use crate::guard::guarded;
 
 const DISTANCE: Argument = (
     "distance",
@@ -157,8 +158,9 @@ fn polygons(found: &MultiPolygon) -> Geometry {
 
 fn each(columns: &[ArrayRef], make: fn(&Shape) -> Option<Geometry>) -> Result<ArrayRef> {
     let geometries = Geometries::of(columns, 0)?;
-    made_of(geometries.0.len(), |row| {
-        Ok(get(&geometries, row)?.as_ref().and_then(make))
+    made_of(geometries.0.len(), |row| match get(&geometries, row)? {
+        Some(shape) => guarded(|| make(&shape)),
+        None => Ok(None),
     })
 }
 
@@ -194,8 +196,8 @@ fn buffers(columns: &[ArrayRef]) -> Result<ArrayRef> {
         let Some((shape, distance)) = get(&geometries, row)?.zip(distance) else {
             return Ok(None);
         };
-        match distance.is_finite() {
-            true => Ok(Some(polygons(&shape.buffer(distance)))),
+        match is_within_reach(distance) {
+            true => guarded(|| Some(polygons(&shape.buffer(distance)))),
             false => Err(DataFusionError::Execution(format!(
                 "expected a finite distance, found {distance}"
             ))),
@@ -212,7 +214,8 @@ fn both(
         let Some([a, b]) = pair(columns, row)? else {
             return Ok(None);
         };
-        Ok(Some(polygons(&make(&areas(&a)?, &areas(&b)?))))
+        let (a, b) = (areas(&a)?, areas(&b)?);
+        guarded(|| Some(polygons(&make(&a, &b))))
     })
 }
 

@@ -14,6 +14,7 @@ use geo::{
 
 use crate::function::numbers;
 use crate::geometries::Geometries;
+use crate::guard::guarded;
 
 /// A geometry from above.
 pub(super) type Shape = geo::Geometry<f64>;
@@ -45,12 +46,21 @@ fn shape(geometry: &Geometry) -> Shape {
     }
 }
 
-fn finite_shape(geometry: &Geometry) -> Result<Shape> {
+/// Farther from the origin nothing lies, m: products of such numbers are still exact enough to tell sides.
+const FAR_M: f64 = 1e12;
+
+/// Whether it can be computed with.
+pub(super) fn is_within_reach(metres: f64) -> bool {
+    metres.abs() <= FAR_M
+}
+
+fn shape_within_reach(geometry: &Geometry) -> Result<Shape> {
     let mut points = geometry.paths().into_iter().flatten();
-    match points.find(|point| !(point.x.is_finite() && point.y.is_finite())) {
+    let is_far = |point: &&Position| !(is_within_reach(point.x) && is_within_reach(point.y));
+    match points.find(is_far) {
         None => Ok(shape(geometry)),
         Some(point) => Err(DataFusionError::Execution(format!(
-            "expected a geometry of finite numbers, found a point at {}, {}",
+            "expected a geometry of finite numbers, of at most {FAR_M:e}, found a point at {}, {}",
             point.x, point.y
         ))),
     }
@@ -58,14 +68,15 @@ fn finite_shape(geometry: &Geometry) -> Result<Shape> {
 
 pub(super) fn get(geometries: &Geometries<'_>, row: usize) -> Result<Option<Shape>> {
     let geometry = geometries.get(row)?;
-    geometry.as_ref().map(finite_shape).transpose()
+    geometry.as_ref().map(shape_within_reach).transpose()
 }
 
 /// A number of each geometry.
 pub(super) fn each(columns: &[ArrayRef], of: fn(&Shape) -> f64) -> Result<ArrayRef> {
     let geometries = Geometries::of(columns, 0)?;
     numbers(geometries.0.len(), |row| {
-        Ok(get(&geometries, row)?.as_ref().map(of))
+        let shape = get(&geometries, row)?;
+        shape.map(|shape| guarded(|| of(&shape))).transpose()
     })
 }
 
@@ -93,7 +104,8 @@ pub(super) fn distances(columns: &[ArrayRef]) -> Result<ArrayRef> {
     numbers(rows, |row| {
         let pair = pair(columns, row)?;
         let whole = pair.filter(|pair| pair.iter().all(|shape| shape.coords_count() > 0));
-        Ok(whole.map(|[a, b]| Euclidean.distance(&a, &b)))
+        let distance = whole.map(|[a, b]| guarded(|| Euclidean.distance(&a, &b)));
+        distance.transpose()
     })
 }
 
@@ -112,7 +124,10 @@ pub(super) fn relation(
     holds: fn(&Shape, &Shape) -> bool,
 ) -> Result<ArrayRef> {
     let rows = columns.first().map_or(0, |column| column.len());
-    let row = |row| Ok(pair(columns, row)?.map(|[a, b]| holds(&a, &b)));
+    let row = |row| {
+        let pair = pair(columns, row)?;
+        pair.map(|[a, b]| guarded(|| holds(&a, &b))).transpose()
+    };
     let found = (0..rows).map(row).collect::<Result<BooleanArray>>()?;
     Ok(Arc::new(found))
 }
