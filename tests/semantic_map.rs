@@ -111,7 +111,7 @@ fn a_street_answers_what_is_asked_of_it() {
 fn relocated_m(map: &Path, world: &Path) -> Vec<f64> {
     let places = |visit: &str| truth(&world.join(format!("{visit}/trajectory.tum")));
     let (here, there) = (places("visit_b"), places("visit_a"));
-    let query = "SELECT CAST(stamp AS BIGINT) AS at, CAST(map_stamp AS BIGINT) AS map_at FROM relocations WHERE rank = 0";
+    let query = "SELECT CAST(stamp AS BIGINT) AS at, CAST(map_stamp AS BIGINT) AS map_at FROM relocations WHERE rank = 0 ORDER BY stamp";
     let place = |places: &[evermap_algorithms::geometry::trajectory::StampedPose], at: &Value| {
         let found = places
             .iter()

@@ -104,9 +104,11 @@ fn another_visit_is_seldom_wrong_when_it_is_sure() {
             let allowed = |view: u32| mapped || apart(&at, view);
             let hit = views.search(&query, 1, allowed)[0];
             let there = &places[hit.view as usize];
-            let other = views.search(&query, 1, |view| allowed(view) && apart(there, view));
+            let elsewhere = |view: u32| allowed(view) && apart(there, view);
+            let best = |allowed: &dyn Fn(u32) -> bool| views.search(&query, 1, allowed);
+            let distinctness = distinctness(&hit, 0..views.len() as u32, elsewhere, best).unwrap();
             let right = (at - there).norm() <= options.within_m;
-            (curve.probability(distinctness(&hit, other.first())), right)
+            (curve.probability(distinctness), right)
         };
         let answers: Vec<(f64, bool)> = queries
             .par_iter()

@@ -167,11 +167,9 @@ impl Place {
             of_drive(&self.views[other as usize])
                 && there.is_some_and(|there| are_apart(&here, &there, worth.within_m))
         };
-        if !(0..self.views.len() as u32).any(is_elsewhere) {
-            return None;
-        }
-        let elsewhere = self.best(graph, asked, 1, is_elsewhere);
-        let distinctness = distinctness(hit, elsewhere.first());
+        let views = 0..self.views.len() as u32;
+        let best = |allowed: &dyn Fn(u32) -> bool| self.best(graph, asked, 1, allowed);
+        let distinctness = distinctness(hit, views, is_elsewhere, best)?;
         Some(worth.calibration.probability(distinctness))
     }
 

@@ -10,7 +10,7 @@ use geo::{
 };
 
 use crate::function::{Argument, Declaration, Kind};
-use crate::geometries::shapes::{Shape, get, is_within_reach, pair};
+use crate::geometries::shapes::{FAR_M, Shape, get, is_within_reach, pair};
 use crate::geometries::{A, B, GEOMETRY, Geometries, made_of};
 use crate::guard::guarded;
 
@@ -199,7 +199,7 @@ fn buffers(columns: &[ArrayRef]) -> Result<ArrayRef> {
         match is_within_reach(distance) {
             true => guarded(|| Some(polygons(&shape.buffer(distance)))),
             false => Err(DataFusionError::Execution(format!(
-                "expected a finite distance, found {distance}"
+                "expected a distance of at most {FAR_M:e} m, found {distance}"
             ))),
         }
     })

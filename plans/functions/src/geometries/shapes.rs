@@ -47,7 +47,7 @@ fn shape(geometry: &Geometry) -> Shape {
 }
 
 /// Farther from the origin nothing lies, m: products of such numbers are still exact enough to tell sides.
-const FAR_M: f64 = 1e12;
+pub(super) const FAR_M: f64 = 1e12;
 
 /// Whether it can be computed with.
 pub(super) fn is_within_reach(metres: f64) -> bool {

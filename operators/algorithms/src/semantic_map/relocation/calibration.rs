@@ -5,6 +5,8 @@
 //! another visit was. Two views of another drive differ more than two of one, so that what is learnt here errs on the side of
 //! doubt.
 
+use std::ops::Range;
+
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -52,15 +54,24 @@ pub struct SelfSearch {
     pub calibration: Option<Calibration>,
 }
 
-/// By how much a hit is better than the best view of another place, as a share of its score: 0 when it is no better, 1 when
-/// no other is alike. Not known where there is no other place.
-pub fn distinctness(hit: &Hit, elsewhere: Option<&Hit>) -> f64 {
-    let other = elsewhere.map_or(0.0, |elsewhere| elsewhere.score);
-    if hit.score > 0.0 {
+/// By how much a hit is better than the best of the views of other places, as a share of its score: 0 when it is no better, 1
+/// when no other is alike. `best` finds it among those that it is allowed; `None` where there is no other place.
+pub fn distinctness(
+    hit: &Hit,
+    mut views: Range<u32>,
+    is_elsewhere: impl Fn(u32) -> bool,
+    best: impl FnOnce(&dyn Fn(u32) -> bool) -> Vec<Hit>,
+) -> Option<f64> {
+    if !views.any(&is_elsewhere) {
+        return None;
+    }
+    let elsewhere = best(&is_elsewhere);
+    let other = elsewhere.first().map_or(0.0, |other| other.score);
+    Some(if hit.score > 0.0 {
         1.0 - other / hit.score
     } else {
         0.0
-    }
+    })
 }
 
 /// Whether two views show different places: those taken farther apart than twice `within_m`.
@@ -91,30 +102,20 @@ pub fn self_search(
     let answers: Vec<[Option<Answer>; 2]> = answers
         .map(|query| lesson.answers(*query, &map.query(&graphs[*query as usize])))
         .collect();
-    let right = answers
+    let found = answers
         .iter()
-        .filter(|[with, _]| with.is_some_and(|with| with.right));
+        .filter(|[with, _]| with.is_some_and(|(_, right)| right));
+    let known: Vec<Answer> = answers.iter().flatten().flatten().copied().collect();
     let queries = answers.len();
     (queries > 0).then(|| SelfSearch {
         queries: queries as u32,
-        recall: right.count() as f64 / queries as f64,
-        calibration: Calibration::learn(
-            &answers
-                .iter()
-                .flatten()
-                .flatten()
-                .map(|answer| (answer.distinctness, answer.right))
-                .collect::<Vec<_>>(),
-        ),
+        recall: found.count() as f64 / queries as f64,
+        calibration: Calibration::learn(&known),
     })
 }
 
-/// What was found.
-#[derive(Clone, Copy)]
-struct Answer {
-    distinctness: f64,
-    right: bool,
-}
+/// How distinct what was found is, and whether it is right.
+type Answer = (f64, bool);
 
 struct Lesson<'a> {
     map: &'a ViewMap,
@@ -155,14 +156,11 @@ impl Lesson<'_> {
     fn answer(&self, query: u32, asked: &Query, allowed: &dyn Fn(u32) -> bool) -> Option<Answer> {
         let hits = self.map.search(asked, 1, allowed);
         let hit = hits.first()?;
-        let other = |view: u32| allowed(view) && self.are_apart(hit.view, view);
-        if !(0..self.positions.len() as u32).any(other) {
-            return None;
-        }
-        let elsewhere = self.map.search(asked, 1, other);
-        Some(Answer {
-            distinctness: distinctness(hit, elsewhere.first()),
-            right: self.apart_m(query, hit.view) <= self.options.within_m,
-        })
+        let is_elsewhere = |view: u32| allowed(view) && self.are_apart(hit.view, view);
+        let views = 0..self.positions.len() as u32;
+        let best = |allowed: &dyn Fn(u32) -> bool| self.map.search(asked, 1, allowed);
+        let distinctness = distinctness(hit, views, is_elsewhere, best)?;
+        let right = self.apart_m(query, hit.view) <= self.options.within_m;
+        Some((distinctness, right))
     }
 }

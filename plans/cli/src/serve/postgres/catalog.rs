@@ -45,7 +45,7 @@ const LISTS: [&str; 5] = ["datacl", "nspacl", "relacl", "reloptions", "typacl"];
 /// Columns with the numbers of the columns that a constraint is of, of which there are none.
 const CONSTRAINTS: [&str; 2] = ["confkey", "conkey"];
 
-/// And that of an index, which has no places to be counted from 0.
+/// They and that of an index, of which clients ask for one by its place: counted from 0, as lists here are not.
 const KEYS: [&str; 3] = ["confkey", "conkey", "indkey"];
 
 /// Functions of Postgres on what a map has none of: their answer is null.
