@@ -56,7 +56,7 @@ impl KannalaBrandt {
     }
 
     pub(super) fn project(&self, point: &Vector3<f64>) -> Option<[f64; 2]> {
-        let across = point.x.hypot(point.y);
+        let across = (point.x * point.x + point.y * point.y).sqrt();
         let theta = across.atan2(point.z);
         if theta > self.max_theta {
             return None;

@@ -13,11 +13,12 @@ const STEPS: usize = 120;
 pub(super) fn roots(c: &[f64; MAX_DEGREE + 1], low: f64, high: f64) -> Roots {
     let mut found = Roots::default();
     for order in (0..MAX_DEGREE).rev() {
-        let polynomial = derivative(c, order);
+        let derivative = derivative(c, order);
+        let polynomial = &derivative[..=MAX_DEGREE - order];
         let mut next = Roots::default();
         let mut from = low;
         for &to in found.as_slice().iter().chain([&high]) {
-            if let Some(root) = bracketed(&polynomial, from, to) {
+            if let Some(root) = bracketed(polynomial, from, to) {
                 next.push(root);
             }
             from = to;
@@ -58,7 +59,7 @@ fn derivative(c: &[f64; MAX_DEGREE + 1], order: usize) -> [f64; MAX_DEGREE + 1] 
 }
 
 /// Value and slope.
-fn value(c: &[f64; MAX_DEGREE + 1], x: f64) -> (f64, f64) {
+fn value(c: &[f64], x: f64) -> (f64, f64) {
     let start = (0.0, 0.0);
     c.iter().rev().fold(start, |(value, slope), coefficient| {
         (value * x + coefficient, slope * x + value)
@@ -67,7 +68,7 @@ fn value(c: &[f64; MAX_DEGREE + 1], x: f64) -> (f64, f64) {
 
 /// The root between two places of different sign: Newton's steps where they stay inside and shrink the bracket,
 /// halving otherwise.
-fn bracketed(c: &[f64; MAX_DEGREE + 1], mut low: f64, mut high: f64) -> Option<f64> {
+fn bracketed(c: &[f64], mut low: f64, mut high: f64) -> Option<f64> {
     let (at_low, at_high) = (value(c, low).0, value(c, high).0);
     if at_low == 0.0 {
         return Some(low);

@@ -55,12 +55,10 @@ pub fn describe(
     })
 }
 
-fn rms_px(sights: &[Sight<'_>], point: &Vector3<f64>) -> f64 {
-    let squares = sights.iter().filter_map(|sight| {
-        let angles = sight.residual_rad(point)?;
-        Some(angles.norm_squared() * sight.px_per_rad * sight.px_per_rad)
-    });
-    (squares.sum::<f64>() / sights.len().max(1) as f64).sqrt()
+fn rms_px(sights: &[Sight], point: &Vector3<f64>) -> f64 {
+    let offsets = sights.iter().filter_map(|sight| sight.off_px(point));
+    let squares: f64 = offsets.map(|off_px| off_px * off_px).sum();
+    (squares / sights.len().max(1) as f64).sqrt()
 }
 
 #[cfg(test)]

@@ -138,7 +138,10 @@ impl<'a> Groups<'a> {
             .filter_map(|feature| self.scene.sight(&self.cameras, *feature))
             .collect();
         let found = triangulate(&sights)?;
-        let near = |sight: &&Sight| sight.off_px(&found.point) <= self.explained_px;
+        let near = |sight: &&Sight| {
+            let off_px = sight.off_px(&found.point);
+            off_px.is_some_and(|off_px| off_px <= self.explained_px)
+        };
         let explained = sights.iter().filter(near).count();
         (explained as f64 >= LEAST_EXPLAINED * features.len() as f64).then_some(Landmark {
             id,

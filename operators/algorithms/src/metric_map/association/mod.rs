@@ -37,7 +37,7 @@ mod search;
 pub use appearance::{Appearance, appearances, mean_direction, sightings};
 pub use description::{Description, describe};
 pub use merge::associate;
-pub use point::{LandmarkPoint, Sight, ray_residual_rad, triangulate};
+pub use point::{LandmarkPoint, Sight, triangulate};
 pub use scene::{FeatureRef, Scene, SceneFeature, SceneImage, SceneKeyframe};
 pub use search::Hit;
 

@@ -8,25 +8,85 @@ use crate::geometry::pose::Pose;
 const STEPS: usize = 8;
 /// Residuals beyond this many times their sigma count less (Cauchy).
 const ROBUST_SIGMAS: f64 = 2.0;
+/// Nearer points (m) have no direction.
+const NEAREST_M: f64 = 1e-9;
+
+/// Where a camera is, and along which ray it sees something: in any frame.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct LineOfSight {
+    camera: Vector3<f64>,
+    /// Unit vector.
+    ray: Vector3<f64>,
+    /// Rows: two unit vectors across the ray and each other.
+    across: Matrix2x3<f64>,
+}
+
+/// How a line of sight sees a point that it should meet.
+pub(super) struct Miss {
+    /// Across the ray, radians (exact for small angles).
+    pub(super) angles: Vector2<f64>,
+    /// Of the angles by the point, radians per metre.
+    pub(super) by_point: Matrix2x3<f64>,
+}
+
+impl LineOfSight {
+    /// `ray` is a unit vector in the optical frame.
+    pub(super) fn new(frame_from_camera: &Pose, ray: &Vector3<f64>) -> Self {
+        let ray = frame_from_camera.rotation * ray;
+        Self {
+            camera: frame_from_camera.translation,
+            ray,
+            across: across(&ray),
+        }
+    }
+
+    /// How far off the ray a point is, as two angles (radians); `None` for a point at the camera or behind it.
+    pub(super) fn angles(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+        let (direction, _) = self.direction(point)?;
+        Some(self.across * direction)
+    }
+
+    /// The same with its derivative.
+    pub(super) fn miss(&self, point: &Vector3<f64>) -> Option<Miss> {
+        let (direction, range_m) = self.direction(point)?;
+        let angles = self.across * direction;
+        Some(Miss {
+            angles,
+            by_point: (self.across - angles * direction.transpose()) / range_m,
+        })
+    }
+
+    /// Unit vector to a point, and how far it is.
+    fn direction(&self, point: &Vector3<f64>) -> Option<(Vector3<f64>, f64)> {
+        let away = point - self.camera;
+        let range_m = away.norm();
+        (range_m > NEAREST_M && self.ray.dot(&away) > 0.0).then(|| (away / range_m, range_m))
+    }
+}
 
 /// A sighting: where the camera was, along which ray it saw the point, and how exactly.
 #[derive(Debug, Clone, Copy)]
-pub struct Sight<'a> {
-    /// The camera that saw it.
-    pub map_from_camera: &'a Pose,
-    /// Unit vector in the optical frame.
-    pub ray: Vector3<f64>,
+pub struct Sight {
+    line: LineOfSight,
     /// Standard deviation of the ray, radians.
     pub sigma_rad: f64,
     /// Pixels per radian at the middle of the image.
     pub px_per_rad: f64,
 }
 
-impl Sight<'_> {
-    /// How far off the ray a point of the map is, as two angles (radians); `None` for a point at the camera or behind.
-    pub fn residual_rad(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
-        let in_camera = self.map_from_camera.inverse().transform(point);
-        ray_residual_rad(&self.ray, &in_camera)
+impl Sight {
+    /// By a camera that stood at `map_from_camera`, along a unit vector in its optical frame.
+    pub fn new(
+        map_from_camera: &Pose,
+        ray: &Vector3<f64>,
+        sigma_rad: f64,
+        px_per_rad: f64,
+    ) -> Self {
+        Self {
+            line: LineOfSight::new(map_from_camera, ray),
+            sigma_rad,
+            px_per_rad,
+        }
     }
 
     /// How inexactly the point is seen, in units of the smallest features' standard deviation.
@@ -34,10 +94,11 @@ impl Sight<'_> {
         self.sigma_rad * self.px_per_rad
     }
 
-    /// The same as one distance, pixels at the middle of the image; infinite where there are no angles.
-    pub fn off_px(&self, point: &Vector3<f64>) -> f64 {
-        let angles = self.residual_rad(point);
-        angles.map_or(f64::INFINITY, |angles| angles.norm() * self.px_per_rad)
+    /// How far off the ray a point of the map is, pixels at the middle of the image; `None` for a point at the camera or
+    /// behind it.
+    pub fn off_px(&self, point: &Vector3<f64>) -> Option<f64> {
+        let angles = self.line.angles(point)?;
+        Some(angles.norm() * self.px_per_rad)
     }
 }
 
@@ -63,16 +124,8 @@ impl LandmarkPoint {
     }
 }
 
-/// How far off the ray a point of the optical frame is, as two angles (radians, exact for small ones) across the
-/// ray; `None` for a point at the camera or behind the ray.
-pub fn ray_residual_rad(ray: &Vector3<f64>, point: &Vector3<f64>) -> Option<Vector2<f64>> {
-    let range = point.norm();
-    let towards = ray.dot(point);
-    (range > 1e-9 && towards > 0.0).then(|| across(ray) * point / range)
-}
-
 /// Two unit vectors across a ray.
-pub(super) fn across(ray: &Vector3<f64>) -> Matrix2x3<f64> {
+fn across(ray: &Vector3<f64>) -> Matrix2x3<f64> {
     // The axis that is least along the ray keeps the cross product away from zero.
     let axis = match ray.iamin() {
         0 => Vector3::x(),
@@ -86,7 +139,7 @@ pub(super) fn across(ray: &Vector3<f64>) -> Matrix2x3<f64> {
 
 /// The point that minimises the robust sum of squared angles to the rays: from the point nearest to all rays, by
 /// Gauss–Newton. `None` for fewer than two rays, rays that are parallel, and points behind a camera.
-pub fn triangulate(sights: &[Sight<'_>]) -> Option<LandmarkPoint> {
+pub fn triangulate(sights: &[Sight]) -> Option<LandmarkPoint> {
     if sights.len() < 2 {
         return None;
     }
@@ -111,53 +164,46 @@ pub fn triangulate(sights: &[Sight<'_>]) -> Option<LandmarkPoint> {
 
 /// Of the robust sum, at a point; `None` where most cameras look away from it.
 fn normal_equations(
-    sights: &[Sight<'_>],
+    sights: &[Sight],
     point: &Vector3<f64>,
 ) -> Option<(Matrix3<f64>, Vector3<f64>)> {
     let mut information = Matrix3::zeros();
     let mut gradient = Vector3::zeros();
     let mut behind = 0;
     for sight in sights {
-        let camera_from_map = sight.map_from_camera.rotation.inverse();
-        let in_camera = camera_from_map * (point - sight.map_from_camera.translation);
-        let Some(residual) = ray_residual_rad(&sight.ray, &in_camera) else {
+        let Some(Miss { angles, by_point }) = sight.line.miss(point) else {
             behind += 1;
             continue;
         };
-        let range = in_camera.norm();
-        let direction = in_camera / range;
-        let by_point = across(&sight.ray)
-            * (Matrix3::identity() - direction * direction.transpose())
-            * camera_from_map.to_rotation_matrix().matrix()
-            / range;
-        let sigmas = residual.norm_squared() / (sight.sigma_rad * sight.sigma_rad);
-        let robust = 1.0 / (1.0 + sigmas / (ROBUST_SIGMAS * ROBUST_SIGMAS));
-        let weight = robust / (sight.sigma_rad * sight.sigma_rad);
+        let variance = sight.sigma_rad * sight.sigma_rad;
+        let robust =
+            1.0 / (1.0 + angles.norm_squared() / (variance * ROBUST_SIGMAS * ROBUST_SIGMAS));
+        let weight = robust / variance;
         information += by_point.transpose() * by_point * weight;
-        gradient += by_point.transpose() * residual * weight;
+        gradient += by_point.transpose() * angles * weight;
     }
     (2 * behind < sights.len()).then_some((information, gradient))
 }
 
 /// The point with the least sum of squared distances to all rays, in closed form.
-fn nearest_to_rays(sights: &[Sight<'_>]) -> Option<Vector3<f64>> {
+fn nearest_to_rays(sights: &[Sight]) -> Option<Vector3<f64>> {
     let mut sum = Matrix3::zeros();
     let mut right = Vector3::zeros();
     for sight in sights {
-        let ray = sight.map_from_camera.rotation * sight.ray;
+        let LineOfSight { camera, ray, .. } = sight.line;
         let off = Matrix3::identity() - ray * ray.transpose();
         sum += off;
-        right += off * sight.map_from_camera.translation;
+        right += off * camera;
     }
     sum.cholesky().map(|factors| factors.solve(&right))
 }
 
 /// Largest angle between two of the directions from a point, from the direction most off the first one: exact for
 /// two, and never less than half for more.
-fn parallax_rad(sights: &[Sight<'_>], point: &Vector3<f64>) -> f64 {
+fn parallax_rad(sights: &[Sight], point: &Vector3<f64>) -> f64 {
     let directions: Vec<Vector3<f64>> = sights
         .iter()
-        .map(|sight| sight.map_from_camera.translation - point)
+        .map(|sight| sight.line.camera - point)
         .collect();
     let farthest = |from: &Vector3<f64>| {
         let angles = directions.iter().map(|to| (from.angle(to), to));
@@ -188,11 +234,9 @@ mod tests {
                 .collect();
             let sights: Vec<Sight> = poses
                 .iter()
-                .map(|pose| Sight {
-                    map_from_camera: pose,
-                    ray: pose.inverse().transform(&point).normalize(),
-                    sigma_rad: 0.005,
-                px_per_rad: 127.0,
+                .map(|pose| {
+                    let ray = pose.inverse().transform(&point).normalize();
+                    Sight::new(pose, &ray, 0.005, 127.0)
                 })
                 .collect();
             prop_assume!(parallax_rad(&sights, &point) > 0.02);
@@ -205,12 +249,7 @@ mod tests {
     #[test]
     fn one_ray_or_parallel_rays_give_nothing() {
         let poses = [Pose::identity(), Pose::from_yaw(1.0, 0.0, 0.0)];
-        let sight = |pose| Sight {
-            map_from_camera: pose,
-            ray: Vector3::z(),
-            sigma_rad: 0.01,
-            px_per_rad: 127.0,
-        };
+        let sight = |pose| Sight::new(pose, &Vector3::z(), 0.01, 127.0);
         assert!(triangulate(&[sight(&poses[0])]).is_none());
         assert!(triangulate(&[sight(&poses[0]), sight(&poses[1])]).is_none());
     }
@@ -221,16 +260,13 @@ mod tests {
         let poses: Vec<Pose> = (0..10)
             .map(|at| Pose::from_yaw(f64::from(at) * 0.3, 0.0, 0.0))
             .collect();
-        let mut sights: Vec<Sight> = poses
-            .iter()
-            .map(|pose| Sight {
-                map_from_camera: pose,
-                ray: pose.inverse().transform(&point).normalize(),
-                sigma_rad: 0.005,
-                px_per_rad: 127.0,
-            })
-            .collect();
-        sights[3].ray = (sights[3].ray + Vector3::new(0.1, 0.0, 0.0)).normalize();
+        let wrong = Vector3::new(0.1, 0.0, 0.0);
+        let sights = poses.iter().enumerate().map(|(at, pose)| {
+            let off = if at == 3 { wrong } else { Vector3::zeros() };
+            let ray = (pose.inverse().transform(&point).normalize() + off).normalize();
+            Sight::new(pose, &ray, 0.005, 127.0)
+        });
+        let sights: Vec<Sight> = sights.collect();
         let found = triangulate(&sights).unwrap();
         assert!((found.point - point).norm() < 0.02, "{found:?}");
     }

@@ -1,8 +1,8 @@
 //! The one small rigid motion of a keyframe that most of its hits agree on.
 
-use nalgebra::{Matrix2x6, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Matrix2x6, Matrix6, UnitQuaternion, Vector3, Vector6};
 
-use super::point::{across, ray_residual_rad};
+use super::point::{LineOfSight, Miss};
 use crate::geometry::pose::Pose;
 
 /// Steps; the first ones mostly decide which hits count.
@@ -13,10 +13,8 @@ const MOTION_SIGMA: [f64; 2] = [0.5, 0.05];
 
 /// What a camera of the vehicle saw of a point of the map.
 pub(super) struct Resighting {
-    /// The camera on the vehicle.
-    pub(super) vehicle_from_camera: Pose,
-    /// Unit vector in the optical frame.
-    pub(super) ray: Vector3<f64>,
+    /// The ray, in the vehicle's frame.
+    pub(super) line: LineOfSight,
     /// The point, metres in the map.
     pub(super) point: Vector3<f64>,
     /// Scales the residual, pixels per radian.
@@ -24,29 +22,20 @@ pub(super) struct Resighting {
 }
 
 impl Resighting {
-    /// Distance between ray and point, pixels at the middle of the image; infinite behind the ray.
-    pub(super) fn residual_px(&self, map_from_vehicle: &Pose) -> f64 {
-        let in_vehicle = map_from_vehicle.inverse().transform(&self.point);
-        let in_camera = self.vehicle_from_camera.inverse().transform(&in_vehicle);
-        ray_residual_rad(&self.ray, &in_camera)
-            .map_or(f64::INFINITY, |angles| angles.norm() * self.px_per_rad)
+    /// Distance between ray and point, pixels at the middle of the image; `None` behind the camera.
+    pub(super) fn residual_px(&self, vehicle_from_map: &Pose) -> Option<f64> {
+        let angles = self.line.angles(&vehicle_from_map.transform(&self.point))?;
+        Some(angles.norm() * self.px_per_rad)
     }
 
     /// Adds to the normal equations of a motion of the vehicle `[translation, rotation]` in its own frame.
-    fn add(&self, pose: &Pose, scale_px: f64, sums: &mut (Matrix6<f64>, Vector6<f64>)) {
-        let in_vehicle = pose.inverse().transform(&self.point);
-        let camera_from_vehicle = self.vehicle_from_camera.inverse();
-        let in_camera = camera_from_vehicle.transform(&in_vehicle);
-        let Some(angles) = ray_residual_rad(&self.ray, &in_camera) else {
+    fn add(&self, vehicle_from_map: &Pose, scale_px: f64, sums: &mut (Matrix6<f64>, Vector6<f64>)) {
+        let in_vehicle = vehicle_from_map.transform(&self.point);
+        let Some(Miss { angles, by_point }) = self.line.miss(&in_vehicle) else {
             return;
         };
         let residual = angles * self.px_per_rad;
-        let range = in_camera.norm();
-        let direction = in_camera / range;
-        let by_point = across(&self.ray)
-            * (Matrix3::identity() - direction * direction.transpose())
-            * camera_from_vehicle.rotation.to_rotation_matrix().matrix()
-            * (self.px_per_rad / range);
+        let by_point = by_point * self.px_per_rad;
         let mut by_motion = Matrix2x6::zeros();
         by_motion.fixed_view_mut::<2, 3>(0, 0).copy_from(&-by_point);
         by_motion
@@ -72,8 +61,9 @@ pub(super) fn agreed_pose(
         let along = (step as f64 / (STEPS - 2) as f64).min(1.0);
         let scale_px = from_px.max(to_px) * (to_px / from_px.max(to_px)).powf(along);
         let mut sums = (prior(), Vector6::zeros());
+        let vehicle_from_map = pose.inverse();
         for resighting in resightings {
-            resighting.add(&pose, scale_px, &mut sums);
+            resighting.add(&vehicle_from_map, scale_px, &mut sums);
         }
         let Some(factors) = sums.0.cholesky() else {
             break;
@@ -133,9 +123,9 @@ mod tests {
                 let camera = mounts[at % 2];
                 let seen = truth.compose(&camera).inverse().transform(&point);
                 let off = if wrong(at) { 0.08 } else { 0.0 };
+                let ray = (seen.normalize() + Vector3::new(off, -off, off)).normalize();
                 Resighting {
-                    vehicle_from_camera: camera,
-                    ray: (seen.normalize() + Vector3::new(off, -off, off)).normalize(),
+                    line: LineOfSight::new(&camera, &ray),
                     point,
                     px_per_rad: 127.0,
                 }
@@ -157,10 +147,12 @@ mod tests {
             found.rotation.angle_to(&truth.rotation) < 0.004,
             "{found:?}"
         );
-        let agree = seen
-            .iter()
-            .enumerate()
-            .filter(|(at, seen)| (seen.residual_px(&found) < 3.0) == (at % 3 != 0));
+        let near = |seen: &Resighting| {
+            let off_px = seen.residual_px(&found.inverse());
+            off_px.is_some_and(|off_px| off_px < 3.0)
+        };
+        let agree = seen.iter().enumerate();
+        let agree = agree.filter(|(at, seen)| near(seen) == (at % 3 != 0));
         assert_eq!(agree.count(), 90);
     }
 

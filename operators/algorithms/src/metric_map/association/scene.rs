@@ -144,14 +144,12 @@ impl Scene {
     }
 
     /// How a feature was seen, given `map_from_camera` of every image; `None` where the lens has no ray for it.
-    pub fn sight<'a>(&self, map_from_cameras: &'a [Pose], at: FeatureRef) -> Option<Sight<'a>> {
+    pub fn sight(&self, map_from_cameras: &[Pose], at: FeatureRef) -> Option<Sight> {
         let px_per_rad = self.px_per_rad(at.image);
-        Some(Sight {
-            map_from_camera: &map_from_cameras[at.image as usize],
-            ray: self.feature(at).ray?,
-            sigma_rad: self.blur(at) / px_per_rad,
-            px_per_rad,
-        })
+        let camera = &map_from_cameras[at.image as usize];
+        let sigma_rad = self.blur(at) / px_per_rad;
+        let ray = self.feature(at).ray.as_ref()?;
+        Some(Sight::new(camera, ray, sigma_rad, px_per_rad))
     }
 
     /// How inexactly a feature is placed, in units of the smallest ones' standard deviation.

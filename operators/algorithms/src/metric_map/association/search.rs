@@ -1,20 +1,19 @@
 //! Landmarks sought in the images that may show them.
 
-use std::collections::BTreeMap;
-
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use rstar::RTree;
+use rstar::primitives::{GeomWithData, Rectangle};
 
+use super::point::LineOfSight;
 use super::resight::{Resighting, agreed_pose};
 use super::{
     Appearance, AssociationParams, FeatureRef, Landmark, Scene, appearances, mean_direction,
     sightings,
 };
 use crate::geometry::pose::Pose;
-use crate::metric_map::matching::FeatureGrid;
+use crate::metric_map::matching::{FeatureGrid, squared_distance};
 
-/// Side of the squares that landmarks are sorted into, metres.
-const SQUARE_M: f64 = 4.0;
 /// A feature nearer than this to the best one, pixels, is no rival: key points of several scales lie on one corner.
 const SAME_PLACE_PX: f64 = 2.0;
 
@@ -33,6 +32,8 @@ pub struct Hit {
 struct Target {
     point: Vector3<f64>,
     appearances: Vec<Appearance>,
+    /// Logarithms of the appearances' ranges to the base 2.
+    octaves: Vec<f64>,
     /// Mean direction to the cameras, and cosine of the half angle of the cone that is searched.
     view: Vector3<f64>,
     view_cos: f64,
@@ -45,6 +46,9 @@ struct Target {
 /// An image and a landmark that it may show.
 type Candidate = (u32, u32);
 
+/// From where on the ground a landmark may be seen, and which it is.
+type Reach = GeomWithData<Rectangle<[f64; 2]>, u32>;
+
 /// Prepared for searching any keyframe.
 pub(super) struct Search<'a> {
     scene: &'a Scene,
@@ -52,9 +56,9 @@ pub(super) struct Search<'a> {
     params: &'a AssociationParams,
     landmarks: &'a [Landmark],
     targets: Vec<Target>,
-    squares: BTreeMap<(i64, i64), Vec<u32>>,
-    /// Farthest that any landmark may be seen from, metres.
-    reach_m: f64,
+    reaches: RTree<Reach>,
+    /// By image: the landmarks that are known there, ascending.
+    known: Vec<Vec<u32>>,
 }
 
 impl<'a> Search<'a> {
@@ -69,25 +73,25 @@ impl<'a> Search<'a> {
             .par_iter()
             .map(|landmark| target(scene, &cameras, landmark, params))
             .collect();
-        let mut squares: BTreeMap<(i64, i64), Vec<u32>> = BTreeMap::new();
-        for (at, target) in targets.iter().enumerate() {
-            squares
-                .entry(square(&target.point))
-                .or_default()
-                .push(at as u32);
+        let arms = scene.cameras.iter();
+        let arms = arms.map(|camera| camera.vehicle_from_camera.translation.norm());
+        let arm_m = arms.fold(0.0, f64::max);
+        let numbered = targets.iter().zip(0..);
+        let reaches = numbered.map(|(target, at)| target.reach(arm_m, at));
+        let mut known = vec![Vec::new(); scene.images.len()];
+        for (landmark, at) in landmarks.iter().zip(0..) {
+            for feature in &landmark.features {
+                known[feature.image as usize].push(at);
+            }
         }
-        let reach_m = targets
-            .iter()
-            .map(|target| target.far_m)
-            .fold(0.0, f64::max);
         Self {
             scene,
             poses,
             params,
             landmarks,
+            reaches: RTree::bulk_load(reaches.collect()),
             targets,
-            squares,
-            reach_m,
+            known,
         }
     }
 
@@ -139,7 +143,11 @@ impl<'a> Search<'a> {
             let seen: Vec<Resighting> = hits.iter().map(|hit| self.resighting(hit)).collect();
             pose = agreed_pose(&seen, &pose, from_px, agree_px / 2.0);
         }
-        hits.retain(|hit| self.resighting(hit).residual_px(&pose) <= agree_px);
+        let vehicle_from_map = pose.inverse();
+        hits.retain(|hit| {
+            let off_px = self.resighting(hit).residual_px(&vehicle_from_map);
+            off_px.is_some_and(|off_px| off_px <= agree_px)
+        });
         if hits.len() < least {
             hits.clear();
         }
@@ -148,9 +156,9 @@ impl<'a> Search<'a> {
 
     fn resighting(&self, hit: &Hit) -> Resighting {
         let image = hit.feature.image;
+        let ray = self.scene.feature(hit.feature).ray.unwrap_or_default();
         Resighting {
-            vehicle_from_camera: self.scene.camera(image).vehicle_from_camera,
-            ray: self.scene.feature(hit.feature).ray.unwrap_or_default(),
+            line: LineOfSight::new(&self.scene.camera(image).vehicle_from_camera, &ray),
             point: self.targets[hit.landmark as usize].point,
             px_per_rad: self.scene.px_per_rad(image),
         }
@@ -162,19 +170,13 @@ impl<'a> Search<'a> {
         FeatureGrid::new(features.map(|feature| feature.ray.map_or(nowhere, |_| feature.pixel)))
     }
 
-    /// Landmarks within reach.
+    /// Landmarks within reach, ascending.
     fn around(&self, map_from_vehicle: &Pose) -> Vec<u32> {
-        let reach = self.reach_m;
-        let away = Vector3::new(reach, reach, 0.0);
-        let (low, high) = (
-            square(&(map_from_vehicle.translation - away)),
-            square(&(map_from_vehicle.translation + away)),
-        );
-        let columns = self.squares.range((low.0, i64::MIN)..=(high.0, i64::MAX));
-        columns
-            .filter(|((_, row), _)| (low.1..=high.1).contains(row))
-            .flat_map(|(_, landmarks)| landmarks.iter().copied())
-            .collect()
+        let place = map_from_vehicle.translation;
+        let within = self.reaches.locate_all_at_point(&[place.x, place.y]);
+        let mut around: Vec<u32> = within.map(|reach| reach.data).collect();
+        around.sort_unstable();
+        around
     }
 
     /// Whether a keyframe shortly before or after saw it. Features are sorted by image, and so by keyframe.
@@ -195,10 +197,12 @@ impl<'a> Search<'a> {
         let mut candidates = Vec::new();
         for image in images {
             let camera = self.scene.map_from_camera(self.poses, image);
+            let mut known = self.known[image as usize].iter().peekable();
             let visible = landmarks.iter().filter(|landmark| {
-                self.targets[**landmark as usize].faces(&camera.translation)
+                while known.next_if(|known| known < landmark).is_some() {}
+                known.peek() != Some(landmark)
+                    && self.targets[**landmark as usize].faces(&camera.translation)
                     && self.pixel(**landmark, image, &camera).is_some()
-                    && !self.sees_already(**landmark, image)
             });
             candidates.extend(visible.map(|landmark| (image, *landmark)));
         }
@@ -248,7 +252,7 @@ impl<'a> Search<'a> {
         let sought = Sought {
             pixel: self.pixel(landmark, image, map_from_camera)?,
             radius_px,
-            appearances: nearest_appearances(&target.appearances, &(away / range), range),
+            appearances: target.nearest_appearances(&(away / range), range),
             size_px: target.size_px_m / range,
         };
         let features = &self.scene.images[image as usize].features;
@@ -260,22 +264,45 @@ impl<'a> Search<'a> {
             bits,
         })
     }
-
-    fn sees_already(&self, landmark: u32, image: u32) -> bool {
-        let features = &self.landmarks[landmark as usize].features;
-        features
-            .binary_search_by_key(&image, |feature| feature.image)
-            .is_ok()
-    }
 }
 
 impl Target {
+    /// From where it may be seen by a camera that is this far from its vehicle at most.
+    fn reach(&self, arm_m: f64, at: u32) -> Reach {
+        let reach_m = self.far_m + arm_m;
+        let corner = |away: f64| [self.point.x + away, self.point.y + away];
+        Reach::new(
+            Rectangle::from_corners(corner(-reach_m), corner(reach_m)),
+            at,
+        )
+    }
+
     /// Whether it may be seen from a place, by range and direction.
     fn faces(&self, place: &Vector3<f64>) -> bool {
         let away = place - self.point;
         let squared = away.norm_squared();
         (self.near_m * self.near_m..=self.far_m * self.far_m).contains(&squared)
             && away.dot(&self.view) >= self.view_cos * squared.sqrt()
+    }
+
+    /// The two appearances from the most similar places: by direction first, a range twice as far counting like a radian.
+    fn nearest_appearances(
+        &self,
+        direction: &Vector3<f64>,
+        range_m: f64,
+    ) -> [Option<&Appearance>; 2] {
+        let octave_here = range_m.log2();
+        let mut nearest: [Option<(f64, &Appearance)>; 2] = [None, None];
+        for (appearance, octave) in self.appearances.iter().zip(&self.octaves) {
+            let across = (appearance.direction - direction).norm();
+            let apart = across + (octave - octave_here).abs();
+            if nearest[0].is_none_or(|(best, _)| apart < best) {
+                nearest = [Some((apart, appearance)), nearest[0]];
+            } else if nearest[1].is_none_or(|(best, _)| apart < best) {
+                nearest[1] = Some((apart, appearance));
+            }
+        }
+        nearest.map(|found| found.map(|(_, appearance)| appearance))
     }
 }
 
@@ -318,44 +345,13 @@ impl Sought<'_> {
         let at = features[best as usize].pixel;
         let rival = near
             .iter()
-            .filter(|(_, other)| distance_px(features[*other as usize].pixel, at) > SAME_PLACE_PX)
+            .filter(|(_, other)| {
+                squared_distance(features[*other as usize].pixel, at) > SAME_PLACE_PX.powi(2)
+            })
             .map(|(bits, _)| *bits)
             .min();
         params.limits.accept(bits, rival).then_some((best, bits))
     }
-}
-
-fn distance_px(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
-}
-
-fn square(point: &Vector3<f64>) -> (i64, i64) {
-    (
-        (point.x / SQUARE_M).floor() as i64,
-        (point.y / SQUARE_M).floor() as i64,
-    )
-}
-
-/// The two appearances from the most similar places: by direction first, a range twice as far counting like a radian.
-fn nearest_appearances<'a>(
-    appearances: &'a [Appearance],
-    direction: &Vector3<f64>,
-    range_m: f64,
-) -> [Option<&'a Appearance>; 2] {
-    let apart = |look: &Appearance| {
-        let across = (look.direction - direction).norm();
-        across + (look.range_m / range_m).log2().abs()
-    };
-    let mut nearest: [Option<(f64, &Appearance)>; 2] = [None, None];
-    for look in appearances {
-        let apart = apart(look);
-        if nearest[0].is_none_or(|(best, _)| apart < best) {
-            nearest = [Some((apart, look)), nearest[0]];
-        } else if nearest[1].is_none_or(|(best, _)| apart < best) {
-            nearest[1] = Some((apart, look));
-        }
-    }
-    nearest.map(|found| found.map(|(_, look)| look))
 }
 
 fn target(
@@ -375,9 +371,12 @@ fn target(
         .iter()
         .map(|look| look.direction.angle(&view))
         .fold(0.0, f64::max);
+    let appearances = appearances(&sightings);
+    let octaves = appearances.iter().map(|seen| seen.range_m.log2());
     Target {
         point: landmark.point,
-        appearances: appearances(&sightings),
+        octaves: octaves.collect(),
+        appearances,
         view,
         view_cos: (widest + params.view_margin_rad)
             .min(std::f64::consts::PI)

@@ -43,7 +43,7 @@ impl<const C: usize> Coarse<C> {
         let mut shares: Vec<Share> = Vec::new();
         let mut ends = Vec::new();
         let mut by_cluster = vec![Vec::new(); clusters.count];
-        for landmark in 0..landmarks as u32 {
+        for landmark in 0..landmarks {
             let begin = shares.len();
             for place in layout.of_landmark(landmark) {
                 let Some(cluster) = clusters.of.get(layout.sights[place].block as usize) else {

@@ -17,8 +17,6 @@ pub(super) struct Sighted<const C: usize> {
     pub(super) linear: Linear<C>,
     /// `B = Jₗ L⁻ᵀ`.
     pub(super) eliminated: [[f64; 3]; 2],
-    /// What a step of the camera side leaves of its motion when the landmark follows.
-    pub(super) moved: [f64; 2],
 }
 
 /// One landmark's numbers. Symmetric and triangular 3 × 3 are `[00, 10, 11, 20, 21, 22]`.
@@ -74,15 +72,15 @@ impl Layout {
 
     /// Places of the sights of one landmark.
     #[inline]
-    pub(super) fn of_landmark(&self, landmark: u32) -> std::ops::Range<usize> {
-        self.first[landmark as usize]..self.first[landmark as usize + 1]
+    pub(super) fn of_landmark(&self, landmark: usize) -> std::ops::Range<usize> {
+        self.first[landmark]..self.first[landmark + 1]
     }
 
     /// Places of the sights of a sight's landmark, from the first of the same block on.
     #[inline]
     fn onward_of_block(&self, place: usize) -> std::ops::Range<usize> {
         let sight = self.sights[place];
-        let all = self.of_landmark(sight.landmark);
+        let all = self.of_landmark(sight.landmark as usize);
         let own = self.sights[all.start..place].iter().rev();
         let same = own.take_while(|other| other.block == sight.block).count();
         place - same..all.end
@@ -132,20 +130,20 @@ impl Layout {
 /// Landmarks handed to a thread at a time, whatever threads there are.
 const CHUNK: usize = 128;
 
-/// Some landmarks and their observations.
-pub(super) struct Piece<'a, const C: usize> {
+/// Some landmarks, and what is known of each of their observations.
+pub(super) struct Piece<'a, T> {
     landmark: usize,
     layout: &'a Layout,
     points: &'a mut [Point],
-    sighted: &'a mut [Sighted<C>],
+    sighted: &'a mut [T],
 }
 
 /// All landmarks and observations, in pieces for threads to take.
-pub(super) fn pieces<'a, const C: usize>(
+pub(super) fn pieces<'a, T>(
     layout: &'a Layout,
     points: &'a mut [Point],
-    mut sighted: &'a mut [Sighted<C>],
-) -> Vec<Piece<'a, C>> {
+    mut sighted: &'a mut [T],
+) -> Vec<Piece<'a, T>> {
     let mut pieces = Vec::with_capacity(points.len() / CHUNK + 1);
     for (index, points) in points.chunks_mut(CHUNK).enumerate() {
         let landmark = index * CHUNK;
@@ -162,22 +160,19 @@ pub(super) fn pieces<'a, const C: usize>(
     pieces
 }
 
-impl<const C: usize> Piece<'_, C> {
+impl<T> Piece<'_, T> {
     /// Calls `visit` with each landmark's index, sights and numbers.
-    pub(super) fn each(
-        self,
-        mut visit: impl FnMut(usize, &[Sight], &mut Point, &mut [Sighted<C>]),
-    ) {
+    pub(super) fn each(self, mut visit: impl FnMut(usize, &[Sight], &mut Point, &mut [T])) {
         let start = self.layout.first[self.landmark];
         for (index, point) in self.points.iter_mut().enumerate() {
             let landmark = self.landmark + index;
-            let (from, to) = (self.layout.first[landmark], self.layout.first[landmark + 1]);
-            let sights = &self.layout.sights[from..to];
+            let own = self.layout.of_landmark(landmark);
+            let sights = &self.layout.sights[own.clone()];
             visit(
                 landmark,
                 sights,
                 point,
-                &mut self.sighted[from - start..to - start],
+                &mut self.sighted[own.start - start..own.end - start],
             );
         }
     }
@@ -187,7 +182,6 @@ impl<const C: usize> Sighted<C> {
     pub(super) const ZERO: Self = Self {
         linear: Linear::ZERO,
         eliminated: [[0.0; 3]; 2],
-        moved: [0.0; 2],
     };
 
     /// `B = Jₗ L⁻ᵀ`, row by row: `L bᵀ = jᵀ`.
@@ -252,31 +246,32 @@ impl Point {
         self.forward = forward(&self.factor, self.gradient);
     }
 
-    /// `J δ - B Σ Bᵀ J δ` into [`Sighted::moved`].
+    /// `J δ - B Σ Bᵀ J δ` of its observations: what a step of the camera side leaves of their motion when the landmark
+    /// follows.
     #[inline(always)]
     pub(super) fn follow<const C: usize>(
         sights: &[Sight],
-        sighted: &mut [Sighted<C>],
+        sighted: &[Sighted<C>],
+        moved: &mut [[f64; 2]],
         steps: &[[f64; C]],
     ) {
         let mut sum = [0.0; 3];
-        for (sight, sighted) in sights.iter().zip(sighted.iter_mut()) {
-            sighted.moved = [0.0; 2];
+        for ((sight, sighted), moved) in sights.iter().zip(sighted).zip(moved.iter_mut()) {
+            *moved = [0.0; 2];
             let Some(step) = steps.get(sight.block as usize) else {
                 // Fixed ones come last.
                 break;
             };
             for row in 0..2 {
                 let j = &sighted.linear.camera[row];
-                let moved = (0..C).fold(0.0, |sum, c| sum + j[c] * step[c]);
-                sighted.moved[row] = moved;
+                moved[row] = (0..C).fold(0.0, |sum, c| sum + j[c] * step[c]);
                 for (sum, b) in sum.iter_mut().zip(sighted.eliminated[row]) {
-                    *sum += b * moved;
+                    *sum += b * moved[row];
                 }
             }
         }
-        for sighted in sighted {
-            for (moved, b) in sighted.moved.iter_mut().zip(&sighted.eliminated) {
+        for (sighted, moved) in sighted.iter().zip(moved) {
+            for (moved, b) in moved.iter_mut().zip(&sighted.eliminated) {
                 *moved -= b[0] * sum[0] + b[1] * sum[1] + b[2] * sum[2];
             }
         }

@@ -40,6 +40,16 @@ pub(super) struct Iterative<const C: usize> {
     groups: Vec<Group>,
     near: Blocks<C>,
     far: Option<Coarse<C>>,
+    sights: ByBlock<C>,
+}
+
+/// What a product reads of each observation, in the order that it is read in: far from each other in memory, they would
+/// take longer to come than to be used.
+struct ByBlock<const C: usize> {
+    /// Block after block, derivatives by the camera side.
+    cameras: Vec<Vec<[[f64; C]; 2]>>,
+    /// In the order of landmarks, what [`Point::follow`] leaves.
+    moved: Vec<[f64; 2]>,
 }
 
 /// Poses that are factorised together.
@@ -89,12 +99,14 @@ impl<const C: usize> Iterative<C> {
         });
         let groups: Option<Vec<Group>> = groups.collect();
         let far = Coarse::new(&layout, landmarks, clusters, bundle);
+        let sights = ByBlock::new(&layout);
         Ok((
             layout,
             Self {
                 groups: groups.ok_or(SystemError::OutOfMemory)?,
                 near: Blocks::new(blocks, &pairs),
                 far,
+                sights,
             },
         ))
     }
@@ -103,12 +115,13 @@ impl<const C: usize> Iterative<C> {
     pub(super) fn solve(
         &mut self,
         layout: &Layout,
-        sighted: &mut [Sighted<C>],
+        sighted: &[Sighted<C>],
         points: &mut [Point],
         own: (&Blocks<C>, &[[f64; C]]),
         right: &mut [[f64; C]],
     ) -> Option<()> {
         self.factorise(layout, sighted, own)?;
+        self.sights.gather(layout, sighted);
         let mut residual = right.to_vec();
         right.fill([0.0; C]);
         let mut conditioned = self.condition(&residual);
@@ -119,7 +132,7 @@ impl<const C: usize> Iterative<C> {
             if size <= TOLERANCE * TOLERANCE * first {
                 break;
             }
-            let product = product(layout, sighted, points, own, &direction);
+            let product = (self.sights).product(layout, sighted, points, own, &direction);
             let curvature = dot(&direction, &product);
             if curvature.is_nan() || curvature <= 0.0 {
                 break;
@@ -202,32 +215,55 @@ impl Group {
     }
 }
 
-/// `S x`.
-fn product<const C: usize>(
-    layout: &Layout,
-    sighted: &mut [Sighted<C>],
-    points: &mut [Point],
-    (terms, damping): (&Blocks<C>, &[[f64; C]]),
-    x: &[[f64; C]],
-) -> Vec<[f64; C]> {
-    pieces(layout, points, sighted)
-        .into_par_iter()
-        .for_each(|piece| {
-            piece.each(|_, sights, _, sighted| Point::follow(sights, sighted, x));
-        });
-    let mut product = terms.product(x);
-    let sighted = &*sighted;
-    let all = product.par_iter_mut().zip(&layout.by_block);
-    let all = all.zip(x.par_iter().zip(damping)).with_min_len(8);
-    all.for_each(|((sum, own), (x, damping))| {
-        (0..C).for_each(|c| sum[c] += damping[c] * x[c]);
-        for place in own {
-            let Sighted { linear, moved, .. } = &sighted[*place as usize];
-            let [j, k] = &linear.camera;
-            (0..C).for_each(|c| sum[c] += j[c] * moved[0] + k[c] * moved[1]);
+impl<const C: usize> ByBlock<C> {
+    fn new(layout: &Layout) -> Self {
+        let blocks = layout.by_block.iter();
+        Self {
+            cameras: blocks.map(|own| vec![[[0.0; C]; 2]; own.len()]).collect(),
+            moved: vec![[0.0; 2]; layout.sights.len()],
         }
-    });
-    product
+    }
+
+    fn gather(&mut self, layout: &Layout, sighted: &[Sighted<C>]) {
+        let blocks = self.cameras.par_iter_mut().zip(&layout.by_block);
+        blocks.with_min_len(8).for_each(|(cameras, own)| {
+            for (camera, place) in cameras.iter_mut().zip(own) {
+                *camera = sighted[*place as usize].linear.camera;
+            }
+        });
+    }
+
+    /// `S x`.
+    fn product(
+        &mut self,
+        layout: &Layout,
+        sighted: &[Sighted<C>],
+        points: &mut [Point],
+        (terms, damping): (&Blocks<C>, &[[f64; C]]),
+        x: &[[f64; C]],
+    ) -> Vec<[f64; C]> {
+        pieces(layout, points, &mut self.moved)
+            .into_par_iter()
+            .for_each(|piece| {
+                piece.each(|landmark, sights, _, moved| {
+                    let sighted = &sighted[layout.of_landmark(landmark)];
+                    Point::follow(sights, sighted, moved, x);
+                });
+            });
+        let mut product = terms.product(x);
+        let moved = &self.moved;
+        let sights = self.cameras.par_iter().zip(&layout.by_block);
+        let all = product.par_iter_mut().zip(sights);
+        let all = all.zip(x.par_iter().zip(damping)).with_min_len(8);
+        all.for_each(|((sum, (cameras, own)), (x, damping))| {
+            (0..C).for_each(|c| sum[c] += damping[c] * x[c]);
+            for ([j, k], place) in cameras.iter().zip(own) {
+                let [a, b] = moved[*place as usize];
+                (0..C).for_each(|c| sum[c] += j[c] * a + k[c] * b);
+            }
+        });
+        product
+    }
 }
 
 fn dot<const C: usize>(a: &[[f64; C]], b: &[[f64; C]]) -> f64 {

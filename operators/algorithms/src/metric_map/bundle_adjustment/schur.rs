@@ -249,7 +249,7 @@ impl<const C: usize, B: Bundle<C>> Schur<C, B> {
         let added: Vec<[f64; C]> = added.collect();
         self.system.solve(
             &self.layout,
-            &mut self.sighted,
+            &self.sighted,
             &mut self.points,
             (&self.terms, &added),
             &mut self.steps,

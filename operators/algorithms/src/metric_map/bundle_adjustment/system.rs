@@ -70,7 +70,7 @@ impl<const C: usize> System<C> {
     pub(super) fn solve(
         &mut self,
         layout: &Layout,
-        sighted: &mut [Sighted<C>],
+        sighted: &[Sighted<C>],
         points: &mut [Point],
         own: (&Blocks<C>, &[[f64; C]]),
         right: &mut [[f64; C]],

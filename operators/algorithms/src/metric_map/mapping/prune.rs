@@ -79,22 +79,20 @@ fn pruned(
         if landmark.features.len() < params.min_features {
             return None;
         }
-        let sights: Vec<Sight> = landmark
-            .features
-            .iter()
-            .filter_map(|feature| scene.sight(cameras, *feature))
-            .collect();
-        let found = triangulate(&sights)?;
-        let point = found.point;
         let before = landmark.features.len();
-        landmark.point = point;
-        landmark.features.retain(|feature| {
-            let sight = scene.sight(cameras, *feature);
-            sight.is_some_and(|sight| {
-                let excess = drop_px2 * (sight.blur().powi(2) - 1.0);
-                sight.off_px(&point).powi(2) <= gate_px * gate_px + excess
-            })
-        });
+        let seen = landmark.features.iter();
+        let seen = seen.filter_map(|feature| Some((*feature, scene.sight(cameras, *feature)?)));
+        let (features, sights): (Vec<FeatureRef>, Vec<Sight>) = seen.unzip();
+        let found = triangulate(&sights)?;
+        let near = |sight: &Sight| {
+            let excess = drop_px2 * (sight.blur().powi(2) - 1.0);
+            let off_px = sight.off_px(&found.point);
+            off_px.is_some_and(|off_px| off_px.powi(2) <= gate_px * gate_px + excess)
+        };
+        let seen = features.into_iter().zip(&sights);
+        let seen = seen.filter(|(_, sight)| near(sight));
+        landmark.features = seen.map(|(feature, _)| feature).collect();
+        landmark.point = found.point;
         if landmark.features.len() == before {
             return (found.parallax_rad >= params.min_parallax_rad).then_some(landmark);
         }

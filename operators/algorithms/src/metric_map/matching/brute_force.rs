@@ -75,7 +75,7 @@ impl Descriptors {
     /// The pairs that are each other's nearest and pass the limits on both sides, by query. Of
     /// equally near ones the first counts. Cost: one distance per pair.
     pub fn mutual(&self, other: &Self, limits: &MatchLimits) -> Vec<Match> {
-        let (rows, columns) = Arch::new().dispatch(|| both_ways(&self.words, &other.words));
+        let (rows, columns) = self.both_ways(other, limits);
         let pairs = (0..).zip(&rows).filter(|(query, best)| {
             let back = columns.get(best.index as usize);
             best.accepted(limits)
@@ -90,9 +90,14 @@ impl Descriptors {
             .collect()
     }
 
+    fn both_ways(&self, other: &Self, limits: &MatchLimits) -> (Vec<Best>, Vec<Best>) {
+        let unlike = limits.unlike_bits();
+        Arch::new().dispatch(|| both_ways(&self.words, &other.words, unlike))
+    }
+
     /// For each of these descriptors its nearest in `other`, where it passes the limits.
     pub fn nearest(&self, other: &Self, limits: &MatchLimits) -> Vec<Option<Match>> {
-        let (rows, _) = Arch::new().dispatch(|| both_ways(&self.words, &other.words));
+        let (rows, _) = self.both_ways(other, limits);
         let found = (0..).zip(rows).map(|(query, best)| {
             best.accepted(limits).then_some(Match {
                 query,
@@ -104,20 +109,23 @@ impl Descriptors {
     }
 }
 
-/// The best of each row and each column of the distance table, in blocks that stay in the cache.
+/// The best of each row and each column of the distance table, of distances below `unlike`, in blocks that stay in the
+/// cache.
 #[inline(always)]
-fn both_ways(a: &[Words], b: &[Words]) -> (Vec<Best>, Vec<Best>) {
+fn both_ways(a: &[Words], b: &[Words], unlike: u32) -> (Vec<Best>, Vec<Best>) {
     const BLOCK: usize = 64;
     let mut rows = vec![Best::NONE; a.len()];
     let mut columns = vec![Best::NONE; b.len()];
     for start in (0..b.len()).step_by(BLOCK) {
         let end = b.len().min(start + BLOCK);
         for (query, (a, row)) in a.iter().zip(&mut rows).enumerate() {
-            let block = b[start..end].iter().zip(&mut columns[start..end]);
-            for (index, (b, column)) in block.enumerate() {
+            for (index, b) in (start..end).zip(&b[start..end]) {
                 let distance = distance(a, b);
-                row.offer(start + index, distance);
-                column.offer(query, distance);
+                // Few are: most descriptors have nothing to do with each other.
+                if distance < unlike {
+                    row.offer(index, distance);
+                    columns[index].offer(query, distance);
+                }
             }
         }
     }

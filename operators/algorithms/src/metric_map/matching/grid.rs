@@ -115,6 +115,6 @@ impl FeatureGrid {
     }
 }
 
-pub(super) fn squared_distance(a: [f64; 2], b: [f64; 2]) -> f64 {
+pub(in crate::metric_map) fn squared_distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)
 }

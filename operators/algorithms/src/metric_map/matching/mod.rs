@@ -14,6 +14,7 @@ mod tests;
 
 pub use brute_force::{Descriptors, Match};
 pub use grid::FeatureGrid;
+pub(super) use grid::squared_distance;
 pub use index::{ImageIndex, Nearest};
 
 use schemars::JsonSchema;
@@ -51,5 +52,12 @@ impl MatchLimits {
             self.match_ratio >= 1.0 || f64::from(distance) < self.match_ratio * f64::from(second)
         };
         distance <= self.match_bits && runner_up.is_none_or(clear)
+    }
+
+    /// From this distance on descriptors neither match nor are a runner-up that makes a match unclear.
+    fn unlike_bits(&self) -> u32 {
+        let ratio = self.match_ratio.min(1.0);
+        // A quotient that no distance reaches stays at the largest number.
+        ((f64::from(self.match_bits) / ratio) as u32).saturating_add(1)
     }
 }

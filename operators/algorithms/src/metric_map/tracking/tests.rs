@@ -1,8 +1,6 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 use nalgebra::{UnitQuaternion, Vector3};
-use proptest::prelude::*;
 
-use super::arc::Arc;
 use super::*;
 use crate::metric_map::features::{DESCRIPTOR_BYTES, Descriptor, Feature};
 
@@ -223,40 +221,4 @@ fn nothing_gives_no_tracks() {
         features: &features,
     });
     assert!(tracks(&camera(), &far, &TrackParams::default()).is_empty());
-}
-
-proptest! {
-    /// Every point on a ray, from the nearest allowed on, lies on the ray's arc.
-    #[test]
-    fn points_on_the_ray_are_on_the_arc(
-        t in prop::array::uniform3(-0.5..0.5_f64), turn in prop::array::uniform3(-0.3..0.3_f64),
-        ray in prop::array::uniform3(-1.0..1.0_f64), depth in 0.4..1e4_f64, off in 0.001..0.01_f64
-    ) {
-        prop_assume!(Vector3::from(ray).norm() > 0.1);
-        let ray = Vector3::from(ray).normalize();
-        let turn = UnitQuaternion::from_scaled_axis(Vector3::from(turn));
-        let pose = Pose::new(Vector3::from(t), turn);
-        prop_assume!(pose.transform(&(ray * depth)).norm() > 0.05);
-        let arc = Arc::new(&pose, &ray, 0.4);
-        let seen = pose.transform(&(ray * depth)).normalize();
-        prop_assert!(arc.distance(&seen) < 1e-6, "{}", arc.distance(&seen));
-        let normal = pose.translation.cross(&(pose.rotation * ray));
-        prop_assume!(normal.norm() > 1e-3);
-        let beside = (seen + normal.normalize() * off).normalize();
-        prop_assert!((arc.distance(&beside) - off.atan()).abs() < 1e-6);
-    }
-
-    #[test]
-    fn what_is_within_an_angle_is_as_near(
-        t in prop::array::uniform3(-0.5..0.5_f64), turn in prop::array::uniform3(-0.3..0.3_f64),
-        rays in prop::array::uniform2(prop::array::uniform3(-1.0..1.0_f64)), angle in 0.0..1.5_f64
-    ) {
-        prop_assume!(rays.iter().all(|ray| Vector3::from(*ray).norm() > 0.1));
-        let [ray, other] = rays.map(|ray| Vector3::from(ray).normalize());
-        let turn = UnitQuaternion::from_scaled_axis(Vector3::from(turn));
-        for scale in [0.0, 1e-13, 1.0] {
-            let arc = Arc::new(&Pose::new(Vector3::from(t) * scale, turn), &ray, 0.4);
-            prop_assert_eq!(arc.is_within(&other, angle), arc.distance(&other) <= angle);
-        }
-    }
 }
