@@ -40,6 +40,25 @@ pub(crate) fn distance(a: &Words, b: &Words) -> u32 {
     bits
 }
 
+/// Bits in which each of several descriptors differs from one.
+pub(crate) fn distances<'a>(
+    several: impl Iterator<Item = &'a Words>,
+    one: &Descriptor,
+) -> Vec<u32> {
+    let one = words(one);
+    let mut found = Vec::with_capacity(several.size_hint().0);
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            // What collects is not compiled for the instructions of whoever calls.
+            for other in several {
+                found.push(distance(other, &one));
+            }
+        },
+    );
+    found
+}
+
 /// One key point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Feature {

@@ -31,3 +31,4 @@ pub mod odometry;
 pub mod places;
 pub mod pose_graph;
 pub mod tracking;
+mod visibility;

@@ -2,8 +2,6 @@
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
-use rstar::RTree;
-use rstar::primitives::{GeomWithData, Rectangle};
 
 use super::point::LineOfSight;
 use super::resight::{Resighting, agreed_pose};
@@ -13,6 +11,7 @@ use super::{
 };
 use crate::geometry::pose::Pose;
 use crate::metric_map::matching::{FeatureGrid, squared_distance};
+use crate::metric_map::visibility::{Reaches, Seen, Visibility};
 
 /// A feature nearer than this to the best one, pixels, is no rival: key points of several scales lie on one corner.
 const SAME_PLACE_PX: f64 = 2.0;
@@ -34,20 +33,13 @@ struct Target {
     appearances: Vec<Appearance>,
     /// Logarithms of the appearances' ranges to the base 2.
     octaves: Vec<f64>,
-    /// Mean direction to the cameras, and cosine of the half angle of the cone that is searched.
-    view: Vector3<f64>,
-    view_cos: f64,
-    near_m: f64,
-    far_m: f64,
+    visibility: Visibility,
     /// Feature size times range, median: the landmark's own size, pixel metres.
     size_px_m: f64,
 }
 
 /// An image and a landmark that it may show.
 type Candidate = (u32, u32);
-
-/// From where on the ground a landmark may be seen, and which it is.
-type Reach = GeomWithData<Rectangle<[f64; 2]>, u32>;
 
 /// Prepared for searching any keyframe.
 pub(super) struct Search<'a> {
@@ -56,7 +48,7 @@ pub(super) struct Search<'a> {
     params: &'a AssociationParams,
     landmarks: &'a [Landmark],
     targets: Vec<Target>,
-    reaches: RTree<Reach>,
+    reaches: Reaches,
     /// By image: the landmarks that are known there, ascending.
     known: Vec<Vec<u32>>,
 }
@@ -73,11 +65,8 @@ impl<'a> Search<'a> {
             .par_iter()
             .map(|landmark| target(scene, &cameras, landmark, params))
             .collect();
-        let arms = scene.cameras.iter();
-        let arms = arms.map(|camera| camera.vehicle_from_camera.translation.norm());
-        let arm_m = arms.fold(0.0, f64::max);
-        let numbered = targets.iter().zip(0..);
-        let reaches = numbered.map(|(target, at)| target.reach(arm_m, at));
+        let visibilities = targets.iter().map(|target| &target.visibility);
+        let reaches = Reaches::new((0..).zip(visibilities), &scene.cameras);
         let mut known = vec![Vec::new(); scene.images.len()];
         for (landmark, at) in landmarks.iter().zip(0..) {
             for feature in &landmark.features {
@@ -89,7 +78,7 @@ impl<'a> Search<'a> {
             poses,
             params,
             landmarks,
-            reaches: RTree::bulk_load(reaches.collect()),
+            reaches,
             targets,
             known,
         }
@@ -109,7 +98,9 @@ impl<'a> Search<'a> {
     fn keyframe(&self, keyframe: u32) -> Vec<Hit> {
         let images = self.scene.keyframes[keyframe as usize].images.clone();
         let grids: Vec<FeatureGrid> = images.map(|image| self.grid(image)).collect();
-        let around = self.around(&self.poses[keyframe as usize]);
+        let around = self
+            .reaches
+            .around(&self.poses[keyframe as usize].translation);
         let candidates = self.candidates(keyframe, &around);
         let (own, others): (Vec<Candidate>, Vec<Candidate>) = candidates
             .into_iter()
@@ -170,15 +161,6 @@ impl<'a> Search<'a> {
         FeatureGrid::new(features.map(|feature| feature.ray.map_or(nowhere, |_| feature.pixel)))
     }
 
-    /// Landmarks within reach, ascending.
-    fn around(&self, map_from_vehicle: &Pose) -> Vec<u32> {
-        let place = map_from_vehicle.translation;
-        let within = self.reaches.locate_all_at_point(&[place.x, place.y]);
-        let mut around: Vec<u32> = within.map(|reach| reach.data).collect();
-        around.sort_unstable();
-        around
-    }
-
     /// Whether a keyframe shortly before or after saw it. Features are sorted by image, and so by keyframe.
     fn same_visit(&self, landmark: u32, keyframe: u32) -> bool {
         let keyframes = &self.scene.keyframes;
@@ -201,7 +183,9 @@ impl<'a> Search<'a> {
             let visible = landmarks.iter().filter(|landmark| {
                 while known.next_if(|known| known < landmark).is_some() {}
                 known.peek() != Some(landmark)
-                    && self.targets[**landmark as usize].faces(&camera.translation)
+                    && self.targets[**landmark as usize]
+                        .visibility
+                        .from(&camera.translation)
                     && self.pixel(**landmark, image, &camera).is_some()
             });
             candidates.extend(visible.map(|landmark| (image, *landmark)));
@@ -267,24 +251,6 @@ impl<'a> Search<'a> {
 }
 
 impl Target {
-    /// From where it may be seen by a camera that is this far from its vehicle at most.
-    fn reach(&self, arm_m: f64, at: u32) -> Reach {
-        let reach_m = self.far_m + arm_m;
-        let corner = |away: f64| [self.point.x + away, self.point.y + away];
-        Reach::new(
-            Rectangle::from_corners(corner(-reach_m), corner(reach_m)),
-            at,
-        )
-    }
-
-    /// Whether it may be seen from a place, by range and direction.
-    fn faces(&self, place: &Vector3<f64>) -> bool {
-        let away = place - self.point;
-        let squared = away.norm_squared();
-        (self.near_m * self.near_m..=self.far_m * self.far_m).contains(&squared)
-            && away.dot(&self.view) >= self.view_cos * squared.sqrt()
-    }
-
     /// The two appearances from the most similar places: by direction first, a range twice as far counting like a radian.
     fn nearest_appearances(
         &self,
@@ -366,23 +332,28 @@ fn target(
     let mut sizes: Vec<f64> = sizes.collect();
     sizes.sort_by(f64::total_cmp);
     let view = mean_direction(&sightings);
-    let ranges = || sightings.iter().map(|look| look.range_m);
-    let widest = sightings
-        .iter()
-        .map(|look| look.direction.angle(&view))
-        .fold(0.0, f64::max);
+    let cosines = sightings.iter().map(|seen| seen.direction.dot(&view));
+    let ranges = || sightings.iter().map(|seen| seen.range_m);
+    let seen = Seen {
+        view,
+        view_cos: cosines.fold(1.0, f64::min),
+        ranges_m: [
+            ranges().fold(f64::INFINITY, f64::min),
+            ranges().fold(0.0, f64::max),
+        ],
+    };
     let appearances = appearances(&sightings);
     let octaves = appearances.iter().map(|seen| seen.range_m.log2());
     Target {
         point: landmark.point,
         octaves: octaves.collect(),
         appearances,
-        view,
-        view_cos: (widest + params.view_margin_rad)
-            .min(std::f64::consts::PI)
-            .cos(),
-        near_m: ranges().fold(f64::INFINITY, f64::min) / params.scale_factor,
-        far_m: ranges().fold(0.0, f64::max) * params.scale_factor,
+        visibility: Visibility::new(
+            landmark.point,
+            &seen,
+            params.view_margin_rad,
+            params.scale_factor,
+        ),
         size_px_m: sizes.get(sizes.len() / 2).copied().unwrap_or(0.0),
     }
 }

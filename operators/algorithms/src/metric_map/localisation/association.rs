@@ -159,8 +159,8 @@ fn candidates(
         let radius = match search {
             Search::Radius(radius) => radius,
             Search::Covariance => {
-                let widest = seen.covariance.symmetric_eigenvalues().max().max(0.0);
-                (GATE * (widest + most_excess)).sqrt().min(params.search_px)
+                let widest = widest(&seen.covariance) + most_excess;
+                (GATE * widest).sqrt().min(params.search_px)
             }
         };
         let units = |offset_px: &Vector2<f64>, excess_px2: f64| match search {
@@ -196,6 +196,13 @@ fn candidates(
         });
     }
     found
+}
+
+/// The larger eigenvalue of a symmetric matrix, and 0 at least.
+fn widest(covariance: &Matrix2<f64>) -> f64 {
+    let [half_sum, half_difference] =
+        [1.0, -1.0].map(|sign| 0.5 * (covariance[(0, 0)] + sign * covariance[(1, 1)]));
+    (half_sum + half_difference.hypot(covariance[(0, 1)])).max(0.0)
 }
 
 /// Of one image's claims, those that are best on both sides without a rival.

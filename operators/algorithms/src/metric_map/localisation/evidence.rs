@@ -33,13 +33,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use nalgebra::Vector2;
-use pulp::Arch;
 use rayon::prelude::*;
 
 use super::fix::{Doubt, Fix, Localiser};
-use super::view::{direction, eyes, sighted};
+use super::view::{direction, eyes};
 use super::{DriveKeyframe, LandmarkMap};
-use crate::metric_map::features::{Feature, Words, distance, words};
+use crate::metric_map::features::{Feature, Words, distances, words};
 
 /// A landmark is clearly the one when its bits are less than this share of those of any other that lies elsewhere.
 /// Stricter than between neighbouring images, as a whole map has more that looks alike by accident.
@@ -119,7 +118,9 @@ impl<'a> Evidence<'a> {
 
     /// Directions in which features are recognised here, against those in which they are elsewhere.
     fn at_place(&self, keyframe: &DriveKeyframe<'_>, fix: &Fix) -> Ordering {
-        let Localiser { rig, map, params } = self.localiser;
+        let Localiser {
+            rig, map, params, ..
+        } = self.localiser;
         let known = self.with_those_in_view(fix);
         let eyes = eyes(rig, &fix.pose.pose);
         let images = rig.cameras.iter().zip(&eyes).zip(&keyframe.features.images);
@@ -144,8 +145,8 @@ impl<'a> Evidence<'a> {
         if self.step == 1 {
             return Cow::Borrowed(&self.known);
         }
-        let Localiser { rig, map, params } = self.localiser;
-        let seen = sighted(rig, map, &fix.pose, params);
+        let map = self.localiser.map;
+        let seen = self.localiser.sighted(&fix.pose);
         let left_out = |landmark: &usize| !landmark.is_multiple_of(self.step);
         let seen: BTreeSet<usize> = seen
             .iter()
@@ -194,11 +195,7 @@ fn spread<T>(places: Vec<T>) -> impl Iterator<Item = T> {
 
 /// The landmark that a feature clearly shows.
 fn recognised(map: &LandmarkMap, known: &[Look], feature: &Feature, most: u32) -> Option<usize> {
-    let wanted = words(&feature.descriptor);
-    let bits: Vec<u32> = Arch::new().dispatch(|| {
-        let bits = known.iter().map(|(look, _)| distance(look, &wanted));
-        bits.collect()
-    });
+    let bits = distances(known.iter().map(|(look, _)| look), &feature.descriptor);
     let (best, first) = bits.iter().enumerate().min_by_key(|(_, bits)| **bits)?;
     if *first > most {
         return None;

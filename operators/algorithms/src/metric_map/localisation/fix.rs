@@ -3,7 +3,7 @@
 use super::association::{Cells, Claim, Search, claims};
 use super::motion::{Guess, difference};
 use super::refinement::{Pair, Refined, Refinement};
-use super::view::{Sighted, eyes, sighted};
+use super::view::{InView, Sighted, eyes};
 use super::{LandmarkMap, LocalisationParams};
 use crate::geometry::rig::Rig;
 use crate::metric_map::features::KeyframeFeatures;
@@ -92,12 +92,24 @@ pub struct Localiser<'a> {
     pub(super) rig: &'a Rig,
     pub(super) map: &'a LandmarkMap,
     pub(super) params: LocalisationParams,
+    in_view: InView,
 }
 
 impl<'a> Localiser<'a> {
     /// A localiser; its parameters have passed [`LocalisationParams::check`].
     pub fn new(rig: &'a Rig, map: &'a LandmarkMap, params: LocalisationParams) -> Self {
-        Self { rig, map, params }
+        Self {
+            rig,
+            map,
+            params,
+            in_view: InView::new(rig, map, &params),
+        }
+    }
+
+    /// All landmarks that cameras should see from a guess: each once per camera, ordered by camera and landmark.
+    pub(super) fn sighted(&self, guess: &Guess) -> Vec<Sighted> {
+        let sigma_px = self.params.features.sigma_px;
+        self.in_view.sighted(self.rig, self.map, guess, sigma_px)
     }
 
     /// The pose of a keyframe near a guess: matched as far as the guess's covariance reaches, refined, matched
@@ -106,7 +118,7 @@ impl<'a> Localiser<'a> {
         let cells = Cells::of_keyframe(features, &self.params.features);
         let mut best = *guess;
         for _ in 0..2 {
-            let seen = sighted(self.rig, self.map, &best, &self.params);
+            let seen = self.sighted(&best);
             let found = claims(self.map, &seen, &cells, Search::Covariance, &self.params);
             match self.refine(guess, &best, &seen, &found, &cells) {
                 Some(refined) => best = refined.guess,
@@ -158,7 +170,7 @@ impl<'a> Localiser<'a> {
 
     /// Matches once more in a radius that chance would fill evenly, and judges what comes out.
     fn verify(&self, guess: &Guess, best: &Guess, cells: &[Cells<'_>]) -> Fix {
-        let seen = sighted(self.rig, self.map, best, &self.params);
+        let seen = self.sighted(best);
         let radius = Search::Radius(self.params.verify_px);
         let found = claims(self.map, &seen, cells, radius, &self.params);
         let mut fix = Fix {

@@ -1,9 +1,9 @@
-//! The landmarks of a map, found by place.
+//! The landmarks of a map.
 
+use super::LocalisationParams;
 use crate::metric_map::features::Descriptor;
+use crate::metric_map::visibility::{Seen, Visibility};
 use nalgebra::Vector3;
-use rstar::primitives::GeomWithData;
-use rstar::{PointDistance, RTree};
 
 /// A landmark to be recognised.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,7 +27,7 @@ pub struct MapLandmark {
 }
 
 impl MapLandmark {
-    fn is_sound(&self) -> bool {
+    pub(super) fn is_sound(&self) -> bool {
         let finite = self.position.iter().chain(self.view.iter());
         finite
             .chain([&self.sigma_m, &self.view_cos, &self.near_m, &self.far_m])
@@ -37,51 +37,39 @@ impl MapLandmark {
             && !self.descriptors.is_empty()
     }
 
-    /// Whether a camera at `eye` may recognise it: from a direction and a range not far outside those it was seen
-    /// from.
-    pub(super) fn visible_from(
-        &self,
-        eye: &Vector3<f64>,
-        slack_rad: f64,
-        range_slack: f64,
-    ) -> bool {
-        let away = eye - self.position;
-        let range = away.norm();
-        if !(range * range_slack >= self.near_m && range <= self.far_m * range_slack) {
-            return false;
-        }
-        // cos(opening + slack); the cone may reach all around.
-        let (cos, slack) = (
-            self.view_cos.clamp(-1.0, 1.0),
-            slack_rad.min(std::f64::consts::PI),
+    /// From where it may be recognised.
+    pub(super) fn visibility(&self, params: &LocalisationParams) -> Visibility {
+        let seen = Seen {
+            view: self.view,
+            view_cos: self.view_cos,
+            ranges_m: [self.near_m, self.far_m],
+        };
+        let visibility = Visibility::new(
+            self.position,
+            &seen,
+            params.view_slack_rad,
+            params.range_slack,
         );
-        let edge = cos * slack.cos() - (1.0 - cos * cos).sqrt() * slack.sin();
-        cos <= -slack.cos() || away.dot(&self.view) >= range * edge
+        visibility.within(params.reach_m)
     }
 }
 
-type Entry = GeomWithData<[f64; 3], usize>;
-
-/// All landmarks of a map, with a spatial index.
+/// All landmarks of a map.
 #[derive(Debug, Clone)]
 pub struct LandmarkMap {
     landmarks: Vec<MapLandmark>,
-    index: RTree<Entry>,
+    sound: usize,
 }
 
 impl LandmarkMap {
     /// Landmarks are named by their place in the list. Those with numbers that are not finite, or with no
     /// descriptor, are never found.
     pub fn new(landmarks: Vec<MapLandmark>) -> Self {
-        let sound = landmarks
-            .iter()
-            .enumerate()
-            .filter(|(_, landmark)| landmark.is_sound());
-        let entries: Vec<Entry> = sound
-            .map(|(index, landmark)| Entry::new(landmark.position.into(), index))
-            .collect();
         Self {
-            index: RTree::bulk_load(entries),
+            sound: landmarks
+                .iter()
+                .filter(|landmark| landmark.is_sound())
+                .count(),
             landmarks,
         }
     }
@@ -93,23 +81,11 @@ impl LandmarkMap {
 
     /// Landmarks that can be found.
     pub fn len(&self) -> usize {
-        self.index.size()
+        self.sound
     }
 
     /// Whether no landmark can be found.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
-    }
-
-    /// Indices of the landmarks within `reach_m` of a place, ascending.
-    pub(super) fn near(&self, place: &Vector3<f64>, reach_m: f64) -> Vec<usize> {
-        let place: [f64; 3] = (*place).into();
-        let within = self.index.locate_within_distance(place, reach_m * reach_m);
-        let mut found: Vec<usize> = within
-            .filter(|entry| entry.distance_2(&place).is_finite())
-            .map(|entry| entry.data)
-            .collect();
-        found.sort_unstable();
-        found
     }
 }

@@ -5,6 +5,7 @@ use super::{LandmarkMap, LocalisationParams, MapLandmark};
 use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::Rig;
+use crate::metric_map::visibility::{Reaches, Visibility};
 use nalgebra::{Matrix2, Matrix2x6, Vector2, Vector3};
 use rayon::prelude::*;
 
@@ -63,14 +64,6 @@ pub(super) fn eyes<'a>(rig: &'a Rig, map_from_vehicle: &Pose) -> Vec<Eye<'a>> {
 }
 
 impl Eye<'_> {
-    /// The pixel of a point; `None` outside the image.
-    fn pixel(&self, point: &Vector3<f64>) -> Option<[f64; 2]> {
-        let pixel = self
-            .camera
-            .project(&self.camera_from_map.transform(point))?;
-        self.camera.contains(pixel).then_some(pixel)
-    }
-
     /// The pixel of a point, in or out of the image; `None` where the lens does not see it.
     pub(super) fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
         let pixel = self
@@ -108,38 +101,66 @@ impl Eye<'_> {
     }
 }
 
-/// All landmarks that cameras should see from a guess: each once per camera, ordered by camera and landmark.
-pub(super) fn sighted(
-    rig: &Rig,
-    map: &LandmarkMap,
-    guess: &Guess,
-    params: &LocalisationParams,
-) -> Vec<Sighted> {
-    let near = map.near(&guess.pose.translation, params.reach_m);
-    let by_camera: Vec<Vec<Sighted>> = eyes(rig, &guess.pose)
-        .par_iter()
-        .enumerate()
-        .map(|(camera, eye)| {
-            let seen = near.iter().filter_map(|&landmark| {
-                let known = &map.landmarks()[landmark];
+/// Which landmarks of a map cameras should see.
+#[derive(Debug, Clone)]
+pub(super) struct InView {
+    /// By landmark.
+    visibilities: Vec<Visibility>,
+    reaches: Reaches,
+}
+
+impl InView {
+    /// Landmarks that are not sound are in no view.
+    pub(super) fn new(rig: &Rig, map: &LandmarkMap, params: &LocalisationParams) -> Self {
+        let landmarks = map.landmarks();
+        let visibilities = landmarks.iter().map(|known| known.visibility(params));
+        let visibilities: Vec<Visibility> = visibilities.collect();
+        let sound = (0_u32..).zip(landmarks).zip(&visibilities);
+        let sound = sound.filter(|((_, known), _)| known.is_sound());
+        let sound = sound.map(|((number, _), visibility)| (number, visibility));
+        Self {
+            reaches: Reaches::new(sound, &rig.cameras),
+            visibilities,
+        }
+    }
+
+    /// As [`super::Localiser::sighted`], of features whose smallest ones lie to `sigma_px`.
+    pub(super) fn sighted(
+        &self,
+        rig: &Rig,
+        map: &LandmarkMap,
+        guess: &Guess,
+        sigma_px: f64,
+    ) -> Vec<Sighted> {
+        let around = self.reaches.around(&guess.pose.translation);
+        let by_camera: Vec<Vec<Sighted>> = eyes(rig, &guess.pose)
+            .par_iter()
+            .enumerate()
+            .map(|(camera, eye)| {
+                let around = around.iter().map(|landmark| *landmark as usize);
                 let visible =
-                    known.visible_from(&eye.centre, params.view_slack_rad, params.range_slack);
-                let inside = visible && eye.pixel(&known.position).is_some();
-                let projection = inside.then(|| eye.projection(&known.position)).flatten()?;
-                let noise_px2 = eye.noise_px2(known, projection.px_per_m, params.features.sigma_px);
-                let by_pose = projection.by_pose;
-                Some(Sighted {
-                    landmark,
-                    camera,
-                    pixel: projection.pixel,
-                    covariance: by_pose * guess.covariance * by_pose.transpose()
-                        + Matrix2::identity() * noise_px2,
-                })
-            });
-            seen.collect()
-        })
-        .collect();
-    by_camera.into_iter().flatten().collect()
+                    around.filter(|landmark| self.visibilities[*landmark].from(&eye.centre));
+                let seen = visible.filter_map(|landmark| {
+                    let known = &map.landmarks()[landmark];
+                    let Projection {
+                        pixel,
+                        by_pose,
+                        px_per_m,
+                    } = eye.projection(&known.position)?;
+                    let noise_px2 = eye.noise_px2(known, px_per_m, sigma_px);
+                    eye.camera.contains(pixel.into()).then(|| Sighted {
+                        landmark,
+                        camera,
+                        pixel,
+                        covariance: by_pose * guess.covariance * by_pose.transpose()
+                            + Matrix2::identity() * noise_px2,
+                    })
+                });
+                seen.collect()
+            })
+            .collect();
+        by_camera.into_iter().flatten().collect()
+    }
 }
 
 #[cfg(test)]

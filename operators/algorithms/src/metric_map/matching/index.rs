@@ -1,9 +1,7 @@
 //! The features of one image, by where they are and what they look like.
 
-use pulp::Arch;
-
 use super::grid::{FeatureGrid, squared_distance};
-use crate::metric_map::features::{Descriptor, Feature, ImageFeatures, Words, distance, words};
+use crate::metric_map::features::{Descriptor, Feature, ImageFeatures, Words, distances, words};
 
 /// Answers "which feature near here looks like this?". Features keep the index that they have in
 /// their [`ImageFeatures`].
@@ -12,7 +10,6 @@ pub struct ImageIndex {
     grid: FeatureGrid,
     /// By feature.
     spots: Vec<Spot>,
-    arch: Arch,
 }
 
 #[derive(Debug, Clone)]
@@ -41,7 +38,6 @@ impl ImageIndex {
         Self {
             grid: FeatureGrid::new(pixels),
             spots: image.features.iter().map(Spot::new).collect(),
-            arch: Arch::new(),
         }
     }
 
@@ -59,8 +55,8 @@ impl ImageIndex {
             .filter(|feature| accept(*feature))
             .map(|feature| (feature, &self.spots[feature as usize]))
             .collect();
-        let wanted = words(descriptor);
-        self.arch.dispatch(|| best_two(&candidates, &wanted))
+        let spots = candidates.iter().map(|(_, spot)| &spot.words);
+        best_two(&candidates, &distances(spots, descriptor))
     }
 }
 
@@ -74,19 +70,14 @@ impl Spot {
     }
 }
 
-#[inline(always)]
-fn best_two(candidates: &[(u32, &Spot)], wanted: &Words) -> Option<Nearest> {
-    let distances = candidates
-        .iter()
-        .map(|(_, spot)| distance(&spot.words, wanted));
-    let distances: Vec<u32> = distances.collect();
+fn best_two(candidates: &[(u32, &Spot)], distances: &[u32]) -> Option<Nearest> {
     let of = |index: &usize| (distances[*index], candidates[*index].0);
     let best = (0..candidates.len()).min_by_key(of)?;
     let (feature, spot) = candidates[best];
     let elsewhere = |other: &Spot| {
         squared_distance(spot.pixel, other.pixel).sqrt() > 0.25 * spot.size_px.max(other.size_px)
     };
-    let others = candidates.iter().zip(&distances);
+    let others = candidates.iter().zip(distances);
     let runner_up = others
         .filter(|((_, other), _)| elsewhere(other))
         .map(|(_, distance)| *distance)

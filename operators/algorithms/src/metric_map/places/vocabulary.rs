@@ -100,9 +100,12 @@ impl Vocabulary {
 
     /// The words of descriptors, in their order.
     pub fn look_up<'a>(&self, descriptors: impl IntoIterator<Item = &'a Descriptor>) -> Vec<u32> {
-        let arch = Arch::new();
         let wanted: Vec<Words> = descriptors.into_iter().map(words).collect();
-        arch.dispatch(|| wanted.iter().map(|wanted| self.word(wanted)).collect())
+        each(
+            &wanted,
+            #[inline(always)]
+            |wanted| self.word(wanted),
+        )
     }
 
     /// Words with their counts.
@@ -198,16 +201,14 @@ fn clusters(
 }
 
 fn assigned(members: &[u32], sample: &[Words], centres: &[Words]) -> Vec<Vec<u32>> {
-    let arch = Arch::new();
     let nearest: Vec<Vec<u32>> = members
         .par_chunks(CHUNK)
         .map(|chunk| {
-            arch.dispatch(|| {
-                let each = chunk
-                    .iter()
-                    .map(|member| nearest(&sample[*member as usize], centres));
-                each.collect()
-            })
+            each(
+                chunk,
+                #[inline(always)]
+                |member| nearest(&sample[*member as usize], centres),
+            )
         })
         .collect();
     let mut clusters = vec![Vec::new(); centres.len()];
@@ -215,6 +216,21 @@ fn assigned(members: &[u32], sample: &[Words], centres: &[Words]) -> Vec<Vec<u32
         clusters[cluster as usize].push(*member);
     }
     clusters
+}
+
+/// What is found of each, by the instructions that the processor has.
+fn each<T>(all: &[T], find: impl Fn(&T) -> u32) -> Vec<u32> {
+    let mut found = Vec::with_capacity(all.len());
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            // What collects is not compiled for them.
+            for one in all {
+                found.push(find(one));
+            }
+        },
+    );
+    found
 }
 
 #[inline(always)]
