@@ -6,11 +6,11 @@ use rayon::prelude::*;
 use super::point::LineOfSight;
 use super::resight::{Resighting, agreed_pose};
 use super::{
-    Appearance, AssociationParams, FeatureRef, Landmark, Scene, appearances, mean_direction,
-    sightings,
+    Appearance, AssociationParams, FeatureRef, Landmark, Scene, SceneFeature, appearances,
+    mean_direction, sightings,
 };
 use crate::geometry::pose::Pose;
-use crate::metric_map::matching::{FeatureGrid, squared_distance};
+use crate::metric_map::matching::{FeatureGrid, MatchLimits, squared_distance};
 use crate::metric_map::visibility::{Reaches, Seen, Visibility};
 
 /// A feature nearer than this to the best one, pixels, is no rival: key points of several scales lie on one corner.
@@ -33,21 +33,27 @@ struct Target {
     appearances: Vec<Appearance>,
     /// Logarithms of the appearances' ranges to the base 2.
     octaves: Vec<f64>,
-    visibility: Visibility,
     /// Feature size times range, median: the landmark's own size, pixel metres.
     size_px_m: f64,
 }
 
-/// An image and a landmark that it may show.
-type Candidate = (u32, u32);
+/// A landmark that an image may show.
+#[derive(Clone, Copy)]
+struct Candidate {
+    image: u32,
+    landmark: u32,
+    /// Where the image shows it.
+    pixel: [f64; 2],
+}
 
 /// Prepared for searching any keyframe.
 pub(super) struct Search<'a> {
     scene: &'a Scene,
     poses: &'a [Pose],
     params: &'a AssociationParams,
-    landmarks: &'a [Landmark],
     targets: Vec<Target>,
+    /// By landmark.
+    visibilities: Vec<Visibility>,
     reaches: Reaches,
     /// By image: the landmarks that are known there, ascending.
     known: Vec<Vec<u32>>,
@@ -61,12 +67,11 @@ impl<'a> Search<'a> {
         params: &'a AssociationParams,
     ) -> Self {
         let cameras = scene.map_from_cameras(poses);
-        let targets: Vec<Target> = landmarks
-            .par_iter()
+        let sought = landmarks.par_iter();
+        let (targets, visibilities): (Vec<Target>, Vec<Visibility>) = sought
             .map(|landmark| target(scene, &cameras, landmark, params))
-            .collect();
-        let visibilities = targets.iter().map(|target| &target.visibility);
-        let reaches = Reaches::new((0..).zip(visibilities), &scene.cameras);
+            .unzip();
+        let reaches = Reaches::new((0..).zip(&visibilities), &scene.cameras);
         let mut known = vec![Vec::new(); scene.images.len()];
         for (landmark, at) in landmarks.iter().zip(0..) {
             for feature in &landmark.features {
@@ -77,9 +82,9 @@ impl<'a> Search<'a> {
             scene,
             poses,
             params,
-            landmarks,
-            reaches,
             targets,
+            visibilities,
+            reaches,
             known,
         }
     }
@@ -89,60 +94,83 @@ impl<'a> Search<'a> {
         let keyframes = 0..self.scene.keyframes.len() as u32;
         let found: Vec<Vec<Hit>> = keyframes
             .into_par_iter()
-            .map(|keyframe| self.keyframe(keyframe))
+            .map_init(
+                || vec![u32::MAX; self.targets.len()],
+                |marks, keyframe| self.keyframe(keyframe, marks),
+            )
             .collect();
         found.into_iter().flatten().collect()
     }
 
-    /// Hits of a keyframe that agree with each other.
-    fn keyframe(&self, keyframe: u32) -> Vec<Hit> {
+    /// Hits of a keyframe that agree with each other. `marks` is scratch: by landmark, the last keyframe of a thread that
+    /// has it in its visit.
+    fn keyframe(&self, keyframe: u32, marks: &mut [u32]) -> Vec<Hit> {
         let images = self.scene.keyframes[keyframe as usize].images.clone();
         let grids: Vec<FeatureGrid> = images.map(|image| self.grid(image)).collect();
-        let around = self
-            .reaches
-            .around(&self.poses[keyframe as usize].translation);
-        let candidates = self.candidates(keyframe, &around);
-        let (own, others): (Vec<Candidate>, Vec<Candidate>) = candidates
-            .into_iter()
-            .partition(|(_, landmark)| self.same_visit(*landmark, keyframe));
-        let mut hits = self.agreeing(keyframe, &grids, &own, 0);
-        hits.extend(self.agreeing(keyframe, &grids, &others, self.params.min_agreeing));
+        for landmark in self.of_visit(keyframe) {
+            marks[*landmark as usize] = keyframe;
+        }
+        let candidates = self.candidates(keyframe).into_iter();
+        let (own, others): (Vec<Candidate>, Vec<Candidate>) =
+            candidates.partition(|candidate| marks[candidate.landmark as usize] == keyframe);
+        let own = self.agreeing(keyframe, &grids, own, 0);
+        let others = self.agreeing(keyframe, &grids, others, self.params.min_agreeing);
+        let mut hits: Vec<Hit> = own.into_iter().chain(others).flatten().collect();
         hits.sort_unstable();
         hits
     }
 
-    /// Seeks landmarks, finds the motion that the hits agree on, and seeks again from there.
+    /// Seeks landmarks, finds the motion that the hits agree on, and seeks again from there; nothing where fewer than
+    /// `least` agree.
     fn agreeing(
         &self,
         keyframe: u32,
         grids: &[FeatureGrid],
-        candidates: &[Candidate],
+        mut candidates: Vec<Candidate>,
         least: usize,
-    ) -> Vec<Hit> {
+    ) -> Option<Vec<Hit>> {
         let AssociationParams {
             radius_px,
             agree_px,
             ..
         } = *self.params;
-        let mut pose = self.poses[keyframe as usize];
-        let mut hits = Vec::new();
-        for (radius, from_px) in [(radius_px, radius_px), (radius_px.min(agree_px), agree_px)] {
-            hits = self.seek(keyframe, &pose, grids, candidates, radius);
-            if hits.len() < least {
-                return Vec::new();
-            }
+        let first = self.scene.keyframes[keyframe as usize].images.start;
+        let pose = &self.poses[keyframe as usize];
+        let agreed = |hits: &[Hit], pose: &Pose, from_px: f64| {
             let seen: Vec<Resighting> = hits.iter().map(|hit| self.resighting(hit)).collect();
-            pose = agreed_pose(&seen, &pose, from_px, agree_px / 2.0);
-        }
-        let vehicle_from_map = pose.inverse();
+            (hits.len() >= least).then(|| agreed_pose(&seen, pose, from_px, agree_px / 2.0))
+        };
+        let hits = self.seek(
+            &self.cameras(keyframe, pose),
+            first,
+            grids,
+            &candidates,
+            radius_px,
+        );
+        let pose = agreed(&hits, pose, radius_px)?;
+        let cameras = self.cameras(keyframe, &pose);
+        candidates.retain_mut(|candidate| {
+            let camera = &cameras[(candidate.image - first) as usize];
+            let pixel = self.pixel(candidate.landmark, candidate.image, camera);
+            candidate.pixel = pixel.unwrap_or_default();
+            pixel.is_some()
+        });
+        let mut hits = self.seek(&cameras, first, grids, &candidates, radius_px.min(agree_px));
+        let vehicle_from_map = agreed(&hits, &pose, agree_px)?.inverse();
         hits.retain(|hit| {
             let off_px = self.resighting(hit).residual_px(&vehicle_from_map);
             off_px.is_some_and(|off_px| off_px <= agree_px)
         });
-        if hits.len() < least {
-            hits.clear();
-        }
-        hits
+        (hits.len() >= least).then_some(hits)
+    }
+
+    /// The cameras of a keyframe that stands there.
+    fn cameras(&self, keyframe: u32, map_from_vehicle: &Pose) -> Vec<Pose> {
+        let images = self.scene.keyframes[keyframe as usize].images.clone();
+        let mounts = images.map(|image| &self.scene.camera(image).vehicle_from_camera);
+        mounts
+            .map(|mount| map_from_vehicle.compose(mount))
+            .collect()
     }
 
     fn resighting(&self, hit: &Hit) -> Resighting {
@@ -161,34 +189,40 @@ impl<'a> Search<'a> {
         FeatureGrid::new(features.map(|feature| feature.ray.map_or(nowhere, |_| feature.pixel)))
     }
 
-    /// Whether a keyframe shortly before or after saw it. Features are sorted by image, and so by keyframe.
-    fn same_visit(&self, landmark: u32, keyframe: u32) -> bool {
+    /// The landmarks that keyframes shortly before or after saw, and this one.
+    fn of_visit(&self, keyframe: u32) -> impl Iterator<Item = &u32> {
         let keyframes = &self.scene.keyframes;
-        let of = |feature: &FeatureRef| self.scene.images[feature.image as usize].keyframe;
-        let first = keyframe.saturating_sub(self.params.visit_keyframes);
-        let last = keyframe.saturating_add(self.params.visit_keyframes);
-        let features = &self.landmarks[landmark as usize].features;
-        let from = features.partition_point(|feature| of(feature) < first);
-        let mut around = features[from..].iter().map(of).take_while(|at| *at <= last);
-        around.any(|at| keyframes[at as usize].session == keyframes[keyframe as usize].session)
+        let away = self.params.visit_keyframes;
+        let end = keyframe.saturating_add(away).saturating_add(1) as usize;
+        let around = &keyframes[keyframe.saturating_sub(away) as usize..end.min(keyframes.len())];
+        let session = keyframes[keyframe as usize].session;
+        let visit = around.iter().filter(move |other| other.session == session);
+        let images = visit.flat_map(|other| other.images.clone());
+        images.flat_map(|image| &self.known[image as usize])
     }
 
     /// Landmarks that an image may show and that are not known there, by image.
-    fn candidates(&self, keyframe: u32, landmarks: &[u32]) -> Vec<Candidate> {
+    fn candidates(&self, keyframe: u32) -> Vec<Candidate> {
+        let pose = &self.poses[keyframe as usize];
+        let around = self.reaches.around(&pose.translation);
         let images = self.scene.keyframes[keyframe as usize].images.clone();
         let mut candidates = Vec::new();
-        for image in images {
-            let camera = self.scene.map_from_camera(self.poses, image);
+        for (image, camera) in images.zip(self.cameras(keyframe, pose)) {
             let mut known = self.known[image as usize].iter().peekable();
-            let visible = landmarks.iter().filter(|landmark| {
+            let unknown = around.iter().filter(|landmark| {
                 while known.next_if(|known| known < landmark).is_some() {}
                 known.peek() != Some(landmark)
-                    && self.targets[**landmark as usize]
-                        .visibility
-                        .from(&camera.translation)
-                    && self.pixel(**landmark, image, &camera).is_some()
             });
-            candidates.extend(visible.map(|landmark| (image, *landmark)));
+            let visible = unknown.filter(|landmark| {
+                self.visibilities[**landmark as usize].from(&camera.translation)
+            });
+            candidates.extend(visible.filter_map(|landmark| {
+                Some(Candidate {
+                    image,
+                    landmark: *landmark,
+                    pixel: self.pixel(*landmark, image, &camera)?,
+                })
+            }));
         }
         candidates
     }
@@ -201,50 +235,53 @@ impl<'a> Search<'a> {
         lens.contains(pixel).then_some(pixel)
     }
 
-    /// The unrivalled feature of each candidate, in the images of a keyframe that stands at `pose`.
+    /// The unrivalled feature of each candidate, in a keyframe's images, of which `first` is the first.
     fn seek(
         &self,
-        keyframe: u32,
-        pose: &Pose,
+        cameras: &[Pose],
+        first: u32,
         grids: &[FeatureGrid],
         candidates: &[Candidate],
         radius_px: f64,
     ) -> Vec<Hit> {
-        let first = self.scene.keyframes[keyframe as usize].images.start;
-        let cameras = self.scene.keyframes[keyframe as usize].images.clone();
-        let cameras: Vec<Pose> = cameras
-            .map(|image| pose.compose(&self.scene.camera(image).vehicle_from_camera))
-            .collect();
-        let look = |(image, landmark): &Candidate| {
-            let at = (image - first) as usize;
-            self.look_for(*landmark, *image, &cameras[at], &grids[at], radius_px)
+        let look = |candidate: &Candidate| {
+            let at = (candidate.image - first) as usize;
+            self.look_for(candidate, &cameras[at].translation, &grids[at], radius_px)
         };
         candidates.iter().filter_map(look).collect()
     }
 
     fn look_for(
         &self,
-        landmark: u32,
-        image: u32,
-        map_from_camera: &Pose,
+        candidate: &Candidate,
+        camera: &Vector3<f64>,
         grid: &FeatureGrid,
         radius_px: f64,
     ) -> Option<Hit> {
+        let Candidate {
+            image,
+            landmark,
+            pixel,
+        } = *candidate;
         let target = &self.targets[landmark as usize];
-        let away = map_from_camera.translation - target.point;
-        let range = away.norm();
-        let sought = Sought {
-            pixel: self.pixel(landmark, image, map_from_camera)?,
-            radius_px,
-            appearances: target.nearest_appearances(&(away / range), range),
-            size_px: target.size_px_m / range,
-        };
         let features = &self.scene.images[image as usize].features;
-        let (feature, bits) = sought.unrivalled(features, grid, self.params)?;
-        let feature = FeatureRef { image, feature };
+        let away = camera - target.point;
+        let range_m = away.norm();
+        let size_px = target.size_px_m / range_m;
+        let fits = |at: &u32| {
+            let ratio = features[*at as usize].size_px / size_px;
+            (1.0 / self.params.scale_factor..=self.params.scale_factor).contains(&ratio)
+        };
+        let near: Vec<u32> = grid.near(pixel, radius_px).filter(fits).collect();
+        // Mostly there is none: what it looks like need not be known.
+        if near.is_empty() {
+            return None;
+        }
+        let appearances = target.nearest_appearances(&(away / range_m), range_m);
+        let (feature, bits) = unrivalled(appearances, features, &near, &self.params.limits)?;
         Some(Hit {
             landmark,
-            feature,
+            feature: FeatureRef { image, feature },
             bits,
         })
     }
@@ -272,60 +309,38 @@ impl Target {
     }
 }
 
-/// A landmark as it should appear in an image.
-struct Sought<'a> {
-    pixel: [f64; 2],
-    radius_px: f64,
-    /// Appearances from about here.
-    appearances: [Option<&'a Appearance>; 2],
-    size_px: f64,
+/// The feature that looks most like one of the appearances, if it is alike enough and no other one is nearly as much; and
+/// in how many bits it differs.
+fn unrivalled(
+    appearances: [Option<&Appearance>; 2],
+    features: &[SceneFeature],
+    near: &[u32],
+    limits: &MatchLimits,
+) -> Option<(u32, u32)> {
+    let bits = |at: &u32| {
+        let descriptor = &features[*at as usize].descriptor;
+        let appearances = appearances.iter().flatten();
+        let bits = appearances.map(|seen| seen.descriptor.distance(descriptor));
+        (bits.min().unwrap_or(u32::MAX), *at)
+    };
+    let near: Vec<(u32, u32)> = near.iter().map(bits).collect();
+    let (bits, best) = *near.iter().min()?;
+    let at = features[best as usize].pixel;
+    let elsewhere = |other: u32| {
+        squared_distance(features[other as usize].pixel, at) > SAME_PLACE_PX * SAME_PLACE_PX
+    };
+    let rivals = near.iter().filter(|(_, other)| elsewhere(*other));
+    let rival = rivals.map(|(bits, _)| *bits).min();
+    limits.accept(bits, rival).then_some((best, bits))
 }
 
-impl Sought<'_> {
-    fn bits(&self, feature: &super::SceneFeature) -> u32 {
-        let appearances = self.appearances.iter().flatten();
-        appearances
-            .map(|look| look.descriptor.distance(&feature.descriptor))
-            .min()
-            .unwrap_or(u32::MAX)
-    }
-
-    /// The feature most alike, if it is alike enough and no other one is nearly as much.
-    fn unrivalled(
-        &self,
-        features: &[super::SceneFeature],
-        grid: &FeatureGrid,
-        params: &AssociationParams,
-    ) -> Option<(u32, u32)> {
-        let fits = |at: &u32| {
-            let feature = &features[*at as usize];
-            let ratio = feature.size_px / self.size_px;
-            (1.0 / params.scale_factor..=params.scale_factor).contains(&ratio)
-        };
-        let near: Vec<(u32, u32)> = grid
-            .near(self.pixel, self.radius_px)
-            .filter(fits)
-            .map(|at| (self.bits(&features[at as usize]), at))
-            .collect();
-        let (bits, best) = *near.iter().min()?;
-        let at = features[best as usize].pixel;
-        let rival = near
-            .iter()
-            .filter(|(_, other)| {
-                squared_distance(features[*other as usize].pixel, at) > SAME_PLACE_PX.powi(2)
-            })
-            .map(|(bits, _)| *bits)
-            .min();
-        params.limits.accept(bits, rival).then_some((best, bits))
-    }
-}
-
+/// What is sought of a landmark, and from where it may be seen.
 fn target(
     scene: &Scene,
     cameras: &[Pose],
     landmark: &Landmark,
     params: &AssociationParams,
-) -> Target {
+) -> (Target, Visibility) {
     let sightings = sightings(scene, cameras, &landmark.point, &landmark.features);
     let features = landmark.features.iter().zip(&sightings);
     let sizes = features.map(|(feature, look)| scene.feature(*feature).size_px * look.range_m);
@@ -344,16 +359,17 @@ fn target(
     };
     let appearances = appearances(&sightings);
     let octaves = appearances.iter().map(|seen| seen.range_m.log2());
-    Target {
+    let visibility = Visibility::new(
+        landmark.point,
+        &seen,
+        params.view_margin_rad,
+        params.scale_factor,
+    );
+    let target = Target {
         point: landmark.point,
         octaves: octaves.collect(),
         appearances,
-        visibility: Visibility::new(
-            landmark.point,
-            &seen,
-            params.view_margin_rad,
-            params.scale_factor,
-        ),
         size_px_m: sizes.get(sizes.len() / 2).copied().unwrap_or(0.0),
-    }
+    };
+    (target, visibility)
 }

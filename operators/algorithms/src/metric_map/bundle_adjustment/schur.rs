@@ -77,6 +77,13 @@ pub trait Bundle<const C: usize>: Sync {
     /// The estimate becomes the trial.
     fn accept(&mut self);
 
+    /// How far these steps move the estimate, by its own measure; landmarks follow. Unless told otherwise, by their
+    /// largest absolute entry.
+    fn moved(&self, steps: &[[f64; C]]) -> f64 {
+        let entries = steps.as_flattened().iter();
+        entries.fold(0.0, |most: f64, entry| most.max(entry.abs()))
+    }
+
     /// For each unknown, how it changes when all of its group (`groups[block]`) moves together: one column for each
     /// of up to `C` motions. Unless told otherwise, all unknowns of a group change alike.
     fn common_motions(&self, groups: &[u32]) -> Vec<[[f64; C]; C]> {
@@ -273,10 +280,8 @@ impl<const C: usize, B: Bundle<C>> Schur<C, B> {
 
     fn trial_step(&self, damping: f64) -> TrialStep {
         let mut predicted = 0.0;
-        let mut step_max: f64 = 0.0;
         let mut count = |step: f64, gradient: f64, diagonal: f64| {
             predicted += 0.5 * step * (damping * damped_diagonal(diagonal) * step - gradient);
-            step_max = step_max.max(step.abs());
         };
         for ((step, gradient), diagonal) in
             self.steps.iter().zip(&self.gradient).zip(&self.diagonal)
@@ -289,7 +294,7 @@ impl<const C: usize, B: Bundle<C>> Schur<C, B> {
         }
         TrialStep {
             predicted_decrease: predicted,
-            step_max,
+            moved: self.bundle.moved(&self.steps),
         }
     }
 }

@@ -18,6 +18,9 @@ use crate::solving::least_squares::SystemError;
 /// harmless.
 const UNSEEN_SIGMA: f64 = 100.0;
 
+/// Distance at which a turn counts as a move, metres: most of what is seen is nearer.
+const SEEN_M: f64 = 10.0;
+
 /// A pose as projections need it.
 #[derive(Clone, Copy)]
 struct Placed {
@@ -342,6 +345,18 @@ impl Bundle<6> for Vehicles<'_> {
 
     fn accept(&mut self) {
         self.estimate.clone_from(&self.trial);
+    }
+
+    /// Metres by which the pose that moves farthest moves what is [`SEEN_M`] away from it.
+    fn moved(&self, steps: &[[f64; 6]]) -> f64 {
+        let steps = self
+            .blocks
+            .iter()
+            .filter_map(|block| steps.get(*block as usize));
+        let moved = steps.map(|[x, y, z, roll, pitch, yaw]| {
+            Vector3::new(*x, *y, *z).norm() + SEEN_M * Vector3::new(*roll, *pitch, *yaw).norm()
+        });
+        moved.fold(0.0, f64::max)
     }
 
     /// A group of poses moves as one rigid body, about its middle along the map's axes.

@@ -42,12 +42,22 @@ pub struct AdjustParams {
     /// slipped. χ² with six degrees of freedom, once in a thousand; below, a step counts fully.
     #[serde(skip)]
     pub odometry_cutoff: f64,
-    /// Iterations of one adjustment between rounds.
+    /// When an adjustment between rounds ends. Poses that move by a millimetre move what is a metre away by 0.1 px: less
+    /// than features scatter, and much less than the next round's radius.
     #[serde(skip)]
+    pub between: Until,
+    /// When the last adjustment ends.
+    #[serde(skip)]
+    pub last: Until,
+}
+
+/// When an adjustment ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Until {
+    /// Iterations at most.
     pub iterations: usize,
-    /// Iterations of the last adjustment.
-    #[serde(skip)]
-    pub last_iterations: usize,
+    /// No pose moves what it sees 10 m away by more, metres.
+    pub moved_m: f64,
 }
 
 impl Default for AdjustParams {
@@ -59,8 +69,14 @@ impl Default for AdjustParams {
             odometry_sigma_per_m: [0.01, 0.01, 0.03, 0.02, 0.02, 0.006],
             odometry: OdometryScale::default(),
             odometry_cutoff: CUTOFF_SPATIAL,
-            iterations: 8,
-            last_iterations: 30,
+            between: Until {
+                iterations: 8,
+                moved_m: 1e-3,
+            },
+            last: Until {
+                iterations: 30,
+                moved_m: 1e-4,
+            },
         }
     }
 }
@@ -79,7 +95,7 @@ pub(super) fn adjust(
     poses: &[Pose],
     landmarks: &[Landmark],
     params: &AdjustParams,
-    iterations: usize,
+    until: Until,
 ) -> Adjusted {
     let loss = Loss::Cauchy(params.robust_sigmas);
     let mut problem = problem(input, poses, landmarks, params);
@@ -88,7 +104,9 @@ pub(super) fn adjust(
         odometry_loss: Loss::DynamicCovarianceScaling(params.odometry_cutoff),
         scale_sigma: params.odometry.sigma,
         least_squares: least_squares::Options {
-            max_iterations: iterations,
+            max_iterations: until.iterations,
+            // What moves no pose is not waited for, nor is what lowers no cost.
+            step_tolerance: until.moved_m,
             cost_tolerance: 1e-5,
             ..least_squares::Options::default()
         },

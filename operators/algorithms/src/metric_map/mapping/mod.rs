@@ -29,7 +29,7 @@ use serde::{Deserialize, Serialize};
 use crate::geometry::pose::Pose;
 use crate::metric_map::association::{AssociationParams, FeatureRef, Landmark, Scene, associate};
 
-pub use adjust::AdjustParams;
+pub use adjust::{AdjustParams, Until};
 pub use summary::{Candidate, SummaryParams, Touch, summary, touched};
 
 /// How maps are made.
@@ -137,8 +137,8 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
         let found = associate(scene, &poses, &landmarks, &association);
         let gate_px = association.agree_px.max(0.75 * radius_px);
         landmarks = prune::prune(scene, &poses, found, gate_px, params);
-        let iterations = params.adjust.iterations;
-        poses = adjust::adjust(input, &poses, &landmarks, &params.adjust, iterations).poses;
+        let until = params.adjust.between;
+        poses = adjust::adjust(input, &poses, &landmarks, &params.adjust, until).poses;
         landmarks = prune::prune(scene, &poses, landmarks, params.drop_px(), params);
     }
     prune::name(&mut landmarks, input.first_new);
@@ -147,7 +147,7 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
         &poses,
         &landmarks,
         &params.adjust,
-        params.adjust.last_iterations,
+        params.adjust.last,
     );
     for (landmark, point) in landmarks.iter_mut().zip(last.points) {
         landmark.point = point;

@@ -145,7 +145,7 @@ impl<const D: usize> BlockSystem<D> {
         if self.step.is_empty() {
             return Some(TrialStep {
                 predicted_decrease: 0.0,
-                step_max: 0.0,
+                moved: 0.0,
             });
         }
         let diagonal = self.factorise(damping)?;
@@ -156,7 +156,7 @@ impl<const D: usize> BlockSystem<D> {
         }
         Some(TrialStep {
             predicted_decrease: predicted,
-            step_max: absolute_max(&self.step),
+            moved: absolute_max(&self.step),
         })
     }
 

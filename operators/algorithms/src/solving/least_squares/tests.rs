@@ -102,7 +102,7 @@ fn check_against_dense<const D: usize>(
     }
     let falls = -(g.dot(&expected) + 0.5 * expected.dot(&(&h * &expected)));
     assert!((step.predicted_decrease - falls).abs() < 1e-9 * (1.0 + falls));
-    assert!((step.step_max - expected.amax()).abs() < 1e-8 * expected.norm());
+    assert!((step.moved - expected.amax()).abs() < 1e-8 * expected.norm());
 }
 
 trait AddAssignBlock<const D: usize> {
@@ -158,7 +158,7 @@ impl Problem for Valley {
         self.step = -(self.h + d * damping).cholesky()?.solve(&self.g);
         Some(TrialStep {
             predicted_decrease: 0.5 * self.step.dot(&(d * damping * self.step - self.g)),
-            step_max: self.step.amax(),
+            moved: self.step.amax(),
         })
     }
 
@@ -198,5 +198,5 @@ fn a_matrix_that_is_not_definite_is_no_step() {
     let empty = BlockSystem::new(Structure::<2>::new(0, []).unwrap())
         .unwrap()
         .solve(1.0);
-    assert_eq!(empty.unwrap().step_max, 0.0);
+    assert_eq!(empty.unwrap().moved, 0.0);
 }

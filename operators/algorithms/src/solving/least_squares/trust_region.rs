@@ -36,8 +36,8 @@ pub struct Linearisation {
 pub struct TrialStep {
     /// By how much the quadratic model falls: `½ δᵀ (damping · D δ - g)`, at least 0.
     pub predicted_decrease: f64,
-    /// Largest absolute entry of `δ`.
-    pub step_max: f64,
+    /// How far `δ` moves the estimate, by the problem's own measure: the largest absolute entry, for instance.
+    pub moved: f64,
 }
 
 /// Marquardt's damping follows the curvature: `D` is the diagonal of `H`, kept away from 0 so
@@ -56,7 +56,7 @@ pub struct Options {
     pub cost_tolerance: f64,
     /// Stop when no entry of the gradient is larger.
     pub gradient_tolerance: f64,
-    /// Stop when no entry of a step is larger (metres, radians).
+    /// Stop after a step that moves the estimate no farther, by the problem's own measure.
     pub step_tolerance: f64,
     /// Damping of the first step, relative to the curvature: 1e-4 is nearly Gauss–Newton, 1 is
     /// cautious.
@@ -167,8 +167,10 @@ pub fn minimise<P: Problem + ?Sized>(problem: &mut P, options: &Options) -> Summ
             summary.stop = Stop::Gradient;
             break;
         }
-        match attempt(problem, at.cost, damping.value, options) {
-            Attempt::Tiny => {
+        let (attempt, moved) = attempt(problem, at.cost, damping.value);
+        let arrived = moved.is_some_and(|moved| moved <= options.step_tolerance);
+        match attempt {
+            Attempt::Worse if arrived => {
                 summary.stop = Stop::Step;
                 break;
             }
@@ -185,8 +187,9 @@ pub fn minimise<P: Problem + ?Sized>(problem: &mut P, options: &Options) -> Summ
                 summary.accepted += 1;
                 summary.final_cost = cost;
                 damping.accepted(gain);
-                if at.cost - cost <= options.cost_tolerance * at.cost {
-                    summary.stop = Stop::Cost;
+                let flat = at.cost - cost <= options.cost_tolerance * at.cost;
+                if flat || arrived {
+                    summary.stop = if arrived { Stop::Step } else { Stop::Cost };
                     break;
                 }
                 at = problem.linearise();
@@ -197,29 +200,26 @@ pub fn minimise<P: Problem + ?Sized>(problem: &mut P, options: &Options) -> Summ
 }
 
 enum Attempt {
-    Tiny,
     Worse,
     Better { cost: f64, gain: f64 },
 }
 
+/// A step, and how far it moves the estimate; `None` where there was none.
 fn attempt<P: Problem + ?Sized>(
     problem: &mut P,
     cost: f64,
     damping: f64,
-    options: &Options,
-) -> Attempt {
+) -> (Attempt, Option<f64>) {
     let Some(step) = problem.solve(damping) else {
-        return Attempt::Worse;
+        return (Attempt::Worse, None);
     };
-    if step.step_max <= options.step_tolerance {
-        return Attempt::Tiny;
-    }
     let trial = problem.trial_cost();
     let gain = (cost - trial) / step.predicted_decrease;
     // Not `gain <= MIN_GAIN`: NaN is worse, too.
-    if gain > MIN_GAIN {
+    let attempt = if gain > MIN_GAIN {
         Attempt::Better { cost: trial, gain }
     } else {
         Attempt::Worse
-    }
+    };
+    (attempt, Some(step.moved))
 }
