@@ -162,6 +162,7 @@ pub(super) fn pieces<'a, T>(
 
 impl<T> Piece<'_, T> {
     /// Calls `visit` with each landmark's index, sights and numbers.
+    #[inline(always)]
     pub(super) fn each(self, mut visit: impl FnMut(usize, &[Sight], &mut Point, &mut [T])) {
         let start = self.layout.first[self.landmark];
         for (index, point) in self.points.iter_mut().enumerate() {

@@ -10,6 +10,7 @@
 //! Kushal & Agarwal (CVPR 2012) for groups by visibility; Toselli & Widlund, *Domain Decomposition Methods* (2005),
 //! chapter 3, for the second level, without which iterations grow with the length of the map.
 
+use pulp::Arch;
 use rayon::prelude::*;
 
 use super::blocks::{Block, Blocks, Dense};
@@ -245,10 +246,18 @@ impl<const C: usize> ByBlock<C> {
         pieces(layout, points, &mut self.moved)
             .into_par_iter()
             .for_each(|piece| {
-                piece.each(|landmark, sights, _, moved| {
-                    let sighted = &sighted[layout.of_landmark(landmark)];
-                    Point::follow(sights, sighted, moved, x);
-                });
+                Arch::new().dispatch(
+                    #[inline(always)]
+                    || {
+                        piece.each(
+                            #[inline(always)]
+                            |landmark, sights, _, moved| {
+                                let sighted = &sighted[layout.of_landmark(landmark)];
+                                Point::follow(sights, sighted, moved, x);
+                            },
+                        );
+                    },
+                );
             });
         let mut product = terms.product(x);
         let moved = &self.moved;
@@ -256,11 +265,16 @@ impl<const C: usize> ByBlock<C> {
         let all = product.par_iter_mut().zip(sights);
         let all = all.zip(x.par_iter().zip(damping)).with_min_len(8);
         all.for_each(|((sum, (cameras, own)), (x, damping))| {
-            (0..C).for_each(|c| sum[c] += damping[c] * x[c]);
-            for ([j, k], place) in cameras.iter().zip(own) {
-                let [a, b] = moved[*place as usize];
-                (0..C).for_each(|c| sum[c] += j[c] * a + k[c] * b);
-            }
+            Arch::new().dispatch(
+                #[inline(always)]
+                || {
+                    (0..C).for_each(|c| sum[c] += damping[c] * x[c]);
+                    for ([j, k], place) in cameras.iter().zip(own) {
+                        let [a, b] = moved[*place as usize];
+                        (0..C).for_each(|c| sum[c] += j[c] * a + k[c] * b);
+                    }
+                },
+            );
         });
         product
     }

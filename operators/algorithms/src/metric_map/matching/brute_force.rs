@@ -92,7 +92,10 @@ impl Descriptors {
 
     fn both_ways(&self, other: &Self, limits: &MatchLimits) -> (Vec<Best>, Vec<Best>) {
         let unlike = limits.unlike_bits();
-        Arch::new().dispatch(|| both_ways(&self.words, &other.words, unlike))
+        Arch::new().dispatch(
+            #[inline(always)]
+            || both_ways(&self.words, &other.words, unlike),
+        )
     }
 
     /// For each of these descriptors its nearest in `other`, where it passes the limits.

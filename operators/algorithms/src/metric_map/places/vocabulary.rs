@@ -247,13 +247,16 @@ fn nearest(wanted: &Words, centres: &[Words]) -> u32 {
 
 /// Of each bit what more than half of the members have.
 fn majority(members: &[u32], sample: &[Words]) -> Words {
-    Arch::new().dispatch(|| {
-        let mut counts = BitCounts::default();
-        for member in members {
-            counts.add(sample[*member as usize]);
-        }
-        counts.above(members.len() / 2)
-    })
+    Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            let mut counts = BitCounts::default();
+            for member in members {
+                counts.add(sample[*member as usize]);
+            }
+            counts.above(members.len() / 2)
+        },
+    )
 }
 
 /// How often each of 512 bits was set, counted 64 at a time: a digit of all counts is one [`Words`], and numbers of a
