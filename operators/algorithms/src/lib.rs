@@ -18,5 +18,6 @@ pub mod ground;
 pub mod labels;
 pub mod learning;
 pub mod metric_map;
+mod processor;
 pub mod semantic_map;
 pub mod solving;

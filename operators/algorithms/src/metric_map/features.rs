@@ -1,8 +1,9 @@
 //! Key points with binary descriptors, as BRISK yields them.
 
-use pulp::Arch;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::processor::vectorised;
 
 /// Bytes of a descriptor.
 pub const DESCRIPTOR_BYTES: usize = 64;
@@ -15,7 +16,7 @@ impl Descriptor {
     /// Bits that differ, 0 to 512.
     pub fn distance(&self, other: &Self) -> u32 {
         // Without a processor's own instruction, counting takes eight times as long.
-        Arch::new().dispatch(
+        vectorised(
             #[inline(always)]
             || distance(&words(self), &words(other)),
         )
@@ -50,7 +51,7 @@ pub(crate) fn distances<'a>(
 ) -> Vec<u32> {
     let one = words(one);
     let mut found = Vec::with_capacity(several.size_hint().0);
-    Arch::new().dispatch(
+    vectorised(
         #[inline(always)]
         || {
             // What collects is not compiled for the instructions of whoever calls.

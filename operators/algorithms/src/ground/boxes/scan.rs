@@ -5,13 +5,13 @@
 //!
 //! Only peaks are kept, so what is found does not depend on how the image was cut.
 
-use pulp::Arch;
 use rayon::prelude::*;
 
 use super::GroundBox;
 use super::box_index::BoxIndex;
 use super::description::{ACROSS, ALONG, BINS, LEAST_SEEN, LENGTH, describe, norm, reach_m, votes};
 use super::overhead::Gradients;
+use crate::processor::vectorised;
 
 /// Headings over half a turn: at 7.5 degrees a box 5 m long is off by 16 cm at its ends at most, a third of a cell.
 const HEADINGS: usize = 24;
@@ -303,7 +303,7 @@ impl Turned {
                 .map(move |column| row * self.columns + column)
         });
         let mut scores: Vec<[f64; 2]> = Vec::with_capacity(rows.len() * columns.len());
-        Arch::new().dispatch(
+        vectorised(
             #[inline(always)]
             || {
                 for place in places {

@@ -10,6 +10,7 @@ use std::ops::Range;
 use super::softmax::softmax;
 use super::{ColourView, CrfError, Kernels, Marginals, Unary};
 use crate::learning::permutohedral::{BLOCK, Buffer, Eight, Lattice, Value};
+use crate::processor::vectorised;
 
 /// Side of the tiles in which pixels are worked on: a block of the lattices, whose distributions stay in the first
 /// cache.
@@ -114,7 +115,7 @@ impl RandomField {
         );
         for round in 0..=iterations {
             let last = (round == iterations).then_some(&mut probabilities[..]);
-            pulp::Arch::new().dispatch(
+            vectorised(
                 #[inline(always)]
                 || self.pass(unary, &mut beliefs, &mut block, round > 0, last),
             );

@@ -34,6 +34,8 @@ use embedding::{Embedding, LANES};
 use grouping::Grouping;
 use table::{Key, Keys};
 
+use crate::processor::vectorised;
+
 /// Positions that are splatted and sliced together: the n-th block is of the positions from `n · BLOCK` on. Positions of
 /// one block that share a simplex are worked on one after the other, while its corners are at hand; it pays to give
 /// positions in such an order that neighbours are in one block.
@@ -167,8 +169,7 @@ impl<const V: usize> Lattice<V> {
     /// Filters one number per position; such that are missing are zero.
     pub fn filter(&self, values: &[f32]) -> Vec<f32> {
         let buffer = self.buffer();
-        // A closure that gives away what it holds is inlined, and so compiled for the processor's instructions.
-        pulp::Arch::new().dispatch(
+        vectorised(
             #[inline(always)]
             move || self.filter_in(buffer, values),
         )
@@ -252,7 +253,7 @@ fn embed<const V: usize>(
 ) -> (Grouping<V>, Keys<V>) {
     let grouping = Grouping::with_room(positions);
     let simplices = Keys::with_room(positions / 8);
-    pulp::Arch::new().dispatch(
+    vectorised(
         #[inline(always)]
         move || embed_into(grouping, simplices, coordinates, positions, period),
     )

@@ -4,11 +4,11 @@
 //! Every loop is written over arrays whose lengths the compiler knows; [`pulp`] compiles the row
 //! once more for processors with wider vectors and chooses when it runs.
 
-use pulp::Arch;
 use rayon::prelude::*;
 
 use super::blocks::{Blocks, Row};
 use super::schur::{FIXED, Linear, Sight};
+use crate::processor::vectorised;
 use crate::solving::least_squares::damped_diagonal;
 
 /// One observation's numbers, in the order of landmarks.
@@ -318,7 +318,7 @@ fn fill_row<const C: usize>(
         places[*column as usize] = place as u32;
     }
     row.blocks.fill([[0.0; C]; C]);
-    Arch::new().dispatch(
+    vectorised(
         #[inline(always)]
         || {
             for place in &layout.by_block[block as usize] {

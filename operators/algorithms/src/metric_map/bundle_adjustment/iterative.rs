@@ -10,7 +10,6 @@
 //! Kushal & Agarwal (CVPR 2012) for groups by visibility; Toselli & Widlund, *Domain Decomposition Methods* (2005),
 //! chapter 3, for the second level, without which iterations grow with the length of the map.
 
-use pulp::Arch;
 use rayon::prelude::*;
 
 use super::blocks::{Block, Blocks, Dense};
@@ -18,6 +17,7 @@ use super::clusters::Clusters;
 use super::coarse::Coarse;
 use super::elimination::{Layout, Point, Sighted, fill, pieces};
 use super::schur::Bundle;
+use crate::processor::vectorised;
 use crate::solving::least_squares::SystemError;
 
 /// Poses of a group that are factorised together. Larger groups save few products and take more to form.
@@ -246,7 +246,7 @@ impl<const C: usize> ByBlock<C> {
         pieces(layout, points, &mut self.moved)
             .into_par_iter()
             .for_each(|piece| {
-                Arch::new().dispatch(
+                vectorised(
                     #[inline(always)]
                     || {
                         piece.each(
@@ -265,7 +265,7 @@ impl<const C: usize> ByBlock<C> {
         let all = product.par_iter_mut().zip(sights);
         let all = all.zip(x.par_iter().zip(damping)).with_min_len(8);
         all.for_each(|((sum, (cameras, own)), (x, damping))| {
-            Arch::new().dispatch(
+            vectorised(
                 #[inline(always)]
                 || {
                     (0..C).for_each(|c| sum[c] += damping[c] * x[c]);

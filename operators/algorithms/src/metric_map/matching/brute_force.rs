@@ -1,9 +1,8 @@
 //! All descriptors of one set against all of another.
 
-use pulp::Arch;
-
 use super::MatchLimits;
 use crate::metric_map::features::{Descriptor, Words, distance, words};
+use crate::processor::vectorised;
 
 /// Descriptors laid out for many distances. Named by their index.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -92,7 +91,7 @@ impl Descriptors {
 
     fn both_ways(&self, other: &Self, limits: &MatchLimits) -> (Vec<Best>, Vec<Best>) {
         let unlike = limits.unlike_bits();
-        Arch::new().dispatch(
+        vectorised(
             #[inline(always)]
             || both_ways(&self.words, &other.words, unlike),
         )

@@ -1,11 +1,11 @@
 //! Words for binary descriptors: a tree of majorities.
 
-use pulp::Arch;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::metric_map::features::{Descriptor, Words, distance, words};
+use crate::processor::vectorised;
 
 /// Descriptors that one task of the assignment takes.
 const CHUNK: usize = 2048;
@@ -221,7 +221,7 @@ fn assigned(members: &[u32], sample: &[Words], centres: &[Words]) -> Vec<Vec<u32
 /// What is found of each, by the instructions that the processor has.
 fn each<T>(all: &[T], find: impl Fn(&T) -> u32) -> Vec<u32> {
     let mut found = Vec::with_capacity(all.len());
-    Arch::new().dispatch(
+    vectorised(
         #[inline(always)]
         || {
             // What collects is not compiled for them.
@@ -247,7 +247,7 @@ fn nearest(wanted: &Words, centres: &[Words]) -> u32 {
 
 /// Of each bit what more than half of the members have.
 fn majority(members: &[u32], sample: &[Words]) -> Words {
-    Arch::new().dispatch(
+    vectorised(
         #[inline(always)]
         || {
             let mut counts = BitCounts::default();
