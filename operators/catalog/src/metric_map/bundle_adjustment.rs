@@ -24,7 +24,7 @@ pub struct BundleAdjustment;
 
 impl Operator for BundleAdjustment {
     const NAME: &'static str = "bundle_adjustment";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const PAGE: &'static str = include_str!("bundle_adjustment.md");
     type Params = OfVehicle<MappingParams>;
     type Output = AdjustedPose;
@@ -71,6 +71,8 @@ fn adjust(
     staying.extend(holding);
     let survey = Survey::new(&known, new, sides, &params.vehicle, emit)?;
     let landmarks = landmarks(&survey, &known);
+    // What they say is in the survey now, and takes as much again.
+    drop(known);
     let tracks = tracks(&survey, sides.rows("tracks")?, emit);
     let found = map(
         &MapInput {
@@ -83,10 +85,7 @@ fn adjust(
         },
         &params.options,
     );
-    let mut rows = rows(&survey, &found, &site);
-    rows.extend(untouched);
-    rows.sort_by(|a, b| (&a.session, a.stamp).cmp(&(&b.session, b.stamp)));
-    emit.rows(rows)
+    emit_all(&survey, &found, &site, untouched, emit)
 }
 
 /// A keyframe by its session and instant.
@@ -243,40 +242,89 @@ fn tracks(survey: &Survey, rows: Vec<Track>, emit: &mut Emit<'_>) -> Vec<Vec<Fea
     tracks
 }
 
-fn rows(survey: &Survey, found: &Map, site: &str) -> Vec<AdjustedPose> {
+/// Rows that are made, and handed on, at a time: all of a site's at once take more than all that they are made from.
+const AT_A_TIME: usize = 64;
+
+/// Emits the keyframes that were adjusted and those that were not touched, by session and stamp.
+fn emit_all(
+    survey: &Survey,
+    found: &Map,
+    site: &str,
+    untouched: Vec<AdjustedPose>,
+    emit: &mut Emit<'_>,
+) -> Result<(), Fault> {
     let mut seen: Vec<Vec<&MapObservation>> = vec![Vec::new(); survey.scene.keyframes.len()];
     for observation in &found.observations {
         let image = &survey.scene.images[observation.feature.image as usize];
         seen[image.keyframe as usize].push(observation);
     }
-    let keyframes = survey.keyframes.iter().zip(&survey.scene.keyframes);
-    let keyframes = keyframes.zip(&found.poses).zip(seen);
-    keyframes
-        .map(|(((keyframe, of_scene), pose), mut seen)| {
-            // Images stand in the order of the cameras' names, their features in that of their numbers.
-            seen.sort_by_key(|seen| seen.feature);
-            let observations = seen.iter();
-            let observations = observations.map(|seen| observation(survey, found, seen));
-            let descriptors = seen.iter();
-            let descriptors =
-                descriptors.flat_map(|seen| survey.scene.feature(seen.feature).descriptor.0);
-            let rig = &survey.scene.rigs[of_scene.session as usize];
-            AdjustedPose {
-                site: site.to_owned(),
-                session: keyframe.session.clone(),
-                stamp: keyframe.stamp,
-                keyframe: keyframe.number,
-                stretch: keyframe.stretch,
-                map_from_vehicle: evermap_schemas::Pose::from_array(pose.to_array()),
-                odom_from_vehicle: evermap_schemas::Pose::from_array(
-                    of_scene.odom_from_vehicle.to_array(),
-                ),
-                observations: observations.collect(),
-                descriptors: Bytes(descriptors.collect()),
-                images: rig.cameras.iter().map(image_size).collect(),
-            }
+    let mut rows: BTreeMap<KeyframeName, Row> = untouched
+        .into_iter()
+        .map(|row| {
+            (
+                (row.session.clone(), row.stamp),
+                Row::Untouched(Box::new(row)),
+            )
         })
-        .collect()
+        .collect();
+    rows.extend(
+        survey
+            .keyframes
+            .iter()
+            .zip(seen)
+            .zip(0..)
+            .map(|((keyframe, seen), at)| {
+                let name = (keyframe.session.clone(), keyframe.stamp);
+                (name, Row::Adjusted(at, seen))
+            }),
+    );
+    let mut rows = rows.into_values().map(|row| match row {
+        Row::Untouched(row) => *row,
+        Row::Adjusted(at, seen) => adjusted(survey, found, site, at, seen),
+    });
+    loop {
+        let some: Vec<AdjustedPose> = rows.by_ref().take(AT_A_TIME).collect();
+        if some.is_empty() {
+            return Ok(());
+        }
+        emit.rows(some)?;
+    }
+}
+
+/// What a row is made from.
+enum Row<'a> {
+    Untouched(Box<AdjustedPose>),
+    /// The keyframe's index in the survey, and what it sees.
+    Adjusted(usize, Vec<&'a MapObservation>),
+}
+
+fn adjusted(
+    survey: &Survey,
+    found: &Map,
+    site: &str,
+    at: usize,
+    mut seen: Vec<&MapObservation>,
+) -> AdjustedPose {
+    let (keyframe, of_scene) = (&survey.keyframes[at], &survey.scene.keyframes[at]);
+    // Images stand in the order of the cameras' names, their features in that of their numbers.
+    seen.sort_by_key(|seen| seen.feature);
+    let observations = seen.iter();
+    let observations = observations.map(|seen| observation(survey, found, seen));
+    let descriptors = seen.iter();
+    let descriptors = descriptors.flat_map(|seen| survey.scene.feature(seen.feature).descriptor.0);
+    let rig = &survey.scene.rigs[of_scene.session as usize];
+    AdjustedPose {
+        site: site.to_owned(),
+        session: keyframe.session.clone(),
+        stamp: keyframe.stamp,
+        keyframe: keyframe.number,
+        stretch: keyframe.stretch,
+        map_from_vehicle: evermap_schemas::Pose::from_array(found.poses[at].to_array()),
+        odom_from_vehicle: evermap_schemas::Pose::from_array(of_scene.odom_from_vehicle.to_array()),
+        observations: observations.collect(),
+        descriptors: Bytes(descriptors.collect()),
+        images: rig.cameras.iter().map(image_size).collect(),
+    }
 }
 
 fn observation(survey: &Survey, found: &Map, seen: &MapObservation) -> Observation {

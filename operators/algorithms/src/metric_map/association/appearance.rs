@@ -18,85 +18,70 @@ const NEAREST_M: f64 = 1e-3;
 /// Members of an appearance that the medoid is taken of, at most.
 const MOST_MEMBERS: usize = 24;
 
-/// One appearance of a landmark.
+/// How a feature shows a landmark.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Appearance {
+pub(super) struct Sighting<'a> {
     /// Unit vector from the landmark to the camera, in the map.
-    pub direction: Vector3<f64>,
+    pub(super) direction: Vector3<f64>,
     /// Distance of the camera, metres.
-    pub range_m: f64,
+    pub(super) range_m: f64,
     /// What it looks like from there.
-    pub descriptor: Descriptor,
-    /// Sightings that look like this.
-    pub members: u32,
+    pub(super) descriptor: &'a Descriptor,
 }
 
-/// How features show a landmark at a point, each an appearance of its own. `map_from_cameras` are the poses of all images.
-pub fn sightings(
-    scene: &Scene,
+/// How features show a landmark at a point, in their order. `map_from_cameras` are the poses of all images.
+pub(super) fn sightings<'a>(
+    scene: &'a Scene,
     map_from_cameras: &[Pose],
     point: &Vector3<f64>,
     features: &[FeatureRef],
-) -> Vec<Appearance> {
+) -> Vec<Sighting<'a>> {
     let sighting = |feature: &FeatureRef| {
         let away = map_from_cameras[feature.image as usize].translation - point;
         let range_m = away.norm().max(NEAREST_M);
-        Appearance {
+        Sighting {
             direction: away / range_m,
             range_m,
-            descriptor: scene.feature(*feature).descriptor,
-            members: 1,
+            descriptor: &scene.feature(*feature).descriptor,
         }
     };
     features.iter().map(sighting).collect()
 }
 
-/// Groups sightings of a landmark (each an appearance of its own: direction, range, descriptor) by direction and range,
-/// and gives the medoid of each group: the sighting whose descriptor is nearest to all others. Most members first,
-/// ties in order of first sight.
-pub fn appearances(sightings: &[Appearance]) -> Vec<Appearance> {
-    let mut groups: Vec<Vec<&Appearance>> = Vec::new();
-    for sighting in sightings {
-        let like = |group: &&mut Vec<&Appearance>| {
-            let first = group[0];
+/// Groups sightings of a landmark by direction and range, and gives the medoid of each group: the index of the sighting
+/// whose descriptor is nearest to all others. Those of most members first, ties in order of first sight.
+pub(super) fn appearances(sightings: &[Sighting<'_>]) -> Vec<usize> {
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    for (at, sighting) in sightings.iter().enumerate() {
+        let like = |group: &&mut Vec<usize>| {
+            let first = &sightings[group[0]];
             let ratio = first.range_m / sighting.range_m;
             first.direction.dot(&sighting.direction) >= ALIKE_COS
                 && (1.0 / ALIKE_RANGE_FACTOR..=ALIKE_RANGE_FACTOR).contains(&ratio)
         };
         match groups.iter_mut().find(like) {
-            Some(group) => group.push(sighting),
-            None => groups.push(vec![sighting]),
+            Some(group) => group.push(at),
+            None => groups.push(vec![at]),
         }
     }
-    let mut found: Vec<Appearance> = groups.iter().map(|group| medoid(group)).collect();
-    found.sort_by_key(|look| std::cmp::Reverse(look.members));
-    found.truncate(MOST_APPEARANCES);
-    found
+    groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
+    groups.truncate(MOST_APPEARANCES);
+    let medoids = groups.iter().map(|group| medoid(sightings, group));
+    medoids.collect()
 }
 
 /// Mean direction to the cameras, a unit vector; up where directions cancel.
-pub fn mean_direction(sightings: &[Appearance]) -> Vector3<f64> {
-    let sum: Vector3<f64> = sightings.iter().map(|look| look.direction).sum();
+pub(super) fn mean_direction(sightings: &[Sighting<'_>]) -> Vector3<f64> {
+    let sum: Vector3<f64> = sightings.iter().map(|seen| seen.direction).sum();
     sum.try_normalize(1e-6).unwrap_or_else(Vector3::z)
 }
 
-fn medoid(group: &[&Appearance]) -> Appearance {
+fn medoid(sightings: &[Sighting<'_>], group: &[usize]) -> usize {
     let step = group.len().div_ceil(MOST_MEMBERS);
-    let members: Vec<&&Appearance> = group.iter().step_by(step).collect();
-    let total = |look: &Appearance| -> u32 {
-        let bits = members
-            .iter()
-            .map(|other| look.descriptor.distance(&other.descriptor));
-        bits.sum()
-    };
-    let best = members
-        .iter()
-        .min_by_key(|look| total(look))
-        .map_or(group[0], |look| **look);
-    Appearance {
-        members: group.len() as u32,
-        ..*best
-    }
+    let members = || group.iter().copied().step_by(step);
+    let bits = |a: usize, b: usize| sightings[a].descriptor.distance(sightings[b].descriptor);
+    let total = |at: &usize| -> u32 { members().map(|other| bits(*at, other)).sum() };
+    members().min_by_key(total).unwrap_or(group[0])
 }
 
 #[cfg(test)]
@@ -105,35 +90,37 @@ mod tests {
     use super::*;
     use crate::metric_map::features::DESCRIPTOR_BYTES;
 
-    fn sighting(angle_rad: f64, range_m: f64, first_byte: u8) -> Appearance {
-        let mut bytes = [0; DESCRIPTOR_BYTES];
-        bytes[0] = first_byte;
-        Appearance {
+    fn sighting(angle_rad: f64, range_m: f64, descriptor: &Descriptor) -> Sighting<'_> {
+        Sighting {
             direction: Vector3::new(angle_rad.cos(), angle_rad.sin(), 0.0),
             range_m,
-            descriptor: Descriptor(bytes),
-            members: 1,
+            descriptor,
         }
+    }
+
+    fn descriptor(first_byte: u8) -> Descriptor {
+        let mut bytes = [0; DESCRIPTOR_BYTES];
+        bytes[0] = first_byte;
+        Descriptor(bytes)
     }
 
     #[test]
     fn near_sightings_share_an_appearance_and_its_medoid_is_in_the_middle() {
-        let found = appearances(&[
-            sighting(0.0, 2.0, 0b0001),
-            sighting(0.1, 2.2, 0b0011),
-            sighting(0.05, 1.9, 0b0111),
-            sighting(1.5, 2.0, 0b1111_0000),
-        ]);
-        assert_eq!(found.len(), 2);
-        assert_eq!((found[0].descriptor.0[0], found[0].members), (0b0011, 3));
-        assert_eq!(found[1].descriptor.0[0], 0b1111_0000);
+        let looks = [0b1111_0000, 0b0001, 0b0011, 0b0111].map(descriptor);
+        let seen = [(1.5, 2.0), (0.0, 2.0), (0.1, 2.2), (0.05, 1.9)];
+        let seen = seen.iter().zip(&looks);
+        let seen: Vec<Sighting<'_>> = seen
+            .map(|((angle_rad, range_m), look)| sighting(*angle_rad, *range_m, look))
+            .collect();
+        assert_eq!(appearances(&seen), [2, 0]);
         assert!(appearances(&[]).is_empty());
     }
 
     #[test]
     fn there_are_never_too_many() {
-        let around: Vec<Appearance> = (0..200)
-            .map(|at| sighting(f64::from(at) * 0.3, 1.0 + f64::from(at), 7))
+        let look = descriptor(7);
+        let around: Vec<Sighting<'_>> = (0..200)
+            .map(|at| sighting(f64::from(at) * 0.3, 1.0 + f64::from(at), &look))
             .collect();
         assert_eq!(appearances(&around).len(), MOST_APPEARANCES);
     }

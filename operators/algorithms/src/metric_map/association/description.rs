@@ -44,6 +44,7 @@ pub fn describe(
     let cosines = seen.iter().map(|look| look.direction.dot(&view));
     let ranges = || seen.iter().map(|look| look.range_m);
     let alike = appearances(&seen).into_iter().take(looks);
+    let alike = alike.map(|sighting| *seen[sighting].descriptor);
     Some(Description {
         place,
         rms_px: rms_px(&sights, &place.point),
@@ -51,7 +52,7 @@ pub fn describe(
         view_cos: cosines.fold(1.0, f64::min),
         near_m: ranges().fold(f64::INFINITY, f64::min),
         far_m: ranges().fold(0.0, f64::max),
-        descriptors: alike.map(|look| look.descriptor).collect(),
+        descriptors: alike.collect(),
     })
 }
 

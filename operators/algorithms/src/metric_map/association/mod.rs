@@ -34,7 +34,6 @@ mod resight;
 mod scene;
 mod search;
 
-pub use appearance::{Appearance, appearances, mean_direction, sightings};
 pub use description::{Description, describe};
 pub use merge::associate;
 pub use point::{LandmarkPoint, Sight, triangulate};

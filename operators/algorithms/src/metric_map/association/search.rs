@@ -3,13 +3,12 @@
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
+use super::appearance::{appearances, mean_direction, sightings};
 use super::point::LineOfSight;
 use super::resight::{Resighting, agreed_pose};
-use super::{
-    Appearance, AssociationParams, FeatureRef, Landmark, Scene, SceneFeature, appearances,
-    mean_direction, sightings,
-};
+use super::{AssociationParams, FeatureRef, Landmark, Scene, SceneFeature};
 use crate::geometry::pose::Pose;
+use crate::metric_map::features::Descriptor;
 use crate::metric_map::matching::{FeatureGrid, MatchLimits, squared_distance};
 use crate::metric_map::visibility::{Reaches, Seen, Visibility};
 
@@ -27,12 +26,20 @@ pub struct Hit {
     pub bits: u32,
 }
 
+/// A feature that stands for what a landmark looks like from about a place.
+#[derive(Clone, Copy)]
+struct Appearance {
+    /// Unit vector from the landmark to the camera.
+    direction: Vector3<f32>,
+    /// Logarithm of the camera's distance to the base 2.
+    octave: f32,
+    feature: FeatureRef,
+}
+
 /// What the search needs to know of a landmark.
 struct Target {
     point: Vector3<f64>,
     appearances: Vec<Appearance>,
-    /// Logarithms of the appearances' ranges to the base 2.
-    octaves: Vec<f64>,
     /// Feature size times range, median: the landmark's own size, pixel metres.
     size_px_m: f64,
 }
@@ -277,8 +284,9 @@ impl<'a> Search<'a> {
         if near.is_empty() {
             return None;
         }
-        let appearances = target.nearest_appearances(&(away / range_m), range_m);
-        let (feature, bits) = unrivalled(appearances, features, &near, &self.params.limits)?;
+        let nearest = target.nearest_appearances(&(away / range_m), range_m);
+        let looks = nearest.map(|found| Some(&self.scene.feature(found?).descriptor));
+        let (feature, bits) = unrivalled(looks, features, &near, &self.params.limits)?;
         Some(Hit {
             landmark,
             feature: FeatureRef { image, feature },
@@ -288,39 +296,40 @@ impl<'a> Search<'a> {
 }
 
 impl Target {
-    /// The two appearances from the most similar places: by direction first, a range twice as far counting like a radian.
+    /// The features that show it from the two most similar places: by direction first, a range twice as far counting like
+    /// a radian.
     fn nearest_appearances(
         &self,
         direction: &Vector3<f64>,
         range_m: f64,
-    ) -> [Option<&Appearance>; 2] {
-        let octave_here = range_m.log2();
-        let mut nearest: [Option<(f64, &Appearance)>; 2] = [None, None];
-        for (appearance, octave) in self.appearances.iter().zip(&self.octaves) {
+    ) -> [Option<FeatureRef>; 2] {
+        let (direction, octave): (Vector3<f32>, f32) = (direction.cast(), range_m.log2() as f32);
+        let mut nearest: [Option<(f32, FeatureRef)>; 2] = [None, None];
+        for appearance in &self.appearances {
             let across = (appearance.direction - direction).norm();
-            let apart = across + (octave - octave_here).abs();
+            let apart = across + (appearance.octave - octave).abs();
+            let found = Some((apart, appearance.feature));
             if nearest[0].is_none_or(|(best, _)| apart < best) {
-                nearest = [Some((apart, appearance)), nearest[0]];
+                nearest = [found, nearest[0]];
             } else if nearest[1].is_none_or(|(best, _)| apart < best) {
-                nearest[1] = Some((apart, appearance));
+                nearest[1] = found;
             }
         }
-        nearest.map(|found| found.map(|(_, appearance)| appearance))
+        nearest.map(|found| found.map(|(_, feature)| feature))
     }
 }
 
-/// The feature that looks most like one of the appearances, if it is alike enough and no other one is nearly as much; and
-/// in how many bits it differs.
+/// The feature that looks most like one of the descriptors, if it is alike enough and no other one is nearly as much; and in
+/// how many bits it differs.
 fn unrivalled(
-    appearances: [Option<&Appearance>; 2],
+    looks: [Option<&Descriptor>; 2],
     features: &[SceneFeature],
     near: &[u32],
     limits: &MatchLimits,
 ) -> Option<(u32, u32)> {
     let bits = |at: &u32| {
-        let descriptor = &features[*at as usize].descriptor;
-        let appearances = appearances.iter().flatten();
-        let bits = appearances.map(|seen| seen.descriptor.distance(descriptor));
+        let looks = looks.iter().flatten();
+        let bits = looks.map(|look| look.distance(&features[*at as usize].descriptor));
         (bits.min().unwrap_or(u32::MAX), *at)
     };
     let near: Vec<(u32, u32)> = near.iter().map(bits).collect();
@@ -357,8 +366,11 @@ fn target(
             ranges().fold(0.0, f64::max),
         ],
     };
-    let appearances = appearances(&sightings);
-    let octaves = appearances.iter().map(|seen| seen.range_m.log2());
+    let appearance = |at: usize| Appearance {
+        direction: sightings[at].direction.cast(),
+        octave: sightings[at].range_m.log2() as f32,
+        feature: landmark.features[at],
+    };
     let visibility = Visibility::new(
         landmark.point,
         &seen,
@@ -367,8 +379,10 @@ fn target(
     );
     let target = Target {
         point: landmark.point,
-        octaves: octaves.collect(),
-        appearances,
+        appearances: appearances(&sightings)
+            .into_iter()
+            .map(appearance)
+            .collect(),
         size_px_m: sizes.get(sizes.len() / 2).copied().unwrap_or(0.0),
     };
     (target, visibility)

@@ -47,8 +47,9 @@ pub(super) struct Iterative<const C: usize> {
 /// What a product reads of each observation, in the order that it is read in: far from each other in memory, they would
 /// take longer to come than to be used.
 struct ByBlock<const C: usize> {
-    /// Block after block, derivatives by the camera side.
-    cameras: Vec<Vec<[[f64; C]; 2]>>,
+    /// Block after block, derivatives by the camera side: in half the memory, as digits beyond the seventh mean nothing to
+    /// a solution of three.
+    cameras: Vec<Vec<[[f32; C]; 2]>>,
     /// In the order of landmarks, what [`Point::follow`] leaves.
     moved: Vec<[f64; 2]>,
 }
@@ -229,7 +230,8 @@ impl<const C: usize> ByBlock<C> {
         let blocks = self.cameras.par_iter_mut().zip(&layout.by_block);
         blocks.with_min_len(8).for_each(|(cameras, own)| {
             for (camera, place) in cameras.iter_mut().zip(own) {
-                *camera = sighted[*place as usize].linear.camera;
+                let precise = &sighted[*place as usize].linear.camera;
+                *camera = precise.map(|row| row.map(|entry| entry as f32));
             }
         });
     }
@@ -271,7 +273,7 @@ impl<const C: usize> ByBlock<C> {
                     (0..C).for_each(|c| sum[c] += damping[c] * x[c]);
                     for ([j, k], place) in cameras.iter().zip(own) {
                         let [a, b] = moved[*place as usize];
-                        (0..C).for_each(|c| sum[c] += j[c] * a + k[c] * b);
+                        (0..C).for_each(|c| sum[c] += f64::from(j[c]) * a + f64::from(k[c]) * b);
                     }
                 },
             );
