@@ -263,11 +263,11 @@ impl Point {
                 // Fixed ones come last.
                 break;
             };
-            for row in 0..2 {
-                let j = &sighted.linear.camera[row];
-                moved[row] = (0..C).fold(0.0, |sum, c| sum + j[c] * step[c]);
-                for (sum, b) in sum.iter_mut().zip(sighted.eliminated[row]) {
-                    *sum += b * moved[row];
+            let rows = sighted.linear.camera.iter().zip(&sighted.eliminated);
+            for (moved, (j, b)) in moved.iter_mut().zip(rows) {
+                *moved = (0..C).fold(0.0, |sum, c| sum + j[c] * step[c]);
+                for (sum, b) in sum.iter_mut().zip(b) {
+                    *sum += b * *moved;
                 }
             }
         }
