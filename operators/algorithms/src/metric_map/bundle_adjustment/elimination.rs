@@ -1,8 +1,8 @@
 //! The inner loops of the elimination of landmarks: numbers of one observation, of one landmark,
 //! and one row of the reduced system.
 //!
-//! Every loop is written over arrays whose lengths the compiler knows; [`pulp`] compiles the row
-//! once more for processors with wider vectors and chooses when it runs.
+//! Every loop is written over arrays whose lengths the compiler knows, so that what is vectorised
+//! is compiled once more for processors with wider vectors.
 
 use rayon::prelude::*;
 
