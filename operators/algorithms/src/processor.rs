@@ -21,3 +21,17 @@ impl<R, F: FnOnce() -> R> WithSimd for Work<F> {
 pub(crate) fn vectorised<R>(work: impl FnOnce() -> R) -> R {
     Arch::new().dispatch(Work(work))
 }
+
+/// What is found of each, as [`vectorised`] work.
+pub(crate) fn each<T, R>(all: impl Iterator<Item = T>, find: impl Fn(T) -> R) -> Vec<R> {
+    let mut found = Vec::with_capacity(all.size_hint().0);
+    vectorised(
+        #[inline(always)]
+        || {
+            for one in all {
+                found.push(find(one));
+            }
+        },
+    );
+    found
+}

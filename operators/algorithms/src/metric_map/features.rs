@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::processor::vectorised;
+use crate::processor::{each, vectorised};
 
 /// Bytes of a descriptor.
 pub const DESCRIPTOR_BYTES: usize = 64;
@@ -50,17 +50,11 @@ pub(crate) fn distances<'a>(
     one: &Descriptor,
 ) -> Vec<u32> {
     let one = words(one);
-    let mut found = Vec::with_capacity(several.size_hint().0);
-    vectorised(
+    each(
+        several,
         #[inline(always)]
-        || {
-            // What collects is not compiled for the instructions of whoever calls.
-            for other in several {
-                found.push(distance(other, &one));
-            }
-        },
-    );
-    found
+        |other| distance(other, &one),
+    )
 }
 
 /// One key point.

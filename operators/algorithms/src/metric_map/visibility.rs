@@ -81,7 +81,7 @@ pub(super) struct Reaches {
 }
 
 impl Reaches {
-    /// Of landmarks with their numbers, for vehicles with these cameras.
+    /// Of landmarks with their numbers, for vehicles with these cameras. Those whose reach has no bounds are never around.
     pub(super) fn new<'a>(
         landmarks: impl IntoIterator<Item = (u32, &'a Visibility)>,
         cameras: &[RigCamera],
@@ -91,12 +91,14 @@ impl Reaches {
         let arm_m = arms.fold(0.0, f64::max);
         let reach = |(number, visibility): (u32, &Visibility)| {
             let reach_m = visibility.ranges_m[1] + arm_m;
-            let corner = |away: f64| visibility.landmark.add_scalar(away).into();
-            let reach = Rectangle::from_corners(corner(-reach_m), corner(reach_m));
-            Reach::new(reach, number)
+            let corners = [-reach_m, reach_m].map(|away| visibility.landmark.add_scalar(away));
+            let bounded = corners.iter().flatten().all(|side| side.is_finite());
+            let [low, high] = corners.map(<[f64; 3]>::from);
+            // The tree sorts boxes by their middles, which others do not have.
+            bounded.then(|| Reach::new(Rectangle::from_corners(low, high), number))
         };
         Self {
-            tree: RTree::bulk_load(landmarks.into_iter().map(reach).collect()),
+            tree: RTree::bulk_load(landmarks.into_iter().filter_map(reach).collect()),
         }
     }
 
@@ -168,7 +170,9 @@ mod tests {
             ranges_m: [0.0, 1e9],
         };
         let visibility = Visibility::new(Vector3::zeros(), &seen, 0.0, 1.0);
-        let reaches = Reaches::new([(7, &visibility)], &[]);
+        let endless = Visibility::new(Vector3::zeros(), &seen, 0.0, f64::INFINITY);
+        let all = [(7, &visibility), (8, &endless), (9, &endless)];
+        let reaches = Reaches::new(all, &[]);
         assert_eq!(reaches.around(&Vector3::x()), [7]);
         assert!(reaches.around(&Vector3::repeat(f64::NAN)).is_empty());
     }

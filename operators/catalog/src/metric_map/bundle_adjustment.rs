@@ -258,27 +258,18 @@ fn emit_all(
         let image = &survey.scene.images[observation.feature.image as usize];
         seen[image.keyframe as usize].push(observation);
     }
-    let mut rows: BTreeMap<KeyframeName, Row> = untouched
-        .into_iter()
-        .map(|row| {
-            (
-                (row.session.clone(), row.stamp),
-                Row::Untouched(Box::new(row)),
-            )
-        })
-        .collect();
-    rows.extend(
-        survey
-            .keyframes
-            .iter()
-            .zip(seen)
-            .zip(0..)
-            .map(|((keyframe, seen), at)| {
-                let name = (keyframe.session.clone(), keyframe.stamp);
-                (name, Row::Adjusted(at, seen))
-            }),
-    );
-    let mut rows = rows.into_values().map(|row| match row {
+    let untouched = untouched.into_iter().map(|row| {
+        let name = (row.session.clone(), row.stamp);
+        (name, Row::Untouched(Box::new(row)))
+    });
+    let surveyed = survey.keyframes.iter().zip(seen).zip(0..);
+    let surveyed = surveyed.map(|((keyframe, seen), at)| {
+        let name = (keyframe.session.clone(), keyframe.stamp);
+        (name, Row::Adjusted(at, seen))
+    });
+    let mut rows: Vec<(KeyframeName, Row)> = surveyed.chain(untouched).collect();
+    rows.sort_by(|(a, _), (b, _)| a.cmp(b));
+    let mut rows = rows.into_iter().map(|(_, row)| match row {
         Row::Untouched(row) => *row,
         Row::Adjusted(at, seen) => adjusted(survey, found, site, at, seen),
     });

@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use super::scene::{FeatureRef, Scene};
 use crate::geometry::pose::Pose;
 use crate::metric_map::features::Descriptor;
+use crate::metric_map::visibility::Seen;
 
 /// Most appearances of one landmark.
 const MOST_APPEARANCES: usize = 8;
@@ -70,10 +71,20 @@ pub(super) fn appearances(sightings: &[Sighting<'_>]) -> Vec<usize> {
     medoids.collect()
 }
 
-/// Mean direction to the cameras, a unit vector; up where directions cancel.
-pub(super) fn mean_direction(sightings: &[Sighting<'_>]) -> Vector3<f64> {
+/// From where a landmark was seen; from above where directions cancel.
+pub(super) fn seen(sightings: &[Sighting<'_>]) -> Seen {
     let sum: Vector3<f64> = sightings.iter().map(|seen| seen.direction).sum();
-    sum.try_normalize(1e-6).unwrap_or_else(Vector3::z)
+    let view = sum.try_normalize(1e-6).unwrap_or_else(Vector3::z);
+    let cosines = sightings.iter().map(|seen| seen.direction.dot(&view));
+    let ranges = || sightings.iter().map(|seen| seen.range_m);
+    Seen {
+        view,
+        view_cos: cosines.fold(1.0, f64::min),
+        ranges_m: [
+            ranges().fold(f64::INFINITY, f64::min),
+            ranges().fold(0.0, f64::max),
+        ],
+    }
 }
 
 fn medoid(sightings: &[Sighting<'_>], group: &[usize]) -> usize {

@@ -2,11 +2,12 @@
 
 use nalgebra::Vector3;
 
-use super::appearance::{appearances, mean_direction, sightings};
+use super::appearance::{appearances, seen, sightings};
 use super::point::{LandmarkPoint, Sight, triangulate};
 use super::scene::{FeatureRef, Scene};
 use crate::geometry::pose::Pose;
 use crate::metric_map::features::Descriptor;
+use crate::metric_map::visibility::Seen;
 
 /// Where a landmark is, and how it has been seen.
 #[derive(Debug, Clone, PartialEq)]
@@ -39,19 +40,21 @@ pub fn describe(
     let sights = sights.filter_map(|feature| scene.sight(map_from_cameras, *feature));
     let sights: Vec<Sight> = sights.collect();
     let place = triangulate(&sights)?;
-    let seen = sightings(scene, map_from_cameras, &place.point, features);
-    let view = mean_direction(&seen);
-    let cosines = seen.iter().map(|look| look.direction.dot(&view));
-    let ranges = || seen.iter().map(|look| look.range_m);
-    let alike = appearances(&seen).into_iter().take(looks);
-    let alike = alike.map(|sighting| *seen[sighting].descriptor);
+    let sightings = sightings(scene, map_from_cameras, &place.point, features);
+    let Seen {
+        view,
+        view_cos,
+        ranges_m: [near_m, far_m],
+    } = seen(&sightings);
+    let alike = appearances(&sightings).into_iter().take(looks);
+    let alike = alike.map(|sighting| *sightings[sighting].descriptor);
     Some(Description {
         place,
         rms_px: rms_px(&sights, &place.point),
         view,
-        view_cos: cosines.fold(1.0, f64::min),
-        near_m: ranges().fold(f64::INFINITY, f64::min),
-        far_m: ranges().fold(0.0, f64::max),
+        view_cos,
+        near_m,
+        far_m,
         descriptors: alike.collect(),
     })
 }

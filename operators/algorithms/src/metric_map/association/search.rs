@@ -3,14 +3,14 @@
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use super::appearance::{appearances, mean_direction, sightings};
+use super::appearance::{appearances, seen, sightings};
 use super::point::LineOfSight;
 use super::resight::{Resighting, agreed_pose};
 use super::{AssociationParams, FeatureRef, Landmark, Scene, SceneFeature};
 use crate::geometry::pose::Pose;
 use crate::metric_map::features::Descriptor;
 use crate::metric_map::matching::{FeatureGrid, MatchLimits, squared_distance};
-use crate::metric_map::visibility::{Reaches, Seen, Visibility};
+use crate::metric_map::visibility::{Reaches, Visibility};
 
 /// A feature nearer than this to the best one, pixels, is no rival: key points of several scales lie on one corner.
 const SAME_PLACE_PX: f64 = 2.0;
@@ -355,17 +355,6 @@ fn target(
     let sizes = features.map(|(feature, look)| scene.feature(*feature).size_px * look.range_m);
     let mut sizes: Vec<f64> = sizes.collect();
     sizes.sort_by(f64::total_cmp);
-    let view = mean_direction(&sightings);
-    let cosines = sightings.iter().map(|seen| seen.direction.dot(&view));
-    let ranges = || sightings.iter().map(|seen| seen.range_m);
-    let seen = Seen {
-        view,
-        view_cos: cosines.fold(1.0, f64::min),
-        ranges_m: [
-            ranges().fold(f64::INFINITY, f64::min),
-            ranges().fold(0.0, f64::max),
-        ],
-    };
     let appearance = |at: usize| Appearance {
         direction: sightings[at].direction.cast(),
         octave: sightings[at].range_m.log2() as f32,
@@ -373,7 +362,7 @@ fn target(
     };
     let visibility = Visibility::new(
         landmark.point,
-        &seen,
+        &seen(&sightings),
         params.view_margin_rad,
         params.scale_factor,
     );

@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::metric_map::features::{Descriptor, Words, distance, words};
-use crate::processor::vectorised;
+use crate::processor::{each, vectorised};
 
 /// Descriptors that one task of the assignment takes.
 const CHUNK: usize = 2048;
@@ -102,7 +102,7 @@ impl Vocabulary {
     pub fn look_up<'a>(&self, descriptors: impl IntoIterator<Item = &'a Descriptor>) -> Vec<u32> {
         let wanted: Vec<Words> = descriptors.into_iter().map(words).collect();
         each(
-            &wanted,
+            wanted.iter(),
             #[inline(always)]
             |wanted| self.word(wanted),
         )
@@ -205,7 +205,7 @@ fn assigned(members: &[u32], sample: &[Words], centres: &[Words]) -> Vec<Vec<u32
         .par_chunks(CHUNK)
         .map(|chunk| {
             each(
-                chunk,
+                chunk.iter(),
                 #[inline(always)]
                 |member| nearest(&sample[*member as usize], centres),
             )
@@ -216,21 +216,6 @@ fn assigned(members: &[u32], sample: &[Words], centres: &[Words]) -> Vec<Vec<u32
         clusters[cluster as usize].push(*member);
     }
     clusters
-}
-
-/// What is found of each, by the instructions that the processor has.
-fn each<T>(all: &[T], find: impl Fn(&T) -> u32) -> Vec<u32> {
-    let mut found = Vec::with_capacity(all.len());
-    vectorised(
-        #[inline(always)]
-        || {
-            // What collects is not compiled for them.
-            for one in all {
-                found.push(find(one));
-            }
-        },
-    );
-    found
 }
 
 #[inline(always)]
