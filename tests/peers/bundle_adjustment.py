@@ -1,9 +1,11 @@
 #!/usr/bin/env python3
-"""Bundle adjustment against Ceres, on BAL problems: final cost and time, same start, same stops.
+"""Bundle adjustment against Ceres: final cost and time, same start, residuals and losses.
 
-Problems are the files given, and two made here from a seed: a `street`, whose cameras see their
-neighbours (sparse reduced system), and a `statue`, which all cameras see parts of (dense). Every
-solver is run on one and on two threads; of Ceres' three Schur solvers the fastest counts.
+Problems are the BAL files given, two made here from a seed (a `street`, whose cameras see their
+neighbours, so that the reduced system is sparse, and a `statue`, which all cameras see parts of, so
+that it is dense), and drives through one road: with four fisheyes and odometry, each seeing the
+landmarks of all. Every solver is run on one and on two threads; of Ceres' Schur solvers the fastest
+counts. The CPU time beside it is that of whole processes, reading or making the problem included.
 
 Needs libceres-dev and a C++ compiler, and the release build of the example:
 
@@ -115,22 +117,18 @@ def run(command, repeat):
     return result
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("files", nargs="*", type=Path)
-    parser.add_argument("--repeat", type=int, default=3)
-    parser.add_argument("--work", type=Path, default=ROOT / "target/peers")
-    parser.add_argument("--evermap", type=Path, default=None, help="the built example solve_bundle")
-    parser.add_argument("--solvers", nargs="+", default=["dense", "sparse", "iterative"])
-    args = parser.parse_args()
-    args.work.mkdir(parents=True, exist_ok=True)
-    target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
-    ours = args.evermap or target / "release/examples/solve_bundle"
-    ceres = args.work / "ceres_bundle"
-    source = HERE / "ceres_bundle.cpp"
-    if not ceres.exists() or ceres.stat().st_mtime < source.stat().st_mtime:
+def compiled(source, work):
+    """A peer's program, compiled if need be."""
+    program = work / source.stem
+    if not program.exists() or program.stat().st_mtime < source.stat().st_mtime:
         flags = ["-O3", "-march=native", "-DNDEBUG", "-I/usr/include/eigen3"]
-        subprocess.run(["c++", *flags, source, "-o", ceres, "-lceres", "-lglog"], check=True)
+        subprocess.run(["c++", *flags, source, "-o", program, "-lceres", "-lglog"], check=True)
+    return program
+
+
+def problems(args, ours):
+    """Name, what evermap is told, Ceres' program, its file, and its solvers, of each problem."""
+    ceres = compiled(HERE / "ceres_bundle.cpp", args.work)
     files = list(args.files)
     for name, kind, cameras, points in [
         ("street-200-12000", street, 200, 12000),
@@ -140,29 +138,58 @@ def main():
         if not path.exists():
             write(path, kind, cameras, points, 1)
         files.append(path)
+    for path in [] if args.only_drives else files:
+        yield path.stem, [path], ceres, path, args.solvers
+    ceres = compiled(HERE / "ceres_drives.cpp", args.work)
+    for drives in args.drives:
+        name = f"{drives} drives of {args.keyframes}"
+        drive = ["--drive", args.keyframes, "--reach", args.reach, "--drives", drives]
+        path = args.work / f"drives-{args.keyframes}-{args.reach}-{drives}.txt"
+        if not path.exists():
+            subprocess.run([str(word) for word in [ours, *drive, "--write", path]], check=True)
+        yield name, drive, ceres, path, [*args.solvers, "clusters"]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="*", type=Path)
+    parser.add_argument("--repeat", type=int, default=3)
+    parser.add_argument("--work", type=Path, default=ROOT / "target/peers")
+    parser.add_argument("--evermap", type=Path, default=None, help="the built example solve_bundle")
+    parser.add_argument("--solvers", nargs="+", default=["dense", "sparse", "iterative"])
+    parser.add_argument("--drives", nargs="*", type=int, default=[1, 2, 4, 8], help="how often the road is driven")
+    parser.add_argument("--only-drives", action="store_true", help="no BAL problems")
+    parser.add_argument("--keyframes", type=int, default=400, help="of each drive")
+    parser.add_argument("--reach", type=int, default=25, help="keyframes before and after it that see a landmark")
+    args = parser.parse_args()
+    args.work.mkdir(parents=True, exist_ok=True)
+    target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+    ours = args.evermap or target / "release/examples/solve_bundle"
     header = [
         "problem", "observations", "cost / Ceres'", "iterations", "evermap s", "Ceres s", "time / Ceres'",
         "CPU / Ceres'", "two threads s", "gain", "Ceres' two threads s", "time / Ceres'",
     ]
     print("| " + " | ".join(header) + " |\n" + "|---" * len(header) + "|")
-    for path in files:
+    for name, told, ceres, path, solvers in problems(args, ours):
         mine, peers, cost = {}, {}, math.inf
         for threads in (1, 2):
-            command = [ours, path, "--threads", threads, "--repeat", args.repeat]
+            command = [ours, *told, "--threads", threads, "--repeat", args.repeat]
             mine[threads] = run(command, args.repeat)
-            print(path.stem, threads, "evermap", mine[threads], file=sys.stderr)
+            print(name, threads, "evermap", mine[threads], file=sys.stderr)
             found = {}
-            for solver in args.solvers:
+            for solver in solvers:
                 found[solver] = run([ceres, path, threads, args.repeat, solver], args.repeat)
                 cost = min(cost, found[solver]["final_cost"])
-                print(path.stem, threads, solver, found[solver], file=sys.stderr)
-            name = min(found, key=lambda solver: found[solver]["seconds"])
-            peers[threads] = {**found[name], "name": name, "least_cpu": min(f["cpu"] for f in found.values())}
+                if not math.isclose(found[solver]["initial_cost"], mine[threads]["initial_cost"], rel_tol=1e-9):
+                    raise SystemExit(f"{name}: not the same problem: {found[solver]} {mine[threads]}")
+                print(name, threads, solver, found[solver], file=sys.stderr)
+            best = min(found, key=lambda solver: found[solver]["seconds"])
+            peers[threads] = {**found[best], "name": best, "least_cpu": min(f["cpu"] for f in found.values())}
         one, two = mine[1], mine[2]
         if one["final_cost"] != two["final_cost"]:
-            raise SystemExit(f"{path.stem}: the number of threads changed the result")
+            raise SystemExit(f"{name}: the number of threads changed the result")
         row = [
-            path.stem, f"{one['observations']:,}", f"{one['final_cost'] / cost:.6f}",
+            name, f"{one['observations']:,}", f"{one['final_cost'] / cost:.6f}",
             f"{one['iterations']}, {peers[1]['iterations']}",
             f"{one['seconds']:.3f}", f"{peers[1]['seconds']:.3f} ({peers[1]['name']})",
             f"{one['seconds'] / peers[1]['seconds']:.2f}×", f"{one['cpu'] / peers[1]['least_cpu']:.2f}×",

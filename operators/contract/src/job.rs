@@ -7,6 +7,7 @@
 //! A worker cuts what it is given by site and by key, so that a kernel sees rows of one site only.
 
 use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
 
 use arrow::array::RecordBatch;
 use evermap_schemas::{Bytes, Fault, Layer, LayerRow, rows};
@@ -14,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::fold::StateRow;
-use crate::kernel::{Folding, Kernel, Mapper, Prepare, Rows};
+use crate::kernel::{Folding, Kernel, Mapper, Open, Prepare, Rows};
 use crate::sides::{runs_of_equal, same_group, site_of};
 use crate::{Emit, Entry, Key, Port, Shape, Sides};
 
@@ -83,6 +84,8 @@ impl Entry {
 pub struct Job(Work);
 
 enum Work {
+    /// A table that is needed is empty.
+    Nothing,
     Map(BySite<Mapper>),
     Group(Groups),
     Lift(BySite<Box<dyn Folding>>),
@@ -95,22 +98,30 @@ impl Job {
     /// # Errors
     /// A user fault for parameters that make no sense, a data fault for such sides.
     pub fn new(entry: &Entry, params: &Value, phase: Phase, sides: Sides) -> Result<Self, Fault> {
+        let ports = entry.sides(phase);
         Ok(Self(match (entry.kernel(params)?, phase) {
-            (Kernel::Map(prepare), _) => Work::Map(BySite::new(&prepare, &sides)?),
+            _ if sides.lacks(ports) => Work::Nothing,
+            (Kernel::Map(prepare), _) => Work::Map(BySite::new(&prepare, ports, &sides)?),
             (Kernel::Group(open), _) => Work::Group(Groups {
                 open,
                 columns: entry.driving(phase).group,
-                ports: entry.sides(phase).to_vec(),
-                sides,
+                ports: ports.to_vec(),
+                sides: Mutex::new(sides),
             }),
             (Kernel::Fold(prepare), Phase::Merge) => Work::Merge(prepare(&Sides::default())?),
-            (Kernel::Fold(prepare), _) => Work::Lift(BySite::new(&prepare, &sides)?),
+            (Kernel::Fold(prepare), _) => Work::Lift(BySite::new(&prepare, ports, &sides)?),
         }))
+    }
+
+    /// Whether there is nothing to do, whatever the driving rows are: they need not be read.
+    pub fn is_idle(&self) -> bool {
+        matches!(self.0, Work::Nothing)
     }
 
     /// A worker for one partition of the driving rows.
     pub fn worker(&self) -> Box<dyn Worker + '_> {
         match &self.0 {
+            Work::Nothing => Box::new(Idle),
             Work::Map(mappers) => Box::new(MapWorker(mappers)),
             Work::Group(groups) => Box::new(GroupWorker { groups, open: None }),
             Work::Lift(folds) => Box::new(LiftWorker {
@@ -140,25 +151,42 @@ pub trait Worker: Send {
     fn close(&mut self, emit: &mut Emit<'_>) -> Result<(), Fault>;
 }
 
-/// What was prepared for each site of the sides, and for sites that they do not tell of.
+struct Idle;
+
+impl Worker for Idle {
+    fn push(&mut self, _: &RecordBatch, _: &mut Emit<'_>) -> Result<(), Fault> {
+        Ok(())
+    }
+
+    fn close(&mut self, _: &mut Emit<'_>) -> Result<(), Fault> {
+        Ok(())
+    }
+}
+
+/// What was prepared for each site of the sides, and for sites that they do not tell of; nothing where a table that is
+/// needed has no rows of it.
 struct BySite<T> {
-    sites: BTreeMap<String, T>,
-    unknown: T,
+    sites: BTreeMap<String, Option<T>>,
+    unknown: Option<T>,
 }
 
 impl<T> BySite<T> {
-    fn new(prepare: &Prepare<T>, sides: &Sides) -> Result<Self, Fault> {
+    fn new(prepare: &Prepare<T>, ports: &[Port], sides: &Sides) -> Result<Self, Fault> {
+        let prepared = |sides: &Sides| {
+            let there = !sides.lacks(ports);
+            there.then(|| prepare(sides)).transpose()
+        };
         let sites = sides.by_site()?.into_iter();
         Ok(Self {
             sites: sites
-                .map(|(site, sides)| Ok((site, prepare(&sides)?)))
+                .map(|(site, sides)| Ok((site, prepared(&sides)?)))
                 .collect::<Result<_, Fault>>()?,
-            unknown: prepare(&sides.everywhere())?,
+            unknown: prepared(&sides.everywhere())?,
         })
     }
 
-    fn of(&self, site: &str) -> &T {
-        self.sites.get(site).unwrap_or(&self.unknown)
+    fn of(&self, site: &str) -> Option<&T> {
+        self.sites.get(site).unwrap_or(&self.unknown).as_ref()
     }
 }
 
@@ -166,9 +194,12 @@ struct MapWorker<'j>(&'j BySite<Mapper>);
 
 impl Worker for MapWorker<'_> {
     fn push(&mut self, rows: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        runs_of_equal(rows, &["site"])?
-            .iter()
-            .try_for_each(|run| self.0.of(site_of(run).unwrap_or_default())(run, emit))
+        for run in runs_of_equal(rows, &["site"])? {
+            if let Some(mapper) = self.0.of(site_of(&run).unwrap_or_default()) {
+                mapper(&run, emit)?;
+            }
+        }
+        Ok(())
     }
 
     fn close(&mut self, _: &mut Emit<'_>) -> Result<(), Fault> {
@@ -177,16 +208,28 @@ impl Worker for MapWorker<'_> {
 }
 
 struct Groups {
-    open: Prepare<Box<dyn Rows>>,
+    open: Open,
     columns: &'static [&'static str],
     ports: Vec<Port>,
-    sides: Sides,
+    /// What no group has taken with it.
+    sides: Mutex<Sides>,
+}
+
+impl Groups {
+    /// Begins with the group of these rows, unless a table that is needed has none of it.
+    fn begin(&self, run: &RecordBatch) -> Result<Option<Box<dyn Rows>>, Fault> {
+        let mut sides = self.sides.lock().unwrap_or_else(PoisonError::into_inner);
+        let own = sides.leave(&self.ports, run, self.columns)?;
+        drop(sides);
+        let there = !own.lacks(&self.ports);
+        there.then(|| (self.open)(own)).transpose()
+    }
 }
 
 struct GroupWorker<'j> {
     groups: &'j Groups,
-    /// The first row of the key at hand, and its group.
-    open: Option<(RecordBatch, Box<dyn Rows>)>,
+    /// The first row of the key at hand, and its group where there is something to do.
+    open: Option<(RecordBatch, Option<Box<dyn Rows>>)>,
 }
 
 impl Worker for GroupWorker<'_> {
@@ -196,11 +239,9 @@ impl Worker for GroupWorker<'_> {
             let goes_on = |(first, _): &(RecordBatch, _)| same_group(first, &run, columns);
             if !self.open.as_ref().is_some_and(goes_on) {
                 self.close(emit)?;
-                let sides = &self.groups.sides;
-                let sides = sides.belonging(&self.groups.ports, &run, columns)?;
-                self.open = Some((run.slice(0, 1), (self.groups.open)(&sides)?));
+                self.open = Some((run.slice(0, 1), self.groups.begin(&run)?));
             }
-            if let Some((_, group)) = &mut self.open {
+            if let Some((_, Some(group))) = &mut self.open {
                 group.push(&run, emit)?;
             }
         }
@@ -209,8 +250,8 @@ impl Worker for GroupWorker<'_> {
 
     fn close(&mut self, emit: &mut Emit<'_>) -> Result<(), Fault> {
         match self.open.take() {
-            Some((_, group)) => group.close(emit),
-            None => Ok(()),
+            Some((_, Some(group))) => group.close(emit),
+            _ => Ok(()),
         }
     }
 }
@@ -224,9 +265,11 @@ impl Worker for LiftWorker<'_> {
     fn push(&mut self, rows: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault> {
         for run in runs_of_equal(rows, &["site"])? {
             let site = site_of(&run).unwrap_or_default();
-            let begin = || self.folds.of(site).lifter(site);
-            let lifter = self.lifters.entry(site.to_owned()).or_insert_with(begin);
-            lifter.push(&run, emit)?;
+            if let Some(fold) = self.folds.of(site) {
+                let begin = || fold.lifter(site);
+                let lifter = self.lifters.entry(site.to_owned()).or_insert_with(begin);
+                lifter.push(&run, emit)?;
+            }
         }
         Ok(())
     }

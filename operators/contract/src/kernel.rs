@@ -8,6 +8,9 @@ use crate::{Emit, Sides};
 /// Makes something once for all rows of a site, from the tables of its side ports.
 pub(crate) type Prepare<T> = Box<dyn Fn(&Sides) -> Result<T, Fault> + Send + Sync>;
 
+/// Begins with a key, given the tables of its side ports to keep.
+pub(crate) type Open = Box<dyn Fn(Sides) -> Result<Box<dyn Rows>, Fault> + Send + Sync>;
+
 /// A Map at work: any rows of its site to rows.
 pub(crate) type Mapper =
     Box<dyn Fn(&RecordBatch, &mut Emit<'_>) -> Result<(), Fault> + Send + Sync>;
@@ -17,7 +20,7 @@ pub(crate) enum Kernel {
     /// Any rows to rows.
     Map(Prepare<Mapper>),
     /// One key's ordered rows to rows.
-    Group(Prepare<Box<dyn Rows>>),
+    Group(Open),
     /// Rows to states by key, states to one row.
     Fold(Prepare<Box<dyn Folding>>),
 }

@@ -89,6 +89,8 @@ pub struct Port {
     pub pixels: Option<&'static str>,
     /// Whether a plan may leave the port unconnected; the kernel then sees an empty table.
     pub optional: bool,
+    /// Whether there is nothing to do where it has no rows.
+    pub needed: bool,
 }
 
 impl Port {
@@ -110,6 +112,7 @@ impl Port {
             reach,
             pixels: None,
             optional: false,
+            needed: false,
         }
     }
 
@@ -124,6 +127,13 @@ impl Port {
     #[must_use]
     pub fn optional(mut self) -> Self {
         self.optional = true;
+        self
+    }
+
+    /// Where the side has no rows, there are none to make: driving rows are not even read.
+    #[must_use]
+    pub fn needed(mut self) -> Self {
+        self.needed = true;
         self
     }
 

@@ -51,9 +51,14 @@ impl Entry {
                 .map(|column| format!(" with the images of `{column}`"));
             let images = images.unwrap_or_default();
             let optional = if port.optional { "; optional" } else { "" };
+            let needed = if port.needed {
+                "; where there are none, there is nothing to do"
+            } else {
+                ""
+            };
             let _ = writeln!(
                 text,
-                "| `{}` | `{}`{images} | {much}{optional} |",
+                "| `{}` | `{}`{images} | {much}{optional}{needed} |",
                 port.name, port.layer.name
             );
         }

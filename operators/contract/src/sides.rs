@@ -27,7 +27,19 @@ impl Sides {
     pub fn rows<T: Record>(&self, port: &str) -> Result<Vec<T>, Fault> {
         let mut all = Vec::new();
         for batch in self.batches(port) {
-            all.extend(rows::<T>(batch).map_err(|fault| fault.at(format!("port {port}")))?);
+            all.extend(typed::<T>(batch, port)?);
+        }
+        Ok(all)
+    }
+
+    /// As [`Sides::rows`], letting go of the table while its rows are made: for tables that fill the memory.
+    ///
+    /// # Errors
+    /// As [`Sides::rows`].
+    pub fn take<T: Record>(&mut self, port: &str) -> Result<Vec<T>, Fault> {
+        let mut all = Vec::new();
+        for batch in self.0.remove(port).unwrap_or_default() {
+            all.extend(typed::<T>(&batch, port)?);
         }
         Ok(all)
     }
@@ -43,6 +55,16 @@ impl Sides {
 
     fn batches(&self, port: &str) -> &[RecordBatch] {
         self.0.get(port).map_or(&[], Vec::as_slice)
+    }
+
+    /// Whether a table that is needed has no rows.
+    pub(crate) fn lacks(&self, ports: &[Port]) -> bool {
+        let empty = |port: &Port| {
+            self.batches(port.name)
+                .iter()
+                .all(|rows| rows.num_rows() == 0)
+        };
+        ports.iter().any(|port| port.needed && empty(port))
     }
 
     /// The tables cut by site. A table without a column `site` belongs to every site.
@@ -80,29 +102,42 @@ impl Sides {
     }
 
     /// What belongs with a group of the driving port: the rows that are equal in those of the group's columns that say
-    /// how far the port reaches.
-    pub(crate) fn belonging(
-        &self,
+    /// how far the port reaches. Rows that no other group can want leave with it.
+    pub(crate) fn leave(
+        &mut self,
         ports: &[Port],
         group: &RecordBatch,
         group_columns: &[&str],
     ) -> Result<Sides, Fault> {
-        let mut tables = BTreeMap::new();
+        let mut own = BTreeMap::new();
         for port in ports {
+            let Some(batches) = self.0.get_mut(port.name) else {
+                continue;
+            };
             let mut columns = port.reach.columns().to_vec();
             columns.retain(|column| group_columns.contains(column));
-            let mut kept = Vec::new();
-            for batch in self.batches(port.name) {
-                for part in runs_of_equal(batch, &columns)? {
-                    if same_group(&part, group, &columns) {
-                        kept.push(part);
+            let shared = columns.len() < group_columns.len();
+            let (mut kept, mut left) = (Vec::new(), Vec::new());
+            for batch in std::mem::take(batches) {
+                for part in runs_of_equal(&batch, &columns)? {
+                    let belongs = same_group(&part, group, &columns);
+                    if belongs {
+                        kept.push(part.clone());
+                    }
+                    if shared || !belongs {
+                        left.push(part);
                     }
                 }
             }
-            tables.insert(port.name.to_owned(), kept);
+            *batches = left;
+            own.insert(port.name.to_owned(), kept);
         }
-        Ok(Sides(tables))
+        Ok(Sides(own))
     }
+}
+
+fn typed<T: Record>(batch: &RecordBatch, port: &str) -> Result<Vec<T>, Fault> {
+    rows(batch).map_err(|fault| fault.at(format!("port {port}")))
 }
 
 /// The encoded images that came with rows, by row.

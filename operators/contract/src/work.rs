@@ -99,17 +99,18 @@ impl<P: Clone + Send + Sync + 'static> Work<P> {
         })
     }
 
-    /// All rows of a key at once to rows.
+    /// All rows of a key at once to rows. The sides are the key's own: what was taken from them with [`Sides::take`] is
+    /// held no longer.
     pub fn group<T: Record + Send + 'static>(
         driving: Port,
         key: Key,
         sides: Vec<Port>,
-        work: fn(&P, Vec<T>, &Sides, &mut Emit<'_>) -> Result<(), Fault>,
+        work: fn(&P, Vec<T>, Sides, &mut Emit<'_>) -> Result<(), Fault>,
     ) -> Self {
         Self::keyed(driving, key, sides, move |params, sides, _| {
             Ok(Box::new(Collected {
                 params: params.clone(),
-                sides: sides.clone(),
+                sides,
                 rows: Vec::<T>::new(),
                 work,
             }))
@@ -120,7 +121,7 @@ impl<P: Clone + Send + Sync + 'static> Work<P> {
     pub fn stream<G: Stream<Params = P>>(driving: Port, key: Key, sides: Vec<Port>) -> Self {
         Self::keyed(driving, key, sides, |params, sides, column| {
             Ok(Box::new(Streaming {
-                stream: G::open(params, sides)?,
+                stream: G::open(params, &sides)?,
                 column,
             }))
         })
@@ -161,7 +162,7 @@ impl<P: Clone + Send + Sync + 'static> Work<P> {
         mut driving: Port,
         key: Key,
         sides: Vec<Port>,
-        open: impl Fn(&P, &Sides, Option<&'static str>) -> Result<Box<dyn Rows>, Fault>
+        open: impl Fn(&P, Sides, Option<&'static str>) -> Result<Box<dyn Rows>, Fault>
         + Clone
         + Send
         + Sync
@@ -246,7 +247,7 @@ struct Collected<P, T> {
     params: P,
     sides: Sides,
     rows: Vec<T>,
-    work: fn(&P, Vec<T>, &Sides, &mut Emit<'_>) -> Result<(), Fault>,
+    work: fn(&P, Vec<T>, Sides, &mut Emit<'_>) -> Result<(), Fault>,
 }
 
 impl<P: Send, T: Record + Send> Rows for Collected<P, T> {
@@ -256,6 +257,6 @@ impl<P: Send, T: Record + Send> Rows for Collected<P, T> {
     }
 
     fn close(self: Box<Self>, emit: &mut Emit<'_>) -> Result<(), Fault> {
-        (self.work)(&self.params, self.rows, &self.sides, emit)
+        (self.work)(&self.params, self.rows, self.sides, emit)
     }
 }

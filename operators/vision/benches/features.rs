@@ -9,7 +9,7 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use evermap_vision::{Blind, FeatureParams, Grey, features};
+use evermap_vision::{Blind, Detectors, FeatureParams, Grey};
 use opencv::core::{KeyPoint, Mat, NORM_HAMMING, Vector, no_array, set_num_threads};
 use opencv::features2d::{BFMatcher, BRISK, DescriptorMatcherTraitConst, Feature2DTrait};
 
@@ -56,10 +56,16 @@ fn benches(criterion: &mut Criterion) {
         .min_by_key(|(_, found)| found.abs_diff(5 * params.count as usize / 2))
         .unwrap();
     let mut brisk = BRISK::create(threshold, params.octaves as i32, 1.0).unwrap();
+    let detectors = Detectors::default();
+    let own = |image: &Grey| {
+        detectors
+            .features(image, &params, &Blind::default())
+            .unwrap()
+    };
     let mut group = criterion.benchmark_group("features");
     group.sample_size(20);
     group.bench_function("evermap", |bench| {
-        bench.iter(|| features(black_box(&image), &params, &Blind::default()).unwrap());
+        bench.iter(|| own(black_box(&image)));
     });
     group.bench_function(format!("opencv, {found} key points"), |bench| {
         bench.iter(|| {
@@ -70,7 +76,7 @@ fn benches(criterion: &mut Criterion) {
             (points.len(), descriptors)
         });
     });
-    let own = features(&image, &params, &Blind::default()).unwrap();
+    let own = own(&image);
     let rows = own.len() as i32;
     let set = Mat::new_rows_cols_with_data(rows, 64, own.descriptors.as_slice()).unwrap();
     let matcher = BFMatcher::new(NORM_HAMMING, true).unwrap();

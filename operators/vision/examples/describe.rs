@@ -8,7 +8,7 @@
 
 use std::io::Write;
 
-use evermap_vision::{Blind, FeatureParams, Grey, decode_grey, features};
+use evermap_vision::{Blind, Detectors, FeatureParams, Grey, decode_grey};
 
 type Failure = Box<dyn std::error::Error>;
 
@@ -26,9 +26,10 @@ fn main() -> Result<(), Failure> {
     paths.sort();
     let mut out = std::io::BufWriter::new(std::fs::File::create(out)?);
     let (mut grey, mut total) = (Grey::default(), 0);
+    let detectors = Detectors::default();
     for path in &paths {
         decode_grey(&std::fs::read(path)?, &mut grey)?;
-        let found = features(&grey, &params, &Blind::default())?;
+        let found = detectors.features(&grey, &params, &Blind::default())?;
         out.write_all(&u32::try_from(found.len())?.to_le_bytes())?;
         out.write_all(&found.descriptors)?;
         total += found.len();

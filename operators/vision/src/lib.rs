@@ -19,7 +19,7 @@ mod stored;
 mod threads;
 
 pub use decode::{decode_colour, decode_grey, image_size};
-pub use features::{Blind, DESCRIPTOR_BYTES, FeatureParams, KeyPoints, Vignette, features};
+pub use features::{Blind, DESCRIPTOR_BYTES, Detectors, FeatureParams, KeyPoints, Vignette};
 pub use grey::{Grey, Grey16, ImageError, MAX_PIXELS, Rgb};
 pub use people::PeopleDetector;
 pub use stored::{decode_depth, decode_labels, encode_png};

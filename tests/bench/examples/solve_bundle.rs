@@ -9,12 +9,13 @@
 //! drive of so many keyframes with four fisheyes and odometry, as the metric map has them, and
 //! adjusts it; it shows how time grows with length. With `--drives K` the road is driven K times, and
 //! each drive sees the landmarks of all; with `--reach N` a landmark is seen from N keyframes before it
-//! and after it (10 unless told otherwise). `--solver` forces how steps are found: `factorised` or `iterative`.
+//! and after it (10 unless told otherwise). `--solver` forces how steps are found: `factorised` or `iterative`. `--write FILE` writes
+//! the drives for `ceres_drives` instead of solving them.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use evermap_algorithms::geometry::camera::Camera;
+use evermap_algorithms::geometry::camera::{Camera, Model};
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::rig::{Rig, RigCamera};
 use evermap_algorithms::metric_map::bundle_adjustment::{
@@ -33,6 +34,7 @@ struct Arguments {
     solver: LinearSolver,
     threads: usize,
     repeat: usize,
+    write: Option<String>,
 }
 
 fn arguments() -> Result<Arguments, Failure> {
@@ -44,6 +46,7 @@ fn arguments() -> Result<Arguments, Failure> {
         solver: LinearSolver::Cheaper,
         threads: 1,
         repeat: 1,
+        write: None,
     };
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
@@ -66,6 +69,7 @@ fn arguments() -> Result<Arguments, Failure> {
                     }
                 }
             }
+            "--write" => parsed.write = Some(value()?),
             "--drive" => parsed.drive = value()?.parse()?,
             _ => parsed.path = Some(word),
         }
@@ -96,6 +100,9 @@ fn benchmark(arguments: &Arguments, path: &str) -> Result<(), Failure> {
 
 fn drive(arguments: &Arguments) -> Result<(), Failure> {
     let initial = simulated(arguments.drive, arguments.drives, arguments.reach);
+    if let Some(path) = &arguments.write {
+        return Ok(std::fs::write(path, text(&initial))?);
+    }
     let options = bundle_adjustment::Options {
         linear_solver: arguments.solver,
         ..bundle_adjustment::Options::default()
@@ -123,6 +130,63 @@ fn report(seconds: f64, summary: &Summary, observations: usize) {
                 seconds * 1e6 / (iterations.max(1) * observations.max(1)) as f64,
         })
     );
+}
+
+/// A problem as `tests/peers/ceres_drives.cpp` reads it: a line of counts, then a line for each thing. Turns are
+/// quaternions x, y, z, w.
+fn text(problem: &Problem) -> String {
+    let numbers = |numbers: &[f64]| -> String {
+        let words: Vec<String> = numbers.iter().map(f64::to_string).collect();
+        words.join(" ")
+    };
+    let pose = |pose: &Pose| {
+        let turn = pose.rotation.coords;
+        let at = pose.translation;
+        numbers(&[at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w])
+    };
+    let cameras = problem.rigs[0].cameras.iter();
+    let mut lines = vec![format!(
+        "{} {} {} {} {} {}",
+        problem.poses.len(),
+        problem.sessions.len(),
+        problem.landmarks.len(),
+        problem.observations.len(),
+        problem.odometry.len(),
+        cameras.len(),
+    )];
+    lines.extend(problem.poses.iter().map(|keyframe| {
+        let fixed = u8::from(keyframe.fixed);
+        format!(
+            "{} {fixed} {}",
+            keyframe.session,
+            pose(&keyframe.map_from_vehicle)
+        )
+    }));
+    let landmarks = problem.landmarks.iter();
+    lines.extend(landmarks.map(|landmark| numbers(landmark.as_slice())));
+    lines.extend(problem.observations.iter().map(|seen| {
+        let [u, v] = seen.pixel;
+        let named = format!("{} {} {}", seen.pose, seen.camera, seen.landmark);
+        format!("{named} {}", numbers(&[u, v, seen.sigma_px]))
+    }));
+    lines.extend(problem.odometry.iter().map(|step| {
+        let (moved, length) = (pose(&step.from_from_to), step.length_m);
+        format!(
+            "{} {} {moved} {length} {}",
+            step.from,
+            step.to,
+            numbers(&step.sigma)
+        )
+    }));
+    lines.extend(cameras.map(|mounted| {
+        let Model::KannalaBrandt(lens) = &mounted.camera.model else {
+            unreachable!("the rig's cameras are fisheyes");
+        };
+        let of_lens = [&lens.focal()[..], &lens.centre(), &lens.distortion()].concat();
+        let mount = pose(&mounted.vehicle_from_camera.inverse());
+        format!("{} {mount} {}", numbers(&of_lens), lens.max_theta())
+    }));
+    lines.join("\n")
 }
 
 /// SplitMix64: numbers for a simulation.

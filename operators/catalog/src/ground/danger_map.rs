@@ -37,7 +37,7 @@ impl Operator for DangerMap {
 fn danger(
     _: &DangerMapParams,
     exposure: Vec<Exposure>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let settings = sides.rows::<DangerSetting>("settings")?.into_iter().next();
@@ -60,7 +60,7 @@ fn danger(
     let expected: BTreeMap<String, f64> = expected
         .map(|(kind, prior)| (kind, prior.expected))
         .collect();
-    let Some(mut of_site) = site_ground(&expected, exposure, sides, emit)? else {
+    let Some(mut of_site) = site_ground(&expected, exposure, &sides, emit)? else {
         return Ok(());
     };
     let all = of_site.ground.all();

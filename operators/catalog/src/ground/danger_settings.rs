@@ -66,10 +66,10 @@ impl Operator for DangerSettings {
 fn settings(
     params: &DangerSettingsParams,
     exposure: Vec<Exposure>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(of_site) = site_ground(&params.expected, exposure, sides, emit)? else {
+    let Some(of_site) = site_ground(&params.expected, exposure, &sides, emit)? else {
         return Ok(());
     };
     let mut ground = of_site.ground;

@@ -36,14 +36,14 @@ impl Operator for ExposureOfGround {
 fn exposure(
     params: &OfVehicle<ExposureParams>,
     images: Vec<PosedImage>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(first) = images.first() else {
         return Ok(());
     };
     let (site, session) = (first.site.clone(), first.session.clone());
-    let bodies = bodies(sides)?;
+    let bodies = bodies(&sides)?;
     let points: Vec<SurfacePoint> = sides.rows("points")?;
     let standing = Standing::new(points.iter().map(|point| [point.x, point.y, point.z]));
     let poses = images.iter().map(|image| image.map_from_vehicle.to_array());
@@ -51,7 +51,7 @@ fn exposure(
         .filter_map(|pose| Pose::from_array(pose).ok())
         .collect();
     let floor = Floor::under(&poses, 0.0, params.options.range_m);
-    let rigs = rig::sessions(sides)?;
+    let rigs = rig::sessions(&sides)?;
     let mut cameras = Cameras::new(rigs.get(&session), params);
     let mut looks = Looks::default();
     for image in images {

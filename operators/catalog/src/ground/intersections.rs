@@ -31,7 +31,7 @@ impl Operator for Intersections {
 fn intersections(
     _: &IntersectionsParams,
     lanes: Vec<Lane>,
-    _: &Sides,
+    _: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let mut nodes: BTreeMap<u32, Intersection> = BTreeMap::new();

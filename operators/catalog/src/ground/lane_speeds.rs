@@ -32,7 +32,7 @@ impl Operator for LaneSpeeds {
 fn speeds(
     _: &LaneSpeedsParams,
     lanes: Vec<Lane>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let cells = sides.rows::<SpeedCell>("speed_map")?;

@@ -34,7 +34,7 @@ impl Operator for RoadNetwork {
 fn lanes(
     params: &RoadNetworkParams,
     poses: Vec<VehiclePose>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = poses.first().map(|pose| pose.site.clone()) else {

@@ -40,7 +40,7 @@ impl Operator for BoxHypotheses {
 fn hypotheses(
     _: &BoxHypothesesParams,
     models: Vec<BoxModel>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let mut skip = |reason, count| emit.skip(reason, count);

@@ -28,7 +28,7 @@ impl Operator for BoxModels {
 fn models(
     params: &TeachingParams,
     labels: Vec<PlacedLabel>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let mut skip = |reason, count| emit.skip(reason, count);

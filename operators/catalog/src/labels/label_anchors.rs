@@ -56,7 +56,7 @@ impl Operator for LabelAnchors {
 fn hold(
     params: &OfVehicle<AnchorParams>,
     annotations: Vec<Annotation>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let landmarks: Vec<Obstacle> = sides.rows("landmarks")?;

@@ -67,7 +67,7 @@ struct Held {
 fn spaces(
     params: &ParkingSpacesParams,
     labels: Vec<PlacedLabel>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = labels.first().map(|label| label.site.clone()) else {

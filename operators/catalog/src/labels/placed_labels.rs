@@ -28,7 +28,7 @@ impl Operator for PlacedLabels {
 fn place(
     params: &PlacingParams,
     labels: Vec<LabelAnchor>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let placer = Placer::new(sides.rows("poses")?, sides.rows("frames")?, params);

@@ -34,7 +34,7 @@ impl Operator for SpacesOccupied {
 fn occupied(
     params: &OccupancyParams,
     exposure: Vec<Exposure>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(first) = exposure.first() else {

@@ -49,7 +49,7 @@ impl Operator for PixelForest {
 fn forest(
     params: &PixelForestParams,
     samples: Vec<PixelSamples>,
-    _: &Sides,
+    _: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(first) = samples.first() else {

@@ -64,7 +64,7 @@ const UNPLACED: Reason = "antenna without a transform, taken for the vehicle's o
 fn hang(
     params: &AntennaPositionsParams,
     keyframes: Vec<Keyframe>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let fixes: Vec<GnssFix> = sides.rows("gnss_fixes")?;

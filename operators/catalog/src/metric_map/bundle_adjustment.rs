@@ -24,7 +24,7 @@ pub struct BundleAdjustment;
 
 impl Operator for BundleAdjustment {
     const NAME: &'static str = "bundle_adjustment";
-    const VERSION: u32 = 8;
+    const VERSION: u32 = 9;
     const PAGE: &'static str = include_str!("bundle_adjustment.md");
     type Params = OfVehicle<MappingParams>;
     type Output = AdjustedPose;
@@ -46,7 +46,7 @@ impl Operator for BundleAdjustment {
 fn adjust(
     params: &OfVehicle<MappingParams>,
     poses: Vec<VehiclePose>,
-    sides: &Sides,
+    mut sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = poses.first().map(|pose| pose.site.clone()) else {
@@ -54,7 +54,7 @@ fn adjust(
     };
     let frames = sides.rows::<MapFrame>("previous_frames")?;
     let summary = &params.options.summary;
-    let previous = kept(sides.rows("previous")?, &frames, summary);
+    let previous = kept(sides.take("previous")?, &frames, summary);
     let keyframes: Vec<Keyframe> = sides.rows("keyframes")?;
     let first_new = first_new(&previous);
     let mut staying = BTreeSet::from_iter(base(&previous, &frames));
@@ -66,14 +66,14 @@ fn adjust(
     let new = NewDrives {
         poses,
         keyframes,
-        features: sides.rows("features")?,
+        features: sides.take("features")?,
     };
     staying.extend(holding);
-    let survey = Survey::new(&known, new, sides, &params.vehicle, emit)?;
+    let survey = Survey::new(&known, new, &sides, &params.vehicle, emit)?;
     let landmarks = landmarks(&survey, &known);
     // What they say is in the survey now, and takes as much again.
     drop(known);
-    let tracks = tracks(&survey, sides.rows("tracks")?, emit);
+    let tracks = tracks(&survey, sides.take("tracks")?, emit);
     let found = map(
         &MapInput {
             scene: &survey.scene,
@@ -323,9 +323,9 @@ fn observation(survey: &Survey, found: &Map, seen: &MapObservation) -> Observati
     Observation {
         camera: survey.scene.camera(seen.feature.image).name.clone(),
         feature: survey.number(seen.feature),
-        u: feature.pixel[0] as f32,
-        v: feature.pixel[1] as f32,
-        size_px: feature.size_px as f32,
+        u: feature.pixel()[0] as f32,
+        v: feature.pixel()[1] as f32,
+        size_px: feature.size_px() as f32,
         landmark: found.landmarks[seen.landmark as usize].id,
         residual_px: seen.residual_px as f32,
         weight: seen.weight as f32,

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use evermap_contract::{Fault, Operator, Port, Reason, Sides, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{BodyMask, Features as FeaturesRow, FrameImage};
-use evermap_vision::{Blind, FeatureParams, Grey, decode_grey, features};
+use evermap_vision::{Blind, Detectors, FeatureParams, Grey, decode_grey};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -42,6 +42,7 @@ impl Operator for Features {
 }
 
 struct Finder {
+    detectors: Detectors,
     wanted: FeatureParams,
     /// By camera.
     drawn: BTreeMap<String, Blind>,
@@ -64,6 +65,7 @@ impl Finder {
             ((session, camera), both)
         });
         Ok(Self {
+            detectors: Detectors::default(),
             wanted: params.wanted,
             learnt: learnt.collect(),
             drawn,
@@ -83,8 +85,10 @@ impl Finder {
         let learnt = self.learnt.get(&named);
         let learnt = learnt.filter(|blind| blind.mask.as_ref().is_some_and(fits));
         let blind = learnt.or_else(|| blind(&self.drawn, camera));
-        let found = features(grey, &self.wanted, blind.unwrap_or(&Blind::default()))
-            .map_err(|_| "no features can be found at this scale")?;
+        let everywhere = Blind::default();
+        let blind = blind.unwrap_or(&everywhere);
+        let found = self.detectors.features(grey, &self.wanted, blind);
+        let found = found.map_err(|_| "no features can be found at this scale")?;
         Ok(Some(FeaturesRow {
             site: image.site,
             session: image.session,

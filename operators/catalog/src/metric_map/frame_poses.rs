@@ -56,7 +56,7 @@ impl Operator for FramePoses {
 fn hang(
     params: &FramePosesParams,
     poses: Vec<VehiclePose>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let frames: Vec<MapFrame> = sides.rows("frames")?;

@@ -55,7 +55,7 @@ impl Operator for Georeferences {
 fn place(
     params: &GeoreferenceParams,
     poses: Vec<VehiclePose>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = poses.first().map(|pose| pose.site.clone()) else {

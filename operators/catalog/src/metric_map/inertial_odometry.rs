@@ -32,7 +32,7 @@ impl Operator for InertialOdometry {
 fn stand_up(
     vehicle: &VehicleFrame,
     mut rows: Vec<OdometryPose>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let imu: Vec<ImuMeasurement> = sides.rows("imu")?;

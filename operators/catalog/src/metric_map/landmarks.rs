@@ -39,7 +39,7 @@ impl Default for LandmarkOptions {
 
 impl Operator for Landmarks {
     const NAME: &'static str = "landmarks";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: &'static str = include_str!("landmarks.md");
     type Params = OfVehicle<LandmarkOptions>;
     type Output = Landmark;
@@ -53,14 +53,14 @@ impl Operator for Landmarks {
 fn landmarks(
     params: &OfVehicle<LandmarkOptions>,
     poses: Vec<AdjustedPose>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = poses.first().map(|row| row.site.clone()) else {
         return Ok(());
     };
     let new = NewDrives::default();
-    let survey = Survey::new(&poses, new, sides, &params.vehicle, emit)?;
+    let survey = Survey::new(&poses, new, &sides, &params.vehicle, emit)?;
     let seen: Vec<_> = survey.landmarks(&poses).into_iter().collect();
     let all = seen.len();
     let maker = Maker {

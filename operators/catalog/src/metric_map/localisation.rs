@@ -20,7 +20,7 @@ pub struct Localisation;
 
 impl Operator for Localisation {
     const NAME: &'static str = "localisation";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: &'static str = include_str!("localisation.md");
     type Params = OfVehicle<LocalisationParams>;
     type Output = Row;
@@ -29,7 +29,7 @@ impl Operator for Localisation {
         let features = Port::session::<Features>("features");
         let mut sides = vec![Port::session::<Keyframe>("keyframes")];
         sides.extend(rig::ports(Reach::Session));
-        sides.push(Port::site::<Landmark>("landmarks"));
+        sides.push(Port::site::<Landmark>("landmarks").needed());
         Work::group(features, Key::SESSION, sides, localise)
     }
 
@@ -42,7 +42,7 @@ impl Operator for Localisation {
 fn localise(
     params: &OfVehicle<LocalisationParams>,
     features: Vec<Features>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = features.first().map(|row| row.site.clone()) else {
@@ -56,7 +56,7 @@ fn localise(
         senseless as u64,
     );
     let keyframes = sides.rows("keyframes")?;
-    for (session, drive) in drives(keyframes, features, sides, &params.vehicle, emit)? {
+    for (session, drive) in drives(keyframes, features, &sides, &params.vehicle, emit)? {
         let found = localise_drive(&drive, &sound, params.options);
         emit.skip(
             "keyframe held back: it may be of another place that looks alike",

@@ -14,7 +14,7 @@ pub struct LoopClosures;
 
 impl Operator for LoopClosures {
     const NAME: &'static str = "loop_closures";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: &'static str = include_str!("loop_closures.md");
     type Params = OfVehicle<LoopOptions>;
     type Output = LoopClosure;
@@ -34,18 +34,18 @@ impl Operator for LoopClosures {
 fn loop_closures(
     params: &OfVehicle<LoopOptions>,
     mut keyframes: Vec<Keyframe>,
-    sides: &Sides,
+    mut sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = keyframes.first().map(|row| row.site.clone()) else {
         return Ok(());
     };
-    let features: Vec<Features> = sides.rows("features")?;
+    let features: Vec<Features> = sides.take("features")?;
     let new: BTreeSet<String> = features.iter().map(|row| row.session.clone()).collect();
-    emit.rows(known(sides.rows("previous")?, &keyframes, &new))?;
+    emit.rows(known(sides.take("previous")?, &keyframes, &new))?;
     keyframes.retain(|row| new.contains(&row.session));
-    let drives = drives(keyframes, features, sides, &params.vehicle, emit)?;
-    let mut tracks = tracks(sides.rows("tracks")?, &drives, emit);
+    let drives = drives(keyframes, features, &sides, &params.vehicle, emit)?;
+    let mut tracks = tracks(sides.take("tracks")?, &drives, emit);
     let searched: Vec<places::Drive<'_>> = drives
         .iter()
         .map(|(session, drive)| with_tracks(drive, tracks.remove(session).unwrap_or_default()))

@@ -48,7 +48,7 @@ impl Operator for MapFrames {
 fn frames(
     params: &MapFramesParams,
     mut poses: Vec<VehiclePose>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     poses.retain(|pose| Pose::from_array(pose.map_from_vehicle.to_array()).is_ok());

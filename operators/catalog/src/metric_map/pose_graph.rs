@@ -98,7 +98,7 @@ type Known = BTreeMap<(String, Stamp), Pose>;
 fn relax(
     params: &DriveParams,
     keyframes: Vec<Keyframe>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = keyframes.first().map(|row| row.site.clone()) else {

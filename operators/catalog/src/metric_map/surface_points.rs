@@ -35,7 +35,7 @@ impl Operator for SurfacePoints {
 fn points(
     params: &OfVehicle<SurfaceOptions>,
     rows: Vec<Track>,
-    sides: &Sides,
+    mut sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(first) = rows.first() else {
@@ -44,9 +44,9 @@ fn points(
     let (site, session) = (first.site.clone(), first.session.clone());
     let (keyframes, features) = (
         sides.rows::<Keyframe>("keyframes")?,
-        sides.rows("features")?,
+        sides.take("features")?,
     );
-    let mut drives = drives(keyframes, features, sides, &params.vehicle, emit)?;
+    let mut drives = drives(keyframes, features, &sides, &params.vehicle, emit)?;
     if let Some(drive) = drives.get_mut(&session) {
         place(drive, sides.rows("poses")?, emit);
     }

@@ -28,7 +28,7 @@ impl Operator for Tracks {
 fn follow(
     params: &OfVehicle<TrackParams>,
     features: Vec<Features>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(first) = features.first() else {
@@ -41,7 +41,7 @@ fn follow(
     );
     let images = features.len();
     let keyframes = sides.rows("keyframes")?;
-    let mut drives = drives(keyframes, features, sides, &params.vehicle, emit)?;
+    let mut drives = drives(keyframes, features, &sides, &params.vehicle, emit)?;
     let Some(drive) = drives.remove(&session) else {
         emit.skip("image belongs to no keyframe", images as u64);
         return Ok(());

@@ -30,7 +30,7 @@ impl Operator for ClassIndex {
 fn leaves(
     _: &ClassIndexParams,
     views: Vec<View>,
-    _: &Sides,
+    _: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let site = views.first().map(|view| view.site.clone());

@@ -49,12 +49,12 @@ impl Operator for Registrations {
 fn registrations(
     params: &RegistrationsParams,
     relocations: Vec<Relocation>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let site = Site {
         params,
-        spheres: Spheres::new(sides)?,
+        spheres: Spheres::new(&sides)?,
     };
     let views: Vec<&[Relocation]> = relocations.chunk_by(|a, b| a.stamp == b.stamp).collect();
     let made = views.into_par_iter().map(|view| site.of_view(view));

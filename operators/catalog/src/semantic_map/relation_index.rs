@@ -32,7 +32,7 @@ impl Operator for RelationIndex {
 fn related(
     _: &RelationIndexParams,
     views: Vec<View>,
-    _: &Sides,
+    _: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(site) = views.first().map(|view| view.site.clone()) else {

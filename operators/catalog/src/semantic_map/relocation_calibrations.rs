@@ -40,7 +40,7 @@ impl Operator for RelocationCalibrations {
 fn calibration(
     params: &RelocationCalibrationsParams,
     views: Vec<View>,
-    _: &Sides,
+    _: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(first) = views.first() else {

@@ -49,7 +49,7 @@ const AT_ONCE: usize = 32;
 fn links(
     params: &ViewLinksParams,
     rows: Vec<SphereView>,
-    sides: &Sides,
+    sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let Some(first) = rows.first() else {
@@ -58,7 +58,7 @@ fn links(
     let (site, camera) = (first.site.clone(), first.camera.clone());
     let key = |row: &SphereView| (row.session.clone(), row.camera.clone(), row.stamp);
     let views: Vec<ViewKey> = rows.iter().map(key).collect();
-    let spheres = Spheres::of(rows, sides)?;
+    let spheres = Spheres::of(rows, &sides)?;
     let mut before: Option<(&ViewKey, Option<Pyramid>)> = None;
     for views in views.chunks(AT_ONCE) {
         let opened = views.par_iter().map(|view| {

@@ -1,7 +1,7 @@
 //! Detection and description by OpenCV.
 
 use std::borrow::Cow;
-use std::cell::RefCell;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use opencv::core::{
     KeyPoint, KeyPointTraitConst, Mat, MatTraitConstManual, Ptr, Size, ToInputArray, Vector,
@@ -34,26 +34,37 @@ const PATTERN_RADIUS_PX: f64 = 10.0;
 /// No side of an image may be shorter (px): a descriptor's pattern would not fit.
 const SMALLEST_PX: u32 = 24;
 
-thread_local! {
-    /// Making BRISK's sampling pattern takes longer than using it on an image, so each thread keeps one.
-    static BRISK_OF_THREAD: RefCell<Option<Ptr<BRISK>>> = const { RefCell::new(None) };
-}
+/// OpenCV's detectors that nobody is using. Making BRISK's sampling pattern takes longer than using it on an image, and it
+/// fills 45 MiB: as many are made as work side by side, and they go when this does.
+#[derive(Default)]
+pub struct Detectors(Mutex<Vec<Ptr<BRISK>>>);
 
-pub(super) fn extract(
-    image: &Grey,
-    params: &FeatureParams,
-    blind: &Blind,
-) -> Result<KeyPoints, ImageError> {
-    one_thread()?;
-    BRISK_OF_THREAD.with_borrow_mut(|brisk| {
-        if brisk.is_none() {
-            *brisk = Some(BRISK::create_def()?);
-        }
-        match brisk {
-            Some(brisk) => Extraction::new(image, params, blind)?.run(brisk),
-            None => Ok(KeyPoints::default()),
-        }
-    })
+impl Detectors {
+    /// The features of an image, spread over what it shows. The same pixels give the same features. An image without
+    /// contrast gives none.
+    ///
+    /// # Errors
+    /// [`ImageError`] for an image of no size, or a scale that leaves none of it.
+    pub fn features(
+        &self,
+        image: &Grey,
+        params: &FeatureParams,
+        blind: &Blind,
+    ) -> Result<KeyPoints, ImageError> {
+        one_thread()?;
+        let idle = self.idle().pop();
+        let mut brisk = match idle {
+            Some(brisk) => brisk,
+            None => BRISK::create_def()?,
+        };
+        let found = Extraction::new(image, params, blind)?.run(&mut brisk);
+        self.idle().push(brisk);
+        found
+    }
+
+    fn idle(&self) -> MutexGuard<'_, Vec<Ptr<BRISK>>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 /// The work on one image.

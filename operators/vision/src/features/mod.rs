@@ -12,12 +12,13 @@ mod brisk;
 mod spread;
 mod vignette;
 
+pub use brisk::Detectors;
 pub use vignette::Vignette;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Grey, ImageError};
+use crate::Grey;
 
 /// Bytes of a BRISK descriptor.
 pub const DESCRIPTOR_BYTES: usize = 64;
@@ -125,19 +126,6 @@ fn inside(ring: &[[f64; 2]], [u, v]: [f64; 2]) -> bool {
         (a[1] > v) != (b[1] > v) && u < a[0] + (v - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
     });
     crossed.count() % 2 == 1
-}
-
-/// The features of an image, spread over what it shows. The same pixels give the same features. An image without
-/// contrast gives none.
-///
-/// # Errors
-/// [`ImageError`] for an image of no size, or a scale that leaves none of it.
-pub fn features(
-    image: &Grey,
-    params: &FeatureParams,
-    blind: &Blind,
-) -> Result<KeyPoints, ImageError> {
-    brisk::extract(image, params, blind)
 }
 
 #[cfg(test)]

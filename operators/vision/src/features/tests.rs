@@ -1,5 +1,10 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 use super::*;
+use crate::ImageError;
+
+fn features(image: &Grey, params: &FeatureParams, blind: &Blind) -> Result<KeyPoints, ImageError> {
+    Detectors::default().features(image, params, blind)
+}
 
 /// Grey rectangles of all sizes at places from a seed, so that there are corners everywhere; `gain` dims it.
 fn scene(width: u32, height: u32, gain: f64) -> Grey {

@@ -271,8 +271,11 @@ async fn feed_rows(
     feed: mpsc::Sender<Result<RecordBatch, Fault>>,
 ) -> DataFusionResult<()> {
     let prepared = prepared.await;
+    let nothing_to_do = prepared
+        .as_ref()
+        .is_ok_and(|prepared| prepared.job.is_idle());
     let failed = prepared.is_err();
-    if ready.send(prepared).is_err() || failed {
+    if ready.send(prepared).is_err() || failed || nothing_to_do {
         return Ok(());
     }
     while let Some(batch) = input.next().await {

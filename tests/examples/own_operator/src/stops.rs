@@ -61,7 +61,7 @@ impl Operator for Stops {
 fn stops(
     params: &StopsParams,
     speeds: Vec<Speed>,
-    _: &Sides,
+    _: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let stands = |speed: &Speed| speed.speed_mps.abs() < params.below_mps;

@@ -16,14 +16,16 @@ pub(super) struct Consensus {
 
 /// Draws three sights at a time, first from the best by quality and then from ever more (Chum, Matas: PROSAC, 2005),
 /// keeps the pose of the least cost (Torr, Zisserman: MLESAC, 2000) and improves each new best by an adjustment of its
-/// inliers (Chum, Matas, Kittler: Locally Optimized RANSAC, 2003). `sights` are sorted by quality, the best first.
+/// inliers (Chum, Matas, Kittler: Locally Optimized RANSAC, 2003). It ends when a pose with more inliers than the best, or
+/// with as many as are asked for, would have been drawn. `sights` are sorted by quality, the best first.
 pub(super) fn search(sights: &[Sight], options: &ResectionOptions) -> Option<Consensus> {
     if sights.len() < 3 {
         return None;
     }
     let mut best: Option<Consensus> = None;
-    let mut sampler = Sampler::new(sights.len(), options);
-    let mut needed = options.max_iterations;
+    // A pose of fewer inliers is none, so that longer need not be sought.
+    let mut needed = iterations(options.min_inliers, sights.len(), options);
+    let mut sampler = Sampler::new(sights.len(), needed, options.seed);
     let mut iteration = 0;
     while iteration < needed {
         iteration += 1;
@@ -85,7 +87,7 @@ fn optimised(sights: &[Sight], mut pose: Pose, mut least: f64, gate: f64) -> (Po
 
 /// Samples after which one without outliers was drawn with the confidence asked for.
 fn iterations(inliers: usize, all: usize, options: &ResectionOptions) -> usize {
-    let clean = (0..3).map(|drawn| (inliers.saturating_sub(drawn)) as f64 / (all - drawn) as f64);
+    let clean = (0..3).map(|drawn| inliers.saturating_sub(drawn) as f64 / (all - drawn) as f64);
     let clean: f64 = clean.product();
     let needed = (1.0 - options.confidence).ln() / (-clean).ln_1p();
     if needed.is_finite() {
@@ -110,15 +112,16 @@ struct Sampler {
 }
 
 impl Sampler {
-    fn new(all: usize, options: &ResectionOptions) -> Self {
+    /// Of so many sights, for so many samples.
+    fn new(all: usize, samples: usize, seed: u64) -> Self {
         let share = (0..3).map(|i| (3 - i) as f64 / (all - i) as f64);
         Self {
             all,
             pool: 3,
             until: 1.0,
-            average: options.max_iterations as f64 * share.product::<f64>(),
+            average: samples as f64 * share.product::<f64>(),
             drawn: 0.0,
-            random: SplitMix64(options.seed),
+            random: SplitMix64(seed),
         }
     }
 

@@ -5,9 +5,10 @@ use std::ops::Range;
 use nalgebra::Vector3;
 
 use super::point::Sight;
+use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::{Rig, RigCamera};
-use crate::metric_map::features::{Blur, Descriptor, KeyframeFeatures};
+use crate::metric_map::features::{Blur, Descriptor, Feature, KeyframeFeatures};
 
 /// A feature of an image of a [`Scene`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -18,17 +19,41 @@ pub struct FeatureRef {
     pub feature: u32,
 }
 
-/// A feature with the ray that it was seen along.
+/// A feature with the ray that it was seen along, in single precision: there are millions, and it errs by a
+/// ten-thousandth of a pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SceneFeature {
-    /// `[u, v]`, pixels.
-    pub pixel: [f64; 2],
-    /// Diameter of its neighbourhood, pixels.
-    pub size_px: f64,
-    /// Unit vector in the optical frame; `None` where the lens has no ray for the pixel. Such features are not used.
-    pub ray: Option<Vector3<f64>>,
+    pixel: [f32; 2],
+    size_px: f32,
+    ray: Option<Vector3<f32>>,
     /// What it looks like.
     pub descriptor: Descriptor,
+}
+
+impl SceneFeature {
+    fn new(camera: &Camera, feature: &Feature) -> Self {
+        Self {
+            pixel: feature.pixel.map(|at| at as f32),
+            size_px: feature.size_px as f32,
+            ray: camera.unproject(feature.pixel).map(|ray| ray.cast()),
+            descriptor: feature.descriptor,
+        }
+    }
+
+    /// `[u, v]`, pixels.
+    pub fn pixel(&self) -> [f64; 2] {
+        self.pixel.map(f64::from)
+    }
+
+    /// Diameter of its neighbourhood, pixels.
+    pub fn size_px(&self) -> f64 {
+        self.size_px.into()
+    }
+
+    /// Unit vector in the optical frame; `None` where the lens has no ray for the pixel. Such features are not used.
+    pub fn ray(&self) -> Option<Vector3<f64>> {
+        self.ray.map(|ray| ray.cast())
+    }
 }
 
 /// An image of a keyframe.
@@ -96,13 +121,8 @@ impl Scene {
                     keyframe,
                     camera: (first_camera + at) as u32,
                     features: features
-                        .into_iter()
-                        .map(|feature| SceneFeature {
-                            pixel: feature.pixel,
-                            size_px: feature.size_px,
-                            ray: camera.camera.unproject(feature.pixel),
-                            descriptor: feature.descriptor,
-                        })
+                        .iter()
+                        .map(|feature| SceneFeature::new(&camera.camera, feature))
                         .collect(),
                 });
             }
@@ -148,14 +168,14 @@ impl Scene {
         let px_per_rad = self.px_per_rad(at.image);
         let camera = &map_from_cameras[at.image as usize];
         let sigma_rad = self.blur(at) / px_per_rad;
-        let ray = self.feature(at).ray.as_ref()?;
-        Some(Sight::new(camera, ray, sigma_rad, px_per_rad))
+        let ray = self.feature(at).ray()?;
+        Some(Sight::new(camera, &ray, sigma_rad, px_per_rad))
     }
 
     /// How inexactly a feature is placed, in units of the smallest ones' standard deviation.
     pub fn blur(&self, at: FeatureRef) -> f64 {
         let camera = self.images[at.image as usize].camera as usize;
-        self.blurs[camera].of(self.feature(at).size_px)
+        self.blurs[camera].of(self.feature(at).size_px())
     }
 
     /// `map_from_camera` of every image.

@@ -182,7 +182,7 @@ impl<'a> Search<'a> {
 
     fn resighting(&self, hit: &Hit) -> Resighting {
         let image = hit.feature.image;
-        let ray = self.scene.feature(hit.feature).ray.unwrap_or_default();
+        let ray = self.scene.feature(hit.feature).ray().unwrap_or_default();
         Resighting {
             line: LineOfSight::new(&self.scene.camera(image).vehicle_from_camera, &ray),
             point: self.targets[hit.landmark as usize].point,
@@ -193,7 +193,7 @@ impl<'a> Search<'a> {
     fn grid(&self, image: u32) -> FeatureGrid {
         let features = self.scene.images[image as usize].features.iter();
         let nowhere = [f64::NAN, f64::NAN];
-        FeatureGrid::new(features.map(|feature| feature.ray.map_or(nowhere, |_| feature.pixel)))
+        FeatureGrid::new(features.map(|feature| feature.ray().map_or(nowhere, |_| feature.pixel())))
     }
 
     /// The landmarks that keyframes shortly before or after saw, and this one.
@@ -276,7 +276,7 @@ impl<'a> Search<'a> {
         let range_m = away.norm();
         let size_px = target.size_px_m / range_m;
         let fits = |at: &u32| {
-            let ratio = features[*at as usize].size_px / size_px;
+            let ratio = features[*at as usize].size_px() / size_px;
             (1.0 / self.params.scale_factor..=self.params.scale_factor).contains(&ratio)
         };
         let near: Vec<u32> = grid.near(pixel, radius_px).filter(fits).collect();
@@ -334,9 +334,9 @@ fn unrivalled(
     };
     let near: Vec<(u32, u32)> = near.iter().map(bits).collect();
     let (bits, best) = *near.iter().min()?;
-    let at = features[best as usize].pixel;
+    let at = features[best as usize].pixel();
     let elsewhere = |other: u32| {
-        squared_distance(features[other as usize].pixel, at) > SAME_PLACE_PX * SAME_PLACE_PX
+        squared_distance(features[other as usize].pixel(), at) > SAME_PLACE_PX * SAME_PLACE_PX
     };
     let rivals = near.iter().filter(|(_, other)| elsewhere(*other));
     let rival = rivals.map(|(bits, _)| *bits).min();
@@ -352,7 +352,7 @@ fn target(
 ) -> (Target, Visibility) {
     let sightings = sightings(scene, cameras, &landmark.point, &landmark.features);
     let features = landmark.features.iter().zip(&sightings);
-    let sizes = features.map(|(feature, look)| scene.feature(*feature).size_px * look.range_m);
+    let sizes = features.map(|(feature, look)| scene.feature(*feature).size_px() * look.range_m);
     let mut sizes: Vec<f64> = sizes.collect();
     sizes.sort_by(f64::total_cmp);
     let appearance = |at: usize| Appearance {

@@ -122,15 +122,18 @@ impl<'a> Places<'a> {
             .iter()
             .map(|mounted| mounted.vehicle_from_camera)
             .collect();
-        let found = resect(&mounts, &pairs, &ResectionOptions::default())?;
         // A ray of a few degrees' gate out of the half sphere that a lens sees.
         let gate = 9.21
             * pairs
                 .iter()
                 .map(|pair| pair.sigma_rad * pair.sigma_rad)
                 .fold(0.0, f64::max);
-        let enough = inliers_beyond_chance(pairs.len(), 0.5 * gate, FALSE_ALARMS);
-        (found.inliers.len() >= enough).then_some((found.inliers.len(), found.world_from_vehicle))
+        let options = ResectionOptions {
+            min_inliers: inliers_beyond_chance(pairs.len(), 0.5 * gate, FALSE_ALARMS),
+            ..ResectionOptions::default()
+        };
+        let found = resect(&mounts, &pairs, &options)?;
+        Some((found.inliers.len(), found.world_from_vehicle))
     }
 
     fn pair(

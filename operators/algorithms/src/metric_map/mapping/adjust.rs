@@ -177,7 +177,7 @@ fn observations(scene: &Scene, landmarks: &[Landmark], params: &AdjustParams) ->
                 pose,
                 camera: (feature.image - scene.keyframes[pose].images.start) as usize,
                 landmark: at,
-                pixel: scene.feature(*feature).pixel,
+                pixel: scene.feature(*feature).pixel(),
                 sigma_px: params.features.sigma_px * scene.blur(*feature),
             });
         }
