@@ -328,6 +328,49 @@ mod tests {
         }
     }
 
+    /// Counts poses of sites that have counts already, and takes those.
+    struct Again;
+    impl Operator for Again {
+        const NAME: &'static str = "counts";
+        const VERSION: u32 = 1;
+        const PAGE: &'static str = "# counts\n\nCounts.\n\n## Example\n\nInput `poses`:\n\n\
+            | site | session | stamp |\n|---|---|---|\n| s | a | 1 |\n| s | b | 2 |\n| t | c | 1 |\n\n\
+            Input `counts`:\n\n| site | poses |\n|---|---|\n| s | 5 |\n| u | 1 |\n\n\
+            Output:\n\n| site | poses |\n|---|---|\n| s | 7 |\n";
+        type Params = Params;
+        type Output = Count;
+        fn work() -> Work<Params> {
+            let counts = Port::site::<Count>("counts").needed();
+            Work::group(
+                poses(),
+                Key::SITE,
+                vec![counts],
+                |_, rows: Vec<VehiclePose>, mut sides, emit| {
+                    let before: Vec<Count> = sides.take("counts")?;
+                    let taken = sides.rows::<Count>("counts")?;
+                    let site = rows[0].site.clone();
+                    let poses = before[0].poses + (rows.len() + taken.len()) as u64;
+                    emit.rows(vec![Count { site, poses }])
+                },
+            )
+        }
+    }
+
+    #[test]
+    fn where_a_needed_table_is_empty_there_is_nothing_to_do() {
+        let entry = Entry::of::<Again>();
+        check(&entry).unwrap();
+        let job = |rows: Vec<Count>| {
+            let counts = BTreeMap::from([inputs_of("counts", rows).unwrap()]);
+            let counts = counts.into_iter().map(|(port, rows)| (port, vec![rows]));
+            let sides = Sides::new(counts.collect());
+            crate::Job::new(&entry, &entry.defaults, crate::Phase::Run, sides).unwrap()
+        };
+        let site = || "s".to_owned();
+        assert!(job(vec![]).is_idle());
+        assert!(!job(vec![Count { site: site(), poses: 0 }]).is_idle());
+    }
+
     #[test]
     fn sound_operators_pass() {
         check(&Entry::of::<Folded>()).unwrap();
