@@ -120,7 +120,8 @@ def run(command, repeat):
 def compiled(source, work):
     """A peer's program, compiled if need be."""
     program = work / source.stem
-    if not program.exists() or program.stat().st_mtime < source.stat().st_mtime:
+    changed = max(file.stat().st_mtime for file in (source, HERE / "ceres_schur.h"))
+    if not program.exists() or program.stat().st_mtime < changed:
         flags = ["-O3", "-march=native", "-DNDEBUG", "-I/usr/include/eigen3"]
         subprocess.run(["c++", *flags, source, "-o", program, "-lceres", "-lglog"], check=True)
     return program

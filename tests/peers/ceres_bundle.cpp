@@ -7,14 +7,14 @@
 #include <ceres/ceres.h>
 #include <glog/logging.h>
 
-#include <chrono>
 #include <cmath>
-#include <cstdio>
 #include <cstdlib>
 #include <fstream>
 #include <iostream>
 #include <string>
 #include <vector>
+
+#include "ceres_schur.h"
 
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
@@ -91,36 +91,16 @@ int main(int count, char** words) {
   for (double& value : initial) file >> value;
 
   const std::string solver = words[4];
-  double best = 1e300;
-  ceres::Solver::Summary summary;
-  for (int run = 0; run < std::atoi(words[3]); ++run) {
+  return Fastest(std::atoi(words[3]), [&] {
     auto x = initial;
-    const auto start = std::chrono::steady_clock::now();
     ceres::Problem problem;
     for (const auto& s : seen)
       problem.AddResidualBlock(new Reprojection(s.u, s.v), nullptr, &x[9 * s.camera], &x[9 * cameras + 3 * s.point]);
-    ceres::Solver::Options options;
-    options.linear_solver_type = solver == "dense"    ? ceres::DENSE_SCHUR
-                                 : solver == "sparse" ? ceres::SPARSE_SCHUR
-                                                      : ceres::ITERATIVE_SCHUR;
-    if (solver == "iterative") options.preconditioner_type = ceres::SCHUR_JACOBI;
     auto* ordering = new ceres::ParameterBlockOrdering;
     for (size_t i = 0; i < points; ++i) ordering->AddElementToGroup(&x[9 * cameras + 3 * i], 0);
     for (size_t i = 0; i < cameras; ++i) ordering->AddElementToGroup(&x[9 * i], 1);
-    options.linear_solver_ordering.reset(ordering);
-    options.max_num_iterations = 100;
-    options.num_threads = std::atoi(words[2]);
-    options.logging_type = ceres::SILENT;
-    ceres::Solver::Summary one;
-    ceres::Solve(options, &problem, &one);
-    const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    if (seconds < best) {
-      best = seconds;
-      summary = one;
-    }
-  }
-  std::printf("{\"initial_cost\": %.17g, \"final_cost\": %.17g, \"iterations\": %d, \"seconds\": %.9f}\n",
-              summary.initial_cost, summary.final_cost,
-              summary.num_successful_steps + summary.num_unsuccessful_steps - 1, best);
-  return 0;
+    ceres::Solver::Summary summary;
+    ceres::Solve(SchurOptions(solver, std::atoi(words[2]), ordering), &problem, &summary);
+    return summary;
+  });
 }

@@ -9,15 +9,14 @@
 #include <ceres/jet.h>
 #include <glog/logging.h>
 
-#include <chrono>
 #include <cmath>
-#include <cstdio>
 #include <cstdlib>
 #include <fstream>
 #include <iostream>
-#include <memory>
 #include <string>
 #include <vector>
+
+#include "ceres_schur.h"
 
 using Eigen::Map;
 using Eigen::Matrix;
@@ -254,11 +253,8 @@ int main(int count, char** words) {
   }
 
   const std::string solver = words[4];
-  double best = 1e300;
-  ceres::Solver::Summary summary;
-  for (int run = 0; run < std::atoi(words[3]); ++run) {
+  return Fastest(std::atoi(words[3]), [&] {
     auto x = first;
-    const auto start = std::chrono::steady_clock::now();
     ceres::Problem problem;
     Motion* motion = new Motion;
     for (size_t i = 0; i < n_poses; ++i) {
@@ -273,34 +269,13 @@ int main(int count, char** words) {
       problem.AddResidualBlock(new Wheels(s), nullptr, &x[7 * s.from], &x[7 * s.to],
                                &x[sessions + 2 * session_of[s.from]]);
     for (size_t i = 0; i < n_sessions; ++i) problem.AddResidualBlock(new Prior, nullptr, &x[sessions + 2 * i]);
-    ceres::Solver::Options options;
-    options.linear_solver_type = solver == "dense"    ? ceres::DENSE_SCHUR
-                                 : solver == "sparse" ? ceres::SPARSE_SCHUR
-                                                      : ceres::ITERATIVE_SCHUR;
-    options.preconditioner_type = solver == "clusters" ? ceres::CLUSTER_JACOBI : ceres::SCHUR_JACOBI;
     auto* ordering = new ceres::ParameterBlockOrdering;
     for (size_t i = 0; i < n_landmarks; ++i)
       if (problem.HasParameterBlock(&x[landmarks + 3 * i])) ordering->AddElementToGroup(&x[landmarks + 3 * i], 0);
     for (size_t i = 0; i < n_poses; ++i) ordering->AddElementToGroup(&x[7 * i], 1);
     for (size_t i = 0; i < n_sessions; ++i) ordering->AddElementToGroup(&x[sessions + 2 * i], 1);
-    options.linear_solver_ordering.reset(ordering);
-    options.max_num_iterations = 100;
-    options.num_threads = std::atoi(words[2]);
-    options.logging_type = ceres::SILENT;
-    ceres::Solver::Summary one;
-    ceres::Solve(options, &problem, &one);
-    if (!one.IsSolutionUsable()) {
-      std::cerr << one.message << '\n';
-      return 1;
-    }
-    const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    if (seconds < best) {
-      best = seconds;
-      summary = one;
-    }
-  }
-  std::printf("{\"initial_cost\": %.17g, \"final_cost\": %.17g, \"iterations\": %d, \"seconds\": %.9f}\n",
-              summary.initial_cost, summary.final_cost,
-              summary.num_successful_steps + summary.num_unsuccessful_steps - 1, best);
-  return 0;
+    ceres::Solver::Summary summary;
+    ceres::Solve(SchurOptions(solver, std::atoi(words[2]), ordering), &problem, &summary);
+    return summary;
+  });
 }
