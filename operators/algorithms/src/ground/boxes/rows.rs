@@ -133,7 +133,9 @@ fn rows(spaces: &[(GroundBox, Option<Entry>)]) -> Vec<Vec<usize>> {
         while let Some(one) = members.get(next).copied() {
             next += 1;
             for other in index.indices_near(&places[one]) {
-                if row_of[other] == usize::MAX && are_neighbours(&spaces[one], &spaces[other]) {
+                // Either may tell: at a bend the lane runs along one of them alone.
+                let [a, b] = [&spaces[one], &spaces[other]];
+                if row_of[other] == usize::MAX && (are_neighbours(a, b) || are_neighbours(b, a)) {
                     row_of[other] = row;
                     members.push(other);
                 }
@@ -198,6 +200,23 @@ mod tests {
     fn lane(lane: u32, y: f64) -> LaneLine {
         let points = vec![[-20.0, y], [40.0, y]];
         LaneLine { lane, points }
+    }
+
+    #[test]
+    fn a_space_whose_lane_bends_is_of_its_row_in_whatever_order() {
+        let mut boxes: Vec<GroundBox> = (0..4)
+            .map(|at| space(2.4 * f64::from(at), 0.0, FRAC_PI_2))
+            .collect();
+        // Round the last space's corner: there the lane runs along it.
+        let bent = LaneLine {
+            lane: 1,
+            points: vec![[-20.0, 6.0], [6.0, 6.0], [9.5, 3.0], [9.5, -9.0]],
+        };
+        for _ in 0..4 {
+            boxes.rotate_left(1);
+            let found = numbered(&boxes, std::slice::from_ref(&bent), 8.0);
+            assert!(found.iter().all(|one| one.row == 1), "{found:?}");
+        }
     }
 
     #[test]
