@@ -210,7 +210,7 @@ mod tests {
         // Round the last space's corner: there the lane runs along it.
         let bent = LaneLine {
             lane: 1,
-            points: vec![[-20.0, 6.0], [6.0, 6.0], [9.5, 3.0], [9.5, -9.0]],
+            points: vec![[-20.0, 6.0], [8.0, 6.0], [12.0, 3.0], [12.0, -9.0]],
         };
         for _ in 0..4 {
             boxes.rotate_left(1);
