@@ -40,7 +40,7 @@ impl Default for ParkingSpacesParams {
 
 impl Operator for ParkingSpaces {
     const NAME: &'static str = "parking_spaces";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("parking_spaces.md");
     type Params = ParkingSpacesParams;
     type Output = ParkingSpace;
