@@ -368,7 +368,13 @@ mod tests {
         };
         let site = || "s".to_owned();
         assert!(job(vec![]).is_idle());
-        assert!(!job(vec![Count { site: site(), poses: 0 }]).is_idle());
+        assert!(
+            !job(vec![Count {
+                site: site(),
+                poses: 0
+            }])
+            .is_idle()
+        );
     }
 
     #[test]
