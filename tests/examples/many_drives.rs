@@ -192,26 +192,32 @@ fn size(folder: &Path) -> u64 {
 
 /// What is in the newest version of the map, and how right it is.
 fn found(map: &Path, name: &str, truths: &Trajectories) -> String {
-    let count = |sql: &str| rows(map, None, sql)[0]["n"].as_f64().unwrap_or(0.0);
+    let number = |sql: &str| rows(map, None, sql)[0]["n"].as_f64();
+    let count = |sql: &str| number(sql).unwrap_or(0.0);
     let kept = count("SELECT count(*) AS n FROM adjusted_poses");
     let landmarks = count("SELECT count(*) AS n FROM landmarks");
     let moved_mm = 1e3 * count("SELECT max(moved_m) AS n FROM map_frames");
     let error = map_error(&poses(map, None, "poses", "map_from_vehicle"), truths);
     let of = format!("FROM localisations WHERE session = '{name}'");
-    let lost = count(&format!(
+    let lost = number(&format!(
         "SELECT avg(CASE WHEN state = 'lost' THEN 100.0 ELSE 0.0 END) AS n {of}"
     ));
-    let median_cm = before(map).map(|before| {
+    let median_cm = before(map).and_then(|before| {
         let before = poses(map, Some(before), "poses", "map_from_vehicle");
         let mut found = poses(map, None, "localisations", "map_from_vehicle");
         found.retain(|session, _| session == name);
         let error = error_in(&found, truths, &truth_from_map(&before, truths));
-        error.map_or(f64::NAN, |error| 100.0 * error.position_m.median)
+        error.map(|error| 100.0 * error.position_m.median)
     });
+    // The first drive had no map to be localised in.
+    let of_fixes = |found: Option<f64>, digits: usize| {
+        found.map_or_else(|| "none".to_owned(), |found| format!("{found:.digits$}"))
+    };
     format!(
-        "{kept} | {landmarks} | {:.2} | {lost:.1} | {:.2} | {moved_mm:.1}",
+        "{kept} | {landmarks} | {:.2} | {} | {} | {moved_mm:.1}",
         100.0 * error.position_m.rmse,
-        median_cm.unwrap_or(f64::NAN)
+        of_fixes(lost, 1),
+        of_fixes(median_cm, 2)
     )
 }
 

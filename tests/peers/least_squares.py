@@ -12,12 +12,13 @@ where it has none, at GTSAM's chordal start (LAGO on the plane), which their tim
 
 import argparse
 import json
-import os
 import pathlib
 import subprocess
 import sys
 import tempfile
 import time
+
+from side_by_side import compiled
 
 HERE = pathlib.Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
@@ -34,16 +35,6 @@ def example():
     cargo = ["cargo", "build", "--release", "--example", "solve", "-p", "evermap-bench", "--message-format=json"]
     lines = subprocess.run(cargo, cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout.splitlines()
     return next(message["executable"] for message in map(json.loads, lines) if message.get("executable"))
-
-
-def ceres_program():
-    """Ceres with our residual, compiled if need be."""
-    ceres = pathlib.Path(tempfile.gettempdir()) / f"ceres_pose_graph.{os.getuid()}"
-    source = HERE / "ceres_pose_graph.cpp"
-    if not ceres.exists() or ceres.stat().st_mtime < source.stat().st_mtime:
-        flags = ["-O3", "-march=native", "-DNDEBUG", "-I/usr/include/eigen3"]
-        subprocess.run(["c++", *flags, str(source), "-o", str(ceres), "-lceres", "-lglog"], check=True)
-    return str(ceres)
 
 
 def gtsam_once(path, method):
@@ -170,7 +161,7 @@ def main():
     if given.gtsam:
         print(json.dumps(gtsam_once(given.path, given.gtsam)))
         return
-    programs = given.program or example(), None if given.no_ceres else ceres_program()
+    programs = given.program or example(), None if given.no_ceres else compiled("ceres_pose_graph")
     print("| graph | threads | given | its cost | at the start | after | best peer | ratio | proven | iterations | ms | fastest peer, ms | ratio |")
     print("|---|--:|---|--:|--:|--:|--:|--:|---|--:|--:|---|--:|")
     met = True

@@ -3,10 +3,26 @@
 import argparse
 import json
 import os
+import pathlib
 import statistics
 import subprocess
 import sys
 import time
+
+
+PEERS = pathlib.Path(__file__).resolve().parent
+
+
+def compiled(name):
+    """A peer that gives work to Ceres, compiled if need be."""
+    sources = [PEERS / f"{name}.cpp", *PEERS.glob("*.h")]
+    target = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", PEERS.parent.parent / "target"))
+    program = target / "peers" / name
+    program.parent.mkdir(parents=True, exist_ok=True)
+    if not program.exists() or program.stat().st_mtime < max(source.stat().st_mtime for source in sources):
+        flags = ["-O3", "-march=native", "-DNDEBUG", "-I/usr/include/eigen3"]
+        subprocess.run(["c++", *flags, sources[0], "-o", program, "-lceres", "-lglog"], check=True)
+    return str(program)
 
 
 class Contender:

@@ -81,11 +81,12 @@ impl Entry {
 }
 
 /// An operator with parameters and sides, ready for the rows of one unit. Partitions share it.
-pub struct Job(Work);
+pub struct Job {
+    work: Work,
+    idle: bool,
+}
 
 enum Work {
-    /// A table that is needed is empty.
-    Nothing,
     Map(BySite<Mapper>),
     Group(Groups),
     Lift(BySite<Box<dyn Folding>>),
@@ -99,8 +100,8 @@ impl Job {
     /// A user fault for parameters that make no sense, a data fault for such sides.
     pub fn new(entry: &Entry, params: &Value, phase: Phase, sides: Sides) -> Result<Self, Fault> {
         let ports = entry.sides(phase);
-        Ok(Self(match (entry.kernel(params)?, phase) {
-            _ if sides.lacks(ports) => Work::Nothing,
+        let idle = sides.lacks(ports);
+        let work = match (entry.kernel(params)?, phase) {
             (Kernel::Map(prepare), _) => Work::Map(BySite::new(&prepare, ports, &sides)?),
             (Kernel::Group(open), _) => Work::Group(Groups {
                 open,
@@ -110,18 +111,18 @@ impl Job {
             }),
             (Kernel::Fold(prepare), Phase::Merge) => Work::Merge(prepare(&Sides::default())?),
             (Kernel::Fold(prepare), _) => Work::Lift(BySite::new(&prepare, ports, &sides)?),
-        }))
+        };
+        Ok(Self { work, idle })
     }
 
-    /// Whether there is nothing to do, whatever the driving rows are: they need not be read.
+    /// Whether a table that is needed is empty: nothing comes of any driving rows, so that they need not be read.
     pub fn is_idle(&self) -> bool {
-        matches!(self.0, Work::Nothing)
+        self.idle
     }
 
     /// A worker for one partition of the driving rows.
     pub fn worker(&self) -> Box<dyn Worker + '_> {
-        match &self.0 {
-            Work::Nothing => Box::new(Idle),
+        match &self.work {
             Work::Map(mappers) => Box::new(MapWorker(mappers)),
             Work::Group(groups) => Box::new(GroupWorker { groups, open: None }),
             Work::Lift(folds) => Box::new(LiftWorker {
@@ -149,18 +150,6 @@ pub trait Worker: Send {
     /// # Errors
     /// As [`Worker::push`].
     fn close(&mut self, emit: &mut Emit<'_>) -> Result<(), Fault>;
-}
-
-struct Idle;
-
-impl Worker for Idle {
-    fn push(&mut self, _: &RecordBatch, _: &mut Emit<'_>) -> Result<(), Fault> {
-        Ok(())
-    }
-
-    fn close(&mut self, _: &mut Emit<'_>) -> Result<(), Fault> {
-        Ok(())
-    }
 }
 
 /// What was prepared for each site of the sides, and for sites that they do not tell of; nothing where a table that is

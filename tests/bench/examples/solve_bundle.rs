@@ -9,8 +9,8 @@
 //! drive of so many keyframes with four fisheyes and odometry, as the metric map has them, and
 //! adjusts it; it shows how time grows with length. With `--drives K` the road is driven K times, and
 //! each drive sees the landmarks of all; with `--reach N` a landmark is seen from N keyframes before it
-//! and after it (10 unless told otherwise). `--solver` forces how steps are found: `factorised` or `iterative`. `--write FILE` writes
-//! the drives for `ceres_drives` instead of solving them.
+//! and after it (10 unless told otherwise). `--solver` forces how steps are found: `factorised` or `iterative`.
+//! `--write FILE` writes the drives for `tests/peers/ceres_drives.cpp` instead of solving them.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
 
 use std::f64::consts::{FRAC_PI_2, PI};

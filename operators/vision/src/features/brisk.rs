@@ -52,12 +52,13 @@ impl Detectors {
         blind: &Blind,
     ) -> Result<KeyPoints, ImageError> {
         one_thread()?;
+        let extraction = Extraction::new(image, params, blind)?;
         let idle = self.idle().pop();
         let mut brisk = match idle {
             Some(brisk) => brisk,
             None => BRISK::create_def()?,
         };
-        let found = Extraction::new(image, params, blind)?.run(&mut brisk);
+        let found = extraction.run(&mut brisk);
         self.idle().push(brisk);
         found
     }

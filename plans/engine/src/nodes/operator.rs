@@ -271,11 +271,10 @@ async fn feed_rows(
     feed: mpsc::Sender<Result<RecordBatch, Fault>>,
 ) -> DataFusionResult<()> {
     let prepared = prepared.await;
-    let nothing_to_do = prepared
+    let wanted = prepared
         .as_ref()
-        .is_ok_and(|prepared| prepared.job.is_idle());
-    let failed = prepared.is_err();
-    if ready.send(prepared).is_err() || failed || nothing_to_do {
+        .is_ok_and(|prepared| !prepared.job.is_idle());
+    if ready.send(prepared).is_err() || !wanted {
         return Ok(());
     }
     while let Some(batch) = input.next().await {

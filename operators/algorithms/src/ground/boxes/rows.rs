@@ -133,9 +133,7 @@ fn rows(spaces: &[(GroundBox, Option<Entry>)]) -> Vec<Vec<usize>> {
         while let Some(one) = members.get(next).copied() {
             next += 1;
             for other in index.indices_near(&places[one]) {
-                // Either may tell: at a bend the lane runs along one of them alone.
-                let [a, b] = [&spaces[one], &spaces[other]];
-                if row_of[other] == usize::MAX && (are_neighbours(a, b) || are_neighbours(b, a)) {
+                if row_of[other] == usize::MAX && are_neighbours(&spaces[one], &spaces[other]) {
                     row_of[other] = row;
                     members.push(other);
                 }
@@ -148,7 +146,13 @@ fn rows(spaces: &[(GroundBox, Option<Entry>)]) -> Vec<Vec<usize>> {
 
 type Space = (GroundBox, Option<Entry>);
 
-fn are_neighbours((one, entry): &Space, (other, _): &Space) -> bool {
+/// Either may tell: at a bend the lane runs along one of them alone.
+fn are_neighbours(one: &Space, other: &Space) -> bool {
+    has_beside(one, other) || has_beside(other, one)
+}
+
+/// Whether a space has another one where its lane says that neighbours lie.
+fn has_beside((one, entry): &Space, (other, _): &Space) -> bool {
     let turn = (one.yaw - other.yaw).rem_euclid(std::f64::consts::PI);
     if turn.min(std::f64::consts::PI - turn) > ALIKE {
         return false;
