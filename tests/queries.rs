@@ -2,13 +2,16 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::io::Write;
 use std::path::Path;
+use std::process::Stdio;
 
 use datafusion::arrow::util::display::{ArrayFormatter, FormatOptions};
 use datafusion::prelude::SessionContext;
 use evermap_engine::map::Map;
 use evermap_engine::sql::{Limits, context};
-use evermap_tests::{evermap, rectangle, repository, text, write_drive};
+use evermap_tests::{Finished, command, evermap, rectangle, repository, text, write_drive};
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use sqllogictest::{AsyncDB, DBOutput, DefaultColumnType, Runner};
 
 struct Database(SessionContext);
@@ -186,6 +189,74 @@ fn queries_compare_several_maps() {
         twice.contains("`other` is the name of several maps"),
         "{twice}"
     );
+}
+
+#[test]
+fn maps_and_logs_are_asked_together_from_a_folder_beside_them() {
+    let (folder, map) = mapped();
+    let beside = folder.path().join("beside");
+    std::fs::create_dir(&beside).unwrap();
+    let drive = folder.path().join("b.mcap");
+    let ask = |arguments: &[&str], typed: &str| {
+        let mut sql = command(&["sql", "--format", "csv"]);
+        sql.args(arguments).current_dir(&beside);
+        sql.stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        let mut sql = sql.spawn().unwrap();
+        let mut stdin = sql.stdin.take().unwrap();
+        stdin.write_all(typed.as_bytes()).unwrap();
+        drop(stdin);
+        Finished::from(sql.wait_with_output().unwrap())
+    };
+    let name = map.file_name().unwrap().to_str().unwrap();
+    let relative = format!("first=../{name}");
+    let log = ["--map", &relative, "--sessions", text(&drive)];
+    let counted = "SELECT (SELECT count(*) FROM first.poses) > 0 AND (SELECT count(*) FROM b.odometry) > 0 AS both;\n";
+    assert_eq!(ask(&log, counted).expect(0).stdout, "both\ntrue\n");
+    // What a prompt knows, and what comes behind it.
+    let told = ask(
+        &["--map", &relative],
+        "\\d poses\nDESCRIBE poses;\n\\q\nSELECT 7;",
+    )
+    .expect(0)
+    .stdout;
+    let told: Vec<&str> = told
+        .lines()
+        .filter(|line| line.contains("map_from_vehicle.x"))
+        .collect();
+    assert!(
+        matches!(told[..], [table, csv] if table.contains("| m ") && csv.contains(",m,,")),
+        "{told:?}"
+    );
+    let fault = ask(&["--map", &relative], "SELECT site\nFROM posess@1")
+        .expect(1)
+        .stderr;
+    assert!(
+        fault.contains("did you mean `v1.poses`") && fault.contains("line 2, column 6"),
+        "{fault}"
+    );
+    let file = beside.join("rows.parquet");
+    let out = [
+        "--map",
+        &relative,
+        "--format",
+        "parquet",
+        "--out",
+        text(&file),
+    ];
+    ask(&out, "SELECT map_from_vehicle AS at FROM poses").expect(0);
+    let rows =
+        ParquetRecordBatchReaderBuilder::try_new(std::fs::File::open(&file).unwrap()).unwrap();
+    let at = rows.schema().field(0).metadata().clone();
+    assert_eq!(at.get("frame").map(String::as_str), Some("map"), "{at:?}");
+    let refused = ask(
+        &["--map", &relative],
+        "SELECT * FROM poses TABLESAMPLE (10)",
+    )
+    .expect(1)
+    .stderr;
+    assert!(refused.contains("TABLESAMPLE"), "{refused}");
 }
 
 /// Queries that nest by these many terms, for each way to nest without brackets: sums, unions, tables of tables.

@@ -22,22 +22,63 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
         DataFusionError::ResourcesExhausted(message) => (Kind::Resource, message.clone()),
         DataFusionError::ObjectStore(error) => (Kind::Resource, error.to_string()),
         DataFusionError::IoError(error) => (Kind::Resource, error.to_string()),
-        DataFusionError::Internal(message) => (Kind::Bug, message.clone()),
-        DataFusionError::Plan(message) => (Kind::User, message.clone()),
+        DataFusionError::Internal(message) if !message.contains(NO_SIGNATURE) => {
+            (Kind::Bug, message.clone())
+        }
+        // A query says what is computed, and of what.
+        DataFusionError::Plan(message)
+        | DataFusionError::Internal(message)
+        | DataFusionError::Execution(message) => (Kind::User, plainly(message)),
+        DataFusionError::NotImplemented(message) => {
+            (Kind::User, format!("not supported: {}", plainly(message)))
+        }
         DataFusionError::SchemaError(error, _) => (Kind::User, error.to_string()),
         DataFusionError::SQL(..) => (Kind::User, root.strip_backtrace()),
         DataFusionError::ArrowError(error, _) => (kind_of(error), error.to_string()),
         _ => (Kind::Data, root.strip_backtrace()),
     };
-    Fault::new(kind, message.lines().next().unwrap_or_default())
+    let message = message.lines().next().unwrap_or_default();
+    if message.contains("OuterReferenceColumn") {
+        return Fault::user("expected a subquery without columns of the query around it, as this place has none for them")
+            .next("write it as a join: the last row before a time is found by ASOF JOIN");
+    }
+    let fault = Fault::new(kind, message);
+    match place_in_query(error) {
+        Some(place) => fault.at(place),
+        None => fault,
+    }
+}
+
+/// Where in a query's text an error is, if DataFusion says so.
+fn place_in_query(error: &DataFusionError) -> Option<String> {
+    let start = error.diagnostic()?.span?.start;
+    (start.line > 0).then(|| format!("line {}, column {} of the query", start.line, start.column))
+}
+
+/// How DataFusion says that a function does not take such arguments.
+const NO_SIGNATURE: &str = " failed to match any signature";
+
+/// What DataFusion says, without what it says of its own ways.
+fn plainly(message: &str) -> String {
+    let behind = |text: &'static str| message.split_once(text).map(|(_, behind)| behind);
+    let own = behind("user-defined coercion failed with: ").unwrap_or(message);
+    let own = ["Error during planning: ", "Execution error: "]
+        .iter()
+        .fold(own, |text, prefix| {
+            text.strip_prefix(prefix).unwrap_or(text)
+        });
+    let ends = [" No function matches the given name", ", errors: "];
+    let ends = ends.iter().filter_map(|end| own.find(end));
+    own[..ends.min().unwrap_or(own.len())].to_owned()
 }
 
 /// Whose fault it is when computing with values fails: a query says what is computed.
 fn kind_of(error: &ArrowError) -> Kind {
     match error {
-        ArrowError::DivideByZero | ArrowError::ArithmeticOverflow(_) | ArrowError::CastError(_) => {
-            Kind::User
-        }
+        ArrowError::DivideByZero
+        | ArrowError::ArithmeticOverflow(_)
+        | ArrowError::CastError(_)
+        | ArrowError::ParseError(_) => Kind::User,
         _ => Kind::Data,
     }
 }
@@ -60,4 +101,42 @@ impl<T> OrFault<T> for Result<T, DataFusionError> {
 /// A fault inside DataFusion; [`fault_of`] takes it out again.
 pub fn external(fault: Fault) -> DataFusionError {
     DataFusionError::External(Box::new(fault))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_query_does_wrong_is_said_plainly() {
+        let plan = |text: &str| DataFusionError::Plan(text.to_owned());
+        let cases = [
+            (
+                DataFusionError::Execution(
+                    "Function 'yaw' user-defined coercion failed with: Error during planning: yaw expects a pose, found text. No function matches the given name and argument types 'yaw(Utf8)'.".to_owned(),
+                ),
+                "user: yaw expects a pose, found text.",
+            ),
+            (
+                DataFusionError::Internal(
+                    "Function 'sum' failed to match any signature, errors: Error during planning: x".to_owned(),
+                ),
+                "user: Function 'sum' failed to match any signature",
+            ),
+            (DataFusionError::Internal("lost".to_owned()), "bug: lost"),
+            (DataFusionError::NotImplemented("a thing".to_owned()), "user: not supported: a thing"),
+            (plan("first\nsecond"), "user: first"),
+        ];
+        for (error, expected) in cases {
+            assert_eq!(fault_of(&error).to_string(), expected);
+        }
+        let nested = DataFusionError::NotImplemented(
+            "Physical plan does not support logical expression OuterReferenceColumn(…)".to_owned(),
+        );
+        let fault = fault_of(&nested);
+        assert!(
+            fault.kind == Kind::User && fault.next.contains("ASOF JOIN"),
+            "{fault}"
+        );
+    }
 }

@@ -108,10 +108,27 @@ pub struct Entry {
     pub detail: String,
 }
 
+impl fmt::Display for Entry {
+    /// `drive.mcap: messages with invalid values on /odom: expected a finite number at pose.position.x`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.file, self.reason)?;
+        if !self.topic.is_empty() {
+            write!(f, " on {}", self.topic)?;
+        }
+        match self.detail.is_empty() {
+            true => Ok(()),
+            false => write!(f, ": {}", self.detail),
+        }
+    }
+}
+
 type Key = (Arc<str>, Reason, String, u64);
 
 /// Places that are told apart. Losses at further places are summed up by file, reason and topic.
 const MAX_PLACES: usize = 10_000;
+
+/// Topics that a person is told by name, of one file and for one reason.
+const MAX_TOPICS: usize = 16;
 
 /// The place that stands for all further ones.
 const ELSEWHERE: u64 = u64::MAX;
@@ -174,6 +191,24 @@ impl LossLedger {
             sum.bytes = sum.bytes.saturating_add(entry.loss.bytes);
         }
         sums
+    }
+
+    /// Sums as a person is told of them: by file, reason and topic, each with its first example.
+    pub fn told(&self) -> BTreeMap<String, u64> {
+        let mut told = BTreeMap::new();
+        let entries = self.entries();
+        for entries in entries.chunk_by(|a, b| a.file == b.file && a.reason == b.reason) {
+            let topics = entries.chunk_by(|a, b| a.topic == b.topic);
+            for (at, entries) in topics.enumerate() {
+                let line = match at < MAX_TOPICS {
+                    true => entries[0].to_string(),
+                    false => format!("{}: {} on other topics", entries[0].file, entries[0].reason),
+                };
+                let count: u64 = entries.iter().map(|entry| entry.loss.count).sum();
+                *told.entry(line).or_insert(0) += count;
+            }
+        }
+        told
     }
 
     /// One line per reason, for a report: `3 chunks with a wrong checksum (120 B)`.
@@ -254,6 +289,31 @@ mod tests {
             bytes: 4 * MAX_PLACES as u64,
         };
         assert_eq!(ledger.losses()[&Reason::BadRecord], expected);
+    }
+
+    #[test]
+    fn a_person_is_told_topics_and_what_was_wrong_as_far_as_they_are_few() {
+        let ledger = LossLedger::new();
+        let file = ledger.of_file("a.mcap");
+        file.note(Reason::Torn, 9, Loss::one(0), "");
+        for topic in 0..2 * MAX_TOPICS {
+            for offset in [1, 2] {
+                let (topic, detail) = (format!("/t{topic:02}"), format!("x is {offset}"));
+                file.note_topic(Reason::Senseless, &topic, offset, Loss::one(1), detail);
+            }
+        }
+        let told = ledger.told();
+        assert_eq!(told.len(), MAX_TOPICS + 2);
+        assert_eq!(told["a.mcap: logs without an end"], 1);
+        assert_eq!(
+            told["a.mcap: messages with invalid values on /t03: x is 1"],
+            2
+        );
+        let others = 2 * MAX_TOPICS as u64;
+        assert_eq!(
+            told["a.mcap: messages with invalid values on other topics"],
+            others
+        );
     }
 
     #[test]

@@ -1,16 +1,20 @@
 """Tries what a server that only reads must refuse.
 
     attack.py open HTTP POSTGRES        a server that lets everybody in
+    attack.py slow HTTP POSTGRES        the same, with one query at a time
     attack.py closed HTTP POSTGRES      one with the user `ada`, password `byron-1815`, and the token `t0ken-t0ken`
     attack.py private HTTP POSTGRES CA  the same with TLS, by a certificate of CA
 """
 
 import http.client as http_client
+import re
 import socket
 import ssl
 import struct
 import sys
+import time
 import urllib.error
+import urllib.parse
 import urllib.request
 
 import adbc_driver_flightsql.dbapi
@@ -126,6 +130,62 @@ def bounded(postgres):
         check(connection.execute("SELECT 1").fetchone() == (1,), "no answer after cancelling")
 
 
+def opened(address):
+    """A connection that takes next to nothing of what it is sent."""
+    host, port = address.split(":")
+    stream = socket.socket()
+    stream.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    stream.connect((host, int(port)))
+    return stream
+
+
+def slow(http, postgres):
+    """Clients that read nothing leave the only place for a query when their time is over; what they get then is no whole
+    answer."""
+    long = b"SELECT a.value, b.value FROM generate_series(1, 100) a, generate_series(1, 900) b\0"
+    part = said(b"P", b"\0" + long + b"\0\0") + said(b"B", b"\0\0\0\0\0\0\0\0") + said(b"E", b"\0" + struct.pack("!i", 9))
+    ways = {
+        "a query": (postgres, start(user="me", database="map") + said(b"Q", long)),
+        "a part of an answer": (postgres, start(user="me", database="map") + part + said(b"S", b"")),
+        "rows by HTTP": (http, b"GET /sql?format=arrow&query=" + quoted(long) + b" HTTP/1.1\r\nHost: localhost\r\n\r\n"),
+    }
+    for what, (address, message) in ways.items():
+        with opened(address) as stream:
+            stream.sendall(message)
+            # A query waits for a place for 3 s, and the one before has it for 3 s.
+            time.sleep(1.5)
+            code, _ = status(http + "/sql?query=SELECT%201")
+            check(code == 200, f"{what} that nobody reads keeps its place: {code}")
+
+
+def quoted(query):
+    return urllib.parse.quote(query.rstrip(b"\0")).encode()
+
+
+def silent(http, postgres):
+    """Connections that say nothing, or half of something, are closed within seconds and keep nobody out."""
+    begun = time.monotonic()
+    halves = [opened(postgres) for _ in range(300)] + [opened(http) for _ in range(300)]
+    for stream in halves[300:]:
+        stream.sendall(b"GET /health HTTP/1.1\r\nHost: ")
+    code, _ = status(http + "/health")
+    check(code == 200, f"HTTP beside connections that say nothing: {code}")
+    with connect(postgres) as connection:
+        check(connection.execute("SELECT 1").fetchone() == (1,), "Postgres beside connections that say nothing")
+    for stream in halves:
+        stream.settimeout(max(0.1, begun + 20 - time.monotonic()))
+        try:
+            rest = stream.recv(1024)
+            check(rest == b"" or b"408" in rest, f"a connection that says nothing got {rest!r}")
+        except ConnectionError:
+            pass
+        except TimeoutError:
+            check(False, "a connection that says nothing is still open after 20 s")
+            break
+        finally:
+            stream.close()
+
+
 def wire(postgres, message):
     """What a server answers to bytes, until it closes or is silent."""
     host, port = postgres.split(":")
@@ -182,6 +242,12 @@ def before_a_password(postgres):
     ]:
         answer = wire(postgres, message)
         check(b"monday" not in answer and b"D\0" not in answer, f"{what}: {answer[:200]!r}")
+    # Who is no user is asked for a password as a user is, with the same salt.
+    first = b"n,,n=,r=0123456789abcdef"
+    challenge = said(b"p", b"SCRAM-SHA-256\0" + struct.pack("!i", len(first)) + first)
+    asked = [wire(postgres, start(user=user, database="map") + challenge) for user in ["ada", "nobody", "robot"]]
+    salts = [re.search(rb",s=([^,]+),i=", answer) for answer in asked]
+    check(all(salts) and len({salt[1] for salt in salts}) == 1, f"users are told from others: {asked}")
     for password in ["wrong-password", "", "byron-181"]:
         for user in ["ada", "nobody", "robot"]:
             try:
@@ -221,10 +287,17 @@ def main(kind, http, postgres, ca=None):
         bounded(postgres)
         formats(postgres)
         paths(http)
+        silent(http, postgres)
         code, _ = status(http + query, {"Host": "evil.example"})
         check(code == 403, f"a page of elsewhere: {code}")
+        door = http_client.HTTPConnection(http)
+        door.request("GET", "/maps/map")
+        answer = door.getresponse()
+        check((answer.status, answer.getheader("Location")) == (308, "/maps/map/"), f"/maps/map: {answer.status}")
         code, _ = status(http + "/sql", data=b"DROP TABLE poses")
         check(code == 400, f"DROP by HTTP: {code}")
+    if kind == "slow":
+        slow(http, postgres)
     if kind == "closed":
         before_a_password(postgres)
         with connect(postgres, password="byron-1815") as connection:

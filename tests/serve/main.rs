@@ -172,6 +172,14 @@ fn a_server_is_read_and_nothing_else() {
     assert!(!Path::new("/tmp/evermap-attack.parquet").exists());
 }
 
+#[test]
+fn who_reads_nothing_keeps_nobody_else_waiting() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &["--queries", "1", "--timeout-s", "3"]);
+    ended("serve/attack.py", &["slow", &server.http, &server.postgres]);
+}
+
 /// What people say is written as who they are, before it is answered, and nothing else is written by anybody.
 #[test]
 fn people_teach_by_http_and_everything_else_is_refused() {

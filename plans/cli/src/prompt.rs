@@ -10,7 +10,6 @@ use datafusion::common::TableReference;
 use datafusion::common::utils::quote_identifier;
 use evermap_engine::error::OrFault;
 use evermap_schemas::Fault;
-use evermap_schemas::dictionary::columns;
 use reedline::{
     FileBackedHistory, Prompt, PromptEditMode, PromptHistorySearch, Reedline, Signal,
     ValidationResult, Validator,
@@ -78,6 +77,11 @@ fn is_complete(text: &str) -> bool {
     if text.starts_with('\\') || ["", "exit", "quit"].contains(&text) {
         return true;
     }
+    !is_quoted_open(text) && text.ends_with(';')
+}
+
+/// Whether a quotation of a text does not end in it.
+pub fn is_quoted_open(text: &str) -> bool {
     let mut quote = None;
     for letter in text.chars() {
         match quote {
@@ -86,7 +90,7 @@ fn is_complete(text: &str) -> bool {
             _ => {}
         }
     }
-    quote.is_none() && text.ends_with(';')
+    quote.is_some()
 }
 
 struct Sign;
@@ -167,6 +171,17 @@ async fn answer(tables: &Arc<Tables>, text: String, format: Format) {
     tell(&ending.map(|()| Lost::default()), &mut std::io::stderr());
 }
 
+/// Answers a line that begins with a backslash; whether more lines are wanted.
+///
+/// # Errors
+/// As that of a query.
+pub async fn command(tables: &Tables, line: &str) -> Result<bool, Failure> {
+    let input = Input::of(line);
+    let goes_on = input != Input::Quit;
+    respond(tables, input, Format::Table).await?;
+    Ok(goes_on)
+}
+
 async fn respond(tables: &Tables, input: Input<'_>, format: Format) -> Result<(), Failure> {
     match input {
         Input::Nothing | Input::Quit => Ok(()),
@@ -205,10 +220,7 @@ async fn list(tables: &Tables) -> Result<(), Failure> {
 }
 
 async fn describe(tables: &Tables, name: &str) -> Result<(), Failure> {
-    let schema = schema(tables, name).await?;
-    let declared = tables.declaration(name);
-    let columns = columns(name, &schema, declared.as_ref());
-    print_rows(Format::Table, columns).await
+    print_rows(Format::Table, tables.columns(name).await?).await
 }
 
 async fn schema(tables: &Tables, name: &str) -> Result<SchemaRef, Failure> {

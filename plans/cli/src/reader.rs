@@ -10,6 +10,7 @@ use evermap_contract::Registry;
 use evermap_engine::conform::conform;
 use evermap_engine::error::OrFault;
 use evermap_engine::map::Map;
+use evermap_engine::map::tables::declaration;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::{Fault, Layer, LayerRow, rows};
 use tokio::sync::OnceCell;
@@ -55,10 +56,9 @@ impl MapReader {
         answered(self.tables.get_or_try_init(open).await?, query).await
     }
 
-    /// The declaration of a layer's columns, where an operator makes it.
-    pub fn declaration(&self, layer: &str) -> Option<Layer> {
-        let op = self.map.version.layers.get(layer)?.op.as_deref()?;
-        self.registry.get(op).ok().map(|entry| entry.output.clone())
+    /// The declaration of a table's columns, where there is one: of the operator that made it, else by name.
+    pub fn declaration(&self, table: &str) -> Option<Layer> {
+        declaration(&self.map, &self.registry, table)
     }
 
     /// The published layer that holds rows of this kind: the one of its name, else one that such an operator made.

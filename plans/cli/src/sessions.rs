@@ -62,9 +62,7 @@ pub async fn open(runtime: &RuntimeEnv, args: &SessionArgs) -> Result<Dataset, F
 pub fn lost<'d>(datasets: impl IntoIterator<Item = &'d Dataset>) -> Lost {
     let mut sums = BTreeMap::new();
     for dataset in datasets {
-        for (reason, loss) in dataset.losses.losses() {
-            *sums.entry(reason.text().to_owned()).or_default() += loss.count;
-        }
+        sums.extend(dataset.losses.told());
     }
     Lost(sums)
 }

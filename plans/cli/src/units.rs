@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use arrow::datatypes::{FieldRef, Schema, SchemaRef};
 use datafusion::common::{Column, TableReference};
+use datafusion::logical_expr::logical_plan::builder::UNNAMED_TABLE;
 use datafusion::logical_expr::{Expr, LogicalPlan};
 use evermap_schemas::Layer;
 
@@ -61,7 +62,11 @@ pub fn origin(plan: &LogicalPlan, index: usize) -> Option<(TableReference, Strin
         LogicalPlan::Aggregate(aggregate) => {
             from(&aggregate.input, column(aggregate.group_expr.get(index)?)?)
         }
-        LogicalPlan::SubqueryAlias(alias) => origin(&alias.input, index),
+        // A view's rows are scanned without a name: the view has it.
+        LogicalPlan::SubqueryAlias(alias) => match origin(&alias.input, index)? {
+            (table, name) if table.table() == UNNAMED_TABLE => Some((alias.alias.clone(), name)),
+            named => Some(named),
+        },
         // Rows that are chosen or put beside others keep their columns. Of a union each side has its own.
         LogicalPlan::Union(_) => None,
         other => {
@@ -94,8 +99,9 @@ mod tests {
     async fn units(query: &str) -> Vec<String> {
         let context = SessionContext::new();
         let lanes = RecordBatch::new_empty(Lane::layer().schema());
-        let bare = bare(&lanes);
-        context.register_batch("lanes", bare).unwrap();
+        // As maps have them: views of rows.
+        let bare = context.read_batch(bare(&lanes)).unwrap();
+        context.register_table("lanes", bare.into_view()).unwrap();
         let frame = context.sql(query).await.unwrap();
         let declared = |name: &str| (name == "lanes").then(Lane::layer);
         let described = described(frame.logical_plan(), declared);

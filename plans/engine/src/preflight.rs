@@ -2,7 +2,8 @@
 //!
 //! A step is *fed* where everything that it must read is there: roles that a session plays, and steps that are fed. A
 //! query is fed by one of its tables, as an outer join or a union may be content with that. What a plan reads of the
-//! version before, topics by name and roles of metadata are there or not as they please.
+//! version before, topics by name and roles of metadata are there or not as they please. A query that hands what logs
+//! hold to other steps makes nothing of a session by itself.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -94,15 +95,20 @@ impl Needs {
     pub fn lacks(&self, plays: &Roles, all: &Roles) -> Option<Lacks> {
         let (mut own, mut any) = (BTreeMap::new(), BTreeMap::new());
         let (mut of_its_own, mut of_any) = (Lacks::new(), Lacks::new());
+        let mut handed_on = BTreeSet::new();
         for need in &self.0 {
             let together = need.lacks(all, &any);
             let lacks = match need.of_session {
                 true => need.lacks(plays, &own),
                 false => together.clone(),
             };
+            let reads = need.reads_of(plays, &handed_on);
             match &lacks {
-                None if need.reads_of(plays) => return None,
-                Some(found) if need.reads_of(plays) => merge(&mut of_its_own, found),
+                None if reads && self.is_handed_on(need) => {
+                    handed_on.insert(need.step.as_str());
+                }
+                None if reads => return None,
+                Some(found) if reads => merge(&mut of_its_own, found),
                 Some(found) => merge(&mut of_any, found),
                 None => {}
             }
@@ -113,6 +119,16 @@ impl Needs {
             true => of_any,
             false => of_its_own,
         })
+    }
+}
+
+impl Needs {
+    /// Whether a query of logs alone is there for other steps.
+    fn is_handed_on(&self, query: &Need) -> bool {
+        let is_of_logs = |input: &Input| matches!(input, Input::Source(_));
+        let is_it = |input: &Input| matches!(input, Input::Step(name) if *name == query.step);
+        let mut others = self.0.iter().flat_map(|need| &need.inputs);
+        query.is_query && query.inputs.iter().all(is_of_logs) && others.any(is_it)
     }
 }
 
@@ -148,10 +164,13 @@ impl Need {
         (!fed).then_some(all)
     }
 
-    /// Whether it reads a role that is played, or a topic by its name.
-    fn reads_of(&self, plays: &Roles) -> bool {
-        let mut inputs = self.inputs.iter();
-        inputs.any(|input| matches!(input, Input::Source(name) if plays.contains(name) || name.starts_with('/')))
+    /// Whether it reads a role that is played, or a topic by its name, itself or as it is handed on.
+    fn reads_of(&self, plays: &Roles, handed_on: &BTreeSet<&str>) -> bool {
+        self.inputs.iter().any(|input| match input {
+            Input::Source(name) => plays.contains(name) || name.starts_with('/'),
+            Input::Step(name) => handed_on.contains(name.as_str()),
+            Input::Previous(_) | Input::New(_) => false,
+        })
     }
 }
 
@@ -328,5 +347,24 @@ mod tests {
         assert_eq!(either.lacks(&odometry, &odometry), None);
         let topic = needs(&[source("/battery")]);
         assert_eq!(topic.lacks(&Roles::new(), &Roles::new()), None);
+    }
+
+    #[test]
+    fn what_is_only_kept_for_other_steps_makes_nothing_of_a_session() {
+        let cameras = Need {
+            is_query: true,
+            ..need("cameras", &[source("calibration")], true)
+        };
+        let mut needs = lifelong();
+        needs.0.insert(0, cameras);
+        needs
+            .0
+            .push(need("tracks", &[step("cameras"), step("features")], true));
+        let images = roles(&["frames", "calibration"]);
+        let lacks = needs.lacks(&images, &images).unwrap_or_default();
+        assert_eq!(in_words(&lacks), "odometry (step keyframes)");
+        // Where nobody reads it, it is what the plan is for.
+        needs.0.pop();
+        assert_eq!(needs.lacks(&images, &images), None);
     }
 }

@@ -162,6 +162,7 @@ fn context_of(
     // A node that a query reads twice runs twice: of files that its partitions share, the second run would find none.
     options.execution.enable_file_stream_work_stealing = false;
     options.sql_parser.map_string_types_to_utf8view = false;
+    options.sql_parser.collect_spans = true;
     // The rule fails where a join's key is made of a member (apache/datafusion#22895, #24241).
     options.optimizer.enable_leaf_expression_pushdown = false;
     let state = SessionStateBuilder::new()

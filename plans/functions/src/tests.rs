@@ -203,6 +203,49 @@ async fn poses_of_messages_are_poses_and_nulls_are_null() {
 }
 
 #[tokio::test]
+async fn polygons_cut_polygons_and_lines() {
+    let context = context();
+    let floor = "st_makeenvelope(0, 0, 4, 3)";
+    let lane = "st_geomfromtext('LINESTRING(-1 1, 6 1, 6 2, 2 2)')";
+    for (query, expected) in [
+        (
+            format!("st_area(st_intersection({floor}, st_makeenvelope(2, 1, 9, 9)))"),
+            "4.0",
+        ),
+        (
+            format!("st_length(st_intersection({floor}, {lane}))"),
+            "6.0",
+        ),
+        (format!("st_length(st_difference({lane}, {floor}))"), "6.0"),
+        (
+            format!("st_astext(st_difference({lane}, st_makeenvelope(-9, -9, 9, 9)))"),
+            "MULTILINESTRING EMPTY",
+        ),
+        (format!("st_intersection({lane}, NULL)"), ""),
+    ] {
+        let answer = rows(&context, &format!("SELECT {query}")).await.unwrap();
+        assert_eq!(answer, [expected], "{query}");
+    }
+    for (call, says) in [
+        (
+            format!("st_intersection({lane}, {lane})"),
+            "expected polygons, found a line",
+        ),
+        (
+            format!("st_difference({floor}, {lane})"),
+            "expected polygons, found a line",
+        ),
+        (
+            format!("st_union({floor}, st_point(1, 1))"),
+            "found a point",
+        ),
+    ] {
+        let said = rows(&context, &format!("SELECT {call}")).await.unwrap_err();
+        assert!(said.contains(says), "{call}: {said}");
+    }
+}
+
+#[tokio::test]
 async fn what_is_no_pose_or_geometry_is_refused() {
     let context = context();
     let brackets = "(".repeat(100_000);

@@ -15,12 +15,13 @@ pub struct SqlArgs {
     /// Folder or URL of a map: its layers are tables, beside `layers`, `versions`, `runs` and `columns`; so are the logs
     /// behind it, by the names of their sessions: `monday."/odom"`. Given again, other maps are beside it by the names of
     /// their folders, or as they are named here: `other.lanes`.
-    #[arg(long, value_name = "[NAME=]DIR", conflicts_with_all = ["sessions", "manifest", "site"])]
+    #[arg(long, value_name = "[NAME=]DIR")]
     pub map: Vec<String>,
     /// Version of the first map [default: the newest].
-    #[arg(long, value_name = "N", requires = "map", conflicts_with_all = ["sessions", "manifest", "site"])]
+    #[arg(long, value_name = "N", requires = "map")]
     pub version: Option<u64>,
-    /// Over sessions each topic is a table, beside `messages`, `channels`, `sessions`, `frames` and others.
+    /// Over sessions each topic is a table, beside `messages`, `channels`, `sessions`, `frames` and others; with a map, by
+    /// the names of the sessions: `tuesday."/odom"`.
     #[command(flatten)]
     pub sessions: SessionArgs,
     /// How results are written.

@@ -53,7 +53,6 @@ fn what_makes_no_sense_is_wrong_usage() {
         "evermap",
         "evermap run p",
         "evermap sql SELECT",
-        "evermap sql --map m --sessions s",
         "evermap sql --sessions s --version 3",
         "evermap render --map m --out m.bmp",
         "evermap render --map m --out m.png --width-px 5",

@@ -1,28 +1,34 @@
 //! `evermap sql`.
 
+mod missing;
+
 use std::io::IsTerminal;
 use std::path::Path;
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
+use datafusion::catalog::{MemorySchemaProvider, SchemaProvider};
+use datafusion::common::TableReference;
 use datafusion::error::DataFusionError;
 use datafusion::execution::context::SQLOptions;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SessionContext};
 use datafusion::sql::parser::{DFParserBuilder, Statement};
+use datafusion::sql::sqlparser::ast;
 use datafusion::sql::sqlparser::dialect::GenericDialect;
 use evermap_datasets::Dataset;
 use evermap_engine::error::{OrFault, fault_of};
-use evermap_engine::map::{LayerInfo, Map, RunRow, VersionInfo};
+use evermap_engine::map::Map;
 use evermap_engine::sql::{Limits, TABLES, catalog, catalog_name, check_size, context, plan_of};
 use evermap_functions::use_indexes;
 use evermap_language::{listed, nearest};
-use evermap_schemas::dictionary::ColumnInfo;
-use evermap_schemas::{Fault, Layer, LayerRow};
+use evermap_schemas::dictionary::{ColumnInfo, columns};
+use evermap_schemas::{Fault, Layer, batch};
 use futures::{StreamExt, TryStreamExt};
 
 use crate::arguments::{SessionArgs, SqlArgs};
+use crate::commands::sql::missing::{meant, missing_function, missing_table};
 use crate::ending::{Ending, Failure, Lost};
 use crate::operators;
 use crate::output::{Format, Sink, write};
@@ -60,7 +66,11 @@ impl Tables {
         let Some((first, others)) = args.map.split_first() else {
             return Self::of_logs(sessions, limits).await;
         };
-        let tables = Self::of_map(named(first).1, args.version, limits).await?;
+        let (name, address) = named(first);
+        let mut tables = Self::of_map(address, args.version, limits).await?;
+        if let Some((name, map)) = name.zip(tables.map()) {
+            map.join(name, &tables.context, &operators::registry())?;
+        }
         for (name, address) in others.iter().map(|other| named(other)) {
             let map = Map::open(address, None).await?;
             let name = match name {
@@ -69,7 +79,35 @@ impl Tables {
             };
             map.join(&name, &tables.context, &operators::registry())?;
         }
+        if !sessions.sessions.is_empty() || sessions.manifest.is_some() {
+            tables.add_logs(sessions).await?;
+        }
         Ok(tables)
+    }
+
+    /// Puts the logs of sessions beside a map, each as a schema of its session's name.
+    async fn add_logs(&mut self, sessions: &SessionArgs) -> Result<(), Fault> {
+        let dataset = sessions::open(&self.context.runtime_env(), sessions).await?;
+        dataset.register_stores(&self.context.runtime_env());
+        let catalog = catalog(&self.context)?;
+        for session in &dataset.sessions {
+            let schema = MemorySchemaProvider::new();
+            let mut alone = dataset.clone();
+            alone.sessions = vec![session.clone()];
+            for (name, table) in alone.tables()? {
+                schema.register_table(name, table).or_fault()?;
+            }
+            let taken = catalog.register_schema(&session.name, Arc::new(schema));
+            if taken.or_fault()?.is_some() {
+                let name = &session.name;
+                return Err(
+                    Fault::user(format!("`{name}` is the name of a map and of a session"))
+                        .next("give the map another one: --map NAME=DIR"),
+                );
+            }
+        }
+        self.dataset = Some(dataset);
+        Ok(())
     }
 
     /// Those of a map, at the version asked for.
@@ -131,16 +169,31 @@ impl Tables {
 
     /// The declaration of a table's columns, where there is one: of the operator that made it, else by name.
     pub fn declaration(&self, table: &str) -> Option<Layer> {
-        let reader = self.reader.as_ref();
-        let made = reader.and_then(|reader| reader.declaration(table));
-        let listed = [
-            LayerInfo::layer(),
-            VersionInfo::layer(),
-            RunRow::layer(),
-            ColumnInfo::layer(),
-        ];
-        let known = || evermap_schemas::layers::all().into_iter().chain(listed);
-        made.or_else(|| known().find(|layer| layer.name == table))
+        match &self.reader {
+            Some(reader) => reader.declaration(table),
+            None => evermap_schemas::layers::all()
+                .into_iter()
+                .find(|layer| layer.name == table),
+        }
+    }
+
+    /// The columns of a table, named alone or with its schema.
+    ///
+    /// # Errors
+    /// A user fault where there is no such table, or what opening it says.
+    pub async fn columns(&self, name: &str) -> Result<Vec<ColumnInfo>, Fault> {
+        let bare = TableReference::bare(name);
+        let table = match self.context.table_provider(bare).await {
+            Ok(table) => Ok(table),
+            Err(_) => {
+                self.context
+                    .table_provider(TableReference::from(name))
+                    .await
+            }
+        };
+        let table = table.or_fault().map_err(|fault| self.explained(fault))?;
+        let declared = self.declaration(TableReference::from(name).table());
+        Ok(columns(name, &table.schema(), declared.as_ref()))
     }
 
     /// What reading logs has lost so far.
@@ -155,6 +208,15 @@ impl Tables {
     /// A fault of planning, in our words where a table or a function is not there: it may be misspelt, or a topic that
     /// damage took.
     fn explained(&self, fault: Fault) -> Fault {
+        let place = fault.place.clone();
+        let explained = self.in_our_words(fault);
+        match explained.place.is_empty() && !place.is_empty() {
+            true => explained.at(place),
+            false => explained,
+        }
+    }
+
+    fn in_our_words(&self, fault: Fault) -> Fault {
         if let Some(function) = missing_function(&fault.message) {
             return self.no_function(function);
         }
@@ -165,7 +227,7 @@ impl Tables {
         let table = table.strip_prefix(&catalog).unwrap_or(table);
         let table = table.strip_prefix("public.").unwrap_or(table);
         let names = self.names();
-        let meant = nearest(table, names.iter().map(String::as_str));
+        let meant = meant(table, &names);
         let meant = meant.map_or_else(String::new, |name| format!("; did you mean `{name}`?"));
         let fault = Fault::user(format!("there is no table `{table}`{meant}"));
         match self.dataset.as_ref().map(|dataset| &dataset.losses) {
@@ -219,6 +281,11 @@ impl Tables {
         format: Format,
         sink: &mut Sink,
     ) -> Result<u64, Failure> {
+        if let Some(table) = described_table(&statement) {
+            let columns = batch(self.columns(&table).await?)?;
+            let rows = futures::stream::iter([Ok(columns.clone())]);
+            return write(format, columns.schema(), rows, sink).await;
+        }
         let frame = self.frame(statement).await?;
         let declared = |table: &str| self.declaration(table);
         let schema = units::described(frame.logical_plan(), declared);
@@ -228,17 +295,17 @@ impl Tables {
     }
 }
 
-/// The function that DataFusion did not find.
-fn missing_function(message: &str) -> Option<&str> {
-    let (_, behind) = message.split_once("Invalid function '")?;
-    behind.split_once('\'').map(|(name, _)| name)
-}
-
-/// The table that DataFusion did not find.
-fn missing_table(message: &str) -> Option<&str> {
-    let (_, behind) = message.split_once("table '")?;
-    let (name, _) = behind.split_once("' not found")?;
-    Some(name)
+/// The table that a statement wants described.
+fn described_table(statement: &Statement) -> Option<String> {
+    let Statement::Statement(statement) = statement else {
+        return None;
+    };
+    let ast::Statement::ExplainTable { table_name, .. } = statement.as_ref() else {
+        return None;
+    };
+    let parts = table_name.0.iter();
+    let parts = parts.map(|part| part.as_ident().map(|name| name.value.as_str()));
+    Some(parts.collect::<Option<Vec<_>>>()?.join("."))
 }
 
 /// Queries read: they make no tables, write no files, and change no settings. Output goes where `--out` says.
@@ -303,10 +370,33 @@ pub async fn sql(args: &SqlArgs) -> Ending {
         None => {
             let text = std::io::read_to_string(std::io::stdin())
                 .map_err(|error| Fault::resource(format!("cannot read queries: {error}")))?;
-            all(&tables, &text, args).await?;
+            script(&tables, &text, args).await?;
         }
     }
     Ok(tables.lost().await)
+}
+
+/// Runs queries, and what a prompt knows beside them, in their order.
+async fn script(tables: &Tables, text: &str, args: &SqlArgs) -> Result<(), Failure> {
+    let (mut queries, mut commands) = (String::new(), false);
+    for line in text.split_inclusive('\n') {
+        let is_command = line.trim_start().starts_with('\\') && !prompt::is_quoted_open(&queries);
+        if !is_command {
+            queries.push_str(line);
+            continue;
+        }
+        commands = true;
+        if !statements(&queries)?.is_empty() {
+            all(tables, &std::mem::take(&mut queries), args).await?;
+        }
+        if !prompt::command(tables, line).await? {
+            return Ok(());
+        }
+    }
+    match commands && statements(&queries)?.is_empty() {
+        true => Ok(()),
+        false => all(tables, &queries, args).await,
+    }
 }
 
 async fn all(tables: &Tables, text: &str, args: &SqlArgs) -> Result<(), Failure> {
@@ -314,7 +404,11 @@ async fn all(tables: &Tables, text: &str, args: &SqlArgs) -> Result<(), Failure>
     let to_one_file = args.out.is_some() || args.format.is_binary();
     if statements.is_empty() || (statements.len() > 1 && to_one_file) {
         let expected = if to_one_file { "one query" } else { "a query" };
-        return Err(Fault::user(format!("expected {expected}, found {}", statements.len())).into());
+        let found = match statements.len() {
+            0 => "none".to_owned(),
+            several => several.to_string(),
+        };
+        return Err(Fault::user(format!("expected {expected}, found {found}")).into());
     }
     for statement in statements {
         let mut sink = Sink::to(args.out.as_deref().map(Path::new))?;
@@ -325,73 +419,4 @@ async fn all(tables: &Tables, text: &str, args: &SqlArgs) -> Result<(), Failure>
 }
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-
-    #[test]
-    fn a_column_that_is_a_word_of_sql_is_explained() {
-        let fault = statements("SELECT session, view FROM views").unwrap_err();
-        assert!(fault.to_string().contains("\"view\""), "{fault}");
-        assert!(statements("SELECT session, \"view\" FROM views").is_ok());
-    }
-
-    #[test]
-    fn semicolons_in_quotes_and_comments_end_nothing() {
-        let text = "SELECT ';' AS a; -- ; no\nSELECT \"b;\" FROM \"/odom\" /* ; */;";
-        assert_eq!(statements(text).unwrap().len(), 2);
-        assert_eq!(statements(" \n-- nothing\n").unwrap().len(), 0);
-        assert!(
-            statements("SELEC 1")
-                .unwrap_err()
-                .to_string()
-                .starts_with("user: ")
-        );
-    }
-
-    #[tokio::test]
-    async fn queries_only_read() {
-        let tables = Tables {
-            context: context(Limits::default()).unwrap(),
-            reader: None,
-            dataset: None,
-        };
-        for (query, reads) in [
-            ("COPY (SELECT 1) TO '/nowhere/a.json'", false),
-            (
-                "CREATE EXTERNAL TABLE t (a TEXT) STORED AS CSV LOCATION '/etc/passwd'",
-                false,
-            ),
-            ("CREATE TABLE t AS SELECT 1", false),
-            ("SET datafusion.runtime.memory_limit = '1T'", false),
-            ("SELECT * FROM '/etc/passwd'", false),
-            ("EXPLAIN SELECT 1", true),
-            ("SHOW TABLES", true),
-            ("WITH a AS (SELECT 1 AS x) SELECT x FROM a", true),
-        ] {
-            let mut sink = Sink::Memory(Vec::new());
-            let statement = statements(query).unwrap().remove(0);
-            let ran = tables.run(statement, Format::Csv, &mut sink).await;
-            assert_eq!(ran.is_ok(), reads, "{query}: {ran:?}");
-        }
-    }
-
-    #[tokio::test]
-    async fn results_have_a_header_even_without_rows() {
-        let tables = Tables {
-            context: context(Limits::default()).unwrap(),
-            reader: None,
-            dataset: None,
-        };
-        for (query, expected) in [
-            ("SELECT 1 AS a, 'x' AS b", "a,b\n1,x\n"),
-            ("SELECT 1 AS a WHERE false", "a\n"),
-        ] {
-            let mut sink = Sink::Memory(Vec::new());
-            let statement = statements(query).unwrap().remove(0);
-            tables.run(statement, Format::Csv, &mut sink).await.unwrap();
-            let Sink::Memory(bytes) = sink else { return };
-            assert_eq!(String::from_utf8(bytes).unwrap(), expected);
-        }
-    }
-}
+mod tests;

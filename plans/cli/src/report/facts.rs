@@ -93,7 +93,8 @@ pub struct SemanticFacts {
 impl Facts {
     fn driven_m(&self) -> f64 {
         let driven = self.sessions.iter().filter_map(|session| session.driven_m);
-        driven.sum()
+        // The sum of no numbers is -0.
+        driven.fold(0.0, std::ops::Add::add)
     }
 
     fn bytes(&self) -> u64 {

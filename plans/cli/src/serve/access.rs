@@ -14,7 +14,7 @@ use base64::engine::general_purpose::STANDARD;
 use evermap_schemas::Fault;
 use pgwire::api::auth::sasl::scram::{SCRAM_ITERATIONS, gen_salted_password};
 use pgwire::api::auth::{AuthSource, LoginInfo, Password};
-use pgwire::error::{PgWireError, PgWireResult};
+use pgwire::error::PgWireResult;
 use serde::Deserialize;
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::ServerConfig;
@@ -34,6 +34,8 @@ pub struct Access {
 /// The users of a file. Passwords are kept salted, tokens as digests.
 #[derive(Debug)]
 pub struct Users {
+    /// Of this process; passwords that nobody has are made with it.
+    key: [u8; 32],
     salt: Vec<u8>,
     salted: BTreeMap<String, Vec<u8>>,
     /// Digests of tokens, and of `name:password`, with the user's name.
@@ -142,7 +144,10 @@ impl Users {
         let file: UsersFile = serde_yaml_ng::from_str(text)
             .map_err(|error| Fault::user(format!("expected a list of users, found: {error}")))?;
         let salt = uuid::Uuid::new_v4().as_bytes().to_vec();
+        let key = [uuid::Uuid::new_v4(), uuid::Uuid::new_v4()];
+        let key = key.map(uuid::Uuid::into_bytes).concat();
         let mut users = Self {
+            key: *blake3::hash(&key).as_bytes(),
             salt,
             salted: BTreeMap::new(),
             secrets: Vec::new(),
@@ -213,10 +218,13 @@ impl Users {
 impl AuthSource for Users {
     async fn get_password(&self, login: &LoginInfo) -> PgWireResult<Password> {
         let user = login.user().unwrap_or_default();
-        match self.salted.get(user) {
-            Some(salted) => Ok(Password::new(Some(self.salt.clone()), salted.clone())),
-            None => Err(PgWireError::InvalidPassword(user.to_owned())),
-        }
+        // Who is no user, or has no password, learns no more than who says a wrong one.
+        let nobody = || {
+            let known_by_nobody = blake3::keyed_hash(&self.key, user.as_bytes());
+            known_by_nobody.as_bytes().to_vec()
+        };
+        let salted = self.salted.get(user).cloned().unwrap_or_else(nobody);
+        Ok(Password::new(Some(self.salt.clone()), salted))
     }
 }
 

@@ -8,9 +8,10 @@ use arrow::datatypes::SchemaRef;
 use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::sql::read_only;
 use evermap_schemas::Fault;
-use futures::stream::BoxStream;
+use futures::future::ready;
+use futures::stream::{self, BoxStream};
 use futures::{Stream, StreamExt};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot};
 use tokio::time::{Instant, timeout_at};
 
 use crate::serve::maps::Opened;
@@ -73,11 +74,13 @@ impl Turn {
             .next("add a LIMIT, or start the server with a larger --rows")
     }
 
-    /// Items of an answer, until time or rows are used up, which is an error in the stream. `rows` counts an item's,
-    /// `error` says a fault as the stream does.
+    /// Items of an answer, until time or rows are used up, which is an error in the stream: so many `at_once` as are ready.
+    /// `rows` counts an item's, `error` says a fault as the stream does. Time goes on, and the place is left, whether
+    /// somebody reads or not.
     pub fn bounded<T, E>(
         self: Arc<Self>,
         items: impl Stream<Item = Result<T, E>> + Send + 'static,
+        at_once: usize,
         rows: fn(&T) -> usize,
         error: fn(Fault) -> E,
     ) -> BoxStream<'static, Result<T, E>>
@@ -85,37 +88,54 @@ impl Turn {
         T: Send + 'static,
         E: Send + 'static,
     {
-        let state = Some(Bounded {
-            items: items.boxed(),
-            count: 0,
-            turn: self,
-        });
-        let next = move |state: Option<Bounded<T, E>>| async move {
-            let mut bounded = state?;
-            match bounded.turn.within(bounded.items.next()).await {
-                Err(fault) => Some((Err(error(fault)), None)),
-                Ok(None) => None,
-                Ok(Some(Err(error))) => Some((Err(error), None)),
-                Ok(Some(Ok(item))) => {
-                    bounded.count += rows(&item) as u64;
-                    if bounded.count > bounded.turn.rows {
-                        return Some((Err(error(bounded.turn.too_many())), None));
-                    }
-                    Some((Ok(item), Some(bounded)))
-                }
+        let (send, given) = mpsc::channel(1);
+        let (end, ended) = oneshot::channel();
+        let items = items.ready_chunks(at_once).boxed();
+        tokio::spawn(async move {
+            let done = self.hand_on(items, rows, &send).await;
+            // The place is free before the reader learns that this is the end.
+            drop(self);
+            if let Err(fault) = done {
+                // Nobody may be left to hear it.
+                let _ = end.send(error(fault));
             }
-        };
-        futures::stream::unfold(state, next).boxed()
+        });
+        let next = async |mut given: Given<T, E>| Some((given.recv().await?, given));
+        let items = stream::unfold(given, next).flat_map(stream::iter);
+        let end = stream::once(ended).filter_map(|end| ready(end.ok().map(Err)));
+        items.chain(end).boxed()
+    }
+
+    /// Hands items on until there are no more, one is an error, or nobody wants them any longer.
+    async fn hand_on<T, E>(
+        &self,
+        mut items: BoxStream<'static, Vec<Result<T, E>>>,
+        rows: fn(&T) -> usize,
+        send: &mpsc::Sender<Vec<Result<T, E>>>,
+    ) -> Result<(), Fault> {
+        let mut count = 0;
+        loop {
+            let next = tokio::select! {
+                next = self.within(items.next()) => next?,
+                () = send.closed() => None,
+            };
+            let Some(some) = next else {
+                return Ok(());
+            };
+            count += some.iter().flatten().map(rows).sum::<usize>() as u64;
+            if count > self.rows {
+                return Err(self.too_many());
+            }
+            let is_end = some.iter().any(Result::is_err);
+            if self.within(send.send(some)).await?.is_err() || is_end {
+                return Ok(());
+            }
+        }
     }
 }
 
-/// An answer on its way.
-struct Bounded<T, E> {
-    items: BoxStream<'static, Result<T, E>>,
-    /// Rows so far.
-    count: u64,
-    turn: Arc<Turn>,
-}
+/// Items on their way to who reads them.
+type Given<T, E> = mpsc::Receiver<Vec<Result<T, E>>>;
 
 /// The rows of a query on a version.
 pub struct Answer {
@@ -140,7 +160,7 @@ pub async fn answer(opened: &Opened, query: &str, bounds: &Bounds) -> Result<Ans
     let rows = stream.map(|batch| batch.map_err(|error| fault_of(&error)));
     Ok(Answer {
         schema,
-        rows: turn.bounded(rows, RecordBatch::num_rows, |fault| fault),
+        rows: turn.bounded(rows, 1, RecordBatch::num_rows, |fault| fault),
     })
 }
 
@@ -164,7 +184,7 @@ mod tests {
         let all = async |rows: u64| {
             let bounds = bounds(long, rows);
             let turn = bounds.turn().await.unwrap();
-            let found = turn.bounded(numbers(), |_| 2, |fault| fault);
+            let found = turn.bounded(numbers(), 1, |_| 2, |fault| fault);
             let found: Vec<_> = found.collect().await;
             assert_eq!(bounds.queries.available_permits(), 1);
             found
@@ -174,6 +194,22 @@ mod tests {
         let fault = found.last().unwrap().as_ref().unwrap_err().to_string();
         assert!(
             found.len() == 5 && fault.contains("more than 9 rows"),
+            "{fault}"
+        );
+    }
+
+    #[tokio::test]
+    async fn an_answer_that_nobody_reads_leaves_its_place_and_is_not_taken_for_whole() {
+        let bounds = bounds(Duration::from_millis(20), 100);
+        let turn = bounds.turn().await.unwrap();
+        let numbers = futures::stream::iter((0..50).map(Ok::<usize, Fault>));
+        let unread = turn.bounded(numbers, 4, |_| 1, |fault| fault);
+        let next = tokio::time::timeout(Duration::from_secs(60), bounds.queries.acquire()).await;
+        assert!(next.unwrap().is_ok());
+        let found: Vec<_> = unread.collect().await;
+        let fault = found.last().unwrap().as_ref().unwrap_err().to_string();
+        assert!(
+            found.len() < 50 && fault.contains("longer than 20ms"),
             "{fault}"
         );
     }

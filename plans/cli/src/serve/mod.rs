@@ -9,6 +9,7 @@
 //!      │
 //!   answer ── queries that only read, within time, rows and memory
 //!   maps ──── the versions of maps that are open
+//!   patience ─ how long a connection may say nothing
 //!   teach ──── what people say of maps, in logs of their own; only where it is asked for
 //! ```
 //! A server only reads maps. What a run publishes is in the answer to the next query, whole or not at all, as versions are.
@@ -18,6 +19,7 @@ mod answer;
 mod flight;
 mod http;
 mod maps;
+mod patience;
 mod postgres;
 mod teach;
 mod tls;

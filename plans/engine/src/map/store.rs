@@ -14,7 +14,7 @@
 //! Every name is either the digest of what it holds or never written twice, so a reader sees a version whole or not
 //! at all, and nothing that was once published changes.
 
-use std::path::Path;
+use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
@@ -369,9 +369,26 @@ fn address_url(address: &str, create: bool) -> Result<Url, Fault> {
         return Err(Fault::user(format!("no map at {address}"))
             .next("make one with `evermap run PLAN --map DIR --sessions FILES`"));
     }
-    let full = std::path::absolute(folder)
-        .map_err(|error| Fault::user(format!("{address} is not a folder: {error}")))?;
-    Url::from_directory_path(full).map_err(|()| Fault::user(format!("{address} is not a folder")))
+    if folder.is_file() {
+        return Err(Fault::user(format!(
+            "cannot create a map at {address}: expected a folder, found a file"
+        )));
+    }
+    let whole = whole(folder)
+        .map_err(|error| Fault::user(format!("cannot create a map at {address}: {error}")))?;
+    Url::from_directory_path(whole).map_err(|()| Fault::user(format!("{address} is not a folder")))
+}
+
+/// The path from the root on, without `..`. What comes behind a link is where the link leads, as far as it is there yet.
+fn whole(folder: &Path) -> std::io::Result<PathBuf> {
+    let path = std::path::absolute(folder)?;
+    if !path.components().any(|part| part == Component::ParentDir) {
+        return Ok(path);
+    }
+    match (path.parent(), path.file_name()) {
+        (Some(parent), Some(name)) => Ok(whole(parent)?.join(name)),
+        _ => path.canonicalize(),
+    }
 }
 
 #[cfg(test)]
@@ -397,6 +414,26 @@ mod tests {
             store.list("versions").await.unwrap(),
             [("versions/1.json".to_owned(), 1)]
         );
+    }
+
+    #[test]
+    fn a_folder_may_be_named_from_one_beside_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let within = |path: &str| folder.path().join(path);
+        std::fs::create_dir(within("sub")).unwrap();
+        let opened = |path: &str| Store::open(within(path).to_str().unwrap(), true);
+        let plain = opened("maps/one").unwrap();
+        for path in ["sub/../maps/one", "sub/../sub/../maps/one"] {
+            assert_eq!(opened(path).unwrap().url(), plain.url(), "{path}");
+        }
+        std::fs::write(within("file"), "").unwrap();
+        for (path, says) in [("file", "found a file"), ("none/../one", "No such file")] {
+            let said = opened(path).unwrap_err().to_string();
+            assert!(
+                said.contains("cannot create a map at") && said.contains(says),
+                "{said}"
+            );
+        }
     }
 
     #[test]

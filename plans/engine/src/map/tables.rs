@@ -49,7 +49,7 @@ fn own() -> impl Iterator<Item = Layer> {
 }
 
 /// The declaration of a table's columns, where there is one: of the operator that made it, else by name.
-fn declaration(map: &Map, registry: &Registry, table: &str) -> Option<Layer> {
+pub fn declaration(map: &Map, registry: &Registry, table: &str) -> Option<Layer> {
     let made = map.published(table).and_then(|layer| layer.op.as_deref());
     let made = made.and_then(|op| registry.get(op).ok());
     let known = || evermap_schemas::layers::all().into_iter().chain(own());

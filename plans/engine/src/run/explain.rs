@@ -1,11 +1,12 @@
 //! What a run would do, and why, before it is run.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_schemas::{Fault, record};
 use serde_json::Value;
 
-use crate::map::receipt::{Artifact, Extent, LogContent, Receipt, Recipe};
+use crate::map::damage::Damage;
+use crate::map::receipt::{Artifact, Extent, LogContent, RECEIPTS, Receipt, Recipe};
 use crate::map::sound::Sound;
 use crate::map::store::each;
 use crate::map::version::Previous;
@@ -36,11 +37,16 @@ impl Run<'_> {
     /// # Errors
     /// As [`Run::execute`], as far as it is not about running.
     pub async fn explain(&self) -> Result<Vec<UnitForecast>, Fault> {
+        let receipts = self.store.list(RECEIPTS).await?.into_iter();
         let mut known = Known {
             run: self,
             previous: self.previous()?,
             sound: Sound::load(self.store).await?,
             held: self.held(),
+            receipts: receipts
+                .filter(|(_, bytes)| *bytes > 0)
+                .map(|(name, _)| name)
+                .collect(),
             artifacts: BTreeMap::new(),
         };
         let mut forecasts = Vec::new();
@@ -94,6 +100,8 @@ struct Known<'r, 'a> {
     previous: Previous,
     sound: Sound<'r>,
     held: Held<'r>,
+    /// The names of the receipts that are there: those of tens of thousands of units are listed faster than read.
+    receipts: BTreeSet<String>,
     artifacts: BTreeMap<Place, Artifact>,
 }
 
@@ -115,14 +123,11 @@ impl Known<'_, '_> {
         });
         let recipe = assembled?.recipe;
         let digest = recipe.digest()?;
-        match self.sound.receipt(&digest).await? {
-            Some((_, Some(damage))) => return Ok(Fate::recomputed(damage.to_string())),
-            Some((Receipt { artifact, .. }, None)) => {
-                let same = self.held.has(&unit.place, &digest);
-                let why = if same { "unchanged" } else { "done before" };
-                return Ok(Fate::Kept { artifact, why });
-            }
-            None => {}
+        if let Some((artifact, damage, why)) = self.done(&unit.place, &digest).await? {
+            return Ok(match damage {
+                Some(damage) => Fate::recomputed(damage.to_string()),
+                None => Fate::Kept { artifact, why },
+            });
         }
         Ok(Fate::recomputed(
             match self.held.receipt(&unit.place).await? {
@@ -130,6 +135,23 @@ impl Known<'_, '_> {
                 Some(before) => recipe_change(&before.recipe, &recipe),
             },
         ))
+    }
+
+    /// The rows that a recipe has made, what is wrong with them, and when they were made.
+    async fn done(
+        &self,
+        place: &Place,
+        digest: &str,
+    ) -> Result<Option<(Artifact, Option<Damage>, &'static str)>, Fault> {
+        if !self.receipts.contains(&Receipt::name(digest)) {
+            return Ok(None);
+        }
+        if let Some(artifact) = self.held.artifact(place, digest) {
+            let damage = self.sound.damage(artifact).await?;
+            return Ok(Some((artifact.clone(), damage, "unchanged")));
+        }
+        let found = self.sound.receipt(digest).await?;
+        Ok(found.map(|(receipt, damage)| (receipt.artifact, damage, "done before")))
     }
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use evermap_schemas::Fault;
 
-use crate::map::receipt::{Extent, Receipt};
+use crate::map::receipt::{Artifact, Extent, Receipt};
 use crate::map::store::Store;
 use crate::run::Run;
 use crate::run::pending::{Pending, Place};
@@ -13,8 +13,8 @@ use crate::run::pending::{Pending, Place};
 #[derive(Debug)]
 pub struct Held<'r> {
     store: &'r Store,
-    /// What each covers, and the digest of its recipe.
-    units: BTreeMap<String, (&'r Extent, &'r str)>,
+    /// Its rows, and the digest of its recipe.
+    units: BTreeMap<String, (&'r Artifact, &'r str)>,
 }
 
 impl Held<'_> {
@@ -42,10 +42,10 @@ impl Held<'_> {
         }
     }
 
-    /// Whether a unit has this recipe's digest in the version before.
-    pub fn has(&self, place: &Place, digest: &str) -> bool {
-        let held = self.units.get(&place.label());
-        held.is_some_and(|(_, held)| *held == digest)
+    /// The rows of a unit in the version before, if they were made by the recipe of this digest.
+    pub fn artifact(&self, place: &Place, digest: &str) -> Option<&Artifact> {
+        let (artifact, held) = self.units.get(&place.label())?;
+        (*held == digest).then_some(*artifact)
     }
 
     /// Whether there is none.
@@ -55,7 +55,7 @@ impl Held<'_> {
 
     /// What the units cover.
     pub fn extents(&self) -> impl Iterator<Item = &Extent> {
-        self.units.values().map(|(extent, _)| *extent)
+        self.units.values().map(|(artifact, _)| &artifact.extent)
     }
 }
 
@@ -66,8 +66,8 @@ impl Run<'_> {
         let units = layers.flat_map(|(stage, layer)| {
             let units = layer.artifacts.iter().zip(&layer.recipes);
             units.map(move |(artifact, digest)| {
-                let extent = &artifact.extent;
-                (extent.label(stage), (extent, digest.as_str()))
+                let label = artifact.extent.label(stage);
+                (label, (artifact, digest.as_str()))
             })
         });
         Held {

@@ -52,7 +52,7 @@ pub fn bracketed(statement: &mut Statement) {
     }
 }
 
-/// What plans the relations of queries that have as-of joins.
+/// What plans the relations of queries that have as-of joins, and refuses what nobody plans.
 pub fn relations() -> Arc<dyn RelationPlanner> {
     Arc::new(Relations)
 }
@@ -136,6 +136,15 @@ impl RelationPlanner for Relations {
         relation: TableFactor,
         context: &mut dyn RelationPlannerContext,
     ) -> Result<RelationPlanning> {
+        if let TableFactor::Table {
+            sample: Some(_), ..
+        } = &relation
+        {
+            // It would be passed over, and all rows come.
+            return plan_err!(
+                "expected a table, found TABLESAMPLE behind it; choose rows by a condition, such as keyframe % 10 = 0"
+            );
+        }
         let TableFactor::NestedJoin {
             table_with_joins,
             alias,
@@ -214,7 +223,13 @@ fn join(
             }
         }
         other => {
-            let found = format!("{other:?}");
+            let found = match other {
+                JoinConstraint::Using(columns) => {
+                    let columns: Vec<String> = columns.iter().map(ToString::to_string).collect();
+                    format!("USING ({})", columns.join(", "))
+                }
+                _ => "NATURAL".to_owned(),
+            };
             return plan_err!("ASOF JOIN: expected ON left = right, found {found}");
         }
     }

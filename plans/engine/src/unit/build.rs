@@ -146,13 +146,9 @@ impl<'a> Builder<'a> {
     /// What the logs had lost.
     pub fn log_losses(&self) -> BTreeMap<String, u64> {
         let mut counted = BTreeMap::new();
-        for entry in self
-            .opened
-            .iter()
-            .flat_map(|dataset| dataset.losses.entries())
-        {
-            let line = format!("{}: {}", entry.file, entry.reason.text());
-            *counted.entry(line).or_insert(0) += entry.loss.count;
+        let told = self.opened.iter().flat_map(|dataset| dataset.losses.told());
+        for (line, count) in told {
+            *counted.entry(line).or_insert(0) += count;
         }
         counted
     }

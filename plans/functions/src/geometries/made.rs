@@ -6,7 +6,8 @@ use datafusion::common::{DataFusionError, Result};
 use evermap_schemas::{Cell, Geometry, Position, Wkb};
 use geo::convex_hull::graham_hull;
 use geo::{
-    BooleanOps, BoundingRect, Buffer, Centroid, CoordsIter, LineString, MultiPolygon, Polygon, Rect,
+    BooleanOps, BoundingRect, Buffer, Centroid, CoordsIter, LineString, MultiLineString,
+    MultiPolygon, Polygon, Rect,
 };
 
 use crate::function::{Argument, Declaration, Kind};
@@ -101,14 +102,14 @@ pub(crate) const DECLARATIONS: [Declaration; 8] = [
     },
     Declaration {
         name: "st_intersection",
-        about: "What two geometries of polygons have in common",
+        about: "What two geometries have in common: areas of polygons, and of lines what lies in polygons",
         calls: &[&[A, B]],
         result: <Wkb as Cell>::data_type,
         example: [
-            "SELECT st_area(st_intersection(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_geomfromtext('POLYGON((2 1, 9 1, 9 9, 2 9, 2 1))')))",
+            "SELECT st_length(st_intersection(st_geomfromtext('LINESTRING(0 1, 9 1)'), st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))')))",
             "4.0",
         ],
-        evaluate: |columns| both(columns, MultiPolygon::intersection),
+        evaluate: |columns| both(columns, intersection),
     },
     Declaration {
         name: "st_union",
@@ -119,18 +120,18 @@ pub(crate) const DECLARATIONS: [Declaration; 8] = [
             "SELECT st_area(st_union(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_geomfromtext('POLYGON((0 0, 1 0, 1 9, 0 9, 0 0))')))",
             "18.0",
         ],
-        evaluate: |columns| both(columns, MultiPolygon::union),
+        evaluate: |columns| both(columns, union),
     },
     Declaration {
         name: "st_difference",
-        about: "What the first of two geometries of polygons covers and the second does not",
+        about: "What the first of two geometries, of polygons or lines, covers and the second, of polygons, does not",
         calls: &[&[A, B]],
         result: <Wkb as Cell>::data_type,
         example: [
             "SELECT st_area(st_difference(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_geomfromtext('POLYGON((0 0, 1 0, 1 9, 0 9, 0 0))')))",
             "9.0",
         ],
-        evaluate: |columns| both(columns, MultiPolygon::difference),
+        evaluate: |columns| both(columns, difference),
     },
 ];
 
@@ -153,6 +154,16 @@ fn polygons(found: &MultiPolygon) -> Geometry {
     match found.0.as_slice() {
         [one] => polygon(one),
         all => Geometry::MultiPolygon(all.iter().map(polygon).collect()),
+    }
+}
+
+/// One line as such; none and several as a geometry of lines.
+fn polylines(found: &MultiLineString) -> Geometry {
+    let line =
+        |line: &LineString| Geometry::LineString(line.coords().map(|at| flat(*at)).collect());
+    match found.0.as_slice() {
+        [one] => line(one),
+        all => Geometry::MultiLineString(all.iter().map(line).collect()),
     }
 }
 
@@ -207,34 +218,79 @@ fn buffers(columns: &[ArrayRef]) -> Result<ArrayRef> {
 
 fn both(
     columns: &[ArrayRef],
-    make: fn(&MultiPolygon, &MultiPolygon) -> MultiPolygon,
+    make: fn(&Extended, &Extended) -> Result<Geometry>,
 ) -> Result<ArrayRef> {
     let rows = columns.first().map_or(0, |column| column.len());
     made_of(rows, |row| {
         let Some([a, b]) = pair(columns, row)? else {
             return Ok(None);
         };
-        let (a, b) = (areas(&a)?, areas(&b)?);
-        guarded(|| Some(polygons(&make(&a, &b))))
+        let (a, b) = (Extended::of(&a)?, Extended::of(&b)?);
+        guarded(|| make(&a, &b))?.map(Some)
     })
 }
 
-/// The polygons of a geometry that has no other parts.
-fn areas(shape: &Shape) -> Result<MultiPolygon> {
-    Ok(match shape {
-        Shape::Polygon(one) => MultiPolygon::new(vec![one.clone()]),
-        Shape::GeometryCollection(parts) => {
-            let parts = parts.iter().map(areas).collect::<Result<Vec<_>>>()?;
-            parts.into_iter().flatten().collect()
+/// The parts of a geometry that have an extent.
+#[derive(Default)]
+struct Extended {
+    areas: Vec<Polygon>,
+    lines: Vec<LineString>,
+}
+
+impl Extended {
+    fn of(shape: &Shape) -> Result<Self> {
+        let mut extended = Self::default();
+        extended.add(shape)?;
+        Ok(extended)
+    }
+
+    fn add(&mut self, shape: &Shape) -> Result<()> {
+        match shape {
+            Shape::Polygon(area) => self.areas.push(area.clone()),
+            Shape::LineString(line) => self.lines.push(line.clone()),
+            Shape::GeometryCollection(parts) => parts.iter().try_for_each(|part| self.add(part))?,
+            _ => return Err(unfit("polygons or lines", "a point")),
         }
-        other => {
-            let found = match other {
-                Shape::Point(_) => "a point",
-                _ => "a line",
-            };
-            return Err(DataFusionError::Execution(format!(
-                "expected polygons, found {found}; st_buffer makes polygons of points and lines"
-            )));
+        Ok(())
+    }
+
+    /// The polygons, where there are no lines.
+    fn areas(&self) -> Result<MultiPolygon> {
+        match self.lines.is_empty() {
+            true => Ok(MultiPolygon::new(self.areas.clone())),
+            false => Err(unfit("polygons", "a line")),
         }
+    }
+
+    /// The lines, where there are no polygons.
+    fn lines(&self) -> Option<MultiLineString> {
+        let only = self.areas.is_empty() && !self.lines.is_empty();
+        only.then(|| MultiLineString::new(self.lines.clone()))
+    }
+}
+
+fn unfit(expected: &str, found: &str) -> DataFusionError {
+    DataFusionError::Execution(format!(
+        "expected {expected}, found {found}; st_buffer makes polygons of points and lines"
+    ))
+}
+
+fn intersection(a: &Extended, b: &Extended) -> Result<Geometry> {
+    Ok(match (a.lines(), b.lines()) {
+        (Some(lines), _) => polylines(&b.areas()?.clip(&lines, false)),
+        (None, Some(lines)) => polylines(&a.areas()?.clip(&lines, false)),
+        (None, None) => polygons(&a.areas()?.intersection(&b.areas()?)),
     })
+}
+
+fn difference(a: &Extended, b: &Extended) -> Result<Geometry> {
+    let areas = b.areas()?;
+    Ok(match a.lines() {
+        Some(lines) => polylines(&areas.clip(&lines, true)),
+        None => polygons(&a.areas()?.difference(&areas)),
+    })
+}
+
+fn union(a: &Extended, b: &Extended) -> Result<Geometry> {
+    Ok(polygons(&a.areas()?.union(&b.areas()?)))
 }

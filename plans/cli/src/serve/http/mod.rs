@@ -9,6 +9,7 @@ mod rows;
 mod teach;
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Router;
 use axum::extract::{FromRequestParts, RawPathParams, Request, State};
@@ -17,7 +18,12 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{any, get};
+use axum::serve::Listener;
 use evermap_schemas::{Fault, Kind};
+use hyper::service::{Service, service_fn};
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
+use hyper_util::server::conn::auto::Builder;
+use hyper_util::service::TowerToHyperService;
 use serde_json::json;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
@@ -28,6 +34,7 @@ use crate::serve::answer::Bounds;
 use crate::serve::flight;
 use crate::serve::http::metrics::Counts;
 use crate::serve::maps::{Maps, ServedMap};
+use crate::serve::patience::{Asked, PATIENCE, WAITING};
 use crate::serve::teach::Teaching;
 use crate::serve::tls::PrivateListener;
 
@@ -50,10 +57,10 @@ impl App {
     }
 }
 
-/// Serves maps until the listener fails.
+/// Serves maps for ever.
 ///
 /// # Errors
-/// A resource fault when it does.
+/// A resource fault where the listener has no address.
 pub async fn serve(
     listener: TcpListener,
     maps: Maps,
@@ -63,15 +70,47 @@ pub async fn serve(
 ) -> Result<(), Fault> {
     let tls = access.tls.clone();
     let router = router(maps, access, bounds, teaching);
-    let ended = match tls {
-        None => axum::serve(listener, router).await,
+    match tls {
+        None => accept(listener, router).await,
         Some(acceptor) => match PrivateListener::new(listener, acceptor) {
-            Ok(listener) => axum::serve(listener, router).await,
-            Err(error) => Err(error),
+            Ok(listener) => accept(listener, router).await,
+            Err(error) => Err(Fault::resource(format!("the server ended: {error}"))),
         },
-    };
-    ended.map_err(|error| Fault::resource(format!("the server ended: {error}")))
+    }
 }
+
+/// Time that a connection may be idle after an answer, or take to say what it wants next.
+const IDLE: Duration = Duration::from_secs(60);
+
+/// Serves the connections of a listener, for ever.
+async fn accept<L: Listener>(mut listener: L, router: Router) -> Result<(), Fault> {
+    let places = Arc::new(Semaphore::new(WAITING));
+    let mut builder = Builder::new(TokioExecutor::new());
+    let http1 = &mut builder.http1();
+    http1.timer(TokioTimer::new()).header_read_timeout(IDLE);
+    loop {
+        let (io, _) = listener.accept().await;
+        let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
+            continue;
+        };
+        let (asked, builder) = (Asked::default(), builder.clone());
+        let (asks, answers) = (asked.clone(), TowerToHyperService::new(router.clone()));
+        let service = service_fn(move |request: Incoming| {
+            asks.now();
+            answers.call(request)
+        });
+        tokio::spawn(async move {
+            let connection = builder.serve_connection_with_upgrades(TokioIo::new(io), service);
+            if let Some(Err(error)) = asked.within(PATIENCE, connection).await {
+                tracing::debug!("a connection ended: {error}");
+            }
+            drop(place);
+        });
+    }
+}
+
+/// A request as it comes.
+type Incoming = axum::http::Request<hyper::body::Incoming>;
 
 fn router(maps: Maps, access: Access, bounds: Bounds, teaching: Option<Arc<Teaching>>) -> Router {
     let flight = flight::service(maps.clone(), bounds.clone());

@@ -2,18 +2,42 @@
 
 use std::collections::BTreeMap;
 
-use axum::extract::Path;
+use axum::extract::{OriginalUri, Path, RawPathParams, State};
 use axum::http::{HeaderMap, StatusCode};
-use axum::response::{IntoResponse, Response};
+use axum::response::{IntoResponse, Redirect, Response};
 use include_dir::{Dir, include_dir};
 
-use crate::serve::http::{MapOf, tagged};
+use crate::serve::http::{App, Refusal, tagged};
 
 static FILES: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/page");
 
-/// `GET /`: the page.
-pub async fn page(_: MapOf, headers: HeaderMap) -> Response {
-    served("index.html", &headers)
+/// `GET /`: the page of the only map, or the way to that of the first one.
+pub async fn page(
+    State(app): State<App>,
+    path: RawPathParams,
+    OriginalUri(address): OriginalUri,
+    headers: HeaderMap,
+) -> Result<Response, Refusal> {
+    let named = path.iter().find(|(name, _)| *name == "map");
+    let named = named.map(|(_, name)| app.maps.get(name)).transpose()?;
+    if named.is_some() && !address.path().ends_with('/') {
+        return Ok(Redirect::permanent(&format!("{}/", address.path())).into_response());
+    }
+    let first = app.maps.all().next();
+    match first.filter(|_| named.is_none() && app.maps.only().is_none()) {
+        Some(first) => Ok(Redirect::temporary(&address_of(&first.name)).into_response()),
+        None => Ok(served("index.html", &headers)),
+    }
+}
+
+/// The address of a map's page.
+fn address_of(map: &str) -> String {
+    let plain = |byte: &u8| byte.is_ascii_alphanumeric() || b"-._~".contains(byte);
+    let encoded = map.as_bytes().iter().map(|byte| match plain(byte) {
+        true => char::from(*byte).to_string(),
+        false => format!("%{byte:02X}"),
+    });
+    format!("/maps/{}/", encoded.collect::<String>())
 }
 
 /// `GET /page/{file}`: what it is made of.

@@ -49,19 +49,32 @@ const CONSTRAINTS: [&str; 2] = ["confkey", "conkey"];
 const KEYS: [&str; 3] = ["confkey", "conkey", "indkey"];
 
 /// Functions of Postgres on what a map has none of: their answer is null.
-const OF_NOTHING: [&str; 7] = [
+const OF_NOTHING: [&str; 16] = [
     "col_description",
+    "json_build_object",
     "obj_description",
     "pg_database_size",
+    "pg_get_function_arguments",
+    "pg_get_function_identity_arguments",
+    "pg_get_function_result",
     "pg_get_indexdef",
+    "pg_get_serial_sequence",
+    "pg_get_viewdef",
     "pg_size_pretty",
     "pg_table_size",
+    "pg_tablespace_location",
+    "pg_total_relation_size",
     "shobj_description",
+    "to_regclass",
 ];
 
 /// Names that clients have for one function, or that the library has no function for.
 pub fn complete_catalog(context: &SessionContext) {
-    let visible = ["pg_function_is_visible", "pg_type_is_visible"];
+    let visible = [
+        "pg_collation_is_visible",
+        "pg_function_is_visible",
+        "pg_type_is_visible",
+    ];
     context.register_udf(create_pg_table_is_visible().with_aliases(visible));
     for name in OF_NOTHING {
         let signature = Signature::variadic_any(Volatility::Immutable);

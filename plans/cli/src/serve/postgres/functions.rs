@@ -68,6 +68,65 @@ impl<F: OnTypes> ScalarUDFImpl for Function<F> {
     }
 }
 
+/// What the server says of itself, for clients that ask how they may speak to it: that of Postgres of the version whose
+/// clients are understood.
+pub const SETTINGS: [(&str, &str); 14] = [
+    ("DateStyle", "ISO, MDY"),
+    ("TimeZone", "UTC"),
+    ("client_encoding", "UTF8"),
+    ("default_transaction_isolation", "read committed"),
+    ("default_transaction_read_only", "on"),
+    ("integer_datetimes", "on"),
+    ("is_superuser", "off"),
+    ("lc_collate", "C"),
+    ("max_index_keys", "32"),
+    ("search_path", "public"),
+    ("server_encoding", "UTF8"),
+    ("server_version", "16.6"),
+    ("server_version_num", "160006"),
+    ("standard_conforming_strings", "on"),
+];
+
+/// `current_setting(name [, missing_ok])`: one of [`SETTINGS`]; null where there is none.
+#[derive(Debug, PartialEq, Eq, Hash)]
+pub struct CurrentSetting;
+
+impl OnTypes for CurrentSetting {
+    fn name(&self) -> &'static str {
+        "current_setting"
+    }
+
+    fn signature(&self) -> Signature {
+        let calls = [
+            vec![DataType::Utf8],
+            vec![DataType::Utf8, DataType::Boolean],
+        ];
+        let calls = calls.map(TypeSignature::Exact);
+        Signature::one_of(calls.into(), Volatility::Immutable)
+    }
+
+    fn result(&self) -> DataType {
+        DataType::Utf8
+    }
+
+    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        let columns = ColumnarValue::values_to_arrays(&args.args)?;
+        let Some(names) = columns.first() else {
+            return exec_err!("expected the name of a setting, found nothing");
+        };
+        let value = |name: Option<&str>| {
+            let name = name?;
+            let mut settings = SETTINGS.iter();
+            let found = settings.find(|(known, _)| known.eq_ignore_ascii_case(name));
+            found.map(|(_, value)| *value)
+        };
+        let values = names.as_string::<i32>().iter().map(value);
+        Ok(ColumnarValue::Array(Arc::new(
+            values.collect::<StringArray>(),
+        )))
+    }
+}
+
 /// `to_regtype(name)`: the number of a type; null where there is none of that name.
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub struct ToRegtype {

@@ -83,6 +83,15 @@ impl Gate {
             Statement::Rollback { .. } => Verdict::Done("ROLLBACK"),
             Statement::Discard { .. } => Verdict::Done("DISCARD ALL"),
             Statement::Deallocate { .. } => Verdict::Done("DEALLOCATE"),
+            // What pools say when a connection comes back to them.
+            Statement::UNLISTEN { .. } => Verdict::Done("UNLISTEN"),
+            Statement::Reset(_) => Verdict::Done("RESET"),
+            Statement::Set(
+                Set::SetRole {
+                    role_name: None, ..
+                }
+                | Set::SetSessionAuthorization(_),
+            ) => Verdict::Done("SET"),
             other => {
                 let text = other.to_string();
                 let verb = text.split_whitespace().next().unwrap_or_default();

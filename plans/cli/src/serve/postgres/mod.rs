@@ -46,6 +46,7 @@ use tokio::sync::Semaphore;
 use crate::serve::access::Access;
 use crate::serve::answer::{Bounds, Turn};
 use crate::serve::maps::{Maps, Opened};
+use crate::serve::patience::{Asked, PATIENCE, WAITING};
 use crate::serve::postgres::startup::{Startup, is_in};
 
 pub use catalog::complete_catalog;
@@ -55,7 +56,10 @@ pub use postgis::complete as complete_types;
 /// A statement of a client with its plan, as `datafusion-postgres` has it.
 type Prepared = (String, Option<(Statement, LogicalPlan)>);
 
-/// Serves maps until the listener fails for good. So many connections at once; more are closed.
+/// Rows that are handed on together: each by itself would cost more on its way than to make.
+const ROWS_AT_ONCE: usize = 32;
+
+/// Serves maps for ever. So many clients at once; more are refused.
 pub async fn serve(
     listener: TcpListener,
     maps: Maps,
@@ -64,23 +68,32 @@ pub async fn serve(
     connections: usize,
 ) {
     let manager = Arc::new(ConnectionManager::new());
-    let places = Arc::new(Semaphore::new(connections));
+    let (waiting, places) = (Semaphore::new(WAITING), Semaphore::new(connections));
+    let (waiting, places) = (Arc::new(waiting), Arc::new(places));
     loop {
         let Ok((socket, _)) = listener.accept().await else {
             // Out of file descriptors, mostly: those that are open may be closed by then.
             tokio::time::sleep(std::time::Duration::from_millis(100)).await;
             continue;
         };
-        let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
+        let Ok(waits) = Arc::clone(&waiting).try_acquire_owned() else {
             continue;
         };
-        let handlers = Arc::new(Handlers::new(&maps, &access, &bounds, &manager));
+        let asked = Asked::default();
+        let startup = Startup::new(
+            &access,
+            Arc::clone(&manager),
+            Arc::clone(&places),
+            asked.clone(),
+        );
+        let handlers = Arc::new(Handlers::new(startup, &maps, &bounds, &manager));
         let tls = access.tls.clone();
         tokio::spawn(async move {
-            let _place = place;
-            if let Err(error) = process_socket(socket, tls, handlers).await {
+            let connection = process_socket(socket, tls, handlers);
+            if let Some(Err(error)) = asked.within(PATIENCE, connection).await {
                 tracing::debug!("a connection ended: {error}");
             }
+            drop(waits);
         });
     }
 }
@@ -94,13 +107,13 @@ struct Handlers {
 
 impl Handlers {
     fn new(
+        startup: Startup,
         maps: &Maps,
-        access: &Access,
         bounds: &Bounds,
         manager: &Arc<ConnectionManager>,
     ) -> Self {
         Self {
-            startup: Arc::new(Startup::new(access, Arc::clone(manager))),
+            startup: Arc::new(startup),
             queries: Arc::new(Queries {
                 parser: Arc::new(Parser { maps: maps.clone() }),
                 bounds: bounds.clone(),
@@ -176,7 +189,8 @@ fn bounded(response: Response, turn: &Arc<Turn>, cancelled: &Cancelled) -> Respo
                 data_rows,
                 ..
             } = query;
-            let rows = Arc::clone(turn).bounded(data_rows, |_| 1, |fault| said(&fault));
+            let rows =
+                Arc::clone(turn).bounded(data_rows, ROWS_AT_ONCE, |_| 1, |fault| said(&fault));
             let state = Some((rows, cancelled.clone()));
             let next = |state: Option<(BoxStream<'static, _>, Cancelled)>| async move {
                 let (mut rows, cancelled) = state?;
@@ -405,7 +419,7 @@ impl QueryParser for Parser {
 /// A fault as clients of Postgres read it.
 fn said(fault: &Fault) -> PgWireError {
     let code = match fault.kind {
-        Kind::User => "42000",
+        Kind::User => code_of(&fault.message),
         Kind::Data => "22000",
         Kind::Resource => "53000",
         Kind::Bug => "XX000",
@@ -414,6 +428,19 @@ fn said(fault: &Fault) -> PgWireError {
     info.detail = (!fault.place.is_empty()).then(|| fault.place.clone());
     info.hint = (!fault.next.is_empty()).then(|| fault.next.clone());
     PgWireError::UserError(Box::new(info))
+}
+
+/// The number that Postgres has for what is wrong with a query: programs go by it.
+fn code_of(message: &str) -> &'static str {
+    let says = |text: &str| message.contains(text);
+    match () {
+        () if says("table '") && says("not found") => "42P01",
+        () if says("No field named") => "42703",
+        () if says("Invalid function") => "42883",
+        () if says("ParserError") || says("parser error") => "42601",
+        () if says("Divide by zero") => "22012",
+        () => "42000",
+    }
 }
 
 fn error(severity: &str, code: &str, message: &str) -> PgWireError {

@@ -27,7 +27,7 @@ use pgwire::api::Type;
 
 use crate::output::GEOMETRY;
 use crate::serve::postgres::functions::{
-    ArrayOut, AsBinary, Constant, FormatType, ToRegtype, register,
+    ArrayOut, AsBinary, Constant, CurrentSetting, FormatType, SETTINGS, ToRegtype, register,
 };
 use crate::serve::postgres::geometry::OID;
 
@@ -69,6 +69,7 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
         SYSTEMS.to_owned(),
         columns(name),
         keys(),
+        settings(),
     ];
     for (view, query) in VIEWS.into_iter().zip(queries) {
         let view_of = context.sql(&query).await?.into_view();
@@ -77,6 +78,7 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
     catalog.register_schema(CATALOG, Arc::new(tables))?;
     register(context, ToRegtype { numbers });
     register(context, ArrayOut);
+    register(context, CurrentSetting);
     register(context, AsBinary);
     if let Ok(inner) = context.udf("format_type") {
         register(context, FormatType { inner });
@@ -106,12 +108,13 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
 
 /// What PostGIS adds to the tables: in which of them there are geometries, and which reference systems they have;
 /// `information_schema.columns`, whose types DataFusion calls by Arrow's names; and the keys of layers.
-const VIEWS: [&str; 5] = [
+const VIEWS: [&str; 6] = [
     "geometry_columns",
     "geography_columns",
     "spatial_ref_sys",
     "columns",
     "pg_index",
+    "pg_settings",
 ];
 
 /// The statement with these views by their whole names: for the first three Postgres looks without being told where.
@@ -180,6 +183,17 @@ fn keys() -> String {
          FROM pg_catalog.pg_class c JOIN pg_catalog.pg_attribute a ON a.attrelid = c.oid \
          JOIN (VALUES {}) AS k(layer, name, place, number) ON k.layer = c.relname AND k.name = a.attname \
          GROUP BY c.oid, k.number HAVING count(*) = k.number",
+        rows.join(", ")
+    )
+}
+
+/// What the server says of itself.
+fn settings() -> String {
+    let rows = SETTINGS.map(|(name, value)| format!("('{name}', '{value}')"));
+    format!(
+        "SELECT name, setting, CAST(NULL AS TEXT) AS unit, '' AS category, '' AS short_desc, 'internal' AS context, \
+         'string' AS vartype, 'default' AS source, setting AS boot_val, setting AS reset_val \
+         FROM (VALUES {}) AS s(name, setting)",
         rows.join(", ")
     )
 }

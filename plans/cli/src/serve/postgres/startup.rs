@@ -12,14 +12,19 @@ use pgwire::api::auth::{DefaultServerParameterProvider, StartupHandler};
 use pgwire::api::{ClientInfo, ConnectionManager, PgWireConnectionState};
 use pgwire::error::{ErrorInfo, PgWireError, PgWireResult};
 use pgwire::messages::{PgWireBackendMessage, PgWireFrontendMessage};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use crate::serve::access::Access;
+use crate::serve::patience::Asked;
 use crate::serve::postgres::error;
 
 /// Lets one client in: with a password by SCRAM where there are users, as it is where everybody may come in.
 pub struct Startup {
     by: By,
     needs_tls: bool,
+    /// Of clients that are in.
+    places: Arc<Semaphore>,
+    asked: Asked,
 }
 
 enum By {
@@ -35,8 +40,9 @@ impl NoopStartupHandler for Anybody {
     }
 }
 
-/// That a client was let in. The library tells by the state of a connection, which an error changes as well.
-struct In;
+/// That a client was let in, and its place. The library tells by the state of a connection, which an error changes as
+/// well.
+struct In(#[allow(dead_code, reason = "it is left when the connection ends")] OwnedSemaphorePermit);
 
 /// Whether the client was let in.
 pub fn is_in<C: ClientInfo>(client: &C) -> bool {
@@ -44,8 +50,13 @@ pub fn is_in<C: ClientInfo>(client: &C) -> bool {
 }
 
 impl Startup {
-    /// For one connection.
-    pub fn new(access: &Access, manager: Arc<ConnectionManager>) -> Self {
+    /// For one connection, which takes one of the places when its client is in.
+    pub fn new(
+        access: &Access,
+        manager: Arc<ConnectionManager>,
+        places: Arc<Semaphore>,
+        asked: Asked,
+    ) -> Self {
         let by = match access.users() {
             None => By::Anybody(Anybody(manager)),
             Some(users) => {
@@ -58,6 +69,8 @@ impl Startup {
         Self {
             by,
             needs_tls: access.tls.is_some(),
+            places,
+            asked,
         }
     }
 }
@@ -87,7 +100,10 @@ impl StartupHandler for Startup {
         };
         done.map_err(fatal)?;
         if matches!(client.state(), PgWireConnectionState::ReadyForQuery) {
-            client.session_extensions().insert(In);
+            let place = Arc::clone(&self.places).try_acquire_owned();
+            let full = |_| error("FATAL", "53300", "too many connections; try again later");
+            client.session_extensions().insert(In(place.map_err(full)?));
+            self.asked.now();
         }
         Ok(())
     }

@@ -1,0 +1,69 @@
+#![allow(clippy::unwrap_used)]
+
+use super::*;
+
+#[test]
+fn a_column_that_is_a_word_of_sql_is_explained() {
+    let fault = statements("SELECT session, view FROM views").unwrap_err();
+    assert!(fault.to_string().contains("\"view\""), "{fault}");
+    assert!(statements("SELECT session, \"view\" FROM views").is_ok());
+}
+
+#[test]
+fn semicolons_in_quotes_and_comments_end_nothing() {
+    let text = "SELECT ';' AS a; -- ; no\nSELECT \"b;\" FROM \"/odom\" /* ; */;";
+    assert_eq!(statements(text).unwrap().len(), 2);
+    assert_eq!(statements(" \n-- nothing\n").unwrap().len(), 0);
+    assert!(
+        statements("SELEC 1")
+            .unwrap_err()
+            .to_string()
+            .starts_with("user: ")
+    );
+}
+
+#[tokio::test]
+async fn queries_only_read() {
+    let tables = Tables {
+        context: context(Limits::default()).unwrap(),
+        reader: None,
+        dataset: None,
+    };
+    for (query, reads) in [
+        ("COPY (SELECT 1) TO '/nowhere/a.json'", false),
+        (
+            "CREATE EXTERNAL TABLE t (a TEXT) STORED AS CSV LOCATION '/etc/passwd'",
+            false,
+        ),
+        ("CREATE TABLE t AS SELECT 1", false),
+        ("SET datafusion.runtime.memory_limit = '1T'", false),
+        ("SELECT * FROM '/etc/passwd'", false),
+        ("EXPLAIN SELECT 1", true),
+        ("SHOW TABLES", true),
+        ("WITH a AS (SELECT 1 AS x) SELECT x FROM a", true),
+    ] {
+        let mut sink = Sink::Memory(Vec::new());
+        let statement = statements(query).unwrap().remove(0);
+        let ran = tables.run(statement, Format::Csv, &mut sink).await;
+        assert_eq!(ran.is_ok(), reads, "{query}: {ran:?}");
+    }
+}
+
+#[tokio::test]
+async fn results_have_a_header_even_without_rows() {
+    let tables = Tables {
+        context: context(Limits::default()).unwrap(),
+        reader: None,
+        dataset: None,
+    };
+    for (query, expected) in [
+        ("SELECT 1 AS a, 'x' AS b", "a,b\n1,x\n"),
+        ("SELECT 1 AS a WHERE false", "a\n"),
+    ] {
+        let mut sink = Sink::Memory(Vec::new());
+        let statement = statements(query).unwrap().remove(0);
+        tables.run(statement, Format::Csv, &mut sink).await.unwrap();
+        let Sink::Memory(bytes) = sink else { return };
+        assert_eq!(String::from_utf8(bytes).unwrap(), expected);
+    }
+}
