@@ -4,6 +4,7 @@ import sys
 import warnings
 
 import geopandas
+import pandas
 import psycopg
 import shapely
 import sqlalchemy
@@ -50,6 +51,29 @@ def main(postgres):
                 assert line.has_z and abs(((steps[1:] - steps[:-1]) ** 2).sum(1) ** 0.5).sum() - metres < 1e-6
 
     engine = sqlalchemy.create_engine(f"postgresql+psycopg://me@{postgres}/map", isolation_level="AUTOCOMMIT")
+    # What it knows of a table before it reads it: names, types, and that there is nothing to know of the rest.
+    inspector = sqlalchemy.inspect(engine)
+    assert "public" in inspector.get_schema_names()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Did not recognize type 'geometry'")
+        columns = {column["name"]: str(column["type"]) for column in inspector.get_columns("lanes")}
+        assert columns["length_m"] == "DOUBLE PRECISION" and columns["lane"] == "BIGINT", columns
+        assert len(pandas.read_sql_table("lanes", engine)) == len(client.execute("SELECT 1 FROM lanes").fetchall())
+    # What drivers and dashboards ask first, and pools when they are given a connection back.
+    for question, answer in [
+        ("SELECT current_setting('server_version_num')::int / 100", 1600),
+        ("SELECT setting FROM pg_catalog.pg_settings WHERE name = 'max_index_keys'", "32"),
+        ("SELECT (SELECT c.relkind = 'c' FROM pg_class c WHERE c.oid = t.typrelid) FROM pg_type t LIMIT 1", None),
+    ]:
+        assert client.execute(question).fetchone() == (answer,), question
+    for said in ["UNLISTEN *", "RESET ALL", "SET ROLE none", "SET SESSION AUTHORIZATION DEFAULT"]:
+        client.execute(said)
+    for wrong, number in [("SELECT 1 FROM nowhere", "42P01"), ("SELECT nothing FROM lanes", "42703")]:
+        try:
+            client.execute(wrong)
+            raise AssertionError(wrong)
+        except psycopg.Error as error:
+            assert error.sqlstate == number, (wrong, error.sqlstate)
     with engine.connect() as connection, warnings.catch_warnings():
         warnings.simplefilter("error")
         lanes = geopandas.read_postgis(query, connection, geom_col="geometry")
