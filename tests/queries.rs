@@ -237,15 +237,13 @@ fn maps_and_logs_are_asked_together_from_a_folder_beside_them() {
         "{fault}"
     );
     let file = beside.join("rows.parquet");
-    let out = [
-        "--map",
-        &relative,
-        "--format",
-        "parquet",
-        "--out",
-        text(&file),
+    let out = ["--format", "parquet", "--out", text(&file)];
+    let asked = [
+        &["sql", "--map", text(&map)],
+        &out[..],
+        &["SELECT map_from_vehicle AS at FROM poses"],
     ];
-    ask(&out, "SELECT map_from_vehicle AS at FROM poses").expect(0);
+    evermap(&asked.concat()).expect(0);
     let rows =
         ParquetRecordBatchReaderBuilder::try_new(std::fs::File::open(&file).unwrap()).unwrap();
     let at = rows.schema().field(0).metadata().clone();

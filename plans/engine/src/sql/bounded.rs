@@ -6,7 +6,10 @@ use std::sync::Arc;
 use arrow::array::{Array, ArrayRef, AsArray, Int64Array};
 use arrow::compute::cast;
 use arrow::compute::kernels::length::length;
-use arrow::datatypes::{DataType, FieldRef, Int64Type};
+use arrow::datatypes::{
+    DataType, FieldRef, Int64Type, IntervalMonthDayNano, IntervalMonthDayNanoType, IntervalUnit,
+    TimeUnit,
+};
 use datafusion::common::Result;
 use datafusion::error::DataFusionError;
 use datafusion::execution::FunctionRegistry;
@@ -32,19 +35,36 @@ enum Growth {
     Letters,
     /// `replace(text, from, to)`: every letter may become the third text.
     Replaced,
-    /// `range(from, to, step)`, `generate_series`: numbers of eight bytes.
+    /// `regexp_replace(text, pattern, to)`: every letter may become the third text, which may have the whole text for each
+    /// two of its own letters (`\\1`).
+    Rewritten,
+    /// `range(from, to, step)`, `generate_series`: numbers, days or instants of eight bytes.
     Numbers,
+    /// `array_resize(list, count, value)`.
+    Resized,
+    /// `array_to_string(list, between)`: values, numbers in some twenty letters, with a text between them.
+    Joined,
+    /// `concat_ws(between, texts…)`: all texts, with the first between them.
+    Concatenated,
 }
 
-const BOUNDED: [(&str, Growth); 8] = [
+const BOUNDED: [(&str, Growth); 16] = [
     ("repeat", Growth::Copies),
     ("array_repeat", Growth::Copies),
     ("list_repeat", Growth::Copies),
     ("lpad", Growth::Letters),
     ("rpad", Growth::Letters),
     ("replace", Growth::Replaced),
+    ("regexp_replace", Growth::Rewritten),
     ("range", Growth::Numbers),
     ("generate_series", Growth::Numbers),
+    ("array_resize", Growth::Resized),
+    ("list_resize", Growth::Resized),
+    ("array_to_string", Growth::Joined),
+    ("list_to_string", Growth::Joined),
+    ("array_join", Growth::Joined),
+    ("list_join", Growth::Joined),
+    ("concat_ws", Growth::Concatenated),
 ];
 
 /// Has the functions of a context that can grow beyond all bounds refuse what is larger than its memory.
@@ -84,18 +104,19 @@ impl Bounded {
         let columns = ColumnarValue::values_to_arrays(&args.args)?;
         let numbers: Vec<_> = columns.iter().map(integers).collect();
         let sizes: Vec<_> = columns.iter().map(sizes).collect();
-        let rows = columns.first().map_or(0, |column| column.len());
+        let first = columns.first();
+        let elements = first.and_then(|column| integers(&length(column).ok()?));
+        let rows = first.map_or(0, |column| column.len());
         let bytes = (0..rows).map(|row| {
             let number = |index: usize| numbers.get(index).and_then(|column| at(column, row));
             let size = |index: usize| sizes.get(index).and_then(|column| at(column, row));
+            let text = |index: usize| size(index).unwrap_or(0.0);
             let count = number(1).unwrap_or(0.0).max(0.0);
             match self.growth {
                 Growth::Copies => size(0).unwrap_or(8.0) * count,
                 Growth::Letters => 4.0 * count,
-                Growth::Replaced => {
-                    let (text, from, to) = (size(0), size(1), size(2));
-                    text.unwrap_or(0.0) * (1.0 + to.unwrap_or(0.0)) / from.unwrap_or(1.0).max(1.0)
-                }
+                Growth::Replaced => text(0) * (1.0 + text(2)) / text(1).max(1.0),
+                Growth::Rewritten => text(0) * (1.0 + 1.5 * text(2)) + text(2),
                 Growth::Numbers => {
                     let (from, to) = match (number(0), number(1)) {
                         (Some(from), Some(to)) => (from, to),
@@ -103,26 +124,63 @@ impl Bounded {
                     };
                     8.0 * ((to - from) / number(2).unwrap_or(1.0)).max(0.0)
                 }
+                Growth::Resized => size(2).unwrap_or(8.0) * count,
+                Growth::Joined => {
+                    let values = at(&elements, row).unwrap_or(0.0);
+                    2.5 * text(0) + values * text(1)
+                }
+                Growth::Concatenated => {
+                    let texts = (1..columns.len()).map(|index| text(0) + text(index));
+                    texts.sum()
+                }
             }
         });
         Ok(bytes.sum())
     }
 }
 
-/// A column of integers; `None` for another.
+/// A column of integers; of instants, days and intervals in nanoseconds; `None` for another.
 fn integers(column: &ArrayRef) -> Option<Int64Array> {
-    let column = Some(column).filter(|column| column.data_type().is_integer())?;
-    let column = cast(column, &DataType::Int64).ok()?;
+    let kind = match column.data_type() {
+        kind if kind.is_integer() => DataType::Int64,
+        DataType::Timestamp(..) | DataType::Date32 | DataType::Date64 => {
+            DataType::Timestamp(TimeUnit::Nanosecond, None)
+        }
+        DataType::Interval(_) => return intervals(column),
+        _ => return None,
+    };
+    // Days too far for nanoseconds are null, and bounded by nothing: they are a few million.
+    let column = cast(&cast(column, &kind).ok()?, &DataType::Int64).ok()?;
     Some(column.as_primitive::<Int64Type>().clone())
 }
 
-/// How long the texts or lists of a column are; `None` for a column of others.
-fn sizes(column: &ArrayRef) -> Option<Int64Array> {
-    let column = match column.data_type() {
-        DataType::Utf8View => cast(column, &DataType::LargeUtf8).ok()?,
-        _ => Arc::clone(column),
+fn intervals(column: &ArrayRef) -> Option<Int64Array> {
+    const DAY_NS: i64 = 86_400_000_000_000;
+    let whole = DataType::Interval(IntervalUnit::MonthDayNano);
+    let column = cast(column, &whole).ok()?;
+    let spans = column.as_primitive::<IntervalMonthDayNanoType>().iter();
+    let span = |span: Option<IntervalMonthDayNano>| {
+        let span = span?;
+        let days = i64::from(span.months) * 28 + i64::from(span.days);
+        Some(days.saturating_mul(DAY_NS).saturating_add(span.nanoseconds))
     };
-    integers(&length(&column).ok()?)
+    Some(spans.map(span).collect())
+}
+
+/// How long the texts of a column are, bytes; of lists how many bytes their values take, one each at least; `None` for a
+/// column of others.
+fn sizes(column: &ArrayRef) -> Option<Int64Array> {
+    match column.data_type() {
+        DataType::Utf8View => sizes(&cast(column, &DataType::LargeUtf8).ok()?),
+        DataType::List(_) | DataType::LargeList(_) | DataType::FixedSizeList(..) => {
+            let size = |row| {
+                let bytes = column.slice(row, 1).to_data().get_slice_memory_size();
+                bytes.ok().map(|bytes| bytes as i64)
+            };
+            Some((0..column.len()).map(size).collect())
+        }
+        _ => integers(&length(column).ok()?),
+    }
 }
 
 fn at(column: &Option<Int64Array>, row: usize) -> Option<f64> {
@@ -168,7 +226,11 @@ impl ScalarUDFImpl for Bounded {
     }
 
     fn simplify(&self, args: Vec<Expr>, info: &SimplifyContext) -> Result<ExprSimplifyResult> {
-        self.inner.simplify(args, info)
+        match self.growth {
+            // It would put texts together while the query is planned.
+            Growth::Concatenated => Ok(ExprSimplifyResult::Original(args)),
+            _ => self.inner.simplify(args, info),
+        }
     }
 
     fn evaluate_bounds(&self, input: &[&Interval]) -> Result<Interval> {
@@ -216,13 +278,21 @@ mod tests {
             "SELECT range(2000000000)",
             "SELECT generate_series(2000000000, 0, -1)",
             "SELECT replace(repeat('a', 10000), 'a', repeat('b', 10000))",
+            "SELECT regexp_replace(repeat('a', 10000), 'a', repeat('b', 10000), 'g')",
+            "SELECT array_repeat(array_repeat(array_repeat(1, 100), 100), 100)",
+            "SELECT range(TIMESTAMP '1970-01-01', TIMESTAMP '1970-01-02', INTERVAL '1 microsecond')",
+            "SELECT array_resize([1], 2000000000, 0)",
+            "SELECT array_to_string(range(0, 1000), repeat('x', 10000))",
+            "SELECT concat_ws(repeat('x', 50000), 'a', 'b', 'c', 'd')",
         ] {
             let fault = run(query).await.unwrap_err().to_string();
             assert!(fault.contains("the limit is 131072"), "{query}: {fault}");
         }
         let answers = run(
             "SELECT repeat('a', 3), lpad('a', 3, '-'), array_repeat(1, 2), range(3), \
-             generate_series(1, 2), replace('aba', 'a', 'cc'), repeat(NULL, 3), repeat('a', -1)",
+             generate_series(1, 2), replace('aba', 'a', 'cc'), repeat(NULL, 3), repeat('a', -1), \
+             regexp_replace('ab', '(b)', '\\1\\1'), array_length(range(DATE '2026-01-01', DATE '2026-02-01', INTERVAL '1 day')), \
+             array_resize([1], 2, 7), array_to_string([1, 2], '-'), concat_ws('-', 'a', NULL, 'b')",
         );
         let answers = answers.await.unwrap();
         let answers: Vec<String> = answers[0]
@@ -239,6 +309,11 @@ mod tests {
             "ccbcc",
             "",
             "",
+            "abb",
+            "31",
+            "[1, 7]",
+            "1-2",
+            "a-b",
         ];
         assert_eq!(answers, expected);
     }
