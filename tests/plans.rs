@@ -22,6 +22,14 @@ fn every_shipped_plan_checks_and_its_tests_pass() {
     }
 }
 
+#[test]
+fn a_quick_look_is_a_preset_of_the_plans_that_map() {
+    for plan in ["metric_map", "lifelong", "car_park"] {
+        evermap(&["check", plan, "--set", "preview"]).expect(0);
+    }
+    evermap(&["check", "speed", "--set", "previw"]).expect(1);
+}
+
 /// The steps of a shipped plan as composed, as text, by name.
 fn steps(plan: &str) -> std::collections::BTreeMap<String, String> {
     let text = evermap(&["explain", plan]).expect(0).stdout;
