@@ -384,7 +384,7 @@ fn a_torn_log_is_read_as_far_as_it_goes_and_gone_on_from() {
         again.stderr
     );
     assert!(
-        again.stderr.contains("1  logs without an end"),
+        again.stderr.contains("ada.mcap: logs without an end"),
         "{}",
         again.stderr
     );

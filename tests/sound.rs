@@ -174,6 +174,28 @@ fn flipped_bytes_are_not_built_upon() {
     assert_eq!(mapped.evermap("layers", &[]).expect(0).stdout, layers);
 }
 
+/// The end of a Parquet file says where all the rest is.
+#[test]
+fn an_end_that_lies_is_damage_and_no_panic() {
+    let mapped = Mapped::new();
+    let path = &mapped.artifacts("lanes")[0];
+    let whole = std::fs::read(path).unwrap();
+    for from_end in [1, 4, 5, 6] {
+        let mut bytes = whole.clone();
+        bytes[whole.len() - from_end] ^= 0x7f;
+        std::fs::write(path, &bytes).unwrap();
+        let asked = mapped.evermap("sql", &["SELECT * FROM lanes"]);
+        let refused = asked.expect(1).stderr;
+        assert!(
+            refused.contains("found a damaged one"),
+            "{from_end}: {refused}"
+        );
+    }
+    mapped.evermap("verify", &[]).expect(1);
+    mapped.run("b").expect(0);
+    mapped.evermap("verify", &[]).expect(0);
+}
+
 /// A plan that reads a layer of the version before.
 const GROWN: &str = "plan: grown
 extends: trajectory

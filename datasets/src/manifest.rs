@@ -26,6 +26,8 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value, json};
 
+use crate::stores::read_text;
+
 /// A session manifest.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -147,7 +149,7 @@ impl Manifest {
     /// # Errors
     /// A user fault when it cannot be read.
     pub fn text(path: &Path) -> Result<String, Fault> {
-        std::fs::read_to_string(path).map_err(|error| {
+        read_text(path).map_err(|error| {
             let fault = format!("expected a session manifest, found {error}");
             Fault::user(fault).at(path.display())
         })

@@ -1,5 +1,6 @@
 //! Where logs are: local paths, globs, and any URL that `object_store` reads.
 
+use std::io::Read;
 use std::path::{Path as FilePath, PathBuf};
 use std::sync::Arc;
 
@@ -147,6 +148,39 @@ fn check_file(path: &FilePath) -> Result<(), Fault> {
     Err(Fault::user(format!("expected a file, found {kind}"))
         .next("record it to a file first")
         .at(path.display()))
+}
+
+/// What a person wrote is not as large: plans, manifests, labels of other programs.
+const LARGEST_TEXT: u64 = 256 << 20;
+
+/// A file that a person wrote, whole.
+///
+/// # Errors
+/// What keeps it from being read; that it is a pipe or a device, which might never end, or too large.
+pub fn read_bytes(path: &FilePath) -> std::io::Result<Vec<u8>> {
+    let found = std::fs::metadata(path)?;
+    if !found.is_file() && !found.is_dir() {
+        let kind = special(found.file_type());
+        return Err(std::io::Error::other(format!("{kind}, and no file")));
+    }
+    let mut bytes = Vec::new();
+    let mut file = std::fs::File::open(path)?.take(LARGEST_TEXT + 1);
+    if file.read_to_end(&mut bytes)? as u64 > LARGEST_TEXT {
+        let most = LARGEST_TEXT >> 20;
+        return Err(std::io::Error::other(format!(
+            "a file of more than {most} MiB"
+        )));
+    }
+    Ok(bytes)
+}
+
+/// The same as text.
+///
+/// # Errors
+/// As [`read_bytes`], or where it is none.
+pub fn read_text(path: &FilePath) -> std::io::Result<String> {
+    let no_text = |_| std::io::Error::other("bytes that are no UTF-8");
+    String::from_utf8(read_bytes(path)?).map_err(no_text)
 }
 
 #[cfg(unix)]

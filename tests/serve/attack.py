@@ -158,6 +158,17 @@ def slow(http, postgres):
             check(code == 200, f"{what} that nobody reads keeps its place: {code}")
 
 
+def busy(http):
+    """A query that computes without a pause is answered when its time is over, and others beside it."""
+    query = b"SELECT levenshtein(repeat('a', 200000), repeat('b', 200000)) AS far"
+    begun = time.monotonic()
+    code, said = status(http + "/sql?query=" + quoted(query).decode())
+    check(code == 503 and b"took longer" in said, f"{code} {said[:200]!r}")
+    check(time.monotonic() - begun < 15, "a query that computes has no end")
+    code, _ = status(http + "/sql?query=SELECT%201")
+    check(code == 200, f"beside a query that computes: {code}")
+
+
 def quoted(query):
     return urllib.parse.quote(query.rstrip(b"\0")).encode()
 
@@ -298,6 +309,7 @@ def main(kind, http, postgres, ca=None):
         check(code == 400, f"DROP by HTTP: {code}")
     if kind == "slow":
         slow(http, postgres)
+        busy(http)
     if kind == "closed":
         before_a_password(postgres)
         with connect(postgres, password="byron-1815") as connection:

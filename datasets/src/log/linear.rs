@@ -178,8 +178,15 @@ impl<'a> Scan<'a> {
             }
             match opcode {
                 op::DATA_END => data_ended = true,
-                op::FOOTER => break,
+                op::FOOTER => {
+                    self.behind(next + MAGIC.len() as u64, end);
+                    break;
+                }
                 op::SCHEMA | op::CHANNEL => self.record(opcode, position, length).await?,
+                op::MESSAGE | op::CHUNK if data_ended => {
+                    let detail = "behind the end of the data";
+                    (self.losses).note(Reason::BadRecord, position, Loss::one(length), detail);
+                }
                 _ if data_ended => {}
                 _ => self.record(opcode, position, length).await?,
             }
@@ -191,6 +198,15 @@ impl<'a> Scan<'a> {
             true => Ended::AtEnd,
             false => Ended::Early(position),
         })
+    }
+
+    /// Says that a file goes on behind the end of its log, as those do that were put together by `cat`.
+    fn behind(&self, log_end: u64, file_end: u64) {
+        if log_end < file_end {
+            let loss = Loss::one(file_end - log_end);
+            let detail = "behind the end of the log: expected one log in a file";
+            self.losses.note(Reason::BadRecord, log_end, loss, detail);
+        }
     }
 
     /// Opcode, body length and end of the record at `position`; `None` where there is no complete one.

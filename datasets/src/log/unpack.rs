@@ -173,10 +173,12 @@ impl<R: Read> Zstd<R> {
     /// a damaged head costs nothing that lies before it.
     fn refill(&mut self) -> io::Result<bool> {
         const HEAD: usize = 3;
+        // No block is larger. What the decoder would only pass over may claim to be.
+        const BLOCK: usize = 128 << 10;
         let wanted = match self.wanted {
             0 => 1,
             few @ 1..=HEAD => few,
-            many => many - HEAD,
+            many => (many - HEAD).min(BLOCK),
         };
         self.taken = 0;
         self.input.resize(wanted, 0);
@@ -287,7 +289,12 @@ mod tests {
         assert_eq!(&bytes[..], b"few");
         assert!(damage.unwrap().1.contains("expected 2147483648 B"));
         unpack("zstd", data.clone(), LARGEST_CHUNK + 1).unwrap_err();
-        unpack("rar", data, 3).unwrap_err();
+        unpack("rar", data.clone(), 3).unwrap_err();
+        // A frame to be passed over, of 4 GiB, as it says.
+        let skipped = [&[0x50, 0x2A, 0x4D, 0x18, 0xFF, 0xFF, 0xFF, 0xFF], &data[..]].concat();
+        let mut skipping = Zstd::new(&skipped[..]).unwrap();
+        skipping.read_to_end(&mut Vec::new()).unwrap_err();
+        assert!(skipping.input.capacity() <= 1 << 20);
         let zeros = Bytes::from(packed("zstd", &vec![0; 8 << 20]));
         let (bytes, damage) = unpack("zstd", zeros.clone(), 8 << 20).unwrap();
         assert!(bytes.len() == 8 << 20 && damage.is_none());

@@ -199,6 +199,54 @@ async fn a_summary_that_lies_is_not_believed() {
     assert!(sequences.len() >= expected(&record_ends(&log), data));
 }
 
+/// What `cat` makes of two logs, and messages behind the end of the data, are told.
+#[tokio::test]
+async fn what_lies_behind_an_end_is_counted() {
+    let log = Log {
+        messages: 6,
+        chunk: None,
+        indexed: false,
+        ..Log::default()
+    }
+    .write();
+    let (sequences, losses) = messages(&log).await.unwrap();
+    assert!(sequences.len() == 6 && losses.is_empty());
+    let two = [log.clone(), log.clone()].concat();
+    let (sequences, losses) = messages(&two).await.unwrap();
+    let told: Vec<String> = losses.told().into_keys().collect();
+    assert!(
+        sequences.len() >= 6 && told[0].contains("behind the end of the log"),
+        "{told:?}"
+    );
+    // The last message, once more behind the record that ends the data.
+    let ends = record_ends(&log);
+    let body = |opcode: u8| {
+        let mut starts = [MAGIC.len()]
+            .into_iter()
+            .chain(ends.iter().map(|(end, _)| *end));
+        let start = starts.find(|start| log[*start] == opcode).unwrap();
+        let end = ends
+            .iter()
+            .map(|(end, _)| *end)
+            .find(|end| *end > start)
+            .unwrap();
+        (start, end)
+    };
+    let (message, data_end) = (body(op::MESSAGE), body(op::DATA_END));
+    let late = [
+        &log[..data_end.1],
+        &log[message.0..message.1],
+        &log[data_end.1..],
+    ]
+    .concat();
+    let (sequences, losses) = messages(&late).await.unwrap();
+    let told: Vec<String> = losses.told().into_keys().collect();
+    assert!(
+        sequences.len() == 6 && told[0].contains("behind the end of the data"),
+        "{told:?}"
+    );
+}
+
 #[tokio::test]
 async fn undecodable_messages_are_skipped_and_counted() {
     let log = Log {

@@ -89,7 +89,7 @@ fn file_or_shipped(file: &Path, name: &str) -> Result<(String, Vec<u8>), Fault> 
     if let (Some((name, text)), false) = (shipped, file.is_file()) {
         return Ok((origin(name), text.as_bytes().to_vec()));
     }
-    let bytes = std::fs::read(file).map_err(|error| {
+    let bytes = evermap_datasets::read_bytes(file).map_err(|error| {
         let names = || PLANS.iter().map(|(name, _)| *name);
         let fault = match error.kind() {
             ErrorKind::NotFound => Fault::user(format!("there is no plan {}", file.display())),
@@ -110,6 +110,15 @@ fn file_or_shipped(file: &Path, name: &str) -> Result<(String, Vec<u8>), Fault> 
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+
+    #[test]
+    fn a_plan_is_a_file_that_ends() {
+        let fault = file_or_shipped(Path::new("/dev/zero"), "zero").unwrap_err();
+        assert!(
+            fault.to_string().contains("a device, and no file"),
+            "{fault}"
+        );
+    }
 
     #[test]
     fn a_plan_that_is_nowhere_names_those_that_ship() {

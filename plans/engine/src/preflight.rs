@@ -2,8 +2,8 @@
 //!
 //! A step is *fed* where everything that it must read is there: roles that a session plays, and steps that are fed. A
 //! query is fed by one of its tables, as an outer join or a union may be content with that. What a plan reads of the
-//! version before, topics by name and roles of metadata are there or not as they please. A query that hands what logs
-//! hold to other steps makes nothing of a session by itself.
+//! version before, topics by name and roles of metadata are there or not as they please. A query that hands
+//! what a vehicle is like (its cameras, where they sit) to other steps makes nothing of a session by itself.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -123,9 +123,9 @@ impl Needs {
 }
 
 impl Needs {
-    /// Whether a query of logs alone is there for other steps.
+    /// Whether a query of what a vehicle is like is there for other steps.
     fn is_handed_on(&self, query: &Need) -> bool {
-        let is_of_logs = |input: &Input| matches!(input, Input::Source(_));
+        let is_of_logs = |input: &Input| matches!(input, Input::Source(name) if is_lasting(name));
         let is_it = |input: &Input| matches!(input, Input::Step(name) if *name == query.step);
         let mut others = self.0.iter().flat_map(|need| &need.inputs);
         query.is_query && query.inputs.iter().all(is_of_logs) && others.any(is_it)
@@ -184,6 +184,13 @@ fn merge(all: &mut Lacks, found: &Lacks) {
 fn is_role(name: &str) -> bool {
     let mut roles = roles::ALL.iter();
     roles.any(|role| role.name == name && role.messages().is_some())
+}
+
+/// Whether a role says what a vehicle is like.
+fn is_lasting(name: &str) -> bool {
+    let role = roles::ALL.iter().find(|role| role.name == name);
+    let messages = role.and_then(|role| role.messages());
+    messages.is_some_and(|messages| messages.lasting)
 }
 
 fn is_optional(registry: &Registry, op: &str, port: &str) -> bool {

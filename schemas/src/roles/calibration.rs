@@ -32,6 +32,7 @@ record! {
 /// Topics with intrinsic calibrations.
 pub const ROLE: Role = Role::of::<Calibration>(Messages {
     drop_repeats: true,
+    lasting: true,
     ..Messages::of::<Calibration>(&["sensor_msgs/CameraInfo", "foxglove.CameraCalibration"])
 });
 

@@ -40,6 +40,8 @@ pub struct Messages {
     pub image: Option<&'static str>,
     /// Whether a row is left out that, but for its stamp, says what the row of its key before it in time says.
     pub drop_repeats: bool,
+    /// Whether it says what a vehicle is like, and not what a drive was: nothing is made of it alone.
+    pub lasting: bool,
     /// From messages to rows.
     pub read: Reader,
 }
@@ -54,6 +56,7 @@ impl Messages {
             members: T::MEMBERS,
             image: None,
             drop_repeats: false,
+            lasting: false,
             read: crate::roles::message::read::<T>,
         }
     }

@@ -26,7 +26,10 @@ record! {
 }
 
 /// Topics with transforms.
-pub const ROLE: Role = Role::of::<Transform>(Messages::of::<Transform>(TYPES));
+pub const ROLE: Role = Role::of::<Transform>(Messages {
+    lasting: true,
+    ..Messages::of::<Transform>(TYPES)
+});
 
 /// Message types of transforms.
 pub(super) const TYPES: &[&str] = &[

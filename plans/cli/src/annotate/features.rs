@@ -53,7 +53,7 @@ pub fn read(
     losses: &mut Losses,
 ) -> Result<Vec<Feature>, Fault> {
     let at = |fault: Fault| fault.at(path.display());
-    let text = std::fs::read_to_string(path)
+    let text = evermap_datasets::read_text(path)
         .map_err(|error| at(Fault::user(format!("expected labels, found {error}"))))?;
     if let Some(program) = Program::of(path, &text) {
         let picture = mosaic.ok_or_else(|| {

@@ -12,6 +12,7 @@ use futures::future::ready;
 use futures::stream::{self, BoxStream};
 use futures::{Stream, StreamExt};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot};
+use tokio::task::AbortHandle;
 use tokio::time::{Instant, timeout_at};
 
 use crate::serve::maps::Opened;
@@ -91,6 +92,7 @@ impl Turn {
         let (send, given) = mpsc::channel(1);
         let (end, ended) = oneshot::channel();
         let items = items.ready_chunks(at_once).boxed();
+        let (last, late) = (self.deadline + GRACE, self.too_long());
         tokio::spawn(async move {
             let done = self.hand_on(items, rows, &send).await;
             // The place is free before the reader learns that this is the end.
@@ -100,8 +102,15 @@ impl Turn {
                 let _ = end.send(error(fault));
             }
         });
-        let next = async |mut given: Given<T, E>| Some((given.recv().await?, given));
-        let items = stream::unfold(given, next).flat_map(stream::iter);
+        let next = move |given: Option<(Given<T, E>, Fault)>| async move {
+            let (mut given, late) = given?;
+            match timeout_at(last, given.recv()).await {
+                Ok(items) => Some((items?, Some((given, late)))),
+                // A computation without a pause does not hear that its time is over.
+                Err(_) => Some((vec![Err(error(late))], None)),
+            }
+        };
+        let items = stream::unfold(Some((given, late)), next).flat_map(stream::iter);
         let end = stream::once(ended).filter_map(|end| ready(end.ok().map(Err)));
         items.chain(end).boxed()
     }
@@ -134,6 +143,9 @@ impl Turn {
     }
 }
 
+/// How long who reads waits beyond the deadline for a query that ends by itself, and says why.
+const GRACE: Duration = Duration::from_secs(1);
+
 /// Items on their way to who reads them.
 type Given<T, E> = mpsc::Receiver<Vec<Result<T, E>>>;
 
@@ -145,17 +157,30 @@ pub struct Answer {
     pub rows: BoxStream<'static, Result<RecordBatch, Fault>>,
 }
 
+/// Ends a task that nobody waits for any longer, as soon as it pauses.
+struct AbortOnDrop(AbortHandle);
+
+impl Drop for AbortOnDrop {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
 /// Answers a query that only reads.
 ///
 /// # Errors
 /// What is wrong with the query; a resource fault when it has to wait too long.
 pub async fn answer(opened: &Opened, query: &str, bounds: &Bounds) -> Result<Answer, Fault> {
     let turn = bounds.turn().await?;
-    let stream = async {
-        let frame = read_only(&opened.context, query).await?;
+    let (context, query) = (opened.context.clone(), query.to_owned());
+    // On a thread that can be left behind: what is planned, and folded meanwhile, may compute for long without a pause.
+    let planned = tokio::spawn(async move {
+        let frame = read_only(&context, &query).await?;
         frame.execute_stream().await.or_fault()
-    };
-    let stream = turn.within(stream).await??;
+    });
+    let _ended = AbortOnDrop(planned.abort_handle());
+    let ended = |error| Fault::bug(format!("planning ended: {error}"));
+    let stream = turn.within(planned).await?.map_err(ended)??;
     let schema = stream.schema();
     let rows = stream.map(|batch| batch.map_err(|error| fault_of(&error)));
     Ok(Answer {

@@ -3,11 +3,15 @@
 use arrow::datatypes::Schema;
 use datafusion::prelude::{DataFrame, ParquetReadOptions, SessionContext};
 use evermap_schemas::Fault;
+use object_store::ObjectStoreExt;
 
 use crate::error::OrFault;
 use crate::map::receipt::Artifact;
 use crate::map::store::{Store, each};
 use crate::sql::{Limits, context};
+
+/// The last bytes of a Parquet file that was written to its end: how long its metadata is, and `PAR1`.
+const PARQUET_END: usize = 8;
 
 /// The rows of some Parquet files of a map, as one table: of this schema, or, where none is given, of the files' own.
 ///
@@ -32,10 +36,28 @@ pub async fn read_files(
     context.read_parquet(urls, options).await.or_fault()
 }
 
+/// Whether a Parquet file was written to its end.
+///
+/// # Errors
+/// A resource fault when the store does not answer.
+pub async fn is_whole(store: &Store, name: &str, bytes: u64) -> Result<bool, Fault> {
+    let Some(end) = bytes.checked_sub(PARQUET_END as u64) else {
+        return Ok(false);
+    };
+    let path = store.path(name);
+    let found = store.objects().get_range(&path, end..bytes).await;
+    let found = found.map_err(|error| crate::error::store_fault(&error, name))?;
+    let Some((length, mark)) = found.split_first_chunk::<4>() else {
+        return Ok(false);
+    };
+    // What reads Parquet believes the length of what lies before these bytes.
+    Ok(mark == b"PAR1" && u64::from(u32::from_le_bytes(*length)) <= end)
+}
+
 /// The rows of artifacts, as one table.
 ///
 /// # Errors
-/// As [`read_files`], and a data fault where one is missing or not as large as it was written.
+/// As [`read_files`], and a data fault where one is missing, not as large as it was written, or has another end.
 pub async fn read_artifacts(
     context: &SessionContext,
     store: &Store,
@@ -45,6 +67,17 @@ pub async fn read_artifacts(
     if let Some(damage) = damages.into_iter().flatten().next() {
         return Err(damage.into());
     }
+    let are_whole = artifacts.iter().map(async |artifact| {
+        let name = artifact.name();
+        match is_whole(store, &name, artifact.bytes).await? {
+            true => Ok(()),
+            false => Err(Fault::data(format!(
+                "{name}: expected a Parquet file, found a damaged one"
+            ))
+            .next("run the plan again, which makes it anew")),
+        }
+    });
+    each(are_whole).await?;
     read_files(context, store, artifacts.iter().map(Artifact::name), None).await
 }
 

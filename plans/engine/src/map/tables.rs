@@ -13,18 +13,14 @@ use evermap_contract::Registry;
 use evermap_language::{listed, nearest};
 use evermap_schemas::dictionary::{ColumnInfo, columns};
 use evermap_schemas::{Fault, Layer, LayerRow, batch};
-use object_store::ObjectStoreExt;
 use tokio::sync::OnceCell;
 
 use crate::error::{OrFault, external};
-use crate::map::artifact::{read_artifacts, read_files};
+use crate::map::artifact::{is_whole, read_artifacts, read_files};
 use crate::map::flat;
 use crate::map::logs::LogTables;
-use crate::map::store::{Store, each};
+use crate::map::store::each;
 use crate::map::{LayerInfo, Map, RunRow, VersionInfo, beside, versions};
-
-/// The last bytes of a Parquet file that was written to its end.
-const PARQUET_END: &[u8] = b"PAR1";
 
 /// The tables of a map: its published layers, and what it says of itself.
 pub struct Tables {
@@ -209,20 +205,6 @@ impl Tables {
         // Older files have fewer columns.
         read_files(context, store, whole, Some(&none.schema())).await
     }
-}
-
-/// Whether a Parquet file was written to its end.
-///
-/// # Errors
-/// A resource fault when the store does not answer.
-pub async fn is_whole(store: &Store, name: &str, bytes: u64) -> Result<bool, Fault> {
-    let Some(end) = bytes.checked_sub(PARQUET_END.len() as u64) else {
-        return Ok(false);
-    };
-    let path = store.path(name);
-    let found = store.objects().get_range(&path, end..bytes).await;
-    let found = found.map_err(|error| crate::error::store_fault(&error, name))?;
-    Ok(found == PARQUET_END)
 }
 
 #[async_trait]

@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use evermap_schemas::{Fault, Kind, record};
 
+use crate::map::artifact::is_whole;
 use crate::map::damage::{Damage, content_damage};
 use crate::map::parts::PARTS;
 use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
 use crate::map::store::{Store, each};
-use crate::map::tables::is_whole;
 use crate::map::version::Version;
 
 record! {
