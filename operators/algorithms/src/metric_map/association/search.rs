@@ -15,13 +15,6 @@ use crate::metric_map::visibility::{Reaches, Visibility};
 /// A feature nearer than this to the best one, pixels, is no rival: key points of several scales lie on one corner.
 const SAME_PLACE_PX: f64 = 2.0;
 
-/// A motion is found from so many hits, if there are as many: with its six unknowns it is then six times as exact as they
-/// are.
-const ENOUGH_HITS: usize = 256;
-
-/// Candidates are sought in so many parts, each spread over all of them, until there are enough hits for a motion.
-const PARTS: usize = 8;
-
 /// A feature that looks like a landmark, where the landmark should be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Hit {
@@ -154,15 +147,13 @@ impl<'a> Search<'a> {
             let seen: Vec<Resighting> = hits.iter().map(|hit| self.resighting(hit)).collect();
             (hits.len() >= least).then(|| agreed_pose(&seen, pose, from_px, agree_px / 2.0))
         };
-        let cameras = self.cameras(keyframe, pose);
-        let mut hits = Vec::new();
-        for part in 0..PARTS {
-            let part = candidates.iter().skip(part).step_by(PARTS);
-            hits.extend(self.seek(&cameras, first, grids, part, radius_px));
-            if hits.len() >= ENOUGH_HITS.max(least) {
-                break;
-            }
-        }
+        let hits = self.seek(
+            &self.cameras(keyframe, pose),
+            first,
+            grids,
+            &candidates,
+            radius_px,
+        );
         let pose = agreed(&hits, pose, radius_px)?;
         let cameras = self.cameras(keyframe, &pose);
         candidates.retain_mut(|candidate| {
@@ -252,19 +243,19 @@ impl<'a> Search<'a> {
     }
 
     /// The unrivalled feature of each candidate, in a keyframe's images, of which `first` is the first.
-    fn seek<'c>(
+    fn seek(
         &self,
         cameras: &[Pose],
         first: u32,
         grids: &[FeatureGrid],
-        candidates: impl IntoIterator<Item = &'c Candidate>,
+        candidates: &[Candidate],
         radius_px: f64,
     ) -> Vec<Hit> {
         let look = |candidate: &Candidate| {
             let at = (candidate.image - first) as usize;
             self.look_for(candidate, &cameras[at].translation, &grids[at], radius_px)
         };
-        candidates.into_iter().filter_map(look).collect()
+        candidates.iter().filter_map(look).collect()
     }
 
     fn look_for(
