@@ -1,6 +1,6 @@
 //! `evermap sql`.
 
-mod missing;
+pub mod missing;
 
 use std::io::IsTerminal;
 use std::path::Path;
@@ -365,7 +365,7 @@ pub async fn sql(args: &SqlArgs) -> Ending {
     let (sessions, query) = args.split();
     let tables = Arc::new(Tables::open(args, &sessions).await?);
     match query {
-        Some(query) => all(&tables, &query, args).await?,
+        Some(query) => all(&tables, statements(&query)?, args).await?,
         None if is_prompt(args) => prompt::run(&tables, args.format).await?,
         None => {
             let text = std::io::read_to_string(std::io::stdin())
@@ -386,21 +386,22 @@ async fn script(tables: &Tables, text: &str, args: &SqlArgs) -> Result<(), Failu
             continue;
         }
         commands = true;
-        if !statements(&queries)?.is_empty() {
-            all(tables, &std::mem::take(&mut queries), args).await?;
+        let asked = statements(&std::mem::take(&mut queries))?;
+        if !asked.is_empty() {
+            all(tables, asked, args).await?;
         }
         if !prompt::command(tables, line).await? {
             return Ok(());
         }
     }
-    match commands && statements(&queries)?.is_empty() {
+    let asked = statements(&queries)?;
+    match commands && asked.is_empty() {
         true => Ok(()),
-        false => all(tables, &queries, args).await,
+        false => all(tables, asked, args).await,
     }
 }
 
-async fn all(tables: &Tables, text: &str, args: &SqlArgs) -> Result<(), Failure> {
-    let statements = statements(text)?;
+async fn all(tables: &Tables, statements: Vec<Statement>, args: &SqlArgs) -> Result<(), Failure> {
     let to_one_file = args.out.is_some() || args.format.is_binary();
     if statements.is_empty() || (statements.len() > 1 && to_one_file) {
         let expected = if to_one_file { "one query" } else { "a query" };

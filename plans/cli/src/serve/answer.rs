@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
+use datafusion::common::runtime::SpawnedTask;
 use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::sql::read_only;
 use evermap_schemas::Fault;
@@ -12,7 +13,6 @@ use futures::future::ready;
 use futures::stream::{self, BoxStream};
 use futures::{Stream, StreamExt};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot};
-use tokio::task::AbortHandle;
 use tokio::time::{Instant, timeout_at};
 
 use crate::serve::maps::Opened;
@@ -157,15 +157,6 @@ pub struct Answer {
     pub rows: BoxStream<'static, Result<RecordBatch, Fault>>,
 }
 
-/// Ends a task that nobody waits for any longer, as soon as it pauses.
-struct AbortOnDrop(AbortHandle);
-
-impl Drop for AbortOnDrop {
-    fn drop(&mut self) {
-        self.0.abort();
-    }
-}
-
 /// Answers a query that only reads.
 ///
 /// # Errors
@@ -174,13 +165,12 @@ pub async fn answer(opened: &Opened, query: &str, bounds: &Bounds) -> Result<Ans
     let turn = bounds.turn().await?;
     let (context, query) = (opened.context.clone(), query.to_owned());
     // On a thread that can be left behind: what is planned, and folded meanwhile, may compute for long without a pause.
-    let planned = tokio::spawn(async move {
+    let planned = SpawnedTask::spawn(async move {
         let frame = read_only(&context, &query).await?;
         frame.execute_stream().await.or_fault()
     });
-    let _ended = AbortOnDrop(planned.abort_handle());
     let ended = |error| Fault::bug(format!("planning ended: {error}"));
-    let stream = turn.within(planned).await?.map_err(ended)??;
+    let stream = turn.within(planned.join()).await?.map_err(ended)??;
     let schema = stream.schema();
     let rows = stream.map(|batch| batch.map_err(|error| fault_of(&error)));
     Ok(Answer {

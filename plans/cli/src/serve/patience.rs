@@ -1,16 +1,31 @@
 //! Connections that come and ask for nothing, or never end to ask: they hold nobody else up.
 
+use std::fmt::Display;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::sync::Notify;
+use tokio::sync::{Notify, OwnedSemaphorePermit};
 use tokio::time::timeout;
 
 /// Time until a connection must have asked for something, or come in.
-pub const PATIENCE: Duration = Duration::from_secs(10);
+const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Connections at once that have not come in yet, or that speak HTTP; more are closed.
 pub const WAITING: usize = 2048;
+
+/// Has a connection answered beside others, in its place among those that wait; one that asks for nothing is ended.
+pub fn attend<E: Display>(
+    place: OwnedSemaphorePermit,
+    asked: Asked,
+    connection: impl Future<Output = Result<(), E>> + Send + 'static,
+) {
+    tokio::spawn(async move {
+        if let Some(Err(error)) = asked.within(PATIENCE, connection).await {
+            tracing::debug!("a connection ended: {error}");
+        }
+        drop(place);
+    });
+}
 
 /// That a connection has asked for something.
 #[derive(Debug, Clone, Default)]
@@ -23,7 +38,7 @@ impl Asked {
     }
 
     /// What a connection ends with; `None` where it is ended, as it has asked for nothing in time.
-    pub async fn within<T>(self, time: Duration, connection: impl Future<Output = T>) -> Option<T> {
+    async fn within<T>(self, time: Duration, connection: impl Future<Output = T>) -> Option<T> {
         let mut connection = std::pin::pin!(connection);
         tokio::select! {
             done = &mut connection => return Some(done),

@@ -6,6 +6,7 @@ use evermap_schemas::Fault;
 use object_store::ObjectStoreExt;
 
 use crate::error::OrFault;
+use crate::map::damage::Damage;
 use crate::map::receipt::Artifact;
 use crate::map::store::{Store, each};
 use crate::sql::{Limits, context};
@@ -54,6 +55,19 @@ pub async fn is_whole(store: &Store, name: &str, bytes: u64) -> Result<bool, Fau
     Ok(mark == b"PAR1" && u64::from(u32::from_le_bytes(*length)) <= end)
 }
 
+/// What is wrong with an artifact as far as its size and its end tell.
+async fn damage(store: &Store, artifact: &Artifact) -> Result<Option<Damage>, Fault> {
+    let (damage, file) = (artifact.size_damage(store).await?, artifact.name());
+    if damage.is_some() || is_whole(store, &file, artifact.bytes).await? {
+        return Ok(damage);
+    }
+    Ok(Some(Damage {
+        file,
+        expected: "a Parquet file".to_owned(),
+        found: Some("a damaged one".to_owned()),
+    }))
+}
+
 /// The rows of artifacts, as one table.
 ///
 /// # Errors
@@ -63,21 +77,10 @@ pub async fn read_artifacts(
     store: &Store,
     artifacts: &[Artifact],
 ) -> Result<DataFrame, Fault> {
-    let damages = each(artifacts.iter().map(|artifact| artifact.size_damage(store))).await?;
+    let damages = each(artifacts.iter().map(|artifact| damage(store, artifact))).await?;
     if let Some(damage) = damages.into_iter().flatten().next() {
         return Err(damage.into());
     }
-    let are_whole = artifacts.iter().map(async |artifact| {
-        let name = artifact.name();
-        match is_whole(store, &name, artifact.bytes).await? {
-            true => Ok(()),
-            false => Err(Fault::data(format!(
-                "{name}: expected a Parquet file, found a damaged one"
-            ))
-            .next("run the plan again, which makes it anew")),
-        }
-    });
-    each(are_whole).await?;
     read_files(context, store, artifacts.iter().map(Artifact::name), None).await
 }
 

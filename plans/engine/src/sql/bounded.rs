@@ -105,7 +105,8 @@ impl Bounded {
         let numbers: Vec<_> = columns.iter().map(integers).collect();
         let sizes: Vec<_> = columns.iter().map(sizes).collect();
         let first = columns.first();
-        let elements = first.and_then(|column| integers(&length(column).ok()?));
+        let joined = first.filter(|_| self.growth == Growth::Joined);
+        let elements = joined.and_then(|column| integers(&length(column).ok()?));
         let rows = first.map_or(0, |column| column.len());
         let bytes = (0..rows).map(|row| {
             let number = |index: usize| numbers.get(index).and_then(|column| at(column, row));
@@ -167,8 +168,7 @@ fn intervals(column: &ArrayRef) -> Option<Int64Array> {
     Some(spans.map(span).collect())
 }
 
-/// How long the texts of a column are, bytes; of lists how many bytes their values take, one each at least; `None` for a
-/// column of others.
+/// How long the texts of a column are, bytes; of lists how many bytes their values take; `None` for a column of others.
 fn sizes(column: &ArrayRef) -> Option<Int64Array> {
     match column.data_type() {
         DataType::Utf8View => sizes(&cast(column, &DataType::LargeUtf8).ok()?),

@@ -34,7 +34,7 @@ use crate::serve::answer::Bounds;
 use crate::serve::flight;
 use crate::serve::http::metrics::Counts;
 use crate::serve::maps::{Maps, ServedMap};
-use crate::serve::patience::{Asked, PATIENCE, WAITING};
+use crate::serve::patience::{Asked, WAITING, attend};
 use crate::serve::teach::Teaching;
 use crate::serve::tls::PrivateListener;
 
@@ -99,12 +99,9 @@ async fn accept<L: Listener>(mut listener: L, router: Router) -> Result<(), Faul
             asks.now();
             answers.call(request)
         });
-        tokio::spawn(async move {
+        attend(place, asked, async move {
             let connection = builder.serve_connection_with_upgrades(TokioIo::new(io), service);
-            if let Some(Err(error)) = asked.within(PATIENCE, connection).await {
-                tracing::debug!("a connection ended: {error}");
-            }
-            drop(place);
+            connection.await
         });
     }
 }

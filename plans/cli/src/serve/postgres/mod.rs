@@ -43,10 +43,11 @@ use pgwire::tokio::process_socket;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 
+use crate::commands::sql::missing::{missing_function, missing_table};
 use crate::serve::access::Access;
 use crate::serve::answer::{Bounds, Turn};
 use crate::serve::maps::{Maps, Opened};
-use crate::serve::patience::{Asked, PATIENCE, WAITING};
+use crate::serve::patience::{Asked, WAITING, attend};
 use crate::serve::postgres::startup::{Startup, is_in};
 
 pub use catalog::complete_catalog;
@@ -87,14 +88,8 @@ pub async fn serve(
             asked.clone(),
         );
         let handlers = Arc::new(Handlers::new(startup, &maps, &bounds, &manager));
-        let tls = access.tls.clone();
-        tokio::spawn(async move {
-            let connection = process_socket(socket, tls, handlers);
-            if let Some(Err(error)) = asked.within(PATIENCE, connection).await {
-                tracing::debug!("a connection ended: {error}");
-            }
-            drop(waits);
-        });
+        let connection = process_socket(socket, access.tls.clone(), handlers);
+        attend(waits, asked, connection);
     }
 }
 
@@ -434,9 +429,9 @@ fn said(fault: &Fault) -> PgWireError {
 fn code_of(message: &str) -> &'static str {
     let says = |text: &str| message.contains(text);
     match () {
-        () if says("table '") && says("not found") => "42P01",
+        () if missing_table(message).is_some() => "42P01",
         () if says("No field named") => "42703",
-        () if says("Invalid function") => "42883",
+        () if missing_function(message).is_some() => "42883",
         () if says("ParserError") || says("parser error") => "42601",
         () if says("Divide by zero") => "22012",
         () => "42000",

@@ -42,7 +42,9 @@ impl NoopStartupHandler for Anybody {
 
 /// That a client was let in, and its place. The library tells by the state of a connection, which an error changes as
 /// well.
-struct In(#[allow(dead_code, reason = "it is left when the connection ends")] OwnedSemaphorePermit);
+struct In {
+    _place: OwnedSemaphorePermit,
+}
 
 /// Whether the client was let in.
 pub fn is_in<C: ClientInfo>(client: &C) -> bool {
@@ -102,7 +104,8 @@ impl StartupHandler for Startup {
         if matches!(client.state(), PgWireConnectionState::ReadyForQuery) {
             let place = Arc::clone(&self.places).try_acquire_owned();
             let full = |_| error("FATAL", "53300", "too many connections; try again later");
-            client.session_extensions().insert(In(place.map_err(full)?));
+            let _place = place.map_err(full)?;
+            client.session_extensions().insert(In { _place });
             self.asked.now();
         }
         Ok(())
