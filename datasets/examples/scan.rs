@@ -12,6 +12,7 @@ use std::error::Error;
 use std::time::Instant;
 
 use datafusion::common::TableReference;
+use datafusion::error::DataFusionError;
 use datafusion::prelude::{SessionConfig, SessionContext};
 use evermap_datasets::Dataset;
 use futures::StreamExt;
@@ -42,13 +43,23 @@ fn scan(file: &str, topic: &str, threads: usize) -> Result<serde_json::Value, Bo
         let dataset = Dataset::open(&context.runtime_env(), &[file.to_owned()], None).await?;
         dataset.register(&context)?;
         let table = context.table(TableReference::bare(topic)).await?;
+        let streams = table.execute_stream_partitioned().await?;
+        let read = streams.into_iter().map(|mut stream| {
+            tokio::spawn(async move {
+                let (mut rows, mut bytes) = (0, 0);
+                while let Some(batch) = stream.next().await {
+                    let batch = batch?;
+                    rows += batch.num_rows();
+                    bytes += batch.get_array_memory_size();
+                }
+                Ok::<_, DataFusionError>((rows, bytes))
+            })
+        });
         let (mut rows, mut bytes) = (0, 0);
-        for mut stream in table.execute_stream_partitioned().await? {
-            while let Some(batch) = stream.next().await {
-                let batch = batch?;
-                rows += batch.num_rows();
-                bytes += batch.get_array_memory_size();
-            }
+        for read in read.collect::<Vec<_>>() {
+            let (more_rows, more_bytes) = read.await??;
+            rows += more_rows;
+            bytes += more_bytes;
         }
         Ok(json!({ "rows": rows, "bytes": bytes, "seconds": start.elapsed().as_secs_f64() }))
     })

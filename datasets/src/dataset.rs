@@ -222,7 +222,7 @@ fn topics_of(parts: &[LogPart]) -> Vec<Topic> {
         for channel in part.index.channels.values() {
             let (schema, messages) = topics.entry(&channel.topic).or_default();
             *messages += part.index.channel_messages(channel.id).unwrap_or(0);
-            if let Some(found) = &channel.schema {
+            if let Some(found) = part.index.schema_of(channel) {
                 *schema = &found.name;
             }
         }

@@ -9,7 +9,7 @@ use datafusion::datasource::MemTable;
 use evermap_schemas::{Bytes, Fault, Record, Stamp, record};
 
 use crate::fault::OrFault;
-use crate::log::index::LogChannel;
+use crate::log::definition::LogChannel;
 use crate::scan::{LazyTable, schema_of};
 use crate::session::{LogPart, Session};
 
@@ -108,7 +108,7 @@ fn session_row(session: &Session) -> SessionRow {
 }
 
 fn channel_row(part: &LogPart, channel: &LogChannel) -> ChannelRow {
-    let schema = channel.schema.as_deref();
+    let schema = part.index.schema_of(channel);
     let refused = part.message_type(channel.id).and_then(|t| t.as_ref().err());
     ChannelRow {
         session: part.session.to_string(),

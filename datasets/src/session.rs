@@ -13,7 +13,8 @@ use futures::StreamExt;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 
 use crate::log::heads::{self, AttachmentHead};
-use crate::log::index::{LogChannel, LogIndex};
+use crate::log::definition::LogChannel;
+use crate::log::index::LogIndex;
 use crate::log::window::store_fault;
 use crate::losses::{FileLosses, Loss, LossLedger, Reason};
 use crate::manifest::Roles;
@@ -47,14 +48,12 @@ impl Session {
 
     /// Message types of its topics, as their logs spell them.
     pub fn message_types(&self) -> BTreeMap<String, String> {
-        let channels = self
-            .parts
-            .iter()
-            .flat_map(|part| part.index.channels.values());
-        let typed = channels.map(|channel| {
-            let schema = channel.schema.as_deref();
-            let name = schema.map_or_else(|| "no schema".to_owned(), |schema| schema.name.clone());
-            (channel.topic.clone(), name)
+        let typed = self.parts.iter().flat_map(|part| {
+            part.index.channels.values().map(|channel| {
+                let schema = part.index.schema_of(channel);
+                let name = schema.map_or_else(|| "no schema".to_owned(), |found| found.name.clone());
+                (channel.topic.clone(), name)
+            })
         });
         typed.collect()
     }
@@ -154,7 +153,7 @@ impl LogPart {
         for channel in index.channels.values() {
             let of_topic = topics.entry(channel.topic.clone()).or_default();
             of_topic.push(channel.id);
-            let schema = channel.schema.as_ref().map(Arc::as_ptr);
+            let schema = index.schema_of(channel).map(Arc::as_ptr);
             let next = shared.len();
             let key = (channel.message_encoding.as_str(), schema);
             places.insert(channel.id, *shared.entry(key).or_insert(next));
@@ -255,7 +254,7 @@ impl LogPart {
     }
 
     fn make_type(&self, channel: &LogChannel) -> Result<MessageType, SchemaError> {
-        let schema = channel.schema.as_deref();
+        let schema = self.index.schema_of(channel);
         let (encoding, name, data) = match schema {
             Some(schema) => (&*schema.encoding, &*schema.name, &*schema.data),
             None => ("", "", &[][..]),

@@ -15,6 +15,7 @@ use evermap_video::{Codec, Decoder};
 
 use crate::images::{ImageReader, Place};
 use crate::log::chunk::{Block, Message};
+use crate::log::record::MessageHead;
 use crate::session::LogPart;
 
 /// Decoders of one topic that wait for the frame behind their last one: one for each reader that goes through it.
@@ -182,7 +183,7 @@ impl ImageReader {
             Err(fault) => return Ok(Err(fault)),
         };
         let start = within(part, unit, image);
-        let (messages, _) = Block::loose(bytes, 0).messages(|_| true);
+        let messages = Block::loose(bytes, 0).contents(|_| true).messages;
         let holds = |message: &&Message| (message.start..message.end).contains(&start);
         let channel = messages.iter().find(holds).map(|found| found.head.channel);
         let channel = channel.and_then(|channel| part.index.channels.get(&channel));
@@ -418,7 +419,8 @@ fn within(part: &LogPart, unit: usize, image: &ImageRef) -> usize {
 
 fn find(part: &LogPart, topic: &str, bytes: &Bytes, codec: Codec) -> Vec<Found> {
     let channels: Vec<u16> = part.channels_of(topic).map(|channel| channel.id).collect();
-    let (messages, _) = Block::loose(bytes.clone(), 0).messages(|id| channels.contains(&id));
+    let wanted = |head: &MessageHead| channels.contains(&head.channel);
+    let messages = Block::loose(bytes.clone(), 0).contents(wanted).messages;
     let frame = |message: Message| {
         let message_type = part.message_type(message.head.channel)?.as_ref().ok()?;
         let payload = &bytes[message.start..message.end];

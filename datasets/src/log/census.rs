@@ -34,8 +34,10 @@ pub(crate) struct Census {
     pub paces: BTreeMap<u16, Pace>,
     /// Earliest and latest log time of a message.
     pub times: Option<(i64, i64)>,
-    /// Schema and channel records: opcode and number, body.
-    pub definitions: BTreeMap<(u8, u16), Bytes>,
+    /// Schema and channel records: opcode, body. One that is there again is here once.
+    pub definitions: Vec<(u8, Bytes)>,
+    /// Messages whose log time is beyond what Arrow holds.
+    pub late: u64,
     /// Records that are too short, or out of place.
     pub lost: Loss,
     /// What is wrong with the chunk: then the rest is of what lies before the damage.
@@ -56,6 +58,7 @@ pub(crate) fn census<'a>(
         walk: Walk::new(&head.compression, head.size, data)?,
         room,
         rest: 0,
+        first: BTreeMap::new(),
         census: Census::default(),
     };
     let ended = records.run();
@@ -70,6 +73,8 @@ pub(crate) fn census<'a>(
     census.damage = cut.or(damage);
     if census.damage.is_none() {
         census.lost.add((rest > 0).then_some(rest));
+    }
+    if census.damage.is_none() || census.size == head.size {
         head.check(walk.checksum())?;
     }
     Ok(census)
@@ -80,6 +85,8 @@ struct Records<'a> {
     room: usize,
     /// Bytes at the end that are no complete record.
     rest: u64,
+    /// The first definition of each opcode and number.
+    first: BTreeMap<(u8, u16), usize>,
     census: Census,
 }
 
@@ -122,6 +129,7 @@ impl Records<'_> {
         let census = &mut self.census;
         match head {
             Some(head) => {
+                census.late += u64::from(head.is_late());
                 add(&mut census.paces, head.channel, Pace::of(head.log_time));
                 let (start, end) = census.times.unwrap_or((head.log_time, head.log_time));
                 census.times = Some((start.min(head.log_time), end.max(head.log_time)));
@@ -138,9 +146,6 @@ impl Records<'_> {
             .first_chunk()
             .map(|n| u16::from_le_bytes(*n));
         let key = (opcode, number.unwrap_or(0));
-        if self.census.definitions.contains_key(&key) {
-            return self.walk.skip(length as u64);
-        }
         if length > self.room {
             self.census.lost.add(Some(length as u64));
             return self.walk.skip(length as u64);
@@ -150,8 +155,12 @@ impl Records<'_> {
         if found < length as u64 {
             return Ok(found);
         }
-        self.room -= length;
-        self.census.definitions.insert(key, body.into());
+        let definitions = &mut self.census.definitions;
+        let first = *self.first.entry(key).or_insert(definitions.len());
+        if definitions.get(first).is_none_or(|known| known.1 != body) {
+            self.room -= length;
+            definitions.push((opcode, body.into()));
+        }
         Ok(length as u64)
     }
 }

@@ -1,6 +1,7 @@
 //! Chunks: compressed runs of records, the unit in which a log is read.
 
 use std::io::Read;
+use std::ops::Range;
 
 use bytes::Bytes;
 use mcap::records::op;
@@ -54,10 +55,10 @@ impl Block {
     /// When the bytes are no chunk record, are compressed in an unknown way, or fail their checksum.
     pub fn open(record: &Bytes, offset: u64) -> Result<Self, Damage> {
         let head = ChunkHead::parse(record)?;
-        let (data, cut) = head.data(record)?;
+        let (data, wrong) = head.data(record)?;
         let (bytes, damage) = unpack(&head.compression, data, head.size)?;
-        let damage = cut.or(damage);
-        if damage.is_none() {
+        let damage = wrong.or(damage);
+        if damage.is_none() || bytes.len() as u64 == head.size {
             head.check(crc32fast::hash(&bytes))?;
         }
         let size = bytes.len() as u64;
@@ -129,14 +130,20 @@ impl Block {
         }
     }
 
-    /// The messages of the channels that `wanted` says yes to, ordered by log time; equal times keep the order of
-    /// the file. Beside them, what of the block is no record that can be in one.
-    pub fn messages(&self, mut wanted: impl FnMut(u16) -> bool) -> (Vec<Message>, Loss) {
-        let mut messages = Vec::new();
-        let mut lost = Loss::default();
+    /// What is in it; of messages, those that `wanted` says yes to.
+    pub fn contents(&self, mut wanted: impl FnMut(&MessageHead) -> bool) -> Contents {
+        let Contents {
+            mut messages,
+            mut definitions,
+            mut lost,
+        } = Contents::default();
         let mut records = self.records();
         for (opcode, start, body) in records.by_ref() {
             if opcode != op::MESSAGE {
+                if matches!(opcode, op::SCHEMA | op::CHANNEL) {
+                    let start = start + FRAME as usize;
+                    definitions.push((opcode, start..start + body.len()));
+                }
                 lost.add(stray(opcode, body.len() as u64));
                 continue;
             }
@@ -144,7 +151,7 @@ impl Block {
                 lost.add(Some(FRAME + body.len() as u64));
                 continue;
             };
-            if wanted(head.channel) {
+            if wanted(&head) {
                 let body_start = start + FRAME as usize;
                 let start = body_start + MESSAGE_HEAD;
                 messages.push(Message {
@@ -160,8 +167,23 @@ impl Block {
             lost.add((rest > 0).then_some(rest));
         }
         sort(&mut messages);
-        (messages, lost)
+        Contents {
+            messages,
+            definitions,
+            lost,
+        }
     }
+}
+
+/// What is in a block.
+#[derive(Debug, Default)]
+pub struct Contents {
+    /// Ordered by log time; equal times keep the order of the file.
+    pub messages: Vec<Message>,
+    /// Schema and channel records: opcode, and where in the block's bytes the body is.
+    pub(crate) definitions: Vec<(u8, Range<usize>)>,
+    /// What is no record that can be in a block.
+    pub lost: Loss,
 }
 
 /// Orders messages by log time; equal times keep their order.
@@ -277,11 +299,12 @@ impl ChunkHead {
 
     /// The chunk's data, as far as they are there; beside them, that they are cut.
     fn data(&self, record: &Bytes) -> Result<(Bytes, Option<Damage>), Damage> {
-        let (end, cut) = self.end(record.len() as u64)?;
-        Ok((record.slice(self.start..end as usize), cut))
+        let (end, wrong) = self.end(record.len() as u64)?;
+        Ok((record.slice(self.start..end as usize), wrong))
     }
 
-    /// Where the chunk's data end in its record, of which so many bytes are there; beside it, that they are cut.
+    /// Where the chunk's data end in its record, of which so many bytes are there; beside it, that they are cut, or that
+    /// the record ends before these bytes.
     ///
     /// # Errors
     /// When they do not fit into the record.
@@ -292,8 +315,15 @@ impl ChunkHead {
                 format!("expected data of at most {claimed} B in a chunk record, found {end} B");
             return Err((Reason::BadIndex, detail));
         }
-        let cut = (end > found).then(|| (Reason::Torn, self.cut(found)));
-        Ok((end.min(found), cut))
+        let wrong = if end > found {
+            Some((Reason::Torn, self.cut(found)))
+        } else if claimed < found {
+            let detail = format!("expected a chunk record of {found} B, found one of {claimed} B");
+            Some((Reason::BadIndex, detail))
+        } else {
+            None
+        };
+        Ok((end.min(found), wrong))
     }
 
     /// How the chunk lies in its file, of whose record so many bytes are there.

@@ -4,68 +4,16 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use bytes::Bytes;
 use evermap_schemas::Fault;
-use mcap::records::{ChunkIndex, Statistics};
+use mcap::records::ChunkIndex;
 use object_store::{ObjectMeta, ObjectStore};
 use serde::{Deserialize, Serialize};
 
+use crate::log::definition::{Definition, LogChannel, LogSchema};
 use crate::log::pace::Pace;
 use crate::log::record::{MAGIC, nanoseconds};
 use crate::log::{linear, summary};
-use crate::losses::{Entry, FileLosses, Loss, LossLedger, Reason};
-
-/// Bytes that an index may hold: of schemas and channels, and of the places of records. A recording of ten hours with a
-/// thousand topics takes a fifth of it.
-const INDEX_BYTES: usize = 48 << 20;
-
-/// Bytes that a note of a channel's metadata takes beside its text.
-const NOTE_BYTES: usize = 112;
-
-/// A schema record.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LogSchema {
-    /// Name of the message type.
-    pub name: String,
-    /// Encoding of the schema: `ros2msg`, `protobuf`, …
-    pub encoding: String,
-    /// The schema itself.
-    #[serde(with = "base64_text")]
-    pub data: Bytes,
-}
-
-/// Bytes in JSON.
-mod base64_text {
-    use base64::Engine;
-    use base64::prelude::BASE64_STANDARD;
-    use bytes::Bytes;
-    use serde::de::{Deserialize, Deserializer, Error};
-    use serde::ser::Serializer;
-
-    pub fn serialize<S: Serializer>(bytes: &Bytes, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(&BASE64_STANDARD.encode(bytes))
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Bytes, D::Error> {
-        let bytes = BASE64_STANDARD.decode(String::deserialize(deserializer)?);
-        bytes.map(Bytes::from).map_err(D::Error::custom)
-    }
-}
-
-/// A channel record, with its schema.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LogChannel {
-    /// The channel's number within the file.
-    pub id: u16,
-    /// Topic.
-    pub topic: String,
-    /// Encoding of the payloads: `cdr`, `json`, …
-    pub message_encoding: String,
-    /// Whatever the recorder noted.
-    pub metadata: BTreeMap<String, String>,
-    /// `None` where the channel has no schema.
-    pub schema: Option<Arc<LogSchema>>,
-}
+use crate::losses::{Entry, LossLedger};
 
 /// A stretch of the file that is read at once.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -158,6 +106,8 @@ pub struct LogIndex {
     pub profile: String,
     /// Library that wrote the file.
     pub library: String,
+    /// Schemas by number.
+    pub schemas: BTreeMap<u16, Arc<LogSchema>>,
     /// Channels by number.
     pub channels: BTreeMap<u16, Arc<LogChannel>>,
     /// Stretches that hold messages, in file order.
@@ -204,41 +154,6 @@ impl LogIndex {
         })
     }
 
-    /// Reads the whole file, also where it has a sound summary: what it really holds, beside whose losses those of the
-    /// summary are noted, where it says other things. `None` where the index comes from reading the whole file already.
-    /// Memory does not grow with the file or its chunks.
-    ///
-    /// # Errors
-    /// A resource fault when the store fails.
-    pub(crate) async fn survey(
-        &self,
-        store: &Arc<dyn ObjectStore>,
-        meta: &ObjectMeta,
-        losses: &FileLosses,
-    ) -> Result<Option<Self>, Fault> {
-        if !self.indexed {
-            return Ok(None);
-        }
-        let found = linear::read(store, meta, losses).await?;
-        for (id, channel) in &found.channels {
-            if !self.channels.contains_key(id) {
-                let count = found.channel_messages(*id).unwrap_or(0).max(1);
-                let detail = format!("expected channel {id} in the summary, found none");
-                let loss = Loss { count, bytes: 0 };
-                let topic = &channel.topic;
-                losses.note_topic(Reason::BadSummary, topic, u64::from(*id), loss, detail);
-            }
-        }
-        let (said, counted) = (self.message_count(), found.message_count());
-        if let (Some(said), Some(counted)) = (said, counted)
-            && said != counted
-        {
-            let detail = format!("expected {said} messages as the summary says, found {counted}");
-            losses.note(Reason::BadSummary, meta.size, Loss::one(0), detail);
-        }
-        Ok(Some(found))
-    }
-
     /// Whether it can be the index of a file of this size, as far as it says itself: it was read from one, its
     /// stretches lie inside one behind the other, and what is sorted in an index is sorted. For an index that does not
     /// come from the file right now.
@@ -269,6 +184,35 @@ impl LogIndex {
         units
             .map(|unit| (unit.start_time, unit.end_time))
             .reduce(|(start, end), (from, to)| (start.min(from), end.max(to)))
+    }
+
+    /// Whether it has this schema or channel.
+    ///
+    /// # Errors
+    /// In words, where it has another one of this number.
+    pub(crate) fn has(&self, definition: &Definition) -> Result<bool, String> {
+        let (kind, id, same) = match definition {
+            Definition::Schema(id, schema) => {
+                let known = self.schemas.get(id);
+                ("schema", id, known.map(|known| **known == *schema))
+            }
+            Definition::Channel(channel) => {
+                let known = self.channels.get(&channel.id);
+                let same = known.map(|known| **known == *channel);
+                ("channel", &channel.id, same)
+            }
+        };
+        match same {
+            Some(false) => Err(format!(
+                "expected one definition of {kind} {id}, found two that differ"
+            )),
+            known => Ok(known.is_some()),
+        }
+    }
+
+    /// The schema of a channel of this file; `None` where it has none.
+    pub fn schema_of(&self, channel: &LogChannel) -> Option<&Arc<LogSchema>> {
+        self.schemas.get(&channel.schema_id)
     }
 
     /// Number of messages, where it is known.
@@ -308,120 +252,4 @@ async fn check_kind(store: &Arc<dyn ObjectStore>, meta: &ObjectMeta) -> Result<(
         Fault::data("expected an MCAP log, found a file that does not start like one")
     };
     Err(fault.at(path))
-}
-
-/// Collects what a file holds while its records go by.
-#[derive(Debug)]
-pub(crate) struct Collector {
-    pub index: LogIndex,
-    /// What the recorder counted.
-    pub statistics: Option<Statistics>,
-    /// Bytes that the index may still hold.
-    pub room: usize,
-    /// Whether something found no room.
-    pub full: bool,
-    schemas: BTreeMap<u16, Arc<LogSchema>>,
-    pending: BTreeMap<u16, mcap::records::Channel>,
-}
-
-impl Default for Collector {
-    fn default() -> Self {
-        Self {
-            index: LogIndex::default(),
-            statistics: None,
-            room: INDEX_BYTES,
-            full: false,
-            schemas: BTreeMap::new(),
-            pending: BTreeMap::new(),
-        }
-    }
-}
-
-impl Collector {
-    /// Whether there is room for so many bytes; they are taken.
-    fn take(&mut self, bytes: usize) -> bool {
-        match self.room.checked_sub(bytes) {
-            Some(room) => self.room = room,
-            None => self.full = true,
-        }
-        !self.full
-    }
-
-    /// Takes a stretch of messages, an attachment or a metadata record.
-    pub fn add_unit(&mut self, unit: Unit) {
-        let channels = unit.channels.as_ref().map_or(0, Vec::len);
-        if !self.take(size_of::<Unit>() + size_of::<u16>() * channels) {
-            return;
-        }
-        let units = match unit.kind {
-            UnitKind::Chunk | UnitKind::Loose => &mut self.index.units,
-            UnitKind::Attachment => &mut self.index.attachments,
-            UnitKind::Metadata => &mut self.index.metadata,
-        };
-        units.push(unit);
-    }
-
-    /// Takes a schema or channel record; whether it is sound.
-    pub fn add_definition(&mut self, opcode: u8, body: &[u8]) -> bool {
-        use mcap::records::Record;
-        match super::record::parse(opcode, body) {
-            Ok(Record::Schema { header, data }) => {
-                if self.schemas.contains_key(&header.id) || !self.take(body.len()) {
-                    return true;
-                }
-                let schema = LogSchema {
-                    name: header.name,
-                    encoding: header.encoding,
-                    data: Bytes::copy_from_slice(&data),
-                };
-                self.schemas.insert(header.id, schema.into());
-            }
-            Ok(Record::Channel(channel))
-                if !self.pending.contains_key(&channel.id)
-                    && self.take(2 * body.len() + NOTE_BYTES * channel.metadata.len()) =>
-            {
-                self.pending.insert(channel.id, channel);
-            }
-            Ok(Record::Channel(_)) => {}
-            _ => return false,
-        }
-        true
-    }
-
-    /// Whether every channel refers to a schema that was seen, and `ids` are all channels that were seen.
-    pub fn describes(&self, mut ids: impl Iterator<Item = u16>) -> bool {
-        let complete = |channel: &mcap::records::Channel| {
-            channel.schema_id == 0 || self.schemas.contains_key(&channel.schema_id)
-        };
-        self.pending.values().all(complete) && ids.all(|id| self.pending.contains_key(&id))
-    }
-
-    /// Number of channels seen.
-    pub fn channel_count(&self) -> usize {
-        self.pending.len()
-    }
-
-    pub fn finish(mut self) -> LogIndex {
-        for (id, channel) in self.pending {
-            let channel = LogChannel {
-                id,
-                topic: channel.topic,
-                message_encoding: channel.message_encoding,
-                metadata: channel.metadata,
-                schema: self.schemas.get(&channel.schema_id).cloned(),
-            };
-            self.index.channels.insert(id, Arc::new(channel));
-        }
-        self.index.counts = self.statistics.map(|statistics| {
-            let channels = statistics.channel_message_counts;
-            Counts {
-                messages: statistics.message_count,
-                channels: (!channels.is_empty()).then_some(channels),
-            }
-        });
-        self.index.units.sort_by_key(|unit| unit.offset);
-        self.index.attachments.sort_by_key(|unit| unit.offset);
-        self.index.metadata.sort_by_key(|unit| unit.offset);
-        self.index
-    }
 }

@@ -9,15 +9,16 @@ use evermap_schemas::Fault;
 use mcap::records::{Record, op};
 use object_store::{ObjectMeta, ObjectStore};
 
-use crate::log::census::{Census, census, longest};
-use crate::log::chunk::{ChunkHead, Damage, HEAD};
-use crate::log::index::{Collector, Counts, LogIndex, Unit, UnitKind};
+use crate::log::census::longest;
+use crate::log::collector::Collector;
+use crate::log::index::{Counts, LogIndex, Unit, UnitKind};
 use crate::log::pace::{Pace, add};
-use crate::log::record::{FRAME, MAGIC, MESSAGE_HEAD, MessageHead, frame, parse};
+use crate::log::record::{FRAME, MAGIC, MESSAGE_HEAD, MessageHead, frame, nanoseconds, parse};
 use crate::log::summary::Summary;
-use crate::log::walk::{Pieces, feed};
 use crate::log::window::Window;
 use crate::losses::{FileLosses, Loss, Reason};
+
+mod chunks;
 
 /// Messages outside chunks are read in runs of this many bytes.
 const RUN: u64 = 1 << 20;
@@ -113,6 +114,7 @@ struct Run {
     channels: BTreeSet<u16>,
     start_time: i64,
     end_time: i64,
+    late: u64,
 }
 
 impl<'a> Scan<'a> {
@@ -146,15 +148,19 @@ impl<'a> Scan<'a> {
         let Some(statistics) = &self.collector.statistics else {
             return self.stray_indexes;
         };
+        let index = &self.collector.index;
+        let times = (statistics.message_start_time, statistics.message_end_time);
+        let times = (nanoseconds(times.0), nanoseconds(times.1));
         let loose = self.messages();
         let total = indexed.map(|indexed| indexed.saturating_add(loose));
-        let units = || self.collector.index.units.iter();
+        let units = || index.units.iter();
         let listed: BTreeSet<u16> = units()
             .flat_map(|unit| unit.channels.iter().flatten().copied())
             .collect();
         let unlisted = statistics.channel_message_counts.iter();
         let mut unlisted = unlisted.filter(|(id, count)| **count > 0 && !listed.contains(id));
         self.stray_indexes
+            || index.time_range().is_some_and(|found| found != times)
             || total.is_some_and(|total| total != statistics.message_count)
             || (unlisted.next().is_some() && units().all(|unit| unit.channels.is_some()))
     }
@@ -257,14 +263,17 @@ impl<'a> Scan<'a> {
                         self.collector.index.profile = header.profile;
                         self.collector.index.library = header.library;
                     }
-                    _ => self.malformed("header", offset, length),
+                    _ => {
+                        let detail = "expected a header, found a record that is cut or malformed";
+                        self.bad_record(detail, offset, length);
+                    }
                 }
                 Ok(())
             }
             op::SCHEMA | op::CHANNEL => {
                 let body = self.body(opcode, offset, length).await?;
-                if !self.collector.add_definition(opcode, &body) {
-                    self.malformed("definition", offset, length);
+                if let Err(detail) = self.collector.add_definition(opcode, &body) {
+                    self.bad_record(detail, offset, length);
                 }
                 Ok(())
             }
@@ -272,8 +281,7 @@ impl<'a> Scan<'a> {
         }
     }
 
-    fn malformed(&self, expected: &str, offset: u64, length: u64) {
-        let detail = format!("expected a {expected}, found a record that is cut or malformed");
+    fn bad_record(&self, detail: impl Into<String>, offset: u64, length: u64) {
         let loss = Loss::one(FRAME + length);
         self.losses.note(Reason::BadRecord, offset, loss, detail);
     }
@@ -320,8 +328,10 @@ impl<'a> Scan<'a> {
             channels: BTreeSet::new(),
             start_time: i64::MAX,
             end_time: i64::MIN,
+            late: 0,
         });
         run.end = end;
+        run.late += u64::from(head.is_late());
         run.channels.insert(head.channel);
         run.start_time = run.start_time.min(head.log_time);
         run.end_time = run.end_time.max(head.log_time);
@@ -339,6 +349,7 @@ impl<'a> Scan<'a> {
     fn close_run(&mut self) {
         let Some(run) = self.run.take() else { return };
         let length = run.end - run.start;
+        self.note_late(run.late, run.start);
         self.collector.add_unit(Unit {
             kind: UnitKind::Loose,
             offset: run.start,
@@ -350,84 +361,12 @@ impl<'a> Scan<'a> {
         });
     }
 
-    /// What is there of a chunk at the end of a file that was cut.
-    async fn torn_chunk(&mut self, offset: u64, end: u64) -> Result<(), Fault> {
-        let present = end.saturating_sub(offset);
-        let head = self.window.get(offset, present.min(HEAD)).await?;
-        let head = ChunkHead::parse(&head.unwrap_or_default());
-        match head {
-            Ok(head) => {
-                let cut = (Reason::Torn, head.cut(present));
-                self.chunk(offset, present, Some(cut)).await
-            }
-            Err(_) => Ok(()),
-        }
-    }
-
-    /// Reads the chunk record at `offset`, of which so many bytes are there.
-    async fn chunk(&mut self, offset: u64, present: u64, cut: Option<Damage>) -> Result<(), Fault> {
-        self.close_run();
-        let lost = Loss::one(present);
-        let head = self.window.get(offset, present.min(HEAD)).await?;
-        let census = match ChunkHead::parse(&head.unwrap_or_default()) {
-            Ok(head) => self.census(offset, present, head, cut).await?,
-            Err(damage) => Err(damage),
-        };
-        let census = match census {
-            Ok(census) => census,
-            Err((reason, detail)) => {
-                self.losses.note(reason, offset, lost, detail);
-                return Ok(());
-            }
-        };
-        if let Some((reason, detail)) = &census.damage {
-            self.losses.note(*reason, offset, lost, detail);
-        }
-        if census.lost.count > 0 {
-            let detail = "inside a chunk";
+    /// Says how many messages of a unit have a log time that is beyond what Arrow holds.
+    fn note_late(&self, count: u64, offset: u64) {
+        if count > 0 {
+            let loss = Loss { count, bytes: 0 };
             self.losses
-                .note(Reason::BadRecord, offset, census.lost, detail);
+                .note(Reason::Senseless, offset, loss, MessageHead::LATE);
         }
-        for ((opcode, _), body) in &census.definitions {
-            if !self.collector.add_definition(*opcode, body) {
-                self.malformed("definition", offset, body.len() as u64);
-            }
-        }
-        for (channel, pace) in &census.paces {
-            add(&mut self.paces, *channel, *pace);
-        }
-        let (start_time, end_time) = census.times.unwrap_or_default();
-        self.collector.add_unit(Unit {
-            kind: UnitKind::Chunk,
-            offset,
-            length: present,
-            size: census.size,
-            channels: Some(census.paces.keys().copied().collect()),
-            start_time,
-            end_time,
-        });
-        Ok(())
-    }
-
-    /// Counts what is in a chunk while it is fetched.
-    async fn census(
-        &mut self,
-        offset: u64,
-        present: u64,
-        head: ChunkHead,
-        cut: Option<Damage>,
-    ) -> Result<Result<Census, Damage>, Fault> {
-        let start = offset + head.start as u64;
-        let end = start.saturating_add(head.packed);
-        if end > offset + present && cut.is_none() {
-            let damage = (Reason::BadIndex, head.cut(present));
-            return Ok(Err(damage));
-        }
-        let end = end.min(offset + present);
-        let room = self.collector.room;
-        let (sender, pieces) = Pieces::channel();
-        let task = tokio::task::spawn_blocking(move || census(&head, cut, room, pieces));
-        feed(&mut self.window, start..end, sender).await?;
-        task.await.map_err(|error| Fault::bug(error.to_string()))
     }
 }

@@ -2,12 +2,15 @@
 
 pub(crate) mod census;
 pub mod chunk;
+mod collector;
+pub mod definition;
 pub mod heads;
 pub mod index;
 mod linear;
 pub mod pace;
 pub mod record;
 mod summary;
+mod survey;
 pub mod unpack;
 pub(crate) mod walk;
 pub(crate) mod window;

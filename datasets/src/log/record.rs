@@ -114,6 +114,14 @@ pub struct MessageHead {
 }
 
 impl MessageHead {
+    /// What is said of messages that are late.
+    pub(crate) const LATE: &str = "expected a log time before the year 2262, found a later one";
+
+    /// Whether its log time is beyond what Arrow holds; see [`nanoseconds`].
+    pub(crate) fn is_late(&self) -> bool {
+        self.log_time == i64::MAX
+    }
+
     /// From a message record's body; `None` where it is too short.
     pub fn parse(body: &[u8]) -> Option<Self> {
         Some(Self {

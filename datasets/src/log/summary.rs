@@ -9,7 +9,8 @@ use mcap::records::{ChunkIndex, Footer, Record, op};
 use object_store::{ObjectMeta, ObjectStore};
 
 use crate::log::census::longest;
-use crate::log::index::{Collector, Unit, UnitKind};
+use crate::log::collector::Collector;
+use crate::log::index::{Unit, UnitKind};
 use crate::log::record::{FOOTER, FRAME, MAGIC, frame, nanoseconds, parse, split};
 use crate::log::window::{Window, fetch};
 
@@ -56,7 +57,40 @@ pub(crate) async fn read(
         tracing::warn!(file = %meta.location, "the summary does not match its checksum: reading the file from its start");
         return Ok(None);
     }
+    if !entries_fit(store, meta, &found.collector).await? {
+        return Ok(None);
+    }
     Ok(found.believed(footer.summary_start))
+}
+
+/// Whether there is a record of the length that the summary says wherever it has an attachment or metadata: a longer
+/// one would cover what the summary leaves out.
+async fn entries_fit(
+    store: &Arc<dyn ObjectStore>,
+    meta: &ObjectMeta,
+    collector: &Collector,
+) -> Result<bool, Fault> {
+    let index = &collector.index;
+    for unit in index.attachments.iter().chain(&index.metadata) {
+        let opcode = match unit.kind {
+            UnitKind::Attachment => op::ATTACHMENT,
+            _ => op::METADATA,
+        };
+        let end = unit.offset.saturating_add(FRAME);
+        if end > meta.size {
+            return Ok(false);
+        }
+        let head = fetch(store, &meta.location, unit.offset..end).await?;
+        if frame(&head)
+            != unit
+                .length
+                .checked_sub(FRAME)
+                .map(|length| (opcode, length))
+        {
+            return Ok(false);
+        }
+    }
+    Ok(true)
 }
 
 fn footer(tail: &Bytes) -> Option<Footer> {
@@ -99,6 +133,8 @@ struct Section {
     message_indexes: Vec<(u64, u64)>,
     /// Messages of the chunks so far; `None` once one does not say.
     indexed: Option<u64>,
+    /// An entry contradicts itself.
+    senseless: bool,
 }
 
 impl Section {
@@ -136,7 +172,7 @@ impl Section {
     fn add(&mut self, opcode: u8, body: &[u8]) -> bool {
         let collector = &mut self.collector;
         if matches!(opcode, op::SCHEMA | op::CHANNEL) {
-            return collector.add_definition(opcode, body) && !collector.full;
+            return collector.add_definition(opcode, body).is_ok() && !collector.full;
         }
         match parse(opcode, body) {
             Ok(Record::ChunkIndex(chunk)) => {
@@ -144,6 +180,9 @@ impl Section {
                 let end = unit.end().saturating_add(chunk.message_index_length);
                 self.message_indexes.push((unit.end(), end));
                 let messages = message_count(&chunk);
+                let says = !chunk.message_index_offsets.is_empty();
+                let backwards = chunk.message_start_time > chunk.message_end_time;
+                self.senseless |= says && (messages.is_none() || backwards);
                 self.indexed = self.indexed.zip(messages).map(|(sum, more)| sum + more);
                 collector.add_unit(unit);
             }
@@ -173,13 +212,13 @@ impl Section {
         let known = units.iter().flat_map(|unit| unit.channels.iter().flatten());
         let statistics = collector.statistics.as_ref();
         let promised = statistics.map_or(0, |found| found.channel_count) as usize;
-        let silent =
-            collector.channel_count() == 0 && statistics.is_none_or(|s| s.message_count > 0);
-        // Where neither chunks nor statistics say what channels there are, the definitions may be any part of them.
-        let unsaid = statistics.is_none() && units.iter().any(|unit| unit.channels.is_none());
+        let defined = collector.index.channels.len();
+        let silent = defined == 0 && statistics.is_none_or(|s| s.message_count > 0);
+        // Where nobody counted, the entries of chunks may be any part of what there is.
+        let unsaid = statistics.is_none() && !units.is_empty();
         let counted = statistics.map(|found| found.channel_message_counts.keys());
         let known = known.chain(counted.into_iter().flatten()).copied();
-        if silent || unsaid || collector.channel_count() < promised || !collector.describes(known) {
+        if self.senseless || silent || unsaid || defined < promised || !collector.describes(known) {
             return None;
         }
         let gaps = gaps(collector, self.message_indexes, summary_start)?;

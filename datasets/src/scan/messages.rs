@@ -161,7 +161,7 @@ impl RowBuilder for MessageRows {
                     heads.iter().map(|head| u32::from(head.channel)),
                 )),
                 6 => texts(heads.iter().map(|head| {
-                    let schema = channel(head).and_then(|channel| channel.schema.as_ref());
+                    let schema = channel(head).and_then(|found| self.part.index.schema_of(found));
                     schema.map(|schema| schema.name.as_str())
                 })),
                 _ => data.clone(),

@@ -75,10 +75,10 @@ pub(crate) async fn begin(
     let start = unit.offset..unit.offset + unit.length.min(HEAD);
     let bytes = fetch(&part.store, &part.meta.location, start).await?;
     let found = ChunkHead::parse(&bytes).and_then(|head| {
-        let (end, cut) = head.end(unit.length)?;
-        Ok((head, end, cut))
+        let (end, wrong) = head.end(unit.length)?;
+        Ok((head, end, wrong))
     });
-    let (head, end, cut) = match found {
+    let (head, end, wrong) = match found {
         Ok(found) => found,
         Err(damage) => return Ok(Err(damage)),
     };
@@ -86,7 +86,7 @@ pub(crate) async fn begin(
     let (pieces, surveyed) = fed(&part.store, &part.meta.location, data.clone());
     let claimed = head.clone();
     // Definitions are known from the index: there is no room for them.
-    let counted = SpawnedTask::spawn_blocking(move || census(&claimed, cut, 0, pieces));
+    let counted = SpawnedTask::spawn_blocking(move || census(&claimed, wrong, 0, pieces));
     let counted = joined(counted).await?;
     joined(surveyed).await.flatten()?;
     let census = match counted {
@@ -210,7 +210,7 @@ impl Portions {
             exactly(FRAME + length, self.walk.skip(FRAME + length)?)?;
         }
         match head {
-            Ok(head) => self.strays.see(head.channel),
+            Ok(head) => self.strays.see(&head),
             Err(lost) => self.lost.add(lost),
         }
         Ok(true)

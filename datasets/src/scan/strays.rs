@@ -2,11 +2,14 @@
 
 use std::sync::Arc;
 
+use crate::log::definition::Definition;
 use crate::log::index::Unit;
+use crate::log::record::MessageHead;
 use crate::losses::{Loss, Reason};
 use crate::session::LogPart;
 
-/// Messages that the index does not know of, in a unit that is read for others.
+/// What contradicts the index in a unit that is read. What is read is told; what the index hides altogether, `inspect`
+/// finds, as it reads everything.
 pub(crate) struct Strays {
     part: Arc<LogPart>,
     unit: Unit,
@@ -16,6 +19,12 @@ pub(crate) struct Strays {
     unknown: u64,
     /// Messages of channels that the index does not list here.
     unlisted: u64,
+    /// Messages at other times than the index says.
+    elsewhen: u64,
+    /// Messages whose log time no [`i64`] holds.
+    late: u64,
+    /// Definitions other than those of the index, and one of them in words.
+    redefined: (u64, String),
 }
 
 impl Strays {
@@ -27,35 +36,60 @@ impl Strays {
             known: None,
             unknown: 0,
             unlisted: 0,
+            elsewhen: 0,
+            late: 0,
+            redefined: (0, String::new()),
         }
     }
 
-    /// Takes a message of this channel.
-    pub fn see(&mut self, channel: u16) {
-        if self.known == Some(channel) {
+    /// Takes a message.
+    pub fn see(&mut self, head: &MessageHead) {
+        let said = self.unit.start_time..=self.unit.end_time;
+        self.elsewhen += u64::from(!said.contains(&head.log_time));
+        self.late += u64::from(head.is_late());
+        if self.known == Some(head.channel) {
             return;
         }
-        if !self.part.index.channels.contains_key(&channel) {
+        if !self.part.index.channels.contains_key(&head.channel) {
             self.unknown += 1;
-        } else if !self.unit.may_hold(channel) {
+        } else if !self.unit.may_hold(head.channel) {
             self.unlisted += 1;
         } else {
-            self.known = Some(channel);
+            self.known = Some(head.channel);
+        }
+    }
+
+    /// Takes a schema or channel record.
+    pub fn define(&mut self, opcode: u8, body: &[u8]) {
+        let known = Definition::parse(opcode, body).and_then(|found| self.part.index.has(&found));
+        if let Err(detail) = known {
+            self.redefined.0 += 1;
+            self.redefined.1 = detail;
         }
     }
 
     /// Notes how many there were.
     pub fn note(&self) {
-        let (losses, offset) = (&self.part.losses, self.unit.offset);
-        let loss = |count| Loss { count, bytes: 0 };
-        // An index that was made by reading the file has told of its channels already.
-        if self.unknown > 0 && self.part.index.indexed {
+        let note = |reason, count, detail: &str| {
+            if count > 0 {
+                let loss = Loss { count, bytes: 0 };
+                self.part
+                    .losses
+                    .note(reason, self.unit.offset, loss, detail);
+            }
+        };
+        note(Reason::Senseless, self.late, MessageHead::LATE);
+        // An index that was made by reading the file has told of the rest already.
+        if self.part.index.indexed {
             let detail = "expected messages of the channels in the summary, found others";
-            losses.note(Reason::UnknownChannel, offset, loss(self.unknown), detail);
+            note(Reason::UnknownChannel, self.unknown, detail);
+            note(Reason::BadRecord, self.redefined.0, &self.redefined.1);
         }
-        if self.unlisted > 0 {
-            let detail = "expected messages of the channels that the summary lists for the chunk, found others";
-            losses.note(Reason::BadSummary, offset, loss(self.unlisted), detail);
-        }
+        let detail =
+            "expected messages of the channels that the summary lists for the chunk, found others";
+        note(Reason::BadSummary, self.unlisted, detail);
+        let detail =
+            "expected messages of the times that the summary says of the chunk, found others";
+        note(Reason::BadSummary, self.elsewhen, detail);
     }
 }

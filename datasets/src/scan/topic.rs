@@ -12,7 +12,7 @@ use async_trait::async_trait;
 use evermap_messages::{Decoder, MessageType};
 use evermap_schemas::{Cell, Fault, Stamp};
 
-use crate::log::index::LogChannel;
+use crate::log::definition::LogChannel;
 use crate::log::record::MessageHead;
 use crate::scan::rows::{MessageAt, RowBuilder};
 use crate::scan::table::LogTable;
@@ -222,7 +222,9 @@ impl TopicRows {
         let mut channels = BTreeMap::new();
         for channel in part.channels_of(topic) {
             let same = |other: &&LogChannel| {
-                other.schema == channel.schema && other.message_encoding == channel.message_encoding
+                let schema = |channel| part.index.schema_of(channel);
+                schema(other) == schema(channel)
+                    && other.message_encoding == channel.message_encoding
             };
             let decoder = types.iter().position(same).unwrap_or(types.len());
             if decoder == types.len() {

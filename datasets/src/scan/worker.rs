@@ -165,19 +165,22 @@ impl Worker {
         }
         let mut strays = Strays::new(&self.part, &unit);
         let rows = &self.rows;
-        let (messages, lost) = block.messages(|channel| {
-            strays.see(channel);
+        let contents = block.contents(|head| {
+            strays.see(head);
             match &planned.channels {
-                Some(channels) => channels.binary_search(&channel).is_ok(),
-                None => rows.wants(channel),
+                Some(channels) => channels.binary_search(&head.channel).is_ok(),
+                None => rows.wants(head.channel),
             }
         });
+        for (opcode, body) in contents.definitions {
+            strays.define(opcode, &block.bytes[body]);
+        }
         strays.note();
-        if lost.count > 0 {
-            let losses = &self.part.losses;
+        if contents.lost.count > 0 {
+            let (losses, lost) = (&self.part.losses, contents.lost);
             losses.note(Reason::BadRecord, unit.offset, lost, "inside a chunk");
         }
-        let mut open = Open::new(unit, block, messages);
+        let mut open = Open::new(unit, block, contents.messages);
         open.shares = open.wanted() >= open.block.bytes.len() / 2;
         self.current = Some(open);
     }

@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use crate::common::by_hand::{
-    channel, chunk, chunk_index, file, first, message, record, schema, text,
+    channel, chunk, chunk_index, file, first, message, message_index, record, schema, statistics, text,
 };
 use crate::common::{context, count, in_memory, open_in, packed};
 use datafusion::execution::memory_pool::GreedyMemoryPool;
@@ -19,12 +19,12 @@ use object_store::ObjectStoreExt;
 use object_store::path::Path;
 use url::Url;
 
-async fn opened(log: &[u8]) -> (SessionContext, Dataset) {
+pub async fn opened(log: &[u8]) -> (SessionContext, Dataset) {
     open_in(in_memory(log).await, 1).await.unwrap()
 }
 
 /// Rows of a topic, and how many things of each kind were lost.
-async fn rows(log: &[u8], topic: &str) -> (usize, Vec<(Reason, u64)>) {
+pub async fn rows(log: &[u8], topic: &str) -> (usize, Vec<(Reason, u64)>) {
     let (context, dataset) = opened(log).await;
     let rows = count(&context, &format!("SELECT * FROM \"{topic}\"")).await;
     let losses = dataset.losses.losses().into_iter();
@@ -34,7 +34,7 @@ async fn rows(log: &[u8], topic: &str) -> (usize, Vec<(Reason, u64)>) {
     )
 }
 
-fn messages(of: &[u16], count: u32) -> Vec<u8> {
+pub fn messages(of: &[u16], count: u32) -> Vec<u8> {
     let each = (0..count).flat_map(|n| of.iter().map(move |channel| message(*channel, n, b"{}")));
     each.collect::<Vec<_>>().concat()
 }
@@ -63,29 +63,6 @@ async fn what_a_summary_leaves_out_is_found_or_counted() {
     let length = whole.len() as u64;
     let a = channel(1, 0, "/a", "json");
     let b = channel(2, 0, "/b", "json");
-    let statistics = |messages: u64, channels: u32, counts: &[(u16, u64)]| {
-        let counts: Vec<u8> = counts
-            .iter()
-            .flat_map(|(id, n)| [&id.to_le_bytes()[..], &n.to_le_bytes()].concat())
-            .collect();
-        let head = [
-            &messages.to_le_bytes()[..],
-            &[1, 0],
-            &channels.to_le_bytes(),
-        ]
-        .concat();
-        record(
-            11,
-            &[
-                head,
-                vec![0; 12],
-                1_u64.to_le_bytes().to_vec(),
-                9_u64.to_le_bytes().to_vec(),
-                text(&counts),
-            ]
-            .concat(),
-        )
-    };
     // Nobody says how many channels there are: the file is read.
     let silent = file(
         std::slice::from_ref(&whole),
@@ -97,22 +74,18 @@ async fn what_a_summary_leaves_out_is_found_or_counted() {
         a.clone(),
         b.clone(),
         chunk_index(first(), length, size, &[(1, 5)]),
-        statistics(10, 2, &[(1, 5), (2, 5)]),
+        statistics((1, 9), 2, &[(1, 5), (2, 5)]),
     ];
-    let indexes: Vec<u8> = [1_u16, 2]
-        .iter()
-        .flat_map(|id| record(7, &[&id.to_le_bytes()[..], &text(&[0; 80])].concat()))
-        .collect();
+    let indexes = [message_index(1, 5), message_index(2, 5)].concat();
     let log = file(&[whole.clone(), indexes.clone()], &unlisted);
     assert_eq!(rows(&log, "/b").await, (5, vec![]));
     // The statistics are forged, too: whoever reads the chunk finds messages of nobody.
     let forged = [
         a,
         chunk_index(first(), length, size, &[(1, 5)]),
-        statistics(5, 1, &[(1, 5)]),
+        statistics((1, 9), 1, &[(1, 5)]),
     ];
-    let own = record(7, &[&1_u16.to_le_bytes()[..], &text(&[0; 80])].concat());
-    let log = file(&[whole, own], &forged);
+    let log = file(&[whole, message_index(1, 5)], &forged);
     assert_eq!(
         rows(&log, "/a").await,
         (5, vec![(Reason::UnknownChannel, 5)])

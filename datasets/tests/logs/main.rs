@@ -5,6 +5,7 @@ mod common;
 mod annotations;
 mod conformance;
 mod conformance_tables;
+mod contradictions;
 mod damage;
 mod hostile;
 mod images;

@@ -29,6 +29,27 @@ pub struct Needs(Vec<Need>);
 /// Names of roles.
 pub type Roles = BTreeSet<String>;
 
+/// Roles that a plan reads and that no session plays.
+pub struct Unplayed {
+    /// Steps need them: what is made of them is empty.
+    needed: Vec<&'static str>,
+    /// Steps would use them, but do without.
+    of_use: Vec<&'static str>,
+}
+
+impl Unplayed {
+    /// What a person is told of them.
+    pub fn notes(&self) -> Vec<String> {
+        let told = |roles: &[&str], what: &str| {
+            let roles = (!roles.is_empty()).then(|| roles.join(", "));
+            roles.map(|roles| format!("note: no session has {roles}{what}"))
+        };
+        let empty = told(&self.needed, ": what the plan makes of it is empty");
+        let missed = told(&self.of_use, ", which the plan would use");
+        empty.into_iter().chain(missed).collect()
+    }
+}
+
 /// Roles that are missing, each with the first step that cannot do without.
 pub type Lacks = BTreeMap<String, String>;
 
@@ -67,9 +88,8 @@ impl Needs {
         Self(plan.steps.iter().map(need).collect())
     }
 
-    /// The roles that the program reads and that none of the sessions plays: those that steps cannot do without, and the
-    /// others.
-    pub fn unplayed(&self, program: &Program, played: &[Roles]) -> [Vec<&'static str>; 2] {
+    /// The roles that the program reads and that none of the sessions plays.
+    pub fn unplayed(&self, program: &Program, played: &[Roles]) -> Unplayed {
         let is = |input: &Input, name: &str| matches!(input, Input::Source(table) if table == name);
         let reads = program.stages.iter().flat_map(|stage| &stage.reads);
         let of_logs = reads.filter_map(|read| match &read.table {
@@ -86,8 +106,8 @@ impl Needs {
             let is_played = played.iter().any(|roles| roles.contains(*name));
             is_role(name) && read.contains(name) && !is_played
         });
-        let (needed, others) = unplayed.partition(needed);
-        [needed, others]
+        let (needed, of_use) = unplayed.partition(needed);
+        Unplayed { needed, of_use }
     }
 
     /// What a session that plays some roles lacks, beside sessions that together play `all`; `None` where a step makes

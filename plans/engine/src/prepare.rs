@@ -19,7 +19,7 @@ use crate::fingerprint::{self, Believe, Fingerprint};
 use crate::map::receipt::LogContent;
 use crate::map::store::{Store, each};
 use crate::map::version::{MappedSession, Previous, Version};
-use crate::preflight::{Lacks, Needs, Roles, idle};
+use crate::preflight::{Lacks, Needs, Roles, Unplayed, idle};
 use crate::program::Program;
 use crate::program::compile::compile;
 use crate::run::Run;
@@ -184,10 +184,8 @@ pub struct Prepared {
     pub store: Store,
     /// What the plan reads of the version before, though that version does not have it.
     pub missing: Vec<String>,
-    /// Roles that steps need and that no session plays: what is made of them is empty.
-    pub unplayed: Vec<&'static str>,
-    /// Roles that steps would use, but do without, and that no session plays.
-    pub of_use: Vec<&'static str>,
+    /// Roles that the plan reads and that no session plays.
+    pub unplayed: Unplayed,
     /// Names of the sessions that were given.
     pub given: Vec<String>,
     /// Sessions of which the plan makes nothing, and what they lack.
@@ -267,14 +265,13 @@ impl Prepared {
         let idle = idle(&needs, &given, mapped)?;
         let plays = |session: &MappedSession| session.manifest.roles.keys().cloned().collect();
         let played: Vec<Roles> = sessions.iter().map(plays).collect();
-        let [unplayed, of_use] = needs.unplayed(&program, &played);
+        let unplayed = needs.unplayed(&program, &played);
         let missing = match &base {
             Some(base) => Previous::of(&program, &sessions, Some(base))?.missing(&program),
             None => Vec::new(),
         };
         Ok(Self {
             unplayed,
-            of_use,
             unreadable: unreadable(&given),
             idle,
             replaced,

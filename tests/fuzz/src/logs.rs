@@ -40,8 +40,7 @@ pub fn logs(bytes: &[u8]) {
             _ => Ok(Block::loose(bytes, unit.offset)),
         };
         if let Ok(block) = block {
-            let (messages, _) = block.messages(|_| true);
-            for message in &messages {
+            for message in &block.contents(|_| true).messages {
                 let _ = block.unpack(message);
             }
         }

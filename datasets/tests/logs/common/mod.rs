@@ -247,6 +247,17 @@ pub mod by_hand {
 
     /// The entry of the chunk at `offset` in an index, with the channels that it lists.
     pub fn chunk_index(offset: u64, length: u64, size: u64, listed: &[(u16, u64)]) -> Vec<u8> {
+        chunk_index_of((1, 9), offset, length, size, listed)
+    }
+
+    /// As [`chunk_index`], of a chunk of messages of these times.
+    pub fn chunk_index_of(
+        times: (u64, u64),
+        offset: u64,
+        length: u64,
+        size: u64,
+        listed: &[(u16, u64)],
+    ) -> Vec<u8> {
         let number = |n: u64| n.to_le_bytes().to_vec();
         let offsets: Vec<u8> = listed
             .iter()
@@ -254,8 +265,8 @@ pub mod by_hand {
             .collect();
         let indexes: u64 = listed.iter().map(|(_, messages)| 15 + 16 * messages).sum();
         let parts = [
-            number(1),
-            number(9),
+            number(times.0),
+            number(times.1),
             number(offset),
             number(length),
             text(&offsets),
@@ -265,6 +276,29 @@ pub mod by_hand {
             number(size),
         ];
         record(8, &parts.concat())
+    }
+
+    /// The index of a message of a chunk: so many entries of zeros.
+    pub fn message_index(channel: u16, messages: usize) -> Vec<u8> {
+        let entries = text(&vec![0; 16 * messages]);
+        record(7, &[&channel.to_le_bytes()[..], &entries].concat())
+    }
+
+    /// Statistics of so many messages of these times, by channel.
+    pub fn statistics(times: (u64, u64), channels: u32, counts: &[(u16, u64)]) -> Vec<u8> {
+        let entry = |(id, n): &(u16, u64)| [&id.to_le_bytes()[..], &n.to_le_bytes()].concat();
+        let messages: u64 = counts.iter().map(|(_, n)| n).sum();
+        let counts: Vec<u8> = counts.iter().flat_map(entry).collect();
+        let parts = [
+            messages.to_le_bytes().to_vec(),
+            vec![1, 0],
+            channels.to_le_bytes().to_vec(),
+            vec![0; 12],
+            times.0.to_le_bytes().to_vec(),
+            times.1.to_le_bytes().to_vec(),
+            text(&counts),
+        ];
+        record(11, &parts.concat())
     }
 
     pub fn footer(summary_start: u64) -> Vec<u8> {

@@ -6,7 +6,7 @@ use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
 use evermap_datasets::{Dataset, Manifest};
 use evermap_engine::plan_test::run_tests;
-use evermap_engine::preflight::{Needs, idle, in_words};
+use evermap_engine::preflight::{Needs, idle, in_words, played};
 use evermap_engine::prepare::{self, vocabulary};
 use evermap_engine::program::Program;
 use evermap_language::{Plan, json_schema};
@@ -34,6 +34,11 @@ pub async fn check(args: &PlanArgs) -> Ending {
         line(&format!(
             "warning: the plan cannot use session {session}: it lacks {lacks}"
         ));
+    }
+    if !dataset.sessions.is_empty() {
+        let played: Vec<_> = dataset.sessions.iter().map(played).collect();
+        let unplayed = needs.unplayed(&program, &played);
+        unplayed.notes().iter().for_each(|note| line(note));
     }
     if !parsed.warnings.is_empty() {
         line(parsed.warnings.pretty().trim_end());

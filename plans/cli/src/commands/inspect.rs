@@ -144,7 +144,7 @@ fn channels(part: &LogPart, read: &LogIndex) -> Vec<Channel> {
     let channels = read.channels.values().map(|channel| {
         let pace = read.paces.get(&channel.id);
         let paced = pace.filter(|pace| pace.messages > 1);
-        let schema = channel.schema.as_deref();
+        let schema = read.schema_of(channel);
         let undecodable = match part.message_type(channel.id) {
             Some(Err(error)) => Some(error.to_string()),
             _ => None,

@@ -41,7 +41,7 @@ pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
         .iter()
         .for_each(|warning| line(&format!("warning: {warning}")));
     warn_of_missing(&prepared);
-    tell_of_unplayed(&prepared);
+    prepared.unplayed.notes().iter().for_each(|note| line(note));
     let jobs = jobs(&args.limits);
     let runner = runner(args, &registry, jobs, unfinished).await?;
     let result = loop {
@@ -106,22 +106,6 @@ fn warn_of_missing(prepared: &Prepared) {
     for layer in &prepared.missing {
         line(&format!(
             "warning: version {version} has no layer {layer}, which the plan reads as previous.{layer}; it reads as empty"
-        ));
-    }
-}
-
-/// A plan makes what it can of what the logs hold; what they do not hold reads as empty.
-fn tell_of_unplayed(prepared: &Prepared) {
-    if !prepared.unplayed.is_empty() {
-        line(&format!(
-            "note: no session has {}: what the plan makes of it is empty",
-            prepared.unplayed.join(", ")
-        ));
-    }
-    if !prepared.of_use.is_empty() {
-        line(&format!(
-            "note: no session has {}, which the plan would use",
-            prepared.of_use.join(", ")
         ));
     }
 }

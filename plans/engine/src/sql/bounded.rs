@@ -10,10 +10,13 @@ use arrow::datatypes::{
     DataType, FieldRef, Int64Type, IntervalMonthDayNano, IntervalMonthDayNanoType, IntervalUnit,
     TimeUnit,
 };
-use datafusion::common::Result;
+use datafusion::common::config::ConfigOptions;
+use datafusion::common::tree_node::Transformed;
+use datafusion::common::{DFSchema, Result, ScalarValue, plan_err};
 use datafusion::error::DataFusionError;
 use datafusion::execution::FunctionRegistry;
 use datafusion::logical_expr::expr::Expr;
+use datafusion::logical_expr::expr_rewriter::FunctionRewrite;
 use datafusion::logical_expr::interval_arithmetic::Interval;
 use datafusion::logical_expr::simplify::{ExprSimplifyResult, SimplifyContext};
 use datafusion::logical_expr::sort_properties::{ExprProperties, SortProperties};
@@ -67,6 +70,15 @@ const BOUNDED: [(&str, Growth); 16] = [
     ("concat_ws", Growth::Concatenated),
 ];
 
+/// Aggregates that keep as many centroids as an argument says, and which one says it. Where nothing is said, it is 100.
+const DIGESTS: [(&str, usize); 2] = [
+    ("approx_percentile_cont", 2),
+    ("approx_percentile_cont_with_weight", 3),
+];
+
+/// Centroids of a digest at most: each is allocated before there is a value.
+const CENTROIDS: i64 = 10_000;
+
 /// Has the functions of a context that can grow beyond all bounds refuse what is larger than its memory.
 ///
 /// # Errors
@@ -86,7 +98,32 @@ pub fn bound_functions(context: &SessionContext, memory_bytes: usize) -> Result<
             memory_bytes,
         }));
     }
-    Ok(())
+    let state = context.state_ref();
+    state
+        .write()
+        .register_function_rewrite(Arc::new(BoundDigests))
+}
+
+/// Refuses aggregates that would keep too many centroids.
+#[derive(Debug)]
+struct BoundDigests;
+
+impl FunctionRewrite for BoundDigests {
+    fn name(&self) -> &str {
+        "bound_digests"
+    }
+
+    fn rewrite(&self, expr: Expr, _: &DFSchema, _: &ConfigOptions) -> Result<Transformed<Expr>> {
+        if let Expr::AggregateFunction(call) = &expr
+            && let Some((name, at)) = DIGESTS.iter().find(|(name, _)| *name == call.func.name())
+            && let Some(Expr::Literal(centroids, _)) = call.params.args.get(*at)
+            && let Ok(ScalarValue::Int64(Some(found))) = centroids.cast_to(&DataType::Int64)
+            && !(1..=CENTROIDS).contains(&found)
+        {
+            return plan_err!("{name}: expected 1 to {CENTROIDS} centroids, found {found}");
+        }
+        Ok(Transformed::no(expr))
+    }
 }
 
 /// A function that is asked what its answer takes before it makes it.
@@ -288,6 +325,20 @@ mod tests {
             let fault = run(query).await.unwrap_err().to_string();
             assert!(fault.contains("the limit is 131072"), "{query}: {fault}");
         }
+        for query in [
+            "SELECT approx_percentile_cont(n, 0.5, 9000000000) FROM (VALUES (1), (2)) t (n)",
+            "SELECT approx_percentile_cont(0.5, 2000000000) WITHIN GROUP (ORDER BY n) FROM (VALUES (1)) t (n)",
+            "SELECT approx_percentile_cont_with_weight(n, n, 0.5, 0) FROM (VALUES (1)) t (n)",
+        ] {
+            let fault = run(query).await.unwrap_err().to_string();
+            assert!(
+                fault.contains("expected 1 to 10000 centroids"),
+                "{query}: {fault}"
+            );
+        }
+        run("SELECT approx_percentile_cont(n, 0.5, 200) FROM (VALUES (1), (2)) t (n)")
+            .await
+            .unwrap();
         let answers = run(
             "SELECT repeat('a', 3), lpad('a', 3, '-'), array_repeat(1, 2), range(3), \
              generate_series(1, 2), replace('aba', 'a', 'cc'), repeat(NULL, 3), repeat('a', -1), \

@@ -1,0 +1,191 @@
+//! Summaries, chunks and definitions that contradict each other: the file is read, or what was read is counted.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use evermap_datasets::Reason;
+use evermap_datasets::log::index::LogIndex;
+
+use crate::common::by_hand::{
+    channel, chunk, chunk_index, chunk_index_of, file, first, message, message_at, message_index,
+    record, schema, statistics, text,
+};
+use crate::common::packed;
+use crate::hostile::{messages, opened, rows};
+
+/// A chunk of five messages of `/a` and of `/b` each, at 1 to 5 ns, with its message indexes.
+fn two_topics() -> (Vec<u8>, u64, u64) {
+    let definitions = [channel(1, 0, "/a", "json"), channel(2, 0, "/b", "json")].concat();
+    let inner = [definitions, messages(&[1, 2], 5)].concat();
+    let whole = chunk(inner.len() as u64, "", &inner);
+    let length = whole.len() as u64;
+    (whole, length, inner.len() as u64)
+}
+
+/// A log of [`two_topics`], by what its summary says of channels, times and numbers of messages.
+fn summed_up(listed: &[(u16, u64)], times: (u64, u64), counted: (u64, u64)) -> Vec<u8> {
+    let (whole, length, size) = two_topics();
+    let indexes = listed.iter().map(|(id, n)| message_index(*id, *n as usize));
+    let summary = [
+        channel(1, 0, "/a", "json"),
+        channel(2, 0, "/b", "json"),
+        chunk_index_of(times, first(), length, size, listed),
+        statistics(counted, 2, listed),
+    ];
+    file(&[whole, indexes.collect::<Vec<_>>().concat()], &summary)
+}
+
+/// What `inspect` finds, as it reads everything.
+async fn surveyed(log: &[u8]) -> Vec<Reason> {
+    let (_, dataset) = opened(log).await;
+    let parts = dataset.parts();
+    parts[0].survey().await.unwrap();
+    dataset.losses.losses().into_keys().collect()
+}
+
+#[tokio::test]
+async fn a_true_summary_is_believed_without_loss() {
+    let log = summed_up(&[(1, 5), (2, 5)], (1, 5), (1, 5));
+    assert_eq!(rows(&log, "/a").await, (5, vec![]));
+    assert!(surveyed(&log).await.is_empty());
+}
+
+#[tokio::test]
+async fn what_a_chunk_holds_beside_what_is_said_of_it_is_counted() {
+    let hidden = summed_up(&[(1, 5)], (1, 5), (1, 5));
+    assert_eq!(rows(&hidden, "/a").await, (5, vec![(Reason::BadSummary, 5)]));
+    assert!(surveyed(&hidden).await.contains(&Reason::BadSummary));
+    let early = summed_up(&[(1, 5), (2, 5)], (1, 3), (1, 3));
+    assert_eq!(rows(&early, "/a").await, (5, vec![(Reason::BadSummary, 4)]));
+    assert!(surveyed(&early).await.contains(&Reason::BadSummary));
+}
+
+#[tokio::test]
+async fn a_summary_that_contradicts_itself_is_not_believed() {
+    // The times of chunks are not those that were counted.
+    let other_times = summed_up(&[(1, 5), (2, 5)], (1, 3), (1, 5));
+    assert_eq!(rows(&other_times, "/a").await, (5, vec![]));
+    let backwards = summed_up(&[(1, 5), (2, 5)], (5, 1), (1, 5));
+    assert_eq!(rows(&backwards, "/a").await, (5, vec![]));
+    // The message indexes are those of two channels, one is listed.
+    let (whole, length, size) = two_topics();
+    let mut entry = chunk_index(first(), length, size, &[(1, 5), (2, 5)]);
+    let lists = 9 + 32;
+    entry[lists] = 10;
+    entry.drain(lists + 4 + 10..lists + 4 + 20);
+    let body = (entry.len() as u64 - 9).to_le_bytes();
+    entry[1..9].copy_from_slice(&body);
+    let summary = [
+        channel(1, 0, "/a", "json"),
+        channel(2, 0, "/b", "json"),
+        entry,
+        statistics((1, 9), 2, &[(1, 5)]),
+    ];
+    let indexes = [message_index(1, 5), message_index(2, 5)].concat();
+    assert_eq!(
+        rows(&file(&[whole, indexes], &summary), "/b").await,
+        (5, vec![])
+    );
+}
+
+#[tokio::test]
+async fn an_attachment_whose_entry_covers_a_chunk_hides_none() {
+    let (whole, _, _) = two_topics();
+    let attachment = [&[0; 16][..], &text(b"a.txt"), &text(b""), &[0; 12]].concat();
+    let attachment = record(9, &attachment);
+    let covered = (attachment.len() + whole.len()) as u64;
+    let entry = |length: u64| {
+        let place = [first().to_le_bytes(), length.to_le_bytes()].concat();
+        record(10, &[&place[..], &[0; 24], &text(b"a.txt"), &text(b"")].concat())
+    };
+    let log = file(&[attachment, whole], &[entry(covered), statistics((0, 0), 0, &[])]);
+    assert_eq!(rows(&log, "/b").await, (5, vec![]));
+}
+
+#[tokio::test]
+async fn a_number_that_is_defined_twice_is_counted() {
+    let other = [
+        [channel(1, 0, "/a", "json"), channel(1, 0, "/b", "json")],
+        [schema(1, "A", "jsonschema", b"{}"), schema(1, "A", "jsonschema", b"{ }")],
+    ];
+    for definitions in other {
+        let own = channel(2, 0, "/t", "json");
+        let inner = [definitions.concat(), own.clone(), messages(&[2], 3)].concat();
+        let (size, whole) = (inner.len() as u64, chunk(inner.len() as u64, "", &inner));
+        let expected = (3, vec![(Reason::BadRecord, 1)]);
+        let read = file(std::slice::from_ref(&whole), &[]);
+        assert_eq!(rows(&read, "/t").await, expected);
+        let entry = chunk_index_of((1, 3), first(), whole.len() as u64, size, &[(2, 3)]);
+        let first_ones = [definitions[0].clone(), own];
+        let counted = statistics((1, 3), 1, &[(2, 3)]);
+        let summary = [first_ones.concat(), entry, counted];
+        let indexed = file(&[whole, message_index(2, 3)], &summary);
+        assert_eq!(rows(&indexed, "/t").await, expected);
+    }
+    // The same again is no loss.
+    let twice = [channel(1, 0, "/t", "json"), channel(1, 0, "/t", "json")].concat();
+    let inner = [twice, messages(&[1], 3)].concat();
+    let log = file(&[chunk(inner.len() as u64, "", &inner)], &[]);
+    assert_eq!(rows(&log, "/t").await, (3, vec![]));
+}
+
+#[tokio::test]
+async fn frames_of_lz4_behind_each_other_are_one_chunk() {
+    let one = [channel(1, 0, "/t", "json"), messages(&[1], 3)].concat();
+    let two = messages(&[1], 4);
+    let both = [packed("lz4", &one), packed("lz4", &two)].concat();
+    let size = (one.len() + two.len()) as u64;
+    let log = file(&[chunk(size, "lz4", &both)], &[]);
+    assert_eq!(rows(&log, "/t").await, (7, vec![]));
+    // Of one that says less, what lies behind is counted.
+    let log = file(&[chunk(one.len() as u64, "lz4", &both)], &[]);
+    assert_eq!(
+        rows(&log, "/t").await,
+        (3, vec![(Reason::BadCompression, 1)])
+    );
+}
+
+#[tokio::test]
+async fn times_behind_the_last_instant_are_counted() {
+    let definition = channel(1, 0, "/t", "json");
+    let inner = [
+        definition.clone(),
+        message(1, 0, b"{}"),
+        message_at(1, 1, 1 << 63, b"{}"),
+    ]
+    .concat();
+    let expected = (2, vec![(Reason::Senseless, 1)]);
+    let chunked = file(&[chunk(inner.len() as u64, "", &inner)], &[]);
+    let loose = file(&[inner], &[]);
+    for log in [chunked, loose] {
+        assert_eq!(rows(&log, "/t").await, expected);
+        assert_eq!(surveyed(&log).await, [Reason::Senseless]);
+    }
+}
+
+#[tokio::test]
+async fn an_entry_that_is_longer_than_its_chunk_hides_nothing() {
+    let (whole, length, size) = two_topics();
+    let both = [whole.clone(), whole].concat();
+    let summary = [
+        channel(1, 0, "/a", "json"),
+        channel(2, 0, "/b", "json"),
+        chunk_index_of((1, 5), first(), 2 * length, size, &[(1, 5), (2, 5)]),
+        statistics((1, 5), 2, &[(1, 5), (2, 5)]),
+    ];
+    let indexes = [message_index(1, 5), message_index(2, 5)].concat();
+    let log = file(&[both, indexes], &summary);
+    assert_eq!(rows(&log, "/a").await, (5, vec![(Reason::BadIndex, 1)]));
+}
+
+/// A thousand channels of one schema have it once, on disk and in memory.
+#[tokio::test]
+async fn a_schema_is_kept_once() {
+    let text = vec![b' '; 100_000];
+    let definitions = (1..=1000).map(|id| channel(id, 1, &format!("/t{id}"), "json"));
+    let definitions = definitions.collect::<Vec<_>>().concat();
+    let schema = schema(1, "A", "jsonschema", &text);
+    let (_, dataset) = opened(&file(&[schema, definitions], &[])).await;
+    let kept = serde_json::to_string(&dataset.parts()[0].index).unwrap();
+    assert!(kept.len() < 400_000, "{} B", kept.len());
+    let again: LogIndex = serde_json::from_str(&kept).unwrap();
+    assert_eq!(again, dataset.parts()[0].index);
+}
