@@ -1,16 +1,19 @@
-//! The stream of one partition's rows from one file: fetch a unit, open it, fill a batch, and so on.
+//! The stream of one partition's rows from one file: fetch a stretch of units, open one after the other, fill batches,
+//! and so on.
 //!
-//! Fetching is asynchronous and, where there is memory for it, one unit ahead; everything that costs CPU time runs on
-//! the blocking pool. At any moment a stream holds one opened unit, one fetched one and one batch, and has reserved that
-//! much before it fetches or decompresses. A chunk that finds no memory is read by portions.
+//! Fetching is asynchronous and, where there is memory for it, one stretch ahead; everything that costs CPU time runs on
+//! the blocking pool. At any moment a stream holds one opened unit, two stretches and one batch, and has reserved that
+//! much before it fetches or decompresses. Where a stretch finds no memory, units are fetched one by one; a chunk that
+//! finds none is read by portions.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
 use bytes::Bytes;
 use datafusion::common::runtime::SpawnedTask;
-use datafusion::error::Result;
+use datafusion::error::{DataFusionError, Result};
 use datafusion::execution::memory_pool::{MemoryConsumer, MemoryPool, MemoryReservation};
 use datafusion::physical_plan::metrics::{Count, ExecutionPlanMetricsSet, MetricBuilder, Time};
 use evermap_schemas::Fault;
@@ -26,12 +29,18 @@ use crate::log::window::fetch;
 use crate::scan::plan::PlannedUnit;
 use crate::scan::portions::{Portions, STREAMED_BYTES, begin};
 use crate::scan::rows::RowBuilder;
-use crate::scan::worker::{Next, Worker};
+use crate::scan::worker::{Next, Units, Worker};
 use crate::session::LogPart;
 
 /// A batch is handed on when it holds this many bytes, however few rows they are. What is a view keeps at most twice as
 /// much, and the rest of its last chunk.
 pub(crate) const BATCH_BYTES: usize = 8 << 20;
+
+/// Units are fetched together up to so many bytes, as each request costs its own time.
+const STRETCH_BYTES: u64 = 4 << 20;
+
+/// And across so many bytes of which nothing is wanted: the message indexes between chunks.
+const GAP_BYTES: u64 = 64 << 10;
 
 /// What a stream is made from.
 pub(crate) struct Job {
@@ -76,11 +85,13 @@ pub(crate) fn stream(job: Job) -> BoxStream<'static, Result<RecordBatch>> {
             rows: job.rows,
             batch_rows: job.batch_rows.max(1),
             topic: job.topic,
+            waiting: VecDeque::new(),
             current: None,
             portions: None,
             metrics: job.metrics,
         },
         units: job.units.into(),
+        most: Some(0),
         fetched: None,
         feed: None,
         pool: job.pool,
@@ -96,7 +107,10 @@ pub(crate) fn stream(job: Job) -> BoxStream<'static, Result<RecordBatch>> {
 struct Scan {
     worker: Worker,
     units: VecDeque<PlannedUnit>,
-    fetched: Option<(PlannedUnit, Fetch)>,
+    /// Bytes of the next stretch at most, beside its first unit: few at first, as a query may want no more; `None` where
+    /// units are fetched one by one.
+    most: Option<u64>,
+    fetched: Option<(Stretch, Fetch)>,
     /// What fetches the chunk that is read by portions.
     feed: Option<Feed>,
     pool: Option<Arc<dyn MemoryPool>>,
@@ -104,8 +118,43 @@ struct Scan {
     ended: bool,
 }
 
-/// A unit on its way.
+/// A stretch on its way.
 type Fetch = SpawnedTask<Result<Bytes, Fault>>;
+
+/// Units near each other, in the order of the file; at least one.
+#[derive(Debug)]
+struct Stretch(VecDeque<PlannedUnit>);
+
+impl Stretch {
+    fn range(&self) -> Range<u64> {
+        let start = self.0.front().map_or(0, |first| first.unit.offset);
+        start..self.0.back().map_or(start, |last| last.unit.end())
+    }
+
+    fn length(&self) -> u64 {
+        self.range().end - self.range().start
+    }
+
+    /// Bytes of the largest unit, once it is opened, as the index says.
+    fn opened(&self) -> u64 {
+        self.0
+            .iter()
+            .map(|planned| planned.unit.size)
+            .max()
+            .unwrap_or(0)
+    }
+
+    /// Each unit with its bytes, of those of all.
+    fn cut(self, bytes: &Bytes) -> VecDeque<(PlannedUnit, Bytes)> {
+        let start = self.range().start;
+        let each = self.0.into_iter().map(|planned| {
+            let at = |offset: u64| ((offset - start) as usize).min(bytes.len());
+            let own = bytes.slice(at(planned.unit.offset)..at(planned.unit.end()));
+            (planned, own)
+        });
+        each.collect()
+    }
+}
 
 impl Scan {
     /// The next batches, or the end.
@@ -116,8 +165,7 @@ impl Scan {
             }
             let next = self.next().await?;
             let worker = &self.worker;
-            let idle = worker.current.is_none() && worker.portions.is_none();
-            self.ended = next.is_none() && idle;
+            self.ended = next.is_none() && worker.is_idle();
             let ended = self.ended;
             let mut worker = self.worker;
             let (returned, batches) = joined(SpawnedTask::spawn_blocking(move || {
@@ -145,55 +193,105 @@ impl Scan {
         match (&self.worker.current, &self.worker.portions) {
             (Some(_), _) => self.reserve_largest().map(|()| None),
             (None, Some(_)) => self.reserve_portion().map(|()| None),
-            (None, None) => self.next_unit().await,
+            (None, None) if !self.worker.is_idle() => Ok(None),
+            (None, None) => self.next_units().await,
         }
     }
 
-    /// The next unit: whole, or by portions where it is a chunk that finds no memory.
-    async fn next_unit(&mut self) -> Result<Option<Next>> {
+    /// The next units: whole, or by portions where it is a chunk that finds no memory.
+    async fn next_units(&mut self) -> Result<Option<Next>> {
         loop {
-            let (planned, fetch) = match self.fetched.take() {
-                Some((planned, fetch)) => (planned, Some(fetch)),
-                None => match self.units.pop_front() {
-                    Some(planned) => (planned, None),
+            let (stretch, fetch) = match self.fetched.take() {
+                Some((stretch, fetch)) => (stretch, Some(fetch)),
+                None => match self.stretch() {
+                    Some(stretch) => (stretch, None),
                     None => return Ok(None),
                 },
             };
-            match self.whole(&planned.unit, fetch).await? {
-                Ok(bytes) => return Ok(Some(Next::Unit(planned, bytes))),
-                Err(refused) if planned.unit.kind != UnitKind::Chunk => return Err(refused),
-                Err(_) => {}
-            }
-            if let Some(portions) = self.portions(planned).await? {
+            let mut units = match self.whole(stretch, fetch).await? {
+                Ok(units) => return Ok(Some(Next::Units(units))),
+                Err((stretch, _)) if stretch.0.len() > 1 => {
+                    self.put_back(stretch);
+                    self.most = None;
+                    continue;
+                }
+                Err((stretch, refused)) => match stretch.0.front() {
+                    Some(planned) if planned.unit.kind == UnitKind::Chunk => stretch.0,
+                    _ => return Err(refused),
+                },
+            };
+            if let Some(planned) = units.pop_front()
+                && let Some(portions) = self.portions(planned).await?
+            {
                 return Ok(Some(Next::Chunk(Box::new(portions))));
             }
         }
     }
 
-    /// All of a unit, while the one behind it is fetched; inside, that it finds no memory.
-    async fn whole(&mut self, unit: &Unit, fetch: Option<Fetch>) -> Result<Result<Bytes>> {
-        if let Err(refused) = self.reserve(unit, unit.size) {
-            return Ok(Err(refused));
+    /// The next stretch of units to be fetched.
+    fn stretch(&mut self) -> Option<Stretch> {
+        let mut stretch = Stretch(VecDeque::from([self.units.pop_front()?]));
+        let Some(most) = self.most else {
+            return Some(stretch);
+        };
+        self.most = Some((2 * most).clamp(STRETCH_BYTES / 64, STRETCH_BYTES));
+        let Range { start, mut end } = stretch.range();
+        let near = |next: &PlannedUnit, end: u64| {
+            let Unit { kind, offset, .. } = next.unit;
+            let holds_messages = matches!(kind, UnitKind::Chunk | UnitKind::Loose);
+            holds_messages
+                && (end..=end + GAP_BYTES).contains(&offset)
+                && next.unit.end() - start <= most
+        };
+        while let Some(next) = self.units.pop_front_if(|next| near(next, end)) {
+            end = next.unit.end();
+            stretch.0.push_back(next);
         }
-        let fetch = fetch.unwrap_or_else(|| self.fetch(unit));
+        Some(stretch)
+    }
+
+    /// Units that are to be fetched again, one by one.
+    fn put_back(&mut self, stretch: Stretch) {
+        let ahead = self.fetched.take().map(|(ahead, _)| ahead);
+        for stretch in ahead.into_iter().chain([stretch]) {
+            for planned in stretch.0.into_iter().rev() {
+                self.units.push_front(planned);
+            }
+        }
+    }
+
+    /// The units of a stretch, while the one behind it is fetched; inside, that it finds no memory.
+    async fn whole(
+        &mut self,
+        stretch: Stretch,
+        fetch: Option<Fetch>,
+    ) -> Result<Result<Units, (Stretch, DataFusionError)>> {
+        if let Err(refused) = self.reserve(stretch.length(), stretch.opened()) {
+            return Ok(Err((stretch, refused)));
+        }
+        let fetch = fetch.unwrap_or_else(|| self.fetch(&stretch));
         self.fetch_ahead();
         let bytes = joined(fetch).await.flatten().map_err(external)?;
-        // What the chunk itself claims counts, if the index is too modest.
-        if unit.kind == UnitKind::Chunk
-            && let Ok(head) = ChunkHead::parse(&bytes)
-            && head.size > unit.size
-            && let Err(refused) = self.reserve(unit, head.size)
+        let (length, opened) = (stretch.length(), stretch.opened());
+        let units = stretch.cut(&bytes);
+        // What a chunk itself claims counts, if the index is too modest.
+        let claims = units
+            .iter()
+            .filter(|(planned, _)| planned.unit.kind == UnitKind::Chunk);
+        let claims = claims.filter_map(|(_, bytes)| ChunkHead::parse(bytes).ok());
+        let claimed = claims.map(|head| head.size).max().unwrap_or(0);
+        if claimed > opened
+            && let Err(refused) = self.reserve(length, claimed)
         {
-            return Ok(Err(refused));
+            let units = units.into_iter().map(|(planned, _)| planned);
+            return Ok(Err((Stretch(units.collect()), refused)));
         }
-        Ok(Ok(bytes))
+        Ok(Ok(units))
     }
 
     /// Begins to read a chunk by portions; none where nothing of it can be used.
     async fn portions(&mut self, planned: PlannedUnit) -> Result<Option<Portions>> {
-        if let Some((ahead, _)) = self.fetched.take() {
-            self.units.push_front(ahead);
-        }
+        self.put_back(Stretch(VecDeque::new()));
         self.reserve_portion()?;
         let PlannedUnit { unit, channels } = planned;
         let (part, rows) = (&self.worker.part, &self.worker.rows);
@@ -213,38 +311,38 @@ impl Scan {
         Ok(portions)
     }
 
-    fn fetch(&self, unit: &Unit) -> Fetch {
-        let (part, range) = (Arc::clone(&self.worker.part), unit.offset..unit.end());
+    fn fetch(&self, stretch: &Stretch) -> Fetch {
+        let (part, range) = (Arc::clone(&self.worker.part), stretch.range());
         SpawnedTask::spawn(async move { fetch(&part.store, &part.meta.location, range).await })
     }
 
-    /// Begins to fetch the next unit, where there is memory for it.
+    /// Begins to fetch the next stretch, where there is memory for it.
     fn fetch_ahead(&mut self) {
-        let Some(planned) = self.units.pop_front() else {
+        let Some(stretch) = self.stretch() else {
             return;
         };
-        let length = usize::try_from(planned.unit.length).unwrap_or(usize::MAX);
+        let length = usize::try_from(stretch.length()).unwrap_or(usize::MAX);
         match self.grow(length) {
             Ok(()) => {
-                let fetch = self.fetch(&planned.unit);
-                self.fetched = Some((planned, fetch));
+                let fetch = self.fetch(&stretch);
+                self.fetched = Some((stretch, fetch));
             }
-            Err(_) => self.units.push_front(planned),
+            Err(_) => self.put_back(stretch),
         }
     }
 }
 
 /// What is reserved.
 impl Scan {
-    /// Reserves the memory for a unit of which so many bytes come out, for the one that is fetched already, and for a
-    /// batch.
-    fn reserve(&mut self, unit: &Unit, size: u64) -> Result<()> {
-        let opened = size.min(LARGEST_CHUNK);
+    /// Reserves the memory for a stretch of so many bytes, for its largest unit once it is opened, for the stretch that is
+    /// fetched already, and for a batch.
+    fn reserve(&mut self, length: u64, opened: u64) -> Result<()> {
+        let opened = opened.min(LARGEST_CHUNK);
         let ahead = self.fetched.as_ref();
         let bytes = [
-            unit.length,
+            length,
             opened,
-            ahead.map_or(0, |(planned, _)| planned.unit.length),
+            ahead.map_or(0, |(stretch, _)| stretch.length()),
             opened.min(2 * BATCH_BYTES as u64),
         ];
         self.resize(bytes.into_iter().fold(0, u64::saturating_add))

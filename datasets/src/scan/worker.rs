@@ -1,5 +1,6 @@
 //! From the bytes of units to batches: the half of a stream that uses the CPU.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
@@ -17,10 +18,13 @@ use crate::scan::strays::Strays;
 use crate::scan::stream::{BATCH_BYTES, ScanMetrics};
 use crate::session::LogPart;
 
+/// Units that are there, in the order of the file.
+pub(crate) type Units = VecDeque<(PlannedUnit, Bytes)>;
+
 /// What is worked on next.
 pub(crate) enum Next {
-    /// All of a unit.
-    Unit(PlannedUnit, Bytes),
+    /// Units, whole.
+    Units(Units),
     /// A chunk that does not fit into memory.
     Chunk(Box<Portions>),
 }
@@ -31,6 +35,8 @@ pub(crate) struct Worker {
     pub rows: Box<dyn RowBuilder>,
     pub batch_rows: usize,
     pub topic: String,
+    /// Units that wait to be opened.
+    pub waiting: Units,
     pub current: Option<Open>,
     /// What is left of a chunk that does not fit into memory.
     pub portions: Option<Box<Portions>>,
@@ -116,7 +122,12 @@ impl Open {
 }
 
 impl Worker {
-    /// Opens a unit if there is a new one, adds rows until the batch is full or the unit is done.
+    /// Whether it has nothing to work on.
+    pub fn is_idle(&self) -> bool {
+        self.waiting.is_empty() && self.current.is_none() && self.portions.is_none()
+    }
+
+    /// Opens units, if there are new ones, and adds rows until the batch is full or they are done.
     ///
     /// # Errors
     /// As [`RowBuilder::finish`] and [`Portions::next`].
@@ -124,25 +135,37 @@ impl Worker {
         let busy = self.metrics.busy.clone();
         let _timer = busy.timer();
         match next {
-            Some(Next::Unit(planned, bytes)) => {
-                self.metrics.bytes.add(bytes.len());
-                self.open(planned, bytes);
+            Some(Next::Units(units)) => {
+                let bytes = units.iter().map(|(_, bytes)| bytes.len());
+                self.metrics.bytes.add(bytes.sum());
+                self.waiting = units;
             }
             Some(Next::Chunk(portions)) => self.portions = Some(portions),
             None => {}
         }
-        if self.current.is_none() {
-            self.open_portion()?;
+        loop {
+            if self.current.is_none() {
+                match self.waiting.pop_front() {
+                    Some((planned, bytes)) => self.open(planned, bytes),
+                    None => self.open_portion()?,
+                }
+            }
+            if self.current.as_ref().is_some_and(|open| open.waits) {
+                return Ok(Vec::new());
+            }
+            self.fill();
+            if self.is_full() || self.waiting.is_empty() {
+                break;
+            }
         }
-        if self.current.as_ref().is_some_and(|open| open.waits) {
-            return Ok(Vec::new());
-        }
-        self.fill();
-        let full = self.rows.rows() >= self.batch_rows || self.rows.bytes() >= BATCH_BYTES;
-        if full || ended {
+        if self.is_full() || ended {
             return self.rows.finish();
         }
         Ok(Vec::new())
+    }
+
+    fn is_full(&self) -> bool {
+        self.rows.rows() >= self.batch_rows || self.rows.bytes() >= BATCH_BYTES
     }
 
     fn open(&mut self, planned: PlannedUnit, bytes: Bytes) {
@@ -218,7 +241,7 @@ impl Worker {
             return;
         };
         while let Some(message) = open.messages.get(open.next) {
-            if self.rows.rows() >= self.batch_rows || self.rows.bytes() >= BATCH_BYTES {
+            if self.is_full() {
                 self.current = Some(open);
                 return;
             }

@@ -16,11 +16,12 @@ use object_store::{
     ObjectStore, PutMultipartOptions, PutOptions, PutPayload, PutResult, Result,
 };
 
-/// Counts the bytes that are fetched.
+/// Counts the bytes that are fetched, and the requests.
 #[derive(Debug)]
 struct Counting {
     inner: Arc<dyn ObjectStore>,
     bytes: AtomicU64,
+    requests: AtomicU64,
 }
 
 impl fmt::Display for Counting {
@@ -39,6 +40,7 @@ impl ObjectStore for Counting {
         if !head {
             let length = result.range.end - result.range.start;
             self.bytes.fetch_add(length, Ordering::SeqCst);
+            self.requests.fetch_add(1, Ordering::SeqCst);
         }
         Ok(result)
     }
@@ -81,15 +83,22 @@ impl ObjectStore for Counting {
     }
 }
 
-/// Rows of a query, and the bytes that were fetched for it after the log was opened.
-async fn cost(log: &[u8], sql: &str) -> (usize, u64) {
+/// Rows of a query, and what was fetched for it after the log was opened.
+async fn fetched(log: &[u8], sql: &str) -> (usize, Arc<Counting>) {
     let store = Arc::new(Counting {
         inner: in_memory(log).await,
         bytes: AtomicU64::new(0),
+        requests: AtomicU64::new(0),
     });
     let (context, _) = open_in(store.clone(), 1).await.unwrap();
     store.bytes.store(0, Ordering::SeqCst);
-    let rows = count(&context, sql).await;
+    store.requests.store(0, Ordering::SeqCst);
+    (count(&context, sql).await, store)
+}
+
+/// Rows of a query, and the bytes that were fetched for it.
+async fn cost(log: &[u8], sql: &str) -> (usize, u64) {
+    let (rows, store) = fetched(log, sql).await;
     (rows, store.bytes.load(Ordering::SeqCst))
 }
 
@@ -114,6 +123,18 @@ async fn time_filters_choose_chunks() {
     let (rows, some) = cost(&log, &format!("SELECT data FROM \"/blob\" WHERE {filter}")).await;
     assert_eq!(rows, 30);
     assert!(some < all / 10, "{some} of {all}");
+}
+
+/// Each request of an object store costs its own time: chunks near each other are fetched with one.
+#[tokio::test]
+async fn chunks_are_fetched_in_stretches() {
+    let log = log();
+    let (rows, store) = fetched(&log, "SELECT data FROM \"/blob\"").await;
+    assert_eq!(rows, 1000);
+    let chunks = log.len() / 50_000;
+    let requests = store.requests.load(Ordering::SeqCst) as usize;
+    assert!(requests < chunks / 8, "{requests} for {chunks} chunks");
+    assert!(store.bytes.load(Ordering::SeqCst) as usize <= log.len());
 }
 
 #[tokio::test]
