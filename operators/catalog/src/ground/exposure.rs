@@ -4,12 +4,15 @@ use std::collections::BTreeMap;
 
 use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::ground::danger::exposure::{ExposureParams, Looks, Standing};
+use evermap_algorithms::ground::danger::exposure::{
+    ExposureParams, Looks, Shot, Standing, Surroundings,
+};
 use evermap_algorithms::ground::floor::Floor;
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::Stamp;
 use evermap_schemas::layers::{BodyMask, Exposure, PosedImage, SurfacePoint};
 use evermap_vision::Grey;
+use rayon::prelude::*;
 
 use crate::inputs::bodies::bodies;
 use crate::inputs::rig::{self, OfVehicle, Rig, frame};
@@ -33,6 +36,9 @@ impl Operator for ExposureOfGround {
     }
 }
 
+/// Images that are looked at side by side, before their looks are counted in order.
+const BLOCK: usize = 256;
+
 fn exposure(
     params: &OfVehicle<ExposureParams>,
     images: Vec<PosedImage>,
@@ -53,27 +59,37 @@ fn exposure(
     let floor = Floor::under(&poses, 0.0, params.options.range_m);
     let rigs = rig::sessions(&sides)?;
     let mut cameras = Cameras::new(rigs.get(&session), params);
-    let mut looks = Looks::default();
-    for image in images {
+    let mut taken = Vec::with_capacity(images.len());
+    for image in &images {
+        let name = frame(&image.camera);
         let pose = Pose::from_array(image.map_from_vehicle.to_array());
-        let camera = cameras.at(frame(&image.camera), image.stamp);
-        let (Ok(pose), Ok(camera)) = (&pose, &camera) else {
-            let reason = camera.err().unwrap_or("pose is not a rigid transform");
-            emit.skip(reason, 1);
-            continue;
-        };
-        let name = (session.clone(), frame(&image.camera).to_owned());
-        let body = bodies.get(&name);
-        let body = |pixel: [f64; 2]| body.is_some_and(|mask| shows(mask, &camera.0, pixel));
-        let camera = (&camera.0, &camera.1);
-        looks.add(
-            image.stamp.0,
-            pose,
-            camera,
-            (&floor, &standing),
-            body,
-            &params.options,
-        );
+        match (pose, cameras.at(name, image.stamp)) {
+            (Ok(pose), Ok(camera)) => {
+                let body = bodies.get(&(session.clone(), name.to_owned()));
+                taken.push((image.stamp.0, pose, camera, body));
+            }
+            (_, Err(reason)) => emit.skip(reason, 1),
+            (Err(_), Ok(_)) => emit.skip("pose is not a rigid transform", 1),
+        }
+    }
+    let around = Surroundings {
+        floor: &floor,
+        standing: &standing,
+    };
+    let mut looks = Looks::default();
+    for block in taken.chunks(BLOCK) {
+        let shown = block.par_iter().map(|(_, pose, (camera, mounted), body)| {
+            let shot = Shot {
+                map_from_vehicle: pose,
+                camera,
+                vehicle_from_camera: mounted,
+            };
+            let body = |pixel: [f64; 2]| body.is_some_and(|mask| shows(mask, camera, pixel));
+            shot.shows(&around, body, &params.options)
+        });
+        for ((stamp, ..), shown) in block.iter().zip(shown.collect::<Vec<_>>()) {
+            looks.add(*stamp, &shown, &params.options);
+        }
     }
     let row = |([column, row], looked): ([i32; 2], _)| {
         let looked: evermap_algorithms::ground::danger::exposure::Looked = looked;

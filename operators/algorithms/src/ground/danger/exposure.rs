@@ -144,6 +144,24 @@ impl Ground {
     }
 }
 
+/// An image of the ground.
+pub struct Shot<'a> {
+    /// The vehicle.
+    pub map_from_vehicle: &'a Pose,
+    /// The camera.
+    pub camera: &'a Camera,
+    /// Where it is mounted.
+    pub vehicle_from_camera: &'a Pose,
+}
+
+/// What stands where: the floor, and the points that may stand before people.
+pub struct Surroundings<'a> {
+    /// The ground where somebody drove near.
+    pub floor: &'a Floor,
+    /// The points.
+    pub standing: &'a Standing,
+}
+
 /// Looks at cells in one session, while its images come in the order of their stamps.
 #[derive(Debug, Default)]
 pub struct Looks(BTreeMap<Cell, Looked>);
@@ -158,36 +176,34 @@ pub struct Looked {
     last: i64,
 }
 
-impl Looks {
-    /// An image: where it would show a person. `body` says whether a pixel shows the vehicle itself.
-    pub fn add(
-        &mut self,
-        stamp: i64,
-        map_from_vehicle: &Pose,
-        (camera, vehicle_from_camera): (&Camera, &Pose),
-        (floor, standing): (&Floor, &Standing),
+impl Shot<'_> {
+    /// The cells in which it would show a person. `body` says whether a pixel shows the vehicle itself.
+    pub fn shows(
+        &self,
+        around: &Surroundings<'_>,
         body: impl Fn([f64; 2]) -> bool,
         params: &ExposureParams,
-    ) {
-        let map_from_camera = map_from_vehicle.compose(vehicle_from_camera);
+    ) -> Vec<Cell> {
+        let mut shown = Vec::new();
+        let camera = self.camera;
+        let map_from_camera = self.map_from_vehicle.compose(self.vehicle_from_camera);
         let eye = map_from_camera.translation;
         let range_m = params.range_m;
         let low = [eye.x - range_m, eye.y - range_m];
         let high = [eye.x + range_m, eye.y + range_m];
-        let around = floor.within([low[0], low[1], high[0], high[1]]);
-        let Some(ground) = Ground::below(map_from_vehicle, around) else {
-            return;
+        let floor = around.floor.within([low[0], low[1], high[0], high[1]]);
+        let Some(ground) = Ground::below(self.map_from_vehicle, floor) else {
+            return shown;
         };
         let Some([columns, rows]) = between(low, high, params.cell_m) else {
-            return;
+            return shown;
         };
-        let horizon = Horizon::new(eye, &ground, standing, range_m);
+        let horizon = Horizon::new(eye, &ground, around.standing, range_m);
         let camera_from_map = map_from_camera.inverse();
         let pixel = |x: f64, y: f64, z: f64| {
             let pixel = camera.project(&camera_from_map.transform(&Vector3::new(x, y, z)));
             pixel.filter(|pixel| camera.contains(*pixel))
         };
-        let look = look(stamp, params.look_ns());
         for column in columns {
             for row in rows.clone() {
                 let [x, y] = middle([column, row], params.cell_m);
@@ -199,9 +215,20 @@ impl Looks {
                 let z = ground.height([x, y]);
                 let feet = pixel(x, y, z).filter(|pixel| !body(*pixel));
                 if feet.is_some() && pixel(x, y, z + PERSON_M).is_some() {
-                    self.count([column, row], look, stamp);
+                    shown.push([column, row]);
                 }
             }
+        }
+        shown
+    }
+}
+
+impl Looks {
+    /// An image, by the cells that it [shows](Shot::shows).
+    pub fn add(&mut self, stamp: i64, shown: &[Cell], params: &ExposureParams) {
+        let look = look(stamp, params.look_ns());
+        for cell in shown {
+            self.count(*cell, look, stamp);
         }
     }
 

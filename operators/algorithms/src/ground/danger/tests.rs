@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
 use super::DangerField;
-use super::exposure::{ExposureParams, Looks, Standing};
+use super::exposure::{ExposureParams, Looks, Shot, Standing, Surroundings};
 use super::field::{Seen, Weights};
 use super::foretelling::{Ground, Visit};
 use super::presence::{Sighting, presence};
@@ -149,15 +149,16 @@ fn what_an_image_would_show_counts_once_a_look() {
     let looks = |stamps: &[i64], points: Vec<[f64; 3]>, body: fn([f64; 2]) -> bool| {
         let mut looks = Looks::default();
         for stamp in stamps {
-            let standing = Standing::new(points.clone());
-            looks.add(
-                *stamp,
-                &Pose::identity(),
-                (&camera, &mount),
-                (&Floor::default(), &standing),
-                body,
-                &params,
-            );
+            let around = Surroundings {
+                floor: &Floor::default(),
+                standing: &Standing::new(points.clone()),
+            };
+            let shot = Shot {
+                map_from_vehicle: &Pose::identity(),
+                camera: &camera,
+                vehicle_from_camera: &mount,
+            };
+            looks.add(*stamp, &shot.shows(&around, body, &params), &params);
         }
         looks.into_cells()
     };
@@ -209,18 +210,17 @@ fn people_stand_on_the_floor_that_bends() {
         }
     };
     let seen = |floor: &Floor| {
-        let mut looks = Looks::default();
-        let (pose, standing) = (Pose::identity(), Standing::default());
-        looks.add(
-            0,
-            &pose,
-            (&camera, &mount),
-            (floor, &standing),
-            |_| false,
-            &params,
-        );
+        let around = Surroundings {
+            floor,
+            standing: &Standing::default(),
+        };
+        let shot = Shot {
+            map_from_vehicle: &Pose::identity(),
+            camera: &camera,
+            vehicle_from_camera: &mount,
+        };
         let cell = cell_of([3.1, 0.1], params.cell_m).unwrap();
-        looks.into_cells().contains_key(&cell)
+        shot.shows(&around, |_| false, &params).contains(&cell)
     };
     let [same, above] = [0.0, 3.0].map(|z| {
         let poses: Vec<Pose> = (20..40).map(level(z)).collect();

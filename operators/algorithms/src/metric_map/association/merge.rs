@@ -3,6 +3,8 @@
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
+use rayon::prelude::*;
+
 use super::point::{Sight, triangulate};
 use super::search::{Hit, Search};
 use super::{AssociationParams, FeatureRef, Landmark, Scene};
@@ -27,7 +29,7 @@ pub fn associate(
 ) -> Vec<Landmark> {
     let hits = Search::new(scene, poses, landmarks, params).hits();
     let owners = owners(scene, landmarks);
-    let mut votes: BTreeMap<(u32, u32), (u32, u32)> = BTreeMap::new();
+    let mut votes: Vec<((u32, u32), u32)> = Vec::new();
     let mut free: Vec<(u32, Hit)> = Vec::new();
     for hit in hits {
         let owner = owners[hit.feature.image as usize][hit.feature.feature as usize];
@@ -35,24 +37,57 @@ pub fn associate(
             free.push((hit.bits, hit));
         } else if owner != hit.landmark {
             let pair = (owner.min(hit.landmark), owner.max(hit.landmark));
-            let votes = votes.entry(pair).or_default();
-            *votes = (votes.0 + 1, votes.1 + hit.bits);
+            votes.push((pair, hit.bits));
         }
     }
     let mut groups = Groups::new(scene, poses, landmarks, params);
-    let mut pairs: Vec<_> = votes
-        .into_iter()
-        .filter(|(_, (count, _))| *count >= params.min_votes)
-        .collect();
-    pairs.sort_by_key(|(pair, (count, bits))| (Reverse(*count), bits / count, *pair));
-    for ((a, b), _) in pairs {
-        groups.merge(a, b);
-    }
-    free.sort_unstable();
+    groups.merge(&elected(votes, params.min_votes));
+    free.par_sort_unstable();
     for (_, hit) in free {
         groups.add(hit.landmark, hit.feature);
     }
     groups.finish()
+}
+
+/// The pairs of landmarks that enough images say to be one, first those that most say it of; `votes` have the bits in which
+/// what was seen differs.
+fn elected(mut votes: Vec<((u32, u32), u32)>, least: u32) -> Vec<(u32, u32)> {
+    votes.par_sort_unstable();
+    let of_pairs = votes.chunk_by(|(a, _), (b, _)| a == b);
+    let of_pairs = of_pairs.filter(|votes| votes.len() >= least as usize);
+    let ranked = of_pairs.map(|votes| {
+        let count = votes.len() as u32;
+        let bits: u32 = votes.iter().map(|(_, bits)| bits).sum();
+        (Reverse(count), bits / count, votes[0].0)
+    });
+    let mut ranked: Vec<_> = ranked.collect();
+    ranked.sort_unstable();
+    ranked.into_iter().map(|(.., pair)| pair).collect()
+}
+
+/// The pairs, in their order, in parts that share no landmark.
+fn apart(landmarks: usize, pairs: &[(u32, u32)]) -> Vec<Vec<(u32, u32)>> {
+    let mut parents: Vec<u32> = (0..landmarks as u32).collect();
+    for (a, b) in pairs {
+        let (a, b) = (root(&mut parents, *a), root(&mut parents, *b));
+        parents[a.max(b) as usize] = a.min(b);
+    }
+    let mut parts: BTreeMap<u32, Vec<(u32, u32)>> = BTreeMap::new();
+    for pair in pairs {
+        let part = root(&mut parents, pair.0);
+        parts.entry(part).or_default().push(*pair);
+    }
+    parts.into_values().collect()
+}
+
+/// The first of the group that this is in; the way to it becomes shorter.
+fn root(parents: &mut [u32], mut at: u32) -> u32 {
+    while parents[at as usize] != at {
+        let above = parents[parents[at as usize] as usize];
+        parents[at as usize] = above;
+        at = above;
+    }
+    at
 }
 
 fn owners(scene: &Scene, landmarks: &[Landmark]) -> Vec<Vec<u32>> {
@@ -99,36 +134,43 @@ impl<'a> Groups<'a> {
         }
     }
 
-    fn root(&mut self, mut at: u32) -> u32 {
-        while self.parents[at as usize] != at {
-            let above = self.parents[self.parents[at as usize] as usize];
-            self.parents[at as usize] = above;
-            at = above;
+    /// Makes one landmark of each pair that can be one, in their order. What shares no landmark is merged side by side.
+    fn merge(&mut self, pairs: &[(u32, u32)]) {
+        let parts = apart(self.landmarks.len(), pairs);
+        let merged: Vec<Part> = parts.par_iter().map(|pairs| self.merged(pairs)).collect();
+        for Part { landmarks, parents } in merged {
+            for (at, landmark) in landmarks {
+                self.landmarks[at as usize] = Some(landmark);
+            }
+            for (from, into) in parents {
+                self.landmarks[from as usize] = None;
+                self.parents[from as usize] = into;
+            }
         }
-        at
     }
 
-    fn merge(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root(a), self.root(b));
-        let (into, from) = (a.min(b), a.max(b));
-        if into == from {
-            return;
+    fn merged(&self, pairs: &[(u32, u32)]) -> Part {
+        let mut part = Part::default();
+        for (a, b) in pairs {
+            let (a, b) = (part.root(*a), part.root(*b));
+            let (into, from) = (a.min(b), a.max(b));
+            if into == from {
+                continue;
+            }
+            let landmark = |at: u32| {
+                let grown = part.landmarks.get(&at);
+                grown.or(self.landmarks[at as usize].as_ref())
+            };
+            let merged = landmark(into).zip(landmark(from)).and_then(|(kept, gone)| {
+                let features = united(&kept.features, &gone.features)?;
+                self.explained(kept.id, features)
+            });
+            if let Some(merged) = merged {
+                part.landmarks.insert(into, merged);
+                part.parents.insert(from, into);
+            }
         }
-        let (Some(kept), Some(gone)) = (
-            &self.landmarks[into as usize],
-            &self.landmarks[from as usize],
-        ) else {
-            return;
-        };
-        let Some(features) = united(&kept.features, &gone.features) else {
-            return;
-        };
-        let Some(merged) = self.explained(kept.id, features) else {
-            return;
-        };
-        self.landmarks[into as usize] = Some(merged);
-        self.landmarks[from as usize] = None;
-        self.parents[from as usize] = into;
+        part
     }
 
     /// The landmark that shows as these features, if there is one.
@@ -152,7 +194,7 @@ impl<'a> Groups<'a> {
 
     /// Gives a free feature to a landmark that the image does not show yet.
     fn add(&mut self, landmark: u32, feature: FeatureRef) {
-        let root = self.root(landmark);
+        let root = root(&mut self.parents, landmark);
         let Some(landmark) = &mut self.landmarks[root as usize] else {
             return;
         };
@@ -168,6 +210,24 @@ impl<'a> Groups<'a> {
 
     fn finish(self) -> Vec<Landmark> {
         self.landmarks.into_iter().flatten().collect()
+    }
+}
+
+/// What became of landmarks that have nothing to do with others.
+#[derive(Default)]
+struct Part {
+    /// Those that grew.
+    landmarks: BTreeMap<u32, Landmark>,
+    /// Into which those went that are no more.
+    parents: BTreeMap<u32, u32>,
+}
+
+impl Part {
+    fn root(&self, mut at: u32) -> u32 {
+        while let Some(above) = self.parents.get(&at) {
+            at = *above;
+        }
+        at
     }
 }
 

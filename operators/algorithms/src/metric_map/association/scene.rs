@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use nalgebra::Vector3;
+use rayon::prelude::*;
 
 use super::point::Sight;
 use crate::geometry::camera::Camera;
@@ -95,6 +96,22 @@ pub struct Scene {
     pub images: Vec<SceneImage>,
 }
 
+/// The features of a keyframe by camera of its rig, and their diameters (px).
+fn images(rig: &Rig, features: KeyframeFeatures) -> Vec<(Vec<SceneFeature>, Vec<f64>)> {
+    let mut images = features.images.into_iter();
+    let of_camera = |camera: &RigCamera| {
+        let features = images.next().unwrap_or_default().features;
+        let seen = features.iter();
+        let seen = seen.map(|feature| SceneFeature::new(&camera.camera, feature));
+        let sizes = features.iter().map(|feature| feature.size_px);
+        (seen.collect(), sizes.collect())
+    };
+    rig.cameras.iter().map(of_camera).collect()
+}
+
+/// Keyframes whose rays are worked out side by side; more would hold their features twice.
+const BLOCK: usize = 64;
+
 impl Scene {
     /// Adds a session with its keyframes in driven order: odometry pose and features. Gives the session's number.
     pub fn add_session(
@@ -110,27 +127,31 @@ impl Scene {
             self.cameras.push(camera.clone());
         }
         let mut sizes: Vec<Vec<f64>> = vec![Vec::new(); rig.cameras.len()];
-        for (odom_from_vehicle, features) in keyframes {
-            let first = self.images.len() as u32;
-            let keyframe = self.keyframes.len() as u32;
-            let mut images = features.images.into_iter();
-            for (at, camera) in rig.cameras.iter().enumerate() {
-                let features = images.next().unwrap_or_default().features;
-                sizes[at].extend(features.iter().map(|feature| feature.size_px));
-                self.images.push(SceneImage {
-                    keyframe,
-                    camera: (first_camera + at) as u32,
-                    features: features
-                        .iter()
-                        .map(|feature| SceneFeature::new(&camera.camera, feature))
-                        .collect(),
+        let mut keyframes = keyframes.into_iter();
+        loop {
+            let block: Vec<_> = keyframes.by_ref().take(BLOCK).collect();
+            if block.is_empty() {
+                break;
+            }
+            let seen = block.into_par_iter();
+            let seen = seen.map(|(pose, features)| (pose, images(rig, features)));
+            for (odom_from_vehicle, images) in seen.collect::<Vec<_>>() {
+                let first = self.images.len() as u32;
+                let keyframe = self.keyframes.len() as u32;
+                for (at, (features, of_features)) in images.into_iter().enumerate() {
+                    sizes[at].extend(of_features);
+                    self.images.push(SceneImage {
+                        keyframe,
+                        camera: (first_camera + at) as u32,
+                        features,
+                    });
+                }
+                self.keyframes.push(SceneKeyframe {
+                    session,
+                    odom_from_vehicle,
+                    images: first..self.images.len() as u32,
                 });
             }
-            self.keyframes.push(SceneKeyframe {
-                session,
-                odom_from_vehicle,
-                images: first..self.images.len() as u32,
-            });
         }
         self.blurs.extend(sizes.into_iter().map(Blur::new));
         session

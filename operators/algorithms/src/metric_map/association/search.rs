@@ -51,6 +51,8 @@ struct Candidate {
     landmark: u32,
     /// Where the image shows it.
     pixel: [f64; 2],
+    /// No feature was in the circle around it when it was sought.
+    alone: bool,
 }
 
 /// Prepared for searching any keyframe.
@@ -147,22 +149,23 @@ impl<'a> Search<'a> {
             let seen: Vec<Resighting> = hits.iter().map(|hit| self.resighting(hit)).collect();
             (hits.len() >= least).then(|| agreed_pose(&seen, pose, from_px, agree_px / 2.0))
         };
-        let hits = self.seek(
-            &self.cameras(keyframe, pose),
-            first,
-            grids,
-            &candidates,
-            radius_px,
-        );
+        let cameras = self.cameras(keyframe, pose);
+        let hits = self.seek(&cameras, first, grids, &mut candidates, radius_px);
         let pose = agreed(&hits, pose, radius_px)?;
         let cameras = self.cameras(keyframe, &pose);
+        let smaller_px = radius_px.min(agree_px);
+        let inside_px = radius_px - smaller_px;
         candidates.retain_mut(|candidate| {
             let camera = &cameras[(candidate.image - first) as usize];
-            let pixel = self.pixel(candidate.landmark, candidate.image, camera);
-            candidate.pixel = pixel.unwrap_or_default();
-            pixel.is_some()
+            let Some(pixel) = self.pixel(candidate.landmark, candidate.image, camera) else {
+                return false;
+            };
+            // The smaller circle lies within the one that nothing was in.
+            let inside = squared_distance(candidate.pixel, pixel) < inside_px * inside_px;
+            candidate.pixel = pixel;
+            !(candidate.alone && inside)
         });
-        let mut hits = self.seek(&cameras, first, grids, &candidates, radius_px.min(agree_px));
+        let mut hits = self.seek(&cameras, first, grids, &mut candidates, smaller_px);
         let vehicle_from_map = agreed(&hits, &pose, agree_px)?.inverse();
         hits.retain(|hit| {
             let off_px = self.resighting(hit).residual_px(&vehicle_from_map);
@@ -228,6 +231,7 @@ impl<'a> Search<'a> {
                     image,
                     landmark: *landmark,
                     pixel: self.pixel(*landmark, image, &camera)?,
+                    alone: false,
                 })
             }));
         }
@@ -248,19 +252,19 @@ impl<'a> Search<'a> {
         cameras: &[Pose],
         first: u32,
         grids: &[FeatureGrid],
-        candidates: &[Candidate],
+        candidates: &mut [Candidate],
         radius_px: f64,
     ) -> Vec<Hit> {
-        let look = |candidate: &Candidate| {
+        let look = |candidate: &mut Candidate| {
             let at = (candidate.image - first) as usize;
             self.look_for(candidate, &cameras[at].translation, &grids[at], radius_px)
         };
-        candidates.iter().filter_map(look).collect()
+        candidates.iter_mut().filter_map(look).collect()
     }
 
     fn look_for(
         &self,
-        candidate: &Candidate,
+        candidate: &mut Candidate,
         camera: &Vector3<f64>,
         grid: &FeatureGrid,
         radius_px: f64,
@@ -269,7 +273,13 @@ impl<'a> Search<'a> {
             image,
             landmark,
             pixel,
+            ..
         } = *candidate;
+        let mut within = grid.near(pixel, radius_px).peekable();
+        candidate.alone = within.peek().is_none();
+        if candidate.alone {
+            return None;
+        }
         let target = &self.targets[landmark as usize];
         let features = &self.scene.images[image as usize].features;
         let away = camera - target.point;
@@ -279,8 +289,7 @@ impl<'a> Search<'a> {
             let ratio = features[*at as usize].size_px() / size_px;
             (1.0 / self.params.scale_factor..=self.params.scale_factor).contains(&ratio)
         };
-        let near: Vec<u32> = grid.near(pixel, radius_px).filter(fits).collect();
-        // Mostly there is none: what it looks like need not be known.
+        let near: Vec<u32> = within.filter(fits).collect();
         if near.is_empty() {
             return None;
         }

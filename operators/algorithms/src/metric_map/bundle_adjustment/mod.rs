@@ -38,6 +38,7 @@ mod vehicle;
 pub(crate) mod tests;
 
 use nalgebra::{Vector2, Vector3};
+use rayon::prelude::*;
 
 use crate::geometry::pose::Pose;
 use crate::geometry::rig::Rig;
@@ -233,7 +234,6 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Report, Problem
 
 /// Residuals and weights of all observations as the problem stands.
 pub fn residuals(problem: &Problem, loss: Loss) -> Vec<Residual> {
-    use rayon::prelude::*;
     let observations = problem.observations.par_iter();
     observations
         .map(|observation| {
@@ -284,24 +284,20 @@ fn check(problem: &Problem) -> Result<(), ProblemError> {
     for (index, landmark) in landmarks.iter().enumerate() {
         finite("landmark", index, landmark.as_slice(), &[])?;
     }
-    for (index, seen) in observations.iter().enumerate() {
-        within("observation", index, "pose", poses.len(), seen.pose)?;
-        let rig = &rigs[sessions[poses[seen.pose].session].rig];
-        within(
-            "observation",
-            index,
-            "camera",
-            rig.cameras.len(),
-            seen.camera,
-        )?;
-        within(
-            "observation",
-            index,
-            "landmark",
-            landmarks.len(),
-            seen.landmark,
-        )?;
-        finite("observation", index, &seen.pixel, &[seen.sigma_px])?;
+    let is_wrong = |(index, seen): (usize, &Observation)| {
+        let check = || {
+            let within = |of, count, found| within("observation", index, of, count, found);
+            within("pose", poses.len(), seen.pose)?;
+            let rig = &rigs[sessions[poses[seen.pose].session].rig];
+            within("camera", rig.cameras.len(), seen.camera)?;
+            within("landmark", landmarks.len(), seen.landmark)?;
+            finite("observation", index, &seen.pixel, &[seen.sigma_px])
+        };
+        check().err()
+    };
+    let observations = observations.par_iter().enumerate();
+    if let Some(error) = observations.find_map_first(is_wrong) {
+        return Err(error);
     }
     for (index, step) in odometry.iter().enumerate() {
         within("odometry", index, "pose", poses.len(), step.from)?;

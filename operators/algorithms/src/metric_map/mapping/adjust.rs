@@ -1,14 +1,15 @@
 //! Bundle adjustment of a scene.
 
 use nalgebra::Vector3;
+use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{MapInput, MapObservation};
 use crate::geometry::pose::Pose;
-use crate::metric_map::association::{Landmark, Scene};
+use crate::metric_map::association::{FeatureRef, Landmark, Scene};
 use crate::metric_map::bundle_adjustment::{
-    Keyframe, Observation, Odometry, Options, Problem, Session, residuals, solve,
+    Keyframe, Observation, Odometry, Options, Problem, Residual, Session, residuals, solve,
 };
 use crate::metric_map::features::FeatureNoise;
 use crate::metric_map::odometry::OdometryScale;
@@ -85,8 +86,29 @@ impl Default for AdjustParams {
 pub(super) struct Adjusted {
     pub(super) poses: Vec<Pose>,
     pub(super) points: Vec<Vector3<f64>>,
-    pub(super) observations: Vec<MapObservation>,
     pub(super) odometry_scales: Vec<f64>,
+    /// Of the landmarks' features.
+    residuals: Vec<Residual>,
+}
+
+impl Adjusted {
+    /// The features of the landmarks that were adjusted, as the adjusted map explains them.
+    pub(super) fn observations(&self, landmarks: &[Landmark]) -> Vec<MapObservation> {
+        let features = landmarks.iter().zip(0_u32..).flat_map(|(landmark, at)| {
+            let features = landmark.features.iter();
+            features.map(move |feature| (*feature, at))
+        });
+        let explained = features.zip(&self.residuals);
+        let explained = explained.filter_map(|((feature, landmark), residual)| {
+            Some(MapObservation {
+                feature,
+                landmark,
+                residual_px: residual.error_px?.norm(),
+                weight: residual.weight,
+            })
+        });
+        explained.collect()
+    }
 }
 
 /// Adjusts poses and landmarks; where that is impossible both stay.
@@ -112,32 +134,17 @@ pub(super) fn adjust(
         },
         ..Options::default()
     };
-    let seen = match solve(&mut problem, &options) {
+    let residuals = match solve(&mut problem, &options) {
         Ok(report) => report.observations,
         Err(_) => residuals(&problem, loss),
     };
-    let mut observations = Vec::with_capacity(seen.len());
-    let features = landmarks.iter().zip(0_u32..).flat_map(|(landmark, at)| {
-        let features = landmark.features.iter();
-        features.map(move |feature| (*feature, at))
-    });
-    for ((feature, landmark), residual) in features.zip(&seen) {
-        if let Some(error) = residual.error_px {
-            observations.push(MapObservation {
-                feature,
-                landmark,
-                residual_px: error.norm(),
-                weight: residual.weight,
-            });
-        }
-    }
     let poses = problem.poses.iter().map(|pose| pose.map_from_vehicle);
     let sessions = problem.sessions.iter();
     Adjusted {
         poses: poses.collect(),
         odometry_scales: sessions.map(|session| session.odometry_scale).collect(),
         points: problem.landmarks,
-        observations,
+        residuals,
     }
 }
 
@@ -168,21 +175,23 @@ fn problem(
 }
 
 fn observations(scene: &Scene, landmarks: &[Landmark], params: &AdjustParams) -> Vec<Observation> {
-    let mut all = Vec::new();
-    for (at, landmark) in landmarks.iter().enumerate() {
-        for feature in &landmark.features {
-            let image = &scene.images[feature.image as usize];
-            let pose = image.keyframe as usize;
-            all.push(Observation {
-                pose,
-                camera: (feature.image - scene.keyframes[pose].images.start) as usize,
-                landmark: at,
-                pixel: scene.feature(*feature).pixel(),
-                sigma_px: params.features.sigma_px * scene.blur(*feature),
-            });
+    let observation = |landmark: usize, feature: &FeatureRef| {
+        let image = &scene.images[feature.image as usize];
+        let pose = image.keyframe as usize;
+        Observation {
+            pose,
+            camera: (feature.image - scene.keyframes[pose].images.start) as usize,
+            landmark,
+            pixel: scene.feature(*feature).pixel(),
+            sigma_px: params.features.sigma_px * scene.blur(*feature),
         }
-    }
-    all
+    };
+    let landmarks = landmarks.par_iter().enumerate();
+    let seen = landmarks.flat_map_iter(|(at, landmark)| {
+        let features = landmark.features.iter();
+        features.map(move |feature| observation(at, feature))
+    });
+    seen.collect()
 }
 
 /// Standard deviations of an odometry step. A turn that is missed evenly along the way leads aside by half of it times the

@@ -149,13 +149,14 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
         &params.adjust,
         params.adjust.last,
     );
+    let observations = last.observations(&landmarks);
     for (landmark, point) in landmarks.iter_mut().zip(last.points) {
         landmark.point = point;
     }
     Map {
         poses: last.poses,
         landmarks,
-        observations: last.observations,
+        observations,
         odometry_scales: last.odometry_scales,
     }
 }

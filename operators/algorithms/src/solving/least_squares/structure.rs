@@ -101,11 +101,14 @@ impl<const D: usize> Structure<D> {
             SymbolicCholeskyRaw::Simplicial(_) => Side::Upper,
             SymbolicCholeskyRaw::Supernodal(_) => Side::Lower,
         };
+        let mut pattern = (columns, rows, col_ptr, row_idx);
         if side == Side::Lower {
             pairs.iter_mut().for_each(|(a, b)| (*a, *b) = (*b, *a));
+            let (columns, rows) = compress(unknowns, &mut pairs, true);
+            let (col_ptr, row_idx) = scalars::<D>(&columns, &rows, side);
+            pattern = (columns, rows, col_ptr, row_idx);
         }
-        let (columns, rows) = compress(unknowns, &mut pairs, true);
-        let (col_ptr, row_idx) = scalars::<D>(&columns, &rows, side);
+        let (columns, rows, col_ptr, row_idx) = pattern;
         Ok(Self {
             place_of,
             columns,
@@ -199,11 +202,11 @@ fn scalars<const D: usize>(columns: &[u32], rows: &[u32], side: Side) -> (Vec<u3
         for within in 0..d {
             let own = column as u32 * d + within;
             for block in &rows[range[0] as usize..range[1] as usize] {
-                let all = block * d..(block + 1) * d;
-                row_idx.extend(all.filter(|row| match side {
-                    Side::Upper => *row <= own,
-                    Side::Lower => *row >= own,
-                }));
+                let (first, end) = (block * d, (block + 1) * d);
+                row_idx.extend(match side {
+                    Side::Upper => first..end.min(own + 1),
+                    Side::Lower => first.max(own)..end,
+                });
             }
             col_ptr.push(row_idx.len() as u32);
         }
