@@ -12,8 +12,8 @@ use evermap_schemas::Fault;
 use futures::StreamExt;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 
-use crate::log::heads::{self, AttachmentHead};
 use crate::log::definition::LogChannel;
+use crate::log::heads::{self, AttachmentHead};
 use crate::log::index::LogIndex;
 use crate::log::window::store_fault;
 use crate::losses::{FileLosses, Loss, LossLedger, Reason};
@@ -46,12 +46,32 @@ impl Session {
             .collect()
     }
 
+    /// The roles that topics with messages play.
+    pub fn played(&self) -> BTreeSet<String> {
+        let roles = self.roles.to_manifest().into_keys();
+        let played = |role: &String| {
+            let mut topics = self.roles.topics(role).iter();
+            topics.any(|topic| !self.is_silent(topic))
+        };
+        roles.filter(played).collect()
+    }
+
+    /// Whether a topic is known to have no message.
+    pub fn is_silent(&self, topic: &str) -> bool {
+        self.parts.iter().all(|part| {
+            let messages = |channel: &Arc<LogChannel>| part.index.channel_messages(channel.id);
+            part.channels_of(topic)
+                .all(|channel| messages(channel) == Some(0))
+        })
+    }
+
     /// Message types of its topics, as their logs spell them.
     pub fn message_types(&self) -> BTreeMap<String, String> {
         let typed = self.parts.iter().flat_map(|part| {
             part.index.channels.values().map(|channel| {
                 let schema = part.index.schema_of(channel);
-                let name = schema.map_or_else(|| "no schema".to_owned(), |found| found.name.clone());
+                let name =
+                    schema.map_or_else(|| "no schema".to_owned(), |found| found.name.clone());
                 (channel.topic.clone(), name)
             })
         });

@@ -51,7 +51,10 @@ async fn a_true_summary_is_believed_without_loss() {
 #[tokio::test]
 async fn what_a_chunk_holds_beside_what_is_said_of_it_is_counted() {
     let hidden = summed_up(&[(1, 5)], (1, 5), (1, 5));
-    assert_eq!(rows(&hidden, "/a").await, (5, vec![(Reason::BadSummary, 5)]));
+    assert_eq!(
+        rows(&hidden, "/a").await,
+        (5, vec![(Reason::BadSummary, 5)])
+    );
     assert!(surveyed(&hidden).await.contains(&Reason::BadSummary));
     let early = summed_up(&[(1, 5), (2, 5)], (1, 3), (1, 3));
     assert_eq!(rows(&early, "/a").await, (5, vec![(Reason::BadSummary, 4)]));
@@ -94,9 +97,15 @@ async fn an_attachment_whose_entry_covers_a_chunk_hides_none() {
     let covered = (attachment.len() + whole.len()) as u64;
     let entry = |length: u64| {
         let place = [first().to_le_bytes(), length.to_le_bytes()].concat();
-        record(10, &[&place[..], &[0; 24], &text(b"a.txt"), &text(b"")].concat())
+        record(
+            10,
+            &[&place[..], &[0; 24], &text(b"a.txt"), &text(b"")].concat(),
+        )
     };
-    let log = file(&[attachment, whole], &[entry(covered), statistics((0, 0), 0, &[])]);
+    let log = file(
+        &[attachment, whole],
+        &[entry(covered), statistics((0, 0), 0, &[])],
+    );
     assert_eq!(rows(&log, "/b").await, (5, vec![]));
 }
 
@@ -104,7 +113,10 @@ async fn an_attachment_whose_entry_covers_a_chunk_hides_none() {
 async fn a_number_that_is_defined_twice_is_counted() {
     let other = [
         [channel(1, 0, "/a", "json"), channel(1, 0, "/b", "json")],
-        [schema(1, "A", "jsonschema", b"{}"), schema(1, "A", "jsonschema", b"{ }")],
+        [
+            schema(1, "A", "jsonschema", b"{}"),
+            schema(1, "A", "jsonschema", b"{ }"),
+        ],
     ];
     for definitions in other {
         let own = channel(2, 0, "/t", "json");

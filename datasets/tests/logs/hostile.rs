@@ -5,7 +5,8 @@
 use std::sync::Arc;
 
 use crate::common::by_hand::{
-    channel, chunk, chunk_index, file, first, message, message_index, record, schema, statistics, text,
+    channel, chunk, chunk_index, file, first, message, message_index, record, schema, statistics,
+    text,
 };
 use crate::common::{context, count, in_memory, open_in, packed};
 use datafusion::execution::memory_pool::GreedyMemoryPool;

@@ -1,7 +1,9 @@
 //! A role is one descriptor: one that is made up here has a key in manifests, inference and a table like any other.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+use crate::common::by_hand::{channel, file, schema};
 use crate::common::{Log, context, in_memory, rows, text};
+use crate::hostile::{messages, opened};
 use datafusion::prelude::SessionContext;
 use evermap_datasets::{Dataset, Manifest, Reason, Recordings};
 use evermap_schemas::roles::{self, FromMessage, Message, Messages, Role};
@@ -110,4 +112,23 @@ async fn a_manifest_gives_topics_to_roles_that_there_are() {
         fault.contains("expected a topic for the role remarks"),
         "{fault}"
     );
+}
+
+/// Recorders list topics on which nobody spoke.
+#[tokio::test]
+async fn a_topic_without_messages_plays_nothing() {
+    let definitions = [
+        schema(1, "nav_msgs/msg/Odometry", "ros2msg", b"float64 x"),
+        channel(1, 1, "/odom", "cdr"),
+        channel(2, 1, "/wheels", "cdr"),
+    ]
+    .concat();
+    let (_, spoken) = opened(&file(&[definitions.clone(), messages(&[2], 3)], &[])).await;
+    let session = &spoken.sessions[0];
+    assert_eq!(session.roles.topics("odometry"), ["/wheels"]);
+    assert!(session.played().contains("odometry"));
+    let (_, silent) = opened(&file(&[definitions], &[])).await;
+    let session = &silent.sessions[0];
+    assert_eq!(session.roles.topics("odometry"), ["/odom"]);
+    assert!(session.is_silent("/odom") && session.played().is_empty());
 }

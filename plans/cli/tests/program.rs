@@ -373,11 +373,16 @@ fn a_metric_map_is_exported_as_the_field_reads_it() {
 }
 
 #[test]
-fn the_questions_in_the_readme_have_answers() {
+fn the_questions_in_the_docs_have_answers() {
     let (_folder, map) = made_up_metric_map();
-    let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../README.md");
-    let readme = std::fs::read_to_string(readme).unwrap();
-    let queries: Vec<_> = readme
+    let pages = ["README.md", "docs/labels.md", "docs/debugging.md"].map(|page| {
+        let page = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../..")
+            .join(page);
+        std::fs::read_to_string(page).unwrap()
+    });
+    let docs = pages.concat();
+    let queries: Vec<_> = docs
         .split("evermap sql --map lot \"")
         .skip(1)
         .map(|rest| rest.split('"').next().unwrap())

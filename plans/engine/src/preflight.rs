@@ -40,13 +40,21 @@ pub struct Unplayed {
 impl Unplayed {
     /// What a person is told of them.
     pub fn notes(&self) -> Vec<String> {
-        let told = |roles: &[&str], what: &str| {
-            let roles = (!roles.is_empty()).then(|| roles.join(", "));
-            roles.map(|roles| format!("note: no session has {roles}{what}"))
-        };
-        let empty = told(&self.needed, ": what the plan makes of it is empty");
-        let missed = told(&self.of_use, ", which the plan would use");
-        empty.into_iter().chain(missed).collect()
+        let Self { needed, of_use } = self;
+        let mut notes = Vec::new();
+        if !needed.is_empty() {
+            let roles = needed.join(", ");
+            notes.push(format!(
+                "note: no session has {roles}: what the plan makes of it is empty"
+            ));
+        }
+        if !of_use.is_empty() {
+            let roles = of_use.join(", ");
+            notes.push(format!(
+                "note: no session has {roles}, which the plan would use"
+            ));
+        }
+        notes
     }
 }
 
@@ -218,11 +226,6 @@ fn is_optional(registry: &Registry, op: &str, port: &str) -> bool {
     entry.is_some_and(|entry| entry.port(port).is_some_and(|port| port.optional))
 }
 
-/// The roles that topics of a session play.
-pub fn played(session: &Session) -> Roles {
-    session.roles.to_manifest().into_keys().collect()
-}
-
 /// The sessions given of which a plan makes nothing, beside the roles that sessions of the map play.
 ///
 /// # Errors
@@ -232,7 +235,7 @@ pub fn idle<'a>(
     given: &Dataset,
     mapped: impl Iterator<Item = &'a String>,
 ) -> Result<Vec<(String, Lacks)>, Fault> {
-    let played: Vec<Roles> = given.sessions.iter().map(played).collect();
+    let played: Vec<Roles> = given.sessions.iter().map(Session::played).collect();
     let mut all: Roles = played.iter().flatten().cloned().collect();
     all.extend(mapped.cloned());
     let sessions = given.sessions.iter().zip(&played);
@@ -259,7 +262,10 @@ fn nothing_to_make(session: &Session, lacks: &Lacks, others: usize) -> Fault {
     let topics = session.message_types();
     let mut topics: Vec<_> = topics
         .iter()
-        .map(|(topic, kind)| format!("{topic} ({kind})"))
+        .map(|(topic, kind)| match session.is_silent(topic) {
+            true => format!("{topic} ({kind}, no messages)"),
+            false => format!("{topic} ({kind})"),
+        })
         .collect();
     if topics.len() > 8 {
         let left = topics.len() - 8;

@@ -55,7 +55,7 @@ const TYPES: &[&str] = &[
     transforms::TYPES[3],
 ];
 
-/// One `nav_msgs/Odometry` topic: `/odom` if there is one, else that with most messages, else the first by name. Where
+/// One `nav_msgs/Odometry` topic: `/odom` if there is one that has messages, else that with most messages, else the first by name. Where
 /// there is none, a topic of poses whose name speaks of odometry; where there is none either, `/tf` likewise; at last a
 /// topic of other poses, but of goals.
 fn choose(topics: &[Topic]) -> Vec<Choice> {
@@ -78,7 +78,8 @@ fn choose(topics: &[Topic]) -> Vec<Choice> {
     };
     candidates.sort_by_key(|topic| {
         let plain = ["odom", "tf"].contains(&topic.name.trim_start_matches('/'));
-        (!plain, Reverse(topic.messages), &topic.name)
+        let silent = topic.messages == 0;
+        (silent, !plain, Reverse(topic.messages), &topic.name)
     });
     Choice::first_of(candidates).into_iter().collect()
 }

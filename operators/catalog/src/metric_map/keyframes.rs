@@ -12,7 +12,7 @@ pub struct Keyframes;
 
 impl Operator for Keyframes {
     const NAME: &'static str = "keyframes";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("keyframes.md");
     type Params = KeyframeParams;
     type Output = Keyframe;
@@ -29,6 +29,9 @@ impl Operator for Keyframes {
             .map_err(|error| Fault::user(error.to_string()))
     }
 }
+
+/// Keyframes are handed on once there are so many: messages that are far apart make many.
+const ENOUGH: usize = 8192;
 
 /// One session at work.
 struct Session {
@@ -71,6 +74,9 @@ impl Stream for Session {
                 Err(_) => self.not_rigid += 1,
             }
             self.name = (row.site, row.session);
+            if keyframes.len() >= ENOUGH {
+                self.emit(std::mem::take(&mut keyframes), emit)?;
+            }
         }
         self.emit(keyframes, emit)
     }
@@ -82,6 +88,7 @@ impl Stream for Session {
         emit.skip("odometry pose is not a rigid transform", not_rigid);
         emit.skip("odometry stamp repeats", losses.out_of_order);
         emit.skip("odometry jumped", losses.jumps);
+        emit.skip("odometry paused while the vehicle moved", losses.pauses);
         emit.skip(
             "second frame of one camera with one stamp",
             losses.repeated_frames,

@@ -4,9 +4,9 @@ use std::io::Write;
 
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
-use evermap_datasets::{Dataset, Manifest};
+use evermap_datasets::{Dataset, Manifest, Session};
 use evermap_engine::plan_test::run_tests;
-use evermap_engine::preflight::{Needs, idle, in_words, played};
+use evermap_engine::preflight::{Needs, idle, in_words};
 use evermap_engine::prepare::{self, vocabulary};
 use evermap_engine::program::Program;
 use evermap_language::{Plan, json_schema};
@@ -36,7 +36,7 @@ pub async fn check(args: &PlanArgs) -> Ending {
         ));
     }
     if !dataset.sessions.is_empty() {
-        let played: Vec<_> = dataset.sessions.iter().map(played).collect();
+        let played: Vec<_> = dataset.sessions.iter().map(Session::played).collect();
         let unplayed = needs.unplayed(&program, &played);
         unplayed.notes().iter().for_each(|note| line(note));
     }

@@ -7,8 +7,8 @@ use std::io::Write;
 use askama::Template;
 use evermap_datasets::log::index::{LogIndex, UnitKind};
 use evermap_datasets::log::pace::Pace;
-use evermap_datasets::{Dataset, LogPart};
-use evermap_engine::preflight::{Needs, played};
+use evermap_datasets::{Dataset, LogPart, Session};
+use evermap_engine::preflight::Needs;
 use evermap_engine::prepare::parse;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::Fault;
@@ -123,7 +123,7 @@ fn roles(dataset: &Dataset) -> Vec<RoleLine> {
 /// What each plan that ships lacks to make something of the file alone.
 fn plans(dataset: &Dataset) -> Result<Vec<PlanLine>, Fault> {
     let registry = operators::registry();
-    let plays = dataset.sessions.iter().flat_map(played).collect();
+    let plays = dataset.sessions.iter().flat_map(Session::played).collect();
     let line = |shipped: &(&str, &str)| {
         let plan = parse(&shipped::plain(shipped), &registry);
         let plan = plan.map_err(|faults| Fault::bug(faults.to_string()))?;

@@ -44,6 +44,10 @@ const BRIDGED_S: f64 = 0.2;
 /// Odometry that jumps again before so long (s) is not continued: it is broken.
 const SOUND_S: f64 = 1.0;
 
+/// Where odometry paused for longer (s) and the vehicle is elsewhere since ([`FAR_M`]), nobody knows which way it took: a
+/// car may have gone round a block. Messages may be as rare as that, or every fifth one be there at 1 Hz.
+const LONGEST_PAUSE_S: f64 = 5.0;
+
 /// A pose within this of zero (m, rad), far from where the vehicle was going, is a start.
 const START_M: f64 = 0.1;
 const START_RAD: f64 = 0.02;
@@ -135,7 +139,9 @@ impl Continuity {
         if self.goes_on(stamp, &pose, odom_from_vehicle) {
             return Some(self.went_on(stamp, pose));
         }
-        self.losses.jumps += 1;
+        let pauses = self.has_paused(stamp, &pose);
+        self.losses.pauses += u64::from(pauses);
+        self.losses.jumps += u64::from(!pauses);
         let Some(there) = self.bridged(stamp) else {
             self.start_from_odom = Pose::identity();
             return Some(self.begin(stamp, *odom_from_vehicle));
@@ -172,6 +178,9 @@ impl Continuity {
             return true;
         };
         let step = pose.translation - at.translation;
+        if self.has_paused(stamp, pose) {
+            return false;
+        }
         let (dt, limits) = (seconds(*last, stamp), &self.limits);
         let longest_m = limits.max_speed_mps * (dt + STAMP_ERROR_S) + SLACK_M;
         let most_rad = limits.max_yaw_rate_radps * (dt + STAMP_ERROR_S) + SLACK_RAD;
@@ -188,6 +197,14 @@ impl Continuity {
         let starts = odom_from_vehicle.translation.norm() < START_M
             && odom_from_vehicle.rotation.angle() < START_RAD;
         off_m <= bent_m + velocity.norm() * STAMP_ERROR_S + SLACK_M && !(starts && off_m > FAR_M)
+    }
+
+    /// Whether the vehicle went elsewhere while nothing was said for long.
+    fn has_paused(&self, stamp: i64, pose: &Pose) -> bool {
+        self.recent.back().is_some_and(|(last, at)| {
+            let step_m = (pose.translation - at.translation).norm();
+            seconds(*last, stamp) > LONGEST_PAUSE_S && step_m > FAR_M
+        })
     }
 
     /// Where the last twist leads; `None` where that is not known well enough.
@@ -318,6 +335,15 @@ mod tests {
             Pose::from_yaw(aside, 0.0, 0.0).compose(&pose)
         });
         assert!(losses.jumps == 39 && breaks(&found) >= 38, "{losses:?}");
+    }
+
+    #[test]
+    fn whoever_is_elsewhere_after_a_long_pause_came_by_an_unknown_way() {
+        let at = |x: f64| Pose::from_yaw(x, 0.0, 0.0);
+        let (found, losses) = continued([(0.0, at(0.0)), (4.9, at(60.0)), (64.0, at(60.2))]);
+        assert_eq!((breaks(&found), losses.pauses), (0, 0));
+        let (found, losses) = continued([(0.0, at(0.0)), (1800.0, at(50_000.0))]);
+        assert_eq!((breaks(&found), losses.pauses, losses.jumps), (1, 1, 0));
     }
 
     #[test]

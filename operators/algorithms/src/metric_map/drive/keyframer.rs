@@ -233,7 +233,7 @@ mod tests {
 
     #[test]
     fn nobody_waits_longer_than_allowed() {
-        let odometry = [(0, 0.0), (10, 10.0)];
+        let odometry = [(0, 0.0), (5, 5.0), (10, 10.0)];
         let found = drive(&odometry, &[(3, "a"), (10, "a")]);
         // The sets of 3 s and 10 s serve whoever is due up to a second earlier.
         let bare: Vec<_> = found

@@ -22,7 +22,8 @@
 //!   was passed on the way out, so a minute of standing is not smeared into the first metre.
 //!
 //! Reversing is driven path like any other. A step that no vehicle can make is not: the odometry was
-//! set anew. It is continued, or a new stretch starts there with a keyframe of its own ([`MotionLimits`]).
+//! set anew. It is continued, or a new stretch starts there with a keyframe of its own ([`MotionLimits`]). A new one
+//! starts, too, where the vehicle is elsewhere after a long pause of the odometry.
 //!
 //! Where there are images, a keyframe is the first frame set at or after the due point.
 
@@ -111,6 +112,8 @@ pub struct DriveLosses {
     pub not_finite: u64,
     /// Steps that no vehicle can make.
     pub jumps: u64,
+    /// Long pauses after which the vehicle was elsewhere.
+    pub pauses: u64,
     /// Frames of a camera that has another one with their stamp.
     pub repeated_frames: u64,
 }
