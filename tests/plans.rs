@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use evermap_tests::{evermap, repository, text};
+use evermap_tests::{evermap, page, repository, text};
 
 #[test]
 fn every_shipped_plan_checks_and_its_tests_pass() {
@@ -218,13 +218,13 @@ fn a_query_of_the_version_before_is_refused() {
 }
 
 #[test]
-fn the_plans_in_the_readme_check() {
-    let readme = std::fs::read_to_string(repository().join("README.md")).unwrap();
+fn the_plans_in_the_docs_check() {
+    let docs = ["README.md", "docs/plans.md"].map(page).concat();
     let folder = tempfile::tempdir().unwrap();
-    let plans: Vec<_> = readme.split("```yaml\n").skip(1).collect();
+    let plans: Vec<_> = docs.split("```yaml\n").skip(1).collect();
     assert_eq!(plans.len(), 2);
     for (number, plan) in plans.iter().enumerate() {
-        let path = folder.path().join(format!("readme_{number}.yaml"));
+        let path = folder.path().join(format!("plan_{number}.yaml"));
         std::fs::write(&path, plan.split("```").next().unwrap()).unwrap();
         evermap(&["check", text(&path)]).expect(0);
     }

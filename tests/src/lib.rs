@@ -25,6 +25,11 @@ pub fn repository() -> &'static Path {
         .expect("tests/ lies in the repository")
 }
 
+/// A page of the documentation, by its path in the repository.
+pub fn page(name: &str) -> String {
+    std::fs::read_to_string(repository().join(name)).expect("there is such a page")
+}
+
 /// A finished program.
 pub struct Finished {
     /// Exit code; -1 where a signal ended it.

@@ -6,8 +6,8 @@ use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::ground::boxes::GroundBox;
 use evermap_messages::annotation::{Annotation, Geometry};
 use evermap_recording::annotations::AnnotationLog;
+use evermap_tests::page;
 use evermap_tests::park::finished;
-use evermap_tests::repository;
 use evermap_tests::trajectories::{Trajectories, poses, rows, truth, truth_from_map};
 use serde_json::Value;
 
@@ -244,9 +244,9 @@ fn a_few_drawn_spaces_and_some_answers_find_the_others() {
     for session in ["initial", "revisit_1"] {
         occupied_as_in(&world, &map, session);
     }
-    // The README's questions to a map that somebody taught.
-    let readme = std::fs::read_to_string(repository().join("README.md")).unwrap();
-    let queries = readme.split("evermap sql --map lot \"").skip(1);
+    // The docs' questions to a map that somebody taught.
+    let docs = ["README.md", "docs/labels.md"].map(page).concat();
+    let queries = docs.split("evermap sql --map lot \"").skip(1);
     let queries = queries.map(|rest| rest.split('"').next().unwrap());
     let ours: Vec<&str> = queries
         .filter(|query| query.contains("parking_space") || query.contains("space_occupancy"))

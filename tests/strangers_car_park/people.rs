@@ -155,7 +155,7 @@ fn it_is_driven_slowly_where_people_walk() {
     eprintln!("{lanes:?}");
     assert!(number(&lanes, "slowest") < 2.0 && number(&lanes, "fastest") > 2.5);
     // The README's question to a map of people.
-    let readme = std::fs::read_to_string(evermap_tests::repository().join("README.md")).unwrap();
+    let readme = evermap_tests::page("README.md");
     let mut queries = readme
         .split('"')
         .filter(|text| text.contains("FROM lane_speeds"));
