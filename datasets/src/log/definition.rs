@@ -49,7 +49,7 @@ pub struct LogChannel {
     pub message_encoding: String,
     /// Whatever the recorder noted.
     pub metadata: BTreeMap<String, String>,
-    /// The number of its schema, see [`LogIndex::schema_of`]; 0 where it has none.
+    /// The number of its schema, see [`LogIndex::schema_of`](crate::log::index::LogIndex::schema_of); 0 where it has none.
     pub schema_id: u16,
 }
 
