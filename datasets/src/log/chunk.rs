@@ -132,29 +132,26 @@ impl Block {
 
     /// What is in it; of messages, those that `wanted` says yes to.
     pub fn contents(&self, mut wanted: impl FnMut(&MessageHead) -> bool) -> Contents {
-        let Contents {
-            mut messages,
-            mut definitions,
-            mut lost,
-        } = Contents::default();
+        let mut found = Contents::default();
         let mut records = self.records();
         for (opcode, start, body) in records.by_ref() {
             if opcode != op::MESSAGE {
                 if matches!(opcode, op::SCHEMA | op::CHANNEL) {
                     let start = start + FRAME as usize;
-                    definitions.push((opcode, start..start + body.len()));
+                    let place = start..start + body.len();
+                    found.definitions.push((opcode, place));
                 }
-                lost.add(stray(opcode, body.len() as u64));
+                found.lost.add(stray(opcode, body.len() as u64));
                 continue;
             }
             let Some(head) = MessageHead::parse(body) else {
-                lost.add(Some(FRAME + body.len() as u64));
+                found.lost.add(Some(FRAME + body.len() as u64));
                 continue;
             };
             if wanted(&head) {
                 let body_start = start + FRAME as usize;
                 let start = body_start + MESSAGE_HEAD;
-                messages.push(Message {
+                found.messages.push(Message {
                     head,
                     at: start as u64,
                     start,
@@ -164,14 +161,10 @@ impl Block {
         }
         let rest = (self.bytes.len() - records.offset) as u64;
         if self.damage.is_none() {
-            lost.add((rest > 0).then_some(rest));
+            found.lost.add((rest > 0).then_some(rest));
         }
-        sort(&mut messages);
-        Contents {
-            messages,
-            definitions,
-            lost,
-        }
+        sort(&mut found.messages);
+        found
     }
 }
 
@@ -297,7 +290,7 @@ impl ChunkHead {
         })
     }
 
-    /// The chunk's data, as far as they are there; beside them, that they are cut.
+    /// The chunk's data, as far as they are there; beside them, what is wrong, as [`Self::end`] says.
     fn data(&self, record: &Bytes) -> Result<(Bytes, Option<Damage>), Damage> {
         let (end, wrong) = self.end(record.len() as u64)?;
         Ok((record.slice(self.start..end as usize), wrong))

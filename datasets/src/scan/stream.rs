@@ -211,7 +211,7 @@ impl Scan {
             let mut units = match self.whole(stretch, fetch).await? {
                 Ok(units) => return Ok(Some(Next::Units(units))),
                 Err((stretch, _)) if stretch.0.len() > 1 => {
-                    self.put_back(stretch);
+                    self.put_back(Some(stretch));
                     self.most = None;
                     continue;
                 }
@@ -250,10 +250,10 @@ impl Scan {
         Some(stretch)
     }
 
-    /// Units that are to be fetched again, one by one.
-    fn put_back(&mut self, stretch: Stretch) {
+    /// Gives back these units, and behind them those that are being fetched ahead: they are to be fetched again.
+    fn put_back(&mut self, stretch: Option<Stretch>) {
         let ahead = self.fetched.take().map(|(ahead, _)| ahead);
-        for stretch in ahead.into_iter().chain([stretch]) {
+        for stretch in ahead.into_iter().chain(stretch) {
             for planned in stretch.0.into_iter().rev() {
                 self.units.push_front(planned);
             }
@@ -291,7 +291,7 @@ impl Scan {
 
     /// Begins to read a chunk by portions; none where nothing of it can be used.
     async fn portions(&mut self, planned: PlannedUnit) -> Result<Option<Portions>> {
-        self.put_back(Stretch(VecDeque::new()));
+        self.put_back(None);
         self.reserve_portion()?;
         let PlannedUnit { unit, channels } = planned;
         let (part, rows) = (&self.worker.part, &self.worker.rows);
@@ -327,7 +327,7 @@ impl Scan {
                 let fetch = self.fetch(&stretch);
                 self.fetched = Some((stretch, fetch));
             }
-            Err(_) => self.put_back(stretch),
+            Err(_) => self.put_back(Some(stretch)),
         }
     }
 }

@@ -88,8 +88,8 @@ impl<const D: usize> Structure<D> {
         }
         // The symbolic step reads the upper triangle; which triangle the numeric one wants is
         // known after it.
-        let (columns, rows) = compress(unknowns, &mut pairs, true);
-        let (col_ptr, row_idx) = scalars::<D>(&columns, &rows, Side::Upper);
+        let (mut columns, mut rows) = compress(unknowns, &mut pairs, true);
+        let (mut col_ptr, mut row_idx) = scalars::<D>(&columns, &rows, Side::Upper);
         let n = unknowns * D;
         let symbolic = factorize_symbolic_cholesky(
             SymbolicSparseColMatRef::new_unsorted_checked(n, n, &col_ptr, None, &row_idx),
@@ -101,14 +101,11 @@ impl<const D: usize> Structure<D> {
             SymbolicCholeskyRaw::Simplicial(_) => Side::Upper,
             SymbolicCholeskyRaw::Supernodal(_) => Side::Lower,
         };
-        let mut pattern = (columns, rows, col_ptr, row_idx);
         if side == Side::Lower {
             pairs.iter_mut().for_each(|(a, b)| (*a, *b) = (*b, *a));
-            let (columns, rows) = compress(unknowns, &mut pairs, true);
-            let (col_ptr, row_idx) = scalars::<D>(&columns, &rows, side);
-            pattern = (columns, rows, col_ptr, row_idx);
+            (columns, rows) = compress(unknowns, &mut pairs, true);
+            (col_ptr, row_idx) = scalars::<D>(&columns, &rows, side);
         }
-        let (columns, rows, col_ptr, row_idx) = pattern;
         Ok(Self {
             place_of,
             columns,
