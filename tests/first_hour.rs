@@ -287,6 +287,57 @@ fn versions_are_compared_in_metres() {
     let none = ask("SELECT count(*) AS rows FROM diff('lanes', 2, 2) WHERE moved_m > 0");
     assert_eq!(none[0]["rows"], 0);
 
+    // Where rows were, beside where they are.
+    let places = ask("SELECT count(*) AS rows, max(abs(st_distance(geometry, geometry_before) - moved_m)) AS apart_m
+                      FROM diff('poses', 1, 2) WHERE change = 'changed'");
+    assert!(places[0]["rows"].as_u64().unwrap() > 10, "{places}");
+    assert!(places[0]["apart_m"].as_f64().unwrap() < 1e-6, "{places}");
+    let picture = folder.path().join("changes.svg");
+    let drawn = [
+        "render",
+        "--map",
+        text(&map),
+        "--view",
+        "changes",
+        "--out",
+        text(&picture),
+    ];
+    evermap(&drawn).expect(0);
+    let svg = std::fs::read_to_string(&picture).unwrap();
+    let points = svg
+        .split(" points moved")
+        .next()
+        .unwrap()
+        .rsplit('>')
+        .next();
+    let points: u64 = points.unwrap().parse().unwrap();
+    assert!(
+        points >= places[0]["rows"].as_u64().unwrap(),
+        "{points} {places}"
+    );
+    let of_first = [&drawn[..], &["--version", "1"]].concat();
+    let told = evermap(&of_first).expect(1).stderr;
+    assert!(
+        told.contains("version 1 is the oldest of the map"),
+        "{told}"
+    );
+
+    // Other programs find the newest files without evermap.
+    let newest = std::fs::read_dir(map.join("newest/poses")).unwrap();
+    assert_eq!(newest.count(), 1);
+    let linked = std::fs::read(map.join("newest/poses/00000.parquet")).unwrap();
+    let files = evermap(&["layers", "--map", text(&map), "--files", "--format", "json"]);
+    let files = files.expect(0).json();
+    let file = files
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|file| file["layer"] == "poses");
+    assert_eq!(
+        std::fs::read(file.unwrap()["file"].as_str().unwrap()).unwrap(),
+        linked
+    );
+
     let summary = [
         "diff",
         "--map",

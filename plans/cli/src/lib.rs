@@ -27,6 +27,7 @@ pub mod export;
 mod manifest;
 pub mod metric;
 mod mosaic;
+mod moved;
 mod operators;
 pub mod output;
 mod progress;

@@ -38,6 +38,10 @@ pub struct Similarities {
     pub views: usize,
     /// From 0 to 1, view after view; 0 where no relocation was kept.
     pub values: Vec<f64>,
+    /// Sessions of the queries.
+    pub query_sessions: String,
+    /// Sessions of the views of the map.
+    pub view_sessions: String,
 }
 
 /// The semantic map of one site.
@@ -142,7 +146,18 @@ fn matrix(rows: &[Relocation]) -> Option<Similarities> {
         queries: queries.len(),
         views: views.len(),
         values,
+        query_sessions: sessions(&queries),
+        view_sessions: sessions(&views),
     })
+}
+
+/// The names of the sessions, as a person lists them.
+fn sessions(numbered: &BTreeMap<ViewKey, usize>) -> String {
+    let names: BTreeSet<&str> = numbered
+        .keys()
+        .map(|(session, ..)| session.as_str())
+        .collect();
+    names.into_iter().collect::<Vec<_>>().join(", ")
 }
 
 /// Session, stamp and camera.
@@ -209,6 +224,7 @@ mod tests {
         let rows = [relocation(2, 7, 0.5), relocation(1, 9, 0.25)];
         let found = matrix(&rows).unwrap_or_default();
         assert_eq!((found.queries, found.views), (2, 2));
+        assert_eq!((&*found.query_sessions, &*found.view_sessions), ("b", "a"));
         assert_eq!(found.values, [0.0, 0.5, 0.25, 0.0]);
         assert_eq!(matrix(&[]), None);
     }

@@ -273,6 +273,8 @@ pub struct ExportArgs {
 pub enum Shown {
     /// The ground from above, lanes, intersections, trajectories.
     Map,
+    /// What is gone, new and moved since an earlier version: poses, lanes, intersections, parking spaces, labels.
+    Changes,
     /// The metric map: trajectories before and after, landmarks, loop closures.
     Metric,
     /// The semantic map: labels over images, and the graphs of views.
@@ -293,6 +295,9 @@ pub struct RenderArgs {
     /// What is drawn.
     #[arg(long, default_value = "map")]
     pub view: Shown,
+    /// Earlier version that changes are since [default: the one before].
+    #[arg(long, value_name = "N")]
+    pub since: Option<u64>,
     /// Site to draw [default: the first by name].
     #[arg(long, value_name = "NAME")]
     pub site: Option<String>,

@@ -1,11 +1,13 @@
 //! `evermap render`.
 
+use evermap_engine::map::version::Version;
 use evermap_schemas::Fault;
 
 use crate::arguments::{RenderArgs, Shown};
 use crate::draw::{Canvas, Picture, draw, matrix, png, views};
 use crate::ending::{DONE, Ending};
 use crate::metric::metric_map;
+use crate::moved::changes;
 use crate::output::write_file;
 use crate::progress::line;
 use crate::reader::MapReader;
@@ -48,6 +50,14 @@ async fn picture(args: &RenderArgs, reader: &MapReader) -> Result<Picture, Fault
     };
     match args.view {
         Shown::Map => draw(&scene, canvas),
+        Shown::Changes => {
+            let since = earlier(reader, args.since).await?;
+            let changes = changes(reader, site, since).await?;
+            if changes.is_empty() {
+                line(&format!("nothing of {site} changed since version {since}"));
+            }
+            draw(&scene.with_changes(changes), canvas)
+        }
         Shown::Metric => {
             let found = metric_map(reader, site).await?;
             let found = found
@@ -64,4 +74,18 @@ async fn picture(args: &RenderArgs, reader: &MapReader) -> Result<Picture, Fault
             matrix(&found, args.width_px)
         }
     }
+}
+
+/// The version that changes are since: the one asked for, or the newest before the one that is drawn.
+async fn earlier(reader: &MapReader, asked: Option<u64>) -> Result<u64, Fault> {
+    if let Some(asked) = asked {
+        return Ok(asked);
+    }
+    let drawn = reader.map.version.version;
+    let numbers = Version::numbers(&reader.map.store).await?;
+    let before = numbers.into_iter().rev().find(|number| *number < drawn);
+    before.ok_or_else(|| {
+        Fault::user(format!("version {drawn} is the oldest of the map"))
+            .next("choose two versions: --since N --version M; `evermap versions` lists them")
+    })
 }

@@ -36,6 +36,13 @@ pub const ACCEPTED: &str = FREE;
 /// Loop closures that it does not agree with.
 pub const REJECTED: &str = TAKEN;
 
+/// What is new since an earlier version, what is gone, and what moved: told apart as [`FREE`] is from [`TAKEN`].
+pub const NEW: &str = FREE;
+/// See [`NEW`].
+pub const GONE: &str = TAKEN;
+/// See [`NEW`].
+pub const MOVED: &str = "#f4f06a";
+
 /// Told apart by people with any kind of colour vision (after Okabe and Ito), light enough for a dark ground.
 const SESSIONS: [&str; 8] = [
     "#ff9f1c", "#2ee6a6", "#ff6fae", "#b7a0ff", "#f4f06a", "#ff5d5d", "#7fd8ff", "#d0a070",

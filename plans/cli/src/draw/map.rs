@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use askama::Template;
 use evermap_schemas::Fault;
 
+use crate::draw::changes::{Changes, shapes};
 use crate::draw::line::{along, chevrons, length, path, simplified};
 use crate::draw::pixels::data_url;
 use crate::draw::slowness::SHADES;
@@ -43,7 +44,7 @@ pub fn draw(scene: &Scene, canvas: Canvas) -> Result<Picture, Fault> {
     let map = MapFromAbove {
         scene,
         ground: ground.transpose()?,
-        legend: legend(scene),
+        legend: legend(scene, &viewport),
         scale: ScaleBar::of(&viewport),
         viewport,
     };
@@ -193,6 +194,11 @@ impl MapFromAbove<'_> {
         })
     }
 
+    /// Path data of what is gone and what is new.
+    fn changed(&self, changed: &[Vec<[f64; 2]>]) -> String {
+        shapes(changed, &self.viewport)
+    }
+
     /// Where the legend is: above to the left, or to the right or below there, where it covers less of what is drawn.
     fn legend_at(&self) -> (f64, f64) {
         let size = [self.legend_width(), self.legend_height()];
@@ -246,7 +252,7 @@ impl MapFromAbove<'_> {
 }
 
 /// The sessions' names in their colours, what outlines are of, and every other symbol that is drawn.
-fn legend(scene: &Scene) -> Vec<(String, Option<String>)> {
+fn legend(scene: &Scene, viewport: &Viewport) -> Vec<(String, Option<String>)> {
     let driven = &scene.trajectories;
     let named = driven.iter().take(MOST_NAMED).enumerate();
     let mut lines: Vec<_> = named
@@ -283,8 +289,38 @@ fn legend(scene: &Scene) -> Vec<(String, Option<String>)> {
     ];
     let symbols = symbols.into_iter().filter(|(is_drawn, ..)| *is_drawn);
     lines.extend(symbols.map(|(_, name, colour)| (name.to_owned(), Some(colour.to_owned()))));
+    let changes = scene.changes.iter();
+    lines.extend(changes.flat_map(|changes| explained(changes, viewport)));
     if !scene.odometry.is_empty() {
         lines.push(("dashed: by odometry".to_owned(), None));
+    }
+    lines
+}
+
+/// What the marks of changes mean.
+fn explained(changes: &Changes, viewport: &Viewport) -> Vec<(String, Option<String>)> {
+    let since = format!("since version {}", changes.since);
+    let most_mm = (1e3 * changes.most_m()).round();
+    let moved = format!("moved, at most {most_mm} mm");
+    let kinds = [
+        (changes.new.is_empty(), format!("new {since}"), colours::NEW),
+        (
+            changes.gone.is_empty(),
+            format!("gone {since}"),
+            colours::GONE,
+        ),
+        (changes.moved.is_empty(), moved, colours::MOVED),
+    ];
+    let kinds = kinds.into_iter().filter(|(is_empty, ..)| !is_empty);
+    let mut lines: Vec<_> = kinds
+        .map(|(_, name, colour)| (name, Some(colour.to_owned())))
+        .collect();
+    let stretch = changes.stretch(viewport);
+    if stretch > 1.0 {
+        lines.push((format!("motion drawn {stretch} times longer"), None));
+    }
+    if lines.is_empty() {
+        lines.push((format!("nothing changed {since}"), None));
     }
     lines
 }

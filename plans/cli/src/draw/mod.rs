@@ -12,9 +12,11 @@
 //! ```
 //! What a picture looks like is in `templates`; here is where things are in it.
 
+mod changes;
 mod colours;
 mod line;
 mod map;
+mod matrix;
 mod outline;
 mod pixels;
 mod semantic;
@@ -27,10 +29,12 @@ use std::collections::BTreeMap;
 
 use evermap_schemas::Fault;
 
+pub use changes::Changes;
 pub use map::draw;
+pub use matrix::matrix;
 pub use outline::{Mark, Outline};
 pub use pixels::{decoded, encoded, png};
-pub use semantic::{matrix, views};
+pub use semantic::views;
 pub use slowness::SlowCell;
 pub use trajectory::Trajectory;
 use viewport::{Bounds, Viewport, bounds_of, union};
@@ -63,6 +67,8 @@ pub struct Scene {
     pub landmarks: Vec<[f64; 2]>,
     /// Loop closures; may be empty.
     pub loops: Vec<LoopLine>,
+    /// What changed since an earlier version, where that is drawn.
+    pub changes: Option<Changes>,
     /// Direction of the map's x axis, counter-clockwise from east; `None` where nobody knows.
     pub heading_rad: Option<f64>,
 }
@@ -106,6 +112,17 @@ pub struct Picture {
 }
 
 impl Scene {
+    /// The same place with what changed in it: over the ground and the lanes, without all else.
+    pub fn with_changes(self, changes: Changes) -> Self {
+        Self {
+            tiles: self.tiles,
+            lanes: self.lanes,
+            heading_rad: self.heading_rad,
+            changes: Some(changes),
+            ..Self::default()
+        }
+    }
+
     /// What lines and markers cover.
     fn line_bounds(&self) -> Option<Bounds> {
         let lanes = self.lanes.iter().flat_map(Lane::from_above);
@@ -115,7 +132,14 @@ impl Scene {
         let driven = driven.flat_map(|driven| driven.points.iter().copied());
         let outlines = self.outlines.iter();
         let outlines = outlines.flat_map(|outline| outline.points.iter().copied());
-        bounds_of(lanes.chain(meetings).chain(driven).chain(outlines))
+        let changed = self.changes.iter().flat_map(Changes::points);
+        bounds_of(
+            lanes
+                .chain(meetings)
+                .chain(driven)
+                .chain(outlines)
+                .chain(changed),
+        )
     }
 
     /// What the finest tiles cover; coarser ones reach far beyond what was seen.

@@ -1,4 +1,4 @@
-//! Labels over a view's image, its graph over them, and the matrix of a relocation run.
+//! Labels over a view's image, and its graph over them.
 
 use askama::Template;
 use evermap_schemas::Fault;
@@ -7,7 +7,7 @@ use png::ColorType;
 
 use crate::draw::pixels::{data_url, decoded, encoded};
 use crate::draw::{Picture, colours, strokes};
-use crate::semantic::{PicturedView, SemanticMap, Similarities};
+use crate::semantic::{PicturedView, SemanticMap};
 
 /// Between panels, px.
 const GAP: u32 = 8;
@@ -135,39 +135,6 @@ fn legend(classes: &[String]) -> Vec<(String, String, f64)> {
     names
 }
 
-/// The matrix of similarities, queries from left to right, views of the map from top to bottom; bright is alike.
-///
-/// # Errors
-/// A resource fault when it cannot be encoded.
-pub fn matrix(similarities: &Similarities, width_px: u32) -> Result<Picture, Fault> {
-    let values = similarities.values.iter();
-    let grey: Vec<u8> = values
-        .map(|value| (value.clamp(0.0, 1.0) * 255.0).round() as u8)
-        .collect();
-    let (columns, rows) = (similarities.queries as u32, similarities.views as u32);
-    let png = encoded(columns, rows, ColorType::Grayscale, &grey)?;
-    let scale = (width_px / columns.max(1)).max(1);
-    let (width_px, height_px) = ((columns * scale).max(1), (rows * scale).max(1));
-    let matrix = Matrix {
-        width: width_px,
-        height: height_px,
-        href: data_url(&png),
-    };
-    Ok(Picture {
-        svg: matrix.to_string(),
-        width_px,
-        height_px,
-    })
-}
-
-#[derive(Template)]
-#[template(path = "matrix.svg")]
-struct Matrix {
-    width: u32,
-    height: u32,
-    href: String,
-}
-
 /// The labels in the classes' colours, by name; transparent where there is no class.
 fn coloured(labels: &LabelImage, classes: &[String]) -> Result<Vec<u8>, Fault> {
     let (width, height, values) =
@@ -266,16 +233,5 @@ mod tests {
             picture.svg
         );
         assert!(raster(&picture).unwrap().starts_with(b"\x89PNG"));
-    }
-
-    #[test]
-    fn a_matrix_has_a_square_for_each_pair() {
-        let similarities = Similarities {
-            queries: 2,
-            views: 3,
-            values: vec![0.0, 1.0, 0.5, 0.0, 0.0, 0.2],
-        };
-        let picture = matrix(&similarities, 20).unwrap();
-        assert_eq!((picture.width_px, picture.height_px), (20, 30));
     }
 }

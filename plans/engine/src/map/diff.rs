@@ -89,7 +89,8 @@ impl Comparison {
 
     /// The rows of a layer in either version: their key, all columns where the layer has none; `change`: `added`,
     /// `removed`, `changed` or `same`; `moved_m` and `moved_rad`, null where a row is in one version only or has nothing
-    /// that tells it.
+    /// that tells it; of rows that have a geometry or a pose, `geometry`: where they are, or were, and `geometry_before`:
+    /// where they were before, null where they are new.
     ///
     /// # Errors
     /// A user fault for a layer that neither version has; what reading says.
@@ -227,7 +228,7 @@ impl Compared {
         let same = "CASE WHEN b.content = a.content THEN 0.0 ELSE";
         let moved_m = match (&self.geometry, &self.pose) {
             (Some(_), _) => {
-                format!("{same} st_hausdorffdistance(b.geometry, a.geometry) END")
+                format!("{same} st_hausdorffdistance(b.shape, a.shape) END")
             }
             (None, Some(_)) => format!("{same} pose_distance(b.pose, a.pose) END"),
             (None, None) => "CAST(NULL AS DOUBLE)".to_owned(),
@@ -236,16 +237,30 @@ impl Compared {
             Some(_) => format!("{same} pose_angle(b.pose, a.pose) END"),
             None => "CAST(NULL AS DOUBLE)".to_owned(),
         };
+        let shape = match self.shape() {
+            Some(_) => ", coalesce(a.shape, b.shape) AS geometry, b.shape AS geometry_before",
+            None => "",
+        };
         format!(
             "SELECT {}, CASE WHEN b.content IS NULL THEN 'added' WHEN a.content IS NULL THEN 'removed'
                     WHEN a.content = b.content THEN 'same' ELSE 'changed' END AS change,
-                    {moved_m} AS moved_m, {moved_rad} AS moved_rad
+                    {moved_m} AS moved_m, {moved_rad} AS moved_rad{shape}
              FROM ({}) b FULL JOIN ({}) a ON {} AND b.nth = a.nth",
             columns.collect::<Vec<_>>().join(", "),
             self.side("before", &schemas[0], &shown),
             self.side("after", &schemas[1], &shown),
             matched.join(" AND ")
         )
+    }
+
+    /// Where a row is: its geometry, else the point of its pose.
+    fn shape(&self) -> Option<String> {
+        let point = |pose: &String| {
+            let [x, y, z] = ["x", "y", "z"].map(|axis| format!("{}['{axis}']", quoted(pose)));
+            format!("st_point({x}, {y}, {z})")
+        };
+        let geometry = self.geometry.as_deref().map(quoted);
+        geometry.or_else(|| self.pose.as_ref().map(point))
     }
 
     /// The columns of one version; `nth` tells rows of one key apart.
@@ -257,11 +272,10 @@ impl Compared {
             };
             format!("{column} AS k{index}")
         });
-        let named = [("geometry", &self.geometry), ("pose", &self.pose)];
-        let named = named.iter().filter_map(|(alias, column)| {
-            let column = column.as_deref()?;
-            Some(format!("{} AS {alias}", quoted(column)))
-        });
+        let pose = self.pose.as_deref().map(quoted);
+        let named = [("shape", self.shape()), ("pose", pose)];
+        let named = named.into_iter();
+        let named = named.filter_map(|(alias, value)| Some(format!("{} AS {alias}", value?)));
         let all = schema.fields().iter().map(|field| quoted(field.name()));
         let content = format!(
             "row_digest({}) AS content",

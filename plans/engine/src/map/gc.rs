@@ -8,6 +8,7 @@ use serde::de::IgnoredAny;
 
 use crate::fingerprint;
 use crate::map::lease::{self, Lease};
+use crate::map::newest;
 use crate::map::parts::PARTS;
 use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
 use crate::map::sound::Sound;
@@ -60,6 +61,7 @@ async fn collect(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fau
     }
     let kept = versions.split_off(versions.len().saturating_sub(keep));
     let forgotten = versions;
+    let oldest = kept.first().map(|version| version.version);
     let (mut needed, mut logs) = (BTreeSet::new(), BTreeSet::new());
     for version in kept {
         needed.extend(Version::parts(store, version.version).await?);
@@ -83,6 +85,9 @@ async fn collect(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fau
     }
     if !dry {
         Sound::forget_all_but(store, &needed).await?;
+        if let Some(oldest) = oldest {
+            newest::forget_before(store, oldest).await?;
+        }
     }
     let mut left_over: Vec<(String, u64)> = torn.into_iter().map(|name| (name, 0)).collect();
     for folder in [RECEIPTS, ARTIFACTS, PARTS, fingerprint::FOLDER] {

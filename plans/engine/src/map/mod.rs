@@ -9,6 +9,7 @@ mod gc;
 pub mod lease;
 mod local;
 mod logs;
+pub mod newest;
 mod parts;
 pub mod receipt;
 mod rows;

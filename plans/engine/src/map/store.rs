@@ -9,6 +9,7 @@
 //!   logs/STATE.json             the digest of a log, by what its files were like: saves reading it again
 //!   runs/N-ID.parquet           how each unit of a run went
 //!   leases/ID.json              who is at work: a run, or gc
+//!   newest, links/              links to the files of the newest version's layers, for other programs
 //!   tmp/                        files on their way; a killed run leaves some, gc removes them
 //! ```
 //! Every name is either the digest of what it holds or never written twice, so a reader sees a version whole or not
@@ -37,7 +38,7 @@ pub struct Store {
     root: ObjectPath,
     store: Arc<dyn ObjectStore>,
     /// The map's folder, where it is a local one: object stores neither sync files nor do without hard links.
-    folder: Option<Folder>,
+    pub(super) folder: Option<Folder>,
 }
 
 impl Store {

@@ -3,6 +3,7 @@
 use evermap_schemas::Fault;
 
 use crate::map::lease::Lease;
+use crate::map::newest;
 use crate::map::sound::Sound;
 use crate::map::version::{Previous, Version};
 use crate::run::driver::Driver;
@@ -98,6 +99,7 @@ impl Run<'_> {
                 return Ok(RunEnd::Overtaken { by });
             }
         };
+        newest::link(self.store, &version).await;
         Ok(RunEnd::Done(Box::new(RunResult {
             version,
             published,

@@ -49,8 +49,8 @@ impl TableFunctionImpl for DiffFunction {
 /// What the function is.
 pub fn documentation() -> Documentation {
     let about = "The rows of a layer in either of two versions of the map → a table: the layer's key, change (added, \
-                 removed, changed or same), moved_m (m, between poses or geometries; null where there are none, or one) and \
-                 moved_rad (rad, between poses)";
+                 removed, changed or same), moved_m (m, between poses or geometries; null where there are none, or one), \
+                 moved_rad (rad, between poses), geometry (where the row is, or was) and geometry_before";
     Documentation::builder(DocSection::default(), about, "diff(layer, before, after)")
         .with_argument("layer", "name of the layer")
         .with_argument("before", "the earlier version")
