@@ -3,6 +3,7 @@ import java.io.PrintStream;
 import java.nio.charset.StandardCharsets;
 import java.sql.Array;
 import java.sql.Connection;
+import java.sql.DatabaseMetaData;
 import java.sql.DriverManager;
 import java.sql.ResultSet;
 import java.sql.ResultSetMetaData;
@@ -17,7 +18,8 @@ import java.util.List;
 
 /**
  * Asks a served map by JDBC what standard input has, queries divided by zeros, and prints an answer a line, as JSON:
- * names and types of its columns and its rows, or an error. The last line has what the driver tells of the table lanes.
+ * names and types of its columns and its rows, or an error. The last lines have what the driver tells of the table lanes: its key, its
+ * indexes, its columns.
  *
  * <pre>java -cp postgresql.jar Jdbc.java URL</pre>
  */
@@ -35,13 +37,24 @@ public final class Jdbc {
                     OUT.println("{\"error\":" + text(error.toString()) + "}");
                 }
             }
-            try (ResultSet columns = connection.getMetaData().getColumns(null, null, "lanes", null)) {
-                OUT.println(answer(columns));
-            } catch (SQLException error) {
-                OUT.println("{\"error\":" + text(error.toString()) + "}");
-            }
+            DatabaseMetaData told = connection.getMetaData();
+            tell(() -> told.getPrimaryKeys(null, "public", "lanes"));
+            tell(() -> told.getIndexInfo(null, "public", "lanes", true, true));
+            tell(() -> told.getColumns(null, null, "lanes", null));
         }
         OUT.flush();
+    }
+
+    private interface Asked {
+        ResultSet rows() throws SQLException;
+    }
+
+    private static void tell(Asked asked) {
+        try (ResultSet rows = asked.rows()) {
+            OUT.println(answer(rows));
+        } catch (SQLException error) {
+            OUT.println("{\"error\":" + text(error.toString()) + "}");
+        }
     }
 
     private static String answer(ResultSet rows) throws SQLException {

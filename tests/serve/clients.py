@@ -83,7 +83,7 @@ def by_postgres(connection, geometry, query, binary):
 
 
 def by_jdbc(jar, postgres, queries, more):
-    """All answers, and what the driver tells of a table's columns."""
+    """All answers, and what the driver tells of a table: its key, its indexes, its columns."""
     program = Path(__file__).parent / "Jdbc.java"
     url = f"jdbc:postgresql://{postgres}/map?{more}"
     ran = subprocess.run(
@@ -104,8 +104,7 @@ def by_jdbc(jar, postgres, queries, more):
                 for row in answer["rows"]
             ]
         )
-    *answers, columns = answers
-    return answers, columns
+    return answers[:-3], answers[-3:]
 
 
 def in_microseconds(kind):
@@ -142,7 +141,13 @@ def main(http, postgres, expected, jar=None):
     asked = json.load(open(expected))
     jdbc = {}
     for name, more in [("JDBC", ""), ("JDBC, binary", "prepareThreshold=-1")] if jar else []:
-        jdbc[name], columns = by_jdbc(jar, postgres, [query for query, _ in asked], more)
+        jdbc[name], (key, indexes, columns) = by_jdbc(jar, postgres, [query for query, _ in asked], more)
+        if [(row["column_name"], row["key_seq"]) for row in key] != [("site", 1), ("lane", 2)]:
+            wrong += 1
+            print(f"{name} tells the key {key!r:.400}")
+        if [row["INDEX_NAME"] for row in indexes] != ["lanes_pkey", "lanes_pkey"]:
+            wrong += 1
+            print(f"{name} tells the indexes {indexes!r:.400}")
         kinds = {column["COLUMN_NAME"]: column["TYPE_NAME"] for column in columns}
         if (kinds.get("geometry"), kinds.get("length_m")) != ("geometry", "float8"):
             wrong += 1

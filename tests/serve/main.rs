@@ -59,6 +59,15 @@ fn programs_read_geometries_as_from_postgis() {
     }
 }
 
+/// What dashboards ask before they show anything.
+#[test]
+fn dashboards_learn_what_there_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    ended("serve/questions.py", &[&server.postgres]);
+}
+
 /// What psql asks of Postgres' own tables, to list and describe.
 #[test]
 fn psql_describes_a_map() {
@@ -71,13 +80,17 @@ fn psql_describes_a_map() {
         ("\\dt+", "| lanes "),
         ("\\d lanes", "length_m "),
         ("\\d lanes", "| geometry "),
+        (
+            "\\d lanes",
+            "\"lanes_pkey\" PRIMARY KEY, btree (site, lane)",
+        ),
         ("\\d+ lanes", "length_m "),
         ("\\dp lanes", "| lanes "),
         ("\\dn+", "public "),
         ("\\l", " map "),
         ("\\l+", " map "),
         ("\\conninfo", "database \"map\""),
-        ("\\di", "Did not find any relations."),
+        ("\\di", "| lanes_pkey "),
         ("\\df", "List of functions"),
         ("\\du", "List of roles"),
         ("\\dT", "List of data types"),

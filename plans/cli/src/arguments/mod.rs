@@ -15,7 +15,7 @@ use crate::progress::Show;
 use crate::quantity;
 
 pub use annotate::AnnotateArgs;
-pub use serve::ServeArgs;
+pub use serve::{HTTP, ServeArgs};
 pub use sql::{FunctionsArgs, SqlArgs};
 pub use versions::{DiffArgs, GcArgs, VerifyArgs, VersionsArgs};
 

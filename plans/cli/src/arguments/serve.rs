@@ -7,6 +7,9 @@ use clap::Args;
 
 use crate::quantity;
 
+/// Address of the page, of HTTP and of Flight SQL, unless another one is given.
+pub const HTTP: &str = "127.0.0.1:8760";
+
 /// Arguments of `serve`.
 #[derive(Debug, Args)]
 pub struct ServeArgs {
@@ -14,7 +17,7 @@ pub struct ServeArgs {
     #[arg(long = "map", value_name = "DIR", required = true, num_args = 1..)]
     pub maps: Vec<String>,
     /// Address of the page, of HTTP and of Flight SQL.
-    #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:8760")]
+    #[arg(long, value_name = "HOST:PORT", default_value = HTTP)]
     pub http: SocketAddr,
     /// Address of the Postgres protocol.
     #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:5433")]

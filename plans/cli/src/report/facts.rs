@@ -1,4 +1,5 @@
-//! What a report says. As text it is the page: HTML with its style and pictures inside, no reference to anything else.
+//! What a report says. As text it is the page: HTML with its style and pictures inside, nothing is fetched from elsewhere.
+//! A link leads to the served page.
 
 use std::collections::BTreeMap;
 
@@ -6,6 +7,7 @@ use askama::Template;
 use evermap_engine::map::{LayerInfo, RunRow, VersionInfo, versions};
 use evermap_schemas::Fault;
 
+use crate::arguments::HTTP;
 use crate::draw::{Canvas, Picture, draw, matrix, views};
 use crate::metric::{Drift, metric_map};
 use crate::quantity;
@@ -41,6 +43,8 @@ pub struct Facts {
     pub metric: Option<MetricFacts>,
     /// The semantic map of that site; `None` where there is none.
     pub semantic: Option<SemanticFacts>,
+    /// The site that is drawn.
+    pub site: String,
     /// Sites of the map.
     pub sites: Vec<String>,
     /// Layers.
@@ -165,6 +169,7 @@ pub async fn gather(reader: &MapReader, site: Option<&str>) -> Result<Facts, Fau
         units: units(reader).await?,
         losses: version.losses.clone(),
         versions: versions(&reader.map.store).await?,
+        site: site.to_owned(),
         sites,
     })
 }

@@ -72,6 +72,7 @@ fn facts() -> Facts {
     };
     Facts {
         version: 2,
+        site: "lot & more".into(),
         plan: "car_park <script>".into(),
         published: "2026-01-01T00:00:00Z".into(),
         evermap: "0.1.0".into(),
@@ -118,6 +119,9 @@ fn the_page_says_everything_and_needs_nothing_else() {
         assert!(page.contains(said), "{said}");
     }
     assert!(page.contains("car_park &#60;script&#62;") && !page.contains("<script"));
+    let link = "<a href=\"http://127.0.0.1:8760/#version=2&amp;site=lot%20%26%20more\">";
+    assert!(page.contains(link));
+    let page = page.replace(link, "");
     for reference in ["src=\"http", "href=\"http", "url(http", "@import", "<link"] {
         assert!(!page.contains(reference), "{reference}");
     }

@@ -18,25 +18,32 @@ use datafusion::prelude::SessionContext;
 use datafusion::sql::parser::Statement as Parsed;
 use datafusion::sql::resolve::resolve_table_references;
 use datafusion::sql::sqlparser::ast::{
-    AccessExpr, ArrayElemTypeDef, CastKind, DataType as SqlType, Expr, FunctionArg,
-    FunctionArgExpr, FunctionArguments, ObjectName, Query, SelectItem, SetExpr, Statement, Value,
-    ValueWithSpan, visit_expressions, visit_expressions_mut, visit_relations,
+    AccessExpr, ArrayElemTypeDef, CastKind, DataType as SqlType, Expr, Function, FunctionArguments,
+    ObjectName, Query, SelectItem, SetExpr, Statement, Value, ValueWithSpan, visit_expressions,
+    visit_expressions_mut, visit_relations,
 };
-use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
-use datafusion::sql::sqlparser::parser::Parser;
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::create_pg_table_is_visible;
+
+use crate::serve::postgres::expression::expression;
+use crate::serve::postgres::keys::of_key;
 
 /// Schemas of Postgres' own.
 const OWN: [&str; 2] = ["pg_catalog", "information_schema"];
 
 /// Those of its tables that have rows of a map: an answer without rows is no answer to what reads them alone.
-const FILLED: [&str; 7] = [
+const FILLED: [&str; 13] = [
     "generate_series",
+    "columns",
+    "key_column_usage",
     "pg_am",
     "pg_attribute",
     "pg_class",
     "pg_database",
+    "pg_index",
     "pg_namespace",
+    "pg_tables",
+    "table_constraints",
+    "tables",
     "unnest",
 ];
 
@@ -46,10 +53,8 @@ const EMPTY: [&str; 3] = ["pg_attrdef", "pg_collation", "pg_sequence"];
 /// Columns of Postgres' tables that the library leaves out: lists of options and of rights, of which a map has none.
 const LISTS: [&str; 5] = ["datacl", "nspacl", "relacl", "reloptions", "typacl"];
 
-/// Columns with the numbers of the columns that a constraint is of, of which there are none.
-const CONSTRAINTS: [&str; 2] = ["confkey", "conkey"];
-
-/// They and that of an index, of which clients ask for one by its place: counted from 0, as lists here are not.
+/// Columns with the numbers of the columns of a key, of which clients ask for one by its place: counted from 0, as lists here are
+/// not.
 const KEYS: [&str; 3] = ["confkey", "conkey", "indkey"];
 
 /// Functions of Postgres on what a map has none of: their answer is null.
@@ -134,8 +139,7 @@ pub fn is_of_catalog(statement: &Statement) -> bool {
 }
 
 /// The statement in words that the library's tables have: lists of what a map has none of are null (`ARRAY(SELECT …)`, columns
-/// of options and rights), names of functions and types that are looked up are without a schema, names are texts, and of
-/// constraints, which a map has none of, nothing is a column.
+/// of options and rights), names of functions and types that are looked up are without a schema, names are texts.
 pub fn in_its_words(mut statement: Statement) -> Statement {
     if let Statement::Query(query) = &mut statement
         && let SetExpr::Select(select) = query.body.as_mut()
@@ -151,8 +155,15 @@ pub fn in_its_words(mut statement: Statement) -> Statement {
                 data_type: data_type @ SqlType::Custom(..),
                 ..
             } if data_type.to_string() == "name" => *data_type = SqlType::Text,
-            key if is_in_constraint(key) => *key = Expr::Value(Value::Boolean(false).into()),
+            Expr::Function(call) => {
+                if let Some(same) = of_key(call).or_else(|| of_none(call)) {
+                    *found = same;
+                }
+            }
             key if is_of_key(key) => *key = null(SqlType::Int(None)),
+            Expr::InList { expr, list, .. } if is_path(expr, list) => {
+                list[0] = Expr::Value(Value::SingleQuotedString(PATH.to_owned()).into());
+            }
             Expr::Subquery(query) if is_of_nothing(query) => *found = nothing_of(query),
             Expr::Subquery(query) => of_one_row(query),
             Expr::Like {
@@ -265,11 +276,6 @@ fn by_backslash(pattern: &mut Expr, escape: &mut Option<ValueWithSpan>) {
     }
 }
 
-fn expression(text: &str) -> Option<Expr> {
-    let parser = Parser::new(&PostgreSqlDialect {}).try_with_sql(text);
-    parser.and_then(|mut parser| parser.parse_expr()).ok()
-}
-
 /// `EXISTS (…)` as a column, which the planner has in conditions only, as `0 < (SELECT count(*) …)`.
 fn counted(column: &mut SelectItem) {
     if let SelectItem::UnnamedExpr(found) | SelectItem::ExprWithAlias { expr: found, .. } = column
@@ -286,6 +292,22 @@ fn counted(column: &mut SelectItem) {
 /// Whether it is the name of a function or type, as where `'pg_catalog.array_in'::regproc` is looked up.
 fn is_name(found: &Expr) -> bool {
     matches!(found, Expr::Identifier(name) if ["proname", "typname"].contains(&name.value.as_str()))
+}
+
+/// The schema of a map's layers, and so the search path.
+const PATH: &str = "public";
+
+/// Whether it asks if a schema is in the search path. The library has made `IN ('')` of the query that Grafana writes for it.
+fn is_path(of: &Expr, list: &[Expr]) -> bool {
+    let is_schema = of.to_string().starts_with("quote_ident(");
+    is_schema && matches!(list, [only] if only.to_string() == "''")
+}
+
+/// Null, for what is asked of a table by its name where a map has none of it: names that are made in a query are no numbers.
+fn of_none(call: &Function) -> Option<Expr> {
+    let name = call.name.0.last()?.as_ident()?;
+    let is_by_name = call.to_string().to_lowercase().contains("(format(");
+    (OF_NOTHING.contains(&&*name.value.to_lowercase()) && is_by_name).then(|| null(SqlType::Text))
 }
 
 fn is_list(found: &Expr) -> bool {
@@ -306,21 +328,6 @@ fn is_column(found: &Expr, names: &[&str]) -> bool {
     parts
         .last()
         .is_some_and(|name| names.contains(&name.value.as_str()))
-}
-
-/// Whether it asks if something is in a constraint; the library has made a function of `= ANY`.
-fn is_in_constraint(found: &Expr) -> bool {
-    let Expr::Function(call) = found else {
-        return false;
-    };
-    let FunctionArguments::List(list) = &call.args else {
-        return false;
-    };
-    let first = match list.args.first() {
-        Some(FunctionArg::Unnamed(FunctionArgExpr::Expr(first))) => first,
-        _ => return false,
-    };
-    call.name.to_string() == "array_contains" && is_column(first, &CONSTRAINTS)
 }
 
 /// Whether it is one of the numbers in a key.

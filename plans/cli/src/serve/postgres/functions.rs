@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use arrow::array::{ArrayRef, AsArray, Int32Array, StringArray};
+use arrow::array::{Array, ArrayRef, AsArray, Int32Array, ListArray, StringArray, StructArray};
 use arrow::compute::cast;
-use arrow::datatypes::{DataType, Int32Type};
+use arrow::datatypes::{DataType, Field, Fields, Int32Type};
 use datafusion::common::exec_err;
 use datafusion::error::Result;
 use datafusion::logical_expr::{
@@ -248,6 +248,56 @@ fn element(value: &str) -> String {
     }
     let escaped = value.replace('\\', "\\\\").replace('"', "\\\"");
     format!("\"{escaped}\"")
+}
+
+/// `_pg_expandarray(list)`: its elements, `x`, with their places, `n`. Postgres makes rows of them.
+#[derive(Debug, PartialEq, Eq, Hash)]
+pub struct ExpandArray;
+
+impl ExpandArray {
+    /// Its name.
+    pub const NAME: &str = "_pg_expandarray";
+
+    fn fields() -> Fields {
+        let number = |name: &str| Field::new(name, DataType::Int32, true);
+        Fields::from(vec![number("x"), number("n")])
+    }
+}
+
+impl OnTypes for ExpandArray {
+    fn name(&self) -> &'static str {
+        Self::NAME
+    }
+
+    fn signature(&self) -> Signature {
+        Signature::any(1, Volatility::Immutable)
+    }
+
+    fn result(&self) -> DataType {
+        DataType::new_list(DataType::Struct(Self::fields()), true)
+    }
+
+    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        let columns = ColumnarValue::values_to_arrays(&args.args)?;
+        let lists = match columns.as_slice() {
+            [lists] if matches!(lists.data_type(), DataType::List(_)) => lists.as_list::<i32>(),
+            other => return exec_err!("expected a list, found {} values", other.len()),
+        };
+        let values = cast(lists.values(), &DataType::Int32)?;
+        let mut places = vec![0; values.len()];
+        for bounds in lists.offsets().windows(2) {
+            let places = &mut places[bounds[0] as usize..bounds[1] as usize];
+            places.iter_mut().zip(1..).for_each(|(place, n)| *place = n);
+        }
+        let places: ArrayRef = Arc::new(Int32Array::from(places));
+        let elements = StructArray::try_new(Self::fields(), vec![values, places], None)?;
+        let DataType::List(element) = self.result() else {
+            return exec_err!("expected a list");
+        };
+        let (offsets, nulls) = (lists.offsets().clone(), lists.nulls().cloned());
+        let expanded = ListArray::try_new(element, offsets, Arc::new(elements), nulls)?;
+        Ok(ColumnarValue::Array(Arc::new(expanded)))
+    }
 }
 
 /// `st_asbinary(geometry)`: well-known binary, as maps hold it, and no geometry any more.

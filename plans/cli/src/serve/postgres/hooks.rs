@@ -9,6 +9,8 @@ use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SessionContext};
 use datafusion::sql::parser::Statement as Parsed;
 use datafusion::sql::sqlparser::ast::{Set, Statement};
+use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
+use datafusion::sql::sqlparser::parser::Parser;
 use datafusion_postgres::QueryHook;
 use datafusion_postgres::arrow_pg::datatypes::df::encode_dataframe;
 use datafusion_postgres::hooks::HookClient;
@@ -25,6 +27,7 @@ use pgwire::types::format::FormatOptions;
 
 use crate::serve::postgres::catalog::{in_its_words, is_of_catalog, no_rows};
 use crate::serve::postgres::cursors::Cursors;
+use crate::serve::postgres::functions::SETTINGS;
 use crate::serve::postgres::geometry::{as_extended, as_text, told};
 use crate::serve::postgres::nested::{as_json, as_texts};
 use crate::serve::postgres::postgis::with_views;
@@ -37,6 +40,7 @@ pub fn hooks() -> Vec<Arc<dyn QueryHook>> {
         Arc::new(Gate),
         Arc::new(Cursors),
         Arc::new(CursorStatementHook),
+        Arc::new(Shown),
         Arc::new(SetShowHook),
         Arc::new(TransactionStatementHook),
         Arc::new(Reading),
@@ -77,6 +81,11 @@ impl Gate {
             | Statement::Declare { .. }
             | Statement::Fetch { .. }
             | Statement::Close { .. } => Verdict::Passes,
+            Statement::Set(set) if leads_elsewhere(set) => Verdict::Refused(error(
+                "ERROR",
+                "0A000",
+                "search_path is not followed: name tables whole, such as v1.lanes",
+            )),
             Statement::Set(set) if is_of_a_client(set) => Verdict::Passes,
             Statement::Savepoint { .. } => Verdict::Done("SAVEPOINT"),
             Statement::ReleaseSavepoint { .. } => Verdict::Done("RELEASE"),
@@ -100,6 +109,25 @@ impl Gate {
             }
         }
     }
+}
+
+/// Whether it asks that tables be looked for elsewhere than among the layers of the newest version, which would answer of other
+/// rows than are asked for.
+fn leads_elsewhere(set: &Set) -> bool {
+    const USUAL: [&str; 5] = ["public", "pg_catalog", "$user", "topology", ""];
+    let Set::SingleAssignment {
+        variable, values, ..
+    } = set
+    else {
+        return false;
+    };
+    let texts: Vec<String> = values.iter().map(ToString::to_string).collect();
+    let texts = texts.join(",");
+    let mut schemas = texts
+        .split(',')
+        .map(|name| name.trim().trim_matches(['\'', '"']));
+    let is_path = variable.to_string().eq_ignore_ascii_case("search_path");
+    is_path && texts != "DEFAULT" && schemas.any(|name| !USUAL.contains(&name))
 }
 
 /// Whether a setting is one that drivers make for themselves, and none of the engine's, which all clients share.
@@ -164,6 +192,62 @@ fn nothing() -> LogicalPlan {
         produce_one_row: false,
         schema: Arc::new(datafusion::common::DFSchema::empty()),
     })
+}
+
+/// Answers `SHOW` of what the server says of itself, unless the client has set it for itself.
+#[derive(Debug)]
+struct Shown;
+
+impl Shown {
+    fn query(statement: &Statement, client: &(dyn ClientInfo + Send + Sync)) -> Option<Statement> {
+        let Statement::ShowVariable { variable } = statement else {
+            return None;
+        };
+        let [name] = variable.as_slice() else {
+            return None;
+        };
+        let name = name.value.to_lowercase();
+        let mut settings = SETTINGS.iter();
+        let (shown, _) = settings.find(|(known, _)| known.eq_ignore_ascii_case(&name))?;
+        if client.metadata().contains_key(&name) {
+            return None;
+        }
+        let query = format!("SELECT current_setting('{shown}') AS \"{shown}\"");
+        Parser::parse_sql(&PostgreSqlDialect {}, &query).ok()?.pop()
+    }
+}
+
+#[async_trait]
+impl QueryHook for Shown {
+    async fn handle_simple_query(
+        &self,
+        statement: &Statement,
+        context: &SessionContext,
+        client: &mut dyn HookClient,
+    ) -> Option<PgWireResult<Response>> {
+        let query = Self::query(statement, client)?;
+        Reading.handle_simple_query(&query, context, client).await
+    }
+
+    async fn handle_extended_parse_query(
+        &self,
+        statement: &Statement,
+        context: &SessionContext,
+        client: &(dyn ClientInfo + Send + Sync),
+    ) -> Option<PgWireResult<LogicalPlan>> {
+        Some(reading(&Self::query(statement, client)?, context).await)
+    }
+
+    async fn handle_extended_query(
+        &self,
+        statement: &Statement,
+        _: &LogicalPlan,
+        _: &ParamValues,
+        context: &SessionContext,
+        client: &mut dyn HookClient,
+    ) -> Option<PgWireResult<Response>> {
+        self.handle_simple_query(statement, context, client).await
+    }
 }
 
 /// Plans queries that only read, structs and the like as JSON.

@@ -3,9 +3,12 @@
 
 mod catalog;
 mod cursors;
+mod expression;
+mod format;
 mod functions;
 mod geometry;
 mod hooks;
+mod keys;
 mod nested;
 mod postgis;
 mod spatial;

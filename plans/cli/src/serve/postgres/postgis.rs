@@ -22,14 +22,16 @@ use datafusion::prelude::SessionContext;
 use datafusion::scalar::ScalarValue;
 use datafusion::sql::sqlparser::ast::{ObjectNamePart, Statement, visit_relations_mut};
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::oid_field::{kind::REGPROC, oid_field};
-use evermap_schemas::{Layer, layers};
 use pgwire::api::Type;
 
 use crate::output::GEOMETRY;
+use crate::serve::postgres::format::Format;
 use crate::serve::postgres::functions::{
-    ArrayOut, AsBinary, Constant, CurrentSetting, FormatType, SETTINGS, ToRegtype, register,
+    ArrayOut, AsBinary, Constant, CurrentSetting, ExpandArray, FormatType, SETTINGS, ToRegtype,
+    register,
 };
 use crate::serve::postgres::geometry::OID;
+use crate::serve::postgres::keys;
 
 const CATALOG: &str = "pg_catalog";
 /// What clients take the types for. Of its functions a map has those that `evermap functions` lists.
@@ -56,30 +58,38 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
     let types = by_number(types, &numbers(&read(&inner, "pg_proc").await?, "proname")?)?;
     let numbers = numbers(&types, "typname")?;
     let types = MemTable::try_new(types.schema(), vec![vec![types]])?;
+    let relations = inner.table("pg_class").await?.map(|table| table.schema());
+    let relations = relations.unwrap_or_else(|| Arc::new(Schema::empty()));
     let mut tables = Catalog {
         inner,
         types: Arc::new(types),
         views: BTreeMap::new(),
     };
     catalog.register_schema(CATALOG, Arc::new(tables.clone()))?;
-    // These ask the tables that were just put right.
     let queries = [
         geometries(name),
         GEOGRAPHIES.to_owned(),
         SYSTEMS.to_owned(),
         columns(name),
-        keys(),
+        keys::indexes(),
+        keys::constraints(),
+        keys::table_constraints(name),
+        keys::key_columns(name),
+        keys::relations(&relations),
         settings(),
     ];
+    // Each asks the tables that were just put right.
     for (view, query) in VIEWS.into_iter().zip(queries) {
         let view_of = context.sql(&query).await?.into_view();
         tables.views.insert(view, view_of);
+        catalog.register_schema(CATALOG, Arc::new(tables.clone()))?;
     }
-    catalog.register_schema(CATALOG, Arc::new(tables))?;
     register(context, ToRegtype { numbers });
     register(context, ArrayOut);
     register(context, CurrentSetting);
     register(context, AsBinary);
+    register(context, ExpandArray);
+    register(context, Format);
     if let Ok(inner) = context.udf("format_type") {
         register(context, FormatType { inner });
     }
@@ -108,14 +118,21 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
 
 /// What PostGIS adds to the tables: in which of them there are geometries, and which reference systems they have;
 /// `information_schema.columns`, whose types DataFusion calls by Arrow's names; and the keys of layers.
-const VIEWS: [&str; 6] = [
+const VIEWS: [&str; 10] = [
     "geometry_columns",
     "geography_columns",
     "spatial_ref_sys",
     "columns",
     "pg_index",
+    "pg_constraint",
+    "table_constraints",
+    "key_column_usage",
+    "pg_class",
     "pg_settings",
 ];
+
+/// Those of them that are in `information_schema`.
+const OF_STANDARD: [&str; 3] = ["columns", "table_constraints", "key_column_usage"];
 
 /// The statement with these views by their whole names: for the first three Postgres looks without being told where.
 pub fn with_views(mut statement: Statement) -> Statement {
@@ -124,7 +141,7 @@ pub fn with_views(mut statement: Statement) -> Statement {
         let catalog = ObjectNamePart::Identifier(CATALOG.into());
         match parts.iter().map(String::as_str).collect::<Vec<_>>()[..] {
             [view] if VIEWS[..3].contains(&view) => name.0.insert(0, catalog),
-            [.., "information_schema", view] if view == VIEWS[3] => {
+            [.., "information_schema", view] if OF_STANDARD.contains(&view) => {
                 let schema = name.0.len() - 2;
                 name.0[schema] = catalog;
             }
@@ -149,44 +166,6 @@ const SYSTEMS: &str = "SELECT CAST(0 AS INT) AS srid, '' AS auth_name, CAST(0 AS
 const GEOGRAPHIES: &str = "SELECT '' AS f_table_catalog, '' AS f_table_schema, '' AS f_table_name, '' AS f_geography_column, \
      CAST(0 AS INT) AS coord_dimension, CAST(0 AS INT) AS srid, '' AS type WHERE false";
 
-/// How far the number of a key is from that of its table: no table has one so high.
-const FROM_TABLE_TO_KEY: i32 = 1 << 30;
-
-/// The keys of tables that have all the columns of a layer's key, as the indexes that Postgres makes for them.
-fn keys() -> String {
-    let columns = |layer: Layer| {
-        let number = layer.key.len();
-        let columns = layer.key.iter().enumerate();
-        let row = |(place, column): (usize, &&str)| {
-            format!("('{}', '{column}', {place}, {number})", layer.name)
-        };
-        columns.map(row).collect::<Vec<_>>()
-    };
-    let rows: Vec<String> = layers::all().into_iter().flat_map(columns).collect();
-    let flags = |names: &str, value: bool| {
-        let flags = names.split(' ').map(|name| format!("{value} AS {name}, "));
-        flags.collect::<String>()
-    };
-    let always = flags(
-        "indisunique indisprimary indimmediate indisvalid indisready indislive",
-        true,
-    );
-    let never = flags(
-        "indnullsnotdistinct indisexclusion indisclustered indcheckxmin indisreplident",
-        false,
-    );
-    format!(
-        "SELECT CAST(c.oid + {FROM_TABLE_TO_KEY} AS INT) AS indexrelid, c.oid AS indrelid, \
-         CAST(count(*) AS SMALLINT) AS indnatts, CAST(count(*) AS SMALLINT) AS indnkeyatts, {always}{never}\
-         array_agg(a.attnum ORDER BY k.place) AS indkey, '' AS indcollation, '' AS indclass, '' AS indoption, \
-         CAST(NULL AS TEXT) AS indexprs, CAST(NULL AS TEXT) AS indpred \
-         FROM pg_catalog.pg_class c JOIN pg_catalog.pg_attribute a ON a.attrelid = c.oid \
-         JOIN (VALUES {}) AS k(layer, name, place, number) ON k.layer = c.relname AND k.name = a.attname \
-         GROUP BY c.oid, k.number HAVING count(*) = k.number",
-        rows.join(", ")
-    )
-}
-
 /// What the server says of itself.
 fn settings() -> String {
     let rows = SETTINGS.map(|(name, value)| format!("('{name}', '{value}')"));
@@ -208,14 +187,21 @@ fn columns(catalog: &str) -> String {
         unknown("numeric_precision", "INT"),
         unknown("numeric_scale", "INT"),
         unknown("datetime_precision", "INT"),
+        unknown("character_octet_length", "INT"),
+        unknown("numeric_precision_radix", "INT"),
+        unknown("domain_name", "TEXT"),
+        unknown("collation_name", "TEXT"),
+        unknown("identity_generation", "TEXT"),
+        unknown("generation_expression", "TEXT"),
     ]
     .concat();
+    let never = "'NO' AS is_identity, 'NEVER' AS is_generated, 'NO' AS is_updatable, ";
     format!(
         "SELECT '{catalog}' AS table_catalog, n.nspname AS table_schema, c.relname AS table_name, \
          a.attname AS column_name, CAST(a.attnum AS INT) AS ordinal_position, \
          CASE WHEN a.attnotnull THEN 'NO' ELSE 'YES' END AS is_nullable, \
          CASE WHEN a.atttypid = {OID} THEN 'USER-DEFINED' WHEN t.typcategory = 'A' THEN 'ARRAY' \
-         ELSE format_type(a.atttypid, a.atttypmod) END AS data_type, {unknown}'{catalog}' AS udt_catalog, \
+         ELSE format_type(a.atttypid, a.atttypmod) END AS data_type, {unknown}{never}'{catalog}' AS udt_catalog, \
          CASE WHEN a.atttypid = {OID} THEN 'public' ELSE 'pg_catalog' END AS udt_schema, t.typname AS udt_name \
          FROM pg_catalog.pg_attribute a JOIN pg_catalog.pg_class c ON a.attrelid = c.oid \
          JOIN pg_catalog.pg_namespace n ON c.relnamespace = n.oid JOIN pg_catalog.pg_type t ON t.oid = a.atttypid"

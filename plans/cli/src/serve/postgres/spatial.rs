@@ -1,15 +1,15 @@
-//! What PostGIS's clients write that queries of maps say otherwise: casts to geometries, boxes, and the extent of a layer.
+//! What PostGIS's clients write that queries of maps say otherwise: casts to geometries, boxes, the extent of a layer; and
+//! what Postgres' clients do, members of nested columns.
 
 use std::ops::ControlFlow;
 
 use datafusion::sql::sqlparser::ast::{
-    BinaryOperator, Expr, Function, FunctionArg, FunctionArgExpr, FunctionArguments, Statement,
-    Value, visit_expressions_mut,
+    AccessExpr, BinaryOperator, Expr, Function, FunctionArg, FunctionArgExpr, FunctionArguments,
+    Statement, Value, visit_expressions_mut,
 };
-use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
-use datafusion::sql::sqlparser::parser::Parser;
 
 use crate::output::GEOMETRY;
+use crate::serve::postgres::expression::expression;
 
 /// The statement in words that queries of maps have.
 ///
@@ -17,6 +17,7 @@ use crate::output::GEOMETRY;
 /// - `ST_SetSRID` changes nothing, as there is no reference system; nor does that of `ST_MakeEnvelope`.
 /// - `a && b` asks whether the rectangles of two geometries meet; `'BOX3D(…)'::box3d` is one.
 /// - `ST_Extent` is the rectangle of a whole layer, as the text `BOX(…)`.
+/// - `user` is `session_user`; `(pose).x` is a member of a nested column.
 /// - `GeometryType` and `ST_Zmflag` are asked of our functions.
 pub fn in_our_words(mut statement: Statement) -> Statement {
     let _ = visit_expressions_mut(&mut statement, |found| {
@@ -40,39 +41,48 @@ fn same(found: &Expr) -> Option<Expr> {
                 _ => None,
             }
         }
+        Expr::Function(call) if matches!(call.args, FunctionArguments::None) => {
+            let is_user = call.name.to_string().eq_ignore_ascii_case("user");
+            is_user.then(|| expression("session_user"))?
+        }
         Expr::Function(call) => match call.name.to_string().to_lowercase().as_str() {
             "st_setsrid" => argument(call).cloned(),
             "st_makeenvelope" => without_system(call),
             "st_extent" => extent(argument(call)?),
-            "geometrytype" => parsed(&format!(
+            "geometrytype" => expression(&format!(
                 "upper(replace(st_geometrytype({}), 'ST_', ''))",
                 argument(call)?
             )),
-            "st_zmflag" => parsed(&format!(
+            "st_zmflag" => expression(&format!(
                 "CASE WHEN st_astext({}) LIKE '% Z(%' THEN 2 ELSE 0 END",
                 argument(call)?
             )),
             "regclass" => number_of_table(argument(call)?),
             _ => None,
         },
+        Expr::CompoundFieldAccess { root, access_chain } => member(root, access_chain),
         Expr::BinaryOp {
             left,
             op: BinaryOperator::PGOverlap,
             right,
-        } => parsed(&format!(
+        } => expression(&format!(
             "st_intersects(st_envelope({left}), st_envelope({right}))"
         )),
         _ => None,
     }
 }
 
-fn parsed(expression: &str) -> Option<Expr> {
-    let parser = Parser::new(&PostgreSqlDialect {}).try_with_sql(expression);
-    parser.ok()?.parse_expr().ok()
+/// A member of what stands between brackets, by its name.
+fn member(root: &Expr, chain: &[AccessExpr]) -> Option<Expr> {
+    let (Expr::Nested(of), [AccessExpr::Dot(Expr::Identifier(name))]) = (root, chain) else {
+        return None;
+    };
+    let name = name.value.replace('\'', "''");
+    expression(&format!("get_field({of}, '{name}')"))
 }
 
-fn text(expression: &Expr) -> Option<&str> {
-    match expression {
+fn text(value: &Expr) -> Option<&str> {
+    match value {
         Expr::Value(value) => match &value.value {
             Value::SingleQuotedString(text) => Some(text),
             _ => None,
@@ -108,7 +118,7 @@ fn without_system(call: &Function) -> Option<Expr> {
 fn number_of_table(name: &Expr) -> Option<Expr> {
     let part = |number: i8| format!("replace(split_part({name}, '.', {number}), '\"', '')");
     let (schema, table) = (part(1), part(-1));
-    parsed(&format!(
+    expression(&format!(
         "(SELECT min(c.oid) FROM pg_catalog.pg_class c JOIN pg_catalog.pg_namespace n ON c.relnamespace = n.oid \
          WHERE c.relname = {table} AND (strpos({name}, '.') = 0 OR n.nspname = {schema}))"
     ))
@@ -117,7 +127,7 @@ fn number_of_table(name: &Expr) -> Option<Expr> {
 fn geometry(of: &Expr) -> Expr {
     let made = text(of).and_then(|text| match text.trim_end().ends_with("EMPTY") {
         true => Some(Expr::Value(Value::Null.into())),
-        false => parsed(&format!("st_geomfromtext({of})")),
+        false => expression(&format!("st_geomfromtext({of})")),
     });
     made.unwrap_or_else(|| of.clone())
 }
@@ -131,13 +141,13 @@ fn rectangle(text: &str) -> Option<Expr> {
         Some([numbers.next()?.ok()?, numbers.next()?.ok()?])
     };
     let ([west, south], [east, north]) = (corner(low)?, corner(high)?);
-    parsed(&format!(
+    expression(&format!(
         "st_makeenvelope({west:?}, {south:?}, {east:?}, {north:?})"
     ))
 }
 
 fn extent(of: &Expr) -> Option<Expr> {
-    parsed(&format!(
+    expression(&format!(
         "'BOX(' || min(st_xmin({of})) || ' ' || min(st_ymin({of})) || ',' || max(st_xmax({of})) || ' ' \
          || max(st_ymax({of})) || ')'"
     ))
@@ -147,6 +157,8 @@ fn extent(of: &Expr) -> Option<Expr> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
+    use datafusion::sql::sqlparser::parser::Parser;
 
     #[test]
     fn what_postgis_has_words_for_is_said_in_ours() {
@@ -168,6 +180,10 @@ mod tests {
                 "SELECT geometrytype(geometry) FROM lanes WHERE geometry && st_makeenvelope(1, 2, 3, 4, 0)",
                 "SELECT upper(replace(st_geometrytype(geometry), 'ST_', '')) FROM lanes WHERE \
                  st_intersects(st_envelope(geometry), st_envelope(st_makeenvelope(1, 2, 3, 4)))",
+            ),
+            (
+                "SELECT (p.map_from_vehicle).x, (a) FROM poses p",
+                "SELECT get_field(p.map_from_vehicle, 'x'), (a) FROM poses p",
             ),
             (
                 "SELECT 1 && 2, 'BOX(forged)'::box3d, x::text FROM t",

@@ -1,6 +1,8 @@
 #![allow(clippy::unwrap_used)]
 
 use super::*;
+use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
+use datafusion::sql::sqlparser::parser::Parser;
 
 fn parsed(text: &str) -> Statement {
     Parser::parse_sql(&PostgreSqlDialect {}, text)
