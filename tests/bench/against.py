@@ -1,9 +1,10 @@
-"""Our own criterion benches at another commit and here, one after the other on the same machine.
+"""Our own criterion benches at another commit and here, on the same machine.
 
     against.py REV [BENCH ...]
 
-`make bench BASE=REV` runs it. REV is built in a worktree of its own under target/base. The table has the change of the mean
-with its 95 % interval; what lies beyond the noise, 2 % and the interval, is said to have moved.
+`make bench BASE=REV` runs it. REV is built in a worktree of its own under target/base, and is measured before and after this
+tree: what differs between those two runs is noise. A bench has moved where the 95 % interval of its mean lies 2 % or more
+beyond both.
 """
 
 import json
@@ -13,6 +14,7 @@ import sys
 from pathlib import Path
 
 NOISE = 0.02
+RUNS = ("base", "here", "again")
 TREE = Path(__file__).resolve().parents[2]
 BASE = TREE / "target" / "base"
 
@@ -36,13 +38,23 @@ def bench(folder, target, names, *words):
     subprocess.run(command, cwd=folder, env={**os.environ, **places}, check=True, stdout=sys.stderr)
 
 
+def measured(bench, run):
+    """The mean of a bench and its interval, in one run."""
+    mean = json.loads((bench / run / "estimates.json").read_text())["mean"]
+    interval = mean["confidence_interval"]
+    return mean["point_estimate"], interval["lower_bound"], interval["upper_bound"]
+
+
 def rows():
-    """Name, change and its interval, of each bench that both have."""
-    for found in sorted((BASE / "criterion").rglob("change/estimates.json")):
-        mean = json.loads(found.read_text())["mean"]
-        interval = mean["confidence_interval"]
-        name = found.parent.parent.relative_to(BASE / "criterion")
-        yield str(name), mean["point_estimate"], interval["lower_bound"], interval["upper_bound"]
+    """Of each bench in all runs: its name, its change from the mean of both runs of the base, how much these differ, verdict."""
+    for found in sorted((BASE / "criterion").rglob("again/estimates.json")):
+        bench = found.parent.parent
+        if not all((bench / run / "estimates.json").exists() for run in RUNS):
+            continue
+        before, here, again = (measured(bench, run) for run in RUNS)
+        base = (before[0] + again[0]) / 2
+        moved = verdict(here[1] / max(before[2], again[2]) - 1, here[2] / min(before[1], again[1]) - 1)
+        yield str(bench.relative_to(BASE / "criterion")), here[0] / base - 1, again[0] / before[0] - 1, moved
 
 
 def verdict(low, high):
@@ -56,13 +68,14 @@ def main():
     """Runs both, prints the table; fails where something became slower."""
     revision, *names = sys.argv[1:]
     revision = subprocess.run(["git", "rev-parse", "--verify", f"{revision}^{{commit}}"], check=True, capture_output=True, text=True).stdout.strip()
-    bench(checked_out(revision), BASE / "target", names, "--save-baseline", "base")
-    bench(TREE, TREE / "target", names, "--baseline-lenient", "base")
-    print(f"| bench | against {revision[:12]} | 95 % interval | |\n|---|---|---|---|")
+    source = checked_out(revision)
+    for run, folder, target in zip(RUNS, (source, TREE, source), (BASE / "target", TREE / "target", BASE / "target")):
+        bench(folder, target, names, "--save-baseline", run)
+    print(f"| bench | against {revision[:12]} | {revision[:12]} again | |\n|---|---|---|---|")
     slower = 0
-    for name, change, low, high in rows():
-        slower += low > NOISE
-        print(f"| {name} | {100 * change:+.1f} % | {100 * low:+.1f} to {100 * high:+.1f} % | {verdict(low, high)} |")
+    for name, change, noise, moved in rows():
+        slower += moved == "**slower**"
+        print(f"| {name} | {100 * change:+.1f} % | {100 * noise:+.1f} % | {moved} |")
     sys.exit(1 if slower else 0)
 
 

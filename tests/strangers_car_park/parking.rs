@@ -165,7 +165,7 @@ fn occupied_as_in(world: &Path, map: &Path, session: &str) {
         map,
         None,
         &format!(
-            "SELECT s.map_from_space AS pose, s.length_m, s.width_m, o.state FROM parking_spaces s
+            "SELECT s.map_from_space AS pose, s.length_m, s.width_m, o.state, o.standing, o.looked FROM parking_spaces s
              JOIN space_occupancy o USING (site, space) WHERE o.session = '{session}'"
         ),
     );

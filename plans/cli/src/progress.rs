@@ -1,7 +1,8 @@
 //! How far long work has come, on stderr: a bar where a person looks, lines where a log is kept.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
+use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
 use evermap_engine::run::Event;
@@ -28,7 +29,47 @@ pub struct Progress {
     /// Whether lines tell what the bar does not.
     lines: bool,
     percent: u64,
-    running: BTreeSet<String>,
+    /// Units that run, or wait for their turn.
+    running: BTreeMap<String, Option<Course>>,
+}
+
+/// How a unit has come on since it was first told.
+struct Course {
+    begun: (Instant, f64),
+    share: f64,
+    /// When a line told it last.
+    told: Instant,
+}
+
+/// Logs are told of a long unit this often.
+const TOLD_EVERY: Duration = Duration::from_secs(10);
+
+impl Course {
+    /// That a share is done, now.
+    fn at(share: f64) -> Self {
+        let now = Instant::now();
+        Self {
+            begun: (now, share),
+            share,
+            told: now,
+        }
+    }
+
+    /// So much is left, if it goes on as it has; `None` as long as nobody can tell.
+    fn left(&self) -> Option<f64> {
+        let (begun, from) = self.begun;
+        let done = self.share - from;
+        (done > 0.0).then(|| begun.elapsed().as_secs_f64() * (1.0 - self.share) / done)
+    }
+
+    fn text(&self) -> String {
+        let percent = (100.0 * self.share).floor();
+        let left = self.left().map(of_seconds);
+        left.map_or_else(
+            || format!("{percent} %"),
+            |left| format!("{percent} %, {left} left"),
+        )
+    }
 }
 
 impl Progress {
@@ -39,7 +80,7 @@ impl Progress {
             bar: if looks { bar() } else { ProgressBar::hidden() },
             lines: !looks && show != Show::None,
             percent: 0,
-            running: BTreeSet::new(),
+            running: BTreeMap::new(),
         }
     }
 
@@ -52,7 +93,8 @@ impl Progress {
     pub fn note(&mut self, event: &Event<'_>) {
         match event {
             Event::Planned { units } => self.expect(*units as u64),
-            Event::Started { label } => drop(self.running.insert((*label).to_owned())),
+            Event::Started { label } => drop(self.running.insert((*label).to_owned(), None)),
+            Event::Advanced { label, share } => self.advance(label, *share),
             Event::Done {
                 label,
                 receipt,
@@ -74,9 +116,27 @@ impl Progress {
         self.bar.set_message(self.first_running());
     }
 
-    /// The first of what runs, or waits for its turn: as many as a person reads.
+    fn advance(&mut self, label: &str, share: f64) {
+        let Some(unit) = self.running.get_mut(label) else {
+            return;
+        };
+        let course = unit.get_or_insert_with(|| Course::at(share));
+        course.share = share;
+        if self.lines && course.told.elapsed() >= TOLD_EVERY {
+            course.told = Instant::now();
+            line(&format!("{label}: {}", course.text()));
+        }
+    }
+
+    /// The first of what runs, or waits for its turn: as many as a person reads, those first that say how far they are.
     fn first_running(&self) -> String {
-        let first: Vec<&str> = self.running.iter().take(4).map(String::as_str).collect();
+        let told = |(label, unit): (&String, &Option<Course>)| match unit {
+            Some(course) => format!("{label} {}", course.text()),
+            None => label.clone(),
+        };
+        let (on, others): (Vec<_>, Vec<_>) =
+            self.running.iter().partition(|(_, unit)| unit.is_some());
+        let first: Vec<String> = on.into_iter().chain(others).take(4).map(told).collect();
         first.join(", ")
     }
 
@@ -116,4 +176,38 @@ fn bar() -> ProgressBar {
 /// A line on stderr; that nobody reads it is no reason to stop.
 pub fn line(text: &str) {
     let _ = writeln!(std::io::stderr(), "{text}");
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn what_is_left_follows_from_what_was_done() {
+        let mut course = Course::at(0.2);
+        assert_eq!((course.left(), course.text().as_str()), (None, "20 %"));
+        course.begun.0 = Instant::now().checked_sub(Duration::from_secs(30)).unwrap();
+        course.share = 0.5;
+        let left = course.left().unwrap();
+        assert!((49.0..51.0).contains(&left), "{left}");
+        assert!(course.text().starts_with("50 %, 50."), "{}", course.text());
+    }
+
+    #[test]
+    fn units_that_come_on_are_named_first() {
+        let mut progress = Progress::new(Show::None);
+        for label in ["a", "b", "c", "d", "e"] {
+            progress.note(&Event::Started { label });
+        }
+        progress.note(&Event::Advanced {
+            label: "e",
+            share: 0.25,
+        });
+        progress.note(&Event::Advanced {
+            label: "other",
+            share: 0.5,
+        });
+        assert_eq!(progress.first_running(), "e 25 %, a, b, c");
+    }
 }

@@ -16,7 +16,7 @@ use crate::cluster::scheduler::{Job, JobState, Scheduler, failures};
 use crate::error::remote_fault;
 use crate::map::receipt::Receipt;
 use crate::map::store::{Store, each};
-use crate::run::runner::{Outcome, Runner, Unfinished};
+use crate::run::runner::{Report, Runner, Told, Unfinished};
 use crate::unit::Unit;
 
 /// How often the map store is asked for receipts.
@@ -89,7 +89,7 @@ impl ClusterRunner {
 }
 
 impl Runner for ClusterRunner {
-    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Outcome> {
+    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Told> {
         let (outcomes, mut received) = mpsc::unbounded_channel();
         let wave = Wave {
             cluster: self.clone(),
@@ -103,7 +103,7 @@ impl Runner for ClusterRunner {
 /// One wave of units, from submission to the last outcome.
 struct Wave {
     cluster: ClusterRunner,
-    outcomes: mpsc::UnboundedSender<Outcome>,
+    outcomes: mpsc::UnboundedSender<Told>,
 }
 
 type Missing = BTreeMap<usize, Unit>;
@@ -182,7 +182,9 @@ impl Wave {
 
     fn give_up(&self, missing: Missing, fault: &Fault) {
         for (index, _) in missing {
-            let _ = self.outcomes.send((index, Err(fault.clone())));
+            let _ = self
+                .outcomes
+                .send((index, Report::Ended(Err(fault.clone()))));
         }
     }
 
@@ -260,7 +262,7 @@ impl Wave {
         }
         for (unit, fault) in failures(answer).await.map_err(Lost::Job)? {
             if missing.remove(&unit).is_some() {
-                let _ = self.outcomes.send((unit, Err(fault)));
+                let _ = self.outcomes.send((unit, Report::Ended(Err(fault))));
             }
         }
         match job.units.iter().any(|unit| missing.contains_key(unit)) {
@@ -289,7 +291,7 @@ impl Wave {
         for (index, receipt) in found.await?.into_iter().flatten() {
             *progress = Instant::now();
             missing.remove(&index);
-            let _ = self.outcomes.send((index, Ok(receipt)));
+            let _ = self.outcomes.send((index, Report::Ended(Ok(receipt))));
         }
         Ok(())
     }

@@ -6,7 +6,6 @@ use evermap_schemas::Fault;
 use object_store::ObjectStoreExt;
 
 use crate::error::OrFault;
-use crate::map::damage::Damage;
 use crate::map::receipt::Artifact;
 use crate::map::store::{Store, each};
 use crate::sql::{Limits, context};
@@ -55,41 +54,28 @@ pub async fn is_whole(store: &Store, name: &str, bytes: u64) -> Result<bool, Fau
     Ok(mark == b"PAR1" && u64::from(u32::from_le_bytes(*length)) <= end)
 }
 
-/// What is wrong with an artifact as far as its size and its end tell.
-async fn damage(store: &Store, artifact: &Artifact) -> Result<Option<Damage>, Fault> {
-    let (damage, file) = (artifact.size_damage(store).await?, artifact.name());
-    if damage.is_some() || is_whole(store, &file, artifact.bytes).await? {
-        return Ok(damage);
-    }
-    Ok(Some(Damage {
-        file,
-        expected: "a Parquet file".to_owned(),
-        found: Some("a damaged one".to_owned()),
-    }))
-}
-
 /// The rows of artifacts, as one table.
 ///
 /// # Errors
-/// As [`read_files`], and a data fault where one is missing, not as large as it was written, or has another end.
+/// As [`read_files`], and a data fault where one is missing or not as large as it was written.
 pub async fn read_artifacts(
     context: &SessionContext,
     store: &Store,
     artifacts: &[Artifact],
 ) -> Result<DataFrame, Fault> {
-    let damages = each(artifacts.iter().map(|artifact| damage(store, artifact))).await?;
-    if let Some(damage) = damages.into_iter().flatten().next() {
+    let damages = artifacts.iter().map(|artifact| artifact.size_damage(store));
+    if let Some(damage) = each(damages).await?.into_iter().flatten().next() {
         return Err(damage.into());
     }
     read_files(context, store, artifacts.iter().map(Artifact::name), None).await
 }
 
-/// As [`read_artifacts`], in the order that they are kept in.
+/// The rows of artifacts in the order that they are kept in.
 ///
 /// # Errors
 /// As [`read_files`].
 pub async fn read_in_order(store: &Store, artifacts: &[Artifact]) -> Result<DataFrame, Fault> {
     let context = context(Limits::one_partition())?;
     context.register_object_store(store.url(), store.objects());
-    read_artifacts(&context, store, artifacts).await
+    read_files(&context, store, artifacts.iter().map(Artifact::name), None).await
 }

@@ -38,6 +38,8 @@ use crate::map::artifact::read_in_order;
 use crate::map::catalog::Catalog;
 use crate::map::damage::Damage;
 use crate::map::diff::DiffFunction;
+use crate::map::receipt::Artifact;
+use crate::map::sound::Sound;
 use crate::map::store::{Store, each};
 use crate::map::tables::Tables;
 use crate::map::version::{MappedSession, StoredLayer, Version};
@@ -204,7 +206,7 @@ impl Map {
     /// # Errors
     /// As [`Map::rows`].
     pub async fn batches(&self, layer: &str) -> Result<Vec<RecordBatch>, Fault> {
-        let stored = self.published(layer).ok_or_else(|| {
+        self.published(layer).ok_or_else(|| {
             let known: Vec<_> = self
                 .version
                 .published()
@@ -213,8 +215,17 @@ impl Map {
             let known = known.join(", ");
             Fault::user(format!("no layer {layer} in this map; there are {known}"))
         })?;
-        let rows = read_in_order(&self.store, &stored.artifacts).await?;
+        let rows = self.checked(layer).await?;
+        let rows = read_in_order(&self.store, rows).await?;
         rows.collect().await.or_fault()
+    }
+
+    /// The artifacts of a published layer, which are as they were written as far as [`Sound::check`] tells.
+    async fn checked(&self, layer: &str) -> Result<&[Artifact], Fault> {
+        let stored = self.published(layer);
+        let artifacts = stored.map_or(&[][..], |stored| &stored.artifacts);
+        Sound::check(&self.store, &self.version, artifacts).await?;
+        Ok(artifacts)
     }
 
     /// The log of a session, opened once, where it was when it was mapped; `None` for a session that is not in the map.

@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use chrono::Utc;
+use chrono::{DateTime, Utc};
 use evermap_schemas::{Fault, Kind};
 use object_store::ObjectMeta;
 use object_store::path::Path as ObjectPath;
@@ -16,6 +16,7 @@ use crate::fingerprint::FileState;
 use crate::map::damage::Damage;
 use crate::map::receipt::{ARTIFACTS, Artifact, Receipt};
 use crate::map::store::{Store, each};
+use crate::map::version::Version;
 
 /// Where it is remembered.
 pub const NAME: &str = "sound.json";
@@ -55,6 +56,40 @@ impl<'s> Sound<'s> {
             states: Mutex::new(states),
             listed: Mutex::new(listed.collect()),
         })
+    }
+
+    /// That artifacts of a version are what was written, as far as their sizes tell. Those whose files have changed since it was
+    /// published, as a map's copy looks like too, are read whole unless they are known.
+    ///
+    /// # Errors
+    /// A data fault for the first that is damaged or missing, a resource fault when the store does not answer.
+    pub async fn check(
+        store: &'s Store,
+        version: &Version,
+        artifacts: &[Artifact],
+    ) -> Result<(), Fault> {
+        let published = DateTime::parse_from_rfc3339(&version.published).ok();
+        let asked = async |artifact: &Artifact| Ok(store.meta(&artifact.name()).await?);
+        let metas = each(artifacts.iter().map(asked)).await?;
+        let mut changed = Vec::new();
+        for (artifact, meta) in artifacts.iter().zip(metas) {
+            let size = meta.as_ref().map(|meta| meta.size);
+            if let Some(damage) = artifact.size_differs(size) {
+                return Err(damage.into());
+            }
+            let modified = meta.map(|meta| meta.last_modified);
+            if modified.is_none_or(|modified| published.is_none_or(|then| modified > then)) {
+                changed.push(artifact);
+            }
+        }
+        if changed.is_empty() {
+            return Ok(());
+        }
+        let damages = Self::load(store).await?.damages(changed).await?;
+        damages
+            .into_iter()
+            .next()
+            .map_or(Ok(()), |damage| Err(damage.into()))
     }
 
     /// What is wrong with an artifact: it is read unless its file is as it was when it was last found right.

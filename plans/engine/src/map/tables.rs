@@ -16,9 +16,10 @@ use evermap_schemas::{Fault, Layer, LayerRow, batch};
 use tokio::sync::OnceCell;
 
 use crate::error::{OrFault, external};
-use crate::map::artifact::{is_whole, read_artifacts, read_files};
+use crate::map::artifact::{is_whole, read_files};
 use crate::map::flat;
 use crate::map::logs::LogTables;
+use crate::map::receipt::Artifact;
 use crate::map::store::each;
 use crate::map::{LayerInfo, Map, RunRow, VersionInfo, beside, versions};
 
@@ -131,9 +132,11 @@ impl Tables {
     }
 
     async fn rows(&self, layer: &str) -> Result<DataFrame, Fault> {
-        let stored = self.map.published(layer);
-        let artifacts = stored.map_or(&[][..], |stored| &stored.artifacts);
-        let rows = read_artifacts(&self.reading, &self.map.store, artifacts).await;
+        let rows = async {
+            let artifacts = self.map.checked(layer).await?.iter().map(Artifact::name);
+            read_files(&self.reading, &self.map.store, artifacts, None).await
+        };
+        let rows = rows.await;
         rows.map_err(|fault| fault.at(format!("layer {layer}")))
     }
 

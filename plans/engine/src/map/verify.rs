@@ -54,8 +54,8 @@ pub struct Verified {
 #[derive(Default)]
 struct Needed {
     artifacts: BTreeMap<String, (Artifact, String)>,
-    /// Receipts by digest: the content that they must lead to.
-    receipts: BTreeMap<String, (String, String)>,
+    /// Receipts by digest: the artifact that they must lead to.
+    receipts: BTreeMap<String, (Artifact, String)>,
     /// Names of parts of versions' lists, which were read with them.
     parts: BTreeSet<String>,
 }
@@ -69,11 +69,10 @@ impl Needed {
                 self.artifact(artifact, &by);
             }
             for (digest, artifact) in layer.recipes.iter().zip(&layer.artifacts) {
-                let content = artifact.content.clone();
                 let receipts = &mut self.receipts;
                 receipts
                     .entry(digest.clone())
-                    .or_insert((content, by.clone()));
+                    .or_insert((artifact.clone(), by.clone()));
             }
         }
         for (name, artifacts) in &version.previous.layers {
@@ -205,7 +204,7 @@ impl Verified {
         &self,
         digest: &str,
         found: ReadReceipt,
-        needed: Option<&(String, String)>,
+        needed: Option<&(Artifact, String)>,
     ) -> Result<Option<Finding>, Fault> {
         let name = Receipt::name(digest);
         let by = needed.map(|(_, by)| by.clone());
@@ -223,16 +222,15 @@ impl Verified {
             expected: expected.to_owned(),
             found: Some(found.to_owned()),
         };
-        let content = &receipt.artifact.content;
+        let artifact = &receipt.artifact;
         let damage = match needed {
             _ if of != digest || receipt.digest != digest => Some(differs(
                 &format!("the recipe {digest}"),
                 &format!("the recipe {of}"),
             )),
-            Some((wanted, _)) if wanted != content => Some(differs(
-                &format!("the rows {wanted}"),
-                &format!("the rows {content}"),
-            )),
+            Some((wanted, _)) if wanted != artifact => {
+                Some(differs(&in_words(wanted), &in_words(artifact)))
+            }
             _ => None,
         };
         Ok(match (damage, needed) {
@@ -270,6 +268,17 @@ async fn read_receipt(store: &Store, digest: String) -> Result<(String, ReadRece
         Err(fault) if fault.kind != Kind::Data => Err(fault),
         found => Ok((digest, found)),
     }
+}
+
+/// What a version and a receipt say of an artifact.
+fn in_words(artifact: &Artifact) -> String {
+    let Artifact {
+        content,
+        rows,
+        bytes,
+        ..
+    } = artifact;
+    format!("{rows} rows in {bytes} bytes, {content}")
 }
 
 fn missing(file: &str, expected: Option<String>, by: String) -> Finding {

@@ -150,6 +150,7 @@ impl Duty for Operator {
             operator: Arc::clone(&node.duty),
             sender: output.tx(),
             metrics: BaselineMetrics::new(&node.metrics, partition),
+            taken: MetricBuilder::new(&node.metrics).counter(DRIVING_ROWS, partition),
         };
         let (name, phase) = (node.duty.entry.name, node.duty.phase);
         let span = tracing::info_span!("operator", name, ?phase, partition);
@@ -296,14 +297,20 @@ fn drive(
     let mut worker = job.worker();
     while let Some(batch) = rows.blocking_recv().transpose()? {
         outlet.run(|emit| worker.push(&batch, emit))?;
+        outlet.taken.add(batch.num_rows());
     }
     outlet.run(|emit| worker.close(emit))
 }
+
+/// The metric that counts driving rows that a kernel is done with.
+pub const DRIVING_ROWS: &str = "driving_rows";
 
 struct Outlet {
     operator: Arc<Operator>,
     sender: mpsc::Sender<DataFusionResult<RecordBatch>>,
     metrics: BaselineMetrics,
+    /// Driving rows that the kernel is done with.
+    taken: Count,
 }
 
 impl Outlet {

@@ -17,7 +17,7 @@ use crate::program::Stage;
 use crate::run::held::Held;
 use crate::run::mend::{Makers, Mending};
 use crate::run::pending::{Pending, Place};
-use crate::run::runner::Runner;
+use crate::run::runner::{Report, Runner};
 use crate::run::{Event, Run};
 use crate::unit::Unit;
 
@@ -110,10 +110,14 @@ impl<'r, 'a> Driver<'r, 'a> {
             }
             match running.next().await {
                 None => break,
-                Some((index, Ok(receipt))) => {
+                Some((index, Report::Advanced(share))) => {
+                    let label = &self.label(index);
+                    observe(Event::Advanced { label, share });
+                }
+                Some((index, Report::Ended(Ok(receipt)))) => {
                     ready.extend(self.finish(index, receipt, false, observe))
                 }
-                Some((index, Err(fault))) => {
+                Some((index, Report::Ended(Err(fault)))) => {
                     first_fault.get_or_insert_with(|| fault.at(self.label(index)));
                 }
             }

@@ -14,7 +14,7 @@ use crate::map::receipt::{Artifact, LogContent, RECEIPTS, Receipt, Recipe};
 use crate::map::sound::Sound;
 use crate::map::store::each;
 use crate::run::Run;
-use crate::run::runner::Runner;
+use crate::run::runner::{Report, Runner};
 use crate::unit::Unit;
 
 /// Receipts by the names of the files that their units made.
@@ -93,14 +93,18 @@ impl Mending<'_, '_> {
         // Nobody is to take it for done meanwhile.
         let receipt = Receipt::name(&maker.digest);
         self.run.store.remove(&receipt).await?;
-        let mut made = self.runner.start(vec![(0, Unit { logs, ..unit })]);
-        let fault = match made.next().await {
-            Some((_, Ok(made))) if made.artifact.content == maker.artifact.content => return Ok(()),
-            Some((_, Ok(made))) => lost(
+        let made = self.runner.start(vec![(0, Unit { logs, ..unit })]);
+        let ended = made.filter_map(async |(_, report)| match report {
+            Report::Advanced(_) => None,
+            Report::Ended(receipt) => Some(receipt),
+        });
+        let fault = match std::pin::pin!(ended).next().await {
+            Some(Ok(made)) if made.artifact.content == maker.artifact.content => return Ok(()),
+            Some(Ok(made)) => lost(
                 damage,
                 &format!("it was made anew and came out as {}", made.artifact.content),
             ),
-            Some((_, Err(fault))) => fault.at(label),
+            Some(Err(fault)) => fault.at(label),
             None => Fault::bug(format!("{label} had no outcome")),
         };
         maker.write(self.run.store).await?;

@@ -35,6 +35,13 @@ pub enum Event<'a> {
         /// What a person calls it.
         label: &'a str,
     },
+    /// A unit has taken this share of its rows.
+    Advanced {
+        /// What a person calls it.
+        label: &'a str,
+        /// From 0 to 1.
+        share: f64,
+    },
     /// A unit was done.
     Done {
         /// What a person calls it.

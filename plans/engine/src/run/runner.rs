@@ -6,22 +6,32 @@ use std::sync::Arc;
 use evermap_contract::Registry;
 use evermap_schemas::{Fault, Kind};
 use futures::StreamExt;
-use futures::stream::{BoxStream, FuturesUnordered};
+use futures::channel::mpsc;
+use futures::stream::{BoxStream, FuturesUnordered, select};
 use tokio::sync::Semaphore;
 
 use crate::map::receipt::Receipt;
 use crate::unit::Unit;
 
-/// A unit's number in its run, and what came of it.
-pub type Outcome = (usize, Result<Receipt, Fault>);
+/// A unit's number in its run, and what is told of it.
+pub type Told = (usize, Report);
+
+/// What is told of a unit.
+#[derive(Debug)]
+pub enum Report {
+    /// This share of its rows has been taken.
+    Advanced(f64),
+    /// What came of it. Nothing is told after that.
+    Ended(Result<Receipt, Fault>),
+}
 
 /// Held by what must end before the process does, though nobody waits for what comes of it.
 pub type Unfinished = tokio::sync::mpsc::Sender<Infallible>;
 
 /// Runs units that are ready, in any order.
 pub trait Runner: Send + Sync {
-    /// Runs these units; the stream ends when each has an outcome.
-    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Outcome>;
+    /// Runs these units; the stream ends when each has ended.
+    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Told>;
 }
 
 /// Runs units in this process, a few at a time.
@@ -46,14 +56,20 @@ impl LocalRunner {
 }
 
 impl Runner for LocalRunner {
-    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Outcome> {
+    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Told> {
+        let (tell, told) = mpsc::unbounded();
         let run = |(index, unit): (usize, Unit)| {
             let registry = self.registry.clone();
             let (computing, keeping) = (Arc::clone(&self.computing), Arc::clone(&self.keeping));
+            let tell = tell.clone();
             async move {
                 let computes = computing.acquire_owned().await;
+                let advanced = tell.clone();
                 let task = tokio::spawn(async move {
-                    let computed = unit.compute(&registry).await?;
+                    let advance = |share| {
+                        let _ = advanced.unbounded_send((index, Report::Advanced(share)));
+                    };
+                    let computed = unit.compute(&registry, advance).await?;
                     let _keeps = keeping.acquire_owned().await;
                     drop(computes);
                     computed.keep().await
@@ -62,10 +78,13 @@ impl Runner for LocalRunner {
                     Err(Fault::new(Kind::Bug, format!("a unit panicked: {error}"))
                         .next("please report it"))
                 });
-                (index, receipt)
+                // Whoever listens no more does not want to know.
+                let _ = tell.unbounded_send((index, Report::Ended(receipt)));
             }
         };
         let running: FuturesUnordered<_> = units.into_iter().map(run).collect();
-        running.boxed()
+        drop(tell);
+        let running = running.filter_map(async |()| None);
+        select(told, running).boxed()
     }
 }

@@ -1,7 +1,7 @@
 //! A unit at work.
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use datafusion::physical_plan::display::DisplayableExecutionPlan;
 use evermap_contract::Registry;
@@ -11,8 +11,11 @@ use crate::map::receipt::Receipt;
 use crate::map::store::Store;
 use crate::unit::Unit;
 use crate::unit::build::Builder;
-use crate::unit::work::of_plan;
+use crate::unit::work::{of_plan, share};
 use crate::unit::write::write;
+
+/// How often it is told how far a unit has come.
+const TOLD_EVERY: Duration = Duration::from_secs(1);
 
 impl Unit {
     /// Does the work: reads, runs, writes the artifact, then the receipt. Done twice, it leaves the same.
@@ -20,21 +23,27 @@ impl Unit {
     /// # Errors
     /// Whatever stops it; nothing is left behind but, perhaps, a file in `tmp/`.
     pub async fn run(&self, registry: &Registry) -> Result<Receipt, Fault> {
-        self.compute(registry).await?.keep().await
+        self.compute(registry, |_| ()).await?.keep().await
     }
 
-    /// The first part of [`Unit::run`]: what is left to do takes no cores, but waits for a disk.
+    /// The first part of [`Unit::run`]: what is left to do takes no cores, but waits for a disk. Tells from time to time which
+    /// share of its rows it has taken, where that is known.
     ///
     /// # Errors
     /// As [`Unit::run`].
-    pub async fn compute(&self, registry: &Registry) -> Result<Computed, Fault> {
+    pub async fn compute(
+        &self,
+        registry: &Registry,
+        advanced: impl Fn(f64),
+    ) -> Result<Computed, Fault> {
         let (started, clock) = (chrono::Utc::now(), Instant::now());
         let store = Store::open(&self.store, false)?;
         let builder = Builder::new(self, &store, registry).await?;
         let plan = builder.plan().await?;
         let span = tracing::info_span!("unit", label = %self.label());
         let write = write(&store, Arc::clone(&plan), &builder);
-        let (temporary, artifact, writing) = tracing::Instrument::instrument(write, span).await?;
+        let write = tracing::Instrument::instrument(write, span);
+        let (temporary, artifact, writing) = told(write, || share(&plan).map(&advanced)).await?;
         let ran = DisplayableExecutionPlan::with_metrics(plan.as_ref());
         tracing::debug!(unit = %self.label(), "\n{}", ran.indent(false));
         let receipt = Receipt {
@@ -53,6 +62,18 @@ impl Unit {
             temporary,
             receipt,
         })
+    }
+}
+
+/// Waits for work, and tells from time to time how far it has come.
+async fn told<T>(work: impl Future<Output = T>, tell: impl Fn() -> Option<()>) -> T {
+    let mut work = std::pin::pin!(work);
+    let mut ticks = tokio::time::interval(TOLD_EVERY);
+    loop {
+        tokio::select! {
+            done = &mut work => return done,
+            _ = ticks.tick() => drop(tell()),
+        }
     }
 }
 

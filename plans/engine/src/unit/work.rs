@@ -3,14 +3,16 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use datafusion::common::stats::Precision;
 use datafusion::datasource::source::DataSourceExec;
 use datafusion::physical_plan::ExecutionPlan;
 use datafusion::physical_plan::metrics::{MetricValue, MetricsSet};
+use datafusion::physical_plan::statistics::{StatisticsArgs, StatisticsContext};
 use evermap_datasets::scan::scanned;
 use evermap_schemas::record;
 use serde::{Deserialize, Serialize};
 
-use crate::nodes::operator::OperatorExec;
+use crate::nodes::operator::{DRIVING_ROWS, OperatorExec};
 use crate::nodes::pixels::PixelsExec;
 
 record! {
@@ -61,6 +63,32 @@ pub fn of_plan(plan: &Arc<dyn ExecutionPlan>) -> Vec<NodeWork> {
     let own = own.map(|metrics| NodeWork::of(plan.as_ref(), &metrics));
     let below = plan.children().into_iter().flat_map(of_plan);
     own.into_iter().chain(below).collect()
+}
+
+/// Which share of its rows a plan has taken that runs, the least of all its operators; `None` where nobody knows how many
+/// there are, or all were taken and the work goes on.
+pub fn share(plan: &Arc<dyn ExecutionPlan>) -> Option<f64> {
+    let below = plan.children().into_iter().filter_map(share);
+    let least = own_share(plan.as_ref()).into_iter().chain(below);
+    least.min_by(f64::total_cmp).filter(|share| *share < 1.0)
+}
+
+fn own_share(plan: &dyn ExecutionPlan) -> Option<f64> {
+    let operator = plan.downcast_ref::<OperatorExec>()?;
+    let taken = counted(&operator.metrics()?, DRIVING_ROWS);
+    let rows = rows(operator.children.first()?.as_ref())?;
+    (rows > 0).then(|| taken as f64 / rows as f64)
+}
+
+/// How many rows come out of a plan, where that is known before.
+fn rows(plan: &dyn ExecutionPlan) -> Option<usize> {
+    let found = StatisticsContext::new().compute(plan, &StatisticsArgs::new());
+    match (found.ok()?.num_rows, plan.children().as_slice()) {
+        (Precision::Exact(rows), _) => Some(rows),
+        // Fetches images, or deals rows out.
+        (Precision::Absent, [only]) => rows(only.as_ref()),
+        _ => None,
+    }
 }
 
 fn counted(metrics: &MetricsSet, name: &str) -> usize {
