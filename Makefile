@@ -89,9 +89,10 @@ peers: packages .venv/bench
 	.venv/bin/python tests/peers/images.py
 	.venv/bin/python tests/peers/rerun_convert.py
 
-# COLMAP and evo open the exports of the map that `make map` made.
-exports: .venv/exports
+# COLMAP, evo and Rerun open the exports of the map that `make map` made.
+exports: .venv/exports .venv/bench
 	.venv/bin/python tests/peers/exports.py map
+	.venv/bin/python tests/peers/rerun_export.py map
 
 packages:
 	@.ci/packages

@@ -16,7 +16,7 @@ pub struct SpacesOccupied;
 
 impl Operator for SpacesOccupied {
     const NAME: &'static str = "space_occupancy";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("space_occupancy.md");
     type Params = OccupancyParams;
     type Output = SpaceOccupancy;

@@ -12,9 +12,10 @@ use serde::{Deserialize, Serialize};
 
 use super::GroundBox;
 
-/// The part of a space that what stands on its neighbours or behind it does not reach: a car is at least 1.6 m wide, and
-/// stays a third of a metre away from the next space of 2.4 m, as its doors must open.
-const INNER: [f64; 2] = [0.9, 0.7];
+/// The part of a space that its car stands on wherever it stops, and that what stands on its neighbours or behind it does not
+/// reach even where the space was drawn or found a third of a metre beside its place. Cars are 3.6 m long and 1.6 m wide at
+/// least, spaces 4.8 m and 2.4; a car stays a third of a metre away from the next space, as its doors must open.
+const INNER: [f64; 2] = [0.75, 0.7];
 /// Part of the inner space that must have been looked at before nothing there means that it was free.
 const LOOKED: f64 = 0.5;
 /// Points on a taken space and on a free one, before any is counted; each weighs as much as one space. A car shows cameras

@@ -36,7 +36,9 @@ pub use summary::{Candidate, SummaryParams, Touch, summary, touched};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct MappingParams {
-    /// Rounds of association and adjustment. Later ones change little.
+    /// Rounds of association and adjustment, in which the radius falls by equal factors. A fourth one gains nothing: on the
+    /// car parks of two programs, with and without revisits, poses were off by 0.33 to 0.42 cm with three rounds, by 0.35 to
+    /// 0.45 with four, and by 0.44 to 0.54 with two.
     pub rounds: u32,
     /// Radius around a predicted pixel that the first round searches (px).
     #[schemars(extend("exclusiveMinimum" = 0))]
@@ -67,7 +69,7 @@ pub struct MappingParams {
 impl Default for MappingParams {
     fn default() -> Self {
         Self {
-            rounds: 4,
+            rounds: 3,
             first_radius_px: 12.0,
             last_radius_px: 4.0,
             association: AssociationParams::default(),
