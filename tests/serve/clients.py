@@ -6,11 +6,13 @@ EXPECTED is a list of [query, rows]; rows are objects, as `--format json` prints
 """
 
 import datetime
+import io
 import json
 import math
 import re
 import subprocess
 import sys
+import urllib.error
 import urllib.parse
 import urllib.request
 from pathlib import Path
@@ -18,6 +20,7 @@ from pathlib import Path
 import adbc_driver_flightsql.dbapi
 import psycopg
 import pyarrow
+import pyarrow.parquet
 import shapely
 from psycopg.types import TypeInfo
 
@@ -132,6 +135,23 @@ def by_http(address, query):
         return json.load(answer)
 
 
+def large(http):
+    """What is too large for memory comes as Parquet, and is refused as JSON with what to do."""
+    query = "SELECT value FROM generate_series(1, 9000000)"
+    address = f"http://{http}/sql?" + urllib.parse.urlencode({"query": query, "format": "parquet"})
+    with urllib.request.urlopen(address) as answer:
+        expected, parquet = int(answer.headers["Content-Length"]), answer.read()
+    assert len(parquet) == expected
+    assert pyarrow.parquet.read_metadata(io.BytesIO(parquet)).num_rows == 9_000_000
+    try:
+        by_http(http, query)
+    except urllib.error.HTTPError as error:
+        said = error.read().decode()
+        assert "larger than 64 MiB" in said and "format=parquet" in said, said
+    else:
+        sys.exit("72 MB were sent as JSON")
+
+
 def main(http, postgres, expected, jar=None):
     host, port = postgres.split(":")
     pg = psycopg.connect(host=host, port=port, dbname="map", user="me", autocommit=True)
@@ -178,6 +198,7 @@ def main(http, postgres, expected, jar=None):
     if "poses" not in names or "lanes" not in names:
         wrong += 1
         print(f"ADBC lists the tables {names}")
+    large(http)
     print(f"{len(asked)} queries, {wrong} wrong answers")
     sys.exit(wrong > 0)
 

@@ -9,7 +9,7 @@
 //!      │
 //!   answer ── queries that only read, within time, rows and memory
 //!   maps ──── the versions of maps that are open
-//!   patience ─ how long a connection may say nothing
+//!   patience ─ how long a connection may say nothing; that the network is heard while queries compute
 //!   teach ──── what people say of maps, in logs of their own; only where it is asked for
 //! ```
 //! A server only reads maps. What a run publishes is in the answer to the next query, whole or not at all, as versions are.
@@ -58,6 +58,7 @@ pub async fn serve(args: &ServeArgs) -> Ending {
         rows: args.rows,
         queries: Arc::new(Semaphore::new(args.queries as usize)),
     };
+    patience::keep_attending(tokio::runtime::Handle::current())?;
     let teaching = args.teach.as_deref().map(Teaching::new).transpose()?;
     let teaching = teaching.map(Arc::new);
     let (web, web_address) = listen(args.http).await?;

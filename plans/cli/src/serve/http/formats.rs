@@ -1,5 +1,6 @@
 //! Rows as the body of an answer.
 
+use std::io::{BufWriter, Seek, SeekFrom};
 use std::sync::Arc;
 
 use arrow::ipc::writer::StreamWriter;
@@ -11,6 +12,7 @@ use evermap_schemas::{Fault, Layer};
 use futures::{StreamExt, TryStreamExt};
 use serde::Deserialize;
 use tokio::sync::Mutex;
+use tokio_util::io::ReaderStream;
 
 use crate::earth::Earth;
 use crate::ending::Failure;
@@ -22,6 +24,9 @@ use crate::serve::http::Refusal;
 /// Bytes of an answer that is made before it is sent, so that what goes wrong is an error and no torn answer.
 const LARGEST: usize = 64 << 20;
 
+/// The same of one that is made on the disk.
+const LARGEST_FILE: usize = 2 << 30;
+
 /// How rows are sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -31,7 +36,7 @@ pub enum Form {
     Json,
     /// As `evermap sql --format csv`.
     Csv,
-    /// As `evermap sql --format parquet`.
+    /// As `evermap sql --format parquet`: made on the disk, so that a layer may be large.
     Parquet,
     /// A stream of Arrow, as long as it gets.
     Arrow,
@@ -55,12 +60,9 @@ pub async fn body(
             "text/csv; charset=utf-8",
             written(answer, Format::Csv).await?,
         ),
-        Form::Parquet => (
-            "application/vnd.apache.parquet",
-            written(answer, Format::Parquet).await?,
-        ),
+        Form::Parquet => return Ok(parquet(answer).await?),
         Form::Geojson => {
-            let batches: Vec<RecordBatch> = measured(answer).try_collect().await?;
+            let batches: Vec<RecordBatch> = measured(answer, LARGEST).try_collect().await?;
             let mut text = Vec::new();
             geojson(batches, layer, "evermap", earth, &mut text)?;
             ("application/geo+json", text)
@@ -73,15 +75,44 @@ pub async fn body(
 async fn written(answer: Answer, format: Format) -> Result<Vec<u8>, Failure> {
     let schema = Arc::clone(&answer.schema);
     let mut sink = Sink::Memory(Vec::new());
-    write(format, schema, measured(answer), &mut sink).await?;
+    write(format, schema, measured(answer, LARGEST), &mut sink).await?;
     match sink {
         Sink::Memory(bytes) => Ok(bytes),
         _ => Ok(Vec::new()),
     }
 }
 
+/// Parquet from a file without a name, which is gone when it was sent.
+async fn parquet(answer: Answer) -> Result<Response, Failure> {
+    let schema = Arc::clone(&answer.schema);
+    let mut file = tempfile::tempfile()?;
+    let mut sink = Sink::Special(BufWriter::new(file.try_clone()?));
+    write(
+        Format::Parquet,
+        schema,
+        measured(answer, LARGEST_FILE),
+        &mut sink,
+    )
+    .await?;
+    sink.finish()?;
+    let bytes = file.seek(SeekFrom::End(0))?;
+    file.rewind()?;
+    let body = Body::from_stream(ReaderStream::new(tokio::fs::File::from_std(file)));
+    let head = [
+        (
+            header::CONTENT_TYPE,
+            "application/vnd.apache.parquet".to_owned(),
+        ),
+        (header::CONTENT_LENGTH, bytes.to_string()),
+    ];
+    Ok((head, body).into_response())
+}
+
 /// The rows, until they are too many bytes to be kept.
-fn measured(answer: Answer) -> impl futures::Stream<Item = Result<RecordBatch, Fault>> {
+fn measured(
+    answer: Answer,
+    largest: usize,
+) -> impl futures::Stream<Item = Result<RecordBatch, Fault>> {
     let mut bytes = 0;
     answer.rows.map(move |batch| {
         let batch = batch?;
@@ -90,10 +121,10 @@ fn measured(answer: Answer) -> impl futures::Stream<Item = Result<RecordBatch, F
             .iter()
             .map(|column| column.get_array_memory_size())
             .sum::<usize>();
-        if bytes > LARGEST {
+        if bytes > largest {
             return Err(
-                Fault::user(format!("the answer is larger than {} MiB", LARGEST >> 20)).next(
-                    "ask for fewer rows or columns, or for format=arrow, which is sent as it comes",
+                Fault::user(format!("the answer is larger than {} MiB", largest >> 20)).next(
+                    "ask for fewer rows or columns, for format=parquet, which may be larger, or for format=arrow, which is sent as it comes",
                 ),
             );
         }
