@@ -322,6 +322,36 @@ fn versions_stay_readable_differ_and_are_forgotten() {
     );
 }
 
+/// Reading a pipe would wait for ever; a log that is gone may be one that somebody counts on.
+#[test]
+fn what_is_no_file_among_logs_is_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let logs = folder.path().join("logs");
+    std::fs::create_dir(&logs).unwrap();
+    write_drive(&logs.join("a.mcap"), rectangle(20.0, 10.0, 1.0));
+    std::os::unix::fs::symlink("nowhere", logs.join("gone.mcap")).unwrap();
+    let pipe = std::process::Command::new("mkfifo")
+        .arg(logs.join("pipe.mcap"))
+        .status();
+    assert!(pipe.unwrap().success());
+    for (name, given) in [("folder", logs.clone()), ("pattern", logs.join("*.mcap"))] {
+        let map = folder.path().join(name);
+        let told = run(&map, &[&given]).expect(3).stderr;
+        for name in ["gone.mcap", "pipe.mcap"] {
+            let said = format!("{name}: files that cannot be read");
+            assert!(told.contains(&said), "{said}: {told}");
+        }
+        assert_eq!(
+            query(&map, "SELECT DISTINCT session FROM poses"),
+            serde_json::json!([{ "session": "a" }])
+        );
+    }
+    std::fs::remove_file(logs.join("a.mcap")).unwrap();
+    std::fs::remove_file(logs.join("gone.mcap")).unwrap();
+    let refused = run(&folder.path().join("none"), &[&logs]).expect(1).stderr;
+    assert!(refused.contains("found a named pipe"), "{refused}");
+}
+
 #[test]
 fn a_torn_log_is_mapped_as_far_as_it_is_sound_and_the_loss_is_told() {
     let folder = tempfile::tempdir().unwrap();

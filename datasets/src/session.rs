@@ -152,6 +152,9 @@ impl LogPart {
         site: Arc<str>,
         ledger: &LossLedger,
     ) -> Result<Self, Fault> {
+        if let Some(fault) = file.refused {
+            return Err(fault);
+        }
         let url = file.url();
         let known = file.index.filter(|index| index.fits(file.meta.size));
         let index = match known {

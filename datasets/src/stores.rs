@@ -27,6 +27,8 @@ pub struct LogFile {
     /// Its index, where that is known from elsewhere. It is believed if it fits the file's size and makes sense; else
     /// it is read from the file.
     pub index: Option<LogIndex>,
+    /// Why it cannot be a log, where that shows from outside: it is told when it is opened.
+    pub refused: Option<Fault>,
 }
 
 impl LogFile {
@@ -36,6 +38,7 @@ impl LogFile {
             store_url: store_url.clone(),
             meta,
             index: None,
+            refused: None,
         }
     }
 
@@ -115,19 +118,39 @@ async fn local(runtime: &RuntimeEnv, name: &str) -> Result<Vec<LogFile>, Fault> 
         .object_store(&url)
         .map_err(|error| Fault::resource(error.to_string()))?;
     let mut files = Vec::new();
-    for path in local_paths(name)? {
-        check_file(&path)?;
+    let paths = local_paths(name)?;
+    let is_among_others = paths.len() > 1;
+    for path in paths {
+        let refused = check_file(&path).err();
+        if let Some(fault) = refused.clone().filter(|_| !is_among_others) {
+            return Err(fault);
+        }
         let path =
             plain_path(&path).map_err(|error| Fault::user(error.to_string()).at(path.display()))?;
         let location = Path::from_absolute_path(&path)
             .map_err(|error| Fault::user(error.to_string()).at(path.display()))?;
-        let meta = store
-            .head(&location)
-            .await
-            .map_err(|error| store_fault(&error).at(path.display()))?;
-        files.push(LogFile::new(&store, &url, meta));
+        let meta = match &refused {
+            None => store.head(&location).await,
+            Some(_) => Ok(nothing_at(location)),
+        };
+        let meta = meta.map_err(|error| store_fault(&error).at(path.display()))?;
+        files.push(LogFile {
+            refused,
+            ..LogFile::new(&store, &url, meta)
+        });
     }
     Ok(files)
+}
+
+/// What is said of a file that is none.
+fn nothing_at(location: Path) -> ObjectMeta {
+    ObjectMeta {
+        location,
+        last_modified: Default::default(),
+        size: 0,
+        e_tag: None,
+        version: None,
+    }
 }
 
 /// Refuses what is not there, and what is no file: reading a pipe would wait for ever, and a device has no end.
@@ -244,7 +267,7 @@ fn folder_paths(folder: &FilePath) -> Result<Vec<PathBuf>, Fault> {
     let with = |extensions: &[&str]| -> Vec<PathBuf> {
         let fits = |path: &&PathBuf| {
             let extension = path.extension().and_then(|e| e.to_str());
-            path.is_file() && extension.is_some_and(|found| extensions.contains(&found))
+            !path.is_dir() && extension.is_some_and(|found| extensions.contains(&found))
         };
         entries.iter().filter(fits).cloned().collect()
     };

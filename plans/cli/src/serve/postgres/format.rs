@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::sync::Arc;
 
-use arrow::array::{ArrayRef, AsArray, StringArray};
+use arrow::array::{Array, ArrayRef, AsArray, StringArray};
 use arrow::compute::cast;
 use arrow::datatypes::DataType;
 use datafusion::common::exec_err;
@@ -39,7 +39,7 @@ impl OnTypes for Format {
         let values: Vec<&StringArray> = values.iter().map(|values| values.as_string()).collect();
         let row = |(row, pattern): (usize, Option<&str>)| {
             let values = values.iter();
-            let values = values.map(|values| values.iter().nth(row).flatten());
+            let values = values.map(|values| values.is_valid(row).then(|| values.value(row)));
             pattern.map(|pattern| filled(pattern, values)).transpose()
         };
         let patterns = patterns.as_string::<i32>().iter().enumerate();
