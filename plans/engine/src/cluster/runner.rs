@@ -291,7 +291,9 @@ impl Wave {
         for (index, receipt) in found.await?.into_iter().flatten() {
             *progress = Instant::now();
             missing.remove(&index);
-            let _ = self.outcomes.send((index, Report::Ended(Ok(receipt))));
+            let _ = self
+                .outcomes
+                .send((index, Report::Ended(Ok(Box::new(receipt)))));
         }
         Ok(())
     }

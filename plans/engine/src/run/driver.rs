@@ -115,7 +115,7 @@ impl<'r, 'a> Driver<'r, 'a> {
                     observe(Event::Advanced { label, share });
                 }
                 Some((index, Report::Ended(Ok(receipt)))) => {
-                    ready.extend(self.finish(index, receipt, false, observe))
+                    ready.extend(self.finish(index, *receipt, false, observe))
                 }
                 Some((index, Report::Ended(Err(fault)))) => {
                     first_fault.get_or_insert_with(|| fault.at(self.label(index)));

@@ -22,7 +22,7 @@ pub enum Report {
     /// This share of its rows has been taken.
     Advanced(f64),
     /// What came of it. Nothing is told after that.
-    Ended(Result<Receipt, Fault>),
+    Ended(Result<Box<Receipt>, Fault>),
 }
 
 /// Held by what must end before the process does, though nobody waits for what comes of it.
@@ -79,7 +79,7 @@ impl Runner for LocalRunner {
                         .next("please report it"))
                 });
                 // Whoever listens no more does not want to know.
-                let _ = tell.unbounded_send((index, Report::Ended(receipt)));
+                let _ = tell.unbounded_send((index, Report::Ended(receipt.map(Box::new))));
             }
         };
         let running: FuturesUnordered<_> = units.into_iter().map(run).collect();
