@@ -1,7 +1,8 @@
 //! Links to the files of the newest version, where any program finds them: `newest/lanes/00000.parquet`, in the order of
 //! rows. `newest` is itself a link, to a folder of the version's own, and changes at once for all layers.
 //!
-//! The links of the version before stay for whoever has begun to read them. Object stores have no links.
+//! The links of the version before stay for whoever has begun to read them. Object stores have no links, nor have layers of very
+//! many files: to make and remove ten thousand takes longer than to map one more session.
 
 use std::io::{ErrorKind, Result};
 use std::os::unix::fs::symlink;
@@ -19,6 +20,9 @@ pub const NEWEST: &str = "newest";
 /// Folders of links, one a version.
 const LINKS: &str = "links";
 
+/// Files of a layer that has links.
+const MOST_FILES: usize = 1000;
+
 /// What is linked: each published layer with the names of its files.
 type Layers = Vec<(String, Vec<String>)>;
 
@@ -28,7 +32,8 @@ pub async fn link(store: &Store, version: &Version) {
         return;
     };
     let published = version.published();
-    let files = published.map(|(name, layer)| {
+    let few = published.filter(|(_, layer)| layer.artifacts.len() <= MOST_FILES);
+    let files = few.map(|(name, layer)| {
         let files = layer.artifacts.iter().map(Artifact::name).collect();
         (name.clone(), files)
     });
