@@ -287,8 +287,7 @@ fn legend(scene: &Scene, viewport: &Viewport) -> Vec<(String, Option<String>)> {
         (loops(true), "loop closure", colours::ACCEPTED),
         (loops(false), "loop closure, rejected", colours::REJECTED),
     ];
-    let symbols = symbols.into_iter().filter(|(is_drawn, ..)| *is_drawn);
-    lines.extend(symbols.map(|(_, name, colour)| (name.to_owned(), Some(colour.to_owned()))));
+    lines.extend(drawn(symbols));
     let changes = scene.changes.iter();
     lines.extend(changes.flat_map(|changes| explained(changes, viewport)));
     if !scene.odometry.is_empty() {
@@ -297,24 +296,33 @@ fn legend(scene: &Scene, viewport: &Viewport) -> Vec<(String, Option<String>)> {
     lines
 }
 
+/// Names and colours of the symbols that are drawn.
+fn drawn<N: Into<String>>(
+    symbols: impl IntoIterator<Item = (bool, N, &'static str)>,
+) -> impl Iterator<Item = (String, Option<String>)> {
+    let symbols = symbols.into_iter().filter(|(is_drawn, ..)| *is_drawn);
+    symbols.map(|(_, name, colour)| (name.into(), Some(colour.to_owned())))
+}
+
 /// What the marks of changes mean.
 fn explained(changes: &Changes, viewport: &Viewport) -> Vec<(String, Option<String>)> {
     let since = format!("since version {}", changes.since);
     let most_mm = (1e3 * changes.most_m()).round();
     let moved = format!("moved, at most {most_mm} mm");
     let kinds = [
-        (changes.new.is_empty(), format!("new {since}"), colours::NEW),
         (
-            changes.gone.is_empty(),
+            !changes.new.is_empty(),
+            format!("new {since}"),
+            colours::NEW,
+        ),
+        (
+            !changes.gone.is_empty(),
             format!("gone {since}"),
             colours::GONE,
         ),
-        (changes.moved.is_empty(), moved, colours::MOVED),
+        (!changes.moved.is_empty(), moved, colours::MOVED),
     ];
-    let kinds = kinds.into_iter().filter(|(is_empty, ..)| !is_empty);
-    let mut lines: Vec<_> = kinds
-        .map(|(_, name, colour)| (name, Some(colour.to_owned())))
-        .collect();
+    let mut lines: Vec<_> = drawn(kinds).collect();
     let stretch = changes.stretch(viewport);
     if stretch > 1.0 {
         lines.push((format!("motion drawn {stretch} times longer"), None));

@@ -58,13 +58,8 @@ pub fn matrix(similarities: &Similarities, width_px: u32) -> Result<Picture, Fau
 
 /// Numbers of an axis: each with where it is, px.
 fn numbers(count: u32, scale: u32) -> Vec<(String, f64)> {
-    let every = round_length(NUMBER_EVERY_PX / f64::from(scale)).max(1.0);
-    let every = if every * f64::from(scale) < NUMBER_EVERY_PX {
-        // The next round number: that one is as large as fits at most.
-        round_length(2.5 * every).max(1.0)
-    } else {
-        every
-    };
+    // Round lengths are at most 2.5 times as far apart: this one is as long as is needed.
+    let every = round_length(2.5 * NUMBER_EVERY_PX / f64::from(scale)).max(1.0);
     let marks = (0..count).step_by(every as usize);
     let middle = |mark: u32| (f64::from(mark) + 0.5) * f64::from(scale);
     marks.map(|mark| (mark.to_string(), middle(mark))).collect()

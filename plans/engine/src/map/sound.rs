@@ -39,22 +39,30 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl<'s> Sound<'s> {
-    /// What is remembered of a map. Where that does not read, nothing is.
+    /// What is remembered of a map, and which artifacts there are. Where the former does not read, nothing is remembered.
     ///
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn load(store: &'s Store) -> Result<Self, Fault> {
+        let artifacts = store.objects_in(ARTIFACTS).await?.into_iter();
+        let listed = artifacts.map(|meta| (meta.location.clone(), meta));
+        Ok(Self {
+            listed: Mutex::new(listed.collect()),
+            ..Self::remembered(store).await?
+        })
+    }
+
+    /// As [`Sound::load`], without asking which artifacts there are.
+    async fn remembered(store: &'s Store) -> Result<Self, Fault> {
         let states = match store.read_json::<States>(NAME).await {
             Ok(states) => states.unwrap_or_default(),
             Err(fault) if fault.kind == Kind::Data => States::new(),
             Err(fault) => return Err(fault),
         };
-        let artifacts = store.objects_in(ARTIFACTS).await?.into_iter();
-        let listed = artifacts.map(|meta| (meta.location.clone(), meta));
         Ok(Self {
             store,
             states: Mutex::new(states),
-            listed: Mutex::new(listed.collect()),
+            listed: Mutex::default(),
         })
     }
 
@@ -69,27 +77,29 @@ impl<'s> Sound<'s> {
         artifacts: &[Artifact],
     ) -> Result<(), Fault> {
         let published = DateTime::parse_from_rfc3339(&version.published).ok();
-        let asked = async |artifact: &Artifact| Ok(store.meta(&artifact.name()).await?);
-        let metas = each(artifacts.iter().map(asked)).await?;
+        let names: Vec<String> = artifacts.iter().map(Artifact::name).collect();
+        let metas = each(names.iter().map(|name| store.meta(name))).await?;
         let mut changed = Vec::new();
         for (artifact, meta) in artifacts.iter().zip(metas) {
-            let size = meta.as_ref().map(|meta| meta.size);
-            if let Some(damage) = artifact.size_differs(size) {
+            let damage = artifact.size_differs(meta.as_ref().map(|meta| meta.size));
+            if let Some(damage) = damage {
                 return Err(damage.into());
             }
-            let modified = meta.map(|meta| meta.last_modified);
-            if modified.is_none_or(|modified| published.is_none_or(|then| modified > then)) {
-                changed.push(artifact);
+            let is_as_published =
+                |meta: &ObjectMeta| published.is_some_and(|then| meta.last_modified <= then);
+            if !meta.as_ref().is_some_and(is_as_published) {
+                changed.push((artifact, meta));
             }
         }
         if changed.is_empty() {
             return Ok(());
         }
-        let damages = Self::load(store).await?.damages(changed).await?;
-        damages
+        let sound = Self::remembered(store).await?;
+        let read = changed
             .into_iter()
-            .next()
-            .map_or(Ok(()), |damage| Err(damage.into()))
+            .map(|(artifact, meta)| sound.damage_of(artifact, meta));
+        let damage = each(read).await?.into_iter().flatten().next();
+        damage.map_or(Ok(()), |damage| Err(damage.into()))
     }
 
     /// What is wrong with an artifact: it is read unless its file is as it was when it was last found right.

@@ -68,7 +68,8 @@ impl Unit {
 /// Waits for work, and tells from time to time how far it has come.
 async fn told<T>(work: impl Future<Output = T>, tell: impl Fn() -> Option<()>) -> T {
     let mut work = std::pin::pin!(work);
-    let mut ticks = tokio::time::interval(TOLD_EVERY);
+    let first = tokio::time::Instant::now() + TOLD_EVERY;
+    let mut ticks = tokio::time::interval_at(first, TOLD_EVERY);
     loop {
         tokio::select! {
             done = &mut work => return done,

@@ -23,6 +23,7 @@ use datafusion::scalar::ScalarValue;
 use datafusion::sql::sqlparser::ast::{ObjectNamePart, Statement, visit_relations_mut};
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::oid_field::{kind::REGPROC, oid_field};
 use pgwire::api::Type;
+use tokio::sync::OnceCell;
 
 use crate::output::GEOMETRY;
 use crate::serve::postgres::format::Format;
@@ -81,6 +82,10 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
     // Each asks the tables that were just put right.
     for (view, query) in VIEWS.into_iter().zip(queries) {
         let view_of = context.sql(&query).await?.into_view();
+        let view_of = match view {
+            KEPT => kept(view_of)?,
+            _ => view_of,
+        };
         tables.views.insert(view, view_of);
         catalog.register_schema(CATALOG, Arc::new(tables.clone()))?;
     }
@@ -130,6 +135,9 @@ const VIEWS: [&str; 10] = [
     "pg_class",
     "pg_settings",
 ];
+
+/// One of them that others ask, and that asks for all columns of all tables: what is found is kept.
+const KEPT: &str = VIEWS[4];
 
 /// Those of them that are in `information_schema`.
 const OF_STANDARD: [&str; 3] = ["columns", "table_constraints", "key_column_usage"];
@@ -348,6 +356,40 @@ impl SchemaProvider for Catalog {
 
     fn table_exist(&self, name: &str) -> bool {
         self.views.contains_key(name) || self.inner.table_exist(name)
+    }
+}
+
+/// A view whose rows are found once: those of a version stay what they are.
+fn kept(view: Arc<dyn TableProvider>) -> Result<Arc<dyn TableProvider>> {
+    let schema = view.schema();
+    let rows = Arc::new(Kept {
+        view,
+        schema: Arc::clone(&schema),
+        rows: Arc::default(),
+    });
+    Ok(Arc::new(StreamingTable::try_new(schema, vec![rows])?))
+}
+
+#[derive(Debug)]
+struct Kept {
+    view: Arc<dyn TableProvider>,
+    schema: SchemaRef,
+    rows: Arc<OnceCell<RecordBatch>>,
+}
+
+impl PartitionStream for Kept {
+    fn schema(&self) -> &SchemaRef {
+        &self.schema
+    }
+
+    fn execute(&self, _: Arc<TaskContext>) -> SendableRecordBatchStream {
+        let (view, rows) = (Arc::clone(&self.view), Arc::clone(&self.rows));
+        let found = async move { rows.get_or_try_init(|| all(view)).await.cloned() };
+        let found = futures::stream::once(found);
+        Box::pin(RecordBatchStreamAdapter::new(
+            Arc::clone(&self.schema),
+            found,
+        ))
     }
 }
 
