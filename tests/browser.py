@@ -17,14 +17,25 @@ class Browser:
         self.profile = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         arguments = ["--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0", "--window-size=1400,900"]
         self.program = subprocess.Popen(
-            ["/usr/bin/chromium", *arguments, f"--user-data-dir={self.profile.name}", "about:blank"], stderr=subprocess.DEVNULL
+            ["/usr/bin/chromium", *arguments, f"--user-data-dir={self.profile.name}", "about:blank"],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,  # whoever waits for our output waits for no browser
         )
-        file = Path(self.profile.name) / "DevToolsActivePort"
-        port = until(lambda: file.exists() and file.read_text().split()[0])
-        pages = until(lambda: [one for one in json.load(urlopen(f"http://127.0.0.1:{port}/json")) if one["type"] == "page"])
-        self.socket = connect(pages[0]["webSocketDebuggerUrl"], max_size=None)
         self.sent = 0
-        self.open(address)
+        try:
+            self.socket = connect(until(self.debugged), max_size=None)
+            self.open(address)
+        except BaseException:
+            self.close()
+            raise
+
+    def debugged(self):
+        """Where a page is debugged, once the browser has begun: it first makes the file that says so, then fills it."""
+        file = Path(self.profile.name) / "DevToolsActivePort"
+        said = file.read_text().split() if file.exists() else []
+        if len(said) < 2:
+            return None
+        listed = json.load(urlopen(f"http://127.0.0.1:{said[0]}/json", timeout=60))
+        return next((one["webSocketDebuggerUrl"] for one in listed if one["type"] == "page"), None)
 
     def send(self, method, **params):
         self.sent += 1
@@ -69,6 +80,7 @@ class Browser:
     def close(self):
         self.program.kill()
         self.program.wait()
+        self.profile.cleanup()
 
 
 def until(what, seconds=60):

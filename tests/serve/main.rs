@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::Path;
 
-use evermap_tests::server::{Server, drive, map, script};
+use evermap_tests::server::{Server, bounded, drive, map, script};
 use evermap_tests::{Finished, command, evermap, plan_command, simulate, text};
 use evermap_vision::{Grey, decode_labels};
 use serde_json::{Value, json};
@@ -375,9 +375,10 @@ fn people_paint_on_images_and_the_next_run_has_learnt_from_it() {
 
 /// What Chromium makes of the page, once its scripts have done their work; `None` where it is not installed.
 fn page(address: &str, picture: Option<&Path>) -> Option<String> {
-    let chromium = evermap_test_data::there("/usr/bin/chromium".into(), "`make test` installs it")?;
+    let chromium = Path::new("/usr/bin/chromium");
+    evermap_test_data::there(chromium.into(), "`make test` installs it")?;
     let profile = tempfile::tempdir().unwrap();
-    let mut browser = std::process::Command::new(chromium);
+    let mut browser = bounded(chromium);
     browser
         .args(["--headless", "--no-sandbox", "--disable-gpu"])
         .arg(format!("--user-data-dir={}", profile.path().display()))

@@ -81,8 +81,15 @@ pub fn drive(folder: &Path, map: &Path, day: &str, width_m: f64) {
 pub fn script(name: &str, arguments: &[&str]) -> Option<Command> {
     let python = repository().join(".venv/bin/python");
     let python = evermap_test_data::there(python, "`make test` sets it up")?;
-    let mut script = Command::new(python);
+    let mut script = bounded(&python);
     script.arg(repository().join("tests").join(name));
     script.args(arguments);
     Some(script)
+}
+
+/// A program of others that is ended, with all that it began, where it does not end: the test fails then, and not the suite.
+pub fn bounded(program: &Path) -> Command {
+    let mut bounded = Command::new("timeout");
+    bounded.args(["--kill-after=10s", "15m"]).arg(program);
+    bounded
 }
