@@ -2,6 +2,7 @@
 
 use arrow::error::ArrowError;
 use datafusion::error::DataFusionError;
+use datafusion::sql::sqlparser::parser::ParserError;
 use evermap_schemas::{Fault, Kind};
 
 /// The fault inside, or the best reading of what DataFusion says. A fault that crossed a process border as text is
@@ -18,6 +19,7 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
     if let Some(fault) = Fault::parse(&root.to_string()) {
         return fault;
     }
+    let place = place_in_query(error);
     let (kind, message) = match root {
         DataFusionError::ResourcesExhausted(message) => (Kind::Resource, message.clone()),
         DataFusionError::ObjectStore(error) => (Kind::Resource, error.to_string()),
@@ -33,7 +35,11 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
             (Kind::User, format!("not supported: {}", plainly(message)))
         }
         DataFusionError::SchemaError(error, _) => (Kind::User, error.to_string()),
-        DataFusionError::SQL(..) => (Kind::User, root.strip_backtrace()),
+        DataFusionError::SQL(error, _) => {
+            let said = parser_text(error);
+            let said = said.rsplit_once(PARSER_AT).map_or(said, |(said, _)| said);
+            (Kind::User, format!("SQL: {said}"))
+        }
         DataFusionError::ArrowError(error, _) => (kind_of(error), error.to_string()),
         _ => (Kind::Data, root.strip_backtrace()),
     };
@@ -43,16 +49,34 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
             .next("write it as a join: the last row before a time is found by ASOF JOIN");
     }
     let fault = Fault::new(kind, message);
-    match place_in_query(error) {
-        Some(place) => fault.at(place),
+    match place {
+        Some((line, column)) => fault.at(format!("line {line}, column {column} of the query")),
         None => fault,
     }
 }
 
-/// Where in a query's text an error is, if DataFusion says so.
-fn place_in_query(error: &DataFusionError) -> Option<String> {
+/// Line and column of a query's text where an error is, from 1, if DataFusion says so.
+pub fn place_in_query(error: &DataFusionError) -> Option<(usize, usize)> {
+    let number = |text: &str| text.trim().parse().ok();
+    if let DataFusionError::SQL(error, _) = error.find_root()
+        && let Some((_, at)) = parser_text(error).rsplit_once(PARSER_AT)
+        && let Some((line, column)) = at.split_once(", Column: ")
+    {
+        return number(line).zip(number(column));
+    }
     let start = error.diagnostic()?.span?.start;
-    (start.line > 0).then(|| format!("line {}, column {} of the query", start.line, start.column))
+    (start.line > 0).then_some((start.line as usize, start.column as usize))
+}
+
+/// How the parser begins to say where it is.
+const PARSER_AT: &str = " at Line: ";
+
+/// What the parser of SQL says.
+fn parser_text(error: &ParserError) -> &str {
+    match error {
+        ParserError::TokenizerError(text) | ParserError::ParserError(text) => text,
+        ParserError::RecursionLimitExceeded => "the query is nested too deep",
+    }
 }
 
 /// How DataFusion says that a function does not take such arguments.

@@ -2,7 +2,7 @@
 
 use evermap_schemas::Fault;
 
-pub use evermap_datasets::fault::{OrFault, external, fault_of};
+pub use evermap_datasets::fault::{OrFault, external, fault_of, place_in_query};
 
 /// A fault of an object store: what was asked, and what it said.
 pub fn store_fault(error: &object_store::Error, what: &str) -> Fault {

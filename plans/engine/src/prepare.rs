@@ -4,17 +4,19 @@ use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use datafusion::error::DataFusionError;
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::{ParamFault, Registry};
 use evermap_datasets::manifest::SessionFiles;
 use evermap_datasets::{Dataset, Manifest, Reason, Recordings, Session};
 use evermap_language::{
-    Host, OperatorSpec, ParameterFault, Plan, PlanFaults, PortSpec, Source, Vocabulary,
+    Host, OperatorSpec, ParameterFault, Plan, PlanFaults, PortSpec, QueryFault, Source, Vocabulary,
 };
 use evermap_schemas::Fault;
 use serde_json::Value;
 
 use crate::digest::digest_of;
+use crate::error::{fault_of, place_in_query};
 use crate::fingerprint::{self, Believe, Fingerprint};
 use crate::map::receipt::LogContent;
 use crate::map::store::{Store, each};
@@ -86,14 +88,21 @@ pub fn vocabulary(registry: &Registry) -> Vocabulary {
 /// The longest file of Python that is read (bytes).
 const LONGEST_CODE: u64 = 1 << 20;
 
+fn query_fault(error: &DataFusionError) -> QueryFault {
+    QueryFault {
+        message: fault_of(error).message,
+        at: place_in_query(error),
+    }
+}
+
 struct Surroundings<'a> {
     plan: &'a PlanText,
     registry: &'a Registry,
 }
 
 impl Host for Surroundings<'_> {
-    fn tables(&self, query: &str) -> Result<Vec<String>, String> {
-        tables(query)
+    fn tables(&self, query: &str) -> Result<Vec<String>, QueryFault> {
+        tables(query).map_err(|error| query_fault(&error))
     }
 
     fn parameter_faults(&self, operator: &str, params: &Value) -> Vec<ParameterFault> {

@@ -3,6 +3,7 @@
 pub mod as_of;
 mod bounded;
 mod members;
+mod missing;
 mod pool;
 mod size;
 
@@ -24,12 +25,13 @@ use evermap_language::Input;
 use evermap_schemas::Fault;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{OrFault, fault_of};
+use crate::error::{OrFault, external};
 use crate::nodes::light::LightBatches;
 use crate::sql::bounded::bound_functions;
 use crate::sql::members::mask_members;
 use crate::sql::pool::SharedPool;
 
+pub use missing::explained;
 pub use size::{QUERY_WORDS, STACK_BYTES, check_size};
 
 /// What an engine process may use.
@@ -226,17 +228,26 @@ pub fn put_rows(context: &SessionContext, input: &Input, rows: RecordBatch) -> R
 /// # Errors
 /// A user fault for what is no query, is too large or does not plan.
 pub async fn read_only(context: &SessionContext, query: &str) -> Result<DataFrame, Fault> {
-    check_size(query, &GenericDialect {})?;
+    let planned = planned(context, query).await.or_fault();
+    planned.map_err(|fault| explained(context, fault))
+}
+
+/// As [`read_only`], with the error of DataFusion.
+///
+/// # Errors
+/// As [`read_only`].
+pub async fn planned(context: &SessionContext, query: &str) -> DataFusionResult<DataFrame> {
+    check_size(query, &GenericDialect {}).map_err(external)?;
     let options = SQLOptions::new()
         .with_allow_ddl(false)
         .with_allow_dml(false)
         .with_allow_statements(false);
     let state = context.state();
     let dialect = state.config().options().sql_parser.dialect;
-    let statement = state.sql_to_statement(query, &dialect).or_fault()?;
-    let plan = plan_of(&state, statement).await.or_fault()?;
-    options.verify_plan(&plan).or_fault()?;
-    context.execute_logical_plan(plan).await.or_fault()
+    let statement = state.sql_to_statement(query, &dialect)?;
+    let plan = plan_of(&state, statement).await?;
+    options.verify_plan(&plan)?;
+    context.execute_logical_plan(plan).await
 }
 
 /// The plan of a statement.
@@ -254,17 +265,13 @@ pub async fn plan_of(
 /// The tables that a query reads, as a plan names its inputs: `poses`, `/odom`, `previous.lanes`.
 ///
 /// # Errors
-/// The parser's sentence.
-pub fn tables(query: &str) -> Result<Vec<String>, String> {
-    check_size(query, &GenericDialect {}).map_err(|fault| fault.message)?;
+/// The parser's.
+pub fn tables(query: &str) -> DataFusionResult<Vec<String>> {
+    check_size(query, &GenericDialect {}).map_err(external)?;
     let state = SessionContext::new().state();
     let dialect = state.config().options().sql_parser.dialect;
-    let statement = state
-        .sql_to_statement(query, &dialect)
-        .map_err(|error| fault_of(&error).message)?;
-    let references = state
-        .resolve_table_references(&statement)
-        .map_err(|error| fault_of(&error).message)?;
+    let statement = state.sql_to_statement(query, &dialect)?;
+    let references = state.resolve_table_references(&statement)?;
     let mut names = Vec::new();
     for reference in references {
         let name = match reference.schema() {

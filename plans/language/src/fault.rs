@@ -115,6 +115,11 @@ impl PlanFaults {
         source.map_or("", |source| source.origin.as_str())
     }
 
+    /// A text, by its number.
+    pub(crate) fn text(&self, source: usize) -> Option<&str> {
+        self.sources.get(source).map(|source| source.text.as_str())
+    }
+
     /// Names the `--set` options that [`Place::Setting`] counts.
     #[must_use]
     pub fn with_settings(mut self, settings: &[String]) -> Self {

@@ -5,7 +5,8 @@ mod order;
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::fault::{Place, PlanFaults, Severity};
-use crate::plan::{Input, Plan, PlanTest, Row, Step};
+use crate::inside::Part;
+use crate::plan::{Body, Input, Plan, PlanTest, Row, Step};
 use crate::suggest::quoted;
 use crate::vocabulary::Vocabulary;
 use crate::written::{Named, Written, WrittenInput, WrittenStep, WrittenTest};
@@ -102,7 +103,16 @@ impl Names<'_> {
                 faults.error(input.table.place, message);
                 return None;
             }
-            self.input(&input.table, &what, faults)
+            let mut tried = PlanFaults::default();
+            let found = self.input(&input.table, &what, &mut tried);
+            if tried.is_empty() {
+                return found;
+            }
+            let mut table = input.table.clone();
+            if let Some(Body::Sql { query, place }) = &step.body {
+                table.place = faults.inside(*place, query, Part::Word(&table.name));
+            }
+            self.input(&table, &what, faults)
         };
         step.inputs.iter().map(resolve).collect()
     }

@@ -11,11 +11,11 @@
 //! another extends or of a file of Python that a step names. It depends on neither DataFusion nor Arrow.
 //!
 //! ```
-//! use evermap_language::{Host, ParameterFault, Source, Vocabulary, parse};
+//! use evermap_language::{Host, ParameterFault, QueryFault, Source, Vocabulary, parse};
 //!
 //! struct Tables;
 //! impl Host for Tables {
-//!     fn tables(&self, _query: &str) -> Result<Vec<String>, String> {
+//!     fn tables(&self, _query: &str) -> Result<Vec<String>, QueryFault> {
 //!         Ok(vec!["pose".to_owned()])
 //!     }
 //!     fn parameter_faults(&self, _: &str, _: &serde_json::Value) -> Vec<ParameterFault> {
@@ -32,7 +32,7 @@
 //! let faults = parse(&source, &[], &vocabulary, &Tables).unwrap_err();
 //! assert_eq!(
 //!     faults.to_string(),
-//!     "count.yaml:3:18: the query of `counts` reads `pose`, which is neither a step nor a \
+//!     "count.yaml:3:39: the query of `counts` reads `pose`, which is neither a step nor a \
 //!      source; did you mean `poses`?\n\
 //!      count.yaml:4:9: `write` names `count`, which is not a step; did you mean `counts`?\n"
 //! );
@@ -42,6 +42,7 @@ mod editor;
 mod extends;
 mod fault;
 mod graph;
+mod inside;
 mod manifest;
 mod plan;
 mod preset;
@@ -54,11 +55,12 @@ mod yaml;
 
 pub use editor::json_schema;
 pub use fault::{Place, PlanFault, PlanFaults, Position, Severity, Source};
+pub use inside::Part;
 pub use plan::{
     Body, DEFAULT_TOLERANCE, Grain, Input, ManifestPath, Plan, PlanTest, PythonStep, Row, Step,
 };
 pub use suggest::{listed, nearest};
-pub use vocabulary::{Host, OperatorSpec, ParameterFault, PortSpec, Vocabulary};
+pub use vocabulary::{Host, OperatorSpec, ParameterFault, PortSpec, QueryFault, Vocabulary};
 
 /// Reads and checks a plan, with all that it extends, and the `defaults` of the session manifest that the host has.
 ///

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::fault::{PlanFaults, Position};
+use crate::fault::{Place, PlanFaults, Position};
 
 /// How far numbers in a plan's test may be apart when the test does not say.
 pub const DEFAULT_TOLERANCE: f64 = 1e-9;
@@ -67,6 +67,8 @@ pub enum Body {
     Sql {
         /// Its text.
         query: String,
+        /// Where it begins.
+        place: Place,
     },
     /// A function in Python.
     Python(Box<PythonStep>),

@@ -45,14 +45,23 @@ pub struct ParameterFault {
     pub message: String,
 }
 
+/// What is wrong with a query.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct QueryFault {
+    /// One sentence.
+    pub message: String,
+    /// Line and column in the query, from 1, where they are known.
+    pub at: Option<(usize, usize)>,
+}
+
 /// Answers what the language does not know itself.
 pub trait Host {
     /// The tables a query reads (not those it defines itself with `WITH`), under the names
     /// that steps and sources have: `poses`, `/odom`, `previous.lanes`.
     ///
     /// # Errors
-    /// One sentence.
-    fn tables(&self, query: &str) -> Result<Vec<String>, String>;
+    /// What is wrong with the query.
+    fn tables(&self, query: &str) -> Result<Vec<String>, QueryFault>;
 
     /// All that is wrong with what a plan gives as parameters of an operator, a JSON object;
     /// the others have their defaults.

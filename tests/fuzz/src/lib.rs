@@ -15,7 +15,7 @@ use std::str::from_utf8;
 use arrow::array::StructArray;
 use arrow::datatypes::Field;
 use evermap_language::{
-    Host, OperatorSpec, ParameterFault, PortSpec, Source, Vocabulary, parse, utf8,
+    Host, OperatorSpec, ParameterFault, PortSpec, QueryFault, Source, Vocabulary, parse, utf8,
 };
 use evermap_messages::{Decoder, MessageType};
 use evermap_schemas::Stamp;
@@ -196,7 +196,7 @@ fn images(bytes: &[u8]) {
 struct Anywhere;
 
 impl Host for Anywhere {
-    fn tables(&self, query: &str) -> Result<Vec<String>, String> {
+    fn tables(&self, query: &str) -> Result<Vec<String>, QueryFault> {
         Ok(query.split_whitespace().map(str::to_owned).collect())
     }
 

@@ -20,15 +20,17 @@ use datafusion::sql::sqlparser::dialect::GenericDialect;
 use evermap_datasets::Dataset;
 use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::map::Map;
-use evermap_engine::sql::{Limits, TABLES, catalog, catalog_name, check_size, context, plan_of};
+use evermap_engine::sql::{
+    Limits, TABLES, catalog, catalog_name, check_size, context, explained, plan_of,
+};
 use evermap_functions::use_indexes;
-use evermap_language::{listed, nearest};
+use evermap_language::listed;
 use evermap_schemas::dictionary::{ColumnInfo, columns};
 use evermap_schemas::{Fault, Layer, batch};
 use futures::{StreamExt, TryStreamExt};
 
 use crate::arguments::{SessionArgs, SqlArgs};
-use crate::commands::sql::missing::{meant, missing_function, missing_table};
+use crate::commands::sql::missing::{meant, missing_table};
 use crate::ending::{Ending, Failure, Lost};
 use crate::operators;
 use crate::output::{Format, Sink, write};
@@ -217,11 +219,8 @@ impl Tables {
     }
 
     fn in_our_words(&self, fault: Fault) -> Fault {
-        if let Some(function) = missing_function(&fault.message) {
-            return self.no_function(function);
-        }
         let Some(table) = missing_table(&fault.message) else {
-            return fault;
+            return explained(&self.context, fault);
         };
         let catalog = format!("{}.", catalog_name(&self.context));
         let table = table.strip_prefix(&catalog).unwrap_or(table);
@@ -237,19 +236,6 @@ impl Tables {
             )),
             _ if !meant.is_empty() => fault,
             _ => fault.next(format!("there are {}", listed(names.iter().map(String::as_str)))),
-        }
-    }
-
-    fn no_function(&self, function: &str) -> Fault {
-        let state = self.context.state();
-        let known = state.scalar_functions().keys();
-        let mut known: Vec<&String> = known.chain(state.aggregate_functions().keys()).collect();
-        known.sort();
-        let meant = nearest(function, known.into_iter().map(String::as_str));
-        let fault = Fault::user(format!("there is no function `{function}`"));
-        match meant {
-            Some(near) => fault.next(format!("did you mean `{near}`?")),
-            None => fault.next("`evermap functions` lists those of maps"),
         }
     }
 

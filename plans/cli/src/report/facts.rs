@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 
 use askama::Template;
 use evermap_engine::map::{LayerInfo, RunRow, VersionInfo, versions};
-use evermap_schemas::Fault;
+use evermap_language::listed;
+use evermap_schemas::layers::{Lane, OverheadTile, VehiclePose};
+use evermap_schemas::{Fault, Kind, LayerRow};
 
 use crate::arguments::HTTP;
 use crate::draw::{Canvas, Picture, draw, matrix, views};
@@ -25,6 +27,9 @@ const SHOWN_UNITS: usize = 15;
 /// Length of the bar of the slowest unit, pixels.
 const LONGEST_BAR_PX: f64 = 120.0;
 
+/// Layers that the picture is drawn from.
+const DRAWN: [&str; 3] = [OverheadTile::NAME, Lane::NAME, VehiclePose::NAME];
+
 /// What a report says.
 #[derive(Debug, Clone, Template)]
 #[template(path = "report.html")]
@@ -37,8 +42,8 @@ pub struct Facts {
     pub published: String,
     /// The program that made it.
     pub evermap: String,
-    /// The map, drawn; `None` where there is nothing to draw.
-    pub picture: Option<Picture>,
+    /// The map, drawn; or why there is nothing to draw.
+    pub picture: Result<Picture, String>,
     /// The metric map of the site that is drawn; `None` where there is none.
     pub metric: Option<MetricFacts>,
     /// The semantic map of that site; `None` where there is none.
@@ -140,6 +145,17 @@ impl Facts {
     }
 }
 
+/// Why a map is not drawn: layers that are drawn are empty, or it has none of them.
+fn undrawn(layers: &[LayerInfo], fault: &Fault) -> String {
+    let empty = layers.iter().filter(|layer| layer.rows == 0);
+    let names = empty.map(|layer| layer.layer.as_str());
+    let empty: Vec<_> = names.filter(|name| DRAWN.contains(name)).collect();
+    match fault.kind {
+        Kind::User if !empty.is_empty() => format!("no row in {}", listed(empty)),
+        _ => format!("{}; {}", fault.message, fault.next),
+    }
+}
+
 /// Gathers what a report says.
 ///
 /// # Errors
@@ -152,9 +168,8 @@ pub async fn gather(reader: &MapReader, site: Option<&str>) -> Result<Facts, Fau
     };
     let site = site.or(sites.first().map(String::as_str));
     let site = site.unwrap_or_default();
-    let picture = draw(&scene, canvas)
-        .inspect_err(|fault| tracing::info!(%fault, "no picture"))
-        .ok();
+    let layers = reader.map.layers();
+    let picture = draw(&scene, canvas).map_err(|fault| undrawn(&layers, &fault));
     let version = &reader.map.version;
     Ok(Facts {
         version: version.version,
@@ -164,7 +179,7 @@ pub async fn gather(reader: &MapReader, site: Option<&str>) -> Result<Facts, Fau
         picture,
         metric: metric_facts(reader, site, canvas).await?,
         semantic: semantic_facts(reader, site).await?,
-        layers: reader.map.layers(),
+        layers,
         sessions: sessions(reader).await?,
         units: units(reader).await?,
         losses: version.losses.clone(),

@@ -76,7 +76,7 @@ fn facts() -> Facts {
         plan: "car_park <script>".into(),
         published: "2026-01-01T00:00:00Z".into(),
         evermap: "0.1.0".into(),
-        picture: draw(&scene, Canvas::default()).ok(),
+        picture: draw(&scene, Canvas::default()).map_err(|fault| fault.to_string()),
         metric: Some(metric),
         semantic: None,
         sites: vec!["lot".into()],
@@ -130,11 +130,12 @@ fn the_page_says_everything_and_needs_nothing_else() {
 #[test]
 fn a_map_without_a_picture_or_runs_has_a_page_too() {
     let bare = Facts {
-        picture: None,
+        picture: Err("no row in `poses`".to_owned()),
         units: vec![],
         losses: BTreeMap::new(),
         ..facts()
     };
     let page = bare.to_string();
+    assert!(page.contains("There is no picture: no row in `poses`.</p>"));
     assert!(!page.contains("<svg") && !page.contains("Units") && !page.contains("Losses</h2>"));
 }

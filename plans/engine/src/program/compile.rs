@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use arrow::array::RecordBatch;
 use arrow::datatypes::{Field, SchemaRef};
-use datafusion::prelude::{DataFrame, SessionContext};
+use datafusion::prelude::SessionContext;
 use evermap_contract::{Entry, Phase, Port, Reach, Registry, Shape};
 use evermap_language::{Body, Grain, Input, Place, Plan, PlanFaults, PythonStep, Step};
 use evermap_schemas::{Cell, ImageRef};
@@ -14,8 +14,8 @@ use serde_json::Value;
 use crate::conform::{bare, misfits};
 use crate::program::locality::is_local;
 use crate::program::python::PythonTask;
+use crate::program::query::Query;
 use crate::program::test_columns;
-use crate::program::volatile::volatile_functions;
 use crate::program::{LIFT, Program, Read, Role, Scope, Stage, Task};
 use crate::sql;
 
@@ -96,7 +96,14 @@ impl Compiler<'_> {
         self.check_versions(step);
         let schema = match &step.body {
             Body::Op { op, params } => self.op(step, op, params).await,
-            Body::Sql { query } => self.sql(step, query).await,
+            Body::Sql { query, place } => {
+                let query = Query {
+                    step: &step.name,
+                    text: query,
+                    place: *place,
+                };
+                self.sql(step, query).await
+            }
             Body::Python(python) => self.python(step, python).await,
         };
         let Some(schema) = schema else { return };
@@ -257,17 +264,11 @@ impl Compiler<'_> {
         Some(schema)
     }
 
-    async fn sql(&mut self, step: &Step, query: &str) -> Option<SchemaRef> {
+    async fn sql(&mut self, step: &Step, query: Query<'_>) -> Option<SchemaRef> {
         if !self.knows_inputs(step) {
             return None;
         }
-        let frame = match self.planned(query).await {
-            Ok(frame) => frame,
-            Err(fault) => {
-                self.fault(step, format!("the query of `{}` {fault}", step.name));
-                return None;
-            }
-        };
+        let frame = query.planned(self.context, &mut self.faults).await?;
         let plan = frame.logical_plan();
         let reads: Vec<_> = step.inputs.values().map(query_read).collect();
         let widest = self.widest(&reads).unwrap_or(Scope::Map);
@@ -280,7 +281,7 @@ impl Compiler<'_> {
         };
         let schema = bare(plan.schema().as_arrow());
         let task = Task::Sql {
-            query: query.to_owned(),
+            query: query.text.to_owned(),
             ordered: sql::is_ordered(plan),
         };
         self.stages.push(Stage {
@@ -292,26 +293,6 @@ impl Compiler<'_> {
             once: step.once,
         });
         Some(schema)
-    }
-
-    /// The query planned, or what is wrong with it.
-    async fn planned(&self, query: &str) -> Result<DataFrame, String> {
-        let frame = sql::read_only(self.context, query).await;
-        let frame = frame.map_err(|fault| format!("does not plan: {}", fault.message))?;
-        let plan = frame.logical_plan();
-        let repeated = sql::repeated_columns(plan).join(", ");
-        if !repeated.is_empty() {
-            return Err(format!(
-                "gives two columns the name {repeated}; name one with AS"
-            ));
-        }
-        let volatile = volatile_functions(plan).join(", ");
-        if !volatile.is_empty() {
-            return Err(format!(
-                "calls {volatile}, whose answer changes from run to run; order by columns, and take instants from the rows"
-            ));
-        }
-        Ok(frame)
     }
 
     /// A misspelt column of a test would be compared with nothing.

@@ -7,6 +7,7 @@
 pub mod compile;
 mod locality;
 pub mod python;
+mod query;
 mod test_columns;
 mod volatile;
 

@@ -6,22 +6,23 @@ mod relations;
 mod tests;
 mod views;
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use datafusion::common::config::ConfigOptions;
 use datafusion::common::tree_node::{Transformed, TreeNode};
-use datafusion::common::{Column, DataFusionError, Result, TableReference};
+use datafusion::common::{Column, DataFusionError, Result, TableReference, plan_err};
 use datafusion::logical_expr::expr::InSubquery;
 use datafusion::logical_expr::{Expr, LogicalPlan, Subquery};
 use datafusion::optimizer::AnalyzerRule;
 use datafusion::prelude::SessionContext;
 use datafusion::scalar::ScalarValue;
 use evermap_schemas::LayerRow;
-use evermap_schemas::layers::{ClassLeaf, RelatedViews, View};
+use evermap_schemas::layers::{ClassLeaf, LabelImage, RelatedViews, View};
 use futures::FutureExt;
 
-use names::{Names, names};
-use relations::RelationIndex;
+use names::{Names, names, texts};
+use relations::{Relating, RelationIndex};
 use views::Views;
 
 /// Lets queries on `views` use `class_index` and `relation_index`, where the context has them and they are of just these
@@ -51,11 +52,30 @@ pub async fn use_indexes(context: &SessionContext) -> Result<()> {
     if leaves.is_some() || relations.is_some() {
         context.add_analyzer_rule(Arc::new(ByIndex {
             views: Views::of(context).await?,
+            classes: known_classes(context, leaves.as_ref()).await?,
             leaves,
             relations: relations.map(Arc::new),
         }));
     }
     Ok(())
+}
+
+/// The classes that the views of a map have, and those of the images that they were made from, which may never have shown
+/// some; empty without a class index.
+async fn known_classes(
+    context: &SessionContext,
+    leaves: Option<&SessionContext>,
+) -> Result<BTreeSet<String>> {
+    let Some(leaves) = leaves else {
+        return Ok(BTreeSet::new());
+    };
+    let shown = "SELECT DISTINCT site, entry['class'] FROM (SELECT site, unnest(counts) AS entry FROM class_index)";
+    let mut classes = texts(leaves, shown).await?;
+    if context.table_exist(TableReference::bare(LabelImage::NAME))? {
+        let known = "SELECT DISTINCT site, unnest(classes) FROM label_images";
+        classes.extend(texts(context, known).await?);
+    }
+    Ok(classes.into_iter().map(|[_, class]| class).collect())
 }
 
 /// A context with the class index alone, where it is of just these views.
@@ -82,6 +102,8 @@ struct ByIndex {
     views: Views,
     /// A context with the class index alone.
     leaves: Option<SessionContext>,
+    /// The classes that there are; empty where that is not known.
+    classes: BTreeSet<String>,
     relations: Option<Arc<RelationIndex>>,
 }
 
@@ -120,9 +142,10 @@ impl ByIndex {
     }
 
     fn call(&self, expr: Expr, input: &LogicalPlan) -> Result<Transformed<Expr>> {
-        let Some((graph, views)) = self.answer(&expr)? else {
+        let Some(asked) = Asked::of(&expr) else {
             return Ok(Transformed::no(expr));
         };
+        let (graph, classes) = asked.of_what();
         let Some(table) = graph
             .relation
             .as_ref()
@@ -130,7 +153,11 @@ impl ByIndex {
         else {
             return Ok(Transformed::no(expr));
         };
+        classes.iter().try_for_each(|class| self.know(class))?;
         let view = Expr::Column(Column::new(Some(table.clone()), "view"));
+        let Some(views) = self.answer(asked)? else {
+            return Ok(Transformed::no(expr));
+        };
         let subquery = Subquery {
             subquery: Arc::new(views),
             outer_ref_columns: Vec::new(),
@@ -143,19 +170,61 @@ impl ByIndex {
         ))))
     }
 
-    /// Of a call that an index answers, the column of graphs and the query of the views for which it is true.
-    fn answer(&self, expr: &Expr) -> Result<Option<(Column, LogicalPlan)>> {
-        if let Some(leaves) = &self.leaves
-            && let Some((graph, class, least)) = asked(expr)
-        {
-            return Ok(Some((graph, showing(leaves, &class, least)?)));
+    /// Refuses a class that there is not: it is misspelt, and no row would be the answer.
+    fn know(&self, class: &str) -> Result<()> {
+        if self.classes.is_empty() || self.classes.contains(class) {
+            return Ok(());
         }
-        if let Some(index) = &self.relations
-            && let Some((graph, asked)) = relations::asked(expr)
-        {
-            return Ok(Some((graph, relations::plan(index, asked)?)));
+        let known: Vec<&str> = self.classes.iter().map(String::as_str).collect();
+        plan_err!(
+            "no view has an area of the class `{class}`; there are {}",
+            known.join(", ")
+        )
+    }
+
+    /// The query of the views for which a call is true, where an index answers it.
+    fn answer(&self, asked: Asked) -> Result<Option<LogicalPlan>> {
+        match asked {
+            Asked::Contains(_, class, least) => {
+                let leaves = self.leaves.as_ref();
+                leaves
+                    .map(|leaves| showing(leaves, &class, least))
+                    .transpose()
+            }
+            Asked::Related(_, relating) => {
+                let index = self.relations.as_ref();
+                index
+                    .map(|index| relations::plan(index, relating))
+                    .transpose()
+            }
         }
-        Ok(None)
+    }
+}
+
+/// A call on a column of graphs that an index can answer.
+enum Asked {
+    /// `contains(graph, 'class' [, count])` whose count is at least 1.
+    Contains(Column, String, i64),
+    /// `related(graph, 'class', 'relation', 'class')`.
+    Related(Column, Relating),
+}
+
+impl Asked {
+    fn of(expr: &Expr) -> Option<Self> {
+        let contains = contains(expr);
+        let contains = contains.map(|(graph, class, least)| Self::Contains(graph, class, least));
+        let related = || relations::asked(expr).map(|(graph, asked)| Self::Related(graph, asked));
+        contains.or_else(related)
+    }
+
+    /// The column of graphs, and the classes that are asked for.
+    fn of_what(&self) -> (Column, Vec<String>) {
+        match self {
+            Self::Contains(graph, class, _) => (graph.clone(), vec![class.clone()]),
+            Self::Related(graph, (class, _, other)) => {
+                (graph.clone(), vec![class.clone(), other.clone()])
+            }
+        }
     }
 }
 
@@ -172,7 +241,7 @@ fn showing(leaves: &SessionContext, class: &str, least: i64) -> Result<LogicalPl
 }
 
 /// The column, class and count of a call `contains(graph, 'class' [, count])` whose count is at least 1.
-fn asked(expr: &Expr) -> Option<(Column, String, i64)> {
+fn contains(expr: &Expr) -> Option<(Column, String, i64)> {
     let Expr::ScalarFunction(call) = expr else {
         return None;
     };

@@ -23,7 +23,7 @@ use super::alone;
 use super::names::{Names, digests, texts};
 
 /// One class, how it lies, and another class.
-type Relating = (String, Relation, String);
+pub(super) type Relating = (String, Relation, String);
 
 /// The index of a map's views, read when it is first asked.
 pub(super) struct RelationIndex {

@@ -132,6 +132,38 @@ async fn indexed(leaves: Vec<ClassLeaf>, relations: Vec<RelatedViews>) -> Sessio
     context
 }
 
+#[tokio::test]
+async fn a_class_that_no_view_has_is_refused() {
+    let context = indexed(leaves(), relations(views())).await;
+    for (query, class) in [
+        (
+            "SELECT view FROM views WHERE contains(graph, 'buildin')",
+            "buildin",
+        ),
+        (
+            "SELECT count(*) FROM views v WHERE NOT contains(v.graph, 'cars', 2)",
+            "cars",
+        ),
+        (
+            "SELECT view FROM views WHERE related(graph, 'car', 'on', 'raod')",
+            "raod",
+        ),
+    ] {
+        let refused = rows(&context, query).await.unwrap_err();
+        let expected = format!(
+            "no view of this map has the class `{class}`; its classes are building, car, road, sign, tree"
+        );
+        assert!(refused.contains(&expected), "{refused}");
+    }
+    // What only is called so, or is no literal, is answered by graphs.
+    for query in [
+        "SELECT view FROM (SELECT view, graph FROM views LIMIT 9) AS views WHERE contains(graph, 'cars')",
+        "SELECT view FROM views, (VALUES ('cars')) AS asked(class) WHERE contains(graph, class)",
+    ] {
+        assert!(rows(&context, query).await.unwrap().is_empty(), "{query}");
+    }
+}
+
 /// The views above under other names: as many, and with the same graphs.
 fn elsewhere() -> Vec<View> {
     let named = |view: View| View {

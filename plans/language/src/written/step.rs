@@ -6,6 +6,7 @@ use serde_json::{Map, Value};
 
 use super::{BODY_KEYS, Named, STEP_KEYS, StepContext, WrittenInput, WrittenStep, is_null, python};
 use crate::fault::PlanFaults;
+use crate::inside::Part;
 use crate::plan::Body;
 use crate::suggest::{listed, one_line, quoted};
 use crate::vocabulary::OperatorSpec;
@@ -233,8 +234,13 @@ fn query(step: &mut WrittenStep, sql: &Entry, context: &StepContext<'_>, faults:
             }
             step.body = Some(Body::Sql {
                 query: query.to_owned(),
+                place: sql.value.place,
             });
         }
-        Err(error) => faults.error(sql.value.place, format!("SQL: {}", one_line(&error))),
+        Err(fault) => {
+            let (line, column) = fault.at.unwrap_or((1, 1));
+            let place = faults.inside(sql.value.place, query, Part::At(line, column));
+            faults.error(place, one_line(&fault.message));
+        }
     }
 }

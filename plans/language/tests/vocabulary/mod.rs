@@ -1,7 +1,9 @@
 //! The vocabulary the tests write plans with: parameters of every kind schemars derives.
 #![allow(dead_code, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use evermap_language::{Host, OperatorSpec, ParameterFault, PortSpec, Source, Vocabulary};
+use evermap_language::{
+    Host, OperatorSpec, ParameterFault, PortSpec, QueryFault, Source, Vocabulary,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -114,13 +116,16 @@ pub fn vocabulary() -> Vocabulary {
 }
 
 /// Stands for a SQL parser: the word after each FROM or JOIN.
-pub fn sql_tables(query: &str) -> Result<Vec<String>, String> {
+pub fn sql_tables(query: &str) -> Result<Vec<String>, QueryFault> {
     let words: Vec<&str> = query.split_whitespace().collect();
     if !words
         .first()
         .is_some_and(|word| word.eq_ignore_ascii_case("select"))
     {
-        return Err("expected SELECT\nat the start".to_owned());
+        return Err(QueryFault {
+            message: "SQL: expected SELECT\nat the start".to_owned(),
+            at: Some((1, 1)),
+        });
     }
     Ok(words
         .windows(2)
@@ -134,7 +139,7 @@ pub fn sql_tables(query: &str) -> Result<Vec<String>, String> {
 pub struct Plans<'p>(pub Vec<(&'p str, &'p str)>);
 
 impl Host for Plans<'_> {
-    fn tables(&self, query: &str) -> Result<Vec<String>, String> {
+    fn tables(&self, query: &str) -> Result<Vec<String>, QueryFault> {
         sql_tables(query)
     }
 

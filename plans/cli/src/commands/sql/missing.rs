@@ -2,12 +2,6 @@
 
 use evermap_language::nearest;
 
-/// The function that DataFusion did not find.
-pub fn missing_function(message: &str) -> Option<&str> {
-    let (_, behind) = message.split_once("Invalid function '")?;
-    behind.split_once('\'').map(|(name, _)| name)
-}
-
 /// The table that DataFusion did not find.
 pub fn missing_table(message: &str) -> Option<&str> {
     let (_, behind) = message.split_once("table '")?;

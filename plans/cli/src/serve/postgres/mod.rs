@@ -46,7 +46,7 @@ use pgwire::tokio::process_socket;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 
-use crate::commands::sql::missing::{missing_function, missing_table};
+use crate::commands::sql::missing::missing_table;
 use crate::serve::access::Access;
 use crate::serve::answer::{Bounds, Turn};
 use crate::serve::maps::{Maps, Opened};
@@ -434,8 +434,8 @@ fn code_of(message: &str) -> &'static str {
     match () {
         () if missing_table(message).is_some() => "42P01",
         () if says("No field named") => "42703",
-        () if missing_function(message).is_some() => "42883",
-        () if says("ParserError") || says("parser error") => "42601",
+        () if says("there is no function ") => "42883",
+        () if message.starts_with("SQL: ") || says("parser error") => "42601",
         () if says("Divide by zero") => "22012",
         () => "42000",
     }
