@@ -129,7 +129,7 @@ fn faults_of_what_a_plan_extends_are_told_where_they_are() {
     // What only compiling shows, too.
     std::fs::write(&plan, "plan: plan\nextends: base.yaml\n").unwrap();
     let told = evermap(&["check", text(&plan)]).expect(1);
-    assert!(told.stderr.contains("base.yaml:4:3"), "{}", told.stderr);
+    assert!(told.stderr.contains("base.yaml:5:17"), "{}", told.stderr);
     std::fs::write(&plan, "plan: plan\nextends: bases.yaml\n").unwrap();
     let told = evermap(&["check", text(&plan)]).expect(1);
     for needle in ["plan.yaml:2:10", "bases.yaml", "lifelong"] {

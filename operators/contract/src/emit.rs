@@ -84,7 +84,7 @@ impl<'a> Emit<'a> {
     }
 
     /// Counts `count` inputs as skipped for `reason` (a short phrase, such as `image does not decode`).
-    pub fn skip(&mut self, reason: &str, count: u64) {
-        self.losses.add(reason, count);
+    pub fn skip(&mut self, reason: impl AsRef<str>, count: u64) {
+        self.losses.add(reason.as_ref(), count);
     }
 }

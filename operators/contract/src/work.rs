@@ -3,6 +3,8 @@
 //! Every function here is handed rows of one site only. They are plain functions: a kernel keeps nothing between calls
 //! but what it prepared or what it declares as its state.
 
+use std::borrow::Cow;
+
 use arrow::array::RecordBatch;
 use evermap_schemas::{Fault, LayerRow, Record, rows};
 use rayon::prelude::*;
@@ -11,8 +13,9 @@ use crate::fold::{Fold, Folded};
 use crate::kernel::{Kernel, Mapper, Rows};
 use crate::{Emit, Key, Pixels, Port, Reach, Sides};
 
-/// Why a row is skipped: a short phrase, such as `image does not decode`, under which it is counted.
-pub type Reason = &'static str;
+/// Why a row is skipped: a short phrase, such as `image does not decode`, under which it is counted. It may name cameras
+/// and frames, of which a log has few, and no instants or values, of which it has many.
+pub type Reason = Cow<'static, str>;
 
 /// How much a kernel must see at once. It says *where data must be*, not what is computed; the engine turns it into
 /// partitioning and order.

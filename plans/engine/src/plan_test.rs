@@ -165,7 +165,7 @@ impl Bench<'_> {
                 };
                 function::rows(task, self.registry, &given)
             }
-            Body::Sql { query, .. } => {
+            Body::Sql { query } => {
                 let frame = read_only(context, query).await?;
                 let schema = Arc::new(frame.schema().as_arrow().clone());
                 let batches = frame.collect().await.or_fault()?;

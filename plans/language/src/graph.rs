@@ -87,6 +87,7 @@ fn finished(step: WrittenStep, resolved: Vec<Option<Input>>) -> Option<Step> {
         position: step.name.place.position(),
         inputs: inputs.map(named).collect::<Option<_>>()?,
         body: step.body?,
+        body_place: step.body_place,
         once: step.once,
     })
 }
@@ -109,8 +110,8 @@ impl Names<'_> {
                 return found;
             }
             let mut table = input.table.clone();
-            if let Some(Body::Sql { query, place }) = &step.body {
-                table.place = faults.inside(*place, query, Part::Word(&table.name));
+            if let Some(Body::Sql { query }) = &step.body {
+                table.place = faults.inside(step.body_place, query, Part::Word(&table.name));
             }
             self.input(&table, &what, faults)
         };

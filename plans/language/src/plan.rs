@@ -49,6 +49,8 @@ pub struct Step {
     pub inputs: BTreeMap<String, Input>,
     /// What makes the layer.
     pub body: Body,
+    /// Where that is written: a query, from its first character on.
+    pub body_place: Place,
     /// Whether its rows of the version before are kept until something else that it reads than that version has changed.
     pub once: bool,
 }
@@ -67,8 +69,6 @@ pub enum Body {
     Sql {
         /// Its text.
         query: String,
-        /// Where it begins.
-        place: Place,
     },
     /// A function in Python.
     Python(Box<PythonStep>),

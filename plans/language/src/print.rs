@@ -48,7 +48,7 @@ fn write_step(step: &Step, f: &mut fmt::Formatter<'_>) -> fmt::Result {
             writeln!(f, "    grain: {}", python.grain.name())?;
             writeln!(f, "    output: {}", flow(&python.output))
         }
-        Body::Sql { query, .. } => writeln!(f, "    sql: {}", block(query, 6)),
+        Body::Sql { query } => writeln!(f, "    sql: {}", block(query, 6)),
     }
 }
 

@@ -51,6 +51,8 @@ pub(crate) struct WrittenStep {
     pub inputs: Vec<WrittenInput>,
     /// What it does; `None` if at fault.
     pub body: Option<Body>,
+    /// Where that is written.
+    pub body_place: Place,
     /// Whether each session keeps what the step made when it came.
     pub once: bool,
 }

@@ -95,10 +95,7 @@ tests:
     let plan = read(text, &[("base", BASE)]).unwrap();
     let query = "SELECT * FROM poses".to_owned();
     let lanes = plan.step("lanes").unwrap();
-    let Body::Sql { query: found, .. } = &lanes.body else {
-        panic!("{lanes:?}");
-    };
-    assert_eq!(*found, query);
+    assert_eq!(lanes.body, Body::Sql { query });
     assert_eq!(lanes.inputs["poses"], Input::Source("poses".to_owned()));
 }
 

@@ -136,13 +136,10 @@ impl<'a> Cameras<'a> {
     }
 
     fn at(&mut self, name: &str, stamp: Stamp) -> Result<(Camera, Pose), Reason> {
-        let rig = self.rig.ok_or("camera has no calibration")?;
-        let calibration = rig
-            .calibration(name, stamp)
-            .ok_or("camera has no calibration")?;
+        let rig = self.rig.ok_or_else(|| rig::uncalibrated(name))?;
+        let calibration = rig.calibration(name, stamp)?;
         let made = || {
-            let mounted = rig.vehicle_from_camera(self.vehicle, name);
-            let mounted = mounted.ok_or("no fixed transforms from camera to vehicle")?;
+            let mounted = rig.vehicle_from_camera(self.vehicle, name)?;
             let size = [calibration.width, calibration.height];
             Ok((rig::camera(calibration, size)?, mounted))
         };

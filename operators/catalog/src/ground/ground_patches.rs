@@ -108,7 +108,7 @@ impl Projector {
                 vehicle_from_camera,
             } = mounted;
             GroundLut::new(&camera, &vehicle_from_camera, &self.params.options, mask)
-                .map_err(|_| "camera is not above the ground")
+                .map_err(|_| "camera is not above the ground".into())
         })?;
         Ok((bytes, table))
     }

@@ -118,7 +118,7 @@ impl Finder {
                 vehicle_from_camera,
             } = mounted;
             Upright::new(camera, &vehicle_from_camera, &self.params.options)
-                .ok_or("camera is not above the ground")
+                .ok_or("camera is not above the ground".into())
         })
     }
 }

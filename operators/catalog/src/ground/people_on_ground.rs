@@ -102,7 +102,7 @@ impl Placing {
             person.var_y_m2,
         ];
         if numbers.iter().any(|number| !number.is_finite()) {
-            return Err("person without a position");
+            return Err("person without a position".into());
         }
         let [x, y, z, xx, xy, yy] = numbers;
         let flat = pose.transform(&Vector3::new(x, y, z));
@@ -135,7 +135,7 @@ impl Placing {
     fn on_floor(&self, person: &Person, pose: &Pose, flat: &Vector3<f64>) -> Option<Vector3<f64>> {
         let (vehicle, camera) = (self.params.vehicle.name(), frame(&person.camera));
         let rig = self.rigs.get(&person.session)?;
-        let mounted = rig.vehicle_from_camera(vehicle, camera)?;
+        let mounted = rig.vehicle_from_camera(vehicle, camera).ok()?;
         let floor = self.floors.get(&person.session)?;
         floor.met_by(&pose.transform(&mounted.translation), flat)
     }

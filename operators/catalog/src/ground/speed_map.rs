@@ -1,7 +1,7 @@
 #![doc = include_str!("speed_map.md")]
 
 use evermap_algorithms::ground::danger::speed::SpeedParams;
-use evermap_contract::{Fault, Operator, Port, Work};
+use evermap_contract::{Fault, Operator, Port, Reason, Work};
 use evermap_schemas::layers::{Danger, SpeedCell};
 
 /// See the module's page.
@@ -25,9 +25,9 @@ impl Operator for SpeedMap {
     }
 }
 
-fn speed(params: &SpeedParams, cell: Danger) -> Result<[SpeedCell; 1], &'static str> {
+fn speed(params: &SpeedParams, cell: Danger) -> Result<[SpeedCell; 1], Reason> {
     if !(0.0..=1.0).contains(&cell.danger) {
-        return Err("danger outside of 0 to 1");
+        return Err("danger outside of 0 to 1".into());
     }
     Ok([SpeedCell {
         speed_mps: params.speed(cell.danger, cell.cell_m),

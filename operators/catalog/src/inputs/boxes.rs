@@ -21,7 +21,7 @@ pub fn mosaic(tiles: Vec<OverheadTile>, skip: &mut impl FnMut(Reason, u64)) -> M
     let mut tiles = finest.peekable();
     let cell_m = tiles.peek().map_or(1.0, |tile| tile.cell_m);
     if !(cell_m > 0.0 && cell_m.is_finite()) {
-        skip("tile has no cell size", tiles.count() as u64);
+        skip("tile has no cell size".into(), tiles.count() as u64);
         return Mosaic::new(1.0);
     }
     let mut mosaic = Mosaic::new(cell_m);
@@ -29,7 +29,7 @@ pub fn mosaic(tiles: Vec<OverheadTile>, skip: &mut impl FnMut(Reason, u64)) -> M
         let at = [tile.tile_x, tile.tile_y].map(i64::from);
         let pixels = decoded(&tile.png.0).filter(|_| tile.cell_m == cell_m);
         if !pixels.is_some_and(|pixels| mosaic.add(at, pixels)) {
-            skip("tile is not as overhead_tiles makes them", 1);
+            skip("tile is not as overhead_tiles makes them".into(), 1);
         }
     }
     mosaic
@@ -77,7 +77,10 @@ pub(crate) fn boxes(
         let fits = |side_m: &f64| (LEAST_CELLS * cell_m..=LONGEST_M).contains(side_m);
         let place = ground_box(&label.map_from_label, length_m, width_m);
         let Some(place) = place.filter(|_| fits(&length_m) && fits(&width_m)) else {
-            skip("box is no longer than a few cells, or longer than 50 m", 1);
+            skip(
+                "box is no longer than a few cells, or longer than 50 m".into(),
+                1,
+            );
             continue;
         };
         let said = match label.standing.as_str() {
@@ -85,7 +88,10 @@ pub(crate) fn boxes(
             "accepted" => Said::Accepted,
             "rejected" => Said::Rejected,
             _ => {
-                skip("label was neither drawn nor accepted nor rejected", 1);
+                skip(
+                    "label was neither drawn nor accepted nor rejected".into(),
+                    1,
+                );
                 continue;
             }
         };

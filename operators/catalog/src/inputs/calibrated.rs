@@ -52,9 +52,8 @@ impl<T> Calibrated<T> {
     ) -> Result<Arc<T>, Reason> {
         let camera = frame(camera);
         let rig = self.rigs.get(session);
-        let (rig, calibration) = rig
-            .and_then(|rig| Some((rig, rig.calibration(camera, stamp)?)))
-            .ok_or("camera has no calibration")?;
+        let rig = rig.ok_or_else(|| rig::uncalibrated(camera))?;
+        let calibration = rig.calibration(camera, stamp)?;
         let name = (
             session.to_owned(),
             camera.to_owned(),
@@ -66,9 +65,8 @@ impl<T> Calibrated<T> {
         }
         // Not under the lock: a thread that waits for parts of what it makes may be given other rows to work on.
         let mounted = || {
-            let mounted = rig.vehicle_from_camera(self.vehicle.name(), camera);
             Ok(Mounted {
-                vehicle_from_camera: mounted.ok_or("no fixed transforms from camera to vehicle")?,
+                vehicle_from_camera: rig.vehicle_from_camera(self.vehicle.name(), camera)?,
                 camera: rig::camera(calibration, size)?,
             })
         };

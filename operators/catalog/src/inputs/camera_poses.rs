@@ -62,7 +62,9 @@ impl CameraPoses {
     ) -> Option<Pose> {
         let drive = self.drives.get(session)?;
         let rig = self.rigs.get(session)?;
-        let vehicle_from_camera = rig.vehicle_from_camera(vehicle.name(), frame(camera))?;
+        let vehicle_from_camera = rig
+            .vehicle_from_camera(vehicle.name(), frame(camera))
+            .ok()?;
         let map_from_vehicle = pose_at(drive, stamp.0, MAX_GAP_NS)?;
         Some(map_from_vehicle.compose(&vehicle_from_camera))
     }

@@ -116,7 +116,7 @@ fn rig(
     }
     let mut cameras = Vec::new();
     for (name, row) in first {
-        let mounted = mounted.ok_or("camera has no calibration");
+        let mounted = mounted.ok_or_else(|| rig::uncalibrated(name));
         match mounted.and_then(|rig| camera(rig, row, vehicle)) {
             Ok(camera) => cameras.push(camera),
             Err(reason) => {
@@ -195,16 +195,11 @@ pub(crate) fn tracks(
 
 fn camera(rig: &rig::Rig, row: &Features, vehicle: &VehicleFrame) -> Result<RigCamera, Reason> {
     let name = frame(&row.camera);
-    let calibration = rig
-        .calibration(name, row.stamp)
-        .ok_or("camera has no calibration")?;
-    let vehicle_from_camera = rig
-        .vehicle_from_camera(vehicle.name(), name)
-        .ok_or("no fixed transforms from camera to vehicle")?;
+    let calibration = rig.calibration(name, row.stamp)?;
     Ok(RigCamera {
         name: row.camera.clone(),
         camera: rig::camera(calibration, [row.width, row.height])?,
-        vehicle_from_camera,
+        vehicle_from_camera: rig.vehicle_from_camera(vehicle.name(), name)?,
     })
 }
 

@@ -54,10 +54,10 @@ impl ClassNames {
         let number = row.areas.len();
         let known = |edge: &SemanticEdge| usize::from(edge.a.max(edge.b)) < number;
         if !row.edges.iter().all(known) {
-            return Err("graph has edges to areas that it does not have");
+            return Err("graph has edges to areas that it does not have".into());
         }
         if number > 0 && (row.width == 0 || row.height == 0) {
-            return Err("graph of a view without pixels has areas");
+            return Err("graph of a view without pixels has areas".into());
         }
         let area = |area: &SemanticArea| Area {
             class: self.number(&area.class).unwrap_or(VOID),

@@ -36,7 +36,7 @@ impl Lenses {
         size: [u32; 2],
     ) -> Option<Camera> {
         let rig = self.rigs.get(session)?;
-        rig::camera(rig.calibration(frame(camera), stamp)?, size).ok()
+        rig::camera(rig.calibration(frame(camera), stamp).ok()?, size).ok()
     }
 
     /// Whether the last column of an image of this size (px) is next to its first one.

@@ -33,10 +33,10 @@ pub fn lying<'a>(acts: &'a [ImageAnnotation], tell: Tell<'_>) -> Vec<&'a ImageAn
     let said: Vec<Said<'_>> = acts.iter().filter_map(said).collect();
     let folded = folded(&said);
     tell(
-        "paint that contradicts another person's; the later holds",
+        "paint that contradicts another person's; the later holds".into(),
         folded.conflicts,
     );
-    tell("paint removed that nobody had laid", folded.strays);
+    tell("paint removed that nobody had laid".into(), folded.strays);
     let labels = folded.labels.into_values();
     let mut found: Vec<_> = labels.filter_map(|label| acts.get(label.place)).collect();
     let order = |act: &&ImageAnnotation| {

@@ -111,10 +111,15 @@ impl Rig {
     }
 
     /// The calibration that holds at an instant: the latest that is not after it, else the first.
-    pub(crate) fn calibration(&self, camera: &str, stamp: Stamp) -> Option<&Arc<Calibration>> {
-        let of_camera = self.calibrations.get(camera)?;
+    pub(crate) fn calibration(
+        &self,
+        camera: &str,
+        stamp: Stamp,
+    ) -> Result<&Arc<Calibration>, Reason> {
+        let of_camera = self.calibrations.get(camera).map_or(&[][..], Vec::as_slice);
         let after = of_camera.partition_point(|calibration| calibration.stamp <= stamp);
-        of_camera.get(after.saturating_sub(1))
+        let calibration = of_camera.get(after.saturating_sub(1));
+        calibration.ok_or_else(|| uncalibrated(camera))
     }
 
     /// The cameras as they were first calibrated, for images of the size that they were calibrated for; those that cannot
@@ -125,7 +130,7 @@ impl Rig {
             Some(RigCamera {
                 name: name.clone(),
                 camera: camera(first, [first.width, first.height]).ok()?,
-                vehicle_from_camera: self.vehicle_from_camera(vehicle.name(), name)?,
+                vehicle_from_camera: self.vehicle_from_camera(vehicle.name(), name).ok()?,
             })
         };
         MountedCameras {
@@ -146,20 +151,46 @@ impl Rig {
     }
 
     /// Through the nearest common ancestor of the two frames.
-    pub(crate) fn vehicle_from_camera(&self, vehicle: &str, camera: &str) -> Option<Pose> {
+    pub(crate) fn vehicle_from_camera(&self, vehicle: &str, camera: &str) -> Result<Pose, Reason> {
         let of_vehicle = self.ancestors(vehicle);
-        self.ancestors(camera)
-            .into_iter()
+        let of_camera = self.ancestors(camera);
+        let found = of_camera
+            .iter()
             .find_map(|(ancestor, ancestor_from_camera)| {
                 let (_, ancestor_from_vehicle) =
-                    of_vehicle.iter().find(|(name, _)| *name == ancestor)?;
+                    of_vehicle.iter().find(|(name, _)| name == ancestor)?;
                 Some(
                     ancestor_from_vehicle
                         .inverse()
-                        .compose(&ancestor_from_camera),
+                        .compose(ancestor_from_camera),
                 )
-            })
+            });
+        found.ok_or_else(|| {
+            let ends = of_camera.last().map_or(camera, |(ancestor, _)| *ancestor);
+            apart(camera, vehicle, ends)
+        })
     }
+}
+
+/// A name from a log, such that it can be printed.
+pub(crate) fn shown(name: &str) -> String {
+    const MOST_SHOWN: usize = 120;
+    name.escape_debug().take(MOST_SHOWN).collect()
+}
+
+/// Why an image of a camera is left out of which a session has no calibration.
+pub(crate) fn uncalibrated(camera: &str) -> Reason {
+    format!("no calibration of camera `{}`", shown(camera)).into()
+}
+
+/// Why what is mounted at a frame is left out whose fixed transforms do not lead to the vehicle, but end at another.
+fn apart(frame: &str, vehicle: &str, ends: &str) -> Reason {
+    let [from, to, last] = [frame, vehicle, ends].map(shown);
+    match frame == ends {
+        true => format!("no fixed transforms from frame `{from}` to `{to}`"),
+        false => format!("fixed transforms from frame `{from}` lead to `{last}`, not to `{to}`"),
+    }
+    .into()
 }
 
 /// The camera of a calibration, for images of this size: a driver that halves its images often leaves the
@@ -169,6 +200,7 @@ pub(crate) fn camera(
     [width, height]: [u32; 2],
 ) -> Result<Camera, Reason> {
     let Calibration {
+        camera,
         model,
         intrinsics,
         distortion,
@@ -181,12 +213,17 @@ pub(crate) fn camera(
         let x = f64::from(width) / f64::from(full_width);
         let y = f64::from(height) / f64::from(full_height);
         if model.starts_with("ocam") || (x / y - 1.0).abs() > 0.01 {
-            return Err("image has another shape than its calibration");
+            let name = shown(camera);
+            let reason = format!("image of camera `{name}` has another shape than its calibration");
+            return Err(reason.into());
         }
         scale(&mut k, x, y);
     }
-    Camera::from_calibration(model, width, height, &k, distortion)
-        .map_err(|_| "calibration gives no camera")
+    let made = Camera::from_calibration(model, width, height, &k, distortion);
+    made.map_err(|error| {
+        let (name, error) = (shown(camera), shown(&error.to_string()));
+        format!("calibration of camera `{name}`: {error}").into()
+    })
 }
 
 /// Intrinsics of an image scaled by `x` and `y`; the corners of the image stay corners.

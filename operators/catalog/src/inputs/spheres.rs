@@ -47,7 +47,7 @@ impl MovingClasses {
     /// Of a list of classes.
     pub(crate) fn kinds(&self, classes: &[String]) -> Result<Kinds, Reason> {
         let kinds = Kinds::new(classes, &self.dynamic, &self.far);
-        kinds.map_err(|_| "label image has more than 256 classes")
+        kinds.map_err(|_| "label image has more than 256 classes".into())
     }
 }
 
@@ -115,7 +115,7 @@ impl Spheres {
             range: &sphere.range,
             unit_m: sphere.unit_m,
         };
-        Pyramid::new(&sphere, options).ok_or("panorama has no range")
+        Pyramid::new(&sphere, options).ok_or("panorama has no range".into())
     }
 
     /// A view's panorama, with its brightness if that is asked for.
@@ -132,10 +132,10 @@ impl Spheres {
         let size = [row.width, row.height];
         let sized = |width, height| [width, height] == size;
         if !sized(range.width, range.height) || with_grey && !sized(grey.width, grey.height) {
-            return Err("image has another size than its row says");
+            return Err("image has another size than its row says".into());
         }
         let (&[fx, fy], &[cx, cy]) = (row.focal.as_slice(), row.centre.as_slice()) else {
-            return Err("panorama has no lens");
+            return Err("panorama has no lens".into());
         };
         let lens = Lens::new(size.map(|side| side as usize), [fx, fy], [cx, cy]);
         Ok(OpenSphere {
@@ -171,7 +171,7 @@ pub(crate) fn values(png: &[u8], size: [u32; 2]) -> Result<Vec<u8>, Reason> {
     let labels = decode_labels(png).map_err(|_| "label image does not decode")?;
     match [labels.width, labels.height] == size {
         true => Ok(labels.data),
-        false => Err("label image has another size than its row says"),
+        false => Err("label image has another size than its row says".into()),
     }
 }
 

@@ -50,7 +50,7 @@ fn hypotheses(
     for model in models {
         match Kind::new(model, &labels, mosaic.cell_m()) {
             Some(kind) => found.extend(kind.weigh(&kind.search(&mosaic))),
-            None => skip("model does not have the numbers that it claims", 1),
+            None => skip("model does not have the numbers that it claims".into(), 1),
         }
     }
     emit.rows(found)

@@ -58,7 +58,7 @@ pub fn learnt(
         let ones = said.examples.iter().filter(|one| one.is_one()).count();
         let Some(taught) = taught else {
             skip(
-                "drawn box that the overhead image does not show",
+                "drawn box that the overhead image does not show".into(),
                 ones as u64,
             );
             continue;

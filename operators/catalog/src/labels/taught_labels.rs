@@ -82,7 +82,7 @@ impl Said {
             }
             let canvas = pixels
                 .get(row)
-                .ok_or("image is missing")
+                .ok_or("image is missing".into())
                 .and_then(|bytes| Canvas::of(&frame, bytes, &mut room));
             let label = canvas.and_then(|mut canvas| {
                 canvas.lay_all(&lying, emit);
@@ -116,7 +116,7 @@ impl Canvas {
         };
         let labels = decode_labels(&png.0).map_err(|_| "labels do not decode")?;
         if [labels.width, labels.height] != [room.width, room.height] {
-            return Err("labels are of another size than the image");
+            return Err("labels are of another size than the image".into());
         }
         let classes = classes.clone();
         Ok(Self { classes, labels })

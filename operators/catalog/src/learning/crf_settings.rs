@@ -129,7 +129,7 @@ impl Encoded {
     fn decode(&self, classes: &[String], lenses: &Lenses) -> Result<Decoded, Reason> {
         let scores = &self.scores;
         if scores.classes != classes || classes.len() > MOST_CLASSES {
-            return Err("image has other classes than the first one");
+            return Err("image has other classes than the first one".into());
         }
         let size = [scores.width, scores.height];
         let bytes = &scores.probabilities.0;
@@ -144,7 +144,7 @@ impl Encoded {
             *value = table[usize::from(*value)];
         }
         if [rgb.width, rgb.height] != size || [truth.width, truth.height] != size {
-            return Err("image, labels and scores are not of one size");
+            return Err("image, labels and scores are not of one size".into());
         }
         let taken = (
             scores.session.as_str(),

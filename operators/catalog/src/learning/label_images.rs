@@ -76,14 +76,14 @@ impl Labeller {
         rgb: &mut Rgb,
     ) -> Result<Option<LabelImage>, Reason> {
         if scored.classes.len() > MOST_CLASSES {
-            return Err("more classes than labels");
+            return Err("more classes than labels".into());
         }
         let scores = scores(&scored)?;
         let image = colours(bytes, rgb)?;
         if [image.width(), image.height()]
             != [scored.width, scored.height].map(|side| side as usize)
         {
-            return Err("image has another size than its scores");
+            return Err("image has another size than its scores".into());
         }
         let taken = (
             scored.session.as_str(),

@@ -43,10 +43,10 @@ impl Operator for LabelScores {
 fn scores(params: &LabelScoresParams, row: LabelImage) -> Result<Option<ClassScores>, Reason> {
     let labels = decode_labels(&row.png.0).map_err(|_| "labels do not decode")?;
     if [labels.width, labels.height] != [row.width, row.height] {
-        return Err("labels have another size than their row says");
+        return Err("labels have another size than their row says".into());
     }
     if row.classes.is_empty() {
-        return Err("there are no classes");
+        return Err("there are no classes".into());
     }
     let probabilities = of_labels(&labels.data, row.classes.len(), params.confidence);
     Ok(Some(ClassScores {

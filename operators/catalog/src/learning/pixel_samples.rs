@@ -97,7 +97,7 @@ impl Sampler {
         let image = colours(bytes, rgb)?;
         let size = [labels.width, labels.height].map(|side| side as usize);
         if size != [image.width(), image.height()] {
-            return Err("labels are of another size than the image");
+            return Err("labels are of another size than the image".into());
         }
         let taken = (frame.session.as_str(), frame.camera.as_str(), frame.stamp);
         let Features { description, json } =
@@ -114,7 +114,7 @@ impl Sampler {
         let found = labelled_features(description, &image, &labels.data, classes, &sampling)
             .map_err(|_| "features cannot be computed")?;
         if found.labels.is_empty() {
-            return Err("image has no labelled pixels");
+            return Err("image has no labelled pixels".into());
         }
         Ok(Some(PixelSamples {
             site: frame.site,

@@ -169,12 +169,9 @@ impl Window {
 
     fn pose(&self, scores: &ClassScores) -> Result<(Pose, Voter), Reason> {
         let camera = frame(&scores.camera);
-        let calibration = self.rig.calibration(camera, scores.stamp);
-        let calibration = calibration.ok_or("camera has no calibration")?;
-        let vehicle_from_camera = self
-            .rig
-            .vehicle_from_camera(self.params.vehicle.name(), camera)
-            .ok_or("no fixed transforms from camera to vehicle")?;
+        let calibration = self.rig.calibration(camera, scores.stamp)?;
+        let vehicle = self.params.vehicle.name();
+        let vehicle_from_camera = self.rig.vehicle_from_camera(vehicle, camera)?;
         let camera = rig::camera(calibration, [scores.width, scores.height])?;
         let odom_from_vehicle = pose_at(&self.odometry, scores.stamp.0, MAX_GAP_NS)
             .ok_or("no odometry at the view's instant")?;
@@ -220,7 +217,7 @@ fn depth(scores: &ClassScores, bytes: Option<&[u8]>) -> Result<Grey16, Reason> {
     let bytes = bytes.ok_or("depth image is missing")?;
     let depth = decode_depth(bytes).map_err(|_| "depth image does not decode")?;
     if [depth.width, depth.height] != [scores.width, scores.height] {
-        return Err("depth image has another size than its scores");
+        return Err("depth image has another size than its scores".into());
     }
     Ok(depth)
 }

@@ -58,9 +58,6 @@ impl Operator for AntennaPositions {
     }
 }
 
-/// A fix of an antenna that nothing places on the vehicle.
-const UNPLACED: Reason = "antenna without a transform, taken for the vehicle's origin";
-
 fn hang(
     params: &AntennaPositionsParams,
     keyframes: Vec<Keyframe>,
@@ -75,6 +72,7 @@ fn hang(
         let placed = mounts.vehicle_from_camera(vehicle, name);
         let given = || params.antennas.get(name).or(params.antennas.get("*"));
         placed
+            .ok()
             .map(|pose| pose.translation)
             .or_else(|| given().map(|place| Vector3::from(*place)))
     };
@@ -82,7 +80,10 @@ fn hang(
     for fix in fixes {
         let place = antenna(frame(&fix.frame));
         if place.is_none() {
-            emit.skip(UNPLACED, 1);
+            let name = rig::shown(frame(&fix.frame));
+            let reason =
+                format!("antenna `{name}` without a transform, taken for the vehicle's origin");
+            emit.skip(reason, 1);
         }
         match hook(&keyframes, &fix, params.gap_m) {
             Ok(Some((keyframe, motion))) => {
@@ -113,7 +114,7 @@ fn hook<'a>(
         return Ok(None);
     };
     if before.stretch != next.stretch || next.distance_m - before.distance_m > gap_m {
-        return Err("fix where odometry has a gap");
+        return Err("fix where odometry has a gap".into());
     }
     let poses = [before, next].map(|at| Pose::from_array(at.odom_from_vehicle.to_array()).ok());
     let [Some(from), Some(to)] = poses else {

@@ -160,6 +160,6 @@ impl OfCamera {
         let added = search.images.add([width, height], &self.grey.data);
         added
             .then_some(())
-            .ok_or("image has another size than the first of its camera")
+            .ok_or("image has another size than the first of its camera".into())
     }
 }

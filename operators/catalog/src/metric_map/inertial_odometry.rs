@@ -41,7 +41,7 @@ fn stand_up(
         let mounts = mounts.into_values().next().unwrap_or_default();
         let mounted = mounts.vehicle_from_camera(vehicle.name(), frame(&first.frame));
         let stood_up = mounted
-            .ok_or("IMU without a transform to the vehicle")
+            .map_err(|reason| format!("IMU without a place on the vehicle: {reason}").into())
             .and_then(|mount| upright(&mut rows, &imu, &mount).map_err(reason));
         if let Err(reason) = stood_up {
             emit.skip(reason, imu.len() as u64);
@@ -91,11 +91,11 @@ fn sample(row: &ImuMeasurement) -> ImuSample {
 
 fn reason(refused: Refused) -> Reason {
     match refused {
-        Refused::Silent => "IMU that was silent for most of the drive",
-        Refused::NoGravity => "IMU whose acceleration is not gravity's (9.81 m/s² at rest)",
-        Refused::NotUpright => "IMU by whose mount the vehicle does not stand upright",
+        Refused::Silent => "IMU that was silent for most of the drive".into(),
+        Refused::NoGravity => "IMU whose acceleration is not gravity's (9.81 m/s² at rest)".into(),
+        Refused::NotUpright => "IMU by whose mount the vehicle does not stand upright".into(),
         Refused::TurnsOtherwise => {
-            "IMU by whose mount the vehicle turns otherwise than its odometry"
+            "IMU by whose mount the vehicle turns otherwise than its odometry".into()
         }
     }
 }

@@ -93,7 +93,7 @@ impl Site {
 
     fn inferred(&self, row: WarpedLabels) -> Result<[InferredLabels; 1], Reason> {
         if row.classes.len() >= usize::from(VOID) {
-            return Err("label image has more than 254 classes");
+            return Err("label image has more than 254 classes".into());
         }
         let (width, height) = (row.width, row.height);
         let before = values(&row.png.0, [width, height])?;

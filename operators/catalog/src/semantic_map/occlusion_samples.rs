@@ -80,7 +80,7 @@ impl Site {
         let key = (row.session, row.camera, row.stamp);
         let before = self.before.get(&key).ok_or("view has no label image")?;
         if before.classes != row.classes || [before.width, before.height] != size {
-            return Err("label image is another one than was warped");
+            return Err("label image is another one than was warped".into());
         }
         let before = labels(before)?;
         let kinds = self.params.classes.kinds(&row.classes)?;

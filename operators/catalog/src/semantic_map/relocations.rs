@@ -180,7 +180,7 @@ impl Place {
         let graph = self.classes.graph(&query.graph)?;
         let asked = self.map.query(&graph);
         if asked.areas() == 0 {
-            return Err("query shows no area that could be found");
+            return Err("query shows no area that could be found".into());
         }
         let allowed = |view: u32| {
             self.params.own_session || self.views[view as usize].session != query.session

@@ -82,11 +82,11 @@ impl Site {
         let (session, camera, stamp) = key;
         let decoded = decode_depth(range).map_err(|_| "range image does not decode")?;
         if [decoded.width, decoded.height] != [width, height] {
-            return Err("range image has another size than the image");
+            return Err("range image has another size than the image".into());
         }
         let rig = self.rigs.get(&session);
-        let calibration = rig.and_then(|rig| rig.calibration(frame(&camera), stamp));
-        let calibration = calibration.ok_or("camera has no calibration")?;
+        let rig = rig.ok_or_else(|| rig::uncalibrated(frame(&camera)))?;
+        let calibration = rig.calibration(frame(&camera), stamp)?;
         let lens = Lens::of_camera(&rig::camera(calibration, [width, height])?);
         let lens = lens.ok_or("camera takes no panoramas")?;
         Ok([SphereView {

@@ -107,7 +107,7 @@ impl Site {
         let labels = decode_labels(&image.png.0).map_err(|_| "label image does not decode")?;
         let (width, height) = (labels.width, labels.height);
         if (width, height) != (image.width, image.height) {
-            return Err("label image has another size than its row says");
+            return Err("label image has another size than its row says".into());
         }
         let classes = u8::try_from(image.classes.len())
             .ok()

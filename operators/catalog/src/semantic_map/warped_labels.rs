@@ -127,7 +127,7 @@ impl Site {
                 });
                 let others: Vec<(LabelledView<'_>, Pose)> = sized.collect();
                 if !this.is_sound() {
-                    return Err("label image has another size than its panorama");
+                    return Err("label image has another size than its panorama".into());
                 }
                 replaced(&this, &others, &kinds, &self.params.options)
             }

@@ -149,10 +149,10 @@ impl Finder {
     fn relocations(&self, described: Described) -> Result<Vec<Relocation>, Reason> {
         let descriptors = described.descriptors();
         if descriptors.is_empty() {
-            return Err("view has no features");
+            return Err("view has no features".into());
         }
         if self.views.is_empty() {
-            return Err("site has no map");
+            return Err("site has no map".into());
         }
         let query = described.view();
         let bag = self.vocabulary.bag(&descriptors);

@@ -232,10 +232,14 @@ fn an_image_without_what_it_needs_is_counted_by_reason() {
     });
     let (found, losses) = patches(&rig, images);
     let expected = [
-        ("camera has no calibration", 2),
         ("image does not decode", 2),
-        ("image has another shape than its calibration", 1),
         ("image is missing", 1),
+        (
+            "image of camera `front` has another shape than its calibration",
+            1,
+        ),
+        ("no calibration of camera `front`", 1),
+        ("no calibration of camera `nobody`", 1),
         ("pose is not a rigid transform", 1),
         ("pose is out of the map", 1),
     ];
@@ -271,7 +275,7 @@ fn cameras_that_are_not_mounted_or_look_from_below_are_counted() {
         losses.0.keys().collect::<Vec<_>>(),
         [
             "camera is not above the ground",
-            "no fixed transforms from camera to vehicle",
+            "no fixed transforms from frame `rear` to `base_link`",
         ]
     );
 }

@@ -7,6 +7,7 @@ use datafusion::prelude::SessionContext;
 use evermap_catalog::OfVehicle;
 use evermap_catalog::annotated::{Holds, MapRows, Placer, PlacingParams, anchored};
 use evermap_catalog::labels::label_anchors::Obstacle;
+use evermap_contract::Reason;
 use evermap_datasets::{Dataset, Manifest};
 use evermap_schemas::layers::{LabelAnchor, MapFrame, PlacedLabel, VehiclePose};
 use evermap_schemas::roles::{Annotation, Calibration, ImageAnnotation, Transform};
@@ -98,7 +99,7 @@ impl State {
     /// Takes in what was said meanwhile.
     pub fn add(&mut self, acts: Vec<Annotation>, losses: &mut Losses) {
         self.acts.extend(acts);
-        let mut tell = |reason: &str, count| losses.count(reason, count);
+        let mut tell = |reason: Reason, count| losses.count(&reason, count);
         let (acts, before) = (self.acts.clone(), self.before.clone());
         let labels = anchored(acts, before, &self.holds, &mut tell).into_iter();
         let placed = labels.filter_map(|label| self.placer.placed(label, &mut tell));

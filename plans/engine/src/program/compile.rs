@@ -96,11 +96,11 @@ impl Compiler<'_> {
         self.check_versions(step);
         let schema = match &step.body {
             Body::Op { op, params } => self.op(step, op, params).await,
-            Body::Sql { query, place } => {
+            Body::Sql { query } => {
                 let query = Query {
                     step: &step.name,
                     text: query,
-                    place: *place,
+                    place: step.body_place,
                 };
                 self.sql(step, query).await
             }

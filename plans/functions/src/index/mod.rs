@@ -177,7 +177,7 @@ impl ByIndex {
         }
         let known: Vec<&str> = self.classes.iter().map(String::as_str).collect();
         plan_err!(
-            "no view has an area of the class `{class}`; there are {}",
+            "no view of this map has the class `{class}`; its classes are {}",
             known.join(", ")
         )
     }

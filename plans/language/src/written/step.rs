@@ -24,6 +24,7 @@ pub(super) fn step(
         },
         inputs: Vec::new(),
         body: None,
+        body_place: entry.place,
         once: false,
     };
     let what = format!("step {}", quoted(&entry.key));
@@ -36,6 +37,7 @@ pub(super) fn step(
     let bodies: Vec<&Entry> = BODY_KEYS.iter().filter_map(|key| fields.get(key)).collect();
     match bodies.as_slice() {
         [body] => {
+            step.body_place = body.value.place;
             refuse_others(&fields, &body.key, faults);
             match body.key.as_str() {
                 "op" => operator(&mut step, body, &fields, context, faults),
@@ -234,7 +236,6 @@ fn query(step: &mut WrittenStep, sql: &Entry, context: &StepContext<'_>, faults:
             }
             step.body = Some(Body::Sql {
                 query: query.to_owned(),
-                place: sql.value.place,
             });
         }
         Err(fault) => {

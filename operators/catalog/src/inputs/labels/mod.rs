@@ -87,10 +87,10 @@ fn current<'a>(acts: &'a [Annotation], tell: Tell<'_>) -> Vec<Current<'a>> {
         ..
     } = folded(&said);
     tell(
-        "annotation that contradicts another person's; the later holds",
+        "annotation that contradicts another person's; the later holds".into(),
         conflicts,
     );
-    tell("annotation of a label that was never drawn", strays);
+    tell("annotation of a label that was never drawn".into(), strays);
     let label = |label: evermap_algorithms::labels::folding::Label| Current {
         standing: label.standing,
         place: rows[label.place],
@@ -102,14 +102,14 @@ fn current<'a>(acts: &'a [Annotation], tell: Tell<'_>) -> Vec<Current<'a>> {
 /// An act as it is folded; an outline that makes no sense is left out with its act.
 fn read(row: &Annotation) -> Result<Said<'_>, Reason> {
     if row.points.len() > MOST_POINTS {
-        return Err("label with more than 4096 points");
+        return Err("label with more than 4096 points".into());
     }
     match row.shape.as_deref() {
         Some("polygon") if crossing(&row.points).is_some() => {
-            return Err("label whose outline crosses itself");
+            return Err("label whose outline crosses itself".into());
         }
         Some("box") if !is_box(&row.points) => {
-            return Err("box that is not a rectangle around its frame");
+            return Err("box that is not a rectangle around its frame".into());
         }
         _ => {}
     }
@@ -140,7 +140,7 @@ fn held(
     let chosen = || kept.or_else(|| holds.anchor(&drawn));
     let anchor = place.anchor.clone().or_else(chosen);
     if anchor.is_none() {
-        tell("label too far from every vehicle pose", 1);
+        tell("label too far from every vehicle pose".into(), 1);
     }
     let framed = before.and_then(|row| Some((row.frame?, row.frame_from_label.clone()?)));
     let (frame, frame_from_label) = framed.or_else(|| holds.frame(&drawn)).unzip();

@@ -64,9 +64,11 @@ impl Placer {
             None => by_frame().or_else(|| Some((rigid(&row.map_from_label)?, "drawing")))?,
         };
         match (placed_by, anchor) {
-            ("frame", Some(_)) => tell("label whose session is gone, placed by its frame", 1),
+            ("frame", Some(_)) => {
+                tell("label whose session is gone, placed by its frame".into(), 1)
+            }
             ("drawing", _) => tell(
-                "label not tied to any pose of the map, placed as it was drawn",
+                "label not tied to any pose of the map, placed as it was drawn".into(),
                 1,
             ),
             _ => {}
