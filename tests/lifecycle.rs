@@ -7,7 +7,7 @@ use std::process::Stdio;
 use std::time::Duration;
 
 use evermap_tests::{command, evermap, rectangle, text, write_drive};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 const PLAN: &str = "trajectory";
 
@@ -422,4 +422,61 @@ fn a_query_that_is_none_is_refused() {
     ];
     std::fs::write(&plan, lines.join("\n")).unwrap();
     evermap(&["check", text(&plan)]).expect(1);
+}
+
+/// What a lane was made from is found step by step, back to the messages of the logs; of one session alone where one is asked for.
+#[test]
+fn rows_are_traced_back_to_the_messages_of_logs() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = evermap_tests::server::map(folder.path());
+    let rows = |query: &str| {
+        let asked = ["sql", "--map", text(&map), "--format", "json", query];
+        evermap(&asked).expect(0).json()
+    };
+    let all = rows("SELECT * FROM lineage('lanes')");
+    let all = all.as_array().unwrap();
+    let named = |name: &str| {
+        all.iter()
+            .filter(|one| one["name"] == name)
+            .collect::<Vec<_>>()
+    };
+    let (lanes, logs) = (named("lanes"), named("odometry"));
+    assert_eq!((lanes.len(), lanes[0]["entry"].as_u64()), (1, Some(0)));
+    let computed = lanes[0]["computed"][0].as_str().unwrap();
+    assert!(computed.starts_with("lanes: road_network "), "{computed}");
+    assert_eq!(logs.len(), 2, "{all:?}");
+    for (log, session) in logs.iter().zip(["monday", "tuesday"]) {
+        assert_eq!(log["session"], session);
+        assert_eq!(log["topics"], json!(["/odom"]));
+        assert_eq!(log["files"], json!([format!("{session}.mcap")]));
+    }
+    // Each entry but those asked for is what another one was made from.
+    let mut reached: Vec<u64> = vec![0];
+    for one in all {
+        let from = one["made_from"].as_array().unwrap();
+        reached.extend(from.iter().filter_map(serde_json::Value::as_u64));
+    }
+    reached.sort_unstable();
+    reached.dedup();
+    assert_eq!(reached, (0..all.len() as u64).collect::<Vec<_>>());
+
+    let monday = rows(
+        "SELECT DISTINCT session, messages FROM lineage('lanes', 'monday') WHERE messages IS NOT NULL",
+    );
+    assert_eq!(monday.as_array().unwrap().len(), 1, "{monday}");
+    let messages = monday[0]["messages"].as_str().unwrap();
+    let count = |of: &str| rows(&format!("SELECT count(*) AS n FROM ({of})"))[0]["n"].as_u64();
+    assert_eq!(count(messages), count("SELECT * FROM monday.\"/odom\""));
+
+    for (query, told) in [
+        ("FROM lineage('lane')", "did you mean `lanes`?"),
+        ("FROM lineage('lanes', 'mondays')", "did you mean `monday`?"),
+        (
+            "FROM lineage(lanes)",
+            "the name of a layer, such as 'lanes'",
+        ),
+    ] {
+        let refused = evermap(&["sql", "--map", text(&map), query]).expect(1);
+        assert!(refused.stderr.contains(told), "{}", refused.stderr);
+    }
 }

@@ -193,6 +193,16 @@ fn who_reads_nothing_keeps_nobody_else_waiting() {
     ended("serve/attack.py", &["slow", &server.http, &server.postgres]);
 }
 
+/// A thing that is clicked on the page is followed back to the messages of its log.
+#[test]
+fn the_page_tells_what_a_row_was_made_from() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let labels = folder.path().join("labels");
+    let server = Server::start(&map, &["--teach", text(&labels)]);
+    ended("serve/lineage.py", &[&server.http]);
+}
+
 /// What people say is written as who they are, before it is answered, and nothing else is written by anybody.
 #[test]
 fn people_teach_by_http_and_everything_else_is_refused() {

@@ -3,6 +3,7 @@ import * as address from "./address.js";
 import { VERMILION } from "./colours.js";
 import { SHOWN } from "./layers.js";
 import * as earth from "./earth.js";
+import { lineage } from "./lineage.js";
 import * as drawn from "./map.js";
 import * as comparison from "./moved.js";
 import * as paint from "./paint.js";
@@ -303,7 +304,9 @@ async function row({ row, id }) {
     one.where ? sql(`SELECT * FROM ${one.needs[0]} WHERE ${one.where(row, state.site)}`, state.version) : [row],
     sql(`SELECT "column", unit, meaning FROM columns WHERE layer = ${literal(one.needs[0])}`, state.version),
   ])) ?? [[row], []];
-  drawer.one(one.name, { ...row, ...whole[0] }, layer, new Map(columns.map((known) => [known.column, known])));
+  const all = { ...row, ...whole[0] };
+  const from = lineage(one.needs[0], all, state.version, (query) => { $("sql").value = query; run(true); });
+  drawer.one(one.name, all, layer, new Map(columns.map((known) => [known.column, known])), from);
 }
 
 /** The camera images that saw a place: of each session and camera the nearest. */

@@ -87,8 +87,10 @@ export function covered(made) {
 
 /** The row at a pixel and the id of its layer: a feature there, else the nearest dot or cell. */
 export function rowAt(map, shown, pixel) {
-  const feature = map.forEachFeatureAtPixel(pixel, (found, of) => ({ row: found.get("row"), id: of?.get("id") }), { hitTolerance: 6 });
-  if (feature?.row) return feature;
+  // What is no row of anything, as the halo of what moved, lies over what is.
+  const rowOf = (found, of) => found.get("row") && { row: found.get("row"), id: of?.get("id") };
+  const feature = map.forEachFeatureAtPixel(pixel, rowOf, { hitTolerance: 6 });
+  if (feature) return feature;
   const [x, y] = map.getCoordinateFromPixel(pixel);
   const reach = map.getView().getResolution() * 6;
   for (const [id, made] of [...shown].reverse()) {

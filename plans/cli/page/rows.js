@@ -49,8 +49,9 @@ export function rows(title, found, chosen) {
 /**
  * One row, a column a line, with what is known of its layer.
  * @param {Map<string, {unit: string, meaning: string}>} [columns] what the map's dictionary says of its columns
+ * @param {HTMLElement} [more] what stands below
  */
-export function one(title, row, layer, columns = new Map()) {
+export function one(title, row, layer, columns = new Map(), more = undefined) {
   const table = document.createElement("table");
   const all = { ...row, ...(layer ? { "layer's operator": layer.operator ?? "a query", "layer's digest": layer.digest } : {}) };
   for (const [name, value] of Object.entries(all)) {
@@ -59,7 +60,9 @@ export function one(title, row, layer, columns = new Map()) {
     line.append(cell("th", name), cell("td", value), cell("td", unit), cell("td", meaning));
     line.lastChild.className = "quiet";
   }
-  show(title, table);
+  const body = document.createElement("div");
+  body.append(table, ...(more ? [more] : []));
+  show(title, body);
 }
 
 /**

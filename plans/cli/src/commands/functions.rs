@@ -1,6 +1,7 @@
 //! `evermap functions`.
 
 use datafusion::logical_expr::Documentation;
+use evermap_engine::map::{diff_documentation, lineage_documentation};
 use evermap_schemas::record;
 
 use crate::arguments::FunctionsArgs;
@@ -42,7 +43,7 @@ impl From<Documentation> for FunctionLine {
 /// # Errors
 /// That the output is closed.
 pub async fn functions(args: &FunctionsArgs) -> Ending {
-    let tables = [evermap_engine::map::diff_documentation()];
+    let tables = [diff_documentation(), lineage_documentation()];
     let documented = evermap_functions::documented().into_iter().chain(tables);
     let mut lines: Vec<FunctionLine> = documented.map(FunctionLine::from).collect();
     lines.sort_by(|a, b| a.function.cmp(&b.function));

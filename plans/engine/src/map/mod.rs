@@ -7,6 +7,7 @@ mod diff;
 mod flat;
 mod gc;
 pub mod lease;
+mod lineage;
 mod local;
 mod logs;
 pub mod newest;
@@ -15,6 +16,7 @@ pub mod receipt;
 mod rows;
 pub mod sound;
 pub mod store;
+mod table_function;
 pub mod tables;
 mod verify;
 pub mod version;
@@ -38,6 +40,7 @@ use crate::map::artifact::read_in_order;
 use crate::map::catalog::Catalog;
 use crate::map::damage::Damage;
 use crate::map::diff::DiffFunction;
+use crate::map::lineage::LineageFunction;
 use crate::map::receipt::Artifact;
 use crate::map::sound::Sound;
 use crate::map::store::{Store, each};
@@ -47,6 +50,7 @@ use crate::sql::{TABLES, catalog, catalog_name};
 
 pub use diff::{Comparison, LayerDiff, documentation as diff_documentation};
 pub use gc::{Collected, gc};
+pub use lineage::{Origin, documentation as lineage_documentation, lineage};
 pub use rows::{LayerFile, LayerInfo, RunRow, VersionInfo};
 pub use verify::{Finding, Verified, verify};
 
@@ -129,7 +133,7 @@ impl Map {
 
     /// Makes every published layer a table of a new context, those with structs also with columns in their place
     /// (`poses_flat`), beside `layers`, `versions` and `runs`; those of another
-    /// version are `v1.lanes`, topics and roles of the log of a session `monday."/odom"`, and `diff` compares versions. A table is opened when a query names it, and then it is that a
+    /// version are `v1.lanes`, topics and roles of the log of a session `monday."/odom"`; `diff` compares versions, `lineage` says what rows were made from. A table is opened when a query names it, and then it is that a
     /// missing or damaged artifact shows.
     ///
     /// # Errors
@@ -152,6 +156,7 @@ impl Map {
             reading: beside(&context),
         };
         context.register_udtf("diff", Arc::new(diff));
+        context.register_udtf("lineage", Arc::new(LineageFunction(self.clone())));
         Ok(context)
     }
 

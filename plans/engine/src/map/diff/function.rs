@@ -3,16 +3,14 @@
 use std::sync::Arc;
 
 use datafusion::catalog::{TableFunctionArgs, TableFunctionImpl, TableProvider};
-use datafusion::common::{DataFusionError, Result, ScalarValue, plan_err};
+use datafusion::common::{Result, ScalarValue, plan_err};
 use datafusion::logical_expr::{DocSection, Documentation, Expr};
 use datafusion::prelude::SessionContext;
 use evermap_contract::Registry;
-use evermap_schemas::Fault;
-use tokio::runtime::{Handle, RuntimeFlavor};
 
-use crate::error::external;
 use crate::map::Map;
 use crate::map::diff::Comparison;
+use crate::map::table_function::{text, waited};
 
 /// The table function.
 pub struct DiffFunction {
@@ -37,12 +35,13 @@ impl TableFunctionImpl for DiffFunction {
         let [layer, before, after] = args.exprs() else {
             return plan_err!("diff expects (layer, before, after), such as diff('lanes', 1, 2)");
         };
-        let (layer, versions) = (text(layer)?, [version(before)?, version(after)?]);
+        let layer = text("diff", "the name of a layer, such as 'lanes'", layer)?;
+        let versions = [version(before)?, version(after)?];
         let rows = async {
             let compared = Comparison::open(&self.map, versions, &self.registry, &self.reading);
             compared.await?.rows(&layer).await
         };
-        Ok(waited(rows)?.map_err(external)?.into_view())
+        Ok(waited("diff", rows)?.into_view())
     }
 }
 
@@ -59,13 +58,6 @@ pub fn documentation() -> Documentation {
         .build()
 }
 
-fn text(argument: &Expr) -> Result<String> {
-    match argument {
-        Expr::Literal(ScalarValue::Utf8(Some(text)), _) => Ok(text.clone()),
-        other => plan_err!("diff expects the name of a layer, such as 'lanes', found {other}"),
-    }
-}
-
 fn version(argument: &Expr) -> Result<u64> {
     let number = match argument {
         Expr::Literal(ScalarValue::Int64(Some(number)), _) => u64::try_from(*number).ok(),
@@ -75,16 +67,4 @@ fn version(argument: &Expr) -> Result<u64> {
         || plan_err!("diff expects the number of a version, such as 1, found {argument}"),
         Ok,
     )
-}
-
-/// Waits for what is read while a query is planned, which DataFusion does without waiting.
-fn waited<T>(future: impl Future<Output = Result<T, Fault>>) -> Result<Result<T, Fault>> {
-    match Handle::try_current() {
-        Ok(handle) if handle.runtime_flavor() == RuntimeFlavor::MultiThread => {
-            Ok(tokio::task::block_in_place(|| handle.block_on(future)))
-        }
-        _ => Err(DataFusionError::Plan(
-            "diff expects a runtime of several threads".to_owned(),
-        )),
-    }
 }
