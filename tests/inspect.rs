@@ -308,3 +308,41 @@ fn the_schema_of_manifests_has_every_role_and_every_parameter() {
     let session = schema.pointer(session.trim_start_matches('#')).unwrap();
     assert_eq!(session["required"], json!(["name", "files"]));
 }
+
+/// A topic whose name would clear the screen and set colours is printed without doing so, on both outputs.
+#[test]
+fn names_that_move_a_cursor_are_escaped() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    let mut log = mcap::Writer::new(std::fs::File::create(&path).unwrap()).unwrap();
+    let schema = log.add_schema("S\u{9b}31m", "jsonschema", b"no JSON\x1b[1m");
+    let channel = log.add_channel(schema.unwrap(), "/a\u{1b}[2Jb", "json", &Default::default());
+    let header = mcap::records::MessageHeader {
+        channel_id: channel.unwrap(),
+        sequence: 0,
+        log_time: 1,
+        publish_time: 1,
+    };
+    log.write_to_known_channel(&header, b"{}").unwrap();
+    log.finish().unwrap();
+    for (asked, names_it) in [
+        (vec!["inspect", text(&path)], true),
+        (vec!["sql", "--sessions", text(&path), "SHOW TABLES"], true),
+        (
+            vec!["sql", "--sessions", text(&path), "FROM \"/a\u{1b}[2Jb\""],
+            true,
+        ),
+        (
+            vec!["check", "trajectory", "--sessions", text(&path)],
+            false,
+        ),
+    ] {
+        let told = command(&asked).output().unwrap();
+        let told = [told.stdout, told.stderr].map(|text| String::from_utf8(text).unwrap());
+        for text in &told {
+            assert!(!text.contains(['\u{1b}', '\u{9b}']), "{asked:?}: {text:?}");
+        }
+        let is_named = told.iter().any(|text| text.contains("/a\\u{1b}[2Jb"));
+        assert!(is_named || !names_it, "{asked:?}: {told:?}");
+    }
+}

@@ -152,6 +152,23 @@ def large(http):
         sys.exit("72 MB were sent as JSON")
 
 
+def kept(http):
+    """A layer that has not changed is not sent again."""
+    def asked(form, **headers):
+        request = urllib.request.Request(f"http://{http}/layers/lanes?format={form}", headers=headers)
+        try:
+            with urllib.request.urlopen(request) as answer:
+                return answer.status, answer.headers["ETag"], len(answer.read())
+        except urllib.error.HTTPError as error:
+            return error.code, error.headers["ETag"], len(error.read())
+
+    status, tag, sent = asked("parquet")
+    assert status == 200 and tag and sent > 0, (status, tag, sent)
+    assert asked("parquet", **{"If-None-Match": tag}) == (304, tag, 0)
+    status, other, sent = asked("json", **{"If-None-Match": tag})
+    assert status == 200 and other != tag and sent > 0, (status, other, sent)
+
+
 def main(http, postgres, expected, jar=None):
     host, port = postgres.split(":")
     pg = psycopg.connect(host=host, port=port, dbname="map", user="me", autocommit=True)
@@ -199,6 +216,7 @@ def main(http, postgres, expected, jar=None):
         wrong += 1
         print(f"ADBC lists the tables {names}")
     large(http)
+    kept(http)
     print(f"{len(asked)} queries, {wrong} wrong answers")
     sys.exit(wrong > 0)
 

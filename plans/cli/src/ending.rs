@@ -14,6 +14,8 @@ use arrow::error::ArrowError;
 use evermap_engine::prepare::Refusal;
 use evermap_schemas::{Fault, Kind};
 
+use crate::printable::printable;
+
 /// Why a command failed.
 #[derive(Debug)]
 pub enum Failure {
@@ -88,7 +90,7 @@ pub fn tell(ending: &Ending, stderr: &mut dyn Write) -> u8 {
         Err(Failure::Closed) => (0, String::new()),
     };
     // Nobody is left to be told when stderr is gone.
-    let _ = stderr.write_all(text.as_bytes());
+    let _ = stderr.write_all(printable(&text).as_bytes());
     code
 }
 

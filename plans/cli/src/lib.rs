@@ -30,6 +30,7 @@ mod mosaic;
 mod moved;
 mod operators;
 pub mod output;
+mod printable;
 mod progress;
 mod prompt;
 pub mod quantity;

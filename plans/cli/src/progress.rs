@@ -8,6 +8,7 @@ use clap::ValueEnum;
 use evermap_engine::run::Event;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use crate::printable::printable;
 use crate::quantity::{of, of_seconds};
 
 /// How progress is shown.
@@ -175,7 +176,7 @@ fn bar() -> ProgressBar {
 
 /// A line on stderr; that nobody reads it is no reason to stop.
 pub fn line(text: &str) {
-    let _ = writeln!(std::io::stderr(), "{text}");
+    let _ = writeln!(std::io::stderr(), "{}", printable(text));
 }
 
 #[cfg(test)]

@@ -4,7 +4,6 @@ use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::io::Write;
 
-use askama::Template;
 use evermap_datasets::log::index::{LogIndex, UnitKind};
 use evermap_datasets::log::pace::Pace;
 use evermap_datasets::{Dataset, LogPart, Session};
@@ -20,6 +19,7 @@ use crate::coordinate_frames::CoordinateFrames;
 use crate::ending::Ending;
 use crate::manifest::written;
 use crate::operators;
+use crate::printable::printable;
 use crate::sessions::lost;
 use crate::shipped;
 
@@ -63,7 +63,7 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
         serde_json::to_writer_pretty(&mut stdout, &contents).map_err(std::io::Error::from)?;
         writeln!(stdout)?;
     } else {
-        contents.write_into(&mut stdout)?;
+        stdout.write_all(printable(&contents.to_string()).as_bytes())?;
     }
     stdout.flush()?;
     Ok(lost([&dataset]))

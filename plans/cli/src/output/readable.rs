@@ -8,6 +8,8 @@ use arrow::error::ArrowError;
 use arrow::util::display::{ArrayFormatter, FormatOptions};
 use evermap_functions::json_texts;
 
+use crate::printable::printable;
+
 /// Characters of a cell that are shown.
 const WIDEST: usize = 60;
 
@@ -54,7 +56,7 @@ fn short_texts(column: &ArrayRef) -> Result<StringArray, ArrowError> {
             formatter
                 .value(row)
                 .try_to_string()
-                .map(|text| Some(short(&text)))
+                .map(|text| Some(short(&printable(&text))))
         })
         .collect()
 }

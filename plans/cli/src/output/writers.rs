@@ -13,6 +13,7 @@ use crate::ending::Failure;
 use crate::output::columnar::Parquet;
 use crate::output::readable::{cells, flat};
 use crate::output::{Format, Sink};
+use crate::printable::printable;
 
 /// Rows of a table that are laid out together; longer results are several tables, so that memory stays flat.
 const TABLE_ROWS: usize = 20_000;
@@ -64,11 +65,11 @@ struct Table<'s> {
 
 impl Table<'_> {
     fn show(&mut self) -> Result<(), Failure> {
-        let text = pretty_format_batches(&self.held)?;
+        let text = pretty_format_batches(&self.held)?.to_string();
         self.shown = true;
         self.rows = 0;
         self.held.truncate(1);
-        Ok(writeln!(self.sink, "{text}")?)
+        Ok(writeln!(self.sink, "{}", printable(&text))?)
     }
 }
 

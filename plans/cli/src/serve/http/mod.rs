@@ -250,14 +250,27 @@ impl IntoResponse for Refusal {
 
 /// An answer that a browser keeps, and asks for again by its tag: it stays right when a map is made anew.
 pub fn tagged(headers: &HeaderMap, tag: &str, kind: &'static str, body: Vec<u8>) -> Response {
-    let tag = format!("\"{tag}\"");
-    let known = headers.get(header::IF_NONE_MATCH);
-    let kept = [
-        (header::ETAG, tag.clone()),
-        (header::CACHE_CONTROL, "private, no-cache".to_owned()),
-    ];
-    if known.is_some_and(|known| known.as_bytes() == tag.as_bytes()) {
-        return (StatusCode::NOT_MODIFIED, kept).into_response();
+    match has(headers, tag) {
+        true => unchanged(tag),
+        false => (kept(tag), [(header::CONTENT_TYPE, kind)], body).into_response(),
     }
-    (kept, [(header::CONTENT_TYPE, kind)], body).into_response()
+}
+
+/// Whether who asks has what this tag is of.
+pub fn has(headers: &HeaderMap, tag: &str) -> bool {
+    let known = headers.get(header::IF_NONE_MATCH);
+    known.is_some_and(|known| known.as_bytes() == format!("\"{tag}\"").as_bytes())
+}
+
+/// The answer to who has it.
+pub fn unchanged(tag: &str) -> Response {
+    (StatusCode::NOT_MODIFIED, kept(tag)).into_response()
+}
+
+/// The head of what is kept under a tag.
+pub fn kept(tag: &str) -> [(header::HeaderName, String); 2] {
+    [
+        (header::ETAG, format!("\"{tag}\"")),
+        (header::CACHE_CONTROL, "private, no-cache".to_owned()),
+    ]
 }

@@ -1,16 +1,18 @@
 //! Rows of maps: queries, layers, versions.
 
 use axum::extract::{Path, Query, State};
-use axum::response::Response;
+use axum::http::HeaderMap;
+use axum::response::{IntoResponse, Response};
 use axum::{Json, body::Bytes};
-use evermap_schemas::Fault;
+use evermap_schemas::layers::Georeference;
+use evermap_schemas::{Fault, LayerRow};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::earth::Earth;
 use crate::serve::answer::answer;
 use crate::serve::http::formats::{Form, body};
-use crate::serve::http::{App, MapOf, Refusal};
+use crate::serve::http::{App, MapOf, Refusal, has, kept, unchanged};
 use crate::serve::maps::{Opened, ServedMap};
 
 /// What is asked, of which version, and how it is sent.
@@ -121,7 +123,7 @@ pub async fn versions(
     .await
 }
 
-/// `GET /layers/{layer}`: all rows of a layer.
+/// `GET /layers/{layer}`: all rows of a layer, for who does not have them yet: they are tagged by their content.
 ///
 /// # Errors
 /// For a layer or version that is not there.
@@ -130,13 +132,33 @@ pub async fn layer(
     MapOf(map): MapOf,
     Path(path): Path<std::collections::BTreeMap<String, String>>,
     Query(asked): Query<Asked>,
+    headers: HeaderMap,
 ) -> Result<Response, Refusal> {
     let name = path.get("layer").map_or("", String::as_str);
     let opened = map.version(asked.version).await?;
+    let tag = tag(&opened, name, &asked);
+    if let Some(tag) = tag.as_deref().filter(|tag| has(&headers, tag)) {
+        return Ok(unchanged(tag));
+    }
     let quoted = name.replace('"', "\"\"");
     let query = format!("SELECT * FROM \"{quoted}\"");
     let answer = answer(&opened, &query, &app.bounds).await?;
     let declared = opened.reader.declaration(name);
     let earth = asked.earth(&opened).await?;
-    body(answer, asked.format, declared.as_ref(), &earth).await
+    let body = body(answer, asked.format, declared.as_ref(), &earth).await?;
+    Ok((tag.as_deref().map(kept), body).into_response())
+}
+
+/// What the body of a layer depends on; `None` for a table that is no layer.
+fn tag(opened: &Opened, layer: &str, asked: &Asked) -> Option<String> {
+    let layers = opened.reader.map.layers();
+    let digest = |name: &str| {
+        let found = layers.iter().find(|info| info.layer == name);
+        found.map(|info| info.digest.clone())
+    };
+    let earth = digest(Georeference::NAME).unwrap_or_default();
+    let program = env!("CARGO_PKG_VERSION");
+    let Asked { format, local, .. } = asked;
+    let all = format!("{program} {} {earth} {format:?} {local}", digest(layer)?);
+    Some(blake3::hash(all.as_bytes()).to_hex().to_string())
 }
