@@ -4,7 +4,7 @@
 
 Logs are made in FOLDER on first use. A table says, for a tenth, a third and all of them: the first run, and what of it
 is beyond the units' own work (by the layer `runs`: the sum of their seconds, shared by the cores); the same run again,
-and one session more; then `layers`, `versions` and `explain` on the map.
+and one session more; then `layers`, `versions`, `explain` and `lineage` on the map.
 """
 
 import argparse
@@ -70,8 +70,8 @@ def main():
     resource.setrlimit(resource.RLIMIT_NOFILE, (resource.getrlimit(resource.RLIMIT_NOFILE)[1],) * 2)
     paths = make(given.folder / "logs", given.sessions + 1, given.messages)
     cluster = ["--cluster", given.cluster] if given.cluster else []
-    print("| sessions | first run s | ms a session | beyond the work ms | MiB | again s | one more s | layers s | versions s | explain s | manifest kB |")
-    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    print("| sessions | first run s | ms a session | beyond the work ms | MiB | again s | one more s | layers s | versions s | explain s | lineage s | of one session s | manifest kB |")
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|---|")
     for count in sorted({given.sessions // 10, given.sessions // 3, given.sessions}):
         chosen, store = given.folder / "chosen", given.folder / "map"
         for old in (chosen, store):
@@ -89,10 +89,12 @@ def main():
         on_map = lambda *words: run([given.evermap, *words, "--map", str(store)])[0]
         layers, versions = on_map("layers"), on_map("versions")
         explain, _ = run([given.evermap, "explain", "trajectory", "--map", str(store), "--sessions", f"{chosen}/*.mcap"])
+        lineage = on_map("sql", "SELECT count(*) FROM lineage('lanes')")
+        of_one = on_map("sql", f"SELECT count(*) FROM lineage('lanes', '{paths[0].stem}')")
         manifest = max(path.stat().st_size for path in (store / "versions").iterdir()) / 1000
         print(
             f"| {count} | {first:.1f} | {1000 * first / count:.2f} | {1000 * beyond / count:.2f} | {memory:.0f} | {again:.1f} | {more:.1f} "
-            f"| {layers:.2f} | {versions:.2f} | {explain:.2f} | {manifest:.0f} |",
+            f"| {layers:.2f} | {versions:.2f} | {explain:.2f} | {lineage:.2f} | {of_one:.2f} | {manifest:.0f} |",
             flush=True,
         )
 

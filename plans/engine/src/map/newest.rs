@@ -69,6 +69,7 @@ fn link_all(folder: &Folder, version: u64, layers: &Layers) -> Result<()> {
     let own = links.join(version.to_string());
     // What a killed run left is begun anew.
     remove(&own)?;
+    std::fs::create_dir_all(&own)?;
     for (layer, files) in layers {
         let of_layer = own.join(layer);
         std::fs::create_dir_all(&of_layer)?;
@@ -127,6 +128,18 @@ fn remove(path: &Path) -> Result<()> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+
+    #[test]
+    fn a_version_whose_layers_have_no_links_leaves_none_of_another_one() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = Folder::new(root.path().to_owned());
+        let of = vec![("lanes".to_owned(), vec!["artifacts/a.parquet".to_owned()])];
+        link_all(&folder, 1, &of).unwrap();
+        link_all(&folder, 2, &Layers::new()).unwrap();
+        let newest = folder.path(NEWEST);
+        assert_eq!(linked_version(&newest).unwrap(), Some(2));
+        assert_eq!(std::fs::read_dir(newest).unwrap().count(), 0);
+    }
 
     #[test]
     fn a_later_version_takes_the_link_and_an_earlier_one_does_not() {
