@@ -480,3 +480,30 @@ fn rows_are_traced_back_to_the_messages_of_logs() {
         assert!(refused.stderr.contains(told), "{}", refused.stderr);
     }
 }
+
+/// What two sites have none of is equal, and yet each site's own.
+#[test]
+fn sites_without_rows_are_traced_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    let logs = ["north", "south"].map(|name| folder.path().join(format!("{name}.mcap")));
+    for log in &logs {
+        write_drive(log, rectangle(30.0, 20.0, 1.0));
+    }
+    let map = folder.path().join("map");
+    run(&map, &[&logs[0], &logs[1]]).expect(0);
+    let query = "SELECT * FROM lineage('intersections')";
+    let asked = ["sql", "--map", text(&map), "--format", "json", query];
+    let all = evermap(&asked).expect(0).json();
+    let named = |name: &'static str| {
+        let all = all.as_array().unwrap().iter();
+        all.filter(move |one| one["name"] == name)
+    };
+    assert_eq!(named("intersections").count(), 2, "{all}");
+    for one in named("intersections") {
+        assert_eq!(one["rows"], 0);
+        let from = one["made_from"].as_array().unwrap();
+        let lanes = named("lanes").filter(|lanes| from.contains(&lanes["entry"]));
+        let sites: Vec<_> = lanes.map(|lanes| lanes["site"].clone()).collect();
+        assert_eq!(sites, [one["site"].clone()], "{all}");
+    }
+}

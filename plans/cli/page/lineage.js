@@ -22,7 +22,7 @@ export function lineage(layer, row, version, ask) {
     } catch (error) {
       fold.append(Object.assign(document.createElement("p"), { textContent: error.message }));
     }
-  }, { passive: true });
+  });
   return fold;
 }
 

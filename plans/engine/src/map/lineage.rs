@@ -2,7 +2,7 @@
 //!
 //! Nothing is kept for it: each unit's recipe names the rows and logs that it read.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use datafusion::catalog::{TableFunctionArgs, TableFunctionImpl, TableProvider};
@@ -143,61 +143,60 @@ fn missing<'k>(what: &str, name: &str, known: impl Iterator<Item = &'k str>) -> 
 /// What is asked for, of a version.
 struct Of<'m> {
     sessions: &'m [MappedSession],
-    /// The session and its site.
-    session: Option<(&'m str, &'m str)>,
-    /// The recipe of what a step made, by the step and the digest of the rows.
-    recipes: HashMap<(&'m str, &'m str), &'m str>,
+    /// The log of the session that is meant; all are, where there is none.
+    log: Option<&'m LogContent>,
+    /// The recipe of what a step made, by the step, what the rows are of, and their digest: rows of two sites are equal where
+    /// there are none.
+    recipes: BTreeMap<(&'m str, &'m Extent, &'m str), &'m str>,
 }
 
 impl<'m> Of<'m> {
     fn new(map: &'m Map, session: Option<&str>) -> Result<Self, Fault> {
         let sessions = &map.version.sessions;
-        let session = session.map(|name| {
+        let log = session.map(|name| {
             let log = MappedSession::named(sessions, name).map(|session| &session.log);
-            let log = log.ok_or_else(|| {
+            log.ok_or_else(|| {
                 let known = sessions.iter().map(|session| session.log.session.as_str());
                 missing("session", name, known)
-            })?;
-            Ok::<_, Fault>((log.session.as_str(), log.site.as_str()))
+            })
         });
         let stored = map.version.layers.iter();
         let recipes = stored.flat_map(|(name, layer)| {
             let made = layer.artifacts.iter().zip(&layer.recipes);
-            made.map(move |(rows, recipe)| {
-                ((name.as_str(), rows.content.as_str()), recipe.as_str())
-            })
+            made.map(move |(rows, recipe)| (key(name, rows), recipe.as_str()))
         });
         Ok(Self {
             sessions,
-            session: session.transpose()?,
+            log: log.transpose()?,
             recipes: recipes.collect(),
         })
     }
 
     fn has(&self, extent: &Extent) -> bool {
-        let within = |own: &Option<String>, of: &str| own.as_ref().is_none_or(|own| own == of);
-        self.session.is_none_or(|(session, site)| {
-            within(&extent.session, session) && within(&extent.site, site)
-        })
+        self.log.is_none_or(|log| extent.covers(log))
     }
+}
+
+fn key<'a>(step: &'a str, rows: &'a Artifact) -> (&'a str, &'a Extent, &'a str) {
+    (step, &rows.extent, &rows.content)
 }
 
 /// What was found so far.
 #[derive(Default)]
 struct Found {
     entries: Vec<Origin>,
-    /// Entries by name, session and content.
-    numbers: BTreeMap<(String, Option<String>, String), u32>,
+    /// Entries by name, what they are of, and content.
+    numbers: BTreeMap<(String, Extent, String), u32>,
 }
 
 impl Found {
     /// The number of an entry, and whether it is new.
     fn number(&mut self, origin: Origin) -> (u32, bool) {
-        let key = (
-            origin.name.clone(),
-            origin.session.clone(),
-            origin.content.clone(),
-        );
+        let extent = Extent {
+            session: origin.session.clone(),
+            site: origin.site.clone(),
+        };
+        let key = (origin.name.clone(), extent, origin.content.clone());
         let next = self.entries.len() as u32;
         let number = *self.numbers.entry(key).or_insert(next);
         if number == next {
@@ -265,8 +264,7 @@ impl Found {
             for artifact in artifacts.iter().filter(|artifact| of.has(&artifact.extent)) {
                 let (number, is_new) = self.rows(name, artifact);
                 from.push(number);
-                let made = (name.as_str(), artifact.content.as_str());
-                if let (true, Some(recipe)) = (is_new, of.recipes.get(&made)) {
+                if let (true, Some(recipe)) = (is_new, of.recipes.get(&key(name, artifact))) {
                     next.push((number, *recipe));
                 }
             }
@@ -282,7 +280,7 @@ impl Found {
             if let Input::Source(source) = &read.table {
                 let logs = recipe.logs.iter();
                 let logs =
-                    logs.filter(|log| of.session.is_none_or(|(session, _)| log.session == session));
+                    logs.filter(|log| of.log.is_none_or(|meant| log.session == meant.session));
                 from.extend(logs.filter_map(|log| self.log(source, log, of)));
             }
         }
