@@ -10,7 +10,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use evermap_tests::{evermap, repository, shared, text};
+use evermap_tests::{Finished, evermap, plan_command, repository, shared, text};
 use serde_json::Value;
 
 /// Every file below a folder, sorted.
@@ -150,6 +150,111 @@ fn soccer_values_equal_the_official_readers() {
         .collect();
     assert!(!topics.is_empty());
     compare("data/mcap_real/amber/soccer_goal_12.mcap", &topics);
+}
+
+/// What an engineer learns first of a log of a machine that we never saw.
+struct Machine {
+    /// Its recording, below the recordings of others.
+    log: &'static str,
+    /// What `inspect` says that its topics are for.
+    roles: &'static [&'static str],
+    /// How `run trajectory` ends.
+    code: i32,
+    /// What it says, by which one knows what to do next.
+    says: &'static str,
+}
+
+const MACHINES: [Machine; 8] = [
+    // A TurtleBot 4 in a house.
+    Machine {
+        log: "evo/nav2_turtlebot",
+        roles: &["odometry", "transforms"],
+        code: 0,
+        says: "version 1 published",
+    },
+    // A vehicle whose odometry turns by a yaw where a quaternion belongs.
+    Machine {
+        log: "mcap_explorer/demo",
+        roles: &["frames", "imu", "odometry"],
+        code: 3,
+        says: "/odom: expected a finite number at pose.orientation.x",
+    },
+    // A robot that plays soccer: one camera.
+    Machine {
+        log: "amber/soccer_goal_12",
+        roles: &["frames"],
+        code: 1,
+        says: "found topics /camera/image_raw (sensor_msgs/Image)",
+    },
+    // A calibrated camera on a bench.
+    Machine {
+        log: "lichtblick/custom-camera-model",
+        roles: &["calibration", "frames"],
+        code: 1,
+        says: "/image/compressed (foxglove.CompressedImage)",
+    },
+    // A tracker with GNSS and a battery.
+    Machine {
+        log: "foxglove_tutorials/tutorial",
+        roles: &["gnss_fixes"],
+        code: 1,
+        says: "location (foxglove.LocationFix)",
+    },
+    // A plant: pumps and tanks.
+    Machine {
+        log: "foxglove_tutorials/foxglove_eip_bridge_2025-07-04_17-53-27",
+        roles: &[],
+        code: 1,
+        says: "expected odometry",
+    },
+    // An arm with joints and an IMU.
+    Machine {
+        log: "rosbag2parquet/array_msgs_0",
+        roles: &["imu"],
+        code: 1,
+        says: "/one_shot/joint_state (sensor_msgs/msg/JointState)",
+    },
+    // A node that talks, and moves nothing.
+    Machine {
+        log: "ros2_rosbag2/rosbag2_py/test/resources/mcap/talker/talker",
+        roles: &[],
+        code: 1,
+        says: "say in a manifest which topic plays the role",
+    },
+];
+
+#[test]
+fn logs_of_eight_machines_are_understood_checked_and_mapped_or_refused_with_the_reason() {
+    let Some(recordings) = shared("data/mcap_real") else {
+        return;
+    };
+    for machine in MACHINES {
+        let log = recordings.join(machine.log).with_added_extension("mcap");
+        let told = evermap(&["inspect", text(&log), "--json"]).expect(0).json();
+        let roles = told["roles"].as_array().unwrap();
+        let roles: Vec<&str> = roles
+            .iter()
+            .map(|role| role["role"].as_str().unwrap())
+            .collect();
+        assert_eq!(roles, machine.roles, "{}", machine.log);
+
+        // The manifest that is printed ready to edit is one that is read.
+        let folder = tempfile::tempdir().unwrap();
+        let manifest = folder.path().join("logs.yaml");
+        let printed = evermap(&["inspect", text(&log), "--manifest"]).expect(0);
+        std::fs::write(&manifest, printed.stdout).unwrap();
+        let checks = [("--sessions", &log), ("--manifest", &manifest)]
+            .map(|(option, file)| evermap(&["check", "trajectory", option, text(file)]).code);
+        let map = folder.path().join("map");
+        let mut run = plan_command("trajectory", &map, "lot", &["--sessions", text(&log)]);
+        let ran = Finished::from(run.output().unwrap()).expect(machine.code);
+        // What a message's values are is known when they are read: a check reads none.
+        let refused = i32::from(machine.code == 1);
+        assert_eq!(checks, [refused; 2], "{}", machine.log);
+        let said = ran.stdout + &ran.stderr;
+        assert!(said.contains(machine.says), "{}: {said}", machine.log);
+        assert_eq!(map.exists(), machine.code != 1, "{}", machine.log);
+    }
 }
 
 #[test]

@@ -13,11 +13,12 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use evermap_ffmpeg::{Encoder, Style};
 use evermap_messages::ros2::{CompressedImage, Header, Message};
 use evermap_tests::park::{FEWER, Park, finished};
-use evermap_tests::text;
-use evermap_tests::trajectories::{map_error, poses};
-use evermap_video::{Codec, Encoder, Style};
+use evermap_tests::trajectories::{map_error, poses, rows};
+use evermap_tests::{Finished, plan_command, program, text};
+use evermap_video::Codec;
 use evermap_vision::{Rgb, decode_colour};
 
 /// A camera's frames, from JPEG to video.
@@ -149,4 +150,55 @@ fn lost_frames_say_topic_encoding_and_reason() {
         "image of {topic} (h265) in session headless: video frame without a key frame before it"
     );
     assert!(ended.stderr.contains(&told), "{}", ended.stderr);
+}
+
+/// A program that decodes the first bytes that come, and then ends as one that a frame has crashed.
+fn write_fragile(path: &Path) {
+    use std::os::unix::fs::PermissionsExt;
+    let sound = program().with_file_name("evermap-video");
+    let script = format!(
+        "#!/bin/sh\ndd bs=1 count=60000 status=none | {} 2>/dev/null\nkill -s SEGV $$\n",
+        text(&sound)
+    );
+    std::fs::write(path, script).unwrap();
+    std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)).unwrap();
+}
+
+#[test]
+fn a_frame_that_crashes_the_decoder_is_lost_and_without_a_decoder_nothing_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let (jpeg, _) = Park::new(folder.path(), 16).drive(0, "drive", &["loops=0.05"]);
+    let video = folder.path().join("video.mcap");
+    as_video(&jpeg, &video, Codec::H264, |_, _| false);
+    let plan = folder.path().join("seen.yaml");
+    std::fs::write(&plan, SEEN).unwrap();
+    let fragile = folder.path().join("fragile");
+    write_fragile(&fragile);
+    let map = folder.path().join("map");
+    let run = |decoder: &Path| {
+        let mut run = plan_command(text(&plan), &map, "park", &["--sessions", text(&video)]);
+        Finished::from(run.env("EVERMAP_VIDEO", decoder).output().unwrap())
+    };
+
+    let missing = run(&folder.path().join("nowhere")).expect(1).stderr;
+    assert!(missing.contains("which decodes video"), "{missing}");
+    assert!(missing.contains("EVERMAP_VIDEO"), "{missing}");
+
+    let crashed = run(&fragile).expect(3);
+    let told = "does not decode: evermap-video crashed (signal: 11 (SIGSEGV)";
+    assert!(crashed.stderr.contains(told), "{}", crashed.stderr);
+    let query = "SELECT count(DISTINCT (stamp, camera)) AS images FROM features";
+    let seen = rows(&map, None, query);
+    let images = seen[0]["images"].as_u64().unwrap();
+    assert!(images > 0, "all frames before the crash are there");
+}
+
+#[test]
+fn the_program_itself_links_no_ffmpeg() {
+    let links = |name: &str| {
+        let bytes = std::fs::read(program().with_file_name(name)).unwrap();
+        bytes.windows(13).any(|found| found == b"libavcodec.so")
+    };
+    assert!(links("evermap-video"));
+    assert!(!links("evermap"));
 }

@@ -11,7 +11,7 @@ use base64::prelude::BASE64_STANDARD;
 use bytes::Bytes;
 use evermap_schemas::roles::IMAGE_MEMBER;
 use evermap_schemas::{Fault, ImageRef};
-use evermap_video::{Codec, Decoder};
+use evermap_video::{Codec, Decoder, Failure, PROGRAM_VARIABLE};
 
 use crate::images::{ImageReader, Place};
 use crate::log::chunk::{Block, Message};
@@ -54,8 +54,8 @@ struct Found {
 struct Run {
     key: At,
     last: Option<At>,
-    state: Result<Decoder, String>,
-    count: i64,
+    /// `None` behind a frame that does not decode.
+    decoder: Option<Decoder>,
 }
 
 /// What came out for a frame.
@@ -80,8 +80,7 @@ impl Run {
         Self {
             key,
             last: None,
-            state: Decoder::new(codec),
-            count: 0,
+            decoder: Some(Decoder::new(codec)),
         }
     }
 
@@ -91,46 +90,43 @@ impl Run {
     }
 
     /// Decodes frames that follow each other; the pictures of those that are wanted.
-    fn decode(&mut self, frames: Vec<(At, Option<Bytes>, bool)>) -> Vec<(At, Decoded)> {
+    ///
+    /// # Errors
+    /// A resource fault where nothing is there to decode them.
+    fn decode(
+        &mut self,
+        frames: Vec<(At, Option<Bytes>, bool)>,
+    ) -> Result<Vec<(At, Decoded)>, Fault> {
         let mut decoded = Vec::new();
         for (at, bytes, wanted) in frames {
-            let file = self.push(bytes, wanted);
+            let shown = self.push(bytes, wanted)?;
             self.last = Some(at);
-            if let Some(file) = file.transpose() {
-                decoded.push((at, file.map(Bytes::from).map_err(Fault::data)));
+            if wanted {
+                decoded.push((at, shown));
             }
         }
-        decoded
+        Ok(decoded)
     }
 
-    fn push(&mut self, bytes: Option<Bytes>, wanted: bool) -> Result<Option<Vec<u8>>, String> {
-        let after = || "video frame after one that does not decode".to_owned();
-        let decoder = match &mut self.state {
-            Ok(decoder) => decoder,
-            Err(_) if self.last.is_some() => return if wanted { Err(after()) } else { Ok(None) },
-            Err(reason) => return Err(reason.clone()),
+    fn push(&mut self, bytes: Option<Bytes>, wanted: bool) -> Result<Decoded, Fault> {
+        let Some(decoder) = &mut self.decoder else {
+            let after = "video frame after one that does not decode";
+            return Ok(Err(Fault::data(after)));
         };
-        self.count += 1;
-        let number = self.count;
-        let bytes = bytes.ok_or_else(|| "is not base64".to_owned());
-        let pictures = bytes.and_then(|bytes| decoder.push(number, &bytes));
-        let pictures = match pictures {
-            Ok(pictures) => pictures,
-            Err(reason) => {
-                let reason = format!("video frame {reason}");
-                self.state = Err(reason.clone());
-                return if wanted { Err(reason) } else { Ok(None) };
+        let bytes = bytes.ok_or_else(|| Failure::Frame("is not base64".to_owned()));
+        match bytes.and_then(|bytes| decoder.push(&bytes, wanted)) {
+            Ok(Some(Ok(file))) => Ok(Ok(file.into())),
+            Ok(Some(Err(reason))) => Ok(Err(Fault::data(format!("video frame: {reason}")))),
+            // Nobody asked for its picture.
+            Ok(None) => Ok(Ok(Bytes::new())),
+            Err(Failure::Frame(reason)) => {
+                self.decoder = None;
+                Ok(Err(Fault::data(format!("video frame {reason}"))))
             }
-        };
-        if !wanted {
-            return Ok(None);
+            Err(Failure::Process(reason)) => Err(Fault::resource(reason).next(format!(
+                "install evermap-video beside evermap, or name it with {PROGRAM_VARIABLE}"
+            ))),
         }
-        let picture = pictures.iter().find(|picture| picture.index == number);
-        let picture = picture.ok_or("video frame that waits for later ones to decode")?;
-        picture
-            .file()
-            .map(Some)
-            .map_err(|reason| format!("video frame: {reason}"))
     }
 }
 
@@ -279,7 +275,7 @@ impl ImageReader {
             let done = tokio::task::spawn_blocking(work).await;
             let found;
             (run, found) = done.map_err(|error| Fault::bug(error.to_string()))?;
-            if let Some((_, file)) = found.into_iter().next_back() {
+            if let Some((_, file)) = found?.into_iter().next_back() {
                 decoded = file;
             }
         }

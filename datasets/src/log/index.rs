@@ -249,7 +249,11 @@ async fn check_kind(store: &Arc<dyn ObjectStore>, meta: &ObjectMeta) -> Result<(
             meta.size
         ))
     } else {
-        Fault::data("expected an MCAP log, found a file that does not start like one")
+        let fault = Fault::data("expected an MCAP log, found a file that does not start like one");
+        match path.extension() {
+            Some("yaml" | "yml") => fault.next("a manifest is given with `--manifest FILE`"),
+            _ => fault,
+        }
     };
     Err(fault.at(path))
 }

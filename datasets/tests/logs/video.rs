@@ -10,9 +10,10 @@ use base64::prelude::BASE64_STANDARD;
 use bytes::Bytes;
 use datafusion::prelude::SessionContext;
 use evermap_datasets::{Dataset, ImageReader, Manifest};
+use evermap_ffmpeg::{Encoder, Samples, Style};
 use evermap_schemas::roles::Frame;
 use evermap_schemas::{Fault, ImageRef};
-use evermap_video::{Codec, Encoder, Samples, Style};
+use evermap_video::Codec;
 
 use crate::common::{context, open, rows};
 

@@ -1,7 +1,5 @@
 //! What the bytes of a frame say without being decoded (ITU-T H.264 and H.265, Annex B and table 7-1 of each).
 
-use ffmpeg_next::codec::Id;
-
 /// A video format that is decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Codec {
@@ -39,13 +37,6 @@ impl Codec {
         match self {
             Self::H264 => "h264",
             Self::H265 => "h265",
-        }
-    }
-
-    pub(crate) fn id(self) -> Id {
-        match self {
-            Self::H264 => Id::H264,
-            Self::H265 => Id::HEVC,
         }
     }
 

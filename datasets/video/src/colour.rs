@@ -53,7 +53,7 @@ impl Colours {
     }
 
     /// Luma and chroma of red, green and blue as [`Colours::USUAL`] reads them: what simulated cameras record.
-    pub(crate) fn usual_yuv([red, green, blue]: [u8; 3]) -> [u8; 3] {
+    pub fn usual_yuv([red, green, blue]: [u8; 3]) -> [u8; 3] {
         let (red, green, blue) = (i32::from(red), i32::from(green), i32::from(blue));
         let of = |[r, g, b]: [i32; 3], zero: i32| {
             (((r * red + g * green + b * blue + 128) >> 8) + zero).clamp(0, 255) as u8

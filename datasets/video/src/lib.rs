@@ -1,4 +1,12 @@
-//! H.264 and H.265 frames to pixels, and back for simulated worlds. The only crate that links FFmpeg.
+//! H.264 and H.265 frames to pictures; luma and chroma to colours.
+//!
+//! ```text
+//!  Decoder ─► idle workers ─► Worker: evermap-video
+//!    push        │  take         │ stdin   requests, with frames
+//!                ◄── put back ───┘ stdout  answers, with pictures
+//! ```
+//! FFmpeg runs in a process of its own (`datasets/ffmpeg`): a frame that crashes it, or on which it hangs, breaks its own
+//! stream and nothing else; and whatever decodes no video starts without FFmpeg's hundred libraries.
 //!
 //! A frame is Annex B bytes, one frame a message, as `foxglove.CompressedVideo` asks for: parameter sets stand before
 //! each key frame. This crate knows no logs: who decodes gives it the frames in order, from a key frame on.
@@ -6,15 +14,11 @@
 mod codec;
 mod colour;
 mod decoder;
-mod encoder;
+mod pool;
+pub mod protocol;
+mod worker;
 
 pub use codec::Codec;
 pub use colour::{Colours, Matrix, Scale};
-pub use decoder::{Decoder, LARGEST_PICTURE, Picture};
-pub use encoder::{Encoder, Samples, Style};
-
-/// Sets FFmpeg up. It prints nothing by itself: what is wrong with a frame is told by the results.
-fn prepare() -> Result<(), String> {
-    ffmpeg_next::log::set_level(ffmpeg_next::log::Level::Quiet);
-    ffmpeg_next::init().map_err(|error| format!("FFmpeg cannot be set up: {error}"))
-}
+pub use decoder::{Decoder, Failure, Shown};
+pub use worker::PROGRAM_VARIABLE;

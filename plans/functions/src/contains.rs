@@ -13,6 +13,9 @@ use datafusion::logical_expr::{
 
 use crate::graphs::{Graphs, is_graph, no_graph};
 
+/// The function's name.
+pub(crate) const NAME: &str = "contains";
+
 /// Whether a view shows areas of a class; on text, whether one text has another in it.
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Contains {
@@ -33,7 +36,7 @@ impl Default for Contains {
 
 impl ScalarUDFImpl for Contains {
     fn name(&self) -> &str {
-        "contains"
+        NAME
     }
 
     fn signature(&self) -> &Signature {
@@ -54,7 +57,7 @@ impl ScalarUDFImpl for Contains {
             [text, part] if !text.is_nested() && !part.is_nested() => {
                 Ok(vec![DataType::Utf8, DataType::Utf8])
             }
-            [found, ..] => no_graph("contains", found),
+            [found, ..] => no_graph(NAME, found),
             [] => plan_err!("contains expects (graph, class [, count])"),
         }
     }

@@ -34,7 +34,7 @@ use datafusion::prelude::SessionContext;
 use crate::function::Function;
 
 pub use guard::is_guarded;
-pub use index::use_indexes;
+pub use index::{asks_graphs, use_indexes};
 pub use json::{json_texts, to_json};
 
 /// Adds the functions to a context.

@@ -13,6 +13,9 @@ use evermap_algorithms::semantic_map::semantic_graph::{Relation, offset};
 
 use crate::graphs::{Geometry, Graphs, is_graph, no_graph};
 
+/// The function's name.
+pub(crate) const NAME: &str = "related";
+
 /// Whether an area of one class is so related to an area of another.
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Related {
@@ -31,7 +34,7 @@ impl Default for Related {
 
 impl ScalarUDFImpl for Related {
     fn name(&self) -> &str {
-        "related"
+        NAME
     }
 
     fn signature(&self) -> &Signature {
@@ -46,7 +49,7 @@ impl ScalarUDFImpl for Related {
                 DataType::Utf8,
                 DataType::Utf8,
             ]),
-            [found, _, _, _] => no_graph("related", found),
+            [found, _, _, _] => no_graph(NAME, found),
             _ => plan_err!("related expects (graph, class, relation, class)"),
         }
     }

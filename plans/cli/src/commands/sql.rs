@@ -23,11 +23,12 @@ use evermap_engine::map::Map;
 use evermap_engine::sql::{
     Limits, TABLES, catalog, catalog_name, check_size, context, explained, plan_of,
 };
-use evermap_functions::use_indexes;
+use evermap_functions::{asks_graphs, use_indexes};
 use evermap_language::listed;
 use evermap_schemas::dictionary::{ColumnInfo, columns};
 use evermap_schemas::{Fault, Layer, batch};
 use futures::{StreamExt, TryStreamExt};
+use tokio::sync::OnceCell;
 
 use crate::arguments::{SessionArgs, SqlArgs};
 use crate::commands::sql::missing::{meant, missing_table};
@@ -57,6 +58,8 @@ pub struct Tables {
     pub context: SessionContext,
     reader: Option<MapReader>,
     dataset: Option<Dataset>,
+    /// Whether queries on graphs can use the indexes already.
+    indexed: OnceCell<()>,
 }
 
 impl Tables {
@@ -122,16 +125,11 @@ impl Tables {
         limits: Limits,
     ) -> Result<Self, Fault> {
         let reader = MapReader::open(address, version).await?;
-        let context = reader.context(context(limits)?)?;
-        if let Err(fault) = use_indexes(&context).await.or_fault() {
-            line(&format!(
-                "warning: queries read graphs, not their indexes: {fault}"
-            ));
-        }
         Ok(Self {
-            context,
+            context: reader.context(context(limits)?)?,
             reader: Some(reader),
             dataset: None,
+            indexed: OnceCell::new(),
         })
     }
 
@@ -147,6 +145,7 @@ impl Tables {
             context,
             reader: None,
             dataset: Some(dataset),
+            indexed: OnceCell::new(),
         })
     }
 
@@ -248,12 +247,23 @@ impl Tables {
         names
     }
 
+    async fn use_indexes(&self) {
+        if let Err(fault) = use_indexes(&self.context).await.or_fault() {
+            line(&format!(
+                "warning: queries read graphs, not their indexes: {fault}"
+            ));
+        }
+    }
+
     /// Plans one statement, which only reads.
     async fn frame(&self, statement: Statement) -> Result<DataFrame, Fault> {
         let state = self.context.state();
         let plan = plan_of(&state, statement).await.or_fault();
         let plan = plan.map_err(|fault| self.explained(fault))?;
         read_only(&plan)?;
+        if asks_graphs(&plan).or_fault()? {
+            self.indexed.get_or_init(|| self.use_indexes()).await;
+        }
         self.context.execute_logical_plan(plan).await.or_fault()
     }
 

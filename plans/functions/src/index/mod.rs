@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use datafusion::common::config::ConfigOptions;
-use datafusion::common::tree_node::{Transformed, TreeNode};
+use datafusion::common::tree_node::{Transformed, TreeNode, TreeNodeRecursion};
 use datafusion::common::{Column, DataFusionError, Result, TableReference, plan_err};
 use datafusion::logical_expr::expr::InSubquery;
 use datafusion::logical_expr::{Expr, LogicalPlan, Subquery};
@@ -20,6 +20,8 @@ use datafusion::scalar::ScalarValue;
 use evermap_schemas::LayerRow;
 use evermap_schemas::layers::{ClassLeaf, LabelImage, RelatedViews, View};
 use futures::FutureExt;
+
+use crate::{contains, related};
 
 use names::{Names, names, texts};
 use relations::{Relating, RelationIndex};
@@ -58,6 +60,27 @@ pub async fn use_indexes(context: &SessionContext) -> Result<()> {
         }));
     }
     Ok(())
+}
+
+/// Whether a plan calls what the indexes answer. [`use_indexes`] reads the names of all views: whoever asks nothing of
+/// graphs need not wait for it.
+///
+/// # Errors
+/// None that a plan of DataFusion's own gives.
+pub fn asks_graphs(plan: &LogicalPlan) -> Result<bool> {
+    let calls = |expr: &Expr| {
+        expr.exists(|expr| {
+            Ok(matches!(expr, Expr::ScalarFunction(call) if [contains::NAME, related::NAME].contains(&call.name())))
+        })
+    };
+    let mut found = false;
+    plan.apply_with_subqueries(|node| {
+        node.apply_expressions(|expr| {
+            found = found || calls(expr)?;
+            Ok(TreeNodeRecursion::Continue)
+        })
+    })?;
+    Ok(found)
 }
 
 /// The classes that the views of a map have, and those of the images that they were made from, which may never have shown
@@ -245,7 +268,7 @@ fn contains(expr: &Expr) -> Option<(Column, String, i64)> {
     let Expr::ScalarFunction(call) = expr else {
         return None;
     };
-    if call.func.name() != "contains" {
+    if call.func.name() != contains::NAME {
         return None;
     }
     let [Expr::Column(graph), Expr::Literal(class, _), count @ ..] = call.args.as_slice() else {

@@ -21,6 +21,7 @@ use evermap_schemas::layers::RelatedViews;
 
 use super::alone;
 use super::names::{Names, digests, texts};
+use crate::related;
 
 /// One class, how it lies, and another class.
 pub(super) type Relating = (String, Relation, String);
@@ -163,7 +164,7 @@ pub(super) fn asked(expr: &Expr) -> Option<(Column, Relating)> {
     let Expr::ScalarFunction(call) = expr else {
         return None;
     };
-    if call.func.name() != "related" {
+    if call.func.name() != related::NAME {
         return None;
     }
     let [Expr::Column(graph), words @ ..] = call.args.as_slice() else {

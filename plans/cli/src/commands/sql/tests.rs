@@ -28,6 +28,7 @@ async fn queries_only_read() {
         context: context(Limits::default()).unwrap(),
         reader: None,
         dataset: None,
+        indexed: OnceCell::new(),
     };
     for (query, reads) in [
         ("COPY (SELECT 1) TO '/nowhere/a.json'", false),
@@ -55,6 +56,7 @@ async fn results_have_a_header_even_without_rows() {
         context: context(Limits::default()).unwrap(),
         reader: None,
         dataset: None,
+        indexed: OnceCell::new(),
     };
     for (query, expected) in [
         ("SELECT 1 AS a, 'x' AS b", "a,b\n1,x\n"),

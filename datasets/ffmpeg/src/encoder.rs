@@ -1,10 +1,11 @@
 //! From pictures to frames: what simulated cameras record, with the rules of `foxglove.CompressedVideo`.
 
+use evermap_video::{Codec, Colours};
 use ffmpeg_next::format::Pixel;
 use ffmpeg_next::util::error::EAGAIN;
 use ffmpeg_next::{Dictionary, Error, Packet, Rational, codec, encoder, frame};
 
-use crate::{Codec, Colours, prepare};
+use crate::prepare;
 
 /// Encodes pictures of one size in order. Parameter sets stand before each key frame.
 pub struct Encoder {

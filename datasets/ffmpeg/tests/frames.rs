@@ -1,7 +1,8 @@
 //! What is encoded comes back, from any key frame on, and what is broken is told.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use evermap_video::{Codec, Decoder, Encoder, Samples, Style};
+use evermap_ffmpeg::{Encoder, Samples, Stream, Style};
+use evermap_video::Codec;
 
 const SIZE: [u32; 2] = [64, 48];
 const KEY_EVERY: u32 = 5;
@@ -40,15 +41,15 @@ fn styled(codec: Codec, frames: u32, style: Style) -> Vec<Vec<u8>> {
 
 /// The files of frames that are decoded one after the other.
 fn decoded(codec: Codec, frames: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, String> {
-    let mut decoder = Decoder::new(codec)?;
+    let mut stream = Stream::new(codec)?;
     let mut files = Vec::new();
     for (index, frame) in frames.iter().enumerate() {
-        for picture in decoder.push(index as i64, frame)? {
+        for picture in stream.push(index as i64, frame)? {
             assert_eq!(picture.index, index as i64);
             files.push(picture.file()?);
         }
     }
-    for picture in decoder.drain()? {
+    for picture in stream.drain()? {
         files.push(picture.file()?);
     }
     Ok(files)
