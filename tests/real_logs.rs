@@ -172,12 +172,12 @@ const MACHINES: [Machine; 8] = [
         code: 0,
         says: "version 1 published",
     },
-    // A vehicle whose odometry turns by a yaw where a quaternion belongs.
+    // A vehicle whose odometry and IMU are JSON of which nobody says what fields it has.
     Machine {
         log: "mcap_explorer/demo",
-        roles: &["frames", "imu", "odometry"],
-        code: 3,
-        says: "/odom: expected a finite number at pose.orientation.x",
+        roles: &["frames"],
+        code: 1,
+        says: "/odom (nav_msgs/Odometry, JSON whose schema names no fields)",
     },
     // A robot that plays soccer: one camera.
     Machine {

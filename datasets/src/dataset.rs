@@ -217,10 +217,11 @@ async fn open_session(
 
 /// The topics of a session, by name.
 fn topics_of(parts: &[LogPart]) -> Vec<Topic> {
-    let mut topics = BTreeMap::<&str, (&str, u64)>::new();
+    let mut topics = BTreeMap::<&str, (&str, u64, bool)>::new();
     for part in parts {
         for channel in part.index.channels.values() {
-            let (schema, messages) = topics.entry(&channel.topic).or_default();
+            let (schema, messages, untyped) = topics.entry(&channel.topic).or_default();
+            *untyped |= part.index.is_untyped(channel);
             *messages += part.index.channel_messages(channel.id).unwrap_or(0);
             if let Some(found) = part.index.schema_of(channel) {
                 *schema = &found.name;
@@ -229,7 +230,10 @@ fn topics_of(parts: &[LogPart]) -> Vec<Topic> {
     }
     topics
         .into_iter()
-        .map(|(name, (schema, messages))| Topic::new(name, schema, messages))
+        .map(|(name, (schema, messages, untyped))| Topic {
+            untyped,
+            ..Topic::new(name, schema, messages)
+        })
         .collect()
 }
 

@@ -65,6 +65,20 @@ impl Session {
         })
     }
 
+    /// Why a topic plays no role, though its message type would.
+    pub fn unfit(&self, topic: &str) -> Option<&'static str> {
+        let untyped = || {
+            self.parts.iter().any(|part| {
+                let mut channels = part.channels_of(topic);
+                channels.any(|channel| part.index.is_untyped(channel))
+            })
+        };
+        match self.is_silent(topic) {
+            true => Some("no messages"),
+            false => untyped().then_some("JSON whose schema names no fields"),
+        }
+    }
+
     /// Message types of its topics, as their logs spell them.
     pub fn message_types(&self) -> BTreeMap<String, String> {
         let typed = self.parts.iter().flat_map(|part| {

@@ -15,6 +15,11 @@ use crate::log::record::{MAGIC, nanoseconds};
 use crate::log::{linear, summary};
 use crate::losses::{Entry, LossLedger};
 
+/// Where a JSON Schema names fields.
+const PROPERTIES: &[u8] = b"\"properties\"";
+/// A schema that names no fields has nothing to say that is longer (bytes).
+const LONGEST_WITHOUT_FIELDS: usize = 1024;
+
 /// A stretch of the file that is read at once.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Unit {
@@ -213,6 +218,16 @@ impl LogIndex {
     /// The schema of a channel of this file; `None` where it has none.
     pub fn schema_of(&self, channel: &LogChannel) -> Option<&Arc<LogSchema>> {
         self.schemas.get(&channel.schema_id)
+    }
+
+    /// Whether a channel's messages are JSON of which no schema names the fields.
+    pub fn is_untyped(&self, channel: &LogChannel) -> bool {
+        let names_fields = |schema: &Arc<LogSchema>| {
+            let data = &schema.data;
+            let named = |word: &[u8]| word == PROPERTIES;
+            data.len() > LONGEST_WITHOUT_FIELDS || data.windows(PROPERTIES.len()).any(named)
+        };
+        channel.message_encoding == "json" && !self.schema_of(channel).is_some_and(names_fields)
     }
 
     /// Number of messages, where it is known.

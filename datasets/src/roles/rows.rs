@@ -59,6 +59,10 @@ impl RoleRows {
         for topic in topics {
             for channel in part.channels_of(topic) {
                 match part.decodable(channel) {
+                    Ok(_) if role.image.is_none() && part.index.is_untyped(channel) => {
+                        let none = "expected a schema that names the fields of messages, found JSON without any";
+                        refused.push((channel, Fault::data(none).at(format!("topic {topic}"))));
+                    }
                     Ok(message_type) => {
                         channels.insert(channel.id, found.len());
                         let members = role.members;

@@ -65,20 +65,7 @@ async fn every_real_log_has_the_rows_that_its_statistics_promise() {
         ] {
             count(&context, &format!("SELECT * FROM {role}")).await;
         }
-        // One log's odometry has positions without orientations.
-        let poses_lack = log.ends_with("mcap_explorer/demo.mcap");
-        let expected: Vec<Reason> = poses_lack
-            .then_some(Reason::Senseless)
-            .into_iter()
-            .collect();
-        let lost: Vec<Reason> = dataset.losses.losses().into_keys().collect();
-        assert_eq!(
-            lost,
-            expected,
-            "{}: {:?}",
-            log.display(),
-            dataset.losses.entries()
-        );
+        assert_eq!(dataset.losses.entries(), [], "{}", log.display());
     }
 }
 

@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
-use arrow::array::{Array, ArrayRef, RecordBatch};
-use arrow::compute::{can_cast_types, cast};
-use arrow::datatypes::{DataType, Field, Schema, SchemaRef};
+use arrow::array::{Array, ArrayRef, AsArray, RecordBatch};
+use arrow::compute::kernels::cmp::distinct;
+use arrow::compute::{CastOptions, can_cast_types, cast, cast_with_options};
+use arrow::datatypes::{DataType, Field, Float64Type, Schema, SchemaRef};
 use evermap_schemas::{Column, Fault, Layer, type_name};
 
 /// The batch with just the layer's columns, in its order and types.
@@ -43,15 +44,58 @@ pub fn conform_to(batch: &RecordBatch, schema: &SchemaRef) -> Result<RecordBatch
     Ok(RecordBatch::try_new(Arc::clone(schema), columns)?)
 }
 
-/// The column in another type.
+/// The column in another type. No value becomes null on the way, and no number loses its fraction.
 ///
 /// # Errors
-/// A data fault for types that do not convert.
+/// A data fault for types that do not convert, and for a value that the type does not hold.
 pub fn convert(array: &ArrayRef, to: &DataType) -> Result<ArrayRef, Fault> {
     if array.data_type() == to {
-        Ok(Arc::clone(array))
-    } else {
-        Ok(cast(array, to)?)
+        return Ok(Arc::clone(array));
+    }
+    let expected = || format!("expected {}", type_name(to));
+    if !fits(array.data_type(), to) {
+        let found = type_name(array.data_type());
+        return Err(Fault::data(format!("{}, found {found}", expected())));
+    }
+    let exact = CastOptions {
+        safe: false,
+        ..CastOptions::default()
+    };
+    let converted = cast_with_options(array, to, &exact).map_err(|error| {
+        let reason = error.to_string();
+        let reason = reason.trim_start_matches("Cast error: ");
+        Fault::data(format!("{}: {reason}", expected()))
+    })?;
+    match fraction(array, &converted)? {
+        Some(value) => Err(Fault::data(format!("{}, found {value}", expected()))),
+        None => Ok(converted),
+    }
+}
+
+/// A number with a fraction that became a whole one.
+fn fraction(from: &ArrayRef, to: &ArrayRef) -> Result<Option<f64>, Fault> {
+    match (from.data_type(), to.data_type()) {
+        (found, whole) if found.is_floating() && whole.is_integer() => {
+            let back = cast(to, found)?;
+            let changed = distinct(&back, from)?;
+            let first = changed.values().set_indices().next();
+            let value = |row| cast(&from.slice(row, 1), &DataType::Float64);
+            let value = first.map(value).transpose()?;
+            Ok(value.map(|one| one.as_primitive::<Float64Type>().value(0)))
+        }
+        (DataType::Struct(_), DataType::Struct(fields)) => {
+            for (field, to) in fields.iter().zip(to.as_struct().columns()) {
+                let found = from.as_struct().column_by_name(field.name());
+                if let Some(value) = found.map_or(Ok(None), |from| fraction(from, to))? {
+                    return Ok(Some(value));
+                }
+            }
+            Ok(None)
+        }
+        (DataType::List(_), DataType::List(_)) => {
+            fraction(from.as_list::<i32>().values(), to.as_list::<i32>().values())
+        }
+        _ => Ok(None),
     }
 }
 
@@ -111,6 +155,9 @@ fn fits(from: &DataType, to: &DataType) -> bool {
         (DataType::FixedSizeList(from, n), DataType::FixedSizeList(to, m)) => {
             n == m && fits(from.data_type(), to.data_type())
         }
+        (DataType::Dictionary(_, from), to) => fits(from, to),
+        // Whole nanoseconds, as pandas and numpy count them.
+        (whole, DataType::Timestamp(..)) if whole.is_integer() => true,
         _ if from.equals_datatype(to) || *from == DataType::Null => true,
         _ => {
             from.is_numeric() == to.is_numeric()
@@ -135,4 +182,61 @@ pub fn bare(schema: &Schema) -> SchemaRef {
         .map(|field| Field::new(field.name(), field.data_type().clone(), true))
         .collect();
     Arc::new(Schema::new(fields))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use arrow::array::{
+        BooleanArray, Float32Array, Float64Array, Int64Array, ListArray, StringArray, StructArray,
+    };
+    use arrow::datatypes::Int32Type;
+    use evermap_schemas::{Cell, Stamp};
+
+    use super::*;
+
+    fn told(array: impl Array + 'static, to: &DataType) -> String {
+        let array: ArrayRef = Arc::new(array);
+        convert(&array, to).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn no_value_becomes_null_or_another_one() {
+        let texts = || StringArray::from(vec!["1.5", "maybe"]);
+        for to in [
+            DataType::Float64,
+            DataType::Int64,
+            DataType::Boolean,
+            Stamp::data_type(),
+        ] {
+            assert!(told(texts(), &to).contains("found text"), "{to}");
+        }
+        let numbers = |values: Vec<f64>| Float64Array::from(values);
+        let fraction = told(numbers(vec![1.0, 1.7]), &DataType::Int64);
+        assert!(fraction.contains("expected i64, found 1.7"), "{fraction}");
+        let large = told(numbers(vec![3e20]), &DataType::Int64);
+        assert!(large.contains("expected i64"), "{large}");
+        assert!(told(Int64Array::from(vec![-1]), &DataType::UInt8).contains("expected u8"));
+        let flags = BooleanArray::from(vec![true]);
+        assert!(told(flags, &DataType::Int64).contains("found bool"));
+        let field = Arc::new(Field::new("x", DataType::Float64, true));
+        let values: ArrayRef = Arc::new(numbers(vec![0.5]));
+        let nested = StructArray::from(vec![(field, values)]);
+        let whole = Field::new("x", DataType::Int32, true);
+        assert!(told(nested, &DataType::Struct(vec![whole].into())).contains("found 0.5"));
+    }
+
+    #[test]
+    fn what_a_type_holds_converts() {
+        let whole: ArrayRef = Arc::new(Float64Array::from(vec![Some(2.0), None]));
+        let converted = convert(&whole, &DataType::UInt32).unwrap();
+        assert_eq!(converted.null_count(), 1);
+        let precise: ArrayRef = Arc::new(Float64Array::from(vec![0.1]));
+        let rounded = convert(&precise, &DataType::Float32).unwrap();
+        assert_eq!(rounded.as_ref(), &Float32Array::from(vec![0.1]));
+        let lists = vec![Some(vec![Some(1), None])];
+        let lists: ArrayRef = Arc::new(ListArray::from_iter_primitive::<Int32Type, _, _>(lists));
+        let item = Arc::new(Field::new_list_field(DataType::Float64, true));
+        assert!(convert(&lists, &DataType::List(item)).is_ok());
+    }
 }

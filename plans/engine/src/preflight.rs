@@ -262,9 +262,9 @@ fn nothing_to_make(session: &Session, lacks: &Lacks, others: usize) -> Fault {
     let topics = session.message_types();
     let mut topics: Vec<_> = topics
         .iter()
-        .map(|(topic, kind)| match session.is_silent(topic) {
-            true => format!("{topic} ({kind}, no messages)"),
-            false => format!("{topic} ({kind})"),
+        .map(|(topic, kind)| match session.unfit(topic) {
+            Some(reason) => format!("{topic} ({kind}, {reason})"),
+            None => format!("{topic} ({kind})"),
         })
         .collect();
     if topics.len() > 8 {

@@ -116,6 +116,10 @@ pub(super) fn plain_frame(frame: &str) -> String {
     frame.trim_start_matches('/').to_owned()
 }
 
+/// No position of a log is farther from its frame's origin (m): beyond the orbits of satellites, and a micrometre is told
+/// apart there still.
+pub const FARTHEST_M: f64 = 1e9;
+
 /// The decoded members of one message, or of one item in a list of messages.
 #[derive(Debug, Clone, Copy)]
 pub struct Fields<'a> {
@@ -199,15 +203,32 @@ impl<'a> Fields<'a> {
     /// A pose from a position and a quaternion; the quaternion is normalised.
     ///
     /// # Errors
-    /// In words, when a number is missing or not finite, or the quaternion has no length.
+    /// In words, when a number is missing or not finite, the position beyond [`FARTHEST_M`], or the quaternion has no
+    /// length.
     pub fn pose(&self, position: &[&str], rotation: &[&str]) -> Result<Pose, String> {
         let part = |path: &[&str], name: &str| {
             let path = [path, &[name]].concat();
-            self.number(&path)
+            let found = self.number(&path);
+            found
                 .filter(|number| number.is_finite())
-                .ok_or_else(|| format!("expected a finite number at {}", path.join(".")))
+                .ok_or_else(|| match found {
+                    Some(found) => format!(
+                        "expected a finite number at {}, found {found}",
+                        path.join(".")
+                    ),
+                    None => format!("expected a number at {}, found none", path.join(".")),
+                })
         };
-        let [x, y, z] = ["x", "y", "z"].map(|name| part(position, name));
+        let near = |name: &str| match part(position, name) {
+            Ok(far) if far.abs() > FARTHEST_M => {
+                let path = [position, &[name]].concat().join(".");
+                Err(format!(
+                    "expected at most {FARTHEST_M:e} m at {path}, found {far:e}"
+                ))
+            }
+            found => found,
+        };
+        let [x, y, z] = ["x", "y", "z"].map(near);
         let [qx, qy, qz, qw] = ["x", "y", "z", "w"].map(|name| part(rotation, name));
         let (qx, qy, qz, qw) = (qx?, qy?, qz?, qw?);
         let norm = (qx * qx + qy * qy + qz * qz + qw * qw).sqrt();

@@ -122,8 +122,15 @@ impl Role {
         let Some(messages) = self.messages() else {
             return Vec::new();
         };
+        // An image is found in a message whose fields nobody named; all else is read by them.
+        let readable = |topic: &&Topic| !topic.untyped || messages.image.is_some();
         let typed = |topic: &&Topic| messages.types.contains(&topic.message_type.as_str());
-        let candidates: Vec<Topic> = topics.iter().filter(typed).cloned().collect();
+        let candidates: Vec<Topic> = topics
+            .iter()
+            .filter(typed)
+            .filter(readable)
+            .cloned()
+            .collect();
         let mut chosen = (messages.choose)(&candidates);
         chosen.sort_by(|a, b| a.topic.cmp(&b.topic));
         chosen
@@ -139,6 +146,8 @@ pub struct Topic {
     pub message_type: String,
     /// Number of messages; 0 where it is not known.
     pub messages: u64,
+    /// Whether its schema names no fields.
+    pub untyped: bool,
 }
 
 impl Topic {
@@ -150,6 +159,7 @@ impl Topic {
             name: name.to_owned(),
             message_type: plain.replace("foxglove_msgs/", "foxglove."),
             messages,
+            untyped: false,
         }
     }
 }

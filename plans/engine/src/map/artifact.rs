@@ -3,15 +3,11 @@
 use arrow::datatypes::Schema;
 use datafusion::prelude::{DataFrame, ParquetReadOptions, SessionContext};
 use evermap_schemas::Fault;
-use object_store::ObjectStoreExt;
 
 use crate::error::OrFault;
 use crate::map::receipt::Artifact;
 use crate::map::store::{Store, each};
 use crate::sql::{Limits, context};
-
-/// The last bytes of a Parquet file that was written to its end: how long its metadata is, and `PAR1`.
-const PARQUET_END: usize = 8;
 
 /// The rows of some Parquet files of a map, as one table: of this schema, or, where none is given, of the files' own.
 ///
@@ -34,24 +30,6 @@ pub async fn read_files(
         ..ParquetReadOptions::default()
     };
     context.read_parquet(urls, options).await.or_fault()
-}
-
-/// Whether a Parquet file was written to its end.
-///
-/// # Errors
-/// A resource fault when the store does not answer.
-pub async fn is_whole(store: &Store, name: &str, bytes: u64) -> Result<bool, Fault> {
-    let Some(end) = bytes.checked_sub(PARQUET_END as u64) else {
-        return Ok(false);
-    };
-    let path = store.path(name);
-    let found = store.objects().get_range(&path, end..bytes).await;
-    let found = found.map_err(|error| crate::error::store_fault(&error, name))?;
-    let Some((length, mark)) = found.split_first_chunk::<4>() else {
-        return Ok(false);
-    };
-    // What reads Parquet believes the length of what lies before these bytes.
-    Ok(mark == b"PAR1" && u64::from(u32::from_le_bytes(*length)) <= end)
 }
 
 /// The rows of artifacts, as one table.

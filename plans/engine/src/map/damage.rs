@@ -10,6 +10,9 @@ use crate::error::store_fault;
 use crate::map::receipt::Artifact;
 use crate::map::store::Store;
 
+/// The last bytes of a Parquet file that was written to its end: how long its metadata is, and `PAR1`.
+const PARQUET_END: usize = 8;
+
 /// A file of a map that is not what was written.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Damage {
@@ -58,6 +61,15 @@ impl Artifact {
         })
     }
 
+    /// That its last bytes are not those that end a Parquet file.
+    pub fn without_end(&self) -> Damage {
+        Damage {
+            file: self.name(),
+            expected: "the end of a Parquet file".to_owned(),
+            found: Some("other bytes".to_owned()),
+        }
+    }
+
     /// What is wrong with it as far as its content tells. Reads all of it.
     ///
     /// # Errors
@@ -65,6 +77,24 @@ impl Artifact {
     pub async fn content_damage(&self, store: &Store) -> Result<Option<Damage>, Fault> {
         content_damage(store, &self.name(), self.content.clone()).await
     }
+}
+
+/// Whether a Parquet file was written to its end.
+///
+/// # Errors
+/// A resource fault when the store does not answer.
+pub async fn is_whole(store: &Store, name: &str, bytes: u64) -> Result<bool, Fault> {
+    let Some(end) = bytes.checked_sub(PARQUET_END as u64) else {
+        return Ok(false);
+    };
+    let path = store.path(name);
+    let found = store.objects().get_range(&path, end..bytes).await;
+    let found = found.map_err(|error| store_fault(&error, name))?;
+    let Some((length, mark)) = found.split_first_chunk::<4>() else {
+        return Ok(false);
+    };
+    // What reads Parquet believes the length of what lies before these bytes.
+    Ok(mark == b"PAR1" && u64::from(u32::from_le_bytes(*length)) <= end)
 }
 
 /// Whether the file at a name has another content than this digest says.

@@ -13,7 +13,7 @@ use object_store::ObjectMeta;
 use object_store::path::Path as ObjectPath;
 
 use crate::fingerprint::FileState;
-use crate::map::damage::Damage;
+use crate::map::damage::{Damage, is_whole};
 use crate::map::receipt::{ARTIFACTS, Artifact, Receipt};
 use crate::map::store::{Store, each};
 use crate::map::version::Version;
@@ -70,7 +70,7 @@ impl<'s> Sound<'s> {
     /// published, as a map's copy looks like too, are read whole unless they are known.
     ///
     /// # Errors
-    /// A data fault for the first that is damaged or missing, a resource fault when the store does not answer.
+    /// A data fault for the first that is damaged or missing; a resource fault when the store does not answer.
     pub async fn check(
         store: &'s Store,
         version: &Version,
@@ -92,14 +92,31 @@ impl<'s> Sound<'s> {
             }
         }
         if changed.is_empty() {
-            return Ok(());
+            return Self::check_ends(store, artifacts).await;
         }
         let sound = Self::remembered(store).await?;
         let read = changed
             .into_iter()
             .map(|(artifact, meta)| sound.damage_of(artifact, meta));
         let damage = each(read).await?.into_iter().flatten().next();
-        damage.map_or(Ok(()), |damage| Err(damage.into()))
+        match damage {
+            Some(damage) => Err(damage.into()),
+            None => Self::check_ends(store, artifacts).await,
+        }
+    }
+
+    /// That artifacts in a folder end as Parquet files do: whoever reads them believes the length there, in which a disk may
+    /// have flipped a bit.
+    async fn check_ends(store: &'s Store, artifacts: &[Artifact]) -> Result<(), Fault> {
+        if store.folder.is_none() {
+            return Ok(());
+        }
+        let ends = artifacts
+            .iter()
+            .map(async |artifact| is_whole(store, &artifact.name(), artifact.bytes).await);
+        let ends = each(ends).await?;
+        let torn = artifacts.iter().zip(ends).find(|(_, whole)| !whole);
+        torn.map_or(Ok(()), |(torn, _)| Err(torn.without_end().into()))
     }
 
     /// What is wrong with an artifact: it is read unless its file is as it was when it was last found right.

@@ -16,7 +16,8 @@ use evermap_schemas::{Fault, Layer, LayerRow, batch};
 use tokio::sync::OnceCell;
 
 use crate::error::{OrFault, external};
-use crate::map::artifact::{is_whole, read_files};
+use crate::map::artifact::read_files;
+use crate::map::damage::is_whole;
 use crate::map::flat;
 use crate::map::logs::LogTables;
 use crate::map::receipt::Artifact;

@@ -5,8 +5,7 @@ use std::time::Duration;
 
 use evermap_schemas::{Fault, Kind, record};
 
-use crate::map::artifact::is_whole;
-use crate::map::damage::{Damage, content_damage};
+use crate::map::damage::{Damage, content_damage, is_whole};
 use crate::map::parts::PARTS;
 use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
 use crate::map::store::{Store, each};

@@ -29,6 +29,9 @@ pub const DIMENSIONS: usize = 2 + 2 * DIRECTIONS.len();
 /// are 255.
 pub fn features(labels: &Labels<'_>, wraps: bool, kinds: &Kinds, pixels: &[usize]) -> Vec<u8> {
     let (width, height) = (labels.width as usize, labels.height as usize);
+    if pixels.is_empty() {
+        return Vec::new();
+    }
     let mut values = vec![0; pixels.len() * DIMENSIONS];
     for (values, pixel) in values.chunks_exact_mut(DIMENSIONS).zip(pixels) {
         values[0] = labels.values[*pixel];
@@ -82,6 +85,9 @@ pub fn examples(
     let was_seen =
         |pixel: &usize| kinds.is_dynamic(before[*pixel]) && kinds.is_static(after.values[*pixel]);
     let mut examples = Examples::default();
+    if !(0..after.values.len()).any(|pixel| was_seen(&pixel)) {
+        return examples;
+    }
     for moved in MOVED {
         let moved = (moved * width as f64).round() as isize;
         let holed = with_holes(after, wraps, kinds, moved);

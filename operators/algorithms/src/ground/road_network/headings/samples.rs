@@ -91,6 +91,10 @@ fn spaced(poses: &[Numbered], step_m: f64) -> Vec<([f64; 3], u32, u32)> {
             }
             let t = step_m / away;
             let next = [0, 1, 2].map(|k| last.0[k] + t * (position[k] - last.0[k]));
+            // So far from the origin that the next number is more than a step away.
+            if next == last.0 {
+                break;
+            }
             kept.push((next, before, at));
         }
     }
