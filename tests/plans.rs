@@ -218,6 +218,17 @@ fn a_query_of_the_version_before_is_refused() {
 }
 
 #[test]
+fn the_page_of_plans_names_every_table_of_a_session() {
+    let page = page("docs/plans.md");
+    let said = page.split("Sessions give the tables").nth(1).unwrap();
+    let said = said.lines().next().unwrap();
+    for role in evermap_schemas::roles::ALL {
+        let name = format!("`{}`", role.name);
+        assert!(said.contains(&name), "{name} is not in docs/plans.md");
+    }
+}
+
+#[test]
 fn the_plans_in_the_docs_check() {
     let docs = ["README.md", "docs/plans.md"].map(page).concat();
     let folder = tempfile::tempdir().unwrap();

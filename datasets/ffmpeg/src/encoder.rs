@@ -1,4 +1,4 @@
-//! From pictures to frames: what simulated cameras record, with the rules of `foxglove.CompressedVideo`.
+//! From pictures to frames, with the rules of `foxglove.CompressedVideo`: what tests have for a camera's video.
 
 use evermap_video::{Codec, Colours};
 use ffmpeg_next::format::Pixel;

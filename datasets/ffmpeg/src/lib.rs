@@ -1,4 +1,4 @@
-//! H.264 and H.265 frames to pictures, and back for simulated cameras. The only crate that links FFmpeg.
+//! H.264 and H.265 frames to pictures, and back for tests. The only crate that links FFmpeg.
 //!
 //! [`serve`] is all that the program `evermap-video` does: a process for each decoder that is at work, so that a frame
 //! that crashes FFmpeg ends nothing but its own stream, and that the program that asks starts without FFmpeg's

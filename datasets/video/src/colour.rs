@@ -52,7 +52,7 @@ impl Colours {
         .map(|value| (value >> 8).clamp(0, 255) as u8)
     }
 
-    /// Luma and chroma of red, green and blue as [`Colours::USUAL`] reads them: what simulated cameras record.
+    /// Luma and chroma of red, green and blue as [`Colours::USUAL`] reads them: what the encoder of tests writes.
     pub fn usual_yuv([red, green, blue]: [u8; 3]) -> [u8; 3] {
         let (red, green, blue) = (i32::from(red), i32::from(green), i32::from(blue));
         let of = |[r, g, b]: [i32; 3], zero: i32| {

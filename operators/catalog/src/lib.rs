@@ -173,6 +173,12 @@ mod tests {
     }
 
     #[test]
+    fn the_walk_through_shows_the_file_of_its_operator() {
+        let walk = include_str!("../../../docs/adding-an-operator.md");
+        assert!(walk.contains(include_str!("metric_map/speeds.rs")));
+    }
+
+    #[test]
     fn pages_leave_ports_and_parameters_to_their_declarations() {
         for entry in registry().entries() {
             let (name, page) = (entry.name, entry.page.0);

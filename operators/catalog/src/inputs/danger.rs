@@ -7,7 +7,7 @@ use evermap_algorithms::ground::danger::DangerField;
 use evermap_algorithms::ground::danger::exposure::look_ns;
 use evermap_algorithms::ground::danger::field::Seen;
 use evermap_algorithms::ground::danger::foretelling::{Ground, Visit};
-use evermap_algorithms::ground::danger::presence::{Sighting, presence};
+use evermap_algorithms::ground::danger::presence::{FoundPerson, presence};
 use evermap_algorithms::solving::least_squares::SystemError;
 use evermap_contract::{Emit, Fault, Port, Sides};
 use evermap_schemas::Stamp;
@@ -59,19 +59,19 @@ pub(crate) fn site_ground(
         )));
     }
     let named = kinds_of_cells(expected, sides, cell_m, emit)?;
-    let mut sightings = sightings(sides)?;
+    let mut found = found_people(sides)?;
     let mut cells: Vec<Cell> = exposure.iter().map(|row| [row.column, row.row]).collect();
     cells.extend(named.keys());
     cells.sort_unstable();
     cells.dedup();
     let mut visits = Vec::new();
     for (session, looks) in by_visit(exposure) {
-        let of_session = sightings.remove(&session).unwrap_or_default();
+        let of_session = found.remove(&session).unwrap_or_default();
         let (people, senseless) = presence(&of_session, cell_m, look_ns(look_s));
         emit.skip("person without a finite position", senseless);
         visits.push(visit(&cells, &looks, &people));
     }
-    let unseen = sightings.values().map(Vec::len).sum::<usize>();
+    let unseen = found.values().map(Vec::len).sum::<usize>();
     emit.skip("person in a session that looked at nothing", unseen as u64);
     let names: Vec<String> = expected.keys().cloned().collect();
     let other = names.iter().position(|name| name == OTHER).unwrap_or(0);
@@ -125,16 +125,16 @@ fn visit(cells: &[Cell], looks: &Looks, people: &BTreeMap<Cell, f64>) -> Visit {
     looks.iter().filter_map(seen).collect()
 }
 
-fn sightings(sides: &Sides) -> Result<BTreeMap<String, Vec<Sighting>>, Fault> {
-    let mut by_session: BTreeMap<String, Vec<Sighting>> = BTreeMap::new();
+fn found_people(sides: &Sides) -> Result<BTreeMap<String, Vec<FoundPerson>>, Fault> {
+    let mut by_session: BTreeMap<String, Vec<FoundPerson>> = BTreeMap::new();
     for row in sides.rows::<PersonOnGround>("people_on_ground")? {
-        let sighting = Sighting {
+        let person = FoundPerson {
             stamp: row.stamp.0,
             position: [row.x, row.y],
             covariance: [row.var_x_m2, row.cov_xy_m2, row.var_y_m2],
             probability: row.probability,
         };
-        by_session.entry(row.session).or_default().push(sighting);
+        by_session.entry(row.session).or_default().push(person);
     }
     Ok(by_session)
 }

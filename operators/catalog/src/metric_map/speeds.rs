@@ -64,13 +64,4 @@ mod tests {
     fn the_example_and_the_laws_hold() {
         laws::check(&Entry::of::<Speeds>()).unwrap();
     }
-
-    #[test]
-    fn the_walk_through_shows_this_file() {
-        let operator = include_str!("speeds.rs")
-            .split("\n#[cfg(test)]")
-            .next()
-            .unwrap();
-        assert!(include_str!("../../../../docs/adding-an-operator.md").contains(operator));
-    }
 }

@@ -1,7 +1,7 @@
 //! In how many looks somebody was in a cell.
 //!
 //! A person is found in several images of one look, and not exactly in one cell. So in each look a cell is given the
-//! probability that at least one of its sightings was there, as if they erred independently; over looks these
+//! probability that at least one of those found was there, as if they erred independently; over looks these
 //! probabilities add up.
 
 use std::collections::BTreeMap;
@@ -10,7 +10,7 @@ use crate::ground::cells::{Cell, between, middle};
 
 /// A person found in one image.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sighting {
+pub struct FoundPerson {
     /// When, ns.
     pub stamp: i64,
     /// Where the feet are in the map, m.
@@ -32,18 +32,18 @@ pub fn look(stamp: i64, look_ns: i64) -> i64 {
     stamp.div_euclid(look_ns.max(1))
 }
 
-/// How the sightings of one session share out to cells, and the number of those that make no sense.
-pub fn presence(sightings: &[Sighting], cell_m: f64, look_ns: i64) -> (BTreeMap<Cell, f64>, u64) {
+/// How those found in one session share out to cells, and the number of those that make no sense.
+pub fn presence(found: &[FoundPerson], cell_m: f64, look_ns: i64) -> (BTreeMap<Cell, f64>, u64) {
     let mut absent: BTreeMap<(i64, Cell), f64> = BTreeMap::new();
     let mut senseless = 0;
-    for sighting in sightings {
-        let Some(shares) = shares(sighting, cell_m) else {
+    for person in found {
+        let Some(shares) = shares(person, cell_m) else {
             senseless += 1;
             continue;
         };
-        let look = look(sighting.stamp, look_ns);
+        let look = look(person.stamp, look_ns);
         for (cell, share) in shares {
-            *absent.entry((look, cell)).or_insert(1.0) *= 1.0 - sighting.probability * share;
+            *absent.entry((look, cell)).or_insert(1.0) *= 1.0 - person.probability * share;
         }
     }
     let mut people = BTreeMap::new();
@@ -54,17 +54,17 @@ pub fn presence(sightings: &[Sighting], cell_m: f64, look_ns: i64) -> (BTreeMap<
 }
 
 /// The probability of each cell that the person is in it, by the density at the cell's middle; they add up to 1.
-fn shares(sighting: &Sighting, cell_m: f64) -> Option<Vec<(Cell, f64)>> {
+fn shares(person: &FoundPerson, cell_m: f64) -> Option<Vec<(Cell, f64)>> {
     // A place within a cell is uniform on it.
     let within = cell_m * cell_m / 12.0;
-    let [xx, xy, yy] = sighting.covariance;
+    let [xx, xy, yy] = person.covariance;
     let (xx, yy) = (xx + within, yy + within);
     let determinant = xx * yy - xy * xy;
     let sound = xx >= within && yy >= within && determinant > 0.0 && determinant.is_finite();
-    if !sound || !(0.0..=1.0).contains(&sighting.probability) {
+    if !sound || !(0.0..=1.0).contains(&person.probability) {
         return None;
     }
-    let [x, y] = sighting.position;
+    let [x, y] = person.position;
     let [reach_x, reach_y] = [xx, yy].map(|v| (REACH * v.sqrt()).min(FARTHEST_M));
     let low = [x - reach_x, y - reach_y];
     let [columns, rows] = between(low, [x + reach_x, y + reach_y], cell_m)?;

@@ -7,7 +7,7 @@ use super::DangerField;
 use super::exposure::{ExposureParams, Looks, Shot, Standing, Surroundings};
 use super::field::{Seen, Weights};
 use super::foretelling::{Ground, Visit};
-use super::presence::{Sighting, presence};
+use super::presence::{FoundPerson, presence};
 use super::speed::SpeedParams;
 use crate::geometry::camera::Camera;
 use crate::geometry::pose::Pose;
@@ -103,9 +103,9 @@ fn areas_have_the_cells_whose_middles_they_hold() {
     );
 }
 
-fn sighting(stamp: i64, position: [f64; 2], sigma_m: f64) -> Sighting {
+fn found(stamp: i64, position: [f64; 2], sigma_m: f64) -> FoundPerson {
     let variance = sigma_m * sigma_m;
-    Sighting {
+    FoundPerson {
         stamp,
         position,
         covariance: [variance, 0.0, variance],
@@ -116,14 +116,14 @@ fn sighting(stamp: i64, position: [f64; 2], sigma_m: f64) -> Sighting {
 #[test]
 fn a_person_is_in_one_cell_of_a_look_and_is_counted_once_in_it() {
     let second = 1_000_000_000;
-    let sure = |stamp| sighting(stamp, [0.25, 0.25], 0.01);
+    let sure = |stamp| found(stamp, [0.25, 0.25], 0.01);
     let (people, senseless) = presence(&[sure(0), sure(second / 10), sure(second)], 0.5, second);
     assert_eq!(senseless, 0);
     assert!(
         people[&[0, 0]] > 1.9 && people[&[0, 0]] <= 2.0,
         "{people:?}"
     );
-    let (people, _) = presence(&[sighting(0, [0.25, 0.25], 0.5)], 0.5, second);
+    let (people, _) = presence(&[found(0, [0.25, 0.25], 0.5)], 0.5, second);
     let all: f64 = people.values().sum();
     assert!((all - 1.0).abs() < 1e-9 && people[&[0, 0]] > people[&[1, 0]]);
     let mut bad = [sure(0), sure(0), sure(0)];
