@@ -1,6 +1,7 @@
 //! What each pixel is by itself.
 
-use super::{CrfError, MOST_CLASSES};
+use super::CrfError;
+use crate::semantic_map::semantic_graph::MOST_CLASSES;
 
 /// Probabilities below this are taken for it, so that a classifier that is sure can still be overruled: the reference
 /// implementation's choice.
