@@ -9,6 +9,7 @@ use crate::map::artifact::is_whole;
 use crate::map::damage::{Damage, content_damage};
 use crate::map::parts::PARTS;
 use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
+use crate::map::rows::RUNS;
 use crate::map::store::{Store, each};
 use crate::map::version::Version;
 
@@ -179,8 +180,7 @@ impl Verified {
         let mut digests: BTreeSet<String> = needed.receipts.keys().cloned().collect();
         let listed = store.list(RECEIPTS).await?;
         for (name, _) in listed.iter().filter(|_| all) {
-            let stem = name.strip_prefix("receipts/");
-            match stem.and_then(|name| name.strip_suffix(".json")) {
+            match Receipt::digest_of(name) {
                 Some(digest) => drop(digests.insert(digest.to_owned())),
                 None => self.findings.push(unreferenced(name)),
             }
@@ -250,7 +250,7 @@ impl Verified {
         for (name, _) in store.temporary(Duration::ZERO).await? {
             self.findings.push(unreferenced(&name));
         }
-        for (name, bytes) in store.list("runs").await? {
+        for (name, bytes) in store.list(RUNS).await? {
             if !is_whole(store, &name, bytes).await? {
                 let fault = Fault::data("expected a Parquet file, found one that is torn");
                 self.findings.push(unreadable(&name, &fault, None));

@@ -22,6 +22,7 @@ use parquet::schema::types::ColumnDescPtr;
 use tokio::io::AsyncWriteExt;
 
 use crate::error::OrFault;
+use crate::map::TEMPORARY;
 use crate::map::receipt::Artifact;
 use crate::map::store::Store;
 use crate::unit::build::Builder;
@@ -39,7 +40,7 @@ pub async fn write(
     plan: Arc<dyn ExecutionPlan>,
     builder: &Builder<'_>,
 ) -> Result<(String, Artifact, NodeWork), Fault> {
-    let temporary = format!("tmp/{}.parquet", uuid::Uuid::new_v4());
+    let temporary = format!("{TEMPORARY}/{}.parquet", uuid::Uuid::new_v4());
     match write_to(store, &temporary, plan, builder).await {
         Ok((artifact, writing)) => Ok((temporary, artifact, writing)),
         Err(fault) => {
