@@ -52,35 +52,6 @@ impl Unary {
         Self::new(classes, probabilities.iter().map(cost).collect())
     }
 
-    /// From labels that are right with probability `confidence` (within 0 and 1, both excluded), and else any other
-    /// class. A label that is no class says nothing.
-    ///
-    /// # Errors
-    /// [`CrfError`] for no or too many classes, or another confidence.
-    pub fn from_labels(classes: usize, labels: &[u8], confidence: f64) -> Result<Self, CrfError> {
-        if !(confidence > 0.0 && confidence < 1.0) {
-            return Err(CrfError::Number {
-                what: "confidence",
-                expected: "a probability between 0 and 1",
-                found: confidence,
-            });
-        }
-        let others = (classes.max(2) - 1) as f64;
-        let (right, wrong) = (-confidence.ln(), -((1.0 - confidence) / others).ln());
-        let unknown = (classes as f64).ln();
-        let mut costs = Vec::with_capacity(labels.len() * classes);
-        for label in labels {
-            let known = usize::from(*label) < classes;
-            let cost = |class| match class == usize::from(*label) {
-                _ if !known => unknown as f32,
-                true => right as f32,
-                false => wrong as f32,
-            };
-            costs.extend((0..classes).map(cost));
-        }
-        Self::new(classes, costs)
-    }
-
     /// Number of classes.
     pub fn classes(&self) -> usize {
         self.classes
