@@ -22,9 +22,8 @@ use parquet::schema::types::ColumnDescPtr;
 use tokio::io::AsyncWriteExt;
 
 use crate::error::OrFault;
-use crate::map::TEMPORARY;
 use crate::map::receipt::Artifact;
-use crate::map::store::Store;
+use crate::map::store::{Store, TEMPORARY};
 use crate::unit::build::Builder;
 use crate::unit::work::NodeWork;
 
