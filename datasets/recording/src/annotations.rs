@@ -127,6 +127,25 @@ fn part(target: &Path, number: u32) -> String {
     }
 }
 
+/// The parts of a log that there are, in the order they were written; none where there is no such log.
+pub fn parts(target: &Path) -> Vec<PathBuf> {
+    let number = |path: &Path| {
+        let (own, name) = (stem(target), stem(path));
+        let number = match name.strip_prefix(&own)? {
+            "" => 1,
+            rest => rest.strip_prefix('_')?.parse().ok()?,
+        };
+        (path.extension() == target.extension() && part(target, number) == name).then_some(number)
+    };
+    let entries = std::fs::read_dir(folder(target)).into_iter().flatten();
+    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    let mut found: Vec<(u32, PathBuf)> = paths
+        .filter_map(|path| Some((number(&path)?, path)))
+        .collect();
+    found.sort();
+    found.into_iter().map(|(_, path)| path).collect()
+}
+
 /// The folder that a file is in.
 fn folder(path: &Path) -> &Path {
     let parent = path

@@ -7,7 +7,7 @@ use std::path::Path;
 use crate::common::{open, rows};
 use evermap_datasets::Reason;
 use evermap_messages::annotation::{Anchor, Annotation, Drawn, Geometry, NAME, OnImage, SCHEMA};
-use evermap_recording::annotations::AnnotationLog;
+use evermap_recording::annotations::{AnnotationLog, parts};
 use evermap_schemas::roles::{self, Role};
 use evermap_schemas::rows as typed;
 
@@ -137,6 +137,7 @@ async fn a_killed_program_leaves_all_that_was_said_and_is_gone_on_from() {
     let second = log.finish().unwrap();
     assert_eq!(second.file_name().unwrap(), "labels_2.mcap");
     assert_eq!(fs::read(&target).unwrap(), left);
+    assert_eq!(parts(&target), [target, second]);
 }
 
 #[tokio::test]
@@ -152,16 +153,25 @@ async fn one_who_speaks_twice_at_once_writes_two_parts() {
         let (found, lost) = read(&log.finish().unwrap()).await;
         assert_eq!((found.len(), lost), (2, vec![]));
     }
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+    assert_eq!(parts(&target).len(), 2);
 }
 
 #[test]
-fn a_name_that_the_map_has_is_not_taken_again() {
+fn a_name_that_the_map_has_is_not_taken_again_and_parts_may_be_missing() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("labels.mcap");
     let taken = |name: &str| ["labels", "labels_2"].contains(&name);
     let log = AnnotationLog::begin(&target, taken, "a test").unwrap();
     assert_eq!(log.path(), folder.path().join("labels_3.mcap"));
+    for other in [
+        "labels_x.mcap",
+        "labels_04.mcap",
+        "labels_5.json",
+        "label.mcap",
+    ] {
+        fs::write(folder.path().join(other), "").unwrap();
+    }
+    assert_eq!(parts(&target), [log.path()]);
 }
 
 #[tokio::test]
