@@ -118,7 +118,7 @@ fn drawn(label: &str, x: f64, y: f64) -> Annotation {
 
 fn say(path: &Path, acts: &[Annotation]) {
     let mut log = AnnotationLog::begin(path, |_| false, "a test").unwrap();
-    acts.iter().for_each(|act| log.say(act).unwrap());
+    log.say_all(acts).unwrap();
     log.finish().unwrap();
 }
 

@@ -144,6 +144,9 @@ impl Place {
 }
 
 impl ImageReader {
+    /// Bytes of opened chunks that readers usually keep.
+    pub const CACHE_BYTES: u64 = 64 << 20;
+
     /// A reader of the images of a dataset that keeps up to `cache_bytes` of opened chunks.
     pub fn new(dataset: &Dataset, cache_bytes: u64) -> Self {
         let parts = dataset.parts().into_iter();

@@ -179,7 +179,7 @@ def watched(http):
     gone.channels, gone.info, gone.state, gone.time = {}, None, None, None
     assert gone.next()["op"] == "serverInfo"
     said = gone.next()
-    assert said["op"] == "status" and "no poses of that session" in said["message"], said
+    assert said["op"] == "status" and "no poses of session sunday" in said["message"], said
 
     for code, more in [
         (403, {"origin": "https://evil.example"}),

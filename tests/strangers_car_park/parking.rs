@@ -128,7 +128,7 @@ impl Person {
                 anchor: None,
                 image: None,
             };
-            log.say(&act).unwrap();
+            log.say_all(&[act]).unwrap();
         }
         log.finish().unwrap();
         self.said = self.acts.len();

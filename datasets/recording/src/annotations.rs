@@ -61,14 +61,6 @@ impl AnnotationLog {
         })
     }
 
-    /// Writes an act. When this returns, the act is on the disk.
-    ///
-    /// # Errors
-    /// [`RecordingError`]; the act may then be lost, those before it are not.
-    pub fn say(&mut self, act: &Annotation) -> Result<(), RecordingError> {
-        self.say_all(std::slice::from_ref(act))
-    }
-
     /// Writes acts that are said together. When this returns, all are on the disk.
     ///
     /// # Errors

@@ -85,8 +85,8 @@ async fn what_was_said_is_read_back() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("labels.mcap");
     let mut log = AnnotationLog::begin(&target, |_| false, "a test").unwrap();
-    log.say(&drawn(0)).unwrap();
-    log.say(&removed(1)).unwrap();
+    log.say_all(&[drawn(0)]).unwrap();
+    log.say_all(&[removed(1)]).unwrap();
     assert_eq!(log.finish().unwrap(), target);
     let (found, lost) = read(&target).await;
     assert!(lost.is_empty(), "{lost:?}");
@@ -114,9 +114,9 @@ async fn a_killed_program_leaves_all_that_was_said_and_is_gone_on_from() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("labels.mcap");
     let mut log = AnnotationLog::begin(&target, |_| false, "a test").unwrap();
-    log.say(&drawn(0)).unwrap();
+    log.say_all(&[drawn(0)]).unwrap();
     let one = fs::metadata(&target).unwrap().len();
-    log.say(&drawn(1)).unwrap();
+    log.say_all(&[drawn(1)]).unwrap();
     // Killed: nothing is written any more.
     std::mem::forget(log);
     let left = fs::read(&target).unwrap();
@@ -133,7 +133,7 @@ async fn a_killed_program_leaves_all_that_was_said_and_is_gone_on_from() {
 
     // The next sitting has a part of its own, and leaves the first one alone.
     let mut log = AnnotationLog::begin(&target, |_| false, "a test").unwrap();
-    log.say(&drawn(2)).unwrap();
+    log.say_all(&[drawn(2)]).unwrap();
     let second = log.finish().unwrap();
     assert_eq!(second.file_name().unwrap(), "labels_2.mcap");
     assert_eq!(fs::read(&target).unwrap(), left);
@@ -147,7 +147,7 @@ async fn one_who_speaks_twice_at_once_writes_two_parts() {
     let begin = || AnnotationLog::begin(&target, |_| false, "a test").unwrap();
     let mut logs = [begin(), begin()];
     for number in 0..4 {
-        logs[number % 2].say(&drawn(number as u64)).unwrap();
+        logs[number % 2].say_all(&[drawn(number as u64)]).unwrap();
     }
     for log in logs {
         let (found, lost) = read(&log.finish().unwrap()).await;
@@ -184,7 +184,7 @@ async fn messages_that_make_no_sense_are_counted_and_the_others_read() {
         change(&mut act);
         act
     };
-    log.say(&drawn(0)).unwrap();
+    log.say_all(&[drawn(0)]).unwrap();
     for act in [
         changed(1, |act| act.act = "painted".into()),
         changed(2, |act| {
@@ -197,10 +197,10 @@ async fn messages_that_make_no_sense_are_counted_and_the_others_read() {
         changed(5, |act| act.geometry = None),
         changed(6, |act| act.id.clear()),
     ] {
-        log.say(&act).unwrap();
+        log.say_all(&[act]).unwrap();
     }
     // Kinds are data.
-    log.say(&changed(7, |act| act.kind = "heliport".into()))
+    log.say_all(&[changed(7, |act| act.kind = "heliport".into())])
         .unwrap();
     log.finish().unwrap();
     let (context, dataset) = open(&[path.to_str().unwrap().to_owned()], 1).await;
@@ -222,11 +222,11 @@ async fn what_is_said_of_images_is_a_table_of_its_own() {
         act.image.iter_mut().for_each(change);
         act
     };
-    log.say(&drawn(0)).unwrap();
-    log.say(&painted(1)).unwrap();
+    log.say_all(&[drawn(0)]).unwrap();
+    log.say_all(&[painted(1)]).unwrap();
     let mut removed = changed(2, |image| image.drawn = None);
     removed.act = "removed".into();
-    log.say(&removed).unwrap();
+    log.say_all(&[removed]).unwrap();
     for bad in [
         changed(3, |image| image.drawn = None),
         changed(4, |image| image.stamp_ns = 0),
@@ -251,7 +251,7 @@ async fn what_is_said_of_images_is_a_table_of_its_own() {
             ..painted(8)
         },
     ] {
-        log.say(&bad).unwrap();
+        log.say_all(&[bad]).unwrap();
     }
     log.finish().unwrap();
     let (in_map, lost) = read(&path).await;
@@ -293,6 +293,12 @@ fn the_schema_names_what_is_written_and_the_role_reads_it() {
     for member in payload.as_object().unwrap().keys() {
         assert!(declared.contains_key(member), "{member}");
     }
+    assert_eq!(
+        declared["act"]["enum"],
+        serde_json::json!(roles::annotations::ACTS)
+    );
+    let shapes = roles::annotations::SHAPES.map(|(shape, _)| shape);
+    assert_eq!(declared["shape"]["enum"], serde_json::json!(shapes));
     let Role { source, .. } = roles::annotations::ROLE;
     let roles::Source::Messages(messages) = source else {
         panic!()

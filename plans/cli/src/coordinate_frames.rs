@@ -6,6 +6,7 @@ use std::fmt;
 use arrow::array::RecordBatch;
 use arrow::util::display::array_value_to_string;
 use datafusion::prelude::SessionContext;
+use evermap_catalog::USUAL_VEHICLE;
 use evermap_engine::error::OrFault;
 use evermap_schemas::Fault;
 use serde::Serialize;
@@ -13,9 +14,6 @@ use serde::Serialize;
 /// Frames are known after so many transforms, and cameras after so many images.
 const TRANSFORMS: usize = 20_000;
 const IMAGES: usize = 2_000;
-
-/// The frame that poses are of where nobody says, as operators have it.
-const USUAL_VEHICLE: &str = "base_link";
 
 /// The coordinate frames of logs, from their first transforms and images.
 #[derive(Debug, Serialize)]

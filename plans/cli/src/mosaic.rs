@@ -80,13 +80,29 @@ pub fn zoom_for(tiles: &[Tile], m_per_px: f64) -> Option<u32> {
 }
 
 /// The zoom levels of tiles, ascending.
-pub fn zooms(tiles: &[Tile]) -> BTreeSet<u32> {
+fn zooms(tiles: &[Tile]) -> BTreeSet<u32> {
     tiles.iter().map(|tile| tile.zoom).collect()
 }
 
 /// The tiles of one zoom level.
 pub fn level(tiles: &[Tile], zoom: u32) -> Vec<&Tile> {
     tiles.iter().filter(|tile| tile.zoom == zoom).collect()
+}
+
+/// The tiles of a zoom level that was asked for.
+///
+/// # Errors
+/// A user fault where there are none, with the levels that there are.
+pub fn at(tiles: &[Tile], zoom: u32) -> Result<Vec<&Tile>, Fault> {
+    let found = level(tiles, zoom);
+    if found.is_empty() {
+        let levels: Vec<_> = zooms(tiles).iter().map(ToString::to_string).collect();
+        return Err(Fault::user(format!(
+            "expected one of the zoom levels {}, found {zoom}",
+            levels.join(", ")
+        )));
+    }
+    Ok(found)
 }
 
 impl Mosaic {

@@ -163,6 +163,14 @@ pub fn texts<'b>(
     (*found.data_type() == DataType::Utf8).then(|| found.as_string::<i32>().iter())
 }
 
+/// That a layer has no rows.
+pub fn nothing() -> Fault {
+    Fault::user("there is nothing to export").next(COUNTED)
+}
+
+/// What tells which layers have rows.
+pub const COUNTED: &str = "evermap layers --map MAP says how many rows each layer has";
+
 /// The site that is exported: the one asked for, or the only one.
 ///
 /// # Errors
@@ -173,7 +181,7 @@ pub fn one_site<'n>(
 ) -> Result<String, Fault> {
     let sites: BTreeSet<&str> = sites.into_iter().collect();
     match asked {
-        _ if sites.is_empty() => Err(Fault::user("there is nothing to export")),
+        _ if sites.is_empty() => Err(nothing()),
         Some(asked) if sites.contains(asked) => Ok(asked.to_owned()),
         Some(asked) => Err(choose(format!("no site {asked}"), "site", &sites)),
         None if sites.len() == 1 => Ok(sites.into_iter().collect()),

@@ -13,9 +13,6 @@ use crate::reader::{MapReader, answered, typed};
 /// Views that a picture shows.
 const VIEWS: usize = 3;
 
-/// Opened chunks that are kept while a report's few images are fetched.
-const CACHE_BYTES: u64 = 64 << 20;
-
 /// One view.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PicturedView {
@@ -191,7 +188,7 @@ async fn fetched(map: &Map, view: &View) -> Result<Option<Vec<u8>>, Fault> {
         return Ok(None);
     };
     let images = ImageRef::decode(batch.column(0))?;
-    let reader = ImageReader::new(&dataset, CACHE_BYTES);
+    let reader = ImageReader::new(&dataset, ImageReader::CACHE_BYTES);
     let mut bytes = reader.resolve(&images[..1]).await?;
     Ok(bytes.pop().transpose()?.map(|bytes| bytes.to_vec()))
 }

@@ -4,7 +4,6 @@
 use super::canvas::Canvas;
 use super::cars::parked_cars;
 use super::exposure::Exposure;
-use super::floor::paint_floor;
 use super::rig::{RigCamera, rig};
 use super::scene::Scene;
 use super::{Layout, Studio, Visit};
@@ -394,38 +393,5 @@ fn odometry_is_as_wrong_as_it_was_asked_to_be() {
             .map(|world| Wheels::new(50.0, world.seed, session, world.odometry_scale_error).errors);
         assert!((b.scale - a.scale - 0.05).abs() < 1e-12);
         assert_eq!((a.track, a.yaw_bias), (b.track, b.yaw_bias));
-    }
-}
-
-/// Writes pictures of all cameras to the folder named by `EVERMAP_PICTURES`, for looking at.
-#[test]
-fn pictures() {
-    let Some(folder) = std::env::var_os("EVERMAP_PICTURES") else {
-        return;
-    };
-    let world = CarPark::default();
-    let (layout, _, lenses) = studio_parts(&world, 0);
-    let floor = paint_floor(&world, &layout, &[]);
-    let rig = rig(&world);
-    for (session, shot) in [(0, 10), (1, 60), (2, 400)] {
-        let visit = Visit::new(&world, &layout, session);
-        let studio = Studio {
-            seed: world.seed,
-            lenses: &lenses,
-            visit: &visit,
-            scene: Scene::build(&world, &layout, &floor, &visit),
-            exposure: Exposure::of_session(&world, session),
-        };
-        for (camera, lens) in rig.iter().enumerate() {
-            let image = studio.image(shot, camera);
-            let path = Path::new(&folder).join(format!("{session}_{}.png", lens.name));
-            let mut encoder = png::Encoder::new(fs::File::create(path).unwrap(), 1280, 960);
-            encoder.set_color(png::ColorType::Grayscale);
-            encoder
-                .write_header()
-                .unwrap()
-                .write_image_data(&image)
-                .unwrap();
-        }
     }
 }

@@ -1,14 +1,12 @@
 //! Whole streets, small.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use super::paint::Light;
 use super::views::StreetLabels;
 use crate::car_park::tests::{contents, messages, stamp_of};
-use crate::{LabelKind, STREET_CLASSES, STREET_COLOURS, Street, WorldError, street, street_labels};
+use crate::{LabelKind, STREET_CLASSES, Street, WorldError, street, street_labels};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
 
 fn small() -> Street {
     Street {
@@ -301,55 +299,6 @@ fn unusable_parameters_are_all_named() {
     };
     assert_eq!(faults.len(), 3, "{faults:?}");
     assert!(contents(folder.path()).is_empty());
-}
-
-fn picture(path: &Path, width: u32, height: u32, rgb: &[u8]) {
-    let file = fs::File::create(path).unwrap();
-    let mut encoder = png::Encoder::new(file, width, height);
-    encoder.set_color(png::ColorType::Rgb);
-    encoder
-        .write_header()
-        .unwrap()
-        .write_image_data(rgb)
-        .unwrap();
-}
-
-/// Writes pictures to the folder named by `EVERMAP_PICTURES`, for looking at.
-#[test]
-fn pictures() {
-    let Some(folder) = std::env::var_os("EVERMAP_PICTURES") else {
-        return;
-    };
-    let folder = Path::new(&folder);
-    let world = Street {
-        length_m: 600.0,
-        ..Street::default()
-    };
-    let labels = labels_of(&world);
-    for index in [0, 80, 160, 240, 320] {
-        for (kind, name) in [(LabelKind::Exact, "exact"), (LabelKind::Noisy, "noisy")] {
-            let view = labels.view(0, index, kind).unwrap();
-            let colours = view
-                .labels
-                .iter()
-                .flat_map(|v| STREET_COLOURS[usize::from(*v)]);
-            let rgb: Vec<u8> = colours.collect();
-            picture(
-                &folder.join(format!("{name}_{index}.png")),
-                view.width,
-                view.height,
-                &rgb,
-            );
-        }
-        for visit in [0, 1] {
-            let light = Light::new(&world, visit);
-            let sight = labels.sight(visit, index);
-            let exact = labels.scenery.classes(&sight, &sight.hits);
-            let rgb = light.panorama(&labels.scenery, &sight, &exact);
-            let name = format!("colour_{index}_{visit}.png");
-            picture(&folder.join(name), 1024, 333, &rgb);
-        }
-    }
 }
 
 #[test]

@@ -2,6 +2,9 @@
 
 use super::pose::Pose;
 
+/// Poses of a log farther apart than this are not interpolated, ns: a vehicle may have turned meanwhile.
+pub const MAX_GAP_NS: i64 = 1_000_000_000;
+
 /// A pose at an instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StampedPose {

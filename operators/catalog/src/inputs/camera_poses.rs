@@ -3,16 +3,13 @@
 use std::collections::BTreeMap;
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::geometry::trajectory::{StampedPose, pose_at};
+use evermap_algorithms::geometry::trajectory::{MAX_GAP_NS, StampedPose, pose_at};
 use evermap_contract::{Fault, Port, Reach, Sides};
 use evermap_schemas::Stamp;
 use evermap_schemas::layers::VehiclePose;
 use evermap_schemas::roles::OdometryPose;
 
 use crate::inputs::rig::{self, Rig, VehicleFrame, frame};
-
-/// Poses farther apart than this are not interpolated, ns: a vehicle may have turned meanwhile.
-const MAX_GAP_NS: i64 = 1_000_000_000;
 
 /// Drives with the cameras that were mounted on their vehicles.
 pub(crate) struct CameraPoses {

@@ -3,7 +3,9 @@
 use std::collections::BTreeSet;
 
 use evermap_algorithms::semantic_map::relocation::Options;
-use evermap_algorithms::semantic_map::semantic_graph::{Area, Edge, Graph, VOID};
+use evermap_algorithms::semantic_map::semantic_graph::{
+    Area, Edge, Graph, GraphError, MOST_CLASSES, VOID,
+};
 use evermap_contract::{Emit, Reason};
 use evermap_schemas::layers::{SemanticArea, SemanticEdge, SemanticGraph, View};
 use nalgebra::Vector3;
@@ -18,11 +20,11 @@ pub(crate) struct ClassNames {
 }
 
 impl ClassNames {
-    /// The classes of views, in the order of the alphabet; of more than 255 the first.
+    /// The classes of views, in the order of the alphabet; of more than [`MOST_CLASSES`] the first.
     pub(crate) fn of(views: &[View]) -> Self {
         let areas = views.iter().flat_map(|view| &view.graph.areas);
         let names: BTreeSet<&String> = areas.map(|area| &area.class).collect();
-        let names = names.into_iter().take(usize::from(VOID)).cloned();
+        let names = names.into_iter().take(MOST_CLASSES).cloned();
         Self {
             names: names.collect(),
         }
@@ -149,13 +151,23 @@ impl NumberedViews {
         let mut areas = numbered.graphs.iter().flat_map(|graph| &graph.areas);
         if areas.any(|area| area.class == VOID) {
             emit.skip(
-                "site has more than 255 classes",
+                format!("site has more than {MOST_CLASSES} classes"),
                 numbered.graphs.len() as u64,
             );
             return None;
         }
         Some(numbered)
     }
+}
+
+/// Why a label image has no graph.
+pub(crate) fn no_graph(error: &GraphError) -> Reason {
+    match error {
+        GraphError::Size { .. } => "label image does not decode",
+        GraphError::TooLarge { .. } => "label image is too large for a graph",
+        GraphError::TooManyAreas(_) => "label image has too many areas for a graph",
+    }
+    .into()
 }
 
 /// The row of a graph whose classes are indices into a list.

@@ -1,15 +1,35 @@
-//! What several operators see of an image: its colours, or a classifier's scores.
+//! What several operators see of an image: its colours, its labels, or a classifier's scores.
 
 use evermap_algorithms::learning::dense_crf::ColourView;
 use evermap_algorithms::semantic_map::class_scores::ScoresView;
+use evermap_algorithms::semantic_map::semantic_graph::MOST_CLASSES;
 use evermap_contract::Reason;
-use evermap_schemas::layers::ClassScores;
-use evermap_vision::{Rgb, decode_colour};
+use evermap_schemas::layers::{ClassScores, LabelImage};
+use evermap_vision::{Rgb, decode_colour, decode_labels};
 
 /// An encoded image in colour; `room` holds it.
 pub(crate) fn colours<'a>(bytes: &[u8], room: &'a mut Rgb) -> Result<ColourView<'a>, Reason> {
     decode_colour(bytes, room).map_err(|_| "image does not decode")?;
     ColourView::new(room.width, room.height, &room.data).ok_or("image does not decode".into())
+}
+
+/// The values of a row's label image.
+pub(crate) fn labels(row: &LabelImage) -> Result<Vec<u8>, Reason> {
+    values(&row.png.0, [row.width, row.height])
+}
+
+/// The values of an image of labels, of this size.
+pub(crate) fn values(png: &[u8], size: [u32; 2]) -> Result<Vec<u8>, Reason> {
+    let labels = decode_labels(png).map_err(|_| "label image does not decode")?;
+    match [labels.width, labels.height] == size {
+        true => Ok(labels.data),
+        false => Err("label image has another size than its row says".into()),
+    }
+}
+
+/// Why a label image with more than [`MOST_CLASSES`] is left out.
+pub(crate) fn too_many_classes() -> Reason {
+    format!("label image has more than {MOST_CLASSES} classes").into()
 }
 
 /// The scores of a row.

@@ -12,6 +12,9 @@ use evermap_schemas::roles::{Calibration, Transform};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// The frame that poses are of where nobody says.
+pub const USUAL_VEHICLE: &str = "base_link";
+
 /// The frame that poses are of: a parameter of all that read cameras.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
@@ -30,7 +33,7 @@ impl VehicleFrame {
 impl Default for VehicleFrame {
     fn default() -> Self {
         Self {
-            vehicle_frame: "base_link".to_owned(),
+            vehicle_frame: USUAL_VEHICLE.to_owned(),
         }
     }
 }

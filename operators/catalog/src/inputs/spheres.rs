@@ -8,9 +8,11 @@ use evermap_algorithms::semantic_map::stable::sphere::{Lens, Sphere};
 use evermap_contract::{Fault, Reason, Sides};
 use evermap_schemas::Stamp;
 use evermap_schemas::layers::{LabelImage, SphereView};
-use evermap_vision::{Grey, decode_depth, decode_grey, decode_labels};
+use evermap_vision::{Grey, decode_depth, decode_grey};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::inputs::pixels::{labels, too_many_classes};
 
 /// What classes are like: a parameter of all that tell what moves from what stays.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
@@ -47,7 +49,7 @@ impl MovingClasses {
     /// Of a list of classes.
     pub(crate) fn kinds(&self, classes: &[String]) -> Result<Kinds, Reason> {
         let kinds = Kinds::new(classes, &self.dynamic, &self.far);
-        kinds.map_err(|_| "label image has more than 256 classes".into())
+        kinds.map_err(|_| too_many_classes())
     }
 }
 
@@ -159,20 +161,6 @@ fn measured(mut range: Vec<u16>) -> Vec<u16> {
         *value = if *value == u16::MAX { 0 } else { *value };
     }
     range
-}
-
-/// The values of a row's label image.
-pub(crate) fn labels(row: &LabelImage) -> Result<Vec<u8>, Reason> {
-    values(&row.png.0, [row.width, row.height])
-}
-
-/// The values of an image of labels, of this size.
-pub(crate) fn values(png: &[u8], size: [u32; 2]) -> Result<Vec<u8>, Reason> {
-    let labels = decode_labels(png).map_err(|_| "label image does not decode")?;
-    match [labels.width, labels.height] == size {
-        true => Ok(labels.data),
-        false => Err("label image has another size than its row says".into()),
-    }
 }
 
 /// The covariance of a registration as tables have it: 6×6, row by row.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use evermap_algorithms::semantic_map::semantic_graph::{MOST_CLASSES, VOID};
 use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reason, Sides, Work};
 use evermap_schemas::layers::LabelImage;
 use evermap_schemas::roles::ImageAnnotation;
@@ -55,9 +56,6 @@ impl Operator for TaughtLabels {
     }
 }
 
-/// Values 0 to 254; 255 stands for no class.
-const NO_CLASS: u8 = 255;
-
 /// What was said of a site's images.
 struct Said(BTreeMap<ImageKey, Vec<ImageAnnotation>>);
 
@@ -108,7 +106,7 @@ impl Canvas {
     fn of(frame: &PaintedFrame, bytes: &[u8], room: &mut Grey) -> Result<Self, Reason> {
         decode_grey(bytes, room).map_err(|_| "image does not decode")?;
         let (Some(png), Some(classes)) = (&frame.png, &frame.classes) else {
-            let data = vec![NO_CLASS; room.data.len()];
+            let data = vec![VOID; room.data.len()];
             return Ok(Self {
                 classes: Vec::new(),
                 labels: Grey { data, ..*room },
@@ -144,13 +142,13 @@ impl Canvas {
     fn value(&mut self, name: &str) -> Option<u8> {
         let known = self.classes.iter().position(|class| class == name);
         let value = known.unwrap_or(self.classes.len());
-        let value = u8::try_from(value)
-            .ok()
-            .filter(|value| *value != NO_CLASS)?;
+        if value >= MOST_CLASSES {
+            return None;
+        }
         if known.is_none() {
             self.classes.push(name.to_owned());
         }
-        Some(value)
+        Some(value as u8)
     }
 
     fn row(self, frame: PaintedFrame) -> Result<LabelImage, Reason> {

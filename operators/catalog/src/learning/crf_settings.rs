@@ -1,9 +1,10 @@
 #![doc = include_str!("crf_settings.md")]
 
 use evermap_algorithms::learning::dense_crf::{
-    ColourView, Example, MOST_CLASSES, SearchOptions, Trial, Unary, search,
+    ColourView, Example, SearchOptions, Trial, Unary, search,
 };
 use evermap_algorithms::semantic_map::class_scores::ScoresView;
+use evermap_algorithms::semantic_map::semantic_graph::{MOST_CLASSES, VOID};
 use evermap_contract::{
     Emit, Fault, Key, Operator, Pixels, Port, Reach, Reason, Sides, Stream, Work,
 };
@@ -163,13 +164,13 @@ impl Encoded {
     }
 }
 
-/// What values of one list of classes are in another; 255 for those that it does not have.
+/// What values of one list of classes are in another; [`VOID`] for those that it does not have.
 fn renumbered(from: &[String], to: &[String]) -> [u8; 256] {
-    let mut table = [u8::MAX; 256];
+    let mut table = [VOID; 256];
     for (entry, name) in table.iter_mut().zip(from) {
         let found = to.iter().position(|class| class == name);
         let found = found.and_then(|index| u8::try_from(index).ok());
-        *entry = found.unwrap_or(u8::MAX);
+        *entry = found.unwrap_or(VOID);
     }
     table
 }

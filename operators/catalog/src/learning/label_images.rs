@@ -1,8 +1,7 @@
 #![doc = include_str!("label_images.md")]
 
-use evermap_algorithms::learning::dense_crf::{
-    Kernels, MOST_CLASSES, MeanField, RandomField, Unary,
-};
+use evermap_algorithms::learning::dense_crf::{Kernels, MeanField, RandomField, Unary};
+use evermap_algorithms::semantic_map::semantic_graph::MOST_CLASSES;
 use evermap_contract::{Fault, Operator, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{ClassScores, CrfSetting, LabelImage, ScoredFrame};

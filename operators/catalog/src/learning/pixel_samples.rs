@@ -3,6 +3,7 @@
 use evermap_algorithms::learning::pixel_features::{
     FeatureDescription, FeatureOptions, SamplingOptions, labelled_features,
 };
+use evermap_algorithms::semantic_map::semantic_graph::MOST_CLASSES;
 use evermap_contract::{Fault, Operator, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::{LabelledFrame, PixelSamples};
@@ -110,7 +111,7 @@ impl Sampler {
             seed: self.sampling.seed.wrapping_add(frame.stamp.0 as u64),
             ..self.sampling
         };
-        let classes = frame.classes.len().min(usize::from(u8::MAX));
+        let classes = frame.classes.len().min(MOST_CLASSES);
         let found = labelled_features(description, &image, &labels.data, classes, &sampling)
             .map_err(|_| "features cannot be computed")?;
         if found.labels.is_empty() {

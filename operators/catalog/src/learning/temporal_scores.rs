@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::geometry::trajectory::{StampedPose, pose_at};
+use evermap_algorithms::geometry::trajectory::{MAX_GAP_NS, StampedPose, pose_at};
 use evermap_algorithms::semantic_map::temporal_votes::{DepthView, ScoredView, VoteOptions, Voter};
 use evermap_contract::{
     Emit, Fault, Key, Operator, Pixels, Port, Reach, Reason, Sides, Stream, Work,
@@ -49,9 +49,6 @@ impl Default for TemporalScoresParams {
         }
     }
 }
-
-/// Odometry poses farther apart than this say nothing about what is between them.
-const MAX_GAP_NS: i64 = 1_000_000_000;
 
 impl Operator for TemporalScores {
     const NAME: &'static str = "temporal_scores";

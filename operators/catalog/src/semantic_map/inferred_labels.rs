@@ -1,7 +1,7 @@
 #![doc = include_str!("inferred_labels.md")]
 
 use evermap_algorithms::learning::random_forest::Forest;
-use evermap_algorithms::semantic_map::semantic_graph::{GraphError, Labels, VOID};
+use evermap_algorithms::semantic_map::semantic_graph::Labels;
 use evermap_algorithms::semantic_map::stable::inference::{Options, Teller, infer};
 use evermap_algorithms::semantic_map::stable::occlusion::{Model, Occlusion};
 use evermap_algorithms::semantic_map::stable::surroundings::DIMENSIONS;
@@ -15,8 +15,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::forest::{LearntForest, wrong};
+use crate::inputs::graphs::no_graph;
 use crate::inputs::lenses::{self, Lenses};
-use crate::inputs::spheres::{MovingClasses, surroundings, values};
+use crate::inputs::pixels::values;
+use crate::inputs::spheres::{MovingClasses, surroundings};
 
 /// See the module's page.
 pub struct InferredLabelImages;
@@ -35,7 +37,7 @@ pub struct InferredLabelsParams {
 
 impl Operator for InferredLabelImages {
     const NAME: &'static str = "inferred_labels";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: &'static str = include_str!("inferred_labels.md");
     type Params = InferredLabelsParams;
     type Output = InferredLabels;
@@ -92,9 +94,6 @@ impl Site {
     }
 
     fn inferred(&self, row: WarpedLabels) -> Result<[InferredLabels; 1], Reason> {
-        if row.classes.len() >= usize::from(VOID) {
-            return Err("label image has more than 254 classes".into());
-        }
         let (width, height) = (row.width, row.height);
         let before = values(&row.png.0, [width, height])?;
         let kinds = self.params.classes.kinds(&row.classes)?;
@@ -116,11 +115,7 @@ impl Site {
         let taken = (row.session.as_str(), row.camera.as_str(), row.stamp);
         let wraps = self.lenses.wraps(taken, [width, height]);
         let stable = infer(&labels, wraps, &kinds, teller, options);
-        let stable = stable.map_err(|error| match error {
-            GraphError::Size { .. } => "label image does not decode",
-            GraphError::TooLarge { .. } => "label image is too large for a graph",
-            GraphError::TooManyAreas(_) => "label image has too many areas for a graph",
-        })?;
+        let stable = stable.map_err(|error| no_graph(&error))?;
         let name = |class: u8| row.classes[usize::from(class)].clone();
         let areas = stable.inferred.iter().map(|area| InferredArea {
             dynamic: name(area.dynamic),

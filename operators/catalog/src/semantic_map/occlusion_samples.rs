@@ -11,7 +11,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::lenses::{self, Lenses};
-use crate::inputs::spheres::{MovingClasses, ViewKey, labels, surroundings, values};
+use crate::inputs::pixels::{labels, values};
+use crate::inputs::spheres::{MovingClasses, ViewKey, surroundings};
 
 /// See the module's page.
 pub struct OcclusionSamples;
@@ -40,7 +41,7 @@ impl Default for OcclusionSamplesParams {
 
 impl Operator for OcclusionSamples {
     const NAME: &'static str = "occlusion_samples";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: &'static str = include_str!("occlusion_samples.md");
     type Params = OcclusionSamplesParams;
     type Output = PixelSamples;

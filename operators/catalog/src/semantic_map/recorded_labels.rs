@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use evermap_algorithms::semantic_map::semantic_graph::{MOST_CLASSES, VOID};
 use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reason, Sides, Work};
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::LabelImage;
@@ -73,10 +74,6 @@ impl Operator for RecordedLabels {
     }
 }
 
-/// Values 0 to 254; 255 stands for no class.
-const MOST_CLASSES: usize = 255;
-const NO_CLASS: u8 = 255;
-
 /// What label values become: an index into the site's classes.
 type Table = [u8; 256];
 
@@ -115,16 +112,14 @@ impl Site {
         let index = |name: &str| {
             let name = merged(name);
             let found = classes.iter().position(|class| *class == name);
-            found.map_or(NO_CLASS, |index| index as u8)
+            found.map_or(VOID, |index| index as u8)
         };
         let mut sessions: BTreeMap<String, Table> = BTreeMap::new();
         for row in &said {
-            let table = sessions
-                .entry(row.session.clone())
-                .or_insert([NO_CLASS; 256]);
+            let table = sessions.entry(row.session.clone()).or_insert([VOID; 256]);
             table[usize::from(row.value)] = index(&row.class);
         }
-        let mut unsaid = [NO_CLASS; 256];
+        let mut unsaid = [VOID; 256];
         for (entry, name) in unsaid.iter_mut().zip(given) {
             *entry = index(name);
         }
@@ -197,9 +192,8 @@ fn classify(labels: &mut Grey, table: &Table) -> bool {
         met[usize::from(*pixel)] = true;
         *pixel = table[usize::from(*pixel)];
     }
-    let unknown = |(value, met): (usize, &bool)| {
-        *met && value != usize::from(NO_CLASS) && table[value] == NO_CLASS
-    };
+    let unknown =
+        |(value, met): (usize, &bool)| *met && value != usize::from(VOID) && table[value] == VOID;
     !met.iter().enumerate().any(unknown)
 }
 
@@ -231,11 +225,11 @@ mod tests {
         assert_eq!(site.classes, ["sky", "road", "pedestrian"]);
         assert_eq!((site.sessions["a"][2], site.sessions["a"][4]), (0, 1));
         assert_eq!((site.sessions["b"][0], site.sessions["b"][9]), (1, 2));
-        assert_eq!(site.sessions["a"][0], NO_CLASS);
+        assert_eq!(site.sessions["a"][0], VOID);
         // A session that says nothing: what the parameter names, as far as the site knows it.
         assert_eq!(
             (site.unsaid[1], site.unsaid[2], site.unsaid[0]),
-            (0, 1, NO_CLASS)
+            (0, 1, VOID)
         );
     }
 
@@ -245,12 +239,12 @@ mod tests {
         let merge = BTreeMap::from([("a".to_owned(), "c".to_owned())]);
         let site = Site::of(Vec::new(), &given, &merge);
         assert_eq!(site.classes, ["c", "b"]);
-        assert_eq!(site.unsaid[..4], [0, 1, 0, NO_CLASS]);
+        assert_eq!(site.unsaid[..4], [0, 1, 0, VOID]);
     }
 
     #[test]
     fn only_values_that_mean_nothing_are_missed() {
-        let mut table = [NO_CLASS; 256];
+        let mut table = [VOID; 256];
         table[7] = 3;
         let image = |data: &[u8]| Grey {
             width: data.len() as u32,

@@ -3,14 +3,11 @@
 use std::collections::BTreeMap;
 
 use evermap_algorithms::geometry::camera::Camera;
-use evermap_algorithms::semantic_map::semantic_graph::{
-    Graph, GraphError, GraphOptions, Labels, VOID,
-};
+use evermap_algorithms::semantic_map::semantic_graph::{Graph, GraphOptions, Labels, MOST_CLASSES};
 use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reach, Reason, Sides, Work};
 use evermap_schemas::layers::{LabelImage, View};
 use evermap_schemas::roles::Frame;
 use evermap_schemas::{ImageRef, Pose, Stamp};
-use evermap_vision::decode_labels;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -18,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use crate::inputs::camera_poses::{self, CameraPoses};
 use crate::inputs::graphs;
 use crate::inputs::lenses::{self, Lenses};
+use crate::inputs::pixels::{self, too_many_classes};
 use crate::inputs::rig::VehicleFrame;
 
 /// See the module's page.
@@ -47,7 +45,7 @@ impl Default for ViewsParams {
 
 impl Operator for Views {
     const NAME: &'static str = "views";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: &'static str = include_str!("views.md");
     type Params = ViewsParams;
     type Output = View;
@@ -104,19 +102,16 @@ impl Site {
 
     /// The view, and how many pixels have labels that are no class.
     fn view(&self, image: LabelImage) -> Result<(View, usize), Reason> {
-        let labels = decode_labels(&image.png.0).map_err(|_| "label image does not decode")?;
-        let (width, height) = (labels.width, labels.height);
-        if (width, height) != (image.width, image.height) {
-            return Err("label image has another size than its row says".into());
+        let values = pixels::labels(&image)?;
+        let (width, height) = (image.width, image.height);
+        if image.classes.len() > MOST_CLASSES {
+            return Err(too_many_classes());
         }
-        let classes = u8::try_from(image.classes.len())
-            .ok()
-            .filter(|classes| *classes < VOID)
-            .ok_or("label image has more than 254 classes")?;
+        let classes = image.classes.len() as u8;
         let labels = Labels {
             width,
             height,
-            values: &labels.data,
+            values: &values,
         };
         let taken = (image.session.as_str(), image.camera.as_str(), image.stamp);
         let camera = self.lenses.camera(taken, [width, height]);
@@ -125,11 +120,8 @@ impl Site {
             wraps: camera.as_ref().is_some_and(Camera::wraps),
             min_px: GraphOptions::share_px(self.params.min_area_share, width, height),
         };
-        let mut graph = Graph::from_labels(&labels, &options).map_err(|error| match error {
-            GraphError::Size { .. } => "label image does not decode",
-            GraphError::TooLarge { .. } => "label image is too large for a graph",
-            GraphError::TooManyAreas(_) => "label image has too many areas for a graph",
-        })?;
+        let graph = Graph::from_labels(&labels, &options);
+        let mut graph = graph.map_err(|error| graphs::no_graph(&error))?;
         let field_of_view = camera.and_then(|camera| camera.horizontal_field_of_view_rad());
         graph.field_of_view_rad = field_of_view.map(|angle| angle as f32);
         let map_from_view = self.poses.at(taken, &self.params.vehicle);

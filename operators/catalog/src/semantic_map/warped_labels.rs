@@ -16,7 +16,8 @@ use nalgebra::Matrix6;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::spheres::{MovingClasses, OpenSphere, Spheres, ViewKey, labels};
+use crate::inputs::pixels::labels;
+use crate::inputs::spheres::{MovingClasses, OpenSphere, Spheres, ViewKey};
 
 /// See the module's page.
 pub struct WarpedLabelImages;
@@ -52,7 +53,7 @@ impl Default for WarpedLabelsParams {
 
 impl Operator for WarpedLabelImages {
     const NAME: &'static str = "warped_labels";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("warped_labels.md");
     type Params = WarpedLabelsParams;
     type Output = WarpedLabels;

@@ -7,6 +7,7 @@
 )]
 
 mod bodies;
+mod classes;
 mod danger;
 mod floor;
 mod indexes;

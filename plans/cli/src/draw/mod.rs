@@ -39,7 +39,7 @@ pub use slowness::SlowCell;
 pub use trajectory::Trajectory;
 use viewport::{Bounds, Viewport, bounds_of, union};
 
-use crate::mosaic::{Mosaic, level, zoom_for, zooms};
+use crate::mosaic::{Mosaic, at, level, zoom_for};
 use crate::shown::{Crossing, Lane, Tile};
 
 /// What there is to draw of one site.
@@ -167,16 +167,7 @@ impl Scene {
         let Some(zoom) = chosen.filter(|_| !self.tiles.is_empty()) else {
             return Ok(None);
         };
-        let tiles = level(&self.tiles, zoom);
-        if tiles.is_empty() {
-            let levels = zooms(&self.tiles);
-            let levels: Vec<_> = levels.iter().map(ToString::to_string).collect();
-            return Err(Fault::user(format!(
-                "no tiles at zoom {zoom}; there are {}",
-                levels.join(", ")
-            )));
-        }
-        let mut mosaic = Mosaic::of(&tiles)?;
+        let mut mosaic = Mosaic::of(&at(&self.tiles, zoom)?)?;
         mosaic.stretch();
         Ok(Some(mosaic))
     }

@@ -283,7 +283,7 @@ fn nothing_to_draw_and_a_zoom_that_is_not_there_are_said() {
     assert!(
         fault
             .to_string()
-            .contains("no tiles at zoom 7; there are 0"),
+            .contains("expected one of the zoom levels 0, found 7"),
         "{fault}"
     );
 }

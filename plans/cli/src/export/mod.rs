@@ -27,7 +27,7 @@ use crate::ending::Failure;
 use crate::export::geo::Head;
 pub use crate::export::geo::ON_EARTH;
 use crate::output::{CRS, Format, GEOMETRY, Sink, write, write_file};
-use crate::reader::{MapReader, only, texts};
+use crate::reader::{MapReader, nothing, only, texts};
 use crate::units;
 
 /// What a layer is exported to.
@@ -255,7 +255,6 @@ pub fn geojson(
 }
 
 async fn rows(format: Format, batches: Vec<RecordBatch>, out: &Path) -> Result<(), Failure> {
-    let nothing = || Fault::user("there is nothing to export");
     let schema = batches.first().ok_or_else(nothing)?.schema();
     let mut sink = Sink::file(out)?;
     let batches = futures::stream::iter(batches.into_iter().map(Ok));

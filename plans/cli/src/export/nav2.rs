@@ -15,7 +15,7 @@ use arrow::array::RecordBatch;
 use evermap_schemas::Fault;
 
 use crate::export::raster::Raster;
-use crate::reader::{one_site, typed};
+use crate::reader::{COUNTED, one_site, typed};
 use crate::shown::SpeedCell;
 
 /// Pixels of the largest mask.
@@ -36,7 +36,7 @@ pub struct Mask {
 /// A user fault for no cells, a data fault for cells that make no raster.
 pub fn limits(cells: &[SpeedCell]) -> Result<(Raster, Vec<i8>), Fault> {
     let first = cells.first();
-    let first = first.ok_or_else(|| Fault::user("the speed map has no cells"))?;
+    let first = first.ok_or_else(|| Fault::user("the speed map has no cells").next(COUNTED))?;
     let (cell_m, max_mps) = (first.cell_m, first.max_mps);
     let alike = |cell: &SpeedCell| cell.cell_m == cell_m && cell.max_mps == max_mps;
     if !(cells.iter().all(alike) && cell_m > 0.0 && max_mps > 0.0) {

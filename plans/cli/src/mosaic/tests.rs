@@ -65,6 +65,16 @@ fn the_coarsest_level_that_is_fine_enough_is_chosen() {
 }
 
 #[test]
+fn a_level_that_is_not_there_is_answered_with_those_that_are() {
+    let tiles = [1, 0, 2].map(|zoom| tile(zoom, 0, 0, 4, |_, _| [0, 255]));
+    assert_eq!(at(&tiles, 1).unwrap().len(), 1);
+    assert_eq!(
+        at(&tiles, 9).unwrap_err().message,
+        "expected one of the zoom levels 0, 1, 2, found 9"
+    );
+}
+
+#[test]
 fn stretching_uses_the_range_and_leaves_unseen_cells() {
     let tiles = [tile(0, 0, 0, 16, |c, r| {
         if r == 0 { [0, 0] } else { [100 + c as u8, 255] }

@@ -51,6 +51,7 @@ use crate::sql::{TABLES, catalog, catalog_name};
 pub use diff::{Comparison, LayerDiff, documentation as diff_documentation};
 pub use gc::{Collected, gc};
 pub use lineage::{Origin, documentation as lineage_documentation, lineage};
+pub(crate) use rows::RUNS;
 pub use rows::{LayerFile, LayerInfo, RunRow, VersionInfo};
 pub use verify::{Finding, Verified, verify};
 

@@ -4,6 +4,9 @@ use evermap_schemas::record;
 
 use crate::unit::work::NodeWork;
 
+/// The folder of a map that has a file of [`RunRow`]s for each run.
+pub const RUNS: &str = "runs";
+
 record! {
     /// How one unit of one run went.
     #[layer("runs", key(version, run, step, site, session))]

@@ -28,8 +28,10 @@ use serde::de::DeserializeOwned;
 use url::Url;
 
 use crate::error::store_fault;
-use crate::map::local::{Folder, TEMPORARY};
+use crate::map::local::Folder;
 use evermap_schemas::Fault;
+
+pub use crate::map::local::TEMPORARY;
 
 /// Where a map is kept.
 #[derive(Debug, Clone)]

@@ -22,7 +22,7 @@ use crate::map::flat;
 use crate::map::logs::LogTables;
 use crate::map::receipt::Artifact;
 use crate::map::store::each;
-use crate::map::{LayerInfo, Map, RunRow, VersionInfo, beside, versions};
+use crate::map::{LayerInfo, Map, RUNS, RunRow, VersionInfo, beside, versions};
 
 /// The tables of a map: its published layers, and what it says of itself.
 pub struct Tables {
@@ -187,7 +187,7 @@ impl Tables {
 
     async fn runs(&self) -> Result<DataFrame, Fault> {
         let (store, context) = (&self.map.store, &self.reading);
-        let files = store.list("runs").await?;
+        let files = store.list(RUNS).await?;
         let are_whole = files
             .iter()
             .map(|(name, bytes)| is_whole(store, name, *bytes));

@@ -8,6 +8,7 @@ use evermap_schemas::{Fault, Kind, record};
 use crate::map::damage::{Damage, content_damage, is_whole};
 use crate::map::parts::PARTS;
 use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
+use crate::map::rows::RUNS;
 use crate::map::store::{Store, each};
 use crate::map::version::Version;
 
@@ -178,8 +179,7 @@ impl Verified {
         let mut digests: BTreeSet<String> = needed.receipts.keys().cloned().collect();
         let listed = store.list(RECEIPTS).await?;
         for (name, _) in listed.iter().filter(|_| all) {
-            let stem = name.strip_prefix("receipts/");
-            match stem.and_then(|name| name.strip_suffix(".json")) {
+            match Receipt::digest_of(name) {
                 Some(digest) => drop(digests.insert(digest.to_owned())),
                 None => self.findings.push(unreferenced(name)),
             }
@@ -249,7 +249,7 @@ impl Verified {
         for (name, _) in store.temporary(Duration::ZERO).await? {
             self.findings.push(unreferenced(&name));
         }
-        for (name, bytes) in store.list("runs").await? {
+        for (name, bytes) in store.list(RUNS).await? {
             if !is_whole(store, &name, bytes).await? {
                 let fault = Fault::data("expected a Parquet file, found one that is torn");
                 self.findings.push(unreadable(&name, &fault, None));

@@ -12,6 +12,9 @@ use crate::map::parts;
 use crate::map::receipt::{Artifact, LogContent};
 use crate::map::store::{Store, other_json};
 
+/// The folder of a map that has its versions.
+const VERSIONS: &str = "versions";
+
 /// A stored stage in a version: a published layer, or something that later runs build on.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StoredLayer {
@@ -108,7 +111,7 @@ pub struct Version {
 impl Version {
     /// Its name in the map store.
     pub fn name(version: u64) -> String {
-        format!("versions/{version}.json")
+        format!("{VERSIONS}/{version}.json")
     }
 
     /// The numbers of the versions that there are, ascending.
@@ -116,9 +119,10 @@ impl Version {
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn numbers(store: &Store) -> Result<Vec<u64>, Fault> {
-        let names = store.list("versions").await?;
+        let names = store.list(VERSIONS).await?;
         let number = |name: &str| {
-            name.strip_prefix("versions/")?
+            name.strip_prefix(VERSIONS)?
+                .strip_prefix('/')?
                 .strip_suffix(".json")?
                 .parse::<u64>()
                 .ok()

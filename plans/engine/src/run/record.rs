@@ -3,9 +3,9 @@
 use evermap_schemas::{Fault, Stamp, batch};
 use parquet::arrow::ArrowWriter;
 
-use crate::map::RunRow;
 use crate::map::receipt::Receipt;
 use crate::map::store::Store;
+use crate::map::{RUNS, RunRow};
 use crate::run::RunResult;
 
 /// Appends a run to the `runs` layer.
@@ -26,7 +26,7 @@ pub async fn record_run(store: &Store, result: &RunResult) -> Result<(), Fault> 
         writer.close().map(drop)
     };
     write(&mut file).map_err(|error| Fault::bug(error.to_string()))?;
-    let name = format!("runs/{:06}-{run}.parquet", result.version.version);
+    let name = format!("{RUNS}/{:06}-{run}.parquet", result.version.version);
     store.write(&name, file).await
 }
 

@@ -45,9 +45,6 @@ const HEAVY_WRITTEN_ROWS: usize = 8;
 /// Stored bytes that a batch should hold at most.
 const BATCH_BYTES: u64 = 4 << 20;
 
-/// Decompressed chunks that one unit keeps at hand for the images in them.
-const IMAGE_CACHE_BYTES: u64 = 64 << 20;
-
 /// Builds a unit's plan and keeps what it needs while it runs.
 pub struct Builder<'a> {
     tables: Tables<'a>,
@@ -92,7 +89,10 @@ impl<'a> Builder<'a> {
         if let Some(dataset) = joined(&opened) {
             dataset.register_stores(&context.runtime_env());
             logs = dataset.tables()?;
-            reader = Some(Arc::new(ImageReader::new(&dataset, IMAGE_CACHE_BYTES)));
+            reader = Some(Arc::new(ImageReader::new(
+                &dataset,
+                ImageReader::CACHE_BYTES,
+            )));
         }
         let tables = Tables {
             unit,

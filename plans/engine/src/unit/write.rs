@@ -23,7 +23,7 @@ use tokio::io::AsyncWriteExt;
 
 use crate::error::OrFault;
 use crate::map::receipt::Artifact;
-use crate::map::store::Store;
+use crate::map::store::{Store, TEMPORARY};
 use crate::unit::build::Builder;
 use crate::unit::work::NodeWork;
 
@@ -39,7 +39,7 @@ pub async fn write(
     plan: Arc<dyn ExecutionPlan>,
     builder: &Builder<'_>,
 ) -> Result<(String, Artifact, NodeWork), Fault> {
-    let temporary = format!("tmp/{}.parquet", uuid::Uuid::new_v4());
+    let temporary = format!("{TEMPORARY}/{}.parquet", uuid::Uuid::new_v4());
     match write_to(store, &temporary, plan, builder).await {
         Ok((artifact, writing)) => Ok((temporary, artifact, writing)),
         Err(fault) => {

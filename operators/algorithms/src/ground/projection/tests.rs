@@ -1,9 +1,4 @@
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stderr
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use super::*;
 use crate::geometry::camera::Camera;
@@ -222,34 +217,6 @@ fn senseless_input_is_refused_or_gives_nothing() {
     assert!(cells(&lut, &image, &Pose::identity(), f64::NAN).is_empty());
     let small = GrayView::new(2, 2, &pixels[..4]).unwrap();
     assert!(cells(&lut, &small, &Pose::identity(), 0.05).is_empty());
-}
-
-/// Prints the best time per cell of many images; run with `--ignored --nocapture`.
-#[test]
-#[ignore = "measures time"]
-fn nanoseconds_per_cell() {
-    let (camera, vehicle_from_camera) = rig();
-    let pixels = picture(&camera);
-    let image = GrayView::new(400, 300, &pixels).unwrap();
-    for cell_m in [0.05, 0.1] {
-        let params = GroundParams {
-            cell_m,
-            ..GroundParams::default()
-        };
-        let lut = GroundLut::new(&camera, &vehicle_from_camera, &params, None).unwrap();
-        let (mut best, mut visited, mut sum) = (f64::INFINITY, 0, 0u64);
-        for k in 0..200 {
-            let pose = Pose::from_yaw(0.3 * f64::from(k), 1.0, 0.1 * f64::from(k));
-            visited = 0;
-            let start = std::time::Instant::now();
-            lut.splat(&image, &pose, None, 0.05, |row| {
-                visited += row.values.len();
-                sum += u64::from(row.values[0]);
-            });
-            best = best.min(start.elapsed().as_nanos() as f64 / visited as f64);
-        }
-        eprintln!("nodes every {cell_m} m: {visited} cells, {best:.2} ns each, checksum {sum}");
-    }
 }
 
 #[test]

@@ -37,9 +37,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::learning::permutohedral::LatticeError;
-
-/// The most classes: labels are bytes, and 255 is no label.
-pub const MOST_CLASSES: usize = 255;
+use crate::semantic_map::semantic_graph::MOST_CLASSES;
 
 /// How pixels are joined. The default is what the reference implementation's example has.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -215,6 +215,7 @@ fn evaluate(
 mod tests {
     #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
     use super::*;
+    use crate::learning::dense_crf::tests::of_labels;
 
     #[test]
     fn accuracies_are_shares() {
@@ -245,7 +246,7 @@ mod tests {
             .collect();
         let example = Example {
             image: ColourView::new(width as u32, height as u32, &colours).unwrap(),
-            unary: Unary::from_labels(2, &noisy, 0.7).unwrap(),
+            unary: of_labels(2, &noisy, 0.7),
             wraps: false,
             truth: &truth,
         };

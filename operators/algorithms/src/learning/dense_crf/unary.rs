@@ -1,6 +1,7 @@
 //! What each pixel is by itself.
 
-use super::{CrfError, MOST_CLASSES};
+use super::CrfError;
+use crate::semantic_map::semantic_graph::MOST_CLASSES;
 
 /// Probabilities below this are taken for it, so that a classifier that is sure can still be overruled: the reference
 /// implementation's choice.
@@ -49,35 +50,6 @@ impl Unary {
         #[allow(clippy::manual_clamp)]
         let cost = |probability: &f32| -probability.max(LEAST_PROBABILITY).min(1.0).ln();
         Self::new(classes, probabilities.iter().map(cost).collect())
-    }
-
-    /// From labels that are right with probability `confidence` (within 0 and 1, both excluded), and else any other
-    /// class. A label that is no class says nothing.
-    ///
-    /// # Errors
-    /// [`CrfError`] for no or too many classes, or another confidence.
-    pub fn from_labels(classes: usize, labels: &[u8], confidence: f64) -> Result<Self, CrfError> {
-        if !(confidence > 0.0 && confidence < 1.0) {
-            return Err(CrfError::Number {
-                what: "confidence",
-                expected: "a probability between 0 and 1",
-                found: confidence,
-            });
-        }
-        let others = (classes.max(2) - 1) as f64;
-        let (right, wrong) = (-confidence.ln(), -((1.0 - confidence) / others).ln());
-        let unknown = (classes as f64).ln();
-        let mut costs = Vec::with_capacity(labels.len() * classes);
-        for label in labels {
-            let known = usize::from(*label) < classes;
-            let cost = |class| match class == usize::from(*label) {
-                _ if !known => unknown as f32,
-                true => right as f32,
-                false => wrong as f32,
-            };
-            costs.extend((0..classes).map(cost));
-        }
-        Self::new(classes, costs)
     }
 
     /// Number of classes.

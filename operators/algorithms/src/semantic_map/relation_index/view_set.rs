@@ -60,25 +60,6 @@ impl ViewSet {
             .sum()
     }
 
-    /// Those that are in another set, too.
-    #[must_use]
-    pub fn and(mut self, other: &Self) -> Self {
-        let others = other.words.iter().copied().chain(std::iter::repeat(0));
-        for (word, other) in self.words.iter_mut().zip(others) {
-            *word &= other;
-        }
-        self
-    }
-
-    /// Those that are not in another set.
-    #[must_use]
-    pub fn without(mut self, other: &Self) -> Self {
-        for (word, other) in self.words.iter_mut().zip(&other.words) {
-            *word &= !other;
-        }
-        self
-    }
-
     /// The views, ascending.
     pub fn iter(&self) -> impl Iterator<Item = u32> + '_ {
         (0_u32..).zip(&self.words).flat_map(|(at, word)| {

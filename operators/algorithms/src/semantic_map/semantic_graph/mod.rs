@@ -31,6 +31,9 @@ use runs::Runs;
 /// The label of pixels that belong to no area.
 pub const VOID: u8 = u8::MAX;
 
+/// The most classes that labels can tell apart: all values but [`VOID`].
+pub const MOST_CLASSES: usize = VOID as usize;
+
 /// Images are at most this wide and this high (px): sums of squares then fit 64 bits.
 pub const MAX_SIDE_PX: u32 = 1 << 15;
 

@@ -2,9 +2,11 @@
 
 use thiserror::Error;
 
+use crate::semantic_map::semantic_graph::MOST_CLASSES;
+
 /// More classes than labels have values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
-#[error("expected at most 256 classes, as a label is a byte, found {0}")]
+#[error("expected at most {MOST_CLASSES} classes, found {0}")]
 pub struct TooManyClasses(pub usize);
 
 /// What classes are like, by number.
@@ -18,13 +20,13 @@ impl Kinds {
     /// Of classes by name: those that move, and those that are so far away that no range can be measured, as the sky is.
     ///
     /// # Errors
-    /// [`TooManyClasses`] where there are more than 256.
+    /// [`TooManyClasses`] where there are more than [`MOST_CLASSES`].
     pub fn new(
         classes: &[String],
         dynamic: &[String],
         far: &[String],
     ) -> Result<Self, TooManyClasses> {
-        if classes.len() > 256 {
+        if classes.len() > MOST_CLASSES {
             return Err(TooManyClasses(classes.len()));
         }
         let named = |names: &[String]| classes.iter().map(|class| names.contains(class)).collect();

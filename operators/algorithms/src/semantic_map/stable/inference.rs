@@ -182,7 +182,8 @@ pub fn infer(
     options: &Options,
 ) -> Result<Stable, GraphError> {
     let graph_options = GraphOptions {
-        classes: kinds.len().min(usize::from(VOID)) as u8,
+        // No more than `MOST_CLASSES`, see `Kinds::new`.
+        classes: kinds.len() as u8,
         wraps,
         min_px: GraphOptions::share_px(options.min_area_share, labels.width, labels.height),
     };

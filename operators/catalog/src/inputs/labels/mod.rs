@@ -160,3 +160,17 @@ fn held(
         frame_from_label,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use evermap_schemas::roles::annotations::ACTS;
+
+    /// What logs may say is what is folded, by the same words.
+    #[test]
+    fn every_act_of_a_log_has_its_meaning() {
+        for act in ACTS {
+            assert_eq!(Act::named(act).map(Act::name), Some(act));
+        }
+    }
+}

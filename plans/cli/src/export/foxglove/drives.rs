@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use bytes::Bytes;
+use evermap_catalog::USUAL_VEHICLE;
 use evermap_schemas::layers::{Keyframe, Person, VehiclePose};
 use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Fault, ImageRef, LayerRow, Pose};
@@ -16,9 +17,6 @@ use super::Said;
 use super::messages::{MAP, VERMILION, color, pose, rotation, time, vector};
 use crate::earth::{Earth, SiteOnEarth};
 use crate::reader::{MapReader, only, typed};
-
-/// The frame of a vehicle whose log names none.
-const VEHICLE: &str = "base_link";
 
 /// What an image is recorded as.
 pub(super) type Picture = CompressedImage;
@@ -118,7 +116,7 @@ fn vehicle<'m>(mounts: &[&'m Transform]) -> &'m str {
     let children: BTreeSet<&str> = mounts.iter().map(|mount| mount.child.as_str()).collect();
     let parents = mounts.iter().map(|mount| mount.parent.as_str());
     let mut roots = parents.filter(|parent| !children.contains(parent));
-    roots.next().unwrap_or(VEHICLE)
+    roots.next().unwrap_or(USUAL_VEHICLE)
 }
 
 /// A frame of a session's vehicle.

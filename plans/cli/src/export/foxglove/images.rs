@@ -12,8 +12,6 @@ use super::messages::encoded;
 use super::{Payload, Said, What};
 use crate::reader::MapReader;
 
-/// Bytes of a log that stay decompressed while images are copied.
-const CACHE_BYTES: u64 = 64 << 20;
 /// Logs that stay open: one drive comes after the other.
 const MOST_LOGS: usize = 4;
 
@@ -84,7 +82,7 @@ impl<'r> Images<'r> {
             }
             let log = self.reader.map.log(session, &self.runtime).await?;
             let gone = || Fault::data(format!("the map has no log of session {session}"));
-            let images = ImageReader::new(&log.ok_or_else(gone)?, CACHE_BYTES);
+            let images = ImageReader::new(&log.ok_or_else(gone)?, ImageReader::CACHE_BYTES);
             self.logs.insert(session.to_owned(), images);
         }
         let log = self.logs.get(session);

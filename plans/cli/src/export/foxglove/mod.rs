@@ -33,7 +33,7 @@ use foxglove::{Encode, Schema};
 use crate::annotate::unwritten;
 use crate::ending::Failure;
 use crate::export::Selection;
-use crate::reader::{MapReader, one_site};
+use crate::reader::{MapReader, nothing, one_site};
 
 pub use images::Images;
 use messages::{encoded, encoded_ros, kind};
@@ -61,7 +61,11 @@ pub async fn said(reader: &MapReader, selection: &Selection) -> Result<Vec<Said>
     let wanted = selection.session.as_deref();
     poses.retain(|pose| pose.site == site && wanted.is_none_or(|session| session == pose.session));
     let first = poses.iter().map(|pose| pose.stamp.0).min();
-    let first = first.ok_or_else(|| Fault::user("it has no poses of that session"))?;
+    let none = || match wanted {
+        Some(session) => Fault::user(format!("it has no poses of session {session}")),
+        None => nothing(),
+    };
+    let first = first.ok_or_else(none)?;
     let mut said = drives::said(reader, &site, poses).await?;
     let still = still::said(reader, &site, first).await?;
     said.extend(still.into_iter().map(Said::for_good));

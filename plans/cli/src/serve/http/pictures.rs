@@ -79,9 +79,6 @@ pub struct AskedImage {
     version: Option<u64>,
 }
 
-/// Bytes of log that stay decompressed while images are asked for.
-const CACHE_BYTES: u64 = 64 << 20;
-
 /// `GET /images?session=…&camera=…&stamp=…`: the image of a camera that the map names, out of its log.
 ///
 /// # Errors
@@ -116,7 +113,7 @@ pub async fn bytes(opened: &Opened, map: &ServedMap, key: &ImageKey) -> Result<B
     let log = opened.reader.map.log(session, map.runtime()).await?;
     let log = log.ok_or_else(|| Fault::user(format!("the map has no session {session}")))?;
     let image = reference(opened, key).await?;
-    let reader = ImageReader::new(&log, CACHE_BYTES);
+    let reader = ImageReader::new(&log, ImageReader::CACHE_BYTES);
     let mut bytes = reader.resolve(&[image]).await?;
     bytes
         .pop()

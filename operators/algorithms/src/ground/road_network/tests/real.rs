@@ -297,35 +297,3 @@ fn car_park_lanes_follow_the_aisles() {
         assert!(off < 6.0, "no intersection near {crossing:?}");
     }
 }
-
-/// Prints times; run with `--ignored --nocapture`.
-#[test]
-#[ignore = "measures time"]
-fn time_grows_with_the_poses() {
-    for (sites, poses) in [(1, 100_000), (1, 1_000_000), (1000, 1000)] {
-        // Forty streets of 500 m, driven again and again with some scatter.
-        let drives: Vec<Vec<[f64; 3]>> = (0..poses / 1000)
-            .map(|k| {
-                let street = (k * 7 % 40) as f64 * 25.0;
-                let scatter = 0.4 * ((k * 31 % 17) as f64 / 8.0 - 1.0);
-                let line = if k % 2 == 0 {
-                    [[0.0, street], [500.0, street]]
-                } else {
-                    [[street / 2.0, 0.0], [street / 2.0, 500.0]]
-                };
-                along(&line, 0.5, scatter)
-            })
-            .collect();
-        let start = std::time::Instant::now();
-        let (mut lanes, mut intersections) = (0, 0);
-        for _ in 0..sites {
-            let found = network(&drives, &RoadNetworkParams::default());
-            lanes += found.lanes.len();
-            intersections += found.intersections.len();
-        }
-        eprintln!(
-            "{sites} sites of {poses} poses: {:?}, {lanes} lanes, {intersections} intersections",
-            start.elapsed()
-        );
-    }
-}

@@ -9,7 +9,8 @@
 
 use std::path::Path;
 
-use super::super::{ColourView, Kernels, RandomField, Unary};
+use super::super::{ColourView, Kernels, RandomField};
+use super::of_labels;
 use evermap_test_data::shared;
 
 /// The reference itself, given the coordinates in another order, agrees with its own results on this much: the
@@ -61,7 +62,7 @@ fn agreement(folder: &Path, image: &str, annotation: &str, expected: &str) -> f6
     };
     let view = ColourView::new(image.width, image.height, &image.rgb).unwrap();
     let field = RandomField::new(&view, &Kernels::default(), false).unwrap();
-    let unary = Unary::from_labels(classes.len(), &labels(&annotation), 0.7).unwrap();
+    let unary = of_labels(classes.len(), &labels(&annotation), 0.7);
     let found = field.infer(&unary, 5).unwrap().labels();
     let expected = labels(&expected);
     let equal = found.iter().zip(&expected).filter(|(a, b)| a == b).count();

@@ -9,6 +9,24 @@ const WIDTH: usize = 19;
 const HEIGHT: usize = 3;
 const PIXELS: usize = WIDTH * HEIGHT;
 
+/// What pixels are by labels that are right with probability `confidence`, and else any other class. A label that is no
+/// class says nothing.
+pub(super) fn of_labels(classes: usize, labels: &[u8], confidence: f64) -> Unary {
+    let others = (classes - 1) as f64;
+    let (right, wrong) = (-confidence.ln(), -((1.0 - confidence) / others).ln());
+    let unknown = (classes as f64).ln();
+    let cost = |label: usize, class: usize| match label {
+        label if label >= classes => unknown,
+        label if label == class => right,
+        _ => wrong,
+    };
+    let mut costs = Vec::with_capacity(labels.len() * classes);
+    for label in labels {
+        costs.extend((0..classes).map(|class| cost(usize::from(*label), class) as f32));
+    }
+    Unary::new(classes, costs).unwrap()
+}
+
 fn kernels() -> Kernels {
     Kernels {
         appearance_px: 2.0,
@@ -172,7 +190,7 @@ fn labels_follow_edges() {
         .collect();
     let image = ColourView::new(width as u32, height as u32, &colours).unwrap();
     let field = RandomField::new(&image, &Kernels::default(), false).unwrap();
-    let unary = Unary::from_labels(2, &labels, 0.7).unwrap();
+    let unary = of_labels(2, &labels, 0.7);
     let found = field.infer(&unary, 10).unwrap().labels();
     let truth: Vec<u8> = (0..width * height).map(|i| u8::from(side(i))).collect();
     assert_eq!(found, truth);
@@ -194,9 +212,7 @@ fn the_number_of_threads_changes_nothing() {
             .unwrap();
         pool.install(|| {
             let field = RandomField::new(&image, &Kernels::default(), false).unwrap();
-            field
-                .infer(&Unary::from_labels(9, &labels, 0.6).unwrap(), 4)
-                .unwrap()
+            field.infer(&of_labels(9, &labels, 0.6), 4).unwrap()
         })
     };
     assert_eq!(run(1), run(3));
@@ -232,9 +248,8 @@ fn what_makes_no_sense_is_refused() {
     assert!(Unary::new(0, Vec::new()).is_err());
     assert!(Unary::new(3, vec![0.0; 4]).is_err());
     assert!(Unary::new(2, vec![0.0, f32::NAN]).is_err());
-    assert!(Unary::from_labels(2, &[0], 1.0).is_err());
     let field = RandomField::new(&image, &Kernels::default(), false).unwrap();
-    let unary = Unary::from_labels(2, &[0; 5], 0.5).unwrap();
+    let unary = of_labels(2, &[0; 5], 0.5);
     assert!(field.infer(&unary, 1).is_err());
     let uncertain = Unary::from_probabilities(2, &[f32::NAN, 2.0]).unwrap();
     assert_eq!(uncertain.costs, [-(1e-5f32.ln()), 0.0]);

@@ -106,11 +106,12 @@ fn kinds() -> Kinds {
 }
 
 #[test]
-fn classes_are_as_many_as_a_byte_tells_apart() {
+fn classes_are_as_many_as_labels_tell_apart() {
     let names = |count: usize| -> Vec<String> { (0..count).map(|name| name.to_string()).collect() };
-    let kinds = |count| Kinds::new(&names(count), &["255".to_owned()], &[]);
-    assert!(kinds(256).unwrap().is_dynamic(255));
-    assert_eq!(kinds(257), Err(TooManyClasses(257)));
+    let kinds = |count| Kinds::new(&names(count), &["254".to_owned()], &[]);
+    let most = kinds(255).unwrap();
+    assert!(most.is_dynamic(254) && !most.is_dynamic(VOID) && !most.is_static(VOID));
+    assert_eq!(kinds(256), Err(TooManyClasses(256)));
 }
 
 /// A forged lens whose pixels are as large as the whole view fills in nothing, and takes no time.

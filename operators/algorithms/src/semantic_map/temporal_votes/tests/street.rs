@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 use super::super::*;
 use crate::geometry::camera::Camera;
-use crate::geometry::trajectory::{StampedPose, pose_at};
+use crate::geometry::trajectory::{MAX_GAP_NS, StampedPose, pose_at};
 use crate::learning::dense_crf::Confusion;
 use evermap_test_data::shared;
 use nalgebra::{Quaternion, UnitQuaternion};
@@ -194,7 +194,7 @@ fn accuracy(visit: &Visit, views: usize, options: &VoteOptions) -> Confusion {
         .map(|((stamp, panorama), bytes)| ScoredView {
             scores: ScoresView::new(size, 1, CLASSES, bytes).unwrap(),
             depth: DepthView::new(size, &panorama.depth, 0.001),
-            odom_from_camera: pose_at(&visit.odometry, *stamp, 1_000_000_000)
+            odom_from_camera: pose_at(&visit.odometry, *stamp, MAX_GAP_NS)
                 .unwrap()
                 .compose(&visit.vehicle_from_camera.unwrap()),
         })
