@@ -4,7 +4,7 @@
 use crate::common::{Log, context, count, files, in_memory, open, open_in, rows, shared, text};
 use arrow::array::AsArray;
 use arrow::datatypes::Int64Type;
-use evermap_datasets::{Dataset, Reason};
+use evermap_datasets::Dataset;
 
 /// Logs of which some topic cannot be decoded, with the reason.
 async fn refused(context: &datafusion::prelude::SessionContext) -> Vec<String> {

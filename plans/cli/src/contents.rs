@@ -106,6 +106,8 @@ pub struct PlanLine {
     pub plan: String,
     /// Roles that it lacks, each with the step that cannot do without; null where it makes something of the file.
     pub lacks: Option<BTreeMap<String, String>>,
+    /// Roles that it lacks, though it makes something of the file: nothing comes of the steps that need them.
+    pub without: Vec<&'static str>,
 }
 
 /// An attachment.
@@ -141,7 +143,11 @@ pub struct LossLine {
 impl PlanLine {
     fn state(&self) -> String {
         match &self.lacks {
-            None => "can run on this file".to_owned(),
+            None if self.without.is_empty() => "can run on this file".to_owned(),
+            None => format!(
+                "can run in part: nothing comes of steps that need {}",
+                self.without.join(", ")
+            ),
             Some(lacks) => format!("lacks {}", in_words(lacks)),
         }
     }

@@ -96,25 +96,33 @@ impl Needs {
         Self(plan.steps.iter().map(need).collect())
     }
 
+    /// Whether a step cannot do without a role.
+    fn need(&self, role: &str) -> bool {
+        let mut inputs = self.0.iter().flat_map(|need| &need.inputs);
+        inputs.any(|input| matches!(input, Input::Source(table) if table == role))
+    }
+
+    /// The roles that are not among those played, and of whose steps nothing comes therefore.
+    pub fn without(&self, played: &Roles) -> Vec<&'static str> {
+        let names = roles::ALL.iter().map(|role| role.name);
+        let unplayed = names.filter(|name| is_role(name) && !played.contains(*name));
+        unplayed.filter(|name| self.need(name)).collect()
+    }
+
     /// The roles that the program reads and that none of the sessions plays.
     pub fn unplayed(&self, program: &Program, played: &[Roles]) -> Unplayed {
-        let is = |input: &Input, name: &str| matches!(input, Input::Source(table) if table == name);
         let reads = program.stages.iter().flat_map(|stage| &stage.reads);
         let of_logs = reads.filter_map(|read| match &read.table {
             Input::Source(name) => Some(name.as_str()),
             _ => None,
         });
         let read: BTreeSet<&str> = of_logs.collect();
-        let needed = |name: &&str| {
-            let mut inputs = self.0.iter().flat_map(|need| &need.inputs);
-            inputs.any(|input| is(input, name))
-        };
         let names = roles::ALL.iter().map(|role| role.name);
         let unplayed = names.filter(|name| {
             let is_played = played.iter().any(|roles| roles.contains(*name));
             is_role(name) && read.contains(name) && !is_played
         });
-        let (needed, of_use) = unplayed.partition(needed);
+        let (needed, of_use) = unplayed.partition(|name| self.need(name));
         Unplayed { needed, of_use }
     }
 

@@ -127,9 +127,13 @@ fn plans(dataset: &Dataset) -> Result<Vec<PlanLine>, Fault> {
     let line = |shipped: &(&str, &str)| {
         let plan = parse(&shipped::plain(shipped), &registry);
         let plan = plan.map_err(|faults| Fault::bug(faults.to_string()))?;
+        let needs = Needs::of_plan(&plan, &registry);
+        let lacks = needs.lacks(&plays, &plays);
+        let without = needs.without(&plays);
         Ok(PlanLine {
             plan: plan.name.clone(),
-            lacks: Needs::of_plan(&plan, &registry).lacks(&plays, &plays),
+            without: lacks.is_none().then_some(without).unwrap_or_default(),
+            lacks,
         })
     };
     shipped::PLANS.iter().map(line).collect()
