@@ -398,14 +398,14 @@ fn files(folder: &Path, ending: &str) -> Vec<PathBuf> {
         .map(|entry| entry.unwrap().path())
         .collect();
     entries.sort();
+    // What is built and made beside the sources.
+    let made = match folder == root() {
+        true => ["target", "sessions", "map"].as_slice(),
+        false => &["target"],
+    };
     for path in entries {
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
-        if path.is_dir()
-            && name != "target"
-            && name != "sessions"
-            && name != "map"
-            && !name.starts_with('.')
-        {
+        if path.is_dir() && !made.contains(&name.as_str()) && !name.starts_with('.') {
             found.extend(files(&path, ending));
         } else if name.ends_with(ending) {
             found.push(path);

@@ -129,6 +129,11 @@ pub fn runtime(limits: Limits) -> Result<Arc<RuntimeEnv>, Fault> {
     runtime.build_arc().or_fault()
 }
 
+/// A context with the settings and limits of another, and without its tables.
+pub(crate) fn beside(context: &SessionContext) -> SessionContext {
+    SessionContext::new_with_config_rt(context.copied_config(), context.runtime_env())
+}
+
 /// The catalog of a context's tables.
 ///
 /// # Errors

@@ -17,9 +17,10 @@ use evermap_schemas::{Cell, Fault, LayerRow, Pose, record, rows};
 
 use crate::conform::conform;
 use crate::error::OrFault;
+use crate::map::Map;
 use crate::map::diff::row_digest::RowDigest;
 use crate::map::tables::Tables;
-use crate::map::{Map, beside};
+use crate::sql::beside;
 
 pub use function::{DiffFunction, documentation};
 

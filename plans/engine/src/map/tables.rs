@@ -22,7 +22,8 @@ use crate::map::flat;
 use crate::map::logs::LogTables;
 use crate::map::receipt::Artifact;
 use crate::map::store::each;
-use crate::map::{LayerInfo, Map, RUNS, RunRow, VersionInfo, beside, versions};
+use crate::map::{LayerInfo, Map, RUNS, RunRow, VersionInfo, versions};
+use crate::sql::beside;
 
 /// The tables of a map: its published layers, and what it says of itself.
 pub struct Tables {

@@ -58,7 +58,7 @@ const FAR_M: f64 = 1.0;
 #[serde(default)]
 pub struct MotionLimits {
     /// Faster than any vehicle on a road (m/s): 216 km/h.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1000))]
     pub max_speed_mps: f64,
     /// More than brakes and tyres hold, in any direction (m/s²): 1 g.
     #[schemars(extend("exclusiveMinimum" = 0))]

@@ -1,0 +1,80 @@
+//! The tables of a map in a context of DataFusion.
+
+use std::sync::Arc;
+
+use datafusion::catalog::{CatalogProvider, MemoryCatalogProvider};
+use datafusion::prelude::SessionContext;
+use evermap_contract::Registry;
+use evermap_schemas::Fault;
+
+use crate::error::OrFault;
+use crate::map::catalog::Catalog;
+use crate::map::diff::DiffFunction;
+use crate::map::lineage::LineageFunction;
+use crate::map::opened::Map;
+use crate::map::tables::Tables;
+use crate::sql::{TABLES, beside, catalog, catalog_name};
+
+impl Map {
+    /// Makes every published layer a table of a new context, those with structs also with columns in their place
+    /// (`poses_flat`), beside `layers`, `versions` and `runs`; those of another
+    /// version are `v1.lanes`, topics and roles of the log of a session `monday."/odom"`; `diff` compares versions, `lineage` says what rows were made from. A table is opened when a query names it, and then it is that a
+    /// missing or damaged artifact shows.
+    ///
+    /// # Errors
+    /// A fault of ours.
+    pub fn context(
+        &self,
+        context: SessionContext,
+        registry: &Registry,
+    ) -> Result<SessionContext, Fault> {
+        context.register_object_store(self.store.url(), self.store.objects());
+        let catalog = catalog(&context)?;
+        let tables = Arc::new(Tables::new(self.clone(), &context, registry));
+        let public = Arc::clone(&tables);
+        catalog.register_schema(TABLES, public).or_fault()?;
+        let catalog = Arc::new(Catalog::new(catalog, tables));
+        context.register_catalog(catalog_name(&context), catalog);
+        let diff = DiffFunction {
+            map: self.clone(),
+            registry: registry.clone(),
+            reading: beside(&context),
+        };
+        context.register_udtf("diff", Arc::new(diff));
+        context.register_udtf("lineage", Arc::new(LineageFunction(self.clone())));
+        Ok(context)
+    }
+
+    /// Puts the map's tables beside those of another one in a context: `name.lanes` in its catalog, and all that this map
+    /// has in a catalog of the name, `name.v1.lanes`, `name.monday."/odom"`.
+    ///
+    /// # Errors
+    /// A user fault where the name is taken.
+    pub fn join(
+        &self,
+        name: &str,
+        context: &SessionContext,
+        registry: &Registry,
+    ) -> Result<(), Fault> {
+        let beside = catalog(context)?;
+        if context.catalog(name).is_some() || beside.schema(name).is_some() {
+            return Err(
+                Fault::user(format!("`{name}` is the name of several maps or sessions"))
+                    .next("give the map another one: --map NAME=DIR"),
+            );
+        }
+        context.register_object_store(self.store.url(), self.store.objects());
+        let tables = Arc::new(Tables::new(self.clone(), context, registry));
+        let own = MemoryCatalogProvider::new();
+        for (catalog, schema) in [
+            (&own as &dyn CatalogProvider, TABLES),
+            (beside.as_ref(), name),
+        ] {
+            let public = Arc::clone(&tables);
+            catalog.register_schema(schema, public).or_fault()?;
+        }
+        let catalog = Arc::new(Catalog::new(Arc::new(own), tables));
+        context.register_catalog(name, catalog);
+        Ok(())
+    }
+}
