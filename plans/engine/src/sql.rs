@@ -31,7 +31,7 @@ use crate::sql::bounded::bound_functions;
 use crate::sql::members::mask_members;
 use crate::sql::pool::SharedPool;
 
-pub use missing::explained;
+pub use missing::{NO_TABLE, Unlisted, explained, no_table, table_of};
 pub use size::{QUERY_WORDS, STACK_BYTES, check_size};
 
 /// What an engine process may use.

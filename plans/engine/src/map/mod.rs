@@ -46,7 +46,7 @@ use crate::map::sound::Sound;
 use crate::map::store::{Store, each};
 use crate::map::tables::Tables;
 use crate::map::version::{MappedSession, StoredLayer, Version};
-use crate::sql::{TABLES, catalog, catalog_name};
+use crate::sql::{TABLES, Unlisted, catalog, catalog_name};
 
 pub use diff::{Comparison, LayerDiff, documentation as diff_documentation};
 pub use gc::{Collected, gc};
@@ -151,6 +151,15 @@ impl Map {
         catalog.register_schema(TABLES, public).or_fault()?;
         let catalog = Arc::new(Catalog::new(catalog, tables));
         context.register_catalog(catalog_name(&context), catalog);
+        let sessions = self.version.sessions.iter();
+        let logs = sessions
+            .map(|session| session.log.session.clone())
+            .collect();
+        let state = context.state_ref();
+        state
+            .write()
+            .config_mut()
+            .set_extension(Arc::new(Unlisted(logs)));
         let diff = DiffFunction {
             map: self.clone(),
             registry: registry.clone(),
@@ -250,6 +259,11 @@ impl Map {
         log.register_stores(runtime);
         logs.insert(session.to_owned(), log.clone());
         Ok(Some(log))
+    }
+
+    /// The log of a session, where it is open and nobody is just opening one.
+    fn open_log(&self, session: &str) -> Option<Dataset> {
+        self.logs.try_lock().ok()?.get(session).cloned()
     }
 
     fn session(&self, name: &str) -> Option<&MappedSession> {
