@@ -249,8 +249,14 @@ fn queries_that_cannot_be_answered_say_what_was_meant() {
             "SELECT * FROM drive.\"/odm\"",
             "there is no table `drive.\"/odm\"` (at line 1, column 15 of the query); did you mean `drive.\"/odom\"`?",
         ),
-        ("SELECT * FROM driv.\"/odom\"", "did you mean `drive.\"/odom\"`?"),
-        ("DESCRIBE pose", "there is no table `pose`; did you mean `poses`?"),
+        (
+            "SELECT * FROM driv.\"/odom\"",
+            "did you mean `drive.\"/odom\"`?",
+        ),
+        (
+            "DESCRIBE pose",
+            "there is no table `pose`; did you mean `poses`?",
+        ),
     ] {
         let told = evermap(&["sql", "--map", text(&map), query])
             .expect(1)

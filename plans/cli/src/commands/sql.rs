@@ -31,7 +31,7 @@ use tokio::sync::OnceCell;
 use crate::arguments::{SessionArgs, SqlArgs};
 use crate::ending::{Ending, Failure, Lost};
 use crate::operators;
-use crate::output::{Format, Sink, write};
+use crate::output::{Format, Sink, write, write_whole};
 use crate::progress::line;
 use crate::prompt;
 use crate::reader::MapReader;
@@ -269,14 +269,19 @@ impl Tables {
         if let Some(table) = described_table(&statement) {
             let columns = batch(self.columns(&table).await?)?;
             let rows = futures::stream::iter([Ok(columns.clone())]);
-            return write(format, columns.schema(), rows, sink).await;
+            return write_whole(format, columns.schema(), rows, sink).await;
         }
         let frame = self.frame(statement).await?;
         let declared = |table: &str| self.declaration(table);
         let schema = units::described(frame.logical_plan(), declared);
+        let plan = frame.logical_plan();
+        let is_plan = matches!(plan, LogicalPlan::Explain(_) | LogicalPlan::Analyze(_));
         let rows = frame.execute_stream().await.or_fault()?;
         let rows = rows.map_err(|error| fault_of(&error));
-        write(format, schema, rows.boxed(), sink).await
+        match is_plan {
+            true => write_whole(format, schema, rows.boxed(), sink).await,
+            false => write(format, schema, rows.boxed(), sink).await,
+        }
     }
 }
 
