@@ -234,14 +234,29 @@ fn queries_that_cannot_be_answered_say_what_was_meant() {
     for (query, said) in [
         (
             "SELECT * FROM pose",
-            "error: user: there is no table `pose`; did you mean `poses`?",
+            "error: user: there is no table `pose` (at line 1, column 15 of the query); did you mean `poses`?",
         ),
         (
             "SELECT stmp FROM poses",
             "error: user: No field named stmp. Did you mean 'poses.stamp'?",
         ),
         ("SELECT 1 / 0", "error: user: Divide by zero"),
-        ("SELECT * FROM v1.pose", "there is no table `v1.pose`"),
+        (
+            "SELECT * FROM v1.pose",
+            "there is no table `v1.pose` (at line 1, column 15 of the query); did you mean `v1.poses`?",
+        ),
+        (
+            "SELECT * FROM drive.\"/odm\"",
+            "there is no table `drive.\"/odm\"` (at line 1, column 15 of the query); did you mean `drive.\"/odom\"`?",
+        ),
+        (
+            "SELECT * FROM driv.\"/odom\"",
+            "did you mean `drive.\"/odom\"`?",
+        ),
+        (
+            "DESCRIBE pose",
+            "there is no table `pose`; did you mean `poses`?",
+        ),
     ] {
         let told = evermap(&["sql", "--map", text(&map), query])
             .expect(1)

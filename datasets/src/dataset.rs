@@ -256,13 +256,14 @@ fn check_roles(roles: &[Role], given: &BTreeMap<String, Vec<String>>) -> Result<
 /// A pattern of the manifest that no session has a topic for is a mistake.
 fn check_topics(given: &BTreeMap<String, Vec<String>>, sessions: &[Session]) -> Result<(), Fault> {
     let played = |role: &String| sessions.iter().any(|s| !s.roles.topics(role).is_empty());
-    let Some(role) = given.keys().find(|role| !played(role)) else {
+    let Some((role, patterns)) = given.iter().find(|(role, _)| !played(role)) else {
         return Ok(());
     };
     let topics: BTreeSet<String> = sessions.iter().flat_map(Session::topics).collect();
     let topics: Vec<String> = topics.into_iter().collect();
     Err(Fault::user(format!(
-        "expected a topic for the role {role}, found none that fits among {}",
+        "expected a topic for the role {role} that fits {}, found none among {}",
+        patterns.join(" or "),
         topics.join(", ")
     ))
     .at(format!("roles.{role}")))

@@ -48,6 +48,10 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
         return Fault::user("expected a subquery without columns of the query around it, as this place has none for them")
             .next("write it as a join: the last row before a time is found by ASOF JOIN");
     }
+    if message.contains("Dot access not supported") {
+        return Fault::user("expected a column in front of `.`, found an expression")
+            .next("take a member of it in brackets: sources[1]['session']");
+    }
     let fault = Fault::new(kind, message);
     match place {
         Some((line, column)) => fault.at(format!("line {line}, column {column} of the query")),
@@ -82,15 +86,38 @@ fn parser_text(error: &ParserError) -> &str {
 /// How DataFusion says that a function does not take such arguments.
 const NO_SIGNATURE: &str = " failed to match any signature";
 
+/// How DataFusion says that arguments do not become what a function takes.
+const NO_COERCION: &str = "Failed to coerce arguments";
+
+/// The types that a function takes, and those that it was given.
+fn types(message: &str) -> Option<String> {
+    let (_, behind) = message.split_once("and argument types '")?;
+    let (found, behind) = behind.split_once("'. You might need")?;
+    let (_, candidates) = behind.split_once("Candidate functions:\n")?;
+    let lines = candidates.lines();
+    let mut expected: Vec<&str> = lines.map_while(|line| line.strip_prefix('\t')).collect();
+    expected.dedup();
+    let expected = expected.join(" or ");
+    (!expected.is_empty()).then(|| format!("expected {expected}, found {found}"))
+}
+
 /// What DataFusion says, without what it says of its own ways.
 fn plainly(message: &str) -> String {
+    if (message.contains(NO_SIGNATURE) || message.contains(NO_COERCION))
+        && let Some(types) = types(message)
+    {
+        return types;
+    }
     let behind = |text: &'static str| message.split_once(text).map(|(_, behind)| behind);
     let own = behind("user-defined coercion failed with: ").unwrap_or(message);
-    let own = ["Error during planning: ", "Execution error: "]
-        .iter()
-        .fold(own, |text, prefix| {
-            text.strip_prefix(prefix).unwrap_or(text)
-        });
+    let prefixes = [
+        "Error during planning: ",
+        "Execution error: ",
+        "Internal error: ",
+    ];
+    let own = prefixes.iter().fold(own, |text, prefix| {
+        text.strip_prefix(prefix).unwrap_or(text)
+    });
     let ends = [" No function matches the given name", ", errors: "];
     let ends = ends.iter().filter_map(|end| own.find(end));
     own[..ends.min().unwrap_or(own.len())].to_owned()
@@ -146,6 +173,10 @@ mod tests {
                     "Function 'sum' failed to match any signature, errors: Error during planning: x".to_owned(),
                 ),
                 "user: Function 'sum' failed to match any signature",
+            ),
+            (
+                plan("Internal error: Function 'sum' failed to match any signature, errors: Error during planning: x.\nThis issue was likely caused by a bug. No function matches the given name and argument types 'sum(Utf8)'. You might need to add explicit type casts.\n\tCandidate functions:\n\tsum(Decimal)\n\tsum(Float64)"),
+                "user: expected sum(Decimal) or sum(Float64), found sum(Utf8)",
             ),
             (DataFusionError::Internal("lost".to_owned()), "bug: lost"),
             (DataFusionError::NotImplemented("a thing".to_owned()), "user: not supported: a thing"),

@@ -145,7 +145,7 @@ fn check_names(recordings: &[Recording]) -> Result<(), Fault> {
     for recording in recordings {
         if let Some(other) = seen.insert(&recording.name, recording) {
             let place = |recording: &Recording| match recording.files.first() {
-                Some(file) => file.meta.location.to_string(),
+                Some(file) => file.url(),
                 None => "the manifest".to_owned(),
             };
             return Err(Fault::user(format!(

@@ -73,8 +73,9 @@ pub fn difference(
             .enumerate()
             .find_map(|(row, found)| Some(format!("row {row}: {}", differs(row, found)?))),
         false => Some(format!(
-            "expected {} rows, found {}",
+            "expected {} row{}, found {}",
             expected.len(),
+            if expected.len() == 1 { "" } else { "s" },
             found.len()
         )),
     };
@@ -326,6 +327,8 @@ mod tests {
             "row 1: length_m: expected 21.0, found 20.0\n  - {\"lane\":1,\"length_m\":21.0}\n  + {\"lane\":1.0,\"length_m\":20.0}"
         );
         assert_eq!(differs(json!([])).unwrap().lines().count(), 4);
+        let one = differs(json!([{ "lane": 0 }])).unwrap();
+        assert!(one.starts_with("expected 1 row, found 3\n"), "{one}");
     }
 
     #[test]

@@ -6,6 +6,7 @@ mod members;
 mod missing;
 mod pool;
 mod size;
+mod written;
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -28,10 +29,11 @@ use serde::{Deserialize, Serialize};
 use crate::error::{OrFault, external};
 use crate::nodes::light::LightBatches;
 use crate::sql::bounded::bound_functions;
-use crate::sql::members::mask_members;
+use crate::sql::members::{mask_members, members};
 use crate::sql::pool::SharedPool;
+use crate::sql::written::Written;
 
-pub use missing::explained;
+pub use missing::{NO_TABLE, Unlisted, explained, no_table, table_of};
 pub use size::{QUERY_WORDS, STACK_BYTES, check_size};
 
 /// What an engine process may use.
@@ -175,6 +177,8 @@ fn context_of(
     let state = SessionStateBuilder::new()
         .with_config(config)
         .with_runtime_env(runtime)
+        // Of planners the first that has a plan is heard, so those of DataFusion come behind.
+        .with_expr_planners(vec![members()])
         .with_default_features()
         .with_query_planner(as_of::query_planner())
         .with_physical_optimizer_rule(Arc::new(LightBatches));
@@ -263,8 +267,10 @@ pub async fn plan_of(
     state: &SessionState,
     mut statement: Statement,
 ) -> DataFusionResult<LogicalPlan> {
+    let written = Written::of(&statement).map_err(external)?;
     as_of::bracketed(&mut statement);
-    state.statement_to_plan(statement).await
+    let plan = state.statement_to_plan(statement).await;
+    plan.map_err(|error| written.explained(error))
 }
 
 /// The tables that a query reads, as a plan names its inputs: `poses`, `/odom`, `previous.lanes`.

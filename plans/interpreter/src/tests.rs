@@ -131,7 +131,7 @@ fn every_mistake_is_named() {
         (
             "import os\ndef made(speeds):\n    os._exit(7)\n",
             json!({}),
-            "the interpreter ended without an answer (exit status: 7)",
+            "the interpreter ended without an answer (exit status: 7) (steps.py:made)",
         ),
     ];
     for (code, params, expected) in cases {

@@ -93,7 +93,7 @@ def load(request):
     try:
         import pyarrow  # noqa: F401
     except ImportError:
-        raise Refused(f"{sys.executable} has no pyarrow; install it there, or name another interpreter") from None
+        raise Refused(f"{sys.executable} has no pyarrow; install it there, or name another interpreter with {sys.argv[1]}") from None
     file, name, code = request["file"], request["function"], request["code"]
     module = types.ModuleType("step")
     module.__file__ = file

@@ -40,7 +40,8 @@ impl Worker {
     pub(crate) fn start(function: &Function) -> Result<Self, Fault> {
         let interpreter = std::env::var_os(INTERPRETER).unwrap_or_else(|| "python3".into());
         let mut process = Command::new(&interpreter)
-            .args(["-B", "-c", PROGRAM])
+            // The last is for the program, which names it to people.
+            .args(["-B", "-c", PROGRAM, INTERPRETER])
             // Packages that are installed are in the digest of the environment, other folders are not.
             .env_remove("PYTHONPATH")
             // The order of sets of text is else another one in every process.
@@ -153,8 +154,13 @@ impl Worker {
             Ok(status) => status.to_string(),
             Err(error) => error.to_string(),
         };
+        // That a pipe is closed says no more than that.
+        let why = match error.kind() {
+            io::ErrorKind::UnexpectedEof | io::ErrorKind::BrokenPipe => String::new(),
+            _ => format!(": {error}"),
+        };
         Fault::user(format!(
-            "the interpreter ended without an answer ({end}): {error}"
+            "the interpreter ended without an answer ({end}){why}"
         ))
         .at(function.label())
     }

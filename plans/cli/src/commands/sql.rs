@@ -1,7 +1,5 @@
 //! `evermap sql`.
 
-pub mod missing;
-
 use std::io::IsTerminal;
 use std::path::Path;
 use std::sync::Arc;
@@ -21,7 +19,7 @@ use evermap_datasets::Dataset;
 use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::map::Map;
 use evermap_engine::sql::{
-    Limits, TABLES, catalog, catalog_name, check_size, context, explained, plan_of,
+    Limits, NO_TABLE, TABLES, catalog, check_size, context, explained, plan_of, table_of,
 };
 use evermap_functions::{asks_graphs, use_indexes};
 use evermap_language::listed;
@@ -31,10 +29,9 @@ use futures::{StreamExt, TryStreamExt};
 use tokio::sync::OnceCell;
 
 use crate::arguments::{SessionArgs, SqlArgs};
-use crate::commands::sql::missing::{meant, missing_table};
 use crate::ending::{Ending, Failure, Lost};
 use crate::operators;
-use crate::output::{Format, Sink, write};
+use crate::output::{Format, Sink, write, write_whole};
 use crate::progress::line;
 use crate::prompt;
 use crate::reader::MapReader;
@@ -183,16 +180,12 @@ impl Tables {
     /// # Errors
     /// A user fault where there is no such table, or what opening it says.
     pub async fn columns(&self, name: &str) -> Result<Vec<ColumnInfo>, Fault> {
-        let bare = TableReference::bare(name);
-        let table = match self.context.table_provider(bare).await {
+        let bare = table_of(&self.context, TableReference::bare(name)).await;
+        let table = match bare {
             Ok(table) => Ok(table),
-            Err(_) => {
-                self.context
-                    .table_provider(TableReference::from(name))
-                    .await
-            }
+            Err(_) => table_of(&self.context, TableReference::from(name)).await,
         };
-        let table = table.or_fault().map_err(|fault| self.explained(fault))?;
+        let table = table.map_err(|fault| self.explained(fault))?;
         let declared = self.declaration(TableReference::from(name).table());
         Ok(columns(name, &table.schema(), declared.as_ref()))
     }
@@ -206,36 +199,32 @@ impl Tables {
         sessions::lost(self.dataset.iter().chain(&of_map))
     }
 
-    /// A fault of planning, in our words where a table or a function is not there: it may be misspelt, or a topic that
-    /// damage took.
+    /// A fault of planning, in our words where a table or a function is not there. A table may be misspelt, or a topic
+    /// that damage took.
     fn explained(&self, fault: Fault) -> Fault {
-        let place = fault.place.clone();
-        let explained = self.in_our_words(fault);
-        match explained.place.is_empty() && !place.is_empty() {
-            true => explained.at(place),
-            false => explained,
+        let fault = explained(&self.context, fault);
+        if !fault.message.starts_with(NO_TABLE) {
+            return fault;
         }
-    }
-
-    fn in_our_words(&self, fault: Fault) -> Fault {
-        let Some(table) = missing_table(&fault.message) else {
-            return explained(&self.context, fault);
+        let losses = self.dataset.as_ref().map(|dataset| &dataset.losses);
+        let next = match (losses, fault.next.as_str()) {
+            (Some(lost), meant) if !lost.is_empty() => {
+                let lost = format!(
+                    "the logs are torn or damaged, and it may be in what was lost ({}): see evermap inspect",
+                    lost.lines().join(", ")
+                );
+                match meant {
+                    "" => lost,
+                    meant => format!("{meant} ({lost})"),
+                }
+            }
+            (_, "") => {
+                let names = self.names();
+                format!("there are {}", listed(names.iter().map(String::as_str)))
+            }
+            (_, meant) => meant.to_owned(),
         };
-        let catalog = format!("{}.", catalog_name(&self.context));
-        let table = table.strip_prefix(&catalog).unwrap_or(table);
-        let table = table.strip_prefix("public.").unwrap_or(table);
-        let names = self.names();
-        let meant = meant(table, &names);
-        let meant = meant.map_or_else(String::new, |name| format!("; did you mean `{name}`?"));
-        let fault = Fault::user(format!("there is no table `{table}`{meant}"));
-        match self.dataset.as_ref().map(|dataset| &dataset.losses) {
-            Some(lost) if !lost.is_empty() => fault.next(format!(
-                "the logs are torn or damaged, and it may be in what was lost ({}): see evermap inspect",
-                lost.lines().join(", ")
-            )),
-            _ if !meant.is_empty() => fault,
-            _ => fault.next(format!("there are {}", listed(names.iter().map(String::as_str)))),
-        }
+        fault.next(next)
     }
 
     /// Names of the tables, ascending.
@@ -280,14 +269,19 @@ impl Tables {
         if let Some(table) = described_table(&statement) {
             let columns = batch(self.columns(&table).await?)?;
             let rows = futures::stream::iter([Ok(columns.clone())]);
-            return write(format, columns.schema(), rows, sink).await;
+            return write_whole(format, columns.schema(), rows, sink).await;
         }
         let frame = self.frame(statement).await?;
         let declared = |table: &str| self.declaration(table);
         let schema = units::described(frame.logical_plan(), declared);
+        let plan = frame.logical_plan();
+        let is_plan = matches!(plan, LogicalPlan::Explain(_) | LogicalPlan::Analyze(_));
         let rows = frame.execute_stream().await.or_fault()?;
         let rows = rows.map_err(|error| fault_of(&error));
-        write(format, schema, rows.boxed(), sink).await
+        match is_plan {
+            true => write_whole(format, schema, rows.boxed(), sink).await,
+            false => write(format, schema, rows.boxed(), sink).await,
+        }
     }
 }
 

@@ -15,12 +15,13 @@ pub use columnar::{CRS, GEOMETRY};
 pub use sink::{Sink, write_file};
 
 use crate::ending::Failure;
+use crate::output::readable::Cells;
 use crate::output::writers::RowWriter;
 
 /// How rows are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Format {
-    /// For people: long cells are cut, bytes are counted.
+    /// For people: bytes are counted; on a terminal long cells are cut.
     Table,
     /// Comma separated, with a header; lists and structs are JSON.
     Csv,
@@ -39,7 +40,7 @@ impl Format {
     }
 }
 
-/// Writes rows as they come; how many there were.
+/// Writes rows as they come; how many there were. In a table on a terminal, long cells are cut.
 ///
 /// # Errors
 /// What the stream says, or that the output is closed or full.
@@ -49,12 +50,39 @@ pub async fn write(
     rows: impl Stream<Item = Result<RecordBatch, Fault>>,
     sink: &mut Sink,
 ) -> Result<u64, Failure> {
+    let cells = match sink.is_terminal() {
+        true => Cells::Short,
+        false => Cells::Long,
+    };
+    written(format, cells, schema, rows, sink).await
+}
+
+/// As [`write()`], and each cell is whole, with the lines that it has.
+///
+/// # Errors
+/// As [`write()`].
+pub async fn write_whole(
+    format: Format,
+    schema: SchemaRef,
+    rows: impl Stream<Item = Result<RecordBatch, Fault>>,
+    sink: &mut Sink,
+) -> Result<u64, Failure> {
+    written(format, Cells::Lines, schema, rows, sink).await
+}
+
+async fn written(
+    format: Format,
+    cells: Cells,
+    schema: SchemaRef,
+    rows: impl Stream<Item = Result<RecordBatch, Fault>>,
+    sink: &mut Sink,
+) -> Result<u64, Failure> {
     if format.is_binary() && sink.is_terminal() {
         return Err(Fault::user("Parquet and Arrow are not for terminals")
             .next("name a file with --out, or redirect")
             .into());
     }
-    let mut writer: Box<dyn RowWriter + '_> = writers::open(format, schema, sink)?;
+    let mut writer: Box<dyn RowWriter + '_> = writers::open(format, cells, schema, sink)?;
     let mut rows = std::pin::pin!(rows);
     let mut count = 0;
     while let Some(batch) = rows.next().await {
@@ -66,7 +94,7 @@ pub async fn write(
     Ok(count)
 }
 
-/// Writes typed rows to standard output.
+/// Writes typed rows to standard output, whole.
 ///
 /// # Errors
 /// As [`write()`].
@@ -74,13 +102,13 @@ pub async fn print_rows<T: LayerRow>(format: Format, rows: Vec<T>) -> Result<(),
     print_batch(format, batch(rows)?).await
 }
 
-/// Writes a batch to standard output.
+/// Writes a batch to standard output, whole.
 ///
 /// # Errors
 /// As [`write()`].
 pub async fn print_batch(format: Format, rows: RecordBatch) -> Result<(), Failure> {
     let mut sink = Sink::stdout();
-    write(
+    write_whole(
         format,
         rows.schema(),
         futures::stream::iter([Ok(rows)]),

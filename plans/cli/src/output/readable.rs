@@ -10,12 +10,23 @@ use evermap_functions::json_texts;
 
 use crate::printable::printable;
 
-/// Characters of a cell that are shown.
+/// Characters of a cell that are shown where it is cut.
 const WIDEST: usize = 60;
 
-/// Every column as text: bytes counted, long cells cut, nulls empty.
-pub fn cells(batch: &RecordBatch) -> Result<RecordBatch, ArrowError> {
-    mapped(batch, |_| true, short_texts)
+/// How the cells of a table are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cells {
+    /// In one line, cut where it is long.
+    Short,
+    /// In one line.
+    Long,
+    /// With the lines that they have.
+    Lines,
+}
+
+/// Every column as text: bytes counted, nulls empty.
+pub fn cells(batch: &RecordBatch, how: Cells) -> Result<RecordBatch, ArrowError> {
+    mapped(batch, |_| true, |column| texts(column, how))
 }
 
 /// Lists and structs as JSON text; the rest as it is.
@@ -42,7 +53,7 @@ fn mapped(
     RecordBatch::try_new_with_options(Arc::new(Schema::new(fields)), columns, &options)
 }
 
-fn short_texts(column: &ArrayRef) -> Result<StringArray, ArrowError> {
+fn texts(column: &ArrayRef, how: Cells) -> Result<StringArray, ArrowError> {
     let sizes = |bytes: Option<&[u8]>| bytes.map(|bytes| format!("{} B", bytes.len()));
     match column.data_type() {
         DataType::Binary => return Ok(column.as_binary::<i32>().iter().map(sizes).collect()),
@@ -56,18 +67,20 @@ fn short_texts(column: &ArrayRef) -> Result<StringArray, ArrowError> {
             formatter
                 .value(row)
                 .try_to_string()
-                .map(|text| Some(short(&printable(&text))))
+                .map(|text| Some(cell(&printable(&text), how)))
         })
         .collect()
 }
 
-/// One line of at most so many characters.
-pub fn short(text: &str) -> String {
+fn cell(text: &str, how: Cells) -> String {
     let line = text
         .chars()
         .map(|letter| if letter.is_control() { ' ' } else { letter });
-    if text.chars().count() <= WIDEST {
-        return line.collect();
+    match how {
+        Cells::Lines => text.to_owned(),
+        Cells::Short if text.chars().count() > WIDEST => {
+            line.take(WIDEST - 1).chain(['…']).collect()
+        }
+        Cells::Short | Cells::Long => line.collect(),
     }
-    line.take(WIDEST - 1).chain(['…']).collect()
 }

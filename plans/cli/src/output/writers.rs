@@ -11,12 +11,15 @@ use arrow::util::pretty::pretty_format_batches;
 
 use crate::ending::Failure;
 use crate::output::columnar::Parquet;
-use crate::output::readable::{cells, flat};
+use crate::output::readable::{self, Cells, flat};
 use crate::output::{Format, Sink};
 use crate::printable::printable;
 
 /// Rows of a table that are laid out together; longer results are several tables, so that memory stays flat.
 const TABLE_ROWS: usize = 20_000;
+
+/// Bytes of their texts.
+const TABLE_BYTES: usize = 32 << 20;
 
 /// Writes batches.
 pub trait RowWriter: Send {
@@ -30,14 +33,17 @@ pub trait RowWriter: Send {
 /// The writer of a format.
 pub fn open(
     format: Format,
+    cells: Cells,
     schema: SchemaRef,
     sink: &mut Sink,
 ) -> Result<Box<dyn RowWriter + '_>, Failure> {
     Ok(match format {
         Format::Table => Box::new(Table {
             sink,
-            held: vec![cells(&RecordBatch::new_empty(schema))?],
+            held: vec![readable::cells(&RecordBatch::new_empty(schema), cells)?],
+            cells,
             rows: 0,
+            bytes: 0,
             shown: false,
         }),
         Format::Csv => {
@@ -59,7 +65,9 @@ pub fn open(
 struct Table<'s> {
     sink: &'s mut Sink,
     held: Vec<RecordBatch>,
+    cells: Cells,
     rows: usize,
+    bytes: usize,
     shown: bool,
 }
 
@@ -67,7 +75,7 @@ impl Table<'_> {
     fn show(&mut self) -> Result<(), Failure> {
         let text = pretty_format_batches(&self.held)?.to_string();
         self.shown = true;
-        self.rows = 0;
+        (self.rows, self.bytes) = (0, 0);
         self.held.truncate(1);
         Ok(writeln!(self.sink, "{}", printable(&text))?)
     }
@@ -75,9 +83,11 @@ impl Table<'_> {
 
 impl RowWriter for Table<'_> {
     fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
-        self.held.push(cells(batch)?);
-        self.rows += batch.num_rows();
-        if self.rows >= TABLE_ROWS {
+        let texts = readable::cells(batch, self.cells)?;
+        self.rows += texts.num_rows();
+        self.bytes += texts.get_array_memory_size();
+        self.held.push(texts);
+        if self.rows >= TABLE_ROWS || self.bytes >= TABLE_BYTES {
             self.show()
         } else {
             Ok(())

@@ -13,7 +13,7 @@ use crate::map::diff::DiffFunction;
 use crate::map::lineage::LineageFunction;
 use crate::map::opened::Map;
 use crate::map::tables::Tables;
-use crate::sql::{TABLES, beside, catalog, catalog_name};
+use crate::sql::{TABLES, Unlisted, beside, catalog, catalog_name};
 
 impl Map {
     /// Makes every published layer a table of a new context, those with structs also with columns in their place
@@ -35,6 +35,15 @@ impl Map {
         catalog.register_schema(TABLES, public).or_fault()?;
         let catalog = Arc::new(Catalog::new(catalog, tables));
         context.register_catalog(catalog_name(&context), catalog);
+        let sessions = self.version.sessions.iter();
+        let logs = sessions
+            .map(|session| session.log.session.clone())
+            .collect();
+        let state = context.state_ref();
+        state
+            .write()
+            .config_mut()
+            .set_extension(Arc::new(Unlisted(logs)));
         let diff = DiffFunction {
             map: self.clone(),
             registry: registry.clone(),

@@ -23,9 +23,11 @@ pub struct LogTables {
 
 #[async_trait]
 impl SchemaProvider for LogTables {
-    /// None: to name them, the log would have to be read.
+    /// None before the log is open: to name them, it would have to be read.
     fn table_names(&self) -> Vec<String> {
-        Vec::new()
+        let tables = self.map.open_log(&self.session).map(|log| log.tables());
+        let tables = tables.and_then(Result::ok).unwrap_or_default();
+        tables.into_keys().collect()
     }
 
     async fn table(&self, name: &str) -> Result<Option<Arc<dyn TableProvider>>> {

@@ -155,6 +155,11 @@ impl Map {
         Ok(Some(log))
     }
 
+    /// The log of a session, where it is open and nobody is just opening one.
+    pub(super) fn open_log(&self, session: &str) -> Option<Dataset> {
+        self.logs.try_lock().ok()?.get(session).cloned()
+    }
+
     pub(super) fn session(&self, name: &str) -> Option<&MappedSession> {
         MappedSession::named(&self.version.sessions, name)
     }

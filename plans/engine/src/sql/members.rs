@@ -1,4 +1,4 @@
-//! A member of a null struct is null.
+//! A member of a null struct is null, and one that is not there is told with those that are.
 //!
 //! Arrow keeps the members of a struct as columns of their own, which may hold anything where the struct is null; a
 //! member that may not be null holds 0. DataFusion's `get_field` hands out that column as it is, until its release 56
@@ -15,13 +15,47 @@ use datafusion::common::{DFSchema, Result, exec_err};
 use datafusion::execution::FunctionRegistry;
 use datafusion::functions::core::get_field;
 use datafusion::functions::core::getfield::GetFieldFunc;
-use datafusion::logical_expr::expr::{Expr, ScalarFunction};
+use datafusion::logical_expr::expr::{Expr, GetFieldAccess, ScalarFunction};
 use datafusion::logical_expr::expr_rewriter::FunctionRewrite;
+use datafusion::logical_expr::planner::{ExprPlanner, PlannerResult, RawFieldAccessExpr};
 use datafusion::logical_expr::{
     ColumnarValue, ExprSchemable, ReturnFieldArgs, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl,
     Signature,
 };
 use datafusion::prelude::SessionContext;
+use evermap_language::listed;
+use evermap_schemas::Fault;
+
+use crate::error::external;
+
+/// What looks at `pose['x']` before it is planned, and refuses a member that the struct does not have.
+pub fn members() -> Arc<dyn ExprPlanner> {
+    Arc::new(Members)
+}
+
+#[derive(Debug)]
+struct Members;
+
+impl ExprPlanner for Members {
+    fn plan_field_access(
+        &self,
+        access: RawFieldAccessExpr,
+        schema: &DFSchema,
+    ) -> Result<PlannerResult<RawFieldAccessExpr>> {
+        if let GetFieldAccess::NamedStructField { name } = &access.field_access
+            && let Some(Some(name)) = name.try_as_str()
+            && let Ok(DataType::Struct(members)) = access.expr.get_type(schema)
+            && members.iter().all(|member| member.name() != name)
+        {
+            let whole = access.expr.schema_name();
+            let known = members.iter().map(|member| member.name().as_str());
+            let fault = Fault::user(format!("`{whole}` has no member `{name}`"));
+            let known = listed(known);
+            return Err(external(fault.next(format!("there are {known}"))));
+        }
+        Ok(PlannerResult::Original(access))
+    }
+}
 
 /// Has members of null structs be null in the queries of a context.
 ///
@@ -129,7 +163,7 @@ mod tests {
     use arrow::util::display::array_value_to_string;
 
     use super::*;
-    use crate::sql::{Limits, context};
+    use crate::sql::{Limits, context, read_only};
 
     /// Two rows: a pose with a place, and none, whose x is 7 all the same.
     fn poses() -> RecordBatch {
@@ -141,6 +175,16 @@ mod tests {
         let poses = StructArray::new(pose.clone(), vec![Arc::new(places)], known);
         let schema = Schema::new(vec![Field::new("pose", DataType::Struct(pose), true)]);
         RecordBatch::try_new(Arc::new(schema), vec![Arc::new(poses)]).unwrap()
+    }
+
+    #[tokio::test]
+    async fn a_member_that_is_not_there_is_told_with_those_that_are() {
+        let context = context(Limits::one_partition()).unwrap();
+        context.register_batch("poses", poses()).unwrap();
+        let query = "SELECT pose['place']['xx'] FROM poses";
+        let fault = read_only(&context, query).await.err().unwrap();
+        assert!(fault.message.ends_with("has no member `xx`"), "{fault}");
+        assert_eq!(fault.next, "there are `x`");
     }
 
     #[tokio::test]

@@ -4,6 +4,8 @@ use axum::extract::{Path, Query, State};
 use axum::http::HeaderMap;
 use axum::response::{IntoResponse, Response};
 use axum::{Json, body::Bytes};
+use datafusion::common::TableReference;
+use evermap_engine::sql::{TABLES, catalog, no_table};
 use evermap_schemas::layers::Georeference;
 use evermap_schemas::{Fault, LayerRow};
 use serde::Deserialize;
@@ -140,6 +142,10 @@ pub async fn layer(
     if let Some(tag) = tag.as_deref().filter(|tag| has(&headers, tag)) {
         return Ok(unchanged(tag));
     }
+    let tables = catalog(&opened.context)?.schema(TABLES);
+    if !tables.is_some_and(|tables| tables.table_exist(name)) {
+        return Err(no_layer(&opened, name).into());
+    }
     let quoted = name.replace('"', "\"\"");
     let query = format!("SELECT * FROM \"{quoted}\"");
     let answer = answer(&opened, &query, &app.bounds).await?;
@@ -147,6 +153,19 @@ pub async fn layer(
     let earth = asked.earth(&opened).await?;
     let body = body(answer, asked.format, declared.as_ref(), &earth).await?;
     Ok((tag.as_deref().map(kept), body).into_response())
+}
+
+/// That a version does not have a layer, with the one that may be meant.
+fn no_layer(opened: &Opened, name: &str) -> Fault {
+    let fault = no_table(&opened.context, &TableReference::bare(name));
+    let fault = Fault {
+        message: format!("there is no layer `{name}`"),
+        ..fault
+    };
+    match fault.next.is_empty() {
+        true => fault.next("/layers lists those that there are"),
+        false => fault,
+    }
 }
 
 /// What the body of a layer depends on; `None` for a table that is no layer.

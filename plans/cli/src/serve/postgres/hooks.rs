@@ -18,7 +18,7 @@ use datafusion_postgres::hooks::cursor::CursorStatementHook;
 use datafusion_postgres::hooks::set_show::SetShowHook;
 use datafusion_postgres::hooks::transactions::TransactionStatementHook;
 use evermap_engine::error::fault_of;
-use evermap_engine::sql::plan_of;
+use evermap_engine::sql::{explained, plan_of};
 use pgwire::api::ClientInfo;
 use pgwire::api::portal::Format;
 use pgwire::api::results::{FieldFormat, QueryResponse, Response, Tag};
@@ -284,7 +284,7 @@ async fn planned(statement: Statement, context: &SessionContext) -> PgWireResult
         allowed.verify_plan(&plan)?;
         as_extended(as_json(as_texts(plan)?)?)
     });
-    plan.map_err(|error| said(&fault_of(&error)))
+    plan.map_err(|error| said(&explained(context, fault_of(&error))))
 }
 
 /// The rows of a query that [`reading`] planned.

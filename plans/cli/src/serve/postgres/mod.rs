@@ -24,7 +24,7 @@ use datafusion::sql::sqlparser::ast::Statement;
 use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
 use datafusion_postgres::DfSessionService;
 use evermap_engine::error::fault_of;
-use evermap_engine::sql::check_size;
+use evermap_engine::sql::{NO_TABLE, check_size};
 use evermap_schemas::{Fault, Kind};
 use futures::future::{BoxFuture, Shared};
 use futures::stream::BoxStream;
@@ -46,7 +46,6 @@ use pgwire::tokio::process_socket;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 
-use crate::commands::sql::missing::missing_table;
 use crate::serve::access::Access;
 use crate::serve::answer::{Bounds, Turn};
 use crate::serve::maps::{Maps, Opened};
@@ -432,7 +431,7 @@ fn said(fault: &Fault) -> PgWireError {
 fn code_of(message: &str) -> &'static str {
     let says = |text: &str| message.contains(text);
     match () {
-        () if missing_table(message).is_some() => "42P01",
+        () if message.starts_with(NO_TABLE) => "42P01",
         () if says("No field named") => "42703",
         () if says("there is no function ") => "42883",
         () if message.starts_with("SQL: ") || says("parser error") => "42601",
