@@ -229,19 +229,19 @@ fn rows_that_do_not_fit_a_test_are_told_and_end_no_other_test() {
     let wrong = "row 0 of `odometry` has \"soon\" in `stamp`, expected time";
     let told = evermap(&["check", text(&plan)]).expect(1).stderr;
     for needle in [
-        &format!("test `lacking`: {lacking}"),
-        &format!("test `wrong`: {wrong}"),
+        format!("test `lacking`: {lacking}"),
+        format!("test `wrong`: {wrong}"),
     ] {
-        assert!(told.contains(needle), "{needle}: {told}");
+        assert!(told.contains(&needle), "{needle}: {told}");
     }
     let tested = evermap(&["test", text(&plan)]).expect(1);
     for needle in [
-        &format!("FAILED  lacking: {lacking}"),
-        &format!("FAILED  wrong: {wrong}"),
-        "ok      sound",
+        format!("FAILED  lacking: {lacking}"),
+        format!("FAILED  wrong: {wrong}"),
+        "ok      sound".to_owned(),
     ] {
         assert!(
-            tested.stdout.contains(needle),
+            tested.stdout.contains(&needle),
             "{needle}: {}",
             tested.stdout
         );
