@@ -48,7 +48,7 @@ pub(crate) fn plan(written: Written, vocabulary: &Vocabulary, faults: &mut PlanF
     if written.write_is_whole && faults.error_count() == before {
         names.warn_of_unused(&written.steps, &reads, &write, faults);
     }
-    let faulty = names.faulty(&written.steps, &inputs, &order);
+    let faulty = faulty(&written.steps, &inputs, &order);
     let faulty: BTreeSet<String> = faulty.into_iter().map(str::to_owned).collect();
     let mut steps: Vec<Option<Step>> = written
         .steps
@@ -88,6 +88,44 @@ fn finished(step: WrittenStep, resolved: Vec<Option<Input>>) -> Option<Step> {
         body_place: step.body_place,
         once: step.once,
     })
+}
+
+/// The steps at fault, those that have no order, and those that read any of them.
+fn faulty<'s>(
+    steps: &'s [WrittenStep],
+    inputs: &[Vec<Option<Input>>],
+    order: &[usize],
+) -> BTreeSet<&'s str> {
+    let order: BTreeSet<usize> = order.iter().copied().collect();
+    let steps: Vec<(&'s str, bool, &[Option<Input>])> = steps
+        .iter()
+        .zip(inputs)
+        .enumerate()
+        .map(|(index, (step, inputs))| {
+            let is_sound = step.is_sound && inputs.iter().all(Option::is_some);
+            let name = step.name.name.as_str();
+            (name, is_sound && order.contains(&index), inputs.as_slice())
+        })
+        .collect();
+    let own = steps.iter().filter(|(_, is_sound, _)| !is_sound);
+    let mut faulty: BTreeSet<&str> = own.map(|(name, ..)| *name).collect();
+    loop {
+        let is_faulty = |input: &Input| match input {
+            Input::Step(name) | Input::New(name) | Input::Previous(name) => {
+                faulty.contains(name.as_str())
+            }
+            Input::Source(_) => false,
+        };
+        let reads_faulty = |(name, _, inputs): &&(&str, bool, &[Option<Input>])| {
+            !faulty.contains(*name) && inputs.iter().flatten().any(is_faulty)
+        };
+        let more = steps.iter().filter(reads_faulty).map(|(name, ..)| *name);
+        let more: Vec<&str> = more.collect();
+        if more.is_empty() {
+            return faulty;
+        }
+        faulty.extend(more);
+    }
 }
 
 impl Names<'_> {
@@ -202,45 +240,6 @@ impl Names<'_> {
         };
         faults.unknown(named.place, message, name, self.in_order.iter().copied());
         None
-    }
-
-    /// The steps at fault, those that have no order, and those that read any of them.
-    fn faulty<'s>(
-        &self,
-        steps: &'s [WrittenStep],
-        inputs: &[Vec<Option<Input>>],
-        order: &[usize],
-    ) -> BTreeSet<&'s str> {
-        let order: BTreeSet<usize> = order.iter().copied().collect();
-        let steps: Vec<(&'s str, bool, &[Option<Input>])> = steps
-            .iter()
-            .zip(inputs)
-            .enumerate()
-            .map(|(index, (step, inputs))| {
-                let is_sound = step.is_sound && inputs.iter().all(Option::is_some);
-                let name = step.name.name.as_str();
-                (name, is_sound && order.contains(&index), inputs.as_slice())
-            })
-            .collect();
-        let own = steps.iter().filter(|(_, is_sound, _)| !is_sound);
-        let mut faulty: BTreeSet<&str> = own.map(|(name, ..)| *name).collect();
-        loop {
-            let is_faulty = |input: &Input| match input {
-                Input::Step(name) | Input::New(name) | Input::Previous(name) => {
-                    faulty.contains(name.as_str())
-                }
-                Input::Source(_) => false,
-            };
-            let reads_faulty = |(name, _, inputs): &&(&str, bool, &[Option<Input>])| {
-                !faulty.contains(name) && inputs.iter().flatten().any(is_faulty)
-            };
-            let more = steps.iter().filter(reads_faulty).map(|(name, ..)| *name);
-            let more: Vec<&str> = more.collect();
-            if more.is_empty() {
-                return faulty;
-            }
-            faulty.extend(more);
-        }
     }
 
     fn write(&self, write: &[Named], faults: &mut PlanFaults) -> Vec<usize> {
