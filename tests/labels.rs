@@ -365,6 +365,64 @@ fn what_makes_no_sense_is_counted_and_said_and_the_rest_is_kept() {
 }
 
 #[test]
+fn a_kind_of_its_own_goes_first_and_one_that_contradicts_is_left_out() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let mut labels = collection(&[("one", space(5.0, 2.0)), ("two", space(10.0, 2.0))]);
+    labels["features"][1]["properties"]["kind"] = "crossing".into();
+    let said = lot.import("ada", &labels, &SPACE).expect(3);
+    for told in [
+        "feature 1, label two: feature of another kind than --kind",
+        "ada.mcap: 1 drawn",
+    ] {
+        assert!(said.stderr.contains(told), "{told}: {}", said.stderr);
+    }
+    let said = lot.import("ada", &labels, &[]).expect(0);
+    let told = "ada_2.mcap: 1 drawn, 1 as they were";
+    assert!(said.stderr.contains(told), "{}", said.stderr);
+    lot.run(&["ada.mcap", "ada_2.mcap"]).expect(0);
+
+    // Any word is a kind; one that looks like a kind of the map may be a slip.
+    let more = collection(&[("three", space(15.0, 2.0))]);
+    let said = lot
+        .import("bob", &more, &["--kind", "parkingspace"])
+        .expect(0);
+    for told in ["did you mean `parking_space`?", "bob.mcap: 1 drawn"] {
+        assert!(said.stderr.contains(told), "{told}: {}", said.stderr);
+    }
+    let said = lot.import("bob", &more, &["--kind", "arrow"]).expect(0);
+    assert!(!said.stderr.contains("did you mean"), "{}", said.stderr);
+
+    // Categories are other programs' words, but for kinds of the map.
+    let mosaic = mosaic(&lot);
+    let coco = json!({
+        "images": [{ "id": 7, "file_name": "mosaic.png", "width": 400, "height": 200 }],
+        "categories": [{ "id": 1, "name": "Stellplatz" }, { "id": 2, "name": "crossing" }],
+        "annotations": [
+            { "image_id": 7, "category_id": 1, "bbox": [100, 100, 100, 48], "segmentation": [] },
+            { "image_id": 7, "category_id": 2, "bbox": [200, 76, 100, 48], "segmentation": [] },
+        ],
+    });
+    let named = [&SPACE[..], &["--mosaic", text(&mosaic)]].concat();
+    let said = lot.import("coco", &coco, &named).expect(3);
+    for told in [
+        "1  feature of another kind than --kind",
+        "coco.mcap: 1 drawn",
+    ] {
+        assert!(said.stderr.contains(told), "{told}: {}", said.stderr);
+    }
+    lot.run(&["coco.mcap"]).expect(0);
+    let kinds = lot.ask("SELECT kind, author FROM placed_labels ORDER BY author, kind");
+    let of = |kind: &str, author: &str| json!({ "kind": kind, "author": author });
+    let expected = [
+        of("crossing", "ada"),
+        of("parking_space", "ada"),
+        of("parking_space", "coco"),
+    ];
+    assert_eq!(kinds, json!(expected));
+}
+
+#[test]
 fn a_torn_log_is_read_as_far_as_it_goes_and_gone_on_from() {
     let lot = Lot::new();
     lot.run(&["a.mcap"]).expect(0);

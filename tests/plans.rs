@@ -176,6 +176,79 @@ fn a_bad_plan_is_refused_with_all_its_faults_before_anything_runs() {
 }
 
 #[test]
+fn faults_of_queries_are_told_beside_those_of_the_text() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = folder.path().join("both.yaml");
+    let lines = [
+        "plan: both",
+        "steps:",
+        "  lanes:",
+        "    op: road_network",
+        "    in: { poses: poses }",
+        "    with: { conect_m: 2.0 }",
+        "  poses:",
+        "    sql: SELECT site, session, stamp, nothing AS map_from_vehicle FROM odometry",
+        "  long: { sql: SELECT absent FROM lanes }",
+        "  seen: { sql: 'SELECT missing FROM \"/cam\"' }",
+        "write: [lanes, pose]",
+    ];
+    std::fs::write(&plan, lines.join("\n")).unwrap();
+    let told = evermap(&["check", text(&plan)]).expect(1);
+    for needle in ["conect_m", ":6:", "nothing", ":8:", "`pose`", ":11:"] {
+        assert!(told.stderr.contains(needle), "{needle}: {}", told.stderr);
+    }
+    // What reads a step at fault, or a topic of logs that are not at hand, may be sound.
+    for needle in ["absent", "missing"] {
+        assert!(!told.stderr.contains(needle), "{needle}: {}", told.stderr);
+    }
+}
+
+#[test]
+fn rows_that_do_not_fit_a_test_are_told_and_end_no_other_test() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = folder.path().join("fixtures.yaml");
+    let lines = [
+        "plan: fixtures",
+        "steps:",
+        "  poses: { sql: 'SELECT site, session, stamp, odom_from_vehicle AS map_from_vehicle FROM odometry' }",
+        "  lanes: { op: road_network, in: { poses: poses } }",
+        "write: [lanes]",
+        "tests:",
+        "  - name: lacking",
+        "    given: { poses: [ { site: s, session: a, stamp: 0 } ] }",
+        "    expect: { lanes: [] }",
+        "  - name: wrong",
+        "    given: { odometry: [ { site: s, session: a, stamp: soon } ] }",
+        "    expect: { poses: [] }",
+        "  - name: sound",
+        "    given: { odometry: [] }",
+        "    expect: { poses: [] }",
+    ];
+    std::fs::write(&plan, lines.join("\n")).unwrap();
+    let lacking = "row 0 of `poses` has no `map_from_vehicle`, which step `lanes` needs; give `map_from_vehicle` a value";
+    let wrong = "row 0 of `odometry` has \"soon\" in `stamp`, expected time";
+    let told = evermap(&["check", text(&plan)]).expect(1).stderr;
+    for needle in [
+        format!("test `lacking`: {lacking}"),
+        format!("test `wrong`: {wrong}"),
+    ] {
+        assert!(told.contains(&needle), "{needle}: {told}");
+    }
+    let tested = evermap(&["test", text(&plan)]).expect(1);
+    for needle in [
+        format!("FAILED  lacking: {lacking}"),
+        format!("FAILED  wrong: {wrong}"),
+        "ok      sound".to_owned(),
+    ] {
+        assert!(
+            tested.stdout.contains(&needle),
+            "{needle}: {}",
+            tested.stdout
+        );
+    }
+}
+
+#[test]
 fn a_table_that_does_not_fit_its_port_is_a_fault_of_the_plan() {
     let folder = tempfile::tempdir().unwrap();
     let plan = folder.path().join("misfit.yaml");

@@ -161,7 +161,7 @@ impl Pixels {
         Ok(pixels)
     }
 
-    /// The image of a row; `None` where it could not be fetched.
+    /// The image of a row; `None` where it could not be fetched, which is counted already, with its topic and encoding.
     pub fn get(&self, row: usize) -> Option<&[u8]> {
         let batch = self.batches.partition_point(|(first, _)| *first <= row);
         let (first, images) = self.batches.get(batch.checked_sub(1)?)?;

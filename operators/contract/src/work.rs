@@ -58,7 +58,8 @@ impl<P: Clone + Send + Sync + 'static> Work<P> {
     }
 
     /// Each row and its image to any number of rows, side by side; the driving port asks for the pixels of one column.
-    /// `Room` is room for decoding, used again for the next image.
+    /// `Room` is room for decoding, used again for the next image. A row without its image is passed over: whoever
+    /// could not fetch the image has counted it.
     pub fn each_image<S, T, Room, I>(
         driving: Port,
         sides: Vec<Port>,
@@ -75,8 +76,8 @@ impl<P: Clone + Send + Sync + 'static> Work<P> {
         Self::map(driving, sides, prepare, move |prepared, batch, emit| {
             let pixels = Pixels::of(std::slice::from_ref(batch), column)?;
             let made = rows::<T>(batch)?.into_par_iter().enumerate();
-            let made = made.map_init(Room::default, |room, (row, value)| {
-                let image = pixels.get(row).ok_or("image is missing")?;
+            let fetched = made.filter_map(|(row, value)| Some((value, pixels.get(row)?)));
+            let made = fetched.map_init(Room::default, |room, (value, image)| {
                 each(prepared, value, image, room)
             });
             emit.made(made.collect())

@@ -14,11 +14,12 @@ use datafusion::prelude::SessionContext;
 use evermap_contract::Registry;
 use evermap_contract::laws::{JsonRow, Split, difference, lacking, run, table};
 use evermap_datasets::Dataset;
-use evermap_language::{Body, Input, Plan, PlanTest, Step};
-use evermap_schemas::Fault;
+use evermap_language::{Body, Input, Plan, PlanFaults, PlanTest, Step};
+use evermap_schemas::{Fault, Kind};
 
 use crate::conform::conform;
 use crate::error::OrFault;
+use crate::program::test_rows::{check_given, misfits};
 use crate::program::{Program, Task};
 use crate::sql::{Limits, context, put_rows, read_only, reference};
 
@@ -27,14 +28,40 @@ use crate::sql::{Limits, context, put_rows, read_only, reference};
 pub struct TestOutcome {
     /// The test's name.
     pub name: String,
-    /// The first difference.
+    /// The first difference, or why there is nothing to compare.
     pub failure: Option<String>,
 }
 
-/// Runs a plan's tests.
+/// What is wrong with the rows that tests give.
 ///
 /// # Errors
-/// When a test's rows do not fit their tables, or a step fails.
+/// A fault of ours.
+pub async fn given_faults(
+    plan: &Plan,
+    program: &Program,
+    registry: &Registry,
+    dataset: &Dataset,
+) -> Result<PlanFaults, Fault> {
+    let context = context(Limits::one_partition())?;
+    dataset.register(&context)?;
+    for step in &plan.steps {
+        let Some(schema) = program.schemas.get(&step.name) else {
+            continue;
+        };
+        for input in [Input::Step, Input::Previous, Input::New] {
+            let rows = RecordBatch::new_empty(Arc::clone(schema));
+            put_rows(&context, &input(step.name.clone()), rows)?;
+        }
+    }
+    let mut faults = plan.faults();
+    check_given(plan, registry, &context, &mut faults).await;
+    Ok(faults.settle())
+}
+
+/// Runs a plan's tests, each whatever becomes of the others.
+///
+/// # Errors
+/// A lack of resources, or a fault of ours.
 pub async fn run_tests(
     plan: &Plan,
     program: &Program,
@@ -43,21 +70,30 @@ pub async fn run_tests(
 ) -> Result<Vec<TestOutcome>, Fault> {
     let mut outcomes = Vec::new();
     for test in &plan.tests {
-        let failure = Bench {
+        let bench = Bench {
             plan,
             program,
             registry,
             dataset,
-        }
-        .run(test)
-        .await
-        .map_err(|fault| fault.at(format!("test {}", test.name)))?;
+        };
+        let failure = match bench.run(test).await {
+            Ok(failure) => failure,
+            Err(fault) if matches!(fault.kind, Kind::User | Kind::Data) => Some(told(&fault)),
+            Err(fault) => return Err(fault.at(format!("test {}", test.name))),
+        };
         outcomes.push(TestOutcome {
             name: test.name.clone(),
             failure,
         });
     }
     Ok(outcomes)
+}
+
+/// A fault as the reason why a test failed, whoever must act.
+fn told(fault: &Fault) -> String {
+    let text = fault.to_string();
+    let kind = format!("{}: ", fault.kind.code());
+    text.strip_prefix(&kind).unwrap_or(&text).to_owned()
 }
 
 struct Bench<'a> {
@@ -81,17 +117,30 @@ impl Bench<'_> {
             }
         }
         let mut tables: BTreeMap<Input, RecordBatch> = BTreeMap::new();
+        let mut misfit = Vec::new();
         for (input, rows) in &test.given {
             let schema = self.schema(&context, input).await?;
+            let given = (input, rows.as_slice());
+            let found = misfits(self.plan, self.registry, test, given, &schema);
+            if !found.is_empty() {
+                misfit.extend(found);
+                continue;
+            }
             let rows = table(&schema, rows).map_err(|fault| fault.at(input.written()))?;
             put_rows(&context, input, rows.clone())?;
             tables.insert(input.clone(), rows);
+        }
+        if !misfit.is_empty() {
+            return Ok(Some(misfit.join("; ")));
         }
         for step in &self.plan.steps {
             let made = Input::Step(step.name.clone());
             let rows = match tables.get(&made) {
                 Some(given) => given.clone(),
-                None => self.step(&context, step, &tables).await?,
+                None => {
+                    let made = self.step(&context, step, &tables).await;
+                    made.map_err(|fault| fault.at(format!("step `{}`", step.name)))?
+                }
             };
             // What a test does not say of new sessions is all that there is, as before the first version.
             for input in [made, Input::New(step.name.clone())] {
@@ -110,7 +159,8 @@ impl Bench<'_> {
             let found = tables
                 .get(&Input::Step(step.clone()))
                 .ok_or_else(|| Fault::bug(format!("no step {step}")))?;
-            if let Some(text) = compare(found, rows, test.tolerance)? {
+            let compared = compare(found, rows, test.tolerance);
+            if let Some(text) = compared.map_err(|fault| fault.at(format!("table `{step}`")))? {
                 return Ok(Some(format!("{step}: {text}")));
             }
         }

@@ -1,31 +1,29 @@
 //! From what a person asks for to a run: plan text, sessions and a map, checked together.
 
+mod host;
+
 use std::collections::BTreeMap;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use datafusion::error::DataFusionError;
 use datafusion::execution::runtime_env::RuntimeEnv;
-use evermap_contract::{ParamFault, Registry};
+use evermap_contract::Registry;
 use evermap_datasets::manifest::SessionFiles;
 use evermap_datasets::{Dataset, Manifest, Reason, Recordings, Session};
-use evermap_language::{
-    Host, OperatorSpec, ParameterFault, Plan, PlanFaults, PortSpec, QueryFault, Source, Vocabulary,
-};
+use evermap_language::{Plan, PlanFaults, Source};
 use evermap_schemas::Fault;
-use serde_json::Value;
 
+use self::host::Surroundings;
+pub use self::host::vocabulary;
 use crate::digest::digest_of;
-use crate::error::{fault_of, place_in_query};
 use crate::fingerprint::{self, Believe, Fingerprint};
 use crate::map::receipt::LogContent;
 use crate::map::store::{Store, each};
 use crate::map::version::{MappedSession, Previous, Version};
 use crate::preflight::{Lacks, Needs, Roles, Unplayed, idle};
 use crate::program::Program;
-use crate::program::compile::compile;
+use crate::program::compile::{all_faults, compile};
 use crate::run::Run;
-use crate::sql::{Limits, context, tables};
+use crate::sql::{Limits, context};
 
 /// What keeps a plan from running: its own faults, or something else.
 #[derive(Debug)]
@@ -61,85 +59,6 @@ pub struct PlanText {
     pub manifest: Option<Source>,
 }
 
-/// Everything plans can be written with.
-pub fn vocabulary(registry: &Registry) -> Vocabulary {
-    let operators = registry.entries().map(|entry| OperatorSpec {
-        name: entry.name.to_owned(),
-        ports: entry
-            .ports
-            .iter()
-            .map(|port| PortSpec {
-                name: port.name.to_owned(),
-                optional: port.optional,
-            })
-            .collect(),
-        params: entry.params_schema.clone(),
-    });
-    Vocabulary {
-        operators: operators.collect(),
-        sources: Dataset::table_names()
-            .iter()
-            .map(ToString::to_string)
-            .collect(),
-        open_sources: true,
-    }
-}
-
-/// The longest file of Python that is read (bytes).
-const LONGEST_CODE: u64 = 1 << 20;
-
-fn query_fault(error: &DataFusionError) -> QueryFault {
-    QueryFault {
-        message: fault_of(error).message,
-        at: place_in_query(error),
-    }
-}
-
-struct Surroundings<'a> {
-    plan: &'a PlanText,
-    registry: &'a Registry,
-}
-
-impl Host for Surroundings<'_> {
-    fn tables(&self, query: &str) -> Result<Vec<String>, QueryFault> {
-        tables(query).map_err(|error| query_fault(&error))
-    }
-
-    fn parameter_faults(&self, operator: &str, params: &Value) -> Vec<ParameterFault> {
-        let entry = self.registry.get(operator);
-        let faults = entry.map_or_else(|_| Vec::new(), |entry| entry.faults(params));
-        let told = |fault: ParamFault| ParameterFault {
-            parameter: fault.param,
-            message: fault.message,
-        };
-        faults.into_iter().map(told).collect()
-    }
-
-    fn plan(&self, name: &str, extended_by: &str) -> Result<Source, String> {
-        (self.plan.find)(name, extended_by)
-    }
-
-    fn code(&self, path: &str, named_by: &str) -> Result<String, String> {
-        let folder = Path::new(named_by).parent().unwrap_or(Path::new(""));
-        let path = folder.join(path);
-        let failed = |error| format!("cannot read {}: {error}", path.display());
-        let file = std::fs::File::open(&path).map_err(failed)?;
-        let mut code = String::new();
-        let read = file.take(LONGEST_CODE + 1).read_to_string(&mut code);
-        match read.map_err(failed)? as u64 > LONGEST_CODE {
-            true => Err(format!(
-                "{} has more than {LONGEST_CODE} bytes",
-                path.display()
-            )),
-            false => Ok(code),
-        }
-    }
-
-    fn manifest(&self) -> Option<Source> {
-        self.plan.manifest.clone()
-    }
-}
-
 /// Parses a plan and checks what its text alone shows.
 ///
 /// # Errors
@@ -147,6 +66,26 @@ impl Host for Surroundings<'_> {
 pub fn parse(plan: &PlanText, registry: &Registry) -> Result<Plan, PlanFaults> {
     let host = Surroundings { plan, registry };
     evermap_language::parse(&plan.source, &plan.settings, &vocabulary(registry), &host)
+}
+
+/// That a plan's text shows no faults; those that only compiling shows, of what is sound in the text, are told with them.
+///
+/// # Errors
+/// All its faults, if its text shows one.
+pub async fn check_text(plan: &PlanText, registry: &Registry) -> Result<(), Refusal> {
+    let (host, vocabulary) = (Surroundings { plan, registry }, vocabulary(registry));
+    let (source, settings) = (&plan.source, &plan.settings);
+    let (sound, faults) = evermap_language::read(source, settings, &vocabulary, &host);
+    if faults.error_count() == 0 {
+        return Ok(());
+    }
+    let Some(sound) = sound else {
+        return Err(faults.settle().into());
+    };
+    let context = context(Limits::default())?;
+    let no_logs = Dataset::open(&context.runtime_env(), &[], None).await?;
+    no_logs.register(&context)?;
+    Err(all_faults(&sound, registry, &context, faults).await.into())
 }
 
 /// Parses and compiles a plan, on the tables of these sessions; none are needed unless the plan reads topics.

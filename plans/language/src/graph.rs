@@ -19,12 +19,8 @@ struct Names<'n> {
     vocabulary: &'n Vocabulary,
 }
 
-/// Resolves every name, records what is wrong, and makes the plan if nothing was.
-pub(crate) fn plan(
-    written: Written,
-    vocabulary: &Vocabulary,
-    faults: &mut PlanFaults,
-) -> Option<Plan> {
+/// Resolves every name, records what is wrong, and makes the plan of what is not.
+pub(crate) fn plan(written: Written, vocabulary: &Vocabulary, faults: &mut PlanFaults) -> Plan {
     let in_order: Vec<&str> = written.steps.iter().map(|s| s.name.name.as_str()).collect();
     let names = Names {
         steps: in_order
@@ -52,27 +48,29 @@ pub(crate) fn plan(
     if written.write_is_whole && faults.error_count() == before {
         names.warn_of_unused(&written.steps, &reads, &write, faults);
     }
-    if faults.error_count() > 0 {
-        return None;
-    }
+    let faulty = faulty(&written.steps, &inputs, &order);
+    let faulty: BTreeSet<String> = faulty.into_iter().map(str::to_owned).collect();
     let mut steps: Vec<Option<Step>> = written
         .steps
         .into_iter()
         .zip(inputs)
-        .map(|(step, inputs)| finished(step, inputs))
+        .map(|(step, inputs)| match faulty.contains(&step.name.name) {
+            true => None,
+            false => finished(step, inputs),
+        })
         .collect();
-    Some(Plan {
-        steps: order?
+    Plan {
+        steps: order
             .into_iter()
-            .map(|index| steps.get_mut(index)?.take())
-            .collect::<Option<_>>()?,
+            .filter_map(|index| steps.get_mut(index)?.take())
+            .collect(),
         write: written.write.into_iter().map(|named| named.name).collect(),
-        tests: tests.into_iter().collect::<Option<_>>()?,
+        tests: tests.into_iter().flatten().collect(),
         name: written.name,
         doc: written.doc,
         sessions: written.sessions,
         warnings: PlanFaults::default(),
-    })
+    }
 }
 
 /// The step with what its names stand for.
@@ -90,6 +88,44 @@ fn finished(step: WrittenStep, resolved: Vec<Option<Input>>) -> Option<Step> {
         body_place: step.body_place,
         once: step.once,
     })
+}
+
+/// The steps at fault, those that have no order, and those that read any of them.
+fn faulty<'s>(
+    steps: &'s [WrittenStep],
+    inputs: &[Vec<Option<Input>>],
+    order: &[usize],
+) -> BTreeSet<&'s str> {
+    let order: BTreeSet<usize> = order.iter().copied().collect();
+    let steps: Vec<(&'s str, bool, &[Option<Input>])> = steps
+        .iter()
+        .zip(inputs)
+        .enumerate()
+        .map(|(index, (step, inputs))| {
+            let is_sound = step.is_sound && inputs.iter().all(Option::is_some);
+            let name = step.name.name.as_str();
+            (name, is_sound && order.contains(&index), inputs.as_slice())
+        })
+        .collect();
+    let own = steps.iter().filter(|(_, is_sound, _)| !is_sound);
+    let mut faulty: BTreeSet<&str> = own.map(|(name, ..)| *name).collect();
+    loop {
+        let is_faulty = |input: &Input| match input {
+            Input::Step(name) | Input::New(name) | Input::Previous(name) => {
+                faulty.contains(name.as_str())
+            }
+            Input::Source(_) => false,
+        };
+        let reads_faulty = |(name, _, inputs): &&(&str, bool, &[Option<Input>])| {
+            !faulty.contains(*name) && inputs.iter().flatten().any(is_faulty)
+        };
+        let more = steps.iter().filter(reads_faulty).map(|(name, ..)| *name);
+        let more: Vec<&str> = more.collect();
+        if more.is_empty() {
+            return faulty;
+        }
+        faulty.extend(more);
+    }
 }
 
 impl Names<'_> {

@@ -75,6 +75,20 @@ pub fn parse(
     vocabulary: &Vocabulary,
     host: &dyn Host,
 ) -> Result<Plan, PlanFaults> {
+    let (plan, faults) = read(source, settings, vocabulary, host);
+    let (mut plan, warnings) = faults.into_result(plan)?;
+    plan.warnings = warnings;
+    Ok(plan)
+}
+
+/// As [`parse`], for a check that goes on where the text is at fault: all faults, and the plan of the steps and tests that
+/// have none, nor read a step that has one. `None` for a text that is no plan at all.
+pub fn read(
+    source: &Source,
+    settings: &[String],
+    vocabulary: &Vocabulary,
+    host: &dyn Host,
+) -> (Option<Plan>, PlanFaults) {
     let mut faults = PlanFaults::default().with_settings(settings);
     let context = written::Context { vocabulary, host };
     let plan = extends::read(source, host, &mut faults).and_then(|mut root| {
@@ -83,11 +97,9 @@ pub fn parse(
         }
         setting::set(&mut root, settings, &mut faults);
         let written = written::plan(&root, &context, &mut faults)?;
-        graph::plan(written, vocabulary, &mut faults)
+        Some(graph::plan(written, vocabulary, &mut faults))
     });
-    let (mut plan, warnings) = faults.into_result(plan)?;
-    plan.warnings = warnings;
-    Ok(plan)
+    (plan, faults)
 }
 
 /// The text of a file's bytes.

@@ -55,6 +55,8 @@ pub(crate) struct WrittenStep {
     pub body_place: Place,
     /// Whether each session keeps what the step made when it came.
     pub once: bool,
+    /// Whether nothing that is written in the step is at fault.
+    pub is_sound: bool,
 }
 
 /// What a step reads.
@@ -219,6 +221,7 @@ fn steps_of(node: &Node, context: &StepContext<'_>, faults: &mut PlanFaults) -> 
     }
     let mut steps = Vec::new();
     for entry in entries {
+        let before = faults.error_count();
         check_name(&entry.key, "a step", entry.place, faults);
         if context.around.vocabulary.is_source(&entry.key) {
             let name = quoted(&entry.key);
@@ -227,7 +230,9 @@ fn steps_of(node: &Node, context: &StepContext<'_>, faults: &mut PlanFaults) -> 
                 format!("a step cannot be named {name}: that is a source table"),
             );
         }
-        steps.push(step::step(entry, context, faults));
+        let mut step = step::step(entry, context, faults);
+        step.is_sound = faults.error_count() == before;
+        steps.push(step);
     }
     steps
 }

@@ -235,3 +235,27 @@ fn check_references(value: &Value, root: &Value) {
         _ => {}
     }
 }
+
+#[test]
+fn of_a_faulty_plan_the_steps_that_are_sound_are_read() {
+    let lines = [
+        "plan: faulty",
+        "steps:",
+        "  a: { sql: SELECT 1 FROM odometry }",
+        "  b: { op: no_such_operator }",
+        "  c: { sql: SELECT 1 FROM b }",
+        "  d: { sql: SELECT 1 FROM previous.c }",
+        "  e: { sql: SELECT 1 FROM a JOIN f }",
+        "  f: { sql: SELECT 1 FROM e }",
+        "  g: { sql: SELECT 1 FROM a }",
+        "  h: { sql: SELECT 1 FROM nowhere }",
+        "write: [a]",
+    ];
+    let source = vocabulary::source("plan.yaml", &lines.join("\n"));
+    let host = vocabulary::Plans(Vec::new());
+    let (plan, faults) = evermap_language::read(&source, &[], &vocabulary::vocabulary(), &host);
+    assert_eq!(faults.error_count(), 3, "{faults}");
+    let plan = plan.unwrap();
+    let names: Vec<&str> = plan.steps.iter().map(|step| step.name.as_str()).collect();
+    assert_eq!(names, ["a", "g"]);
+}

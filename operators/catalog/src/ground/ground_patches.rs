@@ -15,6 +15,7 @@ use rayon::prelude::*;
 use crate::inputs::bodies::bodies;
 use crate::inputs::calibrated::{Calibrated, Mounted};
 use crate::inputs::floors::floors;
+use crate::inputs::pixels::undecoded;
 use crate::inputs::rig::{self, OfVehicle, frame};
 
 /// See the module's page.
@@ -78,7 +79,7 @@ impl Projector {
         let planned: Vec<_> = images
             .into_iter()
             .enumerate()
-            .map(|(row, image)| (self.plan(&image, pixels.get(row)), image))
+            .filter_map(|(row, image)| Some((self.plan(&image, pixels.get(row)?), image)))
             .collect();
         let patches = planned
             .into_par_iter()
@@ -92,10 +93,10 @@ impl Projector {
     fn plan<'a>(
         &self,
         image: &PosedImage,
-        bytes: Option<&'a [u8]>,
+        bytes: &'a [u8],
     ) -> Result<(&'a [u8], Arc<GroundLut>), Reason> {
-        let bytes = bytes.ok_or("image is missing")?;
-        let size = image_size(bytes).map_err(|_| "image does not decode")?;
+        let size = image_size(bytes);
+        let size = size.map_err(|_| undecoded(&image.camera, &image.image.format))?;
         let named = (&*image.session, &*image.camera, image.stamp);
         let table = self.tables.get(named, size, |mounted| {
             let body = self
@@ -122,9 +123,9 @@ impl Projector {
     ) -> Result<GroundPatch, Reason> {
         let pose = Pose::from_array(image.map_from_vehicle.to_array())
             .map_err(|_| "pose is not a rigid transform")?;
-        decode_grey(bytes, grey).map_err(|_| "image does not decode")?;
-        let view =
-            GrayView::new(grey.width, grey.height, &grey.data).ok_or("image does not decode")?;
+        let undecoded = || undecoded(&image.camera, &image.image.format);
+        decode_grey(bytes, grey).map_err(|_| undecoded())?;
+        let view = GrayView::new(grey.width, grey.height, &grey.data).ok_or_else(undecoded)?;
         let cell_m = self.params.options.cell_m;
         let patch = table
             .patch(&view, &pose, self.floors.get(&image.session), cell_m)

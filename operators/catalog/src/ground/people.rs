@@ -11,6 +11,7 @@ use evermap_schemas::layers::{FrameImage, Person};
 use evermap_vision::{Grey, PeopleDetector, decode_grey};
 
 use crate::inputs::calibrated::{Calibrated, Mounted};
+use crate::inputs::pixels::undecoded;
 use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
@@ -73,13 +74,14 @@ impl Finder {
         bytes: &[u8],
         room: &mut Room,
     ) -> Result<Vec<Person>, Reason> {
-        decode_grey(bytes, &mut room.grey).map_err(|_| "image does not decode")?;
+        let undecoded = || undecoded(&image.camera, &image.image.format);
+        decode_grey(bytes, &mut room.grey).map_err(|_| undecoded())?;
         let Grey {
             width,
             height,
             ref data,
         } = room.grey;
-        let view = GrayView::new(width, height, data).ok_or("image does not decode")?;
+        let view = GrayView::new(width, height, data).ok_or_else(undecoded)?;
         let upright = self.upright(&image, [width, height])?;
         if room.detector.is_none() {
             let detector = PeopleDetector::new().map_err(|_| "detector does not work")?;

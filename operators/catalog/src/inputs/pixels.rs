@@ -7,10 +7,26 @@ use evermap_contract::Reason;
 use evermap_schemas::layers::{ClassScores, LabelImage};
 use evermap_vision::{Rgb, decode_colour, decode_labels};
 
-/// An encoded image in colour; `room` holds it.
-pub(crate) fn colours<'a>(bytes: &[u8], room: &'a mut Rgb) -> Result<ColourView<'a>, Reason> {
-    decode_colour(bytes, room).map_err(|_| "image does not decode")?;
-    ColourView::new(room.width, room.height, &room.data).ok_or("image does not decode".into())
+use crate::inputs::rig::frame;
+
+/// Why an image is left out that is damaged, or no picture: `encoding` is that of its reference, empty where that is not
+/// known.
+pub(crate) fn undecoded(camera: &str, encoding: &str) -> Reason {
+    let camera = frame(camera);
+    match encoding {
+        "" => format!("image of camera `{camera}` does not decode").into(),
+        _ => format!("image of camera `{camera}` ({encoding}) does not decode").into(),
+    }
+}
+
+/// An encoded image in colour; `room` holds it, and `undecoded` says why it is left out.
+pub(crate) fn colours<'a>(
+    bytes: &[u8],
+    room: &'a mut Rgb,
+    undecoded: impl Fn() -> Reason,
+) -> Result<ColourView<'a>, Reason> {
+    decode_colour(bytes, room).map_err(|_| undecoded())?;
+    ColourView::new(room.width, room.height, &room.data).ok_or_else(undecoded)
 }
 
 /// The values of a row's label image.

@@ -12,6 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::painting::{ImageKey, by_image, lying, paint};
+use crate::inputs::pixels::undecoded;
 
 /// See the module's page.
 pub struct TaughtLabels;
@@ -78,11 +79,10 @@ impl Said {
             if lying.is_empty() {
                 continue;
             }
-            let canvas = pixels
-                .get(row)
-                .ok_or("image is missing".into())
-                .and_then(|bytes| Canvas::of(&frame, bytes, &mut room));
-            let label = canvas.and_then(|mut canvas| {
+            let Some(bytes) = pixels.get(row) else {
+                continue;
+            };
+            let label = Canvas::of(&frame, bytes, &mut room).and_then(|mut canvas| {
                 canvas.lay_all(&lying, emit);
                 canvas.row(frame)
             });
@@ -104,7 +104,7 @@ struct Canvas {
 impl Canvas {
     /// The labels that the image has otherwise; else none anywhere.
     fn of(frame: &PaintedFrame, bytes: &[u8], room: &mut Grey) -> Result<Self, Reason> {
-        decode_grey(bytes, room).map_err(|_| "image does not decode")?;
+        decode_grey(bytes, room).map_err(|_| undecoded(&frame.camera, &frame.image.format))?;
         let (Some(png), Some(classes)) = (&frame.png, &frame.classes) else {
             let data = vec![VOID; room.data.len()];
             return Ok(Self {

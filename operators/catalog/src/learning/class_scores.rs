@@ -12,7 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::forest::{LearntForest, wrong};
-use crate::inputs::pixels::colours;
+use crate::inputs::pixels::{colours, undecoded};
 
 /// See the module's page.
 pub struct ClassScoring;
@@ -76,7 +76,8 @@ impl Scorer {
         rgb: &mut Rgb,
     ) -> Result<Option<ClassScores>, Reason> {
         let model = self.model.as_ref().ok_or("site has no forest")?;
-        let image = colours(bytes, rgb)?;
+        let undecoded = || undecoded(&frame.camera, &frame.image.format);
+        let image = colours(bytes, rgb, undecoded)?;
         let block = model.forest.block(&frame.session, frame.stamp);
         let mut scores = model
             .classifier

@@ -14,7 +14,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::lenses::{self, Lenses};
-use crate::inputs::pixels::colours;
+use crate::inputs::pixels::{colours, undecoded};
 
 /// See the module's page.
 pub struct CrfSettings;
@@ -106,7 +106,10 @@ impl Stream for Collector {
         let step = self.images.len().div_ceil(self.params.images as usize);
         let mut decoded = Vec::new();
         for image in self.images.iter().step_by(step.max(1)) {
-            match image.decode(&first.classes, &self.lenses) {
+            let Some(bytes) = &image.image else {
+                continue;
+            };
+            match image.decode(bytes, &first.classes, &self.lenses) {
                 Ok(image) => decoded.push(image),
                 Err(reason) => emit.skip(reason, 1),
             }
@@ -127,18 +130,19 @@ impl Stream for Collector {
 }
 
 impl Encoded {
-    fn decode(&self, classes: &[String], lenses: &Lenses) -> Result<Decoded, Reason> {
+    fn decode(&self, bytes: &[u8], classes: &[String], lenses: &Lenses) -> Result<Decoded, Reason> {
         let scores = &self.scores;
         if scores.classes != classes || classes.len() > MOST_CLASSES {
             return Err("image has other classes than the first one".into());
         }
         let size = [scores.width, scores.height];
-        let bytes = &scores.probabilities.0;
-        let view = ScoresView::new(size, scores.stride_px, classes.len(), bytes)
+        let probabilities = &scores.probabilities.0;
+        let view = ScoresView::new(size, scores.stride_px, classes.len(), probabilities)
             .ok_or("scores do not have the size that they claim")?;
-        let image = self.image.as_ref().ok_or("image is missing")?;
         let mut rgb = Rgb::default();
-        colours(image, &mut rgb)?;
+        colours(bytes, &mut rgb, || {
+            undecoded(&scores.camera, &scores.image.format)
+        })?;
         let mut truth = decode_labels(&scores.png.0).map_err(|_| "labels do not decode")?;
         let table = renumbered(&scores.label_classes, classes);
         for value in &mut truth.data {

@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::lenses::{self, Lenses};
-use crate::inputs::pixels::{colours, scores};
+use crate::inputs::pixels::{colours, scores, undecoded};
 
 /// See the module's page.
 pub struct LabelImages;
@@ -78,7 +78,7 @@ impl Labeller {
             return Err("more classes than labels".into());
         }
         let scores = scores(&scored)?;
-        let image = colours(bytes, rgb)?;
+        let image = colours(bytes, rgb, || undecoded(&scored.camera, ""))?;
         if [image.width(), image.height()]
             != [scored.width, scored.height].map(|side| side as usize)
         {

@@ -12,7 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::lenses::{self, Lenses};
-use crate::inputs::pixels::colours;
+use crate::inputs::pixels::{colours, undecoded};
 
 /// See the module's page.
 pub struct PixelSampling;
@@ -95,7 +95,8 @@ impl Sampler {
         rgb: &mut Rgb,
     ) -> Result<Option<PixelSamples>, Reason> {
         let labels = decode_labels(&frame.png.0).map_err(|_| "labels do not decode")?;
-        let image = colours(bytes, rgb)?;
+        let undecoded = || undecoded(&frame.camera, &frame.image.format);
+        let image = colours(bytes, rgb, undecoded)?;
         let size = [labels.width, labels.height].map(|side| side as usize);
         if size != [image.width(), image.height()] {
             return Err("labels are of another size than the image".into());

@@ -155,7 +155,8 @@ impl Window {
     ) -> Result<Held, Reason> {
         scores(&row)?;
         let mut known = |reason: Reason| emit.skip(reason, 1);
-        let depth = depth(&row, bytes).map_err(&mut known).ok();
+        let depth = bytes.map(|bytes| depth(&row, bytes).map_err(&mut known));
+        let depth = depth.and_then(Result::ok);
         let posed = self.pose(&row).map_err(&mut known).ok();
         Ok(Held {
             scores: row,
@@ -210,8 +211,7 @@ impl Window {
     }
 }
 
-fn depth(scores: &ClassScores, bytes: Option<&[u8]>) -> Result<Grey16, Reason> {
-    let bytes = bytes.ok_or("depth image is missing")?;
+fn depth(scores: &ClassScores, bytes: &[u8]) -> Result<Grey16, Reason> {
     let depth = decode_depth(bytes).map_err(|_| "depth image does not decode")?;
     if [depth.width, depth.height] != [scores.width, scores.height] {
         return Err("depth image has another size than its scores".into());

@@ -10,6 +10,8 @@ use evermap_vision::{Grey, decode_grey, encode_png};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::pixels::undecoded;
+
 /// See the module's page.
 pub struct BodyMasks;
 
@@ -100,7 +102,8 @@ impl Stream for OfCamera {
     ) -> Result<(), Fault> {
         for (index, row) in rows.into_iter().enumerate() {
             if self.is_due(row.keyframe)
-                && let Err(reason) = self.compare(row, pixels.get(index))
+                && let Some(bytes) = pixels.get(index)
+                && let Err(reason) = self.compare(row, bytes)
             {
                 emit.skip(reason, 1);
             }
@@ -139,9 +142,9 @@ impl OfCamera {
         })
     }
 
-    fn compare(&mut self, row: FrameImage, bytes: Option<&[u8]>) -> Result<(), Reason> {
-        decode_grey(bytes.ok_or("image is missing")?, &mut self.grey)
-            .map_err(|_| "image does not decode")?;
+    fn compare(&mut self, row: FrameImage, bytes: &[u8]) -> Result<(), Reason> {
+        decode_grey(bytes, &mut self.grey)
+            .map_err(|_| undecoded(&row.camera, &row.image.format))?;
         let Grey { width, height, .. } = self.grey;
         self.last_m = self.distances_m.get(&row.keyframe).copied();
         let search = self.search.get_or_insert_with(|| Search {

@@ -143,10 +143,7 @@ impl Site {
     ) -> Result<(), Fault> {
         let frames = frames.into_par_iter().enumerate();
         let found: Vec<Found> = frames
-            .map(|(row, frame)| {
-                let bytes = pixels.get(row).ok_or("label image is missing")?;
-                self.image(frame, bytes)
-            })
+            .filter_map(|(row, frame)| Some(self.image(frame, pixels.get(row)?)))
             .collect();
         let mut kept = Vec::with_capacity(found.len());
         for row in found {

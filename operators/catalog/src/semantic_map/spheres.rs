@@ -11,6 +11,7 @@ use evermap_vision::{decode_depth, image_size};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::inputs::pixels::undecoded;
 use crate::inputs::rig::{self, Rig, frame};
 
 /// See the module's page.
@@ -76,7 +77,8 @@ impl Site {
     }
 
     fn sphere(&self, row: Frame, image: &[u8], _: &mut ()) -> Result<[SphereView; 1], Reason> {
-        let [width, height] = image_size(image).map_err(|_| "image does not decode")?;
+        let size = image_size(image);
+        let [width, height] = size.map_err(|_| undecoded(&row.camera, &row.image.format))?;
         let key = (row.session, row.camera, row.stamp);
         let range = self.range.get(&key).ok_or("view has no range image")?;
         let (session, camera, stamp) = key;

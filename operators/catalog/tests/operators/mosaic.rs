@@ -220,6 +220,7 @@ fn an_image_without_what_it_needs_is_counted_by_reason() {
         damage(&mut image);
         images.push(image);
     };
+    // Whoever could not fetch it has counted it.
     bad(1, &|image| image.image = None);
     bad(2, &|image| image.image.as_mut().unwrap().0.truncate(90));
     bad(3, &|image| image.image = Some(Bytes(vec![1, 2, 3])));
@@ -232,8 +233,7 @@ fn an_image_without_what_it_needs_is_counted_by_reason() {
     });
     let (found, losses) = patches(&rig, images);
     let expected = [
-        ("image does not decode", 2),
-        ("image is missing", 1),
+        ("image of camera `front` does not decode", 2),
         (
             "image of camera `front` has another shape than its calibration",
             1,

@@ -21,8 +21,10 @@ pub struct Feature {
     pub place: String,
     /// The label that it is, where it says so.
     pub label: Option<String>,
-    /// What it marks, where it says so.
+    /// What it marks, where it says so in evermap's words.
     pub kind: Option<String>,
+    /// What it marks in the words of another program, which may be any.
+    pub category: Option<String>,
     /// `drawn`, `accepted`, `rejected` or `removed`, where it says so.
     pub standing: Option<String>,
     /// Its outline; `None` for one that only says something of a label.

@@ -24,6 +24,7 @@ pub fn features(value: &Value, losses: &mut Losses) -> Vec<Feature> {
                 place,
                 label,
                 kind: text(&value["properties"]["kind"]),
+                category: None,
                 standing: text(&value["properties"]["standing"]),
                 geometry,
                 brush_px: value["properties"]["brush_px"].as_f64(),

@@ -21,7 +21,7 @@ pub struct Speaker {
     pub author: String,
     /// When, ns since the epoch.
     pub stamp_ns: u64,
-    /// What all labels mark; what each says itself where it is `None`.
+    /// What features mark that do not say so themselves in evermap's words; others must agree.
     pub kind: Option<String>,
 }
 
@@ -86,8 +86,11 @@ fn acts(
         return Ok(Err("feature that neither names a label nor has a geometry"));
     };
     let known = state.labels.get(&label);
-    let kind = speaker.kind.as_ref().or(feature.kind.as_ref());
-    let Some(kind) = kind.or(known.map(|known| &known.kind)) else {
+    let kind = match kind(feature, state, speaker) {
+        Ok(kind) => kind.or(known.map(|known| &known.kind)),
+        Err(reason) => return Ok(Err(reason)),
+    };
+    let Some(kind) = kind else {
         return Ok(Err("feature without a kind"));
     };
     let standing = feature.standing.as_deref();
@@ -137,6 +140,27 @@ fn acts(
             acts
         }
     }))
+}
+
+/// What a feature marks. Its own kind goes first, and so does a category that is a kind of the map; what other categories
+/// mean, the speaker may say.
+///
+/// # Errors
+/// In words, for a feature of another kind than the speaker's: it is not renamed.
+fn kind<'a>(
+    feature: &'a Feature,
+    state: &State,
+    speaker: &'a Speaker,
+) -> Result<Option<&'a String>, &'static str> {
+    let category = feature.category.as_ref();
+    let own = feature.kind.as_ref();
+    let own = own.or(category.filter(|category| state.has_kind(category)));
+    match (own, &speaker.kind) {
+        (Some(own), Some(kind)) if own != kind => Err("feature of another kind than --kind"),
+        (Some(own), _) => Ok(Some(own)),
+        (None, Some(kind)) => Ok(Some(kind)),
+        (None, None) => Ok(category),
+    }
 }
 
 const STANDINGS: [&str; 4] = ["drawn", "accepted", "rejected", "removed"];

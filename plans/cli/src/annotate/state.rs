@@ -9,6 +9,7 @@ use evermap_catalog::annotated::{Holds, MapRows, Placer, PlacingParams, anchored
 use evermap_catalog::labels::label_anchors::Obstacle;
 use evermap_contract::Reason;
 use evermap_datasets::{Dataset, Manifest};
+use evermap_language::nearest;
 use evermap_schemas::layers::{LabelAnchor, MapFrame, PlacedLabel, VehiclePose};
 use evermap_schemas::roles::{Annotation, Calibration, ImageAnnotation, Transform};
 use evermap_schemas::{Fault, LayerRow};
@@ -94,6 +95,20 @@ impl State {
         };
         state.add(acts, losses);
         Ok(state)
+    }
+
+    /// Whether there are labels of a kind.
+    pub fn has_kind(&self, kind: &str) -> bool {
+        self.labels.values().any(|label| label.kind == kind)
+    }
+
+    /// The kind of labels that a word may be a misspelling of; `None` for a kind that there is, or one like no other.
+    pub fn meant(&self, kind: &str) -> Option<&str> {
+        let kinds = self.labels.values().map(|label| label.kind.as_str());
+        match self.has_kind(kind) {
+            true => None,
+            false => nearest(kind, kinds),
+        }
     }
 
     /// Takes in what was said meanwhile.

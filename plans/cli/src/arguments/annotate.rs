@@ -17,7 +17,8 @@ pub struct AnnotateArgs {
     /// Site of the labels [default: the only one].
     #[arg(long, value_name = "NAME")]
     pub site: Option<String>,
-    /// What the labels mark: any word, as `parking_space` [default: what each says itself]. With --export, only these.
+    /// What the labels mark: any word, as `parking_space` [default: what each says itself]. Features that say another kind
+    /// are left out. With --export, only these.
     #[arg(long, value_name = "WORD")]
     pub kind: Option<String>,
     /// Labels to say: GeoJSON in the map's metres; or annotations of a mosaic by COCO, CVAT, Label Studio or YOLO.

@@ -30,6 +30,13 @@ pub async fn annotate(args: &AnnotateArgs) -> Ending {
     let logs = args.out.as_deref().map(parts).unwrap_or_default();
     let mut losses = Losses::default();
     let state = State::read(&reader, args.site.as_deref(), &logs, &mut losses).await?;
+    if let Some(kind) = &args.kind
+        && let Some(meant) = state.meant(kind)
+    {
+        line(&format!(
+            "note: there are no labels of kind `{kind}` yet; did you mean `{meant}`?"
+        ));
+    }
     match (&args.import, &args.out, &args.export) {
         (Some(file), Some(log), _) => {
             import(args, file, log, (&state, &reader.map.version), &mut losses)?;

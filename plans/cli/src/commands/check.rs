@@ -5,7 +5,7 @@ use std::io::Write;
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
 use evermap_datasets::{Dataset, Manifest, Session};
-use evermap_engine::plan_test::run_tests;
+use evermap_engine::plan_test::{given_faults, run_tests};
 use evermap_engine::preflight::{Needs, idle, in_words};
 use evermap_engine::prepare::{self, vocabulary};
 use evermap_engine::program::Program;
@@ -28,6 +28,10 @@ use crate::shipped;
 pub async fn check(args: &PlanArgs) -> Ending {
     let registry = operators::registry();
     let (parsed, program, dataset) = checked(args, &registry).await?;
+    let given = given_faults(&parsed, &program, &registry, &dataset).await?;
+    if !given.is_empty() {
+        return Err(Failure::Plan(given.pretty()));
+    }
     let needs = Needs::of_program(&program, &registry);
     for (session, lacks) in idle(&needs, &dataset, std::iter::empty())? {
         let lacks = in_words(&lacks);
@@ -61,7 +65,7 @@ async fn checked(
     registry: &Registry,
 ) -> Result<(Plan, Program, Dataset), Failure> {
     let plan = shipped::of(args)?;
-    prepare::parse(&plan, registry).map_err(|faults| Failure::Plan(faults.pretty()))?;
+    prepare::check_text(&plan, registry).await?;
     let dataset = open(&RuntimeEnv::default(), &args.sessions).await?;
     let (parsed, program) = prepare::check(&plan, registry, &dataset).await?;
     Ok((parsed, program, dataset))

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use arrow::array::RecordBatch;
 use arrow::datatypes::{Field, SchemaRef};
 use datafusion::prelude::SessionContext;
-use evermap_contract::{Entry, Phase, Port, Reach, Registry, Shape};
+use evermap_contract::{Entry, Phase, Reach, Registry, Shape};
 use evermap_language::{Body, Grain, Input, Place, Plan, PlanFaults, PythonStep, Step};
 use evermap_schemas::{Cell, ImageRef};
 use serde_json::Value;
@@ -15,7 +15,8 @@ use crate::conform::{bare, misfits};
 use crate::program::locality::is_local;
 use crate::program::python::PythonTask;
 use crate::program::query::Query;
-use crate::program::test_columns;
+use crate::program::reads::{is_whole, operator_reads, query_read};
+use crate::program::test_rows;
 use crate::program::{LIFT, Program, Read, Role, Scope, Stage, Task};
 use crate::sql;
 
@@ -28,22 +29,11 @@ pub async fn compile(
     registry: &Registry,
     context: &SessionContext,
 ) -> Result<Program, PlanFaults> {
-    let mut compiler = Compiler {
-        registry,
-        context,
-        plan,
-        faults: plan.faults(),
-        stages: Vec::new(),
-        schemas: BTreeMap::new(),
-    };
-    compiler.register_previous();
-    for step in &plan.steps {
-        compiler.step(step).await;
-    }
+    let mut compiler = Compiler::new(plan, registry, context, plan.faults());
+    compiler.check().await;
     if compiler.faults.error_count() > 0 {
         return Err(compiler.faults.settle());
     }
-    compiler.check_tests().await;
     compiler.decide_stored();
     compiler.check_once();
     if compiler.faults.error_count() > 0 {
@@ -62,6 +52,20 @@ pub async fn compile(
     })
 }
 
+/// The faults that a plan's text has, with those of the steps and tests that have none there: [`evermap_language::read`].
+/// `context` has the tables that every log has; steps that read topics are left out.
+pub async fn all_faults(
+    sound: &Plan,
+    registry: &Registry,
+    context: &SessionContext,
+    faults: PlanFaults,
+) -> PlanFaults {
+    let mut compiler = Compiler::new(sound, registry, context, faults);
+    compiler.has_topics = false;
+    compiler.check().await;
+    compiler.faults.settle()
+}
+
 struct Compiler<'a> {
     registry: &'a Registry,
     context: &'a SessionContext,
@@ -69,9 +73,44 @@ struct Compiler<'a> {
     faults: PlanFaults,
     stages: Vec<Stage>,
     schemas: BTreeMap<String, SchemaRef>,
+    /// Whether tables of topics are there.
+    has_topics: bool,
+    /// Steps whose columns are known and whose scopes are not, as they read what is not known.
+    vague: BTreeSet<String>,
 }
 
-impl Compiler<'_> {
+impl<'a> Compiler<'a> {
+    fn new(
+        plan: &'a Plan,
+        registry: &'a Registry,
+        context: &'a SessionContext,
+        faults: PlanFaults,
+    ) -> Self {
+        Self {
+            registry,
+            context,
+            plan,
+            faults,
+            stages: Vec::new(),
+            schemas: BTreeMap::new(),
+            has_topics: true,
+            vague: BTreeSet::new(),
+        }
+    }
+
+    /// Steps and tests. Where anything is at fault, all that is wrong with tests is told with it.
+    async fn check(&mut self) {
+        self.register_previous();
+        let (plan, context) = (self.plan, self.context);
+        for step in &plan.steps {
+            self.step(step).await;
+        }
+        test_rows::check_columns(plan, context, &mut self.faults).await;
+        if self.faults.error_count() > 0 {
+            test_rows::check_given(plan, self.registry, context, &mut self.faults).await;
+        }
+    }
+
     fn fault(&mut self, step: &Step, message: impl Into<String>) {
         self.faults.error(Place::Text(step.position), message);
     }
@@ -107,6 +146,9 @@ impl Compiler<'_> {
             Body::Python(python) => self.python(step, python).await,
         };
         let Some(schema) = schema else { return };
+        if !self.knows_scopes(step) {
+            self.vague.insert(step.name.clone());
+        }
         self.put(Input::Step(step.name.clone()), Arc::clone(&schema));
         self.put(Input::New(step.name.clone()), Arc::clone(&schema));
         self.schemas.insert(step.name.clone(), schema);
@@ -133,7 +175,9 @@ impl Compiler<'_> {
                     (Some(maker), _) => {
                         format!("is made by {maker}; {rows}, only layers of operators can be read")
                     }
-                    (None, Input::New(_)) if self.scope_of(input) != Scope::Session => {
+                    (None, Input::New(_))
+                        if !self.vague.contains(of) && self.scope_of(input) != Scope::Session =>
+                    {
                         format!("is not of new sessions alone: one unit of `{of}` covers more than a session")
                     }
                     _ => return None,
@@ -215,10 +259,20 @@ impl Compiler<'_> {
     /// Whether the columns of all tables that a step reads are known; those of a step at fault are not.
     fn knows_inputs(&self, step: &Step) -> bool {
         let is_known = |input: &Input| match input {
-            Input::Step(name) => self.schemas.contains_key(name),
-            _ => true,
+            Input::Step(name) | Input::New(name) => self.schemas.contains_key(name),
+            Input::Source(name) => self.has_topics || !name.starts_with('/'),
+            Input::Previous(_) => true,
         };
         step.inputs.values().all(is_known)
+    }
+
+    /// Whether it is known how much of the map the tables cover that a step reads.
+    fn knows_scopes(&self, step: &Step) -> bool {
+        let is_vague = |input: &Input| match input {
+            Input::Step(name) | Input::New(name) => self.vague.contains(name),
+            Input::Source(_) | Input::Previous(_) => false,
+        };
+        self.knows_inputs(step) && !step.inputs.values().any(is_vague)
     }
 
     async fn python(&mut self, step: &Step, python: &PythonStep) -> Option<SchemaRef> {
@@ -295,26 +349,6 @@ impl Compiler<'_> {
         Some(schema)
     }
 
-    /// A misspelt column of a test would be compared with nothing.
-    async fn check_tests(&mut self) {
-        let plan = self.plan;
-        for test in &plan.tests {
-            let made = test.expect.iter().chain(&test.contains);
-            let made = made.map(|(step, rows)| (Input::Step(step.clone()), rows));
-            let given = test.given.iter().map(|(input, rows)| (input.clone(), rows));
-            for (input, rows) in given.chain(made) {
-                let Some(schema) = self.schema_of(&input).await else {
-                    continue;
-                };
-                for unknown in test_columns::unknown(schema.fields(), rows) {
-                    let (test_name, table) = (&test.name, input.written());
-                    let text = format!("test `{test_name}`: `{table}` has {unknown}");
-                    self.faults.error(Place::Text(test.position), text);
-                }
-            }
-        }
-    }
-
     /// How much of the map a unit covers at least that reads this.
     fn widest(&self, reads: &[Read]) -> Option<Scope> {
         let scope = |read: &Read| match (&read.role, read.reach) {
@@ -378,46 +412,5 @@ impl Compiler<'_> {
                 ),
             );
         }
-    }
-}
-
-/// Whether an operator needs the whole table, as a side or for the site's only group.
-fn is_whole(stage: &Stage, read: &Read) -> bool {
-    let runs = matches!(
-        &stage.task,
-        Task::Op {
-            phase: Phase::Run,
-            ..
-        }
-    );
-    matches!(read.role, Role::Side(_)) || runs && read.reach == Reach::Site
-}
-
-/// What a phase of an operator reads of the tables that a plan gives to its ports.
-fn operator_reads(entry: &Entry, phase: Phase, inputs: &BTreeMap<String, Input>) -> Vec<Read> {
-    let read = |port: &Port, role| {
-        let columns = port.layer.columns.iter();
-        Some(Read {
-            table: inputs.get(port.name)?.clone(),
-            role,
-            reach: port.reach,
-            columns: columns.map(|column| column.name.to_owned()).collect(),
-            pixels: port.pixels.map(str::to_owned),
-        })
-    };
-    let driving = read(&entry.driving(phase).port, Role::Driving);
-    let sides = entry.sides(phase).iter();
-    let sides = sides.map(|port| read(port, Role::Side(port.name.to_owned())));
-    std::iter::once(driving).chain(sides).flatten().collect()
-}
-
-/// A table that a query names: what belongs to the unit, and whatever columns are used.
-fn query_read(table: &Input) -> Read {
-    Read {
-        table: table.clone(),
-        role: Role::Query,
-        reach: Reach::Session,
-        columns: Vec::new(),
-        pixels: None,
     }
 }

@@ -8,7 +8,8 @@ pub mod compile;
 mod locality;
 pub mod python;
 mod query;
-mod test_columns;
+mod reads;
+pub(crate) mod test_rows;
 mod volatile;
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -7,12 +7,12 @@ use crate::suggest::{printable, quoted};
 use crate::written::WrittenStep;
 
 /// An order in which every step comes after those it reads; among the steps that are ready,
-/// the one written first. `None` after a fault for every cycle.
+/// the one written first. Without the steps of cycles and those that read them, after a fault for every cycle.
 pub(super) fn order(
     steps: &[WrittenStep],
     reads: &[Vec<usize>],
     faults: &mut PlanFaults,
-) -> Option<Vec<usize>> {
+) -> Vec<usize> {
     let readers = reversed(reads);
     let mut missing: Vec<usize> = reads.iter().map(Vec::len).collect();
     let is_ready = |(index, missing): (usize, &usize)| (*missing == 0).then_some(index);
@@ -29,13 +29,12 @@ pub(super) fn order(
             }
         }
     }
-    if order.len() == steps.len() {
-        return Some(order);
+    if order.len() < steps.len() {
+        for cycle in cycles(reads) {
+            report(steps, &cycle, faults);
+        }
     }
-    for cycle in cycles(reads) {
-        report(steps, &cycle, faults);
-    }
-    None
+    order
 }
 
 fn reversed(reads: &[Vec<usize>]) -> Vec<Vec<usize>> {

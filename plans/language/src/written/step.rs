@@ -26,6 +26,7 @@ pub(super) fn step(
         body: None,
         body_place: entry.place,
         once: false,
+        is_sound: true,
     };
     let what = format!("step {}", quoted(&entry.key));
     let Some(fields) = Fields::of(&entry.value, &what, &STEP_KEYS, faults) else {

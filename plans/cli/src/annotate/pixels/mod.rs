@@ -277,7 +277,8 @@ impl Drawn {
         Feature {
             place: self.place,
             label: None,
-            kind: self.kind,
+            kind: None,
+            category: self.kind,
             standing: None,
             geometry: Some(match self.shape {
                 Shape::Open(_) => Geometry::Open(points),

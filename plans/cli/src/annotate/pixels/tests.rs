@@ -96,7 +96,7 @@ proptest! {
         for program in ALL {
             let (found, losses) = round_trip(program, &[label("a", "box", &corners)]);
             prop_assert!(losses.counts.is_empty() && found.len() == 1);
-            prop_assert_eq!(found[0].kind.as_deref(), Some("a <kind> & \"more\""));
+            prop_assert_eq!(found[0].category.as_deref(), Some("a <kind> & \"more\""));
             let found = points(&found[0]);
             prop_assert!(same(&found, &corners), "{:?}: {:?}", program, found);
         }
@@ -154,7 +154,7 @@ fn what_the_programs_write_is_read() {
         let program = Program::of(&path, text).unwrap();
         let found = program.read(&path, text, &picture, &mut losses).unwrap();
         assert_eq!(found.len(), 1, "{name}");
-        assert_eq!(found[0].kind.as_deref(), Some("space"));
+        assert_eq!(found[0].category.as_deref(), Some("space"));
         let found = points(&found[0]);
         let close = expected.iter().all(|b| {
             found

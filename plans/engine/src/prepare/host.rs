@@ -1,0 +1,98 @@
+//! What plans can be written with, and what the language asks of its host.
+
+use std::io::Read;
+use std::path::Path;
+
+use datafusion::error::DataFusionError;
+use evermap_contract::{ParamFault, Registry};
+use evermap_datasets::Dataset;
+use evermap_language::{
+    Host, OperatorSpec, ParameterFault, PortSpec, QueryFault, Source, Vocabulary,
+};
+use serde_json::Value;
+
+use super::PlanText;
+use crate::error::{fault_of, place_in_query};
+use crate::sql::tables;
+
+/// Everything plans can be written with.
+pub fn vocabulary(registry: &Registry) -> Vocabulary {
+    let operators = registry.entries().map(|entry| OperatorSpec {
+        name: entry.name.to_owned(),
+        ports: entry
+            .ports
+            .iter()
+            .map(|port| PortSpec {
+                name: port.name.to_owned(),
+                optional: port.optional,
+            })
+            .collect(),
+        params: entry.params_schema.clone(),
+    });
+    Vocabulary {
+        operators: operators.collect(),
+        sources: Dataset::table_names()
+            .iter()
+            .map(ToString::to_string)
+            .collect(),
+        open_sources: true,
+    }
+}
+
+/// The longest file of Python that is read (bytes).
+const LONGEST_CODE: u64 = 1 << 20;
+
+fn query_fault(error: &DataFusionError) -> QueryFault {
+    QueryFault {
+        message: fault_of(error).message,
+        at: place_in_query(error),
+    }
+}
+
+/// What a plan is read among.
+pub struct Surroundings<'a> {
+    /// The plan.
+    pub plan: &'a PlanText,
+    /// The operators.
+    pub registry: &'a Registry,
+}
+
+impl Host for Surroundings<'_> {
+    fn tables(&self, query: &str) -> Result<Vec<String>, QueryFault> {
+        tables(query).map_err(|error| query_fault(&error))
+    }
+
+    fn parameter_faults(&self, operator: &str, params: &Value) -> Vec<ParameterFault> {
+        let entry = self.registry.get(operator);
+        let faults = entry.map_or_else(|_| Vec::new(), |entry| entry.faults(params));
+        let told = |fault: ParamFault| ParameterFault {
+            parameter: fault.param,
+            message: fault.message,
+        };
+        faults.into_iter().map(told).collect()
+    }
+
+    fn plan(&self, name: &str, extended_by: &str) -> Result<Source, String> {
+        (self.plan.find)(name, extended_by)
+    }
+
+    fn code(&self, path: &str, named_by: &str) -> Result<String, String> {
+        let folder = Path::new(named_by).parent().unwrap_or(Path::new(""));
+        let path = folder.join(path);
+        let failed = |error| format!("cannot read {}: {error}", path.display());
+        let file = std::fs::File::open(&path).map_err(failed)?;
+        let mut code = String::new();
+        let read = file.take(LONGEST_CODE + 1).read_to_string(&mut code);
+        match read.map_err(failed)? as u64 > LONGEST_CODE {
+            true => Err(format!(
+                "{} has more than {LONGEST_CODE} bytes",
+                path.display()
+            )),
+            false => Ok(code),
+        }
+    }
+
+    fn manifest(&self) -> Option<Source> {
+        self.plan.manifest.clone()
+    }
+}
