@@ -11,7 +11,8 @@ use evermap_tests::{Finished, evermap, rectangle, text, write_drive};
 fn write_topics(path: &Path, topics: &[(&str, &str)]) {
     let mut writer = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
     for (topic, schema) in topics {
-        let schema = writer.add_schema(schema, "jsonschema", b"{}").unwrap();
+        let fields = br#"{"type":"object","properties":{"header":{"type":"object"}}}"#;
+        let schema = writer.add_schema(schema, "jsonschema", fields).unwrap();
         writer
             .add_channel(schema, topic, "json", &Default::default())
             .unwrap();
