@@ -191,7 +191,7 @@ fn a_test_finds_what_is_no_function_of_its_rows() {
             &format!("{grain}\n    output: {{ x: f64 }}"),
             test,
         );
-        let found = bench.evermap(&["test", text(&plan)]).stderr;
+        let found = bench.evermap(&["test", text(&plan)]).expect(1).stdout;
         assert!(
             found.contains(expected),
             "expected {expected}\n   found {found}"

@@ -50,7 +50,7 @@ fn senseless_parameters_are_refused() {
         [
             "expected `baseline_m` above 0, found 0",
             "expected `deadband_m` of at least 0, found -0.1",
-            "expected `max_speed_mps` above 0, found 0.0",
+            "expected `max_speed_mps` above 0 and at most 1000, found 0.0",
         ]
     );
     assert_eq!(
