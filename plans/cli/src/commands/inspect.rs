@@ -129,10 +129,12 @@ fn plans(dataset: &Dataset) -> Result<Vec<PlanLine>, Fault> {
         let plan = plan.map_err(|faults| Fault::bug(faults.to_string()))?;
         let needs = Needs::of_plan(&plan, &registry);
         let lacks = needs.lacks(&plays, &plays);
-        let without = needs.without(&plays);
         Ok(PlanLine {
             plan: plan.name.clone(),
-            without: lacks.is_none().then_some(without).unwrap_or_default(),
+            without: match lacks {
+                None => needs.without(&plays),
+                Some(_) => Vec::new(),
+            },
             lacks,
         })
     };
