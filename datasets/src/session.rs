@@ -65,7 +65,7 @@ impl Session {
         })
     }
 
-    /// Why a topic plays no role, though its message type would.
+    /// What keeps a topic from playing a role: any, or those that are read by fields.
     pub fn unfit(&self, topic: &str) -> Option<&'static str> {
         let untyped = || {
             self.parts.iter().any(|part| {

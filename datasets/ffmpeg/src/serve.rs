@@ -3,7 +3,7 @@
 use std::io::{self, Read, Write};
 
 use evermap_video::Codec;
-use evermap_video::protocol::{Answer, Request};
+use evermap_video::protocol::{Answer, Request, Word};
 
 use crate::Stream;
 
@@ -20,7 +20,6 @@ pub fn serve(mut requests: impl Read, mut answers: impl Write) -> io::Result<()>
             Request::Show => decoding.decode(&frame, true),
         };
         answer.send(&mut answers, &bytes)?;
-        answers.flush()?;
     }
     Ok(())
 }

@@ -11,7 +11,7 @@ use base64::prelude::BASE64_STANDARD;
 use bytes::Bytes;
 use evermap_schemas::roles::IMAGE_MEMBER;
 use evermap_schemas::{Fault, ImageRef};
-use evermap_video::{Codec, Decoder, Failure, PROGRAM_VARIABLE};
+use evermap_video::{Codec, Decoder, Failure};
 
 use crate::images::{ImageReader, Place};
 use crate::log::chunk::{Block, Message};
@@ -123,9 +123,7 @@ impl Run {
                 self.decoder = None;
                 Ok(Err(Fault::data(format!("video frame {reason}"))))
             }
-            Err(Failure::Process(reason)) => Err(Fault::resource(reason).next(format!(
-                "install evermap-video beside evermap, or name it with {PROGRAM_VARIABLE}"
-            ))),
+            Err(Failure::Process(reason)) => Err(Fault::resource(reason)),
         }
     }
 }

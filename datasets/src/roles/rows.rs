@@ -59,7 +59,7 @@ impl RoleRows {
         for topic in topics {
             for channel in part.channels_of(topic) {
                 match part.decodable(channel) {
-                    Ok(_) if role.image.is_none() && part.index.is_untyped(channel) => {
+                    Ok(_) if role.need_fields() && part.index.is_untyped(channel) => {
                         let none = "expected a schema that names the fields of messages, found JSON without any";
                         refused.push((channel, Fault::data(none).at(format!("topic {topic}"))));
                     }

@@ -21,4 +21,3 @@ mod worker;
 pub use codec::Codec;
 pub use colour::{Colours, Matrix, Scale};
 pub use decoder::{Decoder, Failure, Shown};
-pub use worker::PROGRAM_VARIABLE;

@@ -29,88 +29,64 @@ pub enum Answer {
     Broken,
 }
 
-impl Request {
+/// What either side sends.
+pub trait Word: Copy + PartialEq + 'static {
+    /// All of them, each with its byte.
+    const ALL: [(u8, Self); 4];
+
+    /// Writes it, with the bytes that belong to it.
+    ///
+    /// # Errors
+    /// Where the pipe breaks, or the bytes are more than a length can say.
+    fn send(self, pipe: &mut impl Write, bytes: &[u8]) -> io::Result<()> {
+        let length = u32::try_from(bytes.len()).map_err(io::Error::other)?;
+        for (byte, _) in Self::ALL.iter().filter(|(_, known)| *known == self) {
+            pipe.write_all(&[*byte])?;
+        }
+        pipe.write_all(&length.to_le_bytes())?;
+        pipe.write_all(bytes)?;
+        pipe.flush()
+    }
+
+    /// Reads the next one; `None` at the end. A length is believed no further than bytes come.
+    ///
+    /// # Errors
+    /// Where the pipe breaks, or what comes is none of them.
+    fn receive(pipe: &mut impl Read) -> io::Result<Option<(Self, Vec<u8>)>> {
+        let mut byte = [0];
+        if pipe.read(&mut byte)? == 0 {
+            return Ok(None);
+        }
+        let known = Self::ALL.into_iter().find(|(known, _)| *known == byte[0]);
+        let (_, word) = known.ok_or(ErrorKind::InvalidData)?;
+        let mut length = [0; 4];
+        pipe.read_exact(&mut length)?;
+        let length = u64::from(u32::from_le_bytes(length));
+        let mut bytes = Vec::new();
+        pipe.take(length).read_to_end(&mut bytes)?;
+        match bytes.len() as u64 == length {
+            true => Ok(Some((word, bytes))),
+            false => Err(ErrorKind::UnexpectedEof.into()),
+        }
+    }
+}
+
+impl Word for Request {
     const ALL: [(u8, Self); 4] = [
         (1, Self::Begin(Codec::H264)),
         (2, Self::Begin(Codec::H265)),
         (3, Self::Decode),
         (4, Self::Show),
     ];
-
-    /// Writes it.
-    ///
-    /// # Errors
-    /// Where the pipe breaks, or the bytes are more than a length can say.
-    pub fn send(self, pipe: &mut impl Write, bytes: &[u8]) -> io::Result<()> {
-        send(pipe, &Self::ALL, self, bytes)
-    }
-
-    /// Reads the next one; `None` at the end.
-    ///
-    /// # Errors
-    /// Where the pipe breaks, or what comes is no request.
-    pub fn receive(pipe: &mut impl Read) -> io::Result<Option<(Self, Vec<u8>)>> {
-        receive(pipe, &Self::ALL)
-    }
 }
 
-impl Answer {
+impl Word for Answer {
     const ALL: [(u8, Self); 4] = [
         (1, Self::Decoded),
         (2, Self::Picture),
         (3, Self::NoPicture),
         (4, Self::Broken),
     ];
-
-    /// Writes it.
-    ///
-    /// # Errors
-    /// Where the pipe breaks, or the bytes are more than a length can say.
-    pub fn send(self, pipe: &mut impl Write, bytes: &[u8]) -> io::Result<()> {
-        send(pipe, &Self::ALL, self, bytes)
-    }
-
-    /// Reads the next one; `None` at the end.
-    ///
-    /// # Errors
-    /// Where the pipe breaks, or what comes is no answer.
-    pub fn receive(pipe: &mut impl Read) -> io::Result<Option<(Self, Vec<u8>)>> {
-        receive(pipe, &Self::ALL)
-    }
-}
-
-fn send<T: Copy + PartialEq>(
-    pipe: &mut impl Write,
-    all: &[(u8, T)],
-    what: T,
-    bytes: &[u8],
-) -> io::Result<()> {
-    let length = u32::try_from(bytes.len()).map_err(io::Error::other)?;
-    for (byte, _) in all.iter().filter(|(_, known)| *known == what) {
-        pipe.write_all(&[*byte])?;
-    }
-    pipe.write_all(&length.to_le_bytes())?;
-    pipe.write_all(bytes)?;
-    pipe.flush()
-}
-
-/// A length is believed no further than bytes come.
-fn receive<T: Copy>(pipe: &mut impl Read, all: &[(u8, T)]) -> io::Result<Option<(T, Vec<u8>)>> {
-    let mut byte = [0];
-    if pipe.read(&mut byte)? == 0 {
-        return Ok(None);
-    }
-    let known = all.iter().find(|(known, _)| *known == byte[0]);
-    let (_, what) = known.ok_or(ErrorKind::InvalidData)?;
-    let mut length = [0; 4];
-    pipe.read_exact(&mut length)?;
-    let length = u64::from(u32::from_le_bytes(length));
-    let mut bytes = Vec::new();
-    pipe.take(length).read_to_end(&mut bytes)?;
-    match bytes.len() as u64 == length {
-        true => Ok(Some((*what, bytes))),
-        false => Err(ErrorKind::UnexpectedEof.into()),
-    }
 }
 
 #[cfg(test)]

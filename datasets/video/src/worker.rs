@@ -8,10 +8,10 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use crate::Failure;
-use crate::protocol::{Answer, Request};
+use crate::protocol::{Answer, Request, Word};
 
 /// Names the program that decodes; `evermap-video` beside the program that runs, or of the path, where it is not set.
-pub const PROGRAM_VARIABLE: &str = "EVERMAP_VIDEO";
+const PROGRAM_VARIABLE: &str = "EVERMAP_VIDEO";
 
 const PROGRAM: &str = "evermap-video";
 
@@ -43,7 +43,7 @@ impl Worker {
             .map_err(|error| {
                 let program = program.display();
                 Failure::Process(format!(
-                    "cannot start {program}, which decodes video: {error}"
+                    "cannot start {program}, which decodes video: {error}; install {PROGRAM} beside evermap, or name it with {PROGRAM_VARIABLE}"
                 ))
             })?;
         let ends = process.stdin.take().zip(process.stdout.take());

@@ -66,22 +66,12 @@ pub fn main() -> std::process::ExitCode {
     main_with([])
 }
 
-/// Panics that become errors are not told beside them.
-fn keep_guarded_panics_quiet() {
-    let tell = std::panic::take_hook();
-    std::panic::set_hook(Box::new(move |panic| {
-        if !evermap_functions::is_guarded() {
-            tell(panic);
-        }
-    }));
-}
-
 /// [`main`] of a program that has these operators beside the catalog's: they can be named in plans, and are listed and
 /// run as those are.
 pub fn main_with(own: impl IntoIterator<Item = Entry>) -> std::process::ExitCode {
     let arguments = Arguments::parse();
     log();
-    keep_guarded_panics_quiet();
+    evermap_functions::keep_guarded_panics_quiet();
     if let Err(fault) = operators::join(own) {
         return tell(&Err(fault.into()), &mut std::io::stderr()).into();
     }

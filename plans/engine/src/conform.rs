@@ -95,6 +95,10 @@ fn fraction(from: &ArrayRef, to: &ArrayRef) -> Result<Option<f64>, Fault> {
         (DataType::List(_), DataType::List(_)) => {
             fraction(from.as_list::<i32>().values(), to.as_list::<i32>().values())
         }
+        (DataType::FixedSizeList(..), DataType::FixedSizeList(..)) => fraction(
+            from.as_fixed_size_list().values(),
+            to.as_fixed_size_list().values(),
+        ),
         _ => Ok(None),
     }
 }
@@ -188,7 +192,8 @@ pub fn bare(schema: &Schema) -> SchemaRef {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use arrow::array::{
-        BooleanArray, Float32Array, Float64Array, Int64Array, ListArray, StringArray, StructArray,
+        BooleanArray, FixedSizeListArray, Float32Array, Float64Array, Int64Array, ListArray,
+        StringArray, StructArray,
     };
     use arrow::datatypes::Int32Type;
     use evermap_schemas::{Cell, Stamp};
@@ -224,6 +229,11 @@ mod tests {
         let nested = StructArray::from(vec![(field, values)]);
         let whole = Field::new("x", DataType::Int32, true);
         assert!(told(nested, &DataType::Struct(vec![whole].into())).contains("found 0.5"));
+        let item = |kind| Arc::new(Field::new_list_field(kind, true));
+        let pair: ArrayRef = Arc::new(numbers(vec![1.0, 2.5]));
+        let pair = FixedSizeListArray::new(item(DataType::Float64), 2, pair, None);
+        let whole = DataType::FixedSizeList(item(DataType::Int32), 2);
+        assert!(told(pair, &whole).contains("found 2.5"));
     }
 
     #[test]

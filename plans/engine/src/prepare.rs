@@ -51,7 +51,7 @@ impl From<PlanFaults> for Refusal {
 pub struct PlanText {
     /// The YAML.
     pub source: Source,
-    /// Finds the plan that another extends, as [`Host::plan`] does.
+    /// Finds the plan that another extends, as [`evermap_language::Host::plan`] does.
     pub find: fn(&str, &str) -> Result<Source, String>,
     /// `step.param=value` options.
     pub settings: Vec<String>,

@@ -2,7 +2,7 @@
 //! always tell inside from outside.
 
 use std::cell::Cell;
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::panic::{self, AssertUnwindSafe, catch_unwind};
 
 use datafusion::common::{DataFusionError, Result};
 
@@ -10,9 +10,14 @@ thread_local! {
     static GUARDED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Whether a panic of this thread becomes an error: nobody need be told of it.
-pub fn is_guarded() -> bool {
-    GUARDED.get()
+/// Has panics that become errors not be told beside them: the hook that there is hears of all others.
+pub fn keep_guarded_panics_quiet() {
+    let tell = panic::take_hook();
+    panic::set_hook(Box::new(move |panic| {
+        if !GUARDED.get() {
+            tell(panic);
+        }
+    }));
 }
 
 /// What a computation on geometries gives.
@@ -40,6 +45,6 @@ mod tests {
         assert_eq!(guarded(|| guarded(|| 1).ok()).ok(), Some(Some(1)));
         let error = guarded(|| panic!("no side")).map(|(): ()| ());
         assert!(error.is_err_and(|error| error.to_string().contains("expected valid geometries")));
-        assert!(!is_guarded());
+        assert!(!GUARDED.get());
     }
 }

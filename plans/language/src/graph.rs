@@ -93,39 +93,30 @@ fn finished(step: WrittenStep, resolved: Vec<Option<Input>>) -> Option<Step> {
 /// The steps at fault, those that have no order, and those that read any of them.
 fn faulty<'s>(
     steps: &'s [WrittenStep],
-    inputs: &[Vec<Option<Input>>],
+    inputs: &'s [Vec<Option<Input>>],
     order: &[usize],
 ) -> BTreeSet<&'s str> {
     let order: BTreeSet<usize> = order.iter().copied().collect();
-    let steps: Vec<(&'s str, bool, &[Option<Input>])> = steps
-        .iter()
-        .zip(inputs)
-        .enumerate()
-        .map(|(index, (step, inputs))| {
-            let is_sound = step.is_sound && inputs.iter().all(Option::is_some);
-            let name = step.name.name.as_str();
-            (name, is_sound && order.contains(&index), inputs.as_slice())
-        })
-        .collect();
-    let own = steps.iter().filter(|(_, is_sound, _)| !is_sound);
-    let mut faulty: BTreeSet<&str> = own.map(|(name, ..)| *name).collect();
-    loop {
-        let is_faulty = |input: &Input| match input {
-            Input::Step(name) | Input::New(name) | Input::Previous(name) => {
-                faulty.contains(name.as_str())
-            }
-            Input::Source(_) => false,
-        };
-        let reads_faulty = |(name, _, inputs): &&(&str, bool, &[Option<Input>])| {
-            !faulty.contains(*name) && inputs.iter().flatten().any(is_faulty)
-        };
-        let more = steps.iter().filter(reads_faulty).map(|(name, ..)| *name);
-        let more: Vec<&str> = more.collect();
-        if more.is_empty() {
-            return faulty;
+    let mut readers = BTreeMap::<&str, Vec<&str>>::new();
+    let mut open = Vec::new();
+    for (index, (step, inputs)) in steps.iter().zip(inputs).enumerate() {
+        let name = step.name.name.as_str();
+        if !step.is_sound || inputs.iter().any(Option::is_none) || !order.contains(&index) {
+            open.push(name);
         }
-        faulty.extend(more);
+        for input in inputs.iter().flatten() {
+            if let Input::Step(read) | Input::New(read) | Input::Previous(read) = input {
+                readers.entry(read).or_default().push(name);
+            }
+        }
     }
+    let mut faulty = BTreeSet::new();
+    while let Some(step) = open.pop() {
+        if faulty.insert(step) {
+            open.extend(readers.get(step).into_iter().flatten());
+        }
+    }
+    faulty
 }
 
 impl Names<'_> {

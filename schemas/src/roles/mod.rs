@@ -15,7 +15,7 @@ mod message;
 mod role;
 
 pub use cameras::CameraNames;
-pub use message::{Fields, FoundImage, FromMessage, FromMetadata, Message, Read};
+pub use message::{FARTHEST_M, Fields, FoundImage, FromMessage, FromMetadata, Message, Read};
 pub use role::{Choice, Messages, Metadata, Role, Source, Topic, every, in_words};
 
 macro_rules! roles {

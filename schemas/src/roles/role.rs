@@ -60,6 +60,11 @@ impl Messages {
             read: crate::roles::message::read::<T>,
         }
     }
+
+    /// Whether nothing is read of messages whose schema names no fields: an image is found without.
+    pub fn need_fields(&self) -> bool {
+        self.image.is_none()
+    }
 }
 
 /// Which metadata records become rows, and how.
@@ -122,8 +127,7 @@ impl Role {
         let Some(messages) = self.messages() else {
             return Vec::new();
         };
-        // An image is found in a message whose fields nobody named; all else is read by them.
-        let readable = |topic: &&Topic| !topic.untyped || messages.image.is_some();
+        let readable = |topic: &&Topic| !(topic.untyped && messages.need_fields());
         let typed = |topic: &&Topic| messages.types.contains(&topic.message_type.as_str());
         let candidates: Vec<Topic> = topics
             .iter()

@@ -11,6 +11,7 @@ mod logs;
 mod queries;
 
 use std::str::from_utf8;
+use std::sync::Once;
 
 use arrow::array::StructArray;
 use arrow::datatypes::Field;
@@ -258,6 +259,9 @@ fn plans(bytes: &[u8]) {
 /// # Panics
 /// Where there is none, or where it has found something.
 pub fn run(name: &str, bytes: &[u8]) {
+    // libFuzzer ends at any panic that it hears of.
+    static QUIET: Once = Once::new();
+    QUIET.call_once(evermap_functions::keep_guarded_panics_quiet);
     let found = TARGETS.iter().find(|(target, _)| *target == name);
     #[allow(clippy::panic)]
     let (_, target) = found.unwrap_or_else(|| panic!("no target {name}"));
