@@ -89,6 +89,31 @@ fn a_log_of_which_a_plan_makes_nothing_is_refused_alone_and_counted_among_others
 }
 
 #[test]
+fn a_drive_without_cameras_is_no_part_of_a_metric_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let (drive, map) = (folder.path().join("drive.mcap"), folder.path().join("map"));
+    write_drive(&drive, rectangle(30.0, 20.0, 1.0));
+    let lacks = "calibration (step cameras), frames (step keyframes), transforms (step mounts)";
+    let refused = run("lifelong", &map, &[&drive], &[]).expect(1).stderr;
+    let said = format!("cannot use session drive: expected {lacks}, found topics /odom");
+    assert!(refused.contains(&said), "{refused}");
+    assert!(!map.join("versions").exists());
+    let inspected = evermap(&["inspect", text(&drive)]).expect(0).stdout;
+    assert!(
+        inspected.contains(&format!("lifelong     lacks {lacks}")),
+        "{inspected}"
+    );
+    // Where it is on earth is asked of no session, and of the run.
+    let refused = run("georeference", &map, &[&drive], &[]).expect(1).stderr;
+    let said = "expected gnss_fixes (step antenna_positions)";
+    assert!(refused.contains(said), "{refused}");
+    // One's own plan may be content with less.
+    let plan = folder.path().join("roads.yaml");
+    std::fs::write(&plan, "plan: roads\nextends: georeference\nneeds: []\n").unwrap();
+    run(text(&plan), &map, &[&drive], &[]).expect(0);
+}
+
+#[test]
 fn inspect_says_which_topic_plays_which_role_and_which_plans_can_run() {
     let folder = tempfile::tempdir().unwrap();
     let drive = folder.path().join("drive.mcap");

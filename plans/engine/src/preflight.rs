@@ -23,8 +23,13 @@ struct Need {
     of_session: bool,
 }
 
-/// What the steps of a plan need, each after all it reads.
-pub struct Needs(Vec<Need>);
+/// What a plan and its steps need.
+pub struct Needs {
+    /// The steps, each after all it reads.
+    steps: Vec<Need>,
+    /// What the plan says that it needs of a session.
+    whole: Lacks,
+}
 
 /// Names of roles.
 pub type Roles = BTreeSet<String>;
@@ -76,7 +81,18 @@ impl Needs {
                 of_session: stage.scope == Scope::Session,
             }
         };
-        Self(program.stages.iter().map(need).collect())
+        let reads = |stage: &Stage, role: &str| {
+            let mut reads = stage.reads.iter();
+            reads.any(|read| is_source(&read.table, role))
+        };
+        let reader = |role: &String| {
+            let stage = program.stages.iter().find(|stage| reads(stage, role))?;
+            Some((role.clone(), step_of(&stage.name)))
+        };
+        Self {
+            steps: program.stages.iter().map(need).collect(),
+            whole: program.needs.iter().filter_map(reader).collect(),
+        }
     }
 
     /// The needs of a plan for a session that is alone.
@@ -93,13 +109,28 @@ impl Needs {
                 of_session: true,
             }
         };
-        Self(plan.steps.iter().map(need).collect())
+        let reader = |role: &String| {
+            let reads = |step: &&Step| step.inputs.iter().any(|(_, input)| is_source(input, role));
+            let step = plan.steps.iter().find(reads)?;
+            Some((role.clone(), step.name.clone()))
+        };
+        Self {
+            steps: plan.steps.iter().map(need).collect(),
+            whole: plan.needs.iter().filter_map(reader).collect(),
+        }
+    }
+
+    /// What a session lacks of all that the plan says it needs.
+    fn short_of(&self, plays: &Roles) -> Lacks {
+        let mut short = self.whole.clone();
+        short.retain(|role, _| !plays.contains(role));
+        short
     }
 
     /// Whether a step cannot do without a role.
     fn need(&self, role: &str) -> bool {
-        let mut inputs = self.0.iter().flat_map(|need| &need.inputs);
-        inputs.any(|input| matches!(input, Input::Source(table) if table == role))
+        let mut inputs = self.steps.iter().flat_map(|need| &need.inputs);
+        inputs.any(|input| is_source(input, role))
     }
 
     /// The roles that are not among those played, and of whose steps nothing comes therefore.
@@ -127,12 +158,24 @@ impl Needs {
     }
 
     /// What a session that plays some roles lacks, beside sessions that together play `all`; `None` where a step makes
-    /// something of it.
+    /// something of it, and it plays none or all of what the plan says it needs. How a vehicle is built is played
+    /// beside anything, and says nothing of what a session is for.
     pub fn lacks(&self, plays: &Roles, all: &Roles) -> Option<Lacks> {
+        let short = self.short_of(plays);
+        let mut whole = self.whole.keys();
+        let is_part = whole.any(|role| plays.contains(role) && !is_lasting(role));
+        match is_part && !short.is_empty() {
+            true => Some(short),
+            false => self.unfed(plays, all),
+        }
+    }
+
+    /// What no step can be fed without, of all that reads something of a session.
+    fn unfed(&self, plays: &Roles, all: &Roles) -> Option<Lacks> {
         let (mut own, mut any) = (BTreeMap::new(), BTreeMap::new());
         let (mut of_its_own, mut of_any) = (Lacks::new(), Lacks::new());
         let mut handed_on = BTreeSet::new();
-        for need in &self.0 {
+        for need in &self.steps {
             let together = need.lacks(all, &any);
             let lacks = match need.of_session {
                 true => need.lacks(plays, &own),
@@ -163,7 +206,7 @@ impl Needs {
     fn is_handed_on(&self, query: &Need) -> bool {
         let is_of_logs = |input: &Input| matches!(input, Input::Source(name) if is_lasting(name));
         let is_it = |input: &Input| matches!(input, Input::Step(name) if *name == query.step);
-        let mut others = self.0.iter().flat_map(|need| &need.inputs);
+        let mut others = self.steps.iter().flat_map(|need| &need.inputs);
         query.is_query && query.inputs.iter().all(is_of_logs) && others.any(is_it)
     }
 }
@@ -171,7 +214,7 @@ impl Needs {
 impl Need {
     /// What it lacks where these roles are played; `None` where it is fed.
     fn lacks(&self, plays: &Roles, missing: &BTreeMap<&str, Option<Lacks>>) -> Option<Lacks> {
-        let step = || self.step.trim_end_matches(LIFT).to_owned();
+        let step = || step_of(&self.step);
         let mut lacks: Vec<Lacks> = Vec::new();
         let mut known = 0;
         for input in &self.inputs {
@@ -210,6 +253,15 @@ impl Need {
     }
 }
 
+/// The step that a stage is of.
+fn step_of(stage: &str) -> String {
+    stage.trim_end_matches(LIFT).to_owned()
+}
+
+fn is_source(input: &Input, role: &str) -> bool {
+    matches!(input, Input::Source(name) if name == role)
+}
+
 fn merge(all: &mut Lacks, found: &Lacks) {
     for (role, step) in found {
         all.entry(role.clone()).or_insert_with(|| step.clone());
@@ -234,20 +286,25 @@ fn is_optional(registry: &Registry, op: &str, port: &str) -> bool {
     entry.is_some_and(|entry| entry.port(port).is_some_and(|port| port.optional))
 }
 
-/// The sessions given of which a plan makes nothing, beside the roles that sessions of the map play.
+/// The sessions given of which a plan makes nothing, beside the roles that each session of the map plays.
 ///
 /// # Errors
-/// A user fault when that is all of them.
-pub fn idle<'a>(
+/// A user fault when that is all of them, or when no session plays all that the plan says it needs.
+pub fn idle(
     needs: &Needs,
     given: &Dataset,
-    mapped: impl Iterator<Item = &'a String>,
+    mapped: &[Roles],
 ) -> Result<Vec<(String, Lacks)>, Fault> {
     let played: Vec<Roles> = given.sessions.iter().map(Session::played).collect();
-    let mut all: Roles = played.iter().flatten().cloned().collect();
-    all.extend(mapped.cloned());
+    let all: Roles = played.iter().chain(mapped).flatten().cloned().collect();
+    let mut each = played.iter().chain(mapped);
+    let is_met = each.any(|plays| needs.short_of(plays).is_empty());
+    let lacks = |plays: &Roles| match is_met {
+        true => needs.lacks(plays, &all),
+        false => Some(needs.short_of(plays)),
+    };
     let sessions = given.sessions.iter().zip(&played);
-    let idle = sessions.filter_map(|(session, plays)| Some((session, needs.lacks(plays, &all)?)));
+    let idle = sessions.filter_map(|(session, plays)| Some((session, lacks(plays)?)));
     let idle: Vec<_> = idle.collect();
     match idle.as_slice() {
         [(session, lacks), ..] if idle.len() == given.sessions.len() => {
@@ -333,8 +390,15 @@ mod tests {
         names.iter().map(ToString::to_string).collect()
     }
 
+    fn of(steps: Vec<Need>) -> Needs {
+        Needs {
+            steps,
+            whole: Lacks::new(),
+        }
+    }
+
     fn lifelong() -> Needs {
-        Needs(vec![
+        of(vec![
             need("keyframes", &[source("odometry")], true),
             need("features", &[step("keyframes"), source("frames")], true),
             need("poses", &[step("features")], false),
@@ -368,6 +432,22 @@ mod tests {
     }
 
     #[test]
+    fn a_session_that_plays_some_of_what_a_plan_needs_must_play_all() {
+        let mut needs = lifelong();
+        let whole = [("odometry", "keyframes"), ("frames", "features")];
+        needs.whole = Lacks::from(whole.map(|(role, step)| (role.to_owned(), step.to_owned())));
+        let drive = roles(&["odometry", "frames"]);
+        assert_eq!(needs.lacks(&drive, &drive), None);
+        let blind = roles(&["odometry"]);
+        let lacks = Lacks::from([("frames".to_owned(), "features".to_owned())]);
+        assert_eq!(needs.lacks(&blind, &drive), Some(lacks));
+        // It is no drive, and says where labels are.
+        let said = roles(&["annotations"]);
+        let all = roles(&["annotations", "odometry", "frames"]);
+        assert_eq!(needs.lacks(&said, &all), None);
+    }
+
+    #[test]
     fn a_log_that_plays_nothing_is_told_all_that_is_lacking() {
         let lacks = lifelong()
             .lacks(&Roles::new(), &Roles::new())
@@ -378,7 +458,7 @@ mod tests {
     #[test]
     fn a_query_is_content_with_one_table_and_topics_are_taken_at_their_word() {
         let needs = |inputs: &[Input]| {
-            Needs(vec![Need {
+            of(vec![Need {
                 is_query: true,
                 ..need("rows", inputs, false)
             }])
@@ -397,15 +477,15 @@ mod tests {
             ..need("cameras", &[source("calibration")], true)
         };
         let mut needs = lifelong();
-        needs.0.insert(0, cameras);
+        needs.steps.insert(0, cameras);
         needs
-            .0
+            .steps
             .push(need("tracks", &[step("cameras"), step("features")], true));
         let images = roles(&["frames", "calibration"]);
         let lacks = needs.lacks(&images, &images).unwrap_or_default();
         assert_eq!(in_words(&lacks), "odometry (step keyframes)");
         // Where nobody reads it, it is what the plan is for.
-        needs.0.pop();
+        needs.steps.pop();
         assert_eq!(needs.lacks(&images, &images), None);
     }
 }

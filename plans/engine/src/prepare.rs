@@ -206,13 +206,10 @@ impl Prepared {
             by_name.insert(session.name.to_string(), now);
         }
         let sessions: Vec<_> = by_name.into_values().collect();
-        let mapped = sessions
-            .iter()
-            .flat_map(|session| session.manifest.roles.keys());
-        let needs = Needs::of_program(&program, registry);
-        let idle = idle(&needs, &given, mapped)?;
         let plays = |session: &MappedSession| session.manifest.roles.keys().cloned().collect();
         let played: Vec<Roles> = sessions.iter().map(plays).collect();
+        let needs = Needs::of_program(&program, registry);
+        let idle = idle(&needs, &given, &played)?;
         let unplayed = needs.unplayed(&program, &played);
         let missing = match &base {
             Some(base) => Previous::of(&program, &sessions, Some(base))?.missing(&program),

@@ -37,6 +37,12 @@ pub fn json_schema(vocabulary: &Vocabulary) -> Value {
                 "description": "The plan that this one changes: a path relative to it, or the name of one that ships.",
             },
             "doc": {"type": "string", "description": "What the plan is for."},
+            "needs": {
+                "type": "array",
+                "description": "Roles that a session must play for the plan to be of use. One that plays some must play all.",
+                "items": {"enum": vocabulary.sources},
+                "uniqueItems": true,
+            },
             "sessions": {"type": "string", "description": "Path of a session manifest."},
             "defaults": {
                 "type": ["object", "null"],

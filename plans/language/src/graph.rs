@@ -40,6 +40,7 @@ pub(crate) fn plan(written: Written, vocabulary: &Vocabulary, faults: &mut PlanF
     let reads: Vec<Vec<usize>> = inputs.iter().map(|inputs| names.reads(inputs)).collect();
     let order = order::order(&written.steps, &reads, faults);
     let write = names.write(&written.write, faults);
+    names.needs(&written.needs, &inputs, faults);
     let tests: Vec<Option<PlanTest>> = written
         .tests
         .iter()
@@ -68,6 +69,7 @@ pub(crate) fn plan(written: Written, vocabulary: &Vocabulary, faults: &mut PlanF
         tests: tests.into_iter().flatten().collect(),
         name: written.name,
         doc: written.doc,
+        needs: written.needs.into_iter().map(|named| named.name).collect(),
         sessions: written.sessions,
         warnings: PlanFaults::default(),
     }
@@ -245,6 +247,24 @@ impl Names<'_> {
             indices.extend(self.step(named, "`write`", faults));
         }
         indices
+    }
+
+    /// What a plan needs of sessions are sources that its steps read.
+    fn needs(&self, needs: &[Named], inputs: &[Vec<Option<Input>>], faults: &mut PlanFaults) {
+        let known = || self.vocabulary.source_names();
+        let are_whole = inputs.iter().flatten().all(Option::is_some);
+        for need in needs {
+            let name = need.name.as_str();
+            let reads = |input: &Input| matches!(input, Input::Source(source) if source == name);
+            let said = quoted(name);
+            if !known().any(|known| known == name) {
+                let message = format!("`needs` names {said}, which is not a source");
+                faults.unknown(need.place, message, name, known());
+            } else if are_whole && !inputs.iter().flatten().flatten().any(reads) {
+                let message = format!("`needs` names {said}, which no step reads");
+                faults.error(need.place, message);
+            }
+        }
     }
 
     fn test(&self, test: &WrittenTest, faults: &mut PlanFaults) -> Option<PlanTest> {

@@ -17,6 +17,8 @@ pub struct Plan {
     pub name: String,
     /// What it is for.
     pub doc: Option<String>,
+    /// Roles that a session must play for the plan to be of use. One that plays some of them must play all.
+    pub needs: Vec<String>,
     /// The session manifest.
     pub sessions: Option<ManifestPath>,
     /// The steps, each after all it reads; otherwise in written order.

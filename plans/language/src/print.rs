@@ -18,6 +18,9 @@ impl fmt::Display for Plan {
         if let Some(doc) = &self.doc {
             writeln!(f, "doc: {}", block(doc, 2))?;
         }
+        if !self.needs.is_empty() {
+            writeln!(f, "needs: {}", names(&self.needs))?;
+        }
         if let Some(sessions) = &self.sessions {
             writeln!(f, "sessions: {}", word(&sessions.path))?;
         }
@@ -25,9 +28,12 @@ impl fmt::Display for Plan {
         for step in &self.steps {
             write_step(step, f)?;
         }
-        let write = self.write.iter().cloned().map(Value::String).collect();
-        writeln!(f, "write: {}", flow(&Value::Array(write)))
+        writeln!(f, "write: {}", names(&self.write))
     }
+}
+
+fn names(names: &[String]) -> String {
+    flow(&names.into())
 }
 
 fn write_step(step: &Step, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -13,8 +13,9 @@ use crate::vocabulary::{Host, OperatorSpec, Vocabulary};
 use crate::yaml::{Entry, Fields, Kind, Node};
 
 /// The keys of a plan. A composed one has no `extends`, `drop` and `presets` any more.
-const PLAN_KEYS: [&str; 10] = [
-    "plan", "extends", "doc", "sessions", "defaults", "presets", "steps", "drop", "write", "tests",
+const PLAN_KEYS: [&str; 11] = [
+    "plan", "extends", "doc", "needs", "sessions", "defaults", "presets", "steps", "drop", "write",
+    "tests",
 ];
 /// The keys of a step.
 const STEP_KEYS: [&str; 9] = [
@@ -38,6 +39,7 @@ pub(crate) struct Named {
 pub(crate) struct Written {
     pub name: String,
     pub doc: Option<String>,
+    pub needs: Vec<Named>,
     pub sessions: Option<ManifestPath>,
     pub steps: Vec<WrittenStep>,
     pub write: Vec<Named>,
@@ -104,6 +106,8 @@ pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut PlanFaults) 
     }
     let doc = fields.get("doc");
     let doc = doc.and_then(|entry| entry.value.text("`doc`", faults));
+    let needs = fields.get("needs");
+    let needs = needs.and_then(|entry| names_of(&entry.value, "`needs`", faults));
     let sessions = fields.get("sessions").and_then(|entry| {
         Some(ManifestPath {
             path: entry.value.text("`sessions`", faults)?.to_owned(),
@@ -128,6 +132,7 @@ pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut PlanFaults) 
     Some(Written {
         name: name.map_or_else(String::new, |(_, name)| name.to_owned()),
         doc: doc.map(str::to_owned),
+        needs: needs.unwrap_or_default(),
         sessions,
         steps,
         write: named.unwrap_or_default(),
@@ -238,13 +243,19 @@ fn steps_of(node: &Node, context: &StepContext<'_>, faults: &mut PlanFaults) -> 
 }
 
 fn write_of(node: &Node, faults: &mut PlanFaults) -> Option<Vec<Named>> {
-    let items = node.sequence("`write`", faults)?;
-    if items.is_empty() {
+    let names = names_of(node, "`write`", faults)?;
+    if node.sequence("`write`", faults)?.is_empty() {
         faults.error(node.place, "`write` must name at least one step");
         return None;
     }
+    Some(names)
+}
+
+/// A list of names under a key.
+fn names_of(node: &Node, key: &str, faults: &mut PlanFaults) -> Option<Vec<Named>> {
+    let items = node.sequence(key, faults)?;
     let named = |item: &Node| {
-        let name = item.text("an item of `write`", faults)?.to_owned();
+        let name = item.text(&format!("an item of {key}"), faults)?.to_owned();
         let place = item.place;
         Some(Named { name, place })
     };

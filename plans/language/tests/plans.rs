@@ -23,6 +23,7 @@ const PLAN: &str = "\
 plan: car_park
 doc: Two lines
   of text.
+needs: [odometry, frames]
 sessions: datasets/manifests/car_park.yaml
 steps:
   relabelled: { sql: 'SELECT * FROM tiles JOIN previous.more JOIN \"/odom\" JOIN tiles' }
@@ -51,6 +52,7 @@ fn a_sound_plan_is_read_whole() {
     assert!(plan.warnings.is_empty(), "{}", plan.warnings);
     assert_eq!(plan.name, "car_park");
     assert_eq!(plan.doc.as_deref(), Some("Two lines of text."));
+    assert_eq!(plan.needs, ["odometry", "frames"]);
     let sessions = plan.sessions.as_ref().unwrap();
     assert_eq!(sessions.path, "datasets/manifests/car_park.yaml");
     assert_eq!(sessions.origin, "plan.yaml");

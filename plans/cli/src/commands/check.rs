@@ -33,7 +33,7 @@ pub async fn check(args: &PlanArgs) -> Ending {
         return Err(Failure::Plan(given.pretty()));
     }
     let needs = Needs::of_program(&program, &registry);
-    for (session, lacks) in idle(&needs, &dataset, std::iter::empty())? {
+    for (session, lacks) in idle(&needs, &dataset, &[])? {
         let lacks = in_words(&lacks);
         line(&format!(
             "warning: the plan cannot use session {session}: it lacks {lacks}"

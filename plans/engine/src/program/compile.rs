@@ -41,6 +41,7 @@ pub async fn compile(
     }
     Ok(Program {
         plan: plan.name.clone(),
+        needs: plan.needs.clone(),
         stages: compiler.stages,
         schemas: compiler.schemas,
         write: plan.write.clone(),

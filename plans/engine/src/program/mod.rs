@@ -139,6 +139,8 @@ pub const LIFT: &str = "#lift";
 pub struct Program {
     /// The plan's name.
     pub plan: String,
+    /// Roles that the plan says a session must play.
+    pub needs: Vec<String>,
     /// Stages, each after all it reads.
     pub stages: Vec<Stage>,
     /// The schema of every step's rows.
