@@ -5,6 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
+use evermap_engine::map::receipt::Receipt;
 use evermap_tests::{Finished, evermap, rectangle, text, write_drive};
 use serde_json::{Value, json};
 
@@ -345,6 +346,88 @@ fn a_run_without_news_means_the_same_previous_and_changes_nothing() {
     std::fs::write(world.path("growth.yaml"), other).unwrap();
     world.run(&[&a]);
     assert_eq!(world.new_sessions(), json!([]));
+}
+
+/// Leaves a map as an evermap did whose files have another format.
+fn of_another_format(map: &Path) {
+    let files = |folder: &str| -> Vec<PathBuf> {
+        let entries = std::fs::read_dir(map.join(folder)).unwrap();
+        entries.map(|entry| entry.unwrap().path()).collect()
+    };
+    let mut digests = Vec::new();
+    for path in files("receipts") {
+        let mut receipt: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        receipt["recipe"]["format"] = json!(3);
+        for stage in receipt["recipe"]["stages"].as_array_mut().unwrap() {
+            let query = stage.pointer_mut("/task/sql");
+            if let Some(query) = query.and_then(Value::as_object_mut) {
+                query.remove("notes");
+            }
+        }
+        let mut receipt: Receipt = serde_json::from_value(receipt).unwrap();
+        let digest = receipt.recipe.digest().unwrap();
+        digests.push((
+            std::mem::replace(&mut receipt.digest, digest.clone()),
+            digest.clone(),
+        ));
+        std::fs::remove_file(&path).unwrap();
+        let path = map.join("receipts").join(format!("{digest}.json"));
+        std::fs::write(path, serde_json::to_vec(&receipt).unwrap()).unwrap();
+    }
+    for path in files("versions") {
+        let mut version = std::fs::read_to_string(&path).unwrap();
+        for (then, now) in &digests {
+            version = version.replace(then, now);
+        }
+        std::fs::remove_file(&path).unwrap();
+        std::fs::write(&path, version).unwrap();
+    }
+}
+
+#[test]
+fn a_map_of_another_format_is_read_and_made_anew_with_the_same_previous() {
+    let world = World::new();
+    let (a, b) = (world.drive("a", 20.0), world.drive("b", 30.0));
+    world.run(&[&a]);
+    world.run(&[&b]);
+    let lanes = world.query("SELECT lane, length_m FROM lanes ORDER BY lane");
+    of_another_format(&world.path("map"));
+    evermap(&["verify", "--map", text(&world.path("map"))]).expect(0);
+    assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 400 }]));
+    for unit in world.explain(&[&b]) {
+        let why = "it was made by an evermap whose files have another format";
+        assert_eq!(
+            (&unit["recompute"], &unit["why"]),
+            (&json!(true), &json!(why)),
+            "{unit}"
+        );
+    }
+    world.run(&[&b]);
+    assert_eq!(world.versions(), 3);
+    // It is the run of b still.
+    assert_eq!(world.new_sessions(), json!([{ "session": "b", "n": 400 }]));
+    assert_eq!(
+        world.query("SELECT * FROM known"),
+        json!([{ "site": "lot", "keyframes": 300 }])
+    );
+    assert_eq!(
+        world.query("SELECT lane, length_m FROM lanes ORDER BY lane"),
+        lanes
+    );
+    assert_eq!(
+        world.query("SELECT count(*) AS n FROM v1.keyframes"),
+        json!([{ "n": 300 }])
+    );
+    let told = world.run(&[&b]);
+    assert!(
+        told.stderr.contains("nothing has changed"),
+        "{}",
+        told.stderr
+    );
+    // A drive that comes builds on what there is.
+    let c = world.drive("c", 40.0);
+    world.run(&[&c]);
+    assert_eq!(world.new_sessions(), json!([{ "session": "c", "n": 500 }]));
 }
 
 #[test]

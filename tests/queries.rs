@@ -2,15 +2,20 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::collections::HashMap;
+use std::fs::File;
 use std::io::Write;
 use std::path::Path;
 use std::process::Stdio;
 
+use datafusion::arrow::datatypes::SchemaRef;
 use datafusion::arrow::util::display::{ArrayFormatter, FormatOptions};
 use datafusion::prelude::SessionContext;
 use evermap_engine::map::Map;
 use evermap_engine::sql::{Limits, context};
-use evermap_tests::{Finished, command, evermap, rectangle, repository, text, write_drive};
+use evermap_tests::{
+    Finished, command, evermap, plan_command, rectangle, repository, text, write_drive,
+};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use sqllogictest::{AsyncDB, DBOutput, DefaultColumnType, Runner};
 
@@ -150,6 +155,195 @@ fn mapped() -> (tempfile::TempDir, std::path::PathBuf) {
     (folder, map)
 }
 
+/// The columns of a Parquet file, as programs see them that know nothing of evermap.
+fn columns(file: &Path) -> SchemaRef {
+    let rows = ParquetRecordBatchReaderBuilder::try_new(File::open(file).unwrap());
+    rows.unwrap().schema().clone()
+}
+
+/// What a column says of itself.
+fn known(columns: &SchemaRef, name: &str) -> HashMap<String, String> {
+    columns.field_with_name(name).unwrap().metadata().clone()
+}
+
+fn said(notes: &[(&str, &str)]) -> HashMap<String, String> {
+    let notes = notes.iter();
+    let notes = notes.map(|(key, value)| ((*key).to_owned(), (*value).to_owned()));
+    notes.collect()
+}
+
+/// Layers of queries that pass columns on, of layers that are stored, of one that is not, of one another and of logs.
+const PASSED_ON: &str = "
+plan: passed_on
+steps:
+  keyframes: { op: keyframes, in: { odometry: odometry } }
+  lanes: { op: road_network, in: { keyframes: keyframes } }
+  speeds: { op: speeds }
+  poses:
+    sql: SELECT site, session, stamp, odom_from_vehicle AS map_from_vehicle FROM keyframes
+  passed:
+    sql: >
+      SELECT site, session, stamp AS at, distance_m, odom_from_vehicle, odom_from_vehicle AS map_from_vehicle,
+             odom_from_vehicle['x'] AS x, distance_m * 1000 AS distance_mm, CAST(stamp AS BIGINT) AS instant
+      FROM keyframes
+  again:
+    sql: SELECT site, session, at, distance_m AS path, odom_from_vehicle['y'] AS y FROM passed
+  spots:
+    sql: >
+      SELECT site, lane, geometry, point, st_length(geometry) AS length
+      FROM (SELECT site, lane, geometry, unnest(points) AS point FROM lanes)
+  slow:
+    sql: SELECT site, session, speed_mps, CAST(stamp AS BIGINT) AS instant FROM speeds
+  logged:
+    sql: SELECT site, session, stamp, speed_mps, -speed_mps AS backward FROM odometry
+write: [keyframes, lanes, poses, passed, again, spots, slow, logged]
+";
+
+#[test]
+fn layers_of_queries_have_the_units_and_frames_of_what_they_pass_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let (drive, plan) = (
+        folder.path().join("a.mcap"),
+        folder.path().join("plan.yaml"),
+    );
+    let map = folder.path().join("map");
+    write_drive(&drive, rectangle(20.0, 10.0, 1.0));
+    std::fs::write(&plan, PASSED_ON).unwrap();
+    let mut run = plan_command(text(&plan), &map, "lot", &["--sessions", text(&drive)]);
+    Finished::from(run.output().unwrap()).expect(0);
+    let layer = |name: &str| {
+        let mut files = std::fs::read_dir(map.join("newest").join(name)).unwrap();
+        columns(&files.next().unwrap().unwrap().path())
+    };
+    let [keyframes, lanes, poses, passed, again, spots, slow, logged] = [
+        "keyframes",
+        "lanes",
+        "poses",
+        "passed",
+        "again",
+        "spots",
+        "slow",
+        "logged",
+    ]
+    .map(layer);
+
+    let metres = [("x.unit", "m"), ("y.unit", "m"), ("z.unit", "m")];
+    let in_odom = said(&[&metres[..], &[("frame", "odom")]].concat());
+    assert_eq!(known(&keyframes, "odom_from_vehicle"), in_odom);
+    for (found, of, origin) in [
+        (known(&passed, "at"), &keyframes, "stamp"),
+        (known(&passed, "distance_m"), &keyframes, "distance_m"),
+        (
+            known(&passed, "odom_from_vehicle"),
+            &keyframes,
+            "odom_from_vehicle",
+        ),
+        (known(&again, "at"), &keyframes, "stamp"),
+        (known(&again, "path"), &keyframes, "distance_m"),
+        (known(&spots, "point"), &lanes, "points"),
+        (known(&spots, "geometry"), &lanes, "geometry"),
+    ] {
+        assert!(
+            found.contains_key("unit") || found.contains_key("frame"),
+            "{origin}"
+        );
+        assert_eq!(found, known(of, origin), "{origin}");
+    }
+    // Members, rows of logs, and those of a layer that is not stored.
+    let metre = said(&[("unit", "m")]);
+    assert_eq!(known(&passed, "x"), metre);
+    assert_eq!(known(&again, "y"), metre);
+    let speed = said(&[("unit", "m/s"), ("frame", "vehicle")]);
+    assert_eq!(known(&logged, "speed_mps"), speed);
+    assert_eq!(known(&slow, "speed_mps"), said(&[("unit", "m/s")]));
+    // What is computed has none, and what is said to be in another frame is not in its own.
+    for (columns, computed) in [
+        (&passed, "distance_mm"),
+        (&passed, "instant"),
+        (&spots, "length"),
+        (&slow, "instant"),
+        (&logged, "backward"),
+    ] {
+        assert_eq!(known(columns, computed), said(&[]), "{computed}");
+    }
+    assert_eq!(known(&passed, "map_from_vehicle"), said(&metres));
+    let in_map = said(&[&metres[..], &[("frame", "map")]].concat());
+    assert_eq!(
+        known(&poses, "map_from_vehicle"),
+        in_map,
+        "it is the layer poses"
+    );
+    assert!(keyframes.metadata().contains_key("evermap.layer"));
+    for columns in [&passed, &slow, &logged] {
+        assert!(!columns.metadata().contains_key("evermap.layer"));
+    }
+    assert!(spots.metadata().contains_key("geo"));
+    assert!(!passed.metadata().contains_key("geo"));
+
+    // Whoever reads the map is told the same.
+    let told = evermap(&[
+        "sql",
+        "--map",
+        text(&map),
+        "--format",
+        "json",
+        "SELECT \"column\", unit, frame FROM columns WHERE layer = 'passed' AND (unit <> '' OR frame <> '') ORDER BY 1",
+    ]);
+    let told = told.expect(0).json();
+    let line = |line: &serde_json::Value| {
+        ["column", "unit", "frame"].map(|key| line[key].as_str().unwrap().to_owned())
+    };
+    let told: Vec<[String; 3]> = told.as_array().unwrap().iter().map(line).collect();
+    assert_eq!(
+        told,
+        [
+            ["at", "ns", ""],
+            ["distance_m", "m", ""],
+            ["map_from_vehicle.x", "m", ""],
+            ["map_from_vehicle.y", "m", ""],
+            ["map_from_vehicle.z", "m", ""],
+            ["odom_from_vehicle", "", "odom"],
+            ["odom_from_vehicle.x", "m", ""],
+            ["odom_from_vehicle.y", "m", ""],
+            ["odom_from_vehicle.z", "m", ""],
+            ["x", "m", ""],
+        ]
+    );
+    let file = folder.path().join("out.parquet");
+    let written = |arguments: &[&str]| {
+        let to = [
+            "--map",
+            text(&map),
+            "--format",
+            "parquet",
+            "--out",
+            text(&file),
+        ];
+        evermap(&[&arguments[..1], &to[..], &arguments[1..]].concat()).expect(0);
+        columns(&file)
+    };
+    let exported = written(&["export", "passed"]);
+    for name in [
+        "at",
+        "odom_from_vehicle",
+        "map_from_vehicle",
+        "x",
+        "distance_mm",
+    ] {
+        assert_eq!(known(&exported, name), known(&passed, name), "{name}");
+    }
+    let answer = written(&[
+        "sql",
+        "SELECT p.at, p.x AS east, p.x + 1 AS further, f.odom_from_vehicle_y AS north, p.odom_from_vehicle['z'] AS up
+         FROM passed p JOIN keyframes_flat f ON p.at = f.stamp",
+    ]);
+    assert_eq!(known(&answer, "at"), said(&[("unit", "ns")]));
+    for name in ["east", "north", "up"] {
+        assert_eq!(known(&answer, name), metre, "{name}");
+    }
+    assert_eq!(known(&answer, "further"), said(&[]));
+}
+
 #[test]
 fn queries_compare_several_maps() {
     let (folder, map) = mapped();
@@ -244,9 +438,7 @@ fn maps_and_logs_are_asked_together_from_a_folder_beside_them() {
         &["SELECT map_from_vehicle AS at FROM poses"],
     ];
     evermap(&asked.concat()).expect(0);
-    let rows =
-        ParquetRecordBatchReaderBuilder::try_new(std::fs::File::open(&file).unwrap()).unwrap();
-    let at = rows.schema().field(0).metadata().clone();
+    let at = known(&columns(&file), "at");
     assert_eq!(at.get("frame").map(String::as_str), Some("map"), "{at:?}");
     let refused = ask(
         &["--map", &relative],

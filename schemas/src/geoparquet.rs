@@ -11,6 +11,9 @@ use crate::{Geometry, Position};
 /// The key of the metadata.
 pub const KEY: &str = "geo";
 
+/// Name of the column whose values are taken for geometries where nobody declares one.
+pub const COLUMN: &str = "geometry";
+
 /// What is known of a column of geometries while rows go by.
 #[derive(Debug, Clone)]
 pub struct GeoColumn {

@@ -117,6 +117,10 @@ mod tests {
             Some("map")
         );
         assert!(field.is_nullable());
+        // Those of what is within a column stand beside its own.
+        let poses = schema.field_with_name("poses").unwrap().metadata();
+        assert_eq!(poses.get("x.unit").map(String::as_str), Some("m"));
+        assert!(!poses.contains_key("unit") && !poses.contains_key("qw.unit"));
     }
 
     #[test]

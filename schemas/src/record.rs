@@ -1,5 +1,6 @@
 //! A row with named columns, and the one macro that declares it.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use arrow::array::{ArrayRef, AsArray, StructArray};
@@ -28,14 +29,23 @@ pub struct Column {
 }
 
 impl Column {
-    /// The Arrow field; unit and frame are its metadata (`unit`, `frame`), so that they stay with a Parquet file.
+    /// The Arrow field. Its metadata are the unit and the frame (`unit`, `frame`), so that they stay with a Parquet file;
+    /// and those of what is within it, behind the path to it (`x.unit`).
     pub fn field(&self) -> Field {
-        let metadata = [("unit", self.unit), ("frame", self.frame)]
-            .into_iter()
-            .filter(|(_, value)| !value.is_empty())
-            .map(|(key, value)| (key.to_owned(), value.to_owned()))
-            .collect();
+        let mut metadata = HashMap::new();
+        self.note("", &mut metadata);
         Field::new(self.name, self.data_type.clone(), self.nullable).with_metadata(metadata)
+    }
+
+    fn note(&self, path: &str, metadata: &mut HashMap<String, String>) {
+        for (key, value) in [("unit", self.unit), ("frame", self.frame)] {
+            if !value.is_empty() {
+                metadata.insert(format!("{path}{key}"), value.to_owned());
+            }
+        }
+        for member in &self.members {
+            member.note(&format!("{path}{}.", member.name), metadata);
+        }
     }
 }
 
@@ -61,7 +71,7 @@ pub trait Record: Sized {
 }
 
 fn struct_fields<T: Record>() -> Fields {
-    // Nested fields carry no metadata: Arrow compares struct types with it, and SQL engines drop it.
+    // Nested fields carry no metadata, their column does: Arrow compares struct types with it, and SQL engines drop it.
     T::columns()
         .iter()
         .map(|column| Field::new(column.name, column.data_type.clone(), column.nullable))

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow::array::{Array, ArrayRef, AsArray, BinaryArray, RecordBatch};
-use arrow::datatypes::DataType;
+use arrow::datatypes::{DataType, Field, FieldRef, Schema};
 use evermap_algorithms::geometry::geodesy::{Geodetic, MapOnEarth};
 use evermap_schemas::layers::Georeference;
 use evermap_schemas::{Fault, Geometry, Position};
@@ -254,7 +254,18 @@ fn moved(
     let mut columns: Vec<ArrayRef> = batch.columns().to_vec();
     let values: Vec<Option<&[u8]>> = values.iter().map(Option::as_deref).collect();
     columns[index] = Arc::new(BinaryArray::from(values));
-    Ok(RecordBatch::try_new(batch.schema(), columns)?)
+    let schema = batch.schema_ref();
+    let mut fields = schema.fields().to_vec();
+    fields[index] = out_of_the_map(&fields[index]);
+    let schema = Schema::new_with_metadata(fields, schema.metadata().clone());
+    Ok(RecordBatch::try_new(Arc::new(schema), columns)?)
+}
+
+/// The column without the frame that its values were in.
+fn out_of_the_map(column: &Field) -> FieldRef {
+    let mut metadata = column.metadata().clone();
+    metadata.remove("frame");
+    Arc::new(column.clone().with_metadata(metadata))
 }
 
 fn unplaced(site: &str) -> Fault {

@@ -42,7 +42,6 @@ pub mod serve;
 mod sessions;
 pub mod shipped;
 pub mod shown;
-mod units;
 
 use std::convert::Infallible;
 use std::ffi::OsString;

@@ -4,12 +4,14 @@ use std::collections::BTreeSet;
 
 use arrow::array::{Array, AsArray, BooleanArray, RecordBatch};
 use arrow::compute::filter_record_batch;
-use arrow::datatypes::DataType;
+use arrow::datatypes::{DataType, SchemaRef};
+use datafusion::common::TableReference;
 use datafusion::prelude::SessionContext;
 use evermap_contract::Registry;
 use evermap_engine::conform::conform;
 use evermap_engine::error::OrFault;
 use evermap_engine::map::Map;
+use evermap_engine::map::columns::of_table;
 use evermap_engine::map::tables::declaration;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::{Fault, Layer, LayerRow, rows};
@@ -52,8 +54,20 @@ impl MapReader {
     /// # Errors
     /// As [`Map::context`] and [`answered`].
     pub async fn ask(&self, query: &str) -> Result<Vec<RecordBatch>, Fault> {
+        answered(self.tables().await?, query).await
+    }
+
+    /// The columns of a layer, with units and frames.
+    ///
+    /// # Errors
+    /// As [`Map::context`] and [`of_table`].
+    pub async fn described(&self, layer: &str) -> Result<SchemaRef, Fault> {
+        of_table(self.tables().await?, TableReference::bare(layer)).await
+    }
+
+    async fn tables(&self) -> Result<&SessionContext, Fault> {
         let open = async || self.context(context(Limits::default())?);
-        answered(self.tables.get_or_try_init(open).await?, query).await
+        self.tables.get_or_try_init(open).await
     }
 
     /// The declaration of a table's columns, where there is one: of the operator that made it, else by name.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use arrow::array::{Array, ArrayRef, AsArray, RecordBatch};
 use arrow::compute::kernels::cmp::distinct;
 use arrow::compute::{CastOptions, can_cast_types, cast, cast_with_options};
-use arrow::datatypes::{DataType, Field, Float64Type, Schema, SchemaRef};
+use arrow::datatypes::{DataType, Field, FieldRef, Float64Type, Schema, SchemaRef};
 use evermap_schemas::{Column, Fault, Layer, type_name};
 
 /// The batch with just the layer's columns, in its order and types.
@@ -185,6 +185,23 @@ pub fn bare(schema: &Schema) -> SchemaRef {
         .iter()
         .map(|field| Field::new(field.name(), field.data_type().clone(), true))
         .collect();
+    Arc::new(Schema::new(fields))
+}
+
+/// The columns with the units and frames of those that the layer declares by their names, as far as their values are
+/// such; the others as they are.
+pub fn declared(table: &Schema, layer: &Layer) -> SchemaRef {
+    let described = |field: &FieldRef| {
+        let column = layer.column(field.name());
+        match column.filter(|column| fits(field.data_type(), &column.data_type)) {
+            Some(column) => {
+                let metadata = column.field().metadata().clone();
+                Arc::new(field.as_ref().clone().with_metadata(metadata))
+            }
+            None => Arc::clone(field),
+        }
+    };
+    let fields: Vec<FieldRef> = table.fields().iter().map(described).collect();
     Arc::new(Schema::new(fields))
 }
 

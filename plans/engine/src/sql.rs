@@ -2,6 +2,7 @@
 
 pub mod as_of;
 mod bounded;
+pub mod described;
 mod members;
 mod missing;
 mod pool;

@@ -352,6 +352,11 @@ pub fn all() -> Vec<crate::Layer> {
     layers
 }
 
+/// The layer of a name, where operators yield or read one.
+pub fn named(name: &str) -> Option<crate::Layer> {
+    all().into_iter().find(|layer| layer.name == name)
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]

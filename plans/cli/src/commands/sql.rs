@@ -18,13 +18,14 @@ use datafusion::sql::sqlparser::dialect::GenericDialect;
 use evermap_datasets::Dataset;
 use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::map::Map;
+use evermap_engine::map::columns::{of_answer, of_table};
 use evermap_engine::sql::{
-    Limits, NO_TABLE, TABLES, catalog, check_size, context, explained, plan_of, table_of,
+    Limits, NO_TABLE, TABLES, catalog, check_size, context, explained, plan_of,
 };
 use evermap_functions::{asks_graphs, use_indexes};
 use evermap_language::listed;
 use evermap_schemas::dictionary::{ColumnInfo, columns};
-use evermap_schemas::{Fault, Layer, batch};
+use evermap_schemas::{Fault, Layer, batch, layers};
 use futures::{StreamExt, TryStreamExt};
 use tokio::sync::OnceCell;
 
@@ -36,7 +37,6 @@ use crate::progress::line;
 use crate::prompt;
 use crate::reader::MapReader;
 use crate::sessions;
-use crate::units;
 
 /// The name that a map is given, where it is, and its address.
 fn named(map: &str) -> (Option<&str>, &str) {
@@ -169,9 +169,7 @@ impl Tables {
     pub fn declaration(&self, table: &str) -> Option<Layer> {
         match &self.reader {
             Some(reader) => reader.declaration(table),
-            None => evermap_schemas::layers::all()
-                .into_iter()
-                .find(|layer| layer.name == table),
+            None => layers::named(table),
         }
     }
 
@@ -180,14 +178,14 @@ impl Tables {
     /// # Errors
     /// A user fault where there is no such table, or what opening it says.
     pub async fn columns(&self, name: &str) -> Result<Vec<ColumnInfo>, Fault> {
-        let bare = table_of(&self.context, TableReference::bare(name)).await;
-        let table = match bare {
-            Ok(table) => Ok(table),
-            Err(_) => table_of(&self.context, TableReference::from(name)).await,
+        let bare = of_table(&self.context, TableReference::bare(name)).await;
+        let described = match bare {
+            Ok(described) => Ok(described),
+            Err(_) => of_table(&self.context, TableReference::from(name)).await,
         };
-        let table = table.map_err(|fault| self.explained(fault))?;
+        let described = described.map_err(|fault| self.explained(fault))?;
         let declared = self.declaration(TableReference::from(name).table());
-        Ok(columns(name, &table.schema(), declared.as_ref()))
+        Ok(columns(name, &described, declared.as_ref()))
     }
 
     /// What reading logs has lost so far.
@@ -272,8 +270,7 @@ impl Tables {
             return write_whole(format, columns.schema(), rows, sink).await;
         }
         let frame = self.frame(statement).await?;
-        let declared = |table: &str| self.declaration(table);
-        let schema = units::described(frame.logical_plan(), declared);
+        let schema = of_answer(&self.context, frame.logical_plan()).await;
         let plan = frame.logical_plan();
         let is_plan = matches!(plan, LogicalPlan::Explain(_) | LogicalPlan::Analyze(_));
         let rows = frame.execute_stream().await.or_fault()?;

@@ -20,6 +20,7 @@ use std::sync::Arc;
 
 use arrow::array::RecordBatch;
 use clap::{Args, ValueEnum};
+use evermap_engine::sql::described::{noted, notes};
 use evermap_schemas::{Fault, Layer};
 
 use crate::earth::{Coordinates, Earth, beside, on_earth};
@@ -28,7 +29,6 @@ use crate::export::geo::Head;
 pub use crate::export::geo::ON_EARTH;
 use crate::output::{CRS, Format, GEOMETRY, Sink, write, write_file};
 use crate::reader::{MapReader, nothing, only, texts};
-use crate::units;
 
 /// What a layer is exported to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -176,13 +176,15 @@ async fn written(
         }
         ExportFormat::Csv => rows(Format::Csv, batches, out).await,
         ExportFormat::Parquet => {
+            let notes = notes(&reader.described(layer).await?);
+            let described = batches.into_iter().map(|batch| {
+                let schema = noted(batch.schema_ref(), &notes);
+                RecordBatch::try_new(schema, batch.columns().to_vec())
+            });
+            let batches = described.collect::<Result<Vec<_>, _>>();
+            let batches = batches.map_err(Fault::from)?;
             let batches = geoparquet(batches, declared.as_ref(), &earth)?;
-            rows(
-                Format::Parquet,
-                with_units(batches, declared.as_ref())?,
-                out,
-            )
-            .await
+            rows(Format::Parquet, batches, out).await
         }
     }
 }
@@ -220,18 +222,6 @@ fn geoparquet(
         Ok(batch.with_schema(Arc::new(schema.with_metadata(metadata.clone())))?)
     });
     said.collect()
-}
-
-/// The rows of a layer with its units and frames.
-fn with_units(batches: Vec<RecordBatch>, layer: Option<&Layer>) -> Result<Vec<RecordBatch>, Fault> {
-    let Some(layer) = layer else {
-        return Ok(batches);
-    };
-    let described = |batch: RecordBatch| {
-        let schema = units::of_layer(batch.schema_ref(), layer);
-        Ok(batch.with_schema(schema)?)
-    };
-    batches.into_iter().map(described).collect()
 }
 
 /// Writes rows with a geometry as GeoJSON: in longitude and latitude where `earth` knows their site, else in the map's

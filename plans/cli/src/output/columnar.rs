@@ -42,7 +42,7 @@ pub struct Parquet<'s> {
 }
 
 /// Name of the column whose values are taken for geometries, where they are.
-pub const GEOMETRY: &str = "geometry";
+pub const GEOMETRY: &str = geoparquet::COLUMN;
 /// Key of a schema's metadata that says, as PROJJSON, where the geometries lie.
 pub const CRS: &str = "crs";
 

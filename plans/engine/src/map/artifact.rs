@@ -1,6 +1,8 @@
 //! The rows of a map's files.
 
-use arrow::datatypes::Schema;
+use std::sync::Arc;
+
+use arrow::datatypes::{Schema, SchemaRef};
 use datafusion::prelude::{DataFrame, ParquetReadOptions, SessionContext};
 use evermap_schemas::Fault;
 
@@ -30,6 +32,21 @@ pub async fn read_files(
         ..ParquetReadOptions::default()
     };
     context.read_parquet(urls, options).await.or_fault()
+}
+
+/// The columns of an artifact as its file describes them, with units and frames. What reads its rows leaves these out.
+///
+/// # Errors
+/// As [`read_files`].
+pub async fn described(
+    context: &SessionContext,
+    store: &Store,
+    artifact: &Artifact,
+) -> Result<SchemaRef, Fault> {
+    let url = store.url_of(&artifact.name())?.to_string();
+    let options = ParquetReadOptions::default().skip_metadata(false);
+    let rows = context.read_parquet(url, options).await.or_fault()?;
+    Ok(Arc::clone(rows.schema().inner()))
 }
 
 /// The rows of artifacts, as one table.

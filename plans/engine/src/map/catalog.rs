@@ -45,6 +45,14 @@ impl Catalog {
     }
 }
 
+/// The tables of a map that a schema has; `None` where it has others, or is of a version that nobody has opened.
+pub fn tables_of(schema: &(dyn SchemaProvider + 'static)) -> Option<&Tables> {
+    match schema.downcast_ref::<VersionTables>() {
+        Some(version) => version.opened.get(),
+        None => schema.downcast_ref(),
+    }
+}
+
 impl CatalogProvider for Catalog {
     fn schema_names(&self) -> Vec<String> {
         self.named.schema_names()

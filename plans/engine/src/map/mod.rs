@@ -2,6 +2,7 @@
 
 pub mod artifact;
 mod catalog;
+pub mod columns;
 mod context;
 pub mod damage;
 mod diff;

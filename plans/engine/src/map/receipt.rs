@@ -13,7 +13,10 @@ use crate::program::{Scope, Stage};
 use crate::unit::work::NodeWork;
 
 /// Raised when artifacts of the same recipe would come out differently for reasons no operator's version tells.
-const FORMAT: u32 = 3;
+const FORMAT: u32 = 4;
+
+/// Why something is not what would come out today.
+pub const OTHER_FORMAT: &str = "it was made by an evermap whose files have another format";
 
 /// The folder of a map that has artifacts.
 pub const ARTIFACTS: &str = "artifacts";
@@ -186,6 +189,11 @@ impl Recipe {
             ..self.clone()
         };
         if with_then == *then { with_then } else { self }
+    }
+
+    /// Whether artifacts are written today as they were when it was noted.
+    pub fn is_of_today(&self) -> bool {
+        self.format == FORMAT
     }
 
     /// The recipe's digest.

@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use arrow::datatypes::SchemaRef;
 use async_trait::async_trait;
 use datafusion::catalog::{SchemaProvider, TableProvider};
 use datafusion::datasource::TableType;
@@ -12,11 +13,12 @@ use datafusion::prelude::{DataFrame, SessionContext};
 use evermap_contract::Registry;
 use evermap_language::{listed, nearest};
 use evermap_schemas::dictionary::{ColumnInfo, columns};
-use evermap_schemas::{Fault, Layer, LayerRow, batch};
+use evermap_schemas::{Fault, Layer, LayerRow, batch, layers};
 use tokio::sync::OnceCell;
 
+use crate::conform::declared;
 use crate::error::{OrFault, external};
-use crate::map::artifact::read_files;
+use crate::map::artifact::{self, read_files};
 use crate::map::damage::is_whole;
 use crate::map::flat;
 use crate::map::logs::LogTables;
@@ -24,6 +26,7 @@ use crate::map::receipt::Artifact;
 use crate::map::store::each;
 use crate::map::{LayerInfo, Map, RUNS, RunRow, VersionInfo, versions};
 use crate::sql::beside;
+use crate::sql::described::described;
 
 /// The tables of a map: its published layers, and what it says of itself.
 pub struct Tables {
@@ -33,7 +36,14 @@ pub struct Tables {
     /// Opens tables; it has none itself.
     reading: SessionContext,
     /// The tables by name, those open that were asked for.
-    tables: BTreeMap<String, OnceCell<Arc<dyn TableProvider>>>,
+    tables: BTreeMap<String, OnceCell<Opened>>,
+}
+
+/// A table that is open.
+struct Opened {
+    rows: Arc<dyn TableProvider>,
+    /// Its columns with units and frames.
+    columns: SchemaRef,
 }
 
 /// What a map says of itself.
@@ -51,9 +61,9 @@ fn own() -> impl Iterator<Item = Layer> {
 pub fn declaration(map: &Map, registry: &Registry, table: &str) -> Option<Layer> {
     let made = map.published(table).and_then(|layer| layer.op.as_deref());
     let made = made.and_then(|op| registry.get(op).ok());
-    let known = || evermap_schemas::layers::all().into_iter().chain(own());
     let made = made.map(|entry| entry.output.clone());
-    made.or_else(|| known().find(|layer| layer.name == table))
+    made.or_else(|| layers::named(table))
+        .or_else(|| own().find(|layer| layer.name == table))
 }
 
 impl std::fmt::Debug for Tables {
@@ -113,8 +123,26 @@ impl Tables {
         Ok(Self::new(map, &self.reading, &self.registry))
     }
 
-    async fn open(&self, name: &str) -> Result<Arc<dyn TableProvider>, Fault> {
+    /// The columns of a table with their units and frames; `None` where there is no such table.
+    ///
+    /// # Errors
+    /// What opening it says.
+    pub async fn described(&self, name: &str) -> Result<Option<SchemaRef>, Fault> {
+        self.table(name).await.or_fault()?;
+        let opened = self.tables.get(name).and_then(OnceCell::get);
+        Ok(opened.map(|opened| Arc::clone(&opened.columns)))
+    }
+
+    async fn opened(&self, name: &str) -> Result<Option<&Opened>, Fault> {
+        let Some(cell) = self.tables.get(name) else {
+            return Ok(None);
+        };
+        cell.get_or_try_init(|| self.open(name)).await.map(Some)
+    }
+
+    async fn open(&self, name: &str) -> Result<Opened, Fault> {
         let (store, context) = (&self.map.store, &self.reading);
+        let mut known = None;
         let rows = match name {
             LayerInfo::NAME => context.read_batch(batch(self.map.layers())?).or_fault()?,
             VersionInfo::NAME => context
@@ -126,11 +154,26 @@ impl Tables {
                 context.read_batch(rows).or_fault()?
             }
             _ => match (self.map.published(name), name.strip_suffix(flat::SUFFIX)) {
-                (None, Some(layer)) => flat::flat(self.rows(layer).await?).or_fault()?,
-                _ => self.rows(name).await?,
+                (None, Some(layer)) => {
+                    let rows = self.rows(layer).await?;
+                    known = self.described_layer(layer).await?;
+                    flat::flat(rows).or_fault()?
+                }
+                _ => {
+                    let rows = self.rows(name).await?;
+                    known = self.described_layer(name).await?;
+                    rows
+                }
             },
         };
-        Ok(rows.into_view())
+        let columns = described(rows.logical_plan(), |origin| {
+            let (_, column) = known.as_ref()?.fields().find(origin.column.name())?;
+            Some(Arc::clone(column))
+        });
+        Ok(Opened {
+            rows: rows.into_view(),
+            columns,
+        })
     }
 
     async fn rows(&self, layer: &str) -> Result<DataFrame, Fault> {
@@ -140,6 +183,20 @@ impl Tables {
         };
         let rows = rows.await;
         rows.map_err(|fault| fault.at(format!("layer {layer}")))
+    }
+
+    /// The columns of a layer as its files describe them, and as it is declared.
+    async fn described_layer(&self, layer: &str) -> Result<Option<SchemaRef>, Fault> {
+        let stored = self.map.published(layer);
+        let Some(first) = stored.and_then(|stored| stored.artifacts.first()) else {
+            return Ok(None);
+        };
+        let found = artifact::described(&self.reading, &self.map.store, first).await;
+        let found = found.map_err(|fault| fault.at(format!("layer {layer}")))?;
+        Ok(Some(match self.declaration(layer) {
+            Some(layer) => declared(&found, &layer),
+            None => found,
+        }))
     }
 
     /// The columns of all layers that can be opened, and of what the map says of itself.
@@ -164,11 +221,11 @@ impl Tables {
         if let (None, Some(own)) = (self.map.published(layer), of_itself) {
             return Ok(columns(own.name, &own.schema(), Some(&own)));
         }
-        let table = match self.map.published(layer) {
-            Some(_) => self.table(layer).await.or_fault()?,
+        let described = match self.map.published(layer) {
+            Some(_) => self.described(layer).await?,
             None => None,
         };
-        let Some(table) = table else {
+        let Some(described) = described else {
             let names: Vec<&str> = self
                 .map
                 .version
@@ -183,7 +240,7 @@ impl Tables {
             );
         };
         let declared = self.declaration(layer);
-        Ok(columns(layer, &table.schema(), declared.as_ref()))
+        Ok(columns(layer, &described, declared.as_ref()))
     }
 
     async fn runs(&self) -> Result<DataFrame, Fault> {
@@ -219,11 +276,8 @@ impl SchemaProvider for Tables {
     }
 
     async fn table(&self, name: &str) -> Result<Option<Arc<dyn TableProvider>>, DataFusionError> {
-        let Some(cell) = self.tables.get(name) else {
-            return Ok(None);
-        };
-        let opened = cell.get_or_try_init(|| self.open(name)).await;
-        opened.cloned().map(Some).map_err(external)
+        let opened = self.opened(name).await.map_err(external)?;
+        Ok(opened.map(|opened| Arc::clone(&opened.rows)))
     }
 
     async fn table_type(&self, name: &str) -> Result<Option<TableType>> {

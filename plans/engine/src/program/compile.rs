@@ -8,10 +8,10 @@ use arrow::datatypes::{Field, SchemaRef};
 use datafusion::prelude::SessionContext;
 use evermap_contract::{Entry, Phase, Reach, Registry, Shape};
 use evermap_language::{Body, Grain, Input, Place, Plan, PlanFaults, PythonStep, Step};
-use evermap_schemas::{Cell, ImageRef};
+use evermap_schemas::{Cell, ImageRef, layers};
 use serde_json::Value;
 
-use crate::conform::{bare, misfits};
+use crate::conform::{bare, declared, misfits};
 use crate::program::locality::is_local;
 use crate::program::python::PythonTask;
 use crate::program::query::Query;
@@ -19,6 +19,7 @@ use crate::program::reads::{is_whole, operator_reads, query_read};
 use crate::program::test_rows;
 use crate::program::{LIFT, Program, Read, Role, Scope, Stage, Task};
 use crate::sql;
+use crate::sql::described::{described, noted, notes};
 
 /// Compiles a plan. `context` has the log tables registered; their rows are not read.
 ///
@@ -150,8 +151,15 @@ impl<'a> Compiler<'a> {
         if !self.knows_scopes(step) {
             self.vague.insert(step.name.clone());
         }
-        self.put(Input::Step(step.name.clone()), Arc::clone(&schema));
-        self.put(Input::New(step.name.clone()), Arc::clone(&schema));
+        let described = match self.stages.iter().find(|stage| stage.name == step.name) {
+            Some(Stage {
+                task: Task::Sql { notes, .. },
+                ..
+            }) => noted(&schema, notes),
+            _ => Arc::clone(&schema),
+        };
+        self.put(Input::Step(step.name.clone()), Arc::clone(&described));
+        self.put(Input::New(step.name.clone()), described);
         self.schemas.insert(step.name.clone(), schema);
     }
 
@@ -335,9 +343,15 @@ impl<'a> Compiler<'a> {
             _ => Scope::Map,
         };
         let schema = bare(plan.schema().as_arrow());
+        let found = described(plan, |_| None);
+        // Who gives a step the name of a layer says that its columns are that layer's.
+        let layer = layers::named(&step.name);
         let task = Task::Sql {
             query: query.text.to_owned(),
             ordered: sql::is_ordered(plan),
+            notes: notes(
+                &layer.map_or_else(|| Arc::clone(&found), |layer| declared(&found, &layer)),
+            ),
         };
         self.stages.push(Stage {
             name: step.name.clone(),

@@ -23,6 +23,7 @@ use serde_json::Value;
 
 use crate::digest::digest_of;
 use crate::program::python::PythonTask;
+use crate::sql::described::Notes;
 
 /// How much of a map one unit of a stage covers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -84,6 +85,9 @@ pub enum Task {
         query: String,
         /// Whether it orders its rows itself.
         ordered: bool,
+        /// Units and frames of its columns.
+        #[serde(default, skip_serializing_if = "Notes::is_empty")]
+        notes: Notes,
     },
     /// A function in Python.
     Python(Box<PythonTask>),
@@ -152,12 +156,19 @@ pub struct Program {
 }
 
 impl Program {
-    /// Digest of all that the program does: operators with versions and parameters, queries, what is written.
+    /// Digest of all that the program does: operators with versions and parameters, queries, what is written. Not of
+    /// what is known of columns, which changes nothing of what is done.
     ///
     /// # Errors
     /// A bug fault when it does not serialise.
     pub fn digest(&self) -> Result<String, Fault> {
-        digest_of(&(&self.stages, &self.write))
+        let mut stages = self.stages.clone();
+        for stage in &mut stages {
+            if let Task::Sql { notes, .. } = &mut stage.task {
+                notes.clear();
+            }
+        }
+        digest_of(&(&stages, &self.write))
     }
 
     /// A stage by name.

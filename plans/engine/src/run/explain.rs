@@ -6,7 +6,7 @@ use evermap_schemas::{Fault, record};
 use serde_json::Value;
 
 use crate::map::damage::Damage;
-use crate::map::receipt::{Artifact, Extent, LogContent, RECEIPTS, Receipt, Recipe};
+use crate::map::receipt::{Artifact, Extent, LogContent, OTHER_FORMAT, RECEIPTS, Receipt, Recipe};
 use crate::map::sound::Sound;
 use crate::map::store::each;
 use crate::map::version::Previous;
@@ -222,6 +222,9 @@ fn new_reason(extent: &Extent, before: &Held<'_>) -> String {
 
 /// How the stages differ from those that a unit was made with, in the words of the plan.
 fn stage_change(held: &Recipe, now: &[Stage]) -> Option<String> {
+    if !held.is_of_today() {
+        return Some(OTHER_FORMAT.to_owned());
+    }
     for stage in now {
         let Some(then) = held.stages.iter().find(|then| then.name == stage.name) else {
             return Some(format!("{} runs inside it now", stage.name));
@@ -240,6 +243,9 @@ fn task_change(then: &Task, now: &Task, name: &str) -> String {
     match (then, now) {
         (Task::Sql { query: a, .. }, Task::Sql { query: b, .. }) if a != b => {
             format!("the query of {name} has changed")
+        }
+        (Task::Sql { notes: a, .. }, Task::Sql { notes: b, .. }) if a != b => {
+            format!("what {name} reads has other units or frames")
         }
         (Task::Op { op: a, .. }, Task::Op { op: b, .. }) if a != b => {
             format!("{name} was {a}, is {b}")

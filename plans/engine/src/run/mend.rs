@@ -10,7 +10,7 @@ use futures::StreamExt;
 
 use crate::map::damage::Damage;
 use crate::map::lease::Lease;
-use crate::map::receipt::{Artifact, LogContent, RECEIPTS, Receipt, Recipe};
+use crate::map::receipt::{Artifact, LogContent, OTHER_FORMAT, RECEIPTS, Receipt, Recipe};
 use crate::map::sound::Sound;
 use crate::map::store::each;
 use crate::run::Run;
@@ -100,6 +100,7 @@ impl Mending<'_, '_> {
         });
         let fault = match std::pin::pin!(ended).next().await {
             Some(Ok(made)) if made.artifact.content == maker.artifact.content => return Ok(()),
+            Some(Ok(_)) if !maker.recipe.is_of_today() => lost(damage, OTHER_FORMAT),
             Some(Ok(made)) => lost(
                 damage,
                 &format!("it was made anew and came out as {}", made.artifact.content),

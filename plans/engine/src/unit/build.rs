@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use arrow::datatypes::{DataType, Schema};
+use arrow::datatypes::{DataType, Schema, SchemaRef};
 use datafusion::execution::TaskContext;
 use datafusion::physical_optimizer::PhysicalOptimizerRule;
 use datafusion::physical_optimizer::ensure_requirements::EnsureRequirements;
@@ -32,6 +32,7 @@ use crate::nodes::planned::PlannedTable;
 use crate::nodes::python::{Python, PythonExec};
 use crate::program::python::PythonTask;
 use crate::program::{Read, Role, Stage, Task};
+use crate::sql::described::noted;
 use crate::sql::{BATCH_ROWS, context_with, put, read_only};
 use crate::unit::Unit;
 use crate::unit::tables::Tables;
@@ -114,6 +115,18 @@ impl<'a> Builder<'a> {
     /// The layer that the unit makes; `None` for a query's rows.
     pub fn layer(&self) -> Option<&Layer> {
         self.layer.as_ref()
+    }
+
+    /// The columns of the unit's plan as they are written: those of a query with what is known of them, and nothing that
+    /// they bring along from a table that is not stored.
+    ///
+    /// # Errors
+    /// As [`Unit::stage`].
+    pub fn written(&self, schema: SchemaRef) -> Result<SchemaRef, Fault> {
+        Ok(match &self.tables.unit.stage()?.task {
+            Task::Sql { notes, .. } => noted(&schema, notes),
+            Task::Op { .. } | Task::Python(_) => schema,
+        })
     }
 
     /// What the rows are of.

@@ -56,13 +56,15 @@ async fn write_to(
     builder: &Builder<'_>,
 ) -> Result<(Artifact, NodeWork), Fault> {
     let file = Hashing::new(BufWriter::new(store.objects(), store.path(name)));
-    let properties = properties(builder.layer(), &plan.schema())?;
+    let schema = builder.written(plan.schema())?;
+    let properties = properties(builder.layer(), &schema)?;
     let mut writer =
-        AsyncArrowWriter::try_new(file, plan.schema(), Some(properties)).map_err(parquet_fault)?;
-    let mut geometries = builder
-        .layer()
-        .and_then(|layer| layer.geometry)
-        .map(GeoColumn::new);
+        AsyncArrowWriter::try_new(file, schema, Some(properties)).map_err(parquet_fault)?;
+    let geometry = match builder.layer() {
+        Some(layer) => layer.geometry,
+        None => Some(geoparquet::COLUMN),
+    };
+    let mut geometries = geometry.map(GeoColumn::new);
     let (mut rows, mut took) = (0, Duration::ZERO);
     // Where pages and row groups end depends on the batches that are written, and those that come on the memory.
     let mut batches = BatchCoalescer::new(plan.schema(), builder.written_rows());
@@ -90,7 +92,9 @@ async fn write_to(
         }
     }
     let clock = Instant::now();
-    if let Some(geometries) = geometries {
+    // What nobody declares is a geometry if its values are.
+    let is_geometry = |seen: &GeoColumn| builder.layer().is_some() || !seen.is_empty();
+    if let Some(geometries) = geometries.filter(is_geometry) {
         let said = geometries.metadata(&serde_json::Value::Null);
         writer.append_key_value_metadata(KeyValue::new(geoparquet::KEY.to_owned(), said));
     }

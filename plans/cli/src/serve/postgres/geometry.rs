@@ -15,13 +15,13 @@ use datafusion::logical_expr::{
     ColumnarValue, Expr, LogicalPlan, LogicalPlanBuilder, ReturnFieldArgs, ScalarFunctionArgs,
     ScalarUDF, ScalarUDFImpl, Signature, Volatility,
 };
+use evermap_engine::sql::described::origin;
 use evermap_functions::makes_geometry;
 use evermap_schemas::Geometry;
 use pgwire::api::Type;
 use pgwire::api::results::FieldInfo;
 
 use crate::output::GEOMETRY;
-use crate::units::origin;
 
 /// The type's number. PostGIS has another in every database; clients ask for it by name.
 pub const OID: u32 = 90_001;
@@ -113,7 +113,8 @@ fn is_geometry(plan: &LogicalPlan, index: usize) -> bool {
     );
     binary
         && (field.name() == GEOMETRY
-            || origin(plan, index).is_some_and(|(_, name)| name == GEOMETRY)
+            || origin(plan, index)
+                .is_some_and(|found| found.members.is_empty() && found.column.name() == GEOMETRY)
             || is_made(plan, index))
 }
 
