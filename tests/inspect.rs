@@ -346,3 +346,85 @@ fn names_that_move_a_cursor_are_escaped() {
         assert!(is_named || !names_it, "{asked:?}: {told:?}");
     }
 }
+
+/// Writes a log of two seconds with the odometry of two robots on `/tf`, 0.1 and 0.2 m a message ahead.
+fn write_robots(path: &Path) {
+    let mut log = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
+    let (number, string) = (json!({"type": "number"}), json!({"type": "string"}));
+    let xyz = json!({"type": "object", "properties": {"x": number, "y": number, "z": number}});
+    let xyzw = json!({"type": "object", "properties": {"x": number, "y": number, "z": number, "w": number}});
+    let schema = json!({"type": "object", "properties": {
+        "parent_frame_id": string, "child_frame_id": string, "translation": xyz, "rotation": xyzw,
+    }});
+    let schema = schema.to_string();
+    let schema = log.add_schema("foxglove.FrameTransform", "jsonschema", schema.as_bytes());
+    let channel = log.add_channel(schema.unwrap(), "/tf", "json", &Default::default());
+    let channel_id = channel.unwrap();
+    for tenth in 0..20_u32 {
+        for (robot, step_m) in [("robot1", 0.1), ("robot2", 0.2)] {
+            let message = json!({
+                "parent_frame_id": format!("{robot}/odom"),
+                "child_frame_id": format!("{robot}/base_link"),
+                "translation": {"x": step_m * f64::from(tenth), "y": 0.0, "z": 0.0},
+                "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+            });
+            let time = 1_700_000_000_000_000_000 + u64::from(tenth) * 100_000_000;
+            let header = mcap::records::MessageHeader {
+                channel_id,
+                sequence: tenth,
+                log_time: time,
+                publish_time: time,
+            };
+            log.write_to_known_channel(&header, message.to_string().as_bytes())
+                .unwrap();
+        }
+    }
+    log.finish().unwrap();
+}
+
+#[test]
+fn of_robots_that_share_a_log_a_manifest_says_which_is_the_vehicle() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_robots(&at("drive.mcap"));
+    let choice = "say which one is the vehicle in a session manifest: `defaults: { vehicle_frame: robot1/base_link }`";
+    let inspected = run_in(folder.path(), &["inspect", "drive.mcap"])
+        .expect(0)
+        .stdout;
+    let told = format!("\nrobots\n  robot1/base_link, robot2/base_link: {choice}\n");
+    assert!(inspected.contains(&told), "{inspected}");
+
+    let run = |map: &str, manifest: &[&str]| {
+        let run = ["run", "trajectory", "--map", map, "--progress", "none"];
+        run_in(folder.path(), &[&run[..], manifest].concat())
+    };
+    let refused = run("map", &["--sessions", "drive.mcap"]).expect(1).stderr;
+    let found = "expected the odometry of one robot among transforms, found that of robot1/base_link, robot2/base_link";
+    assert!(
+        refused.contains(found) && refused.contains(choice),
+        "{refused}"
+    );
+
+    let written = run_in(folder.path(), &["inspect", "--manifest", "drive.mcap"]);
+    let written = written.expect(0).stdout;
+    let asked = "\n  # vehicle_frame: robot1/base_link  # say which robot is the vehicle: robot1/base_link, robot2/base_link\n";
+    assert!(written.contains(asked), "{written}");
+    let driven_m = |robot: &str| {
+        let said = format!("\n  vehicle_frame: {robot}/base_link\n");
+        let manifest = format!("{robot}.yaml");
+        std::fs::write(at(&manifest), written.replace(asked, &said)).unwrap();
+        // One map, made anew where the vehicle is another.
+        run("map", &["--manifest", &manifest]).expect(0);
+        let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
+        let read = run_in(
+            folder.path(),
+            &["sql", "--map", "map", "--format", "json", query],
+        );
+        read.expect(0).json()[0]["m"].as_f64().unwrap()
+    };
+    let (first, second) = (driven_m("robot1"), driven_m("robot2"));
+    assert!(
+        (1.0..=1.9).contains(&first) && (second - 2.0 * first).abs() < 0.5,
+        "{first} {second}"
+    );
+}

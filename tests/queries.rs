@@ -408,6 +408,13 @@ fn maps_and_logs_are_asked_together_from_a_folder_beside_them() {
     let log = ["--map", &relative, "--sessions", text(&drive)];
     let counted = "SELECT (SELECT count(*) FROM first.poses) > 0 AND (SELECT count(*) FROM b.odometry) > 0 AS both;\n";
     assert_eq!(ask(&log, counted).expect(0).stdout, "both\ntrue\n");
+    // A topic of a session is described by the name that it is read by.
+    let described = ask(&log, "DESCRIBE b.\"/odom\";\n").expect(0).stdout;
+    assert!(described.contains("\nb./odom,pose,"), "{described}");
+    let described = ask(&log, "\\d b.\"/odom\"\n").expect(0).stdout;
+    assert!(described.contains("b./odom"), "{described}");
+    let fault = ask(&log, "DESCRIBE b.\"/odm\";\n").expect(1).stderr;
+    assert!(fault.contains("did you mean `b.\"/odom\"`?"), "{fault}");
     // What a prompt knows, and what comes behind it.
     let told = ask(
         &["--map", &relative],

@@ -11,7 +11,9 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::Path;
+use std::process::{Command, Stdio};
 
 use evermap_ffmpeg::{Encoder, Style};
 use evermap_messages::ros2::{CompressedImage, Header, Message};
@@ -201,4 +203,29 @@ fn the_program_itself_links_no_ffmpeg() {
     };
     assert!(links("evermap-video"));
     assert!(!links("evermap"));
+}
+
+#[test]
+fn the_decoder_that_a_person_starts_says_whose_it_is() {
+    let by_hand =
+        "evermap-video decodes video for evermap, which starts it itself where a log has video\n";
+    let started = |arguments: &[&str], sent: &[u8]| {
+        let mut decoder = Command::new(program().with_file_name("evermap-video"));
+        decoder.args(arguments).stdin(Stdio::piped());
+        decoder.stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut decoder = decoder.spawn().unwrap();
+        // It may have ended without reading any.
+        let _ = decoder.stdin.take().unwrap().write_all(sent);
+        Finished::from(decoder.wait_with_output().unwrap())
+    };
+    let helped = started(&["--help"], b"").expect(2);
+    assert_eq!(
+        (helped.stdout.as_str(), helped.stderr.as_str()),
+        ("", by_hand)
+    );
+    let sent = started(&[], b"drive.mcap\n").expect(2).stderr;
+    let other = format!("expected requests of evermap, found something else: {by_hand}");
+    assert_eq!(sent, other);
+    let quiet = started(&[], b"").expect(0);
+    assert_eq!((quiet.stdout.as_str(), quiet.stderr.as_str()), ("", ""));
 }

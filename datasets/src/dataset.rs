@@ -13,7 +13,7 @@ use futures::{FutureExt, StreamExt, TryStreamExt};
 
 use crate::fault::OrFault;
 use crate::losses::{Loss, LossLedger, Reason};
-use crate::manifest::{Manifest, Roles};
+use crate::manifest::{Manifest, Roles, Vehicle};
 use crate::recordings::{Recording, Recordings};
 use crate::scan::{LazyTable, LogTable, McapTable, MessagesTable, RecordTable, TopicTable};
 use crate::session::{LogPart, Session};
@@ -134,12 +134,12 @@ impl Recordings {
     /// A user fault when the manifest names a role that there is not or that nothing plays; a data fault when no file
     /// is an MCAP file. A damaged file is no error, nor one among others that cannot be read: see [`Dataset::losses`].
     pub async fn open(self) -> Result<Dataset, Fault> {
-        let (roles, topics) = (self.roles, &self.topics);
+        let (roles, topics, vehicle) = (self.roles, &self.topics, &self.vehicle);
         check_roles(roles, topics)?;
         let losses = LossLedger::new();
         let alone = self.sessions.iter().map(|s| s.files.len()).sum::<usize>() <= 1;
         let mut opened = futures::stream::iter(self.sessions)
-            .map(|recording| open_session(recording, roles, topics, &losses))
+            .map(|recording| open_session(recording, roles, topics, vehicle, &losses))
             .buffered(OPEN_AT_ONCE)
             .try_collect::<Vec<_>>()
             .await?;
@@ -176,6 +176,7 @@ async fn open_session(
     recording: Recording,
     roles: &[Role],
     given: &BTreeMap<String, Vec<String>>,
+    vehicle: &Vehicle,
     losses: &LossLedger,
 ) -> Result<Opened, Fault> {
     let (name, site): (Arc<str>, Arc<str>) = (recording.name.into(), recording.site.into());
@@ -211,6 +212,7 @@ async fn open_session(
         site,
         parts,
         roles,
+        vehicle: vehicle.clone(),
     };
     Ok((session, notes, faults))
 }

@@ -18,15 +18,19 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
 use evermap_schemas::Fault;
-use evermap_schemas::roles::{self, Choice, Role, Topic};
+use evermap_schemas::roles::{self, Choice, Role, Topic, frame_names};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value, json};
 
 use crate::stores::read_text;
+
+/// The key of `defaults` that says which frame poses are of.
+const VEHICLE_FRAME: &str = "vehicle_frame";
 
 /// A session manifest.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -144,6 +148,12 @@ impl Manifest {
         Ok(manifest)
     }
 
+    /// The vehicle, as far as `defaults` name it.
+    pub fn vehicle(&self) -> Vehicle {
+        let frame = self.defaults.get(VEHICLE_FRAME).and_then(Value::as_str);
+        Vehicle(frame.unwrap_or_default().into())
+    }
+
     /// The text of a manifest file.
     ///
     /// # Errors
@@ -160,6 +170,24 @@ impl Manifest {
 pub(crate) fn from_yaml<T: DeserializeOwned>(text: &str, what: &str) -> Result<T, Fault> {
     serde_yaml_ng::from_str(text)
         .map_err(|error| Fault::user(format!("expected {what}, found {error}")))
+}
+
+/// The vehicle, by the frame that poses are of; no name where nobody says it.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Vehicle(Arc<str>);
+
+impl Vehicle {
+    /// Which robot it is, of those that may share a log: the prefix of its frames, empty where its name has none.
+    pub fn robot(&self) -> &str {
+        frame_names::split(&self.0).0
+    }
+
+    /// As a manifest gives it, to read the same rows of a log again; nothing where it is no robot among others.
+    pub fn to_manifest(&self) -> BTreeMap<String, Value> {
+        let chooses = !self.robot().is_empty();
+        let frame = chooses.then(|| (VEHICLE_FRAME.to_owned(), Value::from(&*self.0)));
+        frame.into_iter().collect()
+    }
 }
 
 /// Which topics of one session play which role.

@@ -8,7 +8,7 @@ use evermap_schemas::roles::{self, Role};
 use object_store::ObjectStoreExt;
 use object_store::path::Path;
 
-use crate::manifest::{Manifest, SessionFiles};
+use crate::manifest::{Manifest, SessionFiles, Vehicle};
 use crate::session::{DEFAULT_SITE, stem};
 use crate::stores::{LogFile, resolve};
 
@@ -21,6 +21,8 @@ pub struct Recordings {
     pub roles: &'static [Role],
     /// Topics by role, where they are not inferred.
     pub(crate) topics: BTreeMap<String, Vec<String>>,
+    /// The vehicle.
+    pub(crate) vehicle: Vehicle,
 }
 
 /// The files of one session.
@@ -74,6 +76,7 @@ impl Recordings {
             sessions,
             roles: roles::ALL,
             topics: manifest.roles.clone(),
+            vehicle: manifest.vehicle(),
         })
     }
 }

@@ -17,7 +17,7 @@ use crate::log::heads::{self, AttachmentHead};
 use crate::log::index::LogIndex;
 use crate::log::window::store_fault;
 use crate::losses::{FileLosses, Loss, LossLedger, Reason};
-use crate::manifest::Roles;
+use crate::manifest::{Roles, Vehicle};
 use crate::stores::LogFile;
 
 /// Site of a session whose manifest names none.
@@ -34,6 +34,8 @@ pub struct Session {
     pub parts: Vec<Arc<LogPart>>,
     /// Which of its topics play which part.
     pub roles: Roles,
+    /// The vehicle, as far as the manifest names it.
+    pub vehicle: Vehicle,
 }
 
 impl Session {

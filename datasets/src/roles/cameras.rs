@@ -3,15 +3,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use datafusion::physical_plan::metrics::ExecutionPlanMetricsSet;
 use evermap_schemas::roles::{Calibration, CameraNames, Messages, Role, calibration};
-use evermap_schemas::{Fault, LayerRow, rows};
+use evermap_schemas::{Fault, rows};
 use futures::TryStreamExt;
 
 use crate::fault::OrFault;
 use crate::roles::Topics;
-use crate::roles::rows::RoleRows;
-use crate::scan::{Job, ScanMetrics, Wanted, stream};
+use crate::roles::ahead::batches;
 use crate::session::LogPart;
 
 /// The role that names cameras.
@@ -43,30 +41,8 @@ async fn first(
     part: &Arc<LogPart>,
     topic: &str,
 ) -> Result<Option<Calibration>, Fault> {
-    let schema = Calibration::layer().schema();
-    let columns: Vec<usize> = (0..schema.fields().len()).collect();
-    let topics = [topic.to_owned()];
-    let nobody = CameraNames::default();
-    let rows_of = RoleRows::new(messages, &topics, nobody, part, &schema, &columns)?;
-    let units = Wanted {
-        part,
-        range: (0, u64::MAX),
-        channels: part.channels_of(topic).map(|c| c.id).collect(),
-        predicate: None,
-        schema: &schema,
-    }
-    .units();
-    let mut batches = stream(Job {
-        part: part.clone(),
-        units,
-        rows: Box::new(rows_of),
-        batch_rows: 1,
-        pool: None,
-        topic: topic.to_owned(),
-        metrics: ScanMetrics::new(&ExecutionPlanMetricsSet::new(), 0),
-    });
-    let batch = batches.try_next().await.or_fault()?;
-    match batch {
+    let mut batches = batches::<Calibration>(messages, part, topic, 1)?;
+    match batches.try_next().await.or_fault()? {
         Some(batch) => Ok(rows::<Calibration>(&batch)?.into_iter().next()),
         None => Ok(None),
     }

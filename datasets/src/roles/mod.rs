@@ -2,9 +2,12 @@
 //!
 //! They are scans like any other (splits, pruning by session and log time, projection), only with a builder that turns
 //! decoded messages into the rows of a [`Role`]. No role is known here by name, but for the calibrations that name
-//! cameras. The rows' order is that of the log; sort by stamp where order matters.
+//! cameras; whether its rows are of one robot, a role says itself. The rows' order is that of the log; sort by stamp
+//! where order matters.
 
+mod ahead;
 mod cameras;
+mod robots;
 mod rows;
 
 use std::collections::BTreeMap;
@@ -25,7 +28,8 @@ use tokio::sync::OnceCell;
 use crate::fault::fault_of;
 use crate::scan::{LogTable, McapTable, RecordTable, RowBuilder};
 use crate::session::{LogPart, Session};
-use rows::RoleRows;
+use robots::RobotOf;
+use rows::{Known, RoleRows};
 
 /// Topics that play a role, by session.
 type Topics = BTreeMap<Arc<str>, Vec<String>>;
@@ -45,6 +49,9 @@ pub(crate) fn table(role: &Role, sessions: &[Session]) -> Result<Arc<dyn TablePr
                 parts: parts.clone(),
                 names: OnceCell::new(),
             },
+            robots: messages
+                .robots
+                .map(|robots| RobotOf::new(*robots, role.name, sessions)),
         }),
         Source::Metadata(played) => Arc::new(RecordTable::of_metadata(
             role.name,
@@ -112,6 +119,8 @@ struct MessageRole {
     messages: Messages,
     topics: Topics,
     names: CameraTopics,
+    /// For a role whose rows are of one robot.
+    robots: Option<RobotOf>,
 }
 
 /// What cameras are called, read when it is first asked. Calibrations may lie in other files than the frames they name.
@@ -155,19 +164,18 @@ impl LogTable for MessageRole {
         part: &Arc<LogPart>,
         projection: &[usize],
     ) -> Result<Box<dyn RowBuilder>, Fault> {
-        let cameras = match self.messages.image {
-            Some(_) => self.names.of(&part.session).await?,
-            None => CameraNames::default(),
+        let known = Known {
+            cameras: match self.messages.image {
+                Some(_) => self.names.of(&part.session).await?,
+                None => CameraNames::default(),
+            },
+            robot: match &self.robots {
+                Some(robots) => robots.of(&part.session).await?,
+                None => String::new(),
+            },
         };
         let topics = self.topics(part);
-        let rows = RoleRows::new(
-            self.messages,
-            topics,
-            cameras,
-            part,
-            &self.schema,
-            projection,
-        )?;
+        let rows = RoleRows::new(self.messages, topics, known, part, &self.schema, projection)?;
         Ok(Box::new(rows))
     }
 }

@@ -17,12 +17,21 @@ use crate::session::LogPart;
 pub(crate) struct RoleRows {
     role: Messages,
     part: Arc<LogPart>,
-    cameras: CameraNames,
+    known: Known,
     schema: SchemaRef,
     projection: Vec<usize>,
     topics: Vec<TopicMessages>,
     channels: BTreeMap<u16, usize>,
     pushed: usize,
+}
+
+/// What is known of a session before rows are made of its messages, where a role asks for it.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Known {
+    /// What its cameras are called.
+    pub cameras: CameraNames,
+    /// The robot that is meant, by the prefix of its frames.
+    pub robot: String,
 }
 
 /// The messages of one channel.
@@ -48,7 +57,7 @@ impl RoleRows {
     pub fn new(
         role: Messages,
         topics: &[String],
-        cameras: CameraNames,
+        known: Known,
         part: &Arc<LogPart>,
         schema: &SchemaRef,
         projection: &[usize],
@@ -82,7 +91,7 @@ impl RoleRows {
         Ok(Self {
             role,
             part: part.clone(),
-            cameras,
+            known,
             schema: schema.clone(),
             projection: projection.to_vec(),
             topics: found,
@@ -179,7 +188,8 @@ impl RowBuilder for RoleRows {
                 log_time: Stamp(taken.log_time),
                 fields: Fields::new(&members[*topic], *row),
                 image: taken.image.as_ref(),
-                cameras: &self.cameras,
+                cameras: &self.known.cameras,
+                robot: &self.known.robot,
             })
             .collect();
         let read = (self.role.read)(&messages)?;

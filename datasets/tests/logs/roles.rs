@@ -1,13 +1,15 @@
 //! A role is one descriptor: one that is made up here has a key in manifests, inference and a table like any other.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use crate::common::by_hand::{channel, file, schema};
-use crate::common::{Log, context, in_memory, rows, text};
+use crate::common::by_hand::{channel, file, message, schema};
+use crate::common::{Log, context, count, in_memory, rows, text};
 use crate::hostile::{messages, opened};
 use datafusion::prelude::SessionContext;
+use evermap_datasets::fault::fault_of;
 use evermap_datasets::{Dataset, Manifest, Reason, Recordings};
-use evermap_schemas::roles::{self, FromMessage, Message, Messages, Role};
+use evermap_schemas::roles::{self, FromMessage, Message, Messages, OdometryPose, Role};
 use evermap_schemas::{Fault, Stamp, record, rows as typed};
+use serde_json::json;
 use url::Url;
 
 record! {
@@ -131,4 +133,112 @@ async fn a_topic_without_messages_plays_nothing() {
     let session = &silent.sessions[0];
     assert_eq!(session.roles.topics("odometry"), ["/odom"]);
     assert!(session.is_silent("/odom") && session.played().is_empty());
+}
+
+const TRANSFORM: &str = r#"{"type": "object", "properties": {
+    "parent_frame_id": {"type": "string"},
+    "child_frame_id": {"type": "string"},
+    "translation": {"type": "object", "properties": {
+        "x": {"type": "number"}, "y": {"type": "number"}, "z": {"type": "number"}}},
+    "rotation": {"type": "object", "properties": {
+        "x": {"type": "number"}, "y": {"type": "number"}, "z": {"type": "number"}, "w": {"type": "number"}}}}}"#;
+
+/// Three messages on `/tf` of each of these transforms in turn, as many metres ahead as their number.
+fn transforms(chains: &[(&str, &str)]) -> Vec<u8> {
+    let definitions = [
+        schema(
+            1,
+            "foxglove.FrameTransform",
+            "jsonschema",
+            TRANSFORM.as_bytes(),
+        ),
+        channel(1, 1, "/tf", "json"),
+    ];
+    let numbered = chains.iter().cycle().take(3 * chains.len()).zip(0_u32..);
+    let messages = numbered.map(|((parent, child), number)| {
+        let transform = json!({
+            "parent_frame_id": parent,
+            "child_frame_id": child,
+            "translation": {"x": f64::from(number), "y": 0.0, "z": 0.0},
+            "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        });
+        message(1, number, transform.to_string().as_bytes())
+    });
+    let records: Vec<Vec<u8>> = definitions.into_iter().chain(messages).collect();
+    file(&records, &[])
+}
+
+/// The log's tables, opened with a manifest.
+async fn opened_with(log: &[u8], manifest: &str) -> (SessionContext, Dataset) {
+    let context = context(2);
+    let runtime = context.runtime_env();
+    let url = Url::parse("memory://logs").unwrap();
+    runtime.register_object_store(&url, in_memory(log).await);
+    let paths = ["memory://logs/log.mcap".to_owned()];
+    let manifest = Manifest::parse(manifest).unwrap();
+    let dataset = Dataset::open(&runtime, &paths, Some(&manifest));
+    let dataset = dataset.await.unwrap();
+    dataset.register(&context).unwrap();
+    (context, dataset)
+}
+
+/// How far ahead the odometry of a log was, or what keeps it from being read.
+async fn ahead(log: &[u8], manifest: &str) -> Result<Vec<f64>, String> {
+    let (context, dataset) = opened_with(log, manifest).await;
+    let query = "SELECT * FROM odometry ORDER BY stamp";
+    let batches = context.sql(query).await.unwrap().collect().await;
+    let batches = batches.map_err(|error| fault_of(&error).to_string())?;
+    assert!(dataset.losses.is_empty());
+    let poses = batches
+        .iter()
+        .flat_map(|batch| typed::<OdometryPose>(batch).unwrap());
+    Ok(poses.map(|row| row.odom_from_vehicle.x).collect())
+}
+
+const ONE: [(&str, &str); 2] = [("a/odom", "a/base_link"), ("a/base_link", "a/wheel")];
+
+#[tokio::test]
+async fn odometry_among_transforms_is_that_of_the_robot_that_is_meant() {
+    let one = transforms(&ONE);
+    assert_eq!(ahead(&one, "").await.unwrap(), [0.0, 2.0, 4.0]);
+    let slash = transforms(&[("/odom", "/base_footprint")]);
+    assert_eq!(ahead(&slash, "").await.unwrap(), [0.0, 1.0, 2.0]);
+    let both = transforms(&[ONE[0], ("b/odom", "b/base_link")]);
+    let fault = ahead(&both, "").await.unwrap_err();
+    for said in [
+        "log.mcap: topic /tf",
+        "found that of a/base_link, b/base_link",
+        "`defaults: { vehicle_frame: a/base_link }`",
+    ] {
+        assert!(fault.contains(said), "{said}: {fault}");
+    }
+    let second = "defaults: {vehicle_frame: /b/base_link}";
+    assert_eq!(ahead(&both, second).await.unwrap(), [1.0, 3.0, 5.0]);
+    let third = "defaults: {vehicle_frame: c/base_link}";
+    let fault = ahead(&both, third).await.unwrap_err();
+    assert!(fault.contains("the odometry of c among"), "{fault}");
+    // What is read of transforms themselves needs no choice.
+    let (context, _) = opened_with(&both, "").await;
+    assert_eq!(count(&context, "SELECT * FROM transforms").await, 6);
+}
+
+#[tokio::test]
+async fn odometry_without_a_prefix_goes_before_that_of_robots() {
+    let log = transforms(&[ONE[0], ("odom", "base_link")]);
+    assert_eq!(ahead(&log, "").await.unwrap(), [1.0, 3.0, 5.0]);
+    let named = "defaults: {vehicle_frame: a/base_link}";
+    assert_eq!(ahead(&log, named).await.unwrap(), [0.0, 2.0, 4.0]);
+}
+
+#[tokio::test]
+async fn a_session_is_opened_again_with_the_robot_that_was_meant() {
+    let log = transforms(&ONE);
+    let (_, dataset) = opened_with(&log, "defaults: {vehicle_frame: a/base_link}").await;
+    let again = Manifest {
+        defaults: dataset.sessions[0].vehicle.to_manifest(),
+        ..Manifest::default()
+    };
+    assert_eq!(again.vehicle().robot(), "a");
+    let (_, dataset) = opened_with(&log, "defaults: {vehicle_frame: base_link}").await;
+    assert!(dataset.sessions[0].vehicle.to_manifest().is_empty());
 }

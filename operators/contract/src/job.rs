@@ -145,6 +145,11 @@ pub trait Worker: Send {
     /// Only what makes the whole run senseless; bad rows are skipped and counted.
     fn push(&mut self, rows: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault>;
 
+    /// Rows that it has taken, but works on when all of their key are there.
+    fn held(&self) -> usize {
+        0
+    }
+
     /// There are no more rows.
     ///
     /// # Errors
@@ -237,6 +242,13 @@ impl Worker for GroupWorker<'_> {
         Ok(())
     }
 
+    fn held(&self) -> usize {
+        match &self.open {
+            Some((_, Some(group))) => group.held(),
+            _ => 0,
+        }
+    }
+
     fn close(&mut self, emit: &mut Emit<'_>) -> Result<(), Fault> {
         match self.open.take() {
             Some((_, Some(group))) => group.close(emit),
@@ -290,6 +302,10 @@ impl Worker for MergeWorker<'_> {
             }
         }
         Ok(())
+    }
+
+    fn held(&self) -> usize {
+        self.open.as_ref().map_or(0, |(_, _, states)| states.len())
     }
 
     fn close(&mut self, emit: &mut Emit<'_>) -> Result<(), Fault> {

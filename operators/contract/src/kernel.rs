@@ -30,6 +30,11 @@ pub(crate) trait Rows: Send {
     /// Takes the next rows.
     fn push(&mut self, rows: &RecordBatch, emit: &mut Emit<'_>) -> Result<(), Fault>;
 
+    /// Rows that it has taken and works on when there are no more.
+    fn held(&self) -> usize {
+        0
+    }
+
     /// There are no more rows.
     fn close(self: Box<Self>, emit: &mut Emit<'_>) -> Result<(), Fault>;
 }

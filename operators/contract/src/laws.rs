@@ -198,9 +198,9 @@ fn parameters(entry: &Entry) -> Result<(), Fault> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::{Emit, Fold, Key, Operator, Pixels, Port, Sides, Stream, Work};
+    use crate::{Emit, Fold, Key, Losses, Operator, Pixels, Port, Sides, Stream, Work};
     use evermap_schemas::layers::VehiclePose;
-    use evermap_schemas::record;
+    use evermap_schemas::{Pose, Stamp, batch, record};
     use schemars::JsonSchema;
     use serde::{Deserialize, Serialize};
 
@@ -375,6 +375,32 @@ mod tests {
             }])
             .is_idle()
         );
+    }
+
+    #[test]
+    fn rows_are_held_that_wait_for_the_rest_of_their_key() {
+        let pose = |site: &str, stamp: i64| VehiclePose {
+            site: site.to_owned(),
+            session: "a".to_owned(),
+            stamp: Stamp(stamp),
+            map_from_vehicle: Pose::IDENTITY,
+        };
+        let (begun, ended) = ([pose("s", 1), pose("s", 2)], [pose("s", 3), pose("t", 1)]);
+        let batches = [begun, ended].map(|rows| batch(rows.to_vec()).unwrap());
+        let held = |entry: &Entry| {
+            let sides = Sides::default();
+            let job = crate::Job::new(entry, &entry.defaults, crate::Phase::Run, sides).unwrap();
+            let mut worker = job.worker();
+            let (mut pass, mut losses) = (|_: RecordBatch| Ok::<(), Fault>(()), Losses::default());
+            let mut emit = Emit::new(&mut pass, &mut losses);
+            let mut after = |batch: &RecordBatch| {
+                worker.push(batch, &mut emit).unwrap();
+                worker.held()
+            };
+            [after(&batches[0]), after(&batches[1])]
+        };
+        assert_eq!(held(&Entry::of::<Grouped>()), [2, 1]);
+        assert_eq!(held(&Entry::of::<Careless>()), [0, 0]);
     }
 
     #[test]

@@ -260,6 +260,10 @@ impl<P: Send, T: Record + Send> Rows for Collected<P, T> {
         Ok(())
     }
 
+    fn held(&self) -> usize {
+        self.rows.len()
+    }
+
     fn close(self: Box<Self>, emit: &mut Emit<'_>) -> Result<(), Fault> {
         (self.work)(&self.params, self.rows, self.sides, emit)
     }

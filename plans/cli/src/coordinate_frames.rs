@@ -9,6 +9,8 @@ use datafusion::prelude::SessionContext;
 use evermap_catalog::USUAL_VEHICLE;
 use evermap_engine::error::OrFault;
 use evermap_schemas::Fault;
+use evermap_schemas::roles::frame_names;
+use evermap_schemas::roles::robots::{Robots, moved};
 use serde::Serialize;
 
 /// Frames are known after so many transforms, and cameras after so many images.
@@ -22,6 +24,8 @@ pub struct CoordinateFrames {
     pub transforms: Vec<Transform>,
     /// Cameras, by name.
     pub cameras: Vec<Camera>,
+    /// Robots that share the logs, a frame of each, where nothing tells which one is the vehicle; else none.
+    pub robots: Vec<String>,
 }
 
 /// One frame in another.
@@ -56,7 +60,7 @@ impl CoordinateFrames {
             "SELECT DISTINCT parent, child, fixed FROM (SELECT parent, child, fixed FROM transforms LIMIT {TRANSFORMS}) \
              ORDER BY fixed DESC, parent, child"
         );
-        let frame = |name: &str| name.trim_start_matches('/').to_owned();
+        let frame = |name: &str| frame_names::plain(name).to_owned();
         let transforms = rows(context, &transforms).await?.into_iter();
         let transforms: Vec<Transform> = transforms
             .map(|[parent, child, fixed]| Transform {
@@ -76,19 +80,26 @@ impl CoordinateFrames {
         });
         Ok(Self {
             cameras: cameras.collect(),
+            robots: robots(&transforms),
             transforms,
         })
     }
 
+    /// How a person says which robot is the vehicle; `None` where that is no question.
+    pub fn choice(&self) -> Option<String> {
+        let first = self.robots.first()?;
+        Some(Robots::choice(first))
+    }
+
     /// The frame that poses are of, as far as the transforms say: what most cameras are mounted on, else what moves and
-    /// has nothing moving in it. `base_link` where that is a frame on the way.
+    /// has nothing moving in it. `base_link` where that is a frame on the way, with a prefix or without; none where it
+    /// may be one of several robots.
     pub fn vehicle(&self) -> Option<&str> {
-        let named = |name: &str| {
-            let mut transforms = self.transforms.iter();
-            transforms.any(|transform| transform.parent == name || transform.child == name)
-        };
-        if named(USUAL_VEHICLE) {
-            return Some(USUAL_VEHICLE);
+        if !self.robots.is_empty() {
+            return None;
+        }
+        if let Some(usual) = frame_names::meant(USUAL_VEHICLE, self.names()) {
+            return Some(usual);
         }
         let mut mounts = BTreeMap::<&str, usize>::new();
         for mount in self
@@ -130,6 +141,16 @@ impl fmt::Display for Camera {
             None => f.write_str("no fixed transform says where it is mounted"),
         }
     }
+}
+
+/// Robots that share the logs, if nothing tells which one is meant.
+fn robots(transforms: &[Transform]) -> Vec<String> {
+    let mut robots = Robots::default();
+    let moving = transforms.iter().filter(|transform| !transform.fixed);
+    moving
+        .filter(|found| moved(&found.parent, &found.child).is_some())
+        .for_each(|found| robots.add(&found.child));
+    robots.several().into_iter().map(str::to_owned).collect()
 }
 
 /// Where fixed transforms lead from a frame.
@@ -196,6 +217,7 @@ mod tests {
         });
         CoordinateFrames {
             cameras: cameras.collect(),
+            robots: robots(&transforms),
             transforms,
         }
     }
@@ -217,6 +239,26 @@ mod tests {
         let expected = [Some("chassis"), Some("chassis"), Some("gimbal"), None];
         assert_eq!(mounts.collect::<Vec<_>>(), expected);
         assert_eq!(rig.vehicle(), Some("chassis"));
+    }
+
+    #[test]
+    fn the_vehicle_of_one_robot_has_its_prefix_and_of_several_none_is_taken() {
+        let one = vec![
+            transform("a/base_link", "a/front", true),
+            transform("a/odom", "a/base_link", false),
+        ];
+        let alone = frames(one.clone(), &["a/front"]);
+        assert_eq!(alone.vehicle(), Some("a/base_link"));
+        assert_eq!(alone.choice(), None);
+        let mut both = one;
+        both.push(transform("b/odom", "b/base_link", false));
+        let both = frames(both, &["a/front"]);
+        assert_eq!(both.vehicle(), None);
+        assert_eq!(both.robots, ["a/base_link", "b/base_link"]);
+        assert!(
+            both.choice()
+                .is_some_and(|said| said.contains("vehicle_frame: a/base_link"))
+        );
     }
 
     #[test]

@@ -34,6 +34,8 @@ struct Written {
     vehicle: Option<String>,
     vehicle_doc: Vec<String>,
     names: Vec<String>,
+    /// Frames of robots of which one may be the vehicle.
+    robots: Vec<String>,
     parameters: Vec<Parameter>,
 }
 
@@ -88,6 +90,7 @@ pub fn written(dataset: &Dataset, frames: &CoordinateFrames) -> Result<String, F
         vehicle: frames.vehicle().map(yaml),
         vehicle_doc: folded(&vehicle_doc.unwrap_or_default().0),
         names: frames.names().into_iter().map(str::to_owned).collect(),
+        robots: frames.robots.iter().map(|frame| yaml(frame)).collect(),
         parameters: OF_VEHICLE.into_iter().filter_map(named).collect(),
     };
     let text = written.render();

@@ -36,40 +36,61 @@ pub struct Progress {
 
 /// How a unit has come on since it was first told.
 struct Course {
-    begun: (Instant, f64),
-    share: f64,
+    begun: Instant,
+    /// The first share that was told, and when.
+    from: Option<(Instant, f64)>,
+    share: Option<f64>,
     /// When a line told it last.
     told: Instant,
 }
 
-/// Logs are told of a long unit this often.
+/// Logs are told this often how far a long unit has come.
 const TOLD_EVERY: Duration = Duration::from_secs(10);
 
 impl Course {
-    /// That a share is done, now.
-    fn at(share: f64) -> Self {
+    /// That it is at work, of which nothing is known yet.
+    fn begin() -> Self {
         let now = Instant::now();
         Self {
-            begun: (now, share),
-            share,
+            begun: now,
+            from: None,
+            share: None,
             told: now,
+        }
+    }
+
+    /// That a share is done, now; `None` where nobody knows.
+    fn advance(&mut self, share: Option<f64>) {
+        self.share = share;
+        if let (None, Some(share)) = (self.from, share) {
+            self.from = Some((Instant::now(), share));
         }
     }
 
     /// So much is left, if it goes on as it has; `None` as long as nobody can tell.
     fn left(&self) -> Option<f64> {
-        let (begun, from) = self.begun;
-        let done = self.share - from;
-        (done > 0.0).then(|| begun.elapsed().as_secs_f64() * (1.0 - self.share) / done)
+        let ((begun, from), share) = (self.from?, self.share?);
+        let done = share - from;
+        (done > 0.0).then(|| begun.elapsed().as_secs_f64() * (1.0 - share) / done)
     }
 
+    /// The share that is done; where nothing is yet, or nobody knows, how long it has been at work.
     fn text(&self) -> String {
-        let percent = (100.0 * self.share).floor();
-        let left = self.left().map(of_seconds);
-        left.map_or_else(
-            || format!("{percent} %"),
-            |left| format!("{percent} %, {left} left"),
-        )
+        let percent = self.share.map_or(0.0, |share| (100.0 * share).floor());
+        match self.left().map(of_seconds) {
+            Some(left) => format!("{percent} %, {left} left"),
+            None if percent > 0.0 => format!("{percent} %"),
+            None => format!("{} so far", of_seconds(self.begun.elapsed().as_secs_f64())),
+        }
+    }
+
+    /// Whether a line is to tell it again: less and less often where it could only say how long it has been at work.
+    fn is_due(&self) -> bool {
+        let pause = match self.left() {
+            Some(_) => TOLD_EVERY,
+            None => TOLD_EVERY.max(self.told.duration_since(self.begun)),
+        };
+        self.told.elapsed() >= pause
     }
 }
 
@@ -117,19 +138,19 @@ impl Progress {
         self.bar.set_message(self.first_running());
     }
 
-    fn advance(&mut self, label: &str, share: f64) {
+    fn advance(&mut self, label: &str, share: Option<f64>) {
         let Some(unit) = self.running.get_mut(label) else {
             return;
         };
-        let course = unit.get_or_insert_with(|| Course::at(share));
-        course.share = share;
-        if self.lines && course.told.elapsed() >= TOLD_EVERY {
+        let course = unit.get_or_insert_with(Course::begin);
+        course.advance(share);
+        if self.lines && course.is_due() {
             course.told = Instant::now();
             line(&format!("{label}: {}", course.text()));
         }
     }
 
-    /// The first of what runs, or waits for its turn: as many as a person reads, those first that say how far they are.
+    /// The first of what runs, or waits for its turn: as many as a person reads, those first that are at work.
     fn first_running(&self) -> String {
         let told = |(label, unit): (&String, &Option<Course>)| match unit {
             Some(course) => format!("{label} {}", course.text()),
@@ -186,13 +207,37 @@ mod tests {
 
     #[test]
     fn what_is_left_follows_from_what_was_done() {
-        let mut course = Course::at(0.2);
+        let mut course = Course::begin();
+        course.advance(Some(0.2));
         assert_eq!((course.left(), course.text().as_str()), (None, "20 %"));
-        course.begun.0 = Instant::now().checked_sub(Duration::from_secs(30)).unwrap();
-        course.share = 0.5;
+        course.from = Some((ago(30), 0.2));
+        course.advance(Some(0.5));
         let left = course.left().unwrap();
         assert!((49.0..51.0).contains(&left), "{left}");
         assert!(course.text().starts_with("50 %, 50."), "{}", course.text());
+    }
+
+    fn ago(seconds: u64) -> Instant {
+        Instant::now()
+            .checked_sub(Duration::from_secs(seconds))
+            .unwrap()
+    }
+
+    /// A key of which all rows are worked on at once is done at the end, and nobody knows when that is.
+    #[test]
+    fn what_has_done_nothing_yet_says_how_long_it_has_been_at_work() {
+        for share in [None, Some(0.0)] {
+            let mut course = Course::begin();
+            course.begun = ago(75);
+            course.advance(share);
+            let text = course.text();
+            assert!(text.ends_with(" so far") && !text.contains('%'), "{text}");
+            // Told after 10, 20, 40 and 80 s.
+            course.told = ago(35);
+            assert!(!course.is_due());
+            course.told = ago(65);
+            assert!(course.is_due());
+        }
     }
 
     #[test]
@@ -203,11 +248,11 @@ mod tests {
         }
         progress.note(&Event::Advanced {
             label: "e",
-            share: 0.25,
+            share: Some(0.25),
         });
         progress.note(&Event::Advanced {
             label: "other",
-            share: 0.5,
+            share: Some(0.5),
         });
         assert_eq!(progress.first_running(), "e 25 %, a, b, c");
     }

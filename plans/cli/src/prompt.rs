@@ -53,10 +53,18 @@ impl<'t> Input<'t> {
         match (words.next(), words.next()) {
             (Some("q"), _) => Self::Quit,
             (Some("d"), None) => Self::Tables,
-            (Some("d"), Some(name)) => Self::Columns(name.trim_matches('"')),
+            (Some("d"), Some(name)) => Self::Columns(unquoted(name)),
             _ => Self::Help,
         }
     }
+}
+
+/// The name of a table without the quotes around it, where it has no schema.
+fn unquoted(name: &str) -> &str {
+    let within = name
+        .strip_prefix('"')
+        .and_then(|name| name.strip_suffix('"'));
+    within.filter(|name| !name.contains('"')).unwrap_or(name)
 }
 
 /// A line is complete when it is a command or ends with a semicolon outside quotes.
@@ -255,6 +263,8 @@ mod tests {
     fn commands_are_told_from_queries() {
         assert_eq!(Input::of("\\d;"), Input::Tables);
         assert_eq!(Input::of("\\d \"/odom\""), Input::Columns("/odom"));
+        let of_session = Input::of("\\d monday.\"/odom\"");
+        assert_eq!(of_session, Input::Columns("monday.\"/odom\""));
         assert_eq!(Input::of(" \\q "), Input::Quit);
         assert_eq!(Input::of("quit;"), Input::Quit);
         assert_eq!(Input::of("\\x"), Input::Help);

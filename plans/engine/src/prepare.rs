@@ -353,12 +353,20 @@ fn run_session(session: &Session, site: String, content: String) -> Result<Mappe
         session: session.name.to_string(),
         site,
         content,
-        roles: digest_of(&manifest.roles)?,
+        roles: digest_of_tables(&manifest)?,
     };
     Ok(MappedSession { log, manifest })
 }
 
-/// The manifest that opens just this session, with its topics as they were resolved.
+/// The digest of all that says which rows a log's tables have.
+fn digest_of_tables(manifest: &Manifest) -> Result<String, Fault> {
+    match manifest.vehicle().robot() {
+        "" => digest_of(&manifest.roles),
+        robot => digest_of(&(&manifest.roles, robot)),
+    }
+}
+
+/// The manifest that opens just this session, with its topics as they were resolved, and its vehicle.
 fn manifest_of(session: &Session, site: &str) -> Manifest {
     Manifest {
         site: Some(site.to_owned()),
@@ -368,6 +376,6 @@ fn manifest_of(session: &Session, site: &str) -> Manifest {
             site: Some(site.to_owned()),
         }],
         roles: session.roles.to_manifest(),
-        defaults: BTreeMap::new(),
+        defaults: session.vehicle.to_manifest(),
     }
 }

@@ -30,7 +30,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{OrFault, external};
 use crate::nodes::light::LightBatches;
 use crate::sql::bounded::bound_functions;
-use crate::sql::members::{mask_members, members};
+use crate::sql::members::{check_members, mask_members, members};
 use crate::sql::pool::SharedPool;
 use crate::sql::written::Written;
 
@@ -271,7 +271,9 @@ pub async fn plan_of(
     let written = Written::of(&statement).map_err(external)?;
     as_of::bracketed(&mut statement);
     let plan = state.statement_to_plan(statement).await;
-    plan.map_err(|error| written.explained(error))
+    let plan = plan.map_err(|error| written.explained(error))?;
+    check_members(&plan)?;
+    Ok(plan)
 }
 
 /// The tables that a query reads, as a plan names its inputs: `poses`, `/odom`, `previous.lanes`.

@@ -9,7 +9,7 @@ use arrow::datatypes::{
     UInt16Type, UInt32Type, UInt64Type,
 };
 
-use crate::roles::CameraNames;
+use crate::roles::{CameraNames, frame_names};
 use crate::{Fault, ImageRef, LayerRow, Pose, Stamp};
 
 /// A row that comes from messages.
@@ -86,6 +86,9 @@ pub struct Message<'a> {
     pub image: Option<&'a FoundImage>,
     /// What the session's cameras are called; for roles of images.
     pub cameras: &'a CameraNames,
+    /// The robot that is meant, by the prefix of its frames, empty where they have none; for roles that have one robot's
+    /// rows.
+    pub robot: &'a str,
 }
 
 /// Where an image's bytes lie, and the first of them, where its format must be guessed.
@@ -107,13 +110,9 @@ impl Message<'_> {
     pub fn frame(&self) -> String {
         let header = self.fields.text(&["header", "frame_id"]);
         let own = || self.fields.text(&["frame_id"]);
-        plain_frame(&header.or_else(own).unwrap_or_default())
+        let frame = header.or_else(own).unwrap_or_default();
+        frame_names::plain(&frame).to_owned()
     }
-}
-
-/// A frame's name without the slash in front.
-pub(super) fn plain_frame(frame: &str) -> String {
-    frame.trim_start_matches('/').to_owned()
 }
 
 /// No position of a log is farther from its frame's origin (m): beyond the orbits of satellites, and a micrometre is told

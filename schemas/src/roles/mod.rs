@@ -11,7 +11,9 @@
 //! Files, and how bytes become members, are the business of whoever reads logs.
 
 mod cameras;
+pub mod frame_names;
 mod message;
+pub mod robots;
 mod role;
 
 pub use cameras::CameraNames;
@@ -50,6 +52,7 @@ pub use image_annotations::ImageAnnotation;
 pub use imu::ImuMeasurement;
 pub use label_classes::LabelClass;
 pub use odometry::OdometryPose;
+pub use robots::{Robot, Robots};
 pub use transforms::Transform;
 
 #[cfg(test)]

@@ -2,8 +2,9 @@
 
 use std::cmp::Reverse;
 
+use crate::roles::robots::moved;
 use crate::roles::transforms::{self, Transform};
-use crate::roles::{Choice, FromMessage, Message, Messages, Role, Topic, in_words};
+use crate::roles::{Choice, FromMessage, Message, Messages, Robot, Role, Topic, in_words};
 use crate::{Pose, Stamp, record};
 
 record! {
@@ -37,12 +38,15 @@ const POSES: &[&str] = &[
 /// Words in the names of topics whose poses are where the vehicle shall go, or was put.
 const WISHES: &[&str] = &["goal", "target", "initial"];
 
-/// The one topic with wheel or visual odometry.
+/// The one topic with wheel or visual odometry; of transforms, those of one robot.
 pub const ROLE: Role = Role::of::<OdometryPose>(Messages {
     choose,
     single: true,
+    robots: Some(&ROBOTS),
     ..Messages::of::<OdometryPose>(TYPES)
 });
+
+const ROBOTS: Messages = Messages::of::<Robot>(transforms::TYPES);
 
 const TYPES: &[&str] = &[
     ODOMETRY,
@@ -71,7 +75,9 @@ fn choose(topics: &[Topic]) -> Vec<Choice> {
         POSES.contains(&topic.message_type.as_str()) && !in_words(&topic.name, WISHES)
     };
     let kinds: [&dyn Fn(&&Topic) -> bool; 4] = [&odometry, &poses, &moving, &other_poses];
-    let kind = kinds.into_iter().find(|kind| topics.iter().any(|topic| kind(&topic)));
+    let kind = kinds
+        .into_iter()
+        .find(|kind| topics.iter().any(|topic| kind(&topic)));
     let mut candidates: Vec<&Topic> = match kind {
         Some(kind) => topics.iter().filter(kind).collect(),
         None => Vec::new(),
@@ -82,14 +88,6 @@ fn choose(topics: &[Topic]) -> Vec<Choice> {
         (silent, !plain, Reverse(topic.messages), &topic.name)
     });
     Choice::first_of(candidates).into_iter().collect()
-}
-
-/// Whether a transform says where the vehicle is in the odometry frame, as REP 105 names the two: from `odom` (or
-/// `odom_combined` …) to `base_link` (or `base_footprint` …). Names with a prefix are those of one of several robots, and
-/// nobody says which one is meant.
-fn is_odometry(transform: &Transform) -> bool {
-    let Transform { parent, child, .. } = transform;
-    parent.starts_with("odom") && child.starts_with("base") && !child.contains('/')
 }
 
 impl FromMessage for OdometryPose {
@@ -108,8 +106,12 @@ impl FromMessage for OdometryPose {
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
         if let Some(transforms) = transforms::all(message) {
             // Another transform that makes no sense is the business of the role that reads them all.
-            let found = transforms.into_iter().flatten().filter(is_odometry);
-            return Ok(found.map(|found| Self::of_transform(message, found)).collect());
+            let sound = transforms.into_iter().flatten();
+            let found =
+                sound.filter(|found| moved(&found.parent, &found.child) == Some(message.robot));
+            return Ok(found
+                .map(|found| Self::of_transform(message, found))
+                .collect());
         }
         let fields = &message.fields;
         // nav_msgs/Odometry and PoseWithCovarianceStamped have a pose with covariance, PoseStamped and PoseInFrame a plain one.

@@ -42,6 +42,9 @@ pub struct Messages {
     pub drop_repeats: bool,
     /// Whether it says what a vehicle is like, and not what a drive was: nothing is made of it alone.
     pub lasting: bool,
+    /// Where its topics may tell of several robots and the table is of one: how messages become
+    /// [`Robot`](super::Robot)s.
+    pub robots: Option<&'static Messages>,
     /// From messages to rows.
     pub read: Reader,
 }
@@ -57,6 +60,7 @@ impl Messages {
             image: None,
             drop_repeats: false,
             lasting: false,
+            robots: None,
             read: crate::roles::message::read::<T>,
         }
     }

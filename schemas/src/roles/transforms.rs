@@ -1,7 +1,6 @@
 //! Transforms between frames, as `/tf` and `/tf_static` publish them.
 
-use crate::roles::message::plain_frame;
-use crate::roles::{Fields, FromMessage, Message, Messages, Role};
+use crate::roles::{Fields, FromMessage, Message, Messages, Role, frame_names};
 use crate::{Pose, Stamp, record};
 
 record! {
@@ -83,12 +82,16 @@ fn transform(message: &Message<'_>, fields: Fields<'_>) -> Result<Transform, Str
         ),
     };
     let child = fields.text(&["child_frame_id"]);
+    let named = |frame: Option<String>, which: &str| match frame {
+        Some(frame) => Ok(frame_names::plain(&frame).to_owned()),
+        None => Err(format!("expected the name of the {which} frame")),
+    };
     Ok(Transform {
         site: message.site.to_owned(),
         session: message.session.to_owned(),
         stamp: fields.stamp().unwrap_or(message.log_time),
-        parent: plain_frame(&parent.ok_or("expected the name of the parent frame")?),
-        child: plain_frame(&child.ok_or("expected the name of the child frame")?),
+        parent: named(parent, "parent")?,
+        child: named(child, "child")?,
         parent_from_child: pose?,
         fixed: is_static(message.topic),
     })

@@ -140,11 +140,15 @@ fn roles(bytes: &[u8]) {
             fields,
             image: None,
             cameras: &cameras,
+            robot: "",
         })
         .collect();
     for role in roles::ALL.iter().filter_map(|role| role.messages()) {
         if role.image.is_none() {
             let _ = (role.read)(&messages);
+        }
+        if let Some(robots) = role.robots {
+            let _ = (robots.read)(&messages);
         }
     }
 }

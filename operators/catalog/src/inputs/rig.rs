@@ -8,7 +8,8 @@ use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::rig::{Rig as MountedCameras, RigCamera};
 use evermap_contract::{Fault, Port, Reach, Reason, Sides};
 use evermap_schemas::Stamp;
-use evermap_schemas::roles::{Calibration, Transform};
+pub(crate) use evermap_schemas::roles::frame_names::plain as frame;
+use evermap_schemas::roles::{Calibration, Transform, frame_names};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +20,8 @@ pub const USUAL_VEHICLE: &str = "base_link";
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct VehicleFrame {
-    /// The frame that poses are of, as the transforms name it.
+    /// The frame that poses are of, as the transforms name it. Without a prefix it also means the only frame that has
+    /// one in front of this name (`robot1/base_link`).
     pub vehicle_frame: String,
 }
 
@@ -47,11 +49,6 @@ pub struct OfVehicle<O> {
     /// The vehicle.
     #[serde(flatten)]
     pub vehicle: VehicleFrame,
-}
-
-/// ROS 1 wrote frames with a slash in front.
-pub(crate) fn frame(name: &str) -> &str {
-    name.trim_start_matches('/')
 }
 
 /// The ports that [`sessions`] reads.
@@ -141,6 +138,21 @@ impl Rig {
         }
     }
 
+    /// All frames that are mounted, and what they are mounted on.
+    fn frames(&self) -> impl Iterator<Item = &str> {
+        let mounts = self.mounts.iter();
+        mounts.flat_map(|(child, (_, parent, _))| [child.as_str(), parent.as_str()])
+    }
+
+    /// The vehicle from a frame of these ancestors.
+    fn vehicle_from(&self, vehicle: &str, ancestors: &[(&str, Pose)]) -> Option<Pose> {
+        let of_vehicle = self.ancestors(vehicle);
+        ancestors.iter().find_map(|(ancestor, from_frame)| {
+            let (_, from_vehicle) = of_vehicle.iter().find(|(name, _)| name == ancestor)?;
+            Some(from_vehicle.inverse().compose(from_frame))
+        })
+    }
+
     /// A frame and its ancestors, each with its own pose: `(ancestor, ancestor_from_frame)`.
     fn ancestors<'a>(&'a self, start: &'a str) -> Vec<(&'a str, Pose)> {
         let mut chain = vec![(start, Pose::identity())];
@@ -153,21 +165,15 @@ impl Rig {
         chain
     }
 
-    /// Through the nearest common ancestor of the two frames.
+    /// Through the nearest common ancestor of the two frames, of which the vehicle's may be the only one of its name behind
+    /// a prefix.
     pub(crate) fn vehicle_from_camera(&self, vehicle: &str, camera: &str) -> Result<Pose, Reason> {
-        let of_vehicle = self.ancestors(vehicle);
         let of_camera = self.ancestors(camera);
-        let found = of_camera
-            .iter()
-            .find_map(|(ancestor, ancestor_from_camera)| {
-                let (_, ancestor_from_vehicle) =
-                    of_vehicle.iter().find(|(name, _)| name == ancestor)?;
-                Some(
-                    ancestor_from_vehicle
-                        .inverse()
-                        .compose(ancestor_from_camera),
-                )
-            });
+        let prefixed = || {
+            let frames = self.frames().chain([camera]);
+            self.vehicle_from(frame_names::meant(vehicle, frames)?, &of_camera)
+        };
+        let found = self.vehicle_from(vehicle, &of_camera).or_else(prefixed);
         found.ok_or_else(|| {
             let ends = of_camera.last().map_or(camera, |(ancestor, _)| *ancestor);
             apart(camera, vehicle, ends)
@@ -244,5 +250,60 @@ fn scale(k: &mut [f64], x: f64, y: f64) {
         if let Some(centre) = k.get_mut(centre) {
             *centre = (*centre + 0.5) * factor - 0.5;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use evermap_schemas::Pose as Placed;
+
+    use super::*;
+
+    /// The rig of a session with these fixed transforms, each a metre ahead of its parent.
+    fn rig(mounts: &[(&str, &str)]) -> Rig {
+        let mut rig = Rig::default();
+        for (parent, child) in mounts {
+            rig.mount(Transform {
+                site: String::new(),
+                session: String::new(),
+                stamp: Stamp(0),
+                parent: (*parent).to_owned(),
+                child: (*child).to_owned(),
+                parent_from_child: Placed {
+                    x: 1.0,
+                    ..Placed::IDENTITY
+                },
+                fixed: true,
+            });
+        }
+        rig
+    }
+
+    /// How far ahead of the vehicle a camera is.
+    fn ahead(rig: &Rig, vehicle: &str, camera: &str) -> Option<f64> {
+        let found = rig.vehicle_from_camera(vehicle, camera).ok()?;
+        Some(found.translation.x)
+    }
+
+    #[test]
+    fn a_vehicle_is_found_behind_the_only_prefix() {
+        let one = rig(&[("a/base_link", "a/mast"), ("a/mast", "a/front")]);
+        assert_eq!(ahead(&one, USUAL_VEHICLE, "a/front"), Some(2.0));
+        assert_eq!(ahead(&one, "/a/base_link", "a/front"), Some(2.0));
+        assert_eq!(ahead(&one, "b/base_link", "a/front"), None);
+        assert_eq!(ahead(&rig(&[]), USUAL_VEHICLE, "a/base_link"), Some(0.0));
+    }
+
+    #[test]
+    fn of_several_robots_none_is_taken_unless_it_is_named() {
+        let two = rig(&[("a/base_link", "a/front"), ("b/base_link", "b/front")]);
+        assert_eq!(ahead(&two, USUAL_VEHICLE, "a/front"), None);
+        assert_eq!(ahead(&two, "b/base_link", "b/front"), Some(1.0));
+        assert_eq!(ahead(&two, "b/base_link", "a/front"), None);
+        let reason = two.vehicle_from_camera(USUAL_VEHICLE, "a/front");
+        let reason = reason.err().map(|reason| reason.to_string());
+        let expected =
+            "fixed transforms from frame `a/front` lead to `a/base_link`, not to `base_link`";
+        assert_eq!(reason.as_deref(), Some(expected));
     }
 }

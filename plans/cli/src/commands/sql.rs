@@ -173,19 +173,23 @@ impl Tables {
         }
     }
 
-    /// The columns of a table, named alone or with its schema.
+    /// The columns of a table, named alone or with its schema: as it is called, or as a query writes it, in quotes.
     ///
     /// # Errors
     /// A user fault where there is no such table, or what opening it says.
     pub async fn columns(&self, name: &str) -> Result<Vec<ColumnInfo>, Fault> {
-        let bare = of_table(&self.context, TableReference::bare(name)).await;
-        let described = match bare {
-            Ok(described) => Ok(described),
-            Err(_) => of_table(&self.context, TableReference::from(name)).await,
+        let (called, written) = (TableReference::bare(name), TableReference::from(name));
+        let (reference, described) = match of_table(&self.context, called.clone()).await {
+            Ok(described) => (called, described),
+            Err(_) => {
+                let described = of_table(&self.context, written.clone()).await;
+                let described = described.map_err(|fault| self.explained(fault))?;
+                (written, described)
+            }
         };
-        let described = described.map_err(|fault| self.explained(fault))?;
-        let declared = self.declaration(TableReference::from(name).table());
-        Ok(columns(name, &described, declared.as_ref()))
+        let declared = self.declaration(reference.table());
+        let name = reference.to_vec().join(".");
+        Ok(columns(&name, &described, declared.as_ref()))
     }
 
     /// What reading logs has lost so far.
@@ -282,7 +286,7 @@ impl Tables {
     }
 }
 
-/// The table that a statement wants described.
+/// The table that a statement wants described, as it is written.
 fn described_table(statement: &Statement) -> Option<String> {
     let Statement::Statement(statement) = statement else {
         return None;
@@ -290,9 +294,7 @@ fn described_table(statement: &Statement) -> Option<String> {
     let ast::Statement::ExplainTable { table_name, .. } = statement.as_ref() else {
         return None;
     };
-    let parts = table_name.0.iter();
-    let parts = parts.map(|part| part.as_ident().map(|name| name.value.as_str()));
-    Some(parts.collect::<Option<Vec<_>>>()?.join("."))
+    Some(table_name.to_string())
 }
 
 /// Queries read: they make no tables, write no files, and change no settings. Output goes where `--out` says.

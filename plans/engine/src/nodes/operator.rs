@@ -150,7 +150,7 @@ impl Duty for Operator {
             operator: Arc::clone(&node.duty),
             sender: output.tx(),
             metrics: BaselineMetrics::new(&node.metrics, partition),
-            taken: MetricBuilder::new(&node.metrics).counter(DRIVING_ROWS, partition),
+            done: MetricBuilder::new(&node.metrics).counter(DRIVING_ROWS, partition),
         };
         let (name, phase) = (node.duty.entry.name, node.duty.phase);
         let span = tracing::info_span!("operator", name, ?phase, partition);
@@ -295,11 +295,17 @@ fn drive(
     outlet: &Outlet,
 ) -> Result<(), Fault> {
     let mut worker = job.worker();
+    let (mut taken, mut done) = (0, 0);
     while let Some(batch) = rows.blocking_recv().transpose()? {
         outlet.run(|emit| worker.push(&batch, emit))?;
-        outlet.taken.add(batch.num_rows());
+        taken += batch.num_rows();
+        let now = taken.saturating_sub(worker.held()).max(done);
+        outlet.done.add(now - done);
+        done = now;
     }
-    outlet.run(|emit| worker.close(emit))
+    outlet.run(|emit| worker.close(emit))?;
+    outlet.done.add(taken - done);
+    Ok(())
 }
 
 /// The metric that counts driving rows that a kernel is done with.
@@ -309,8 +315,8 @@ struct Outlet {
     operator: Arc<Operator>,
     sender: mpsc::Sender<DataFusionResult<RecordBatch>>,
     metrics: BaselineMetrics,
-    /// Driving rows that the kernel is done with.
-    taken: Count,
+    /// Driving rows that the kernel is done with; those of a key that is taken whole, when it is done with the key.
+    done: Count,
 }
 
 impl Outlet {

@@ -35,12 +35,12 @@ pub enum Event<'a> {
         /// What a person calls it.
         label: &'a str,
     },
-    /// A unit has taken this share of its rows.
+    /// A unit is at work.
     Advanced {
         /// What a person calls it.
         label: &'a str,
-        /// From 0 to 1.
-        share: f64,
+        /// The share of its rows that it is done with, from 0 to 1; `None` where nobody knows.
+        share: Option<f64>,
     },
     /// A unit was done.
     Done {

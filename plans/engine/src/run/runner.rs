@@ -19,8 +19,8 @@ pub type Told = (usize, Report);
 /// What is told of a unit.
 #[derive(Debug)]
 pub enum Report {
-    /// This share of its rows has been taken.
-    Advanced(f64),
+    /// It is at work, and done with this share of its rows; `None` where nobody knows.
+    Advanced(Option<f64>),
     /// What came of it. Nothing is told after that.
     Ended(Result<Box<Receipt>, Fault>),
 }

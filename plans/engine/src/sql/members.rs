@@ -1,4 +1,4 @@
-//! A member of a null struct is null, and one that is not there is told with those that are.
+//! A member of a null struct is null, and one that is not there is told with those that are, however it is named.
 //!
 //! Arrow keeps the members of a struct as columns of their own, which may hold anything where the struct is null; a
 //! member that may not be null holds 0. DataFusion's `get_field` hands out that column as it is, until its release 56
@@ -8,10 +8,10 @@ use std::sync::Arc;
 
 use arrow::array::{Array, ArrayRef};
 use arrow::compute::{is_null, nullif};
-use arrow::datatypes::{DataType, FieldRef};
+use arrow::datatypes::{DataType, Field, FieldRef};
 use datafusion::common::config::ConfigOptions;
-use datafusion::common::tree_node::Transformed;
-use datafusion::common::{DFSchema, Result, exec_err};
+use datafusion::common::tree_node::{Transformed, TreeNode, TreeNodeRecursion};
+use datafusion::common::{DFSchema, Result, TableReference, exec_err};
 use datafusion::execution::FunctionRegistry;
 use datafusion::functions::core::get_field;
 use datafusion::functions::core::getfield::GetFieldFunc;
@@ -19,8 +19,8 @@ use datafusion::logical_expr::expr::{Expr, GetFieldAccess, ScalarFunction};
 use datafusion::logical_expr::expr_rewriter::FunctionRewrite;
 use datafusion::logical_expr::planner::{ExprPlanner, PlannerResult, RawFieldAccessExpr};
 use datafusion::logical_expr::{
-    ColumnarValue, ExprSchemable, ReturnFieldArgs, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl,
-    Signature,
+    ColumnarValue, ExprSchemable, LogicalPlan, ReturnFieldArgs, ScalarFunctionArgs, ScalarUDF,
+    ScalarUDFImpl, Signature, Volatility,
 };
 use datafusion::prelude::SessionContext;
 use evermap_language::listed;
@@ -28,9 +28,26 @@ use evermap_schemas::Fault;
 
 use crate::error::external;
 
-/// What looks at `pose['x']` before it is planned, and refuses a member that the struct does not have.
+/// What looks at `pose['x']` and `pose.x` before they are planned, and refuses a member that the struct does not have.
 pub fn members() -> Arc<dyn ExprPlanner> {
     Arc::new(Members)
+}
+
+/// That a plan names members which are there. Where a column is given, planning has found out; what stands in a condition
+/// it passes over.
+///
+/// # Errors
+/// That a struct has no member of a name, with those that it has.
+pub fn check_members(plan: &LogicalPlan) -> Result<()> {
+    let check = |expr: &Expr| match expr {
+        Expr::ScalarFunction(call) => match call.func.inner().downcast_ref::<NoMember>() {
+            Some(missing) => Err(external(missing.fault())),
+            None => Ok(TreeNodeRecursion::Continue),
+        },
+        _ => Ok(TreeNodeRecursion::Continue),
+    };
+    plan.apply_with_subqueries(|node| node.apply_expressions(|expr| expr.apply(check)))?;
+    Ok(())
 }
 
 #[derive(Debug)]
@@ -44,16 +61,98 @@ impl ExprPlanner for Members {
     ) -> Result<PlannerResult<RawFieldAccessExpr>> {
         if let GetFieldAccess::NamedStructField { name } = &access.field_access
             && let Some(Some(name)) = name.try_as_str()
-            && let Ok(DataType::Struct(members)) = access.expr.get_type(schema)
-            && members.iter().all(|member| member.name() != name)
+            && let Ok(found) = access.expr.get_type(schema)
+            && let Some(missing) =
+                NoMember::of(&found, name, || access.expr.schema_name().to_string())
         {
-            let whole = access.expr.schema_name();
-            let known = members.iter().map(|member| member.name().as_str());
-            let fault = Fault::user(format!("`{whole}` has no member `{name}`"));
-            let known = listed(known);
-            return Err(external(fault.next(format!("there are {known}"))));
+            return Err(external(missing.fault()));
         }
         Ok(PlannerResult::Original(access))
+    }
+
+    /// An error would be passed over here: what takes the member's place tells it.
+    fn plan_compound_identifier(
+        &self,
+        field: &Field,
+        _: Option<&TableReference>,
+        names: &[String],
+    ) -> Result<PlannerResult<Vec<Expr>>> {
+        let mut found = field.data_type();
+        for (index, name) in names.iter().enumerate() {
+            let whole = || {
+                let path = [field.name()].into_iter().chain(&names[..index]);
+                path.map(String::as_str).collect::<Vec<_>>().join(".")
+            };
+            if let Some(missing) = NoMember::of(found, name, whole) {
+                let function = ScalarUDF::new_from_impl(missing);
+                return Ok(PlannerResult::Planned(function.call(Vec::new())));
+            }
+            let DataType::Struct(members) = found else {
+                break;
+            };
+            let Some((_, member)) = members.find(name) else {
+                break;
+            };
+            found = member.data_type();
+        }
+        Ok(PlannerResult::Original(Vec::new()))
+    }
+}
+
+/// Stands where a member is named that a struct does not have, and tells so when it is asked for its type.
+#[derive(Debug, PartialEq, Eq, Hash)]
+struct NoMember {
+    /// The struct, as it was named.
+    whole: String,
+    name: String,
+    /// The members that there are.
+    known: String,
+    signature: Signature,
+}
+
+impl NoMember {
+    /// That values of a type have no member of this name; `None` where they have, or are no structs.
+    fn of(found: &DataType, name: &str, whole: impl FnOnce() -> String) -> Option<Self> {
+        let DataType::Struct(members) = found else {
+            return None;
+        };
+        let is_there = members.iter().any(|member| member.name() == name);
+        (!is_there).then(|| Self {
+            whole: whole(),
+            name: name.to_owned(),
+            known: listed(members.iter().map(|member| member.name().as_str())),
+            signature: Signature::nullary(Volatility::Immutable),
+        })
+    }
+
+    fn fault(&self) -> Fault {
+        let Self {
+            whole, name, known, ..
+        } = self;
+        let fault = Fault::user(format!("`{whole}` has no member `{name}`"));
+        fault.next(format!("there are {known}"))
+    }
+}
+
+impl ScalarUDFImpl for NoMember {
+    fn name(&self) -> &str {
+        "member"
+    }
+
+    fn schema_name(&self, _: &[Expr]) -> Result<String> {
+        Ok(format!("{}[{}]", self.whole, self.name))
+    }
+
+    fn signature(&self) -> &Signature {
+        &self.signature
+    }
+
+    fn return_type(&self, _: &[DataType]) -> Result<DataType> {
+        Err(external(self.fault()))
+    }
+
+    fn invoke_with_args(&self, _: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        Err(external(self.fault()))
     }
 }
 
@@ -159,7 +258,7 @@ fn masked(member: ArrayRef, whole: &ArrayRef) -> Result<ArrayRef> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use arrow::array::{Float64Array, RecordBatch, StructArray};
-    use arrow::datatypes::{Field, Fields, Schema};
+    use arrow::datatypes::{Fields, Schema};
     use arrow::util::display::array_value_to_string;
 
     use super::*;
@@ -181,10 +280,57 @@ mod tests {
     async fn a_member_that_is_not_there_is_told_with_those_that_are() {
         let context = context(Limits::one_partition()).unwrap();
         context.register_batch("poses", poses()).unwrap();
-        let query = "SELECT pose['place']['xx'] FROM poses";
-        let fault = read_only(&context, query).await.err().unwrap();
-        assert!(fault.message.ends_with("has no member `xx`"), "{fault}");
-        assert_eq!(fault.next, "there are `x`");
+        for (query, whole, name, known) in [
+            (
+                "SELECT pose['place']['xx'] FROM poses",
+                "poses.pose[place]",
+                "xx",
+                "x",
+            ),
+            ("SELECT pose.place.xx FROM poses", "pose.place", "xx", "x"),
+            ("SELECT pose.xx, pose.yy FROM poses", "pose", "xx", "place"),
+            (
+                "SELECT p.pose.plac FROM poses AS p",
+                "pose",
+                "plac",
+                "place",
+            ),
+            (
+                "SELECT pose.plac.x AS x FROM poses",
+                "pose",
+                "plac",
+                "place",
+            ),
+            (
+                "SELECT 1 FROM poses WHERE pose.place.xx > 1",
+                "pose.place",
+                "xx",
+                "x",
+            ),
+            (
+                "SELECT pose FROM poses ORDER BY pose.place.xx",
+                "pose.place",
+                "xx",
+                "x",
+            ),
+            (
+                "SELECT (SELECT pose.place.xx FROM poses LIMIT 1) AS first",
+                "pose.place",
+                "xx",
+                "x",
+            ),
+            (
+                "EXPLAIN SELECT pose.place.xx FROM poses",
+                "pose.place",
+                "xx",
+                "x",
+            ),
+        ] {
+            let fault = read_only(&context, query).await.err().unwrap();
+            let expected = format!("`{whole}` has no member `{name}`");
+            assert_eq!(fault.message, expected, "{query}");
+            assert_eq!(fault.next, format!("there are `{known}`"), "{query}");
+        }
     }
 
     #[tokio::test]

@@ -26,15 +26,15 @@ impl Unit {
         self.compute(registry, |_| ()).await?.keep().await
     }
 
-    /// The first part of [`Unit::run`]: what is left to do takes no cores, but waits for a disk. Tells from time to time which
-    /// share of its rows it has taken, where that is known.
+    /// The first part of [`Unit::run`]: what is left to do takes no cores, but waits for a disk. Tells from time to time
+    /// that it is at work, and which share of its rows it is done with, where that is known.
     ///
     /// # Errors
     /// As [`Unit::run`].
     pub async fn compute(
         &self,
         registry: &Registry,
-        advanced: impl Fn(f64),
+        advanced: impl Fn(Option<f64>),
     ) -> Result<Computed, Fault> {
         let (started, clock) = (chrono::Utc::now(), Instant::now());
         let store = Store::open(&self.store, false)?;
@@ -43,7 +43,7 @@ impl Unit {
         let span = tracing::info_span!("unit", label = %self.label());
         let write = write(&store, Arc::clone(&plan), &builder);
         let write = tracing::Instrument::instrument(write, span);
-        let (temporary, artifact, writing) = told(write, || share(&plan).map(&advanced)).await?;
+        let (temporary, artifact, writing) = told(write, || advanced(share(&plan))).await?;
         let ran = DisplayableExecutionPlan::with_metrics(plan.as_ref());
         tracing::debug!(unit = %self.label(), "\n{}", ran.indent(false));
         let receipt = Receipt {
@@ -66,14 +66,14 @@ impl Unit {
 }
 
 /// Waits for work, and tells from time to time how far it has come.
-async fn told<T>(work: impl Future<Output = T>, tell: impl Fn() -> Option<()>) -> T {
+async fn told<T>(work: impl Future<Output = T>, tell: impl Fn()) -> T {
     let mut work = std::pin::pin!(work);
     let first = tokio::time::Instant::now() + TOLD_EVERY;
     let mut ticks = tokio::time::interval_at(first, TOLD_EVERY);
     loop {
         tokio::select! {
             done = &mut work => return done,
-            _ = ticks.tick() => drop(tell()),
+            _ = ticks.tick() => tell(),
         }
     }
 }

@@ -65,8 +65,8 @@ pub fn of_plan(plan: &Arc<dyn ExecutionPlan>) -> Vec<NodeWork> {
     own.into_iter().chain(below).collect()
 }
 
-/// Which share of its rows a plan has taken that runs, the least of all its operators; `None` where nobody knows how many
-/// there are, or all were taken and the work goes on.
+/// Which share of its rows a plan is done with that runs, the least of all its operators; `None` where nobody knows how
+/// many there are, or it is done with all and the work goes on.
 pub fn share(plan: &Arc<dyn ExecutionPlan>) -> Option<f64> {
     let below = plan.children().into_iter().filter_map(share);
     let least = own_share(plan.as_ref()).into_iter().chain(below);
@@ -75,9 +75,9 @@ pub fn share(plan: &Arc<dyn ExecutionPlan>) -> Option<f64> {
 
 fn own_share(plan: &dyn ExecutionPlan) -> Option<f64> {
     let operator = plan.downcast_ref::<OperatorExec>()?;
-    let taken = counted(&operator.metrics()?, DRIVING_ROWS);
+    let done = counted(&operator.metrics()?, DRIVING_ROWS);
     let rows = rows(operator.children.first()?.as_ref())?;
-    (rows > 0).then(|| taken as f64 / rows as f64)
+    (rows > 0).then(|| done as f64 / rows as f64)
 }
 
 /// How many rows come out of a plan, where that is known before.

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use bytes::Bytes;
 use evermap_catalog::USUAL_VEHICLE;
 use evermap_schemas::layers::{Keyframe, Person, VehiclePose};
-use evermap_schemas::roles::{Calibration, Transform};
+use evermap_schemas::roles::{Calibration, Transform, frame_names};
 use evermap_schemas::{Fault, ImageRef, LayerRow, Pose};
 use foxglove::messages::points_annotation::Type as Outline;
 use foxglove::messages::{
@@ -121,7 +121,7 @@ fn vehicle<'m>(mounts: &[&'m Transform]) -> &'m str {
 
 /// A frame of a session's vehicle.
 fn frame(session: &str, name: &str) -> String {
-    format!("{session}/{}", name.trim_start_matches('/'))
+    format!("{session}/{}", frame_names::plain(name))
 }
 
 fn topic(session: &str, camera: &str) -> String {
