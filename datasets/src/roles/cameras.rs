@@ -47,7 +47,7 @@ async fn first(
     let columns: Vec<usize> = (0..schema.fields().len()).collect();
     let topics = [topic.to_owned()];
     let nobody = CameraNames::default();
-    let rows_of = RoleRows::new(messages, &topics, nobody, part, &schema, &columns)?;
+    let rows_of = RoleRows::new(messages, &topics, nobody, None, part, &schema, &columns)?;
     let units = Wanted {
         part,
         range: (0, u64::MAX),

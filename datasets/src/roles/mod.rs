@@ -5,6 +5,7 @@
 //! cameras. The rows' order is that of the log; sort by stamp where order matters.
 
 mod cameras;
+mod mounts;
 mod rows;
 
 use std::collections::BTreeMap;
@@ -25,6 +26,7 @@ use tokio::sync::OnceCell;
 use crate::fault::fault_of;
 use crate::scan::{LogTable, McapTable, RecordTable, RowBuilder};
 use crate::session::{LogPart, Session};
+use mounts::Mounts;
 use rows::RoleRows;
 
 /// Topics that play a role, by session.
@@ -40,6 +42,7 @@ pub(crate) fn table(role: &Role, sessions: &[Session]) -> Result<Arc<dyn TablePr
             schema: layer.schema(),
             messages,
             topics: topics(role.name, sessions),
+            mounts: mounts(&messages, sessions),
             names: CameraTopics {
                 topics: topics(cameras::ROLE.name, sessions),
                 parts: parts.clone(),
@@ -62,6 +65,17 @@ pub(crate) fn table(role: &Role, sessions: &[Session]) -> Result<Arc<dyn TablePr
         Some(messages) if messages.drop_repeats => without_repeats(&layer, table),
         _ => Ok(table),
     }
+}
+
+/// What each session says of fixed frames, where a role does.
+fn mounts(role: &Messages, sessions: &[Session]) -> BTreeMap<Arc<str>, Arc<Mounts>> {
+    let of_session = |session: &Session| {
+        let first = session.parts.first()?;
+        let mounts = Mounts::new(first.losses.clone());
+        Some((session.name.clone(), Arc::new(mounts)))
+    };
+    let sessions = sessions.iter().filter(|_| role.mounts.is_some());
+    sessions.filter_map(of_session).collect()
 }
 
 fn topics(role: &str, sessions: &[Session]) -> Topics {
@@ -111,6 +125,7 @@ struct MessageRole {
     schema: SchemaRef,
     messages: Messages,
     topics: Topics,
+    mounts: BTreeMap<Arc<str>, Arc<Mounts>>,
     names: CameraTopics,
 }
 
@@ -164,6 +179,7 @@ impl LogTable for MessageRole {
             self.messages,
             topics,
             cameras,
+            self.mounts.get(&part.session).cloned(),
             part,
             &self.schema,
             projection,

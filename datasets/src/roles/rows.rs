@@ -10,6 +10,7 @@ use evermap_schemas::roles::{CameraNames, Fields, FoundImage, Message, Messages}
 use evermap_schemas::{Fault, ImageRef, Stamp};
 
 use crate::losses::{Loss, Reason};
+use crate::roles::mounts::Mounts;
 use crate::scan::{MessageAt, RowBuilder, projected};
 use crate::session::LogPart;
 
@@ -18,6 +19,7 @@ pub(crate) struct RoleRows {
     role: Messages,
     part: Arc<LogPart>,
     cameras: CameraNames,
+    mounts: Option<Arc<Mounts>>,
     schema: SchemaRef,
     projection: Vec<usize>,
     topics: Vec<TopicMessages>,
@@ -49,6 +51,7 @@ impl RoleRows {
         role: Messages,
         topics: &[String],
         cameras: CameraNames,
+        mounts: Option<Arc<Mounts>>,
         part: &Arc<LogPart>,
         schema: &SchemaRef,
         projection: &[usize],
@@ -83,6 +86,7 @@ impl RoleRows {
             role,
             part: part.clone(),
             cameras,
+            mounts,
             schema: schema.clone(),
             projection: projection.to_vec(),
             topics: found,
@@ -189,6 +193,12 @@ impl RowBuilder for RoleRows {
             let topic = &self.topics[*topic].topic;
             let losses = &self.part.losses;
             losses.note_topic(Reason::Senseless, topic, taken.place, loss, detail);
+        }
+        if let (Some(said), Some(mounts)) = (self.role.mounts, &self.mounts) {
+            for message in &messages {
+                let of_message = said(message).into_iter();
+                of_message.for_each(|mount| mounts.hear(message.topic, mount));
+            }
         }
         let rows = read.columns.first().map_or(0, |column| column.len());
         projected(&self.schema, &self.projection, rows, |column| {

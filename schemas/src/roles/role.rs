@@ -1,7 +1,7 @@
 //! The descriptor of a role, and which topics play it where nobody says.
 
 use crate::roles::message::{MetadataReader, Reader};
-use crate::roles::{FromMessage, FromMetadata};
+use crate::roles::{FromMessage, FromMetadata, Message, Mount};
 use crate::{Layer, LayerRow};
 
 /// A part that a log's messages play, and the table of its rows.
@@ -42,6 +42,8 @@ pub struct Messages {
     pub drop_repeats: bool,
     /// Whether it says what a vehicle is like, and not what a drive was: nothing is made of it alone.
     pub lasting: bool,
+    /// The frames that a message says are fixed, which the others of its session must not contradict.
+    pub mounts: Option<fn(&Message<'_>) -> Vec<Mount>>,
     /// From messages to rows.
     pub read: Reader,
 }
@@ -57,6 +59,7 @@ impl Messages {
             image: None,
             drop_repeats: false,
             lasting: false,
+            mounts: None,
             read: crate::roles::message::read::<T>,
         }
     }
