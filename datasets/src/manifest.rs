@@ -22,11 +22,11 @@ use std::path::Path;
 use evermap_schemas::Fault;
 use evermap_schemas::roles::{self, Choice, Role, Topic};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value, json};
 
 use crate::stores::read_text;
+use crate::yaml::from_yaml;
 
 /// A session manifest.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -154,12 +154,6 @@ impl Manifest {
             Fault::user(fault).at(path.display())
         })
     }
-}
-
-/// Reads YAML that should be `what`.
-pub(crate) fn from_yaml<T: DeserializeOwned>(text: &str, what: &str) -> Result<T, Fault> {
-    serde_yaml_ng::from_str(text)
-        .map_err(|error| Fault::user(format!("expected {what}, found {error}")))
 }
 
 /// Which topics of one session play which role.
