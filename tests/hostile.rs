@@ -243,3 +243,14 @@ fn a_run_counts_the_file_that_it_cannot_read() {
         ran.stderr
     );
 }
+
+/// A server has 16 threads, which plan queries, each with 256 MiB of addresses to go deep.
+#[test]
+fn a_server_that_gets_no_threads_says_so() {
+    let ended = limited("as", 3 << 30, &["serve", "--map", "nowhere"]).expect(1);
+    assert!(
+        ended.stderr.contains("resource: cannot start 16 threads"),
+        "{}",
+        ended.stderr
+    );
+}

@@ -351,6 +351,32 @@ fn torn_receipts_versions_and_records_of_runs_are_ignored_and_said() {
     assert!(!mapped.map.join("versions/2.json").exists());
 }
 
+/// One bit within its rows is enough: a record is named by its digest, as an artifact is.
+#[test]
+fn a_record_of_a_run_that_was_changed_is_ignored_and_said() {
+    let mapped = Mapped::new();
+    let runs = std::fs::read_dir(mapped.map.join("runs")).unwrap();
+    let run = runs.map(|run| run.unwrap().path()).max().unwrap();
+    let mut bytes = std::fs::read(&run).unwrap();
+    let middle = bytes.len() / 3;
+    bytes[middle] ^= 1;
+    std::fs::write(&run, bytes).unwrap();
+    let found = mapped
+        .evermap("verify", &["--format", "json"])
+        .expect(1)
+        .json();
+    assert_eq!(found.as_array().unwrap().len(), 1, "{found}");
+    assert_eq!(found[0]["state"], "damaged");
+    assert!(found[0]["file"].as_str().unwrap().contains(name(&run)));
+    let asked = mapped.evermap(
+        "sql",
+        &["--format", "json", "SELECT DISTINCT version FROM runs"],
+    );
+    let said = format!("{} is ignored: expected the digest", name(&run));
+    assert!(asked.stderr.contains(&said), "{}", asked.stderr);
+    assert_eq!(asked.expect(0).json(), json!([{ "version": 1 }]));
+}
+
 /// What is on the disk before what, as the trace of a run tells it.
 #[test]
 fn an_artifact_is_on_the_disk_before_its_receipt_and_receipts_before_the_version() {

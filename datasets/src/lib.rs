@@ -24,6 +24,7 @@ mod roles;
 pub mod scan;
 pub mod session;
 mod stores;
+mod yaml;
 
 pub use dataset::Dataset;
 pub use evermap_messages::ros2;

@@ -5,6 +5,7 @@
 //! empty has *finished with loss*.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry::{Occupied, Vacant};
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -40,6 +41,8 @@ pub enum Reason {
     NoRoom,
     /// A file that is no log at all, or cannot be read, among others that are.
     Unreadable,
+    /// A frame that is fixed in two ways: to two frames, or at two places. The latest holds.
+    Contradiction,
 }
 
 impl Reason {
@@ -59,6 +62,7 @@ impl Reason {
             Reason::BadSchema => "messages of topics that cannot be decoded",
             Reason::NoRoom => "logs with more definitions and records than an index holds",
             Reason::Unreadable => "files that cannot be read",
+            Reason::Contradiction => "frames with contradicting fixed transforms",
         }
     }
 }
@@ -152,7 +156,7 @@ impl LossLedger {
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Notes a loss. A second note about the same place keeps the larger numbers. (Of more than 10,000 places that are
+    /// Notes a loss. A second note about the same place keeps the larger numbers, and the words that came with them. (Of more than 10,000 places that are
     /// damaged, the sums say how much at least was lost: what is read twice may count twice.)
     pub fn note(&self, entry: Entry) {
         let (file, topic) = (entry.file.clone(), entry.topic.clone());
@@ -167,9 +171,19 @@ impl LossLedger {
                 return;
             }
         }
-        let loss = &mut entries.entry(key).or_insert(entry).loss;
-        loss.count = loss.count.max(count);
-        loss.bytes = loss.bytes.max(bytes);
+        match entries.entry(key) {
+            Vacant(place) => {
+                place.insert(entry);
+            }
+            Occupied(known) => {
+                let known = known.into_mut();
+                if count > known.loss.count {
+                    known.detail = entry.detail;
+                }
+                known.loss.count = known.loss.count.max(count);
+                known.loss.bytes = known.loss.bytes.max(bytes);
+            }
+        }
     }
 
     /// Whether nothing was lost.
@@ -332,5 +346,10 @@ mod tests {
             }
         );
         assert_eq!(ledger.lines(), ["2 chunks with a wrong checksum (31 B)"]);
+        // What is found in addition at a place is told with it.
+        let loss = Loss { count: 2, bytes: 1 };
+        file.note(Reason::BadChecksum, 8, loss, "y and z");
+        file.note(Reason::BadChecksum, 8, Loss::one(1), "y");
+        assert_eq!(ledger.entries()[1].detail, "y and z");
     }
 }

@@ -23,11 +23,11 @@ use std::sync::Arc;
 use evermap_schemas::Fault;
 use evermap_schemas::roles::{self, Choice, Role, Topic, frame_names};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::{Map, Value, json};
 
 use crate::stores::read_text;
+use crate::yaml::from_yaml;
 
 /// The key of `defaults` that says which frame poses are of.
 const VEHICLE_FRAME: &str = "vehicle_frame";
@@ -164,12 +164,6 @@ impl Manifest {
             Fault::user(fault).at(path.display())
         })
     }
-}
-
-/// Reads YAML that should be `what`.
-pub(crate) fn from_yaml<T: DeserializeOwned>(text: &str, what: &str) -> Result<T, Fault> {
-    serde_yaml_ng::from_str(text)
-        .map_err(|error| Fault::user(format!("expected {what}, found {error}")))
 }
 
 /// The vehicle, by the frame that poses are of; no name where nobody says it.

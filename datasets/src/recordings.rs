@@ -11,6 +11,7 @@ use object_store::path::Path;
 use crate::manifest::{Manifest, SessionFiles, Vehicle};
 use crate::session::{DEFAULT_SITE, stem};
 use crate::stores::{LogFile, resolve};
+use crate::yaml::{LONGEST, from_yaml};
 
 /// Sessions whose files are found, and how they are to be opened.
 #[derive(Debug)]
@@ -132,8 +133,13 @@ async fn rosbag2_files(sibling: &LogFile, folder: &str) -> Vec<String> {
     let Ok(object) = sibling.store.get(&path).await else {
         return Vec::new();
     };
+    if object.meta.size > LONGEST as u64 {
+        return Vec::new();
+    }
     let bytes = object.bytes().await.unwrap_or_default();
-    let metadata: serde_yaml_ng::Value = serde_yaml_ng::from_slice(&bytes).unwrap_or_default();
+    let text = String::from_utf8_lossy(&bytes);
+    let metadata: serde_yaml_ng::Value =
+        from_yaml(&text, "metadata of a rosbag2").unwrap_or_default();
     let files = &metadata["rosbag2_bagfile_information"]["relative_file_paths"];
     let names = files.as_sequence().into_iter().flatten();
     let name = |value: &serde_yaml_ng::Value| {

@@ -237,6 +237,64 @@ def formats(postgres):
             check(b"08P01" in answer and b"SELECT 1\0" in answer, f"{query} {describe}: {answer[-300:]!r}")
 
 
+def malformed(postgres, hello, messages):
+    """What is no message is answered with an error of the protocol, and ends the connection."""
+    for message in messages:
+        begun = time.monotonic()
+        answer = wire(postgres, hello + message)
+        check(b"08P01" in answer and b"FATAL" in answer, f"{message[:40]!r}: {answer[-200:]!r}")
+        check(time.monotonic() - begun < 4, f"{message[:40]!r} does not end its connection")
+
+
+# Short, long, with texts and lists that do not end, with more than their kind has.
+MESSAGES = [
+    b"S" + struct.pack("!i", 0),
+    b"Q" + struct.pack("!i", -1),
+    b"d" + struct.pack("!i", 2**31 - 1) + b"x" * 100,
+    said(b"Q", b"SELECT 1"),
+    said(b"Q", b"SELECT 1\0SELECT 2\0"),
+    said(b"P", b"\0SELECT 1\0"),
+    said(b"P", b"\0SELECT 1\0" + struct.pack("!h", 3)),
+    said(b"B", b"\0\0"),
+    said(b"B", b"\0\0" + struct.pack("!hhi", 0, 1, 1000)),
+    said(b"B", b"\0\0" + struct.pack("!hhh", 2, 0, 0)),
+    said(b"C", b""),
+    said(b"D", b""),
+    said(b"E", b"\0"),
+    said(b"E", b""),
+    said(b"X", b"more"),
+    said(b"F", b"\0\0\0\1"),
+    b"GET / HTTP/1.1\r\n\r\n",
+]
+
+BEGINNINGS = [
+    b"\0" * 8,
+    b"\0\0\x27\x11" + b"\0" * 100,
+    said(b"", b"\0\3\0\0user\0"),
+    said(b"", b"\0\3\0\0user\0ada\0"),
+    said(b"", b"\0\3\0\0\0more"),
+]
+
+
+def parameters(postgres):
+    """An interval that is cut short, bound as bytes, is an error; rows by the billion are no room that is made before one comes;
+    the next query is answered."""
+    hello, sync, end = start(user="me", database="map"), said(b"S", b""), said(b"X", b"")
+    parse = said(b"P", b"\0SELECT CAST($1 AS INTERVAL)\0" + struct.pack("!hi", 1, 1186))
+    bind = said(b"B", b"\0\0" + struct.pack("!hhhi", 1, 1, 1, 3) + b"abc" + struct.pack("!h", 0))
+    answer = wire(postgres, hello + parse + bind + said(b"E", b"\0\0\0\0\0") + sync + QUERY + end)
+    check(b"22P03" in answer and b"SELECT 1\0" in answer, f"an interval: {answer[-300:]!r}")
+    parse = said(b"P", b"\0SELECT 1, 2\0\0\0") + said(b"B", b"\0\0" + b"\0" * 6)
+    for rows in [-1, 2**31 - 1]:
+        answer = wire(postgres, hello + parse + said(b"E", b"\0" + struct.pack("!i", rows)) + sync + end)
+        check(b"SELECT 1\0" in answer, f"{rows} rows at once: {answer[-300:]!r}")
+    cursor = b"DECLARE mine CURSOR FOR SELECT * FROM generate_series(1, 100)\0"
+    for much, rows in [(b"2000000000", 100), (b"ALL", 100), (b"99999999999999999999999", 100), (b"70", 70)]:
+        fetch = said(b"Q", cursor) + said(b"Q", b"FETCH " + much + b" FROM mine\0")
+        answer = wire(postgres, hello + fetch + end)
+        check(b"SELECT %d\0" % rows in answer, f"FETCH {much}: {answer[-300:]!r}")
+
+
 def before_a_password(postgres):
     """Queries that come before a password, or after a wrong answer, have no answer."""
     hello = start(user="ada", database="map")
@@ -297,6 +355,9 @@ def main(kind, http, postgres, ca=None):
         refused(postgres)
         bounded(postgres)
         formats(postgres)
+        malformed(postgres, start(user="me", database="map"), MESSAGES)
+        malformed(postgres, b"", BEGINNINGS)
+        parameters(postgres)
         paths(http)
         silent(http, postgres)
         code, _ = status(http + query, {"Host": "evil.example"})
@@ -312,6 +373,9 @@ def main(kind, http, postgres, ca=None):
         busy(http)
     if kind == "closed":
         before_a_password(postgres)
+        first = [b"", b"SCRAM-SHA-256\0", b"SCRAM-SHA-256\0" + struct.pack("!i", -2), b"SCRAM-SHA-256\0" + struct.pack("!i", 99)]
+        long = said(b"Q", b"SELECT 1" + b" " * 10_000 + b"\0")
+        malformed(postgres, start(user="ada", database="map"), [said(b"p", body) for body in first] + [long])
         with connect(postgres, password="byron-1815") as connection:
             check(connection.execute("SELECT count(*) FROM poses").fetchone()[0] > 0, "ada reads")
         for path in ["/", "/health", "/metrics", "/maps", "/page/index.html", query]:

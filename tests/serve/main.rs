@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::BTreeMap;
-use std::io::Read;
+use std::io::{Read, Write};
 use std::path::Path;
 
 use evermap_tests::server::{Server, bounded, drive, map, script};
@@ -179,7 +179,8 @@ fn a_server_is_read_and_nothing_else() {
     let server = Server::start(&map, &["--rows", "100000", "--timeout-s", "3"]);
     ended("serve/attack.py", &["open", &server.http, &server.postgres]);
     assert!(server.memory() < 1 << 30, "{} bytes", server.memory());
-    drop(server);
+    let said = server.stopped();
+    assert!(!said.contains("panicked"), "{said}");
     evermap(&["verify", "--map", text(&map)]).expect(0);
     assert!(!Path::new("/tmp/evermap-attack.csv").exists());
     assert!(!Path::new("/tmp/evermap-attack.parquet").exists());
@@ -191,6 +192,45 @@ fn who_reads_nothing_keeps_nobody_else_waiting() {
     let map = map(folder.path());
     let server = Server::start(&map, &["--queries", "1", "--timeout-s", "3"]);
     ended("serve/attack.py", &["slow", &server.http, &server.postgres]);
+}
+
+/// A message of the protocol of Postgres.
+fn said(kind: &str, body: &[u8]) -> Vec<u8> {
+    let size = u32::try_from(body.len() + 4).unwrap().to_be_bytes();
+    [kind.as_bytes(), &size, body].concat()
+}
+
+/// Of an answer that is larger than the memory there are the rows that are being sent, and no others.
+#[test]
+fn rows_wait_for_their_reader_outside_of_the_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &["--memory", "256MiB"]);
+    let rows = "SELECT repeat('a', 20000) || CAST(value AS TEXT) FROM generate_series(1, 200000)\0";
+    let start = said("", b"\0\x03\0\0user\0me\0database\0map\0\0");
+    let prepared = [
+        said("P", &[b"\0", rows.as_bytes(), b"\0\0"].concat()),
+        said("B", b"\0\0\0\0\0\0\0\0"),
+        said("E", b"\0\0\0\0\0"),
+    ];
+    let cursor = [
+        said("Q", format!("DECLARE mine CURSOR FOR {rows}").as_bytes()),
+        said("Q", b"FETCH ALL FROM mine\0"),
+    ];
+    let before = server.memory();
+    let asked = [prepared.concat(), cursor.concat()].map(|messages| {
+        let mut stream = std::net::TcpStream::connect(&server.postgres).unwrap();
+        stream
+            .write_all(&[start.clone(), messages].concat())
+            .unwrap();
+        // What comes first tells that rows do.
+        stream.read_exact(&mut [0; 100_000]).unwrap();
+        stream
+    });
+    std::thread::sleep(std::time::Duration::from_secs(8));
+    let more = server.memory().saturating_sub(before);
+    assert!(more < 512 << 20, "{more} bytes more");
+    drop(asked);
 }
 
 /// A thing that is clicked on the page is followed back to the messages of its log.
@@ -478,7 +518,8 @@ fn nobody_comes_in_without_a_password_where_there_are_users() {
         &["closed", &server.http, &server.postgres],
     );
     ended("serve/live.py", &["closed", &server.http]);
-    drop(server);
+    let said = server.stopped();
+    assert!(!said.contains("panicked"), "{said}");
 
     let (certificate, key) = (folder.path().join("it.pem"), folder.path().join("key.pem"));
     let made = std::process::Command::new("openssl")

@@ -1,6 +1,6 @@
 //! Maps to be served, and the server.
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Stdio};
 
@@ -9,8 +9,8 @@ use crate::{Finished, command, plan_command, rectangle, repository, text, write_
 /// A server of a map, stopped when it is dropped.
 pub struct Server {
     program: Child,
-    /// Held, so that what it says later has somewhere to go.
-    _said: BufReader<ChildStderr>,
+    /// What it says when it serves.
+    said: BufReader<ChildStderr>,
     /// Address of HTTP and Flight SQL.
     pub http: String,
     /// Address of Postgres' protocol.
@@ -39,8 +39,16 @@ impl Server {
             http: address("page and HTTP:"),
             postgres: address("Postgres:"),
             program,
-            _said: said,
+            said,
         }
+    }
+
+    /// Stops it; what it has said since it serves.
+    pub fn stopped(mut self) -> String {
+        self.program.kill().unwrap();
+        let mut text = String::new();
+        self.said.read_to_string(&mut text).unwrap();
+        text
     }
 
     /// Bytes of memory that the server holds.

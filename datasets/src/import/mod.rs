@@ -42,7 +42,7 @@ pub use kitti::Kitti;
 pub use labels::ClassNames;
 pub use poses::PoseFormat;
 
-use crate::manifest::from_yaml;
+use crate::yaml::from_yaml;
 use calibration::Intrinsics;
 
 /// What an import wrote.

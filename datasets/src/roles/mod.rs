@@ -7,6 +7,7 @@
 
 mod ahead;
 mod cameras;
+mod mounts;
 mod robots;
 mod rows;
 
@@ -28,6 +29,7 @@ use tokio::sync::OnceCell;
 use crate::fault::fault_of;
 use crate::scan::{LogTable, McapTable, RecordTable, RowBuilder};
 use crate::session::{LogPart, Session};
+use mounts::Mounts;
 use robots::RobotOf;
 use rows::{Known, RoleRows};
 
@@ -44,6 +46,7 @@ pub(crate) fn table(role: &Role, sessions: &[Session]) -> Result<Arc<dyn TablePr
             schema: layer.schema(),
             messages,
             topics: topics(role.name, sessions),
+            mounts: mounts(&messages, sessions),
             names: CameraTopics {
                 topics: topics(cameras::ROLE.name, sessions),
                 parts: parts.clone(),
@@ -69,6 +72,17 @@ pub(crate) fn table(role: &Role, sessions: &[Session]) -> Result<Arc<dyn TablePr
         Some(messages) if messages.drop_repeats => without_repeats(&layer, table),
         _ => Ok(table),
     }
+}
+
+/// What each session says of fixed frames, where a role does.
+fn mounts(role: &Messages, sessions: &[Session]) -> BTreeMap<Arc<str>, Arc<Mounts>> {
+    let of_session = |session: &Session| {
+        let first = session.parts.first()?;
+        let mounts = Mounts::new(first.losses.clone());
+        Some((session.name.clone(), Arc::new(mounts)))
+    };
+    let sessions = sessions.iter().filter(|_| role.mounts.is_some());
+    sessions.filter_map(of_session).collect()
 }
 
 fn topics(role: &str, sessions: &[Session]) -> Topics {
@@ -118,6 +132,7 @@ struct MessageRole {
     schema: SchemaRef,
     messages: Messages,
     topics: Topics,
+    mounts: BTreeMap<Arc<str>, Arc<Mounts>>,
     names: CameraTopics,
     /// For a role whose rows are of one robot.
     robots: Option<RobotOf>,
@@ -173,6 +188,7 @@ impl LogTable for MessageRole {
                 Some(robots) => robots.of(&part.session).await?,
                 None => String::new(),
             },
+            mounts: self.mounts.get(&part.session).cloned(),
         };
         let topics = self.topics(part);
         let rows = RoleRows::new(self.messages, topics, known, part, &self.schema, projection)?;

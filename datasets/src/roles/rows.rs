@@ -10,6 +10,7 @@ use evermap_schemas::roles::{CameraNames, Fields, FoundImage, Message, Messages}
 use evermap_schemas::{Fault, ImageRef, Stamp};
 
 use crate::losses::{Loss, Reason};
+use crate::roles::mounts::Mounts;
 use crate::scan::{MessageAt, RowBuilder, projected};
 use crate::session::LogPart;
 
@@ -32,6 +33,8 @@ pub(crate) struct Known {
     pub cameras: CameraNames,
     /// The robot that is meant, by the prefix of its frames.
     pub robot: String,
+    /// What it has said of frames that are fixed.
+    pub mounts: Option<Arc<Mounts>>,
 }
 
 /// The messages of one channel.
@@ -199,6 +202,12 @@ impl RowBuilder for RoleRows {
             let topic = &self.topics[*topic].topic;
             let losses = &self.part.losses;
             losses.note_topic(Reason::Senseless, topic, taken.place, loss, detail);
+        }
+        if let (Some(said), Some(mounts)) = (self.role.mounts, &self.known.mounts) {
+            for message in &messages {
+                let of_message = said(message).into_iter();
+                of_message.for_each(|mount| mounts.hear(message.topic, mount));
+            }
         }
         let rows = read.columns.first().map_or(0, |column| column.len());
         projected(&self.schema, &self.projection, rows, |column| {

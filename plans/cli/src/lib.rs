@@ -42,6 +42,7 @@ pub mod serve;
 mod sessions;
 pub mod shipped;
 pub mod shown;
+mod threads;
 
 use std::convert::Infallible;
 use std::ffi::OsString;
@@ -50,15 +51,11 @@ use std::time::Duration;
 
 use clap::Parser;
 use evermap_contract::Entry;
-use evermap_engine::sql::STACK_BYTES;
 use evermap_schemas::Fault;
 
 use crate::arguments::{Arguments, Command};
 use crate::commands::sql::is_prompt;
 use crate::ending::{DONE, Ending, panicked, tell};
-
-/// Threads of a server, beside those that read files.
-const SERVING_THREADS: usize = 16;
 
 /// Reads the command line, does what it says, and tells how it ended.
 pub fn main() -> std::process::ExitCode {
@@ -74,21 +71,9 @@ pub fn main_with(own: impl IntoIterator<Item = Entry>) -> std::process::ExitCode
     if let Err(fault) = operators::join(own) {
         return tell(&Err(fault.into()), &mut std::io::stderr()).into();
     }
-    let mut threads = tokio::runtime::Builder::new_multi_thread();
-    if !matches!(arguments.command, Command::Inspect(_)) {
-        // Queries are planned as deep as they nest.
-        threads.thread_stack_size(STACK_BYTES);
-    }
-    if matches!(arguments.command, Command::Serve(_)) {
-        // A query that computes for long without a pause keeps its thread; others answer meanwhile.
-        threads.worker_threads(SERVING_THREADS);
-    }
-    let runtime = match threads.enable_all().build() {
+    let runtime = match threads::runtime(&arguments.command) {
         Ok(runtime) => runtime,
-        Err(error) => {
-            let fault = Fault::resource(format!("cannot start threads: {error}"));
-            return tell(&Err(fault.into()), &mut std::io::stderr()).into();
-        }
+        Err(fault) => return tell(&Err(fault.into()), &mut std::io::stderr()).into(),
     };
     let ending = runtime.block_on(until_interrupted(arguments.command));
     let code = tell(&ending, &mut std::io::stderr());

@@ -20,15 +20,20 @@ pub fn keep_guarded_panics_quiet() {
     }));
 }
 
+/// What a computation gives; `None` where it panics, which nobody else is told.
+pub fn caught<T>(of: impl FnOnce() -> T) -> Option<T> {
+    let outer = GUARDED.replace(true);
+    let given = catch_unwind(AssertUnwindSafe(of));
+    GUARDED.set(outer);
+    given.ok()
+}
+
 /// What a computation on geometries gives.
 ///
 /// # Errors
 /// Where it panics.
 pub(crate) fn guarded<T>(of: impl FnOnce() -> T) -> Result<T> {
-    let outer = GUARDED.replace(true);
-    let given = catch_unwind(AssertUnwindSafe(of));
-    GUARDED.set(outer);
-    given.map_err(|_| {
+    caught(of).ok_or_else(|| {
         DataFusionError::Execution(
             "expected valid geometries, found one that nothing can be computed of, such as a polygon whose border crosses itself".to_owned(),
         )

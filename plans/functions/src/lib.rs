@@ -33,7 +33,7 @@ use datafusion::prelude::SessionContext;
 
 use crate::function::Function;
 
-pub use guard::keep_guarded_panics_quiet;
+pub use guard::{caught, keep_guarded_panics_quiet};
 pub use index::{asks_graphs, use_indexes};
 pub use json::{json_texts, to_json};
 

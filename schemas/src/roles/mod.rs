@@ -13,11 +13,13 @@
 mod cameras;
 pub mod frame_names;
 mod message;
+mod mounts;
 pub mod robots;
 mod role;
 
 pub use cameras::CameraNames;
 pub use message::{FARTHEST_M, Fields, FoundImage, FromMessage, FromMetadata, Message, Read};
+pub use mounts::Mount;
 pub use role::{Choice, Messages, Metadata, Role, Source, Topic, every, in_words};
 
 macro_rules! roles {

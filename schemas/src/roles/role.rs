@@ -1,7 +1,7 @@
 //! The descriptor of a role, and which topics play it where nobody says.
 
 use crate::roles::message::{MetadataReader, Reader};
-use crate::roles::{FromMessage, FromMetadata};
+use crate::roles::{FromMessage, FromMetadata, Message, Mount};
 use crate::{Layer, LayerRow};
 
 /// A part that a log's messages play, and the table of its rows.
@@ -45,6 +45,8 @@ pub struct Messages {
     /// Where its topics may tell of several robots and the table is of one: how messages become
     /// [`Robot`](super::Robot)s.
     pub robots: Option<&'static Messages>,
+    /// The frames that a message says are fixed, which the others of its session must not contradict.
+    pub mounts: Option<fn(&Message<'_>) -> Vec<Mount>>,
     /// From messages to rows.
     pub read: Reader,
 }
@@ -61,6 +63,7 @@ impl Messages {
             drop_repeats: false,
             lasting: false,
             robots: None,
+            mounts: None,
             read: crate::roles::message::read::<T>,
         }
     }

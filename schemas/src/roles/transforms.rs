@@ -1,6 +1,6 @@
 //! Transforms between frames, as `/tf` and `/tf_static` publish them.
 
-use crate::roles::{Fields, FromMessage, Message, Messages, Role, frame_names};
+use crate::roles::{Fields, FromMessage, Message, Messages, Mount, Role, frame_names};
 use crate::{Pose, Stamp, record};
 
 record! {
@@ -27,6 +27,7 @@ record! {
 /// Topics with transforms.
 pub const ROLE: Role = Role::of::<Transform>(Messages {
     lasting: true,
+    mounts: Some(mounts),
     ..Messages::of::<Transform>(TYPES)
 });
 
@@ -57,6 +58,21 @@ impl FromMessage for Transform {
         let all = all(message).ok_or("expected a transform")?;
         all.into_iter().collect()
     }
+}
+
+/// What a message says of frames that are fixed.
+fn mounts(message: &Message<'_>) -> Vec<Mount> {
+    if !is_static(message.topic) {
+        return Vec::new();
+    }
+    // What makes no sense is counted where its rows are read.
+    let rows = Transform::from_message(message).unwrap_or_default();
+    let mount = |row: Transform| Mount {
+        frame: row.child,
+        to: row.parent,
+        pose: row.parent_from_child,
+    };
+    rows.into_iter().map(mount).collect()
 }
 
 /// The transforms of a message, or why they make no sense; `None` where it is no message of transforms.

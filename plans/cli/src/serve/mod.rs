@@ -58,7 +58,8 @@ pub async fn serve(args: &ServeArgs) -> Ending {
         rows: args.rows,
         queries: Arc::new(Semaphore::new(args.queries as usize)),
     };
-    patience::keep_attending(tokio::runtime::Handle::current())?;
+    let no_thread = |error| Fault::resource(format!("cannot start a thread: {error}"));
+    patience::keep_attending(tokio::runtime::Handle::current()).map_err(no_thread)?;
     let teaching = args.teach.as_deref().map(Teaching::new).transpose()?;
     let teaching = teaching.map(Arc::new);
     let (web, web_address) = listen(args.http).await?;

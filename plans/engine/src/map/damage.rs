@@ -90,11 +90,22 @@ pub async fn is_whole(store: &Store, name: &str, bytes: u64) -> Result<bool, Fau
     let path = store.path(name);
     let found = store.objects().get_range(&path, end..bytes).await;
     let found = found.map_err(|error| store_fault(&error, name))?;
-    let Some((length, mark)) = found.split_first_chunk::<4>() else {
-        return Ok(false);
+    Ok(is_end(&found, end))
+}
+
+/// As [`is_whole`], of a file that was read.
+pub fn has_end(file: &[u8]) -> bool {
+    let end = file.len().checked_sub(PARQUET_END);
+    end.is_some_and(|end| is_end(&file[end..], end as u64))
+}
+
+/// Whether a Parquet file ends with these bytes, behind so many others.
+fn is_end(end: &[u8], before: u64) -> bool {
+    let Some((length, mark)) = end.split_first_chunk::<4>() else {
+        return false;
     };
     // What reads Parquet believes the length of what lies before these bytes.
-    Ok(mark == b"PAR1" && u64::from(u32::from_le_bytes(*length)) <= end)
+    mark == b"PAR1" && u64::from(u32::from_le_bytes(*length)) <= before
 }
 
 /// Whether the file at a name has another content than this digest says.

@@ -7,7 +7,7 @@
 //!   parts/CONTENT.json          a part of a long list of versions, named by the digest of the file
 //!   sound.json                  which artifacts were read and found right, by what their files were like
 //!   logs/STATE.json             the digest of a log, by what its files were like: saves reading it again
-//!   runs/N-ID.parquet           how each unit of a run went
+//!   runs/N-CONTENT.parquet      how each unit of a run went, with the digest of the file
 //!   leases/ID.json              who is at work: a run, or gc
 //!   newest, links/              links to the files of the newest version's layers, for other programs
 //!   tmp/                        files on their way; a killed run leaves some, gc removes them

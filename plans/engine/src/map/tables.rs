@@ -19,12 +19,11 @@ use tokio::sync::OnceCell;
 use crate::conform::declared;
 use crate::error::{OrFault, external};
 use crate::map::artifact::{self, read_files};
-use crate::map::damage::is_whole;
 use crate::map::flat;
 use crate::map::logs::LogTables;
 use crate::map::receipt::Artifact;
 use crate::map::store::each;
-use crate::map::{LayerInfo, Map, RUNS, RunRow, VersionInfo, versions};
+use crate::map::{LayerInfo, Map, RUNS, RunRow, VersionInfo, record_damage, versions};
 use crate::sql::beside;
 use crate::sql::described::described;
 
@@ -246,18 +245,12 @@ impl Tables {
     async fn runs(&self) -> Result<DataFrame, Fault> {
         let (store, context) = (&self.map.store, &self.reading);
         let files = store.list(RUNS).await?;
-        let are_whole = files
-            .iter()
-            .map(|(name, bytes)| is_whole(store, name, *bytes));
-        let are_whole = each(are_whole).await?;
+        let damages = each(files.iter().map(|(name, _)| record_damage(store, name))).await?;
         let mut whole = Vec::new();
-        for ((name, _), is_whole) in files.into_iter().zip(are_whole) {
-            if is_whole {
-                whole.push(name);
-            } else {
-                tracing::warn!(
-                    "{name} is ignored: expected a Parquet file, found one that is torn"
-                );
+        for ((name, _), damage) in files.into_iter().zip(damages) {
+            match damage {
+                None => whole.push(name),
+                Some(damage) => tracing::warn!("{name} is ignored: {damage}"),
             }
         }
         let none = batch::<RunRow>(Vec::new())?;

@@ -5,9 +5,10 @@ use std::time::Duration;
 
 use evermap_schemas::{Fault, Kind, record};
 
-use crate::map::damage::{Damage, content_damage, is_whole};
+use crate::map::damage::{Damage, content_damage};
 use crate::map::parts::PARTS;
 use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
+use crate::map::records::{RecordDamage, record_damage};
 use crate::map::rows::RUNS;
 use crate::map::store::{Store, each};
 use crate::map::version::Version;
@@ -249,11 +250,13 @@ impl Verified {
         for (name, _) in store.temporary(Duration::ZERO).await? {
             self.findings.push(unreferenced(&name));
         }
-        for (name, bytes) in store.list(RUNS).await? {
-            if !is_whole(store, &name, bytes).await? {
-                let fault = Fault::data("expected a Parquet file, found one that is torn");
-                self.findings.push(unreadable(&name, &fault, None));
-            }
+        let records = store.list(RUNS).await?;
+        let damages = each(records.iter().map(|(name, _)| record_damage(store, name))).await?;
+        for ((name, _), damage) in records.iter().zip(damages) {
+            self.findings.extend(damage.map(|damage| match damage {
+                RecordDamage::Changed(damage) => damaged(damage, None),
+                unread => unreadable(name, &Fault::data(unread.to_string()), None),
+            }));
         }
         Ok(())
     }

@@ -5,7 +5,7 @@ use parquet::arrow::ArrowWriter;
 
 use crate::map::receipt::Receipt;
 use crate::map::store::Store;
-use crate::map::{RUNS, RunRow};
+use crate::map::{RunRow, record_name};
 use crate::run::RunResult;
 
 /// Appends a run to the `runs` layer.
@@ -26,7 +26,7 @@ pub async fn record_run(store: &Store, result: &RunResult) -> Result<(), Fault> 
         writer.close().map(drop)
     };
     write(&mut file).map_err(|error| Fault::bug(error.to_string()))?;
-    let name = format!("{RUNS}/{:06}-{run}.parquet", result.version.version);
+    let name = record_name(result.version.version, &file);
     store.write(&name, file).await
 }
 

@@ -1,5 +1,5 @@
 //! Cursors: a query whose rows are fetched by and by, with `DECLARE … CURSOR`. Its rows are those of the query itself,
-//! nested columns and geometries included; the library fetches them, and closes cursors.
+//! nested columns and geometries included, as they are asked for; the library closes cursors.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -8,16 +8,20 @@ use async_trait::async_trait;
 use datafusion::common::ParamValues;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::SessionContext;
-use datafusion::sql::sqlparser::ast::{CloseCursor, Declare, DeclareType, Statement};
+use datafusion::sql::sqlparser::ast::{
+    CloseCursor, Declare, DeclareType, FetchDirection, Statement, Value,
+};
 use datafusion_postgres::QueryHook;
 use datafusion_postgres::hooks::HookClient;
+use futures::{StreamExt, TryStreamExt, stream};
 use pgwire::api::ClientInfo;
-use pgwire::api::portal::{Format, Portal};
-use pgwire::api::results::{Response, Tag};
+use pgwire::api::portal::{Format, Portal, PortalExecutionState};
+use pgwire::api::results::{QueryResponse, Response, Tag};
 use pgwire::api::stmt::StoredStatement;
 use pgwire::api::store::PortalStore;
-use pgwire::error::PgWireResult;
+use pgwire::error::{PgWireError, PgWireResult};
 
+use crate::serve::postgres::answering::ROWS_AT_ONCE;
 use crate::serve::postgres::hooks::{reading, rows};
 use crate::serve::postgres::{Prepared, error};
 
@@ -96,10 +100,14 @@ impl QueryHook for Cursors {
                 }
                 Some(Ok(Response::Execution(Tag::new("DECLARE CURSOR"))))
             }
-            Statement::Fetch { name, .. } => match start(&name.value, context, client).await {
-                Ok(()) => None,
-                Err(error) => Some(Err(error)),
-            },
+            Statement::Fetch {
+                name, direction, ..
+            } => {
+                if let Err(error) = start(&name.value, context, client).await {
+                    return Some(Err(error));
+                }
+                fetched(&name.value, direction, client).await.map(Ok)
+            }
             Statement::Close {
                 cursor: CloseCursor::Specific { name },
             } => {
@@ -210,4 +218,43 @@ async fn start(name: &str, context: &SessionContext, client: &dyn HookClient) ->
             .await;
     }
     Ok(())
+}
+
+/// The next rows of a cursor, as they are asked for; `None` for what the library has an answer to: it would hold all of
+/// them before it sends the first.
+async fn fetched(
+    name: &str,
+    direction: &FetchDirection,
+    client: &dyn HookClient,
+) -> Option<Response> {
+    let wanted = match direction {
+        FetchDirection::Next | FetchDirection::Forward { limit: None } => 1,
+        FetchDirection::Count { limit } | FetchDirection::Forward { limit: Some(limit) } => {
+            match &limit.value {
+                // What is no number of rows is more than there are.
+                Value::Number(digits, _) => digits.parse().unwrap_or(usize::MAX),
+                _ => return None,
+            }
+        }
+        FetchDirection::All | FetchDirection::ForwardAll => usize::MAX,
+        _ => return None,
+    };
+    let portal = client.portal_store().get_portal(name)?.value().cloned()?;
+    let columns = match &*portal.state.lock().await {
+        PortalExecutionState::Suspended(rows) => rows.row_schema(),
+        _ => return None,
+    };
+    let some = |(portal, wanted): (Arc<Portal<Prepared>>, usize)| async move {
+        let count = wanted.min(ROWS_AT_ONCE);
+        if count == 0 {
+            return Ok(None);
+        }
+        let QueryResponse { data_rows, .. } = portal.fetch(count).await?.response;
+        let rows: Vec<_> = data_rows.collect().await;
+        let is_end = rows.is_empty();
+        let more = (stream::iter(rows), (portal, wanted - count));
+        Ok::<_, PgWireError>((!is_end).then_some(more))
+    };
+    let rows = stream::try_unfold((portal, wanted), some).try_flatten();
+    Some(Response::Query(QueryResponse::new(columns, rows)))
 }

@@ -1,7 +1,9 @@
 //! The protocol of Postgres, as `datafusion-postgres` speaks it, with what it leaves open shut: who comes in, what may be
 //! said, what an answer may take. The database that a client names is the map; where one map is served, any name is.
 
+mod answering;
 mod catalog;
+mod connection;
 mod cursors;
 mod expression;
 mod format;
@@ -13,6 +15,7 @@ mod nested;
 mod postgis;
 mod spatial;
 mod startup;
+mod wire;
 
 use std::sync::{Arc, LazyLock};
 
@@ -23,26 +26,22 @@ use datafusion::prelude::SessionContext;
 use datafusion::sql::sqlparser::ast::Statement;
 use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
 use datafusion_postgres::DfSessionService;
+use datafusion_postgres::arrow_pg::datatypes::df::deserialize_parameters_with_server_types;
 use evermap_engine::error::fault_of;
 use evermap_engine::sql::{NO_TABLE, check_size};
+use evermap_functions::caught;
 use evermap_schemas::{Fault, Kind};
-use futures::future::{BoxFuture, Shared};
-use futures::stream::BoxStream;
-use futures::{FutureExt, Sink, StreamExt};
-use pgwire::api::auth::StartupHandler;
-use pgwire::api::cancel::{CancelHandler, DefaultCancelHandler};
-use pgwire::api::portal::{Format, Portal};
+use futures::Sink;
+use pgwire::api::cancel::DefaultCancelHandler;
+use pgwire::api::portal::{Format, Portal, PortalExecutionState};
 use pgwire::api::query::{ExtendedQueryHandler, SimpleQueryHandler};
-use pgwire::api::results::{FieldFormat, FieldInfo, QueryResponse, Response};
+use pgwire::api::results::{FieldFormat, FieldInfo, Response};
 use pgwire::api::stmt::{QueryParser, StoredStatement};
 use pgwire::api::store::PortalStore;
-use pgwire::api::{
-    ClientInfo, ClientPortalStore, ConnectionHandle, ConnectionManager, METADATA_DATABASE,
-    PgWireServerHandlers, Type,
-};
+use pgwire::api::{ClientInfo, ClientPortalStore, ConnectionManager, METADATA_DATABASE, Type};
 use pgwire::error::{ErrorInfo, PgWireError, PgWireResult};
 use pgwire::messages::PgWireBackendMessage;
-use pgwire::tokio::process_socket;
+use pgwire::messages::extendedquery::Execute;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 
@@ -50,6 +49,8 @@ use crate::serve::access::Access;
 use crate::serve::answer::{Bounds, Turn};
 use crate::serve::maps::{Maps, Opened};
 use crate::serve::patience::{Asked, WAITING, attend};
+use crate::serve::postgres::answering::{all_rows, bounded, cancelled, never, rows_wanted};
+use crate::serve::postgres::connection::Handlers;
 use crate::serve::postgres::startup::{Startup, is_in};
 
 pub use catalog::complete_catalog;
@@ -58,9 +59,6 @@ pub use postgis::complete as complete_types;
 
 /// A statement of a client with its plan, as `datafusion-postgres` has it.
 type Prepared = (String, Option<(Statement, LogicalPlan)>);
-
-/// Rows that are handed on together: each by itself would cost more on its way than to make.
-const ROWS_AT_ONCE: usize = 32;
 
 /// Serves maps for ever. So many clients at once; more are refused.
 pub async fn serve(
@@ -89,52 +87,16 @@ pub async fn serve(
             Arc::clone(&places),
             asked.clone(),
         );
-        let handlers = Arc::new(Handlers::new(startup, &maps, &bounds, &manager));
-        let connection = process_socket(socket, access.tls.clone(), handlers);
-        attend(waits, asked, connection);
-    }
-}
-
-/// What answers one connection.
-struct Handlers {
-    startup: Arc<Startup>,
-    queries: Arc<Queries>,
-    cancel: Arc<DefaultCancelHandler>,
-}
-
-impl Handlers {
-    fn new(
-        startup: Startup,
-        maps: &Maps,
-        bounds: &Bounds,
-        manager: &Arc<ConnectionManager>,
-    ) -> Self {
-        Self {
+        let queries = Queries {
+            parser: Arc::new(Parser { maps: maps.clone() }),
+            bounds: bounds.clone(),
+        };
+        let handlers = Handlers {
             startup: Arc::new(startup),
-            queries: Arc::new(Queries {
-                parser: Arc::new(Parser { maps: maps.clone() }),
-                bounds: bounds.clone(),
-            }),
-            cancel: Arc::new(DefaultCancelHandler::new(Arc::clone(manager))),
-        }
-    }
-}
-
-impl PgWireServerHandlers for Handlers {
-    fn startup_handler(&self) -> Arc<impl StartupHandler> {
-        Arc::clone(&self.startup)
-    }
-
-    fn simple_query_handler(&self) -> Arc<impl SimpleQueryHandler> {
-        Arc::clone(&self.queries)
-    }
-
-    fn extended_query_handler(&self) -> Arc<impl ExtendedQueryHandler> {
-        Arc::clone(&self.queries)
-    }
-
-    fn cancel_handler(&self) -> Arc<impl CancelHandler> {
-        Arc::clone(&self.cancel)
+            queries: Arc::new(queries),
+            cancel: Arc::new(DefaultCancelHandler::new(Arc::clone(&manager))),
+        };
+        attend(waits, asked, handlers.converse(socket, access.tls.clone()));
     }
 }
 
@@ -152,56 +114,6 @@ impl Queries {
         let turn = self.bounds.turn().await.map_err(|fault| said(&fault))?;
         let done = turn.within(work).await.map_err(|fault| said(&fault))?;
         Ok((done?, turn))
-    }
-}
-
-/// Ends when a client cancels what it asked; never, where it asked for something else meanwhile.
-type Cancelled = Shared<BoxFuture<'static, ()>>;
-
-/// What ends when the client cancels. The library listens until an answer begins; from then on this does.
-async fn cancelled<C: ClientInfo>(client: &C) -> Cancelled {
-    let connection = client.session_extensions().get::<Arc<ConnectionHandle>>();
-    let receiver = match connection {
-        Some(connection) => Some(connection.start_query().await),
-        None => None,
-    };
-    let wait = async move {
-        if let Some(receiver) = receiver
-            && receiver.await.is_ok()
-        {
-            return;
-        }
-        std::future::pending().await
-    };
-    wait.boxed().shared()
-}
-
-/// A response whose rows end when time or number are used up, or the client cancels.
-fn bounded(response: Response, turn: &Arc<Turn>, cancelled: &Cancelled) -> Response {
-    match response {
-        Response::Query(query) => {
-            let QueryResponse {
-                command_tag,
-                row_schema,
-                data_rows,
-                ..
-            } = query;
-            let rows =
-                Arc::clone(turn).bounded(data_rows, ROWS_AT_ONCE, |_| 1, |fault| said(&fault));
-            let state = Some((rows, cancelled.clone()));
-            let next = |state: Option<(BoxStream<'static, _>, Cancelled)>| async move {
-                let (mut rows, cancelled) = state?;
-                tokio::select! {
-                    row = rows.next() => row.map(|row| (row, Some((rows, cancelled)))),
-                    () = cancelled.clone() => Some((Err(PgWireError::QueryCanceled), None)),
-                }
-            };
-            let rows = futures::stream::unfold(state, next);
-            let mut bounded = QueryResponse::new(row_schema, rows);
-            bounded.set_command_tag(&command_tag);
-            Response::Query(bounded)
-        }
-        other => other,
     }
 }
 
@@ -235,6 +147,17 @@ impl ExtendedQueryHandler for Queries {
         Arc::clone(&self.parser)
     }
 
+    async fn on_execute<C>(&self, client: &mut C, mut message: Execute) -> PgWireResult<()>
+    where
+        C: ClientInfo + ClientPortalStore + Sink<PgWireBackendMessage> + Unpin + Send + Sync,
+        C::PortalStore: PortalStore<Statement = Self::Statement>,
+        C::Error: std::fmt::Debug,
+        PgWireError: From<<C as Sink<PgWireBackendMessage>>::Error>,
+    {
+        message.max_rows = rows_wanted(message.max_rows, self.bounds.rows)?;
+        self._on_execute(client, message).await
+    }
+
     async fn do_query<C>(
         &self,
         client: &mut C,
@@ -247,6 +170,7 @@ impl ExtendedQueryHandler for Queries {
         C::Error: std::fmt::Debug,
         PgWireError: From<<C as Sink<PgWireBackendMessage>>::Error>,
     {
+        readable(portal)?;
         let opened = self.parser.opened(client, "").await?;
         let service = &opened.postgres;
         let portal = self.parser.of_newest(client, portal, &opened).await?;
@@ -255,9 +179,31 @@ impl ExtendedQueryHandler for Queries {
         cursors::bound(client, &portal)?;
         let work = ExtendedQueryHandler::do_query(service, client, &portal, max_rows);
         let (response, turn) = self.within(work).await?;
-        let cancelled = cancelled(client).await;
-        Ok(bounded(response, &turn, &cancelled))
+        if max_rows > 0 {
+            let cancelled = cancelled(client).await;
+            return Ok(bounded(response, &turn, &cancelled));
+        }
+        // The library listens until this is done.
+        match bounded(response, &turn, &never()) {
+            Response::Query(rows) => {
+                let tag = all_rows(client, rows).await?;
+                *portal.state.lock().await = PortalExecutionState::Finished;
+                Ok(Response::Execution(tag))
+            }
+            other => Ok(other),
+        }
     }
+}
+
+/// That what a client bound can be read: the library panics at an interval that is cut short. What else is wrong with it,
+/// the library says.
+fn readable(portal: &Portal<Prepared>) -> PgWireResult<()> {
+    let types = TYPES.get_parameter_types(&portal.statement.statement)?;
+    let types: Vec<Option<&Type>> = types.iter().map(Some).collect();
+    let read = caught(|| deserialize_parameters_with_server_types(portal, &[], &types).is_ok());
+    let message = "expected parameters of their types, found bytes that are none";
+    read.map(drop)
+        .ok_or_else(|| error("ERROR", "22P03", message))
 }
 
 /// Plans queries on the newest version of a map.
