@@ -266,6 +266,36 @@ fn the_manifest_that_inspect_writes_runs_and_is_edited() {
         "{explained}"
     );
 
+    let drive = at("drive.mcap");
+    for (edit, place, said) in [
+        ("odometri: /odom", "2:3", "expected one of the roles"),
+        (
+            "odometry: /odm",
+            "2:13",
+            "expected a topic for the role odometry that fits /odm",
+        ),
+        (
+            "odometry: /front/image",
+            "2:13",
+            "for the role odometry, found /front/image of foxglove.CompressedImage",
+        ),
+        ("odometry: ['/od*', '/tf']", "2:13", "expected one topic"),
+    ] {
+        std::fs::write(&manifest, format!("roles:\n  {edit}\n")).unwrap();
+        let named = ["--manifest", text(&manifest), "--sessions", text(&drive)];
+        for asked in [
+            &["check", "trajectory"][..],
+            &["run", "trajectory", "--map", text(&map)],
+            &["sql", "--query", "SELECT 1"],
+        ] {
+            let refused = evermap(&[asked, &named].concat()).expect(1).stderr;
+            let place = format!("drive.yaml:{place}");
+            assert!(
+                refused.contains(&place) && refused.contains(said),
+                "{edit}: {refused}"
+            );
+        }
+    }
     for (edit, said) in [
         ("vehicle_frame: [1]", "vehicle_frame"),
         ("vehicle_frme: chassis", "did you mean `vehicle_frame`?"),

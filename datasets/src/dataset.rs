@@ -13,7 +13,7 @@ use futures::{FutureExt, StreamExt, TryStreamExt};
 
 use crate::fault::OrFault;
 use crate::losses::{Loss, LossLedger, Reason};
-use crate::manifest::{Manifest, Roles, Vehicle};
+use crate::manifest::{Manifest, Roles, Vehicle, of_role};
 use crate::recordings::{Recording, Recordings};
 use crate::scan::{LazyTable, LogTable, McapTable, MessagesTable, RecordTable, TopicTable};
 use crate::session::{LogPart, Session};
@@ -246,11 +246,11 @@ fn check_roles(roles: &[Role], given: &BTreeMap<String, Vec<String>>) -> Result<
         .map(|role| role.name)
         .collect();
     match given.keys().find(|role| !names.contains(&role.as_str())) {
-        Some(role) => Err(Fault::user(format!(
-            "expected one of the roles {}, found {role}",
-            names.join(", ")
-        ))
-        .at(format!("roles.{role}"))),
+        Some(role) => {
+            let names = names.join(", ");
+            let fault = format!("expected one of the roles {names}, found {role}");
+            Err(of_role(Fault::user(fault), role))
+        }
         None => Ok(()),
     }
 }
@@ -263,10 +263,10 @@ fn check_topics(given: &BTreeMap<String, Vec<String>>, sessions: &[Session]) -> 
     };
     let topics: BTreeSet<String> = sessions.iter().flat_map(Session::topics).collect();
     let topics: Vec<String> = topics.into_iter().collect();
-    Err(Fault::user(format!(
+    let fault = Fault::user(format!(
         "expected a topic for the role {role} that fits {}, found none among {}",
         patterns.join(" or "),
         topics.join(", ")
-    ))
-    .at(format!("roles.{role}")))
+    ));
+    Err(of_role(fault, role))
 }

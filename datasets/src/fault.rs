@@ -53,10 +53,27 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
             .next("take a member of it in brackets: sources[1]['session']");
     }
     let fault = Fault::new(kind, message);
+    let fault = match is_other_as_of(message) {
+        true => fault.next(AS_OF),
+        false => fault,
+    };
     match place {
         Some((line, column)) => fault.at(format!("line {line}, column {column} of the query")),
         None => fault,
     }
+}
+
+/// How a join by time is written here.
+const AS_OF: &str = "write a join by time as a ASOF JOIN b MATCH_CONDITION (a.time >= b.time) ON a.key = b.key: it keeps each row of a, as ASOF LEFT JOIN does elsewhere";
+
+/// Whether the parser met a join by time as other databases write it: `ASOF LEFT JOIN`, or the times behind `ON`.
+fn is_other_as_of(message: &str) -> bool {
+    let found = |expected: &str| {
+        let (_, found) = message.split_once(expected)?;
+        Some(found.trim().to_lowercase())
+    };
+    let left = found("Expected: JOIN, found: ").is_some_and(|found| found == "left");
+    left || found("Expected: MATCH_CONDITION, found: ").is_some()
 }
 
 /// Line and column of a query's text where an error is, from 1, if DataFusion says so.
@@ -185,6 +202,23 @@ mod tests {
         for (error, expected) in cases {
             assert_eq!(fault_of(&error).to_string(), expected);
         }
+        let parsed = |said: &str| {
+            let said = format!("{said} at Line: 1, Column: 20");
+            fault_of(&DataFusionError::SQL(
+                Box::new(ParserError::ParserError(said)),
+                None,
+            ))
+        };
+        for said in [
+            "Expected: JOIN, found: LEFT",
+            "Expected: JOIN, found: left",
+            "Expected: MATCH_CONDITION, found: ON",
+        ] {
+            let fault = parsed(said);
+            assert_eq!(fault.message, format!("SQL: {said}"));
+            assert_eq!(fault.next, AS_OF, "{said}");
+        }
+        assert_eq!(parsed("Expected: JOIN, found: INNER").next, "");
         let nested = DataFusionError::NotImplemented(
             "Physical plan does not support logical expression OuterReferenceColumn(…)".to_owned(),
         );

@@ -207,7 +207,8 @@ impl Roles {
     /// that another reader might have made differently are told in the notes.
     ///
     /// # Errors
-    /// A user fault when a pattern is malformed, or two topics match the pattern of a role that only one plays.
+    /// A user fault when a pattern is malformed, two topics match the pattern of a role that only one plays, or those that
+    /// match are of types that only other roles are played by.
     pub fn resolve(
         roles: &[Role],
         given: &BTreeMap<String, Vec<String>>,
@@ -217,7 +218,7 @@ impl Roles {
         let mut notes = Vec::new();
         for role in roles {
             let found = match given.get(role.name) {
-                Some(patterns) => matching(role, patterns, topics)?,
+                Some(patterns) => matching(roles, role, patterns, topics)?,
                 None => {
                     let choices = role.infer(topics);
                     notes.extend(choices.iter().filter_map(|choice| note(role, choice)));
@@ -241,17 +242,48 @@ fn note(role: &Role, choice: &Choice) -> Option<String> {
     })
 }
 
-fn matching(role: &Role, patterns: &[String], topics: &[Topic]) -> Result<Vec<String>, Fault> {
-    let at = |fault: Fault| fault.at(format!("roles.{}", role.name));
+/// Where a fault is that is of what a manifest says of a role.
+const ROLES: &str = "roles.";
+
+/// A fault of what a manifest says of a role.
+pub(crate) fn of_role(fault: Fault, role: &str) -> Fault {
+    fault.at(format!("{ROLES}{role}"))
+}
+
+/// The role that a manifest says something wrong of, where that is what a fault of opening logs is about.
+pub fn faulty_role(fault: &Fault) -> Option<&str> {
+    fault.place.strip_prefix(ROLES)
+}
+
+/// The topics that fit a manifest's patterns; those of a type that only other roles are played by are left out.
+fn matching(
+    roles: &[Role],
+    role: &Role,
+    patterns: &[String],
+    topics: &[Topic],
+) -> Result<Vec<String>, Fault> {
+    let at = |fault: Fault| of_role(fault, role.name);
     let compiled = patterns.iter().map(|pattern| {
         glob::Pattern::new(pattern)
             .map_err(|error| at(Fault::user(format!("the topic pattern {pattern}: {error}"))))
     });
     let compiled = compiled.collect::<Result<Vec<_>, _>>()?;
-    let names = topics.iter().map(|topic| topic.name.clone());
-    let found: Vec<String> = names
-        .filter(|name| compiled.iter().any(|pattern| pattern.matches(name)))
-        .collect();
+    let fits = |topic: &&Topic| compiled.iter().any(|pattern| pattern.matches(&topic.name));
+    let (others, found): (Vec<_>, Vec<_>) = topics
+        .iter()
+        .filter(fits)
+        .partition(|topic| is_of_others(roles, role, topic));
+    if let ([], [other, ..]) = (found.as_slice(), others.as_slice()) {
+        let types = role.messages().map_or(&[][..], |messages| messages.types);
+        return Err(at(Fault::user(format!(
+            "expected a topic of {} for the role {}, found {} of {}",
+            types.join(" or "),
+            role.name,
+            other.name,
+            other.message_type,
+        ))));
+    }
+    let found: Vec<String> = found.iter().map(|topic| topic.name.clone()).collect();
     let single = role.messages().is_some_and(|messages| messages.single);
     match found.len() > 1 && single {
         true => Err(at(Fault::user(format!(
@@ -260,6 +292,15 @@ fn matching(role: &Role, patterns: &[String], topics: &[Topic]) -> Result<Vec<St
         )))),
         false => Ok(found),
     }
+}
+
+/// Whether a topic's type is known to play roles, but not this one. A type that nobody knows may hold anything.
+fn is_of_others(roles: &[Role], role: &Role, topic: &Topic) -> bool {
+    let plays = |role: &Role| {
+        let messages = role.messages();
+        messages.is_some_and(|messages| messages.types.contains(&topic.message_type.as_str()))
+    };
+    !plays(role) && roles.iter().any(plays)
 }
 
 #[cfg(test)]
@@ -285,6 +326,27 @@ mod tests {
         assert!(fault.to_string().contains("sights"), "{fault}");
         let fault = Manifest::parse("roles: {frames: {a: b}}").unwrap_err();
         assert!(fault.to_string().contains("a list of topics"), "{fault}");
+    }
+
+    #[test]
+    fn a_topic_of_a_type_that_other_roles_have_plays_none_but_theirs() {
+        let topics = [
+            Topic::new("/front/camera_info", "sensor_msgs/msg/CameraInfo", 1),
+            Topic::new("/front/image", "sensor_msgs/msg/Image", 1),
+            Topic::new("/front/raw", "our_msgs/msg/Bayer", 1),
+        ];
+        let resolved = |role: &str, topic: &str| {
+            let given = BTreeMap::from([(role.to_owned(), vec![topic.to_owned()])]);
+            let (roles, _) = Roles::resolve(ALL, &given, &topics)?;
+            Ok::<_, Fault>(roles.topics(role).to_vec())
+        };
+        let all = resolved("frames", "/front/*").unwrap();
+        assert_eq!(all, ["/front/image", "/front/raw"]);
+        let fault = resolved("frames", "/front/camera_*").unwrap_err();
+        let said = "for the role frames, found /front/camera_info of sensor_msgs/CameraInfo";
+        assert!(fault.message.ends_with(said), "{fault}");
+        assert_eq!(faulty_role(&fault), Some("frames"));
+        assert!(resolved("frames", "/nowhere").unwrap().is_empty());
     }
 
     #[test]

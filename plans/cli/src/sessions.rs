@@ -6,7 +6,7 @@ use std::path::Path;
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
 use evermap_datasets::{Dataset, Manifest};
-use evermap_engine::prepare::Prepared;
+use evermap_engine::prepare::{Prepared, located};
 use evermap_schemas::Fault;
 
 use crate::arguments::{PlanArgs, SessionArgs};
@@ -49,8 +49,9 @@ pub async fn prepare(args: &PlanArgs, registry: &Registry, map: &str) -> Result<
 /// # Errors
 /// As [`Dataset::open`].
 pub async fn open(runtime: &RuntimeEnv, args: &SessionArgs) -> Result<Dataset, Fault> {
-    let manifest = manifest(args)?;
-    let dataset = Dataset::open(runtime, &args.sessions, manifest.as_ref()).await?;
+    let (manifest, text) = (manifest(args)?, shipped::manifest(args)?);
+    let dataset = Dataset::open(runtime, &args.sessions, manifest.as_ref()).await;
+    let dataset = dataset.map_err(|fault| located(fault, text.as_ref()))?;
     dataset
         .notes
         .iter()

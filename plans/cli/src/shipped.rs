@@ -1,4 +1,4 @@
-//! Plans by path, or by name where they ship with the program.
+//! Plans by path, or by name where they ship with the program, and the manifests that go with them.
 
 use std::io::{ErrorKind, Read};
 use std::path::Path;
@@ -8,7 +8,7 @@ use evermap_engine::prepare::PlanText;
 use evermap_language::{PlanFaults, Source, nearest, utf8};
 use evermap_schemas::Fault;
 
-use crate::arguments::PlanArgs;
+use crate::arguments::{PlanArgs, SessionArgs};
 use crate::ending::Failure;
 
 /// The plans that ship: name and text, sorted by name.
@@ -19,15 +19,23 @@ pub const PLANS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/plans.rs"
 /// # Errors
 /// A user fault that names the plans that ship, or the file's first byte that is no text.
 pub fn of(args: &PlanArgs) -> Result<PlanText, Failure> {
-    let manifest = args.sessions.manifest.as_ref().map(|origin| {
-        let text = Manifest::text(Path::new(origin))?;
-        let origin = origin.clone();
-        Ok::<_, Fault>(Source { origin, text })
-    });
     Ok(PlanText {
-        manifest: manifest.transpose()?,
+        manifest: manifest(&args.sessions)?,
         ..read(&args.plan, args.set.clone())?
     })
+}
+
+/// The text of the manifest that the command line names.
+///
+/// # Errors
+/// A user fault when it cannot be read.
+pub fn manifest(args: &SessionArgs) -> Result<Option<Source>, Fault> {
+    let source = args.manifest.as_ref().map(|origin| {
+        let text = Manifest::text(Path::new(origin))?;
+        let origin = origin.clone();
+        Ok(Source { origin, text })
+    });
+    source.transpose()
 }
 
 /// A plan that ships, as it is.

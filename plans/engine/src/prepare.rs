@@ -1,6 +1,7 @@
 //! From what a person asks for to a run: plan text, sessions and a map, checked together.
 
 mod host;
+mod manifest;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -14,6 +15,7 @@ use evermap_schemas::Fault;
 
 use self::host::Surroundings;
 pub use self::host::vocabulary;
+pub use self::manifest::located;
 use crate::digest::digest_of;
 use crate::fingerprint::{self, Believe, Fingerprint};
 use crate::map::receipt::LogContent;
@@ -161,16 +163,17 @@ impl Prepared {
     ) -> Result<Self, Refusal> {
         let mut parsed = parse(plan, registry)?;
         let read;
+        let mut written = plan.manifest.clone();
         let manifest = match (manifest, &parsed.sessions) {
             (None, Some(named)) => {
                 let path = beside(&named.origin, &named.path);
                 read = Manifest::load(&path)?;
-                let manifest = Some(Source {
+                written = Some(Source {
                     origin: path.display().to_string(),
                     text: Manifest::text(&path)?,
                 });
                 let plan = PlanText {
-                    manifest,
+                    manifest: written.clone(),
                     ..plan.clone()
                 };
                 parsed = parse(&plan, registry)?;
@@ -182,7 +185,8 @@ impl Prepared {
         let base = Version::latest(&store).await?;
         // Topics are checked on the logs at hand; a map's earlier logs may be gone, their artifacts are not.
         let found = Recordings::find(&RuntimeEnv::default(), sessions, manifest).await?;
-        let (given, remembered) = fingerprint::open(&store, found, Believe::Rested).await?;
+        let opened = fingerprint::open(&store, found, Believe::Rested).await;
+        let (given, remembered) = opened.map_err(|fault| located(fault, written.as_ref()))?;
         let program = compiled(&parsed, registry, &given).await?;
         let mut by_name = mapped_sessions(base.as_ref());
         let (mut fresh, mut replaced) = (Vec::new(), Vec::new());

@@ -1,6 +1,7 @@
 //! `defaults` of a session manifest: parameters of a vehicle, laid over those of the plan before anything is checked.
+//! What else it says is for who opens logs; here is where it stands.
 
-use crate::fault::{PlanFaults, Source};
+use crate::fault::{Place, PlanFaults, Position, Source};
 use crate::suggest::quoted;
 use crate::vocabulary::{OperatorSpec, Vocabulary};
 use crate::yaml::{self, Entry, Kind, Node, merge};
@@ -52,6 +53,13 @@ pub(crate) fn lay(
         // The plan is at fault, and is found to be when it is checked.
         _ => {}
     }
+}
+
+/// Where a manifest names a role, and where its topics are; `None` where it does not.
+pub fn role_places(manifest: &Source, role: &str) -> Option<[Position; 2]> {
+    let tree = yaml::read(manifest, &mut PlanFaults::default())?;
+    let entry = tree.get("roles")?.value.get(role)?;
+    Some([entry.place, entry.value.place].map(Place::position))
 }
 
 fn check(given: &[Entry], vocabulary: &Vocabulary, faults: &mut PlanFaults) {

@@ -321,8 +321,8 @@ pub fn statements(text: &str) -> Result<Vec<Statement>, Fault> {
         .with_dialect(&GenericDialect {})
         .build()
         .and_then(|mut parser| parser.parse_statements());
-    let parsed = parsed.map_err(|error| match error.find_root() {
-        DataFusionError::SQL(error, _) => {
+    let parsed = parsed.map_err(|error| match (fault_of(&error), error.find_root()) {
+        (told, DataFusionError::SQL(error, _)) => {
             let text = error.to_string();
             let fault = Fault::user(text.trim_start_matches("sql parser error: "));
             match () {
@@ -332,10 +332,10 @@ pub fn statements(text: &str) -> Result<Vec<Statement>, Fault> {
                 () if text.contains("found: /") => {
                     fault.next("write a topic in double quotes: FROM \"/odom\"")
                 }
-                () => fault,
+                () => fault.next(told.next),
             }
         }
-        _ => fault_of(&error),
+        (told, _) => told,
     });
     Ok(parsed?.into_iter().collect())
 }

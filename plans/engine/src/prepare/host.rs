@@ -9,6 +9,7 @@ use evermap_datasets::Dataset;
 use evermap_language::{
     Host, OperatorSpec, ParameterFault, PortSpec, QueryFault, Source, Vocabulary,
 };
+use evermap_schemas::Fault;
 use serde_json::Value;
 
 use super::PlanText;
@@ -43,8 +44,12 @@ pub fn vocabulary(registry: &Registry) -> Vocabulary {
 const LONGEST_CODE: u64 = 1 << 20;
 
 fn query_fault(error: &DataFusionError) -> QueryFault {
+    let Fault { message, next, .. } = fault_of(error);
     QueryFault {
-        message: fault_of(error).message,
+        message: match next.as_str() {
+            "" => message,
+            next => format!("{message}; {next}"),
+        },
         at: place_in_query(error),
     }
 }

@@ -22,7 +22,7 @@ mod node;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use datafusion::common::{DFSchema, Result, plan_err};
+use datafusion::common::{Column, DFSchema, Result, plan_err};
 use datafusion::execution::context::QueryPlanner;
 use datafusion::logical_expr::planner::{
     PlannedRelation, RelationPlanner, RelationPlannerContext, RelationPlanning,
@@ -32,7 +32,7 @@ use datafusion::logical_expr::utils::{conjunction, split_conjunction_owned};
 use datafusion::logical_expr::{BinaryExpr, Expr, ExprSchemable, Extension, LogicalPlan, Operator};
 use datafusion::sql::parser::Statement;
 use datafusion::sql::sqlparser::ast::{
-    Expr as SqlExpr, Join, JoinConstraint, JoinOperator, Query, SetExpr, TableFactor,
+    Expr as SqlExpr, Join, JoinConstraint, JoinOperator, ObjectName, Query, SetExpr, TableFactor,
     TableWithJoins, VisitMut, VisitorMut,
 };
 
@@ -225,8 +225,13 @@ fn join(
         other => {
             let found = match other {
                 JoinConstraint::Using(columns) => {
-                    let columns: Vec<String> = columns.iter().map(ToString::to_string).collect();
-                    format!("USING ({})", columns.join(", "))
+                    let written: Vec<String> = columns.iter().map(ToString::to_string).collect();
+                    let on: Option<Vec<String>> =
+                        columns.iter().map(|name| sides.on(name)).collect();
+                    let on = on.map_or(String::new(), |on| {
+                        format!("; write ON {}", on.join(" AND "))
+                    });
+                    format!("USING ({}){on}", written.join(", "))
                 }
                 _ => "NATURAL".to_owned(),
             };
@@ -243,6 +248,19 @@ struct Sides<'s> {
 }
 
 impl Sides<'_> {
+    /// That a column of this name is equal in both tables; `None` where one of them has none.
+    fn on(&self, name: &ObjectName) -> Option<String> {
+        let [part] = name.0.as_slice() else {
+            return None;
+        };
+        let name = &part.as_ident()?.value;
+        let of = |table: &DFSchema| {
+            let found = table.qualified_field_with_unqualified_name(name).ok()?;
+            Some(Column::from(found).quoted_flat_name())
+        };
+        Some(format!("{} = {}", of(self.left)?, of(self.right)?))
+    }
+
     /// A comparison of a value of the left table with one of the right, in this order and of one type; `None` for other
     /// expressions.
     fn compared(&self, term: &Expr) -> Result<Option<(Expr, Operator, Expr)>> {

@@ -199,7 +199,15 @@ async fn faults_of_as_of_joins_say_what_was_expected() {
         ),
         (
             "SELECT 1 FROM l ASOF JOIN r MATCH_CONDITION (l.t >= r.t) USING (key)",
-            "expected ON left = right",
+            "expected ON left = right, found USING (key); write ON l.key = r.key",
+        ),
+        (
+            "SELECT 1 FROM l ASOF LEFT JOIN r ON l.key = r.key AND l.t >= r.t",
+            "write a join by time as a ASOF JOIN b MATCH_CONDITION (a.time >= b.time) ON a.key = b.key",
+        ),
+        (
+            "SELECT 1 FROM l ASOF JOIN r ON l.key = r.key AND l.t >= r.t",
+            "Expected: MATCH_CONDITION, found: ON (at line 1, column 29 of the query); write a join by time",
         ),
     ] {
         let fault = read_only(&context, query).await.err().unwrap().to_string();
