@@ -32,6 +32,7 @@ use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
 use futures::{Stream, StreamExt, TryStreamExt};
 
 use crate::nodes::node::{Deal, Duty, Need, Node, first};
+use crate::nodes::weight::bytes;
 
 /// Bytes of a batch that is sorted, unless it is of a single row.
 const SORTED_BYTES: usize = 1 << 20;
@@ -218,29 +219,6 @@ fn light_rows(batch: &RecordBatch) -> usize {
     let bytes: usize = batch.columns().iter().map(|column| bytes(column)).sum();
     let row_bytes = bytes / batch.num_rows().max(1);
     (SORTED_BYTES / row_bytes.max(1)).max(1)
-}
-
-/// Bytes of the values of a column, of which it may be a slice.
-fn bytes(column: &dyn Array) -> usize {
-    let viewed: usize = match column.data_type() {
-        DataType::Utf8View => column
-            .as_string_view()
-            .lengths()
-            .map(|bytes| bytes as usize)
-            .sum(),
-        DataType::BinaryView => column
-            .as_binary_view()
-            .lengths()
-            .map(|bytes| bytes as usize)
-            .sum(),
-        DataType::Struct(_) => {
-            let members = column.as_struct().columns();
-            return members.iter().map(|member| bytes(member)).sum();
-        }
-        _ => 0,
-    };
-    let sliced = column.to_data().get_slice_memory_size();
-    viewed + sliced.unwrap_or_else(|_| column.get_array_memory_size())
 }
 
 /// The batch with nothing behind its views but what they show: rows that were sorted show parts of many batches.

@@ -9,3 +9,4 @@ pub mod python;
 mod raw;
 #[cfg(test)]
 mod tests;
+pub mod weight;
