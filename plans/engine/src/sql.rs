@@ -3,6 +3,8 @@
 pub mod as_of;
 mod bounded;
 pub mod described;
+mod expanded;
+mod inlined;
 mod members;
 mod missing;
 mod pool;
@@ -30,6 +32,8 @@ use serde::{Deserialize, Serialize};
 use crate::error::{OrFault, external};
 use crate::nodes::light::LightBatches;
 use crate::sql::bounded::bound_functions;
+use crate::sql::expanded::check_expanded;
+use crate::sql::inlined::check_inlined;
 use crate::sql::members::{check_members, mask_members, members};
 use crate::sql::pool::SharedPool;
 use crate::sql::written::Written;
@@ -263,16 +267,18 @@ pub async fn planned(context: &SessionContext, query: &str) -> DataFusionResult<
 /// The plan of a statement.
 ///
 /// # Errors
-/// What is wrong with it.
+/// What is wrong with it; that it is small, and would become too large.
 pub async fn plan_of(
     state: &SessionState,
     mut statement: Statement,
 ) -> DataFusionResult<LogicalPlan> {
+    check_expanded(&statement).map_err(external)?;
     let written = Written::of(&statement).map_err(external)?;
     as_of::bracketed(&mut statement);
     let plan = state.statement_to_plan(statement).await;
     let plan = plan.map_err(|error| written.explained(error))?;
     check_members(&plan)?;
+    check_inlined(&plan)?;
     Ok(plan)
 }
 

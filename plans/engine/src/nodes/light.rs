@@ -3,8 +3,8 @@
 //! Its sort spills what does not fit, but a batch must fit into its share of the memory, and so must two batches of what
 //! it has spilled, to be merged. So [`LightSortExec`] cuts what comes by bytes, looks how heavy the rows are, and then
 //! has them sorted so many at a time that a batch has a megabyte. Files are read in batches of a few megabytes, as far
-//! as they tell how large they are. How many rows a batch has depends on the rows alone, never on the memory there is,
-//! as results may depend on it.
+//! as they tell how large they are. What an expression makes of rows is made of few at a time (`spared`). How many rows
+//! a batch has depends on the rows alone, never on the memory there is, as results may depend on it.
 
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -32,6 +32,8 @@ use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
 use futures::{Stream, StreamExt, TryStreamExt};
 
 use crate::nodes::node::{Deal, Duty, Need, Node, first};
+use crate::nodes::spared::spared;
+use crate::nodes::weight::bytes;
 
 /// Bytes of a batch that is sorted, unless it is of a single row.
 const SORTED_BYTES: usize = 1 << 20;
@@ -55,7 +57,9 @@ impl PhysicalOptimizerRule for LightBatches {
                 Some(sort) => Some(sort),
                 None => light_scan(&plan, most),
             };
-            Ok(light.map_or_else(|| Transformed::no(plan), Transformed::yes))
+            let plan = light.map_or_else(|| Transformed::no(plan), Transformed::yes);
+            let spared = spared(&plan.data, most)?;
+            Ok(spared.map_or(plan, Transformed::yes))
         });
         Ok(lighter?.data)
     }
@@ -218,29 +222,6 @@ fn light_rows(batch: &RecordBatch) -> usize {
     let bytes: usize = batch.columns().iter().map(|column| bytes(column)).sum();
     let row_bytes = bytes / batch.num_rows().max(1);
     (SORTED_BYTES / row_bytes.max(1)).max(1)
-}
-
-/// Bytes of the values of a column, of which it may be a slice.
-fn bytes(column: &dyn Array) -> usize {
-    let viewed: usize = match column.data_type() {
-        DataType::Utf8View => column
-            .as_string_view()
-            .lengths()
-            .map(|bytes| bytes as usize)
-            .sum(),
-        DataType::BinaryView => column
-            .as_binary_view()
-            .lengths()
-            .map(|bytes| bytes as usize)
-            .sum(),
-        DataType::Struct(_) => {
-            let members = column.as_struct().columns();
-            return members.iter().map(|member| bytes(member)).sum();
-        }
-        _ => 0,
-    };
-    let sliced = column.to_data().get_slice_memory_size();
-    viewed + sliced.unwrap_or_else(|_| column.get_array_memory_size())
 }
 
 /// The batch with nothing behind its views but what they show: rows that were sorted show parts of many batches.

@@ -7,5 +7,7 @@ pub mod pixels;
 pub mod planned;
 pub mod python;
 mod raw;
+mod spared;
 #[cfg(test)]
 mod tests;
+pub mod weight;

@@ -1,0 +1,135 @@
+#![allow(clippy::unwrap_used)]
+use arrow::util::display::array_value_to_string;
+
+use crate::error::OrFault;
+use crate::sql::{Limits, context, read_only};
+
+#[tokio::test]
+async fn what_an_argument_makes_larger_than_memory_is_refused_and_the_rest_is_as_it_was() {
+    let limits = Limits {
+        memory_bytes: 1 << 20,
+        ..Limits::one_partition()
+    };
+    let context = context(limits).unwrap();
+    let run = async |query: &str| {
+        let frame = context.sql(query).await.or_fault()?;
+        frame.collect().await.or_fault()
+    };
+    for query in [
+        "SELECT repeat('a', 2000000000)",
+        "SELECT length(repeat('ab', n * 1000000)) FROM (VALUES (1), (2)) t (n)",
+        "SELECT lpad('a', 2000000000)",
+        "SELECT rpad('a', 2000000000, 'b')",
+        "SELECT array_repeat(1, 2000000000)",
+        "SELECT list_repeat(1, 2000000000)",
+        "SELECT range(0, 2000000000)",
+        "SELECT range(2000000000)",
+        "SELECT generate_series(2000000000, 0, -1)",
+        "SELECT replace(repeat('a', 10000), 'a', repeat('b', 10000))",
+        "SELECT regexp_replace(repeat('a', 10000), 'a', repeat('b', 10000), 'g')",
+        "SELECT array_repeat(array_repeat(array_repeat(1, 100), 100), 100)",
+        "SELECT range(TIMESTAMP '1970-01-01', TIMESTAMP '1970-01-02', INTERVAL '1 microsecond')",
+        "SELECT array_resize([1], 2000000000, 0)",
+        "SELECT array_to_string(range(0, 1000), repeat('x', 10000))",
+        "SELECT concat_ws(repeat('x', 50000), 'a', 'b', 'c', 'd')",
+        "SELECT concat(repeat('x', 70000), repeat('y', 70000))",
+        "SELECT x || x FROM (SELECT repeat('x', 60000) || n AS x FROM (VALUES (1), (2)) t (n))",
+        "WITH a AS (SELECT repeat('a', 1000) AS x), b AS (SELECT x || x || x || x AS x FROM a), \
+         c AS (SELECT x || x || x || x AS x FROM b), d AS (SELECT x || x || x || x AS x FROM c), \
+         e AS (SELECT x || x || x || x AS x FROM d) SELECT length(x) FROM e",
+        "SELECT array_concat(range(0, 10000), range(0, 10000))",
+        "SELECT range(0, 10000) || range(0, 10000)",
+        "SELECT [repeat('x', 70000), repeat('y', 70000)]",
+        "SELECT array_append(range(0, 16000), 1) || 2 || 3 || range(0, 1000)",
+        "SELECT array_replace_all(array_repeat('a', 1000), 'a', repeat('b', 1000))",
+        "SELECT unnest(range(0, 100000000000))",
+        // The text is one for all rows, until it is put together with them.
+        "SELECT concat(repeat('x', 50000), CAST(n AS TEXT)) FROM (VALUES (1), (2), (3)) t (n)",
+    ] {
+        let fault = run(query).await.unwrap_err().to_string();
+        assert!(fault.contains("the limit is 131072"), "{query}: {fault}");
+    }
+    for query in [
+        "SELECT approx_percentile_cont(n, 0.5, 9000000000) FROM (VALUES (1), (2)) t (n)",
+        "SELECT approx_percentile_cont(0.5, 2000000000) WITHIN GROUP (ORDER BY n) FROM (VALUES (1)) t (n)",
+        "SELECT approx_percentile_cont_with_weight(n, n, 0.5, 0) FROM (VALUES (1)) t (n)",
+    ] {
+        let fault = run(query).await.unwrap_err().to_string();
+        assert!(
+            fault.contains("expected 1 to 10000 centroids"),
+            "{query}: {fault}"
+        );
+    }
+    // Each makes twice of what it is given.
+    let nested = (0..6).fold("repeat('a', 60000)".to_owned(), |text, _| {
+        format!("encode({text}, 'hex')")
+    });
+    let fault = run(&format!("SELECT length({nested})")).await.unwrap_err();
+    let fault = fault.to_string();
+    assert!(fault.contains("half of the memory"), "{fault}");
+    run("SELECT approx_percentile_cont(n, 0.5, 200) FROM (VALUES (1), (2)) t (n)")
+        .await
+        .unwrap();
+    let answers = run(
+        "SELECT repeat('a', 3), lpad('a', 3, '-'), array_repeat(1, 2), range(3), \
+         generate_series(1, 2), replace('aba', 'a', 'cc'), repeat(NULL, 3), repeat('a', -1), \
+         regexp_replace('ab', '(b)', '\\1\\1'), array_length(range(DATE '2026-01-01', DATE '2026-02-01', INTERVAL '1 day')), \
+         array_resize([1], 2, 7), array_to_string([1, 2], '-'), concat_ws('-', 'a', NULL, 'b')",
+    );
+    let answers = answers.await.unwrap();
+    let answers: Vec<String> = answers[0]
+        .columns()
+        .iter()
+        .map(|column| array_value_to_string(column, 0).unwrap())
+        .collect();
+    let expected = [
+        "aaa",
+        "--a",
+        "[1, 1]",
+        "[0, 1, 2]",
+        "[1, 2]",
+        "ccbcc",
+        "",
+        "",
+        "abb",
+        "31",
+        "[1, 7]",
+        "1-2",
+        "a-b",
+    ];
+    assert_eq!(answers, expected);
+}
+
+#[tokio::test]
+async fn operators_are_what_they_were() {
+    let context = context(Limits::one_partition()).unwrap();
+    let query = "SELECT t.a || '-' || t.b || t.n, t.a || NULL AS none, 1 || t.a AS one, [t.n, 2] || 3 AS list, \
+         CAST(t.a AS BYTEA) || CAST(t.b AS BYTEA) AS bytes \
+         FROM (VALUES ('x', 'y', 1), ('x', NULL, 2)) AS t (a, b, n) \
+         WHERE t.a || 'y' = 'xy' ORDER BY t.a || t.n DESC";
+    let frame = read_only(&context, query).await.unwrap();
+    let planned = frame.schema().as_arrow().clone();
+    let batches = frame.collect().await.unwrap();
+    // A column is called as it is written.
+    let (name, schema) = (planned.field(0).name(), batches[0].schema());
+    assert!(name.contains("||"), "{name}");
+    assert_eq!(schema.field(0).name(), name);
+    let shown = |row: usize| {
+        let columns = batches[0].columns().iter();
+        columns
+            .map(|column| array_value_to_string(column, row).unwrap())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(shown(0), ["", "", "1x", "[2, 2, 3]", ""]);
+    assert_eq!(shown(1), ["x-y1", "", "1x", "[1, 2, 3]", "7879"]);
+    let long = vec!["'a'"; 200].join(" || ");
+    let answer = context
+        .sql(&format!("SELECT length({long})"))
+        .await
+        .unwrap();
+    let answer = answer.collect().await.unwrap();
+    assert_eq!(
+        array_value_to_string(answer[0].column(0), 0).unwrap(),
+        "200"
+    );
+}
