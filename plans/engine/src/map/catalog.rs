@@ -46,7 +46,7 @@ impl Catalog {
 }
 
 /// The tables of a map that a schema has; `None` where it has others, or is of a version that nobody has opened.
-pub fn tables_of(schema: &(dyn SchemaProvider + 'static)) -> Option<&Tables> {
+pub fn tables_of<'s>(schema: &'s (dyn SchemaProvider + 'static)) -> Option<&'s Tables> {
     match schema.downcast_ref::<VersionTables>() {
         Some(version) => version.opened.get(),
         None => schema.downcast_ref(),
