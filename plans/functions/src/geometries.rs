@@ -5,6 +5,7 @@ mod lines;
 pub(crate) mod made;
 pub(crate) mod parts;
 mod shapes;
+mod tangle;
 mod text;
 
 use std::sync::Arc;
@@ -13,7 +14,7 @@ use arrow::array::{Array, ArrayRef, AsArray, BinaryArray};
 use arrow::datatypes::{DataType, Float64Type};
 use datafusion::common::{DataFusionError, Result};
 use evermap_schemas::{Cell, Geometry, Position, Wkb};
-use geo::Relate;
+use geo::relate::IntersectionMatrix;
 
 use crate::function::{Argument, Declaration, Kind, numbers};
 
@@ -149,7 +150,7 @@ pub(crate) const DECLARATIONS: [Declaration; 20] = [
             "SELECT st_disjoint(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_point(9, 1))",
             "true",
         ],
-        evaluate: |columns| shapes::relation(columns, |a, b| a.relate(b).is_disjoint()),
+        evaluate: |columns| shapes::related(columns, IntersectionMatrix::is_disjoint),
     },
     Declaration {
         name: "st_touches",
@@ -160,7 +161,7 @@ pub(crate) const DECLARATIONS: [Declaration; 20] = [
             "SELECT st_touches(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_point(4, 1))",
             "true",
         ],
-        evaluate: |columns| shapes::relation(columns, |a, b| a.relate(b).is_touches()),
+        evaluate: |columns| shapes::related(columns, IntersectionMatrix::is_touches),
     },
     Declaration {
         name: "st_crosses",
@@ -171,7 +172,7 @@ pub(crate) const DECLARATIONS: [Declaration; 20] = [
             "SELECT st_crosses(st_geomfromtext('LINESTRING(0 0, 4 4)'), st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'))",
             "true",
         ],
-        evaluate: |columns| shapes::relation(columns, |a, b| a.relate(b).is_crosses()),
+        evaluate: |columns| shapes::related(columns, IntersectionMatrix::is_crosses),
     },
     Declaration {
         name: "st_overlaps",
@@ -182,7 +183,7 @@ pub(crate) const DECLARATIONS: [Declaration; 20] = [
             "SELECT st_overlaps(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_geomfromtext('POLYGON((2 1, 9 1, 9 9, 2 9, 2 1))'))",
             "true",
         ],
-        evaluate: |columns| shapes::relation(columns, |a, b| a.relate(b).is_overlaps()),
+        evaluate: |columns| shapes::related(columns, IntersectionMatrix::is_overlaps),
     },
     Declaration {
         name: "st_equals",
@@ -193,7 +194,7 @@ pub(crate) const DECLARATIONS: [Declaration; 20] = [
             "SELECT st_equals(st_geomfromtext('LINESTRING(0 0, 4 4)'), st_geomfromtext('LINESTRING(4 4, 0 0)'))",
             "true",
         ],
-        evaluate: |columns| shapes::relation(columns, |a, b| a.relate(b).is_equal_topo()),
+        evaluate: |columns| shapes::related(columns, IntersectionMatrix::is_equal_topo),
     },
     Declaration {
         name: "st_dwithin",

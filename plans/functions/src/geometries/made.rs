@@ -12,6 +12,7 @@ use geo::{
 
 use crate::function::{Argument, Declaration, Kind};
 use crate::geometries::shapes::{FAR_M, Shape, get, is_within_reach, pair};
+use crate::geometries::tangle::check_tangle;
 use crate::geometries::{A, B, GEOMETRY, Geometries, made_of};
 use crate::guard::guarded;
 
@@ -207,12 +208,13 @@ fn buffers(columns: &[ArrayRef]) -> Result<ArrayRef> {
         let Some((shape, distance)) = get(&geometries, row)?.zip(distance) else {
             return Ok(None);
         };
-        match is_within_reach(distance) {
-            true => guarded(|| Some(polygons(&shape.buffer(distance)))),
-            false => Err(DataFusionError::Execution(format!(
+        if !is_within_reach(distance) {
+            return Err(DataFusionError::Execution(format!(
                 "expected a distance of at most {FAR_M:e} m, found {distance}"
-            ))),
+            )));
         }
+        check_tangle(&[&shape], distance)?;
+        guarded(|| Some(polygons(&shape.buffer(distance))))
     })
 }
 
@@ -225,6 +227,7 @@ fn both(
         let Some([a, b]) = pair(columns, row)? else {
             return Ok(None);
         };
+        check_tangle(&[&a, &b], 0.0)?;
         let (a, b) = (Extended::of(&a)?, Extended::of(&b)?);
         guarded(|| make(&a, &b))?.map(Some)
     })

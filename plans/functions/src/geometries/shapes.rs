@@ -7,13 +7,15 @@ use arrow::compute::kernels::cmp::lt_eq;
 use arrow::datatypes::Float64Type;
 use datafusion::common::{DataFusionError, Result};
 use evermap_schemas::{Geometry, Position};
+use geo::relate::IntersectionMatrix;
 use geo::{
     Area, Contains, Coord, CoordsIter, Distance, Euclidean, Intersects, Length, LineString, Point,
-    Polygon,
+    Polygon, Relate,
 };
 
 use crate::function::numbers;
 use crate::geometries::Geometries;
+use crate::geometries::tangle::check_tangle;
 use crate::guard::guarded;
 
 /// A geometry from above.
@@ -127,6 +129,23 @@ pub(super) fn relation(
     let row = |row| {
         let pair = pair(columns, row)?;
         pair.map(|[a, b]| guarded(|| holds(&a, &b))).transpose()
+    };
+    let found = (0..rows).map(row).collect::<Result<BooleanArray>>()?;
+    Ok(Arc::new(found))
+}
+
+/// Whether pairs stand to each other as the places say where their insides and borders meet.
+pub(super) fn related(
+    columns: &[ArrayRef],
+    holds: fn(&IntersectionMatrix) -> bool,
+) -> Result<ArrayRef> {
+    let rows = columns.first().map_or(0, |column| column.len());
+    let row = |row| {
+        let Some([a, b]) = pair(columns, row)? else {
+            return Ok(None);
+        };
+        check_tangle(&[&a, &b], 0.0)?;
+        guarded(|| holds(&a.relate(&b))).map(Some)
     };
     let found = (0..rows).map(row).collect::<Result<BooleanArray>>()?;
     Ok(Arc::new(found))
