@@ -176,7 +176,8 @@ async fn written(
         }
         ExportFormat::Csv => rows(Format::Csv, batches, out).await,
         ExportFormat::Parquet => {
-            let notes = notes(&reader.described(layer).await?);
+            let described = reader.described(layer).await?;
+            let notes = notes(&described);
             let described = batches.into_iter().map(|batch| {
                 let schema = noted(batch.schema_ref(), &notes);
                 RecordBatch::try_new(schema, batch.columns().to_vec())

@@ -14,11 +14,13 @@ use datafusion::error::{DataFusionError, Result};
 use datafusion::execution::memory_pool::MemoryConsumer;
 use datafusion::execution::{SendableRecordBatchStream, TaskContext};
 use datafusion::physical_expr::expressions::{InListExpr, Literal};
-use datafusion::physical_expr::{EquivalenceProperties, Partitioning, PhysicalExpr};
+use datafusion::physical_expr::{EquivalenceProperties, Partitioning};
 use datafusion::physical_plan::stream::RecordBatchStreamAdapter;
 use datafusion::physical_plan::unnest::UnnestExec;
 use datafusion::physical_plan::windows::WindowAggExec;
-use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
+use datafusion::physical_plan::{
+    ExecutionPlan, ExecutionPlanProperties, replace_children_if_necessary,
+};
 use datafusion::scalar::ScalarValue;
 use futures::{StreamExt, TryStreamExt, stream};
 
@@ -63,7 +65,7 @@ pub fn spared(
     let inputs: Vec<_> = inputs.collect::<Result<_>>()?;
     match inputs.is_empty() {
         true => Ok(None),
-        false => Arc::clone(plan).with_new_children(inputs).map(Some),
+        false => replace_children_if_necessary(Arc::clone(plan), inputs).map(Some),
     }
 }
 
