@@ -114,6 +114,18 @@ fn a_drive_without_cameras_is_no_part_of_a_metric_map() {
 }
 
 #[test]
+fn a_session_of_which_nothing_came_out_is_counted_among_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let paths = ["drive", "still"].map(|name| folder.path().join(format!("{name}.mcap")));
+    write_drive(&paths[0], rectangle(30.0, 20.0, 1.0));
+    write_drive(&paths[1], [(0.0, f64::NAN, 0.0, 0.0)]);
+    let map = folder.path().join("map");
+    let counted = run("trajectory", &map, &[&paths[0], &paths[1]], &[]).expect(3);
+    let said = "session of which nothing came out: still";
+    assert!(counted.stderr.contains(said), "{}", counted.stderr);
+}
+
+#[test]
 fn inspect_says_which_topic_plays_which_role_and_which_plans_can_run() {
     let folder = tempfile::tempdir().unwrap();
     let drive = folder.path().join("drive.mcap");

@@ -517,6 +517,36 @@ fn another_plan_between_is_told() {
 }
 
 #[test]
+fn after_another_plan_all_sessions_are_new_and_done_again_nothing_is_told() {
+    let world = World::new();
+    let a = world.drive("a", 20.0);
+    let (map, other) = (world.path("map"), world.path("other.yaml"));
+    let lines = [
+        "plan: other",
+        "steps:",
+        "  drive: { op: keyframes, in: { odometry: odometry } }",
+        "write: [drive]",
+    ];
+    std::fs::write(&other, lines.join("\n")).unwrap();
+    let (other, map) = (text(&other), text(&map));
+    let site = ["--site", "lot", "--progress", "none"];
+    let before = [
+        &["run", other, "--map", map, "--sessions", text(&a)],
+        &site[..],
+    ]
+    .concat();
+    evermap(&before).expect(0);
+    let told = world.run(&[&a]).stderr;
+    assert!(told.contains("all sessions are new to this one"), "{told}");
+    assert_eq!(world.new_sessions()[0]["session"], "a");
+    let new = "SELECT count(*) AS lanes FROM new_lanes";
+    assert_ne!(world.query(new)[0]["lanes"], 0);
+    let again = world.run(&[&a]).stderr;
+    assert!(!again.contains("has no layer"), "{again}");
+    assert!(again.contains("nothing has changed"), "{again}");
+}
+
+#[test]
 fn what_another_plan_wrote_under_a_steps_name_is_told() {
     let world = World::new();
     let a = world.drive("a", 20.0);

@@ -134,6 +134,8 @@ pub struct Prepared {
     pub store: Store,
     /// What the plan reads of the version before, though that version does not have it.
     pub missing: Vec<String>,
+    /// Whether that is all that it reads of it, so that every session is new.
+    pub begins_anew: bool,
     /// Roles that the plan reads and that no session plays.
     pub unplayed: Unplayed,
     /// Names of the sessions that were given.
@@ -215,10 +217,9 @@ impl Prepared {
         let needs = Needs::of_program(&program, registry);
         let idle = idle(&needs, &given, &played)?;
         let unplayed = needs.unplayed(&program, &played);
-        let missing = match &base {
-            Some(base) => Previous::of(&program, &sessions, Some(base))?.missing(&program),
-            None => Vec::new(),
-        };
+        let before = base.as_ref();
+        let missing = before.map_or_else(Vec::new, |base| Previous::missing(&program, base));
+        let begins_anew = before.is_some_and(|base| Previous::begins_anew(&program, base));
         Ok(Self {
             unplayed,
             unreadable: unreadable(&given),
@@ -234,6 +235,7 @@ impl Prepared {
             base,
             store,
             missing,
+            begins_anew,
             fresh,
         })
     }

@@ -1,11 +1,13 @@
 //! `evermap run`.
 
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use evermap_contract::Registry;
 #[cfg(feature = "cluster")]
 use evermap_engine::cluster::ClusterRunner;
 use evermap_engine::map::Map;
+use evermap_engine::map::version::Version;
 use evermap_engine::preflight::in_words;
 use evermap_engine::prepare::{Prepared, Replaced};
 use evermap_engine::run::record::record_run;
@@ -71,20 +73,30 @@ pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
     lost.0.extend(
         idle.map(|(session, lacks)| (format!("session without {}: {session}", in_words(lacks)), 1)),
     );
-    if result
-        .version
-        .layers
-        .values()
-        .all(|layer| layer.rows() == 0)
-    {
-        lost.0.insert(
-            "run of which nothing came out: no layer has rows".to_owned(),
-            1,
-        );
-    }
+    lost.0.extend(empty(&result.version, &prepared));
     let map = Map::of(prepared.store, result.version);
     print_layers(&map, Format::Table).await?;
     Ok(lost)
+}
+
+/// That nothing came out of a run, or of some of the sessions given: of a log whose topics have nothing that makes sense.
+fn empty(version: &Version, prepared: &Prepared) -> BTreeMap<String, u64> {
+    let artifacts = || version.layers.values().flat_map(|layer| &layer.artifacts);
+    if artifacts().all(|artifact| artifact.rows == 0) {
+        let nothing = "run of which nothing came out: no layer has rows".to_owned();
+        return BTreeMap::from([(nothing, 1)]);
+    }
+    let mut rows = BTreeMap::<&str, u64>::new();
+    for artifact in artifacts() {
+        if let Some(session) = &artifact.extent.session {
+            *rows.entry(session).or_default() += artifact.rows;
+        }
+    }
+    let is_idle = |name: &String| prepared.idle.iter().any(|(session, _)| session == name);
+    let given = prepared.given.iter().filter(|name| !is_idle(name));
+    let empty = given.filter(|name| rows.get(name.as_str()) == Some(&0));
+    let told = empty.map(|name| (format!("session of which nothing came out: {name}"), 1));
+    told.collect()
 }
 
 /// Two logs of one name are most often two drives, in two folders.
@@ -103,6 +115,13 @@ fn is_another_log(replaced: &Replaced) -> Fault {
 /// A layer of the version before that is not there reads as empty: right for a new step, a surprise after another plan.
 fn warn_of_missing(prepared: &Prepared) {
     let version = prepared.base.as_ref().map_or(0, |base| base.version);
+    if prepared.begins_anew {
+        let layers = prepared.missing.join(", ");
+        line(&format!(
+            "note: version {version} has no layer {layers}: another plan made it, and all sessions are new to this one"
+        ));
+        return;
+    }
     for layer in &prepared.missing {
         line(&format!(
             "warning: version {version} has no layer {layer}, which the plan reads as previous.{layer}; it reads as empty"

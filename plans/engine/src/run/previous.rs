@@ -32,12 +32,20 @@ impl Previous {
             let held = base.layers.get(name)?;
             Some((name.clone(), held.artifacts.clone()))
         });
+        let had = |log: &LogContent| !Self::begins_anew(program, base) && holds(sessions, log);
         Ok(Self {
             version: base.version,
             layers: layers.collect(),
             replaced: sessions_of(base, |log| !holds(sessions, log)),
-            sessions: sessions_of(base, |log| holds(sessions, log)),
+            sessions: sessions_of(base, had),
         })
+    }
+
+    /// Whether a version has none of the layers that a program reads of the version before: another plan made it, and its
+    /// sessions are new to this one.
+    pub fn begins_anew(program: &Program, base: &Version) -> bool {
+        let read = names(&program.stages);
+        !read.is_empty() && Self::missing(program, base).len() == read.len()
     }
 
     /// The layers that these stages read, as far as they concern a site; everything where none is given.
@@ -65,15 +73,15 @@ impl Previous {
         names.map(|name| (name.clone(), layer(name))).collect()
     }
 
-    /// Whether the version before did not have a session, or had another log of it.
+    /// Whether the version before did not have a session, had another log of it, or has nothing of any.
     pub fn is_new(&self, session: &str) -> bool {
         !self.sessions.iter().any(|held| held == session)
     }
 
-    /// Layers that the program reads of the version before, which that version does not have.
-    pub fn missing(&self, program: &Program) -> Vec<String> {
+    /// Layers that a program reads of the version before, which that version does not have.
+    pub fn missing(program: &Program, base: &Version) -> Vec<String> {
         let mut missing = names(&program.stages);
-        missing.retain(|name| !self.layers.contains_key(*name));
+        missing.retain(|name| !base.layers.contains_key(*name));
         missing.into_iter().cloned().collect()
     }
 }
