@@ -103,6 +103,8 @@ fn a_drive_without_cameras_is_no_part_of_a_metric_map() {
         inspected.contains(&format!("lifelong     lacks {lacks}")),
         "{inspected}"
     );
+    // Labels need no camera.
+    run("labels", &folder.path().join("labels"), &[&drive], &[]).expect(0);
     // Where it is on earth is asked of no session, and of the run.
     let refused = run("georeference", &map, &[&drive], &[]).expect(1).stderr;
     let said = "expected gnss_fixes (step antenna_positions)";

@@ -60,7 +60,7 @@ fn a_sound_plan_is_read_whole() {
     let order: Vec<&str> = plan.steps.iter().map(|step| step.name.as_str()).collect();
     assert_eq!(order, ["keys", "tiles", "relabelled", "more"]);
     let tiles = plan.step("tiles").unwrap();
-    assert_eq!((tiles.position.line, tiles.position.column), (7, 3));
+    assert_eq!((tiles.position.line, tiles.position.column), (8, 3));
     let Body::Op { op, params } = &tiles.body else {
         panic!("{tiles:?}")
     };

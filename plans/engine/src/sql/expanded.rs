@@ -163,7 +163,7 @@ fn groupings(group_by: &GroupByExpr) -> u64 {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use crate::sql::{Limits, context, read_only};
+    use crate::sql::{Limits, STACK_BYTES, context, read_only};
 
     /// Tables that each name the one before so many times.
     fn chain(tables: usize, times: usize) -> String {
@@ -180,8 +180,18 @@ mod tests {
         )
     }
 
-    #[tokio::test]
-    async fn what_with_and_cube_make_exponentially_larger_is_refused_before_it_is_planned() {
+    #[test]
+    fn what_with_and_cube_make_exponentially_larger_is_refused_before_it_is_planned() {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .build()
+            .unwrap();
+        let asked = std::thread::Builder::new()
+            .stack_size(STACK_BYTES)
+            .spawn(move || runtime.block_on(ask()));
+        asked.unwrap().join().unwrap();
+    }
+
+    async fn ask() {
         let context = context(Limits::one_partition()).unwrap();
         let cube = |columns: usize| {
             let columns = (0..columns).map(|n| format!("c{n}"));
