@@ -173,12 +173,16 @@ def quoted(query):
     return urllib.parse.quote(query.rstrip(b"\0")).encode()
 
 
-def silent(http, postgres):
+HALF_A_HEAD = b"GET /health HTTP/1.1\r\nHost: "
+HALF_A_BODY = b"POST /sql HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\nSELECT"
+
+
+def silent(http, postgres, half):
     """Connections that say nothing, or half of something, are closed within seconds and keep nobody out."""
     begun = time.monotonic()
     halves = [opened(postgres) for _ in range(300)] + [opened(http) for _ in range(300)]
     for stream in halves[300:]:
-        stream.sendall(b"GET /health HTTP/1.1\r\nHost: ")
+        stream.sendall(half)
     code, _ = status(http + "/health")
     check(code == 200, f"HTTP beside connections that say nothing: {code}")
     with connect(postgres) as connection:
@@ -359,7 +363,10 @@ def main(kind, http, postgres, ca=None):
         malformed(postgres, b"", BEGINNINGS)
         parameters(postgres)
         paths(http)
-        silent(http, postgres)
+        silent(http, postgres, HALF_A_HEAD)
+        silent(http, postgres, HALF_A_BODY)
+        code, answer = status(http + "/sql", data=b" " * (2 << 20) + b"SELECT 1")
+        check(code == 413 and b'"error"' in answer, f"a body that is too long: {code} {answer[:200]!r}")
         code, _ = status(http + query, {"Host": "evil.example"})
         check(code == 403, f"a page of elsewhere: {code}")
         door = http_client.HTTPConnection(http)
