@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
-use evermap_tests::{Finished, command, evermap, rectangle, text, write_drive};
+use evermap_tests::{Finished, command, evermap, program, rectangle, text, write_drive};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -349,6 +349,54 @@ fn torn_receipts_versions_and_records_of_runs_are_ignored_and_said() {
     std::fs::remove_file(&run).unwrap();
     mapped.evermap("verify", &[]).expect(0);
     assert!(!mapped.map.join("versions/2.json").exists());
+}
+
+/// A pipe in the place of a file: whoever opened it would wait for ever.
+#[test]
+fn what_is_no_file_holds_nobody_up_and_is_said_and_made_anew() {
+    let mapped = Mapped::new();
+    let lanes = mapped.query("SELECT * FROM lanes ORDER BY lane");
+    let receipts = std::fs::read_dir(mapped.map.join("receipts")).unwrap();
+    let receipts = receipts.map(|receipt| receipt.unwrap().path());
+    let mut pipes: Vec<PathBuf> = receipts.chain(mapped.artifacts("lanes")).collect();
+    for path in &pipes {
+        std::fs::remove_file(path).unwrap();
+    }
+    let (version, record) = ("versions/3.json", "runs/000003-pipe.parquet");
+    pipes.extend([version, record].map(|name| mapped.map.join(name)));
+    let made = std::process::Command::new("mkfifo").args(&pipes).status();
+    assert!(made.unwrap().success());
+    let in_time = |command: &str, more: &[&str]| -> Finished {
+        let mut limited = std::process::Command::new("timeout");
+        limited.arg("120").arg(program());
+        limited.args([command, "--map", text(&mapped.map)]);
+        limited.args(more).output().unwrap().into()
+    };
+
+    let asked = in_time("sql", &["SELECT count(*) FROM poses"]).expect(0);
+    let said = "version 3 is ignored";
+    assert!(asked.stderr.contains(said), "{}", asked.stderr);
+    let asked = in_time("sql", &["SELECT count(*) FROM lanes"]).expect(1);
+    assert!(asked.stderr.contains("found no file"), "{}", asked.stderr);
+    let asked = in_time("sql", &["SELECT count(*) FROM runs"]).expect(0);
+    assert!(asked.stderr.contains(record), "{}", asked.stderr);
+    let found = in_time("verify", &["--format", "json"]).expect(1).json();
+    let found = found.as_array().unwrap().iter();
+    let found = found.filter_map(|finding| finding["found"].as_str());
+    let found = found.filter(|found| found.ends_with("a named pipe"));
+    assert_eq!(found.count(), pipes.len());
+
+    let log = mapped.log("b");
+    let plan = ["--progress", "none", "--sessions", text(&log)];
+    let mut run = std::process::Command::new("timeout");
+    run.arg("300").arg(program());
+    run.args(["run", "trajectory", "--map", text(&mapped.map)]);
+    let ran: Finished = run.args(plan).output().unwrap().into();
+    assert!(ran.expect(0).stderr.contains("a named pipe"));
+    assert_eq!(mapped.query("SELECT * FROM lanes ORDER BY lane"), lanes);
+    mapped.evermap("gc", &["--keep", "1"]).expect(0);
+    std::fs::remove_file(mapped.map.join(record)).unwrap();
+    mapped.evermap("verify", &[]).expect(0);
 }
 
 /// One bit within its rows is enough: a record is named by its digest, as an artifact is.
