@@ -399,6 +399,39 @@ fn what_is_no_file_holds_nobody_up_and_is_said_and_made_anew() {
     mapped.evermap("verify", &[]).expect(0);
 }
 
+/// It has a number, which is nobody's, as that of a torn one is.
+#[test]
+fn a_folder_in_the_place_of_a_version_is_ignored_and_said() {
+    let mapped = Mapped::new();
+    let poses = mapped.query("SELECT count(*) AS n FROM poses");
+    std::fs::create_dir(mapped.map.join("versions/3.json")).unwrap();
+    let asked = mapped.evermap(
+        "sql",
+        &["--format", "json", "SELECT count(*) AS n FROM poses"],
+    );
+    let said = "version 3 is ignored";
+    assert!(asked.stderr.contains(said), "{}", asked.stderr);
+    assert_eq!(asked.expect(0).json(), poses);
+    let found = mapped
+        .evermap("verify", &["--format", "json"])
+        .expect(1)
+        .json();
+    assert_eq!(found.as_array().unwrap().len(), 1, "{found}");
+    assert_eq!(found[0]["file"], "versions/3.json");
+    assert_eq!(found[0]["state"], "unreadable");
+    assert!(found[0]["found"].as_str().unwrap().ends_with("a folder"));
+
+    write_drive(&mapped.log("c"), rectangle(25.0, 15.0, 1.0));
+    mapped.run("c").expect(0);
+    let versions = mapped.query("SELECT version FROM versions ORDER BY version");
+    assert_eq!(
+        versions,
+        json!([{ "version": 1 }, { "version": 2 }, { "version": 4 }])
+    );
+    mapped.evermap("gc", &["--keep", "1"]).expect(0);
+    mapped.evermap("verify", &[]).expect(0);
+}
+
 /// One bit within its rows is enough: a record is named by its digest, as an artifact is.
 #[test]
 fn a_record_of_a_run_that_was_changed_is_ignored_and_said() {

@@ -135,15 +135,34 @@ impl Folder {
         self.renamed(&from, &to)
     }
 
-    /// Removes a file; one that is not there is fine.
+    /// Removes a file, or an empty folder in its place; one that is not there is fine.
     ///
     /// # Errors
     /// What the file system says.
     pub fn remove(&self, name: &str) -> Result<()> {
-        match std::fs::remove_file(self.path(name)) {
+        let path = self.path(name);
+        let removed = match std::fs::remove_file(&path) {
+            Err(error) if error.kind() == ErrorKind::IsADirectory => std::fs::remove_dir(&path),
+            removed => removed,
+        };
+        match removed {
             Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
             _ => Ok(()),
         }
+    }
+
+    /// The names in a folder, also of what is no file.
+    ///
+    /// # Errors
+    /// What the file system says.
+    pub fn names(&self, folder: &str) -> Result<Vec<String>> {
+        let entries = match std::fs::read_dir(self.path(folder)) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+            entries => entries?,
+        };
+        entries
+            .map(|entry| Ok(format!("{folder}/{}", entry?.file_name().display())))
+            .collect()
     }
 
     /// The files on their way that have not changed since, with their sizes, sorted.

@@ -291,6 +291,19 @@ impl Store {
         Ok(names(folder, self.objects_in(folder).await?))
     }
 
+    /// The names in a folder, also of what stands there in the place of a file.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn names(&self, folder: &str) -> Result<Vec<String>, Fault> {
+        if let Some(local) = &self.folder {
+            let owned = folder.to_owned();
+            return local.with(folder, move |local| local.names(&owned)).await;
+        }
+        let listed = self.list(folder).await?.into_iter();
+        Ok(listed.map(|(name, _)| name).collect())
+    }
+
     /// What the store says of all that is in a folder.
     ///
     /// # Errors
