@@ -432,6 +432,58 @@ fn a_folder_in_the_place_of_a_version_is_ignored_and_said() {
     mapped.evermap("verify", &[]).expect(0);
 }
 
+/// Rows that are whole, and those of another session or layer.
+#[test]
+fn a_receipt_that_leads_to_rows_of_another_unit_is_said_and_the_work_done_again() {
+    let mapped = Mapped::new();
+    let count = "SELECT count(*) AS n FROM poses WHERE session = 'b'";
+    let poses = mapped.query(count);
+    let receipts = std::fs::read_dir(mapped.map.join("receipts")).unwrap();
+    let receipts = receipts.map(|receipt| {
+        let path = receipt.unwrap().path();
+        let text = std::fs::read(&path).unwrap();
+        (path, serde_json::from_slice(&text).unwrap())
+    });
+    let receipts: Vec<(PathBuf, Value)> = receipts.collect();
+    let of = |stage: &str, session: &str| {
+        let mut found = receipts.iter().filter(|(_, receipt)| {
+            let stages = receipt["recipe"]["stages"].as_array().unwrap();
+            stages.last().unwrap()["name"] == stage && receipt["recipe"]["session"] == session
+        });
+        found.next().unwrap()
+    };
+    for (told, rows) in [
+        (of("keyframes", "b"), of("keyframes", "a")),
+        (of("poses", "b"), of("keyframes", "b")),
+    ] {
+        let ((path, told), (_, rows)) = (told, rows);
+        let mut told = told.clone();
+        told["artifact"] = rows["artifact"].clone();
+        std::fs::write(path, told.to_string()).unwrap();
+    }
+    let found = mapped.evermap("verify", &["--format", "json"]).expect(1);
+    assert_eq!(found.json().as_array().unwrap().len(), 2);
+    // Nothing else says what the rows are of.
+    std::fs::remove_dir_all(mapped.map.join("versions")).unwrap();
+    let found = mapped.evermap("verify", &["--format", "json"]).expect(1);
+    let is_damaged = |finding: &&Value| finding["state"] == "damaged";
+    let found = found.json();
+    assert_eq!(
+        found.as_array().unwrap().iter().filter(is_damaged).count(),
+        1
+    );
+
+    let ran = mapped.run("b").expect(0);
+    for said in [
+        "expected rows of b, found rows of a",
+        "expected rows of a query, found rows of layer keyframes",
+    ] {
+        assert!(ran.stderr.contains(said), "{}", ran.stderr);
+    }
+    assert_eq!(mapped.query(count), poses);
+    mapped.evermap("verify", &[]).expect(0);
+}
+
 /// One bit within its rows is enough: a record is named by its digest, as an artifact is.
 #[test]
 fn a_record_of_a_run_that_was_changed_is_ignored_and_said() {
