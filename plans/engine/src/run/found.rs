@@ -17,29 +17,23 @@ impl Run<'_> {
     /// of no operator.
     ///
     /// # Errors
-    /// As [`Sound::receipt`], and a data fault for a file that does not read.
+    /// As [`Sound::receipt`].
     pub async fn found(
         &self,
         (sound, held): (&Sound<'_>, &Held<'_>),
         unit: &Pending,
         digest: &str,
     ) -> Result<Option<(Receipt, Option<Damage>)>, Fault> {
-        let (receipt, damage) = match sound.receipt(digest).await? {
+        Ok(match sound.receipt(digest).await? {
             Some((receipt, None)) => {
-                let damage = self.misfit(held, unit, &receipt).await?;
-                (receipt, damage)
+                let damage = self.misfit(held, unit, &receipt).await;
+                Some((receipt, damage))
             }
-            found => return Ok(found),
-        };
-        Ok(Some((receipt, damage)))
+            found => found,
+        })
     }
 
-    async fn misfit(
-        &self,
-        held: &Held<'_>,
-        unit: &Pending,
-        receipt: &Receipt,
-    ) -> Result<Option<Damage>, Fault> {
+    async fn misfit(&self, held: &Held<'_>, unit: &Pending, receipt: &Receipt) -> Option<Damage> {
         let (artifact, place) = (&receipt.artifact, &unit.place);
         let damage = |expected: String, found: String| Damage {
             file: Receipt::name(&receipt.digest),
@@ -48,40 +42,38 @@ impl Run<'_> {
         };
         if artifact.extent != place.extent {
             let [expected, found] = [&place.extent, &artifact.extent].map(|of| of.label("rows"));
-            return Ok(Some(damage(expected, found)));
+            return Some(damage(expected, found));
         }
         if held.artifact(place, &receipt.digest) == Some(artifact) {
-            return Ok(None);
+            return None;
         }
         let layer = unit
             .stages
             .last()
             .and_then(|stage| stage.layer(self.registry));
-        let found = self.other_columns(artifact, layer.as_ref()).await?;
+        let found = self.other_columns(artifact, layer.as_ref()).await;
         let expected = match layer {
             Some(layer) => format!("rows of layer {}", layer.name),
             None => "rows of a query".to_owned(),
         };
-        Ok(found.map(|found| damage(expected, found)))
+        found.map(|found| damage(expected, found))
     }
 
     /// How the columns of a file differ from those of a layer, or of what is none.
-    async fn other_columns(
-        &self,
-        artifact: &Artifact,
-        layer: Option<&Layer>,
-    ) -> Result<Option<String>, Fault> {
-        let columns = columns_of(self.store, artifact).await?;
+    async fn other_columns(&self, artifact: &Artifact, layer: Option<&Layer>) -> Option<String> {
+        let Ok(columns) = columns_of(self.store, artifact).await else {
+            return Some("a file that does not read".to_owned());
+        };
         let written = columns.metadata().get(Layer::SAID_AS);
         if written.map(String::as_str) != layer.map(|layer| layer.name) {
-            return Ok(Some(match written {
+            return Some(match written {
                 Some(name) => format!("rows of layer {name}"),
                 None => "rows of a query".to_owned(),
-            }));
+            });
         }
         let wanted = layer.into_iter().flat_map(|layer| &layer.columns);
         let mut wanted = wanted.map(|column| column.name);
         let missing = wanted.find(|name| columns.field_with_name(name).is_err());
-        Ok(missing.map(|name| format!("rows without {name}")))
+        missing.map(|name| format!("rows without {name}"))
     }
 }
