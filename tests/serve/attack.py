@@ -7,6 +7,7 @@
 """
 
 import http.client as http_client
+import json
 import re
 import socket
 import ssl
@@ -348,9 +349,31 @@ def paths(http):
         "/sql?query=SELECT%201&version=999",
         "/sql",
         "//etc/passwd",
+        "/nothing",
+        "/maps/map/nothing",
+        "/layers/poses?format=xlsx",
+        "/layers/poses?bogus=1",
+        "/layers/poses?version=-1",
+        "/layers/%ff",
+        "/images?session=monday&camera=a&stamp=99999999999999999999",
+        "/teach/lot?stamp=soon",
+        "/teach/lot/spot?revision=-1",
+        "/foxglove",
     ]:
         code, body = status(http + path)
         check(400 <= code < 500 and b"root:" not in body, f"{path}: {code} {body[:100]!r}")
+        check(is_refusal(body), f"{path}: no reason: {body[:100]!r}")
+    for path in ["/layers", "/maps/map/layers", "/health"]:
+        code, body = status(http + path, data=b"more")
+        check(code == 405 and is_refusal(body) and path.encode() in body, f"POST {path}: {code} {body[:100]!r}")
+
+
+def is_refusal(body):
+    """Whether it is what all errors are, an object of JSON."""
+    try:
+        return set(json.loads(body)) == {"error", "place", "next"}
+    except ValueError:
+        return False
 
 
 def main(kind, http, postgres, ca=None):

@@ -36,7 +36,7 @@ use crate::serve::answer::Bounds;
 use crate::serve::flight;
 use crate::serve::http::heard::Heard;
 use crate::serve::http::metrics::Counts;
-pub use crate::serve::http::refusal::Refusal;
+pub use crate::serve::http::refusal::{Asks, Refusal};
 use crate::serve::maps::{Maps, ServedMap};
 use crate::serve::patience::{Asked, attend, waiting};
 use crate::serve::teach::Teaching;
@@ -135,6 +135,8 @@ fn router(maps: Maps, access: Access, bounds: Bounds, teaching: Option<Arc<Teach
         .route("/maps", get(rows::maps))
         .route("/health", get(|| async { "ok\n" }))
         .route("/metrics", get(metrics::metrics))
+        .fallback(refusal::unknown)
+        .method_not_allowed_fallback(refusal::other_method)
         .layer(from_fn(heard::whole))
         .route_service(flight::PATH, flight)
         .layer(from_fn_with_state(app.clone(), metrics::counted))
