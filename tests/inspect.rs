@@ -377,6 +377,41 @@ fn names_that_move_a_cursor_are_escaped() {
     }
 }
 
+/// A topic whose name has a line break, and a tab, is on one line.
+#[test]
+fn names_that_break_a_line_are_escaped() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    let mut log = mcap::Writer::new(std::fs::File::create(&path).unwrap()).unwrap();
+    let schema = log.add_schema("S\n", "jsonschema", b"{\"type\": \"object\"}");
+    let topic = "/a\nloss\tat byte 7";
+    let channel = log.add_channel(schema.unwrap(), topic, "json", &Default::default());
+    let header = mcap::records::MessageHeader {
+        channel_id: channel.unwrap(),
+        sequence: 0,
+        log_time: 1,
+        publish_time: 1,
+    };
+    log.write_to_known_channel(&header, b"{}").unwrap();
+    let metadata = mcap::records::Metadata {
+        name: "of\nit".to_owned(),
+        metadata: Default::default(),
+    };
+    log.write_metadata(&metadata).unwrap();
+    log.finish().unwrap();
+    let told = evermap(&["inspect", text(&path)]);
+    for line in [
+        "/a\\nloss\\tat byte 7  S\\n [json, jsonschema]",
+        "metadata     of\\nit",
+    ] {
+        let mut lines = told.stdout.lines();
+        assert!(lines.any(|told| told.contains(line)), "{}", told.stdout);
+    }
+    // Programs get the names as they are.
+    let told = evermap(&["inspect", "--json", text(&path)]).json();
+    assert_eq!(told["channels"][0]["topic"], topic);
+}
+
 /// Writes a log of two seconds with the odometry of two robots on `/tf`, 0.1 and 0.2 m a message ahead.
 fn write_robots(path: &Path) {
     let mut log = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();

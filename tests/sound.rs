@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
-use evermap_tests::{Finished, command, evermap, rectangle, text, write_drive};
+use evermap_tests::{Finished, command, evermap, program, rectangle, text, write_drive};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -349,6 +349,139 @@ fn torn_receipts_versions_and_records_of_runs_are_ignored_and_said() {
     std::fs::remove_file(&run).unwrap();
     mapped.evermap("verify", &[]).expect(0);
     assert!(!mapped.map.join("versions/2.json").exists());
+}
+
+/// A pipe in the place of a file: whoever opened it would wait for ever.
+#[test]
+fn what_is_no_file_holds_nobody_up_and_is_said_and_made_anew() {
+    let mapped = Mapped::new();
+    let lanes = mapped.query("SELECT * FROM lanes ORDER BY lane");
+    let receipts = std::fs::read_dir(mapped.map.join("receipts")).unwrap();
+    let receipts = receipts.map(|receipt| receipt.unwrap().path());
+    let mut pipes: Vec<PathBuf> = receipts.chain(mapped.artifacts("lanes")).collect();
+    for path in &pipes {
+        std::fs::remove_file(path).unwrap();
+    }
+    let (version, record) = ("versions/3.json", "runs/000003-pipe.parquet");
+    pipes.extend([version, record].map(|name| mapped.map.join(name)));
+    let made = std::process::Command::new("mkfifo").args(&pipes).status();
+    assert!(made.unwrap().success());
+    let in_time = |command: &str, more: &[&str]| -> Finished {
+        let mut limited = std::process::Command::new("timeout");
+        limited.arg("120").arg(program());
+        limited.args([command, "--map", text(&mapped.map)]);
+        limited.args(more).output().unwrap().into()
+    };
+
+    let asked = in_time("sql", &["SELECT count(*) FROM poses"]).expect(0);
+    let said = "version 3 is ignored";
+    assert!(asked.stderr.contains(said), "{}", asked.stderr);
+    let asked = in_time("sql", &["SELECT count(*) FROM lanes"]).expect(1);
+    assert!(asked.stderr.contains("found no file"), "{}", asked.stderr);
+    let asked = in_time("sql", &["SELECT count(*) FROM runs"]).expect(0);
+    assert!(asked.stderr.contains(record), "{}", asked.stderr);
+    let found = in_time("verify", &["--format", "json"]).expect(1).json();
+    let found = found.as_array().unwrap().iter();
+    let found = found.filter_map(|finding| finding["found"].as_str());
+    let found = found.filter(|found| found.ends_with("a named pipe"));
+    assert_eq!(found.count(), pipes.len());
+
+    let log = mapped.log("b");
+    let plan = ["--progress", "none", "--sessions", text(&log)];
+    let mut run = std::process::Command::new("timeout");
+    run.arg("300").arg(program());
+    run.args(["run", "trajectory", "--map", text(&mapped.map)]);
+    let ran: Finished = run.args(plan).output().unwrap().into();
+    assert!(ran.expect(0).stderr.contains("a named pipe"));
+    assert_eq!(mapped.query("SELECT * FROM lanes ORDER BY lane"), lanes);
+    mapped.evermap("gc", &["--keep", "1"]).expect(0);
+    std::fs::remove_file(mapped.map.join(record)).unwrap();
+    mapped.evermap("verify", &[]).expect(0);
+}
+
+/// It has a number, which is nobody's, as that of a torn one is.
+#[test]
+fn a_folder_in_the_place_of_a_version_is_ignored_and_said() {
+    let mapped = Mapped::new();
+    let poses = mapped.query("SELECT count(*) AS n FROM poses");
+    std::fs::create_dir(mapped.map.join("versions/3.json")).unwrap();
+    let asked = mapped.evermap(
+        "sql",
+        &["--format", "json", "SELECT count(*) AS n FROM poses"],
+    );
+    let said = "version 3 is ignored";
+    assert!(asked.stderr.contains(said), "{}", asked.stderr);
+    assert_eq!(asked.expect(0).json(), poses);
+    let found = mapped
+        .evermap("verify", &["--format", "json"])
+        .expect(1)
+        .json();
+    assert_eq!(found.as_array().unwrap().len(), 1, "{found}");
+    assert_eq!(found[0]["file"], "versions/3.json");
+    assert_eq!(found[0]["state"], "unreadable");
+    assert!(found[0]["found"].as_str().unwrap().ends_with("a folder"));
+
+    write_drive(&mapped.log("c"), rectangle(25.0, 15.0, 1.0));
+    mapped.run("c").expect(0);
+    let versions = mapped.query("SELECT version FROM versions ORDER BY version");
+    assert_eq!(
+        versions,
+        json!([{ "version": 1 }, { "version": 2 }, { "version": 4 }])
+    );
+    mapped.evermap("gc", &["--keep", "1"]).expect(0);
+    mapped.evermap("verify", &[]).expect(0);
+}
+
+/// Rows that are whole, and those of another session or layer.
+#[test]
+fn a_receipt_that_leads_to_rows_of_another_unit_is_said_and_the_work_done_again() {
+    let mapped = Mapped::new();
+    let count = "SELECT count(*) AS n FROM poses WHERE session = 'b'";
+    let poses = mapped.query(count);
+    let receipts = std::fs::read_dir(mapped.map.join("receipts")).unwrap();
+    let receipts = receipts.map(|receipt| {
+        let path = receipt.unwrap().path();
+        let text = std::fs::read(&path).unwrap();
+        (path, serde_json::from_slice(&text).unwrap())
+    });
+    let receipts: Vec<(PathBuf, Value)> = receipts.collect();
+    let of = |stage: &str, session: &str| {
+        let mut found = receipts.iter().filter(|(_, receipt)| {
+            let stages = receipt["recipe"]["stages"].as_array().unwrap();
+            stages.last().unwrap()["name"] == stage && receipt["recipe"]["session"] == session
+        });
+        found.next().unwrap()
+    };
+    for (told, rows) in [
+        (of("keyframes", "b"), of("keyframes", "a")),
+        (of("poses", "b"), of("keyframes", "b")),
+    ] {
+        let ((path, told), (_, rows)) = (told, rows);
+        let mut told = told.clone();
+        told["artifact"] = rows["artifact"].clone();
+        std::fs::write(path, told.to_string()).unwrap();
+    }
+    let found = mapped.evermap("verify", &["--format", "json"]).expect(1);
+    assert_eq!(found.json().as_array().unwrap().len(), 2);
+    // Nothing else says what the rows are of.
+    std::fs::remove_dir_all(mapped.map.join("versions")).unwrap();
+    let found = mapped.evermap("verify", &["--format", "json"]).expect(1);
+    let is_damaged = |finding: &&Value| finding["state"] == "damaged";
+    let found = found.json();
+    assert_eq!(
+        found.as_array().unwrap().iter().filter(is_damaged).count(),
+        1
+    );
+
+    let ran = mapped.run("b").expect(0);
+    for said in [
+        "expected rows of b, found rows of a",
+        "expected rows of a query, found rows of layer keyframes",
+    ] {
+        assert!(ran.stderr.contains(said), "{}", ran.stderr);
+    }
+    assert_eq!(mapped.query(count), poses);
+    mapped.evermap("verify", &[]).expect(0);
 }
 
 /// One bit within its rows is enough: a record is named by its digest, as an artifact is.

@@ -173,6 +173,26 @@ fn check_file(path: &FilePath) -> Result<(), Fault> {
         .at(path.display()))
 }
 
+/// What stands at a path in the place of a file: a folder, what has no end or waits for ever for one (a pipe, a socket, a device), or
+/// a link that leads nowhere. `None` for a file.
+///
+/// # Errors
+/// What the file system says; `NotFound` where there is nothing.
+pub fn no_file(path: &FilePath) -> std::io::Result<Option<&'static str>> {
+    let kind = match std::fs::metadata(path) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            path.symlink_metadata()?;
+            return Ok(Some("a link that leads nowhere"));
+        }
+        found => found?.file_type(),
+    };
+    Ok(match () {
+        () if kind.is_file() => None,
+        () if kind.is_dir() => Some("a folder"),
+        () => Some(special(kind)),
+    })
+}
+
 /// What a person wrote is not as large: plans, manifests, labels of other programs.
 const LARGEST_TEXT: u64 = 256 << 20;
 

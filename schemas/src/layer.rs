@@ -27,11 +27,14 @@ pub struct Layer {
 }
 
 impl Layer {
+    /// The metadata in which a schema, and a file, says whose rows it has; those of queries have none.
+    pub const SAID_AS: &str = "evermap.layer";
+
     /// The Arrow schema; units and frames are field metadata, name and version schema metadata.
     pub fn schema(&self) -> SchemaRef {
         let fields: Vec<_> = self.columns.iter().map(Column::field).collect();
         let metadata = HashMap::from([
-            ("evermap.layer".to_owned(), self.name.to_owned()),
+            (Self::SAID_AS.to_owned(), self.name.to_owned()),
             ("evermap.layer_version".to_owned(), self.version.to_string()),
         ]);
         Arc::new(Schema::new_with_metadata(fields, metadata))

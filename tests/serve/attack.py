@@ -7,6 +7,7 @@
 """
 
 import http.client as http_client
+import json
 import re
 import socket
 import ssl
@@ -173,12 +174,16 @@ def quoted(query):
     return urllib.parse.quote(query.rstrip(b"\0")).encode()
 
 
-def silent(http, postgres):
+HALF_A_HEAD = b"GET /health HTTP/1.1\r\nHost: "
+HALF_A_BODY = b"POST /sql HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\nSELECT"
+
+
+def silent(http, postgres, half):
     """Connections that say nothing, or half of something, are closed within seconds and keep nobody out."""
     begun = time.monotonic()
     halves = [opened(postgres) for _ in range(300)] + [opened(http) for _ in range(300)]
     for stream in halves[300:]:
-        stream.sendall(b"GET /health HTTP/1.1\r\nHost: ")
+        stream.sendall(half)
     code, _ = status(http + "/health")
     check(code == 200, f"HTTP beside connections that say nothing: {code}")
     with connect(postgres) as connection:
@@ -344,9 +349,31 @@ def paths(http):
         "/sql?query=SELECT%201&version=999",
         "/sql",
         "//etc/passwd",
+        "/nothing",
+        "/maps/map/nothing",
+        "/layers/poses?format=xlsx",
+        "/layers/poses?bogus=1",
+        "/layers/poses?version=-1",
+        "/layers/%ff",
+        "/images?session=monday&camera=a&stamp=99999999999999999999",
+        "/teach/lot?stamp=soon",
+        "/teach/lot/spot?revision=-1",
+        "/foxglove",
     ]:
         code, body = status(http + path)
         check(400 <= code < 500 and b"root:" not in body, f"{path}: {code} {body[:100]!r}")
+        check(is_refusal(body), f"{path}: no reason: {body[:100]!r}")
+    for path in ["/layers", "/maps/map/layers", "/health"]:
+        code, body = status(http + path, data=b"more")
+        check(code == 405 and is_refusal(body) and path.encode() in body, f"POST {path}: {code} {body[:100]!r}")
+
+
+def is_refusal(body):
+    """Whether it is what all errors are, an object of JSON."""
+    try:
+        return set(json.loads(body)) == {"error", "place", "next"}
+    except ValueError:
+        return False
 
 
 def main(kind, http, postgres, ca=None):
@@ -359,7 +386,10 @@ def main(kind, http, postgres, ca=None):
         malformed(postgres, b"", BEGINNINGS)
         parameters(postgres)
         paths(http)
-        silent(http, postgres)
+        silent(http, postgres, HALF_A_HEAD)
+        silent(http, postgres, HALF_A_BODY)
+        code, answer = status(http + "/sql", data=b" " * (2 << 20) + b"SELECT 1")
+        check(code == 413 and b'"error"' in answer, f"a body that is too long: {code} {answer[:200]!r}")
         code, _ = status(http + query, {"Host": "evil.example"})
         check(code == 403, f"a page of elsewhere: {code}")
         door = http_client.HTTPConnection(http)

@@ -7,7 +7,7 @@ use evermap_engine::preflight::in_words;
 use serde::Serialize;
 
 use crate::coordinate_frames::CoordinateFrames;
-use crate::quantity;
+use crate::{printable, quantity};
 
 /// What a file holds.
 #[derive(Debug, Serialize, Template)]
@@ -157,6 +157,11 @@ impl PlanLine {
 const NOTABLE: f64 = 3.0;
 
 impl Channel {
+    /// The topic, as it is printed.
+    fn named(&self) -> String {
+        printable::in_line(&self.topic)
+    }
+
     fn rate(&self) -> String {
         match self.rate_hz {
             Some(rate) if rate >= 10.0 => format!("{rate:.0} Hz"),
@@ -182,7 +187,7 @@ impl Contents {
     /// Letters of the longest topic, of those that fit on a line.
     fn widest(&self) -> usize {
         let topics = self.channels.iter();
-        let widths = topics.map(|channel| channel.topic.chars().count());
+        let widths = topics.map(|channel| channel.named().chars().count());
         widths.filter(|width| *width <= 80).max().unwrap_or(0)
     }
 }

@@ -1,10 +1,19 @@
 //! Text for a terminal. Names come from logs: a control character in one would move the cursor, set a title, or worse.
 
 use std::borrow::Cow;
+use std::fmt::Display;
 
 /// A text whose control characters, but line breaks and tabs, are escaped: `\u{1b}`.
 pub fn printable(text: &str) -> Cow<'_, str> {
-    let moves = |c: char| c.is_control() && !['\n', '\t'].contains(&c);
+    escaped(text, |c| c.is_control() && !['\n', '\t'].contains(&c))
+}
+
+/// A name as a part of a line, which it must not break: line breaks and tabs are escaped, too.
+pub fn in_line(name: impl Display) -> String {
+    escaped(&name.to_string(), char::is_control).into_owned()
+}
+
+fn escaped(text: &str, moves: impl Fn(char) -> bool + Copy) -> Cow<'_, str> {
     if !text.contains(moves) {
         return Cow::Borrowed(text);
     }
@@ -31,6 +40,8 @@ mod tests {
         ];
         for (text, expected) in cases {
             assert_eq!(printable(text), expected);
+            assert_eq!(in_line(text), expected);
         }
+        assert_eq!(in_line("/odom é\n\t- 漢"), "/odom é\\n\\t- 漢");
     }
 }

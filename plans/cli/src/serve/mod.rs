@@ -9,7 +9,7 @@
 //!      │
 //!   answer ── queries that only read, within time, rows and memory
 //!   maps ──── the versions of maps that are open
-//!   patience ─ how long a connection may say nothing; that the network is heard while queries compute
+//!   patience ─ how long a connection may say nothing, and how many may; that the network is heard while queries compute
 //!   teach ──── what people say of maps, in logs of their own; only where it is asked for
 //! ```
 //! A server only reads maps. What a run publishes is in the answer to the next query, whole or not at all, as versions are.
@@ -22,7 +22,6 @@ mod maps;
 mod patience;
 mod postgres;
 mod teach;
-mod tls;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -95,7 +94,7 @@ pub async fn serve(args: &ServeArgs) -> Ending {
         }
     };
     tokio::select! {
-        ended = http::serve(web, maps, access, bounds, teaching.clone()) => ended?,
+        () = http::serve(web, maps, access, bounds, teaching.clone()) => {}
         () = spoken => {}
         () = tidied => {}
     }

@@ -9,14 +9,33 @@ use tokio::runtime::Handle;
 use tokio::sync::{Notify, OwnedSemaphorePermit};
 use tokio::time::timeout;
 
-/// Time until a connection must have asked for something, or come in.
-const PATIENCE: Duration = Duration::from_secs(10);
+/// Time until a connection must have asked for something, or come in; and for what it asks to be there whole.
+pub const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Connections at once that have not come in yet, or that speak HTTP; more are closed.
-pub const WAITING: usize = 2048;
+/// How much longer it may take to tell a connection that it took too long.
+const TOLD: Duration = Duration::from_secs(1);
+
+/// Connections at once that wait, where as many files may be open.
+const WAITING: usize = 2048;
+
+/// The part of the files that this process may have open: HTTP and Postgres take one each, and clients that are in, maps and logs
+/// need the rest.
+const PART: usize = 3;
 
 /// How long network and clocks may be left alone by threads that compute.
 const ATTENDED_EVERY: Duration = Duration::from_millis(50);
+
+/// Connections at once of one protocol that have not come in yet, or that speak HTTP; more are closed. Fewer than files may be open,
+/// so that there is one for who comes when they are gone, and for what is asked.
+pub fn waiting() -> usize {
+    let files = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
+    waiting_of(files)
+}
+
+fn waiting_of(files: Option<u64>) -> usize {
+    let files = files.and_then(|files| usize::try_from(files).ok());
+    files.map_or(WAITING, |files| (files / PART).clamp(1, WAITING))
+}
 
 /// Sees to it that a thread of the runtime waits for the network and for the time, as long as the runtime is there. The last one
 /// that did may have got work without a pause, and wakes none of the others to take its place: then nothing that comes is heard,
@@ -49,7 +68,7 @@ pub fn attend<E: Display>(
     connection: impl Future<Output = Result<(), E>> + Send + 'static,
 ) {
     tokio::spawn(async move {
-        if let Some(Err(error)) = asked.within(PATIENCE, connection).await {
+        if let Some(Err(error)) = asked.within(PATIENCE + TOLD, connection).await {
             tracing::debug!("a connection ended: {error}");
         }
         drop(place);
@@ -67,7 +86,7 @@ impl Asked {
     }
 
     /// What a connection ends with; `None` where it is ended, as it has asked for nothing in time.
-    async fn within<T>(self, time: Duration, connection: impl Future<Output = T>) -> Option<T> {
+    pub async fn within<T>(self, time: Duration, connection: impl Future<Output = T>) -> Option<T> {
         let mut connection = std::pin::pin!(connection);
         tokio::select! {
             done = &mut connection => return Some(done),
@@ -110,6 +129,14 @@ mod tests {
         sender.send_to(&[1], address).unwrap();
         let came_in_time = std::thread::spawn(move || runtime.block_on(deadline).unwrap());
         assert!(came_in_time.join().unwrap());
+    }
+
+    #[test]
+    fn fewer_connections_wait_than_files_may_be_open() {
+        assert_eq!(waiting_of(None), WAITING);
+        assert_eq!(waiting_of(Some(u64::MAX)), WAITING);
+        assert_eq!(waiting_of(Some(1024)), 341);
+        assert_eq!(waiting_of(Some(2)), 1);
     }
 
     #[tokio::test]

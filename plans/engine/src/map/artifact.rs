@@ -5,6 +5,8 @@ use std::sync::Arc;
 use arrow::datatypes::{Schema, SchemaRef};
 use datafusion::prelude::{DataFrame, ParquetReadOptions, SessionContext};
 use evermap_schemas::Fault;
+use parquet::arrow::arrow_reader::{ArrowReaderMetadata, ArrowReaderOptions};
+use parquet::arrow::async_reader::ParquetObjectReader;
 
 use crate::error::OrFault;
 use crate::map::receipt::Artifact;
@@ -47,6 +49,18 @@ pub async fn described(
     let options = ParquetReadOptions::default().skip_metadata(false);
     let rows = context.read_parquet(url, options).await.or_fault()?;
     Ok(Arc::clone(rows.schema().inner()))
+}
+
+/// The columns of an artifact with what its file says of itself: its end alone is read.
+///
+/// # Errors
+/// A data fault for a file that is no Parquet.
+pub async fn columns_of(store: &Store, artifact: &Artifact) -> Result<SchemaRef, Fault> {
+    let path = store.path(&artifact.name());
+    let mut file = ParquetObjectReader::new(store.objects(), path).with_file_size(artifact.bytes);
+    let read = ArrowReaderMetadata::load_async(&mut file, ArrowReaderOptions::new()).await;
+    let read = read.map_err(|error| Fault::data(error.to_string()).at(artifact.name()))?;
+    Ok(Arc::clone(read.schema()))
 }
 
 /// The rows of artifacts, as one table.

@@ -117,16 +117,24 @@ pub async fn content_damage(
     name: &str,
     content: String,
 ) -> Result<Option<Damage>, Fault> {
-    let found = match store.objects().get(&store.path(name)).await {
-        Ok(found) => Some(digest(found, name).await?),
-        Err(object_store::Error::NotFound { .. }) => None,
-        Err(error) => return Err(store_fault(&error, name)),
+    let found = match store.no_file(name).await? {
+        Some(other) => Some(other.to_owned()),
+        None => found_digest(store, name).await?,
     };
     Ok((found.as_ref() != Some(&content)).then(|| Damage {
         file: name.to_owned(),
         expected: format!("the digest {content}"),
         found,
     }))
+}
+
+/// The digest of a file; `None` where there is none.
+async fn found_digest(store: &Store, name: &str) -> Result<Option<String>, Fault> {
+    match store.objects().get(&store.path(name)).await {
+        Ok(found) => digest(found, name).await.map(Some),
+        Err(object_store::Error::NotFound { .. }) => Ok(None),
+        Err(error) => Err(store_fault(&error, name)),
+    }
 }
 
 /// The BLAKE3 of an object, read in pieces.

@@ -36,7 +36,7 @@ impl Folder {
     /// Does something with files off the async threads.
     ///
     /// # Errors
-    /// A resource fault with what went wrong at which name.
+    /// A resource fault with what went wrong at which name; a data fault where something else stands in the place of a file.
     pub async fn with<T: Send + 'static>(
         &self,
         name: &str,
@@ -45,7 +45,13 @@ impl Folder {
         let folder = self.clone();
         let done = tokio::task::spawn_blocking(move || work(&folder)).await;
         let done = done.map_err(std::io::Error::other).flatten();
-        done.map_err(|error| Fault::resource(format!("{}: {error}", self.path(name).display())))
+        done.map_err(|error| {
+            let said = format!("{}: {error}", self.path(name).display());
+            match error.kind() {
+                ErrorKind::InvalidData => Fault::data(said),
+                _ => Fault::resource(said),
+            }
+        })
     }
 
     /// Writes a file, in place of what was there.
@@ -61,11 +67,27 @@ impl Folder {
     /// The bytes of a file; `None` where there is none.
     ///
     /// # Errors
-    /// What the file system says.
+    /// What the file system says; `InvalidData` for what is no file.
     pub fn read(&self, name: &str) -> Result<Option<Vec<u8>>> {
+        if let Some(found) = self.no_file(name)? {
+            let said = format!("expected a file, found {found}");
+            return Err(std::io::Error::new(ErrorKind::InvalidData, said));
+        }
         match std::fs::read(self.path(name)) {
             Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
             read => read.map(Some),
+        }
+    }
+
+    /// What stands at a name in the place of a file; `None` for a file, and for nothing. Whatever is opened is asked first: a pipe
+    /// would hold up who opens it for ever.
+    ///
+    /// # Errors
+    /// What the file system says.
+    pub fn no_file(&self, name: &str) -> Result<Option<&'static str>> {
+        match evermap_datasets::no_file(&self.path(name)) {
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+            found => found,
         }
     }
 
@@ -113,15 +135,34 @@ impl Folder {
         self.renamed(&from, &to)
     }
 
-    /// Removes a file; one that is not there is fine.
+    /// Removes a file, or an empty folder in its place; one that is not there is fine.
     ///
     /// # Errors
     /// What the file system says.
     pub fn remove(&self, name: &str) -> Result<()> {
-        match std::fs::remove_file(self.path(name)) {
+        let path = self.path(name);
+        let removed = match std::fs::remove_file(&path) {
+            Err(error) if error.kind() == ErrorKind::IsADirectory => std::fs::remove_dir(&path),
+            removed => removed,
+        };
+        match removed {
             Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
             _ => Ok(()),
         }
+    }
+
+    /// The names in a folder, also of what is no file.
+    ///
+    /// # Errors
+    /// What the file system says.
+    pub fn names(&self, folder: &str) -> Result<Vec<String>> {
+        let entries = match std::fs::read_dir(self.path(folder)) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+            entries => entries?,
+        };
+        entries
+            .map(|entry| Ok(format!("{folder}/{}", entry?.file_name().display())))
+            .collect()
     }
 
     /// The files on their way that have not changed since, with their sizes, sorted.

@@ -5,7 +5,7 @@
 //! or changes then changes its own part, wherever it stands. A part is a file named by its content, and checked against its
 //! name when it is read. Short lists stay where they are.
 
-use evermap_schemas::Fault;
+use evermap_schemas::{Fault, Kind};
 use serde_json::{Value, json};
 
 use crate::digest::digest;
@@ -114,8 +114,9 @@ fn cut(list: &[Value]) -> Result<Vec<(String, Vec<u8>)>, Fault> {
 /// Writes a part, unless it is there and whole.
 async fn keep(store: &Store, digest: &str, text: &[u8]) -> Result<(), Fault> {
     let name = name(digest);
-    match store.read(&name).await? {
-        Some(found) if found == text => Ok(()),
+    match store.read(&name).await {
+        Ok(Some(found)) if found == text => Ok(()),
+        Err(fault) if fault.kind != Kind::Data => Err(fault),
         _ => store.write(&name, text.to_vec()).await,
     }
 }

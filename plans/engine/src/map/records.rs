@@ -53,6 +53,9 @@ impl fmt::Display for RecordDamage {
 /// # Errors
 /// A resource fault when the store does not answer.
 pub async fn record_damage(store: &Store, name: &str) -> Result<Option<RecordDamage>, Fault> {
+    if let Some(found) = store.no_file(name).await? {
+        return Ok(Some(RecordDamage::Unreadable(found)));
+    }
     let Some(file) = store.read(name).await? else {
         return Ok(None);
     };

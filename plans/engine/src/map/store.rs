@@ -104,19 +104,37 @@ impl Store {
             .map_err(|error| Fault::bug(format!("{name} is not a valid name in a map: {error}")))
     }
 
-    /// What the store says of a name: its size, its times; `None` where there is none.
+    /// What the store says of a file: its size, its times; `None` where there is none.
     ///
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn meta(&self, name: &str) -> Result<Option<ObjectMeta>, Fault> {
+        if self.no_file(name).await?.is_some() {
+            return Ok(None);
+        }
         let path = self.path(name);
         there(answered(|| self.store.head(&path)).await, name)
+    }
+
+    /// What stands in a folder in the place of a file of this name; `None` for a file, and for nothing. Who opens a file by
+    /// [`Store::objects`] asks first.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn no_file(&self, name: &str) -> Result<Option<&'static str>, Fault> {
+        let Some(folder) = &self.folder else {
+            return Ok(None);
+        };
+        let owned = name.to_owned();
+        folder
+            .with(name, move |folder| folder.no_file(&owned))
+            .await
     }
 
     /// The JSON at a name; `None` where there is none.
     ///
     /// # Errors
-    /// A resource fault when the store does not answer, a data fault for JSON of another shape.
+    /// As [`Store::read`], and a data fault for JSON of another shape.
     pub async fn read_json<T: DeserializeOwned>(&self, name: &str) -> Result<Option<T>, Fault> {
         let Some(bytes) = self.read(name).await? else {
             return Ok(None);
@@ -129,7 +147,7 @@ impl Store {
     /// The bytes at a name; `None` where there is none.
     ///
     /// # Errors
-    /// A resource fault when the store does not answer.
+    /// A resource fault when the store does not answer, a data fault for what is no file.
     pub async fn read(&self, name: &str) -> Result<Option<Bytes>, Fault> {
         if let Some(folder) = &self.folder {
             let owned = name.to_owned();
@@ -273,6 +291,19 @@ impl Store {
         Ok(names(folder, self.objects_in(folder).await?))
     }
 
+    /// The names in a folder, also of what stands there in the place of a file.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn names(&self, folder: &str) -> Result<Vec<String>, Fault> {
+        if let Some(local) = &self.folder {
+            let owned = folder.to_owned();
+            return local.with(folder, move |local| local.names(&owned)).await;
+        }
+        let listed = self.list(folder).await?.into_iter();
+        Ok(listed.map(|(name, _)| name).collect())
+    }
+
     /// What the store says of all that is in a folder.
     ///
     /// # Errors
@@ -395,53 +426,4 @@ fn whole(folder: &Path) -> std::io::Result<PathBuf> {
 }
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-
-    #[tokio::test]
-    async fn a_version_is_created_once() {
-        let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
-        assert!(store.create_json("versions/1.json", &1).await.unwrap());
-        assert!(!store.create_json("versions/1.json", &2).await.unwrap());
-        assert_eq!(
-            store.read_json::<u32>("versions/1.json").await.unwrap(),
-            Some(1)
-        );
-        assert_eq!(
-            store.read_json::<u32>("versions/2.json").await.unwrap(),
-            None
-        );
-        assert_eq!(
-            store.list("versions").await.unwrap(),
-            [("versions/1.json".to_owned(), 1)]
-        );
-    }
-
-    #[test]
-    fn a_folder_may_be_named_from_one_beside_it() {
-        let folder = tempfile::tempdir().unwrap();
-        let within = |path: &str| folder.path().join(path);
-        std::fs::create_dir(within("sub")).unwrap();
-        let opened = |path: &str| Store::open(within(path).to_str().unwrap(), true);
-        let plain = opened("maps/one").unwrap();
-        for path in ["sub/../maps/one", "sub/../sub/../maps/one"] {
-            assert_eq!(opened(path).unwrap().url(), plain.url(), "{path}");
-        }
-        std::fs::write(within("file"), "").unwrap();
-        for (path, says) in [("file", "found a file"), ("none/../one", "No such file")] {
-            let said = opened(path).unwrap_err().to_string();
-            assert!(
-                said.contains("cannot create a map at") && said.contains(says),
-                "{said}"
-            );
-        }
-    }
-
-    #[test]
-    fn a_map_that_is_not_there_says_what_to_do() {
-        let text = Store::open("/no/such/map", false).unwrap_err().to_string();
-        assert!(text.contains("evermap run"), "{text}");
-    }
-}
+mod tests;

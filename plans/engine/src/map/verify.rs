@@ -228,6 +228,10 @@ impl Verified {
                 &format!("the recipe {digest}"),
                 &format!("the recipe {of}"),
             )),
+            _ if artifact.extent != receipt.recipe.extent => Some(differs(
+                &receipt.recipe.extent.label("rows"),
+                &artifact.extent.label("rows"),
+            )),
             Some((wanted, _)) if wanted != artifact => {
                 Some(differs(&in_words(wanted), &in_words(artifact)))
             }

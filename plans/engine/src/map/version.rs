@@ -114,12 +114,12 @@ impl Version {
         format!("{VERSIONS}/{version}.json")
     }
 
-    /// The numbers of the versions that there are, ascending.
+    /// The numbers of the versions that there are, ascending; also of those that do not read, be they no files.
     ///
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn numbers(store: &Store) -> Result<Vec<u64>, Fault> {
-        let names = store.list(VERSIONS).await?;
+        let names = store.names(VERSIONS).await?;
         let number = |name: &str| {
             name.strip_prefix(VERSIONS)?
                 .strip_prefix('/')?
@@ -127,7 +127,7 @@ impl Version {
                 .parse::<u64>()
                 .ok()
         };
-        let mut numbers: Vec<_> = names.iter().filter_map(|(name, _)| number(name)).collect();
+        let mut numbers: Vec<_> = names.iter().filter_map(|name| number(name)).collect();
         numbers.sort_unstable();
         Ok(numbers)
     }

@@ -136,7 +136,9 @@ impl<'r, 'a> Driver<'r, 'a> {
     async fn found_before(&self, index: usize) -> Result<(usize, Unit, Option<Receipt>), Fault> {
         let mut unit = self.unit(index).await?;
         let digest = unit.recipe.digest()?;
-        let receipt = match self.sound.receipt(&digest).await? {
+        let known = (&self.sound, &self.held);
+        let found = self.run.found(known, &self.units[index], &digest);
+        let receipt = match found.await? {
             Some((receipt, Some(damage))) => {
                 tracing::warn!("{damage}; {} is made anew", self.label(index));
                 // Nobody else is to take it for done.

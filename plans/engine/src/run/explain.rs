@@ -123,7 +123,7 @@ impl Known<'_, '_> {
         });
         let recipe = assembled?.recipe;
         let digest = recipe.digest()?;
-        if let Some((artifact, damage, why)) = self.done(&unit.place, &digest).await? {
+        if let Some((artifact, damage, why)) = self.done(unit, &digest).await? {
             return Ok(match damage {
                 Some(damage) => Fate::recomputed(damage.to_string()),
                 None => Fate::Kept { artifact, why },
@@ -140,17 +140,18 @@ impl Known<'_, '_> {
     /// The rows that a recipe has made, what is wrong with them, and when they were made.
     async fn done(
         &self,
-        place: &Place,
+        unit: &Pending,
         digest: &str,
     ) -> Result<Option<(Artifact, Option<Damage>, &'static str)>, Fault> {
         if !self.receipts.contains(&Receipt::name(digest)) {
             return Ok(None);
         }
-        if let Some(artifact) = self.held.artifact(place, digest) {
+        if let Some(artifact) = self.held.artifact(&unit.place, digest) {
             let damage = self.sound.damage(artifact).await?;
             return Ok(Some((artifact.clone(), damage, "unchanged")));
         }
-        let found = self.sound.receipt(digest).await?;
+        let known = (&self.sound, &self.held);
+        let found = self.run.found(known, unit, digest).await?;
         Ok(found.map(|(receipt, damage)| (receipt.artifact, damage, "done before")))
     }
 }

@@ -7,6 +7,7 @@
 mod driver;
 mod execute;
 pub mod explain;
+mod found;
 mod held;
 mod mend;
 mod pending;

@@ -118,7 +118,7 @@ fn properties(layer: Option<&Layer>, schema: &Schema) -> Result<WriterProperties
     let mut metadata = Vec::new();
     let mut note = |key: &str, value| metadata.push(KeyValue::new(key.to_owned(), value));
     if let Some(layer) = layer {
-        note("evermap.layer", layer.name.to_owned());
+        note(Layer::SAID_AS, layer.name.to_owned());
         note("evermap.layer_version", layer.version.to_string());
     }
     let sorting = layer.map(|layer| sorting(layer, schema)).transpose()?;

@@ -1,42 +1,45 @@
 //! Maps by HTTP. `docs/serving.md` lists the addresses.
 
 mod formats;
+mod heard;
 pub mod live;
 mod metrics;
 mod page;
 mod pictures;
+mod refusal;
 mod rows;
 mod teach;
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::Router;
 use axum::extract::{FromRequestParts, RawPathParams, Request, State};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
-use axum::middleware::{Next, from_fn_with_state};
+use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{any, get};
-use axum::serve::Listener;
-use evermap_schemas::{Fault, Kind};
+use axum::{BoxError, Router};
+use evermap_schemas::Fault;
+use hyper::body::Incoming;
 use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto::Builder;
 use hyper_util::service::TowerToHyperService;
-use serde_json::json;
-use tokio::net::TcpListener;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
+use tokio_rustls::TlsAcceptor;
 
-use crate::ending::Failure;
 use crate::serve::access::{Access, Who};
 use crate::serve::answer::Bounds;
 use crate::serve::flight;
+use crate::serve::http::heard::Heard;
 use crate::serve::http::metrics::Counts;
+pub use crate::serve::http::refusal::{Asks, Refusal};
 use crate::serve::maps::{Maps, ServedMap};
-use crate::serve::patience::{Asked, WAITING, attend};
+use crate::serve::patience::{Asked, attend, waiting};
 use crate::serve::teach::Teaching;
-use crate::serve::tls::PrivateListener;
 
 /// What handlers answer from.
 #[derive(Clone)]
@@ -58,56 +61,63 @@ impl App {
 }
 
 /// Serves maps for ever.
-///
-/// # Errors
-/// A resource fault where the listener has no address.
 pub async fn serve(
     listener: TcpListener,
     maps: Maps,
     access: Access,
     bounds: Bounds,
     teaching: Option<Arc<Teaching>>,
-) -> Result<(), Fault> {
+) {
     let tls = access.tls.clone();
     let router = router(maps, access, bounds, teaching);
-    match tls {
-        None => accept(listener, router).await,
-        Some(acceptor) => match PrivateListener::new(listener, acceptor) {
-            Ok(listener) => accept(listener, router).await,
-            Err(error) => Err(Fault::resource(format!("the server ended: {error}"))),
-        },
+    let places = Arc::new(Semaphore::new(waiting()));
+    loop {
+        let Ok((socket, _)) = listener.accept().await else {
+            // Out of file descriptors, mostly: those that are open may be closed by then.
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            continue;
+        };
+        let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
+            continue;
+        };
+        let asked = Asked::default();
+        let conversation = converse(socket, tls.clone(), router.clone(), asked.clone());
+        attend(place, asked, conversation);
     }
 }
 
 /// Time that a connection may be idle after an answer, or take to say what it wants next.
 const IDLE: Duration = Duration::from_secs(60);
 
-/// Serves the connections of a listener, for ever.
-async fn accept<L: Listener>(mut listener: L, router: Router) -> Result<(), Fault> {
-    let places = Arc::new(Semaphore::new(WAITING));
-    let mut builder = Builder::new(TokioExecutor::new());
-    let http1 = &mut builder.http1();
-    http1.timer(TokioTimer::new()).header_read_timeout(IDLE);
-    loop {
-        let (io, _) = listener.accept().await;
-        let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
-            continue;
-        };
-        let (asked, builder) = (Asked::default(), builder.clone());
-        let (asks, answers) = (asked.clone(), TowerToHyperService::new(router.clone()));
-        let service = service_fn(move |request: Incoming| {
-            asks.now();
-            answers.call(request)
-        });
-        attend(place, asked, async move {
-            let connection = builder.serve_connection_with_upgrades(TokioIo::new(io), service);
-            connection.await
-        });
+/// Shakes hands, where connections are private, and answers until the client goes.
+async fn converse(
+    socket: TcpStream,
+    tls: Option<TlsAcceptor>,
+    router: Router,
+    asked: Asked,
+) -> Result<(), BoxError> {
+    match tls {
+        None => answered(socket, router, asked).await,
+        Some(tls) => answered(tls.accept(socket).await?, router, asked).await,
     }
 }
 
-/// A request as it comes.
-type Incoming = axum::http::Request<hyper::body::Incoming>;
+async fn answered<I: AsyncRead + AsyncWrite + Unpin + Send + 'static>(
+    io: I,
+    router: Router,
+    asked: Asked,
+) -> Result<(), BoxError> {
+    let mut builder = Builder::new(TokioExecutor::new());
+    let http1 = &mut builder.http1();
+    http1.timer(TokioTimer::new()).header_read_timeout(IDLE);
+    let answers = TowerToHyperService::new(router);
+    let service = service_fn(move |request: axum::http::Request<Incoming>| {
+        let asked = asked.clone();
+        answers.call(request.map(|body| Heard::new(body, asked)))
+    });
+    let connection = builder.serve_connection_with_upgrades(TokioIo::new(io), service);
+    connection.await
+}
 
 fn router(maps: Maps, access: Access, bounds: Bounds, teaching: Option<Arc<Teaching>>) -> Router {
     let flight = flight::service(maps.clone(), bounds.clone());
@@ -125,6 +135,9 @@ fn router(maps: Maps, access: Access, bounds: Bounds, teaching: Option<Arc<Teach
         .route("/maps", get(rows::maps))
         .route("/health", get(|| async { "ok\n" }))
         .route("/metrics", get(metrics::metrics))
+        .fallback(refusal::unknown)
+        .method_not_allowed_fallback(refusal::other_method)
+        .layer(from_fn(heard::whole))
         .route_service(flight::PATH, flight)
         .layer(from_fn_with_state(app.clone(), metrics::counted))
         .layer(from_fn_with_state(access, guarded))
@@ -200,7 +213,7 @@ impl FromRequestParts<App> for MapOf {
 
     async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, Refusal> {
         let params = RawPathParams::from_request_parts(parts, app).await;
-        let params = params.map_err(|error| Refusal(Fault::user(error.to_string())))?;
+        let params = params.map_err(|error| Fault::user(error.to_string()))?;
         let named = params.iter().find(|(name, _)| *name == "map");
         let map = match named {
             Some((_, name)) => app.maps.get(name)?,
@@ -210,41 +223,6 @@ impl FromRequestParts<App> for MapOf {
                 .ok_or_else(|| Fault::user("there are several maps here").next("see /maps"))?,
         };
         Ok(Self(Arc::clone(map)))
-    }
-}
-
-/// Why a request has no answer.
-pub struct Refusal(Fault);
-
-impl From<Fault> for Refusal {
-    fn from(fault: Fault) -> Self {
-        Self(fault)
-    }
-}
-
-impl From<Failure> for Refusal {
-    fn from(failure: Failure) -> Self {
-        Self(match failure {
-            Failure::Fault(fault) => fault,
-            Failure::Plan(text) => Fault::user(text),
-            Failure::Said | Failure::Closed => Fault::bug("nothing was written"),
-        })
-    }
-}
-
-impl IntoResponse for Refusal {
-    fn into_response(self) -> Response {
-        let Self(fault) = self;
-        let status = match fault.kind {
-            Kind::User => StatusCode::BAD_REQUEST,
-            Kind::Data => StatusCode::UNPROCESSABLE_ENTITY,
-            Kind::Resource => StatusCode::SERVICE_UNAVAILABLE,
-            Kind::Bug => StatusCode::INTERNAL_SERVER_ERROR,
-        };
-        let place = (!fault.place.is_empty()).then_some(&fault.place);
-        let next = (!fault.next.is_empty()).then_some(&fault.next);
-        let body = json!({ "error": fault.message, "place": place, "next": next });
-        (status, axum::Json(body)).into_response()
     }
 }
 

@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 
 use axum::extract::{OriginalUri, Path, RawPathParams, State};
-use axum::http::{HeaderMap, StatusCode};
+use axum::http::HeaderMap;
 use axum::response::{IntoResponse, Redirect, Response};
 use include_dir::{Dir, include_dir};
 
-use crate::serve::http::{App, Refusal, tagged};
+use crate::serve::http::refusal::unknown;
+use crate::serve::http::{App, Asks, Refusal, tagged};
 
 static FILES: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/page");
 
@@ -26,7 +27,10 @@ pub async fn page(
     let first = app.maps.all().next();
     match first.filter(|_| named.is_none() && app.maps.only().is_none()) {
         Some(first) => Ok(Redirect::temporary(&address_of(&first.name)).into_response()),
-        None => Ok(served("index.html", &headers)),
+        None => match served("index.html", &headers) {
+            Some(page) => Ok(page),
+            None => Err(unknown(OriginalUri(address)).await),
+        },
     }
 }
 
@@ -41,16 +45,25 @@ fn address_of(map: &str) -> String {
 }
 
 /// `GET /page/{file}`: what it is made of.
-pub async fn file(Path(path): Path<BTreeMap<String, String>>, headers: HeaderMap) -> Response {
-    served(path.get("file").map_or("", String::as_str), &headers)
+///
+/// # Errors
+/// For a file that there is not.
+pub async fn file(
+    Asks(Path(path)): Asks<Path<BTreeMap<String, String>>>,
+    address: OriginalUri,
+    headers: HeaderMap,
+) -> Result<Response, Refusal> {
+    match served(path.get("file").map_or("", String::as_str), &headers) {
+        Some(file) => Ok(file),
+        None => Err(unknown(address).await),
+    }
 }
 
-fn served(name: &str, headers: &HeaderMap) -> Response {
-    let (Some(file), Some(kind)) = (FILES.get_file(name), kind_of(name)) else {
-        return StatusCode::NOT_FOUND.into_response();
-    };
+fn served(name: &str, headers: &HeaderMap) -> Option<Response> {
+    let (file, kind) = (FILES.get_file(name)?, kind_of(name)?);
     let bytes = file.contents();
-    tagged(headers, &blake3::hash(bytes).to_hex(), kind, bytes.to_vec())
+    let tag = blake3::hash(bytes).to_hex();
+    Some(tagged(headers, &tag, kind, bytes.to_vec()))
 }
 
 fn kind_of(name: &str) -> Option<&'static str> {

@@ -15,7 +15,7 @@ use evermap_schemas::{Fault, ImageRef, Stamp};
 use serde::Deserialize;
 
 use crate::reader::typed;
-use crate::serve::http::{App, MapOf, Refusal, tagged};
+use crate::serve::http::{App, Asks, MapOf, Refusal, tagged};
 use crate::serve::maps::{Opened, ServedMap};
 use crate::shown::{Picture, Tile};
 
@@ -26,7 +26,7 @@ use crate::shown::{Picture, Tile};
 pub async fn tile(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Path(path): Path<BTreeMap<String, String>>,
+    Asks(Path(path)): Asks<Path<BTreeMap<String, String>>>,
     headers: HeaderMap,
 ) -> Result<Response, Refusal> {
     let site = path.get("site").map_or("", String::as_str);
@@ -86,7 +86,7 @@ pub struct AskedImage {
 pub async fn image(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Query(asked): Query<AskedImage>,
+    Asks(Query(asked)): Asks<Query<AskedImage>>,
     headers: HeaderMap,
 ) -> Result<Response, Refusal> {
     let opened = map.version(asked.version).await?;

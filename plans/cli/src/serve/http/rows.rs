@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use crate::earth::Earth;
 use crate::serve::answer::answer;
 use crate::serve::http::formats::{Form, body};
-use crate::serve::http::{App, MapOf, Refusal, has, kept, unchanged};
+use crate::serve::http::{App, Asks, MapOf, Refusal, has, kept, unchanged};
 use crate::serve::maps::{Opened, ServedMap};
 
 /// What is asked, of which version, and how it is sent.
@@ -57,7 +57,7 @@ pub async fn maps(State(app): State<App>) -> Json<Vec<Value>> {
 pub async fn get_sql(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Query(asked): Query<Asked>,
+    Asks(Query(asked)): Asks<Query<Asked>>,
 ) -> Result<Response, Refusal> {
     let query = asked.query.as_deref().unwrap_or_default();
     answered(&app, &map, query, &asked).await
@@ -70,7 +70,7 @@ pub async fn get_sql(
 pub async fn post_sql(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Query(asked): Query<Asked>,
+    Asks(Query(asked)): Asks<Query<Asked>>,
     query: Bytes,
 ) -> Result<Response, Refusal> {
     let query = std::str::from_utf8(&query)
@@ -102,7 +102,7 @@ async fn answered(
 pub async fn layers(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Query(asked): Query<Asked>,
+    Asks(Query(asked)): Asks<Query<Asked>>,
 ) -> Result<Response, Refusal> {
     answered(&app, &map, "SELECT * FROM layers ORDER BY layer", &asked).await
 }
@@ -114,7 +114,7 @@ pub async fn layers(
 pub async fn versions(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Query(asked): Query<Asked>,
+    Asks(Query(asked)): Asks<Query<Asked>>,
 ) -> Result<Response, Refusal> {
     answered(
         &app,
@@ -132,8 +132,8 @@ pub async fn versions(
 pub async fn layer(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Path(path): Path<std::collections::BTreeMap<String, String>>,
-    Query(asked): Query<Asked>,
+    Asks(Path(path)): Asks<Path<std::collections::BTreeMap<String, String>>>,
+    Asks(Query(asked)): Asks<Query<Asked>>,
     headers: HeaderMap,
 ) -> Result<Response, Refusal> {
     let name = path.get("layer").map_or("", String::as_str);

@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 
 use crate::annotate::{Losses, geojson};
 use crate::serve::access::Who;
-use crate::serve::http::{App, MapOf, Refusal, pictures};
+use crate::serve::http::{App, Asks, MapOf, Refusal, pictures};
 use crate::serve::maps::ServedMap;
 use crate::serve::teach::{Canvas, Site, Teaching};
 
@@ -67,8 +67,8 @@ impl OfImage {
 pub async fn labels(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Path(path): Path<BTreeMap<String, String>>,
-    Query(of): Query<OfImage>,
+    Asks(Path(path)): Asks<Path<BTreeMap<String, String>>>,
+    Asks(Query(of)): Asks<Query<OfImage>>,
 ) -> Result<Json<Value>, Refusal> {
     let site = app.teaching()?.site(&map, text(&path, "site")).await?;
     Ok(Json(match of.key()? {
@@ -97,8 +97,8 @@ pub struct Asked {
 pub async fn hypotheses(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Path(path): Path<BTreeMap<String, String>>,
-    Query(asked): Query<Asked>,
+    Asks(Path(path)): Asks<Path<BTreeMap<String, String>>>,
+    Asks(Query(asked)): Asks<Query<Asked>>,
 ) -> Result<Json<Value>, Refusal> {
     let site = app.teaching()?.site(&map, text(&path, "site")).await?;
     let kind = text(&path, "kind");
@@ -131,13 +131,13 @@ pub struct Saying {
 pub async fn say(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Path(path): Path<BTreeMap<String, String>>,
-    Query(of): Query<OfImage>,
+    Asks(Path(path)): Asks<Path<BTreeMap<String, String>>>,
+    Asks(Query(of)): Asks<Query<OfImage>>,
     Extension(Who(user)): Extension<Who>,
     saying: Result<Json<Saying>, JsonRejection>,
 ) -> Result<Json<Value>, Refusal> {
     let teaching = app.teaching()?;
-    let Json(saying) = saying.map_err(|error| Fault::user(error.body_text()))?;
+    let Json(saying) = saying?;
     let site = teaching.site(&map, text(&path, "site")).await?;
     let author = user.or(saying.author);
     let author = author.as_deref().unwrap_or(&teaching.author);

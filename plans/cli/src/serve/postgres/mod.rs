@@ -48,7 +48,7 @@ use tokio::sync::Semaphore;
 use crate::serve::access::Access;
 use crate::serve::answer::{Bounds, Turn};
 use crate::serve::maps::{Maps, Opened};
-use crate::serve::patience::{Asked, WAITING, attend};
+use crate::serve::patience::{Asked, attend, waiting};
 use crate::serve::postgres::answering::{all_rows, bounded, cancelled, never, rows_wanted};
 use crate::serve::postgres::connection::Handlers;
 use crate::serve::postgres::startup::{Startup, is_in};
@@ -69,7 +69,7 @@ pub async fn serve(
     connections: usize,
 ) {
     let manager = Arc::new(ConnectionManager::new());
-    let (waiting, places) = (Semaphore::new(WAITING), Semaphore::new(connections));
+    let (waiting, places) = (Semaphore::new(waiting()), Semaphore::new(connections));
     let (waiting, places) = (Arc::new(waiting), Arc::new(places));
     loop {
         let Ok((socket, _)) = listener.accept().await else {

@@ -30,7 +30,7 @@ use tokio::time::{Instant, sleep_until, timeout};
 use crate::export::Selection;
 use crate::export::foxglove::{Images, Said};
 use crate::serve::access::is_this_machine;
-use crate::serve::http::{App, MapOf, Refusal};
+use crate::serve::http::{App, Asks, MapOf, Refusal};
 use crate::serve::maps::{Opened, ServedMap};
 
 use player::Player;
@@ -99,9 +99,9 @@ fn may_watch(headers: &HeaderMap, watched: &Watched) -> bool {
 pub async fn watch(
     State(app): State<App>,
     MapOf(map): MapOf,
-    Query(watched): Query<Watched>,
+    Asks(Query(watched)): Asks<Query<Watched>>,
     headers: HeaderMap,
-    upgrade: WebSocketUpgrade,
+    Asks(upgrade): Asks<WebSocketUpgrade>,
 ) -> Result<Response, Refusal> {
     if !may_watch(&headers, &watched) {
         return Ok(StatusCode::FORBIDDEN.into_response());
