@@ -10,7 +10,8 @@
 //! adjusts it; it shows how time grows with length. With `--drives K` the road is driven K times, and
 //! each drive sees the landmarks of all; with `--reach N` a landmark is seen from N keyframes before it
 //! and after it (10 unless told otherwise). `--solver` forces how steps are found: `factorised` or `iterative`.
-//! `--write FILE` writes the drives for `tests/peers/ceres_drives.cpp` instead of solving them.
+//! `--regions N` adjusts by regions of N keyframes at most; with `--compare` in one piece before it, too, and tells how far
+//! apart poses are. `--write FILE` writes the drives for `tests/peers/ceres_drives.cpp` instead of solving them.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
 
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -32,6 +33,8 @@ struct Arguments {
     drives: usize,
     reach: usize,
     solver: LinearSolver,
+    regions: Option<usize>,
+    compare: bool,
     threads: usize,
     repeat: usize,
     write: Option<String>,
@@ -44,6 +47,8 @@ fn arguments() -> Result<Arguments, Failure> {
         drives: 1,
         reach: 10,
         solver: LinearSolver::Cheaper,
+        regions: None,
+        compare: false,
         threads: 1,
         repeat: 1,
         write: None,
@@ -56,6 +61,8 @@ fn arguments() -> Result<Arguments, Failure> {
             "--repeat" => parsed.repeat = value()?.parse()?,
             "--drives" => parsed.drives = value()?.parse()?,
             "--reach" => parsed.reach = value()?.parse()?,
+            "--regions" => parsed.regions = Some(value()?.parse()?),
+            "--compare" => parsed.compare = true,
             "--solver" => {
                 parsed.solver = match value()?.as_str() {
                     "cheaper" => LinearSolver::Cheaper,
@@ -107,12 +114,51 @@ fn drive(arguments: &Arguments) -> Result<(), Failure> {
         linear_solver: arguments.solver,
         ..bundle_adjustment::Options::default()
     };
+    let whole = match (arguments.regions, arguments.compare) {
+        (Some(_), true) => Some(adjusted(arguments, &initial, &options)?),
+        _ => None,
+    };
+    let options = bundle_adjustment::Options {
+        region_poses: arguments.regions,
+        ..options
+    };
+    let found = adjusted(arguments, &initial, &options)?;
+    if let Some(whole) = whole {
+        println!(
+            "{}",
+            serde_json::json!({ "apart_m": apart_m(&whole, &found) })
+        );
+    }
+    Ok(())
+}
+
+/// The problem adjusted, and reported.
+fn adjusted(
+    arguments: &Arguments,
+    initial: &Problem,
+    options: &bundle_adjustment::Options,
+) -> Result<Problem, Failure> {
     let (seconds, result) = shortest(arguments.repeat, || {
         let mut problem = initial.clone();
-        bundle_adjustment::solve(&mut problem, &options)
+        bundle_adjustment::solve(&mut problem, options).map(|report| (problem, report))
     });
-    report(seconds, &result?.summary, initial.observations.len());
-    Ok(())
+    let (problem, found) = result?;
+    report(seconds, &found.summary, initial.observations.len());
+    if let Some(cut) = found.cut {
+        println!(
+            "{}",
+            serde_json::json!({ "regions": cut.regions, "shared": cut.shared })
+        );
+    }
+    Ok(problem)
+}
+
+/// The farthest that a pose of one is from that of the other, metres.
+fn apart_m(a: &Problem, b: &Problem) -> f64 {
+    let place = |pose: &Keyframe| pose.map_from_vehicle.translation;
+    let pairs = a.poses.iter().zip(&b.poses);
+    let apart = pairs.map(|(a, b)| (place(a) - place(b)).norm());
+    apart.fold(0.0, f64::max)
 }
 
 fn report(seconds: f64, summary: &Summary, observations: usize) {

@@ -185,9 +185,10 @@ pub fn solve(
     let points = problem.points.clone();
     let mut schur = Schur::new(bundle, cameras, points, sights, &[], solver)?;
     let summary = minimise(&mut schur, options);
-    let estimate = schur.bundle.estimate.iter();
+    let (bundle, points) = schur.into_estimate();
+    let estimate = bundle.estimate.iter();
     problem.cameras = estimate.map(|posed| posed.parameters).collect();
-    problem.points = schur.landmarks;
+    problem.points = points;
     Ok(summary)
 }
 

@@ -278,6 +278,20 @@ fn rough_poses_become_exact_and_landmarks_are_described() {
 }
 
 #[test]
+fn a_site_adjusted_by_regions_has_the_poses_of_one_piece() {
+    let drive = drive("a", 0.0);
+    let whole = adjusted(&drive, Vec::new(), Vec::new(), json!({}));
+    let by_regions = json!({ "region_keyframes": 7 });
+    let found = adjusted(&drive, Vec::new(), Vec::new(), by_regions);
+    assert_eq!(found.len(), whole.len());
+    for (a, b) in whole.iter().zip(&found) {
+        let (a, b) = (&a.map_from_vehicle, &b.map_from_vehicle);
+        let apart_m = Vector3::new(a.x - b.x, a.y - b.y, a.z - b.z).norm();
+        assert!(apart_m < 1e-4, "{a:?} {b:?}");
+    }
+}
+
+#[test]
 fn a_new_drive_is_added_to_what_is_kept_of_those_before() {
     let (a, b) = (drive("a", 0.0), drive("b", 0.2));
     let first = adjusted(&a, Vec::new(), Vec::new(), json!({}));

@@ -176,12 +176,13 @@ impl Dense {
         .map(|_| ())
     }
 
-    /// Replaces the right-hand side by the solution.
+    /// Replaces right-hand sides, one after the other, by solutions.
     pub(super) fn solve(&mut self, right: &mut [f64]) {
         let n = self.size;
+        let columns = right.len() / n.max(1);
         llt::solve::solve_in_place(
             MatMut::from_column_major_slice_mut(&mut self.matrix, n, n).as_ref(),
-            MatMut::from_column_major_slice_mut(right, n, 1),
+            MatMut::from_column_major_slice_mut(right, n, columns),
             Par::Seq,
             MemStack::new(&mut self.memory),
         );

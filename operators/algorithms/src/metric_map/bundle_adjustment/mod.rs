@@ -17,7 +17,8 @@
 //! The metric scale thus comes from the rig, whose cameras stand a known distance apart, as much
 //! as from odometry. Without a fixed pose the whole may drift; fix one.
 //!
-//! The landmarks are eliminated first ([`schur`]). What is left, the reduced system of poses and sessions, is formed and
+//! A problem of many poses can be adjusted by regions ([`Options::region_poses`]). In one piece,
+//! the landmarks are eliminated first ([`schur`]). What is left, the reduced system of poses and sessions, is formed and
 //! factorised where drives hardly overlap (`reduced`), and solved by preconditioned conjugate gradients without being
 //! formed where they do (`iterative`): cost per iteration is then linear in the observations, however many drives go
 //! through a place. The loop is [`crate::solving::least_squares::minimise`]. Results are the same to the bit on any
@@ -27,11 +28,15 @@ mod blocks;
 mod clusters;
 mod coarse;
 mod elimination;
+mod equations;
+mod factor;
 mod iterative;
 mod odometry;
 mod reduced;
+mod regions;
 pub mod schur;
 mod system;
+mod taken;
 mod vehicle;
 
 #[cfg(test)]
@@ -44,6 +49,7 @@ use crate::geometry::pose::Pose;
 use crate::geometry::rig::Rig;
 use crate::solving::least_squares::{self, Loss, Summary, SystemError};
 
+pub use regions::Cut;
 pub use schur::LinearSolver;
 
 /// A drive.
@@ -139,8 +145,11 @@ pub struct Options {
     pub scale_sigma: f64,
     /// Standard deviation of a session's yaw drift about 0, rad/m.
     pub yaw_sigma_rad_per_m: f64,
-    /// How steps are found.
+    /// How steps are found, in one piece.
     pub linear_solver: LinearSolver,
+    /// Poses of a region at most, where there are more of them: the problem is then adjusted by regions, to the same
+    /// answer in the memory of a few of them and of what they share. In one piece where `None`.
+    pub region_poses: Option<usize>,
     /// Iterations and tolerances.
     pub least_squares: least_squares::Options,
 }
@@ -157,6 +166,7 @@ impl Default for Options {
             scale_sigma: 0.03,
             yaw_sigma_rad_per_m: 0.003,
             linear_solver: LinearSolver::Cheaper,
+            region_poses: None,
             least_squares: least_squares::Options {
                 max_iterations: 50,
                 ..least_squares::Options::default()
@@ -181,6 +191,8 @@ pub struct Report {
     pub summary: Summary,
     /// One for each observation.
     pub observations: Vec<Residual>,
+    /// How it was cut, where it was adjusted by regions.
+    pub cut: Option<Cut>,
 }
 
 /// Why a problem cannot be solved.
@@ -219,17 +231,30 @@ pub enum ProblemError {
 /// [`ProblemError`]; the problem is then as it was.
 pub fn solve(problem: &mut Problem, options: &Options) -> Result<Report, ProblemError> {
     check(problem)?;
-    let mut schur = vehicle::schur(problem, options)?;
-    let summary = least_squares::minimise(&mut schur, &options.least_squares);
-    let landmarks = std::mem::take(&mut schur.landmarks);
-    let (poses, sessions) = schur.bundle.into_estimate();
-    problem.poses = poses;
-    problem.sessions = sessions;
-    problem.landmarks = landmarks.into_iter().map(Vector3::from).collect();
+    let regions = options.region_poses;
+    let (summary, cut) = match regions.filter(|poses| problem.poses.len() > *poses) {
+        Some(poses) => {
+            let (summary, cut) = regions::solve(problem, options, poses)?;
+            (summary, Some(cut))
+        }
+        None => (in_one_piece(problem, options)?, None),
+    };
     Ok(Report {
         summary,
         observations: residuals(problem, options.observation_loss),
+        cut,
     })
+}
+
+fn in_one_piece(problem: &mut Problem, options: &Options) -> Result<Summary, SystemError> {
+    let mut schur = taken::schur(problem, options)?;
+    let summary = least_squares::minimise(&mut schur, &options.least_squares);
+    let (vehicles, landmarks) = schur.into_estimate();
+    let (poses, sessions) = vehicles.into_estimate();
+    problem.poses = poses;
+    problem.sessions = sessions;
+    problem.landmarks = landmarks.into_iter().map(Vector3::from).collect();
+    Ok(summary)
 }
 
 /// Residuals and weights of all observations as the problem stands.

@@ -12,15 +12,11 @@
 //!
 //! [`Schur`] knows neither rigs nor lenses: a [`Bundle`] tells it what each observation says.
 
-use rayon::prelude::*;
-
 use super::blocks::Blocks;
-use super::elimination::{Layout, Point, Sighted, pieces, right_of_block};
+use super::equations::Equations;
 pub use super::system::LinearSolver;
 use super::system::System;
-use crate::solving::least_squares::{
-    Linearisation, Problem, SystemError, TrialStep, damped_diagonal,
-};
+use crate::solving::least_squares::{Linearisation, Problem, SystemError, TrialStep};
 
 /// An observation, weighted: residual and derivatives.
 #[derive(Debug, Clone, Copy)]
@@ -95,8 +91,8 @@ pub trait Bundle<const C: usize>: Sync {
 
 /// Hessian and gradient of the terms without landmarks.
 pub struct Terms<'a, const C: usize> {
-    matrix: &'a mut Blocks<C>,
-    gradient: &'a mut [[f64; C]],
+    pub(super) matrix: &'a mut Blocks<C>,
+    pub(super) gradient: &'a mut [[f64; C]],
 }
 
 impl<const C: usize> Terms<'_, C> {
@@ -132,21 +128,8 @@ pub(super) fn ordered(pairs: &[(u32, u32)]) -> Vec<(u32, u32)> {
 
 /// A bundle as the optimiser's loop sees it.
 pub struct Schur<const C: usize, B> {
-    /// The camera side.
-    pub bundle: B,
-    /// The landmarks' estimates.
-    pub landmarks: Vec<[f64; 3]>,
-    layout: Layout,
-    sighted: Vec<Sighted<C>>,
-    points: Vec<Point>,
-    trial: Vec<[f64; 3]>,
-    /// The terms without landmarks.
-    terms: Blocks<C>,
-    terms_gradient: Vec<[f64; C]>,
-    gradient: Vec<[f64; C]>,
-    diagonal: Vec<[f64; C]>,
+    equations: Equations<C, B>,
     system: System<C>,
-    steps: Vec<[f64; C]>,
 }
 
 impl<const C: usize, B: Bundle<C>> Schur<C, B> {
@@ -166,177 +149,58 @@ impl<const C: usize, B: Bundle<C>> Schur<C, B> {
         let (layout, system) =
             System::choose(blocks, landmarks.len(), sights, &terms, &bundle, solver)?;
         Ok(Self {
-            bundle,
-            sighted: vec![Sighted::ZERO; layout.sights.len()],
-            points: vec![Point::default(); landmarks.len()],
-            trial: landmarks.clone(),
-            landmarks,
-            layout,
-            terms,
-            terms_gradient: vec![[0.0; C]; blocks],
-            gradient: vec![[0.0; C]; blocks],
-            diagonal: vec![[0.0; C]; blocks],
+            equations: Equations::new(bundle, landmarks, layout, terms),
             system,
-            steps: vec![[0.0; C]; blocks],
         })
     }
 
-    fn linearise_landmarks(&mut self) -> f64 {
-        let (bundle, landmarks) = (&self.bundle, &self.landmarks);
-        pieces(&self.layout, &mut self.points, &mut self.sighted)
-            .into_par_iter()
-            .for_each(|piece| {
-                piece.each(|landmark, sights, point, sighted| {
-                    point.cost = 0.0;
-                    for (sight, sighted) in sights.iter().zip(sighted.iter_mut()) {
-                        let observation = sight.observation as usize;
-                        let (cost, linear) = bundle.linearise(observation, &landmarks[landmark]);
-                        point.cost += cost;
-                        sighted.linear = linear;
-                    }
-                    point.gather(sighted);
-                });
-            });
-        self.points.iter().map(|point| point.cost).sum()
-    }
-
-    fn linearise_terms(&mut self) -> f64 {
-        self.terms.entries.fill([[0.0; C]; C]);
-        self.terms_gradient.fill([0.0; C]);
-        self.bundle.add_terms(&mut Terms {
-            matrix: &mut self.terms,
-            gradient: &mut self.terms_gradient,
-        })
-    }
-
-    /// Gradient and diagonal of the camera side.
-    fn gather_blocks(&mut self) {
-        let (sighted, matrix) = (&self.sighted, &self.terms);
-        let all = self.gradient.par_iter_mut().zip(&mut self.diagonal);
-        let terms = self.terms_gradient.par_iter();
-        all.zip(terms)
-            .zip(&self.layout.by_block)
-            .enumerate()
-            .for_each(|(block, (((gradient, diagonal), terms), sights))| {
-                *gradient = *terms;
-                let own = &matrix.entries[matrix.starts[block]];
-                *diagonal = std::array::from_fn(|c| own[c][c]);
-                for place in sights {
-                    let Linear {
-                        residual: [r, s],
-                        camera: [j, k],
-                        ..
-                    } = &sighted[*place as usize].linear;
-                    for c in 0..C {
-                        gradient[c] += j[c] * r + k[c] * s;
-                        diagonal[c] += j[c] * j[c] + k[c] * k[c];
-                    }
-                }
-            });
-    }
-
-    /// Solves for the camera side; `None` when the reduced system is not positive definite.
-    fn eliminate(&mut self, damping: f64) -> Option<()> {
-        pieces(&self.layout, &mut self.points, &mut self.sighted)
-            .into_par_iter()
-            .for_each(|piece| {
-                piece.each(|_, _, point, sighted| {
-                    point.factorise(damping);
-                    sighted.iter_mut().for_each(|s| s.eliminate(point));
-                });
-            });
-        let (layout, sighted, points) = (&self.layout, &self.sighted, &self.points);
-        let right = self.steps.par_iter_mut().zip(&self.terms_gradient);
-        right.enumerate().for_each(|(block, (right, terms))| {
-            *right = right_of_block(block, layout, sighted, points);
-            (0..C).for_each(|c| right[c] -= terms[c]);
-        });
-        let added = self.diagonal.iter();
-        let added = added.map(|own| own.map(|entry| damping * damped_diagonal(entry)));
-        let added: Vec<[f64; C]> = added.collect();
-        self.system.solve(
-            &self.layout,
-            &self.sighted,
-            &mut self.points,
-            (&self.terms, &added),
-            &mut self.steps,
-        )
-    }
-
-    /// The landmarks' steps, from those of the camera side.
-    fn substitute(&mut self) {
-        let steps = &self.steps;
-        pieces(&self.layout, &mut self.points, &mut self.sighted)
-            .into_par_iter()
-            .for_each(|piece| {
-                piece.each(|_, sights, point, sighted| point.substitute(sights, sighted, steps));
-            });
-        for ((trial, landmark), point) in
-            self.trial.iter_mut().zip(&self.landmarks).zip(&self.points)
-        {
-            *trial = std::array::from_fn(|axis| landmark[axis] + point.step[axis]);
-        }
-    }
-
-    fn trial_step(&self, damping: f64) -> TrialStep {
-        let mut predicted = 0.0;
-        let mut count = |step: f64, gradient: f64, diagonal: f64| {
-            predicted += 0.5 * step * (damping * damped_diagonal(diagonal) * step - gradient);
-        };
-        for ((step, gradient), diagonal) in
-            self.steps.iter().zip(&self.gradient).zip(&self.diagonal)
-        {
-            (0..C).for_each(|c| count(step[c], gradient[c], diagonal[c]));
-        }
-        for point in &self.points {
-            let diagonal = point.diagonal();
-            (0..3).for_each(|axis| count(point.step[axis], point.gradient[axis], diagonal[axis]));
-        }
-        TrialStep {
-            predicted_decrease: predicted,
-            moved: self.bundle.moved(&self.steps),
-        }
+    /// The camera side and the landmarks, as they are estimated.
+    pub fn into_estimate(self) -> (B, Vec<[f64; 3]>) {
+        (self.equations.bundle, self.equations.landmarks)
     }
 }
 
 impl<const C: usize, B: Bundle<C>> Problem for Schur<C, B> {
     fn linearise(&mut self) -> Linearisation {
-        let cost = self.linearise_landmarks() + self.linearise_terms();
-        self.gather_blocks();
-        let blocks = self.gradient.as_flattened().iter();
-        let points = self.points.iter().flat_map(|point| &point.gradient);
-        let gradient_max = blocks.chain(points).fold(0.0, |max: f64, entry| {
-            // `f64::max` would hide a NaN.
-            if entry.abs() <= max { max } else { entry.abs() }
-        });
-        Linearisation { cost, gradient_max }
+        let cost = self.equations.linearise();
+        let blocks = self.equations.gradient.as_flattened().iter();
+        Linearisation {
+            cost,
+            gradient_max: largest(blocks.chain(self.equations.landmark_gradient())),
+        }
     }
 
+    /// Solves for the camera side first; `None` when the reduced system is not positive definite.
     fn solve(&mut self, damping: f64) -> Option<TrialStep> {
-        self.eliminate(damping)?;
-        self.substitute();
-        self.bundle.step(&self.steps);
-        Some(self.trial_step(damping))
+        let equations = &mut self.equations;
+        let added = equations.eliminate(damping);
+        self.system.solve(
+            &equations.layout,
+            &equations.sighted,
+            &mut equations.points,
+            (&equations.terms, &added),
+            &mut equations.steps,
+        )?;
+        equations.substitute();
+        Some(TrialStep {
+            predicted_decrease: equations.predicted_decrease(0..equations.steps.len(), damping),
+            moved: equations.bundle.moved(&equations.steps),
+        })
     }
 
     fn trial_cost(&mut self) -> f64 {
-        let (bundle, trial) = (&self.bundle, &self.trial);
-        pieces(&self.layout, &mut self.points, &mut self.sighted)
-            .into_par_iter()
-            .for_each(|piece| {
-                piece.each(|landmark, sights, point, _| {
-                    let costs = sights.iter().map(|sight| {
-                        bundle.trial_cost(sight.observation as usize, &trial[landmark])
-                    });
-                    point.cost = costs.sum();
-                });
-            });
-        let landmarks: f64 = self.points.iter().map(|point| point.cost).sum();
-        landmarks + self.bundle.trial_terms_cost()
+        self.equations.trial_cost()
     }
 
     fn accept(&mut self) {
-        self.bundle.accept();
-        self.landmarks.copy_from_slice(&self.trial);
+        self.equations.accept();
     }
+}
+
+/// The largest absolute entry; NaN where there is one.
+pub(super) fn largest<'a>(entries: impl Iterator<Item = &'a f64>) -> f64 {
+    entries.fold(0.0, |max: f64, entry| {
+        // `f64::max` would hide a NaN.
+        if entry.abs() <= max { max } else { entry.abs() }
+    })
 }

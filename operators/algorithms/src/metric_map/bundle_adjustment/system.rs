@@ -6,8 +6,9 @@
 
 use super::blocks::Blocks;
 use super::elimination::{Layout, Point, Sighted};
+use super::factor;
 use super::iterative::Iterative;
-use super::reduced::{self, Reduced};
+use super::reduced::Reduced;
 use super::schur::{Bundle, Sight};
 use crate::solving::least_squares::{Structure, SystemError};
 
@@ -55,7 +56,7 @@ impl<const C: usize> System<C> {
             let pairs = layout.meeting(terms);
             let named = pairs.iter().map(|(a, b)| (*a as usize, *b as usize));
             let structure = Structure::new(blocks, named);
-            let cheaper = |found: &Structure<C>| formed + reduced::work(found) < iterative;
+            let cheaper = |found: &Structure<C>| formed + factor::work(found) < iterative;
             // A factor that does not fit is not the cheaper one.
             if solver == LinearSolver::Factorised || structure.as_ref().is_ok_and(cheaper) {
                 return Ok((layout, Self::Direct(Reduced::new(structure?, &pairs)?)));

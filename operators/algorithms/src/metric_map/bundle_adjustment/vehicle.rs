@@ -7,11 +7,10 @@
 use nalgebra::{Matrix2x3, Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 
 use super::odometry::{self, StepLinear};
-use super::schur::{Bundle, FIXED, Linear, Schur, Sight, Terms};
+use super::schur::{Bundle, FIXED, Linear, Terms};
 use super::{Keyframe, Observation, Odometry, Options, Problem, Session};
 use crate::geometry::camera::Camera;
 use crate::geometry::lie::{hat, se3};
-use crate::solving::least_squares::SystemError;
 
 /// An observation that the camera cannot see counts as one of this many standard deviations, and
 /// pulls nowhere: steps that make landmarks invisible are refused, and those that begin so stay
@@ -64,70 +63,18 @@ pub(super) struct Vehicles<'a> {
     blocks: Vec<u32>,
     /// Block of the first session.
     first_session: usize,
+    /// Sessions that are held, the first ones.
+    held: usize,
     options: &'a Options,
-}
-
-/// A checked problem, ready for the loop.
-pub(super) fn schur<'a>(
-    problem: &'a Problem,
-    options: &'a Options,
-) -> Result<Schur<6, Vehicles<'a>>, SystemError> {
-    let mut free = 0;
-    let blocks: Vec<u32> = problem
-        .poses
-        .iter()
-        .map(|pose| {
-            if pose.fixed {
-                return FIXED;
-            }
-            free += 1;
-            free - 1
-        })
-        .collect();
-    let first_session = free as usize;
-    let sights = problem.observations.iter().enumerate();
-    let sights = sights
-        .map(|(index, seen)| Sight {
-            landmark: seen.landmark as u32,
-            block: blocks[seen.pose],
-            observation: index as u32,
-        })
-        .collect();
-    let pairs = pairs(problem, &blocks, first_session);
-    let landmarks = problem.landmarks.iter().map(|p| (*p).into()).collect();
-    let size = first_session + problem.sessions.len();
-    let bundle = Vehicles::new(problem, options, blocks, first_session);
-    Schur::new(
-        bundle,
-        size,
-        landmarks,
-        sights,
-        &pairs,
-        options.linear_solver,
-    )
-}
-
-/// Blocks that meet in odometry.
-fn pairs(problem: &Problem, blocks: &[u32], first_session: usize) -> Vec<(u32, u32)> {
-    let mut pairs = Vec::with_capacity(3 * problem.odometry.len());
-    for step in &problem.odometry {
-        let session = (first_session + problem.poses[step.from].session) as u32;
-        let (from, to) = (blocks[step.from], blocks[step.to]);
-        for (a, b) in [(from, to), (from, session), (to, session)] {
-            if a != FIXED && b != FIXED {
-                pairs.push((a, b));
-            }
-        }
-    }
-    pairs
 }
 
 impl<'a> Vehicles<'a> {
-    fn new(
+    /// With the block of each pose, that of the first session, and how many sessions are held.
+    pub(super) fn new(
         problem: &'a Problem,
         options: &'a Options,
-        blocks: Vec<u32>,
-        first_session: usize,
+        (blocks, first_session): (Vec<u32>, usize),
+        held: usize,
     ) -> Self {
         let mut first_camera = Vec::with_capacity(problem.rigs.len());
         let mut cameras = Vec::new();
@@ -167,6 +114,7 @@ impl<'a> Vehicles<'a> {
             odometry: &problem.odometry,
             blocks,
             first_session,
+            held,
             options,
         }
     }
@@ -184,7 +132,7 @@ impl<'a> Vehicles<'a> {
                 odometry::residual(step, &from.map_from_vehicle, &to.map_from_vehicle, session);
             cost += 0.5 * self.options.odometry_loss.cost(residual.norm_squared());
         }
-        for session in &at.sessions {
+        for session in &at.sessions[..self.held] {
             cost += 0.5
                 * self
                     .session_residual(session)
@@ -316,7 +264,7 @@ impl Bundle<6> for Vehicles<'_> {
         for step in self.odometry {
             cost += self.add_step(terms, step);
         }
-        for (index, session) in self.estimate.sessions.iter().enumerate() {
+        for (index, session) in self.estimate.sessions[..self.held].iter().enumerate() {
             cost += self.add_session(terms, index, session);
         }
         cost

@@ -43,6 +43,11 @@ pub struct AdjustParams {
     /// slipped. χ² with six degrees of freedom, once in a thousand; below, a step counts fully.
     #[serde(skip)]
     pub odometry_cutoff: f64,
+    /// Keyframes of a region at most. A site that has more is adjusted by regions, to the same poses: what is known of single
+    /// features while a step is sought, most of the memory, then follows the size of a region. Null adjusts every site in one
+    /// piece, which is quicker where it fits.
+    #[schemars(range(min = 1))]
+    pub region_keyframes: Option<u32>,
     /// When an adjustment between rounds ends. Poses that move by a millimetre move what is a metre away by 0.1 px: less
     /// than features scatter, and much less than the next round's radius.
     #[serde(skip)]
@@ -70,6 +75,7 @@ impl Default for AdjustParams {
             odometry_sigma_per_m: [0.01, 0.01, 0.03, 0.02, 0.02, 0.006],
             odometry: OdometryScale::default(),
             odometry_cutoff: CUTOFF_SPATIAL,
+            region_keyframes: None,
             between: Until {
                 iterations: 8,
                 moved_m: 1e-3,
@@ -125,6 +131,7 @@ pub(super) fn adjust(
         observation_loss: loss,
         odometry_loss: Loss::DynamicCovarianceScaling(params.odometry_cutoff),
         scale_sigma: params.odometry.sigma,
+        region_poses: params.region_keyframes.map(|keyframes| keyframes as usize),
         least_squares: least_squares::Options {
             max_iterations: until.iterations,
             // What moves no pose is not waited for, nor is what lowers no cost.

@@ -182,6 +182,9 @@ impl<const D: usize> BlockSystem<D> {
         let diagonal = self.damp(damping);
         let structure = &self.structure;
         let n = self.step.len();
+        if n == 0 {
+            return Some(diagonal);
+        }
         let pattern = SymbolicSparseColMatRef::new_unsorted_checked(
             n,
             n,
@@ -223,6 +226,36 @@ impl<const D: usize> BlockSystem<D> {
             .then_some(())
     }
 
+    /// Replaces right-hand sides, one after the other and each in the order of unknowns, by solutions with the last factor;
+    /// `None` without memory.
+    pub(crate) fn solve_many(&self, right: &mut [f64]) -> Option<()> {
+        let n = self.step.len();
+        if n == 0 {
+            return Some(());
+        }
+        let columns = right.len() / n;
+        let symbolic = &self.structure.symbolic;
+        let scratch = symbolic.solve_in_place_scratch::<f64>(columns, Par::Seq);
+        let mut memory = MemBuffer::try_new(scratch).ok()?;
+        let places = self.structure.place_of.iter();
+        let places = places.map(|place| *place as usize).enumerate();
+        let mut before = vec![0.0; n];
+        for column in right.chunks_exact_mut(n) {
+            reorder::<D>(column, &mut before, places.clone());
+        }
+        LltRef::<'_, u32, f64>::new(symbolic, &self.factor).solve_in_place_with_conj(
+            Conj::No,
+            MatMut::from_column_major_slice_mut(right, n, columns),
+            Par::Seq,
+            MemStack::new(&mut memory),
+        );
+        let back = places.map(|(unknown, place)| (place, unknown));
+        for column in right.chunks_exact_mut(n) {
+            reorder::<D>(column, &mut before, back.clone());
+        }
+        Some(())
+    }
+
     /// The last `δ` of one unknown.
     pub fn step(&self, unknown: usize) -> SVector<f64, D> {
         self.structure
@@ -232,6 +265,18 @@ impl<const D: usize> BlockSystem<D> {
                 let first = *place as usize * D;
                 SVector::from_column_slice(&self.step[first..first + D])
             })
+    }
+}
+
+/// Moves parts of D numbers from one place to another.
+fn reorder<const D: usize>(
+    vector: &mut [f64],
+    before: &mut [f64],
+    moves: impl Iterator<Item = (usize, usize)>,
+) {
+    before.copy_from_slice(vector);
+    for (from, to) in moves {
+        vector[to * D..(to + 1) * D].copy_from_slice(&before[from * D..(from + 1) * D]);
     }
 }
 

@@ -14,7 +14,7 @@ fn jacobians_are_derivatives() {
     let mut drive = Drive::new(5, 30, 10);
     let problem = drive.disturbed(3.0, 0.1);
     let options = Options::default();
-    let mut bundle = vehicle::schur(&problem, &options).unwrap().bundle;
+    let (mut bundle, _) = taken::schur(&problem, &options).unwrap().into_estimate();
     let blocks = 4 + 1;
     for (index, seen) in problem.observations.iter().enumerate().step_by(7) {
         let landmark: [f64; 3] = problem.landmarks[seen.landmark].into();

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod jacobians;
+mod regions;
 mod solving;
 
 use std::f64::consts::{FRAC_PI_2, PI};

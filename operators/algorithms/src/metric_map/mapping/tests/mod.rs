@@ -163,6 +163,24 @@ fn a_rough_graph_becomes_an_accurate_map() {
 }
 
 #[test]
+fn a_map_by_regions_is_that_in_one_piece() {
+    let session = simulate(&small());
+    let mut scene = Scene::default();
+    let tracks = session.add_to(&mut scene);
+    let guess = session.guess(0.25, 0.03);
+    let input = nothing_mapped(&scene, &guess, &tracks);
+    let whole = map(&input, &MappingParams::default());
+    let mut params = MappingParams::default();
+    params.adjust.region_keyframes = Some(30);
+    let found = map(&input, &params);
+    let poses = whole.poses.iter().zip(&found.poses);
+    let apart = poses.map(|(a, b)| (a.translation - b.translation).norm());
+    let apart_m = apart.fold(0.0, f64::max);
+    assert!(apart_m < 1e-4, "{apart_m} m");
+    assert_eq!(found.landmarks.len(), whole.landmarks.len());
+}
+
+#[test]
 fn a_dark_camera_and_odometry_that_is_far_off_do_little_harm() {
     let (error, found, _) = mapped(&Hall {
         dark: Some(1),
