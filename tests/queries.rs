@@ -136,7 +136,8 @@ fn tables_of_logs() {
         dataset.register(&context).unwrap();
         context
     });
-    check("logs.slt", context);
+    check("logs.slt", context.clone());
+    check("integers.slt", context);
 }
 
 /// A small map, with the folder that holds it.

@@ -7,6 +7,7 @@ mod expanded;
 mod inlined;
 mod members;
 mod missing;
+mod overflow;
 mod pool;
 mod size;
 mod written;
@@ -35,6 +36,7 @@ use crate::sql::bounded::bound_functions;
 use crate::sql::expanded::check_expanded;
 use crate::sql::inlined::check_inlined;
 use crate::sql::members::{check_members, mask_members, members};
+use crate::sql::overflow::check_overflow;
 use crate::sql::pool::SharedPool;
 use crate::sql::written::Written;
 
@@ -87,7 +89,7 @@ const MIN_BATCH_ROWS: usize = 64;
 const BYTES_PER_BATCH_ROW: usize = 256 << 10;
 
 /// A DataFusion context as all of evermap uses it: plain string types, a bounded memory pool, the functions on
-/// map layers. Where memory is short, batches are small and joins merge; units, whose results must not depend on it,
+/// map layers, integers that do not wrap. Where memory is short, batches are small and joins merge; units, whose results must not depend on it,
 /// take [`context_with`].
 ///
 /// # Errors
@@ -199,6 +201,7 @@ fn context_of(
     evermap_functions::register(&context);
     bound_functions(&context, limits.memory_bytes).or_fault()?;
     mask_members(&context).or_fault()?;
+    check_overflow(&context).or_fault()?;
     Ok(context)
 }
 

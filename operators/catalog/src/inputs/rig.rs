@@ -286,6 +286,35 @@ mod tests {
     }
 
     #[test]
+    fn a_calibration_that_no_lens_has_says_what_is_wrong() {
+        let calibration = |focal: f64, k1: f64| Calibration {
+            site: String::new(),
+            session: String::new(),
+            stamp: Stamp(0),
+            camera: "front".to_owned(),
+            width: 400,
+            height: 300,
+            model: "equidistant".to_owned(),
+            intrinsics: vec![focal, 0.0, 199.5, 0.0, focal, 149.5, 0.0, 0.0, 1.0],
+            distortion: vec![k1, 0.0, 0.0, 0.0],
+        };
+        let reason = |focal, k1| {
+            let made = camera(&calibration(focal, k1), [200, 150]);
+            made.err().map(|reason| reason.to_string())
+        };
+        for (focal, k1, expected) in [
+            (1e308, 0.0, "expected focal lengths"),
+            (1e-300, 0.0, "expected focal lengths"),
+            (128.0, 1e300, "expected a ray"),
+        ] {
+            let reason = reason(focal, k1).unwrap_or_default();
+            let named = reason.starts_with("calibration of camera `front`");
+            assert!(named && reason.contains(expected), "{reason}");
+        }
+        assert_eq!(reason(128.0, -0.01), None);
+    }
+
+    #[test]
     fn a_vehicle_is_found_behind_the_only_prefix() {
         let one = rig(&[("a/base_link", "a/mast"), ("a/mast", "a/front")]);
         assert_eq!(ahead(&one, USUAL_VEHICLE, "a/front"), Some(2.0));

@@ -8,6 +8,7 @@ use super::{
     BrownConrady, Camera, Equirectangular, KannalaBrandt, Model, Ocam, OcamAffine, OcamCurve,
     Pinhole,
 };
+use nalgebra::Vector3;
 
 /// The names [`Camera::from_calibration`] understands.
 pub const MODEL_NAMES: [&str; 10] = [
@@ -45,7 +46,7 @@ pub enum CameraError {
         found: usize,
     },
     /// A value makes no camera.
-    #[error("camera model \"{model}\": {what}, found {found}")]
+    #[error("camera model \"{model}\": {what}, found {found:?}")]
     Value {
         /// The model asked for.
         model: String,
@@ -53,6 +54,18 @@ pub enum CameraError {
         what: &'static str,
         /// The value given.
         found: f64,
+    },
+    /// A pixel's ray is none that a lens has.
+    #[error(
+        "camera model \"{model}\": expected a ray of pixel {pixel:?} that leads back to it, found {found}"
+    )]
+    Ray {
+        /// The model asked for.
+        model: String,
+        /// `[u, v]`.
+        pixel: [f64; 2],
+        /// What is there instead.
+        found: String,
     },
     /// The image has no pixels.
     #[error("expected an image size in pixels, found {width} x {height}")]
@@ -62,6 +75,86 @@ pub enum CameraError {
         /// Height given.
         height: u32,
     },
+}
+
+/// Focal lengths are this many times the longer side of the image at least. A fisheye that sees all around would fill a spot
+/// of 6 hundredths of its image; the image of a pinhole would span 178°, at whose edge the fourth power of the cosine leaves
+/// less than a millionth of the light.
+const SHORTEST: f64 = 0.01;
+
+/// And this many at most: the lens would be 5 m before the sensor of a phone, which is 5 mm wide, and its image 0.06°.
+const LONGEST: f64 = 1000.0;
+
+/// Places along each side of the image where a model is tried.
+const TRIED: u32 = 9;
+
+/// The part of those places, one in so many, that a model has rays for at least: a fisheye's circle, which leaves the corners
+/// out, or all but a quarter of the longer side.
+const SEEN: u32 = 20;
+
+/// How far a ray may miss its pixel, in parts of the longer side, beyond one pixel. Polynomials of omnidirectional cameras
+/// miss the axis, where none was fitted, by a few pixels.
+const MISSED: f64 = 0.01;
+
+/// That a camera has rays over its image, that they are finite, lead back to where they came from, and are not all one: by
+/// distortion an image may be half as wide an angle as by [`LONGEST`].
+fn check_view(model: &str, camera: &Camera) -> Result<(), CameraError> {
+    let longer = f64::from(camera.width.max(camera.height));
+    let at = |step: u32, size: u32| f64::from(step) / f64::from(TRIED - 1) * f64::from(size - 1);
+    let mut seen = 0;
+    for v in 0..TRIED {
+        let mut before: Option<([f64; 2], Vector3<f64>)> = None;
+        for u in 0..TRIED {
+            let pixel = [at(u, camera.width), at(v, camera.height)];
+            let ray = returning_ray(camera, pixel, 1.0 + MISSED * longer);
+            let ray = ray.map_err(|found| CameraError::Ray {
+                model: model.to_owned(),
+                pixel,
+                found,
+            })?;
+            if let (Some((other, beside)), Some(ray)) = (before, ray)
+                && beside.angle(&ray) * 2.0 * LONGEST * longer < pixel[0] - other[0]
+            {
+                return Err(CameraError::Ray {
+                    model: model.to_owned(),
+                    pixel,
+                    found: format!("that of pixel {other:?}"),
+                });
+            }
+            seen += u32::from(ray.is_some());
+            before = ray.map(|ray| (pixel, ray));
+        }
+    }
+    match seen * SEEN >= TRIED * TRIED {
+        true => Ok(()),
+        false => Err(CameraError::Value {
+            model: model.to_owned(),
+            what: "expected rays for a twentieth of the image at least",
+            found: f64::from(seen) / f64::from(TRIED * TRIED),
+        }),
+    }
+}
+
+/// The ray of a pixel; `None` where the model ends before it.
+fn returning_ray(
+    camera: &Camera,
+    pixel: [f64; 2],
+    miss_px: f64,
+) -> Result<Option<Vector3<f64>>, String> {
+    let Some(ray) = camera.unproject(pixel) else {
+        return Ok(None);
+    };
+    if !ray.iter().all(|part| part.is_finite()) {
+        return Err("one that is not finite".to_owned());
+    }
+    // At its very end rounding decides whether the model goes so far.
+    let Some([u, v]) = camera.project(&ray) else {
+        return Ok(None);
+    };
+    match (u - pixel[0]).hypot(v - pixel[1]) <= miss_px {
+        true => Ok(Some(ray)),
+        false => Err(format!("one that leads to {:?}", [u, v])),
+    }
 }
 
 impl Camera {
@@ -80,10 +173,11 @@ impl Camera {
     /// | `ocam` | [`Ocam`], `k` = `[c d cx; e 1 cy; 0 0 1]` | [`OcamCurve::RadiusByElevation`] |
     /// | `ocam_depth` | the same | [`OcamCurve::DepthByRadius`] |
     ///
-    /// More entries in `d` than a model has are accepted when they are zero.
+    /// More entries in `d` than a model has are accepted when they are zero. Focal lengths are of a hundredth to a thousand
+    /// times the image's longer side, and the model has rays, which lead back to their pixels, for a twentieth of the image.
     ///
     /// # Errors
-    /// [`CameraError`] says which number was not as expected.
+    /// [`CameraError`] says which number was not as expected, or which pixel.
     pub fn from_calibration(
         model_name: &str,
         width: u32,
@@ -98,6 +192,7 @@ impl Camera {
             model: model_name,
             k,
             d,
+            longer_px: f64::from(width.max(height)),
         };
         given.finite()?;
         let model = match model_name {
@@ -117,7 +212,9 @@ impl Camera {
                 });
             }
         };
-        Ok(Camera::new(model, width, height))
+        let camera = Camera::new(model, width, height);
+        check_view(model_name, &camera)?;
+        Ok(camera)
     }
 }
 
@@ -126,6 +223,8 @@ struct Given<'a> {
     model: &'a str,
     k: &'a [f64],
     d: &'a [f64],
+    /// The longer side of the image.
+    longer_px: f64,
 }
 
 /// Focal lengths and centre, pixels.
@@ -176,10 +275,16 @@ impl Given<'_> {
             }
             _ => return Err(self.count("K", "9 (row by row) or 4 [fx, cx, fy, cy]", self.k.len())),
         };
-        match intrinsics.focal.into_iter().find(|focal| *focal <= 0.0) {
-            Some(found) => Err(self.value("expected positive focal lengths in K", found)),
-            None => Ok(intrinsics),
+        for found in intrinsics.focal {
+            if found <= 0.0 {
+                return Err(self.value("expected positive focal lengths in K", found));
+            }
+            if found < SHORTEST * self.longer_px || found > LONGEST * self.longer_px {
+                let what = "expected focal lengths in K of a hundredth to a thousand times the image's longer side";
+                return Err(self.value(what, found));
+            }
         }
+        Ok(intrinsics)
     }
 
     /// The first `N` of D, whose given length must be one of `counts` once zeros beyond `N` are

@@ -199,6 +199,47 @@ fn calibrations_that_are_none() {
     assert!(Camera::from_calibration("plumb_bob", 640, 480, &nine, &[0.0; 14]).is_ok());
 }
 
+#[test]
+fn calibrations_that_no_lens_has_are_refused() {
+    let k = |focal: f64, centre: f64| [focal, 0.0, centre, 0.0, focal, 149.5, 0.0, 0.0, 1.0];
+    let made = |name: &str, k: [f64; 9], d: &[f64]| {
+        let made = Camera::from_calibration(name, 400, 300, &k, d);
+        made.map_err(|error| error.to_string())
+    };
+    for name in ["plumb_bob", "equidistant"] {
+        for focal in [1e308, 1e-300, f64::MIN_POSITIVE, 1e7, 1.0] {
+            let error = made(name, k(focal, 199.5), &[]).unwrap_err();
+            let found = format!("found {focal:?}");
+            assert!(error.contains("focal") && error.contains(&found), "{error}");
+        }
+        for centre in [1e308, -1e6] {
+            let error = made(name, k(128.0, centre), &[]).unwrap_err();
+            assert!(error.contains("ray"), "{name} {centre}: {error}");
+        }
+        for d in [
+            [1e300, 0.0, 0.0, 0.0],
+            [-1e300, 0.0, 0.0, 0.0],
+            [0.0, 0.0, 0.0, 1e300],
+            [1e11, 0.0, 0.0, 0.0],
+        ] {
+            let error = made(name, k(128.0, 199.5), &d).unwrap_err();
+            assert!(error.contains("ray"), "{name} {d:?}: {error}");
+        }
+    }
+    // Of a telescope, an image of 177°, and a circle that is a third as wide as its image.
+    for (name, focal, d) in [
+        ("plumb_bob", 4e5, 0.0),
+        ("plumb_bob", 4.0, 0.0),
+        ("equidistant", 40.0, -0.05),
+    ] {
+        made(name, k(focal, 199.5), &[d, 0.0, 0.0, 0.0]).unwrap();
+    }
+    // The corners and sides of the image lie beyond the lens.
+    let barrel = made("plumb_bob", k(150.0, 199.5), &[-0.3, 0.0, 0.0, 0.0]).unwrap();
+    assert!(barrel.unproject([0.0, 0.0]).is_none());
+    assert!(barrel.unproject([199.0, 70.0]).is_some());
+}
+
 /// One camera of every model, with all its coefficients.
 pub(crate) fn one_of_each() -> Vec<Camera> {
     let nine = [500.0, 0.0, 320.5, 0.0, 502.0, 239.0, 0.0, 0.0, 1.0];
