@@ -171,15 +171,15 @@ impl Manifest {
 pub struct Vehicle(Arc<str>);
 
 impl Vehicle {
-    /// Which robot it is, of those that may share a log: the prefix of its frames, empty where its name has none.
-    pub fn robot(&self) -> &str {
-        frame_names::split(&self.0).0
+    /// The frame, without the slash that ROS 1 puts in front; empty where nobody names it.
+    pub fn frame(&self) -> &str {
+        frame_names::plain(&self.0)
     }
 
-    /// As a manifest gives it, to read the same rows of a log again; nothing where it is no robot among others.
+    /// As a manifest gives it, to read the same rows of a log again; nothing where nobody names it.
     pub fn to_manifest(&self) -> BTreeMap<String, Value> {
-        let chooses = !self.robot().is_empty();
-        let frame = chooses.then(|| (VEHICLE_FRAME.to_owned(), Value::from(&*self.0)));
+        let named = !self.frame().is_empty();
+        let frame = named.then(|| (VEHICLE_FRAME.to_owned(), Value::from(&*self.0)));
         frame.into_iter().collect()
     }
 }
@@ -192,6 +192,12 @@ impl Roles {
     /// The topics of a role, by the role's name; ascending.
     pub fn topics(&self, role: &str) -> &[String] {
         self.0.get(role).map_or(&[], Vec::as_slice)
+    }
+
+    /// Gives a role other topics.
+    pub(crate) fn give(&mut self, role: &Role, choices: Vec<Choice>) {
+        let topics = choices.into_iter().map(|choice| choice.topic);
+        self.0.insert(role.name, topics.collect());
     }
 
     /// As a manifest gives them, to choose the same topics again.

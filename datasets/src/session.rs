@@ -34,7 +34,7 @@ pub struct Session {
     pub parts: Vec<Arc<LogPart>>,
     /// Which of its topics play which part.
     pub roles: Roles,
-    /// The vehicle, as far as the manifest names it.
+    /// The vehicle, as far as the manifest names it and rows depend on it.
     pub vehicle: Vehicle,
 }
 

@@ -10,7 +10,7 @@ use evermap_catalog::USUAL_VEHICLE;
 use evermap_engine::error::OrFault;
 use evermap_schemas::Fault;
 use evermap_schemas::roles::frame_names;
-use evermap_schemas::roles::robots::{Robots, moved};
+use evermap_schemas::roles::robots::Robots;
 use serde::Serialize;
 
 /// Frames are known after so many transforms, and cameras after so many images.
@@ -147,9 +147,7 @@ impl fmt::Display for Camera {
 fn robots(transforms: &[Transform]) -> Vec<String> {
     let mut robots = Robots::default();
     let moving = transforms.iter().filter(|transform| !transform.fixed);
-    moving
-        .filter(|found| moved(&found.parent, &found.child).is_some())
-        .for_each(|found| robots.add(&found.child));
+    moving.for_each(|found| robots.add(&found.parent, &found.child));
     robots.several().into_iter().map(str::to_owned).collect()
 }
 

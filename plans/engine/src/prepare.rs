@@ -364,9 +364,9 @@ fn run_session(session: &Session, site: String, content: String) -> Result<Mappe
 
 /// The digest of all that says which rows a log's tables have.
 fn digest_of_tables(manifest: &Manifest) -> Result<String, Fault> {
-    match manifest.vehicle().robot() {
+    match manifest.vehicle().frame() {
         "" => digest_of(&manifest.roles),
-        robot => digest_of(&(&manifest.roles, robot)),
+        vehicle => digest_of(&(&manifest.roles, vehicle)),
     }
 }
 

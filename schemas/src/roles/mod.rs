@@ -54,7 +54,7 @@ pub use image_annotations::ImageAnnotation;
 pub use imu::ImuMeasurement;
 pub use label_classes::LabelClass;
 pub use odometry::OdometryPose;
-pub use robots::{Robot, Robots};
+pub use robots::{Motion, OdometryOf, Robots};
 pub use transforms::Transform;
 
 #[cfg(test)]

@@ -43,7 +43,7 @@ pub struct Messages {
     /// Whether it says what a vehicle is like, and not what a drive was: nothing is made of it alone.
     pub lasting: bool,
     /// Where its topics may tell of several robots and the table is of one: how messages become
-    /// [`Robot`](super::Robot)s.
+    /// [`Motion`](super::Motion)s.
     pub robots: Option<&'static Messages>,
     /// The frames that a message says are fixed, which the others of its session must not contradict.
     pub mounts: Option<fn(&Message<'_>) -> Vec<Mount>>,
