@@ -34,7 +34,11 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
     dataset.register(&context)?;
     if args.manifest {
         let frames = CoordinateFrames::read(&context).await?;
-        writeln!(std::io::stdout(), "{}", written(&dataset, &frames)?)?;
+        writeln!(
+            std::io::stdout(),
+            "{}",
+            written(&dataset, &frames, &context).await?
+        )?;
         return Ok(lost([&dataset]));
     }
     let parts = dataset.parts();
