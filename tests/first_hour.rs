@@ -177,6 +177,42 @@ fn a_run_without_any_row_says_so() {
 }
 
 #[test]
+fn a_topic_whose_schema_names_no_fields_is_refused_when_a_manifest_is_checked() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let mut log = mcap::Writer::new(std::fs::File::create(at("drive.mcap")).unwrap()).unwrap();
+    let schema = log.add_schema("nav_msgs/Odometry", "jsonschema", br#"{"type":"object"}"#);
+    let channel = log.add_channel(schema.unwrap(), "/odom", "json", &Default::default());
+    let header = mcap::records::MessageHeader {
+        channel_id: channel.unwrap(),
+        sequence: 0,
+        log_time: 1,
+        publish_time: 1,
+    };
+    log.write_to_known_channel(&header, b"{}").unwrap();
+    log.finish().unwrap();
+    let why = "JSON whose schema names no fields";
+    let inspected = evermap(&["inspect", text(&at("drive.mcap"))]).stdout;
+    assert!(
+        inspected.contains(&format!("  plays no role: {why}\n")),
+        "{inspected}"
+    );
+    std::fs::write(at("drive.yaml"), "roles:\n  odometry: /odom\n").unwrap();
+    let (manifest, drive) = (at("drive.yaml"), at("drive.mcap"));
+    let given = ["--manifest", text(&manifest), "--sessions", text(&drive)];
+    let map = at("map");
+    for asked in [
+        &["check", "trajectory"][..],
+        &["run", "trajectory", "--map", text(&map)],
+    ] {
+        let refused = evermap(&[asked, &given].concat()).expect(1).stderr;
+        for said in ["drive.yaml:2:13", "for the role odometry", "/odom", why] {
+            assert!(refused.contains(said), "{said}: {refused}");
+        }
+    }
+}
+
+#[test]
 fn versions_are_read_side_by_side_and_files_by_other_programs() {
     let folder = tempfile::tempdir().unwrap();
     let logs = ["monday", "tuesday"].map(|day| folder.path().join(format!("{day}.mcap")));

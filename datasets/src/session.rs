@@ -9,6 +9,7 @@ use arrow::datatypes::{DataType, FieldRef, Fields};
 use datafusion::execution::object_store::ObjectStoreUrl;
 use evermap_messages::{MessageType, SchemaError};
 use evermap_schemas::Fault;
+use evermap_schemas::roles::UNTYPED;
 use futures::StreamExt;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 
@@ -77,7 +78,7 @@ impl Session {
         };
         match self.is_silent(topic) {
             true => Some("no messages"),
-            false => untyped().then_some("JSON whose schema names no fields"),
+            false => untyped().then_some(UNTYPED),
         }
     }
 

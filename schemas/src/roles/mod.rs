@@ -20,7 +20,7 @@ mod role;
 pub use cameras::CameraNames;
 pub use message::{FARTHEST_M, Fields, FoundImage, FromMessage, FromMetadata, Message, Read};
 pub use mounts::Mount;
-pub use role::{Choice, Messages, Metadata, Role, Source, Topic, every, in_words};
+pub use role::{Choice, Messages, Metadata, Role, Source, Topic, UNTYPED, every, in_words};
 
 macro_rules! roles {
     ($($file:ident),+ $(,)?) => {
