@@ -316,6 +316,14 @@ fn queries_that_cannot_be_answered_say_what_was_meant() {
             "did you mean `drive.\"/odom\"`?",
         ),
         (
+            "SELECT * FROM \"/odom\"",
+            "(at line 1, column 15 of the query); did you mean `drive.\"/odom\"`?",
+        ),
+        (
+            "SELECT * FROM odometry",
+            "(at line 1, column 15 of the query); did you mean `drive.odometry`?",
+        ),
+        (
             "DESCRIBE pose",
             "there is no table `pose`; did you mean `poses`?",
         ),
