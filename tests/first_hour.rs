@@ -174,6 +174,17 @@ fn a_run_without_any_row_says_so() {
     let map = folder.path().join("map");
     let said = run("trajectory", &map, &[&silent], &[]).expect(3).stderr;
     assert!(said.contains("no layer has rows"), "{said}");
+    let picture = folder.path().join("map.svg");
+    let drawn = evermap(&["render", "--map", text(&map), "--out", text(&picture)]);
+    let said = drawn.expect(1).stderr;
+    assert!(
+        said.contains("no row to draw in `lanes`, `poses`"),
+        "{said}"
+    );
+    let page = folder.path().join("report.html");
+    evermap(&["report", "--map", text(&map), "--out", text(&page)]).expect(0);
+    let page = std::fs::read_to_string(&page).unwrap();
+    assert!(page.contains("There is no picture: no row to draw in `lanes`, `poses`."));
 }
 
 #[test]
