@@ -310,7 +310,8 @@ fn drawn<N: Into<String>>(
 fn explained(changes: &Changes, viewport: &Viewport) -> Vec<(String, Option<String>)> {
     let since = format!("since version {}", changes.since);
     let most_mm = (1e3 * changes.most_m()).round();
-    let moved = format!("moved, at most {most_mm} mm");
+    // `moved_m` of `diff` has what moved up and down too, which no picture from above shows.
+    let moved = format!("moved, at most {most_mm} mm seen from above");
     let kinds = [
         (
             !changes.new.is_empty(),
