@@ -167,6 +167,33 @@ fn a_log_of_the_same_name_takes_no_place_unasked() {
 }
 
 #[test]
+fn where_no_map_is_and_where_none_can_be_is_told_as_such() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    std::fs::create_dir(at("photos")).unwrap();
+    std::fs::write(at("photos/a.txt"), "a").unwrap();
+    let told = evermap(&["layers", "--map", text(&at("photos"))])
+        .expect(1)
+        .stderr;
+    let said = format!("no map at {}", text(&at("photos")));
+    assert!(
+        told.contains(&said) && told.contains("evermap run"),
+        "{told}"
+    );
+    let drive = at("drive.mcap");
+    write_drive(&drive, rectangle(30.0, 20.0, 1.0));
+    // Nobody makes a folder there.
+    if cfg!(target_os = "linux") {
+        let proc = Path::new("/proc/map");
+        let told = run("trajectory", proc, &[&drive], &[]).expect(1).stderr;
+        assert!(
+            told.contains("cannot create a map at /proc/map: "),
+            "{told}"
+        );
+    }
+}
+
+#[test]
 fn a_run_without_any_row_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let silent = folder.path().join("silent.mcap");

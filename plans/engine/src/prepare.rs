@@ -18,6 +18,7 @@ pub use self::host::vocabulary;
 pub use self::manifest::located;
 use crate::digest::digest_of;
 use crate::fingerprint::{self, Believe, Fingerprint};
+use crate::map::make;
 use crate::map::receipt::LogContent;
 use crate::map::store::{Store, each};
 use crate::map::version::{MappedSession, Previous, Version};
@@ -262,8 +263,9 @@ impl Prepared {
     /// Remembers the logs that were read, so that neither this run's units nor the next run need read them.
     ///
     /// # Errors
-    /// A resource fault when the map's store does not take it.
+    /// A user fault where the map's folder cannot be made, a resource fault when its store does not take it.
     pub async fn remember(&mut self) -> Result<(), Fault> {
+        make(&self.store)?;
         let fresh = std::mem::take(&mut self.fresh);
         each(fresh.iter().map(|fresh| fresh.remember(&self.store))).await?;
         Ok(())
