@@ -181,6 +181,33 @@ fn a_log_of_the_same_name_takes_no_place_unasked() {
 }
 
 #[test]
+fn where_no_map_is_and_where_none_can_be_is_told_as_such() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    std::fs::create_dir(at("photos")).unwrap();
+    std::fs::write(at("photos/a.txt"), "a").unwrap();
+    let told = evermap(&["layers", "--map", text(&at("photos"))])
+        .expect(1)
+        .stderr;
+    let said = format!("no map at {}", text(&at("photos")));
+    assert!(
+        told.contains(&said) && told.contains("evermap run"),
+        "{told}"
+    );
+    let drive = at("drive.mcap");
+    write_drive(&drive, rectangle(30.0, 20.0, 1.0));
+    // Nobody makes a folder there.
+    if cfg!(target_os = "linux") {
+        let proc = Path::new("/proc/map");
+        let told = run("trajectory", proc, &[&drive], &[]).expect(1).stderr;
+        assert!(
+            told.contains("cannot create a map at /proc/map: "),
+            "{told}"
+        );
+    }
+}
+
+#[test]
 fn a_run_without_any_row_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let silent = folder.path().join("silent.mcap");
@@ -188,6 +215,53 @@ fn a_run_without_any_row_says_so() {
     let map = folder.path().join("map");
     let said = run("trajectory", &map, &[&silent], &[]).expect(3).stderr;
     assert!(said.contains("no layer has rows"), "{said}");
+    let picture = folder.path().join("map.svg");
+    let drawn = evermap(&["render", "--map", text(&map), "--out", text(&picture)]);
+    let said = drawn.expect(1).stderr;
+    assert!(
+        said.contains("no row to draw in `lanes`, `poses`"),
+        "{said}"
+    );
+    let page = folder.path().join("report.html");
+    evermap(&["report", "--map", text(&map), "--out", text(&page)]).expect(0);
+    let page = std::fs::read_to_string(&page).unwrap();
+    assert!(page.contains("There is no picture: no row to draw in `lanes`, `poses`."));
+}
+
+#[test]
+fn a_topic_whose_schema_names_no_fields_is_refused_when_a_manifest_is_checked() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let mut log = mcap::Writer::new(std::fs::File::create(at("drive.mcap")).unwrap()).unwrap();
+    let schema = log.add_schema("nav_msgs/Odometry", "jsonschema", br#"{"type":"object"}"#);
+    let channel = log.add_channel(schema.unwrap(), "/odom", "json", &Default::default());
+    let header = mcap::records::MessageHeader {
+        channel_id: channel.unwrap(),
+        sequence: 0,
+        log_time: 1,
+        publish_time: 1,
+    };
+    log.write_to_known_channel(&header, b"{}").unwrap();
+    log.finish().unwrap();
+    let why = "JSON whose schema names no fields";
+    let inspected = evermap(&["inspect", text(&at("drive.mcap"))]).stdout;
+    assert!(
+        inspected.contains(&format!("  plays no role: {why}\n")),
+        "{inspected}"
+    );
+    std::fs::write(at("drive.yaml"), "roles:\n  odometry: /odom\n").unwrap();
+    let (manifest, drive) = (at("drive.yaml"), at("drive.mcap"));
+    let given = ["--manifest", text(&manifest), "--sessions", text(&drive)];
+    let map = at("map");
+    for asked in [
+        &["check", "trajectory"][..],
+        &["run", "trajectory", "--map", text(&map)],
+    ] {
+        let refused = evermap(&[asked, &given].concat()).expect(1).stderr;
+        for said in ["drive.yaml:2:13", "for the role odometry", "/odom", why] {
+            assert!(refused.contains(said), "{said}: {refused}");
+        }
+    }
 }
 
 #[test]
@@ -292,6 +366,14 @@ fn queries_that_cannot_be_answered_say_what_was_meant() {
         (
             "SELECT * FROM driv.\"/odom\"",
             "did you mean `drive.\"/odom\"`?",
+        ),
+        (
+            "SELECT * FROM \"/odom\"",
+            "(at line 1, column 15 of the query); did you mean `drive.\"/odom\"`?",
+        ),
+        (
+            "SELECT * FROM odometry",
+            "(at line 1, column 15 of the query); did you mean `drive.odometry`?",
         ),
         (
             "DESCRIBE pose",

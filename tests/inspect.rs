@@ -206,7 +206,7 @@ fn the_manifest_that_inspect_writes_runs_and_is_edited() {
         "\n  # annotations:  # none found; evermap.Annotation\n",
         "\n  vehicle_frame: chassis  # frames of the logs: bumper, chassis, front, odom, rear\n",
         "\n  # odometry_scale_sigma: 0.01\n",
-        "\n  # mask: {",
+        "\n  # mask: { front: [[[0, 720], [1280, 720], [1280, 960], [0, 960]]] }\n",
     ] {
         assert!(written.contains(line), "{line}: {written}");
     }
@@ -267,6 +267,14 @@ fn the_manifest_that_inspect_writes_runs_and_is_edited() {
     );
 
     let drive = at("drive.mcap");
+    let masked = "defaults:\n  mask: { rear: [[[0, 0], [9, 0], [9, 9]]] }\n";
+    std::fs::write(&manifest, masked).unwrap();
+    let sessions = ["--manifest", text(&manifest), "--sessions", text(&drive)];
+    let asked = [&["check", "lifelong"][..], &sessions].concat();
+    let said = evermap(&asked).stderr;
+    let warning =
+        "warning: `mask` names `rear`, which no session given has: their cameras are `front`";
+    assert!(said.contains(warning), "{said}");
     for (edit, place, said) in [
         ("odometri: /odom", "2:3", "expected one of the roles"),
         (

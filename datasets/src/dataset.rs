@@ -15,6 +15,7 @@ use crate::fault::OrFault;
 use crate::losses::{Loss, LossLedger, Reason};
 use crate::manifest::{Manifest, Roles, Vehicle, of_role};
 use crate::recordings::{Recording, Recordings};
+use crate::roles::robots;
 use crate::scan::{LazyTable, LogTable, McapTable, MessagesTable, RecordTable, TopicTable};
 use crate::session::{LogPart, Session};
 use crate::{listing, roles};
@@ -205,15 +206,26 @@ async fn open_session(
     for (number, part) in parts.iter_mut().enumerate() {
         part.part = number as u32;
     }
-    let (roles, notes) = Roles::resolve(roles, given, &topics_of(&parts))?;
-    let parts = parts.into_iter().map(Arc::new).collect();
-    let session = Session {
+    let topics = topics_of(&parts);
+    let (resolved, mut notes) = Roles::resolve(roles, given, &topics)?;
+    let mut session = Session {
         name,
         site,
-        parts,
-        roles,
+        parts: parts.into_iter().map(Arc::new).collect(),
+        roles: resolved,
         vehicle: vehicle.clone(),
     };
+    for role in roles {
+        if !given.contains_key(role.name)
+            && let Some((choices, note)) = robots::instead(role, &session, &topics).await?
+        {
+            session.roles.give(role, choices);
+            notes.push(note);
+        }
+    }
+    if !robots::matter(roles, &session) {
+        session.vehicle = Vehicle::default();
+    }
     Ok((session, notes, faults))
 }
 

@@ -171,15 +171,15 @@ impl Manifest {
 pub struct Vehicle(Arc<str>);
 
 impl Vehicle {
-    /// Which robot it is, of those that may share a log: the prefix of its frames, empty where its name has none.
-    pub fn robot(&self) -> &str {
-        frame_names::split(&self.0).0
+    /// The frame, without the slash that ROS 1 puts in front; empty where nobody names it.
+    pub fn frame(&self) -> &str {
+        frame_names::plain(&self.0)
     }
 
-    /// As a manifest gives it, to read the same rows of a log again; nothing where it is no robot among others.
+    /// As a manifest gives it, to read the same rows of a log again; nothing where nobody names it.
     pub fn to_manifest(&self) -> BTreeMap<String, Value> {
-        let chooses = !self.robot().is_empty();
-        let frame = chooses.then(|| (VEHICLE_FRAME.to_owned(), Value::from(&*self.0)));
+        let named = !self.frame().is_empty();
+        let frame = named.then(|| (VEHICLE_FRAME.to_owned(), Value::from(&*self.0)));
         frame.into_iter().collect()
     }
 }
@@ -192,6 +192,12 @@ impl Roles {
     /// The topics of a role, by the role's name; ascending.
     pub fn topics(&self, role: &str) -> &[String] {
         self.0.get(role).map_or(&[], Vec::as_slice)
+    }
+
+    /// Gives a role other topics.
+    pub(crate) fn give(&mut self, role: &Role, choices: Vec<Choice>) {
+        let topics = choices.into_iter().map(|choice| choice.topic);
+        self.0.insert(role.name, topics.collect());
     }
 
     /// As a manifest gives them, to choose the same topics again.
@@ -207,8 +213,8 @@ impl Roles {
     /// that another reader might have made differently are told in the notes.
     ///
     /// # Errors
-    /// A user fault when a pattern is malformed, two topics match the pattern of a role that only one plays, or those that
-    /// match are of types that only other roles are played by.
+    /// A user fault when a pattern is malformed, two topics match the pattern of a role that only one plays, those that
+    /// match are of types that only other roles are played by, or none of them has fields and the role is read by them.
     pub fn resolve(
         roles: &[Role],
         given: &BTreeMap<String, Vec<String>>,
@@ -283,6 +289,19 @@ fn matching(
             other.message_type,
         ))));
     }
+    // Where others play the role too, what cannot be read of one is counted.
+    if let [first, ..] = found.as_slice()
+        && found.iter().all(|topic| role.unfit(topic).is_some())
+        && let Some(why) = role.unfit(first)
+    {
+        let fault = format!(
+            "expected a topic for the role {} whose messages have fields, found {}: {why}",
+            role.name, first.name
+        );
+        return Err(at(
+            Fault::user(fault).next("record it with a schema that names them")
+        ));
+    }
     let found: Vec<String> = found.iter().map(|topic| topic.name.clone()).collect();
     let single = role.messages().is_some_and(|messages| messages.single);
     match found.len() > 1 && single {
@@ -347,6 +366,34 @@ mod tests {
         assert!(fault.message.ends_with(said), "{fault}");
         assert_eq!(faulty_role(&fault), Some("frames"));
         assert!(resolved("frames", "/nowhere").unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_topic_without_fields_plays_what_is_read_without_them_and_is_refused_for_the_rest() {
+        let untyped = |name: &str, schema: &str| Topic {
+            untyped: true,
+            ..Topic::new(name, schema, 1)
+        };
+        let nav = "nav_msgs/msg/Odometry";
+        let topics = [
+            untyped("/image", "foxglove.CompressedImage"),
+            untyped("/odom", nav),
+            Topic::new("/tf_static", "tf2_msgs/msg/TFMessage", 1),
+            untyped("/tf_static_too", "tf2_msgs/msg/TFMessage"),
+        ];
+        let resolved = |role: &str, topic: &str| {
+            let given = BTreeMap::from([(role.to_owned(), vec![topic.to_owned()])]);
+            let (roles, _) = Roles::resolve(ALL, &given, &topics)?;
+            Ok::<_, Fault>(roles.topics(role).to_vec())
+        };
+        assert_eq!(resolved("frames", "/image").unwrap(), ["/image"]);
+        let fault = resolved("odometry", "/odom").unwrap_err();
+        let said = "expected a topic for the role odometry whose messages have fields, found /odom: \
+                    JSON whose schema names no fields";
+        assert_eq!(fault.message, said);
+        assert_eq!(faulty_role(&fault), Some("odometry"));
+        let both = resolved("transforms", "/tf_static*").unwrap();
+        assert_eq!(both, ["/tf_static", "/tf_static_too"]);
     }
 
     #[test]

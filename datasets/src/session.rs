@@ -9,6 +9,7 @@ use arrow::datatypes::{DataType, FieldRef, Fields};
 use datafusion::execution::object_store::ObjectStoreUrl;
 use evermap_messages::{MessageType, SchemaError};
 use evermap_schemas::Fault;
+use evermap_schemas::roles::UNTYPED;
 use futures::StreamExt;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 
@@ -34,7 +35,7 @@ pub struct Session {
     pub parts: Vec<Arc<LogPart>>,
     /// Which of its topics play which part.
     pub roles: Roles,
-    /// The vehicle, as far as the manifest names it.
+    /// The vehicle, as far as the manifest names it and rows depend on it.
     pub vehicle: Vehicle,
 }
 
@@ -77,7 +78,7 @@ impl Session {
         };
         match self.is_silent(topic) {
             true => Some("no messages"),
-            false => untyped().then_some("JSON whose schema names no fields"),
+            false => untyped().then_some(UNTYPED),
         }
     }
 

@@ -201,7 +201,10 @@ const LARGEST_TEXT: u64 = 256 << 20;
 /// # Errors
 /// What keeps it from being read; that it is a pipe or a device, which might never end, or too large.
 pub fn read_bytes(path: &FilePath) -> std::io::Result<Vec<u8>> {
-    let found = std::fs::metadata(path)?;
+    let found = std::fs::metadata(path).map_err(|error| match error.kind() {
+        kind @ std::io::ErrorKind::NotFound => std::io::Error::new(kind, "nothing"),
+        _ => error,
+    })?;
     if !found.is_file() && !found.is_dir() {
         let kind = special(found.file_type());
         return Err(std::io::Error::other(format!("{kind}, and no file")));
@@ -359,6 +362,14 @@ fn open_store(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_that_is_not_there_is_nothing() {
+        let path = FilePath::new("/no/such/labels.json");
+        let told = read_text(path).map_err(|error| (error.kind(), error.to_string()));
+        let said = (std::io::ErrorKind::NotFound, "nothing".to_owned());
+        assert_eq!(told, Err(said));
+    }
 
     #[test]
     fn numbers_sort_as_numbers() {

@@ -8,7 +8,7 @@
 mod ahead;
 mod cameras;
 mod mounts;
-mod robots;
+pub(crate) mod robots;
 mod rows;
 
 use std::collections::BTreeMap;
@@ -21,7 +21,7 @@ use async_trait::async_trait;
 use datafusion::catalog::TableProvider;
 use datafusion::datasource::ViewTable;
 use datafusion::prelude::SessionContext;
-use evermap_schemas::roles::{CameraNames, Messages, Role, Source};
+use evermap_schemas::roles::{CameraNames, Messages, OdometryOf, Role, Source};
 use evermap_schemas::{Column, Fault, Layer};
 use futures::FutureExt;
 use tokio::sync::OnceCell;
@@ -186,7 +186,7 @@ impl LogTable for MessageRole {
             },
             robot: match &self.robots {
                 Some(robots) => robots.of(&part.session).await?,
-                None => String::new(),
+                None => OdometryOf::default(),
             },
             mounts: self.mounts.get(&part.session).cloned(),
         };

@@ -4,12 +4,13 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use evermap_schemas::roles::{Messages, Robot, Robots, Topic};
+use evermap_schemas::roles::{Choice, Messages, Motion, OdometryOf, Robots, Role, Topic};
 use evermap_schemas::{Fault, rows};
 use futures::TryStreamExt;
 use tokio::sync::OnceCell;
 
 use crate::fault::OrFault;
+use crate::losses::{Loss, Reason};
 use crate::manifest::Vehicle;
 use crate::roles::ahead::batches;
 use crate::session::{LogPart, Session};
@@ -20,7 +21,7 @@ const AT_ONCE: usize = 1024;
 /// The robots that are meant, by session.
 #[derive(Debug)]
 pub(super) struct RobotOf {
-    /// How messages become robots.
+    /// How messages become the motions of robots.
     messages: Messages,
     sessions: BTreeMap<Arc<str>, Asked>,
 }
@@ -32,67 +33,138 @@ struct Asked {
     vehicle: Vehicle,
     /// Files and topics of it that have robots.
     places: Vec<(Arc<LogPart>, String)>,
-    /// The one that is meant, once somebody asked.
-    robot: OnceCell<String>,
+    /// The odometry that is meant, once somebody asked.
+    meant: OnceCell<OdometryOf>,
 }
 
 impl RobotOf {
-    /// Those of a role; its topics' messages become robots so.
+    /// Those of a role; its topics' messages become the motions of robots so.
     pub fn new(messages: Messages, role: &str, sessions: &[Session]) -> Self {
-        let asked = |session: &Session| {
-            let topics = session.roles.topics(role).iter();
-            let places = topics.flat_map(|topic| {
-                let parts = session.parts.iter();
-                let telling = parts.filter(move |part| tells(&messages, part, topic));
-                telling.map(move |part| (part.clone(), topic.clone()))
-            });
-            Asked {
-                vehicle: session.vehicle.clone(),
-                places: places.collect(),
-                robot: OnceCell::new(),
-            }
-        };
         let sessions = sessions.iter();
         Self {
             messages,
             sessions: sessions
-                .map(|session| (session.name.clone(), asked(session)))
+                .map(|session| (session.name.clone(), Asked::of(&messages, role, session)))
                 .collect(),
         }
     }
 
-    /// The prefix of the robot that is meant of a session.
+    /// The odometry that is meant of a session. Where there is none among its transforms it is counted, with the
+    /// transforms that there are.
     ///
     /// # Errors
     /// A user fault where several may be; as reading the log.
-    pub async fn of(&self, session: &str) -> Result<String, Fault> {
+    pub async fn of(&self, session: &str) -> Result<OdometryOf, Fault> {
         match self.sessions.get(session) {
             Some(asked) => {
-                let read = || asked.read(self.messages);
-                asked.robot.get_or_try_init(read).await.cloned()
+                let read = || asked.meant(self.messages);
+                asked.meant.get_or_try_init(read).await.cloned()
             }
-            None => Ok(String::new()),
+            None => Ok(OdometryOf::default()),
         }
     }
 }
 
+/// The topics that play a role in place of those whose transforms move no vehicle, where others would do and nobody
+/// chose; and a sentence that says so. `None` where the role stays with its topics.
+///
+/// # Errors
+/// A fault of ours.
+pub(crate) async fn instead(
+    role: &Role,
+    session: &Session,
+    topics: &[Topic],
+) -> Result<Option<(Vec<Choice>, String)>, Fault> {
+    let Some(robots) = role.messages().and_then(|messages| messages.robots) else {
+        return Ok(None);
+    };
+    let others = topics.iter().filter(|topic| !may_tell(robots, topic));
+    let others: Vec<Topic> = others.cloned().collect();
+    let mut choices = role.infer(&others);
+    choices.retain(|choice| !session.is_silent(&choice.topic));
+    let asked = Asked::of(robots, role.name, session);
+    if choices.is_empty() || asked.places.is_empty() {
+        return Ok(None);
+    }
+    let frame = asked.vehicle.frame();
+    // One robot is enough: whether it is the one that is meant, reading the role's rows tells; and so it does of a topic
+    // that cannot be read.
+    let Ok(found) = asked.read(*robots, has_any).await else {
+        return Ok(None);
+    };
+    if has_any(&found, frame) {
+        return Ok(None);
+    }
+    let names = |names: &mut dyn Iterator<Item = &String>| {
+        let names: Vec<&str> = names.map(String::as_str).collect();
+        names.join(", ")
+    };
+    let note = format!(
+        "{} is read from {}: {} moves no vehicle ({})",
+        role.name,
+        names(&mut choices.iter().map(|choice| &choice.topic)),
+        names(&mut session.roles.topics(role.name).iter()),
+        found.missing(frame),
+    );
+    Ok(Some((choices, note)))
+}
+
+/// Whether there is any robot, even if a manifest must say which one is meant.
+fn has_any(robots: &Robots, frame: &str) -> bool {
+    !matches!(robots.meant(frame), Ok(None))
+}
+
 impl Asked {
-    async fn read(&self, messages: Messages) -> Result<String, Fault> {
+    fn of(messages: &Messages, role: &str, session: &Session) -> Self {
+        let topics = session.roles.topics(role).iter();
+        let places = topics.flat_map(|topic| {
+            let parts = session.parts.iter();
+            let telling = parts.filter(move |part| tells(messages, part, topic));
+            telling.map(move |part| (part.clone(), topic.clone()))
+        });
+        Self {
+            vehicle: session.vehicle.clone(),
+            places: places.collect(),
+            meant: OnceCell::new(),
+        }
+    }
+
+    async fn meant(&self, messages: Messages) -> Result<OdometryOf, Fault> {
+        let Some((part, topic)) = self.places.first() else {
+            return Ok(OdometryOf::default());
+        };
+        let frame = self.vehicle.frame();
+        let robots = self.read(messages, Robots::settle).await?;
+        match robots.meant(frame) {
+            Ok(Some(meant)) => Ok(meant),
+            Ok(None) => {
+                let (loss, why) = (Loss::one(0), robots.missing(frame));
+                let losses = &part.losses;
+                losses.note_topic(Reason::NoOdometry, topic, 0, loss, why);
+                Ok(OdometryOf::default())
+            }
+            Err(fault) => Err(fault.at(format!("topic {topic}")).at(&part.url)),
+        }
+    }
+
+    /// The robots of its topics, until they are enough for the vehicle's frame.
+    async fn read(
+        &self,
+        messages: Messages,
+        enough: fn(&Robots, &str) -> bool,
+    ) -> Result<Robots, Fault> {
         let mut robots = Robots::default();
         for (part, topic) in &self.places {
-            let mut batches = batches::<Robot>(messages, part, topic, AT_ONCE)?;
-            while !robots.has(self.vehicle.robot())
+            let mut batches = batches::<Motion>(messages, part, topic, AT_ONCE)?;
+            while !enough(&robots, self.vehicle.frame())
                 && let Some(batch) = batches.try_next().await.or_fault()?
             {
-                let found = rows::<Robot>(&batch)?;
-                found.iter().for_each(|robot| robots.add(&robot.frame));
+                let found = rows::<Motion>(&batch)?;
+                let found = found.iter();
+                found.for_each(|motion| robots.add(&motion.parent, &motion.child));
             }
         }
-        let meant = robots.meant(self.vehicle.robot()).map(str::to_owned);
-        meant.map_err(|fault| match self.places.first() {
-            Some((part, topic)) => fault.at(format!("topic {topic}")).at(&part.url),
-            None => fault,
-        })
+        Ok(robots)
     }
 }
 
@@ -100,7 +172,18 @@ impl Asked {
 fn tells(robots: &Messages, part: &LogPart, topic: &str) -> bool {
     part.channels_of(topic).any(|channel| {
         let schema = part.index.schema_of(channel);
-        let typed = schema.map(|schema| Topic::new(topic, &schema.name, 0).message_type);
-        typed.is_some_and(|found| robots.types.contains(&found.as_str()))
+        schema.is_some_and(|schema| may_tell(robots, &Topic::new(topic, &schema.name, 0)))
+    })
+}
+
+fn may_tell(robots: &Messages, topic: &Topic) -> bool {
+    robots.types.contains(&topic.message_type.as_str())
+}
+
+/// Whether rows of a session depend on which robot is the vehicle.
+pub(crate) fn matter(roles: &[Role], session: &Session) -> bool {
+    roles.iter().any(|role| {
+        let robots = role.messages().and_then(|messages| messages.robots);
+        robots.is_some_and(|robots| !Asked::of(robots, role.name, session).places.is_empty())
     })
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use arrow::array::{RecordBatch, StructArray};
 use arrow::datatypes::{Field, SchemaRef};
 use evermap_messages::{Decoder, MessageType};
-use evermap_schemas::roles::{CameraNames, Fields, FoundImage, Message, Messages};
+use evermap_schemas::roles::{CameraNames, Fields, FoundImage, Message, Messages, OdometryOf};
 use evermap_schemas::{Fault, ImageRef, Stamp};
 
 use crate::losses::{Loss, Reason};
@@ -31,8 +31,8 @@ pub(crate) struct RoleRows {
 pub(crate) struct Known {
     /// What its cameras are called.
     pub cameras: CameraNames,
-    /// The robot that is meant, by the prefix of its frames.
-    pub robot: String,
+    /// The odometry that is meant, of those among transforms.
+    pub robot: OdometryOf,
     /// What it has said of frames that are fixed.
     pub mounts: Option<Arc<Mounts>>,
 }

@@ -238,7 +238,81 @@ async fn a_session_is_opened_again_with_the_robot_that_was_meant() {
         defaults: dataset.sessions[0].vehicle.to_manifest(),
         ..Manifest::default()
     };
-    assert_eq!(again.vehicle().robot(), "a");
-    let (_, dataset) = opened_with(&log, "defaults: {vehicle_frame: base_link}").await;
+    assert_eq!(again.vehicle().frame(), "a/base_link");
+    let (_, dataset) = opened_with(&log, "").await;
     assert!(dataset.sessions[0].vehicle.to_manifest().is_empty());
+    // Where odometry has a topic of its own, no row depends on what the vehicle's frame is called.
+    let definitions = [
+        schema(1, "nav_msgs/msg/Odometry", "ros2msg", b"float64 x"),
+        channel(1, 1, "/odom", "cdr"),
+    ]
+    .concat();
+    let plain = file(&[definitions, messages(&[1], 3)], &[]);
+    let (_, dataset) = opened_with(&plain, "defaults: {vehicle_frame: chassis}").await;
+    assert!(dataset.sessions[0].vehicle.to_manifest().is_empty());
+}
+
+#[tokio::test]
+async fn odometry_is_the_transform_that_ends_in_the_frame_that_a_manifest_names() {
+    let log = transforms(&[("map", "odom"), ("odom", "chassis"), ("chassis", "wheel")]);
+    let named = "defaults: {vehicle_frame: chassis}";
+    assert_eq!(ahead(&log, named).await.unwrap(), [1.0, 4.0, 7.0]);
+    let drone = transforms(&[("world", "drone")]);
+    let named = "defaults: {vehicle_frame: /drone}";
+    assert_eq!(ahead(&drone, named).await.unwrap(), [0.0, 1.0, 2.0]);
+}
+
+#[tokio::test]
+async fn transforms_that_move_no_vehicle_are_counted_with_what_a_manifest_may_say() {
+    let (context, dataset) = opened_with(&transforms(&[("odom", "chassis")]), "").await;
+    for _ in 0..2 {
+        assert_eq!(count(&context, "SELECT * FROM odometry").await, 0);
+    }
+    let said = "memory://logs/log.mcap: topics of transforms without odometry on /tf: expected a transform from odom to \
+                base_link, found odom -> chassis; say which one is the vehicle in a session manifest: \
+                `defaults: { vehicle_frame: chassis }`";
+    let told: Vec<_> = dataset.losses.told().into_iter().collect();
+    assert_eq!(told, [(said.to_owned(), 1)]);
+}
+
+#[tokio::test]
+async fn other_poses_go_before_transforms_that_move_no_vehicle() {
+    const POSE: &[u8] =
+        br#"{"type": "object", "properties": {"pose": {"type": "object", "properties": {
+        "position": {"type": "object", "properties": {"x": {"type": "number"}}}}}}}"#;
+    let log = |parent: &str, child: &str| {
+        let transform = json!({
+            "parent_frame_id": parent,
+            "child_frame_id": child,
+            "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
+            "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        });
+        let records = [
+            schema(
+                1,
+                "foxglove.FrameTransform",
+                "jsonschema",
+                TRANSFORM.as_bytes(),
+            ),
+            channel(1, 1, "/tf", "json"),
+            schema(2, "foxglove.PoseInFrame", "jsonschema", POSE),
+            channel(2, 2, "/slam/pose", "json"),
+            message(1, 0, transform.to_string().as_bytes()),
+            message(2, 0, b"{}"),
+        ];
+        file(&records, &[])
+    };
+    let wheel = log("base_link", "wheel");
+    let (_, dataset) = opened_with(&wheel, "").await;
+    assert_eq!(dataset.sessions[0].roles.topics("odometry"), ["/slam/pose"]);
+    assert_eq!(dataset.sessions[0].roles.topics("transforms"), ["/tf"]);
+    let note = "odometry is read from /slam/pose: /tf moves no vehicle";
+    assert!(dataset.notes[0].contains(note), "{:?}", dataset.notes);
+    let (_, dataset) = opened_with(&wheel, "roles: {odometry: /tf}").await;
+    assert_eq!(dataset.sessions[0].roles.topics("odometry"), ["/tf"]);
+    let named = "defaults: {vehicle_frame: wheel}";
+    for (log, manifest) in [(log("odom", "base_link"), ""), (wheel, named)] {
+        let (_, dataset) = opened_with(&log, manifest).await;
+        assert_eq!(dataset.sessions[0].roles.topics("odometry"), ["/tf"]);
+    }
 }

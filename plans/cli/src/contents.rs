@@ -88,6 +88,8 @@ pub struct Channel {
     pub gap_after_s: Option<f64>,
     /// Why its messages are not decoded; null where they are.
     pub undecodable: Option<String>,
+    /// Why it plays no role, though messages of its type do; null where it can.
+    pub unfit: Option<&'static str>,
 }
 
 /// A role, and who plays it.

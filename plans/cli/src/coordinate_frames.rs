@@ -10,7 +10,7 @@ use evermap_catalog::USUAL_VEHICLE;
 use evermap_engine::error::OrFault;
 use evermap_schemas::Fault;
 use evermap_schemas::roles::frame_names;
-use evermap_schemas::roles::robots::{Robots, moved};
+use evermap_schemas::roles::robots::Robots;
 use serde::Serialize;
 
 /// Frames are known after so many transforms, and cameras after so many images.
@@ -147,9 +147,7 @@ impl fmt::Display for Camera {
 fn robots(transforms: &[Transform]) -> Vec<String> {
     let mut robots = Robots::default();
     let moving = transforms.iter().filter(|transform| !transform.fixed);
-    moving
-        .filter(|found| moved(&found.parent, &found.child).is_some())
-        .for_each(|found| robots.add(&found.child));
+    moving.for_each(|found| robots.add(&found.parent, &found.child));
     robots.several().into_iter().map(str::to_owned).collect()
 }
 
@@ -168,6 +166,46 @@ fn mounted_on(transforms: &[Transform], frame: &str) -> Option<String> {
         at = next;
     }
     Some(at.parent.clone())
+}
+
+/// The cameras of a session, by name.
+///
+/// # Errors
+/// A resource fault when a log cannot be read.
+pub(crate) async fn cameras_of(
+    context: &SessionContext,
+    session: &str,
+) -> Result<BTreeSet<String>, Fault> {
+    let session = session.replace('\'', "''");
+    let cameras = format!(
+        "SELECT DISTINCT camera FROM (SELECT camera FROM frames WHERE session = '{session}' LIMIT {IMAGES})"
+    );
+    let cameras = rows(context, &cameras).await?.into_iter();
+    Ok(cameras.map(|[camera]: [String; 1]| camera).collect())
+}
+
+/// Width and height (px) of a camera's images, as the first calibration on one of these topics says; `None` where none
+/// is of the camera.
+pub(crate) async fn image_size(
+    context: &SessionContext,
+    camera: &str,
+    calibrations: impl IntoIterator<Item = &String>,
+) -> Option<[u32; 2]> {
+    for topic in calibrations {
+        let topic = topic.replace('"', "\"\"");
+        for frame in ["header['frame_id']", "frame_id"] {
+            let first = format!("SELECT {frame}, width, height FROM \"{topic}\" LIMIT 1");
+            // Messages have the frame in the one place or the other.
+            let found = rows::<3>(context, &first).await.unwrap_or_default();
+            if let Some([of, width, height]) = found.first()
+                && frame_names::plain(of) == frame_names::plain(camera)
+                && let (Ok(width), Ok(height)) = (width.parse(), height.parse())
+            {
+                return Some([width, height]);
+            }
+        }
+    }
+    None
 }
 
 /// The rows of a query, as text.

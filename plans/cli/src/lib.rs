@@ -25,6 +25,7 @@ mod earth;
 pub mod ending;
 pub mod export;
 mod manifest;
+mod masks;
 pub mod metric;
 mod mosaic;
 mod moved;

@@ -4,19 +4,20 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use askama::Template;
+use datafusion::prelude::SessionContext;
 use evermap_contract::Registry;
 use evermap_datasets::{Dataset, Session};
 use evermap_schemas::{Fault, roles};
 
-use crate::coordinate_frames::CoordinateFrames;
+use crate::coordinate_frames::{CoordinateFrames, image_size};
 use crate::operators;
+
+/// The parameter whose example is of the logs at hand.
+const MASK: &str = "mask";
 
 /// Parameters that are about the vehicle and not about a plan, each with an example where its default is none.
 const OF_VEHICLE: [(&str, Option<&str>); 5] = [
-    (
-        "mask",
-        Some("{ front: [[[0, 700], [1280, 700], [1280, 960], [0, 960]]] }"),
-    ),
+    (MASK, Some("")),
     ("odometry_scale_sigma", None),
     ("max_speed_mps", None),
     ("max_acceleration_mps2", None),
@@ -73,14 +74,22 @@ impl Written {
 ///
 /// # Errors
 /// A bug fault, should it not be written.
-pub fn written(dataset: &Dataset, frames: &CoordinateFrames) -> Result<String, Fault> {
+pub async fn written(
+    dataset: &Dataset,
+    frames: &CoordinateFrames,
+    context: &SessionContext,
+) -> Result<String, Fault> {
     let registry = operators::registry();
+    let mask = mask(dataset, frames, context).await;
     let named = |(name, example): (&'static str, Option<&str>)| {
         let (doc, default) = parameter(&registry, name)?;
         Some(Parameter {
             name,
             doc: folded(&doc),
-            example: example.map_or(default, str::to_owned),
+            example: match (name, example) {
+                (MASK, _) => mask.clone(),
+                (_, example) => example.map_or(default, str::to_owned),
+            },
         })
     };
     let vehicle_doc = parameter(&registry, "vehicle_frame");
@@ -95,6 +104,24 @@ pub fn written(dataset: &Dataset, frames: &CoordinateFrames) -> Result<String, F
     };
     let text = written.render();
     text.map_err(|error| Fault::bug(error.to_string()))
+}
+
+/// A mask of the first camera: the lowest quarter of its images, where calibrations say how large they are.
+async fn mask(dataset: &Dataset, frames: &CoordinateFrames, context: &SessionContext) -> String {
+    let Some(first) = frames.cameras.first() else {
+        return mask_of("front", [1280, 960]);
+    };
+    let sessions = dataset.sessions.iter();
+    let calibrations = sessions.flat_map(|session| session.roles.topics("calibration"));
+    let calibrations: BTreeSet<&String> = calibrations.collect();
+    let size = image_size(context, &first.camera, calibrations).await;
+    mask_of(&first.camera, size.unwrap_or([1280, 960]))
+}
+
+fn mask_of(camera: &str, [width, height]: [u32; 2]) -> String {
+    let top = height - height / 4;
+    let camera = yaml(camera);
+    format!("{{ {camera}: [[[0, {top}], [{width}, {top}], [{width}, {height}], [0, {height}]]] }}")
 }
 
 fn session(session: &Session) -> WrittenSession {
@@ -202,6 +229,13 @@ mod tests {
             assert_eq!(read.ok().flatten().as_deref(), Some(text), "{written}");
         }
         assert_eq!(yaml("/odom"), "/odom");
+    }
+
+    #[test]
+    fn the_example_of_a_mask_is_one_of_the_camera_and_its_size() {
+        let said = "{ front_left: [[[0, 360], [640, 360], [640, 480], [0, 480]]] }";
+        assert_eq!(mask_of("front_left", [640, 480]), said);
+        assert!(mask_of("a: b", [4, 4]).starts_with("{ \"a: b\": [[[0, 3]"));
     }
 
     #[test]

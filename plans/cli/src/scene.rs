@@ -3,11 +3,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_schemas::layers::{Georeference, Keyframe, VehiclePose};
-use evermap_schemas::{Fault, Stamp};
+use evermap_engine::map::LayerInfo;
+use evermap_language::listed;
+use evermap_schemas::layers::{Georeference, Keyframe, Lane, OverheadTile, VehiclePose};
+use evermap_schemas::{Fault, LayerRow, Stamp};
 use nalgebra::Vector3;
 
-use crate::draw::{Mark, Outline, Scene, SlowCell, Trajectory};
+use crate::draw::{Canvas, Mark, NOTHING, Outline, Picture, Scene, SlowCell, Trajectory, draw};
 use crate::reader::MapReader;
 use crate::shown::{Hypothesis, Label, LaneSpeed, PersonSeen, Space, SpaceState, SpeedCell};
 
@@ -168,4 +170,53 @@ pub async fn scene(reader: &MapReader, site: Option<&str>) -> Result<(Scene, Vec
         ..Scene::default()
     };
     Ok((scene, sites))
+}
+
+/// Layers that a map is drawn from.
+const DRAWN: [&str; 3] = [OverheadTile::NAME, Lane::NAME, VehiclePose::NAME];
+
+/// Draws a scene of a map.
+///
+/// # Errors
+/// As [`draw`]; where nothing is there to draw, with the layers that have no rows.
+pub fn drawn(reader: &MapReader, scene: &Scene, canvas: Canvas) -> Result<Picture, Fault> {
+    draw(scene, canvas).map_err(|fault| undrawn(&reader.map.layers(), fault))
+}
+
+/// Why nothing is drawn: layers that are drawn are empty, or the map has none of them.
+fn undrawn(layers: &[LayerInfo], fault: Fault) -> Fault {
+    let empty = layers.iter().filter(|layer| layer.rows == 0);
+    let names = empty.map(|layer| layer.layer.as_str());
+    let empty: Vec<_> = names.filter(|name| DRAWN.contains(name)).collect();
+    match fault.message == NOTHING && !empty.is_empty() {
+        true => Fault::user(format!("no row to draw in {}", listed(empty))),
+        false => fault,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn layer(name: &str, rows: u64) -> LayerInfo {
+        LayerInfo {
+            layer: name.to_owned(),
+            rows,
+            bytes: 0,
+            artifacts: 1,
+            operator: None,
+            digest: String::new(),
+        }
+    }
+
+    #[test]
+    fn layers_without_rows_are_why_nothing_is_drawn_and_nothing_else() {
+        let nothing = || Fault::user(NOTHING).next("publish some");
+        let layers = [layer("lanes", 0), layer("poses", 0), layer("features", 0)];
+        let told = undrawn(&layers, nothing()).to_string();
+        assert_eq!(told, "user: no row to draw in `lanes`, `poses`");
+        assert_eq!(undrawn(&layers[2..], nothing()), nothing());
+        let zoom = Fault::user("expected one of the zoom levels 0, found 7");
+        assert_eq!(undrawn(&layers, zoom.clone()), zoom);
+    }
 }

@@ -18,6 +18,7 @@ pub use self::host::vocabulary;
 pub use self::manifest::located;
 use crate::digest::digest_of;
 use crate::fingerprint::{self, Believe, Fingerprint};
+use crate::map::make;
 use crate::map::receipt::LogContent;
 use crate::map::store::{Store, each};
 use crate::map::version::{MappedSession, Previous, Version};
@@ -264,8 +265,9 @@ impl Prepared {
     /// Remembers the logs that were read, so that neither this run's units nor the next run need read them.
     ///
     /// # Errors
-    /// A resource fault when the map's store does not take it.
+    /// A user fault where the map's folder cannot be made, a resource fault when its store does not take it.
     pub async fn remember(&mut self) -> Result<(), Fault> {
+        make(&self.store)?;
         let fresh = std::mem::take(&mut self.fresh);
         each(fresh.iter().map(|fresh| fresh.remember(&self.store))).await?;
         Ok(())
@@ -366,9 +368,9 @@ fn run_session(session: &Session, site: String, content: String) -> Result<Mappe
 
 /// The digest of all that says which rows a log's tables have.
 fn digest_of_tables(manifest: &Manifest) -> Result<String, Fault> {
-    match manifest.vehicle().robot() {
+    match manifest.vehicle().frame() {
         "" => digest_of(&manifest.roles),
-        robot => digest_of(&(&manifest.roles, robot)),
+        vehicle => digest_of(&(&manifest.roles, vehicle)),
     }
 }
 

@@ -9,7 +9,7 @@ use arrow::datatypes::{
     UInt16Type, UInt32Type, UInt64Type,
 };
 
-use crate::roles::{CameraNames, frame_names};
+use crate::roles::{CameraNames, OdometryOf, frame_names};
 use crate::{Fault, ImageRef, LayerRow, Pose, Stamp};
 
 /// A row that comes from messages.
@@ -86,9 +86,8 @@ pub struct Message<'a> {
     pub image: Option<&'a FoundImage>,
     /// What the session's cameras are called; for roles of images.
     pub cameras: &'a CameraNames,
-    /// The robot that is meant, by the prefix of its frames, empty where they have none; for roles that have one robot's
-    /// rows.
-    pub robot: &'a str,
+    /// The odometry that is meant, of those among transforms; for roles that have one robot's rows.
+    pub robot: &'a OdometryOf,
 }
 
 /// Where an image's bytes lie, and the first of them, where its format must be guessed.

@@ -20,7 +20,7 @@ mod role;
 pub use cameras::CameraNames;
 pub use message::{FARTHEST_M, Fields, FoundImage, FromMessage, FromMetadata, Message, Read};
 pub use mounts::Mount;
-pub use role::{Choice, Messages, Metadata, Role, Source, Topic, every, in_words};
+pub use role::{Choice, Messages, Metadata, Role, Source, Topic, UNTYPED, every, in_words};
 
 macro_rules! roles {
     ($($file:ident),+ $(,)?) => {
@@ -54,7 +54,7 @@ pub use image_annotations::ImageAnnotation;
 pub use imu::ImuMeasurement;
 pub use label_classes::LabelClass;
 pub use odometry::OdometryPose;
-pub use robots::{Robot, Robots};
+pub use robots::{Motion, OdometryOf, Robots};
 pub use transforms::Transform;
 
 #[cfg(test)]

@@ -2,9 +2,8 @@
 
 use std::cmp::Reverse;
 
-use crate::roles::robots::moved;
 use crate::roles::transforms::{self, Transform};
-use crate::roles::{Choice, FromMessage, Message, Messages, Robot, Role, Topic, in_words};
+use crate::roles::{Choice, FromMessage, Message, Messages, Motion, Role, Topic, in_words};
 use crate::{Pose, Stamp, record};
 
 record! {
@@ -46,7 +45,7 @@ pub const ROLE: Role = Role::of::<OdometryPose>(Messages {
     ..Messages::of::<OdometryPose>(TYPES)
 });
 
-const ROBOTS: Messages = Messages::of::<Robot>(transforms::TYPES);
+const ROBOTS: Messages = Messages::of::<Motion>(transforms::TYPES);
 
 const TYPES: &[&str] = &[
     ODOMETRY,
@@ -107,8 +106,7 @@ impl FromMessage for OdometryPose {
         if let Some(transforms) = transforms::all(message) {
             // Another transform that makes no sense is the business of the role that reads them all.
             let sound = transforms.into_iter().flatten();
-            let found =
-                sound.filter(|found| moved(&found.parent, &found.child) == Some(message.robot));
+            let found = sound.filter(|found| message.robot.is(&found.parent, &found.child));
             return Ok(found
                 .map(|found| Self::of_transform(message, found))
                 .collect());

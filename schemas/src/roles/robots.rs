@@ -7,24 +7,26 @@ use crate::roles::{FromMessage, Message, frame_names};
 use crate::{Fault, record};
 
 record! {
-    /// A robot whose odometry is among the transforms of a message.
-    #[layer("robots", key(frame))]
-    pub struct Robot {
-        /// Its frame that odometry moves: `robot1/base_link`.
-        frame: String,
+    /// A frame in another, as a message of transforms says: it may be that a robot's odometry moves it.
+    #[layer("motions", key(parent, child))]
+    pub struct Motion {
+        /// The frame that it moves in: `robot1/odom`.
+        parent: String,
+        /// The frame that moves: `robot1/base_link`.
+        child: String,
     }
 }
 
-impl FromMessage for Robot {
+impl FromMessage for Motion {
     const MEMBERS: &'static [&'static str] = Transform::MEMBERS;
 
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
         // What makes no sense is the business of the roles that read it.
         let transforms = transforms::all(message).unwrap_or_default();
         let sound = transforms.into_iter().flatten();
-        let moving = sound.filter(|found| moved(&found.parent, &found.child).is_some());
-        let frames: BTreeSet<String> = moving.map(|found| found.child).collect();
-        Ok(frames.into_iter().map(|frame| Self { frame }).collect())
+        let found: BTreeSet<_> = sound.map(|found| (found.parent, found.child)).collect();
+        let motion = |(parent, child)| Self { parent, child };
+        Ok(found.into_iter().map(motion).collect())
     }
 }
 
@@ -37,10 +39,46 @@ pub fn moved<'f>(parent: &'f str, child: &'f str) -> Option<&'f str> {
     (is_odometry && prefix == same).then_some(prefix)
 }
 
-/// Robots that are told apart; of a forged log that has more, the others are not.
-const MOST: usize = 1000;
+/// Which transforms are the odometry of the robot that is meant.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum OdometryOf {
+    /// Those that REP 105 names so, behind the robot's prefix.
+    Robot(String),
+    /// Those of one frame in another, which a manifest names.
+    Frame {
+        /// The frame that the vehicle moves in.
+        parent: String,
+        /// The vehicle.
+        child: String,
+    },
+}
 
-/// Robots that a person is told, and letters of each.
+impl Default for OdometryOf {
+    /// That of the robot whose frames have no prefix.
+    fn default() -> Self {
+        Self::Robot(String::new())
+    }
+}
+
+impl OdometryOf {
+    /// Whether a transform between two frames is.
+    pub fn is(&self, parent: &str, child: &str) -> bool {
+        match self {
+            Self::Robot(prefix) => moved(parent, child) == Some(prefix.as_str()),
+            Self::Frame {
+                parent: from,
+                child: to,
+            } => frame_names::plain(parent) == from && frame_names::plain(child) == to,
+        }
+    }
+}
+
+/// Robots, and frames that move, that are told apart; of a forged log that has more, the others are not. Nor are frames
+/// of so many bytes.
+const MOST: usize = 1000;
+const LONGEST: usize = 1000;
+
+/// Robots, or transforms, that a person is told, and letters of each.
 const TOLD: usize = 8;
 const LETTERS: usize = 120;
 
@@ -49,39 +87,117 @@ const LETTERS: usize = 120;
 pub struct Robots {
     /// A frame of each that odometry moves, by the prefix of its frames.
     frames: BTreeMap<String, String>,
+    /// Every frame that moves in another: the other, and the frame.
+    motions: BTreeSet<(String, String)>,
 }
 
 impl Robots {
-    /// Adds the robot of a frame that odometry moves.
-    pub fn add(&mut self, frame: &str) {
-        let (prefix, _) = frame_names::split(frame);
-        if self.frames.len() < MOST {
-            let first = || frame_names::plain(frame).to_owned();
+    /// Adds a transform: the frame that moves in another, and its robot where it is the odometry of one.
+    pub fn add(&mut self, parent: &str, child: &str) {
+        if parent.len().max(child.len()) > LONGEST {
+            return;
+        }
+        let [parent, child] = [parent, child].map(frame_names::plain);
+        if let Some(prefix) = moved(parent, child)
+            && self.frames.len() < MOST
+        {
+            let first = || child.to_owned();
             self.frames.entry(prefix.to_owned()).or_insert_with(first);
+        }
+        if self.motions.len() < MOST {
+            self.motions.insert((parent.to_owned(), child.to_owned()));
         }
     }
 
-    /// Whether it has the robot of a prefix.
-    pub fn has(&self, prefix: &str) -> bool {
-        self.frames.contains_key(prefix)
+    /// Whether more transforms would not change which robot is meant where a manifest names this frame (empty where it
+    /// names none), if the first ones tell of every frame.
+    pub fn settle(&self, frame: &str) -> bool {
+        let (prefix, _) = frame_names::split(frame);
+        self.frames.contains_key(prefix) || self.leading_to(frame).is_some()
     }
 
-    /// The prefix of the one that is meant: whom a manifest names by its prefix (empty where it names none), else the one
-    /// whose frames have none, else the only one; empty where there is no robot.
+    /// The odometry that is meant. Where a manifest names the vehicle's frame (else it is empty): the transform that ends
+    /// in it, or the odometry, by REP 105, that the frame hangs off. Else that of the robot with the frame's prefix, else
+    /// of the one whose frames have none, else of the only one. `None` where there is no robot.
     ///
     /// # Errors
     /// A user fault that names the robots, where it would be a guess.
-    pub fn meant(&self, named: &str) -> Result<&str, Fault> {
+    pub fn meant(&self, frame: &str) -> Result<Option<OdometryOf>, Fault> {
+        let leading = self.leading_to(frame);
+        if leading.is_some() {
+            return Ok(leading);
+        }
+        let (named, _) = frame_names::split(frame);
         let known = |prefix: &str| self.frames.get_key_value(prefix);
         let only = || {
             let is_only = named.is_empty() && self.frames.len() == 1;
             self.frames.first_key_value().filter(|_| is_only)
         };
         match known(named).or_else(|| known("")).or_else(only) {
-            Some((prefix, _)) => Ok(prefix),
-            None if self.frames.is_empty() => Ok(""),
+            Some((prefix, _)) => Ok(Some(OdometryOf::Robot(prefix.clone()))),
+            None if self.frames.is_empty() => Ok(None),
             None => Err(self.unknown(named)),
         }
+    }
+
+    /// The transform that a frame hangs off and that REP 105 calls odometry, else the one that ends in it.
+    fn leading_to(&self, frame: &str) -> Option<OdometryOf> {
+        let frame = Some(frame_names::plain(frame)).filter(|frame| !frame.is_empty());
+        let last = self.ending_in(frame?)?;
+        let (mut seen, mut at) = (BTreeSet::new(), Some(last));
+        // Forged transforms may go round in circles.
+        while let Some(motion) = at
+            && seen.insert(motion)
+        {
+            if moved(&motion.0, &motion.1).is_some() {
+                return Some(odometry(motion));
+            }
+            at = self.ending_in(&motion.0);
+        }
+        Some(odometry(last))
+    }
+
+    /// The transform that ends in a frame; odometry before others.
+    fn ending_in(&self, frame: &str) -> Option<&(String, String)> {
+        let all = || self.motions.iter().filter(move |(_, child)| child == frame);
+        let found = all().find(|(parent, child)| moved(parent, child).is_some());
+        found.or_else(|| all().next())
+    }
+
+    /// Why no odometry is found where a manifest names this frame (empty where it names none), which transforms there
+    /// are, and how a manifest chooses one.
+    pub fn missing(&self, frame: &str) -> String {
+        let wanted = match frame_names::plain(frame) {
+            "" => "a transform from odom to base_link".to_owned(),
+            frame => format!("a transform that ends in {}", shown(frame)),
+        };
+        let expected = format!("expected {wanted}, found");
+        let is_parent = |frame: &str| self.motions.iter().any(|(parent, _)| parent == frame);
+        let odom = |parent: &str| frame_names::split(parent).1.starts_with("odom");
+        // What moves on a vehicle, as wheels do, is not the vehicle.
+        let mounted = |parent: &str| frame_names::split(parent).1.starts_with("base");
+        let vehicles = self.motions.iter().filter(|(parent, _)| !mounted(parent));
+        let likely = vehicles.min_by_key(|(parent, child)| (!odom(parent), is_parent(child)));
+        match (self.motions.is_empty(), likely) {
+            (true, _) => format!("{expected} none"),
+            (false, None) => format!(
+                "{expected} {}; give the role odometry another topic in a session manifest",
+                self.motions_in_words()
+            ),
+            (false, Some((_, child))) => format!(
+                "{expected} {}; {}",
+                self.motions_in_words(),
+                Self::choice(child)
+            ),
+        }
+    }
+
+    /// The transforms, as far as a person is told: `odom -> chassis, chassis -> wheel`.
+    pub fn motions_in_words(&self) -> String {
+        let motions = self.motions.iter();
+        let motions =
+            motions.map(|(parent, child)| format!("{} -> {}", shown(parent), shown(child)));
+        told(motions, self.motions.len())
     }
 
     /// A frame of each, where nobody can tell which one is meant unless it is named; else none.
@@ -113,12 +229,24 @@ impl Robots {
     }
 
     fn in_words(&self) -> String {
-        let frames = self.frames.values().take(TOLD);
-        let words = frames.map(|frame| shown(frame)).collect::<Vec<_>>();
-        match self.frames.len().saturating_sub(TOLD) {
-            0 => words.join(", "),
-            more => format!("{} and {more} more", words.join(", ")),
-        }
+        let frames = self.frames.values().map(|frame| shown(frame));
+        told(frames, self.frames.len())
+    }
+}
+
+fn odometry((parent, child): &(String, String)) -> OdometryOf {
+    OdometryOf::Frame {
+        parent: parent.clone(),
+        child: child.clone(),
+    }
+}
+
+/// The first of so many, and how many more there are.
+fn told(words: impl Iterator<Item = String>, all: usize) -> String {
+    let words = words.take(TOLD).collect::<Vec<_>>().join(", ");
+    match all.saturating_sub(TOLD) {
+        0 => words,
+        more => format!("{words} and {more} more"),
     }
 }
 
@@ -131,10 +259,32 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
 
+    /// Robots of which odometry moves these frames.
     fn robots(frames: &[&str]) -> Robots {
         let mut robots = Robots::default();
-        frames.iter().for_each(|frame| robots.add(frame));
+        for frame in frames {
+            let odom = match frame_names::split(frame).0 {
+                "" => "odom".to_owned(),
+                prefix => format!("{prefix}/odom"),
+            };
+            robots.add(&odom, frame);
+        }
         robots
+    }
+
+    fn moving(motions: &[(&str, &str)]) -> Robots {
+        let mut robots = Robots::default();
+        let all = motions.iter();
+        all.for_each(|(parent, child)| robots.add(parent, child));
+        robots
+    }
+
+    fn robot(prefix: &str) -> Option<OdometryOf> {
+        Some(OdometryOf::Robot(prefix.to_owned()))
+    }
+
+    fn frame(parent: &str, child: &str) -> Option<OdometryOf> {
+        Some(odometry(&(parent.to_owned(), child.to_owned())))
     }
 
     #[test]
@@ -156,23 +306,76 @@ mod tests {
 
     #[test]
     fn the_robot_that_is_meant_is_named_plain_or_the_only_one() {
-        assert_eq!(robots(&[]).meant("").unwrap(), "");
-        assert_eq!(robots(&[]).meant("a").unwrap(), "");
-        assert_eq!(robots(&["a/base_link"]).meant("").unwrap(), "a");
+        assert_eq!(robots(&[]).meant("").unwrap(), None);
+        assert_eq!(robots(&[]).meant("a/base_link").unwrap(), None);
+        assert_eq!(robots(&["a/base_link"]).meant("").unwrap(), robot("a"));
         let both = robots(&["a/base_link", "a/base_footprint", "b/base_link"]);
-        assert_eq!(both.meant("b").unwrap(), "b");
-        assert_eq!(robots(&["a/base_link", "base_link"]).meant("").unwrap(), "");
-        assert_eq!(robots(&["base_link"]).meant("a").unwrap(), "");
+        let named = both.meant("b/base_link").unwrap();
+        assert_eq!(named, frame("b/odom", "b/base_link"));
+        assert_eq!(both.meant("b/lidar").unwrap(), robot("b"));
+        let plain = robots(&["a/base_link", "base_link"]);
+        assert_eq!(plain.meant("").unwrap(), robot(""));
+        assert_eq!(robots(&["base_link"]).meant("a/lidar").unwrap(), robot(""));
         let fault = both.meant("").unwrap_err().to_string();
         assert!(
             fault.contains("found that of a/base_link, b/base_link")
                 && fault.contains("vehicle_frame: a/base_link"),
             "{fault}"
         );
-        let fault = robots(&["a/base_link"]).meant("c").unwrap_err().to_string();
+        let fault = robots(&["a/base_link"]).meant("c/base_link");
+        let fault = fault.unwrap_err().to_string();
         assert!(fault.contains("the odometry of c"), "{fault}");
         assert!(robots(&["a/base_link"]).several().is_empty());
         assert_eq!(both.several(), ["a/base_link", "b/base_link"]);
+    }
+
+    #[test]
+    fn a_frame_that_is_named_is_moved_by_what_ends_in_it_or_by_the_odometry_it_hangs_off() {
+        let chassis = moving(&[("map", "/odom"), ("/odom", "/chassis")]);
+        assert_eq!(chassis.meant("").unwrap(), None);
+        assert_eq!(chassis.meant("/chassis").unwrap(), frame("odom", "chassis"));
+        let drone = moving(&[("world", "drone"), ("odom", "base_link")]);
+        assert_eq!(drone.meant("drone").unwrap(), frame("world", "drone"));
+        assert_eq!(drone.meant("").unwrap(), robot(""));
+        // A joint that publishers repeat is no odometry.
+        let joint = moving(&[("base_footprint", "base_link"), ("odom", "base_footprint")]);
+        let footprint = frame("odom", "base_footprint");
+        assert_eq!(joint.meant("base_link").unwrap(), footprint);
+        let circle = moving(&[("a", "b"), ("b", "a")]);
+        assert_eq!(circle.meant("a").unwrap(), frame("b", "a"));
+        let meant = chassis.meant("chassis").unwrap().unwrap();
+        assert!(meant.is("/odom", "chassis") && !meant.is("map", "odom"));
+    }
+
+    #[test]
+    fn what_is_missing_is_said_with_the_transforms_that_there_are() {
+        for (motions, named, said) in [
+            (
+                &[("map", "odom"), ("odom", "chassis")][..],
+                "",
+                "expected a transform from odom to base_link, found map -> odom, odom -> chassis; say which one is the \
+                 vehicle in a session manifest: `defaults: { vehicle_frame: chassis }`",
+            ),
+            (
+                &[("world", "drone")][..],
+                "/body",
+                "expected a transform that ends in body, found world -> drone; say which one is the vehicle in a session \
+                 manifest: `defaults: { vehicle_frame: drone }`",
+            ),
+            (
+                &[("base_link", "wheel")][..],
+                "",
+                "expected a transform from odom to base_link, found base_link -> wheel; give the role odometry another \
+                 topic in a session manifest",
+            ),
+            (
+                &[][..],
+                "",
+                "expected a transform from odom to base_link, found none",
+            ),
+        ] {
+            assert_eq!(moving(motions).missing(named), said);
+        }
     }
 
     #[test]

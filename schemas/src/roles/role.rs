@@ -43,7 +43,7 @@ pub struct Messages {
     /// Whether it says what a vehicle is like, and not what a drive was: nothing is made of it alone.
     pub lasting: bool,
     /// Where its topics may tell of several robots and the table is of one: how messages become
-    /// [`Robot`](super::Robot)s.
+    /// [`Motion`](super::Motion)s.
     pub robots: Option<&'static Messages>,
     /// The frames that a message says are fixed, which the others of its session must not contradict.
     pub mounts: Option<fn(&Message<'_>) -> Vec<Mount>>,
@@ -129,12 +129,18 @@ impl Role {
         }
     }
 
+    /// What keeps a topic from playing it, whoever says that it does: its rows are read by fields, and it has none.
+    pub fn unfit(&self, topic: &Topic) -> Option<&'static str> {
+        let reads_fields = self.messages().is_some_and(Messages::need_fields);
+        (topic.untyped && reads_fields).then_some(UNTYPED)
+    }
+
     /// The topics, of those of a session by name, that play it where nobody says; ascending.
     pub fn infer(&self, topics: &[Topic]) -> Vec<Choice> {
         let Some(messages) = self.messages() else {
             return Vec::new();
         };
-        let readable = |topic: &&Topic| !(topic.untyped && messages.need_fields());
+        let readable = |topic: &&Topic| self.unfit(topic).is_none();
         let typed = |topic: &&Topic| messages.types.contains(&topic.message_type.as_str());
         let candidates: Vec<Topic> = topics
             .iter()
@@ -147,6 +153,9 @@ impl Role {
         chosen
     }
 }
+
+/// Why nothing but images is read of a topic whose schema names no fields.
+pub const UNTYPED: &str = "JSON whose schema names no fields";
 
 /// What inference knows of a topic.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]

@@ -20,7 +20,7 @@ use evermap_language::{
 };
 use evermap_messages::{Decoder, MessageType};
 use evermap_schemas::Stamp;
-use evermap_schemas::roles::{self, CameraNames, Fields, Message};
+use evermap_schemas::roles::{self, CameraNames, Fields, Message, OdometryOf};
 use evermap_vision::{Grey, Rgb};
 use evermap_vision::{decode_colour, decode_depth, decode_grey, decode_labels, image_size};
 use serde_json::{Value, json};
@@ -130,7 +130,7 @@ fn roles(bytes: &[u8]) {
         let _ = decoder.push(payload);
     }
     let members = finished(&mut decoder, &message_type, usize::MAX);
-    let cameras = CameraNames::default();
+    let (cameras, robot) = (CameraNames::default(), OdometryOf::default());
     let messages: Vec<Message<'_>> = Fields::all(&members)
         .map(|fields| Message {
             site: "site",
@@ -140,7 +140,7 @@ fn roles(bytes: &[u8]) {
             fields,
             image: None,
             cameras: &cameras,
-            robot: "",
+            robot: &robot,
         })
         .collect();
     for role in roles::ALL.iter().filter_map(|role| role.messages()) {

@@ -1,6 +1,6 @@
 #![doc = include_str!("pose_graph.md")]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::geometry::lie::se3;
 use evermap_algorithms::geometry::pose::Pose;
@@ -13,6 +13,9 @@ use evermap_schemas::layers::{
     GraphPose, Keyframe, Localisation, LoopClosure, LoopEdge, VehiclePose,
 };
 use nalgebra::{Matrix6, Vector6};
+
+/// Sessions without a place in the map that are named; the rest are counted together.
+const NAMED: usize = 16;
 
 /// See the module's page.
 pub struct PoseGraph;
@@ -235,13 +238,20 @@ fn poses(
     mut edges: BTreeMap<KeyframeRef, Vec<LoopEdge>>,
     emit: &mut Emit<'_>,
 ) -> Vec<GraphPose> {
-    let mut rows = Vec::new();
+    let (mut rows, mut named) = (Vec::new(), BTreeSet::new());
     for (drive, (keyframes, poses)) in stretches.keyframes.iter().zip(&joined.poses).enumerate() {
         let Some(poses) = poses else {
-            emit.skip(
-                "keyframe of a session that nothing sure connects with the map",
-                keyframes.len() as u64,
-            );
+            let session = keyframes.first().map_or("", |row| row.session.as_str());
+            if named.len() < NAMED {
+                named.insert(session);
+            }
+            let reason = match named.contains(session) {
+                true => format!(
+                    "keyframe of session {session}, which nothing sure connects with the map"
+                ),
+                false => "keyframe of a session that nothing sure connects with the map".to_owned(),
+            };
+            emit.skip(reason, keyframes.len() as u64);
             continue;
         };
         for (keyframe, (row, pose)) in keyframes.iter().zip(poses).enumerate() {

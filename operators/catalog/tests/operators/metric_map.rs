@@ -1,12 +1,13 @@
 //! From features and rough poses to an accurate map, through the operators.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_contract::laws::inputs_of;
 use evermap_schemas::layers::{
-    AdjustedPose, Features, Keyframe, Landmark, MapFrame, Track, TrackPoint, VehiclePose,
+    AdjustedPose, Features, GraphPose, Keyframe, Landmark, Localisation, LoopClosure, MapFrame,
+    Track, TrackPoint, VehiclePose,
 };
 use evermap_schemas::roles::{Calibration, Transform};
 use evermap_schemas::{Bytes, Stamp};
@@ -183,6 +184,38 @@ fn transforms() -> Vec<Transform> {
         fixed: true,
     };
     vec![of("a"), of("b")]
+}
+
+#[test]
+fn sessions_that_nothing_connects_are_named_as_far_as_they_are_few() {
+    let of = |number: u32| Keyframe {
+        site: "lot".into(),
+        session: format!("s{number:02}"),
+        stamp: Stamp(i64::from(number)),
+        keyframe: 0,
+        distance_m: 0.0,
+        stretch: 0,
+        odom_from_vehicle: pose_row(&Pose::identity()),
+        images: vec![],
+    };
+    let told = |sessions: u32| {
+        let keyframes: Vec<Keyframe> = (0..sessions).map(of).collect();
+        let inputs = [
+            inputs_of("keyframes", keyframes).unwrap(),
+            inputs_of::<LoopClosure>("loop_closures", vec![]).unwrap(),
+            inputs_of::<Localisation>("localisations", vec![]).unwrap(),
+            inputs_of::<VehiclePose>("previous", vec![]).unwrap(),
+        ];
+        let (rows, losses) = yields::<GraphPose>("pose_graph", json!({}), inputs);
+        assert_eq!(rows.len(), 1);
+        losses
+    };
+    let named = "keyframe of session s01, which nothing sure connects with the map".to_owned();
+    assert_eq!(told(2).0, BTreeMap::from([(named.clone(), 1)]));
+    let many = told(40).0;
+    assert_eq!((many.len(), many[&named]), (17, 1));
+    let rest = "keyframe of a session that nothing sure connects with the map";
+    assert_eq!(many[rest], 39 - 16);
 }
 
 /// What `bundle_adjustment` makes of a drive, of which these frames of the map are held.

@@ -56,7 +56,7 @@ pub fn read(
 ) -> Result<Vec<Feature>, Fault> {
     let at = |fault: Fault| fault.at(path.display());
     let text = evermap_datasets::read_text(path)
-        .map_err(|error| at(Fault::user(format!("expected labels, found {error}"))))?;
+        .map_err(|error| at(Fault::user(format!("expected a file, found {error}"))))?;
     if let Some(program) = Program::of(path, &text) {
         let picture = mosaic.ok_or_else(|| {
             at(Fault::user("these annotations are in pixels of a picture")

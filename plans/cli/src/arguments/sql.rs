@@ -1,8 +1,9 @@
 //! Arguments of `sql`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
+use evermap_schemas::Fault;
 
 use crate::arguments::SessionArgs;
 use crate::output::Format;
@@ -24,10 +25,10 @@ pub struct SqlArgs {
     /// the names of the sessions: `tuesday."/odom"`.
     #[command(flatten)]
     pub sessions: SessionArgs,
-    /// How results are written.
-    #[arg(long, default_value = "table")]
-    pub format: Format,
-    /// File for the result, instead of stdout.
+    /// How results are written [default: as `--out` ends, else table].
+    #[arg(long)]
+    pub format: Option<Format>,
+    /// File for the result, instead of stdout: `.parquet`, `.csv`, `.json` and `.arrow` are written as they are called.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Memory for sorts, joins and decoded chunks.
@@ -54,6 +55,27 @@ pub struct FunctionsArgs {
 }
 
 impl SqlArgs {
+    /// How results are written: as is said, else as the file ends, else for people.
+    ///
+    /// # Errors
+    /// A user fault where the file ends otherwise than is said.
+    pub fn written(&self) -> Result<Format, Fault> {
+        let ending = self.out.as_deref().and_then(Format::of_ending);
+        match (self.format, ending) {
+            (Some(said), Some(ending)) if said != ending => {
+                let file = self.out.as_deref().unwrap_or(Path::new(""));
+                let (said, ending) = (said.name(), ending.name());
+                let fault = format!(
+                    "expected a file that ends in .{said}, found {}",
+                    file.display()
+                );
+                Err(Fault::user(fault)
+                    .next(format!("leave --format out, or say --format {ending}")))
+            }
+            (said, ending) => Ok(said.or(ending).unwrap_or(Format::Table)),
+        }
+    }
+
     /// The sessions and the query. The shell gives both in one row, as in `--sessions a.mcap b.mcap 'SELECT 1'`: a last
     /// session that reads like a query and is no file is the query.
     pub fn split(&self) -> (SessionArgs, Option<String>) {

@@ -48,6 +48,32 @@ fn a_query_stands_apart_from_sessions() {
 }
 
 #[test]
+fn rows_are_written_as_their_file_ends_unless_it_is_said_otherwise() {
+    let written = |rest: &str| {
+        let Ok(Command::Sql(args)) = read(&format!("evermap sql --map m {rest} -q q")) else {
+            panic!("{rest}")
+        };
+        args.written()
+    };
+    for (rest, format) in [
+        ("", Format::Table),
+        ("--out a.parquet", Format::Parquet),
+        ("--out a.CSV", Format::Csv),
+        ("--out a.b.json", Format::Json),
+        ("--out a.arrow", Format::Arrow),
+        ("--out a.txt", Format::Table),
+        ("--out csv", Format::Table),
+        ("--out a.txt --format csv", Format::Csv),
+        ("--out a.parquet --format parquet", Format::Parquet),
+    ] {
+        assert_eq!(written(rest).unwrap(), format, "{rest}");
+    }
+    let fault = written("--out a.parquet --format csv").unwrap_err();
+    let said = "user: expected a file that ends in .csv, found a.parquet; leave --format out, or say --format parquet";
+    assert_eq!(fault.to_string(), said);
+}
+
+#[test]
 fn what_makes_no_sense_is_wrong_usage() {
     let lines = [
         "evermap",

@@ -15,11 +15,11 @@ use serde_json::Value;
 
 use crate::arguments::{Described, PlanArgs};
 use crate::ending::{DONE, Ending, Failure};
-use crate::operators;
 use crate::progress::line;
 use crate::quantity::of;
 use crate::sessions::{lost, open};
 use crate::shipped;
+use crate::{masks, operators};
 
 /// Checks a plan.
 ///
@@ -31,6 +31,9 @@ pub async fn check(args: &PlanArgs) -> Ending {
     let given = given_faults(&parsed, &program, &registry, &dataset).await?;
     if !given.is_empty() {
         return Err(Failure::Plan(given.pretty()));
+    }
+    if let Some(warning) = masks::warning(&masks::masked(&program), &dataset).await? {
+        line(&format!("warning: {warning}"));
     }
     let needs = Needs::of_program(&program, &registry);
     for (session, lacks) in idle(&needs, &dataset, &[])? {

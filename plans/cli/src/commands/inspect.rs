@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::io::Write;
 
+use evermap_datasets::log::definition::LogChannel;
 use evermap_datasets::log::index::{LogIndex, UnitKind};
 use evermap_datasets::log::pace::Pace;
 use evermap_datasets::{Dataset, LogPart, Session};
@@ -11,6 +12,7 @@ use evermap_engine::preflight::Needs;
 use evermap_engine::prepare::parse;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::Fault;
+use evermap_schemas::roles::{Role, Topic};
 use object_store::ObjectStoreExt;
 
 use crate::arguments::InspectArgs;
@@ -34,7 +36,11 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
     dataset.register(&context)?;
     if args.manifest {
         let frames = CoordinateFrames::read(&context).await?;
-        writeln!(std::io::stdout(), "{}", written(&dataset, &frames)?)?;
+        writeln!(
+            std::io::stdout(),
+            "{}",
+            written(&dataset, &frames, &context).await?
+        )?;
         return Ok(lost([&dataset]));
     }
     let parts = dataset.parts();
@@ -168,11 +174,27 @@ fn channels(part: &LogPart, read: &LogIndex) -> Vec<Channel> {
             longest_gap_s: paced.map(|pace| pace.longest_gap as f64 * 1e-9),
             gap_after_s: paced.map(|pace| pace.gap_from.saturating_sub(start) as f64 * 1e-9),
             undecodable,
+            unfit: unfit(part, channel),
         }
     });
     let mut channels: Vec<Channel> = channels.collect();
     channels.sort_by(|a, b| (&a.topic, a.id).cmp(&(&b.topic, b.id)));
     channels
+}
+
+/// Why a channel plays no role, though messages of its type do.
+fn unfit(part: &LogPart, channel: &LogChannel) -> Option<&'static str> {
+    let schema = part.index.schema_of(channel)?;
+    let topic = Topic {
+        untyped: part.index.is_untyped(channel),
+        ..Topic::new(&channel.topic, &schema.name, 0)
+    };
+    let played = |role: &&Role| {
+        let messages = role.messages();
+        messages.is_some_and(|messages| messages.types.contains(&topic.message_type.as_str()))
+    };
+    let mut roles = evermap_schemas::roles::ALL.iter().filter(played);
+    roles.find_map(|role| role.unfit(&topic))
 }
 
 /// Chunks whose heads are read to learn how they are compressed.

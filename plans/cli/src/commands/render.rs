@@ -4,14 +4,14 @@ use evermap_engine::map::version::Version;
 use evermap_schemas::Fault;
 
 use crate::arguments::{RenderArgs, Shown};
-use crate::draw::{Canvas, Picture, draw, matrix, png, views};
+use crate::draw::{Canvas, Picture, matrix, png, views};
 use crate::ending::{DONE, Ending};
 use crate::metric::metric_map;
 use crate::moved::changes;
 use crate::output::write_file;
 use crate::progress::line;
 use crate::reader::MapReader;
-use crate::scene::scene;
+use crate::scene::{drawn, scene};
 use crate::semantic::{semantic_map, similarities};
 
 /// Draws a map.
@@ -49,20 +49,20 @@ async fn picture(args: &RenderArgs, reader: &MapReader) -> Result<Picture, Fault
             .next(format!("map it with the plan {plans}"))
     };
     match args.view {
-        Shown::Map => draw(&scene, canvas),
+        Shown::Map => drawn(reader, &scene, canvas),
         Shown::Changes => {
             let since = earlier(reader, args.since).await?;
             let changes = changes(reader, site, since).await?;
             if changes.is_empty() {
                 line(&format!("nothing of {site} changed since version {since}"));
             }
-            draw(&scene.with_changes(changes), canvas)
+            drawn(reader, &scene.with_changes(changes), canvas)
         }
         Shown::Metric => {
             let found = metric_map(reader, site).await?;
             let found = found
                 .ok_or_else(|| nothing("adjusted poses", "lifelong, metric_map or car_park"))?;
-            draw(&found.scene, canvas)
+            drawn(reader, &found.scene, canvas)
         }
         Shown::Views => {
             let found = semantic_map(reader, site).await?;

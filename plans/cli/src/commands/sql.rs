@@ -352,10 +352,11 @@ pub fn is_prompt(args: &SqlArgs) -> bool {
 /// The first statement's fault; at a prompt faults are shown and the prompt goes on.
 pub async fn sql(args: &SqlArgs) -> Ending {
     let (sessions, query) = args.split();
+    let format = args.written()?;
     let tables = Arc::new(Tables::open(args, &sessions).await?);
     match query {
         Some(query) => all(&tables, statements(&query)?, args).await?,
-        None if is_prompt(args) => prompt::run(&tables, args.format).await?,
+        None if is_prompt(args) => prompt::run(&tables, format).await?,
         None => {
             let text = std::io::read_to_string(std::io::stdin())
                 .map_err(|error| Fault::resource(format!("cannot read queries: {error}")))?;
@@ -391,7 +392,8 @@ async fn script(tables: &Tables, text: &str, args: &SqlArgs) -> Result<(), Failu
 }
 
 async fn all(tables: &Tables, statements: Vec<Statement>, args: &SqlArgs) -> Result<(), Failure> {
-    let to_one_file = args.out.is_some() || args.format.is_binary();
+    let format = args.written()?;
+    let to_one_file = args.out.is_some() || format.is_binary();
     if statements.is_empty() || (statements.len() > 1 && to_one_file) {
         let expected = if to_one_file { "one query" } else { "a query" };
         let found = match statements.len() {
@@ -402,7 +404,7 @@ async fn all(tables: &Tables, statements: Vec<Statement>, args: &SqlArgs) -> Res
     }
     for statement in statements {
         let mut sink = Sink::to(args.out.as_deref().map(Path::new))?;
-        tables.run(statement, args.format, &mut sink).await?;
+        tables.run(statement, format, &mut sink).await?;
         sink.finish()?;
     }
     Ok(())

@@ -14,6 +14,9 @@ use crate::draw::{Canvas, Outline, Picture, Scene, Trajectory, colours, strokes}
 use crate::mosaic::Mosaic;
 use crate::shown::Lane;
 
+/// The fault of a scene without anything.
+pub const NOTHING: &str = "there is nothing to draw";
+
 /// Width of a driving lane, m.
 const LANE_WIDTH_M: f64 = 2.4;
 /// Radius of the marker of an intersection, m.
@@ -36,9 +39,8 @@ const TOLERANCE_PX: f64 = 0.25;
 pub fn draw(scene: &Scene, canvas: Canvas) -> Result<Picture, Fault> {
     let ground = scene.ground(canvas)?;
     let seen = ground.as_ref().and_then(Mosaic::seen);
-    let bounds = union(seen, scene.line_bounds()).ok_or_else(|| {
-        Fault::user("there is nothing to draw").next("publish tiles, lanes or poses in the plan")
-    })?;
+    let bounds = union(seen, scene.line_bounds())
+        .ok_or_else(|| Fault::user(NOTHING).next("publish tiles, lanes or poses in the plan"))?;
     let viewport = Viewport::of(bounds, canvas.width_px);
     let ground = ground.map(|mosaic| GroundImage::of(&mosaic, &viewport));
     let map = MapFromAbove {
@@ -308,7 +310,8 @@ fn drawn<N: Into<String>>(
 fn explained(changes: &Changes, viewport: &Viewport) -> Vec<(String, Option<String>)> {
     let since = format!("since version {}", changes.since);
     let most_mm = (1e3 * changes.most_m()).round();
-    let moved = format!("moved, at most {most_mm} mm");
+    // `moved_m` of `diff` has what moved up and down too, which no picture from above shows.
+    let moved = format!("moved, at most {most_mm} mm seen from above");
     let kinds = [
         (
             !changes.new.is_empty(),

@@ -30,7 +30,7 @@ use std::collections::BTreeMap;
 use evermap_schemas::Fault;
 
 pub use changes::Changes;
-pub use map::draw;
+pub use map::{NOTHING, draw};
 pub use matrix::matrix;
 pub use outline::{Mark, Outline};
 pub use pixels::{decoded, encoded, png};

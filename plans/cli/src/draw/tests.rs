@@ -265,6 +265,21 @@ fn slow_cells_people_and_lane_speeds_are_drawn_and_explained() {
 }
 
 #[test]
+fn motion_in_the_legend_is_what_is_seen_from_above() {
+    let changes = super::Changes {
+        since: 1,
+        moved: vec![[[0.0, 0.0], [0.03, 0.04]]],
+        ..super::Changes::default()
+    };
+    let svg = draw(&scene().with_changes(changes), Canvas::default());
+    let svg = svg.unwrap().svg;
+    assert!(
+        svg.contains("moved, at most 50 mm seen from above"),
+        "{svg}"
+    );
+}
+
+#[test]
 fn nothing_to_draw_and_a_zoom_that_is_not_there_are_said() {
     assert!(
         draw(&Scene::default(), Canvas::default())

@@ -5,6 +5,8 @@ mod readable;
 mod sink;
 mod writers;
 
+use std::path::Path;
+
 use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
 use clap::ValueEnum;
@@ -34,6 +36,18 @@ pub enum Format {
 }
 
 impl Format {
+    /// The format that a file's ending names, in capitals or not; `None` for endings that name none.
+    pub fn of_ending(file: &Path) -> Option<Self> {
+        let ending = file.extension()?.to_str()?;
+        Self::from_str(ending, true).ok()
+    }
+
+    /// Its name, as `--format` has it.
+    pub fn name(self) -> String {
+        let value = self.to_possible_value();
+        value.map_or_else(String::new, |value| value.get_name().to_owned())
+    }
+
     /// Whether an output is one file of bytes, rather than text.
     pub fn is_binary(self) -> bool {
         matches!(self, Self::Parquet | Self::Arrow)

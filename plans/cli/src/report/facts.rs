@@ -5,9 +5,7 @@ use std::collections::BTreeMap;
 
 use askama::Template;
 use evermap_engine::map::{LayerInfo, RunRow, VersionInfo, versions};
-use evermap_language::listed;
-use evermap_schemas::layers::{Lane, OverheadTile, VehiclePose};
-use evermap_schemas::{Fault, Kind, LayerRow};
+use evermap_schemas::Fault;
 
 use crate::arguments::HTTP;
 use crate::draw::{Canvas, Picture, draw, matrix, views};
@@ -15,7 +13,7 @@ use crate::metric::{Drift, metric_map};
 use crate::quantity;
 use crate::reader::{MapReader, typed};
 use crate::report::answers::{Answer, OF_METRIC_MAPS, OF_SEMANTIC_MAPS, answers};
-use crate::scene::{scene, trajectories};
+use crate::scene::{drawn, scene, trajectories};
 use crate::semantic::{semantic_map, similarities};
 
 /// Width of the picture in a report, pixels.
@@ -26,9 +24,6 @@ const MATRIX_PX: u32 = 700;
 const SHOWN_UNITS: usize = 15;
 /// Length of the bar of the slowest unit, pixels.
 const LONGEST_BAR_PX: f64 = 120.0;
-
-/// Layers that the picture is drawn from.
-const DRAWN: [&str; 3] = [OverheadTile::NAME, Lane::NAME, VehiclePose::NAME];
 
 /// What a report says.
 #[derive(Debug, Clone, Template)]
@@ -145,14 +140,11 @@ impl Facts {
     }
 }
 
-/// Why a map is not drawn: layers that are drawn are empty, or it has none of them.
-fn undrawn(layers: &[LayerInfo], fault: &Fault) -> String {
-    let empty = layers.iter().filter(|layer| layer.rows == 0);
-    let names = empty.map(|layer| layer.layer.as_str());
-    let empty: Vec<_> = names.filter(|name| DRAWN.contains(name)).collect();
-    match fault.kind {
-        Kind::User if !empty.is_empty() => format!("no row in {}", listed(empty)),
-        _ => format!("{}; {}", fault.message, fault.next),
+/// Why there is no picture, as a part of a sentence.
+fn why(fault: Fault) -> String {
+    match fault.next.as_str() {
+        "" => fault.message,
+        next => format!("{}; {next}", fault.message),
     }
 }
 
@@ -169,7 +161,7 @@ pub async fn gather(reader: &MapReader, site: Option<&str>) -> Result<Facts, Fau
     let site = site.or(sites.first().map(String::as_str));
     let site = site.unwrap_or_default();
     let layers = reader.map.layers();
-    let picture = draw(&scene, canvas).map_err(|fault| undrawn(&layers, &fault));
+    let picture = drawn(reader, &scene, canvas).map_err(why);
     let version = &reader.map.version;
     Ok(Facts {
         version: version.version,

@@ -130,12 +130,12 @@ fn the_page_says_everything_and_needs_nothing_else() {
 #[test]
 fn a_map_without_a_picture_or_runs_has_a_page_too() {
     let bare = Facts {
-        picture: Err("no row in `poses`".to_owned()),
+        picture: Err("no row to draw in `poses`".to_owned()),
         units: vec![],
         losses: BTreeMap::new(),
         ..facts()
     };
     let page = bare.to_string();
-    assert!(page.contains("There is no picture: no row in `poses`.</p>"));
+    assert!(page.contains("There is no picture: no row to draw in `poses`.</p>"));
     assert!(!page.contains("<svg") && !page.contains("Units") && !page.contains("Losses</h2>"));
 }

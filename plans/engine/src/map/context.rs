@@ -1,10 +1,12 @@
 //! The tables of a map in a context of DataFusion.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use datafusion::catalog::{CatalogProvider, MemoryCatalogProvider};
 use datafusion::prelude::SessionContext;
 use evermap_contract::Registry;
+use evermap_datasets::Dataset;
 use evermap_schemas::Fault;
 
 use crate::error::OrFault;
@@ -13,7 +15,17 @@ use crate::map::diff::DiffFunction;
 use crate::map::lineage::LineageFunction;
 use crate::map::opened::Map;
 use crate::map::tables::Tables;
+use crate::map::version::MappedSession;
 use crate::sql::{TABLES, Unlisted, beside, catalog, catalog_name};
+
+/// The tables that a session's log is known to have before it is opened: those of all logs, and topics that play roles.
+fn tables_of(session: &MappedSession) -> BTreeSet<String> {
+    let topics = session.manifest.roles.values().flatten();
+    // A pattern is no name.
+    let topics = topics.filter(|topic| !topic.contains(['*', '?', '[']));
+    let all = Dataset::table_names().into_iter().map(str::to_owned);
+    all.chain(topics.cloned()).collect()
+}
 
 impl Map {
     /// Makes every published layer a table of a new context, those with structs also with columns in their place
@@ -36,9 +48,8 @@ impl Map {
         let catalog = Arc::new(Catalog::new(catalog, tables));
         context.register_catalog(catalog_name(&context), catalog);
         let sessions = self.version.sessions.iter();
-        let logs = sessions
-            .map(|session| session.log.session.clone())
-            .collect();
+        let logs = sessions.map(|session| (session.log.session.clone(), tables_of(session)));
+        let logs = logs.collect();
         let state = context.state_ref();
         state
             .write()

@@ -229,6 +229,14 @@ fn parent(path: &Path) -> &Path {
     path.parent().unwrap_or(Path::new("/"))
 }
 
+/// Makes a folder, and those above it, each synced into the one above.
+///
+/// # Errors
+/// What the file system says.
+pub fn make(folder: &Path) -> Result<()> {
+    make_parent(&folder.join(TEMPORARY))
+}
+
 /// Makes the folder that a file is to be in, and those above it, each synced into the one above.
 fn make_parent(path: &Path) -> Result<()> {
     let folder = parent(path);

@@ -28,6 +28,7 @@ pub mod version;
 pub use diff::{Comparison, LayerDiff, documentation as diff_documentation};
 pub use gc::{Collected, gc};
 pub use lineage::{Origin, documentation as lineage_documentation, lineage};
+pub(crate) use opened::make;
 pub use opened::{Map, versions};
 pub(crate) use records::{record_damage, record_name};
 pub(crate) use rows::RUNS;

@@ -1,6 +1,8 @@
 //! A map opened at a version: what it has, its rows, its logs.
 
 use std::collections::BTreeMap;
+use std::fmt;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
@@ -11,14 +13,62 @@ use tokio::sync::Mutex;
 use url::Url;
 
 use crate::error::OrFault;
-use crate::fingerprint::open_mapped;
+use crate::fingerprint::{self, open_mapped};
 use crate::map::artifact::read_in_order;
 use crate::map::damage::Damage;
-use crate::map::receipt::Artifact;
+use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS};
 use crate::map::rows::{LayerFile, LayerInfo, VersionInfo};
 use crate::map::sound::Sound;
 use crate::map::store::{Store, each};
 use crate::map::version::{MappedSession, StoredLayer, Version};
+use crate::map::{lease, local};
+
+/// That no map is at an address.
+pub(super) fn no_map(address: impl fmt::Display) -> Fault {
+    Fault::user(format!("no map at {address}"))
+        .next("make one with `evermap run PLAN --map DIR --sessions FILES`")
+}
+
+/// Whether a run has left something in a store.
+async fn begun(store: &Store) -> Result<bool, Fault> {
+    for folder in [fingerprint::FOLDER, RECEIPTS, ARTIFACTS, lease::FOLDER] {
+        if !store.objects_in(folder).await?.is_empty() {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
+/// Where a store is, as people write it.
+fn address(store: &Store) -> String {
+    match folder(store) {
+        Some(folder) => folder.display().to_string(),
+        None => store.url().to_string(),
+    }
+}
+
+fn folder(store: &Store) -> Option<PathBuf> {
+    let url = store.url();
+    let folder = (url.scheme() == "file").then(|| url.to_file_path().ok());
+    // Without the slash at the end of the URL.
+    Some(folder.flatten()?.components().collect())
+}
+
+/// Makes the folder that a map is to be in, where it is to be in one.
+///
+/// # Errors
+/// A user fault where it cannot be made.
+pub(crate) fn make(store: &Store) -> Result<(), Fault> {
+    let Some(folder) = folder(store) else {
+        return Ok(());
+    };
+    local::make(&folder).map_err(|error| {
+        Fault::user(format!(
+            "cannot create a map at {}: {error}",
+            folder.display()
+        ))
+    })
+}
 
 /// A map opened at a version.
 #[derive(Debug, Clone)]
@@ -42,13 +92,17 @@ impl Map {
 
     pub(super) async fn at(store: Store, version: Option<u64>) -> Result<Self, Fault> {
         let version = match version {
-            Some(number) => Version::read(&store, number).await?,
-            None => Version::latest(&store).await?.ok_or_else(|| {
-                Fault::user(format!("the map at {} has no version yet", store.url()))
-                    .next("finish a run of `evermap run`")
-            })?,
+            Some(number) => Some(Version::read(&store, number).await?),
+            None => Version::latest(&store).await?,
         };
-        Ok(Self::of(store, version))
+        match version {
+            Some(version) => Ok(Self::of(store, version)),
+            None if begun(&store).await? => {
+                let fault = format!("the map at {} has no version yet", address(&store));
+                Err(Fault::user(fault).next("finish a run of `evermap run`"))
+            }
+            None => Err(no_map(address(&store))),
+        }
     }
 
     /// A version that was read.

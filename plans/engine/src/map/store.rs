@@ -29,6 +29,7 @@ use url::Url;
 
 use crate::error::store_fault;
 use crate::map::local::Folder;
+use crate::map::opened::no_map;
 use evermap_schemas::Fault;
 
 pub use crate::map::local::TEMPORARY;
@@ -400,8 +401,7 @@ fn address_url(address: &str, create: bool) -> Result<Url, Fault> {
     }
     let folder = Path::new(address);
     if !create && !folder.is_dir() {
-        return Err(Fault::user(format!("no map at {address}"))
-            .next("make one with `evermap run PLAN --map DIR --sessions FILES`"));
+        return Err(no_map(address));
     }
     if folder.is_file() {
         return Err(Fault::user(format!(

@@ -1,5 +1,6 @@
 //! Tables and functions that a query names and that are not there, with those that may be meant.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use datafusion::catalog::{CatalogProvider, TableProvider};
@@ -14,9 +15,10 @@ use crate::error::OrFault;
 /// How a fault begins that says that a table is not there.
 pub const NO_TABLE: &str = "there is no table ";
 
-/// Schemas that the catalog of a context has and does not list, as the logs of a map: an extension of its settings.
+/// Schemas that the catalog of a context has and does not list, as the logs of a map, each with the tables that it is
+/// known to have before it is opened: an extension of the context's settings.
 #[derive(Debug)]
-pub struct Unlisted(pub Vec<String>);
+pub struct Unlisted(pub BTreeMap<String, BTreeSet<String>>);
 
 /// A fault of planning, in our words where it is that a table or a function is not there, with the one that may be meant.
 pub fn explained(context: &SessionContext, fault: Fault) -> Fault {
@@ -89,8 +91,8 @@ impl<'c> Names<'c> {
         quoted.collect::<Vec<_>>().join(".")
     }
 
-    /// What may be meant by the name of a table that there is not: a misspelt one, one of another version, of a misspelt
-    /// schema, or one that has no schema.
+    /// What may be meant by the name of a table that there is not: one of a schema, as of a log, that is named without it;
+    /// a misspelt one, one of another version, of a misspelt schema, or one that has no schema.
     fn meant(&self, written: &ResolvedTableReference) -> Option<ResolvedTableReference> {
         let catalog = self.context.catalog(&written.catalog)?;
         let meant = |schema: &str, table: &str| ResolvedTableReference {
@@ -120,7 +122,12 @@ impl<'c> Names<'c> {
             Some(meant(schema, table))
         });
         let at_home = || Some(meant(&self.schema, alike(&written.table, &home)?));
-        in_schema.or_else(at_home).filter(|meant| meant != written)
+        let without_schema = *written.schema == *self.schema;
+        let mut others = schemas.iter().filter(|_| without_schema);
+        let elsewhere = others.find(|schema| self.has(catalog.as_ref(), schema, &written.table));
+        let elsewhere = elsewhere.map(|schema| meant(schema, &written.table));
+        let meant = elsewhere.or(in_schema).or_else(at_home);
+        meant.filter(|meant| meant != written)
     }
 
     /// The schemas that have tables, ascending.
@@ -128,10 +135,19 @@ impl<'c> Names<'c> {
         let mut schemas = catalog.schema_names();
         schemas.retain(|schema| !tables(catalog, schema).is_empty());
         if let Some(more) = self.context.copied_config().get_extension::<Unlisted>() {
-            schemas.extend_from_slice(&more.0);
+            schemas.extend(more.0.keys().cloned());
         }
         schemas.sort();
         schemas
+    }
+
+    /// Whether a schema is known to have a table of this very name.
+    fn has(&self, catalog: &dyn CatalogProvider, schema: &str, table: &str) -> bool {
+        let config = self.context.copied_config();
+        let unlisted = config.get_extension::<Unlisted>();
+        let unlisted = unlisted.as_ref().and_then(|known| known.0.get(schema));
+        unlisted.is_some_and(|known| known.contains(table))
+            || tables(catalog, schema).iter().any(|name| name == table)
     }
 }
 
@@ -229,7 +245,9 @@ mod tests {
             let table = MemTable::try_new(rows.schema(), vec![vec![rows.clone()]]).unwrap();
             context.register_table(name, Arc::new(table)).unwrap();
         }
-        let logs = Unlisted(vec!["tuesday".to_owned()]);
+        let known = ["/imu", "odometry"].map(str::to_owned);
+        let logs = [("tuesday".to_owned(), BTreeSet::from(known))];
+        let logs = Unlisted(BTreeMap::from(logs));
         let state = context.state_ref();
         state.write().config_mut().set_extension(Arc::new(logs));
         context
@@ -254,6 +272,8 @@ mod tests {
             ("inital.\"/odm\"", "initial.\"/odom\""),
             ("initial.lanes", "lanes"),
             ("tuesdai.\"/imu\"", "tuesday.\"/imu\""),
+            ("\"/odom\"", "initial.\"/odom\""),
+            ("odometry", "tuesday.odometry"),
             ("trees", ""),
             ("elsewhere.trees", ""),
             ("nobodys.own.trees", ""),
