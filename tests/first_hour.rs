@@ -372,6 +372,27 @@ fn queries_that_cannot_be_answered_say_what_was_meant() {
             "(at line 1, column 15 of the query); did you mean `drive.\"/odom\"`?",
         ),
         (
+            "SELECT map_from_vehicle_x FROM poses",
+            "write map_from_vehicle['x'], or FROM poses_flat: it has map_from_vehicle_x",
+        ),
+        (
+            "SELECT * FROM lanes WHERE length_m > 'x'",
+            "error: user: expected a number, found 'x'",
+        ),
+        (
+            "SELECT sources['session'] FROM lanes",
+            "`lanes.sources` is a list, which has no member `session`; \
+             take it of one item, lanes.sources[1]['session'], or of each: unnest(lanes.sources)",
+        ),
+        (
+            "SELECT * FROM poses WHERE stamp > 5",
+            "error: user: expected two values that go together, found time > i64",
+        ),
+        (
+            "SELECT avg(map_from_vehicle) FROM poses",
+            "error: user: avg expects (decimal) or (duration) or (f64), found (a pose)",
+        ),
+        (
             "SELECT * FROM odometry",
             "(at line 1, column 15 of the query); did you mean `drive.odometry`?",
         ),

@@ -422,6 +422,12 @@ fn names_that_break_a_line_are_escaped() {
 
 /// Writes a log of two seconds with the odometry of two robots on `/tf`, 0.1 and 0.2 m a message ahead.
 fn write_robots(path: &Path) {
+    let first = ("robot1/odom", "robot1/base_link", 0.1);
+    write_moving(path, &[first, ("robot2/odom", "robot2/base_link", 0.2)]);
+}
+
+/// Writes a log of two seconds with these transforms on `/tf`, each so many metres a message ahead.
+fn write_moving(path: &Path, transforms: &[(&str, &str, f64)]) {
     let mut log = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
     let (number, string) = (json!({"type": "number"}), json!({"type": "string"}));
     let xyz = json!({"type": "object", "properties": {"x": number, "y": number, "z": number}});
@@ -434,10 +440,10 @@ fn write_robots(path: &Path) {
     let channel = log.add_channel(schema.unwrap(), "/tf", "json", &Default::default());
     let channel_id = channel.unwrap();
     for tenth in 0..20_u32 {
-        for (robot, step_m) in [("robot1", 0.1), ("robot2", 0.2)] {
+        for (parent, child, step_m) in transforms {
             let message = json!({
-                "parent_frame_id": format!("{robot}/odom"),
-                "child_frame_id": format!("{robot}/base_link"),
+                "parent_frame_id": parent,
+                "child_frame_id": child,
                 "translation": {"x": step_m * f64::from(tenth), "y": 0.0, "z": 0.0},
                 "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
             });
@@ -453,6 +459,33 @@ fn write_robots(path: &Path) {
         }
     }
     log.finish().unwrap();
+}
+
+#[test]
+fn transforms_of_other_names_are_odometry_once_a_manifest_says_the_frame_and_counted_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_moving(&at("drone.mcap"), &[("world", "drone", 0.1)]);
+    let run = |map: &str, given: &[&str]| {
+        let run = ["run", "trajectory", "--map", map, "--progress", "none"];
+        run_in(folder.path(), &[&run[..], given].concat())
+    };
+    let told = run("none", &["--sessions", "drone.mcap"]).expect(3).stderr;
+    for said in [
+        "topics of transforms that move no vehicle on /tf",
+        "found world -> drone",
+        "`defaults: { vehicle_frame: drone }`",
+        "no layer has rows",
+    ] {
+        assert!(told.contains(said), "{said}: {told}");
+    }
+    let written = run_in(folder.path(), &["inspect", "--manifest", "drone.mcap"]);
+    std::fs::write(at("drone.yaml"), written.expect(0).stdout).unwrap();
+    run("map", &["--manifest", "drone.yaml"]).expect(0);
+    let query = "SELECT max(map_from_vehicle['x']) > 1 AS moved FROM poses";
+    let asked = ["sql", "--map", "map", "--format", "json", query];
+    let asked = run_in(folder.path(), &asked).expect(0).json();
+    assert_eq!(asked[0]["moved"], true);
 }
 
 #[test]

@@ -1,9 +1,10 @@
 //! DataFusion's errors as faults with a kind, and faults on their way through DataFusion.
 
+use arrow::datatypes::DataType;
 use arrow::error::ArrowError;
 use datafusion::error::DataFusionError;
 use datafusion::sql::sqlparser::parser::ParserError;
-use evermap_schemas::{Fault, Kind};
+use evermap_schemas::{Cell, Fault, Kind, Pose, type_name};
 
 /// The fault inside, or the best reading of what DataFusion says. A fault that crossed a process border as text is
 /// found again by its code.
@@ -40,7 +41,10 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
             let said = said.rsplit_once(PARSER_AT).map_or(said, |(said, _)| said);
             (Kind::User, format!("SQL: {said}"))
         }
-        DataFusionError::ArrowError(error, _) => (kind_of(error), error.to_string()),
+        DataFusionError::ArrowError(error, _) => {
+            let said = error.to_string();
+            (kind_of(error), not_cast(&said).unwrap_or(said))
+        }
         _ => (Kind::Data, root.strip_backtrace()),
     };
     let message = message.lines().next().unwrap_or_default();
@@ -53,9 +57,10 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
             .next("take a member of it in brackets: sources[1]['session']");
     }
     let fault = Fault::new(kind, message);
-    let fault = match is_other_as_of(message) {
-        true => fault.next(AS_OF),
-        false => fault,
+    let fault = match () {
+        () if is_other_as_of(message) => fault.next(AS_OF),
+        () if message.starts_with(NOT_ALIKE) && message.contains("time") => fault.next(INSTANT),
+        () => fault,
     };
     match place {
         Some((line, column)) => fault.at(format!("line {line}, column {column} of the query")),
@@ -112,10 +117,88 @@ fn types(message: &str) -> Option<String> {
     let (found, behind) = behind.split_once("'. You might need")?;
     let (_, candidates) = behind.split_once("Candidate functions:\n")?;
     let lines = candidates.lines();
-    let mut expected: Vec<&str> = lines.map_while(|line| line.strip_prefix('\t')).collect();
-    expected.dedup();
+    let candidates = lines.map_while(|line| line.strip_prefix('\t'));
+    let mut expected = Vec::new();
+    for (_, arguments) in candidates.filter_map(call) {
+        if !expected.contains(&arguments) {
+            expected.push(arguments);
+        }
+    }
+    let (name, found) = call(found)?;
     let expected = expected.join(" or ");
-    (!expected.is_empty()).then(|| format!("expected {expected}, found {found}"))
+    (!expected.is_empty()).then(|| format!("{name} expects {expected}, found {found}"))
+}
+
+/// The name of a function that is called with these types, and they as people call them: `avg` and `(f64)`.
+fn call(text: &str) -> Option<(&str, String)> {
+    let (name, behind) = text.split_once('(')?;
+    let types = apart(behind.strip_suffix(')')?, ',');
+    let types: Vec<String> = types.into_iter().map(|given| named(given.trim())).collect();
+    Some((name, format!("({})", types.join(", "))))
+}
+
+/// A text cut where a character stands outside of parentheses.
+fn apart(text: &str, at: char) -> Vec<&str> {
+    let (mut depth, mut begin, mut parts) = (0_i32, 0, Vec::new());
+    for (place, c) in text.char_indices() {
+        match c {
+            '(' => depth += 1,
+            ')' => depth -= 1,
+            c if c == at && depth == 0 => {
+                parts.push(&text[begin..place]);
+                begin = place + c.len_utf8();
+            }
+            _ => {}
+        }
+    }
+    parts.push(&text[begin..]);
+    parts
+}
+
+/// What people call a type that DataFusion names.
+fn named(found: &str) -> String {
+    let Ok(found) = found.parse::<DataType>() else {
+        return found.to_lowercase();
+    };
+    let name = type_name(&found);
+    match name == type_name(&<Pose as Cell>::data_type()) {
+        true => "a pose".to_owned(),
+        false => name,
+    }
+}
+
+/// How it is said here that two values do not go together.
+const NOT_ALIKE: &str = "expected two values that go together, found ";
+
+/// How an instant is written where one is compared.
+const INSTANT: &str = "write an instant as a text: stamp > '2024-05-01T10:00:00Z'";
+
+/// What two values are that are compared, or computed with, and do not go together: `time > i64`.
+fn not_alike(message: &str) -> Option<String> {
+    let (_, pair) = message
+        .split_once("Cannot infer common argument type for comparison operation ")
+        .or_else(|| message.split_once("Cannot coerce arithmetic expression "))?;
+    let pair = pair
+        .split_once(" to valid types")
+        .map_or(pair, |(pair, _)| pair);
+    let words = apart(pair, ' ');
+    let ([first, operator @ .., last], true) = (words.as_slice(), words.len() > 2) else {
+        return None;
+    };
+    let (first, operator, last) = (named(first), operator.join(" "), named(last));
+    Some(format!("{NOT_ALIKE}{first} {operator} {last}"))
+}
+
+/// What a text is that does not become what it is compared with, or cast to.
+fn not_cast(message: &str) -> Option<String> {
+    let (_, behind) = message.split_once("Cannot cast string '")?;
+    let (text, wanted) = behind.rsplit_once("' to value of ")?;
+    let wanted: DataType = wanted.strip_suffix(" type")?.parse().ok()?;
+    let wanted = match wanted.is_numeric() {
+        true => "a number".to_owned(),
+        false => type_name(&wanted),
+    };
+    Some(format!("expected {wanted}, found '{text}'"))
 }
 
 /// What DataFusion says, without what it says of its own ways.
@@ -124,6 +207,9 @@ fn plainly(message: &str) -> String {
         && let Some(types) = types(message)
     {
         return types;
+    }
+    if let Some(pair) = not_alike(message) {
+        return pair;
     }
     let behind = |text: &'static str| message.split_once(text).map(|(_, behind)| behind);
     let own = behind("user-defined coercion failed with: ").unwrap_or(message);
@@ -193,7 +279,28 @@ mod tests {
             ),
             (
                 plan("Internal error: Function 'sum' failed to match any signature, errors: Error during planning: x.\nThis issue was likely caused by a bug. No function matches the given name and argument types 'sum(Utf8)'. You might need to add explicit type casts.\n\tCandidate functions:\n\tsum(Decimal)\n\tsum(Float64)"),
-                "user: expected sum(Decimal) or sum(Float64), found sum(Utf8)",
+                "user: sum expects (decimal) or (f64), found (text)",
+            ),
+            (
+                plan("Cannot infer common argument type for comparison operation Timestamp(ns, \"UTC\") > Int64"),
+                "user: expected two values that go together, found time > i64; write an instant as a text: stamp > '2024-05-01T10:00:00Z'",
+            ),
+            (
+                plan("Cannot infer common argument type for comparison operation Utf8 IS DISTINCT FROM List(Int64)"),
+                "user: expected two values that go together, found text IS DISTINCT FROM list of i64",
+            ),
+            (
+                plan("Cannot coerce arithmetic expression Struct(\"x\": non-null Float64, \"y\": Utf8) + Int64 to valid types"),
+                "user: expected two values that go together, found struct of x, y + i64",
+            ),
+            (
+                DataFusionError::ArrowError(
+                    Box::new(ArrowError::CastError(
+                        "Cannot cast string 'x' to value of Float64 type".to_owned(),
+                    )),
+                    None,
+                ),
+                "user: expected a number, found 'x'",
             ),
             (DataFusionError::Internal("lost".to_owned()), "bug: lost"),
             (DataFusionError::NotImplemented("a thing".to_owned()), "user: not supported: a thing"),

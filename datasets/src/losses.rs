@@ -43,8 +43,8 @@ pub enum Reason {
     Unreadable,
     /// A frame that is fixed in two ways: to two frames, or at two places. The latest holds.
     Contradiction,
-    /// A topic of transforms that is read for odometry and moves no vehicle.
-    NoOdometry,
+    /// A topic of transforms that is read for the vehicle's, and moves none.
+    NoVehicle,
 }
 
 impl Reason {
@@ -65,7 +65,7 @@ impl Reason {
             Reason::NoRoom => "logs with more definitions and records than an index holds",
             Reason::Unreadable => "files that cannot be read",
             Reason::Contradiction => "frames with contradicting fixed transforms",
-            Reason::NoOdometry => "topics of transforms without odometry",
+            Reason::NoVehicle => "topics of transforms that move no vehicle",
         }
     }
 }

@@ -140,7 +140,7 @@ impl Asked {
             Ok(None) => {
                 let (loss, why) = (Loss::one(0), robots.missing(frame));
                 let losses = &part.losses;
-                losses.note_topic(Reason::NoOdometry, topic, 0, loss, why);
+                losses.note_topic(Reason::NoVehicle, topic, 0, loss, why);
                 Ok(OdometryOf::default())
             }
             Err(fault) => Err(fault.at(format!("topic {topic}")).at(&part.url)),

@@ -268,7 +268,7 @@ async fn transforms_that_move_no_vehicle_are_counted_with_what_a_manifest_may_sa
     for _ in 0..2 {
         assert_eq!(count(&context, "SELECT * FROM odometry").await, 0);
     }
-    let said = "memory://logs/log.mcap: topics of transforms without odometry on /tf: expected a transform from odom to \
+    let said = "memory://logs/log.mcap: topics of transforms that move no vehicle on /tf: expected a transform from odom to \
                 base_link, found odom -> chassis; say which one is the vehicle in a session manifest: \
                 `defaults: { vehicle_frame: chassis }`";
     let told: Vec<_> = dataset.losses.told().into_iter().collect();

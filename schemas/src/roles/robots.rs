@@ -33,7 +33,7 @@ impl FromMessage for Motion {
 /// The robot whose odometry a transform is, as REP 105 names the two frames: from `odom` (or `odom_combined` …) to
 /// `base_link` (or `base_footprint` …), both behind the robot's prefix. The prefix; empty where they have none, `None`
 /// for any other transform.
-pub fn moved<'f>(parent: &'f str, child: &'f str) -> Option<&'f str> {
+fn moved<'f>(parent: &'f str, child: &'f str) -> Option<&'f str> {
     let ((prefix, parent), (same, child)) = (frame_names::split(parent), frame_names::split(child));
     let is_odometry = parent.starts_with("odom") && child.starts_with("base");
     (is_odometry && prefix == same).then_some(prefix)

@@ -36,11 +36,8 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
     dataset.register(&context)?;
     if args.manifest {
         let frames = CoordinateFrames::read(&context).await?;
-        writeln!(
-            std::io::stdout(),
-            "{}",
-            written(&dataset, &frames, &context).await?
-        )?;
+        let manifest = written(&dataset, &frames, &context).await?;
+        writeln!(std::io::stdout(), "{manifest}")?;
         return Ok(lost([&dataset]));
     }
     let parts = dataset.parts();

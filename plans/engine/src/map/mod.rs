@@ -26,6 +26,7 @@ mod verify;
 pub mod version;
 
 pub use diff::{Comparison, LayerDiff, documentation as diff_documentation};
+pub(crate) use flat::SUFFIX as FLAT;
 pub use gc::{Collected, gc};
 pub use lineage::{Origin, documentation as lineage_documentation, lineage};
 pub(crate) use opened::make;

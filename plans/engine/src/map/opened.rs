@@ -95,14 +95,15 @@ impl Map {
             Some(number) => Some(Version::read(&store, number).await?),
             None => Version::latest(&store).await?,
         };
-        match version {
-            Some(version) => Ok(Self::of(store, version)),
-            None if begun(&store).await? => {
-                let fault = format!("the map at {} has no version yet", address(&store));
-                Err(Fault::user(fault).next("finish a run of `evermap run`"))
+        let Some(version) = version else {
+            let address = address(&store);
+            if !begun(&store).await? {
+                return Err(no_map(address));
             }
-            None => Err(no_map(address(&store))),
-        }
+            let fault = Fault::user(format!("the map at {address} has no version yet"));
+            return Err(fault.next("finish a run of `evermap run`"));
+        };
+        Ok(Self::of(store, version))
     }
 
     /// A version that was read.

@@ -105,22 +105,26 @@ struct NoMember {
     /// The struct, as it was named.
     whole: String,
     name: String,
-    /// The members that there are.
-    known: String,
+    /// The members that there are; `None` where it is no struct but a list of them.
+    known: Option<String>,
     signature: Signature,
 }
 
 impl NoMember {
-    /// That values of a type have no member of this name; `None` where they have, or are no structs.
+    /// That values of a type have no member of this name; `None` where they have, or are neither structs nor lists.
     fn of(found: &DataType, name: &str, whole: impl FnOnce() -> String) -> Option<Self> {
-        let DataType::Struct(members) = found else {
-            return None;
+        let known = match found {
+            DataType::Struct(members) if members.find(name).is_some() => return None,
+            DataType::Struct(members) => {
+                Some(listed(members.iter().map(|member| member.name().as_str())))
+            }
+            DataType::List(_) | DataType::LargeList(_) | DataType::FixedSizeList(..) => None,
+            _ => return None,
         };
-        let is_there = members.iter().any(|member| member.name() == name);
-        (!is_there).then(|| Self {
+        Some(Self {
             whole: whole(),
             name: name.to_owned(),
-            known: listed(members.iter().map(|member| member.name().as_str())),
+            known,
             signature: Signature::nullary(Volatility::Immutable),
         })
     }
@@ -129,8 +133,13 @@ impl NoMember {
         let Self {
             whole, name, known, ..
         } = self;
-        let fault = Fault::user(format!("`{whole}` has no member `{name}`"));
-        fault.next(format!("there are {known}"))
+        match known {
+            Some(known) => Fault::user(format!("`{whole}` has no member `{name}`"))
+                .next(format!("there are {known}")),
+            None => Fault::user(format!("`{whole}` is a list, which has no member `{name}`")).next(
+                format!("take it of one item, {whole}[1]['{name}'], or of each: unnest({whole})"),
+            ),
+        }
     }
 }
 
@@ -274,6 +283,24 @@ mod tests {
         let poses = StructArray::new(pose.clone(), vec![Arc::new(places)], known);
         let schema = Schema::new(vec![Field::new("pose", DataType::Struct(pose), true)]);
         RecordBatch::try_new(Arc::new(schema), vec![Arc::new(poses)]).unwrap()
+    }
+
+    #[tokio::test]
+    async fn a_member_of_a_list_is_told_with_how_its_items_are_taken() {
+        let context = context(Limits::one_partition()).unwrap();
+        context.register_batch("poses", poses()).unwrap();
+        let rows = "(SELECT make_array(pose) AS listed FROM poses) AS many";
+        for query in ["SELECT listed['place']", "SELECT 1 AS one, listed['place']"] {
+            let query = format!("{query} FROM {rows}");
+            let fault = read_only(&context, &query).await.err().unwrap();
+            let said = "`many.listed` is a list, which has no member `place`";
+            assert_eq!(fault.message, said);
+            let next =
+                "take it of one item, many.listed[1]['place'], or of each: unnest(many.listed)";
+            assert_eq!(fault.next, next);
+        }
+        let taken = format!("SELECT listed[1]['place'] FROM {rows}");
+        assert!(read_only(&context, &taken).await.is_ok());
     }
 
     #[tokio::test]

@@ -11,6 +11,7 @@ use evermap_language::nearest;
 use evermap_schemas::Fault;
 
 use crate::error::OrFault;
+use crate::map::FLAT;
 
 /// How a fault begins that says that a table is not there.
 pub const NO_TABLE: &str = "there is no table ";
@@ -27,7 +28,7 @@ pub fn explained(context: &SessionContext, fault: Fault) -> Fault {
             place: fault.place,
             ..no_table(context, &table)
         },
-        None => without_function(context, fault),
+        None => without_member(context, without_function(context, fault)),
     }
 }
 
@@ -218,10 +219,39 @@ fn without_function(context: &SessionContext, fault: Fault) -> Fault {
     }
 }
 
+/// A fault of planning, in our words where a column is not there that a flat table has for a member of a struct.
+fn without_member(context: &SessionContext, fault: Fault) -> Fault {
+    let Some((relation, column, member)) = member(&fault.message) else {
+        return fault;
+    };
+    let names = Names::of(context);
+    let flat = format!("{relation}{FLAT}");
+    let home = context.catalog(&names.catalog);
+    let home = home.map_or_else(Vec::new, |catalog| tables(catalog.as_ref(), &names.schema));
+    let next = match home.contains(&flat) {
+        true => format!("write {column}['{member}'], or FROM {flat}: it has {column}_{member}"),
+        false => format!("write {column}['{member}']"),
+    };
+    fault.next(next)
+}
+
+/// The table, the struct and its member that a column is named after which is not there: `poses`, `map_from_vehicle` and
+/// `x` of `map_from_vehicle_x`.
+fn member(message: &str) -> Option<(&str, &str, &str)> {
+    let (name, behind) = message
+        .strip_prefix("No field named ")?
+        .split_once(". Did you mean '")?;
+    let (relation, column) = behind.split_once('\'')?.0.rsplit_once('.')?;
+    let name = name.rsplit('.').next()?;
+    let member = name.strip_prefix(column)?.strip_prefix('_')?;
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    (!member.is_empty() && member.chars().all(is_plain)).then_some((relation, column, member))
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use arrow::array::RecordBatch;
+    use arrow::array::{ArrayRef, Float64Array, RecordBatch, StructArray};
     use arrow::datatypes::{DataType, Field, Schema};
     use datafusion::catalog::MemorySchemaProvider;
     use datafusion::datasource::MemTable;
@@ -308,6 +338,36 @@ mod tests {
             let fault = told(&context, query).await;
             assert_eq!(fault.message, format!("there is no function `{name}`"));
             assert_eq!(fault.next, format!("did you mean `{meant}`?"));
+        }
+    }
+
+    #[tokio::test]
+    async fn a_column_of_a_flat_table_is_told_as_the_member_that_it_is() {
+        let context = some();
+        let x: ArrayRef = Arc::new(Float64Array::from(vec![1.0]));
+        let members = vec![(Arc::new(Field::new("x", DataType::Float64, false)), x)];
+        let pose: ArrayRef = Arc::new(StructArray::from(members));
+        let rows = RecordBatch::try_from_iter([("map_from_vehicle", pose)]).unwrap();
+        for table in ["drives", "drives_flat", "tours"] {
+            context.register_batch(table, rows.clone()).unwrap();
+        }
+        for (query, said) in [
+            (
+                "SELECT map_from_vehicle_x FROM drives",
+                "write map_from_vehicle['x'], or FROM drives_flat: it has map_from_vehicle_x",
+            ),
+            (
+                "SELECT map_from_vehicle_x FROM drives AS d",
+                "write map_from_vehicle['x']",
+            ),
+            (
+                "SELECT map_from_vehicle_x FROM tours",
+                "write map_from_vehicle['x']",
+            ),
+            ("SELECT map_from_vehicles FROM tours", ""),
+        ] {
+            let fault = told(&context, query).await;
+            assert_eq!(fault.next, said, "{query}");
         }
     }
 
