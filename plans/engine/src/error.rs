@@ -9,6 +9,12 @@ pub fn store_fault(error: &object_store::Error, what: &str) -> Fault {
     Fault::resource(format!("{what}: {error}"))
 }
 
+/// That no map is at an address.
+pub fn no_map(address: &str) -> Fault {
+    Fault::user(format!("no map at {address}"))
+        .next("make one with `evermap run PLAN --map DIR --sessions FILES`")
+}
+
 /// What another process says has gone wrong: its fault, where the text begins with the code of one.
 #[cfg(feature = "cluster")]
 pub fn remote_fault(error: &dyn std::fmt::Display, what: &str) -> Fault {

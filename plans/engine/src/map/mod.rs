@@ -6,7 +6,7 @@ pub mod columns;
 mod context;
 pub mod damage;
 mod diff;
-mod flat;
+pub(crate) mod flat;
 mod gc;
 pub mod lease;
 mod lineage;
@@ -26,7 +26,6 @@ mod verify;
 pub mod version;
 
 pub use diff::{Comparison, LayerDiff, documentation as diff_documentation};
-pub(crate) use flat::SUFFIX as FLAT;
 pub use gc::{Collected, gc};
 pub use lineage::{Origin, documentation as lineage_documentation, lineage};
 pub(crate) use opened::make;

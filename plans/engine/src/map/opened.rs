@@ -1,7 +1,6 @@
 //! A map opened at a version: what it has, its rows, its logs.
 
 use std::collections::BTreeMap;
-use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -12,7 +11,7 @@ use evermap_schemas::{Fault, Kind, LayerRow};
 use tokio::sync::Mutex;
 use url::Url;
 
-use crate::error::OrFault;
+use crate::error::{OrFault, no_map};
 use crate::fingerprint::{self, open_mapped};
 use crate::map::artifact::read_in_order;
 use crate::map::damage::Damage;
@@ -22,12 +21,6 @@ use crate::map::sound::Sound;
 use crate::map::store::{Store, each};
 use crate::map::version::{MappedSession, StoredLayer, Version};
 use crate::map::{lease, local};
-
-/// That no map is at an address.
-pub(super) fn no_map(address: impl fmt::Display) -> Fault {
-    Fault::user(format!("no map at {address}"))
-        .next("make one with `evermap run PLAN --map DIR --sessions FILES`")
-}
 
 /// Whether a run has left something in a store.
 async fn begun(store: &Store) -> Result<bool, Fault> {
@@ -98,7 +91,7 @@ impl Map {
         let Some(version) = version else {
             let address = address(&store);
             if !begun(&store).await? {
-                return Err(no_map(address));
+                return Err(no_map(&address));
             }
             let fault = Fault::user(format!("the map at {address} has no version yet"));
             return Err(fault.next("finish a run of `evermap run`"));

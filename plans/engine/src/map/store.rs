@@ -27,9 +27,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use url::Url;
 
-use crate::error::store_fault;
+use crate::error::{no_map, store_fault};
 use crate::map::local::Folder;
-use crate::map::opened::no_map;
 use evermap_schemas::Fault;
 
 pub use crate::map::local::TEMPORARY;

@@ -11,7 +11,7 @@ use evermap_language::nearest;
 use evermap_schemas::Fault;
 
 use crate::error::OrFault;
-use crate::map::FLAT;
+use crate::map::flat::SUFFIX;
 
 /// How a fault begins that says that a table is not there.
 pub const NO_TABLE: &str = "there is no table ";
@@ -225,7 +225,7 @@ fn without_member(context: &SessionContext, fault: Fault) -> Fault {
         return fault;
     };
     let names = Names::of(context);
-    let flat = format!("{relation}{FLAT}");
+    let flat = format!("{relation}{SUFFIX}");
     let home = context.catalog(&names.catalog);
     let home = home.map_or_else(Vec::new, |catalog| tables(catalog.as_ref(), &names.schema));
     let next = match home.contains(&flat) {
