@@ -45,7 +45,7 @@ pub struct AdjustParams {
     pub odometry_cutoff: f64,
     /// Keyframes of a region at most. A site that has more is adjusted by regions, to the same poses: what is known of single
     /// features while a step is sought, most of the memory, then follows the size of a region. Null adjusts every site in one
-    /// piece, which is quicker where it fits.
+    /// piece, which takes fewer passes.
     #[schemars(range(min = 1))]
     pub region_keyframes: Option<u32>,
     /// When an adjustment between rounds ends. Poses that move by a millimetre move what is a metre away by 0.1 px: less
