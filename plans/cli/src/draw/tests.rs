@@ -273,10 +273,9 @@ fn motion_in_the_legend_is_what_is_seen_from_above() {
     };
     let svg = draw(&scene().with_changes(changes), Canvas::default());
     let svg = svg.unwrap().svg;
-    assert!(
-        svg.contains("moved, at most 50 mm seen from above"),
-        "{svg}"
-    );
+    // Words are drawn as strokes.
+    let said = super::strokes::letters("moved, at most 50 mm seen from above");
+    assert!(svg.contains(&said), "{svg}");
 }
 
 #[test]

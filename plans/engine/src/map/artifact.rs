@@ -3,10 +3,9 @@
 use std::sync::Arc;
 
 use arrow::datatypes::{Schema, SchemaRef};
+use datafusion::datasource::physical_plan::parquet::metadata::DFParquetMetadata;
 use datafusion::prelude::{DataFrame, ParquetReadOptions, SessionContext};
 use evermap_schemas::Fault;
-use parquet::arrow::arrow_reader::{ArrowReaderMetadata, ArrowReaderOptions};
-use parquet::arrow::async_reader::ParquetObjectReader;
 
 use crate::error::OrFault;
 use crate::map::receipt::Artifact;
@@ -56,11 +55,14 @@ pub async fn described(
 /// # Errors
 /// A data fault for a file that is no Parquet.
 pub async fn columns_of(store: &Store, artifact: &Artifact) -> Result<SchemaRef, Fault> {
-    let path = store.path(&artifact.name());
-    let mut file = ParquetObjectReader::new(store.objects(), path).with_file_size(artifact.bytes);
-    let read = ArrowReaderMetadata::load_async(&mut file, ArrowReaderOptions::new()).await;
-    let read = read.map_err(|error| Fault::data(error.to_string()).at(artifact.name()))?;
-    Ok(Arc::clone(read.schema()))
+    let name = artifact.name();
+    let missing = || Fault::data("expected a file, found nothing").at(name.clone());
+    let meta = store.meta(&name).await?.ok_or_else(missing)?;
+    let objects = store.objects();
+    let end = DFParquetMetadata::new(objects.as_ref(), &meta);
+    let read = end.fetch_schema().await;
+    let read = read.map_err(|error| Fault::data(error.to_string()).at(name))?;
+    Ok(Arc::new(read))
 }
 
 /// The rows of artifacts, as one table.

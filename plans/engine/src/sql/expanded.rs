@@ -234,8 +234,6 @@ mod tests {
             chain(6, 2),
             chain(300, 1),
             grouped(&|by| format!("CUBE ({by})"), 6),
-            // A name within is the inner one.
-            "WITH a AS (SELECT 1 AS x) SELECT * FROM (WITH a AS (SELECT 2 AS x) SELECT x FROM a) AS b, a".to_owned(),
         ] {
             let planned = read_only(&context, &query).await;
             assert!(planned.is_ok(), "{query}: {:?}", planned.err());

@@ -94,7 +94,7 @@ async fn what_fits_is_as_it_was() {
             ],
         ),
         (
-            "SELECT 1 + 2 * 3 - 4, (1 + 2) * (3 - 4), 1 - (2 - 3), -9223372036854775808",
+            "SELECT 1 + 2 * 3 - 4 AS a, (1 + 2) * (3 - 4) AS b, 1 - (2 - 3) AS c, -9223372036854775808 AS d",
             &["3|-3|2|-9223372036854775808"],
         ),
         (
@@ -164,7 +164,8 @@ async fn what_fits_is_as_it_was() {
     for partitions in [1, 3] {
         let context = at(partitions);
         for (query, expected) in expected {
-            let found = rows(&context, query).await.unwrap();
+            let found = rows(&context, query).await;
+            let found = found.map_err(|fault| format!("{query}: {fault}")).unwrap();
             assert_eq!(found, *expected, "{query}");
         }
     }

@@ -108,9 +108,10 @@ fn columns<const C: usize>(own: usize, couplings: &[Coupling<C>]) -> Result<Vec<
     columns.resize(entries, 0.0);
     for (shared, blocks) in couplings.iter().enumerate() {
         for (row, block) in blocks {
-            for c in 0..C {
-                let first = (shared * C + c) * height + *row as usize * C;
-                (0..C).for_each(|r| columns[first + r] = block[r][c]);
+            for (r, values) in block.iter().enumerate() {
+                for (c, value) in values.iter().enumerate() {
+                    columns[(shared * C + c) * height + *row as usize * C + r] = *value;
+                }
             }
         }
     }
@@ -158,11 +159,11 @@ impl<const C: usize> Condensed<C> {
                     for (unknown, block) in coupling {
                         let own = *unknown as usize;
                         for (after, target) in blocks.iter_mut().enumerate() {
-                            for c in 0..C {
+                            (0..C).for_each(|c| {
                                 let part = interior.part((row + after) * C + c, own);
                                 let product = transposed_times(block, part);
                                 (0..C).for_each(|r| target[r][c] -= product[r]);
-                            }
+                            });
                         }
                         let part = interior.part(couplings.len() * C, own);
                         let product = transposed_times(block, part);

@@ -65,7 +65,7 @@ pub(super) fn homes(problem: &Problem, most: usize) -> Homes {
             homes.count += 1;
             continue;
         }
-        let mut near = halving.from_one_end(&poses);
+        let mut near = halving.near_one_end(&poses);
         let half = regions / 2;
         let far = near.split_off(near.len() * half / regions);
         rest.push((far, regions - half));
@@ -121,7 +121,7 @@ impl Halving {
     }
 
     /// The poses in the order in which they are taken from one end.
-    fn from_one_end(&mut self, poses: &[u32]) -> Vec<u32> {
+    fn near_one_end(&mut self, poses: &[u32]) -> Vec<u32> {
         self.subsets += 1;
         for pose in poses {
             self.subset[*pose as usize] = self.subsets;
