@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use evermap_tests::{Finished, evermap, rectangle, text, write_drive};
+use evermap_tests::{Finished, evermap, rectangle, text, write_drive, write_nothing};
 
 /// A log with some topics and message types, without messages.
 fn write_topics(path: &Path, topics: &[(&str, &str)]) {
@@ -232,17 +232,8 @@ fn a_run_without_any_row_says_so() {
 fn a_topic_whose_schema_names_no_fields_is_refused_when_a_manifest_is_checked() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    let mut log = mcap::Writer::new(std::fs::File::create(at("drive.mcap")).unwrap()).unwrap();
-    let schema = log.add_schema("nav_msgs/Odometry", "jsonschema", br#"{"type":"object"}"#);
-    let channel = log.add_channel(schema.unwrap(), "/odom", "json", &Default::default());
-    let header = mcap::records::MessageHeader {
-        channel_id: channel.unwrap(),
-        sequence: 0,
-        log_time: 1,
-        publish_time: 1,
-    };
-    log.write_to_known_channel(&header, b"{}").unwrap();
-    log.finish().unwrap();
+    let odometry = ("nav_msgs/Odometry", &br#"{"type":"object"}"#[..]);
+    write_nothing(&at("drive.mcap"), "/odom", odometry);
     let why = "JSON whose schema names no fields";
     let inspected = evermap(&["inspect", text(&at("drive.mcap"))]).stdout;
     assert!(

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use evermap_tests::{Finished, command, evermap, text};
+use evermap_tests::{Finished, command, evermap, text, write_nothing};
 use serde_json::{Value, json};
 
 /// Writes a log of ten seconds: odometry at 10 Hz with nothing between 4 and 6 s, two mounted cameras of which the
@@ -352,17 +352,8 @@ fn the_schema_of_manifests_has_every_role_and_every_parameter() {
 fn names_that_move_a_cursor_are_escaped() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.mcap");
-    let mut log = mcap::Writer::new(std::fs::File::create(&path).unwrap()).unwrap();
-    let schema = log.add_schema("S\u{9b}31m", "jsonschema", b"no JSON\x1b[1m");
-    let channel = log.add_channel(schema.unwrap(), "/a\u{1b}[2Jb", "json", &Default::default());
-    let header = mcap::records::MessageHeader {
-        channel_id: channel.unwrap(),
-        sequence: 0,
-        log_time: 1,
-        publish_time: 1,
-    };
-    log.write_to_known_channel(&header, b"{}").unwrap();
-    log.finish().unwrap();
+    let named = ("S\u{9b}31m", &b"no JSON\x1b[1m"[..]);
+    write_nothing(&path, "/a\u{1b}[2Jb", named);
     for (asked, names_it) in [
         (vec!["inspect", text(&path)], true),
         (vec!["sql", "--sessions", text(&path), "SHOW TABLES"], true),

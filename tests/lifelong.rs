@@ -492,37 +492,8 @@ fn a_session_given_again_stays_at_its_site() {
     );
 }
 
-#[test]
-fn another_plan_between_is_told() {
-    let world = World::new();
-    let a = world.drive("a", 20.0);
-    let (map, other) = (world.path("map"), world.path("other.yaml"));
-    let lines = [
-        "plan: other",
-        "steps:",
-        "  drive: { op: keyframes, in: { odometry: odometry } }",
-        "write: [drive]",
-    ];
-    std::fs::write(&other, lines.join("\n")).unwrap();
-    evermap(&[
-        "run",
-        text(&other),
-        "--map",
-        text(&map),
-        "--sessions",
-        text(&a),
-    ])
-    .expect(0);
-    let told = world.call("run", &[&a], &["--progress", "none"]).expect(0);
-    assert!(
-        told.stderr.contains("version 1 has no layer keyframes"),
-        "{}",
-        told.stderr
-    );
-}
-
-#[test]
-fn after_another_plan_all_sessions_are_new_and_done_again_nothing_is_told() {
+/// A world whose map another plan made of its session.
+fn after_another_plan() -> (World, PathBuf) {
     let world = World::new();
     let a = world.drive("a", 20.0);
     let (map, other) = (world.path("map"), world.path("other.yaml"));
@@ -534,13 +505,25 @@ fn after_another_plan_all_sessions_are_new_and_done_again_nothing_is_told() {
     ];
     std::fs::write(&other, lines.join("\n")).unwrap();
     let (other, map) = (text(&other), text(&map));
-    let site = ["--site", "lot", "--progress", "none"];
-    let before = [
-        &["run", other, "--map", map, "--sessions", text(&a)],
-        &site[..],
-    ]
-    .concat();
-    evermap(&before).expect(0);
+    let given = ["--site", "lot", "--sessions", text(&a)];
+    evermap(&[&["run", other, "--map", map], &given[..]].concat()).expect(0);
+    (world, a)
+}
+
+#[test]
+fn another_plan_between_is_told() {
+    let (world, a) = after_another_plan();
+    let told = world.call("run", &[&a], &["--progress", "none"]).expect(0);
+    assert!(
+        told.stderr.contains("version 1 has no layer keyframes"),
+        "{}",
+        told.stderr
+    );
+}
+
+#[test]
+fn after_another_plan_all_sessions_are_new_and_done_again_nothing_is_told() {
+    let (world, a) = after_another_plan();
     let told = world.run(&[&a]).stderr;
     assert!(told.contains("all sessions are new to this one"), "{told}");
     assert_eq!(world.new_sessions()[0]["session"], "a");

@@ -140,6 +140,27 @@ pub fn text(path: &Path) -> &str {
 /// One pose of a made-up drive: seconds from the start, x and y in metres, yaw in radians.
 pub type DrivePose = (f64, f64, f64, f64);
 
+/// Writes a log of one message, `{}`, on a topic whose JSON schema has this name and text.
+///
+/// # Panics
+/// When the file cannot be written.
+pub fn write_nothing(path: &Path, topic: &str, (schema, text): (&str, &[u8])) {
+    let file = std::fs::File::create(path).expect("a session can be made");
+    let mut log = mcap::Writer::new(file).expect("an MCAP file begins");
+    let schema = log.add_schema(schema, "jsonschema", text);
+    let schema = schema.expect("a schema fits");
+    let channel = log.add_channel(schema, topic, "json", &Default::default());
+    let header = mcap::records::MessageHeader {
+        channel_id: channel.expect("a channel fits"),
+        sequence: 0,
+        log_time: 1,
+        publish_time: 1,
+    };
+    log.write_to_known_channel(&header, b"{}")
+        .expect("a message fits");
+    log.finish().expect("an MCAP file ends");
+}
+
 /// Writes a session with nothing but odometry (`/odom`, foxglove.PoseInFrame as JSON).
 ///
 /// # Panics

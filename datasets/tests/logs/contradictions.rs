@@ -6,7 +6,7 @@ use evermap_datasets::log::index::LogIndex;
 
 use crate::common::by_hand::{
     channel, chunk, chunk_index, chunk_index_of, file, first, message, message_at, message_index,
-    record, schema, statistics, text,
+    record, schema, statistics, text, transform, transforms,
 };
 use crate::common::{count, in_memory, open_in, packed};
 use crate::hostile::{messages, opened, rows};
@@ -202,66 +202,32 @@ async fn a_schema_is_kept_once() {
     assert_eq!(again, dataset.parts()[0].index);
 }
 
-const TRANSFORM: &str = r#"{
-  "type": "object",
-  "properties": {
-    "parent_frame_id": { "type": "string" },
-    "child_frame_id": { "type": "string" },
-    "translation": {
-      "type": "object",
-      "properties": { "x": { "type": "number" }, "y": { "type": "number" }, "z": { "type": "number" } }
-    },
-    "rotation": {
-      "type": "object",
-      "properties": {
-        "x": { "type": "number" }, "y": { "type": "number" }, "z": { "type": "number" }, "w": { "type": "number" }
-      }
-    }
-  }
-}"#;
-
-/// A message that a frame is so many metres along the x axis of another.
-fn mount(channel: u16, sequence: u32, [to, frame]: [&str; 2], x: f64) -> Vec<u8> {
-    let message_of = serde_json::json!({
-        "parent_frame_id": to,
-        "child_frame_id": frame,
-        "translation": { "x": x, "y": 0.0, "z": 0.0 },
-        "rotation": { "x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0 },
-    });
-    message(channel, sequence, message_of.to_string().as_bytes())
-}
-
 /// Each node repeats what is fixed; only what is said in two ways is counted, however many read at once.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_frame_that_is_fixed_in_two_ways_is_counted() {
     let first = [
-        mount(1, 0, ["base", "front"], 1.0),
-        mount(1, 1, ["base", "left"], 2.0),
-        mount(1, 2, ["base", "right"], 3.0),
-        mount(2, 3, ["odom", "base"], 4.0),
+        transform(1, 0, ["base", "front"], 1.0),
+        transform(1, 1, ["base", "left"], 2.0),
+        transform(1, 2, ["base", "right"], 3.0),
+        transform(2, 3, ["odom", "base"], 4.0),
     ]
     .concat();
     let agreed = [
-        mount(1, 4, ["/base", "/front"], 1.000_000_5),
-        mount(1, 5, ["base", "left"], 2.0),
-        mount(2, 6, ["map", "base"], 5.0),
+        transform(1, 4, ["/base", "/front"], 1.000_000_5),
+        transform(1, 5, ["base", "left"], 2.0),
+        transform(2, 6, ["map", "base"], 5.0),
     ]
     .concat();
     let otherwise = [
-        mount(1, 4, ["base", "front"], 1.0),
-        mount(1, 5, ["mast", "left"], 2.0),
-        mount(1, 6, ["base", "right"], 3.5),
-        mount(1, 7, ["base", "right"], 3.5),
+        transform(1, 4, ["base", "front"], 1.0),
+        transform(1, 5, ["mast", "left"], 2.0),
+        transform(1, 6, ["base", "right"], 3.5),
+        transform(1, 7, ["base", "right"], 3.5),
     ]
     .concat();
     let log = |second: &[u8]| {
         let definitions = [
-            schema(
-                1,
-                "foxglove.FrameTransform",
-                "jsonschema",
-                TRANSFORM.as_bytes(),
-            ),
+            transforms(1),
             channel(1, 1, "/tf_static", "json"),
             channel(2, 1, "/tf", "json"),
         ];

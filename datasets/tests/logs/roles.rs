@@ -1,7 +1,7 @@
 //! A role is one descriptor: one that is made up here has a key in manifests, inference and a table like any other.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use crate::common::by_hand::{channel, file, message, schema};
+use crate::common::by_hand::{channel, file, message, schema, transform, transforms};
 use crate::common::{Log, context, count, in_memory, rows, text};
 use crate::hostile::{messages, opened};
 use datafusion::prelude::SessionContext;
@@ -9,7 +9,6 @@ use evermap_datasets::fault::fault_of;
 use evermap_datasets::{Dataset, Manifest, Reason, Recordings};
 use evermap_schemas::roles::{self, FromMessage, Message, Messages, OdometryPose, Role};
 use evermap_schemas::{Fault, Stamp, record, rows as typed};
-use serde_json::json;
 use url::Url;
 
 record! {
@@ -135,35 +134,12 @@ async fn a_topic_without_messages_plays_nothing() {
     assert!(session.is_silent("/odom") && session.played().is_empty());
 }
 
-const TRANSFORM: &str = r#"{"type": "object", "properties": {
-    "parent_frame_id": {"type": "string"},
-    "child_frame_id": {"type": "string"},
-    "translation": {"type": "object", "properties": {
-        "x": {"type": "number"}, "y": {"type": "number"}, "z": {"type": "number"}}},
-    "rotation": {"type": "object", "properties": {
-        "x": {"type": "number"}, "y": {"type": "number"}, "z": {"type": "number"}, "w": {"type": "number"}}}}}"#;
-
 /// Three messages on `/tf` of each of these transforms in turn, as many metres ahead as their number.
-fn transforms(chains: &[(&str, &str)]) -> Vec<u8> {
-    let definitions = [
-        schema(
-            1,
-            "foxglove.FrameTransform",
-            "jsonschema",
-            TRANSFORM.as_bytes(),
-        ),
-        channel(1, 1, "/tf", "json"),
-    ];
+fn tf(chains: &[(&str, &str)]) -> Vec<u8> {
+    let definitions = [transforms(1), channel(1, 1, "/tf", "json")];
     let numbered = chains.iter().cycle().take(3 * chains.len()).zip(0_u32..);
-    let messages = numbered.map(|((parent, child), number)| {
-        let transform = json!({
-            "parent_frame_id": parent,
-            "child_frame_id": child,
-            "translation": {"x": f64::from(number), "y": 0.0, "z": 0.0},
-            "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
-        });
-        message(1, number, transform.to_string().as_bytes())
-    });
+    let messages = numbered
+        .map(|((parent, child), number)| transform(1, number, [parent, child], f64::from(number)));
     let records: Vec<Vec<u8>> = definitions.into_iter().chain(messages).collect();
     file(&records, &[])
 }
@@ -199,11 +175,11 @@ const ONE: [(&str, &str); 2] = [("a/odom", "a/base_link"), ("a/base_link", "a/wh
 
 #[tokio::test]
 async fn odometry_among_transforms_is_that_of_the_robot_that_is_meant() {
-    let one = transforms(&ONE);
+    let one = tf(&ONE);
     assert_eq!(ahead(&one, "").await.unwrap(), [0.0, 2.0, 4.0]);
-    let slash = transforms(&[("/odom", "/base_footprint")]);
+    let slash = tf(&[("/odom", "/base_footprint")]);
     assert_eq!(ahead(&slash, "").await.unwrap(), [0.0, 1.0, 2.0]);
-    let both = transforms(&[ONE[0], ("b/odom", "b/base_link")]);
+    let both = tf(&[ONE[0], ("b/odom", "b/base_link")]);
     let fault = ahead(&both, "").await.unwrap_err();
     for said in [
         "log.mcap: topic /tf",
@@ -224,7 +200,7 @@ async fn odometry_among_transforms_is_that_of_the_robot_that_is_meant() {
 
 #[tokio::test]
 async fn odometry_without_a_prefix_goes_before_that_of_robots() {
-    let log = transforms(&[ONE[0], ("odom", "base_link")]);
+    let log = tf(&[ONE[0], ("odom", "base_link")]);
     assert_eq!(ahead(&log, "").await.unwrap(), [1.0, 3.0, 5.0]);
     let named = "defaults: {vehicle_frame: a/base_link}";
     assert_eq!(ahead(&log, named).await.unwrap(), [0.0, 2.0, 4.0]);
@@ -232,7 +208,7 @@ async fn odometry_without_a_prefix_goes_before_that_of_robots() {
 
 #[tokio::test]
 async fn a_session_is_opened_again_with_the_robot_that_was_meant() {
-    let log = transforms(&ONE);
+    let log = tf(&ONE);
     let (_, dataset) = opened_with(&log, "defaults: {vehicle_frame: a/base_link}").await;
     let again = Manifest {
         defaults: dataset.sessions[0].vehicle.to_manifest(),
@@ -254,17 +230,17 @@ async fn a_session_is_opened_again_with_the_robot_that_was_meant() {
 
 #[tokio::test]
 async fn odometry_is_the_transform_that_ends_in_the_frame_that_a_manifest_names() {
-    let log = transforms(&[("map", "odom"), ("odom", "chassis"), ("chassis", "wheel")]);
+    let log = tf(&[("map", "odom"), ("odom", "chassis"), ("chassis", "wheel")]);
     let named = "defaults: {vehicle_frame: chassis}";
     assert_eq!(ahead(&log, named).await.unwrap(), [1.0, 4.0, 7.0]);
-    let drone = transforms(&[("world", "drone")]);
+    let drone = tf(&[("world", "drone")]);
     let named = "defaults: {vehicle_frame: /drone}";
     assert_eq!(ahead(&drone, named).await.unwrap(), [0.0, 1.0, 2.0]);
 }
 
 #[tokio::test]
 async fn transforms_that_move_no_vehicle_are_counted_with_what_a_manifest_may_say() {
-    let (context, dataset) = opened_with(&transforms(&[("odom", "chassis")]), "").await;
+    let (context, dataset) = opened_with(&tf(&[("odom", "chassis")]), "").await;
     for _ in 0..2 {
         assert_eq!(count(&context, "SELECT * FROM odometry").await, 0);
     }
@@ -281,23 +257,12 @@ async fn other_poses_go_before_transforms_that_move_no_vehicle() {
         br#"{"type": "object", "properties": {"pose": {"type": "object", "properties": {
         "position": {"type": "object", "properties": {"x": {"type": "number"}}}}}}}"#;
     let log = |parent: &str, child: &str| {
-        let transform = json!({
-            "parent_frame_id": parent,
-            "child_frame_id": child,
-            "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
-            "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
-        });
         let records = [
-            schema(
-                1,
-                "foxglove.FrameTransform",
-                "jsonschema",
-                TRANSFORM.as_bytes(),
-            ),
+            transforms(1),
             channel(1, 1, "/tf", "json"),
             schema(2, "foxglove.PoseInFrame", "jsonschema", POSE),
             channel(2, 2, "/slam/pose", "json"),
-            message(1, 0, transform.to_string().as_bytes()),
+            transform(1, 0, [parent, child], 0.0),
             message(2, 0, b"{}"),
         ];
         file(&records, &[])

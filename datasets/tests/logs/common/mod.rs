@@ -231,6 +231,42 @@ pub mod by_hand {
         record(5, &[&channel[..], &sequence, &time, &time, data].concat())
     }
 
+    /// The schema of a foxglove.FrameTransform in JSON.
+    pub fn transforms(id: u16) -> Vec<u8> {
+        let number = serde_json::json!({"type": "number"});
+        let numbers = |names: &[&str]| {
+            let members = names
+                .iter()
+                .map(|name| ((*name).to_owned(), number.clone()));
+            let members: serde_json::Map<_, _> = members.collect();
+            serde_json::json!({"type": "object", "properties": members})
+        };
+        let fields = serde_json::json!({"type": "object", "properties": {
+            "parent_frame_id": {"type": "string"},
+            "child_frame_id": {"type": "string"},
+            "translation": numbers(&["x", "y", "z"]),
+            "rotation": numbers(&["x", "y", "z", "w"]),
+        }});
+        let fields = fields.to_string();
+        schema(
+            id,
+            "foxglove.FrameTransform",
+            "jsonschema",
+            fields.as_bytes(),
+        )
+    }
+
+    /// A message of [`transforms`] that a frame is so many metres along the x axis of another.
+    pub fn transform(channel: u16, sequence: u32, [to, frame]: [&str; 2], x: f64) -> Vec<u8> {
+        let said = serde_json::json!({
+            "parent_frame_id": to,
+            "child_frame_id": frame,
+            "translation": {"x": x, "y": 0.0, "z": 0.0},
+            "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        });
+        message(channel, sequence, said.to_string().as_bytes())
+    }
+
     /// A chunk that claims to hold `size` bytes.
     pub fn chunk(size: u64, compression: &str, data: &[u8]) -> Vec<u8> {
         checked_chunk(size, 0, compression, data)

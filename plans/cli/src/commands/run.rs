@@ -1,6 +1,6 @@
 //! `evermap run`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use datafusion::execution::runtime_env::RuntimeEnv;
@@ -95,8 +95,8 @@ fn empty(version: &Version, prepared: &Prepared) -> BTreeMap<String, u64> {
             *rows.entry(session).or_default() += artifact.rows;
         }
     }
-    let is_idle = |name: &String| prepared.idle.iter().any(|(session, _)| session == name);
-    let given = prepared.given.iter().filter(|name| !is_idle(name));
+    let idle: BTreeSet<&String> = prepared.idle.iter().map(|(session, _)| session).collect();
+    let given = prepared.given.iter().filter(|name| !idle.contains(name));
     let empty = given.filter(|name| rows.get(name.as_str()) == Some(&0));
     let told = empty.map(|name| (format!("session of which nothing came out: {name}"), 1));
     told.collect()

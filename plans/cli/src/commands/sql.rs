@@ -274,7 +274,11 @@ impl Tables {
             return write_whole(format, columns.schema(), rows, sink).await;
         }
         let frame = self.frame(statement).await?;
-        let schema = of_answer(&self.context, frame.logical_plan()).await;
+        // Texts say no units.
+        let schema = match format.is_binary() {
+            true => of_answer(&self.context, frame.logical_plan()).await,
+            false => Arc::new(frame.schema().as_arrow().clone()),
+        };
         let plan = frame.logical_plan();
         let is_plan = matches!(plan, LogicalPlan::Explain(_) | LogicalPlan::Analyze(_));
         let rows = frame.execute_stream().await.or_fault()?;

@@ -35,14 +35,7 @@ pub struct Tables {
     /// Opens tables; it has none itself.
     reading: SessionContext,
     /// The tables by name, those open that were asked for.
-    tables: BTreeMap<String, OnceCell<Opened>>,
-}
-
-/// A table that is open.
-struct Opened {
-    rows: Arc<dyn TableProvider>,
-    /// Its columns with units and frames.
-    columns: SchemaRef,
+    tables: BTreeMap<String, OnceCell<Arc<dyn TableProvider>>>,
 }
 
 /// What a map says of itself.
@@ -127,21 +120,39 @@ impl Tables {
     /// # Errors
     /// What opening it says.
     pub async fn described(&self, name: &str) -> Result<Option<SchemaRef>, Fault> {
-        self.table(name).await.or_fault()?;
-        let opened = self.tables.get(name).and_then(OnceCell::get);
-        Ok(opened.map(|opened| Arc::clone(&opened.columns)))
+        let Some(rows) = self.table(name).await.or_fault()? else {
+            return Ok(None);
+        };
+        let known = match own().any(|own| own.name == name) {
+            true => None,
+            false => self.described_layer(self.layer_of(name)).await?,
+        };
+        let Some(plan) = rows.get_logical_plan() else {
+            return Ok(Some(rows.schema()));
+        };
+        Ok(Some(described(&plan, |origin| {
+            let (_, column) = known.as_ref()?.fields().find(origin.column.name())?;
+            Some(Arc::clone(column))
+        })))
     }
 
-    async fn opened(&self, name: &str) -> Result<Option<&Opened>, Fault> {
+    /// The layer whose rows a table has: flat, where it is called so.
+    fn layer_of<'n>(&self, table: &'n str) -> &'n str {
+        match (self.map.published(table), table.strip_suffix(flat::SUFFIX)) {
+            (None, Some(layer)) => layer,
+            _ => table,
+        }
+    }
+
+    async fn opened(&self, name: &str) -> Result<Option<&Arc<dyn TableProvider>>, Fault> {
         let Some(cell) = self.tables.get(name) else {
             return Ok(None);
         };
         cell.get_or_try_init(|| self.open(name)).await.map(Some)
     }
 
-    async fn open(&self, name: &str) -> Result<Opened, Fault> {
+    async fn open(&self, name: &str) -> Result<Arc<dyn TableProvider>, Fault> {
         let (store, context) = (&self.map.store, &self.reading);
-        let mut known = None;
         let rows = match name {
             LayerInfo::NAME => context.read_batch(batch(self.map.layers())?).or_fault()?,
             VersionInfo::NAME => context
@@ -152,27 +163,16 @@ impl Tables {
                 let rows = batch(self.dictionary().await)?;
                 context.read_batch(rows).or_fault()?
             }
-            _ => match (self.map.published(name), name.strip_suffix(flat::SUFFIX)) {
-                (None, Some(layer)) => {
-                    let rows = self.rows(layer).await?;
-                    known = self.described_layer(layer).await?;
-                    flat::flat(rows).or_fault()?
+            _ => {
+                let layer = self.layer_of(name);
+                let rows = self.rows(layer).await?;
+                match layer == name {
+                    true => rows,
+                    false => flat::flat(rows).or_fault()?,
                 }
-                _ => {
-                    let rows = self.rows(name).await?;
-                    known = self.described_layer(name).await?;
-                    rows
-                }
-            },
+            }
         };
-        let columns = described(rows.logical_plan(), |origin| {
-            let (_, column) = known.as_ref()?.fields().find(origin.column.name())?;
-            Some(Arc::clone(column))
-        });
-        Ok(Opened {
-            rows: rows.into_view(),
-            columns,
-        })
+        Ok(rows.into_view())
     }
 
     async fn rows(&self, layer: &str) -> Result<DataFrame, Fault> {
@@ -270,7 +270,7 @@ impl SchemaProvider for Tables {
 
     async fn table(&self, name: &str) -> Result<Option<Arc<dyn TableProvider>>, DataFusionError> {
         let opened = self.opened(name).await.map_err(external)?;
-        Ok(opened.map(|opened| Arc::clone(&opened.rows)))
+        Ok(opened.map(Arc::clone))
     }
 
     async fn table_type(&self, name: &str) -> Result<Option<TableType>> {

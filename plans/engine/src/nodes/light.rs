@@ -31,7 +31,7 @@ use datafusion::physical_plan::streaming::{PartitionStream, StreamingTableExec};
 use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
 use futures::{Stream, StreamExt, TryStreamExt};
 
-use crate::nodes::node::{Deal, Duty, Need, Node, first};
+use crate::nodes::node::{Duty, Need, Node, first};
 use crate::nodes::spared::spared;
 use crate::nodes::weight::bytes;
 
@@ -129,11 +129,7 @@ impl Duty for Sorting {
     type Shared = ();
 
     fn needs(&self) -> Vec<Need> {
-        vec![Need {
-            deal: Deal::Any,
-            sorting: Vec::new(),
-            parallel: false,
-        }]
+        vec![Need::any()]
     }
 
     fn output(

@@ -43,6 +43,15 @@ pub struct Need {
 }
 
 impl Need {
+    /// Rows as they come, in no order, from as many partitions as there are.
+    pub fn any() -> Self {
+        Self {
+            deal: Deal::Any,
+            sorting: Vec::new(),
+            parallel: false,
+        }
+    }
+
     /// A whole table in this order.
     pub fn whole(sorting: Vec<&'static str>) -> Self {
         Self {

@@ -24,7 +24,7 @@ use datafusion::physical_plan::{
 use datafusion::scalar::ScalarValue;
 use futures::{StreamExt, TryStreamExt, stream};
 
-use crate::nodes::node::{Deal, Duty, Need, Node, first};
+use crate::nodes::node::{Duty, Need, Node, first};
 use crate::nodes::weight::bytes;
 
 /// Bytes that are made of a batch, unless it is of a single row.
@@ -130,11 +130,7 @@ impl Duty for Sparing {
     type Shared = ();
 
     fn needs(&self) -> Vec<Need> {
-        vec![Need {
-            deal: Deal::Any,
-            sorting: Vec::new(),
-            parallel: false,
-        }]
+        vec![Need::any()]
     }
 
     fn output(

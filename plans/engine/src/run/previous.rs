@@ -32,7 +32,8 @@ impl Previous {
             let held = base.layers.get(name)?;
             Some((name.clone(), held.artifacts.clone()))
         });
-        let had = |log: &LogContent| !Self::begins_anew(program, base) && holds(sessions, log);
+        let begins_anew = Self::begins_anew(program, base);
+        let had = |log: &LogContent| !begins_anew && holds(sessions, log);
         Ok(Self {
             version: base.version,
             layers: layers.collect(),

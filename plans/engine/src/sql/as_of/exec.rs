@@ -17,7 +17,7 @@ use datafusion::physical_plan::{
 };
 use futures::StreamExt;
 
-use crate::nodes::node::{Deal, Duty, Need, Node, first};
+use crate::nodes::node::{Duty, Need, Node, first};
 use crate::sql::as_of::condition::{Condition, KEY_ORDER, Pair};
 use crate::sql::as_of::merge::Merge;
 
@@ -61,9 +61,8 @@ impl Duty for AsOf {
     fn needs(&self) -> Vec<Need> {
         let parallel = !self.condition.keys.is_empty();
         let need = Need {
-            deal: Deal::Any,
-            sorting: Vec::new(),
             parallel,
+            ..Need::any()
         };
         vec![need.clone(), need]
     }
