@@ -525,3 +525,48 @@ fn of_robots_that_share_a_log_a_manifest_says_which_is_the_vehicle() {
         "{first} {second}"
     );
 }
+
+#[test]
+fn a_plan_or_a_setting_says_which_is_the_vehicle_as_a_manifest_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_robots(&at("drive.mcap"));
+    let second =
+        "plan: second\nextends: trajectory\ndefaults: { vehicle_frame: robot2/base_link }\n";
+    std::fs::write(at("second.yaml"), second).unwrap();
+    let roads = "plan: roads\nextends: georeference\nneeds: []\n";
+    std::fs::write(at("roads.yaml"), roads).unwrap();
+    let run = |plan: &str, map: &str, more: &[&str]| {
+        let run = ["run", plan, "--map", map, "--progress", "none"];
+        let given = ["--sessions", "drive.mcap"];
+        run_in(folder.path(), &[&run[..], &given[..], more].concat())
+    };
+    let driven_m = |map: &str| {
+        let query = "SELECT max(map_from_vehicle['x']) AS m FROM poses";
+        let read = ["sql", "--map", map, "--format", "json", query];
+        let read = run_in(folder.path(), &read).expect(0).json();
+        read[0]["m"].as_f64().unwrap()
+    };
+    run("second.yaml", "planned", &[]).expect(0);
+    let set = |step: &str, robot: &str| format!("{step}.vehicle_frame={robot}/base_link");
+    let first = set("inertial_odometry", "robot1");
+    run("trajectory", "set", &["--set", &first]).expect(0);
+    let (first_m, second_m) = (driven_m("set"), driven_m("planned"));
+    assert!(
+        (1.0..=1.9).contains(&first_m) && (second_m - 2.0 * first_m).abs() < 0.5,
+        "{first_m} {second_m}"
+    );
+
+    // One odometry is of one vehicle.
+    let other = set("antenna_positions", "robot2");
+    let sets = ["--set", &first, "--set", &other];
+    let refused = run("roads.yaml", "map", &sets).expect(1).stderr;
+    for said in [
+        "the odometry of session drive",
+        "robot1/base_link (step inertial_odometry) and robot2/base_link (step antenna_positions)",
+        "say it once, in `defaults: { vehicle_frame: robot1/base_link }` of the plan or of a session manifest",
+    ] {
+        assert!(refused.contains(said), "{said}: {refused}");
+    }
+    assert!(!at("map").join("versions").exists());
+}

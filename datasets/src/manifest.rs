@@ -29,9 +29,6 @@ use serde_json::{Map, Value, json};
 use crate::stores::read_text;
 use crate::yaml::from_yaml;
 
-/// The key of `defaults` that says which frame poses are of.
-const VEHICLE_FRAME: &str = "vehicle_frame";
-
 /// A session manifest.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -150,8 +147,8 @@ impl Manifest {
 
     /// The vehicle, as far as `defaults` name it.
     pub fn vehicle(&self) -> Vehicle {
-        let frame = self.defaults.get(VEHICLE_FRAME).and_then(Value::as_str);
-        Vehicle(frame.unwrap_or_default().into())
+        let frame = self.defaults.get(Vehicle::PARAMETER);
+        Vehicle::of_frame(frame.and_then(Value::as_str).unwrap_or_default())
     }
 
     /// The text of a manifest file.
@@ -171,6 +168,14 @@ impl Manifest {
 pub struct Vehicle(Arc<str>);
 
 impl Vehicle {
+    /// The parameter of steps, and so the key of `defaults`, that says which frame poses are of.
+    pub const PARAMETER: &'static str = "vehicle_frame";
+
+    /// The vehicle whose frame is called so; one that nobody names where that is empty.
+    pub fn of_frame(frame: &str) -> Self {
+        Self(frame.into())
+    }
+
     /// The frame, without the slash that ROS 1 puts in front; empty where nobody names it.
     pub fn frame(&self) -> &str {
         frame_names::plain(&self.0)
@@ -179,7 +184,7 @@ impl Vehicle {
     /// As a manifest gives it, to read the same rows of a log again; nothing where nobody names it.
     pub fn to_manifest(&self) -> BTreeMap<String, Value> {
         let named = !self.frame().is_empty();
-        let frame = named.then(|| (VEHICLE_FRAME.to_owned(), Value::from(&*self.0)));
+        let frame = named.then(|| (Self::PARAMETER.to_owned(), Value::from(&*self.0)));
         frame.into_iter().collect()
     }
 }

@@ -80,6 +80,12 @@ impl Recordings {
             vehicle: manifest.vehicle(),
         })
     }
+
+    /// The same, to be read for a vehicle in place of the manifest's.
+    #[must_use]
+    pub fn of_vehicle(self, vehicle: Vehicle) -> Self {
+        Self { vehicle, ..self }
+    }
 }
 
 async fn find_all(runtime: &RuntimeEnv, names: &[String]) -> Result<Vec<LogFile>, Fault> {

@@ -2,6 +2,7 @@
 
 mod host;
 mod manifest;
+mod vehicle;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,6 +17,7 @@ use evermap_schemas::Fault;
 use self::host::Surroundings;
 pub use self::host::vocabulary;
 pub use self::manifest::located;
+use self::vehicle::Vehicles;
 use crate::digest::digest_of;
 use crate::fingerprint::{self, Believe, Fingerprint};
 use crate::map::make;
@@ -187,9 +189,14 @@ impl Prepared {
         let store = Store::open(map, true)?;
         let base = Version::latest(&store).await?;
         // Topics are checked on the logs at hand; a map's earlier logs may be gone, their artifacts are not.
-        let found = Recordings::find(&RuntimeEnv::default(), sessions, manifest).await?;
+        let vehicles = Vehicles::of_plan(&parsed);
+        let mut found = Recordings::find(&RuntimeEnv::default(), sessions, manifest).await?;
+        if let Some(vehicle) = vehicles.first() {
+            found = found.of_vehicle(vehicle.clone());
+        }
         let opened = fingerprint::open(&store, found, Believe::Rested).await;
         let (given, remembered) = opened.map_err(|fault| located(fault, written.as_ref()))?;
+        vehicles.agree(&given)?;
         let program = compiled(&parsed, registry, &given).await?;
         let mut by_name = mapped_sessions(base.as_ref());
         let (mut fresh, mut replaced) = (Vec::new(), Vec::new());
