@@ -140,6 +140,62 @@ fn pictures_are_recorded(folder: &Path, session: &Path) {
     assert!(found[0]["n"].as_u64().unwrap() > 100, "{found}");
 }
 
+/// What was driven, where poses are said to be of another frame.
+const OF_A_FRAME: &str = "
+plan: of_a_frame
+extends: trajectory
+defaults: { vehicle_frame: FRAME }
+steps:
+  mounts: { sql: SELECT * FROM transforms WHERE fixed }
+write: [mounts]
+";
+
+/// Where poses are of a camera, what it is mounted on moves in the map such that the camera is there.
+fn the_frame_of_poses_is_where_they_are(folder: &Path, session: &Path) {
+    let ask = |of: [&str; 2], query: &str| {
+        let asked = [&["sql"][..], &of[..], &["--format", "json", query][..]].concat();
+        evermap(&asked).expect(0).json()
+    };
+    let mount = "SELECT parent, child, sqrt(power(parent_from_child['x'], 2) + power(parent_from_child['y'], 2)
+                 + power(parent_from_child['z'], 2)) AS away_m FROM transforms WHERE fixed ORDER BY child LIMIT 1";
+    let mount = ask(["--sessions", text(session)], mount);
+    let name = |column: &str| mount[0][column].as_str().unwrap();
+    let plan = folder.join("of_a_frame.yaml");
+    std::fs::write(&plan, OF_A_FRAME.replace("FRAME", name("child"))).unwrap();
+    let map = folder.join("of_a_frame");
+    let run = plan_command(text(&plan), &map, "lot", &["--sessions", text(session)]).output();
+    Finished::from(run.unwrap()).expect(0);
+    let out = folder.join("of_a_frame.mcap");
+    exported(&map, &out, &["--format", "mcap"]);
+    let at = |pose: &str, rest: &str| {
+        format!("SELECT {pose}['x'] AS x, {pose}['y'] AS y, {pose}['z'] AS z {rest} ORDER BY stamp")
+    };
+    let poses = at("map_from_vehicle", "FROM poses");
+    let poses = ask(["--map", text(&map)], &poses);
+    let moved = at(
+        "parent_from_child",
+        ", child FROM transforms WHERE parent = 'map'",
+    );
+    let moved = ask(["--sessions", text(&out)], &moved);
+    let (poses, moved) = (poses.as_array().unwrap(), moved.as_array().unwrap());
+    assert!(poses.len() > 100 && poses.len() == moved.len());
+    let away_m = mount[0]["away_m"].as_f64().unwrap();
+    for (pose, moved) in poses.iter().zip(moved) {
+        assert_eq!(moved["child"], format!("initial/{}", name("parent")));
+        let along = |axis: &str| pose[axis].as_f64().unwrap() - moved[axis].as_f64().unwrap();
+        let apart_m = ["x", "y", "z"]
+            .map(along)
+            .iter()
+            .map(|d| d * d)
+            .sum::<f64>()
+            .sqrt();
+        assert!(
+            away_m > 0.1 && (apart_m - away_m).abs() < 1e-6,
+            "{apart_m} {away_m}"
+        );
+    }
+}
+
 /// The roads of a simulated car with a receiver.
 fn on_earth(folder: &Path) -> PathBuf {
     let world = folder.join("world");
@@ -155,6 +211,7 @@ fn on_earth(folder: &Path) -> PathBuf {
     let roads = folder.join("roads");
     let session = world.join("initial.mcap");
     pictures_are_recorded(folder, &session);
+    the_frame_of_poses_is_where_they_are(folder, &session);
     let more = ["--sessions", text(&session)];
     let run = plan_command("georeference", &roads, "lot", &more).output();
     Finished::from(run.expect("evermap starts")).expect(0);

@@ -15,7 +15,7 @@ pub use inputs::boxes::mosaic;
 pub use inputs::drive::rigs;
 pub use inputs::labels as annotated;
 pub use inputs::painting as painted;
-pub use inputs::rig::{OfVehicle, USUAL_VEHICLE};
+pub use inputs::rig::{Footing, OfVehicle, USUAL_VEHICLE, VehicleFrame, footing};
 
 macro_rules! operators {
     ($($family:ident { $($file:ident::$operator:ident),+ $(,)? })+) => {

@@ -7,7 +7,9 @@ use arrow::compute::filter_record_batch;
 use arrow::datatypes::{DataType, SchemaRef};
 use datafusion::common::TableReference;
 use datafusion::prelude::SessionContext;
+use evermap_catalog::VehicleFrame;
 use evermap_contract::Registry;
+use evermap_datasets::manifest::Vehicle;
 use evermap_engine::conform::conform;
 use evermap_engine::error::OrFault;
 use evermap_engine::map::Map;
@@ -15,6 +17,7 @@ use evermap_engine::map::columns::of_table;
 use evermap_engine::map::tables::declaration;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::{Fault, Layer, LayerRow, rows};
+use serde_json::Value;
 use tokio::sync::OnceCell;
 
 use crate::operators;
@@ -68,6 +71,21 @@ impl MapReader {
     async fn tables(&self) -> Result<&SessionContext, Fault> {
         let open = async || self.context(context(Limits::default())?);
         self.tables.get_or_try_init(open).await
+    }
+
+    /// The vehicle of a site's poses, as the steps that made its layers were told; the usual one where nothing is known of
+    /// that.
+    ///
+    /// # Errors
+    /// As [`Map::parameter`].
+    pub async fn vehicle(&self, site: &str) -> Result<VehicleFrame, Fault> {
+        let told = self.map.parameter(Vehicle::PARAMETER, site).await?;
+        let named = told.as_ref().and_then(Value::as_str);
+        Ok(
+            named.map_or_else(VehicleFrame::default, |frame| VehicleFrame {
+                vehicle_frame: frame.to_owned(),
+            }),
+        )
     }
 
     /// The declaration of a table's columns, where there is one: of the operator that made it, else by name.

@@ -77,18 +77,17 @@ pub(crate) fn drives(
 }
 
 /// The rig of every session of a site whose images these are: for programs that hand a map's cameras to others. Of the
-/// features only camera, stamp and size of the image are looked at. Cameras that cannot be used are left out; the vehicle is
-/// that of the default frame.
+/// features only camera, stamp and size of the image are looked at. Cameras that cannot be used are left out.
 pub fn rigs(
     features: Vec<Features>,
     calibration: Vec<Calibration>,
     transforms: Vec<Transform>,
+    vehicle: &VehicleFrame,
 ) -> BTreeMap<String, Rig> {
     let mounted = rig::rigs(calibration, transforms);
-    let vehicle = VehicleFrame::default();
     let sessions = by_session(features).into_iter();
     let of = |(session, rows): (String, Vec<Features>)| {
-        let rig = rig(mounted.get(&session), &rows, &vehicle, &mut |_, _| {});
+        let rig = rig(mounted.get(&session), &rows, vehicle, &mut |_, _| {});
         (session, rig)
     };
     sessions.map(of).collect()

@@ -82,6 +82,33 @@ pub(crate) fn rigs(
     sessions
 }
 
+/// How a session's fixed transforms carry its vehicle.
+#[derive(Debug, Clone)]
+pub struct Footing {
+    /// The frame that poses are of, as the transforms name it.
+    pub vehicle: String,
+    /// The frame that all of them hang off which lead to the vehicle: the vehicle itself where none leads to it.
+    pub root: String,
+    /// That frame on the vehicle; `None` where it is the vehicle.
+    pub vehicle_from_root: Option<Pose>,
+}
+
+/// How these transforms of one session carry its vehicle: for programs that hand a map's frames to others.
+pub fn footing(transforms: Vec<Transform>, vehicle: &VehicleFrame) -> Footing {
+    let mut rig = Rig::default();
+    let fixed = transforms.into_iter().filter(|row| row.fixed);
+    fixed.for_each(|row| rig.mount(row));
+    let meant = frame_names::meant(vehicle.name(), rig.frames());
+    let vehicle = meant.unwrap_or(vehicle.name());
+    let ancestors = rig.ancestors(vehicle);
+    let carried = ancestors.last().filter(|(root, _)| *root != vehicle);
+    Footing {
+        vehicle: vehicle.to_owned(),
+        root: carried.map_or(vehicle, |(root, _)| *root).to_owned(),
+        vehicle_from_root: carried.map(|(_, root_from_vehicle)| root_from_vehicle.inverse()),
+    }
+}
+
 /// One session's cameras, and how they are mounted.
 #[derive(Default)]
 pub(crate) struct Rig {
@@ -259,23 +286,28 @@ mod tests {
 
     use super::*;
 
+    /// The fixed transforms of a session, each a metre ahead of its parent.
+    fn mounts(mounts: &[(&str, &str)]) -> Vec<Transform> {
+        let mount = |(parent, child): &(&str, &str)| Transform {
+            site: String::new(),
+            session: String::new(),
+            stamp: Stamp(0),
+            parent: (*parent).to_owned(),
+            child: (*child).to_owned(),
+            parent_from_child: Placed {
+                x: 1.0,
+                ..Placed::IDENTITY
+            },
+            fixed: true,
+        };
+        mounts.iter().map(mount).collect()
+    }
+
     /// The rig of a session with these fixed transforms, each a metre ahead of its parent.
-    fn rig(mounts: &[(&str, &str)]) -> Rig {
+    fn rig(transforms: &[(&str, &str)]) -> Rig {
         let mut rig = Rig::default();
-        for (parent, child) in mounts {
-            rig.mount(Transform {
-                site: String::new(),
-                session: String::new(),
-                stamp: Stamp(0),
-                parent: (*parent).to_owned(),
-                child: (*child).to_owned(),
-                parent_from_child: Placed {
-                    x: 1.0,
-                    ..Placed::IDENTITY
-                },
-                fixed: true,
-            });
-        }
+        let all = mounts(transforms).into_iter();
+        all.for_each(|row| rig.mount(row));
         rig
     }
 
@@ -321,6 +353,34 @@ mod tests {
         assert_eq!(ahead(&one, "/a/base_link", "a/front"), Some(2.0));
         assert_eq!(ahead(&one, "b/base_link", "a/front"), None);
         assert_eq!(ahead(&rig(&[]), USUAL_VEHICLE, "a/base_link"), Some(0.0));
+    }
+
+    #[test]
+    fn what_carries_the_vehicle_is_found_with_where_it_is_on_it() {
+        let carried = |transforms: &[(&str, &str)], vehicle: &str| {
+            let vehicle = VehicleFrame {
+                vehicle_frame: vehicle.to_owned(),
+            };
+            let found = footing(mounts(transforms), &vehicle);
+            let x = found.vehicle_from_root.map(|pose| pose.translation.x);
+            (found.vehicle, found.root, x)
+        };
+        let expected = |vehicle: &str, root: &str, x| (vehicle.to_owned(), root.to_owned(), x);
+        let foot = [
+            ("foot", "/base_link"),
+            ("base_link", "mast"),
+            ("mast", "front"),
+        ];
+        assert_eq!(carried(&foot, "foot"), expected("foot", "foot", None));
+        let base = expected("base_link", "foot", Some(-1.0));
+        assert_eq!(carried(&foot, "/base_link"), base);
+        let mast = expected("mast", "foot", Some(-2.0));
+        assert_eq!(carried(&foot, "mast"), mast);
+        let prefixed = [("a/foot", "a/base_link"), ("b/foot", "b/front")];
+        let base = expected("a/base_link", "a/foot", Some(-1.0));
+        assert_eq!(carried(&prefixed, USUAL_VEHICLE), base);
+        let alone = expected("chassis", "chassis", None);
+        assert_eq!(carried(&foot, "chassis"), alone);
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use datafusion::prelude::SessionContext;
+use evermap_algorithms::labels::anchors::AnchorParams;
 use evermap_catalog::OfVehicle;
 use evermap_catalog::annotated::{Holds, MapRows, Placer, PlacingParams, anchored};
 use evermap_catalog::labels::label_anchors::Obstacle;
@@ -81,7 +82,11 @@ impl State {
             map.frames.clone(),
             &PlacingParams::default(),
         );
-        let holds = Holds::new(map, &OfVehicle::default());
+        let params = OfVehicle {
+            options: AnchorParams::default(),
+            vehicle: reader.vehicle(&site).await?,
+        };
+        let holds = Holds::new(map, &params);
         let before: Vec<LabelAnchor> = reader.rows(Some(&site)).await?;
         let mut state = Self {
             site,

@@ -63,9 +63,10 @@ async fn gather(
     let features: Vec<Features> = reader.needed(Some(&site)).await?;
     let calibration: Vec<Calibration> = from_logs(reader, "cameras", &site).await?;
     let transforms: Vec<Transform> = from_logs(reader, "mounts", &site).await?;
+    let vehicle = reader.vehicle(&site).await?;
     let sizes = features.iter().map(without_content).collect();
     Ok(Parts {
-        rigs: evermap_catalog::rigs(sizes, calibration, transforms),
+        rigs: evermap_catalog::rigs(sizes, calibration, transforms, &vehicle),
         poses,
         landmarks: reader.needed(Some(&site)).await?,
         features,

@@ -14,6 +14,7 @@ mod local;
 mod logs;
 pub mod newest;
 mod opened;
+mod parameters;
 mod parts;
 pub mod receipt;
 mod records;

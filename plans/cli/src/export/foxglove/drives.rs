@@ -1,9 +1,10 @@
 //! What was driven: poses, mounts, calibrations, images and people in them.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use bytes::Bytes;
-use evermap_catalog::USUAL_VEHICLE;
+use evermap_algorithms::geometry::pose::{Pose as Rigid, PoseError};
+use evermap_catalog::{Footing, footing};
 use evermap_schemas::layers::{Keyframe, Person, VehiclePose};
 use evermap_schemas::roles::{Calibration, Transform, frame_names};
 use evermap_schemas::{Fault, ImageRef, LayerRow, Pose};
@@ -60,6 +61,7 @@ pub(super) async fn said(
     let mounts: Vec<Transform> = from_logs(reader, "mounts", site).await?;
     let cameras: Vec<Calibration> = from_logs(reader, "cameras", site).await?;
     let earth = Earth::of(reader).await?;
+    let vehicle = reader.vehicle(site).await?;
     let mut all = Vec::new();
     let mut firsts = BTreeMap::new();
     for (session, poses) in &mut sessions {
@@ -70,9 +72,10 @@ pub(super) async fn said(
             .iter()
             .filter(|row| row.session == *session && row.fixed);
         let mounts: Vec<&Transform> = mounts.collect();
-        all.extend(driven(session, poses, vehicle(&mounts))?);
+        let footing = footing(mounts.iter().copied().cloned().collect(), &vehicle);
+        all.extend(driven(session, poses, &footing)?);
         if let Some(place) = earth.place(site) {
-            all.extend(locations(session, poses, vehicle(&mounts), place)?);
+            all.extend(locations(session, poses, &footing.vehicle, place)?);
         }
         for mount in mounts {
             let message = transform(
@@ -111,14 +114,6 @@ async fn from_logs<T: LayerRow>(
     }
 }
 
-/// The frame that the others of a vehicle hang off.
-fn vehicle<'m>(mounts: &[&'m Transform]) -> &'m str {
-    let children: BTreeSet<&str> = mounts.iter().map(|mount| mount.child.as_str()).collect();
-    let parents = mounts.iter().map(|mount| mount.parent.as_str());
-    let mut roots = parents.filter(|parent| !children.contains(parent));
-    roots.next().unwrap_or(USUAL_VEHICLE)
-}
-
 /// A frame of a session's vehicle.
 fn frame(session: &str, name: &str) -> String {
     format!("{session}/{}", frame_names::plain(name))
@@ -138,10 +133,13 @@ fn transform(stamp: i64, parent: String, child: String, of: &Pose) -> FrameTrans
     }
 }
 
-fn driven(session: &str, poses: &[VehiclePose], vehicle: &str) -> Result<Vec<Said>, Fault> {
+/// What was driven. A frame has one parent, so what moves in the map is what carries the vehicle.
+fn driven(session: &str, poses: &[VehiclePose], footing: &Footing) -> Result<Vec<Said>, Fault> {
     let moved = |row: &VehiclePose| {
-        let child = frame(session, vehicle);
-        let message = transform(row.stamp.0, MAP.to_owned(), child, &row.map_from_vehicle);
+        let child = frame(session, &footing.root);
+        let map_from_root = carried(&row.map_from_vehicle, footing)
+            .map_err(|error| Fault::data(error.to_string()).at(session))?;
+        let message = transform(row.stamp.0, MAP.to_owned(), child, &map_from_root);
         Said::new(row.stamp.0, "/tf", &message)
     };
     let mut all = poses.iter().map(moved).collect::<Result<Vec<_>, _>>()?;
@@ -157,6 +155,16 @@ fn driven(session: &str, poses: &[VehiclePose], vehicle: &str) -> Result<Vec<Sai
     let topic = format!("/trajectory/{session}");
     all.push(Said::new(first, topic, &trajectory)?.for_good());
     Ok(all)
+}
+
+/// Where in the map the frame is that carries a vehicle at a pose.
+fn carried(map_from_vehicle: &Pose, footing: &Footing) -> Result<Pose, PoseError> {
+    let Some(vehicle_from_root) = &footing.vehicle_from_root else {
+        return Ok(map_from_vehicle.clone());
+    };
+    let map_from_vehicle = Rigid::from_array(map_from_vehicle.to_array())?;
+    let map_from_root = map_from_vehicle.compose(vehicle_from_root);
+    Ok(Pose::from_array(map_from_root.to_array()))
 }
 
 /// Where on earth the vehicle was.

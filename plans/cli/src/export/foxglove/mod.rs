@@ -2,7 +2,7 @@
 //! that came of it. Messages are Foxglove's own, as protobuf, and of what Foxglove has none for, those of ROS 2.
 //!
 //! ```text
-//!   /tf                        map → SESSION/base_link at each pose; from there to its cameras
+//!   /tf                        map → SESSION/VEHICLE at each pose; from there to its cameras
 //!   /trajectory/SESSION        all its poses
 //!   /location/SESSION          where on earth each is, if the map has georeference
 //!   /camera/SESSION/CAMERA     images of keyframes, …/calibration, …/people
