@@ -103,8 +103,22 @@ fn a_drive_without_cameras_is_no_part_of_a_metric_map() {
         inspected.contains(&format!("lifelong     lacks {lacks}")),
         "{inspected}"
     );
-    // Labels need no camera.
-    run("labels", &folder.path().join("labels"), &[&drive], &[]).expect(0);
+    // The floor, who walks on it and how fast to drive there are seen, too.
+    for plan in ["parking", "people", "speed", "car_park"] {
+        let refused = run(plan, &map, &[&drive], &[]).expect(1).stderr;
+        assert!(refused.contains(&said), "{plan}: {refused}");
+    }
+    assert!(!map.join("versions").exists());
+    // Labels need no camera. What is empty without is said.
+    let labels = run("labels", &folder.path().join("labels"), &[&drive], &[]).expect(0);
+    for said in [
+        "annotations (step said), calibration (step cameras), transforms (step mounts): what the plan makes of it is empty",
+        "no session has frames (step keyframes)",
+        "\nnote: layers without rows: ",
+        "placed_labels, said\n",
+    ] {
+        assert!(labels.stderr.contains(said), "{said}: {}", labels.stderr);
+    }
     // Where it is on earth is asked of no session, and of the run.
     let refused = run("georeference", &map, &[&drive], &[]).expect(1).stderr;
     let said = "expected gnss_fixes (step antenna_positions)";
@@ -137,6 +151,9 @@ fn inspect_says_which_topic_plays_which_role_and_which_plans_can_run() {
         "  odometry     /odom",
         "  trajectory   can run on this file",
         "  relocate     lacks label_frames (step label_images)",
+        "  stable_map   lacks calibration (step views), depth_frames (step spheres), frames (step spheres)",
+        "  georeference lacks gnss_fixes (step antenna_positions)",
+        "  scene_labels lacks frames (step pictures)",
     ] {
         assert!(said.contains(line), "{line}: {said}");
     }

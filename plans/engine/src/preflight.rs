@@ -34,12 +34,12 @@ pub struct Needs {
 /// Names of roles.
 pub type Roles = BTreeSet<String>;
 
-/// Roles that a plan reads and that no session plays.
+/// Roles that a plan reads and that no session plays, each with the first step that reads it.
 pub struct Unplayed {
     /// Steps need them: what is made of them is empty.
-    needed: Vec<&'static str>,
+    needed: Lacks,
     /// Steps would use them, but do without.
-    of_use: Vec<&'static str>,
+    of_use: Lacks,
 }
 
 impl Unplayed {
@@ -48,18 +48,24 @@ impl Unplayed {
         let Self { needed, of_use } = self;
         let mut notes = Vec::new();
         if !needed.is_empty() {
-            let roles = needed.join(", ");
+            let roles = in_words(needed);
             notes.push(format!(
                 "note: no session has {roles}: what the plan makes of it is empty"
             ));
         }
         if !of_use.is_empty() {
-            let roles = of_use.join(", ");
+            let roles = in_words(of_use);
             notes.push(format!(
                 "note: no session has {roles}, which the plan would use"
             ));
         }
         notes
+    }
+
+    /// What a person is told of the layers of a run that have no rows, where a step needs what no session has.
+    pub fn note_of_empty(&self, layers: &[&str]) -> Option<String> {
+        let is_due = !self.needed.is_empty() && !layers.is_empty();
+        is_due.then(|| format!("note: layers without rows: {}", layers.join(", ")))
     }
 }
 
@@ -127,33 +133,40 @@ impl Needs {
         short
     }
 
-    /// Whether a step cannot do without a role.
-    fn need(&self, role: &str) -> bool {
-        let mut inputs = self.steps.iter().flat_map(|need| &need.inputs);
-        inputs.any(|input| is_source(input, role))
+    /// The first step that cannot do without a role.
+    fn needing(&self, role: &str) -> Option<String> {
+        let needs = |need: &&Need| need.inputs.iter().any(|input| is_source(input, role));
+        let first = self.steps.iter().find(needs);
+        first.map(|need| step_of(&need.step))
     }
 
     /// The roles that are not among those played, and of whose steps nothing comes therefore.
     pub fn without(&self, played: &Roles) -> Vec<&'static str> {
         let names = roles::ALL.iter().map(|role| role.name);
         let unplayed = names.filter(|name| is_role(name) && !played.contains(*name));
-        unplayed.filter(|name| self.need(name)).collect()
+        unplayed
+            .filter(|name| self.needing(name).is_some())
+            .collect()
     }
 
     /// The roles that the program reads and that none of the sessions plays.
     pub fn unplayed(&self, program: &Program, played: &[Roles]) -> Unplayed {
-        let reads = program.stages.iter().flat_map(|stage| &stage.reads);
-        let of_logs = reads.filter_map(|read| match &read.table {
-            Input::Source(name) => Some(name.as_str()),
-            _ => None,
-        });
-        let read: BTreeSet<&str> = of_logs.collect();
-        let names = roles::ALL.iter().map(|role| role.name);
-        let unplayed = names.filter(|name| {
-            let is_played = played.iter().any(|roles| roles.contains(*name));
-            is_role(name) && read.contains(name) && !is_played
-        });
-        let (needed, of_use) = unplayed.partition(|name| self.need(name));
+        let (mut needed, mut of_use) = (Lacks::new(), Lacks::new());
+        for stage in &program.stages {
+            for read in &stage.reads {
+                let Input::Source(name) = &read.table else {
+                    continue;
+                };
+                if !is_role(name) || played.iter().any(|roles| roles.contains(name)) {
+                    continue;
+                }
+                let (lacks, step) = match self.needing(name) {
+                    Some(step) => (&mut needed, step),
+                    None => (&mut of_use, step_of(&stage.name)),
+                };
+                lacks.entry(name.clone()).or_insert(step);
+            }
+        }
         Unplayed { needed, of_use }
     }
 
@@ -167,6 +180,16 @@ impl Needs {
         match is_part && !short.is_empty() {
             true => Some(short),
             false => self.unfed(plays, all),
+        }
+    }
+
+    /// What a session lacks that is alone; `None` where a step makes something of it, and it plays all of what the plan says
+    /// it needs.
+    pub fn lacks_alone(&self, plays: &Roles) -> Option<Lacks> {
+        let short = self.short_of(plays);
+        match short.is_empty() {
+            true => self.unfed(plays, plays),
+            false => Some(short),
         }
     }
 

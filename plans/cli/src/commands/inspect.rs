@@ -131,7 +131,7 @@ fn plans(dataset: &Dataset) -> Result<Vec<PlanLine>, Fault> {
         let plan = parse(&shipped::plain(shipped), &registry);
         let plan = plan.map_err(|faults| Fault::bug(faults.to_string()))?;
         let needs = Needs::of_plan(&plan, &registry);
-        let lacks = needs.lacks(&plays, &plays);
+        let lacks = needs.lacks_alone(&plays);
         Ok(PlanLine {
             plan: plan.name.clone(),
             without: match lacks {

@@ -72,6 +72,12 @@ fn a_session_that_plays_some_of_what_a_plan_needs_must_play_all() {
     let blind = roles(&["odometry"]);
     let lacks = Lacks::from([("frames".to_owned(), "features".to_owned())]);
     assert_eq!(needs.lacks(&blind, &drive), Some(lacks));
+    // A file that is inspected is alone.
+    let told = |plays: &Roles| needs.lacks_alone(plays).map(|lacks| in_words(&lacks));
+    assert_eq!(told(&drive), None);
+    assert_eq!(told(&blind).as_deref(), Some("frames (step features)"));
+    let whole = "frames (step features), odometry (step keyframes)";
+    assert_eq!(told(&roles(&["annotations"])).as_deref(), Some(whole));
     // It is no drive, and says where labels are.
     let said = roles(&["annotations"]);
     let all = roles(&["annotations", "odometry", "frames"]);
