@@ -21,6 +21,7 @@ use datafusion::prelude::{SessionConfig, SessionContext, col};
 use evermap_contract::Registry;
 use evermap_schemas::{Fault, Kind};
 
+use crate::cluster::note;
 use crate::error::{OrFault, external};
 use crate::unit::Unit;
 
@@ -95,7 +96,7 @@ impl RunUnit {
             let fault = Fault::resource(format!("the run that {} is for has ended", unit.label()));
             return Err(coded(&fault));
         }
-        match unit.run(&self.registry).await {
+        match note::run(&unit, &self.registry).await {
             Ok(_) => Ok(String::new()),
             // What the machine was short of may be there on another one: let the task fail and be tried again.
             Err(fault) if fault.kind == Kind::Resource => Err(coded(&fault)),

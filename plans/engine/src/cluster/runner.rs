@@ -12,6 +12,7 @@ use futures::stream::BoxStream;
 use tokio::sync::mpsc;
 
 use crate::cluster::job::{UnitTexts, session_config, session_state, unit_text};
+use crate::cluster::note;
 use crate::cluster::scheduler::{Job, JobState, Scheduler, failures};
 use crate::error::remote_fault;
 use crate::map::receipt::Receipt;
@@ -226,8 +227,13 @@ impl Wave {
         missing: &mut Missing,
         progress: &mut Instant,
     ) -> Result<(), Lost> {
+        let mut looked = Instant::now();
         while !jobs.is_empty() {
             tokio::time::sleep(POLL).await;
+            if looked.elapsed() >= note::EVERY {
+                self.tell(missing).await;
+                looked = Instant::now();
+            }
             let mut index = 0;
             while let Some(job) = jobs.get(index) {
                 let state = scheduler.state(job).await?;
@@ -248,6 +254,16 @@ impl Wave {
             }
         }
         Ok(())
+    }
+
+    /// Tells how far units have come that executors are at work on.
+    async fn tell(&self, missing: &Missing) {
+        match note::at_work(missing).await {
+            Ok(found) => found.into_iter().for_each(|(index, share)| {
+                let _ = self.outcomes.send((index, Report::Advanced(share)));
+            }),
+            Err(fault) => tracing::debug!("nobody knows what is at work: {fault}"),
+        }
     }
 
     /// Takes what failed in a job that has ended.

@@ -10,7 +10,8 @@
 //!   runs/N-CONTENT.parquet      how each unit of a run went, with the digest of the file
 //!   leases/ID.json              who is at work: a run, or gc
 //!   newest, links/              links to the files of the newest version's layers, for other programs
-//!   tmp/                        files on their way; a killed run leaves some, gc removes them
+//!   tmp/                        files on their way, and how far units of a cluster are; a killed run leaves some, gc
+//!                               removes them
 //! ```
 //! Every name is either the digest of what it holds or never written twice, so a reader sees a version whole or not
 //! at all, and nothing that was once published changes.

@@ -18,19 +18,12 @@ use crate::unit::write::write;
 const TOLD_EVERY: Duration = Duration::from_secs(1);
 
 impl Unit {
-    /// Does the work: reads, runs, writes the artifact, then the receipt. Done twice, it leaves the same.
+    /// Does the work: reads, runs, writes the rows. What is left to do, [`Computed::keep`], takes no cores, but waits for a
+    /// disk; done twice, both leave the same. Tells from time to time that it is at work, and which share of its rows it is
+    /// done with, where that is known.
     ///
     /// # Errors
     /// Whatever stops it; nothing is left behind but, perhaps, a file in `tmp/`.
-    pub async fn run(&self, registry: &Registry) -> Result<Receipt, Fault> {
-        self.compute(registry, |_| ()).await?.keep().await
-    }
-
-    /// The first part of [`Unit::run`]: what is left to do takes no cores, but waits for a disk. Tells from time to time
-    /// that it is at work, and which share of its rows it is done with, where that is known.
-    ///
-    /// # Errors
-    /// As [`Unit::run`].
     pub async fn compute(
         &self,
         registry: &Registry,
@@ -87,7 +80,7 @@ pub struct Computed {
 }
 
 impl Computed {
-    /// The second part of [`Unit::run`]: the artifact gets its name, then there is a receipt.
+    /// The artifact gets its name, then there is a receipt.
     ///
     /// # Errors
     /// A resource fault when the store does not take them.
