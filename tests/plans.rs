@@ -302,6 +302,27 @@ fn the_page_of_plans_names_every_table_of_a_session() {
 }
 
 #[test]
+fn the_page_of_plans_names_every_key() {
+    let page = page("docs/plans.md");
+    let schema = evermap(&["schema"]).expect(0).json();
+    let mut keys = Vec::new();
+    for at in [
+        "/properties",
+        "/$defs/step/properties",
+        "/$defs/test/properties",
+    ] {
+        keys.extend(schema.pointer(at).unwrap().as_object().unwrap().keys());
+    }
+    assert!(keys.len() > 20, "{keys:?}");
+    for key in keys {
+        assert!(
+            page.contains(&format!("`{key}`")),
+            "{key} is not in docs/plans.md"
+        );
+    }
+}
+
+#[test]
 fn the_plans_in_the_docs_check() {
     let docs = ["README.md", "docs/plans.md"].map(page).concat();
     let folder = tempfile::tempdir().unwrap();

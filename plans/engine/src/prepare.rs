@@ -188,8 +188,8 @@ impl Prepared {
         };
         let store = Store::open(map, true)?;
         let base = Version::latest(&store).await?;
-        // Topics are checked on the logs at hand; a map's earlier logs may be gone, their artifacts are not.
         let vehicles = Vehicles::of_plan(&parsed);
+        // Topics are checked on the logs at hand; a map's earlier logs may be gone, their artifacts are not.
         let mut found = Recordings::find(&RuntimeEnv::default(), sessions, manifest).await?;
         if let Some(vehicle) = vehicles.first() {
             found = found.of_vehicle(vehicle.clone());
