@@ -300,6 +300,18 @@ def parameters(postgres):
         check(b"SELECT %d\0" % rows in answer, f"FETCH {much}: {answer[-300:]!r}")
 
 
+def prepared(postgres):
+    """More than a client may keep prepared is an error; the next query is answered."""
+    hello, sync, end = start(user="me", database="map"), said(b"S", b""), said(b"X", b"")
+    long = b"SELECT 1" + b" " * (6 << 20)
+    parse = b"".join(said(b"P", name + b"\0" + long + b"\0\0\0") for name in [b"a", b"b", b"c"])
+    answer = wire(postgres, hello + parse + sync + QUERY + end)
+    check(b"54000" in answer and b"SELECT 1\0" in answer, f"three long statements: {answer[-300:]!r}")
+    some = said(b"Q", b"DEALLOCATE a\0") + said(b"P", b"c\0" + long + b"\0\0\0")
+    answer = wire(postgres, hello + parse + sync + some + sync + QUERY + end)
+    check(answer.count(b"54000") == 1 and b"SELECT 1\0" in answer, f"after one is closed: {answer[-300:]!r}")
+
+
 def before_a_password(postgres):
     """Queries that come before a password, or after a wrong answer, have no answer."""
     hello = start(user="ada", database="map")
@@ -385,6 +397,7 @@ def main(kind, http, postgres, ca=None):
         malformed(postgres, start(user="me", database="map"), MESSAGES)
         malformed(postgres, b"", BEGINNINGS)
         parameters(postgres)
+        prepared(postgres)
         paths(http)
         silent(http, postgres, HALF_A_HEAD)
         silent(http, postgres, HALF_A_BODY)
