@@ -399,6 +399,37 @@ fn what_is_no_file_holds_nobody_up_and_is_said_and_made_anew() {
     mapped.evermap("verify", &[]).expect(0);
 }
 
+/// An empty folder gives way; what is in another is not the map's to remove.
+#[test]
+fn a_folder_in_the_place_of_rows_or_receipts_gives_way_unless_something_is_in_it() {
+    let mapped = Mapped::new();
+    let lanes = mapped.query("SELECT * FROM lanes ORDER BY lane");
+    let artifacts = mapped.artifacts("lanes");
+    let receipts = std::fs::read_dir(mapped.map.join("receipts")).unwrap();
+    let receipts = receipts.map(|receipt| receipt.unwrap().path());
+    for path in receipts.chain(artifacts.clone()) {
+        std::fs::remove_file(&path).unwrap();
+        std::fs::create_dir(&path).unwrap();
+    }
+    let mine = artifacts[0].join("mine");
+    std::fs::write(&mine, "mine").unwrap();
+    let found = mapped.evermap("verify", &["--format", "json"]).expect(1);
+    assert!(found.stdout.contains("a folder"), "{}", found.stdout);
+
+    let refused = mapped.run("b").expect(1);
+    let said = "expected a file, found a folder with something in it";
+    for said in [name(&artifacts[0]), said, "move it away"] {
+        assert!(refused.stderr.contains(said), "{}", refused.stderr);
+    }
+    assert_eq!(std::fs::read(&mine).unwrap(), b"mine");
+
+    std::fs::rename(&artifacts[0], mapped.folder.path().join("away")).unwrap();
+    mapped.run("b").expect(0);
+    assert_eq!(mapped.query("SELECT * FROM lanes ORDER BY lane"), lanes);
+    mapped.evermap("gc", &["--keep", "1"]).expect(0);
+    mapped.evermap("verify", &[]).expect(0);
+}
+
 /// It has a number, which is nobody's, as that of a torn one is.
 #[test]
 fn a_folder_in_the_place_of_a_version_is_ignored_and_said() {
