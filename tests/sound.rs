@@ -205,6 +205,15 @@ fn a_query_reads_nothing_that_was_changed_since() {
     let refused = mapped.evermap("sql", &["SELECT * FROM lanes"]).expect(1);
     let told = "expected the end of a Parquet file";
     assert!(refused.stderr.contains(told), "{}", refused.stderr);
+    // Written elsewhere, and set back: that it was written tells.
+    let mut bytes = whole.clone();
+    bytes[whole.len() / 2] ^= 0x7f;
+    std::fs::write(path, &bytes).unwrap();
+    let file = std::fs::File::options().write(true).open(path).unwrap();
+    file.set_modified(written).unwrap();
+    let refused = mapped.evermap("sql", &["SELECT * FROM lanes"]).expect(1);
+    let told = "expected the digest";
+    assert!(refused.stderr.contains(told), "{}", refused.stderr);
     // As a copy of a map looks, whose times are of now.
     std::fs::write(path, &whole).unwrap();
     assert_eq!(mapped.query(query), lanes);
