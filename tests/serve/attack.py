@@ -301,15 +301,14 @@ def parameters(postgres):
 
 
 def prepared(postgres):
-    """More than a client may keep prepared is an error; the next query is answered."""
-    hello, sync, end = start(user="me", database="map"), said(b"S", b""), said(b"X", b"")
-    long = b"SELECT 1" + b" " * (6 << 20)
-    parse = b"".join(said(b"P", name + b"\0" + long + b"\0\0\0") for name in [b"a", b"b", b"c"])
-    answer = wire(postgres, hello + parse + sync + QUERY + end)
-    check(b"54000" in answer and b"SELECT 1\0" in answer, f"three long statements: {answer[-300:]!r}")
-    some = said(b"Q", b"DEALLOCATE a\0") + said(b"P", b"c\0" + long + b"\0\0\0")
-    answer = wire(postgres, hello + parse + sync + some + sync + QUERY + end)
-    check(answer.count(b"54000") == 1 and b"SELECT 1\0" in answer, f"after one is closed: {answer[-300:]!r}")
+    """More statements than a client may keep prepared are an error, unless it closes some; the next query is answered."""
+    sync, end = said(b"S", b""), said(b"X", b"")
+    statement = lambda name: said(b"P", name + b"\0SELECT 1\0\0\0")
+    all_of_them = b"".join(statement(b"s%d" % at) for at in range(1024)) + sync
+    closed = said(b"Q", b"DEALLOCATE s7\0") + statement(b"in its place") + sync
+    message = start(user="me", database="map") + all_of_them + closed + statement(b"more") + sync + QUERY + end
+    answer = wire(postgres, message)
+    check(answer.count(b"54000") == 1 and b"SELECT 1\0" in answer, f"statements: {answer[-300:]!r}")
 
 
 def before_a_password(postgres):
