@@ -423,7 +423,15 @@ fn a_folder_in_the_place_of_rows_or_receipts_gives_way_unless_something_is_in_it
     let mine = artifacts[0].join("mine");
     std::fs::write(&mine, "mine").unwrap();
     let found = mapped.evermap("verify", &["--format", "json"]).expect(1);
-    assert!(found.stdout.contains("a folder"), "{}", found.stdout);
+    let found = found.json();
+    let of = |path: &Path| {
+        let file = |finding: &&Value| finding["file"].as_str().unwrap().ends_with(name(path));
+        let mut found = found.as_array().unwrap().iter();
+        found.find(file).map(|finding| finding["found"].clone())
+    };
+    for artifact in &artifacts {
+        assert_eq!(of(artifact), Some(json!("a folder")), "{found}");
+    }
 
     let refused = mapped.run("b").expect(1);
     let said = "expected a file, found a folder with something in it";
