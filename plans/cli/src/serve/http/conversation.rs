@@ -66,7 +66,7 @@ mod tests {
     /// How HTTP/2 begins: the preface, and settings that are as usual.
     const HELLO: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 
-    const IDLE: Duration = Duration::from_millis(100);
+    const IDLE: Duration = Duration::from_millis(300);
 
     /// All that is sent to a client who says this, takes what comes, and says nothing more; and how long it stays.
     async fn asks_once(message: &[u8]) -> (Vec<u8>, Duration) {
@@ -79,7 +79,7 @@ mod tests {
             .route("/l", get(late))
             .route("/m", get(|| async { vec![0_u8; 1 << 20] }));
         let (mut client, server) = tokio::io::duplex(1 << 20);
-        let exchanges = Exchanges::resting(IDLE, 10 * IDLE);
+        let exchanges = Exchanges::resting(IDLE, 6 * IDLE);
         tokio::spawn(answered(server, router, Asked::default(), exchanges));
         let begun = Instant::now();
         client.write_all(message).await.unwrap();
@@ -129,6 +129,6 @@ mod tests {
     async fn an_answer_that_nobody_takes_does_not_stay_for_ever() {
         let (given, stayed) = asks_once(&by_http2("/m")).await;
         assert!(given.len() < 1 << 17, "{}", given.len());
-        assert!(stayed >= 11 * IDLE, "{stayed:?}");
+        assert!(stayed >= 7 * IDLE, "{stayed:?}");
     }
 }
