@@ -205,6 +205,15 @@ fn a_query_reads_nothing_that_was_changed_since() {
     let refused = mapped.evermap("sql", &["SELECT * FROM lanes"]).expect(1);
     let told = "expected the end of a Parquet file";
     assert!(refused.stderr.contains(told), "{}", refused.stderr);
+    // Written elsewhere, and set back: that it was written tells.
+    let mut bytes = whole.clone();
+    bytes[whole.len() / 2] ^= 0x7f;
+    std::fs::write(path, &bytes).unwrap();
+    let file = std::fs::File::options().write(true).open(path).unwrap();
+    file.set_modified(written).unwrap();
+    let refused = mapped.evermap("sql", &["SELECT * FROM lanes"]).expect(1);
+    let told = "expected the digest";
+    assert!(refused.stderr.contains(told), "{}", refused.stderr);
     // As a copy of a map looks, whose times are of now.
     std::fs::write(path, &whole).unwrap();
     assert_eq!(mapped.query(query), lanes);
@@ -396,6 +405,45 @@ fn what_is_no_file_holds_nobody_up_and_is_said_and_made_anew() {
     assert_eq!(mapped.query("SELECT * FROM lanes ORDER BY lane"), lanes);
     mapped.evermap("gc", &["--keep", "1"]).expect(0);
     std::fs::remove_file(mapped.map.join(record)).unwrap();
+    mapped.evermap("verify", &[]).expect(0);
+}
+
+/// An empty folder gives way; what is in another is not the map's to remove.
+#[test]
+fn a_folder_in_the_place_of_rows_or_receipts_gives_way_unless_something_is_in_it() {
+    let mapped = Mapped::new();
+    let lanes = mapped.query("SELECT * FROM lanes ORDER BY lane");
+    let artifacts = mapped.artifacts("lanes");
+    let receipts = std::fs::read_dir(mapped.map.join("receipts")).unwrap();
+    let receipts = receipts.map(|receipt| receipt.unwrap().path());
+    for path in receipts.chain(artifacts.clone()) {
+        std::fs::remove_file(&path).unwrap();
+        std::fs::create_dir(&path).unwrap();
+    }
+    let mine = artifacts[0].join("mine");
+    std::fs::write(&mine, "mine").unwrap();
+    let found = mapped.evermap("verify", &["--format", "json"]).expect(1);
+    let found = found.json();
+    let of = |path: &Path| {
+        let file = |finding: &&Value| finding["file"].as_str().unwrap().ends_with(name(path));
+        let mut found = found.as_array().unwrap().iter();
+        found.find(file).map(|finding| finding["found"].clone())
+    };
+    for artifact in &artifacts {
+        assert_eq!(of(artifact), Some(json!("a folder")), "{found}");
+    }
+
+    let refused = mapped.run("b").expect(1);
+    let said = "expected a file, found a folder with something in it";
+    for said in [name(&artifacts[0]), said, "move it away"] {
+        assert!(refused.stderr.contains(said), "{}", refused.stderr);
+    }
+    assert_eq!(std::fs::read(&mine).unwrap(), b"mine");
+
+    std::fs::rename(&artifacts[0], mapped.folder.path().join("away")).unwrap();
+    mapped.run("b").expect(0);
+    assert_eq!(mapped.query("SELECT * FROM lanes ORDER BY lane"), lanes);
+    mapped.evermap("gc", &["--keep", "1"]).expect(0);
     mapped.evermap("verify", &[]).expect(0);
 }
 

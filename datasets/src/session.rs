@@ -16,6 +16,7 @@ use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 use crate::log::definition::LogChannel;
 use crate::log::heads::{self, AttachmentHead};
 use crate::log::index::LogIndex;
+use crate::log::tally::Tally;
 use crate::log::window::store_fault;
 use crate::losses::{FileLosses, Loss, LossLedger, Reason};
 use crate::manifest::{Roles, Vehicle};
@@ -135,6 +136,8 @@ pub struct LogPart {
     pub index: LogIndex,
     /// Where its losses are noted.
     pub losses: FileLosses,
+    /// What was read of it by now, in messages.
+    pub(crate) tally: Tally,
     /// Channels by topic.
     topics: BTreeMap<String, Vec<u16>>,
     /// The message type of each channel, by its place in `types`.
@@ -209,6 +212,7 @@ impl LogPart {
             meta: file.meta,
             index,
             losses,
+            tally: Tally::default(),
             topics,
             places,
             types,

@@ -300,6 +300,17 @@ def parameters(postgres):
         check(b"SELECT %d\0" % rows in answer, f"FETCH {much}: {answer[-300:]!r}")
 
 
+def prepared(postgres):
+    """More statements than a client may keep prepared are an error, unless it closes some; the next query is answered."""
+    sync, end = said(b"S", b""), said(b"X", b"")
+    statement = lambda name: said(b"P", name + b"\0SELECT 1\0\0\0")
+    all_of_them = b"".join(statement(b"s%d" % at) for at in range(1024)) + sync
+    closed = said(b"Q", b"DEALLOCATE s7\0") + statement(b"in its place") + sync
+    message = start(user="me", database="map") + all_of_them + closed + statement(b"more") + sync + QUERY + end
+    answer = wire(postgres, message)
+    check(answer.count(b"54000") == 1 and b"SELECT 1\0" in answer, f"statements: {answer[-300:]!r}")
+
+
 def before_a_password(postgres):
     """Queries that come before a password, or after a wrong answer, have no answer."""
     hello = start(user="ada", database="map")
@@ -385,6 +396,7 @@ def main(kind, http, postgres, ca=None):
         malformed(postgres, start(user="me", database="map"), MESSAGES)
         malformed(postgres, b"", BEGINNINGS)
         parameters(postgres)
+        prepared(postgres)
         paths(http)
         silent(http, postgres, HALF_A_HEAD)
         silent(http, postgres, HALF_A_BODY)

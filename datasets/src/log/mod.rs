@@ -11,6 +11,7 @@ pub mod pace;
 pub mod record;
 mod summary;
 mod survey;
+pub(crate) mod tally;
 pub mod unpack;
 pub(crate) mod walk;
 pub(crate) mod window;

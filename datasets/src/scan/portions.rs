@@ -232,7 +232,7 @@ impl Portions {
 
     /// Notes what else there was.
     fn note(&mut self) {
-        self.strays.note();
+        self.strays.note(!self.damaged && self.lost.count == 0);
         let lost = std::mem::take(&mut self.lost);
         if lost.count > 0 {
             let losses = &self.part.losses;

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use crate::log::definition::Definition;
 use crate::log::index::Unit;
 use crate::log::record::MessageHead;
+use crate::log::tally::Short;
 use crate::losses::{Loss, Reason};
 use crate::session::LogPart;
 
@@ -13,6 +14,8 @@ use crate::session::LogPart;
 pub(crate) struct Strays {
     part: Arc<LogPart>,
     unit: Unit,
+    /// Messages, by channel.
+    found: Vec<u64>,
     /// The last channel that was seen to be known.
     known: Option<u16>,
     /// Messages of channels that are described nowhere.
@@ -33,6 +36,7 @@ impl Strays {
         Self {
             part: Arc::clone(part),
             unit: unit.clone(),
+            found: Vec::new(),
             known: None,
             unknown: 0,
             unlisted: 0,
@@ -44,6 +48,11 @@ impl Strays {
 
     /// Takes a message.
     pub fn see(&mut self, head: &MessageHead) {
+        let channel = usize::from(head.channel);
+        if channel >= self.found.len() {
+            self.found.resize(channel + 1, 0);
+        }
+        self.found[channel] += 1;
         let said = self.unit.start_time..=self.unit.end_time;
         self.elsewhen += u64::from(!said.contains(&head.log_time));
         self.late += u64::from(head.is_late());
@@ -68,8 +77,11 @@ impl Strays {
         }
     }
 
-    /// Notes how many there were.
-    pub fn note(&self) {
+    /// Notes how many there were; and of a unit that is `whole`, nothing of it lost, what the file is short of by now.
+    pub fn note(&self, whole: bool) {
+        if whole {
+            self.note_short();
+        }
         let note = |reason, count, detail: &str| {
             if count > 0 {
                 let loss = Loss { count, bytes: 0 };
@@ -91,5 +103,26 @@ impl Strays {
         let detail =
             "expected messages of the times that the summary says of the chunk, found others";
         note(Reason::BadSummary, self.elsewhen, detail);
+    }
+    fn note_short(&self) {
+        let part = &self.part;
+        let found = self.found.iter().enumerate();
+        let found = found.filter(|(_, messages)| **messages > 0);
+        let found =
+            found.filter_map(|(channel, messages)| Some((u16::try_from(channel).ok()?, *messages)));
+        for short in part.tally.add(&part.index, &self.unit, found) {
+            let Short {
+                channel,
+                said,
+                found,
+            } = short;
+            let known = channel.and_then(|channel| part.index.channels.get(&channel));
+            let topic = known.map_or("", |channel| channel.topic.as_str());
+            let place = channel.map_or(part.meta.size, u64::from);
+            let detail = format!("expected {said} messages as the summary says, found {found}");
+            let loss = Loss::one(0);
+            part.losses
+                .note_topic(Reason::BadSummary, topic, place, loss, detail);
+        }
     }
 }

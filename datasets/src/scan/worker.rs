@@ -198,7 +198,7 @@ impl Worker {
         for (opcode, body) in contents.definitions {
             strays.define(opcode, &block.bytes[body]);
         }
-        strays.note();
+        strays.note(block.damage.is_none() && contents.lost.count == 0);
         if contents.lost.count > 0 {
             let (losses, lost) = (&self.part.losses, contents.lost);
             losses.note(Reason::BadRecord, unit.offset, lost, "inside a chunk");

@@ -89,6 +89,49 @@ async fn a_summary_that_contradicts_itself_is_not_believed() {
     );
 }
 
+/// Nobody says what chunks hold, or what is said of them is forged as well: only who reads them finds out.
+#[tokio::test]
+async fn messages_that_are_counted_and_not_there_are_said_by_who_reads_everything() {
+    let (whole, length, size) = two_topics();
+    let said = [(1, 5), (2, 8)];
+    let counted = statistics((1, 5), 2, &said);
+    let [a, b] = [(1, "/a"), (2, "/b")].map(|(id, topic)| channel(id, 0, topic, "json"));
+    let entry = |listed: &[(u16, u64)]| chunk_index_of((1, 5), first(), length, size, listed);
+    let unlisted = [a.clone(), b.clone(), entry(&[]), counted.clone()];
+    let unlisted = file(std::slice::from_ref(&whole), &unlisted);
+    let indexes = [message_index(1, 5), message_index(2, 8)].concat();
+    let forged = [a.clone(), b, entry(&said), counted];
+    let forged = file(&[whole, indexes], &forged);
+    for log in [unlisted, forged] {
+        for topic in ["/a", "/b"] {
+            assert_eq!(rows(&log, topic).await, (5, vec![(Reason::BadSummary, 1)]));
+        }
+        let (_, dataset) = opened(&log).await;
+        assert!(dataset.losses.is_empty());
+    }
+
+    // Two chunks: who asks for the times of one cannot tell.
+    let early = [a.clone(), messages(&[1], 3)].concat();
+    let late = [message_at(1, 3, 20, b"{}"), message_at(1, 4, 22, b"{}")].concat();
+    let chunks = [&early, &late].map(|inner| chunk(inner.len() as u64, "", inner));
+    let [before, behind] = [&chunks[0], &chunks[1]].map(|chunk| chunk.len() as u64);
+    let summary = [
+        a,
+        chunk_index_of((1, 3), first(), before, early.len() as u64, &[]),
+        chunk_index_of((20, 22), first() + before, behind, late.len() as u64, &[]),
+        statistics((1, 22), 1, &[(1, 9)]),
+    ];
+    let log = file(&chunks, &summary);
+    let (context, dataset) = opened(&log).await;
+    let some = "SELECT * FROM \"/a\" WHERE log_time < TIMESTAMP '1970-01-01T00:00:00.000000010Z'";
+    assert_eq!(count(&context, some).await, 3);
+    assert!(dataset.losses.is_empty(), "{:?}", dataset.losses.lines());
+    assert_eq!(count(&context, "SELECT * FROM \"/a\"").await, 5);
+    let said: Vec<String> = dataset.losses.told().into_keys().collect();
+    let expected = "expected 9 messages as the summary says, found 5";
+    assert!(said.len() == 1 && said[0].contains(expected), "{said:?}");
+}
+
 #[tokio::test]
 async fn an_attachment_whose_entry_covers_a_chunk_hides_none() {
     let (whole, _, _) = two_topics();

@@ -12,7 +12,7 @@ use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-use crate::grey::checked_pixels;
+use crate::grey::{MAX_SCANS, checked_pixels};
 use crate::stored::pnm;
 use crate::{Grey, ImageError, Rgb};
 
@@ -35,7 +35,7 @@ pub fn image_size(bytes: &[u8]) -> Result<[u32; 2], ImageError> {
 /// [`ImageError`] for bytes that are no image, too large an image, or one that is cut off or damaged so that not
 /// every row can be read. (A JPEG damaged in the middle may still decode, with some blocks wrong.)
 pub fn decode_grey(bytes: &[u8], grey: &mut Grey) -> Result<(), ImageError> {
-    let header = header(bytes)?;
+    let header = decodable(bytes)?;
     grey.reset(header.width, header.height)?;
     if header.format == "jpeg" && jpeg(bytes, &header, ColorSpace::Luma, &mut grey.data)? {
         return Ok(());
@@ -55,7 +55,7 @@ pub fn decode_grey(bytes: &[u8], grey: &mut Grey) -> Result<(), ImageError> {
 /// # Errors
 /// As [`decode_grey`].
 pub fn decode_colour(bytes: &[u8], rgb: &mut Rgb) -> Result<(), ImageError> {
-    let header = header(bytes)?;
+    let header = decodable(bytes)?;
     rgb.reset(header.width, header.height)?;
     if header.format == "jpeg" && jpeg(bytes, &header, ColorSpace::RGB, &mut rgb.data)? {
         return Ok(());
@@ -82,13 +82,11 @@ fn jpeg(
     buffer: &mut [u8],
 ) -> Result<bool, ImageError> {
     let damaged = || header.damaged(bytes);
-    if !ends_like_a_jpeg(bytes) {
-        return Err(damaged());
-    }
     let (width, height) = (header.width as usize, header.height as usize);
     let options = DecoderOptions::default()
         .set_max_width(width)
         .set_max_height(height)
+        .jpeg_set_max_scans(MAX_SCANS)
         .jpeg_set_out_colorspace(wanted);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     decoder.decode_headers().map_err(|_| damaged())?;
@@ -198,6 +196,35 @@ pub(crate) fn header(bytes: &[u8]) -> Result<Header, ImageError> {
         width,
         height,
     })
+}
+
+/// What the first bytes say of an image that can be decoded in time and memory.
+fn decodable(bytes: &[u8]) -> Result<Header, ImageError> {
+    let header = header(bytes)?;
+    if header.format != "jpeg" {
+        return Ok(header);
+    }
+    if !may_be_whole(bytes, &header) || !ends_like_a_jpeg(bytes) {
+        return Err(header.damaged(bytes));
+    }
+    match scans(bytes) {
+        found if found > MAX_SCANS => Err(ImageError::Scans { found }),
+        _ => Ok(header),
+    }
+}
+
+/// Whether a JPEG has a bit for each block of 8 × 8 pixels, the least that is written of one.
+fn may_be_whole(bytes: &[u8], header: &Header) -> bool {
+    let pixels = u64::from(header.width) * u64::from(header.height);
+    8 * bytes.len() as u64 >= pixels / 64
+}
+
+/// The scans that a decoder may find in a JPEG: its markers, which what is encoded does not hold; also those of a small image
+/// within the large one.
+fn scans(bytes: &[u8]) -> usize {
+    let next = bytes.get(1..).unwrap_or_default();
+    let pairs = bytes.iter().zip(next);
+    pairs.filter(|pair| *pair == (&0xff, &0xda)).count()
 }
 
 /// Decoders fill what is cut off with grey; a map must not show that. The end-of-image marker may be

@@ -3,6 +3,10 @@
 /// Larger images are refused before anything is allocated for them: 2²⁷ pixels, 16384 × 8192.
 pub const MAX_PIXELS: u64 = 1 << 27;
 
+/// Scans that a JPEG has at most; each costs as much as the image is large, however few bytes it has. libjpeg's progressions have
+/// 10 in colour and 18 at most; libjpeg-turbo's fuzzers stop at 500, and zune-jpeg, where scans are progressive, here.
+pub(crate) const MAX_SCANS: usize = 100;
+
 /// A grey image: 8 bits per pixel, row by row from the top, without gaps between rows.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Grey {
@@ -101,6 +105,12 @@ pub enum ImageError {
         format: &'static str,
         /// Length of the data.
         bytes: usize,
+    },
+    /// A JPEG would be gone through too often.
+    #[error("expected a jpeg of at most {MAX_SCANS} scans, found {found}")]
+    Scans {
+        /// How many there are.
+        found: usize,
     },
     /// An image of which the stored values are wanted does not store one value per pixel.
     #[error("expected a png or pgm with one value per pixel, found {found}")]

@@ -148,6 +148,42 @@ fn absurd_sizes_are_refused_before_they_are_allocated() {
     assert!(unknown.contains("expected a jpeg"), "{unknown}");
 }
 
+/// A few bytes claim 128 megapixels.
+#[test]
+fn a_jpeg_that_cannot_hold_its_pixels_is_refused() {
+    let mut jpeg = jpeg_of(&sample(64, 48));
+    let frame = jpeg.windows(2).position(|pair| pair == [0xff, 0xc0]);
+    let size = frame.unwrap() + 5;
+    jpeg[size..size + 2].copy_from_slice(&8000_u16.to_be_bytes());
+    jpeg[size + 2..size + 4].copy_from_slice(&16_000_u16.to_be_bytes());
+    assert_eq!(image_size(&jpeg).unwrap(), [16_000, 8000]);
+    assert!(matches!(decode(&jpeg), Err(ImageError::Damaged { .. })));
+}
+
+/// A small scan, again and again: each goes through the whole image.
+#[test]
+fn a_jpeg_of_more_scans_than_anybody_writes_is_refused() {
+    let truth = sample(64, 48);
+    for progressive in [false, true] {
+        let mut jpeg = Vec::new();
+        let mut encoder = jpeg_encoder::Encoder::new(&mut jpeg, 95);
+        encoder.set_progressive(progressive);
+        encoder
+            .encode(&truth.data, 64, 48, jpeg_encoder::ColorType::Luma)
+            .unwrap();
+        assert!(decode(&jpeg).is_ok());
+        let scan = jpeg.windows(2).rposition(|pair| pair == [0xff, 0xda]);
+        let (end, scan) = (jpeg.len() - 2, scan.unwrap());
+        let again = jpeg[scan..end].repeat(200);
+        let many = [&jpeg[..end], &again, &jpeg[end..]].concat();
+        let refused = decode(&many).unwrap_err();
+        assert!(
+            matches!(refused, ImageError::Scans { found } if found > 200),
+            "{refused}"
+        );
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
     #[test]

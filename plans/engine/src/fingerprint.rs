@@ -53,15 +53,17 @@ impl FileState {
         }
     }
 
+    /// When it last became like this, as far as its store tells: a time of modification can be set back.
+    pub fn changed(&self) -> DateTime<Utc> {
+        let changed = self.status_changed.and_then(|(seconds, nanoseconds)| {
+            DateTime::from_timestamp(seconds, u32::try_from(nanoseconds).ok()?)
+        });
+        changed.map_or(self.modified, |changed| changed.max(self.modified))
+    }
+
     /// Whether it has been like this for long enough: what changes it now makes it look different.
     pub fn rests(&self, now: DateTime<Utc>) -> bool {
-        let changed = self
-            .status_changed
-            .and_then(|(seconds, nanoseconds)| {
-                DateTime::from_timestamp(seconds, u32::try_from(nanoseconds).ok()?)
-            })
-            .unwrap_or(self.modified);
-        now - self.modified.max(changed) > REST
+        now - self.changed() > REST
     }
 }
 

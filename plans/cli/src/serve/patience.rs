@@ -2,15 +2,19 @@
 //! up.
 
 use std::fmt::Display;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::runtime::Handle;
-use tokio::sync::{Notify, OwnedSemaphorePermit};
+use tokio::sync::{Notify, OwnedSemaphorePermit, watch};
 use tokio::time::timeout;
 
 /// Time until a connection must have asked for something, or come in; and for what it asks to be there whole.
 pub const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Time that a connection may be idle after an answer, or take to say what it wants next.
+const IDLE: Duration = Duration::from_secs(60);
 
 /// How much longer it may take to tell a connection that it took too long.
 const TOLD: Duration = Duration::from_secs(1);
@@ -93,6 +97,85 @@ impl Asked {
             asked = timeout(time, self.0.notified()) => asked.ok()?,
         }
         Some(connection.await)
+    }
+}
+
+/// What a connection asks and is answered. Where nothing of that moves, it is at rest, in the place of others.
+#[derive(Debug, Clone)]
+pub struct Exchanges {
+    /// So many are open; noted when one begins, moves or ends.
+    open: Arc<watch::Sender<usize>>,
+    idle: Duration,
+    longest: Duration,
+}
+
+impl Exchanges {
+    /// None yet. Until an answer is there, and again until all of it is taken, may take so long.
+    pub fn new(longest: Duration) -> Self {
+        Self::resting(IDLE, longest)
+    }
+
+    /// The same with another time to be idle.
+    pub fn resting(idle: Duration, longest: Duration) -> Self {
+        let open = Arc::new(watch::Sender::new(0));
+        Self {
+            open,
+            idle,
+            longest,
+        }
+    }
+
+    /// One more.
+    pub fn begin(&self) -> Exchange {
+        self.open.send_modify(|open| *open += 1);
+        Exchange(Arc::clone(&self.open))
+    }
+
+    /// What a connection ends with. One at rest is told that its `end` has come, so that what is asked meanwhile is answered still;
+    /// `None` where it rests on.
+    pub async fn until_rest<C: Future>(
+        &self,
+        mut connection: Pin<&mut C>,
+        end: impl FnOnce(Pin<&mut C>),
+    ) -> Option<C::Output> {
+        tokio::select! {
+            ended = connection.as_mut() => return Some(ended),
+            () = self.rest(self.idle) => {}
+        }
+        end(connection.as_mut());
+        tokio::select! {
+            ended = connection => Some(ended),
+            () = self.rest(TOLD) => None,
+        }
+    }
+
+    /// Ends when nothing moved for a time, and for so much longer as an answer may take where one is open: by then nobody takes it.
+    async fn rest(&self, idle: Duration) {
+        let mut moved = self.open.subscribe();
+        loop {
+            let open = *moved.borrow_and_update();
+            let longest = if open == 0 { idle } else { idle + self.longest };
+            if timeout(longest, moved.changed()).await.is_err() {
+                return;
+            }
+        }
+    }
+}
+
+/// What was asked and is not answered to its end.
+#[derive(Debug)]
+pub struct Exchange(Arc<watch::Sender<usize>>);
+
+impl Exchange {
+    /// Some of the answer is taken.
+    pub fn moves(&self) {
+        self.0.send_modify(|_| {});
+    }
+}
+
+impl Drop for Exchange {
+    fn drop(&mut self) {
+        self.0.send_modify(|open| *open -= 1);
     }
 }
 

@@ -11,6 +11,9 @@ use evermap_schemas::Fault;
 /// Where files are on their way.
 pub const TEMPORARY: &str = "tmp";
 
+/// What stands in the way of a file, and is not removed.
+const OCCUPIED: &str = "expected a file, found a folder with something in it";
+
 /// A map's folder.
 #[derive(Debug, Clone)]
 pub struct Folder {
@@ -46,10 +49,12 @@ impl Folder {
         let done = tokio::task::spawn_blocking(move || work(&folder)).await;
         let done = done.map_err(std::io::Error::other).flatten();
         done.map_err(|error| {
-            let said = format!("{}: {error}", self.path(name).display());
+            let path = self.path(name).display().to_string();
             match error.kind() {
-                ErrorKind::InvalidData => Fault::data(said),
-                _ => Fault::resource(said),
+                ErrorKind::InvalidData => Fault::data(format!("{path}: {error}")),
+                ErrorKind::DirectoryNotEmpty => Fault::data(format!("{path}: {OCCUPIED}"))
+                    .next("move it away, as it is nothing of the map's, and do the same again"),
+                _ => Fault::resource(format!("{path}: {error}")),
             }
         })
     }
@@ -98,7 +103,7 @@ impl Folder {
     pub fn cache(&self, name: &str, bytes: &[u8]) -> Result<()> {
         let (temporary, to) = (self.written(bytes)?, self.path(name));
         make_parent(&to)
-            .and_then(|()| std::fs::rename(&temporary, to))
+            .and_then(|()| replace(&temporary, &to))
             .inspect_err(|_| drop(std::fs::remove_file(&temporary)))
     }
 
@@ -191,7 +196,7 @@ impl Folder {
 
     fn renamed(&self, from: &Path, to: &Path) -> Result<()> {
         make_parent(to)?;
-        std::fs::rename(from, to)?;
+        replace(from, to)?;
         sync_parent(to)
     }
 
@@ -210,6 +215,17 @@ impl Folder {
         file.write_all(bytes)
             .inspect_err(|_| drop(std::fs::remove_file(&path)))?;
         Ok(path)
+    }
+}
+
+/// Gives a file a name in place of what has it: another file, or what is none. Of folders, an empty one: nothing of others is removed.
+fn replace(from: &Path, to: &Path) -> Result<()> {
+    match std::fs::rename(from, to) {
+        Err(error) if error.kind() == ErrorKind::IsADirectory => {
+            std::fs::remove_dir(to)?;
+            std::fs::rename(from, to)
+        }
+        renamed => renamed,
     }
 }
 
@@ -315,5 +331,27 @@ mod tests {
                 b"after"
             );
         }
+    }
+
+    #[test]
+    fn an_empty_folder_gives_way_to_a_file_and_what_is_in_another_stays() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = Folder::new(root.path().to_owned());
+        for write in [Folder::put, Folder::cache] {
+            std::fs::create_dir(folder.path("a.json")).unwrap();
+            write(&folder, "a.json", b"a").unwrap();
+            assert_eq!(std::fs::read(folder.path("a.json")).unwrap(), b"a");
+            std::fs::remove_file(folder.path("a.json")).unwrap();
+        }
+        let mine = folder.path("b.json/mine");
+        make(mine.parent().unwrap()).unwrap();
+        std::fs::write(&mine, "mine").unwrap();
+        for write in [Folder::put, Folder::cache] {
+            let refused = write(&folder, "b.json", b"b").unwrap_err();
+            assert_eq!(refused.kind(), ErrorKind::DirectoryNotEmpty);
+        }
+        assert_eq!(std::fs::read(&mine).unwrap(), b"mine");
+        let left = std::fs::read_dir(folder.path(TEMPORARY)).unwrap();
+        assert_eq!(left.count(), 0);
     }
 }

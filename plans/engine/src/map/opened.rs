@@ -17,7 +17,7 @@ use crate::map::artifact::read_in_order;
 use crate::map::damage::Damage;
 use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS};
 use crate::map::rows::{LayerFile, LayerInfo, VersionInfo};
-use crate::map::sound::Sound;
+use crate::map::sound::{Known, Sound};
 use crate::map::store::{Store, each};
 use crate::map::version::{MappedSession, StoredLayer, Version};
 use crate::map::{lease, local};
@@ -72,6 +72,8 @@ pub struct Map {
     pub version: Version,
     /// The logs that were opened, by session.
     logs: Arc<Mutex<BTreeMap<String, Dataset>>>,
+    /// The artifacts that were read and found right.
+    known: Arc<Known>,
 }
 
 impl Map {
@@ -105,6 +107,7 @@ impl Map {
             store,
             version,
             logs: Arc::default(),
+            known: Arc::default(),
         }
     }
 
@@ -181,7 +184,8 @@ impl Map {
     pub(super) async fn checked(&self, layer: &str) -> Result<&[Artifact], Fault> {
         let stored = self.published(layer);
         let artifacts = stored.map_or(&[][..], |stored| &stored.artifacts);
-        Sound::check(&self.store, &self.version, artifacts).await?;
+        let published = &self.version.published;
+        Sound::check(&self.store, published, artifacts, &self.known).await?;
         Ok(artifacts)
     }
 

@@ -16,7 +16,6 @@ use crate::fingerprint::FileState;
 use crate::map::damage::{Damage, is_whole};
 use crate::map::receipt::{ARTIFACTS, Artifact, Receipt};
 use crate::map::store::{Store, each};
-use crate::map::version::Version;
 
 /// Where it is remembered.
 pub const NAME: &str = "sound.json";
@@ -32,6 +31,26 @@ pub struct Sound<'s> {
     /// The artifacts that were there when it was loaded: listed at once, not asked for one by one.
     /// What was found damaged since is asked for again.
     listed: Mutex<BTreeMap<ObjectPath, ObjectMeta>>,
+}
+
+/// What was found right since a map was opened, for whoever reads it and writes nothing into it.
+#[derive(Debug, Default)]
+pub struct Known(Mutex<States>);
+
+impl Known {
+    fn has(&self, artifact: &Artifact, state: &FileState) -> bool {
+        locked(&self.0).get(&artifact.content) == Some(state)
+    }
+
+    /// Takes over what is known of these artifacts.
+    fn add<'a>(&self, sound: &Sound<'_>, artifacts: impl Iterator<Item = &'a Artifact>) {
+        let (mut known, states) = (locked(&self.0), locked(&sound.states));
+        for artifact in artifacts {
+            if let Some(state) = states.get(&artifact.content) {
+                known.insert(artifact.content.clone(), state.clone());
+            }
+        }
+    }
 }
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -67,42 +86,57 @@ impl<'s> Sound<'s> {
     }
 
     /// That artifacts of a version are what was written, as far as their sizes tell. Those whose files have changed since it was
-    /// published, as a map's copy looks like too, are read whole unless they are known.
+    /// `published` (RFC 3339), as a map's copy looks like too, are read whole unless they are known.
     ///
     /// # Errors
     /// A data fault for the first that is damaged or missing; a resource fault when the store does not answer.
     pub async fn check(
         store: &'s Store,
-        version: &Version,
+        published: &str,
         artifacts: &[Artifact],
+        known: &Known,
     ) -> Result<(), Fault> {
-        let published = DateTime::parse_from_rfc3339(&version.published).ok();
+        let published = DateTime::parse_from_rfc3339(published).ok();
+        let is_before = |time: DateTime<Utc>| published.is_some_and(|then| time <= then);
         let names: Vec<String> = artifacts.iter().map(Artifact::name).collect();
         let metas = each(names.iter().map(|name| store.meta(name))).await?;
-        let mut changed = Vec::new();
+        let (mut written, mut touched) = (Vec::new(), Vec::new());
         for (artifact, meta) in artifacts.iter().zip(metas) {
-            let damage = artifact.size_differs(meta.as_ref().map(|meta| meta.size));
-            if let Some(damage) = damage {
+            if let Some(damage) = artifact.size_differs(meta.as_ref().map(|meta| meta.size)) {
                 return Err(damage.into());
             }
-            let is_as_published =
-                |meta: &ObjectMeta| published.is_some_and(|then| meta.last_modified <= then);
-            if !meta.as_ref().is_some_and(is_as_published) {
-                changed.push((artifact, meta));
+            let Some(meta) = meta else { continue };
+            let state = FileState::of(store.url().as_str(), &meta);
+            if is_before(state.changed()) || known.has(artifact, &state) {
+                continue;
+            }
+            match is_before(meta.last_modified) {
+                false => written.push((artifact, meta)),
+                true => touched.push((artifact, meta)),
             }
         }
-        if changed.is_empty() {
-            return Self::check_ends(store, artifacts).await;
+        Self::check_contents(store, written, known).await?;
+        Self::check_ends(store, artifacts).await?;
+        // Moved here, or written and set back: there is no telling one from the other.
+        Self::check_contents(store, touched, known).await
+    }
+
+    /// That artifacts, of whose files the store says this, have the contents that were written.
+    async fn check_contents(
+        store: &'s Store,
+        artifacts: Vec<(&Artifact, ObjectMeta)>,
+        known: &Known,
+    ) -> Result<(), Fault> {
+        if artifacts.is_empty() {
+            return Ok(());
         }
         let sound = Self::remembered(store).await?;
-        let read = changed
-            .into_iter()
-            .map(|(artifact, meta)| sound.damage_of(artifact, meta));
+        let read = artifacts
+            .iter()
+            .map(|(artifact, meta)| sound.damage_of(artifact, Some(meta.clone())));
         let damage = each(read).await?.into_iter().flatten().next();
-        match damage {
-            Some(damage) => Err(damage.into()),
-            None => Self::check_ends(store, artifacts).await,
-        }
+        known.add(&sound, artifacts.iter().map(|(artifact, _)| *artifact));
+        damage.map_or(Ok(()), |damage| Err(damage.into()))
     }
 
     /// That artifacts in a folder end as Parquet files do: whoever reads them believes the length there, in which a disk may
@@ -266,5 +300,45 @@ mod tests {
         let damage = sound.damage(&wrong).await.unwrap().unwrap();
         assert_eq!(damage.expected, "4 bytes");
         assert_eq!(damage.found.as_deref(), Some("3 bytes"));
+    }
+
+    /// A file of the size that was written, and with times of then.
+    #[tokio::test]
+    async fn what_was_changed_and_set_back_is_read_once_by_who_reads() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        let rows = b"rows\0\0\0\0PAR1".to_vec();
+        let artifact = |content: String| Artifact {
+            content,
+            rows: 1,
+            bytes: rows.len() as u64,
+            extent: Extent::default(),
+        };
+        let (right, wrong) = (artifact(digest(&rows)), artifact(digest(b"ROWS")));
+        for artifact in [&right, &wrong] {
+            let name = artifact.name();
+            store.write(&name, rows.clone()).await.unwrap();
+            let path = folder.path().join(name);
+            let old = std::fs::File::options().append(true).open(path).unwrap();
+            old.set_modified(std::time::SystemTime::UNIX_EPOCH).unwrap();
+        }
+        let known = Known::default();
+        let check = async |artifact: &Artifact, published: &str| {
+            let artifacts = std::slice::from_ref(artifact);
+            Sound::check(&store, published, artifacts, &known).await
+        };
+        let (before, later) = ("2001-01-01T00:00:00Z", "9999-01-01T00:00:00Z");
+        check(&right, before).await.unwrap();
+        // By sizes and ends alone.
+        check(&wrong, later).await.unwrap();
+        let fault = check(&wrong, before).await.unwrap_err();
+        assert!(fault.message.contains("expected the digest"), "{fault}");
+
+        let meta = store.meta(&wrong.name()).await.unwrap().unwrap();
+        let state = FileState::of(store.url().as_str(), &meta);
+        locked(&known.0).insert(wrong.content.clone(), state);
+        check(&wrong, before).await.unwrap();
+        store.write(&wrong.name(), rows.clone()).await.unwrap();
+        assert!(check(&wrong, before).await.is_err());
     }
 }

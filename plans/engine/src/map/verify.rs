@@ -169,9 +169,14 @@ impl Verified {
         }
         let gone = needed.artifacts.iter();
         for (name, (artifact, by)) in gone.filter(|(name, _)| !there.contains(name)) {
-            let expected = format!("{} bytes", artifact.bytes);
-            self.findings
-                .push(missing(name, Some(expected), by.clone()));
+            // A folder is in no list of files.
+            let found = store.no_file(name).await?.map(str::to_owned);
+            let state = found.as_ref().map_or("missing", |_| "damaged");
+            self.findings.push(Finding {
+                state: state.into(),
+                found,
+                ..missing(name, Some(format!("{} bytes", artifact.bytes)), by.clone())
+            });
         }
         Ok(())
     }

@@ -1,6 +1,8 @@
 //! Maps by HTTP. `docs/serving.md` lists the addresses.
 
+mod conversation;
 mod formats;
+mod given;
 mod heard;
 pub mod live;
 mod metrics;
@@ -13,32 +15,25 @@ mod teach;
 use std::sync::Arc;
 use std::time::Duration;
 
+use axum::Router;
 use axum::extract::{FromRequestParts, RawPathParams, Request, State};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{any, get};
-use axum::{BoxError, Router};
 use evermap_schemas::Fault;
-use hyper::body::Incoming;
-use hyper::service::{Service, service_fn};
-use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
-use hyper_util::server::conn::auto::Builder;
-use hyper_util::service::TowerToHyperService;
-use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
-use tokio_rustls::TlsAcceptor;
 
 use crate::serve::access::{Access, Who};
 use crate::serve::answer::Bounds;
 use crate::serve::flight;
-use crate::serve::http::heard::Heard;
+use crate::serve::http::conversation::converse;
 use crate::serve::http::metrics::Counts;
 pub use crate::serve::http::refusal::{Asks, Refusal};
 use crate::serve::maps::{Maps, ServedMap};
-use crate::serve::patience::{Asked, attend, waiting};
+use crate::serve::patience::{Asked, Exchanges, attend, waiting};
 use crate::serve::teach::Teaching;
 
 /// What handlers answer from.
@@ -68,7 +63,7 @@ pub async fn serve(
     bounds: Bounds,
     teaching: Option<Arc<Teaching>>,
 ) {
-    let tls = access.tls.clone();
+    let (tls, longest) = (access.tls.clone(), bounds.timeout);
     let router = router(maps, access, bounds, teaching);
     let places = Arc::new(Semaphore::new(waiting()));
     loop {
@@ -81,42 +76,16 @@ pub async fn serve(
             continue;
         };
         let asked = Asked::default();
-        let conversation = converse(socket, tls.clone(), router.clone(), asked.clone());
+        let exchanges = Exchanges::new(longest);
+        let conversation = converse(
+            socket,
+            tls.clone(),
+            router.clone(),
+            asked.clone(),
+            exchanges,
+        );
         attend(place, asked, conversation);
     }
-}
-
-/// Time that a connection may be idle after an answer, or take to say what it wants next.
-const IDLE: Duration = Duration::from_secs(60);
-
-/// Shakes hands, where connections are private, and answers until the client goes.
-async fn converse(
-    socket: TcpStream,
-    tls: Option<TlsAcceptor>,
-    router: Router,
-    asked: Asked,
-) -> Result<(), BoxError> {
-    match tls {
-        None => answered(socket, router, asked).await,
-        Some(tls) => answered(tls.accept(socket).await?, router, asked).await,
-    }
-}
-
-async fn answered<I: AsyncRead + AsyncWrite + Unpin + Send + 'static>(
-    io: I,
-    router: Router,
-    asked: Asked,
-) -> Result<(), BoxError> {
-    let mut builder = Builder::new(TokioExecutor::new());
-    let http1 = &mut builder.http1();
-    http1.timer(TokioTimer::new()).header_read_timeout(IDLE);
-    let answers = TowerToHyperService::new(router);
-    let service = service_fn(move |request: axum::http::Request<Incoming>| {
-        let asked = asked.clone();
-        answers.call(request.map(|body| Heard::new(body, asked)))
-    });
-    let connection = builder.serve_connection_with_upgrades(TokioIo::new(io), service);
-    connection.await
 }
 
 fn router(maps: Maps, access: Access, bounds: Bounds, teaching: Option<Arc<Teaching>>) -> Router {

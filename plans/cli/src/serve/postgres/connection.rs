@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use futures::{SinkExt, StreamExt};
 use pgwire::api::cancel::DefaultCancelHandler;
-use pgwire::api::{ClientInfo, NoopHandler, PgWireConnectionState};
-use pgwire::error::{ErrorInfo, PgWireError};
+use pgwire::api::{ClientInfo, ClientPortalStore, NoopHandler, PgWireConnectionState};
+use pgwire::error::{ErrorInfo, PgWireError, PgWireResult};
 use pgwire::messages::{PgWireBackendMessage, PgWireFrontendMessage};
 use pgwire::tokio::server::{
     MaybeTls, PgWireMessageServerCodec, negotiate_tls, process_error, process_message,
@@ -15,6 +15,7 @@ use tokio::net::TcpStream;
 use tokio_rustls::TlsAcceptor;
 use tokio_util::codec::Framed;
 
+use crate::serve::postgres::kept::make_room;
 use crate::serve::postgres::startup::{Startup, is_in};
 use crate::serve::postgres::wire::Checked;
 use crate::serve::postgres::{Prepared, Queries};
@@ -72,16 +73,7 @@ impl Handlers {
         message: PgWireFrontendMessage,
     ) -> io::Result<bool> {
         let is_extended = message.is_extended_query();
-        let answered = process_message(
-            message,
-            client,
-            Arc::clone(&self.startup),
-            Arc::clone(&self.queries),
-            Arc::clone(&self.queries),
-            Arc::new(NoopHandler),
-            Arc::clone(&self.cancel),
-        );
-        if let Err(error) = answered.await {
+        if let Err(error) = self.process(client, message).await {
             let info = ErrorInfo::from(error);
             let is_last = info.is_fatal();
             let error = PgWireError::UserError(Box::new(info));
@@ -96,6 +88,27 @@ impl Handlers {
             client.state(),
             PgWireConnectionState::AwaitingStartup
         ))
+    }
+
+    async fn process(
+        &self,
+        client: &mut Client,
+        message: PgWireFrontendMessage,
+    ) -> PgWireResult<()> {
+        // After an error the library passes over what comes before the next `Sync`.
+        if !matches!(client.state(), PgWireConnectionState::AwaitingSync) {
+            make_room(client.session_extensions(), client.portal_store(), &message)?;
+        }
+        process_message(
+            message,
+            client,
+            Arc::clone(&self.startup),
+            Arc::clone(&self.queries),
+            Arc::clone(&self.queries),
+            Arc::new(NoopHandler),
+            Arc::clone(&self.cancel),
+        )
+        .await
     }
 }
 

@@ -8,7 +8,7 @@ use datafusion::execution::context::SQLOptions;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::{DataFrame, SessionContext};
 use datafusion::sql::parser::Statement as Parsed;
-use datafusion::sql::sqlparser::ast::{Set, Statement};
+use datafusion::sql::sqlparser::ast::{DiscardObject, Set, Statement};
 use datafusion::sql::sqlparser::dialect::PostgreSqlDialect;
 use datafusion::sql::sqlparser::parser::Parser;
 use datafusion_postgres::QueryHook;
@@ -29,6 +29,7 @@ use crate::serve::postgres::catalog::{in_its_words, is_of_catalog, no_rows};
 use crate::serve::postgres::cursors::Cursors;
 use crate::serve::postgres::functions::SETTINGS;
 use crate::serve::postgres::geometry::{as_extended, as_text, told};
+use crate::serve::postgres::kept::deallocate;
 use crate::serve::postgres::nested::{as_json, as_texts};
 use crate::serve::postgres::postgis::with_views;
 use crate::serve::postgres::spatial::in_our_words;
@@ -111,6 +112,25 @@ impl Gate {
     }
 }
 
+/// Forgets the statements of a client that it asks to be forgotten.
+fn forget(statement: &Statement, client: &dyn HookClient) {
+    let forgotten = match statement {
+        Statement::Deallocate { name, .. } if name.quote_style.is_some() => {
+            Some(name.value.clone())
+        }
+        Statement::Deallocate { name, .. } => {
+            let name = name.value.to_lowercase();
+            (name != "all").then_some(name)
+        }
+        Statement::Discard {
+            object_type: DiscardObject::ALL,
+        } => None,
+        _ => return,
+    };
+    let (extensions, store) = (client.session_extensions(), client.portal_store());
+    deallocate(extensions, store, forgotten.as_deref());
+}
+
 /// Whether it asks that tables be looked for elsewhere than among the layers of the newest version, which would answer of other
 /// rows than are asked for.
 fn leads_elsewhere(set: &Set) -> bool {
@@ -152,8 +172,9 @@ impl QueryHook for Gate {
         &self,
         statement: &Statement,
         _: &SessionContext,
-        _: &mut dyn HookClient,
+        client: &mut dyn HookClient,
     ) -> Option<PgWireResult<Response>> {
+        forget(statement, client);
         match Self::verdict(statement) {
             Verdict::Passes => None,
             Verdict::Done(tag) => Some(Ok(Response::Execution(Tag::new(tag)))),

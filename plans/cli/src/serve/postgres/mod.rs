@@ -10,6 +10,7 @@ mod format;
 mod functions;
 mod geometry;
 mod hooks;
+mod kept;
 mod keys;
 mod nested;
 mod postgis;
