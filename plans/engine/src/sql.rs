@@ -1,5 +1,6 @@
 //! Contexts that queries run in, and what the engine must know of a query before running it.
 
+mod arguments;
 pub mod as_of;
 mod bounded;
 pub mod described;
@@ -32,6 +33,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{OrFault, external};
 use crate::nodes::light::LightBatches;
+use crate::sql::arguments::check_arguments;
 use crate::sql::bounded::bound_functions;
 use crate::sql::expanded::check_expanded;
 use crate::sql::inlined::check_inlined;
@@ -202,6 +204,7 @@ fn context_of(
     bound_functions(&context, limits.memory_bytes).or_fault()?;
     mask_members(&context).or_fault()?;
     check_overflow(&context).or_fault()?;
+    check_arguments(&context).or_fault()?;
     Ok(context)
 }
 

@@ -31,9 +31,14 @@ use crate::sql::overflow::sum::CheckedSum;
 pub fn check_overflow(context: &SessionContext) -> Result<()> {
     let sum = context.udaf("sum")?;
     context.register_udaf(AggregateUDF::new_from_impl(CheckedSum::new(sum)));
-    let rule = ApplyFunctionRewrites::new(vec![Arc::new(CheckedOperators)]);
+    let rule = ApplyFunctionRewrites::new(vec![checked_operators()]);
     context.add_analyzer_rule(Arc::new(rule));
     Ok(())
+}
+
+/// What puts functions in the place of operators whose sides are of one type.
+pub fn checked_operators() -> Arc<dyn FunctionRewrite + Send + Sync> {
+    Arc::new(CheckedOperators)
 }
 
 /// Puts [`Chain`] and [`Negated`] in the place of operators on integers.
