@@ -42,7 +42,10 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
             (Kind::User, format!("SQL: {said}"))
         }
         DataFusionError::ArrowError(error, _) => {
-            let said = error.to_string();
+            let said = match &**error {
+                ArrowError::ComputeError(said) => said.clone(),
+                other => other.to_string(),
+            };
             (kind_of(error), not_cast(&said).unwrap_or(said))
         }
         _ => (Kind::Data, root.strip_backtrace()),
@@ -231,6 +234,7 @@ fn kind_of(error: &ArrowError) -> Kind {
     match error {
         ArrowError::DivideByZero
         | ArrowError::ArithmeticOverflow(_)
+        | ArrowError::ComputeError(_)
         | ArrowError::CastError(_)
         | ArrowError::ParseError(_) => Kind::User,
         _ => Kind::Data,
@@ -301,6 +305,13 @@ mod tests {
                     None,
                 ),
                 "user: expected a number, found 'x'",
+            ),
+            (
+                DataFusionError::ArrowError(
+                    Box::new(ArrowError::ComputeError("Timestamp out of range".to_owned())),
+                    None,
+                ),
+                "user: Timestamp out of range",
             ),
             (DataFusionError::Internal("lost".to_owned()), "bug: lost"),
             (DataFusionError::NotImplemented("a thing".to_owned()), "user: not supported: a thing"),
