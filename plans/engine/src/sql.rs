@@ -11,6 +11,7 @@ mod missing;
 mod overflow;
 mod pool;
 mod size;
+mod widths;
 mod written;
 
 use std::collections::HashSet;
@@ -40,6 +41,7 @@ use crate::sql::inlined::check_inlined;
 use crate::sql::members::{check_members, mask_members, members};
 use crate::sql::overflow::check_overflow;
 use crate::sql::pool::SharedPool;
+use crate::sql::widths::check_widths;
 use crate::sql::written::Written;
 
 pub use missing::{NO_TABLE, Unlisted, explained, no_table, table_of};
@@ -285,6 +287,7 @@ pub async fn plan_of(
     let plan = plan.map_err(|error| written.explained(error))?;
     check_members(&plan)?;
     check_inlined(&plan)?;
+    check_widths(&plan)?;
     Ok(plan)
 }
 

@@ -27,6 +27,7 @@ use datafusion::sql::sqlparser::ast::{
 };
 
 use crate::sql::overflow::checked_operators;
+use crate::sql::widths::check_width;
 
 /// Has a context refuse table functions whose arguments fail. Of its functions it takes those that stand in the place of
 /// others by now.
@@ -78,6 +79,7 @@ impl Arguments {
         if matches!(argument, Expr::Literal(..)) {
             return Ok(());
         }
+        argument.apply(check_width)?;
         let schema = DFSchema::empty();
         let replaced = |argument: Expr, by: &dyn FunctionRewrite| {
             let replaced = argument.transform_up(|part| by.rewrite(part, &schema, options))?;
