@@ -6,6 +6,7 @@ mod bounded;
 pub mod described;
 mod expanded;
 mod inlined;
+mod literals;
 mod members;
 mod missing;
 mod overflow;
@@ -38,6 +39,7 @@ use crate::sql::arguments::check_arguments;
 use crate::sql::bounded::bound_functions;
 use crate::sql::expanded::check_expanded;
 use crate::sql::inlined::check_inlined;
+use crate::sql::literals::check_literals;
 use crate::sql::members::{check_members, mask_members, members};
 use crate::sql::overflow::check_overflow;
 use crate::sql::pool::SharedPool;
@@ -288,6 +290,7 @@ pub async fn plan_of(
     check_members(&plan)?;
     check_inlined(&plan)?;
     check_widths(&plan)?;
+    check_literals(&plan, &written)?;
     Ok(plan)
 }
 

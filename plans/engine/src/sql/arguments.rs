@@ -9,7 +9,7 @@ use arrow::array::{RecordBatch, RecordBatchOptions};
 use arrow::datatypes::Schema;
 use datafusion::common::config::ConfigOptions;
 use datafusion::common::tree_node::TreeNode;
-use datafusion::common::{DFSchema, Diagnostic, Result, Span};
+use datafusion::common::{DFSchema, Result, Span};
 use datafusion::error::DataFusionError;
 use datafusion::logical_expr::Expr;
 use datafusion::logical_expr::execution_props::ExecutionProps;
@@ -28,6 +28,7 @@ use datafusion::sql::sqlparser::ast::{
 
 use crate::sql::overflow::checked_operators;
 use crate::sql::widths::check_width;
+use crate::sql::written::placed;
 
 /// Has a context refuse table functions whose arguments fail. Of its functions it takes those that stand in the place of
 /// others by now.
@@ -66,7 +67,8 @@ impl RelationPlanner for Arguments {
             if let Ok(argument) = context.sql_to_expr(written.clone(), &DFSchema::empty()) {
                 let options = context.context_provider().options();
                 let checked = self.check(argument, options);
-                checked.map_err(|error| placed(error, written))?;
+                let place = Span::try_from_sqlparser_span(written.span());
+                checked.map_err(|error| placed(error, place))?;
             }
         }
         Ok(RelationPlanning::Original(Box::new(relation)))
@@ -87,13 +89,13 @@ impl Arguments {
         };
         let functions = self.functions.iter();
         let argument = functions
-            .map(|by| by.as_ref() as &dyn FunctionRewrite)
+            .map(|by| &**by as &dyn FunctionRewrite)
             .try_fold(argument, replaced)?;
         let coercing = ExprSimplifier::new(SimplifyContext::default());
         let Ok(argument) = coercing.coerce(argument, &schema) else {
             return Ok(());
         };
-        let argument = replaced(argument, self.operators.as_ref())?;
+        let argument = replaced(argument, &*self.operators)?;
         let mut props = ExecutionProps::new();
         props.config_options = Some(Arc::new(options.clone()));
         let planning = PhysicalPlanningContext::default();
@@ -141,17 +143,6 @@ impl Visitor for Queries {
 
     fn pre_visit_query(&mut self, _: &Query) -> ControlFlow<()> {
         ControlFlow::Break(())
-    }
-}
-
-/// An error with its place in the query.
-fn placed(error: DataFusionError, written: &SqlExpr) -> DataFusionError {
-    match Span::try_from_sqlparser_span(written.span()) {
-        Some(span) => {
-            let said = error.strip_backtrace();
-            error.with_diagnostic(Diagnostic::new_error(said, Some(span)))
-        }
-        None => error,
     }
 }
 
