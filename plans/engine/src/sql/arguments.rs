@@ -158,7 +158,7 @@ mod tests {
             ..Limits::one_partition()
         };
         let context = context(limits).unwrap();
-        let nested = (0..20).fold("repeat('a', 1000)".to_owned(), |text, _| {
+        let nested = (0..6).fold("repeat('a', 60000)".to_owned(), |text, _| {
             format!("encode({text}, 'hex')")
         });
         let nested = format!("SELECT * FROM generate_series(1, length({nested}))");
