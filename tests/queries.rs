@@ -526,7 +526,8 @@ fn queries_are_interrupted_while_they_run_and_while_they_are_planned() {
     let joined = (1..800).map(|n| format!("JOIN poses p{n} ON p0.stamp = p{n}.stamp"));
     let joined = joined.collect::<Vec<_>>().join(" ");
     let planning = format!("SELECT count(*) FROM poses p0 {joined}");
-    for query in [counting, &planning] {
+    let endless = "SELECT sum(value % 2) FROM generate_series(1, 9223372036854775807)";
+    for query in [counting, endless, &planning] {
         let mut asked = evermap_tests::command(&["sql", "--map", text(&map), query]);
         let asked = asked.stderr(std::process::Stdio::piped()).spawn().unwrap();
         computes(&asked);

@@ -42,7 +42,10 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
             (Kind::User, format!("SQL: {said}"))
         }
         DataFusionError::ArrowError(error, _) => {
-            let said = error.to_string();
+            let said = match &**error {
+                ArrowError::ComputeError(said) => said.clone(),
+                other => other.to_string(),
+            };
             (kind_of(error), not_cast(&said).unwrap_or(said))
         }
         _ => (Kind::Data, root.strip_backtrace()),
@@ -60,6 +63,7 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
     let fault = match () {
         () if is_other_as_of(message) => fault.next(AS_OF),
         () if message.starts_with(NOT_ALIKE) && message.contains("time") => fault.next(INSTANT),
+        () if message.starts_with(NO_INSTANT) => fault.next(INSTANT),
         () => fault,
     };
     match place {
@@ -189,9 +193,18 @@ fn not_alike(message: &str) -> Option<String> {
     Some(format!("{NOT_ALIKE}{first} {operator} {last}"))
 }
 
+/// How it is said here that a text is no instant.
+const NO_INSTANT: &str = "expected a time, found '";
+
 /// What a text is that does not become what it is compared with, or cast to.
 fn not_cast(message: &str) -> Option<String> {
-    let (_, behind) = message.split_once("Cannot cast string '")?;
+    if let Some((_, behind)) = message.split_once("Error parsing timestamp from '") {
+        let (text, _) = behind.rsplit_once("': ")?;
+        return Some(format!("{NO_INSTANT}{text}'"));
+    }
+    let (_, behind) = message
+        .split_once("Cannot cast string '")
+        .or_else(|| message.split_once("Cannot cast value '"))?;
     let (text, wanted) = behind.rsplit_once("' to value of ")?;
     let wanted: DataType = wanted.strip_suffix(" type")?.parse().ok()?;
     let wanted = match wanted.is_numeric() {
@@ -231,6 +244,7 @@ fn kind_of(error: &ArrowError) -> Kind {
     match error {
         ArrowError::DivideByZero
         | ArrowError::ArithmeticOverflow(_)
+        | ArrowError::ComputeError(_)
         | ArrowError::CastError(_)
         | ArrowError::ParseError(_) => Kind::User,
         _ => Kind::Data,
@@ -301,6 +315,22 @@ mod tests {
                     None,
                 ),
                 "user: expected a number, found 'x'",
+            ),
+            (
+                DataFusionError::ArrowError(
+                    Box::new(ArrowError::ParseError(
+                        "Error parsing timestamp from 'yesterday': error parsing date".to_owned(),
+                    )),
+                    None,
+                ),
+                "user: expected a time, found 'yesterday'; write an instant as a text: stamp > '2024-05-01T10:00:00Z'",
+            ),
+            (
+                DataFusionError::ArrowError(
+                    Box::new(ArrowError::ComputeError("Timestamp out of range".to_owned())),
+                    None,
+                ),
+                "user: Timestamp out of range",
             ),
             (DataFusionError::Internal("lost".to_owned()), "bug: lost"),
             (DataFusionError::NotImplemented("a thing".to_owned()), "user: not supported: a thing"),

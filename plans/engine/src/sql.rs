@@ -1,15 +1,18 @@
 //! Contexts that queries run in, and what the engine must know of a query before running it.
 
+mod arguments;
 pub mod as_of;
 mod bounded;
 pub mod described;
 mod expanded;
 mod inlined;
+mod literals;
 mod members;
 mod missing;
 mod overflow;
 mod pool;
 mod size;
+mod widths;
 mod written;
 
 use std::collections::HashSet;
@@ -32,12 +35,15 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{OrFault, external};
 use crate::nodes::light::LightBatches;
+use crate::sql::arguments::check_arguments;
 use crate::sql::bounded::bound_functions;
 use crate::sql::expanded::check_expanded;
 use crate::sql::inlined::check_inlined;
+use crate::sql::literals::check_literals;
 use crate::sql::members::{check_members, mask_members, members};
 use crate::sql::overflow::check_overflow;
 use crate::sql::pool::SharedPool;
+use crate::sql::widths::check_widths;
 use crate::sql::written::Written;
 
 pub use missing::{NO_TABLE, Unlisted, explained, no_table, table_of};
@@ -202,6 +208,7 @@ fn context_of(
     bound_functions(&context, limits.memory_bytes).or_fault()?;
     mask_members(&context).or_fault()?;
     check_overflow(&context).or_fault()?;
+    check_arguments(&context).or_fault()?;
     Ok(context)
 }
 
@@ -282,6 +289,8 @@ pub async fn plan_of(
     let plan = plan.map_err(|error| written.explained(error))?;
     check_members(&plan)?;
     check_inlined(&plan)?;
+    check_widths(&plan)?;
+    check_literals(&plan, &written)?;
     Ok(plan)
 }
 

@@ -29,7 +29,7 @@ use crate::sql::bounded::growth::{GROWING, Growth, given};
 use crate::sql::bounded::joined::TextsJoined;
 
 /// The part of the memory that one answer may take: it is counted nowhere, copied where it is written, and not alone.
-const SHARE: usize = 8;
+pub const SHARE: usize = 8;
 
 /// The part of the memory that the arguments of a call may take: an answer is a few times as large at most.
 const GIVEN_SHARE: usize = 2;

@@ -6,17 +6,22 @@ use std::ops::ControlFlow;
 
 use datafusion::sql::parser::Statement;
 use datafusion::sql::sqlparser::ast::{
-    Expr, GroupByExpr, Ident, ObjectName, Query, Select, Visit, Visitor,
+    Expr, FunctionArg, FunctionArgExpr, FunctionArguments, GroupByExpr, Ident, ObjectName, Query,
+    Select, Visit, Visitor,
 };
 use evermap_schemas::Fault;
 
 use crate::sql::size::QUERY_WORDS;
+use crate::sql::widths::CASTS;
 
 /// Words and operators at most, once each table of `WITH` stands where it is named.
 const EXPANDED_WORDS: u64 = 2 * QUERY_WORDS as u64;
 
 /// Choices of columns that a query may group by at once, as in Postgres.
 const GROUPINGS: u64 = 4096;
+
+/// Types at most that a text names within each other: whatever reads it goes as deep.
+const NESTED_TYPES: usize = 64;
 
 /// Refuses a statement that would become too large.
 ///
@@ -119,7 +124,12 @@ impl Visitor for Expanded {
             Expr::Value(_) | Expr::Nested(_) | Expr::Tuple(_) | Expr::Array(_)
         );
         self.add(u64::from(!is_listed));
-        ControlFlow::Continue(())
+        match named_type(expr).map_or(0, |named| depth(&named)) {
+            found if found > NESTED_TYPES => ControlFlow::Break(Fault::user(format!(
+                "expected a type of at most {NESTED_TYPES} types within each other, found {found}"
+            ))),
+            _ => ControlFlow::Continue(()),
+        }
     }
 
     fn pre_visit_select(&mut self, select: &Select) -> ControlFlow<Fault> {
@@ -141,6 +151,39 @@ impl Expanded {
             scope.words = scope.words.saturating_add(words);
         }
     }
+}
+
+/// The text by which a function is told a type.
+fn named_type(expr: &Expr) -> Option<String> {
+    let Expr::Function(call) = expr else {
+        return None;
+    };
+    let function = plain(call.name.0.last()?.as_ident()?);
+    let FunctionArguments::List(given) = &call.args else {
+        return None;
+    };
+    match given.args.get(1)? {
+        FunctionArg::Unnamed(FunctionArgExpr::Expr(Expr::Value(text)))
+            if CASTS.contains(&function.as_str()) =>
+        {
+            text.value.clone().into_string()
+        }
+        _ => None,
+    }
+}
+
+/// How deep the brackets of a text stand in each other.
+fn depth(text: &str) -> usize {
+    let (mut depth, mut most) = (0_usize, 0);
+    for letter in text.bytes() {
+        match letter {
+            b'(' => depth += 1,
+            b')' => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+        most = most.max(depth);
+    }
+    most
 }
 
 /// By how many choices of columns a query groups.
@@ -225,12 +268,18 @@ mod tests {
                 grouped(&|by| format!("ROLLUP ({by}), CUBE ({by})"), 10),
                 "found 11264",
             ),
+            (
+                format!("SELECT arrow_cast(NULL, '{}')", "List(".repeat(100_000)),
+                "at most 64 types within each other, found 100000",
+            ),
         ];
         for (query, said) in refused {
             let fault = read_only(&context, &query).await.err().unwrap().to_string();
             assert!(fault.contains(said), "{query}: {fault}");
         }
+        let list = format!("{}Int64{}", "List(".repeat(20), ")".repeat(20));
         for query in [
+            format!("SELECT arrow_cast(NULL, '{list}')"),
             chain(6, 2),
             chain(300, 1),
             grouped(&|by| format!("CUBE ({by})"), 6),

@@ -3,10 +3,13 @@
 //!
 //! Operators become a function that no context knows, behind type coercion, where both sides are of one type. So they are
 //! checked wherever a query has them, and where constants are folded: what fails there stays, and fails when it runs, if it
-//! runs. Sums are another function of the same name.
+//! runs. Sums are another function of the same name, of durations and intervals too, and so are means of durations. Operators
+//! on durations, intervals and instants are checked by Arrow.
 
 mod arithmetic;
+mod intervals;
 mod sum;
+mod totals;
 
 use std::sync::Arc;
 
@@ -22,18 +25,25 @@ use datafusion::optimizer::analyzer::function_rewrite::ApplyFunctionRewrites;
 use datafusion::prelude::SessionContext;
 
 use crate::sql::overflow::arithmetic::{Chain, Negated};
-use crate::sql::overflow::sum::CheckedSum;
+use crate::sql::overflow::sum::{Adds, CheckedSum};
 
 /// Has a context refuse integers that do not fit.
 ///
 /// # Errors
-/// When the context has no sums.
+/// When the context has neither sums nor means.
 pub fn check_overflow(context: &SessionContext) -> Result<()> {
-    let sum = context.udaf("sum")?;
-    context.register_udaf(AggregateUDF::new_from_impl(CheckedSum::new(sum)));
-    let rule = ApplyFunctionRewrites::new(vec![Arc::new(CheckedOperators)]);
+    for (name, adds) in [("sum", Adds::Sum), ("avg", Adds::Mean)] {
+        let sum = CheckedSum::new(context.udaf(name)?, adds);
+        context.register_udaf(AggregateUDF::new_from_impl(sum));
+    }
+    let rule = ApplyFunctionRewrites::new(vec![checked_operators()]);
     context.add_analyzer_rule(Arc::new(rule));
     Ok(())
+}
+
+/// What puts functions in the place of operators whose sides are of one type.
+pub fn checked_operators() -> Arc<dyn FunctionRewrite + Send + Sync> {
+    Arc::new(CheckedOperators)
 }
 
 /// Puts [`Chain`] and [`Negated`] in the place of operators on integers.

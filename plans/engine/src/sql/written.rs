@@ -1,12 +1,13 @@
 //! What a statement says that planning passes over, or takes for something else than who wrote it.
 
+use std::collections::HashMap;
 use std::convert::Infallible;
 use std::ops::ControlFlow;
 
-use datafusion::common::SchemaError;
+use datafusion::common::{Diagnostic, SchemaError, Span};
 use datafusion::error::DataFusionError;
 use datafusion::sql::parser::Statement;
-use datafusion::sql::sqlparser::ast::{Expr, Query, Visit, Visitor};
+use datafusion::sql::sqlparser::ast::{Expr, Query, Value, ValueWithSpan, Visit, Visitor};
 use evermap_schemas::Fault;
 
 use crate::error::{external, fault_of};
@@ -18,6 +19,19 @@ pub struct Written {
     quoted: Vec<String>,
     /// Whether a query says in which format its rows are wanted.
     has_format: bool,
+    /// Where each text in single quotes stands; `None` where it stands several times.
+    texts: HashMap<String, Option<Span>>,
+}
+
+/// An error with its place in the query.
+pub fn placed(error: DataFusionError, place: Option<Span>) -> DataFusionError {
+    match place {
+        Some(_) => {
+            let said = error.strip_backtrace();
+            error.with_diagnostic(Diagnostic::new_error(said, place))
+        }
+        None => error,
+    }
 }
 
 impl Written {
@@ -43,6 +57,11 @@ impl Written {
             Statement::Explain(explain) => self.read(&explain.statement),
             _ => {}
         }
+    }
+
+    /// An error of a text in single quotes, with its place where it stands once.
+    pub fn placed(&self, error: DataFusionError, text: &str) -> DataFusionError {
+        placed(error, self.texts.get(text).copied().flatten())
     }
 
     /// An error of planning the statement, with what may be meant where a column that is not there stands in double quotes.
@@ -78,6 +97,15 @@ impl Visitor for Written {
             && name.quote_style == Some('"')
         {
             self.quoted.push(name.value.clone());
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn pre_visit_value(&mut self, value: &ValueWithSpan) -> ControlFlow<Infallible> {
+        if let Value::SingleQuotedString(text) = &value.value {
+            let place = Span::try_from_sqlparser_span(value.span);
+            let known = self.texts.entry(text.clone());
+            known.and_modify(|place| *place = None).or_insert(place);
         }
         ControlFlow::Continue(())
     }

@@ -1,42 +1,125 @@
-//! Sums of integers in 128 bits, which no number of rows fills, that fail where the answer does not fit 64.
+//! Sums of integers, durations and intervals, and means of durations, that are right or an error.
 
-use std::collections::HashMap;
-use std::fmt::Debug;
-use std::hash::Hash;
-use std::marker::PhantomData;
 use std::sync::Arc;
 
-use arrow::array::{Array, ArrayRef, AsArray, BooleanArray, PrimitiveArray};
 use arrow::datatypes::{
-    ArrowPrimitiveType, DECIMAL128_MAX_PRECISION, DataType, Decimal128Type, Field, FieldRef,
-    Int64Type, UInt64Type,
+    DataType, DurationMicrosecondType, DurationMillisecondType, DurationNanosecondType,
+    DurationSecondType, Field, FieldRef, Int64Type, TimeUnit, UInt64Type,
 };
-use arrow::error::ArrowError;
-use datafusion::common::{Result, ScalarValue};
+use datafusion::common::{Result, not_impl_err};
 use datafusion::logical_expr::function::{AccumulatorArgs, StateFieldsArgs};
 use datafusion::logical_expr::utils::{AggregateOrderSensitivity, format_state_name};
 use datafusion::logical_expr::{
-    Accumulator, AggregateUDF, AggregateUDFImpl, Documentation, EmitTo, GroupsAccumulator,
-    ReversedUDAF, SetMonotonicity, Signature,
+    Accumulator, AggregateUDF, AggregateUDFImpl, Documentation, GroupsAccumulator, ReversedUDAF,
+    SetMonotonicity, Signature,
 };
 
-/// What partial sums are kept and handed on as.
-const WIDE: DataType = DataType::Decimal128(DECIMAL128_MAX_PRECISION, 0);
+use crate::sql::overflow::intervals::{self, IntervalSum};
+use crate::sql::overflow::totals::{DistinctSum, Groups, Mean, Sum, WIDE, Whole};
 
-/// Values whose halves add up in 64 bits.
-const AT_ONCE: usize = 1 << 30;
+/// What is made of the values that are added up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Adds {
+    /// Their sum.
+    Sum,
+    /// Their sum by their number.
+    Mean,
+}
 
-/// DataFusion's `sum`, but for integers. It does not become `sum(x) + 1 * count(x)` where `sum(x + 1)` is asked for: that
-/// would be added without a check.
+/// DataFusion's `sum` or `avg`, but for what would wrap in 64 bits. `sum` does not become `sum(x) + 1 * count(x)` where
+/// `sum(x + 1)` is asked for: that would be added without a check.
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub struct CheckedSum {
     inner: Arc<AggregateUDF>,
+    adds: Adds,
 }
 
 impl CheckedSum {
     /// Of the function that adds up everything else.
-    pub fn new(inner: Arc<AggregateUDF>) -> Self {
-        Self { inner }
+    pub fn new(inner: Arc<AggregateUDF>, adds: Adds) -> Self {
+        Self { inner, adds }
+    }
+
+    /// How it is added up here what gives this; `None` where DataFusion does it.
+    fn way(&self, result: &DataType) -> Option<Way> {
+        match (result, self.adds) {
+            (DataType::Int64, Adds::Sum) => Some(Way::of::<Int64Type>(self.adds)),
+            (DataType::UInt64, Adds::Sum) => Some(Way::of::<UInt64Type>(self.adds)),
+            (DataType::Interval(_), Adds::Sum) => Some(Way::of_intervals()),
+            (DataType::Duration(unit), adds) => Some(match unit {
+                TimeUnit::Second => Way::of::<DurationSecondType>(adds),
+                TimeUnit::Millisecond => Way::of::<DurationMillisecondType>(adds),
+                TimeUnit::Microsecond => Way::of::<DurationMicrosecondType>(adds),
+                TimeUnit::Nanosecond => Way::of::<DurationNanosecondType>(adds),
+            }),
+            _ => None,
+        }
+    }
+}
+
+/// The columns of a partial answer.
+type States = &'static [(&'static str, DataType)];
+
+const SUM: States = &[("sum", WIDE)];
+const MEAN: States = &[("count", DataType::UInt64), ("sum", WIDE)];
+const INTERVALS: States = &[("months", WIDE), ("days", WIDE), ("nanoseconds", WIDE)];
+
+/// How values of a type are added up.
+struct Way {
+    states: States,
+    /// All values, or each once.
+    accumulator: fn(is_distinct: bool) -> Result<Box<dyn Accumulator>>,
+    /// All groups at once, by sums of [`WIDE`] numbers; `None` where each group is added up by itself.
+    groups: Option<fn(Box<dyn GroupsAccumulator>) -> Box<dyn GroupsAccumulator>>,
+}
+
+impl Way {
+    fn of<T: Whole>(adds: Adds) -> Self {
+        match adds {
+            Adds::Sum => Self {
+                states: SUM,
+                accumulator: sum::<T>,
+                groups: Some(groups::<T>),
+            },
+            Adds::Mean => Self {
+                states: MEAN,
+                accumulator: mean::<T>,
+                groups: None,
+            },
+        }
+    }
+
+    fn of_intervals() -> Self {
+        Self {
+            states: INTERVALS,
+            accumulator: sum_of_intervals,
+            groups: None,
+        }
+    }
+}
+
+fn sum<T: Whole>(is_distinct: bool) -> Result<Box<dyn Accumulator>> {
+    match is_distinct {
+        true => Ok(Box::new(DistinctSum::<T>::default())),
+        false => Ok(Box::new(Sum::<T>::default())),
+    }
+}
+
+fn groups<T: Whole>(inner: Box<dyn GroupsAccumulator>) -> Box<dyn GroupsAccumulator> {
+    Box::new(Groups::<T>::new(inner))
+}
+
+fn mean<T: Whole>(is_distinct: bool) -> Result<Box<dyn Accumulator>> {
+    match is_distinct {
+        true => not_impl_err!("avg(DISTINCT …) of durations; take that of SELECT DISTINCT"),
+        false => Ok(Box::new(Mean::<T>::default())),
+    }
+}
+
+fn sum_of_intervals(is_distinct: bool) -> Result<Box<dyn Accumulator>> {
+    match is_distinct {
+        true => not_impl_err!("sum(DISTINCT …) of intervals; add up those of SELECT DISTINCT"),
+        false => Ok(Box::new(IntervalSum::default())),
     }
 }
 
@@ -54,54 +137,57 @@ impl AggregateUDFImpl for CheckedSum {
     }
 
     fn return_type(&self, types: &[DataType]) -> Result<DataType> {
-        self.inner.return_type(types)
+        Ok(match self.inner.return_type(types)? {
+            DataType::Interval(_) => intervals::WHOLE,
+            result => result,
+        })
     }
 
     fn accumulator(&self, args: AccumulatorArgs) -> Result<Box<dyn Accumulator>> {
-        match args.return_type() {
-            DataType::Int64 => Ok(accumulator::<Int64Type>(args.is_distinct)),
-            DataType::UInt64 => Ok(accumulator::<UInt64Type>(args.is_distinct)),
-            _ => self.inner.accumulator(args),
+        match self.way(args.return_type()) {
+            Some(way) => (way.accumulator)(args.is_distinct),
+            None => self.inner.accumulator(args),
         }
     }
 
     fn create_sliding_accumulator(&self, args: AccumulatorArgs) -> Result<Box<dyn Accumulator>> {
-        match args.return_type() {
-            DataType::Int64 | DataType::UInt64 => self.accumulator(args),
-            _ => self.inner.create_sliding_accumulator(args),
+        match self.way(args.return_type()) {
+            Some(_) => self.accumulator(args),
+            None => self.inner.create_sliding_accumulator(args),
         }
     }
 
     fn state_fields(&self, args: StateFieldsArgs) -> Result<Vec<FieldRef>> {
-        let is_wide = matches!(args.return_type(), DataType::Int64 | DataType::UInt64);
-        if args.is_distinct || !is_wide {
-            return self.inner.state_fields(args);
+        match self.way(args.return_type()) {
+            Some(way) if !args.is_distinct => {
+                let states = way.states.iter().map(|(name, kind)| {
+                    let name = format_state_name(args.name, name);
+                    Arc::new(Field::new(name, kind.clone(), true))
+                });
+                Ok(states.collect())
+            }
+            _ => self.inner.state_fields(args),
         }
-        let name = format_state_name(args.name, "sum");
-        Ok(vec![Arc::new(Field::new(name, WIDE, true))])
     }
 
     fn groups_accumulator_supported(&self, args: AccumulatorArgs) -> bool {
-        self.inner.groups_accumulator_supported(args)
+        let way = self.way(args.return_type());
+        way.is_none_or(|way| way.groups.is_some()) && self.inner.groups_accumulator_supported(args)
     }
 
     fn create_groups_accumulator(
         &self,
         args: AccumulatorArgs,
     ) -> Result<Box<dyn GroupsAccumulator>> {
-        let result = args.return_type().clone();
-        if !matches!(result, DataType::Int64 | DataType::UInt64) {
+        let groups = self.way(args.return_type()).and_then(|way| way.groups);
+        let Some(groups) = groups else {
             return self.inner.create_groups_accumulator(args);
-        }
+        };
         let inner = self.inner.create_groups_accumulator(AccumulatorArgs {
             return_field: Arc::new(args.return_field.as_ref().clone().with_data_type(WIDE)),
             ..args
         })?;
-        let groups: Box<dyn GroupsAccumulator> = match result {
-            DataType::UInt64 => Box::new(Groups::<UInt64Type>::new(inner)),
-            _ => Box::new(Groups::<Int64Type>::new(inner)),
-        };
-        Ok(groups)
+        Ok(groups(inner))
     }
 
     fn reverse_expr(&self) -> ReversedUDAF {
@@ -118,276 +204,5 @@ impl AggregateUDFImpl for CheckedSum {
 
     fn set_monotonicity(&self, result: &DataType) -> SetMonotonicity {
         self.inner.inner().set_monotonicity(result)
-    }
-}
-
-/// Integers of 64 bits.
-trait Whole:
-    ArrowPrimitiveType<Native: Into<i128> + TryFrom<i128> + Eq + Hash> + Debug + Send + Sync
-{
-    /// The sum of at most [`AT_ONCE`] values. Halves are added in 64 bits: unlike numbers of 128, several at a time.
-    fn total(values: &[Self::Native]) -> i128;
-}
-
-impl Whole for Int64Type {
-    fn total(values: &[i64]) -> i128 {
-        let high: i64 = values.iter().map(|value| value >> 32).sum();
-        let low: i64 = values.iter().map(|value| value & 0xffff_ffff).sum();
-        (i128::from(high) << 32) + i128::from(low)
-    }
-}
-
-impl Whole for UInt64Type {
-    fn total(values: &[u64]) -> i128 {
-        let high: u64 = values.iter().map(|value| value >> 32).sum();
-        let low: u64 = values.iter().map(|value| value & 0xffff_ffff).sum();
-        (i128::from(high) << 32) + i128::from(low)
-    }
-}
-
-/// The sum of what is not null.
-fn total<T: Whole>(values: &PrimitiveArray<T>) -> i128 {
-    let of = |from: usize, to: usize| -> i128 {
-        let chunks = values.values()[from..to].chunks(AT_ONCE);
-        chunks.map(T::total).sum()
-    };
-    match values.nulls() {
-        Some(nulls) => nulls.valid_slices().map(|(from, to)| of(from, to)).sum(),
-        None => of(0, values.len()),
-    }
-}
-
-fn wide<T: Whole>(value: T::Native) -> i128 {
-    value.into()
-}
-
-fn narrow<T: Whole>(total: i128) -> Result<T::Native, ArrowError> {
-    T::Native::try_from(total).map_err(|_| {
-        ArrowError::ArithmeticOverflow(format!(
-            "expected a sum that fits {}, found {total}; add up CAST(… AS DECIMAL(38, 0)) or DOUBLE instead",
-            T::DATA_TYPE
-        ))
-    })
-}
-
-fn widen<T: Whole>(values: &ArrayRef) -> ArrayRef {
-    let wide = values
-        .as_primitive::<T>()
-        .unary::<_, Decimal128Type>(wide::<T>);
-    Arc::new(wide.with_data_type(WIDE))
-}
-
-fn accumulator<T: Whole>(is_distinct: bool) -> Box<dyn Accumulator> {
-    match is_distinct {
-        true => Box::new(DistinctSum::<T>::default()),
-        false => Box::new(Sum::<T>::default()),
-    }
-}
-
-/// The sum of all rows, or of those in a window.
-#[derive(Debug)]
-struct Sum<T> {
-    total: i128,
-    /// Values in it: of none the sum is null.
-    count: usize,
-    of: PhantomData<T>,
-}
-
-impl<T> Default for Sum<T> {
-    fn default() -> Self {
-        Self {
-            total: 0,
-            count: 0,
-            of: PhantomData,
-        }
-    }
-}
-
-impl<T: Whole> Accumulator for Sum<T> {
-    fn update_batch(&mut self, values: &[ArrayRef]) -> Result<()> {
-        for values in values {
-            let values = values.as_primitive::<T>();
-            self.total += total(values);
-            self.count += values.len() - values.null_count();
-        }
-        Ok(())
-    }
-
-    fn retract_batch(&mut self, values: &[ArrayRef]) -> Result<()> {
-        for values in values {
-            let values = values.as_primitive::<T>();
-            self.total -= total(values);
-            self.count -= values.len() - values.null_count();
-        }
-        Ok(())
-    }
-
-    fn supports_retract_batch(&self) -> bool {
-        true
-    }
-
-    fn state(&mut self) -> Result<Vec<ScalarValue>> {
-        let total = (self.count > 0).then_some(self.total);
-        let total = ScalarValue::Decimal128(total, DECIMAL128_MAX_PRECISION, 0);
-        Ok(vec![total])
-    }
-
-    fn merge_batch(&mut self, states: &[ArrayRef]) -> Result<()> {
-        for totals in states {
-            for total in totals.as_primitive::<Decimal128Type>().iter().flatten() {
-                self.total += total;
-                self.count += 1;
-            }
-        }
-        Ok(())
-    }
-
-    fn evaluate(&mut self) -> Result<ScalarValue> {
-        let total = (self.count > 0).then(|| narrow::<T>(self.total));
-        ScalarValue::new_primitive::<T>(total.transpose()?, &T::DATA_TYPE)
-    }
-
-    fn size(&self) -> usize {
-        size_of_val(self)
-    }
-}
-
-/// The sum of values that are each counted once, of all rows or those in a window.
-#[derive(Debug)]
-struct DistinctSum<T: Whole> {
-    total: i128,
-    /// How often each is there.
-    counts: HashMap<T::Native, usize>,
-}
-
-impl<T: Whole> Default for DistinctSum<T> {
-    fn default() -> Self {
-        Self {
-            total: 0,
-            counts: HashMap::new(),
-        }
-    }
-}
-
-impl<T: Whole> DistinctSum<T> {
-    fn add(&mut self, values: &ArrayRef) {
-        for value in values.as_primitive::<T>().iter().flatten() {
-            let count = self.counts.entry(value).or_default();
-            if *count == 0 {
-                self.total += wide::<T>(value);
-            }
-            *count += 1;
-        }
-    }
-}
-
-impl<T: Whole> Accumulator for DistinctSum<T> {
-    fn update_batch(&mut self, values: &[ArrayRef]) -> Result<()> {
-        values.iter().for_each(|values| self.add(values));
-        Ok(())
-    }
-
-    fn retract_batch(&mut self, values: &[ArrayRef]) -> Result<()> {
-        let values = values.iter().map(|values| values.as_primitive::<T>());
-        for value in values.flat_map(|values| values.iter().flatten()) {
-            if let Some(count) = self.counts.get_mut(&value) {
-                *count -= 1;
-                if *count == 0 {
-                    self.counts.remove(&value);
-                    self.total -= wide::<T>(value);
-                }
-            }
-        }
-        Ok(())
-    }
-
-    fn supports_retract_batch(&self) -> bool {
-        true
-    }
-
-    fn state(&mut self) -> Result<Vec<ScalarValue>> {
-        let value =
-            |value: &T::Native| ScalarValue::new_primitive::<T>(Some(*value), &T::DATA_TYPE);
-        let values = self.counts.keys().map(value).collect::<Result<Vec<_>>>()?;
-        let values = ScalarValue::new_list_nullable(&values, &T::DATA_TYPE);
-        Ok(vec![ScalarValue::List(values)])
-    }
-
-    fn merge_batch(&mut self, states: &[ArrayRef]) -> Result<()> {
-        let lists = states.iter().map(|lists| lists.as_list::<i32>());
-        for values in lists.flat_map(|lists| lists.iter().flatten()) {
-            self.add(&values);
-        }
-        Ok(())
-    }
-
-    fn evaluate(&mut self) -> Result<ScalarValue> {
-        let total = (!self.counts.is_empty()).then(|| narrow::<T>(self.total));
-        ScalarValue::new_primitive::<T>(total.transpose()?, &T::DATA_TYPE)
-    }
-
-    fn size(&self) -> usize {
-        size_of_val(self) + self.counts.capacity() * size_of::<(T::Native, usize)>()
-    }
-}
-
-/// The sums of groups, by DataFusion's sums of decimals.
-struct Groups<T> {
-    inner: Box<dyn GroupsAccumulator>,
-    of: PhantomData<T>,
-}
-
-impl<T> Groups<T> {
-    fn new(inner: Box<dyn GroupsAccumulator>) -> Self {
-        let of = PhantomData;
-        Self { inner, of }
-    }
-}
-
-impl<T: Whole> GroupsAccumulator for Groups<T> {
-    fn update_batch(
-        &mut self,
-        values: &[ArrayRef],
-        group_indices: &[usize],
-        opt_filter: Option<&BooleanArray>,
-        total_num_groups: usize,
-    ) -> Result<()> {
-        let values: Vec<ArrayRef> = values.iter().map(widen::<T>).collect();
-        self.inner
-            .update_batch(&values, group_indices, opt_filter, total_num_groups)
-    }
-
-    fn evaluate(&mut self, emit_to: EmitTo) -> Result<ArrayRef> {
-        let totals = self.inner.evaluate(emit_to)?;
-        let totals = totals.as_primitive::<Decimal128Type>();
-        let sums: PrimitiveArray<T> = totals.try_unary(narrow::<T>)?;
-        Ok(Arc::new(sums))
-    }
-
-    fn state(&mut self, emit_to: EmitTo) -> Result<Vec<ArrayRef>> {
-        self.inner.state(emit_to)
-    }
-
-    fn merge_batch(
-        &mut self,
-        values: &[ArrayRef],
-        group_indices: &[usize],
-        total_num_groups: usize,
-    ) -> Result<()> {
-        self.inner
-            .merge_batch(values, group_indices, total_num_groups)
-    }
-
-    fn convert_to_state(
-        &self,
-        values: &[ArrayRef],
-        opt_filter: Option<&BooleanArray>,
-    ) -> Result<Vec<ArrayRef>> {
-        let values: Vec<ArrayRef> = values.iter().map(widen::<T>).collect();
-        self.inner.convert_to_state(&values, opt_filter)
-    }
-
-    fn size(&self) -> usize {
-        self.inner.size()
     }
 }

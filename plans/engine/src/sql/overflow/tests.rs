@@ -6,10 +6,12 @@ use evermap_schemas::Fault;
 use crate::error::OrFault;
 use crate::sql::{Limits, STACK_BYTES, context};
 
-/// Tables: one row of the largest integer and one of a small one; the same in unsigned; stamps in ns.
+/// Tables: one row of the largest integer and one of a small one; the same in unsigned; stamps in ns; two durations of 230
+/// years, and intervals.
 const TABLES: &str = "WITH t AS (SELECT * FROM (VALUES (9223372036854775807, 1), (1, 2)) t (x, g)), \
     u AS (SELECT CAST(x AS BIGINT UNSIGNED) AS x FROM (VALUES (1), (2)) u (x)), \
-    s AS (SELECT 1700000000000000000 + n AS stamp, n FROM (SELECT unnest(range(0, 8)) AS n)) ";
+    s AS (SELECT 1700000000000000000 + n AS stamp, n FROM (SELECT unnest(range(0, 8)) AS n)), \
+    d AS (SELECT TIMESTAMP '2200-01-01' - TIMESTAMP '1970-01-01' AS d, INTERVAL '2000000000 months' AS i, g FROM t) ";
 
 fn at(partitions: usize) -> SessionContext {
     let limits = Limits {
@@ -76,6 +78,18 @@ async fn integers_that_do_not_fit_are_an_error_wherever_a_query_has_them() {
             "SELECT sum(x + 1) FROM t",
             "SELECT sum(v) FROM (VALUES (-9223372036854775807), (-2)) t (v)",
             "SELECT sum(x * CAST(9223372036854775807 AS BIGINT UNSIGNED)) FROM u",
+            // Durations and intervals.
+            "SELECT sum(d) FROM d",
+            "SELECT sum(d) FROM d GROUP BY g % 1",
+            "SELECT sum(d) OVER () FROM d",
+            "SELECT sum(d) OVER (ORDER BY g) FROM d",
+            "SELECT d + d FROM d",
+            "SELECT TIMESTAMP '2200-01-01' + d FROM d",
+            "SELECT TIMESTAMP '1700-01-01' - d FROM d",
+            "SELECT sum(i) FROM d",
+            "SELECT sum(i) FROM d GROUP BY g % 1",
+            "SELECT sum(i) OVER (ORDER BY g) FROM d",
+            "SELECT i + i FROM d",
         ] {
             let fault = rows(&context, query).await.unwrap_err().to_string();
             assert!(fault.contains("verflow"), "{query}: {fault}");
@@ -160,6 +174,40 @@ async fn what_fits_is_as_it_was() {
             &["Int64|3.0|2.0"],
         ),
         ("SELECT sum(x) FROM t WHERE g > 5", &[""]),
+        ("SELECT sum(d), avg(d), sum(i) FROM d WHERE g > 5", &["||"]),
+        (
+            "SELECT sum(d) = TIMESTAMP '2200-01-01' - TIMESTAMP '1970-01-01', sum(i) = INTERVAL '2000000000 months' FROM d GROUP BY g",
+            &["true|true", "true|true"],
+        ),
+        (
+            "SELECT sum(d - d) = d - d, sum(i - i) = i - i FROM d GROUP BY d, i",
+            &["true|true"],
+        ),
+        // A sum of both would not fit, and their mean does.
+        (
+            "SELECT avg(d) = TIMESTAMP '2200-01-01' - TIMESTAMP '1970-01-01' FROM d",
+            &["true"],
+        ),
+        (
+            "SELECT avg(d) = TIMESTAMP '2200-01-01' - TIMESTAMP '1970-01-01' FROM d GROUP BY g % 1",
+            &["true"],
+        ),
+        (
+            "SELECT sum(d) OVER (ORDER BY g ROWS BETWEEN CURRENT ROW AND CURRENT ROW) = d, avg(d) OVER () = d FROM d",
+            &["true|true", "true|true"],
+        ),
+        (
+            "SELECT sum(i) OVER (ORDER BY g ROWS BETWEEN CURRENT ROW AND CURRENT ROW) = i FROM d",
+            &["true", "true"],
+        ),
+        (
+            "SELECT sum(DISTINCT d) = TIMESTAMP '2200-01-01' - TIMESTAMP '1970-01-01', count(DISTINCT g) FROM d",
+            &["true|2"],
+        ),
+        (
+            "SELECT arrow_typeof(sum(d)), arrow_typeof(avg(d)) FROM d GROUP BY g HAVING g = 1",
+            &["Duration(ns)|Duration(ns)"],
+        ),
     ];
     for partitions in [1, 3] {
         let context = at(partitions);

@@ -1,0 +1,207 @@
+//! Texts in a query that do not become what they are cast to, or compared with. DataFusion finds out when the query runs,
+//! at the first row, and has forgotten where the text stands; here it is told when the query is planned, with its place.
+
+use std::cell::OnceCell;
+
+use arrow::datatypes::DataType;
+use arrow::error::ArrowError;
+use datafusion::common::tree_node::{TreeNode, TreeNodeRecursion};
+use datafusion::common::{DFSchema, Result, ScalarValue};
+use datafusion::error::DataFusionError;
+use datafusion::logical_expr::expr::{Between, Cast, InList};
+use datafusion::logical_expr::type_coercion::other::get_coerce_type_for_list;
+use datafusion::logical_expr::utils::merge_schema;
+use datafusion::logical_expr::{BinaryExpr, Expr, ExprSchemable, LogicalPlan, Operator};
+
+use crate::sql::written::Written;
+
+/// Refuses a plan with a text that does not become what it should.
+///
+/// # Errors
+/// What casting says, with the place of the text where it stands once.
+pub fn check_literals(plan: &LogicalPlan, written: &Written) -> Result<()> {
+    plan.apply_with_subqueries(|node| {
+        let literals = Literals {
+            node,
+            schema: OnceCell::new(),
+            written,
+        };
+        node.apply_expressions(|expr| {
+            expr.apply(|term| {
+                literals.check(term)?;
+                Ok(TreeNodeRecursion::Continue)
+            })
+        })
+    })?;
+    Ok(())
+}
+
+/// Those of a node.
+struct Literals<'p> {
+    node: &'p LogicalPlan,
+    /// The columns of its inputs, once they are asked for.
+    schema: OnceCell<DFSchema>,
+    written: &'p Written,
+}
+
+impl Literals<'_> {
+    fn schema(&self) -> &DFSchema {
+        self.schema
+            .get_or_init(|| merge_schema(&self.node.inputs()))
+    }
+
+    fn check(&self, term: &Expr) -> Result<()> {
+        match term {
+            Expr::Cast(Cast { expr, field }) => match expr.as_ref() {
+                Expr::Literal(text, _) => self.becomes(text, field.data_type()),
+                _ => Ok(()),
+            },
+            Expr::BinaryExpr(BinaryExpr { left, op, right }) if is_comparison(*op) => {
+                self.compared(left, &[right.as_ref()])?;
+                self.compared(right, &[left.as_ref()])
+            }
+            Expr::Between(Between {
+                expr, low, high, ..
+            }) => self.compared(expr, &[low.as_ref(), high.as_ref()]),
+            Expr::InList(InList { expr, list, .. }) => {
+                self.compared(expr, &list.iter().collect::<Vec<_>>())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// That the texts among some values become what they and one more are compared as.
+    fn compared(&self, value: &Expr, others: &[&Expr]) -> Result<()> {
+        if !others.iter().any(|other| is_text(other)) {
+            return Ok(());
+        }
+        // What has no type is told elsewhere.
+        let Ok(kind) = value.get_type(self.schema()) else {
+            return Ok(());
+        };
+        let types = others.iter().map(|other| other.get_type(self.schema()));
+        let Ok(types) = types.collect::<Result<Vec<_>>>() else {
+            return Ok(());
+        };
+        let Some(common) = get_coerce_type_for_list(&kind, &types) else {
+            return Ok(());
+        };
+        others.iter().try_for_each(|other| match other {
+            Expr::Literal(text, _) => self.becomes(text, &common),
+            _ => Ok(()),
+        })
+    }
+
+    /// That a text becomes a value of a type.
+    fn becomes(&self, text: &ScalarValue, wanted: &DataType) -> Result<()> {
+        let Some(Some(written)) = text.try_as_str() else {
+            return Ok(());
+        };
+        match text.cast_to(wanted) {
+            Err(error) if is_of_text(&error) => Err(self.written.placed(error, written)),
+            // That there is no such cast is told elsewhere.
+            _ => Ok(()),
+        }
+    }
+}
+
+fn is_text(value: &Expr) -> bool {
+    matches!(value, Expr::Literal(text, _) if text.try_as_str().flatten().is_some())
+}
+
+fn is_comparison(operator: Operator) -> bool {
+    matches!(
+        operator,
+        Operator::Eq
+            | Operator::NotEq
+            | Operator::Lt
+            | Operator::LtEq
+            | Operator::Gt
+            | Operator::GtEq
+            | Operator::IsDistinctFrom
+            | Operator::IsNotDistinctFrom
+    )
+}
+
+/// Whether it is the text that is wrong.
+fn is_of_text(error: &DataFusionError) -> bool {
+    match error.find_root() {
+        DataFusionError::ArrowError(error, _) => matches!(
+            error.as_ref(),
+            ArrowError::CastError(_) | ArrowError::ParseError(_)
+        ),
+        _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use crate::sql::{Limits, context, read_only};
+
+    fn asked(condition: &str) -> String {
+        let rows = "(VALUES (TIMESTAMP '2026-01-01', 1, 'a')) AS t (stamp, n, name)";
+        format!("SELECT n\nFROM {rows}\nWHERE {condition}")
+    }
+
+    #[tokio::test]
+    async fn a_text_that_does_not_become_what_it_should_is_told_with_its_place() {
+        let context = context(Limits::one_partition()).unwrap();
+        for (condition, said, column) in [
+            (
+                "stamp > 'yesterday'",
+                "expected a time, found 'yesterday'",
+                15,
+            ),
+            (
+                "stamp > TIMESTAMP 'soon'",
+                "expected a time, found 'soon'",
+                25,
+            ),
+            ("n = 'one'", "expected a number, found 'one'", 11),
+            ("'one' <> n", "expected a number, found 'one'", 7),
+            ("n IN (1, 'one')", "expected a number, found 'one'", 16),
+            (
+                "stamp BETWEEN '2026-01-01' AND 'later'",
+                "expected a time, found 'later'",
+                38,
+            ),
+            (
+                "CAST('x' AS BIGINT) = n",
+                "expected a number, found 'x'",
+                12,
+            ),
+            (
+                "n IN (SELECT 1 WHERE 2 > 'x')",
+                "expected a number, found 'x'",
+                32,
+            ),
+        ] {
+            let query = asked(condition);
+            let fault = read_only(&context, &query).await.err().unwrap();
+            assert_eq!(fault.message, said, "{condition}");
+            let place = format!("line 3, column {column} of the query");
+            assert_eq!(fault.place, place, "{condition}");
+        }
+        // Which of both is it?
+        let twice = asked("n = 'one' OR n < 'one'");
+        let fault = read_only(&context, &twice).await.err().unwrap();
+        assert_eq!(fault.to_string(), "user: expected a number, found 'one'");
+    }
+
+    #[tokio::test]
+    async fn texts_that_become_what_they_should_are_compared() {
+        let context = context(Limits::one_partition()).unwrap();
+        for condition in [
+            "n = '1'",
+            "name <> 'one'",
+            "stamp >= '2026-01-01'",
+            "TRY_CAST('x' AS BIGINT) IS NULL",
+            "name IN ('a', 'b') AND n BETWEEN '0' AND '5'",
+        ] {
+            let frame = read_only(&context, &asked(condition)).await.unwrap();
+            let rows = frame.collect().await.unwrap();
+            assert_eq!(rows[0].num_rows(), 1, "{condition}");
+        }
+    }
+}
