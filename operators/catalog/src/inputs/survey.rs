@@ -14,6 +14,9 @@ use evermap_schemas::{Bytes, Stamp};
 use super::drive::{Drive, drives};
 use super::rig::VehicleFrame;
 
+/// A keyframe by its session and instant.
+pub(crate) type KeyframeName = (String, Stamp);
+
 /// A keyframe of the survey.
 pub(crate) struct SurveyKeyframe {
     /// Its session.
@@ -144,6 +147,14 @@ impl Survey {
                 }
             }
         }
+    }
+
+    /// The indices of the keyframes that are named, ascending.
+    pub(crate) fn among(&self, names: &BTreeSet<KeyframeName>) -> Vec<usize> {
+        let keyframes = self.keyframes.iter().enumerate();
+        let named = keyframes
+            .filter(|(_, keyframe)| names.contains(&(keyframe.session.clone(), keyframe.stamp)));
+        named.map(|(at, _)| at).collect()
     }
 
     /// The index of a keyframe.

@@ -17,14 +17,14 @@ use evermap_schemas::layers::{
 use evermap_schemas::{Bytes, Stamp};
 
 use crate::inputs::rig::{self, OfVehicle};
-use crate::inputs::survey::{NewDrives, Survey};
+use crate::inputs::survey::{KeyframeName, NewDrives, Survey};
 
 /// See the module's page.
 pub struct BundleAdjustment;
 
 impl Operator for BundleAdjustment {
     const NAME: &'static str = "bundle_adjustment";
-    const VERSION: u32 = 9;
+    const VERSION: u32 = 10;
     const PAGE: &'static str = include_str!("bundle_adjustment.md");
     type Params = OfVehicle<MappingParams>;
     type Output = AdjustedPose;
@@ -68,6 +68,13 @@ fn adjust(
         keyframes,
         features: sides.take("features")?,
     };
+    // Who has neighbours that stay lies where they do.
+    let whole = holding.is_empty() && untouched.is_empty();
+    let frames = if whole {
+        named(&frames)
+    } else {
+        BTreeSet::new()
+    };
     staying.extend(holding);
     let survey = Survey::new(&known, new, &sides, &params.vehicle, emit)?;
     let landmarks = landmarks(&survey, &known);
@@ -81,6 +88,7 @@ fn adjust(
             landmarks: &landmarks,
             tracks: &tracks,
             fixed: &fixed(&survey, &staying),
+            datum: &survey.among(&frames),
             first_new,
         },
         &params.options,
@@ -88,8 +96,12 @@ fn adjust(
     emit_all(&survey, &found, &site, untouched, emit)
 }
 
-/// A keyframe by its session and instant.
-type KeyframeName = (String, Stamp);
+/// The keyframes of map frames.
+fn named(frames: &[MapFrame]) -> BTreeSet<KeyframeName> {
+    let names = frames.iter();
+    let names = names.map(|frame| (frame.session.clone(), frame.stamp));
+    names.collect()
+}
 
 /// The keyframes of the version before that hold the map up.
 struct Known {
@@ -169,17 +181,13 @@ fn base(previous: &[AdjustedPose], frames: &[MapFrame]) -> Option<KeyframeName> 
 
 /// The keyframes that stay: the base, and those that hold the others; where there are none, the earliest.
 fn fixed(survey: &Survey, staying: &BTreeSet<KeyframeName>) -> Vec<usize> {
-    let names = survey.keyframes.iter();
-    let names: Vec<KeyframeName> = names
-        .map(|keyframe| (keyframe.session.clone(), keyframe.stamp))
-        .collect();
-    let stays = |at: &usize| staying.contains(&names[*at]);
-    let fixed: Vec<usize> = (0..names.len()).filter(stays).collect();
+    let fixed = survey.among(staying);
     if !fixed.is_empty() {
         return fixed;
     }
-    let earliest = (0..names.len()).min_by_key(|at| (names[*at].1, &names[*at].0));
-    earliest.into_iter().collect()
+    let keyframes = survey.keyframes.iter().enumerate();
+    let earliest = keyframes.min_by_key(|(_, keyframe)| (keyframe.stamp, &keyframe.session));
+    earliest.map(|(at, _)| at).into_iter().collect()
 }
 
 /// The keyframes of the version before that go on holding the map up; those of map frames do.
@@ -188,10 +196,7 @@ fn kept(
     frames: &[MapFrame],
     params: &SummaryParams,
 ) -> Vec<AdjustedPose> {
-    let frames: BTreeSet<(&str, Stamp)> = frames
-        .iter()
-        .map(|frame| (frame.session.as_str(), frame.stamp))
-        .collect();
+    let frames = named(frames);
     let mut seen_by: BTreeMap<u32, BTreeSet<&str>> = BTreeMap::new();
     for row in &previous {
         for seen in &row.observations {
@@ -203,7 +208,7 @@ fn kept(
         // One without a pose is left out, and counted, where poses are read.
         pose: Pose::from_array(row.map_from_vehicle.to_array())
             .unwrap_or_else(|_| Pose::identity()),
-        held: frames.contains(&(row.session.as_str(), row.stamp)),
+        held: frames.contains(&(row.session.clone(), row.stamp)),
         landmarks: row.observations.iter().map(|seen| seen.landmark).collect(),
     };
     let candidates: Vec<Candidate> = previous.iter().map(candidate).collect();

@@ -51,6 +51,7 @@ use crate::solving::least_squares::{self, Loss, Summary, SystemError};
 
 pub use regions::Cut;
 pub use schur::LinearSolver;
+pub(crate) use vehicle::SEEN_M;
 
 /// A drive.
 #[derive(Debug, Clone, Copy, PartialEq)]

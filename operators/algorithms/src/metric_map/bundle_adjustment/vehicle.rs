@@ -18,7 +18,7 @@ use crate::geometry::lie::{hat, se3};
 const UNSEEN_SIGMA: f64 = 100.0;
 
 /// Distance at which a turn counts as a move, metres: most of what is seen is nearer.
-const SEEN_M: f64 = 10.0;
+pub(crate) const SEEN_M: f64 = 10.0;
 
 /// A pose as projections need it.
 #[derive(Clone, Copy)]

@@ -18,6 +18,7 @@
 //! baseline apart, known from calibration. Odometry has one unknown scale per session, held near 1 with a tolerance.
 
 mod adjust;
+mod datum;
 mod prune;
 mod summary;
 #[cfg(test)]
@@ -95,6 +96,9 @@ pub struct MapInput<'a> {
     pub tracks: &'a [Vec<FeatureRef>],
     /// The keyframes whose poses stay, sorted.
     pub fixed: &'a [usize],
+    /// Keyframes that say together where the map lies: as one body it is moved until most of them are where they were, the
+    /// fixed ones too. Without any, the fixed ones say it.
+    pub datum: &'a [usize],
     /// New landmarks are named from here on.
     pub first_new: u32,
 }
@@ -155,12 +159,19 @@ pub fn map(input: &MapInput<'_>, params: &MappingParams) -> Map {
     for (landmark, point) in landmarks.iter_mut().zip(last.points) {
         landmark.point = point;
     }
-    Map {
+    let mut map = Map {
         poses: last.poses,
         landmarks,
         observations,
         odometry_scales: last.odometry_scales,
+    };
+    if !input.datum.is_empty() {
+        let of_datum =
+            |poses: &[Pose]| -> Vec<Pose> { input.datum.iter().map(|at| poses[*at]).collect() };
+        let motion = datum::motion_back(&of_datum(input.poses), &of_datum(&map.poses));
+        map.moved(&motion);
     }
+    map
 }
 
 /// From the first to the last radius in equal factors.

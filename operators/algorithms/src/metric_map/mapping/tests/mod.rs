@@ -112,6 +112,7 @@ fn nothing_mapped<'a>(
         landmarks: &[],
         tracks,
         fixed: &[0],
+        datum: &[],
         first_new: 0,
     }
 }
@@ -262,6 +263,7 @@ fn a_bent_map_is_straightened_by_a_revisit() {
         landmarks: &straight.landmarks,
         tracks: &tracks,
         fixed: &[0],
+        datum: &[],
         first_new: straight
             .landmarks
             .iter()
