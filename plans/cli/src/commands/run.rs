@@ -71,9 +71,9 @@ pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
     record_run(&prepared.store, &result).await?;
     line(&summary(&result, begun.elapsed()));
     let published = result.version.published();
-    let empty = published.filter(|(_, layer)| layer.rows() == 0);
-    let empty: Vec<&str> = empty.map(|(name, _)| name.as_str()).collect();
-    if let Some(note) = prepared.unplayed.note_of_empty(&empty) {
+    let without = published.filter(|(_, layer)| layer.rows() == 0);
+    let without: Vec<&str> = without.map(|(name, _)| name.as_str()).collect();
+    if let Some(note) = prepared.unplayed.note_of_empty(&without) {
         line(&note);
     }
     let mut lost = Lost(result.version.losses.clone());
