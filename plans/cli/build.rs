@@ -32,15 +32,37 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     list.push_str("]\n");
     std::fs::write(Path::new(&std::env::var("OUT_DIR")?).join("plans.rs"), list)?;
-    fold_identical_code();
+    link_small();
     Ok(())
 }
 
-/// Functions that compile to the same instructions, as those of many generic types do, are linked once. Rust links with
-/// LLD on this target, which knows the option.
-fn fold_identical_code() {
+/// Makes the program smaller. Rust links with LLD on this target, which knows both options.
+fn link_small() {
     let is = |name, value| std::env::var(name).is_ok_and(|found| found == value);
-    if is("PROFILE", "release") && is("TARGET", "x86_64-unknown-linux-gnu") {
-        println!("cargo::rustc-link-arg-bins=-Wl,--icf=all");
+    if !is("PROFILE", "release") || !is("TARGET", "x86_64-unknown-linux-gnu") {
+        return;
     }
+    // Functions that compile to the same instructions, as those of many generic types do, are linked once.
+    println!("cargo::rustc-link-arg-bins=-Wl,--icf=all");
+    // What is relocated at start is a list of bits, not of 24 bytes each.
+    if loads_packed_relocations() {
+        println!("cargo::rustc-link-arg-bins=-Wl,-z,pack-relative-relocs");
+    }
+}
+
+/// Whether the C library of this machine, for which the program is built, is glibc 2.36 or newer.
+fn loads_packed_relocations() -> bool {
+    let Ok(asked) = std::process::Command::new("getconf")
+        .arg("GNU_LIBC_VERSION")
+        .output()
+    else {
+        return false;
+    };
+    let version = String::from_utf8_lossy(&asked.stdout);
+    let mut numbers = version
+        .trim()
+        .trim_start_matches("glibc ")
+        .split('.')
+        .map_while(|part| part.parse::<u32>().ok());
+    matches!((numbers.next(), numbers.next()), (Some(major), Some(minor)) if (major, minor) >= (2, 36))
 }
