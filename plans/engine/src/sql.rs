@@ -36,7 +36,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{OrFault, external};
 use crate::nodes::light::LightBatches;
 use crate::sql::arguments::check_arguments;
-use crate::sql::bounded::bound_functions;
+use crate::sql::bounded::{BYTES_PER_BATCH_ROW, bound_functions};
 use crate::sql::expanded::check_expanded;
 use crate::sql::inlined::check_inlined;
 use crate::sql::literals::check_literals;
@@ -89,10 +89,6 @@ pub const BATCH_ROWS: usize = 8192;
 
 /// Rows per batch at least.
 const MIN_BATCH_ROWS: usize = 64;
-
-/// Memory for each row of a batch: operators hold many batches, and a sort merges dozens of them, so that rows of a few
-/// kilobytes fit.
-const BYTES_PER_BATCH_ROW: usize = 256 << 10;
 
 /// A DataFusion context as all of evermap uses it: plain string types, a bounded memory pool, the functions on
 /// map layers, integers that do not wrap. Where memory is short, batches are small and joins merge; units, whose results must not depend on it,

@@ -28,6 +28,10 @@ use datafusion::prelude::SessionContext;
 use crate::sql::bounded::growth::{GROWING, Growth, given};
 use crate::sql::bounded::joined::TextsJoined;
 
+/// Memory for each row of a batch: operators hold many batches, and a sort merges dozens of them, so that rows of a few
+/// kilobytes fit.
+pub const BYTES_PER_BATCH_ROW: usize = 256 << 10;
+
 /// The part of the memory that one answer may take: it is counted nowhere, copied where it is written, and not alone.
 pub const SHARE: usize = 8;
 

@@ -9,8 +9,7 @@ use datafusion::logical_expr::{Expr, LogicalPlan};
 use evermap_schemas::Fault;
 
 use crate::error::external;
-use crate::sql::BYTES_PER_BATCH_ROW;
-use crate::sql::bounded::SHARE;
+use crate::sql::bounded::{BYTES_PER_BATCH_ROW, SHARE};
 
 /// Bytes of a value of a fixed length at most: of a batch of rows they take the part of the memory that an answer may take.
 const MOST_BYTES: u64 = (BYTES_PER_BATCH_ROW / SHARE) as u64;
