@@ -85,6 +85,9 @@ const SHORTEST: f64 = 0.01;
 /// And this many at most: the lens would be 5 m before the sensor of a phone, which is 5 mm wide, and its image 0.06°.
 const LONGEST: f64 = 1000.0;
 
+/// What numbers of K's last row may be off by: a trace of the arithmetic that made them.
+const LAST_ROW: f64 = 1e-6;
+
 /// Places along each side of the image where a model is tried.
 const TRIED: u32 = 9;
 
@@ -173,8 +176,9 @@ impl Camera {
     /// | `ocam` | [`Ocam`], `k` = `[c d cx; e 1 cy; 0 0 1]` | [`OcamCurve::RadiusByElevation`] |
     /// | `ocam_depth` | the same | [`OcamCurve::DepthByRadius`] |
     ///
-    /// More entries in `d` than a model has are accepted when they are zero. Focal lengths are of a hundredth to a thousand
-    /// times the image's longer side, and the model has rays, which lead back to their pixels, for a twentieth of the image.
+    /// The last row of nine entries is `0 0 1`, or `0 0 0` where nobody filled it in. More entries in `d` than a model has are
+    /// accepted when they are zero. Focal lengths are of a hundredth to a thousand times the image's longer side, and the
+    /// model has rays, which lead back to their pixels, for a twentieth of the image.
     ///
     /// # Errors
     /// [`CameraError`] says which number was not as expected, or which pixel.
@@ -258,7 +262,27 @@ impl Given<'_> {
         }
     }
 
+    /// That the last row of a whole K is `0 0 1`: of a K that was written column by column the centre stands there. Drivers
+    /// that fill in nothing but lengths and centre leave its 1 away.
+    fn last_row(&self) -> Result<(), CameraError> {
+        let Some([left, middle, right]) = self.k.get(6..9).filter(|_| self.k.len() == 9) else {
+            return Ok(());
+        };
+        let off = |entry: f64, from: f64| (entry - from).abs() > LAST_ROW;
+        let wrong = match off(*right, 0.0) && off(*right, 1.0) {
+            true => Some(right),
+            false => [left, middle].into_iter().find(|entry| off(**entry, 0.0)),
+        };
+        match wrong {
+            Some(found) => {
+                Err(self.value("expected 0 0 1 in the last row of K (row by row)", *found))
+            }
+            None => Ok(()),
+        }
+    }
+
     fn intrinsics(&self) -> Result<Intrinsics, CameraError> {
+        self.last_row()?;
         let intrinsics = match *self.k {
             [fx, cx, fy, cy] | [fx, cx, fy, cy, 0.0, 0.0, 0.0, 0.0, 0.0] => Intrinsics {
                 focal: [fx, fy],
@@ -346,6 +370,7 @@ impl Given<'_> {
         let [c, d, cx, e, one, cy, ..] = *self.k else {
             return Err(self.count("K", "9 [c d cx; e 1 cy; 0 0 1]", self.k.len()));
         };
+        self.last_row()?;
         if one != 1.0 {
             return Err(self.value("expected K = [c d cx; e 1 cy; 0 0 1], with its 1", one));
         }

@@ -234,6 +234,38 @@ fn calibrations_that_no_lens_has_are_refused() {
     ] {
         made(name, k(focal, 199.5), &[d, 0.0, 0.0, 0.0]).unwrap();
     }
+    // Written column by column, or in other units.
+    for (name, k, found) in [
+        (
+            "plumb_bob",
+            [128.0, 0.0, 0.0, 0.0, 128.0, 0.0, 199.5, 149.5, 1.0],
+            "199.5",
+        ),
+        (
+            "equidistant",
+            [128.0, 0.0, 0.0, 0.0, 128.0, 0.0, 0.0, 149.5, 1.0],
+            "149.5",
+        ),
+        (
+            "plumb_bob",
+            [128.0, 0.0, 199.5, 0.0, 128.0, 149.5, 0.0, 0.0, 400.0],
+            "400",
+        ),
+        (
+            "ocam",
+            [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 199.5, 149.5, 1.0],
+            "199.5",
+        ),
+    ] {
+        let error = made(name, k, &[0.0; 4]).unwrap_err();
+        let said = error.contains("last row of K") && error.contains(found);
+        assert!(said, "{name} {k:?}: {error}");
+    }
+    for last in [[0.0, 0.0, 0.0], [1e-12, -1e-12, 1.0]] {
+        let mut k = k(128.0, 199.5);
+        k[6..].copy_from_slice(&last);
+        made("equidistant", k, &[]).unwrap();
+    }
     // The corners and sides of the image lie beyond the lens.
     let barrel = made("plumb_bob", k(150.0, 199.5), &[-0.3, 0.0, 0.0, 0.0]).unwrap();
     assert!(barrel.unproject([0.0, 0.0]).is_none());
