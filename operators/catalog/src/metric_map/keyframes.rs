@@ -1,7 +1,7 @@
 #![doc = include_str!("keyframes.md")]
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::metric_map::drive::{self, Exposure, KeyframeParams, Keyframer};
+use evermap_algorithms::metric_map::drive::{self, Exposure, KeyframeParams, Keyframer, Outside};
 use evermap_contract::{Emit, Fault, Key, Operator, Pixels, Port, Sides, Stream, Work};
 use evermap_schemas::layers::{Keyframe, KeyframeImage};
 use evermap_schemas::roles::{Frame, OdometryPose};
@@ -12,7 +12,7 @@ pub struct Keyframes;
 
 impl Operator for Keyframes {
     const NAME: &'static str = "keyframes";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: &'static str = include_str!("keyframes.md");
     type Params = KeyframeParams;
     type Output = Keyframe;
@@ -32,6 +32,16 @@ impl Operator for Keyframes {
 
 /// Keyframes are handed on once there are so many: messages that are far apart make many.
 const ENOUGH: usize = 8192;
+
+/// How far outside the farthest frame is, in a word: numbers would make a reason of every session.
+fn roughly(outside: Outside) -> &'static str {
+    match outside.farthest_ns / 1_000_000_000 {
+        ..60 => "seconds",
+        60..3_600 => "minutes",
+        3_600..86_400 => "hours",
+        _ => "days",
+    }
+}
 
 /// One session at work.
 struct Session {
@@ -93,6 +103,12 @@ impl Stream for Session {
             "second frame of one camera with one stamp",
             losses.repeated_frames,
         );
+        let (early, late) = (losses.early_frames, losses.late_frames);
+        let [far_before, far_after] = [early, late].map(roughly);
+        let before = format!("frame {far_before} before odometry begins");
+        emit.skip(before, early.frames);
+        let after = format!("frame {far_after} after odometry ends");
+        emit.skip(after, late.frames);
         self.emit(keyframes, emit)
     }
 }

@@ -1,5 +1,7 @@
 //! Keyframes: where they are due, which frame set serves them, and what happens where there is none.
 
+use std::collections::BTreeMap;
+
 use evermap_contract::Losses;
 use evermap_contract::laws::inputs_of;
 use evermap_schemas::layers::Keyframe;
@@ -194,6 +196,34 @@ fn bad_rows_are_counted() {
             .into()
     );
     assert_eq!(found.last().unwrap().odom_from_vehicle.x, 900.0);
+}
+
+#[test]
+fn frames_that_odometry_does_not_reach_are_counted_with_how_far_they_are() {
+    let losses_of = |odometry: Vec<OdometryPose>| keyframes(odometry, shots(20.0)).1.0;
+    let shifted = |seconds: i64| {
+        let mut rows = drive(0.5, 20.0);
+        let shift = |row: &mut OdometryPose| row.stamp.0 += seconds * 1_000 * MS;
+        rows.iter_mut().for_each(shift);
+        rows
+    };
+    let lost = |reason: &str, frames: u64| BTreeMap::from([(reason.to_owned(), frames)]);
+    // Two cameras, 250 times: no frame is reached, or all but a fifth of the drive. A tenth is borne.
+    let of_all = [
+        (3_620, "frame hours before odometry begins"),
+        (120, "frame minutes before odometry begins"),
+        (-100_000, "frame days after odometry ends"),
+    ];
+    for (seconds, reason) in of_all {
+        assert_eq!(losses_of(shifted(seconds)), lost(reason, 500));
+    }
+    assert_eq!(
+        losses_of(drive(0.5, 10.0)),
+        lost("frame seconds after odometry ends", 200)
+    );
+    for seconds in [-1, 1] {
+        assert!(losses_of(shifted(seconds)).is_empty());
+    }
 }
 
 #[test]

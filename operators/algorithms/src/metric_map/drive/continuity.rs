@@ -46,7 +46,7 @@ const SOUND_S: f64 = 1.0;
 
 /// Where odometry paused for longer (s) and the vehicle is elsewhere since ([`FAR_M`]), nobody knows which way it took: a
 /// car may have gone round a block. Messages may be as rare as that, or every fifth one be there at 1 Hz.
-const LONGEST_PAUSE_S: f64 = 5.0;
+pub(super) const LONGEST_PAUSE_S: f64 = 5.0;
 
 /// A pose within this of zero (m, rad), far from where the vehicle was going, is a start.
 const START_M: f64 = 0.1;

@@ -2,6 +2,8 @@
 
 use std::collections::VecDeque;
 
+use super::continuity::LONGEST_PAUSE_S;
+use super::{Outside, nanoseconds};
 use crate::geometry::pose::Pose;
 
 /// One image of one camera; `I` says where its pixels are.
@@ -46,6 +48,8 @@ pub(super) struct FrameSets<I> {
     pub(super) ahead: VecDeque<FrameSet<I>>,
     /// Exposures left out: the camera has another one with their stamp.
     pub(super) repeated: u64,
+    /// The time from the first set to the last one, ns.
+    span_ns: i64,
 }
 
 impl<I> FrameSets<I> {
@@ -65,11 +69,33 @@ impl<I> FrameSets<I> {
                 }),
             }
         }
+        let ends = ahead.front().zip(ahead.back());
+        let span_ns = ends.map_or(0, |(first, last)| last.stamp.saturating_sub(first.stamp));
         Self {
             placed: VecDeque::new(),
             ahead,
             repeated,
+            span_ns,
         }
+    }
+
+    /// The exposures ahead that lie outside of the odometry's time: `beyond` says of a stamp how many nanoseconds.
+    ///
+    /// A recorder does not begin with all topics at once, and cameras are often switched on first: a tenth of the time of
+    /// the frames may lie outside, so that half a drive without odometry is told of any drive; but `least_ns` in any case,
+    /// and no more than odometry may pause within a drive.
+    pub(super) fn outside(&self, least_ns: i64, beyond: impl Fn(i64) -> i64) -> Outside {
+        let most_ns = nanoseconds(LONGEST_PAUSE_S);
+        let borne_ns = (self.span_ns / 10).min(most_ns).max(least_ns);
+        let mut outside = Outside::default();
+        for set in &self.ahead {
+            let beyond_ns = beyond(set.stamp);
+            if beyond_ns > borne_ns {
+                outside.frames += set.exposures.len() as u64;
+                outside.farthest_ns = outside.farthest_ns.max(beyond_ns);
+            }
+        }
+        outside
     }
 
     /// Gives a pose of this stretch to the frame sets up to `to`; those that lie before `from`, or before `to` where
@@ -135,5 +161,21 @@ mod tests {
             .collect();
         assert_eq!(placed, [(50, 1.0), (150, 2.0), (250, 3.0)]);
         assert_eq!(sets.ahead.len(), 1);
+    }
+
+    #[test]
+    fn a_tenth_of_the_time_of_frames_may_lie_outside_but_not_more_than_odometry_may_pause() {
+        const S: i64 = 1_000_000_000;
+        let late = |seconds: i64, end: i64| {
+            let frames: Vec<_> = (0..=seconds).map(|second| ("a", second * S)).collect();
+            let outside = sets(&frames).outside(S, |stamp| stamp - end * S);
+            (outside.frames, outside.farthest_ns / S)
+        };
+        assert_eq!(late(4, 3), (0, 0));
+        assert_eq!(late(4, 2), (1, 2));
+        assert_eq!(late(30, 27), (0, 0));
+        assert_eq!(late(30, 15), (12, 15));
+        assert_eq!(late(1000, 995), (0, 0));
+        assert_eq!(late(1000, 994), (1, 6));
     }
 }

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use super::continuity::{Continued, Continuity};
 use super::frame_sets::{FrameSet, FrameSets, Placed};
 use super::selector::{Due, KeyframeSelector};
-use super::{DriveLosses, Exposure, KeyframeParams};
+use super::{DriveLosses, Exposure, KeyframeParams, Outside, nanoseconds};
 use crate::geometry::pose::Pose;
 
 /// One keyframe.
@@ -32,6 +32,8 @@ pub struct Keyframer<I> {
     path: Path,
     sets: FrameSets<I>,
     max_wait_ns: i64,
+    /// Frames before the first message and after the last one.
+    outside: [Outside; 2],
     /// The latest message.
     previous: Option<(i64, Pose)>,
     /// Stamp of the last keyframe.
@@ -48,6 +50,7 @@ impl<I> Keyframer<I> {
             path: Path::new(KeyframeSelector::new(params)),
             sets: FrameSets::new(exposures, nanoseconds(params.max_gap_s)),
             max_wait_ns: nanoseconds(params.max_wait_s),
+            outside: [Outside::default(); 2],
             previous: None,
             last: None,
             given: 0,
@@ -63,6 +66,10 @@ impl<I> Keyframer<I> {
             self.path.selector.break_off();
         }
         self.path.push(stamp, &pose);
+        if self.previous.is_none() {
+            let before = |set: i64| stamp.saturating_sub(set);
+            self.outside[0] = self.sets.outside(self.max_wait_ns, before);
+        }
         let from = self.previous.filter(|_| !anew);
         let from = from.as_ref().map(|(stamp, pose)| (*stamp, pose));
         self.sets.place(self.path.stretch, from, (stamp, &pose));
@@ -72,13 +79,20 @@ impl<I> Keyframer<I> {
 
     /// There is no more odometry: gives the other keyframes.
     pub fn finish(&mut self) -> Vec<Keyframe<I>> {
+        if let Some((stamp, _)) = self.previous {
+            let after = |set: i64| set.saturating_sub(stamp);
+            self.outside[1] = self.sets.outside(self.max_wait_ns, after);
+        }
         std::iter::from_fn(|| self.next(true)).collect()
     }
 
-    /// What was left out so far.
+    /// What was left out so far; late frames are known once it is finished.
     pub fn losses(&self) -> DriveLosses {
+        let [early_frames, late_frames] = self.outside;
         DriveLosses {
             repeated_frames: self.sets.repeated,
+            early_frames,
+            late_frames,
             ..self.continuity.losses()
         }
     }
@@ -135,10 +149,6 @@ impl<I> Keyframer<I> {
             exposures,
         }
     }
-}
-
-fn nanoseconds(seconds: f64) -> i64 {
-    (seconds * 1e9).round() as i64
 }
 
 /// The driven path, as due points that no frame set has served yet; their path goes on over stretches.

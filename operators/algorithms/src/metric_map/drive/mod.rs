@@ -116,4 +116,21 @@ pub struct DriveLosses {
     pub pauses: u64,
     /// Frames of a camera that has another one with their stamp.
     pub repeated_frames: u64,
+    /// Frames long before the first message.
+    pub early_frames: Outside,
+    /// Frames long after the last one.
+    pub late_frames: Outside,
+}
+
+/// Frames outside of the time that odometry is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Outside {
+    /// How many.
+    pub frames: u64,
+    /// How far outside the farthest is, ns.
+    pub farthest_ns: i64,
+}
+
+fn nanoseconds(seconds: f64) -> i64 {
+    (seconds * 1e9).round() as i64
 }
