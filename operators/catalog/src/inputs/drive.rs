@@ -1,7 +1,9 @@
 //! A session as the metric map's algorithms want it: the rig, and its keyframes with their features.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
+use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_algorithms::geometry::rig::{Rig, RigCamera};
 use evermap_algorithms::metric_map::features::{
@@ -125,6 +127,43 @@ fn rig(
         }
     }
     Rig { cameras }
+}
+
+/// Calibrations by which no pixel moves farther than this are the same: features are not found better.
+const SAME_PX: f64 = 0.5;
+
+/// Whether one camera of a session, whose images these are, is calibrated anew between the first and the last of them, so
+/// that pixels move. Drives go by the first calibration.
+///
+/// # Errors
+/// As [`Sides::rows`].
+pub(crate) fn is_recalibrated(rows: &[Features], sides: &Sides) -> Result<bool, Fault> {
+    let mounted = rig::sessions(sides)?;
+    let changes = |(first, last): (&Features, &Features)| {
+        let (rig, name) = (mounted.get(&first.session)?, frame(&first.camera));
+        let size = [first.width, first.height];
+        let lens = |calibration: &Arc<Calibration>| rig::camera(calibration, size).ok();
+        let used = lens(rig.calibration(name, first.stamp).ok()?)?;
+        let mut later = rig
+            .recalibrations(name, first.stamp, last.stamp)
+            .iter()
+            .map(lens);
+        Some(later.any(|other| other.is_none_or(|other| moves(&used, &other))))
+    };
+    let ends = rows.first().zip(rows.last());
+    Ok(ends.and_then(changes).unwrap_or_default())
+}
+
+/// Whether another lens has the rays of pixels elsewhere.
+fn moves(used: &Camera, other: &Camera) -> bool {
+    const TRIED: u32 = 5;
+    let at = |step: u32, size: u32| f64::from(step) / f64::from(TRIED - 1) * f64::from(size - 1);
+    let mut places = (0..TRIED).flat_map(|v| (0..TRIED).map(move |u| [u, v]));
+    places.any(|[u, v]| {
+        let pixel = [at(u, used.width), at(v, used.height)];
+        let moved = used.unproject(pixel).and_then(|ray| other.project(&ray));
+        moved.is_some_and(|[u, v]| (u - pixel[0]).hypot(v - pixel[1]) > SAME_PX)
+    })
 }
 
 impl Drive {

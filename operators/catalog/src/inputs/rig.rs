@@ -149,6 +149,18 @@ impl Rig {
         calibration.ok_or_else(|| uncalibrated(camera))
     }
 
+    /// The calibrations that come to hold after an instant, up to another one.
+    pub(crate) fn recalibrations(
+        &self,
+        camera: &str,
+        after: Stamp,
+        until: Stamp,
+    ) -> &[Arc<Calibration>] {
+        let of_camera = self.calibrations.get(camera).map_or(&[][..], Vec::as_slice);
+        let at = |stamp: Stamp| of_camera.partition_point(|calibration| calibration.stamp <= stamp);
+        of_camera.get(at(after)..at(until)).unwrap_or_default()
+    }
+
     /// The cameras as they were first calibrated, for images of the size that they were calibrated for; those that cannot
     /// be used are left out.
     pub(crate) fn cameras(&self, vehicle: &VehicleFrame) -> MountedCameras {

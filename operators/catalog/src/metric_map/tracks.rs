@@ -4,7 +4,7 @@ use evermap_algorithms::metric_map::tracking::{CameraFrame, TrackParams, tracks}
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Reach, Sides, Work};
 use evermap_schemas::layers::{Features, Keyframe, Track, TrackPoint};
 
-use crate::inputs::drive::{Drive, drives};
+use crate::inputs::drive::{Drive, drives, is_recalibrated};
 use crate::inputs::rig::{self, OfVehicle};
 
 /// See the module's page.
@@ -12,7 +12,7 @@ pub struct Tracks;
 
 impl Operator for Tracks {
     const NAME: &'static str = "tracks";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: &'static str = include_str!("tracks.md");
     type Params = OfVehicle<TrackParams>;
     type Output = Track;
@@ -40,6 +40,12 @@ fn follow(
         first.camera.clone(),
     );
     let images = features.len();
+    if is_recalibrated(&features, &sides)? {
+        let name = rig::shown(rig::frame(&camera));
+        let reason =
+            format!("calibration of camera `{name}` changes within a session; the first is used");
+        emit.skip(reason, 1);
+    }
     let keyframes = sides.rows("keyframes")?;
     let mut drives = drives(keyframes, features, &sides, &params.vehicle, emit)?;
     let Some(drive) = drives.remove(&session) else {

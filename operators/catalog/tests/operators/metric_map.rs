@@ -218,6 +218,37 @@ fn sessions_that_nothing_connects_are_named_as_far_as_they_are_few() {
     assert_eq!(many[rest], 39 - 16);
 }
 
+#[test]
+fn a_camera_whose_calibration_changes_within_a_session_is_counted_once() {
+    let drive = drive("a", 0.0);
+    let lost = |focal: f64, from: i64| {
+        let first = calibration().remove(0);
+        let mut later = first.clone();
+        later.stamp = Stamp(from);
+        for entry in [0, 4] {
+            later.intrinsics[entry] *= focal;
+        }
+        let mut last = later.clone();
+        last.stamp = Stamp(from + 1);
+        let inputs = [
+            inputs_of("features", drive.features.clone()).unwrap(),
+            inputs_of("keyframes", keyframes(&drive)).unwrap(),
+            inputs_of("calibration", vec![first, later, last]).unwrap(),
+            inputs_of("transforms", transforms()).unwrap(),
+        ];
+        yields::<Track>("tracks", json!({}), inputs).1.0
+    };
+    let reason = "calibration of camera `left` changes within a session; the first is used";
+    assert_eq!(lost(1.3, 10), BTreeMap::from([(reason.to_owned(), 1)]));
+    // No lens, but another one than the first.
+    assert_eq!(lost(0.0, 10), BTreeMap::from([(reason.to_owned(), 1)]));
+    // The same, nearly the same, and one that holds for no image.
+    for (focal, from) in [(1.0, 10), (1.00001, 10), (1.3, 100)] {
+        let lost = lost(focal, from);
+        assert!(lost.is_empty(), "{focal} from {from}: {lost:?}");
+    }
+}
+
 /// What `bundle_adjustment` makes of a drive, of which these frames of the map are held.
 fn adjusted(
     drive: &Drive,
