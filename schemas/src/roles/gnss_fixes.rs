@@ -5,7 +5,8 @@ use crate::{Stamp, record};
 use std::cmp::Reverse;
 
 record! {
-    /// One position of a GNSS receiver. Messages that say that there is no fix give no row.
+    /// One position of a GNSS receiver. Messages that say that there is no fix give no row: by their status, or, where they
+    /// have none, by a position that is not a number.
     #[layer("gnss_fixes", key(site, session, stamp))]
     pub struct GnssFix {
         /// Site that the session belongs to.
@@ -65,13 +66,14 @@ impl FromMessage for GnssFix {
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String> {
         let fields = &message.fields;
         // NavSatStatus: STATUS_NO_FIX is -1, and receivers that have not begun say -2.
-        if fields.number(&["status", "status"]).is_some_and(|status| status < 0.0) {
+        let status = fields.number(&["status", "status"]);
+        if status.is_some_and(|status| status < 0.0) {
             return Ok(Vec::new());
         }
         let angle = |name: &str, most: f64| {
             let found = fields.number(&[name]).ok_or(format!("expected {name}"))?;
-            // Some receivers say it so that there is no fix.
-            if found.is_nan() {
+            // So messages without a status say that there is no fix.
+            if found.is_nan() && status.is_none() {
                 return Ok(None);
             }
             match found.abs() <= most {
@@ -107,5 +109,66 @@ impl FromMessage for GnssFix {
             horizontal_sd_m: sd(&[0, 4]),
             vertical_sd_m: sd(&[8]),
         }])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use arrow::array::{Array, ArrayRef, Float64Array, Int8Array, StructArray};
+    use arrow::datatypes::Field;
+
+    use super::*;
+    use crate::roles::{CameraNames, Fields, OdometryOf};
+
+    fn members(named: Vec<(&str, ArrayRef)>) -> StructArray {
+        let member = |(name, array): (&str, ArrayRef)| {
+            let field = Field::new(name, array.data_type().clone(), true);
+            (Arc::new(field), array)
+        };
+        StructArray::from(named.into_iter().map(member).collect::<Vec<_>>())
+    }
+
+    /// How many rows a message with this status and latitude gives.
+    fn rows(status: Option<i8>, latitude_deg: f64) -> Result<usize, String> {
+        let number = |number: f64| Arc::new(Float64Array::from(vec![number])) as ArrayRef;
+        let status = status.map(|status| {
+            let number = Arc::new(Int8Array::from(vec![status])) as ArrayRef;
+            let status = Arc::new(members(vec![("status", number)])) as ArrayRef;
+            ("status", status)
+        });
+        let place = [
+            ("latitude", number(latitude_deg)),
+            ("longitude", number(10.5)),
+        ];
+        let members = members(place.into_iter().chain(status).collect());
+        let message = Message {
+            site: "lot",
+            session: "a",
+            topic: "/fix",
+            log_time: Stamp(1),
+            fields: Fields::new(&members, 0),
+            image: None,
+            cameras: &CameraNames::default(),
+            robot: &OdometryOf::default(),
+        };
+        GnssFix::from_message(&message).map(|rows| rows.len())
+    }
+
+    #[test]
+    fn a_fix_that_is_not_a_number_is_senseless_and_no_fix_is_none() {
+        for status in [Some(0), Some(2), None] {
+            assert_eq!(rows(status, 52.25), Ok(1));
+        }
+        for nothing in [52.25, f64::NAN] {
+            assert_eq!(rows(Some(-1), nothing), Ok(0));
+        }
+        // foxglove.LocationFix has no status.
+        assert_eq!(rows(None, f64::NAN), Ok(0));
+        for senseless in [f64::NAN, f64::INFINITY, 91.0] {
+            let said = format!("expected latitude within 90°, found {senseless}");
+            assert_eq!(rows(Some(0), senseless), Err(said));
+        }
     }
 }

@@ -42,7 +42,7 @@ impl Default for AntennaPositionsParams {
 
 impl Operator for AntennaPositions {
     const NAME: &'static str = "antenna_positions";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("antenna_positions.md");
     type Params = AntennaPositionsParams;
     type Output = AntennaPosition;
@@ -76,7 +76,8 @@ fn hang(
             .map(|pose| pose.translation)
             .or_else(|| given().map(|place| Vector3::from(*place)))
     };
-    let mut hung = Vec::with_capacity(fixes.len());
+    let (all, mut outside) = (fixes.len(), 0);
+    let mut hung = Vec::with_capacity(all);
     for fix in fixes {
         let place = antenna(frame(&fix.frame));
         if place.is_none() {
@@ -89,15 +90,19 @@ fn hang(
             Ok(Some((keyframe, motion))) => {
                 hung.push(row(keyframe, &motion, place.unwrap_or_default(), fix));
             }
-            Ok(None) => {}
+            Ok(None) => outside += 1,
             Err(reason) => emit.skip(reason, 1),
         }
+    }
+    // Some are before the drive and after it as a rule; and a vehicle that has one keyframe stood.
+    if outside == all && keyframes.len() > 1 {
+        let reason = "fix of a session none of whose fixes are of the time of its drive";
+        emit.skip(reason, all as u64);
     }
     emit.rows(hung)
 }
 
-/// The keyframe that a fix hangs on, and where the vehicle was from there; `None` outside of the drive, or where a
-/// keyframe's pose makes no sense, which those that place keyframes count.
+/// The keyframe that a fix hangs on, and where the vehicle was from there; `None` outside of the drive.
 fn hook<'a>(
     keyframes: &'a [Keyframe],
     fix: &GnssFix,
@@ -118,7 +123,7 @@ fn hook<'a>(
     }
     let poses = [before, next].map(|at| Pose::from_array(at.odom_from_vehicle.to_array()).ok());
     let [Some(from), Some(to)] = poses else {
-        return Ok(None);
+        return Err("fix beside a keyframe whose pose is not a rigid transform".into());
     };
     let between = Pose::at_stamp(fix.stamp.0, (before.stamp.0, &from), (next.stamp.0, &to));
     Ok(Some((before, from.inverse().compose(&between))))

@@ -6,10 +6,10 @@ use evermap_algorithms::geometry::camera::Camera;
 use evermap_algorithms::geometry::pose::Pose;
 use evermap_contract::laws::inputs_of;
 use evermap_schemas::layers::{
-    AdjustedPose, Features, GraphPose, Keyframe, Landmark, Localisation, LoopClosure, MapFrame,
-    Track, TrackPoint, VehiclePose,
+    AdjustedPose, AntennaPosition, Features, GraphPose, Keyframe, Landmark, Localisation,
+    LoopClosure, MapFrame, Track, TrackPoint, VehiclePose,
 };
-use evermap_schemas::roles::{Calibration, Transform};
+use evermap_schemas::roles::{Calibration, GnssFix, Transform};
 use evermap_schemas::{Bytes, Stamp};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde_json::json;
@@ -247,6 +247,50 @@ fn a_camera_whose_calibration_changes_within_a_session_is_counted_once() {
         let lost = lost(focal, from);
         assert!(lost.is_empty(), "{focal} from {from}: {lost:?}");
     }
+}
+
+#[test]
+fn fixes_none_of_which_are_of_the_time_of_their_drive_are_counted() {
+    let fix = |stamp: i64| GnssFix {
+        site: "lot".into(),
+        session: "a".into(),
+        stamp: Stamp(stamp),
+        topic: "/fix".into(),
+        frame: "left".into(),
+        latitude_deg: 52.25,
+        longitude_deg: 10.5,
+        height_m: None,
+        horizontal_sd_m: None,
+        vertical_sd_m: None,
+    };
+    // Keyframes are from 0 to 19.
+    let hung = |keyframes: Vec<Keyframe>, stamps: &[i64]| {
+        let inputs = [
+            inputs_of("keyframes", keyframes).unwrap(),
+            inputs_of("gnss_fixes", stamps.iter().copied().map(fix).collect()).unwrap(),
+            inputs_of("transforms", transforms()).unwrap(),
+        ];
+        let (rows, losses) = yields::<AntennaPosition>("antenna_positions", json!({}), inputs);
+        (rows.len(), losses.0)
+    };
+    let driven = || keyframes(&drive("a", 0.0));
+    let lost = |reason: &str, fixes: u64| BTreeMap::from([(reason.to_owned(), fixes)]);
+    let none = "fix of a session none of whose fixes are of the time of its drive";
+    assert_eq!(hung(driven(), &[3600, 3601, 3602]), (0, lost(none, 3)));
+    assert_eq!(hung(driven(), &[-9, -8, 3600]), (0, lost(none, 3)));
+    // As a receiver has it that is on before the drive and after it.
+    assert_eq!(hung(driven(), &[-9, -8, 5, 19, 3600]), (2, BTreeMap::new()));
+    assert_eq!(hung(driven(), &[]), (0, BTreeMap::new()));
+    // A car that stood, and one whose poses are none.
+    let mut stood = driven();
+    stood.truncate(1);
+    assert_eq!(hung(stood, &[-9, 5, 6]), (0, BTreeMap::new()));
+    let mut bent = driven();
+    bent[5].odom_from_vehicle.x = f64::NAN;
+    bent[5].stamp = Stamp(6);
+    bent.remove(6);
+    let beside = "fix beside a keyframe whose pose is not a rigid transform";
+    assert_eq!(hung(bent, &[-9, 5, 8]), (1, lost(beside, 1)));
 }
 
 /// What `bundle_adjustment` makes of a drive, of which these frames of the map are held.
