@@ -105,9 +105,9 @@ impl Stream for Session {
         );
         let (early, late) = (losses.early_frames, losses.late_frames);
         let [far_before, far_after] = [early, late].map(roughly);
-        let before = format!("frame {far_before} before odometry begins");
+        let before = format!("frame that is {far_before} before odometry begins");
         emit.skip(before, early.frames);
-        let after = format!("frame {far_after} after odometry ends");
+        let after = format!("frame that is {far_after} after odometry ends");
         emit.skip(after, late.frames);
         self.emit(keyframes, emit)
     }

@@ -210,16 +210,16 @@ fn frames_that_odometry_does_not_reach_are_counted_with_how_far_they_are() {
     let lost = |reason: &str, frames: u64| BTreeMap::from([(reason.to_owned(), frames)]);
     // Two cameras, 250 times: no frame is reached, or all but a fifth of the drive. A tenth is borne.
     let of_all = [
-        (3_620, "frame hours before odometry begins"),
-        (120, "frame minutes before odometry begins"),
-        (-100_000, "frame days after odometry ends"),
+        (3_620, "frame that is hours before odometry begins"),
+        (120, "frame that is minutes before odometry begins"),
+        (-100_000, "frame that is days after odometry ends"),
     ];
     for (seconds, reason) in of_all {
         assert_eq!(losses_of(shifted(seconds)), lost(reason, 500));
     }
     assert_eq!(
         losses_of(drive(0.5, 10.0)),
-        lost("frame seconds after odometry ends", 200)
+        lost("frame that is seconds after odometry ends", 200)
     );
     for seconds in [-1, 1] {
         assert!(losses_of(shifted(seconds)).is_empty());
