@@ -33,12 +33,13 @@ impl Operator for Keyframes {
 /// Keyframes are handed on once there are so many: messages that are far apart make many.
 const ENOUGH: usize = 8192;
 
-/// How far outside the farthest frame is, in a word: numbers would make a reason of every session.
+/// How far outside the farthest frame is, in a word: numbers would make a reason of every session. What is short of an hour
+/// or a day is one: cameras and odometry that are an hour apart are so to some seconds.
 fn roughly(outside: Outside) -> &'static str {
     match outside.farthest_ns / 1_000_000_000 {
         ..60 => "seconds",
-        60..3_600 => "minutes",
-        3_600..86_400 => "hours",
+        60..3_000 => "minutes",
+        3_000..72_000 => "hours",
         _ => "days",
     }
 }

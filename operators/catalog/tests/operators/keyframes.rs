@@ -208,7 +208,7 @@ fn frames_that_odometry_does_not_reach_are_counted_with_how_far_they_are() {
         rows
     };
     let lost = |reason: &str, frames: u64| BTreeMap::from([(reason.to_owned(), frames)]);
-    // Two cameras, 250 times: no frame is reached, or all but a fifth of the drive. A tenth is borne.
+    // Two cameras, 250 times: none of the frames is reached, or half of them, and a tenth of their time is borne.
     let of_all = [
         (3_620, "frame that is hours before odometry begins"),
         (120, "frame that is minutes before odometry begins"),
