@@ -97,9 +97,9 @@ fn wide_text_loses_no_character() {
         let little: Vec<u8> = values().flat_map(u32::to_le_bytes).collect();
         let big: Vec<u8> = values().flat_map(u32::to_be_bytes).collect();
         decoder
-            .push(&[&[0, 1, 0, 0][..], &little].concat())
+            .push(&[&[0_u8, 1, 0, 0][..], &little].concat())
             .unwrap();
-        decoder.push(&[&[0, 0, 0, 0][..], &big].concat()).unwrap();
+        decoder.push(&[&[0_u8; 4][..], &big].concat()).unwrap();
     }
     let columns = decoder.finish().unwrap();
     let found: Vec<&str> = columns[0].as_string::<i32>().iter().flatten().collect();

@@ -215,7 +215,7 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
         };
         let big_endian = SWAP != cfg!(target_endian = "big");
         let units = bytes.chunks_exact(width).flat_map(|cell| {
-            let append = |value: u32, byte: &u8| value << 8 | u32::from(*byte);
+            let append = |value: u32, byte: &u8| (value << 8) | u32::from(*byte);
             units(match big_endian {
                 true => cell.iter().fold(0, append),
                 false => cell.iter().rev().fold(0, append),
