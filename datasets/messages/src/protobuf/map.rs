@@ -31,7 +31,7 @@ impl Slot {
     /// The entry's plan and its key, where the field is a map.
     pub(super) fn entry(&self) -> Option<(&Plan, &Slot)> {
         match &self.shape {
-            Shape::Message(plan) if self.map => Some((plan, plan.key()?)),
+            Shape::Message(plan) if self.map => Some((plan.as_ref(), plan.key()?)),
             _ => None,
         }
     }
