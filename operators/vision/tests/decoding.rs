@@ -169,7 +169,7 @@ fn a_png_that_cannot_hold_its_pixels_is_refused() {
     png[20..24].copy_from_slice(&10_000_u32.to_be_bytes());
     png[24..26].copy_from_slice(&[16, 6]);
     assert_eq!(image_size(&png).unwrap(), [10_000, 10_000]);
-    let damaged = |error| matches!(error, ImageError::Damaged { format: "png", .. });
+    let damaged = |error: ImageError| matches!(error, ImageError::Damaged { format: "png", .. });
     assert!(damaged(decode(&png).unwrap_err()));
     assert!(damaged(decode_depth(&png).unwrap_err()));
     for (colour, values) in [
