@@ -305,7 +305,11 @@ async fn a_topic_of_two_types_in_one_session_says_what_can_be_asked() {
             channel(1, 1, "/t", "cdr"),
             channel(2, 2, "/t", "cdr"),
             message(1, 0, &[0, 1, 0, 0, 7]),
-            message(2, 1, &[&[0_u8, 1, 0, 0][..], &2.5_f64.to_le_bytes()].concat()),
+            message(
+                2,
+                1,
+                &[&[0_u8, 1, 0, 0][..], &2.5_f64.to_le_bytes()].concat(),
+            ),
         ],
         &[],
     );
