@@ -376,6 +376,50 @@ fn names_that_move_a_cursor_are_escaped() {
     }
 }
 
+/// A payload outside chunks has no checksum of its own: that of the whole tells, also where an attachment lies between.
+#[test]
+fn a_flipped_bit_outside_chunks_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.mcap");
+    let options = mcap::WriteOptions::new().use_chunks(false);
+    let file = std::fs::File::create(&path).unwrap();
+    let mut log = options.create(file).unwrap();
+    let schema = log.add_schema("S", "jsonschema", b"{\"type\": \"object\"}");
+    let channel = log.add_channel(schema.unwrap(), "/a", "json", &Default::default());
+    let header = mcap::records::MessageHeader {
+        channel_id: channel.unwrap(),
+        sequence: 0,
+        log_time: 1,
+        publish_time: 1,
+    };
+    let attachment = mcap::Attachment {
+        log_time: 1,
+        create_time: 1,
+        name: "notes".to_owned(),
+        media_type: "text/plain".to_owned(),
+        data: vec![b'n'; 3 << 20].into(),
+    };
+    log.attach(&attachment).unwrap();
+    let payload = b"{\"volts\": 12.25}";
+    log.write_to_known_channel(&header, payload).unwrap();
+    log.finish().unwrap();
+    let told = evermap(&["inspect", text(&path)]);
+    assert_eq!(told.code, 0, "{}", told.stderr);
+    let mut bytes = std::fs::read(&path).unwrap();
+    let at = bytes.windows(payload.len()).position(|w| w == payload);
+    bytes[at.unwrap() + 10] ^= 1;
+    std::fs::write(&path, &bytes).unwrap();
+    let told = evermap(&["inspect", text(&path)]);
+    assert_eq!(told.code, 3, "{}", told.stdout);
+    let said = "logs with a wrong checksum of their data";
+    assert!(told.stdout.contains(said), "{}", told.stdout);
+    assert!(
+        told.stdout.contains("expected the checksum"),
+        "{}",
+        told.stdout
+    );
+}
+
 /// A topic whose name has a line break, and a tab, is on one line.
 #[test]
 fn names_that_break_a_line_are_escaped() {

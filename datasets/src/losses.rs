@@ -45,6 +45,8 @@ pub enum Reason {
     Contradiction,
     /// A topic of transforms that is read for the vehicle's, and moves none.
     NoVehicle,
+    /// What lies before a log's end record does not match the checksum there, and no chunk says where: it is read as it is.
+    BadData,
 }
 
 impl Reason {
@@ -66,6 +68,7 @@ impl Reason {
             Reason::Unreadable => "files that cannot be read",
             Reason::Contradiction => "frames with contradicting fixed transforms",
             Reason::NoVehicle => "topics of transforms that move no vehicle",
+            Reason::BadData => "logs with a wrong checksum of their data",
         }
     }
 }

@@ -17,7 +17,7 @@
 //! | strings (also wide) | `Utf8`; bytes that are not text become U+FFFD |
 //! | `uint8[]`, `byte[]`, `octet`, protobuf `bytes` | `BinaryView` |
 //! | JSON strings with `contentEncoding: base64` | `BinaryView` |
-//! | protobuf maps | `List` of `Struct` `{key, value}`, in wire order |
+//! | protobuf maps | `List` of `Struct` `{key, value}`, in wire order; of a key, the last entry |
 //! | protobuf messages inside themselves | `BinaryView`, as on the wire |
 //! | JSON without one declared type | `Utf8`, as JSON text; without any schema one column `json` |
 //! | `uint8[16]` | `FixedSizeBinary(16)` |

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use prost_reflect::prost::Message;
 use prost_reflect::prost_types::field_descriptor_proto::{Label, Type};
 use prost_reflect::prost_types::{
-    DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet,
+    DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet, MessageOptions,
     OneofDescriptorProto,
 };
 use prost_reflect::{DescriptorPool, DynamicMessage, ReflectMessage, Value};
@@ -264,4 +264,94 @@ fn bytes_are_found_where_they_lie_and_recursion_stays_bytes() {
     decoder.push(&[0x08, 1, 0x12, 2, 0x08, 2]).unwrap();
     let columns = decoder.finish().unwrap();
     assert_eq!(columns[1].as_binary_view().value(0), [0x08, 2]);
+}
+
+/// `Mapped` has the maps `counts` (of texts, 1) and `numbers` (2), of numbers of 32 bits.
+fn mapped() -> FileDescriptorSet {
+    let entry = |name: &str, key: Type| DescriptorProto {
+        name: Some(name.to_owned()),
+        field: vec![
+            field("key", 1, key, false),
+            field("value", 2, Type::Int32, false),
+        ],
+        options: Some(MessageOptions {
+            map_entry: Some(true),
+            ..Default::default()
+        }),
+        ..Default::default()
+    };
+    let map = |name: &str, number: i32, of: &str| FieldDescriptorProto {
+        type_name: Some(format!(".t.Mapped.{of}")),
+        ..field(name, number, Type::Message, true)
+    };
+    let message = DescriptorProto {
+        name: Some("Mapped".to_owned()),
+        field: vec![
+            map("counts", 1, "CountsEntry"),
+            map("numbers", 2, "NumbersEntry"),
+        ],
+        nested_type: vec![
+            entry("CountsEntry", Type::String),
+            entry("NumbersEntry", Type::Int32),
+        ],
+        ..Default::default()
+    };
+    let file = FileDescriptorProto {
+        name: Some("m.proto".to_owned()),
+        package: Some("t".to_owned()),
+        syntax: Some("proto3".to_owned()),
+        message_type: vec![message],
+        ..Default::default()
+    };
+    FileDescriptorSet { file: vec![file] }
+}
+
+#[test]
+fn of_a_map_the_last_entry_of_a_key_counts() {
+    let set = mapped();
+    let message =
+        MessageType::parse("protobuf", "protobuf", "t.Mapped", &set.encode_to_vec()).unwrap();
+    let counted = |key: &str, value: u8| {
+        let length = key.len() as u8;
+        let (tag, text) = ([0x0A, length + 4, 0x0A, length], key.as_bytes());
+        [&tag[..], text, &[0x10, value]].concat()
+    };
+    let payload = [
+        counted("a", 1),
+        vec![0x12, 4, 0x08, 7, 0x10, 1],
+        counted("b", 2),
+        counted("a", 3),
+        // No key is the empty one; a number of 32 bits is what is left of one of 64.
+        vec![0x0A, 2, 0x10, 4],
+        counted("", 5),
+        vec![0x12, 8, 0x08, 0x87, 0x80, 0x80, 0x80, 0x10, 0x10, 2],
+    ]
+    .concat();
+    let mut decoder = message.decoder(None);
+    decoder.push(&counted("a", 9)).unwrap();
+    decoder.push(&payload).unwrap();
+    let columns = decoder.finish().unwrap();
+    let entries = columns[0].as_list::<i32>().value(1);
+    let entries = entries.as_struct();
+    let keys: Vec<_> = entries
+        .column(0)
+        .as_string::<i32>()
+        .iter()
+        .flatten()
+        .collect();
+    assert_eq!(keys, ["b", "a", ""]);
+    let values = entries.column(1).as_primitive::<Int32Type>();
+    assert_eq!(values.values(), &[2, 3, 5]);
+    let numbers = columns[1].as_list::<i32>().value(1);
+    let numbers = numbers.as_struct();
+    assert_eq!(numbers.column(0).as_primitive::<Int32Type>().values(), &[7]);
+    assert_eq!(numbers.column(1).as_primitive::<Int32Type>().values(), &[2]);
+
+    let pool = DescriptorPool::from_file_descriptor_set(set).unwrap();
+    let descriptor = pool.get_message_by_name("t.Mapped").unwrap();
+    let reference = DynamicMessage::decode(descriptor, &payload[..]).unwrap();
+    for (name, expected) in [("counts", 3), ("numbers", 1)] {
+        let map = reference.get_field_by_name(name).unwrap();
+        assert_eq!(map.as_map().unwrap().len(), expected);
+    }
 }

@@ -80,6 +80,33 @@ fn every_member_lands_in_its_column() {
     assert_eq!(columns[7].as_fixed_size_binary().value(0), [10, 20, 30]);
 }
 
+/// ROS 2 writes units of UTF-16 in cells of 32 bits, others characters.
+#[test]
+fn wide_text_loses_no_character() {
+    let message = MessageType::parse("cdr", "ros2msg", "my/msg/W", b"wstring w\n").unwrap();
+    let mut decoder = message.decoder(None);
+    let texts: [(&[u32], &str); 4] = [
+        (&[0xE9, 0x78], "éx"),
+        (&[0xD83D, 0xDE00, 0x78], "😀x"),
+        (&[0x1F600, 0x78], "😀x"),
+        (&[0x78, 0x0011_0000, 0xD83D, 0x79], "x\u{FFFD}\u{FFFD}y"),
+    ];
+    for (cells, _) in texts {
+        let count = cells.len() as u32;
+        let values = || [count].into_iter().chain(cells.iter().copied());
+        let little: Vec<u8> = values().flat_map(u32::to_le_bytes).collect();
+        let big: Vec<u8> = values().flat_map(u32::to_be_bytes).collect();
+        decoder
+            .push(&[&[0_u8, 1, 0, 0][..], &little].concat())
+            .unwrap();
+        decoder.push(&[&[0_u8; 4][..], &big].concat()).unwrap();
+    }
+    let columns = decoder.finish().unwrap();
+    let found: Vec<&str> = columns[0].as_string::<i32>().iter().flatten().collect();
+    let expected: Vec<&str> = texts.iter().flat_map(|(_, text)| [*text; 2]).collect();
+    assert_eq!(found, expected);
+}
+
 #[test]
 fn a_payload_cut_anywhere_appends_nothing() {
     let message =

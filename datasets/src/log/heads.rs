@@ -10,7 +10,7 @@ use crate::losses::{Loss, Reason};
 use crate::session::LogPart;
 
 /// Bytes from the start of a record that are read.
-const HEAD: u64 = 4 << 10;
+pub(crate) const HEAD: u64 = 64 << 10;
 /// Letters of a name that are kept.
 const LONGEST_NAME: usize = 256;
 
@@ -25,6 +25,29 @@ pub struct AttachmentHead {
     pub bytes: u64,
     /// When it was recorded, ns since the epoch.
     pub log_time: i64,
+    /// When it was made, ns since the epoch.
+    pub create_time: i64,
+}
+
+impl AttachmentHead {
+    /// From the first bytes of a record; `None` where they are of no sound attachment, or do not hold all that stands
+    /// before its bytes.
+    pub(crate) fn parse(record: &[u8]) -> Option<Self> {
+        let (_, length) = frame(record)?;
+        let head = body(record, op::ATTACHMENT)?;
+        let time = |at: usize| Some(u64::from_le_bytes(*head.get(at..)?.first_chunk()?));
+        let mut rest = head.get(16..)?;
+        let found = Self {
+            name: text(&mut rest)?,
+            media_type: text(&mut rest)?,
+            bytes: u64::from_le_bytes(*rest.first_chunk()?),
+            log_time: nanoseconds(time(0)?),
+            create_time: nanoseconds(time(8)?),
+        };
+        // Their number stands before the bytes, their checksum behind.
+        let others = (head.len() - rest.len()) as u64 + 8 + 4;
+        (found.bytes.saturating_add(others) <= length).then_some(found)
+    }
 }
 
 /// The attachments of a file, by time and name. What is malformed, or fails its checksum, is noted as lost.
@@ -33,22 +56,12 @@ pub(crate) async fn attachments(part: &LogPart) -> Result<Vec<AttachmentHead>, F
     let mut window = window(part);
     for unit in &part.index.attachments {
         let record = head(&mut window, unit).await?;
-        let parsed = || {
-            let mut rest = body(&record, op::ATTACHMENT)?;
-            let log_time = nanoseconds(u64::from_le_bytes(*rest.first_chunk()?));
-            rest = rest.get(16..)?;
-            let name = text(&mut rest)?;
-            let media_type = text(&mut rest)?;
-            let bytes = u64::from_le_bytes(*rest.first_chunk()?);
-            (bytes <= unit.length).then_some(AttachmentHead {
-                name,
-                media_type,
-                bytes,
-                log_time,
-            })
-        };
-        match parsed() {
-            Some(attachment) if checksum_fits(&mut window, unit).await? => found.push(attachment),
+        match AttachmentHead::parse(&record) {
+            Some(head) if checksum_fits(&mut window, unit).await? => found.push(AttachmentHead {
+                name: shortened(&head.name),
+                media_type: shortened(&head.media_type),
+                ..head
+            }),
             _ => lose(part, unit),
         }
     }
@@ -63,7 +76,7 @@ pub(crate) async fn metadata_names(part: &LogPart) -> Result<Vec<String>, Fault>
     for unit in &part.index.metadata {
         let record = head(&mut window, unit).await?;
         match body(&record, op::METADATA).and_then(|mut rest| text(&mut rest)) {
-            Some(name) => found.push(name),
+            Some(name) => found.push(shortened(&name)),
             None => lose(part, unit),
         }
     }
@@ -118,6 +131,10 @@ fn text(rest: &mut &[u8]) -> Option<String> {
     let (length, behind) = rest.split_first_chunk::<4>()?;
     let (text, behind) = behind.split_at_checked(u32::from_le_bytes(*length) as usize)?;
     *rest = behind;
-    let text = String::from_utf8_lossy(text);
-    Some(text.chars().take(LONGEST_NAME).collect())
+    Some(String::from_utf8_lossy(text).into_owned())
+}
+
+/// The letters of a name that are kept.
+fn shortened(name: &str) -> String {
+    name.chars().take(LONGEST_NAME).collect()
 }

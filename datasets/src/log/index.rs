@@ -65,6 +65,15 @@ impl Unit {
         self.offset.saturating_add(self.length)
     }
 
+    /// The first bytes of it, as one to read.
+    pub(crate) fn first(&self, bytes: u64) -> Self {
+        Self {
+            length: self.length.min(bytes),
+            size: self.size.min(bytes),
+            ..self.clone()
+        }
+    }
+
     pub(crate) fn of_chunk(chunk: &ChunkIndex) -> Self {
         let channels = (!chunk.message_index_offsets.is_empty())
             .then(|| chunk.message_index_offsets.keys().copied().collect());

@@ -10,6 +10,7 @@ use mcap::records::{Record, op};
 use object_store::{ObjectMeta, ObjectStore};
 
 use crate::log::census::longest;
+use crate::log::checksum::Checksum;
 use crate::log::collector::Collector;
 use crate::log::index::{Counts, LogIndex, Unit, UnitKind};
 use crate::log::pace::{Pace, add};
@@ -18,6 +19,7 @@ use crate::log::summary::Summary;
 use crate::log::window::Window;
 use crate::losses::{FileLosses, Loss, Reason};
 
+mod checksum;
 mod chunks;
 
 /// Messages outside chunks are read in runs of this many bytes.
@@ -105,6 +107,8 @@ struct Scan<'a> {
     listed: bool,
     /// There are message indexes that no chunk of the summary has.
     stray_indexes: bool,
+    /// Of what was read; `None` once a chunk has its own, or a stretch is left out.
+    checksum: Option<Checksum>,
 }
 
 /// A growing stretch of messages outside chunks.
@@ -136,6 +140,7 @@ impl<'a> Scan<'a> {
             run: None,
             short: None,
             stray_indexes: false,
+            checksum: Some(Checksum::default()),
         }
     }
 
@@ -178,12 +183,16 @@ impl<'a> Scan<'a> {
     async fn run(&mut self, start: u64, end: u64) -> Result<Ended, Fault> {
         let mut position = start;
         let mut data_ended = false;
+        self.hash_from(start).await?;
         while let Some((opcode, length, next)) = self.next_frame(position, end).await? {
             if opcode != op::MESSAGE {
                 self.close_short();
             }
             match opcode {
-                op::DATA_END => data_ended = true,
+                op::DATA_END => {
+                    self.compare(position, length).await?;
+                    data_ended = true;
+                }
                 op::FOOTER => {
                     self.behind(next + MAGIC.len() as u64, end);
                     break;
@@ -196,6 +205,7 @@ impl<'a> Scan<'a> {
                 _ if data_ended => {}
                 _ => self.record(opcode, position, length).await?,
             }
+            self.hash_to(next).await?;
             position = next;
         }
         self.close_run();

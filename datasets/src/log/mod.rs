@@ -1,6 +1,7 @@
 //! One MCAP file: its records, its index, its chunks. Knows object stores, not tables.
 
 pub(crate) mod census;
+pub(crate) mod checksum;
 pub mod chunk;
 mod collector;
 pub mod definition;

@@ -11,6 +11,7 @@ use object_store::ObjectStore;
 use object_store::path::Path;
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 
+use crate::log::checksum::Checksum;
 use crate::log::chunk::Damage;
 use crate::log::unpack::{check_claim, reader};
 use crate::log::window::Window;
@@ -170,7 +171,7 @@ pub(crate) type Feed = SpawnedTask<Result<(), Fault>>;
 pub(crate) fn fed(store: &Arc<dyn ObjectStore>, path: &Path, range: Range<u64>) -> (Pieces, Feed) {
     let (sender, pieces) = Pieces::channel();
     let mut window = Window::new(Arc::clone(store), path.clone(), range.end);
-    let feed = SpawnedTask::spawn(async move { feed(&mut window, range, sender).await });
+    let feed = SpawnedTask::spawn(async move { feed(&mut window, range, sender, None).await });
     (pieces, feed)
 }
 
@@ -183,7 +184,8 @@ pub(crate) async fn joined<T: Send + 'static>(task: SpawnedTask<T>) -> Result<T,
     ended.map_err(|error| Fault::bug(error.to_string()))
 }
 
-/// Fetches these bytes of an object for whoever goes through them; that may end before.
+/// Fetches these bytes of an object for whoever goes through them; that may end before. What is fetched is hashed, where
+/// there is a checksum to go on with.
 ///
 /// # Errors
 /// A resource fault when the store fails: then they seem to end there.
@@ -191,12 +193,17 @@ pub(crate) async fn feed(
     window: &mut Window,
     range: Range<u64>,
     sender: Sender<Bytes>,
+    mut checksum: Option<&mut Checksum>,
 ) -> Result<(), Fault> {
     let mut position = range.start;
     while position < range.end {
         let length = PIECE.min(range.end - position);
         let piece = window.get(position, length).await?;
-        if sender.send(piece.unwrap_or_default()).await.is_err() {
+        let piece = piece.unwrap_or_default();
+        if let Some(checksum) = &mut checksum {
+            checksum.add(&piece);
+        }
+        if sender.send(piece).await.is_err() {
             break;
         }
         position += length;

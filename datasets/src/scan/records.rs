@@ -12,6 +12,7 @@ use mcap::records::Record;
 
 use crate::log::index::{LogIndex, Unit, UnitKind};
 use crate::log::record::{nanoseconds, parse, split};
+use crate::scan::heads::HeadRows;
 use crate::scan::rows::{MessageAt, RowBuilder, projected};
 use crate::scan::table::{LogTable, schema_of};
 use crate::session::LogPart;
@@ -60,14 +61,18 @@ pub(crate) struct RecordTable {
     /// Where the records lie.
     units: fn(&LogIndex) -> &[Unit],
     columns: Columns,
+    /// The column without which heads of records will do; only attachments have one.
+    body: Option<usize>,
 }
 
 impl RecordTable {
     /// `attachments`.
     pub fn attachments() -> Self {
+        let schema = schema_of(&Attachment::columns());
         Self {
             name: "attachments",
-            schema: schema_of(&Attachment::columns()),
+            body: schema.index_of("data").ok(),
+            schema,
             units: |index| &index.attachments,
             columns: Arc::new(|part, records| {
                 let rows = records
@@ -105,6 +110,7 @@ impl RecordTable {
             schema,
             units: |index| &index.metadata,
             columns: Arc::new(move |part, records| columns(part, &mut metadata(records))),
+            body: None,
         }
     }
 }
@@ -141,6 +147,9 @@ impl LogTable for RecordTable {
         part: &Arc<LogPart>,
         projection: &[usize],
     ) -> Result<Box<dyn RowBuilder>, Fault> {
+        if self.body.is_some_and(|body| !projection.contains(&body)) {
+            return Ok(Box::new(HeadRows::new(part, &self.schema, projection)));
+        }
         Ok(Box::new(RecordRows {
             table: self.clone(),
             part: part.clone(),

@@ -46,7 +46,12 @@ pub trait RowBuilder: Send {
     /// In words, when the payload does not fit its schema: the message is then counted as lost.
     fn push(&mut self, message: &MessageAt<'_>) -> Result<(), String>;
 
-    /// Takes a record that is no message (an attachment, a metadata record).
+    /// Bytes from the start of a record that is no message that it takes.
+    fn record_bytes(&self) -> u64 {
+        u64::MAX
+    }
+
+    /// Takes a record that is no message (an attachment, a metadata record), or its first bytes.
     ///
     /// # Errors
     /// In words, when the record is damaged.

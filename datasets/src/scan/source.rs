@@ -204,7 +204,7 @@ impl McapSource {
                 .iter()
                 .filter(|unit| unit.offset >= range.0 && unit.offset < range.1)
                 .map(|unit| PlannedUnit {
-                    unit: unit.clone(),
+                    unit: unit.first(rows.record_bytes()),
                     channels: None,
                 })
                 .collect(),

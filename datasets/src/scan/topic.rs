@@ -1,6 +1,6 @@
 //! A topic's messages as a table: four columns that every message has, then the message's own fields.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
 use arrow::array::{
@@ -115,8 +115,8 @@ impl LogTable for TopicTable {
 /// lack is nullable.
 fn topic_schema(topic: &str, parts: &[Arc<LogPart>]) -> Result<SchemaRef, Fault> {
     let at_topic = |fault: Fault| {
-        let next = "scan the sessions apart, or read the payloads from the table messages";
-        fault.at(format!("topic {topic}")).next(next)
+        let place = format!("topic {topic}");
+        fault.at(place).next(instead_of(topic, parts))
     };
     let mut columns = Columned::default();
     let mut seen: HashSet<Fields> = HashSet::new();
@@ -145,6 +145,31 @@ fn topic_schema(topic: &str, parts: &[Arc<LogPart>]) -> Result<SchemaRef, Fault>
     }
     let head = head_fields().into_iter().map(Arc::new);
     Ok(Arc::new(Schema::new(head.chain(own).collect::<Fields>())))
+}
+
+/// Schemas that are named where there are too many for one table.
+const NAMED: usize = 4;
+
+/// What can be asked of a topic whose messages are not of one table.
+fn instead_of(topic: &str, parts: &[Arc<LogPart>]) -> String {
+    let mut sessions = HashSet::new();
+    let mut schemas = BTreeSet::new();
+    for part in parts {
+        for channel in part.channels_of(topic) {
+            sessions.insert(&part.session);
+            let name = part.index.schema_of(channel).map(|schema| &schema.name);
+            schemas.extend(name.map(|name| (channel.schema_id, name)));
+        }
+    }
+    if sessions.len() > 1 {
+        return "scan the sessions apart, or read the payloads from the table messages".to_owned();
+    }
+    let named = schemas.iter().take(NAMED);
+    let named: Vec<String> = named.map(|(id, name)| format!("{id} ({name})")).collect();
+    format!(
+        "its schemas are {}: query a role that it plays, or read the payloads from the table messages by channel",
+        named.join(", ")
+    )
 }
 
 fn message_type<'a>(part: &'a LogPart, channel: &LogChannel) -> Result<&'a MessageType, Fault> {

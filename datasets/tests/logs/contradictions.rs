@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use evermap_datasets::Reason;
+use evermap_datasets::fault::fault_of;
 use evermap_datasets::log::index::LogIndex;
 
 use crate::common::by_hand::{
@@ -292,4 +293,39 @@ async fn a_frame_that_is_fixed_in_two_ways_is_counted() {
              frame `right` is fixed to `base` in two ways, 0.5 m and 0° from each other";
         assert_eq!(read(&log(&otherwise)).await, [(said.to_owned(), 2)]);
     }
+}
+
+/// One session cannot be scanned apart: what is said names its schemas, and what can be asked.
+#[tokio::test]
+async fn a_topic_of_two_types_in_one_session_says_what_can_be_asked() {
+    let log = file(
+        &[
+            schema(1, "a/msg/U", "ros2msg", b"uint8 x\n"),
+            schema(2, "a/msg/V", "ros2msg", b"float64 x\n"),
+            channel(1, 1, "/t", "cdr"),
+            channel(2, 2, "/t", "cdr"),
+            message(1, 0, &[0, 1, 0, 0, 7]),
+            message(
+                2,
+                1,
+                &[&[0_u8, 1, 0, 0][..], &2.5_f64.to_le_bytes()].concat(),
+            ),
+        ],
+        &[],
+    );
+    let (context, _) = opened(&log).await;
+    let error = match context.sql("SELECT * FROM \"/t\"").await {
+        Ok(planned) => planned.collect().await.unwrap_err(),
+        Err(error) => error,
+    };
+    let said = fault_of(&error).to_string();
+    for part in [
+        "UInt8 and Float64",
+        "1 (a/msg/U), 2 (a/msg/V)",
+        "by channel",
+    ] {
+        assert!(said.contains(part), "{said}");
+    }
+    let by_channel = "SELECT data FROM messages WHERE topic = '/t' AND channel = 2";
+    assert_eq!(count(&context, by_channel).await, 1);
 }

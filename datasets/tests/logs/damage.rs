@@ -177,6 +177,39 @@ async fn a_chunk_with_a_flipped_bit_is_lost_alone() {
     }
 }
 
+/// Nothing but the checksum of all data says that a payload outside chunks was another one.
+#[tokio::test]
+async fn a_flipped_bit_outside_chunks_is_counted_and_read_as_it_is() {
+    for (indexed, payload) in [(true, 40), (false, 40), (true, 600_000), (false, 600_000)] {
+        let log = Log {
+            messages: 24,
+            payload,
+            chunk: None,
+            indexed,
+            ..Log::default()
+        }
+        .write();
+        let (_, losses) = messages(&log).await.unwrap();
+        assert!(losses.is_empty(), "{:?}", losses.entries());
+        let mut flipped = log.clone();
+        let text = b"message 000020";
+        let at = log.windows(text.len()).position(|w| w == text).unwrap();
+        flipped[at] ^= 1;
+        let (sequences, losses) = messages(&flipped).await.unwrap();
+        assert_eq!(sequences.len(), 24);
+        let entries = losses.entries();
+        assert_eq!(entries.len(), 1, "{entries:?}");
+        assert_eq!(entries[0].reason, Reason::BadData);
+        assert_eq!((entries[0].loss.count, entries[0].loss.bytes), (1, 0));
+        // Zero stands for a checksum that nobody made.
+        let end = entries[0].offset as usize;
+        assert_eq!(flipped[end], op::DATA_END);
+        flipped[end + FRAME as usize..][..4].fill(0);
+        let (_, losses) = messages(&flipped).await.unwrap();
+        assert!(losses.is_empty(), "{:?}", losses.entries());
+    }
+}
+
 #[tokio::test]
 async fn a_summary_that_lies_is_not_believed() {
     let log = Log {

@@ -167,6 +167,40 @@ async fn chunks_are_reserved_before_they_are_decompressed() {
     }
 }
 
+/// Of attachments, what is not asked for takes no memory.
+#[tokio::test]
+async fn attachments_are_listed_in_less_memory_than_they_hold() {
+    let size = 24_u64 << 20;
+    let attachment = [
+        &[0_u8; 16][..],
+        &text(b"map.bin"),
+        &text(b"application/octet-stream"),
+        &size.to_le_bytes(),
+        &vec![7; size as usize],
+        &[0; 4],
+    ]
+    .concat();
+    let log = file(&[record(9, &attachment), channel(1, 0, "/t", "json")], &[]);
+    let pool = Arc::new(GreedyMemoryPool::new(16 << 20));
+    let runtime = RuntimeEnvBuilder::new()
+        .with_memory_pool(pool)
+        .build_arc()
+        .unwrap();
+    runtime.register_object_store(&Url::parse("memory://logs").unwrap(), in_memory(&log).await);
+    let context = SessionContext::new_with_config_rt(SessionConfig::new(), runtime.clone());
+    let paths = ["memory://logs/log.mcap".to_owned()];
+    let dataset = Dataset::open(&runtime, &paths, None).await.unwrap();
+    dataset.register(&context).unwrap();
+    let listed = "SELECT name FROM attachments WHERE size = 25165824 AND media_type LIKE '%stream'";
+    assert_eq!(count(&context, listed).await, 1);
+    let counted = context.sql("SELECT count(*) FROM attachments").await;
+    assert_eq!(counted.unwrap().collect().await.unwrap().len(), 1);
+    let held = context.sql("SELECT data FROM attachments").await.unwrap();
+    let fault = fault_of(&held.collect().await.unwrap_err());
+    assert_eq!(fault.kind, Kind::Resource, "{fault}");
+    assert!(dataset.losses.is_empty(), "{:?}", dataset.losses.entries());
+}
+
 #[tokio::test]
 async fn a_torn_chunk_gives_the_messages_before_its_end() {
     let mut state = 7_u64;

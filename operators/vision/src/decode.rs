@@ -199,12 +199,15 @@ pub(crate) fn header(bytes: &[u8]) -> Result<Header, ImageError> {
 }
 
 /// What the first bytes say of an image that can be decoded in time and memory.
-fn decodable(bytes: &[u8]) -> Result<Header, ImageError> {
+pub(crate) fn decodable(bytes: &[u8]) -> Result<Header, ImageError> {
     let header = header(bytes)?;
+    if !may_be_whole(bytes, &header) {
+        return Err(header.damaged(bytes));
+    }
     if header.format != "jpeg" {
         return Ok(header);
     }
-    if !may_be_whole(bytes, &header) || !ends_like_a_jpeg(bytes) {
+    if !ends_like_a_jpeg(bytes) {
         return Err(header.damaged(bytes));
     }
     match scans(bytes) {
@@ -213,10 +216,32 @@ fn decodable(bytes: &[u8]) -> Result<Header, ImageError> {
     }
 }
 
-/// Whether a JPEG has a bit for each block of 8 × 8 pixels, the least that is written of one.
+/// Whether an image has as many bytes as its pixels take at least: a JPEG a bit for each block of 8 × 8 of them, a PNG
+/// what its rows compress to. (The bytes of a PNM image are counted where it is read.)
 fn may_be_whole(bytes: &[u8], header: &Header) -> bool {
-    let pixels = u64::from(header.width) * u64::from(header.height);
-    8 * bytes.len() as u64 >= pixels / 64
+    let (width, height) = (u64::from(header.width), u64::from(header.height));
+    let found = bytes.len() as u64;
+    match header.format {
+        "jpeg" => 8 * found >= width * height / 64,
+        "png" => found >= height * (width * png_bits(bytes)).div_ceil(8) / DEFLATE_RATIO,
+        _ => true,
+    }
+}
+
+/// Deflate says at most 258 bytes by 2 bits (RFC 1951).
+const DEFLATE_RATIO: u64 = 1032;
+
+/// Bits of a pixel, by a PNG's header: behind its signature, the chunk's length and name, width and height stand the
+/// bits of a value and the kind of colour. One where it says what no PNG has: its decoder refuses that.
+fn png_bits(bytes: &[u8]) -> u64 {
+    let values = match bytes.get(24..26) {
+        Some([depth @ (1 | 2 | 4 | 8 | 16), 0 | 3]) => *depth,
+        Some([depth @ (8 | 16), 2]) => 3 * depth,
+        Some([depth @ (8 | 16), 4]) => 2 * depth,
+        Some([depth @ (8 | 16), 6]) => 4 * depth,
+        _ => 1,
+    };
+    u64::from(values)
 }
 
 /// The scans that a decoder may find in a JPEG: its markers, which what is encoded does not hold; also those of a small image

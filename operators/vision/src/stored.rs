@@ -8,7 +8,7 @@ use std::io::Cursor;
 
 use png::{BitDepth, ColorType, Limits, Transformations};
 
-use crate::decode::{Header, header};
+use crate::decode::{Header, decodable};
 use crate::grey::checked_pixels;
 use crate::{Grey, Grey16, ImageError};
 
@@ -24,7 +24,7 @@ pub fn decode_depth(bytes: &[u8]) -> Result<Grey16, ImageError> {
         return pfm_depth(numbers, bytes.len());
     }
     let (inverse, bytes) = InverseDepth::before(bytes);
-    let header = header(bytes)?;
+    let header = decodable(bytes)?;
     let mut data = stored(bytes, &header)?.into_sixteen();
     if let Some(inverse) = inverse {
         for value in &mut data {
@@ -112,7 +112,7 @@ impl InverseDepth {
 /// # Errors
 /// As [`decode_depth`].
 pub fn decode_labels(bytes: &[u8]) -> Result<Grey, ImageError> {
-    let header = header(bytes)?;
+    let header = decodable(bytes)?;
     let stored = stored(bytes, &header)?;
     Ok(Grey {
         width: header.width,

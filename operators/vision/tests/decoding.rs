@@ -1,7 +1,7 @@
 //! Decoding: exact where the format is, refused where the bytes are not an image, and never a panic.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use evermap_vision::{Grey, ImageError, decode_grey, image_size};
+use evermap_vision::{Grey, ImageError, decode_depth, decode_grey, image_size};
 use png::{BitDepth, ColorType};
 use proptest::prelude::*;
 
@@ -161,6 +161,29 @@ fn a_jpeg_that_cannot_hold_its_pixels_is_refused() {
 }
 
 /// A small scan, again and again: each goes through the whole image.
+/// A few bytes claim a hundred megapixels of four values; what deflate makes of rows that are all alike is read.
+#[test]
+fn a_png_that_cannot_hold_its_pixels_is_refused() {
+    let mut png = grey_png(&sample(4, 4));
+    png[16..20].copy_from_slice(&10_000_u32.to_be_bytes());
+    png[20..24].copy_from_slice(&10_000_u32.to_be_bytes());
+    png[24..26].copy_from_slice(&[16, 6]);
+    assert_eq!(image_size(&png).unwrap(), [10_000, 10_000]);
+    let damaged = |error: ImageError| matches!(error, ImageError::Damaged { format: "png", .. });
+    assert!(damaged(decode(&png).unwrap_err()));
+    assert!(damaged(decode_depth(&png).unwrap_err()));
+    for (colour, values) in [
+        (ColorType::Grayscale, 1),
+        (ColorType::Rgb, 3),
+        (ColorType::Rgba, 4),
+    ] {
+        let black = vec![0; 2000 * 2000 * values];
+        let png = png_of(2000, 2000, colour, BitDepth::Eight, &black);
+        assert!(png.len() < black.len() / 100, "{} B", png.len());
+        assert!(decode(&png).unwrap().data.iter().all(|value| *value == 0));
+    }
+}
+
 #[test]
 fn a_jpeg_of_more_scans_than_anybody_writes_is_refused() {
     let truth = sample(64, 48);

@@ -206,19 +206,20 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
         }
     }
 
-    /// CDR as ROS 2 writes it: a count of units, each 32 bits wide. CDR2: a length in
-    /// bytes, units of 16 bits. Neither is terminated.
+    /// CDR as ROS 2 writes it: a count of cells of 32 bits, each with a unit of UTF-16 or, of other writers, a whole
+    /// character. CDR2: a length in bytes, units of 16 bits. Neither is terminated.
     fn wide_text(&mut self, to: Option<Target>, pool: &mut Pool) -> Result<(), DecodeError> {
-        let (unit, bytes) = self.wide_units()?;
+        let (width, bytes) = self.wide_cells()?;
         let Some(Target { offsets, data }) = to else {
             return Ok(());
         };
-        let units = bytes.chunks_exact(unit).map(|chunk| {
-            let low = match (SWAP != cfg!(target_endian = "big"), chunk) {
-                (true, [.., high, low]) | (false, [low, high, ..]) => [*low, *high],
-                _ => [0, 0],
-            };
-            u16::from_le_bytes(low)
+        let big_endian = SWAP != cfg!(target_endian = "big");
+        let units = bytes.chunks_exact(width).flat_map(|cell| {
+            let append = |value: u32, byte: &u8| (value << 8) | u32::from(*byte);
+            units(match big_endian {
+                true => cell.iter().fold(0, append),
+                false => cell.iter().rev().fold(0, append),
+            })
         });
         let text: String = char::decode_utf16(units)
             .map(|unit| unit.unwrap_or(char::REPLACEMENT_CHARACTER))
@@ -226,7 +227,7 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
         pool.append_text(offsets, data, text.as_bytes())
     }
 
-    fn wide_units(&mut self) -> Result<(usize, &'a [u8]), DecodeError> {
+    fn wide_cells(&mut self) -> Result<(usize, &'a [u8]), DecodeError> {
         let length = self.length()? as usize;
         if self.dialect.cdr2 {
             return Ok((2, self.take(length)?));
@@ -263,6 +264,23 @@ impl<'a, const SWAP: bool> Runner<'a, SWAP> {
     fn truncated(&self, needed: u64) -> DecodeError {
         DecodeError::truncated(self.data, self.position, needed)
     }
+}
+
+/// The units of UTF-16 in a cell of a wide text: one, or the two of a character beyond 16 bits. What is neither is
+/// replaced.
+fn units(cell: u32) -> impl Iterator<Item = u16> {
+    let mut pair = [0; 2];
+    let length = match u16::try_from(cell) {
+        Ok(unit) => {
+            pair[0] = unit;
+            1
+        }
+        Err(_) => {
+            let character = char::from_u32(cell).unwrap_or(char::REPLACEMENT_CHARACTER);
+            character.encode_utf16(&mut pair).len()
+        }
+    };
+    pair.into_iter().take(length)
 }
 
 #[inline]

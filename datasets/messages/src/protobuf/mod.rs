@@ -5,10 +5,11 @@
 //! their zero. As the specification has it: of a number or string the last one counts,
 //! parts of a message are merged, and of a `oneof` the last member stands.
 //!
-//! Maps are lists of `{key, value}`, in wire order. A message inside itself is kept as
+//! Maps are lists of `{key, value}`, in wire order; of a key, the last entry. A message inside itself is kept as
 //! its bytes. Source: protobuf.dev, "Encoding".
 
 mod descriptors;
+mod map;
 mod plan;
 mod wire;
 
@@ -27,7 +28,7 @@ struct Met {
     count: usize,
     /// Where in the message the first was met.
     first: usize,
-    /// All parts of a split message were taken together.
+    /// All parts of a split message, or entries of a map, were taken together.
     merged: bool,
 }
 
@@ -121,7 +122,11 @@ impl Sink<'_> {
             };
             let slot = &open.plan.slots[index];
             guess = index + usize::from(!slot.repeated);
-            if slot.repeated {
+            if let Some(entry) = slot.entry() {
+                if slot.takes(&value) && !self.met[open.base + index].merged {
+                    self.entries(open, index, entry, at)?;
+                }
+            } else if slot.repeated {
                 let list = open.to.member(slot.column);
                 let count = self.met[open.base + index].count;
                 self.met[open.base + index].count = self.elements(slot, list, count, value)?;

@@ -34,6 +34,8 @@ struct Kind {
     is_message: bool,
     /// Lies between tags, not behind a length.
     group: bool,
+    /// It is the entry of a map.
+    entry: bool,
 }
 
 /// `TYPE_GROUP` and `TYPE_MESSAGE` of `FieldDescriptorProto.Type`.
@@ -49,6 +51,8 @@ pub(super) struct Slot {
     pub(super) column: usize,
     pub(super) shape: Shape,
     pub(super) repeated: bool,
+    /// Repeated entries of a map.
+    pub(super) map: bool,
     pub(super) group: bool,
     /// Fields of one oneof share a number.
     pub(super) oneof: Option<usize>,
@@ -193,6 +197,7 @@ impl<'a> Builder<'a> {
             mut data_type,
             is_message,
             group,
+            entry,
         } = self.kind(place, field)?;
         let mut nullable = is_message || (field.presence && !in_map);
         if field.repeated {
@@ -206,6 +211,7 @@ impl<'a> Builder<'a> {
             column,
             shape,
             repeated: field.repeated,
+            map: field.repeated && entry,
             group: group && !in_map,
             oneof: field.oneof,
         };
@@ -243,6 +249,7 @@ impl<'a> Builder<'a> {
             data_type,
             is_message: false,
             group: false,
+            entry: false,
         })
     }
 
@@ -255,6 +262,7 @@ impl<'a> Builder<'a> {
                     data_type: DataType::Int32,
                     is_message: false,
                     group: false,
+                    entry: false,
                 });
             }
         };
@@ -271,6 +279,7 @@ impl<'a> Builder<'a> {
             data_type,
             is_message: true,
             group: field.kind == GROUP || (field.delimited && !of_map),
+            entry: of_map,
         })
     }
 }

@@ -36,7 +36,13 @@ impl Scan<'_> {
         let lost = Loss::one(present);
         let head = self.window.get(offset, present.min(HEAD)).await?;
         let census = match ChunkHead::parse(&head.unwrap_or_default()) {
-            Ok(head) => self.census(offset, present, head, cut).await?,
+            Ok(head) => {
+                // It says more: where the damage is, and what is lost with it.
+                if head.crc != 0 {
+                    self.checksum = None;
+                }
+                self.census(offset, present, head, cut).await?
+            }
             Err(damage) => Err(damage),
         };
         let census = match census {
@@ -91,10 +97,12 @@ impl Scan<'_> {
             return Ok(Err(damage));
         }
         let end = end.min(offset + present);
+        self.hash_to(start).await?;
         let room = self.collector.room;
         let (sender, pieces) = Pieces::channel();
         let task = tokio::task::spawn_blocking(move || census(&head, cut, room, pieces));
-        feed(&mut self.window, start..end, sender).await?;
+        let checksum = self.checksum.as_mut();
+        feed(&mut self.window, start..end, sender, checksum).await?;
         task.await.map_err(|error| Fault::bug(error.to_string()))
     }
 }
