@@ -32,6 +32,9 @@ pub struct Dataset {
     pub losses: LossLedger,
     /// Choices that the user might want to make differently, in sentences.
     pub notes: Vec<String>,
+    /// Topics, or patterns of them, that a manifest gives to a role and that no session has, with the role's name first;
+    /// the role is played by others of its topics.
+    pub unknown_topics: Vec<(String, String)>,
     roles: &'static [Role],
 }
 
@@ -162,6 +165,7 @@ impl Recordings {
         let sessions: Vec<Session> = opened.into_iter().map(|(session, ..)| session).collect();
         check_topics(topics, &sessions)?;
         Ok(Dataset {
+            unknown_topics: unknown_topics(topics, &sessions),
             sessions,
             losses,
             notes,
@@ -281,4 +285,23 @@ fn check_topics(given: &BTreeMap<String, Vec<String>>, sessions: &[Session]) -> 
         topics.join(", ")
     ));
     Err(of_role(fault, role))
+}
+
+/// The patterns of the manifest, by role, that no session has a topic for.
+fn unknown_topics(
+    given: &BTreeMap<String, Vec<String>>,
+    sessions: &[Session],
+) -> Vec<(String, String)> {
+    let topics: BTreeSet<String> = sessions.iter().flat_map(Session::topics).collect();
+    let is_known = |pattern: &str| {
+        let pattern = glob::Pattern::new(pattern);
+        pattern.is_ok_and(|pattern| topics.iter().any(|topic| pattern.matches(topic)))
+    };
+    let all = given
+        .iter()
+        .flat_map(|(role, patterns)| patterns.iter().map(move |pattern| (role, pattern)));
+    let unknown = all.filter(|(_, pattern)| !topics.is_empty() && !is_known(pattern));
+    unknown
+        .map(|(role, pattern)| (role.clone(), pattern.clone()))
+        .collect()
 }

@@ -44,6 +44,10 @@ pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
         .warnings
         .iter()
         .for_each(|warning| line(&format!("warning: {warning}")));
+    let unknown = prepared.unknown.iter();
+    unknown.for_each(|unknown| line(&format!("warning: {unknown}")));
+    let notes = prepared.notes.iter();
+    notes.for_each(|note| line(&format!("note: {note}")));
     warn_of_missing(&prepared);
     warn_of_masks(&prepared, &args.input.sessions).await?;
     prepared.unplayed.notes().iter().for_each(|note| line(note));
