@@ -45,6 +45,8 @@ pub enum Reason {
     Contradiction,
     /// A topic of transforms that is read for the vehicle's, and moves none.
     NoVehicle,
+    /// Messages with a transform that moves the vehicle in another frame than the one that odometry is read in.
+    OtherParent,
 }
 
 impl Reason {
@@ -66,6 +68,7 @@ impl Reason {
             Reason::Unreadable => "files that cannot be read",
             Reason::Contradiction => "frames with contradicting fixed transforms",
             Reason::NoVehicle => "topics of transforms that move no vehicle",
+            Reason::OtherParent => "transforms that move the vehicle in another frame",
         }
     }
 }

@@ -21,7 +21,7 @@ use async_trait::async_trait;
 use datafusion::catalog::TableProvider;
 use datafusion::datasource::ViewTable;
 use datafusion::prelude::SessionContext;
-use evermap_schemas::roles::{CameraNames, Messages, OdometryOf, Role, Source};
+use evermap_schemas::roles::{CameraNames, Messages, Role, Source};
 use evermap_schemas::{Column, Fault, Layer};
 use futures::FutureExt;
 use tokio::sync::OnceCell;
@@ -30,7 +30,7 @@ use crate::fault::fault_of;
 use crate::scan::{LogTable, McapTable, RecordTable, RowBuilder};
 use crate::session::{LogPart, Session};
 use mounts::Mounts;
-use robots::RobotOf;
+use robots::{Meant, RobotOf};
 use rows::{Known, RoleRows};
 
 /// Topics that play a role, by session.
@@ -186,7 +186,7 @@ impl LogTable for MessageRole {
             },
             robot: match &self.robots {
                 Some(robots) => robots.of(&part.session).await?,
-                None => OdometryOf::default(),
+                None => Meant::default(),
             },
             mounts: self.mounts.get(&part.session).cloned(),
         };

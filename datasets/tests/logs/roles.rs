@@ -258,6 +258,24 @@ async fn transforms_that_move_no_vehicle_are_counted_with_what_a_manifest_may_sa
     assert_eq!(told, [(said.to_owned(), 1)]);
 }
 
+/// A frame has one parent: what moves the vehicle in another one is not read, and that is said.
+#[tokio::test]
+async fn transforms_that_move_the_vehicle_in_another_frame_are_counted() {
+    let log = tf(&[("odom", "base_link"), ("map", "base_link"), ("map", "odom")]);
+    for manifest in ["", "defaults: {vehicle_frame: base_link}"] {
+        let (context, dataset) = opened_with(&log, manifest).await;
+        for _ in 0..2 {
+            assert_eq!(count(&context, "SELECT * FROM odometry").await, 3);
+        }
+        let said = "memory://logs/log.mcap: transforms that move the vehicle in another frame on /tf: base_link moves in map, \
+                    too; odometry is read of odom -> base_link";
+        let told: Vec<_> = dataset.losses.told().into_iter().collect();
+        assert_eq!(told, [(said.to_owned(), 3)], "{manifest}");
+    }
+    let chain = tf(&[("odom", "base_footprint"), ("base_footprint", "base_link")]);
+    assert_eq!(ahead(&chain, "").await.unwrap(), [0.0, 2.0, 4.0]);
+}
+
 #[tokio::test]
 async fn other_poses_go_before_transforms_that_move_no_vehicle() {
     const POSE: &[u8] =
