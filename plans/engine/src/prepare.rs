@@ -145,6 +145,8 @@ pub struct Prepared {
     pub unknown: Vec<String>,
     /// Roles that the plan reads and that no session plays.
     pub unplayed: Unplayed,
+    /// The logs that were given, opened.
+    pub logs: Dataset,
     /// Names of the sessions that were given.
     pub given: Vec<String>,
     /// Sessions of which the plan makes nothing, and what they lack.
@@ -247,6 +249,7 @@ impl Prepared {
                 .iter()
                 .map(|session| session.name.to_string())
                 .collect(),
+            logs: given,
             program,
             sessions,
             base,

@@ -19,7 +19,7 @@ use crate::progress::line;
 use crate::quantity::of;
 use crate::sessions::{lost, open};
 use crate::shipped;
-use crate::{masks, operators};
+use crate::{masks, odometry_frame, operators};
 
 /// Checks a plan.
 ///
@@ -34,6 +34,9 @@ pub async fn check(args: &PlanArgs) -> Ending {
     }
     if let Some(warning) = masks::warning(&masks::masked(&program), &dataset).await? {
         line(&format!("warning: {warning}"));
+    }
+    for note in odometry_frame::notes(&dataset, odometry_frame::vehicle(&program)).await? {
+        line(&format!("note: {note}"));
     }
     let sites = unknown::sites(&dataset);
     for warning in unknown::warnings(&dataset, &program, &sites) {
