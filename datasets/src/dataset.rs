@@ -70,16 +70,29 @@ impl Dataset {
         roles.chain(whole).chain(listing::NAMES).collect()
     }
 
-    /// Every table of the dataset, by name: each topic, and those of [`Dataset::table_names`].
+    /// The same, of one of its sessions.
+    #[must_use]
+    pub fn of_session(&self, session: &Session) -> Self {
+        Self {
+            sessions: vec![session.clone()],
+            ..self.clone()
+        }
+    }
+
+    /// Topics that are called as one of [`Dataset::table_names`] is, and so are not among [`Dataset::tables`].
+    pub fn hidden_topics(&self) -> BTreeSet<String> {
+        let names = Self::table_names();
+        let mut topics = self.topics();
+        topics.retain(|topic| names.contains(&topic.as_str()));
+        topics
+    }
+
+    /// The table of each topic, by name, whatever it is called.
     ///
     /// A topic that cannot be decoded is a table that says so when it is scanned.
-    ///
-    /// # Errors
-    /// A fault of ours.
-    pub fn tables(&self) -> Result<BTreeMap<String, Arc<dyn TableProvider>>, Fault> {
-        let parts = self.parts();
+    pub fn topic_tables(&self) -> BTreeMap<String, Arc<dyn TableProvider>> {
         let mut tables = BTreeMap::<String, Arc<dyn TableProvider>>::new();
-        let shared: Arc<[Arc<LogPart>]> = parts.clone().into();
+        let shared: Arc<[Arc<LogPart>]> = self.parts().into();
         for topic in self.topics() {
             let (name, parts) = (topic.clone(), shared.clone());
             let table = LazyTable::new(move || {
@@ -88,6 +101,16 @@ impl Dataset {
             });
             tables.insert(topic, Arc::new(table));
         }
+        tables
+    }
+
+    /// Every table of the dataset, by name: each topic, and those of [`Dataset::table_names`], which go before topics of
+    /// their names.
+    ///
+    /// # Errors
+    /// A fault of ours.
+    pub fn tables(&self) -> Result<BTreeMap<String, Arc<dyn TableProvider>>, Fault> {
+        let (parts, mut tables) = (self.parts(), self.topic_tables());
         let whole: [Arc<dyn LogTable>; 3] = [
             Arc::new(MessagesTable),
             Arc::new(RecordTable::attachments()),
