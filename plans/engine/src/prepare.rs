@@ -230,7 +230,14 @@ impl Prepared {
         let played: Vec<Roles> = sessions.iter().map(plays).collect();
         let sites: BTreeSet<&str> = sessions.iter().map(|s| s.log.site.as_str()).collect();
         let needs = Needs::of_program(&program, registry, &sites);
-        let idle = idle(&needs, &given, &played)?;
+        let unknown = unknown::warnings(&given, &program, &sites);
+        // A name that is misspelt may be why.
+        let idle = idle(&needs, &given, &played).map_err(|fault| Fault {
+            message: [std::slice::from_ref(&fault.message), unknown.as_slice()]
+                .concat()
+                .join("; "),
+            ..fault
+        })?;
         let unplayed = needs.unplayed(&program, &played);
         let before = base.as_ref();
         let missing = before.map_or_else(Vec::new, |base| Previous::missing(&program, base));
@@ -239,7 +246,7 @@ impl Prepared {
         notes.extend(repeated(&given, &sessions));
         Ok(Self {
             notes,
-            unknown: unknown::warnings(&given, &program, &sites),
+            unknown,
             unplayed,
             unreadable: unreadable(&given),
             idle,
