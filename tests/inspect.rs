@@ -726,6 +726,10 @@ fn what_a_manifest_names_and_nothing_has_is_warned_of_and_a_surveyed_site_needs_
     let told = run("georeference", "map", "lot").expect(0).stderr;
     assert!(told.contains(&format!("warning: {topic}")), "{told}");
     assert!(!told.contains("`origins`"), "{told}");
+    let check = ["check", "georeference", "--manifest", "lot.yaml"];
+    let checked = run_in(folder.path(), &check).expect(0).stderr;
+    assert_eq!(checked.matches(topic).count(), 1, "{checked}");
+    assert!(!checked.contains("`origins`"), "{checked}");
     let query = "SELECT site, latitude_deg FROM georeference";
     let asked = ["sql", "--map", "map", "--format", "json", query];
     let asked = run_in(folder.path(), &asked).expect(0).json();

@@ -30,8 +30,8 @@ use crate::fault::fault_of;
 use crate::scan::{LogTable, McapTable, RecordTable, RowBuilder};
 use crate::session::{LogPart, Session};
 use mounts::Mounts;
-use robots::{Meant, RobotOf};
-use rows::{Known, RoleRows};
+use robots::RobotOf;
+use rows::{Known, Meant, RoleRows};
 
 /// Topics that play a role, by session.
 type Topics = BTreeMap<Arc<str>, Vec<String>>;

@@ -13,6 +13,7 @@ use crate::fault::OrFault;
 use crate::losses::{Loss, Reason};
 use crate::manifest::Vehicle;
 use crate::roles::ahead::batches;
+use crate::roles::rows::Meant;
 use crate::session::{LogPart, Session};
 
 /// Messages that are looked at together.
@@ -35,22 +36,6 @@ struct Asked {
     places: Vec<(Arc<LogPart>, String)>,
     /// The odometry that is meant, once somebody asked.
     meant: OnceCell<Meant>,
-}
-
-/// The odometry that is meant, of that among transforms.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Meant {
-    /// Which transforms it is.
-    pub odometry: OdometryOf,
-    /// One of them; none where there is none.
-    pub motion: Option<Motion>,
-}
-
-impl Meant {
-    /// How a transform contradicts this odometry; `None` where it does not.
-    pub fn contradiction(&self, other: &Motion) -> Option<String> {
-        self.odometry.contradiction(self.motion.as_ref()?, other)
-    }
 }
 
 impl RobotOf {

@@ -7,13 +7,12 @@ use arrow::array::{RecordBatch, StructArray};
 use arrow::datatypes::{Field, SchemaRef};
 use evermap_messages::{Decoder, MessageType};
 use evermap_schemas::roles::{
-    CameraNames, Fields, FoundImage, FromMessage, Message, Messages, Motion,
+    CameraNames, Fields, FoundImage, FromMessage, Message, Messages, Motion, OdometryOf,
 };
 use evermap_schemas::{Fault, ImageRef, Stamp};
 
 use crate::losses::{Loss, Reason};
 use crate::roles::mounts::Mounts;
-use crate::roles::robots::Meant;
 use crate::scan::{MessageAt, RowBuilder, projected};
 use crate::session::LogPart;
 
@@ -38,6 +37,22 @@ pub(crate) struct Known {
     pub robot: Meant,
     /// What it has said of frames that are fixed.
     pub mounts: Option<Arc<Mounts>>,
+}
+
+/// The odometry that is meant, of that among transforms.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Meant {
+    /// Which transforms it is.
+    pub odometry: OdometryOf,
+    /// One of them; none where there is none.
+    pub motion: Option<Motion>,
+}
+
+impl Meant {
+    /// How a transform contradicts this odometry; `None` where it does not.
+    pub fn contradiction(&self, other: &Motion) -> Option<String> {
+        self.odometry.contradiction(self.motion.as_ref()?, other)
+    }
 }
 
 /// The messages of one channel.

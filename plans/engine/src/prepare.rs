@@ -230,12 +230,16 @@ impl Prepared {
         let played: Vec<Roles> = sessions.iter().map(plays).collect();
         let sites: BTreeSet<&str> = sessions.iter().map(|s| s.log.site.as_str()).collect();
         let needs = Needs::of_program(&program, registry, &sites);
-        let unknown = unknown::warnings(&given, &program, &sites);
+        let mut unknown_names = unknown::topics(&given);
+        unknown_names.extend(unknown::origins(&program, &sites));
         // A name that is misspelt may be why.
         let idle = idle(&needs, &given, &played).map_err(|fault| Fault {
-            message: [std::slice::from_ref(&fault.message), unknown.as_slice()]
-                .concat()
-                .join("; "),
+            message: [
+                std::slice::from_ref(&fault.message),
+                unknown_names.as_slice(),
+            ]
+            .concat()
+            .join("; "),
             ..fault
         })?;
         let unplayed = needs.unplayed(&program, &played);
@@ -246,7 +250,7 @@ impl Prepared {
         notes.extend(repeated(&given, &sessions));
         Ok(Self {
             notes,
-            unknown,
+            unknown: unknown_names,
             unplayed,
             unreadable: unreadable(&given),
             idle,

@@ -39,7 +39,7 @@ pub async fn check(args: &PlanArgs) -> Ending {
         line(&format!("note: {note}"));
     }
     let sites = unknown::sites(&dataset);
-    for warning in unknown::warnings(&dataset, &program, &sites) {
+    if let Some(warning) = unknown::origins(&program, &sites) {
         line(&format!("warning: {warning}"));
     }
     let needs = Needs::of_program(&program, &registry, &sites);

@@ -22,11 +22,9 @@ pub(super) fn surveyed(program: &Program) -> BTreeSet<&str> {
     sites.collect()
 }
 
-/// What a person is told of names in a manifest that nothing has: topics of these logs, and sites of the map.
-pub fn warnings(given: &Dataset, program: &Program, sites: &BTreeSet<&str>) -> Vec<String> {
-    let mut warnings = topics(given);
-    warnings.extend(of_sites(&surveyed(program), sites));
-    warnings
+/// What a person is told of surveyed places that are given for sites which none of these is.
+pub fn origins(program: &Program, sites: &BTreeSet<&str>) -> Option<String> {
+    of_sites(&surveyed(program), sites)
 }
 
 /// What a person is told of topics that a manifest gives to roles and that none of these logs has.
