@@ -38,7 +38,7 @@ use crate::progress::line;
 use crate::prompt;
 use crate::reader::MapReader;
 use crate::sessions;
-use schemas::{add_hidden_topics, schema_of};
+use schemas::{add_hidden_topics, schema_of_session};
 
 /// The name that a map is given, where it is, and its address.
 fn named(map: &str) -> (Option<&str>, &str) {
@@ -95,10 +95,8 @@ impl Tables {
         dataset.register_stores(&self.context.runtime_env());
         let catalog = catalog(&self.context)?;
         for session in &dataset.sessions {
-            let alone = dataset.of_session(session);
-            let mut tables = alone.tables()?;
-            tables.extend(alone.topic_tables());
-            let taken = catalog.register_schema(&session.name, schema_of(tables)?);
+            let tables = schema_of_session(&dataset.of_session(session))?;
+            let taken = catalog.register_schema(&session.name, tables);
             if taken.or_fault()?.is_some() {
                 let name = &session.name;
                 return Err(
