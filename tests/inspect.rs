@@ -614,3 +614,200 @@ fn a_plan_or_a_setting_says_which_is_the_vehicle_as_a_manifest_does() {
     }
     assert!(!at("map").join("versions").exists());
 }
+
+/// Writes a log of these topics in JSON: name, type, members of the type, messages one tenth of a second apart.
+fn write_topics(path: &Path, topics: &[(&str, &str, Value, Vec<Value>)]) {
+    let mut log = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
+    for (topic, kind, members, messages) in topics {
+        let schema = json!({ "type": "object", "properties": members }).to_string();
+        let schema = log.add_schema(kind, "jsonschema", schema.as_bytes());
+        let channel = log.add_channel(schema.unwrap(), topic, "json", &Default::default());
+        let channel_id = channel.unwrap();
+        for (message, tenth) in messages.iter().zip(0_u32..) {
+            let time = 1_700_000_000_000_000_000 + u64::from(tenth) * 100_000_000;
+            let header = mcap::records::MessageHeader {
+                channel_id,
+                sequence: tenth,
+                log_time: time,
+                publish_time: time,
+            };
+            log.write_to_known_channel(&header, message.to_string().as_bytes())
+                .unwrap();
+        }
+    }
+    log.finish().unwrap();
+}
+
+#[test]
+fn odometry_of_a_frame_elsewhere_on_the_vehicle_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let string = json!({"type": "string"});
+    let object = |names: &[&str]| {
+        let member = |name: &&str| ((*name).to_owned(), json!({"type": "number"}));
+        let members: serde_json::Map<_, _> = names.iter().map(member).collect();
+        json!({"type": "object", "properties": members})
+    };
+    let (xyz, xyzw) = (object(&["x", "y", "z"]), object(&["x", "y", "z", "w"]));
+    let pose = json!({"type": "object", "properties": {"position": xyz, "orientation": xyzw}});
+    let covariant = json!({"type": "object", "properties": {"pose": pose}});
+    let place = |x: f64| json!({"x": x, "y": 0.0, "z": 0.0});
+    let ahead = json!({"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0});
+    let inspected = |child: &str| {
+        let fixed = json!({
+            "parent_frame_id": "base_link", "child_frame_id": "imu_link", "translation": place(2.0), "rotation": ahead,
+        });
+        let odometry = |tenth: u32| {
+            let pose = json!({"position": place(0.1 * f64::from(tenth)), "orientation": ahead});
+            json!({"child_frame_id": child, "pose": {"pose": pose}})
+        };
+        let transform = json!({
+            "parent_frame_id": string, "child_frame_id": string, "translation": xyz, "rotation": xyzw,
+        });
+        let members = json!({"child_frame_id": string, "pose": covariant});
+        let topics = [
+            (
+                "/tf_static",
+                "foxglove.FrameTransform",
+                transform,
+                vec![fixed],
+            ),
+            (
+                "/odom",
+                "nav_msgs/Odometry",
+                members,
+                (0..20).map(odometry).collect::<Vec<_>>(),
+            ),
+        ];
+        write_topics(&folder.path().join("drive.mcap"), &topics);
+        run_in(folder.path(), &["inspect", "drive.mcap"])
+            .expect(0)
+            .stdout
+    };
+    let note = "\nnote         session drive: odometry is of imu_link, 2.00 m and 0.0° from base_link, and read as if it were of \
+                base_link; say `defaults: { vehicle_frame: imu_link }` in a session manifest\n";
+    let told = inspected("imu_link");
+    assert!(told.contains(note), "{told}");
+    for silent in ["", "base_link", "/base_link", "base_footprint"] {
+        let told = inspected(silent);
+        assert!(!told.contains("\nnote "), "{silent}: {told}");
+    }
+    inspected("imu_link");
+    let run = [
+        "run",
+        "trajectory",
+        "--map",
+        "map",
+        "--progress",
+        "none",
+        "--sessions",
+        "drive.mcap",
+    ];
+    let told = run_in(folder.path(), &run).expect(0).stderr;
+    assert!(
+        told.contains("note: session drive: odometry is of imu_link"),
+        "{told}"
+    );
+    std::fs::write(
+        folder.path().join("imu.yaml"),
+        "defaults: { vehicle_frame: imu_link }\n",
+    )
+    .unwrap();
+    let run = [&run[..], &["--manifest", "imu.yaml"]].concat();
+    let told = run_in(folder.path(), &run).expect(0).stderr;
+    assert!(!told.contains("odometry is of"), "{told}");
+}
+
+#[test]
+fn a_topic_that_is_called_as_a_role_is_named_behind_its_session() {
+    let folder = tempfile::tempdir().unwrap();
+    let members = json!({"volts": {"type": "number"}});
+    let topics = [(
+        "odometry",
+        "our.Battery",
+        members,
+        vec![json!({"volts": 12.5})],
+    )];
+    write_topics(&folder.path().join("drive.mcap"), &topics);
+    let query = "SELECT volts FROM drive.odometry";
+    let asked = ["sql", "--sessions", "drive.mcap", "--format", "json", query];
+    let asked = run_in(folder.path(), &asked).expect(0);
+    let note =
+        "odometry in a query is what every log has, not the topic: that is \"drive\".\"odometry\"";
+    assert!(asked.stderr.contains(note), "{}", asked.stderr);
+    assert_eq!(asked.json()[0]["volts"], 12.5);
+}
+
+#[test]
+fn what_a_manifest_names_and_nothing_has_is_warned_of_and_a_surveyed_site_needs_no_fixes() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_moving(&at("drive.mcap"), &[("odom", "base_link", 0.1)]);
+    let run = |plan: &str, map: &str, site: &str| {
+        let manifest = format!(
+            "site: lot\nsessions: [{{ name: drive, files: [drive.mcap] }}]\nroles: {{ odometry: [/tf, /tff] }}\n\
+             defaults: {{ origins: {{ {site}: [52.25, 10.5, 80.0, 0.0] }} }}\n"
+        );
+        std::fs::write(at("lot.yaml"), manifest).unwrap();
+        let run = [
+            "run",
+            plan,
+            "--map",
+            map,
+            "--progress",
+            "none",
+            "--manifest",
+            "lot.yaml",
+        ];
+        run_in(folder.path(), &run)
+    };
+    let topic = "`roles.odometry` names `/tff`, which no session has: their topics are `/tf`; did you mean `/tf`?";
+    let site =
+        "`origins` names `lott`, which no session has: their sites are `lot`; did you mean `lot`?";
+    let refused = run("georeference", "none", "lott").expect(1).stderr;
+    for said in ["expected gnss_fixes", topic, site] {
+        assert!(refused.contains(said), "{said}: {refused}");
+    }
+    let told = run("georeference", "map", "lot").expect(0).stderr;
+    assert!(told.contains(&format!("warning: {topic}")), "{told}");
+    assert!(!told.contains("`origins`"), "{told}");
+    let check = ["check", "georeference", "--manifest", "lot.yaml"];
+    let checked = run_in(folder.path(), &check).expect(0).stderr;
+    assert_eq!(checked.matches(topic).count(), 1, "{checked}");
+    assert!(!checked.contains("`origins`"), "{checked}");
+    let query = "SELECT site, latitude_deg FROM georeference";
+    let asked = ["sql", "--map", "map", "--format", "json", query];
+    let asked = run_in(folder.path(), &asked).expect(0).json();
+    assert_eq!(
+        (&asked[0]["site"], &asked[0]["latitude_deg"]),
+        (&json!("lot"), &json!(52.25))
+    );
+}
+
+#[test]
+fn the_same_recording_under_two_names_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    write_moving(&at("drive.mcap"), &[("odom", "base_link", 0.1)]);
+    write_moving(&at("other.mcap"), &[("odom", "base_link", 0.2)]);
+    std::fs::copy(at("drive.mcap"), at("drive (1).mcap")).unwrap();
+    let run = |given: &[&str]| {
+        let run = [
+            "run",
+            "trajectory",
+            "--map",
+            "map",
+            "--progress",
+            "none",
+            "--sessions",
+        ];
+        run_in(folder.path(), &[&run[..], given].concat())
+            .expect(0)
+            .stderr
+    };
+    let same = "is the same recording as session";
+    let told = run(&["drive.mcap", "other.mcap"]);
+    assert!(!told.contains(same), "{told}");
+    let told = run(&["drive (1).mcap"]);
+    let said = format!("note: session drive (1) {same} drive, and counts as another drive");
+    assert!(told.contains(&said), "{told}");
+}

@@ -32,6 +32,9 @@ pub struct Dataset {
     pub losses: LossLedger,
     /// Choices that the user might want to make differently, in sentences.
     pub notes: Vec<String>,
+    /// Topics, or patterns of them, that a manifest gives to a role and that no session has, with the role's name first;
+    /// the role is played by others of its topics.
+    pub unknown_topics: Vec<(String, String)>,
     roles: &'static [Role],
 }
 
@@ -67,16 +70,29 @@ impl Dataset {
         roles.chain(whole).chain(listing::NAMES).collect()
     }
 
-    /// Every table of the dataset, by name: each topic, and those of [`Dataset::table_names`].
+    /// The same, of one of its sessions.
+    #[must_use]
+    pub fn of_session(&self, session: &Session) -> Self {
+        Self {
+            sessions: vec![session.clone()],
+            ..self.clone()
+        }
+    }
+
+    /// Topics that are called as one of [`Dataset::table_names`] is, and so are not among [`Dataset::tables`].
+    pub fn hidden_topics(&self) -> BTreeSet<String> {
+        let names = Self::table_names();
+        let mut topics = self.topics();
+        topics.retain(|topic| names.contains(&topic.as_str()));
+        topics
+    }
+
+    /// The table of each topic, by name, whatever it is called.
     ///
     /// A topic that cannot be decoded is a table that says so when it is scanned.
-    ///
-    /// # Errors
-    /// A fault of ours.
-    pub fn tables(&self) -> Result<BTreeMap<String, Arc<dyn TableProvider>>, Fault> {
-        let parts = self.parts();
+    pub fn topic_tables(&self) -> BTreeMap<String, Arc<dyn TableProvider>> {
         let mut tables = BTreeMap::<String, Arc<dyn TableProvider>>::new();
-        let shared: Arc<[Arc<LogPart>]> = parts.clone().into();
+        let shared: Arc<[Arc<LogPart>]> = self.parts().into();
         for topic in self.topics() {
             let (name, parts) = (topic.clone(), shared.clone());
             let table = LazyTable::new(move || {
@@ -85,6 +101,16 @@ impl Dataset {
             });
             tables.insert(topic, Arc::new(table));
         }
+        tables
+    }
+
+    /// Every table of the dataset, by name: each topic, and those of [`Dataset::table_names`], which go before topics of
+    /// their names.
+    ///
+    /// # Errors
+    /// A fault of ours.
+    pub fn tables(&self) -> Result<BTreeMap<String, Arc<dyn TableProvider>>, Fault> {
+        let (parts, mut tables) = (self.parts(), self.topic_tables());
         let whole: [Arc<dyn LogTable>; 3] = [
             Arc::new(MessagesTable),
             Arc::new(RecordTable::attachments()),
@@ -162,6 +188,7 @@ impl Recordings {
         let sessions: Vec<Session> = opened.into_iter().map(|(session, ..)| session).collect();
         check_topics(topics, &sessions)?;
         Ok(Dataset {
+            unknown_topics: unknown_topics(topics, &sessions),
             sessions,
             losses,
             notes,
@@ -281,4 +308,23 @@ fn check_topics(given: &BTreeMap<String, Vec<String>>, sessions: &[Session]) -> 
         topics.join(", ")
     ));
     Err(of_role(fault, role))
+}
+
+/// The patterns of the manifest, by role, that no session has a topic for.
+fn unknown_topics(
+    given: &BTreeMap<String, Vec<String>>,
+    sessions: &[Session],
+) -> Vec<(String, String)> {
+    let topics: BTreeSet<String> = sessions.iter().flat_map(Session::topics).collect();
+    let is_known = |pattern: &str| {
+        let pattern = glob::Pattern::new(pattern);
+        pattern.is_ok_and(|pattern| topics.iter().any(|topic| pattern.matches(topic)))
+    };
+    let all = given
+        .iter()
+        .flat_map(|(role, patterns)| patterns.iter().map(move |pattern| (role, pattern)));
+    let unknown = all.filter(|(_, pattern)| !topics.is_empty() && !is_known(pattern));
+    unknown
+        .map(|(role, pattern)| (role.clone(), pattern.clone()))
+        .collect()
 }

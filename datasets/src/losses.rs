@@ -47,6 +47,8 @@ pub enum Reason {
     NoVehicle,
     /// What lies before a log's end record does not match the checksum there, and no chunk says where: it is read as it is.
     BadData,
+    /// Messages with a transform that moves the vehicle in another frame than the one that odometry is read in.
+    OtherParent,
 }
 
 impl Reason {
@@ -69,6 +71,7 @@ impl Reason {
             Reason::Contradiction => "frames with contradicting fixed transforms",
             Reason::NoVehicle => "topics of transforms that move no vehicle",
             Reason::BadData => "logs with a wrong checksum of their data",
+            Reason::OtherParent => "transforms that move the vehicle in another frame",
         }
     }
 }

@@ -21,7 +21,7 @@ use async_trait::async_trait;
 use datafusion::catalog::TableProvider;
 use datafusion::datasource::ViewTable;
 use datafusion::prelude::SessionContext;
-use evermap_schemas::roles::{CameraNames, Messages, OdometryOf, Role, Source};
+use evermap_schemas::roles::{CameraNames, Messages, Role, Source};
 use evermap_schemas::{Column, Fault, Layer};
 use futures::FutureExt;
 use tokio::sync::OnceCell;
@@ -31,7 +31,7 @@ use crate::scan::{LogTable, McapTable, RecordTable, RowBuilder};
 use crate::session::{LogPart, Session};
 use mounts::Mounts;
 use robots::RobotOf;
-use rows::{Known, RoleRows};
+use rows::{Known, Meant, RoleRows};
 
 /// Topics that play a role, by session.
 type Topics = BTreeMap<Arc<str>, Vec<String>>;
@@ -186,7 +186,7 @@ impl LogTable for MessageRole {
             },
             robot: match &self.robots {
                 Some(robots) => robots.of(&part.session).await?,
-                None => OdometryOf::default(),
+                None => Meant::default(),
             },
             mounts: self.mounts.get(&part.session).cloned(),
         };

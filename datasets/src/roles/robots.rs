@@ -13,6 +13,7 @@ use crate::fault::OrFault;
 use crate::losses::{Loss, Reason};
 use crate::manifest::Vehicle;
 use crate::roles::ahead::batches;
+use crate::roles::rows::Meant;
 use crate::session::{LogPart, Session};
 
 /// Messages that are looked at together.
@@ -34,7 +35,7 @@ struct Asked {
     /// Files and topics of it that have robots.
     places: Vec<(Arc<LogPart>, String)>,
     /// The odometry that is meant, once somebody asked.
-    meant: OnceCell<OdometryOf>,
+    meant: OnceCell<Meant>,
 }
 
 impl RobotOf {
@@ -54,13 +55,13 @@ impl RobotOf {
     ///
     /// # Errors
     /// A user fault where several may be; as reading the log.
-    pub async fn of(&self, session: &str) -> Result<OdometryOf, Fault> {
+    pub async fn of(&self, session: &str) -> Result<Meant, Fault> {
         match self.sessions.get(session) {
             Some(asked) => {
                 let read = || asked.meant(self.messages);
                 asked.meant.get_or_try_init(read).await.cloned()
             }
-            None => Ok(OdometryOf::default()),
+            None => Ok(Meant::default()),
         }
     }
 }
@@ -129,19 +130,22 @@ impl Asked {
         }
     }
 
-    async fn meant(&self, messages: Messages) -> Result<OdometryOf, Fault> {
+    async fn meant(&self, messages: Messages) -> Result<Meant, Fault> {
         let Some((part, topic)) = self.places.first() else {
-            return Ok(OdometryOf::default());
+            return Ok(Meant::default());
         };
         let frame = self.vehicle.frame();
         let robots = self.read(messages, Robots::settle).await?;
         match robots.meant(frame) {
-            Ok(Some(meant)) => Ok(meant),
+            Ok(Some(odometry)) => Ok(Meant {
+                motion: robots.motion_of(&odometry),
+                odometry,
+            }),
             Ok(None) => {
                 let (loss, why) = (Loss::one(0), robots.missing(frame));
                 let losses = &part.losses;
                 losses.note_topic(Reason::NoVehicle, topic, 0, loss, why);
-                Ok(OdometryOf::default())
+                Ok(Meant::default())
             }
             Err(fault) => Err(fault.at(format!("topic {topic}")).at(&part.url)),
         }

@@ -6,7 +6,9 @@ use std::sync::Arc;
 use arrow::array::{RecordBatch, StructArray};
 use arrow::datatypes::{Field, SchemaRef};
 use evermap_messages::{Decoder, MessageType};
-use evermap_schemas::roles::{CameraNames, Fields, FoundImage, Message, Messages, OdometryOf};
+use evermap_schemas::roles::{
+    CameraNames, Fields, FoundImage, FromMessage, Message, Messages, Motion, OdometryOf,
+};
 use evermap_schemas::{Fault, ImageRef, Stamp};
 
 use crate::losses::{Loss, Reason};
@@ -32,9 +34,25 @@ pub(crate) struct Known {
     /// What its cameras are called.
     pub cameras: CameraNames,
     /// The odometry that is meant, of those among transforms.
-    pub robot: OdometryOf,
+    pub robot: Meant,
     /// What it has said of frames that are fixed.
     pub mounts: Option<Arc<Mounts>>,
+}
+
+/// The odometry that is meant, of that among transforms.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Meant {
+    /// Which transforms it is.
+    pub odometry: OdometryOf,
+    /// One of them; none where there is none.
+    pub motion: Option<Motion>,
+}
+
+impl Meant {
+    /// How a transform contradicts this odometry; `None` where it does not.
+    pub fn contradiction(&self, other: &Motion) -> Option<String> {
+        self.odometry.contradiction(self.motion.as_ref()?, other)
+    }
 }
 
 /// The messages of one channel.
@@ -101,6 +119,30 @@ impl RoleRows {
             channels,
             pushed: 0,
         })
+    }
+}
+
+impl RoleRows {
+    /// Counts the transforms of a message that move the vehicle as well, but in another frame than the one that is read.
+    fn lose_other_parents(&self, taken: &Taken, topic: &str, message: &Message<'_>) {
+        if self.known.robot.motion.is_none() {
+            return;
+        }
+        let motions = Motion::from_message(message).unwrap_or_default();
+        let others = motions.iter();
+        let others = others.filter_map(|motion| self.known.robot.contradiction(motion));
+        let others: Vec<String> = others.collect();
+        if let Some(first) = others.first() {
+            let (count, losses) = (others.len() as u64, &self.part.losses);
+            let loss = Loss { count, bytes: 0 };
+            losses.note_topic(
+                Reason::OtherParent,
+                topic,
+                taken.place,
+                loss,
+                first.as_str(),
+            );
+        }
     }
 }
 
@@ -192,7 +234,7 @@ impl RowBuilder for RoleRows {
                 fields: Fields::new(&members[*topic], *row),
                 image: taken.image.as_ref(),
                 cameras: &self.known.cameras,
-                robot: &self.known.robot,
+                robot: &self.known.robot.odometry,
             })
             .collect();
         let read = (self.role.read)(&messages)?;
@@ -202,6 +244,9 @@ impl RowBuilder for RoleRows {
             let topic = &self.topics[*topic].topic;
             let losses = &self.part.losses;
             losses.note_topic(Reason::Senseless, topic, taken.place, loss, detail);
+        }
+        for ((taken, topic, _), message) in taken.iter().zip(&messages) {
+            self.lose_other_parents(taken, &self.topics[*topic].topic, message);
         }
         if let (Some(said), Some(mounts)) = (self.role.mounts, &self.known.mounts) {
             for message in &messages {

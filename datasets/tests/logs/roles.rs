@@ -67,6 +67,13 @@ async fn open(manifest: &str) -> Result<(SessionContext, Dataset), Fault> {
 async fn a_made_up_role_is_inferred_and_read() {
     let (context, dataset) = open("site: here").await.unwrap();
     assert_eq!(dataset.sessions[0].roles.topics("remarks"), ["/text"]);
+    assert!(dataset.unknown_topics.is_empty());
+    let (_, dataset) = open("roles: {remarks: [/text, /tex, '/no*']}")
+        .await
+        .unwrap();
+    assert_eq!(dataset.sessions[0].roles.topics("remarks"), ["/text"]);
+    let unknown = ["/tex", "/no*"].map(|topic| ("remarks".to_owned(), topic.to_owned()));
+    assert_eq!(dataset.unknown_topics, unknown);
     let batches = rows(&context, "SELECT * FROM remarks ORDER BY stamp").await;
     let remarks: Vec<Remark> = batches
         .iter()
@@ -249,6 +256,24 @@ async fn transforms_that_move_no_vehicle_are_counted_with_what_a_manifest_may_sa
                 `defaults: { vehicle_frame: chassis }`";
     let told: Vec<_> = dataset.losses.told().into_iter().collect();
     assert_eq!(told, [(said.to_owned(), 1)]);
+}
+
+/// A frame has one parent: what moves the vehicle in another one is not read, and that is said.
+#[tokio::test]
+async fn transforms_that_move_the_vehicle_in_another_frame_are_counted() {
+    let log = tf(&[("odom", "base_link"), ("map", "base_link"), ("map", "odom")]);
+    for manifest in ["", "defaults: {vehicle_frame: base_link}"] {
+        let (context, dataset) = opened_with(&log, manifest).await;
+        for _ in 0..2 {
+            assert_eq!(count(&context, "SELECT * FROM odometry").await, 3);
+        }
+        let said = "memory://logs/log.mcap: transforms that move the vehicle in another frame on /tf: base_link moves in map, \
+                    too; odometry is read of odom -> base_link";
+        let told: Vec<_> = dataset.losses.told().into_iter().collect();
+        assert_eq!(told, [(said.to_owned(), 3)], "{manifest}");
+    }
+    let chain = tf(&[("odom", "base_footprint"), ("base_footprint", "base_link")]);
+    assert_eq!(ahead(&chain, "").await.unwrap(), [0.0, 2.0, 4.0]);
 }
 
 #[tokio::test]

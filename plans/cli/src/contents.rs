@@ -41,6 +41,8 @@ pub struct Contents {
     pub roles: Vec<RoleLine>,
     /// Coordinate frames; null where only the index was read.
     pub frames: Option<CoordinateFrames>,
+    /// What is to be known of how it is read, in sentences; none where only the index was read.
+    pub notes: Vec<String>,
     /// The plans that ship, and what each lacks to make something of this file.
     pub plans: Vec<PlanLine>,
     /// Its attachments.

@@ -14,7 +14,7 @@ use evermap_schemas::roles::robots::Robots;
 use serde::Serialize;
 
 /// Frames are known after so many transforms, and cameras after so many images.
-const TRANSFORMS: usize = 20_000;
+pub(crate) const TRANSFORMS: usize = 20_000;
 const IMAGES: usize = 2_000;
 
 /// The coordinate frames of logs, from their first transforms and images.
@@ -61,7 +61,7 @@ impl CoordinateFrames {
              ORDER BY fixed DESC, parent, child"
         );
         let frame = |name: &str| frame_names::plain(name).to_owned();
-        let transforms = rows(context, &transforms).await?.into_iter();
+        let transforms = texts_of(context, &transforms).await?.into_iter();
         let transforms: Vec<Transform> = transforms
             .map(|[parent, child, fixed]| Transform {
                 parent: frame(&parent),
@@ -72,7 +72,7 @@ impl CoordinateFrames {
         let cameras = format!(
             "SELECT DISTINCT camera, topic FROM (SELECT camera, topic FROM frames LIMIT {IMAGES}) ORDER BY camera, topic"
         );
-        let cameras = rows(context, &cameras).await?.into_iter();
+        let cameras = texts_of(context, &cameras).await?.into_iter();
         let cameras = cameras.map(|[camera, topic]| Camera {
             mounted_on: mounted_on(&transforms, &frame(&camera)),
             camera,
@@ -180,7 +180,7 @@ pub(crate) async fn cameras_of(
     let cameras = format!(
         "SELECT DISTINCT camera FROM (SELECT camera FROM frames WHERE session = '{session}' LIMIT {IMAGES})"
     );
-    let cameras = rows(context, &cameras).await?.into_iter();
+    let cameras = texts_of(context, &cameras).await?.into_iter();
     Ok(cameras.map(|[camera]: [String; 1]| camera).collect())
 }
 
@@ -196,7 +196,7 @@ pub(crate) async fn image_size(
         for frame in ["header['frame_id']", "frame_id"] {
             let first = format!("SELECT {frame}, width, height FROM \"{topic}\" LIMIT 1");
             // Messages have the frame in the one place or the other.
-            let found = rows::<3>(context, &first).await.unwrap_or_default();
+            let found = texts_of::<3>(context, &first).await.unwrap_or_default();
             if let Some([of, width, height]) = found.first()
                 && frame_names::plain(of) == frame_names::plain(camera)
                 && let (Ok(width), Ok(height)) = (width.parse(), height.parse())
@@ -209,7 +209,7 @@ pub(crate) async fn image_size(
 }
 
 /// The rows of a query, as text.
-async fn rows<const N: usize>(
+pub(crate) async fn texts_of<const N: usize>(
     context: &SessionContext,
     query: &str,
 ) -> Result<Vec<[String; N]>, Fault> {

@@ -29,6 +29,7 @@ mod masks;
 pub mod metric;
 mod mosaic;
 mod moved;
+mod odometry_frame;
 mod operators;
 pub mod output;
 mod printable;

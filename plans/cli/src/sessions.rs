@@ -6,6 +6,7 @@ use std::path::Path;
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
 use evermap_datasets::{Dataset, Manifest};
+use evermap_engine::preflight::unknown::topics;
 use evermap_engine::prepare::{Prepared, located};
 use evermap_schemas::Fault;
 
@@ -56,6 +57,10 @@ pub async fn open(runtime: &RuntimeEnv, args: &SessionArgs) -> Result<Dataset, F
         .notes
         .iter()
         .for_each(|note| line(&format!("note: {note}")));
+    let unknown = topics(&dataset);
+    unknown
+        .iter()
+        .for_each(|unknown| line(&format!("warning: {unknown}")));
     Ok(dataset)
 }
 

@@ -5,6 +5,8 @@
 //! version before, topics by name and roles of metadata are there or not as they please. A query that hands
 //! what a vehicle is like (its cameras, where they sit) to other steps makes nothing of a session by itself.
 
+pub mod unknown;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_contract::Registry;
@@ -73,8 +75,9 @@ impl Unplayed {
 pub type Lacks = BTreeMap<String, String>;
 
 impl Needs {
-    /// The needs of a compiled plan.
-    pub fn of_program(program: &Program, registry: &Registry) -> Self {
+    /// The needs of a compiled plan, for sessions of these sites. No GNSS fixes where it is told where one of the sites
+    /// lies.
+    pub fn of_program(program: &Program, registry: &Registry, sites: &BTreeSet<&str>) -> Self {
         let need = |stage: &Stage| {
             let reads = stage.reads.iter().filter(|read| match &read.role {
                 Role::Side(port) => !is_optional(registry, stage.op().unwrap_or_default(), port),
@@ -95,9 +98,13 @@ impl Needs {
             let stage = program.stages.iter().find(|stage| reads(stage, role))?;
             Some((role.clone(), step_of(&stage.name)))
         };
+        let is_surveyed = !unknown::surveyed(program).is_disjoint(sites);
+        let fixes = roles::gnss_fixes::ROLE.name;
+        let needed = program.needs.iter();
+        let needed = needed.filter(|role| !is_surveyed || role.as_str() != fixes);
         Self {
             steps: program.stages.iter().map(need).collect(),
-            whole: program.needs.iter().filter_map(reader).collect(),
+            whole: needed.filter_map(reader).collect(),
         }
     }
 

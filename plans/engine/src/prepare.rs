@@ -4,7 +4,7 @@ mod host;
 mod manifest;
 mod vehicle;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use datafusion::execution::runtime_env::RuntimeEnv;
@@ -24,7 +24,7 @@ use crate::map::make;
 use crate::map::receipt::LogContent;
 use crate::map::store::{Store, each};
 use crate::map::version::{MappedSession, Previous, Version};
-use crate::preflight::{Lacks, Needs, Roles, Unplayed, idle};
+use crate::preflight::{Lacks, Needs, Roles, Unplayed, idle, unknown};
 use crate::program::Program;
 use crate::program::compile::{all_faults, compile};
 use crate::run::Run;
@@ -139,8 +139,14 @@ pub struct Prepared {
     pub missing: Vec<String>,
     /// Whether that is all that it reads of it, so that every session is new.
     pub begins_anew: bool,
+    /// Choices that the user might want to make differently, and sessions that are the same recording, in sentences.
+    pub notes: Vec<String>,
+    /// What a manifest names and nothing has, in sentences.
+    pub unknown: Vec<String>,
     /// Roles that the plan reads and that no session plays.
     pub unplayed: Unplayed,
+    /// The logs that were given, opened.
+    pub logs: Dataset,
     /// Names of the sessions that were given.
     pub given: Vec<String>,
     /// Sessions of which the plan makes nothing, and what they lack.
@@ -222,13 +228,29 @@ impl Prepared {
         let sessions: Vec<_> = by_name.into_values().collect();
         let plays = |session: &MappedSession| session.manifest.roles.keys().cloned().collect();
         let played: Vec<Roles> = sessions.iter().map(plays).collect();
-        let needs = Needs::of_program(&program, registry);
-        let idle = idle(&needs, &given, &played)?;
+        let sites: BTreeSet<&str> = sessions.iter().map(|s| s.log.site.as_str()).collect();
+        let needs = Needs::of_program(&program, registry, &sites);
+        let mut unknown_names = unknown::topics(&given);
+        unknown_names.extend(unknown::origins(&program, &sites));
+        // A name that is misspelt may be why.
+        let idle = idle(&needs, &given, &played).map_err(|fault| Fault {
+            message: [
+                std::slice::from_ref(&fault.message),
+                unknown_names.as_slice(),
+            ]
+            .concat()
+            .join("; "),
+            ..fault
+        })?;
         let unplayed = needs.unplayed(&program, &played);
         let before = base.as_ref();
         let missing = before.map_or_else(Vec::new, |base| Previous::missing(&program, base));
         let begins_anew = before.is_some_and(|base| Previous::begins_anew(&program, base));
+        let mut notes = given.notes.clone();
+        notes.extend(repeated(&given, &sessions));
         Ok(Self {
+            notes,
+            unknown: unknown_names,
             unplayed,
             unreadable: unreadable(&given),
             idle,
@@ -238,6 +260,7 @@ impl Prepared {
                 .iter()
                 .map(|session| session.name.to_string())
                 .collect(),
+            logs: given,
             program,
             sessions,
             base,
@@ -305,6 +328,33 @@ fn unreadable(given: &Dataset) -> BTreeMap<String, u64> {
             )
         })
         .collect()
+}
+
+/// That sessions are the same recording, of which one at least is given: a copy, or a link, under another name.
+fn repeated(given: &Dataset, sessions: &[MappedSession]) -> Vec<String> {
+    let is_given = |name: &str| given.sessions.iter().any(|session| *session.name == *name);
+    let mut first = BTreeMap::<&str, &str>::new();
+    let mut notes = Vec::new();
+    // Those that are new are told, beside what was there before them.
+    let (new, known): (Vec<_>, Vec<_>) = sessions
+        .iter()
+        .map(|session| &session.log)
+        .partition(|log| is_given(&log.session));
+    for log in known {
+        first.entry(&log.content).or_insert(&log.session);
+    }
+    for log in new {
+        let (name, one) = (
+            &log.session,
+            *first.entry(&log.content).or_insert(&log.session),
+        );
+        if one != name {
+            notes.push(format!(
+                "session {name} is the same recording as session {one}, and counts as another drive"
+            ));
+        }
+    }
+    notes
 }
 
 /// That a log takes the place of another one.

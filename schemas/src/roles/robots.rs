@@ -71,6 +71,17 @@ impl OdometryOf {
             } => frame_names::plain(parent) == from && frame_names::plain(child) == to,
         }
     }
+
+    /// That a transform moves what `read`, a transform of this odometry, moves, but in another frame: in words. A frame has
+    /// one parent (REP 105). `None` for any other transform, and for a joint of the vehicle.
+    pub fn contradiction(&self, read: &Motion, other: &Motion) -> Option<String> {
+        let is_joint = frame_names::split(&other.parent).1.starts_with("base");
+        let is_other = other.child == read.child && !self.is(&other.parent, &other.child);
+        (is_other && !is_joint).then(|| {
+            let [from, to, too] = [&read.parent, &read.child, &other.parent].map(|f| shown(f));
+            format!("{to} moves in {too}, too; odometry is read of {from} -> {to}")
+        })
+    }
 }
 
 /// Robots, and frames that move, that are told apart; of a forged log that has more, the others are not. Nor are frames
@@ -138,6 +149,16 @@ impl Robots {
             None if self.frames.is_empty() => Ok(None),
             None => Err(self.unknown(named)),
         }
+    }
+
+    /// The first transform of this odometry by name; `None` where none was added.
+    pub fn motion_of(&self, odometry: &OdometryOf) -> Option<Motion> {
+        let mut motions = self.motions.iter();
+        let (parent, child) = motions.find(|(parent, child)| odometry.is(parent, child))?;
+        Some(Motion {
+            parent: parent.clone(),
+            child: child.clone(),
+        })
     }
 
     /// The transform that a frame hangs off and that REP 105 calls odometry, else the one that ends in it.
@@ -345,6 +366,31 @@ mod tests {
         assert_eq!(circle.meant("a").unwrap(), frame("b", "a"));
         let meant = chassis.meant("chassis").unwrap().unwrap();
         assert!(meant.is("/odom", "chassis") && !meant.is("map", "odom"));
+    }
+
+    #[test]
+    fn what_moves_the_vehicle_in_another_frame_contradicts_and_its_joints_do_not() {
+        let motion = |parent: &str, child: &str| Motion {
+            parent: parent.to_owned(),
+            child: child.to_owned(),
+        };
+        let robot = OdometryOf::default();
+        let moving = moving(&[("odom", "base_link"), ("map", "odom")]);
+        let read = moving.motion_of(&robot).unwrap();
+        assert_eq!(read, motion("odom", "base_link"));
+        let said = "base_link moves in map, too; odometry is read of odom -> base_link";
+        for odometry in [
+            &robot,
+            &odometry(&("odom".to_owned(), "base_link".to_owned())),
+        ] {
+            let told = |parent, child| odometry.contradiction(&read, &motion(parent, child));
+            assert_eq!(told("map", "base_link").as_deref(), Some(said));
+            assert_eq!(told("odom", "base_link"), None);
+            assert_eq!(told("base_footprint", "base_link"), None);
+            assert_eq!(told("map", "odom"), None);
+        }
+        let other = OdometryOf::Robot("b".to_owned());
+        assert_eq!(moving.motion_of(&other), None);
     }
 
     #[test]

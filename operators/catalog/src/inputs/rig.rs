@@ -220,10 +220,17 @@ impl Rig {
     }
 }
 
-/// A name from a log, such that it can be printed.
-pub(crate) fn shown(name: &str) -> String {
+/// A text from a log, such that it can be printed: what moves a cursor is escaped, quotes stay.
+pub(crate) fn shown(text: &str) -> String {
     const MOST_SHOWN: usize = 120;
-    name.escape_debug().take(MOST_SHOWN).collect()
+    let mut shown = String::new();
+    for c in text.chars().take(MOST_SHOWN) {
+        match "\"'".contains(c) {
+            true => shown.push(c),
+            false => shown.extend(c.escape_debug()),
+        }
+    }
+    shown
 }
 
 /// Why an image of a camera is left out of which a session has no calibration.
@@ -356,6 +363,14 @@ mod tests {
             assert!(named && reason.contains(expected), "{reason}");
         }
         assert_eq!(reason(128.0, -0.01), None);
+    }
+
+    #[test]
+    fn what_a_log_says_is_shown_without_what_moves_a_cursor_and_with_its_quotes() {
+        let text = "model \"kannala_v9\" of 'é'";
+        assert_eq!(shown(text), text);
+        assert_eq!(shown("a\u{1b}[2J\n"), "a\\u{1b}[2J\\n");
+        assert_eq!(shown(&"x".repeat(1000)).len(), 120);
     }
 
     #[test]

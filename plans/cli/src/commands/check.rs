@@ -6,7 +6,7 @@ use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
 use evermap_datasets::{Dataset, Manifest, Session};
 use evermap_engine::plan_test::{given_faults, run_tests};
-use evermap_engine::preflight::{Needs, idle, in_words};
+use evermap_engine::preflight::{Needs, idle, in_words, unknown};
 use evermap_engine::prepare::{self, vocabulary};
 use evermap_engine::program::Program;
 use evermap_language::{Plan, json_schema};
@@ -19,7 +19,7 @@ use crate::progress::line;
 use crate::quantity::of;
 use crate::sessions::{lost, open};
 use crate::shipped;
-use crate::{masks, operators};
+use crate::{masks, odometry_frame, operators};
 
 /// Checks a plan.
 ///
@@ -35,7 +35,14 @@ pub async fn check(args: &PlanArgs) -> Ending {
     if let Some(warning) = masks::warning(&masks::masked(&program), &dataset).await? {
         line(&format!("warning: {warning}"));
     }
-    let needs = Needs::of_program(&program, &registry);
+    for note in odometry_frame::notes(&dataset, odometry_frame::vehicle(&program)).await? {
+        line(&format!("note: {note}"));
+    }
+    let sites = unknown::sites(&dataset);
+    if let Some(warning) = unknown::origins(&program, &sites) {
+        line(&format!("warning: {warning}"));
+    }
+    let needs = Needs::of_program(&program, &registry, &sites);
     for (session, lacks) in idle(&needs, &dataset, &[])? {
         let lacks = in_words(&lacks);
         line(&format!(

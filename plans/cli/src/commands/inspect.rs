@@ -20,10 +20,10 @@ use crate::contents::{Attachment, Channel, Chunks, Contents, LossLine, PlanLine,
 use crate::coordinate_frames::CoordinateFrames;
 use crate::ending::Ending;
 use crate::manifest::written;
-use crate::operators;
 use crate::printable::printable;
 use crate::sessions::lost;
 use crate::shipped;
+use crate::{odometry_frame, operators};
 
 /// Says what a file holds, or writes a manifest of several. Every chunk is read, so that damage is found, unless only the index is asked for. Memory
 /// does not grow with the file.
@@ -57,7 +57,13 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
         true => Cow::Borrowed(&part.index),
         false => part.survey().await?,
     };
+    let vehicle = frames.as_ref().and_then(CoordinateFrames::vehicle);
+    let notes = match vehicle {
+        Some(vehicle) => odometry_frame::notes(&dataset, vehicle).await?,
+        None => Vec::new(),
+    };
     let contents = Contents {
+        notes,
         frames,
         ..contents(&dataset, part, &read).await?
     };
@@ -106,6 +112,7 @@ async fn contents(dataset: &Dataset, part: &LogPart, read: &LogIndex) -> Result<
         channels,
         roles: roles(dataset),
         frames: None,
+        notes: Vec::new(),
         plans: plans(dataset)?,
         attachments: attachments.collect(),
         metadata: part.metadata_names().await?,

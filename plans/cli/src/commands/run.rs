@@ -3,9 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
-use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
-use evermap_datasets::Dataset;
 #[cfg(feature = "cluster")]
 use evermap_engine::cluster::ClusterRunner;
 use evermap_engine::map::Map;
@@ -19,14 +17,14 @@ use evermap_engine::sql::Limits;
 
 use evermap_schemas::Fault;
 
-use crate::arguments::{LimitArgs, RunArgs, SessionArgs};
+use crate::arguments::{LimitArgs, RunArgs};
 use crate::commands::layers::print_layers;
 use crate::ending::{Ending, Lost};
 use crate::output::Format;
 use crate::progress::{Progress, line};
 use crate::quantity::{of, of_seconds};
 use crate::sessions;
-use crate::{masks, operators};
+use crate::{masks, odometry_frame, operators};
 
 /// Runs a plan.
 ///
@@ -44,8 +42,19 @@ pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
         .warnings
         .iter()
         .for_each(|warning| line(&format!("warning: {warning}")));
+    let unknown = prepared.unknown.iter();
+    unknown.for_each(|unknown| line(&format!("warning: {unknown}")));
+    let notes = prepared.notes.iter();
+    notes.for_each(|note| line(&format!("note: {note}")));
     warn_of_missing(&prepared);
-    warn_of_masks(&prepared, &args.input.sessions).await?;
+    if let Some(warning) = masks::warning(&masks::masked(&prepared.program), &prepared.logs).await?
+    {
+        line(&format!("warning: {warning}"));
+    }
+    let vehicle = odometry_frame::vehicle(&prepared.program);
+    for note in odometry_frame::notes(&prepared.logs, vehicle).await? {
+        line(&format!("note: {note}"));
+    }
     prepared.unplayed.notes().iter().for_each(|note| line(note));
     let jobs = jobs(&args.limits);
     let runner = runner(args, &registry, jobs, unfinished).await?;
@@ -136,21 +145,6 @@ fn warn_of_missing(prepared: &Prepared) {
             "warning: version {version} has no layer {layer}, which the plan reads as previous.{layer}; it reads as empty"
         ));
     }
-}
-
-/// A mask of a camera that no session has is a misspelt one, or of another vehicle.
-async fn warn_of_masks(prepared: &Prepared, sessions: &SessionArgs) -> Result<(), Fault> {
-    let masked = masks::masked(&prepared.program);
-    if masked.is_empty() {
-        return Ok(());
-    }
-    let manifest = sessions::manifest(sessions)?;
-    let paths = &sessions.sessions;
-    let given = Dataset::open(&RuntimeEnv::default(), paths, manifest.as_ref()).await?;
-    if let Some(warning) = masks::warning(&masked, &given).await? {
-        line(&format!("warning: {warning}"));
-    }
-    Ok(())
 }
 
 /// Memory without which no further unit runs beside others, unless it is asked for.

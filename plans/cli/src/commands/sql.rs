@@ -1,12 +1,13 @@
 //! `evermap sql`.
 
+mod schemas;
+
 use std::io::IsTerminal;
 use std::path::Path;
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
-use datafusion::catalog::{MemorySchemaProvider, SchemaProvider};
 use datafusion::common::TableReference;
 use datafusion::error::DataFusionError;
 use datafusion::execution::context::SQLOptions;
@@ -37,6 +38,7 @@ use crate::progress::line;
 use crate::prompt;
 use crate::reader::MapReader;
 use crate::sessions;
+use schemas::{add_hidden_topics, schema_of_session};
 
 /// The name that a map is given, where it is, and its address.
 fn named(map: &str) -> (Option<&str>, &str) {
@@ -93,13 +95,8 @@ impl Tables {
         dataset.register_stores(&self.context.runtime_env());
         let catalog = catalog(&self.context)?;
         for session in &dataset.sessions {
-            let schema = MemorySchemaProvider::new();
-            let mut alone = dataset.clone();
-            alone.sessions = vec![session.clone()];
-            for (name, table) in alone.tables()? {
-                schema.register_table(name, table).or_fault()?;
-            }
-            let taken = catalog.register_schema(&session.name, Arc::new(schema));
+            let tables = schema_of_session(&dataset.of_session(session))?;
+            let taken = catalog.register_schema(&session.name, tables);
             if taken.or_fault()?.is_some() {
                 let name = &session.name;
                 return Err(
@@ -138,6 +135,7 @@ impl Tables {
         let context = context(limits)?;
         let dataset = sessions::open(&context.runtime_env(), sessions).await?;
         dataset.register(&context)?;
+        add_hidden_topics(&context, &dataset)?;
         Ok(Self {
             context,
             reader: None,

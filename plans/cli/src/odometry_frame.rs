@@ -1,0 +1,169 @@
+//! Odometry of another frame than the vehicle's: a message names the frame whose pose it has, and poses are read as the
+//! vehicle's.
+
+use datafusion::prelude::SessionContext;
+use evermap_algorithms::geometry::pose::Pose;
+use evermap_catalog::{USUAL_VEHICLE, VehicleFrame, footing};
+use evermap_datasets::manifest::Vehicle;
+use evermap_datasets::{Dataset, Session};
+use evermap_engine::error::OrFault;
+use evermap_engine::program::{Program, Task};
+use evermap_engine::sql::{Limits, context};
+use evermap_schemas::roles::{Transform, frame_names};
+use evermap_schemas::{Fault, rows};
+use serde_json::Value;
+
+use crate::coordinate_frames::{TRANSFORMS, texts_of};
+
+/// What is the same but for how it was computed: metres, and radians.
+const SAME: f64 = 1e-6;
+
+/// The frame that the steps of a program take for the vehicle's.
+pub fn vehicle(program: &Program) -> &str {
+    let mut named = program.stages.iter().filter_map(|stage| match &stage.task {
+        Task::Op { params, .. } => params.get(Vehicle::PARAMETER).and_then(Value::as_str),
+        Task::Sql { .. } | Task::Python(_) => None,
+    });
+    named.next().unwrap_or(USUAL_VEHICLE)
+}
+
+/// What a person is told of sessions whose odometry is of a frame that fixed transforms tie to the vehicle's elsewhere
+/// than at it. Nothing of a session whose messages name no frame, or one that no transforms tie to it.
+///
+/// # Errors
+/// A fault of ours.
+pub async fn notes(dataset: &Dataset, vehicle: &str) -> Result<Vec<String>, Fault> {
+    let context = context(Limits::one_partition())?;
+    dataset.register(&context)?;
+    let mut notes = Vec::new();
+    for session in &dataset.sessions {
+        // What cannot be read of a log is told where its rows are read.
+        let Some(frame) = child_of(&context, session).await else {
+            continue;
+        };
+        if frame == frame_names::plain(vehicle) {
+            continue;
+        }
+        let transforms = transforms(&context, &session.name).await;
+        let note = apart(transforms.unwrap_or_default(), &frame, vehicle);
+        notes.extend(note.map(|note| format!("session {}: {note}", session.name)));
+    }
+    Ok(notes)
+}
+
+/// The frame whose pose the first message of a session's odometry has; `None` where it names none. Transforms are chosen
+/// by it.
+async fn child_of(context: &SessionContext, session: &Session) -> Option<String> {
+    let topic = session.roles.topics("odometry").first()?;
+    if session.roles.topics("transforms").contains(topic) {
+        return None;
+    }
+    let (topic, name) = (topic.replace('"', "\"\""), quoted(&session.name));
+    let first = format!("SELECT child_frame_id FROM \"{topic}\" WHERE session = '{name}' LIMIT 1");
+    // Messages of other types have no such member.
+    let found = texts_of::<1>(context, &first).await.ok()?;
+    let [frame] = found.into_iter().next()?;
+    let frame = frame_names::plain(&frame);
+    (!frame.is_empty()).then(|| frame.to_owned())
+}
+
+async fn transforms(context: &SessionContext, session: &str) -> Result<Vec<Transform>, Fault> {
+    let session = quoted(session);
+    let fixed = format!(
+        "SELECT * FROM (SELECT * FROM transforms WHERE session = '{session}' LIMIT {TRANSFORMS}) WHERE fixed"
+    );
+    let batches = context.sql(&fixed).await.or_fault()?.collect().await;
+    let mut found = Vec::new();
+    for batch in batches.or_fault()? {
+        found.extend(rows::<Transform>(&batch)?);
+    }
+    Ok(found)
+}
+
+fn quoted(name: &str) -> String {
+    name.replace('\'', "''")
+}
+
+/// That odometry is of a frame which these fixed transforms tie to the vehicle's, elsewhere than at it.
+fn apart(transforms: Vec<Transform>, frame: &str, vehicle: &str) -> Option<String> {
+    let called = |name: &str| VehicleFrame {
+        vehicle_frame: name.to_owned(),
+    };
+    let (of_frame, of_vehicle) = (
+        footing(transforms.clone(), &called(frame)),
+        footing(transforms, &called(vehicle)),
+    );
+    if of_frame.root != of_vehicle.root {
+        return None;
+    }
+    let from_root = |found: Option<Pose>| found.unwrap_or_else(Pose::identity);
+    let frame_from_root = from_root(of_frame.vehicle_from_root);
+    let vehicle_from_root = from_root(of_vehicle.vehicle_from_root);
+    let apart = frame_from_root.compose(&vehicle_from_root.inverse());
+    let [x, y, z, _, _, _, qw] = apart.to_array();
+    let (metres, turned) = (x.hypot(y).hypot(z), 2.0 * qw.abs().min(1.0).acos());
+    let vehicle = of_vehicle.vehicle;
+    (metres > SAME || turned > SAME.sqrt()).then(|| {
+        format!(
+            "odometry is of {frame}, {metres:.2} m and {:.1}° from {vehicle}, and read as if it were of {vehicle}; say \
+             `defaults: {{ vehicle_frame: {frame} }}` in a session manifest",
+            turned.to_degrees()
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use evermap_schemas::{Pose, Stamp};
+
+    use super::*;
+
+    fn fixed(parent: &str, child: &str, x: f64) -> Transform {
+        Transform {
+            site: String::new(),
+            session: String::new(),
+            stamp: Stamp(0),
+            parent: parent.to_owned(),
+            child: child.to_owned(),
+            parent_from_child: Pose {
+                x,
+                ..Pose::IDENTITY
+            },
+            fixed: true,
+        }
+    }
+
+    #[test]
+    fn odometry_of_a_frame_elsewhere_on_the_vehicle_is_told_and_of_one_at_it_is_not() {
+        let told = |transforms: &[Transform], frame| apart(transforms.to_vec(), frame, "base_link");
+        let mast = [
+            fixed("base_link", "mast", 0.5),
+            fixed("mast", "imu_link", 1.5),
+        ];
+        let said = "odometry is of imu_link, 2.00 m and 0.0° from base_link, and read as if it were of base_link; say \
+                    `defaults: { vehicle_frame: imu_link }` in a session manifest";
+        assert_eq!(told(&mast, "imu_link").as_deref(), Some(said));
+        assert_eq!(told(&mast, "base_link"), None);
+        assert_eq!(told(&mast, "nowhere"), None);
+        assert_eq!(told(&[], "base_footprint"), None);
+        assert_eq!(
+            told(
+                &[fixed("base_footprint", "base_link", 0.0)],
+                "base_footprint"
+            ),
+            None
+        );
+        assert!(
+            told(
+                &[fixed("base_footprint", "base_link", 0.1)],
+                "base_footprint"
+            )
+            .is_some()
+        );
+        let apart = [
+            fixed("base_link", "mast", 0.5),
+            fixed("body", "imu_link", 1.5),
+        ];
+        assert_eq!(told(&apart, "imu_link"), None);
+    }
+}
