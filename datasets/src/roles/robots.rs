@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use evermap_schemas::roles::{Choice, Messages, Motion, OdometryOf, Robots, Role, Topic};
+use evermap_schemas::roles::{Choice, Messages, Motion, Robots, Role, Topic};
 use evermap_schemas::{Fault, rows};
 use futures::TryStreamExt;
 use tokio::sync::OnceCell;
