@@ -9,10 +9,15 @@ use evermap_schemas::{Cell, Fault, Kind, Pose, type_name};
 /// The fault inside, or the best reading of what DataFusion says. A fault that crossed a process border as text is
 /// found again by its code.
 pub fn fault_of(error: &DataFusionError) -> Fault {
+    let place = place_in_query(error);
     let mut cause: Option<&dyn std::error::Error> = Some(error);
     while let Some(error) = cause {
         if let Some(fault) = error.downcast_ref::<Fault>() {
-            return fault.clone();
+            let fault = fault.clone();
+            return match fault.place.is_empty() {
+                true => at(fault, place),
+                false => fault,
+            };
         }
         cause = error.source();
     }
@@ -20,7 +25,6 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
     if let Some(fault) = Fault::parse(&root.to_string()) {
         return fault;
     }
-    let place = place_in_query(error);
     let (kind, message) = match root {
         DataFusionError::ResourcesExhausted(message) => (Kind::Resource, message.clone()),
         DataFusionError::ObjectStore(error) => (Kind::Resource, error.to_string()),
@@ -43,7 +47,7 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
         }
         DataFusionError::ArrowError(error, _) => {
             let said = match &**error {
-                ArrowError::ComputeError(said) => said.clone(),
+                ArrowError::ComputeError(said) => plainly(said),
                 other => other.to_string(),
             };
             (kind_of(error), not_cast(&said).unwrap_or(said))
@@ -66,6 +70,11 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
         () if message.starts_with(NO_INSTANT) => fault.next(INSTANT),
         () => fault,
     };
+    at(fault, place)
+}
+
+/// A fault at a line and column, where they are known.
+fn at(fault: Fault, place: Option<(usize, usize)>) -> Fault {
     match place {
         Some((line, column)) => fault.at(format!("line {line}, column {column} of the query")),
         None => fault,
@@ -331,6 +340,15 @@ mod tests {
                     None,
                 ),
                 "user: Timestamp out of range",
+            ),
+            (
+                DataFusionError::ArrowError(
+                    Box::new(ArrowError::ComputeError(
+                        "Execution error: cannot take square root of a negative number".to_owned(),
+                    )),
+                    None,
+                ),
+                "user: cannot take square root of a negative number",
             ),
             (DataFusionError::Internal("lost".to_owned()), "bug: lost"),
             (DataFusionError::NotImplemented("a thing".to_owned()), "user: not supported: a thing"),
