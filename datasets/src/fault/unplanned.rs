@@ -20,6 +20,10 @@ pub fn unplanned(message: &str) -> Option<(String, &'static str)> {
     }
     if let Some((_, behind)) = message.split_once("Projections require unique expression names") {
         let name = behind.split('"').nth(1)?;
+        let name = match name.rsplit_once(" AS ") {
+            Some((_, alias)) if !alias.ends_with(')') => alias,
+            _ => name,
+        };
         return Some((
             format!("expected columns of different names, found two called {name}"),
             "name one of them with AS",

@@ -8,7 +8,9 @@ mod expanded;
 mod inlined;
 mod literals;
 mod members;
+mod misread;
 mod missing;
+mod named;
 mod overflow;
 mod pool;
 mod size;
@@ -42,6 +44,8 @@ use crate::sql::expanded::check_expanded;
 use crate::sql::inlined::check_inlined;
 use crate::sql::literals::check_literals;
 use crate::sql::members::{check_members, mask_members, members};
+use crate::sql::misread::check_misread;
+use crate::sql::named::named_apart;
 use crate::sql::overflow::check_overflow;
 use crate::sql::pool::SharedPool;
 use crate::sql::widths::check_widths;
@@ -316,7 +320,9 @@ async fn plan_of_one(
 ) -> DataFusionResult<LogicalPlan> {
     check_expanded(&statement).map_err(external)?;
     let written = Written::of(&statement).map_err(external)?;
+    check_misread(&statement).map_err(external)?;
     as_of::bracketed(&mut statement);
+    named_apart(&mut statement);
     let plan = state.statement_to_plan(statement).await;
     let plan = plan.map_err(|error| written.explained(error))?;
     check_members(&plan)?;
