@@ -21,6 +21,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
+use arrow::datatypes::SchemaRef;
 use datafusion::catalog::{CatalogProvider, MemorySchemaProvider, TableProvider};
 use datafusion::common::{DFSchema, TableReference};
 use datafusion::datasource::MemTable;
@@ -303,13 +304,22 @@ fn described_query(statement: &Statement) -> Option<Statement> {
     }
 }
 
-/// The columns of a plan's rows as its rows: of the types that they come with, both sides of operators made alike.
-fn columns_of(state: &SessionState, plan: LogicalPlan) -> DataFusionResult<LogicalPlan> {
+/// The columns of a plan's rows with the types that they come with: both sides of operators made alike. The plan itself
+/// has those from before.
+///
+/// # Errors
+/// That they are not made alike.
+pub fn coming(state: &SessionState, plan: LogicalPlan) -> DataFusionResult<SchemaRef> {
     let analyzer = state.analyzer();
     let plan = analyzer.execute_and_check(plan, state.config_options(), |_, _| {})?;
+    Ok(Arc::new(plan.schema().as_arrow().clone()))
+}
+
+/// The columns of a plan's rows as rows.
+fn columns_of(state: &SessionState, plan: LogicalPlan) -> DataFusionResult<LogicalPlan> {
     let output_schema = DFSchema::try_from(LogicalPlan::describe_schema())?;
     Ok(LogicalPlan::DescribeTable(DescribeTable {
-        schema: Arc::new(plan.schema().as_arrow().clone()),
+        schema: coming(state, plan)?,
         output_schema: Arc::new(output_schema),
     }))
 }
