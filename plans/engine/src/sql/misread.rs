@@ -53,6 +53,7 @@ impl Visitor for Misread {
             op: BinaryOperator::BitwiseXor,
             right,
         } = expr
+            && let (left, right) = (last(left), first(right))
             && (is_number(left) || is_number(right))
         {
             let fault = Fault::user(format!(
@@ -64,6 +65,22 @@ impl Visitor for Misread {
             return ControlFlow::Break(at(fault, expr.span()));
         }
         ControlFlow::Continue(())
+    }
+}
+
+/// What stands first in a term: `2` of `2 + 1`, as `^` binds looser than `+`.
+fn first(expr: &Expr) -> &Expr {
+    match expr {
+        Expr::BinaryOp { left, .. } => first(left),
+        other => other,
+    }
+}
+
+/// What stands last in a term.
+fn last(expr: &Expr) -> &Expr {
+    match expr {
+        Expr::BinaryOp { right, .. } => last(right),
+        other => other,
     }
 }
 
