@@ -48,23 +48,25 @@ impl Visitor for Misread {
     }
 
     fn pre_visit_expr(&mut self, expr: &Expr) -> ControlFlow<Fault> {
-        if let Expr::BinaryOp {
+        let Expr::BinaryOp {
             left,
             op: BinaryOperator::BitwiseXor,
             right,
         } = expr
-            && let (left, right) = (last(left), first(right))
-            && (is_number(left) || is_number(right))
-        {
-            let fault = Fault::user(format!(
-                "expected a power, found {left} ^ {right}, which is an exclusive or of bits"
-            ));
-            let fault = fault.next(format!(
-                "write power({left}, {right}), or for the bits ({left} | {right}) - ({left} & {right})"
-            ));
-            return ControlFlow::Break(at(fault, expr.span()));
+        else {
+            return ControlFlow::Continue(());
+        };
+        let (left, right) = (last(left), first(right));
+        if !is_number(left) && !is_number(right) {
+            return ControlFlow::Continue(());
         }
-        ControlFlow::Continue(())
+        let fault = Fault::user(format!(
+            "expected a power, found {left} ^ {right}, which is an exclusive or of bits"
+        ));
+        let fault = fault.next(format!(
+            "write power({left}, {right}), or for the bits ({left} | {right}) - ({left} & {right})"
+        ));
+        ControlFlow::Break(at(fault, expr.span()))
     }
 }
 
