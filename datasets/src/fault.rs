@@ -1,18 +1,27 @@
 //! DataFusion's errors as faults with a kind, and faults on their way through DataFusion.
 
+mod unplanned;
+
 use arrow::datatypes::DataType;
 use arrow::error::ArrowError;
 use datafusion::error::DataFusionError;
 use datafusion::sql::sqlparser::parser::ParserError;
 use evermap_schemas::{Cell, Fault, Kind, Pose, type_name};
 
+use crate::fault::unplanned::unplanned;
+
 /// The fault inside, or the best reading of what DataFusion says. A fault that crossed a process border as text is
 /// found again by its code.
 pub fn fault_of(error: &DataFusionError) -> Fault {
+    let place = place_in_query(error);
     let mut cause: Option<&dyn std::error::Error> = Some(error);
     while let Some(error) = cause {
         if let Some(fault) = error.downcast_ref::<Fault>() {
-            return fault.clone();
+            let fault = fault.clone();
+            return match fault.place.is_empty() {
+                true => at(fault, place),
+                false => fault,
+            };
         }
         cause = error.source();
     }
@@ -20,7 +29,6 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
     if let Some(fault) = Fault::parse(&root.to_string()) {
         return fault;
     }
-    let place = place_in_query(error);
     let (kind, message) = match root {
         DataFusionError::ResourcesExhausted(message) => (Kind::Resource, message.clone()),
         DataFusionError::ObjectStore(error) => (Kind::Resource, error.to_string()),
@@ -43,7 +51,7 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
         }
         DataFusionError::ArrowError(error, _) => {
             let said = match &**error {
-                ArrowError::ComputeError(said) => said.clone(),
+                ArrowError::ComputeError(said) => plainly(said),
                 other => other.to_string(),
             };
             (kind_of(error), not_cast(&said).unwrap_or(said))
@@ -51,9 +59,8 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
         _ => (Kind::Data, root.strip_backtrace()),
     };
     let message = message.lines().next().unwrap_or_default();
-    if message.contains("OuterReferenceColumn") {
-        return Fault::user("expected a subquery without columns of the query around it, as this place has none for them")
-            .next("write it as a join: the last row before a time is found by ASOF JOIN");
+    if let Some((said, next)) = unplanned(message) {
+        return at(Fault::user(said).next(next), place);
     }
     if message.contains("Dot access not supported") {
         return Fault::user("expected a column in front of `.`, found an expression")
@@ -66,6 +73,11 @@ pub fn fault_of(error: &DataFusionError) -> Fault {
         () if message.starts_with(NO_INSTANT) => fault.next(INSTANT),
         () => fault,
     };
+    at(fault, place)
+}
+
+/// A fault at a line and column, where they are known.
+fn at(fault: Fault, place: Option<(usize, usize)>) -> Fault {
     match place {
         Some((line, column)) => fault.at(format!("line {line}, column {column} of the query")),
         None => fault,
@@ -332,6 +344,15 @@ mod tests {
                 ),
                 "user: Timestamp out of range",
             ),
+            (
+                DataFusionError::ArrowError(
+                    Box::new(ArrowError::ComputeError(
+                        "Execution error: cannot take square root of a negative number".to_owned(),
+                    )),
+                    None,
+                ),
+                "user: cannot take square root of a negative number",
+            ),
             (DataFusionError::Internal("lost".to_owned()), "bug: lost"),
             (DataFusionError::NotImplemented("a thing".to_owned()), "user: not supported: a thing"),
             (plan("first\nsecond"), "user: first"),
@@ -356,6 +377,40 @@ mod tests {
             assert_eq!(fault.next, AS_OF, "{said}");
         }
         assert_eq!(parsed("Expected: JOIN, found: INNER").next, "");
+        for (said, expected, next) in [
+            (
+                "Physical plan does not support logical expression OuterReferenceColumn(Field { name: \"l\", data_type: List(Field { data_type: Int64 }) }, Column { name: \"l\" })",
+                "user: expected a subquery without columns",
+                "FROM (SELECT landmark, unnest(sightings) AS s FROM landmarks)",
+            ),
+            (
+                "Physical plan does not support logical expression WindowFunction(WindowFunction { fun: … })",
+                "user: expected no window function in GROUP BY",
+                "in a query within",
+            ),
+            (
+                "Unsupported ast node Pivot { table: Derived { lateral: false } } in create_relation",
+                "user: not supported: PIVOT",
+                "FILTER",
+            ),
+        ] {
+            let fault = fault_of(&DataFusionError::NotImplemented(said.to_owned())).to_string();
+            assert!(
+                fault.starts_with(expected) && fault.contains(next),
+                "{fault}"
+            );
+            assert!(
+                !fault.contains("Field {") && !fault.contains("fun:"),
+                "{fault}"
+            );
+        }
+        let same = fault_of(&plan(
+            "Projections require unique expression names but the expression \"t.x\" at position 0 and \"CAST(t.x AS Int32)\" at position 1 have the same name.",
+        ));
+        assert_eq!(
+            same.to_string(),
+            "user: expected columns of different names, found two called t.x; name one of them with AS"
+        );
         let nested = DataFusionError::NotImplemented(
             "Physical plan does not support logical expression OuterReferenceColumn(…)".to_owned(),
         );

@@ -21,7 +21,7 @@ use crate::conform::conform;
 use crate::error::OrFault;
 use crate::program::test_rows::{check_given, misfits};
 use crate::program::{Program, Task};
-use crate::sql::{Limits, context, put_rows, read_only, reference};
+use crate::sql::{Limits, coming, context, put_rows, read_only, reference};
 
 /// What became of one test: `None` where it passed.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -217,7 +217,7 @@ impl Bench<'_> {
             }
             Body::Sql { query } => {
                 let frame = read_only(context, query).await?;
-                let schema = Arc::new(frame.schema().as_arrow().clone());
+                let schema = coming(&context.state(), frame.logical_plan().clone()).or_fault()?;
                 let batches = frame.collect().await.or_fault()?;
                 let schema = batches.first().map_or(schema, RecordBatch::schema);
                 Ok(concat_batches(&schema, &batches)?)

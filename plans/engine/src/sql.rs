@@ -8,7 +8,9 @@ mod expanded;
 mod inlined;
 mod literals;
 mod members;
+mod misread;
 mod missing;
+mod named;
 mod overflow;
 mod pool;
 mod size;
@@ -19,15 +21,17 @@ use std::collections::HashSet;
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
+use arrow::datatypes::SchemaRef;
 use datafusion::catalog::{CatalogProvider, MemorySchemaProvider, TableProvider};
-use datafusion::common::TableReference;
+use datafusion::common::{DFSchema, TableReference};
 use datafusion::datasource::MemTable;
 use datafusion::error::Result as DataFusionResult;
 use datafusion::execution::runtime_env::{RuntimeEnv, RuntimeEnvBuilder};
 use datafusion::execution::{SessionState, SessionStateBuilder};
-use datafusion::logical_expr::LogicalPlan;
+use datafusion::logical_expr::{DescribeTable, LogicalPlan};
 use datafusion::prelude::{DataFrame, SQLOptions, SessionConfig, SessionContext};
 use datafusion::sql::parser::Statement;
+use datafusion::sql::sqlparser::ast::{self, DescribeAlias};
 use datafusion::sql::sqlparser::dialect::GenericDialect;
 use evermap_language::Input;
 use evermap_schemas::Fault;
@@ -41,6 +45,8 @@ use crate::sql::expanded::check_expanded;
 use crate::sql::inlined::check_inlined;
 use crate::sql::literals::check_literals;
 use crate::sql::members::{check_members, mask_members, members};
+use crate::sql::misread::check_misread;
+use crate::sql::named::named_apart;
 use crate::sql::overflow::check_overflow;
 use crate::sql::pool::SharedPool;
 use crate::sql::widths::check_widths;
@@ -187,7 +193,7 @@ fn context_of(
         .with_config(config)
         .with_runtime_env(runtime)
         // Of planners the first that has a plan is heard, so those of DataFusion come behind.
-        .with_expr_planners(vec![members()])
+        .with_expr_planners(vec![members(), evermap_functions::extracts()])
         .with_default_features()
         .with_query_planner(as_of::query_planner())
         .with_physical_optimizer_rule(Arc::new(LightBatches));
@@ -274,13 +280,59 @@ pub async fn planned(context: &SessionContext, query: &str) -> DataFusionResult<
 ///
 /// # Errors
 /// What is wrong with it; that it is small, and would become too large.
-pub async fn plan_of(
+pub async fn plan_of(state: &SessionState, statement: Statement) -> DataFusionResult<LogicalPlan> {
+    match described_query(&statement) {
+        Some(query) => columns_of(state, plan_of_one(state, query).await?),
+        None => plan_of_one(state, statement).await,
+    }
+}
+
+/// The query that a statement wants described: `DESCRIBE SELECT …`.
+fn described_query(statement: &Statement) -> Option<Statement> {
+    let Statement::Statement(statement) = statement else {
+        return None;
+    };
+    match statement.as_ref() {
+        ast::Statement::Explain {
+            describe_alias: DescribeAlias::Describe | DescribeAlias::Desc,
+            statement: query,
+            ..
+        } if matches!(query.as_ref(), ast::Statement::Query(_)) => {
+            Some(Statement::Statement(query.clone()))
+        }
+        _ => None,
+    }
+}
+
+/// The columns of a plan's rows with the types that they come with: both sides of operators made alike. The plan itself
+/// has those from before.
+///
+/// # Errors
+/// That they are not made alike.
+pub fn coming(state: &SessionState, plan: LogicalPlan) -> DataFusionResult<SchemaRef> {
+    let analyzer = state.analyzer();
+    let plan = analyzer.execute_and_check(plan, state.config_options(), |_, _| {})?;
+    Ok(Arc::new(plan.schema().as_arrow().clone()))
+}
+
+/// The columns of a plan's rows as rows.
+fn columns_of(state: &SessionState, plan: LogicalPlan) -> DataFusionResult<LogicalPlan> {
+    let output_schema = DFSchema::try_from(LogicalPlan::describe_schema())?;
+    Ok(LogicalPlan::DescribeTable(DescribeTable {
+        schema: coming(state, plan)?,
+        output_schema: Arc::new(output_schema),
+    }))
+}
+
+async fn plan_of_one(
     state: &SessionState,
     mut statement: Statement,
 ) -> DataFusionResult<LogicalPlan> {
     check_expanded(&statement).map_err(external)?;
     let written = Written::of(&statement).map_err(external)?;
+    check_misread(&statement).map_err(external)?;
     as_of::bracketed(&mut statement);
+    named_apart(&mut statement);
     let plan = state.statement_to_plan(statement).await;
     let plan = plan.map_err(|error| written.explained(error))?;
     check_members(&plan)?;
@@ -339,6 +391,25 @@ pub fn repeated_columns(plan: &LogicalPlan) -> Vec<String> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+
+    #[tokio::test]
+    async fn a_query_is_described_with_the_types_of_its_rows() {
+        let context = context(Limits::one_partition()).unwrap();
+        let query =
+            "SELECT x / 1024 AS kib, x + 1 AS next FROM (SELECT CAST(5 AS BIGINT UNSIGNED) AS x)";
+        let rows = read_only(&context, query).await.unwrap();
+        let rows = rows.collect().await.unwrap();
+        let described = read_only(&context, &format!("DESCRIBE {query}")).await;
+        let described = described.unwrap().collect().await.unwrap();
+        for (at, column) in rows[0].schema().fields().iter().enumerate() {
+            let value = |index: usize| {
+                let column = described[0].column(index);
+                arrow::util::display::array_value_to_string(column, at).unwrap()
+            };
+            assert_eq!(value(0), *column.name());
+            assert_eq!(value(1), column.data_type().to_string());
+        }
+    }
 
     #[test]
     fn tables_are_named_as_a_plan_names_them() {

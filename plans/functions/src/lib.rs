@@ -7,6 +7,7 @@
 //! | `earth` | `geodetic`: where on earth a point of a map is |
 //! | `json` | `to_json` |
 //! | `binary` | `octet_length` |
+//! | `date_part` | `date_part`, which is `extract` too |
 //! | `contains`, `related` | of the graphs of views |
 //!
 //! Each is declared once, with its arguments, its result and an example: [`documented`] lists them.
@@ -16,6 +17,7 @@
 
 mod binary;
 mod contains;
+mod date_part;
 mod earth;
 mod function;
 mod geometries;
@@ -33,6 +35,7 @@ use datafusion::prelude::SessionContext;
 
 use crate::function::Function;
 
+pub use date_part::extracts;
 pub use guard::{caught, keep_guarded_panics_quiet};
 pub use index::{asks_graphs, use_indexes};
 pub use json::{json_texts, to_json};
@@ -64,11 +67,12 @@ fn functions() -> Vec<ScalarUDF> {
         .chain(&binary::DECLARATIONS)
         .chain(&earth::DECLARATIONS);
     let declared = declared.map(|declared| ScalarUDF::from(Function::new(declared)));
-    let graphs = [
+    let others = [
         ScalarUDF::from(contains::Contains::default()),
         ScalarUDF::from(related::Related::default()),
+        ScalarUDF::from(date_part::DatePart::default()),
     ];
-    declared.chain(graphs).collect()
+    declared.chain(others).collect()
 }
 
 /// What each function is, by name.

@@ -159,8 +159,9 @@ impl Tables {
             return Err(Fault::user("expected one query, found none or several"));
         };
         let frame = self.frame(statement).await?;
-        let schema = Arc::new(frame.schema().as_arrow().clone());
-        Ok((schema, frame.collect().await.or_fault()?))
+        let rows = frame.execute_stream().await.or_fault()?;
+        let schema = rows.schema();
+        Ok((schema, rows.try_collect::<Vec<_>>().await.or_fault()?))
     }
 
     /// The declaration of a table's columns, where there is one: of the operator that made it, else by name.
@@ -272,14 +273,14 @@ impl Tables {
             return write_whole(format, columns.schema(), rows, sink).await;
         }
         let frame = self.frame(statement).await?;
-        // Texts say no units.
-        let schema = match format.is_binary() {
-            true => of_answer(&self.context, frame.logical_plan()).await,
-            false => Arc::new(frame.schema().as_arrow().clone()),
-        };
-        let plan = frame.logical_plan();
+        let plan = frame.logical_plan().clone();
         let is_plan = matches!(plan, LogicalPlan::Explain(_) | LogicalPlan::Analyze(_));
         let rows = frame.execute_stream().await.or_fault()?;
+        // Texts say no units.
+        let schema = match format.is_binary() {
+            true => of_answer(&self.context, &plan, &rows.schema()).await,
+            false => rows.schema(),
+        };
         let rows = rows.map_err(|error| fault_of(&error));
         match is_plan {
             true => write_whole(format, schema, rows.boxed(), sink).await,

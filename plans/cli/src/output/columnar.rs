@@ -153,7 +153,21 @@ fn failure(error: ParquetError) -> Failure {
 
 impl RowWriter for FileWriter<&mut Sink> {
     fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
-        Ok(FileWriter::write(self, batch)?)
+        // It would write the bytes of one type under the name of another.
+        let said = self.schema().fields().iter();
+        let mut columns = said.zip(batch.schema_ref().fields());
+        let other =
+            columns.find(|(said, found)| !said.data_type().equals_datatype(found.data_type()));
+        match other {
+            Some((said, found)) => Err(Fault::bug(format!(
+                "cannot write Arrow: expected {} of type {}, found {}",
+                said.name(),
+                said.data_type(),
+                found.data_type()
+            ))
+            .into()),
+            None => Ok(FileWriter::write(self, batch)?),
+        }
     }
 
     fn finish(mut self: Box<Self>) -> Result<(), Failure> {

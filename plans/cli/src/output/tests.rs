@@ -178,3 +178,23 @@ async fn arrow_reads_back_the_same_also_without_rows() {
     let empty = read(written(Format::Arrow, vec![]).await);
     assert_eq!((empty.schema(), empty.count()), (rows().schema(), 0));
 }
+
+#[tokio::test]
+async fn rows_of_other_types_than_their_file_says_are_refused() {
+    let numbers: ArrayRef = Arc::new(arrow::array::Float64Array::from(vec![5.0]));
+    let texts: ArrayRef = Arc::new(StringArray::from(vec!["5"]));
+    let said = RecordBatch::try_from_iter([("x", texts)]).unwrap().schema();
+    let found = RecordBatch::try_from_iter([("x", numbers)]).unwrap();
+    let mut sink = Sink::Memory(Vec::new());
+    let rows = futures::stream::iter([Ok(found)]);
+    let failure = write(Format::Arrow, said, rows, &mut sink).await;
+    let Err(Failure::Fault(fault)) = failure else {
+        unreachable!("{failure:?}")
+    };
+    assert!(
+        fault
+            .message
+            .contains("expected x of type Utf8, found Float64"),
+        "{fault}"
+    );
+}

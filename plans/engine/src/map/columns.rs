@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use arrow::datatypes::SchemaRef;
+use arrow::datatypes::{FieldRef, Schema, SchemaRef};
 use datafusion::common::TableReference;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::SessionContext;
@@ -27,8 +27,13 @@ pub async fn of_table(context: &SessionContext, table: TableReference) -> Result
     Ok(described.unwrap_or_else(|| rows.schema()))
 }
 
-/// The columns of an answer, with units and frames as far as they are columns of tables.
-pub async fn of_answer(context: &SessionContext, plan: &LogicalPlan) -> SchemaRef {
+/// The columns of an answer as they come, with units and frames as far as they are columns of tables. Names and types are
+/// those of the rows that come: a plan has those from before it makes the sides of operators alike.
+pub async fn of_answer(
+    context: &SessionContext,
+    plan: &LogicalPlan,
+    coming: &SchemaRef,
+) -> SchemaRef {
     let mut tables: HashMap<TableReference, SchemaRef> = HashMap::new();
     // Rows of logs say it themselves.
     let is_silent = |found: &Origin| found.column.metadata().is_empty();
@@ -40,9 +45,16 @@ pub async fn of_answer(context: &SessionContext, plan: &LogicalPlan) -> SchemaRe
             tables.insert(found.table, table);
         }
     }
-    described(plan, |found| {
+    let described = described(plan, |found| {
         let table = tables.get(&found.table).filter(|_| is_silent(found))?;
         let (_, column) = table.fields().find(found.column.name())?;
         Some(Arc::clone(column))
-    })
+    });
+    let columns = coming.fields().iter().zip(described.fields());
+    let columns = columns.map(|(column, described)| {
+        let metadata = described.metadata().clone();
+        Arc::new(column.as_ref().clone().with_metadata(metadata))
+    });
+    let columns: Vec<FieldRef> = columns.collect();
+    Arc::new(Schema::new(columns))
 }

@@ -342,7 +342,9 @@ impl<'a> Compiler<'a> {
             _ if is_local(plan, "site") => Scope::Site,
             _ => Scope::Map,
         };
-        let schema = bare(plan.schema().as_arrow());
+        // What is not made alike is told when it runs.
+        let coming = sql::coming(&self.context.state(), plan.clone());
+        let schema = coming.map_or_else(|_| bare(plan.schema().as_arrow()), |schema| bare(&schema));
         let found = described(plan, |_| None);
         // Who gives a step the name of a layer says that its columns are that layer's.
         let layer = layers::named(&step.name);

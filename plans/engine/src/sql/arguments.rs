@@ -165,7 +165,7 @@ mod tests {
         for (query, said) in [
             (
                 "SELECT * FROM generate_series(1, 9223372036854775807 + 1)",
-                "Arithmetic overflow: Overflow happened on: 9223372036854775807 + 1 (at line 1, column 34 of the query)",
+                "Arithmetic overflow: expected a sum that fits i64, found 9223372036854775807 + 1 (at line 1, column 34 of the query); compute with",
             ),
             (
                 "SELECT * FROM generate_series(1, 9223372036854775807 + 1) AS g, (SELECT 1) AS h",

@@ -7,6 +7,8 @@ mod joined;
 
 use std::sync::Arc;
 
+use arrow::array::Array;
+use arrow::compute::concat;
 use arrow::datatypes::{DataType, FieldRef};
 use datafusion::common::config::ConfigOptions;
 use datafusion::common::tree_node::Transformed;
@@ -25,6 +27,7 @@ use datafusion::logical_expr::{
 };
 use datafusion::prelude::SessionContext;
 
+use crate::nodes::weight::bytes;
 use crate::sql::bounded::growth::{GROWING, Growth, given};
 use crate::sql::bounded::joined::TextsJoined;
 
@@ -160,7 +163,7 @@ struct Bounded {
 }
 
 impl Bounded {
-    /// Refuses a call that is given too much, or would make too much of it.
+    /// Refuses a call that is given too much.
     fn check(&self, args: &ScalarFunctionArgs) -> Result<()> {
         let (name, most) = (self.name(), self.memory_bytes / GIVEN_SHARE);
         let found = given(&args.args)?;
@@ -169,15 +172,66 @@ impl Bounded {
                 "{name} is given {found:.0} bytes at once; the limit is {most}, half of the memory"
             )));
         }
-        let most = self.memory_bytes / SHARE;
-        match self.growth.answer(&args.args, args.number_rows)? {
-            Some(bytes) if bytes > most as f64 => {
-                Err(DataFusionError::ResourcesExhausted(format!(
-                    "{name} would make {bytes:.0} bytes at once; the limit is {most}, an eighth of the memory"
-                )))
-            }
-            _ => Ok(()),
+        Ok(())
+    }
+
+    /// The answer, if it is not too large. One that may be far smaller than its bound is made of few rows at a time.
+    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        let bytes = self.growth.answer(&args.args, args.number_rows)?;
+        match bytes.filter(|bytes| *bytes > self.most() as f64) {
+            None => self.inner.invoke_with_args(args),
+            Some(_) if self.growth.is_vague() && has_rows(&args) => self.in_halves(args),
+            Some(bytes) => Err(self.too_large(bytes)),
         }
+    }
+
+    /// The answer of the first half of rows, and that of the second behind it.
+    fn in_halves(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        let half = args.number_rows / 2;
+        let mut parts = Vec::new();
+        for (from, rows) in [(0, half), (half, args.number_rows - half)] {
+            let part = self.answer(rows_of(&args, from, rows))?;
+            parts.push(part.into_array(rows)?);
+        }
+        let found: f64 = parts.iter().map(|part| bytes(part) as f64).sum();
+        if found > self.most() as f64 {
+            return Err(self.too_large(found));
+        }
+        let parts: Vec<&dyn Array> = parts.iter().map(|part| &**part).collect();
+        Ok(ColumnarValue::Array(concat(&parts)?))
+    }
+
+    /// Bytes of an answer at most.
+    fn most(&self) -> usize {
+        self.memory_bytes / SHARE
+    }
+
+    fn too_large(&self, bytes: f64) -> DataFusionError {
+        let (name, most) = (self.name(), self.most());
+        DataFusionError::ResourcesExhausted(format!(
+            "{name} would make {bytes:.0} bytes at once; the limit is {most}, an eighth of the memory"
+        ))
+    }
+}
+
+/// Whether the rows of a call can be taken apart.
+fn has_rows(args: &ScalarFunctionArgs) -> bool {
+    let varies = |arg: &ColumnarValue| matches!(arg, ColumnarValue::Array(_));
+    args.number_rows > 1 && args.args.iter().any(varies)
+}
+
+/// Some rows of a call.
+fn rows_of(args: &ScalarFunctionArgs, from: usize, rows: usize) -> ScalarFunctionArgs {
+    let some = args.args.iter().map(|arg| match arg {
+        ColumnarValue::Array(column) => ColumnarValue::Array(column.slice(from, rows)),
+        ColumnarValue::Scalar(value) => ColumnarValue::Scalar(value.clone()),
+    });
+    ScalarFunctionArgs {
+        args: some.collect(),
+        arg_fields: args.arg_fields.clone(),
+        number_rows: rows,
+        return_field: Arc::clone(&args.return_field),
+        config_options: Arc::clone(&args.config_options),
     }
 }
 
@@ -185,7 +239,7 @@ impl Bounded {
 impl ScalarUDFImpl for Bounded {
     fn invoke_with_args(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
         self.check(&args)?;
-        self.inner.invoke_with_args(args)
+        self.answer(args)
     }
 
     fn simplify(&self, args: Vec<Expr>, info: &SimplifyContext) -> Result<ExprSimplifyResult> {

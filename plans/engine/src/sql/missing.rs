@@ -1,5 +1,7 @@
 //! Tables and functions that a query names and that are not there, with those that may be meant.
 
+mod elsewhere;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -12,6 +14,7 @@ use evermap_schemas::Fault;
 
 use crate::error::OrFault;
 use crate::map::flat::SUFFIX;
+use crate::sql::missing::elsewhere::written_here;
 
 /// How a fault begins that says that a table is not there.
 pub const NO_TABLE: &str = "there is no table ";
@@ -208,13 +211,17 @@ fn without_function(context: &SessionContext, fault: Fault) -> Fault {
         (None, None) => return fault,
     };
     known.sort();
-    let meant = nearest(name, known.into_iter().map(String::as_str));
-    Fault {
-        message: format!("there is no function `{name}`"),
-        next: match meant {
+    let near = || nearest(name, known.into_iter().map(String::as_str));
+    let next = match written_here(name) {
+        Some(here) => format!("write {here}"),
+        None => match near() {
             Some(near) => format!("did you mean `{near}`?"),
             None => "`evermap functions` lists those of maps".to_owned(),
         },
+    };
+    Fault {
+        message: format!("there is no function `{name}`"),
+        next,
         ..fault
     }
 }

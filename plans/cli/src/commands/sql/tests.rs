@@ -1,5 +1,8 @@
 #![allow(clippy::unwrap_used)]
 
+use arrow::array::AsArray;
+use arrow::datatypes::{DataType, Float64Type};
+
 use super::*;
 
 #[test]
@@ -68,4 +71,36 @@ async fn results_have_a_header_even_without_rows() {
         let Sink::Memory(bytes) = sink else { return };
         assert_eq!(String::from_utf8(bytes).unwrap(), expected);
     }
+}
+
+#[tokio::test]
+async fn files_have_the_types_of_their_rows() {
+    let tables = Tables {
+        context: context(Limits::default()).unwrap(),
+        reader: None,
+        dataset: None,
+        indexed: OnceCell::new(),
+    };
+    let query = "SELECT bytes / 1024 AS kib, bytes + 1 AS next, \
+        CAST(bytes AS DOUBLE) / 1024 AS wanted FROM (SELECT CAST(5120 AS BIGINT UNSIGNED) AS bytes)";
+    let (schema, batches) = tables.ask(query).await.unwrap();
+    assert_eq!(schema.fields(), batches[0].schema_ref().fields());
+    let mut sink = Sink::Memory(Vec::new());
+    let statement = statements(query).unwrap().remove(0);
+    let ran = tables.run(statement, Format::Arrow, &mut sink).await;
+    ran.unwrap();
+    let Sink::Memory(bytes) = sink else { return };
+    let read = arrow::ipc::reader::FileReader::try_new(std::io::Cursor::new(bytes), None);
+    let read: Vec<RecordBatch> = read.unwrap().map(Result::unwrap).collect();
+    assert_eq!(read, batches);
+    let values = read[0].columns().iter();
+    let values = values.map(|column| arrow::compute::cast(column, &DataType::Float64).unwrap());
+    let values: Vec<f64> = values
+        .map(|column| column.as_primitive::<Float64Type>().value(0))
+        .collect();
+    assert_eq!(values, [5.0, 5121.0, 5.0]);
+    let mut sink = Sink::Memory(Vec::new());
+    let statement = statements(query).unwrap().remove(0);
+    let ran = tables.run(statement, Format::Parquet, &mut sink).await;
+    assert_eq!(ran.unwrap(), 1);
 }

@@ -22,8 +22,8 @@ pub enum Growth {
     Letters,
     /// `replace(text, from, to)`: every letter may become the third text.
     Replaced,
-    /// `regexp_replace(text, pattern, to)`: every letter may become the third text, which may have the whole text for each
-    /// two of its own letters (`\\1`).
+    /// `regexp_replace(text, pattern, to, flags)`: one place becomes the third text, with `g` every letter, and each group
+    /// that it names (`\\1`) has the whole text at most, of all places together.
     Rewritten,
     /// `array_replace_all(list, from, to)`: every value may become the third.
     Exchanged,
@@ -76,6 +76,11 @@ impl Growth {
         known.next().map_or(Self::Plain, |(_, growth)| *growth)
     }
 
+    /// Whether an answer may be far smaller than is said of it: what matches is known behind the call.
+    pub fn is_vague(self) -> bool {
+        matches!(self, Self::Replaced | Self::Rewritten)
+    }
+
     /// Bytes of the answer of so many rows, at least about; `None` where it is no larger than the arguments say.
     ///
     /// # Errors
@@ -111,7 +116,16 @@ impl Growth {
             Self::Copies => size(0).unwrap_or(8.0) * count,
             Self::Letters => 4.0 * count,
             Self::Replaced => text(0) * (1.0 + text(2)) / text(1).max(1.0),
-            Self::Rewritten => text(0) * (1.0 + 1.5 * text(2)) + text(2),
+            Self::Rewritten => {
+                let flags = args.get(3).and_then(|flags| flags.text(row));
+                let places = match flags.is_some_and(|flags| flags.contains('g')) {
+                    true => text(0) + 1.0,
+                    false => 1.0,
+                };
+                let to = args.get(2).and_then(|to| to.text(row)).unwrap_or_default();
+                let groups = to.matches(['\\', '$']).count() as f64;
+                text(0) * (1.0 + groups) + places * text(2)
+            }
             Self::Exchanged => text(0) + values().unwrap_or(0.0) * text(2),
             Self::Numbers => {
                 let (from, to) = match (number(0), number(1)) {
@@ -150,6 +164,7 @@ fn together(arg: &ColumnarValue, rows: usize) -> Result<f64> {
 /// An argument: a value for each row, or one for all.
 struct Argument {
     is_one: bool,
+    column: ArrayRef,
     numbers: Option<Int64Array>,
     sizes: Option<Int64Array>,
     values: Option<Int64Array>,
@@ -168,6 +183,7 @@ impl Argument {
             numbers: integers(&column),
             sizes: sizes(&column),
             values: is_list.then(values).flatten(),
+            column,
         })
     }
 
@@ -175,6 +191,20 @@ impl Argument {
         let row = if self.is_one { 0 } else { row };
         let column = column.as_ref().filter(|column| column.is_valid(row))?;
         Some(column.value(row) as f64)
+    }
+
+    /// It as a text.
+    fn text(&self, row: usize) -> Option<&str> {
+        let row = if self.is_one { 0 } else { row };
+        if !self.column.is_valid(row) {
+            return None;
+        }
+        match self.column.data_type() {
+            DataType::Utf8 => Some(self.column.as_string::<i32>().value(row)),
+            DataType::LargeUtf8 => Some(self.column.as_string::<i64>().value(row)),
+            DataType::Utf8View => Some(self.column.as_string_view().value(row)),
+            _ => None,
+        }
     }
 
     /// It as a number.

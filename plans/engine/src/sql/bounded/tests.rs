@@ -27,6 +27,8 @@ async fn what_an_argument_makes_larger_than_memory_is_refused_and_the_rest_is_as
         "SELECT generate_series(2000000000, 0, -1)",
         "SELECT replace(repeat('a', 10000), 'a', repeat('b', 10000))",
         "SELECT regexp_replace(repeat('a', 10000), 'a', repeat('b', 10000), 'g')",
+        "SELECT max(regexp_replace(repeat('ab', 100) || value, 'a', repeat('c', 100), 'g')) FROM generate_series(1, 100)",
+        "SELECT regexp_replace(repeat('a', 10000), '.*', repeat('\\0', 20))",
         "SELECT array_repeat(array_repeat(array_repeat(1, 100), 100), 100)",
         "SELECT range(TIMESTAMP '1970-01-01', TIMESTAMP '1970-01-02', INTERVAL '1 microsecond')",
         "SELECT array_resize([1], 2000000000, 0)",
@@ -67,6 +69,25 @@ async fn what_an_argument_makes_larger_than_memory_is_refused_and_the_rest_is_as
     let fault = run(&format!("SELECT length({nested})")).await.unwrap_err();
     let fault = fault.to_string();
     assert!(fault.contains("half of the memory"), "{fault}");
+    for (query, expected) in [
+        (
+            "SELECT length(regexp_replace(repeat('a', 10000), 'a', repeat('b', 10000)))",
+            "19999",
+        ),
+        (
+            "SELECT length(regexp_replace(repeat('a', 10000), '(.*)', '<\\1\\1>'))",
+            "20002",
+        ),
+        // What matches is little: it is found a few rows at a time.
+        (
+            "SELECT sum(length(regexp_replace(repeat('ab', 100) || value, 'x|9', repeat('c', 100), 'g'))) FROM generate_series(10, 99)",
+            "20061",
+        ),
+    ] {
+        let answer = run(query).await.unwrap();
+        let found = array_value_to_string(answer[0].column(0), 0).unwrap();
+        assert_eq!(found, expected, "{query}");
+    }
     run("SELECT approx_percentile_cont(n, 0.5, 200) FROM (VALUES (1), (2)) t (n)")
         .await
         .unwrap();

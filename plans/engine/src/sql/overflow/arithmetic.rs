@@ -7,6 +7,7 @@ use arrow::compute::kernels::numeric::{add, div, mul, neg, rem, sub};
 use arrow::datatypes::{DataType, Field, FieldRef};
 use arrow::error::ArrowError;
 use datafusion::common::{Result, exec_err};
+use datafusion::error::DataFusionError;
 use datafusion::logical_expr::interval_arithmetic::{Interval, apply_operator};
 use datafusion::logical_expr::sort_properties::{ExprProperties, SortProperties};
 use datafusion::logical_expr::{
@@ -14,6 +15,9 @@ use datafusion::logical_expr::{
     Volatility,
 };
 use datafusion::physical_expr_common::datum::apply;
+use evermap_schemas::{Fault, type_name};
+
+use crate::error::external;
 
 /// Operators of one call at most: all its arguments are there at once, and calls of calls take stack.
 const LONGEST: usize = 64;
@@ -116,6 +120,41 @@ fn kernel(operator: Operator) -> Option<Kernel> {
     }
 }
 
+/// How an error begins that says that an answer does not fit its type.
+pub const OVERFLOW: &str = "Arithmetic overflow: ";
+
+/// An error of an operator, or of a negation; of an answer that does not fit, with what to write instead.
+fn told(error: DataFusionError, operator: Option<Operator>, result: &DataType) -> DataFusionError {
+    let DataFusionError::ArrowError(cause, _) = &error else {
+        return error;
+    };
+    let ArrowError::ArithmeticOverflow(said) = &**cause else {
+        return error;
+    };
+    let found = said
+        .strip_prefix("Overflow happened on: ")
+        .unwrap_or(said.as_str());
+    let answer = match operator {
+        Some(Operator::Plus) => "a sum",
+        Some(Operator::Minus) => "a difference",
+        Some(Operator::Multiply) => "a product",
+        Some(_) => "a quotient",
+        None => "a negation",
+    };
+    let name = type_name(result);
+    let next = match (operator, result) {
+        (Some(Operator::Minus), unsigned) if unsigned.is_unsigned_integer() => {
+            format!("{name} has nothing below zero: write CAST(… AS BIGINT) - …")
+        }
+        (_, DataType::Int64 | DataType::UInt64) => {
+            "compute with CAST(… AS DECIMAL(38, 0)) or DOUBLE".to_owned()
+        }
+        _ => "compute with CAST(… AS BIGINT)".to_owned(),
+    };
+    let message = format!("{OVERFLOW}expected {answer} that fits {name}, found {found}");
+    external(Fault::user(message).next(next))
+}
+
 /// How `left operator right` is sorted: nothing wraps, so a sum of what rises does.
 fn ordering(left: SortProperties, operator: Operator, right: SortProperties) -> SortProperties {
     match operator {
@@ -163,7 +202,8 @@ impl ScalarUDFImpl for Chain {
         };
         let mut steps = self.operators.iter().zip(args);
         steps.try_fold(first, |left, (operator, right)| match kernel(*operator) {
-            Some(kernel) => apply(&left, &right, kernel),
+            Some(kernel) => apply(&left, &right, kernel)
+                .map_err(|error| told(error, Some(*operator), &self.result)),
             None => exec_err!("{operator}: expected an operator on integers"),
         })
     }
@@ -237,11 +277,14 @@ impl ScalarUDFImpl for Negated {
     }
 
     fn invoke_with_args(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
-        match args.args.as_slice() {
-            [ColumnarValue::Array(values)] => Ok(ColumnarValue::Array(neg(values.as_ref())?)),
-            [ColumnarValue::Scalar(value)] => Ok(ColumnarValue::Scalar(value.arithmetic_negate()?)),
+        let negated = match args.args.as_slice() {
+            [ColumnarValue::Array(values)] => neg(values.as_ref())
+                .map(ColumnarValue::Array)
+                .map_err(DataFusionError::from),
+            [ColumnarValue::Scalar(value)] => value.arithmetic_negate().map(ColumnarValue::Scalar),
             others => exec_err!("-: expected one integer, found {}", others.len()),
-        }
+        };
+        negated.map_err(|error| told(error, None, &self.result))
     }
 
     fn is_strict(&self) -> bool {

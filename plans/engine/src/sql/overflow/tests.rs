@@ -98,6 +98,32 @@ async fn integers_that_do_not_fit_are_an_error_wherever_a_query_has_them() {
 }
 
 #[tokio::test]
+async fn what_does_not_fit_is_told_with_what_to_write_instead() {
+    let context = at(1);
+    for (query, said) in [
+        (
+            "SELECT a.k - b.k FROM (SELECT CAST(41 AS INT UNSIGNED) AS k FROM t) a, (SELECT CAST(179 AS INT UNSIGNED) AS k FROM t) b",
+            "user: Arithmetic overflow: expected a difference that fits u32, found 41 - 179; u32 has nothing below zero: write CAST(… AS BIGINT) - …",
+        ),
+        (
+            "SELECT x + 1 FROM t WHERE g = 1",
+            "user: Arithmetic overflow: expected a sum that fits i64, found 9223372036854775807 + 1; compute with CAST(… AS DECIMAL(38, 0)) or DOUBLE",
+        ),
+        (
+            "SELECT CAST(g AS TINYINT) * CAST(100 AS TINYINT) FROM t WHERE g = 2",
+            "user: Arithmetic overflow: expected a product that fits i8, found 2 * 100; compute with CAST(… AS BIGINT)",
+        ),
+        (
+            "SELECT sum(x) FROM t",
+            "user: Arithmetic overflow: expected a sum that fits i64, found 9223372036854775808; add up CAST(… AS DECIMAL(38, 0)) or DOUBLE instead",
+        ),
+    ] {
+        let fault = rows(&context, query).await.unwrap_err();
+        assert_eq!(fault.to_string(), said, "{query}");
+    }
+}
+
+#[tokio::test]
 async fn what_fits_is_as_it_was() {
     let expected: &[(&str, &[&str])] = &[
         (

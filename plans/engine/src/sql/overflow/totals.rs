@@ -13,6 +13,9 @@ use arrow::datatypes::{
 use arrow::error::ArrowError;
 use datafusion::common::{Result, ScalarValue};
 use datafusion::logical_expr::{Accumulator, EmitTo, GroupsAccumulator};
+use evermap_schemas::{Fault, type_name};
+
+use crate::sql::overflow::arithmetic::OVERFLOW;
 
 /// What partial sums are kept and handed on as.
 pub const WIDE: DataType = DataType::Decimal128(DECIMAL128_MAX_PRECISION, 0);
@@ -69,10 +72,14 @@ fn narrow<T: Whole>(total: i128) -> Result<T::Native, ArrowError> {
             true => "…",
             false => "CAST(… AS BIGINT)",
         };
-        ArrowError::ArithmeticOverflow(format!(
-            "expected a sum that fits {}, found {total}; add up CAST({of} AS DECIMAL(38, 0)) or DOUBLE instead",
-            T::DATA_TYPE
-        ))
+        let name = type_name(&T::DATA_TYPE);
+        let fault = Fault::user(format!(
+            "{OVERFLOW}expected a sum that fits {name}, found {total}"
+        ));
+        let fault = fault.next(format!(
+            "add up CAST({of} AS DECIMAL(38, 0)) or DOUBLE instead"
+        ));
+        ArrowError::ExternalError(Box::new(fault))
     })
 }
 
