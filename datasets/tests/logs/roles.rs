@@ -68,12 +68,12 @@ async fn a_made_up_role_is_inferred_and_read() {
     let (context, dataset) = open("site: here").await.unwrap();
     assert_eq!(dataset.sessions[0].roles.topics("remarks"), ["/text"]);
     assert!(dataset.unknown_topics.is_empty());
-    let (_, dataset) = open("roles: {remarks: [/text, /tex, '/no*']}")
+    let (_, named) = open("roles: {remarks: [/text, /tex, '/no*']}")
         .await
         .unwrap();
-    assert_eq!(dataset.sessions[0].roles.topics("remarks"), ["/text"]);
+    assert_eq!(named.sessions[0].roles.topics("remarks"), ["/text"]);
     let unknown = ["/tex", "/no*"].map(|topic| ("remarks".to_owned(), topic.to_owned()));
-    assert_eq!(dataset.unknown_topics, unknown);
+    assert_eq!(named.unknown_topics, unknown);
     let batches = rows(&context, "SELECT * FROM remarks ORDER BY stamp").await;
     let remarks: Vec<Remark> = batches
         .iter()
