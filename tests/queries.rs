@@ -12,7 +12,7 @@ use datafusion::arrow::datatypes::SchemaRef;
 use datafusion::arrow::util::display::{ArrayFormatter, FormatOptions};
 use datafusion::prelude::SessionContext;
 use evermap_engine::map::Map;
-use evermap_engine::sql::{Limits, context};
+use evermap_engine::sql::{Limits, context, read_only};
 use evermap_tests::{
     Finished, command, evermap, plan_command, rectangle, repository, text, write_drive,
 };
@@ -34,7 +34,8 @@ impl AsyncDB for Database {
         let refused = |error: &dyn std::fmt::Display| {
             Refused(error.to_string().lines().next().unwrap_or_default().into())
         };
-        let frame = self.0.sql(query).await.map_err(|error| refused(&error))?;
+        let frame = read_only(&self.0, query).await;
+        let frame = frame.map_err(|fault| refused(&fault))?;
         let batches = frame.collect().await.map_err(|error| refused(&error))?;
         let options = FormatOptions::default().with_null("NULL");
         let mut rows = Vec::new();

@@ -35,6 +35,9 @@ impl Visitor for Misread {
             if let SelectItem::ExprWithAlias { expr, alias } = item
                 && alias.quote_style.is_none()
                 && is_digits(&alias.value)
+                && is_number(last(expr))
+                // What programs have written anew has no places.
+                && alias.span.start.line > 0
                 && expr.span().end == alias.span.start
             {
                 let digits = alias.value.replace('_', "");

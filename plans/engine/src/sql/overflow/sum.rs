@@ -57,6 +57,9 @@ impl CheckedSum {
     }
 }
 
+/// What adds up all groups, around what adds [`WIDE`] numbers.
+type Grouped = fn(Box<dyn GroupsAccumulator>) -> Box<dyn GroupsAccumulator>;
+
 /// The columns of a partial answer.
 type States = &'static [(&'static str, DataType)];
 
@@ -70,7 +73,7 @@ struct Way {
     /// All values, or each once.
     accumulator: fn(is_distinct: bool) -> Result<Box<dyn Accumulator>>,
     /// All groups at once, by sums of [`WIDE`] numbers; `None` where each group is added up by itself.
-    groups: Option<fn(Box<dyn GroupsAccumulator>) -> Box<dyn GroupsAccumulator>>,
+    groups: Option<Grouped>,
 }
 
 impl Way {
