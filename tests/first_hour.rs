@@ -151,7 +151,7 @@ fn inspect_says_which_topic_plays_which_role_and_which_plans_can_run() {
         "  odometry     /odom",
         "  trajectory   can run on this file",
         "  relocate     lacks label_frames (step label_images)",
-        "  stable_map   lacks calibration (step views), depth_frames (step spheres), frames (step spheres)",
+        "  stable_map   lacks label_frames (step label_images)",
         "  georeference lacks gnss_fixes (step antenna_positions)",
         "  scene_labels lacks frames (step pictures)",
     ] {
