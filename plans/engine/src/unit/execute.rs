@@ -18,7 +18,7 @@ use crate::unit::write::write;
 const TOLD_EVERY: Duration = Duration::from_secs(1);
 
 impl Unit {
-    /// Does the work: reads, runs, writes the rows. What is left to do, [`Computed::keep`], takes no cores, but waits for a
+    /// Does the work: reads, runs, writes the rows. What is left to do, `keep` of what it gives, takes no cores, but waits for a
     /// disk; done twice, both leave the same. Tells from time to time that it is at work, and which share of its rows it is
     /// done with, where that is known.
     ///
