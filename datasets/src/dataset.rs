@@ -75,7 +75,10 @@ impl Dataset {
     pub fn of_session(&self, session: &Session) -> Self {
         Self {
             sessions: vec![session.clone()],
-            ..self.clone()
+            losses: self.losses.clone(),
+            notes: self.notes.clone(),
+            unknown_topics: self.unknown_topics.clone(),
+            roles: self.roles,
         }
     }
 

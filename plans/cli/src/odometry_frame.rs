@@ -18,6 +18,9 @@ use crate::coordinate_frames::{TRANSFORMS, texts_of};
 /// What is the same but for how it was computed: metres, and radians.
 const SAME: f64 = 1e-6;
 
+/// Sessions that are looked at, at most: logs of a fleet are alike, and each costs some milliseconds.
+const LOOKED_AT: usize = 16;
+
 /// The frame that the steps of a program take for the vehicle's.
 pub fn vehicle(program: &Program) -> &str {
     let mut named = program.stages.iter().filter_map(|stage| match &stage.task {
@@ -27,16 +30,17 @@ pub fn vehicle(program: &Program) -> &str {
     named.next().unwrap_or(USUAL_VEHICLE)
 }
 
-/// What a person is told of sessions whose odometry is of a frame that fixed transforms tie to the vehicle's elsewhere
+/// What a person is told of the first [`LOOKED_AT`] sessions whose odometry is of a frame that fixed transforms tie to the vehicle's elsewhere
 /// than at it. Nothing of a session whose messages name no frame, or one that no transforms tie to it.
 ///
 /// # Errors
 /// A fault of ours.
 pub async fn notes(dataset: &Dataset, vehicle: &str) -> Result<Vec<String>, Fault> {
-    let context = context(Limits::one_partition())?;
-    dataset.register(&context)?;
     let mut notes = Vec::new();
-    for session in &dataset.sessions {
+    for session in dataset.sessions.iter().take(LOOKED_AT) {
+        // A table of all sessions looks at the files of all.
+        let context = context(Limits::one_partition())?;
+        dataset.of_session(session).register(&context)?;
         // What cannot be read of a log is told where its rows are read.
         let Some(frame) = child_of(&context, session).await else {
             continue;

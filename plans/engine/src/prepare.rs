@@ -332,14 +332,14 @@ fn unreadable(given: &Dataset) -> BTreeMap<String, u64> {
 
 /// That sessions are the same recording, of which one at least is given: a copy, or a link, under another name.
 fn repeated(given: &Dataset, sessions: &[MappedSession]) -> Vec<String> {
-    let is_given = |name: &str| given.sessions.iter().any(|session| *session.name == *name);
+    let names: BTreeSet<&str> = given.sessions.iter().map(|s| &*s.name).collect();
     let mut first = BTreeMap::<&str, &str>::new();
     let mut notes = Vec::new();
     // Those that are new are told, beside what was there before them.
     let (new, known): (Vec<_>, Vec<_>) = sessions
         .iter()
         .map(|session| &session.log)
-        .partition(|log| is_given(&log.session));
+        .partition(|log| names.contains(log.session.as_str()));
     for log in known {
         first.entry(&log.content).or_insert(&log.session);
     }

@@ -32,15 +32,18 @@ fn schema_of(
 /// # Errors
 /// A fault of ours.
 pub(super) fn schema_of_session(alone: &Dataset) -> Result<Arc<MemorySchemaProvider>, Fault> {
+    let (mut tables, hidden) = (alone.tables()?, alone.hidden_topics());
+    if hidden.is_empty() {
+        return schema_of(tables);
+    }
     for session in &alone.sessions {
-        for topic in alone.hidden_topics() {
+        for topic in &hidden {
             line(&format!(
                 "note: \"{}\".\"{topic}\" is the topic, not what every log has under that name",
                 session.name
             ));
         }
     }
-    let mut tables = alone.tables()?;
     tables.extend(alone.topic_tables());
     schema_of(tables)
 }
