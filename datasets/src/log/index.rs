@@ -143,6 +143,9 @@ pub struct LogIndex {
 }
 
 impl LogIndex {
+    /// Raised where the same file gives another index, or other losses: what was kept before is then read anew.
+    pub const VERSION: u32 = 2;
+
     /// Reads the index of the file at `meta.location`: the summary where there is a sound one, else the whole file, one
     /// record at a time.
     ///

@@ -126,9 +126,9 @@ impl Fingerprint {
     }
 }
 
-/// What binds indexes to a content.
+/// What binds indexes to a content, and to how this evermap reads them.
 fn seal(content: &str, indexes: &[LogIndex]) -> Result<String, Fault> {
-    digest_of(&(content, indexes))
+    digest_of(&(LogIndex::VERSION, content, indexes))
 }
 
 /// The names under which logs with these contents are remembered.
@@ -316,6 +316,11 @@ mod tests {
         let mut forged = kept.clone();
         forged.indexes[0].library = "forged".into();
         forged.remember(&store).await.unwrap();
+        assert_eq!(library(&store, &log, &content).await, "");
+
+        let mut earlier = kept.clone();
+        earlier.seal = digest_of(&(LogIndex::VERSION - 1, &content, &earlier.indexes)).unwrap();
+        earlier.remember(&store).await.unwrap();
         assert_eq!(library(&store, &log, &content).await, "");
 
         kept.remember(&store).await.unwrap();

@@ -7,7 +7,7 @@
 
 use std::ops::Range;
 
-use super::softmax::softmax;
+use super::softmax::{softmax, sum};
 use super::{ColourView, CrfError, Kernels, Marginals, Unary};
 use crate::learning::permutohedral::{BLOCK, Buffer, Eight, Lattice, Value};
 use crate::processor::vectorised;
@@ -85,11 +85,11 @@ impl RandomField {
     pub fn infer(&self, unary: &Unary, iterations: u32) -> Result<Marginals, CrfError> {
         self.fits(unary.classes * self.pixels(), unary.costs.len())?;
         let probabilities = match unary.classes {
-            0..=8 => self.run::<1>(unary, iterations),
-            9..=16 => self.run::<2>(unary, iterations),
-            17..=32 => self.run::<4>(unary, iterations),
-            33..=64 => self.run::<8>(unary, iterations),
-            65..=128 => self.run::<16>(unary, iterations),
+            0..=9 => self.run::<1>(unary, iterations),
+            10..=17 => self.run::<2>(unary, iterations),
+            18..=33 => self.run::<4>(unary, iterations),
+            34..=65 => self.run::<8>(unary, iterations),
+            66..=129 => self.run::<16>(unary, iterations),
             _ => self.run::<32>(unary, iterations),
         };
         Ok(Marginals {
@@ -105,10 +105,16 @@ impl RandomField {
         Ok(())
     }
 
-    /// With the classes padded to `K` times eight.
+    /// With the classes padded to `K` times eight. One more follows from the others: all together are what the filter
+    /// makes of ones.
     fn run<const K: usize>(&self, unary: &Unary, iterations: u32) -> Vec<f32> {
         let mut probabilities = vec![0.0; unary.costs.len()];
-        let mut block = vec![<[Eight; K]>::ZERO; BLOCK];
+        let own = Own {
+            classes: unary.classes,
+            costs: self.ordered(unary),
+            together: (unary.classes > 8 * K).then(|| self.of_ones()),
+        };
+        let mut block = Block::<K>::default();
         let mut beliefs = (
             Belief::<K, 6>::of(self.appearance.as_ref()),
             Belief::<K, 3>::of(self.smoothness.as_ref()),
@@ -117,10 +123,38 @@ impl RandomField {
             let last = (round == iterations).then_some(&mut probabilities[..]);
             vectorised(
                 #[inline(always)]
-                || self.pass(unary, &mut beliefs, &mut block, round > 0, last),
+                || self.pass(&own, &mut beliefs, &mut block, round > 0, last),
             );
         }
         probabilities
+    }
+
+    /// The pixels' costs in the order of the lattices' positions: they are read in every round.
+    fn ordered(&self, unary: &Unary) -> Vec<f32> {
+        let mut costs = Vec::with_capacity(unary.costs.len());
+        for pixel in &self.order {
+            let first = *pixel as usize * unary.classes;
+            costs.extend_from_slice(&unary.costs[first..first + unary.classes]);
+        }
+        costs
+    }
+
+    /// What the kernels make of ones, pixel by pixel in the order of the lattices' positions.
+    fn of_ones(&self) -> Vec<f32> {
+        let mut sums = vec![0.0; self.pixels()];
+        let mut add = |weight: f32, filtered: Vec<f32>| {
+            for (sum, value) in sums.iter_mut().zip(filtered) {
+                *sum += weight * value;
+            }
+        };
+        let ones = vec![1.0; self.pixels()];
+        if let Some(kernel) = &self.appearance {
+            add(kernel.weight, kernel.lattice.filter(&ones));
+        }
+        if let Some(kernel) = &self.smoothness {
+            add(kernel.weight, kernel.lattice.filter(&ones));
+        }
+        sums
     }
 
     /// One round: what the lattices hold is blurred and sliced into every pixel's logarithms, which become
@@ -128,45 +162,76 @@ impl RandomField {
     #[inline(always)]
     fn pass<const K: usize>(
         &self,
-        unary: &Unary,
+        own: &Own,
         (appearance, smoothness): &mut (Belief<'_, K, 6>, Belief<'_, K, 3>),
-        block: &mut [[Eight; K]],
+        block: &mut Block<K>,
         informed: bool,
         mut last: Option<&mut [f32]>,
     ) {
-        let padding = padding(unary.classes);
+        let padding = padding(own.classes);
         if informed {
             appearance.blur();
             smoothness.blur();
         }
         for (index, pixels) in self.order.chunks(BLOCK).enumerate() {
-            let block = &mut block[..pixels.len()];
-            for (lanes, pixel) in block.iter_mut().zip(pixels) {
-                let first = *pixel as usize * unary.classes;
-                *lanes = logarithms(&unary.costs[first..], &padding, unary.classes);
-            }
+            let Block { lanes, spare } = block;
+            let lanes = &mut lanes[..pixels.len()];
+            lanes.fill(<[Eight; K]>::ZERO);
             if informed {
-                appearance.add_to(index, block);
-                smoothness.add_to(index, block);
+                appearance.add_to(index, lanes);
+                smoothness.add_to(index, lanes);
             }
-            for lanes in block.iter_mut() {
-                softmax(lanes);
+            let costs = &own.costs[index * BLOCK * own.classes..];
+            if let Some(together) = &own.together {
+                let together = together[index * BLOCK..].iter().zip(&*lanes);
+                for ((pixel, (together, lanes)), spare) in together.enumerate().zip(&mut *spare) {
+                    let told = if informed { together - sum(lanes) } else { 0.0 };
+                    *spare = told - costs[pixel * own.classes + 8 * K];
+                }
             }
+            for (pixel, lanes) in lanes.iter_mut().enumerate() {
+                subtract(&costs[pixel * own.classes..], &padding, own.classes, lanes);
+            }
+            softmax(lanes, spare);
             match &mut last {
                 None => {
-                    appearance.take(index, block);
-                    smoothness.take(index, block);
+                    appearance.take(index, lanes);
+                    smoothness.take(index, lanes);
                 }
                 Some(out) => {
-                    for (lanes, pixel) in block.iter().zip(pixels) {
-                        let first = *pixel as usize * unary.classes;
-                        write(lanes, &mut out[first..first + unary.classes]);
+                    for ((lanes, spare), pixel) in lanes.iter().zip(spare).zip(pixels) {
+                        let first = *pixel as usize * own.classes;
+                        write(lanes, *spare, &mut out[first..first + own.classes]);
                     }
                 }
             }
         }
         appearance.advance();
         smoothness.advance();
+    }
+}
+
+/// What pixels say by themselves, in the order of the lattices' positions.
+struct Own {
+    classes: usize,
+    costs: Vec<f32>,
+    /// Where one class follows from the others: what the kernels say of all together.
+    together: Option<Vec<f32>>,
+}
+
+/// Logarithms and probabilities of the pixels that are worked on.
+struct Block<const K: usize> {
+    lanes: Vec<[Eight; K]>,
+    /// Of the class that has no lane.
+    spare: [f32; BLOCK],
+}
+
+impl<const K: usize> Default for Block<K> {
+    fn default() -> Self {
+        Self {
+            lanes: vec![Value::ZERO; BLOCK],
+            spare: [NEVER; BLOCK],
+        }
     }
 }
 
@@ -229,39 +294,53 @@ impl<'a, const K: usize, const V: usize> Belief<'a, K, V> {
 #[inline(always)]
 fn padding<const K: usize>(classes: usize) -> [Eight; K] {
     let mut lanes = [Eight([NEVER; 8]); K];
-    for class in 0..classes {
+    for class in 0..classes.min(8 * K) {
         lanes[class / 8].0[class % 8] = 0.0;
     }
     lanes
 }
 
-/// Of the costs that begin here; whole vectors are loaded, with those of the next pixel, which the padding outweighs.
+/// The costs that begin here; whole vectors are loaded, with those of the next pixel, which the padding outweighs.
 #[inline(always)]
-fn logarithms<const K: usize>(costs: &[f32], padding: &[Eight; K], classes: usize) -> [Eight; K] {
-    let mut lanes = *padding;
+fn subtract<const K: usize>(
+    costs: &[f32],
+    padding: &[Eight; K],
+    classes: usize,
+    lanes: &mut [Eight; K],
+) {
     match costs.as_chunks::<8>().0.get(..K) {
         Some(whole) => {
             for i in 0..K {
                 // By value, so that the compiler knows that nothing overlaps.
                 let (own, costs) = (padding[i], whole[i]);
                 for lane in 0..8 {
-                    lanes[i].0[lane] = own.0[lane] - costs[lane];
+                    lanes[i].0[lane] += own.0[lane] - costs[lane];
                 }
             }
         }
         None => {
             for (class, cost) in costs.iter().take(classes).enumerate() {
-                lanes[class / 8].0[class % 8] = -cost;
+                lanes[class / 8].0[class % 8] -= cost;
+            }
+            for i in 0..K {
+                for lane in 0..8 {
+                    lanes[i].0[lane] += padding[i].0[lane];
+                }
             }
         }
     }
-    lanes
 }
 
 #[inline(always)]
-fn write<const K: usize>(lanes: &[Eight; K], out: &mut [f32]) {
-    for (eight, out) in lanes.iter().zip(out.chunks_mut(8)) {
-        out.copy_from_slice(&eight.0[..out.len()]);
+fn write<const K: usize>(lanes: &[Eight; K], spare: f32, out: &mut [f32]) {
+    let mut out = out.iter_mut();
+    for eight in lanes {
+        for (out, value) in out.by_ref().take(8).zip(&eight.0) {
+            *out = *value;
+        }
+    }
+    if let Some(out) = out.next() {
+        *out = spare;
     }
 }
 

@@ -42,31 +42,67 @@ fn larger(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// Turns logarithms (up to a constant) into probabilities that sum to one. Lanes far below the rest become zero.
+/// Pixels that are worked on side by side, step by step: no pixel waits for the end of another one's sum.
+const SIDE_BY_SIDE: usize = 16;
+
+/// Turns the logarithms (up to a constant) of each pixel, one of which is not among the lanes, into probabilities that sum to
+/// one. What is far below the rest becomes zero.
 #[inline(always)]
-pub(super) fn softmax<const K: usize>(lanes: &mut [Eight; K]) {
-    let mut top = lanes[0].0;
+pub(super) fn softmax<const K: usize>(pixels: &mut [[Eight; K]], spare: &mut [f32]) {
+    let (spare, _) = spare.as_chunks_mut::<SIDE_BY_SIDE>();
+    for (pixels, spare) in pixels.chunks_mut(SIDE_BY_SIDE).zip(spare) {
+        let mut tops = *spare;
+        for (lanes, top) in pixels.iter().zip(&mut tops) {
+            *top = larger(*top, fold(&across(lanes, larger), larger));
+        }
+        let mut sums = [[0.0; 8]; SIDE_BY_SIDE];
+        for ((lanes, top), sums) in pixels.iter_mut().zip(tops).zip(&mut sums) {
+            for eight in lanes.iter_mut() {
+                for value in &mut eight.0 {
+                    *value = power(*value - top);
+                }
+            }
+            *sums = across(lanes, |a, b| a + b);
+        }
+        let mut scales = [1.0; SIDE_BY_SIDE];
+        for pixel in 0..SIDE_BY_SIDE {
+            spare[pixel] = power(spare[pixel] - tops[pixel]);
+            scales[pixel] = 1.0 / (fold(&sums[pixel], |a, b| a + b) + spare[pixel]);
+            spare[pixel] *= scales[pixel];
+        }
+        for (lanes, scale) in pixels.iter_mut().zip(scales) {
+            for eight in lanes {
+                for value in &mut eight.0 {
+                    *value *= scale;
+                }
+            }
+        }
+    }
+}
+
+/// The sum of all lanes.
+#[inline(always)]
+pub(super) fn sum<const K: usize>(lanes: &[Eight; K]) -> f32 {
+    fold(&across(lanes, |a, b| a + b), |a, b| a + b)
+}
+
+/// Combines the vectors of a pixel, one after the other.
+#[inline(always)]
+fn across<const K: usize>(lanes: &[Eight; K], combine: impl Fn(f32, f32) -> f32) -> [f32; 8] {
+    let mut all = lanes[0].0;
     for eight in &lanes[1..] {
-        for (top, value) in top.iter_mut().zip(&eight.0) {
-            *top = larger(*top, *value);
+        for (all, value) in all.iter_mut().zip(&eight.0) {
+            *all = combine(*all, *value);
         }
     }
-    let top = fold(&top, larger);
-    let mut sums = [0.0; 8];
-    for eight in lanes.iter_mut() {
-        for (value, sum) in eight.0.iter_mut().zip(&mut sums) {
-            let below = *value - top;
-            let power = exp(larger(below, LEAST));
-            *value = if below > LEAST { power } else { 0.0 };
-            *sum += *value;
-        }
-    }
-    let scale = 1.0 / fold(&sums, |a, b| a + b);
-    for eight in lanes {
-        for value in &mut eight.0 {
-            *value *= scale;
-        }
-    }
+    all
+}
+
+/// [`exp`] of a number of at most 0; nothing below [`LEAST`].
+#[inline(always)]
+fn power(below: f32) -> f32 {
+    let power = exp(larger(below, LEAST));
+    if below > LEAST { power } else { 0.0 }
 }
 
 #[cfg(test)]
@@ -84,8 +120,10 @@ mod tests {
 
         #[test]
         fn softmax_is_a_distribution(values in prop::array::uniform8(-200.0..200.0f32)) {
-            let mut lanes = [Eight(values), Eight([-1e30; 8])];
-            softmax(&mut lanes);
+            let (mut pixels, mut spare) = ([[Eight(values), Eight([-1e30; 8])]; 20], [-1e30; 32]);
+            softmax(&mut pixels, &mut spare);
+            prop_assert!(pixels.iter().all(|pixel| *pixel == pixels[0]));
+            let lanes = pixels[0];
             let top = values.iter().copied().fold(f32::MIN, f32::max);
             let sum: f64 = values.iter().map(|value| f64::from(value - top).exp()).sum();
             for (value, lane) in values.iter().zip(&lanes[0].0) {
