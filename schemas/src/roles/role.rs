@@ -1,5 +1,7 @@
 //! The descriptor of a role, and which topics play it where nobody says.
 
+use std::cmp::Reverse;
+
 use crate::roles::message::{MetadataReader, Reader};
 use crate::roles::{FromMessage, FromMetadata, Message, Mount};
 use crate::{Layer, LayerRow};
@@ -202,6 +204,13 @@ impl Choice {
             passed_over: names.collect(),
         })
     }
+}
+
+/// The topic with most messages plays the role: the first by name, where several have as many.
+pub(super) fn fullest(topics: &[Topic]) -> Vec<Choice> {
+    let mut candidates: Vec<&Topic> = topics.iter().collect();
+    candidates.sort_by_key(|topic| (Reverse(topic.messages), &topic.name));
+    Choice::first_of(candidates).into_iter().collect()
 }
 
 /// Every topic plays the role.
