@@ -28,7 +28,7 @@ mod worker;
 pub use messages::MessagesTable;
 pub use rows::{MessageAt, RowBuilder};
 pub use source::scanned;
-pub use table::{FaultyTable, LogTable, McapTable};
+pub use table::{LogTable, McapTable};
 
 pub(crate) use plan::Wanted;
 pub(crate) use records::RecordTable;
