@@ -84,22 +84,15 @@ pub(crate) async fn metadata_names(part: &LogPart) -> Result<Vec<String>, Fault>
     Ok(found)
 }
 
-/// Reads an attachment's body in pieces: its last four bytes are the checksum of all before, or zero.
+/// Compares an attachment's last four bytes, the checksum of all before or zero.
 async fn checksum_fits(window: &mut Window, unit: &Unit) -> Result<bool, Fault> {
-    const PIECE: u64 = 1 << 20;
-    let (start, end) = (unit.offset + FRAME, unit.end());
-    let mut crc = crc32fast::Hasher::new();
-    let mut position = start;
-    while position < end - 4 {
-        let length = PIECE.min(end - 4 - position);
-        crc.update(&window.get(position, length).await?.unwrap_or_default());
-        position += length;
-    }
-    let expected = window.get(end - 4, 4).await?.unwrap_or_default();
+    let end = unit.end() - 4;
+    let found = window.checksum(unit.offset + FRAME..end).await?;
+    let expected = window.get(end, 4).await?.unwrap_or_default();
     let expected = expected
         .first_chunk()
         .map_or(0, |crc| u32::from_le_bytes(*crc));
-    Ok(expected == 0 || expected == crc.finalize())
+    Ok(expected == 0 || found == Some(expected))
 }
 
 fn window(part: &LogPart) -> Window {
