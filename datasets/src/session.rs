@@ -14,7 +14,6 @@ use futures::StreamExt;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 
 use crate::log::definition::LogChannel;
-use crate::log::heads::{self, AttachmentHead};
 use crate::log::index::LogIndex;
 use crate::log::tally::Tally;
 use crate::log::window::store_fault;
@@ -279,22 +278,6 @@ impl LogPart {
         let known = self.index.channels.get(&channel)?;
         let made = self.types.get(*self.places.get(&channel)?)?;
         Some(made.get_or_init(|| self.make_type(known)))
-    }
-
-    /// The attachments, without their bytes.
-    ///
-    /// # Errors
-    /// A resource fault when the store fails.
-    pub async fn attachments(&self) -> Result<Vec<AttachmentHead>, Fault> {
-        heads::attachments(self).await
-    }
-
-    /// Names of the metadata records.
-    ///
-    /// # Errors
-    /// A resource fault when the store fails.
-    pub async fn metadata_names(&self) -> Result<Vec<String>, Fault> {
-        heads::metadata_names(self).await
     }
 
     fn make_type(&self, channel: &LogChannel) -> Result<MessageType, SchemaError> {

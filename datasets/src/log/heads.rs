@@ -50,38 +50,48 @@ impl AttachmentHead {
     }
 }
 
-/// The attachments of a file, by time and name. What is malformed, or fails its checksum, is noted as lost.
-pub(crate) async fn attachments(part: &LogPart) -> Result<Vec<AttachmentHead>, Fault> {
-    let mut found = Vec::new();
-    let mut window = window(part);
-    for unit in &part.index.attachments {
-        let record = head(&mut window, unit).await?;
-        match AttachmentHead::parse(&record) {
-            Some(head) if checksum_fits(&mut window, unit).await? => found.push(AttachmentHead {
-                name: shortened(&head.name),
-                media_type: shortened(&head.media_type),
-                ..head
-            }),
-            _ => lose(part, unit),
+impl LogPart {
+    /// The attachments, by time and name, without their bytes. What is malformed, or fails its checksum, is noted as lost.
+    ///
+    /// # Errors
+    /// A resource fault when the store fails.
+    pub async fn attachments(&self) -> Result<Vec<AttachmentHead>, Fault> {
+        let mut found = Vec::new();
+        let mut window = window(self);
+        for unit in &self.index.attachments {
+            let record = head(&mut window, unit).await?;
+            match AttachmentHead::parse(&record) {
+                Some(head) if checksum_fits(&mut window, unit).await? => {
+                    found.push(AttachmentHead {
+                        name: shortened(&head.name),
+                        media_type: shortened(&head.media_type),
+                        ..head
+                    });
+                }
+                _ => lose(self, unit),
+            }
         }
+        found.sort_by(|a, b| (a.log_time, &a.name).cmp(&(b.log_time, &b.name)));
+        Ok(found)
     }
-    found.sort_by(|a, b| (a.log_time, &a.name).cmp(&(b.log_time, &b.name)));
-    Ok(found)
-}
 
-/// The names of a file's metadata records, sorted. What is malformed is noted as lost.
-pub(crate) async fn metadata_names(part: &LogPart) -> Result<Vec<String>, Fault> {
-    let mut found = Vec::new();
-    let mut window = window(part);
-    for unit in &part.index.metadata {
-        let record = head(&mut window, unit).await?;
-        match body(&record, op::METADATA).and_then(|mut rest| text(&mut rest)) {
-            Some(name) => found.push(shortened(&name)),
-            None => lose(part, unit),
+    /// Names of the metadata records, sorted. What is malformed is noted as lost.
+    ///
+    /// # Errors
+    /// A resource fault when the store fails.
+    pub async fn metadata_names(&self) -> Result<Vec<String>, Fault> {
+        let mut found = Vec::new();
+        let mut window = window(self);
+        for unit in &self.index.metadata {
+            let record = head(&mut window, unit).await?;
+            match body(&record, op::METADATA).and_then(|mut rest| text(&mut rest)) {
+                Some(name) => found.push(shortened(&name)),
+                None => lose(self, unit),
+            }
         }
+        found.sort();
+        Ok(found)
     }
-    found.sort();
-    Ok(found)
 }
 
 /// Compares an attachment's last four bytes, the checksum of all before or zero.
