@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 
 use crate::roles::message::{MetadataReader, Reader};
-use crate::roles::{FromMessage, FromMetadata, Message, Mount};
+use crate::roles::{FromMessage, Message, Mount};
 use crate::{Layer, LayerRow};
 
 /// A part that a log's messages play, and the table of its rows.
@@ -91,12 +91,9 @@ impl Role {
         Self::with::<T>(Source::Messages(messages))
     }
 
-    /// A role with the name and meaning of its rows' layer, played by metadata records.
-    pub const fn of_metadata<T: FromMetadata>() -> Self {
-        Self::with::<T>(Source::Metadata(Metadata {
-            record: T::RECORD,
-            read: crate::roles::message::read_metadata::<T>,
-        }))
+    /// A role with the name and meaning of its rows' layer, played by metadata records of a name, which are read so.
+    pub const fn of_metadata<T: LayerRow>(record: &'static str, read: MetadataReader) -> Self {
+        Self::with::<T>(Source::Metadata(Metadata { record, read }))
     }
 
     const fn with<T: LayerRow>(source: Source) -> Self {
