@@ -10,7 +10,7 @@ use serde_json::Value;
 use crate::{Bytes, Cell, Fault, Geometry, Position};
 
 /// What ISO adds to the number of a kind whose points have heights.
-const ISO_HEIGHT: u32 = 1000;
+pub(crate) const ISO_HEIGHT: u32 = 1000;
 
 /// What PostGIS adds to it, and where it names a reference system.
 pub(crate) const EXTENDED_HEIGHT: u32 = 0x8000_0000;
@@ -23,7 +23,7 @@ pub struct Wkb(pub Vec<u8>);
 impl Wkb {
     /// A point with height.
     pub fn point(point: [f64; 3]) -> Self {
-        Self::of(&Geometry::Point(high(&point)))
+        Geometry::Point(high(&point)).to_wkb()
     }
 
     /// A polyline with heights.
@@ -36,7 +36,7 @@ impl Wkb {
     pub fn polygon(corners: &[[f64; 2]]) -> Self {
         let ring = corners.iter().chain(corners.first());
         let ring = ring.map(|&[x, y]| Position { x, y, z: None });
-        Self::of(&Geometry::Polygon(vec![ring.collect()]))
+        Geometry::Polygon(vec![ring.collect()]).to_wkb()
     }
 
     /// What it holds: points, line strings and polygons in either byte order, flat or with heights, and collections of
@@ -56,18 +56,8 @@ impl Wkb {
         Ok(self.geometry()?.geojson())
     }
 
-    /// A geometry, with heights where its first point has one.
-    pub(crate) fn of(geometry: &Geometry) -> Self {
-        Self::with_heights(geometry, ISO_HEIGHT)
-    }
-
-    /// The same as PostGIS has it.
-    pub(crate) fn extended(geometry: &Geometry) -> Self {
-        Self::with_heights(geometry, EXTENDED_HEIGHT)
-    }
-
-    /// A geometry whose kinds say by adding a number that there are heights.
-    fn with_heights(geometry: &Geometry, number: u32) -> Self {
+    /// A geometry whose kinds say by adding a number that there are heights, where its first point has one.
+    pub(crate) fn with_heights(geometry: &Geometry, number: u32) -> Self {
         let first = geometry.paths().into_iter().flatten().next();
         let has_heights = first.is_some_and(|point| point.z.is_some());
         Self::written(geometry, if has_heights { number } else { 0 })
