@@ -4,7 +4,7 @@ mod large;
 mod video;
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -100,31 +100,24 @@ impl Cache {
 impl Place {
     /// Where an image lies, if of the chunks that are opened whole the largest has so many bytes.
     fn of(image: &ImageRef, largest: u64) -> Self {
-        match image.chunk {
-            Some(offset) if image.compression.is_empty() && image.chunk_size > largest => Self {
-                session: image.session.clone(),
-                part: image.part,
-                offset: offset.saturating_add(image.offset),
-                length: image.length,
-                size: image.length,
-                opening: Opening::Plain,
-            },
-            Some(offset) => Self {
-                session: image.session.clone(),
-                part: image.part,
-                offset,
-                length: image.chunk_length,
-                size: image.chunk_size,
-                opening: Opening::Unpack(image.compression.clone()),
-            },
-            None => Self {
-                session: image.session.clone(),
-                part: image.part,
-                offset: image.offset,
-                length: image.length,
-                size: image.length,
-                opening: Opening::Plain,
-            },
+        let plain = |offset: u64| (offset, image.length, image.length, Opening::Plain);
+        let (offset, length, size, opening) = match image.chunk {
+            Some(chunk) if image.compression.is_empty() && image.chunk_size > largest => {
+                plain(chunk.saturating_add(image.offset))
+            }
+            Some(chunk) => {
+                let opening = Opening::Unpack(image.compression.clone());
+                (chunk, image.chunk_length, image.chunk_size, opening)
+            }
+            None => plain(image.offset),
+        };
+        Self {
+            session: image.session.clone(),
+            part: image.part,
+            offset,
+            length,
+            size,
+            opening,
         }
     }
 
@@ -231,14 +224,14 @@ impl ImageReader {
 
     async fn open(&self, place: &Place) -> Result<Result<Bytes, Fault>, Fault> {
         let part = self.part(&place.session, place.part)?;
-        let slot = self
-            .cache
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .slot(place);
+        let slot = held(&self.cache).slot(place);
         let bytes = slot.get_or_init(|| read(part, place)).await;
         Ok(bytes.clone())
     }
+}
+
+fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Fetches and decompresses.

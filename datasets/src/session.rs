@@ -14,7 +14,6 @@ use futures::StreamExt;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 
 use crate::log::definition::LogChannel;
-use crate::log::heads::{self, AttachmentHead};
 use crate::log::index::LogIndex;
 use crate::log::tally::Tally;
 use crate::log::window::store_fault;
@@ -140,10 +139,8 @@ pub struct LogPart {
     pub(crate) tally: Tally,
     /// Channels by topic.
     topics: BTreeMap<String, Vec<u16>>,
-    /// The message type of each channel, by its place in `types`.
-    places: BTreeMap<u16, usize>,
-    /// Message types: one for channels that share a schema.
-    types: Vec<OnceLock<Result<MessageType, SchemaError>>>,
+    /// Message types by channel: one for those that share a schema.
+    types: BTreeMap<u16, Arc<OnceLock<Result<MessageType, SchemaError>>>>,
     /// Columns that further message types may have.
     columns_left: AtomicUsize,
 }
@@ -191,17 +188,15 @@ impl LogPart {
         let losses = ledger.of_file(url.as_str());
         index.losses.iter().for_each(|lost| losses.note_again(lost));
         let mut topics = BTreeMap::<String, Vec<u16>>::new();
-        let mut places = BTreeMap::new();
-        let mut shared = BTreeMap::new();
+        let mut types = BTreeMap::new();
+        let mut shared = BTreeMap::<_, Arc<_>>::new();
         for channel in index.channels.values() {
             let of_topic = topics.entry(channel.topic.clone()).or_default();
             of_topic.push(channel.id);
             let schema = index.schema_of(channel).map(Arc::as_ptr);
-            let next = shared.len();
             let key = (channel.message_encoding.as_str(), schema);
-            places.insert(channel.id, *shared.entry(key).or_insert(next));
+            types.insert(channel.id, shared.entry(key).or_default().clone());
         }
-        let types = shared.iter().map(|_| OnceLock::new()).collect();
         Ok(Self {
             session,
             site,
@@ -214,7 +209,6 @@ impl LogPart {
             losses,
             tally: Tally::default(),
             topics,
-            places,
             types,
             columns_left: AtomicUsize::new(LOG_COLUMNS),
         })
@@ -277,24 +271,8 @@ impl LogPart {
     /// The columns of a channel's messages, or why there are none. `None` for a channel that the log does not have.
     pub fn message_type(&self, channel: u16) -> Option<&Result<MessageType, SchemaError>> {
         let known = self.index.channels.get(&channel)?;
-        let made = self.types.get(*self.places.get(&channel)?)?;
+        let made = self.types.get(&channel)?;
         Some(made.get_or_init(|| self.make_type(known)))
-    }
-
-    /// The attachments, without their bytes.
-    ///
-    /// # Errors
-    /// A resource fault when the store fails.
-    pub async fn attachments(&self) -> Result<Vec<AttachmentHead>, Fault> {
-        heads::attachments(self).await
-    }
-
-    /// Names of the metadata records.
-    ///
-    /// # Errors
-    /// A resource fault when the store fails.
-    pub async fn metadata_names(&self) -> Result<Vec<String>, Fault> {
-        heads::metadata_names(self).await
     }
 
     fn make_type(&self, channel: &LogChannel) -> Result<MessageType, SchemaError> {

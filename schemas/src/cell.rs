@@ -196,7 +196,7 @@ impl<T: Cell> Cell for Vec<T> {
     }
 }
 
-impl<T: Cell + Copy + Default, const N: usize> Cell for [T; N] {
+impl<T: Cell + Copy, const N: usize> Cell for [T; N] {
     fn data_type() -> DataType {
         DataType::FixedSizeList(item::<T>(), N as i32)
     }
@@ -222,14 +222,7 @@ impl<T: Cell + Copy + Default, const N: usize> Cell for [T; N] {
             .values()
             .slice(list.value_offset(0) as usize, list.len() * N);
         let items = T::decode(&items)?;
-        Ok(items
-            .chunks_exact(N)
-            .map(|chunk| {
-                let mut row = [T::default(); N];
-                row.copy_from_slice(chunk);
-                row
-            })
-            .collect())
+        Ok(items.as_chunks::<N>().0.to_vec())
     }
 }
 

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::wkb::{EXTENDED_HEIGHT, EXTENDED_SYSTEM};
+use crate::wkb::{EXTENDED_HEIGHT, EXTENDED_SYSTEM, ISO_HEIGHT};
 use crate::{Fault, Wkb};
 
 /// Collections within collections that are followed.
@@ -69,12 +69,12 @@ impl Geometry {
 
     /// The geometry as well-known binary, ISO, little endian; with heights where its first point has one.
     pub fn to_wkb(&self) -> Wkb {
-        Wkb::of(self)
+        Wkb::with_heights(self, ISO_HEIGHT)
     }
 
     /// The geometry as extended well-known binary, which PostGIS has, without a reference system.
     pub fn to_ewkb(&self) -> Vec<u8> {
-        Wkb::extended(self).0
+        Wkb::with_heights(self, EXTENDED_HEIGHT).0
     }
 
     /// The kind's number in well-known binary.

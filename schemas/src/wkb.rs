@@ -9,7 +9,10 @@ use serde_json::Value;
 
 use crate::{Bytes, Cell, Fault, Geometry, Position};
 
-/// What PostGIS adds to the number of a kind whose points have heights, and where it names a reference system.
+/// What ISO adds to the number of a kind whose points have heights.
+pub(crate) const ISO_HEIGHT: u32 = 1000;
+
+/// What PostGIS adds to it, and where it names a reference system.
 pub(crate) const EXTENDED_HEIGHT: u32 = 0x8000_0000;
 pub(crate) const EXTENDED_SYSTEM: u32 = 0x2000_0000;
 
@@ -19,30 +22,21 @@ pub struct Wkb(pub Vec<u8>);
 
 impl Wkb {
     /// A point with height.
-    pub fn point([x, y, z]: [f64; 3]) -> Self {
-        let mut wkb = Self::header(1001);
-        wkb.numbers(&[x, y, z]);
-        wkb
+    pub fn point(point: [f64; 3]) -> Self {
+        Geometry::Point(high(&point)).to_wkb()
     }
 
     /// A polyline with heights.
     pub fn line_string(points: &[[f64; 3]]) -> Self {
-        let mut wkb = Self::header(1002);
-        wkb.0.extend((points.len() as u32).to_le_bytes());
-        points.iter().for_each(|point| wkb.numbers(point));
-        wkb
+        let line = Geometry::LineString(points.iter().map(high).collect());
+        Self::written(&line, ISO_HEIGHT)
     }
 
     /// A polygon of one ring, flat. The ring is closed here: give each corner once.
     pub fn polygon(corners: &[[f64; 2]]) -> Self {
-        let mut wkb = Self::header(3);
-        wkb.0.extend(1_u32.to_le_bytes());
-        wkb.0.extend((corners.len() as u32 + 1).to_le_bytes());
-        corners
-            .iter()
-            .chain(corners.first())
-            .for_each(|corner| wkb.numbers(corner));
-        wkb
+        let ring = corners.iter().chain(corners.first());
+        let ring = ring.map(|&[x, y]| Position { x, y, z: None });
+        Geometry::Polygon(vec![ring.collect()]).to_wkb()
     }
 
     /// What it holds: points, line strings and polygons in either byte order, flat or with heights, and collections of
@@ -62,22 +56,16 @@ impl Wkb {
         Ok(self.geometry()?.geojson())
     }
 
-    /// A geometry, with heights where its first point has one.
-    pub(crate) fn of(geometry: &Geometry) -> Self {
-        Self::with_heights(geometry, 1000)
-    }
-
-    /// The same as PostGIS has it.
-    pub(crate) fn extended(geometry: &Geometry) -> Self {
-        Self::with_heights(geometry, EXTENDED_HEIGHT)
-    }
-
-    /// A geometry whose kinds say by adding a number that there are heights.
-    fn with_heights(geometry: &Geometry, number: u32) -> Self {
-        let mut wkb = Self::default();
+    /// A geometry whose kinds say by adding a number that there are heights, where its first point has one.
+    pub(crate) fn with_heights(geometry: &Geometry, number: u32) -> Self {
         let first = geometry.paths().into_iter().flatten().next();
         let has_heights = first.is_some_and(|point| point.z.is_some());
-        wkb.write(geometry, if has_heights { number } else { 0 });
+        Self::written(geometry, if has_heights { number } else { 0 })
+    }
+
+    fn written(geometry: &Geometry, dimensions: u32) -> Self {
+        let mut wkb = Self::default();
+        wkb.write(geometry, dimensions);
         wkb
     }
 
@@ -117,17 +105,16 @@ impl Wkb {
         self.0.extend((count as u32).to_le_bytes());
     }
 
-    fn header(kind: u32) -> Self {
-        let mut bytes = vec![1];
-        bytes.extend(kind.to_le_bytes());
-        Self(bytes)
-    }
-
     fn numbers(&mut self, numbers: &[f64]) {
         numbers
             .iter()
             .for_each(|number| self.0.extend(number.to_le_bytes()));
     }
+}
+
+fn high(&[x, y, z]: &[f64; 3]) -> Position {
+    let z = Some(z);
+    Position { x, y, z }
 }
 
 impl Cell for Wkb {

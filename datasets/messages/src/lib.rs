@@ -56,6 +56,7 @@ pub use error::{DecodeError, SchemaError};
 use arrow::datatypes::Fields;
 use cdr::Serialisation;
 use decoder::Format;
+use rosmsg::Generation;
 use std::ops::Range;
 use std::sync::Arc;
 use wire::StructType;
@@ -109,21 +110,12 @@ impl MessageType {
             let reason = format!("expected a name of at most {MAX_NAME} B, found {found} B");
             return Err(SchemaError::refused(schema_name, reason));
         }
+        let text = || String::from_utf8_lossy(schema);
+        let ros = |generation| rosmsg::parse(generation, schema_name, &text());
         let kind = match (message_encoding, schema_encoding) {
-            ("cdr", "ros2msg") => {
-                let text = String::from_utf8_lossy(schema);
-                let message = rosmsg::parse(rosmsg::Generation::Ros2, schema_name, &text)?;
-                Kind::Ros(Serialisation::Cdr, message)
-            }
-            ("cdr", "ros2idl") => {
-                let text = String::from_utf8_lossy(schema);
-                Kind::Ros(Serialisation::Cdr, idl::parse(schema_name, &text)?)
-            }
-            ("ros1", "ros1msg") => {
-                let text = String::from_utf8_lossy(schema);
-                let message = rosmsg::parse(rosmsg::Generation::Ros1, schema_name, &text)?;
-                Kind::Ros(Serialisation::Ros1, message)
-            }
+            ("cdr", "ros2msg") => Kind::Ros(Serialisation::Cdr, ros(Generation::Ros2)?),
+            ("cdr", "ros2idl") => Kind::Ros(Serialisation::Cdr, idl::parse(schema_name, &text())?),
+            ("ros1", "ros1msg") => Kind::Ros(Serialisation::Ros1, ros(Generation::Ros1)?),
             ("protobuf", "protobuf") => Kind::Protobuf(protobuf::Plan::parse(schema_name, schema)?),
             ("json", "jsonschema") => Kind::Json(json::Plan::parse(schema_name, schema)?),
             ("json", "") => Kind::Json(json::Plan::untyped()),

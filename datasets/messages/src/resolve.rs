@@ -2,8 +2,9 @@
 
 use crate::budget::SchemaBudget;
 use crate::error::shown;
-use crate::wire::{Extensibility, Scalar, StructType, Wire};
+use crate::wire::{Extensibility, StructType, Wire};
 use crate::{MAX_DEPTH, SchemaError};
+use arrow::datatypes::DataType;
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
@@ -63,7 +64,7 @@ impl Declaration {
     }
 
     /// A built-in time or duration: seconds and what is over.
-    pub(crate) fn time(name: &str, parts: [(&str, Scalar); 2]) -> Self {
+    pub(crate) fn time(name: &str, parts: [(&str, DataType); 2]) -> Self {
         let parts = parts.map(|(name, of)| (name, Declared::Wire(Wire::Scalar(of))));
         Declaration::builtin(name, &parts)
     }

@@ -12,7 +12,8 @@
 
 use crate::SchemaError;
 use crate::resolve::{Declaration, Declared, Library, Member};
-use crate::wire::{Extensibility, Scalar, StructType, Wire};
+use crate::wire::{Extensibility, StructType, Wire, integer};
+use arrow::datatypes::DataType;
 use std::sync::Arc;
 
 /// The two generations of the language; `byte`, `char`, `time` and `Header` differ.
@@ -215,14 +216,14 @@ fn candidates(name: &str, scope: &str, generation: Generation) -> Vec<String> {
 
 fn primitive(name: &str, generation: Generation) -> Option<Wire> {
     let scalar = match (name, generation) {
-        ("bool", _) => Scalar::Bool,
-        ("byte", Generation::Ros1) => Scalar::Int8,
-        ("char", _) | ("byte", Generation::Ros2) => Scalar::UInt8,
-        ("float32", _) => Scalar::Float32,
-        ("float64", _) => Scalar::Float64,
+        ("bool", _) => DataType::Boolean,
+        ("byte", Generation::Ros1) => DataType::Int8,
+        ("char", _) | ("byte", Generation::Ros2) => DataType::UInt8,
+        ("float32", _) => DataType::Float32,
+        ("float64", _) => DataType::Float64,
         ("string", _) => return Some(Wire::Text),
         ("wstring", Generation::Ros2) => return Some(Wire::WideText),
-        _ => Scalar::integer(name)?,
+        _ => integer(name)?,
     };
     Some(Wire::Scalar(scalar))
 }
@@ -231,23 +232,23 @@ fn primitive(name: &str, generation: Generation) -> Option<Wire> {
 fn add_builtins(generation: Generation, library: &mut Library) {
     let (time, duration) = match generation {
         Generation::Ros1 => (
-            [("sec", Scalar::UInt32), ("nsec", Scalar::UInt32)],
-            [("sec", Scalar::Int32), ("nsec", Scalar::Int32)],
+            [("sec", DataType::UInt32), ("nsec", DataType::UInt32)],
+            [("sec", DataType::Int32), ("nsec", DataType::Int32)],
         ),
         Generation::Ros2 => {
-            let parts = [("sec", Scalar::Int32), ("nanosec", Scalar::UInt32)];
-            (parts, parts)
+            let parts = [("sec", DataType::Int32), ("nanosec", DataType::UInt32)];
+            (parts.clone(), parts)
         }
     };
     library.add(Declaration::time("builtin_interfaces/Time", time));
     library.add(Declaration::time("builtin_interfaces/Duration", duration));
     let number = |scalar| Declared::Wire(Wire::Scalar(scalar));
-    let gid = Declared::Array(Box::new(number(Scalar::UInt8)), 16);
+    let gid = Declared::Array(Box::new(number(DataType::UInt8)), 16);
     let members = [
-        ("event_type", number(Scalar::UInt8)),
+        ("event_type", number(DataType::UInt8)),
         ("stamp", named("builtin_interfaces/Time")),
         ("client_gid", gid),
-        ("sequence_number", number(Scalar::Int64)),
+        ("sequence_number", number(DataType::Int64)),
     ];
     library.add(Declaration::builtin(
         "service_msgs/ServiceEventInfo",

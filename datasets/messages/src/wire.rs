@@ -4,26 +4,11 @@ use crate::buffers::required;
 use arrow::datatypes::{DataType, Field, FieldRef, Fields};
 use std::sync::Arc;
 
-/// A number or flag of fixed size.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Scalar {
-    Bool,
-    Int8,
-    UInt8,
-    Int16,
-    UInt16,
-    Int32,
-    UInt32,
-    Int64,
-    UInt64,
-    Float32,
-    Float64,
-}
-
 /// The type of a member as it lies on the wire.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Wire {
-    Scalar(Scalar),
+    /// A number or flag of fixed size.
+    Scalar(DataType),
     /// An IDL enumeration: a 32-bit number, yet not primitive to CDR2.
     Enumeration,
     Text,
@@ -59,59 +44,32 @@ pub(crate) struct StructType {
 /// ROS 2 gives an empty message this one member, as IDL knows no empty struct.
 pub(crate) const EMPTY_MEMBER: &str = "structure_needs_at_least_one_member";
 
-impl Scalar {
-    /// The integer of this name, where messages and IDL name it alike.
-    pub(crate) fn integer(name: &str) -> Option<Scalar> {
-        Some(match name {
-            "int8" => Scalar::Int8,
-            "uint8" => Scalar::UInt8,
-            "int16" => Scalar::Int16,
-            "uint16" => Scalar::UInt16,
-            "int32" => Scalar::Int32,
-            "uint32" => Scalar::UInt32,
-            "int64" => Scalar::Int64,
-            "uint64" => Scalar::UInt64,
-            _ => return None,
-        })
-    }
-
-    /// Bytes on the wire and in Arrow (a flag is one byte until the batch is finished).
-    pub(crate) fn width(self) -> usize {
-        match self {
-            Scalar::Bool | Scalar::Int8 | Scalar::UInt8 => 1,
-            Scalar::Int16 | Scalar::UInt16 => 2,
-            Scalar::Int32 | Scalar::UInt32 | Scalar::Float32 => 4,
-            Scalar::Int64 | Scalar::UInt64 | Scalar::Float64 => 8,
-        }
-    }
-
-    fn data_type(self) -> DataType {
-        match self {
-            Scalar::Bool => DataType::Boolean,
-            Scalar::Int8 => DataType::Int8,
-            Scalar::UInt8 => DataType::UInt8,
-            Scalar::Int16 => DataType::Int16,
-            Scalar::UInt16 => DataType::UInt16,
-            Scalar::Int32 => DataType::Int32,
-            Scalar::UInt32 => DataType::UInt32,
-            Scalar::Int64 => DataType::Int64,
-            Scalar::UInt64 => DataType::UInt64,
-            Scalar::Float32 => DataType::Float32,
-            Scalar::Float64 => DataType::Float64,
-        }
-    }
+/// The integer of this name, where messages and IDL name it alike.
+pub(crate) fn integer(name: &str) -> Option<DataType> {
+    Some(match name {
+        "int8" => DataType::Int8,
+        "uint8" => DataType::UInt8,
+        "int16" => DataType::Int16,
+        "uint16" => DataType::UInt16,
+        "int32" => DataType::Int32,
+        "uint32" => DataType::UInt32,
+        "int64" => DataType::Int64,
+        "uint64" => DataType::UInt64,
+        _ => return None,
+    })
 }
 
 impl Wire {
     /// Whether a run of these is kept as binary.
     pub(crate) fn is_octet(&self) -> bool {
-        *self == Wire::Scalar(Scalar::UInt8)
+        *self == Wire::Scalar(DataType::UInt8)
     }
 
-    /// Number, flag or enumeration: its bytes on the wire.
+    /// Number, flag or enumeration: its bytes on the wire and in Arrow (a flag is one byte until the batch is finished).
     pub(crate) fn fixed_width(&self) -> Option<usize> {
         match self {
-            Wire::Scalar(scalar) => Some(scalar.width()),
+            Wire::Scalar(DataType::Boolean) => Some(1),
+            Wire::Scalar(number) => number.primitive_width(),
             Wire::Enumeration => Some(4),
             _ => None,
         }
@@ -136,9 +94,9 @@ impl Wire {
     /// Bytes in Arrow of one value, not counting what sequences hold.
     pub(crate) fn fixed_bytes(&self) -> u64 {
         match self {
-            Wire::Scalar(scalar) => scalar.width() as u64,
+            Wire::Scalar(_) | Wire::Enumeration => self.fixed_width().unwrap_or(1) as u64,
             Wire::Sequence(item) if item.is_octet() => 16,
-            Wire::Enumeration | Wire::Text | Wire::WideText | Wire::Sequence(_) => 4,
+            Wire::Text | Wire::WideText | Wire::Sequence(_) => 4,
             Wire::Array(item, size) => item.fixed_bytes().saturating_mul(*size as u64),
             Wire::Struct(body) => body.fixed_bytes,
         }
@@ -146,7 +104,7 @@ impl Wire {
 
     pub(crate) fn data_type(&self) -> DataType {
         match self {
-            Wire::Scalar(scalar) => scalar.data_type(),
+            Wire::Scalar(scalar) => scalar.clone(),
             Wire::Enumeration => DataType::Int32,
             Wire::Text | Wire::WideText => DataType::Utf8,
             Wire::Sequence(item) if item.is_octet() => DataType::BinaryView,

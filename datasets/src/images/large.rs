@@ -3,13 +3,13 @@
 
 use std::collections::BTreeMap;
 use std::io;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use bytes::Bytes;
 use datafusion::common::runtime::SpawnedTask;
 use evermap_schemas::{Fault, ImageRef};
 
-use super::{ImageReader, Opening, Place, encoded, outside};
+use super::{ImageReader, Opening, Place, encoded, held, outside};
 use crate::log::walk::{Feed, Walk, fed, joined};
 
 /// Chunks that may be half gone through: two for each of two partitions that read side by side.
@@ -34,7 +34,7 @@ struct Going {
 impl Walks {
     /// The one in this chunk that is next to a byte, and not behind it.
     fn take(&self, place: &Place, before: u64) -> Option<Going> {
-        let mut walks = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut walks = held(&self.0);
         let here = |going: &Going| going.place == *place && going.walk.position() <= before;
         let found = walks.iter().enumerate().filter(|(_, going)| here(going));
         let (nearest, _) = found.max_by_key(|(_, going)| going.walk.position())?;
@@ -42,7 +42,7 @@ impl Walks {
     }
 
     fn keep(&self, going: Going) {
-        let mut walks = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut walks = held(&self.0);
         walks.push(going);
         if walks.len() > WAITING {
             walks.remove(0);

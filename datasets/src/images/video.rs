@@ -4,7 +4,7 @@
 //! the log says: the chunks before are opened one by one until it is found. What a chunk holds of a topic is then known.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -13,7 +13,7 @@ use evermap_schemas::roles::IMAGE_MEMBER;
 use evermap_schemas::{Fault, ImageRef};
 use evermap_video::{Codec, Decoder, Failure};
 
-use crate::images::{ImageReader, Place};
+use crate::images::{ImageReader, Place, held};
 use crate::log::chunk::{Block, Message};
 use crate::log::record::MessageHead;
 use crate::session::LogPart;
@@ -60,10 +60,6 @@ struct Run {
 
 /// What came out for a frame.
 type Decoded = Result<Bytes, Fault>;
-
-fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 impl Found {
     fn bytes(&self, unit: &Bytes) -> Option<Bytes> {

@@ -93,24 +93,14 @@ pub(super) fn write(
             Event::Pose(i) => {
                 send(&mut log, odometry, stamp, &odometry_of(stamp, &poses[*i].1))?;
             }
-            Event::Image(c, i) => {
-                let (camera, channel) = (&cameras[*c], channels[*c].images);
-                send_image(
-                    &mut log,
-                    channel,
-                    camera.header(stamp),
-                    &camera.images[*i].1,
-                )?;
-            }
-            Event::Labels(c, i) => {
-                let (camera, channel) = (&cameras[*c], channels[*c].labels);
+            Event::Image(c, i) | Event::Labels(c, i) => {
+                let (camera, channels) = (&cameras[*c], &channels[*c]);
+                let (channel, files) = match event {
+                    Event::Labels(..) => (channels.labels, &camera.labels),
+                    _ => (Some(channels.images), &camera.images),
+                };
                 let channel = channel.ok_or_else(|| Fault::bug("labels without a channel"))?;
-                send_image(
-                    &mut log,
-                    channel,
-                    camera.header(stamp),
-                    &camera.labels[*i].1,
-                )?;
+                send_image(&mut log, channel, camera.header(stamp), &files[*i].1)?;
             }
         }
     }

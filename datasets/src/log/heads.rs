@@ -50,56 +50,59 @@ impl AttachmentHead {
     }
 }
 
-/// The attachments of a file, by time and name. What is malformed, or fails its checksum, is noted as lost.
-pub(crate) async fn attachments(part: &LogPart) -> Result<Vec<AttachmentHead>, Fault> {
-    let mut found = Vec::new();
-    let mut window = window(part);
-    for unit in &part.index.attachments {
-        let record = head(&mut window, unit).await?;
-        match AttachmentHead::parse(&record) {
-            Some(head) if checksum_fits(&mut window, unit).await? => found.push(AttachmentHead {
-                name: shortened(&head.name),
-                media_type: shortened(&head.media_type),
-                ..head
-            }),
-            _ => lose(part, unit),
+impl LogPart {
+    /// The attachments, by time and name, without their bytes. What is malformed, or fails its checksum, is noted as lost.
+    ///
+    /// # Errors
+    /// A resource fault when the store fails.
+    pub async fn attachments(&self) -> Result<Vec<AttachmentHead>, Fault> {
+        let mut found = Vec::new();
+        let mut window = window(self);
+        for unit in &self.index.attachments {
+            let record = head(&mut window, unit).await?;
+            match AttachmentHead::parse(&record) {
+                Some(head) if checksum_fits(&mut window, unit).await? => {
+                    found.push(AttachmentHead {
+                        name: shortened(&head.name),
+                        media_type: shortened(&head.media_type),
+                        ..head
+                    });
+                }
+                _ => lose(self, unit),
+            }
         }
+        found.sort_by(|a, b| (a.log_time, &a.name).cmp(&(b.log_time, &b.name)));
+        Ok(found)
     }
-    found.sort_by(|a, b| (a.log_time, &a.name).cmp(&(b.log_time, &b.name)));
-    Ok(found)
+
+    /// Names of the metadata records, sorted. What is malformed is noted as lost.
+    ///
+    /// # Errors
+    /// A resource fault when the store fails.
+    pub async fn metadata_names(&self) -> Result<Vec<String>, Fault> {
+        let mut found = Vec::new();
+        let mut window = window(self);
+        for unit in &self.index.metadata {
+            let record = head(&mut window, unit).await?;
+            match body(&record, op::METADATA).and_then(|mut rest| text(&mut rest)) {
+                Some(name) => found.push(shortened(&name)),
+                None => lose(self, unit),
+            }
+        }
+        found.sort();
+        Ok(found)
+    }
 }
 
-/// The names of a file's metadata records, sorted. What is malformed is noted as lost.
-pub(crate) async fn metadata_names(part: &LogPart) -> Result<Vec<String>, Fault> {
-    let mut found = Vec::new();
-    let mut window = window(part);
-    for unit in &part.index.metadata {
-        let record = head(&mut window, unit).await?;
-        match body(&record, op::METADATA).and_then(|mut rest| text(&mut rest)) {
-            Some(name) => found.push(shortened(&name)),
-            None => lose(part, unit),
-        }
-    }
-    found.sort();
-    Ok(found)
-}
-
-/// Reads an attachment's body in pieces: its last four bytes are the checksum of all before, or zero.
+/// Compares an attachment's last four bytes, the checksum of all before or zero.
 async fn checksum_fits(window: &mut Window, unit: &Unit) -> Result<bool, Fault> {
-    const PIECE: u64 = 1 << 20;
-    let (start, end) = (unit.offset + FRAME, unit.end());
-    let mut crc = crc32fast::Hasher::new();
-    let mut position = start;
-    while position < end - 4 {
-        let length = PIECE.min(end - 4 - position);
-        crc.update(&window.get(position, length).await?.unwrap_or_default());
-        position += length;
-    }
-    let expected = window.get(end - 4, 4).await?.unwrap_or_default();
+    let end = unit.end() - 4;
+    let found = window.checksum(unit.offset + FRAME..end).await?;
+    let expected = window.get(end, 4).await?.unwrap_or_default();
     let expected = expected
         .first_chunk()
         .map_or(0, |crc| u32::from_le_bytes(*crc));
-    Ok(expected == 0 || expected == crc.finalize())
+    Ok(expected == 0 || found == Some(expected))
 }
 
 fn window(part: &LogPart) -> Window {

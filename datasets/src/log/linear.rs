@@ -301,8 +301,7 @@ impl<'a> Scan<'a> {
         let most = longest(opcode);
         if length > most {
             let detail = format!("expected a definition of at most {most} B, found {length} B");
-            let loss = Loss::one(FRAME + length);
-            self.losses.note(Reason::BadRecord, offset, loss, detail);
+            self.bad_record(detail, offset, length);
             return Ok(Bytes::new());
         }
         Ok(self

@@ -108,22 +108,11 @@ async fn checksum_fits(
     window: &mut Window,
     section: Range<u64>,
 ) -> Result<bool, Fault> {
-    const PIECE: u64 = 1 << 20;
     if footer.summary_crc == 0 {
         return Ok(true);
     }
-    let end = section.end + FOOTER - 4;
-    let mut crc = crc32fast::Hasher::new();
-    let mut position = section.start;
-    while position < end {
-        let length = PIECE.min(end - position);
-        let Some(piece) = window.get(position, length).await? else {
-            return Ok(false);
-        };
-        crc.update(&piece);
-        position += length;
-    }
-    Ok(crc.finalize() == footer.summary_crc)
+    let covered = section.start..section.end + FOOTER - 4;
+    Ok(window.checksum(covered).await? == Some(footer.summary_crc))
 }
 
 /// The summary's records, and the stretches that hold the message indexes of chunks.

@@ -24,9 +24,6 @@ const LIKELY_BYTES: u64 = 1 << 20;
 /// Bytes that zstd may look back, 2^26: its levels up to 19 look back less.
 const WINDOW_LOG: u32 = 26;
 
-/// Bytes out of a reader at once.
-const PIECE: usize = 64 << 10;
-
 /// Decompresses a chunk's data; an uncompressed chunk is not copied. Beside what came out, what was wrong where that is
 /// not what the chunk claims: then it is as much as came out before the damage.
 ///
@@ -51,8 +48,8 @@ pub fn unpack(
     }
     let mut bytes = Vec::new();
     let mut reader = reader(compression, &data[..])?.take(size + 1);
-    let damage = match copy(&mut reader, &mut bytes) {
-        Ok(()) => wrong_size(bytes.len() as u64, size),
+    let damage = match reader.read_to_end(&mut bytes) {
+        Ok(_) => wrong_size(bytes.len() as u64, size),
         Err(error) => Some((Reason::BadCompression, error.to_string())),
     };
     bytes.truncate(size as usize);
@@ -110,19 +107,6 @@ fn at_once(compression: &str, data: &[u8], size: usize) -> io::Result<Vec<u8>> {
     match bytes.len() == size {
         true => Ok(bytes),
         false => Err(ErrorKind::InvalidData.into()),
-    }
-}
-
-/// Appends what a reader gives; on error, what it gave before.
-fn copy(reader: &mut impl Read, bytes: &mut Vec<u8>) -> io::Result<()> {
-    let mut piece = vec![0; PIECE];
-    loop {
-        let read = reader.read(&mut piece)?;
-        if read == 0 {
-            return Ok(());
-        }
-        bytes.try_reserve(read)?;
-        bytes.extend_from_slice(&piece[..read]);
     }
 }
 

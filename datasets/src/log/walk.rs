@@ -14,14 +14,12 @@ use tokio::sync::mpsc::{Receiver, Sender, channel};
 use crate::log::checksum::Checksum;
 use crate::log::chunk::Damage;
 use crate::log::unpack::{check_claim, reader};
-use crate::log::window::Window;
+use crate::log::window::{PIECE, Window};
 use crate::losses::Reason;
 
 /// Bytes that are looked at together.
 const BUFFER: usize = 64 << 10;
-/// Data are decompressed in pieces of so many bytes, while further ones are fetched.
-const PIECE: u64 = 1 << 20;
-/// Pieces that wait to be decompressed.
+/// Pieces that wait to be decompressed, while further ones are fetched.
 const WAITING: usize = 2;
 
 /// The decompressed bytes of a chunk, from front to back, as far as it claims to have them.

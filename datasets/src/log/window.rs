@@ -1,5 +1,6 @@
 //! Forward reading of an object by range requests, with a little read-ahead.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use bytes::Bytes;
@@ -9,6 +10,8 @@ use object_store::{ObjectStore, ObjectStoreExt};
 
 /// Read-ahead for small records, so that a file without chunks costs few requests.
 const AHEAD: u64 = 4 << 20;
+/// Bytes that are hashed, or decompressed, together.
+pub(crate) const PIECE: u64 = 1 << 20;
 
 /// A stretch of an object, read from front to back in as few requests as its memory bound allows.
 pub struct Window {
@@ -57,6 +60,24 @@ impl Window {
         let from = (offset - self.start) as usize;
         Ok(Some(self.bytes.slice(from..from + length as usize)))
     }
+
+    /// The checksum of the bytes in a range, fetched in pieces; `None` where not all are there.
+    ///
+    /// # Errors
+    /// A resource fault when the object store fails.
+    pub async fn checksum(&mut self, range: Range<u64>) -> Result<Option<u32>, Fault> {
+        let mut crc = crc32fast::Hasher::new();
+        let mut position = range.start;
+        while position < range.end {
+            let length = PIECE.min(range.end - position);
+            let Some(piece) = self.get(position, length).await? else {
+                return Ok(None);
+            };
+            crc.update(&piece);
+            position += length;
+        }
+        Ok(Some(crc.finalize()))
+    }
 }
 
 /// Fetches a range of an object: exactly its bytes, or a fault.
@@ -66,7 +87,7 @@ impl Window {
 pub async fn fetch(
     store: &Arc<dyn ObjectStore>,
     path: &Path,
-    range: std::ops::Range<u64>,
+    range: Range<u64>,
 ) -> Result<Bytes, Fault> {
     if range.is_empty() {
         return Ok(Bytes::new());

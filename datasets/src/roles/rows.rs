@@ -120,9 +120,7 @@ impl RoleRows {
             pushed: 0,
         })
     }
-}
 
-impl RoleRows {
     /// Counts the transforms of a message that move the vehicle as well, but in another frame than the one that is read.
     fn lose_other_parents(&self, taken: &Taken, topic: &str, message: &Message<'_>) {
         if self.known.robot.motion.is_none() {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use arrow::array::{ArrayRef, BinaryViewBuilder, RecordBatch, StringBuilder, UInt32Array};
+use arrow::array::{ArrayRef, BinaryViewBuilder, RecordBatch, StringArray, UInt32Array};
 use arrow::datatypes::{DataType, Field, Schema, SchemaRef};
 use async_trait::async_trait;
 use bytes::Bytes;
@@ -104,12 +104,6 @@ impl MessageRows {
     }
 }
 
-fn texts<'a>(texts: impl Iterator<Item = Option<&'a str>>) -> ArrayRef {
-    let mut builder = StringBuilder::new();
-    texts.for_each(|text| builder.append_option(text));
-    Arc::new(builder.finish())
-}
-
 impl RowBuilder for MessageRows {
     fn decodes(&self) -> bool {
         false
@@ -143,7 +137,11 @@ impl RowBuilder for MessageRows {
         self.bytes = 0;
         self.block = None;
         let channels = &self.part.index.channels;
-        let channel = |head: &MessageHead| channels.get(&head.channel);
+        let topic = |head: &MessageHead| Some(channels.get(&head.channel)?.topic.as_str());
+        let schema_name = |head: &MessageHead| {
+            let found = self.part.index.schema_of(channels.get(&head.channel)?)?;
+            Some(found.name.as_str())
+        };
         let schema = MessagesTable.schema();
         projected(
             &schema,
@@ -151,19 +149,12 @@ impl RowBuilder for MessageRows {
             heads.len(),
             |column| match column {
                 0 => head_column(0, &self.part.session, &heads),
-                1 => texts(
-                    heads
-                        .iter()
-                        .map(|head| channel(head).map(|c| c.topic.as_str())),
-                ),
+                1 => Arc::new(heads.iter().map(topic).collect::<StringArray>()),
                 2..=4 => head_column(column - 1, &self.part.session, &heads),
                 5 => Arc::new(UInt32Array::from_iter_values(
                     heads.iter().map(|head| u32::from(head.channel)),
                 )),
-                6 => texts(heads.iter().map(|head| {
-                    let schema = channel(head).and_then(|found| self.part.index.schema_of(found));
-                    schema.map(|schema| schema.name.as_str())
-                })),
+                6 => Arc::new(heads.iter().map(schema_name).collect::<StringArray>()),
                 _ => data.clone(),
             },
         )

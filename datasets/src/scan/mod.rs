@@ -12,7 +12,6 @@
 //! Within a partition, rows come chunk by chunk in file order and, inside a chunk, ordered by log time (of a chunk that
 //! does not fit into memory, inside each of its portions); an order across chunks that overlap in time, or across partitions, is for a sort downstream to make.
 
-mod heads;
 mod messages;
 mod plan;
 mod portions;
@@ -28,7 +27,7 @@ mod worker;
 pub use messages::MessagesTable;
 pub use rows::{MessageAt, RowBuilder};
 pub use source::scanned;
-pub use table::{FaultyTable, LogTable, McapTable};
+pub use table::{LogTable, McapTable};
 
 pub(crate) use plan::Wanted;
 pub(crate) use records::RecordTable;

@@ -10,9 +10,9 @@ use async_trait::async_trait;
 use evermap_schemas::{Bytes, Fault, Record as _, Stamp, record};
 use mcap::records::Record;
 
+use crate::log::heads::{AttachmentHead, HEAD};
 use crate::log::index::{LogIndex, Unit, UnitKind};
 use crate::log::record::{nanoseconds, parse, split};
-use crate::scan::heads::HeadRows;
 use crate::scan::rows::{MessageAt, RowBuilder, projected};
 use crate::scan::table::{LogTable, schema_of};
 use crate::session::LogPart;
@@ -49,9 +49,16 @@ record! {
     }
 }
 
+/// What is kept of a record.
+enum Held {
+    /// All of it.
+    Whole(Record<'static>),
+    /// What stands before an attachment's bytes, which are not read; nor is its checksum compared.
+    Head(AttachmentHead),
+}
+
 /// The columns of a table, from some records of a file.
-type Columns =
-    Arc<dyn Fn(&LogPart, Vec<Record<'static>>) -> Result<Vec<ArrayRef>, Fault> + Send + Sync>;
+type Columns = Arc<dyn Fn(&LogPart, Vec<Held>) -> Result<Vec<ArrayRef>, Fault> + Send + Sync>;
 
 /// A table of records that are no messages.
 #[derive(Clone)]
@@ -147,37 +154,46 @@ impl LogTable for RecordTable {
         part: &Arc<LogPart>,
         projection: &[usize],
     ) -> Result<Box<dyn RowBuilder>, Fault> {
-        if self.body.is_some_and(|body| !projection.contains(&body)) {
-            return Ok(Box::new(HeadRows::new(part, &self.schema, projection)));
-        }
         Ok(Box::new(RecordRows {
             table: self.clone(),
             part: part.clone(),
             projection: projection.to_vec(),
+            heads: self.body.is_some_and(|body| !projection.contains(&body)),
             records: Vec::new(),
             bytes: 0,
         }))
     }
 }
 
-fn attachment(part: &LogPart, record: Record<'static>) -> Option<Attachment> {
-    let Record::Attachment { header, data, .. } = record else {
-        return None;
+fn attachment(part: &LogPart, held: Held) -> Option<Attachment> {
+    let (head, data) = match held {
+        Held::Head(head) => (head, Vec::new()),
+        Held::Whole(Record::Attachment { header, data, .. }) => {
+            let head = AttachmentHead {
+                name: header.name,
+                media_type: header.media_type,
+                bytes: data.len() as u64,
+                log_time: nanoseconds(header.log_time),
+                create_time: nanoseconds(header.create_time),
+            };
+            (head, data.into_owned())
+        }
+        Held::Whole(_) => return None,
     };
     Some(Attachment {
         session: part.session.to_string(),
-        name: header.name,
-        media_type: header.media_type,
-        log_time: Stamp(nanoseconds(header.log_time)),
-        create_time: Stamp(nanoseconds(header.create_time)),
-        size: data.len() as u64,
-        data: Bytes(data.into_owned()),
+        name: head.name,
+        media_type: head.media_type,
+        log_time: Stamp(head.log_time),
+        create_time: Stamp(head.create_time),
+        size: head.bytes,
+        data: Bytes(data),
     })
 }
 
-fn metadata(records: Vec<Record<'static>>) -> impl Iterator<Item = mcap::records::Metadata> {
+fn metadata(records: Vec<Held>) -> impl Iterator<Item = mcap::records::Metadata> {
     records.into_iter().filter_map(|record| match record {
-        Record::Metadata(found) => Some(found),
+        Held::Whole(Record::Metadata(found)) => Some(found),
         _ => None,
     })
 }
@@ -187,8 +203,24 @@ struct RecordRows {
     table: RecordTable,
     part: Arc<LogPart>,
     projection: Vec<usize>,
-    records: Vec<Record<'static>>,
+    /// Whether heads of records will do.
+    heads: bool,
+    records: Vec<Held>,
     bytes: usize,
+}
+
+impl RecordRows {
+    fn push_head(&mut self, unit: &Unit, record: &[u8]) -> Result<(), String> {
+        let head = AttachmentHead::parse(record).filter(|_| unit.kind == UnitKind::Attachment);
+        let head = head.ok_or_else(|| {
+            format!(
+                "expected an attachment with a name in its first {HEAD} B, found another record"
+            )
+        })?;
+        self.bytes += size_of::<Attachment>() + head.name.len() + head.media_type.len();
+        self.records.push(Held::Head(head));
+        Ok(())
+    }
 }
 
 impl RowBuilder for RecordRows {
@@ -200,7 +232,17 @@ impl RowBuilder for RecordRows {
         Ok(())
     }
 
+    fn record_bytes(&self) -> u64 {
+        match self.heads {
+            true => HEAD,
+            false => u64::MAX,
+        }
+    }
+
     fn push_record(&mut self, unit: &Unit, record: &[u8]) -> Result<(), String> {
+        if self.heads {
+            return self.push_head(unit, record);
+        }
         let (opcode, body, _) = split(record).ok_or("a record that is cut")?;
         if self.bytes + body.len() > i32::MAX as usize {
             return Err("records larger than 2 GiB".to_owned());
@@ -211,7 +253,7 @@ impl RowBuilder for RecordRows {
             | (UnitKind::Metadata, Record::Metadata(_)) => {}
             _ => return Err("expected a record of the kind that the index says".to_owned()),
         }
-        self.records.push(record);
+        self.records.push(Held::Whole(record));
         self.bytes += body.len();
         Ok(())
     }

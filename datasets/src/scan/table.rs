@@ -154,7 +154,7 @@ type Make = dyn Fn() -> Result<Arc<dyn TableProvider>, Fault> + Send + Sync;
 /// scanning it yields the fault.
 pub(crate) struct LazyTable {
     make: Box<Make>,
-    made: OnceLock<Arc<dyn TableProvider>>,
+    made: OnceLock<Result<Arc<dyn TableProvider>, Fault>>,
 }
 
 impl LazyTable {
@@ -168,9 +168,8 @@ impl LazyTable {
         }
     }
 
-    fn table(&self) -> &Arc<dyn TableProvider> {
-        self.made
-            .get_or_init(|| (self.make)().unwrap_or_else(|fault| Arc::new(FaultyTable::new(fault))))
+    fn table(&self) -> &Result<Arc<dyn TableProvider>, Fault> {
+        self.made.get_or_init(|| (self.make)())
     }
 }
 
@@ -183,7 +182,10 @@ impl Debug for LazyTable {
 #[async_trait]
 impl TableProvider for LazyTable {
     fn schema(&self) -> SchemaRef {
-        self.table().schema()
+        match self.table() {
+            Ok(table) => table.schema(),
+            Err(_) => Arc::new(Schema::new(head_fields().to_vec())),
+        }
     }
 
     fn table_type(&self) -> TableType {
@@ -197,40 +199,9 @@ impl TableProvider for LazyTable {
         filters: &[Expr],
         limit: Option<usize>,
     ) -> Result<Arc<dyn ExecutionPlan>> {
-        self.table().scan(state, projection, filters, limit).await
-    }
-}
-
-/// A table that cannot be read: scanning it yields the fault.
-#[derive(Debug)]
-pub struct FaultyTable {
-    fault: Fault,
-}
-
-impl FaultyTable {
-    /// A table that yields this fault.
-    pub fn new(fault: Fault) -> Self {
-        Self { fault }
-    }
-}
-
-#[async_trait]
-impl TableProvider for FaultyTable {
-    fn schema(&self) -> SchemaRef {
-        Arc::new(Schema::new(head_fields().to_vec()))
-    }
-
-    fn table_type(&self) -> TableType {
-        TableType::Base
-    }
-
-    async fn scan(
-        &self,
-        _state: &dyn Session,
-        _projection: Option<&Vec<usize>>,
-        _filters: &[Expr],
-        _limit: Option<usize>,
-    ) -> Result<Arc<dyn ExecutionPlan>> {
-        Err(external(self.fault.clone()))
+        match self.table() {
+            Ok(table) => table.scan(state, projection, filters, limit).await,
+            Err(fault) => Err(external(fault.clone())),
+        }
     }
 }

@@ -4,8 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
 use arrow::array::{
-    ArrayRef, RecordBatch, RecordBatchOptions, StringArray, TimestampNanosecondArray, UInt32Array,
-    new_null_array,
+    ArrayRef, RecordBatch, StringArray, TimestampNanosecondArray, UInt32Array, new_null_array,
 };
 use arrow::datatypes::{DataType, Field, FieldRef, Fields, Schema, SchemaRef};
 use async_trait::async_trait;
@@ -14,7 +13,7 @@ use evermap_schemas::{Cell, Fault, Stamp};
 
 use crate::log::definition::LogChannel;
 use crate::log::record::MessageHead;
-use crate::scan::rows::{MessageAt, RowBuilder};
+use crate::scan::rows::{MessageAt, RowBuilder, projected};
 use crate::scan::table::LogTable;
 use crate::session::LogPart;
 
@@ -229,8 +228,8 @@ struct TopicRows {
 /// One message type's decoder, and where its columns go.
 struct Columns {
     decoder: Decoder,
-    /// For each projected table column: which of the decoder's columns it is; `None` where this type lacks it.
-    places: Vec<Option<usize>>,
+    /// Which of the decoder's columns a column of the table is, of those that are projected and that this type has.
+    places: BTreeMap<usize, usize>,
     /// Bytes of a row in the columns that this type lacks.
     lacking_bytes: usize,
 }
@@ -261,7 +260,7 @@ impl TopicRows {
         }
         Ok(Self {
             session: part.session.clone(),
-            schema: Arc::new(schema.project(projection)?),
+            schema: schema.clone(),
             projection: projection.to_vec(),
             channels,
             decoders,
@@ -280,29 +279,16 @@ impl TopicRows {
         };
         let heads = std::mem::take(&mut self.heads);
         let decoded = columns.decoder.finish()?;
-        if heads.is_empty() {
-            return Ok(());
+        let column = |column: usize| match columns.places.get(&column) {
+            _ if column < HEAD => head_column(column, &self.session, &heads),
+            Some(place) => decoded[*place].clone(),
+            None => new_null_array(self.schema.field(column).data_type(), heads.len()),
+        };
+        for batch in projected(&self.schema, &self.projection, heads.len(), column)? {
+            self.done_rows += batch.num_rows();
+            self.done_bytes += batch.get_array_memory_size();
+            self.done.push(batch);
         }
-        let mut arrays = Vec::with_capacity(self.projection.len());
-        for ((column, place), field) in self
-            .projection
-            .iter()
-            .zip(&columns.places)
-            .zip(self.schema.fields())
-        {
-            arrays.push(match place {
-                _ if *column < HEAD => head_column(*column, &self.session, &heads),
-                Some(place) => decoded.get(*place).cloned().ok_or_else(|| {
-                    Fault::bug(format!("the decoder gave no column {}", field.name()))
-                })?,
-                None => new_null_array(field.data_type(), heads.len()),
-            });
-        }
-        let options = RecordBatchOptions::new().with_row_count(Some(heads.len()));
-        let batch = RecordBatch::try_new_with_options(self.schema.clone(), arrays, &options)?;
-        self.done_rows += heads.len();
-        self.done_bytes += batch.get_array_memory_size();
-        self.done.push(batch);
         Ok(())
     }
 }
@@ -328,25 +314,20 @@ impl Columns {
         let names = column_names(message_type.fields()).into_iter();
         let names: HashMap<String, usize> =
             names.enumerate().map(|(at, name)| (name, at)).collect();
-        let fields: Vec<Option<usize>> = projection
-            .iter()
-            .map(|column| match *column < HEAD {
-                true => None,
-                false => names.get(schema.field(*column).name()).copied(),
-            })
-            .collect();
-        let lacking = projection.iter().zip(&fields);
-        let lacking_bytes = lacking
-            .filter(|(column, field)| **column >= HEAD && field.is_none())
-            .map(|(column, _)| fixed_bytes(schema.field(*column).data_type()))
-            .fold(0, usize::saturating_add);
-        let mut wanted: Vec<usize> = fields.iter().flatten().copied().collect();
+        let own = || projection.iter().filter(|column| **column >= HEAD);
+        let field = |column: &usize| names.get(schema.field(*column).name()).copied();
+        let mut wanted: Vec<usize> = own().filter_map(field).collect();
         wanted.sort_unstable();
         wanted.dedup();
-        let places = fields
-            .iter()
-            .map(|field| field.and_then(|field| wanted.binary_search(&field).ok()))
-            .collect();
+        let place = |column: &usize| {
+            let place = wanted.binary_search(&field(column)?).ok()?;
+            Some((*column, place))
+        };
+        let places: BTreeMap<usize, usize> = own().filter_map(place).collect();
+        let lacking_bytes = own()
+            .filter(|column| !places.contains_key(*column))
+            .map(|column| fixed_bytes(schema.field(*column).data_type()))
+            .fold(0, usize::saturating_add);
         Self {
             decoder: message_type.decoder(Some(&wanted)),
             places,

@@ -12,26 +12,13 @@ use std::collections::BTreeMap;
 
 use crate::{Bytes, ImageRef, LayerRow, Pose, Stamp, Wkb, record};
 
-pub use boxes::{BoxHypothesis, BoxModel, ParkingSpace, SpaceOccupancy};
-pub use earth::{AntennaPosition, Georeference};
-pub use labels::{LabelAnchor, PlacedLabel};
-pub use metric_map::{
-    AdjustedPose, BodyMask, Features, FrameImage, FramePose, GraphPose, ImageSize, Landmark,
-    Localisation, LoopClosure, LoopEdge, MapFrame, Observation, Sighting, SurfacePoint, Track,
-    TrackPoint,
-};
-pub use people::{
-    Danger, DangerSetting, Exposure, GroundPrior, LaneSpeed, Person, PersonOnGround, SpeedCell,
-};
-pub use semantic_map::{
-    ClassCount, ClassLeaf, ClassScores, CrfSetting, DecisionTree, LabelImage, LabelledFrame,
-    LabelledScores, PixelSamples, RelatedViews, Relocation, RelocationCalibration, ScoredFrame,
-    SemanticArea, SemanticEdge, SemanticGraph, TreeNode, View,
-};
-pub use stable_map::{
-    InferredArea, InferredLabels, Occluded, OcclusionCount, OcclusionProbability, SphereView,
-    ViewLink, ViewRegistration, WarpedLabels,
-};
+pub use boxes::*;
+pub use earth::*;
+pub use labels::*;
+pub use metric_map::*;
+pub use people::*;
+pub use semantic_map::*;
+pub use stable_map::*;
 
 record! {
     /// The part of a session that a row was made from. It may have gone elsewhere in between.

@@ -87,15 +87,11 @@ impl FromMessage for Annotation {
         }
         let text = |name: &str| text(fields, name);
         let act = one_of("act", &ACTS, text("act")?)?;
-        let geometry = match fields.text(&["shape"]) {
-            Some(shape) => Some(Geometry::read(fields, shape)?),
+        let (shape, points, map_from_label) = match fields.text(&["shape"]) {
+            Some(shape) => geometry(fields, shape)?,
             None if ["drawn", "moved"].contains(&act.as_str()) => {
                 return Err(format!("expected a geometry of a label that was {act}"));
             }
-            None => None,
-        };
-        let (shape, points, map_from_label) = match geometry {
-            Some(found) => (Some(found.shape), found.points, Some(found.map_from_label)),
             None => (None, Vec::new(), None),
         };
         Ok(vec![Self {
@@ -138,31 +134,23 @@ pub(super) fn one_of(what: &str, words: &[&str], found: String) -> Result<String
     }
 }
 
-struct Geometry {
-    shape: String,
-    points: Vec<[f64; 3]>,
-    map_from_label: Pose,
-}
+/// Shape, points and place of a label.
+type Geometry = (Option<String>, Vec<[f64; 3]>, Option<Pose>);
 
-impl Geometry {
-    fn read(fields: &Fields<'_>, shape: String) -> Result<Self, String> {
-        let shape = one_of("shape", &SHAPES.map(|(name, _)| name), shape)?;
-        let least = SHAPES.iter().find(|(name, _)| *name == shape);
-        let least = least.map_or(0, |(_, least)| *least);
-        let points = points(fields)?;
-        let fits = points.len() >= least && (shape != "box" || points.len() == least);
-        if !fits {
-            return Err(format!(
-                "expected {least} points of a {shape}, found {}",
-                points.len()
-            ));
-        }
-        Ok(Self {
-            shape,
-            points,
-            map_from_label: pose(fields, &["map_from_label"])?,
-        })
+fn geometry(fields: &Fields<'_>, shape: String) -> Result<Geometry, String> {
+    let shape = one_of("shape", &SHAPES.map(|(name, _)| name), shape)?;
+    let least = SHAPES.iter().find(|(name, _)| *name == shape);
+    let least = least.map_or(0, |(_, least)| *least);
+    let points = points(fields)?;
+    let fits = points.len() >= least && (shape != "box" || points.len() == least);
+    if !fits {
+        return Err(format!(
+            "expected {least} points of a {shape}, found {}",
+            points.len()
+        ));
     }
+    let map_from_label = pose(fields, &["map_from_label"])?;
+    Ok((Some(shape), points, Some(map_from_label)))
 }
 
 pub(super) fn points(fields: &Fields<'_>) -> Result<Vec<[f64; 3]>, String> {

@@ -1,8 +1,8 @@
 //! GNSS fixes: where on earth an antenna is.
 
-use crate::roles::{Choice, FromMessage, Message, Messages, Role, Topic};
+use crate::roles::role::fullest;
+use crate::roles::{FromMessage, Message, Messages, Role};
 use crate::{Stamp, record};
-use std::cmp::Reverse;
 
 record! {
     /// One position of a GNSS receiver. Messages that say that there is no fix give no row: by their status, or, where they
@@ -32,20 +32,12 @@ record! {
     }
 }
 
-/// The one topic with fixes of a GNSS receiver.
+/// The one topic with fixes of a GNSS receiver: two receivers have two antennas, and one is enough.
 pub const ROLE: Role = Role::of::<GnssFix>(Messages {
-    choose,
+    choose: fullest,
     single: true,
     ..Messages::of::<GnssFix>(&["sensor_msgs/NavSatFix", "foxglove.LocationFix"])
 });
-
-/// The topic with most messages: two receivers have two antennas, and one is enough. The first by name, where several
-/// have as many.
-fn choose(topics: &[Topic]) -> Vec<Choice> {
-    let mut candidates: Vec<&Topic> = topics.iter().collect();
-    candidates.sort_by_key(|topic| (Reverse(topic.messages), &topic.name));
-    Choice::first_of(candidates).into_iter().collect()
-}
 
 /// `COVARIANCE_TYPE_UNKNOWN` of both messages.
 const UNKNOWN: f64 = 0.0;

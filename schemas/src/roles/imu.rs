@@ -1,8 +1,7 @@
 //! Inertial measurements: how a vehicle turns, and what acceleration it feels.
 
-use std::cmp::Reverse;
-
-use crate::roles::{Choice, FromMessage, Message, Messages, Role, Topic};
+use crate::roles::role::fullest;
+use crate::roles::{FromMessage, Message, Messages, Role};
 use crate::{Stamp, record};
 
 record! {
@@ -34,20 +33,12 @@ record! {
     }
 }
 
-/// The one topic of an IMU.
+/// The one topic of an IMU: the faster one of two sensors, or of two rates of one.
 pub const ROLE: Role = Role::of::<ImuMeasurement>(Messages {
-    choose,
+    choose: fullest,
     single: true,
     ..Messages::of::<ImuMeasurement>(&["sensor_msgs/Imu"])
 });
-
-/// The topic with most messages: the faster one of two sensors, or of two rates of one. The first by name, where several
-/// have as many.
-fn choose(topics: &[Topic]) -> Vec<Choice> {
-    let mut candidates: Vec<&Topic> = topics.iter().collect();
-    candidates.sort_by_key(|topic| (Reverse(topic.messages), &topic.name));
-    Choice::first_of(candidates).into_iter().collect()
-}
 
 /// The first entry of a covariance whose quantity is not measured.
 const ABSENT: f64 = -1.0;
@@ -68,7 +59,9 @@ impl FromMessage for ImuMeasurement {
             return Ok(Vec::new());
         }
         let number = |member: &str, axis: &str| {
-            let found = fields.number(&[member, axis]).filter(|found| found.is_finite());
+            let found = fields
+                .number(&[member, axis])
+                .filter(|found| found.is_finite());
             found.ok_or(format!("expected a finite number as {member}.{axis}"))
         };
         let turn = |axis| number("angular_velocity", axis);

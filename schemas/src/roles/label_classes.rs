@@ -2,8 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use crate::roles::{FromMetadata, Role};
-use crate::record;
+use arrow::array::ArrayRef;
+
+use crate::roles::Role;
+use crate::{Fault, Record, record};
 
 record! {
     /// What a value in the label images of a session means: the log's metadata `label_classes`.
@@ -21,21 +23,21 @@ record! {
 }
 
 /// Metadata records that name the classes of label images.
-pub const ROLE: Role = Role::of_metadata::<LabelClass>();
+pub const ROLE: Role = Role::of_metadata::<LabelClass>("label_classes", read);
 
-impl FromMetadata for LabelClass {
-    const RECORD: &'static str = "label_classes";
-
-    /// Entries whose key is no pixel value are left out.
-    fn from_metadata(site: &str, session: &str, record: &BTreeMap<String, String>) -> Vec<Self> {
-        let row = |(value, class): (&String, &String)| {
-            Some(Self {
-                site: site.to_owned(),
-                session: session.to_owned(),
-                value: value.trim().parse().ok()?,
-                class: class.clone(),
-            })
-        };
-        record.iter().filter_map(row).collect()
-    }
+/// Entries whose key is no pixel value are left out.
+fn read(
+    site: &str,
+    session: &str,
+    record: &BTreeMap<String, String>,
+) -> Result<Vec<ArrayRef>, Fault> {
+    let row = |(value, class): (&String, &String)| {
+        Some(LabelClass {
+            site: site.to_owned(),
+            session: session.to_owned(),
+            value: value.trim().parse().ok()?,
+            class: class.clone(),
+        })
+    };
+    LabelClass::encode_columns(record.iter().filter_map(row).collect())
 }

@@ -24,15 +24,6 @@ pub trait FromMessage: LayerRow {
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String>;
 }
 
-/// A row that comes from metadata records.
-pub trait FromMetadata: LayerRow {
-    /// Name of the records.
-    const RECORD: &'static str;
-
-    /// The rows of one record of a session.
-    fn from_metadata(site: &str, session: &str, record: &BTreeMap<String, String>) -> Vec<Self>;
-}
-
 /// Rows, one array per column, and the messages that gave none.
 #[derive(Debug)]
 pub struct Read {
@@ -45,7 +36,7 @@ pub struct Read {
 /// From messages to rows.
 pub type Reader = fn(&[Message<'_>]) -> Result<Read, Fault>;
 
-/// From a site, a session and a metadata record to rows.
+/// From a site, a session and a metadata record to rows, one array per column.
 pub type MetadataReader = fn(&str, &str, &BTreeMap<String, String>) -> Result<Vec<ArrayRef>, Fault>;
 
 pub(super) fn read<T: FromMessage>(messages: &[Message<'_>]) -> Result<Read, Fault> {
@@ -59,14 +50,6 @@ pub(super) fn read<T: FromMessage>(messages: &[Message<'_>]) -> Result<Read, Fau
     }
     let columns = T::encode_columns(rows)?;
     Ok(Read { columns, senseless })
-}
-
-pub(super) fn read_metadata<T: FromMetadata>(
-    site: &str,
-    session: &str,
-    record: &BTreeMap<String, String>,
-) -> Result<Vec<ArrayRef>, Fault> {
-    T::encode_columns(T::from_metadata(site, session, record))
 }
 
 /// One message.

@@ -18,7 +18,7 @@ pub mod robots;
 mod role;
 
 pub use cameras::CameraNames;
-pub use message::{FARTHEST_M, Fields, FoundImage, FromMessage, FromMetadata, Message, Read};
+pub use message::{FARTHEST_M, Fields, FoundImage, FromMessage, Message, Read};
 pub use mounts::Mount;
 pub use role::{Choice, Messages, Metadata, Role, Source, Topic, UNTYPED, every, in_words};
 

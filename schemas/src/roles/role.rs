@@ -1,7 +1,9 @@
 //! The descriptor of a role, and which topics play it where nobody says.
 
+use std::cmp::Reverse;
+
 use crate::roles::message::{MetadataReader, Reader};
-use crate::roles::{FromMessage, FromMetadata, Message, Mount};
+use crate::roles::{FromMessage, Message, Mount};
 use crate::{Layer, LayerRow};
 
 /// A part that a log's messages play, and the table of its rows.
@@ -89,12 +91,9 @@ impl Role {
         Self::with::<T>(Source::Messages(messages))
     }
 
-    /// A role with the name and meaning of its rows' layer, played by metadata records.
-    pub const fn of_metadata<T: FromMetadata>() -> Self {
-        Self::with::<T>(Source::Metadata(Metadata {
-            record: T::RECORD,
-            read: crate::roles::message::read_metadata::<T>,
-        }))
+    /// A role with the name and meaning of its rows' layer, played by metadata records of a name, which are read so.
+    pub const fn of_metadata<T: LayerRow>(record: &'static str, read: MetadataReader) -> Self {
+        Self::with::<T>(Source::Metadata(Metadata { record, read }))
     }
 
     const fn with<T: LayerRow>(source: Source) -> Self {
@@ -202,6 +201,13 @@ impl Choice {
             passed_over: names.collect(),
         })
     }
+}
+
+/// The topic with most messages plays the role: the first by name, where several have as many.
+pub(super) fn fullest(topics: &[Topic]) -> Vec<Choice> {
+    let mut candidates: Vec<&Topic> = topics.iter().collect();
+    candidates.sort_by_key(|topic| (Reverse(topic.messages), &topic.name));
+    Choice::first_of(candidates).into_iter().collect()
 }
 
 /// Every topic plays the role.

@@ -4,7 +4,7 @@
 const HEADER: [u8; 4] = [0, 1, 0, 0];
 
 /// Writes one message. Numbers are aligned to their own size, counted from the end of the header.
-pub(crate) struct CdrWriter(Vec<u8>);
+pub struct CdrWriter(Vec<u8>);
 
 impl CdrWriter {
     pub(crate) fn new() -> Self {

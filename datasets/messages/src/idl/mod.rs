@@ -8,7 +8,8 @@ mod tokens;
 
 use crate::SchemaError;
 use crate::resolve::{Declaration, Declared, Library, Member};
-use crate::wire::{Extensibility, Scalar, StructType, Wire};
+use crate::wire::{Extensibility, StructType, Wire, integer};
+use arrow::datatypes::DataType;
 use std::collections::HashMap;
 use std::sync::Arc;
 use tokens::{Token, tokens};
@@ -42,10 +43,10 @@ fn root_names(schema_name: &str) -> Vec<String> {
 }
 
 fn add_builtins(library: &mut Library) {
-    let parts = [("sec", Scalar::Int32), ("nanosec", Scalar::UInt32)];
+    let parts = [("sec", DataType::Int32), ("nanosec", DataType::UInt32)];
     for name in ["Time", "Duration"] {
         let name = format!("builtin_interfaces/msg/{name}");
-        library.add(Declaration::time(&name, parts));
+        library.add(Declaration::time(&name, parts.clone()));
     }
 }
 
@@ -388,7 +389,7 @@ impl<'a> Parser<'a> {
     fn plain_type(&mut self, name: String) -> Result<Declared, SchemaError> {
         let scalar = match name.as_str() {
             "unsigned" | "long" => self.long_type(&name)?,
-            "short" => Scalar::Int16,
+            "short" => DataType::Int16,
             other => match scalar(other) {
                 Some(scalar) => scalar,
                 None => return Ok(Declared::Named(self.candidates(&name)?.into())),
@@ -398,7 +399,7 @@ impl<'a> Parser<'a> {
     }
 
     /// `long`, `long long`, `unsigned short` and the like, of which `first` is read.
-    fn long_type(&mut self, first: &str) -> Result<Scalar, SchemaError> {
+    fn long_type(&mut self, first: &str) -> Result<DataType, SchemaError> {
         let mut words = vec![first.to_owned()];
         while let Some(Token::Name(word)) = self.peek()
             && matches!(*word, "long" | "short" | "double")
@@ -407,11 +408,11 @@ impl<'a> Parser<'a> {
             self.next += 1;
         }
         match words.join(" ").as_str() {
-            "long" => Ok(Scalar::Int32),
-            "long long" => Ok(Scalar::Int64),
-            "unsigned short" => Ok(Scalar::UInt16),
-            "unsigned long" => Ok(Scalar::UInt32),
-            "unsigned long long" => Ok(Scalar::UInt64),
+            "long" => Ok(DataType::Int32),
+            "long long" => Ok(DataType::Int64),
+            "unsigned short" => Ok(DataType::UInt16),
+            "unsigned long" => Ok(DataType::UInt32),
+            "unsigned long long" => Ok(DataType::UInt64),
             other => Err(self.refused(format!(
                 "expected a number of at most 64 bits, found type '{other}'"
             ))),
@@ -419,12 +420,12 @@ impl<'a> Parser<'a> {
     }
 }
 
-fn scalar(name: &str) -> Option<Scalar> {
+fn scalar(name: &str) -> Option<DataType> {
     Some(match name {
-        "boolean" => Scalar::Bool,
-        "octet" | "char" => Scalar::UInt8,
-        "float" => Scalar::Float32,
-        "double" => Scalar::Float64,
-        _ => return Scalar::integer(name),
+        "boolean" => DataType::Boolean,
+        "octet" | "char" => DataType::UInt8,
+        "float" => DataType::Float32,
+        "double" => DataType::Float64,
+        _ => return integer(name),
     })
 }

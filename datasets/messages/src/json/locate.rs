@@ -1,9 +1,9 @@
 //! Finds base64 text inside a JSON payload without taking the payload apart.
 
-use super::malformed;
 use super::plan::{Plan, Shape};
+use super::{Name, malformed};
 use crate::{DecodeError, Located};
-use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Visitor};
+use serde::de::{DeserializeSeed, Deserializer, IgnoredAny, MapAccess, Visitor};
 use serde_json::value::RawValue;
 use std::fmt;
 
@@ -62,7 +62,7 @@ impl<'de> Visitor<'de> for Member<'_> {
 
     fn visit_map<A: MapAccess<'de>>(self, mut members: A) -> Result<Self::Value, A::Error> {
         let mut found = None;
-        while let Some(wanted) = members.next_key_seed(IsName(self.0))? {
+        while let Some(wanted) = members.next_key_seed(Name(|name: &str| name == self.0))? {
             if wanted {
                 found = Some(members.next_value()?);
             } else {
@@ -73,41 +73,18 @@ impl<'de> Visitor<'de> for Member<'_> {
     }
 }
 
-/// Whether a member has this name.
-struct IsName<'n>(&'n str);
-
-impl<'de> DeserializeSeed<'de> for IsName<'_> {
-    type Value = bool;
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<bool, D::Error> {
-        deserializer.deserialize_str(self)
-    }
-}
-
-impl Visitor<'_> for IsName<'_> {
-    type Value = bool;
-
-    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.write_str("a name")
-    }
-
-    fn visit_str<E: Error>(self, name: &str) -> Result<bool, E> {
-        Ok(name == self.0)
-    }
-}
-
 impl Plan {
     fn is_base64(&self, path: &[&str]) -> bool {
-        let mut object = self.object.as_ref();
-        let mut base64 = false;
+        let mut shape = &self.root;
         for name in path {
-            let shape = object.and_then(|object| Some(&object.properties[object.place(name)?].1));
-            base64 = matches!(shape, Some(Shape::Base64));
-            object = match shape {
-                Some(Shape::Object(inner)) => Some(inner),
-                _ => None,
+            let Shape::Object(object) = shape else {
+                return false;
             };
+            let Some(place) = object.place(name) else {
+                return false;
+            };
+            shape = &object.properties[place].1;
         }
-        base64
+        matches!(shape, Shape::Base64)
     }
 }

@@ -18,7 +18,9 @@ use crate::buffers::{Node, Pool};
 use crate::decoder::Format;
 pub(crate) use locate::locate;
 pub(crate) use plan::Plan;
-use serde::de::IgnoredAny;
+use plan::Shape;
+use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, Visitor};
+use std::fmt;
 use std::sync::Arc;
 
 /// Reads payloads of one JSON channel.
@@ -32,8 +34,8 @@ impl Format for Reader {
         row: usize,
         pool: &mut Pool,
     ) -> Result<(), DecodeError> {
-        if let Some(object) = &self.0.object {
-            return read::message(object, payload, message, row, pool);
+        if !matches!(self.0.root, Shape::Json) {
+            return read::message(&self.0.root, payload, message, row, pool);
         }
         serde_json::from_slice::<IgnoredAny>(payload).map_err(|error| malformed(&error))?;
         let node = message.member(0);
@@ -48,5 +50,28 @@ fn malformed(error: &serde_json::Error) -> DecodeError {
         format: "json",
         offset: error.column(),
         expected: format!("valid JSON, found: {error}"),
+    }
+}
+
+/// The name of a member, as what a function makes of it.
+struct Name<F>(F);
+
+impl<'de, T, F: FnOnce(&str) -> T> DeserializeSeed<'de> for Name<F> {
+    type Value = T;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<T, D::Error> {
+        deserializer.deserialize_str(self)
+    }
+}
+
+impl<T, F: FnOnce(&str) -> T> Visitor<'_> for Name<F> {
+    type Value = T;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("a name")
+    }
+
+    fn visit_str<E: Error>(self, name: &str) -> Result<T, E> {
+        Ok((self.0)(name))
     }
 }

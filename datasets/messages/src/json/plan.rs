@@ -36,8 +36,8 @@ pub(super) struct Object {
 /// The columns of a JSON channel.
 #[derive(Debug, Clone)]
 pub(crate) struct Plan {
-    /// None where the whole payload is one column of text.
-    pub(super) object: Option<Object>,
+    /// What a payload is: an object, or [`Shape::Json`] where all of it is one column of text.
+    pub(super) root: Shape,
     fields: Fields,
 }
 
@@ -54,7 +54,7 @@ impl Plan {
     /// One column, `json`, with each payload as it stands.
     pub(crate) fn untyped() -> Arc<Plan> {
         Arc::new(Plan {
-            object: None,
+            root: Shape::Json,
             fields: Fields::from(vec![Field::new("json", DataType::Utf8, true)]),
         })
     }
@@ -79,14 +79,12 @@ impl Plan {
             columns: 0,
             depth: 0,
         };
-        let Shape::Object(object) = builder.shape(&root)? else {
+        let root = builder.shape(&root)?;
+        let Shape::Object(object) = &root else {
             return Ok(Plan::untyped());
         };
         let fields = fields(&object.properties);
-        Ok(Arc::new(Plan {
-            object: Some(object),
-            fields,
-        }))
+        Ok(Arc::new(Plan { root, fields }))
     }
 
     /// The Arrow fields, in the schema's order.

@@ -1,8 +1,8 @@
 //! Values into columns, as they are met.
 
 use super::compact::Compact;
-use super::malformed;
 use super::plan::{Object, Shape};
+use super::{Name, malformed};
 use crate::DecodeError;
 use crate::budget::MessageBudget;
 use crate::buffers::{Node, Pool, offset};
@@ -24,7 +24,7 @@ const EXACT: f64 = 9_007_199_254_740_992.0;
 
 /// Appends a payload as row `row` of a message's columns.
 pub(super) fn message(
-    object: &Object,
+    shape: &Shape,
     payload: &[u8],
     node: &Node,
     row: usize,
@@ -38,8 +38,10 @@ pub(super) fn message(
         fault: None,
     };
     let mut reader = serde_json::Deserializer::from_slice(payload);
-    let read = Whole {
-        object,
+    let read = Slot {
+        name: "(the payload)",
+        shape,
+        nullable: false,
         node,
         row,
         sink: &mut sink,
@@ -87,7 +89,7 @@ impl Sink<'_> {
         self.checked(paid)?;
         let base = self.met.len();
         self.met.resize(base + object.properties.len(), false);
-        while let Some(place) = members.next_key_seed(Name(object))? {
+        while let Some(place) = members.next_key_seed(Name(|name: &str| object.place(name)))? {
             let Some(place) = place else {
                 members.next_value::<IgnoredAny>()?;
                 continue;
@@ -103,6 +105,7 @@ impl Sink<'_> {
             members.next_value_seed(Slot {
                 name,
                 shape,
+                nullable: true,
                 node,
                 row,
                 sink: self,
@@ -127,86 +130,15 @@ impl Sink<'_> {
     }
 }
 
-/// The name of a member: the place of its property, where it is one.
-struct Name<'a>(&'a Object);
-
-impl<'de> DeserializeSeed<'de> for Name<'_> {
-    type Value = Option<usize>;
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
-        deserializer.deserialize_str(self)
-    }
-}
-
-impl Visitor<'_> for Name<'_> {
-    type Value = Option<usize>;
-
-    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.write_str("a name")
-    }
-
-    fn visit_str<E: Error>(self, name: &str) -> Result<Self::Value, E> {
-        Ok(self.0.place(name))
-    }
-}
-
-/// The payload itself.
-struct Whole<'a, 's> {
-    object: &'a Object,
-    node: &'a Node,
-    row: usize,
-    sink: &'a mut Sink<'s>,
-}
-
 /// One value, and the column that it goes to.
 struct Slot<'a, 's> {
     name: &'a str,
     shape: &'a Shape,
+    /// Whether it may be null, as a payload may not.
+    nullable: bool,
     node: &'a Node,
     row: usize,
     sink: &'a mut Sink<'s>,
-}
-
-impl<'de> DeserializeSeed<'de> for Whole<'_, '_> {
-    type Value = ();
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_any(self)
-    }
-}
-
-/// What is no object, a payload cannot be.
-macro_rules! other_than_objects {
-    ($($visit:ident: $type:ty),*) => {
-        $(fn $visit<E: Error>(self, value: $type) -> Result<(), E> {
-            let fault = mismatch("(the payload)", "an object", shown(&value));
-            Err(self.sink.stop(fault))
-        })*
-    };
-}
-
-impl<'de> Visitor<'de> for Whole<'_, '_> {
-    type Value = ();
-
-    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.write_str("an object")
-    }
-
-    other_than_objects!(visit_bool: bool, visit_i64: i64, visit_u64: u64, visit_f64: f64, visit_str: &str);
-
-    fn visit_unit<E: Error>(self) -> Result<(), E> {
-        let fault = mismatch("(the payload)", "an object", "null".to_owned());
-        Err(self.sink.stop(fault))
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, _: A) -> Result<(), A::Error> {
-        let fault = mismatch("(the payload)", "an object", "an array".to_owned());
-        Err(self.sink.stop(fault))
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, members: A) -> Result<(), A::Error> {
-        self.sink.object(self.object, self.node, self.row, members)
-    }
 }
 
 impl<'de> DeserializeSeed<'de> for Slot<'_, '_> {
@@ -276,6 +208,9 @@ impl<'de> Visitor<'de> for Slot<'_, '_> {
     }
 
     fn visit_unit<E: Error>(self) -> Result<(), E> {
+        if !self.nullable {
+            return Err(self.mismatch("null".to_owned()));
+        }
         let absent = self.sink.absent(self.shape, self.node);
         self.sink.checked(absent)
     }
@@ -333,6 +268,7 @@ impl<'de> Visitor<'de> for Slot<'_, '_> {
             let element = Slot {
                 name: self.name,
                 shape: item,
+                nullable: true,
                 node: list.element(),
                 row: first + count,
                 sink: self.sink,

@@ -14,8 +14,15 @@ pub trait Message {
     /// The definition (`ros2msg`) and, after separators, those of all types that it uses.
     const DEFINITION: &'static str;
 
+    /// Writes its members.
+    fn write(&self, cdr: &mut CdrWriter);
+
     /// The payload, with its encapsulation header.
-    fn encode(&self) -> Vec<u8>;
+    fn encode(&self) -> Vec<u8> {
+        let mut cdr = CdrWriter::new();
+        self.write(&mut cdr);
+        cdr.finish()
+    }
 }
 
 /// Position, m, and unit quaternion: `x, y, z, qx, qy, qz, qw`.
@@ -53,12 +60,10 @@ impl Message for CompressedImage<'_> {
     const NAME: &'static str = "sensor_msgs/msg/CompressedImage";
     const DEFINITION: &'static str = include_str!("definitions/CompressedImage.msg");
 
-    fn encode(&self) -> Vec<u8> {
-        let mut cdr = CdrWriter::new();
-        self.header.write(&mut cdr);
+    fn write(&self, cdr: &mut CdrWriter) {
+        self.header.write(cdr);
         cdr.string(self.format);
         cdr.octets(self.data);
-        cdr.finish()
     }
 }
 
@@ -88,15 +93,14 @@ impl Message for CameraInfo<'_> {
     const NAME: &'static str = "sensor_msgs/msg/CameraInfo";
     const DEFINITION: &'static str = include_str!("definitions/CameraInfo.msg");
 
-    fn encode(&self) -> Vec<u8> {
+    fn write(&self, cdr: &mut CdrWriter) {
         let Calibration {
             size: [width, height],
             model,
             distortion,
             k,
         } = self.calibration;
-        let mut cdr = CdrWriter::new();
-        self.header.write(&mut cdr);
+        self.header.write(cdr);
         cdr.u32(height);
         cdr.u32(width);
         cdr.string(model);
@@ -111,7 +115,6 @@ impl Message for CameraInfo<'_> {
         // Binning, and a region of interest that is the whole image.
         (0..6).for_each(|_| cdr.u32(0));
         cdr.u8(0);
-        cdr.finish()
     }
 }
 
@@ -134,19 +137,17 @@ impl Message for Odometry {
     const NAME: &'static str = "nav_msgs/msg/Odometry";
     const DEFINITION: &'static str = include_str!("definitions/Odometry.msg");
 
-    fn encode(&self) -> Vec<u8> {
+    fn write(&self, cdr: &mut CdrWriter) {
         let header = Header {
             stamp_ns: self.stamp_ns,
             frame_id: ODOM_FRAME,
         };
-        let mut cdr = CdrWriter::new();
-        header.write(&mut cdr);
+        header.write(cdr);
         cdr.string(VEHICLE_FRAME);
         cdr.f64s(&self.pose);
         cdr.f64s(&diagonal(self.pose_variances));
         cdr.f64s(&self.twist);
         cdr.f64s(&diagonal(self.twist_variances));
-        cdr.finish()
     }
 }
 
@@ -172,19 +173,17 @@ impl Message for StaticTransforms<'_> {
     const NAME: &'static str = "tf2_msgs/msg/TFMessage";
     const DEFINITION: &'static str = include_str!("definitions/TFMessage.msg");
 
-    fn encode(&self) -> Vec<u8> {
+    fn write(&self, cdr: &mut CdrWriter) {
         let header = Header {
             stamp_ns: self.stamp_ns,
             frame_id: VEHICLE_FRAME,
         };
-        let mut cdr = CdrWriter::new();
         cdr.u32(self.frames.len() as u32);
         for (frame_id, vehicle_from_frame) in &self.frames {
-            header.write(&mut cdr);
+            header.write(cdr);
             cdr.string(frame_id);
             cdr.f64s(vehicle_from_frame);
         }
-        cdr.finish()
     }
 }
 
@@ -203,18 +202,16 @@ impl Message for Imu<'_> {
     const NAME: &'static str = "sensor_msgs/msg/Imu";
     const DEFINITION: &'static str = include_str!("definitions/Imu.msg");
 
-    fn encode(&self) -> Vec<u8> {
+    fn write(&self, cdr: &mut CdrWriter) {
         let mut not_measured = [0.0; 9];
         not_measured[0] = -1.0;
-        let mut cdr = CdrWriter::new();
-        self.header.write(&mut cdr);
+        self.header.write(cdr);
         cdr.f64s(&[0.0, 0.0, 0.0, 1.0]);
         cdr.f64s(&not_measured);
         for measured in [self.angular_velocity, self.linear_acceleration] {
             cdr.f64s(&measured);
             cdr.f64s(&[0.0; 9]);
         }
-        cdr.finish()
     }
 }
 
@@ -233,10 +230,9 @@ impl Message for NavSatFix<'_> {
     const NAME: &'static str = "sensor_msgs/msg/NavSatFix";
     const DEFINITION: &'static str = include_str!("definitions/NavSatFix.msg");
 
-    fn encode(&self) -> Vec<u8> {
+    fn write(&self, cdr: &mut CdrWriter) {
         let [east, north, up] = self.variances;
-        let mut cdr = CdrWriter::new();
-        self.header.write(&mut cdr);
+        self.header.write(cdr);
         // STATUS_FIX or STATUS_NO_FIX, of GPS.
         cdr.u8(if self.place.is_some() { 0 } else { 0xff });
         cdr.u16(1);
@@ -244,7 +240,6 @@ impl Message for NavSatFix<'_> {
         cdr.f64s(&[east, 0.0, 0.0, 0.0, north, 0.0, 0.0, 0.0, up]);
         // COVARIANCE_TYPE_DIAGONAL_KNOWN.
         cdr.u8(2);
-        cdr.finish()
     }
 }
 
@@ -267,10 +262,9 @@ impl Message for OccupancyGrid<'_> {
     const NAME: &'static str = "nav_msgs/msg/OccupancyGrid";
     const DEFINITION: &'static str = include_str!("definitions/OccupancyGrid.msg");
 
-    fn encode(&self) -> Vec<u8> {
+    fn write(&self, cdr: &mut CdrWriter) {
         let [width, height] = self.size;
-        let mut cdr = CdrWriter::new();
-        self.header.write(&mut cdr);
+        self.header.write(cdr);
         // When the map was loaded: never, as it comes out of a log.
         (0..2).for_each(|_| cdr.u32(0));
         cdr.f32(self.cell_m as f32);
@@ -280,6 +274,5 @@ impl Message for OccupancyGrid<'_> {
         cdr.f64s(&[0.0, 0.0, 0.0, 1.0]);
         let cells: Vec<u8> = self.cells.iter().map(|cell| cell.cast_unsigned()).collect();
         cdr.octets(&cells);
-        cdr.finish()
     }
 }

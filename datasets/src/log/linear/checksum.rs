@@ -4,10 +4,8 @@ use evermap_schemas::Fault;
 
 use super::Scan;
 use crate::log::record::{FRAME, MAGIC};
+use crate::log::window::PIECE;
 use crate::losses::{Loss, Reason};
-
-/// Bytes that are hashed together.
-const PIECE: u64 = 1 << 20;
 
 impl Scan<'_> {
     /// Goes on with the checksum where reading begins; of a file of which stretches are left out, there is none.

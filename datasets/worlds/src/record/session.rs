@@ -200,15 +200,13 @@ impl Session {
         }
         if let Some(receiver) = &self.receiver {
             let topic = log.topic::<NavSatFix<'_>>("/fix", false)?;
-            for sample in receiver.fixes(&self.drive, self.start_ns, self.seed, self.index) {
-                schedule.push(Due::ready(topic, sample.times, &sample.message()));
-            }
+            let fixes = receiver.fixes(&self.drive, self.start_ns, self.seed, self.index);
+            schedule.extend((fixes.iter()).map(|(times, fix)| Due::ready(topic, *times, fix)));
         }
         if let Some(imu) = &self.imu {
             let topic = log.topic::<ros2::Imu<'_>>("/imu", false)?;
-            for sample in imu.samples(&self.drive, self.start_ns, self.seed, self.index) {
-                schedule.push(Due::ready(topic, sample.times, &sample.message()));
-            }
+            let felt = imu.samples(&self.drive, self.start_ns, self.seed, self.index);
+            schedule.extend((felt.iter()).map(|(times, felt)| Due::ready(topic, *times, felt)));
         }
         let channels = sensors.cameras.iter().map(|camera| {
             let topic = |leaf: &str| format!("{}/{leaf}", camera.namespace);

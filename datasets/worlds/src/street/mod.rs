@@ -114,7 +114,7 @@ impl StreetLabels {
         let sight = self.sight(visit, shot);
         let exact = self.scenery.classes(&sight, &sight.hits);
         let bare = self.scenery.classes(&sight, &sight.bare);
-        let noisy = self.noisy(&sight, &exact, visit, shot);
+        let noisy = self.labeller.noisy(&sight, &exact, [visit, shot]);
         folder.save(&format!("static_labels/{shot:06}.png"), &png(&bare)?)?;
         let mut images = vec![png(&exact)?, png(&noisy)?];
         if self.params.colour {

@@ -54,12 +54,9 @@ pub enum Shape {
     Conifer([f64; 2]),
     /// A bush: height and radius.
     Bush([f64; 2]),
-    /// A hedge: half length, half thickness, height.
-    Hedge([f64; 3]),
-    /// Anything box-shaped: half length, half width, from which height, to which height.
-    Block([f64; 4]),
-    /// A board on a wall, likewise.
-    ShopSign([f64; 4]),
+    /// Anything box-shaped (a hedge, a wall, a board on a house): half length, half width, from which height, to which
+    /// height.
+    Block(Finish, [f64; 4]),
     /// A board on a post: half width, half height, height of its middle; the board faces along x.
     Post([f64; 3]),
     /// A lamp post: height and reach of its arm.
@@ -165,8 +162,7 @@ impl Thing {
             Shape::House([a, b, ..]) => a.hypot(b) + 0.6,
             Shape::Broadleaf([_, r, _]) | Shape::Poplar([_, r]) => 1.5 * r,
             Shape::Conifer([_, r]) | Shape::Bush([_, r]) => r,
-            Shape::Hedge([a, b, _]) => a.hypot(b),
-            Shape::Block([a, b, ..]) | Shape::ShopSign([a, b, ..]) => a.hypot(b),
+            Shape::Block(_, [a, b, ..]) => a.hypot(b),
             Shape::Post([w, ..]) => w + 0.1,
             Shape::Lamp([_, arm]) => arm + 0.3,
             Shape::Car([a, b, ..]) => 0.5 * a.hypot(b),
@@ -178,7 +174,7 @@ impl Thing {
         match self.shape {
             Shape::House(_) => 170.0,
             Shape::Broadleaf(_) | Shape::Poplar(_) | Shape::Conifer(_) => 130.0,
-            Shape::Hedge(_) | Shape::Block(_) | Shape::ShopSign(_) | Shape::Car(_) => 90.0,
+            Shape::Block(..) | Shape::Car(_) => 90.0,
             Shape::Bush(_) | Shape::Post(_) | Shape::Lamp(_) => 70.0,
         }
     }
@@ -200,12 +196,8 @@ impl Thing {
                 let crown = Ball([0.0, 0.0, 0.45 * height], [radius, 0.55 * height]);
                 vec![(Leaves, crown)]
             }
-            Shape::Hedge([a, b, height]) => {
-                vec![(Leaves, cuboid([-a, -b, 0.0], [a, b, height]))]
-            }
-            Shape::Block([a, b, low, high]) => vec![(Plain, cuboid([-a, -b, low], [a, b, high]))],
-            Shape::ShopSign([a, b, low, high]) => {
-                vec![(Board, cuboid([-a, -b, low], [a, b, high]))]
+            Shape::Block(finish, [a, b, low, high]) => {
+                vec![(finish, cuboid([-a, -b, low], [a, b, high]))]
             }
             Shape::Post([half, tall, middle]) => {
                 let post = cuboid([-0.06, -0.04, 0.0], [0.02, 0.04, middle]);

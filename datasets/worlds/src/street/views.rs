@@ -50,7 +50,7 @@ pub struct StreetLabels {
     pub(super) lens: Lens,
     pub(super) camera: CameraTopics,
     pub(super) visits: Vec<Visit>,
-    labeller: Labeller,
+    pub(super) labeller: Labeller,
 }
 
 /// The label panoramas of a street.
@@ -100,7 +100,7 @@ impl StreetLabels {
         let labels = match kind {
             LabelKind::Exact => exact(),
             LabelKind::WithoutCars => self.scenery.classes(&sight, &sight.bare),
-            LabelKind::Noisy => self.noisy(&sight, &exact(), visit, index),
+            LabelKind::Noisy => self.labeller.noisy(&sight, &exact(), [visit, index]),
         };
         Some(LabelView {
             index,
@@ -128,17 +128,6 @@ impl StreetLabels {
         let pose = visit.session.map_from_vehicle(stamp);
         let cars = visit.cars(&self.scenery, stamp);
         self.scenery.look(&self.lens, &pose, &cars)
-    }
-
-    /// The labels of a labeller who errs.
-    pub(super) fn noisy(
-        &self,
-        sight: &Sight<'_>,
-        exact: &[Class],
-        visit: usize,
-        index: usize,
-    ) -> Vec<Class> {
-        self.labeller.noisy(sight, exact, [visit, index])
     }
 }
 

@@ -29,27 +29,12 @@ const FORCE_BIAS: f64 = 0.02;
 /// From the measurement to the recorder, ns.
 const DELAY_NS: u64 = 2_000_000;
 
-/// The IMU of one session.
+/// The IMU of one session, and what it says at rest, along its axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Imu {
-    errors: ImuErrors,
-}
-
-/// What it says at rest, along its axes.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct ImuErrors {
     /// Rate of turn, rad/s.
     turn: Vector3<f64>,
     /// Acceleration beside gravity's, m/s².
-    force: Vector3<f64>,
-}
-
-/// A measurement before it is written.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ImuSample {
-    /// When it was measured, and when the recorder got it.
-    pub times: Times,
-    turn: Vector3<f64>,
     force: Vector3<f64>,
 }
 
@@ -59,10 +44,8 @@ impl Imu {
         let mut rng = stream(seed, "imu bias", session as u64);
         let mut draw = |sd: f64| Vector3::from_fn(|_, _| sd * normal(&mut rng).clamp(-2.0, 2.0));
         Self {
-            errors: ImuErrors {
-                turn: draw(GYRO_BIAS),
-                force: draw(FORCE_BIAS),
-            },
+            turn: draw(GYRO_BIAS),
+            force: draw(FORCE_BIAS),
         }
     }
 
@@ -78,7 +61,7 @@ impl Imu {
         start_ns: u64,
         seed: u64,
         session: usize,
-    ) -> Vec<ImuSample> {
+    ) -> Vec<(Times, ros2::Imu<'static>)> {
         let mut rng = stream(seed, "imu", session as u64);
         let mut draw = |sd: f64| Vector3::from_fn(|_, _| sd * normal(&mut rng));
         let count = (drive.duration_s() * RATE_HZ).floor() as usize;
@@ -86,14 +69,16 @@ impl Imu {
             let seconds = step as f64 / RATE_HZ;
             let [turn, force] = measured(drive, seconds);
             let stamp_ns = start_ns + nanoseconds(seconds);
-            ImuSample {
-                times: Times {
-                    log_ns: stamp_ns + DELAY_NS,
+            let log_ns = stamp_ns + DELAY_NS;
+            let message = ros2::Imu {
+                header: Header {
                     stamp_ns,
+                    frame_id: SENSOR,
                 },
-                turn: turn + self.errors.turn + draw(GYRO_NOISE),
-                force: force + self.errors.force + draw(FORCE_NOISE),
-            }
+                angular_velocity: (turn + self.turn + draw(GYRO_NOISE)).into(),
+                linear_acceleration: (force + self.force + draw(FORCE_NOISE)).into(),
+            };
+            (Times { log_ns, stamp_ns }, message)
         };
         (0..=count).map(sample).collect()
     }
@@ -111,18 +96,4 @@ fn measured(drive: &Trajectory, seconds: f64) -> [Vector3<f64>; 2] {
     let bent = after.translation - 2.0 * here.translation + before.translation;
     let felt = bent / (ANSWER_S * ANSWER_S) + GRAVITY * Vector3::z();
     [turned / (2.0 * ANSWER_S), here.rotation.inverse() * felt]
-}
-
-impl ImuSample {
-    /// As it is written.
-    pub fn message(&self) -> ros2::Imu<'_> {
-        ros2::Imu {
-            header: Header {
-                stamp_ns: self.times.stamp_ns,
-                frame_id: SENSOR,
-            },
-            angular_velocity: self.turn.into(),
-            linear_acceleration: self.force.into(),
-        }
-    }
 }

@@ -37,30 +37,20 @@ pub struct Receiver {
     pub outage_s: f64,
 }
 
-/// A fix before it is written.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FixSample {
-    /// When it was measured, and when the recorder got it.
-    pub times: Times,
-    place: Geodetic,
-    noise_m: f64,
-    is_lost: bool,
-}
-
 impl Receiver {
     /// `vehicle_from_antenna`.
     pub fn mount() -> Pose {
         Pose::new(Vector3::from(MOUNT), Pose::identity().rotation)
     }
 
-    /// What it says during a drive.
+    /// What it says during a drive: it knows its noise, and nothing of its drift.
     pub fn fixes(
         &self,
         drive: &Trajectory,
         start_ns: u64,
         seed: u64,
         index: usize,
-    ) -> Vec<FixSample> {
+    ) -> Vec<(Times, NavSatFix<'static>)> {
         let mut rng = stream(seed, "gnss", index as u64);
         let tangent = Tangent::at(PLACE);
         let mut draw = |sd: [f64; 3]| Vector3::from(sd.map(|sd| sd * normal(&mut rng)));
@@ -68,6 +58,7 @@ impl Receiver {
         let kept = (-1.0 / RATE_HZ / DRIFT_S).exp();
         let fresh = self.drift_m * (1.0 - kept * kept).sqrt();
         let mut drift = draw(spread(self.drift_m));
+        let variance = self.noise_m.powi(2);
         let count = (drive.duration_s() * RATE_HZ).floor() as usize;
         let fix = |step: usize| {
             let seconds = step as f64 / RATE_HZ;
@@ -76,35 +67,23 @@ impl Receiver {
                 .map_from_vehicle(seconds)
                 .transform(&Vector3::from(MOUNT));
             let stamp_ns = start_ns + nanoseconds(seconds);
-            FixSample {
-                times: Times {
-                    log_ns: stamp_ns + DELAY_NS,
+            let place = tangent.geodetic(&(antenna + drift + draw(spread(self.noise_m))));
+            let is_lost = (seconds - drive.duration_s() / 2.0).abs() < self.outage_s / 2.0;
+            let log_ns = stamp_ns + DELAY_NS;
+            let message = NavSatFix {
+                header: Header {
                     stamp_ns,
+                    frame_id: ANTENNA,
                 },
-                place: tangent.geodetic(&(antenna + drift + draw(spread(self.noise_m)))),
-                noise_m: self.noise_m,
-                is_lost: (seconds - drive.duration_s() / 2.0).abs() < self.outage_s / 2.0,
-            }
+                place: (!is_lost).then_some([
+                    place.latitude_deg,
+                    place.longitude_deg,
+                    place.height_m,
+                ]),
+                variances: [variance, variance, 2.25 * variance],
+            };
+            (Times { log_ns, stamp_ns }, message)
         };
         (0..=count).map(fix).collect()
-    }
-}
-
-impl FixSample {
-    /// As it is written: the receiver knows its noise, and nothing of its drift.
-    pub fn message(&self) -> NavSatFix<'_> {
-        let variance = self.noise_m.powi(2);
-        NavSatFix {
-            header: Header {
-                stamp_ns: self.times.stamp_ns,
-                frame_id: ANTENNA,
-            },
-            place: (!self.is_lost).then_some([
-                self.place.latitude_deg,
-                self.place.longitude_deg,
-                self.place.height_m,
-            ]),
-            variances: [variance, variance, 2.25 * variance],
-        }
     }
 }

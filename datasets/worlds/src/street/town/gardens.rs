@@ -4,7 +4,7 @@ use super::{Builder, Lot};
 use crate::plane::Pose2;
 use crate::street::course::Frenet;
 use crate::street::stretch::Quarter;
-use crate::street::things::Shape;
+use crate::street::things::{Finish, Shape};
 use rand::Rng;
 
 impl Builder<'_> {
@@ -56,9 +56,9 @@ impl Builder<'_> {
         let hedge = self.often(0.5);
         let tall = self.between(0.8, 1.8);
         let shape = if hedge {
-            Shape::Hedge([3.05, 0.4, tall])
+            Shape::Block(Finish::Leaves, [3.05, 0.4, 0.0, tall])
         } else {
-            Shape::Block([3.0, 0.05, 0.0, tall])
+            Shape::Block(Finish::Plain, [3.0, 0.05, 0.0, tall])
         };
         let mut s = lot.stretch.from + 3.0;
         while s + 3.0 < lot.stretch.to {

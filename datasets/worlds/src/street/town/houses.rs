@@ -5,7 +5,7 @@ use crate::plane::Pose2;
 use crate::random::maybe;
 use crate::street::course::Frenet;
 use crate::street::stretch::{Quarter, SIDE_STREET_M};
-use crate::street::things::Shape;
+use crate::street::things::{Finish, Shape};
 use rand::Rng;
 use std::f64::consts::FRAC_PI_2;
 
@@ -160,7 +160,8 @@ impl Builder<'_> {
         let station = Frenet::new(place.s + aside, place.d - lot.sign * 0.1);
         let course = &self.land.course;
         let sign = Pose2::new(course.point(station), course.yaw(place.s));
-        self.add(sign, Shape::ShopSign([long, 0.12, high, high + tall]));
+        let board = [long, 0.12, high, high + tall];
+        self.add(sign, Shape::Block(Finish::Board, board));
     }
 
     /// A place for a car before the house, square to the street.
@@ -185,9 +186,9 @@ impl Builder<'_> {
             let ends = [-1.0, 0.0, 1.0].map(|end| course.point(Frenet::new(s + end * long, d)));
             if ends.iter().all(|end| self.free(*end, 0.1)) {
                 let shape = if kind < 4 {
-                    Shape::Hedge([long, 0.35, tall])
+                    Shape::Block(Finish::Leaves, [long, 0.35, 0.0, tall])
                 } else {
-                    Shape::Block([long, 0.1, 0.0, 0.7 * tall])
+                    Shape::Block(Finish::Plain, [long, 0.1, 0.0, 0.7 * tall])
                 };
                 self.add(course.pose(Frenet::new(s, d)), shape);
             }

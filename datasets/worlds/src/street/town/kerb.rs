@@ -2,7 +2,7 @@
 
 use super::{Builder, Lot};
 use crate::plane::Pose2;
-use crate::street::things::Shape;
+use crate::street::things::{Finish, Shape};
 use rand::Rng;
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -84,7 +84,10 @@ impl Builder<'_> {
                 2 => [0.55, 0.3, 0.0, 1.4],
                 _ => [1.3, 0.4, 0.0, 2.4],
             };
-            self.add(self.land.course.pose(place), Shape::Block(size));
+            self.add(
+                self.land.course.pose(place),
+                Shape::Block(Finish::Plain, size),
+            );
         }
     }
 
