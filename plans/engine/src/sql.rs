@@ -328,11 +328,14 @@ async fn plan_of_one(
     state: &SessionState,
     mut statement: Statement,
 ) -> DataFusionResult<LogicalPlan> {
-    check_expanded(&statement).map_err(external)?;
-    let written = Written::of(&statement).map_err(external)?;
-    check_misread(&statement).map_err(external)?;
-    as_of::bracketed(&mut statement);
-    named_apart(&mut statement);
+    let mut written = Written::default();
+    if let Some(sql) = sql_of(&mut statement) {
+        check_expanded(sql).map_err(external)?;
+        written = Written::of(sql).map_err(external)?;
+        check_misread(sql).map_err(external)?;
+        as_of::bracketed(sql);
+        named_apart(sql);
+    }
     let plan = state.statement_to_plan(statement).await;
     let plan = plan.map_err(|error| written.explained(error))?;
     check_members(&plan)?;
@@ -340,6 +343,15 @@ async fn plan_of_one(
     check_widths(&plan)?;
     check_literals(&plan, &written)?;
     Ok(plan)
+}
+
+/// What a statement says in SQL, of `EXPLAIN` what it explains; `None` for what is none.
+fn sql_of(statement: &mut Statement) -> Option<&mut ast::Statement> {
+    match statement {
+        Statement::Statement(sql) => Some(sql.as_mut()),
+        Statement::Explain(explain) => sql_of(&mut explain.statement),
+        _ => None,
+    }
 }
 
 /// The tables that a query reads, as a plan names its inputs: `poses`, `/odom`, `previous.lanes`.

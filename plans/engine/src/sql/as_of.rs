@@ -30,10 +30,9 @@ use datafusion::logical_expr::planner::{
 use datafusion::logical_expr::type_coercion::binary::comparison_coercion;
 use datafusion::logical_expr::utils::{conjunction, split_conjunction_owned};
 use datafusion::logical_expr::{BinaryExpr, Expr, ExprSchemable, Extension, LogicalPlan, Operator};
-use datafusion::sql::parser::Statement;
 use datafusion::sql::sqlparser::ast::{
-    Expr as SqlExpr, Join, JoinConstraint, JoinOperator, ObjectName, Query, SetExpr, TableFactor,
-    TableWithJoins, VisitMut, VisitorMut,
+    Expr as SqlExpr, Join, JoinConstraint, JoinOperator, ObjectName, Query, SetExpr, Statement,
+    TableFactor, TableWithJoins, VisitMut, VisitorMut,
 };
 
 use crate::sql::as_of::condition::Matching;
@@ -43,13 +42,7 @@ pub use node::AsOfJoin;
 
 /// Gives each as-of join of a statement brackets of its own: where it stands in them, `Relations` is asked to plan it.
 pub fn bracketed(statement: &mut Statement) {
-    match statement {
-        Statement::Statement(statement) => {
-            let ControlFlow::Continue(()) = statement.visit(&mut Brackets);
-        }
-        Statement::Explain(explain) => bracketed(&mut explain.statement),
-        _ => {}
-    }
+    let ControlFlow::Continue(()) = statement.visit(&mut Brackets);
 }
 
 /// What plans the relations of queries that have as-of joins, and refuses what nobody plans.
