@@ -55,7 +55,7 @@ fn node_is_local(node: &LogicalPlan, column: &str) -> bool {
         LogicalPlan::Join(join) => joins_on(join, column),
         LogicalPlan::Extension(extension) => {
             let join = extension.node.as_any().downcast_ref::<AsOfJoin>();
-            let mut keys = join.into_iter().flat_map(|join| &join.keys);
+            let mut keys = join.into_iter().flat_map(|join| &join.condition.keys);
             keys.any(|(left, right)| passes(left, column) && passes(right, column))
         }
         _ => false,

@@ -35,7 +35,7 @@ use datafusion::sql::sqlparser::ast::{
     TableFactor, TableWithJoins, VisitMut, VisitorMut,
 };
 
-use crate::sql::as_of::condition::Matching;
+use crate::sql::as_of::condition::{Condition, Matching};
 use crate::sql::as_of::node::Planner;
 
 pub use node::AsOfJoin;
@@ -231,7 +231,13 @@ fn join(
             return plan_err!("ASOF JOIN: expected ON left = right, found {found}");
         }
     }
-    AsOfJoin::new(left, right, keys, times, matching, conjunction(limits))
+    let condition = Condition {
+        keys,
+        times,
+        matching,
+        limit: conjunction(limits),
+    };
+    AsOfJoin::new(left, right, condition)
 }
 
 /// The columns of both tables.

@@ -54,23 +54,33 @@ impl fmt::Display for Matching {
     }
 }
 
-/// A value of the left table, and one of the right.
-pub type Pair = (Arc<dyn PhysicalExpr>, Arc<dyn PhysicalExpr>);
+/// A value of a plan that runs.
+pub type Value = Arc<dyn PhysicalExpr>;
 
-/// When rows match.
-#[derive(Debug)]
-pub struct Condition {
+/// A value of the left table, and one of the right.
+pub type Pair = (Value, Value);
+
+/// When rows match; of pairs the first value is of the left table.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Condition<V> {
     /// Values that are equal.
-    pub keys: Vec<Pair>,
+    pub keys: Vec<(V, V)>,
     /// The times.
-    pub times: Pair,
+    pub times: (V, V),
     /// Which time is wanted.
     pub matching: Matching,
-    /// What must be true of the row that comes out.
-    pub limit: Option<Arc<dyn PhysicalExpr>>,
+    /// Where this is not true of the two rows, there is no match.
+    pub limit: Option<V>,
 }
 
-impl Condition {
+impl<V> Condition<V> {
+    /// All values: those of keys, the times, the limit.
+    pub fn values(&self) -> impl Iterator<Item = &V> {
+        let pairs = self.keys.iter().chain(std::iter::once(&self.times));
+        let values = pairs.flat_map(|(left, right)| [left, right]);
+        values.chain(&self.limit)
+    }
+
     /// How rows of equal keys are ordered by time.
     pub fn time_order(&self) -> SortOptions {
         SortOptions {
@@ -86,7 +96,7 @@ pub const KEY_ORDER: SortOptions = SortOptions {
     nulls_first: true,
 };
 
-impl fmt::Display for Condition {
+impl<V: fmt::Display> fmt::Display for Condition<V> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (left, right) = &self.times;
         write!(f, "{left} {} {right}", self.matching)?;
