@@ -25,7 +25,8 @@ use datafusion::optimizer::analyzer::function_rewrite::ApplyFunctionRewrites;
 use datafusion::prelude::SessionContext;
 
 use crate::sql::overflow::arithmetic::{Chain, Negated};
-use crate::sql::overflow::sum::{Adds, CheckedSum};
+use crate::sql::overflow::sum::CheckedSum;
+use crate::sql::overflow::totals::Adds;
 
 /// Has a context refuse integers that do not fit.
 ///

@@ -15,16 +15,7 @@ use datafusion::logical_expr::{
 };
 
 use crate::sql::overflow::intervals::{self, IntervalSum};
-use crate::sql::overflow::totals::{DistinctSum, Groups, Mean, Sum, WIDE, Whole};
-
-/// What is made of the values that are added up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Adds {
-    /// Their sum.
-    Sum,
-    /// Their sum by their number.
-    Mean,
-}
+use crate::sql::overflow::totals::{Adds, DistinctSum, Groups, Sum, WIDE, Whole};
 
 /// DataFusion's `sum` or `avg`, but for what would wrap in 64 bits. `sum` does not become `sum(x) + 1 * count(x)` where
 /// `sum(x + 1)` is asked for: that would be added without a check.
@@ -115,7 +106,7 @@ fn groups<T: Whole>(inner: Box<dyn GroupsAccumulator>) -> Box<dyn GroupsAccumula
 fn mean<T: Whole>(is_distinct: bool) -> Result<Box<dyn Accumulator>> {
     match is_distinct {
         true => not_impl_err!("avg(DISTINCT …) of durations; take that of SELECT DISTINCT"),
-        false => Ok(Box::new(Mean::<T>::default())),
+        false => Ok(Box::new(Sum::<T>::new(Adds::Mean))),
     }
 }
 
