@@ -36,17 +36,17 @@ impl Folder {
         self.root.join(name)
     }
 
-    /// Does something with files off the async threads.
+    /// Does something with the file of a name off the async threads.
     ///
     /// # Errors
     /// A resource fault with what went wrong at which name; a data fault where something else stands in the place of a file.
     pub async fn with<T: Send + 'static>(
         &self,
         name: &str,
-        work: impl FnOnce(&Self) -> Result<T> + Send + 'static,
+        work: impl FnOnce(&Self, &str) -> Result<T> + Send + 'static,
     ) -> std::result::Result<T, Fault> {
-        let folder = self.clone();
-        let done = tokio::task::spawn_blocking(move || work(&folder)).await;
+        let (folder, owned) = (self.clone(), name.to_owned());
+        let done = tokio::task::spawn_blocking(move || work(&folder, &owned)).await;
         let done = done.map_err(std::io::Error::other).flatten();
         done.map_err(|error| {
             let path = self.path(name).display().to_string();

@@ -39,7 +39,7 @@ pub async fn link(store: &Store, version: &Version) {
     });
     let (files, number) = (files.collect(), version.version);
     let linked: std::result::Result<(), Fault> = folder
-        .with(NEWEST, move |folder| link_all(folder, number, &files))
+        .with(NEWEST, move |folder, _| link_all(folder, number, &files))
         .await;
     if let Err(fault) = linked {
         tracing::warn!("no links to the files of version {number}: {fault}");
@@ -53,7 +53,8 @@ pub async fn link(store: &Store, version: &Version) {
 pub async fn forget_before(store: &Store, version: u64) -> std::result::Result<(), Fault> {
     match &store.folder {
         Some(folder) => {
-            let forget = move |folder: &Folder| remove_before(&folder.path(LINKS), version);
+            let forget =
+                move |folder: &Folder, links: &str| remove_before(&folder.path(links), version);
             folder.with(LINKS, forget).await
         }
         None => Ok(()),
