@@ -101,8 +101,10 @@ pub trait Duty: fmt::Display + Send + Sync + Sized + 'static {
     /// What the partitions of a running node share.
     type Shared: Default + Send + Sync;
 
-    /// How the rows of each child must come.
-    fn needs(&self) -> Vec<Need>;
+    /// How the rows of each child must come; those of an only child as they do, where nothing else is said.
+    fn needs(&self) -> Vec<Need> {
+        vec![Need::any()]
+    }
 
     /// What comes out, given the children: columns, what is known of their order, partitions.
     ///
