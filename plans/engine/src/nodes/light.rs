@@ -7,7 +7,7 @@
 //! a batch has depends on the rows alone, never on the memory there is, as results may depend on it.
 
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use arrow::array::{
@@ -31,6 +31,7 @@ use datafusion::physical_plan::streaming::{PartitionStream, StreamingTableExec};
 use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
 use futures::{Stream, StreamExt, TryStreamExt};
 
+use crate::locked::locked;
 use crate::nodes::node::{Duty, Node, first};
 use crate::nodes::spared::spared;
 use crate::nodes::weight::bytes;
@@ -281,11 +282,7 @@ impl PartitionStream for Once {
     }
 
     fn execute(&self, _: Arc<TaskContext>) -> SendableRecordBatchStream {
-        let rows = self
-            .rows
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .take();
+        let rows = locked(&self.rows).take();
         rows.unwrap_or_else(|| {
             let none = futures::stream::empty();
             Box::pin(RecordBatchStreamAdapter::new(

@@ -15,7 +15,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use arrow::array::RecordBatch;
 use datafusion::common::utils::memory::get_record_batch_memory_size;
@@ -38,6 +38,7 @@ use tokio::sync::{mpsc, oneshot};
 
 use crate::conform::{beside, conform};
 use crate::error::{OrFault, external};
+use crate::locked::locked;
 use crate::nodes::node::{Deal, Duty, Need, Node, first};
 
 /// Batches waiting on either side of a kernel.
@@ -336,8 +337,7 @@ impl Outlet {
             (done, emitted, losses)
         });
         timer.done();
-        let held = self.operator.losses.lock();
-        held.unwrap_or_else(PoisonError::into_inner).merge(&losses);
+        locked(&self.operator.losses).merge(&losses);
         done?;
         emitted.into_iter().try_for_each(|batch| {
             let batch = batch.record_output(&self.metrics);

@@ -1,7 +1,7 @@
 //! A unit's stages as one DataFusion plan.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use arrow::datatypes::{DataType, Schema, SchemaRef};
 use datafusion::execution::TaskContext;
@@ -22,6 +22,7 @@ use serde_json::Value;
 
 use crate::error::OrFault;
 use crate::fingerprint::open_mapped;
+use crate::locked::locked;
 use crate::map::receipt::Extent;
 use crate::map::store::Store;
 use crate::nodes::light::LightBatches;
@@ -149,11 +150,7 @@ impl<'a> Builder<'a> {
 
     /// What operators skipped.
     pub fn skipped(&self) -> BTreeMap<String, u64> {
-        self.skipped
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .0
-            .clone()
+        locked(&self.skipped).0.clone()
     }
 
     /// What the logs had lost.
