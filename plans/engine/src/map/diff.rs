@@ -19,6 +19,7 @@ use crate::conform::conform;
 use crate::error::OrFault;
 use crate::map::Map;
 use crate::map::diff::row_digest::RowDigest;
+use crate::map::table_function::quoted;
 use crate::map::tables::Tables;
 use crate::sql::beside;
 
@@ -26,6 +27,7 @@ pub use function::{DiffFunction, documentation};
 
 record! {
     /// What became of one layer between two versions.
+    #[derive(Default)]
     #[layer("changes", key(layer))]
     pub struct LayerDiff {
         /// Layer.
@@ -137,13 +139,8 @@ impl Comparison {
         {
             return Ok(LayerDiff {
                 layer: layer.to_owned(),
-                added: 0,
-                removed: 0,
-                changed: 0,
                 same,
-                median_moved_m: None,
-                max_moved_m: None,
-                max_moved_rad: None,
+                ..LayerDiff::default()
             });
         }
         let rows_of_layer = self.rows(layer).await?.into_view();
@@ -297,10 +294,6 @@ impl Compared {
              FROM (SELECT {columns} FROM {table})"
         )
     }
-}
-
-fn quoted(name: &str) -> String {
-    format!("\"{}\"", name.replace('"', "\"\""))
 }
 
 fn is_pose(field: &Field) -> bool {
