@@ -27,7 +27,7 @@ impl Presets {
         for preset in &presets {
             let what = format!("preset {}", quoted(&preset.key));
             let named = preset.value.mapping(&what, faults).unwrap_or_default();
-            for step in named.iter().filter(|step| is_own(step)) {
+            for step in named.iter().filter(|step| step.is_own()) {
                 let name = quoted(&step.key);
                 step.value
                     .mapping(&format!("step {name} of {what}"), faults);
@@ -75,11 +75,6 @@ impl Presets {
             }
         }
     }
-}
-
-/// Whether it is written in the plan itself, not in one that it extends.
-fn is_own(entry: &Entry) -> bool {
-    entry.place.position().source == 0
 }
 
 /// Lays presets over those of a plan that is extended: parameter by parameter.
