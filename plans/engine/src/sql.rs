@@ -223,6 +223,12 @@ pub fn reference(input: &Input) -> TableReference {
     }
 }
 
+/// The columns of what a plan reads, where a context has it.
+pub async fn schema_of(context: &SessionContext, input: &Input) -> Option<SchemaRef> {
+    let table = context.table_provider(reference(input)).await;
+    table.ok().map(|table| table.schema())
+}
+
 /// Makes a table what a plan reads under this name, in place of what was that before.
 ///
 /// # Errors

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use evermap_schemas::Fault;
 
-use crate::map::local::Folder;
+use crate::map::local::{Folder, entries};
 use crate::map::receipt::Artifact;
 use crate::map::store::Store;
 use crate::map::version::Version;
@@ -99,12 +99,8 @@ fn number(path: &Path) -> Option<u64> {
 }
 
 fn remove_before(links: &Path, version: u64) -> Result<()> {
-    let entries = match std::fs::read_dir(links) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
-        entries => entries?,
-    };
-    for entry in entries {
-        let path = entry?.path();
+    for entry in entries(links)? {
+        let path = entry.path();
         if number(&path).is_some_and(|linked| linked < version) {
             remove(&path)?;
         }
