@@ -44,7 +44,7 @@ use crate::sql::bounded::{BYTES_PER_BATCH_ROW, bound_functions};
 use crate::sql::expanded::check_expanded;
 use crate::sql::inlined::check_inlined;
 use crate::sql::literals::check_literals;
-use crate::sql::members::{check_members, mask_members, members};
+use crate::sql::members::{Members, check_members, mask_members};
 use crate::sql::misread::check_misread;
 use crate::sql::named::named_apart;
 use crate::sql::overflow::check_overflow;
@@ -193,13 +193,13 @@ fn context_of(
         .with_config(config)
         .with_runtime_env(runtime)
         // Of planners the first that has a plan is heard, so those of DataFusion come behind.
-        .with_expr_planners(vec![members(), evermap_functions::extracts()])
+        .with_expr_planners(vec![Arc::new(Members), evermap_functions::extracts()])
         .with_default_features()
-        .with_query_planner(as_of::query_planner())
+        .with_query_planner(Arc::new(as_of::Planner))
         .with_physical_optimizer_rule(Arc::new(LightBatches));
     let context = SessionContext::new_with_state(state.build());
     context
-        .register_relation_planner(as_of::relations())
+        .register_relation_planner(Arc::new(as_of::Relations))
         .or_fault()?;
     let catalog = catalog(&context)?;
     for schema in ["previous", "new"] {

@@ -83,7 +83,7 @@ impl Comparison {
     /// The layers of either version, ascending.
     pub fn layers(&self) -> BTreeSet<String> {
         let published = |tables: &Tables| {
-            let layers = tables.map().layers().into_iter();
+            let layers = tables.map.layers().into_iter();
             layers.map(|info| info.layer).collect::<Vec<_>>()
         };
         let before = published(&self.before).into_iter();
@@ -130,7 +130,7 @@ impl Comparison {
     /// As [`Comparison::rows`].
     pub async fn summary(&self, layer: &str) -> Result<LayerDiff, Fault> {
         let stored = |tables: &Tables| {
-            let layer = tables.map().published(layer);
+            let layer = tables.map.published(layer);
             layer.map(|layer| (layer.digest(), layer.rows()))
         };
         let (before, after) = (stored(&self.before), stored(&self.after));

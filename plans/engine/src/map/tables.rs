@@ -29,7 +29,8 @@ use crate::sql::described::described;
 
 /// The tables of a map: its published layers, and what it says of itself.
 pub struct Tables {
-    map: Map,
+    /// The map.
+    pub map: Map,
     /// The operators that may have made its layers.
     registry: Registry,
     /// Opens tables; it has none itself.
@@ -84,11 +85,6 @@ impl Tables {
             reading,
             map,
         }
-    }
-
-    /// The map.
-    pub fn map(&self) -> &Map {
-        &self.map
     }
 
     /// The log of a session of the map.

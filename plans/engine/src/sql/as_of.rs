@@ -23,7 +23,6 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use datafusion::common::{Column, DFSchema, Result, plan_err};
-use datafusion::execution::context::QueryPlanner;
 use datafusion::logical_expr::planner::{
     PlannedRelation, RelationPlanner, RelationPlannerContext, RelationPlanning,
 };
@@ -36,23 +35,12 @@ use datafusion::sql::sqlparser::ast::{
 };
 
 use crate::sql::as_of::condition::{Condition, Matching};
-use crate::sql::as_of::node::Planner;
 
-pub use node::AsOfJoin;
+pub use node::{AsOfJoin, Planner};
 
-/// Gives each as-of join of a statement brackets of its own: where it stands in them, `Relations` is asked to plan it.
+/// Gives each as-of join of a statement brackets of its own: where it stands in them, [`Relations`] is asked to plan it.
 pub fn bracketed(statement: &mut Statement) {
     let ControlFlow::Continue(()) = statement.visit(&mut Brackets);
-}
-
-/// What plans the relations of queries that have as-of joins, and refuses what nobody plans.
-pub fn relations() -> Arc<dyn RelationPlanner> {
-    Arc::new(Relations)
-}
-
-/// What plans queries that have as-of joins.
-pub fn query_planner() -> Arc<dyn QueryPlanner + Send + Sync> {
-    Arc::new(Planner)
 }
 
 struct Brackets;
@@ -120,8 +108,9 @@ fn nest(table: &mut TableWithJoins, joins: Vec<Join>) {
     };
 }
 
+/// Plans the relations of queries that have as-of joins, and refuses what nobody plans.
 #[derive(Debug)]
-struct Relations;
+pub struct Relations;
 
 impl RelationPlanner for Relations {
     fn plan_relation(

@@ -292,7 +292,7 @@ impl<'a> Builder<'a> {
         let context = &self.tables.context;
         for read in reads {
             let table = match self.inside(&read.table) {
-                Some(stage) => Arc::new(PlannedTable::new(self.stage(stage).await?)) as _,
+                Some(stage) => Arc::new(PlannedTable(self.stage(stage).await?)) as _,
                 None => self.tables.rows(read).await?.into_view(),
             };
             put(context, &read.table, table)?;

@@ -32,11 +32,6 @@ impl Matching {
         }
     }
 
-    /// Whether times go down as rows are merged, so that the row that is wanted is the last one seen.
-    pub fn descends(self) -> bool {
-        matches!(self, Self::NotEarlier | Self::Later)
-    }
-
     /// Whether rows of equal times match.
     pub fn with_equal(self) -> bool {
         matches!(self, Self::NotLater | Self::NotEarlier)
@@ -81,10 +76,10 @@ impl<V> Condition<V> {
         values.chain(&self.limit)
     }
 
-    /// How rows of equal keys are ordered by time.
+    /// How rows of equal keys are ordered by time: so that of those that were merged the wanted one is the last.
     pub fn time_order(&self) -> SortOptions {
         SortOptions {
-            descending: self.matching.descends(),
+            descending: matches!(self.matching, Matching::NotEarlier | Matching::Later),
             nulls_first: true,
         }
     }

@@ -21,16 +21,13 @@ use crate::sql::overflow::totals::{Adds, DistinctSum, Groups, Sum, WIDE, Whole};
 /// `sum(x + 1)` is asked for: that would be added without a check.
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub struct CheckedSum {
-    inner: Arc<AggregateUDF>,
-    adds: Adds,
+    /// The function that adds up everything else.
+    pub inner: Arc<AggregateUDF>,
+    /// What is made of values.
+    pub adds: Adds,
 }
 
 impl CheckedSum {
-    /// Of the function that adds up everything else.
-    pub fn new(inner: Arc<AggregateUDF>, adds: Adds) -> Self {
-        Self { inner, adds }
-    }
-
     /// How it is added up here what gives this; `None` where DataFusion does it.
     fn way(&self, result: &DataType) -> Option<Way> {
         match (result, self.adds) {
