@@ -33,7 +33,11 @@ impl CheckedSum {
         match (result, self.adds) {
             (DataType::Int64, Adds::Sum) => Some(Way::of::<Int64Type>(self.adds)),
             (DataType::UInt64, Adds::Sum) => Some(Way::of::<UInt64Type>(self.adds)),
-            (DataType::Interval(_), Adds::Sum) => Some(Way::of_intervals()),
+            (DataType::Interval(_), Adds::Sum) => Some(Way {
+                states: INTERVALS,
+                accumulator: of_intervals,
+                groups: None,
+            }),
             (DataType::Duration(unit), adds) => Some(match unit {
                 TimeUnit::Second => Way::of::<DurationSecondType>(adds),
                 TimeUnit::Millisecond => Way::of::<DurationMillisecondType>(adds),
@@ -59,40 +63,32 @@ const INTERVALS: States = &[("months", WIDE), ("days", WIDE), ("nanoseconds", WI
 struct Way {
     states: States,
     /// All values, or each once.
-    accumulator: fn(is_distinct: bool) -> Result<Box<dyn Accumulator>>,
+    accumulator: fn(Adds, is_distinct: bool) -> Result<Box<dyn Accumulator>>,
     /// All groups at once, by sums of [`WIDE`] numbers; `None` where each group is added up by itself.
     groups: Option<Grouped>,
 }
 
 impl Way {
     fn of<T: Whole>(adds: Adds) -> Self {
-        match adds {
-            Adds::Sum => Self {
-                states: SUM,
-                accumulator: sum::<T>,
-                groups: Some(groups::<T>),
-            },
-            Adds::Mean => Self {
-                states: MEAN,
-                accumulator: mean::<T>,
-                groups: None,
-            },
-        }
-    }
-
-    fn of_intervals() -> Self {
+        let (states, groups): (_, Option<Grouped>) = match adds {
+            Adds::Sum => (SUM, Some(groups::<T>)),
+            Adds::Mean => (MEAN, None),
+        };
         Self {
-            states: INTERVALS,
-            accumulator: sum_of_intervals,
-            groups: None,
+            states,
+            accumulator: of_numbers::<T>,
+            groups,
         }
     }
 }
 
-fn sum<T: Whole>(is_distinct: bool) -> Result<Box<dyn Accumulator>> {
-    match is_distinct {
-        true => Ok(Box::new(DistinctSum::<T>::default())),
-        false => Ok(Box::new(Sum::<T>::default())),
+fn of_numbers<T: Whole>(adds: Adds, is_distinct: bool) -> Result<Box<dyn Accumulator>> {
+    match (adds, is_distinct) {
+        (Adds::Sum, true) => Ok(Box::new(DistinctSum::<T>::default())),
+        (Adds::Mean, true) => {
+            not_impl_err!("avg(DISTINCT …) of durations; take that of SELECT DISTINCT")
+        }
+        (_, false) => Ok(Box::new(Sum::<T>::new(adds))),
     }
 }
 
@@ -100,14 +96,7 @@ fn groups<T: Whole>(inner: Box<dyn GroupsAccumulator>) -> Box<dyn GroupsAccumula
     Box::new(Groups::<T>::new(inner))
 }
 
-fn mean<T: Whole>(is_distinct: bool) -> Result<Box<dyn Accumulator>> {
-    match is_distinct {
-        true => not_impl_err!("avg(DISTINCT …) of durations; take that of SELECT DISTINCT"),
-        false => Ok(Box::new(Sum::<T>::new(Adds::Mean))),
-    }
-}
-
-fn sum_of_intervals(is_distinct: bool) -> Result<Box<dyn Accumulator>> {
+fn of_intervals(_: Adds, is_distinct: bool) -> Result<Box<dyn Accumulator>> {
     match is_distinct {
         true => not_impl_err!("sum(DISTINCT …) of intervals; add up those of SELECT DISTINCT"),
         false => Ok(Box::new(IntervalSum::default())),
@@ -136,7 +125,7 @@ impl AggregateUDFImpl for CheckedSum {
 
     fn accumulator(&self, args: AccumulatorArgs) -> Result<Box<dyn Accumulator>> {
         match self.way(args.return_type()) {
-            Some(way) => (way.accumulator)(args.is_distinct),
+            Some(way) => (way.accumulator)(self.adds, args.is_distinct),
             None => self.inner.accumulator(args),
         }
     }
