@@ -370,17 +370,11 @@ pub fn tables(query: &str) -> DataFusionResult<Vec<String>> {
     let dialect = state.config().options().sql_parser.dialect;
     let statement = state.sql_to_statement(query, &dialect)?;
     let references = state.resolve_table_references(&statement)?;
-    let mut names = Vec::new();
-    for reference in references {
-        let name = match reference.schema() {
-            Some(schema) => format!("{schema}.{}", reference.table()),
-            None => reference.table().to_owned(),
-        };
-        if !names.contains(&name) {
-            names.push(name);
-        }
-    }
-    Ok(names)
+    let name = |reference: TableReference| match reference.schema() {
+        Some(schema) => format!("{schema}.{}", reference.table()),
+        None => reference.table().to_owned(),
+    };
+    Ok(references.into_iter().map(name).collect())
 }
 
 /// Whether the query itself orders its rows.

@@ -125,6 +125,14 @@ impl Stage {
         }
     }
 
+    /// The parameters of the operator; `None` for a query or a function.
+    pub fn params(&self) -> Option<&Value> {
+        match &self.task {
+            Task::Op { params, .. } => Some(params),
+            Task::Sql { .. } | Task::Python(_) => None,
+        }
+    }
+
     /// The layer whose rows it makes; `None` for a query, and for a function of other columns.
     pub fn layer(&self, registry: &Registry) -> Option<Layer> {
         match &self.task {
@@ -169,6 +177,12 @@ impl Program {
             }
         }
         digest_of(&(&stages, &self.write))
+    }
+
+    /// The values of a parameter, of each stage that has it.
+    pub fn given<'p>(&'p self, parameter: &str) -> impl Iterator<Item = &'p Value> {
+        let stages = self.stages.iter();
+        stages.filter_map(move |stage| stage.params()?.get(parameter))
     }
 
     /// A stage by name.
