@@ -334,14 +334,9 @@ fn batch_rows(unit: &Unit, output: Option<&Layer>) -> usize {
     if output.is_some_and(has_bytes) {
         return HEAVY_BATCH_ROWS;
     }
-    let recipe = &unit.recipe;
-    let layers = recipe.previous.values().chain(recipe.new.values());
-    let layers = layers.flat_map(|layer| &layer.artifacts);
-    let read = recipe.tables.values().flatten().chain(layers);
-    let row_bytes = read
-        .map(|artifact| artifact.bytes / artifact.rows.max(1))
-        .max();
-    let rows = BATCH_BYTES / row_bytes.unwrap_or_default().max(1);
+    let read = unit.recipe.artifacts();
+    let row_bytes = read.map(|artifact| artifact.bytes / artifact.rows.max(1));
+    let rows = BATCH_BYTES / row_bytes.max().unwrap_or_default().max(1);
     usize::try_from(rows).map_or(BATCH_ROWS, |rows| rows.clamp(HEAVY_BATCH_ROWS, BATCH_ROWS))
 }
 
