@@ -82,12 +82,9 @@ impl Comparison {
 
     /// The layers of either version, ascending.
     pub fn layers(&self) -> BTreeSet<String> {
-        let published = |tables: &Tables| {
-            let layers = tables.map.layers().into_iter();
-            layers.map(|info| info.layer).collect::<Vec<_>>()
-        };
-        let before = published(&self.before).into_iter();
-        before.chain(published(&self.after)).collect()
+        let both = [&self.before, &self.after].into_iter();
+        let published = both.flat_map(|tables| tables.map.version.published());
+        published.map(|(name, _)| name.clone()).collect()
     }
 
     /// The rows of a layer in either version: their key, all columns where the layer has none; `change`: `added`,

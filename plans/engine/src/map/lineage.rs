@@ -292,10 +292,7 @@ fn computed(stage: &Stage) -> String {
     match &stage.task {
         Task::Op { op, version, .. } => format!("{name}: {op} {version}"),
         Task::Sql { .. } => format!("{name}: query"),
-        Task::Python(python) => {
-            let function = &python.function;
-            format!("{name}: {}:{}", function.file, function.function)
-        }
+        Task::Python(python) => format!("{name}: {}", python.function.label()),
     }
 }
 

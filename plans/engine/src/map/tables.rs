@@ -221,12 +221,7 @@ impl Tables {
             None => None,
         };
         let Some(described) = described else {
-            let names: Vec<&str> = self
-                .map
-                .version
-                .published()
-                .map(|(name, _)| name.as_str())
-                .collect();
+            let names = self.map.version.published_names();
             let meant = nearest(layer, names.iter().copied());
             let meant = meant.map_or_else(String::new, |name| format!("; did you mean `{name}`?"));
             let fault = format!("the map has no layer `{layer}`{meant}");
