@@ -64,19 +64,15 @@ pub(crate) fn one_line(text: &str) -> String {
 #[must_use]
 pub fn listed<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
     const MOST_LISTED: usize = 12;
-    let names: Vec<&str> = names.into_iter().collect();
-    let mut shown: Vec<String> = names
-        .iter()
-        .take(MOST_LISTED)
-        .map(|name| quoted(name))
-        .collect();
-    if names.len() > MOST_LISTED {
+    let mut names = names.into_iter();
+    let mut shown: Vec<String> = names.by_ref().take(MOST_LISTED).map(quoted).collect();
+    if names.next().is_some() {
         shown.push("…".to_owned());
     }
-    if shown.is_empty() {
-        return "none".to_owned();
+    match shown.is_empty() {
+        true => "none".to_owned(),
+        false => shown.join(", "),
     }
-    shown.join(", ")
 }
 
 #[cfg(test)]
