@@ -166,17 +166,10 @@ fn fits(from: &DataType, to: &DataType) -> bool {
         _ if from.equals_datatype(to) || *from == DataType::Null => true,
         _ => {
             from.is_numeric() == to.is_numeric()
-                && is_text(from) == is_text(to)
+                && from.is_string() == to.is_string()
                 && can_cast_types(from, to)
         }
     }
-}
-
-fn is_text(data_type: &DataType) -> bool {
-    matches!(
-        data_type,
-        DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View
-    )
 }
 
 /// The same columns without metadata, every one nullable: what two tables that may be put together agree on.

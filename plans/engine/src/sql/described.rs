@@ -135,20 +135,14 @@ fn of_expression(input: &LogicalPlan, expression: &Expr) -> Option<Origin> {
                 "get_field" => {
                     let mut found = of_expression(input, whole)?;
                     for argument in arguments {
-                        found.members.push(text(argument)?.to_owned());
+                        let name = argument.as_literal()?.try_as_str()??;
+                        found.members.push(name.to_owned());
                     }
                     Some(found)
                 }
                 _ => None,
             }
         }
-        _ => None,
-    }
-}
-
-fn text(expression: &Expr) -> Option<&str> {
-    match expression {
-        Expr::Literal(value, _) => value.try_as_str().flatten(),
         _ => None,
     }
 }
