@@ -15,18 +15,15 @@ pub fn nearest<'k>(name: &str, candidates: impl IntoIterator<Item = &'k str>) ->
     }
     let folded = fold(name);
     let allowed = (length / 3).max(1);
-    let mut best: Option<(usize, &str)> = None;
-    for candidate in candidates {
-        if candidate.len() > 4 * LONGEST_COMPARED || candidate == name {
-            continue;
-        }
-        let distance = strsim::damerau_levenshtein(&folded, &fold(candidate));
-        let near_enough = distance <= allowed && distance < candidate.chars().count().max(1);
-        if near_enough && best.is_none_or(|(least, _)| distance < least) {
-            best = Some((distance, candidate));
-        }
-    }
-    best.map(|(_, candidate)| candidate)
+    let candidates = candidates.into_iter();
+    let others = candidates.filter(|other| other.len() <= 4 * LONGEST_COMPARED && *other != name);
+    let near = others.filter_map(|other| {
+        let distance = strsim::damerau_levenshtein(&folded, &fold(other));
+        let is_near = distance <= allowed && distance < other.chars().count().max(1);
+        is_near.then_some((distance, other))
+    });
+    let nearest = near.min_by_key(|(distance, _)| *distance);
+    nearest.map(|(_, candidate)| candidate)
 }
 
 fn fold(name: &str) -> String {
