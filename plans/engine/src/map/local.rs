@@ -277,7 +277,7 @@ fn sync(path: &Path) -> Result<()> {
 /// Syncs the names in a file's folder, where folders can be synced.
 fn sync_parent(path: &Path) -> Result<()> {
     match sync(parent(path)) {
-        Err(error) if cfg!(unix) && error.kind() != ErrorKind::InvalidInput => Err(error),
+        Err(error) if error.kind() != ErrorKind::InvalidInput => Err(error),
         _ => {
             tracing::trace!(path = %path.display(), "named");
             Ok(())

@@ -107,13 +107,8 @@ pub struct Stage {
     /// Whether its rows are kept as artifacts.
     pub stored: bool,
     /// Whether what was made stays until something else that it reads than the version before has changed.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub once: bool,
-}
-
-#[allow(clippy::trivially_copy_pass_by_ref)] // as serde wants it
-fn is_false(value: &bool) -> bool {
-    !*value
 }
 
 impl Stage {
