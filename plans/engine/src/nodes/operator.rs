@@ -107,10 +107,7 @@ impl Duty for Operator {
 
     fn needs(&self) -> Vec<Need> {
         let driving = Need {
-            deal: match self.driving.group {
-                [] => Deal::Any,
-                columns => Deal::ByKey(columns),
-            },
+            deal: Deal::ByKey(self.driving.group),
             sorting: self.driving.sorting.clone(),
             // Rows with images were dealt out before the images were fetched.
             parallel: self.driving.port.pixels.is_none(),
