@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use evermap_datasets::Dataset;
-use evermap_engine::program::{Program, Task};
+use evermap_engine::program::Program;
 use evermap_engine::sql::{Limits, context};
 use evermap_language::listed;
 use evermap_schemas::Fault;
@@ -18,11 +18,8 @@ const ALL: &str = "*";
 
 /// The cameras that the masks of a program are for, by name.
 pub fn masked(program: &Program) -> BTreeSet<&str> {
-    let params = program.stages.iter().filter_map(|stage| match &stage.task {
-        Task::Op { params, .. } => params.get(MASK).and_then(Value::as_object),
-        Task::Sql { .. } | Task::Python(_) => None,
-    });
-    let cameras = params.flat_map(|masks| masks.keys().map(String::as_str));
+    let given = program.given(MASK).filter_map(Value::as_object);
+    let cameras = given.flat_map(|masks| masks.keys().map(String::as_str));
     cameras.filter(|camera| *camera != ALL).collect()
 }
 

@@ -7,7 +7,7 @@ use evermap_catalog::{USUAL_VEHICLE, VehicleFrame, footing};
 use evermap_datasets::manifest::Vehicle;
 use evermap_datasets::{Dataset, Session};
 use evermap_engine::error::OrFault;
-use evermap_engine::program::{Program, Task};
+use evermap_engine::program::Program;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::roles::{Transform, frame_names};
 use evermap_schemas::{Fault, rows};
@@ -23,11 +23,8 @@ const LOOKED_AT: usize = 16;
 
 /// The frame that the steps of a program take for the vehicle's.
 pub fn vehicle(program: &Program) -> &str {
-    let mut named = program.stages.iter().filter_map(|stage| match &stage.task {
-        Task::Op { params, .. } => params.get(Vehicle::PARAMETER).and_then(Value::as_str),
-        Task::Sql { .. } | Task::Python(_) => None,
-    });
-    named.next().unwrap_or(USUAL_VEHICLE)
+    let mut given = program.given(Vehicle::PARAMETER);
+    given.find_map(Value::as_str).unwrap_or(USUAL_VEHICLE)
 }
 
 /// What a person is told of the first [`LOOKED_AT`] sessions whose odometry is of a frame that fixed transforms tie to the vehicle's elsewhere

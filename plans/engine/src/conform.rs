@@ -1,5 +1,6 @@
 //! Batches brought to a layer's columns: chosen by name, cast where types differ harmlessly.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use arrow::array::{Array, ArrayRef, AsArray, RecordBatch};
@@ -165,17 +166,10 @@ fn fits(from: &DataType, to: &DataType) -> bool {
         _ if from.equals_datatype(to) || *from == DataType::Null => true,
         _ => {
             from.is_numeric() == to.is_numeric()
-                && is_text(from) == is_text(to)
+                && from.is_string() == to.is_string()
                 && can_cast_types(from, to)
         }
     }
-}
-
-fn is_text(data_type: &DataType) -> bool {
-    matches!(
-        data_type,
-        DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View
-    )
 }
 
 /// The same columns without metadata, every one nullable: what two tables that may be put together agree on.
@@ -191,18 +185,26 @@ pub fn bare(schema: &Schema) -> SchemaRef {
 /// The columns with the units and frames of those that the layer declares by their names, as far as their values are
 /// such; the others as they are.
 pub fn declared(table: &Schema, layer: &Layer) -> SchemaRef {
-    let described = |field: &FieldRef| {
+    with_metadata(table, |_, field| {
         let column = layer.column(field.name());
         match column.filter(|column| fits(field.data_type(), &column.data_type)) {
-            Some(column) => {
-                let metadata = column.field().metadata().clone();
-                Arc::new(field.as_ref().clone().with_metadata(metadata))
-            }
-            None => Arc::clone(field),
+            Some(column) => column.field().metadata().clone(),
+            None => field.metadata().clone(),
         }
+    })
+}
+
+/// The same columns with other metadata: of each, by its place.
+pub fn with_metadata(
+    schema: &Schema,
+    metadata: impl Fn(usize, &Field) -> HashMap<String, String>,
+) -> SchemaRef {
+    let fields = schema.fields().iter().enumerate();
+    let field = |(index, field): (usize, &FieldRef)| {
+        let field = field.as_ref();
+        field.clone().with_metadata(metadata(index, field))
     };
-    let fields: Vec<FieldRef> = table.fields().iter().map(described).collect();
-    Arc::new(Schema::new(fields))
+    Arc::new(Schema::new(fields.map(field).collect::<Vec<_>>()))
 }
 
 #[cfg(test)]

@@ -9,6 +9,13 @@ pub fn store_fault(error: &object_store::Error, what: &str) -> Fault {
     Fault::resource(format!("{what}: {error}"))
 }
 
+/// What a fault says, whoever must act.
+pub fn without_kind(fault: &Fault) -> String {
+    let text = fault.to_string();
+    let kind = format!("{}: ", fault.kind.code());
+    text.strip_prefix(&kind).unwrap_or(&text).to_owned()
+}
+
 /// That no map is at an address.
 pub fn no_map(address: &str) -> Fault {
     Fault::user(format!("no map at {address}"))

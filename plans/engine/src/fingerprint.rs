@@ -244,18 +244,12 @@ fn place(store: &ObjectStoreUrl, meta: &ObjectMeta) -> (String, ObjectPath) {
 }
 
 /// When a local file's status last changed: unlike the time of modification, nobody sets it back.
-#[cfg(unix)]
 fn status_changed(store: &str, location: &str) -> Option<(i64, i64)> {
     use std::os::unix::fs::MetadataExt;
     let local = store.starts_with("file:");
     let path = Path::new("/").join(location);
     let found = local.then(|| std::fs::metadata(path).ok())??;
     Some((found.ctime(), found.ctime_nsec()))
-}
-
-#[cfg(not(unix))]
-fn status_changed(_: &str, _: &str) -> Option<(i64, i64)> {
-    None
 }
 
 /// Whether the files are now what they were before they were read.

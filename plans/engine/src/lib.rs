@@ -22,6 +22,7 @@ pub mod conform;
 pub mod digest;
 pub mod error;
 mod fingerprint;
+mod locked;
 pub mod map;
 pub mod nodes;
 pub mod plan_test;

@@ -18,7 +18,7 @@ use evermap_language::{Body, Input, Plan, PlanFaults, PlanTest, Step};
 use evermap_schemas::{Fault, Kind};
 
 use crate::conform::conform;
-use crate::error::OrFault;
+use crate::error::{OrFault, without_kind};
 use crate::program::test_rows::{check_given, misfits};
 use crate::program::{Program, Task};
 use crate::sql::{Limits, coming, context, put_rows, read_only, reference};
@@ -78,7 +78,9 @@ pub async fn run_tests(
         };
         let failure = match bench.run(test).await {
             Ok(failure) => failure,
-            Err(fault) if matches!(fault.kind, Kind::User | Kind::Data) => Some(told(&fault)),
+            Err(fault) if matches!(fault.kind, Kind::User | Kind::Data) => {
+                Some(without_kind(&fault))
+            }
             Err(fault) => return Err(fault.at(format!("test {}", test.name))),
         };
         outcomes.push(TestOutcome {
@@ -87,13 +89,6 @@ pub async fn run_tests(
         });
     }
     Ok(outcomes)
-}
-
-/// A fault as the reason why a test failed, whoever must act.
-fn told(fault: &Fault) -> String {
-    let text = fault.to_string();
-    let kind = format!("{}: ", fault.kind.code());
-    text.strip_prefix(&kind).unwrap_or(&text).to_owned()
 }
 
 struct Bench<'a> {

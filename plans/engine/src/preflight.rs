@@ -47,21 +47,14 @@ pub struct Unplayed {
 impl Unplayed {
     /// What a person is told of them.
     pub fn notes(&self) -> Vec<String> {
-        let Self { needed, of_use } = self;
-        let mut notes = Vec::new();
-        if !needed.is_empty() {
-            let roles = in_words(needed);
-            notes.push(format!(
-                "note: no session has {roles}: what the plan makes of it is empty"
-            ));
-        }
-        if !of_use.is_empty() {
-            let roles = in_words(of_use);
-            notes.push(format!(
-                "note: no session has {roles}, which the plan would use"
-            ));
-        }
-        notes
+        let notes = [
+            (&self.needed, ": what the plan makes of it is empty"),
+            (&self.of_use, ", which the plan would use"),
+        ];
+        let due = notes.into_iter().filter(|(roles, _)| !roles.is_empty());
+        let note =
+            |(roles, why): (&Lacks, &str)| format!("note: no session has {}{why}", in_words(roles));
+        due.map(note).collect()
     }
 
     /// What a person is told of the layers of a run that have no rows, where a step needs what no session has.
@@ -229,9 +222,7 @@ impl Needs {
             false => of_its_own,
         })
     }
-}
 
-impl Needs {
     /// Whether a query of what a vehicle is like is there for other steps.
     fn is_handed_on(&self, query: &Need) -> bool {
         let is_of_logs = |input: &Input| matches!(input, Input::Source(name) if is_lasting(name));

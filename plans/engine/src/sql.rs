@@ -44,7 +44,7 @@ use crate::sql::bounded::{BYTES_PER_BATCH_ROW, bound_functions};
 use crate::sql::expanded::check_expanded;
 use crate::sql::inlined::check_inlined;
 use crate::sql::literals::check_literals;
-use crate::sql::members::{check_members, mask_members, members};
+use crate::sql::members::{Members, check_members, mask_members};
 use crate::sql::misread::check_misread;
 use crate::sql::named::named_apart;
 use crate::sql::overflow::check_overflow;
@@ -193,13 +193,13 @@ fn context_of(
         .with_config(config)
         .with_runtime_env(runtime)
         // Of planners the first that has a plan is heard, so those of DataFusion come behind.
-        .with_expr_planners(vec![members(), evermap_functions::extracts()])
+        .with_expr_planners(vec![Arc::new(Members), evermap_functions::extracts()])
         .with_default_features()
-        .with_query_planner(as_of::query_planner())
+        .with_query_planner(Arc::new(as_of::Planner))
         .with_physical_optimizer_rule(Arc::new(LightBatches));
     let context = SessionContext::new_with_state(state.build());
     context
-        .register_relation_planner(as_of::relations())
+        .register_relation_planner(Arc::new(as_of::Relations))
         .or_fault()?;
     let catalog = catalog(&context)?;
     for schema in ["previous", "new"] {
@@ -221,6 +221,12 @@ pub fn reference(input: &Input) -> TableReference {
         Input::Previous(name) => TableReference::partial("previous", name.clone()),
         Input::New(name) => TableReference::partial("new", name.clone()),
     }
+}
+
+/// The columns of what a plan reads, where a context has it.
+pub async fn schema_of(context: &SessionContext, input: &Input) -> Option<SchemaRef> {
+    let table = context.table_provider(reference(input)).await;
+    table.ok().map(|table| table.schema())
 }
 
 /// Makes a table what a plan reads under this name, in place of what was that before.
@@ -328,11 +334,14 @@ async fn plan_of_one(
     state: &SessionState,
     mut statement: Statement,
 ) -> DataFusionResult<LogicalPlan> {
-    check_expanded(&statement).map_err(external)?;
-    let written = Written::of(&statement).map_err(external)?;
-    check_misread(&statement).map_err(external)?;
-    as_of::bracketed(&mut statement);
-    named_apart(&mut statement);
+    let mut written = Written::default();
+    if let Some(sql) = sql_of(&mut statement) {
+        check_expanded(sql).map_err(external)?;
+        written = Written::of(sql).map_err(external)?;
+        check_misread(sql).map_err(external)?;
+        as_of::bracketed(sql);
+        named_apart(sql);
+    }
     let plan = state.statement_to_plan(statement).await;
     let plan = plan.map_err(|error| written.explained(error))?;
     check_members(&plan)?;
@@ -340,6 +349,15 @@ async fn plan_of_one(
     check_widths(&plan)?;
     check_literals(&plan, &written)?;
     Ok(plan)
+}
+
+/// What a statement says in SQL, of `EXPLAIN` what it explains; `None` for what is none.
+fn sql_of(statement: &mut Statement) -> Option<&mut ast::Statement> {
+    match statement {
+        Statement::Statement(sql) => Some(sql.as_mut()),
+        Statement::Explain(explain) => sql_of(&mut explain.statement),
+        _ => None,
+    }
 }
 
 /// The tables that a query reads, as a plan names its inputs: `poses`, `/odom`, `previous.lanes`.
@@ -352,17 +370,11 @@ pub fn tables(query: &str) -> DataFusionResult<Vec<String>> {
     let dialect = state.config().options().sql_parser.dialect;
     let statement = state.sql_to_statement(query, &dialect)?;
     let references = state.resolve_table_references(&statement)?;
-    let mut names = Vec::new();
-    for reference in references {
-        let name = match reference.schema() {
-            Some(schema) => format!("{schema}.{}", reference.table()),
-            None => reference.table().to_owned(),
-        };
-        if !names.contains(&name) {
-            names.push(name);
-        }
-    }
-    Ok(names)
+    let name = |reference: TableReference| match reference.schema() {
+        Some(schema) => format!("{schema}.{}", reference.table()),
+        None => reference.table().to_owned(),
+    };
+    Ok(references.into_iter().map(name).collect())
 }
 
 /// Whether the query itself orders its rows.

@@ -1,12 +1,11 @@
 //! Places of a map's points on earth.
 
-use arrow::array::{Array, ArrayRef, AsArray};
-use arrow::datatypes::Float64Type;
-use datafusion::common::{DataFusionError, Result};
+use arrow::array::ArrayRef;
+use datafusion::common::Result;
 use evermap_algorithms::geometry::geodesy::{Geodetic, MapOnEarth};
 use evermap_schemas::Cell;
 
-use crate::function::{Declaration, Kind};
+use crate::function::{Declaration, Kind, encoded, given, rows};
 
 /// The function.
 pub(crate) const DECLARATIONS: [Declaration; 1] = [Declaration {
@@ -54,17 +53,8 @@ evermap_schemas::record! {
 }
 
 fn placed(columns: &[ArrayRef]) -> Result<ArrayRef> {
-    let numbers: Vec<_> = columns
-        .iter()
-        .map(|column| column.as_primitive::<Float64Type>())
-        .collect();
     let row = |row: usize| {
-        let given = numbers
-            .iter()
-            .map(|column| column.is_valid(row).then(|| column.value(row)));
-        let given: Option<Vec<f64>> = given.collect();
-        let [latitude_deg, longitude_deg, height_m, heading_rad, x, y, z] =
-            given?.try_into().ok()?;
+        let [latitude_deg, longitude_deg, height_m, heading_rad, x, y, z] = given(columns, row)?;
         let origin = Geodetic {
             latitude_deg,
             longitude_deg,
@@ -77,7 +67,5 @@ fn placed(columns: &[ArrayRef]) -> Result<ArrayRef> {
             height_m: place.height_m,
         })
     };
-    let rows = columns.first().map_or(0, |column| column.len());
-    let encoded = Option::<Place>::encode((0..rows).map(row).collect());
-    encoded.map_err(|fault| DataFusionError::Execution(fault.to_string()))
+    encoded((0..rows(columns)).map(row).collect())
 }

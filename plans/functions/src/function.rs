@@ -3,9 +3,9 @@
 use std::hash::{Hash, Hasher};
 use std::sync::Arc;
 
-use arrow::array::ArrayRef;
-use arrow::datatypes::DataType;
-use datafusion::common::{Result, plan_err};
+use arrow::array::{Array, ArrayRef, AsArray};
+use arrow::datatypes::{DataType, Float64Type};
+use datafusion::common::{DataFusionError, Result, plan_err};
 use datafusion::logical_expr::{
     ColumnarValue, DocSection, Documentation, ScalarFunctionArgs, ScalarUDFImpl, Signature,
     Volatility,
@@ -190,6 +190,28 @@ fn kinds_of(call: &[Argument]) -> String {
         .map(|(name, kind, _)| format!("{name}: {}", kind.name()))
         .collect();
     format!("({})", names.join(", "))
+}
+
+/// The numbers of a row; `None` where one is null.
+pub(crate) fn given<const N: usize>(columns: &[ArrayRef], row: usize) -> Option<[f64; N]> {
+    let columns: &[ArrayRef; N] = columns.try_into().ok()?;
+    let mut given = [0.0; N];
+    for (number, column) in given.iter_mut().zip(columns) {
+        let column = column.as_primitive_opt::<Float64Type>()?;
+        *number = column.is_valid(row).then(|| column.value(row))?;
+    }
+    Some(given)
+}
+
+/// How many rows columns have.
+pub(crate) fn rows(columns: &[ArrayRef]) -> usize {
+    columns.first().map_or(0, |column| column.len())
+}
+
+/// A column of values that each row has or not.
+pub(crate) fn encoded<T: Cell>(values: Vec<Option<T>>) -> Result<ArrayRef> {
+    let encoded = Option::<T>::encode(values);
+    encoded.map_err(|fault| DataFusionError::Execution(fault.to_string()))
 }
 
 /// A column of numbers from a value for each row.

@@ -11,12 +11,13 @@ mod text;
 use std::sync::Arc;
 
 use arrow::array::{Array, ArrayRef, AsArray, BinaryArray};
-use arrow::datatypes::{DataType, Float64Type};
+use arrow::datatypes::DataType;
 use datafusion::common::{DataFusionError, Result};
 use evermap_schemas::{Cell, Geometry, Position, Wkb};
 use geo::relate::IntersectionMatrix;
+use geo::{Area, Contains, Intersects};
 
-use crate::function::{Argument, Declaration, Kind, numbers};
+use crate::function::{Argument, Declaration, Kind, given, numbers, rows};
 
 const GEOMETRY: Argument = ("geometry", Kind::Geometry, "a geometry, such as lanes have");
 const A: Argument = ("a", Kind::Geometry, "a geometry");
@@ -95,7 +96,7 @@ pub(crate) const DECLARATIONS: [Declaration; 20] = [
             "SELECT st_area(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'))",
             "12.0",
         ],
-        evaluate: |columns| shapes::each(columns, shapes::area_m2),
+        evaluate: |columns| shapes::each(columns, |shape| shape.unsigned_area()),
     },
     Declaration {
         name: "st_distance",
@@ -117,7 +118,7 @@ pub(crate) const DECLARATIONS: [Declaration; 20] = [
             "SELECT st_intersects(st_geomfromtext('LINESTRING(0 0, 2 2)'), st_geomfromtext('LINESTRING(0 2, 2 0)'))",
             "true",
         ],
-        evaluate: |columns| shapes::relation(columns, shapes::intersect),
+        evaluate: |columns| shapes::relation(columns, |a, b| a.intersects(b)),
     },
     Declaration {
         name: "st_contains",
@@ -128,7 +129,7 @@ pub(crate) const DECLARATIONS: [Declaration; 20] = [
             "SELECT st_contains(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_point(1, 1))",
             "true",
         ],
-        evaluate: |columns| shapes::relation(columns, shapes::contains),
+        evaluate: |columns| shapes::relation(columns, |a, b| a.contains(b)),
     },
     Declaration {
         name: "st_within",
@@ -139,7 +140,7 @@ pub(crate) const DECLARATIONS: [Declaration; 20] = [
             "SELECT st_within(st_point(9, 1), st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'))",
             "false",
         ],
-        evaluate: |columns| shapes::relation(columns, |a, b| shapes::contains(b, a)),
+        evaluate: |columns| shapes::relation(columns, |a, b| b.contains(a)),
     },
     Declaration {
         name: "st_disjoint",
@@ -277,38 +278,20 @@ fn of_point(columns: &[ArrayRef], of: fn(Position) -> Option<f64>) -> Result<Arr
 }
 
 fn point(columns: &[ArrayRef]) -> Result<ArrayRef> {
-    let numbers: Vec<_> = columns
-        .iter()
-        .map(|column| column.as_primitive::<Float64Type>())
-        .collect();
-    let point = |row: usize| {
-        let known = numbers.iter().all(|column| column.is_valid(row));
-        let at = |index: usize| numbers.get(index).map(|column| column.value(row));
-        known.then(|| {
-            let (x, y) = (at(0).unwrap_or(f64::NAN), at(1).unwrap_or(f64::NAN));
-            Geometry::Point(Position { x, y, z: at(2) })
-        })
+    let point = |row: usize| match columns.len() {
+        2 => given(columns, row).map(|[x, y]| Position { x, y, z: None }),
+        _ => given(columns, row).map(|[x, y, z]| Position { x, y, z: Some(z) }),
     };
-    let rows = columns.first().map_or(0, |column| column.len());
-    made_of(rows, |row| Ok(point(row)))
+    made_of(rows(columns), |row| Ok(point(row).map(Geometry::Point)))
 }
 
 fn along(columns: &[ArrayRef]) -> Result<ArrayRef> {
     let geometries = Geometries::of(columns, 0)?;
-    let [_, x, y] = columns else {
-        return Err(DataFusionError::Execution(
-            "expected a geometry and a place".to_owned(),
-        ));
-    };
-    let (x, y) = (
-        x.as_primitive::<Float64Type>(),
-        y.as_primitive::<Float64Type>(),
-    );
+    let places = columns.get(1..).unwrap_or_default();
     numbers(geometries.0.len(), |row| {
-        let known = x.is_valid(row) && y.is_valid(row);
-        Ok(match geometries.get(row)? {
-            Some(Geometry::LineString(line)) if known => {
-                lines::distance_along_m(&line, [x.value(row), y.value(row)])
+        Ok(match (geometries.get(row)?, given(places, row)) {
+            (Some(Geometry::LineString(line)), Some(place)) => {
+                lines::distance_along_m(&line, place)
             }
             _ => None,
         })

@@ -11,7 +11,7 @@ use evermap_algorithms::geometry::pose::Pose;
 use evermap_schemas::Cell;
 use nalgebra::Vector3;
 
-use crate::function::{Argument, Declaration, Kind, numbers};
+use crate::function::{Argument, Declaration, Kind, encoded, given, numbers, rows};
 
 const POSITION: [&str; 3] = ["x", "y", "z"];
 const QUATERNION: [&str; 4] = ["qx", "qy", "qz", "qw"];
@@ -54,7 +54,7 @@ pub(crate) const DECLARATIONS: [Declaration; 9] = [
         calls: &[&[POSE]],
         result: || DataType::Float64,
         example: ["SELECT round(yaw(pose(1, 2, 0, 0.5)), 6)", "0.5"],
-        evaluate: |columns| angles(columns, |angles| angles.yaw),
+        evaluate: |columns| angles(columns, Pose::yaw),
     },
     Declaration {
         name: "pitch",
@@ -65,7 +65,7 @@ pub(crate) const DECLARATIONS: [Declaration; 9] = [
             "SELECT round(pitch(pose(0, 0, 0, 0, sin(0.1), 0, cos(0.1))), 6)",
             "0.2",
         ],
-        evaluate: |columns| angles(columns, |angles| angles.pitch),
+        evaluate: |columns| angles(columns, |pose| pose.rotation.euler_angles().1),
     },
     Declaration {
         name: "roll",
@@ -76,7 +76,7 @@ pub(crate) const DECLARATIONS: [Declaration; 9] = [
             "SELECT round(roll(pose(0, 0, 0, sin(0.1), 0, 0, cos(0.1))), 6)",
             "0.2",
         ],
-        evaluate: |columns| angles(columns, |angles| angles.roll),
+        evaluate: |columns| angles(columns, |pose| pose.rotation.euler_angles().0),
     },
     Declaration {
         name: "transform",
@@ -87,7 +87,7 @@ pub(crate) const DECLARATIONS: [Declaration; 9] = [
             ("y", Kind::Number, "the point along y, m"),
             ("z", Kind::Number, "the point along z, m"),
         ]],
-        result: point_type,
+        result: Point::data_type,
         example: [
             "SELECT round(transform(pose(1, 2, 0, pi() / 2), 3, 0, 0)['y'], 6)",
             "5.0",
@@ -108,7 +108,7 @@ pub(crate) const DECLARATIONS: [Declaration; 9] = [
         ],
         evaluate: |columns| {
             let composed = pairs(columns, |a, b| a.compose(b))?;
-            encoded(composed)
+            posed(composed)
         },
     },
     Declaration {
@@ -120,7 +120,7 @@ pub(crate) const DECLARATIONS: [Declaration; 9] = [
         evaluate: |columns| {
             let poses = Poses::of(columns.first())?;
             let inverse = |row| Ok(poses.get(row)?.map(|pose| pose.inverse()));
-            encoded((0..poses.rows).map(inverse).collect::<Result<_>>()?)
+            posed((0..poses.rows).map(inverse).collect::<Result<_>>()?)
         },
     },
     Declaration {
@@ -243,12 +243,10 @@ fn number(parent: &StructArray, name: &str) -> Result<Float64Array> {
 }
 
 /// A column of poses.
-fn encoded(poses: Vec<Option<Pose>>) -> Result<ArrayRef> {
-    let rows = poses
-        .into_iter()
-        .map(|pose| pose.map(|pose| evermap_schemas::Pose::from_array(pose.to_array())));
-    let encoded = Option::<evermap_schemas::Pose>::encode(rows.collect());
-    encoded.map_err(|fault| DataFusionError::Execution(fault.to_string()))
+fn posed(poses: Vec<Option<Pose>>) -> Result<ArrayRef> {
+    let stored = |pose: Pose| evermap_schemas::Pose::from_array(pose.to_array());
+    let rows = poses.into_iter().map(|pose| pose.map(stored));
+    encoded(rows.collect())
 }
 
 /// Something of each pair of poses.
@@ -258,43 +256,24 @@ fn pairs<T>(columns: &[ArrayRef], of: impl Fn(&Pose, &Pose) -> T) -> Result<Vec<
     (0..left.rows).map(pair).collect()
 }
 
-struct Angles {
-    roll: f64,
-    pitch: f64,
-    yaw: f64,
-}
-
-fn angles(columns: &[ArrayRef], chosen: fn(Angles) -> f64) -> Result<ArrayRef> {
+fn angles(columns: &[ArrayRef], angle: fn(&Pose) -> f64) -> Result<ArrayRef> {
     let poses = Poses::of(columns.first())?;
-    let angle = |pose: Pose| {
-        let (roll, pitch, _) = pose.rotation.euler_angles();
-        let yaw = pose.yaw();
-        chosen(Angles { roll, pitch, yaw })
-    };
-    numbers(poses.rows, |row| Ok(poses.get(row)?.map(angle)))
+    numbers(poses.rows, |row| Ok(poses.get(row)?.as_ref().map(angle)))
 }
 
 fn made(columns: &[ArrayRef]) -> Result<ArrayRef> {
-    let numbers: Vec<_> = columns
-        .iter()
-        .map(|column| column.as_primitive::<Float64Type>())
-        .collect();
     let row = |row: usize| -> Result<Option<Pose>> {
-        if numbers.iter().any(|column| column.is_null(row)) {
-            return Ok(None);
-        }
-        let values: Vec<f64> = numbers.iter().map(|column| column.value(row)).collect();
-        match *values.as_slice() {
-            [x, y, z, yaw] => {
+        let numbers = match columns.len() {
+            4 => given(columns, row).map(|[x, y, z, yaw]| {
                 let mut level = Pose::from_yaw(x, y, yaw);
                 level.translation.z = z;
-                pose(level.to_array()).map(Some)
-            }
-            _ => pose(values.try_into().map_err(|_| expected("seven numbers"))?).map(Some),
-        }
+                level.to_array()
+            }),
+            _ => given(columns, row),
+        };
+        numbers.map(pose).transpose()
     };
-    let rows = columns.first().map_or(0, |column| column.len());
-    encoded((0..rows).map(row).collect::<Result<_>>()?)
+    posed((0..rows(columns)).map(row).collect::<Result<_>>()?)
 }
 
 evermap_schemas::record! {
@@ -309,25 +288,15 @@ evermap_schemas::record! {
     }
 }
 
-fn point_type() -> DataType {
-    Point::data_type()
-}
-
 fn transformed(columns: &[ArrayRef]) -> Result<ArrayRef> {
     let [poses, coordinates @ ..] = columns else {
         return Err(expected("a pose and a point"));
     };
     let poses = Poses::of(Some(poses))?;
-    let coordinates: Vec<_> = coordinates
-        .iter()
-        .map(|column| column.as_primitive::<Float64Type>())
-        .collect();
     let row = |row: usize| -> Result<Option<Point>> {
-        let pose = poses.get(row)?;
-        let known = coordinates.iter().all(|column| column.is_valid(row));
-        Ok(pose.filter(|_| known).map(|pose| {
-            let point = Vector3::from_iterator(coordinates.iter().map(|column| column.value(row)));
-            let moved = pose.transform(&point);
+        let both = poses.get(row)?.zip(given::<3>(coordinates, row));
+        Ok(both.map(|(pose, point)| {
+            let moved = pose.transform(&Vector3::from(point));
             Point {
                 x: moved.x,
                 y: moved.y,
@@ -335,7 +304,5 @@ fn transformed(columns: &[ArrayRef]) -> Result<ArrayRef> {
             }
         }))
     };
-    let rows = (0..poses.rows).map(row).collect::<Result<Vec<_>>>()?;
-    let encoded = Option::<Point>::encode(rows);
-    encoded.map_err(|fault| DataFusionError::Execution(fault.to_string()))
+    encoded((0..poses.rows).map(row).collect::<Result<_>>()?)
 }

@@ -108,7 +108,7 @@ fn lay_entry(entry: &mut Entry, change: Entry, name: &str, faults: &mut PlanFaul
         }
         ("defaults", Kind::Mapping(defaults), Kind::Mapping(changes)) => merge(defaults, changes),
         ("presets", Kind::Mapping(presets), Kind::Mapping(changes)) => {
-            preset::lay_over(presets, changes);
+            preset::overlay(presets, changes, preset::LEVELS);
         }
         ("write", Kind::Sequence(items), Kind::Sequence(added)) => {
             for item in added {

@@ -172,11 +172,9 @@ impl PlanFaults {
         name: &str,
         known: impl IntoIterator<Item = &'k str>,
     ) {
-        let full = self.kept.len() >= MOST_KEPT;
-        let nearest = if full {
-            None
-        } else {
-            suggest::nearest(name, known)
+        let nearest = match self.kept.len() {
+            0..MOST_KEPT => suggest::nearest(name, known),
+            _ => None,
         };
         let suggestion = nearest.map(|known| format!("did you mean {}?", suggest::quoted(known)));
         self.push(place, severity, message.into(), suggestion);
@@ -260,10 +258,7 @@ impl PlanFaults {
         match self.omitted {
             0 => Ok(()),
             omitted => {
-                let origin = self
-                    .sources
-                    .first()
-                    .map_or("", |source| source.origin.as_str());
+                let origin = self.origin(Place::Text(Position::start_of(0)));
                 writeln!(out, "{origin}: … and {omitted} more")
             }
         }

@@ -2,6 +2,7 @@
 //! What else it says is for who opens logs; here is where it stands.
 
 use crate::fault::{Place, PlanFaults, Position, Source};
+use crate::setting::found_or_added;
 use crate::suggest::quoted;
 use crate::vocabulary::{OperatorSpec, Vocabulary};
 use crate::yaml::{self, Entry, Kind, Node, merge};
@@ -20,34 +21,18 @@ pub(crate) fn lay(
     let Some(mut tree) = yaml::read(manifest, faults) else {
         return;
     };
-    let Some(given) = tree.take("defaults") else {
+    let Some(Entry { place, value, .. }) = tree.take("defaults") else {
         return;
     };
-    let Kind::Mapping(given) = given.value.kind else {
-        if given.value.kind != Kind::Null {
-            given.value.mapping("`defaults`", faults);
+    let Kind::Mapping(given) = value.kind else {
+        if value.kind != Kind::Null {
+            value.mapping("`defaults`", faults);
         }
         return;
     };
     check(&given, vocabulary, faults);
-    let Some(entries) = plan.entries_mut() else {
-        return;
-    };
-    let Some(index) = entries.iter().position(|entry| entry.key == "defaults") else {
-        let Some(place) = given.first().map(|entry| entry.place) else {
-            return;
-        };
-        entries.push(Entry {
-            key: "defaults".to_owned(),
-            place,
-            value: Node {
-                place,
-                kind: Kind::Mapping(given),
-            },
-        });
-        return;
-    };
-    match entries.get_mut(index).map(|entry| &mut entry.value.kind) {
+    let defaults = found_or_added(plan, "defaults", place);
+    match defaults.map(|entry| &mut entry.value.kind) {
         Some(Kind::Mapping(defaults)) => merge(defaults, given),
         Some(nothing @ Kind::Null) => *nothing = Kind::Mapping(given),
         // The plan is at fault, and is found to be when it is checked.

@@ -27,7 +27,7 @@ impl Presets {
         for preset in &presets {
             let what = format!("preset {}", quoted(&preset.key));
             let named = preset.value.mapping(&what, faults).unwrap_or_default();
-            for step in named.iter().filter(|step| is_own(step)) {
+            for step in named.iter().filter(|step| step.is_own()) {
                 let name = quoted(&step.key);
                 step.value
                     .mapping(&format!("step {name} of {what}"), faults);
@@ -77,26 +77,19 @@ impl Presets {
     }
 }
 
-/// Whether it is written in the plan itself, not in one that it extends.
-fn is_own(entry: &Entry) -> bool {
-    entry.place.position().source == 0
-}
+/// Levels that stand between the presets of a plan and their parameters: preset, step.
+pub(crate) const LEVELS: usize = 2;
 
-/// Lays presets over those of a plan that is extended: parameter by parameter.
-pub(crate) fn lay_over(presets: &mut Vec<Entry>, changes: Vec<Entry>) {
-    overlay(presets, changes, &["preset", "step"]);
-}
-
-/// Puts entries in a mapping; those with the same key are overlaid in turn, as many levels down as are named.
-fn overlay(entries: &mut Vec<Entry>, changes: Vec<Entry>, levels: &[&str]) {
+/// Puts entries in a mapping; those with the same key are overlaid in turn, so many levels down.
+pub(crate) fn overlay(entries: &mut Vec<Entry>, changes: Vec<Entry>, levels: usize) {
     for change in changes {
         let Some(entry) = entries.iter_mut().find(|entry| entry.key == change.key) else {
             entries.push(change);
             continue;
         };
         match (levels, &mut entry.value.kind, change.value.kind) {
-            ([_, below @ ..], Kind::Mapping(entries), Kind::Mapping(changes)) => {
-                overlay(entries, changes, below);
+            (1.., Kind::Mapping(entries), Kind::Mapping(changes)) => {
+                overlay(entries, changes, levels - 1);
             }
             (_, _, kind) => {
                 let place = change.value.place;

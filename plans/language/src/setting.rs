@@ -93,7 +93,11 @@ pub(crate) fn parameters_of<'n>(
 }
 
 /// The entry of a key, added if absent; `None` if the node is no mapping.
-fn found_or_added<'n>(node: &'n mut Node, key: &str, place: Place) -> Option<&'n mut Entry> {
+pub(crate) fn found_or_added<'n>(
+    node: &'n mut Node,
+    key: &str,
+    place: Place,
+) -> Option<&'n mut Entry> {
     let entries = node.entries_mut()?;
     let index = entries.iter().position(|entry| entry.key == key);
     let index = index.unwrap_or_else(|| {

@@ -15,18 +15,15 @@ pub fn nearest<'k>(name: &str, candidates: impl IntoIterator<Item = &'k str>) ->
     }
     let folded = fold(name);
     let allowed = (length / 3).max(1);
-    let mut best: Option<(usize, &str)> = None;
-    for candidate in candidates {
-        if candidate.len() > 4 * LONGEST_COMPARED || candidate == name {
-            continue;
-        }
-        let distance = strsim::damerau_levenshtein(&folded, &fold(candidate));
-        let near_enough = distance <= allowed && distance < candidate.chars().count().max(1);
-        if near_enough && best.is_none_or(|(least, _)| distance < least) {
-            best = Some((distance, candidate));
-        }
-    }
-    best.map(|(_, candidate)| candidate)
+    let candidates = candidates.into_iter();
+    let others = candidates.filter(|other| other.len() <= 4 * LONGEST_COMPARED && *other != name);
+    let near = others.filter_map(|other| {
+        let distance = strsim::damerau_levenshtein(&folded, &fold(other));
+        let is_near = distance <= allowed && distance < other.chars().count().max(1);
+        is_near.then_some((distance, other))
+    });
+    let nearest = near.min_by_key(|(distance, _)| *distance);
+    nearest.map(|(_, candidate)| candidate)
 }
 
 fn fold(name: &str) -> String {
@@ -64,19 +61,15 @@ pub(crate) fn one_line(text: &str) -> String {
 #[must_use]
 pub fn listed<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
     const MOST_LISTED: usize = 12;
-    let names: Vec<&str> = names.into_iter().collect();
-    let mut shown: Vec<String> = names
-        .iter()
-        .take(MOST_LISTED)
-        .map(|name| quoted(name))
-        .collect();
-    if names.len() > MOST_LISTED {
+    let mut names = names.into_iter();
+    let mut shown: Vec<String> = names.by_ref().take(MOST_LISTED).map(quoted).collect();
+    if names.next().is_some() {
         shown.push("…".to_owned());
     }
-    if shown.is_empty() {
-        return "none".to_owned();
+    match shown.is_empty() {
+        true => "none".to_owned(),
+        false => shown.join(", "),
     }
-    shown.join(", ")
 }
 
 #[cfg(test)]

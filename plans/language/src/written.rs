@@ -201,8 +201,7 @@ fn check_defaults(
     };
     let operators = steps.iter().filter_map(operator);
     let known: BTreeSet<&str> = operators.flat_map(OperatorSpec::parameter_names).collect();
-    let is_own = |default: &&Entry| default.place.position().source == 0;
-    for default in defaults.iter().filter(is_own) {
+    for default in defaults.iter().filter(|default| default.is_own()) {
         if !known.contains(default.key.as_str()) {
             let name = quoted(&default.key);
             let message = format!("`defaults` sets {name}, which is a parameter of no step");

@@ -181,11 +181,13 @@ impl Wave {
         fault.next("look at the executors' logs, or allow more with --deadline-s, then run again: what was computed is kept")
     }
 
+    fn ended(&self, unit: usize, outcome: Result<Box<Receipt>, Fault>) {
+        let _ = self.outcomes.send((unit, Report::Ended(outcome)));
+    }
+
     fn give_up(&self, missing: Missing, fault: &Fault) {
         for (index, _) in missing {
-            let _ = self
-                .outcomes
-                .send((index, Report::Ended(Err(fault.clone()))));
+            self.ended(index, Err(fault.clone()));
         }
     }
 
@@ -278,7 +280,7 @@ impl Wave {
         }
         for (unit, fault) in failures(answer).await.map_err(Lost::Job)? {
             if missing.remove(&unit).is_some() {
-                let _ = self.outcomes.send((unit, Report::Ended(Err(fault))));
+                self.ended(unit, Err(fault));
             }
         }
         match job.units.iter().any(|unit| missing.contains_key(unit)) {
@@ -307,9 +309,7 @@ impl Wave {
         for (index, receipt) in found.await?.into_iter().flatten() {
             *progress = Instant::now();
             missing.remove(&index);
-            let _ = self
-                .outcomes
-                .send((index, Report::Ended(Ok(Box::new(receipt)))));
+            self.ended(index, Ok(Box::new(receipt)));
         }
         Ok(())
     }

@@ -2,7 +2,7 @@
 //! and the logs of its sessions as schemas of their names.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use async_trait::async_trait;
 use datafusion::catalog::{CatalogProvider, SchemaProvider, TableProvider};
@@ -10,6 +10,7 @@ use datafusion::error::Result;
 use tokio::sync::OnceCell;
 
 use crate::error::external;
+use crate::locked::locked;
 use crate::map::tables::Tables;
 
 /// The schemas of a map.
@@ -33,7 +34,7 @@ impl Catalog {
     }
 
     fn version(&self, number: u64) -> Arc<VersionTables> {
-        let mut versions = self.versions.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut versions = locked(&self.versions);
         let version = versions.entry(number).or_insert_with(|| {
             Arc::new(VersionTables {
                 number,

@@ -3,12 +3,13 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use arrow::datatypes::{FieldRef, Schema, SchemaRef};
+use arrow::datatypes::SchemaRef;
 use datafusion::common::TableReference;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::SessionContext;
 use evermap_schemas::Fault;
 
+use crate::conform::with_metadata;
 use crate::map::catalog::tables_of;
 use crate::sql::described::{Origin, described, origin};
 use crate::sql::table_of;
@@ -50,11 +51,8 @@ pub async fn of_answer(
         let (_, column) = table.fields().find(found.column.name())?;
         Some(Arc::clone(column))
     });
-    let columns = coming.fields().iter().zip(described.fields());
-    let columns = columns.map(|(column, described)| {
-        let metadata = described.metadata().clone();
-        Arc::new(column.as_ref().clone().with_metadata(metadata))
-    });
-    let columns: Vec<FieldRef> = columns.collect();
-    Arc::new(Schema::new(columns))
+    with_metadata(coming, |index, _| {
+        let described = described.fields().get(index);
+        described.map_or_else(HashMap::new, |column| column.metadata().clone())
+    })
 }

@@ -19,6 +19,7 @@ use crate::conform::conform;
 use crate::error::OrFault;
 use crate::map::Map;
 use crate::map::diff::row_digest::RowDigest;
+use crate::map::table_function::quoted;
 use crate::map::tables::Tables;
 use crate::sql::beside;
 
@@ -26,6 +27,7 @@ pub use function::{DiffFunction, documentation};
 
 record! {
     /// What became of one layer between two versions.
+    #[derive(Default)]
     #[layer("changes", key(layer))]
     pub struct LayerDiff {
         /// Layer.
@@ -80,12 +82,9 @@ impl Comparison {
 
     /// The layers of either version, ascending.
     pub fn layers(&self) -> BTreeSet<String> {
-        let published = |tables: &Tables| {
-            let layers = tables.map().layers().into_iter();
-            layers.map(|info| info.layer).collect::<Vec<_>>()
-        };
-        let before = published(&self.before).into_iter();
-        before.chain(published(&self.after)).collect()
+        let both = [&self.before, &self.after].into_iter();
+        let published = both.flat_map(|tables| tables.map.version.published());
+        published.map(|(name, _)| name.clone()).collect()
     }
 
     /// The rows of a layer in either version: their key, all columns where the layer has none; `change`: `added`,
@@ -128,7 +127,7 @@ impl Comparison {
     /// As [`Comparison::rows`].
     pub async fn summary(&self, layer: &str) -> Result<LayerDiff, Fault> {
         let stored = |tables: &Tables| {
-            let layer = tables.map().published(layer);
+            let layer = tables.map.published(layer);
             layer.map(|layer| (layer.digest(), layer.rows()))
         };
         let (before, after) = (stored(&self.before), stored(&self.after));
@@ -137,13 +136,8 @@ impl Comparison {
         {
             return Ok(LayerDiff {
                 layer: layer.to_owned(),
-                added: 0,
-                removed: 0,
-                changed: 0,
                 same,
-                median_moved_m: None,
-                max_moved_m: None,
-                max_moved_rad: None,
+                ..LayerDiff::default()
             });
         }
         let rows_of_layer = self.rows(layer).await?.into_view();
@@ -297,10 +291,6 @@ impl Compared {
              FROM (SELECT {columns} FROM {table})"
         )
     }
-}
-
-fn quoted(name: &str) -> String {
-    format!("\"{}\"", name.replace('"', "\"\""))
 }
 
 fn is_pose(field: &Field) -> bool {

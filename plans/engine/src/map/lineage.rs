@@ -15,12 +15,13 @@ use evermap_schemas::{Fault, batch, record};
 use crate::map::Map;
 use crate::map::receipt::{Artifact, Extent, LogContent, Receipt};
 use crate::map::store::each;
-use crate::map::table_function::{text, waited};
+use crate::map::table_function::{quoted, text, waited};
 use crate::map::version::MappedSession;
 use crate::program::{Stage, Task};
 
 record! {
     /// What one unit made, or one table of a session's log.
+    #[derive(Default)]
     #[layer("lineage", key(entry))]
     pub struct Origin {
         /// Its number; those of the layer that is asked for come first.
@@ -210,17 +211,12 @@ impl Found {
 
     fn rows(&mut self, name: &str, artifact: &Artifact) -> (u32, bool) {
         self.number(Origin {
-            entry: 0,
-            made_from: Vec::new(),
             name: name.to_owned(),
-            computed: Vec::new(),
             site: artifact.extent.site.clone(),
             session: artifact.extent.session.clone(),
             rows: Some(artifact.rows),
             content: artifact.content.clone(),
-            topics: Vec::new(),
-            files: Vec::new(),
-            messages: None,
+            ..Origin::default()
         })
     }
 
@@ -234,20 +230,16 @@ impl Found {
         };
         let files = mapped.into_iter().flat_map(|manifest| &manifest.sessions);
         let files = files.flat_map(|session| &session.files);
-        let quoted = |name: &str| format!("\"{}\"", name.replace('"', "\"\""));
         let (session, table) = (quoted(&log.session), quoted(source));
         let (number, _) = self.number(Origin {
-            entry: 0,
-            made_from: Vec::new(),
             name: source.to_owned(),
-            computed: Vec::new(),
             site: Some(log.site.clone()),
             session: Some(log.session.clone()),
-            rows: None,
             content: log.content.clone(),
             topics,
             files: files.map(|file| last_segment(file).to_owned()).collect(),
             messages: Some(format!("SELECT * FROM {session}.{table}")),
+            ..Origin::default()
         });
         Some(number)
     }
@@ -300,10 +292,7 @@ fn computed(stage: &Stage) -> String {
     match &stage.task {
         Task::Op { op, version, .. } => format!("{name}: {op} {version}"),
         Task::Sql { .. } => format!("{name}: query"),
-        Task::Python(python) => {
-            let function = &python.function;
-            format!("{name}: {}:{}", function.file, function.function)
-        }
+        Task::Python(python) => format!("{name}: {}", python.function.label()),
     }
 }
 

@@ -1,7 +1,7 @@
 //! Files of a map in a local folder, as they must be written to outlive a power failure: whole and synced before they
 //! have their name, and their name synced before another file may mention it.
 
-use std::fs::File;
+use std::fs::{DirEntry, File};
 use std::io::{ErrorKind, Result, Write};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -36,17 +36,17 @@ impl Folder {
         self.root.join(name)
     }
 
-    /// Does something with files off the async threads.
+    /// Does something with the file of a name off the async threads.
     ///
     /// # Errors
     /// A resource fault with what went wrong at which name; a data fault where something else stands in the place of a file.
     pub async fn with<T: Send + 'static>(
         &self,
         name: &str,
-        work: impl FnOnce(&Self) -> Result<T> + Send + 'static,
+        work: impl FnOnce(&Self, &str) -> Result<T> + Send + 'static,
     ) -> std::result::Result<T, Fault> {
-        let folder = self.clone();
-        let done = tokio::task::spawn_blocking(move || work(&folder)).await;
+        let (folder, owned) = (self.clone(), name.to_owned());
+        let done = tokio::task::spawn_blocking(move || work(&folder, &owned)).await;
         let done = done.map_err(std::io::Error::other).flatten();
         done.map_err(|error| {
             let path = self.path(name).display().to_string();
@@ -161,13 +161,9 @@ impl Folder {
     /// # Errors
     /// What the file system says.
     pub fn names(&self, folder: &str) -> Result<Vec<String>> {
-        let entries = match std::fs::read_dir(self.path(folder)) {
-            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
-            entries => entries?,
-        };
-        entries
-            .map(|entry| Ok(format!("{folder}/{}", entry?.file_name().display())))
-            .collect()
+        let name = |entry: DirEntry| format!("{folder}/{}", entry.file_name().display());
+        let entries = entries(&self.path(folder))?.into_iter();
+        Ok(entries.map(name).collect())
     }
 
     /// The files on their way that have not changed since, with their sizes, sorted.
@@ -175,13 +171,8 @@ impl Folder {
     /// # Errors
     /// What the file system says.
     pub fn temporary(&self, since: SystemTime) -> Result<Vec<(String, u64)>> {
-        let entries = match std::fs::read_dir(self.path(TEMPORARY)) {
-            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
-            entries => entries?,
-        };
         let mut files = Vec::new();
-        for entry in entries {
-            let entry = entry?;
+        for entry in entries(&self.path(TEMPORARY))? {
             // It may have its lasting name by now.
             if let Ok(meta) = entry.metadata()
                 && meta.modified()? <= since
@@ -226,6 +217,17 @@ fn replace(from: &Path, to: &Path) -> Result<()> {
             std::fs::rename(from, to)
         }
         renamed => renamed,
+    }
+}
+
+/// What is in a folder; nothing where there is none.
+///
+/// # Errors
+/// What the file system says.
+pub fn entries(folder: &Path) -> Result<Vec<DirEntry>> {
+    match std::fs::read_dir(folder) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(Vec::new()),
+        entries => entries?.collect(),
     }
 }
 
@@ -275,7 +277,7 @@ fn sync(path: &Path) -> Result<()> {
 /// Syncs the names in a file's folder, where folders can be synced.
 fn sync_parent(path: &Path) -> Result<()> {
     match sync(parent(path)) {
-        Err(error) if cfg!(unix) && error.kind() != ErrorKind::InvalidInput => Err(error),
+        Err(error) if error.kind() != ErrorKind::InvalidInput => Err(error),
         _ => {
             tracing::trace!(path = %path.display(), "named");
             Ok(())

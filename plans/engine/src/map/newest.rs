@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use evermap_schemas::Fault;
 
-use crate::map::local::Folder;
+use crate::map::local::{Folder, entries};
 use crate::map::receipt::Artifact;
 use crate::map::store::Store;
 use crate::map::version::Version;
@@ -39,7 +39,7 @@ pub async fn link(store: &Store, version: &Version) {
     });
     let (files, number) = (files.collect(), version.version);
     let linked: std::result::Result<(), Fault> = folder
-        .with(NEWEST, move |folder| link_all(folder, number, &files))
+        .with(NEWEST, move |folder, _| link_all(folder, number, &files))
         .await;
     if let Err(fault) = linked {
         tracing::warn!("no links to the files of version {number}: {fault}");
@@ -53,7 +53,8 @@ pub async fn link(store: &Store, version: &Version) {
 pub async fn forget_before(store: &Store, version: u64) -> std::result::Result<(), Fault> {
     match &store.folder {
         Some(folder) => {
-            let forget = move |folder: &Folder| remove_before(&folder.path(LINKS), version);
+            let forget =
+                move |folder: &Folder, links: &str| remove_before(&folder.path(links), version);
             folder.with(LINKS, forget).await
         }
         None => Ok(()),
@@ -98,12 +99,8 @@ fn number(path: &Path) -> Option<u64> {
 }
 
 fn remove_before(links: &Path, version: u64) -> Result<()> {
-    let entries = match std::fs::read_dir(links) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
-        entries => entries?,
-    };
-    for entry in entries {
-        let path = entry?.path();
+    for entry in entries(links)? {
+        let path = entry.path();
         if number(&path).is_some_and(|linked| linked < version) {
             remove(&path)?;
         }

@@ -167,12 +167,7 @@ impl Map {
     /// As [`Map::rows`].
     pub async fn batches(&self, layer: &str) -> Result<Vec<RecordBatch>, Fault> {
         self.published(layer).ok_or_else(|| {
-            let known: Vec<_> = self
-                .version
-                .published()
-                .map(|(name, _)| name.as_str())
-                .collect();
-            let known = known.join(", ");
+            let known = self.version.published_names().join(", ");
             Fault::user(format!("no layer {layer} in this map; there are {known}"))
         })?;
         let rows = self.checked(layer).await?;

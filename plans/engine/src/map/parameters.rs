@@ -5,7 +5,6 @@ use serde_json::Value;
 
 use crate::map::Map;
 use crate::map::receipt::{Extent, Receipt};
-use crate::program::{Stage, Task};
 
 impl Map {
     /// The value that a parameter had in the steps that made what a site has, the first layer's by name whose operator has
@@ -24,18 +23,10 @@ impl Map {
                 continue;
             };
             let mut stages = receipt.recipe.stages.iter();
-            if let Some(value) = stages.find_map(|stage| given(stage, name)) {
+            if let Some(value) = stages.find_map(|stage| stage.params()?.get(name)) {
                 return Ok(Some(value.clone()));
             }
         }
         Ok(None)
-    }
-}
-
-/// The value of a parameter of a stage.
-fn given<'s>(stage: &'s Stage, name: &str) -> Option<&'s Value> {
-    match &stage.task {
-        Task::Op { params, .. } => params.get(name),
-        Task::Sql { .. } | Task::Python(_) => None,
     }
 }

@@ -191,6 +191,13 @@ impl Recipe {
         if with_then == *then { with_then } else { self }
     }
 
+    /// All stored rows that are read.
+    pub fn artifacts(&self) -> impl Iterator<Item = &Artifact> {
+        let layers = self.previous.values().chain(self.new.values());
+        let layers = layers.flat_map(|layer| &layer.artifacts);
+        self.tables.values().flatten().chain(layers)
+    }
+
     /// Whether artifacts are written today as they were when it was noted.
     pub fn is_of_today(&self) -> bool {
         self.format == FORMAT

@@ -5,7 +5,7 @@
 //! itself writes was hashed on its way out; the next run reads it back once.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 
 use chrono::{DateTime, Utc};
 use evermap_schemas::{Fault, Kind};
@@ -13,6 +13,7 @@ use object_store::ObjectMeta;
 use object_store::path::Path as ObjectPath;
 
 use crate::fingerprint::FileState;
+use crate::locked::locked;
 use crate::map::damage::{Damage, is_whole};
 use crate::map::receipt::{ARTIFACTS, Artifact, Receipt};
 use crate::map::store::{Store, each};
@@ -51,10 +52,6 @@ impl Known {
             }
         }
     }
-}
-
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl<'s> Sound<'s> {
@@ -239,17 +236,17 @@ impl<'s> Sound<'s> {
     /// # Errors
     /// As [`Sound::load`] and [`Sound::remember`].
     pub async fn forget_all_but(store: &'s Store, needed: &BTreeSet<String>) -> Result<(), Fault> {
-        let mut sound = Self::load(store).await?;
-        let states = sound
-            .states
-            .get_mut()
-            .unwrap_or_else(PoisonError::into_inner);
-        let before = states.len();
-        states.retain(|content, _| needed.contains(&Artifact::name_of(content)));
-        if states.len() < before {
-            sound.remember().await?;
+        let sound = Self::load(store).await?;
+        let forgotten = {
+            let mut states = locked(&sound.states);
+            let before = states.len();
+            states.retain(|content, _| needed.contains(&Artifact::name_of(content)));
+            states.len() < before
+        };
+        match forgotten {
+            true => sound.remember().await,
+            false => Ok(()),
         }
-        Ok(())
     }
 }
 

@@ -123,13 +123,10 @@ impl Store {
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn no_file(&self, name: &str) -> Result<Option<&'static str>, Fault> {
-        let Some(folder) = &self.folder else {
-            return Ok(None);
-        };
-        let owned = name.to_owned();
-        folder
-            .with(name, move |folder| folder.no_file(&owned))
-            .await
+        match &self.folder {
+            Some(folder) => folder.with(name, Folder::no_file).await,
+            None => Ok(None),
+        }
     }
 
     /// The JSON at a name; `None` where there is none.
@@ -151,8 +148,7 @@ impl Store {
     /// A resource fault when the store does not answer, a data fault for what is no file.
     pub async fn read(&self, name: &str) -> Result<Option<Bytes>, Fault> {
         if let Some(folder) = &self.folder {
-            let owned = name.to_owned();
-            let read = folder.with(name, move |folder| folder.read(&owned)).await?;
+            let read = folder.with(name, Folder::read).await?;
             return Ok(read.map(Bytes::from));
         }
         let path = self.path(name);
@@ -167,10 +163,8 @@ impl Store {
     /// A resource fault when the store does not take it.
     pub async fn write(&self, name: &str, bytes: Vec<u8>) -> Result<(), Fault> {
         if let Some(folder) = &self.folder {
-            let owned = name.to_owned();
-            return folder
-                .with(name, move |folder| folder.put(&owned, &bytes))
-                .await;
+            let put = move |folder: &Folder, name: &str| folder.put(name, &bytes);
+            return folder.with(name, put).await;
         }
         let put = self.store.put(&self.path(name), bytes.into()).await;
         put.map(drop).map_err(|error| store_fault(&error, name))
@@ -192,8 +186,8 @@ impl Store {
         let Some(folder) = &self.folder else {
             return self.write_json(name, value).await;
         };
-        let (owned, bytes) = (name.to_owned(), json_bytes(value)?);
-        let cache = move |folder: &Folder| folder.cache(&owned, &bytes);
+        let bytes = json_bytes(value)?;
+        let cache = move |folder: &Folder, name: &str| folder.cache(name, &bytes);
         folder.with(name, cache).await
     }
 
@@ -205,10 +199,8 @@ impl Store {
     pub async fn create_json<T: Serialize>(&self, name: &str, value: &T) -> Result<bool, Fault> {
         let (path, bytes) = (self.path(name), json_bytes(value)?);
         if let Some(folder) = &self.folder {
-            let owned = name.to_owned();
-            return folder
-                .with(name, move |folder| folder.create(&owned, &bytes))
-                .await;
+            let create = move |folder: &Folder, name: &str| folder.create(name, &bytes);
+            return folder.with(name, create).await;
         }
         let bytes = Bytes::from(bytes);
         let mut tries = 1;
@@ -234,10 +226,9 @@ impl Store {
     /// A resource fault when the store does not do it.
     pub async fn settle(&self, from: &str, to: &str) -> Result<(), Fault> {
         if let Some(folder) = &self.folder {
-            let (from, owned) = (from.to_owned(), to.to_owned());
-            return folder
-                .with(to, move |folder| folder.settle(&from, &owned))
-                .await;
+            let from = from.to_owned();
+            let settle = move |folder: &Folder, to: &str| folder.settle(&from, to);
+            return folder.with(to, settle).await;
         }
         let copied = self.store.copy(&self.path(from), &self.path(to)).await;
         copied.map_err(|error| store_fault(&error, to))?;
@@ -254,8 +245,7 @@ impl Store {
     /// A resource fault when the store does not do it.
     pub async fn remove(&self, name: &str) -> Result<(), Fault> {
         if let Some(folder) = &self.folder {
-            let owned = name.to_owned();
-            return folder.with(name, move |folder| folder.remove(&owned)).await;
+            return folder.with(name, Folder::remove).await;
         }
         let path = self.path(name);
         there(answered(|| self.store.delete(&path)).await, name).map(drop)
@@ -276,7 +266,7 @@ impl Store {
     pub async fn temporary(&self, rested: Duration) -> Result<Vec<(String, u64)>, Fault> {
         let before = SystemTime::now() - rested;
         if let Some(folder) = &self.folder {
-            let list = move |folder: &Folder| folder.temporary(before);
+            let list = move |folder: &Folder, _: &str| folder.temporary(before);
             return folder.with(TEMPORARY, list).await;
         }
         let mut found = self.objects_in(TEMPORARY).await?;
@@ -298,8 +288,7 @@ impl Store {
     /// A resource fault when the store does not answer.
     pub async fn names(&self, folder: &str) -> Result<Vec<String>, Fault> {
         if let Some(local) = &self.folder {
-            let owned = folder.to_owned();
-            return local.with(folder, move |local| local.names(&owned)).await;
+            return local.with(folder, Folder::names).await;
         }
         let listed = self.list(folder).await?.into_iter();
         Ok(listed.map(|(name, _)| name).collect())

@@ -29,7 +29,8 @@ use crate::sql::described::described;
 
 /// The tables of a map: its published layers, and what it says of itself.
 pub struct Tables {
-    map: Map,
+    /// The map.
+    pub map: Map,
     /// The operators that may have made its layers.
     registry: Registry,
     /// Opens tables; it has none itself.
@@ -84,11 +85,6 @@ impl Tables {
             reading,
             map,
         }
-    }
-
-    /// The map.
-    pub fn map(&self) -> &Map {
-        &self.map
     }
 
     /// The log of a session of the map.
@@ -225,12 +221,7 @@ impl Tables {
             None => None,
         };
         let Some(described) = described else {
-            let names: Vec<&str> = self
-                .map
-                .version
-                .published()
-                .map(|(name, _)| name.as_str())
-                .collect();
+            let names = self.map.version.published_names();
             let meant = nearest(layer, names.iter().copied());
             let meant = meant.map_or_else(String::new, |name| format!("; did you mean `{name}`?"));
             let fault = format!("the map has no layer `{layer}`{meant}");

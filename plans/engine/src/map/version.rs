@@ -209,6 +209,12 @@ impl Version {
         self.layers.iter().filter(|(_, layer)| layer.published)
     }
 
+    /// Their names.
+    pub fn published_names(&self) -> Vec<&str> {
+        let published = self.published();
+        published.map(|(name, _)| name.as_str()).collect()
+    }
+
     /// Whether another version has the same sessions, plan and rows.
     pub fn same_content(&self, other: &Self) -> bool {
         self.plan == other.plan && self.sessions == other.sessions && self.layers == other.layers

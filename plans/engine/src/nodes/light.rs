@@ -7,7 +7,7 @@
 //! a batch has depends on the rows alone, never on the memory there is, as results may depend on it.
 
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use arrow::array::{
@@ -31,7 +31,8 @@ use datafusion::physical_plan::streaming::{PartitionStream, StreamingTableExec};
 use datafusion::physical_plan::{ExecutionPlan, ExecutionPlanProperties};
 use futures::{Stream, StreamExt, TryStreamExt};
 
-use crate::nodes::node::{Duty, Need, Node, first};
+use crate::locked::locked;
+use crate::nodes::node::{Duty, Node, first};
 use crate::nodes::spared::spared;
 use crate::nodes::weight::bytes;
 
@@ -127,10 +128,6 @@ fn light_scan(plan: &Arc<dyn ExecutionPlan>, most: usize) -> Option<Arc<dyn Exec
 impl Duty for Sorting {
     const NAME: &'static str = "LightSortExec";
     type Shared = ();
-
-    fn needs(&self) -> Vec<Need> {
-        vec![Need::any()]
-    }
 
     fn output(
         &self,
@@ -262,15 +259,7 @@ fn pieces(batch: &RecordBatch) -> Vec<Result<RecordBatch>> {
     let starts = (0..rows).step_by(each);
     let piece = |start: usize| {
         let places = UInt32Array::from_iter_values(start as u32..(start + each).min(rows) as u32);
-        let piece = take_record_batch(batch, &places)?;
-        let columns = piece.columns().iter().map(compact);
-        let columns = columns.collect::<Result<_>>()?;
-        let rows = RecordBatchOptions::new().with_row_count(Some(piece.num_rows()));
-        Ok(RecordBatch::try_new_with_options(
-            piece.schema(),
-            columns,
-            &rows,
-        )?)
+        compacted(&take_record_batch(batch, &places)?)
     };
     starts.map(piece).collect()
 }
@@ -293,11 +282,7 @@ impl PartitionStream for Once {
     }
 
     fn execute(&self, _: Arc<TaskContext>) -> SendableRecordBatchStream {
-        let rows = self
-            .rows
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .take();
+        let rows = locked(&self.rows).take();
         rows.unwrap_or_else(|| {
             let none = futures::stream::empty();
             Box::pin(RecordBatchStreamAdapter::new(

@@ -23,9 +23,7 @@ use datafusion::physical_plan::{
 /// How the rows of a child are dealt out to partitions.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Deal {
-    /// As they come.
-    Any,
-    /// Rows with equal values in these columns together.
+    /// Rows with equal values in these columns together; as they come, where there are none.
     ByKey(&'static [&'static str]),
     /// All together.
     Single,
@@ -46,7 +44,7 @@ impl Need {
     /// Rows as they come, in no order, from as many partitions as there are.
     pub fn any() -> Self {
         Self {
-            deal: Deal::Any,
+            deal: Deal::ByKey(&[]),
             sorting: Vec::new(),
             parallel: false,
         }
@@ -62,18 +60,16 @@ impl Need {
     }
 
     fn distribution(&self, schema: &Schema) -> Distribution {
-        let key: Vec<Arc<dyn PhysicalExpr>> = match &self.deal {
-            Deal::Single => return Distribution::SinglePartition,
-            Deal::Any => Vec::new(),
-            Deal::ByKey(columns) => columns
-                .iter()
-                .filter_map(|name| Some(Arc::new(Column::new_with_schema(name, schema).ok()?) as _))
-                .collect(),
+        let Deal::ByKey(columns) = &self.deal else {
+            return Distribution::SinglePartition;
         };
-        if key.is_empty() {
-            Distribution::UnspecifiedDistribution
-        } else {
-            Distribution::KeyPartitioned(key)
+        let column = |name: &&str| -> Option<Arc<dyn PhysicalExpr>> {
+            Some(Arc::new(Column::new_with_schema(name, schema).ok()?))
+        };
+        let key: Vec<Arc<dyn PhysicalExpr>> = columns.iter().filter_map(column).collect();
+        match key.is_empty() {
+            true => Distribution::UnspecifiedDistribution,
+            false => Distribution::KeyPartitioned(key),
         }
     }
 }
@@ -101,8 +97,10 @@ pub trait Duty: fmt::Display + Send + Sync + Sized + 'static {
     /// What the partitions of a running node share.
     type Shared: Default + Send + Sync;
 
-    /// How the rows of each child must come.
-    fn needs(&self) -> Vec<Need>;
+    /// How the rows of each child must come; those of an only child as they do, where nothing else is said.
+    fn needs(&self) -> Vec<Need> {
+        vec![Need::any()]
+    }
 
     /// What comes out, given the children: columns, what is known of their order, partitions.
     ///

@@ -15,7 +15,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use arrow::array::RecordBatch;
 use datafusion::common::utils::memory::get_record_batch_memory_size;
@@ -38,6 +38,7 @@ use tokio::sync::{mpsc, oneshot};
 
 use crate::conform::{beside, conform};
 use crate::error::{OrFault, external};
+use crate::locked::locked;
 use crate::nodes::node::{Deal, Duty, Need, Node, first};
 
 /// Batches waiting on either side of a kernel.
@@ -106,10 +107,7 @@ impl Duty for Operator {
 
     fn needs(&self) -> Vec<Need> {
         let driving = Need {
-            deal: match self.driving.group {
-                [] => Deal::Any,
-                columns => Deal::ByKey(columns),
-            },
+            deal: Deal::ByKey(self.driving.group),
             sorting: self.driving.sorting.clone(),
             // Rows with images were dealt out before the images were fetched.
             parallel: self.driving.port.pixels.is_none(),
@@ -336,8 +334,7 @@ impl Outlet {
             (done, emitted, losses)
         });
         timer.done();
-        let held = self.operator.losses.lock();
-        held.unwrap_or_else(PoisonError::into_inner).merge(&losses);
+        locked(&self.operator.losses).merge(&losses);
         done?;
         emitted.into_iter().try_for_each(|batch| {
             let batch = batch.record_output(&self.metrics);

@@ -1,7 +1,7 @@
 //! The plan node that fetches images: references become image bytes just before a kernel that asks for them.
 
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use arrow::array::{BinaryBuilder, RecordBatch};
 use arrow::datatypes::{DataType, Field, Schema};
@@ -20,6 +20,7 @@ use futures::{StreamExt, TryStreamExt};
 
 use crate::conform::{beside, convert};
 use crate::error::{OrFault, external};
+use crate::locked::locked;
 use crate::nodes::node::{Duty, Need, Node, first};
 use crate::nodes::raw::as_file;
 
@@ -168,10 +169,7 @@ impl Fetcher {
                 Err(reason) => {
                     self.failures.add(1);
                     let reason = self.named(image, &reason).await;
-                    let losses = self.fetching.losses.lock();
-                    losses
-                        .unwrap_or_else(PoisonError::into_inner)
-                        .add(reason, 1);
+                    locked(&self.fetching.losses).add(reason, 1);
                     bytes.append_null();
                 }
             }

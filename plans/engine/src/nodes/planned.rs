@@ -13,14 +13,7 @@ use datafusion::physical_plan::ExecutionPlan;
 use datafusion::physical_plan::projection::ProjectionExec;
 
 /// The rows of a plan node.
-pub struct PlannedTable(Arc<dyn ExecutionPlan>);
-
-impl PlannedTable {
-    /// The rows of `plan`.
-    pub fn new(plan: Arc<dyn ExecutionPlan>) -> Self {
-        Self(plan)
-    }
-}
+pub struct PlannedTable(pub Arc<dyn ExecutionPlan>);
 
 impl fmt::Debug for PlannedTable {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -74,7 +67,7 @@ mod tests {
         written.unwrap();
         let stored = context.read_parquet(file, ParquetReadOptions::default());
         let plan = stored.await.unwrap().create_physical_plan().await.unwrap();
-        let table = Arc::new(PlannedTable::new(plan));
+        let table = Arc::new(PlannedTable(plan));
         context.register_table("numbers", table).unwrap();
         let twice = "SELECT n FROM numbers UNION ALL SELECT n + 10 FROM numbers";
         let rows = context.sql(twice).await.unwrap().collect().await.unwrap();

@@ -1,7 +1,7 @@
 //! The plan node that runs a function in Python, whose tables leave this process and whose rows come back.
 
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
@@ -22,6 +22,7 @@ use tokio::sync::mpsc;
 
 use crate::conform::conform_to;
 use crate::error::{OrFault, external};
+use crate::locked::locked;
 use crate::nodes::node::{Duty, Need, Node};
 use crate::program::python::PythonTask;
 
@@ -158,11 +159,8 @@ impl Python {
     pub fn made(&self, tables: &[Table]) -> Result<Vec<RecordBatch>, Fault> {
         let function = &self.task.function;
         let mut made = function.call(&self.task.environment, tables)?;
-        let losses = self.losses.lock();
         let skipped = Losses(std::mem::take(&mut made.skipped));
-        losses
-            .unwrap_or_else(PoisonError::into_inner)
-            .merge(&skipped);
+        locked(&self.losses).merge(&skipped);
         // What has no rows has columns still.
         made.rows
             .batches

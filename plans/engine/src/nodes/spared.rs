@@ -24,7 +24,7 @@ use datafusion::physical_plan::{
 use datafusion::scalar::ScalarValue;
 use futures::{StreamExt, TryStreamExt, stream};
 
-use crate::nodes::node::{Duty, Need, Node, first};
+use crate::nodes::node::{Duty, Node, first};
 use crate::nodes::weight::bytes;
 
 /// Bytes that are made of a batch, unless it is of a single row.
@@ -128,10 +128,6 @@ impl fmt::Display for Sparing {
 impl Duty for Sparing {
     const NAME: &'static str = "SpareExec";
     type Shared = ();
-
-    fn needs(&self) -> Vec<Need> {
-        vec![Need::any()]
-    }
 
     fn output(
         &self,

@@ -7,18 +7,15 @@ use evermap_datasets::session::DEFAULT_SITE;
 use evermap_language::{listed, nearest};
 use serde_json::Value;
 
-use crate::program::{Program, Task};
+use crate::program::Program;
 
 /// The parameter of steps that says where places lie on earth that somebody surveyed, by site.
 const ORIGINS: &str = "origins";
 
 /// The sites whose place on earth a program is given.
 pub(super) fn surveyed(program: &Program) -> BTreeSet<&str> {
-    let params = program.stages.iter().filter_map(|stage| match &stage.task {
-        Task::Op { params, .. } => params.get(ORIGINS).and_then(Value::as_object),
-        Task::Sql { .. } | Task::Python(_) => None,
-    });
-    let sites = params.flat_map(|origins| origins.keys().map(String::as_str));
+    let given = program.given(ORIGINS).filter_map(Value::as_object);
+    let sites = given.flat_map(|origins| origins.keys().map(String::as_str));
     sites.collect()
 }
 

@@ -12,6 +12,7 @@ use evermap_schemas::{Cell, ImageRef, layers};
 use serde_json::Value;
 
 use crate::conform::{bare, declared, misfits};
+use crate::error::without_kind;
 use crate::program::locality::is_local;
 use crate::program::python::PythonTask;
 use crate::program::query::Query;
@@ -216,7 +217,8 @@ impl<'a> Compiler<'a> {
     }
 
     async fn check_port(&mut self, step: &Step, entry: &Entry, port: &str, input: &Input) {
-        let (Some(port), Some(schema)) = (entry.port(port), self.schema_of(input).await) else {
+        let schema = sql::schema_of(self.context, input).await;
+        let (Some(port), Some(schema)) = (entry.port(port), schema) else {
             return;
         };
         for misfit in misfits(&schema, &port.layer) {
@@ -229,11 +231,6 @@ impl<'a> Compiler<'a> {
             );
             self.fault(step, text);
         }
-    }
-
-    async fn schema_of(&self, input: &Input) -> Option<SchemaRef> {
-        let table = self.context.table_provider(sql::reference(input)).await;
-        table.ok().map(|table| table.schema())
     }
 
     fn add_operator(&mut self, step: &Step, entry: &Entry, params: Value) {
@@ -286,7 +283,7 @@ impl<'a> Compiler<'a> {
 
     async fn python(&mut self, step: &Step, python: &PythonStep) -> Option<SchemaRef> {
         for (port, column) in &python.pixels {
-            let schema = self.schema_of(step.inputs.get(port)?).await?;
+            let schema = sql::schema_of(self.context, step.inputs.get(port)?).await?;
             let is_image = |field: &Field| *field.data_type() == ImageRef::data_type();
             if !schema.field_with_name(column).is_ok_and(is_image) {
                 let name = &step.name;
@@ -298,10 +295,7 @@ impl<'a> Compiler<'a> {
             Ok(task) if self.knows_inputs(step) => task,
             Ok(_) => return None,
             Err(fault) => {
-                let text = fault.to_string();
-                let text = text
-                    .trim_start_matches(fault.kind.code())
-                    .trim_start_matches(": ");
+                let text = without_kind(&fault);
                 self.fault(step, format!("step `{}`: {text}", step.name));
                 return None;
             }

@@ -1,8 +1,7 @@
 //! How little of the map each row of a query depends on.
 
 use datafusion::common::Column;
-use datafusion::common::tree_node::{TreeNode, TreeNodeRecursion};
-use datafusion::error::DataFusionError;
+use datafusion::common::tree_node::TreeNode;
 use datafusion::logical_expr::expr::{Exists, InSubquery};
 use datafusion::logical_expr::utils::split_conjunction;
 use datafusion::logical_expr::{BinaryExpr, Distinct, Expr, Join, LogicalPlan, Operator};
@@ -12,16 +11,8 @@ use crate::sql::as_of::AsOfJoin;
 /// Whether every row of the result depends only on rows with the same value of `column` (`session`, `site`), so that
 /// the query may run on each value's rows apart and the results be put together. Errs on the side of no.
 pub fn is_local(plan: &LogicalPlan, column: &str) -> bool {
-    let mut local = has(plan, column);
-    let walked = plan.apply(|node| {
-        local &= node_is_local(node, column);
-        Ok::<_, DataFusionError>(if local {
-            TreeNodeRecursion::Continue
-        } else {
-            TreeNodeRecursion::Stop
-        })
-    });
-    local && walked.is_ok()
+    let is_not = plan.exists(|node| Ok(!node_is_local(node, column)));
+    has(plan, column) && !is_not.unwrap_or(true)
 }
 
 fn node_is_local(node: &LogicalPlan, column: &str) -> bool {
@@ -55,7 +46,7 @@ fn node_is_local(node: &LogicalPlan, column: &str) -> bool {
         LogicalPlan::Join(join) => joins_on(join, column),
         LogicalPlan::Extension(extension) => {
             let join = extension.node.as_any().downcast_ref::<AsOfJoin>();
-            let mut keys = join.into_iter().flat_map(|join| &join.keys);
+            let mut keys = join.into_iter().flat_map(|join| &join.condition.keys);
             keys.any(|(left, right)| passes(left, column) && passes(right, column))
         }
         _ => false,
@@ -162,12 +153,7 @@ fn partitioned_by(expr: &Expr, column: &str) -> bool {
 }
 
 fn has_subquery(node: &LogicalPlan) -> bool {
-    let mut found = false;
-    let _ = node.apply_expressions(|expr| {
-        found |= contains_subquery(expr);
-        Ok::<_, DataFusionError>(TreeNodeRecursion::Continue)
-    });
-    found
+    node.expressions().iter().any(contains_subquery)
 }
 
 fn contains_subquery(expr: &Expr) -> bool {

@@ -107,13 +107,8 @@ pub struct Stage {
     /// Whether its rows are kept as artifacts.
     pub stored: bool,
     /// Whether what was made stays until something else that it reads than the version before has changed.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub once: bool,
-}
-
-#[allow(clippy::trivially_copy_pass_by_ref)] // as serde wants it
-fn is_false(value: &bool) -> bool {
-    !*value
 }
 
 impl Stage {
@@ -121,6 +116,14 @@ impl Stage {
     pub fn op(&self) -> Option<&str> {
         match &self.task {
             Task::Op { op, .. } => Some(op),
+            Task::Sql { .. } | Task::Python(_) => None,
+        }
+    }
+
+    /// The parameters of the operator; `None` for a query or a function.
+    pub fn params(&self) -> Option<&Value> {
+        match &self.task {
+            Task::Op { params, .. } => Some(params),
             Task::Sql { .. } | Task::Python(_) => None,
         }
     }
@@ -169,6 +172,12 @@ impl Program {
             }
         }
         digest_of(&(&stages, &self.write))
+    }
+
+    /// The values of a parameter, of each stage that has it.
+    pub fn given<'p>(&'p self, parameter: &str) -> impl Iterator<Item = &'p Value> {
+        let stages = self.stages.iter();
+        stages.filter_map(move |stage| stage.params()?.get(parameter))
     }
 
     /// A stage by name.

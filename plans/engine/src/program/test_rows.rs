@@ -11,7 +11,7 @@ use evermap_language::{Body, Input, Place, Plan, PlanFaults, PlanTest, Row, near
 use evermap_schemas::type_name;
 use serde_json::Value;
 
-use crate::sql;
+use crate::sql::schema_of;
 
 /// More letters of a value are not shown.
 const LONGEST_SHOWN: usize = 60;
@@ -24,7 +24,7 @@ pub async fn check_columns(plan: &Plan, context: &SessionContext, faults: &mut P
         let made = made.map(|(step, rows)| (Input::Step(step.clone()), rows));
         let given = test.given.iter().map(|(input, rows)| (input.clone(), rows));
         for (input, rows) in given.chain(made) {
-            let Some(schema) = schema_of(&input, context).await else {
+            let Some(schema) = schema_of(context, &input).await else {
                 continue;
             };
             for unknown in unknown(schema.fields(), rows) {
@@ -45,7 +45,7 @@ pub async fn check_given(
 ) {
     for test in &plan.tests {
         for (input, rows) in &test.given {
-            let Some(schema) = schema_of(input, context).await else {
+            let Some(schema) = schema_of(context, input).await else {
                 continue;
             };
             for misfit in misfits(plan, registry, test, (input, rows.as_slice()), &schema) {
@@ -54,11 +54,6 @@ pub async fn check_given(
             }
         }
     }
-}
-
-async fn schema_of(input: &Input, context: &SessionContext) -> Option<SchemaRef> {
-    let table = context.table_provider(sql::reference(input)).await;
-    table.ok().map(|table| table.schema())
 }
 
 /// What keeps the rows of a table that a test gives from being of its columns, or from being read by a step that the test

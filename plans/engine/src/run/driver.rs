@@ -1,12 +1,13 @@
 //! A run at work: ready units are begun, what they leave makes others ready.
 
 use std::collections::BTreeMap;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use evermap_schemas::Fault;
 use futures::StreamExt;
 use futures::stream::SelectAll;
 
+use crate::locked::locked;
 use crate::map::damage::Damage;
 use crate::map::lease::Lease;
 use crate::map::receipt::{ARTIFACTS, RECEIPTS, Receipt};
@@ -143,10 +144,7 @@ impl<'r, 'a> Driver<'r, 'a> {
                 tracing::warn!("{damage}; {} is made anew", self.label(index));
                 // Nobody else is to take it for done.
                 self.run.store.remove(&Receipt::name(&digest)).await?;
-                self.damaged
-                    .lock()
-                    .unwrap_or_else(PoisonError::into_inner)
-                    .insert(damage.file, receipt);
+                locked(&self.damaged).insert(damage.file, receipt);
                 None
             }
             // Of equal digest: one recipe is kept, and of its stages one for all units.
@@ -170,11 +168,7 @@ impl<'r, 'a> Driver<'r, 'a> {
             .flat_map(|(_, unit)| unit.recipe.previous.values());
         let artifacts = layers.flat_map(|layer| &layer.artifacts);
         let damaged = self.sound.damages(artifacts).await?;
-        let makers = self
-            .damaged
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clone();
+        let makers = locked(&self.damaged).clone();
         let mending = Mending {
             run: self.run,
             lease: self.lease,

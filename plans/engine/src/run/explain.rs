@@ -58,10 +58,10 @@ impl Run<'_> {
                 forecasts.push(UnitForecast {
                     step: unit.place.stage.clone(),
                     unit: unit.place.label(),
-                    recompute: matches!(fate, Fate::Recomputed { .. }),
-                    why: fate.why().to_owned(),
+                    recompute: fate.kept.is_none(),
+                    why: fate.why,
                 });
-                if let Fate::Kept { artifact, .. } = fate {
+                if let Some(artifact) = fate.kept {
                     known.artifacts.insert(unit.place.clone(), artifact);
                 }
             }
@@ -71,26 +71,15 @@ impl Run<'_> {
 }
 
 /// What would become of a unit, and why.
-enum Fate {
-    /// It has rows already.
-    Kept {
-        artifact: Artifact,
-        why: &'static str,
-    },
-    /// It would be computed.
-    Recomputed { why: String },
+struct Fate {
+    /// The rows that it has already; `None` where it would be computed.
+    kept: Option<Artifact>,
+    why: String,
 }
 
 impl Fate {
-    fn recomputed(why: impl Into<String>) -> Self {
-        Self::Recomputed { why: why.into() }
-    }
-
-    fn why(&self) -> &str {
-        match self {
-            Self::Kept { why, .. } => why,
-            Self::Recomputed { why } => why,
-        }
+    fn recomputed(why: String) -> Self {
+        Self { kept: None, why }
     }
 }
 
@@ -126,7 +115,10 @@ impl Known<'_, '_> {
         if let Some((artifact, damage, why)) = self.done(unit, &digest).await? {
             return Ok(match damage {
                 Some(damage) => Fate::recomputed(damage.to_string()),
-                None => Fate::Kept { artifact, why },
+                None => Fate {
+                    kept: Some(artifact),
+                    why: why.to_owned(),
+                },
             });
         }
         Ok(Fate::recomputed(

@@ -10,7 +10,7 @@ use futures::StreamExt;
 
 use crate::map::damage::Damage;
 use crate::map::lease::Lease;
-use crate::map::receipt::{Artifact, LogContent, OTHER_FORMAT, RECEIPTS, Receipt, Recipe};
+use crate::map::receipt::{LogContent, OTHER_FORMAT, RECEIPTS, Receipt};
 use crate::map::sound::Sound;
 use crate::map::store::each;
 use crate::run::Run;
@@ -50,7 +50,7 @@ impl Mending<'_, '_> {
             let Some(maker) = makers.get(&damage.file) else {
                 return Err(lost(damage, "no receipt tells how it was made"));
             };
-            let deeper = self.sound.damages(read(&maker.recipe)).await?;
+            let deeper = self.sound.damages(maker.recipe.artifacts()).await?;
             if deeper.is_empty() {
                 self.remake(damage, maker).await?;
                 damaged.pop();
@@ -119,13 +119,6 @@ impl Mending<'_, '_> {
         let found = sessions.find(|session| session.log == *log);
         found.map(|session| session.manifest.clone())
     }
-}
-
-/// All stored rows that a recipe reads.
-fn read(recipe: &Recipe) -> impl Iterator<Item = &Artifact> {
-    let layers = recipe.previous.values().chain(recipe.new.values());
-    let layers = layers.flat_map(|layer| &layer.artifacts);
-    recipe.tables.values().flatten().chain(layers)
 }
 
 fn unlogged(damage: &Damage, log: &LogContent) -> Fault {

@@ -26,7 +26,7 @@ use datafusion::sql::sqlparser::ast::{
     Expr as SqlExpr, FunctionArg, FunctionArgExpr, Query, Spanned, TableFactor, Visit, Visitor,
 };
 
-use crate::sql::overflow::checked_operators;
+use crate::sql::overflow::CheckedOperators;
 use crate::sql::widths::check_width;
 use crate::sql::written::placed;
 
@@ -38,7 +38,6 @@ use crate::sql::written::placed;
 pub fn check_arguments(context: &SessionContext) -> Result<()> {
     let arguments = Arguments {
         functions: context.state().analyzer().function_rewrites().to_vec(),
-        operators: checked_operators(),
     };
     context.register_relation_planner(Arc::new(arguments))
 }
@@ -48,8 +47,6 @@ pub fn check_arguments(context: &SessionContext) -> Result<()> {
 struct Arguments {
     /// What is put in the place of functions.
     functions: Vec<Arc<dyn FunctionRewrite + Send + Sync>>,
-    /// What is put in the place of operators, once both sides are of one type.
-    operators: Arc<dyn FunctionRewrite + Send + Sync>,
 }
 
 impl RelationPlanner for Arguments {
@@ -95,7 +92,7 @@ impl Arguments {
         let Ok(argument) = coercing.coerce(argument, &schema) else {
             return Ok(());
         };
-        let argument = replaced(argument, &*self.operators)?;
+        let argument = replaced(argument, &CheckedOperators)?;
         let mut props = ExecutionProps::new();
         props.config_options = Some(Arc::new(options.clone()));
         let planning = PhysicalPlanningContext::default();

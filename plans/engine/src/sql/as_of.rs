@@ -23,43 +23,24 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use datafusion::common::{Column, DFSchema, Result, plan_err};
-use datafusion::execution::context::QueryPlanner;
 use datafusion::logical_expr::planner::{
     PlannedRelation, RelationPlanner, RelationPlannerContext, RelationPlanning,
 };
 use datafusion::logical_expr::type_coercion::binary::comparison_coercion;
 use datafusion::logical_expr::utils::{conjunction, split_conjunction_owned};
 use datafusion::logical_expr::{BinaryExpr, Expr, ExprSchemable, Extension, LogicalPlan, Operator};
-use datafusion::sql::parser::Statement;
 use datafusion::sql::sqlparser::ast::{
-    Expr as SqlExpr, Join, JoinConstraint, JoinOperator, ObjectName, Query, SetExpr, TableFactor,
-    TableWithJoins, VisitMut, VisitorMut,
+    Expr as SqlExpr, Join, JoinConstraint, JoinOperator, ObjectName, Query, SetExpr, Statement,
+    TableFactor, TableWithJoins, VisitMut, VisitorMut,
 };
 
-use crate::sql::as_of::condition::Matching;
-use crate::sql::as_of::node::Planner;
+use crate::sql::as_of::condition::{Condition, Matching};
 
-pub use node::AsOfJoin;
+pub use node::{AsOfJoin, Planner};
 
-/// Gives each as-of join of a statement brackets of its own: where it stands in them, `Relations` is asked to plan it.
+/// Gives each as-of join of a statement brackets of its own: where it stands in them, [`Relations`] is asked to plan it.
 pub fn bracketed(statement: &mut Statement) {
-    match statement {
-        Statement::Statement(statement) => {
-            let ControlFlow::Continue(()) = statement.visit(&mut Brackets);
-        }
-        Statement::Explain(explain) => bracketed(&mut explain.statement),
-        _ => {}
-    }
-}
-
-/// What plans the relations of queries that have as-of joins, and refuses what nobody plans.
-pub fn relations() -> Arc<dyn RelationPlanner> {
-    Arc::new(Relations)
-}
-
-/// What plans queries that have as-of joins.
-pub fn query_planner() -> Arc<dyn QueryPlanner + Send + Sync> {
-    Arc::new(Planner)
+    let ControlFlow::Continue(()) = statement.visit(&mut Brackets);
 }
 
 struct Brackets;
@@ -127,8 +108,9 @@ fn nest(table: &mut TableWithJoins, joins: Vec<Join>) {
     };
 }
 
+/// Plans the relations of queries that have as-of joins, and refuses what nobody plans.
 #[derive(Debug)]
-struct Relations;
+pub struct Relations;
 
 impl RelationPlanner for Relations {
     fn plan_relation(
@@ -238,7 +220,13 @@ fn join(
             return plan_err!("ASOF JOIN: expected ON left = right, found {found}");
         }
     }
-    AsOfJoin::new(left, right, keys, times, matching, conjunction(limits))
+    let condition = Condition {
+        keys,
+        times,
+        matching,
+        limit: conjunction(limits),
+    };
+    AsOfJoin::new(left, right, condition)
 }
 
 /// The columns of both tables.

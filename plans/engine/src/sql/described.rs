@@ -13,6 +13,8 @@ use datafusion::common::{Column, TableReference};
 use datafusion::logical_expr::logical_plan::builder::UNNAMED_TABLE;
 use datafusion::logical_expr::{Distinct, Expr, LogicalPlan, Unnest};
 
+use crate::conform::with_metadata;
+
 /// What columns say of themselves beside their types, by name: as [`evermap_schemas::Column::field`] writes it.
 pub type Notes = BTreeMap<String, BTreeMap<String, String>>;
 
@@ -30,16 +32,12 @@ pub struct Origin {
 /// The columns of a plan's rows with units and frames, as far as they are columns of tables. `known` has columns that are
 /// described elsewhere than in their table.
 pub fn described(plan: &LogicalPlan, known: impl Fn(&Origin) -> Option<FieldRef>) -> SchemaRef {
-    let fields = plan.schema().fields().iter().enumerate();
-    let fields = fields.map(|(index, field)| {
-        let metadata = origin(plan, index).map_or_else(HashMap::new, |found| {
+    with_metadata(plan.schema().as_arrow(), |index, field| {
+        origin(plan, index).map_or_else(HashMap::new, |found| {
             let column = known(&found).unwrap_or_else(|| Arc::clone(&found.column));
             of_member(&column, &found.members, field.name())
-        });
-        Arc::new(field.as_ref().clone().with_metadata(metadata))
-    });
-    let fields: Vec<FieldRef> = fields.collect();
-    Arc::new(Schema::new(fields))
+        })
+    })
 }
 
 /// What the columns of a table say of themselves, those that say anything.
@@ -55,13 +53,10 @@ pub fn notes(schema: &Schema) -> Notes {
 
 /// The columns of a table with just these notes.
 pub fn noted(schema: &Schema, notes: &Notes) -> SchemaRef {
-    let field = |field: &FieldRef| {
+    with_metadata(schema, |_, field| {
         let metadata = notes.get(field.name()).cloned().unwrap_or_default();
-        let metadata = metadata.into_iter().collect();
-        Arc::new(field.as_ref().clone().with_metadata(metadata))
-    };
-    let fields: Vec<FieldRef> = schema.fields().iter().map(field).collect();
-    Arc::new(Schema::new(fields))
+        metadata.into_iter().collect()
+    })
 }
 
 /// What is known of a column, or of the member that these names lead to, under another name.
@@ -140,20 +135,14 @@ fn of_expression(input: &LogicalPlan, expression: &Expr) -> Option<Origin> {
                 "get_field" => {
                     let mut found = of_expression(input, whole)?;
                     for argument in arguments {
-                        found.members.push(text(argument)?.to_owned());
+                        let name = argument.as_literal()?.try_as_str()??;
+                        found.members.push(name.to_owned());
                     }
                     Some(found)
                 }
                 _ => None,
             }
         }
-        _ => None,
-    }
-}
-
-fn text(expression: &Expr) -> Option<&str> {
-    match expression {
-        Expr::Literal(value, _) => value.try_as_str().flatten(),
         _ => None,
     }
 }

@@ -4,13 +4,13 @@
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
-use datafusion::sql::parser::Statement;
 use datafusion::sql::sqlparser::ast::{
-    Expr, FunctionArg, FunctionArgExpr, FunctionArguments, GroupByExpr, Ident, ObjectName, Query,
-    Select, Visit, Visitor,
+    Expr, FunctionArg, FunctionArgExpr, FunctionArguments, GroupByExpr, ObjectName, Query, Select,
+    Statement, Visit, Visitor,
 };
 use evermap_schemas::Fault;
 
+use crate::sql::named::known;
 use crate::sql::size::QUERY_WORDS;
 use crate::sql::widths::CASTS;
 
@@ -28,15 +28,8 @@ const NESTED_TYPES: usize = 64;
 /// # Errors
 /// A user fault with both numbers.
 pub fn check_expanded(statement: &Statement) -> Result<(), Fault> {
-    let statement = match statement {
-        Statement::Statement(statement) => statement,
-        Statement::Explain(explain) => return check_expanded(&explain.statement),
-        _ => return Ok(()),
-    };
-    match statement.visit(&mut Expanded::default()) {
-        ControlFlow::Break(fault) => Err(fault),
-        ControlFlow::Continue(()) => Ok(()),
-    }
+    let found = statement.visit(&mut Expanded::default()).break_value();
+    found.map_or(Ok(()), Err)
 }
 
 /// The queries that are being read, the outermost first.
@@ -54,14 +47,6 @@ struct Scope {
     tables: BTreeMap<String, u64>,
 }
 
-/// A name as it is compared.
-fn plain(name: &Ident) -> String {
-    match name.quote_style {
-        Some(_) => name.value.clone(),
-        None => name.value.to_lowercase(),
-    }
-}
-
 impl Visitor for Expanded {
     type Break = Fault;
 
@@ -69,7 +54,7 @@ impl Visitor for Expanded {
         let tables = query.with.iter().flat_map(|with| &with.cte_tables);
         let coming = tables.map(|table| {
             let at: *const Query = &*table.query;
-            (at, plain(&table.alias.name))
+            (at, known(&table.alias.name))
         });
         self.0.push(Scope {
             coming: coming.collect(),
@@ -106,7 +91,7 @@ impl Visitor for Expanded {
 
     fn pre_visit_relation(&mut self, relation: &ObjectName) -> ControlFlow<Fault> {
         let name = match relation.0.as_slice() {
-            [name] => name.as_ident().map(plain),
+            [name] => name.as_ident().map(known),
             _ => None,
         };
         let known = name.and_then(|name| {
@@ -158,7 +143,7 @@ fn named_type(expr: &Expr) -> Option<String> {
     let Expr::Function(call) = expr else {
         return None;
     };
-    let function = plain(call.name.0.last()?.as_ident()?);
+    let function = known(call.name.0.last()?.as_ident()?);
     let FunctionArguments::List(given) = &call.args else {
         return None;
     };

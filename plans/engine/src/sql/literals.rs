@@ -52,10 +52,7 @@ impl Literals<'_> {
 
     fn check(&self, term: &Expr) -> Result<()> {
         match term {
-            Expr::Cast(Cast { expr, field }) => match expr.as_ref() {
-                Expr::Literal(text, _) => self.becomes(text, field.data_type()),
-                _ => Ok(()),
-            },
+            Expr::Cast(Cast { expr, field }) => self.becomes(expr, field.data_type()),
             Expr::BinaryExpr(BinaryExpr { left, op, right }) if is_comparison(*op) => {
                 self.compared(left, &[right.as_ref()])?;
                 self.compared(right, &[left.as_ref()])
@@ -72,7 +69,7 @@ impl Literals<'_> {
 
     /// That the texts among some values become what they and one more are compared as.
     fn compared(&self, value: &Expr, others: &[&Expr]) -> Result<()> {
-        if !others.iter().any(|other| is_text(other)) {
+        if !others.iter().any(|other| text(other).is_some()) {
             return Ok(());
         }
         // What has no type is told elsewhere.
@@ -86,15 +83,13 @@ impl Literals<'_> {
         let Some(common) = get_coerce_type_for_list(&kind, &types) else {
             return Ok(());
         };
-        others.iter().try_for_each(|other| match other {
-            Expr::Literal(text, _) => self.becomes(text, &common),
-            _ => Ok(()),
-        })
+        let mut others = others.iter();
+        others.try_for_each(|other| self.becomes(other, &common))
     }
 
-    /// That a text becomes a value of a type.
-    fn becomes(&self, text: &ScalarValue, wanted: &DataType) -> Result<()> {
-        let Some(Some(written)) = text.try_as_str() else {
+    /// That a value becomes one of a type, if it is a text.
+    fn becomes(&self, value: &Expr, wanted: &DataType) -> Result<()> {
+        let Some((text, written)) = text(value) else {
             return Ok(());
         };
         match text.cast_to(wanted) {
@@ -105,8 +100,10 @@ impl Literals<'_> {
     }
 }
 
-fn is_text(value: &Expr) -> bool {
-    matches!(value, Expr::Literal(text, _) if text.try_as_str().flatten().is_some())
+/// A text that stands in a query, as a value and as it is written.
+fn text(value: &Expr) -> Option<(&ScalarValue, &str)> {
+    let text = value.as_literal()?;
+    Some((text, text.try_as_str()??))
 }
 
 fn is_comparison(operator: Operator) -> bool {

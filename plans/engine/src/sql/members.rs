@@ -28,11 +28,6 @@ use evermap_schemas::Fault;
 
 use crate::error::external;
 
-/// What looks at `pose['x']` and `pose.x` before they are planned, and refuses a member that the struct does not have.
-pub fn members() -> Arc<dyn ExprPlanner> {
-    Arc::new(Members)
-}
-
 /// That a plan names members which are there. Where a column is given, planning has found out; what stands in a condition
 /// it passes over.
 ///
@@ -50,8 +45,9 @@ pub fn check_members(plan: &LogicalPlan) -> Result<()> {
     Ok(())
 }
 
+/// Looks at `pose['x']` and `pose.x` before they are planned, and refuses a member that the struct does not have.
 #[derive(Debug)]
-struct Members;
+pub struct Members;
 
 impl ExprPlanner for Members {
     fn plan_field_access(

@@ -2,9 +2,9 @@
 
 use std::ops::ControlFlow;
 
-use datafusion::sql::parser::Statement;
 use datafusion::sql::sqlparser::ast::{
-    BinaryOperator, Expr, Select, SelectItem, Spanned, UnaryOperator, Value, Visit, Visitor,
+    BinaryOperator, Expr, Select, SelectItem, Spanned, Statement, UnaryOperator, Value, Visit,
+    Visitor,
 };
 use datafusion::sql::sqlparser::tokenizer::Span;
 use evermap_schemas::Fault;
@@ -14,15 +14,8 @@ use evermap_schemas::Fault;
 /// # Errors
 /// A user fault with the place.
 pub fn check_misread(statement: &Statement) -> Result<(), Fault> {
-    let found = match statement {
-        Statement::Statement(statement) => statement.visit(&mut Misread),
-        Statement::Explain(explain) => return check_misread(&explain.statement),
-        _ => ControlFlow::Continue(()),
-    };
-    match found {
-        ControlFlow::Break(fault) => Err(fault),
-        ControlFlow::Continue(()) => Ok(()),
-    }
+    let found = statement.visit(&mut Misread).break_value();
+    found.map_or(Ok(()), Err)
 }
 
 struct Misread;

@@ -5,18 +5,13 @@ use std::collections::HashSet;
 use std::convert::Infallible;
 use std::ops::ControlFlow;
 
-use datafusion::sql::parser::Statement;
-use datafusion::sql::sqlparser::ast::{Expr, Ident, Select, SelectItem, VisitMut, VisitorMut};
+use datafusion::sql::sqlparser::ast::{
+    Expr, Ident, Select, SelectItem, Statement, VisitMut, VisitorMut,
+};
 
 /// Names the columns of a statement's queries apart. What has a name of its own keeps it.
 pub fn named_apart(statement: &mut Statement) {
-    match statement {
-        Statement::Statement(statement) => {
-            let ControlFlow::Continue(()) = statement.visit(&mut Apart);
-        }
-        Statement::Explain(explain) => named_apart(&mut explain.statement),
-        _ => {}
-    }
+    let ControlFlow::Continue(()) = statement.visit(&mut Apart);
 }
 
 struct Apart;
@@ -39,7 +34,7 @@ fn apart(items: &mut [SelectItem]) {
         let SelectItem::UnnamedExpr(expr) = item else {
             continue;
         };
-        if seen.insert(path(expr)) {
+        if seen.insert(path(expr).join(".")) {
             continue;
         }
         let called = last(expr);
@@ -71,29 +66,22 @@ fn named(expr: &Expr) -> &Expr {
     }
 }
 
-/// What tells a column from another: of all parts of its name.
-fn path(expr: &Expr) -> String {
+/// What tells a column from another: all parts of its name, or the expression as it is written.
+fn path(expr: &Expr) -> Vec<String> {
     match named(expr) {
-        Expr::Identifier(name) => known(name),
-        Expr::CompoundIdentifier(names) => {
-            let names: Vec<String> = names.iter().map(known).collect();
-            names.join(".")
-        }
-        other => other.to_string(),
+        Expr::Identifier(name) => vec![known(name)],
+        Expr::CompoundIdentifier(names) => names.iter().map(known).collect(),
+        other => vec![other.to_string()],
     }
 }
 
-/// The last part of a column's name, or the expression as it is written.
+/// The last part of a column's name.
 fn last(expr: &Expr) -> String {
-    match named(expr) {
-        Expr::Identifier(name) => known(name),
-        Expr::CompoundIdentifier(names) => names.last().map(known).unwrap_or_default(),
-        other => other.to_string(),
-    }
+    path(expr).pop().unwrap_or_default()
 }
 
 /// A name as it is looked up: in small letters, unless it stands in quotes.
-fn known(name: &Ident) -> String {
+pub fn known(name: &Ident) -> String {
     match name.quote_style {
         Some(_) => name.value.clone(),
         None => name.value.to_lowercase(),

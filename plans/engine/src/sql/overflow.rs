@@ -25,7 +25,8 @@ use datafusion::optimizer::analyzer::function_rewrite::ApplyFunctionRewrites;
 use datafusion::prelude::SessionContext;
 
 use crate::sql::overflow::arithmetic::{Chain, Negated};
-use crate::sql::overflow::sum::{Adds, CheckedSum};
+use crate::sql::overflow::sum::CheckedSum;
+use crate::sql::overflow::totals::Adds;
 
 /// Has a context refuse integers that do not fit.
 ///
@@ -33,22 +34,18 @@ use crate::sql::overflow::sum::{Adds, CheckedSum};
 /// When the context has neither sums nor means.
 pub fn check_overflow(context: &SessionContext) -> Result<()> {
     for (name, adds) in [("sum", Adds::Sum), ("avg", Adds::Mean)] {
-        let sum = CheckedSum::new(context.udaf(name)?, adds);
+        let inner = context.udaf(name)?;
+        let sum = CheckedSum { inner, adds };
         context.register_udaf(AggregateUDF::new_from_impl(sum));
     }
-    let rule = ApplyFunctionRewrites::new(vec![checked_operators()]);
+    let rule = ApplyFunctionRewrites::new(vec![Arc::new(CheckedOperators)]);
     context.add_analyzer_rule(Arc::new(rule));
     Ok(())
 }
 
-/// What puts functions in the place of operators whose sides are of one type.
-pub fn checked_operators() -> Arc<dyn FunctionRewrite + Send + Sync> {
-    Arc::new(CheckedOperators)
-}
-
-/// Puts [`Chain`] and [`Negated`] in the place of operators on integers.
+/// Puts [`Chain`] and [`Negated`] in the place of operators on integers, whose sides are of one type.
 #[derive(Debug)]
-struct CheckedOperators;
+pub struct CheckedOperators;
 
 impl FunctionRewrite for CheckedOperators {
     fn name(&self) -> &str {

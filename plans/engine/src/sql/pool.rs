@@ -1,12 +1,14 @@
 //! The memory that the operators of a query share.
 
 use std::fmt::{Display, Formatter};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 
 use datafusion::common::{Result, resources_datafusion_err};
 use datafusion::execution::memory_pool::{
     MemoryConsumer, MemoryLimit, MemoryPool, MemoryReservation, human_readable_size,
 };
+
+use crate::locked::locked;
 
 /// Memory for operators that spill, in equal shares, and for those that do not, first come, first served; as
 /// DataFusion's `FairSpillPool`, but for a part that only small reservations may take. A sort needs a little memory that
@@ -54,7 +56,7 @@ impl SharedPool {
     }
 
     fn used(&self) -> MutexGuard<'_, Used> {
-        self.used.lock().unwrap_or_else(PoisonError::into_inner)
+        locked(&self.used)
     }
 
     /// Bytes by which a reservation may grow.

@@ -54,15 +54,12 @@ pub fn check_width(term: &Expr) -> Result<TreeNodeRecursion> {
 
 /// The type that a call names, if it is one that does.
 fn named(call: &ScalarFunction) -> Option<DataType> {
-    let [_, Expr::Literal(name, _)] = call.args.as_slice() else {
+    let [_, name] = call.args.as_slice() else {
         return None;
     };
     let is_cast = CASTS.contains(&call.func.name());
-    name.try_as_str()
-        .flatten()
-        .filter(|_| is_cast)?
-        .parse()
-        .ok()
+    let name = name.as_literal().filter(|_| is_cast)?;
+    name.try_as_str()??.parse().ok()
 }
 
 /// Bytes that a value takes at least, with one value of each list within.

@@ -6,8 +6,9 @@ use std::ops::ControlFlow;
 
 use datafusion::common::{Diagnostic, SchemaError, Span};
 use datafusion::error::DataFusionError;
-use datafusion::sql::parser::Statement;
-use datafusion::sql::sqlparser::ast::{Expr, Query, Value, ValueWithSpan, Visit, Visitor};
+use datafusion::sql::sqlparser::ast::{
+    Expr, Query, Statement, Value, ValueWithSpan, Visit, Visitor,
+};
 use evermap_schemas::Fault;
 
 use crate::error::{external, fault_of};
@@ -41,21 +42,11 @@ impl Written {
     /// A user fault for what would be passed over.
     pub fn of(statement: &Statement) -> Result<Self, Fault> {
         let mut written = Self::default();
-        written.read(statement);
+        let ControlFlow::Continue(()) = statement.visit(&mut written);
         match written.has_format {
             true => Err(Fault::user("expected a query, found FORMAT behind it")
                 .next("choose the format with --format, by HTTP with format=")),
             false => Ok(written),
-        }
-    }
-
-    fn read(&mut self, statement: &Statement) {
-        match statement {
-            Statement::Statement(statement) => {
-                let ControlFlow::Continue(()) = statement.visit(self);
-            }
-            Statement::Explain(explain) => self.read(&explain.statement),
-            _ => {}
         }
     }
 

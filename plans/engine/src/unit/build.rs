@@ -1,7 +1,7 @@
 //! A unit's stages as one DataFusion plan.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use arrow::datatypes::{DataType, Schema, SchemaRef};
 use datafusion::execution::TaskContext;
@@ -22,6 +22,7 @@ use serde_json::Value;
 
 use crate::error::OrFault;
 use crate::fingerprint::open_mapped;
+use crate::locked::locked;
 use crate::map::receipt::Extent;
 use crate::map::store::Store;
 use crate::nodes::light::LightBatches;
@@ -149,11 +150,7 @@ impl<'a> Builder<'a> {
 
     /// What operators skipped.
     pub fn skipped(&self) -> BTreeMap<String, u64> {
-        self.skipped
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .0
-            .clone()
+        locked(&self.skipped).0.clone()
     }
 
     /// What the logs had lost.
@@ -295,7 +292,7 @@ impl<'a> Builder<'a> {
         let context = &self.tables.context;
         for read in reads {
             let table = match self.inside(&read.table) {
-                Some(stage) => Arc::new(PlannedTable::new(self.stage(stage).await?)) as _,
+                Some(stage) => Arc::new(PlannedTable(self.stage(stage).await?)) as _,
                 None => self.tables.rows(read).await?.into_view(),
             };
             put(context, &read.table, table)?;
@@ -337,14 +334,9 @@ fn batch_rows(unit: &Unit, output: Option<&Layer>) -> usize {
     if output.is_some_and(has_bytes) {
         return HEAVY_BATCH_ROWS;
     }
-    let recipe = &unit.recipe;
-    let layers = recipe.previous.values().chain(recipe.new.values());
-    let layers = layers.flat_map(|layer| &layer.artifacts);
-    let read = recipe.tables.values().flatten().chain(layers);
-    let row_bytes = read
-        .map(|artifact| artifact.bytes / artifact.rows.max(1))
-        .max();
-    let rows = BATCH_BYTES / row_bytes.unwrap_or_default().max(1);
+    let read = unit.recipe.artifacts();
+    let row_bytes = read.map(|artifact| artifact.bytes / artifact.rows.max(1));
+    let rows = BATCH_BYTES / row_bytes.max().unwrap_or_default().max(1);
     usize::try_from(rows).map_or(BATCH_ROWS, |rows| rows.clamp(HEAVY_BATCH_ROWS, BATCH_ROWS))
 }
 

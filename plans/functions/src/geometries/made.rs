@@ -1,7 +1,6 @@
 //! Geometries that are made of geometries, from above, by the crate `geo`: what comes out is flat.
 
-use arrow::array::{Array, ArrayRef, AsArray};
-use arrow::datatypes::Float64Type;
+use arrow::array::{Array, ArrayRef};
 use datafusion::common::{DataFusionError, Result};
 use evermap_schemas::{Cell, Geometry, Position, Wkb};
 use geo::convex_hull::graham_hull;
@@ -10,7 +9,7 @@ use geo::{
     MultiPolygon, Polygon, Rect,
 };
 
-use crate::function::{Argument, Declaration, Kind};
+use crate::function::{Argument, Declaration, Kind, given, rows};
 use crate::geometries::shapes::{FAR_M, Shape, get, is_within_reach, pair};
 use crate::geometries::tangle::check_tangle;
 use crate::geometries::{A, B, GEOMETRY, Geometries, made_of};
@@ -177,35 +176,21 @@ fn each(columns: &[ArrayRef], make: fn(&Shape) -> Option<Geometry>) -> Result<Ar
 }
 
 fn rectangles(columns: &[ArrayRef]) -> Result<ArrayRef> {
-    let sides = columns
-        .iter()
-        .filter_map(|side| side.as_primitive_opt::<Float64Type>());
-    let sides: Vec<_> = sides.collect();
-    let [west, south, east, north] = sides.as_slice() else {
-        return Err(DataFusionError::Execution(
-            "expected four numbers".to_owned(),
-        ));
-    };
-    let rectangle = |row: usize| {
-        let known = sides.iter().all(|side| side.is_valid(row));
-        known.then(|| {
+    made_of(rows(columns), |row| {
+        let sides = given(columns, row);
+        Ok(sides.map(|[west, south, east, north]| {
             let corner = |x: f64, y: f64| geo::Coord { x, y };
-            let low = corner(west.value(row), south.value(row));
-            polygon(&Rect::new(low, corner(east.value(row), north.value(row))).to_polygon())
-        })
-    };
-    made_of(west.len(), |row| Ok(rectangle(row)))
+            polygon(&Rect::new(corner(west, south), corner(east, north)).to_polygon())
+        }))
+    })
 }
 
 fn buffers(columns: &[ArrayRef]) -> Result<ArrayRef> {
     let geometries = Geometries::of(columns, 0)?;
-    let distances = columns
-        .get(1)
-        .and_then(|column| column.as_primitive_opt::<Float64Type>());
+    let distances = columns.get(1..).unwrap_or_default();
     made_of(geometries.0.len(), |row| {
-        let distance = distances.filter(|column| column.is_valid(row));
-        let distance = distance.map(|column| column.value(row));
-        let Some((shape, distance)) = get(&geometries, row)?.zip(distance) else {
+        let distance = given(distances, row);
+        let Some((shape, [distance])) = get(&geometries, row)?.zip(distance) else {
             return Ok(None);
         };
         if !is_within_reach(distance) {
@@ -222,8 +207,7 @@ fn both(
     columns: &[ArrayRef],
     make: fn(&Extended, &Extended) -> Result<Geometry>,
 ) -> Result<ArrayRef> {
-    let rows = columns.first().map_or(0, |column| column.len());
-    made_of(rows, |row| {
+    made_of(rows(columns), |row| {
         let Some([a, b]) = pair(columns, row)? else {
             return Ok(None);
         };

@@ -8,12 +8,9 @@ use arrow::datatypes::Float64Type;
 use datafusion::common::{DataFusionError, Result};
 use evermap_schemas::{Geometry, Position};
 use geo::relate::IntersectionMatrix;
-use geo::{
-    Area, Contains, Coord, CoordsIter, Distance, Euclidean, Intersects, Length, LineString, Point,
-    Polygon, Relate,
-};
+use geo::{Coord, CoordsIter, Distance, Euclidean, Length, LineString, Point, Polygon, Relate};
 
-use crate::function::numbers;
+use crate::function::{numbers, rows};
 use crate::geometries::Geometries;
 use crate::geometries::tangle::check_tangle;
 use crate::guard::guarded;
@@ -90,10 +87,6 @@ pub(super) fn length_m(shape: &Shape) -> f64 {
     }
 }
 
-pub(super) fn area_m2(shape: &Shape) -> f64 {
-    shape.unsigned_area()
-}
-
 pub(super) fn pair(columns: &[ArrayRef], row: usize) -> Result<Option<[Shape; 2]>> {
     let (a, b) = (Geometries::of(columns, 0)?, Geometries::of(columns, 1)?);
     let pair = get(&a, row)?.zip(get(&b, row)?);
@@ -102,8 +95,7 @@ pub(super) fn pair(columns: &[ArrayRef], row: usize) -> Result<Option<[Shape; 2]
 
 /// The distances of pairs.
 pub(super) fn distances(columns: &[ArrayRef]) -> Result<ArrayRef> {
-    let rows = columns.first().map_or(0, |column| column.len());
-    numbers(rows, |row| {
+    numbers(rows(columns), |row| {
         let pair = pair(columns, row)?;
         let whole = pair.filter(|pair| pair.iter().all(|shape| shape.coords_count() > 0));
         let distance = whole.map(|[a, b]| guarded(|| Euclidean.distance(&a, &b)));
@@ -125,13 +117,7 @@ pub(super) fn relation(
     columns: &[ArrayRef],
     holds: fn(&Shape, &Shape) -> bool,
 ) -> Result<ArrayRef> {
-    let rows = columns.first().map_or(0, |column| column.len());
-    let row = |row| {
-        let pair = pair(columns, row)?;
-        pair.map(|[a, b]| guarded(|| holds(&a, &b))).transpose()
-    };
-    let found = (0..rows).map(row).collect::<Result<BooleanArray>>()?;
-    Ok(Arc::new(found))
+    told(columns, |a, b| guarded(|| holds(a, b)))
 }
 
 /// Whether pairs stand to each other as the places say where their insides and borders meet.
@@ -139,22 +125,18 @@ pub(super) fn related(
     columns: &[ArrayRef],
     holds: fn(&IntersectionMatrix) -> bool,
 ) -> Result<ArrayRef> {
-    let rows = columns.first().map_or(0, |column| column.len());
+    told(columns, |a, b| {
+        check_tangle(&[a, b], 0.0)?;
+        guarded(|| holds(&a.relate(b)))
+    })
+}
+
+/// Whether something holds of pairs.
+fn told(columns: &[ArrayRef], of: impl Fn(&Shape, &Shape) -> Result<bool>) -> Result<ArrayRef> {
     let row = |row| {
-        let Some([a, b]) = pair(columns, row)? else {
-            return Ok(None);
-        };
-        check_tangle(&[&a, &b], 0.0)?;
-        guarded(|| holds(&a.relate(&b))).map(Some)
+        let pair = pair(columns, row)?;
+        pair.map(|[a, b]| of(&a, &b)).transpose()
     };
-    let found = (0..rows).map(row).collect::<Result<BooleanArray>>()?;
-    Ok(Arc::new(found))
-}
-
-pub(super) fn intersect(a: &Shape, b: &Shape) -> bool {
-    a.intersects(b)
-}
-
-pub(super) fn contains(a: &Shape, b: &Shape) -> bool {
-    a.contains(b)
+    let found = (0..rows(columns)).map(row);
+    Ok(Arc::new(found.collect::<Result<BooleanArray>>()?))
 }

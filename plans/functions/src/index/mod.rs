@@ -263,6 +263,11 @@ fn showing(leaves: &SessionContext, class: &str, least: i64) -> Result<LogicalPl
     Ok(bound.into_unoptimized_plan())
 }
 
+/// A text that stands in a query.
+fn text(value: &Expr) -> Option<&str> {
+    value.as_literal()?.try_as_str()?
+}
+
 /// The column, class and count of a call `contains(graph, 'class' [, count])` whose count is at least 1.
 fn contains(expr: &Expr) -> Option<(Column, String, i64)> {
     let Expr::ScalarFunction(call) = expr else {
@@ -271,10 +276,10 @@ fn contains(expr: &Expr) -> Option<(Column, String, i64)> {
     if call.func.name() != contains::NAME {
         return None;
     }
-    let [Expr::Column(graph), Expr::Literal(class, _), count @ ..] = call.args.as_slice() else {
+    let [Expr::Column(graph), class, count @ ..] = call.args.as_slice() else {
         return None;
     };
-    let class = class.try_as_str()??.to_owned();
+    let class = text(class)?.to_owned();
     let least = match count {
         [] => 1,
         [Expr::Literal(ScalarValue::Int64(Some(least)), _)] => *least,

@@ -19,8 +19,8 @@ use evermap_algorithms::semantic_map::semantic_graph::Relation;
 use evermap_schemas::LayerRow;
 use evermap_schemas::layers::RelatedViews;
 
-use super::alone;
 use super::names::{Names, digests, texts};
+use super::{alone, text};
 use crate::related;
 
 /// One class, how it lies, and another class.
@@ -167,19 +167,11 @@ pub(super) fn asked(expr: &Expr) -> Option<(Column, Relating)> {
     if call.func.name() != related::NAME {
         return None;
     }
-    let [Expr::Column(graph), words @ ..] = call.args.as_slice() else {
-        return None;
-    };
-    let [
-        Expr::Literal(class, _),
-        Expr::Literal(relation, _),
-        Expr::Literal(other, _),
-    ] = words
-    else {
+    let [Expr::Column(graph), class, relation, other] = call.args.as_slice() else {
         return None;
     };
     // A word that is no relation is told by the function.
-    let relation = Relation::parse(relation.try_as_str()??).ok()?;
-    let [class, other] = [class, other].map(|word| word.try_as_str().flatten().map(str::to_owned));
+    let relation = Relation::parse(text(relation)?).ok()?;
+    let [class, other] = [class, other].map(|word| text(word).map(str::to_owned));
     (graph.name == "graph").then_some((graph.clone(), (class?, relation, other?)))
 }

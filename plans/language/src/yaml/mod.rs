@@ -62,3 +62,10 @@ pub(crate) struct Entry {
     /// The value.
     pub value: Node,
 }
+
+impl Entry {
+    /// Whether it is written in the plan itself, not in one that it extends.
+    pub(crate) fn is_own(&self) -> bool {
+        self.place.position().source == 0
+    }
+}

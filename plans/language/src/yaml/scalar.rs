@@ -19,15 +19,9 @@ pub(crate) fn plain(text: &str) -> Kind {
         "-.inf" | "-.Inf" | "-.INF" => return Kind::Float(f64::NEG_INFINITY),
         _ => {}
     }
-    if is_integer(text) {
-        return integer(text);
-    }
-    if is_float(text)
-        && let Ok(value) = text.parse()
-    {
-        return Kind::Float(value);
-    }
-    Kind::Text(text.to_owned())
+    let float = || is_float(text).then(|| text.parse().ok().map(Kind::Float));
+    let number = integer(text).or_else(|| float().flatten());
+    number.unwrap_or_else(|| Kind::Text(text.to_owned()))
 }
 
 /// The value of a scalar with an explicit tag.
@@ -36,29 +30,20 @@ pub(super) fn tagged(text: &str, tag: &Tag, place: Place, faults: &mut PlanFault
     if tag.handle == "!" && tag.suffix.is_empty() || tag.handle.is_empty() && tag.suffix == "!" {
         return as_text();
     }
-    if !tag.is_yaml_core_schema() {
-        faults.error(place, unsupported(tag));
-        return as_text();
-    }
-    let kind = match tag.suffix.as_str() {
-        "str" => return as_text(),
-        "null" | "bool" | "int" | "float" => plain(text),
-        _ => {
-            faults.error(place, unsupported(tag));
-            return as_text();
-        }
-    };
+    let kind = tag.is_yaml_core_schema().then(|| plain(text));
     match (tag.suffix.as_str(), kind) {
-        ("null", Kind::Null) => Kind::Null,
-        ("bool", Kind::Bool(value)) => Kind::Bool(value),
-        ("int", Kind::Integer(value)) => Kind::Integer(value),
-        ("float", Kind::Float(value)) => Kind::Float(value),
-        ("float", Kind::Integer(value)) => Kind::Float(value as f64),
-        (suffix, _) => {
+        ("str", Some(_)) => {}
+        ("null", Some(kind @ Kind::Null))
+        | ("bool", Some(kind @ Kind::Bool(_)))
+        | ("int", Some(kind @ Kind::Integer(_)))
+        | ("float", Some(kind @ Kind::Float(_))) => return kind,
+        ("float", Some(Kind::Integer(value))) => return Kind::Float(value as f64),
+        (suffix @ ("null" | "bool" | "int" | "float"), Some(_)) => {
             faults.error(place, format!("{} is not of `!!{suffix}`", quoted(text)));
-            as_text()
         }
+        _ => faults.error(place, unsupported(tag)),
     }
+    as_text()
 }
 
 /// The message for a tag that means nothing here.
@@ -69,35 +54,26 @@ pub(super) fn unsupported(tag: &Tag) -> String {
     )
 }
 
-fn is_integer(text: &str) -> bool {
-    let radix = |digits: &str, radix| {
-        !digits.is_empty() && digits.chars().all(|digit| digit.is_digit(radix))
+/// The value of digits, decimal with or without a sign, octal or hexadecimal; `None` for another text.
+fn integer(text: &str) -> Option<Kind> {
+    let (number, radix) = match text.split_at_checked(2) {
+        Some(("0o", octal)) => (octal, 8),
+        Some(("0x", hexadecimal)) => (hexadecimal, 16),
+        _ => (text, 10),
     };
-    if let Some(octal) = text.strip_prefix("0o") {
-        return radix(octal, 8);
-    }
-    if let Some(hexadecimal) = text.strip_prefix("0x") {
-        return radix(hexadecimal, 16);
-    }
-    radix(text.strip_prefix(['-', '+']).unwrap_or(text), 10)
-}
-
-fn integer(text: &str) -> Kind {
-    let value = if let Some(octal) = text.strip_prefix("0o") {
-        i128::from_str_radix(octal, 8)
-    } else if let Some(hexadecimal) = text.strip_prefix("0x") {
-        i128::from_str_radix(hexadecimal, 16)
-    } else {
-        text.parse()
+    let digits = match radix {
+        10 => number.strip_prefix(['-', '+']).unwrap_or(number),
+        _ => number,
     };
-    match value {
+    if digits.is_empty() || !digits.chars().all(|digit| digit.is_digit(radix)) {
+        return None;
+    }
+    match i128::from_str_radix(number, radix) {
         Ok(value) if (i128::from(i64::MIN)..=i128::from(u64::MAX)).contains(&value) => {
-            Kind::Integer(value)
+            Some(Kind::Integer(value))
         }
         // Beyond 64 bits it is a number like any other, but no integer.
-        _ => text
-            .parse()
-            .map_or_else(|_| Kind::Text(text.to_owned()), Kind::Float),
+        _ => text.parse().ok().map(Kind::Float),
     }
 }
 

@@ -32,11 +32,6 @@ impl Matching {
         }
     }
 
-    /// Whether times go down as rows are merged, so that the row that is wanted is the last one seen.
-    pub fn descends(self) -> bool {
-        matches!(self, Self::NotEarlier | Self::Later)
-    }
-
     /// Whether rows of equal times match.
     pub fn with_equal(self) -> bool {
         matches!(self, Self::NotLater | Self::NotEarlier)
@@ -54,27 +49,37 @@ impl fmt::Display for Matching {
     }
 }
 
-/// A value of the left table, and one of the right.
-pub type Pair = (Arc<dyn PhysicalExpr>, Arc<dyn PhysicalExpr>);
+/// A value of a plan that runs.
+pub type Value = Arc<dyn PhysicalExpr>;
 
-/// When rows match.
-#[derive(Debug)]
-pub struct Condition {
+/// A value of the left table, and one of the right.
+pub type Pair = (Value, Value);
+
+/// When rows match; of pairs the first value is of the left table.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Condition<V> {
     /// Values that are equal.
-    pub keys: Vec<Pair>,
+    pub keys: Vec<(V, V)>,
     /// The times.
-    pub times: Pair,
+    pub times: (V, V),
     /// Which time is wanted.
     pub matching: Matching,
-    /// What must be true of the row that comes out.
-    pub limit: Option<Arc<dyn PhysicalExpr>>,
+    /// Where this is not true of the two rows, there is no match.
+    pub limit: Option<V>,
 }
 
-impl Condition {
-    /// How rows of equal keys are ordered by time.
+impl<V> Condition<V> {
+    /// All values: those of keys, the times, the limit.
+    pub fn values(&self) -> impl Iterator<Item = &V> {
+        let pairs = self.keys.iter().chain(std::iter::once(&self.times));
+        let values = pairs.flat_map(|(left, right)| [left, right]);
+        values.chain(&self.limit)
+    }
+
+    /// How rows of equal keys are ordered by time: so that of those that were merged the wanted one is the last.
     pub fn time_order(&self) -> SortOptions {
         SortOptions {
-            descending: self.matching.descends(),
+            descending: matches!(self.matching, Matching::NotEarlier | Matching::Later),
             nulls_first: true,
         }
     }
@@ -86,7 +91,7 @@ pub const KEY_ORDER: SortOptions = SortOptions {
     nulls_first: true,
 };
 
-impl fmt::Display for Condition {
+impl<V: fmt::Display> fmt::Display for Condition<V> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (left, right) = &self.times;
         write!(f, "{left} {} {right}", self.matching)?;

@@ -7,8 +7,7 @@ use arrow::datatypes::SchemaRef;
 use datafusion::common::{Result, internal_err};
 use datafusion::execution::{SendableRecordBatchStream, TaskContext};
 use datafusion::physical_expr::{
-    Distribution, EquivalenceProperties, LexOrdering, OrderingRequirements, PhysicalExpr,
-    PhysicalSortExpr,
+    Distribution, EquivalenceProperties, LexOrdering, OrderingRequirements, PhysicalSortExpr,
 };
 use datafusion::physical_plan::metrics::{BaselineMetrics, RecordOutput};
 use datafusion::physical_plan::stream::RecordBatchStreamAdapter;
@@ -18,24 +17,24 @@ use datafusion::physical_plan::{
 use futures::StreamExt;
 
 use crate::nodes::node::{Duty, Need, Node, first};
-use crate::sql::as_of::condition::{Condition, KEY_ORDER, Pair};
+use crate::sql::as_of::condition::{Condition, KEY_ORDER, Pair, Value};
 use crate::sql::as_of::merge::Merge;
 
 /// Merges two tables that are ordered by keys and time.
 pub struct AsOf {
     /// When rows match.
-    pub condition: Arc<Condition>,
+    pub condition: Arc<Condition<Value>>,
     /// The columns of both tables; those of the right may be null.
     pub schema: SchemaRef,
 }
 
 /// One side of a pair.
-type Side = fn(&Pair) -> &Arc<dyn PhysicalExpr>;
+type Side = fn(&Pair) -> &Value;
 
 const SIDES: [Side; 2] = [|pair| &pair.0, |pair| &pair.1];
 
 impl AsOf {
-    fn keys(&self, side: Side) -> Vec<Arc<dyn PhysicalExpr>> {
+    fn keys(&self, side: Side) -> Vec<Value> {
         self.condition.keys.iter().map(side).cloned().collect()
     }
 
@@ -79,11 +78,8 @@ impl Duty for AsOf {
         SIDES.map(|side| self.order(side)).to_vec()
     }
 
-    fn expressions(&self) -> Vec<&Arc<dyn PhysicalExpr>> {
-        let times = std::iter::once(&self.condition.times);
-        let pairs = self.condition.keys.iter().chain(times);
-        let values = pairs.flat_map(|(left, right)| [left, right]);
-        values.chain(&self.condition.limit).collect()
+    fn expressions(&self) -> Vec<&Value> {
+        self.condition.values().collect()
     }
 
     fn output(

@@ -11,10 +11,9 @@ use arrow::datatypes::{Schema, SchemaRef};
 use arrow::row::{OwnedRow, RowConverter, Rows, SortField};
 use datafusion::common::Result;
 use datafusion::execution::SendableRecordBatchStream;
-use datafusion::physical_expr::PhysicalExpr;
 use futures::{Stream, StreamExt};
 
-use crate::sql::as_of::condition::{Condition, KEY_ORDER, Pair};
+use crate::sql::as_of::condition::{Condition, KEY_ORDER, Pair, Value};
 
 /// Where a row is that matches: which of the pieces of the right table, and which row of it.
 type Place = (usize, usize);
@@ -26,7 +25,7 @@ const NOTHING: Place = (0, 0);
 pub struct Merge {
     left: SendableRecordBatchStream,
     right: SendableRecordBatchStream,
-    condition: Arc<Condition>,
+    condition: Arc<Condition<Value>>,
     order: Order,
     schema: SchemaRef,
     /// The right table's columns, which may be null here.
@@ -80,7 +79,7 @@ impl Rank {
 }
 
 impl Order {
-    fn new(condition: &Condition, left: &Schema) -> Result<Self> {
+    fn new(condition: &Condition<Value>, left: &Schema) -> Result<Self> {
         let field = |(of_left, _): &Pair, order| {
             Ok(SortField::new_with_options(of_left.data_type(left)?, order))
         };
@@ -97,8 +96,8 @@ impl Order {
     fn ranked(
         &mut self,
         batch: RecordBatch,
-        condition: &Condition,
-        of: fn(&Pair) -> &Arc<dyn PhysicalExpr>,
+        condition: &Condition<Value>,
+        of: fn(&Pair) -> &Value,
     ) -> Result<Rank> {
         let value = |pair| of(pair).evaluate(&batch)?.into_array(batch.num_rows());
         let keys = condition
@@ -129,7 +128,7 @@ impl Merge {
     pub fn new(
         left: SendableRecordBatchStream,
         right: SendableRecordBatchStream,
-        condition: Arc<Condition>,
+        condition: Arc<Condition<Value>>,
         schema: SchemaRef,
     ) -> Result<Self> {
         let width = left.schema().fields().len();

@@ -17,7 +17,7 @@ use datafusion::physical_plan::ExecutionPlan;
 use datafusion::physical_planner::{DefaultPhysicalPlanner, ExtensionPlanner, PhysicalPlanner};
 
 use crate::nodes::node::Node;
-use crate::sql::as_of::condition::{Condition, Matching};
+use crate::sql::as_of::condition::Condition;
 use crate::sql::as_of::exec::AsOf;
 
 /// A join of each row of the left table with the nearest in time of the right.
@@ -25,12 +25,8 @@ use crate::sql::as_of::exec::AsOf;
 pub struct AsOfJoin {
     left: LogicalPlan,
     right: LogicalPlan,
-    /// Values that are equal in rows that match, of the left and of the right table.
-    pub keys: Vec<(Expr, Expr)>,
-    times: (Expr, Expr),
-    matching: Matching,
-    /// Where this is not true of the two rows, there is no match.
-    limit: Option<Expr>,
+    /// When rows match.
+    pub condition: Condition<Expr>,
     schema: DFSchemaRef,
 }
 
@@ -39,14 +35,7 @@ impl AsOfJoin {
     ///
     /// # Errors
     /// When both have a column of one name.
-    pub fn new(
-        left: LogicalPlan,
-        right: LogicalPlan,
-        keys: Vec<(Expr, Expr)>,
-        times: (Expr, Expr),
-        matching: Matching,
-        limit: Option<Expr>,
-    ) -> Result<Self> {
+    pub fn new(left: LogicalPlan, right: LogicalPlan, condition: Condition<Expr>) -> Result<Self> {
         let of_left = left.schema().iter();
         let of_left = of_left.map(|(table, field)| (table.cloned(), Arc::clone(field)));
         let of_right = right.schema().iter().map(|(table, field)| {
@@ -58,10 +47,7 @@ impl AsOfJoin {
         Ok(Self {
             left,
             right,
-            keys,
-            times,
-            matching,
-            limit,
+            condition,
             schema,
         })
     }
@@ -87,27 +73,17 @@ impl UserDefinedLogicalNodeCore for AsOfJoin {
     }
 
     fn expressions(&self) -> Vec<Expr> {
-        let pairs = self.keys.iter().chain(std::iter::once(&self.times));
-        let values = pairs.flat_map(|(left, right)| [left, right]);
-        values.chain(&self.limit).cloned().collect()
+        self.condition.values().cloned().collect()
     }
 
     fn fmt_for_explain(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (left, right) = &self.times;
-        write!(f, "AsOfJoin: {left} {} {right}", self.matching)?;
-        for (left, right) in &self.keys {
-            write!(f, ", {left} = {right}")?;
-        }
-        match &self.limit {
-            Some(limit) => write!(f, ", within {limit}"),
-            None => Ok(()),
-        }
+        write!(f, "AsOfJoin: {}", self.condition)
     }
 
     fn with_exprs_and_inputs(&self, exprs: Vec<Expr>, inputs: Vec<LogicalPlan>) -> Result<Self> {
         let mut exprs = exprs.into_iter();
         let mut pair = || exprs.next().zip(exprs.next());
-        let pairs: Option<Vec<_>> = (0..=self.keys.len()).map(|_| pair()).collect();
+        let pairs: Option<Vec<_>> = (0..=self.condition.keys.len()).map(|_| pair()).collect();
         let times_and_keys = pairs.and_then(|mut pairs| Some((pairs.pop()?, pairs)));
         let mut inputs = inputs.into_iter();
         let (Some((times, keys)), Some(left), Some(right)) =
@@ -115,7 +91,13 @@ impl UserDefinedLogicalNodeCore for AsOfJoin {
         else {
             return internal_err!("an as-of join has two inputs and two values of each key");
         };
-        Self::new(left, right, keys, times, self.matching, exprs.next())
+        let condition = Condition {
+            keys,
+            times,
+            matching: self.condition.matching,
+            limit: exprs.next(),
+        };
+        Self::new(left, right, condition)
     }
 
     fn necessary_children_exprs(&self, output_columns: &[usize]) -> Option<Vec<Vec<usize>>> {
@@ -166,11 +148,12 @@ impl ExtensionPlanner for Joins {
             let of_left = value(of_left, join.left.schema())?;
             Ok((of_left, value(of_right, join.right.schema())?))
         };
-        let limit = join.limit.as_ref();
+        let logical = &join.condition;
+        let limit = logical.limit.as_ref();
         let condition = Condition {
-            keys: join.keys.iter().map(pair).collect::<Result<_>>()?,
-            times: pair(&join.times)?,
-            matching: join.matching,
+            keys: logical.keys.iter().map(pair).collect::<Result<_>>()?,
+            times: pair(&logical.times)?,
+            matching: logical.matching,
             limit: limit.map(|limit| value(limit, &join.schema)).transpose()?,
         };
         let as_of = AsOf {

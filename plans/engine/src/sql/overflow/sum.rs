@@ -15,37 +15,29 @@ use datafusion::logical_expr::{
 };
 
 use crate::sql::overflow::intervals::{self, IntervalSum};
-use crate::sql::overflow::totals::{DistinctSum, Groups, Mean, Sum, WIDE, Whole};
-
-/// What is made of the values that are added up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Adds {
-    /// Their sum.
-    Sum,
-    /// Their sum by their number.
-    Mean,
-}
+use crate::sql::overflow::totals::{Adds, DistinctSum, Groups, Sum, WIDE, Whole};
 
 /// DataFusion's `sum` or `avg`, but for what would wrap in 64 bits. `sum` does not become `sum(x) + 1 * count(x)` where
 /// `sum(x + 1)` is asked for: that would be added without a check.
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub struct CheckedSum {
-    inner: Arc<AggregateUDF>,
-    adds: Adds,
+    /// The function that adds up everything else.
+    pub inner: Arc<AggregateUDF>,
+    /// What is made of values.
+    pub adds: Adds,
 }
 
 impl CheckedSum {
-    /// Of the function that adds up everything else.
-    pub fn new(inner: Arc<AggregateUDF>, adds: Adds) -> Self {
-        Self { inner, adds }
-    }
-
     /// How it is added up here what gives this; `None` where DataFusion does it.
     fn way(&self, result: &DataType) -> Option<Way> {
         match (result, self.adds) {
             (DataType::Int64, Adds::Sum) => Some(Way::of::<Int64Type>(self.adds)),
             (DataType::UInt64, Adds::Sum) => Some(Way::of::<UInt64Type>(self.adds)),
-            (DataType::Interval(_), Adds::Sum) => Some(Way::of_intervals()),
+            (DataType::Interval(_), Adds::Sum) => Some(Way {
+                states: INTERVALS,
+                accumulator: of_intervals,
+                groups: None,
+            }),
             (DataType::Duration(unit), adds) => Some(match unit {
                 TimeUnit::Second => Way::of::<DurationSecondType>(adds),
                 TimeUnit::Millisecond => Way::of::<DurationMillisecondType>(adds),
@@ -71,40 +63,32 @@ const INTERVALS: States = &[("months", WIDE), ("days", WIDE), ("nanoseconds", WI
 struct Way {
     states: States,
     /// All values, or each once.
-    accumulator: fn(is_distinct: bool) -> Result<Box<dyn Accumulator>>,
+    accumulator: fn(Adds, is_distinct: bool) -> Result<Box<dyn Accumulator>>,
     /// All groups at once, by sums of [`WIDE`] numbers; `None` where each group is added up by itself.
     groups: Option<Grouped>,
 }
 
 impl Way {
     fn of<T: Whole>(adds: Adds) -> Self {
-        match adds {
-            Adds::Sum => Self {
-                states: SUM,
-                accumulator: sum::<T>,
-                groups: Some(groups::<T>),
-            },
-            Adds::Mean => Self {
-                states: MEAN,
-                accumulator: mean::<T>,
-                groups: None,
-            },
-        }
-    }
-
-    fn of_intervals() -> Self {
+        let (states, groups): (_, Option<Grouped>) = match adds {
+            Adds::Sum => (SUM, Some(groups::<T>)),
+            Adds::Mean => (MEAN, None),
+        };
         Self {
-            states: INTERVALS,
-            accumulator: sum_of_intervals,
-            groups: None,
+            states,
+            accumulator: of_numbers::<T>,
+            groups,
         }
     }
 }
 
-fn sum<T: Whole>(is_distinct: bool) -> Result<Box<dyn Accumulator>> {
-    match is_distinct {
-        true => Ok(Box::new(DistinctSum::<T>::default())),
-        false => Ok(Box::new(Sum::<T>::default())),
+fn of_numbers<T: Whole>(adds: Adds, is_distinct: bool) -> Result<Box<dyn Accumulator>> {
+    match (adds, is_distinct) {
+        (Adds::Sum, true) => Ok(Box::new(DistinctSum::<T>::default())),
+        (Adds::Mean, true) => {
+            not_impl_err!("avg(DISTINCT …) of durations; take that of SELECT DISTINCT")
+        }
+        (_, false) => Ok(Box::new(Sum::<T>::new(adds))),
     }
 }
 
@@ -112,14 +96,7 @@ fn groups<T: Whole>(inner: Box<dyn GroupsAccumulator>) -> Box<dyn GroupsAccumula
     Box::new(Groups::<T>::new(inner))
 }
 
-fn mean<T: Whole>(is_distinct: bool) -> Result<Box<dyn Accumulator>> {
-    match is_distinct {
-        true => not_impl_err!("avg(DISTINCT …) of durations; take that of SELECT DISTINCT"),
-        false => Ok(Box::new(Mean::<T>::default())),
-    }
-}
-
-fn sum_of_intervals(is_distinct: bool) -> Result<Box<dyn Accumulator>> {
+fn of_intervals(_: Adds, is_distinct: bool) -> Result<Box<dyn Accumulator>> {
     match is_distinct {
         true => not_impl_err!("sum(DISTINCT …) of intervals; add up those of SELECT DISTINCT"),
         false => Ok(Box::new(IntervalSum::default())),
@@ -148,7 +125,7 @@ impl AggregateUDFImpl for CheckedSum {
 
     fn accumulator(&self, args: AccumulatorArgs) -> Result<Box<dyn Accumulator>> {
         match self.way(args.return_type()) {
-            Some(way) => (way.accumulator)(args.is_distinct),
+            Some(way) => (way.accumulator)(self.adds, args.is_distinct),
             None => self.inner.accumulator(args),
         }
     }

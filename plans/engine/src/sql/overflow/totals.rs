@@ -62,6 +62,11 @@ fn total<T: Whole>(values: &PrimitiveArray<T>) -> i128 {
     }
 }
 
+/// How many are not null.
+fn known(values: &dyn Array) -> u64 {
+    (values.len() - values.null_count()) as u64
+}
+
 fn wide<T: Whole>(value: T::Native) -> i128 {
     value.into()
 }
@@ -101,26 +106,43 @@ fn scalar<T: Whole>(total: Option<i128>) -> Result<ScalarValue> {
     ScalarValue::new_primitive::<T>(value, &T::DATA_TYPE)
 }
 
-/// The sum of all rows, or of those in a window.
+/// What is made of the values that are added up.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub enum Adds {
+    /// Their sum.
+    #[default]
+    Sum,
+    /// Their sum by their number.
+    Mean,
+}
+
+/// The sum or the mean of all rows, or of those in a window.
 #[derive(Debug)]
 pub struct Sum<T> {
+    adds: Adds,
     total: i128,
-    /// Values in it: of none the sum is null.
-    count: usize,
+    /// Values in it: of none the answer is null.
+    count: u64,
     of: PhantomData<T>,
 }
 
 impl<T> Default for Sum<T> {
     fn default() -> Self {
+        Self::new(Adds::default())
+    }
+}
+
+impl<T> Sum<T> {
+    /// Of nothing yet.
+    pub fn new(adds: Adds) -> Self {
         Self {
+            adds,
             total: 0,
             count: 0,
             of: PhantomData,
         }
     }
-}
 
-impl<T> Sum<T> {
     /// The sum; `None` where there is nothing to add up.
     pub fn total(&self) -> Option<i128> {
         (self.count > 0).then_some(self.total)
@@ -132,7 +154,7 @@ impl<T: Whole> Accumulator for Sum<T> {
         for values in values {
             let values = values.as_primitive::<T>();
             self.total += total(values);
-            self.count += values.len() - values.null_count();
+            self.count += known(values);
         }
         Ok(())
     }
@@ -141,7 +163,7 @@ impl<T: Whole> Accumulator for Sum<T> {
         for values in values {
             let values = values.as_primitive::<T>();
             self.total -= total(values);
-            self.count -= values.len() - values.null_count();
+            self.count -= known(values);
         }
         Ok(())
     }
@@ -151,21 +173,35 @@ impl<T: Whole> Accumulator for Sum<T> {
     }
 
     fn state(&mut self) -> Result<Vec<ScalarValue>> {
-        Ok(vec![as_wide(self.total())])
+        let sum = as_wide(self.total());
+        Ok(match self.adds {
+            Adds::Sum => vec![sum],
+            Adds::Mean => vec![ScalarValue::UInt64(Some(self.count)), sum],
+        })
     }
 
     fn merge_batch(&mut self, states: &[ArrayRef]) -> Result<()> {
-        for totals in states {
-            for total in totals.as_primitive::<Decimal128Type>().iter().flatten() {
-                self.total += total;
-                self.count += 1;
-            }
-        }
+        let Some((totals, counts)) = states.split_last() else {
+            return Ok(());
+        };
+        let totals = totals.as_primitive::<Decimal128Type>();
+        self.total += totals.iter().flatten().sum::<i128>();
+        self.count += match counts.first() {
+            Some(counts) => counts
+                .as_primitive::<UInt64Type>()
+                .iter()
+                .flatten()
+                .sum::<u64>(),
+            None => known(totals),
+        };
         Ok(())
     }
 
     fn evaluate(&mut self) -> Result<ScalarValue> {
-        scalar::<T>(self.total())
+        scalar::<T>(match self.adds {
+            Adds::Sum => self.total(),
+            Adds::Mean => self.total.checked_div(i128::from(self.count)),
+        })
     }
 
     fn size(&self) -> usize {
@@ -248,71 +284,6 @@ impl<T: Whole> Accumulator for DistinctSum<T> {
 
     fn size(&self) -> usize {
         size_of_val(self) + self.counts.capacity() * size_of::<(T::Native, usize)>()
-    }
-}
-
-/// The mean of all rows, or of those in a window.
-#[derive(Debug)]
-pub struct Mean<T> {
-    total: i128,
-    count: u64,
-    of: PhantomData<T>,
-}
-
-impl<T> Default for Mean<T> {
-    fn default() -> Self {
-        Self {
-            total: 0,
-            count: 0,
-            of: PhantomData,
-        }
-    }
-}
-
-impl<T: Whole> Accumulator for Mean<T> {
-    fn update_batch(&mut self, values: &[ArrayRef]) -> Result<()> {
-        for values in values {
-            let values = values.as_primitive::<T>();
-            self.total += total(values);
-            self.count += (values.len() - values.null_count()) as u64;
-        }
-        Ok(())
-    }
-
-    fn retract_batch(&mut self, values: &[ArrayRef]) -> Result<()> {
-        for values in values {
-            let values = values.as_primitive::<T>();
-            self.total -= total(values);
-            self.count -= (values.len() - values.null_count()) as u64;
-        }
-        Ok(())
-    }
-
-    fn supports_retract_batch(&self) -> bool {
-        true
-    }
-
-    fn state(&mut self) -> Result<Vec<ScalarValue>> {
-        let count = ScalarValue::UInt64(Some(self.count));
-        Ok(vec![count, as_wide(Some(self.total))])
-    }
-
-    fn merge_batch(&mut self, states: &[ArrayRef]) -> Result<()> {
-        if let [counts, totals] = states {
-            let counts = counts.as_primitive::<UInt64Type>().iter();
-            self.count += counts.flatten().sum::<u64>();
-            let totals = totals.as_primitive::<Decimal128Type>().iter();
-            self.total += totals.flatten().sum::<i128>();
-        }
-        Ok(())
-    }
-
-    fn evaluate(&mut self) -> Result<ScalarValue> {
-        scalar::<T>(self.total.checked_div(i128::from(self.count)))
-    }
-
-    fn size(&self) -> usize {
-        size_of_val(self)
     }
 }
 
