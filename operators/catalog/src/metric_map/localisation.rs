@@ -78,13 +78,6 @@ fn localise_drive(
             features: &keyframe.features,
         })
         .collect();
-    if map.is_empty() {
-        let lost = KeyframeLocalisation {
-            state: State::Lost,
-            fix: None,
-        };
-        return vec![lost; keyframes.len()];
-    }
     let places = Places::new(&drive.rig, map, &params);
     Localiser::new(&drive.rig, map, params).localise(&keyframes, &places)
 }
