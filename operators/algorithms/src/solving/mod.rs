@@ -5,4 +5,5 @@
 //! | [`least_squares`] | factors, robust losses, trust regions, sparse Cholesky |
 
 pub mod least_squares;
+pub(crate) mod median;
 pub(crate) mod random;
