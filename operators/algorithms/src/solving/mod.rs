@@ -1,4 +1,4 @@
-//! Least squares and repeatable random numbers.
+//! Least squares, what hangs together, and repeatable random numbers.
 //!
 //! | module | what it knows |
 //! |---|---|
@@ -6,4 +6,5 @@
 
 pub mod least_squares;
 pub(crate) mod median;
+pub(crate) mod parts;
 pub(crate) mod random;
