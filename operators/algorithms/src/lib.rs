@@ -11,7 +11,7 @@
 //! | [`learning`] | pixels told apart by classifiers that are learnt, and labels that follow the edges of images |
 //! | [`metric_map`] | from features of images to poses and landmarks, and back to a pose in them |
 //! | [`semantic_map`] | what views show, as graphs of areas; how alike two views are, and places found again by it |
-//! | [`solving`] | least squares and repeatable random numbers |
+//! | [`solving`] | least squares, what hangs together, and repeatable random numbers |
 
 pub mod geometry;
 pub mod ground;

@@ -103,8 +103,8 @@ impl<P: Clone + Send + Sync + 'static> Work<P> {
         })
     }
 
-    /// All rows of a key at once to rows. The sides are the key's own: what was taken from them with [`Sides::take`] is
-    /// held no longer.
+    /// All rows of a key at once, of which there is at least one, to rows. The sides are the key's own: what was taken
+    /// from them with [`Sides::take`] is held no longer.
     pub fn group<T: Record + Send + 'static>(
         driving: Port,
         key: Key,

@@ -17,6 +17,8 @@
 
 use rayon::prelude::*;
 
+use crate::solving::parts::parts;
+
 /// Cells across an image: fine enough for a feature's neighbourhood, coarse enough that shaking does not matter.
 const COLUMNS: u32 = 200;
 
@@ -160,35 +162,6 @@ impl Grid {
         }
         open.into_iter().map(|open| !open).collect()
     }
-
-    /// The parts that cells with this value are joined to, `neighbours` saying what joins them.
-    fn parts<I: Iterator<Item = usize>>(
-        &self,
-        wanted: impl Fn(usize) -> bool,
-        neighbours: impl Fn(usize) -> I,
-    ) -> Vec<Vec<usize>> {
-        let mut seen = vec![false; self.cells()];
-        let mut parts = Vec::new();
-        for start in 0..self.cells() {
-            if seen[start] || !wanted(start) {
-                continue;
-            }
-            seen[start] = true;
-            let mut part = vec![start];
-            let mut next = 0;
-            while let Some(at) = part.get(next).copied() {
-                next += 1;
-                for other in neighbours(at) {
-                    if !seen[other] && wanted(other) {
-                        seen[other] = true;
-                        part.push(other);
-                    }
-                }
-            }
-            parts.push(part);
-        }
-        parts
-    }
 }
 
 /// One camera's images, of which the body is looked for.
@@ -234,7 +207,7 @@ impl BodySearch {
                 .map(|cell| self.stays(cell))
                 .collect();
             let closed = grid.closed(&edges);
-            let outlines = grid.parts(|at| closed[at], |at| grid.around(at));
+            let outlines = parts(grid.cells(), |at| closed[at], |at| grid.around(at));
             let is_body = |outline: &&Vec<usize>| {
                 outline.len() >= FEWEST_CELLS && outline.iter().any(|at| grid.is_border(*at))
             };
@@ -266,7 +239,7 @@ impl BodySearch {
 
 /// Covers what is cut off from the largest part that is left.
 fn fill(grid: &Grid, covered: &mut [bool]) {
-    let mut parts = grid.parts(|at| !covered[at], |at| grid.adjacent(at));
+    let mut parts = parts(grid.cells(), |at| !covered[at], |at| grid.adjacent(at));
     parts.sort_by_key(|part| std::cmp::Reverse(part.len()));
     let most = MOST_ENCLOSED * grid.cells() as f64;
     for part in parts

@@ -60,9 +60,7 @@ fn danger(
     let expected: BTreeMap<String, f64> = expected
         .map(|(kind, prior)| (kind, prior.expected))
         .collect();
-    let Some(mut of_site) = site_ground(&expected, exposure, &sides, emit)? else {
-        return Ok(());
-    };
+    let mut of_site = site_ground(&expected, exposure, &sides, emit)?;
     let all = of_site.ground.all();
     let danger = of_site.ground.danger(&all, &priors, weights);
     let danger = danger.ok_or_else(|| too_large(SystemError::TooLarge))?;

@@ -69,9 +69,7 @@ fn settings(
     sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(of_site) = site_ground(&params.expected, exposure, &sides, emit)? else {
-        return Ok(());
-    };
+    let of_site = site_ground(&params.expected, exposure, &sides, emit)?;
     let mut ground = of_site.ground;
     let learnt = ground.learn().map_err(too_large)?;
     let all = ground.all();

@@ -45,9 +45,7 @@ fn exposure(
     sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(first) = images.first() else {
-        return Ok(());
-    };
+    let first = &images[0];
     let (site, session) = (first.site.clone(), first.session.clone());
     let bodies = bodies(&sides)?;
     let points: Vec<SurfacePoint> = sides.rows("points")?;

@@ -37,9 +37,7 @@ fn lanes(
     sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(site) = poses.first().map(|pose| pose.site.clone()) else {
-        return Ok(());
-    };
+    let site = poses[0].site.clone();
     let keyframes = sides.rows::<Keyframe>("keyframes")?;
     let drives = drives(poses, &keyframes, emit);
     let driven: Vec<Trace<'_>> = drives.iter().map(Session::drive).collect();

@@ -37,7 +37,7 @@ pub(crate) struct SiteGround {
 }
 
 /// The ground that `exposure` looked at, and that labels and lanes lie on. `expected` is the probability of a person by kind
-/// of ground; kinds that it does not name are no kinds. `None` without exposure.
+/// of ground; kinds that it does not name are no kinds.
 ///
 /// # Errors
 /// A data fault for exposure with several sizes of cells or looks, or for more cells than fit.
@@ -46,10 +46,8 @@ pub(crate) fn site_ground(
     exposure: Vec<Exposure>,
     sides: &Sides,
     emit: &mut Emit<'_>,
-) -> Result<Option<SiteGround>, Fault> {
-    let Some(first) = exposure.first() else {
-        return Ok(None);
-    };
+) -> Result<SiteGround, Fault> {
+    let first = &exposure[0];
     let (site, cell_m, look_s) = (first.site.clone(), first.cell_m, first.look_s);
     let alike = |row: &Exposure| row.cell_m == cell_m && row.look_s == look_s;
     if !(exposure.iter().all(alike) && cell_m > 0.0 && look_s > 0.0) {
@@ -82,12 +80,12 @@ pub(crate) fn site_ground(
         expected: expected.values().copied().collect(),
         visits,
     };
-    Ok(Some(SiteGround {
+    Ok(SiteGround {
         site,
         cell_m,
         names,
         ground,
-    }))
+    })
 }
 
 /// A fault for a system that cannot be solved.

@@ -70,9 +70,7 @@ fn spaces(
     sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(site) = labels.first().map(|label| label.site.clone()) else {
-        return Ok(());
-    };
+    let site = labels[0].site.clone();
     let mut held = said(labels, params, emit);
     let hypotheses: Vec<BoxHypothesis> = sides.rows("hypotheses")?;
     held.extend(found(hypotheses, params, emit));

@@ -37,9 +37,7 @@ fn occupied(
     sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(first) = exposure.first() else {
-        return Ok(());
-    };
+    let first = &exposure[0];
     let (site, session, cell_m) = (first.site.clone(), first.session.clone(), first.cell_m);
     if !(cell_m > 0.0 && cell_m.is_finite()) {
         emit.skip("cell has no size", exposure.len() as u64);

@@ -52,9 +52,7 @@ fn forest(
     _: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(first) = samples.first() else {
-        return Ok(());
-    };
+    let first = &samples[0];
     let (site, features) = (first.site.clone(), first.features.clone());
     let gathered = Gathered::of(samples, params.blocks, emit);
     emit.rows(gathered.forest(&params.forest, &site, &features))
@@ -76,9 +74,7 @@ struct Gathered {
 impl Gathered {
     fn of(samples: Vec<PixelSamples>, blocks: u32, emit: &mut Emit<'_>) -> Self {
         let block = blocks_of(&samples, blocks);
-        let Some(first) = samples.first() else {
-            return Self::default();
-        };
+        let first = &samples[0];
         let features = first.features.clone();
         let mut all = Self {
             dimensions: first.dimensions as usize,

@@ -49,9 +49,7 @@ fn adjust(
     mut sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(site) = poses.first().map(|pose| pose.site.clone()) else {
-        return Ok(());
-    };
+    let site = poses[0].site.clone();
     let frames = sides.rows::<MapFrame>("previous_frames")?;
     let summary = &params.options.summary;
     let previous = kept(sides.take("previous")?, &frames, summary);

@@ -58,9 +58,7 @@ fn place(
     sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(site) = poses.first().map(|pose| pose.site.clone()) else {
-        return Ok(());
-    };
+    let site = poses[0].site.clone();
     if let Some(given) = params.origins.get(&site) {
         return emit.rows(vec![surveyed(site, *given)]);
     }

@@ -56,9 +56,7 @@ fn landmarks(
     sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(site) = poses.first().map(|row| row.site.clone()) else {
-        return Ok(());
-    };
+    let site = poses[0].site.clone();
     let new = NewDrives::default();
     let survey = Survey::new(&poses, new, &sides, &params.vehicle, emit)?;
     let seen: Vec<_> = survey.landmarks(&poses).into_iter().collect();

@@ -45,9 +45,7 @@ fn localise(
     sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(site) = features.first().map(|row| row.site.clone()) else {
-        return Ok(());
-    };
+    let site = features[0].site.clone();
     let (numbers, landmarks) = landmarks(sides.rows("landmarks")?);
     let sound = LandmarkMap::new(landmarks);
     let senseless = numbers.len() - sound.len();
@@ -80,13 +78,6 @@ fn localise_drive(
             features: &keyframe.features,
         })
         .collect();
-    if map.is_empty() {
-        let lost = KeyframeLocalisation {
-            state: State::Lost,
-            fix: None,
-        };
-        return vec![lost; keyframes.len()];
-    }
     let places = Places::new(&drive.rig, map, &params);
     Localiser::new(&drive.rig, map, params).localise(&keyframes, &places)
 }

@@ -37,9 +37,7 @@ fn loop_closures(
     mut sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(site) = keyframes.first().map(|row| row.site.clone()) else {
-        return Ok(());
-    };
+    let site = keyframes[0].site.clone();
     let features: Vec<Features> = sides.take("features")?;
     let new: BTreeSet<String> = features.iter().map(|row| row.session.clone()).collect();
     emit.rows(known(sides.take("previous")?, &keyframes, &new))?;

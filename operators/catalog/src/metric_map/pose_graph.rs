@@ -104,9 +104,7 @@ fn relax(
     sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(site) = keyframes.first().map(|row| row.site.clone()) else {
-        return Ok(());
-    };
+    let site = keyframes[0].site.clone();
     let known = known(sides.rows("previous")?);
     let stretches = Stretches::new(keyframes, &known, emit);
     let (rows, loops) = loops(sides.rows("loop_closures")?, &stretches, emit);

@@ -38,9 +38,7 @@ fn points(
     mut sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(first) = rows.first() else {
-        return Ok(());
-    };
+    let first = &rows[0];
     let (site, session) = (first.site.clone(), first.session.clone());
     let (keyframes, features) = (
         sides.rows::<Keyframe>("keyframes")?,

@@ -31,9 +31,7 @@ fn follow(
     sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(first) = features.first() else {
-        return Ok(());
-    };
+    let first = &features[0];
     let (site, session, camera) = (
         first.site.clone(),
         first.session.clone(),

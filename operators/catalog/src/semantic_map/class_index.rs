@@ -33,7 +33,7 @@ fn leaves(
     _: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let site = views.first().map(|view| view.site.clone());
+    let site = views[0].site.clone();
     let Some(NumberedViews {
         classes,
         names,
@@ -47,7 +47,7 @@ fn leaves(
         let (counts, views) = index.leaf(leaf);
         let present = counts.iter().enumerate().filter(|(_, areas)| **areas > 0);
         ClassLeaf {
-            site: site.clone().unwrap_or_default(),
+            site: site.clone(),
             leaf: leaf as u32,
             counts: present
                 .map(|(class, areas)| ClassCount {

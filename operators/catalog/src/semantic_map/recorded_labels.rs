@@ -145,19 +145,11 @@ impl Site {
         let found: Vec<Found> = frames
             .filter_map(|(row, frame)| Some(self.image(frame, pixels.get(row)?)))
             .collect();
-        let mut kept = Vec::with_capacity(found.len());
-        for row in found {
-            match row {
-                Ok((row, complete)) => {
-                    if !complete {
-                        emit.skip("label image has values without a class", 1);
-                    }
-                    kept.push(row);
-                }
-                Err(reason) => emit.skip(reason, 1),
-            }
-        }
-        emit.rows(kept)
+        let incomplete = found.iter().flatten().filter(|(_, complete)| !complete);
+        let incomplete = incomplete.count() as u64;
+        emit.skip("label image has values without a class", incomplete);
+        let rows = found.into_iter().map(|found| Ok([found?.0]));
+        emit.made(rows.collect())
     }
 
     fn image(&self, frame: Frame, bytes: &[u8]) -> Found {

@@ -69,9 +69,7 @@ struct Site<'a> {
 impl Site<'_> {
     /// A view's registrations with all its candidates, the best first.
     fn of_view(&self, candidates: &[Relocation]) -> Result<Vec<ViewRegistration>, Reason> {
-        let Some(first) = candidates.first() else {
-            return Ok(Vec::new());
-        };
+        let first = &candidates[0];
         let key = |row: &Relocation| (row.session.clone(), row.camera.clone(), row.stamp);
         let view = self.pyramid(&key(first))?;
         let mut found: Vec<(Option<Registration>, &Relocation)> = candidates

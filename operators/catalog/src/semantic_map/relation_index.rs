@@ -35,9 +35,7 @@ fn related(
     _: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(site) = views.first().map(|view| view.site.clone()) else {
-        return Ok(());
-    };
+    let site = views[0].site.clone();
     let Some(NumberedViews {
         classes,
         names,

@@ -43,9 +43,7 @@ fn calibration(
     _: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(first) = views.first() else {
-        return Ok(());
-    };
+    let first = &views[0];
     let classes = ClassNames::of(&views);
     let placed = views
         .iter()

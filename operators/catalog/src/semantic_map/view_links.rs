@@ -52,9 +52,7 @@ fn links(
     sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let Some(first) = rows.first() else {
-        return Ok(());
-    };
+    let first = &rows[0];
     let (site, camera) = (first.site.clone(), first.camera.clone());
     let key = |row: &SphereView| (row.session.clone(), row.camera.clone(), row.stamp);
     let views: Vec<ViewKey> = rows.iter().map(key).collect();

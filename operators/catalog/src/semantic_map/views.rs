@@ -85,19 +85,10 @@ impl Site {
         let images = images.into_par_iter();
         let views: Vec<Result<(View, usize), Reason>> =
             images.map(|image| self.view(image)).collect();
-        let mut found = Vec::with_capacity(views.len());
-        for view in views {
-            match view {
-                Ok((view, unknown)) => {
-                    if unknown > 0 {
-                        emit.skip("value of a pixel is not a class", unknown as u64);
-                    }
-                    found.push(view);
-                }
-                Err(reason) => emit.skip(reason, 1),
-            }
-        }
-        emit.rows(found)
+        let unknown = views.iter().flatten().map(|(_, unknown)| *unknown as u64);
+        emit.skip("value of a pixel is not a class", unknown.sum());
+        let views = views.into_iter().map(|view| Ok([view?.0]));
+        emit.made(views.collect())
     }
 
     /// The view, and how many pixels have labels that are no class.

@@ -13,7 +13,7 @@ mod calibration;
 mod equirectangular;
 mod kannala_brandt;
 mod ocam;
-mod radial;
+pub(super) mod radial;
 #[cfg(test)]
 pub(crate) mod tests;
 

@@ -103,7 +103,7 @@ pub(super) fn on_plane(
 }
 
 /// Value and slope of `c[0] + c[1] x + c[2] x² + …` (Horner).
-pub(super) fn polynomial(coefficients: &[f64], x: f64) -> (f64, f64) {
+pub(in crate::geometry) fn polynomial(coefficients: &[f64], x: f64) -> (f64, f64) {
     coefficients
         .iter()
         .rev()

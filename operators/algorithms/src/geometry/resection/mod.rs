@@ -15,6 +15,8 @@ mod sight;
 mod tests;
 
 pub use chance::inliers_beyond_chance;
+pub(crate) use refinement::moved;
+pub(crate) use sight::across;
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 use schemars::JsonSchema;

@@ -1,5 +1,7 @@
 //! Real roots of a polynomial in an interval.
 
+use crate::geometry::camera::radial::polynomial as value;
+
 /// Most roots of a polynomial handled here.
 const MAX_DEGREE: usize = 8;
 
@@ -56,14 +58,6 @@ fn derivative(c: &[f64; MAX_DEGREE + 1], order: usize) -> [f64; MAX_DEGREE + 1] 
         out[power - order] = c[power] * factor;
     }
     out
-}
-
-/// Value and slope.
-fn value(c: &[f64], x: f64) -> (f64, f64) {
-    let start = (0.0, 0.0);
-    c.iter().rev().fold(start, |(value, slope), coefficient| {
-        (value * x + coefficient, slope * x + value)
-    })
 }
 
 /// The root between two places of different sign: Newton's steps where they stay inside and shrink the bracket,

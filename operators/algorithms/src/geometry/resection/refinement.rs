@@ -69,7 +69,7 @@ pub(super) fn adjust(sights: &[&Sight], start: &Pose, gate: f64) -> Option<Adjus
 }
 
 /// A pose moved by a translation along the world's axes and a rotation about them.
-pub(super) fn moved(pose: &Pose, step: &Vector6<f64>) -> Pose {
+pub(crate) fn moved(pose: &Pose, step: &Vector6<f64>) -> Pose {
     let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned());
     let rotation = UnitQuaternion::new_normalize((turn * pose.rotation).into_inner());
     Pose::new(pose.translation + step.fixed_rows::<3>(0), rotation)

@@ -46,6 +46,14 @@ impl Miss {
     }
 }
 
+/// Two unit vectors across a ray.
+pub(crate) fn across(ray: &Vector3<f64>) -> Matrix2x3<f64> {
+    // The axis that is least along the ray keeps the cross product away from zero.
+    let first = ray.cross(&Vector3::ith(ray.iamin(), 1.0)).normalize();
+    let second = ray.cross(&first);
+    Matrix2x3::from_rows(&[first.transpose(), second.transpose()])
+}
+
 impl Sight {
     /// None for a camera that the rig does not have, and for numbers that are none.
     pub(super) fn new(
@@ -63,9 +71,6 @@ impl Sight {
             && finite(&[given.sigma_rad, given.quality])
             && given.sigma_rad > 0.0
             && covariance.diagonal().min() >= 0.0;
-        let axis = Vector3::ith(direction.iamin(), 1.0);
-        let first = direction.cross(&axis).normalize();
-        let second = direction.cross(&first);
         known.then(|| Self {
             index,
             quality: given.quality,
@@ -74,7 +79,7 @@ impl Sight {
                 direction,
                 point: given.point,
             },
-            across: Matrix2x3::from_rows(&[first.transpose(), second.transpose()]),
+            across: across(&direction),
             variance: given.sigma_rad * given.sigma_rad,
             covariance,
             spread: covariance.trace(),

@@ -6,6 +6,7 @@
 use super::GroundBox;
 use super::box_index::BoxIndex;
 use crate::ground::segment::nearest_share;
+use crate::solving::parts::parts;
 use rayon::prelude::*;
 
 /// Neighbours look the same way within this angle (rad), or the opposite one: what a row bends by from one to the next.
@@ -120,28 +121,14 @@ fn facing(place: GroundBox, entry: Option<Entry>) -> (GroundBox, Option<Entry>) 
 fn rows(spaces: &[(GroundBox, Option<Entry>)]) -> Vec<Vec<usize>> {
     let places: Vec<GroundBox> = spaces.iter().map(|(place, _)| *place).collect();
     let index = BoxIndex::of(&places);
-    let mut row_of: Vec<usize> = vec![usize::MAX; places.len()];
-    let mut rows: Vec<Vec<usize>> = Vec::new();
-    for first in 0..places.len() {
-        if row_of[first] != usize::MAX {
-            continue;
-        }
-        let row = rows.len();
-        row_of[first] = row;
-        let mut members = vec![first];
-        let mut next = 0;
-        while let Some(one) = members.get(next).copied() {
-            next += 1;
-            for other in index.indices_near(&places[one]) {
-                if row_of[other] == usize::MAX && are_neighbours(&spaces[one], &spaces[other]) {
-                    row_of[other] = row;
-                    members.push(other);
-                }
-            }
-        }
-        rows.push(members);
-    }
-    rows
+    parts(
+        places.len(),
+        |_| true,
+        |one| {
+            let near = index.indices_near(&places[one]);
+            near.filter(move |other| are_neighbours(&spaces[one], &spaces[*other]))
+        },
+    )
 }
 
 type Space = (GroundBox, Option<Entry>);

@@ -23,6 +23,7 @@ use super::scan::{SAME, Scored, apart, scan};
 use super::template::Template;
 use crate::learning::calibration::Calibration;
 use crate::learning::gaussian_process::{LearningError, LinearProcess, Posterior};
+use crate::solving::median::median;
 
 /// A hypothesis that overlaps a rejected box by more than this was answered.
 const ANSWERED: f64 = 0.8;
@@ -249,10 +250,9 @@ impl Taught {
 /// do to those who have not seen them, at the median.
 fn untaught(held: &[(f64, bool)], process: &LinearProcess) -> Calibration {
     let ones = held.iter().filter(|(_, is_one)| *is_one);
-    let mut means: Vec<f64> = ones.map(|(mean, _)| *mean).collect();
-    means.sort_by(f64::total_cmp);
+    let middle = median(ones.map(|(mean, _)| *mean).collect());
     Calibration {
-        middle: means.get(means.len() / 2).map_or(0.0, |mean| mean.max(0.0)),
+        middle: middle.map_or(0.0, |mean| mean.max(0.0)),
         slope: PROBIT / process.noise().sqrt().max(f64::MIN_POSITIVE),
     }
 }

@@ -39,12 +39,17 @@ impl CellIndex {
         }
     }
 
-    /// The point within a cell's width (inclusive) that is nearest; the smaller id on a tie.
-    pub(super) fn nearest(&self, point: &[f64; 3], points: &[[f64; 3]]) -> Option<u32> {
+    /// The nearest point, about within a cell's width, that counts by its id and distance; the smaller id on a tie.
+    pub(super) fn nearest(
+        &self,
+        point: &[f64; 3],
+        points: &[[f64; 3]],
+        counts: impl Fn(u32, f64) -> bool,
+    ) -> Option<u32> {
         let mut best: Option<(f64, u32)> = None;
         self.near(point, |id| {
             let candidate = (distance(point, &points[id as usize]), id);
-            if candidate.0 <= self.cell_m && best.is_none_or(|best| candidate < best) {
+            if best.is_none_or(|best| candidate < best) && counts(id, candidate.0) {
                 best = Some(candidate);
             }
         });

@@ -36,6 +36,7 @@ mod thinning;
 
 pub use params::{RoadNetworkError, RoadNetworkParams};
 
+use crate::solving::median::median;
 use explore::Chain;
 use graph::Graph;
 use prune::Rule;
@@ -227,13 +228,8 @@ fn positions_alone(drives: &[Trace<'_>], params: &RoadNetworkParams) -> Skeleton
 
 /// How far the passes of a lane scatter in the middle of its places.
 fn median_scatter(chain: &Chain, scatter_m: &[f64]) -> f64 {
-    let mut scatter: Vec<f64> = chain
-        .nodes
-        .iter()
-        .map(|&node| scatter_m[node as usize])
-        .collect();
-    scatter.sort_unstable_by(f64::total_cmp);
-    scatter.get(scatter.len() / 2).copied().unwrap_or_default()
+    let scatter = chain.nodes.iter().map(|&node| scatter_m[node as usize]);
+    median(scatter.collect()).unwrap_or_default()
 }
 
 fn check(drives: &[Trace<'_>], params: &RoadNetworkParams) -> Result<(), RoadNetworkError> {

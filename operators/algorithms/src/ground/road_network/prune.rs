@@ -48,7 +48,10 @@ fn shrink(graph: &mut Graph, groups: &[Vec<u32>], rule: Rule) -> bool {
             continue;
         }
         let centre = mean(group.iter().map(|&node| graph.position(node)));
-        let kept = nearest(graph, &index, &centre, group);
+        let stray = index.nearest(&centre, &graph.positions, |_, away_m| {
+            away_m <= rule.connect_m
+        });
+        let kept = nearest(graph, &centre, group.iter().copied().chain(stray));
         if marked.contains_key(&kept) {
             continue;
         }
@@ -94,28 +97,35 @@ fn closed_neighbourhood(graph: &Graph, group: &[u32]) -> Vec<u32> {
 
 /// The existing node nearest to `centre`, the smaller number on a tie. A member of the group is
 /// always a candidate; others matter only if closer still, so a small radius suffices.
-fn nearest(graph: &Graph, index: &CellIndex, centre: &[f64; 3], group: &[u32]) -> u32 {
-    let by_distance = |node: u32| (distance(centre, graph.position(node)), node);
-    let members = group.iter().map(|&node| by_distance(node));
-    let stray = index.nearest(centre, &graph.positions).map(by_distance);
+fn nearest(graph: &Graph, centre: &[f64; 3], nodes: impl Iterator<Item = u32>) -> u32 {
+    let by_distance = nodes.map(|node| (distance(centre, graph.position(node)), node));
     let closer = |a: (f64, u32), b: (f64, u32)| if b < a { b } else { a };
-    members
-        .chain(stray)
-        .reduce(closer)
-        .map_or(0, |(_, node)| node)
+    by_distance.reduce(closer).map_or(0, |(_, node)| node)
 }
 
 /// Shrinks cycles shorter than `min_loop_m`; gives whether there were any.
 pub(super) fn prune_ladders(graph: &mut Graph, min_loop_m: f64, rule: Rule) -> bool {
-    let mut cycles: Vec<(f64, Vec<u32>)> = Vec::new();
+    shrink_shortest(graph, rule, |graph, node, next| {
+        shortest_cycle(graph, node, next, min_loop_m)
+    })
+}
+
+/// Shrinks what is found from intersections through their neighbours, by length and nodes, the shortest first; gives
+/// whether there was anything.
+fn shrink_shortest(
+    graph: &mut Graph,
+    rule: Rule,
+    through: impl Fn(&Graph, u32, u32) -> Option<(f64, Vec<u32>)>,
+) -> bool {
+    let mut found: Vec<(f64, Vec<u32>)> = Vec::new();
     for node in graph.nodes().filter(|&node| graph.degree(node) > 2) {
         for &next in graph.neighbours(node) {
-            cycles.extend(shortest_cycle(graph, node, next, min_loop_m));
+            found.extend(through(graph, node, next));
         }
     }
-    cycles.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(&b.1)));
-    cycles.dedup_by(|a, b| a.1 == b.1);
-    let groups: Vec<Vec<u32>> = cycles.into_iter().map(|(_, nodes)| nodes).collect();
+    found.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(&b.1)));
+    found.dedup_by(|a, b| a.1 == b.1);
+    let groups: Vec<Vec<u32>> = found.into_iter().map(|(_, nodes)| nodes).collect();
     !groups.is_empty() && shrink(graph, &groups, rule)
 }
 
@@ -165,11 +175,7 @@ fn shortest_cycle(graph: &Graph, start: u32, next: u32, limit_m: f64) -> Option<
 /// Removes dead ends shorter than `min_link_m` that hang on an intersection, the shortest first;
 /// gives whether there were any.
 pub(super) fn prune_stubs(graph: &mut Graph, min_link_m: f64) -> bool {
-    let ends: Vec<u32> = graph
-        .nodes()
-        .filter(|&node| graph.degree(node) == 1)
-        .collect();
-    let mut stubs: Vec<(f64, Vec<u32>, u32)> = ends
+    let mut stubs: Vec<(f64, Vec<u32>, u32)> = dead_ends(graph)
         .into_iter()
         .filter_map(|end| stub(graph, end, min_link_m))
         .collect();
@@ -187,8 +193,14 @@ pub(super) fn prune_stubs(graph: &mut Graph, min_link_m: f64) -> bool {
     any
 }
 
+/// The nodes that lanes end at.
+pub(super) fn dead_ends(graph: &Graph) -> Vec<u32> {
+    let ends = graph.nodes().filter(|&node| graph.degree(node) == 1);
+    ends.collect()
+}
+
 /// Length, nodes and junction of the chain from dead end `end`, if it is a short one.
-fn stub(graph: &Graph, end: u32, min_link_m: f64) -> Option<(f64, Vec<u32>, u32)> {
+pub(super) fn stub(graph: &Graph, end: u32, min_link_m: f64) -> Option<(f64, Vec<u32>, u32)> {
     let (mut nodes, mut length) = (vec![end], 0.0);
     let mut node = end;
     loop {
@@ -211,16 +223,9 @@ fn stub(graph: &Graph, end: u32, min_link_m: f64) -> Option<(f64, Vec<u32>, u32)
 /// Shrinks lanes between two intersections that are shorter than `min_link_m`, the shortest
 /// first; gives whether there were any.
 pub(super) fn prune_links(graph: &mut Graph, min_link_m: f64, rule: Rule) -> bool {
-    let mut links: Vec<(f64, Vec<u32>)> = Vec::new();
-    for junction in graph.nodes().filter(|&node| graph.degree(node) > 2) {
-        for &next in graph.neighbours(junction) {
-            links.extend(link(graph, junction, next, min_link_m));
-        }
-    }
-    links.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(&b.1)));
-    links.dedup_by(|a, b| a.1 == b.1);
-    let groups: Vec<Vec<u32>> = links.into_iter().map(|(_, nodes)| nodes).collect();
-    !groups.is_empty() && shrink(graph, &groups, rule)
+    shrink_shortest(graph, rule, |graph, junction, next| {
+        link(graph, junction, next, min_link_m)
+    })
 }
 
 /// Length and nodes, ascending, of the lane from `junction` through `next`, if it is a short one

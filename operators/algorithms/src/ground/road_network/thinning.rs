@@ -155,8 +155,11 @@ impl Net {
         let away = |id: &u32| distance(&sample, &self.nodes[*id as usize]);
         let left = self.fresh.iter().rposition(|id| away(id) > self.connect_m);
         self.fresh.drain(..left.map_or(0, |last| last + 1));
-        let earlier = self.nearest(&sample, self.connect_m, |id| !self.fresh.contains(&id));
-        let own = || self.nearest(&sample, self.spacing_m, |_| true);
+        let index = &self.index;
+        let earlier = index.nearest(&sample, &self.nodes, |id, away_m| {
+            away_m < self.connect_m && !self.fresh.contains(&id)
+        });
+        let own = || index.nearest(&sample, &self.nodes, |_, away_m| away_m < self.spacing_m);
         if let Some(id) = earlier.or_else(own) {
             return id;
         }
@@ -165,24 +168,6 @@ impl Net {
         self.index.insert(id, &sample);
         self.fresh.push(id);
         id
-    }
-
-    /// The nearest representative closer than `radius_m`; the smaller number on a tie.
-    fn nearest(
-        &self,
-        sample: &[f64; 3],
-        radius_m: f64,
-        counts: impl Fn(u32) -> bool,
-    ) -> Option<u32> {
-        let mut best: Option<(f64, u32)> = None;
-        self.index.near(sample, |id| {
-            let candidate = (distance(sample, &self.nodes[id as usize]), id);
-            let nearer = best.is_none_or(|best| candidate < best);
-            if candidate.0 < radius_m && nearer && counts(id) {
-                best = Some(candidate);
-            }
-        });
-        best.map(|(_, id)| id)
     }
 }
 

@@ -9,6 +9,7 @@ use super::point::{Sight, triangulate};
 use super::search::{Hit, Search};
 use super::{AssociationParams, FeatureRef, Landmark, Scene};
 use crate::geometry::pose::Pose;
+use crate::solving::parts::{first, join};
 
 /// Part of the smaller landmark's features that may be contradicted: wrong members of a track should not keep it
 /// apart for ever. They are dropped.
@@ -69,25 +70,14 @@ fn elected(mut votes: Vec<((u32, u32), u32)>, least: u32) -> Vec<(u32, u32)> {
 fn apart(landmarks: usize, pairs: &[(u32, u32)]) -> Vec<Vec<(u32, u32)>> {
     let mut parents: Vec<u32> = (0..landmarks as u32).collect();
     for (a, b) in pairs {
-        let (a, b) = (root(&mut parents, *a), root(&mut parents, *b));
-        parents[a.max(b) as usize] = a.min(b);
+        join(&mut parents, [*a, *b]);
     }
     let mut parts: BTreeMap<u32, Vec<(u32, u32)>> = BTreeMap::new();
     for pair in pairs {
-        let part = root(&mut parents, pair.0);
+        let part = first(&mut parents, pair.0);
         parts.entry(part).or_default().push(*pair);
     }
     parts.into_values().collect()
-}
-
-/// The first of the group that this is in; the way to it becomes shorter.
-fn root(parents: &mut [u32], mut at: u32) -> u32 {
-    while parents[at as usize] != at {
-        let above = parents[parents[at as usize] as usize];
-        parents[at as usize] = above;
-        at = above;
-    }
-    at
 }
 
 fn owners(scene: &Scene, landmarks: &[Landmark]) -> Vec<Vec<u32>> {
@@ -194,7 +184,7 @@ impl<'a> Groups<'a> {
 
     /// Gives a free feature to a landmark that the image does not show yet.
     fn add(&mut self, landmark: u32, feature: FeatureRef) {
-        let root = root(&mut self.parents, landmark);
+        let root = first(&mut self.parents, landmark);
         let Some(landmark) = &mut self.landmarks[root as usize] else {
             return;
         };

@@ -3,6 +3,7 @@
 use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 
 use crate::geometry::pose::Pose;
+use crate::geometry::resection::across;
 
 /// Steps of the refinement; it converges quadratically, so few are needed.
 const STEPS: usize = 8;
@@ -122,19 +123,6 @@ impl LandmarkPoint {
             .max(0.0)
             .sqrt()
     }
-}
-
-/// Two unit vectors across a ray.
-fn across(ray: &Vector3<f64>) -> Matrix2x3<f64> {
-    // The axis that is least along the ray keeps the cross product away from zero.
-    let axis = match ray.iamin() {
-        0 => Vector3::x(),
-        1 => Vector3::y(),
-        _ => Vector3::z(),
-    };
-    let first = ray.cross(&axis).normalize();
-    let second = ray.cross(&first);
-    Matrix2x3::from_rows(&[first.transpose(), second.transpose()])
 }
 
 /// The point that minimises the robust sum of squared angles to the rays: from the point nearest to all rays, by

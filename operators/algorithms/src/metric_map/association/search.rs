@@ -11,6 +11,7 @@ use crate::geometry::pose::Pose;
 use crate::metric_map::features::Descriptor;
 use crate::metric_map::matching::{FeatureGrid, MatchLimits, squared_distance};
 use crate::metric_map::visibility::{Reaches, Visibility};
+use crate::solving::median::median;
 
 /// A feature nearer than this to the best one, pixels, is no rival: key points of several scales lie on one corner.
 const SAME_PLACE_PX: f64 = 2.0;
@@ -362,8 +363,6 @@ fn target(
     let sightings = sightings(scene, cameras, &landmark.point, &landmark.features);
     let features = landmark.features.iter().zip(&sightings);
     let sizes = features.map(|(feature, look)| scene.feature(*feature).size_px() * look.range_m);
-    let mut sizes: Vec<f64> = sizes.collect();
-    sizes.sort_by(f64::total_cmp);
     let appearance = |at: usize| Appearance {
         direction: sightings[at].direction.cast(),
         octave: sightings[at].range_m.log2() as f32,
@@ -381,7 +380,7 @@ fn target(
             .into_iter()
             .map(appearance)
             .collect(),
-        size_px_m: sizes.get(sizes.len() / 2).copied().unwrap_or(0.0),
+        size_px_m: median(sizes.collect()).unwrap_or(0.0),
     };
     (target, visibility)
 }

@@ -7,6 +7,14 @@ use faer::{MatMut, Par};
 /// One block, row by row.
 pub(super) type Block<const C: usize> = [[f64; C]; C];
 
+pub(super) fn diagonal<const C: usize>(entries: &[f64; C]) -> Block<C> {
+    std::array::from_fn(|r| std::array::from_fn(|c| if r == c { entries[r] } else { 0.0 }))
+}
+
+pub(super) fn transposed<const C: usize>(block: &Block<C>) -> Block<C> {
+    std::array::from_fn(|r| std::array::from_fn(|c| block[c][r]))
+}
+
 /// Blocks at the places that were announced.
 pub(super) struct Blocks<const C: usize> {
     /// `starts[i]..starts[i + 1]`: the blocks of row `i` in `columns` and `entries`.

@@ -5,7 +5,7 @@
 
 use rayon::prelude::*;
 
-use super::blocks::{Block, Blocks, Dense};
+use super::blocks::{Block, Blocks, Dense, diagonal, transposed};
 use super::clusters::Clusters;
 use super::elimination::{Layout, Sighted};
 use super::iterative::between;
@@ -86,10 +86,7 @@ impl<const C: usize> Coarse<C> {
             self.add_block(row, column, block);
         }
         for (block, damping) in damping.iter().enumerate() {
-            let diagonal = std::array::from_fn(|r| {
-                std::array::from_fn(|c| if r == c { damping[r] } else { 0.0 })
-            });
-            self.add_block(block, block, &diagonal);
+            self.add_block(block, block, &diagonal(damping));
         }
         self.system.factorise()
     }
@@ -101,12 +98,11 @@ impl<const C: usize> Coarse<C> {
             self.clusters.of[column] as usize,
         );
         let product = between(&self.motions[row], block, &self.motions[column]);
-        let mirror: Block<C> = std::array::from_fn(|r| std::array::from_fn(|c| product[c][r]));
         if a <= b {
             self.system.add(a, b, &product);
         }
         if a > b || (a == b && row != column) {
-            self.system.add(b, a, &mirror);
+            self.system.add(b, a, &transposed(&product));
         }
     }
 

@@ -32,10 +32,11 @@ impl<const C: usize> Factor<C> {
         }
     }
 
-    /// Where the block of two unknowns that differ goes; `None` where none is needed.
+    /// Where the block of two unknowns goes; `None` where that needs no slot.
     pub(super) fn slot(&self, row: usize, column: usize) -> Option<Slot> {
         match self {
             Self::Dense(_) => None,
+            Self::Sparse(_) if row == column => None,
             Self::Sparse(system) => system.structure().slot(row, column),
         }
     }

@@ -21,10 +21,9 @@ impl<const C: usize> Reduced<C> {
     pub(super) fn new(structure: Structure<C>, pairs: &[(u32, u32)]) -> Result<Self, SystemError> {
         let matrix = Blocks::new(structure.unknowns(), pairs);
         let factor = Factor::new(structure)?;
-        let slots = matrix.iter().map(|(row, column, _)| {
-            let off = column != row;
-            off.then(|| factor.slot(row, column)).flatten()
-        });
+        let slots = matrix
+            .iter()
+            .map(|(row, column, _)| factor.slot(row, column));
         Ok(Self {
             slots: slots.collect(),
             matrix,

@@ -14,6 +14,7 @@ use std::collections::BTreeSet;
 use nalgebra::{DVector, Matrix3, Rotation2, Vector2, Vector3};
 
 use crate::geometry::geodesy::{Geodetic, Tangent};
+use crate::solving::median::median;
 use crate::solving::random::SplitMix64;
 use noise::{Fit, Linear, OUTLIER, Sample, fit, fitted, misfits};
 
@@ -116,11 +117,10 @@ pub fn placement(fixes: &[AntennaFix]) -> Result<Placement, Refused> {
 /// says of its errors beyond what was found, averaged over the drives.
 fn hidden_m2(fixes: &[AntennaFix], kind: usize, found: Option<&Fit>) -> f64 {
     let said: Option<Vec<f64>> = fixes.iter().map(|fix| fix.sd_m[kind]).collect();
-    let (Some(mut said), Some(found)) = (said, found) else {
+    let (Some(said), Some(found)) = (said, found) else {
         return 0.0;
     };
-    said.sort_by(f64::total_cmp);
-    let said = said.get(said.len() / 2).copied().unwrap_or_default();
+    let said = median(said).unwrap_or_default();
     let shown = found.noise_m.powi(2) * (1.0 + found.drift.sd.powi(2));
     let drives: BTreeSet<usize> = fixes.iter().map(|fix| fix.session).collect();
     (said * said - shown).max(0.0) / drives.len().max(1) as f64
@@ -181,12 +181,8 @@ fn placed(
 /// The place whose coordinates are the medians of all; `None` where there are none.
 fn middle(fixes: &[AntennaFix]) -> Option<Geodetic> {
     let earth: Vec<Vector3<f64>> = fixes.iter().map(|fix| fix.earth.to_earth()).collect();
-    let median = |axis: usize| {
-        let mut values: Vec<f64> = earth.iter().map(|point| point[axis]).collect();
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied()
-    };
-    let point = Vector3::new(median(0)?, median(1)?, median(2)?);
+    let along = |axis: usize| median(earth.iter().map(|point| point[axis]).collect());
+    let point = Vector3::new(along(0)?, along(1)?, along(2)?);
     Some(Geodetic::from_earth(&point))
 }
 
@@ -213,14 +209,12 @@ impl Geodetic {
 fn samples(fixes: &[AntennaFix], kind: usize) -> Vec<Sample> {
     let known: Option<Vec<f64>> = fixes.iter().map(|fix| fix.sd_m[kind]).collect();
     let sds = known.unwrap_or_else(|| vec![1.0; fixes.len()]);
-    let mut sorted = sds.clone();
-    sorted.sort_by(f64::total_cmp);
-    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0);
+    let middle = median(sds.clone()).unwrap_or(1.0);
     let sample = |(fix, sd): (&AntennaFix, &f64)| Sample {
         session: fix.session,
         seconds: fix.seconds,
         // Ten times as sure as the others is nobody who shares their sky.
-        variance: (sd / median).clamp(0.1, 100.0).powi(2),
+        variance: (sd / middle).clamp(0.1, 100.0).powi(2),
     };
     fixes.iter().zip(&sds).map(sample).collect()
 }
@@ -233,9 +227,7 @@ fn height(fixes: &[AntennaFix], tangent: Geodetic) -> Option<Fit> {
         .iter()
         .map(|fix| plane.enu(fix.earth).z - fix.map.z)
         .collect();
-    let mut sorted = rises.clone();
-    sorted.sort_by(f64::total_cmp);
-    let start = *sorted.get(sorted.len() / 2)?;
+    let start = median(rises.clone())?;
     let model = |state: &DVector<f64>| Linear {
         axes: 1,
         width: 2,
@@ -294,11 +286,9 @@ impl Ground {
             let turn = Rotation2::new(state[0]);
             let shift = Vector2::new(state[1], state[2]);
             let off = |at: &usize| (self.earth[*at] - turn * self.map[*at] - shift).norm();
-            let mut errors: Vec<f64> = scored.iter().map(off).collect();
-            errors.sort_by(f64::total_cmp);
-            let median = errors[errors.len() / 2];
-            if best.as_ref().is_none_or(|(known, _)| median < *known) {
-                best = Some((median, state));
+            let error = median(scored.iter().map(off).collect())?;
+            if best.as_ref().is_none_or(|(known, _)| error < *known) {
+                best = Some((error, state));
             }
         }
         best.map(|(_, state)| state)

@@ -6,6 +6,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::solving::median::median;
+
 /// Weight of a fix that is off by this many standard deviations: half. 95 % efficient where noise is normal (Holland and
 /// Welsch, *Robust regression using iteratively reweighted least-squares*, 1977).
 const CAUCHY: f64 = 2.3849;
@@ -197,12 +199,10 @@ fn whitened(samples: &[Sample], drift: Drift, weights: &[f64], linear: &Linear) 
 impl White {
     /// Standard deviation of white noise: the median of misfits over that of a normal one.
     fn noise_m(&self, axes: usize) -> f64 {
-        let mut sorted = self.misfits.clone();
-        sorted.sort_by(f64::total_cmp);
-        let median = sorted.get(sorted.len() / 2).copied().unwrap_or_default();
+        let middle = median(self.misfits.clone()).unwrap_or_default();
         // Medians of the half-normal and of the Rayleigh distribution.
         let normal = if axes == 1 { 0.674_49 } else { 1.177_41 };
-        (median / normal).max(LEAST_NOISE_M)
+        (middle / normal).max(LEAST_NOISE_M)
     }
 
     fn normal_equations(&self, linear: &Linear) -> (DMatrix<f64>, DVector<f64>) {

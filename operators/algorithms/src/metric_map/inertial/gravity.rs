@@ -14,6 +14,7 @@ use nalgebra::{Matrix3, SMatrix, SVector, UnitQuaternion, Vector3};
 use super::GRAVITY_MPS2;
 use super::motion::Motion;
 use crate::geometry::lie::so3;
+use crate::solving::median::median;
 
 type State = SVector<f64, 6>;
 type Square = SMatrix<f64, 6, 6>;
@@ -223,11 +224,9 @@ fn updated(belief: &mut Belief, gravity: &Vector3<f64>, noise: f64) -> Vector3<f
 
 /// The noise of measurements by their surprises, outliers aside.
 fn noise_of(surprises: impl Iterator<Item = Vector3<f64>>) -> f64 {
-    let mut sizes: Vec<f64> = surprises
+    let sizes = surprises
         .flat_map(|surprise| [surprise.x, surprise.y, surprise.z])
-        .map(f64::abs)
-        .collect();
-    sizes.sort_by(f64::total_cmp);
-    let median = sizes.get(sizes.len() / 2).copied().unwrap_or(NOISE_BEFORE);
-    (median / MEDIAN_OF_NORMAL).max(LEAST_NOISE)
+        .map(f64::abs);
+    let middle = median(sizes.collect()).unwrap_or(NOISE_BEFORE);
+    (middle / MEDIAN_OF_NORMAL).max(LEAST_NOISE)
 }

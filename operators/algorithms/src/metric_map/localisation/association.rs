@@ -3,6 +3,7 @@
 use super::view::Sighted;
 use super::{LandmarkMap, LocalisationParams};
 use crate::metric_map::features::{Blur, Feature, FeatureNoise, ImageFeatures, KeyframeFeatures};
+use crate::metric_map::matching::FeatureGrid;
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 
@@ -14,8 +15,6 @@ const GATE: f64 = 13.8;
 const BITS_PER_UNIT: f64 = 4.0;
 /// Features and projected landmarks nearer than this are one spot of the world, found twice: no rivals.
 const SAME_SPOT_PX: f64 = 3.0;
-/// Side of a cell of an image's index, pixels.
-const CELL_PX: f64 = 16.0;
 
 /// A feature that may show a landmark.
 #[derive(Debug, Clone, Copy)]
@@ -44,11 +43,7 @@ pub(super) struct Cells<'a> {
     pub(super) blur: Blur,
     /// By feature: how much larger than the smallest ones' the variance of its place is, px².
     excess_px2: Vec<f64>,
-    columns: usize,
-    rows: usize,
-    /// Features by cell; those of cell `c` are `order[starts[c]..starts[c + 1]]`.
-    starts: Vec<u32>,
-    order: Vec<u32>,
+    grid: FeatureGrid,
 }
 
 impl<'a> Cells<'a> {
@@ -63,55 +58,15 @@ impl<'a> Cells<'a> {
         let blur = Blur::of_image(image);
         let excess_px2 =
             |feature: &Feature| noise.sigma_px.powi(2) * (blur.of(feature.size_px).powi(2) - 1.0);
-        let sound = |feature: &&Feature| feature.pixel.iter().all(|x| (-1.0..1e5).contains(x));
-        let extent = |axis: usize| {
-            let largest = features
-                .iter()
-                .filter(sound)
-                .map(|feature| feature.pixel[axis])
-                .fold(0.0, f64::max);
-            (largest / CELL_PX) as usize + 1
+        let place = |feature: &Feature| {
+            let sound = feature.pixel.iter().all(|x| (-1.0..1e5).contains(x));
+            if sound { feature.pixel } else { [f64::NAN; 2] }
         };
-        let (columns, rows) = (extent(0), extent(1));
-        let mut cells: Vec<(usize, u32)> = Vec::with_capacity(features.len());
-        for (index, feature) in features.iter().enumerate() {
-            if sound(&feature) {
-                let [column, row] = feature.pixel.map(|x| (x.max(0.0) / CELL_PX) as usize);
-                cells.push((row * columns + column, index as u32));
-            }
-        }
-        cells.sort_unstable();
-        let mut starts = vec![0; columns * rows + 1];
-        cells.iter().for_each(|(cell, _)| starts[cell + 1] += 1);
-        (1..starts.len()).for_each(|cell| starts[cell] += starts[cell - 1]);
         Self {
             features,
             blur,
             excess_px2: features.iter().map(excess_px2).collect(),
-            columns,
-            rows,
-            starts,
-            order: cells.into_iter().map(|(_, index)| index).collect(),
-        }
-    }
-
-    /// Calls `visit` with every feature in the square of half side `radius` about a pixel, and some around it.
-    fn visit(&self, pixel: &Vector2<f64>, radius: f64, mut visit: impl FnMut(usize, &Feature)) {
-        let range = |centre: f64, count: usize| {
-            let low = ((centre - radius).max(0.0) / CELL_PX) as usize;
-            let high = ((centre + radius).max(0.0) / CELL_PX) as usize;
-            low.min(count)..(high + 1).min(count)
-        };
-        let columns = range(pixel.x, self.columns);
-        if columns.is_empty() {
-            return;
-        }
-        for row in range(pixel.y, self.rows) {
-            let first = self.starts[row * self.columns + columns.start] as usize;
-            let last = self.starts[row * self.columns + columns.end] as usize;
-            for &index in &self.order[first..last] {
-                visit(index as usize, &self.features[index as usize]);
-            }
+            grid: FeatureGrid::new(features.iter().map(place)),
         }
     }
 }
@@ -172,14 +127,13 @@ fn candidates(
             }
         };
         let descriptors = &map.landmarks()[seen.landmark].descriptors;
-        cells.visit(&seen.pixel, radius, |index, feature| {
+        for index in cells.grid.near(seen.pixel.into(), radius) {
+            let index = index as usize;
+            let feature = &cells.features[index];
             let offset_px = Vector2::from(feature.pixel) - seen.pixel;
-            if offset_px.norm_squared() > radius * radius {
-                return;
-            }
             let units = units(&offset_px, cells.excess_px2[index]);
             if units > GATE {
-                return;
+                continue;
             }
             let bits = descriptors
                 .iter()
@@ -193,7 +147,7 @@ fn candidates(
                     cost: f64::from(bits) + BITS_PER_UNIT * units,
                 });
             }
-        });
+        }
     }
     found
 }

@@ -2,6 +2,7 @@
 
 use super::LocalisationParams;
 use crate::geometry::pose::Pose;
+pub(super) use crate::geometry::resection::moved;
 use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 
 /// Steps and turns smaller than this are noise of the sensors, metres and radians: wheel ticks, suspension.
@@ -42,21 +43,12 @@ fn worst(covariance: Matrix3<f64>) -> f64 {
     symmetric.symmetric_eigenvalues().max().max(0.0).sqrt()
 }
 
-/// The difference of two poses as a 6-vector at `from`: translation, then rotation, in the map's axes.
+/// The difference of two poses as a 6-vector at `from`: translation, then rotation, in the map's axes. [`moved`] undoes
+/// it.
 pub(super) fn difference(from: &Pose, to: &Pose) -> Vector6<f64> {
     let turn = (to.rotation * from.rotation.inverse()).scaled_axis();
     let shift = to.translation - from.translation;
     Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z)
-}
-
-/// A pose moved by a 6-vector; undoes [`difference`].
-pub(super) fn moved(pose: &Pose, by: &Vector6<f64>) -> Pose {
-    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(by[3], by[4], by[5]));
-    let rotation = UnitQuaternion::new_normalize((turn * pose.rotation).into_inner());
-    Pose::new(
-        pose.translation + Vector3::new(by[0], by[1], by[2]),
-        rotation,
-    )
 }
 
 /// What localised keyframes have taught about this drive's odometry: its scale and its yaw drift.

@@ -37,8 +37,6 @@ impl Default for SurfaceOptions {
 /// A point that a drive saw.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SurfacePoint {
-    /// Index of the track that it was followed by.
-    pub track: usize,
     /// Where it is, in the frame of the drive's poses (m).
     pub position: Vector3<f64>,
     /// Root of the sum of its variances along three axes, the poses taken for exact (m).
@@ -52,22 +50,21 @@ pub struct SurfacePoint {
 /// The points of a drive whose keyframes' `odom_from_vehicle` are poses in the map, by track.
 pub fn surface_points(drive: &Drive<'_>, options: &SurfaceOptions) -> Vec<SurfacePoint> {
     let surveyed = Surveyed::new(drive, options.features.sigma_px);
-    let tracks = drive.tracks.par_iter().enumerate();
-    let found = tracks.filter_map(|(index, track)| point(&surveyed, index, track, options));
+    let tracks = drive.tracks.par_iter();
+    let found = tracks.filter_map(|track| point(&surveyed, track, options));
     found.collect()
 }
 
 fn point(
     drive: &Surveyed<'_>,
-    track: usize,
-    followed: &DriveTrack,
+    track: &DriveTrack,
     options: &SurfaceOptions,
 ) -> Option<SurfacePoint> {
     let limits = PointLimits {
         window_m: f64::INFINITY,
         max_relative_sigma: f64::INFINITY,
     };
-    let rays = rays(drive, followed);
+    let rays = rays(drive, track);
     let point = triangulated(&rays, &limits)?;
     let sigma_m = point.covariance.trace().sqrt();
     let away = |origin: &Vector3<f64>| (point.position - origin).norm();
@@ -76,7 +73,6 @@ fn point(
         .min_by(|a, b| away(&a.origin).total_cmp(&away(&b.origin)))?;
     let vehicle = drive.drive.keyframes[nearest.keyframe].odom_from_vehicle;
     let found = SurfacePoint {
-        track,
         position: point.position,
         sigma_m,
         height_m: vehicle.inverse().transform(&point.position).z,

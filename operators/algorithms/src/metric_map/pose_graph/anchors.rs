@@ -1,6 +1,7 @@
 //! What holds a graph in its frame.
 
 use super::Graph;
+use crate::solving::parts::parts;
 
 /// By pose: does everything else hang off it? The fixed poses do, and the first pose of each connected part that has
 /// no fixed one.
@@ -11,22 +12,11 @@ pub(super) fn anchors<M, const D: usize>(graph: &Graph<M, D>) -> Vec<bool> {
         neighbours[edge.from].push(edge.to);
         neighbours[edge.to].push(edge.from);
     }
-    let fixed = |pose: &usize| graph.fixed.get(*pose).copied().unwrap_or(false);
-    let mut anchors: Vec<bool> = (0..n).map(|pose| fixed(&pose)).collect();
-    let mut reached = anchors.clone();
-    let mut waiting: Vec<usize> = (0..n).filter(fixed).collect();
-    for first in 0..=n {
-        while let Some(pose) = waiting.pop() {
-            for other in &neighbours[pose] {
-                if !std::mem::replace(&mut reached[*other], true) {
-                    waiting.push(*other);
-                }
-            }
-        }
-        if first < n && !reached[first] {
-            (anchors[first], reached[first]) = (true, true);
-            waiting.push(first);
-        }
+    let fixed = |pose: usize| graph.fixed.get(pose).copied().unwrap_or(false);
+    let mut anchors: Vec<bool> = (0..n).map(fixed).collect();
+    for part in parts(n, |_| true, |pose| neighbours[pose].iter().copied()) {
+        let is_held = part.iter().any(|pose| anchors[*pose]);
+        anchors[part[0]] |= !is_held;
     }
     anchors
 }

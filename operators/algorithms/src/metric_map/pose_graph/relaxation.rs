@@ -113,11 +113,6 @@ impl<'g, M: Motion<D>, const D: usize> Relaxation<'g, M, D> {
         })
     }
 
-    /// The estimate.
-    pub fn poses(&self) -> &[M] {
-        &self.poses
-    }
-
     /// The estimate, and the end of the relaxation.
     pub fn into_poses(self) -> Vec<M> {
         self.poses

@@ -5,6 +5,7 @@ use std::collections::BinaryHeap;
 
 use super::runs::{Joint, Runs};
 use super::{Edge, VOID};
+use crate::solving::parts;
 
 /// A region that is left.
 #[derive(Debug, Clone, Copy)]
@@ -59,16 +60,6 @@ impl Boundaries {
         region
     }
 
-    /// As [`Self::root`], with half the path left for the next time.
-    fn halved(&mut self, mut region: u32) -> u32 {
-        while self.parents[region as usize] != region {
-            let parent = self.parents[region as usize];
-            self.parents[region as usize] = self.parents[parent as usize];
-            region = parent;
-        }
-        region
-    }
-
     /// The region that a region has become part of; none for void.
     pub(super) fn find(&self, region: u32) -> Option<u32> {
         let root = self.root(region);
@@ -114,7 +105,7 @@ impl Boundaries {
         let of = std::mem::take(&mut neighbours[region as usize]);
         let current = of
             .iter()
-            .map(|(other, pairs)| ([region, self.halved(*other)], *pairs));
+            .map(|(other, pairs)| ([region, parts::first(&mut self.parents, *other)], *pairs));
         let mut current: Vec<_> = current.collect();
         current.retain(|([_, other], _)| *other != region);
         let current = summed(current);

@@ -1,6 +1,7 @@
 //! Horizontal runs of equal class, and union-find over those that touch.
 
 use super::VOID;
+use crate::solving::parts;
 
 /// Pixels of one row and one class.
 #[derive(Debug, Clone, Copy)]
@@ -114,18 +115,7 @@ impl Runs {
             joints.push(Joint { runs, pairs });
             return;
         }
-        let [a, b] = runs.map(|run| self.root(run));
-        self.regions[a.max(b) as usize] = a.min(b);
-    }
-
-    /// The root of a run: the first run that it is joined to. Halves the path.
-    fn root(&mut self, mut run: u32) -> u32 {
-        while self.regions[run as usize] != run {
-            let parent = self.regions[run as usize];
-            self.regions[run as usize] = self.regions[parent as usize];
-            run = parent;
-        }
-        run
+        parts::join(&mut self.regions, runs);
     }
 
     /// A root is never after what hangs on it, so one pass in order numbers all.

@@ -1,42 +1,22 @@
 //! Dead ends too short to be driven to.
 
 use super::super::graph::Graph;
+use super::super::prune::{dead_ends, stub};
 use super::plane::{ahead, dot};
 
 /// Removes dead ends shorter than `shortest_m` beside a lane that goes on: a drive that began or ended a step off the
 /// lane. Where the other two part, the dead end is what they have in common, and stays.
 pub(super) fn remove(graph: &mut Graph, shortest_m: f64) {
-    let ends: Vec<u32> = graph
-        .nodes()
-        .filter(|&node| graph.degree(node) == 1)
-        .collect();
-    for end in ends {
-        if let Some((stub, junction)) = stub(graph, end, shortest_m) {
-            for node in stub {
+    for end in dead_ends(graph) {
+        if let Some((_, nodes, junction)) = stub(graph, end, shortest_m)
+            && nodes
+                .last()
+                .is_some_and(|last| goes_on(graph, junction, *last))
+        {
+            for node in nodes {
                 graph.remove(node, junction);
             }
         }
-    }
-}
-
-/// The nodes of the dead end, and where it meets the others.
-fn stub(graph: &Graph, end: u32, shortest_m: f64) -> Option<(Vec<u32>, u32)> {
-    let (mut nodes, mut length) = (vec![end], 0.0);
-    let mut at = end;
-    loop {
-        let next = *graph
-            .neighbours(at)
-            .iter()
-            .find(|next| !nodes.contains(next))?;
-        length += graph.length(at, next);
-        if length >= shortest_m {
-            return None;
-        }
-        if graph.degree(next) > 2 {
-            return goes_on(graph, next, at).then_some((nodes, next));
-        }
-        nodes.push(next);
-        at = next;
     }
 }
 

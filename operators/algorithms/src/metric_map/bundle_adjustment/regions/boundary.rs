@@ -1,5 +1,6 @@
 //! The system of what regions share.
 
+use super::super::blocks::{Block, diagonal};
 use super::super::factor::Factor;
 use super::condensed::Condensed;
 use crate::solving::least_squares::{Structure, SystemError};
@@ -58,19 +59,15 @@ impl<const C: usize> Boundary<C> {
         }
     }
 
-    fn add_block(&mut self, row: usize, column: usize, block: &[[f64; C]; C]) {
-        let off = row != column;
-        let slot = off.then(|| self.factor.slot(row, column)).flatten();
+    fn add_block(&mut self, row: usize, column: usize, block: &Block<C>) {
+        let slot = self.factor.slot(row, column);
         self.factor.add(row, column, slot, block);
     }
 
     /// Solves for the steps, with so much added to the diagonal; `None` when the matrix is not positive definite.
     pub(super) fn solve(&mut self, added: impl Iterator<Item = [f64; C]>) -> Option<()> {
         for (row, added) in added.enumerate() {
-            let diagonal = std::array::from_fn(|r| {
-                std::array::from_fn(|c| if r == c { added[r] } else { 0.0 })
-            });
-            self.add_block(row, row, &diagonal);
+            self.add_block(row, row, &diagonal(&added));
         }
         self.factor.factorise()?;
         self.factor.solve(self.steps.as_flattened_mut())

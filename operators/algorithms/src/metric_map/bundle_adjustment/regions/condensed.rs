@@ -9,7 +9,7 @@
 
 use rayon::prelude::*;
 
-use super::super::blocks::{Block, Blocks};
+use super::super::blocks::{Block, Blocks, transposed};
 use super::super::factor::Factor;
 use super::region::Failed;
 use crate::processor::vectorised;
@@ -94,10 +94,6 @@ pub(super) fn condense<const C: usize>(
     Ok((interior, left))
 }
 
-fn transposed<const C: usize>(block: &Block<C>) -> Block<C> {
-    std::array::from_fn(|r| std::array::from_fn(|c| block[c][r]))
-}
-
 /// `B`, and room for one column more.
 fn columns<const C: usize>(own: usize, couplings: &[Coupling<C>]) -> Result<Vec<f64>, Failed> {
     let height = own * C;
@@ -129,8 +125,7 @@ fn factorised<const C: usize>(
     let mut factor = Factor::new(structure).map_err(Failed::System)?;
     for (row, column, block) in inner {
         let (row, column) = (*row as usize, *column as usize);
-        let off = row != column;
-        let slot = off.then(|| factor.slot(row, column)).flatten();
+        let slot = factor.slot(row, column);
         factor.add(row, column, slot, block);
     }
     factor.factorise().ok_or(Failed::NotPositive)?;

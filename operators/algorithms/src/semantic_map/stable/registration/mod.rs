@@ -39,8 +39,6 @@ pub struct Registration {
     pub overlap: f64,
     /// Of what those tell of the place, the share that is as it should be: walls and trunks tell, the ground does not.
     pub inliers: f64,
-    /// How well the best other place fits, as a share of how well this one does; 0 where all starts came to this one.
-    pub runner_up: f64,
     /// Correlation of brightness over those points at the finest size, within tiles of the image; `None` where an image has
     /// no structure.
     pub correlation: Option<f64>,
@@ -145,6 +143,7 @@ pub fn register(
         candidates = places.iter().map(|(estimate, ..)| *estimate).collect();
         if let (0, Some((estimate, best, _))) = (size, places.first()) {
             let second = places.get(1).map_or(0.0, |(_, second, _)| second.share());
+            // How well the best other place fits, as a share of how well this one does.
             let runner_up = second / best.share().max(f64::MIN_POSITIVE);
             let (estimate, fit, rests) = aligner.align(*estimate, 1)?;
             last = Some((estimate, fit, runner_up, rests, aligner.covariance(&fit)?));
@@ -157,7 +156,6 @@ pub fn register(
         covariance,
         overlap: fit.overlap,
         inliers: fit.inliers,
-        runner_up,
         correlation: fit.correlation,
         brightness: estimate.brightness,
     })
