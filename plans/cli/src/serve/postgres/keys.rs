@@ -5,7 +5,7 @@ use datafusion::sql::sqlparser::ast::{Expr, Function, FunctionArguments};
 use evermap_schemas::{Layer, layers};
 
 use crate::serve::postgres::expression::expression;
-use crate::serve::postgres::functions::ExpandArray;
+use crate::serve::postgres::functions::EXPAND_ARRAY;
 
 /// How far the number of a key's index is from that of its table, and that of its constraint: no table has one so high.
 const FROM_TABLE_TO_INDEX: i32 = 1 << 30;
@@ -170,7 +170,7 @@ fn of_index(column: &Field) -> String {
 pub fn of_key(call: &Function) -> Option<Expr> {
     let name = call.name.0.last()?.as_ident()?;
     let column = match &*name.value.to_lowercase() {
-        ExpandArray::NAME => return expression(&format!("unnest({call})")),
+        EXPAND_ARRAY => return expression(&format!("unnest({call})")),
         "pg_get_indexdef" => INDEX,
         "pg_get_constraintdef" => CONSTRAINT,
         _ => return None,

@@ -10,7 +10,7 @@ use datafusion::logical_expr::utils::merge_schema;
 use datafusion::logical_expr::{Expr, ExprSchemable, LogicalPlan, LogicalPlanBuilder};
 use evermap_functions::to_json;
 
-use crate::serve::postgres::functions::{ArrayOut, function};
+use crate::serve::postgres::functions::ARRAY_OUT;
 
 /// The plan with what is nested and cast to text as JSON, and lists of plain values as arrays are written.
 ///
@@ -44,7 +44,7 @@ fn as_text(found: Expr, schema: &DFSchema) -> Result<Transformed<Expr>, DataFusi
     let value = cast.expr.as_ref().clone();
     Ok(match cast.expr.get_type(schema) {
         Ok(nested) if is_nested(&nested) => Transformed::yes(to_json().call(vec![value])),
-        Ok(DataType::List(_)) => Transformed::yes(function(ArrayOut).call(vec![value])),
+        Ok(DataType::List(_)) => Transformed::yes(ARRAY_OUT.call(vec![value])),
         _ => Transformed::no(found),
     })
 }

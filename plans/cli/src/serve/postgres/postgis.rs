@@ -26,10 +26,9 @@ use pgwire::api::Type;
 use tokio::sync::OnceCell;
 
 use crate::output::GEOMETRY;
-use crate::serve::postgres::format::Format;
+use crate::serve::postgres::format::format;
 use crate::serve::postgres::functions::{
-    ArrayOut, AsBinary, Constant, CurrentSetting, ExpandArray, FormatType, SETTINGS, ToRegtype,
-    register,
+    ARRAY_OUT, FormatType, SETTINGS, as_binary, constant, current_setting, expand_array, to_regtype,
 };
 use crate::serve::postgres::geometry::OID;
 use crate::serve::postgres::keys;
@@ -89,14 +88,18 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
         tables.views.insert(view, view_of);
         catalog.register_schema(CATALOG, Arc::new(tables.clone()))?;
     }
-    register(context, ToRegtype { numbers });
-    register(context, ArrayOut);
-    register(context, CurrentSetting);
-    register(context, AsBinary);
-    register(context, ExpandArray);
-    register(context, Format);
+    for function in [
+        to_regtype(numbers),
+        ARRAY_OUT.clone(),
+        current_setting(),
+        as_binary(),
+        expand_array(),
+        format(),
+    ] {
+        context.register_udf(function);
+    }
     if let Ok(inner) = context.udf("format_type") {
-        register(context, FormatType { inner });
+        context.register_udf(FormatType { inner }.into());
     }
     let text = |text: &str| ScalarValue::Utf8(Some(text.to_owned()));
     for (name, value) in [
@@ -116,7 +119,7 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
         ("postgis_typmod_type", text("Geometry")),
         ("st_srid", ScalarValue::Int32(Some(SYSTEM))),
     ] {
-        register(context, Constant { name, value });
+        context.register_udf(constant(name, value));
     }
     Ok(())
 }
