@@ -41,7 +41,6 @@ pub fn hooks() -> Vec<Arc<dyn QueryHook>> {
         Arc::new(Gate),
         Arc::new(Cursors),
         Arc::new(CursorStatementHook),
-        Arc::new(Shown),
         Arc::new(SetShowHook),
         Arc::new(TransactionStatementHook),
         Arc::new(Reading),
@@ -58,7 +57,7 @@ enum Verdict {
     Refused(PgWireError),
 }
 
-/// Lets nothing through but what reads.
+/// Lets nothing through but what reads, and answers `SHOW` of what the server says of itself.
 #[derive(Debug)]
 struct Gate;
 
@@ -171,10 +170,13 @@ impl QueryHook for Gate {
     async fn handle_simple_query(
         &self,
         statement: &Statement,
-        _: &SessionContext,
+        context: &SessionContext,
         client: &mut dyn HookClient,
     ) -> Option<PgWireResult<Response>> {
         forget(statement, client);
+        if let Some(query) = shown(statement, client) {
+            return Reading.handle_simple_query(&query, context, client).await;
+        }
         match Self::verdict(statement) {
             Verdict::Passes => None,
             Verdict::Done(tag) => Some(Ok(Response::Execution(Tag::new(tag)))),
@@ -185,9 +187,12 @@ impl QueryHook for Gate {
     async fn handle_extended_parse_query(
         &self,
         statement: &Statement,
-        _: &SessionContext,
-        _: &(dyn ClientInfo + Send + Sync),
+        context: &SessionContext,
+        client: &(dyn ClientInfo + Send + Sync),
     ) -> Option<PgWireResult<LogicalPlan>> {
+        if let Some(query) = shown(statement, client) {
+            return Some(reading(&query, context).await);
+        }
         match Self::verdict(statement) {
             Verdict::Passes => None,
             Verdict::Done(_) => Some(Ok(nothing())),
@@ -215,60 +220,22 @@ fn nothing() -> LogicalPlan {
     })
 }
 
-/// Answers `SHOW` of what the server says of itself, unless the client has set it for itself.
-#[derive(Debug)]
-struct Shown;
-
-impl Shown {
-    fn query(statement: &Statement, client: &(dyn ClientInfo + Send + Sync)) -> Option<Statement> {
-        let Statement::ShowVariable { variable } = statement else {
-            return None;
-        };
-        let [name] = variable.as_slice() else {
-            return None;
-        };
-        let name = name.value.to_lowercase();
-        let mut settings = SETTINGS.iter();
-        let (shown, _) = settings.find(|(known, _)| known.eq_ignore_ascii_case(&name))?;
-        if client.metadata().contains_key(&name) {
-            return None;
-        }
-        let query = format!("SELECT current_setting('{shown}') AS \"{shown}\"");
-        Parser::parse_sql(&PostgreSqlDialect {}, &query).ok()?.pop()
+/// The query for what `SHOW` asks, if it is what the server says of itself, and the client has not set it for itself.
+fn shown(statement: &Statement, client: &(dyn ClientInfo + Send + Sync)) -> Option<Statement> {
+    let Statement::ShowVariable { variable } = statement else {
+        return None;
+    };
+    let [name] = variable.as_slice() else {
+        return None;
+    };
+    let name = name.value.to_lowercase();
+    let mut settings = SETTINGS.iter();
+    let (shown, _) = settings.find(|(known, _)| known.eq_ignore_ascii_case(&name))?;
+    if client.metadata().contains_key(&name) {
+        return None;
     }
-}
-
-#[async_trait]
-impl QueryHook for Shown {
-    async fn handle_simple_query(
-        &self,
-        statement: &Statement,
-        context: &SessionContext,
-        client: &mut dyn HookClient,
-    ) -> Option<PgWireResult<Response>> {
-        let query = Self::query(statement, client)?;
-        Reading.handle_simple_query(&query, context, client).await
-    }
-
-    async fn handle_extended_parse_query(
-        &self,
-        statement: &Statement,
-        context: &SessionContext,
-        client: &(dyn ClientInfo + Send + Sync),
-    ) -> Option<PgWireResult<LogicalPlan>> {
-        Some(reading(&Self::query(statement, client)?, context).await)
-    }
-
-    async fn handle_extended_query(
-        &self,
-        statement: &Statement,
-        _: &LogicalPlan,
-        _: &ParamValues,
-        context: &SessionContext,
-        client: &mut dyn HookClient,
-    ) -> Option<PgWireResult<Response>> {
-        self.handle_simple_query(statement, context, client).await
-    }
+    let query = format!("SELECT current_setting('{shown}') AS \"{shown}\"");
+    Parser::parse_sql(&PostgreSqlDialect {}, &query).ok()?.pop()
 }
 
 /// Plans queries that only read, structs and the like as JSON.

@@ -82,7 +82,7 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
     for (view, query) in VIEWS.into_iter().zip(queries) {
         let view_of = context.sql(&query).await?.into_view();
         let view_of = match view {
-            KEPT => kept(view_of)?,
+            KEPT => once(view_of, Ok)?,
             _ => view_of,
         };
         tables.views.insert(view, view_of);
@@ -339,16 +339,8 @@ impl SchemaProvider for Catalog {
         match name {
             "pg_type" => Ok(Some(Arc::clone(&self.types) as Arc<dyn TableProvider>)),
             "pg_attribute" => {
-                let Some(inner) = self.inner.table(name).await? else {
-                    return Ok(None);
-                };
-                let schema = inner.schema();
-                let rows = Arc::new(Attributes {
-                    inner,
-                    schema: Arc::clone(&schema),
-                });
-                let table = StreamingTable::try_new(schema, vec![rows])?;
-                Ok(Some(Arc::new(table)))
+                let inner = self.inner.table(name).await?;
+                inner.map(|inner| once(inner, typed)).transpose()
             }
             _ => match self.views.get(name) {
                 Some(view) => Ok(Some(Arc::clone(view))),
@@ -362,32 +354,40 @@ impl SchemaProvider for Catalog {
     }
 }
 
-/// A view whose rows are found once: those of a version stay what they are.
-fn kept(view: Arc<dyn TableProvider>) -> Result<Arc<dyn TableProvider>> {
-    let schema = view.schema();
-    let rows = Arc::new(Kept {
-        view,
+/// The rows that are made of a table's, found once: those of a version stay what they are.
+fn once(
+    table: Arc<dyn TableProvider>,
+    made: fn(RecordBatch) -> Result<RecordBatch>,
+) -> Result<Arc<dyn TableProvider>> {
+    let schema = table.schema();
+    let rows = Arc::new(Once {
+        table,
         schema: Arc::clone(&schema),
+        made,
         rows: Arc::default(),
     });
     Ok(Arc::new(StreamingTable::try_new(schema, vec![rows])?))
 }
 
 #[derive(Debug)]
-struct Kept {
-    view: Arc<dyn TableProvider>,
+struct Once {
+    table: Arc<dyn TableProvider>,
     schema: SchemaRef,
+    made: fn(RecordBatch) -> Result<RecordBatch>,
     rows: Arc<OnceCell<RecordBatch>>,
 }
 
-impl PartitionStream for Kept {
+impl PartitionStream for Once {
     fn schema(&self) -> &SchemaRef {
         &self.schema
     }
 
     fn execute(&self, _: Arc<TaskContext>) -> SendableRecordBatchStream {
-        let (view, rows) = (Arc::clone(&self.view), Arc::clone(&self.rows));
-        let found = async move { rows.get_or_try_init(|| all(view)).await.cloned() };
+        let (table, rows, made) = (Arc::clone(&self.table), Arc::clone(&self.rows), self.made);
+        let found = async move {
+            let found = rows.get_or_try_init(|| async move { made(all(table).await?) });
+            found.await.cloned()
+        };
         let found = futures::stream::once(found);
         Box::pin(RecordBatchStreamAdapter::new(
             Arc::clone(&self.schema),
@@ -397,28 +397,6 @@ impl PartitionStream for Kept {
 }
 
 /// The columns of tables, those of geometries with their type.
-#[derive(Debug)]
-struct Attributes {
-    inner: Arc<dyn TableProvider>,
-    schema: SchemaRef,
-}
-
-impl PartitionStream for Attributes {
-    fn schema(&self) -> &SchemaRef {
-        &self.schema
-    }
-
-    fn execute(&self, _: Arc<TaskContext>) -> SendableRecordBatchStream {
-        let inner = Arc::clone(&self.inner);
-        let rows = async move { typed(all(inner).await?) };
-        let rows = futures::stream::once(rows);
-        Box::pin(RecordBatchStreamAdapter::new(
-            Arc::clone(&self.schema),
-            rows,
-        ))
-    }
-}
-
 fn typed(attributes: RecordBatch) -> Result<RecordBatch> {
     let bytea = Type::BYTEA.oid().cast_signed();
     let (Ok(index), Some(names)) = (
