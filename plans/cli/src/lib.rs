@@ -36,6 +36,7 @@ mod printable;
 mod progress;
 mod prompt;
 pub mod quantity;
+mod raster;
 pub mod reader;
 pub mod report;
 pub mod scene;

@@ -10,7 +10,6 @@ mod lanelet2;
 mod nav2;
 mod nav2_route;
 mod ply;
-mod raster;
 mod tum;
 
 use std::collections::{BTreeSet, HashMap};
