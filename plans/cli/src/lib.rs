@@ -19,7 +19,6 @@ pub mod arguments;
 pub mod commands;
 pub mod contents;
 pub mod coordinate_frames;
-pub mod describe;
 pub mod draw;
 mod earth;
 pub mod ending;

@@ -252,9 +252,8 @@ impl Drawn {
     }
 
     fn of_hypothesis(found: &BoxHypothesis, picture: &Picture) -> Option<Self> {
-        let corners = corners(&found.map_from_label, [found.length_m, found.width_m]);
-        let corners: [Pixel; 4] = corners.try_into().ok()?;
-        let corners = corners.map(|place| picture.pixel(place));
+        let corners = corners(&found.map_from_label, [found.length_m, found.width_m])?;
+        let corners = corners.map(|[x, y, _]| picture.pixel([x, y]));
         Some(Self {
             place: format!("hypothesis {}", found.hypothesis),
             kind: Some(found.kind.clone()),
