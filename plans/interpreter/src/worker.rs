@@ -23,7 +23,10 @@ pub(crate) struct Worker {
     process: Child,
     requests: Option<ChildStdin>,
     answers: BufReader<ChildStdout>,
-    environment: Environment,
+    /// Digest of the function.
+    pub(crate) loaded: blake3::Hash,
+    /// Where the function runs.
+    pub(crate) environment: Environment,
 }
 
 /// What a worker answers.
@@ -36,8 +39,8 @@ enum Answer {
 }
 
 impl Worker {
-    /// Starts the interpreter and has it load a function.
-    pub(crate) fn start(function: &Function) -> Result<Self, Fault> {
+    /// Starts the interpreter and has it load a function, of this digest.
+    pub(crate) fn start(function: &Function, loaded: blake3::Hash) -> Result<Self, Fault> {
         let interpreter = std::env::var_os(INTERPRETER).unwrap_or_else(|| "python3".into());
         let mut process = Command::new(&interpreter)
             // The last is for the program, which names it to people.
@@ -63,6 +66,7 @@ impl Worker {
             process,
             requests: Some(requests),
             answers: BufReader::new(answers),
+            loaded,
             environment: Environment(String::new()),
         };
         let request = serde_json::to_value(function)
@@ -72,11 +76,6 @@ impl Worker {
             _ => return Err(confused(function)),
         }
         Ok(worker)
-    }
-
-    /// Where the function runs.
-    pub(crate) fn environment(&self) -> &Environment {
-        &self.environment
     }
 
     /// Calls the function. Where this fails the worker is not to be used again.
