@@ -195,7 +195,8 @@ impl QueryHook for Gate {
         }
         match Self::verdict(statement) {
             Verdict::Passes => None,
-            Verdict::Done(_) => Some(Ok(nothing())),
+            // A plan without rows.
+            Verdict::Done(_) => Some(Ok(LogicalPlan::default())),
             Verdict::Refused(error) => Some(Err(error)),
         }
     }
@@ -210,14 +211,6 @@ impl QueryHook for Gate {
     ) -> Option<PgWireResult<Response>> {
         self.handle_simple_query(statement, context, client).await
     }
-}
-
-/// The plan of a statement without rows.
-fn nothing() -> LogicalPlan {
-    LogicalPlan::EmptyRelation(datafusion::logical_expr::EmptyRelation {
-        produce_one_row: false,
-        schema: Arc::new(datafusion::common::DFSchema::empty()),
-    })
 }
 
 /// The query for what `SHOW` asks, if it is what the server says of itself, and the client has not set it for itself.
