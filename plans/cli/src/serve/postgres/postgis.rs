@@ -191,19 +191,17 @@ fn settings() -> String {
 /// The columns of all tables, as far as SQL's standard and Postgres agree on what is known of them here.
 fn columns(catalog: &str) -> String {
     let catalog = catalog.replace('\'', "''");
-    let unknown = |name: &str, kind: &str| format!("CAST(NULL AS {kind}) AS {name}, ");
     let unknown = [
-        unknown("column_default", "TEXT"),
-        unknown("character_maximum_length", "INT"),
-        unknown("numeric_precision", "INT"),
-        unknown("numeric_scale", "INT"),
-        unknown("datetime_precision", "INT"),
-        unknown("character_octet_length", "INT"),
-        unknown("numeric_precision_radix", "INT"),
-        unknown("domain_name", "TEXT"),
-        unknown("collation_name", "TEXT"),
-        unknown("identity_generation", "TEXT"),
-        unknown("generation_expression", "TEXT"),
+        keys::each("column_default", "CAST(NULL AS TEXT)"),
+        keys::each(
+            "character_maximum_length numeric_precision numeric_scale datetime_precision \
+             character_octet_length numeric_precision_radix",
+            "CAST(NULL AS INT)",
+        ),
+        keys::each(
+            "domain_name collation_name identity_generation generation_expression",
+            "CAST(NULL AS TEXT)",
+        ),
     ]
     .concat();
     let never = "'NO' AS is_identity, 'NEVER' AS is_generated, 'NO' AS is_updatable, ";
