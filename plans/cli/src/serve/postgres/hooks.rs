@@ -26,7 +26,7 @@ use pgwire::error::{PgWireError, PgWireResult};
 use pgwire::types::format::FormatOptions;
 
 use crate::serve::postgres::catalog::{in_its_words, is_of_catalog, no_rows};
-use crate::serve::postgres::cursors::Cursors;
+use crate::serve::postgres::cursors;
 use crate::serve::postgres::functions::SETTINGS;
 use crate::serve::postgres::geometry::{as_extended, as_text, told};
 use crate::serve::postgres::kept::deallocate;
@@ -39,7 +39,6 @@ use crate::serve::postgres::{error, said};
 pub fn hooks() -> Vec<Arc<dyn QueryHook>> {
     vec![
         Arc::new(Gate),
-        Arc::new(Cursors),
         Arc::new(CursorStatementHook),
         Arc::new(SetShowHook),
         Arc::new(TransactionStatementHook),
@@ -57,7 +56,7 @@ enum Verdict {
     Refused(PgWireError),
 }
 
-/// Lets nothing through but what reads, and answers `SHOW` of what the server says of itself.
+/// Lets nothing through but what reads, and answers what is asked of cursors, and `SHOW` of what the server says of itself.
 #[derive(Debug)]
 struct Gate;
 
@@ -178,7 +177,7 @@ impl QueryHook for Gate {
             return Reading.handle_simple_query(&query, context, client).await;
         }
         match Self::verdict(statement) {
-            Verdict::Passes => None,
+            Verdict::Passes => cursors::answered(statement, context, client).await,
             Verdict::Done(tag) => Some(Ok(Response::Execution(Tag::new(tag)))),
             Verdict::Refused(error) => Some(Err(error)),
         }
@@ -194,7 +193,7 @@ impl QueryHook for Gate {
             return Some(reading(&query, context).await);
         }
         match Self::verdict(statement) {
-            Verdict::Passes => None,
+            Verdict::Passes => cursors::planned(statement, client).map(Ok),
             // A plan without rows.
             Verdict::Done(_) => Some(Ok(LogicalPlan::default())),
             Verdict::Refused(error) => Some(Err(error)),
