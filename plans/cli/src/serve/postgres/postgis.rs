@@ -66,20 +66,20 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
         views: BTreeMap::new(),
     };
     catalog.register_schema(CATALOG, Arc::new(tables.clone()))?;
-    let queries = [
-        geometries(name),
-        GEOGRAPHIES.to_owned(),
-        SYSTEMS.to_owned(),
-        columns(name),
-        keys::indexes(),
-        keys::constraints(),
-        keys::table_constraints(name),
-        keys::key_columns(name),
-        keys::relations(&relations),
-        settings(),
+    let views = [
+        ("geometry_columns", geometries(name)),
+        ("geography_columns", GEOGRAPHIES.to_owned()),
+        ("spatial_ref_sys", SYSTEMS.to_owned()),
+        ("columns", columns(name)),
+        (KEPT, keys::indexes()),
+        ("pg_constraint", keys::constraints()),
+        ("table_constraints", keys::table_constraints(name)),
+        ("key_column_usage", keys::key_columns(name)),
+        ("pg_class", keys::relations(&relations)),
+        ("pg_settings", settings()),
     ];
     // Each asks the tables that were just put right.
-    for (view, query) in VIEWS.into_iter().zip(queries) {
+    for (view, query) in views {
         let view_of = context.sql(&query).await?.into_view();
         let view_of = match view {
             KEPT => once(view_of, Ok)?,
@@ -124,34 +124,23 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
     Ok(())
 }
 
-/// What PostGIS adds to the tables: in which of them there are geometries, and which reference systems they have;
-/// `information_schema.columns`, whose types DataFusion calls by Arrow's names; and the keys of layers.
-const VIEWS: [&str; 10] = [
-    "geometry_columns",
-    "geography_columns",
-    "spatial_ref_sys",
-    "columns",
-    "pg_index",
-    "pg_constraint",
-    "table_constraints",
-    "key_column_usage",
-    "pg_class",
-    "pg_settings",
-];
+/// What PostGIS adds to the tables: in which of them there are geometries, and which reference systems they have. Postgres
+/// looks for them without being told where.
+const OF_POSTGIS: [&str; 3] = ["geometry_columns", "geography_columns", "spatial_ref_sys"];
 
-/// One of them that others ask, and that asks for all columns of all tables: what is found is kept.
-const KEPT: &str = VIEWS[4];
+/// The keys of layers, which other views ask, and which ask for all columns of all tables: what is found is kept.
+const KEPT: &str = "pg_index";
 
-/// Those of them that are in `information_schema`.
+/// Views that are in `information_schema`; the types of its `columns` DataFusion calls by Arrow's names.
 const OF_STANDARD: [&str; 3] = ["columns", "table_constraints", "key_column_usage"];
 
-/// The statement with these views by their whole names: for the first three Postgres looks without being told where.
+/// The statement with these views by their whole names.
 pub fn with_views(mut statement: Statement) -> Statement {
     let _ = visit_relations_mut(&mut statement, |name| {
         let parts: Vec<_> = name.0.iter().map(ObjectNamePart::to_string).collect();
         let catalog = ObjectNamePart::Identifier(CATALOG.into());
         match parts.iter().map(String::as_str).collect::<Vec<_>>()[..] {
-            [view] if VIEWS[..3].contains(&view) => name.0.insert(0, catalog),
+            [view] if OF_POSTGIS.contains(&view) => name.0.insert(0, catalog),
             [.., "information_schema", view] if OF_STANDARD.contains(&view) => {
                 let schema = name.0.len() - 2;
                 name.0[schema] = catalog;
