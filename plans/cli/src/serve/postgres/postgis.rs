@@ -82,7 +82,7 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
     for (view, query) in views {
         let view_of = context.sql(&query).await?.into_view();
         let view_of = match view {
-            KEPT => once(view_of, Ok)?,
+            KEPT => derived(view_of, Ok, Some(Arc::default()))?,
             _ => view_of,
         };
         tables.views.insert(view, view_of);
@@ -327,7 +327,7 @@ impl SchemaProvider for Catalog {
             "pg_type" => Ok(Some(Arc::clone(&self.types) as Arc<dyn TableProvider>)),
             "pg_attribute" => {
                 let inner = self.inner.table(name).await?;
-                inner.map(|inner| once(inner, typed)).transpose()
+                inner.map(|inner| derived(inner, typed, None)).transpose()
             }
             _ => match self.views.get(name) {
                 Some(view) => Ok(Some(Arc::clone(view))),
@@ -341,41 +341,44 @@ impl SchemaProvider for Catalog {
     }
 }
 
-/// The rows that are made of a table's, found once: those of a version stay what they are.
-fn once(
+/// The rows that are made of a table's; found once where they are kept: those of a version stay what they are.
+fn derived(
     table: Arc<dyn TableProvider>,
     made: fn(RecordBatch) -> Result<RecordBatch>,
+    kept: Option<Arc<OnceCell<RecordBatch>>>,
 ) -> Result<Arc<dyn TableProvider>> {
     let schema = table.schema();
-    let rows = Arc::new(Once {
+    let rows = Arc::new(Derived {
         table,
         schema: Arc::clone(&schema),
         made,
-        rows: Arc::default(),
+        kept,
     });
     Ok(Arc::new(StreamingTable::try_new(schema, vec![rows])?))
 }
 
 #[derive(Debug)]
-struct Once {
+struct Derived {
     table: Arc<dyn TableProvider>,
     schema: SchemaRef,
     made: fn(RecordBatch) -> Result<RecordBatch>,
-    rows: Arc<OnceCell<RecordBatch>>,
+    kept: Option<Arc<OnceCell<RecordBatch>>>,
 }
 
-impl PartitionStream for Once {
+impl PartitionStream for Derived {
     fn schema(&self) -> &SchemaRef {
         &self.schema
     }
 
     fn execute(&self, _: Arc<TaskContext>) -> SendableRecordBatchStream {
-        let (table, rows, made) = (Arc::clone(&self.table), Arc::clone(&self.rows), self.made);
-        let found = async move {
-            let found = rows.get_or_try_init(|| async move { made(all(table).await?) });
-            found.await.cloned()
-        };
-        let found = futures::stream::once(found);
+        let (table, made, kept) = (Arc::clone(&self.table), self.made, self.kept.clone());
+        let found = async move { made(all(table).await?) };
+        let found = futures::stream::once(async move {
+            match kept {
+                Some(kept) => kept.get_or_try_init(|| found).await.cloned(),
+                None => found.await,
+            }
+        });
         Box::pin(RecordBatchStreamAdapter::new(
             Arc::clone(&self.schema),
             found,
