@@ -7,11 +7,12 @@ use arrow::array::RecordBatch;
 use arrow::util::display::array_value_to_string;
 use datafusion::prelude::SessionContext;
 use evermap_catalog::USUAL_VEHICLE;
-use evermap_engine::error::OrFault;
 use evermap_schemas::Fault;
 use evermap_schemas::roles::frame_names;
 use evermap_schemas::roles::robots::Robots;
 use serde::Serialize;
+
+use crate::reader::answered;
 
 /// Frames are known after so many transforms, and cameras after so many images.
 pub(crate) const TRANSFORMS: usize = 20_000;
@@ -213,9 +214,8 @@ pub(crate) async fn texts_of<const N: usize>(
     context: &SessionContext,
     query: &str,
 ) -> Result<Vec<[String; N]>, Fault> {
-    let batches = context.sql(query).await.or_fault()?.collect().await;
     let mut rows = Vec::new();
-    for batch in batches.or_fault()? {
+    for batch in answered(context, query).await? {
         for row in 0..batch.num_rows() {
             rows.push(texts(&batch, row)?);
         }

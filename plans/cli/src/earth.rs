@@ -241,19 +241,19 @@ fn moved(
     let (Some(index), Some(sites)) = (index, texts(batch, SITE)) else {
         return Ok(batch.clone());
     };
-    let mut values: Vec<Option<Vec<u8>>> = Vec::with_capacity(batch.num_rows());
-    for (bytes, site) in batch.column(index).as_binary::<i32>().iter().zip(sites) {
+    let value = |(bytes, site): (Option<&[u8]>, Option<&str>)| {
         let site = site.unwrap_or_default();
         let place = earth.place(site).ok_or_else(|| unplaced(site))?;
         let value = bytes.map(|bytes| {
             let moved = Geometry::from_wkb(bytes)?.moved(&|point| place.position(point, to));
             Ok::<_, Fault>(moved.to_wkb().0)
         });
-        values.push(value.transpose()?);
-    }
+        value.transpose()
+    };
+    let values = batch.column(index).as_binary::<i32>().iter().zip(sites);
+    let values = values.map(value).collect::<Result<BinaryArray, Fault>>()?;
     let mut columns: Vec<ArrayRef> = batch.columns().to_vec();
-    let values: Vec<Option<&[u8]>> = values.iter().map(Option::as_deref).collect();
-    columns[index] = Arc::new(BinaryArray::from(values));
+    columns[index] = Arc::new(values);
     let schema = batch.schema_ref();
     let mut fields = schema.fields().to_vec();
     fields[index] = out_of_the_map(&fields[index]);

@@ -64,12 +64,6 @@ struct Parameter {
     example: String,
 }
 
-impl Written {
-    fn about_vehicle(&self) -> &[String] {
-        &self.vehicle_doc
-    }
-}
-
 /// The manifest of sessions.
 ///
 /// # Errors

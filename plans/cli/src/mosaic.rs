@@ -6,6 +6,7 @@ use evermap_schemas::Fault;
 
 use crate::draw::{decoded, encoded};
 use crate::earth::SiteOnEarth;
+use crate::raster::Raster;
 use crate::shown::Tile;
 
 /// Cells of the largest picture that is put together: a quarter of a gigabyte of grey and alpha.
@@ -29,33 +30,13 @@ pub struct Mosaic {
 }
 
 /// The tiles of one zoom level, as a rectangle of tiles.
-struct Extent {
-    first_x: i64,
-    last_y: i64,
-    columns: u64,
-    rows: u64,
+fn extent(tiles: &[&Tile]) -> Option<Raster> {
+    Raster::around(tiles.iter().map(|tile| [tile.tile_x, tile.tile_y]))
 }
 
-impl Extent {
-    fn of(tiles: &[&Tile]) -> Option<Self> {
-        let (xs, ys) = (
-            tiles.iter().map(|t| i64::from(t.tile_x)),
-            tiles.iter().map(|t| i64::from(t.tile_y)),
-        );
-        let (first_x, last_x) = (xs.clone().min()?, xs.max()?);
-        let (first_y, last_y) = (ys.clone().min()?, ys.max()?);
-        let (columns, rows) = ((last_x - first_x + 1) as u64, (last_y - first_y + 1) as u64);
-        Some(Self {
-            first_x,
-            last_y,
-            columns,
-            rows,
-        })
-    }
-
-    fn cells(&self, side: u64) -> u64 {
-        (self.columns * self.rows).saturating_mul(side * side)
-    }
+/// Cells of a rectangle of tiles that have so many along their side.
+fn cells(extent: &Raster, side: u64) -> u64 {
+    (extent.cells() as u64).saturating_mul(side * side)
 }
 
 /// Cells along the side of a tile.
@@ -68,7 +49,7 @@ fn side(tile: &Tile) -> u64 {
 pub fn zoom_for(tiles: &[Tile], m_per_px: f64) -> Option<u32> {
     let fits = |zoom: u32| {
         let level = level(tiles, zoom);
-        let cells = Extent::of(&level)?.cells(side(level.first()?));
+        let cells = cells(&extent(&level)?, side(level.first()?));
         (cells <= MOST_CELLS).then_some(level.first()?.cell_m)
     };
     let shown: Vec<(u32, f64)> = zooms(tiles)
@@ -111,34 +92,32 @@ impl Mosaic {
     /// # Errors
     /// A user fault for no tiles or too many, a data fault for a tile that is no grey PNG with alpha of its size.
     pub fn of(tiles: &[&Tile]) -> Result<Self, Fault> {
-        let (Some(first), Some(extent)) = (tiles.first(), Extent::of(tiles)) else {
+        let (Some(first), Some(extent)) = (tiles.first(), extent(tiles)) else {
             return Err(Fault::user("there are no tiles at this zoom level"));
         };
         let side = side(first);
-        if extent.cells(side) > MOST_CELLS || side == 0 {
+        let [columns, rows] = extent.size.map(|tiles| tiles as u64 * side);
+        if cells(&extent, side) > MOST_CELLS || side == 0 {
             return Err(Fault::user(format!(
-                "a picture of {} by {} cells is too large",
-                extent.columns * side,
-                extent.rows * side
+                "a picture of {columns} by {rows} cells is too large"
             ))
             .next("choose a coarser level with --zoom"));
         }
-        let (width, height) = (
-            (extent.columns * side) as usize,
-            (extent.rows * side) as usize,
-        );
+        let (width, height) = (columns as usize, rows as usize);
+        let [first_x, first_y] = extent.first;
+        let above = first_y + extent.size[1];
         let mut mosaic = Self {
             cell_m: first.cell_m,
-            west: extent.first_x as f64 * first.size_m,
-            north: (extent.last_y + 1) as f64 * first.size_m,
+            west: first_x as f64 * first.size_m,
+            north: above as f64 * first.size_m,
             width,
             height,
             cells: vec![[0, 0]; width * height],
         };
         for tile in tiles {
             let cells = decode(tile, side as usize).map_err(|fault| fault.at(place(tile)))?;
-            let column = (i64::from(tile.tile_x) - extent.first_x) as usize * side as usize;
-            let row = (extent.last_y - i64::from(tile.tile_y)) as usize * side as usize;
+            let column = (i64::from(tile.tile_x) - first_x) as usize * side as usize;
+            let row = (above - 1 - i64::from(tile.tile_y)) as usize * side as usize;
             mosaic.paste(&cells, side as usize, column, row);
         }
         Ok(mosaic)

@@ -6,7 +6,6 @@ use evermap_algorithms::geometry::pose::Pose;
 use evermap_catalog::{USUAL_VEHICLE, VehicleFrame, footing};
 use evermap_datasets::manifest::Vehicle;
 use evermap_datasets::{Dataset, Session};
-use evermap_engine::error::OrFault;
 use evermap_engine::program::Program;
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::roles::{Transform, frame_names};
@@ -14,6 +13,7 @@ use evermap_schemas::{Fault, rows};
 use serde_json::Value;
 
 use crate::coordinate_frames::{TRANSFORMS, texts_of};
+use crate::reader::answered;
 
 /// What is the same but for how it was computed: metres, and radians.
 const SAME: f64 = 1e-6;
@@ -73,9 +73,8 @@ async fn transforms(context: &SessionContext, session: &str) -> Result<Vec<Trans
     let fixed = format!(
         "SELECT * FROM (SELECT * FROM transforms WHERE session = '{session}' LIMIT {TRANSFORMS}) WHERE fixed"
     );
-    let batches = context.sql(&fixed).await.or_fault()?.collect().await;
     let mut found = Vec::new();
-    for batch in batches.or_fault()? {
+    for batch in answered(context, &fixed).await? {
         found.extend(rows::<Transform>(&batch)?);
     }
     Ok(found)

@@ -9,14 +9,13 @@ use arrow::datatypes::SchemaRef;
 use datafusion::common::TableReference;
 use datafusion::common::utils::quote_identifier;
 use evermap_engine::error::OrFault;
-use evermap_schemas::Fault;
+use evermap_schemas::{Fault, record};
 use reedline::{
     FileBackedHistory, Prompt, PromptEditMode, PromptHistorySearch, Reedline, Signal,
     ValidationResult, Validator,
 };
 
 use crate::commands::sql::{Tables, statements};
-use crate::describe::TableLine;
 use crate::ending::{Failure, Lost, panicked, tell};
 use crate::output::{Format, Sink, print_rows};
 use crate::progress::line;
@@ -24,6 +23,19 @@ use crate::quantity::{of, of_seconds};
 
 const HELP: &str = "\\d          tables\n\\d NAME     columns of a table, with units and frames\n\\q          leave\n\
                     SELECT … ;  a query; it may take several lines, and ends with a semicolon";
+
+record! {
+    /// One table.
+    #[layer("tables", key(table))]
+    pub struct TableLine {
+        /// Table, as a query names it.
+        table: String,
+        /// Columns.
+        columns: u32,
+        /// What one row is.
+        rows_are: String,
+    }
+}
 
 /// Lines that are remembered.
 const REMEMBERED: usize = 10_000;
@@ -195,7 +207,7 @@ async fn respond(tables: &Tables, input: Input<'_>, format: Format) -> Result<()
         Input::Nothing | Input::Quit => Ok(()),
         Input::Help => Ok(writeln!(std::io::stdout(), "{HELP}")?),
         Input::Tables => list(tables).await,
-        Input::Columns(name) => describe(tables, name).await,
+        Input::Columns(name) => print_rows(Format::Table, tables.columns(name).await?).await,
         Input::Query(text) => {
             for statement in statements(text)? {
                 let begun = std::time::Instant::now();
@@ -225,10 +237,6 @@ async fn list(tables: &Tables) -> Result<(), Failure> {
         });
     }
     print_rows(Format::Table, lines).await
-}
-
-async fn describe(tables: &Tables, name: &str) -> Result<(), Failure> {
-    print_rows(Format::Table, tables.columns(name).await?).await
 }
 
 async fn schema(tables: &Tables, name: &str) -> Result<SchemaRef, Failure> {

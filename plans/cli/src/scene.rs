@@ -79,7 +79,7 @@ async fn outlines(
             title: format!("space {}: {}, {state}", space.space, space.standing),
             said: space.standing != "found",
             closed: true,
-            points: corners(&space.map_from_space, [space.length_m, space.width_m]),
+            points: outlined(&space.map_from_space, [space.length_m, space.width_m]),
         }
     };
     let mut outlines: Vec<Outline> = spaces.into_iter().map(of_space).collect();
@@ -101,7 +101,7 @@ async fn outlines(
             title: format!("question {question}: {}? {likely:.0} % likely", one.kind),
             said: false,
             closed: true,
-            points: corners(&one.map_from_label, [one.length_m, one.width_m]),
+            points: outlined(&one.map_from_label, [one.length_m, one.width_m]),
         })
     }));
     Ok(outlines)
@@ -119,17 +119,18 @@ fn last_states(mut seen: Vec<SpaceState>, driven: &Driven) -> BTreeMap<u32, Stri
     states.collect()
 }
 
-/// Of a box by its frame, length and width (m); none where the frame is not a rigid transform.
-pub fn corners(map_from_box: &evermap_schemas::Pose, sides_m: [f64; 2]) -> Vec<[f64; 2]> {
-    let Ok(map_from_box) = Pose::from_array(map_from_box.to_array()) else {
-        return Vec::new();
-    };
+/// Corners of a box by its frame, length and width (m); `None` where the frame is not a rigid transform.
+pub fn corners(map_from_box: &evermap_schemas::Pose, sides_m: [f64; 2]) -> Option<[[f64; 3]; 4]> {
+    let map_from_box = Pose::from_array(map_from_box.to_array()).ok()?;
     let [x, y] = sides_m.map(|side| 0.5 * side);
-    let corner = |[x, y]: [f64; 2]| {
-        let point = map_from_box.transform(&Vector3::new(x, y, 0.0));
-        [point.x, point.y]
-    };
-    [[x, y], [-x, y], [-x, -y], [x, -y]].map(corner).to_vec()
+    let corner = |[x, y]: [f64; 2]| map_from_box.transform(&Vector3::new(x, y, 0.0)).into();
+    Some([[x, y], [-x, y], [-x, -y], [x, -y]].map(corner))
+}
+
+/// The same from above; none where there are none.
+fn outlined(map_from_box: &evermap_schemas::Pose, sides_m: [f64; 2]) -> Vec<[f64; 2]> {
+    let corners = corners(map_from_box, sides_m);
+    corners.iter().flatten().map(|[x, y, _]| [*x, *y]).collect()
 }
 
 /// One site's scene: the one asked for, else the first by name. Also says the names of all sites.

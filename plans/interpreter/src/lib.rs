@@ -71,8 +71,8 @@ impl Function {
     /// fault for an interpreter that does not start.
     pub fn check(&self) -> Result<Environment, Fault> {
         let worker = pool::take(self)?;
-        let environment = worker.environment().clone();
-        pool::put_back(self, worker);
+        let environment = worker.environment.clone();
+        pool::put_back(worker);
         Ok(environment)
     }
 
@@ -82,15 +82,15 @@ impl Function {
     /// A user fault for another environment, for what the function raises, and for what is no table.
     pub fn call(&self, environment: &Environment, tables: &[Table]) -> Result<Made, Fault> {
         let mut worker = pool::take(self)?;
-        if worker.environment() != environment {
+        if worker.environment != *environment {
             return Err(Fault::user(format!(
                 "expected the Python environment {environment} of the machine that planned this run, found {}",
-                worker.environment()
+                worker.environment
             ))
             .next("install the same packages and the same Python on all machines"));
         }
         let made = worker.call(self, tables)?;
-        pool::put_back(self, worker);
+        pool::put_back(worker);
         Ok(made)
     }
 

@@ -23,7 +23,12 @@ pub(crate) struct Worker {
     process: Child,
     requests: Option<ChildStdin>,
     answers: BufReader<ChildStdout>,
-    environment: Environment,
+    /// What people call the function.
+    label: String,
+    /// Its digest.
+    pub(crate) loaded: blake3::Hash,
+    /// Where the function runs.
+    pub(crate) environment: Environment,
 }
 
 /// What a worker answers.
@@ -36,8 +41,8 @@ enum Answer {
 }
 
 impl Worker {
-    /// Starts the interpreter and has it load a function.
-    pub(crate) fn start(function: &Function) -> Result<Self, Fault> {
+    /// Starts the interpreter and has it load a function, of this digest.
+    pub(crate) fn start(function: &Function, loaded: blake3::Hash) -> Result<Self, Fault> {
         let interpreter = std::env::var_os(INTERPRETER).unwrap_or_else(|| "python3".into());
         let mut process = Command::new(&interpreter)
             // The last is for the program, which names it to people.
@@ -63,47 +68,39 @@ impl Worker {
             process,
             requests: Some(requests),
             answers: BufReader::new(answers),
+            label: function.label(),
+            loaded,
             environment: Environment(String::new()),
         };
         let request = serde_json::to_value(function)
             .map_err(|error| Fault::bug(format!("a function does not serialise: {error}")))?;
-        match worker.ask(function, &request, &[])? {
+        match worker.ask(&request, &[])? {
             Answer::Environment(environment) => worker.environment = environment,
-            _ => return Err(confused(function)),
+            _ => return Err(worker.confused()),
         }
         Ok(worker)
-    }
-
-    /// Where the function runs.
-    pub(crate) fn environment(&self) -> &Environment {
-        &self.environment
     }
 
     /// Calls the function. Where this fails the worker is not to be used again.
     pub(crate) fn call(&mut self, function: &Function, tables: &[Table]) -> Result<Made, Fault> {
         let streams = tables.iter().map(stream).collect::<Result<Vec<_>, _>>()?;
-        match self.ask(function, &json!({"tables": function.ports}), &streams)? {
+        match self.ask(&json!({"tables": function.ports}), &streams)? {
             Answer::Skipped(skipped) => Ok(Made {
-                rows: self.table().map_err(|error| broken(function, &error))?,
+                rows: self.table().map_err(|error| self.broken(&error))?,
                 skipped,
             }),
-            _ => Err(confused(function)),
+            _ => Err(self.confused()),
         }
     }
 
     /// Sends a message and reads the header of the answer.
-    fn ask(
-        &mut self,
-        function: &Function,
-        header: &Value,
-        tables: &[Vec<u8>],
-    ) -> Result<Answer, Fault> {
+    fn ask(&mut self, header: &Value, tables: &[Vec<u8>]) -> Result<Answer, Fault> {
         let answer = self
             .send(header, tables)
             .and_then(|()| self.header())
-            .map_err(|error| self.ended(function, &error))?;
+            .map_err(|error| self.ended(&error))?;
         match answer {
-            Answer::Error(message) => Err(Fault::user(message).at(function.label())),
+            Answer::Error(message) => Err(Fault::user(message).at(&self.label)),
             answer => Ok(answer),
         }
     }
@@ -148,7 +145,7 @@ impl Worker {
     }
 
     /// That the interpreter said nothing more, with how it ended.
-    fn ended(&mut self, function: &Function, error: &io::Error) -> Fault {
+    fn ended(&mut self, error: &io::Error) -> Fault {
         self.requests = None;
         let end = match self.process.wait() {
             Ok(status) => status.to_string(),
@@ -162,7 +159,15 @@ impl Worker {
         Fault::user(format!(
             "the interpreter ended without an answer ({end}){why}"
         ))
-        .at(function.label())
+        .at(&self.label)
+    }
+
+    fn broken(&self, error: &arrow::error::ArrowError) -> Fault {
+        Fault::user(format!("the rows that came back do not read: {error}")).at(&self.label)
+    }
+
+    fn confused(&self) -> Fault {
+        Fault::bug("the interpreter answered something else").at(&self.label)
     }
 }
 
@@ -191,12 +196,4 @@ fn stream(table: &Table) -> Result<Vec<u8>, Fault> {
         .iter()
         .try_for_each(|batch| writer.write(batch))?;
     Ok(writer.into_inner()?)
-}
-
-fn broken(function: &Function, error: &arrow::error::ArrowError) -> Fault {
-    Fault::user(format!("the rows that came back do not read: {error}")).at(function.label())
-}
-
-fn confused(function: &Function) -> Fault {
-    Fault::bug("the interpreter answered something else").at(function.label())
 }

@@ -6,7 +6,6 @@ pub mod check;
 #[cfg(feature = "cluster")]
 pub mod cluster;
 pub mod explain;
-pub mod export;
 pub mod functions;
 pub mod import;
 pub mod inspect;
@@ -44,7 +43,7 @@ pub async fn dispatch(command: &Command, unfinished: &Unfinished) -> Ending {
         Command::Diff(args) => changes::diff(args).await,
         Command::Gc(args) => changes::gc(args).await,
         Command::Verify(args) => changes::verify(args).await,
-        Command::Export(args) => export::export(args).await,
+        Command::Export(args) => crate::export::export(args).await,
         Command::Annotate(args) => annotate::annotate(args).await,
         Command::Render(args) => render::render(args).await,
         Command::Report(args) => report::report(args).await,

@@ -1,5 +1,7 @@
 //! Polylines in pixels.
 
+use evermap_algorithms::ground::segment::nearest_share;
+
 /// From one arrow to the next, px.
 const ARROW_EVERY_PX: f64 = 90.0;
 
@@ -117,14 +119,9 @@ pub fn simplified(points: &[[f64; 2]], tolerance_px: f64) -> Vec<[f64; 2]> {
 
 /// Distance of a point from a stretch.
 fn off(point: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
-    let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
-    let square = dx * dx + dy * dy;
-    let share = if square > 0.0 {
-        (((point[0] - from[0]) * dx + (point[1] - from[1]) * dy) / square).clamp(0.0, 1.0)
-    } else {
-        0.0
-    };
-    distance(point, [from[0] + share * dx, from[1] + share * dy])
+    let share = nearest_share(point, [from, to]);
+    let nearest = [0, 1].map(|axis| from[axis] + share * (to[axis] - from[axis]));
+    distance(point, nearest)
 }
 
 #[cfg(test)]

@@ -134,10 +134,6 @@ impl MapFromAbove<'_> {
         })
     }
 
-    fn people(&self) -> String {
-        self.dots(&self.scene.people)
-    }
-
     fn outline(&self, outline: &Outline) -> String {
         let line = path(&self.viewport.line(outline.points.iter().copied()));
         if outline.closed { line + "Z" } else { line }
@@ -152,12 +148,7 @@ impl MapFromAbove<'_> {
         self.scene.lanes.iter().map(of).collect()
     }
 
-    /// Landmarks within the picture, as dots of one path.
-    fn landmarks(&self) -> String {
-        self.dots(&self.scene.landmarks)
-    }
-
-    /// Dots at points of the map.
+    /// Points of the map within the picture, as dots of one path.
     fn dots(&self, points: &[[f64; 2]]) -> String {
         let every = points.len().div_ceil(MOST_DOTS).max(1);
         let (width, height) = (self.viewport.width_px, self.viewport.height_px);

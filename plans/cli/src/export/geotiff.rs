@@ -6,23 +6,19 @@
 //! CRS             transverse Mercator, as keys of its own       local, metres
 //! place           ModelTransformation (the map may be turned)   ModelTiepoint and ModelPixelScale
 //! ```
-//! The encoder writes directories behind what they name; `layout` puts them first.
-//!
 //! Format: OGC GeoTIFF 1.1 (19-008r4), TIFF 6.0.
 
 mod layout;
-
-use std::io::{Cursor, Seek, Write};
 
 use evermap_algorithms::ground::patch::Patch;
 use evermap_schemas::Fault;
 use rayon::prelude::*;
 use tiff::TiffError;
 use tiff::encoder::compression::{CompressionAlgorithm, Deflate};
-use tiff::encoder::{DirectoryEncoder, TiffEncoder, TiffKindStandard};
 use tiff::tags::Tag;
 
 use crate::earth::SiteOnEarth;
+use crate::export::geotiff::layout::{Directory, Level};
 use crate::mosaic::Mosaic;
 
 /// Cells along the side of a block of the file; TIFF wants a multiple of 16.
@@ -32,37 +28,28 @@ const LOCAL: &str = "local metres in the map frame";
 /// GeoTIFF's number for what the file itself defines.
 const USER_DEFINED: u16 = 32_767;
 
-type Directory<'a, W> = DirectoryEncoder<'a, W, TiffKindStandard>;
-
 /// The file of a picture; in the map's metres where its place on earth is not given.
 ///
 /// # Errors
 /// A resource fault for a picture too large for the format.
 pub fn bytes(picture: &Mosaic, place: Option<&SiteOnEarth>) -> Result<Vec<u8>, Fault> {
-    let mut file = Cursor::new(Vec::new());
-    written(picture, place, &mut file)
+    let levels = levels(picture, place)
         .map_err(|error| Fault::resource(format!("cannot encode the GeoTIFF: {error}")))?;
-    layout::cloud_optimized(&file.into_inner())
-        .ok_or_else(|| Fault::resource("the GeoTIFF would be larger than 4 GiB"))
+    layout::file(levels).ok_or_else(|| Fault::resource("the GeoTIFF would be larger than 4 GiB"))
 }
 
-fn written<W: Write + Seek>(
-    picture: &Mosaic,
-    place: Option<&SiteOnEarth>,
-    file: W,
-) -> Result<(), TiffError> {
-    let mut encoder = TiffEncoder::new(file)?;
+fn levels(picture: &Mosaic, place: Option<&SiteOnEarth>) -> Result<Vec<Level>, TiffError> {
     let mut level = cells(picture);
-    let mut first = encoder.image_directory()?;
+    let mut first = Directory::default();
     locate(&mut first, picture, place)?;
-    image(first, &level)?;
+    let mut levels = vec![image(first, &level)?];
     while level.width.max(level.height) > BLOCK {
         level = level.halved();
-        let mut overview = encoder.image_directory()?;
-        overview.write_tag(Tag::NewSubfileType, 1_u32)?;
-        image(overview, &level)?;
+        let mut overview = Directory::default();
+        overview.longs(Tag::NewSubfileType, &[1]);
+        levels.push(image(overview, &level)?);
     }
-    Ok(())
+    Ok(levels)
 }
 
 /// The cells of a picture. Its rows come from the north, as TIFF's do, so that halving keeps the north-western corner.
@@ -78,35 +65,27 @@ fn cells(picture: &Mosaic) -> Patch {
     }
 }
 
-/// Writes one resolution, with what it takes to decode it.
-fn image<W: Write + Seek>(mut directory: Directory<'_, W>, level: &Patch) -> Result<(), TiffError> {
+/// One resolution, with what it takes to decode it.
+fn image(mut directory: Directory, level: &Patch) -> Result<Level, TiffError> {
     let (columns, rows) = (level.width.div_ceil(BLOCK), level.height.div_ceil(BLOCK));
     let blocks: Vec<Vec<u8>> = (0..columns * rows)
         .into_par_iter()
         .map(|at| compressed(&block(level, at % columns, at / columns)))
         .collect::<Result<_, _>>()?;
-    let mut offsets = Vec::with_capacity(blocks.len());
-    let mut sizes = Vec::with_capacity(blocks.len());
-    for block in &blocks {
-        offsets.push(u32::try_from(directory.write_data(&block[..])?)?);
-        sizes.push(u32::try_from(block.len())?);
-    }
-    directory.write_tag(Tag::ImageWidth, u32::try_from(level.width)?)?;
-    directory.write_tag(Tag::ImageLength, u32::try_from(level.height)?)?;
-    directory.write_tag(Tag::BitsPerSample, &[8_u16, 8][..])?;
+    directory.longs(Tag::ImageWidth, &[u32::try_from(level.width)?]);
+    directory.longs(Tag::ImageLength, &[u32::try_from(level.height)?]);
+    directory.shorts(Tag::BitsPerSample, &[8, 8]);
     // Deflate, as zlib has it.
-    directory.write_tag(Tag::Compression, 8_u16)?;
+    directory.shorts(Tag::Compression, &[8]);
     // Black is zero.
-    directory.write_tag(Tag::PhotometricInterpretation, 1_u16)?;
-    directory.write_tag(Tag::SamplesPerPixel, 2_u16)?;
+    directory.shorts(Tag::PhotometricInterpretation, &[1]);
+    directory.shorts(Tag::SamplesPerPixel, &[2]);
     // Grey and alpha cell by cell; the grey is not multiplied by alpha.
-    directory.write_tag(Tag::PlanarConfiguration, 1_u16)?;
-    directory.write_tag(Tag::ExtraSamples, 2_u16)?;
-    directory.write_tag(Tag::TileWidth, BLOCK as u32)?;
-    directory.write_tag(Tag::TileLength, BLOCK as u32)?;
-    directory.write_tag(Tag::TileOffsets, &offsets[..])?;
-    directory.write_tag(Tag::TileByteCounts, &sizes[..])?;
-    directory.finish()
+    directory.shorts(Tag::PlanarConfiguration, &[1]);
+    directory.shorts(Tag::ExtraSamples, &[2]);
+    directory.longs(Tag::TileWidth, &[BLOCK as u32]);
+    directory.longs(Tag::TileLength, &[BLOCK as u32]);
+    Ok(Level { directory, blocks })
 }
 
 /// Grey and alpha of a block; unseen beyond the edge of the picture.
@@ -137,18 +116,15 @@ fn compressed(block: &[u8]) -> Result<Vec<u8>, TiffError> {
 }
 
 /// Says where the picture is.
-fn locate<W: Write + Seek>(
-    directory: &mut Directory<'_, W>,
+fn locate(
+    directory: &mut Directory,
     picture: &Mosaic,
     place: Option<&SiteOnEarth>,
 ) -> Result<(), TiffError> {
     let (west, north, cell_m) = (picture.west, picture.north, picture.cell_m);
     let Some(place) = place else {
-        directory.write_tag(Tag::ModelPixelScaleTag, &[cell_m, cell_m, 0.0][..])?;
-        directory.write_tag(
-            Tag::ModelTiepointTag,
-            &[0.0, 0.0, 0.0, west, north, 0.0][..],
-        )?;
+        directory.doubles(Tag::ModelPixelScaleTag, &[cell_m, cell_m, 0.0]);
+        directory.doubles(Tag::ModelTiepointTag, &[0.0, 0.0, 0.0, west, north, 0.0]);
         // GTModelType, of this file's own; LinearUnits: metre.
         let keys = [(1024, USER_DEFINED), (3076, 9001)];
         return describe(directory, LOCAL, &keys, &[]);
@@ -158,7 +134,7 @@ fn locate<W: Write + Seek>(
     let east_north = |k: usize| [right[k], down[k], 0.0, first[k]];
     let rest = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
     let matrix = [&east_north(0)[..], &east_north(1), &rest].concat();
-    directory.write_tag(Tag::ModelTransformationTag, &matrix[..])?;
+    directory.doubles(Tag::ModelTransformationTag, &matrix);
     let [latitude_deg, longitude_deg, scale] = place.transverse_mercator();
     let keys = [
         // GTModelType: projected.
@@ -187,8 +163,8 @@ fn locate<W: Write + Seek>(
 }
 
 /// Writes GeoTIFF's keys: the citation, those that are a number of its tables, and those that are a measure.
-fn describe<W: Write + Seek>(
-    directory: &mut Directory<'_, W>,
+fn describe(
+    directory: &mut Directory,
     citation: &str,
     numbers: &[(u16, u16)],
     measures: &[(u16, f64)],
@@ -224,11 +200,11 @@ fn describe<W: Write + Seek>(
     // Version 1, revision 1.1.
     let head = [1, 1, 1, u16::try_from(entries.len())?];
     let all: Vec<u16> = head.into_iter().chain(entries.into_flattened()).collect();
-    directory.write_tag(Tag::GeoKeyDirectoryTag, &all[..])?;
-    directory.write_tag(Tag::GeoAsciiParamsTag, text.as_str())?;
+    directory.shorts(Tag::GeoKeyDirectoryTag, &all);
+    directory.text(Tag::GeoAsciiParamsTag, &text);
     if !measures.is_empty() {
         let values: Vec<f64> = measures.iter().map(|(_, value)| *value).collect();
-        directory.write_tag(Tag::GeoDoubleParamsTag, &values[..])?;
+        directory.doubles(Tag::GeoDoubleParamsTag, &values);
     }
     Ok(())
 }

@@ -12,7 +12,6 @@
 //! Format: Lanelet2's pages `lanelet2_maps`, `LaneletAndAreaTagging` and `LinestringTagging`.
 
 use std::collections::BTreeMap;
-use std::fmt::Write;
 
 use arrow::array::RecordBatch;
 use evermap_schemas::Fault;
@@ -39,6 +38,16 @@ pub fn text(batches: &[RecordBatch], site: Option<&str>, version: u64) -> Result
 struct End {
     lane: usize,
     at_start: bool,
+}
+
+impl End {
+    /// Which of the lane's points it is.
+    fn place(self, lane: &Lane) -> usize {
+        match self.at_start {
+            true => 0,
+            false => lane.points.len() - 1,
+        }
+    }
 }
 
 /// Two nodes across a lane, left and right of a direction.
@@ -109,80 +118,65 @@ impl Drawing {
             let mut width_m = 0.0;
             for end in &joined {
                 let lane = &lanes[end.lane];
-                let way = end_course(lane, *end);
+                let way = self::course(&lane.points, end.place(lane));
                 let sign = if dot(course, way) < 0.0 { -1.0 } else { 1.0 };
                 course = [0, 1].map(|k| course[k] + sign * way[k]);
                 width_m += lane.width_m / joined.len() as f64;
             }
-            let Some((point, course)) = joined
-                .first()
-                .and_then(|end| Some((*end_point(&lanes[end.lane], *end)?, unit(course))))
-            else {
+            let Some(first) = joined.first() else {
                 continue;
             };
-            let nodes = self.across(&point, course, width_m);
+            let (lane, course) = (&lanes[first.lane], unit(course));
+            let nodes = self.across(&lane.points[first.place(lane)], course, width_m);
             gates.extend(joined.into_iter().map(|end| (end, Gate { course, nodes })));
         }
         gates
     }
 
     fn text(&self, version: u64) -> String {
-        let mut text = String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n");
-        let way_id = |way: usize| (self.nodes.len() + way + 1) as u64;
-        // Writing to a string does not fail.
-        let _ = (|| -> std::fmt::Result {
-            writeln!(text, "<osm version=\"0.6\" generator=\"evermap\">")?;
-            writeln!(
-                text,
-                "  <MetaInfo format_version=\"1\" map_version=\"{version}\"/>"
-            )?;
-            for (id, [x, y, z]) in (1..).zip(&self.nodes) {
-                let [lat, lon] = [y, x].map(|metres| metres / DEGREE_M);
-                writeln!(
-                    text,
-                    "  <node id=\"{id}\" lat=\"{lat:.11}\" lon=\"{lon:.11}\">"
-                )?;
-                for (key, value) in [("local_x", x), ("local_y", y), ("ele", z)] {
-                    writeln!(text, "    <tag k=\"{key}\" v=\"{value:.4}\"/>")?;
-                }
-                writeln!(text, "  </node>")?;
-            }
-            for (way, nodes) in self.ways.iter().enumerate() {
-                writeln!(text, "  <way id=\"{}\">", way_id(way))?;
-                for node in nodes {
-                    writeln!(text, "    <nd ref=\"{node}\"/>")?;
-                }
-                writeln!(text, "    <tag k=\"type\" v=\"virtual\"/>\n  </way>")?;
-            }
-            for (number, ([left, right], one_way)) in self.lanelets.iter().enumerate() {
-                writeln!(
-                    text,
-                    "  <relation id=\"{}\">",
-                    way_id(self.ways.len() + number)
-                )?;
-                for (way, role) in [(left, "left"), (right, "right")] {
-                    let id = way_id(*way);
-                    writeln!(
-                        text,
-                        "    <member type=\"way\" ref=\"{id}\" role=\"{role}\"/>"
-                    )?;
-                }
-                let one_way = if *one_way { "yes" } else { "no" };
-                let tags = [
-                    ("type", "lanelet"),
-                    ("subtype", "road"),
-                    ("location", "urban"),
-                    ("one_way", one_way),
-                ];
-                for (key, value) in tags {
-                    writeln!(text, "    <tag k=\"{key}\" v=\"{value}\"/>")?;
-                }
-                writeln!(text, "  </relation>")?;
-            }
-            writeln!(text, "</osm>")
-        })();
-        text
+        let tag = |key: &str, value: &str| format!("    <tag k=\"{key}\" v=\"{value}\"/>\n");
+        let nodes = (1..).zip(&self.nodes).map(|(id, [x, y, z])| {
+            let [lat, lon] = [y, x].map(|metres| metres / DEGREE_M);
+            let local = [("local_x", x), ("local_y", y), ("ele", z)];
+            let local = local.map(|(key, value)| tag(key, &format!("{value:.4}")));
+            let place = format!(" lat=\"{lat:.11}\" lon=\"{lon:.11}\"");
+            element("node", id, &place, &local.concat())
+        });
+        let way_id = |way: usize| self.nodes.len() + way + 1;
+        let ways = self.ways.iter().enumerate().map(|(way, nodes)| {
+            let nodes = nodes
+                .iter()
+                .map(|node| format!("    <nd ref=\"{node}\"/>\n"));
+            let within = nodes.collect::<String>() + &tag("type", "virtual");
+            element("way", way_id(way), "", &within)
+        });
+        let lanelets = self.lanelets.iter().enumerate();
+        let lanelets = lanelets.map(|(number, ([left, right], one_way))| {
+            let members = [(left, "left"), (right, "right")].map(|(way, role)| {
+                let id = way_id(*way);
+                format!("    <member type=\"way\" ref=\"{id}\" role=\"{role}\"/>\n")
+            });
+            let tags = [
+                ("type", "lanelet"),
+                ("subtype", "road"),
+                ("location", "urban"),
+                ("one_way", if *one_way { "yes" } else { "no" }),
+            ];
+            let tags = tags.map(|(key, value)| tag(key, value));
+            let id = way_id(self.ways.len() + number);
+            element("relation", id, "", &(members.concat() + &tags.concat()))
+        });
+        let elements: String = nodes.chain(ways).chain(lanelets).collect();
+        format!(
+            "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<osm version=\"0.6\" generator=\"evermap\">\n  \
+             <MetaInfo format_version=\"1\" map_version=\"{version}\"/>\n{elements}</osm>\n"
+        )
     }
+}
+
+/// An element by its number, and what is in it.
+fn element(kind: &str, id: usize, more: &str, within: &str) -> String {
+    format!("  <{kind} id=\"{id}\"{more}>\n{within}  </{kind}>\n")
 }
 
 /// Ends of lanes that drives went through from one to the other; each end is in one group.
@@ -235,25 +229,6 @@ fn joined(lanes: &[Lane]) -> Vec<Vec<End>> {
         groups.entry(number).or_default().push(end);
     }
     groups.into_values().collect()
-}
-
-fn end_point(lane: &Lane, end: End) -> Option<&[f64; 3]> {
-    if end.at_start {
-        lane.points.first()
-    } else {
-        lane.points.last()
-    }
-}
-
-fn end_course(lane: &Lane, end: End) -> [f64; 2] {
-    course(
-        &lane.points,
-        if end.at_start {
-            0
-        } else {
-            lane.points.len() - 1
-        },
-    )
 }
 
 /// Direction of a line at one of its points, from the one before to the one after.

@@ -10,7 +10,6 @@ mod lanelet2;
 mod nav2;
 mod nav2_route;
 mod ply;
-mod raster;
 mod tum;
 
 use std::collections::{BTreeSet, HashMap};
@@ -23,8 +22,9 @@ use clap::{Args, ValueEnum};
 use evermap_engine::sql::described::{noted, notes};
 use evermap_schemas::{Fault, Layer};
 
+use crate::arguments::ExportArgs;
 use crate::earth::{Coordinates, Earth, beside, on_earth};
-use crate::ending::Failure;
+use crate::ending::{DONE, Ending, Failure};
 use crate::export::geo::Head;
 pub use crate::export::geo::ON_EARTH;
 use crate::output::{CRS, Format, GEOMETRY, Sink, write, write_file};
@@ -79,19 +79,17 @@ pub struct Selection {
     pub local: bool,
 }
 
-/// Writes a layer, or of the format MCAP the map, to a file.
+/// `evermap export`: writes a layer, or of the format MCAP the map, to a file.
 ///
 /// # Errors
 /// A user fault for a layer that has not what the format needs, a data fault for rows that make no sense.
-pub async fn export(
-    reader: &MapReader,
-    layer: Option<&str>,
-    selection: &Selection,
-    format: ExportFormat,
-    out: &Path,
-) -> Result<(), Failure> {
-    let layer = match (layer, format) {
-        (None, ExportFormat::Mcap) => return foxglove::export(reader, selection, out).await,
+pub async fn export(args: &ExportArgs) -> Ending {
+    let reader = MapReader::open(&args.map.map, args.map.version).await?;
+    let layer = match (args.layer.as_deref(), args.format) {
+        (None, ExportFormat::Mcap) => {
+            foxglove::export(&reader, &args.selection, &args.out).await?;
+            return DONE;
+        }
         (Some(layer), ExportFormat::Mcap) => {
             let fault = Fault::user(format!(
                 "expected no layer beside --format mcap, found {layer}"
@@ -106,20 +104,16 @@ pub async fn export(
         }
         (Some(layer), _) => layer,
     };
-    let written = written(reader, layer, selection, format, out).await;
+    let written = written(&reader, layer, args).await;
     written.map_err(|failure| match failure {
         Failure::Fault(fault) => Failure::Fault(fault.at(format!("layer {layer}"))),
         other => other,
-    })
+    })?;
+    DONE
 }
 
-async fn written(
-    reader: &MapReader,
-    layer: &str,
-    selection: &Selection,
-    format: ExportFormat,
-    out: &Path,
-) -> Result<(), Failure> {
+async fn written(reader: &MapReader, layer: &str, args: &ExportArgs) -> Result<(), Failure> {
+    let (selection, out) = (&args.selection, args.out.as_path());
     let site = selection.site.as_deref();
     let batches = selected(reader.map.batches(layer).await?, selection)?;
     let earth = match selection.local {
@@ -127,7 +121,7 @@ async fn written(
         false => Earth::of(reader).await?,
     };
     let declared = reader.declaration(layer);
-    match format {
+    match args.format {
         ExportFormat::Geojson => {
             let title = format!("{layer}, version {}", reader.map.version.version);
             let mut sink = Sink::file(out)?;

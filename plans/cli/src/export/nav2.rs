@@ -14,7 +14,7 @@
 use arrow::array::RecordBatch;
 use evermap_schemas::Fault;
 
-use crate::export::raster::Raster;
+use crate::raster::Raster;
 use crate::reader::{COUNTED, one_site, typed};
 use crate::shown::SpeedCell;
 

@@ -55,7 +55,7 @@ pub fn open(
         Format::Json => Box::new(
             JsonBuilder::new()
                 .with_explicit_nulls(true)
-                .build::<_, JsonArray>(Lines(sink)),
+                .build::<_, JsonArray>(sink),
         ),
         Format::Parquet => Box::new(Parquet::open(&schema, sink)?),
         Format::Arrow => Box::new(FileWriter::try_new(sink, &schema)?),
@@ -114,25 +114,13 @@ impl RowWriter for arrow::csv::Writer<&mut Sink> {
 }
 
 /// JSON ends with a line break, as text files do.
-struct Lines<'s>(&'s mut Sink);
-
-impl Write for Lines<'_> {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0.write(bytes)
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        self.0.flush()
-    }
-}
-
-impl RowWriter for JsonWriter<Lines<'_>, JsonArray> {
+impl RowWriter for JsonWriter<&mut Sink, JsonArray> {
     fn write(&mut self, batch: &RecordBatch) -> Result<(), Failure> {
         Ok(JsonWriter::write(self, batch)?)
     }
 
     fn finish(mut self: Box<Self>) -> Result<(), Failure> {
         JsonWriter::finish(&mut self)?;
-        Ok(self.into_inner().0.write_all(b"\n")?)
+        Ok(self.into_inner().write_all(b"\n")?)
     }
 }

@@ -6,7 +6,7 @@
 use std::pin::Pin;
 use std::sync::{Arc, LazyLock};
 
-use arrow::datatypes::{DataType, Schema, SchemaRef};
+use arrow::datatypes::{Schema, SchemaRef};
 use arrow::ipc::writer::IpcWriteOptions;
 use arrow::record_batch::RecordBatch;
 use arrow_flight::encode::FlightDataEncoderBuilder;
@@ -16,7 +16,7 @@ use arrow_flight::sql::metadata::{SqlInfoData, SqlInfoDataBuilder};
 use arrow_flight::sql::server::FlightSqlService;
 use arrow_flight::sql::{
     ActionClosePreparedStatementRequest, ActionCreatePreparedStatementRequest,
-    ActionCreatePreparedStatementResult, CommandGetCatalogs, CommandGetDbSchemas,
+    ActionCreatePreparedStatementResult, Any, CommandGetCatalogs, CommandGetDbSchemas,
     CommandGetSqlInfo, CommandGetTableTypes, CommandGetTables, CommandPreparedStatementQuery,
     CommandStatementQuery, ProstMessageExt, SqlInfo, TicketStatementQuery,
 };
@@ -74,6 +74,11 @@ impl Planned {
     }
 }
 
+/// Who asks where rows are, and the answer.
+type Asked = Request<FlightDescriptor>;
+type Info = Result<Response<FlightInfo>, Status>;
+
+/// Rows themselves.
 type Got<S> = Result<Response<<S as FlightService>::DoGetStream>, Status>;
 
 impl Flight {
@@ -127,15 +132,12 @@ fn status(fault: Fault) -> Status {
 }
 
 /// Where rows of these columns are: here, by this ticket.
-fn info(
-    schema: &Schema,
-    ticket: Vec<u8>,
-    descriptor: FlightDescriptor,
-) -> Result<FlightInfo, Status> {
-    let endpoint = FlightEndpoint::new().with_ticket(Ticket::new(ticket));
+fn info(schema: &Schema, ticket: Any, request: Asked) -> Info {
+    let endpoint = FlightEndpoint::new().with_ticket(Ticket::new(ticket.encode_to_vec()));
     let info = FlightInfo::new().try_with_schema(schema);
     let info = info.map_err(|error| Status::internal(error.to_string()))?;
-    Ok(info.with_endpoint(endpoint).with_descriptor(descriptor))
+    let info = info.with_endpoint(endpoint);
+    Ok(Response::new(info.with_descriptor(request.into_inner())))
 }
 
 /// One batch as the rows of an answer.
@@ -193,14 +195,13 @@ impl FlightSqlService for Flight {
     async fn get_flight_info_statement(
         &self,
         command: CommandStatementQuery,
-        request: Request<FlightDescriptor>,
-    ) -> Result<Response<FlightInfo>, Status> {
+        request: Asked,
+    ) -> Info {
         let (planned, schema) = self.plan(self.map(&request)?, command.query).await?;
         let ticket = TicketStatementQuery {
             statement_handle: planned.bytes()?.into(),
         };
-        let ticket = ticket.as_any().encode_to_vec();
-        info(&schema, ticket, request.into_inner()).map(Response::new)
+        info(&schema, ticket.as_any(), request)
     }
 
     async fn do_get_statement(
@@ -239,12 +240,11 @@ impl FlightSqlService for Flight {
     async fn get_flight_info_prepared_statement(
         &self,
         command: CommandPreparedStatementQuery,
-        request: Request<FlightDescriptor>,
-    ) -> Result<Response<FlightInfo>, Status> {
+        request: Asked,
+    ) -> Info {
         let planned = Planned::parse(&command.prepared_statement_handle)?;
         let (_, schema) = self.plan(self.map(&request)?, planned.query).await?;
-        let ticket = command.as_any().encode_to_vec();
-        info(&schema, ticket, request.into_inner()).map(Response::new)
+        info(&schema, command.as_any(), request)
     }
 
     async fn do_get_prepared_statement(
@@ -256,14 +256,10 @@ impl FlightSqlService for Flight {
         self.rows(self.map(&request)?, &planned).await
     }
 
-    async fn get_flight_info_catalogs(
-        &self,
-        command: CommandGetCatalogs,
-        request: Request<FlightDescriptor>,
-    ) -> Result<Response<FlightInfo>, Status> {
-        let ticket = command.as_any().encode_to_vec();
+    async fn get_flight_info_catalogs(&self, command: CommandGetCatalogs, request: Asked) -> Info {
+        let ticket = command.as_any();
         let schema = command.into_builder().schema();
-        info(&schema, ticket, request.into_inner()).map(Response::new)
+        info(&schema, ticket, request)
     }
 
     async fn do_get_catalogs(&self, command: CommandGetCatalogs, _: Request<Ticket>) -> Got<Self> {
@@ -274,14 +270,10 @@ impl FlightSqlService for Flight {
         one(catalogs.build())
     }
 
-    async fn get_flight_info_schemas(
-        &self,
-        command: CommandGetDbSchemas,
-        request: Request<FlightDescriptor>,
-    ) -> Result<Response<FlightInfo>, Status> {
-        let ticket = command.as_any().encode_to_vec();
+    async fn get_flight_info_schemas(&self, command: CommandGetDbSchemas, request: Asked) -> Info {
+        let ticket = command.as_any();
         let schema = command.into_builder().schema();
-        info(&schema, ticket, request.into_inner()).map(Response::new)
+        info(&schema, ticket, request)
     }
 
     async fn do_get_schemas(&self, command: CommandGetDbSchemas, _: Request<Ticket>) -> Got<Self> {
@@ -292,14 +284,10 @@ impl FlightSqlService for Flight {
         one(schemas.build())
     }
 
-    async fn get_flight_info_tables(
-        &self,
-        command: CommandGetTables,
-        request: Request<FlightDescriptor>,
-    ) -> Result<Response<FlightInfo>, Status> {
-        let ticket = command.as_any().encode_to_vec();
+    async fn get_flight_info_tables(&self, command: CommandGetTables, request: Asked) -> Info {
+        let ticket = command.as_any();
         let schema = command.into_builder().schema();
-        info(&schema, ticket, request.into_inner()).map(Response::new)
+        info(&schema, ticket, request)
     }
 
     async fn do_get_tables(
@@ -329,25 +317,27 @@ impl FlightSqlService for Flight {
     async fn get_flight_info_table_types(
         &self,
         command: CommandGetTableTypes,
-        request: Request<FlightDescriptor>,
-    ) -> Result<Response<FlightInfo>, Status> {
-        let ticket = command.as_any().encode_to_vec();
-        let schema = table_types().map_err(status)?.schema();
-        info(&schema, ticket, request.into_inner()).map(Response::new)
+        request: Asked,
+    ) -> Info {
+        let ticket = command.as_any();
+        let schema = command.into_builder().schema();
+        info(&schema, ticket, request)
     }
 
-    async fn do_get_table_types(&self, _: CommandGetTableTypes, _: Request<Ticket>) -> Got<Self> {
-        one(Ok(table_types().map_err(status)?))
-    }
-
-    async fn get_flight_info_sql_info(
+    async fn do_get_table_types(
         &self,
-        command: CommandGetSqlInfo,
-        request: Request<FlightDescriptor>,
-    ) -> Result<Response<FlightInfo>, Status> {
-        let ticket = command.as_any().encode_to_vec();
+        command: CommandGetTableTypes,
+        _: Request<Ticket>,
+    ) -> Got<Self> {
+        let mut types = command.into_builder();
+        types.append(TABLE);
+        one(types.build())
+    }
+
+    async fn get_flight_info_sql_info(&self, command: CommandGetSqlInfo, request: Asked) -> Info {
+        let ticket = command.as_any();
         let schema = command.into_builder(about()?).schema();
-        info(&schema, ticket, request.into_inner()).map(Response::new)
+        info(&schema, ticket, request)
     }
 
     async fn do_get_sql_info(&self, command: CommandGetSqlInfo, _: Request<Ticket>) -> Got<Self> {
@@ -355,11 +345,4 @@ impl FlightSqlService for Flight {
     }
 
     async fn register_sql_info(&self, _: i32, _: &SqlInfo) {}
-}
-
-fn table_types() -> Result<RecordBatch, Fault> {
-    let field = arrow::datatypes::Field::new("table_type", DataType::Utf8, false);
-    let names = arrow::array::StringArray::from(vec![TABLE]);
-    let schema = Arc::new(Schema::new(vec![field]));
-    Ok(RecordBatch::try_new(schema, vec![Arc::new(names)])?)
 }

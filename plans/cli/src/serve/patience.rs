@@ -6,8 +6,9 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
+use tokio::net::{TcpListener, TcpStream};
 use tokio::runtime::Handle;
-use tokio::sync::{Notify, OwnedSemaphorePermit, watch};
+use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore, watch};
 use tokio::time::timeout;
 
 /// Time until a connection must have asked for something, or come in; and for what it asks to be there whole.
@@ -29,9 +30,29 @@ const PART: usize = 3;
 /// How long network and clocks may be left alone by threads that compute.
 const ATTENDED_EVERY: Duration = Duration::from_millis(50);
 
+/// Takes connections for ever, and has each answered in a place among those that wait; where there is none, it is closed.
+pub async fn accept<C, E>(listener: TcpListener, converse: impl Fn(TcpStream, Asked) -> C)
+where
+    C: Future<Output = Result<(), E>> + Send + 'static,
+    E: Display,
+{
+    let places = Arc::new(Semaphore::new(waiting()));
+    loop {
+        let Ok((socket, _)) = listener.accept().await else {
+            // Out of file descriptors, mostly: those that are open may be closed by then.
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            continue;
+        };
+        if let Ok(place) = Arc::clone(&places).try_acquire_owned() {
+            let asked = Asked::default();
+            attend(place, asked.clone(), converse(socket, asked));
+        }
+    }
+}
+
 /// Connections at once of one protocol that have not come in yet, or that speak HTTP; more are closed. Fewer than files may be open,
 /// so that there is one for who comes when they are gone, and for what is asked.
-pub fn waiting() -> usize {
+fn waiting() -> usize {
     let files = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
     waiting_of(files)
 }
@@ -66,7 +87,7 @@ pub fn keep_attending(runtime: Handle) -> std::io::Result<()> {
 }
 
 /// Has a connection answered beside others, in its place among those that wait; one that asks for nothing is ended.
-pub fn attend<E: Display>(
+fn attend<E: Display>(
     place: OwnedSemaphorePermit,
     asked: Asked,
     connection: impl Future<Output = Result<(), E>> + Send + 'static,

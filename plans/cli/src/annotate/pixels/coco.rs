@@ -1,10 +1,8 @@
 //! Common Objects in Context.
 
-use std::collections::BTreeSet;
-
 use serde_json::{Value, json};
 
-use super::{Drawn, Pixel, Rectangle, Shape, numbers};
+use super::{Drawn, Pixel, Rectangle, Shape, kinds, numbers};
 use crate::annotate::Losses;
 use crate::annotate::geojson::text;
 use crate::annotate::mosaic::Picture;
@@ -29,12 +27,10 @@ pub(super) fn read(value: &Value, losses: &mut Losses) -> Vec<Drawn> {
             continue;
         }
         match shape(annotation) {
-            Some(shape) => found.push(Drawn {
-                place,
-                kind: category(&annotation["category_id"]),
-                shape,
-                probability: None,
-            }),
+            Some(shape) => {
+                let kind = category(&annotation["category_id"]);
+                found.push(Drawn::said(place, kind, shape));
+            }
             None => losses.note("annotation that is neither box nor outline", &place),
         }
     }
@@ -58,11 +54,7 @@ fn shape(annotation: &Value) -> Option<Shape> {
 
 /// Outlines, with the boxes around them.
 pub(super) fn write(drawn: &[Drawn], picture: &Picture) -> String {
-    let kinds: BTreeSet<&str> = drawn
-        .iter()
-        .filter_map(|drawn| drawn.kind.as_deref())
-        .collect();
-    let kinds: Vec<&str> = kinds.into_iter().collect();
+    let kinds = kinds(drawn);
     let annotations = drawn.iter().enumerate().map(|(number, drawn)| {
         let points = drawn.shape.points();
         let [[left, top], [right, bottom]] = drawn.shape.bounds();

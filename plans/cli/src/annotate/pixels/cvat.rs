@@ -34,12 +34,10 @@ pub(super) fn read(text: &str, losses: &mut Losses) -> Result<Vec<Drawn>, Fault>
                 continue;
             }
             match shape(node) {
-                Some(shape) => found.push(Drawn {
-                    place,
-                    kind: node.attribute("label").map(str::to_owned),
-                    shape,
-                    probability: None,
-                }),
+                Some(shape) => {
+                    let kind = node.attribute("label").map(str::to_owned);
+                    found.push(Drawn::said(place, kind, shape));
+                }
                 None => losses.note(
                     "annotation that is neither box nor outline nor line",
                     &place,

@@ -22,12 +22,7 @@ pub(super) fn read(tasks: &Value, losses: &mut Losses) -> Vec<Drawn> {
         for (number, result) in results.flatten().enumerate() {
             let place = format!("task {task}, result {number}");
             match shape(result) {
-                Some((kind, shape)) => found.push(Drawn {
-                    place,
-                    kind,
-                    shape,
-                    probability: None,
-                }),
+                Some((kind, shape)) => found.push(Drawn::said(place, kind, shape)),
                 None => losses.note("annotation that is neither box nor outline", &place),
             }
         }

@@ -5,6 +5,7 @@ mod cvat;
 mod label_studio;
 mod yolo;
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use clap::ValueEnum;
@@ -232,6 +233,16 @@ impl Shape {
 }
 
 impl Drawn {
+    /// What is there, and not only proposed.
+    fn said(place: String, kind: Option<String>, shape: Shape) -> Self {
+        Self {
+            place,
+            kind,
+            shape,
+            probability: None,
+        }
+    }
+
     fn of_label(label: &PlacedLabel, picture: &Picture) -> Self {
         let points = label.points.iter();
         let points: Vec<Pixel> = points.map(|[x, y, _]| picture.pixel([*x, *y])).collect();
@@ -243,18 +254,16 @@ impl Drawn {
             ("polyline", _) => Shape::Open(points),
             _ => Shape::Closed(points),
         };
-        Self {
-            place: format!("label {}", label.label),
-            kind: Some(label.kind.clone()),
+        Self::said(
+            format!("label {}", label.label),
+            Some(label.kind.clone()),
             shape,
-            probability: None,
-        }
+        )
     }
 
     fn of_hypothesis(found: &BoxHypothesis, picture: &Picture) -> Option<Self> {
-        let corners = corners(&found.map_from_label, [found.length_m, found.width_m]);
-        let corners: [Pixel; 4] = corners.try_into().ok()?;
-        let corners = corners.map(|place| picture.pixel(place));
+        let corners = corners(&found.map_from_label, [found.length_m, found.width_m])?;
+        let corners = corners.map(|[x, y, _]| picture.pixel([x, y]));
         Some(Self {
             place: format!("hypothesis {}", found.hypothesis),
             kind: Some(found.kind.clone()),
@@ -287,6 +296,12 @@ impl Drawn {
             brush_px: None,
         }
     }
+}
+
+/// What is marked, each kind once, ascending.
+fn kinds(drawn: &[Drawn]) -> Vec<&str> {
+    let kinds = drawn.iter().filter_map(|drawn| drawn.kind.as_deref());
+    kinds.collect::<BTreeSet<&str>>().into_iter().collect()
 }
 
 fn numbers(value: &Value) -> Option<Vec<f64>> {

@@ -1,11 +1,10 @@
 //! Oriented boxes of YOLO: a line each, the number of a class and four corners as shares of the picture.
 
-use std::collections::BTreeSet;
 use std::path::Path;
 
 use evermap_schemas::Fault;
 
-use super::{Drawn, Pixel, Shape};
+use super::{Drawn, Pixel, Shape, kinds};
 use crate::annotate::Losses;
 use crate::annotate::mosaic::Picture;
 
@@ -40,17 +39,11 @@ pub(super) fn read(
     for (number, line) in lines {
         let place = format!("line {}", number + 1);
         match corners(line, size) {
-            Some((class, corners)) => found.push(Drawn {
-                place,
-                kind: Some(
-                    classes
-                        .get(class)
-                        .cloned()
-                        .unwrap_or_else(|| class.to_string()),
-                ),
-                shape: Shape::Closed(corners),
-                probability: None,
-            }),
+            Some((class, corners)) => {
+                let name = classes.get(class).cloned();
+                let kind = name.or_else(|| Some(class.to_string()));
+                found.push(Drawn::said(place, kind, Shape::Closed(corners)));
+            }
             None => losses.note("line that is not a class and four corners", &place),
         }
     }
@@ -72,11 +65,7 @@ fn corners(line: &str, [width, height]: [u32; 2]) -> Option<(usize, Vec<Pixel>)>
 /// # Errors
 /// A resource fault where the classes cannot be written.
 pub(super) fn write(drawn: &[Drawn], picture: &Picture, path: &Path) -> Result<String, Fault> {
-    let kinds: BTreeSet<&str> = drawn
-        .iter()
-        .filter_map(|drawn| drawn.kind.as_deref())
-        .collect();
-    let kinds: Vec<&str> = kinds.into_iter().collect();
+    let kinds = kinds(drawn);
     let beside = path.with_file_name(CLASSES);
     let names: String = kinds.iter().map(|kind| format!("{kind}\n")).collect();
     std::fs::write(&beside, names)

@@ -14,8 +14,8 @@ use foxglove::messages::{
     PointsAnnotation, PosesInFrame,
 };
 
-use super::Said;
 use super::messages::{MAP, VERMILION, color, pose, rotation, time, vector};
+use super::{Said, What};
 use crate::earth::{Earth, SiteOnEarth};
 use crate::reader::{MapReader, only, typed};
 
@@ -230,7 +230,7 @@ fn images(keyframes: Vec<Keyframe>, is_driven: impl Fn(&String) -> bool) -> Vec<
                 camera: image.camera,
                 reference: image.image,
             };
-            Said::of_image(image.stamp.0, topic, picture)
+            Said::of(image.stamp.0, topic, What::Image(Box::new(picture)))
         })
     });
     images.collect()

@@ -12,8 +12,8 @@ use foxglove::messages::{Grid, Vector2};
 use super::Said;
 use super::messages::{MAP, field, place, time};
 use crate::export::nav2;
-use crate::export::raster::Raster;
 use crate::mosaic::{Mosaic, level, zoom_for};
+use crate::raster::Raster;
 use crate::reader::MapReader;
 use crate::shown::{DangerCell, SpeedCell, Tile};
 

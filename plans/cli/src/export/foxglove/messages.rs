@@ -6,7 +6,7 @@ use foxglove::messages::line_primitive::Type as LineType;
 use foxglove::messages::packed_element_field::NumericType;
 use foxglove::messages::{
     Color, KeyValuePair, LinePrimitive, PackedElementField, Point3, Pose, Quaternion, SceneEntity,
-    SceneUpdate, Timestamp, Vector3,
+    Timestamp, Vector3,
 };
 use foxglove::{Encode, Schema};
 
@@ -79,10 +79,7 @@ pub(super) fn place(x: f64, y: f64, z: f64) -> Pose {
         x,
         y,
         z,
-        qx: 0.0,
-        qy: 0.0,
-        qz: 0.0,
-        qw: 1.0,
+        ..Placed::IDENTITY
     })
 }
 
@@ -115,18 +112,9 @@ pub(super) fn line(points: &[[f64; 3]], closed: bool, of: [f64; 3], width_m: f64
         r#type: kind as i32,
         pose: Some(place(0.0, 0.0, 0.0)),
         thickness: width_m,
-        scale_invariant: false,
-        points: points
-            .iter()
-            .map(|[x, y, z]| Point3 {
-                x: *x,
-                y: *y,
-                z: *z,
-            })
-            .collect(),
+        points: points.iter().map(|&[x, y, z]| Point3 { x, y, z }).collect(),
         color: color(of, 1.0),
-        colors: Vec::new(),
-        indices: Vec::new(),
+        ..LinePrimitive::default()
     }
 }
 
@@ -142,13 +130,5 @@ pub(super) fn entity(stamp: i64, id: String, known: &[(&str, String)]) -> SceneE
         id,
         metadata: known.iter().map(pair).collect(),
         ..SceneEntity::default()
-    }
-}
-
-/// Things that are there from now on.
-pub(super) fn scene(entities: Vec<SceneEntity>) -> SceneUpdate {
-    SceneUpdate {
-        deletions: Vec::new(),
-        entities,
     }
 }

@@ -110,28 +110,19 @@ pub struct MessageKind {
 
 impl Said {
     fn new<M: Encode>(stamp: i64, topic: impl Into<String>, message: &M) -> Result<Self, Fault> {
-        Ok(Self::of(stamp, topic, encoded(message)?))
+        Ok(Self::of(stamp, topic, What::Message(encoded(message)?)))
     }
 
     fn of_ros<M: ros2::Message>(stamp: i64, topic: impl Into<String>, message: &M) -> Self {
-        Self::of(stamp, topic, encoded_ros(message))
+        Self::of(stamp, topic, What::Message(encoded_ros(message)))
     }
 
-    fn of(stamp: i64, topic: impl Into<String>, payload: Payload) -> Self {
+    fn of(stamp: i64, topic: impl Into<String>, what: What) -> Self {
         Self {
             stamp,
             topic: topic.into(),
             lasts: false,
-            what: What::Message(payload),
-        }
-    }
-
-    fn of_image(stamp: i64, topic: String, image: drives::Image) -> Self {
-        Self {
-            stamp,
-            topic,
-            lasts: false,
-            what: What::Image(Box::new(image)),
+            what,
         }
     }
 

@@ -1,16 +1,16 @@
 //! What of a map does not move: landmarks, lanes, intersections, parking spaces, labels, and what lies in cells.
 
 use bytes::Bytes;
-use evermap_algorithms::geometry::pose::Pose as Rigid;
-use evermap_schemas::{Fault, Pose};
+use evermap_schemas::Fault;
 use foxglove::messages::packed_element_field::NumericType;
-use foxglove::messages::{PointCloud, SceneEntity, SpherePrimitive};
+use foxglove::messages::{PointCloud, SceneEntity, SceneUpdate, SpherePrimitive};
 
 use super::messages::{
-    GREEN, MAP, ORANGE, PURPLE, VERMILION, color, entity, field, line, place, scene, time, vector,
+    GREEN, MAP, ORANGE, PURPLE, VERMILION, color, entity, field, line, place, time, vector,
 };
 use super::{Said, grids};
 use crate::reader::MapReader;
+use crate::scene::corners;
 use crate::shown::{Crossing, Label, LandmarkPoint, Lane, Space};
 
 /// All of it, as said at one instant.
@@ -42,7 +42,11 @@ pub(super) async fn said(reader: &MapReader, site: &str, stamp: i64) -> Result<V
     ];
     for (topic, entities) in things {
         if !entities.is_empty() {
-            all.push(Said::new(stamp, topic, &scene(entities))?);
+            let there = SceneUpdate {
+                entities,
+                ..SceneUpdate::default()
+            };
+            all.push(Said::new(stamp, topic, &there)?);
         }
     }
     Ok(all)
@@ -87,21 +91,12 @@ fn crossing(row: &Crossing, stamp: i64) -> SceneEntity {
 
 /// A parking space; `None` where its pose is not a rigid transform.
 fn space(row: &Space, stamp: i64) -> Option<SceneEntity> {
-    let corners = corners(&row.map_from_space, row.length_m, row.width_m)?;
+    let corners = corners(&row.map_from_space, [row.length_m, row.width_m])?;
     let known = [("standing", row.standing.clone())];
     Some(SceneEntity {
         lines: vec![line(&corners, true, GREEN, 0.08)],
         ..entity(stamp, format!("space {}", row.space), &known)
     })
-}
-
-fn corners(pose: &Pose, length_m: f64, width_m: f64) -> Option<[[f64; 3]; 4]> {
-    let pose = Rigid::from_array(pose.to_array()).ok()?;
-    let corner = |[along, left]: [f64; 2]| {
-        let point = nalgebra::Vector3::new(0.5 * along * length_m, 0.5 * left * width_m, 0.0);
-        pose.transform(&point).into()
-    };
-    Some([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]].map(corner))
 }
 
 fn label(row: &Label, stamp: i64) -> SceneEntity {

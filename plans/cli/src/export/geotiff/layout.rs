@@ -2,102 +2,66 @@
 //! things are at its beginning.
 //!
 //! ```text
-//!   as encoded    blocks, directory of the picture; blocks, directory of an overview; …
-//!   as laid out   all directories with their values; blocks of the smallest overview; …; blocks of the picture
+//!   all directories with their values; blocks of the smallest overview; …; blocks of the picture
 //! ```
 //! Format: OGC Cloud Optimized GeoTIFF 1.0 (21-026), TIFF 6.0.
 
+use std::collections::BTreeMap;
+
+use tiff::tags::Tag;
+
 /// Bytes before the first directory.
 const HEADER: usize = 8;
-/// Directories at most: each is half as wide as the one before.
-const MOST: usize = 32;
-/// Tags of what blocks are found by.
-const OFFSETS: u16 = 324;
-const SIZES: u16 = 325;
 
-/// A directory, its entries in order.
-struct Directory(Vec<Entry>);
+/// One resolution: what it takes to decode it, and its blocks.
+pub struct Level {
+    /// All but where the blocks are.
+    pub directory: Directory,
+    /// They, row by row.
+    pub blocks: Vec<Vec<u8>>,
+}
+
+/// A directory: its entries by tag.
+#[derive(Default)]
+pub struct Directory(BTreeMap<u16, Entry>);
 
 struct Entry {
-    tag: u16,
     kind: u16,
-    count: u32,
+    count: usize,
     /// All of its values, as they are stored.
     values: Vec<u8>,
 }
 
-/// The same file in that order; `None` for what is no little-endian TIFF of blocks, or would be larger than 4 GiB.
-pub fn cloud_optimized(file: &[u8]) -> Option<Vec<u8>> {
-    let mut directories = directories(file)?;
-    let mut at = HEADER + directories.iter().map(Directory::size).sum::<usize>();
-    let mut blocks: Vec<&[u8]> = Vec::new();
-    for directory in directories.iter_mut().rev() {
-        let mut offsets = Vec::new();
-        for (offset, size) in directory.numbers(OFFSETS)?.zip(directory.numbers(SIZES)?) {
-            let block = file.get(offset..offset.checked_add(size)?)?;
-            offsets.extend(u32::try_from(at).ok()?.to_le_bytes());
+/// The file of a picture and its overviews, each smaller than the one before, in this order; `None` where it would be
+/// larger than 4 GiB.
+pub fn file(mut levels: Vec<Level>) -> Option<Vec<u8>> {
+    for Level { directory, blocks } in &mut levels {
+        let sizes = blocks.iter().map(|block| u32::try_from(block.len()).ok());
+        let sizes: Vec<u32> = sizes.collect::<Option<_>>()?;
+        directory.longs(Tag::TileByteCounts, &sizes);
+        // As many as there will be.
+        directory.longs(Tag::TileOffsets, &sizes);
+    }
+    let directories = levels.iter().map(|level| level.directory.size());
+    let mut at = HEADER + directories.sum::<usize>();
+    for Level { directory, blocks } in levels.iter_mut().rev() {
+        let mut offsets = Vec::with_capacity(blocks.len());
+        for block in blocks {
+            offsets.push(u32::try_from(at).ok()?);
             at += block.len();
-            blocks.push(block);
         }
-        directory.entry(OFFSETS)?.values = offsets;
+        directory.longs(Tag::TileOffsets, &offsets);
     }
     u32::try_from(at).ok()?;
     let mut out = Vec::with_capacity(at);
     out.extend(*b"II*\0");
     out.extend((HEADER as u32).to_le_bytes());
-    let count = directories.len();
-    for (number, directory) in directories.iter().enumerate() {
-        directory.write(&mut out, number + 1 == count);
+    for (number, level) in levels.iter().enumerate() {
+        level.directory.write(&mut out, number + 1 == levels.len());
     }
-    blocks.iter().for_each(|block| out.extend(*block));
+    let blocks = levels.iter().rev().flat_map(|level| &level.blocks);
+    blocks.for_each(|block| out.extend(block));
     Some(out)
-}
-
-fn u16_at(file: &[u8], at: usize) -> Option<u16> {
-    let (bytes, _) = file.get(at..)?.split_first_chunk()?;
-    Some(u16::from_le_bytes(*bytes))
-}
-
-fn u32_at(file: &[u8], at: usize) -> Option<u32> {
-    let (bytes, _) = file.get(at..)?.split_first_chunk()?;
-    Some(u32::from_le_bytes(*bytes))
-}
-
-fn directories(file: &[u8]) -> Option<Vec<Directory>> {
-    file.strip_prefix(b"II*\0")?;
-    let mut all = Vec::new();
-    let mut at = u32_at(file, 4)? as usize;
-    while at != 0 {
-        if all.len() == MOST {
-            return None;
-        }
-        let count = usize::from(u16_at(file, at)?);
-        let entries = (0..count).map(|number| entry(file, at + 2 + 12 * number));
-        all.push(Directory(entries.collect::<Option<_>>()?));
-        at = u32_at(file, at + 2 + 12 * count)? as usize;
-    }
-    Some(all)
-}
-
-fn entry(file: &[u8], at: usize) -> Option<Entry> {
-    let (kind, count) = (u16_at(file, at + 2)?, u32_at(file, at + 4)?);
-    let size = match kind {
-        1 | 2 | 6 | 7 => 1,
-        3 | 8 => 2,
-        4 | 9 | 11 | 13 => 4,
-        5 | 10 | 12 => 8,
-        _ => return None,
-    } * count as usize;
-    let values = match size {
-        0..=4 => at + 8,
-        _ => u32_at(file, at + 8)? as usize,
-    };
-    Some(Entry {
-        tag: u16_at(file, at)?,
-        kind,
-        count,
-        values: file.get(values..values.checked_add(size)?)?.to_vec(),
-    })
 }
 
 impl Entry {
@@ -111,18 +75,37 @@ impl Entry {
 }
 
 impl Directory {
-    fn entry(&mut self, tag: u16) -> Option<&mut Entry> {
-        self.0.iter_mut().find(|entry| entry.tag == tag)
+    /// Sets an entry of `SHORT`s.
+    pub fn shorts(&mut self, tag: Tag, values: &[u16]) {
+        let bytes = values.iter().flat_map(|value| value.to_le_bytes());
+        self.set(tag, 3, values.len(), bytes.collect());
     }
 
-    /// The values of an entry of `LONG`s.
-    fn numbers(&self, tag: u16) -> Option<impl Iterator<Item = usize> + use<>> {
-        let found = self
-            .0
-            .iter()
-            .find(|entry| entry.tag == tag && entry.kind == 4)?;
-        let numbers = found.values.as_chunks::<4>().0.to_vec().into_iter();
-        Some(numbers.map(|number| u32::from_le_bytes(number) as usize))
+    /// Sets an entry of `LONG`s.
+    pub fn longs(&mut self, tag: Tag, values: &[u32]) {
+        let bytes = values.iter().flat_map(|value| value.to_le_bytes());
+        self.set(tag, 4, values.len(), bytes.collect());
+    }
+
+    /// Sets an entry of `DOUBLE`s.
+    pub fn doubles(&mut self, tag: Tag, values: &[f64]) {
+        let bytes = values.iter().flat_map(|value| value.to_le_bytes());
+        self.set(tag, 12, values.len(), bytes.collect());
+    }
+
+    /// Sets an entry of `ASCII`, which ends with a zero.
+    pub fn text(&mut self, tag: Tag, text: &str) {
+        let bytes: Vec<u8> = text.bytes().chain([0]).collect();
+        self.set(tag, 2, bytes.len(), bytes);
+    }
+
+    fn set(&mut self, tag: Tag, kind: u16, count: usize, values: Vec<u8>) {
+        let entry = Entry {
+            kind,
+            count,
+            values,
+        };
+        self.0.insert(tag.to_u16(), entry);
     }
 
     /// Bytes of its table.
@@ -132,17 +115,17 @@ impl Directory {
 
     /// Bytes with the values behind it.
     fn size(&self) -> usize {
-        self.table() + self.0.iter().map(Entry::behind).sum::<usize>()
+        self.table() + self.0.values().map(Entry::behind).sum::<usize>()
     }
 
     fn write(&self, out: &mut Vec<u8>, last: bool) {
         let begin = out.len();
         let mut at = begin + self.table();
         out.extend((self.0.len() as u16).to_le_bytes());
-        for entry in &self.0 {
-            out.extend(entry.tag.to_le_bytes());
+        for (tag, entry) in &self.0 {
+            out.extend(tag.to_le_bytes());
             out.extend(entry.kind.to_le_bytes());
-            out.extend(entry.count.to_le_bytes());
+            out.extend((entry.count as u32).to_le_bytes());
             match entry.behind() {
                 0 => {
                     let mut values = [0; 4];
@@ -157,7 +140,7 @@ impl Directory {
         }
         let next = if last { 0 } else { at as u32 };
         out.extend(next.to_le_bytes());
-        for entry in self.0.iter().filter(|entry| entry.behind() > 0) {
+        for entry in self.0.values().filter(|entry| entry.behind() > 0) {
             out.extend(&entry.values);
             out.resize(out.len().next_multiple_of(2), 0);
         }
@@ -168,51 +151,49 @@ impl Directory {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use proptest::prelude::*;
 
-    /// A file of one picture of two blocks, laid out as an encoder does it, and with values behind its directory.
-    fn file() -> Vec<u8> {
-        let mut file = b"II*\0".to_vec();
-        file.extend(18_u32.to_le_bytes());
-        file.extend(b"firstsecon");
-        file.extend(3_u16.to_le_bytes());
-        for (tag, kind, count, value) in [
-            (OFFSETS, 4_u16, 2, 60),
-            (SIZES, 4, 2, 68),
-            (999, 2, 3, 0x0061_6261),
-        ] {
-            file.extend(tag.to_le_bytes());
-            file.extend(kind.to_le_bytes());
-            file.extend(u32::to_le_bytes(count));
-            file.extend(u32::to_le_bytes(value));
-        }
-        file.extend(0_u32.to_le_bytes());
-        for number in [8_u32, 13, 5, 5] {
-            file.extend(number.to_le_bytes());
-        }
-        file
+    fn u32_at(file: &[u8], at: usize) -> usize {
+        u32::from_le_bytes(file[at..at + 4].try_into().unwrap()) as usize
+    }
+
+    /// Where the value of an entry is, or what it is; and how many there are.
+    fn found(file: &[u8], directory: usize, number: usize) -> (usize, usize) {
+        let entry = directory + 2 + 12 * number;
+        (u32_at(file, entry + 8), u32_at(file, entry + 4))
     }
 
     #[test]
-    fn directories_come_first_and_lead_to_the_same_blocks() {
-        let laid_out = cloud_optimized(&file()).unwrap();
-        assert_eq!(u32_at(&laid_out, 4), Some(8));
-        let directory = &directories(&laid_out).unwrap()[0];
-        let offsets: Vec<usize> = directory.numbers(OFFSETS).unwrap().collect();
-        assert_eq!(offsets, [laid_out.len() - 10, laid_out.len() - 5]);
-        assert_eq!(laid_out[offsets[0]..], *b"firstsecon");
-        assert_eq!(directory.0[2].values, b"aba");
-        assert_eq!(cloud_optimized(&laid_out).unwrap(), laid_out);
-    }
-
-    proptest! {
-        #[test]
-        fn no_bytes_cause_a_panic(place in 0_usize..80, byte: u8) {
-            let mut file = file();
-            if let Some(found) = file.get_mut(place) {
-                *found = byte;
+    fn directories_come_first_and_lead_to_their_blocks() {
+        let level = |name: &str, blocks: &[&str]| {
+            let mut directory = Directory::default();
+            directory.text(Tag::Artist, name);
+            Level {
+                directory,
+                blocks: blocks
+                    .iter()
+                    .map(|block| block.as_bytes().to_vec())
+                    .collect(),
             }
-            let _ = cloud_optimized(&file);
-        }
+        };
+        let file = file(vec![
+            level("abcdef", &["first", "second"]),
+            level("ab", &["small"]),
+        ])
+        .unwrap();
+        assert_eq!(file[..8], *b"II*\0\x08\0\0\0");
+        assert!(file.ends_with(b"smallfirstsecond"));
+        // The name, then offsets, then sizes: tags ascend.
+        let (name, letters) = found(&file, 8, 0);
+        assert_eq!(file[name..name + letters], *b"abcdef\0");
+        let (offsets, count) = found(&file, 8, 1);
+        let blocks = [0, 4].map(|at| u32_at(&file, offsets + at));
+        assert_eq!((blocks, count), ([file.len() - 11, file.len() - 6], 2));
+        let (sizes, _) = found(&file, 8, 2);
+        assert_eq!([0, 4].map(|at| u32_at(&file, sizes + at)), [5, 6]);
+        // One value stands in the entry itself.
+        let overview = u32_at(&file, 8 + 2 + 12 * 3);
+        assert_eq!(found(&file, overview, 0), (0x6261, 3));
+        assert_eq!(found(&file, overview, 1), (file.len() - 16, 1));
+        assert_eq!(u32_at(&file, overview + 2 + 12 * 3), 0);
     }
 }

@@ -13,7 +13,6 @@ mod rows;
 mod teach;
 
 use std::sync::Arc;
-use std::time::Duration;
 
 use axum::Router;
 use axum::extract::{FromRequestParts, RawPathParams, Request, State};
@@ -33,7 +32,7 @@ use crate::serve::http::conversation::converse;
 use crate::serve::http::metrics::Counts;
 pub use crate::serve::http::refusal::{Asks, Refusal};
 use crate::serve::maps::{Maps, ServedMap};
-use crate::serve::patience::{Asked, Exchanges, attend, waiting};
+use crate::serve::patience::{Exchanges, accept};
 use crate::serve::teach::Teaching;
 
 /// What handlers answer from.
@@ -65,27 +64,11 @@ pub async fn serve(
 ) {
     let (tls, longest) = (access.tls.clone(), bounds.timeout);
     let router = router(maps, access, bounds, teaching);
-    let places = Arc::new(Semaphore::new(waiting()));
-    loop {
-        let Ok((socket, _)) = listener.accept().await else {
-            // Out of file descriptors, mostly: those that are open may be closed by then.
-            tokio::time::sleep(Duration::from_millis(100)).await;
-            continue;
-        };
-        let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
-            continue;
-        };
-        let asked = Asked::default();
+    let answered = move |socket, asked| {
         let exchanges = Exchanges::new(longest);
-        let conversation = converse(
-            socket,
-            tls.clone(),
-            router.clone(),
-            asked.clone(),
-            exchanges,
-        );
-        attend(place, asked, conversation);
-    }
+        converse(socket, tls.clone(), router.clone(), asked, exchanges)
+    };
+    accept(listener, answered).await;
 }
 
 fn router(maps: Maps, access: Access, bounds: Bounds, teaching: Option<Arc<Teaching>>) -> Router {

@@ -9,11 +9,7 @@ use std::sync::Arc;
 
 use arrow::datatypes::{DataType, Field};
 use datafusion::common::{DFSchema, ScalarValue, TableReference};
-use datafusion::error::DataFusionError;
-use datafusion::logical_expr::{
-    ColumnarValue, EmptyRelation, LogicalPlan, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl,
-    Signature, Volatility,
-};
+use datafusion::logical_expr::{ColumnarValue, EmptyRelation, LogicalPlan, Signature, Volatility};
 use datafusion::prelude::SessionContext;
 use datafusion::sql::parser::Statement as Parsed;
 use datafusion::sql::resolve::resolve_table_references;
@@ -25,6 +21,7 @@ use datafusion::sql::sqlparser::ast::{
 use datafusion_postgres::datafusion_pg_catalog::pg_catalog::create_pg_table_is_visible;
 
 use crate::serve::postgres::expression::expression;
+use crate::serve::postgres::functions::function;
 use crate::serve::postgres::keys::of_key;
 
 /// Schemas of Postgres' own.
@@ -86,33 +83,10 @@ pub fn complete_catalog(context: &SessionContext) {
     ];
     context.register_udf(create_pg_table_is_visible().with_aliases(visible));
     for name in OF_NOTHING {
-        let signature = Signature::variadic_any(Volatility::Immutable);
-        context.register_udf(ScalarUDF::from(OfNothing { name, signature }));
-    }
-}
-
-/// A function whose answer is null.
-#[derive(Debug, PartialEq, Eq, Hash)]
-struct OfNothing {
-    name: &'static str,
-    signature: Signature,
-}
-
-impl ScalarUDFImpl for OfNothing {
-    fn name(&self) -> &str {
-        self.name
-    }
-
-    fn signature(&self) -> &Signature {
-        &self.signature
-    }
-
-    fn return_type(&self, _: &[DataType]) -> Result<DataType, DataFusionError> {
-        Ok(DataType::Utf8)
-    }
-
-    fn invoke_with_args(&self, _: ScalarFunctionArgs) -> Result<ColumnarValue, DataFusionError> {
-        Ok(ColumnarValue::Scalar(ScalarValue::Utf8(None)))
+        let takes = Signature::variadic_any(Volatility::Immutable);
+        context.register_udf(function(name, takes, DataType::Utf8, |_| {
+            Ok(ColumnarValue::Scalar(ScalarValue::Utf8(None)))
+        }));
     }
 }
 

@@ -4,14 +4,11 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use async_trait::async_trait;
-use datafusion::common::ParamValues;
 use datafusion::logical_expr::LogicalPlan;
 use datafusion::prelude::SessionContext;
 use datafusion::sql::sqlparser::ast::{
     CloseCursor, Declare, DeclareType, FetchDirection, Statement, Value,
 };
-use datafusion_postgres::QueryHook;
 use datafusion_postgres::hooks::HookClient;
 use futures::{StreamExt, TryStreamExt, stream};
 use pgwire::api::ClientInfo;
@@ -78,88 +75,67 @@ pub fn bound(client: &(impl ClientInfo + ?Sized), portal: &Portal<Prepared>) -> 
     Ok(())
 }
 
-/// Opens cursors, and forgets those that are closed, or whose transaction ends.
-#[derive(Debug)]
-pub struct Cursors;
-
-#[async_trait]
-impl QueryHook for Cursors {
-    async fn handle_simple_query(
-        &self,
-        statement: &Statement,
-        context: &SessionContext,
-        client: &mut dyn HookClient,
-    ) -> Option<PgWireResult<Response>> {
-        let open_ones = Open::of(client);
-        match statement {
-            Statement::Declare { stmts } => {
-                for declared in stmts {
-                    if let Err(error) = open(declared, context, client).await {
-                        return Some(Err(error));
-                    }
-                }
-                Some(Ok(Response::Execution(Tag::new("DECLARE CURSOR"))))
-            }
-            Statement::Fetch {
-                name, direction, ..
-            } => {
-                if let Err(error) = start(&name.value, context, client).await {
+/// Opens cursors and fetches from them, and forgets those that are closed, or whose transaction ends; `None` for what the
+/// library has an answer to.
+pub async fn answered(
+    statement: &Statement,
+    context: &SessionContext,
+    client: &mut dyn HookClient,
+) -> Option<PgWireResult<Response>> {
+    let open_ones = Open::of(client);
+    match statement {
+        Statement::Declare { stmts } => {
+            for declared in stmts {
+                if let Err(error) = open(declared, context, client).await {
                     return Some(Err(error));
                 }
-                fetched(&name.value, direction, client).await.map(Ok)
             }
-            Statement::Close {
-                cursor: CloseCursor::Specific { name },
-            } => {
-                open_ones.held().remove(&name.value);
-                None
-            }
-            Statement::Close {
-                cursor: CloseCursor::All,
-            } => {
-                open_ones.held().clear();
-                None
-            }
-            Statement::Commit { .. }
-            | Statement::Rollback {
-                savepoint: None, ..
-            } => {
-                for name in std::mem::take(&mut *open_ones.held()).into_keys() {
-                    client.portal_store().rm_portal(&name);
-                }
-                None
-            }
-            _ => None,
+            Some(Ok(Response::Execution(Tag::new("DECLARE CURSOR"))))
         }
+        Statement::Fetch {
+            name, direction, ..
+        } => {
+            if let Err(error) = start(&name.value, context, client).await {
+                return Some(Err(error));
+            }
+            fetched(&name.value, direction, client).await.map(Ok)
+        }
+        Statement::Close {
+            cursor: CloseCursor::Specific { name },
+        } => {
+            open_ones.held().remove(&name.value);
+            None
+        }
+        Statement::Close {
+            cursor: CloseCursor::All,
+        } => {
+            open_ones.held().clear();
+            None
+        }
+        Statement::Commit { .. }
+        | Statement::Rollback {
+            savepoint: None, ..
+        } => {
+            for name in std::mem::take(&mut *open_ones.held()).into_keys() {
+                client.portal_store().rm_portal(&name);
+            }
+            None
+        }
+        _ => None,
     }
+}
 
-    async fn handle_extended_parse_query(
-        &self,
-        statement: &Statement,
-        _: &SessionContext,
-        client: &(dyn ClientInfo + Send + Sync),
-    ) -> Option<PgWireResult<LogicalPlan>> {
-        let Statement::Fetch { name, .. } = statement else {
-            return None;
-        };
-        let open_ones = Open::of(client);
-        let plan = open_ones
-            .held()
-            .get(&name.value)
-            .map(|cursor| cursor.plan.clone());
-        plan.map(Ok)
-    }
-
-    async fn handle_extended_query(
-        &self,
-        statement: &Statement,
-        _: &LogicalPlan,
-        _: &ParamValues,
-        context: &SessionContext,
-        client: &mut dyn HookClient,
-    ) -> Option<PgWireResult<Response>> {
-        self.handle_simple_query(statement, context, client).await
-    }
+/// The plan of what fetches from a cursor that is open.
+pub fn planned(
+    statement: &Statement,
+    client: &(dyn ClientInfo + Send + Sync),
+) -> Option<LogicalPlan> {
+    let Statement::Fetch { name, .. } = statement else {
+        return None;
+    };
+    let open_ones = Open::of(client);
+    let held = open_ones.held();
+    held.get(&name.value).map(|cursor| cursor.plan.clone())
 }
 
 async fn open(

@@ -8,29 +8,15 @@ use arrow::compute::cast;
 use arrow::datatypes::DataType;
 use datafusion::common::exec_err;
 use datafusion::error::Result;
-use datafusion::logical_expr::{ColumnarValue, ScalarFunctionArgs, Signature, Volatility};
+use datafusion::logical_expr::{ColumnarValue, ScalarUDF, Signature, Volatility};
 
-use crate::serve::postgres::functions::OnTypes;
+use crate::serve::postgres::functions::function;
 
 /// The function.
-#[derive(Debug, PartialEq, Eq, Hash)]
-pub struct Format;
-
-impl OnTypes for Format {
-    fn name(&self) -> &'static str {
-        "format"
-    }
-
-    fn signature(&self) -> Signature {
-        Signature::variadic_any(Volatility::Immutable)
-    }
-
-    fn result(&self) -> DataType {
-        DataType::Utf8
-    }
-
-    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
-        let columns = ColumnarValue::values_to_arrays(&args.args)?;
+pub fn format() -> ScalarUDF {
+    let takes = Signature::variadic_any(Volatility::Immutable);
+    function("format", takes, DataType::Utf8, |args| {
+        let columns = ColumnarValue::values_to_arrays(args)?;
         let texts = columns.iter().map(|column| cast(column, &DataType::Utf8));
         let texts = texts.collect::<std::result::Result<Vec<ArrayRef>, _>>()?;
         let Some((patterns, values)) = texts.split_first() else {
@@ -45,7 +31,7 @@ impl OnTypes for Format {
         let patterns = patterns.as_string::<i32>().iter().enumerate();
         let made = patterns.map(row).collect::<Result<StringArray>>()?;
         Ok(ColumnarValue::Array(Arc::new(made)))
-    }
+    })
 }
 
 /// A pattern with values in it; null is no text.

@@ -1,71 +1,35 @@
 //! Functions on types that clients of Postgres ask, and the library has not, or knows too few types for.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use arrow::array::{Array, ArrayRef, AsArray, Int32Array, ListArray, StringArray, StructArray};
 use arrow::compute::cast;
-use arrow::datatypes::{DataType, Field, Fields, Int32Type};
+use arrow::datatypes::{DataType, Field, FieldRef, Fields, Int32Type};
 use datafusion::common::exec_err;
 use datafusion::error::Result;
 use datafusion::logical_expr::{
-    ColumnarValue, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl, Signature, TypeSignature,
-    Volatility,
+    ColumnarValue, ScalarFunctionArgs, ScalarUDF, ScalarUDFImpl, Signature, SimpleScalarUDF,
+    TypeSignature, Volatility,
 };
-use datafusion::prelude::SessionContext;
 use datafusion::scalar::ScalarValue;
 
 use crate::output::GEOMETRY;
 use crate::serve::postgres::geometry::OID;
 
-/// A function on types.
-pub trait OnTypes: std::fmt::Debug + Send + Sync + Eq + std::hash::Hash + 'static {
-    /// Its name.
-    fn name(&self) -> &'static str;
-    /// What it takes.
-    fn signature(&self) -> Signature;
-    /// What it gives.
-    fn result(&self) -> DataType;
-    /// Answers one call.
-    ///
-    /// # Errors
-    /// For arguments that it does not take.
-    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue>;
-}
-
-#[derive(Debug, PartialEq, Eq, Hash)]
-struct Function<F> {
-    of: F,
-    signature: Signature,
-}
-
-/// It, to be called.
-pub fn function(of: impl OnTypes) -> ScalarUDF {
-    let signature = of.signature();
-    ScalarUDF::from(Function { of, signature })
-}
-
-/// Adds a function to a context, in place of one of its name.
-pub fn register(context: &SessionContext, of: impl OnTypes) {
-    context.register_udf(function(of));
-}
-
-impl<F: OnTypes> ScalarUDFImpl for Function<F> {
-    fn name(&self) -> &str {
-        self.of.name()
-    }
-
-    fn signature(&self) -> &Signature {
-        &self.signature
-    }
-
-    fn return_type(&self, _: &[DataType]) -> Result<DataType> {
-        Ok(self.of.result())
-    }
-
-    fn invoke_with_args(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
-        self.of.answer(args)
-    }
+/// A function by its name, what it takes, what it gives, and how it answers one call.
+pub fn function(
+    name: &str,
+    takes: Signature,
+    gives: DataType,
+    answer: impl Fn(&[ColumnarValue]) -> Result<ColumnarValue> + Send + Sync + 'static,
+) -> ScalarUDF {
+    ScalarUDF::from(SimpleScalarUDF::new_with_signature(
+        name,
+        takes,
+        gives,
+        Arc::new(answer),
+    ))
 }
 
 /// What the server says of itself, for clients that ask how they may speak to it: that of Postgres of the version whose
@@ -88,29 +52,15 @@ pub const SETTINGS: [(&str, &str); 14] = [
 ];
 
 /// `current_setting(name [, missing_ok])`: one of [`SETTINGS`]; null where there is none.
-#[derive(Debug, PartialEq, Eq, Hash)]
-pub struct CurrentSetting;
-
-impl OnTypes for CurrentSetting {
-    fn name(&self) -> &'static str {
-        "current_setting"
-    }
-
-    fn signature(&self) -> Signature {
-        let calls = [
-            vec![DataType::Utf8],
-            vec![DataType::Utf8, DataType::Boolean],
-        ];
-        let calls = calls.map(TypeSignature::Exact);
-        Signature::one_of(calls.into(), Volatility::Immutable)
-    }
-
-    fn result(&self) -> DataType {
-        DataType::Utf8
-    }
-
-    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
-        let columns = ColumnarValue::values_to_arrays(&args.args)?;
+pub fn current_setting() -> ScalarUDF {
+    let calls = [
+        vec![DataType::Utf8],
+        vec![DataType::Utf8, DataType::Boolean],
+    ];
+    let calls = calls.map(TypeSignature::Exact);
+    let takes = Signature::one_of(calls.into(), Volatility::Immutable);
+    function("current_setting", takes, DataType::Utf8, |args| {
+        let columns = ColumnarValue::values_to_arrays(args)?;
         let Some(names) = columns.first() else {
             return exec_err!("expected the name of a setting, found nothing");
         };
@@ -120,44 +70,23 @@ impl OnTypes for CurrentSetting {
             let found = settings.find(|(known, _)| known.eq_ignore_ascii_case(name));
             found.map(|(_, value)| *value)
         };
-        let values = names.as_string::<i32>().iter().map(value);
-        Ok(ColumnarValue::Array(Arc::new(
-            values.collect::<StringArray>(),
-        )))
-    }
+        let values: StringArray = names.as_string::<i32>().iter().map(value).collect();
+        Ok(ColumnarValue::Array(Arc::new(values)))
+    })
 }
 
-/// `to_regtype(name)`: the number of a type; null where there is none of that name.
-#[derive(Debug, PartialEq, Eq, Hash)]
-pub struct ToRegtype {
-    /// They, by name.
-    pub numbers: BTreeMap<String, i32>,
-}
-
-impl OnTypes for ToRegtype {
-    fn name(&self) -> &'static str {
-        "to_regtype"
-    }
-
-    fn signature(&self) -> Signature {
-        Signature::exact(vec![DataType::Utf8], Volatility::Immutable)
-    }
-
-    fn result(&self) -> DataType {
-        DataType::Int32
-    }
-
-    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
-        let columns = ColumnarValue::values_to_arrays(&args.args)?;
+/// `to_regtype(name)`: the number of a type, of these by name; null where there is none of that name.
+pub fn to_regtype(numbers: BTreeMap<String, i32>) -> ScalarUDF {
+    let takes = Signature::exact(vec![DataType::Utf8], Volatility::Immutable);
+    function("to_regtype", takes, DataType::Int32, move |args| {
+        let columns = ColumnarValue::values_to_arrays(args)?;
         let [names] = columns.as_slice() else {
             return exec_err!("expected one argument, found {}", columns.len());
         };
-        let number = |name: Option<&str>| self.numbers.get(name?).copied();
-        let numbers = names.as_string::<i32>().iter().map(number);
-        Ok(ColumnarValue::Array(Arc::new(
-            numbers.collect::<Int32Array>(),
-        )))
-    }
+        let number = |name: Option<&str>| numbers.get(name?).copied();
+        let numbers: Int32Array = names.as_string::<i32>().iter().map(number).collect();
+        Ok(ColumnarValue::Array(Arc::new(numbers)))
+    })
 }
 
 /// `format_type(number, modifier)` of the library, with one type more.
@@ -167,20 +96,20 @@ pub struct FormatType {
     pub inner: Arc<ScalarUDF>,
 }
 
-impl OnTypes for FormatType {
-    fn name(&self) -> &'static str {
+impl ScalarUDFImpl for FormatType {
+    fn name(&self) -> &str {
         "format_type"
     }
 
-    fn signature(&self) -> Signature {
-        self.inner.signature().clone()
+    fn signature(&self) -> &Signature {
+        self.inner.signature()
     }
 
-    fn result(&self) -> DataType {
-        DataType::Utf8
+    fn return_type(&self, _: &[DataType]) -> Result<DataType> {
+        Ok(DataType::Utf8)
     }
 
-    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
+    fn invoke_with_args(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
         let numbers = match args.args.first() {
             Some(numbers) => cast(&numbers.to_array(args.number_rows)?, &DataType::Int32)?,
             None => return exec_err!("expected the number of a type, found none"),
@@ -200,36 +129,26 @@ impl OnTypes for FormatType {
     }
 }
 
-/// `array_out(list)`: its elements as Postgres writes an array.
-#[derive(Debug, PartialEq, Eq, Hash)]
-pub struct ArrayOut;
-
-impl OnTypes for ArrayOut {
-    fn name(&self) -> &'static str {
-        "array_out"
-    }
-
-    fn signature(&self) -> Signature {
-        Signature::any(1, Volatility::Immutable)
-    }
-
-    fn result(&self) -> DataType {
-        DataType::Utf8
-    }
-
-    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
-        let columns = ColumnarValue::values_to_arrays(&args.args)?;
-        let lists = match columns.as_slice() {
-            [lists] if matches!(lists.data_type(), DataType::List(_)) => lists.as_list::<i32>(),
-            other => return exec_err!("expected a list, found {} values", other.len()),
-        };
-        let texts = lists.iter().map(|list| list.map(|list| literal(&list)));
-        let texts = texts
-            .map(Option::transpose)
-            .collect::<Result<StringArray>>();
-        Ok(ColumnarValue::Array(Arc::new(texts?)))
+/// The only argument, which is a list.
+fn list(columns: &[ArrayRef]) -> Result<&ListArray> {
+    match columns {
+        [lists] if matches!(lists.data_type(), DataType::List(_)) => Ok(lists.as_list::<i32>()),
+        other => exec_err!("expected a list, found {} values", other.len()),
     }
 }
+
+/// `array_out(list)`: its elements as Postgres writes an array. One for all plans, in which functions are told apart by
+/// where they are.
+pub static ARRAY_OUT: LazyLock<ScalarUDF> = LazyLock::new(|| {
+    let takes = Signature::any(1, Volatility::Immutable);
+    function("array_out", takes, DataType::Utf8, |args| {
+        let columns = ColumnarValue::values_to_arrays(args)?;
+        let texts = list(&columns)?.iter();
+        let texts = texts.map(|list| list.map(|list| literal(&list)).transpose());
+        let texts = texts.collect::<Result<StringArray>>()?;
+        Ok(ColumnarValue::Array(Arc::new(texts)))
+    })
+});
 
 fn literal(list: &ArrayRef) -> Result<String> {
     let values = cast(list, &DataType::Utf8)?;
@@ -250,39 +169,22 @@ fn element(value: &str) -> String {
     format!("\"{escaped}\"")
 }
 
+/// The name of [`expand_array`].
+pub const EXPAND_ARRAY: &str = "_pg_expandarray";
+
 /// `_pg_expandarray(list)`: its elements, `x`, with their places, `n`. Postgres makes rows of them.
-#[derive(Debug, PartialEq, Eq, Hash)]
-pub struct ExpandArray;
-
-impl ExpandArray {
-    /// Its name.
-    pub const NAME: &str = "_pg_expandarray";
-
-    fn fields() -> Fields {
-        let number = |name: &str| Field::new(name, DataType::Int32, true);
-        Fields::from(vec![number("x"), number("n")])
-    }
-}
-
-impl OnTypes for ExpandArray {
-    fn name(&self) -> &'static str {
-        Self::NAME
-    }
-
-    fn signature(&self) -> Signature {
-        Signature::any(1, Volatility::Immutable)
-    }
-
-    fn result(&self) -> DataType {
-        DataType::new_list(DataType::Struct(Self::fields()), true)
-    }
-
-    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
-        let columns = ColumnarValue::values_to_arrays(&args.args)?;
-        let lists = match columns.as_slice() {
-            [lists] if matches!(lists.data_type(), DataType::List(_)) => lists.as_list::<i32>(),
-            other => return exec_err!("expected a list, found {} values", other.len()),
-        };
+pub fn expand_array() -> ScalarUDF {
+    let number = |name: &str| Field::new(name, DataType::Int32, true);
+    let fields = Fields::from(vec![number("x"), number("n")]);
+    let element: FieldRef = Arc::new(Field::new_list_field(
+        DataType::Struct(fields.clone()),
+        true,
+    ));
+    let gives = DataType::List(Arc::clone(&element));
+    let takes = Signature::any(1, Volatility::Immutable);
+    function(EXPAND_ARRAY, takes, gives, move |args| {
+        let columns = ColumnarValue::values_to_arrays(args)?;
+        let lists = list(&columns)?;
         let values = cast(lists.values(), &DataType::Int32)?;
         let mut places = vec![0; values.len()];
         for bounds in lists.offsets().windows(2) {
@@ -290,70 +192,34 @@ impl OnTypes for ExpandArray {
             places.iter_mut().zip(1..).for_each(|(place, n)| *place = n);
         }
         let places: ArrayRef = Arc::new(Int32Array::from(places));
-        let elements = StructArray::try_new(Self::fields(), vec![values, places], None)?;
-        let DataType::List(element) = self.result() else {
-            return exec_err!("expected a list");
-        };
+        let elements = StructArray::try_new(fields.clone(), vec![values, places], None)?;
         let (offsets, nulls) = (lists.offsets().clone(), lists.nulls().cloned());
+        let element = Arc::clone(&element);
         let expanded = ListArray::try_new(element, offsets, Arc::new(elements), nulls)?;
         Ok(ColumnarValue::Array(Arc::new(expanded)))
-    }
+    })
 }
 
-/// `st_asbinary(geometry)`: well-known binary, as maps hold it, and no geometry any more.
-#[derive(Debug, PartialEq, Eq, Hash)]
-pub struct AsBinary;
-
-impl OnTypes for AsBinary {
-    fn name(&self) -> &'static str {
-        "st_asbinary"
-    }
-
-    fn signature(&self) -> Signature {
-        Signature::variadic_any(Volatility::Immutable)
-    }
-
-    fn result(&self) -> DataType {
-        DataType::Binary
-    }
-
-    /// The order of bytes that may be asked for, `NDR`, is the one that there is.
-    fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
-        let mut columns = ColumnarValue::values_to_arrays(&args.args)?;
-        if columns.is_empty() {
+/// `st_asbinary(geometry)`: well-known binary, as maps hold it, and no geometry any more. The order of bytes that may be
+/// asked for, `NDR`, is the one that there is.
+pub fn as_binary() -> ScalarUDF {
+    let takes = Signature::variadic_any(Volatility::Immutable);
+    function("st_asbinary", takes, DataType::Binary, |args| {
+        let columns = ColumnarValue::values_to_arrays(args)?;
+        let Some(geometries) = columns.first() else {
             return exec_err!("expected a geometry, found nothing");
-        }
-        let geometries = cast(&columns.swap_remove(0), &DataType::Binary)?;
-        Ok(ColumnarValue::Array(geometries))
-    }
+        };
+        Ok(ColumnarValue::Array(cast(geometries, &DataType::Binary)?))
+    })
 }
 
 /// A function that says the same of everything: which version there is, or what all geometries are.
-#[derive(Debug, PartialEq, Eq, Hash)]
-pub struct Constant {
-    /// The function's name.
-    pub name: &'static str,
-    /// What it says.
-    pub value: ScalarValue,
-}
-
-impl OnTypes for Constant {
-    fn name(&self) -> &'static str {
-        self.name
-    }
-
-    fn signature(&self) -> Signature {
-        let calls = vec![TypeSignature::Nullary, TypeSignature::VariadicAny];
-        Signature::one_of(calls, Volatility::Immutable)
-    }
-
-    fn result(&self) -> DataType {
-        self.value.data_type()
-    }
-
-    fn answer(&self, _: ScalarFunctionArgs) -> Result<ColumnarValue> {
-        Ok(ColumnarValue::Scalar(self.value.clone()))
-    }
+pub fn constant(name: &str, value: ScalarValue) -> ScalarUDF {
+    let calls = vec![TypeSignature::Nullary, TypeSignature::VariadicAny];
+    let takes = Signature::one_of(calls, Volatility::Immutable);
+    function(name, takes, value.data_type(), move |_| {
+        Ok(ColumnarValue::Scalar(value.clone()))
+    })
 }
 
 #[cfg(test)]

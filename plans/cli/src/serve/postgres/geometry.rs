@@ -39,7 +39,9 @@ fn geometry_type() -> Type {
 /// # Errors
 /// What planning says.
 pub fn as_extended(plan: LogicalPlan) -> Result<LogicalPlan, DataFusionError> {
-    projected(plan, is_geometry, false)
+    let places = 0..plan.schema().fields().len();
+    let chosen: Vec<bool> = places.map(|index| is_geometry(&plan, index)).collect();
+    replaced(plan, &chosen, &Extended::function(false))
 }
 
 /// A plan of [`as_extended`] with geometries in hexadecimal, those columns that a client asks for as text.
@@ -50,18 +52,21 @@ pub fn as_text(
     plan: LogicalPlan,
     is_text: impl Fn(usize) -> bool,
 ) -> Result<LogicalPlan, DataFusionError> {
-    let chosen =
-        |plan: &LogicalPlan, index: usize| is_marked(plan.schema().field(index)) && is_text(index);
-    projected(plan, chosen, true)
+    let fields = plan.schema().fields().iter().enumerate();
+    let chosen = fields.map(|(index, field)| is_marked(field) && is_text(index));
+    let chosen: Vec<bool> = chosen.collect();
+    replaced(plan, &chosen, &Extended::function(true))
 }
 
-fn projected(
+/// The plan with what a function makes of its chosen columns in their place, under their names.
+///
+/// # Errors
+/// What planning says.
+pub fn replaced(
     plan: LogicalPlan,
-    chosen: impl Fn(&LogicalPlan, usize) -> bool,
-    text: bool,
+    chosen: &[bool],
+    function: &ScalarUDF,
 ) -> Result<LogicalPlan, DataFusionError> {
-    let count = plan.schema().fields().len();
-    let chosen: Vec<bool> = (0..count).map(|index| chosen(&plan, index)).collect();
     if !chosen.contains(&true) {
         return Ok(plan);
     }
@@ -69,9 +74,7 @@ fn projected(
     let columns = schema.iter().zip(chosen).map(|((qualifier, field), is)| {
         let column = Expr::Column(Column::new(qualifier.cloned(), field.name()));
         match is {
-            true => Extended::function(text)
-                .call(vec![column])
-                .alias(field.name()),
+            true => function.call(vec![column]).alias(field.name()),
             false => column,
         }
     });

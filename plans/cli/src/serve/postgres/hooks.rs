@@ -26,7 +26,7 @@ use pgwire::error::{PgWireError, PgWireResult};
 use pgwire::types::format::FormatOptions;
 
 use crate::serve::postgres::catalog::{in_its_words, is_of_catalog, no_rows};
-use crate::serve::postgres::cursors::Cursors;
+use crate::serve::postgres::cursors;
 use crate::serve::postgres::functions::SETTINGS;
 use crate::serve::postgres::geometry::{as_extended, as_text, told};
 use crate::serve::postgres::kept::deallocate;
@@ -39,9 +39,7 @@ use crate::serve::postgres::{error, said};
 pub fn hooks() -> Vec<Arc<dyn QueryHook>> {
     vec![
         Arc::new(Gate),
-        Arc::new(Cursors),
         Arc::new(CursorStatementHook),
-        Arc::new(Shown),
         Arc::new(SetShowHook),
         Arc::new(TransactionStatementHook),
         Arc::new(Reading),
@@ -58,7 +56,7 @@ enum Verdict {
     Refused(PgWireError),
 }
 
-/// Lets nothing through but what reads.
+/// Lets nothing through but what reads, and answers what is asked of cursors, and `SHOW` of what the server says of itself.
 #[derive(Debug)]
 struct Gate;
 
@@ -171,12 +169,15 @@ impl QueryHook for Gate {
     async fn handle_simple_query(
         &self,
         statement: &Statement,
-        _: &SessionContext,
+        context: &SessionContext,
         client: &mut dyn HookClient,
     ) -> Option<PgWireResult<Response>> {
         forget(statement, client);
+        if let Some(query) = shown(statement, client) {
+            return Reading.handle_simple_query(&query, context, client).await;
+        }
         match Self::verdict(statement) {
-            Verdict::Passes => None,
+            Verdict::Passes => cursors::answered(statement, context, client).await,
             Verdict::Done(tag) => Some(Ok(Response::Execution(Tag::new(tag)))),
             Verdict::Refused(error) => Some(Err(error)),
         }
@@ -185,12 +186,16 @@ impl QueryHook for Gate {
     async fn handle_extended_parse_query(
         &self,
         statement: &Statement,
-        _: &SessionContext,
-        _: &(dyn ClientInfo + Send + Sync),
+        context: &SessionContext,
+        client: &(dyn ClientInfo + Send + Sync),
     ) -> Option<PgWireResult<LogicalPlan>> {
+        if let Some(query) = shown(statement, client) {
+            return Some(reading(&query, context).await);
+        }
         match Self::verdict(statement) {
-            Verdict::Passes => None,
-            Verdict::Done(_) => Some(Ok(nothing())),
+            Verdict::Passes => cursors::planned(statement, client).map(Ok),
+            // A plan without rows.
+            Verdict::Done(_) => Some(Ok(LogicalPlan::default())),
             Verdict::Refused(error) => Some(Err(error)),
         }
     }
@@ -207,68 +212,22 @@ impl QueryHook for Gate {
     }
 }
 
-/// The plan of a statement without rows.
-fn nothing() -> LogicalPlan {
-    LogicalPlan::EmptyRelation(datafusion::logical_expr::EmptyRelation {
-        produce_one_row: false,
-        schema: Arc::new(datafusion::common::DFSchema::empty()),
-    })
-}
-
-/// Answers `SHOW` of what the server says of itself, unless the client has set it for itself.
-#[derive(Debug)]
-struct Shown;
-
-impl Shown {
-    fn query(statement: &Statement, client: &(dyn ClientInfo + Send + Sync)) -> Option<Statement> {
-        let Statement::ShowVariable { variable } = statement else {
-            return None;
-        };
-        let [name] = variable.as_slice() else {
-            return None;
-        };
-        let name = name.value.to_lowercase();
-        let mut settings = SETTINGS.iter();
-        let (shown, _) = settings.find(|(known, _)| known.eq_ignore_ascii_case(&name))?;
-        if client.metadata().contains_key(&name) {
-            return None;
-        }
-        let query = format!("SELECT current_setting('{shown}') AS \"{shown}\"");
-        Parser::parse_sql(&PostgreSqlDialect {}, &query).ok()?.pop()
+/// The query for what `SHOW` asks, if it is what the server says of itself, and the client has not set it for itself.
+fn shown(statement: &Statement, client: &(dyn ClientInfo + Send + Sync)) -> Option<Statement> {
+    let Statement::ShowVariable { variable } = statement else {
+        return None;
+    };
+    let [name] = variable.as_slice() else {
+        return None;
+    };
+    let name = name.value.to_lowercase();
+    let mut settings = SETTINGS.iter();
+    let (shown, _) = settings.find(|(known, _)| known.eq_ignore_ascii_case(&name))?;
+    if client.metadata().contains_key(&name) {
+        return None;
     }
-}
-
-#[async_trait]
-impl QueryHook for Shown {
-    async fn handle_simple_query(
-        &self,
-        statement: &Statement,
-        context: &SessionContext,
-        client: &mut dyn HookClient,
-    ) -> Option<PgWireResult<Response>> {
-        let query = Self::query(statement, client)?;
-        Reading.handle_simple_query(&query, context, client).await
-    }
-
-    async fn handle_extended_parse_query(
-        &self,
-        statement: &Statement,
-        context: &SessionContext,
-        client: &(dyn ClientInfo + Send + Sync),
-    ) -> Option<PgWireResult<LogicalPlan>> {
-        Some(reading(&Self::query(statement, client)?, context).await)
-    }
-
-    async fn handle_extended_query(
-        &self,
-        statement: &Statement,
-        _: &LogicalPlan,
-        _: &ParamValues,
-        context: &SessionContext,
-        client: &mut dyn HookClient,
-    ) -> Option<PgWireResult<Response>> {
-        self.handle_simple_query(statement, context, client).await
-    }
+    let query = format!("SELECT current_setting('{shown}') AS \"{shown}\"");
+    Parser::parse_sql(&PostgreSqlDialect {}, &query).ok()?.pop()
 }
 
 /// Plans queries that only read, structs and the like as JSON.

@@ -5,7 +5,7 @@ use datafusion::sql::sqlparser::ast::{Expr, Function, FunctionArguments};
 use evermap_schemas::{Layer, layers};
 
 use crate::serve::postgres::expression::expression;
-use crate::serve::postgres::functions::ExpandArray;
+use crate::serve::postgres::functions::EXPAND_ARRAY;
 
 /// How far the number of a key's index is from that of its table, and that of its constraint: no table has one so high.
 const FROM_TABLE_TO_INDEX: i32 = 1 << 30;
@@ -43,13 +43,13 @@ pub fn indexes() -> String {
         columns.map(row).collect::<Vec<_>>()
     };
     let rows: Vec<String> = layers::all().into_iter().flat_map(columns).collect();
-    let always = flags(
+    let always = each(
         "indisunique indisprimary indimmediate indisvalid indisready indislive",
-        true,
+        "true",
     );
-    let never = flags(
+    let never = each(
         "indnullsnotdistinct indisexclusion indisclustered indcheckxmin indisreplident",
-        false,
+        "false",
     );
     format!(
         "SELECT CAST(c.oid + {FROM_TABLE_TO_INDEX} AS INT) AS indexrelid, c.oid AS indrelid, \
@@ -68,24 +68,20 @@ pub fn indexes() -> String {
 
 /// `pg_constraint`.
 pub fn constraints() -> String {
-    let always = flags("convalidated conislocal connoinherit", true);
-    let never = flags("condeferrable condeferred conperiod", false);
-    let numbers = |names: &str| {
-        let zeros = names
-            .split(' ')
-            .map(|name| format!("CAST(0 AS INT) AS {name}, "));
-        zeros.collect::<String>()
-    };
+    let always = each("convalidated conislocal connoinherit", "true");
+    let never = each("condeferrable condeferred conperiod", "false");
+    let none = each(
+        "contypid conparentid confrelid coninhcount",
+        "CAST(0 AS INT)",
+    );
     format!(
         "SELECT CAST(c.oid + {FROM_TABLE_TO_CONSTRAINT} AS INT) AS oid, {NAME} AS conname, \
-         c.relnamespace AS connamespace, 'p' AS contype, {always}{never}c.oid AS conrelid, i.indexrelid AS conindid, {}\
+         c.relnamespace AS connamespace, 'p' AS contype, {always}{never}c.oid AS conrelid, i.indexrelid AS conindid, {none}\
          ' ' AS confupdtype, ' ' AS confdeltype, ' ' AS confmatchtype, i.indkey AS conkey, \
          CASE WHEN false THEN i.indkey END AS confkey, CAST(NULL AS TEXT) AS conbin, \
          'PRIMARY KEY (' || split_part(i.{}, '(', 2) AS {} \
          FROM pg_catalog.pg_index i JOIN pg_catalog.pg_class c ON c.oid = i.indrelid",
-        numbers("contypid conparentid confrelid coninhcount"),
-        INDEX.definition,
-        CONSTRAINT.definition
+        INDEX.definition, CONSTRAINT.definition
     )
 }
 
@@ -170,7 +166,7 @@ fn of_index(column: &Field) -> String {
 pub fn of_key(call: &Function) -> Option<Expr> {
     let name = call.name.0.last()?.as_ident()?;
     let column = match &*name.value.to_lowercase() {
-        ExpandArray::NAME => return expression(&format!("unnest({call})")),
+        EXPAND_ARRAY => return expression(&format!("unnest({call})")),
         "pg_get_indexdef" => INDEX,
         "pg_get_constraintdef" => CONSTRAINT,
         _ => return None,
@@ -187,7 +183,8 @@ pub fn of_key(call: &Function) -> Option<Expr> {
     is_whole.then(|| expression(&format!("{table}.{}", column.definition)))?
 }
 
-fn flags(names: &str, value: bool) -> String {
-    let flags = names.split(' ').map(|name| format!("{value} AS {name}, "));
-    flags.collect()
+/// Columns that all have one value.
+pub fn each(names: &str, value: &str) -> String {
+    let columns = names.split(' ').map(|name| format!("{value} AS {name}, "));
+    columns.collect()
 }

@@ -49,7 +49,7 @@ use tokio::sync::Semaphore;
 use crate::serve::access::Access;
 use crate::serve::answer::{Bounds, Turn};
 use crate::serve::maps::{Maps, Opened};
-use crate::serve::patience::{Asked, attend, waiting};
+use crate::serve::patience::{Asked, accept};
 use crate::serve::postgres::answering::{all_rows, bounded, cancelled, never, rows_wanted};
 use crate::serve::postgres::connection::Handlers;
 use crate::serve::postgres::startup::{Startup, is_in};
@@ -70,24 +70,9 @@ pub async fn serve(
     connections: usize,
 ) {
     let manager = Arc::new(ConnectionManager::new());
-    let (waiting, places) = (Semaphore::new(waiting()), Semaphore::new(connections));
-    let (waiting, places) = (Arc::new(waiting), Arc::new(places));
-    loop {
-        let Ok((socket, _)) = listener.accept().await else {
-            // Out of file descriptors, mostly: those that are open may be closed by then.
-            tokio::time::sleep(std::time::Duration::from_millis(100)).await;
-            continue;
-        };
-        let Ok(waits) = Arc::clone(&waiting).try_acquire_owned() else {
-            continue;
-        };
-        let asked = Asked::default();
-        let startup = Startup::new(
-            &access,
-            Arc::clone(&manager),
-            Arc::clone(&places),
-            asked.clone(),
-        );
+    let places = Arc::new(Semaphore::new(connections));
+    let answered = move |socket, asked: Asked| {
+        let startup = Startup::new(&access, Arc::clone(&manager), Arc::clone(&places), asked);
         let queries = Queries {
             parser: Arc::new(Parser { maps: maps.clone() }),
             bounds: bounds.clone(),
@@ -97,8 +82,9 @@ pub async fn serve(
             queries: Arc::new(queries),
             cancel: Arc::new(DefaultCancelHandler::new(Arc::clone(&manager))),
         };
-        attend(waits, asked, handlers.converse(socket, access.tls.clone()));
-    }
+        handlers.converse(socket, access.tls.clone())
+    };
+    accept(listener, answered).await;
 }
 
 /// Answers queries by the newest version of a map, and within bounds.

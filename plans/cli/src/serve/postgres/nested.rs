@@ -3,14 +3,15 @@
 
 use arrow::datatypes::DataType;
 use datafusion::common::tree_node::{Transformed, TreeNode};
-use datafusion::common::{Column, DFSchema, Result};
+use datafusion::common::{DFSchema, Result};
 use datafusion::error::DataFusionError;
 use datafusion::logical_expr::expr_rewriter::NamePreserver;
 use datafusion::logical_expr::utils::merge_schema;
-use datafusion::logical_expr::{Expr, ExprSchemable, LogicalPlan, LogicalPlanBuilder};
+use datafusion::logical_expr::{Expr, ExprSchemable, LogicalPlan};
 use evermap_functions::to_json;
 
-use crate::serve::postgres::functions::{ArrayOut, function};
+use crate::serve::postgres::functions::ARRAY_OUT;
+use crate::serve::postgres::geometry::replaced;
 
 /// The plan with what is nested and cast to text as JSON, and lists of plain values as arrays are written.
 ///
@@ -44,7 +45,7 @@ fn as_text(found: Expr, schema: &DFSchema) -> Result<Transformed<Expr>, DataFusi
     let value = cast.expr.as_ref().clone();
     Ok(match cast.expr.get_type(schema) {
         Ok(nested) if is_nested(&nested) => Transformed::yes(to_json().call(vec![value])),
-        Ok(DataType::List(_)) => Transformed::yes(function(ArrayOut).call(vec![value])),
+        Ok(DataType::List(_)) => Transformed::yes(ARRAY_OUT.call(vec![value])),
         _ => Transformed::no(found),
     })
 }
@@ -54,23 +55,10 @@ fn as_text(found: Expr, schema: &DFSchema) -> Result<Transformed<Expr>, DataFusi
 /// # Errors
 /// What planning says.
 pub fn as_json(plan: LogicalPlan) -> Result<LogicalPlan, DataFusionError> {
-    let schema = plan.schema();
-    if !schema
-        .fields()
-        .iter()
-        .any(|field| is_nested(field.data_type()))
-    {
-        return Ok(plan);
-    }
-    let columns = schema.iter().map(|(qualifier, field)| {
-        let column = Expr::Column(Column::new(qualifier.cloned(), field.name()));
-        match is_nested(field.data_type()) {
-            true => to_json().call(vec![column]).alias(field.name()),
-            false => column,
-        }
-    });
-    let columns: Vec<Expr> = columns.collect();
-    LogicalPlanBuilder::from(plan).project(columns)?.build()
+    let fields = plan.schema().fields().iter();
+    let nested = fields.map(|field| is_nested(field.data_type()));
+    let nested: Vec<bool> = nested.collect();
+    replaced(plan, &nested, &to_json())
 }
 
 fn is_nested(found: &DataType) -> bool {

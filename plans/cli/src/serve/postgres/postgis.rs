@@ -26,10 +26,9 @@ use pgwire::api::Type;
 use tokio::sync::OnceCell;
 
 use crate::output::GEOMETRY;
-use crate::serve::postgres::format::Format;
+use crate::serve::postgres::format::format;
 use crate::serve::postgres::functions::{
-    ArrayOut, AsBinary, Constant, CurrentSetting, ExpandArray, FormatType, SETTINGS, ToRegtype,
-    register,
+    ARRAY_OUT, FormatType, SETTINGS, as_binary, constant, current_setting, expand_array, to_regtype,
 };
 use crate::serve::postgres::geometry::OID;
 use crate::serve::postgres::keys;
@@ -67,36 +66,40 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
         views: BTreeMap::new(),
     };
     catalog.register_schema(CATALOG, Arc::new(tables.clone()))?;
-    let queries = [
-        geometries(name),
-        GEOGRAPHIES.to_owned(),
-        SYSTEMS.to_owned(),
-        columns(name),
-        keys::indexes(),
-        keys::constraints(),
-        keys::table_constraints(name),
-        keys::key_columns(name),
-        keys::relations(&relations),
-        settings(),
+    let views = [
+        ("geometry_columns", geometries(name)),
+        ("geography_columns", GEOGRAPHIES.to_owned()),
+        ("spatial_ref_sys", SYSTEMS.to_owned()),
+        ("columns", columns(name)),
+        (KEPT, keys::indexes()),
+        ("pg_constraint", keys::constraints()),
+        ("table_constraints", keys::table_constraints(name)),
+        ("key_column_usage", keys::key_columns(name)),
+        ("pg_class", keys::relations(&relations)),
+        ("pg_settings", settings()),
     ];
     // Each asks the tables that were just put right.
-    for (view, query) in VIEWS.into_iter().zip(queries) {
+    for (view, query) in views {
         let view_of = context.sql(&query).await?.into_view();
         let view_of = match view {
-            KEPT => kept(view_of)?,
+            KEPT => derived(view_of, Ok, Some(Arc::default()))?,
             _ => view_of,
         };
         tables.views.insert(view, view_of);
         catalog.register_schema(CATALOG, Arc::new(tables.clone()))?;
     }
-    register(context, ToRegtype { numbers });
-    register(context, ArrayOut);
-    register(context, CurrentSetting);
-    register(context, AsBinary);
-    register(context, ExpandArray);
-    register(context, Format);
+    for function in [
+        to_regtype(numbers),
+        ARRAY_OUT.clone(),
+        current_setting(),
+        as_binary(),
+        expand_array(),
+        format(),
+    ] {
+        context.register_udf(function);
+    }
     if let Ok(inner) = context.udf("format_type") {
-        register(context, FormatType { inner });
+        context.register_udf(FormatType { inner }.into());
     }
     let text = |text: &str| ScalarValue::Utf8(Some(text.to_owned()));
     for (name, value) in [
@@ -116,39 +119,28 @@ pub async fn complete(context: &SessionContext, name: &str) -> Result<()> {
         ("postgis_typmod_type", text("Geometry")),
         ("st_srid", ScalarValue::Int32(Some(SYSTEM))),
     ] {
-        register(context, Constant { name, value });
+        context.register_udf(constant(name, value));
     }
     Ok(())
 }
 
-/// What PostGIS adds to the tables: in which of them there are geometries, and which reference systems they have;
-/// `information_schema.columns`, whose types DataFusion calls by Arrow's names; and the keys of layers.
-const VIEWS: [&str; 10] = [
-    "geometry_columns",
-    "geography_columns",
-    "spatial_ref_sys",
-    "columns",
-    "pg_index",
-    "pg_constraint",
-    "table_constraints",
-    "key_column_usage",
-    "pg_class",
-    "pg_settings",
-];
+/// What PostGIS adds to the tables: in which of them there are geometries, and which reference systems they have. Postgres
+/// looks for them without being told where.
+const OF_POSTGIS: [&str; 3] = ["geometry_columns", "geography_columns", "spatial_ref_sys"];
 
-/// One of them that others ask, and that asks for all columns of all tables: what is found is kept.
-const KEPT: &str = VIEWS[4];
+/// The keys of layers, which other views ask, and which ask for all columns of all tables: what is found is kept.
+const KEPT: &str = "pg_index";
 
-/// Those of them that are in `information_schema`.
+/// Views that are in `information_schema`; the types of its `columns` DataFusion calls by Arrow's names.
 const OF_STANDARD: [&str; 3] = ["columns", "table_constraints", "key_column_usage"];
 
-/// The statement with these views by their whole names: for the first three Postgres looks without being told where.
+/// The statement with these views by their whole names.
 pub fn with_views(mut statement: Statement) -> Statement {
     let _ = visit_relations_mut(&mut statement, |name| {
         let parts: Vec<_> = name.0.iter().map(ObjectNamePart::to_string).collect();
         let catalog = ObjectNamePart::Identifier(CATALOG.into());
         match parts.iter().map(String::as_str).collect::<Vec<_>>()[..] {
-            [view] if VIEWS[..3].contains(&view) => name.0.insert(0, catalog),
+            [view] if OF_POSTGIS.contains(&view) => name.0.insert(0, catalog),
             [.., "information_schema", view] if OF_STANDARD.contains(&view) => {
                 let schema = name.0.len() - 2;
                 name.0[schema] = catalog;
@@ -188,19 +180,17 @@ fn settings() -> String {
 /// The columns of all tables, as far as SQL's standard and Postgres agree on what is known of them here.
 fn columns(catalog: &str) -> String {
     let catalog = catalog.replace('\'', "''");
-    let unknown = |name: &str, kind: &str| format!("CAST(NULL AS {kind}) AS {name}, ");
     let unknown = [
-        unknown("column_default", "TEXT"),
-        unknown("character_maximum_length", "INT"),
-        unknown("numeric_precision", "INT"),
-        unknown("numeric_scale", "INT"),
-        unknown("datetime_precision", "INT"),
-        unknown("character_octet_length", "INT"),
-        unknown("numeric_precision_radix", "INT"),
-        unknown("domain_name", "TEXT"),
-        unknown("collation_name", "TEXT"),
-        unknown("identity_generation", "TEXT"),
-        unknown("generation_expression", "TEXT"),
+        keys::each("column_default", "CAST(NULL AS TEXT)"),
+        keys::each(
+            "character_maximum_length numeric_precision numeric_scale datetime_precision \
+             character_octet_length numeric_precision_radix",
+            "CAST(NULL AS INT)",
+        ),
+        keys::each(
+            "domain_name collation_name identity_generation generation_expression",
+            "CAST(NULL AS TEXT)",
+        ),
     ]
     .concat();
     let never = "'NO' AS is_identity, 'NEVER' AS is_generated, 'NO' AS is_updatable, ";
@@ -336,16 +326,8 @@ impl SchemaProvider for Catalog {
         match name {
             "pg_type" => Ok(Some(Arc::clone(&self.types) as Arc<dyn TableProvider>)),
             "pg_attribute" => {
-                let Some(inner) = self.inner.table(name).await? else {
-                    return Ok(None);
-                };
-                let schema = inner.schema();
-                let rows = Arc::new(Attributes {
-                    inner,
-                    schema: Arc::clone(&schema),
-                });
-                let table = StreamingTable::try_new(schema, vec![rows])?;
-                Ok(Some(Arc::new(table)))
+                let inner = self.inner.table(name).await?;
+                inner.map(|inner| derived(inner, typed, None)).transpose()
             }
             _ => match self.views.get(name) {
                 Some(view) => Ok(Some(Arc::clone(view))),
@@ -359,33 +341,44 @@ impl SchemaProvider for Catalog {
     }
 }
 
-/// A view whose rows are found once: those of a version stay what they are.
-fn kept(view: Arc<dyn TableProvider>) -> Result<Arc<dyn TableProvider>> {
-    let schema = view.schema();
-    let rows = Arc::new(Kept {
-        view,
+/// The rows that are made of a table's; found once where they are kept: those of a version stay what they are.
+fn derived(
+    table: Arc<dyn TableProvider>,
+    made: fn(RecordBatch) -> Result<RecordBatch>,
+    kept: Option<Arc<OnceCell<RecordBatch>>>,
+) -> Result<Arc<dyn TableProvider>> {
+    let schema = table.schema();
+    let rows = Arc::new(Derived {
+        table,
         schema: Arc::clone(&schema),
-        rows: Arc::default(),
+        made,
+        kept,
     });
     Ok(Arc::new(StreamingTable::try_new(schema, vec![rows])?))
 }
 
 #[derive(Debug)]
-struct Kept {
-    view: Arc<dyn TableProvider>,
+struct Derived {
+    table: Arc<dyn TableProvider>,
     schema: SchemaRef,
-    rows: Arc<OnceCell<RecordBatch>>,
+    made: fn(RecordBatch) -> Result<RecordBatch>,
+    kept: Option<Arc<OnceCell<RecordBatch>>>,
 }
 
-impl PartitionStream for Kept {
+impl PartitionStream for Derived {
     fn schema(&self) -> &SchemaRef {
         &self.schema
     }
 
     fn execute(&self, _: Arc<TaskContext>) -> SendableRecordBatchStream {
-        let (view, rows) = (Arc::clone(&self.view), Arc::clone(&self.rows));
-        let found = async move { rows.get_or_try_init(|| all(view)).await.cloned() };
-        let found = futures::stream::once(found);
+        let (table, made, kept) = (Arc::clone(&self.table), self.made, self.kept.clone());
+        let found = async move { made(all(table).await?) };
+        let found = futures::stream::once(async move {
+            match kept {
+                Some(kept) => kept.get_or_try_init(|| found).await.cloned(),
+                None => found.await,
+            }
+        });
         Box::pin(RecordBatchStreamAdapter::new(
             Arc::clone(&self.schema),
             found,
@@ -394,28 +387,6 @@ impl PartitionStream for Kept {
 }
 
 /// The columns of tables, those of geometries with their type.
-#[derive(Debug)]
-struct Attributes {
-    inner: Arc<dyn TableProvider>,
-    schema: SchemaRef,
-}
-
-impl PartitionStream for Attributes {
-    fn schema(&self) -> &SchemaRef {
-        &self.schema
-    }
-
-    fn execute(&self, _: Arc<TaskContext>) -> SendableRecordBatchStream {
-        let inner = Arc::clone(&self.inner);
-        let rows = async move { typed(all(inner).await?) };
-        let rows = futures::stream::once(rows);
-        Box::pin(RecordBatchStreamAdapter::new(
-            Arc::clone(&self.schema),
-            rows,
-        ))
-    }
-}
-
 fn typed(attributes: RecordBatch) -> Result<RecordBatch> {
     let bytea = Type::BYTEA.oid().cast_signed();
     let (Ok(index), Some(names)) = (

@@ -33,16 +33,13 @@ pub use crate::serve::teach::painting::{Canvas, Painted};
 /// A log ends when its author has said nothing for so long.
 const SITTING: Duration = Duration::from_secs(60);
 
-/// The maps that are taught, by the name of the map and the site.
-#[derive(Default)]
-struct Sites(BTreeMap<(String, String), Arc<Site>>);
-
 /// Where people teach, and what they have said so far.
 pub struct Teaching {
     folder: PathBuf,
     /// Who speaks where nobody says a name.
     pub author: String,
-    sites: Mutex<Sites>,
+    /// By the name of the map and the site.
+    sites: Mutex<BTreeMap<(String, String), Arc<Site>>>,
     /// They search while people go on answering: all but one, so that an answer finds one that is free.
     threads: Arc<ThreadPool>,
 }
@@ -93,7 +90,7 @@ impl Teaching {
         let opened = map.newest().await?;
         let mut sites = self.sites.lock().await;
         let key = (map.name.clone(), site.to_owned());
-        if let Some(known) = sites.0.get(&key) {
+        if let Some(known) = sites.get(&key) {
             let known = Arc::clone(known);
             drop(sites);
             known.at(opened).await?;
@@ -108,7 +105,7 @@ impl Teaching {
             threads: Arc::clone(&self.threads),
             learnt: std::sync::Mutex::default(),
         });
-        sites.0.insert(key, Arc::clone(&known));
+        sites.insert(key, Arc::clone(&known));
         Ok(known)
     }
 
@@ -116,7 +113,7 @@ impl Teaching {
     pub async fn tidied(&self) {
         loop {
             tokio::time::sleep(SITTING / 4).await;
-            let sites: Vec<Arc<Site>> = self.sites.lock().await.0.values().cloned().collect();
+            let sites: Vec<Arc<Site>> = self.sites.lock().await.values().cloned().collect();
             for site in sites {
                 site.told.lock().await.end(SITTING);
             }

@@ -147,11 +147,10 @@ async fn watching(
                 .await
         }
         Err(fault) => {
-            let info = protocol::server_info(&map.name, &map.name, [0; 2]);
+            let info = protocol::server_info(&map.name, [0; 2]);
             let told = async {
                 out.send(Message::text(info)).await?;
-                out.send(Message::text(protocol::error(&fault.to_string())))
-                    .await?;
+                out.error(&fault.to_string()).await?;
                 out.send(Message::Close(None)).await
             };
             told.await
@@ -235,7 +234,7 @@ impl<'r> Viewer<'r> {
     async fn introduced(&mut self) -> Result<(), Gone> {
         let stamps = &self.recording.stamps;
         let ends = [stamps.first(), stamps.last()].map(|stamp| ns(stamp.copied().unwrap_or(0)));
-        let info = protocol::server_info(&self.name, &self.name, ends);
+        let info = protocol::server_info(&self.name, ends);
         self.out.send(Message::text(info)).await?;
         for channels in self.recording.channels.chunks(TOGETHER) {
             let channels = protocol::advertise(channels);

@@ -122,8 +122,8 @@ fn control(bytes: &[u8]) -> Option<Control> {
     })
 }
 
-/// Who serves, what it can do, and the time that its messages are of, ns.
-pub fn server_info(name: &str, session: &str, [first, last]: [u64; 2]) -> String {
+/// Who serves, which names the session too, what it can do, and the time that its messages are of, ns.
+pub fn server_info(name: &str, [first, last]: [u64; 2]) -> String {
     let time = |ns: u64| json!({ "sec": ns / 1_000_000_000, "nsec": ns % 1_000_000_000 });
     json!({
         "op": "serverInfo",
@@ -131,7 +131,7 @@ pub fn server_info(name: &str, session: &str, [first, last]: [u64; 2]) -> String
         "capabilities": ["time", "playbackControl"],
         "supportedEncodings": [],
         "metadata": {},
-        "sessionId": session,
+        "sessionId": name,
         "dataStartTime": time(first),
         "dataEndTime": time(last),
     })

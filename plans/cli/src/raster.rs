@@ -4,7 +4,7 @@
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Raster {
     /// The first column and the first row.
-    first: [i64; 2],
+    pub first: [i64; 2],
     /// How many columns and rows.
     pub size: [i64; 2],
 }
