@@ -189,7 +189,7 @@ impl LogPart {
         index.losses.iter().for_each(|lost| losses.note_again(lost));
         let mut topics = BTreeMap::<String, Vec<u16>>::new();
         let mut types = BTreeMap::new();
-        let mut shared = BTreeMap::<_, Arc<_>>::new();
+        let mut shared = BTreeMap::<_, Arc<OnceLock<_>>>::new();
         for channel in index.channels.values() {
             let of_topic = topics.entry(channel.topic.clone()).or_default();
             of_topic.push(channel.id);
