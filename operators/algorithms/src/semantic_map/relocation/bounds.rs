@@ -2,6 +2,7 @@
 
 use super::description::{AreaCode, Areas, Description, LANES, Measure, NO_CLASS};
 use super::tree::Pair;
+use crate::processor::vectorised;
 
 /// Bearings are sorted into as many bins.
 const BINS: usize = 256;
@@ -123,15 +124,26 @@ impl Bounds {
 /// The same for one view.
 pub(super) fn of_pair(pair: &Pair<'_>, measure: &Measure) -> u32 {
     let (floor, measure) = above_floor(measure);
-    let areas = pair.query.weights.iter().enumerate();
-    let best = areas.map(|(area, weight)| {
-        let mut code = pair.query.areas.at(area);
-        code.bearing = code.bearing.wrapping_add(pair.turn);
-        let blocks = pair.map.areas.blocks[pair.blocks.clone()].iter();
-        let evidence = blocks.flat_map(|block| measure.evidence(&code, block));
-        u32::from(evidence.max().unwrap_or(0)) * weight
-    });
-    pair.query.weight() * floor + best.sum::<u32>()
+    let blocks = &pair.map.areas.blocks[pair.blocks.clone()];
+    let mut bound = pair.query.weight() * floor;
+    vectorised(
+        #[inline(always)]
+        || {
+            for (area, weight) in pair.query.weights.iter().enumerate() {
+                let mut code = pair.query.areas.at(area);
+                code.bearing = code.bearing.wrapping_add(pair.turn);
+                let mut best = [0; LANES];
+                for block in blocks {
+                    let evidence = measure.evidence(&code, block);
+                    for (best, evidence) in best.iter_mut().zip(evidence) {
+                        *best = (*best).max(evidence);
+                    }
+                }
+                bound += u32::from(best.into_iter().fold(0, u16::max)) * weight;
+            }
+        },
+    );
+    bound
 }
 
 /// What is taken for granted of each area, and the measure of what is above it.
