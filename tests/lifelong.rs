@@ -5,6 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
+use evermap_datasets::log::index::LogIndex;
 use evermap_engine::map::receipt::Receipt;
 use evermap_tests::{Finished, evermap, rectangle, text, write_drive};
 use serde_json::{Value, json};
@@ -558,7 +559,8 @@ fn a_log_is_read_again_only_when_its_file_has_changed() {
         let path = entries[0].as_ref().unwrap().path();
         let mut forged: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
         forged["content"] = json!("forged");
-        let sealed = serde_json::to_vec(&json!(["forged", forged["indexes"]])).unwrap();
+        let sealed = json!([LogIndex::VERSION, "forged", forged["indexes"]]);
+        let sealed = serde_json::to_vec(&sealed).unwrap();
         forged["seal"] = json!(blake3::hash(&sealed).to_hex().as_str());
         std::fs::write(&path, forged.to_string()).unwrap();
     };

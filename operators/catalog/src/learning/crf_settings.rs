@@ -42,7 +42,7 @@ impl Default for CrfSettingsParams {
 
 impl Operator for CrfSettings {
     const NAME: &'static str = "crf_settings";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: &'static str = include_str!("crf_settings.md");
     type Params = CrfSettingsParams;
     type Output = CrfSetting;

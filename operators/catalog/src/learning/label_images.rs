@@ -29,7 +29,7 @@ pub struct LabelImagesParams {
 
 impl Operator for LabelImages {
     const NAME: &'static str = "label_images";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("label_images.md");
     type Params = LabelImagesParams;
     type Output = LabelImage;

@@ -182,11 +182,14 @@ impl RandomField {
                 smoothness.add_to(index, lanes);
             }
             let costs = &own.costs[index * BLOCK * own.classes..];
-            if let Some(together) = &own.together {
-                let together = together[index * BLOCK..].iter().zip(&*lanes);
-                for ((pixel, (together, lanes)), spare) in together.enumerate().zip(&mut *spare) {
-                    let told = if informed { together - sum(lanes) } else { 0.0 };
-                    *spare = told - costs[pixel * own.classes + 8 * K];
+            match &own.together {
+                None => spare.fill(NEVER),
+                Some(together) => {
+                    let pixels = together[index * BLOCK..].iter().zip(&*lanes).enumerate();
+                    for ((pixel, (together, lanes)), spare) in pixels.zip(&mut *spare) {
+                        let told = if informed { together - sum(lanes) } else { 0.0 };
+                        *spare = told - costs[pixel * own.classes + 8 * K];
+                    }
                 }
             }
             for (pixel, lanes) in lanes.iter_mut().enumerate() {
@@ -230,7 +233,7 @@ impl<const K: usize> Default for Block<K> {
     fn default() -> Self {
         Self {
             lanes: vec![Value::ZERO; BLOCK],
-            spare: [NEVER; BLOCK],
+            spare: [0.0; BLOCK],
         }
     }
 }
