@@ -37,6 +37,7 @@ fn write_log(path: &Path, topics: &[(&str, &str)], messages: u32) {
 const PICTURES: (&str, &str) = ("/front/image", "sensor_msgs/Image");
 const LABELS: (&str, &str) = ("/front/labels", "sensor_msgs/Image");
 const DEPTH: (&str, &str) = ("/front/depth", "sensor_msgs/Image");
+const CALIBRATION: (&str, &str) = ("/front/camera_info", "sensor_msgs/CameraInfo");
 const FIXES: (&str, &str) = ("/fix", "sensor_msgs/NavSatFix");
 
 fn run(plan: &str, map: &Path, sessions: &[&Path], more: &[&str]) -> Finished {
@@ -178,6 +179,41 @@ fn a_session_without_the_one_role_that_a_plan_needs_is_counted_among_others() {
         let said = format!("cannot use session tuesday: expected {lacks}, found topics");
         assert!(refused.contains(&said), "{said}: {refused}");
     }
+}
+
+#[test]
+fn a_session_without_calibration_is_told_beside_calibrated_ones_and_the_map_of_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let [monday, tuesday, map] =
+        ["monday.mcap", "tuesday.mcap", "map"].map(|name| folder.path().join(name));
+    write_log(&monday, &[LABELS, CALIBRATION], 1);
+    write_log(&tuesday, &[LABELS], 1);
+    let said = "note: session tuesday has no calibration, which other sessions have: step views does without it\n";
+    let check = [
+        "check",
+        "relocate",
+        "--sessions",
+        text(&monday),
+        text(&tuesday),
+    ];
+    let checked = evermap(&check).expect(0).stderr;
+    assert_eq!(checked.matches("no calibration").count(), 1, "{checked}");
+    assert!(checked.contains(said), "{checked}");
+    // Nothing is said of the calibrated one, nor again when others come.
+    let first = run("relocate", &map, &[&monday], &["--site", "street"]).stderr;
+    assert!(!first.contains("no calibration"), "{first}");
+    let second = run("relocate", &map, &[&tuesday], &["--site", "street"]).stderr;
+    assert!(second.contains(said), "{second}");
+    let again = run("relocate", &map, &[&monday], &["--site", "street"]).stderr;
+    assert!(!again.contains("no calibration"), "{again}");
+    // Where nobody has one, that is told.
+    let alone = evermap(&["check", "relocate", "--sessions", text(&tuesday)]);
+    let alone = alone.expect(0).stderr;
+    assert!(
+        alone.contains("no session has calibration (step views)"),
+        "{alone}"
+    );
+    assert!(!alone.contains("session tuesday has no"), "{alone}");
 }
 
 #[test]

@@ -7,6 +7,7 @@
 
 pub mod players;
 pub mod unknown;
+mod untold;
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -140,7 +140,8 @@ pub struct Prepared {
     pub missing: Vec<String>,
     /// Whether that is all that it reads of it, so that every session is new.
     pub begins_anew: bool,
-    /// Choices that the user might want to make differently, and sessions that are the same recording, in sentences.
+    /// Choices that the user might want to make differently, sessions that are the same recording, and those that do not say
+    /// what their vehicle is like, in sentences.
     pub notes: Vec<String>,
     /// What a manifest names and nothing has, in sentences.
     pub unknown: Vec<String>,
@@ -248,6 +249,7 @@ impl Prepared {
         let begins_anew = before.is_some_and(|base| Previous::begins_anew(&program, base));
         let mut notes = given.notes.clone();
         notes.extend(repeated(&given, &sessions));
+        notes.extend(needs.untold(&given, &players, &idle));
         Ok(Self {
             notes,
             unknown: unknown_names,

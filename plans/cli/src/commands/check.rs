@@ -45,11 +45,15 @@ pub async fn check(args: &PlanArgs) -> Ending {
         line(&format!("warning: {warning}"));
     }
     let needs = Needs::of_program(&program, &registry, &sites);
-    for (session, lacks) in idle(&needs, &dataset, &players)? {
-        let lacks = in_words(&lacks);
+    let idle = idle(&needs, &dataset, &players)?;
+    for (session, lacks) in &idle {
+        let lacks = in_words(lacks);
         line(&format!(
             "warning: the plan cannot use session {session}: it lacks {lacks}"
         ));
+    }
+    for note in needs.untold(&dataset, &players, &idle) {
+        line(&format!("note: {note}"));
     }
     if !dataset.sessions.is_empty() {
         let unplayed = needs.unplayed(&program, &players.all());

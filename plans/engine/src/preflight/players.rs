@@ -17,7 +17,7 @@ pub struct Player {
 }
 
 /// Sessions by name.
-pub struct Players(BTreeMap<String, Player>);
+pub struct Players(pub(super) BTreeMap<String, Player>);
 
 impl Players {
     /// The sessions given, and those of the coming version, among which they may be.
