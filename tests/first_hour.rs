@@ -9,16 +9,36 @@ use evermap_tests::{Finished, evermap, rectangle, text, write_drive, write_nothi
 
 /// A log with some topics and message types, without messages.
 fn write_topics(path: &Path, topics: &[(&str, &str)]) {
+    write_log(path, topics, 0);
+}
+
+/// A log with some topics and message types, with so many messages each that say nothing.
+fn write_log(path: &Path, topics: &[(&str, &str)], messages: u32) {
     let mut writer = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
     for (topic, schema) in topics {
         let fields = br#"{"type":"object","properties":{"header":{"type":"object"}}}"#;
         let schema = writer.add_schema(schema, "jsonschema", fields).unwrap();
-        writer
+        let channel_id = writer
             .add_channel(schema, topic, "json", &Default::default())
             .unwrap();
+        for sequence in 0..messages {
+            let header = mcap::records::MessageHeader {
+                channel_id,
+                sequence,
+                log_time: 1,
+                publish_time: 1,
+            };
+            writer.write_to_known_channel(&header, b"{}").unwrap();
+        }
     }
     writer.finish().unwrap();
 }
+
+const PICTURES: (&str, &str) = ("/front/image", "sensor_msgs/Image");
+const LABELS: (&str, &str) = ("/front/labels", "sensor_msgs/Image");
+const DEPTH: (&str, &str) = ("/front/depth", "sensor_msgs/Image");
+const CALIBRATION: (&str, &str) = ("/front/camera_info", "sensor_msgs/CameraInfo");
+const FIXES: (&str, &str) = ("/fix", "sensor_msgs/NavSatFix");
 
 fn run(plan: &str, map: &Path, sessions: &[&Path], more: &[&str]) -> Finished {
     let mut arguments = vec![
@@ -127,6 +147,92 @@ fn a_drive_without_cameras_is_no_part_of_a_metric_map() {
     let plan = folder.path().join("roads.yaml");
     std::fs::write(&plan, "plan: roads\nextends: georeference\nneeds: []\n").unwrap();
     run(text(&plan), &map, &[&drive], &[]).expect(0);
+}
+
+#[test]
+fn a_session_without_the_one_role_that_a_plan_needs_is_counted_among_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let whole = at("monday.mcap");
+    write_log(&whole, &[PICTURES, LABELS, DEPTH], 1);
+    let cases = [
+        (
+            "stable_map",
+            [PICTURES, DEPTH],
+            "label_frames (step label_images)",
+        ),
+        ("scene_labels", [LABELS, DEPTH], "frames (step pictures)"),
+    ];
+    for (plan, topics, lacks) in cases {
+        let (part, map) = (at("tuesday.mcap"), at(plan));
+        write_log(&part, &topics, 1);
+        let one_site = ["--site", "street"];
+        let counted = run(plan, &map, &[&whole, &part], &one_site).expect(3);
+        let said = format!("session without {lacks}: tuesday");
+        assert!(counted.stderr.contains(&said), "{said}: {}", counted.stderr);
+        let check = ["check", plan, "--sessions", text(&whole), text(&part)];
+        let warned = evermap(&check).expect(0).stderr;
+        let said = format!("cannot use session tuesday: it lacks {lacks}");
+        assert!(warned.contains(&said), "{said}: {warned}");
+        // Beside the map that there is, it is alone.
+        let refused = run(plan, &map, &[&part], &one_site).expect(1).stderr;
+        let said = format!("cannot use session tuesday: expected {lacks}, found topics");
+        assert!(refused.contains(&said), "{said}: {refused}");
+    }
+}
+
+#[test]
+fn a_session_without_calibration_is_told_beside_calibrated_ones_and_the_map_of_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let [monday, tuesday, map] =
+        ["monday.mcap", "tuesday.mcap", "map"].map(|name| folder.path().join(name));
+    write_log(&monday, &[LABELS, CALIBRATION], 1);
+    write_log(&tuesday, &[LABELS], 1);
+    let said = "note: session tuesday has no calibration, which other sessions have: step views does without it\n";
+    let check = [
+        "check",
+        "relocate",
+        "--sessions",
+        text(&monday),
+        text(&tuesday),
+    ];
+    let checked = evermap(&check).expect(0).stderr;
+    assert_eq!(checked.matches("no calibration").count(), 1, "{checked}");
+    assert!(checked.contains(said), "{checked}");
+    // Nothing is said of the calibrated one, nor again when others come.
+    let first = run("relocate", &map, &[&monday], &["--site", "street"]).stderr;
+    assert!(!first.contains("no calibration"), "{first}");
+    let second = run("relocate", &map, &[&tuesday], &["--site", "street"]).stderr;
+    assert!(second.contains(said), "{second}");
+    let again = run("relocate", &map, &[&monday], &["--site", "street"]).stderr;
+    assert!(!again.contains("no calibration"), "{again}");
+    // Where nobody has one, that is told.
+    let alone = evermap(&["check", "relocate", "--sessions", text(&tuesday)]);
+    let alone = alone.expect(0).stderr;
+    assert!(
+        alone.contains("no session has calibration (step views)"),
+        "{alone}"
+    );
+    assert!(!alone.contains("session tuesday has no"), "{alone}");
+}
+
+#[test]
+fn fixes_of_one_session_are_enough_for_its_site_and_for_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (drive, fixed) = (at("drive.mcap"), at("fixed.mcap"));
+    write_drive(&drive, rectangle(30.0, 20.0, 1.0));
+    write_log(&fixed, &[("/odom", "foxglove.PoseInFrame"), FIXES], 1);
+    let sessions = ["--sessions", text(&drive), text(&fixed)];
+    let check = |more: &[&str]| {
+        let arguments = [&["check", "georeference"], &sessions[..], more].concat();
+        evermap(&arguments).expect(0).stderr
+    };
+    let said = "cannot use session drive: it lacks gnss_fixes (step antenna_positions)";
+    let apart = check(&[]);
+    assert!(apart.contains(said), "{apart}");
+    let together = check(&["--site", "lot"]);
+    assert!(!together.contains("cannot use"), "{together}");
 }
 
 #[test]

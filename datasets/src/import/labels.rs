@@ -53,21 +53,27 @@ pub(super) fn of_images(
     size: (u32, u32),
 ) -> Result<Vec<(u64, PathBuf)>, Fault> {
     let stamps = pair(images, stamps, &labels)?;
-    if let Some(first) = labels.first() {
-        // JPEG would change values.
-        let (format, found) = log::image_size(first)?;
-        if format != "png" {
-            return Err(Fault::user("expected labels as PNG").at(first.display()));
-        }
-        if found != size {
-            return Err(Fault::user(format!(
-                "expected labels of the images' size, {} x {}, found {} x {}",
-                size.0, size.1, found.0, found.1
-            ))
-            .at(first.display()));
-        }
+    for label in &labels {
+        fits(label, size)?;
     }
     Ok(stamps.into_iter().zip(labels).collect())
+}
+
+/// That a file holds labels of images of this size.
+fn fits(label: &Path, size: (u32, u32)) -> Result<(), Fault> {
+    let (format, found) = log::image_size(label)?;
+    // JPEG would change values.
+    if format != "png" {
+        return Err(Fault::user("expected labels as PNG").at(label.display()));
+    }
+    if found != size {
+        return Err(Fault::user(format!(
+            "expected labels of the images' size, {} x {}, found {} x {}",
+            size.0, size.1, found.0, found.1
+        ))
+        .at(label.display()));
+    }
+    Ok(())
 }
 
 /// The stamp of each label image.
@@ -114,6 +120,38 @@ mod tests {
         );
         let fault = of(&["l/a_L.png", "l/b_L.png"]).unwrap_err().to_string();
         assert!(fault.contains("3 images, found 2"), "{fault}");
+    }
+
+    /// A PNG image as far as its size says.
+    fn png_head(width: u32, height: u32) -> Vec<u8> {
+        let mut head = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR".to_vec();
+        head.extend(width.to_be_bytes());
+        head.extend(height.to_be_bytes());
+        head
+    }
+
+    #[test]
+    fn every_label_image_is_a_png_of_the_images_size() {
+        let folder = tempfile::tempdir().unwrap();
+        let images = paths(&["a.png", "b.png"]);
+        let labels = paths(&["a.png", "b.png"]).into_iter();
+        let labels: Vec<_> = labels.map(|name| folder.path().join(name)).collect();
+        let of = |second: &[u8]| {
+            std::fs::write(&labels[0], png_head(4, 3)).unwrap();
+            std::fs::write(&labels[1], second).unwrap();
+            of_images(&images, &[10, 20], labels.clone(), (4, 3))
+        };
+        let stamps: Vec<u64> = of(&png_head(4, 3)).unwrap().iter().map(|l| l.0).collect();
+        assert_eq!(stamps, [10, 20]);
+        let jpeg = b"\xff\xd8\xff\xc0\0\x11\x08\0\x03\0\x04\x03";
+        for (second, said) in [
+            (&png_head(3, 4)[..], "4 x 3, found 3 x 4"),
+            (&jpeg[..], "expected labels as PNG"),
+            (&b"no image at all"[..], "expected a PNG or JPEG image"),
+        ] {
+            let fault = of(second).unwrap_err().to_string();
+            assert!(fault.contains(said) && fault.contains("b.png"), "{fault}");
+        }
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! Writing the log of an import.
 
+use std::fs::File;
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use evermap_messages::ros2::{
@@ -7,7 +9,7 @@ use evermap_messages::ros2::{
 };
 use evermap_recording::{LogWriter, RecordingError, Times};
 use evermap_schemas::Fault;
-use imagesize::ImageType;
+use imagesize::{ImageError, ImageType};
 use nalgebra::Isometry3;
 
 use crate::import::Imported;
@@ -205,21 +207,34 @@ fn pose(pose: &Isometry3<f64>) -> Pose {
 
 /// An encoded image, and its format.
 fn encoded(path: &Path) -> Result<(&'static str, Vec<u8>), Fault> {
-    let bytes = std::fs::read(path).map_err(|error| {
-        Fault::user(format!("expected an image, found {error}")).at(path.display())
+    let bytes = std::fs::read(path).map_err(|error| unread(path, &error))?;
+    let (format, _) = format(imagesize::image_type(&bytes), path)?;
+    Ok((format, bytes))
+}
+
+/// Format, width and height, from the image's head; no more of it is read.
+pub(super) fn image_size(path: &Path) -> Result<(&'static str, (u32, u32)), Fault> {
+    let file = File::open(path).map_err(|error| unread(path, &error))?;
+    let mut head = BufReader::new(file);
+    let (format, kind) = format(imagesize::reader_type(&mut head), path)?;
+    let size = kind.reader_size(&mut head).map_err(|error| {
+        Fault::user(format!("expected an image with a size, found {error}")).at(path.display())
     })?;
-    match imagesize::image_type(&bytes) {
-        Ok(ImageType::Png) => Ok(("png", bytes)),
-        Ok(ImageType::Jpeg) => Ok(("jpeg", bytes)),
+    Ok((format, (size.width as u32, size.height as u32)))
+}
+
+/// The format that an image is of, by name.
+fn format(
+    found: Result<ImageType, ImageError>,
+    path: &Path,
+) -> Result<(&'static str, ImageType), Fault> {
+    match found {
+        Ok(kind @ ImageType::Png) => Ok(("png", kind)),
+        Ok(kind @ ImageType::Jpeg) => Ok(("jpeg", kind)),
         _ => Err(Fault::user("expected a PNG or JPEG image").at(path.display())),
     }
 }
 
-/// Format, width and height, from the image's head.
-pub(super) fn image_size(path: &Path) -> Result<(&'static str, (u32, u32)), Fault> {
-    let (format, bytes) = encoded(path)?;
-    let size = imagesize::blob_size(&bytes).map_err(|error| {
-        Fault::user(format!("expected an image with a size, found {error}")).at(path.display())
-    })?;
-    Ok((format, (size.width as u32, size.height as u32)))
+fn unread(path: &Path, error: &std::io::Error) -> Fault {
+    Fault::user(format!("expected an image, found {error}")).at(path.display())
 }

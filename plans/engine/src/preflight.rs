@@ -5,7 +5,9 @@
 //! version before, topics by name and roles of metadata are there or not as they please. A query that hands
 //! what a vehicle is like (its cameras, where they sit) to other steps makes nothing of a session by itself.
 
+pub mod players;
 pub mod unknown;
+mod untold;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,12 +16,16 @@ use evermap_datasets::{Dataset, Session};
 use evermap_language::{Body, Input, Plan, Step};
 use evermap_schemas::{Fault, roles};
 
+use self::players::{Player, Players};
 use crate::program::{LIFT, Program, Role, Scope, Stage, Task};
 
 /// A step, as far as it matters here.
 struct Need {
     step: String,
+    /// What it cannot do without.
     inputs: Vec<Input>,
+    /// What it would use.
+    optional: Vec<Input>,
     is_query: bool,
     /// Whether it works on one session at a time.
     of_session: bool,
@@ -72,16 +78,16 @@ impl Needs {
     /// lies.
     pub fn of_program(program: &Program, registry: &Registry, sites: &BTreeSet<&str>) -> Self {
         let need = |stage: &Stage| {
-            let reads = stage.reads.iter().filter(|read| match &read.role {
-                Role::Side(port) => !is_optional(registry, stage.op().unwrap_or_default(), port),
-                Role::Driving | Role::Query => true,
+            let op = stage.op().unwrap_or_default();
+            let reads = stage.reads.iter().map(|read| {
+                let optional = match &read.role {
+                    Role::Side(port) => is_optional(registry, op, port),
+                    Role::Driving | Role::Query => false,
+                };
+                (read.table.clone(), optional)
             });
-            Need {
-                step: stage.name.clone(),
-                inputs: reads.map(|read| read.table.clone()).collect(),
-                is_query: matches!(stage.task, Task::Sql { .. }),
-                of_session: stage.scope == Scope::Session,
-            }
+            let is_query = matches!(stage.task, Task::Sql { .. });
+            Need::of(&stage.name, reads, is_query, stage.scope == Scope::Session)
         };
         let reads = |stage: &Stage, role: &str| {
             let mut reads = stage.reads.iter();
@@ -104,16 +110,15 @@ impl Needs {
     /// The needs of a plan for a session that is alone.
     pub fn of_plan(plan: &Plan, registry: &Registry) -> Self {
         let need = |step: &Step| {
-            let inputs = step.inputs.iter().filter(|(port, _)| match &step.body {
-                Body::Op { op, .. } => !is_optional(registry, op, port),
-                Body::Sql { .. } | Body::Python(_) => true,
+            let reads = step.inputs.iter().map(|(port, input)| {
+                let optional = match &step.body {
+                    Body::Op { op, .. } => is_optional(registry, op, port),
+                    Body::Sql { .. } | Body::Python(_) => false,
+                };
+                (input.clone(), optional)
             });
-            Need {
-                step: step.name.clone(),
-                inputs: inputs.map(|(_, input)| input.clone()).collect(),
-                is_query: matches!(step.body, Body::Sql { .. }),
-                of_session: true,
-            }
+            let is_query = matches!(step.body, Body::Sql { .. });
+            Need::of(&step.name, reads, is_query, true)
         };
         let reader = |role: &String| {
             let reads = |step: &&Step| step.inputs.iter().any(|(_, input)| is_source(input, role));
@@ -126,11 +131,17 @@ impl Needs {
         }
     }
 
-    /// What a session lacks of all that the plan says it needs.
-    fn short_of(&self, plays: &Roles) -> Lacks {
+    /// What a session lacks of all that the plan says it needs, where its site has these shared roles.
+    fn short_of(&self, plays: &Roles, site: &Roles) -> Lacks {
         let mut short = self.whole.clone();
-        short.retain(|role, _| !plays.contains(role));
+        short.retain(|role, _| !plays.contains(role) && !site.contains(role));
         short
+    }
+
+    /// Whether a step reads a role.
+    fn reads(&self, role: &str) -> bool {
+        let mut tables = self.steps.iter().flat_map(Need::tables);
+        tables.any(|table| is_source(table, role))
     }
 
     /// The first step that cannot do without a role.
@@ -149,15 +160,15 @@ impl Needs {
             .collect()
     }
 
-    /// The roles that the program reads and that none of the sessions plays.
-    pub fn unplayed(&self, program: &Program, played: &[Roles]) -> Unplayed {
+    /// The roles that the program reads and that are not among those that sessions play.
+    pub fn unplayed(&self, program: &Program, played: &Roles) -> Unplayed {
         let (mut needed, mut of_use) = (Lacks::new(), Lacks::new());
         for stage in &program.stages {
             for read in &stage.reads {
                 let Input::Source(name) = &read.table else {
                     continue;
                 };
-                if !is_role(name) || played.iter().any(|roles| roles.contains(name)) {
+                if !is_role(name) || played.contains(name) {
                     continue;
                 }
                 let (lacks, step) = match self.needing(name) {
@@ -170,14 +181,15 @@ impl Needs {
         Unplayed { needed, of_use }
     }
 
-    /// What a session that plays some roles lacks, beside sessions that together play `all`; `None` where a step makes
-    /// something of it, and it plays none or all of what the plan says it needs. How a vehicle is built is played
-    /// beside anything, and says nothing of what a session is for.
-    pub fn lacks(&self, plays: &Roles, all: &Roles) -> Option<Lacks> {
-        let short = self.short_of(plays);
-        let mut whole = self.whole.keys();
-        let is_part = whole.any(|role| plays.contains(role) && !is_lasting(role));
-        match is_part && !short.is_empty() {
+    /// What a session that plays some roles lacks, beside sessions that together play `all`, where its site has some
+    /// shared roles; `None` where a step makes something of it, and it has all of what the plan says it needs, or is no
+    /// drive of which the plan reads anything. How a vehicle is built is played beside anything, what is shared by whoever
+    /// has it to give: neither says that a session is a drive.
+    pub fn lacks(&self, plays: &Roles, all: &Roles, site: &Roles) -> Option<Lacks> {
+        let short = self.short_of(plays, site);
+        let mut roles = plays.iter();
+        let is_drive = roles.any(|role| is_of_drive(role) && self.reads(role));
+        match is_drive && !short.is_empty() {
             true => Some(short),
             false => self.unfed(plays, all),
         }
@@ -186,7 +198,7 @@ impl Needs {
     /// What a session lacks that is alone; `None` where a step makes something of it, and it plays all of what the plan says
     /// it needs.
     pub fn lacks_alone(&self, plays: &Roles) -> Option<Lacks> {
-        let short = self.short_of(plays);
+        let short = self.short_of(plays, &Roles::new());
         match short.is_empty() {
             true => self.unfed(plays, plays),
             false => Some(short),
@@ -233,6 +245,29 @@ impl Needs {
 }
 
 impl Need {
+    /// A step, and what it reads, each with whether it does without.
+    fn of(
+        step: &str,
+        reads: impl Iterator<Item = (Input, bool)>,
+        is_query: bool,
+        of_session: bool,
+    ) -> Self {
+        let (optional, inputs): (Vec<_>, Vec<_>) = reads.partition(|(_, optional)| *optional);
+        let tables = |reads: Vec<(Input, bool)>| reads.into_iter().map(|(table, _)| table);
+        Self {
+            step: step.to_owned(),
+            inputs: tables(inputs).collect(),
+            optional: tables(optional).collect(),
+            is_query,
+            of_session,
+        }
+    }
+
+    /// All that it reads.
+    fn tables(&self) -> impl Iterator<Item = &Input> {
+        self.inputs.iter().chain(&self.optional)
+    }
+
     /// What it lacks where these roles are played; `None` where it is fed.
     fn lacks(&self, plays: &Roles, missing: &BTreeMap<&str, Option<Lacks>>) -> Option<Lacks> {
         let step = || step_of(&self.step);
@@ -291,15 +326,27 @@ fn merge(all: &mut Lacks, found: &Lacks) {
 
 /// Whether a table is a role that messages play.
 fn is_role(name: &str) -> bool {
-    let mut roles = roles::ALL.iter();
-    roles.any(|role| role.name == name && role.messages().is_some())
+    messages(name).is_some()
 }
 
 /// Whether a role says what a vehicle is like.
 fn is_lasting(name: &str) -> bool {
+    messages(name).is_some_and(|messages| messages.lasting)
+}
+
+/// Whether one session plays a role for all of its site.
+fn is_shared(name: &str) -> bool {
+    messages(name).is_some_and(|messages| messages.shared)
+}
+
+/// Whether a role is what only a drive has to say, of itself.
+fn is_of_drive(name: &str) -> bool {
+    is_role(name) && !is_lasting(name) && !is_shared(name)
+}
+
+fn messages(name: &str) -> Option<&'static roles::Messages> {
     let role = roles::ALL.iter().find(|role| role.name == name);
-    let messages = role.and_then(|role| role.messages());
-    messages.is_some_and(|messages| messages.lasting)
+    role.and_then(|role| role.messages())
 }
 
 fn is_optional(registry: &Registry, op: &str, port: &str) -> bool {
@@ -307,25 +354,28 @@ fn is_optional(registry: &Registry, op: &str, port: &str) -> bool {
     entry.is_some_and(|entry| entry.port(port).is_some_and(|port| port.optional))
 }
 
-/// The sessions given of which a plan makes nothing, beside the roles that each session of the map plays.
+/// The sessions given of which a plan makes nothing, beside all that there are.
 ///
 /// # Errors
-/// A user fault when that is all of them, or when no session plays all that the plan says it needs.
+/// A user fault when that is all of them, or when no session has all that the plan says it needs.
 pub fn idle(
     needs: &Needs,
     given: &Dataset,
-    mapped: &[Roles],
+    players: &Players,
 ) -> Result<Vec<(String, Lacks)>, Fault> {
-    let played: Vec<Roles> = given.sessions.iter().map(Session::played).collect();
-    let all: Roles = played.iter().chain(mapped).flatten().cloned().collect();
-    let mut each = played.iter().chain(mapped);
-    let is_met = each.any(|plays| needs.short_of(plays).is_empty());
-    let lacks = |plays: &Roles| match is_met {
-        true => needs.lacks(plays, &all),
-        false => Some(needs.short_of(plays)),
+    let (all, shared, none) = (players.all(), players.shared(), Roles::new());
+    let site = |player: &Player| shared.get(player.site.as_str()).unwrap_or(&none);
+    let short = |player: &Player| needs.short_of(&player.plays, site(player));
+    let is_met = players.each().any(|player| short(player).is_empty());
+    let lacks = |player: &Player| match is_met {
+        true => needs.lacks(&player.plays, &all, site(player)),
+        false => Some(short(player)),
     };
-    let sessions = given.sessions.iter().zip(&played);
-    let idle = sessions.filter_map(|(session, plays)| Some((session, lacks(plays)?)));
+    let sessions = given.sessions.iter();
+    let idle = sessions.filter_map(|session| {
+        let player = players.named(&session.name)?;
+        Some((session, lacks(player)?))
+    });
     let idle: Vec<_> = idle.collect();
     match idle.as_slice() {
         [(session, lacks), ..] if idle.len() == given.sessions.len() => {
@@ -346,18 +396,13 @@ fn nothing_to_make(session: &Session, lacks: &Lacks, others: usize) -> Fault {
         others => format!(", nor of {others} more"),
     };
     let topics = session.message_types();
-    let mut topics: Vec<_> = topics
+    let topics: Vec<_> = topics
         .iter()
         .map(|(topic, kind)| match session.unfit(topic) {
             Some(reason) => format!("{topic} ({kind}, {reason})"),
             None => format!("{topic} ({kind})"),
         })
         .collect();
-    if topics.len() > 8 {
-        let left = topics.len() - 8;
-        topics.truncate(8);
-        topics.push(format!("{left} more"));
-    }
     let plays = |role: &&roles::Role| lacks.contains_key(role.name);
     let types = roles::ALL.iter().filter(plays).map(|role| {
         let types = role.messages().map(|messages| messages.types.join(", "));
@@ -369,13 +414,24 @@ fn nothing_to_make(session: &Session, lacks: &Lacks, others: usize) -> Fault {
         in_words(lacks),
         match topics.is_empty() {
             true => "none".to_owned(),
-            false => topics.join(", "),
+            false => few(topics),
         }
     ))
     .next(format!(
         "give logs that have them, or say in a manifest which topic plays the role; message types that do: {}",
         types.join("; ")
     ))
+}
+
+/// Some words, of which there may be many.
+fn few(mut words: Vec<String>) -> String {
+    const FEW: usize = 8;
+    let left = words.len().saturating_sub(FEW);
+    if left > 0 {
+        words.truncate(FEW);
+        words.push(format!("{left} more"));
+    }
+    words.join(", ")
 }
 
 /// What is lacking, for people: `odometry (step keyframes)`.

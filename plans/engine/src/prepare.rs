@@ -24,7 +24,8 @@ use crate::map::make;
 use crate::map::receipt::LogContent;
 use crate::map::store::{Store, each};
 use crate::map::version::{MappedSession, Previous, Version};
-use crate::preflight::{Lacks, Needs, Roles, Unplayed, idle, unknown};
+use crate::preflight::players::Players;
+use crate::preflight::{Lacks, Needs, Unplayed, idle, unknown};
 use crate::program::Program;
 use crate::program::compile::{all_faults, compile};
 use crate::run::Run;
@@ -139,7 +140,8 @@ pub struct Prepared {
     pub missing: Vec<String>,
     /// Whether that is all that it reads of it, so that every session is new.
     pub begins_anew: bool,
-    /// Choices that the user might want to make differently, and sessions that are the same recording, in sentences.
+    /// Choices that the user might want to make differently, sessions that are the same recording, and those that do not say
+    /// what their vehicle is like, in sentences.
     pub notes: Vec<String>,
     /// What a manifest names and nothing has, in sentences.
     pub unknown: Vec<String>,
@@ -226,14 +228,13 @@ impl Prepared {
             by_name.insert(session.name.to_string(), now);
         }
         let sessions: Vec<_> = by_name.into_values().collect();
-        let plays = |session: &MappedSession| session.manifest.roles.keys().cloned().collect();
-        let played: Vec<Roles> = sessions.iter().map(plays).collect();
-        let sites: BTreeSet<&str> = sessions.iter().map(|s| s.log.site.as_str()).collect();
+        let players = Players::of(&given, &sessions);
+        let sites = players.sites();
         let needs = Needs::of_program(&program, registry, &sites);
         let mut unknown_names = unknown::topics(&given);
         unknown_names.extend(unknown::origins(&program, &sites));
         // A name that is misspelt may be why.
-        let idle = idle(&needs, &given, &played).map_err(|fault| Fault {
+        let idle = idle(&needs, &given, &players).map_err(|fault| Fault {
             message: [
                 std::slice::from_ref(&fault.message),
                 unknown_names.as_slice(),
@@ -242,12 +243,13 @@ impl Prepared {
             .join("; "),
             ..fault
         })?;
-        let unplayed = needs.unplayed(&program, &played);
+        let unplayed = needs.unplayed(&program, &players.all());
         let before = base.as_ref();
         let missing = before.map_or_else(Vec::new, |base| Previous::missing(&program, base));
         let begins_anew = before.is_some_and(|base| Previous::begins_anew(&program, base));
         let mut notes = given.notes.clone();
         notes.extend(repeated(&given, &sessions));
+        notes.extend(needs.untold(&given, &players, &idle));
         Ok(Self {
             notes,
             unknown: unknown_names,

@@ -53,7 +53,10 @@ record! {
 }
 
 /// Topics with annotations.
-pub const ROLE: Role = Role::of::<Annotation>(Messages::of::<Annotation>(MESSAGES));
+pub const ROLE: Role = Role::of::<Annotation>(Messages {
+    shared: true,
+    ..Messages::of::<Annotation>(MESSAGES)
+});
 
 /// Messages of annotations, in the map and on images.
 pub(super) const MESSAGES: &[&str] = &["evermap.Annotation"];

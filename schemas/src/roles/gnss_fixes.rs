@@ -36,6 +36,7 @@ record! {
 pub const ROLE: Role = Role::of::<GnssFix>(Messages {
     choose: fullest,
     single: true,
+    shared: true,
     ..Messages::of::<GnssFix>(&["sensor_msgs/NavSatFix", "foxglove.LocationFix"])
 });
 

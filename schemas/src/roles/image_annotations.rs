@@ -43,7 +43,10 @@ record! {
 }
 
 /// Topics with annotations, as far as they are of images.
-pub const ROLE: Role = Role::of::<ImageAnnotation>(Messages::of::<ImageAnnotation>(MESSAGES));
+pub const ROLE: Role = Role::of::<ImageAnnotation>(Messages {
+    shared: true,
+    ..Messages::of::<ImageAnnotation>(MESSAGES)
+});
 
 /// What may be said of pixels.
 pub const ACTS: [&str; 2] = ["drawn", "removed"];

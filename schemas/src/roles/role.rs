@@ -44,6 +44,9 @@ pub struct Messages {
     pub drop_repeats: bool,
     /// Whether it says what a vehicle is like, and not what a drive was: nothing is made of it alone.
     pub lasting: bool,
+    /// Whether one session that plays it does so for all of its site: what people say of a map or of images, where the site
+    /// lies on earth. The others can do without, and it says of no session that it is a drive.
+    pub shared: bool,
     /// Where its topics may tell of several robots and the table is of one: how messages become
     /// [`Motion`](super::Motion)s.
     pub robots: Option<&'static Messages>,
@@ -64,6 +67,7 @@ impl Messages {
             image: None,
             drop_repeats: false,
             lasting: false,
+            shared: false,
             robots: None,
             mounts: None,
             read: crate::roles::message::read::<T>,

@@ -4,8 +4,9 @@ use std::io::Write;
 
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
-use evermap_datasets::{Dataset, Manifest, Session};
+use evermap_datasets::{Dataset, Manifest};
 use evermap_engine::plan_test::{given_faults, run_tests};
+use evermap_engine::preflight::players::Players;
 use evermap_engine::preflight::{Needs, idle, in_words, unknown};
 use evermap_engine::prepare::{self, vocabulary};
 use evermap_engine::program::Program;
@@ -38,20 +39,24 @@ pub async fn check(args: &PlanArgs) -> Ending {
     for note in odometry_frame::notes(&dataset, odometry_frame::vehicle(&program)).await? {
         line(&format!("note: {note}"));
     }
-    let sites = unknown::sites(&dataset);
+    let players = Players::of(&dataset, &[]);
+    let sites = players.sites();
     if let Some(warning) = unknown::origins(&program, &sites) {
         line(&format!("warning: {warning}"));
     }
     let needs = Needs::of_program(&program, &registry, &sites);
-    for (session, lacks) in idle(&needs, &dataset, &[])? {
-        let lacks = in_words(&lacks);
+    let idle = idle(&needs, &dataset, &players)?;
+    for (session, lacks) in &idle {
+        let lacks = in_words(lacks);
         line(&format!(
             "warning: the plan cannot use session {session}: it lacks {lacks}"
         ));
     }
+    for note in needs.untold(&dataset, &players, &idle) {
+        line(&format!("note: {note}"));
+    }
     if !dataset.sessions.is_empty() {
-        let played: Vec<_> = dataset.sessions.iter().map(Session::played).collect();
-        let unplayed = needs.unplayed(&program, &played);
+        let unplayed = needs.unplayed(&program, &players.all());
         unplayed.notes().iter().for_each(|note| line(note));
     }
     if !parsed.warnings.is_empty() {

@@ -11,8 +11,16 @@ use crate::semantic::{PicturedView, SemanticMap};
 
 /// Between panels, px.
 const GAP: u32 = 8;
-/// Height of the legend, px.
+/// Height of a legend of one line, px.
 const LEGEND: u32 = 34;
+/// From one line of the legend to the next, px.
+const LINE: u32 = 18;
+/// Between the legend and the picture's edges, px.
+const MARGIN_PX: f64 = 11.0;
+/// From where a class begins in the legend to its name, px.
+const NAME_PX: f64 = strokes::LETTER_PX * 1.6;
+/// Between classes of the legend, px.
+const BETWEEN_PX: f64 = strokes::LETTER_PX * 2.0;
 
 /// A person's view of views: for each the image with its labels over it, and below the graph over the image.
 ///
@@ -20,13 +28,7 @@ const LEGEND: u32 = 34;
 /// A data fault for label images that do not decode.
 pub fn views(map: &SemanticMap) -> Result<Picture, Fault> {
     let widths = map.views.iter().map(|view| view.graph.width);
-    let mut picture = Views {
-        width: widths.max().unwrap_or(1).max(1),
-        height: LEGEND,
-        views: Vec::new(),
-        classes: &map.classes,
-        legend: legend(&map.classes),
-    };
+    let mut picture = Views::legend(&map.classes, widths.max().unwrap_or(1));
     for view in &map.views {
         let panels = Panels::of(view, &map.classes, picture.height)?;
         picture.height = panels.below() + view.graph.height + GAP;
@@ -46,8 +48,57 @@ struct Views<'m> {
     height: u32,
     views: Vec<Panels<'m>>,
     classes: &'m [String],
-    /// Names with their colours, and where each begins, px.
-    legend: Vec<(String, String, f64)>,
+    legend: Vec<Named>,
+}
+
+/// A class in the legend.
+struct Named {
+    name: String,
+    colour: String,
+    /// Where it begins, px.
+    x: f64,
+    /// Its line.
+    line: u32,
+}
+
+impl Named {
+    fn y(&self) -> f64 {
+        12.5 + f64::from(self.line * LINE)
+    }
+}
+
+impl<'m> Views<'m> {
+    /// A picture of the legend alone, of at least this width: names side by side, in as many lines as they take.
+    fn legend(classes: &'m [String], width: u32) -> Self {
+        let names: Vec<_> = classes
+            .iter()
+            .map(|class| strokes::name(class, 20))
+            .collect();
+        let widths = names.iter().map(|name| NAME_PX + strokes::width(name));
+        let widest = widths.clone().fold(0.0, f64::max) + 2.0 * MARGIN_PX;
+        let width = width.max(widest.ceil() as u32);
+        let (mut x, mut line) = (MARGIN_PX, 0);
+        let mut legend = Vec::new();
+        for (index, (name, wide)) in names.iter().zip(widths).enumerate() {
+            if x > MARGIN_PX && x + wide > f64::from(width) - MARGIN_PX {
+                (x, line) = (MARGIN_PX, line + 1);
+            }
+            legend.push(Named {
+                name: name.clone(),
+                colour: colours::class(index),
+                x,
+                line,
+            });
+            x += wide + BETWEEN_PX;
+        }
+        Self {
+            width,
+            height: LEGEND + line * LINE,
+            views: Vec::new(),
+            classes,
+            legend,
+        }
+    }
 }
 
 impl Views<'_> {
@@ -120,19 +171,6 @@ impl<'m> Panels<'m> {
             copies.map(move |copy| (area, f64::from(area.u) + copy * width))
         })
     }
-}
-
-/// The classes' names side by side.
-fn legend(classes: &[String]) -> Vec<(String, String, f64)> {
-    let mut x = 11.0;
-    let mut names = Vec::new();
-    for (index, class) in classes.iter().enumerate() {
-        let name = strokes::name(class, 20);
-        let width = strokes::width(&name);
-        names.push((name, colours::class(index), x));
-        x += strokes::LETTER_PX * 3.6 + width;
-    }
-    names
 }
 
 /// The labels in the classes' colours, by name; transparent where there is no class.
@@ -225,7 +263,8 @@ mod tests {
     #[test]
     fn views_are_drawn_with_labels_and_graphs() {
         let picture = views(&pictured()).unwrap();
-        assert_eq!(picture.width_px, 40);
+        // As wide as the longest name, as the view is narrower.
+        assert_eq!(picture.width_px, 68);
         // The short way around: from 1 to 39 of 40 is two to the left.
         assert!(
             picture.svg.contains("M1.0 10.0L-1.0 10.0"),
@@ -233,5 +272,40 @@ mod tests {
             picture.svg
         );
         assert!(raster(&picture).unwrap().starts_with(b"\x89PNG"));
+    }
+
+    #[test]
+    fn the_legend_has_as_many_lines_as_its_names_take() {
+        let names = "building car fence person pole road sidewalk sky tree";
+        let classes: Vec<String> = names.split(' ').map(str::to_owned).collect();
+        let picture = |width: u32| {
+            let mut map = pictured();
+            map.classes = classes.clone();
+            map.views[0].graph.width = width;
+            (Views::legend(&classes, width), views(&map).unwrap())
+        };
+        let (legend, drawn) = picture(256);
+        assert_eq!(drawn.width_px, 256);
+        assert_eq!(legend.legend.len(), classes.len());
+        for (one, next) in legend.legend.iter().zip(&legend.legend[1..]) {
+            let end = one.x + NAME_PX + strokes::width(&one.name);
+            assert!(one.x >= MARGIN_PX && end <= 256.0 - MARGIN_PX, "{end}");
+            let goes_on = one.line == next.line && end < next.x;
+            assert!(goes_on || next.line == one.line + 1 && next.x == MARGIN_PX);
+        }
+        let last = &legend.legend[8];
+        assert!(last.line > 0 && last.x + NAME_PX + strokes::width("tree") <= 256.0 - MARGIN_PX);
+        // The views begin below the last line.
+        assert!(last.y() + strokes::LETTER_PX < f64::from(legend.height));
+        assert!(
+            drawn
+                .svg
+                .contains(&format!("<svg x=\"0\" y=\"{}\"", legend.height))
+        );
+        // There is room for all of them in one line of a wide picture.
+        let (legend, drawn) = picture(1024);
+        assert!(legend.legend.iter().all(|named| named.line == 0));
+        assert_eq!(legend.height, LEGEND);
+        assert!(drawn.height_px < picture(256).1.height_px);
     }
 }

@@ -3,7 +3,6 @@
 use std::collections::BTreeSet;
 
 use evermap_datasets::Dataset;
-use evermap_datasets::session::DEFAULT_SITE;
 use evermap_language::{listed, nearest};
 use serde_json::Value;
 
@@ -34,15 +33,6 @@ pub fn topics(given: &Dataset) -> Vec<String> {
         told(&key, &names, "topics", &known)
     });
     warnings.collect()
-}
-
-/// The sites of sessions. Where nobody says that sessions are of one place, each is a place of its own.
-pub fn sites(given: &Dataset) -> BTreeSet<&str> {
-    let sites = given.sessions.iter().map(|session| match &*session.site {
-        DEFAULT_SITE => &*session.name,
-        site => site,
-    });
-    sites.collect()
 }
 
 fn of_sites(surveyed: &BTreeSet<&str>, sites: &BTreeSet<&str>) -> Option<String> {

@@ -1,0 +1,84 @@
+//! The sessions of a run and of its map, and which roles each plays.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use evermap_datasets::session::DEFAULT_SITE;
+use evermap_datasets::{Dataset, Session};
+
+use crate::map::version::MappedSession;
+use crate::preflight::{Roles, is_shared};
+
+/// A session, as far as it matters here.
+pub struct Player {
+    /// Its site.
+    pub site: String,
+    /// The roles that it plays.
+    pub plays: Roles,
+}
+
+/// Sessions by name.
+pub struct Players(pub(super) BTreeMap<String, Player>);
+
+impl Players {
+    /// The sessions given, and those of the coming version, among which they may be.
+    pub fn of(given: &Dataset, mapped: &[MappedSession]) -> Self {
+        let mapped = mapped.iter().map(|session| {
+            let player = Player {
+                site: session.log.site.clone(),
+                plays: session.manifest.roles.keys().cloned().collect(),
+            };
+            (session.log.session.clone(), player)
+        });
+        let mut players: BTreeMap<_, _> = mapped.collect();
+        for session in &given.sessions {
+            let name = session.name.to_string();
+            let player = players.entry(name).or_insert_with(|| Player {
+                site: site_of(session).to_owned(),
+                plays: Roles::new(),
+            });
+            // Of logs at hand it is known which topics have no messages.
+            player.plays = session.played();
+        }
+        Self(players)
+    }
+
+    /// The session of a name.
+    pub fn named(&self, name: &str) -> Option<&Player> {
+        self.0.get(name)
+    }
+
+    /// Each of them.
+    pub fn each(&self) -> impl Iterator<Item = &Player> {
+        self.0.values()
+    }
+
+    /// Their sites.
+    pub fn sites(&self) -> BTreeSet<&str> {
+        self.each().map(|player| player.site.as_str()).collect()
+    }
+
+    /// The roles that any of them plays.
+    pub fn all(&self) -> Roles {
+        let plays = self.each().flat_map(|player| &player.plays);
+        plays.cloned().collect()
+    }
+
+    /// What sessions play for all of their site, by site.
+    pub(super) fn shared(&self) -> BTreeMap<&str, Roles> {
+        let mut shared = BTreeMap::<&str, Roles>::new();
+        for player in self.each() {
+            let plays = player.plays.iter().filter(|role| is_shared(role));
+            let site = shared.entry(&player.site).or_default();
+            site.extend(plays.cloned());
+        }
+        shared
+    }
+}
+
+/// The site of a session. Where nobody says that sessions are of one place, each is a place of its own.
+fn site_of(session: &Session) -> &str {
+    match &*session.site {
+        DEFAULT_SITE => &*session.name,
+        site => site,
+    }
+}
