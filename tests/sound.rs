@@ -480,6 +480,32 @@ fn a_folder_in_the_place_of_a_version_is_ignored_and_said() {
     mapped.evermap("verify", &[]).expect(0);
 }
 
+/// As a person keeps a copy of it: it was counted as a version more, and what `gc` kept was the copy.
+#[test]
+fn another_spelling_of_a_versions_number_is_no_version() {
+    let mapped = Mapped::new();
+    let within = |name: &str| mapped.map.join("versions").join(name);
+    for copy in ["02.json", "+2.json"] {
+        std::fs::copy(within("2.json"), within(copy)).unwrap();
+    }
+    let poses = mapped.query("SELECT count(*) AS n FROM poses");
+    let collected = mapped.evermap("gc", &["--keep", "1"]).expect(0).stdout;
+    assert!(collected.starts_with("removed 1 version,"), "{collected}");
+    assert!(within("2.json").exists() && within("02.json").exists());
+    assert_eq!(mapped.query("SELECT count(*) AS n FROM poses"), poses);
+    mapped.evermap("verify", &[]).expect(0);
+    // Without the version they stand for nothing, and hold up nobody.
+    std::fs::remove_file(within("2.json")).unwrap();
+    let asked = std::process::Command::new("timeout")
+        .arg("120")
+        .arg(program())
+        .args(["layers", "--map", text(&mapped.map)])
+        .output();
+    let asked = Finished::from(asked.unwrap()).expect(1);
+    let said = "has no version yet";
+    assert!(asked.stderr.contains(said), "{}", asked.stderr);
+}
+
 /// Rows that are whole, and those of another session or layer.
 #[test]
 fn a_receipt_that_leads_to_rows_of_another_unit_is_said_and_the_work_done_again() {
