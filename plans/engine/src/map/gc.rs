@@ -29,7 +29,8 @@ pub struct Collected {
 /// Forgets all but the newest `keep` versions, and every file that none of those needs.
 ///
 /// # Errors
-/// A user fault for `keep` 0, a resource fault beside a run or when the store does not do it.
+/// A user fault for `keep` 0, a resource fault beside a run, where the process was suspended so long that a run may have begun,
+/// or when the store does not do it.
 pub async fn gc(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fault> {
     if keep == 0 {
         return Err(Fault::user("a map keeps at least one version").next("use --keep 1 or more"));
@@ -38,14 +39,45 @@ pub async fn gc(store: &Store, keep: usize, dry: bool) -> Result<Collected, Faul
         true => None,
         false => Some(Lease::of_gc(store).await?),
     };
-    let collected = collect(store, keep, dry).await;
+    let taking = Taking {
+        store,
+        lease: lease.as_ref(),
+    };
+    let collected = collect(&taking, keep).await;
     if let Some(lease) = lease {
         lease.end().await;
     }
     collected
 }
 
-async fn collect(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fault> {
+/// What takes files away as long as its lease holds; without a lease, nothing.
+struct Taking<'s> {
+    store: &'s Store,
+    lease: Option<&'s Lease>,
+}
+
+impl Taking<'_> {
+    /// Whether files are to be taken.
+    ///
+    /// # Errors
+    /// As [`Lease::holds`].
+    fn takes(&self) -> Result<bool, Fault> {
+        self.lease.map_or(Ok(false), |lease| {
+            lease.holds()?;
+            Ok(true)
+        })
+    }
+
+    async fn take(&self, name: &str) -> Result<(), Fault> {
+        match self.takes()? {
+            true => self.store.remove(name).await,
+            false => Ok(()),
+        }
+    }
+}
+
+async fn collect(taking: &Taking<'_>, keep: usize) -> Result<Collected, Fault> {
+    let store = taking.store;
     let mut versions = Vec::new();
     let mut torn = Vec::new();
     for number in Version::numbers(store).await? {
@@ -79,11 +111,9 @@ async fn collect(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fau
     let mut collected = Collected::default();
     for version in forgotten {
         collected.versions += 1;
-        if !dry {
-            store.remove(&Version::name(version.version)).await?;
-        }
+        taking.take(&Version::name(version.version)).await?;
     }
-    if !dry {
+    if taking.takes()? {
         Sound::forget_all_but(store, &needed).await?;
         if let Some(oldest) = oldest {
             newest::forget_before(store, oldest).await?;
@@ -99,9 +129,7 @@ async fn collect(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fau
     for (name, bytes) in left_over {
         collected.files += 1;
         collected.bytes += bytes;
-        if !dry {
-            store.remove(&name).await?;
-        }
+        taking.take(&name).await?;
     }
     Ok(collected)
 }
@@ -119,4 +147,41 @@ fn unread(number: u64, fault: &Fault) -> Fault {
     let name = Version::name(number);
     let next = format!("use the evermap that wrote it, or remove {name} and what only it needs");
     Fault::data(format!("version {number} does not read: {}", fault.message)).next(next)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[tokio::test]
+    async fn a_gc_that_was_suspended_takes_nothing_more() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        for number in 1..=2 {
+            let version = Version {
+                version: number,
+                ..Version::default()
+            };
+            assert!(version.publish(&store).await.unwrap());
+        }
+        let left_over = Artifact::name_of("left_over");
+        store.write(&left_over, vec![7]).await.unwrap();
+        let lease = Lease::of_gc(&store).await.unwrap();
+        let taking = Taking {
+            store: &store,
+            lease: Some(&lease),
+        };
+        lease.lapse();
+        // A list that was made before: nothing of it is believed any longer.
+        let fault = taking.take(&left_over).await.unwrap_err();
+        assert!(fault.to_string().contains("run it again"), "{fault}");
+        collect(&taking, 1).await.unwrap_err();
+        assert_eq!(Version::numbers(&store).await.unwrap(), [1, 2]);
+        assert!(store.read(&left_over).await.unwrap().is_some());
+        lease.end().await;
+        let collected = gc(&store, 1, false).await.unwrap();
+        assert_eq!((collected.versions, collected.files), (1, 1));
+        assert_eq!(Version::numbers(&store).await.unwrap(), [2]);
+    }
 }
