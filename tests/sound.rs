@@ -221,21 +221,113 @@ fn a_query_reads_nothing_that_was_changed_since() {
     mapped.evermap("verify", &[]).expect(0);
 }
 
-/// A version that says other than its receipts how many rows there are.
+/// Versions of an older evermap, which have no seal, that say other than their receipts how many rows there are. What the second
+/// says is of rows that the first has too.
 #[test]
 fn what_a_version_says_of_its_rows_is_held_against_receipts() {
+    for (version, layer) in [
+        ("versions/1.json", "lanes"),
+        ("versions/2.json", "keyframes"),
+    ] {
+        let mapped = Mapped::new();
+        let path = mapped.map.join(version);
+        let mut forged = unsealed(&path);
+        forged["layers"][layer]["artifacts"][0]["rows"] = json!(7);
+        std::fs::write(&path, forged.to_string()).unwrap();
+        let found = mapped
+            .evermap("verify", &["--format", "json"])
+            .expect(1)
+            .json();
+        let expected = found[0]["expected"].as_str().unwrap();
+        assert!(expected.starts_with("7 rows in "), "{found}");
+        assert_eq!(found.as_array().unwrap().len(), 1, "{found}");
+    }
+}
+
+/// A version or a receipt as an older evermap wrote it, which had no seals.
+fn unsealed(path: &Path) -> Value {
+    let mut read: Value = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
+    let seal = read.as_object_mut().unwrap().remove("seal");
+    assert!(seal.is_some(), "{read}");
+    read
+}
+
+fn files_in(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    entries.map(|entry| entry.unwrap().path()).collect()
+}
+
+/// What is JSON still, and reads: nothing but its seal tells.
+#[test]
+fn a_version_or_receipt_that_says_something_else_is_as_a_torn_one() {
     let mapped = Mapped::new();
-    let path = mapped.map.join("versions/1.json");
-    let text = std::fs::read_to_string(&path).unwrap();
-    let mut version: Value = serde_json::from_str(&text).unwrap();
-    version["layers"]["lanes"]["artifacts"][0]["rows"] = json!(7);
-    std::fs::write(&path, version.to_string()).unwrap();
-    let found = mapped
-        .evermap("verify", &["--format", "json"])
-        .expect(1)
-        .json();
-    let expected = found[0]["expected"].as_str().unwrap();
-    assert!(expected.starts_with("7 rows in "), "{found}");
+    let version = mapped.map.join("versions/2.json");
+    let change = |path: &Path, from: &str, to: &str| {
+        let text = std::fs::read_to_string(path).unwrap();
+        assert!(text.contains(from), "{text}");
+        std::fs::write(path, text.replacen(from, to, 1)).unwrap();
+        text
+    };
+    let found = || {
+        let found = mapped.evermap("verify", &["--format", "json"]).expect(1);
+        let files = found.json();
+        let lost = files.as_array().unwrap().iter();
+        let lost = lost.filter(|finding| finding["state"] == "unreadable");
+        let names = lost.map(|finding| finding["file"].as_str().unwrap().to_owned());
+        names.collect::<Vec<_>>()
+    };
+    for (from, to) in [
+        ("\"lanes\"", "\"lames\""),
+        ("\"site\"", "\"sitf\""),
+        ("\"content\":\"", "\"content\": \""),
+        ("\"plan\":\"t", "\"plan\":\"T"),
+        ("\"roles\"", "\"rolex\""),
+        ("{\"seal\"", "{\"real\""),
+    ] {
+        let text = change(&version, from, to);
+        assert_eq!(found(), ["versions/2.json"], "{from}");
+        std::fs::write(&version, text).unwrap();
+    }
+    let receipt = &files_in(&mapped.map.join("receipts"))[0];
+    let file = format!("receipts/{}", name(receipt));
+    for (from, to) in [
+        ("\"seconds\":", "\"seconds\":1"),
+        ("\"nodes\"", "\"modes\""),
+        ("\"session\"", "\"sessiom\""),
+    ] {
+        let text = change(receipt, from, to);
+        assert_eq!(found(), [file.as_str()], "{from}");
+        std::fs::write(receipt, text).unwrap();
+    }
+    mapped.evermap("verify", &[]).expect(0);
+
+    change(receipt, "\"nodes\"", "\"modes\"");
+    change(&version, "\"lanes\"", "\"lames\"");
+    let asked = mapped.evermap("sql", &["SELECT DISTINCT session FROM poses"]);
+    let asked = asked.expect(0);
+    let said = "version 2 is ignored";
+    assert!(asked.stderr.contains(said), "{}", asked.stderr);
+    mapped.run("b").expect(0);
+    mapped.run("a").expect(0);
+    mapped.evermap("gc", &["--keep", "1"]).expect(0);
+    assert!(!version.exists());
+    mapped.evermap("verify", &[]).expect(0);
+}
+
+#[test]
+fn a_map_of_an_older_evermap_without_seals_is_read_as_it_is() {
+    let mapped = Mapped::new();
+    let layers = mapped.evermap("layers", &[]).expect(0).stdout;
+    for folder in ["versions", "receipts"] {
+        for path in files_in(&mapped.map.join(folder)) {
+            std::fs::write(&path, unsealed(&path).to_string()).unwrap();
+        }
+    }
+    mapped.evermap("verify", &[]).expect(0);
+    let ran = mapped.run("b").expect(0);
+    assert!(ran.stderr.contains(" 0 units computed"), "{}", ran.stderr);
+    assert!(ran.stderr.contains("nothing has changed"), "{}", ran.stderr);
+    assert_eq!(mapped.evermap("layers", &[]).expect(0).stdout, layers);
 }
 
 /// A plan that reads a layer of the version before.
@@ -515,8 +607,8 @@ fn a_receipt_that_leads_to_rows_of_another_unit_is_said_and_the_work_done_again(
     let receipts = std::fs::read_dir(mapped.map.join("receipts")).unwrap();
     let receipts = receipts.map(|receipt| {
         let path = receipt.unwrap().path();
-        let text = std::fs::read(&path).unwrap();
-        (path, serde_json::from_slice(&text).unwrap())
+        let receipt = unsealed(&path);
+        (path, receipt)
     });
     let receipts: Vec<(PathBuf, Value)> = receipts.collect();
     let of = |stage: &str, session: &str| {

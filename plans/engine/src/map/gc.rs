@@ -11,6 +11,7 @@ use crate::map::lease::{self, Lease};
 use crate::map::newest;
 use crate::map::parts::PARTS;
 use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
+use crate::map::sealed;
 use crate::map::sound::Sound;
 use crate::map::store::Store;
 use crate::map::version::Version;
@@ -134,9 +135,9 @@ async fn collect(taking: &Taking<'_>, keep: usize) -> Result<Collected, Fault> {
     Ok(collected)
 }
 
-/// Whether a version is no JSON at all: it was never whole, and needs nothing.
+/// Whether a version is no JSON at all, or not as it was published: nobody can say what it needs, now or later.
 async fn is_torn(store: &Store, number: u64) -> Result<bool, Fault> {
-    match store.read_json::<IgnoredAny>(&Version::name(number)).await {
+    match sealed::read::<IgnoredAny>(store, &Version::name(number)).await {
         Err(fault) if fault.kind == Kind::Data => Ok(true),
         read => read.map(|_| false),
     }

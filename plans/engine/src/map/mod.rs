@@ -19,6 +19,7 @@ mod parts;
 pub mod receipt;
 mod records;
 mod rows;
+mod sealed;
 pub mod sound;
 pub mod store;
 mod table_function;

@@ -7,13 +7,10 @@ use evermap_functions::caught;
 use evermap_schemas::Fault;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
-use crate::digest::digest;
+use crate::digest::{digest, is_digest};
 use crate::map::damage::{Damage, has_end};
 use crate::map::rows::RUNS;
 use crate::map::store::Store;
-
-/// Letters of a digest.
-const DIGEST: usize = 64;
 
 /// The name of a record.
 pub fn record_name(version: u64, file: &[u8]) -> String {
@@ -23,8 +20,7 @@ pub fn record_name(version: u64, file: &[u8]) -> String {
 /// The digest in a name; `None` in those that an older evermap gave.
 fn digest_in(name: &str) -> Option<&str> {
     let (_, digest) = name.strip_suffix(".parquet")?.split_once('-')?;
-    let is_digest = digest.len() == DIGEST && digest.bytes().all(|byte| byte.is_ascii_hexdigit());
-    is_digest.then_some(digest)
+    is_digest(digest.as_bytes()).then_some(digest)
 }
 
 /// What is wrong with a record.

@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::digest::digest;
-use crate::map::parts;
 use crate::map::receipt::{Artifact, LogContent};
 use crate::map::store::{Store, other_json};
+use crate::map::{parts, sealed};
 
 /// The folder of a map that has its versions.
 const VERSIONS: &str = "versions";
@@ -135,10 +135,10 @@ impl Version {
     /// A version by number; `None` where there is none.
     ///
     /// # Errors
-    /// A data fault for one that is torn or does not read.
+    /// A data fault for one that is torn, is not as it was published or does not read.
     pub async fn find(store: &Store, version: u64) -> Result<Option<Self>, Fault> {
         let name = Self::name(version);
-        let Some(mut found) = store.read_json::<Value>(&name).await? else {
+        let Some(mut found) = sealed::read::<Value>(store, &name).await? else {
             return Ok(None);
         };
         let at = |fault: Fault| fault.at(&name);
@@ -237,7 +237,8 @@ impl Version {
         let written = serde_json::to_value(self);
         let mut written = written.map_err(|error| Fault::bug(error.to_string()))?;
         parts::split(store, &mut written).await?;
-        store.create_json(&Self::name(self.version), &written).await
+        let written = sealed::bytes(&written)?;
+        store.create(&Self::name(self.version), written).await
     }
 
     /// The names of the files that hold parts of a version's lists.
@@ -245,7 +246,7 @@ impl Version {
     /// # Errors
     /// As [`Version::find`], but for what is wrong with a part.
     pub async fn parts(store: &Store, version: u64) -> Result<Vec<String>, Fault> {
-        let found: Option<Value> = store.read_json(&Self::name(version)).await?;
+        let found: Option<Value> = sealed::read(store, &Self::name(version)).await?;
         Ok(found.iter().flat_map(parts::names).collect())
     }
 }
