@@ -598,6 +598,30 @@ fn another_spelling_of_a_versions_number_is_no_version() {
     assert!(asked.stderr.contains(said), "{}", asked.stderr);
 }
 
+/// The number of a version that somebody has removed is given to another one.
+#[test]
+fn newest_leads_to_the_version_that_there_is() {
+    let mapped = Mapped::new();
+    let linked = || {
+        let mut links = files_in(&mapped.map.join("newest/poses"));
+        links.sort();
+        let files = links.iter().map(|link| link.canonicalize().unwrap());
+        files.collect::<Vec<_>>()
+    };
+    let poses = || {
+        let files = mapped.artifacts("poses").into_iter();
+        let files = files.map(|file| file.canonicalize().unwrap());
+        files.collect::<Vec<_>>()
+    };
+    let before = poses();
+    assert_eq!(linked(), before);
+    std::fs::remove_file(mapped.map.join("versions/2.json")).unwrap();
+    write_drive(&mapped.log("c"), rectangle(25.0, 15.0, 1.0));
+    mapped.run("c").expect(0);
+    assert_ne!(poses(), before);
+    assert_eq!(linked(), poses());
+}
+
 /// Rows that are whole, and those of another session or layer.
 #[test]
 fn a_receipt_that_leads_to_rows_of_another_unit_is_said_and_the_work_done_again() {
