@@ -11,6 +11,8 @@ use crate::map::lease::{self, Lease};
 use crate::map::newest;
 use crate::map::parts::PARTS;
 use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
+use crate::map::records::record_version;
+use crate::map::rows::RUNS;
 use crate::map::sealed;
 use crate::map::sound::Sound;
 use crate::map::store::Store;
@@ -21,13 +23,14 @@ use crate::map::version::Version;
 pub struct Collected {
     /// Versions forgotten.
     pub versions: u64,
-    /// Files removed: artifacts, receipts, leftovers of killed runs.
+    /// Files removed: artifacts, receipts, records of runs, leftovers of killed runs.
     pub files: u64,
     /// Bytes given back.
     pub bytes: u64,
 }
 
-/// Forgets all but the newest `keep` versions, and every file that none of those needs.
+/// Forgets all but the newest `keep` versions, every file that none of those needs, and the records of runs that ended at an
+/// older version than they are.
 ///
 /// # Errors
 /// A user fault for `keep` 0, a resource fault beside a run, where the process was suspended so long that a run may have begun,
@@ -125,6 +128,8 @@ async fn collect(taking: &Taking<'_>, keep: usize) -> Result<Collected, Fault> {
         let listed = store.list(folder).await?.into_iter();
         left_over.extend(listed.filter(|(name, _)| !needed.contains(name)));
     }
+    let records = store.list(RUNS).await?.into_iter();
+    left_over.extend(records.filter(|(name, _)| is_older(name, oldest)));
     // Those of just now may be of a run that is about to begin or has just ended.
     left_over.extend(store.temporary(lease::TERM).await?);
     for (name, bytes) in left_over {
@@ -133,6 +138,14 @@ async fn collect(taking: &Taking<'_>, keep: usize) -> Result<Collected, Fault> {
         taking.take(&name).await?;
     }
     Ok(collected)
+}
+
+/// Whether a record is of a run that ended at a version before the oldest one that is kept.
+fn is_older(record: &str, oldest: Option<u64>) -> bool {
+    let version = record_version(record);
+    version
+        .zip(oldest)
+        .is_some_and(|(version, oldest)| version < oldest)
 }
 
 /// Whether a version is no JSON at all, or not as it was published: nobody can say what it needs, now or later.
@@ -154,6 +167,28 @@ fn unread(number: u64, fault: &Fault) -> Fault {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+
+    #[tokio::test]
+    async fn records_of_runs_go_with_the_versions_they_ended_at() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        for number in 1..=3 {
+            let version = Version {
+                version: number,
+                ..Version::default()
+            };
+            assert!(version.publish(&store).await.unwrap());
+        }
+        let records = ["000001-a", "000002-b", "000003-c", "000004-d", "mine"];
+        for record in records.map(|record| format!("{RUNS}/{record}.parquet")) {
+            store.write(&record, vec![7]).await.unwrap();
+        }
+        gc(&store, 2, false).await.unwrap();
+        let kept = store.list(RUNS).await.unwrap();
+        let kept: Vec<String> = kept.into_iter().map(|(name, _)| name).collect();
+        let expected = ["000002-b", "000003-c", "000004-d", "mine"];
+        assert_eq!(kept, expected.map(|name| format!("{RUNS}/{name}.parquet")));
+    }
 
     #[tokio::test]
     async fn a_gc_that_was_suspended_takes_nothing_more() {

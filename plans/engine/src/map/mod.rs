@@ -32,7 +32,7 @@ pub use gc::{Collected, gc};
 pub use lineage::{Origin, documentation as lineage_documentation, lineage};
 pub(crate) use opened::make;
 pub use opened::{Map, versions};
-pub(crate) use records::{record_damage, record_name};
+pub(crate) use records::{record_damage, record_name, record_version};
 pub(crate) use rows::RUNS;
 pub use rows::{LayerFile, LayerInfo, RunRow, VersionInfo};
 pub use verify::{Finding, Verified, verify};
