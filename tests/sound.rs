@@ -598,6 +598,39 @@ fn another_spelling_of_a_versions_number_is_no_version() {
     assert!(asked.stderr.contains(said), "{}", asked.stderr);
 }
 
+/// A run makes anew what it needs; the rest is for `gc`, or for a person.
+#[test]
+fn verify_advises_what_helps() {
+    let mapped = Mapped::new();
+    let (run, collect, remove) = ("run the same plan again", "`evermap gc`", "records of runs");
+    let advises = |path: &Path, advice: &str| {
+        let whole = std::fs::read(path).unwrap();
+        flip(path);
+        let told = mapped.evermap("verify", &[]).expect(1).stderr;
+        for other in [run, collect, remove] {
+            assert_eq!(told.contains(other), other == advice, "{told}");
+        }
+        std::fs::write(path, whole).unwrap();
+    };
+    advises(&mapped.artifacts("poses")[0], run);
+    advises(&mapped.map.join("versions/1.json"), collect);
+    advises(&mapped.map.join("versions/2.json"), collect);
+    advises(&files_in(&mapped.map.join("runs"))[0], remove);
+    // Rows that the older version alone has.
+    write_drive(&mapped.log("a"), rectangle(22.0, 15.0, 1.0));
+    let old = mapped.artifacts("poses");
+    let log = mapped.log("a");
+    let anew = ["run", "trajectory", "--map", text(&mapped.map)];
+    let mut anew = command(&anew);
+    anew.args(["--progress", "none", "--replace", "--sessions"]);
+    let ran: Finished = anew.arg(&log).output().unwrap().into();
+    ran.expect(0);
+    let version = std::fs::read_to_string(mapped.map.join("versions/3.json")).unwrap();
+    let mut old = old.iter();
+    let old = old.find(|path| !version.contains(name(path).trim_end_matches(".parquet")));
+    advises(old.unwrap(), collect);
+}
+
 /// The number of a version that somebody has removed is given to another one.
 #[test]
 fn newest_leads_to_the_version_that_there_is() {

@@ -35,4 +35,4 @@ pub use opened::{Map, versions};
 pub(crate) use records::{record_damage, record_name, record_version};
 pub(crate) use rows::RUNS;
 pub use rows::{LayerFile, LayerInfo, RunRow, VersionInfo};
-pub use verify::{Finding, Verified, verify};
+pub use verify::{Finding, Remedy, Verified, verify};

@@ -50,6 +50,38 @@ pub struct Verified {
     pub artifacts: u64,
     /// What is not as it should be, by file.
     pub findings: Vec<Finding>,
+    /// The files that a run of the same plan makes anew: rows and receipts of the newest version that reads.
+    remade: BTreeSet<String>,
+}
+
+/// What can be done about a loss.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Remedy {
+    /// To run the same plan again: it makes anew what the newest version needs.
+    Run,
+    /// To let `gc` remove it, and with it the older version that it is of.
+    Collect,
+    /// To remove it by hand, as a record of a run: nothing needs it.
+    Remove,
+}
+
+impl Verified {
+    /// What can be done about all that is lost.
+    pub fn remedies(&self) -> BTreeSet<Remedy> {
+        let lost = self.findings.iter().filter(|finding| finding.is_loss());
+        lost.map(|finding| self.remedy(&finding.file)).collect()
+    }
+
+    fn remedy(&self, file: &str) -> Remedy {
+        let (folder, _) = file.split_once('/').unwrap_or_default();
+        if self.remade.contains(file) {
+            Remedy::Run
+        } else if folder == RUNS {
+            Remedy::Remove
+        } else {
+            Remedy::Collect
+        }
+    }
 }
 
 /// What versions need.
@@ -113,6 +145,7 @@ pub async fn verify(store: &Store, version: Option<u64>) -> Result<Verified, Fau
 async fn verify_versions(store: &Store, numbers: &[u64], all: bool) -> Result<Verified, Fault> {
     let mut verified = Verified::default();
     let mut needed = Needed::default();
+    let mut newest = None;
     for &number in numbers {
         let found = match all {
             true => Version::find(store, number).await,
@@ -122,6 +155,7 @@ async fn verify_versions(store: &Store, numbers: &[u64], all: bool) -> Result<Ve
             Ok(Some(version)) => {
                 needed.add(&version);
                 needed.parts.extend(Version::parts(store, number).await?);
+                newest = Some(version);
             }
             Ok(None) => continue, // It was forgotten since.
             Err(fault) if fault.kind == Kind::Data => {
@@ -132,6 +166,10 @@ async fn verify_versions(store: &Store, numbers: &[u64], all: bool) -> Result<Ve
         }
         verified.versions += 1;
     }
+    if !all {
+        newest = Version::latest(store).await?;
+    }
+    verified.remade = newest.iter().flat_map(made_of).collect();
     verified.artifacts(store, &needed, all).await?;
     verified.receipts(store, &needed, all).await?;
     if all {
@@ -139,6 +177,16 @@ async fn verify_versions(store: &Store, numbers: &[u64], all: bool) -> Result<Ve
     }
     verified.findings.sort_by(|a, b| a.file.cmp(&b.file));
     Ok(verified)
+}
+
+/// The files of a version that its units have left.
+fn made_of(version: &Version) -> BTreeSet<String> {
+    let layers = version.layers.values();
+    let files = layers.flat_map(|layer| {
+        let receipts = layer.recipes.iter().map(|digest| Receipt::name(digest));
+        receipts.chain(layer.artifacts.iter().map(Artifact::name))
+    });
+    files.collect()
 }
 
 impl Verified {
