@@ -1,8 +1,8 @@
 //! JSON that carries a digest of itself: versions and receipts say what no other file says, so that what a disk gives back of
 //! them is held against their own seal.
 //!
-//! The seal is the first member, over all bytes behind it: `{"seal":"DIGEST","version":3, …}`. Files of an older evermap have none
-//! and are believed.
+//! The seal is the first member, over all bytes behind it: `{"seal":"DIGEST","version":3, …}`. Files of an older evermap have
+//! none and are believed.
 
 use evermap_schemas::Fault;
 use serde::de::{DeserializeOwned, IgnoredAny};
@@ -33,7 +33,8 @@ pub fn bytes(value: &impl Serialize) -> Result<Vec<u8>, Fault> {
 /// What is sealed in the file of a name; `None` where there is no such file.
 ///
 /// # Errors
-/// A resource fault when the store does not answer, a data fault for what is no file, is not as it was sealed, or has another shape.
+/// A resource fault when the store does not answer, a data fault for what is no file, is not as it was sealed, or has another
+/// shape.
 pub async fn read<T: DeserializeOwned>(store: &Store, name: &str) -> Result<Option<T>, Fault> {
     let Some(text) = store.read(name).await? else {
         return Ok(None);
