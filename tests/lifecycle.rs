@@ -129,10 +129,22 @@ fn a_run_that_changes_nothing_publishes_nothing() {
     write_drive(&a, rectangle(20.0, 10.0, 1.0));
     run(&map, &[&a]).expect(0);
     let before = digests(&map);
+    let records = || {
+        let records = std::fs::read_dir(map.join("runs")).unwrap();
+        records
+            .map(|record| record.unwrap().path())
+            .collect::<Vec<_>>()
+    };
+    let first = records();
     run(&map, &[&a]).expect(0);
     assert_eq!(digests(&map), before);
     let versions = query(&map, "SELECT version FROM versions");
     assert_eq!(versions.as_array().unwrap().len(), 1);
+    // What was done is told once; a version of which nobody tells is told of.
+    assert_eq!((records(), first.len()), (first.clone(), 1));
+    std::fs::remove_file(&first[0]).unwrap();
+    run(&map, &[&a]).expect(0);
+    assert_eq!(records().len(), 1);
 }
 
 #[test]
@@ -316,6 +328,10 @@ fn versions_stay_readable_differ_and_are_forgotten() {
 
     evermap(&["gc", "--map", text(&map), "--keep", "1"]).expect(0);
     evermap(&["sql", "--map", text(&map), "--version", "1", "SELECT 1"]).expect(1);
+    assert_eq!(
+        query(&map, "SELECT DISTINCT version FROM runs"),
+        serde_json::json!([{ "version": 2 }])
+    );
     assert_eq!(
         query(&map, "SELECT count(DISTINCT session) AS n FROM poses"),
         serde_json::json!([{ "n": 2 }])

@@ -221,21 +221,113 @@ fn a_query_reads_nothing_that_was_changed_since() {
     mapped.evermap("verify", &[]).expect(0);
 }
 
-/// A version that says other than its receipts how many rows there are.
+/// Versions of an older evermap, which have no seal, that say other than their receipts how many rows there are. What the second
+/// says is of rows that the first has too.
 #[test]
 fn what_a_version_says_of_its_rows_is_held_against_receipts() {
+    for (version, layer) in [
+        ("versions/1.json", "lanes"),
+        ("versions/2.json", "keyframes"),
+    ] {
+        let mapped = Mapped::new();
+        let path = mapped.map.join(version);
+        let mut forged = unsealed(&path);
+        forged["layers"][layer]["artifacts"][0]["rows"] = json!(7);
+        std::fs::write(&path, forged.to_string()).unwrap();
+        let found = mapped
+            .evermap("verify", &["--format", "json"])
+            .expect(1)
+            .json();
+        let expected = found[0]["expected"].as_str().unwrap();
+        assert!(expected.starts_with("7 rows in "), "{found}");
+        assert_eq!(found.as_array().unwrap().len(), 1, "{found}");
+    }
+}
+
+/// A version or a receipt as an older evermap wrote it, which had no seals.
+fn unsealed(path: &Path) -> Value {
+    let mut read: Value = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
+    let seal = read.as_object_mut().unwrap().remove("seal");
+    assert!(seal.is_some(), "{read}");
+    read
+}
+
+fn files_in(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    entries.map(|entry| entry.unwrap().path()).collect()
+}
+
+/// What is JSON still, and reads: nothing but its seal tells.
+#[test]
+fn a_version_or_receipt_that_says_something_else_is_as_a_torn_one() {
     let mapped = Mapped::new();
-    let path = mapped.map.join("versions/1.json");
-    let text = std::fs::read_to_string(&path).unwrap();
-    let mut version: Value = serde_json::from_str(&text).unwrap();
-    version["layers"]["lanes"]["artifacts"][0]["rows"] = json!(7);
-    std::fs::write(&path, version.to_string()).unwrap();
-    let found = mapped
-        .evermap("verify", &["--format", "json"])
-        .expect(1)
-        .json();
-    let expected = found[0]["expected"].as_str().unwrap();
-    assert!(expected.starts_with("7 rows in "), "{found}");
+    let version = mapped.map.join("versions/2.json");
+    let change = |path: &Path, from: &str, to: &str| {
+        let text = std::fs::read_to_string(path).unwrap();
+        assert!(text.contains(from), "{text}");
+        std::fs::write(path, text.replacen(from, to, 1)).unwrap();
+        text
+    };
+    let found = || {
+        let found = mapped.evermap("verify", &["--format", "json"]).expect(1);
+        let files = found.json();
+        let lost = files.as_array().unwrap().iter();
+        let lost = lost.filter(|finding| finding["state"] == "unreadable");
+        let names = lost.map(|finding| finding["file"].as_str().unwrap().to_owned());
+        names.collect::<Vec<_>>()
+    };
+    for (from, to) in [
+        ("\"lanes\"", "\"lames\""),
+        ("\"site\"", "\"sitf\""),
+        ("\"content\":\"", "\"content\": \""),
+        ("\"plan\":\"t", "\"plan\":\"T"),
+        ("\"roles\"", "\"rolex\""),
+        ("{\"seal\"", "{\"real\""),
+    ] {
+        let text = change(&version, from, to);
+        assert_eq!(found(), ["versions/2.json"], "{from}");
+        std::fs::write(&version, text).unwrap();
+    }
+    let receipt = &files_in(&mapped.map.join("receipts"))[0];
+    let file = format!("receipts/{}", name(receipt));
+    for (from, to) in [
+        ("\"seconds\":", "\"seconds\":1"),
+        ("\"nodes\"", "\"modes\""),
+        ("\"session\"", "\"sessiom\""),
+    ] {
+        let text = change(receipt, from, to);
+        assert_eq!(found(), [file.as_str()], "{from}");
+        std::fs::write(receipt, text).unwrap();
+    }
+    mapped.evermap("verify", &[]).expect(0);
+
+    change(receipt, "\"nodes\"", "\"modes\"");
+    change(&version, "\"lanes\"", "\"lames\"");
+    let asked = mapped.evermap("sql", &["SELECT DISTINCT session FROM poses"]);
+    let asked = asked.expect(0);
+    let said = "version 2 is ignored";
+    assert!(asked.stderr.contains(said), "{}", asked.stderr);
+    mapped.run("b").expect(0);
+    mapped.run("a").expect(0);
+    mapped.evermap("gc", &["--keep", "1"]).expect(0);
+    assert!(!version.exists());
+    mapped.evermap("verify", &[]).expect(0);
+}
+
+#[test]
+fn a_map_of_an_older_evermap_without_seals_is_read_as_it_is() {
+    let mapped = Mapped::new();
+    let layers = mapped.evermap("layers", &[]).expect(0).stdout;
+    for folder in ["versions", "receipts"] {
+        for path in files_in(&mapped.map.join(folder)) {
+            std::fs::write(&path, unsealed(&path).to_string()).unwrap();
+        }
+    }
+    mapped.evermap("verify", &[]).expect(0);
+    let ran = mapped.run("b").expect(0);
+    assert!(ran.stderr.contains(" 0 units computed"), "{}", ran.stderr);
+    assert!(ran.stderr.contains("nothing has changed"), "{}", ran.stderr);
+    assert_eq!(mapped.evermap("layers", &[]).expect(0).stdout, layers);
 }
 
 /// A plan that reads a layer of the version before.
@@ -355,7 +447,7 @@ fn torn_receipts_versions_and_records_of_runs_are_ignored_and_said() {
     let sessions = mapped.query("SELECT DISTINCT session FROM poses ORDER BY session");
     assert_eq!(sessions, json!([{ "session": "a" }, { "session": "b" }]));
     mapped.evermap("gc", &["--keep", "1"]).expect(0);
-    std::fs::remove_file(&run).unwrap();
+    assert!(!run.exists());
     mapped.evermap("verify", &[]).expect(0);
     assert!(!mapped.map.join("versions/2.json").exists());
 }
@@ -480,6 +572,89 @@ fn a_folder_in_the_place_of_a_version_is_ignored_and_said() {
     mapped.evermap("verify", &[]).expect(0);
 }
 
+/// As a person keeps a copy of it: it was counted as a version more, and what `gc` kept was the copy.
+#[test]
+fn another_spelling_of_a_versions_number_is_no_version() {
+    let mapped = Mapped::new();
+    let within = |name: &str| mapped.map.join("versions").join(name);
+    for copy in ["02.json", "+2.json"] {
+        std::fs::copy(within("2.json"), within(copy)).unwrap();
+    }
+    let poses = mapped.query("SELECT count(*) AS n FROM poses");
+    let collected = mapped.evermap("gc", &["--keep", "1"]).expect(0).stdout;
+    assert!(collected.starts_with("removed 1 version,"), "{collected}");
+    assert!(within("2.json").exists() && within("02.json").exists());
+    assert_eq!(mapped.query("SELECT count(*) AS n FROM poses"), poses);
+    mapped.evermap("verify", &[]).expect(0);
+    // Without the version they stand for nothing, and hold up nobody.
+    std::fs::remove_file(within("2.json")).unwrap();
+    let asked = std::process::Command::new("timeout")
+        .arg("120")
+        .arg(program())
+        .args(["layers", "--map", text(&mapped.map)])
+        .output();
+    let asked = Finished::from(asked.unwrap()).expect(1);
+    let said = "has no version yet";
+    assert!(asked.stderr.contains(said), "{}", asked.stderr);
+}
+
+/// A run makes anew what it needs; the rest is for `gc`, or for a person.
+#[test]
+fn verify_advises_what_helps() {
+    let mapped = Mapped::new();
+    let (run, collect, remove) = ("run the same plan again", "`evermap gc`", "records of runs");
+    let advises = |path: &Path, advice: &str| {
+        let whole = std::fs::read(path).unwrap();
+        flip(path);
+        let told = mapped.evermap("verify", &[]).expect(1).stderr;
+        for other in [run, collect, remove] {
+            assert_eq!(told.contains(other), other == advice, "{told}");
+        }
+        std::fs::write(path, whole).unwrap();
+    };
+    advises(&mapped.artifacts("poses")[0], run);
+    advises(&mapped.map.join("versions/1.json"), collect);
+    advises(&mapped.map.join("versions/2.json"), collect);
+    advises(&files_in(&mapped.map.join("runs"))[0], remove);
+    // Rows that the older version alone has.
+    write_drive(&mapped.log("a"), rectangle(22.0, 15.0, 1.0));
+    let old = mapped.artifacts("poses");
+    let log = mapped.log("a");
+    let anew = ["run", "trajectory", "--map", text(&mapped.map)];
+    let mut anew = command(&anew);
+    anew.args(["--progress", "none", "--replace", "--sessions"]);
+    let ran: Finished = anew.arg(&log).output().unwrap().into();
+    ran.expect(0);
+    let version = std::fs::read_to_string(mapped.map.join("versions/3.json")).unwrap();
+    let mut old = old.iter();
+    let old = old.find(|path| !version.contains(name(path).trim_end_matches(".parquet")));
+    advises(old.unwrap(), collect);
+}
+
+/// The number of a version that somebody has removed is given to another one.
+#[test]
+fn newest_leads_to_the_version_that_there_is() {
+    let mapped = Mapped::new();
+    let linked = || {
+        let mut links = files_in(&mapped.map.join("newest/poses"));
+        links.sort();
+        let files = links.iter().map(|link| link.canonicalize().unwrap());
+        files.collect::<Vec<_>>()
+    };
+    let poses = || {
+        let files = mapped.artifacts("poses").into_iter();
+        let files = files.map(|file| file.canonicalize().unwrap());
+        files.collect::<Vec<_>>()
+    };
+    let before = poses();
+    assert_eq!(linked(), before);
+    std::fs::remove_file(mapped.map.join("versions/2.json")).unwrap();
+    write_drive(&mapped.log("c"), rectangle(25.0, 15.0, 1.0));
+    mapped.run("c").expect(0);
+    assert_ne!(poses(), before);
+    assert_eq!(linked(), poses());
+}
+
 /// Rows that are whole, and those of another session or layer.
 #[test]
 fn a_receipt_that_leads_to_rows_of_another_unit_is_said_and_the_work_done_again() {
@@ -489,8 +664,8 @@ fn a_receipt_that_leads_to_rows_of_another_unit_is_said_and_the_work_done_again(
     let receipts = std::fs::read_dir(mapped.map.join("receipts")).unwrap();
     let receipts = receipts.map(|receipt| {
         let path = receipt.unwrap().path();
-        let text = std::fs::read(&path).unwrap();
-        (path, serde_json::from_slice(&text).unwrap())
+        let receipt = unsealed(&path);
+        (path, receipt)
     });
     let receipts: Vec<(PathBuf, Value)> = receipts.collect();
     let of = |stage: &str, session: &str| {

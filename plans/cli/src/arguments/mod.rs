@@ -62,7 +62,7 @@ pub enum Command {
     Versions(VersionsArgs),
     /// Compare two versions of a map, layer by layer.
     Diff(DiffArgs),
-    /// Forget old versions of a map, and every file that only they need.
+    /// Forget old versions of a map, every file that only they need, and the records of their runs.
     Gc(GcArgs),
     /// Read all of a map, and say what is missing, damaged or left over.
     Verify(VerifyArgs),

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::io::Write;
 
 use evermap_engine::map::store::Store;
-use evermap_engine::map::{self, Comparison, Map};
+use evermap_engine::map::{self, Comparison, Map, Remedy};
 use evermap_engine::sql::{Limits, context};
 use evermap_schemas::Fault;
 
@@ -67,6 +67,7 @@ pub async fn verify(args: &VerifyArgs) -> Ending {
     let verified = map::verify(&store, args.map.version).await?;
     let lost = verified.findings.iter().filter(|finding| finding.is_loss());
     let lost = lost.count() as u64;
+    let remedies: Vec<&str> = verified.remedies().into_iter().map(in_words).collect();
     line(&format!(
         "read {}, {}, {}",
         of(verified.versions, "version"),
@@ -82,7 +83,19 @@ pub async fn verify(args: &VerifyArgs) -> Ending {
     let found = of(lost, "file");
     Err(
         Fault::data(format!("{found} missing, damaged or unreadable"))
-            .next("run the same plan again: it makes anew what is damaged in the newest version")
+            .next(remedies.join("; "))
             .into(),
     )
+}
+
+fn in_words(remedy: Remedy) -> &'static str {
+    match remedy {
+        Remedy::Run => {
+            "run the same plan again: it makes anew what is damaged in the newest version"
+        }
+        Remedy::Collect => {
+            "`evermap gc` removes versions that are torn, and with older ones what only they need"
+        }
+        Remedy::Remove => "remove damaged records of runs: nothing else needs them",
+    }
 }

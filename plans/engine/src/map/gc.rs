@@ -11,6 +11,9 @@ use crate::map::lease::{self, Lease};
 use crate::map::newest;
 use crate::map::parts::PARTS;
 use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
+use crate::map::records::record_version;
+use crate::map::rows::RUNS;
+use crate::map::sealed;
 use crate::map::sound::Sound;
 use crate::map::store::Store;
 use crate::map::version::Version;
@@ -20,16 +23,18 @@ use crate::map::version::Version;
 pub struct Collected {
     /// Versions forgotten.
     pub versions: u64,
-    /// Files removed: artifacts, receipts, leftovers of killed runs.
+    /// Files removed: artifacts, receipts, records of runs, leftovers of killed runs.
     pub files: u64,
     /// Bytes given back.
     pub bytes: u64,
 }
 
-/// Forgets all but the newest `keep` versions, and every file that none of those needs.
+/// Forgets all but the newest `keep` versions, every file that none of those needs, and the records of runs that ended at an
+/// older version than they are.
 ///
 /// # Errors
-/// A user fault for `keep` 0, a resource fault beside a run or when the store does not do it.
+/// A user fault for `keep` 0, a resource fault beside a run, where the process was suspended so long that a run may have begun,
+/// or when the store does not do it.
 pub async fn gc(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fault> {
     if keep == 0 {
         return Err(Fault::user("a map keeps at least one version").next("use --keep 1 or more"));
@@ -38,14 +43,45 @@ pub async fn gc(store: &Store, keep: usize, dry: bool) -> Result<Collected, Faul
         true => None,
         false => Some(Lease::of_gc(store).await?),
     };
-    let collected = collect(store, keep, dry).await;
+    let taking = Taking {
+        store,
+        lease: lease.as_ref(),
+    };
+    let collected = collect(&taking, keep).await;
     if let Some(lease) = lease {
         lease.end().await;
     }
     collected
 }
 
-async fn collect(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fault> {
+/// What takes files away as long as its lease holds; without a lease, nothing.
+struct Taking<'s> {
+    store: &'s Store,
+    lease: Option<&'s Lease>,
+}
+
+impl Taking<'_> {
+    /// Whether files are to be taken.
+    ///
+    /// # Errors
+    /// As [`Lease::holds`].
+    fn takes(&self) -> Result<bool, Fault> {
+        self.lease.map_or(Ok(false), |lease| {
+            lease.holds()?;
+            Ok(true)
+        })
+    }
+
+    async fn take(&self, name: &str) -> Result<(), Fault> {
+        match self.takes()? {
+            true => self.store.remove(name).await,
+            false => Ok(()),
+        }
+    }
+}
+
+async fn collect(taking: &Taking<'_>, keep: usize) -> Result<Collected, Fault> {
+    let store = taking.store;
     let mut versions = Vec::new();
     let mut torn = Vec::new();
     for number in Version::numbers(store).await? {
@@ -79,11 +115,9 @@ async fn collect(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fau
     let mut collected = Collected::default();
     for version in forgotten {
         collected.versions += 1;
-        if !dry {
-            store.remove(&Version::name(version.version)).await?;
-        }
+        taking.take(&Version::name(version.version)).await?;
     }
-    if !dry {
+    if taking.takes()? {
         Sound::forget_all_but(store, &needed).await?;
         if let Some(oldest) = oldest {
             newest::forget_before(store, oldest).await?;
@@ -94,21 +128,29 @@ async fn collect(store: &Store, keep: usize, dry: bool) -> Result<Collected, Fau
         let listed = store.list(folder).await?.into_iter();
         left_over.extend(listed.filter(|(name, _)| !needed.contains(name)));
     }
+    let records = store.list(RUNS).await?.into_iter();
+    left_over.extend(records.filter(|(name, _)| is_older(name, oldest)));
     // Those of just now may be of a run that is about to begin or has just ended.
     left_over.extend(store.temporary(lease::TERM).await?);
     for (name, bytes) in left_over {
         collected.files += 1;
         collected.bytes += bytes;
-        if !dry {
-            store.remove(&name).await?;
-        }
+        taking.take(&name).await?;
     }
     Ok(collected)
 }
 
-/// Whether a version is no JSON at all: it was never whole, and needs nothing.
+/// Whether a record is of a run that ended at a version before the oldest one that is kept.
+fn is_older(record: &str, oldest: Option<u64>) -> bool {
+    let version = record_version(record);
+    version
+        .zip(oldest)
+        .is_some_and(|(version, oldest)| version < oldest)
+}
+
+/// Whether a version is no JSON at all, or not as it was published: nobody can say what it needs, now or later.
 async fn is_torn(store: &Store, number: u64) -> Result<bool, Fault> {
-    match store.read_json::<IgnoredAny>(&Version::name(number)).await {
+    match sealed::read::<IgnoredAny>(store, &Version::name(number)).await {
         Err(fault) if fault.kind == Kind::Data => Ok(true),
         read => read.map(|_| false),
     }
@@ -119,4 +161,63 @@ fn unread(number: u64, fault: &Fault) -> Fault {
     let name = Version::name(number);
     let next = format!("use the evermap that wrote it, or remove {name} and what only it needs");
     Fault::data(format!("version {number} does not read: {}", fault.message)).next(next)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[tokio::test]
+    async fn records_of_runs_go_with_the_versions_they_ended_at() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        for number in 1..=3 {
+            let version = Version {
+                version: number,
+                ..Version::default()
+            };
+            assert!(version.publish(&store).await.unwrap());
+        }
+        let records = ["000001-a", "000002-b", "000003-c", "000004-d", "mine"];
+        for record in records.map(|record| format!("{RUNS}/{record}.parquet")) {
+            store.write(&record, vec![7]).await.unwrap();
+        }
+        gc(&store, 2, false).await.unwrap();
+        let kept = store.list(RUNS).await.unwrap();
+        let kept: Vec<String> = kept.into_iter().map(|(name, _)| name).collect();
+        let expected = ["000002-b", "000003-c", "000004-d", "mine"];
+        assert_eq!(kept, expected.map(|name| format!("{RUNS}/{name}.parquet")));
+    }
+
+    #[tokio::test]
+    async fn a_gc_that_was_suspended_takes_nothing_more() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        for number in 1..=2 {
+            let version = Version {
+                version: number,
+                ..Version::default()
+            };
+            assert!(version.publish(&store).await.unwrap());
+        }
+        let left_over = Artifact::name_of("left_over");
+        store.write(&left_over, vec![7]).await.unwrap();
+        let lease = Lease::of_gc(&store).await.unwrap();
+        let taking = Taking {
+            store: &store,
+            lease: Some(&lease),
+        };
+        lease.lapse();
+        // A list that was made before: nothing of it is believed any longer.
+        let fault = taking.take(&left_over).await.unwrap_err();
+        assert!(fault.to_string().contains("run it again"), "{fault}");
+        collect(&taking, 1).await.unwrap_err();
+        assert_eq!(Version::numbers(&store).await.unwrap(), [1, 2]);
+        assert!(store.read(&left_over).await.unwrap().is_some());
+        lease.end().await;
+        let collected = gc(&store, 1, false).await.unwrap();
+        assert_eq!((collected.versions, collected.files), (1, 1));
+        assert_eq!(Version::numbers(&store).await.unwrap(), [2]);
+    }
 }

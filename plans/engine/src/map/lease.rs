@@ -3,8 +3,11 @@
 //! A run holds a lease from before it looks for what was done until it has published; `gc` holds one while it removes.
 //! Each is written first, and the others are looked for afterwards: of a run and a `gc` that begin at once, at least one
 //! sees the other. A run waits for `gc`, which is short; `gc` that sees a run gives up. A lease ends when it was not
-//! renewed in time, so that a process that was killed is in nobody's way for long.
+//! renewed in time, so that a process that was killed is in nobody's way for long. A process that was only suspended goes
+//! on when others took it for dead: `gc` looks at its own lease before it removes anything, and one that has ended is not
+//! renewed; a run looks whether all is there before it publishes.
 
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use chrono::{DateTime, Utc};
@@ -12,6 +15,7 @@ use evermap_schemas::{Fault, Kind};
 use serde::{Deserialize, Serialize};
 use tokio::task::JoinHandle;
 
+use crate::locked::locked;
 use crate::map::store::Store;
 
 /// The folder of a map that has the leases.
@@ -42,10 +46,10 @@ struct Written {
 }
 
 impl Written {
-    fn now(work: Work) -> Self {
+    fn at(now: DateTime<Utc>, work: Work) -> Self {
         Self {
             work,
-            until: Utc::now() + TERM,
+            until: now + TERM,
         }
     }
 }
@@ -55,8 +59,12 @@ impl Written {
 pub struct Lease {
     store: Store,
     name: String,
+    until: Until,
     renewing: JoinHandle<()>,
 }
+
+/// Until when a lease holds that was written.
+type Until = Arc<Mutex<DateTime<Utc>>>;
 
 impl Lease {
     /// A lease for a run; waits for `gc` to end.
@@ -95,12 +103,36 @@ impl Lease {
 
     async fn take(store: &Store, work: Work) -> Result<Self, Fault> {
         let name = format!("{FOLDER}/{}.json", uuid::Uuid::new_v4());
-        store.write_json(&name, &Written::now(work)).await?;
+        let written = Written::at(Utc::now(), work);
+        store.write_json(&name, &written).await?;
+        let until = Until::new(Mutex::new(written.until));
+        let renewal = Renewal {
+            store: store.clone(),
+            name: name.clone(),
+            work,
+            until: Arc::clone(&until),
+        };
         Ok(Self {
-            renewing: tokio::spawn(renew(store.clone(), name.clone(), work)),
+            renewing: tokio::spawn(renewal.go_on()),
             store: store.clone(),
             name,
+            until,
         })
+    }
+
+    /// That nobody could take the `gc` that holds it for dead until now.
+    ///
+    /// # Errors
+    /// A resource fault where it was not renewed in time, from then on for good.
+    pub fn holds(&self) -> Result<(), Fault> {
+        if Utc::now() <= *locked(&self.until) {
+            return Ok(());
+        }
+        let term = TERM.as_secs();
+        Err(Fault::resource(format!(
+            "gc was suspended, or could not renew its lease, for more than {term} s: a run may need by now what it was to remove"
+        ))
+        .next("run it again"))
     }
 
     /// Gives it back. Where the store does not do that, it ends by itself.
@@ -121,12 +153,36 @@ impl Drop for Lease {
     }
 }
 
-async fn renew(store: Store, name: String, work: Work) {
-    loop {
-        tokio::time::sleep(RENEWAL).await;
-        if let Err(fault) = store.write_json(&name, &Written::now(work)).await {
-            tracing::warn!("the lease {name} was not renewed: {fault}");
+/// What renews a lease.
+struct Renewal {
+    store: Store,
+    name: String,
+    work: Work,
+    until: Until,
+}
+
+impl Renewal {
+    async fn go_on(self) {
+        loop {
+            tokio::time::sleep(RENEWAL).await;
+            if !self.renew(Utc::now()).await {
+                break;
+            }
         }
+    }
+
+    /// Renews it; `false` for one of `gc` that had ended by then, which stays so.
+    async fn renew(&self, now: DateTime<Utc>) -> bool {
+        if self.work == Work::Gc && now > *locked(&self.until) {
+            return false;
+        }
+        // From `now` on: it does not hold for longer if this is suspended here.
+        let written = Written::at(now, self.work);
+        match self.store.write_json(&self.name, &written).await {
+            Ok(()) => *locked(&self.until) = written.until,
+            Err(fault) => tracing::warn!("the lease {} was not renewed: {fault}", self.name),
+        }
+        true
     }
 }
 
@@ -151,6 +207,14 @@ async fn is_at(store: &Store, work: Work) -> Result<bool, Fault> {
         }
     }
     Ok(found)
+}
+
+#[cfg(test)]
+impl Lease {
+    /// As if the process had been suspended since before it would have been renewed.
+    pub(super) fn lapse(&self) {
+        *locked(&self.until) = Utc::now() - Duration::from_millis(1);
+    }
 }
 
 #[cfg(test)]
@@ -199,5 +263,34 @@ mod tests {
         store.write("leases/torn.json", Vec::new()).await.unwrap();
         Lease::of_gc(&store).await.unwrap().end().await;
         assert_eq!(store.list(FOLDER).await.unwrap(), []);
+    }
+    #[tokio::test]
+    async fn a_gc_that_was_suspended_has_lost_its_lease_for_good() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        let lease = Lease::of_gc(&store).await.unwrap();
+        let renewal = |work| Renewal {
+            store: store.clone(),
+            name: lease.name.clone(),
+            work,
+            until: Arc::clone(&lease.until),
+        };
+        let begun = *locked(&lease.until);
+        assert!(renewal(Work::Gc).renew(Utc::now()).await);
+        assert!(*locked(&lease.until) > begun);
+        lease.holds().unwrap();
+
+        lease.lapse();
+        assert!(!renewal(Work::Gc).renew(Utc::now()).await);
+        let fault = lease.holds().unwrap_err();
+        assert!(fault.to_string().contains("suspended"), "{fault}");
+        // Suspended while it was renewing: what it wrote has ended when it wakes.
+        let before = Utc::now() - 2 * TERM;
+        assert!(renewal(Work::Gc).renew(before).await);
+        assert!(!is_held(&store, lease.name()).await.unwrap());
+        lease.holds().unwrap_err();
+        // A run goes on: it looks before it publishes.
+        assert!(renewal(Work::Run).renew(Utc::now()).await);
+        lease.end().await;
     }
 }

@@ -8,7 +8,7 @@ use std::io::{ErrorKind, Result};
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
-use evermap_schemas::Fault;
+use evermap_schemas::{Fault, Kind};
 
 use crate::map::local::{Folder, entries};
 use crate::map::receipt::Artifact;
@@ -26,11 +26,13 @@ const MOST_FILES: usize = 1000;
 /// What is linked: each published layer with the names of its files.
 type Layers = Vec<(String, Vec<String>)>;
 
-/// Makes the links of a version, unless those of a later one are there. Where the file system has no links there are none.
+/// Makes the links of a version, unless they or those of a later one are there. Where the file system has no links there are
+/// none.
 pub async fn link(store: &Store, version: &Version) {
     let Some(folder) = &store.folder else {
         return;
     };
+    let gone = linked_to_nothing(store, folder, version.version).await;
     let published = version.published();
     let few = published.filter(|(_, layer)| layer.artifacts.len() <= MOST_FILES);
     let files = few.map(|(name, layer)| {
@@ -39,11 +41,24 @@ pub async fn link(store: &Store, version: &Version) {
     });
     let (files, number) = (files.collect(), version.version);
     let linked: std::result::Result<(), Fault> = folder
-        .with(NEWEST, move |folder, _| link_all(folder, number, &files))
+        .with(NEWEST, move |folder, _| {
+            link_all(folder, number, &files, gone)
+        })
         .await;
     if let Err(fault) = linked {
         tracing::warn!("no links to the files of version {number}: {fault}");
     }
+}
+
+/// A later version than this one that is linked, and is there no longer or does not read.
+async fn linked_to_nothing(store: &Store, folder: &Folder, version: u64) -> Option<u64> {
+    let linked = |folder: &Folder, newest: &str| linked_version(&folder.path(newest));
+    let linked = folder.with(NEWEST, linked).await.ok().flatten();
+    let linked = linked.filter(|&linked| linked > version)?;
+    let found = Version::find(store, linked).await;
+    let is_there =
+        matches!(&found, Ok(Some(_))) || found.is_err_and(|fault| fault.kind != Kind::Data);
+    (!is_there).then_some(linked)
 }
 
 /// Removes the links of versions before this one.
@@ -61,22 +76,27 @@ pub async fn forget_before(store: &Store, version: u64) -> std::result::Result<(
     }
 }
 
-fn link_all(folder: &Folder, version: u64, layers: &Layers) -> Result<()> {
+/// `gone`: a version that is none, whatever links it has.
+fn link_all(folder: &Folder, version: u64, layers: &Layers, gone: Option<u64>) -> Result<()> {
     let newest = folder.path(NEWEST);
-    if linked_version(&newest)?.is_some_and(|linked| linked >= version) {
+    let linked = linked_version(&newest)?.filter(|linked| Some(*linked) != gone);
+    if linked.is_some_and(|linked| linked > version) {
         return Ok(());
     }
     let links = folder.path(LINKS);
     let own = links.join(version.to_string());
+    // A number may have been that of another version, which somebody has removed.
+    if linked == Some(version) && leads_to(&own, layers) {
+        return Ok(());
+    }
     // What a killed run left is begun anew.
     remove(&own)?;
     std::fs::create_dir_all(&own)?;
     for (layer, files) in layers {
         let of_layer = own.join(layer);
         std::fs::create_dir_all(&of_layer)?;
-        for (index, file) in files.iter().enumerate() {
-            let to = PathBuf::from_iter(["..", "..", "..", file]);
-            symlink(to, of_layer.join(format!("{index:05}.parquet")))?;
+        for (name, to) in links_of(files) {
+            symlink(to, of_layer.join(name))?;
         }
     }
     let next = links.join(format!("{version}.{NEWEST}"));
@@ -84,6 +104,29 @@ fn link_all(folder: &Folder, version: u64, layers: &Layers) -> Result<()> {
     symlink(Path::new(LINKS).join(version.to_string()), &next)?;
     std::fs::rename(&next, &newest)?;
     remove_before(&links, version.saturating_sub(1))
+}
+
+/// The links of a layer with these files: their names, and where they lead.
+fn links_of(files: &[String]) -> impl Iterator<Item = (String, PathBuf)> {
+    files.iter().enumerate().map(|(index, file)| {
+        let to = PathBuf::from_iter(["..", "..", "..", file]);
+        (format!("{index:05}.parquet"), to)
+    })
+}
+
+/// Whether the links in a version's folder are those of these layers, and no others.
+fn leads_to(own: &Path, layers: &Layers) -> bool {
+    let has = |folder: &Path, many| entries(folder).is_ok_and(|found| found.len() == many);
+    let is_linked = |of_layer: &Path, files: &[String]| {
+        let mut links = links_of(files);
+        links.all(|(name, to)| {
+            std::fs::read_link(of_layer.join(name)).is_ok_and(|found| found == to)
+        })
+    };
+    let mut of_layers = layers.iter().map(|(layer, files)| (own.join(layer), files));
+    has(own, layers.len())
+        && of_layers
+            .all(|(of_layer, files)| has(&of_layer, files.len()) && is_linked(&of_layer, files))
 }
 
 /// The version that the link leads to; `None` where there is no link.
@@ -124,15 +167,20 @@ fn remove(path: &Path) -> Result<()> {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use std::collections::BTreeMap;
+    use std::os::unix::fs::MetadataExt;
+
     use super::*;
+    use crate::map::receipt::Extent;
+    use crate::map::version::StoredLayer;
 
     #[test]
     fn a_version_whose_layers_have_no_links_leaves_none_of_another_one() {
         let root = tempfile::tempdir().unwrap();
         let folder = Folder::new(root.path().to_owned());
         let of = vec![("lanes".to_owned(), vec!["artifacts/a.parquet".to_owned()])];
-        link_all(&folder, 1, &of).unwrap();
-        link_all(&folder, 2, &Layers::new()).unwrap();
+        link_all(&folder, 1, &of, None).unwrap();
+        link_all(&folder, 2, &Layers::new(), None).unwrap();
         let newest = folder.path(NEWEST);
         assert_eq!(linked_version(&newest).unwrap(), Some(2));
         assert_eq!(std::fs::read_dir(newest).unwrap().count(), 0);
@@ -151,23 +199,82 @@ mod tests {
         let read = |index: usize| {
             std::fs::read_to_string(root.path().join(format!("newest/lanes/{index:05}.parquet")))
         };
-        link_all(&folder, 2, &of(&["a", "b"])).unwrap();
+        link_all(&folder, 2, &of(&["a", "b"]), None).unwrap();
         assert_eq!(
             (read(0).unwrap(), read(1).unwrap()),
             ("a".into(), "b".into())
         );
         // Killed before it was done.
         std::fs::create_dir_all(root.path().join("links/3/lanes")).unwrap();
-        link_all(&folder, 3, &of(&["b"])).unwrap();
+        link_all(&folder, 3, &of(&["b"]), None).unwrap();
         assert_eq!(read(0).unwrap(), "b");
         assert!(read(1).is_err());
-        link_all(&folder, 2, &of(&["a"])).unwrap();
+        link_all(&folder, 2, &of(&["a"]), None).unwrap();
         assert_eq!(read(0).unwrap(), "b");
         // Those of the version before are there still, older ones are not.
-        link_all(&folder, 4, &of(&["a"])).unwrap();
+        link_all(&folder, 4, &of(&["a"]), None).unwrap();
         let there = |version: u64| root.path().join(format!("links/{version}")).exists();
         assert_eq!([2, 3, 4].map(there), [false, true, true]);
         remove_before(&folder.path(LINKS), 4).unwrap();
         assert_eq!([3, 4].map(there), [false, true]);
+    }
+
+    #[tokio::test]
+    async fn links_of_a_version_that_is_gone_give_way() {
+        let root = tempfile::tempdir().unwrap();
+        let store = Store::open(root.path().to_str().unwrap(), true).unwrap();
+        let version = |number: u64, content: &str| Version {
+            version: number,
+            layers: BTreeMap::from([("lanes".to_owned(), rows_of(content))]),
+            ..Version::default()
+        };
+        let publish = async |version: &Version| {
+            assert!(version.publish(&store).await.unwrap());
+            link(&store, version).await;
+        };
+        let newest = || std::fs::read_link(root.path().join("newest/lanes/00000.parquet"));
+        let leads_to = |content: &str| newest().unwrap().ends_with(Artifact::name_of(content));
+        let (second, third) = (version(2, "b"), version(3, "c"));
+        publish(&second).await;
+        publish(&third).await;
+        assert!(leads_to("c"));
+        // An earlier one leaves them alone, as long as there is a later one.
+        link(&store, &second).await;
+        assert!(leads_to("c"));
+
+        // Another version of the number.
+        store.remove("versions/3.json").await.unwrap();
+        let another = version(3, "d");
+        publish(&another).await;
+        assert!(leads_to("d"));
+        // Links that are as they should be stay the same.
+        let lanes = root.path().join("links/3/lanes");
+        // Held open, so that no other folder is given its number.
+        let held = std::fs::File::open(&lanes).unwrap();
+        link(&store, &another).await;
+        let found = std::fs::metadata(&lanes).unwrap();
+        assert_eq!(found.ino(), held.metadata().unwrap().ino());
+
+        // None of the number, and one that does not read.
+        store.remove("versions/3.json").await.unwrap();
+        link(&store, &second).await;
+        assert!(leads_to("b"));
+        publish(&another).await;
+        store.write("versions/3.json", vec![b'{']).await.unwrap();
+        link(&store, &second).await;
+        assert!(leads_to("b"));
+    }
+
+    fn rows_of(content: &str) -> StoredLayer {
+        StoredLayer {
+            published: true,
+            artifacts: vec![Artifact {
+                content: content.to_owned(),
+                rows: 1,
+                bytes: 1,
+                extent: Extent::default(),
+            }],
+            ..StoredLayer::default()
+        }
     }
 }

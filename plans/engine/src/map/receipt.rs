@@ -8,6 +8,7 @@ use evermap_schemas::{Fault, Kind};
 use serde::{Deserialize, Serialize};
 
 use crate::digest::digest_of;
+use crate::map::sealed;
 use crate::map::store::Store;
 use crate::program::{Scope, Stage};
 use crate::unit::work::NodeWork;
@@ -251,17 +252,19 @@ impl Receipt {
     /// # Errors
     /// A resource fault when the store does not take it.
     pub async fn write(&self, store: &Store) -> Result<(), Fault> {
-        store.write_json(&Self::name(&self.digest), self).await
+        store
+            .write(&Self::name(&self.digest), sealed::bytes(self)?)
+            .await
     }
 
-    /// The receipt of a recipe that was done before. One that does not read, as a crash may leave it, is none: it is
-    /// told, and the work is done again.
+    /// The receipt of a recipe that was done before. One that does not read, as a crash may leave it, or is not as it was
+    /// written, is none: it is told, and the work is done again.
     ///
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn read(store: &Store, digest: &str) -> Result<Option<Self>, Fault> {
         let name = Self::name(digest);
-        match store.read_json::<Self>(&name).await {
+        match sealed::read::<Self>(store, &name).await {
             Ok(Some(receipt)) if receipt.digest != digest => {
                 tracing::warn!("{name} is ignored: it is the receipt of {}", receipt.digest);
                 Ok(None)

@@ -7,24 +7,33 @@ use evermap_functions::caught;
 use evermap_schemas::Fault;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
-use crate::digest::digest;
+use crate::digest::{digest, is_digest};
 use crate::map::damage::{Damage, has_end};
 use crate::map::rows::RUNS;
 use crate::map::store::Store;
-
-/// Letters of a digest.
-const DIGEST: usize = 64;
 
 /// The name of a record.
 pub fn record_name(version: u64, file: &[u8]) -> String {
     format!("{RUNS}/{version:06}-{}.parquet", digest(file))
 }
 
+/// The version that the run of a record ended at; `None` where the name is no record's.
+pub fn record_version(name: &str) -> Option<u64> {
+    let (text, _) = split(name)?;
+    let version: u64 = text.parse().ok()?;
+    (format!("{version:06}") == text).then_some(version)
+}
+
+/// What stands before and behind the hyphen of a name.
+fn split(name: &str) -> Option<(&str, &str)> {
+    let file = name.strip_prefix(RUNS)?.strip_prefix('/')?;
+    file.strip_suffix(".parquet")?.split_once('-')
+}
+
 /// The digest in a name; `None` in those that an older evermap gave.
 fn digest_in(name: &str) -> Option<&str> {
-    let (_, digest) = name.strip_suffix(".parquet")?.split_once('-')?;
-    let is_digest = digest.len() == DIGEST && digest.bytes().all(|byte| byte.is_ascii_hexdigit());
-    is_digest.then_some(digest)
+    let (_, digest) = split(name)?;
+    is_digest(digest.as_bytes()).then_some(digest)
 }
 
 /// What is wrong with a record.
@@ -122,6 +131,7 @@ mod tests {
         let file = parquet();
         let name = record_name(3, &file);
         assert!(name.starts_with("runs/000003-"), "{name}");
+        assert_eq!(record_version(&name), Some(3));
         assert_eq!(damage_of(&name, file.clone().into()), None);
         for at in (0..file.len()).step_by(37) {
             let mut flipped = file.clone();
@@ -135,6 +145,10 @@ mod tests {
         let name = "runs/000003-0193e2a4-7c1b-7000-8000-000000000000.parquet";
         let file = parquet();
         assert_eq!(damage_of(name, file.clone().into()), None);
+        assert_eq!(record_version(name), Some(3));
+        for other in ["runs/3-a.parquet", "runs/mine.parquet", "000003-a.parquet"] {
+            assert_eq!(record_version(other), None);
+        }
         let torn = damage_of(name, file[..file.len() - 3].to_vec().into());
         assert_eq!(torn, Some(RecordDamage::Unreadable("one that is torn")));
         // Its first page begins behind the mark at its beginning.

@@ -4,7 +4,8 @@ use evermap_schemas::record;
 
 use crate::unit::work::NodeWork;
 
-/// The folder of a map that has a file of [`RunRow`]s for each run.
+/// The folder of a map that has a file of [`RunRow`]s for each run that computed or published something, until `gc` has
+/// forgotten the version that it ended at.
 pub const RUNS: &str = "runs";
 
 record! {

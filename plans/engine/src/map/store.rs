@@ -2,8 +2,8 @@
 //!
 //! ```text
 //!   artifacts/CONTENT.parquet   rows, named by the digest of the file
-//!   receipts/RECIPE.json        a unit that was done: its recipe's digest → its artifact, rows, losses
-//!   versions/N.json             what version N of the map is made of; created only if absent
+//!   receipts/RECIPE.json        a unit that was done: its recipe's digest → its artifact, rows, losses; sealed
+//!   versions/N.json             what version N of the map is made of; created only if absent, sealed
 //!   parts/CONTENT.json          a part of a long list of versions, named by the digest of the file
 //!   sound.json                  which artifacts were read and found right, by what their files were like
 //!   logs/STATE.json             the digest of a log, by what its files were like: saves reading it again
@@ -191,18 +191,17 @@ impl Store {
         folder.with(name, cache).await
     }
 
-    /// Writes JSON where nothing was; `false` where something else was. Of several that write the same bytes at once, each
+    /// Writes a file where nothing was; `false` where something else was. Of several that write the same bytes at once, each
     /// may be told that it did.
     ///
     /// # Errors
     /// A resource fault when the store does not take it.
-    pub async fn create_json<T: Serialize>(&self, name: &str, value: &T) -> Result<bool, Fault> {
-        let (path, bytes) = (self.path(name), json_bytes(value)?);
+    pub async fn create(&self, name: &str, bytes: Vec<u8>) -> Result<bool, Fault> {
         if let Some(folder) = &self.folder {
             let create = move |folder: &Folder, name: &str| folder.create(name, &bytes);
             return folder.with(name, create).await;
         }
-        let bytes = Bytes::from(bytes);
+        let (path, bytes) = (self.path(name), Bytes::from(bytes));
         let mut tries = 1;
         loop {
             let put = self

@@ -10,6 +10,7 @@ use crate::map::parts::PARTS;
 use crate::map::receipt::{ARTIFACTS, Artifact, RECEIPTS, Receipt};
 use crate::map::records::{RecordDamage, record_damage};
 use crate::map::rows::RUNS;
+use crate::map::sealed;
 use crate::map::store::{Store, each};
 use crate::map::version::Version;
 
@@ -17,8 +18,8 @@ record! {
     /// A file of a map that is not as it should be.
     #[layer("findings", key(file))]
     pub struct Finding {
-        /// `missing`, `damaged` (it has another size or content), `unreadable` (it is torn, or not what evermap writes),
-        /// or `unreferenced`: no version needs it, and `evermap gc` removes it.
+        /// `missing`, `damaged` (it has another size or content), `unreadable` (it is torn, does not fit its seal, or is
+        /// not what evermap writes), or `unreferenced`: no version needs it, and `evermap gc` removes it.
         state: String,
         /// The file, within the map.
         file: String,
@@ -49,14 +50,46 @@ pub struct Verified {
     pub artifacts: u64,
     /// What is not as it should be, by file.
     pub findings: Vec<Finding>,
+    /// The files that a run of the same plan makes anew: rows and receipts of the newest version that reads.
+    remade: BTreeSet<String>,
+}
+
+/// What can be done about a loss.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Remedy {
+    /// To run the same plan again: it makes anew what the newest version needs.
+    Run,
+    /// To let `gc` remove it, and with it the older version that it is of.
+    Collect,
+    /// To remove it by hand, as a record of a run: nothing needs it.
+    Remove,
+}
+
+impl Verified {
+    /// What can be done about all that is lost.
+    pub fn remedies(&self) -> BTreeSet<Remedy> {
+        let lost = self.findings.iter().filter(|finding| finding.is_loss());
+        lost.map(|finding| self.remedy(&finding.file)).collect()
+    }
+
+    fn remedy(&self, file: &str) -> Remedy {
+        let (folder, _) = file.split_once('/').unwrap_or_default();
+        if self.remade.contains(file) {
+            Remedy::Run
+        } else if folder == RUNS {
+            Remedy::Remove
+        } else {
+            Remedy::Collect
+        }
+    }
 }
 
 /// What versions need.
 #[derive(Default)]
 struct Needed {
     artifacts: BTreeMap<String, (Artifact, String)>,
-    /// Receipts by digest: the artifact that they must lead to.
-    receipts: BTreeMap<String, (Artifact, String)>,
+    /// Receipts by digest: the artifacts that they must lead to, one where the versions that need them agree.
+    receipts: BTreeMap<String, Vec<(Artifact, String)>>,
     /// Names of parts of versions' lists, which were read with them.
     parts: BTreeSet<String>,
 }
@@ -70,10 +103,10 @@ impl Needed {
                 self.artifact(artifact, &by);
             }
             for (digest, artifact) in layer.recipes.iter().zip(&layer.artifacts) {
-                let receipts = &mut self.receipts;
-                receipts
-                    .entry(digest.clone())
-                    .or_insert((artifact.clone(), by.clone()));
+                let wanted = self.receipts.entry(digest.clone()).or_default();
+                if wanted.iter().all(|(wanted, _)| wanted != artifact) {
+                    wanted.push((artifact.clone(), by.clone()));
+                }
             }
         }
         for (name, artifacts) in &version.previous.layers {
@@ -112,6 +145,7 @@ pub async fn verify(store: &Store, version: Option<u64>) -> Result<Verified, Fau
 async fn verify_versions(store: &Store, numbers: &[u64], all: bool) -> Result<Verified, Fault> {
     let mut verified = Verified::default();
     let mut needed = Needed::default();
+    let mut newest = None;
     for &number in numbers {
         let found = match all {
             true => Version::find(store, number).await,
@@ -121,6 +155,7 @@ async fn verify_versions(store: &Store, numbers: &[u64], all: bool) -> Result<Ve
             Ok(Some(version)) => {
                 needed.add(&version);
                 needed.parts.extend(Version::parts(store, number).await?);
+                newest = Some(version);
             }
             Ok(None) => continue, // It was forgotten since.
             Err(fault) if fault.kind == Kind::Data => {
@@ -131,6 +166,10 @@ async fn verify_versions(store: &Store, numbers: &[u64], all: bool) -> Result<Ve
         }
         verified.versions += 1;
     }
+    if !all {
+        newest = Version::latest(store).await?;
+    }
+    verified.remade = newest.iter().flat_map(made_of).collect();
     verified.artifacts(store, &needed, all).await?;
     verified.receipts(store, &needed, all).await?;
     if all {
@@ -138,6 +177,16 @@ async fn verify_versions(store: &Store, numbers: &[u64], all: bool) -> Result<Ve
     }
     verified.findings.sort_by(|a, b| a.file.cmp(&b.file));
     Ok(verified)
+}
+
+/// The files of a version that its units have left.
+fn made_of(version: &Version) -> BTreeSet<String> {
+    let layers = version.layers.values();
+    let files = layers.flat_map(|layer| {
+        let receipts = layer.recipes.iter().map(|digest| Receipt::name(digest));
+        receipts.chain(layer.artifacts.iter().map(Artifact::name))
+    });
+    files.collect()
 }
 
 impl Verified {
@@ -198,21 +247,22 @@ impl Verified {
         .await?;
         self.receipts = found.len() as u64;
         for (digest, found) in found {
-            let finding = self.receipt(&digest, found, needed.receipts.get(&digest))?;
+            let needed = needed.receipts.get(&digest);
+            let finding = self.receipt(&digest, found, needed.map_or(&[], Vec::as_slice))?;
             self.findings.extend(finding);
         }
         Ok(())
     }
 
-    /// What is wrong with the receipt of this name, whose layer needs it to lead to a content.
+    /// What is wrong with the receipt of this name, whose layers need it to lead to an artifact.
     fn receipt(
         &self,
         digest: &str,
         found: ReadReceipt,
-        needed: Option<&(Artifact, String)>,
+        needed: &[(Artifact, String)],
     ) -> Result<Option<Finding>, Fault> {
         let name = Receipt::name(digest);
-        let by = needed.map(|(_, by)| by.clone());
+        let by = needed.first().map(|(_, by)| by.clone());
         let receipt = match found {
             Ok(Some(receipt)) => receipt,
             Ok(None) => {
@@ -228,25 +278,24 @@ impl Verified {
             found: Some(found.to_owned()),
         };
         let artifact = &receipt.artifact;
-        let damage = match needed {
-            _ if of != digest || receipt.digest != digest => Some(differs(
-                &format!("the recipe {digest}"),
-                &format!("the recipe {of}"),
-            )),
-            _ if artifact.extent != receipt.recipe.extent => Some(differs(
-                &receipt.recipe.extent.label("rows"),
-                &artifact.extent.label("rows"),
-            )),
-            Some((wanted, _)) if wanted != artifact => {
-                Some(differs(&in_words(wanted), &in_words(artifact)))
+        let other = needed.iter().find(|(wanted, _)| wanted != artifact);
+        let (damage, by) = match other {
+            _ if of != digest || receipt.digest != digest => {
+                let [expected, found] = [digest, &of].map(|of| format!("the recipe {of}"));
+                (differs(&expected, &found), by)
             }
-            _ => None,
+            _ if artifact.extent != receipt.recipe.extent => {
+                let extents = [&receipt.recipe.extent, &artifact.extent];
+                let [expected, found] = extents.map(|of| of.label("rows"));
+                (differs(&expected, &found), by)
+            }
+            Some((wanted, by)) => {
+                let damage = differs(&in_words(wanted), &in_words(artifact));
+                (damage, Some(by.clone()))
+            }
+            None => return Ok(by.is_none().then(|| unreferenced(&name))),
         };
-        Ok(match (damage, needed) {
-            (Some(damage), _) => Some(damaged(damage, by)),
-            (None, None) => Some(unreferenced(&name)),
-            (None, Some(_)) => None,
-        })
+        Ok(Some(damaged(damage, by)))
     }
 
     /// What is neither a version nor a receipt nor an artifact.
@@ -275,7 +324,7 @@ impl Verified {
 type ReadReceipt = Result<Option<Receipt>, Fault>;
 
 async fn read_receipt(store: &Store, digest: String) -> Result<(String, ReadReceipt), Fault> {
-    match store.read_json(&Receipt::name(&digest)).await {
+    match sealed::read(store, &Receipt::name(&digest)).await {
         Err(fault) if fault.kind != Kind::Data => Err(fault),
         found => Ok((digest, found)),
     }

@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::digest::digest;
-use crate::map::parts;
 use crate::map::receipt::{Artifact, LogContent};
 use crate::map::store::{Store, other_json};
+use crate::map::{parts, sealed};
 
 /// The folder of a map that has its versions.
 const VERSIONS: &str = "versions";
@@ -82,7 +82,7 @@ pub struct Previous {
 }
 
 /// One version of a map.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Version {
     /// Counted from 1.
     pub version: u64,
@@ -114,20 +114,20 @@ impl Version {
         format!("{VERSIONS}/{version}.json")
     }
 
-    /// The numbers of the versions that there are, ascending; also of those that do not read, be they no files.
+    /// The numbers of the versions that there are, ascending; also of those that do not read, be they no files. A file with
+    /// another spelling of a number, as `03.json`, is no version's.
     ///
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn numbers(store: &Store) -> Result<Vec<u64>, Fault> {
         let names = store.names(VERSIONS).await?;
-        let number = |name: &str| {
-            name.strip_prefix(VERSIONS)?
-                .strip_prefix('/')?
-                .strip_suffix(".json")?
-                .parse::<u64>()
-                .ok()
+        let number = |name: &String| {
+            let file = name.strip_prefix(VERSIONS)?.strip_prefix('/')?;
+            let number = file.strip_suffix(".json")?.parse().ok()?;
+            // `03` is a number too, and its file is not where version 3 is read from.
+            (Self::name(number) == *name).then_some(number)
         };
-        let mut numbers: Vec<_> = names.iter().filter_map(|name| number(name)).collect();
+        let mut numbers: Vec<_> = names.iter().filter_map(number).collect();
         numbers.sort_unstable();
         Ok(numbers)
     }
@@ -135,10 +135,10 @@ impl Version {
     /// A version by number; `None` where there is none.
     ///
     /// # Errors
-    /// A data fault for one that is torn or does not read.
+    /// A data fault for one that is torn, is not as it was published or does not read.
     pub async fn find(store: &Store, version: u64) -> Result<Option<Self>, Fault> {
         let name = Self::name(version);
-        let Some(mut found) = store.read_json::<Value>(&name).await? else {
+        let Some(mut found) = sealed::read::<Value>(store, &name).await? else {
             return Ok(None);
         };
         let at = |fault: Fault| fault.at(&name);
@@ -176,10 +176,18 @@ impl Version {
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn latest(store: &Store) -> Result<Option<Self>, Fault> {
+        let mut numbers = Self::numbers(store).await?;
         'listed: loop {
-            for number in Self::numbers(store).await?.into_iter().rev() {
+            for &number in numbers.iter().rev() {
                 match Self::find(store, number).await {
-                    Ok(None) => continue 'listed, // It was forgotten since, as there is a newer one.
+                    Ok(None) => {
+                        let listed = Self::numbers(store).await?;
+                        if listed != numbers {
+                            numbers = listed; // It was forgotten since, as there is a newer one.
+                            continue 'listed;
+                        }
+                        tracing::warn!("version {number} is ignored: it is listed and not there");
+                    }
                     Err(fault) if fault.kind == Kind::Data => {
                         tracing::warn!("version {number} is ignored: {fault}");
                     }
@@ -229,7 +237,8 @@ impl Version {
         let written = serde_json::to_value(self);
         let mut written = written.map_err(|error| Fault::bug(error.to_string()))?;
         parts::split(store, &mut written).await?;
-        store.create_json(&Self::name(self.version), &written).await
+        let written = sealed::bytes(&written)?;
+        store.create(&Self::name(self.version), written).await
     }
 
     /// The names of the files that hold parts of a version's lists.
@@ -237,7 +246,38 @@ impl Version {
     /// # Errors
     /// As [`Version::find`], but for what is wrong with a part.
     pub async fn parts(store: &Store, version: u64) -> Result<Vec<String>, Fault> {
-        let found: Option<Value> = store.read_json(&Self::name(version)).await?;
+        let found: Option<Value> = sealed::read(store, &Self::name(version)).await?;
         Ok(found.iter().flat_map(parts::names).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::time::Duration;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn another_spelling_of_a_number_is_no_version() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
+        for number in 1..=3 {
+            let version = Version {
+                version: number,
+                ..Version::default()
+            };
+            assert!(version.publish(&store).await.unwrap());
+        }
+        let third = store.read("versions/3.json").await.unwrap().unwrap();
+        for other in ["03", "+3", "4.old", "-1"] {
+            let name = format!("versions/{other}.json");
+            store.write(&name, third.to_vec()).await.unwrap();
+        }
+        assert_eq!(Version::numbers(&store).await.unwrap(), [1, 2, 3]);
+        store.remove("versions/3.json").await.unwrap();
+        let latest = tokio::time::timeout(Duration::from_secs(60), Version::latest(&store));
+        let latest = latest.await.unwrap().unwrap().unwrap();
+        assert_eq!(latest.version, 2);
     }
 }

@@ -5,14 +5,18 @@ use parquet::arrow::ArrowWriter;
 
 use crate::map::receipt::Receipt;
 use crate::map::store::Store;
-use crate::map::{RunRow, record_name};
+use crate::map::{RUNS, RunRow, record_name, record_version};
 use crate::run::RunResult;
 
-/// Appends a run to the `runs` layer.
+/// Appends a run to the `runs` layer, unless it computed and published nothing and there is a record of its version: it would
+/// say nothing new.
 ///
 /// # Errors
 /// A resource fault when the store does not take it.
 pub async fn record_run(store: &Store, result: &RunResult) -> Result<(), Fault> {
+    if is_idle(result) && has_record(store, result.version.version).await? {
+        return Ok(());
+    }
     let run = uuid::Uuid::new_v4().to_string();
     let rows = result
         .units
@@ -28,6 +32,15 @@ pub async fn record_run(store: &Store, result: &RunResult) -> Result<(), Fault> 
     write(&mut file).map_err(|error| Fault::bug(error.to_string()))?;
     let name = record_name(result.version.version, &file);
     store.write(&name, file).await
+}
+
+fn is_idle(result: &RunResult) -> bool {
+    !result.published && result.units.iter().all(|(_, _, cached)| *cached)
+}
+
+async fn has_record(store: &Store, version: u64) -> Result<bool, Fault> {
+    let mut records = store.list(RUNS).await?.into_iter();
+    Ok(records.any(|(name, _)| record_version(&name) == Some(version)))
 }
 
 fn run_row(result: &RunResult, run: &str, step: &str, receipt: &Receipt, cached: bool) -> RunRow {

@@ -5,8 +5,9 @@ use super::*;
 async fn a_version_is_created_once() {
     let folder = tempfile::tempdir().unwrap();
     let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
-    assert!(store.create_json("versions/1.json", &1).await.unwrap());
-    assert!(!store.create_json("versions/1.json", &2).await.unwrap());
+    let create = |text: &str| store.create("versions/1.json", text.into());
+    assert!(create("1").await.unwrap());
+    assert!(!create("2").await.unwrap());
     assert_eq!(
         store.read_json::<u32>("versions/1.json").await.unwrap(),
         Some(1)
