@@ -78,7 +78,7 @@ impl Players {
 /// The site of a session. Where nobody says that sessions are of one place, each is a place of its own.
 fn site_of(session: &Session) -> &str {
     match &*session.site {
-        DEFAULT_SITE => &*session.name,
+        DEFAULT_SITE => &session.name,
         site => site,
     }
 }
