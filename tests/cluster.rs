@@ -48,35 +48,46 @@ fn free_port() -> u16 {
     }
 }
 
-fn listening(port: u16) {
+fn listening(host: &str, port: u16) {
     let begun = Instant::now();
-    while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
+    while std::net::TcpStream::connect((host, port)).is_err() {
         assert!(
             begun.elapsed() < Duration::from_secs(60),
-            "nothing listens on {port}"
+            "nothing listens on {host}:{port}"
         );
         std::thread::sleep(Duration::from_millis(100));
     }
 }
 
 struct Cluster {
+    /// What its processes call this machine.
+    host: &'static str,
     scheduler: u16,
 }
 
 impl Cluster {
+    fn new() -> Self {
+        Self::at("127.0.0.1")
+    }
+
+    fn at(host: &'static str) -> Self {
+        let scheduler = free_port();
+        Self { host, scheduler }
+    }
+
+    fn address(&self) -> String {
+        format!("{}:{}", self.host, self.scheduler)
+    }
+
     fn scheduler(&self) -> Process {
-        let process = start(&[
-            "scheduler",
-            "--bind",
-            &format!("127.0.0.1:{}", self.scheduler),
-        ]);
-        listening(self.scheduler);
+        let process = start(&["scheduler", "--bind", &self.address()]);
+        listening(self.host, self.scheduler);
         process
     }
 
     fn executor(&self) -> Process {
-        let scheduler = format!("127.0.0.1:{}", self.scheduler);
-        let bind = format!("127.0.0.1:{}", free_port());
+        let scheduler = self.address();
+        let bind = format!("{}:{}", self.host, free_port());
         start(&[
             "executor",
             "--scheduler",
@@ -89,7 +100,7 @@ impl Cluster {
     }
 
     fn url(&self) -> String {
-        format!("df://127.0.0.1:{}", self.scheduler)
+        format!("df://{}", self.address())
     }
 }
 
@@ -135,9 +146,7 @@ fn a_pool_a_cluster_within_and_a_cluster_of_processes_make_equal_layers() {
     evermap(&inside).expect(0);
     assert_eq!(layers(&within), layers(&local));
 
-    let cluster = Cluster {
-        scheduler: free_port(),
-    };
+    let cluster = Cluster::new();
     let _scheduler = cluster.scheduler();
     let _executors = [cluster.executor(), cluster.executor()];
     let apart = folder.path().join("apart");
@@ -145,6 +154,34 @@ fn a_pool_a_cluster_within_and_a_cluster_of_processes_make_equal_layers() {
     outside.extend(["--cluster", &url]);
     evermap(&outside).expect(0);
     assert_eq!(layers(&apart), layers(&local));
+}
+
+#[test]
+fn a_cluster_is_reached_by_the_name_of_its_host() {
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = sessions(folder.path(), 1, 1.0);
+    let cluster = Cluster::at("localhost");
+    let _scheduler = cluster.scheduler();
+    let _executor = cluster.executor();
+    let map = folder.path().join("map");
+    let run = on_cluster(&map, &sessions, &cluster, "120");
+    let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
+    ended.expect(0);
+}
+
+#[test]
+fn an_address_that_is_taken_or_of_no_host_is_named() {
+    let other = TcpListener::bind("127.0.0.1:0").unwrap();
+    let taken = other.local_addr().unwrap().to_string();
+    for process in ["scheduler", "executor"] {
+        let told = |bind: &str| evermap(&[process, "--bind", bind]).expect(1).stderr;
+        let expected = format!("expected to listen on {taken}, found ");
+        let said = told(&taken);
+        assert!(said.contains(&expected), "{process}: {said}");
+        let said = told("no such host:50050");
+        let expected = "expected --bind with a host of this machine, found no such host: ";
+        assert!(said.contains(expected), "{process}: {said}");
+    }
 }
 
 fn signal(process: &Process, signal: &str) {
@@ -168,9 +205,7 @@ fn on_cluster(map: &Path, sessions: &[PathBuf], cluster: &Cluster, deadline_s: &
 fn a_cluster_that_is_not_there_or_has_nobody_to_work_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let sessions = sessions(folder.path(), 1, 1.0);
-    let cluster = Cluster {
-        scheduler: free_port(),
-    };
+    let cluster = Cluster::new();
     let refused = |name: &str| {
         let run = on_cluster(&folder.path().join(name), &sessions, &cluster, "2");
         let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
@@ -191,9 +226,7 @@ fn an_executor_that_stops_answering_is_given_up() {
     let sessions = sessions(folder.path(), 8, 40.0);
     let local = folder.path().join("local");
     evermap(&arguments(&local, &sessions)).expect(0);
-    let cluster = Cluster {
-        scheduler: free_port(),
-    };
+    let cluster = Cluster::new();
     let _scheduler = cluster.scheduler();
     let executors = [cluster.executor(), cluster.executor()];
     let map = folder.path().join("map");
@@ -236,9 +269,7 @@ fn receipts_in_the_end(map: &Path) -> usize {
 fn what_a_stopped_or_killed_run_has_not_begun_is_not_begun_any_more() {
     let folder = tempfile::tempdir().unwrap();
     let sessions = sessions(folder.path(), 12, 40.0);
-    let cluster = Cluster {
-        scheduler: free_port(),
-    };
+    let cluster = Cluster::new();
     let _scheduler = cluster.scheduler();
     let _executor = cluster.executor();
 
@@ -274,9 +305,7 @@ fn what_a_stopped_or_killed_run_has_not_begun_is_not_begun_any_more() {
 fn a_run_whose_executors_have_all_died_says_so_and_goes_on_with_the_next() {
     let folder = tempfile::tempdir().unwrap();
     let sessions = sessions(folder.path(), 6, 40.0);
-    let cluster = Cluster {
-        scheduler: free_port(),
-    };
+    let cluster = Cluster::new();
     let _scheduler = cluster.scheduler();
     let executor = cluster.executor();
     let map = folder.path().join("map");
@@ -345,9 +374,7 @@ fn fifty_random_disturbances_change_nothing() {
     let local = folder.path().join("local");
     evermap(&arguments(&local, &sessions)).expect(0);
 
-    let cluster = Cluster {
-        scheduler: free_port(),
-    };
+    let cluster = Cluster::new();
     let mut chaos = Chaos {
         cluster: &cluster,
         random: ChaCha8Rng::seed_from_u64(seed),

@@ -12,7 +12,7 @@ use crate::progress::line;
 /// Serves as a scheduler until stopped.
 ///
 /// # Errors
-/// A resource fault when the address is taken.
+/// A resource fault when the address is taken, a user fault for a host that has none.
 pub async fn scheduler(args: &SchedulerArgs) -> Ending {
     let (host, port) = &args.bind;
     line(&format!("scheduler on {host}:{port}"));
@@ -23,7 +23,8 @@ pub async fn scheduler(args: &SchedulerArgs) -> Ending {
 /// Serves as an executor until stopped.
 ///
 /// # Errors
-/// A resource fault when it cannot start or loses its scheduler for good.
+/// A resource fault when its address is taken, when it cannot start or loses its scheduler for good; a user fault for a
+/// host that has no address.
 pub async fn executor(args: &ExecutorArgs) -> Ending {
     let work = tempfile::Builder::new()
         .prefix("evermap-executor-")
@@ -47,6 +48,5 @@ pub async fn executor(args: &ExecutorArgs) -> Ending {
         slots,
         work_dir: work.path().display().to_string(),
     };
-    cluster::executor(options, operators::registry()).await?;
-    DONE
+    match cluster::executor(options, operators::registry()).await? {}
 }
