@@ -5,14 +5,15 @@
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::{Duration, Instant};
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use evermap_tests::{command, evermap, rectangle, text, write_drive};
+use evermap_tests::{command, command_that_hangs_up, evermap, rectangle, text, write_drive};
+use tempfile::TempDir;
 
 /// Stops with the test, however the test ends.
 struct Process(Child);
@@ -24,14 +25,18 @@ impl Drop for Process {
     }
 }
 
-fn start(arguments: &[&str]) -> Process {
-    Process(
-        command(arguments)
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("evermap starts"),
-    )
+fn begin(command: &mut Command) -> Process {
+    let command = command.stdout(Stdio::null()).stderr(Stdio::null());
+    Process(command.spawn().expect("evermap starts"))
+}
+
+/// Waits for something that comes within a minute.
+fn until(what: &str, mut is_so: impl FnMut() -> bool) {
+    let begun = Instant::now();
+    while !is_so() {
+        assert!(begun.elapsed() < Duration::from_secs(60), "never: {what}");
+        std::thread::sleep(Duration::from_millis(100));
+    }
 }
 
 /// A port that nothing listens on, and the next one neither. The system gives none of these to whoever asks for just any
@@ -49,20 +54,18 @@ fn free_port() -> u16 {
 }
 
 fn listening(host: &str, port: u16) {
-    let begun = Instant::now();
-    while std::net::TcpStream::connect((host, port)).is_err() {
-        assert!(
-            begun.elapsed() < Duration::from_secs(60),
-            "nothing listens on {host}:{port}"
-        );
-        std::thread::sleep(Duration::from_millis(100));
-    }
+    until(&format!("{host}:{port} listens"), || {
+        std::net::TcpStream::connect((host, port)).is_ok()
+    });
 }
 
+/// A scheduler's place, and what its executors share.
 struct Cluster {
     /// What its processes call this machine.
     host: &'static str,
     scheduler: u16,
+    /// For temporary files.
+    temporary: TempDir,
 }
 
 impl Cluster {
@@ -71,8 +74,11 @@ impl Cluster {
     }
 
     fn at(host: &'static str) -> Self {
-        let scheduler = free_port();
-        Self { host, scheduler }
+        Self {
+            host,
+            scheduler: free_port(),
+            temporary: tempfile::tempdir().unwrap(),
+        }
     }
 
     fn address(&self) -> String {
@@ -80,7 +86,7 @@ impl Cluster {
     }
 
     fn scheduler(&self) -> Process {
-        let process = start(&["scheduler", "--bind", &self.address()]);
+        let process = begin(&mut command(&["scheduler", "--bind", &self.address()]));
         listening(self.host, self.scheduler);
         process
     }
@@ -88,7 +94,7 @@ impl Cluster {
     fn executor(&self) -> Process {
         let scheduler = self.address();
         let bind = format!("{}:{}", self.host, free_port());
-        start(&[
+        let mut executor = command_that_hangs_up(&[
             "executor",
             "--scheduler",
             &scheduler,
@@ -96,7 +102,17 @@ impl Cluster {
             &bind,
             "--jobs",
             "1",
-        ])
+        ]);
+        begin(executor.env("TMPDIR", self.temporary.path()))
+    }
+
+    /// The folders of its executors, each from when it is held.
+    fn folders(&self) -> Vec<PathBuf> {
+        let entries = std::fs::read_dir(self.temporary.path()).unwrap();
+        let paths = entries.map(|entry| entry.unwrap().path());
+        let mut paths: Vec<_> = paths.filter(|path| path.join("lock").exists()).collect();
+        paths.sort();
+        paths
     }
 
     fn url(&self) -> String {
@@ -190,6 +206,32 @@ fn signal(process: &Process, signal: &str) {
         .args([signal, &id])
         .status();
     assert!(sent.unwrap().success());
+}
+
+#[test]
+fn what_a_killed_executor_leaves_goes_with_the_next_and_a_hangup_leaves_nothing() {
+    let cluster = Cluster::new();
+    let _scheduler = cluster.scheduler();
+    let killed = cluster.executor();
+    until("a folder", || cluster.folders().len() == 1);
+    let left = cluster.folders();
+    drop(killed);
+    assert_eq!(cluster.folders(), left);
+
+    let mut next = cluster.executor();
+    until("a folder of the next executor alone", || {
+        cluster.folders().len() == 1 && cluster.folders() != left
+    });
+    let beside = cluster.executor();
+    until("a folder beside", || cluster.folders().len() == 2);
+    signal(&next, "-HUP");
+    assert_eq!(next.0.wait().unwrap().code(), Some(0));
+    until("one folder", || cluster.folders().len() == 1);
+    let mut beside = beside;
+    signal(&beside, "-TERM");
+    assert_eq!(beside.0.wait().unwrap().code(), Some(0));
+    let mut rest = std::fs::read_dir(cluster.temporary.path()).unwrap();
+    assert!(rest.next().is_none());
 }
 
 /// A run on the cluster, with its outputs.

@@ -3,10 +3,13 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::path::Path;
-use std::process::Stdio;
+use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use evermap_tests::{command, evermap, rectangle, text, write_drive};
+use evermap_tests::{
+    Finished, command, command_that_hangs_up, evermap, program, rectangle, repository, text,
+    write_drive,
+};
 use serde_json::{Value, json};
 
 const PLAN: &str = "trajectory";
@@ -224,6 +227,54 @@ fn a_killed_run_resumes_to_the_same_map() {
         "{kept} were done: {said}"
     );
     assert_eq!(digests(&killed), digests(&undisturbed));
+}
+
+/// A run on drives that take a while, by this program or what starts it, once a unit is done.
+fn begun(command: &mut Command, folder: &Path, map: &Path) -> Child {
+    let run = ["run", PLAN, "--progress", "none", "--map", text(map)];
+    command.args(run).arg("--sessions");
+    for index in 0..8 {
+        let drive = folder.join(format!("drive_{index}.mcap"));
+        write_drive(&drive, rectangle(40.0 + f64::from(index), 30.0, 20.0));
+        command.arg(drive);
+    }
+    let command = command.stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut run = command.spawn().expect("evermap starts");
+    while receipts(map) == 0 {
+        assert!(run.try_wait().unwrap().is_none(), "it ended before");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    run
+}
+
+fn hang_up(run: &Child) {
+    let id = run.id().to_string();
+    let sent = Command::new("kill").args(["-HUP", &id]).status();
+    assert!(sent.unwrap().success());
+}
+
+#[test]
+fn a_hangup_stops_a_run_as_a_person_does_unless_it_is_ignored() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("stopped");
+    let run = begun(&mut command_that_hangs_up(&[]), folder.path(), &map);
+    hang_up(&run);
+    let ended = Finished::from(run.wait_with_output().unwrap()).expect(1);
+    assert!(
+        ended.stderr.contains("goes on where this one stopped"),
+        "{}",
+        ended.stderr
+    );
+    let leases = std::fs::read_dir(map.join("leases")).unwrap().count();
+    assert_eq!(leases, 0);
+
+    let map = folder.path().join("ignored");
+    let mut ignoring = Command::new("env");
+    ignoring.arg("--ignore-signal=HUP").arg(program());
+    let ignoring = ignoring.current_dir(repository());
+    let run = begun(ignoring, folder.path(), &map);
+    hang_up(&run);
+    Finished::from(run.wait_with_output().unwrap()).expect(0);
 }
 
 /// Units that are done.

@@ -100,6 +100,14 @@ pub fn command(arguments: &[&str]) -> Command {
     command
 }
 
+/// [`command`] of a program that a hangup ends: under `nohup` tests ignore it, and so does what they start.
+pub fn command_that_hangs_up(arguments: &[&str]) -> Command {
+    let mut command = Command::new("env");
+    command.arg("--default-signal=HUP").arg(program());
+    command.args(arguments).current_dir(repository());
+    command
+}
+
 /// Runs `evermap` to its end.
 ///
 /// # Panics
