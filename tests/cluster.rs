@@ -222,12 +222,11 @@ fn what_a_killed_executor_leaves_goes_with_the_next_and_a_hangup_leaves_nothing(
     until("a folder of the next executor alone", || {
         cluster.folders().len() == 1 && cluster.folders() != left
     });
-    let beside = cluster.executor();
+    let mut beside = cluster.executor();
     until("a folder beside", || cluster.folders().len() == 2);
     signal(&next, "-HUP");
     assert_eq!(next.0.wait().unwrap().code(), Some(0));
     until("one folder", || cluster.folders().len() == 1);
-    let mut beside = beside;
     signal(&beside, "-TERM");
     assert_eq!(beside.0.wait().unwrap().code(), Some(0));
     let mut rest = std::fs::read_dir(cluster.temporary.path()).unwrap();

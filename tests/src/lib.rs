@@ -174,6 +174,14 @@ pub fn write_nothing(path: &Path, topic: &str, (schema, text): (&str, &[u8])) {
 /// # Panics
 /// When the file cannot be written.
 pub fn write_drive(path: &Path, poses: impl IntoIterator<Item = DrivePose>) {
+    write_drive_with(path, poses, &[]);
+}
+
+/// As [`write_drive`], with an attachment of these bytes, where there are any.
+///
+/// # Panics
+/// When the file cannot be written.
+pub fn write_drive_with(path: &Path, poses: impl IntoIterator<Item = DrivePose>, attached: &[u8]) {
     let file = std::io::BufWriter::new(std::fs::File::create(path).expect("a session can be made"));
     let mut writer = mcap::Writer::new(file).expect("an MCAP file begins");
     let schema = writer
@@ -201,6 +209,16 @@ pub fn write_drive(path: &Path, poses: impl IntoIterator<Item = DrivePose>) {
         writer
             .write_to_known_channel(&header, message.to_string().as_bytes())
             .expect("a message fits");
+    }
+    if !attached.is_empty() {
+        let attachment = mcap::Attachment {
+            log_time: 0,
+            create_time: 0,
+            name: "attached".to_owned(),
+            media_type: "application/octet-stream".to_owned(),
+            data: attached.into(),
+        };
+        writer.attach(&attachment).expect("an attachment fits");
     }
     writer.finish().expect("an MCAP file ends");
 }

@@ -14,7 +14,9 @@ pub async fn stopped() {
 /// Ends with the first signal of a kind; never where the system lets nobody listen.
 async fn heard(kind: SignalKind) {
     match signal(kind) {
-        Ok(mut signals) => drop(signals.recv().await),
+        Ok(mut signals) => {
+            signals.recv().await;
+        }
         Err(error) => {
             tracing::warn!(%error, ?kind, "a signal is not heard");
             std::future::pending().await
