@@ -5,14 +5,15 @@
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::{Duration, Instant};
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use evermap_tests::{command, evermap, rectangle, text, write_drive};
+use evermap_tests::{command, command_that_hangs_up, evermap, rectangle, text, write_drive};
+use tempfile::TempDir;
 
 /// Stops with the test, however the test ends.
 struct Process(Child);
@@ -24,14 +25,18 @@ impl Drop for Process {
     }
 }
 
-fn start(arguments: &[&str]) -> Process {
-    Process(
-        command(arguments)
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("evermap starts"),
-    )
+fn begin(command: &mut Command) -> Process {
+    let command = command.stdout(Stdio::null()).stderr(Stdio::null());
+    Process(command.spawn().expect("evermap starts"))
+}
+
+/// Waits for something that comes within a minute.
+fn until(what: &str, mut is_so: impl FnMut() -> bool) {
+    let begun = Instant::now();
+    while !is_so() {
+        assert!(begun.elapsed() < Duration::from_secs(60), "never: {what}");
+        std::thread::sleep(Duration::from_millis(100));
+    }
 }
 
 /// A port that nothing listens on, and the next one neither. The system gives none of these to whoever asks for just any
@@ -48,36 +53,48 @@ fn free_port() -> u16 {
     }
 }
 
-fn listening(port: u16) {
-    let begun = Instant::now();
-    while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
-        assert!(
-            begun.elapsed() < Duration::from_secs(60),
-            "nothing listens on {port}"
-        );
-        std::thread::sleep(Duration::from_millis(100));
-    }
+fn listening(host: &str, port: u16) {
+    until(&format!("{host}:{port} listens"), || {
+        std::net::TcpStream::connect((host, port)).is_ok()
+    });
 }
 
+/// A scheduler's place, and what its executors share.
 struct Cluster {
+    /// What its processes call this machine.
+    host: &'static str,
     scheduler: u16,
+    /// For temporary files.
+    temporary: TempDir,
 }
 
 impl Cluster {
+    fn new() -> Self {
+        Self::at("127.0.0.1")
+    }
+
+    fn at(host: &'static str) -> Self {
+        Self {
+            host,
+            scheduler: free_port(),
+            temporary: tempfile::tempdir().unwrap(),
+        }
+    }
+
+    fn address(&self) -> String {
+        format!("{}:{}", self.host, self.scheduler)
+    }
+
     fn scheduler(&self) -> Process {
-        let process = start(&[
-            "scheduler",
-            "--bind",
-            &format!("127.0.0.1:{}", self.scheduler),
-        ]);
-        listening(self.scheduler);
+        let process = begin(&mut command(&["scheduler", "--bind", &self.address()]));
+        listening(self.host, self.scheduler);
         process
     }
 
     fn executor(&self) -> Process {
-        let scheduler = format!("127.0.0.1:{}", self.scheduler);
-        let bind = format!("127.0.0.1:{}", free_port());
-        start(&[
+        let scheduler = self.address();
+        let bind = format!("{}:{}", self.host, free_port());
+        let mut executor = command_that_hangs_up(&[
             "executor",
             "--scheduler",
             &scheduler,
@@ -85,11 +102,21 @@ impl Cluster {
             &bind,
             "--jobs",
             "1",
-        ])
+        ]);
+        begin(executor.env("TMPDIR", self.temporary.path()))
+    }
+
+    /// The folders of its executors, each from when it is held.
+    fn folders(&self) -> Vec<PathBuf> {
+        let entries = std::fs::read_dir(self.temporary.path()).unwrap();
+        let paths = entries.map(|entry| entry.unwrap().path());
+        let mut paths: Vec<_> = paths.filter(|path| path.join("lock").exists()).collect();
+        paths.sort();
+        paths
     }
 
     fn url(&self) -> String {
-        format!("df://127.0.0.1:{}", self.scheduler)
+        format!("df://{}", self.address())
     }
 }
 
@@ -135,9 +162,7 @@ fn a_pool_a_cluster_within_and_a_cluster_of_processes_make_equal_layers() {
     evermap(&inside).expect(0);
     assert_eq!(layers(&within), layers(&local));
 
-    let cluster = Cluster {
-        scheduler: free_port(),
-    };
+    let cluster = Cluster::new();
     let _scheduler = cluster.scheduler();
     let _executors = [cluster.executor(), cluster.executor()];
     let apart = folder.path().join("apart");
@@ -147,12 +172,65 @@ fn a_pool_a_cluster_within_and_a_cluster_of_processes_make_equal_layers() {
     assert_eq!(layers(&apart), layers(&local));
 }
 
+#[test]
+fn a_cluster_is_reached_by_the_name_of_its_host() {
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = sessions(folder.path(), 1, 1.0);
+    let cluster = Cluster::at("localhost");
+    let _scheduler = cluster.scheduler();
+    let _executor = cluster.executor();
+    let map = folder.path().join("map");
+    let run = on_cluster(&map, &sessions, &cluster, "120");
+    let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
+    ended.expect(0);
+}
+
+#[test]
+fn an_address_that_is_taken_or_of_no_host_is_named() {
+    let other = TcpListener::bind("127.0.0.1:0").unwrap();
+    let taken = other.local_addr().unwrap().to_string();
+    for process in ["scheduler", "executor"] {
+        let told = |bind: &str| evermap(&[process, "--bind", bind]).expect(1).stderr;
+        let expected = format!("expected to listen on {taken}, found ");
+        let said = told(&taken);
+        assert!(said.contains(&expected), "{process}: {said}");
+        let said = told("no such host:50050");
+        let expected = "expected --bind with a host of this machine, found no such host: ";
+        assert!(said.contains(expected), "{process}: {said}");
+    }
+}
+
 fn signal(process: &Process, signal: &str) {
     let id = process.0.id().to_string();
     let sent = std::process::Command::new("kill")
         .args([signal, &id])
         .status();
     assert!(sent.unwrap().success());
+}
+
+#[test]
+fn what_a_killed_executor_leaves_goes_with_the_next_and_a_hangup_leaves_nothing() {
+    let cluster = Cluster::new();
+    let _scheduler = cluster.scheduler();
+    let killed = cluster.executor();
+    until("a folder", || cluster.folders().len() == 1);
+    let left = cluster.folders();
+    drop(killed);
+    assert_eq!(cluster.folders(), left);
+
+    let mut next = cluster.executor();
+    until("a folder of the next executor alone", || {
+        cluster.folders().len() == 1 && cluster.folders() != left
+    });
+    let mut beside = cluster.executor();
+    until("a folder beside", || cluster.folders().len() == 2);
+    signal(&next, "-HUP");
+    assert_eq!(next.0.wait().unwrap().code(), Some(0));
+    until("one folder", || cluster.folders().len() == 1);
+    signal(&beside, "-TERM");
+    assert_eq!(beside.0.wait().unwrap().code(), Some(0));
+    let mut rest = std::fs::read_dir(cluster.temporary.path()).unwrap();
+    assert!(rest.next().is_none());
 }
 
 /// A run on the cluster, with its outputs.
@@ -168,9 +246,7 @@ fn on_cluster(map: &Path, sessions: &[PathBuf], cluster: &Cluster, deadline_s: &
 fn a_cluster_that_is_not_there_or_has_nobody_to_work_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let sessions = sessions(folder.path(), 1, 1.0);
-    let cluster = Cluster {
-        scheduler: free_port(),
-    };
+    let cluster = Cluster::new();
     let refused = |name: &str| {
         let run = on_cluster(&folder.path().join(name), &sessions, &cluster, "2");
         let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
@@ -191,9 +267,7 @@ fn an_executor_that_stops_answering_is_given_up() {
     let sessions = sessions(folder.path(), 8, 40.0);
     let local = folder.path().join("local");
     evermap(&arguments(&local, &sessions)).expect(0);
-    let cluster = Cluster {
-        scheduler: free_port(),
-    };
+    let cluster = Cluster::new();
     let _scheduler = cluster.scheduler();
     let executors = [cluster.executor(), cluster.executor()];
     let map = folder.path().join("map");
@@ -236,9 +310,7 @@ fn receipts_in_the_end(map: &Path) -> usize {
 fn what_a_stopped_or_killed_run_has_not_begun_is_not_begun_any_more() {
     let folder = tempfile::tempdir().unwrap();
     let sessions = sessions(folder.path(), 12, 40.0);
-    let cluster = Cluster {
-        scheduler: free_port(),
-    };
+    let cluster = Cluster::new();
     let _scheduler = cluster.scheduler();
     let _executor = cluster.executor();
 
@@ -274,9 +346,7 @@ fn what_a_stopped_or_killed_run_has_not_begun_is_not_begun_any_more() {
 fn a_run_whose_executors_have_all_died_says_so_and_goes_on_with_the_next() {
     let folder = tempfile::tempdir().unwrap();
     let sessions = sessions(folder.path(), 6, 40.0);
-    let cluster = Cluster {
-        scheduler: free_port(),
-    };
+    let cluster = Cluster::new();
     let _scheduler = cluster.scheduler();
     let executor = cluster.executor();
     let map = folder.path().join("map");
@@ -345,9 +415,7 @@ fn fifty_random_disturbances_change_nothing() {
     let local = folder.path().join("local");
     evermap(&arguments(&local, &sessions)).expect(0);
 
-    let cluster = Cluster {
-        scheduler: free_port(),
-    };
+    let cluster = Cluster::new();
     let mut chaos = Chaos {
         cluster: &cluster,
         random: ChaCha8Rng::seed_from_u64(seed),

@@ -2,11 +2,14 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use std::path::Path;
-use std::process::Stdio;
-use std::time::Duration;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, SystemTime};
 
-use evermap_tests::{command, evermap, rectangle, text, write_drive};
+use evermap_tests::{
+    Finished, command, command_that_hangs_up, evermap, program, rectangle, repository, text,
+    write_drive, write_drive_with,
+};
 use serde_json::{Value, json};
 
 const PLAN: &str = "trajectory";
@@ -236,6 +239,104 @@ fn a_killed_run_resumes_to_the_same_map() {
         "{kept} were done: {said}"
     );
     assert_eq!(digests(&killed), digests(&undisturbed));
+}
+
+/// Logs that a map remembers, with when each was.
+fn remembered(map: &Path) -> Vec<(PathBuf, SystemTime)> {
+    let entries = std::fs::read_dir(map.join("logs"));
+    let entries = entries.into_iter().flatten().map(Result::unwrap);
+    let since = |path: &Path| path.metadata().unwrap().modified().unwrap();
+    let mut found: Vec<_> = entries
+        .map(|entry| (entry.path(), since(&entry.path())))
+        .collect();
+    found.sort();
+    found
+}
+
+#[test]
+fn a_run_that_is_killed_while_it_reads_logs_reads_on_where_it_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let [small, large] = ["a", "b"].map(|name| folder.path().join(format!("{name}.mcap")));
+    write_drive(&small, rectangle(40.0, 30.0, 1.0));
+    // Long to read, so that the run is killed before it has.
+    write_drive_with(&large, rectangle(50.0, 30.0, 1.0), &vec![0; 256 << 20]);
+    let logs = [text(&small), text(&large)];
+    let at = |map: &Path, command: &str, plan: &str| {
+        let mut line = vec![command, plan, "--map", text(map), "--sessions"];
+        line.extend(logs);
+        self::command(&line)
+    };
+    // Files of just now are not believed to rest.
+    std::thread::sleep(Duration::from_millis(2500));
+    let map = folder.path().join("map");
+    let ended = |mut command: Command| Finished::from(command.output().unwrap());
+    ended(at(&map, "run", "lifelong")).expect(1);
+    assert!(!map.exists(), "a run that is refused begins no map");
+    ended(at(&map, "explain", PLAN)).expect(0);
+    assert!(!map.exists(), "who only looks begins no map");
+
+    let mut run = at(&map, "run", PLAN);
+    let run = run.stdout(Stdio::null()).stderr(Stdio::null());
+    let mut run = run.spawn().unwrap();
+    while remembered(&map).is_empty() {
+        assert!(run.try_wait().unwrap().is_none(), "it ended before");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    run.kill().unwrap();
+    run.wait().unwrap();
+    let kept = remembered(&map);
+    assert_eq!(kept.len(), 1, "it had read both");
+    ended(at(&map, "run", PLAN)).expect(0);
+    let all = remembered(&map);
+    assert!(all.len() == 2 && all.contains(&kept[0]), "{kept:?} {all:?}");
+}
+
+/// A run on drives that take a while, by this program or what starts it, once a unit is done.
+fn begun(command: &mut Command, folder: &Path, map: &Path) -> Child {
+    let run = ["run", PLAN, "--progress", "none", "--map", text(map)];
+    command.args(run).arg("--sessions");
+    for index in 0..8 {
+        let drive = folder.join(format!("drive_{index}.mcap"));
+        write_drive(&drive, rectangle(40.0 + f64::from(index), 30.0, 20.0));
+        command.arg(drive);
+    }
+    let command = command.stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut run = command.spawn().expect("evermap starts");
+    while receipts(map) == 0 {
+        assert!(run.try_wait().unwrap().is_none(), "it ended before");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    run
+}
+
+fn hang_up(run: &Child) {
+    let id = run.id().to_string();
+    let sent = Command::new("kill").args(["-HUP", &id]).status();
+    assert!(sent.unwrap().success());
+}
+
+#[test]
+fn a_hangup_stops_a_run_as_a_person_does_unless_it_is_ignored() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("stopped");
+    let run = begun(&mut command_that_hangs_up(&[]), folder.path(), &map);
+    hang_up(&run);
+    let ended = Finished::from(run.wait_with_output().unwrap()).expect(1);
+    assert!(
+        ended.stderr.contains("goes on where this one stopped"),
+        "{}",
+        ended.stderr
+    );
+    let leases = std::fs::read_dir(map.join("leases")).unwrap().count();
+    assert_eq!(leases, 0);
+
+    let map = folder.path().join("ignored");
+    let mut ignoring = Command::new("env");
+    ignoring.arg("--ignore-signal=HUP").arg(program());
+    let ignoring = ignoring.current_dir(repository());
+    let run = begun(ignoring, folder.path(), &map);
+    hang_up(&run);
+    Finished::from(run.wait_with_output().unwrap()).expect(0);
 }
 
 /// Units that are done.

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use arrow::datatypes::{DataType, FieldRef, Fields};
@@ -95,11 +95,12 @@ impl Session {
         typed.collect()
     }
 
-    /// The digest of its bytes: BLAKE3 over the contents of its files in order, each preceded by its length.
+    /// The digest of its bytes: BLAKE3 over the contents of its files in order, each preceded by its length. `read` counts
+    /// the bytes as they come.
     ///
     /// # Errors
     /// A resource fault when a file cannot be read.
-    pub async fn fingerprint(&self) -> Result<blake3::Hash, Fault> {
+    pub async fn fingerprint(&self, read: &AtomicU64) -> Result<blake3::Hash, Fault> {
         let mut hasher = blake3::Hasher::new();
         for part in &self.parts {
             hasher.update(&part.meta.size.to_le_bytes());
@@ -109,6 +110,7 @@ impl Session {
             while let Some(bytes) = stream.next().await {
                 let bytes = bytes.map_err(|error| store_fault(&error).at(&part.url))?;
                 hasher.update(&bytes);
+                read.fetch_add(bytes.len() as u64, Ordering::Relaxed);
             }
         }
         Ok(hasher.finalize())

@@ -100,6 +100,14 @@ pub fn command(arguments: &[&str]) -> Command {
     command
 }
 
+/// [`command`] of a program that a hangup ends: under `nohup` tests ignore it, and so does what they start.
+pub fn command_that_hangs_up(arguments: &[&str]) -> Command {
+    let mut command = Command::new("env");
+    command.arg("--default-signal=HUP").arg(program());
+    command.args(arguments).current_dir(repository());
+    command
+}
+
 /// Runs `evermap` to its end.
 ///
 /// # Panics
@@ -166,6 +174,14 @@ pub fn write_nothing(path: &Path, topic: &str, (schema, text): (&str, &[u8])) {
 /// # Panics
 /// When the file cannot be written.
 pub fn write_drive(path: &Path, poses: impl IntoIterator<Item = DrivePose>) {
+    write_drive_with(path, poses, &[]);
+}
+
+/// As [`write_drive`], with an attachment of these bytes, where there are any.
+///
+/// # Panics
+/// When the file cannot be written.
+pub fn write_drive_with(path: &Path, poses: impl IntoIterator<Item = DrivePose>, attached: &[u8]) {
     let file = std::io::BufWriter::new(std::fs::File::create(path).expect("a session can be made"));
     let mut writer = mcap::Writer::new(file).expect("an MCAP file begins");
     let schema = writer
@@ -193,6 +209,16 @@ pub fn write_drive(path: &Path, poses: impl IntoIterator<Item = DrivePose>) {
         writer
             .write_to_known_channel(&header, message.to_string().as_bytes())
             .expect("a message fits");
+    }
+    if !attached.is_empty() {
+        let attachment = mcap::Attachment {
+            log_time: 0,
+            create_time: 0,
+            name: "attached".to_owned(),
+            media_type: "application/octet-stream".to_owned(),
+            data: attached.into(),
+        };
+        writer.attach(&attachment).expect("an attachment fits");
     }
     writer.finish().expect("an MCAP file ends");
 }

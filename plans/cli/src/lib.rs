@@ -44,6 +44,7 @@ pub mod serve;
 mod sessions;
 pub mod shipped;
 pub mod shown;
+mod stopped;
 mod threads;
 
 use std::convert::Infallible;
@@ -58,6 +59,7 @@ use evermap_schemas::Fault;
 use crate::arguments::{Arguments, Command};
 use crate::commands::sql::is_prompt;
 use crate::ending::{DONE, Ending, panicked, tell};
+use crate::stopped::stopped;
 
 /// Reads the command line, does what it says, and tells how it ended.
 pub fn main() -> std::process::ExitCode {
@@ -106,7 +108,8 @@ async fn until_interrupted(command: Command) -> Ending {
         async move { commands::dispatch(&command, &unfinished).await }
     });
     tokio::select! {
-        ending = &mut work => ending.unwrap_or_else(|error| Err(panicked(&error))),
+        // A library may hear the same signal and end the work: it was stopped, and has not ended by itself.
+        biased;
         () = stopped(), if !own_interrupts => {
             work.abort();
             // Temporary files go when the work is dropped; a kernel that is busy is not waited for.
@@ -115,25 +118,14 @@ async fn until_interrupted(command: Command) -> Ending {
             if ended.is_ok() {
                 let _ = tokio::time::timeout(Duration::from_secs(5), all_finished.recv()).await;
             }
-            stopping(&command)
-        }
-    }
-}
-
-/// Ends when the person, or the system, asks the program to stop.
-async fn stopped() {
-    #[cfg(unix)]
-    {
-        let terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate());
-        if let Ok(mut terminate) = terminate {
-            tokio::select! {
-                _ = tokio::signal::ctrl_c() => {}
-                _ = terminate.recv() => {}
+            match ended {
+                // It was faster than the signal.
+                Ok(Ok(done @ Ok(_))) => done,
+                _ => stopping(&command),
             }
-            return;
         }
+        ending = &mut work => ending.unwrap_or_else(|error| Err(panicked(&error))),
     }
-    let _ = tokio::signal::ctrl_c().await;
 }
 
 /// How a command ends that was stopped: servers are done, a run says what becomes of its work.

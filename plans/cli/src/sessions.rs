@@ -8,11 +8,12 @@ use evermap_contract::Registry;
 use evermap_datasets::{Dataset, Manifest};
 use evermap_engine::preflight::unknown::topics;
 use evermap_engine::prepare::{Prepared, located};
+use evermap_engine::run::Event;
 use evermap_schemas::Fault;
 
-use crate::arguments::{PlanArgs, SessionArgs};
+use crate::arguments::{PlanArgs, RunArgs, SessionArgs};
 use crate::ending::{Failure, Lost};
-use crate::progress::line;
+use crate::progress::{Progress, line};
 use crate::shipped;
 
 /// The manifest that the command line names, with its site; `None` where it names neither.
@@ -34,7 +35,7 @@ pub fn manifest(args: &SessionArgs) -> Result<Option<Manifest>, Fault> {
     })
 }
 
-/// A plan's run on a map, with the sessions that the command line names.
+/// A plan's run on a map, with the sessions that the command line names. Nothing is written.
 ///
 /// # Errors
 /// The plan's faults, or what is wrong with the sessions or the map.
@@ -43,6 +44,38 @@ pub async fn prepare(args: &PlanArgs, registry: &Registry, map: &str) -> Result<
     let manifest = manifest(&args.sessions)?;
     let sessions = &args.sessions.sessions;
     Ok(Prepared::new(&plan, registry, map, sessions, manifest.as_ref()).await?)
+}
+
+/// What logs are called while they are read.
+const READING: &str = "reading logs";
+
+/// As [`prepare`], of what is then run: logs that are read are remembered, and where that takes long it is said on stderr
+/// how far it is.
+///
+/// # Errors
+/// As [`prepare`], or that the map cannot be written.
+pub async fn prepare_run(args: &RunArgs, registry: &Registry) -> Result<Prepared, Failure> {
+    let plan = shipped::of(&args.input)?;
+    let manifest = manifest(&args.input.sessions)?;
+    let sessions = &args.input.sessions.sessions;
+    let mut progress = None;
+    let mut told = |share| {
+        let progress = progress.get_or_insert_with(|| {
+            let mut progress = Progress::new(args.progress);
+            progress.note(&Event::Started { label: READING });
+            progress
+        });
+        progress.note(&Event::Advanced {
+            label: READING,
+            share: Some(share),
+        });
+    };
+    let (map, manifest) = (&args.map, manifest.as_ref());
+    let prepared = Prepared::remembering(&plan, registry, map, sessions, manifest, &mut told).await;
+    if let Some(progress) = progress {
+        progress.finish();
+    }
+    Ok(prepared?)
 }
 
 /// Opens the sessions, and says on stderr what was chosen for the person.

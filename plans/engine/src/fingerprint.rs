@@ -9,7 +9,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+use std::pin::pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use chrono::{DateTime, TimeDelta, Utc};
 use datafusion::execution::object_store::ObjectStoreUrl;
@@ -17,9 +20,11 @@ use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_datasets::log::index::LogIndex;
 use evermap_datasets::{Dataset, LogFile, LogPart, Manifest, Recordings, Session};
 use evermap_schemas::Fault;
+use futures::{StreamExt, TryStreamExt};
 use object_store::path::Path as ObjectPath;
 use object_store::{ObjectMeta, ObjectStoreExt};
 use serde::{Deserialize, Serialize};
+use tokio::time::Instant;
 
 use crate::digest::digest_of;
 use crate::map::receipt::LogContent;
@@ -211,25 +216,85 @@ pub async fn open_mapped(
     Ok(opened)
 }
 
-/// The digest of a session's log, and what is worth remembering of it; `remembered` are those that were when it was
-/// opened.
+/// Hears, now and then while logs are read, which share of their bytes is, from 0 to 1.
+pub type Told<'a> = &'a mut (dyn FnMut(f64) + Send);
+
+/// Logs that are read side by side: few, so that the first of many are soon read to their ends and remembered.
+const SIDE_BY_SIDE: usize = 4;
+
+/// How often is told how far reading is.
+const TOLD_EVERY: Duration = Duration::from_secs(1);
+
+/// The digests of the logs of sessions, in their order. `remembered` are those that were when they were opened; the
+/// others are read. With `told` each is remembered as soon as it is read, so that who is killed meanwhile need not read it
+/// again; without, nothing is written.
+///
+/// # Errors
+/// A resource fault when a file cannot be read, or the store does not take what is remembered.
+pub async fn read(
+    store: &Store,
+    remembered: &Contents,
+    sessions: &[Session],
+    told: Option<Told<'_>>,
+) -> Result<Vec<String>, Fault> {
+    let (bytes, kept_in) = (AtomicU64::new(0), told.is_some().then_some(store));
+    let asked = sessions.iter();
+    let asked = asked.map(|session| content(kept_in, remembered, session, &bytes));
+    // They are made before any is waited for, as in `each`.
+    let asked: Vec<_> = asked.collect();
+    let reading = futures::stream::iter(asked).buffered(SIDE_BY_SIDE);
+    let reading = reading.try_collect::<Vec<String>>();
+    let Some(told) = told else {
+        return reading.await;
+    };
+    let is_read = |session: &&Session| !remembered.contains_key(&*session.name);
+    let parts = sessions.iter().filter(is_read).flat_map(|s| &s.parts);
+    let all: u64 = parts.map(|part| part.meta.size).sum();
+    let mut reading = pin!(reading);
+    let mut due = tokio::time::interval_at(Instant::now() + TOLD_EVERY, TOLD_EVERY);
+    loop {
+        tokio::select! {
+            read = &mut reading => return read,
+            _ = due.tick() => told(bytes.load(Ordering::Relaxed) as f64 / all.max(1) as f64),
+        }
+    }
+}
+
+/// The digest of a session's log, which is remembered where a store is given. `read` counts bytes as they come.
+///
+/// # Errors
+/// As [`read`].
+async fn content(
+    kept_in: Option<&Store>,
+    remembered: &Contents,
+    session: &Session,
+    read: &AtomicU64,
+) -> Result<String, Fault> {
+    if let Some(content) = remembered.get(&*session.name) {
+        return Ok(content.clone());
+    }
+    let (content, fresh) = fingerprint(session, read).await?;
+    if let (Some(store), Some(fresh)) = (kept_in, fresh) {
+        fresh.remember(store).await?;
+    }
+    Ok(content)
+}
+
+/// The digest of a session's log, and what is worth remembering of it. `read` counts bytes as they come.
 ///
 /// # Errors
 /// A resource fault when a file cannot be read.
-pub async fn fingerprint(
-    remembered: &Contents,
+async fn fingerprint(
     session: &Session,
+    read: &AtomicU64,
 ) -> Result<(String, Option<Fingerprint>), Fault> {
-    if let Some(content) = remembered.get(&*session.name) {
-        return Ok((content.clone(), None));
-    }
     let begun = Utc::now();
     let mut parts = session.parts.clone();
     parts.sort_by_key(|part| place(&part.store_url, &part.meta));
     let state_of = |part: &Arc<LogPart>| FileState::of(part.store_url.as_str(), &part.meta);
     let files: Vec<FileState> = parts.iter().map(state_of).collect();
     let rested = files.iter().all(|file| file.rests(begun));
-    let content = session.fingerprint().await?.to_hex().to_string();
+    let content = session.fingerprint(read).await?.to_hex().to_string();
     if !unchanged(&parts, &files).await {
         return Ok((content, None));
     }
@@ -295,7 +360,7 @@ mod tests {
             .await
             .unwrap();
         assert!(dataset.losses.is_empty(), "{:?}", dataset.losses.lines());
-        let (content, fresh) = fingerprint(&Contents::new(), &dataset.sessions[0])
+        let (content, fresh) = fingerprint(&dataset.sessions[0], &AtomicU64::new(0))
             .await
             .unwrap();
         let fresh = fresh.unwrap();
@@ -324,6 +389,39 @@ mod tests {
             .set_modified(std::time::SystemTime::UNIX_EPOCH)
             .unwrap();
         assert_eq!(library(&store, &log, &content).await, "");
+    }
+
+    /// The first is read before the second is found gone: what comes later takes nothing of what is done.
+    #[tokio::test]
+    async fn each_log_is_remembered_as_soon_as_it_is_read_and_only_by_who_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = ["a", "b"].map(|name| folder.path().join(format!("{name}.mcap")));
+        paths
+            .iter()
+            .for_each(|path| std::fs::write(path, LOG).unwrap());
+        let store = Store::open(folder.path().join("map").to_str().unwrap(), true).unwrap();
+        let texts = paths.each_ref().map(|path| path.display().to_string());
+        let runtime = RuntimeEnv::default();
+        let dataset = Dataset::open(&runtime, &texts, None).await.unwrap();
+        let sessions = &dataset.sessions;
+        let nothing = Contents::new();
+        let looked = read(&store, &nothing, sessions, None).await.unwrap();
+        assert!(looked.len() == 2 && looked[0] == looked[1]);
+        assert!(!folder.path().join("map").exists());
+
+        std::fs::remove_file(&paths[1]).unwrap();
+        let ended = read(&store, &nothing, sessions, Some(&mut |_: f64| ())).await;
+        assert!(ended.is_err());
+        let kept = names_of(&store, &looked.iter().cloned().collect())
+            .await
+            .unwrap();
+        assert_eq!(kept.len(), 1);
+
+        // What is remembered is not read again, nor looked for.
+        let remembered = sessions.iter().map(|session| session.name.to_string());
+        let remembered: Contents = remembered.zip(looked.clone()).collect();
+        let known = read(&store, &remembered, sessions, None).await.unwrap();
+        assert_eq!(known, looked);
     }
 
     #[test]

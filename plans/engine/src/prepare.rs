@@ -1,5 +1,6 @@
 //! From what a person asks for to a run: plan text, sessions and a map, checked together.
 
+mod given;
 mod host;
 mod manifest;
 mod vehicle;
@@ -9,20 +10,19 @@ use std::path::{Path, PathBuf};
 
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
-use evermap_datasets::manifest::SessionFiles;
-use evermap_datasets::{Dataset, Manifest, Reason, Recordings, Session};
+use evermap_datasets::{Dataset, Manifest, Reason, Recordings};
 use evermap_language::{Plan, PlanFaults, Source};
 use evermap_schemas::Fault;
 
+use self::given::{Given, coming};
 use self::host::Surroundings;
 pub use self::host::vocabulary;
 pub use self::manifest::located;
 use self::vehicle::Vehicles;
-use crate::digest::digest_of;
-use crate::fingerprint::{self, Believe, Fingerprint};
+pub use crate::fingerprint::Told;
+use crate::fingerprint::{self, Believe};
 use crate::map::make;
-use crate::map::receipt::LogContent;
-use crate::map::store::{Store, each};
+use crate::map::store::Store;
 use crate::map::version::{MappedSession, Previous, Version};
 use crate::preflight::players::Players;
 use crate::preflight::{Lacks, Needs, Unplayed, idle, unknown};
@@ -157,13 +157,11 @@ pub struct Prepared {
     pub replaced: Vec<Replaced>,
     /// Files among those given that cannot be read, with a reason each: they take no part.
     pub unreadable: BTreeMap<String, u64>,
-    /// Logs that were read, to be remembered.
-    fresh: Vec<Fingerprint>,
 }
 
 impl Prepared {
-    /// Checks a plan against the sessions and the map that it is to run on. The sessions given join those that the
-    /// map has; one of the same name takes its place.
+    /// Checks a plan against the sessions and the map that it is to run on, and writes nothing. The sessions given join
+    /// those that the map has; one of the same name takes its place.
     ///
     /// # Errors
     /// All faults of the plan, or what is wrong with a session or the map; that the plan makes nothing of any session.
@@ -173,6 +171,35 @@ impl Prepared {
         map: &str,
         sessions: &[String],
         manifest: Option<&Manifest>,
+    ) -> Result<Self, Refusal> {
+        Self::checked(plan, registry, map, sessions, manifest, None).await
+    }
+
+    /// As [`Prepared::new`], of what is then run: logs that are not known are read last, when nothing else speaks against
+    /// the run. The map's folder is made before, and each log is remembered as soon as it is read, so that neither the
+    /// run's units nor, where it is killed meanwhile, the next run need read it. `told` hears how far that is.
+    ///
+    /// # Errors
+    /// As [`Prepared::new`]; a user fault where the map's folder cannot be made, a resource fault when its store does not
+    /// take what is remembered.
+    pub async fn remembering(
+        plan: &PlanText,
+        registry: &Registry,
+        map: &str,
+        sessions: &[String],
+        manifest: Option<&Manifest>,
+        told: Told<'_>,
+    ) -> Result<Self, Refusal> {
+        Self::checked(plan, registry, map, sessions, manifest, Some(told)).await
+    }
+
+    async fn checked(
+        plan: &PlanText,
+        registry: &Registry,
+        map: &str,
+        sessions: &[String],
+        manifest: Option<&Manifest>,
+        told: Option<Told<'_>>,
     ) -> Result<Self, Refusal> {
         let mut parsed = parse(plan, registry)?;
         let read;
@@ -207,28 +234,10 @@ impl Prepared {
         vehicles.agree(&given)?;
         let program = compiled(&parsed, registry, &given).await?;
         let mut by_name = mapped_sessions(base.as_ref());
-        let (mut fresh, mut replaced) = (Vec::new(), Vec::new());
         let sessions = given.sessions.iter();
-        let read =
-            each(sessions.map(|session| fingerprint::fingerprint(&remembered, session))).await?;
-        for (session, (content, read)) in given.sessions.iter().zip(read) {
-            let sited = manifest.is_some_and(|manifest| {
-                let mut named = manifest.sessions.iter();
-                let sited = named.any(|named| named.name == *session.name && named.site.is_some());
-                manifest.site.is_some() || sited
-            });
-            let site = site_of(session, sited, &by_name);
-            fresh.extend(read);
-            let now = run_session(session, site, content)?;
-            replaced.extend(
-                by_name
-                    .get(&*session.name)
-                    .and_then(|before| replaces(&now, before)),
-            );
-            by_name.insert(session.name.to_string(), now);
-        }
-        let sessions: Vec<_> = by_name.into_values().collect();
-        let players = Players::of(&given, &sessions);
+        let joining = sessions.map(|session| Given::of(session, manifest, &by_name));
+        let joining: Vec<Given> = joining.collect();
+        let players = Players::of(&given, coming(&joining, &by_name));
         let sites = players.sites();
         let needs = Needs::of_program(&program, registry, &sites);
         let mut unknown_names = unknown::topics(&given);
@@ -244,6 +253,16 @@ impl Prepared {
             ..fault
         })?;
         let unplayed = needs.unplayed(&program, &players.all());
+        // What is refused reads no log and begins no map.
+        if told.is_some() {
+            make(&store)?;
+        }
+        let digests = fingerprint::read(&store, &remembered, &given.sessions, told).await?;
+        let mut replaced = Vec::new();
+        for (session, content) in joining.into_iter().zip(digests) {
+            replaced.extend(session.join(content, &mut by_name)?);
+        }
+        let sessions: Vec<_> = by_name.into_values().collect();
         let before = base.as_ref();
         let missing = before.map_or_else(Vec::new, |base| Previous::missing(&program, base));
         let begins_anew = before.is_some_and(|base| Previous::begins_anew(&program, base));
@@ -269,7 +288,6 @@ impl Prepared {
             store,
             missing,
             begins_anew,
-            fresh,
         })
     }
 
@@ -291,17 +309,6 @@ impl Prepared {
                 .next("run again if this one's is to take its place"));
             }
         }
-        Ok(())
-    }
-
-    /// Remembers the logs that were read, so that neither this run's units nor the next run need read them.
-    ///
-    /// # Errors
-    /// A user fault where the map's folder cannot be made, a resource fault when its store does not take it.
-    pub async fn remember(&mut self) -> Result<(), Fault> {
-        make(&self.store)?;
-        let fresh = std::mem::take(&mut self.fresh);
-        each(fresh.iter().map(|fresh| fresh.remember(&self.store))).await?;
         Ok(())
     }
 
@@ -359,26 +366,6 @@ fn repeated(given: &Dataset, sessions: &[MappedSession]) -> Vec<String> {
     notes
 }
 
-/// That a log takes the place of another one.
-fn replaces(now: &MappedSession, before: &MappedSession) -> Option<Replaced> {
-    let files = |session: &MappedSession| -> Vec<String> {
-        let files = session
-            .manifest
-            .sessions
-            .iter()
-            .flat_map(|session| &session.files);
-        files.cloned().collect()
-    };
-    let (there, here) = (files(before), files(now));
-    let same =
-        now.log.content == before.log.content || there.iter().any(|file| here.contains(file));
-    (!same).then(|| Replaced {
-        session: now.log.session.clone(),
-        before: there.join(", "),
-        now: here.join(", "),
-    })
-}
-
 /// A path as a plan writes it: relative to the working folder, or, where there is no such file, to the plan.
 fn beside(origin: &str, path: &str) -> PathBuf {
     let here = PathBuf::from(path);
@@ -402,47 +389,4 @@ fn mapped_sessions(base: Option<&Version>) -> BTreeMap<String, MappedSession> {
     sessions
         .map(|session| (session.log.session.clone(), session))
         .collect()
-}
-
-/// The site of a session: what is said now, else what was said when it was mapped, else its own. Where nobody says
-/// that sessions are of one place, each is a place of its own: their odometry frames differ.
-fn site_of(session: &Session, sited: bool, mapped: &BTreeMap<String, MappedSession>) -> String {
-    match mapped.get(&*session.name) {
-        _ if sited => session.site.to_string(),
-        Some(mapped) => mapped.log.site.clone(),
-        None => session.name.to_string(),
-    }
-}
-
-fn run_session(session: &Session, site: String, content: String) -> Result<MappedSession, Fault> {
-    let manifest = manifest_of(session, &site);
-    let log = LogContent {
-        session: session.name.to_string(),
-        site,
-        content,
-        roles: digest_of_tables(&manifest)?,
-    };
-    Ok(MappedSession { log, manifest })
-}
-
-/// The digest of all that says which rows a log's tables have.
-fn digest_of_tables(manifest: &Manifest) -> Result<String, Fault> {
-    match manifest.vehicle().frame() {
-        "" => digest_of(&manifest.roles),
-        vehicle => digest_of(&(&manifest.roles, vehicle)),
-    }
-}
-
-/// The manifest that opens just this session, with its topics as they were resolved, and its vehicle.
-fn manifest_of(session: &Session, site: &str) -> Manifest {
-    Manifest {
-        site: Some(site.to_owned()),
-        sessions: vec![SessionFiles {
-            name: session.name.to_string(),
-            files: session.parts.iter().map(|part| part.url.clone()).collect(),
-            site: Some(site.to_owned()),
-        }],
-        roles: session.roles.to_manifest(),
-        defaults: session.vehicle.to_manifest(),
-    }
 }

@@ -392,7 +392,7 @@ pub enum ImportArgs {
 #[cfg(feature = "cluster")]
 #[derive(Debug, Args)]
 pub struct SchedulerArgs {
-    /// Address to listen on, as the others reach it.
+    /// Host and port to listen on, by the name or address that the others reach it by.
     #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:50050", value_parser = address)]
     pub bind: (String, u16),
 }
@@ -404,7 +404,7 @@ pub struct ExecutorArgs {
     /// The scheduler.
     #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:50050", value_parser = address)]
     pub scheduler: (String, u16),
-    /// Address to listen on, as the others reach it; the port after it is used too.
+    /// Host and port to listen on, by the name or address that the others reach it by; the port after it is used too.
     #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:50051", value_parser = address)]
     pub bind: (String, u16),
     /// Units to run side by side [default: one a core].

@@ -39,7 +39,7 @@ pub async fn check(args: &PlanArgs) -> Ending {
     for note in odometry_frame::notes(&dataset, odometry_frame::vehicle(&program)).await? {
         line(&format!("note: {note}"));
     }
-    let players = Players::of(&dataset, &[]);
+    let players = Players::of(&dataset, std::iter::empty());
     let sites = players.sites();
     if let Some(warning) = unknown::origins(&program, &sites) {
         line(&format!("warning: {warning}"));

@@ -1,9 +1,11 @@
 //! `evermap scheduler` and `evermap executor`.
 
+mod folder;
+
 use evermap_engine::cluster::{self, ExecutorOptions};
 use evermap_engine::sql::Limits;
-use evermap_schemas::Fault;
 
+use self::folder::WorkFolder;
 use crate::arguments::{ExecutorArgs, SchedulerArgs};
 use crate::ending::{DONE, Ending};
 use crate::operators;
@@ -12,7 +14,7 @@ use crate::progress::line;
 /// Serves as a scheduler until stopped.
 ///
 /// # Errors
-/// A resource fault when the address is taken.
+/// A resource fault when the address is taken, a user fault for a host that has none.
 pub async fn scheduler(args: &SchedulerArgs) -> Ending {
     let (host, port) = &args.bind;
     line(&format!("scheduler on {host}:{port}"));
@@ -23,14 +25,10 @@ pub async fn scheduler(args: &SchedulerArgs) -> Ending {
 /// Serves as an executor until stopped.
 ///
 /// # Errors
-/// A resource fault when it cannot start or loses its scheduler for good.
+/// A resource fault when its address is taken, when it cannot start or loses its scheduler for good; a user fault for a
+/// host that has no address.
 pub async fn executor(args: &ExecutorArgs) -> Ending {
-    let work = tempfile::Builder::new()
-        .prefix("evermap-executor-")
-        .tempdir()
-        .map_err(|error| {
-            Fault::resource(format!("cannot make a folder for temporary files: {error}"))
-        })?;
+    let work = WorkFolder::new_in(&std::env::temp_dir())?;
     let slots = args
         .jobs
         .map_or_else(|| Limits::default().partitions, |jobs| jobs as usize);
@@ -47,6 +45,5 @@ pub async fn executor(args: &ExecutorArgs) -> Ending {
         slots,
         work_dir: work.path().display().to_string(),
     };
-    cluster::executor(options, operators::registry()).await?;
-    DONE
+    match cluster::executor(options, operators::registry()).await? {}
 }

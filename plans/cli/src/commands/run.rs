@@ -33,7 +33,7 @@ use crate::{masks, odometry_frame, operators};
 pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
     let begun = Instant::now();
     let registry = operators::registry();
-    let mut prepared = sessions::prepare(&args.input, &registry, &args.map).await?;
+    let mut prepared = sessions::prepare_run(args, &registry).await?;
     if let (Some(replaced), false) = (prepared.replaced.first(), args.replace) {
         return Err(is_another_log(replaced).into());
     }
@@ -59,7 +59,6 @@ pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
     let jobs = jobs(&args.limits);
     let runner = runner(args, &registry, jobs, unfinished).await?;
     let result = loop {
-        prepared.remember().await?;
         let run = prepared.run(&registry, limits(&args.limits, jobs));
         let mut progress = Progress::new(args.progress);
         let ended = run
@@ -73,7 +72,7 @@ pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
         line(&format!(
             "another run published version {by} while this one was at work: it goes on from there"
         ));
-        let anew = sessions::prepare(&args.input, &registry, &args.map).await?;
+        let anew = sessions::prepare_run(args, &registry).await?;
         anew.agrees_with(&prepared)?;
         prepared = anew;
     };

@@ -3,9 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_datasets::session::DEFAULT_SITE;
-use evermap_datasets::{Dataset, Session};
+use evermap_datasets::{Dataset, Manifest, Session};
 
-use crate::map::version::MappedSession;
 use crate::preflight::{Roles, is_shared};
 
 /// A session, as far as it matters here.
@@ -20,16 +19,19 @@ pub struct Player {
 pub struct Players(pub(super) BTreeMap<String, Player>);
 
 impl Players {
-    /// The sessions given, and those of the coming version, among which they may be.
-    pub fn of(given: &Dataset, mapped: &[MappedSession]) -> Self {
-        let mapped = mapped.iter().map(|session| {
+    /// The sessions given, and those of the coming version, among which they may be, each by name with its manifest and site.
+    pub fn of<'a>(
+        given: &Dataset,
+        coming: impl Iterator<Item = (&'a str, &'a Manifest, &'a str)>,
+    ) -> Self {
+        let coming = coming.map(|(name, manifest, site)| {
             let player = Player {
-                site: session.log.site.clone(),
-                plays: session.manifest.roles.keys().cloned().collect(),
+                site: site.to_owned(),
+                plays: manifest.roles.keys().cloned().collect(),
             };
-            (session.log.session.clone(), player)
+            (name.to_owned(), player)
         });
-        let mut players: BTreeMap<_, _> = mapped.collect();
+        let mut players: BTreeMap<_, _> = coming.collect();
         for session in &given.sessions {
             let name = session.name.to_string();
             let player = players.entry(name).or_insert_with(|| Player {

@@ -16,7 +16,7 @@ use super::blocks::Blocks;
 use super::equations::Equations;
 pub use super::system::LinearSolver;
 use super::system::System;
-use crate::solving::least_squares::{Linearisation, Problem, SystemError, TrialStep};
+use crate::solving::least_squares::{Linearisation, Problem, SystemError, TrialStep, absolute_max};
 
 /// An observation, weighted: residual and derivatives.
 #[derive(Debug, Clone, Copy)]
@@ -76,8 +76,7 @@ pub trait Bundle<const C: usize>: Sync {
     /// How far these steps move the estimate, by its own measure; landmarks follow. Unless told otherwise, by their
     /// largest absolute entry.
     fn moved(&self, steps: &[[f64; C]]) -> f64 {
-        let entries = steps.as_flattened().iter();
-        entries.fold(0.0, |most: f64, entry| most.max(entry.abs()))
+        absolute_max(steps.as_flattened())
     }
 
     /// For each unknown, how it changes when all of its group (`groups[block]`) moves together: one column for each
@@ -166,7 +165,7 @@ impl<const C: usize, B: Bundle<C>> Problem for Schur<C, B> {
         let blocks = self.equations.gradient.as_flattened().iter();
         Linearisation {
             cost,
-            gradient_max: largest(blocks.chain(self.equations.landmark_gradient())),
+            gradient_max: absolute_max(blocks.chain(self.equations.landmark_gradient())),
         }
     }
 
@@ -195,12 +194,4 @@ impl<const C: usize, B: Bundle<C>> Problem for Schur<C, B> {
     fn accept(&mut self) {
         self.equations.accept();
     }
-}
-
-/// The largest absolute entry; NaN where there is one.
-pub(super) fn largest<'a>(entries: impl Iterator<Item = &'a f64>) -> f64 {
-    entries.fold(0.0, |max: f64, entry| {
-        // `f64::max` would hide a NaN.
-        if entry.abs() <= max { max } else { entry.abs() }
-    })
 }

@@ -11,6 +11,7 @@ use super::schur::{Bundle, FIXED, Linear, Terms};
 use super::{Keyframe, Observation, Odometry, Options, Problem, Session};
 use crate::geometry::camera::Camera;
 use crate::geometry::lie::{hat, se3};
+use crate::solving::least_squares::absolute_max;
 
 /// An observation that the camera cannot see counts as one of this many standard deviations, and
 /// pulls nowhere: steps that make landmarks invisible are refused, and those that begin so stay
@@ -301,10 +302,9 @@ impl Bundle<6> for Vehicles<'_> {
             .blocks
             .iter()
             .filter_map(|block| steps.get(*block as usize));
-        let moved = steps.map(|[x, y, z, roll, pitch, yaw]| {
+        absolute_max(steps.map(|[x, y, z, roll, pitch, yaw]| {
             Vector3::new(*x, *y, *z).norm() + SEEN_M * Vector3::new(*roll, *pitch, *yaw).norm()
-        });
-        moved.fold(0.0, f64::max)
+        }))
     }
 
     /// A group of poses moves as one rigid body, about its middle along the map's axes.

@@ -7,7 +7,7 @@ use faer::{Conj, MatMut, Par, Side};
 use nalgebra::{SMatrix, SVector};
 
 use super::structure::{Slot, Structure, SystemError};
-use super::trust_region::{TrialStep, damped_diagonal};
+use super::trust_region::{TrialStep, absolute_max, damped_diagonal};
 
 /// A symmetric positive definite system of D × D blocks. Numbers only; the pattern is a
 /// [`Structure`] and stays as it is.
@@ -278,15 +278,4 @@ fn reorder<const D: usize>(
     for (from, to) in moves {
         vector[to * D..(to + 1) * D].copy_from_slice(&before[from * D..(from + 1) * D]);
     }
-}
-
-fn absolute_max(values: &[f64]) -> f64 {
-    values.iter().fold(0.0, |max: f64, value| {
-        // `f64::max` would hide a NaN.
-        if value.abs() > max || value.is_nan() {
-            value.abs()
-        } else {
-            max
-        }
-    })
 }

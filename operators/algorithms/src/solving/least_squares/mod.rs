@@ -29,6 +29,7 @@ mod tests;
 pub use block_system::BlockSystem;
 pub use loss::Loss;
 pub use structure::{Slot, Structure, SystemError};
+pub(crate) use trust_region::absolute_max;
 pub use trust_region::{
     Linearisation, Options, Problem, Stop, Summary, TrialStep, damped_diagonal, minimise,
 };

@@ -183,6 +183,18 @@ fn the_valley_is_followed_to_its_end() {
 }
 
 #[test]
+fn a_nan_is_not_hidden_by_what_stands_beside_it() {
+    for place in 0..3 {
+        let mut entries = [1.0, -3.0, 2.0];
+        assert_eq!(absolute_max(&entries), 3.0);
+        entries[place] = f64::NAN;
+        assert!(absolute_max(entries).is_nan(), "{entries:?}");
+    }
+    assert_eq!(absolute_max([f64::NEG_INFINITY, 1.0]), f64::INFINITY);
+    assert_eq!(absolute_max([0.0; 0]), 0.0);
+}
+
+#[test]
 fn nonsense_stops_at_once() {
     let mut valley = Valley::from(f64::NAN, 0.0);
     let summary = minimise(&mut valley, &Options::default());

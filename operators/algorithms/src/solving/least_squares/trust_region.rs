@@ -1,5 +1,7 @@
 //! Levenberg–Marquardt: the loop that all optimisers share.
 
+use std::borrow::Borrow;
+
 /// A least-squares problem as the loop sees it. It keeps its own estimate, its matrices and its
 /// unknowns; the loop only decides how much to damp and when to stop.
 ///
@@ -45,6 +47,20 @@ pub struct TrialStep {
 #[inline]
 pub fn damped_diagonal(diagonal: f64) -> f64 {
     diagonal.clamp(1e-6, 1e32)
+}
+
+/// The largest absolute entry, 0 of none; NaN where there is one, wherever it stands.
+pub(crate) fn absolute_max<E: Borrow<f64>>(entries: impl IntoIterator<Item = E>) -> f64 {
+    entries.into_iter().fold(0.0, |max: f64, entry| {
+        let entry: &f64 = entry.borrow();
+        let size = entry.abs();
+        // `f64::max` would hide a NaN, and no comparison with one holds.
+        if size > max || size.is_nan() {
+            size
+        } else {
+            max
+        }
+    })
 }
 
 /// When to stop, and how carefully to begin.

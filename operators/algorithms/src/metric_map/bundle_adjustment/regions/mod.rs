@@ -35,10 +35,9 @@ use self::boundary::Boundary;
 use self::part::Part;
 use self::region::{Failed, Look, Moved, Region};
 use super::equations::add_decrease;
-use super::schur::largest;
 use super::{Options, Problem, ProblemError};
 use crate::solving::least_squares::{
-    self, Linearisation, Summary, SystemError, TrialStep, damped_diagonal,
+    self, Linearisation, Summary, SystemError, TrialStep, absolute_max, damped_diagonal,
 };
 
 /// Regions that are visited side by side, whatever threads there are: what they need at the time is in memory together.
@@ -110,7 +109,7 @@ impl Together {
 
     fn add(&mut self, part: &Part, look: &Look) {
         self.cost += look.cost;
-        self.gradient_max = largest([self.gradient_max, look.gradient_max].iter());
+        self.gradient_max = absolute_max([self.gradient_max, look.gradient_max]);
         for ((shared, gradient), diagonal) in
             part.shared.iter().zip(&look.gradient).zip(&look.diagonal)
         {
@@ -198,7 +197,7 @@ impl least_squares::Problem for Regions<'_> {
         let shared = at.gradient.as_flattened().iter();
         Linearisation {
             cost: at.cost,
-            gradient_max: largest(shared.chain([&at.gradient_max])),
+            gradient_max: absolute_max(shared.chain([&at.gradient_max])),
         }
     }
 
@@ -219,7 +218,7 @@ impl least_squares::Problem for Regions<'_> {
             |region| region.substitute(options, steps, damping),
             |region, moved: Moved| {
                 step.predicted_decrease += moved.predicted_decrease;
-                step.moved = step.moved.max(moved.moved);
+                step.moved = absolute_max([step.moved, moved.moved]);
                 all.add(&region.part, &moved.look);
             },
         );

@@ -5,13 +5,13 @@ use nalgebra::Vector3;
 use super::super::blocks::Blocks;
 use super::super::elimination::{Layout, fill};
 use super::super::equations::Equations;
-use super::super::schur::{Bundle, largest, ordered};
+use super::super::schur::{Bundle, ordered};
 use super::super::taken;
 use super::super::vehicle::Vehicles;
 use super::super::{Keyframe, Options, Session};
 use super::condensed::{Condensed, Interior, Place, condense};
 use super::part::Part;
-use crate::solving::least_squares::SystemError;
+use crate::solving::least_squares::{SystemError, absolute_max};
 
 /// A part of the problem at its estimate, and what is kept of a step.
 pub(super) struct Region {
@@ -158,7 +158,7 @@ fn equations<'a>(part: &'a Part, options: &'a Options) -> Equations<6, Vehicles<
 fn look(part: &Part, equations: &mut Equations<6, Vehicles<'_>>) -> Look {
     let cost = equations.linearise();
     let own = part.own().flat_map(|block| &equations.gradient[block]);
-    let gradient_max = largest(own.chain(equations.landmark_gradient()));
+    let gradient_max = absolute_max(own.chain(equations.landmark_gradient()));
     let mut look = Look {
         cost,
         gradient_max,
