@@ -18,6 +18,7 @@ mod mosaic;
 mod parameters;
 mod pixels;
 mod roads;
+mod views;
 mod words;
 
 use std::collections::BTreeMap;
