@@ -17,6 +17,7 @@ mod metric_map;
 mod mosaic;
 mod parameters;
 mod pixels;
+mod recorded_labels;
 mod roads;
 mod views;
 mod words;
