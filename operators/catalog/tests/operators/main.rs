@@ -15,6 +15,7 @@ mod keyframes;
 mod labels;
 mod metric_map;
 mod mosaic;
+mod panoramas;
 mod parameters;
 mod pixels;
 mod recorded_labels;
