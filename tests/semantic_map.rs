@@ -213,6 +213,31 @@ fn a_simulated_street_is_mapped_from_its_labels() {
     assert!(best.len() > 20, "{}", best.len());
 }
 
+#[test]
+fn views_of_a_vehicle_that_is_called_otherwise_are_kept_without_a_position_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let (street, map) = (folder.path().join("street"), folder.path().join("map"));
+    let small = [
+        "length_m=90",
+        "width_px=256",
+        "height_px=83",
+        "colour=false",
+        "visits=1",
+    ];
+    simulate("street", &street, &small);
+    let log = street.join("visit_a/visit_a.mcap");
+    let misspelt = "views.vehicle_frame=chasis";
+    let arguments = ["--sessions", text(&log), "--set", misspelt];
+    let ended = run("semantic_map", &map, &arguments).expect(3);
+    let reason =
+        "fixed transforms from frame `panorama_optical_frame` lead to `base_link`, not to `chasis`";
+    assert!(ended.stderr.contains(reason), "{}", ended.stderr);
+    let query = "SELECT count(*) AS views, count(map_from_view) AS placed FROM views";
+    let counted = &rows(&map, None, query)[0];
+    assert_eq!(counted["views"], 60);
+    assert_eq!(counted["placed"], 0);
+}
+
 /// Label images of a map, pixel by pixel, by stamp.
 fn labels(map: &Path) -> BTreeMap<i64, Vec<u8>> {
     let query = "SELECT CAST(stamp AS BIGINT) AS at, encode(png, 'hex') AS png FROM label_images";

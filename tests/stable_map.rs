@@ -196,7 +196,7 @@ struct View {
 
 fn views(world: &Path, map: &Path) -> Vec<View> {
     let query = "SELECT encode(l.png, 'hex') AS before, encode(w.png, 'hex') AS warped, encode(i.png, 'hex') AS stable, \
-                 encode(i.certainty, 'hex') AS certainty, \
+                 encode(i.certainty, 'hex') AS certainty, i.unknown_px, \
                  w.occlusions, w.width, w.height, w.classes \
                  FROM label_images l JOIN warped_labels w ON l.session = w.session AND l.stamp = w.stamp \
                  JOIN inferred_labels i ON l.session = i.session AND l.stamp = i.stamp \
@@ -211,10 +211,13 @@ fn views(world: &Path, map: &Path) -> Vec<View> {
             pixels: seen["pixels"].as_u64().unwrap(),
         });
         let path = world.join(format!("visit_a/static_labels/{number:06}.png"));
+        let stable = image(&row["stable"]);
+        let unknown = stable.iter().filter(|label| **label == VOID).count() as u64;
+        assert_eq!(row["unknown_px"], unknown, "of view {number}");
         View {
             before: image(&row["before"]),
             warped: image(&row["warped"]),
-            stable: image(&row["stable"]),
+            stable,
             certainty: image(&row["certainty"]),
             truth: decoded(&std::fs::read(path).unwrap()),
             occlusions: occlusions.collect(),

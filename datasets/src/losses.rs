@@ -49,6 +49,9 @@ pub enum Reason {
     BadData,
     /// Messages with a transform that moves the vehicle in another frame than the one that odometry is read in.
     OtherParent,
+    /// Entries of a metadata record that plays a role and whose values make no sense, such as a class of a pixel value that
+    /// there is not.
+    BadEntry,
 }
 
 impl Reason {
@@ -72,6 +75,7 @@ impl Reason {
             Reason::NoVehicle => "topics of transforms that move no vehicle",
             Reason::BadData => "logs with a wrong checksum of their data",
             Reason::OtherParent => "transforms that move the vehicle in another frame",
+            Reason::BadEntry => "entries of metadata with invalid values",
         }
     }
 }

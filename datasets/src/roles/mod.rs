@@ -27,6 +27,7 @@ use futures::FutureExt;
 use tokio::sync::OnceCell;
 
 use crate::fault::fault_of;
+use crate::losses::{Loss, Reason};
 use crate::scan::{LogTable, McapTable, RecordTable, RowBuilder};
 use crate::session::{LogPart, Session};
 use mounts::Mounts;
@@ -60,10 +61,13 @@ pub(crate) fn table(role: &Role, sessions: &[Session]) -> Result<Arc<dyn TablePr
             role.name,
             layer.schema(),
             move |part, records| {
-                let records = records.filter(|found| found.name == played.record);
-                let rows =
-                    records.map(|found| (played.read)(&part.site, &part.session, &found.metadata));
-                joined(&rows.collect::<Result<Vec<_>, _>>()?)
+                let records = records.filter(|(_, found)| found.name == played.record);
+                let rows = records.map(|(offset, found)| {
+                    let read = (played.read)(&part.site, &part.session, &found.metadata)?;
+                    lose_entries(part, offset, &read.senseless);
+                    Ok(read.columns)
+                });
+                joined(&rows.collect::<Result<Vec<_>, Fault>>()?)
             },
         )),
     };
@@ -71,6 +75,16 @@ pub(crate) fn table(role: &Role, sessions: &[Session]) -> Result<Arc<dyn TablePr
     match role.messages() {
         Some(messages) if messages.drop_repeats => without_repeats(&layer, table),
         _ => Ok(table),
+    }
+}
+
+/// Counts the entries of a metadata record that gave no rows.
+fn lose_entries(part: &LogPart, offset: u64, senseless: &[(usize, String)]) {
+    if let Some((_, detail)) = senseless.first() {
+        let (count, bytes) = (senseless.len() as u64, 0);
+        let loss = Loss { count, bytes };
+        let losses = &part.losses;
+        losses.note(Reason::BadEntry, offset, loss, detail.as_str());
     }
 }
 

@@ -51,8 +51,8 @@ record! {
 
 /// What is kept of a record.
 enum Held {
-    /// All of it.
-    Whole(Record<'static>),
+    /// All of it, and where it lies in the file.
+    Whole(u64, Record<'static>),
     /// What stands before an attachment's bytes, which are not read; nor is its checksum compared.
     Head(AttachmentHead),
 }
@@ -94,7 +94,7 @@ impl RecordTable {
     pub fn metadata() -> Self {
         let schema = schema_of(&Metadata::columns());
         Self::of_metadata("metadata", schema, |part, records| {
-            let rows = records.map(|found| Metadata {
+            let rows = records.map(|(_, found)| Metadata {
                 session: part.session.to_string(),
                 name: found.name,
                 metadata: found.metadata,
@@ -122,8 +122,8 @@ impl RecordTable {
     }
 }
 
-/// Metadata records, one after the other.
-pub(crate) type MetadataRecords = dyn Iterator<Item = mcap::records::Metadata>;
+/// Metadata records, one after the other, each with its place in the file.
+pub(crate) type MetadataRecords = dyn Iterator<Item = (u64, mcap::records::Metadata)>;
 
 impl Debug for RecordTable {
     fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
@@ -168,7 +168,7 @@ impl LogTable for RecordTable {
 fn attachment(part: &LogPart, held: Held) -> Option<Attachment> {
     let (head, data) = match held {
         Held::Head(head) => (head, Vec::new()),
-        Held::Whole(Record::Attachment { header, data, .. }) => {
+        Held::Whole(_, Record::Attachment { header, data, .. }) => {
             let head = AttachmentHead {
                 name: header.name,
                 media_type: header.media_type,
@@ -178,7 +178,7 @@ fn attachment(part: &LogPart, held: Held) -> Option<Attachment> {
             };
             (head, data.into_owned())
         }
-        Held::Whole(_) => return None,
+        Held::Whole(..) => return None,
     };
     Some(Attachment {
         session: part.session.to_string(),
@@ -191,9 +191,9 @@ fn attachment(part: &LogPart, held: Held) -> Option<Attachment> {
     })
 }
 
-fn metadata(records: Vec<Held>) -> impl Iterator<Item = mcap::records::Metadata> {
+fn metadata(records: Vec<Held>) -> impl Iterator<Item = (u64, mcap::records::Metadata)> {
     records.into_iter().filter_map(|record| match record {
-        Held::Whole(Record::Metadata(found)) => Some(found),
+        Held::Whole(offset, Record::Metadata(found)) => Some((offset, found)),
         _ => None,
     })
 }
@@ -253,7 +253,7 @@ impl RowBuilder for RecordRows {
             | (UnitKind::Metadata, Record::Metadata(_)) => {}
             _ => return Err("expected a record of the kind that the index says".to_owned()),
         }
-        self.records.push(Held::Whole(record));
+        self.records.push(Held::Whole(unit.offset, record));
         self.bytes += body.len();
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! A role is one descriptor: one that is made up here has a key in manifests, inference and a table like any other.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use crate::common::by_hand::{channel, file, message, schema, transform, transforms};
+use crate::common::by_hand::{self, channel, file, message, schema, transform, transforms};
 use crate::common::{Log, context, count, in_memory, rows, text};
 use crate::hostile::{messages, opened};
 use datafusion::prelude::SessionContext;
@@ -304,5 +304,44 @@ async fn other_poses_go_before_transforms_that_move_no_vehicle() {
     for (log, manifest) in [(log("odom", "base_link"), ""), (wheel, named)] {
         let (_, dataset) = opened_with(&log, manifest).await;
         assert_eq!(dataset.sessions[0].roles.topics("odometry"), ["/tf"]);
+    }
+}
+
+/// A metadata record that names classes of these values.
+fn label_classes(values: &[&str]) -> Vec<u8> {
+    let entry = |value: &&str| {
+        let text = [value.as_bytes(), b"a class"].map(by_hand::text);
+        text.concat()
+    };
+    let entries: Vec<u8> = values.iter().flat_map(entry).collect();
+    let body = [by_hand::text(b"label_classes"), by_hand::text(&entries)];
+    by_hand::record(12, &body.concat())
+}
+
+#[tokio::test]
+async fn classes_of_what_is_no_pixel_value_are_counted_with_what_was_found() {
+    let records = [
+        channel(1, 0, "/t", "json"),
+        message(1, 0, b"{}"),
+        label_classes(&["0", "26000", "255", "26001"]),
+        label_classes(&["1", "car"]),
+    ];
+    let (context, dataset) = opened(&file(&records, &[])).await;
+    // What is read twice is counted once.
+    for _ in 0..2 {
+        let query = "SELECT * FROM label_classes WHERE class = 'a class'";
+        assert_eq!(count(&context, query).await, 3);
+        let lost = dataset.losses.entries().into_iter();
+        let lost: Vec<_> = lost
+            .map(|lost| (lost.reason, lost.loss.count, lost.detail))
+            .collect();
+        let told = |found: &str| {
+            format!("expected pixel values from 0 to 255 in label_classes, found {found}")
+        };
+        let expected = [
+            (Reason::BadEntry, 2, told("\"26000\"")),
+            (Reason::BadEntry, 1, told("\"car\"")),
+        ];
+        assert_eq!(lost, expected);
     }
 }

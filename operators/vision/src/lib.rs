@@ -4,7 +4,8 @@
 //!   jpeg, png, pgm … ──► decode_grey ─────────────► Grey (8 bits, rows without gaps)
 //!   jpeg, png, ppm … ──► decode_colour ───────────► Rgb
 //!   depth: png, pgm, pfm ► decode_depth ───────────► Grey16, the values as stored; metres in mm
-//!   labels: png, pgm ──► decode_labels ───────────► Grey, the values as stored ──► encode_png
+//!   labels: png, pgm ──► decode_values ───────────► Grey16, the values as stored
+//!   labels of maps: png ─► decode_labels ──────────► Grey, the values as stored ──► encode_png
 //!   Grey ──────────────► PeopleDetector ──────────► windows that show people
 //! ```
 //! Bytes come from logs, so they may be torn or hostile. Nothing here panics on them, and nothing is allocated for a
@@ -22,4 +23,4 @@ pub use decode::{decode_colour, decode_grey, image_size};
 pub use features::{Blind, DESCRIPTOR_BYTES, Detectors, FeatureParams, KeyPoints, Vignette};
 pub use grey::{Grey, Grey16, ImageError, MAX_PIXELS, Rgb};
 pub use people::PeopleDetector;
-pub use stored::{decode_depth, decode_labels, encode_png};
+pub use stored::{decode_depth, decode_labels, decode_values, encode_png};

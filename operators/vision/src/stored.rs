@@ -24,17 +24,26 @@ pub fn decode_depth(bytes: &[u8]) -> Result<Grey16, ImageError> {
         return pfm_depth(numbers, bytes.len());
     }
     let (inverse, bytes) = InverseDepth::before(bytes);
-    let header = decodable(bytes)?;
-    let mut data = stored(bytes, &header)?.into_sixteen();
+    let mut depth = decode_values(bytes)?;
     if let Some(inverse) = inverse {
-        for value in &mut data {
+        for value in &mut depth.data {
             *value = inverse.millimetres(*value);
         }
     }
+    Ok(depth)
+}
+
+/// The values of an image of 16 or fewer bits per pixel, as stored, not scaled: of a palette PNG the indices.
+///
+/// # Errors
+/// [`ImageError`] for bytes that are no PNG or PGM, an image in colour or with transparency, one that is too large, cut
+/// off or damaged.
+pub fn decode_values(bytes: &[u8]) -> Result<Grey16, ImageError> {
+    let header = decodable(bytes)?;
     Ok(Grey16 {
         width: header.width,
         height: header.height,
-        data,
+        data: stored(bytes, &header)?.into_sixteen(),
     })
 }
 
@@ -106,11 +115,12 @@ impl InverseDepth {
     }
 }
 
-/// The values of a label image, as stored: of a palette PNG the indices, of fewer than 8 bits the values themselves.
-/// 16-bit values above 255 become 255, which stands for "no class".
+/// The values of a label image of a map, as stored: of a palette PNG the indices, of fewer than 8 bits the values
+/// themselves. 16-bit values above 255 become 255, which stands for "no class"; where that is to be told, as of a log's
+/// label images, [`decode_values`] has them.
 ///
 /// # Errors
-/// As [`decode_depth`].
+/// As [`decode_values`].
 pub fn decode_labels(bytes: &[u8]) -> Result<Grey, ImageError> {
     let header = decodable(bytes)?;
     let stored = stored(bytes, &header)?;

@@ -2,7 +2,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use evermap_vision::{
-    Grey, ImageError, Rgb, decode_colour, decode_depth, decode_grey, decode_labels, encode_png,
+    Grey, ImageError, Rgb, decode_colour, decode_depth, decode_grey, decode_labels, decode_values,
+    encode_png,
 };
 use png::{BitDepth, ColorType};
 use proptest::prelude::*;
@@ -76,6 +77,7 @@ fn depth_keeps_all_sixteen_bits() {
         [b"P5 # made by hand\n3\t1\n65535\n".as_slice(), &stored].concat(),
     ] {
         assert_eq!(decode_depth(&bytes).unwrap().data, [0x1234, 0xabcd, 1]);
+        assert_eq!(decode_values(&bytes).unwrap().data, [0x1234, 0xabcd, 1]);
         assert_eq!(decode_labels(&bytes).unwrap().data, [255, 255, 1]);
     }
     let shallow = png_of([2, 1], ColorType::Grayscale, BitDepth::Eight, &[7, 255]);
@@ -142,6 +144,7 @@ fn labels_are_indices_whatever_colours_stand_for_them() {
     );
     let whole = png_of([2, 1], ColorType::Indexed, BitDepth::Eight, &[3, 0]);
     assert_eq!(decode_labels(&whole).unwrap().data, [3, 0]);
+    assert_eq!(decode_values(&whole).unwrap().data, [3, 0]);
     let colour = png_of([1, 1], ColorType::Rgb, BitDepth::Eight, &[1, 1, 1]);
     assert!(matches!(
         decode_labels(&colour),

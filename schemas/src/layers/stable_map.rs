@@ -232,7 +232,7 @@ record! {
         certainty: Bytes,
         /// What was inferred: by moving thing and class, the first pixel's first.
         inferred: Vec<InferredArea>,
-        /// Pixels of which nothing is known.
+        /// Pixels of which nothing is known: all that have no class in `png`, those too that had none before.
         unknown_px: u64 ["px"],
     }
 }

@@ -1,4 +1,4 @@
-//! Label images: 8-bit, each value a class; `label_classes` says which.
+//! Label images: each value, from 0 to 255, a class; `label_classes` says which.
 
 use std::collections::BTreeMap;
 

@@ -24,20 +24,20 @@ pub trait FromMessage: LayerRow {
     fn from_message(message: &Message<'_>) -> Result<Vec<Self>, String>;
 }
 
-/// Rows, one array per column, and the messages that gave none.
+/// Rows, one array per column, and the messages, or entries of a metadata record, that gave none.
 #[derive(Debug)]
 pub struct Read {
     /// The columns.
     pub columns: Vec<ArrayRef>,
-    /// Messages whose values make no sense: which of those given, and why.
+    /// Messages, or entries, whose values make no sense: which of those given, and why.
     pub senseless: Vec<(usize, String)>,
 }
 
 /// From messages to rows.
 pub type Reader = fn(&[Message<'_>]) -> Result<Read, Fault>;
 
-/// From a site, a session and a metadata record to rows, one array per column.
-pub type MetadataReader = fn(&str, &str, &BTreeMap<String, String>) -> Result<Vec<ArrayRef>, Fault>;
+/// From a site, a session and a metadata record to rows.
+pub type MetadataReader = fn(&str, &str, &BTreeMap<String, String>) -> Result<Read, Fault>;
 
 pub(super) fn read<T: FromMessage>(messages: &[Message<'_>]) -> Result<Read, Fault> {
     let mut rows = Vec::with_capacity(messages.len());

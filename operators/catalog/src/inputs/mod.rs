@@ -12,6 +12,7 @@ pub(crate) mod frames;
 pub(crate) mod graphs;
 pub mod labels;
 pub(crate) mod lenses;
+pub(crate) mod outside;
 pub mod painting;
 pub(crate) mod pixels;
 pub(crate) mod rig;

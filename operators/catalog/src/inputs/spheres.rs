@@ -58,6 +58,9 @@ pub(crate) fn surroundings(classes: &[String]) -> String {
     serde_json::json!({ "surroundings": classes }).to_string()
 }
 
+/// Why a view is left out whose pixels have labels of other places: those of an image of another size.
+pub(crate) const LABELS_OF_ANOTHER_SIZE: &str = "label image has another size than its panorama";
+
 /// A view's name in a table: session, camera, instant.
 pub(crate) type ViewKey = (String, String, Stamp);
 
@@ -95,6 +98,11 @@ impl Spheres {
         })
     }
 
+    /// Whether a view has a panorama.
+    pub(crate) fn has(&self, view: &ViewKey) -> bool {
+        self.rows.contains_key(view)
+    }
+
     /// A view's panorama at all sizes, to be registered; what moves, where there are labels, has no range in it.
     pub(crate) fn pyramid(
         &self,
@@ -104,6 +112,10 @@ impl Spheres {
     ) -> Result<Pyramid, Reason> {
         let mut sphere = self.open(view, true)?;
         if let Some(row) = self.labels(view) {
+            let size = [row.width, row.height].map(|side| side as usize);
+            if size != [sphere.lens.width, sphere.lens.height] {
+                return Err(LABELS_OF_ANOTHER_SIZE.into());
+            }
             let kinds = classes.kinds(&row.classes)?;
             for (range, label) in sphere.range.iter_mut().zip(labels(row)?) {
                 if kinds.is_dynamic(label) {

@@ -1,11 +1,13 @@
 #![doc = include_str!("keyframes.md")]
 
 use evermap_algorithms::geometry::pose::Pose;
-use evermap_algorithms::metric_map::drive::{self, Exposure, KeyframeParams, Keyframer, Outside};
+use evermap_algorithms::metric_map::drive::{self, Exposure, KeyframeParams, Keyframer};
 use evermap_contract::{Emit, Fault, Key, Operator, Pixels, Port, Sides, Stream, Work};
 use evermap_schemas::layers::{Keyframe, KeyframeImage};
 use evermap_schemas::roles::{Frame, OdometryPose};
 use evermap_schemas::{ImageRef, Stamp};
+
+use crate::inputs::outside;
 
 /// See the module's page.
 pub struct Keyframes;
@@ -32,17 +34,6 @@ impl Operator for Keyframes {
 
 /// Keyframes are handed on once there are so many: messages that are far apart make many.
 const ENOUGH: usize = 8192;
-
-/// How far outside the farthest frame is, in a word: numbers would make a reason of every session. What is short of an hour
-/// or a day is one: cameras and odometry that are an hour apart are so to some seconds.
-fn roughly(outside: Outside) -> &'static str {
-    match outside.farthest_ns / 1_000_000_000 {
-        ..60 => "seconds",
-        60..3_000 => "minutes",
-        3_000..72_000 => "hours",
-        _ => "days",
-    }
-}
 
 /// One session at work.
 struct Session {
@@ -105,11 +96,8 @@ impl Stream for Session {
             losses.repeated_frames,
         );
         let (early, late) = (losses.early_frames, losses.late_frames);
-        let [far_before, far_after] = [early, late].map(roughly);
-        let before = format!("frame that is {far_before} before odometry begins");
-        emit.skip(before, early.frames);
-        let after = format!("frame that is {far_after} after odometry ends");
-        emit.skip(after, late.frames);
+        emit.skip(outside::early(early.farthest_ns, "odometry"), early.frames);
+        emit.skip(outside::late(late.farthest_ns, "odometry"), late.frames);
         self.emit(keyframes, emit)
     }
 }

@@ -37,7 +37,7 @@ pub struct InferredLabelsParams {
 
 impl Operator for InferredLabelImages {
     const NAME: &'static str = "inferred_labels";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: &'static str = include_str!("inferred_labels.md");
     type Params = InferredLabelsParams;
     type Output = InferredLabels;

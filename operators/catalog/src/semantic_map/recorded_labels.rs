@@ -7,7 +7,7 @@ use evermap_contract::{Emit, Fault, Operator, Pixels, Port, Reason, Sides, Work}
 use evermap_schemas::Bytes;
 use evermap_schemas::layers::LabelImage;
 use evermap_schemas::roles::{Frame, LabelClass};
-use evermap_vision::{Grey, ImageError, decode_labels, encode_png};
+use evermap_vision::{Grey, ImageError, decode_values, encode_png};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -47,7 +47,7 @@ impl Default for RecordedLabelsParams {
 
 impl Operator for RecordedLabels {
     const NAME: &'static str = "recorded_labels";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("recorded_labels.md");
     type Params = RecordedLabelsParams;
     type Output = LabelImage;
@@ -153,20 +153,26 @@ impl Site {
     }
 
     fn image(&self, frame: Frame, bytes: &[u8]) -> Found {
-        let mut labels = decode_labels(bytes).map_err(|error| match error {
+        let values = decode_values(bytes).map_err(|error| match error {
             ImageError::Values { .. } => "label image holds colours instead of values",
             _ => "label image does not decode",
         })?;
         let table = self.sessions.get(&frame.session).unwrap_or(&self.unsaid);
-        let complete = classify(&mut labels, table);
+        let (data, complete) = classified(&values.data, table);
+        let (width, height) = (values.width, values.height);
+        let labels = Grey {
+            width,
+            height,
+            data,
+        };
         let png = encode_png(&labels).map_err(|_| "label image does not encode")?;
         let row = LabelImage {
             site: frame.site,
             session: frame.session,
             stamp: frame.stamp,
             camera: frame.camera,
-            width: labels.width,
-            height: labels.height,
+            width,
+            height,
             classes: self.classes.clone(),
             png: Bytes(png),
         };
@@ -174,16 +180,21 @@ impl Site {
     }
 }
 
-/// Looks every pixel up; false where one that has a value has no class.
-fn classify(labels: &mut Grey, table: &Table) -> bool {
-    let mut met = [false; 256];
-    for pixel in &mut labels.data {
-        met[usize::from(*pixel)] = true;
-        *pixel = table[usize::from(*pixel)];
-    }
+/// The class of every pixel; false where one that has a value has no class, as no value above 255 has.
+fn classified(values: &[u16], table: &Table) -> (Vec<u8>, bool) {
+    let (mut met, mut beyond) = ([false; 256], false);
+    let look_up = |value: &u16| {
+        let Ok(value) = u8::try_from(*value) else {
+            beyond = true;
+            return VOID;
+        };
+        met[usize::from(value)] = true;
+        table[usize::from(value)]
+    };
+    let classes = values.iter().map(look_up).collect();
     let unknown =
         |(value, met): (usize, &bool)| *met && value != usize::from(VOID) && table[value] == VOID;
-    !met.iter().enumerate().any(unknown)
+    (classes, !beyond && !met.iter().enumerate().any(unknown))
 }
 
 #[cfg(test)]
@@ -235,16 +246,18 @@ mod tests {
     fn only_values_that_mean_nothing_are_missed() {
         let mut table = [VOID; 256];
         table[7] = 3;
-        let image = |data: &[u8]| Grey {
-            width: data.len() as u32,
-            height: 1,
-            data: data.to_vec(),
-        };
-        let mut labels = image(&[7, 255, 7]);
-        assert!(classify(&mut labels, &table));
-        assert_eq!(labels.data, [3, 255, 3]);
-        let mut labels = image(&[7, 11]);
-        assert!(!classify(&mut labels, &table));
-        assert_eq!(labels.data, [3, 255]);
+        assert_eq!(classified(&[7, 255, 7], &table), (vec![3, 255, 3], true));
+        assert_eq!(classified(&[7, 11], &table), (vec![3, 255], false));
+    }
+
+    #[test]
+    fn values_above_255_are_missed_and_are_not_of_a_class_named_255() {
+        let mut table = [VOID; 256];
+        table[7] = 3;
+        assert_eq!(classified(&[7, 26_000], &table), (vec![3, 255], false));
+        table[255] = 1;
+        assert_eq!(classified(&[255, 7], &table), (vec![1, 3], true));
+        let beyond = classified(&[255, 256, 65_535], &table);
+        assert_eq!(beyond, (vec![1, 255, 255], false));
     }
 }

@@ -31,7 +31,7 @@ pub struct RegistrationsParams {
 
 impl Operator for Registrations {
     const NAME: &'static str = "registrations";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: &'static str = include_str!("registrations.md");
     type Params = RegistrationsParams;
     type Output = ViewRegistration;
@@ -58,7 +58,22 @@ fn registrations(
     };
     let views: Vec<&[Relocation]> = relocations.chunk_by(|a, b| a.stamp == b.stamp).collect();
     let made = views.into_par_iter().map(|view| site.of_view(view));
-    emit.made(made.collect())
+    let made: Vec<Result<Registered, Reason>> = made.collect();
+    for registered in made.iter().flatten() {
+        for reason in &registered.unusable {
+            emit.skip(reason, 1);
+        }
+    }
+    let rows = made.into_iter().map(|registered| Ok(registered?.rows));
+    emit.made(rows.collect())
+}
+
+/// A view that was registered.
+struct Registered {
+    /// With all its candidates, the best first.
+    rows: Vec<ViewRegistration>,
+    /// Why panoramas of candidates cannot be used.
+    unusable: Vec<Reason>,
 }
 
 struct Site<'a> {
@@ -67,15 +82,17 @@ struct Site<'a> {
 }
 
 impl Site<'_> {
-    /// A view's registrations with all its candidates, the best first.
-    fn of_view(&self, candidates: &[Relocation]) -> Result<Vec<ViewRegistration>, Reason> {
+    fn of_view(&self, candidates: &[Relocation]) -> Result<Registered, Reason> {
         let first = &candidates[0];
         let key = |row: &Relocation| (row.session.clone(), row.camera.clone(), row.stamp);
         let view = self.pyramid(&key(first))?;
-        let mut found: Vec<(Option<Registration>, &Relocation)> = candidates
-            .iter()
-            .map(|row| (self.with(row, &view), row))
-            .collect();
+        let mut unusable = Vec::new();
+        let mut found: Vec<(Option<Registration>, &Relocation)> = Vec::new();
+        for row in candidates {
+            let with = self.with(row, &view);
+            let with = with.map_err(|reason| unusable.push(reason));
+            found.push((with.ok().flatten(), row));
+        }
         found.sort_by(|(a, first), (b, second)| {
             order(b.as_ref())
                 .partial_cmp(&order(a.as_ref()))
@@ -83,20 +100,34 @@ impl Site<'_> {
                 .then(first.rank.cmp(&second.rank))
         });
         let rows = found.into_iter().zip(0..);
-        Ok(rows
-            .map(|((found, row), rank)| line(row, rank, found.as_ref()))
-            .collect())
+        let rows = rows.map(|((found, row), rank)| line(row, rank, found.as_ref()));
+        Ok(Registered {
+            rows: rows.collect(),
+            unusable,
+        })
     }
 
-    /// `None` where the map's view has no panorama, or hardly any range.
-    fn with(&self, row: &Relocation, view: &Pyramid) -> Option<Registration> {
+    /// `None` where the map's view has no panorama, or one of the two hardly any range.
+    ///
+    /// # Errors
+    /// Why the panorama of the map's view cannot be used.
+    fn with(&self, row: &Relocation, view: &Pyramid) -> Result<Option<Registration>, Reason> {
         let key = (
             row.map_session.clone(),
             row.map_camera.clone(),
             row.map_stamp,
         );
-        let map_view = self.pyramid(&key).ok()?;
-        register(&map_view, view, guess(row).as_ref(), &self.params.options)
+        if !self.spheres.has(&key) {
+            return Ok(None);
+        }
+        let map_view = self.pyramid(&key)?;
+        let guess = guess(row);
+        Ok(register(
+            &map_view,
+            view,
+            guess.as_ref(),
+            &self.params.options,
+        ))
     }
 
     fn pyramid(&self, view: &ViewKey) -> Result<Pyramid, Reason> {

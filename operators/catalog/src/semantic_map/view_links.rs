@@ -2,7 +2,7 @@
 
 use evermap_algorithms::geometry::pose;
 use evermap_algorithms::semantic_map::stable::registration::{Options, Pyramid, State, register};
-use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
+use evermap_contract::{Emit, Fault, Key, Operator, Port, Reason, Sides, Work};
 use evermap_schemas::Pose;
 use evermap_schemas::layers::{LabelImage, SphereView, ViewLink, ViewRegistration};
 use rayon::prelude::*;
@@ -28,7 +28,7 @@ pub struct ViewLinksParams {
 
 impl Operator for ViewLinks {
     const NAME: &'static str = "view_links";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: &'static str = include_str!("view_links.md");
     type Params = ViewLinksParams;
     type Output = ViewLink;
@@ -61,10 +61,14 @@ fn links(
     for views in views.chunks(AT_ONCE) {
         let opened = views.par_iter().map(|view| {
             let pyramid = spheres.pyramid(view, &params.classes, &params.options);
-            (view, pyramid.ok())
+            (view, pyramid)
         });
+        let opened: Vec<(&ViewKey, Result<Pyramid, Reason>)> = opened.collect();
         let mut held: Vec<_> = before.take().into_iter().collect();
-        held.par_extend(opened);
+        for (view, pyramid) in opened {
+            let pyramid = pyramid.map_err(|reason| emit.skip(reason, 1));
+            held.push((view, pyramid.ok()));
+        }
         let pairs = held.par_windows(2);
         let driven = pairs.filter_map(|pair| driven(&site, &pair[0], &pair[1], &params.options));
         emit.rows(driven.collect::<Vec<_>>())?;

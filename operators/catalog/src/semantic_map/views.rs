@@ -45,7 +45,7 @@ impl Default for ViewsParams {
 
 impl Operator for Views {
     const NAME: &'static str = "views";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const PAGE: &'static str = include_str!("views.md");
     type Params = ViewsParams;
     type Output = View;
@@ -57,6 +57,15 @@ impl Operator for Views {
         sides.push(Port::session::<Frame>("depth_frames").optional());
         Work::batches(labels, sides, Site::new, Site::views)
     }
+}
+
+/// A view, and what is amiss with it.
+struct Described {
+    view: View,
+    /// Pixels that have labels that are no class.
+    unknown_px: u64,
+    /// Why it does not say where its camera was, though its session has poses and transforms.
+    unplaced: Option<Reason>,
 }
 
 /// How views are made of a site's images.
@@ -83,16 +92,18 @@ impl Site {
 
     fn views(&self, images: Vec<LabelImage>, _: &Pixels, emit: &mut Emit<'_>) -> Result<(), Fault> {
         let images = images.into_par_iter();
-        let views: Vec<Result<(View, usize), Reason>> =
-            images.map(|image| self.view(image)).collect();
-        let unknown = views.iter().flatten().map(|(_, unknown)| *unknown as u64);
-        emit.skip("value of a pixel is not a class", unknown.sum());
-        let views = views.into_iter().map(|view| Ok([view?.0]));
+        let views: Vec<Result<Described, Reason>> = images.map(|image| self.view(image)).collect();
+        for described in views.iter().flatten() {
+            emit.skip("value of a pixel is not a class", described.unknown_px);
+            if let Some(reason) = &described.unplaced {
+                emit.skip(reason, 1);
+            }
+        }
+        let views = views.into_iter().map(|described| Ok([described?.view]));
         emit.made(views.collect())
     }
 
-    /// The view, and how many pixels have labels that are no class.
-    fn view(&self, image: LabelImage) -> Result<(View, usize), Reason> {
+    fn view(&self, image: LabelImage) -> Result<Described, Reason> {
         let values = pixels::labels(&image)?;
         let (width, height) = (image.width, image.height);
         if image.classes.len() > MOST_CLASSES {
@@ -115,7 +126,10 @@ impl Site {
         let mut graph = graph.map_err(|error| graphs::no_graph(&error))?;
         let field_of_view = camera.and_then(|camera| camera.horizontal_field_of_view_rad());
         graph.field_of_view_rad = field_of_view.map(|angle| angle as f32);
-        let map_from_view = self.poses.at(taken, &self.params.vehicle);
+        let (map_from_view, unplaced) = match self.poses.at(taken, &self.params.vehicle) {
+            Ok(pose) => (pose, None),
+            Err(reason) => (None, Some(reason)),
+        };
         let key = (image.session, image.camera, image.stamp);
         let view = View {
             map_from_view: map_from_view.map(|pose| Pose::from_array(pose.to_array())),
@@ -127,6 +141,10 @@ impl Site {
             camera: key.1,
             graph: graphs::row(&graph, &image.classes),
         };
-        Ok((view, labels.unknown_px(classes)))
+        Ok(Described {
+            view,
+            unknown_px: labels.unknown_px(classes) as u64,
+            unplaced,
+        })
     }
 }

@@ -17,7 +17,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::pixels::labels;
-use crate::inputs::spheres::{MovingClasses, OpenSphere, Spheres, ViewKey};
+use crate::inputs::spheres::{LABELS_OF_ANOTHER_SIZE, MovingClasses, OpenSphere, Spheres, ViewKey};
 
 /// See the module's page.
 pub struct WarpedLabelImages;
@@ -128,7 +128,7 @@ impl Site {
                 });
                 let others: Vec<(LabelledView<'_>, Pose)> = sized.collect();
                 if !this.is_sound() {
-                    return Err("label image has another size than its panorama".into());
+                    return Err(LABELS_OF_ANOTHER_SIZE.into());
                 }
                 replaced(&this, &others, &kinds, &self.params.options)
             }

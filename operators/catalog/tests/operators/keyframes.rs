@@ -64,7 +64,7 @@ fn keyframes(odometry: Vec<OdometryPose>, frames: Vec<Frame>) -> (Vec<Keyframe>,
 }
 
 /// 50 Hz at a steady speed.
-fn drive(speed_mps: f64, seconds: f64) -> Vec<OdometryPose> {
+pub fn drive(speed_mps: f64, seconds: f64) -> Vec<OdometryPose> {
     let steps = (seconds * 50.0) as i64;
     (0..=steps)
         .map(|step| odometry(step * 20 * MS, speed_mps * step as f64 * 0.02))

@@ -15,9 +15,12 @@ mod keyframes;
 mod labels;
 mod metric_map;
 mod mosaic;
+mod panoramas;
 mod parameters;
 mod pixels;
+mod recorded_labels;
 mod roads;
+mod views;
 mod words;
 
 use std::collections::BTreeMap;

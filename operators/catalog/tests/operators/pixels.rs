@@ -105,7 +105,7 @@ fn labelled(n: i64) -> Labelled {
     }
 }
 
-fn shot(n: i64, image: Vec<u8>) -> Shot {
+pub fn shot(n: i64, image: Vec<u8>) -> Shot {
     Shot {
         site: "street".to_owned(),
         session: "a".to_owned(),

@@ -79,14 +79,10 @@ impl<I> FrameSets<I> {
         }
     }
 
-    /// The exposures ahead that lie outside of the odometry's time: `beyond` says of a stamp how many nanoseconds.
-    ///
-    /// A recorder does not begin with all topics at once, and cameras are often switched on first: a tenth of the time of
-    /// the frames may lie outside, so that half a drive without odometry is told of any drive; but `least_ns` in any case,
-    /// and no more than odometry may pause within a drive.
+    /// The exposures ahead that lie outside of the odometry's time by more than is borne: `beyond` says of a stamp how many
+    /// nanoseconds.
     pub(super) fn outside(&self, least_ns: i64, beyond: impl Fn(i64) -> i64) -> Outside {
-        let most_ns = nanoseconds(LONGEST_PAUSE_S);
-        let borne_ns = (self.span_ns / 10).min(most_ns).max(least_ns);
+        let borne_ns = borne_ns(self.span_ns, least_ns);
         let mut outside = Outside::default();
         for set in &self.ahead {
             let beyond_ns = beyond(set.stamp);
@@ -111,6 +107,16 @@ impl<I> FrameSets<I> {
             }
         }
     }
+}
+
+/// How long before odometry begins and after it ends frames are borne that it does not reach, ns.
+///
+/// A recorder does not begin with all topics at once, and cameras are often switched on first: a tenth of the time of a
+/// drive (`span_ns`) may lie outside, so that half a drive without odometry is told of any drive; but `least_ns` in any
+/// case, and no more than odometry may pause within a drive.
+pub fn borne_ns(span_ns: i64, least_ns: i64) -> i64 {
+    let most_ns = nanoseconds(LONGEST_PAUSE_S);
+    (span_ns / 10).min(most_ns).max(least_ns)
 }
 
 #[cfg(test)]

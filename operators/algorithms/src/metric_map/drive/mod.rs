@@ -37,7 +37,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use continuity::MotionLimits;
-pub use frame_sets::Exposure;
+pub use frame_sets::{Exposure, borne_ns};
 pub use keyframer::{Keyframe, Keyframer};
 pub use speed::{Speed, speeds};
 

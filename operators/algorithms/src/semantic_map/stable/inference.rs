@@ -67,7 +67,7 @@ pub struct Stable {
     pub certainty: Vec<u8>,
     /// Pixels that were inferred, by moving thing, the largest first, and by what is taken to be behind it.
     pub inferred: Vec<Inferred>,
-    /// Pixels of which nothing is known.
+    /// Pixels of which nothing is known: those that are [`VOID`], whether they had no class before or get none.
     pub unknown: u64,
 }
 
@@ -218,7 +218,6 @@ pub fn infer(
         let label = &mut stable.labels[pixel];
         let sure = told.filter(|(_, probability)| *probability >= options.min_probability);
         let Some((class, probability)) = sure else {
-            stable.unknown += 1;
             (*label, stable.certainty[pixel]) = (VOID, 0);
             continue;
         };
@@ -230,6 +229,8 @@ pub fn infer(
         tally.add(&at, certainty, circle_px);
         (*label, stable.certainty[pixel]) = (class, certainty);
     }
+    let unknown = stable.labels.iter().filter(|label| **label == VOID);
+    stable.unknown = unknown.count() as u64;
     stable.inferred = tallies
         .iter()
         .map(|((_, dynamic, class), tally)| tally.inferred(*dynamic, *class, circle_px))

@@ -412,6 +412,16 @@ fn what_nobody_saw_is_taken_from_what_is_around_it() {
     let found = inference_of(&all, width as u32, height as u32, &Model::new(5, []));
     assert!(found.labels.iter().all(|label| *label == VOID));
     assert_eq!(found.unknown as usize, width * height);
+    // What had no class before is not known either, and stays so.
+    let mut unclear = values.clone();
+    unclear[..2 * width].fill(VOID);
+    let found = labels(&unclear);
+    assert!(found.labels[..2 * width].iter().all(|label| *label == VOID));
+    assert_eq!(found.unknown as usize, 2 * width);
+    let found = inference_of(&unclear, width as u32, height as u32, &Model::new(5, []));
+    let without = found.labels.iter().filter(|label| **label == VOID).count();
+    assert_eq!(found.unknown as usize, without);
+    assert_eq!(without, 2 * width + 20 * 16);
 }
 
 fn model() -> Model {
