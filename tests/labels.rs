@@ -274,6 +274,31 @@ fn what_is_drawn_moved_and_removed_with_other_programs_comes_back() {
     assert_eq!(evermap(&before).expect(0).json()[0]["n"], 3);
 }
 
+/// As `to_json` of GeoPandas writes features: the number of the row is the id of each.
+#[test]
+fn numbers_of_rows_are_no_names_of_labels() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let drawn = collection(&[("one", space(5.0, 2.0)), ("two", space(10.0, 2.0))]);
+    lot.import("ada", &drawn, &SPACE).expect(0);
+    lot.run(&["ada.mcap"]).expect(0);
+    let mut rows = lot.export();
+    for (row, feature) in (0..).zip(rows["features"].as_array_mut().unwrap()) {
+        feature["id"] = format!("{row}").into();
+        feature["properties"]["standing"] = "accepted".into();
+    }
+    let said = lot.import("bob", &rows, &[]).expect(0);
+    assert!(
+        said.stderr.contains("bob.mcap: 2 accepted"),
+        "{}",
+        said.stderr
+    );
+    lot.run(&["bob.mcap"]).expect(0);
+    let found = lot.ask("SELECT label, standing FROM placed_labels ORDER BY label");
+    let accepted = |label: &str| json!({ "label": label, "standing": "accepted" });
+    assert_eq!(found, json!([accepted("one"), accepted("two")]));
+}
+
 #[test]
 fn two_people_who_disagree_are_counted_and_the_later_holds() {
     let lot = Lot::new();

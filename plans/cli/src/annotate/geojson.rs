@@ -14,7 +14,7 @@ pub fn features(value: &Value, losses: &mut Losses) -> Vec<Feature> {
     };
     let mut found = Vec::with_capacity(all.len());
     for (number, value) in all.iter().enumerate() {
-        let label = text(&value["id"]).or_else(|| text(&value["properties"]["label"]));
+        let label = label(value);
         let place = match &label {
             Some(label) => format!("feature {number}, label {label}"),
             None => format!("feature {number}"),
@@ -33,6 +33,15 @@ pub fn features(value: &Value, losses: &mut Losses) -> Vec<Feature> {
         }
     }
     found
+}
+
+/// The label that a feature is: its property `label`, and only where it has no such property its `id`, which other programs
+/// make of the numbers of rows.
+fn label(feature: &Value) -> Option<String> {
+    match feature["properties"].get("label") {
+        Some(label) => text(label),
+        None => text(&feature["id"]),
+    }
 }
 
 /// A text that is not empty, or a number as text.
@@ -81,4 +90,32 @@ fn points(positions: &Value) -> Result<Vec<Point>, &'static str> {
     };
     let points: Option<Vec<Point>> = positions.as_array().ok_or(bad)?.iter().map(point).collect();
     points.ok_or(bad)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn the_property_label_goes_before_the_number_of_a_row() {
+        let named = |id: Value, properties: Value| {
+            let feature =
+                json!({ "type": "Feature", "id": id, "properties": properties, "geometry": null });
+            let mut losses = Losses::default();
+            let mut found = features(&feature, &mut losses);
+            assert_eq!((found.len(), losses), (1, Losses::default()));
+            found.remove(0).label
+        };
+        let one = Some("one".to_owned());
+        assert_eq!(named("0".into(), json!({ "label": "one" })), one);
+        assert_eq!(named(Value::Null, json!({ "label": "one" })), one);
+        assert_eq!(named("one".into(), json!({ "kind": "arrow" })), one);
+        assert_eq!(named("one".into(), Value::Null), one);
+        assert_eq!(named(1.into(), json!({})), Some("1".to_owned()));
+        // A row that was drawn among labels: it has none yet.
+        assert_eq!(named("4".into(), json!({ "label": null })), None);
+    }
 }
