@@ -387,6 +387,16 @@ fn what_makes_no_sense_is_counted_and_said_and_the_rest_is_kept() {
     assert!(pixels.stderr.contains("--mosaic"), "{}", pixels.stderr);
     lot.import("ada", &json!({ "some": "thing" }), &SPACE)
         .expect(1);
+    let mosaic = mosaic(&lot);
+    let on_mosaic = [&SPACE[..], &["--mosaic", text(&mosaic)]].concat();
+    let least = json!([{ "image": "mosaic.png", "id": 1, "label": [{ "x": 10 }] }]);
+    for (labels, next) in [
+        (json!({ "type": "FeatureCollection" }), "as GeoJSON"),
+        (least, "as `JSON`, not as `JSON-MIN`"),
+    ] {
+        let said = lot.import("ada", &labels, &on_mosaic).expect(1);
+        assert!(said.stderr.contains(next), "{}", said.stderr);
+    }
 }
 
 #[test]

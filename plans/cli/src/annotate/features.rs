@@ -74,7 +74,7 @@ pub fn read(
         )));
     }
     match value.get("type") {
-        Some(_) => Ok(geojson::features(&value, losses)),
+        Some(_) => geojson::features(&value, losses).map_err(at),
         None => Err(at(Fault::user(
             "expected GeoJSON, COCO, CVAT (XML), Label Studio (JSON) or YOLO's oriented boxes (.txt), found other JSON",
         ))),

@@ -1,14 +1,21 @@
 //! Features of GeoJSON whose coordinates are the map's metres.
 
+use evermap_schemas::Fault;
 use serde_json::Value;
 
 use super::Losses;
 use super::features::{Feature, Geometry, Point};
 
 /// The features of a collection, of one feature, or of a bare geometry.
-pub fn features(value: &Value, losses: &mut Losses) -> Vec<Feature> {
+///
+/// # Errors
+/// A user fault for a collection without a list of features.
+pub fn features(value: &Value, losses: &mut Losses) -> Result<Vec<Feature>, Fault> {
     let all = match value["type"].as_str() {
-        Some("FeatureCollection") => value["features"].as_array().cloned().unwrap_or_default(),
+        Some("FeatureCollection") => value["features"].as_array().cloned().ok_or_else(|| {
+            Fault::user("expected a list of features in a FeatureCollection, found none")
+                .next("export the features themselves as GeoJSON (in QGIS: Save Features As)")
+        })?,
         Some("Feature") => vec![value.clone()],
         _ => vec![serde_json::json!({ "type": "Feature", "geometry": value })],
     };
@@ -32,7 +39,7 @@ pub fn features(value: &Value, losses: &mut Losses) -> Vec<Feature> {
             Err(reason) => losses.note(reason, &place),
         }
     }
-    found
+    Ok(found)
 }
 
 /// The label that a feature is: its property `label`, and only where it has no such property its `id`, which other programs
@@ -105,7 +112,7 @@ mod tests {
             let feature =
                 json!({ "type": "Feature", "id": id, "properties": properties, "geometry": null });
             let mut losses = Losses::default();
-            let mut found = features(&feature, &mut losses);
+            let mut found = features(&feature, &mut losses).unwrap();
             assert_eq!((found.len(), losses), (1, Losses::default()));
             found.remove(0).label
         };
@@ -117,5 +124,17 @@ mod tests {
         assert_eq!(named(1.into(), json!({})), Some("1".to_owned()));
         // A row that was drawn among labels: it has none yet.
         assert_eq!(named("4".into(), json!({ "label": null })), None);
+    }
+
+    #[test]
+    fn a_collection_without_features_is_refused() {
+        let read = |value: Value| features(&value, &mut Losses::default());
+        let empty = json!({ "type": "FeatureCollection", "features": [] });
+        assert!(read(empty).unwrap().is_empty());
+        for features in [Value::Null, 3.into(), json!({ "0": {} })] {
+            let fault = read(json!({ "type": "FeatureCollection", "features": features }));
+            let said = fault.unwrap_err().to_string();
+            assert!(said.contains("expected a list of features"), "{said}");
+        }
     }
 }

@@ -12,7 +12,7 @@ use crate::annotate::mosaic::Picture;
 /// The shapes of the first picture: boxes, turned clockwise about their middle, polygons and polylines.
 ///
 /// # Errors
-/// A user fault for what is no XML, or no annotations.
+/// A user fault for what is no XML, or no annotations of images.
 pub(super) fn read(text: &str, losses: &mut Losses) -> Result<Vec<Drawn>, Fault> {
     let document = Document::parse(text)
         .map_err(|error| Fault::user(format!("expected XML of CVAT, found {error}")))?;
@@ -22,6 +22,12 @@ pub(super) fn read(text: &str, losses: &mut Losses) -> Result<Vec<Drawn>, Fault>
         return Err(Fault::user(format!(
             "expected annotations of CVAT for images 1.1, found XML of <{found}>"
         )));
+    }
+    if root.children().any(|node| node.has_tag_name("track")) {
+        return Err(Fault::user(
+            "expected annotations of CVAT for images 1.1, found tracks of CVAT for video 1.1",
+        )
+        .next("export from CVAT as `CVAT for images 1.1`"));
     }
     let mut found = Vec::new();
     let pictures = root.children().filter(|node| node.has_tag_name("image"));

@@ -1,5 +1,6 @@
 //! Label Studio's tasks.
 
+use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
 use super::{Drawn, Rectangle, Shape, numbers};
@@ -9,9 +10,19 @@ use crate::annotate::mosaic::Picture;
 
 /// The results of tasks, all of one picture: rectangles, turned about their upper left corner, and polygons, in percent of
 /// the picture. Predictions are not read: nobody said them.
-pub(super) fn read(tasks: &Value, losses: &mut Losses) -> Vec<Drawn> {
+///
+/// # Errors
+/// A user fault for JSON of another form.
+pub(super) fn read(tasks: &Value, losses: &mut Losses) -> Result<Vec<Drawn>, Fault> {
+    let tasks = tasks.as_array().map_or(&[][..], Vec::as_slice);
+    if !tasks.iter().all(is_task) {
+        return Err(Fault::user(
+            "expected tasks of Label Studio with their annotations, found JSON of another form",
+        )
+        .next("export from Label Studio as `JSON`, not as `JSON-MIN`"));
+    }
     let mut found = Vec::new();
-    for (task, value) in tasks.as_array().into_iter().flatten().enumerate() {
+    for (task, value) in tasks.iter().enumerate() {
         let annotations = ["annotations", "completions"].map(|name| &value[name]);
         let annotations = annotations
             .into_iter()
@@ -27,7 +38,13 @@ pub(super) fn read(tasks: &Value, losses: &mut Losses) -> Vec<Drawn> {
             }
         }
     }
-    found
+    Ok(found)
+}
+
+/// Whether it is a task as `JSON` has it: `JSON-MIN` has its members, and none of these.
+fn is_task(task: &Value) -> bool {
+    let members = ["data", "annotations", "completions", "predictions"];
+    members.iter().any(|name| task.get(name).is_some())
 }
 
 fn shape(result: &Value) -> Option<(Option<String>, Shape)> {

@@ -68,7 +68,7 @@ impl Program {
         let drawn = match self {
             Self::Coco => coco::read(&json()?, losses),
             Self::Cvat => cvat::read(text, losses)?,
-            Self::LabelStudio => label_studio::read(&json()?, losses),
+            Self::LabelStudio => label_studio::read(&json()?, losses)?,
             Self::YoloObb => yolo::read(text, &yolo::classes(path)?, picture.size, losses),
         };
         Ok(drawn

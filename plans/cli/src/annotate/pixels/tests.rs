@@ -171,9 +171,22 @@ fn what_the_programs_write_is_read() {
     for (text, expected) in [
         ("<a", "expected XML of CVAT"),
         ("<svg/>", "found XML of <svg>"),
+        (
+            r#"<annotations><track id="0" label="space"><box frame="0" xtl="1" ytl="1" xbr="5" ybr="9"/></track></annotations>"#,
+            "export from CVAT as `CVAT for images 1.1`",
+        ),
+        (
+            r#"[{ "image": "lot.png", "id": 1, "label": [{ "x": 10, "rectanglelabels": ["space"] }], "annotator": 1 }]"#,
+            "export from Label Studio as `JSON`, not as `JSON-MIN`",
+        ),
+        (
+            r#"[{ "image_id": 1, "category_id": 1, "bbox": [1, 1, 4, 8], "score": 0.5 }]"#,
+            "found JSON of another form",
+        ),
     ] {
         let path = Path::new("a.xml");
-        let fault = Program::Cvat
+        let fault = Program::of(path, text)
+            .unwrap()
             .read(path, text, &picture, &mut Losses::default())
             .unwrap_err();
         assert!(fault.to_string().contains(expected), "{fault}");
