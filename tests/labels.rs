@@ -587,3 +587,34 @@ fn boxes_drawn_on_a_mosaic_are_where_they_were_drawn() {
     ]);
     assert_eq!(rows, expected);
 }
+
+#[test]
+fn annotations_of_another_picture_are_refused_and_nothing_is_said() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let mosaic = mosaic(&lot);
+    let coco = |name: &str, width: u32| {
+        json!({
+            "images": [{ "id": 1, "file_name": name, "width": width, "height": 200 }],
+            "categories": [{ "id": 1, "name": "parking_space" }],
+            "annotations": [{ "image_id": 1, "category_id": 1, "bbox": [100, 100, 100, 48] }],
+        })
+    };
+    let on_mosaic = ["--mosaic", text(&mosaic)];
+    let said = lot
+        .import("ada", &coco("mosaic.png", 800), &on_mosaic)
+        .expect(1);
+    let told =
+        "expected annotations of a picture of 400 × 200 px, found those of one of 800 × 200 px";
+    assert!(said.stderr.contains(told), "{}", said.stderr);
+    assert!(!lot.path("ada.mcap").exists());
+    let said = lot
+        .import("ada", &coco("old.png", 400), &on_mosaic)
+        .expect(0);
+    for told in [
+        "note: annotations of old.png are taken for those of mosaic.png",
+        "ada.mcap: 1 drawn",
+    ] {
+        assert!(said.stderr.contains(told), "{told}: {}", said.stderr);
+    }
+}

@@ -31,7 +31,7 @@ const MOST_LINES: usize = 20;
 pub struct Losses {
     /// Counts by reason.
     pub counts: BTreeMap<String, u64>,
-    /// Where, and what was found, one line each.
+    /// Where, and what was found, one line each; and what else is to be told.
     pub lines: Vec<String>,
 }
 
@@ -40,6 +40,11 @@ impl Losses {
     pub fn note(&mut self, reason: &str, place: &str) {
         self.count(reason, 1);
         self.lines.push(format!("{place}: {reason}"));
+    }
+
+    /// Something to be told that is no loss.
+    pub fn remark(&mut self, text: &str) {
+        self.lines.push(text.to_owned());
     }
 
     /// Counts without a place.

@@ -5,15 +5,16 @@ use std::fmt::Write;
 use evermap_schemas::Fault;
 use roxmltree::{Document, Node};
 
-use super::{Drawn, Pixel, Rectangle, Shape};
+use super::described::{Described, OF_ANOTHER, which_are};
+use super::{Drawn, Pixel, Rectangle, Shape, both};
 use crate::annotate::Losses;
 use crate::annotate::mosaic::Picture;
 
-/// The shapes of the first picture: boxes, turned clockwise about their middle, polygons and polylines.
+/// The shapes on the mosaic: boxes, turned clockwise about their middle, polygons and polylines.
 ///
 /// # Errors
-/// A user fault for what is no XML, or no annotations of images.
-pub(super) fn read(text: &str, losses: &mut Losses) -> Result<Vec<Drawn>, Fault> {
+/// A user fault for what is no XML, no annotations of images, or those of other pictures alone.
+pub(super) fn read(text: &str, mosaic: &Picture, losses: &mut Losses) -> Result<Vec<Drawn>, Fault> {
     let document = Document::parse(text)
         .map_err(|error| Fault::user(format!("expected XML of CVAT, found {error}")))?;
     let root = document.root_element();
@@ -29,14 +30,17 @@ pub(super) fn read(text: &str, losses: &mut Losses) -> Result<Vec<Drawn>, Fault>
         )
         .next("export from CVAT as `CVAT for images 1.1`"));
     }
-    let mut found = Vec::new();
     let pictures = root.children().filter(|node| node.has_tag_name("image"));
-    for (picture, image) in pictures.enumerate() {
-        let shapes = image.children().filter(Node::is_element);
+    let pictures: Vec<Node<'_, '_>> = pictures.collect();
+    let described: Vec<Described> = pictures.iter().map(described).collect();
+    let chosen = which_are(mosaic, &described, losses)?;
+    let mut found = Vec::new();
+    for (picture, is_mosaic) in pictures.iter().zip(chosen) {
+        let shapes = picture.children().filter(Node::is_element);
         for (number, node) in shapes.enumerate() {
             let place = format!("{} {number}", node.tag_name().name());
-            if picture > 0 {
-                losses.note("annotation of another picture than the first", &place);
+            if !is_mosaic {
+                losses.note(OF_ANOTHER, &place);
                 continue;
             }
             match shape(node) {
@@ -52,6 +56,14 @@ pub(super) fn read(text: &str, losses: &mut Losses) -> Result<Vec<Drawn>, Fault>
         }
     }
     Ok(found)
+}
+
+fn described(picture: &Node<'_, '_>) -> Described {
+    let size = ["width", "height"].map(|name| picture.attribute(name)?.parse().ok());
+    Described {
+        name: picture.attribute("name").map(str::to_owned),
+        size: both(size),
+    }
 }
 
 fn shape(node: Node<'_, '_>) -> Option<Shape> {

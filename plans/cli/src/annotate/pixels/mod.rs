@@ -2,6 +2,7 @@
 
 mod coco;
 mod cvat;
+mod described;
 mod label_studio;
 mod yolo;
 
@@ -53,7 +54,7 @@ impl Program {
     /// The features of a file; what makes no sense is noted and left out.
     ///
     /// # Errors
-    /// A user fault for a file of another form.
+    /// A user fault for a file of another form, or of other pictures.
     pub(super) fn read(
         self,
         path: &Path,
@@ -66,9 +67,9 @@ impl Program {
                 .map_err(|error| Fault::user(format!("expected JSON, found {error}")))
         };
         let drawn = match self {
-            Self::Coco => coco::read(&json()?, losses),
-            Self::Cvat => cvat::read(text, losses)?,
-            Self::LabelStudio => label_studio::read(&json()?, losses)?,
+            Self::Coco => coco::read(&json()?, picture, losses)?,
+            Self::Cvat => cvat::read(text, picture, losses)?,
+            Self::LabelStudio => label_studio::read(&json()?, picture, losses)?,
             Self::YoloObb => yolo::read(text, &yolo::classes(path)?, picture.size, losses),
         };
         Ok(drawn
@@ -306,6 +307,11 @@ fn kinds(drawn: &[Drawn]) -> Vec<&str> {
 
 fn numbers(value: &Value) -> Option<Vec<f64>> {
     value.as_array()?.iter().map(Value::as_f64).collect()
+}
+
+/// Width and height, where both are said.
+fn both([width, height]: [Option<f64>; 2]) -> Option<[f64; 2]> {
+    Some([width?, height?])
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used)]
 use evermap_schemas::{Pose, Stamp, Wkb};
 use proptest::prelude::*;
+use serde_json::json;
 
 use super::*;
 
@@ -235,4 +236,89 @@ fn proposals_are_predictions_with_their_probability() {
         (0, 0),
         "nobody said a prediction"
     );
+}
+
+/// Pictures by name and size; each has a box whose kind is its name.
+type Pictures<'a> = &'a [(&'a str, [u32; 2])];
+
+/// What a program writes of them.
+type Write = fn(Pictures<'_>) -> String;
+
+fn coco(pictures: Pictures<'_>) -> String {
+    let all = || pictures.iter().enumerate();
+    let images = all().map(|(id, (name, [width, height]))| {
+        json!({ "id": id, "file_name": name, "width": width, "height": height })
+    });
+    let categories = all().map(|(id, (name, _))| json!({ "id": id, "name": name }));
+    let annotations =
+        all().map(|(id, _)| json!({ "image_id": id, "category_id": id, "bbox": [1, 1, 20, 10] }));
+    let [images, categories, annotations]: [Vec<Value>; 3] = [
+        images.collect(),
+        categories.collect(),
+        annotations.collect(),
+    ];
+    json!({ "images": images, "categories": categories, "annotations": annotations }).to_string()
+}
+
+fn cvat(pictures: Pictures<'_>) -> String {
+    let image = |(name, [width, height]): &(&str, [u32; 2])| {
+        format!(
+            r#"<image name="{name}" width="{width}" height="{height}"><box label="{name}" xtl="1" ytl="1" xbr="21" ybr="11"/></image>"#
+        )
+    };
+    let images: String = pictures.iter().map(image).collect();
+    format!("<annotations>{images}</annotations>")
+}
+
+fn studio(pictures: Pictures<'_>) -> String {
+    let task = |(name, [width, height]): &(&str, [u32; 2])| {
+        let value = json!({ "x": 1, "y": 1, "width": 5, "height": 3, "rectanglelabels": [name] });
+        let result = json!({
+            "type": "rectanglelabels", "original_width": width, "original_height": height, "value": value,
+        });
+        json!({ "data": { "scan": name }, "annotations": [{ "result": [result] }] })
+    };
+    Value::Array(pictures.iter().map(task).collect()).to_string()
+}
+
+#[test]
+fn annotations_of_another_picture_are_not_laid_on_the_mosaic() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let programs: [(Write, &str); 3] = [(coco, "a.json"), (cvat, "a.xml"), (studio, "a.json")];
+    for (write, name) in programs {
+        let read = |pictures: Pictures<'_>| {
+            let (text, path) = (write(pictures), folder.path().join(name));
+            let mut losses = Losses::default();
+            let program = Program::of(&path, &text).unwrap();
+            let found = program.read(&path, &text, &picture, &mut losses);
+            found.map(|found| (found, losses))
+        };
+        // That of its name, wherever it stands; others are counted.
+        let (found, losses) = read(&[("a.png", [4, 3]), ("north/lot.png", [400, 300])]).unwrap();
+        let kinds: Vec<_> = found.iter().map(|one| one.category.as_deref()).collect();
+        assert_eq!(kinds, [Some("north/lot.png")], "{name}");
+        let counts: Vec<_> = losses.counts.into_iter().collect();
+        assert_eq!(counts, [("annotation of another picture".to_owned(), 1)]);
+        // The only one, of the same size.
+        let (found, losses) = read(&[("old.png", [400, 300])]).unwrap();
+        assert_eq!((found.len(), losses.counts.len()), (1, 0), "{name}");
+        let told = "note: annotations of old.png are taken for those of lot.png";
+        assert_eq!(losses.lines, [told]);
+        let refused: [(Pictures<'_>, &str); 3] = [
+            (
+                &[("lot.png", [1600, 1200])],
+                "expected annotations of a picture of 400 × 300 px, found those of one of 1600 × 1200 px",
+            ),
+            (&[("old.png", [200, 150])], "of one of 200 × 150 px"),
+            (
+                &[("a.png", [400, 300]), ("b.png", [400, 300])],
+                "expected annotations of lot.png, found those of `a.png`, `b.png`",
+            ),
+        ];
+        for (pictures, expected) in refused {
+            let fault = read(pictures).unwrap_err().to_string();
+            assert!(fault.contains(expected), "{name}: {fault}");
+        }
+    }
 }
