@@ -21,6 +21,9 @@ pub struct Feature {
     pub place: String,
     /// The label that it is, where it says so.
     pub label: Option<String>,
+    /// Of what was drawn on a picture: places nearer than this are the same, m. Other programs round, and a label that it
+    /// names may be one of another map.
+    pub within_m: Option<f64>,
     /// What it marks, where it says so in evermap's words.
     pub kind: Option<String>,
     /// What it marks in the words of another program, which may be any.

@@ -30,6 +30,7 @@ pub fn features(value: &Value, losses: &mut Losses) -> Result<Vec<Feature>, Faul
             Ok(geometry) => found.push(Feature {
                 place,
                 label,
+                within_m: None,
                 kind: text(&value["properties"]["kind"]),
                 category: None,
                 standing: text(&value["properties"]["standing"]),

@@ -4,7 +4,7 @@ use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
 use super::described::{Described, OF_ANOTHER, which_are};
-use super::{Drawn, Pixel, Rectangle, Shape, both, kinds, numbers};
+use super::{Drawn, NAME, Pixel, Rectangle, Shape, both, kinds, numbers};
 use crate::annotate::Losses;
 use crate::annotate::geojson::text;
 use crate::annotate::mosaic::Picture;
@@ -39,7 +39,8 @@ pub(super) fn read(
         match shape(annotation) {
             Some(shape) => {
                 let kind = category(&annotation["category_id"]);
-                found.push(Drawn::said(place, kind, shape));
+                let name = text(&annotation["attributes"][NAME]);
+                found.push(Drawn::said(place, kind, shape).called(name));
             }
             None => losses.note("annotation that is neither box nor outline", &place),
         }
@@ -85,6 +86,7 @@ pub(super) fn write(drawn: &[Drawn], picture: &Picture) -> String {
             "bbox": [left, top, right - left, bottom - top],
             "area": area(&points),
             "iscrowd": 0,
+            "attributes": { NAME: drawn.name },
         })
     });
     let annotations: Vec<Value> = annotations.collect();

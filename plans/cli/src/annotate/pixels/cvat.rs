@@ -6,7 +6,7 @@ use evermap_schemas::Fault;
 use roxmltree::{Document, Node};
 
 use super::described::{Described, OF_ANOTHER, which_are};
-use super::{Drawn, Pixel, Rectangle, Shape, both};
+use super::{Drawn, NAME, Pixel, Rectangle, Shape, both};
 use crate::annotate::Losses;
 use crate::annotate::mosaic::Picture;
 
@@ -46,7 +46,7 @@ pub(super) fn read(text: &str, mosaic: &Picture, losses: &mut Losses) -> Result<
             match shape(node) {
                 Some(shape) => {
                     let kind = node.attribute("label").map(str::to_owned);
-                    found.push(Drawn::said(place, kind, shape));
+                    found.push(Drawn::said(place, kind, shape).called(name(node)));
                 }
                 None => losses.note(
                     "annotation that is neither box nor outline nor line",
@@ -56,6 +56,13 @@ pub(super) fn read(text: &str, mosaic: &Picture, losses: &mut Losses) -> Result<
         }
     }
     Ok(found)
+}
+
+/// The name of a label, if a shape has one among its attributes.
+fn name(shape: Node<'_, '_>) -> Option<String> {
+    let mut attributes = shape.children();
+    let found = attributes.find(|node| node.attribute("name") == Some(NAME))?;
+    Some(found.text()?.trim().to_owned())
 }
 
 fn described(picture: &Node<'_, '_>) -> Described {
@@ -104,33 +111,26 @@ pub(super) fn write(drawn: &[Drawn], picture: &Picture) -> String {
         "  <image id=\"0\" name=\"{name}\" width=\"{width}\" height=\"{height}\">"
     );
     for drawn in drawn {
-        let kind = escaped(drawn.kind.as_deref().unwrap_or_default());
-        let shared = format!("label=\"{kind}\" source=\"manual\" occluded=\"0\"");
-        let _ = match &drawn.shape {
-            Shape::Box(found) => {
-                let ([left, top], [along, across]) = (found.turned_back(), found.size);
-                let turn = found.degrees.rem_euclid(360.0);
-                writeln!(
-                    text,
-                    "    <box {shared} xtl=\"{left}\" ytl=\"{top}\" xbr=\"{}\" ybr=\"{}\" rotation=\"{turn}\" z_order=\"0\"/>",
-                    left + along,
-                    top + across
-                )
-            }
-            Shape::Closed(points) => writeln!(
-                text,
-                "    <polygon {shared} {} z_order=\"0\"/>",
-                listed(points)
-            ),
-            Shape::Open(points) => writeln!(
-                text,
-                "    <polyline {shared} {} z_order=\"0\"/>",
-                listed(points)
-            ),
+        let (tag, place) = match &drawn.shape {
+            Shape::Box(found) => ("box", placed(found)),
+            Shape::Closed(points) => ("polygon", listed(points)),
+            Shape::Open(points) => ("polyline", listed(points)),
         };
+        let kind = escaped(drawn.kind.as_deref().unwrap_or_default());
+        let name = escaped(drawn.name.as_deref().unwrap_or_default());
+        let _ = writeln!(
+            text,
+            "    <{tag} label=\"{kind}\" source=\"manual\" occluded=\"0\" {place} z_order=\"0\"><attribute name=\"{NAME}\">{name}</attribute></{tag}>"
+        );
     }
     text.push_str("  </image>\n</annotations>\n");
     text
+}
+
+fn placed(found: &Rectangle) -> String {
+    let ([left, top], [along, across]) = (found.turned_back(), found.size);
+    let (right, bottom, turn) = (left + along, top + across, found.degrees.rem_euclid(360.0));
+    format!("xtl=\"{left}\" ytl=\"{top}\" xbr=\"{right}\" ybr=\"{bottom}\" rotation=\"{turn}\"")
 }
 
 fn listed(points: &[Pixel]) -> String {

@@ -4,7 +4,7 @@ use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
 use super::described::{Described, OF_ANOTHER, is_file, which_are};
-use super::{Drawn, Rectangle, Shape, both, numbers};
+use super::{Drawn, NAME, Rectangle, Shape, both, numbers};
 use crate::annotate::Losses;
 use crate::annotate::geojson::text;
 use crate::annotate::mosaic::Picture;
@@ -37,12 +37,20 @@ pub(super) fn read(
                 continue;
             }
             match shape(result, mosaic.size) {
-                Some((kind, shape)) => found.push(Drawn::said(place, kind, shape)),
+                Some((kind, shape)) => {
+                    found.push(Drawn::said(place, kind, shape).called(name(&result["id"])));
+                }
                 None => losses.note("annotation that is neither box nor outline", &place),
             }
         }
     }
     Ok(found)
+}
+
+/// The name of a label, if the id of a result has one.
+fn name(id: &Value) -> Option<String> {
+    let name = id.as_str()?.strip_prefix(NAME)?.strip_prefix(':')?;
+    Some(name.to_owned())
 }
 
 /// What people said of a task's picture.
@@ -150,8 +158,12 @@ fn result(number: usize, drawn: &Drawn, picture: &Picture) -> Value {
         }
     };
     value[form] = json!([kind]);
+    let id = match &drawn.name {
+        Some(name) => format!("{NAME}:{name}"),
+        None => number.to_string(),
+    };
     let mut result = json!({
-        "id": format!("{number}"),
+        "id": id,
         "type": form,
         "from_name": "label",
         "to_name": "image",

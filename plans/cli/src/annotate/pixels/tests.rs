@@ -98,6 +98,8 @@ proptest! {
             let (found, losses) = round_trip(program, &[label("a", "box", &corners)]);
             prop_assert!(losses.counts.is_empty() && found.len() == 1);
             prop_assert_eq!(found[0].category.as_deref(), Some("a <kind> & \"more\""));
+            let name = (program != Program::YoloObb).then_some("a");
+            prop_assert_eq!(found[0].label.as_deref(), name);
             let found = points(&found[0]);
             prop_assert!(same(&found, &corners), "{:?}: {:?}", program, found);
         }
@@ -320,5 +322,18 @@ fn annotations_of_another_picture_are_not_laid_on_the_mosaic() {
             let fault = read(pictures).unwrap_err().to_string();
             assert!(fault.contains(expected), "{name}: {fault}");
         }
+    }
+}
+
+/// Who copies a shape copies its name; which of them is the label, its place tells.
+#[test]
+fn shapes_that_share_a_name_have_none() {
+    let corners = |x: f64| of_box([x, 15.0], 0.5, [2.0, 1.0]);
+    let labels = [("a", 13.0), ("b", 17.0), ("a", 21.0)];
+    let labels = labels.map(|(name, x)| label(name, "box", &corners(x)));
+    for program in [Program::Coco, Program::Cvat, Program::LabelStudio] {
+        let (found, _) = round_trip(program, &labels);
+        let names: Vec<_> = found.iter().map(|one| one.label.as_deref()).collect();
+        assert_eq!(names, [None, Some("b"), None], "{program:?}");
     }
 }
