@@ -225,7 +225,7 @@ def main(what, host):
     assert status == 200 and learnt["hypotheses"] == [] and learnt["revision"] >= said["revision"], learnt
 
     before = ask(f"{here}/lot")[1]
-    for author in ["../ada", "a/b", "", "..", "x" * 65, "a\u0000b", ".hidden"]:
+    for author in ["../ada", "a/b", "", "  ", "..", "x" * 65, "a\u0000b", ".hidden"]:
         assert ask(f"{here}/lot", {"author": author, "features": feature("spot", [[20, 1], [22, 1], [22, 3]])})[0] == 400, author
     for site in ["..", "nowhere", "%2e%2e%2flot", "lot%2f.."]:
         assert ask(f"{here}/{site}", {"author": "ada", "features": feature("spot", BOX)})[0] in (400, 404), site

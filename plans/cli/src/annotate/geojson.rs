@@ -3,8 +3,8 @@
 use evermap_schemas::Fault;
 use serde_json::Value;
 
-use super::Losses;
 use super::features::{Feature, Geometry, Point};
+use super::{Losses, is_blank};
 
 /// The features of a collection, of one feature, or of a bare geometry.
 ///
@@ -52,10 +52,10 @@ fn label(feature: &Value) -> Option<String> {
     }
 }
 
-/// A text that is not empty, or a number as text.
+/// A text that is not blank, or a number as text.
 pub(super) fn text(value: &Value) -> Option<String> {
     match value {
-        Value::String(text) if !text.is_empty() => Some(text.clone()),
+        Value::String(text) if !is_blank(text) => Some(text.clone()),
         Value::Number(number) => Some(number.to_string()),
         _ => None,
     }

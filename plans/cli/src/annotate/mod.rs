@@ -64,12 +64,17 @@ impl Losses {
     }
 }
 
+/// Whether a text says nothing: runs throw acts away whose author or kind is empty.
+pub fn is_blank(text: &str) -> bool {
+    text.trim().is_empty()
+}
+
 /// The name of the person at the machine.
 pub fn user() -> String {
     let named = ["USER", "USERNAME"]
         .into_iter()
         .find_map(|name| std::env::var(name).ok());
-    let named = named.filter(|name| !name.is_empty());
+    let named = named.filter(|name| !is_blank(name));
     named.unwrap_or_else(|| "unknown".to_owned())
 }
 

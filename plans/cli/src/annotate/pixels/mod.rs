@@ -14,9 +14,9 @@ use evermap_schemas::Fault;
 use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
 use serde_json::Value;
 
-use super::Losses;
 use super::features::{Feature, Geometry};
 use super::mosaic::Picture;
+use super::{Losses, is_blank};
 use crate::scene::corners;
 
 /// A place in a picture, px from its upper left corner.
@@ -249,7 +249,7 @@ impl Drawn {
         Self {
             place,
             name: None,
-            kind: kind.filter(|kind| !kind.is_empty()),
+            kind: kind.filter(|kind| !is_blank(kind)),
             shape,
             probability: None,
         }

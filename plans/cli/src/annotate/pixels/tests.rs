@@ -337,3 +337,13 @@ fn shapes_that_share_a_name_have_none() {
         assert_eq!(names, [None, Some("b"), None], "{program:?}");
     }
 }
+
+#[test]
+fn a_blank_kind_is_none() {
+    let text = r#"<annotations><image name="lot.png"><box label=" " xtl="1" ytl="1" xbr="9" ybr="5"/></image></annotations>"#;
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let read = Program::Cvat.read(Path::new("a.xml"), text, &picture, &mut Losses::default());
+    let kinds: Vec<_> = read.unwrap().into_iter().map(|one| one.category).collect();
+    assert_eq!(kinds, [None]);
+}

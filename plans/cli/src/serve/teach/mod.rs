@@ -23,7 +23,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use tokio::sync::Mutex;
 
 use crate::annotate::features::Feature;
-use crate::annotate::user;
+use crate::annotate::{is_blank, user};
 use crate::serve::maps::{Opened, ServedMap};
 use crate::serve::teach::lesson::{Learnt, Lesson};
 use crate::serve::teach::told::{Saved, Told};
@@ -299,7 +299,7 @@ impl Site {
 /// A name, if it can be part of a file's.
 fn word(name: &str) -> Result<&str, Fault> {
     let is_plain = |letter: char| letter.is_alphanumeric() || "-_.@+ ".contains(letter);
-    let fits = (1..=64).contains(&name.chars().count()) && !name.starts_with('.');
+    let fits = !is_blank(name) && name.chars().count() <= 64 && !name.starts_with('.');
     match fits && name.chars().all(is_plain) {
         true => Ok(name),
         false => Err(Fault::user(format!(
