@@ -274,7 +274,12 @@ fn people_teach_by_http_and_everything_else_is_refused() {
     Finished::from(run.unwrap()).expect(3);
     ended("serve/teach.py", &["later", &server.http]);
     assert_eq!(logs().len(), 3, "{:?}", logs());
-    drop(server);
+    let told = server.stopped();
+    for part in &said {
+        let (map, part) = (text(&map), text(part));
+        let command = format!("evermap run PLAN --map {map} --site lot --sessions {part}");
+        assert!(told.contains(&command), "{command}: {told}");
+    }
     let export = folder.path().join("labels.geojson");
     let log = log("lot_ada.mcap");
     let annotate = [

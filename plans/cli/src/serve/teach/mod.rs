@@ -97,7 +97,7 @@ impl Teaching {
             return Ok(known);
         }
         let folder = self.folder.join(word(&map.name)?).join(word(site)?);
-        let told = Told::read(opened, site, folder).await?;
+        let told = Told::read(opened, &map.address, site, folder).await?;
         let known = Arc::new(Site {
             told: Mutex::new(told),
             learning: Mutex::default(),
@@ -127,8 +127,8 @@ impl Site {
         let mut told = self.told.lock().await;
         if told.opened.version() < opened.version() {
             told.end(Duration::ZERO);
-            let site = told.state.site.clone();
-            let mut read = Told::read(opened, &site, told.folder.clone()).await?;
+            let (map, site) = (told.map.clone(), told.state.site.clone());
+            let mut read = Told::read(opened, &map, &site, told.folder.clone()).await?;
             read.revision = told.revision + 1;
             read.last_ns = told.last_ns;
             *told = read;
