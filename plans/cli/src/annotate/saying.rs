@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use evermap_algorithms::geometry::pose;
 use evermap_algorithms::labels::shapes::Outline;
 use evermap_datasets::annotations::{Anchor, Annotation, Geometry};
 use evermap_engine::digest::digest_of;
@@ -109,7 +110,7 @@ fn acts(
             image: None,
         }
     };
-    let mut placed = |(shape, outline): &(&'static str, Outline)| {
+    let mut placed = |(shape, outline): &(&str, Outline)| {
         let place = held(shape, outline, state);
         if place.1.is_none() {
             losses.note("label too far from every vehicle pose", &feature.place);
@@ -124,8 +125,12 @@ fn acts(
         (Some(known), None) if known.kind != *kind => {
             return Ok(Err("feature that changes a kind and has no geometry"));
         }
-        (Some(known), Some(outline)) if standing == Some("drawn") && known.standing != "drawn" => {
-            vec![act("drawn", Some(placed(outline)))]
+        (Some(known), outline) if standing == Some("drawn") && known.standing != "drawn" => {
+            let place = match outline {
+                Some(outline) => placed(outline),
+                None => placed(&outline_of(known)?),
+            };
+            vec![act("drawn", Some(place))]
         }
         (Some(known), outline) => {
             let same =
@@ -202,6 +207,21 @@ fn name(shape: &str, outline: &Outline) -> Result<String, Fault> {
     Ok(digest_of(&whole)?.chars().take(16).collect())
 }
 
+/// The outline of a label as it is now.
+fn outline_of(known: &PlacedLabel) -> Result<(&str, Outline), Fault> {
+    let map_from_label = known.map_from_label.to_array();
+    let map_from_label = pose::Pose::from_array(map_from_label)
+        .map_err(|error| Fault::bug(format!("label {}: {error}", known.label)))?;
+    let label_from_map = map_from_label.inverse();
+    let own = |point: &[f64; 3]| label_from_map.transform(&Vector3::from(*point)).into();
+    let points = known.points.iter().map(own).collect();
+    let outline = Outline {
+        map_from_label,
+        points,
+    };
+    Ok((&known.shape, outline))
+}
+
 /// The geometry of an outline, and the pose that it is tied to.
 fn held(shape: &str, outline: &Outline, state: &State) -> (Geometry, Option<Anchor>) {
     let map_from_label = outline.map_from_label.to_array();
@@ -251,7 +271,7 @@ pub fn read_back(act: &Annotation, site: &str, session: &str) -> roles::Annotati
 
 /// Whether an outline is not the label's, seen from above: a point of it is farther away. Of a box, corners may be written in
 /// any order.
-fn differs(known: &PlacedLabel, (shape, outline): &(&'static str, Outline), within_m: f64) -> bool {
+fn differs(known: &PlacedLabel, (shape, outline): &(&str, Outline), within_m: f64) -> bool {
     if known.shape != *shape || known.points.len() != outline.points.len() {
         return true;
     }
@@ -363,5 +383,25 @@ mod tests {
         assert_eq!(found("one", Some(0.025)), "one");
         assert_ne!(found("two", Some(0.025)), "two");
         assert_eq!(found("two", None), "two");
+    }
+
+    /// As its act is to have it: points about its own frame.
+    #[test]
+    fn the_outline_of_a_label_is_about_its_own_frame() {
+        let turned = pose::Pose::from_yaw(7.0, 3.0, 0.6);
+        let corners = [
+            [2.5, 1.0, 0.0],
+            [-2.5, 1.0, 0.0],
+            [-2.5, -1.0, 0.0],
+            [2.5, -1.0, 0.0],
+        ];
+        let mut label = space("one", 0.0);
+        label.map_from_label = Pose::from_array(turned.to_array());
+        let in_map =
+            |point: [f64; 3]| -> [f64; 3] { turned.transform(&Vector3::from(point)).into() };
+        label.points = corners.map(in_map).to_vec();
+        let found = outline_of(&label).unwrap();
+        assert!(found.0 == "box" && shapes::is_box(&found.1.points));
+        assert!(!differs(&label, &found, 1e-9));
     }
 }
