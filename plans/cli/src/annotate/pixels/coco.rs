@@ -38,6 +38,9 @@ pub(super) fn read(
         }
         match shape(annotation) {
             Some(shape) => {
+                if is_coarse(&annotation["segmentation"]) {
+                    losses.note(BOX_OF, &place);
+                }
                 let kind = category(&annotation["category_id"]);
                 let name = text(&annotation["attributes"][NAME]);
                 found.push(Drawn::said(place, kind, shape).called(name));
@@ -46,6 +49,18 @@ pub(super) fn read(
         }
     }
     Ok(found)
+}
+
+/// What is told of an annotation whose outline is not taken.
+const BOX_OF: &str = "annotation of several outlines, or of a mask, taken as the box around it";
+
+/// Whether a segmentation is neither one outline nor none.
+fn is_coarse(segmentation: &Value) -> bool {
+    match segmentation {
+        Value::Array(outlines) => outlines.len() > 1,
+        Value::Object(_) => true,
+        _ => false,
+    }
 }
 
 fn described(picture: &Value) -> Described {

@@ -347,3 +347,30 @@ fn a_blank_kind_is_none() {
     let kinds: Vec<_> = read.unwrap().into_iter().map(|one| one.category).collect();
     assert_eq!(kinds, [None]);
 }
+
+#[test]
+fn what_becomes_the_box_around_it_is_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let annotation = |segmentation: Value| json!({ "image_id": 1, "category_id": 1, "bbox": [40, 40, 100, 60], "segmentation": segmentation });
+    let one = [40, 40, 140, 40, 40, 100];
+    let other = [140, 100, 100, 100, 140, 60];
+    let all = [
+        annotation(json!([one])),
+        annotation(json!([one, other])),
+        annotation(json!({ "size": [300, 400], "counts": "abc" })),
+        annotation(json!([])),
+    ];
+    let file = json!({
+        "images": [{ "id": 1, "file_name": "lot.png" }],
+        "categories": [{ "id": 1, "name": "area" }],
+        "annotations": all,
+    });
+    let (path, mut losses) = (Path::new("a.json"), Losses::default());
+    let found = Program::Coco.read(path, &file.to_string(), &picture, &mut losses);
+    let corners: Vec<usize> = found.unwrap().iter().map(|one| points(one).len()).collect();
+    assert_eq!(corners, [3, 4, 4, 4]);
+    let told = "annotation of several outlines, or of a mask, taken as the box around it";
+    let told = [1, 2].map(|number| format!("annotation {number}: {told}"));
+    assert_eq!(losses.lines, told);
+}
