@@ -17,6 +17,7 @@ use crate::annotate::features::Feature;
 use crate::annotate::saying::{Speaker, read_back, said};
 use crate::annotate::state::{State, painted};
 use crate::annotate::{Losses, begin, taking_in, unwritten};
+use crate::ending::Lost;
 use crate::progress::line;
 use crate::serve::maps::Opened;
 
@@ -61,6 +62,10 @@ impl Told {
         let state = State::read(&opened.reader, Some(site), &logs, &mut losses).await?;
         let paint = painted(&opened.reader, site, &logs).await?;
         losses.tell();
+        if !losses.counts.is_empty() {
+            let counted = Lost(losses.counts).counted();
+            line(&format!("what was said of {site}: {}", counted.trim_end()));
+        }
         let tiles: Vec<OverheadTile> = opened.reader.rows(Some(site)).await?;
         let mosaic = evermap_catalog::mosaic(tiles, &mut |_, _| {});
         Ok(Self {
