@@ -51,7 +51,7 @@ pub type Point = ([f64; 2], Option<f64>);
 /// The features of a file. What makes no sense is noted and left out.
 ///
 /// # Errors
-/// A user fault for a file that is none of the formats, or of pixels without a georeference.
+/// A user fault for a file that is none of the formats, of pixels without a georeference, or of other pictures.
 pub fn read(
     path: &Path,
     mosaic: Option<&Picture>,

@@ -100,6 +100,8 @@ proptest! {
             prop_assert_eq!(found[0].category.as_deref(), Some("a <kind> & \"more\""));
             let name = (program != Program::YoloObb).then_some("a");
             prop_assert_eq!(found[0].label.as_deref(), name);
+            let half = found[0].within_m.unwrap();
+            prop_assert!((half - 0.025).abs() < 1e-12, "half a pixel: {}", half);
             let found = points(&found[0]);
             prop_assert!(same(&found, &corners), "{:?}: {:?}", program, found);
         }
