@@ -47,14 +47,16 @@ impl Lot {
 
     /// What a person imports into the log `NAME.mcap`.
     fn import(&self, author: &str, labels: &Value, more: &[&str]) -> Finished {
-        let (file, log) = (
-            self.path("labels.json"),
-            self.path(&format!("{author}.mcap")),
-        );
+        let file = self.path("labels.json");
         std::fs::write(&file, labels.to_string()).unwrap();
+        self.import_file(author, &file, more)
+    }
+
+    fn import_file(&self, author: &str, file: &Path, more: &[&str]) -> Finished {
+        let log = self.path(&format!("{author}.mcap"));
         let map = self.path("map");
         let mut arguments = vec!["annotate", "--map", text(&map), "--author", author];
-        arguments.extend(["--import", text(&file), "--out", text(&log)]);
+        arguments.extend(["--import", text(file), "--out", text(&log)]);
         arguments.extend(more);
         evermap(&arguments)
     }
@@ -274,6 +276,31 @@ fn what_is_drawn_moved_and_removed_with_other_programs_comes_back() {
     assert_eq!(evermap(&before).expect(0).json()[0]["n"], 3);
 }
 
+/// As `to_json` of GeoPandas writes features: the number of the row is the id of each.
+#[test]
+fn numbers_of_rows_are_no_names_of_labels() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let drawn = collection(&[("one", space(5.0, 2.0)), ("two", space(10.0, 2.0))]);
+    lot.import("ada", &drawn, &SPACE).expect(0);
+    lot.run(&["ada.mcap"]).expect(0);
+    let mut rows = lot.export();
+    for (row, feature) in (0..).zip(rows["features"].as_array_mut().unwrap()) {
+        feature["id"] = format!("{row}").into();
+        feature["properties"]["standing"] = "accepted".into();
+    }
+    let said = lot.import("bob", &rows, &[]).expect(0);
+    assert!(
+        said.stderr.contains("bob.mcap: 2 accepted"),
+        "{}",
+        said.stderr
+    );
+    lot.run(&["bob.mcap"]).expect(0);
+    let found = lot.ask("SELECT label, standing FROM placed_labels ORDER BY label");
+    let accepted = |label: &str| json!({ "label": label, "standing": "accepted" });
+    assert_eq!(found, json!([accepted("one"), accepted("two")]));
+}
+
 #[test]
 fn two_people_who_disagree_are_counted_and_the_later_holds() {
     let lot = Lot::new();
@@ -362,6 +389,16 @@ fn what_makes_no_sense_is_counted_and_said_and_the_rest_is_kept() {
     assert!(pixels.stderr.contains("--mosaic"), "{}", pixels.stderr);
     lot.import("ada", &json!({ "some": "thing" }), &SPACE)
         .expect(1);
+    let mosaic = mosaic(&lot);
+    let on_mosaic = [&SPACE[..], &["--mosaic", text(&mosaic)]].concat();
+    let least = json!([{ "image": "mosaic.png", "id": 1, "label": [{ "x": 10 }] }]);
+    for (labels, next) in [
+        (json!({ "type": "FeatureCollection" }), "as GeoJSON"),
+        (least, "as `JSON`, not as `JSON-MIN`"),
+    ] {
+        let said = lot.import("ada", &labels, &on_mosaic).expect(1);
+        assert!(said.stderr.contains(next), "{}", said.stderr);
+    }
 }
 
 #[test]
@@ -551,4 +588,157 @@ fn boxes_drawn_on_a_mosaic_are_where_they_were_drawn() {
         found("parking_space", "box", 12.5, 5.0, 5.0.into(), 1.0),
     ]);
     assert_eq!(rows, expected);
+}
+
+#[test]
+fn annotations_of_another_picture_are_refused_and_nothing_is_said() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let mosaic = mosaic(&lot);
+    let coco = |name: &str, width: u32| {
+        json!({
+            "images": [{ "id": 1, "file_name": name, "width": width, "height": 200 }],
+            "categories": [{ "id": 1, "name": "parking_space" }],
+            "annotations": [{ "image_id": 1, "category_id": 1, "bbox": [100, 100, 100, 48] }],
+        })
+    };
+    let on_mosaic = ["--mosaic", text(&mosaic)];
+    let said = lot
+        .import("ada", &coco("mosaic.png", 800), &on_mosaic)
+        .expect(1);
+    let told =
+        "expected annotations of a picture of 400 × 200 px, found those of one of 800 × 200 px";
+    assert!(said.stderr.contains(told), "{}", said.stderr);
+    assert!(!lot.path("ada.mcap").exists());
+    let said = lot
+        .import("ada", &coco("old.png", 400), &on_mosaic)
+        .expect(0);
+    for told in [
+        "note: annotations of old.png are taken for those of mosaic.png",
+        "ada.mcap: 1 drawn",
+    ] {
+        assert!(said.stderr.contains(told), "{told}: {}", said.stderr);
+    }
+}
+
+/// A text whose numbers have no more digits than so many behind their points.
+fn rounded(text: &str, digits: usize) -> String {
+    let is_number = |character: char| character.is_ascii_digit() || character == '.';
+    let mut rest = text;
+    let mut written = String::new();
+    while let Some(start) = rest.find(is_number) {
+        let (before, from) = rest.split_at(start);
+        let end = from.find(|character: char| !is_number(character));
+        let (number, after) = from.split_at(end.unwrap_or(from.len()));
+        written.push_str(before);
+        match number.split_once('.') {
+            Some((_, behind)) if behind.len() > digits => {
+                let number: f64 = number.parse().unwrap();
+                written.push_str(&format!("{number:.digits$}"));
+            }
+            _ => written.push_str(number),
+        }
+        rest = after;
+    }
+    written + rest
+}
+
+/// Labels go to other programs, which round what they keep and may forget names, and come back: nothing new is said.
+#[test]
+fn what_goes_to_other_programs_comes_back_as_it_was() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let mosaic = mosaic(&lot);
+    let (sin, cos) = 0.4_f64.sin_cos();
+    let corner = |[along, across]: [f64; 2]| {
+        [
+            13.0 + along * cos - across * sin,
+            6.0 + along * sin + across * cos,
+        ]
+    };
+    let ring = [
+        [2.5, 1.2],
+        [-2.5, 1.2],
+        [-2.5, -1.2],
+        [2.5, -1.2],
+        [2.5, 1.2],
+    ]
+    .map(corner);
+    let turned = json!({ "type": "Polygon", "coordinates": [ring] });
+    let outline = [
+        [1.0, 1.0],
+        [4.0, 1.0],
+        [5.0, 3.0],
+        [3.0, 4.5],
+        [1.0, 3.0],
+        [1.0, 1.0],
+    ];
+    let outline = json!({ "type": "Polygon", "coordinates": [outline] });
+    let mut drawn = collection(&[
+        ("space", space(5.0, 5.0)),
+        ("turned", turned),
+        ("area", outline),
+        ("stop", line(&[[8.0, 1.0], [10.0, 1.5], [12.0, 1.0]])),
+    ]);
+    let kinds = ["parking_space", "parking_space", "hatched", "stop_line"];
+    for (feature, kind) in drawn["features"]
+        .as_array_mut()
+        .unwrap()
+        .iter_mut()
+        .zip(kinds)
+    {
+        feature["properties"]["kind"] = kind.into();
+    }
+    lot.import("ada", &drawn, &[]).expect(0);
+    lot.run(&["ada.mcap"]).expect(0);
+
+    let map = lot.path("map");
+    for (program, name, digits, lost, count) in [
+        ("coco", "labels.json", 2, 1, 3),
+        ("cvat", "labels.xml", 2, 0, 4),
+        ("label-studio", "labels.json", 6, 1, 3),
+        ("yolo-obb", "labels.txt", 6, 2, 2),
+    ] {
+        let file = lot.path(name);
+        let mut export = vec!["annotate", "--map", text(&map), "--export", text(&file)];
+        export.extend(["--program", program, "--mosaic", text(&mosaic)]);
+        let ended = evermap(&export).expect(if lost > 0 { 3 } else { 0 });
+        let lines = ended
+            .stderr
+            .lines()
+            .filter(|line| line.starts_with("label "));
+        assert_eq!(lines.count(), lost, "{program}: {}", ended.stderr);
+        let written = std::fs::read_to_string(&file).unwrap();
+        let nameless = rounded(&written, digits).replace("evermap_label", "other");
+        for content in [&written, &nameless] {
+            std::fs::write(&file, content).unwrap();
+            let said = lot
+                .import_file("bob", &file, &["--mosaic", text(&mosaic)])
+                .expect(0);
+            let told = format!("nothing new to say, {count} as they were");
+            assert!(said.stderr.contains(&told), "{program}: {}", said.stderr);
+        }
+    }
+    assert!(!lot.path("bob.mcap").exists());
+
+    // By its name a label is moved there, and not drawn a second time.
+    let file = lot.path("labels.json");
+    let mut export = vec!["annotate", "--map", text(&map), "--export", text(&file)];
+    export.extend(["--program", "label-studio", "--mosaic", text(&mosaic)]);
+    evermap(&export).expect(3);
+    let mut tasks: Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+    let results = tasks[0]["annotations"][0]["result"].as_array_mut().unwrap();
+    let space = results
+        .iter_mut()
+        .find(|one| one["id"] == "evermap_label:space");
+    space.unwrap()["value"]["x"] = 30.0.into();
+    let said = lot
+        .import("ada", &tasks, &["--mosaic", text(&mosaic)])
+        .expect(0);
+    let told = "ada_2.mcap: 1 moved, 2 as they were";
+    assert!(said.stderr.contains(told), "{}", said.stderr);
+    lot.run(&["ada_2.mcap"]).expect(0);
+    let moved = lot
+        .ask("SELECT round(map_from_label['x'], 3) AS x FROM placed_labels WHERE label = 'space'");
+    assert_eq!(moved, json!([{ "x": 8.5 }]));
 }

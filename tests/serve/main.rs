@@ -272,9 +272,24 @@ fn people_teach_by_http_and_everything_else_is_refused() {
     std::fs::write(&plan, taught).unwrap();
     let run = plan_command(text(&plan), &map, "lot", &sessions).output();
     Finished::from(run.unwrap()).expect(3);
+    // What cannot be read among them is told, as the end of a command tells it.
+    let junk = log("junk.mcap");
+    std::fs::write(&junk, "no log at all").unwrap();
     ended("serve/teach.py", &["later", &server.http]);
+    std::fs::remove_file(&junk).unwrap();
     assert_eq!(logs().len(), 3, "{:?}", logs());
-    drop(server);
+    let told = server.stopped();
+    let unread = format!("       1  {}: files that cannot be read", text(&junk));
+    let unread = told.lines().filter(|line| line.contains(&unread)).count();
+    assert!(
+        unread == 1 && told.contains("what was said of lot: "),
+        "{told}"
+    );
+    for part in &said {
+        let (map, part) = (text(&map), text(part));
+        let command = format!("evermap run PLAN --map {map} --site lot --sessions {part}");
+        assert!(told.contains(&command), "{command}: {told}");
+    }
     let export = folder.path().join("labels.geojson");
     let log = log("lot_ada.mcap");
     let annotate = [

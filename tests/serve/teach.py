@@ -210,6 +210,13 @@ def main(what, host):
     judged = {"type": "Feature", "id": label["label"], "geometry": None, "properties": {"kind": "spot", "standing": "rejected"}}
     said = ask(f"{here}/lot", {"author": "bob", "features": judged})[1]
     assert said["labels"][0]["standing"] == "rejected" and said["labels"][0]["author"] == "bob"
+    # Drawn again where it is, without a geometry of its own.
+    again = {**judged, "properties": {"kind": "spot", "standing": "drawn"}}
+    back = ask(f"{here}/lot", {"author": "ada", "features": again})[1]
+    assert back["saved"] == 1 and back["labels"][0]["standing"] == "drawn", back
+    off = [abs(a - b) for found, meant in zip(back["labels"][0]["points"], label["points"]) for a, b in zip(found, meant)]
+    assert len(off) == 12 and max(off) < 1e-6, back
+    assert ask(f"{here}/lot", {"author": "bob", "features": judged})[1]["saved"] == 1
     said = ask(f"{here}/lot", {"author": "ada", "features": said["undo"]})[1]
     assert said["labels"][0]["standing"] == "drawn", said
     # Removed, and taken back.
@@ -225,7 +232,7 @@ def main(what, host):
     assert status == 200 and learnt["hypotheses"] == [] and learnt["revision"] >= said["revision"], learnt
 
     before = ask(f"{here}/lot")[1]
-    for author in ["../ada", "a/b", "", "..", "x" * 65, "a\u0000b", ".hidden"]:
+    for author in ["../ada", "a/b", "", "  ", "..", "x" * 65, "a\u0000b", ".hidden"]:
         assert ask(f"{here}/lot", {"author": author, "features": feature("spot", [[20, 1], [22, 1], [22, 3]])})[0] == 400, author
     for site in ["..", "nowhere", "%2e%2e%2flot", "lot%2f.."]:
         assert ask(f"{here}/{site}", {"author": "ada", "features": feature("spot", BOX)})[0] in (400, 404), site

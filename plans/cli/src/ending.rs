@@ -83,7 +83,7 @@ pub fn panicked(error: &tokio::task::JoinError) -> Failure {
 pub fn tell(ending: &Ending, stderr: &mut dyn Write) -> u8 {
     let (code, text) = match ending {
         Ok(lost) if lost.0.is_empty() => (0, String::new()),
-        Ok(lost) => (3, lost_text(lost)),
+        Ok(lost) => (3, format!("finished with loss: {}", lost.counted())),
         Err(Failure::Fault(fault)) => (1, format!("error: {fault}\n")),
         Err(Failure::Plan(faults)) => (1, format!("{faults}error: the plan is refused\n")),
         Err(Failure::Said) => (1, String::new()),
@@ -94,16 +94,14 @@ pub fn tell(ending: &Ending, stderr: &mut dyn Write) -> u8 {
     code
 }
 
-fn lost_text(lost: &Lost) -> String {
-    let total: u64 = lost.0.values().sum();
-    let lines = lost
-        .0
-        .iter()
-        .map(|(reason, count)| format!("  {count:>8}  {reason}\n"));
-    format!(
-        "finished with loss: {total} skipped or lost\n{}",
-        lines.collect::<String>()
-    )
+impl Lost {
+    /// How many, and a line for each reason.
+    pub fn counted(&self) -> String {
+        let total: u64 = self.0.values().sum();
+        let lines = self.0.iter();
+        let lines = lines.map(|(reason, count)| format!("  {count:>8}  {reason}\n"));
+        format!("{total} skipped or lost\n{}", lines.collect::<String>())
+    }
 }
 
 #[cfg(test)]

@@ -21,6 +21,9 @@ pub struct Feature {
     pub place: String,
     /// The label that it is, where it says so.
     pub label: Option<String>,
+    /// Of what was drawn on a picture: places nearer than this are the same, m. Other programs round, and a label that it
+    /// names may be one of another map.
+    pub within_m: Option<f64>,
     /// What it marks, where it says so in evermap's words.
     pub kind: Option<String>,
     /// What it marks in the words of another program, which may be any.
@@ -48,7 +51,7 @@ pub type Point = ([f64; 2], Option<f64>);
 /// The features of a file. What makes no sense is noted and left out.
 ///
 /// # Errors
-/// A user fault for a file that is none of the formats, or of pixels without a georeference.
+/// A user fault for a file that is none of the formats, of pixels without a georeference, or of other pictures.
 pub fn read(
     path: &Path,
     mosaic: Option<&Picture>,
@@ -74,7 +77,7 @@ pub fn read(
         )));
     }
     match value.get("type") {
-        Some(_) => Ok(geojson::features(&value, losses)),
+        Some(_) => geojson::features(&value, losses).map_err(at),
         None => Err(at(Fault::user(
             "expected GeoJSON, COCO, CVAT (XML), Label Studio (JSON) or YOLO's oriented boxes (.txt), found other JSON",
         ))),

@@ -1,20 +1,27 @@
 //! Features of GeoJSON whose coordinates are the map's metres.
 
+use evermap_schemas::Fault;
 use serde_json::Value;
 
-use super::Losses;
 use super::features::{Feature, Geometry, Point};
+use super::{Losses, is_blank};
 
 /// The features of a collection, of one feature, or of a bare geometry.
-pub fn features(value: &Value, losses: &mut Losses) -> Vec<Feature> {
+///
+/// # Errors
+/// A user fault for a collection without a list of features.
+pub fn features(value: &Value, losses: &mut Losses) -> Result<Vec<Feature>, Fault> {
     let all = match value["type"].as_str() {
-        Some("FeatureCollection") => value["features"].as_array().cloned().unwrap_or_default(),
+        Some("FeatureCollection") => value["features"].as_array().cloned().ok_or_else(|| {
+            Fault::user("expected a list of features in a FeatureCollection, found none")
+                .next("export the features themselves as GeoJSON (in QGIS: Save Features As)")
+        })?,
         Some("Feature") => vec![value.clone()],
         _ => vec![serde_json::json!({ "type": "Feature", "geometry": value })],
     };
     let mut found = Vec::with_capacity(all.len());
     for (number, value) in all.iter().enumerate() {
-        let label = text(&value["id"]).or_else(|| text(&value["properties"]["label"]));
+        let label = label(value);
         let place = match &label {
             Some(label) => format!("feature {number}, label {label}"),
             None => format!("feature {number}"),
@@ -23,6 +30,7 @@ pub fn features(value: &Value, losses: &mut Losses) -> Vec<Feature> {
             Ok(geometry) => found.push(Feature {
                 place,
                 label,
+                within_m: None,
                 kind: text(&value["properties"]["kind"]),
                 category: None,
                 standing: text(&value["properties"]["standing"]),
@@ -32,13 +40,22 @@ pub fn features(value: &Value, losses: &mut Losses) -> Vec<Feature> {
             Err(reason) => losses.note(reason, &place),
         }
     }
-    found
+    Ok(found)
 }
 
-/// A text that is not empty, or a number as text.
+/// The label that a feature is: its property `label`, and only where it has no such property its `id`, which other programs
+/// make of the numbers of rows.
+fn label(feature: &Value) -> Option<String> {
+    match feature["properties"].get("label") {
+        Some(label) => text(label),
+        None => text(&feature["id"]),
+    }
+}
+
+/// A text that is not blank, or a number as text.
 pub(super) fn text(value: &Value) -> Option<String> {
     match value {
-        Value::String(text) if !text.is_empty() => Some(text.clone()),
+        Value::String(text) if !is_blank(text) => Some(text.clone()),
         Value::Number(number) => Some(number.to_string()),
         _ => None,
     }
@@ -81,4 +98,44 @@ fn points(positions: &Value) -> Result<Vec<Point>, &'static str> {
     };
     let points: Option<Vec<Point>> = positions.as_array().ok_or(bad)?.iter().map(point).collect();
     points.ok_or(bad)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn the_property_label_goes_before_the_number_of_a_row() {
+        let named = |id: Value, properties: Value| {
+            let feature =
+                json!({ "type": "Feature", "id": id, "properties": properties, "geometry": null });
+            let mut losses = Losses::default();
+            let mut found = features(&feature, &mut losses).unwrap();
+            assert_eq!((found.len(), losses), (1, Losses::default()));
+            found.remove(0).label
+        };
+        let one = Some("one".to_owned());
+        assert_eq!(named("0".into(), json!({ "label": "one" })), one);
+        assert_eq!(named(Value::Null, json!({ "label": "one" })), one);
+        assert_eq!(named("one".into(), json!({ "kind": "arrow" })), one);
+        assert_eq!(named("one".into(), Value::Null), one);
+        assert_eq!(named(1.into(), json!({})), Some("1".to_owned()));
+        // A row that was drawn among labels: it has none yet.
+        assert_eq!(named("4".into(), json!({ "label": null })), None);
+    }
+
+    #[test]
+    fn a_collection_without_features_is_refused() {
+        let read = |value: Value| features(&value, &mut Losses::default());
+        let empty = json!({ "type": "FeatureCollection", "features": [] });
+        assert!(read(empty).unwrap().is_empty());
+        for features in [Value::Null, 3.into(), json!({ "0": {} })] {
+            let fault = read(json!({ "type": "FeatureCollection", "features": features }));
+            let said = fault.unwrap_err().to_string();
+            assert!(said.contains("expected a list of features"), "{said}");
+        }
+    }
 }

@@ -31,7 +31,7 @@ const MOST_LINES: usize = 20;
 pub struct Losses {
     /// Counts by reason.
     pub counts: BTreeMap<String, u64>,
-    /// Where, and what was found, one line each.
+    /// Where, and what was found, one line each; and what else is to be told.
     pub lines: Vec<String>,
 }
 
@@ -40,6 +40,11 @@ impl Losses {
     pub fn note(&mut self, reason: &str, place: &str) {
         self.count(reason, 1);
         self.lines.push(format!("{place}: {reason}"));
+    }
+
+    /// Something to be told that is no loss.
+    pub fn remark(&mut self, text: &str) {
+        self.lines.push(text.to_owned());
     }
 
     /// Counts without a place.
@@ -59,12 +64,17 @@ impl Losses {
     }
 }
 
+/// Whether a text says nothing: runs throw acts away whose author or kind is empty.
+pub fn is_blank(text: &str) -> bool {
+    text.trim().is_empty()
+}
+
 /// The name of the person at the machine.
 pub fn user() -> String {
     let named = ["USER", "USERNAME"]
         .into_iter()
         .find_map(|name| std::env::var(name).ok());
-    let named = named.filter(|name| !name.is_empty());
+    let named = named.filter(|name| !is_blank(name));
     named.unwrap_or_else(|| "unknown".to_owned())
 }
 
@@ -81,10 +91,43 @@ pub fn begin(log: &Path, map: &Version) -> Result<AnnotationLog, Fault> {
     AnnotationLog::begin(log, |name| sessions.contains(name), library).map_err(unwritten)
 }
 
+/// The command that takes a log into a map, for people to copy.
+pub fn taking_in(map: &str, site: &str, log: &Path) -> String {
+    let log = log.display().to_string();
+    let [map, site, log] = [map, site, log.as_str()].map(in_shell);
+    format!("evermap run PLAN --map {map} --site {site} --sessions {log}")
+}
+
+/// A word as a shell reads it as one.
+fn in_shell(word: &str) -> String {
+    let is_plain = |letter: char| letter.is_alphanumeric() || "-_./:@+=,%".contains(letter);
+    match !word.is_empty() && word.chars().all(is_plain) {
+        true => word.to_owned(),
+        false => format!("'{}'", word.replace('\'', r"'\''")),
+    }
+}
+
 /// Why a log was not written.
 pub fn unwritten(error: RecordingError) -> Fault {
     match error {
         RecordingError::Io { .. } => Fault::resource(error.to_string()),
         RecordingError::Mcap(_) => Fault::bug(error.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_to_copy_is_one_for_a_shell() {
+        let told = taking_in("s3://maps/lot", "lot", Path::new("labels/lot_ada.mcap"));
+        let expected =
+            "evermap run PLAN --map s3://maps/lot --site lot --sessions labels/lot_ada.mcap";
+        assert_eq!(told, expected);
+        let told = taking_in("my maps/lot", "lot", Path::new("lot_Ada O'B.mcap"));
+        let expected =
+            r"evermap run PLAN --map 'my maps/lot' --site lot --sessions 'lot_Ada O'\''B.mcap'";
+        assert_eq!(told, expected);
     }
 }

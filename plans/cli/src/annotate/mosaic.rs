@@ -49,6 +49,13 @@ impl Picture {
         self.reference.place(pixel)
     }
 
+    /// The longer side of a pixel, m.
+    pub fn pixel_m(&self) -> f64 {
+        let WorldFile { x, y } = self.reference;
+        let [column, row] = [0, 1].map(|axis| x[axis].hypot(y[axis]));
+        column.max(row)
+    }
+
     /// The pixel coordinates of a place.
     pub fn pixel(&self, place: [f64; 2]) -> [f64; 2] {
         self.inverse.turned(place).map(|value| value + 0.5)

@@ -1,5 +1,8 @@
 //! From features to acts: only what is new is said.
 
+use std::collections::{BTreeMap, BTreeSet};
+
+use evermap_algorithms::geometry::pose;
 use evermap_algorithms::labels::shapes::Outline;
 use evermap_datasets::annotations::{Anchor, Annotation, Geometry};
 use evermap_engine::digest::digest_of;
@@ -11,7 +14,7 @@ use super::Losses;
 use super::features::Feature;
 use super::state::{State, without_poses};
 
-/// A label has moved where a point of it has by more than this, m.
+/// A label that was not drawn on a picture has moved where a point of it has by more than this, m.
 const MOVED_M: f64 = 1e-3;
 
 /// Who says, and when.
@@ -49,7 +52,7 @@ pub fn said(
         return Err(without_poses());
     }
     let mut said = Said::default();
-    let mut names = std::collections::BTreeSet::new();
+    let mut names = BTreeSet::new();
     for feature in features {
         match acts(feature, state, speaker, losses)? {
             Ok(acts) if acts.is_empty() => said.unchanged += 1,
@@ -77,20 +80,15 @@ fn acts(
         Some(Err(reason)) => return Ok(Err(reason)),
         None => None,
     };
-    let named = match (&feature.label, &outline) {
-        (Some(label), _) => Some(label.clone()),
-        (None, Some((shape, outline))) => Some(name(shape, outline)?),
-        (None, None) => None,
+    let kind = match kind(feature, state, speaker) {
+        Ok(kind) => kind,
+        Err(reason) => return Ok(Err(reason)),
     };
-    let Some(label) = named else {
+    let Some(label) = label_of(feature, outline.as_ref(), kind, &state.labels)? else {
         return Ok(Err("feature that neither names a label nor has a geometry"));
     };
     let known = state.labels.get(&label);
-    let kind = match kind(feature, state, speaker) {
-        Ok(kind) => kind.or(known.map(|known| &known.kind)),
-        Err(reason) => return Ok(Err(reason)),
-    };
-    let Some(kind) = kind else {
+    let Some(kind) = kind.or(known.map(|known| &known.kind)) else {
         return Ok(Err("feature without a kind"));
     };
     let standing = feature.standing.as_deref();
@@ -112,7 +110,7 @@ fn acts(
             image: None,
         }
     };
-    let mut placed = |(shape, outline): &(&'static str, Outline)| {
+    let mut placed = |(shape, outline): &(&str, Outline)| {
         let place = held(shape, outline, state);
         if place.1.is_none() {
             losses.note("label too far from every vehicle pose", &feature.place);
@@ -127,11 +125,16 @@ fn acts(
         (Some(known), None) if known.kind != *kind => {
             return Ok(Err("feature that changes a kind and has no geometry"));
         }
-        (Some(known), Some(outline)) if standing == Some("drawn") && known.standing != "drawn" => {
-            vec![act("drawn", Some(placed(outline)))]
+        (Some(known), outline) if standing == Some("drawn") && known.standing != "drawn" => {
+            let place = match outline {
+                Some(outline) => placed(outline),
+                None => placed(&outline_of(known)?),
+            };
+            vec![act("drawn", Some(place))]
         }
         (Some(known), outline) => {
-            let same = |outline: &&_| known.kind == *kind && !differs(known, outline);
+            let same =
+                |outline: &&_| known.kind == *kind && !differs(known, outline, within_m(feature));
             let anew = outline.as_ref().filter(|outline| !same(outline));
             let mut acts = Vec::new();
             acts.extend(anew.map(|outline| act("moved", Some(placed(outline)))));
@@ -165,10 +168,58 @@ fn kind<'a>(
 
 const STANDINGS: [&str; 4] = ["drawn", "accepted", "rejected", "removed"];
 
+/// The label that a feature is: the one that it names; without a name the one of its kind that lies just there and was not
+/// rejected, or a new one. A name that came through another program counts where there is such a label.
+fn label_of(
+    feature: &Feature,
+    outline: Option<&(&'static str, Outline)>,
+    kind: Option<&String>,
+    labels: &BTreeMap<String, PlacedLabel>,
+) -> Result<Option<String>, Fault> {
+    let is_ours = |label: &&String| feature.within_m.is_none() || labels.contains_key(*label);
+    if let Some(label) = feature.label.as_ref().filter(is_ours) {
+        return Ok(Some(label.clone()));
+    }
+    let Some(drawn) = outline else {
+        return Ok(None);
+    };
+    let own = name(drawn.0, &drawn.1)?;
+    let lies_there = |known: &&PlacedLabel| {
+        known.standing != "rejected"
+            && kind.is_none_or(|kind| *kind == known.kind)
+            && !differs(known, drawn, within_m(feature))
+    };
+    let there = match labels.contains_key(&own) {
+        true => None,
+        false => labels.values().find(lies_there),
+    };
+    Ok(Some(there.map_or(own, |known| known.label.clone())))
+}
+
+/// A label is where it was as long as no point of it has moved by more than this, m.
+fn within_m(feature: &Feature) -> f64 {
+    feature.within_m.unwrap_or_default().max(MOVED_M)
+}
+
 /// A name made of what was drawn, so that the same file says the same labels again.
 fn name(shape: &str, outline: &Outline) -> Result<String, Fault> {
     let whole = (shape, &outline.points, outline.map_from_label.to_array());
     Ok(digest_of(&whole)?.chars().take(16).collect())
+}
+
+/// The outline of a label as it is now.
+fn outline_of(known: &PlacedLabel) -> Result<(&str, Outline), Fault> {
+    let map_from_label = known.map_from_label.to_array();
+    let map_from_label = pose::Pose::from_array(map_from_label)
+        .map_err(|error| Fault::bug(format!("label {}: {error}", known.label)))?;
+    let label_from_map = map_from_label.inverse();
+    let own = |point: &[f64; 3]| label_from_map.transform(&Vector3::from(*point)).into();
+    let points = known.points.iter().map(own).collect();
+    let outline = Outline {
+        map_from_label,
+        points,
+    };
+    Ok((&known.shape, outline))
 }
 
 /// The geometry of an outline, and the pose that it is tied to.
@@ -218,26 +269,139 @@ pub fn read_back(act: &Annotation, site: &str, session: &str) -> roles::Annotati
     }
 }
 
-/// Whether an outline is not the label's, seen from above. Of a box, corners may be written in any order.
-fn differs(known: &PlacedLabel, (shape, outline): &(&'static str, Outline)) -> bool {
-    let drawn: Vec<[f64; 3]> = outline
-        .points
-        .iter()
-        .map(|point| {
-            let point = outline.map_from_label.transform(&Vector3::from(*point));
-            point.into()
-        })
-        .collect();
-    let near = |a: &[f64; 3], b: &[f64; 3]| (a[0] - b[0]).hypot(a[1] - b[1]) <= MOVED_M;
-    let in_order = || drawn.iter().zip(&known.points).all(|(a, b)| near(a, b));
-    let in_any = || {
-        drawn
-            .iter()
-            .all(|a| known.points.iter().any(|b| near(a, b)))
+/// Whether an outline is not the label's, seen from above: a point of it is farther away. Of a box, corners may be written in
+/// any order.
+fn differs(known: &PlacedLabel, (shape, outline): &(&str, Outline), within_m: f64) -> bool {
+    if known.shape != *shape || known.points.len() != outline.points.len() {
+        return true;
+    }
+    let in_map = |point: &[f64; 3]| -> [f64; 3] {
+        let point = Vector3::from(*point);
+        outline.map_from_label.transform(&point).into()
     };
+    let near = |a: &[f64; 3], b: &[f64; 3]| (a[0] - b[0]).hypot(a[1] - b[1]) <= within_m;
+    let mut drawn = outline.points.iter().map(in_map);
     let same = match *shape {
-        "box" => in_any(),
-        _ => in_order(),
+        "box" => drawn.all(|a| known.points.iter().any(|b| near(&a, b))),
+        _ => drawn.zip(&known.points).all(|(a, b)| near(&a, b)),
     };
-    known.shape != *shape || known.points.len() != drawn.len() || !same
+    !same
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use evermap_algorithms::labels::shapes;
+    use evermap_schemas::Wkb;
+
+    use super::*;
+
+    const SPACE: [[f64; 3]; 4] = [
+        [5.0, 2.0, 0.0],
+        [0.0, 2.0, 0.0],
+        [0.0, 0.0, 0.0],
+        [5.0, 0.0, 0.0],
+    ];
+
+    /// A space of this name that begins there.
+    fn space(label: &str, x: f64) -> PlacedLabel {
+        PlacedLabel {
+            site: "lot".into(),
+            label: label.into(),
+            kind: "space".into(),
+            standing: "drawn".into(),
+            author: "ada".into(),
+            said: Stamp(1),
+            placed_by: "pose".into(),
+            anchor: None,
+            shape: "box".into(),
+            map_from_label: Pose {
+                x: x + 2.5,
+                y: 1.0,
+                ..Pose::IDENTITY
+            },
+            length_m: Some(5.0),
+            width_m: Some(2.0),
+            points: SPACE.map(|[along, y, z]| [x + along, y, z]).to_vec(),
+            geometry: Wkb::point([0.0; 3]),
+        }
+    }
+
+    /// A space that is drawn there, on a picture if its pixels have a size.
+    fn drawn(x: f64, within_m: Option<f64>) -> (Feature, (&'static str, Outline)) {
+        let corners = SPACE.map(|[along, y, z]| [x + along, y, z]);
+        let feature = Feature {
+            place: String::new(),
+            label: None,
+            within_m,
+            kind: None,
+            category: None,
+            standing: None,
+            geometry: None,
+            brush_px: None,
+        };
+        (feature, ("box", shapes::oriented_box(&corners).unwrap()))
+    }
+
+    #[test]
+    fn what_lies_on_a_label_is_that_label_and_what_lies_beside_it_is_new() {
+        let mut rejected = space("rejected", 20.0);
+        rejected.standing = "rejected".into();
+        let labels = [space("one", 0.0), space("two", 10.0), rejected];
+        let labels: BTreeMap<String, PlacedLabel> = labels
+            .into_iter()
+            .map(|label| (label.label.clone(), label))
+            .collect();
+        let (space, other) = ("space".to_owned(), "crossing".to_owned());
+        let found = |x: f64, within_m, kind| {
+            let (feature, outline) = drawn(x, within_m);
+            let found = label_of(&feature, Some(&outline), kind, &labels).unwrap();
+            let found = found.unwrap();
+            labels.contains_key(&found).then_some(found)
+        };
+        let two = Some("two".to_owned());
+        let pixels = Some(0.025);
+        assert_eq!(found(10.02, pixels, Some(&space)), two);
+        assert_eq!(found(10.02, pixels, None), two);
+        assert_eq!(found(10.0005, None, Some(&space)), two);
+        // Pixels are coarse, metres are not.
+        assert_eq!(found(10.02, None, Some(&space)), None);
+        assert_eq!(found(10.03, pixels, Some(&space)), None);
+        assert_eq!(found(10.0, pixels, Some(&other)), None);
+        assert_eq!(found(20.0, pixels, Some(&space)), None);
+    }
+
+    #[test]
+    fn a_name_of_another_program_counts_where_there_is_such_a_label() {
+        let labels = BTreeMap::from([("one".to_owned(), space("one", 0.0))]);
+        let found = |name: &str, within_m| {
+            let (mut feature, outline) = drawn(10.0, within_m);
+            feature.label = Some(name.to_owned());
+            let found = label_of(&feature, Some(&outline), None, &labels);
+            found.unwrap().unwrap()
+        };
+        assert_eq!(found("one", Some(0.025)), "one");
+        assert_ne!(found("two", Some(0.025)), "two");
+        assert_eq!(found("two", None), "two");
+    }
+
+    /// As its act is to have it: points about its own frame.
+    #[test]
+    fn the_outline_of_a_label_is_about_its_own_frame() {
+        let turned = pose::Pose::from_yaw(7.0, 3.0, 0.6);
+        let corners = [
+            [2.5, 1.0, 0.0],
+            [-2.5, 1.0, 0.0],
+            [-2.5, -1.0, 0.0],
+            [2.5, -1.0, 0.0],
+        ];
+        let mut label = space("one", 0.0);
+        label.map_from_label = Pose::from_array(turned.to_array());
+        let in_map =
+            |point: [f64; 3]| -> [f64; 3] { turned.transform(&Vector3::from(point)).into() };
+        label.points = corners.map(in_map).to_vec();
+        let found = outline_of(&label).unwrap();
+        assert!(found.0 == "box" && shapes::is_box(&found.1.points));
+        assert!(!differs(&label, &found, 1e-9));
+    }
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::annotate::is_blank;
 use crate::annotate::pixels::Program;
 use crate::arguments::MapArgs;
 
@@ -19,7 +20,7 @@ pub struct AnnotateArgs {
     pub site: Option<String>,
     /// What the labels mark: any word, as `parking_space` [default: what each says itself]. Features that say another kind
     /// are left out. With --export, only these.
-    #[arg(long, value_name = "WORD")]
+    #[arg(long, value_name = "WORD", value_parser = said)]
     pub kind: Option<String>,
     /// Labels to say: GeoJSON in the map's metres; or annotations of a mosaic by COCO, CVAT, Label Studio or YOLO.
     #[arg(long, value_name = "FILE", requires = "out")]
@@ -28,7 +29,7 @@ pub struct AnnotateArgs {
     #[arg(long, value_name = "PNG")]
     pub mosaic: Option<PathBuf>,
     /// Who says so [default: the user's name].
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = said)]
     pub author: Option<String>,
     /// Log of annotations. What it says already counts; what is new is written to its next part.
     #[arg(long, value_name = "LOG", value_parser = log)]
@@ -39,6 +40,13 @@ pub struct AnnotateArgs {
     /// In pixels of --mosaic, for another program, without what was rejected [default: GeoJSON in the map's metres].
     #[arg(long, value_name = "PROGRAM", requires_all = ["export", "mosaic"])]
     pub program: Option<Program>,
+}
+
+fn said(text: &str) -> Result<String, String> {
+    match is_blank(text) {
+        true => Err(format!("expected a name or a word, found {text:?}")),
+        false => Ok(text.to_owned()),
+    }
 }
 
 fn log(text: &str) -> Result<PathBuf, String> {

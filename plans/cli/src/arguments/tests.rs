@@ -92,3 +92,22 @@ fn what_makes_no_sense_is_wrong_usage() {
         assert_eq!(read(line).map(|_| ()).unwrap_err().exit_code(), 2, "{line}");
     }
 }
+
+/// Runs throw away what nobody said, and what marks nothing.
+#[test]
+fn authors_and_kinds_are_not_empty() {
+    let annotate = "evermap annotate --map m --import f.json --out a.mcap";
+    let with = |name: &str, text: &str| {
+        let more = [name, text];
+        Arguments::try_parse_from(annotate.split_whitespace().chain(more))
+    };
+    for name in ["--author", "--kind"] {
+        assert!(with(name, "a b").is_ok(), "{name}");
+        for text in ["", "  "] {
+            let error = with(name, text).map(|_| ()).unwrap_err();
+            assert_eq!(error.exit_code(), 2, "{name} {text:?}");
+            let said = error.to_string();
+            assert!(said.contains("expected a name or a word"), "{said}");
+        }
+    }
+}

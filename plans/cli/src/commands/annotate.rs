@@ -12,7 +12,7 @@ use crate::annotate::features::read;
 use crate::annotate::mosaic::Picture;
 use crate::annotate::saying::{Speaker, said};
 use crate::annotate::state::State;
-use crate::annotate::{Losses, begin, unwritten, user};
+use crate::annotate::{Losses, begin, taking_in, unwritten, user};
 use crate::arguments::AnnotateArgs;
 use crate::earth::Earth;
 use crate::ending::{Ending, Failure, Lost};
@@ -76,10 +76,8 @@ fn import(
     let counts = counts(&said.acts);
     line(&format!("{}: {counts}{unchanged}", written.display()));
     line(&format!(
-        "in the map once a run has it: evermap run PLAN --map {} --site {} --sessions {}",
-        args.map.map,
-        state.site,
-        written.display()
+        "in the map once a run has it: {}",
+        taking_in(&args.map.map, &state.site, &written)
     ));
     Ok(())
 }

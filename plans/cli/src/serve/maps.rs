@@ -33,7 +33,8 @@ pub struct Maps(Arc<BTreeMap<String, Arc<ServedMap>>>);
 pub struct ServedMap {
     /// The last part of its address.
     pub name: String,
-    address: String,
+    /// Its folder or URL, as it was given.
+    pub address: String,
     store: Store,
     limits: Limits,
     runtime: Arc<RuntimeEnv>,

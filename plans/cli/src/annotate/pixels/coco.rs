@@ -1,17 +1,30 @@
 //! Common Objects in Context.
 
+use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
-use super::{Drawn, Pixel, Rectangle, Shape, kinds, numbers};
+use super::described::{Described, OF_ANOTHER, which_are};
+use super::{Drawn, NAME, Pixel, Rectangle, Shape, both, kinds, numbers};
 use crate::annotate::Losses;
 use crate::annotate::geojson::text;
 use crate::annotate::mosaic::Picture;
 
-/// The annotations of a file, all of one picture: segmentations of one outline, else boxes, turned by
-/// `attributes.rotation` (degrees, clockwise, about their centre) as CVAT writes them.
-pub(super) fn read(value: &Value, losses: &mut Losses) -> Vec<Drawn> {
+/// The annotations of the mosaic: segmentations of one outline, else boxes, turned by `attributes.rotation` (degrees,
+/// clockwise, about their centre) as CVAT writes them.
+///
+/// # Errors
+/// A user fault for annotations of other pictures alone.
+pub(super) fn read(
+    value: &Value,
+    mosaic: &Picture,
+    losses: &mut Losses,
+) -> Result<Vec<Drawn>, Fault> {
     let list = |name: &str| value[name].as_array().map_or(&[][..], Vec::as_slice);
     let pictures = list("images");
+    let described: Vec<Described> = pictures.iter().map(described).collect();
+    let chosen = which_are(mosaic, &described, losses)?;
+    let chosen = pictures.iter().zip(chosen).filter(|(_, is)| *is);
+    let chosen: Vec<&Value> = chosen.map(|(picture, _)| &picture["id"]).collect();
     let category = |id: &Value| {
         let mut categories = list("categories").iter();
         text(&categories.find(|category| category["id"] == *id)?["name"])
@@ -19,22 +32,43 @@ pub(super) fn read(value: &Value, losses: &mut Losses) -> Vec<Drawn> {
     let mut found = Vec::new();
     for (number, annotation) in list("annotations").iter().enumerate() {
         let place = format!("annotation {number}");
-        if pictures
-            .first()
-            .is_some_and(|first| first["id"] != annotation["image_id"])
-        {
-            losses.note("annotation of another picture than the first", &place);
+        if !pictures.is_empty() && !chosen.contains(&&annotation["image_id"]) {
+            losses.note(OF_ANOTHER, &place);
             continue;
         }
         match shape(annotation) {
             Some(shape) => {
+                if is_coarse(&annotation["segmentation"]) {
+                    losses.note(BOX_OF, &place);
+                }
                 let kind = category(&annotation["category_id"]);
-                found.push(Drawn::said(place, kind, shape));
+                let name = text(&annotation["attributes"][NAME]);
+                found.push(Drawn::said(place, kind, shape).called(name));
             }
             None => losses.note("annotation that is neither box nor outline", &place),
         }
     }
-    found
+    Ok(found)
+}
+
+/// What is told of an annotation whose outline is not taken.
+const BOX_OF: &str = "annotation of several outlines, or of a mask, taken as the box around it";
+
+/// Whether a segmentation is neither one outline nor none.
+fn is_coarse(segmentation: &Value) -> bool {
+    match segmentation {
+        Value::Array(outlines) => outlines.len() > 1,
+        Value::Object(_) => true,
+        _ => false,
+    }
+}
+
+fn described(picture: &Value) -> Described {
+    let size = ["width", "height"].map(|name| picture[name].as_f64());
+    Described {
+        name: text(&picture["file_name"]),
+        size: both(size),
+    }
 }
 
 fn shape(annotation: &Value) -> Option<Shape> {
@@ -67,6 +101,7 @@ pub(super) fn write(drawn: &[Drawn], picture: &Picture) -> String {
             "bbox": [left, top, right - left, bottom - top],
             "area": area(&points),
             "iscrowd": 0,
+            "attributes": { NAME: drawn.name },
         })
     });
     let annotations: Vec<Value> = annotations.collect();

@@ -5,15 +5,16 @@ use std::fmt::Write;
 use evermap_schemas::Fault;
 use roxmltree::{Document, Node};
 
-use super::{Drawn, Pixel, Rectangle, Shape};
+use super::described::{Described, OF_ANOTHER, which_are};
+use super::{Drawn, NAME, Pixel, Rectangle, Shape, both};
 use crate::annotate::Losses;
 use crate::annotate::mosaic::Picture;
 
-/// The shapes of the first picture: boxes, turned clockwise about their middle, polygons and polylines.
+/// The shapes on the mosaic: boxes, turned clockwise about their middle, polygons and polylines.
 ///
 /// # Errors
-/// A user fault for what is no XML, or no annotations.
-pub(super) fn read(text: &str, losses: &mut Losses) -> Result<Vec<Drawn>, Fault> {
+/// A user fault for what is no XML, no annotations of images, or those of other pictures alone.
+pub(super) fn read(text: &str, mosaic: &Picture, losses: &mut Losses) -> Result<Vec<Drawn>, Fault> {
     let document = Document::parse(text)
         .map_err(|error| Fault::user(format!("expected XML of CVAT, found {error}")))?;
     let root = document.root_element();
@@ -23,20 +24,29 @@ pub(super) fn read(text: &str, losses: &mut Losses) -> Result<Vec<Drawn>, Fault>
             "expected annotations of CVAT for images 1.1, found XML of <{found}>"
         )));
     }
-    let mut found = Vec::new();
+    if root.children().any(|node| node.has_tag_name("track")) {
+        return Err(Fault::user(
+            "expected annotations of CVAT for images 1.1, found tracks of CVAT for video 1.1",
+        )
+        .next("export from CVAT as `CVAT for images 1.1`"));
+    }
     let pictures = root.children().filter(|node| node.has_tag_name("image"));
-    for (picture, image) in pictures.enumerate() {
-        let shapes = image.children().filter(Node::is_element);
+    let pictures: Vec<Node<'_, '_>> = pictures.collect();
+    let described: Vec<Described> = pictures.iter().map(described).collect();
+    let chosen = which_are(mosaic, &described, losses)?;
+    let mut found = Vec::new();
+    for (picture, is_mosaic) in pictures.iter().zip(chosen) {
+        let shapes = picture.children().filter(Node::is_element);
         for (number, node) in shapes.enumerate() {
             let place = format!("{} {number}", node.tag_name().name());
-            if picture > 0 {
-                losses.note("annotation of another picture than the first", &place);
+            if !is_mosaic {
+                losses.note(OF_ANOTHER, &place);
                 continue;
             }
             match shape(node) {
                 Some(shape) => {
                     let kind = node.attribute("label").map(str::to_owned);
-                    found.push(Drawn::said(place, kind, shape));
+                    found.push(Drawn::said(place, kind, shape).called(name(node)));
                 }
                 None => losses.note(
                     "annotation that is neither box nor outline nor line",
@@ -46,6 +56,21 @@ pub(super) fn read(text: &str, losses: &mut Losses) -> Result<Vec<Drawn>, Fault>
         }
     }
     Ok(found)
+}
+
+/// The name of a label, if a shape has one among its attributes.
+fn name(shape: Node<'_, '_>) -> Option<String> {
+    let mut attributes = shape.children();
+    let found = attributes.find(|node| node.attribute("name") == Some(NAME))?;
+    Some(found.text()?.trim().to_owned())
+}
+
+fn described(picture: &Node<'_, '_>) -> Described {
+    let size = ["width", "height"].map(|name| picture.attribute(name)?.parse().ok());
+    Described {
+        name: picture.attribute("name").map(str::to_owned),
+        size: both(size),
+    }
 }
 
 fn shape(node: Node<'_, '_>) -> Option<Shape> {
@@ -86,33 +111,26 @@ pub(super) fn write(drawn: &[Drawn], picture: &Picture) -> String {
         "  <image id=\"0\" name=\"{name}\" width=\"{width}\" height=\"{height}\">"
     );
     for drawn in drawn {
-        let kind = escaped(drawn.kind.as_deref().unwrap_or_default());
-        let shared = format!("label=\"{kind}\" source=\"manual\" occluded=\"0\"");
-        let _ = match &drawn.shape {
-            Shape::Box(found) => {
-                let ([left, top], [along, across]) = (found.turned_back(), found.size);
-                let turn = found.degrees.rem_euclid(360.0);
-                writeln!(
-                    text,
-                    "    <box {shared} xtl=\"{left}\" ytl=\"{top}\" xbr=\"{}\" ybr=\"{}\" rotation=\"{turn}\" z_order=\"0\"/>",
-                    left + along,
-                    top + across
-                )
-            }
-            Shape::Closed(points) => writeln!(
-                text,
-                "    <polygon {shared} {} z_order=\"0\"/>",
-                listed(points)
-            ),
-            Shape::Open(points) => writeln!(
-                text,
-                "    <polyline {shared} {} z_order=\"0\"/>",
-                listed(points)
-            ),
+        let (tag, place) = match &drawn.shape {
+            Shape::Box(found) => ("box", placed(found)),
+            Shape::Closed(points) => ("polygon", listed(points)),
+            Shape::Open(points) => ("polyline", listed(points)),
         };
+        let kind = escaped(drawn.kind.as_deref().unwrap_or_default());
+        let name = escaped(drawn.name.as_deref().unwrap_or_default());
+        let _ = writeln!(
+            text,
+            "    <{tag} label=\"{kind}\" source=\"manual\" occluded=\"0\" {place} z_order=\"0\"><attribute name=\"{NAME}\">{name}</attribute></{tag}>"
+        );
     }
     text.push_str("  </image>\n</annotations>\n");
     text
+}
+
+fn placed(found: &Rectangle) -> String {
+    let ([left, top], [along, across]) = (found.turned_back(), found.size);
+    let (right, bottom, turn) = (left + along, top + across, found.degrees.rem_euclid(360.0));
+    format!("xtl=\"{left}\" ytl=\"{top}\" xbr=\"{right}\" ybr=\"{bottom}\" rotation=\"{turn}\"")
 }
 
 fn listed(points: &[Pixel]) -> String {

@@ -1,39 +1,95 @@
 //! Label Studio's tasks.
 
+use evermap_schemas::Fault;
 use serde_json::{Value, json};
 
-use super::{Drawn, Rectangle, Shape, numbers};
+use super::described::{Described, OF_ANOTHER, is_file, which_are};
+use super::{Drawn, NAME, Rectangle, Shape, both, numbers};
 use crate::annotate::Losses;
 use crate::annotate::geojson::text;
 use crate::annotate::mosaic::Picture;
 
-/// The results of tasks, all of one picture: rectangles, turned about their upper left corner, and polygons, in percent of
-/// the picture. Predictions are not read: nobody said them.
-pub(super) fn read(tasks: &Value, losses: &mut Losses) -> Vec<Drawn> {
+/// The results of the mosaic's tasks: rectangles, turned about their upper left corner, and polygons, in percent of the
+/// picture. Predictions are not read: nobody said them.
+///
+/// # Errors
+/// A user fault for JSON of another form, or results of other pictures alone.
+pub(super) fn read(
+    tasks: &Value,
+    mosaic: &Picture,
+    losses: &mut Losses,
+) -> Result<Vec<Drawn>, Fault> {
+    let tasks = tasks.as_array().map_or(&[][..], Vec::as_slice);
+    if !tasks.iter().all(is_task) {
+        return Err(Fault::user(
+            "expected tasks of Label Studio with their annotations, found JSON of another form",
+        )
+        .next("export from Label Studio as `JSON`, not as `JSON-MIN`"));
+    }
+    let described: Vec<Described> = tasks.iter().map(|task| described(task, mosaic)).collect();
+    let chosen = which_are(mosaic, &described, losses)?;
     let mut found = Vec::new();
-    for (task, value) in tasks.as_array().into_iter().flatten().enumerate() {
-        let annotations = ["annotations", "completions"].map(|name| &value[name]);
-        let annotations = annotations
-            .into_iter()
-            .filter_map(Value::as_array)
-            .flatten();
-        let held = annotations.filter(|annotation| annotation["was_cancelled"] != true);
-        let results = held.filter_map(|annotation| annotation["result"].as_array());
-        for (number, result) in results.flatten().enumerate() {
+    for (task, (value, is_mosaic)) in tasks.iter().zip(chosen).enumerate() {
+        for (number, result) in results(value).enumerate() {
             let place = format!("task {task}, result {number}");
-            match shape(result) {
-                Some((kind, shape)) => found.push(Drawn::said(place, kind, shape)),
+            if !is_mosaic {
+                losses.note(OF_ANOTHER, &place);
+                continue;
+            }
+            match shape(result, mosaic.size) {
+                Some((kind, shape)) => {
+                    found.push(Drawn::said(place, kind, shape).called(name(&result["id"])));
+                }
                 None => losses.note("annotation that is neither box nor outline", &place),
             }
         }
     }
-    found
+    Ok(found)
 }
 
-fn shape(result: &Value) -> Option<(Option<String>, Shape)> {
-    let size = [&result["original_width"], &result["original_height"]];
-    let [width_px, height_px] = size.map(Value::as_f64);
-    let (value, scale) = (&result["value"], [width_px? / 100.0, height_px? / 100.0]);
+/// The name of a label, if the id of a result has one.
+fn name(id: &Value) -> Option<String> {
+    let name = id.as_str()?.strip_prefix(NAME)?.strip_prefix(':')?;
+    Some(name.to_owned())
+}
+
+/// What people said of a task's picture.
+fn results(task: &Value) -> impl Iterator<Item = &Value> {
+    let annotations = ["annotations", "completions"].map(|name| &task[name]);
+    let annotations = annotations
+        .into_iter()
+        .filter_map(Value::as_array)
+        .flatten();
+    let held = annotations.filter(|annotation| annotation["was_cancelled"] != true);
+    let results = held.filter_map(|annotation| annotation["result"].as_array());
+    results.flatten()
+}
+
+/// The picture of a task, under whatever word the project has it, with the size that a result says.
+fn described(task: &Value, mosaic: &Picture) -> Described {
+    let data = &task["data"];
+    let texts = data.as_object().into_iter().flat_map(|data| data.values());
+    let texts: Vec<&str> = texts.filter_map(Value::as_str).collect();
+    let is_mosaic = |text: &&str| is_file(text, &mosaic.name);
+    let name = texts.iter().copied().find(is_mosaic);
+    let name = name.or(data["image"].as_str());
+    let size = |result: &Value| {
+        both(["original_width", "original_height"].map(|name| result[name].as_f64()))
+    };
+    Described {
+        name: name.or(texts.first().copied()).map(str::to_owned),
+        size: results(task).find_map(size),
+    }
+}
+
+/// Whether it is a task as `JSON` has it: `JSON-MIN` has its members, and none of these.
+fn is_task(task: &Value) -> bool {
+    let members = ["data", "annotations", "completions", "predictions"];
+    members.iter().any(|name| task.get(name).is_some())
+}
+
+fn shape(result: &Value, size: [u32; 2]) -> Option<(Option<String>, Shape)> {
+    let (value, scale) = (&result["value"], size.map(|side| f64::from(side) / 100.0));
     let number = |name: &str| value[name].as_f64();
     match result["type"].as_str()? {
         kind @ ("rectanglelabels" | "rectangle") => {
@@ -102,8 +158,12 @@ fn result(number: usize, drawn: &Drawn, picture: &Picture) -> Value {
         }
     };
     value[form] = json!([kind]);
+    let id = match &drawn.name {
+        Some(name) => format!("{NAME}:{name}"),
+        None => number.to_string(),
+    };
     let mut result = json!({
-        "id": format!("{number}"),
+        "id": id,
         "type": form,
         "from_name": "label",
         "to_name": "image",

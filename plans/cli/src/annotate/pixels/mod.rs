@@ -2,10 +2,11 @@
 
 mod coco;
 mod cvat;
+mod described;
 mod label_studio;
 mod yolo;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use clap::ValueEnum;
@@ -13,13 +14,20 @@ use evermap_schemas::Fault;
 use evermap_schemas::layers::{BoxHypothesis, PlacedLabel};
 use serde_json::Value;
 
-use super::Losses;
 use super::features::{Feature, Geometry};
 use super::mosaic::Picture;
+use super::{Losses, is_blank};
 use crate::scene::corners;
 
 /// A place in a picture, px from its upper left corner.
 type Pixel = [f64; 2];
+
+/// The word with which the name of a label goes through programs that keep such things.
+const NAME: &str = "evermap_label";
+
+/// What was drawn is where it was if no point of it has moved by more, px: programs round, and the way to a picture and back
+/// does.
+const SAME_PX: f64 = 0.5;
 
 /// A program's way to write annotations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -53,7 +61,7 @@ impl Program {
     /// The features of a file; what makes no sense is noted and left out.
     ///
     /// # Errors
-    /// A user fault for a file of another form.
+    /// A user fault for a file of another form, or of other pictures.
     pub(super) fn read(
         self,
         path: &Path,
@@ -65,12 +73,13 @@ impl Program {
             serde_json::from_str(text)
                 .map_err(|error| Fault::user(format!("expected JSON, found {error}")))
         };
-        let drawn = match self {
-            Self::Coco => coco::read(&json()?, losses),
-            Self::Cvat => cvat::read(text, losses)?,
-            Self::LabelStudio => label_studio::read(&json()?, losses),
+        let mut drawn = match self {
+            Self::Coco => coco::read(&json()?, picture, losses)?,
+            Self::Cvat => cvat::read(text, picture, losses)?,
+            Self::LabelStudio => label_studio::read(&json()?, picture, losses)?,
             Self::YoloObb => yolo::read(text, &yolo::classes(path)?, picture.size, losses),
         };
+        disown_copies(&mut drawn);
         Ok(drawn
             .into_iter()
             .map(|drawn| drawn.feature(picture))
@@ -127,6 +136,8 @@ impl Program {
 struct Drawn {
     /// Which one, for people.
     place: String,
+    /// The label that it is, where it says so.
+    name: Option<String>,
     /// What it marks, where it says so.
     kind: Option<String>,
     shape: Shape,
@@ -237,10 +248,16 @@ impl Drawn {
     fn said(place: String, kind: Option<String>, shape: Shape) -> Self {
         Self {
             place,
-            kind,
+            name: None,
+            kind: kind.filter(|kind| !is_blank(kind)),
             shape,
             probability: None,
         }
+    }
+
+    /// With the name of the label that it is.
+    fn called(self, name: Option<String>) -> Self {
+        Self { name, ..self }
     }
 
     fn of_label(label: &PlacedLabel, picture: &Picture) -> Self {
@@ -254,11 +271,8 @@ impl Drawn {
             ("polyline", _) => Shape::Open(points),
             _ => Shape::Closed(points),
         };
-        Self::said(
-            format!("label {}", label.label),
-            Some(label.kind.clone()),
-            shape,
-        )
+        let place = format!("label {}", label.label);
+        Self::said(place, Some(label.kind.clone()), shape).called(Some(label.label.clone()))
     }
 
     fn of_hypothesis(found: &BoxHypothesis, picture: &Picture) -> Option<Self> {
@@ -266,6 +280,7 @@ impl Drawn {
         let corners = corners.map(|[x, y, _]| picture.pixel([x, y]));
         Some(Self {
             place: format!("hypothesis {}", found.hypothesis),
+            name: None,
             kind: Some(found.kind.clone()),
             shape: Shape::Box(Rectangle::of(corners)),
             probability: Some(found.probability),
@@ -285,7 +300,8 @@ impl Drawn {
         let points = points.map(|pixel| (picture.place(pixel), None)).collect();
         Feature {
             place: self.place,
-            label: None,
+            label: self.name,
+            within_m: Some(SAME_PX * picture.pixel_m()),
             kind: None,
             category: self.kind,
             standing: None,
@@ -298,6 +314,20 @@ impl Drawn {
     }
 }
 
+/// Takes a name from all that have it, where several do: who copies a shape copies its name.
+fn disown_copies(drawn: &mut [Drawn]) {
+    let mut times: BTreeMap<String, usize> = BTreeMap::new();
+    for name in drawn.iter().filter_map(|drawn| drawn.name.as_ref()) {
+        *times.entry(name.clone()).or_default() += 1;
+    }
+    let is_copied = |name: &String| times.get(name).is_some_and(|times| *times > 1);
+    for drawn in drawn {
+        if drawn.name.as_ref().is_some_and(is_copied) {
+            drawn.name = None;
+        }
+    }
+}
+
 /// What is marked, each kind once, ascending.
 fn kinds(drawn: &[Drawn]) -> Vec<&str> {
     let kinds = drawn.iter().filter_map(|drawn| drawn.kind.as_deref());
@@ -306,6 +336,11 @@ fn kinds(drawn: &[Drawn]) -> Vec<&str> {
 
 fn numbers(value: &Value) -> Option<Vec<f64>> {
     value.as_array()?.iter().map(Value::as_f64).collect()
+}
+
+/// Width and height, where both are said.
+fn both([width, height]: [Option<f64>; 2]) -> Option<[f64; 2]> {
+    Some([width?, height?])
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used)]
 use evermap_schemas::{Pose, Stamp, Wkb};
 use proptest::prelude::*;
+use serde_json::json;
 
 use super::*;
 
@@ -97,6 +98,10 @@ proptest! {
             let (found, losses) = round_trip(program, &[label("a", "box", &corners)]);
             prop_assert!(losses.counts.is_empty() && found.len() == 1);
             prop_assert_eq!(found[0].category.as_deref(), Some("a <kind> & \"more\""));
+            let name = (program != Program::YoloObb).then_some("a");
+            prop_assert_eq!(found[0].label.as_deref(), name);
+            let half = found[0].within_m.unwrap();
+            prop_assert!((half - 0.025).abs() < 1e-12, "half a pixel: {}", half);
             let found = points(&found[0]);
             prop_assert!(same(&found, &corners), "{:?}: {:?}", program, found);
         }
@@ -171,9 +176,22 @@ fn what_the_programs_write_is_read() {
     for (text, expected) in [
         ("<a", "expected XML of CVAT"),
         ("<svg/>", "found XML of <svg>"),
+        (
+            r#"<annotations><track id="0" label="space"><box frame="0" xtl="1" ytl="1" xbr="5" ybr="9"/></track></annotations>"#,
+            "export from CVAT as `CVAT for images 1.1`",
+        ),
+        (
+            r#"[{ "image": "lot.png", "id": 1, "label": [{ "x": 10, "rectanglelabels": ["space"] }], "annotator": 1 }]"#,
+            "export from Label Studio as `JSON`, not as `JSON-MIN`",
+        ),
+        (
+            r#"[{ "image_id": 1, "category_id": 1, "bbox": [1, 1, 4, 8], "score": 0.5 }]"#,
+            "found JSON of another form",
+        ),
     ] {
         let path = Path::new("a.xml");
-        let fault = Program::Cvat
+        let fault = Program::of(path, text)
+            .unwrap()
             .read(path, text, &picture, &mut Losses::default())
             .unwrap_err();
         assert!(fault.to_string().contains(expected), "{fault}");
@@ -222,4 +240,139 @@ fn proposals_are_predictions_with_their_probability() {
         (0, 0),
         "nobody said a prediction"
     );
+}
+
+/// Pictures by name and size; each has a box whose kind is its name.
+type Pictures<'a> = &'a [(&'a str, [u32; 2])];
+
+/// What a program writes of them.
+type Write = fn(Pictures<'_>) -> String;
+
+fn coco(pictures: Pictures<'_>) -> String {
+    let all = || pictures.iter().enumerate();
+    let images = all().map(|(id, (name, [width, height]))| {
+        json!({ "id": id, "file_name": name, "width": width, "height": height })
+    });
+    let categories = all().map(|(id, (name, _))| json!({ "id": id, "name": name }));
+    let annotations =
+        all().map(|(id, _)| json!({ "image_id": id, "category_id": id, "bbox": [1, 1, 20, 10] }));
+    let [images, categories, annotations]: [Vec<Value>; 3] = [
+        images.collect(),
+        categories.collect(),
+        annotations.collect(),
+    ];
+    json!({ "images": images, "categories": categories, "annotations": annotations }).to_string()
+}
+
+fn cvat(pictures: Pictures<'_>) -> String {
+    let image = |(name, [width, height]): &(&str, [u32; 2])| {
+        format!(
+            r#"<image name="{name}" width="{width}" height="{height}"><box label="{name}" xtl="1" ytl="1" xbr="21" ybr="11"/></image>"#
+        )
+    };
+    let images: String = pictures.iter().map(image).collect();
+    format!("<annotations>{images}</annotations>")
+}
+
+fn studio(pictures: Pictures<'_>) -> String {
+    let task = |(name, [width, height]): &(&str, [u32; 2])| {
+        let value = json!({ "x": 1, "y": 1, "width": 5, "height": 3, "rectanglelabels": [name] });
+        let result = json!({
+            "type": "rectanglelabels", "original_width": width, "original_height": height, "value": value,
+        });
+        json!({ "data": { "scan": name }, "annotations": [{ "result": [result] }] })
+    };
+    Value::Array(pictures.iter().map(task).collect()).to_string()
+}
+
+#[test]
+fn annotations_of_another_picture_are_not_laid_on_the_mosaic() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let programs: [(Write, &str); 3] = [(coco, "a.json"), (cvat, "a.xml"), (studio, "a.json")];
+    for (write, name) in programs {
+        let read = |pictures: Pictures<'_>| {
+            let (text, path) = (write(pictures), folder.path().join(name));
+            let mut losses = Losses::default();
+            let program = Program::of(&path, &text).unwrap();
+            let found = program.read(&path, &text, &picture, &mut losses);
+            found.map(|found| (found, losses))
+        };
+        // That of its name, wherever it stands; others are counted.
+        let (found, losses) = read(&[("a.png", [4, 3]), ("north/lot.png", [400, 300])]).unwrap();
+        let kinds: Vec<_> = found.iter().map(|one| one.category.as_deref()).collect();
+        assert_eq!(kinds, [Some("north/lot.png")], "{name}");
+        let counts: Vec<_> = losses.counts.into_iter().collect();
+        assert_eq!(counts, [("annotation of another picture".to_owned(), 1)]);
+        // The only one, of the same size.
+        let (found, losses) = read(&[("old.png", [400, 300])]).unwrap();
+        assert_eq!((found.len(), losses.counts.len()), (1, 0), "{name}");
+        let told = "note: annotations of old.png are taken for those of lot.png";
+        assert_eq!(losses.lines, [told]);
+        let refused: [(Pictures<'_>, &str); 3] = [
+            (
+                &[("lot.png", [1600, 1200])],
+                "expected annotations of a picture of 400 × 300 px, found those of one of 1600 × 1200 px",
+            ),
+            (&[("old.png", [200, 150])], "of one of 200 × 150 px"),
+            (
+                &[("a.png", [400, 300]), ("b.png", [400, 300])],
+                "expected annotations of lot.png, found those of `a.png`, `b.png`",
+            ),
+        ];
+        for (pictures, expected) in refused {
+            let fault = read(pictures).unwrap_err().to_string();
+            assert!(fault.contains(expected), "{name}: {fault}");
+        }
+    }
+}
+
+/// Who copies a shape copies its name; which of them is the label, its place tells.
+#[test]
+fn shapes_that_share_a_name_have_none() {
+    let corners = |x: f64| of_box([x, 15.0], 0.5, [2.0, 1.0]);
+    let labels = [("a", 13.0), ("b", 17.0), ("a", 21.0)];
+    let labels = labels.map(|(name, x)| label(name, "box", &corners(x)));
+    for program in [Program::Coco, Program::Cvat, Program::LabelStudio] {
+        let (found, _) = round_trip(program, &labels);
+        let names: Vec<_> = found.iter().map(|one| one.label.as_deref()).collect();
+        assert_eq!(names, [None, Some("b"), None], "{program:?}");
+    }
+}
+
+#[test]
+fn a_blank_kind_is_none() {
+    let text = r#"<annotations><image name="lot.png"><box label=" " xtl="1" ytl="1" xbr="9" ybr="5"/></image></annotations>"#;
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let read = Program::Cvat.read(Path::new("a.xml"), text, &picture, &mut Losses::default());
+    let kinds: Vec<_> = read.unwrap().into_iter().map(|one| one.category).collect();
+    assert_eq!(kinds, [None]);
+}
+
+#[test]
+fn what_becomes_the_box_around_it_is_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = picture(folder.path());
+    let annotation = |segmentation: Value| json!({ "image_id": 1, "category_id": 1, "bbox": [40, 40, 100, 60], "segmentation": segmentation });
+    let one = [40, 40, 140, 40, 40, 100];
+    let other = [140, 100, 100, 100, 140, 60];
+    let all = [
+        annotation(json!([one])),
+        annotation(json!([one, other])),
+        annotation(json!({ "size": [300, 400], "counts": "abc" })),
+        annotation(json!([])),
+    ];
+    let file = json!({
+        "images": [{ "id": 1, "file_name": "lot.png" }],
+        "categories": [{ "id": 1, "name": "area" }],
+        "annotations": all,
+    });
+    let (path, mut losses) = (Path::new("a.json"), Losses::default());
+    let found = Program::Coco.read(path, &file.to_string(), &picture, &mut losses);
+    let corners: Vec<usize> = found.unwrap().iter().map(|one| points(one).len()).collect();
+    assert_eq!(corners, [3, 4, 4, 4]);
+    let told = "annotation of several outlines, or of a mask, taken as the box around it";
+    let told = [1, 2].map(|number| format!("annotation {number}: {told}"));
+    assert_eq!(losses.lines, told);
 }

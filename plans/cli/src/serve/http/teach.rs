@@ -142,7 +142,7 @@ pub async fn say(
     let author = user.or(saying.author);
     let author = author.as_deref().unwrap_or(&teaching.author);
     let mut losses = Losses::default();
-    let features = geojson::features(&saying.features, &mut losses);
+    let features = geojson::features(&saying.features, &mut losses)?;
     if !losses.lines.is_empty() {
         return Err(Fault::user(losses.lines.join("; "))
             .next("nothing was saved")

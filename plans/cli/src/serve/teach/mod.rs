@@ -23,7 +23,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use tokio::sync::Mutex;
 
 use crate::annotate::features::Feature;
-use crate::annotate::user;
+use crate::annotate::{is_blank, user};
 use crate::serve::maps::{Opened, ServedMap};
 use crate::serve::teach::lesson::{Learnt, Lesson};
 use crate::serve::teach::told::{Saved, Told};
@@ -97,7 +97,7 @@ impl Teaching {
             return Ok(known);
         }
         let folder = self.folder.join(word(&map.name)?).join(word(site)?);
-        let told = Told::read(opened, site, folder).await?;
+        let told = Told::read(opened, &map.address, site, folder).await?;
         let known = Arc::new(Site {
             told: Mutex::new(told),
             learning: Mutex::default(),
@@ -127,8 +127,8 @@ impl Site {
         let mut told = self.told.lock().await;
         if told.opened.version() < opened.version() {
             told.end(Duration::ZERO);
-            let site = told.state.site.clone();
-            let mut read = Told::read(opened, &site, told.folder.clone()).await?;
+            let (map, site) = (told.map.clone(), told.state.site.clone());
+            let mut read = Told::read(opened, &map, &site, told.folder.clone()).await?;
             read.revision = told.revision + 1;
             read.last_ns = told.last_ns;
             *told = read;
@@ -299,7 +299,7 @@ impl Site {
 /// A name, if it can be part of a file's.
 fn word(name: &str) -> Result<&str, Fault> {
     let is_plain = |letter: char| letter.is_alphanumeric() || "-_.@+ ".contains(letter);
-    let fits = (1..=64).contains(&name.chars().count()) && !name.starts_with('.');
+    let fits = !is_blank(name) && name.chars().count() <= 64 && !name.starts_with('.');
     match fits && name.chars().all(is_plain) {
         true => Ok(name),
         false => Err(Fault::user(format!(

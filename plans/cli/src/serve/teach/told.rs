@@ -16,13 +16,16 @@ use super::made;
 use crate::annotate::features::Feature;
 use crate::annotate::saying::{Speaker, read_back, said};
 use crate::annotate::state::{State, painted};
-use crate::annotate::{Losses, begin, unwritten};
+use crate::annotate::{Losses, begin, taking_in, unwritten};
+use crate::ending::Lost;
 use crate::progress::line;
 use crate::serve::maps::Opened;
 
 /// A site with all that was said of it.
 pub(super) struct Told {
     pub(super) opened: Arc<Opened>,
+    /// Where the map is, as the server was told.
+    pub(super) map: String,
     pub(super) state: State,
     pub(super) mosaic: Arc<Mosaic>,
     /// All that was said of images.
@@ -50,6 +53,7 @@ pub struct Saved {
 impl Told {
     pub(super) async fn read(
         opened: Arc<Opened>,
+        map: &str,
         site: &str,
         folder: PathBuf,
     ) -> Result<Self, Fault> {
@@ -58,10 +62,15 @@ impl Told {
         let state = State::read(&opened.reader, Some(site), &logs, &mut losses).await?;
         let paint = painted(&opened.reader, site, &logs).await?;
         losses.tell();
+        if !losses.counts.is_empty() {
+            let counted = Lost(losses.counts).counted();
+            line(&format!("what was said of {site}: {}", counted.trim_end()));
+        }
         let tiles: Vec<OverheadTile> = opened.reader.rows(Some(site)).await?;
         let mosaic = evermap_catalog::mosaic(tiles, &mut |_, _| {});
         Ok(Self {
             opened,
+            map: map.to_owned(),
             state,
             mosaic: Arc::new(mosaic),
             paint,
@@ -172,9 +181,9 @@ impl Told {
             let site = &self.state.site;
             match log.finish() {
                 Ok(path) => line(&format!(
-                    "{author} said something of {site}: {}; evermap run PLAN --site {site} --sessions {}",
+                    "{author} said something of {site}: {}; {}",
                     path.display(),
-                    path.display()
+                    taking_in(&self.map, site, &path)
                 )),
                 Err(error) => tracing::warn!("a log of {author} has no end: {error}"),
             }
