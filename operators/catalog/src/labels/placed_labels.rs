@@ -10,7 +10,7 @@ pub struct PlacedLabels;
 
 impl Operator for PlacedLabels {
     const NAME: &'static str = "placed_labels";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("placed_labels.md");
     type Params = PlacingParams;
     type Output = PlacedLabel;

@@ -162,6 +162,44 @@ fn a_label_whose_session_is_gone_is_counted_and_goes_with_its_frame() {
 }
 
 #[test]
+fn a_frame_is_the_one_that_was_made_from_the_same_pose_whatever_its_number() {
+    let first = Version::of(drive("a", [0.0, 0.0]), vec![frame(3, 5.0)]);
+    let said = || vec![drawn("one", 7.0, 3.0)];
+    let (held, _) = anchors(said(), &first, &Version::default(), vec![]);
+    let now = |frames: Vec<MapFrame>| {
+        let (now, losses) = placed(held.clone(), &Version::of(drive("b", [0.0, 0.0]), frames));
+        (place(&now[0]), now[0].placed_by.clone(), losses)
+    };
+    // Of the session that came in its place: the number is that of a pose elsewhere.
+    let other = MapFrame {
+        session: "b".into(),
+        ..frame(3, 25.0)
+    };
+    let later = MapFrame {
+        stamp: Stamp(1),
+        ..frame(3, 25.0)
+    };
+    for stranger in [other.clone(), later] {
+        let (at, by, losses) = now(vec![stranger]);
+        assert_eq!((at, &*by), ([7.0, 3.0], "drawing"));
+        let told = "label whose session and map frame are gone, placed as it was drawn";
+        assert_eq!(losses.0[told], 1);
+    }
+    // The frame itself, a metre on, under another number.
+    let (at, by, _) = now(vec![other, frame(8, 6.0)]);
+    assert_eq!((at, &*by), ([8.0, 3.0], "frame"));
+
+    // A map that was made before frames were noted so: its labels are held as new ones are.
+    let before = LabelAnchor {
+        frame_session: None,
+        frame_stamp: None,
+        ..held[0].clone()
+    };
+    let (again, _) = anchors(said(), &first, &first, vec![before]);
+    assert_eq!(again, held);
+}
+
+#[test]
 fn poses_chosen_anew_hold_labels_in_between_but_not_across_gaps() {
     let version = |seconds: &[i64]| {
         let mut poses = drive("a", [0.0, 1.0]);

@@ -33,7 +33,8 @@ impl Default for PlacingParams {
 pub struct Placer {
     gap_m: f64,
     poses: BTreeMap<String, BTreeMap<Stamp, Pose>>,
-    frames: BTreeMap<u32, Pose>,
+    /// By the session and instant of the pose that each was made from: their numbers are others' once a session is replaced.
+    frames: BTreeMap<(String, Stamp), Pose>,
 }
 
 impl Placer {
@@ -46,7 +47,7 @@ impl Placer {
                 of_session.insert(row.stamp, pose);
             }
         }
-        let frame = |row: MapFrame| Some((row.frame, rigid(&row.map_from_frame)?));
+        let frame = |row: MapFrame| Some(((row.session, row.stamp), rigid(&row.map_from_frame)?));
         Self {
             gap_m: params.gap_m,
             poses: sessions,
@@ -67,6 +68,10 @@ impl Placer {
             ("frame", Some(_)) => {
                 tell("label whose session is gone, placed by its frame".into(), 1)
             }
+            ("drawing", _) if row.frame.is_some() => tell(
+                "label whose session and map frame are gone, placed as it was drawn".into(),
+                1,
+            ),
             ("drawing", _) => tell(
                 "label not tied to any pose of the map, placed as it was drawn".into(),
                 1,
@@ -109,7 +114,8 @@ impl Placer {
     }
 
     fn by_frame(&self, row: &LabelAnchor) -> Option<Pose> {
-        let map_from_frame = self.frames.get(&row.frame?)?;
+        let frame = (row.frame_session.clone()?, row.frame_stamp?);
+        let map_from_frame = self.frames.get(&frame)?;
         Some(map_from_frame.compose(&rigid(row.frame_from_label.as_ref()?)?))
     }
 }
