@@ -2,7 +2,9 @@
 
 use evermap_contract::Losses;
 use evermap_contract::laws::inputs_of;
-use evermap_schemas::layers::{LabelAnchor, Landmark, MapFrame, PlacedLabel, VehiclePose};
+use evermap_schemas::layers::{
+    BoxModel, LabelAnchor, Landmark, MapFrame, OverheadTile, ParkingSpace, PlacedLabel, VehiclePose,
+};
 use evermap_schemas::roles::{Anchor, Annotation, Calibration, Transform};
 use evermap_schemas::{Bytes, Pose, Stamp, Wkb};
 use serde_json::json;
@@ -236,6 +238,61 @@ fn poses_chosen_anew_hold_labels_in_between_but_not_across_gaps() {
     ];
     let (now, _) = yields::<PlacedLabel>("placed_labels", params, inputs);
     assert_eq!(place(&now[0]), [7.0, 3.0]);
+}
+
+#[test]
+fn of_spaces_that_were_drawn_on_one_place_the_one_said_last_holds() {
+    let at_stamp = |stamp: i64, act: Annotation| Annotation {
+        stamp: Stamp(stamp),
+        ..act
+    };
+    let (sin, cos) = 0.5_f64.sin_cos();
+    let beside = drawn("beside", 7.0 - 2.0 * sin, 3.0 + 2.0 * cos);
+    let arrow = Annotation {
+        kind: "arrow".into(),
+        ..drawn("arrow", 7.0, 3.0)
+    };
+    let rejected = Annotation {
+        act: "rejected".into(),
+        ..drawn("rejected", 7.0, 3.0)
+    };
+    let said = vec![
+        at_stamp(300, drawn("one", 7.0, 3.0)),
+        at_stamp(200, drawn("two", 7.2, 3.1)),
+        at_stamp(400, rejected),
+        arrow,
+        beside,
+    ];
+    let map = Version::of(drive("a", [0.0, 0.0]), vec![]);
+    let (held, _) = anchors(said, &map, &Version::default(), vec![]);
+    let (labels, _) = placed(held, &map);
+    let inputs = [inputs_of("labels", labels.clone()).unwrap()];
+    let (spaces, losses) = yields::<ParkingSpace>("parking_spaces", json!({}), inputs);
+    let mut held: Vec<_> = spaces.into_iter().filter_map(|space| space.label).collect();
+    held.sort();
+    assert_eq!(held, ["beside", "one"]);
+    assert_eq!(losses.0["parking space that lies on another one"], 1);
+
+    // Nor is it learnt twice what the place looks like.
+    let tile = OverheadTile {
+        site: "lot".into(),
+        zoom: 0,
+        tile_x: 0,
+        tile_y: 0,
+        cell_m: 0.05,
+        size_m: 12.8,
+        covered: 0,
+        mean_weight: 0.0,
+        png: Bytes(vec![]),
+        sources: vec![],
+        geometry: Wkb::point([0.0; 3]),
+    };
+    let inputs = [
+        inputs_of("labels", labels).unwrap(),
+        inputs_of("tiles", vec![tile]).unwrap(),
+    ];
+    let (_, losses) = yields::<BoxModel>("box_models", json!({}), inputs);
+    assert_eq!(losses.0["box of a kind that lies on another one"], 1);
 }
 
 #[test]
