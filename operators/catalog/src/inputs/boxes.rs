@@ -1,15 +1,16 @@
-//! The overhead image and what people said of boxes on it, as the algorithms want them.
+//! The overhead image, lanes and what people said of boxes, as the algorithms want them.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::ground::boxes::GroundBox;
 use evermap_algorithms::ground::boxes::box_index::BoxIndex;
 use evermap_algorithms::ground::boxes::mosaic::{Mosaic, Pixel};
+use evermap_algorithms::ground::boxes::rows::LaneLine;
 use evermap_algorithms::ground::boxes::teaching::{Example, Said};
 use evermap_algorithms::ground::tiles::TILE_CELLS;
 use evermap_contract::Reason;
 use evermap_schemas::Pose;
-use evermap_schemas::layers::{OverheadTile, PlacedLabel};
+use evermap_schemas::layers::{Lane, OverheadTile, PlacedLabel};
 
 /// Boxes are described by cells of the image: a side of fewer cells than this is too short.
 const LEAST_CELLS: f64 = 4.0;
@@ -157,6 +158,14 @@ pub(crate) fn ground_box(pose: &Pose, length_m: f64, width_m: f64) -> Option<Gro
     };
     let is_sound = length_m > 0.0 && width_m > 0.0 && length_m.hypot(width_m).is_finite();
     is_sound.then_some(found)
+}
+
+/// A lane from above.
+pub(crate) fn lane_line(lane: &Lane) -> LaneLine {
+    LaneLine {
+        lane: lane.lane,
+        points: lane.points.iter().map(|[x, y, _]| [*x, *y]).collect(),
+    }
 }
 
 /// The frame of a box in the map, at a height.

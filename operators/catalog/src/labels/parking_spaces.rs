@@ -8,7 +8,7 @@ use evermap_schemas::layers::{BoxHypothesis, Lane, ParkingSpace, PlacedLabel};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::boxes::{ground_box, pose, said_before};
+use crate::inputs::boxes::{ground_box, lane_line, pose, said_before};
 
 /// See the module's page.
 pub struct ParkingSpaces;
@@ -75,12 +75,9 @@ fn spaces(
     let hypotheses: Vec<BoxHypothesis> = sides.rows("hypotheses")?;
     held.extend(found(hypotheses, params, emit));
     let lanes: Vec<Lane> = sides.rows("lanes")?;
-    let lanes = lanes.into_iter().map(|lane| LaneLine {
-        lane: lane.lane,
-        points: lane.points.iter().map(|[x, y, _]| [*x, *y]).collect(),
-    });
+    let lanes: Vec<LaneLine> = lanes.iter().map(lane_line).collect();
     let places: Vec<GroundBox> = held.iter().map(|one| one.place).collect();
-    let numbered = numbered(&places, &lanes.collect::<Vec<_>>(), params.lane_within_m);
+    let numbered = numbered(&places, &lanes, params.lane_within_m);
     let space = |space: Numbered| {
         let held = &held[space.index];
         ParkingSpace {
