@@ -3,7 +3,8 @@
 use evermap_contract::Losses;
 use evermap_contract::laws::inputs_of;
 use evermap_schemas::layers::{
-    BoxModel, LabelAnchor, Landmark, MapFrame, OverheadTile, ParkingSpace, PlacedLabel, VehiclePose,
+    BoxModel, FramePose, LabelAnchor, Landmark, MapFrame, OverheadTile, ParkingSpace, PlacedLabel,
+    VehiclePose,
 };
 use evermap_schemas::roles::{Anchor, Annotation, Calibration, Transform};
 use evermap_schemas::{Bytes, Pose, Stamp, Wkb};
@@ -199,6 +200,36 @@ fn a_frame_is_the_one_that_was_made_from_the_same_pose_whatever_its_number() {
     };
     let (again, _) = anchors(said(), &first, &first, vec![before]);
     assert_eq!(again, held);
+}
+
+#[test]
+fn a_pose_of_the_version_before_goes_with_its_own_frame_and_not_with_a_new_one_of_its_number() {
+    let before = FramePose {
+        site: "lot".into(),
+        session: "a".into(),
+        stamp: Stamp(5),
+        frame: 3,
+        frame_from_vehicle: at(1.0, 0.0, 0.0),
+        map_from_vehicle: at(6.0, 0.0, 0.0),
+    };
+    let now = |frame: MapFrame| {
+        let inputs = [
+            inputs_of("poses", drive("b", [0.0, 0.0])).unwrap(),
+            inputs_of("frames", vec![frame]).unwrap(),
+            inputs_of("previous", vec![before.clone()]).unwrap(),
+        ];
+        let (poses, _) = yields::<FramePose>("frame_poses", json!({}), inputs);
+        let pose = poses.into_iter().find(|pose| pose.session == "a");
+        let pose = pose.unwrap();
+        [pose.map_from_vehicle.x, pose.frame_from_vehicle.x]
+    };
+    let kept = MapFrame {
+        moved_m: Some(2.0),
+        moved_rad: Some(0.0),
+        ..frame(3, 7.0)
+    };
+    assert_eq!(now(kept), [8.0, 1.0]);
+    assert_eq!(now(frame(3, 25.0)), [6.0, -19.0], "its frame is gone");
 }
 
 #[test]
