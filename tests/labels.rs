@@ -488,13 +488,13 @@ fn a_label_whose_session_was_replaced_is_held_by_no_frame_that_has_the_number_of
     });
     write_drive(&lot.path("a.mcap"), back);
     let run = lot.run(&["a.mcap"]).expect(3);
-    let told = "1  label whose session and map frame are gone, placed as it was drawn";
+    let told = "1  label whose session is gone, placed where it was before";
     assert!(run.stderr.contains(told), "{}", run.stderr);
     let numbered = "SELECT count(*) AS n FROM map_frames JOIN label_anchors USING (site, frame)";
     assert_eq!(lot.ask(numbered)[0]["n"], 1, "the number is there again");
     assert_eq!(
         lot.labels(),
-        [("one".to_owned(), 2250, 320, "drawing".to_owned())]
+        [("one".to_owned(), 2250, 320, "before".to_owned())]
     );
 }
 
@@ -510,7 +510,7 @@ steps:
   {label_anchors}:
     op: label_anchors
     in: {{ annotations: said, poses: poses, frames: map_frames{more}
-write: [label_anchors]
+write: [said, label_anchors]
 "
     )
 }

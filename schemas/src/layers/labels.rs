@@ -58,7 +58,8 @@ record! {
         author: String,
         /// When the latest of it was said.
         said: Stamp ["ns"],
-        /// What placed it: the `pose` of its anchor, its `frame`, or the `drawing` itself, as if the map had not moved.
+        /// What placed it: the `pose` of its anchor, its `frame`, the version `before`, or the `drawing` itself, as if the map had
+        /// not moved.
         placed_by: String,
         /// The vehicle pose that it is tied to; null where there is none.
         anchor: Option<Anchor>,

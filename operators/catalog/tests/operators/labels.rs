@@ -185,8 +185,32 @@ fn a_frame_is_the_one_that_was_made_from_the_same_pose_whatever_its_number() {
     for stranger in [other.clone(), later] {
         let (at, by, losses) = now(vec![stranger]);
         assert_eq!((at, &*by), ([7.0, 3.0], "drawing"));
-        let told = "label whose session and map frame are gone, placed as it was drawn";
+        let told = "label whose session is gone, placed as it was drawn";
         assert_eq!(losses.0[told], 1);
+    }
+    // Where the version before had it, as long as it is tied to the same pose.
+    let tied_anew = |label: &PlacedLabel| PlacedLabel {
+        anchor: Some(Anchor {
+            stamp: Stamp(9),
+            ..label.anchor.clone().unwrap()
+        }),
+        ..label.clone()
+    };
+    let second = Version::of(drive("a", [0.5, 0.0]), vec![frame(3, 5.5)]);
+    let (before, _) = placed(held.clone(), &second);
+    for (before, expected) in [
+        (before[0].clone(), (7.5, "before")),
+        (tied_anew(&before[0]), (7.0, "drawing")),
+    ] {
+        let inputs = [
+            inputs_of("labels", held.clone()).unwrap(),
+            inputs_of("poses", drive("b", [0.0, 0.0])).unwrap(),
+            inputs_of("frames", vec![other.clone()]).unwrap(),
+            inputs_of("previous", vec![before]).unwrap(),
+        ];
+        let (now, losses) = yields::<PlacedLabel>("placed_labels", json!({}), inputs);
+        assert_eq!((place(&now[0])[0], &*now[0].placed_by), expected);
+        assert_eq!(losses.total(), 1);
     }
     // The frame itself, a metre on, under another number.
     let (at, by, _) = now(vec![other, frame(8, 6.0)]);
