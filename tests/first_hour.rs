@@ -651,6 +651,66 @@ fn versions_are_compared_in_metres() {
     }
 }
 
+/// Rows that no key tells apart are the same, new or gone, whatever their columns are called.
+#[test]
+fn layers_that_queries_made_are_compared_with_their_own_geometry_and_pose() {
+    let folder = tempfile::tempdir().unwrap();
+    let (drive, map) = (folder.path().join("drive.mcap"), folder.path().join("map"));
+    let plan = folder.path().join("beside.yaml");
+    let steps = "plan: beside
+extends: trajectory
+steps:
+  places:
+    sql: >
+      SELECT session, map_from_vehicle, 'kept' AS change, 1.5 AS moved_m,
+             st_point(map_from_vehicle['x'], map_from_vehicle['y']) AS geometry
+      FROM poses
+  points: { sql: \"SELECT st_point(map_from_vehicle['x'], map_from_vehicle['y']) AS geometry FROM poses\" }
+  named: { sql: \"SELECT map_from_vehicle, 'a word' AS geometry, 'another' AS geometry_before FROM poses\" }
+  words: { sql: \"SELECT stamp, 'a word' AS geometry FROM poses\" }
+write: [places, points, named, words]
+";
+    std::fs::write(&plan, steps).unwrap();
+    for length_m in [30.0, 32.0] {
+        write_drive(&drive, rectangle(length_m, 20.0, 1.0));
+        run(text(&plan), &map, &[&drive], &[]).expect(0);
+    }
+    let ask = |query: &str| {
+        let asked = ["sql", "--map", text(&map), "--format", "json", query];
+        evermap(&asked).expect(0).json()
+    };
+    for layer in ["places", "points", "named"] {
+        let rows = ask(&format!(
+            "SELECT count(*) FILTER (WHERE change <> 'added') AS before,
+                    count(*) FILTER (WHERE change = 'same') AS same,
+                    count(*) FILTER (WHERE change = 'removed') AS removed,
+                    count(*) FILTER (WHERE change = 'changed') AS changed,
+                    count(*) FILTER (WHERE geometry IS NULL) AS nowhere,
+                    count(*) FILTER (WHERE (geometry_before IS NULL) <> (change = 'added')) AS wrong,
+                    max(st_x(geometry)) AS east_m, max(moved_m) AS moved_m
+             FROM diff('{layer}', 1, 2)"
+        ));
+        let old = ask(&format!("SELECT count(*) AS rows FROM v1.{layer}"));
+        assert_eq!(rows[0]["before"], old[0]["rows"], "{layer}: {rows}");
+        for some in ["same", "removed"] {
+            assert!(rows[0][some].as_u64().unwrap() > 10, "{layer}: {rows}");
+        }
+        for none in ["changed", "nowhere", "wrong"] {
+            assert_eq!(rows[0][none], 0, "{layer}: {rows}");
+        }
+        assert!(
+            rows[0]["east_m"].as_f64().unwrap() > 31.0,
+            "{layer}: {rows}"
+        );
+        assert_eq!(rows[0]["moved_m"], 0.0, "{layer}: {rows}");
+    }
+    let words = ask("SELECT DISTINCT geometry FROM diff('words', 1, 2)");
+    assert_eq!(words, serde_json::json!([{ "geometry": "a word" }]));
+    let all = ["diff", "--map", text(&map), "1", "2", "--format", "json"];
+    let all = evermap(&all).expect(0).json();
+    assert_eq!(all.as_array().unwrap().len(), 7, "{all}");
+}
+
 #[test]
 fn functions_are_listed_and_work_on_layers_and_logs() {
     let folder = tempfile::tempdir().unwrap();

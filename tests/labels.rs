@@ -37,8 +37,12 @@ impl Lot {
     }
 
     fn run(&self, sessions: &[&str]) -> Finished {
+        self.run_plan("labels", sessions)
+    }
+
+    fn run_plan(&self, plan: &str, sessions: &[&str]) -> Finished {
         let map = self.path("map");
-        let mut arguments = vec!["run", "labels", "--map", text(&map), "--site", "lot"];
+        let mut arguments = vec!["run", plan, "--map", text(&map), "--site", "lot"];
         arguments.extend(["--progress", "none", "--sessions"]);
         let sessions: Vec<PathBuf> = sessions.iter().map(|name| self.path(name)).collect();
         arguments.extend(sessions.iter().map(|path| text(path)));
@@ -504,6 +508,71 @@ fn labels_of_a_session_that_the_map_does_not_have_are_counted_and_kept() {
         lot.labels(),
         [("one".to_owned(), 750, 320, "frame".to_owned())]
     );
+}
+
+#[test]
+fn a_label_whose_session_was_replaced_is_held_by_no_frame_that_has_the_number_of_its_own() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let labels = collection(&[("one", space(20.0, 2.0))]);
+    lot.import("ada", &labels, &SPACE).expect(0);
+    lot.run(&["ada.mcap"]).expect(0);
+    // Under the same name the same way back, an hour later.
+    let back = straight(1.0).into_iter();
+    let back = back.map(|(seconds, x, y, yaw)| {
+        let turned = yaw + std::f64::consts::PI;
+        (seconds + 3600.0, 30.0 - x, y, turned)
+    });
+    write_drive(&lot.path("a.mcap"), back);
+    let run = lot.run(&["a.mcap"]).expect(3);
+    let told = "1  label whose session is gone, placed where it was before";
+    assert!(run.stderr.contains(told), "{}", run.stderr);
+    let numbered = "SELECT count(*) AS n FROM map_frames JOIN label_anchors USING (site, frame)";
+    assert_eq!(lot.ask(numbered)[0]["n"], 1, "the number is there again");
+    assert_eq!(
+        lot.labels(),
+        [("one".to_owned(), 2250, 320, "before".to_owned())]
+    );
+}
+
+/// Labels tied in a plan of one's own; what it reads and writes besides.
+fn tied(label_anchors: &str, more: &str) -> String {
+    format!(
+        "plan: tied
+steps:
+  keyframes: {{ op: keyframes, in: {{ odometry: odometry }} }}
+  poses: {{ sql: 'SELECT site, session, stamp, odom_from_vehicle AS map_from_vehicle FROM keyframes' }}
+  map_frames: {{ op: map_frames, in: {{ poses: poses }} }}
+  said: {{ sql: 'SELECT * FROM annotations' }}
+  {label_anchors}:
+    op: label_anchors
+    in: {{ annotations: said, poses: poses, frames: map_frames{more}
+write: [said, label_anchors]
+"
+    )
+}
+
+#[test]
+fn labels_of_a_map_that_did_not_note_what_their_frames_are_are_held_anew() {
+    let lot = Lot::new();
+    say(&lot.path("ada.mcap"), &[drawn("one", 10.0, 3.0)]);
+    let plan = lot.path("tied.yaml");
+    let older = " }
+  label_anchors:
+    sql: >
+      SELECT site, label, kind, standing, author, said, log, shape, points, map_from_label, anchor, frame,
+             frame_from_label FROM held";
+    std::fs::write(&plan, tied("held", older)).unwrap();
+    lot.run_plan(text(&plan), &["a.mcap", "ada.mcap"]).expect(0);
+    let frame = lot.ask("SELECT frame FROM label_anchors");
+    assert!(frame[0]["frame"].is_number(), "{frame}");
+
+    let today = ", previous: previous.label_anchors }";
+    std::fs::write(&plan, tied("label_anchors", today)).unwrap();
+    lot.run_plan(text(&plan), &["a.mcap"]).expect(0);
+    let noted = "SELECT frame, frame_session, frame_stamp IS NOT NULL AS noted FROM label_anchors";
+    let expected = json!([{ "frame": frame[0]["frame"], "frame_session": "a", "noted": true }]);
+    assert_eq!(lot.ask(noted), expected);
 }
 
 /// A picture of 400 by 200 pixels of 5 cm whose upper left corner is at x = 0, y = 10.

@@ -29,8 +29,14 @@ record! {
         map_from_label: Pose ["", "map"],
         /// The vehicle pose that it is tied to, chosen once; null where none was within reach.
         anchor: Option<Anchor>,
-        /// The map frame that holds it where its session is gone, chosen once; null where the map had none.
+        /// Number of the map frame that holds it where its session is gone, when that was chosen, once; null where the map had
+        /// none.
         frame: Option<u32>,
+        /// The session whose pose that frame was made from. With its instant it says which frame it is, whatever frame has
+        /// the number later; null where the map had none.
+        frame_session: Option<String>,
+        /// Instant of that pose; null where the map had none.
+        frame_stamp: Option<Stamp> ["ns"],
         /// Its own frame in that map frame; null where the map had none.
         frame_from_label: Option<Pose>,
     }
@@ -52,7 +58,8 @@ record! {
         author: String,
         /// When the latest of it was said.
         said: Stamp ["ns"],
-        /// What placed it: the `pose` of its anchor, its `frame`, or the `drawing` itself, as if the map had not moved.
+        /// What placed it: the `pose` of its anchor, its `frame`, the version `before`, or the `drawing` itself, as if the map had
+        /// not moved.
         placed_by: String,
         /// The vehicle pose that it is tied to; null where there is none.
         anchor: Option<Anchor>,

@@ -31,7 +31,7 @@ record! {
 
 impl Operator for LabelAnchors {
     const NAME: &'static str = "label_anchors";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("label_anchors.md");
     type Params = OfVehicle<AnchorParams>;
     type Output = LabelAnchor;

@@ -8,7 +8,7 @@ use evermap_schemas::layers::{BoxHypothesis, Lane, ParkingSpace, PlacedLabel};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::inputs::boxes::{ground_box, pose};
+use crate::inputs::boxes::{ground_box, lane_line, pose, said_before};
 
 /// See the module's page.
 pub struct ParkingSpaces;
@@ -40,7 +40,7 @@ impl Default for ParkingSpacesParams {
 
 impl Operator for ParkingSpaces {
     const NAME: &'static str = "parking_spaces";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("parking_spaces.md");
     type Params = ParkingSpacesParams;
     type Output = ParkingSpace;
@@ -71,16 +71,13 @@ fn spaces(
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let site = labels[0].site.clone();
-    let mut held = said(labels, params, emit);
+    let mut held = said(&labels, params, emit);
     let hypotheses: Vec<BoxHypothesis> = sides.rows("hypotheses")?;
     held.extend(found(hypotheses, params, emit));
     let lanes: Vec<Lane> = sides.rows("lanes")?;
-    let lanes = lanes.into_iter().map(|lane| LaneLine {
-        lane: lane.lane,
-        points: lane.points.iter().map(|[x, y, _]| [*x, *y]).collect(),
-    });
+    let lanes: Vec<LaneLine> = lanes.iter().map(lane_line).collect();
     let places: Vec<GroundBox> = held.iter().map(|one| one.place).collect();
-    let numbered = numbered(&places, &lanes.collect::<Vec<_>>(), params.lane_within_m);
+    let numbered = numbered(&places, &lanes, params.lane_within_m);
     let space = |space: Numbered| {
         let held = &held[space.index];
         ParkingSpace {
@@ -102,27 +99,33 @@ fn spaces(
     emit.rows(numbered.into_iter().map(space).collect())
 }
 
-/// Spaces that people drew or accepted.
-fn said(labels: Vec<PlacedLabel>, params: &ParkingSpacesParams, emit: &mut Emit<'_>) -> Vec<Held> {
-    let ours = |label: &PlacedLabel| label.kind == params.kind && label.standing != "rejected";
-    let mut held = Vec::new();
-    for label in labels.into_iter().filter(ours) {
-        let place = label.length_m.zip(label.width_m);
-        let place = place
+/// Spaces that people drew or accepted; of several on one place the one said last.
+fn said(labels: &[PlacedLabel], params: &ParkingSpacesParams, emit: &mut Emit<'_>) -> Vec<Held> {
+    let ours = |label: &&PlacedLabel| label.kind == params.kind && label.standing != "rejected";
+    let mut ones = Vec::new();
+    for label in labels.iter().filter(ours) {
+        let sides = label.length_m.zip(label.width_m);
+        let place = sides
             .and_then(|(length_m, width_m)| ground_box(&label.map_from_label, length_m, width_m));
-        let Some(place) = place else {
-            emit.skip("parking space is not a box", 1);
-            continue;
-        };
-        held.push(Held {
-            place,
-            height_m: label.map_from_label.z,
-            standing: label.standing,
-            label: Some(label.label),
-            probability: 1.0,
-        });
+        match place {
+            Some(place) => ones.push((place, label)),
+            None => emit.skip("parking space is not a box", 1),
+        }
     }
-    held
+    let before = said_before(&ones);
+    if !before.is_empty() {
+        let count = before.len() as u64;
+        emit.skip("parking space that lies on another one", count);
+    }
+    ones.retain(|(_, label)| !before.contains(label.label.as_str()));
+    let held = |(place, label): (GroundBox, &PlacedLabel)| Held {
+        place,
+        height_m: label.map_from_label.z,
+        standing: label.standing.clone(),
+        label: Some(label.label.clone()),
+        probability: 1.0,
+    };
+    ones.into_iter().map(held).collect()
 }
 
 /// Spaces that were found.

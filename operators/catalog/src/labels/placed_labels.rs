@@ -10,7 +10,7 @@ pub struct PlacedLabels;
 
 impl Operator for PlacedLabels {
     const NAME: &'static str = "placed_labels";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const PAGE: &'static str = include_str!("placed_labels.md");
     type Params = PlacingParams;
     type Output = PlacedLabel;
@@ -20,6 +20,7 @@ impl Operator for PlacedLabels {
         let sides = vec![
             Port::site::<VehiclePose>("poses"),
             Port::site::<MapFrame>("frames").optional(),
+            Port::site::<PlacedLabel>("previous").optional(),
         ];
         Work::group(labels, Key::SITE, sides, place)
     }
@@ -31,7 +32,8 @@ fn place(
     sides: Sides,
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
-    let placer = Placer::new(sides.rows("poses")?, sides.rows("frames")?, params);
+    let (poses, frames) = (sides.rows("poses")?, sides.rows("frames")?);
+    let placer = Placer::new(poses, frames, sides.rows("previous")?, params);
     let mut placed = Vec::with_capacity(labels.len());
     for label in labels {
         let found = placer.placed(label, &mut |reason, count| emit.skip(reason, count));

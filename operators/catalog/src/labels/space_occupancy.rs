@@ -1,22 +1,23 @@
 #![doc = include_str!("space_occupancy.md")]
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use evermap_algorithms::ground::boxes::occupancy::{
-    Obstacles, Occupancy, OccupancyParams, occupancy,
+    Obstacles, Occupancy, OccupancyParams, Space, occupancy,
 };
+use evermap_algorithms::ground::boxes::rows::{LaneLine, entered_at};
 use evermap_algorithms::ground::cells::{Cell, cell_of};
 use evermap_contract::{Emit, Fault, Key, Operator, Port, Sides, Work};
-use evermap_schemas::layers::{Exposure, ParkingSpace, SpaceOccupancy, SurfacePoint};
+use evermap_schemas::layers::{Exposure, Lane, ParkingSpace, SpaceOccupancy, SurfacePoint};
 
-use crate::inputs::boxes::ground_box;
+use crate::inputs::boxes::{ground_box, lane_line};
 
 /// See the module's page.
 pub struct SpacesOccupied;
 
 impl Operator for SpacesOccupied {
     const NAME: &'static str = "space_occupancy";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("space_occupancy.md");
     type Params = OccupancyParams;
     type Output = SpaceOccupancy;
@@ -26,6 +27,7 @@ impl Operator for SpacesOccupied {
         let sides = vec![
             Port::session::<SurfacePoint>("points"),
             Port::site::<ParkingSpace>("spaces"),
+            Port::site::<Lane>("lanes").optional(),
         ];
         Work::group(exposure, Key::SESSION, sides, occupied)
     }
@@ -51,14 +53,19 @@ fn occupied(
         .iter()
         .map(|point| ([point.x, point.y], point.height_m));
     let obstacles = Obstacles::new(points, params);
+    let lanes: Vec<Lane> = sides.rows("lanes")?;
+    let lanes = lanes.iter().map(|lane| (lane.lane, lane_line(lane)));
+    let lanes: BTreeMap<u32, LaneLine> = lanes.collect();
     let mut numbers = Vec::new();
     let mut places = Vec::new();
     for space in sides.rows::<ParkingSpace>("spaces")? {
         let place = ground_box(&space.map_from_space, space.length_m, space.width_m);
         match place {
             Some(place) => {
+                let lane = space.lane.and_then(|lane| lanes.get(&lane));
+                let entry = lane.and_then(|lane| entered_at(&place, lane));
                 numbers.push(space.space);
-                places.push(place);
+                places.push(Space::new(&place, entry));
             }
             None => emit.skip("parking space is not a box", 1),
         }

@@ -36,7 +36,7 @@ const RANGE_M: f64 = 5.0;
 
 impl Operator for FramePoses {
     const NAME: &'static str = "frame_poses";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const PAGE: &'static str = include_str!("frame_poses.md");
     type Params = FramePosesParams;
     type Output = FramePose;
@@ -60,8 +60,9 @@ fn hang(
     emit: &mut Emit<'_>,
 ) -> Result<(), Fault> {
     let frames: Vec<MapFrame> = sides.rows("frames")?;
-    let by_number: BTreeMap<u32, Pose> = frames
-        .iter()
+    // A frame that is new may have the number of one that went with its session.
+    let kept = frames.iter().filter(|frame| frame.moved_m.is_some());
+    let kept: BTreeMap<u32, Pose> = kept
         .filter_map(|frame| Some((frame.frame, pose(&frame.map_from_frame)?)))
         .collect();
     let frames: Frames = frames.into_iter().collect();
@@ -70,7 +71,7 @@ fn hang(
     for (session, rows) in &previous {
         let rows = rows
             .iter()
-            .map(|(stamp, row)| (*stamp, carried(row, &by_number)));
+            .map(|(stamp, row)| (*stamp, carried(row, &kept, &frames)));
         now.insert(session.clone(), rows.collect());
     }
     for row in poses {
@@ -103,14 +104,20 @@ fn by_session(rows: Vec<FramePose>) -> Sessions {
     sessions
 }
 
-/// The pose where its frame is now; where it was, if the frame is gone.
-fn carried(row: &FramePose, frames: &BTreeMap<u32, Pose>) -> FramePose {
-    let found = frames.get(&row.frame).zip(pose(&row.frame_from_vehicle));
-    let map_from_vehicle = found.map_or(row.map_from_vehicle.clone(), |(frame, vehicle)| {
-        evermap_schemas::Pose::from_array(frame.compose(&vehicle).to_array())
-    });
+/// The pose where its frame is now; where it was, on the frame nearest to it, if its own is not among those that were kept.
+fn carried(row: &FramePose, kept: &BTreeMap<u32, Pose>, frames: &Frames) -> FramePose {
+    let found = kept.get(&row.frame).zip(pose(&row.frame_from_vehicle));
+    let Some((frame, vehicle)) = found else {
+        let stays = VehiclePose {
+            site: row.site.clone(),
+            session: row.session.clone(),
+            stamp: row.stamp,
+            map_from_vehicle: row.map_from_vehicle.clone(),
+        };
+        return hung(frames, stays).unwrap_or_else(|_| row.clone());
+    };
     FramePose {
-        map_from_vehicle,
+        map_from_vehicle: evermap_schemas::Pose::from_array(frame.compose(&vehicle).to_array()),
         ..row.clone()
     }
 }

@@ -2,7 +2,10 @@
 
 use evermap_contract::Losses;
 use evermap_contract::laws::inputs_of;
-use evermap_schemas::layers::{LabelAnchor, Landmark, MapFrame, PlacedLabel, VehiclePose};
+use evermap_schemas::layers::{
+    BoxModel, FramePose, LabelAnchor, Landmark, MapFrame, OverheadTile, ParkingSpace, PlacedLabel,
+    VehiclePose,
+};
 use evermap_schemas::roles::{Anchor, Annotation, Calibration, Transform};
 use evermap_schemas::{Bytes, Pose, Stamp, Wkb};
 use serde_json::json;
@@ -162,6 +165,98 @@ fn a_label_whose_session_is_gone_is_counted_and_goes_with_its_frame() {
 }
 
 #[test]
+fn a_frame_is_the_one_that_was_made_from_the_same_pose_whatever_its_number() {
+    let first = Version::of(drive("a", [0.0, 0.0]), vec![frame(3, 5.0)]);
+    let said = || vec![drawn("one", 7.0, 3.0)];
+    let (held, _) = anchors(said(), &first, &Version::default(), vec![]);
+    let now = |frames: Vec<MapFrame>| {
+        let (now, losses) = placed(held.clone(), &Version::of(drive("b", [0.0, 0.0]), frames));
+        (place(&now[0]), now[0].placed_by.clone(), losses)
+    };
+    // Of the session that came in its place: the number is that of a pose elsewhere.
+    let other = MapFrame {
+        session: "b".into(),
+        ..frame(3, 25.0)
+    };
+    let later = MapFrame {
+        stamp: Stamp(1),
+        ..frame(3, 25.0)
+    };
+    for stranger in [other.clone(), later] {
+        let (at, by, losses) = now(vec![stranger]);
+        assert_eq!((at, &*by), ([7.0, 3.0], "drawing"));
+        let told = "label whose session is gone, placed as it was drawn";
+        assert_eq!(losses.0[told], 1);
+    }
+    // Where the version before had it, as long as it is tied to the same pose.
+    let tied_anew = |label: &PlacedLabel| PlacedLabel {
+        anchor: Some(Anchor {
+            stamp: Stamp(9),
+            ..label.anchor.clone().unwrap()
+        }),
+        ..label.clone()
+    };
+    let second = Version::of(drive("a", [0.5, 0.0]), vec![frame(3, 5.5)]);
+    let (before, _) = placed(held.clone(), &second);
+    for (before, expected) in [
+        (before[0].clone(), (7.5, "before")),
+        (tied_anew(&before[0]), (7.0, "drawing")),
+    ] {
+        let inputs = [
+            inputs_of("labels", held.clone()).unwrap(),
+            inputs_of("poses", drive("b", [0.0, 0.0])).unwrap(),
+            inputs_of("frames", vec![other.clone()]).unwrap(),
+            inputs_of("previous", vec![before]).unwrap(),
+        ];
+        let (now, losses) = yields::<PlacedLabel>("placed_labels", json!({}), inputs);
+        assert_eq!((place(&now[0])[0], &*now[0].placed_by), expected);
+        assert_eq!(losses.total(), 1);
+    }
+    // The frame itself, a metre on, under another number.
+    let (at, by, _) = now(vec![other, frame(8, 6.0)]);
+    assert_eq!((at, &*by), ([8.0, 3.0], "frame"));
+
+    // A map that was made before frames were noted so: its labels are held as new ones are.
+    let before = LabelAnchor {
+        frame_session: None,
+        frame_stamp: None,
+        ..held[0].clone()
+    };
+    let (again, _) = anchors(said(), &first, &first, vec![before]);
+    assert_eq!(again, held);
+}
+
+#[test]
+fn a_pose_of_the_version_before_goes_with_its_own_frame_and_not_with_a_new_one_of_its_number() {
+    let before = FramePose {
+        site: "lot".into(),
+        session: "a".into(),
+        stamp: Stamp(5),
+        frame: 3,
+        frame_from_vehicle: at(1.0, 0.0, 0.0),
+        map_from_vehicle: at(6.0, 0.0, 0.0),
+    };
+    let now = |frame: MapFrame| {
+        let inputs = [
+            inputs_of("poses", drive("b", [0.0, 0.0])).unwrap(),
+            inputs_of("frames", vec![frame]).unwrap(),
+            inputs_of("previous", vec![before.clone()]).unwrap(),
+        ];
+        let (poses, _) = yields::<FramePose>("frame_poses", json!({}), inputs);
+        let pose = poses.into_iter().find(|pose| pose.session == "a");
+        let pose = pose.unwrap();
+        [pose.map_from_vehicle.x, pose.frame_from_vehicle.x]
+    };
+    let kept = MapFrame {
+        moved_m: Some(2.0),
+        moved_rad: Some(0.0),
+        ..frame(3, 7.0)
+    };
+    assert_eq!(now(kept), [8.0, 1.0]);
+    assert_eq!(now(frame(3, 25.0)), [6.0, -19.0], "its frame is gone");
+}
+
+#[test]
 fn poses_chosen_anew_hold_labels_in_between_but_not_across_gaps() {
     let version = |seconds: &[i64]| {
         let mut poses = drive("a", [0.0, 1.0]);
@@ -198,6 +293,61 @@ fn poses_chosen_anew_hold_labels_in_between_but_not_across_gaps() {
     ];
     let (now, _) = yields::<PlacedLabel>("placed_labels", params, inputs);
     assert_eq!(place(&now[0]), [7.0, 3.0]);
+}
+
+#[test]
+fn of_spaces_that_were_drawn_on_one_place_the_one_said_last_holds() {
+    let at_stamp = |stamp: i64, act: Annotation| Annotation {
+        stamp: Stamp(stamp),
+        ..act
+    };
+    let (sin, cos) = 0.5_f64.sin_cos();
+    let beside = drawn("beside", 7.0 - 2.0 * sin, 3.0 + 2.0 * cos);
+    let arrow = Annotation {
+        kind: "arrow".into(),
+        ..drawn("arrow", 7.0, 3.0)
+    };
+    let rejected = Annotation {
+        act: "rejected".into(),
+        ..drawn("rejected", 7.0, 3.0)
+    };
+    let said = vec![
+        at_stamp(300, drawn("one", 7.0, 3.0)),
+        at_stamp(200, drawn("two", 7.2, 3.1)),
+        at_stamp(400, rejected),
+        arrow,
+        beside,
+    ];
+    let map = Version::of(drive("a", [0.0, 0.0]), vec![]);
+    let (held, _) = anchors(said, &map, &Version::default(), vec![]);
+    let (labels, _) = placed(held, &map);
+    let inputs = [inputs_of("labels", labels.clone()).unwrap()];
+    let (spaces, losses) = yields::<ParkingSpace>("parking_spaces", json!({}), inputs);
+    let mut held: Vec<_> = spaces.into_iter().filter_map(|space| space.label).collect();
+    held.sort();
+    assert_eq!(held, ["beside", "one"]);
+    assert_eq!(losses.0["parking space that lies on another one"], 1);
+
+    // Nor is it learnt twice what the place looks like.
+    let tile = OverheadTile {
+        site: "lot".into(),
+        zoom: 0,
+        tile_x: 0,
+        tile_y: 0,
+        cell_m: 0.05,
+        size_m: 12.8,
+        covered: 0,
+        mean_weight: 0.0,
+        png: Bytes(vec![]),
+        sources: vec![],
+        geometry: Wkb::point([0.0; 3]),
+    };
+    let inputs = [
+        inputs_of("labels", labels).unwrap(),
+        inputs_of("tiles", vec![tile]).unwrap(),
+    ];
+    let (_, losses) = yields::<BoxModel>("box_models", json!({}), inputs);
+    assert_eq!(losses.0["box of a kind that lies on another one"], 1);
 }
 
 #[test]

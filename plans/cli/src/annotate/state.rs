@@ -77,9 +77,11 @@ impl State {
         };
         map.poses.retain(|pose| pose.site == site);
         let has_poses = !map.poses.is_empty();
+        let placed: Vec<PlacedLabel> = reader.rows(Some(&site)).await?;
         let placer = Placer::new(
             map.poses.clone(),
             map.frames.clone(),
+            placed,
             &PlacingParams::default(),
         );
         let params = OfVehicle {

@@ -13,7 +13,7 @@ use datafusion::catalog::SchemaProvider;
 use datafusion::logical_expr::ScalarUDF;
 use datafusion::prelude::{DataFrame, SessionContext};
 use evermap_contract::Registry;
-use evermap_schemas::{Cell, Fault, LayerRow, Pose, record, rows};
+use evermap_schemas::{Cell, Fault, LayerRow, Pose, geoparquet, record, rows};
 
 use crate::conform::conform;
 use crate::error::OrFault;
@@ -90,7 +90,7 @@ impl Comparison {
     /// The rows of a layer in either version: their key, all columns where the layer has none; `change`: `added`,
     /// `removed`, `changed` or `same`; `moved_m` and `moved_rad`, null where a row is in one version only or has nothing
     /// that tells it; of rows that have a geometry or a pose, `geometry`: where they are, or were, and `geometry_before`:
-    /// where they were before, null where they are new.
+    /// where they were before, null where they are new. Columns of the layer that have one of these names give way.
     ///
     /// # Errors
     /// A user fault for a layer that neither version has; what reading says.
@@ -168,6 +168,10 @@ impl Comparison {
     }
 }
 
+/// Names of what is said of each row, and of those that are somewhere.
+const SAID: [&str; 3] = ["change", "moved_m", "moved_rad"];
+const PLACES: [&str; 2] = [geoparquet::COLUMN, "geometry_before"];
+
 /// What two versions of a layer are compared by.
 struct Compared {
     /// Columns that match rows; none where the whole row does.
@@ -185,7 +189,14 @@ impl Compared {
         let both = |name: &str| schemas.iter().all(|schema| schema.index_of(name).is_ok());
         let key = declared.as_ref().map_or(&[][..], |layer| layer.key);
         let key = key.iter().filter(|_| key.iter().all(|name| both(name)));
-        let geometry = declared.as_ref().and_then(|layer| layer.geometry);
+        let named = Some(geoparquet::COLUMN);
+        let geometry = declared.as_ref().map_or(named, |layer| layer.geometry);
+        let is_bytes = |name: &str| {
+            schemas.iter().all(|schema| {
+                let field = schema.field_with_name(name);
+                field.is_ok_and(|field| field.data_type() == &DataType::Binary)
+            })
+        };
         let frame = |name: &str| {
             let column = declared.as_ref().and_then(|layer| layer.column(name));
             column.map(|column| column.frame)
@@ -199,17 +210,13 @@ impl Compared {
         let in_map = poses.iter().find(|name| frame(name) == Some("map"));
         Self {
             key: key.map(|name| (*name).to_owned()).collect(),
-            geometry: geometry.filter(|name| both(name)).map(str::to_owned),
+            geometry: geometry.filter(|name| is_bytes(name)).map(str::to_owned),
             pose: in_map.or(poses.first()).cloned(),
         }
     }
 
     fn query(&self, schemas: &[arrow::datatypes::SchemaRef; 2]) -> String {
-        let whole = schemas[1].fields().iter().map(|field| field.name().clone());
-        let shown = match self.key.as_slice() {
-            [] => whole.collect(),
-            key => key.to_vec(),
-        };
+        let shown = self.shown(&schemas[1]);
         let keys = || (0..shown.len()).map(|index| format!("k{index}"));
         let columns = shown.iter().zip(keys());
         let columns =
@@ -233,19 +240,33 @@ impl Compared {
             None => "CAST(NULL AS DOUBLE)".to_owned(),
         };
         let shape = match self.shape() {
-            Some(_) => ", coalesce(a.shape, b.shape) AS geometry, b.shape AS geometry_before",
-            None => "",
+            Some(_) => {
+                let [now, before] = PLACES;
+                format!(", coalesce(a.shape, b.shape) AS {now}, b.shape AS {before}")
+            }
+            None => String::new(),
         };
+        let columns = columns.map(|column| column + ", ").collect::<String>();
         format!(
-            "SELECT {}, CASE WHEN b.content IS NULL THEN 'added' WHEN a.content IS NULL THEN 'removed'
+            "SELECT {columns}CASE WHEN b.content IS NULL THEN 'added' WHEN a.content IS NULL THEN 'removed'
                     WHEN a.content = b.content THEN 'same' ELSE 'changed' END AS change,
                     {moved_m} AS moved_m, {moved_rad} AS moved_rad{shape}
              FROM ({}) b FULL JOIN ({}) a ON {} AND b.nth = a.nth",
-            columns.collect::<Vec<_>>().join(", "),
             self.side("before", &schemas[0], &shown),
             self.side("after", &schemas[1], &shown),
             matched.join(" AND ")
         )
+    }
+
+    /// The columns that say which row it is: the key, or all but those whose names the comparison needs.
+    fn shown(&self, schema: &Schema) -> Vec<String> {
+        if !self.key.is_empty() {
+            return self.key.clone();
+        }
+        let is_place = |name: &str| self.shape().is_some() && PLACES.contains(&name);
+        let names = schema.fields().iter().map(|field| field.name());
+        let shown = names.filter(|name| !SAID.contains(&name.as_str()) && !is_place(name.as_str()));
+        shown.cloned().collect()
     }
 
     /// Where a row is: its geometry, else the point of its pose.

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use arrow::array::RecordBatch;
 use arrow::datatypes::Schema;
 use datafusion::catalog::TableProvider;
+use datafusion::common::ScalarValue;
 use datafusion::logical_expr::{ident, lit};
 use datafusion::prelude::{DataFrame, SessionContext};
 use evermap_contract::{Reach, Registry};
@@ -58,6 +59,7 @@ impl Tables<'_> {
                 let missing = || Fault::bug(format!("no previous {name}"));
                 let LayerRows { op, artifacts } = recipe.previous.get(name).ok_or_else(missing)?;
                 let frame = self.artifacts(artifacts, op.as_deref()).await?;
+                let frame = self.grown(frame, op.as_deref())?;
                 self.check_stored(name, &frame, op.as_deref(), &read.columns)?;
                 let frame = without_sessions(frame, &recipe.replaced)?;
                 (frame, extents(artifacts))
@@ -94,6 +96,20 @@ impl Tables<'_> {
         }
         let filtered = frame.filter(ident(column).eq(lit(value)));
         filtered.or_fault()
+    }
+
+    /// The layer with the columns that its operator has got since, null where they may be so.
+    fn grown(&self, frame: DataFrame, op: Option<&str>) -> Result<DataFrame, Fault> {
+        let Some(op) = op else {
+            return Ok(frame);
+        };
+        let columns = self.registry.get(op)?.output.columns.iter();
+        let mut lacks: Vec<_> = columns.filter(|column| column.nullable).collect();
+        lacks.retain(|column| !has(&frame, column.name));
+        lacks.into_iter().try_fold(frame, |frame, column| {
+            let null = ScalarValue::try_new_null(&column.data_type).or_fault()?;
+            frame.with_column(column.name, lit(null)).or_fault()
+        })
     }
 
     /// Refuses what another plan, or another version of evermap, wrote under a step's name where a port cannot read it.

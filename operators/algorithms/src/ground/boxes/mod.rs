@@ -86,6 +86,18 @@ impl GroundBox {
 
     /// Intersection over union, 0 to 1.
     pub fn overlap(&self, other: &Self) -> f64 {
+        let both = self.shared_m2(other);
+        both / (self.area_m2() + other.area_m2() - both).max(f64::MIN_POSITIVE)
+    }
+
+    /// Part of the smaller one that the other covers, 0 to 1.
+    pub fn cover(&self, other: &Self) -> f64 {
+        let smaller = self.area_m2().min(other.area_m2());
+        self.shared_m2(other) / smaller.max(f64::MIN_POSITIVE)
+    }
+
+    /// Area that lies in both (m²).
+    fn shared_m2(&self, other: &Self) -> f64 {
         let apart = (self.centre[0] - other.centre[0]).hypot(self.centre[1] - other.centre[1]);
         let reach = |one: &Self| 0.5 * one.length_m.hypot(one.width_m);
         if apart >= reach(self) + reach(other) {
@@ -98,8 +110,7 @@ impl GroundBox {
                 polygon = clipped(&polygon, |point| half - sign * point[axis]);
             }
         }
-        let both = area_m2(&polygon);
-        both / (self.area_m2() + other.area_m2() - both).max(f64::MIN_POSITIVE)
+        area_m2(&polygon)
     }
 }
 

@@ -90,6 +90,13 @@ pub fn numbered(boxes: &[GroundBox], lanes: &[LaneLine], reach_m: f64) -> Vec<Nu
         .collect()
 }
 
+/// Where a space is entered from, if it is by this lane: the lane's point nearest to its middle, in the map (m); `None` of a
+/// lane without length.
+pub fn entered_at(place: &GroundBox, lane: &LaneLine) -> Option<[f64; 2]> {
+    let entry = entry(place, std::slice::from_ref(lane), f64::INFINITY);
+    entry.map(|entry| entry.point)
+}
+
 /// The nearest lane.
 fn entry(place: &GroundBox, lanes: &[LaneLine], reach_m: f64) -> Option<Entry> {
     let segments = lanes.iter().flat_map(|lane| {

@@ -454,4 +454,20 @@ fn boxes_overlap_as_squares_of_a_grid_do() {
     let expected = octagon / (8.0 - octagon);
     let turned = square(0.0, std::f64::consts::FRAC_PI_4);
     assert!((square(0.0, 0.0).overlap(&turned) - expected).abs() < 1e-12);
+    // Of the smaller one, all or a half is covered, whichever is asked.
+    let small = |x: f64| GroundBox {
+        length_m: 1.0,
+        width_m: 1.0,
+        ..square(x, 0.0)
+    };
+    for (x, part) in [(0.0, 1.0), (0.5, 1.0), (1.0, 0.5), (1.5, 0.0), (9.0, 0.0)] {
+        let covers = [
+            square(0.0, 0.0).cover(&small(x)),
+            small(x).cover(&square(0.0, 0.0)),
+        ];
+        assert!(
+            covers.iter().all(|cover| (cover - part).abs() < 1e-12),
+            "{x}: {covers:?}"
+        );
+    }
 }

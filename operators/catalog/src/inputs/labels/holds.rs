@@ -27,6 +27,16 @@ pub struct MapRows {
     pub landmarks: Vec<[f64; 3]>,
 }
 
+/// A label in a map frame.
+pub(super) struct Framed {
+    /// Number of the frame in the map that it was chosen on.
+    pub(super) number: u32,
+    /// Session and instant of the pose that the frame was made from.
+    pub(super) of: (String, Stamp),
+    /// The label's own frame in it.
+    pub(super) frame_from_label: evermap_schemas::Pose,
+}
+
 /// What can hold labels.
 pub struct Holds {
     params: AnchorParams,
@@ -97,15 +107,15 @@ impl Holds {
     }
 
     /// The map frame nearest to a label, and the label in it.
-    pub(super) fn frame(
-        &self,
-        map_from_label: &evermap_schemas::Pose,
-    ) -> Option<(u32, evermap_schemas::Pose)> {
+    pub(super) fn frame(&self, map_from_label: &evermap_schemas::Pose) -> Option<Framed> {
         let map_from_label = Pose::from_array(map_from_label.to_array()).ok()?;
         let (nearest, _) = self.frames.nearest(map_from_label.translation.into())?;
         let map_from_frame = Pose::from_array(nearest.map_from_frame.to_array()).ok()?;
         let frame_from_label = map_from_frame.inverse().compose(&map_from_label);
-        let frame_from_label = evermap_schemas::Pose::from_array(frame_from_label.to_array());
-        Some((nearest.frame, frame_from_label))
+        Some(Framed {
+            number: nearest.frame,
+            of: (nearest.session.clone(), nearest.stamp),
+            frame_from_label: evermap_schemas::Pose::from_array(frame_from_label.to_array()),
+        })
     }
 }

@@ -12,6 +12,7 @@ use evermap_contract::Reason;
 use evermap_schemas::layers::LabelAnchor;
 use evermap_schemas::roles::Annotation;
 
+use holds::Framed;
 pub use holds::{Holds, MapRows};
 pub use placing::{Placer, PlacingParams};
 
@@ -142,8 +143,7 @@ fn held(
     if anchor.is_none() {
         tell("label too far from every vehicle pose".into(), 1);
     }
-    let framed = before.and_then(|row| Some((row.frame?, row.frame_from_label.clone()?)));
-    let (frame, frame_from_label) = framed.or_else(|| holds.frame(&drawn)).unzip();
+    let framed = before.and_then(framed).or_else(|| holds.frame(&drawn));
     Some(LabelAnchor {
         site: last.site.clone(),
         label: last.id.clone(),
@@ -156,8 +156,19 @@ fn held(
         points: place.points.clone(),
         map_from_label: drawn,
         anchor,
-        frame,
-        frame_from_label,
+        frame: framed.as_ref().map(|framed| framed.number),
+        frame_session: framed.as_ref().map(|framed| framed.of.0.clone()),
+        frame_stamp: framed.as_ref().map(|framed| framed.of.1),
+        frame_from_label: framed.map(|framed| framed.frame_from_label),
+    })
+}
+
+/// The frame that holds a label already; `None` where it has none, or an older evermap did not note which one it is.
+fn framed(row: &LabelAnchor) -> Option<Framed> {
+    Some(Framed {
+        number: row.frame?,
+        of: (row.frame_session.clone()?, row.frame_stamp?),
+        frame_from_label: row.frame_from_label.clone()?,
     })
 }
 

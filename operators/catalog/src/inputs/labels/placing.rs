@@ -33,12 +33,21 @@ impl Default for PlacingParams {
 pub struct Placer {
     gap_m: f64,
     poses: BTreeMap<String, BTreeMap<Stamp, Pose>>,
-    frames: BTreeMap<u32, Pose>,
+    /// By the session and instant of the pose that each was made from: their numbers are others' once a session is replaced.
+    frames: BTreeMap<(String, Stamp), Pose>,
+    /// Labels where they were in the version before, by name.
+    before: BTreeMap<String, PlacedLabel>,
 }
 
 impl Placer {
-    /// Of a map's rows; poses and frames that are no rigid transform are left out.
-    pub fn new(poses: Vec<VehiclePose>, frames: Vec<MapFrame>, params: &PlacingParams) -> Self {
+    /// Of a map's rows, and the labels that were placed in the version before; poses and frames that are no rigid transform
+    /// are left out.
+    pub fn new(
+        poses: Vec<VehiclePose>,
+        frames: Vec<MapFrame>,
+        before: Vec<PlacedLabel>,
+        params: &PlacingParams,
+    ) -> Self {
         let mut sessions: BTreeMap<String, BTreeMap<Stamp, Pose>> = BTreeMap::new();
         for row in poses {
             if let Some(pose) = rigid(&row.map_from_vehicle) {
@@ -46,11 +55,15 @@ impl Placer {
                 of_session.insert(row.stamp, pose);
             }
         }
-        let frame = |row: MapFrame| Some((row.frame, rigid(&row.map_from_frame)?));
+        let frame = |row: MapFrame| Some(((row.session, row.stamp), rigid(&row.map_from_frame)?));
         Self {
             gap_m: params.gap_m,
             poses: sessions,
             frames: frames.into_iter().filter_map(frame).collect(),
+            before: before
+                .into_iter()
+                .map(|row| (row.label.clone(), row))
+                .collect(),
         }
     }
 
@@ -59,14 +72,24 @@ impl Placer {
         let anchor = row.anchor.as_ref();
         let by_pose = anchor.and_then(|anchor| self.by_pose(anchor));
         let by_frame = || self.by_frame(&row).map(|pose| (pose, "frame"));
+        let as_before = || self.as_before(&row).map(|pose| (pose, "before"));
+        let as_drawn = || Some((rigid(&row.map_from_label)?, "drawing"));
         let (map_from_label, placed_by) = match by_pose {
             Some(pose) => (pose, "pose"),
-            None => by_frame().or_else(|| Some((rigid(&row.map_from_label)?, "drawing")))?,
+            None => by_frame().or_else(as_before).or_else(as_drawn)?,
         };
         match (placed_by, anchor) {
             ("frame", Some(_)) => {
                 tell("label whose session is gone, placed by its frame".into(), 1)
             }
+            ("before", _) => tell(
+                "label whose session is gone, placed where it was before".into(),
+                1,
+            ),
+            ("drawing", _) if row.frame.is_some() => tell(
+                "label whose session is gone, placed as it was drawn".into(),
+                1,
+            ),
             ("drawing", _) => tell(
                 "label not tied to any pose of the map, placed as it was drawn".into(),
                 1,
@@ -109,8 +132,16 @@ impl Placer {
     }
 
     fn by_frame(&self, row: &LabelAnchor) -> Option<Pose> {
-        let map_from_frame = self.frames.get(&row.frame?)?;
+        let frame = (row.frame_session.clone()?, row.frame_stamp?);
+        let map_from_frame = self.frames.get(&frame)?;
         Some(map_from_frame.compose(&rigid(row.frame_from_label.as_ref()?)?))
+    }
+
+    /// Where the version before had it, if it is tied to the same pose since: else it was drawn anew.
+    fn as_before(&self, row: &LabelAnchor) -> Option<Pose> {
+        let before = self.before.get(&row.label)?;
+        let is_same = before.anchor.is_some() && before.anchor == row.anchor;
+        is_same.then(|| rigid(&before.map_from_label)).flatten()
     }
 }
 
