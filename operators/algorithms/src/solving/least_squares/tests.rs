@@ -186,7 +186,7 @@ fn the_valley_is_followed_to_its_end() {
 fn a_nan_is_not_hidden_by_what_stands_beside_it() {
     for place in 0..3 {
         let mut entries = [1.0, -3.0, 2.0];
-        assert_eq!(absolute_max(&entries), 3.0);
+        assert_eq!(absolute_max(entries), 3.0);
         entries[place] = f64::NAN;
         assert!(absolute_max(entries).is_nan(), "{entries:?}");
     }
