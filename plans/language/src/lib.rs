@@ -96,7 +96,7 @@ pub fn read(
         if let Some(manifest) = host.manifest() {
             manifest::lay(&mut root, &manifest, vocabulary, &mut faults);
         }
-        setting::set(&mut root, settings, &mut faults);
+        setting::set(&mut root, settings, &context, &mut faults);
         let written = written::plan(&root, &context, &mut faults)?;
         Some(graph::plan(written, vocabulary, &mut faults))
     });
