@@ -138,6 +138,22 @@ fn faults_of_what_a_plan_extends_are_told_where_they_are() {
 }
 
 #[test]
+fn a_place_that_is_none_is_told_in_the_manifest_that_gives_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let manifest = folder.path().join("lot.yaml");
+    let origins = "defaults:\n  origins: { lot: [152.25, 10.5, 80.0, 0.0] }\n";
+    std::fs::write(&manifest, origins).unwrap();
+    let told = evermap(&["check", "georeference", "--manifest", text(&manifest)]).expect(1);
+    for needle in [
+        "lot.yaml:2:12",
+        "`origins` of lot: expected latitude",
+        "the latitude between -90 and 90°, found 152.25",
+    ] {
+        assert!(told.stderr.contains(needle), "{needle}: {}", told.stderr);
+    }
+}
+
+#[test]
 fn a_bad_plan_is_refused_with_all_its_faults_before_anything_runs() {
     let folder = tempfile::tempdir().unwrap();
     let (plan, map) = (folder.path().join("bad.yaml"), folder.path().join("map"));
