@@ -192,6 +192,43 @@ fn a_bad_plan_is_refused_with_all_its_faults_before_anything_runs() {
 }
 
 #[test]
+fn a_query_that_every_run_would_refuse_is_refused_by_the_check() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = folder.path().join("never.yaml");
+    let open = "SELECT session, stamp FROM odometry WHERE session > $1";
+    let interval = "SELECT session, INTERVAL '1 month' AS x FROM odometry";
+    let around = "SELECT o.session, u.b FROM odometry o, LATERAL (SELECT o.stamp AS b LIMIT 1) u";
+    for (query, at, said) in [
+        (open, "$1", "has $1, which nobody gives a value"),
+        (
+            interval,
+            "x FROM",
+            "gives x as an interval, which Parquet cannot hold",
+        ),
+        (
+            around,
+            "SELECT o.session",
+            "without columns of the query around it",
+        ),
+    ] {
+        let steps = format!("plan: never\nsteps:\n  made:\n    sql: {query}\nwrite: [made]\n");
+        std::fs::write(&plan, steps).unwrap();
+        let told = evermap(&["check", text(&plan)]).expect(1).stderr;
+        let column = "    sql: ".len() + query.find(at).unwrap() + 1;
+        for needle in [said, &format!("never.yaml:4:{column}")] {
+            assert!(told.contains(needle), "{needle}: {told}");
+        }
+    }
+    // What is not kept need not be such that a file holds it.
+    let steps = format!(
+        "plan: never\nsteps:\n  made:\n    sql: {interval}\n  long:\n    \
+         sql: SELECT session, extract(epoch FROM x) AS s FROM made\nwrite: [long]\n"
+    );
+    std::fs::write(&plan, steps).unwrap();
+    evermap(&["check", text(&plan)]).expect(0);
+}
+
+#[test]
 fn faults_of_queries_are_told_beside_those_of_the_text() {
     let folder = tempfile::tempdir().unwrap();
     let plan = folder.path().join("both.yaml");
