@@ -154,6 +154,50 @@ fn a_place_that_is_none_is_told_in_the_manifest_that_gives_it() {
 }
 
 #[test]
+fn files_and_names_that_are_wrong_in_a_manifest_are_told_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let (manifest, map) = (folder.path().join("lot.yaml"), folder.path().join("map"));
+    std::fs::write(folder.path().join("a.mcap"), "").unwrap();
+    let absent = folder.path().join("absent.mcap");
+    let absent = format!("lot.yaml:3:21: {}", text(&absent));
+    for (files, name, place, said) in [
+        (
+            "absent.mcap",
+            "b",
+            absent.as_str(),
+            "expected a file, found nothing",
+        ),
+        (
+            "n*.mcap",
+            "b",
+            "lot.yaml:3:21",
+            "expected MCAP files, found none at",
+        ),
+        (
+            "a.mcap",
+            "a",
+            "lot.yaml:4:13",
+            "give one of them another name",
+        ),
+    ] {
+        let sessions = format!(
+            "sessions:\n  - name: a\n    files: [a.mcap, {files}]\n  - {{ name: {name}, files: [a.mcap] }}\n"
+        );
+        std::fs::write(&manifest, sessions).unwrap();
+        let given = ["--manifest", text(&manifest)];
+        for command in [
+            &["check", "trajectory"][..],
+            &["run", "trajectory", "--map", text(&map)],
+        ] {
+            let told = evermap(&[command, &given].concat()).expect(1).stderr;
+            for needle in [place, said] {
+                assert!(told.contains(needle), "{needle}: {told}");
+            }
+        }
+    }
+}
+
+#[test]
 fn a_bad_plan_is_refused_with_all_its_faults_before_anything_runs() {
     let folder = tempfile::tempdir().unwrap();
     let (plan, map) = (folder.path().join("bad.yaml"), folder.path().join("map"));

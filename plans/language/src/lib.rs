@@ -56,7 +56,7 @@ mod yaml;
 pub use editor::json_schema;
 pub use fault::{Place, PlanFault, PlanFaults, Position, Severity, Source};
 pub use inside::Part;
-pub use manifest::role_places;
+pub use manifest::{entry_place, role_places};
 pub use plan::{
     Body, DEFAULT_TOLERANCE, Grain, Input, ManifestPath, Plan, PlanTest, PythonStep, Row, Step,
 };
