@@ -138,6 +138,66 @@ fn faults_of_what_a_plan_extends_are_told_where_they_are() {
 }
 
 #[test]
+fn a_place_that_is_none_is_told_in_the_manifest_that_gives_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let manifest = folder.path().join("lot.yaml");
+    let origins = "defaults:\n  origins: { lot: [152.25, 10.5, 80.0, 0.0] }\n";
+    std::fs::write(&manifest, origins).unwrap();
+    let told = evermap(&["check", "georeference", "--manifest", text(&manifest)]).expect(1);
+    for needle in [
+        "lot.yaml:2:12",
+        "`origins` of lot: expected latitude",
+        "the latitude between -90 and 90°, found 152.25",
+    ] {
+        assert!(told.stderr.contains(needle), "{needle}: {}", told.stderr);
+    }
+}
+
+#[test]
+fn files_and_names_that_are_wrong_in_a_manifest_are_told_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let (manifest, map) = (folder.path().join("lot.yaml"), folder.path().join("map"));
+    std::fs::write(folder.path().join("a.mcap"), "").unwrap();
+    let absent = folder.path().join("absent.mcap");
+    let absent = format!("lot.yaml:3:21: {}", text(&absent));
+    for (files, name, place, said) in [
+        (
+            "absent.mcap",
+            "b",
+            absent.as_str(),
+            "expected a file, found nothing",
+        ),
+        (
+            "n*.mcap",
+            "b",
+            "lot.yaml:3:21",
+            "expected MCAP files, found none at",
+        ),
+        (
+            "a.mcap",
+            "a",
+            "lot.yaml:4:13",
+            "give one of them another name",
+        ),
+    ] {
+        let sessions = format!(
+            "sessions:\n  - name: a\n    files: [a.mcap, {files}]\n  - {{ name: {name}, files: [a.mcap] }}\n"
+        );
+        std::fs::write(&manifest, sessions).unwrap();
+        let given = ["--manifest", text(&manifest)];
+        for command in [
+            &["check", "trajectory"][..],
+            &["run", "trajectory", "--map", text(&map)],
+        ] {
+            let told = evermap(&[command, &given].concat()).expect(1).stderr;
+            for needle in [place, said] {
+                assert!(told.contains(needle), "{needle}: {told}");
+            }
+        }
+    }
+}
+
+#[test]
 fn a_bad_plan_is_refused_with_all_its_faults_before_anything_runs() {
     let folder = tempfile::tempdir().unwrap();
     let (plan, map) = (folder.path().join("bad.yaml"), folder.path().join("map"));
@@ -173,6 +233,43 @@ fn a_bad_plan_is_refused_with_all_its_faults_before_anything_runs() {
         );
     }
     assert!(!map.exists(), "a map was begun");
+}
+
+#[test]
+fn a_query_that_every_run_would_refuse_is_refused_by_the_check() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = folder.path().join("never.yaml");
+    let open = "SELECT session, stamp FROM odometry WHERE session > $1";
+    let interval = "SELECT session, INTERVAL '1 month' AS x FROM odometry";
+    let around = "SELECT o.session, u.b FROM odometry o, LATERAL (SELECT o.stamp AS b LIMIT 1) u";
+    for (query, at, said) in [
+        (open, "$1", "has $1, which nobody gives a value"),
+        (
+            interval,
+            "x FROM",
+            "gives x as an interval, which Parquet cannot hold",
+        ),
+        (
+            around,
+            "SELECT o.session",
+            "without columns of the query around it",
+        ),
+    ] {
+        let steps = format!("plan: never\nsteps:\n  made:\n    sql: {query}\nwrite: [made]\n");
+        std::fs::write(&plan, steps).unwrap();
+        let told = evermap(&["check", text(&plan)]).expect(1).stderr;
+        let column = "    sql: ".len() + query.find(at).unwrap() + 1;
+        for needle in [said, &format!("never.yaml:4:{column}")] {
+            assert!(told.contains(needle), "{needle}: {told}");
+        }
+    }
+    // What is not kept need not be such that a file holds it.
+    let steps = format!(
+        "plan: never\nsteps:\n  made:\n    sql: {interval}\n  long:\n    \
+         sql: SELECT session, extract(epoch FROM x) AS s FROM made\nwrite: [long]\n"
+    );
+    std::fs::write(&plan, steps).unwrap();
+    evermap(&["check", text(&plan)]).expect(0);
 }
 
 #[test]

@@ -266,6 +266,35 @@ pub fn faulty_role(fault: &Fault) -> Option<&str> {
     fault.place.strip_prefix(ROLES)
 }
 
+/// How it begins where a fault is in what a manifest says of a session; what follows is the path of the entry.
+const SESSIONS: &str = "sessions[";
+
+/// A fault of a file of a manifest's session, both by their place in the manifest.
+pub(crate) fn of_file(fault: Fault, session: usize, file: usize) -> Fault {
+    fault.at(format!("{SESSIONS}{session}].files[{file}]"))
+}
+
+/// A fault of the name of a manifest's session.
+pub(crate) fn of_name(fault: Fault, session: usize) -> Fault {
+    fault.at(format!("{SESSIONS}{session}].name"))
+}
+
+/// The path of what a manifest says wrong of a session, such as `sessions[0].files[1]`, where that is what a fault of
+/// finding logs is about, and where else the fault is.
+pub fn faulty_session(fault: &Fault) -> Option<(&str, &str)> {
+    let place = fault.place.as_str();
+    let is_session = place.starts_with(SESSIONS);
+    is_session.then(|| place.split_once(": ").unwrap_or((place, "")))
+}
+
+/// The fault of finding logs by a manifest that nobody wrote, so that nobody is sent there.
+pub fn unwritten(fault: Fault) -> Fault {
+    match faulty_session(&fault).map(|(_, place)| place.to_owned()) {
+        Some(place) => Fault { place, ..fault },
+        None => fault,
+    }
+}
+
 /// The topics that fit a manifest's patterns; those of a type that only other roles are played by are left out.
 fn matching(
     roles: &[Role],

@@ -8,7 +8,7 @@ use evermap_schemas::roles::{self, Role};
 use object_store::ObjectStoreExt;
 use object_store::path::Path;
 
-use crate::manifest::{Manifest, SessionFiles, Vehicle};
+use crate::manifest::{Manifest, SessionFiles, Vehicle, of_file, of_name};
 use crate::session::{DEFAULT_SITE, stem};
 use crate::stores::{LogFile, resolve};
 use crate::yaml::{LONGEST, from_yaml};
@@ -44,7 +44,8 @@ impl Recordings {
     /// together are one session, named after their folder. The manifest says what else is one recording.
     ///
     /// # Errors
-    /// A user fault when nothing is found or two sessions have one name.
+    /// A user fault when nothing is found or two sessions have one name; one of the manifest has its entry as its place
+    /// ([`crate::manifest::faulty_session`]).
     pub async fn find(
         runtime: &RuntimeEnv,
         paths: &[String],
@@ -54,25 +55,27 @@ impl Recordings {
         let manifest = manifest.unwrap_or(&nothing);
         let site = manifest.site.as_deref().unwrap_or(DEFAULT_SITE);
         let mut sessions = Vec::new();
-        for SessionFiles {
-            name,
-            files,
-            site: own,
-        } in &manifest.sessions
-        {
+        for (index, session) in manifest.sessions.iter().enumerate() {
+            let SessionFiles {
+                name,
+                files,
+                site: own,
+            } = session;
+            let files = find_all(runtime, files).await;
             sessions.push(Recording {
                 name: name.clone(),
                 site: own.as_deref().unwrap_or(site).to_owned(),
-                files: find_all(runtime, files).await?,
+                files: files.map_err(|(fault, file)| of_file(fault, index, file))?,
             });
         }
-        let listed = grouped(find_all(runtime, paths).await?).await;
+        let listed = find_all(runtime, paths).await.map_err(|(fault, _)| fault)?;
+        let listed = grouped(listed).await;
         sessions.extend(listed.into_iter().map(|(name, files)| Recording {
             name,
             site: site.to_owned(),
             files,
         }));
-        check_names(&sessions)?;
+        check_names(&sessions, manifest.sessions.len())?;
         Ok(Self {
             sessions,
             roles: roles::ALL,
@@ -88,10 +91,12 @@ impl Recordings {
     }
 }
 
-async fn find_all(runtime: &RuntimeEnv, names: &[String]) -> Result<Vec<LogFile>, Fault> {
+/// The files that these name; a fault comes with the index of the name that is at fault.
+async fn find_all(runtime: &RuntimeEnv, names: &[String]) -> Result<Vec<LogFile>, (Fault, usize)> {
     let mut files = Vec::new();
-    for name in names {
-        files.extend(resolve(runtime, name).await?);
+    for (index, name) in names.iter().enumerate() {
+        let found = resolve(runtime, name).await;
+        files.extend(found.map_err(|fault| (fault, index))?);
     }
     Ok(files)
 }
@@ -155,22 +160,81 @@ async fn rosbag2_files(sibling: &LogFile, folder: &str) -> Vec<String> {
     names.filter_map(name).collect()
 }
 
-fn check_names(recordings: &[Recording]) -> Result<(), Fault> {
-    let mut seen = BTreeMap::<&str, &Recording>::new();
-    for recording in recordings {
-        if let Some(other) = seen.insert(&recording.name, recording) {
-            let place = |recording: &Recording| match recording.files.first() {
-                Some(file) => file.url(),
-                None => "the manifest".to_owned(),
-            };
-            return Err(Fault::user(format!(
-                "expected one session of each name, found two named {}: {} and {}",
-                recording.name,
-                place(other),
-                place(recording)
-            ))
-            .next("name them in a session manifest, or rename a file"));
-        }
+/// That no two sessions have one name; the first so many are those of the manifest.
+fn check_names(recordings: &[Recording], written: usize) -> Result<(), Fault> {
+    let mut seen = BTreeMap::<&str, usize>::new();
+    for (index, recording) in recordings.iter().enumerate() {
+        let Some(other) = seen.insert(&recording.name, index) else {
+            continue;
+        };
+        let place = |index: usize| match recordings[index].files.first() {
+            Some(file) => file.url(),
+            None => "the manifest".to_owned(),
+        };
+        let fault = Fault::user(format!(
+            "expected one session of each name, found two named {}: {} and {}",
+            recording.name,
+            place(other),
+            place(index)
+        ));
+        return Err(if index < written {
+            of_name(fault.next("give one of them another name"), index)
+        } else if other < written {
+            let next = "give it another name in the manifest, or name its file there alone";
+            of_name(fault.next(next), other)
+        } else {
+            fault.next("name them in a session manifest, or rename a file")
+        });
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::manifest::{faulty_session, unwritten};
+
+    /// What is wrong with sessions: where in the manifest, where else, and what to do next.
+    async fn fault(sessions: &[(&str, &[&str])], paths: &[&str]) -> [String; 3] {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &&str| folder.path().join(name).to_string_lossy().into_owned();
+        for name in ["a.mcap", "b.mcap", "c.mcap"] {
+            std::fs::write(at(&name), "").unwrap();
+        }
+        let session = |(name, files): &(&str, &[&str])| SessionFiles {
+            name: (*name).to_owned(),
+            files: files.iter().map(at).collect(),
+            site: None,
+        };
+        let manifest = Manifest {
+            sessions: sessions.iter().map(session).collect(),
+            ..Manifest::default()
+        };
+        let paths: Vec<String> = paths.iter().map(at).collect();
+        let found = Recordings::find(&RuntimeEnv::default(), &paths, Some(&manifest)).await;
+        let fault = found.unwrap_err();
+        let (entry, _) = faulty_session(&fault).unwrap_or_default();
+        let entry = entry.to_owned();
+        let fault = unwritten(fault);
+        let folder = format!("{}/", folder.path().display());
+        [entry, fault.place.replace(&folder, ""), fault.next]
+    }
+
+    #[tokio::test]
+    async fn what_a_manifest_says_wrong_of_sessions_has_its_place_there() {
+        let give = "give a file, a folder, a glob in quotes, or a URL";
+        let first: (&str, &[&str]) = ("one", &["a.mcap"]);
+        let found = fault(&[first, ("two", &["b.mcap", "no.mcap"])], &[]).await;
+        assert_eq!(found, ["sessions[1].files[1]", "no.mcap", give]);
+        let found = fault(&[("one", &["n*.mcap"])], &["a.mcap"]).await;
+        assert_eq!(found, ["sessions[0].files[0]", "", give]);
+        let found = fault(&[first, ("one", &["b.mcap"])], &[]).await;
+        let another = "give one of them another name";
+        assert_eq!(found, ["sessions[1].name", "", another]);
+        let found = fault(&[first, ("b", &["a.mcap"])], &["b.mcap"]).await;
+        assert_eq!(found[0], "sessions[1].name");
+        let found = fault(&[first], &["no.mcap"]).await;
+        assert_eq!(found, ["", "no.mcap", give]);
+    }
 }

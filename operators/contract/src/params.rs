@@ -24,6 +24,15 @@ impl ParamFault {
         let param = String::new();
         Self { param, message }
     }
+
+    /// What an operator's own check finds: of the parameter that is its place, or of several where it has none.
+    pub(crate) fn checked(fault: Fault) -> Self {
+        let Fault { place, message, .. } = fault;
+        Self {
+            param: place,
+            message,
+        }
+    }
 }
 
 /// One parameter, as its operator declares it.

@@ -40,7 +40,7 @@ struct Typed {
 
 fn typed<O: Operator>(schema: &Value, given: &Value) -> Result<Typed, Vec<ParamFault>> {
     let params = params::typed::<O::Params>(schema, given)?;
-    O::check(&params).map_err(|fault| vec![ParamFault::together(fault.message)])?;
+    O::check(&params).map_err(|fault| vec![ParamFault::checked(fault)])?;
     Ok(Typed {
         normal: serde_json::to_value(&params).unwrap_or_default(),
         kernel: Box::new(|| (O::work().kernel)(params)),

@@ -18,6 +18,7 @@ use chrono::{DateTime, TimeDelta, Utc};
 use datafusion::execution::object_store::ObjectStoreUrl;
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_datasets::log::index::LogIndex;
+use evermap_datasets::manifest::unwritten;
 use evermap_datasets::{Dataset, LogFile, LogPart, Manifest, Recordings, Session};
 use evermap_schemas::Fault;
 use futures::{StreamExt, TryStreamExt};
@@ -211,7 +212,8 @@ pub async fn open_mapped(
     manifest: &Manifest,
     log: &LogContent,
 ) -> Result<Dataset, Fault> {
-    let found = Recordings::find(runtime, &[], Some(manifest)).await?;
+    let found = Recordings::find(runtime, &[], Some(manifest)).await;
+    let found = found.map_err(unwritten)?;
     let (opened, _) = open(store, found, Believe::Content(&log.content)).await?;
     Ok(opened)
 }

@@ -6,7 +6,6 @@ mod manifest;
 mod vehicle;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
 
 use datafusion::execution::runtime_env::RuntimeEnv;
 use evermap_contract::Registry;
@@ -17,6 +16,7 @@ use evermap_schemas::Fault;
 use self::given::{Given, coming};
 use self::host::Surroundings;
 pub use self::host::vocabulary;
+use self::manifest::beside;
 pub use self::manifest::located;
 use self::vehicle::Vehicles;
 pub use crate::fingerprint::Told;
@@ -225,12 +225,14 @@ impl Prepared {
         let base = Version::latest(&store).await?;
         let vehicles = Vehicles::of_plan(&parsed);
         // Topics are checked on the logs at hand; a map's earlier logs may be gone, their artifacts are not.
-        let mut found = Recordings::find(&RuntimeEnv::default(), sessions, manifest).await?;
+        let placed = |fault| located(fault, written.as_ref());
+        let found = Recordings::find(&RuntimeEnv::default(), sessions, manifest).await;
+        let mut found = found.map_err(placed)?;
         if let Some(vehicle) = vehicles.first() {
             found = found.of_vehicle(vehicle.clone());
         }
         let opened = fingerprint::open(&store, found, Believe::Rested).await;
-        let (given, remembered) = opened.map_err(|fault| located(fault, written.as_ref()))?;
+        let (given, remembered) = opened.map_err(placed)?;
         vehicles.agree(&given)?;
         let program = compiled(&parsed, registry, &given).await?;
         let mut by_name = mapped_sessions(base.as_ref());
@@ -364,16 +366,6 @@ fn repeated(given: &Dataset, sessions: &[MappedSession]) -> Vec<String> {
         }
     }
     notes
-}
-
-/// A path as a plan writes it: relative to the working folder, or, where there is no such file, to the plan.
-fn beside(origin: &str, path: &str) -> PathBuf {
-    let here = PathBuf::from(path);
-    let there = Path::new(origin).parent().map(|folder| folder.join(path));
-    match there {
-        Some(there) if !here.exists() && there.exists() => there,
-        _ => here,
-    }
 }
 
 /// The contents of the logs of a version, by session.

@@ -56,7 +56,7 @@ mod yaml;
 pub use editor::json_schema;
 pub use fault::{Place, PlanFault, PlanFaults, Position, Severity, Source};
 pub use inside::Part;
-pub use manifest::role_places;
+pub use manifest::{entry_place, role_places};
 pub use plan::{
     Body, DEFAULT_TOLERANCE, Grain, Input, ManifestPath, Plan, PlanTest, PythonStep, Row, Step,
 };
@@ -96,7 +96,7 @@ pub fn read(
         if let Some(manifest) = host.manifest() {
             manifest::lay(&mut root, &manifest, vocabulary, &mut faults);
         }
-        setting::set(&mut root, settings, &mut faults);
+        setting::set(&mut root, settings, &context, &mut faults);
         let written = written::plan(&root, &context, &mut faults)?;
         Some(graph::plan(written, vocabulary, &mut faults))
     });

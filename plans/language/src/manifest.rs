@@ -47,6 +47,24 @@ pub fn role_places(manifest: &Source, role: &str) -> Option<[Position; 2]> {
     Some([entry.place, entry.value.place].map(Place::position))
 }
 
+/// Where an entry of a manifest is, by its path, such as `sessions[0].files[1]`; `None` where it is not there.
+pub fn entry_place(manifest: &Source, path: &str) -> Option<Position> {
+    let tree = yaml::read(manifest, &mut PlanFaults::default())?;
+    let mut node = &tree;
+    for part in path.split('.') {
+        let item = part.strip_suffix(']').and_then(|part| part.split_once('['));
+        let (key, item) = item.map_or((part, None), |(key, item)| (key, Some(item)));
+        node = &node.get(key)?.value;
+        if let Some(item) = item {
+            let Kind::Sequence(items) = &node.kind else {
+                return None;
+            };
+            node = items.get(item.parse::<usize>().ok()?)?;
+        }
+    }
+    Some(node.place.position())
+}
+
 fn check(given: &[Entry], vocabulary: &Vocabulary, faults: &mut PlanFaults) {
     let operators = || vocabulary.operators.iter();
     let known = || operators().flat_map(OperatorSpec::parameter_names);

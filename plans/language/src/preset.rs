@@ -1,8 +1,9 @@
 //! `presets`: parameters of steps that a plan gives one name, such as `preview`; `--set NAME` lays them over the steps.
 
 use crate::fault::{Place, PlanFaults};
-use crate::setting::parameters_of;
+use crate::setting::{is_query, parameters_of};
 use crate::suggest::quoted;
+use crate::written::{Context, check_alone};
 use crate::yaml::{Entry, Kind, Node, merge};
 
 /// The presets of a plan, taken out of its tree.
@@ -41,6 +42,23 @@ impl Presets {
         Self(presets)
     }
 
+    /// Checks the parameters of presets that are not chosen: those of one that is are checked where it is laid.
+    pub(crate) fn check_others(
+        &self,
+        chosen: &[String],
+        root: &Node,
+        context: &Context<'_>,
+        faults: &mut PlanFaults,
+    ) {
+        let others = self.0.iter().filter(|preset| !chosen.contains(&preset.key));
+        for preset in others {
+            if let Kind::Mapping(steps) = &preset.value.kind {
+                let steps = steps.iter();
+                steps.for_each(|step| check_parameters(step, root, context, faults));
+            }
+        }
+    }
+
     /// Lays the preset of this name over the steps of a plan.
     pub(crate) fn lay(&self, name: &str, root: &mut Node, place: Place, faults: &mut PlanFaults) {
         let Some(preset) = self.0.iter().find(|preset| preset.key == name) else {
@@ -74,6 +92,25 @@ impl Presets {
                 nothing => *nothing = Kind::Mapping(values.clone()),
             }
         }
+    }
+}
+
+/// Checks what a preset gives to a step. What an extended plan gives may be of a step that is another one by now.
+fn check_parameters(given: &Entry, root: &Node, context: &Context<'_>, faults: &mut PlanFaults) {
+    let steps = root.get("steps");
+    let step = steps.and_then(|steps| steps.value.get(&given.key));
+    let (Some(step), Kind::Mapping(values)) = (step, &given.value.kind) else {
+        return;
+    };
+    let own: Vec<&Entry> = values.iter().filter(|value| value.is_own()).collect();
+    if own.is_empty() || is_query(&step.value, &given.key, given.place, faults) {
+        return;
+    }
+    if let Some(op) = step.value.get("op")
+        && let Kind::Text(name) = &op.value.kind
+        && let Some(spec) = context.vocabulary.operator(name)
+    {
+        check_alone(spec, &own, context.host, faults);
     }
 }
 

@@ -4,12 +4,19 @@
 use crate::fault::{Place, PlanFaults};
 use crate::preset::Presets;
 use crate::suggest::quoted;
+use crate::written::Context;
 use crate::yaml::{self, Entry, Kind, Node};
 
 /// Applies the settings in order; a later one wins. Deeper parameters are `step.camera.fx=3`.
 /// The value is YAML: `0.2`, `true`, `[1, 2]`, `'text'`. Faults name the option.
-pub(crate) fn set(root: &mut Node, settings: &[String], faults: &mut PlanFaults) {
+pub(crate) fn set(
+    root: &mut Node,
+    settings: &[String],
+    context: &Context<'_>,
+    faults: &mut PlanFaults,
+) {
     let presets = Presets::take(root, faults);
+    presets.check_others(settings, root, context, faults);
     for (index, setting) in settings.iter().enumerate() {
         let place = Place::Setting(index);
         if is_name(setting) {
@@ -84,12 +91,20 @@ pub(crate) fn parameters_of<'n>(
         return None;
     };
     let body = &mut steps.get_mut(index)?.value;
-    if body.get("sql").is_some() {
-        let message = format!("step {} is a query, which has no parameters", quoted(step));
-        faults.error(place, message);
+    if is_query(body, step, place, faults) {
         return None;
     }
     Some(&mut found_or_added(body, "with", place)?.value)
+}
+
+/// Whether a step is a query, to which nobody can give parameters; that is recorded.
+pub(crate) fn is_query(body: &Node, step: &str, place: Place, faults: &mut PlanFaults) -> bool {
+    let is_query = body.get("sql").is_some();
+    if is_query {
+        let message = format!("step {} is a query, which has no parameters", quoted(step));
+        faults.error(place, message);
+    }
+    is_query
 }
 
 /// The entry of a key, added if absent; `None` if the node is no mapping.

@@ -12,6 +12,8 @@ use crate::suggest::quoted;
 use crate::vocabulary::{Host, OperatorSpec, Vocabulary};
 use crate::yaml::{Entry, Fields, Kind, Node};
 
+pub(crate) use self::step::check_alone;
+
 /// The keys of a plan. A composed one has no `extends`, `drop` and `presets` any more.
 const PLAN_KEYS: [&str; 11] = [
     "plan", "extends", "doc", "needs", "sessions", "defaults", "presets", "steps", "drop", "write",

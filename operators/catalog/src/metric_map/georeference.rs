@@ -38,18 +38,28 @@ impl Operator for Georeferences {
     }
 
     fn check(params: &Self::Params) -> Result<(), Fault> {
-        let outside = |[latitude, longitude, height, heading]: &[f64; 4]| {
-            !(-90.0..=90.0).contains(latitude)
-                || !(-180.0..=180.0).contains(longitude)
-                || ![height, heading].iter().all(|number| number.is_finite())
-        };
-        match params.origins.iter().find(|(_, place)| outside(place)) {
-            Some((site, found)) => Err(Fault::user(format!(
-                "origins of {site}: expected latitude, longitude, height and heading, found {found:?}"
-            ))),
+        let mut origins = params.origins.iter();
+        match origins.find_map(|(site, place)| Some((site, misplaced(*place)?))) {
+            Some((site, (expected, found))) => Err(Fault::user(format!(
+                "`origins` of {site}: expected latitude, longitude, height and heading, {expected}, found {found}"
+            ))
+            .at("origins")),
             None => Ok(()),
         }
     }
+}
+
+/// What holds for the number that makes an origin no place on earth, and that number.
+fn misplaced([latitude, longitude, height, heading]: [f64; 4]) -> Option<(&'static str, f64)> {
+    let limits = [
+        (latitude, 90.0, "the latitude between -90 and 90°"),
+        (longitude, 180.0, "the longitude between -180 and 180°"),
+        (height, f64::MAX, "a finite height"),
+        (heading, f64::MAX, "a finite heading"),
+    ];
+    let mut limits = limits.into_iter();
+    let (found, _, expected) = limits.find(|(value, most, _)| !(-most..=*most).contains(value))?;
+    Some((expected, found))
 }
 
 fn place(
@@ -161,6 +171,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
     use evermap_contract::{Entry, laws};
+    use serde_json::json;
 
     #[test]
     fn the_example_and_the_laws_hold() {
@@ -168,15 +179,31 @@ mod tests {
     }
 
     #[test]
-    fn places_that_are_none_are_refused() {
-        let mut params = GeoreferenceParams::default();
-        params
-            .origins
-            .insert("lot".into(), [52.0, 10.0, 80.0, 30.0]);
-        assert!(Georeferences::check(&params).is_ok());
-        params
-            .origins
-            .insert("moon".into(), [91.0, 10.0, 80.0, 30.0]);
-        assert!(Georeferences::check(&params).is_err());
+    fn places_that_are_none_are_refused_with_the_number_that_is_wrong() {
+        let faults = |place: [f64; 4]| {
+            let given = json!({ "origins": { "lot": [52.0, 10.0, 80.0, 30.0], "moon": place } });
+            Entry::of::<Georeferences>().faults(&given)
+        };
+        assert!(faults([-90.0, 180.0, -4.0, 400.0]).is_empty());
+        let expected = "`origins` of moon: expected latitude, longitude, height and heading,";
+        for (place, wrong) in [
+            (
+                [152.25, 10.5, 80.0, 0.0],
+                "the latitude between -90 and 90°, found 152.25",
+            ),
+            (
+                [52.25, -190.5, 80.0, 0.0],
+                "the longitude between -180 and 180°, found -190.5",
+            ),
+        ] {
+            let found = faults(place);
+            assert_eq!(found.len(), 1);
+            assert_eq!(found[0].param, "origins");
+            assert_eq!(found[0].message, format!("{expected} {wrong}"));
+        }
+        assert_eq!(
+            misplaced([0.0, 0.0, f64::NAN, 0.0]).unwrap().0,
+            "a finite height"
+        );
     }
 }

@@ -1,25 +1,53 @@
-//! What is wrong with a session manifest, with line and column.
+//! The session manifest of a plan, and what is wrong with one, with line and column.
 
-use evermap_datasets::manifest::faulty_role;
-use evermap_language::{Position, Source, role_places};
+use std::path::{Path, PathBuf};
+
+use evermap_datasets::manifest::{faulty_role, faulty_session};
+use evermap_language::{Position, Source, entry_place, role_places};
 use evermap_schemas::{Fault, roles};
 
-/// A fault of opening logs. Where it is of what their manifest says of a role, it points to that.
+/// A path as a plan writes it: relative to the working folder, or, where there is no such file, to the plan.
+pub fn beside(origin: &str, path: &str) -> PathBuf {
+    let here = PathBuf::from(path);
+    let there = Path::new(origin).parent().map(|folder| folder.join(path));
+    match there {
+        Some(there) if !here.exists() && there.exists() => there,
+        _ => here,
+    }
+}
+
+/// A fault of opening logs. Where it is of what their manifest says of a role or a session, it points to that.
 pub fn located(fault: Fault, manifest: Option<&Source>) -> Fault {
     let place = manifest.and_then(|manifest| {
-        let role = faulty_role(&fault)?;
-        let [name, topics] = role_places(manifest, role)?;
-        let is_played = |known: &roles::Role| known.name == role && known.messages().is_some();
-        let Position { line, column, .. } = match roles::ALL.iter().any(is_played) {
-            true => topics,
-            false => name,
-        };
-        Some(format!("{}:{line}:{column}", manifest.origin))
+        let (Position { line, column, .. }, rest) =
+            place_of_role(&fault, manifest).or_else(|| place_of_session(&fault, manifest))?;
+        let place = format!("{}:{line}:{column}", manifest.origin);
+        Some(match rest {
+            "" => place,
+            rest => format!("{place}: {rest}"),
+        })
     });
     match place {
         Some(place) => Fault { place, ..fault },
         None => fault,
     }
+}
+
+/// Where a manifest says what is wrong of a role; nowhere else is such a fault.
+fn place_of_role<'f>(fault: &'f Fault, manifest: &Source) -> Option<(Position, &'f str)> {
+    let role = faulty_role(fault)?;
+    let [name, topics] = role_places(manifest, role)?;
+    let is_played = |known: &roles::Role| known.name == role && known.messages().is_some();
+    match roles::ALL.iter().any(is_played) {
+        true => Some((topics, "")),
+        false => Some((name, "")),
+    }
+}
+
+/// Where a manifest says what is wrong of a session, and where else the fault is: at a file.
+fn place_of_session<'f>(fault: &'f Fault, manifest: &Source) -> Option<(Position, &'f str)> {
+    let (entry, rest) = faulty_session(fault)?;
+    Some((entry_place(manifest, entry)?, rest))
 }
 
 #[cfg(test)]
@@ -40,5 +68,25 @@ mod tests {
         assert_eq!(place(fault("drive.mcap")), "drive.mcap");
         let alone = located(fault("roles.frames"), None);
         assert_eq!(alone.place, "roles.frames");
+    }
+
+    #[test]
+    fn a_fault_of_a_session_points_into_the_manifest_and_keeps_the_file() {
+        let manifest = Source {
+            origin: "lot.yaml".to_owned(),
+            text: "sessions:\n  - name: a\n    files: [a.mcap, n.mcap]\n  - { name: a, files: [b.mcap] }\n"
+                .to_owned(),
+        };
+        let place = |at: &str| {
+            let fault = Fault::user("expected something else").at(at);
+            located(fault, Some(&manifest)).place
+        };
+        let file = place("sessions[0].files[1]: /logs/n.mcap");
+        assert_eq!(file, "lot.yaml:3:21: /logs/n.mcap");
+        assert_eq!(place("sessions[1].files[0]"), "lot.yaml:4:24");
+        assert_eq!(place("sessions[1].name"), "lot.yaml:4:13");
+        for nowhere in ["sessions[2].name", "sessions[x].name", "sessions[1].mcap"] {
+            assert_eq!(place(nowhere), nowhere);
+        }
     }
 }

@@ -38,6 +38,7 @@ pub async fn compile(
     }
     compiler.decide_stored();
     compiler.check_once();
+    compiler.check_stored();
     if compiler.faults.error_count() > 0 {
         return Err(compiler.faults.settle());
     }
@@ -139,11 +140,7 @@ impl<'a> Compiler<'a> {
         let schema = match &step.body {
             Body::Op { op, params } => self.op(step, op, params).await,
             Body::Sql { query } => {
-                let query = Query {
-                    step: &step.name,
-                    text: query,
-                    place: step.body_place,
-                };
+                let query = Query::of(step, query);
                 self.sql(step, query).await
             }
             Body::Python(python) => self.python(step, python).await,
@@ -336,7 +333,7 @@ impl<'a> Compiler<'a> {
             _ if is_local(plan, "site") => Scope::Site,
             _ => Scope::Map,
         };
-        // What is not made alike is told when it runs.
+        // It was planned to the end, so it is made alike.
         let coming = sql::coming(&self.context.state(), plan.clone());
         let schema = coming.map_or_else(|_| bare(plan.schema().as_arrow()), |schema| bare(&schema));
         let found = described(plan, |_| None);
@@ -422,6 +419,18 @@ impl<'a> Compiler<'a> {
                     step.name
                 ),
             );
+        }
+    }
+
+    /// What is kept is written as Parquet.
+    fn check_stored(&mut self) {
+        for stage in self.stages.iter().filter(|stage| stage.stored) {
+            let schema = self.schemas.get(&stage.name);
+            if let (Some(step), Some(schema)) = (self.plan.step(&stage.name), schema)
+                && let Body::Sql { query } = &step.body
+            {
+                Query::of(step, query).check_stored(schema, &mut self.faults);
+            }
         }
     }
 }

@@ -9,7 +9,7 @@ use crate::fault::PlanFaults;
 use crate::inside::Part;
 use crate::plan::Body;
 use crate::suggest::{listed, one_line, quoted};
-use crate::vocabulary::OperatorSpec;
+use crate::vocabulary::{Host, OperatorSpec};
 use crate::yaml::{Entry, Fields};
 
 pub(super) fn step(
@@ -187,19 +187,35 @@ fn parameters(
     let before = faults.error_count();
     let params = Value::Object(sound_values(entries.iter().copied(), faults));
     for fault in context.around.host.parameter_faults(&spec.name, &params) {
-        let entry = entries.iter().find(|entry| entry.key == fault.parameter);
-        match entry {
+        match entries.iter().find(|entry| entry.key == fault.parameter) {
             None => faults.error(with.unwrap_or(op).value.place, fault.message),
-            Some(entry) if is_parameter(&entry.key) => {
-                faults.error(entry.value.place, fault.message);
-            }
-            Some(entry) => {
-                let known = spec.parameter_names();
-                faults.unknown(entry.place, fault.message, &entry.key, known);
-            }
+            Some(entry) => misfit(spec, entry, fault.message, faults),
         }
     }
     (faults.error_count() == before).then_some(params)
+}
+
+/// Checks parameters without the others of their step: what is wrong with them together does not show.
+pub(crate) fn check_alone(
+    spec: &OperatorSpec,
+    entries: &[&Entry],
+    host: &dyn Host,
+    faults: &mut PlanFaults,
+) {
+    let params = Value::Object(sound_values(entries.iter().copied(), faults));
+    for fault in host.parameter_faults(&spec.name, &params) {
+        if let Some(entry) = entries.iter().find(|entry| entry.key == fault.parameter) {
+            misfit(spec, entry, fault.message, faults);
+        }
+    }
+}
+
+/// Records what is wrong with a parameter: at its value, or at its name where the operator has none of that name.
+fn misfit(spec: &OperatorSpec, entry: &Entry, message: String, faults: &mut PlanFaults) {
+    match spec.parameter_names().any(|known| known == entry.key) {
+        true => faults.error(entry.value.place, message),
+        false => faults.unknown(entry.place, message, &entry.key, spec.parameter_names()),
+    }
 }
 
 /// The entries whose values are such that JSON has them.
