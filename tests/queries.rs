@@ -392,7 +392,7 @@ fn what_is_not_a_number_is_read_back_as_it_was_written() {
     }
     for (asked, expected) in [
         ("min(constant), max(constant) FROM made", "2.5,2.5"),
-        ("count(*) FROM made WHERE constant > 2", &all),
+        ("count(*) FROM made WHERE constant > 2", all.as_str()),
         ("count(*) FROM made WHERE constant > 3", "0"),
     ] {
         assert_eq!(answer(&format!("SELECT {asked}")), expected, "{asked}");
