@@ -60,7 +60,8 @@ fn plans_share_the_steps_of_the_metric_map() {
     // The first drive is a lifelong map without a version before.
     for (name, step) in steps("metric_map") {
         let mut other = lifelong[&name].replace("new.", "");
-        for port in [
+        for more in [
+            "once: true",
             "localisations: localisations",
             "previous: previous.adjusted_poses",
             "previous: previous.frame_poses",
@@ -68,7 +69,7 @@ fn plans_share_the_steps_of_the_metric_map() {
             "previous: previous.map_frames",
             "previous_frames: previous.map_frames",
         ] {
-            other = other.replace(port, "");
+            other = other.replace(more, "");
         }
         let flat = |text: &str| text.replace(['\n', ' ', ',', '{', '}'], "");
         assert_eq!(flat(&other), flat(&step), "{name}");
@@ -112,6 +113,28 @@ fn a_plan_extends_a_file_beside_it_which_extends_one_that_ships() {
     std::fs::write(&again, &composed.stdout).unwrap();
     let again = evermap(&["explain", text(&again)]).expect(0);
     assert_eq!(again.stdout, expected);
+}
+
+#[test]
+fn a_function_that_an_extended_plan_names_is_found_from_the_plan_as_composed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    std::fs::create_dir_all(path("ours")).unwrap();
+    std::fs::create_dir_all(path("library/python")).unwrap();
+    std::fs::write(path("library/python/steps.py"), "def made(speeds): ...\n").unwrap();
+    let base = "plan: base\nsteps:\n  speeds: { op: speeds }\n  made:\n    once: true\n    \
+         python: python/steps.py:made\n    in: { speeds: speeds }\n    grain: rows\n    output: speeds\nwrite: [made]\n";
+    std::fs::write(path("library/base.yaml"), base).unwrap();
+    let (plan, again) = (path("ours/plan.yaml"), path("ours/composed.yaml"));
+    std::fs::write(&plan, "plan: ours\nextends: ../library/base.yaml\n").unwrap();
+    let composed = evermap(&["explain", text(&plan)]).expect(0).stdout;
+    let made = "  made:\n    once: true\n    python: \"../library/python/steps.py:made\"\n";
+    assert!(composed.contains(made), "{composed}");
+    std::fs::write(&again, &composed).unwrap();
+    assert_eq!(
+        evermap(&["explain", text(&again)]).expect(0).stdout,
+        composed
+    );
 }
 
 #[test]

@@ -346,6 +346,59 @@ fn layers_of_queries_have_the_units_and_frames_of_what_they_pass_on() {
     assert_eq!(known(&answer, "further"), said(&[]));
 }
 
+/// Numbers one in ten of which is 1, the others NaN; as they are, and within columns.
+const NOT_A_NUMBER: &str = "
+plan: not_a_number
+steps:
+  speeds: { op: speeds, in: { odometry: odometry } }
+  made:
+    sql: >
+      SELECT site, session, stamp, v, CAST(v AS REAL) AS single, named_struct('v', v) AS pair, make_array(v) AS list,
+             2.5 AS constant
+      FROM (SELECT *, CASE row_number() OVER (ORDER BY stamp) % 10 WHEN 0 THEN 1.0 ELSE CAST('NaN' AS DOUBLE) END AS v
+            FROM speeds)
+write: [made]
+";
+
+/// Parquet's least and greatest value are those of numbers alone.
+#[test]
+fn what_is_not_a_number_is_read_back_as_it_was_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = folder.path().join("a.mcap");
+    let (plan, map) = (folder.path().join("plan.yaml"), folder.path().join("map"));
+    write_drive(&drive, rectangle(20.0, 10.0, 1.0));
+    std::fs::write(&plan, NOT_A_NUMBER).unwrap();
+    let mut run = plan_command(text(&plan), &map, "lot", &["--sessions", text(&drive)]);
+    Finished::from(run.output().unwrap()).expect(0);
+    let answer = |query: &str| {
+        let asked = ["sql", "--map", text(&map), "--format", "csv", query];
+        let rows = evermap(&asked).expect(0).stdout;
+        rows.lines().skip(1).collect::<Vec<_>>().join(" ")
+    };
+    let rows: usize = answer("SELECT count(*) FROM made").parse().unwrap();
+    let ones = rows / 10;
+    let (others, all) = ((rows - ones).to_string(), rows.to_string());
+    assert!(ones > 10);
+    for column in ["v", "single", "pair['v']", "list[1]"] {
+        let counted = format!("SELECT {column} AS v, count(*) FROM made GROUP BY 1 ORDER BY 2");
+        assert_eq!(answer(&counted), format!("1.0,{ones} NaN,{others}"));
+        for (asked, expected) in [
+            (format!("count(*) FROM made WHERE {column} > 2"), &others),
+            (format!("count(*) FROM made WHERE isnan({column})"), &others),
+            (format!("max({column}) FROM made"), &"NaN".to_owned()),
+        ] {
+            assert_eq!(&answer(&format!("SELECT {asked}")), expected, "{asked}");
+        }
+    }
+    for (asked, expected) in [
+        ("min(constant), max(constant) FROM made", "2.5,2.5"),
+        ("count(*) FROM made WHERE constant > 2", all.as_str()),
+        ("count(*) FROM made WHERE constant > 3", "0"),
+    ] {
+        assert_eq!(answer(&format!("SELECT {asked}")), expected, "{asked}");
+    }
+}
+
 #[test]
 fn queries_compare_several_maps() {
     let (folder, map) = mapped();

@@ -26,6 +26,8 @@ const FEW: usize = 1_000;
 pub(crate) fn from_yaml<T: DeserializeOwned>(text: &str, what: &str) -> Result<T, Fault> {
     let refused =
         |found: &dyn std::fmt::Display| Fault::user(format!("expected {what}, found {found}"));
+    // Some editors begin files with a byte order mark, which the library takes for a document of its own.
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     check(text).map_err(|found| refused(&found))?;
     serde_yaml_ng::from_str(text).map_err(|error| refused(&error))
 }
@@ -148,6 +150,15 @@ mod tests {
             );
         }
         assert!(begun.elapsed() < Duration::from_secs(10));
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_no_content() {
+        let text = "\u{feff}site: lot\nsessions: {a: [b.mcap]}\n";
+        let read: Value = from_yaml(text, "a session manifest").unwrap();
+        assert_eq!(read["site"], "lot");
+        let refused = from_yaml::<Value>("\u{feff}a: [b", "a session manifest").unwrap_err();
+        assert!(refused.to_string().contains("at line "), "{refused}");
     }
 
     #[test]

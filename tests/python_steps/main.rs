@@ -200,6 +200,57 @@ fn a_test_finds_what_is_no_function_of_its_rows() {
 }
 
 #[test]
+fn rows_of_another_session_or_site_end_the_step() {
+    let Some(bench) = Bench::new() else { return };
+    let drive = bench.drive("monday.mcap", 0.1);
+    let test = "tests:
+  - name: two
+    given:
+      speeds:
+        - { site: lot, session: monday, stamp: 0, speed_mps: 1.0 }
+        - { site: lot, session: monday, stamp: 1, speed_mps: 2.0 }
+    expect: { made: [] }
+";
+    let cases = [
+        (
+            "rows",
+            "column: session, name: tuesday",
+            "expected rows of session monday, found tuesday",
+        ),
+        (
+            "session",
+            "column: session",
+            "expected rows of session monday, found null",
+        ),
+        (
+            "site",
+            "column: site, name: yard",
+            "expected rows of site lot, found yard",
+        ),
+    ];
+    for (grain, with, expected) in cases {
+        let output = "output: { site: text, session: text }";
+        let step = format!("with: {{ {with} }}\n    grain: {grain}\n    {output}");
+        let plan = bench.plan("of_others", &step, test);
+        let tested = bench.evermap(&["test", text(&plan)]).expect(1).stdout;
+        let ran = bench.run(&plan, &drive).expect(1).stderr;
+        for found in [tested, ran] {
+            assert!(
+                found.contains(expected),
+                "expected {expected}\n   found {found}"
+            );
+        }
+    }
+    // All rows may be of any.
+    let step =
+        "with: { column: session, name: tuesday }\n    grain: map\n    output: { session: text }";
+    let plan = bench.plan("of_others", step, "");
+    bench.run(&plan, &drive).expect(0);
+    let sessions = bench.query("SELECT count(DISTINCT session) AS n FROM made");
+    assert_eq!(sessions[0]["n"], 2);
+}
+
+#[test]
 fn what_is_wrong_with_a_step_is_said_before_anything_runs() {
     let Some(bench) = Bench::new() else { return };
     let columns = "grain: session\n    output: { x: f64 }";

@@ -65,5 +65,11 @@ def numbered(speeds):
     return {"x": [float(row) for row in range(len(speeds))]}
 
 
+def of_others(speeds, column, name=None):
+    """Rows that say they are of another session or site."""
+    rows = {column: speeds[column].to_pylist() for column in ("site", "session")}
+    return {**rows, column: rows[column][:-1] + [name]}
+
+
 def nameless(speeds):
     return {"stamp": speeds["stamp"]}

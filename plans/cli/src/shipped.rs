@@ -117,6 +117,8 @@ fn file_or_shipped(file: &Path, name: &str) -> Result<(String, Vec<u8>), Fault> 
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use evermap_engine::prepare;
+
     use super::*;
 
     #[test]
@@ -154,6 +156,24 @@ mod tests {
             read(path.to_str().unwrap(), vec![]).unwrap().source.text,
             "plan: a"
         );
+    }
+
+    #[test]
+    fn a_shipped_plan_as_printed_is_the_same_plan() {
+        let registry = crate::operators::registry();
+        for shipped in PLANS {
+            let mut text = plain(shipped);
+            let plan = prepare::parse(&text, &registry).unwrap();
+            text.source.text = plan.to_string();
+            let mut again = prepare::parse(&text, &registry).unwrap();
+            // Tests are not printed, and what is said of places is said of other ones.
+            again.tests = plan.tests.clone();
+            again.warnings = plan.warnings.clone();
+            for (again, step) in again.steps.iter_mut().zip(&plan.steps) {
+                (again.position, again.body_place) = (step.position, step.body_place);
+            }
+            assert_eq!(again, plan);
+        }
     }
 
     #[test]

@@ -5,7 +5,10 @@ mod made_up;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::time::Duration;
 
+use evermap_engine::map::Map;
+use evermap_engine::sql::{Limits, context};
 use serde_json::Value;
 
 struct Ended {
@@ -198,6 +201,52 @@ fn a_map_is_listed_queried_and_compared() {
     );
     done(&["gc", "--map", &map, "--keep", "1"]);
     assert!(!done(&["versions", "--map", &map]).contains("| 1 "));
+}
+
+/// Older versions of evermap let steps have any name.
+#[test]
+fn a_layer_that_is_called_as_a_table_of_the_map_hides_behind_it() {
+    let (_folder, map) = made_up_map();
+    let path = Path::new(&map).join("versions/2.json");
+    let mut version: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    for name in ["columns", "layers", "runs", "versions"] {
+        version["layers"][name] = version["layers"]["lanes"].clone();
+    }
+    std::fs::write(&path, version.to_string()).unwrap();
+    let map = map.as_str();
+    let asked = async |query: &str| {
+        let map = Map::open(map, None).await.unwrap();
+        let context = context(Limits::default()).unwrap();
+        let context = map.context(context, &evermap_catalog::registry()).unwrap();
+        let rows = context.sql(query).await.unwrap().collect().await.unwrap();
+        rows.iter().map(|batch| batch.num_rows()).sum::<usize>()
+    };
+    let all = async {
+        for (query, rows) in [
+            ("SELECT version FROM versions", 2),
+            (
+                "SELECT layer FROM layers WHERE layer IN ('lanes', 'runs')",
+                2,
+            ),
+            (
+                "SELECT * FROM columns WHERE layer = 'runs' AND \"column\" = 'seconds'",
+                1,
+            ),
+            (
+                "SELECT * FROM columns WHERE layer = 'columns' AND \"column\" = 'lane'",
+                0,
+            ),
+            (
+                "SELECT * FROM columns WHERE layer = 'lanes' AND \"column\" = 'lane'",
+                1,
+            ),
+        ] {
+            assert_eq!(asked(query).await, rows, "{query}");
+        }
+    };
+    let in_time = async { tokio::time::timeout(Duration::from_secs(60), all).await };
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    runtime.block_on(in_time).expect("an answer");
 }
 
 #[test]

@@ -119,6 +119,31 @@ fn every_mistake_is_named() {
             "ZeroDivisionError: division by zero (steps.py, line 2, in half) (steps.py:made)",
         ),
         (
+            "def made(speeds):\n    raise ValueError('no speed\\n\\n  at 3 s')\n",
+            json!({}),
+            "ValueError: no speed at 3 s (steps.py, line 2, in made) (steps.py:made)",
+        ),
+        (
+            "def made(speeds):\n    raise ValueError('x' * 2_000_000)\n",
+            json!({}),
+            "x… (steps.py, line 2, in made) (steps.py:made)",
+        ),
+        (
+            "def made(speeds):\n    return speeds, {'no calibration': -3}\n",
+            json!({}),
+            "expected how often 'no calibration' was, a whole number from 0, found -3 (steps.py:made)",
+        ),
+        (
+            "def made(speeds):\n    return speeds, {'no calibration': '3'}\n",
+            json!({}),
+            "a whole number from 0, found '3' (steps.py:made)",
+        ),
+        (
+            "def made(speeds):\n    return speeds, {'no calibration': 2.5}\n",
+            json!({}),
+            "a whole number from 0, found 2.5 (steps.py:made)",
+        ),
+        (
             "def made(speeds):\n    return 3\n",
             json!({}),
             "expected rows (a pyarrow Table, a data frame, a dict of columns), found int",

@@ -26,6 +26,7 @@ import urllib.request
 # What a function can import is installed, and so in the digest of the environment.
 sys.path[:] = [folder for folder in sys.path if folder]
 HERE = "<string>"  # this text
+LONGEST_ERROR = 10_000  # characters
 
 
 class Refused(Exception):
@@ -124,6 +125,17 @@ def table_of(found):
         raise Refused(f"expected rows (a pyarrow Table, a data frame, a dict of columns), found {kind}: {error}") from None
 
 
+def count_of(reason, found):
+    """How often something was left out for a reason."""
+    try:
+        count = int(found)
+        if count == found and 0 <= count < 2**63:
+            return count
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise Refused(f"expected how often {str(reason)!r} was, a whole number from 0, found {found!r}")
+
+
 def call(function, params, ports, tables):
     """The rows that the function makes, and what it says that it left out."""
     import pyarrow
@@ -133,23 +145,29 @@ def call(function, params, ports, tables):
     skipped = {}
     if isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], dict):
         found, skipped = found
+    skipped = {str(reason): count_of(reason, count) for reason, count in skipped.items()}
     rows = table_of(found)
     sink = pyarrow.BufferOutputStream()
     with pyarrow.ipc.new_stream(sink, rows.schema) as writer:
         writer.write_table(rows)
-    return {"skipped": {str(reason): int(count) for reason, count in skipped.items()}}, sink.getvalue()
+    return {"skipped": skipped}, sink.getvalue()
+
+
+def one_line(text):
+    line = " ".join(part.strip() for part in text.splitlines() if part.strip())
+    return line if len(line) <= LONGEST_ERROR else line[:LONGEST_ERROR] + "…"
 
 
 def told(error):
     """An error in one line, with the line of the function's code that it comes from."""
     if isinstance(error, Refused):
-        return str(error)
+        return one_line(str(error))
     trace = traceback.TracebackException.from_exception(error)
     trace.stack[:] = [frame for frame in trace.stack if frame.filename != HERE]
     print("".join(trace.format()), end="", file=sys.stderr, flush=True)
     if isinstance(error, SyntaxError):
-        return f"{type(error).__name__}: {error}"
-    what = "".join(trace.format_exception_only()).strip().splitlines()[-1]
+        return one_line(f"{type(error).__name__}: {error}")
+    what = one_line("".join(trace.format_exception_only()))
     last = next((frame for frame in reversed(trace.stack)), None)
     return f"{what} ({last.filename}, line {last.lineno}, in {last.name})" if last else what
 

@@ -79,7 +79,7 @@ pub enum Body {
 /// A function in Python, as a plan names it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PythonStep {
-    /// The file, as written: relative to the plan.
+    /// The file, relative to the plan, also where one that it extends names it.
     pub file: String,
     /// The function in it.
     pub function: String,

@@ -38,6 +38,9 @@ fn names(names: &[String]) -> String {
 
 fn write_step(step: &Step, f: &mut fmt::Formatter<'_>) -> fmt::Result {
     writeln!(f, "  {}:", step.name)?;
+    if step.once {
+        writeln!(f, "    once: true")?;
+    }
     match &step.body {
         Body::Op { op, params } => {
             writeln!(f, "    op: {}", word(op))?;

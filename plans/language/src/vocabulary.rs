@@ -13,6 +13,8 @@ pub struct Vocabulary {
     pub sources: Vec<String>,
     /// Whether every name that starts with `/` is a source: the table of a topic.
     pub open_sources: bool,
+    /// Tables that every map has beside its layers, which no step makes: `columns`, `runs`.
+    pub map_tables: Vec<String>,
 }
 
 /// One operator, as far as a plan is concerned.
@@ -101,6 +103,15 @@ impl Vocabulary {
     pub fn is_source(&self, name: &str) -> bool {
         let is_topic = self.open_sources && name.len() > 1 && name.starts_with('/');
         is_topic || self.sources.iter().any(|source| source == name)
+    }
+
+    /// What has this name, so that no step can have it; `None` where nothing has.
+    pub(crate) fn taken_by(&self, name: &str) -> Option<&'static str> {
+        let is_map_table = || self.map_tables.iter().any(|table| table == name);
+        match self.is_source(name) {
+            true => Some("a source table"),
+            false => is_map_table().then_some("a table that every map has"),
+        }
     }
 
     /// The names of the operators.

@@ -229,11 +229,11 @@ fn steps_of(node: &Node, context: &StepContext<'_>, faults: &mut PlanFaults) -> 
     for entry in entries {
         let before = faults.error_count();
         check_name(&entry.key, "a step", entry.place, faults);
-        if context.around.vocabulary.is_source(&entry.key) {
+        if let Some(other) = context.around.vocabulary.taken_by(&entry.key) {
             let name = quoted(&entry.key);
             faults.error(
                 entry.place,
-                format!("a step cannot be named {name}: that is a source table"),
+                format!("a step cannot be named {name}: that is {other}"),
             );
         }
         let mut step = step::step(entry, context, faults);

@@ -244,6 +244,7 @@ fn plans(bytes: &[u8]) {
         }],
         sources: vec!["poses".to_owned()],
         open_sources: true,
+        map_tables: vec!["runs".to_owned()],
     };
     let source = Source {
         origin: "plan".to_owned(),

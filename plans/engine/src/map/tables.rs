@@ -39,8 +39,8 @@ pub struct Tables {
     tables: BTreeMap<String, OnceCell<Arc<dyn TableProvider>>>,
 }
 
-/// What a map says of itself.
-fn own() -> impl Iterator<Item = Layer> {
+/// What a map says of itself. No step makes layers of these names; one that an older evermap made is hidden behind them.
+pub(crate) fn own() -> impl Iterator<Item = Layer> {
     [
         LayerInfo::layer(),
         VersionInfo::layer(),
@@ -50,13 +50,17 @@ fn own() -> impl Iterator<Item = Layer> {
     .into_iter()
 }
 
+fn own_named(table: &str) -> Option<Layer> {
+    own().find(|layer| layer.name == table)
+}
+
 /// The declaration of a table's columns, where there is one: of the operator that made it, else by name.
 pub fn declaration(map: &Map, registry: &Registry, table: &str) -> Option<Layer> {
     let made = map.published(table).and_then(|layer| layer.op.as_deref());
     let made = made.and_then(|op| registry.get(op).ok());
     let made = made.map(|entry| entry.output.clone());
     made.or_else(|| layers::named(table))
-        .or_else(|| own().find(|layer| layer.name == table))
+        .or_else(|| own_named(table))
 }
 
 impl std::fmt::Debug for Tables {
@@ -119,9 +123,9 @@ impl Tables {
         let Some(rows) = self.table(name).await.or_fault()? else {
             return Ok(None);
         };
-        let known = match own().any(|own| own.name == name) {
-            true => None,
-            false => self.described_layer(self.layer_of(name)).await?,
+        let known = match own_named(name) {
+            Some(_) => None,
+            None => self.described_layer(self.layer_of(name)).await?,
         };
         let Some(plan) = rows.get_logical_plan() else {
             return Ok(Some(rows.schema()));
@@ -197,7 +201,8 @@ impl Tables {
     /// The columns of all layers that can be opened, and of what the map says of itself.
     async fn dictionary(&self) -> Vec<ColumnInfo> {
         let mut rows = Vec::new();
-        for (name, _) in self.map.version.published() {
+        let layers = self.map.version.published_names().into_iter();
+        for name in layers.filter(|name| own_named(name).is_none()) {
             match self.columns_of(name).await {
                 Ok(columns) => rows.extend(columns),
                 Err(fault) => tracing::warn!("layer {name} is not among the columns: {fault}"),
@@ -207,13 +212,12 @@ impl Tables {
         rows
     }
 
-    /// The columns of a published layer.
+    /// The columns of a published layer, or of a table in which the map says what it has.
     ///
     /// # Errors
     /// A user fault where there is no such layer; a data fault where it does not open.
     pub async fn columns_of(&self, layer: &str) -> std::result::Result<Vec<ColumnInfo>, Fault> {
-        let of_itself = own().find(|own| own.name == layer);
-        if let (None, Some(own)) = (self.map.published(layer), of_itself) {
+        if let Some(own) = own_named(layer) {
             return Ok(columns(own.name, &own.schema(), Some(&own)));
         }
         let described = match self.map.published(layer) {

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::sync::{Arc, Mutex};
 
-use arrow::array::RecordBatch;
+use arrow::array::{AsArray, RecordBatch};
 use arrow::datatypes::SchemaRef;
 use datafusion::common::utils::memory::get_record_batch_memory_size;
 use datafusion::error::Result as DataFusionResult;
@@ -23,6 +23,7 @@ use tokio::sync::mpsc;
 use crate::conform::conform_to;
 use crate::error::{OrFault, external};
 use crate::locked::locked;
+use crate::map::receipt::Extent;
 use crate::nodes::node::{Duty, Need, Node};
 use crate::program::python::PythonTask;
 
@@ -38,6 +39,8 @@ pub struct Python {
     pub task: PythonTask,
     /// What comes out.
     pub schema: SchemaRef,
+    /// What it is given, and its rows are of.
+    pub extent: Extent,
     /// Where what it leaves out is counted.
     pub losses: Arc<Mutex<Losses>>,
 }
@@ -155,7 +158,7 @@ impl Python {
     /// The rows that the function makes of tables, in the columns that the plan says.
     ///
     /// # Errors
-    /// What the function raises, or rows of other columns.
+    /// What the function raises, or rows of other columns, of another session or another site.
     pub fn made(&self, tables: &[Table]) -> Result<Vec<RecordBatch>, Fault> {
         let function = &self.task.function;
         let mut made = function.call(&self.task.environment, tables)?;
@@ -166,9 +169,32 @@ impl Python {
             .batches
             .push(RecordBatch::new_empty(made.rows.schema));
         let batches = made.rows.batches.iter();
-        let conformed = batches.map(|batch| conform_to(batch, &self.schema));
+        let conformed = batches.map(|batch| -> Result<RecordBatch, Fault> {
+            let rows = conform_to(batch, &self.schema)?;
+            check_extent(&rows, &self.extent)?;
+            Ok(rows)
+        });
         conformed
             .collect::<Result<_, _>>()
             .map_err(|fault| fault.at(function.label()))
     }
+}
+
+/// That rows name no other session or site than they are of: a query groups those of each by themselves.
+///
+/// # Errors
+/// A data fault with the first that does.
+fn check_extent(rows: &RecordBatch, extent: &Extent) -> Result<(), Fault> {
+    for (column, expected) in [("session", &extent.session), ("site", &extent.site)] {
+        let names = rows.column_by_name(column);
+        let names = names.and_then(|names| names.as_string_opt::<i32>());
+        if let (Some(expected), Some(names)) = (expected, names)
+            && let Some(found) = names.iter().find(|name| *name != Some(expected.as_str()))
+        {
+            let found = found.unwrap_or("null");
+            let text = format!("expected rows of {column} {expected}, found {found}");
+            return Err(Fault::data(text).at(format!("column {column}")));
+        }
+    }
+    Ok(())
 }

@@ -13,26 +13,29 @@ use evermap_language::Grain;
 use evermap_schemas::Fault;
 
 use crate::conform::beside;
+use crate::map::receipt::Extent;
 use crate::nodes::python::Python;
 use crate::program::python::PythonTask;
 
 /// The rows that a function makes of its tables, in the order of its ports.
 ///
 /// # Errors
-/// What the function raises; a user fault where it makes other rows of the same tables, or, by rows, of other batches.
+/// As [`Python::made`]; a user fault where it makes other rows of the same tables, or, by rows, of other batches.
 pub fn rows(
     task: &PythonTask,
     registry: &Registry,
     tables: &[RecordBatch],
 ) -> Result<RecordBatch, Fault> {
-    let python = Python {
+    let mut python = Python {
         task: task.clone(),
         schema: task.schema(registry)?,
+        extent: Extent::default(),
         losses: Arc::default(),
     };
-    let made = |calls: Vec<Vec<RecordBatch>>| -> Result<RecordBatch, Fault> {
+    let mut made = |calls: Vec<Vec<RecordBatch>>| -> Result<RecordBatch, Fault> {
         let mut rows = Vec::new();
         for tables in calls.into_iter().filter(|tables| has_rows(tables)) {
+            python.extent = extent(task.grain, &tables);
             let tables: Vec<Table> = tables.into_iter().map(table).collect();
             rows.extend(python.made(&tables)?);
         }
@@ -74,6 +77,19 @@ fn has_rows(tables: &[RecordBatch]) -> bool {
 fn table(rows: RecordBatch) -> Table {
     let (schema, batches) = (rows.schema(), vec![rows]);
     Table { schema, batches }
+}
+
+/// What the rows of a call are of, where its tables name only one.
+fn extent(grain: Grain, tables: &[RecordBatch]) -> Extent {
+    let only = |column: &str| {
+        let found = tables.iter().flat_map(|table| names(table, column));
+        let found: BTreeSet<String> = found.flatten().collect();
+        found.first().filter(|_| found.len() == 1).cloned()
+    };
+    Extent {
+        session: only("session").filter(|_| matches!(grain, Grain::Rows | Grain::Session)),
+        site: only("site").filter(|_| grain != Grain::Map),
+    }
 }
 
 /// What each call is given: by session or by site the rows of one, and tables that do not name them whole.

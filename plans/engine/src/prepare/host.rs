@@ -14,6 +14,7 @@ use serde_json::Value;
 
 use super::PlanText;
 use crate::error::{fault_of, place_in_query};
+use crate::map::tables::own;
 use crate::sql::tables;
 
 /// Everything plans can be written with.
@@ -37,6 +38,7 @@ pub fn vocabulary(registry: &Registry) -> Vocabulary {
             .map(ToString::to_string)
             .collect(),
         open_sources: true,
+        map_tables: own().map(|table| table.name.to_owned()).collect(),
     }
 }
 

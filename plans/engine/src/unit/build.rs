@@ -240,6 +240,7 @@ impl<'a> Builder<'a> {
         let python = Python {
             task: task.clone(),
             schema: task.schema(self.tables.registry)?,
+            extent: self.extent(),
             losses: Arc::clone(&self.skipped),
         };
         let exec = PythonExec::try_new(Arc::new(python), children);

@@ -14,11 +14,11 @@ use futures::future::BoxFuture;
 use object_store::buffered::BufWriter;
 use parquet::arrow::async_writer::AsyncFileWriter;
 use parquet::arrow::{ArrowSchemaConverter, AsyncArrowWriter};
-use parquet::basic::{Compression, ZstdLevel};
+use parquet::basic::{Compression, LogicalType, Type, ZstdLevel};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::{KeyValue, SortingColumn};
-use parquet::file::properties::WriterProperties;
-use parquet::schema::types::ColumnDescPtr;
+use parquet::file::properties::{EnabledStatistics, WriterProperties};
+use parquet::schema::types::{ColumnDescPtr, SchemaDescriptor};
 use tokio::io::AsyncWriteExt;
 
 use crate::error::OrFault;
@@ -121,19 +121,29 @@ fn properties(layer: Option<&Layer>, schema: &Schema) -> Result<WriterProperties
         note(Layer::SAID_AS, layer.name.to_owned());
         note("evermap.layer_version", layer.version.to_string());
     }
-    let sorting = layer.map(|layer| sorting(layer, schema)).transpose()?;
-    Ok(WriterProperties::builder()
+    let parquet = ArrowSchemaConverter::new().convert(schema);
+    let parquet = parquet.map_err(parquet_fault)?;
+    let properties = WriterProperties::builder()
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(1).unwrap_or_default()))
         .set_created_by("evermap".into())
         .set_key_value_metadata(Some(metadata))
-        .set_sorting_columns(sorting)
-        .build())
+        .set_sorting_columns(layer.map(|layer| sorting(layer, &parquet)));
+    let floats = parquet.columns().iter().filter(|leaf| is_float(leaf));
+    let properties = floats.fold(properties, |properties, leaf| {
+        properties.set_column_statistics_enabled(leaf.path().clone(), EnabledStatistics::None)
+    });
+    Ok(properties.build())
+}
+
+/// Whether values may be NaN. Statistics leave those out, and who reads the file takes them for all that there is: of a
+/// column whose least value is its greatest, each value would be that one.
+fn is_float(leaf: &ColumnDescPtr) -> bool {
+    let is_half = leaf.logical_type_ref() == Some(&LogicalType::Float16);
+    is_half || matches!(leaf.physical_type(), Type::FLOAT | Type::DOUBLE)
 }
 
 /// The order of a layer's rows, told so that who wants them in it need not sort them.
-fn sorting(layer: &Layer, schema: &Schema) -> Result<Vec<SortingColumn>, Fault> {
-    let parquet = ArrowSchemaConverter::new().convert(schema);
-    let parquet = parquet.map_err(parquet_fault)?;
+fn sorting(layer: &Layer, parquet: &SchemaDescriptor) -> Vec<SortingColumn> {
     let leaf = |name: &&str| {
         let is_it = |leaf: &ColumnDescPtr| leaf.path().parts() == [(*name).to_owned()];
         parquet.columns().iter().position(is_it)
@@ -145,7 +155,7 @@ fn sorting(layer: &Layer, schema: &Schema) -> Result<Vec<SortingColumn>, Fault> 
         descending: false,
         nulls_first: true,
     });
-    Ok(sorting.collect())
+    sorting.collect()
 }
 
 /// A file that is hashed as it is written.

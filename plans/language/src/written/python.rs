@@ -1,10 +1,11 @@
 //! A step that is a function in Python.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use super::step::{ports, sound_values};
 use super::{WrittenStep, is_null};
-use crate::fault::PlanFaults;
+use crate::fault::{Place, PlanFaults, Position};
 use crate::plan::{Body, Grain, PythonStep};
 use crate::suggest::{listed, one_line, quoted};
 use crate::vocabulary::Host;
@@ -67,7 +68,7 @@ fn port_names(step: &WrittenStep) -> impl Iterator<Item = &str> {
     step.inputs.iter().filter_map(|input| input.port.as_deref())
 }
 
-/// The file, the function, and the text of the file.
+/// The file, relative to the plan itself, the function, and the text of the file.
 fn file(
     python: &Entry,
     host: &dyn Host,
@@ -87,11 +88,22 @@ fn file(
         return None;
     };
     match host.code(file, faults.origin(place)) {
-        Ok(code) => Some((file.to_owned(), function.to_owned(), code)),
+        Ok(code) => Some((from_plan(file, place, faults), function.to_owned(), code)),
         Err(error) => {
             faults.error(place, one_line(&error));
             None
         }
+    }
+}
+
+/// The path of a file, which is relative to the text at a place, relative to the plan itself.
+fn from_plan(file: &str, place: Place, faults: &PlanFaults) -> String {
+    let folder = |place| Path::new(faults.origin(place)).parent();
+    let there = folder(place).unwrap_or(Path::new(""));
+    let here = folder(Place::Text(Position::start_of(0))).unwrap_or(Path::new(""));
+    match there.strip_prefix(here).unwrap_or(there) {
+        same if same == Path::new("") => file.to_owned(),
+        other => other.join(file).display().to_string(),
     }
 }
 

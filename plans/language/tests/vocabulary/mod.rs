@@ -112,6 +112,7 @@ pub fn vocabulary() -> Vocabulary {
         ],
         sources: names.map(str::to_owned).to_vec(),
         open_sources: true,
+        map_tables: vec!["columns".to_owned(), "runs".to_owned()],
     }
 }
 
