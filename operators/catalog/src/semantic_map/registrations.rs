@@ -31,7 +31,7 @@ pub struct RegistrationsParams {
 
 impl Operator for Registrations {
     const NAME: &'static str = "registrations";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const PAGE: &'static str = include_str!("registrations.md");
     type Params = RegistrationsParams;
     type Output = ViewRegistration;

@@ -28,7 +28,7 @@ pub struct ViewLinksParams {
 
 impl Operator for ViewLinks {
     const NAME: &'static str = "view_links";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: &'static str = include_str!("view_links.md");
     type Params = ViewLinksParams;
     type Output = ViewLink;

@@ -34,7 +34,8 @@ use starts::Aligned;
 pub struct Registration {
     /// The other optical frame in the reference's.
     pub reference_from_other: Pose,
-    /// Covariance of that pose along the axes of the other frame: translation (m²), then rotation (rad²).
+    /// Covariance of that pose along the axes of the other frame: translation (m²), then rotation (rad²). If the place is the
+    /// right one: it does not know of others.
     pub covariance: Matrix6<f64>,
     /// Of the reference's points with range, the share that the other sees as well.
     pub overlap: f64,
