@@ -62,7 +62,8 @@ record! {
         /// Covariance of that pose, 6×6 row by row, along the axes of the view's camera: translation (m²), then rotation
         /// (rad²); empty without range.
         covariance: Vec<f64>,
-        /// Standard deviation of the position along the axis that is known least; null without range.
+        /// Standard deviation of the position along the axis that is known least, at the right place: it does not know of
+        /// wrong ones; null without range.
         sigma_m: Option<f64> ["m"],
         /// Of the points of the map's view that have range, the share that the view sees as well.
         overlap: f64,
@@ -101,7 +102,8 @@ record! {
         /// Covariance of that pose, 6×6 row by row, along the axes of the view's camera: translation (m²), then rotation
         /// (rad²).
         covariance: Vec<f64>,
-        /// Standard deviation of the position along the axis that is known least.
+        /// Standard deviation of the position along the axis that is known least, at the right place: it does not know of
+        /// wrong ones.
         sigma_m: f64 ["m"],
     }
 }

@@ -1,6 +1,6 @@
 //! One panorama laid onto another at one size: Gauss–Newton on brightness and inverse range.
 
-use nalgebra::{Matrix6, SMatrix, SVector, Vector3, Vector6};
+use nalgebra::{SMatrix, SVector, Vector3, Vector6};
 
 use super::pyramid::Level;
 use crate::geometry::lie::se3;
@@ -8,8 +8,8 @@ use crate::geometry::pose::Pose;
 use crate::solving::least_squares::Loss;
 
 /// Six of the motion, then gain and offset of brightness.
-type Normal = SMatrix<f64, 8, 8>;
-type Unknowns = SVector<f64, 8>;
+pub(super) type Normal = SMatrix<f64, 8, 8>;
+pub(super) type Unknowns = SVector<f64, 8>;
 
 /// Of normal residuals this Geman–McClure loss loses a fifth of the precision of least squares, and one of ten standard
 /// deviations counts a six-hundredth. Huber's, which the paper has, does not do: things that moved are on one side of where
@@ -77,6 +77,17 @@ pub(super) struct Estimate {
     pub brightness: [f64; 2],
 }
 
+impl Estimate {
+    pub(super) fn moved(&self, step: &Unknowns) -> Self {
+        let motion = Vector6::from_fn(|row, _| step[row]);
+        let [gain, offset] = self.brightness;
+        Self {
+            other_from_reference: se3::exp(&motion).compose(&self.other_from_reference),
+            brightness: [gain + step[6], offset + step[7]],
+        }
+    }
+}
+
 /// A point as the other panorama sees it.
 struct Seen {
     /// In the other's optical frame (m).
@@ -103,7 +114,7 @@ pub(super) struct Fit {
     /// things are alike in many places. `None` where an image has no structure.
     pub correlation: Option<f64>,
     /// Standard deviations of most residuals: brightness, inverse range (1/m).
-    deviations: [f64; 2],
+    pub deviations: [f64; 2],
 }
 
 impl Fit {
@@ -134,7 +145,7 @@ impl<'a> Aligner<'a> {
     }
 
     /// Looks every point up.
-    fn look(&mut self, estimate: &Estimate) -> Option<Fit> {
+    pub(super) fn see(&mut self, estimate: &Estimate) {
         let (rotation, translation) = (
             estimate.other_from_reference.rotation.to_rotation_matrix(),
             estimate.other_from_reference.translation,
@@ -142,8 +153,6 @@ impl<'a> Aligner<'a> {
         let [gain, offset] = estimate.brightness;
         let [fx, fy] = self.other.lens.focal;
         self.seen.clear();
-        let least = LEAST * self.other.lens.pixel_rad();
-        let (mut told, mut right) = (0.0, 0.0);
         for point in self.points {
             let at = rotation * point.at + translation;
             let level2 = at.x * at.x + at.z * at.z;
@@ -159,36 +168,46 @@ impl<'a> Aligner<'a> {
             let up =
                 Vector3::new(-at.y * at.x / level, level, -at.y * at.z / level) * (fy / range2);
             let along = |[_, du, dv]: [f32; 3]| around * f64::from(du) + up * f64::from(dv);
-            let inverse = f64::from(sample.inverse[0]) - 1.0 / range;
-            let nearer = along(sample.inverse) + at / (range2 * range);
-            let tells = nearer.x.hypot(nearer.z);
-            told += tells;
-            right += if inverse.abs() <= SAME * least {
-                tells
-            } else {
-                0.0
-            };
             let reference_grey = f64::from(point.grey);
             self.seen.push(Seen {
                 at,
                 brighter: along(sample.grey),
-                nearer,
+                nearer: along(sample.inverse) + at / (range2 * range),
                 grey: f64::from(sample.grey[0]) - gain * reference_grey - offset,
-                inverse,
+                inverse: f64::from(sample.inverse[0]) - 1.0 / range,
                 reference_grey,
                 tile: point.tile,
             });
         }
+    }
+
+    /// What the points are like, seen so.
+    fn look(&mut self, estimate: &Estimate) -> Option<Fit> {
+        self.see(estimate);
+        let least = LEAST * self.pixel_rad();
         let deviations = [
             self.deviation(|seen| seen.grey)?.max(LEAST_GREY),
             self.deviation(|seen| seen.inverse)?.max(least),
         ];
         Some(Fit {
             overlap: self.seen.len() as f64 / self.points.len().max(1) as f64,
-            inliers: right / told.max(f64::MIN_POSITIVE),
-            correlation: self.correlation([gain, offset]),
+            inliers: self.inliers(SAME * least),
+            correlation: self.correlation(estimate.brightness),
             deviations,
         })
+    }
+
+    /// Of what the points tell of the place, the share whose inverse range is off by no more than this (1/m).
+    fn inliers(&self, most: f64) -> f64 {
+        let (mut told, mut right) = (0.0, 0.0);
+        for seen in &self.seen {
+            let tells = seen.nearer.x.hypot(seen.nearer.z);
+            told += tells;
+            if seen.inverse.abs() <= most {
+                right += tells;
+            }
+        }
+        right / told.max(f64::MIN_POSITIVE)
     }
 
     /// Correlation of brightness within the tiles of the reference; `None` where one of the two has no structure there.
@@ -256,7 +275,7 @@ impl<'a> Aligner<'a> {
         ]
     }
 
-    fn normal(&self, deviations: [f64; 2]) -> (Normal, Unknowns) {
+    pub(super) fn normal(&self, deviations: [f64; 2]) -> (Normal, Unknowns) {
         let (mut normal, mut right) = (Normal::zeros(), Unknowns::zeros());
         for seen in &self.seen {
             for (row, residual, weight) in self.rows(seen, deviations) {
@@ -272,17 +291,13 @@ impl<'a> Aligner<'a> {
     /// too little is seen.
     pub fn align(&mut self, mut estimate: Estimate, steps: usize) -> Option<(Estimate, Fit, bool)> {
         // A tenth of a pixel at 1 m.
-        let still = 0.1 * self.other.lens.pixel_rad();
+        let still = 0.1 * self.pixel_rad();
         for _ in 0..steps {
             let fit = self.look(&estimate)?;
             let (normal, right) = self.normal(fit.deviations);
             let step = solved(normal, &right)?;
-            let motion = Vector6::from_fn(|row, _| step[row]);
-            let moved = se3::exp(&motion);
-            estimate.other_from_reference = moved.compose(&estimate.other_from_reference);
-            estimate.brightness[0] += step[6];
-            estimate.brightness[1] += step[7];
-            let (rho, phi) = se3::split(&motion);
+            estimate = estimate.moved(&step);
+            let (rho, phi) = (step.fixed_rows::<3>(0), step.fixed_rows::<3>(3));
             if rho.norm() < still && phi.norm() < 0.1 * still {
                 let fit = self.look(&estimate)?;
                 return Some((estimate, fit, true));
@@ -292,31 +307,36 @@ impl<'a> Aligner<'a> {
         Some((estimate, fit, false))
     }
 
-    /// The covariance of `reference_from_other` along the axes of the other (m, rad), at an estimate where it was just
-    /// aligned. Residuals hang together within tiles of the image, as they are of the same things: what tiles say apart is
-    /// what is independent (the "sandwich" of White 1980 and Liang & Zeger 1986).
-    pub fn covariance(&self, fit: &Fit) -> Option<Matrix6<f64>> {
-        let (normal, _) = self.normal(fit.deviations);
-        let mut of_tile = vec![Unknowns::zeros(); TILES * TILES];
+    /// What each tile of the image pulls the estimate with; together, the derivative of the loss.
+    pub(super) fn pulls(&self, deviations: [f64; 2]) -> Vec<Unknowns> {
+        let mut pulls = vec![Unknowns::zeros(); TILES * TILES];
         for seen in &self.seen {
-            for (row, residual, weight) in self.rows(seen, fit.deviations) {
-                of_tile[usize::from(seen.tile)] += row * (weight * residual);
+            for (row, residual, weight) in self.rows(seen, deviations) {
+                pulls[usize::from(seen.tile)] += row * (weight * residual);
             }
         }
-        let mut scatter = Normal::zeros();
-        for sum in &of_tile {
-            scatter.ger(1.0, sum, sum, 1.0);
+        pulls
+    }
+
+    /// What all points would pull with if each inverse range were too large by this share of itself.
+    pub(super) fn pull_of_range(&self, deviations: [f64; 2], share: f64) -> Unknowns {
+        let mut pull = Unknowns::zeros();
+        for seen in &self.seen {
+            let [_, (row, _, weight)] = self.rows(seen, deviations);
+            pull += row * (weight * share / seen.at.norm());
         }
-        let bread = inverse(normal)?;
-        let all = bread * scatter * bread;
-        let covariance = all.fixed_view::<6, 6>(0, 0).into_owned();
-        Some((covariance + covariance.transpose()) * 0.5)
+        pull
+    }
+
+    /// The angle between neighbouring pixels of the other (rad).
+    pub(super) fn pixel_rad(&self) -> f64 {
+        self.other.lens.pixel_rad()
     }
 }
 
 /// Units apart by orders of magnitude: scaled to ones on the diagonal first. A brightness without any structure leaves gain
 /// and offset undetermined; a millionth keeps them.
-fn scaled(normal: &Normal) -> Option<(Normal, Unknowns)> {
+pub(super) fn scaled(normal: &Normal) -> Option<(Normal, Unknowns)> {
     let scale = Unknowns::from_fn(|row, _| {
         let diagonal = normal[(row, row)];
         if diagonal > 0.0 {
@@ -339,12 +359,4 @@ fn solved(normal: Normal, right: &Unknowns) -> Option<Unknowns> {
     let (ones, scale) = scaled(&normal)?;
     let step = ones.cholesky()?.solve(&right.component_mul(&scale));
     Some(step.component_mul(&scale))
-}
-
-fn inverse(normal: Normal) -> Option<Normal> {
-    let (ones, scale) = scaled(&normal)?;
-    let inverse = ones.cholesky()?.inverse();
-    Some(Normal::from_fn(|row, column| {
-        inverse[(row, column)] * scale[row] * scale[column]
-    }))
 }

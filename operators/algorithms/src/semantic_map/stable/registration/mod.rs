@@ -10,14 +10,15 @@
 //! offset, is asked too: years apart, shadows lie elsewhere, and textures fit anywhere once in a pixel's width. Which of
 //! several places is the right one, brightness tells at every size, by its correlation within tiles of the image. How far
 //! residuals scatter is measured at every step, so that what is unreliable counts less; the loss is not Huber's but one
-//! that lets go of what moved; the covariance takes into account that neighbouring residuals are of one thing; and a
-//! registration says that it failed. What is known to move should have its range taken out: a car parked beside one of the
+//! that lets go of what moved; the covariance takes into account that neighbouring residuals are of one thing, and how much
+//! flatter the loss is than derivatives of images say; and a registration says that it failed. What is known to move should have its range taken out: a car parked beside one of the
 //! two views fills a quarter of it.
 
 mod alignment;
 mod options;
 mod pyramid;
 mod starts;
+mod uncertainty;
 
 use nalgebra::Matrix6;
 
@@ -33,7 +34,8 @@ use starts::Aligned;
 pub struct Registration {
     /// The other optical frame in the reference's.
     pub reference_from_other: Pose,
-    /// Covariance of that pose along the axes of the other frame: translation (m²), then rotation (rad²).
+    /// Covariance of that pose along the axes of the other frame: translation (m²), then rotation (rad²). If the place is the
+    /// right one: it does not know of others.
     pub covariance: Matrix6<f64>,
     /// Of the reference's points with range, the share that the other sees as well.
     pub overlap: f64,
@@ -146,7 +148,8 @@ pub fn register(
             // How well the best other place fits, as a share of how well this one does.
             let runner_up = second / best.share().max(f64::MIN_POSITIVE);
             let (estimate, fit, rests) = aligner.align(*estimate, 1)?;
-            last = Some((estimate, fit, runner_up, rests, aligner.covariance(&fit)?));
+            let covariance = aligner.covariance(&estimate, &fit)?;
+            last = Some((estimate, fit, runner_up, rests, covariance));
         }
     }
     let (estimate, fit, runner_up, rests, covariance) = last?;
