@@ -7,7 +7,7 @@ The first argument is a folder with `worlds/street_small` and `data/camvid`.
 
 Both are given the same image, the same costs and the same kernels, and each one core; the least processor time of
 several runs in turns counts, lattices included. Energies are the reference's own: its divergence of both results, and of both labellings.
-Goals: divergence and energy at most the reference's, 99 % of labels equal, 3 times as fast.
+Goals: divergence and energy at most the reference's, 99 % of labels equal, 4 times as fast.
 """
 
 import argparse
@@ -144,7 +144,7 @@ def row(name, program, image, labels, repeat):
     cells += [f"{100 * equal:.3f} %", f"{divergences[0]:.8g}", f"{divergences[1]:.8g}", f"{excess[0]:+.1e}"]
     cells += [f"{energies[0]:.8g}", f"{energies[1]:.8g}", f"{excess[1]:+.1e}"]
     # Single precision: the reference's own sums are not better than that.
-    return "| " + " | ".join(cells) + " |", equal >= 0.99 and ratio >= 3.0 and max(excess) <= 1e-6
+    return "| " + " | ".join(cells) + " |", equal >= 0.99 and ratio >= 4.0 and max(excess) <= 1e-6
 
 
 def main():
@@ -163,7 +163,7 @@ def main():
         line, good = row(name, program, *work(given.shared), given.repeat)
         print(line, flush=True)
         met &= good
-    print(f"goals (energies ≤ 1×, labels ≥ 99 %, time ≤ 1/3) {'met' if met else 'NOT met'}", file=sys.stderr)
+    print(f"goals (energies ≤ 1×, labels ≥ 99 %, time ≤ 1/4) {'met' if met else 'NOT met'}", file=sys.stderr)
 
 
 if __name__ == "__main__":
