@@ -29,7 +29,7 @@ use tokio::time::Instant;
 
 use crate::digest::digest_of;
 use crate::map::receipt::LogContent;
-use crate::map::store::{Store, each};
+use crate::map::store::{SIDE_BY_SIDE, Store, each};
 
 /// How long a file must have rested for its times to be trusted.
 const REST: TimeDelta = TimeDelta::seconds(2);
@@ -220,9 +220,6 @@ pub async fn open_mapped(
 
 /// Hears, now and then while logs are read, which share of their bytes is, from 0 to 1.
 pub type Told<'a> = &'a mut (dyn FnMut(f64) + Send);
-
-/// Logs that are read side by side: few, so that the first of many are soon read to their ends and remembered.
-const SIDE_BY_SIDE: usize = 4;
 
 /// How often is told how far reading is.
 const TOLD_EVERY: Duration = Duration::from_secs(1);
