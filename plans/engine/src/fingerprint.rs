@@ -21,7 +21,6 @@ use evermap_datasets::log::index::LogIndex;
 use evermap_datasets::manifest::unwritten;
 use evermap_datasets::{Dataset, LogFile, LogPart, Manifest, Recordings, Session};
 use evermap_schemas::Fault;
-use futures::{StreamExt, TryStreamExt};
 use object_store::path::Path as ObjectPath;
 use object_store::{ObjectMeta, ObjectStoreExt};
 use serde::{Deserialize, Serialize};
@@ -29,7 +28,7 @@ use tokio::time::Instant;
 
 use crate::digest::digest_of;
 use crate::map::receipt::LogContent;
-use crate::map::store::{SIDE_BY_SIDE, Store, each};
+use crate::map::store::{Store, each};
 
 /// How long a file must have rested for its times to be trusted.
 const REST: TimeDelta = TimeDelta::seconds(2);
@@ -238,11 +237,7 @@ pub async fn read(
 ) -> Result<Vec<String>, Fault> {
     let (bytes, kept_in) = (AtomicU64::new(0), told.is_some().then_some(store));
     let asked = sessions.iter();
-    let asked = asked.map(|session| content(kept_in, remembered, session, &bytes));
-    // They are made before any is waited for, as in `each`.
-    let asked: Vec<_> = asked.collect();
-    let reading = futures::stream::iter(asked).buffered(SIDE_BY_SIDE);
-    let reading = reading.try_collect::<Vec<String>>();
+    let reading = each(asked.map(|session| content(kept_in, remembered, session, &bytes)));
     let Some(told) = told else {
         return reading.await;
     };

@@ -13,7 +13,7 @@ use evermap_datasets::{Dataset, Manifest, Reason, Recordings};
 use evermap_language::{Plan, PlanFaults, Source};
 use evermap_schemas::Fault;
 
-use self::given::{Given, coming};
+use self::given::{coming, joining};
 use self::host::Surroundings;
 pub use self::host::vocabulary;
 use self::manifest::beside;
@@ -236,9 +236,7 @@ impl Prepared {
         vehicles.agree(&given)?;
         let program = compiled(&parsed, registry, &given).await?;
         let mut by_name = mapped_sessions(base.as_ref());
-        let sessions = given.sessions.iter();
-        let joining = sessions.map(|session| Given::of(session, manifest, &by_name));
-        let joining: Vec<Given> = joining.collect();
+        let joining = joining(&given.sessions, manifest, &by_name);
         let players = Players::of(&given, coming(&joining, &by_name));
         let sites = players.sites();
         let needs = Needs::of_program(&program, registry, &sites);

@@ -172,13 +172,7 @@ mod tests {
     async fn records_of_runs_go_with_the_versions_they_ended_at() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
-        for number in 1..=3 {
-            let version = Version {
-                version: number,
-                ..Version::default()
-            };
-            assert!(version.publish(&store).await.unwrap());
-        }
+        Version::publish_empty(&store, 3).await;
         let records = ["000001-a", "000002-b", "000003-c", "000004-d", "mine"];
         for record in records.map(|record| format!("{RUNS}/{record}.parquet")) {
             store.write(&record, vec![7]).await.unwrap();
@@ -194,13 +188,7 @@ mod tests {
     async fn a_gc_that_was_suspended_takes_nothing_more() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
-        for number in 1..=2 {
-            let version = Version {
-                version: number,
-                ..Version::default()
-            };
-            assert!(version.publish(&store).await.unwrap());
-        }
+        Version::publish_empty(&store, 2).await;
         let left_over = Artifact::name_of("left_over");
         store.write(&left_over, vec![7]).await.unwrap();
         let lease = Lease::of_gc(&store).await.unwrap();

@@ -316,7 +316,7 @@ fn names(folder: &str, objects: Vec<ObjectMeta>) -> Vec<(String, u64)> {
 }
 
 /// Files of a map, or logs, that are asked for or read side by side: a store of objects answers late.
-pub const SIDE_BY_SIDE: usize = 16;
+const SIDE_BY_SIDE: usize = 16;
 
 /// Asks a store for many things, some at a time; the answers in order.
 ///

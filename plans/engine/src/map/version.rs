@@ -252,6 +252,20 @@ impl Version {
 }
 
 #[cfg(test)]
+impl Version {
+    /// Publishes so many versions without layers.
+    pub(super) async fn publish_empty(store: &Store, many: u64) {
+        for version in 1..=many {
+            let version = Self {
+                version,
+                ..Self::default()
+            };
+            assert!(matches!(version.publish(store).await, Ok(true)));
+        }
+    }
+}
+
+#[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use std::time::Duration;
@@ -262,13 +276,7 @@ mod tests {
     async fn another_spelling_of_a_number_is_no_version() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path().to_str().unwrap(), true).unwrap();
-        for number in 1..=3 {
-            let version = Version {
-                version: number,
-                ..Version::default()
-            };
-            assert!(version.publish(&store).await.unwrap());
-        }
+        Version::publish_empty(&store, 3).await;
         let third = store.read("versions/3.json").await.unwrap().unwrap();
         for other in ["03", "+3", "4.old", "-1"] {
             let name = format!("versions/{other}.json");

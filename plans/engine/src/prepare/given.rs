@@ -18,26 +18,28 @@ pub struct Given {
     manifest: Manifest,
 }
 
-impl Given {
-    /// A session, which `manifest` may say the site of, beside those that the map has.
-    pub fn of(
-        session: &Session,
-        manifest: Option<&Manifest>,
-        mapped: &BTreeMap<String, MappedSession>,
-    ) -> Self {
-        let sited = manifest.is_some_and(|manifest| {
-            let mut named = manifest.sessions.iter();
-            let sited = named.any(|named| named.name == *session.name && named.site.is_some());
-            manifest.site.is_some() || sited
-        });
-        let site = site_of(session, sited, mapped);
-        Self {
+/// Sessions that a run is given, which `manifest` may say the sites of, beside those that the map has.
+pub fn joining(
+    sessions: &[Session],
+    manifest: Option<&Manifest>,
+    mapped: &BTreeMap<String, MappedSession>,
+) -> Vec<Given> {
+    let named = manifest.into_iter().flat_map(|manifest| &manifest.sessions);
+    let named = named.filter(|named| named.site.is_some());
+    let sited: BTreeSet<&str> = named.map(|named| named.name.as_str()).collect();
+    let all = manifest.is_some_and(|manifest| manifest.site.is_some());
+    let given = |session: &Session| {
+        let site = site_of(session, all || sited.contains(&*session.name), mapped);
+        Given {
             name: session.name.to_string(),
             manifest: manifest_of(session, &site),
             site,
         }
-    }
+    };
+    sessions.iter().map(given).collect()
+}
 
+impl Given {
     /// Joins the sessions that the map has, in the place of one of its name. Gives that one, where it was of another log.
     ///
     /// # Errors
