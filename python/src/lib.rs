@@ -15,7 +15,7 @@ use std::time::Duration;
 
 use evermap::commands::sql::Tables;
 use evermap::ending::{Failure, Lost};
-use evermap_engine::sql::{Limits, STACK_BYTES};
+use evermap_engine::sql::{Limits, STACK_BYTES, Term};
 use evermap_schemas::Fault;
 use pyo3::create_exception;
 use pyo3::exceptions::PyException;
@@ -182,13 +182,17 @@ where
     E: Into<Failure> + Send + 'static,
 {
     let runtime = runtime()?;
-    let mut task = runtime.spawn(work);
+    let term = Term::default();
+    let mut task = runtime.spawn(term.of(work));
     loop {
         let ended = async { tokio::time::timeout(LOOK, &mut task).await };
         match py.detach(|| runtime.block_on(ended)) {
             Ok(Ok(done)) => return done.map_err(|failure| raised(failure.into())),
             Ok(Err(panic)) => return Err(EvermapError::new_err(format!("bug: {panic}"))),
-            Err(_) => py.check_signals().inspect_err(|_| task.abort())?,
+            Err(_) => py.check_signals().inspect_err(|_| {
+                term.end();
+                task.abort();
+            })?,
         }
     }
 }

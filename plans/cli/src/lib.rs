@@ -54,6 +54,7 @@ use std::time::Duration;
 
 use clap::Parser;
 use evermap_contract::Entry;
+use evermap_engine::sql::Term;
 use evermap_schemas::Fault;
 
 use crate::arguments::{Arguments, Command};
@@ -103,14 +104,16 @@ async fn until_interrupted(command: Command) -> Ending {
     let command = Arc::new(command);
     let own_interrupts = matches!(&*command, Command::Sql(args) if is_prompt(args));
     let (unfinished, mut all_finished) = tokio::sync::mpsc::channel::<Infallible>(1);
-    let mut work = tokio::spawn({
+    let term = Term::default();
+    let mut work = tokio::spawn(term.of({
         let command = Arc::clone(&command);
         async move { commands::dispatch(&command, &unfinished).await }
-    });
+    }));
     tokio::select! {
         // A library may hear the same signal and end the work: it was stopped, and has not ended by itself.
         biased;
         () = stopped(), if !own_interrupts => {
+            term.end();
             work.abort();
             // Temporary files go when the work is dropped; a kernel that is busy is not waited for.
             let ended = tokio::time::timeout(Duration::from_secs(1), work).await;

@@ -9,6 +9,7 @@ use arrow::datatypes::SchemaRef;
 use datafusion::common::TableReference;
 use datafusion::common::utils::quote_identifier;
 use evermap_engine::error::OrFault;
+use evermap_engine::sql::Term;
 use evermap_schemas::{Fault, record};
 use reedline::{
     FileBackedHistory, Prompt, PromptEditMode, PromptHistorySearch, Reedline, Signal,
@@ -177,11 +178,13 @@ pub async fn run(tables: &Arc<Tables>, format: Format) -> Result<(), Failure> {
 
 /// Answers one input; Ctrl-C stops a query and comes back to the prompt, also while the query is being planned.
 async fn answer(tables: &Arc<Tables>, text: String, format: Format) {
-    let tables = Arc::clone(tables);
-    let mut asked = tokio::spawn(async move { respond(&tables, Input::of(&text), format).await });
+    let (tables, term) = (Arc::clone(tables), Term::default());
+    let answered = async move { respond(&tables, Input::of(&text), format).await };
+    let mut asked = tokio::spawn(term.of(answered));
     let ending = tokio::select! {
         ending = &mut asked => ending.unwrap_or_else(|error| Err(panicked(&error))),
         _ = tokio::signal::ctrl_c() => {
+            term.end();
             asked.abort();
             line("stopped");
             return;

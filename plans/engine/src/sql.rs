@@ -14,6 +14,7 @@ mod named;
 mod overflow;
 mod pool;
 mod size;
+mod term;
 mod widths;
 mod written;
 
@@ -54,6 +55,7 @@ use crate::sql::written::Written;
 
 pub use missing::{NO_TABLE, Unlisted, explained, no_table, table_of};
 pub use size::{QUERY_WORDS, STACK_BYTES, check_size};
+pub use term::Term;
 
 /// What an engine process may use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

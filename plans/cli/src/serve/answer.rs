@@ -1,13 +1,14 @@
 //! Answers to queries, within bounds.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use arrow::array::RecordBatch;
 use arrow::datatypes::SchemaRef;
 use datafusion::common::runtime::SpawnedTask;
 use evermap_engine::error::{OrFault, fault_of};
-use evermap_engine::sql::read_only;
+use evermap_engine::sql::{Term, read_only};
 use evermap_schemas::Fault;
 use futures::future::ready;
 use futures::stream::{self, BoxStream};
@@ -32,6 +33,10 @@ pub struct Bounds {
 pub struct Turn {
     deadline: Instant,
     timeout: Duration,
+    /// Of what computes for it: until the deadline, or until nobody reads its answers any more.
+    term: Term,
+    /// Answers that somebody reads.
+    read: Arc<AtomicUsize>,
     rows: u64,
     _place: OwnedSemaphorePermit,
 }
@@ -49,6 +54,8 @@ impl Bounds {
         Ok(Arc::new(Turn {
             deadline,
             timeout: self.timeout,
+            term: Term::until(deadline.into_std(), too_long(self.timeout)),
+            read: Arc::default(),
             rows: self.rows,
             _place: place,
         }))
@@ -61,13 +68,8 @@ impl Turn {
     /// # Errors
     /// What it says, or a resource fault when the time is over.
     pub async fn within<T>(&self, work: impl Future<Output = T>) -> Result<T, Fault> {
-        let done = timeout_at(self.deadline, work).await;
-        done.map_err(|_| self.too_long())
-    }
-
-    fn too_long(&self) -> Fault {
-        Fault::resource(format!("the query took longer than {:?}", self.timeout))
-            .next("ask for less, or start the server with a larger --timeout-s")
+        let done = timeout_at(self.deadline, self.term.of(work)).await;
+        done.map_err(|_| too_long(self.timeout))
     }
 
     fn too_many(&self) -> Fault {
@@ -77,7 +79,7 @@ impl Turn {
 
     /// Items of an answer, until time or rows are used up, which is an error in the stream: so many `at_once` as are ready.
     /// `rows` counts an item's, `error` says a fault as the stream does. Time goes on, and the place is left, whether
-    /// somebody reads or not.
+    /// somebody reads or not; when all answers of a turn are dropped, what computes for them ends.
     pub fn bounded<T, E>(
         self: Arc<Self>,
         items: impl Stream<Item = Result<T, E>> + Send + 'static,
@@ -92,7 +94,8 @@ impl Turn {
         let (send, given) = mpsc::channel(1);
         let (end, ended) = oneshot::channel();
         let items = items.ready_chunks(at_once).boxed();
-        let (last, late) = (self.deadline + GRACE, self.too_long());
+        let (last, late) = (self.deadline + GRACE, too_long(self.timeout));
+        let reader = Reader::of(&self);
         tokio::spawn(async move {
             let done = self.hand_on(items, rows, &send).await;
             // The place is free before the reader learns that this is the end.
@@ -102,15 +105,15 @@ impl Turn {
                 let _ = end.send(error(fault));
             }
         });
-        let next = move |given: Option<(Given<T, E>, Fault)>| async move {
-            let (mut given, late) = given?;
+        let next = move |given: Option<(Given<T, E>, Reader, Fault)>| async move {
+            let (mut given, reader, late) = given?;
             match timeout_at(last, given.recv()).await {
-                Ok(items) => Some((items?, Some((given, late)))),
-                // A computation without a pause does not hear that its time is over.
+                Ok(items) => Some((items?, Some((given, reader, late)))),
+                // A computation hears late that its time is over, or not at all.
                 Err(_) => Some((vec![Err(error(late))], None)),
             }
         };
-        let items = stream::unfold(Some((given, late)), next).flat_map(stream::iter);
+        let items = stream::unfold(Some((given, reader, late)), next).flat_map(stream::iter);
         let end = stream::once(ended).filter_map(|end| ready(end.ok().map(Err)));
         items.chain(end).boxed()
     }
@@ -143,6 +146,35 @@ impl Turn {
     }
 }
 
+fn too_long(timeout: Duration) -> Fault {
+    Fault::resource(format!("the query took longer than {timeout:?}"))
+        .next("ask for less, or start the server with a larger --timeout-s")
+}
+
+/// Somebody who reads an answer of a turn. With the last one goes what computes for it.
+struct Reader {
+    term: Term,
+    read: Arc<AtomicUsize>,
+}
+
+impl Reader {
+    fn of(turn: &Turn) -> Self {
+        turn.read.fetch_add(1, Ordering::AcqRel);
+        Self {
+            term: turn.term.clone(),
+            read: Arc::clone(&turn.read),
+        }
+    }
+}
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        if self.read.fetch_sub(1, Ordering::AcqRel) == 1 {
+            self.term.end();
+        }
+    }
+}
+
 /// How long who reads waits beyond the deadline for a query that ends by itself, and says why.
 const GRACE: Duration = Duration::from_secs(1);
 
@@ -165,12 +197,15 @@ pub async fn answer(opened: &Opened, query: &str, bounds: &Bounds) -> Result<Ans
     let turn = bounds.turn().await?;
     let (context, query) = (opened.context.clone(), query.to_owned());
     // On a thread that can be left behind: what is planned, and folded meanwhile, may compute for long without a pause.
-    let planned = SpawnedTask::spawn(async move {
-        let frame = read_only(&context, &query).await?;
-        frame.execute_stream().await.or_fault()
-    });
+    let planned = async move {
+        let task = SpawnedTask::spawn(async move {
+            let frame = read_only(&context, &query).await?;
+            frame.execute_stream().await.or_fault()
+        });
+        task.join().await
+    };
     let ended = |error| Fault::bug(format!("planning ended: {error}"));
-    let stream = turn.within(planned.join()).await?.map_err(ended)??;
+    let stream = turn.within(planned).await?.map_err(ended)??;
     let schema = stream.schema();
     let rows = stream.map(|batch| batch.map_err(|error| fault_of(&error)));
     Ok(Answer {
@@ -182,6 +217,8 @@ pub async fn answer(opened: &Opened, query: &str, bounds: &Bounds) -> Result<Ans
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use evermap_engine::sql::{Limits, context};
+
     use super::*;
 
     fn bounds(timeout: Duration, rows: u64) -> Bounds {
@@ -227,6 +264,27 @@ mod tests {
             found.len() < 50 && fault.contains("longer than 20ms"),
             "{fault}"
         );
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn what_computes_for_answers_ends_when_nobody_reads_the_last_of_them() {
+        let bounds = bounds(Duration::from_secs(10_000), 10);
+        let turn = bounds.turn().await.unwrap();
+        let context = context(Limits::one_partition()).unwrap();
+        // One batch, of which nobody sees the end.
+        let slow = "SELECT max(levenshtein(repeat(CAST(value % 10 AS TEXT), 4000), repeat(CAST(value % 7 AS TEXT), 4000))) FROM generate_series(1, 8192)";
+        let slow = read_only(&context, slow).await.unwrap();
+        let slow = slow.execute_stream().await.unwrap();
+        let slow = slow.map(|batch| batch.map_err(|error| fault_of(&error)));
+        let numbers = futures::stream::iter((0..5).map(Ok::<usize, Fault>));
+        let quick = Arc::clone(&turn).bounded(numbers, 1, |_| 1, |fault| fault);
+        let slow = turn.bounded(slow, 1, RecordBatch::num_rows, |fault| fault);
+        assert_eq!(quick.count().await, 5);
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        assert_eq!(bounds.queries.available_permits(), 0);
+        drop(slow);
+        let next = tokio::time::timeout(Duration::from_secs(60), bounds.queries.acquire()).await;
+        assert!(next.unwrap().is_ok());
     }
 
     #[tokio::test]

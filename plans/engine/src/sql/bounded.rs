@@ -1,13 +1,19 @@
 //! Functions whose answer may be larger than the memory: as an argument says, `repeat('a', 2000000000)`, or as each takes the
 //! answer of another, `x || x` thirty times. DataFusion makes it at once and beside the memory pool, so here every function
 //! is asked first what it is given, and what it would make of it.
+//!
+//! And functions that take longer than anybody waits: `levenshtein` of two texts of a megabyte. DataFusion computes a batch
+//! in one piece, and nobody takes the thread away from it. So what one row would take is asked first, too, and a batch is
+//! computed in slices that take a moment, between which it is asked whether the query has ended.
 
+mod effort;
 mod growth;
 mod joined;
 
+use std::ops::Range;
 use std::sync::Arc;
 
-use arrow::array::Array;
+use arrow::array::{Array, ArrayRef};
 use arrow::compute::concat;
 use arrow::datatypes::{DataType, FieldRef};
 use datafusion::common::config::ConfigOptions;
@@ -28,8 +34,10 @@ use datafusion::logical_expr::{
 use datafusion::prelude::SessionContext;
 
 use crate::nodes::weight::bytes;
+use crate::sql::bounded::effort::Effort;
 use crate::sql::bounded::growth::{GROWING, Growth, given};
 use crate::sql::bounded::joined::TextsJoined;
+use crate::sql::term::go_on;
 
 /// Memory for each row of a batch: operators hold many batches, and a sort merges dozens of them, so that rows of a few
 /// kilobytes fit.
@@ -61,7 +69,7 @@ const PASSED: [&str; 7] = [
 /// Centroids of a digest at most: each is allocated before there is a value.
 const CENTROIDS: i64 = 10_000;
 
-/// Has the functions of a context refuse what is larger than its memory.
+/// Has the functions of a context refuse what is larger than its memory or takes too long, and end with their query.
 ///
 /// # Errors
 /// When a function cannot be registered.
@@ -95,6 +103,7 @@ fn bounded(inner: &Arc<ScalarUDF>, memory_bytes: usize) -> Option<ScalarUDF> {
         ScalarUDF::new_from_impl(Bounded {
             inner: Arc::clone(inner),
             growth: Growth::of(inner.name()),
+            effort: Effort::of(inner.name()),
             memory_bytes,
         })
     })
@@ -154,11 +163,12 @@ fn check_digest(call: &AggregateFunction) -> Result<()> {
     Ok(())
 }
 
-/// A function that is asked what its answer takes before it makes it.
+/// A function that is asked what its answer takes before it makes it, and makes it as long as somebody waits.
 #[derive(Debug, PartialEq, Eq, Hash)]
 struct Bounded {
     inner: Arc<ScalarUDF>,
     growth: Growth,
+    effort: Effort,
     memory_bytes: usize,
 }
 
@@ -179,26 +189,34 @@ impl Bounded {
     fn answer(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
         let bytes = self.growth.answer(&args.args, args.number_rows)?;
         match bytes.filter(|bytes| *bytes > self.most() as f64) {
-            None => self.inner.invoke_with_args(args),
+            None => self.in_time(args),
             Some(_) if self.growth.is_vague() && has_rows(&args) => self.in_halves(args),
             Some(bytes) => Err(self.too_large(bytes)),
         }
     }
 
+    /// The answer, of a moment's rows at a time, unless the query ends meanwhile.
+    fn in_time(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
+        let rows = if varies(&args) { args.number_rows } else { 1 };
+        let slices = self.effort.slices(self.name(), &args.args, rows)?;
+        if slices.len() > 1 {
+            let parts = parts(&args, slices, |part| self.inner.invoke_with_args(part))?;
+            return whole(&parts);
+        }
+        go_on()?;
+        self.inner.invoke_with_args(args)
+    }
+
     /// The answer of the first half of rows, and that of the second behind it.
     fn in_halves(&self, args: ScalarFunctionArgs) -> Result<ColumnarValue> {
         let half = args.number_rows / 2;
-        let mut parts = Vec::new();
-        for (from, rows) in [(0, half), (half, args.number_rows - half)] {
-            let part = self.answer(rows_of(&args, from, rows))?;
-            parts.push(part.into_array(rows)?);
-        }
+        let halves = [0..half, half..args.number_rows];
+        let parts = parts(&args, halves, |part| self.answer(part))?;
         let found: f64 = parts.iter().map(|part| bytes(part) as f64).sum();
         if found > self.most() as f64 {
             return Err(self.too_large(found));
         }
-        let parts: Vec<&dyn Array> = parts.iter().map(|part| &**part).collect();
-        Ok(ColumnarValue::Array(concat(&parts)?))
+        whole(&parts)
     }
 
     /// Bytes of an answer at most.
@@ -214,10 +232,35 @@ impl Bounded {
     }
 }
 
+/// Whether an argument of a call has a value for each row.
+fn varies(args: &ScalarFunctionArgs) -> bool {
+    let varies = |arg: &ColumnarValue| matches!(arg, ColumnarValue::Array(_));
+    args.args.iter().any(varies)
+}
+
 /// Whether the rows of a call can be taken apart.
 fn has_rows(args: &ScalarFunctionArgs) -> bool {
-    let varies = |arg: &ColumnarValue| matches!(arg, ColumnarValue::Array(_));
-    args.number_rows > 1 && args.args.iter().any(varies)
+    args.number_rows > 1 && varies(args)
+}
+
+/// The answers to parts of a call, until the query ends.
+fn parts(
+    args: &ScalarFunctionArgs,
+    parts: impl IntoIterator<Item = Range<usize>>,
+    answer: impl Fn(ScalarFunctionArgs) -> Result<ColumnarValue>,
+) -> Result<Vec<ArrayRef>> {
+    let part = |part: Range<usize>| {
+        go_on()?;
+        let rows = part.len();
+        answer(rows_of(args, part.start, rows))?.into_array(rows)
+    };
+    parts.into_iter().map(part).collect()
+}
+
+/// The parts of an answer one behind the other.
+fn whole(parts: &[ArrayRef]) -> Result<ColumnarValue> {
+    let parts: Vec<&dyn Array> = parts.iter().map(|part| &**part).collect();
+    Ok(ColumnarValue::Array(concat(&parts)?))
 }
 
 /// Some rows of a call.

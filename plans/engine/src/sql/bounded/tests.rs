@@ -1,8 +1,11 @@
 #![allow(clippy::unwrap_used)]
+use std::time::{Duration, Instant};
+
 use arrow::util::display::array_value_to_string;
+use evermap_schemas::Fault;
 
 use crate::error::OrFault;
-use crate::sql::{Limits, context, read_only};
+use crate::sql::{Limits, Term, context, read_only};
 
 #[tokio::test]
 async fn what_an_argument_makes_larger_than_memory_is_refused_and_the_rest_is_as_it_was() {
@@ -153,4 +156,110 @@ async fn operators_are_what_they_were() {
         array_value_to_string(answer[0].column(0), 0).unwrap(),
         "200"
     );
+}
+
+#[tokio::test]
+async fn what_one_row_alone_takes_too_long_for_is_refused_before_it_is_begun() {
+    let context = context(Limits::one_partition()).unwrap();
+    let line = "st_geomfromtext('LINESTRING(' || repeat('0 0, ', 60000) || '1 ' || n || ')')";
+    for (call, says) in [
+        (
+            "levenshtein(repeat('a', 200000), repeat('b', 200000))".to_owned(),
+            "levenshtein would take 40000000000 steps for one row, of 200000 and 200000 bytes; the limit is 10000000000",
+        ),
+        (
+            "trim(BOTH repeat('b', 199999) || n FROM repeat('a', 200000))".to_owned(),
+            "btrim would take",
+        ),
+        (
+            "strpos(repeat('a', 1000000) || n, repeat('a', 500000) || 'b')".to_owned(),
+            "strpos would take",
+        ),
+        (
+            "array_has_all(range(0, 100000 + n), range(0, 100000))".to_owned(),
+            "array_has_all would take",
+        ),
+        (format!("st_distance({line}, {line})"), "cut the geometries"),
+    ] {
+        let query = format!("SELECT {call} FROM (VALUES (1)) t (n)");
+        let begun = Instant::now();
+        let frame = read_only(&context, &query).await.unwrap();
+        let fault = frame.collect().await.or_fault().unwrap_err().to_string();
+        let is_refused = fault.starts_with("resource: ") && fault.contains(says);
+        assert!(is_refused, "{call}: {fault}");
+        // It would compute for minutes.
+        assert!(begun.elapsed() < Duration::from_secs(30), "{call}");
+    }
+}
+
+#[tokio::test]
+async fn rows_that_are_computed_slice_by_slice_are_what_they_were() {
+    let context = context(Limits::one_partition()).unwrap();
+    // Texts that are a slice each, though what is asked of them takes no time.
+    for (call, expected) in [
+        (
+            "length(btrim(repeat('a', 20000) || n, repeat('b', 20000)))",
+            ["20001", "", "20002"],
+        ),
+        (
+            "regexp_count(repeat('a', 120000) || n, '[0-9]')",
+            ["1", "", "2"],
+        ),
+        (
+            "length(regexp_replace(repeat('a', 120000) || n, '^a*', 'b', 'g'))",
+            ["2", "", "3"],
+        ),
+    ] {
+        let query = format!("SELECT {call} FROM (VALUES (1), (NULL), (12)) t (n)");
+        let frame = read_only(&context, &query).await.unwrap();
+        let batches = frame.collect().await.unwrap();
+        let found: Vec<String> = batches
+            .iter()
+            .flat_map(|batch| {
+                let column = batch.column(0);
+                (0..batch.num_rows()).map(|row| array_value_to_string(column, row).unwrap())
+            })
+            .collect();
+        assert_eq!(found, expected, "{call}");
+    }
+}
+
+/// A batch of thousands of rows that takes minutes, at least.
+const SLOW: &str = "SELECT max(levenshtein(repeat(CAST(value % 10 AS TEXT), 4000), repeat(CAST(value % 7 AS TEXT), 4000))) \
+                    FROM generate_series(1, 8192)";
+
+#[tokio::test]
+async fn slow_functions_end_with_their_query_in_all_its_tasks() {
+    for partitions in [1, 2] {
+        let limits = Limits {
+            partitions,
+            ..Limits::default()
+        };
+        let context = context(limits).unwrap();
+        let ask = async || {
+            let frame = read_only(&context, SLOW).await?;
+            frame.collect().await.or_fault()
+        };
+        let begun = Instant::now();
+        let late = Fault::resource("the time is over");
+        let at = Term::until(begun + Duration::from_millis(500), late.clone());
+        assert_eq!(at.of(ask()).await.unwrap_err(), late);
+
+        let stopped = Term::default();
+        let stopping = std::thread::spawn({
+            let stopped = stopped.clone();
+            move || {
+                std::thread::sleep(Duration::from_millis(500));
+                stopped.end();
+            }
+        });
+        let told = stopped.of(ask()).await.unwrap_err();
+        stopping.join().unwrap();
+        assert_eq!(told, Fault::user("stopped"));
+        assert!(
+            begun.elapsed() < Duration::from_secs(100),
+            "{partitions}: {:?}",
+            begun.elapsed()
+        );
+    }
 }
