@@ -186,6 +186,69 @@ fn a_server_is_read_and_nothing_else() {
     assert!(!Path::new("/tmp/evermap-attack.parquet").exists());
 }
 
+/// The status line that a query is answered with, and whatever follows.
+fn asked(server: &Server, query: &str) -> String {
+    let mut stream = std::net::TcpStream::connect(&server.http).unwrap();
+    let head = format!(
+        "POST /sql HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: {}\r\n\r\n",
+        query.len()
+    );
+    stream.write_all((head + query).as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    answer
+}
+
+/// Waits until its threads rest, for a minute at most.
+fn rests(server: &Server) -> bool {
+    let pause = std::time::Duration::from_secs(1);
+    (0..60).any(|_| {
+        let before = server.computed();
+        std::thread::sleep(pause);
+        // Hundredths of a second.
+        server.computed() - before < 20
+    })
+}
+
+/// Of rows that take minutes together, and a row that alone does, no thread of a server computes on for nobody.
+#[test]
+fn a_query_that_only_takes_time_leaves_its_thread_soon_after_its_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &["--timeout-s", "3"]);
+    let texts = "repeat(CAST(value % 10 AS TEXT), 4000), repeat(CAST(value % 7 AS TEXT), 4000)";
+    let slow = format!("SELECT max(levenshtein({texts})) AS far FROM generate_series(1, 8192)");
+    let before = server.computed();
+    let answer = asked(&server, &slow);
+    assert!(
+        answer.contains(" 503 ") && answer.contains("took longer than 3s"),
+        "{answer}"
+    );
+    assert!(server.computed() - before > 100, "nothing was computed");
+    assert!(rests(&server), "a thread computes on after the deadline");
+
+    let mut gone = std::net::TcpStream::connect(&server.postgres).unwrap();
+    let start = said("", b"\0\x03\0\0user\0me\0database\0map\0\0");
+    let query = said("Q", format!("{slow}\0").as_bytes());
+    gone.write_all(&[start, query].concat()).unwrap();
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    drop(gone);
+    assert!(
+        rests(&server),
+        "a thread computes on for a client that is gone"
+    );
+
+    let answer = asked(
+        &server,
+        "SELECT levenshtein(repeat('a', 200000), repeat('b', 200000)) AS far",
+    );
+    assert!(
+        answer.contains(" 503 ") && answer.contains("would take 40000000000 steps for one row"),
+        "{answer}"
+    );
+    assert!(rests(&server), "a row that takes too long was begun");
+}
+
 #[test]
 fn who_reads_nothing_keeps_nobody_else_waiting() {
     let folder = tempfile::tempdir().unwrap();

@@ -15,7 +15,7 @@ use arrow::datatypes::DataType;
 use datafusion::common::{DataFusionError, Result};
 use evermap_schemas::{Cell, Geometry, Position, Wkb};
 use geo::relate::IntersectionMatrix;
-use geo::{Area, Contains, Intersects};
+use geo::{Area, Intersects};
 
 use crate::function::{Argument, Declaration, Kind, given, numbers, rows};
 
@@ -129,7 +129,7 @@ pub(crate) const DECLARATIONS: [Declaration; 20] = [
             "SELECT st_contains(st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'), st_point(1, 1))",
             "true",
         ],
-        evaluate: |columns| shapes::relation(columns, |a, b| a.contains(b)),
+        evaluate: |columns| shapes::containing(columns, |a, b| [a, b]),
     },
     Declaration {
         name: "st_within",
@@ -140,7 +140,7 @@ pub(crate) const DECLARATIONS: [Declaration; 20] = [
             "SELECT st_within(st_point(9, 1), st_geomfromtext('POLYGON((0 0, 4 0, 4 3, 0 3, 0 0))'))",
             "false",
         ],
-        evaluate: |columns| shapes::relation(columns, |a, b| b.contains(a)),
+        evaluate: |columns| shapes::containing(columns, |a, b| [b, a]),
     },
     Declaration {
         name: "st_disjoint",

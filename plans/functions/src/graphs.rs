@@ -134,12 +134,10 @@ impl Geometry<'_> {
         [self.u.value(area), self.v.value(area)]
     }
 
-    /// Whether two areas of a row touch, by their indices within the row.
-    pub(crate) fn touch(&self, row: usize, one: usize, other: usize) -> bool {
-        let (low, high) = (one.min(other), one.max(other));
-        range(self.edges, row).any(|edge| {
-            usize::from(self.a.value(edge)) == low && usize::from(self.b.value(edge)) == high
-        })
+    /// Pairs of areas of a row that touch, by their indices within the row.
+    pub(crate) fn contacts(&self, row: usize) -> impl Iterator<Item = [usize; 2]> {
+        let ends = move |edge: usize| [self.a.value(edge), self.b.value(edge)].map(usize::from);
+        range(self.edges, row).map(ends)
     }
 }
 

@@ -129,18 +129,21 @@ fn holds(
 ) -> bool {
     let areas = graphs.areas(row);
     let circle = geometry.circle_px(row);
-    areas
-        .clone()
-        .filter(|one| graphs.class(*one) == classes[0])
-        .any(|one| {
-            areas
-                .clone()
-                .filter(|other| *other != one && graphs.class(*other) == classes[1])
-                .any(|other| {
-                    let away = offset(geometry.centre(other), geometry.centre(one), circle);
-                    relation.fits(away)
-                        && (!relation.needs_contact()
-                            || geometry.touch(row, one - areas.start, other - areas.start))
-                })
-        })
+    let is_so = |one: usize, other: usize| {
+        other != one
+            && graphs.class(one) == classes[0]
+            && graphs.class(other) == classes[1]
+            && relation.fits(offset(geometry.centre(other), geometry.centre(one), circle))
+    };
+    if relation.needs_contact() {
+        // Edges to areas that do not exist are passed over.
+        return geometry
+            .contacts(row)
+            .filter(|ends| ends.iter().all(|end| *end < areas.len()))
+            .map(|ends| ends.map(|end| areas.start + end))
+            .any(|[a, b]| is_so(a, b) || is_so(b, a));
+    }
+    let ones = areas.clone();
+    ones.filter(|one| graphs.class(*one) == classes[0])
+        .any(|one| areas.clone().any(|other| is_so(one, other)))
 }

@@ -246,6 +246,34 @@ async fn polygons_cut_polygons_and_lines() {
 }
 
 #[tokio::test]
+async fn what_lies_in_a_tangle_is_not_asked_and_points_are_found_in_any_geometry() {
+    let comb = |stands: bool| {
+        let tooth = |at: u32| {
+            let at = f64::from(at);
+            [(at, 0.0), (at + 0.2, 3_000.0), (at + 0.4, 0.0)]
+        };
+        let corners = (0..3_000).flat_map(tooth);
+        let corners = corners.chain([(3_000.0, -1.0), (0.0, -1.0), (0.0, 0.0)]);
+        let corners = corners.map(|(x, y)| match stands {
+            true => format!("{x} {y}"),
+            false => format!("{y} {x}"),
+        });
+        let corners: Vec<String> = corners.collect();
+        format!("st_geomfromtext('POLYGON(({}))')", corners.join(", "))
+    };
+    let (context, up, along) = (context(), comb(true), comb(false));
+    for call in [
+        format!("st_contains({up}, {along})"),
+        format!("st_within({up}, {along})"),
+    ] {
+        let said = rows(&context, &format!("SELECT {call}")).await.unwrap_err();
+        assert!(said.contains("at most 4000000 times"), "{said}");
+    }
+    let within = format!("SELECT st_contains({up}, st_point(0.2, 1))");
+    assert_eq!(rows(&context, &within).await.unwrap(), ["true"]);
+}
+
+#[tokio::test]
 async fn what_is_no_pose_or_geometry_is_refused() {
     let context = context();
     let brackets = "(".repeat(100_000);

@@ -8,7 +8,9 @@ use arrow::datatypes::Float64Type;
 use datafusion::common::{DataFusionError, Result};
 use evermap_schemas::{Geometry, Position};
 use geo::relate::IntersectionMatrix;
-use geo::{Coord, CoordsIter, Distance, Euclidean, Length, LineString, Point, Polygon, Relate};
+use geo::{
+    Contains, Coord, CoordsIter, Distance, Euclidean, Length, LineString, Point, Polygon, Relate,
+};
 
 use crate::function::{numbers, rows};
 use crate::geometries::Geometries;
@@ -118,6 +120,21 @@ pub(super) fn relation(
     holds: fn(&Shape, &Shape) -> bool,
 ) -> Result<ArrayRef> {
     told(columns, |a, b| guarded(|| holds(a, b)))
+}
+
+/// Whether of pairs, put in order, the second lies in the first.
+pub(super) fn containing(
+    columns: &[ArrayRef],
+    ordered: for<'a> fn(&'a Shape, &'a Shape) -> [&'a Shape; 2],
+) -> Result<ArrayRef> {
+    told(columns, |a, b| {
+        let [outer, inner] = ordered(a, b);
+        // Of all but points it is told by where insides and borders meet.
+        if !matches!(inner, Shape::Point(_)) {
+            check_tangle(&[outer, inner], 0.0)?;
+        }
+        guarded(|| outer.contains(inner))
+    })
 }
 
 /// Whether pairs stand to each other as the places say where their insides and borders meet.
