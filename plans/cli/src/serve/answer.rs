@@ -273,8 +273,11 @@ mod tests {
         let context = context(Limits::one_partition()).unwrap();
         // One batch, of which nobody sees the end.
         let slow = "SELECT max(levenshtein(repeat(CAST(value % 10 AS TEXT), 4000), repeat(CAST(value % 7 AS TEXT), 4000))) FROM generate_series(1, 8192)";
-        let slow = read_only(&context, slow).await.unwrap();
-        let slow = slow.execute_stream().await.unwrap();
+        let slow = turn.within(async {
+            let slow = read_only(&context, slow).await.unwrap();
+            slow.execute_stream().await.unwrap()
+        });
+        let slow = slow.await.unwrap();
         let slow = slow.map(|batch| batch.map_err(|error| fault_of(&error)));
         let numbers = futures::stream::iter((0..5).map(Ok::<usize, Fault>));
         let quick = Arc::clone(&turn).bounded(numbers, 1, |_| 1, |fault| fault);

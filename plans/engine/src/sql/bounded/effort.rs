@@ -32,6 +32,10 @@ const EDGES_STEPS: f64 = 4.0;
 /// Bytes that are compared in a step.
 const COMPARED_BYTES: f64 = 16.0;
 
+/// Of the steps that an expression may take at worst, one in so many is counted: of what matches as usual a slice shall be
+/// worth compiling it for.
+const EXPRESSION_SHARE: f64 = 100.0;
+
 /// Pairs of values so few that it does not matter how long they are.
 const FEW_PAIRS: f64 = 1e4;
 
@@ -109,6 +113,9 @@ impl Effort {
             return Ok(evenly(args, rows));
         }
         let args: Vec<Argument> = args.iter().map(Argument::new).collect::<Result<_>>()?;
+        if self.is_short(&args) {
+            return Ok(std::iter::once(0..rows).collect());
+        }
         let mut slices = Vec::new();
         let (mut from, mut taken) = (0, 0.0);
         for row in 0..rows {
@@ -124,6 +131,20 @@ impl Effort {
         }
         slices.push(from..rows);
         Ok(slices)
+    }
+
+    /// Whether all rows together take no more than a moment, as can be told of texts at once.
+    fn is_short(self, args: &[Argument]) -> bool {
+        let size = |index: usize| args.get(index).map_or(0.0, Argument::size);
+        let steps = match self {
+            Self::Texts | Self::Searched => size(0) * size(1),
+            // One text for all rows is read again for each.
+            Self::Places if args.first().is_some_and(|text| !text.is_one) => {
+                size(0).powi(2) / EXPRESSION_SHARE
+            }
+            _ => return false,
+        };
+        steps <= STEPS_AT_ONCE
     }
 
     /// Steps of a row at most.
@@ -143,8 +164,7 @@ impl Effort {
             Self::Edges => EDGES_STEPS * corners(0) * corners(1),
             Self::Tangled => (corners(0) + corners(1)).powi(2),
             Self::Areas => length(0).powi(2),
-            // Slices of what matches as usual shall be worth compiling the expression for.
-            Self::Places => length(0).powi(2) / 100.0,
+            Self::Places => length(0).powi(2) / EXPRESSION_SHARE,
         }
     }
 
@@ -234,7 +254,12 @@ impl Argument {
         }
     }
 
-    /// Bytes that its value takes.
+    /// Bytes of all its values.
+    fn size(&self) -> f64 {
+        bytes(&self.column) as f64
+    }
+
+    /// Bytes of its value in a row.
     fn bytes(&self, row: usize) -> f64 {
         bytes(&self.column.slice(self.at(row), 1)) as f64
     }
@@ -278,6 +303,9 @@ mod tests {
         assert_eq!(ends("levenshtein", &args[1..], 1).unwrap(), [1]);
         let none = [column(letters(&[])), one];
         assert_eq!(ends("levenshtein", &none, 0).unwrap(), [0]);
+        let text = ColumnarValue::Scalar(ScalarValue::from("b".repeat(100_000)));
+        let args = [text, column(letters(&[1; 3]))];
+        assert_eq!(ends("regexp_count", &args, 3).unwrap(), [1, 2, 3]);
         // One value that each row reads again.
         let long = ColumnarValue::Scalar(ScalarValue::from("b".repeat(40_000_000)));
         let args = [column(letters(&[1; 5])), long];
