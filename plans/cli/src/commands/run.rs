@@ -18,6 +18,8 @@ use evermap_engine::sql::Limits;
 use evermap_schemas::Fault;
 
 use crate::arguments::{LimitArgs, RunArgs};
+#[cfg(feature = "cluster")]
+use crate::commands::cluster::WithinProcess;
 use crate::commands::layers::print_layers;
 use crate::ending::{Ending, Lost};
 use crate::output::Format;
@@ -179,7 +181,7 @@ async fn runner(
     let registry = registry.clone();
     Ok(match args.cluster.as_deref() {
         Some(IN_PROCESS) => {
-            Box::new(ClusterRunner::in_process(registry, jobs, deadline, unfinished).await?)
+            Box::new(WithinProcess::new(registry, jobs, deadline, unfinished).await?)
         }
         Some(url) => Box::new(ClusterRunner::new(url, registry, deadline, unfinished)),
         None => Box::new(LocalRunner::new(registry, jobs)),
