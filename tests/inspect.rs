@@ -421,6 +421,31 @@ fn a_flipped_bit_outside_chunks_is_told() {
     );
 }
 
+#[test]
+fn messages_that_no_checksum_covers_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let told = |summed: bool| {
+        let path = folder.path().join(format!("{summed}.mcap"));
+        let options = mcap::WriteOptions::new().use_chunks(false);
+        let options = options.calculate_data_section_crc(summed);
+        let file = std::fs::File::create(&path).unwrap();
+        let mut log = options.create(file).unwrap();
+        let channel = log.add_channel(0, "/a", "json", &Default::default());
+        let header = mcap::records::MessageHeader {
+            channel_id: channel.unwrap(),
+            sequence: 0,
+            log_time: 1,
+            publish_time: 1,
+        };
+        log.write_to_known_channel(&header, b"{}").unwrap();
+        log.finish().unwrap();
+        evermap(&["inspect", text(&path)]).expect(0).stdout
+    };
+    let note = "note         1 message outside of chunks with no checksum to hold to";
+    assert!(told(false).contains(note));
+    assert!(!told(true).contains("no checksum"));
+}
+
 /// A topic whose name has a line break, and a tab, is on one line.
 #[test]
 fn names_that_break_a_line_are_escaped() {

@@ -136,6 +136,9 @@ pub struct LogIndex {
     /// When messages came, by channel, where the whole file was read.
     #[serde(default)]
     pub paces: BTreeMap<u16, Pace>,
+    /// Messages outside of chunks that were held to no checksum, where the whole file was read.
+    #[serde(default)]
+    pub unchecked: u64,
     /// Whether the file's own summary was used.
     pub indexed: bool,
     /// What was lost while the index was read.
@@ -144,7 +147,7 @@ pub struct LogIndex {
 
 impl LogIndex {
     /// Raised where the same file gives another index, or other losses: what was kept before is then read anew.
-    pub const VERSION: u32 = 2;
+    pub const VERSION: u32 = 3;
 
     /// Reads the index of the file at `meta.location`: the summary where there is a sound one, else the whole file, one
     /// record at a time.

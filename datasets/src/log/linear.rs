@@ -59,6 +59,10 @@ pub(crate) async fn read(
         channels: Some(counts.collect()),
     });
     index.paces = scan.paces;
+    index.unchecked = match scan.compared {
+        true => 0,
+        false => scan.loose,
+    };
     Ok(index)
 }
 
@@ -107,8 +111,15 @@ struct Scan<'a> {
     listed: bool,
     /// There are message indexes that no chunk of the summary has.
     stray_indexes: bool,
-    /// Of what was read; `None` once a chunk has its own, or a stretch is left out.
+    /// Of what was read; `None` once it has nothing to say: a stretch is left out, or a chunk with a checksum of its own is
+    /// damaged, which says more.
     checksum: Option<Checksum>,
+    /// Whether it was compared with one that the recorder made.
+    compared: bool,
+    /// There are chunks with checksums of their own.
+    checked: bool,
+    /// Messages outside of chunks.
+    loose: u64,
 }
 
 /// A growing stretch of messages outside chunks.
@@ -141,6 +152,9 @@ impl<'a> Scan<'a> {
             short: None,
             stray_indexes: false,
             checksum: Some(Checksum::default()),
+            compared: false,
+            checked: false,
+            loose: 0,
         }
     }
 
@@ -330,6 +344,7 @@ impl<'a> Scan<'a> {
             return Ok(());
         };
         self.close_short();
+        self.loose += 1;
         add(&mut self.paces, head.channel, Pace::of(head.log_time));
         let run = self.run.get_or_insert_with(|| Run {
             start: offset,

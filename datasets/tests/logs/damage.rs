@@ -3,6 +3,9 @@
 
 use std::sync::Arc;
 
+use crate::common::by_hand::{
+    channel, checked_chunk, chunk_index_of, file, first, message, message_index, statistics,
+};
 use crate::common::{Log, context, count, files, in_memory, open_in, shared};
 use arrow::array::AsArray;
 use arrow::datatypes::UInt32Type;
@@ -207,6 +210,79 @@ async fn a_flipped_bit_outside_chunks_is_counted_and_read_as_it_is() {
         flipped[end + FRAME as usize..][..4].fill(0);
         let (_, losses) = messages(&flipped).await.unwrap();
         assert!(losses.is_empty(), "{:?}", losses.entries());
+    }
+}
+
+/// A log of a chunk of two messages with a checksum of its own, and a message beside it; with the checksum of all data.
+fn beside_a_chunk(summed_up: bool) -> Vec<u8> {
+    let topic = channel(1, 0, "/a", "json");
+    let inner = [message(1, 0, b"{}"), message(1, 1, b"{}")].concat();
+    let size = inner.len() as u64;
+    let chunk = checked_chunk(size, crc32fast::hash(&inner), "", &inner);
+    let (offset, length, listed) = (first() + topic.len() as u64, chunk.len() as u64, [(1, 2)]);
+    let summary = match summed_up {
+        true => vec![
+            topic.clone(),
+            chunk_index_of((1, 2), offset, length, size, &listed),
+            statistics((1, 3), 1, &[(1, 3)]),
+        ],
+        false => Vec::new(),
+    };
+    let loose = message(1, 2, b"{\"volts\": 12.25}");
+    let mut log = file(&[topic, chunk, message_index(1, 2), loose], &summary);
+    let end = data_end(&log);
+    let crc = crc32fast::hash(&log[..end]);
+    log[end + FRAME as usize..][..4].copy_from_slice(&crc.to_le_bytes());
+    log
+}
+
+/// Where the record is that ends the data of a log.
+fn data_end(log: &[u8]) -> usize {
+    let mut at = MAGIC.len();
+    while log[at] != op::DATA_END {
+        at += split(&log[at..]).unwrap().2;
+    }
+    at
+}
+
+/// What reading all of a log finds wrong, and how many messages it holds to no checksum.
+async fn surveyed(log: &[u8]) -> (Vec<(Reason, String)>, u64) {
+    let dataset = opened(&context(1), log).await.unwrap();
+    let parts = dataset.parts();
+    let unchecked = parts[0].survey().await.unwrap().unchecked;
+    let entries = dataset.losses.entries().into_iter();
+    let found = entries.map(|entry| (entry.reason, entry.detail));
+    (found.collect(), unchecked)
+}
+
+#[tokio::test]
+async fn a_flipped_bit_beside_chunks_with_checksums_is_counted_by_who_reads_everything() {
+    for summed_up in [false, true] {
+        let log = beside_a_chunk(summed_up);
+        assert_eq!(surveyed(&log).await, (vec![], 0));
+        let flipped = |what: &[u8]| {
+            let mut flipped = log.clone();
+            let at = log.windows(what.len()).position(|bytes| bytes == what);
+            flipped[at.unwrap()] ^= 1;
+            flipped
+        };
+        let beside = flipped(b"volts");
+        let (found, unchecked) = surveyed(&beside).await;
+        assert_eq!((found.len(), unchecked), (1, 0), "{found:?}");
+        assert_eq!(found[0].0, Reason::BadData);
+        let said = "what differs is outside of chunks, which match theirs";
+        assert!(found[0].1.ends_with(said), "{found:?}");
+        // The chunk says that it is damaged, and then all data say nothing more.
+        let (found, unchecked) = surveyed(&flipped(b"{}")).await;
+        let reasons: Vec<Reason> = found.iter().map(|(reason, _)| *reason).collect();
+        assert!(reasons.contains(&Reason::BadChecksum), "{found:?}");
+        assert!(!reasons.contains(&Reason::BadData), "{found:?}");
+        assert_eq!(unchecked, 1);
+        // Nobody made a checksum.
+        let mut bare = beside;
+        let end = data_end(&bare);
+        bare[end + FRAME as usize..][..4].fill(0);
+        assert_eq!(surveyed(&bare).await, (vec![], 1));
     }
 }
 
