@@ -744,6 +744,64 @@ fn odometry_of_a_frame_elsewhere_on_the_vehicle_is_told() {
 }
 
 #[test]
+fn a_session_whose_receiver_had_no_fix_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let (string, number) = (json!({"type": "string"}), json!({"type": "number"}));
+    let object = |names: &[&str]| {
+        let member = |name: &&str| ((*name).to_owned(), number.clone());
+        let members: serde_json::Map<_, _> = names.iter().map(member).collect();
+        json!({"type": "object", "properties": members})
+    };
+    let place = json!({"type": "object", "properties": {
+        "position": object(&["x", "y", "z"]), "orientation": object(&["x", "y", "z", "w"]),
+    }});
+    let odometry = (0..20).map(|tenth| {
+        json!({"frame_id": "odom", "pose": {
+            "position": {"x": tenth, "y": 0.0, "z": 0.0},
+            "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        }})
+    });
+    let odometry: Vec<Value> = odometry.collect();
+    let write = |name: &str, statuses: &[i32]| {
+        let fix = |status: &i32| json!({"status": {"status": status}, "latitude": 52.25, "longitude": 10.5, "altitude": 80.0});
+        let fixes = json!({
+            "status": object(&["status"]), "latitude": number, "longitude": number, "altitude": number,
+        });
+        let topics = [
+            (
+                "/odom",
+                "foxglove.PoseInFrame",
+                json!({"frame_id": string, "pose": place}),
+                odometry.clone(),
+            ),
+            (
+                "/fix",
+                "sensor_msgs/NavSatFix",
+                fixes,
+                statuses.iter().map(fix).collect(),
+            ),
+        ];
+        write_topics(&folder.path().join(name), &topics);
+    };
+    write("garage.mcap", &[-1; 3]);
+    write("street.mcap", &[-1, -1, 0, 2]);
+    let said = "note: session garage: 3 messages on /fix, and none is a fix";
+    let sessions = ["--sessions", "garage.mcap", "street.mcap"];
+    let check = [&["check", "georeference"], &sessions[..]].concat();
+    let map = ["--map", "map", "--progress", "none", "--site", "lot"];
+    let run = [&["run", "georeference"], &map[..], &sessions[..]].concat();
+    for arguments in [check, run] {
+        let told = run_in(folder.path(), &arguments).stderr;
+        assert_eq!(told.matches(said).count(), 1, "{told}");
+        assert_eq!(told.matches("none is a fix").count(), 1, "{told}");
+    }
+    // Who reads no fixes need not know.
+    let check = [&["check", "trajectory"], &sessions[..]].concat();
+    let told = run_in(folder.path(), &check).expect(0).stderr;
+    assert!(!told.contains("none is a fix"), "{told}");
+}
+
+#[test]
 fn a_topic_that_is_called_as_a_role_is_named_behind_its_session() {
     let folder = tempfile::tempdir().unwrap();
     let members = json!({"volts": {"type": "number"}});

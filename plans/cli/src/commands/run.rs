@@ -26,7 +26,7 @@ use crate::output::Format;
 use crate::progress::{Progress, line};
 use crate::quantity::{of, of_seconds};
 use crate::sessions;
-use crate::{masks, odometry_frame, operators};
+use crate::{fixes, masks, odometry_frame, operators};
 
 /// Runs a plan.
 ///
@@ -54,7 +54,9 @@ pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
         line(&format!("warning: {warning}"));
     }
     let vehicle = odometry_frame::vehicle(&prepared.program);
-    for note in odometry_frame::notes(&prepared.logs, vehicle).await? {
+    let of_odometry = odometry_frame::notes(&prepared.logs, vehicle).await?;
+    let of_fixes = fixes::notes(&prepared.logs, &prepared.program).await?;
+    for note in of_odometry.iter().chain(&of_fixes) {
         line(&format!("note: {note}"));
     }
     prepared.unplayed.notes().iter().for_each(|note| line(note));
