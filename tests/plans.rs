@@ -164,15 +164,30 @@ fn faults_of_what_a_plan_extends_are_told_where_they_are() {
 fn a_place_that_is_none_is_told_in_the_manifest_that_gives_it() {
     let folder = tempfile::tempdir().unwrap();
     let manifest = folder.path().join("lot.yaml");
-    let origins = "defaults:\n  origins: { lot: [152.25, 10.5, 80.0, 0.0] }\n";
-    std::fs::write(&manifest, origins).unwrap();
-    let told = evermap(&["check", "georeference", "--manifest", text(&manifest)]).expect(1);
-    for needle in [
-        "lot.yaml:2:12",
-        "`origins` of lot: expected latitude",
-        "the latitude between -90 and 90°, found 152.25",
+    for (origins, place, said) in [
+        (
+            "{ yard: [52.25, 10.5, 80.0, 0.0], lot: [152.25, 10.5, 80.0, 0.0] }",
+            "[152",
+            "`origins` of lot: expected latitude, longitude, height and heading, the latitude between -90 and 90°, found 152.25",
+        ),
+        (
+            "{ yard: [52.25, 10.5, 80.0, 0.0], lot: [52.25, 10.5] }",
+            "[52.25, 10.5] }",
+            "expected `origins` to be of type object",
+        ),
+        (
+            "[52.25]",
+            "[52.25]",
+            "expected `origins` to be of type object",
+        ),
     ] {
-        assert!(told.stderr.contains(needle), "{needle}: {}", told.stderr);
+        let line = format!("  origins: {origins}");
+        std::fs::write(&manifest, format!("defaults:\n{line}\n")).unwrap();
+        let told = evermap(&["check", "georeference", "--manifest", text(&manifest)]).expect(1);
+        let place = format!("lot.yaml:2:{}", line.find(place).unwrap() + 1);
+        for needle in [place.as_str(), said] {
+            assert!(told.stderr.contains(needle), "{needle}: {}", told.stderr);
+        }
     }
 }
 
