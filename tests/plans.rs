@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use evermap_tests::{evermap, page, repository, text};
+use evermap_tests::{evermap, page, rectangle, repository, text, write_drive};
 
 #[test]
 fn every_shipped_plan_checks_and_its_tests_pass() {
@@ -134,6 +134,44 @@ fn a_function_that_an_extended_plan_names_is_found_from_the_plan_as_composed() {
     assert_eq!(
         evermap(&["explain", text(&again)]).expect(0).stdout,
         composed
+    );
+}
+
+#[test]
+fn a_manifest_that_an_extended_plan_names_is_found_from_the_plan_as_composed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    for name in ["ours", "library/logs"] {
+        std::fs::create_dir_all(path(name)).unwrap();
+    }
+    let (log, manifest) = (path("library/logs/drive.mcap"), "logs/lot.yaml");
+    write_drive(&log, rectangle(30.0, 20.0, 1.0));
+    let sessions = "site: lot\nsessions: [{ name: monday, files: [drive.mcap] }]\n";
+    std::fs::write(path("library").join(manifest), sessions).unwrap();
+    let base = format!("plan: base\nextends: trajectory\nsessions: {manifest}\n");
+    std::fs::write(path("library/base.yaml"), base).unwrap();
+    let (plan, again) = (path("ours/plan.yaml"), path("ours/composed.yaml"));
+    std::fs::write(&plan, "plan: ours\nextends: ../library/base.yaml\n").unwrap();
+    let composed = evermap(&["explain", text(&plan)]).expect(0).stdout;
+    let named = "\nsessions: ../library/logs/lot.yaml\n";
+    assert!(composed.contains(named), "{composed}");
+    std::fs::write(&again, &composed).unwrap();
+    assert_eq!(
+        evermap(&["explain", text(&again)]).expect(0).stdout,
+        composed
+    );
+    // Both find the log.
+    let map = path("map");
+    for plan in [&plan, &again] {
+        let run = ["run", text(plan), "--map", text(&map), "--progress", "none"];
+        evermap(&run).expect(0);
+    }
+    // Where there is none, it is as written.
+    std::fs::remove_file(path("library").join(manifest)).unwrap();
+    let composed = evermap(&["explain", text(&plan)]).expect(0).stdout;
+    assert!(
+        composed.contains("\nsessions: logs/lot.yaml\n"),
+        "{composed}"
     );
 }
 
