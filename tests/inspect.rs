@@ -421,6 +421,78 @@ fn a_flipped_bit_outside_chunks_is_told() {
     );
 }
 
+/// A run reads all of a log for its digest, also what lies between messages.
+#[test]
+fn a_run_tells_of_a_flipped_bit_outside_chunks_and_remembers_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = mcap::WriteOptions::new().use_chunks(false);
+    let file = std::fs::File::create(folder.path().join("drive.mcap")).unwrap();
+    let mut log = options.create(file).unwrap();
+    let numbers = |names: &[&str]| {
+        let member = |name: &&str| ((*name).to_owned(), json!({"type": "number"}));
+        let members: serde_json::Map<_, _> = names.iter().map(member).collect();
+        json!({"type": "object", "properties": members})
+    };
+    let pose = json!({"type": "object", "properties": {
+        "position": numbers(&["x", "y", "z"]), "orientation": numbers(&["x", "y", "z", "w"]),
+    }});
+    let schema =
+        json!({"type": "object", "properties": {"frame_id": {"type": "string"}, "pose": pose}});
+    let schema = schema.to_string();
+    let schema = log.add_schema("foxglove.PoseInFrame", "jsonschema", schema.as_bytes());
+    let channel = log.add_channel(schema.unwrap(), "/odom", "json", &Default::default());
+    let channel_id = channel.unwrap();
+    let attachment = mcap::Attachment {
+        log_time: 1,
+        create_time: 1,
+        name: "notes".to_owned(),
+        media_type: "text/plain".to_owned(),
+        data: vec![b'n'; 1000].into(),
+    };
+    log.attach(&attachment).unwrap();
+    for tenth in 0..20_u32 {
+        let message = json!({"frame_id": "odom", "pose": {
+            "position": {"x": f64::from(tenth) + 0.125, "y": 0.0, "z": 0.0},
+            "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        }});
+        let time = 1_700_000_000_000_000_000 + u64::from(tenth) * 100_000_000;
+        let header = mcap::records::MessageHeader {
+            channel_id,
+            sequence: tenth,
+            log_time: time,
+            publish_time: time,
+        };
+        log.write_to_known_channel(&header, message.to_string().as_bytes())
+            .unwrap();
+    }
+    log.finish().unwrap();
+    let run = |log: &str, map: &str| {
+        let run = [
+            "run",
+            "trajectory",
+            "--progress",
+            "none",
+            "--map",
+            map,
+            "--sessions",
+            log,
+        ];
+        run_in(folder.path(), &run)
+    };
+    let said = "logs with a wrong checksum of their data";
+    let sound = run("drive.mcap", "sound");
+    assert!(!sound.stderr.contains(said), "{}", sound.stderr);
+    let mut bytes = std::fs::read(folder.path().join("drive.mcap")).unwrap();
+    let at = bytes.windows(5).position(|found| found == b"6.125");
+    bytes[at.unwrap()] ^= 1;
+    std::fs::write(folder.path().join("flipped.mcap"), bytes).unwrap();
+    // The second time the log is not read again.
+    for _ in 0..2 {
+        let told = run("flipped.mcap", "flipped").expect(3).stderr;
+        assert!(told.contains(said), "{told}");
+    }
+}
+
 #[test]
 fn messages_that_no_checksum_covers_are_told() {
     let folder = tempfile::tempdir().unwrap();

@@ -12,7 +12,7 @@ use object_store::{ObjectMeta, ObjectStore};
 use crate::log::census::longest;
 use crate::log::checksum::Checksum;
 use crate::log::collector::Collector;
-use crate::log::index::{Counts, LogIndex, Unit, UnitKind};
+use crate::log::index::{Counts, DataSum, LogIndex, Unit, UnitKind};
 use crate::log::pace::{Pace, add};
 use crate::log::record::{FRAME, MAGIC, MESSAGE_HEAD, MessageHead, frame, nanoseconds, parse};
 use crate::log::summary::Summary;
@@ -89,7 +89,11 @@ pub(crate) async fn with_gaps(
         tracing::warn!(file = %meta.location, "the summary contradicts the file: reading the file from its start");
         return Ok(None);
     }
-    Ok(Some(scan.collector.finish()))
+    let sum = scan.left.filter(|_| scan.loose > 0);
+    Ok(Some(LogIndex {
+        sum,
+        ..scan.collector.finish()
+    }))
 }
 
 enum Ended {
@@ -116,6 +120,8 @@ struct Scan<'a> {
     checksum: Option<Checksum>,
     /// Whether it was compared with one that the recorder made.
     compared: bool,
+    /// The one that the recorder made, where there is nothing to compare it with.
+    left: Option<DataSum>,
     /// There are chunks with checksums of their own.
     checked: bool,
     /// Messages outside of chunks.
@@ -153,6 +159,7 @@ impl<'a> Scan<'a> {
             stray_indexes: false,
             checksum: Some(Checksum::default()),
             compared: false,
+            left: None,
             checked: false,
             loose: 0,
         }

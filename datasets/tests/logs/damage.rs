@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 
 use crate::common::by_hand::{
     channel, checked_chunk, chunk_index_of, file, first, message, message_index, statistics,
@@ -14,6 +15,7 @@ use datafusion::physical_plan::collect;
 use datafusion::prelude::SessionContext;
 use evermap_datasets::fault::fault_of;
 use evermap_datasets::log::record::{FRAME, MAGIC, split};
+use evermap_datasets::losses::Entry;
 use evermap_datasets::scan::{McapTable, MessagesTable};
 use evermap_datasets::{Dataset, LossLedger, Reason};
 use evermap_schemas::Kind;
@@ -284,6 +286,34 @@ async fn a_flipped_bit_beside_chunks_with_checksums_is_counted_by_who_reads_ever
         bare[end + FRAME as usize..][..4].fill(0);
         assert_eq!(surveyed(&bare).await, (vec![], 1));
     }
+}
+
+/// Who reads all of a log for its digest compares what nobody has compared by then, and the index that is kept says it.
+#[tokio::test]
+async fn a_flipped_bit_beside_chunks_is_counted_by_who_digests_the_log() {
+    let digested = async |log: &[u8]| {
+        let dataset = opened(&context(1), log).await.unwrap();
+        let part = dataset.parts().remove(0);
+        assert!(part.index.sum.is_some() && dataset.losses.is_empty());
+        let digest = dataset.sessions[0].fingerprint(&AtomicU64::new(0)).await;
+        let index = part.index_since();
+        assert_eq!(index.sum, None);
+        let reasons = |entries: Vec<Entry>| -> Vec<Reason> {
+            entries.iter().map(|entry| entry.reason).collect()
+        };
+        let (kept, noted) = (reasons(index.losses), reasons(dataset.losses.entries()));
+        assert_eq!(kept, noted);
+        (digest.unwrap(), kept)
+    };
+    let log = beside_a_chunk(true);
+    let (digest, found) = digested(&log).await;
+    assert!(found.is_empty(), "{found:?}");
+    let at = log.windows(5).position(|bytes| bytes == b"volts").unwrap();
+    let mut flipped = log.clone();
+    flipped[at] ^= 1;
+    let (of_flipped, found) = digested(&flipped).await;
+    assert_eq!(found, [Reason::BadData]);
+    assert_ne!(of_flipped, digest);
 }
 
 #[tokio::test]
