@@ -147,12 +147,13 @@ fn misfit<P: DeserializeOwned>(
 /// The entry of a value that keeps it from being the parameter, where it would be one without entries.
 fn misfit_entry<P: DeserializeOwned>(
     defaults: &Map<String, Value>,
-    name: &String,
+    name: &str,
     value: &Value,
 ) -> Option<String> {
+    let name = name.to_owned();
     let fits = |entries: Map<String, Value>| {
         let value = Value::Object(entries);
-        with::<P>(defaults, &[(name, &value)]).is_ok()
+        with::<P>(defaults, &[(&name, &value)]).is_ok()
     };
     let mut entries = value.as_object().filter(|_| fits(Map::new()))?.iter();
     let alone = |key: &str, value: &Value| Map::from_iter([(key.to_owned(), value.clone())]);
