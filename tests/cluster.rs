@@ -173,6 +173,70 @@ fn a_pool_a_cluster_within_and_a_cluster_of_processes_make_equal_layers() {
 }
 
 #[test]
+fn a_cluster_within_a_process_leaves_no_temporary_files_and_takes_those_that_a_killed_one_left() {
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = sessions(folder.path(), 4, 40.0);
+    let cluster = Cluster::new();
+    let within = |map: &Path| {
+        let mut within = arguments(map, &sessions);
+        within.extend(["--cluster", "in-process"]);
+        let mut within = command(&within);
+        within.env("TMPDIR", cluster.temporary.path());
+        within
+    };
+    let killed = begin(&mut within(&folder.path().join("killed")));
+    until("a folder", || cluster.folders().len() == 1);
+    let left = cluster.folders();
+    drop(killed);
+    assert_eq!(cluster.folders(), left);
+
+    let mut next = within(&folder.path().join("next"));
+    let ended: evermap_tests::Finished = next.output().unwrap().into();
+    ended.expect(0);
+    let rest = std::fs::read_dir(cluster.temporary.path()).unwrap();
+    let rest: Vec<_> = rest.map(|entry| entry.unwrap().path()).collect();
+    assert!(rest.is_empty(), "{rest:?}");
+}
+
+#[test]
+fn an_executor_whose_scheduler_does_not_answer_says_so_and_ends() {
+    let nowhere = format!("127.0.0.1:{}", free_port());
+    let bind = format!("127.0.0.1:{}", free_port());
+    let executor: [&str; 7] = [
+        "executor",
+        "--scheduler",
+        &nowhere,
+        "--bind",
+        &bind,
+        "--wait-s",
+        "2",
+    ];
+    let begun = Instant::now();
+    let said = evermap(&executor).expect(1).stderr;
+    assert!(begun.elapsed() >= Duration::from_secs(2));
+    let expected = format!("expected a scheduler that answers at {nowhere} within 2 s, found ");
+    assert!(said.contains(&expected), "{said}");
+    assert!(said.contains("whether --scheduler names it"), "{said}");
+}
+
+/// An executor has one port: something else may have the next.
+#[test]
+fn an_executor_works_where_the_port_after_its_own_is_taken() {
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = sessions(folder.path(), 1, 1.0);
+    let cluster = Cluster::new();
+    let _scheduler = cluster.scheduler();
+    let port = free_port();
+    let _next = TcpListener::bind(("127.0.0.1", port + 1)).unwrap();
+    let (scheduler, bind) = (cluster.address(), format!("127.0.0.1:{port}"));
+    let arguments: [&str; 5] = ["executor", "--scheduler", &scheduler, "--bind", &bind];
+    let _executor = begin(command(&arguments).env("TMPDIR", cluster.temporary.path()));
+    let run = on_cluster(&folder.path().join("map"), &sessions, &cluster, "120");
+    let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
+    ended.expect(0);
+}
+
+#[test]
 fn a_cluster_is_reached_by_the_name_of_its_host() {
     let folder = tempfile::tempdir().unwrap();
     let sessions = sessions(folder.path(), 1, 1.0);

@@ -421,6 +421,103 @@ fn a_flipped_bit_outside_chunks_is_told() {
     );
 }
 
+/// A run reads all of a log for its digest, also what lies between messages.
+#[test]
+fn a_run_tells_of_a_flipped_bit_outside_chunks_and_remembers_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = mcap::WriteOptions::new().use_chunks(false);
+    let file = std::fs::File::create(folder.path().join("drive.mcap")).unwrap();
+    let mut log = options.create(file).unwrap();
+    let numbers = |names: &[&str]| {
+        let member = |name: &&str| ((*name).to_owned(), json!({"type": "number"}));
+        let members: serde_json::Map<_, _> = names.iter().map(member).collect();
+        json!({"type": "object", "properties": members})
+    };
+    let pose = json!({"type": "object", "properties": {
+        "position": numbers(&["x", "y", "z"]), "orientation": numbers(&["x", "y", "z", "w"]),
+    }});
+    let schema =
+        json!({"type": "object", "properties": {"frame_id": {"type": "string"}, "pose": pose}});
+    let schema = schema.to_string();
+    let schema = log.add_schema("foxglove.PoseInFrame", "jsonschema", schema.as_bytes());
+    let channel = log.add_channel(schema.unwrap(), "/odom", "json", &Default::default());
+    let channel_id = channel.unwrap();
+    let attachment = mcap::Attachment {
+        log_time: 1,
+        create_time: 1,
+        name: "notes".to_owned(),
+        media_type: "text/plain".to_owned(),
+        data: vec![b'n'; 1000].into(),
+    };
+    log.attach(&attachment).unwrap();
+    for tenth in 0..20_u32 {
+        let message = json!({"frame_id": "odom", "pose": {
+            "position": {"x": f64::from(tenth) + 0.125, "y": 0.0, "z": 0.0},
+            "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        }});
+        let time = 1_700_000_000_000_000_000 + u64::from(tenth) * 100_000_000;
+        let header = mcap::records::MessageHeader {
+            channel_id,
+            sequence: tenth,
+            log_time: time,
+            publish_time: time,
+        };
+        log.write_to_known_channel(&header, message.to_string().as_bytes())
+            .unwrap();
+    }
+    log.finish().unwrap();
+    let run = |log: &str, map: &str| {
+        let run = [
+            "run",
+            "trajectory",
+            "--progress",
+            "none",
+            "--map",
+            map,
+            "--sessions",
+            log,
+        ];
+        run_in(folder.path(), &run)
+    };
+    let said = "logs with a wrong checksum of their data";
+    let sound = run("drive.mcap", "sound");
+    assert!(!sound.stderr.contains(said), "{}", sound.stderr);
+    let mut bytes = std::fs::read(folder.path().join("drive.mcap")).unwrap();
+    let at = bytes.windows(5).position(|found| found == b"6.125");
+    bytes[at.unwrap()] ^= 1;
+    std::fs::write(folder.path().join("flipped.mcap"), bytes).unwrap();
+    // The second time the log is not read again.
+    for _ in 0..2 {
+        let told = run("flipped.mcap", "flipped").expect(3).stderr;
+        assert!(told.contains(said), "{told}");
+    }
+}
+
+#[test]
+fn messages_that_no_checksum_covers_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let told = |summed: bool| {
+        let path = folder.path().join(format!("{summed}.mcap"));
+        let options = mcap::WriteOptions::new().use_chunks(false);
+        let options = options.calculate_data_section_crc(summed);
+        let file = std::fs::File::create(&path).unwrap();
+        let mut log = options.create(file).unwrap();
+        let channel = log.add_channel(0, "/a", "json", &Default::default());
+        let header = mcap::records::MessageHeader {
+            channel_id: channel.unwrap(),
+            sequence: 0,
+            log_time: 1,
+            publish_time: 1,
+        };
+        log.write_to_known_channel(&header, b"{}").unwrap();
+        log.finish().unwrap();
+        evermap(&["inspect", text(&path)]).expect(0).stdout
+    };
+    let note = "note         1 message outside of chunks with no checksum to hold to";
+    assert!(told(false).contains(note));
+    assert!(!told(true).contains("no checksum"));
+}
+
 /// A topic whose name has a line break, and a tab, is on one line.
 #[test]
 fn names_that_break_a_line_are_escaped() {
@@ -716,6 +813,64 @@ fn odometry_of_a_frame_elsewhere_on_the_vehicle_is_told() {
     let run = [&run[..], &["--manifest", "imu.yaml"]].concat();
     let told = run_in(folder.path(), &run).expect(0).stderr;
     assert!(!told.contains("odometry is of"), "{told}");
+}
+
+#[test]
+fn a_session_whose_receiver_had_no_fix_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let (string, number) = (json!({"type": "string"}), json!({"type": "number"}));
+    let object = |names: &[&str]| {
+        let member = |name: &&str| ((*name).to_owned(), number.clone());
+        let members: serde_json::Map<_, _> = names.iter().map(member).collect();
+        json!({"type": "object", "properties": members})
+    };
+    let place = json!({"type": "object", "properties": {
+        "position": object(&["x", "y", "z"]), "orientation": object(&["x", "y", "z", "w"]),
+    }});
+    let odometry = (0..20).map(|tenth| {
+        json!({"frame_id": "odom", "pose": {
+            "position": {"x": tenth, "y": 0.0, "z": 0.0},
+            "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+        }})
+    });
+    let odometry: Vec<Value> = odometry.collect();
+    let write = |name: &str, statuses: &[i32]| {
+        let fix = |status: &i32| json!({"status": {"status": status}, "latitude": 52.25, "longitude": 10.5, "altitude": 80.0});
+        let fixes = json!({
+            "status": object(&["status"]), "latitude": number, "longitude": number, "altitude": number,
+        });
+        let topics = [
+            (
+                "/odom",
+                "foxglove.PoseInFrame",
+                json!({"frame_id": string, "pose": place}),
+                odometry.clone(),
+            ),
+            (
+                "/fix",
+                "sensor_msgs/NavSatFix",
+                fixes,
+                statuses.iter().map(fix).collect(),
+            ),
+        ];
+        write_topics(&folder.path().join(name), &topics);
+    };
+    write("garage.mcap", &[-1; 3]);
+    write("street.mcap", &[-1, -1, 0, 2]);
+    let said = "note: session garage: 3 messages on /fix, and none is a fix";
+    let sessions = ["--sessions", "garage.mcap", "street.mcap"];
+    let check = [&["check", "georeference"], &sessions[..]].concat();
+    let map = ["--map", "map", "--progress", "none", "--site", "lot"];
+    let run = [&["run", "georeference"], &map[..], &sessions[..]].concat();
+    for arguments in [check, run] {
+        let told = run_in(folder.path(), &arguments).stderr;
+        assert_eq!(told.matches(said).count(), 1, "{told}");
+        assert_eq!(told.matches("none is a fix").count(), 1, "{told}");
+    }
+    // Who reads no fixes need not know.
+    let check = [&["check", "trajectory"], &sessions[..]].concat();
+    let told = run_in(folder.path(), &check).expect(0).stderr;
+    assert!(!told.contains("none is a fix"), "{told}");
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use evermap_tests::{evermap, page, repository, text};
+use evermap_tests::{evermap, page, rectangle, repository, text, write_drive};
 
 #[test]
 fn every_shipped_plan_checks_and_its_tests_pass() {
@@ -138,6 +138,44 @@ fn a_function_that_an_extended_plan_names_is_found_from_the_plan_as_composed() {
 }
 
 #[test]
+fn a_manifest_that_an_extended_plan_names_is_found_from_the_plan_as_composed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    for name in ["ours", "library/logs"] {
+        std::fs::create_dir_all(path(name)).unwrap();
+    }
+    let (log, manifest) = (path("library/logs/drive.mcap"), "logs/lot.yaml");
+    write_drive(&log, rectangle(30.0, 20.0, 1.0));
+    let sessions = "site: lot\nsessions: [{ name: monday, files: [drive.mcap] }]\n";
+    std::fs::write(path("library").join(manifest), sessions).unwrap();
+    let base = format!("plan: base\nextends: trajectory\nsessions: {manifest}\n");
+    std::fs::write(path("library/base.yaml"), base).unwrap();
+    let (plan, again) = (path("ours/plan.yaml"), path("ours/composed.yaml"));
+    std::fs::write(&plan, "plan: ours\nextends: ../library/base.yaml\n").unwrap();
+    let composed = evermap(&["explain", text(&plan)]).expect(0).stdout;
+    let named = "\nsessions: ../library/logs/lot.yaml\n";
+    assert!(composed.contains(named), "{composed}");
+    std::fs::write(&again, &composed).unwrap();
+    assert_eq!(
+        evermap(&["explain", text(&again)]).expect(0).stdout,
+        composed
+    );
+    // Both find the log.
+    let map = path("map");
+    for plan in [&plan, &again] {
+        let run = ["run", text(plan), "--map", text(&map), "--progress", "none"];
+        evermap(&run).expect(0);
+    }
+    // Where there is none, it is as written.
+    std::fs::remove_file(path("library").join(manifest)).unwrap();
+    let composed = evermap(&["explain", text(&plan)]).expect(0).stdout;
+    assert!(
+        composed.contains("\nsessions: logs/lot.yaml\n"),
+        "{composed}"
+    );
+}
+
+#[test]
 fn faults_of_what_a_plan_extends_are_told_where_they_are() {
     let folder = tempfile::tempdir().unwrap();
     let plan = plans(
@@ -164,15 +202,30 @@ fn faults_of_what_a_plan_extends_are_told_where_they_are() {
 fn a_place_that_is_none_is_told_in_the_manifest_that_gives_it() {
     let folder = tempfile::tempdir().unwrap();
     let manifest = folder.path().join("lot.yaml");
-    let origins = "defaults:\n  origins: { lot: [152.25, 10.5, 80.0, 0.0] }\n";
-    std::fs::write(&manifest, origins).unwrap();
-    let told = evermap(&["check", "georeference", "--manifest", text(&manifest)]).expect(1);
-    for needle in [
-        "lot.yaml:2:12",
-        "`origins` of lot: expected latitude",
-        "the latitude between -90 and 90°, found 152.25",
+    for (origins, place, said) in [
+        (
+            "{ yard: [52.25, 10.5, 80.0, 0.0], lot: [152.25, 10.5, 80.0, 0.0] }",
+            "[152",
+            "`origins` of lot: expected latitude, longitude, height and heading, the latitude between -90 and 90°, found 152.25",
+        ),
+        (
+            "{ yard: [52.25, 10.5, 80.0, 0.0], lot: [52.25, 10.5] }",
+            "[52.25, 10.5] }",
+            "expected `origins` to be of type object",
+        ),
+        (
+            "[52.25]",
+            "[52.25]",
+            "expected `origins` to be of type object",
+        ),
     ] {
-        assert!(told.stderr.contains(needle), "{needle}: {}", told.stderr);
+        let line = format!("  origins: {origins}");
+        std::fs::write(&manifest, format!("defaults:\n{line}\n")).unwrap();
+        let told = evermap(&["check", "georeference", "--manifest", text(&manifest)]).expect(1);
+        let place = format!("lot.yaml:2:{}", line.find(place).unwrap() + 1);
+        for needle in [place.as_str(), said] {
+            assert!(told.stderr.contains(needle), "{needle}: {}", told.stderr);
+        }
     }
 }
 

@@ -103,8 +103,15 @@ impl Loss {
 
     /// One more, of so many bytes, where there is one.
     pub(crate) fn add(&mut self, bytes: Option<u64>) {
-        self.count += u64::from(bytes.is_some());
-        self.bytes = self.bytes.saturating_add(bytes.unwrap_or(0));
+        if let Some(bytes) = bytes {
+            self.join(Self::one(bytes));
+        }
+    }
+
+    /// These too.
+    fn join(&mut self, more: Self) {
+        self.count = self.count.saturating_add(more.count);
+        self.bytes = self.bytes.saturating_add(more.bytes);
     }
 }
 
@@ -179,8 +186,7 @@ impl LossLedger {
         if entries.len() >= MAX_PLACES && !entries.contains_key(&key) {
             key.3 = ELSEWHERE;
             if let Some(known) = entries.get_mut(&key) {
-                known.loss.count += count;
-                known.loss.bytes = known.loss.bytes.saturating_add(bytes);
+                known.loss.join(entry.loss);
                 return;
             }
         }
@@ -213,9 +219,7 @@ impl LossLedger {
     pub fn losses(&self) -> BTreeMap<Reason, Loss> {
         let mut sums = BTreeMap::<Reason, Loss>::new();
         for entry in self.lock().values() {
-            let sum = sums.entry(entry.reason).or_default();
-            sum.count += entry.loss.count;
-            sum.bytes = sum.bytes.saturating_add(entry.loss.bytes);
+            sums.entry(entry.reason).or_default().join(entry.loss);
         }
         sums
     }
@@ -231,8 +235,9 @@ impl LossLedger {
                     true => entries[0].to_string(),
                     false => format!("{}: {} on other topics", entries[0].file, entries[0].reason),
                 };
-                let count: u64 = entries.iter().map(|entry| entry.loss.count).sum();
-                *told.entry(line).or_insert(0) += count;
+                let counts = entries.iter().map(|entry| entry.loss.count);
+                let sum = told.entry(line).or_insert(0_u64);
+                *sum = counts.fold(*sum, u64::saturating_add);
             }
         }
         told
@@ -316,6 +321,25 @@ mod tests {
             bytes: 4 * MAX_PLACES as u64,
         };
         assert_eq!(ledger.losses()[&Reason::BadRecord], expected);
+    }
+
+    /// As many as a forged file may claim.
+    #[test]
+    fn sums_stay_at_the_most_that_there_is() {
+        let most = Loss {
+            count: u64::MAX,
+            bytes: u64::MAX,
+        };
+        let mut sum = most;
+        sum.add(Some(u64::MAX));
+        assert_eq!(sum, most);
+        let ledger = LossLedger::new();
+        let file = ledger.of_file("a.mcap");
+        for offset in 0..MAX_PLACES as u64 + 3 {
+            file.note(Reason::BadSummary, offset, most, "x");
+        }
+        assert_eq!(ledger.losses()[&Reason::BadSummary], most);
+        assert_eq!(ledger.told().into_values().collect::<Vec<_>>(), [u64::MAX]);
     }
 
     #[test]

@@ -13,11 +13,12 @@ use evermap_schemas::roles::UNTYPED;
 use futures::StreamExt;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt};
 
+use crate::log::checksum::Checksum;
 use crate::log::definition::LogChannel;
-use crate::log::index::LogIndex;
+use crate::log::index::{DataSum, LogIndex};
 use crate::log::tally::Tally;
 use crate::log::window::store_fault;
-use crate::losses::{FileLosses, Loss, LossLedger, Reason};
+use crate::losses::{Entry, FileLosses, Loss, LossLedger, Reason};
 use crate::manifest::{Roles, Vehicle};
 use crate::stores::LogFile;
 
@@ -96,7 +97,7 @@ impl Session {
     }
 
     /// The digest of its bytes: BLAKE3 over the contents of its files in order, each preceded by its length. `read` counts
-    /// the bytes as they come.
+    /// the bytes as they come. Of files whose checksum of all data nobody has compared, it is.
     ///
     /// # Errors
     /// A resource fault when a file cannot be read.
@@ -107,10 +108,18 @@ impl Session {
             let object = part.store.get(&part.meta.location).await;
             let object = object.map_err(|error| store_fault(&error).at(&part.url))?;
             let mut stream = object.into_stream();
+            let mut sum = part.index.sum.map(|sum| (sum, Checksum::default()));
             while let Some(bytes) = stream.next().await {
                 let bytes = bytes.map_err(|error| store_fault(&error).at(&part.url))?;
                 hasher.update(&bytes);
+                if let Some((sum, checksum)) = &mut sum {
+                    let left = sum.bytes.saturating_sub(checksum.hashed());
+                    checksum.add(&bytes[..bytes.len().min(left as usize)]);
+                }
                 read.fetch_add(bytes.len() as u64, Ordering::Relaxed);
+            }
+            if let Some((sum, checksum)) = sum {
+                part.compare(&sum, checksum.finish());
             }
         }
         Ok(hasher.finalize())
@@ -139,6 +148,8 @@ pub struct LogPart {
     pub losses: FileLosses,
     /// What was read of it by now, in messages.
     pub(crate) tally: Tally,
+    /// What comparing the checksum of all data came to, once that was done.
+    compared: OnceLock<Option<Entry>>,
     /// Channels by topic.
     topics: BTreeMap<String, Vec<u16>>,
     /// Message types by channel: one for those that share a schema.
@@ -210,10 +221,38 @@ impl LogPart {
             index,
             losses,
             tally: Tally::default(),
+            compared: OnceLock::new(),
             topics,
             types,
             columns_left: AtomicUsize::new(LOG_COLUMNS),
         })
+    }
+
+    /// Compares the checksum of all data with that of the bytes that were read, and notes that it is another one.
+    fn compare(&self, sum: &DataSum, found: u32) {
+        let mismatch = sum.mismatch(found).map(|detail| Entry {
+            file: self.meta.location.to_string().into(),
+            reason: Reason::BadData,
+            topic: String::new(),
+            offset: sum.bytes,
+            loss: Loss::one(0),
+            detail,
+        });
+        if let Some(entry) = &mismatch {
+            self.losses.note_again(entry);
+        }
+        // Who was first found the same.
+        let _ = self.compared.set(mismatch);
+    }
+
+    /// Its index, with what was found since by who read all of it.
+    pub fn index_since(&self) -> LogIndex {
+        let mut index = self.index.clone();
+        if let Some(compared) = self.compared.get() {
+            index.sum = None;
+            index.losses.extend(compared.clone());
+        }
+        index
     }
 
     /// Channels of a topic.

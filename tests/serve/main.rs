@@ -147,6 +147,30 @@ fn clients_see_versions_whole_while_they_are_published() {
     );
 }
 
+#[test]
+fn a_server_stays_at_the_newest_whole_version_where_the_next_is_torn() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map(folder.path());
+    let server = Server::start(&map, &[]);
+    // It has two.
+    let whole = std::fs::read(map.join("versions/2.json")).unwrap();
+    std::fs::write(map.join("versions/3.json"), &whole[..whole.len() / 2]).unwrap();
+    let query = "/sql?format=csv&query=SELECT+count(*)+AS+n+FROM+lanes";
+    let request = format!("GET {query} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+    let lanes = sql(&map, "SELECT count(*) AS n FROM lanes");
+    let expected = format!("n\n{}\n", lanes[0]["n"]);
+    for _ in 0..3 {
+        let mut stream = std::net::TcpStream::connect(&server.http).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+        assert!(answer.ends_with(&expected), "{answer}");
+    }
+    let said = server.stopped();
+    assert_eq!(said.matches("version 3 is ignored: ").count(), 1, "{said}");
+}
+
 /// As Foxglove does it; those who take nothing cost the server nothing, and others are answered meanwhile.
 #[test]
 fn a_map_is_watched_live() {

@@ -110,6 +110,25 @@ pub struct Counts {
     pub channels: Option<BTreeMap<u16, u64>>,
 }
 
+/// The checksum that a recorder made of the first bytes of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DataSum {
+    /// So many bytes, to the record that ends the data.
+    pub bytes: u64,
+    /// CRC-32 of them.
+    pub expected: u32,
+}
+
+impl DataSum {
+    /// In words, that it is not that of the bytes; `None` where it is.
+    pub(crate) fn mismatch(&self, found: u32) -> Option<String> {
+        let Self { bytes, expected } = self;
+        (found != *expected).then(|| {
+            format!("expected the checksum {expected:08x} of the {bytes} B before the end record, found {found:08x}")
+        })
+    }
+}
+
 /// The index of one file of a log. It can be kept, and spares whoever opens the file again to read it: see
 /// [`LogIndex::fits`].
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -136,6 +155,12 @@ pub struct LogIndex {
     /// When messages came, by channel, where the whole file was read.
     #[serde(default)]
     pub paces: BTreeMap<u16, Pace>,
+    /// Messages outside of chunks that were held to no checksum, where the whole file was read.
+    #[serde(default)]
+    pub unchecked: u64,
+    /// The checksum of all data, where messages are outside of chunks and nobody has read what it is of.
+    #[serde(default)]
+    pub sum: Option<DataSum>,
     /// Whether the file's own summary was used.
     pub indexed: bool,
     /// What was lost while the index was read.
@@ -144,7 +169,7 @@ pub struct LogIndex {
 
 impl LogIndex {
     /// Raised where the same file gives another index, or other losses: what was kept before is then read anew.
-    pub const VERSION: u32 = 2;
+    pub const VERSION: u32 = 3;
 
     /// Reads the index of the file at `meta.location`: the summary where there is a sound one, else the whole file, one
     /// record at a time.

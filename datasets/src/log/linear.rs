@@ -12,7 +12,7 @@ use object_store::{ObjectMeta, ObjectStore};
 use crate::log::census::longest;
 use crate::log::checksum::Checksum;
 use crate::log::collector::Collector;
-use crate::log::index::{Counts, LogIndex, Unit, UnitKind};
+use crate::log::index::{Counts, DataSum, LogIndex, Unit, UnitKind};
 use crate::log::pace::{Pace, add};
 use crate::log::record::{FRAME, MAGIC, MESSAGE_HEAD, MessageHead, frame, nanoseconds, parse};
 use crate::log::summary::Summary;
@@ -59,6 +59,10 @@ pub(crate) async fn read(
         channels: Some(counts.collect()),
     });
     index.paces = scan.paces;
+    index.unchecked = match scan.compared {
+        true => 0,
+        false => scan.loose,
+    };
     Ok(index)
 }
 
@@ -85,7 +89,11 @@ pub(crate) async fn with_gaps(
         tracing::warn!(file = %meta.location, "the summary contradicts the file: reading the file from its start");
         return Ok(None);
     }
-    Ok(Some(scan.collector.finish()))
+    let sum = scan.left.filter(|_| scan.loose > 0);
+    Ok(Some(LogIndex {
+        sum,
+        ..scan.collector.finish()
+    }))
 }
 
 enum Ended {
@@ -107,8 +115,17 @@ struct Scan<'a> {
     listed: bool,
     /// There are message indexes that no chunk of the summary has.
     stray_indexes: bool,
-    /// Of what was read; `None` once a chunk has its own, or a stretch is left out.
+    /// Of what was read; `None` once it has nothing to say: a stretch is left out, or a chunk with a checksum of its own is
+    /// damaged, which says more.
     checksum: Option<Checksum>,
+    /// Whether it was compared with one that the recorder made.
+    compared: bool,
+    /// The one that the recorder made, where there is nothing to compare it with.
+    left: Option<DataSum>,
+    /// There are chunks with checksums of their own.
+    checked: bool,
+    /// Messages outside of chunks.
+    loose: u64,
 }
 
 /// A growing stretch of messages outside chunks.
@@ -141,6 +158,10 @@ impl<'a> Scan<'a> {
             short: None,
             stray_indexes: false,
             checksum: Some(Checksum::default()),
+            compared: false,
+            left: None,
+            checked: false,
+            loose: 0,
         }
     }
 
@@ -330,6 +351,7 @@ impl<'a> Scan<'a> {
             return Ok(());
         };
         self.close_short();
+        self.loose += 1;
         add(&mut self.paces, head.channel, Pace::of(head.log_time));
         let run = self.run.get_or_insert_with(|| Run {
             start: offset,

@@ -2,7 +2,11 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 
+use crate::common::by_hand::{
+    channel, checked_chunk, chunk_index_of, file, first, message, message_index, statistics,
+};
 use crate::common::{Log, context, count, files, in_memory, open_in, shared};
 use arrow::array::AsArray;
 use arrow::datatypes::UInt32Type;
@@ -11,6 +15,7 @@ use datafusion::physical_plan::collect;
 use datafusion::prelude::SessionContext;
 use evermap_datasets::fault::fault_of;
 use evermap_datasets::log::record::{FRAME, MAGIC, split};
+use evermap_datasets::losses::Entry;
 use evermap_datasets::scan::{McapTable, MessagesTable};
 use evermap_datasets::{Dataset, LossLedger, Reason};
 use evermap_schemas::Kind;
@@ -208,6 +213,107 @@ async fn a_flipped_bit_outside_chunks_is_counted_and_read_as_it_is() {
         let (_, losses) = messages(&flipped).await.unwrap();
         assert!(losses.is_empty(), "{:?}", losses.entries());
     }
+}
+
+/// A log of a chunk of two messages with a checksum of its own, and a message beside it; with the checksum of all data.
+fn beside_a_chunk(summed_up: bool) -> Vec<u8> {
+    let topic = channel(1, 0, "/a", "json");
+    let inner = [message(1, 0, b"{}"), message(1, 1, b"{}")].concat();
+    let size = inner.len() as u64;
+    let chunk = checked_chunk(size, crc32fast::hash(&inner), "", &inner);
+    let (offset, length, listed) = (first() + topic.len() as u64, chunk.len() as u64, [(1, 2)]);
+    let summary = match summed_up {
+        true => vec![
+            topic.clone(),
+            chunk_index_of((1, 2), offset, length, size, &listed),
+            statistics((1, 3), 1, &[(1, 3)]),
+        ],
+        false => Vec::new(),
+    };
+    let loose = message(1, 2, b"{\"volts\": 12.25}");
+    let mut log = file(&[topic, chunk, message_index(1, 2), loose], &summary);
+    let end = data_end(&log);
+    let crc = crc32fast::hash(&log[..end]);
+    log[end + FRAME as usize..][..4].copy_from_slice(&crc.to_le_bytes());
+    log
+}
+
+/// Where the record is that ends the data of a log.
+fn data_end(log: &[u8]) -> usize {
+    let mut at = MAGIC.len();
+    while log[at] != op::DATA_END {
+        at += split(&log[at..]).unwrap().2;
+    }
+    at
+}
+
+/// What reading all of a log finds wrong, and how many messages it holds to no checksum.
+async fn surveyed(log: &[u8]) -> (Vec<(Reason, String)>, u64) {
+    let dataset = opened(&context(1), log).await.unwrap();
+    let parts = dataset.parts();
+    let unchecked = parts[0].survey().await.unwrap().unchecked;
+    let entries = dataset.losses.entries().into_iter();
+    let found = entries.map(|entry| (entry.reason, entry.detail));
+    (found.collect(), unchecked)
+}
+
+#[tokio::test]
+async fn a_flipped_bit_beside_chunks_with_checksums_is_counted_by_who_reads_everything() {
+    for summed_up in [false, true] {
+        let log = beside_a_chunk(summed_up);
+        assert_eq!(surveyed(&log).await, (vec![], 0));
+        let flipped = |what: &[u8]| {
+            let mut flipped = log.clone();
+            let at = log.windows(what.len()).position(|bytes| bytes == what);
+            flipped[at.unwrap()] ^= 1;
+            flipped
+        };
+        let beside = flipped(b"volts");
+        let (found, unchecked) = surveyed(&beside).await;
+        assert_eq!((found.len(), unchecked), (1, 0), "{found:?}");
+        assert_eq!(found[0].0, Reason::BadData);
+        let said = "what differs is outside of chunks, which match theirs";
+        assert!(found[0].1.ends_with(said), "{found:?}");
+        // The chunk says that it is damaged, and then all data say nothing more.
+        let (found, unchecked) = surveyed(&flipped(b"{}")).await;
+        let reasons: Vec<Reason> = found.iter().map(|(reason, _)| *reason).collect();
+        assert!(reasons.contains(&Reason::BadChecksum), "{found:?}");
+        assert!(!reasons.contains(&Reason::BadData), "{found:?}");
+        assert_eq!(unchecked, 1);
+        // Nobody made a checksum.
+        let mut bare = beside;
+        let end = data_end(&bare);
+        bare[end + FRAME as usize..][..4].fill(0);
+        assert_eq!(surveyed(&bare).await, (vec![], 1));
+    }
+}
+
+/// Who reads all of a log for its digest compares what nobody has compared by then, and the index that is kept says it.
+#[tokio::test]
+async fn a_flipped_bit_beside_chunks_is_counted_by_who_digests_the_log() {
+    let digested = async |log: &[u8]| {
+        let dataset = opened(&context(1), log).await.unwrap();
+        let part = dataset.parts().remove(0);
+        assert!(part.index.sum.is_some() && dataset.losses.is_empty());
+        let digest = dataset.sessions[0].fingerprint(&AtomicU64::new(0)).await;
+        let index = part.index_since();
+        assert_eq!(index.sum, None);
+        let reasons = |entries: Vec<Entry>| -> Vec<Reason> {
+            entries.iter().map(|entry| entry.reason).collect()
+        };
+        let (kept, noted) = (reasons(index.losses), reasons(dataset.losses.entries()));
+        assert_eq!(kept, noted);
+        (digest.unwrap(), kept)
+    };
+    let log = beside_a_chunk(true);
+    let (digest, found) = digested(&log).await;
+    assert!(found.is_empty(), "{found:?}");
+    let at = log.windows(5).position(|bytes| bytes == b"volts").unwrap();
+    let mut flipped = log.clone();
+    flipped[at] ^= 1;
+    let (of_flipped, found) = digested(&flipped).await;
+    assert_eq!(found, [Reason::BadData]);
+    assert_ne!(of_flipped, digest);
 }
 
 #[tokio::test]

@@ -12,10 +12,11 @@ use crate::Reason;
 pub struct Losses(pub BTreeMap<String, u64>);
 
 impl Losses {
-    /// Adds to one reason's count.
+    /// Adds to one reason's count, as far as numbers go: who counts may be a function of somebody else.
     pub fn add(&mut self, reason: impl Into<String>, count: u64) {
         if count > 0 {
-            *self.0.entry(reason.into()).or_default() += count;
+            let sum = self.0.entry(reason.into()).or_default();
+            *sum = sum.saturating_add(count);
         }
     }
 
@@ -29,7 +30,8 @@ impl Losses {
 
     /// All counts together.
     pub fn total(&self) -> u64 {
-        self.0.values().sum()
+        let counts = self.0.values().copied();
+        counts.fold(0, u64::saturating_add)
     }
 
     /// Whether nothing was lost.
@@ -86,5 +88,23 @@ impl<'a> Emit<'a> {
     /// Counts `count` inputs as skipped for `reason` (a short phrase, such as `image does not decode`).
     pub fn skip(&mut self, reason: impl AsRef<str>, count: u64) {
         self.losses.add(reason.as_ref(), count);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_stay_at_the_most_that_there_is() {
+        let mut losses = Losses::default();
+        losses.add("a", u64::MAX - 1);
+        losses.add("a", 5);
+        losses.merge(&losses.clone());
+        losses.add("b", 3);
+        losses.add("c", 0);
+        let expected = [("a".to_owned(), u64::MAX), ("b".to_owned(), 3)];
+        assert_eq!(losses.0, BTreeMap::from(expected));
+        assert_eq!(losses.total(), u64::MAX);
     }
 }

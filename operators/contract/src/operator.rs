@@ -27,7 +27,8 @@ pub trait Operator: 'static {
     /// Whether the parameters make sense together. Each by itself has been held to its type and range.
     ///
     /// # Errors
-    /// A user fault where they do not; one that is of a single parameter has its name as its place.
+    /// A user fault where they do not; one that is of a single parameter has its name as its place, one of an entry of its
+    /// value `NAME.ENTRY`.
     fn check(_: &Self::Params) -> Result<(), Fault> {
         Ok(())
     }

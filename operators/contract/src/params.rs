@@ -14,6 +14,8 @@ use serde_json::{Map, Value};
 pub struct ParamFault {
     /// Its name, as the plan writes it; empty where parameters do not make sense together.
     pub param: String,
+    /// The entry of its value that is at fault; empty where that is all of it.
+    pub entry: String,
     /// What was expected and what was found, in one sentence.
     pub message: String,
 }
@@ -21,16 +23,24 @@ pub struct ParamFault {
 impl ParamFault {
     /// Of parameters that do not make sense together.
     pub(crate) fn together(message: String) -> Self {
-        let param = String::new();
-        Self { param, message }
+        Self {
+            param: String::new(),
+            entry: String::new(),
+            message,
+        }
     }
 
-    /// What an operator's own check finds: of the parameter that is its place, or of several where it has none.
+    /// What an operator's own check finds: of the parameter that is its place, or of several where it has none. What stands
+    /// behind a point is an entry of the parameter; no parameter has a point in its name.
     pub(crate) fn checked(fault: Fault) -> Self {
-        let Fault { place, message, .. } = fault;
+        let (param, entry) = fault
+            .place
+            .split_once('.')
+            .unwrap_or((fault.place.as_str(), ""));
         Self {
-            param: place,
-            message,
+            param: param.to_owned(),
+            entry: entry.to_owned(),
+            message: fault.message,
         }
     }
 }
@@ -85,8 +95,12 @@ where
             true => misfit::<P>(schema, defaults, name, value)?,
             false => format!("no parameter `{name}`"),
         };
-        let param = name.clone();
-        Some(ParamFault { param, message })
+        let entry = misfit_entry::<P>(defaults, name, value);
+        Some(ParamFault {
+            param: name.clone(),
+            entry: entry.unwrap_or_default(),
+            message,
+        })
     };
     let faults: Vec<_> = given.iter().filter_map(fault).collect();
     if !faults.is_empty() {
@@ -128,6 +142,23 @@ fn misfit<P: DeserializeOwned>(
         return None;
     };
     Some(format!("expected `{name}` {expected}, found {value}"))
+}
+
+/// The entry of a value that keeps it from being the parameter, where it would be one without entries.
+fn misfit_entry<P: DeserializeOwned>(
+    defaults: &Map<String, Value>,
+    name: &str,
+    value: &Value,
+) -> Option<String> {
+    let name = name.to_owned();
+    let fits = |entries: Map<String, Value>| {
+        let value = Value::Object(entries);
+        with::<P>(defaults, &[(&name, &value)]).is_ok()
+    };
+    let mut entries = value.as_object().filter(|_| fits(Map::new()))?.iter();
+    let alone = |key: &str, value: &Value| Map::from_iter([(key.to_owned(), value.clone())]);
+    let misfit = entries.find(|(key, value)| !fits(alone(key, value)));
+    misfit.map(|(key, _)| key.clone())
 }
 
 fn with<P: DeserializeOwned>(
@@ -240,6 +271,8 @@ fn range(property: &Value) -> String {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use std::collections::BTreeMap;
+
     use super::*;
     use schemars::JsonSchema;
     use serde::Deserialize;
@@ -272,6 +305,8 @@ mod tests {
         count: u32,
         /// Names.
         names: Vec<String>,
+        /// Places.
+        places: BTreeMap<String, [f64; 2]>,
     }
     impl Default for Outer {
         fn default() -> Self {
@@ -280,6 +315,7 @@ mod tests {
                 length_m: 2.0,
                 count: 3,
                 names: vec![],
+                places: BTreeMap::new(),
             }
         }
     }
@@ -314,6 +350,23 @@ mod tests {
     }
 
     #[test]
+    fn an_entry_that_does_not_fit_is_named() {
+        let schema = schemars::schema_for!(Outer).to_value();
+        let entries = |places: Value| {
+            let found = typed::<Outer>(&schema, &json!({ "places": places }));
+            let found = found.unwrap_err().into_iter();
+            found.map(|fault| fault.entry).collect::<Vec<_>>()
+        };
+        assert_eq!(entries(json!({ "a": [1, 2], "b.c": [1], "d": 3 })), ["b.c"]);
+        assert_eq!(entries(json!([1])), [""]);
+        let fault = Fault::user("no place").at("places.b.c");
+        let fault = ParamFault::checked(fault);
+        assert_eq!((&*fault.param, &*fault.entry), ("places", "b.c"));
+        let fault = ParamFault::checked(Fault::user("no place").at("places"));
+        assert_eq!((&*fault.param, &*fault.entry), ("places", ""));
+    }
+
+    #[test]
     fn a_declaration_tells_range_default_and_meaning() {
         let schema = schemars::schema_for!(Outer).to_value();
         let declared = declared(&schema, &serde_json::to_value(Outer::default()).unwrap());
@@ -328,6 +381,7 @@ mod tests {
                 "length_m number above 0 2.0 A length (m).",
                 "count integer from 1 to 9 3 How many.",
                 "names list of string  [] Names.",
+                "places object  {} Places.",
             ]
         );
     }

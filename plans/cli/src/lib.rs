@@ -23,6 +23,7 @@ pub mod draw;
 mod earth;
 pub mod ending;
 pub mod export;
+mod fixes;
 mod manifest;
 mod masks;
 pub mod metric;

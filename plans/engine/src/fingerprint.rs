@@ -292,7 +292,7 @@ async fn fingerprint(
     if !unchanged(&parts, &files).await {
         return Ok((content, None));
     }
-    let indexes = parts.iter().map(|part| part.index.clone()).collect();
+    let indexes = parts.iter().map(|part| part.index_since()).collect();
     let fresh = Fingerprint::new(content.clone(), rested, files, indexes)?;
     Ok((content, Some(fresh)))
 }

@@ -16,8 +16,8 @@ use evermap_schemas::Fault;
 use self::given::{coming, joining};
 use self::host::Surroundings;
 pub use self::host::vocabulary;
-use self::manifest::beside;
 pub use self::manifest::located;
+use self::manifest::{beside, seen_from_plan};
 use self::vehicle::Vehicles;
 pub use crate::fingerprint::Told;
 use crate::fingerprint::{self, Believe};
@@ -72,6 +72,18 @@ pub struct PlanText {
 pub fn parse(plan: &PlanText, registry: &Registry) -> Result<Plan, PlanFaults> {
     let host = Surroundings { plan, registry };
     evermap_language::parse(&plan.source, &plan.settings, &vocabulary(registry), &host)
+}
+
+/// As [`parse`], for a plan that is shown: what plans that it extends name by a path of theirs is named by a path of its
+/// own, so that the text is that of the same plan.
+///
+/// # Errors
+/// All its faults.
+pub fn composed(plan: &PlanText, registry: &Registry) -> Result<Plan, PlanFaults> {
+    let mut composed = parse(plan, registry)?;
+    let own = &plan.source.origin;
+    composed.sessions = composed.sessions.map(|named| seen_from_plan(named, own));
+    Ok(composed)
 }
 
 /// That a plan's text shows no faults; those that only compiling shows, of what is sound in the text, are told with them.

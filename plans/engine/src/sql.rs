@@ -15,6 +15,7 @@ mod overflow;
 mod pool;
 mod size;
 mod term;
+mod volatile;
 mod widths;
 mod written;
 
@@ -56,6 +57,7 @@ use crate::sql::written::Written;
 pub use missing::{NO_TABLE, Unlisted, explained, no_table, table_of};
 pub use size::{QUERY_WORDS, STACK_BYTES, check_size};
 pub use term::Term;
+pub use volatile::{OpenValues, volatile_functions};
 
 /// What an engine process may use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -260,13 +262,15 @@ pub fn put_rows(context: &SessionContext, input: &Input, rows: RecordBatch) -> R
 /// Plans a query. Only queries: nothing that would change a table, a file or a setting.
 ///
 /// # Errors
-/// A user fault for what is no query, is too large or does not plan.
+/// A user fault for what is no query, is too large, does not plan or leaves values open.
 pub async fn read_only(context: &SessionContext, query: &str) -> Result<DataFrame, Fault> {
     let planned = planned(context, query).await.or_fault();
-    planned.map_err(|fault| explained(context, fault))
+    let frame = planned.map_err(|fault| explained(context, fault))?;
+    OpenValues::refuse(frame.logical_plan())?;
+    Ok(frame)
 }
 
-/// As [`read_only`], with the error of DataFusion.
+/// As [`read_only`], with the error of DataFusion, and values left open.
 ///
 /// # Errors
 /// As [`read_only`].

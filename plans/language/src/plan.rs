@@ -38,6 +38,8 @@ pub struct ManifestPath {
     pub path: String,
     /// Origin of the plan that it is written in.
     pub origin: String,
+    /// The path for who reads it as relative to the plan itself, where it is relative to its origin.
+    pub from_plan: String,
 }
 
 /// One step: it makes the layer of its name.

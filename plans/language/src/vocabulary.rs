@@ -43,6 +43,8 @@ pub struct PortSpec {
 pub struct ParameterFault {
     /// Its name; empty where parameters do not make sense together.
     pub parameter: String,
+    /// The entry of its value that is at fault; empty where that is all of it.
+    pub entry: String,
     /// What was expected and what was found: one line, no full stop.
     pub message: String,
 }

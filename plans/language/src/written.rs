@@ -5,8 +5,9 @@ mod step;
 mod table;
 
 use std::collections::BTreeSet;
+use std::path::Path;
 
-use crate::fault::{Place, PlanFaults};
+use crate::fault::{Place, PlanFaults, Position};
 use crate::plan::{Body, DEFAULT_TOLERANCE, ManifestPath, Row};
 use crate::suggest::quoted;
 use crate::vocabulary::{Host, OperatorSpec, Vocabulary};
@@ -111,9 +112,11 @@ pub(crate) fn plan(root: &Node, context: &Context<'_>, faults: &mut PlanFaults) 
     let needs = fields.get("needs");
     let needs = needs.and_then(|entry| names_of(&entry.value, "`needs`", faults));
     let sessions = fields.get("sessions").and_then(|entry| {
+        let (path, place) = (entry.value.text("`sessions`", faults)?, entry.value.place);
         Some(ManifestPath {
-            path: entry.value.text("`sessions`", faults)?.to_owned(),
-            origin: faults.origin(entry.value.place).to_owned(),
+            path: path.to_owned(),
+            origin: faults.origin(place).to_owned(),
+            from_plan: from_plan(path, place, faults),
         })
     });
     let defaults = fields.get("defaults");
@@ -276,6 +279,17 @@ fn tolerance(fields: &Fields<'_>, faults: &mut PlanFaults) -> f64 {
             DEFAULT_TOLERANCE
         }
         None => DEFAULT_TOLERANCE,
+    }
+}
+
+/// The path of a file, which is relative to the text at a place, relative to the plan itself.
+fn from_plan(file: &str, place: Place, faults: &PlanFaults) -> String {
+    let folder = |place| Path::new(faults.origin(place)).parent();
+    let there = folder(place).unwrap_or(Path::new(""));
+    let here = folder(Place::Text(Position::start_of(0))).unwrap_or(Path::new(""));
+    match there.strip_prefix(here).unwrap_or(there) {
+        same if same == Path::new("") => file.to_owned(),
+        other => other.join(file).display().to_string(),
     }
 }
 

@@ -148,6 +148,13 @@ fn the_manifest_of_an_extended_plan_stays_relative_to_it() {
         (sessions.path.as_str(), sessions.origin.as_str()),
         ("logs.yaml", "base.yaml")
     );
+    assert_eq!(sessions.from_plan, "logs.yaml");
+    let plan = read("plan: p\nextends: ours/base\n", &[("ours/base", base)]).unwrap();
+    let sessions = plan.sessions.unwrap();
+    assert_eq!(
+        (sessions.path.as_str(), sessions.from_plan.as_str()),
+        ("logs.yaml", "ours/logs.yaml")
+    );
 }
 
 #[test]

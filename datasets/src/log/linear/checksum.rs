@@ -3,6 +3,7 @@
 use evermap_schemas::Fault;
 
 use super::Scan;
+use crate::log::index::DataSum;
 use crate::log::record::{FRAME, MAGIC};
 use crate::log::window::PIECE;
 use crate::losses::{Loss, Reason};
@@ -32,19 +33,32 @@ impl Scan<'_> {
         Ok(())
     }
 
-    /// Compares the checksum with that of the end record at `position`, of which 0 stands for none.
+    /// Compares the checksum with that of the end record at `position`, of which 0 stands for none. Chunks that match
+    /// their own leave nothing to compare where no message is outside of them.
     pub(super) async fn compare(&mut self, position: u64, length: u64) -> Result<(), Fault> {
-        let Some(checksum) = self.checksum.take() else {
+        let checksum = self.checksum.take();
+        if self.checked && self.loose == 0 {
             return Ok(());
-        };
+        }
         let body = self.window.get(position + FRAME, length.min(4)).await?;
         let body = body.unwrap_or_default();
         let expected = body.first_chunk().map_or(0, |crc| u32::from_le_bytes(*crc));
-        let found = checksum.finish();
-        if expected != 0 && expected != found {
-            let detail = format!(
-                "expected the checksum {expected:08x} of the {position} B before the end record, found {found:08x}"
-            );
+        let sum = DataSum {
+            bytes: position,
+            expected,
+        };
+        let Some(checksum) = checksum else {
+            self.left = (expected != 0).then_some(sum);
+            return Ok(());
+        };
+        self.compared = expected != 0;
+        let mismatch = sum.mismatch(checksum.finish());
+        if let Some(detail) = mismatch.filter(|_| self.compared) {
+            let elsewhere = match self.checked {
+                true => ": what differs is outside of chunks, which match theirs",
+                false => "",
+            };
+            let detail = format!("{detail}{elsewhere}");
             self.losses
                 .note(Reason::BadData, position, Loss::one(0), detail);
         }

@@ -37,11 +37,14 @@ impl Scan<'_> {
         let head = self.window.get(offset, present.min(HEAD)).await?;
         let census = match ChunkHead::parse(&head.unwrap_or_default()) {
             Ok(head) => {
-                // It says more: where the damage is, and what is lost with it.
-                if head.crc != 0 {
+                let checked = head.crc != 0;
+                let census = self.census(offset, present, head, cut).await?;
+                let sound = matches!(&census, Ok(census) if census.damage.is_none());
+                self.checked |= checked;
+                if checked && !sound {
                     self.checksum = None;
                 }
-                self.census(offset, present, head, cut).await?
+                census
             }
             Err(damage) => Err(damage),
         };

@@ -59,7 +59,7 @@ pub(crate) fn surroundings(classes: &[String]) -> String {
 }
 
 /// Why a view is left out whose pixels have labels of other places: those of an image of another size.
-pub(crate) const LABELS_OF_ANOTHER_SIZE: &str = "label image has another size than its panorama";
+const LABELS_OF_ANOTHER_SIZE: &str = "label image has another size than its panorama";
 
 /// A view's name in a table: session, camera, instant.
 pub(crate) type ViewKey = (String, String, Stamp);
@@ -103,6 +103,19 @@ impl Spheres {
         self.rows.contains_key(view)
     }
 
+    /// That a view's label image has the size of its panorama, where it has one.
+    ///
+    /// # Errors
+    /// That it has another one.
+    pub(crate) fn fits(&self, view: &ViewKey, labels: &LabelImage) -> Result<(), Reason> {
+        let sphere = self.rows.get(view);
+        let size = sphere.map(|row| [row.width, row.height]);
+        match size.is_none_or(|size| size == [labels.width, labels.height]) {
+            true => Ok(()),
+            false => Err(LABELS_OF_ANOTHER_SIZE.into()),
+        }
+    }
+
     /// A view's panorama at all sizes, to be registered; what moves, where there are labels, has no range in it.
     pub(crate) fn pyramid(
         &self,
@@ -112,10 +125,7 @@ impl Spheres {
     ) -> Result<Pyramid, Reason> {
         let mut sphere = self.open(view, true)?;
         if let Some(row) = self.labels(view) {
-            let size = [row.width, row.height].map(|side| side as usize);
-            if size != [sphere.lens.width, sphere.lens.height] {
-                return Err(LABELS_OF_ANOTHER_SIZE.into());
-            }
+            self.fits(view, row)?;
             let kinds = classes.kinds(&row.classes)?;
             for (range, label) in sphere.range.iter_mut().zip(labels(row)?) {
                 if kinds.is_dynamic(label) {

@@ -43,7 +43,7 @@ impl Operator for Georeferences {
             Some((site, (expected, found))) => Err(Fault::user(format!(
                 "`origins` of {site}: expected latitude, longitude, height and heading, {expected}, found {found}"
             ))
-            .at("origins")),
+            .at(format!("origins.{site}"))),
             None => Ok(()),
         }
     }
@@ -198,7 +198,7 @@ mod tests {
         ] {
             let found = faults(place);
             assert_eq!(found.len(), 1);
-            assert_eq!(found[0].param, "origins");
+            assert_eq!((&*found[0].param, &*found[0].entry), ("origins", "moon"));
             assert_eq!(found[0].message, format!("{expected} {wrong}"));
         }
         assert_eq!(

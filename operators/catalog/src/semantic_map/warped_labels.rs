@@ -17,7 +17,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::inputs::pixels::labels;
-use crate::inputs::spheres::{LABELS_OF_ANOTHER_SIZE, MovingClasses, OpenSphere, Spheres, ViewKey};
+use crate::inputs::spheres::{MovingClasses, OpenSphere, Spheres, ViewKey};
 
 /// See the module's page.
 pub struct WarpedLabelImages;
@@ -53,7 +53,7 @@ impl Default for WarpedLabelsParams {
 
 impl Operator for WarpedLabelImages {
     const NAME: &'static str = "warped_labels";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const PAGE: &'static str = include_str!("warped_labels.md");
     type Params = WarpedLabelsParams;
     type Output = WarpedLabels;
@@ -111,6 +111,7 @@ impl Site {
         let before = labels(&row)?;
         let kinds = self.params.classes.kinds(&row.classes)?;
         let key = (row.session.clone(), row.camera.clone(), row.stamp);
+        self.spheres.fits(&key, &row)?;
         let others = match before.iter().any(|label| kinds.is_dynamic(*label)) {
             true => self.around(&key, &row.classes),
             false => Vec::new(),
@@ -122,14 +123,12 @@ impl Site {
         let after = match &this {
             Some(sphere) => {
                 let this = view(sphere, &before);
-                let sized = others.iter().filter_map(|(seen, pose)| {
-                    let other = view(&seen.sphere, &seen.labels);
-                    other.is_sound().then_some((other, *pose))
-                });
-                let others: Vec<(LabelledView<'_>, Pose)> = sized.collect();
                 if !this.is_sound() {
-                    return Err(LABELS_OF_ANOTHER_SIZE.into());
+                    return Err("panorama has no unit of range".into());
                 }
+                let others = others.iter();
+                let others = others.map(|(seen, pose)| (view(&seen.sphere, &seen.labels), *pose));
+                let others: Vec<(LabelledView<'_>, Pose)> = others.collect();
                 replaced(&this, &others, &kinds, &self.params.options)
             }
             None => before.clone(),
@@ -177,7 +176,8 @@ impl Site {
             .collect()
     }
 
-    /// Another view with labels of the same classes; `None` where something of it is missing.
+    /// Another view with labels of the same classes; `None` where something of it is missing or of another size, which is
+    /// counted where it is this view's turn.
     fn seen(&self, view: &ViewKey, classes: &[String]) -> Option<Arc<Seen>> {
         let row = self
             .spheres
@@ -190,6 +190,9 @@ impl Site {
             labels: labels(row).ok()?,
             sphere: self.spheres.open(view, false).ok()?,
         });
+        if !self::view(&seen.sphere, &seen.labels).is_sound() {
+            return None;
+        }
         let mut opened = self.opened();
         if opened.len() >= MOST_OPEN {
             opened.clear();

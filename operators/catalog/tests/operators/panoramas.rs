@@ -4,8 +4,10 @@ use std::collections::BTreeMap;
 
 use arrow::array::RecordBatch;
 use evermap_contract::laws::inputs_of;
-use evermap_schemas::layers::{LabelImage, Relocation, SphereView, ViewLink, ViewRegistration};
-use evermap_schemas::{Bytes, Stamp};
+use evermap_schemas::layers::{
+    LabelImage, Relocation, SphereView, ViewLink, ViewRegistration, WarpedLabels,
+};
+use evermap_schemas::{Bytes, Pose, Stamp};
 use evermap_vision::{Grey, encode_png};
 use serde_json::{Value, json};
 
@@ -64,13 +66,18 @@ fn sphere(session: &str, stamp: i64, ahead_m: f64) -> SphereView {
     }
 }
 
-/// Labels of such a view, all of which stay where they are, in an image of this size.
-fn labels(session: &str, stamp: i64, [width, height]: [u32; 2]) -> LabelImage {
+/// An image of this size of one label.
+fn painted(label: u8, [width, height]: [u32; 2]) -> Bytes {
     let labels = Grey {
         width,
         height,
-        data: vec![1; (width * height) as usize],
+        data: vec![label; (width * height) as usize],
     };
+    Bytes(encode_png(&labels).unwrap())
+}
+
+/// Labels of such a view, all of which stay where they are, in an image of this size.
+fn labels(session: &str, stamp: i64, [width, height]: [u32; 2]) -> LabelImage {
     LabelImage {
         site: "town".into(),
         session: session.into(),
@@ -79,7 +86,7 @@ fn labels(session: &str, stamp: i64, [width, height]: [u32; 2]) -> LabelImage {
         width,
         height,
         classes: vec!["car".into(), "wall".into()],
-        png: Bytes(encode_png(&labels).unwrap()),
+        png: painted(1, [width, height]),
     }
 }
 
@@ -149,4 +156,48 @@ fn a_view_whose_labels_have_another_size_is_not_registered_and_counted() {
     assert_eq!(registered(SIZE, SIZE), (one("converged"), BTreeMap::new()));
     assert_eq!(registered(SIZE, HALF), (Vec::new(), counted(1)));
     assert_eq!(registered(HALF, SIZE), (one("no range"), counted(1)));
+}
+
+#[test]
+fn a_view_whose_labels_have_another_size_is_not_looked_through_and_counted() {
+    let link = ViewLink {
+        site: "town".into(),
+        session: "b".into(),
+        stamp: Stamp(9),
+        camera: "dome".into(),
+        kind: "registered".into(),
+        other_session: "a".into(),
+        other_stamp: Stamp(7),
+        other_camera: "dome".into(),
+        other_view_from_view: Pose::from_array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
+        covariance: vec![0.0; 36],
+        sigma_m: 0.001,
+    };
+    // Nothing but a car is seen in visit b.
+    let warped = |of_map: [u32; 2], links: Vec<ViewLink>| {
+        let spheres = vec![sphere("a", 7, 0.0), sphere("b", 9, 0.0)];
+        let car = LabelImage {
+            png: painted(0, SIZE),
+            ..labels("b", 9, SIZE)
+        };
+        let labels = vec![labels("a", 7, of_map), car];
+        let mut inputs = inputs(spheres, labels.clone());
+        inputs.push(inputs_of("labels", labels).unwrap());
+        inputs.push(inputs_of("view_links", links).unwrap());
+        let (found, losses) = yields::<WarpedLabels>("warped_labels", json!({}), inputs);
+        let views = found.into_iter().map(|row| (row.session, row.views));
+        (views.collect::<BTreeMap<_, _>>(), losses.0)
+    };
+    let through = |views: &[(&str, u32)]| {
+        let views = views.iter();
+        views
+            .map(|(session, many)| ((*session).to_owned(), *many))
+            .collect::<BTreeMap<_, _>>()
+    };
+    let linked = || vec![link.clone()];
+    let all = (through(&[("a", 0), ("b", 1)]), BTreeMap::new());
+    assert_eq!(warped(SIZE, linked()), all);
+    let one = (through(&[("b", 0)]), counted(1));
+    assert_eq!(warped(HALF, linked()), one);
+    assert_eq!(warped(HALF, Vec::new()), one);
 }

@@ -1,6 +1,8 @@
 //! The command line, as clap reads it.
 
 mod annotate;
+#[cfg(feature = "cluster")]
+mod cluster;
 mod serve;
 mod sql;
 mod versions;
@@ -15,6 +17,8 @@ use crate::progress::Show;
 use crate::quantity;
 
 pub use annotate::AnnotateArgs;
+#[cfg(feature = "cluster")]
+pub use cluster::{ExecutorArgs, SchedulerArgs};
 pub use serve::{HTTP, ServeArgs};
 pub use sql::{FunctionsArgs, SqlArgs};
 pub use versions::{DiffArgs, GcArgs, VerifyArgs, VersionsArgs};
@@ -386,46 +390,6 @@ pub enum ImportArgs {
         /// Bags.
         files: Vec<String>,
     },
-}
-
-/// Arguments of `scheduler`.
-#[cfg(feature = "cluster")]
-#[derive(Debug, Args)]
-pub struct SchedulerArgs {
-    /// Host and port to listen on, by the name or address that the others reach it by.
-    #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:50050", value_parser = address)]
-    pub bind: (String, u16),
-}
-
-/// Arguments of `executor`.
-#[cfg(feature = "cluster")]
-#[derive(Debug, Args)]
-pub struct ExecutorArgs {
-    /// The scheduler.
-    #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:50050", value_parser = address)]
-    pub scheduler: (String, u16),
-    /// Host and port to listen on, by the name or address that the others reach it by; the port after it is used too.
-    #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:50051", value_parser = address)]
-    pub bind: (String, u16),
-    /// Units to run side by side [default: one a core].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
-    pub jobs: Option<u32>,
-}
-
-#[cfg(feature = "cluster")]
-fn address(text: &str) -> Result<(String, u16), String> {
-    let bare = text
-        .split_once("://")
-        .map_or(text, |(_, rest)| rest)
-        .trim_end_matches('/');
-    let expected = || format!("expected host:port, found {text}");
-    let (host, port) = bare.rsplit_once(':').ok_or_else(expected)?;
-    let port: u16 = port.parse().map_err(|_| expected())?;
-    if host.is_empty() || port == 0 || port == u16::MAX {
-        Err(expected())
-    } else {
-        Ok((host.to_owned(), port))
-    }
 }
 
 fn picture(text: &str) -> Result<PathBuf, String> {

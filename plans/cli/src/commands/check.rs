@@ -20,7 +20,7 @@ use crate::progress::line;
 use crate::quantity::of;
 use crate::sessions::{lost, open};
 use crate::shipped;
-use crate::{masks, odometry_frame, operators};
+use crate::{fixes, masks, odometry_frame, operators};
 
 /// Checks a plan.
 ///
@@ -36,7 +36,9 @@ pub async fn check(args: &PlanArgs) -> Ending {
     if let Some(warning) = masks::warning(&masks::masked(&program), &dataset).await? {
         line(&format!("warning: {warning}"));
     }
-    for note in odometry_frame::notes(&dataset, odometry_frame::vehicle(&program)).await? {
+    let of_odometry = odometry_frame::notes(&dataset, odometry_frame::vehicle(&program)).await?;
+    let of_fixes = fixes::notes(&dataset, &program).await?;
+    for note in of_odometry.iter().chain(&of_fixes) {
         line(&format!("note: {note}"));
     }
     let players = Players::of(&dataset, std::iter::empty());

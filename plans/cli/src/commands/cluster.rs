@@ -1,9 +1,16 @@
-//! `evermap scheduler` and `evermap executor`.
+//! `evermap scheduler`, `evermap executor`, and both within the process of a run.
 
 mod folder;
 
-use evermap_engine::cluster::{self, ExecutorOptions};
+use std::time::Duration;
+
+use evermap_contract::Registry;
+use evermap_engine::cluster::{self, ClusterRunner, ExecutorOptions};
+use evermap_engine::run::runner::{Runner, Told, Unfinished};
 use evermap_engine::sql::Limits;
+use evermap_engine::unit::Unit;
+use evermap_schemas::Fault;
+use futures::stream::BoxStream;
 
 use self::folder::WorkFolder;
 use crate::arguments::{ExecutorArgs, SchedulerArgs};
@@ -25,8 +32,8 @@ pub async fn scheduler(args: &SchedulerArgs) -> Ending {
 /// Serves as an executor until stopped.
 ///
 /// # Errors
-/// A resource fault when its address is taken, when it cannot start or loses its scheduler for good; a user fault for a
-/// host that has no address.
+/// A resource fault when its address is taken, when no scheduler answers in time or when it cannot start; a user fault for
+/// a host that has no address.
 pub async fn executor(args: &ExecutorArgs) -> Ending {
     let work = WorkFolder::new_in(&std::env::temp_dir())?;
     let slots = args
@@ -41,9 +48,42 @@ pub async fn executor(args: &ExecutorArgs) -> Ending {
         scheduler: args.scheduler.clone(),
         host,
         port,
-        grpc_port: port + 1,
         slots,
         work_dir: work.path().display().to_string(),
     };
-    match cluster::executor(options, operators::registry()).await? {}
+    let wait = Duration::from_secs(args.wait_s);
+    match cluster::executor(options, wait, operators::registry()).await? {}
+}
+
+/// Runs units on a cluster inside this process, whose temporary files go with it.
+pub struct WithinProcess {
+    cluster: ClusterRunner,
+    _work: WorkFolder,
+}
+
+impl WithinProcess {
+    /// Starts the cluster. See [`ClusterRunner::in_process`].
+    ///
+    /// # Errors
+    /// A resource fault when it does not start.
+    pub async fn new(
+        registry: Registry,
+        slots: usize,
+        deadline: Duration,
+        unfinished: &Unfinished,
+    ) -> Result<Self, Fault> {
+        let work = WorkFolder::new_in(&std::env::temp_dir())?;
+        let cluster =
+            ClusterRunner::in_process(registry, slots, work.path(), deadline, unfinished).await?;
+        Ok(Self {
+            cluster,
+            _work: work,
+        })
+    }
+}
+
+impl Runner for WithinProcess {
+    fn start(&self, units: Vec<(usize, Unit)>) -> BoxStream<'static, Told> {
+        self.cluster.start(units)
+    }
 }

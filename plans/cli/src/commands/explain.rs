@@ -24,7 +24,7 @@ use crate::shipped;
 pub async fn explain(args: &ExplainArgs) -> Ending {
     let registry = operators::registry();
     let Some(map) = &args.map else {
-        let plan = prepare::parse(&shipped::of(&args.input)?, &registry);
+        let plan = prepare::composed(&shipped::of(&args.input)?, &registry);
         let plan = plan.map_err(|faults| Failure::Plan(faults.pretty()))?;
         write!(std::io::stdout(), "{plan}")?;
         return DONE;

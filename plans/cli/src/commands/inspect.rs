@@ -21,6 +21,7 @@ use crate::coordinate_frames::CoordinateFrames;
 use crate::ending::Ending;
 use crate::manifest::written;
 use crate::printable::printable;
+use crate::quantity::of;
 use crate::sessions::lost;
 use crate::shipped;
 use crate::{odometry_frame, operators};
@@ -62,6 +63,8 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
         Some(vehicle) => odometry_frame::notes(&dataset, vehicle).await?,
         None => Vec::new(),
     };
+    let unchecked = (!args.quick).then(|| unchecked(&read)).flatten();
+    let notes = unchecked.into_iter().chain(notes).collect();
     let contents = Contents {
         notes,
         frames,
@@ -76,6 +79,14 @@ pub async fn inspect(args: &InspectArgs) -> Ending {
     }
     stdout.flush()?;
     Ok(lost([&dataset]))
+}
+
+/// That flipped bits of some messages would not be seen.
+fn unchecked(read: &LogIndex) -> Option<String> {
+    let many = (read.unchecked > 0).then(|| of(read.unchecked, "message"))?;
+    Some(format!(
+        "{many} outside of chunks with no checksum to hold to: bits of them that flipped are read as they are"
+    ))
 }
 
 /// What the index says, and what `read` found: the same, or more.

@@ -18,13 +18,15 @@ use evermap_engine::sql::Limits;
 use evermap_schemas::Fault;
 
 use crate::arguments::{LimitArgs, RunArgs};
+#[cfg(feature = "cluster")]
+use crate::commands::cluster::WithinProcess;
 use crate::commands::layers::print_layers;
 use crate::ending::{Ending, Lost};
 use crate::output::Format;
 use crate::progress::{Progress, line};
 use crate::quantity::{of, of_seconds};
 use crate::sessions;
-use crate::{masks, odometry_frame, operators};
+use crate::{fixes, masks, odometry_frame, operators};
 
 /// Runs a plan.
 ///
@@ -52,7 +54,9 @@ pub async fn run(args: &RunArgs, unfinished: &Unfinished) -> Ending {
         line(&format!("warning: {warning}"));
     }
     let vehicle = odometry_frame::vehicle(&prepared.program);
-    for note in odometry_frame::notes(&prepared.logs, vehicle).await? {
+    let of_odometry = odometry_frame::notes(&prepared.logs, vehicle).await?;
+    let of_fixes = fixes::notes(&prepared.logs, &prepared.program).await?;
+    for note in of_odometry.iter().chain(&of_fixes) {
         line(&format!("note: {note}"));
     }
     prepared.unplayed.notes().iter().for_each(|note| line(note));
@@ -179,7 +183,7 @@ async fn runner(
     let registry = registry.clone();
     Ok(match args.cluster.as_deref() {
         Some(IN_PROCESS) => {
-            Box::new(ClusterRunner::in_process(registry, jobs, deadline, unfinished).await?)
+            Box::new(WithinProcess::new(registry, jobs, deadline, unfinished).await?)
         }
         Some(url) => Box::new(ClusterRunner::new(url, registry, deadline, unfinished)),
         None => Box::new(LocalRunner::new(registry, jobs)),

@@ -21,7 +21,7 @@ use evermap_engine::error::{OrFault, fault_of};
 use evermap_engine::map::Map;
 use evermap_engine::map::columns::{of_answer, of_table};
 use evermap_engine::sql::{
-    Limits, NO_TABLE, TABLES, catalog, check_size, context, explained, plan_of,
+    Limits, NO_TABLE, OpenValues, TABLES, catalog, check_size, context, explained, plan_of,
 };
 use evermap_functions::{asks_graphs, use_indexes};
 use evermap_language::listed;
@@ -251,6 +251,7 @@ impl Tables {
         let plan = plan_of(&state, statement).await.or_fault();
         let plan = plan.map_err(|fault| self.explained(fault))?;
         read_only(&plan)?;
+        OpenValues::refuse(&plan)?;
         if asks_graphs(&plan).or_fault()? {
             self.indexed.get_or_init(|| self.use_indexes()).await;
         }

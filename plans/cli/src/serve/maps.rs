@@ -40,6 +40,8 @@ pub struct ServedMap {
     runtime: Arc<RuntimeEnv>,
     /// The newest version when it was last looked for.
     newest: AtomicU64,
+    /// The last of the torn versions that were told.
+    torn: AtomicU64,
     /// Versions that were asked for, the last of them last.
     open: Mutex<Vec<Arc<Opened>>>,
 }
@@ -81,6 +83,7 @@ impl Maps {
                 limits,
                 runtime: Arc::clone(&runtime),
                 newest: AtomicU64::new(0),
+                torn: AtomicU64::new(0),
                 open: Mutex::default(),
             };
             map.newest().await?;
@@ -118,24 +121,36 @@ impl Maps {
 }
 
 impl ServedMap {
-    /// The newest version, as it is at this moment.
+    /// The newest version that reads, as it is at this moment.
     ///
     /// # Errors
     /// A user fault for a map without a version, a resource fault when the store does not answer.
     pub async fn newest(&self) -> Result<Arc<Opened>, Fault> {
         let mut number = self.newest.load(Ordering::Acquire);
-        if number == 0 {
+        let is_first = number == 0;
+        if is_first {
             let latest = Version::latest(&self.store).await?;
             number = latest.map_or(0, |version| version.version);
         }
-        while Version::find(&self.store, number + 1).await?.is_some() {
-            number += 1;
+        let torn = |version: u64, fault: Fault| {
+            // Those that there were at first were told when the newest was looked for.
+            if self.is_news(version) && !is_first {
+                tracing::warn!("version {version} is ignored: {fault}");
+            }
+        };
+        while let (next, Some(_)) = Version::after(&self.store, number, torn).await? {
+            number = next;
         }
         self.newest.fetch_max(number, Ordering::AcqRel);
         match number {
             0 => self.at(None).await,
             number => self.at(Some(number)).await,
         }
+    }
+
+    /// Whether nobody was told yet that this version is torn.
+    fn is_news(&self, torn: u64) -> bool {
+        self.torn.fetch_max(torn, Ordering::AcqRel) < torn
     }
 
     /// A version; the newest where none is named.
@@ -190,5 +205,44 @@ impl ServedMap {
     /// What opens logs of the map.
     pub fn runtime(&self) -> &Arc<RuntimeEnv> {
         &self.runtime
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::path::Path;
+
+    use super::*;
+
+    async fn publish(map: &Path, number: u64) {
+        let store = Store::open(map.to_str().unwrap(), true).unwrap();
+        let version = Version {
+            version: number,
+            ..Version::default()
+        };
+        assert!(version.publish(&store).await.unwrap());
+    }
+
+    #[tokio::test]
+    async fn a_torn_version_is_passed_over_and_told_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let map = folder.path().join("map");
+        publish(&map, 1).await;
+        let addresses = [map.to_str().unwrap().to_owned()];
+        let maps = Maps::open(&addresses, Limits::default()).await.unwrap();
+        let served = maps.only().unwrap();
+        let version = async || served.newest().await.unwrap().version();
+        assert_eq!(version().await, 1);
+        let whole = std::fs::read(map.join("versions/1.json")).unwrap();
+        let torn = map.join("versions/2.json");
+        std::fs::write(&torn, &whole[..whole.len() / 2]).unwrap();
+        assert_eq!((version().await, version().await), (1, 1));
+        assert!(!served.is_news(2) && served.is_news(4));
+        publish(&map, 3).await;
+        assert_eq!(version().await, 3);
+        // Nobody looks back.
+        std::fs::remove_file(torn).unwrap();
+        assert_eq!(version().await, 3);
     }
 }

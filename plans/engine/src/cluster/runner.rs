@@ -1,19 +1,22 @@
 //! Waves of units, submitted as jobs until every receipt is there.
 
 use std::collections::BTreeMap;
+use std::net::Ipv4Addr;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use ballista_core::serde::protobuf::PartitionLocation;
-use ballista_core::serde::protobuf::scheduler_grpc_client::SchedulerGrpcClient;
 use evermap_contract::Registry;
 use evermap_schemas::Fault;
 use futures::StreamExt;
 use futures::stream::BoxStream;
+use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 
 use crate::cluster::job::{UnitTexts, session_config, session_state, unit_text};
 use crate::cluster::note;
 use crate::cluster::scheduler::{Job, JobState, Scheduler, failures};
+use crate::cluster::serve::{ExecutorOptions, serve_units};
 use crate::error::remote_fault;
 use crate::map::receipt::Receipt;
 use crate::map::store::{Store, each};
@@ -59,33 +62,41 @@ impl ClusterRunner {
         }
     }
 
-    /// Starts a scheduler and an executor inside this process, and runs units on them.
+    /// Starts a scheduler and an executor inside this process, and runs units on them. Ballista's own files are in
+    /// `work_dir`.
     ///
     /// # Errors
     /// A resource fault when they do not start.
     pub async fn in_process(
         registry: Registry,
         slots: usize,
+        work_dir: &Path,
         deadline: Duration,
         unfinished: &Unfinished,
     ) -> Result<Self, Fault> {
         let state = session_state(session_config(), &registry);
-        let address = ballista_scheduler::standalone::new_standalone_scheduler_from_state(&state)
+        let scheduler = ballista_scheduler::standalone::new_standalone_scheduler_from_state(&state)
             .await
             .map_err(|error| remote_fault(&error, "the scheduler does not start"))?;
-        let url = format!("http://127.0.0.1:{}", address.port());
-        let client = SchedulerGrpcClient::connect(url.clone())
-            .await
-            .map_err(|error| remote_fault(&error, "the scheduler does not answer"))?;
-        ballista_executor::new_standalone_executor_from_state(client, slots.max(1), &state)
-            .await
-            .map_err(|error| remote_fault(&error, "the executor does not start"))?;
-        Ok(Self {
-            scheduler: url,
-            registry,
-            deadline,
-            _unfinished: unfinished.clone(),
-        })
+        let (host, of_executor) = (Ipv4Addr::LOCALHOST, "the executor does not start");
+        let listener = TcpListener::bind((host, 0)).await;
+        let listener = listener.map_err(|error| remote_fault(&error, of_executor))?;
+        let address = listener.local_addr();
+        let address = address.map_err(|error| remote_fault(&error, of_executor))?;
+        let options = ExecutorOptions {
+            scheduler: (host.to_string(), scheduler.port()),
+            host: host.to_string(),
+            port: address.port(),
+            slots,
+            work_dir: work_dir.display().to_string(),
+        };
+        let operators = registry.clone();
+        tokio::spawn(async move {
+            let Err(fault) = serve_units(listener, address, options, &operators).await;
+            tracing::warn!("nobody is left to run units: {fault}");
+        });
+        let url = format!("http://{host}:{}", scheduler.port());
+        Ok(Self::new(&url, registry, deadline, unfinished))
     }
 }
 

@@ -1,5 +1,6 @@
 //! The scheduler as a run sees it: jobs submitted, followed and cancelled.
 
+use std::error::Error;
 use std::fmt::Display;
 use std::time::Duration;
 
@@ -71,7 +72,7 @@ impl Scheduler {
         let endpoint = create_grpc_client_endpoint(url.to_owned(), Some(&config));
         let endpoint = endpoint.map_err(|error| lost(&error))?;
         let channel = endpoint.connect().await;
-        let channel = channel.map_err(|error| lost(&format!("{error:?}")))?;
+        let channel = channel.map_err(|error| lost(&innermost(&error)))?;
         let client = SchedulerGrpcClient::new(channel)
             .max_encoding_message_size(config.max_message_size)
             .max_decoding_message_size(config.max_message_size);
@@ -79,6 +80,20 @@ impl Scheduler {
             url: url.to_owned(),
             client,
         })
+    }
+
+    /// Asks the scheduler at a URL what every scheduler answers.
+    ///
+    /// # Errors
+    /// A resource fault when nothing answers there, or what is no scheduler.
+    pub async fn greet(url: &str) -> Result<(), Fault> {
+        let mut scheduler = Self::connect(url).await?;
+        let no_job = GetJobStatusParams {
+            job_id: String::new(),
+        };
+        let answer = scheduler.client.get_job_status(no_job).await;
+        let answer = answer.map_err(|status| lost(&status.message(), url));
+        answer.map(|_| ())
     }
 
     /// Submits units as one job.
@@ -145,6 +160,15 @@ impl Scheduler {
             tracing::debug!(%status, "a job is not cancelled");
         }
     }
+}
+
+/// The reason behind an error, which alone says what happened.
+fn innermost(error: &dyn Error) -> String {
+    let mut innermost = error;
+    while let Some(source) = innermost.source() {
+        innermost = source;
+    }
+    innermost.to_string()
 }
 
 fn lost(error: &dyn Display, url: &str) -> Fault {

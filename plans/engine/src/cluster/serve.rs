@@ -4,14 +4,19 @@ use std::collections::BTreeSet;
 use std::convert::Infallible;
 use std::fmt;
 use std::net::{IpAddr, SocketAddr};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
+use arrow_flight::flight_service_server::FlightServiceServer;
 use ballista_core::config::TaskSchedulingPolicy;
+use ballista_core::error::BallistaError;
 use ballista_core::extension::SessionConfigExt;
 use ballista_core::registry::BallistaFunctionRegistry;
 use ballista_core::serde::protobuf::job_status::Status;
+use ballista_core::utils::create_grpc_server;
+use ballista_executor::ArrowFlightServerProvider;
 use ballista_executor::executor_process::{ExecutorProcessConfig, start_executor_process};
+use ballista_executor::flight_service::BallistaFlightService;
 use ballista_scheduler::cluster::{BallistaCluster, ClusterState, JobState};
 use ballista_scheduler::config::SchedulerConfig;
 use ballista_scheduler::scheduler_process::{create_scheduler, start_grpc_service_with_listener};
@@ -20,12 +25,17 @@ use datafusion_proto::protobuf::{LogicalPlanNode, PhysicalPlanNode};
 use evermap_contract::Registry;
 use evermap_schemas::Fault;
 use tokio::net::{TcpListener, lookup_host};
+use tonic::transport::server::TcpIncoming;
 
 use crate::cluster::job::{session_config, session_state};
+use crate::cluster::scheduler::Scheduler;
 use crate::error::{external, remote_fault};
 
 /// How often is looked whether executors are left.
 const WATCH: Duration = Duration::from_secs(2);
+
+/// How often is looked whether a scheduler is there.
+const LOOK: Duration = Duration::from_millis(500);
 
 type Server = SchedulerServer<LogicalPlanNode, PhysicalPlanNode>;
 
@@ -145,38 +155,57 @@ pub struct ExecutorOptions {
     pub host: String,
     /// Port for results.
     pub port: u16,
-    /// Port for calls.
-    pub grpc_port: u16,
     /// Units to run side by side.
     pub slots: usize,
     /// Folder for Ballista's own files.
     pub work_dir: String,
 }
 
-/// Serves as an executor until it is stopped, which gives it up: by itself it never ends well.
+/// Serves as an executor until it is stopped, which gives it up: by itself it never ends well. So long is waited for the
+/// scheduler to answer at first; one that goes after that may come back when it likes.
 ///
 /// # Errors
-/// A resource fault when its address is taken, when it cannot start or loses its scheduler for good; a user fault for a
-/// host that has no address.
-pub async fn executor(options: ExecutorOptions, registry: Registry) -> Result<Infallible, Fault> {
+/// A resource fault when its address is taken, when no scheduler answers in time or when it cannot start; a user fault for
+/// a host that has no address.
+pub async fn executor(
+    options: ExecutorOptions,
+    wait: Duration,
+    registry: Registry,
+) -> Result<Infallible, Fault> {
     let address = resolved(&options.host, options.port).await?;
-    // Ballista listens long after it has begun, and only logs where it cannot.
-    drop(listen(&options.host, address).await?);
+    let listener = listen(&options.host, address).await?;
+    until_answered(&options.scheduler, wait).await?;
+    serve_units(listener, address, options, &registry).await
+}
+
+/// Serves as an executor at a listener, whose address it is. Its scheduler is there.
+///
+/// # Errors
+/// A resource fault when it ends.
+pub(super) async fn serve_units(
+    listener: TcpListener,
+    address: SocketAddr,
+    options: ExecutorOptions,
+    registry: &Registry,
+) -> Result<Infallible, Fault> {
     let place = format!("{}:{}", options.host, options.port);
-    let state = session_state(session_config(), &registry);
+    let state = session_state(session_config(), registry);
     let config = ExecutorProcessConfig {
         bind_host: before_port(address),
         external_host: Some(options.host),
         port: options.port,
-        grpc_port: options.grpc_port,
+        // Executors ask for work and are not called: of calls that come anyhow, those who hand out results say so.
+        grpc_port: options.port,
         scheduler_host: options.scheduler.0,
         scheduler_port: options.scheduler.1,
-        scheduler_connect_timeout_seconds: 60,
+        // Ballista would never cease to wait: it takes the time that has passed from a clock that it has just begun.
+        scheduler_connect_timeout_seconds: 0,
         vcores: options.slots.max(1),
         work_dir: Some(options.work_dir),
         task_scheduling_policy: TaskSchedulingPolicy::PullStaged,
         override_function_registry: Some(Arc::new(BallistaFunctionRegistry::from(&state))),
         override_config_producer: Some(Arc::new(session_config)),
+        override_arrow_flight_service: Some(results_at(listener)),
         executor_heartbeat_interval_seconds: 3,
         ..ExecutorProcessConfig::default()
     };
@@ -188,6 +217,57 @@ pub async fn executor(options: ExecutorOptions, registry: Registry) -> Result<In
         "expected to listen on {place} until stopped, found that the executor has ended"
     ))
     .next("what it logged says why; EVERMAP_LOG=info logs more"))
+}
+
+/// Ends when a scheduler answers.
+///
+/// # Errors
+/// A resource fault that names its address, when none has for so long.
+async fn until_answered((host, port): &(String, u16), wait: Duration) -> Result<(), Fault> {
+    let url = format!("http://{host}:{port}");
+    let mut found = None;
+    let answered = tokio::time::timeout(wait, async {
+        while let Err(fault) = Scheduler::greet(&url).await {
+            if found.is_none() {
+                tracing::warn!("no scheduler answers yet: {fault}");
+            }
+            found = Some(fault.message);
+            tokio::time::sleep(LOOK).await;
+        }
+    })
+    .await;
+    answered.map_err(|_| {
+        let seconds = wait.as_secs();
+        let found = found.unwrap_or_else(|| "no answer".to_owned());
+        Fault::resource(format!(
+            "expected a scheduler that answers at {host}:{port} within {seconds} s, found {found}"
+        ))
+        .next("look whether `evermap scheduler` runs there, whether --scheduler names it, and whether a firewall is between; --wait-s allows more time")
+    })
+}
+
+/// What hands out results at a listener. (Ballista's own would listen long after it has begun, and only log where it
+/// cannot.)
+fn results_at(listener: TcpListener) -> Arc<ArrowFlightServerProvider> {
+    const MESSAGE_BYTES: usize = 16 << 20;
+    let listener = Mutex::new(Some(listener));
+    Arc::new(move |work_dir, _, mut shutdown, config| {
+        let mut listener = listener.lock().unwrap_or_else(PoisonError::into_inner);
+        let listener = listener.take();
+        tokio::spawn(async move {
+            let asked_twice = || BallistaError::Internal("results are handed out once".to_owned());
+            let listener = listener.ok_or_else(asked_twice)?;
+            let results = FlightServiceServer::new(BallistaFlightService::new(work_dir))
+                .max_decoding_message_size(MESSAGE_BYTES)
+                .max_encoding_message_size(MESSAGE_BYTES);
+            let connections = TcpIncoming::from(listener).with_nodelay(Some(true));
+            create_grpc_server(&config)
+                .add_service(results)
+                .serve_with_incoming_shutdown(connections, shutdown.recv())
+                .await
+                .map_err(BallistaError::TonicError)
+        })
+    })
 }
 
 #[cfg(test)]
@@ -216,12 +296,32 @@ mod tests {
             scheduler: ("127.0.0.1".to_owned(), 1),
             host: "127.0.0.1".to_owned(),
             port,
-            grpc_port: port,
             slots: 1,
             work_dir: String::new(),
         };
-        let fault = executor(options, Registry::default()).await.unwrap_err();
+        let executor = executor(options, Duration::from_secs(600), Registry::default());
+        let fault = executor.await.unwrap_err();
         let expected = format!("resource: expected to listen on 127.0.0.1:{port}, found ");
         assert!(fault.to_string().starts_with(&expected), "{fault}");
+    }
+
+    #[tokio::test]
+    async fn a_scheduler_that_does_not_answer_is_waited_for_so_long() {
+        let wait = Duration::from_secs(1);
+        let told = |port: u16| async move {
+            let place = ("127.0.0.1".to_owned(), port);
+            let waited = until_answered(&place, wait);
+            let waited = tokio::time::timeout(Duration::from_secs(30), waited).await;
+            waited.unwrap().unwrap_err()
+        };
+        // One that takes connections and says nothing, and nobody.
+        let silent = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        for port in [silent.local_addr().unwrap().port(), 1] {
+            let fault = told(port).await;
+            let expected = format!(
+                "resource: expected a scheduler that answers at 127.0.0.1:{port} within 1 s, found "
+            );
+            assert!(fault.to_string().starts_with(&expected), "{fault}");
+        }
     }
 }

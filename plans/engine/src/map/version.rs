@@ -203,11 +203,29 @@ impl Version {
     /// # Errors
     /// A resource fault when the store does not answer.
     pub async fn number_after(store: &Store, version: u64) -> Result<u64, Fault> {
+        Self::after(store, version, |_, _| {})
+            .await
+            .map(|(number, _)| number)
+    }
+
+    /// What follows a version: the number of the next one, and that one where it is there. Those that are torn are nobody's:
+    /// `torn` hears of each, and it is passed over.
+    ///
+    /// # Errors
+    /// A resource fault when the store does not answer.
+    pub async fn after(
+        store: &Store,
+        version: u64,
+        mut torn: impl FnMut(u64, Fault),
+    ) -> Result<(u64, Option<Self>), Fault> {
         let mut number = version + 1;
         loop {
             match Self::find(store, number).await {
-                Err(fault) if fault.kind == Kind::Data => number += 1,
-                found => return found.map(|_| number),
+                Err(fault) if fault.kind == Kind::Data => {
+                    torn(number, fault);
+                    number += 1;
+                }
+                found => return found.map(|found| (number, found)),
             }
         }
     }

@@ -74,6 +74,7 @@ impl Host for Surroundings<'_> {
         let faults = entry.map_or_else(|_| Vec::new(), |entry| entry.faults(params));
         let told = |fault: ParamFault| ParameterFault {
             parameter: fault.param,
+            entry: fault.entry,
             message: fault.message,
         };
         faults.into_iter().map(told).collect()

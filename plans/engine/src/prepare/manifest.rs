@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use evermap_datasets::manifest::{faulty_role, faulty_session};
-use evermap_language::{Position, Source, entry_place, role_places};
+use evermap_language::{ManifestPath, Position, Source, entry_place, role_places};
 use evermap_schemas::{Fault, roles};
 
 /// A path as a plan writes it: relative to the working folder, or, where there is no such file, to the plan.
@@ -13,6 +13,18 @@ pub fn beside(origin: &str, path: &str) -> PathBuf {
     match there {
         Some(there) if !here.exists() && there.exists() => there,
         _ => here,
+    }
+}
+
+/// A manifest as the plan of this origin names it itself: where it is found beside the plan that says so, from there.
+pub fn seen_from_plan(named: ManifestPath, own: &str) -> ManifestPath {
+    match beside(&named.origin, &named.path) == Path::new(&named.path) {
+        true => named,
+        false => ManifestPath {
+            path: named.from_plan.clone(),
+            origin: own.to_owned(),
+            ..named
+        },
     }
 }
 

@@ -10,7 +10,6 @@ pub mod python;
 mod query;
 mod reads;
 pub(crate) mod test_rows;
-mod volatile;
 
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -11,7 +11,6 @@ use datafusion::prelude::{DataFrame, SessionContext};
 use evermap_language::{Part, Place, PlanFaults, Step};
 
 use crate::error::{fault_of, place_in_query};
-use crate::program::volatile::{placeholders, volatile_functions};
 use crate::sql;
 
 /// The query of a step and where it begins.
@@ -50,8 +49,8 @@ impl<'q> Query<'q> {
         };
         let plan = frame.logical_plan();
         let repeated = sql::repeated_columns(plan);
-        let volatile = volatile_functions(plan);
-        let open = placeholders(plan);
+        let volatile = sql::volatile_functions(plan);
+        let open = sql::OpenValues::of(plan);
         if let Some(first) = repeated.first() {
             let names = repeated.join(", ");
             let what = format!("gives two columns the name {names}; name one with AS");
@@ -62,10 +61,9 @@ impl<'q> Query<'q> {
                 "calls {names}, whose answer changes from run to run; order by columns, and take instants from the rows"
             );
             self.fault(Part::Word(first), &what, faults);
-        } else if let Some(first) = open.first() {
-            let names = open.join(", ");
-            let what = format!("has {names}, which nobody gives a value; write the value itself");
-            self.fault(Part::Word(first), &what, faults);
+        } else if let Some(open) = open {
+            let what = format!("has {open}; {}", sql::OpenValues::NEXT);
+            self.fault(Part::Word(open.first()), &what, faults);
         } else if let Err(error) = planned_whole(context, plan).await {
             self.does_not_plan(context, &error, faults);
         } else {

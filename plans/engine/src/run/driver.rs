@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 
+use evermap_contract::Losses;
 use evermap_schemas::Fault;
 use futures::StreamExt;
 use futures::stream::SelectAll;
@@ -277,16 +278,16 @@ impl<'r, 'a> Driver<'r, 'a> {
 
     /// What was skipped or lost: operators' counts summed, a log's counted once however many units read it.
     pub fn losses(&self) -> BTreeMap<String, u64> {
-        let mut losses: BTreeMap<String, u64> = BTreeMap::new();
+        let mut losses = Losses::default();
         for (receipt, _) in self.receipts.values() {
             for (reason, count) in &receipt.skipped {
-                *losses.entry(reason.clone()).or_default() += count;
+                losses.add(reason.clone(), *count);
             }
             for (reason, count) in &receipt.log_losses {
-                let held = losses.entry(reason.clone()).or_default();
+                let held = losses.0.entry(reason.clone()).or_default();
                 *held = (*held).max(*count);
             }
         }
-        losses
+        losses.0
     }
 }

@@ -155,12 +155,10 @@ impl<'a> Builder<'a> {
 
     /// What the logs had lost.
     pub fn log_losses(&self) -> BTreeMap<String, u64> {
-        let mut counted = BTreeMap::new();
+        let mut counted = Losses::default();
         let told = self.opened.iter().flat_map(|dataset| dataset.losses.told());
-        for (line, count) in told {
-            *counted.entry(line).or_insert(0) += count;
-        }
-        counted
+        told.for_each(|(line, count)| counted.add(line, count));
+        counted.0
     }
 
     /// The unit's plan: one partition, ordered as its rows are kept.

@@ -1,11 +1,10 @@
 //! A step that is a function in Python.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use super::step::{ports, sound_values};
-use super::{WrittenStep, is_null};
-use crate::fault::{Place, PlanFaults, Position};
+use super::{WrittenStep, from_plan, is_null};
+use crate::fault::PlanFaults;
 use crate::plan::{Body, Grain, PythonStep};
 use crate::suggest::{listed, one_line, quoted};
 use crate::vocabulary::Host;
@@ -93,17 +92,6 @@ fn file(
             faults.error(place, one_line(&error));
             None
         }
-    }
-}
-
-/// The path of a file, which is relative to the text at a place, relative to the plan itself.
-fn from_plan(file: &str, place: Place, faults: &PlanFaults) -> String {
-    let folder = |place| Path::new(faults.origin(place)).parent();
-    let there = folder(place).unwrap_or(Path::new(""));
-    let here = folder(Place::Text(Position::start_of(0))).unwrap_or(Path::new(""));
-    match there.strip_prefix(here).unwrap_or(there) {
-        same if same == Path::new("") => file.to_owned(),
-        other => other.join(file).display().to_string(),
     }
 }
 

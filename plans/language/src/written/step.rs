@@ -9,7 +9,7 @@ use crate::fault::PlanFaults;
 use crate::inside::Part;
 use crate::plan::Body;
 use crate::suggest::{listed, one_line, quoted};
-use crate::vocabulary::{Host, OperatorSpec};
+use crate::vocabulary::{Host, OperatorSpec, ParameterFault};
 use crate::yaml::{Entry, Fields};
 
 pub(super) fn step(
@@ -189,7 +189,7 @@ fn parameters(
     for fault in context.around.host.parameter_faults(&spec.name, &params) {
         match entries.iter().find(|entry| entry.key == fault.parameter) {
             None => faults.error(with.unwrap_or(op).value.place, fault.message),
-            Some(entry) => misfit(spec, entry, fault.message, faults),
+            Some(entry) => misfit(spec, entry, fault, faults),
         }
     }
     (faults.error_count() == before).then_some(params)
@@ -205,15 +205,24 @@ pub(crate) fn check_alone(
     let params = Value::Object(sound_values(entries.iter().copied(), faults));
     for fault in host.parameter_faults(&spec.name, &params) {
         if let Some(entry) = entries.iter().find(|entry| entry.key == fault.parameter) {
-            misfit(spec, entry, fault.message, faults);
+            misfit(spec, entry, fault, faults);
         }
     }
 }
 
-/// Records what is wrong with a parameter: at its value, or at its name where the operator has none of that name.
-fn misfit(spec: &OperatorSpec, entry: &Entry, message: String, faults: &mut PlanFaults) {
+/// Records what is wrong with a parameter: at its value, or the entry in it that is at fault, or at its name where the
+/// operator has none of that name.
+fn misfit(spec: &OperatorSpec, entry: &Entry, fault: ParameterFault, faults: &mut PlanFaults) {
+    let ParameterFault {
+        entry: within,
+        message,
+        ..
+    } = fault;
     match spec.parameter_names().any(|known| known == entry.key) {
-        true => faults.error(entry.value.place, message),
+        true => {
+            let within = entry.value.get(&within).map(|within| &within.value);
+            faults.error(within.unwrap_or(&entry.value).place, message);
+        }
         false => faults.unknown(entry.place, message, &entry.key, spec.parameter_names()),
     }
 }

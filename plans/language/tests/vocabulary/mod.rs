@@ -155,8 +155,11 @@ impl Host for Plans<'_> {
                     format!("expected `{name}` {expected}, found {value}")
                 }
             };
-            let parameter = name.clone();
-            Some(ParameterFault { parameter, message })
+            Some(ParameterFault {
+                parameter: name.clone(),
+                entry: String::new(),
+                message,
+            })
         };
         let params = params.as_object().unwrap();
         params.iter().filter_map(fault).collect()

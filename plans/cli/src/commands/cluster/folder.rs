@@ -1,4 +1,5 @@
-//! The folder of an executor's temporary files: it goes with its executor, or with the next one that begins beside it.
+//! The folder of an executor's temporary files: it goes with its executor, or with the next one that begins beside it. A
+//! run that is a cluster within its process has one, too.
 //!
 //! ```text
 //!   evermap-executor-XXXXXX/lock   held by its executor as long as it lives

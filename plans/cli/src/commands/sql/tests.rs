@@ -54,6 +54,27 @@ async fn queries_only_read() {
 }
 
 #[tokio::test]
+async fn values_that_are_left_open_are_refused() {
+    let tables = Tables {
+        context: context(Limits::default()).unwrap(),
+        reader: None,
+        dataset: None,
+        indexed: OnceCell::new(),
+    };
+    for (query, open) in [
+        ("SELECT 1 AS a WHERE 2 > $1", "$1"),
+        ("SELECT a FROM (VALUES (1)) t(a) LIMIT $n", "$n"),
+        ("EXPLAIN SELECT 1 AS a WHERE 2 > $1", "$1"),
+    ] {
+        let fault = tables.ask(query).await.unwrap_err();
+        let said = format!(
+            "user: expected values, found {open}, which nobody gives a value; write the value itself"
+        );
+        assert_eq!(fault.to_string(), said, "{query}");
+    }
+}
+
+#[tokio::test]
 async fn results_have_a_header_even_without_rows() {
     let tables = Tables {
         context: context(Limits::default()).unwrap(),
