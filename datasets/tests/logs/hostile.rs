@@ -235,8 +235,10 @@ async fn a_torn_or_damaged_chunk_gives_the_messages_before_the_damage() {
         damaged[packed.len() * 5 / 8..][..64].fill(0xFF);
         let log = file(&[chunk(inner.len() as u64, compression, &damaged)], &[]);
         let (found, losses) = rows(&log, "/t").await;
+        // Without compression and checksum nothing says that bytes are others.
+        let told = compression.is_empty() || !losses.is_empty();
         assert!(
-            found >= before(5) && !losses.is_empty(),
+            found >= before(5) && told,
             "{compression:?} damaged: {found} rows, {losses:?}"
         );
     }
