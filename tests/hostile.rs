@@ -7,10 +7,10 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::Cursor;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
-use evermap_tests::{Finished, program, repository, text};
+use evermap_tests::{Finished, program, shared, text};
 
 /// Bytes of memory that `inspect` may map to write to.
 const INSPECT: u64 = 256 << 20;
@@ -21,14 +21,7 @@ const FOR_EVER: &str = "300";
 
 /// Makes the logs.
 fn logs(folder: &Path) {
-    let root = std::env::var_os("EVERMAP_SHARED");
-    let root = root.map_or(repository().join("../shared"), PathBuf::from);
-    let script = root.join("hostile/make.py");
-    assert!(
-        script.is_file(),
-        "expected {}, found none",
-        script.display()
-    );
+    let script = shared("hostile/make.py").expect("the script is there");
     let made = Command::new("python3").arg(script).arg(folder).output();
     let made: Finished = made.expect("python3 starts").into();
     made.expect(0);
