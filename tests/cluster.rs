@@ -9,7 +9,8 @@ use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::{Duration, Instant};
 
-use rand::{Rng, SeedableRng};
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use evermap_tests::{command, command_that_hangs_up, evermap, rectangle, text, write_drive};
@@ -325,6 +326,61 @@ fn a_cluster_that_is_not_there_or_has_nobody_to_work_is_named() {
     assert!(idle.contains("no executor is connected"), "{idle}");
 }
 
+/// A scheduler that takes connections and says nothing, as one that was suspended does.
+#[test]
+fn a_scheduler_that_says_nothing_is_given_up_at_the_deadline() {
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = sessions(folder.path(), 1, 1.0);
+    let cluster = Cluster::new();
+    let silent = TcpListener::bind(("127.0.0.1", cluster.scheduler)).unwrap();
+    silent.set_nonblocking(true).unwrap();
+    let run = on_cluster(&folder.path().join("map"), &sessions, &cluster, "2");
+    let mut held = Vec::new();
+    until("the run asks", || {
+        held.extend(silent.accept());
+        !held.is_empty()
+    });
+    let asked = Instant::now();
+    let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
+    let waited = asked.elapsed();
+    let said = ended.expect(1).stderr;
+    for words in ["no unit has ended for 2 s", "does not answer"] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+    // One call alone may take ten seconds where nobody has a deadline.
+    assert!(waited < Duration::from_secs(8), "{waited:?}");
+}
+
+/// How long the only executor of a run may hang, in seconds.
+const HANGING: &str = "20";
+
+#[test]
+fn a_run_whose_only_executor_hangs_ends_at_its_deadline_and_nothing_runs_later() {
+    let folder = tempfile::tempdir().unwrap();
+    let sessions = sessions(folder.path(), 12, 40.0);
+    let cluster = Cluster::new();
+    let _scheduler = cluster.scheduler();
+    let executor = cluster.executor();
+    let map = folder.path().join("map");
+    let run = on_cluster(&map, &sessions, &cluster, HANGING);
+    until_one_is_done(&map);
+    signal(&executor, "-STOP");
+    let (done, stopped) = (receipts(&map), Instant::now());
+    let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();
+    let waited = stopped.elapsed();
+    let said = ended.expect(1).stderr;
+    let expected = format!("no unit has ended for {HANGING} s");
+    assert!(said.contains(&expected), "{said}");
+    assert!(waited < Duration::from_secs(35), "{waited:?}");
+    signal(&executor, "-CONT");
+    let ended = receipts_in_the_end(&map);
+    // The executor has one slot: what it was at may end.
+    assert!(
+        ended <= done + 1 && ended < sessions.len(),
+        "{done} {ended}"
+    );
+}
+
 #[test]
 fn an_executor_that_stops_answering_is_given_up() {
     let folder = tempfile::tempdir().unwrap();
@@ -431,35 +487,67 @@ fn a_run_whose_executors_have_all_died_says_so_and_goes_on_with_the_next() {
     assert!(run.wait().unwrap().success(), "{rest:?}");
 }
 
-/// Disturbances of a cluster, one after another: executors die, stop answering for a while, come and go; now and then the
-/// scheduler is started anew.
+/// A cluster that is disturbed again and again.
 struct Chaos<'a> {
     cluster: &'a Cluster,
-    random: ChaCha8Rng,
     scheduler: Option<Process>,
     executors: Vec<Process>,
     paused: Vec<Process>,
 }
 
+/// What may happen to a cluster.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Disturbance {
+    /// The scheduler is killed, and another one starts in its place.
+    Restart,
+    /// An executor is killed.
+    Kill,
+    /// An executor stops answering.
+    Suspend,
+    /// One that had stopped goes on; where none had, an executor comes.
+    Resume,
+    /// An executor comes.
+    Join,
+}
+
+impl Disturbance {
+    /// So many of each kind, in an order by chance.
+    fn dealt(random: &mut ChaCha8Rng) -> Vec<Self> {
+        let each = [
+            (Self::Restart, 5),
+            (Self::Kill, 15),
+            (Self::Suspend, 10),
+            (Self::Resume, 10),
+            (Self::Join, 10),
+        ];
+        let mut dealt: Vec<_> = each
+            .into_iter()
+            .flat_map(|(kind, times)| std::iter::repeat_n(kind, times))
+            .collect();
+        dealt.shuffle(random);
+        dealt
+    }
+}
+
 impl Chaos<'_> {
-    fn disturb(&mut self) {
-        match self.random.random_range(0..10) {
-            0 => {
+    fn disturb(&mut self, by: Disturbance) {
+        match by {
+            Disturbance::Restart => {
                 drop(self.scheduler.take());
                 self.scheduler = Some(self.cluster.scheduler());
             }
-            1..=3 => drop(self.executors.remove(0)),
-            4..=5 => {
+            Disturbance::Kill => drop(self.executors.remove(0)),
+            Disturbance::Suspend => {
                 let executor = self.executors.remove(0);
                 signal(&executor, "-STOP");
                 self.paused.push(executor);
             }
-            6..=7 if !self.paused.is_empty() => {
+            Disturbance::Resume if !self.paused.is_empty() => {
                 let executor = self.paused.remove(0);
                 signal(&executor, "-CONT");
                 self.executors.push(executor);
             }
-            _ => self.executors.push(self.cluster.executor()),
+            Disturbance::Resume | Disturbance::Join => self.executors.push(self.cluster.executor()),
         }
         while self.executors.len() < 2 {
             self.executors.push(self.cluster.executor());
@@ -468,12 +556,8 @@ impl Chaos<'_> {
     }
 }
 
-/// Disturbances in the chaos test.
-const DISTURBANCES: usize = 50;
-
 #[test]
 fn fifty_random_disturbances_change_nothing() {
-    let seed = evermap_test_data::seed();
     let folder = tempfile::tempdir().unwrap();
     let sessions = sessions(folder.path(), 40, 20.0);
     let local = folder.path().join("local");
@@ -482,21 +566,21 @@ fn fifty_random_disturbances_change_nothing() {
     let cluster = Cluster::new();
     let mut chaos = Chaos {
         cluster: &cluster,
-        random: ChaCha8Rng::seed_from_u64(seed),
         scheduler: Some(cluster.scheduler()),
         executors: vec![cluster.executor(), cluster.executor()],
         paused: Vec::new(),
     };
-    let mut disturbances = 0;
+    let mut random = ChaCha8Rng::seed_from_u64(evermap_test_data::seed());
+    let mut disturbances = Disturbance::dealt(&mut random);
+    assert_eq!(disturbances.len(), 50);
     // Where one run is over too soon, another one begins.
-    while disturbances < DISTURBANCES {
-        let map = folder.path().join(format!("after_{disturbances}"));
+    while !disturbances.is_empty() {
+        let map = folder.path().join(format!("before_{}", disturbances.len()));
         let mut run = on_cluster(&map, &sessions, &cluster, "120");
         while run.try_wait().unwrap().is_none() {
             std::thread::sleep(Duration::from_millis(300));
-            if disturbances < DISTURBANCES {
-                chaos.disturb();
-                disturbances += 1;
+            if let Some(next) = disturbances.pop() {
+                chaos.disturb(next);
             }
         }
         let ended: evermap_tests::Finished = run.wait_with_output().unwrap().into();

@@ -4,10 +4,13 @@
 //! The logs are made by a script that lies beside the repository, and are no part of it. The script has to be there.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use std::path::{Path, PathBuf};
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::path::Path;
 use std::process::Command;
 
-use evermap_tests::{Finished, program, repository, text};
+use evermap_tests::{Finished, program, shared, text};
 
 /// Bytes of memory that `inspect` may map to write to.
 const INSPECT: u64 = 256 << 20;
@@ -18,14 +21,7 @@ const FOR_EVER: &str = "300";
 
 /// Makes the logs.
 fn logs(folder: &Path) {
-    let root = std::env::var_os("EVERMAP_SHARED");
-    let root = root.map_or(repository().join("../shared"), PathBuf::from);
-    let script = root.join("hostile/make.py");
-    assert!(
-        script.is_file(),
-        "expected {}, found none",
-        script.display()
-    );
+    let script = shared("hostile/make.py").expect("the script is there");
     let made = Command::new("python3").arg(script).arg(folder).output();
     let made: Finished = made.expect("python3 starts").into();
     made.expect(0);
@@ -183,10 +179,26 @@ fn check(what: &str, case: &Case, ended: Finished, (code, words): (i32, &str)) {
     );
 }
 
+/// Counting rows decodes none; these have a value each that is known.
+fn protobuf_is_read_by_value(folder: &Path) {
+    for log in [
+        "01_protobuf_editions",
+        "02_protobuf_public_self_import",
+        "03_protobuf_redefined_options",
+    ] {
+        let log = folder.join(log).with_extension("mcap");
+        let query = "SELECT x FROM \"/t\"";
+        let asked = ["sql", "--format", "csv", "--sessions", text(&log), "--"];
+        let asked = limited("as", QUERY, &[&asked[..], &[query]].concat());
+        assert_eq!(asked.expect(0).stdout, "x\n1\n", "{}", log.display());
+    }
+}
+
 #[test]
 fn hostile_logs_are_read_counted_or_refused_within_memory() {
     let folder = tempfile::tempdir().unwrap();
     logs(folder.path());
+    protobuf_is_read_by_value(folder.path());
     for case in &CASES {
         let log = folder.path().join(case.log).with_extension("mcap");
         let log = text(&log);
@@ -220,6 +232,109 @@ fn hostile_logs_are_read_counted_or_refused_within_memory() {
             case.log,
             ran.code,
             ran.stderr
+        );
+    }
+}
+
+/// What a log may have very many of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Many {
+    /// Topics, each with a definition of its own and a message.
+    Topics,
+    /// Chunks of one message.
+    Chunks,
+    /// Messages outside chunks, the last one first.
+    Messages,
+    Attachments,
+    Metadata,
+}
+
+/// A log of so many.
+fn log_of(many: Many, count: u16, each: u64) -> Vec<u8> {
+    let chunked = many == Many::Chunks;
+    let options = mcap::WriteOptions::new().compression(None);
+    let options = options.use_chunks(chunked).chunk_size(chunked.then_some(1));
+    let mut log = options.create(Cursor::new(Vec::new())).unwrap();
+    let none = BTreeMap::new();
+    let any = log.add_channel(0, "/any", "json", &none).unwrap();
+    let message = |channel_id, time| mcap::records::MessageHeader {
+        channel_id,
+        sequence: 0,
+        log_time: time,
+        publish_time: time,
+    };
+    for number in 0..u64::from(count) * each {
+        let name = format!("n{number}");
+        match many {
+            Many::Topics => {
+                let (schema, text) = (format!("a/msg/N{number}"), format!("uint8 {name}\n"));
+                let schema = log.add_schema(&schema, "ros2msg", text.as_bytes()).unwrap();
+                let channel = log.add_channel(schema, &name, "cdr", &none).unwrap();
+                log.write_to_known_channel(&message(channel, number), &[0, 1, 0, 0, 7])
+                    .unwrap();
+            }
+            Many::Chunks => log
+                .write_to_known_channel(&message(any, number), b"{}")
+                .unwrap(),
+            Many::Messages => log
+                .write_to_known_channel(&message(any, u64::from(u32::MAX) - number), b"{}")
+                .unwrap(),
+            Many::Attachments => log
+                .attach(&mcap::Attachment {
+                    log_time: number,
+                    create_time: number,
+                    name,
+                    media_type: String::new(),
+                    data: Cow::Borrowed(b"few"),
+                })
+                .unwrap(),
+            Many::Metadata => log
+                .write_metadata(&mcap::records::Metadata {
+                    name,
+                    metadata: none.clone(),
+                })
+                .unwrap(),
+        }
+    }
+    log.finish().unwrap();
+    log.into_inner().into_inner()
+}
+
+/// Seconds of a processor that `inspect` takes, within its memory; what else the machine does counts little.
+fn inspected_s(log: &Path) -> f64 {
+    let limit = format!("prlimit --data={INSPECT} \"$0\" inspect \"$1\" >/dev/null");
+    let mut bash = Command::new("bash");
+    bash.args(["-c", &format!("TIMEFORMAT=%U; time {limit}")]);
+    bash.arg(program()).arg(log).env("LC_ALL", "C");
+    bash.env("MIMALLOC_ARENA_RESERVE", "65536");
+    let ended: Finished = bash.output().expect("bash starts").into();
+    let said = ended.expect(0).stderr;
+    let taken = said
+        .lines()
+        .next_back()
+        .and_then(|taken| taken.parse().ok());
+    taken.unwrap_or_else(|| panic!("expected a time, found {said}"))
+}
+
+/// Four times as much takes four times as long, and not sixteen.
+#[test]
+fn inspect_takes_time_in_proportion_to_a_file_within_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("many.mcap");
+    for (many, count) in [
+        (Many::Topics, 15_000),
+        (Many::Chunks, 8_000),
+        (Many::Messages, 60_000),
+        (Many::Attachments, 20_000),
+        (Many::Metadata, 20_000),
+    ] {
+        let [few, many_more] = [1, 4].map(|each| {
+            std::fs::write(&log, log_of(many, count, each)).unwrap();
+            inspected_s(&log).min(inspected_s(&log))
+        });
+        assert!(
+            many_more < 8.0 * few.max(0.1),
+            "{many:?}: {few} s of {count}, {many_more} s of four times as many"
         );
     }
 }

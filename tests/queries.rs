@@ -2,11 +2,12 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
+use std::time::{Duration, Instant};
 
 use datafusion::arrow::datatypes::SchemaRef;
 use datafusion::arrow::util::display::{ArrayFormatter, FormatOptions};
@@ -14,7 +15,7 @@ use datafusion::prelude::SessionContext;
 use evermap_engine::map::Map;
 use evermap_engine::sql::{Limits, context, read_only};
 use evermap_tests::{
-    Finished, command, evermap, plan_command, rectangle, repository, text, write_drive,
+    Finished, command, evermap, memory, plan_command, rectangle, repository, text, write_drive,
 };
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use sqllogictest::{AsyncDB, DBOutput, DefaultColumnType, Runner};
@@ -529,8 +530,20 @@ fn nested([sums, unions, tables]: [usize; 3]) -> [String; 3] {
 #[test]
 fn queries_of_many_terms_are_answered_and_larger_ones_refused_in_plans_too() {
     let (folder, map) = mapped();
-    for query in nested([700, 700, 700]) {
+    let plan_of = |query: &str| {
+        let plan = folder.path().join("nested.yaml");
+        let lines = format!("plan: nested\nsteps:\n  t: {{ sql: '{query}' }}\nwrite: [t]\n");
+        std::fs::write(&plan, lines).unwrap();
+        evermap(&["check", text(&plan)])
+    };
+    for query in nested([2_000, 700, 700]) {
         evermap(&["sql", "--map", text(&map), &query]).expect(0);
+        let checked = plan_of(&query);
+        assert!(
+            checked.code >= 0,
+            "a signal ended the check: {}",
+            checked.stderr
+        );
     }
     for query in nested([11_000, 2_600, 1_200]) {
         let refused = evermap(&["sql", "--map", text(&map), &query]).expect(1);
@@ -539,10 +552,7 @@ fn queries_of_many_terms_are_answered_and_larger_ones_refused_in_plans_too() {
             "{}",
             refused.stderr
         );
-        let plan = folder.path().join("large.yaml");
-        let lines = format!("plan: large\nsteps:\n  t: {{ sql: '{query}' }}\nwrite: [t]\n");
-        std::fs::write(&plan, lines).unwrap();
-        let refused = evermap(&["check", text(&plan)]).expect(1);
+        let refused = plan_of(&query).expect(1);
         assert!(
             refused.stderr.contains("words and operators"),
             "{}",
@@ -567,7 +577,7 @@ fn computes(process: &std::process::Child) {
         if fields[11].parse::<u64>().unwrap() > 100 {
             return;
         }
-        std::thread::sleep(std::time::Duration::from_millis(50));
+        std::thread::sleep(Duration::from_millis(50));
     }
 }
 
@@ -593,31 +603,54 @@ fn queries_are_interrupted_while_they_run_and_while_they_are_planned() {
                 .unwrap()
                 .success()
         );
+        let interrupted = Instant::now();
         let ended: evermap_tests::Finished = asked.wait_with_output().unwrap().into();
+        let waited = interrupted.elapsed();
+        // A second, on a machine that does nothing else.
+        assert!(waited < Duration::from_secs(5), "{waited:?}: {query:.60}");
         let ended = ended.expect(1);
         assert!(ended.stderr.contains("stopped"), "{}", ended.stderr);
     }
 }
 
+/// MiB that a query may have.
+const MEMORY_MIB: u64 = 64;
+/// MiB that the program may hold beside them. A development build has 60 more before it does anything.
+const BESIDE_MIB: u64 = if cfg!(debug_assertions) { 384 } else { 256 };
+
+/// Runs a command to its end, and finds the most MiB that it held.
+fn watched(mut command: std::process::Command) -> (Finished, u64) {
+    let command = command.stdout(Stdio::null()).stderr(Stdio::piped());
+    let program = command.spawn().unwrap();
+    let mut most = 0;
+    while let Some(held) = memory(program.id(), "VmHWM:") {
+        most = most.max(held);
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let ended = program.wait_with_output().unwrap();
+    (ended.into(), most >> 20)
+}
+
 #[test]
-fn sorts_windows_and_groups_larger_than_memory_are_answered_from_disk() {
+fn sorts_windows_groups_and_joins_larger_than_memory_are_answered_from_disk() {
     let (folder, map) = mapped();
     let out = folder.path().join("answer.csv");
+    let limit = format!("{MEMORY_MIB}MiB");
     let ask = |query: &str| {
-        let small = [
-            "sql",
-            "--map",
-            text(&map),
-            "--memory",
-            "64MiB",
-            "--format",
-            "csv",
-        ];
-        evermap(&[&small[..], &["--out", text(&out), query]].concat())
+        let mut asked = command(&["sql", "--map", text(&map), "--memory", &limit]);
+        asked.args(["--format", "csv", "--out", text(&out), query]);
+        let (ended, most) = watched(asked);
+        assert!(most > 0, "nobody looked while it ran: {query}");
+        assert!(
+            most <= MEMORY_MIB + BESIDE_MIB,
+            "{query}: {most} MiB resident"
+        );
+        ended
     };
     // 500 MB of texts each time.
     let texts =
         "(SELECT value AS n, repeat('a', 1000) || value AS t FROM generate_series(1, 500000))";
+    let numbers = "generate_series(1, 3000000)";
     for (query, lines) in [
         (format!("SELECT t FROM {texts} ORDER BY t DESC"), 500_001),
         (
@@ -626,6 +659,10 @@ fn sorts_windows_and_groups_larger_than_memory_are_answered_from_disk() {
         ),
         (
             format!("SELECT count(*) FROM (SELECT t, count(*) FROM {texts} GROUP BY t)"),
+            2,
+        ),
+        (
+            format!("SELECT count(*) FROM {numbers} a JOIN {numbers} b ON a.value = b.value"),
             2,
         ),
     ] {
@@ -637,6 +674,57 @@ fn sorts_windows_and_groups_larger_than_memory_are_answered_from_disk() {
             "{query}"
         );
     }
-    let refused = ask(&format!("SELECT length(string_agg(t, '')) FROM {texts}")).expect(1);
-    assert!(refused.stderr.contains("resource: "), "{}", refused.stderr);
+    for whole in ["length(string_agg(t, ''))", "array_length(array_agg(t))"] {
+        let refused = ask(&format!("SELECT {whole} FROM {texts}")).expect(1);
+        assert!(refused.stderr.contains("resource: "), "{}", refused.stderr);
+    }
+}
+
+/// What a map's versions are made of, by path.
+fn stored(map: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let folders = ["versions", "artifacts", "receipts", "runs"];
+    let entries = folders.map(|folder| std::fs::read_dir(map.join(folder)).unwrap());
+    let paths = entries.into_iter().flatten();
+    let paths = paths.map(|entry| entry.unwrap().path());
+    let files = paths.filter(|path| path.is_file());
+    files
+        .map(|path| (path.clone(), std::fs::read(&path).unwrap()))
+        .collect()
+}
+
+#[test]
+fn queries_change_nothing_and_read_no_other_file() {
+    let (folder, map) = mapped();
+    let before = stored(&map);
+    assert!(before.len() > 5);
+    let (other, made) = (
+        folder.path().join("other.csv"),
+        folder.path().join("made.json"),
+    );
+    std::fs::write(&other, "a\nsecret\n").unwrap();
+    let (other, version) = (text(&other), map.join("versions/1.json"));
+    let copy = |to: &Path| format!("COPY (SELECT 1 AS a) TO '{}'", text(to));
+    for query in [
+        copy(&made),
+        copy(&version),
+        format!("EXPLAIN ANALYZE {}", copy(&made)),
+        format!("CREATE EXTERNAL TABLE t (a TEXT) STORED AS CSV LOCATION '{other}'"),
+        "INSERT INTO poses SELECT * FROM poses".to_owned(),
+        "DELETE FROM poses".to_owned(),
+        "DROP TABLE poses".to_owned(),
+        "SET datafusion.runtime.memory_limit = '1T'".to_owned(),
+        format!("SELECT * FROM '{other}'"),
+        format!("SELECT * FROM \"{other}\""),
+    ] {
+        let refused = evermap(&["sql", "--map", text(&map), &query]).expect(1);
+        let said = format!("{}{}", refused.stdout, refused.stderr);
+        assert!(!said.contains("secret"), "{query}: {said}");
+        let reason = ["only reads", "there is no table"];
+        assert!(
+            reason.iter().any(|reason| said.contains(reason)),
+            "{query}: {said}"
+        );
+    }
+    assert!(!made.exists(), "a query has written");
+    assert!(stored(&map) == before, "a query has changed the map");
 }

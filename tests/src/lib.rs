@@ -137,6 +137,15 @@ pub fn simulate(world: &str, out: &Path, settings: &[&str]) {
     ended.expect(0);
 }
 
+/// Bytes of memory of a process, by a line of what the system says of it: `VmRSS:` are those that it holds, `VmHWM:` the
+/// most that it held. `None` once it has ended.
+pub fn memory(process: u32, line: &str) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let found = status.lines().find_map(|found| found.strip_prefix(line))?;
+    let kilobytes: u64 = found.split_whitespace().next()?.parse().ok()?;
+    Some(kilobytes << 10)
+}
+
 /// The text of a path.
 ///
 /// # Panics

@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Stdio};
 
-use crate::{Finished, command, plan_command, rectangle, repository, text, write_drive};
+use crate::{Finished, command, memory, plan_command, rectangle, repository, text, write_drive};
 
 /// A server of a map, stopped when it is dropped.
 pub struct Server {
@@ -62,11 +62,7 @@ impl Server {
 
     /// Bytes of memory that the server holds.
     pub fn memory(&self) -> u64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.program.id()));
-        let status = status.unwrap();
-        let line = status.lines().find(|line| line.starts_with("VmRSS:"));
-        let kilobytes = line.unwrap().split_whitespace().nth(1).unwrap();
-        kilobytes.parse::<u64>().unwrap() << 10
+        memory(self.program.id(), "VmRSS:").expect("the server runs")
     }
 }
 

@@ -1,13 +1,14 @@
 //! Torn and corrupt logs are read as far as they are sound, and never panic.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
 use crate::common::by_hand::{
     channel, checked_chunk, chunk_index_of, file, first, message, message_index, statistics,
 };
-use crate::common::{Log, context, count, files, in_memory, open_in, shared};
+use crate::common::{Log, complete_messages, context, count, files, in_memory, open_in, shared};
 use arrow::array::AsArray;
 use arrow::datatypes::UInt32Type;
 use datafusion::catalog::TableProvider;
@@ -143,21 +144,44 @@ async fn real_logs_are_cut_at_random_bytes() {
     let mut state = 7u64;
     for path in files(&folder, "mcap") {
         let log = std::fs::read(&path).unwrap();
-        if log.len() > 800_000 {
+        if log.len() > 2_000_000 {
             continue;
         }
-        let ends = record_ends(&log);
         for _ in 0..8 {
             state = state
                 .wrapping_mul(6364136223846793005)
                 .wrapping_add(1442695040888963407);
             let length = MAGIC.len() + (state >> 33) as usize % (log.len() - MAGIC.len());
             let (sequences, _) = read(&log[..length]).await.unwrap();
-            let expected = expected(&ends, length);
-            let complete = sequences.len() >= expected;
-            assert!(complete, "{} cut at {length}", path.display());
+            let complete = complete_messages(&log[..length]);
+            assert!(
+                sequences.len() >= complete,
+                "{} cut at {length}: {} of {complete}",
+                path.display(),
+                sequences.len()
+            );
         }
     }
+}
+
+/// All that it holds are two images in one chunk.
+#[tokio::test]
+async fn soccer_goal_12_cut_anywhere_keeps_what_was_complete() {
+    let Some(path) = shared("data/mcap_real/amber/soccer_goal_12.mcap") else {
+        return;
+    };
+    let log = std::fs::read(path).unwrap();
+    let mut kept = BTreeSet::new();
+    for part in 0..=64 {
+        let length = MAGIC.len() + (log.len() - MAGIC.len()) * part / 64;
+        let (sequences, losses) = messages(&log[..length]).await.unwrap();
+        let complete = complete_messages(&log[..length]);
+        assert_eq!(sequences.len(), complete, "cut at {length}");
+        let whole = length == log.len();
+        assert_eq!(losses.is_empty(), whole, "cut at {length}");
+        kept.insert(complete);
+    }
+    assert_eq!(kept, BTreeSet::from([0, 1, 2]));
 }
 
 #[tokio::test]

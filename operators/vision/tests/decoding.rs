@@ -148,6 +148,44 @@ fn absurd_sizes_are_refused_before_they_are_allocated() {
     assert!(unknown.contains("expected a jpeg"), "{unknown}");
 }
 
+/// A grey BMP of 4 × 2 pixels, as any program writes it.
+fn bmp() -> Vec<u8> {
+    let palette: Vec<u8> = (0..=255_u8)
+        .flat_map(|grey| [grey, grey, grey, 0])
+        .collect();
+    let start = 14 + 40 + palette.len() as u32;
+    let file = [start + 8, 0, start].map(u32::to_le_bytes).concat();
+    let size = [40_u32, 4, 2].map(u32::to_le_bytes).concat();
+    let depth = [1_u16, 8].map(u16::to_le_bytes).concat();
+    let rest = [0_u32, 8, 2835, 2835, 256, 0]
+        .map(u32::to_le_bytes)
+        .concat();
+    let parts = [b"BM".to_vec(), file, size, depth, rest, palette, vec![7; 8]];
+    parts.concat()
+}
+
+/// OpenCV would decode them.
+#[test]
+fn formats_whose_decoders_nobody_fuzzes_are_refused() {
+    let begins = |start: &[u8]| [start, &[0; 64]].concat();
+    for bytes in [
+        bmp(),
+        begins(b"RIFF\x48\0\0\0WEBPVP8L"),
+        begins(b"II*\0\x08\0\0\0"),
+        begins(b"MM\0*\0\0\0\x08"),
+        begins(b"GIF89a"),
+        begins(b"\0\0\0\x0cjP  \r\n\x87\n"),
+        begins(b"\x76\x2f\x31\x01"),
+        begins(b"#?RADIANCE\n"),
+    ] {
+        let [grey, depth] = [decode(&bytes).err(), decode_depth(&bytes).err()];
+        for refused in [grey, depth, image_size(&bytes).err()] {
+            let format = matches!(refused, Some(ImageError::Format { .. }));
+            assert!(format, "{:?}: {refused:?}", &bytes[..8]);
+        }
+    }
+}
+
 /// A few bytes claim 128 megapixels.
 #[test]
 fn a_jpeg_that_cannot_hold_its_pixels_is_refused() {
@@ -160,7 +198,6 @@ fn a_jpeg_that_cannot_hold_its_pixels_is_refused() {
     assert!(matches!(decode(&jpeg), Err(ImageError::Damaged { .. })));
 }
 
-/// A small scan, again and again: each goes through the whole image.
 /// A few bytes claim a hundred megapixels of four values; what deflate makes of rows that are all alike is read.
 #[test]
 fn a_png_that_cannot_hold_its_pixels_is_refused() {
@@ -184,6 +221,7 @@ fn a_png_that_cannot_hold_its_pixels_is_refused() {
     }
 }
 
+/// A small scan, again and again: each goes through the whole image.
 #[test]
 fn a_jpeg_of_more_scans_than_anybody_writes_is_refused() {
     let truth = sample(64, 48);

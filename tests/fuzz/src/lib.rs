@@ -19,8 +19,8 @@ use evermap_language::{
     Host, OperatorSpec, ParameterFault, PortSpec, QueryFault, Source, Vocabulary, parse, utf8,
 };
 use evermap_messages::{Decoder, MessageType};
-use evermap_schemas::Stamp;
-use evermap_schemas::roles::{self, CameraNames, Fields, Message, OdometryOf};
+use evermap_schemas::roles::{self, CameraNames, Fields, FoundImage, Message, OdometryOf};
+use evermap_schemas::{ImageRef, Stamp};
 use evermap_vision::{Grey, Rgb};
 use evermap_vision::{decode_colour, decode_depth, decode_grey, decode_labels, image_size};
 use serde_json::{Value, json};
@@ -120,6 +120,27 @@ fn finished(decoder: &mut Decoder, message_type: &MessageType, members: usize) -
     StructArray::try_new_with_length(fields.into(), arrays, None, rows).expect("columns are alike")
 }
 
+/// An image that lies anywhere, and begins as the input ends.
+fn image(bytes: &[u8]) -> FoundImage {
+    FoundImage {
+        place: ImageRef {
+            session: "session".to_owned(),
+            part: 0,
+            chunk: None,
+            chunk_length: 0,
+            chunk_size: 0,
+            compression: String::new(),
+            offset: 0,
+            length: 0,
+            format: String::new(),
+            width: None,
+            height: None,
+            step: None,
+        },
+        magic: bytes.last_chunk().copied().unwrap_or_default(),
+    }
+}
+
 /// Has every role read messages of a definition of their own.
 fn roles(bytes: &[u8]) {
     let Some((message_type, payloads)) = channel(bytes) else {
@@ -131,6 +152,7 @@ fn roles(bytes: &[u8]) {
     }
     let members = finished(&mut decoder, &message_type, usize::MAX);
     let (cameras, robot) = (CameraNames::default(), OdometryOf::default());
+    let image = image(bytes);
     let messages: Vec<Message<'_>> = Fields::all(&members)
         .map(|fields| Message {
             site: "site",
@@ -138,15 +160,13 @@ fn roles(bytes: &[u8]) {
             topic: "/topic",
             log_time: Stamp(1),
             fields,
-            image: None,
+            image: Some(&image),
             cameras: &cameras,
             robot: &robot,
         })
         .collect();
     for role in roles::ALL.iter().filter_map(|role| role.messages()) {
-        if role.image.is_none() {
-            let _ = (role.read)(&messages);
-        }
+        let _ = (role.read)(&messages);
         if let Some(robots) = role.robots {
             let _ = (robots.read)(&messages);
         }

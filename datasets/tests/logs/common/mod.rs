@@ -2,13 +2,15 @@
 #![allow(dead_code, clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
 use std::collections::BTreeMap;
-use std::io::Cursor;
+use std::io::{Cursor, Read};
 use std::path::PathBuf;
 use std::sync::Arc;
 
 use arrow::array::RecordBatch;
 use datafusion::prelude::{SessionConfig, SessionContext};
 use evermap_datasets::Dataset;
+use evermap_datasets::log::record::{FRAME, MAGIC, split};
+use mcap::records::op;
 use object_store::memory::InMemory;
 use object_store::path::Path;
 use object_store::{ObjectStore, ObjectStoreExt};
@@ -192,6 +194,60 @@ pub fn packed(compression: &str, bytes: &[u8]) -> Vec<u8> {
         }
         _ => bytes.to_vec(),
     }
+}
+
+/// Messages of a torn log that are complete: those of its whole records, and of a chunk that is cut as many as a plain
+/// decoder of its compression gives.
+pub fn complete_messages(log: &[u8]) -> usize {
+    let (mut offset, mut messages) = (MAGIC.len(), 0);
+    while let Some((opcode, body, used)) = log.get(offset..).and_then(split) {
+        messages += match opcode {
+            op::MESSAGE => 1,
+            op::CHUNK => messages_of_chunk(body),
+            _ => 0,
+        };
+        offset += used;
+    }
+    let cut = log.get(offset..).unwrap_or_default();
+    match cut.split_at_checked(FRAME as usize) {
+        Some((frame, body)) if frame[0] == op::CHUNK => messages + messages_of_chunk(body),
+        _ => messages,
+    }
+}
+
+/// Complete messages of a chunk's body, whose end may be missing.
+fn messages_of_chunk(body: &[u8]) -> usize {
+    // Two times, a size and a checksum.
+    const BEFORE_NAME: usize = 8 + 8 + 8 + 4;
+    let length = body.get(BEFORE_NAME..).and_then(|rest| rest.first_chunk());
+    let Some(length) = length.map(|length| u32::from_le_bytes(*length) as usize) else {
+        return 0;
+    };
+    let (start, end) = (BEFORE_NAME + 4, BEFORE_NAME + 4 + length);
+    let (Some(name), Some(data)) = (body.get(start..end), body.get(end + 8..)) else {
+        return 0;
+    };
+    let records = unpacked(name, data);
+    let (mut rest, mut messages) = (&records[..], 0);
+    while let Some((opcode, _, used)) = split(rest) {
+        messages += usize::from(opcode == op::MESSAGE);
+        rest = &rest[used..];
+    }
+    messages
+}
+
+/// What comes out of data before their decoder ends or fails.
+fn unpacked(compression: &[u8], data: &[u8]) -> Vec<u8> {
+    let mut decoder: Box<dyn Read + '_> = match compression {
+        b"zstd" => Box::new(zstd::Decoder::new(data).unwrap()),
+        b"lz4" => Box::new(lz4_flex::frame::FrameDecoder::new(data)),
+        _ => Box::new(data),
+    };
+    let (mut found, mut some) = (Vec::new(), [0; 4096]);
+    while let Ok(read @ 1..) = decoder.read(&mut some) {
+        found.extend_from_slice(&some[..read]);
+    }
+    found
 }
 
 /// MCAP written by hand, so that it can say what no writer would.

@@ -32,6 +32,9 @@ const FAILURES: usize = 6;
 /// Longest pause before what is missing is submitted anew.
 const PAUSE: Duration = Duration::from_secs(5);
 
+/// How long a scheduler that is asked shortly before the deadline has to answer: one that works does.
+const LAST_CALL: Duration = Duration::from_secs(1);
+
 /// Bytes of units in one job, unless one unit has more. Each task of a job is sent all of its units, so large jobs cost
 /// the square; a message may have 16 MiB.
 const JOB_BYTES: usize = 1 << 20;
@@ -169,10 +172,30 @@ impl Wave {
                 tracing::warn!(missing = missing.len(), %reason, "submitting anew what is missing");
             }
             tokio::select! {
-                () = tokio::time::sleep(pause) => {}
+                () = tokio::time::sleep(pause.min(self.left(progress))) => {}
                 () = self.outcomes.closed() => return,
             }
             pause = (pause * 2).min(PAUSE);
+        }
+    }
+
+    /// What is left of the deadline when a unit ended last at this instant.
+    fn left(&self, progress: Instant) -> Duration {
+        self.cluster.deadline.saturating_sub(progress.elapsed())
+    }
+
+    /// The scheduler's answer to a call, waited for no longer than the deadline allows.
+    async fn in_time<T>(
+        &self,
+        progress: Instant,
+        call: impl Future<Output = Result<T, Fault>>,
+    ) -> Result<T, Lost> {
+        match tokio::time::timeout(self.left(progress).max(LAST_CALL), call).await {
+            Ok(answer) => answer.map_err(Lost::Cluster),
+            Err(_) => {
+                let silent = format!("the cluster of {} does not answer", self.cluster.scheduler);
+                Err(Lost::Cluster(Fault::resource(silent)))
+            }
         }
     }
 
@@ -208,14 +231,16 @@ impl Wave {
         // Units that ran when an attempt was given up may have ended since.
         let all: Vec<usize> = missing.keys().copied().collect();
         self.collect(&all, missing, progress).await?;
-        let mut scheduler = Scheduler::connect(&self.cluster.scheduler).await?;
+        let connecting = Scheduler::connect(&self.cluster.scheduler);
+        let mut scheduler = self.in_time(*progress, connecting).await?;
         let mut jobs = Vec::new();
         let mut ended = Ok(());
         for units in portions(missing)? {
-            match scheduler.submit(units, &self.cluster.registry).await {
+            let submitting = scheduler.submit(units, &self.cluster.registry);
+            match self.in_time(*progress, submitting).await {
                 Ok(job) => jobs.push(job),
-                Err(fault) => {
-                    ended = Err(fault.into());
+                Err(lost) => {
+                    ended = Err(lost);
                     break;
                 }
             }
@@ -226,9 +251,7 @@ impl Wave {
                 () = self.outcomes.closed() => Err(Lost::Run),
             };
         }
-        for job in jobs {
-            scheduler.cancel(job).await;
-        }
+        scheduler.cancel(jobs).await;
         ended
     }
 
@@ -249,7 +272,7 @@ impl Wave {
             }
             let mut index = 0;
             while let Some(job) = jobs.get(index) {
-                let state = scheduler.state(job).await?;
+                let state = self.in_time(*progress, scheduler.state(job)).await?;
                 self.collect(&job.units, missing, progress).await?;
                 match state {
                     JobState::Open => {

@@ -30,6 +30,9 @@ use crate::error::{OrFault, remote_fault};
 /// How long a call may take, until the scheduler counts as lost.
 const CALL: Duration = Duration::from_secs(10);
 
+/// How long it may take to cancel a job: whoever cancels has been told to end, or waits to submit anew.
+const CANCEL: Duration = Duration::from_secs(3);
+
 /// A connection to a scheduler.
 pub struct Scheduler {
     url: String,
@@ -150,14 +153,19 @@ impl Scheduler {
         })
     }
 
-    /// Cancels a job: none of its units begins any more. One that runs ends, and what it leaves is found later.
-    pub async fn cancel(&mut self, job: Job) {
-        if let Err(status) = self
-            .client
-            .cancel_job(CancelJobParams { job_id: job.id })
-            .await
-        {
-            tracing::debug!(%status, "a job is not cancelled");
+    /// Cancels jobs: none of their units begins any more. One that runs ends, and what it leaves is found later. A
+    /// scheduler that does not answer for one job is not asked for the others.
+    pub async fn cancel(&mut self, jobs: Vec<Job>) {
+        for job in jobs {
+            let asked = self.client.cancel_job(CancelJobParams { job_id: job.id });
+            match tokio::time::timeout(CANCEL, asked).await {
+                Ok(Ok(_)) => {}
+                Ok(Err(status)) => tracing::debug!(%status, "a job is not cancelled"),
+                Err(_) => {
+                    tracing::debug!("jobs are not cancelled: the scheduler does not answer");
+                    return;
+                }
+            }
         }
     }
 }
