@@ -171,6 +171,33 @@ fn labels_are_drawn_once_and_move_with_the_poses_of_every_version() {
     );
     let kept = lot.ask("SELECT count(*) AS n FROM label_anchors WHERE anchor['session'] = 'a'");
     assert_eq!(kept[0]["n"], 2);
+
+    // Two labels in the two versions that have them are four outlines, where each version has them.
+    let (map, picture) = (lot.path("map"), lot.path("labels.svg"));
+    let drawn = ["render", "--map", text(&map), "--view", "labels"];
+    let drawn = [&drawn[..], &["--out", text(&picture)]].concat();
+    evermap(&drawn).expect(0);
+    let svg = std::fs::read_to_string(&picture).unwrap();
+    for told in [
+        "parking_space one in version 2: 1000 mm off the newest",
+        "parking_space two in version 2: 2000 mm off the newest",
+        "parking_space two in version 3: 0 mm off the newest",
+    ] {
+        assert!(svg.contains(told), "{told}");
+    }
+    assert_eq!(svg.matches(" off the newest").count(), 4);
+    let newest = [&drawn[..], &["--since", "3"]].concat();
+    evermap(&newest).expect(0);
+    let svg = std::fs::read_to_string(&picture).unwrap();
+    assert_eq!(svg.matches(" off the newest").count(), 2);
+    let none = evermap(&[&drawn[..], &["--since", "9"]].concat()).expect(1);
+    assert!(none.stderr.contains("no version 9"), "{}", none.stderr);
+    let before = evermap(&[&drawn[..], &["--version", "1"]].concat()).expect(1);
+    assert!(
+        before.stderr.contains("no labels of lot"),
+        "{}",
+        before.stderr
+    );
 }
 
 const SPACE: [&str; 2] = ["--kind", "parking_space"];
