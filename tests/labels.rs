@@ -3,10 +3,11 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
 use evermap_messages::annotation::{Annotation, Geometry};
 use evermap_recording::annotations::AnnotationLog;
-use evermap_tests::{DrivePose, Finished, evermap, text, write_drive};
+use evermap_tests::{DrivePose, Finished, command, evermap, text, write_drive};
 use serde_json::{Value, json};
 
 /// A straight drive at 2 m/s whose odometry measures a metre as so many.
@@ -358,6 +359,37 @@ fn two_people_who_disagree_are_counted_and_the_later_holds() {
         { "label": "two", "standing": "drawn", "author": "ada" },
     ]);
     assert_eq!(standing, expected);
+}
+
+/// Somebody with two windows open, who says two things in each; of one label something else.
+#[test]
+fn an_author_twice_at_once_loses_nothing() {
+    let lot = Lot::new();
+    lot.run(&["a.mcap"]).expect(0);
+    let said = [
+        collection(&[("one", space(5.0, 2.0)), ("two", space(10.0, 2.0))]),
+        collection(&[("one", space(5.5, 2.0)), ("three", space(15.0, 2.0))]),
+    ];
+    let (map, log) = (lot.path("map"), lot.path("ada.mcap"));
+    let windows = [0, 1].map(|window| {
+        let file = lot.path(&format!("window_{window}.json"));
+        std::fs::write(&file, said[window].to_string()).unwrap();
+        let mut import = command(&["annotate", "--map", text(&map), "--author", "ada"]);
+        import.args(["--import", text(&file), "--out", text(&log)]);
+        import.args(SPACE).stdout(Stdio::piped());
+        import.stderr(Stdio::piped()).spawn().unwrap()
+    });
+    for window in windows.map(|window| window.wait_with_output().unwrap()) {
+        let ended = Finished::from(window);
+        // One may read what the other is about to write, which is a log without an end.
+        assert!([0, 3].contains(&ended.code), "{}", ended.stderr);
+    }
+    lot.run(&["ada.mcap", "ada_2.mcap"]).expect(0);
+    assert_eq!(lot.ask("SELECT count(*) AS n FROM said")[0]["n"], 4);
+    let labels = lot.labels();
+    let names: Vec<&str> = labels.iter().map(|(name, ..)| name.as_str()).collect();
+    assert_eq!(names, ["one", "three", "two"]);
+    assert!([750, 800].contains(&labels[0].1), "{labels:?}");
 }
 
 #[test]
