@@ -187,6 +187,22 @@ fn occupied_as_in(world: &Path, map: &Path, session: &str) {
     assert!(right + 1 >= seen, "{found:?}");
 }
 
+/// The tile that a question names shows what is asked about.
+fn tiles_show_what_is_asked(map: &Path) {
+    let counted = rows(
+        map,
+        None,
+        "SELECT count(*) AS asked, count(*) FILTER (WHERE st_intersects(t.geometry, q.geometry)) AS shown
+         FROM questions q LEFT JOIN overhead_tiles t
+         ON t.site = q.site AND t.zoom = 0 AND t.tile_x = q.tile_x AND t.tile_y = q.tile_y",
+    );
+    let number = |name: &str| counted[0][name].as_u64().unwrap();
+    assert!(
+        number("asked") > 0 && number("asked") == number("shown"),
+        "{counted:?}"
+    );
+}
+
 #[test]
 fn a_few_drawn_spaces_and_some_answers_find_the_others() {
     let Some(world) = world() else { return };
@@ -216,6 +232,9 @@ fn a_few_drawn_spaces_and_some_answers_find_the_others() {
             "SELECT map_from_label AS pose, length_m, width_m FROM questions
              WHERE question <= {ANSWERED} ORDER BY question"
         );
+        if round == 0 {
+            tiles_show_what_is_asked(&map);
+        }
         if round < 5 {
             person.answer(boxes(&rows(&map, None, &asked)));
         }
